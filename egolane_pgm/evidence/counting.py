@@ -1,0 +1,133 @@
+"""The paper's rules (section "Tentative vector and reliability of the whole detection"), as its
+authors computed them: each valid line votes for the lanes that it is compatible with, continuous
+lines have a bonus, the reliability indices of all valid lines make the WOR.
+
+A detector without a continuous flag gives no bonus votes. A detector without a reliability index
+(LRI unknown, NaN) has every valid line counted as fully reliable, so that WOR is the share of the
+n + 1 expected lines that were found.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+
+from egolane_pgm.types import (
+    BoolArray,
+    Evidence,
+    FloatArray,
+    LineLog,
+    Parameter,
+    Parameters,
+    Value,
+)
+
+PROVIDES = ("DetectorOutput", "WOR")
+
+#: The evidence that is itself an answer over lanes: the "detector only" of the paper's tables.
+TENTATIVE = "DetectorOutput"
+
+PARAMETERS = (
+    Parameter(
+        "bonus_value",
+        "non_negative",
+        1,
+        "votes of a continuous line for the lane that it bounds; BV of equation `eq:HMM`",
+        search=(0, 9),
+    ),
+    Parameter("lane_width_m", "positive", 3.5, "lane width in the detector's metres"),
+    Parameter("tentative_noise", "non_negative", 0.001, "added to every entry of the tentative"),
+    Parameter(
+        "wor_noise",
+        "probability",
+        0.01,
+        "subtracted from WOR, and the distance that it keeps from 0 and 1",
+    ),
+    Parameter("max_lri", "positive", 10, "largest value of a line's reliability index"),
+    Parameter(
+        "no_valid_line",
+        "choice",
+        "uniform",
+        "a frame without a valid line: `uniform` has a uniform tentative and the lowest WOR (the"
+        " authors'), `ignore` says nothing about WOR either",
+        choices=("uniform", "ignore"),
+    ),
+)
+
+
+def evidence(
+    log: LineLog, n_lanes: int, parameters: Parameters, *, kernel: bool = True
+) -> Evidence:
+    """DetectorOutput (T, n), the tentative vector, summing to one, and WOR (T, 2) = (OK, BAD).
+
+    parameters: resolved values of PARAMETERS. `kernel=False` runs the NumPy twin.
+    """
+    tentative = np.empty((len(log), n_lanes))
+    wor = np.empty((len(log), 2))
+    run: Any
+    if kernel:
+        from egolane_pgm.evidence._counting_kernel import count_lines as run
+    else:
+        run = _count_lines_numpy
+    run(
+        log.offset_m,
+        log.is_valid,
+        log.is_continuous,
+        log.lri,
+        *_numbers(parameters),
+        parameters["no_valid_line"] == "ignore",
+        tentative,
+        wor,
+    )
+    return Evidence({"DetectorOutput": tentative, "WOR": wor})
+
+
+def _numbers(parameters: Mapping[str, Value]) -> list[float]:
+    names = ("lane_width_m", "bonus_value", "tentative_noise", "wor_noise", "max_lri")
+    return [float(parameters[name]) for name in names]  # type: ignore[arg-type]
+
+
+def _count_lines_numpy(
+    offset_m: FloatArray,
+    is_valid: BoolArray,
+    is_continuous: BoolArray,
+    lri: FloatArray,
+    lane_width_m: float,
+    bonus_value: float,
+    tentative_noise: float,
+    wor_noise: float,
+    max_lri: float,
+    ignore_frames_without_line: bool,
+    tentative: FloatArray,
+    wor: FloatArray,
+) -> None:
+    """The NumPy twin of `_counting_kernel.count_lines`, same arguments."""
+    n_lanes = tentative.shape[1]
+    d = np.where(is_valid, offset_m, 0.0)
+    distance = np.abs(d)
+    is_far = is_valid & (distance > lane_width_m)
+    reach = (np.arange(n_lanes) + 1) * lane_width_m
+    # votes[..., k]: for a line to the right, the k-th lane from the right; else from the left.
+    votes = (is_far[..., None] & (distance[..., None] < reach)).astype(np.float64)
+    bonus_lane = np.minimum(distance / lane_width_m, n_lanes).astype(np.int64)
+    has_bonus = is_far & is_continuous & (bonus_lane < n_lanes)
+    votes += bonus_value * (
+        has_bonus[..., None] & (bonus_lane[..., None] == np.arange(n_lanes))
+    )
+    is_right = (d > 0)[..., None]
+    counts = np.where(is_right, votes[..., ::-1], votes).sum(axis=1)
+    is_near = is_valid & ~is_far & is_continuous
+    counts[:, 0] += bonus_value * (is_near & (d < 0)).sum(axis=1)
+    counts[:, -1] += bonus_value * (is_near & (d >= 0)).sum(axis=1)
+    counts[counts.sum(axis=1) == 0] = 1.0
+    counts += tentative_noise
+    tentative[:] = counts / counts.sum(axis=1, keepdims=True)
+    known = np.where(np.isnan(lri), max_lri, lri)
+    s = np.where(is_valid, known, 0.0).sum(axis=1) / (max_lri * (n_lanes + 1)) - wor_noise
+    s = np.where(s < 0, wor_noise, np.where(s >= 1, 1 - wor_noise, s))
+    if ignore_frames_without_line:
+        s[~is_valid.any(axis=1)] = 0.5
+    wor[:, 0] = s
+    wor[:, 1] = 1 - s

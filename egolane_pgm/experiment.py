@@ -1,0 +1,211 @@
+"""An experiment is a YAML file: what was driven, how lines become evidence, which graph, which
+parameters. Structure is checked here; keys that belong to plugins are checked by `run`.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any, Literal
+
+import yaml
+from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
+
+from egolane_pgm.types import InputError, suggestion
+
+
+class _Section(BaseModel):
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+
+class Recording(_Section):
+    """Where the lines come from: a file (`path`) or a simulated drive (`simulate`)."""
+
+    path: str | None = None
+    format: str | None = None
+    topic: str | None = None
+    frame_id: Literal["way_id", "seq"] = "way_id"
+    frames: tuple[int, int] | None = Field(
+        default=None, description="first frame id and the one after the last"
+    )
+    frame_rate: float = Field(default=10.0, gt=0, description="frames per second")
+    missing_frames: Literal["skip", "hold", "predict"] = "skip"
+    lri: Literal["as_recorded", "clip"] = "as_recorded"
+    simulate: str | None = None
+    seed: int = Field(default=0, ge=0)
+
+    @model_validator(mode="after")
+    def _one_source(self) -> Recording:
+        if (self.path is None) == (self.simulate is None):
+            raise ValueError("needs either path or simulate")
+        if self.frames is not None and self.frames[0] >= self.frames[1]:
+            raise ValueError(f"frames {list(self.frames)} is an empty range")
+        return self
+
+
+class GroundTruth(_Section):
+    """Annotated lanes; `extra_rows` are (frame, lane, crossing) that the file lacks."""
+
+    path: str
+    extra_rows: tuple[tuple[int, int, int], ...] = ()
+
+
+class Experiment(_Section):
+    """One experiment. `tuned_on` says what the parameters have seen, for the scores' honesty:
+    the frames that are scored (`same_frames`: in-sample), others only, or none."""
+
+    name: str = Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9._-]*$")
+    description: str = ""
+    recording: Recording
+    ground_truth: GroundTruth | None = None
+    n_lanes: int = Field(ge=1)
+    evidence: str = "counting"
+    graph: str = "sensor_failure"
+    filter: Literal["assumed_density", "exact"] = "assumed_density"
+    evidence_reading: Literal["soft", "hard"] = "soft"
+    parameters: dict[str, Any] = Field(default_factory=dict)
+    tuned_on: Literal["same_frames", "other_frames", "not_tuned", "unknown"] = "unknown"
+
+    _folder: Path = Path()
+    _source: str = "experiment"
+
+    @property
+    def folder(self) -> Path:
+        """The folder of the YAML file: its relative paths start here."""
+        return self._folder
+
+    @property
+    def source(self) -> str:
+        """The YAML file, for messages."""
+        return self._source
+
+
+def load_experiment(path: str | Path, overrides: Sequence[str] = ()) -> Experiment:
+    """Read a YAML file; `overrides` are `key.subkey=value` (values are YAML).
+
+    Raises InputError, one line that names file and key, for anything that does not fit.
+    """
+    path = Path(path)
+    try:
+        text = path.read_text(encoding="utf-8")
+    except (OSError, UnicodeDecodeError) as error:
+        raise InputError(f"{path}: cannot be read: {_reason(error)}") from error
+    try:
+        content = yaml.safe_load(text)
+    except yaml.YAMLError as error:
+        raise InputError(f"{path}: is not YAML: {' '.join(str(error).split())}") from error
+    if not isinstance(content, dict):
+        raise InputError(f"{path}: needs keys and values, e.g. 'n_lanes: 4'")
+    for override in overrides:
+        _override(content, override)
+    return make_experiment(content, path.parent, str(path))
+
+
+def make_experiment(content: Mapping[str, Any], folder: Path, source: str) -> Experiment:
+    """An experiment from the keys of a YAML file; paths are relative to `folder`."""
+    try:
+        experiment = Experiment.model_validate(content)
+    except ValidationError as error:
+        raise InputError(f"{source}: {_first_problem(error, content)}") from None
+    experiment._folder = Path(folder)
+    experiment._source = source
+    return experiment
+
+
+def resolved(experiment: Experiment, parameters: Mapping[str, Any]) -> dict[str, Any]:
+    """Every key with its value, defaults included, ready for YAML or JSON."""
+    content = experiment.model_dump(mode="json")
+    content["parameters"] = {
+        name: list(value) if isinstance(value, tuple) else value
+        for name, value in sorted(parameters.items())
+    }
+    return content
+
+
+def config_hash(content: Mapping[str, Any]) -> str:
+    """sha256 of a resolved config, whatever the order of its keys."""
+    return hashlib.sha256(json.dumps(content, sort_keys=True).encode()).hexdigest()
+
+
+def with_recording(
+    experiment: Experiment,
+    recording: str | None,
+    ground_truth: str | None,
+    n_lanes: int | None,
+    frame_id: str | None = None,
+) -> Experiment:
+    """The experiment on another recording. What belongs to the old recording (frame range, seed,
+    ground truth and its extra rows) does not carry over; `ground_truth` may be "none"."""
+    content = experiment.model_dump()
+    if recording is not None:
+        kept = {"topic", "frame_id", "frame_rate", "missing_frames", "lri"}
+        content["recording"] = {k: v for k, v in content["recording"].items() if k in kept}
+        content["recording"]["path"] = str(Path(recording).absolute())
+        content["ground_truth"] = None
+        content["name"] = _as_name(Path(recording).stem)
+        content["tuned_on"] = "other_frames" if experiment.tuned_on == "same_frames" else (
+            experiment.tuned_on
+        )
+    if frame_id is not None:
+        content["recording"]["frame_id"] = frame_id
+    if ground_truth is not None:
+        content["ground_truth"] = (
+            None if ground_truth == "none" else {"path": str(Path(ground_truth).absolute())}
+        )
+    if n_lanes is not None:
+        content["n_lanes"] = n_lanes
+    return make_experiment(content, experiment.folder, experiment.source)
+
+
+def _as_name(stem: str) -> str:
+    name = "".join(c if c.isalnum() or c in "._-" else "_" for c in stem).lstrip("._-")
+    return name or "recording"
+
+
+def _override(content: dict[str, Any], override: str) -> None:
+    key, equals, text = override.partition("=")
+    parts = key.strip().split(".")
+    if not equals or not all(parts):
+        raise InputError(f"--set {override}: write it as key=value, e.g. parameters.bonus_value=0")
+    try:
+        value = yaml.safe_load(text)
+    except yaml.YAMLError as error:
+        raise InputError(f"--set {override}: the value is not YAML") from error
+    section: Any = content
+    for part in parts[:-1]:
+        if section.get(part) is None:
+            section[part] = {}
+        section = section[part]
+        if not isinstance(section, dict):
+            raise InputError(f"--set {override}: {part} has no keys below it")
+    section[parts[-1]] = value
+
+
+def _first_problem(error: ValidationError, content: Mapping[str, Any]) -> str:
+    """pydantic's first complaint as one line; unknown keys come first, with a suggestion."""
+    problems = error.errors(include_url=False)
+    problem = next((p for p in problems if p["type"] == "extra_forbidden"), problems[0])
+    where = ".".join(str(part) for part in problem["loc"])
+    if problem["type"] == "extra_forbidden":
+        section: Any = Experiment
+        for part in problem["loc"][:-1]:
+            section = {"recording": Recording, "ground_truth": GroundTruth}.get(str(part), section)
+        *above, key = (str(part) for part in problem["loc"])
+        prefix = f"{'.'.join(above)}: " if above else ""
+        return f"{prefix}unknown key '{key}'{suggestion(key, section.model_fields)}"
+    if problem["type"] == "missing":
+        return f"{where}: is missing"
+    message = problem["msg"].removeprefix("Value error, ")
+    message = message[0].lower() + message[1:]
+    value = problem["input"]
+    shown = "" if isinstance(value, dict) else f" (got {value!r})"
+    if problem["type"] == "literal_error" and isinstance(value, str):
+        choices = [c.strip("'") for c in problem["ctx"]["expected"].replace(" or ", ", ").split(", ")]
+        return f"{where}: '{value}' is not one of {', '.join(choices)}{suggestion(value, choices)}"
+    return f"{where}: {message}{shown}"
+
+
+def _reason(error: Exception) -> str:
+    return getattr(error, "strerror", None) or str(error)

@@ -1,0 +1,31 @@
+"""A plain hidden Markov model: Lane causes DetectorOutput, the sensor never fails."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from egolane_pgm.cpds import Table, declare, dynamics, previous, prior, uniform, within
+from egolane_pgm.graphs._parameters import LANE_WIDTHS, NORMAL, SIGMA1, SIGMA2, f_table
+from egolane_pgm.types import Parameters
+
+if TYPE_CHECKING:
+    from pgmpy.models import DynamicBayesianNetwork
+
+HIDDEN = ("Lane",)
+OBSERVED = ("DetectorOutput",)
+UNUSED = ("WOR",)
+PARAMETERS = (SIGMA1, SIGMA2, NORMAL, LANE_WIDTHS)
+
+
+def tables(n_lanes: int, parameters: Parameters) -> list[Table]:
+    """Table `tab:cptlane`, and the OK rows of Table `tab:cptdetlane`."""
+    return [
+        *prior("Lane", uniform(n_lanes)),
+        *dynamics("Lane", [previous("Lane")], f_table("sigma1", n_lanes, parameters)),
+        *within("DetectorOutput", ["Lane"], f_table("sigma2", n_lanes, parameters)),
+    ]
+
+
+def build(n_lanes: int, parameters: Parameters) -> DynamicBayesianNetwork:
+    """The network, declared."""
+    return declare(tables(n_lanes, parameters), OBSERVED)

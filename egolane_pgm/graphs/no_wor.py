@@ -1,0 +1,28 @@
+"""The paper's graph without WOR: SensorState is inferred from the detector output alone."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from egolane_pgm.cpds import Table, declare
+from egolane_pgm.graphs import sensor_failure
+from egolane_pgm.types import Parameters
+
+if TYPE_CHECKING:
+    from pgmpy.models import DynamicBayesianNetwork
+
+HIDDEN = sensor_failure.HIDDEN
+OBSERVED = ("DetectorOutput",)
+UNUSED = ("WOR",)
+VALUES = sensor_failure.VALUES
+PARAMETERS = tuple(p for p in sensor_failure.PARAMETERS if p.name not in ("p3", "p4"))
+
+
+def tables(n_lanes: int, parameters: Parameters) -> list[Table]:
+    """As `sensor_failure`, less Table `tab:cptri`."""
+    return sensor_failure.tables_without_wor(n_lanes, parameters)
+
+
+def build(n_lanes: int, parameters: Parameters) -> DynamicBayesianNetwork:
+    """The network, declared."""
+    return declare(tables(n_lanes, parameters), OBSERVED)

@@ -1,0 +1,62 @@
+"""The paper's graph (Figure `fig:model`): Lane and SensorState persist, both cause DetectorOutput,
+SensorState causes WOR.
+
+SensorState and WOR have the values OK (0) and BAD (1).
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from egolane_pgm.cpds import Table, binary, declare, dynamics, previous, prior, uniform, within
+from egolane_pgm.graphs._parameters import (
+    LANE_WIDTHS,
+    NORMAL,
+    P1,
+    P2,
+    P3,
+    P4,
+    SIGMA1,
+    SIGMA2,
+    f_table,
+    number,
+)
+from egolane_pgm.types import Parameters
+
+if TYPE_CHECKING:
+    from pgmpy.models import DynamicBayesianNetwork
+
+HIDDEN = ("Lane", "SensorState")
+OBSERVED = ("DetectorOutput", "WOR")
+VALUES = {"SensorState": ("OK", "BAD")}
+PARAMETERS = (SIGMA1, SIGMA2, P1, P2, P3, P4, NORMAL, LANE_WIDTHS)
+
+
+def tables(n_lanes: int, parameters: Parameters) -> list[Table]:
+    """The paper's Tables `tab:cptlane`, `tab:cptsensor`, `tab:cptdetlane` and `tab:cptri`."""
+    p3, p4 = number(parameters["p3"]), number(parameters["p4"])
+    return [
+        *tables_without_wor(n_lanes, parameters),
+        *within("WOR", ["SensorState"], binary(p3, p4)),
+    ]
+
+
+def tables_without_wor(n_lanes: int, parameters: Parameters) -> list[Table]:
+    """Tables `tab:cptlane`, `tab:cptsensor` and `tab:cptdetlane`."""
+    p1, p2 = number(parameters["p1"]), number(parameters["p2"])
+    detector_ok = f_table("sigma2", n_lanes, parameters)
+    detector_bad = uniform(n_lanes, n_lanes)
+    return [
+        *prior("Lane", uniform(n_lanes)),
+        *prior("SensorState", uniform(2)),
+        *dynamics("Lane", [previous("Lane")], f_table("sigma1", n_lanes, parameters)),
+        *dynamics("SensorState", [previous("SensorState")], binary(p1, p2)),
+        *within("DetectorOutput", ["SensorState", "Lane"], np.stack([detector_ok, detector_bad])),
+    ]
+
+
+def build(n_lanes: int, parameters: Parameters) -> DynamicBayesianNetwork:
+    """The network, declared."""
+    return declare(tables(n_lanes, parameters), OBSERVED)

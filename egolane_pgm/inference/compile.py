@@ -1,0 +1,395 @@
+"""A declared two-slice network, turned into arrays over the joint hidden state.
+
+All validation of a graph is here: what the filters get is known to be well formed. pgmpy's CPDs
+are aligned by node name, never by position.
+
+What is accepted: hidden nodes that persist (have an edge across the slices) and hidden nodes that
+are deterministic functions of others in the same slice; observed nodes, each with a virtual-
+evidence child, or tuples of nodes with one virtual-evidence child; input nodes, roots whose value
+is given in every frame and selects the transition. The joint state is the product of the
+persistent nodes.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from egolane_pgm.cpds import SliceNode, Table, ve_name
+from egolane_pgm.types import FloatArray, InputError, IntArray, Observed
+
+if TYPE_CHECKING:
+    from pgmpy.models import DynamicBayesianNetwork
+
+#: A transition over more joint states than this would not fit into memory.
+MAX_STATES = 4096
+
+
+@dataclass(frozen=True)
+class Group:
+    """Observed nodes that one emission table is about.
+
+    observed: the keys of the evidence, in order. nodes: the network nodes that index the columns.
+    sizes: their cardinalities; K is their product. axes: per observed key the positions of its
+    nodes in `nodes`. emission (S, K): P(nodes | joint state). mask (S, K): 0 where a hidden node
+    is observed directly and the column is not the state's own value, else 1.
+    """
+
+    observed: tuple[Observed, ...]
+    nodes: tuple[str, ...]
+    sizes: tuple[int, ...]
+    axes: tuple[tuple[int, ...], ...]
+    emission: FloatArray
+    mask: FloatArray
+
+
+@dataclass(frozen=True)
+class Compiled:
+    """A network as arrays, S joint states, U joint values of the inputs (1 without inputs).
+
+    hidden: every hidden node, persistent ones and functions. state_nodes: the persistent ones,
+    whose values, first slowest, number the joint states. cardinality: of every node.
+    node_value (H, S): the value of each hidden node in each joint state.
+    inputs: input nodes, first slowest in U. prior (U, S): the first frame before its evidence.
+    transition (U, S, S): row is the state before. groups: the emissions.
+    """
+
+    hidden: tuple[str, ...]
+    state_nodes: tuple[str, ...]
+    inputs: tuple[str, ...]
+    cardinality: Mapping[str, int]
+    node_value: IntArray
+    prior: FloatArray
+    transition: FloatArray
+    groups: tuple[Group, ...]
+    _plan: Mapping[SliceNode, _Placement]
+
+    @property
+    def n_states(self) -> int:
+        """Number of joint states."""
+        return self.node_value.shape[1]
+
+    @property
+    def observed(self) -> tuple[Observed, ...]:
+        """The keys that the evidence must have."""
+        return tuple(key for group in self.groups for key in group.observed)
+
+
+@dataclass(frozen=True)
+class _Placement:
+    """Where a conditional table goes: `indices` (one broadcastable array per axis of the table,
+    parents first, node last) select its entries for the array that `kind` names."""
+
+    kind: str
+    group: int
+    parents: tuple[SliceNode, ...]
+    shape: tuple[int, ...]
+    indices: tuple[IntArray, ...]
+
+
+def compile_network(
+    network: DynamicBayesianNetwork,
+    hidden: Sequence[str],
+    observed: Sequence[Observed],
+    inputs: Sequence[str] = (),
+) -> Compiled:
+    """The arrays of a declared network.
+
+    Raises InputError, naming the node, for anything that the filters could not honour.
+    """
+    tables = _read_tables(network)
+    roles = _Roles(tables, tuple(hidden), tuple(observed), tuple(inputs))
+    return _assemble(roles, tables)
+
+
+def with_tables(compiled: Compiled, tables: Iterable[Table]) -> Compiled:
+    """The same structure with new tables, without touching pgmpy.
+
+    Raises InputError naming the node whose table has other parents or another shape.
+    """
+    by_node = {table.node: table for table in tables}
+    for node, place in compiled._plan.items():
+        if node not in by_node:
+            raise InputError(f"{node[0]}: no table for slice {node[1]}")
+        table = by_node[node]
+        if table.parents != place.parents or table.values.shape != place.shape:
+            raise InputError(f"{node[0]}: the table has other parents or another shape than before")
+    prior, transition, emissions = _fill(compiled, by_node)
+    groups = tuple(
+        replace(group, emission=emission)
+        for group, emission in zip(compiled.groups, emissions, strict=True)
+    )
+    return replace(compiled, prior=prior, transition=transition, groups=groups)
+
+
+def _read_tables(network: DynamicBayesianNetwork) -> dict[SliceNode, Table]:
+    """Every CPD as a Table with named axes, checked against the network's edges."""
+    parents: dict[SliceNode, set[SliceNode]] = {_plain(n): set() for n in network.nodes()}
+    for start, end in network.edges():
+        parents[_plain(end)].add(_plain(start))
+    tables: dict[SliceNode, Table] = {}
+    for cpd in network.cpds:
+        node, *given = (_plain(v) for v in cpd.variables)
+        if node in tables:
+            raise InputError(f"{node[0]}: two tables for slice {node[1]}")
+        if node not in parents or set(given) != parents[node]:
+            raise InputError(
+                f"{node[0]} in slice {node[1]}: its table is given"
+                f" {_names(given)}, its edges come from {_names(parents.get(node, set()))}"
+            )
+        values = np.moveaxis(np.asarray(cpd.values, dtype=np.float64), 0, -1)
+        tables[node] = Table(node, tuple(given), values)
+    for node in parents:
+        if node not in tables:
+            raise InputError(
+                f"{node[0]}: no table for slice {node[1]}; declare both slices in full"
+            )
+    cardinality = {name: t.values.shape[-1] for (name, _), t in tables.items()}
+    for table in tables.values():
+        for parent, size in zip(table.parents, table.values.shape, strict=False):
+            if cardinality[parent[0]] != size:
+                raise InputError(
+                    f"{table.node[0]}: its table has {size} rows for {parent[0]}, which has"
+                    f" {cardinality[parent[0]]} values"
+                )
+    return tables
+
+
+def _plain(node: Any) -> SliceNode:
+    return (str(node[0]), int(node[1]))
+
+
+def _names(nodes: Iterable[SliceNode]) -> str:
+    return ", ".join(sorted(f"{name}[{'t' if s == 0 else 't+1'}]" for name, s in nodes)) or "nothing"
+
+
+class _Roles:
+    """Which node is what; raises InputError where the declaration and the tables disagree."""
+
+    def __init__(
+        self,
+        tables: Mapping[SliceNode, Table],
+        hidden: tuple[str, ...],
+        observed: tuple[Observed, ...],
+        inputs: tuple[str, ...],
+    ) -> None:
+        self.tables = tables
+        self.hidden = hidden
+        self.observed = observed
+        self.inputs = inputs
+        self.cardinality = {name: t.values.shape[-1] for (name, _), t in tables.items()}
+        names = set(self.cardinality)
+        self.ve = {ve_name(key): (key,) if isinstance(key, str) else key for key in observed}
+        listed = [n for key in self.ve.values() for n in key]
+        for name in (*hidden, *inputs, *listed):
+            if name not in names:
+                raise InputError(f"{name}: declared, but not a node of the network")
+        for name in self.ve:
+            if name not in names:
+                raise InputError(f"{name}: an observed node needs this virtual-evidence child")
+        known = {*hidden, *inputs, *listed, *self.ve}
+        for name in sorted(names - known):
+            raise InputError(f"{name}: neither hidden, observed, input nor virtual evidence")
+        across = {
+            name
+            for (child, s), table in tables.items()
+            for parent, ps in table.parents
+            if s == 1 and ps == 0
+            for name in (parent, child)
+        }
+        self.state = tuple(name for name in hidden if name in across)
+        self.functions = tuple(name for name in hidden if name not in across)
+        self.leaves = tuple(dict.fromkeys(n for n in listed if n not in hidden))
+        self._check_leaves(across)
+        self._check_inputs(across)
+        self._check_ve()
+        if not self.state:
+            raise InputError("the network has no hidden node with an edge across the slices")
+        n_states = math.prod(self.cardinality[n] for n in self.state)
+        if n_states > MAX_STATES:
+            sizes = " x ".join(f"{n} {self.cardinality[n]}" for n in self.state)
+            raise InputError(
+                f"the joint hidden state has {n_states} values ({sizes}), more than {MAX_STATES}"
+            )
+        digits = np.indices([self.cardinality[n] for n in self.state]).reshape(len(self.state), -1)
+        self.values: dict[str, IntArray] = dict(zip(self.state, digits, strict=True))
+        self._add_functions()
+
+    def _check_leaves(self, across: set[str]) -> None:
+        for name in self.leaves:
+            if name in across:
+                raise InputError(f"{name}: observed nodes may not have edges across the slices")
+            if name in self.inputs:
+                raise InputError(f"{name}: is declared both observed and input")
+            first, later = self.tables[name, 0], self.tables[name, 1]
+            if not _same_within(first, later):
+                raise InputError(f"{name}: its table differs between the slices")
+            for parent, _ in first.parents:
+                if parent in self.inputs:
+                    raise InputError(f"{name}: an observed node may not depend on input {parent}")
+        for (child, _), table in self.tables.items():
+            for parent, _ in table.parents:
+                if parent in self.leaves and child in self.hidden:
+                    raise InputError(f"{child}: a hidden node may not depend on observed {parent}")
+
+    def _check_inputs(self, across: set[str]) -> None:
+        for name in self.inputs:
+            if name in self.hidden:
+                raise InputError(f"{name}: is declared both hidden and input")
+            if self.tables[name, 0].parents or self.tables[name, 1].parents:
+                raise InputError(f"{name}: an input node may not have parents")
+            if name in across:
+                raise InputError(f"{name}: an input acts within its slice only")
+
+    def _check_ve(self) -> None:
+        for name, of in self.ve.items():
+            if self.cardinality[name] != 2:
+                raise InputError(f"{name}: a virtual-evidence node is binary")
+            for s in (0, 1):
+                if {p for p, _ in self.tables[name, s].parents} != set(of):
+                    raise InputError(f"{name}: its parents must be {', '.join(of)}")
+            if any(p == name for t in self.tables.values() for p, _ in t.parents):
+                raise InputError(f"{name}: a virtual-evidence node may not have children")
+
+    def _add_functions(self) -> None:
+        waiting = list(self.functions)
+        while waiting:
+            ready = [
+                name
+                for name in waiting
+                if all(p in self.values for p, _ in self.tables[name, 1].parents)
+            ]
+            if not ready:
+                raise InputError(
+                    f"{waiting[0]}: a hidden node without an edge across the slices must be a"
+                    " function of other hidden nodes in its slice"
+                )
+            for name in ready:
+                table = self.tables[name, 1]
+                if not _same_within(self.tables[name, 0], table):
+                    raise InputError(f"{name}: its table differs between the slices")
+                if not np.isin(table.values, (0.0, 1.0)).all():
+                    raise InputError(
+                        f"{name}: a hidden node without an edge across the slices must be a"
+                        " deterministic function of its parents (a table of zeros and ones)"
+                    )
+                index = tuple(self.values[p] for p, _ in table.parents)
+                self.values[name] = table.values.argmax(axis=-1)[index]
+                waiting.remove(name)
+
+
+def _same_within(first: Table, later: Table) -> bool:
+    """Whether two tables of one node say the same of their own slices, whatever the axis order."""
+    names = [p for p, _ in first.parents]
+    others = [p for p, _ in later.parents]
+    if set(names) != set(others) or any(s != 1 for _, s in later.parents):
+        return False
+    aligned = later.values.transpose(*(others.index(n) for n in names), len(names))
+    return bool(np.allclose(first.values, aligned, rtol=0, atol=1e-12))
+
+
+def _assemble(roles: _Roles, tables: Mapping[SliceNode, Table]) -> Compiled:
+    n_states = len(roles.values[roles.state[0]])
+    n_inputs = math.prod(roles.cardinality[n] for n in roles.inputs)
+    groups = [_group(roles, keys) for keys in _joined(roles)]
+    input_value: dict[str, IntArray] = {}
+    if roles.inputs:
+        sizes = [roles.cardinality[n] for n in roles.inputs]
+        digits = np.indices(sizes).reshape(len(sizes), -1)
+        input_value = dict(zip(roles.inputs, digits, strict=True))
+
+    plan: dict[SliceNode, _Placement] = {}
+    for name in roles.state:
+        for s, kind in ((0, "prior"), (1, "transition")):
+            table = tables[name, s]
+            indices = []
+            for node, node_slice in (*table.parents, (name, s)):
+                if node in input_value:
+                    shape = (-1, 1) if s == 0 else (-1, 1, 1)
+                    indices.append(input_value[node].reshape(shape))
+                elif node in roles.values:
+                    before = s == 1 and node_slice == 0
+                    shape = (1, -1) if s == 0 else (1, -1, 1) if before else (1, 1, -1)
+                    indices.append(roles.values[node].reshape(shape))
+                else:
+                    raise InputError(f"{name}: its parent {node} is not hidden and not an input")
+            plan[name, s] = _Placement(
+                kind, -1, table.parents, table.values.shape, tuple(indices)
+            )
+    for g, group in enumerate(groups):
+        column = dict(
+            zip(group.nodes, np.indices(group.sizes).reshape(len(group.sizes), -1), strict=True)
+        )
+        for name in group.nodes:
+            if name in roles.values:
+                continue
+            table = tables[name, 1]
+            indices = [
+                column[node][None, :] if node in column else roles.values[node][:, None]
+                for node, _ in (*table.parents, (name, 1))
+            ]
+            plan[name, 1] = _Placement(
+                "emission", g, table.parents, table.values.shape, tuple(indices)
+            )
+    blank = Compiled(
+        roles.hidden,
+        roles.state,
+        roles.inputs,
+        roles.cardinality,
+        np.stack([roles.values[name] for name in roles.hidden]),
+        np.ones((n_inputs, n_states)),
+        np.ones((n_inputs, n_states, n_states)),
+        tuple(groups),
+        plan,
+    )
+    return with_tables(blank, tables.values())
+
+
+def _joined(roles: _Roles) -> list[list[Observed]]:
+    """Evidence keys that must share one emission table: those whose unobserved variables are
+    linked by an edge or by a common virtual-evidence node."""
+    clusters: list[tuple[set[str], list[Observed]]] = []
+    for key in roles.observed:
+        leaves = {n for n in roles.ve[ve_name(key)] if n in roles.leaves}
+        linked = leaves | {
+            p for n in leaves for p, _ in roles.tables[n, 1].parents if p in roles.leaves
+        }
+        keys: list[Observed] = [key]
+        apart = []
+        for nodes, others in clusters:
+            if nodes & linked:
+                linked |= nodes
+                keys = others + keys
+            else:
+                apart.append((nodes, others))
+        clusters = [*apart, (linked, keys)]
+    return [keys for _, keys in clusters]
+
+
+def _group(roles: _Roles, keys: list[Observed]) -> Group:
+    nodes = tuple(dict.fromkeys(n for key in keys for n in roles.ve[ve_name(key)]))
+    sizes = tuple(roles.cardinality[n] for n in nodes)
+    axes = tuple(tuple(nodes.index(n) for n in roles.ve[ve_name(key)]) for key in keys)
+    mask = np.ones((len(roles.values[roles.state[0]]), math.prod(sizes)))
+    columns = np.indices(sizes).reshape(len(sizes), -1)
+    for k, name in enumerate(nodes):
+        if name in roles.values:
+            mask *= roles.values[name][:, None] == columns[k][None, :]
+    return Group(tuple(keys), nodes, sizes, axes, mask, mask)
+
+
+def _fill(
+    compiled: Compiled, tables: Mapping[SliceNode, Table]
+) -> tuple[FloatArray, FloatArray, list[FloatArray]]:
+    prior = np.ones_like(compiled.prior)
+    transition = np.ones_like(compiled.transition)
+    emissions = [group.mask.copy() for group in compiled.groups]
+    target = {"prior": prior, "transition": transition}
+    for node, place in compiled._plan.items():
+        array = emissions[place.group] if place.kind == "emission" else target[place.kind]
+        array *= tables[node].values[place.indices]
+    return prior, transition, emissions

@@ -1,0 +1,259 @@
+"""Filters: the belief over the hidden nodes after each frame, given the evidence so far.
+
+`exact` carries the joint hidden state from frame to frame. `assumed_density` carries the product
+of the persistent nodes' marginals (Boyen and Koller 1998), which is what the paper's equations in
+section "Inference" do: each marginal is propagated by its own table.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from egolane_pgm.inference.compile import Compiled, Group
+from egolane_pgm.types import (
+    Beliefs,
+    BoolArray,
+    Evidence,
+    FloatArray,
+    InputError,
+    IntArray,
+    Observed,
+    suggestion,
+)
+
+METHODS = ("assumed_density", "exact")
+READINGS = ("soft", "hard")
+
+
+@dataclass(frozen=True)
+class FilterState:
+    """What an online filter carries: joint (S,), the belief after the last frame (its product of
+    marginals under assumed density)."""
+
+    joint: FloatArray
+
+
+def filter_beliefs(
+    compiled: Compiled,
+    evidence: Evidence,
+    method: str = "assumed_density",
+    *,
+    frame_id: IntArray | None = None,
+    kernel: bool = True,
+) -> Beliefs:
+    """P(node | evidence so far) for every hidden node and frame, and the log evidence.
+
+    A frame whose joint likelihood is zero keeps its prediction and is flagged. `kernel=False`
+    runs the NumPy twin. Raises InputError for an unknown method and for evidence that does not
+    fit the network (both named).
+    """
+    ids = np.arange(len(evidence)) if frame_id is None else frame_id
+    _, marginals, log_evidence, is_impossible = _run(compiled, evidence, method, None, kernel)
+    return Beliefs(ids, _split(compiled, marginals), log_evidence, is_impossible)
+
+
+def step(
+    compiled: Compiled,
+    state: FilterState | None,
+    evidence: Evidence,
+    method: str = "assumed_density",
+    *,
+    kernel: bool = True,
+) -> tuple[FilterState, Beliefs]:
+    """One more frame (or several) online: the new state and the beliefs of these frames.
+
+    state: None before the first frame.
+    """
+    joint, marginals, log_evidence, is_impossible = _run(compiled, evidence, method, state, kernel)
+    ids = np.arange(len(evidence))
+    beliefs = Beliefs(ids, _split(compiled, marginals), log_evidence, is_impossible)
+    return FilterState(joint), beliefs
+
+
+def read_evidence(evidence: Evidence, reading: str) -> Evidence:
+    """The evidence as the filter takes it (section "Inference"): `soft` as it is, `hard` only its
+    most probable value. A tie has no most probable value: all that share it are kept as equals.
+    """
+    if reading == "soft":
+        return evidence
+    if reading != "hard":
+        raise InputError(f"evidence reading '{reading}'{suggestion(reading, READINGS)}")
+    hard: dict[Observed, FloatArray] = {}
+    for key, values in evidence.likelihoods.items():
+        flat = values.reshape(len(values), -1)
+        largest = flat.max(axis=1, keepdims=True)
+        hard[key] = (flat >= largest * (1 - 1e-9)).astype(np.float64).reshape(values.shape)
+    return Evidence(hard, evidence.inputs)
+
+
+def _run(
+    compiled: Compiled, evidence: Evidence, method: str, state: FilterState | None, kernel: bool
+) -> tuple[FloatArray, FloatArray, FloatArray, BoolArray]:
+    if method not in METHODS:
+        raise InputError(f"filter '{method}'{suggestion(method, METHODS)}")
+    columns, start, emission = pack(compiled, evidence)
+    input_index = _input_index(compiled, evidence)
+    node_column, n_columns = node_columns(compiled)
+    n_frames = len(evidence)
+    is_first = state is None
+    joint = np.zeros(compiled.n_states) if state is None else state.joint.copy()
+    marginals = np.zeros((n_frames, n_columns))
+    log_evidence = np.zeros(n_frames)
+    is_impossible = np.zeros(n_frames, dtype=bool)
+    run: Any
+    if kernel:
+        from egolane_pgm.inference.kernels import filter_frames as run
+    else:
+        run = _filter_frames_numpy
+    run(
+        joint,
+        is_first,
+        method == "assumed_density",
+        compiled.prior,
+        compiled.transition,
+        input_index,
+        emission,
+        start,
+        columns,
+        node_column,
+        len(compiled.state_nodes),
+        marginals,
+        log_evidence,
+        is_impossible,
+    )
+    return joint, marginals, log_evidence, is_impossible
+
+
+def _filter_frames_numpy(
+    joint: FloatArray,
+    is_first: bool,
+    is_factored: bool,
+    prior: FloatArray,
+    transition: FloatArray,
+    input_index: IntArray,
+    emission: FloatArray,
+    group_start: IntArray,
+    evidence: FloatArray,
+    node_column: IntArray,
+    n_persistent: int,
+    marginals: FloatArray,
+    log_evidence: FloatArray,
+    is_impossible: BoolArray,
+) -> None:
+    """The NumPy twin of `kernels.filter_frames`, same arguments."""
+    groups = [slice(a, b) for a, b in zip(group_start[:-1], group_start[1:], strict=True)]
+    for t, row in enumerate(evidence):
+        u = input_index[t]
+        predicted = prior[u] if is_first and t == 0 else joint @ transition[u]
+        log_scale = 0.0
+        weighted = predicted.copy()
+        for g in groups:
+            largest = row[g].max()
+            if largest > 0:
+                weighted *= emission[:, g] @ (row[g] / largest)
+                log_scale += math.log(largest)
+            else:
+                weighted *= 0.0
+        total = weighted.sum()
+        is_impossible[t] = not total > 0
+        if total > 0:
+            joint[:] = weighted / total
+            log_evidence[t] = math.log(total) + log_scale
+        else:
+            joint[:] = predicted
+        for columns in node_column:
+            np.add.at(marginals[t], columns, joint)
+        if is_factored:
+            joint[:] = marginals[t][node_column[:n_persistent]].prod(axis=0)
+
+
+def pack(compiled: Compiled, evidence: Evidence) -> tuple[FloatArray, IntArray, FloatArray]:
+    """The groups side by side: evidence (T, K), where each group starts (G + 1,), emission (S, K).
+
+    Raises InputError naming an observed node without evidence, evidence without a node, or a
+    wrong shape.
+    """
+    _check_keys(compiled, evidence)
+    blocks = [_group_evidence(group, evidence.likelihoods) for group in compiled.groups]
+    start = np.cumsum([0] + [block.shape[1] for block in blocks])
+    columns = np.ascontiguousarray(np.concatenate(blocks, axis=1), dtype=np.float64)
+    emission = np.ascontiguousarray(np.concatenate([g.emission for g in compiled.groups], axis=1))
+    return columns, start.astype(np.int64), emission
+
+
+def _check_keys(compiled: Compiled, evidence: Evidence) -> None:
+    given = set(evidence.likelihoods)
+    for key in compiled.observed:
+        if key not in given:
+            raise InputError(f"observed node {key}: the evidence has nothing for it")
+    for key in given - set(compiled.observed):
+        raise InputError(f"evidence for {key}: the graph does not observe such a node")
+    for key, values in evidence.likelihoods.items():
+        names = (key,) if isinstance(key, str) else key
+        shape = (len(evidence), *(compiled.cardinality[n] for n in names))
+        if values.shape != shape:
+            raise InputError(f"evidence for {key}: shape {values.shape}, the graph needs {shape}")
+    for name in compiled.inputs:
+        if name not in evidence.inputs:
+            raise InputError(f"input node {name}: the evidence has nothing for it")
+    for name, index in evidence.inputs.items():
+        if name not in compiled.inputs:
+            raise InputError(f"input {name}: the graph has no such input node")
+        if len(index) and not (0 <= index.min() and index.max() < compiled.cardinality[name]):
+            raise InputError(f"input {name}: outside 0..{compiled.cardinality[name] - 1}")
+
+
+def _group_evidence(group: Group, likelihoods: Mapping[Observed, FloatArray]) -> FloatArray:
+    """(T, K): the product of the group's evidence over all its nodes' values."""
+    if len(group.observed) == 1:
+        values = likelihoods[group.observed[0]]
+        return values.reshape(len(values), -1)
+    n_frames = len(likelihoods[group.observed[0]])
+    product = np.ones((n_frames, *group.sizes))
+    for key, axes in zip(group.observed, group.axes, strict=True):
+        values = likelihoods[key]
+        # The evidence's axes in the order of the group's, then 1 where it says nothing.
+        ordered = values.transpose(0, *(1 + np.argsort(axes)))
+        shape = [size if k in axes else 1 for k, size in enumerate(group.sizes)]
+        product *= ordered.reshape(n_frames, *shape)
+    return product.reshape(n_frames, -1)
+
+
+def _input_index(compiled: Compiled, evidence: Evidence) -> IntArray:
+    if not compiled.inputs:
+        return np.zeros(len(evidence), dtype=np.int64)
+    sizes = [compiled.cardinality[name] for name in compiled.inputs]
+    parts = [evidence.inputs[name] for name in compiled.inputs]
+    return np.asarray(np.ravel_multi_index(parts, sizes), dtype=np.int64)
+
+
+def node_columns(compiled: Compiled) -> tuple[IntArray, int]:
+    """(H, S): which column of the marginals each node's value in each state adds to; persistent
+    nodes first, then functions; and the number of columns."""
+    order = _node_order(compiled)
+    start = 0
+    rows = []
+    for name in order:
+        rows.append(start + compiled.node_value[compiled.hidden.index(name)])
+        start += compiled.cardinality[name]
+    return np.stack(rows).astype(np.int64), start
+
+
+def _node_order(compiled: Compiled) -> list[str]:
+    functions = [name for name in compiled.hidden if name not in compiled.state_nodes]
+    return [*compiled.state_nodes, *functions]
+
+
+def _split(compiled: Compiled, marginals: FloatArray) -> dict[str, FloatArray]:
+    start = 0
+    nodes = {}
+    for name in _node_order(compiled):
+        size = compiled.cardinality[name]
+        nodes[name] = marginals[:, start : start + size]
+        start += size
+    return nodes

@@ -1,0 +1,70 @@
+"""Graphs, evidence rules and recording formats by name, or a file of one's own named in the YAML.
+
+A plugin is a module with the names that its folder's contract asks for (`build`, `evidence`, ...).
+The files of a folder whose name starts with `_` are not plugins.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import importlib
+import importlib.util
+import pkgutil
+import sys
+from pathlib import Path
+from types import ModuleType
+
+from egolane_pgm.types import InputError, suggestion
+
+#: What a module of each folder must define.
+CONTRACTS = {
+    "graphs": ("build", "HIDDEN", "OBSERVED"),
+    "evidence": ("evidence",),
+    "recordings": ("read",),
+}
+
+
+def plugin_names(folder: str) -> list[str]:
+    """The plugins of a folder of the package, in alphabetical order."""
+    path = Path(__file__).parent / folder
+    return sorted(m.name for m in pkgutil.iter_modules([str(path)]) if not m.name.startswith("_"))
+
+
+def load_plugin(folder: str, name: str, base: Path, where: str) -> ModuleType:
+    """The module `name` of a folder, or the file `name` (ends in .py; relative to `base`).
+
+    Raises InputError starting with `where` for an unknown name (with a suggestion), a missing
+    file, a file that cannot be imported or one that lacks what the contract asks for.
+    """
+    if name.endswith(".py"):
+        module = _load_file((base / name).resolve(), where)
+    elif name in plugin_names(folder):
+        module = importlib.import_module(f"egolane_pgm.{folder}.{name}")
+    else:
+        raise InputError(f"{where}: unknown name '{name}'{suggestion(name, plugin_names(folder))}")
+    for needed in CONTRACTS[folder]:
+        if not hasattr(module, needed):
+            raise InputError(f"{where}: {name} does not define {needed}")
+    return module
+
+
+def _load_file(path: Path, where: str) -> ModuleType:
+    if not path.is_file():
+        raise InputError(f"{where}: no file {path}")
+    # One module per path and content, so that two experiments may each have a my_graph.py.
+    digest = hashlib.sha256(str(path).encode() + path.read_bytes()).hexdigest()[:16]
+    name = f"_egolane_plugin_{path.stem}_{digest}"
+    if name in sys.modules:
+        return sys.modules[name]
+    spec = importlib.util.spec_from_file_location(name, path)
+    assert spec is not None
+    assert spec.loader is not None
+    module = importlib.util.module_from_spec(spec)
+    sys.modules[name] = module
+    try:
+        spec.loader.exec_module(module)
+    except Exception as error:
+        del sys.modules[name]
+        line = f"{type(error).__name__}: {error}"
+        raise InputError(f"{where}: {path} cannot be imported: {line}") from error
+    return module

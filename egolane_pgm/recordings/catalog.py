@@ -1,0 +1,271 @@
+"""The public data set of the paper: addresses, checksums, download, and where files are found."""
+
+from __future__ import annotations
+
+import os
+import threading
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
+from pathlib import Path
+from urllib.parse import quote, urlsplit
+
+from egolane_pgm.recordings.download import Unreachable, download, is_good
+from egolane_pgm.types import InputError
+
+#: The folder `bag/` of github trigal/rle at tag SpecialIssueTIV.submission.1 (BSD licence).
+COMMIT = "e35b76afbbd579190ea4194446ef02980289880a"
+BASE_URL = f"https://raw.githubusercontent.com/trigal/rle/{COMMIT}/bag"
+
+
+@dataclass(frozen=True)
+class DataFile:
+    """A public file. name: also its path below the base address. size: bytes."""
+
+    name: str
+    size: int
+    sha256: str
+    what: str
+
+    @property
+    def target(self) -> str:
+        """Where it lies in the download folder, and in `$EGOLANE_DATA`."""
+        return f"rle/{self.name}"
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """What became of one file.
+
+    status: "downloaded", "present" (there and good), "failed", "missing" or "bad" (wrong
+    checksum). message: one line that says what is wrong, "" where nothing is.
+    """
+
+    file: DataFile
+    path: Path
+    status: str
+    message: str = ""
+
+    @property
+    def ok(self) -> bool:
+        """The file is there and has the right checksum."""
+        return self.status in ("downloaded", "present")
+
+
+_FILES = (
+    DataFile(
+        "special.issue.italy.mono.noClothoid.yesLines.bag",
+        2092715,
+        "d8040c50fdfc1cc834c48ca2c0d3d54fb41d4a76cf0c64698ed9fc28ee9760bb",
+        "run 1, Italy, ML",
+    ),
+    DataFile(
+        "special.issue.italy.stereo.noClothoid.yesLines.bag",
+        2091485,
+        "eaeb23907d5e9704ceb562c0a6d710e8fcf885353796dc67ada981d9989486fa",
+        "run 2, Italy, SL",
+    ),
+    DataFile(
+        "A4-5FULL-MONO.bag",
+        2093141,
+        "952d9a5fb69340cace106d57b5810e03c1df0f2d6221971d31366afe3e07ea4d",
+        "run 3, Italy, MC",
+    ),
+    DataFile(
+        "A4-5FULL-STEREOv2.bag",
+        2094835,
+        "dd4d3a0ecbfaf861d6d50e640ae318c2ee1da926e3229b228385faf94fd988ce",
+        "run 4, Italy, SC",
+    ),
+    DataFile(
+        "mldhighway.a4.001_2017-12-18-12-38-52.bag",
+        1796297,
+        "06c2e4beefcc07c43915ad9be57f475b2c597547048a3f357810c54fa7911860",
+        "run 5, Italy, MLD",
+    ),
+    DataFile(
+        "special.issue.spain.mono.noClothoid.yesLines.left._2018-01-13-23-56-11.bag",
+        1599529,
+        "8cd14676570be56bcce97e4801ac12baa600439f18f54a54b27e6ca75d7747d1",
+        "run 6, Spain, ML",
+    ),
+    DataFile(
+        "special.issue.spain.stereo.noClothoid.yesLines.left._2018-01-14-23-06-51.bag",
+        1599802,
+        "4328f3928fea873c3ea153a5e89f1a25cdabca54b5fc6675b73b0d8c9cea209c",
+        "run 7, Spain, SL",
+    ),
+    DataFile(
+        "special.issue.spain.mono.yesClothoid.noLines.left._2018-01-14-11-59-09.bag",
+        1598902,
+        "5fdff87ce116c6edff71ae1ad0fbaab428297e6feb728c0cdfe524454dbbef3d",
+        "run 8, Spain, MC",
+    ),
+    DataFile(
+        "special.issue.spain.stereo.yesClothoid.noLines.left.bag",
+        1599442,
+        "cf04bfd9f1ffa62f845c3c5d3092e8a9f26af0901e18f75db6e4d74ee4cbe016",
+        "run 9, Spain, SC",
+    ),
+    DataFile(
+        "mldhighway.isislab.001_2017-12-15-17-07-21.bag",
+        1732573,
+        "cc529e5ff22ac37fb89a37ef5b0f02112c6a0c854095d1f25a8a00c8ea5b57cc",
+        "run 10, Spain, MLD",
+    ),
+    DataFile(
+        "GT-A4FULL.txt",
+        88996,
+        "ca21a765cbda9b3599c29e4b40113b2642670ef465e2f873863a7228faff12cc",
+        "ground truth, Italy",
+    ),
+    DataFile(
+        "ISIS_01.txt",
+        86895,
+        "2c985c4c7f46933d2be31cd619afe25efc1c43b3394919bade4b2b101e58c2d8",
+        "ground truth, Spain",
+    ),
+)
+
+
+def list_files() -> tuple[DataFile, ...]:
+    """The files of the data set: ten recordings and two ground truths."""
+    return _FILES
+
+
+def download_folder() -> Path:
+    """The user's cache folder for this package (XDG_CACHE_HOME is respected)."""
+    import pooch
+
+    return Path(pooch.os_cache("egolane_pgm"))
+
+
+def find_file(path: str | Path, base: str | Path | None = None) -> Path:
+    """The file that is meant by a path in an experiment.
+
+    An absolute path is taken as it is. Any other is looked for below `base` (the folder of the
+    YAML), then below `$EGOLANE_DATA`, then in the download folder.
+
+    Raises InputError, with every place that was looked in, where it is nowhere.
+    """
+    wanted = Path(path).expanduser()
+    if wanted.is_absolute():
+        places = [wanted]
+    else:
+        data = os.environ.get("EGOLANE_DATA", "")
+        folders = [Path.cwd() if base is None else Path(base)]
+        folders += [Path(data).expanduser()] if data else []
+        folders += [download_folder()]
+        places = [folder / wanted for folder in folders]
+    for place in places:
+        if place.is_file():
+            return place
+    looked = ", ".join(str(place) for place in places)
+    help_ = "run `egolane data fetch`, or set EGOLANE_DATA to the folder that has it"
+    raise InputError(
+        f"{path}: no such file; looked for {looked}"
+        + ("" if wanted.is_absolute() else f"; {help_}")
+    )
+
+
+def verify(folder: str | Path | None = None) -> list[Outcome]:
+    """Check every file of the data set in a folder (default: the download folder)."""
+    root = download_folder() if folder is None else Path(folder)
+    return [_verify(file, root / file.target) for file in _FILES]
+
+
+def _verify(file: DataFile, path: Path) -> Outcome:
+    if not path.is_file():
+        return Outcome(file, path, "missing", f"{path}: no such file; `egolane data fetch` gets it")
+    try:
+        good = is_good(path, file.sha256)
+    except OSError as error:
+        return Outcome(file, path, "bad", f"{path}: cannot be read: {error.strerror}")
+    if good:
+        return Outcome(file, path, "present")
+    return Outcome(file, path, "bad", f"{path}: wrong checksum, `egolane data fetch` gets it again")
+
+
+def fetch(
+    base_url: str | None = None,
+    folder: str | Path | None = None,
+    jobs: int = 4,
+    progress: bool = True,
+) -> list[Outcome]:
+    """Download the files that are not there yet, `jobs` at a time; one Outcome per file.
+
+    base_url: a mirror with the same file names (default: GitHub). folder: default the download
+    folder. progress: a bar on standard error, where that is a terminal. A file that is there and
+    good is not asked for again; a download that broke goes on where it stopped; content with a
+    wrong checksum never takes the place of anything. A file that fails does not keep the others.
+
+    Raises InputError for an address that is not http or https, and for jobs below 1.
+    """
+    address = (BASE_URL if base_url is None else base_url).rstrip("/")
+    if urlsplit(address).scheme not in ("http", "https") or not urlsplit(address).netloc:
+        raise InputError(f"--base-url {base_url}: needs an address http://... or https://...")
+    if jobs < 1:
+        raise InputError(f"--jobs {jobs}: needs at least 1")
+    root = download_folder() if folder is None else Path(folder)
+    before = [_verify(file, root / file.target) for file in _FILES]
+    wanted = [outcome for outcome in before if not outcome.ok]
+    if not wanted:
+        return before
+    after = _fetch_all(address, wanted, jobs, progress)
+    return [after.get(outcome.file.name, outcome) for outcome in before]
+
+
+def problems(outcomes: list[Outcome]) -> list[str]:
+    """One line for each thing that went wrong; a server that is down is one thing."""
+    return list(dict.fromkeys(outcome.message for outcome in outcomes if not outcome.ok))
+
+
+def _fetch_all(
+    address: str, wanted: list[Outcome], jobs: int, progress: bool
+) -> dict[str, Outcome]:
+    from tqdm import tqdm
+
+    stop = threading.Event()
+    lock = threading.Lock()
+    n_received = 0
+    unreachable: list[str] = []
+    with tqdm(
+        total=sum(outcome.file.size for outcome in wanted),
+        unit="B",
+        unit_scale=True,
+        desc="egolane data",
+        disable=None if progress else True,
+    ) as bar:
+
+        def on_bytes(n: int) -> None:
+            nonlocal n_received
+            with lock:
+                n_received += n
+                bar.update(n)
+
+        def fetch_one(outcome: Outcome) -> Outcome:
+            file, path = outcome.file, outcome.path
+            if unreachable and n_received <= 0:  # not twelve times the same wait
+                return Outcome(file, path, "failed", unreachable[0])
+            try:
+                download(
+                    f"{address}/{quote(file.name)}",
+                    path,
+                    size=file.size,
+                    sha256=file.sha256,
+                    on_bytes=on_bytes,
+                    stop=stop,
+                )
+            except Unreachable as error:
+                unreachable.append(str(error))
+                return Outcome(file, path, "failed", str(error))
+            except InputError as error:
+                return Outcome(file, path, "failed", str(error))
+            return Outcome(file, path, "downloaded")
+
+        with ThreadPoolExecutor(max_workers=jobs) as pool:
+            try:
+                return {outcome.file.name: outcome for outcome in pool.map(fetch_one, wanted)}
+            except BaseException:  # Ctrl-C: leave the parts as they are, for the next time
+                stop.set()
+                pool.shutdown(cancel_futures=True)
+                raise

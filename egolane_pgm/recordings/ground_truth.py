@@ -1,0 +1,97 @@
+"""Annotated ground truth: a text file with `frame;lane;crossing` per line, lane 1 leftmost."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterable, Sequence
+from pathlib import Path
+
+import numpy as np
+
+from egolane_pgm.types import InputError, LaneTruth
+
+_INTEGER = r"\s*([+-]?[0-9]{1,18})\s*"
+_ROW = re.compile(rf"{_INTEGER}[;,]{_INTEGER}[;,]\s*([01])\s*")
+
+
+def read_ground_truth(path: str | Path, extra_rows: Iterable[Sequence[int]] = ()) -> LaneTruth:
+    """The lane of each annotated frame, and whether the vehicle is crossing into another lane.
+
+    A line is `frame;lane;crossing` (or with commas), crossing 0 or 1; one heading is skipped, and
+    empty lines are. extra_rows: more rows (frame, lane, crossing), put in where their frame
+    belongs; the paper counts frame 0 of the Spanish recording, which its file leaves out.
+
+    Raises InputError, naming the file and the line, for a line that is malformed, frames that
+    repeat or decrease, a file without rows, and an extra row of a frame that the file has.
+    """
+    path = Path(path)
+    rows: list[tuple[int, int, int]] = []
+    for number, line in enumerate(_read_text(path).splitlines(), start=1):
+        if not line.strip():
+            continue
+        row = _row(line)
+        if row is None and number == 1 and not re.search(r"\d", line):
+            continue
+        if row is None:
+            raise InputError(
+                f"{path}: line {number}: {line.strip()[:60]!r} is not"
+                " 'frame;lane;crossing' (whole numbers, crossing 0 or 1)"
+            )
+        if rows and row[0] <= rows[-1][0]:
+            raise InputError(
+                f"{path}: line {number}: frame {row[0]} "
+                + ("occurs twice" if row[0] == rows[-1][0] else f"comes after frame {rows[-1][0]}")
+                + "; frames must increase"
+            )
+        rows.append(row)
+    if not rows:
+        raise InputError(f"{path}: no ground truth in it, it has no line 'frame;lane;crossing'")
+    table = np.array(_merge(path, rows, extra_rows), dtype=np.int64)
+    return LaneTruth(table[:, 0], table[:, 1], table[:, 2] == 1, source=str(path))
+
+
+def write_ground_truth(path: str | Path, truth: LaneTruth) -> None:
+    """Write `frame;lane;crossing` lines, which `read_ground_truth` reads back as they were.
+
+    Raises InputError where the file cannot be written.
+    """
+    rows = zip(truth.frame_id, truth.lane, truth.is_crossing, strict=True)
+    text = "".join(f"{int(f)};{int(lane)};{int(crossing)}\n" for f, lane, crossing in rows)
+    try:
+        Path(path).write_text(text, encoding="ascii")
+    except OSError as error:
+        raise InputError(f"{path}: cannot be written: {error.strerror}") from None
+
+
+def _read_text(path: Path) -> str:
+    try:
+        return path.read_text(encoding="utf-8-sig")
+    except FileNotFoundError:
+        raise InputError(f"{path}: no such file") from None
+    except OSError as error:
+        raise InputError(f"{path}: cannot be read: {error.strerror}") from None
+    except UnicodeDecodeError:
+        raise InputError(f"{path}: not a text file of lines 'frame;lane;crossing'") from None
+
+
+def _row(line: str) -> tuple[int, int, int] | None:
+    match = _ROW.fullmatch(line)
+    return (int(match[1]), int(match[2]), int(match[3])) if match else None
+
+
+def _merge(
+    path: Path, rows: list[tuple[int, int, int]], extra_rows: Iterable[Sequence[int]]
+) -> list[tuple[int, int, int]]:
+    there = {frame for frame, _, _ in rows}
+    merged = list(rows)
+    for extra in extra_rows:
+        row = _row(";".join(str(value) for value in extra))
+        if row is None:
+            raise InputError(
+                f"{path}: extra row {list(extra)} is not (frame, lane, crossing), crossing 0 or 1"
+            )
+        if row[0] in there:
+            raise InputError(f"{path}: extra row {list(extra)}: frame {row[0]} is there already")
+        there.add(row[0])
+        merged.append(row)
+    return sorted(merged)

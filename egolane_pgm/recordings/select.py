@@ -1,0 +1,195 @@
+"""Which frames are used: ranges, missing frames, the join with the ground truth, plain warnings."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import Literal
+
+import numpy as np
+
+from egolane_pgm.types import (
+    BoolArray,
+    InputError,
+    IntArray,
+    LaneTruth,
+    LineLog,
+    suggestion,
+)
+
+MissingFrames = Literal["skip", "hold", "predict"]
+
+#: What may be done about frame ids that the recording lacks.
+MISSING_FRAMES: tuple[str, ...] = ("skip", "hold", "predict")
+
+#: No motorway is wider: an offset beyond it (metres) is said to be absurd.
+ABSURD_OFFSET_M = 100.0
+
+#: Filling more frames than this means that the ids are not frame numbers.
+MAX_FILLED = 1_000_000
+
+
+def select_frames(log: LineLog, first: int | None = None, stop: int | None = None) -> LineLog:
+    """The frames with first <= frame id < stop; None leaves that side open.
+
+    Raises InputError, with the range that the recording has, where no frame is left.
+    """
+    keep = np.ones(len(log), dtype=bool)
+    if first is not None:
+        keep &= log.frame_id >= first
+    if stop is not None:
+        keep &= log.frame_id < stop
+    if not keep.any():
+        low = "start" if first is None else first
+        high = "end" if stop is None else stop
+        raise InputError(
+            f"{log.source}: no frame from {low} to before {high}; the recording has"
+            f" {_range(log.frame_id)}"
+        )
+    return log if keep.all() else log.take(keep)
+
+
+def fill_missing(log: LineLog, policy: str, frame_rate: float) -> LineLog:
+    """Do something about the frame ids that are missing between the first and the last.
+
+    policy: "skip" leaves them out; "hold" gives them the lines of the frame before; "predict"
+    puts in frames without any line, flagged `is_missing`, so that a filter only predicts there.
+    frame_rate: frames per second, for the times of the frames put in.
+
+    Raises InputError for an unknown policy, and where the gaps are so large that the ids cannot
+    be frame numbers.
+    """
+    if policy not in MISSING_FRAMES:
+        raise InputError(
+            f"missing_frames: '{policy}' is not one of {', '.join(MISSING_FRAMES)}"
+            + suggestion(policy, MISSING_FRAMES)
+        )
+    if policy == "skip" or len(log) == 0:
+        return log
+    first, last = int(log.frame_id[0]), int(log.frame_id[-1])
+    if last - first + 1 == len(log):
+        return log
+    if last - first + 1 - len(log) > MAX_FILLED:
+        raise InputError(
+            f"{log.source}: missing_frames: {policy} would put in {last - first + 1 - len(log)}"
+            f" frames between {first} and {last}; are these ids frame numbers?"
+        )
+    frame_id = np.arange(first, last + 1, dtype=np.int64)
+    before = np.searchsorted(log.frame_id, frame_id, side="right") - 1
+    is_new = log.frame_id[before] != frame_id
+    time_s = np.where(is_new, frame_id / frame_rate, log.time_s[before])
+    empty = is_new[:, None] & (policy == "predict")
+    return replace(
+        log,
+        frame_id=frame_id,
+        time_s=time_s,
+        offset_m=np.where(empty, np.nan, log.offset_m[before]),
+        is_valid=np.where(empty, False, log.is_valid[before]),
+        is_continuous=np.where(empty, False, log.is_continuous[before]),
+        lri=np.where(empty, np.nan, log.lri[before]),
+        is_missing=np.where(is_new, policy == "predict", log.is_missing[before]),
+    )
+
+
+def clip_lri(log: LineLog, max_lri: float) -> LineLog:
+    """The log with every LRI clipped to 0..max_lri; unknown ones (NaN) stay unknown.
+
+    Raises InputError for a max_lri that is not greater than 0.
+    """
+    if not max_lri > 0:
+        raise InputError(f"max_lri: {max_lri} must be greater than 0")
+    return replace(log, lri=np.clip(log.lri, 0.0, max_lri))
+
+
+@dataclass(frozen=True)
+class Join:
+    """The frames that a log and a ground truth share, in order of frame id.
+
+    log, truth (K,): indices of the shared frames into each. log_dropped, truth_dropped: how many
+    frames of each have no partner.
+    """
+
+    log: IntArray
+    truth: IntArray
+    log_dropped: int
+    truth_dropped: int
+
+    def __len__(self) -> int:
+        return len(self.log)
+
+
+def join(log: LineLog, truth: LaneTruth) -> Join:
+    """Join by frame id.
+
+    Raises InputError, with both ranges, where there is no common frame.
+    """
+    common, in_log, in_truth = np.intersect1d(
+        log.frame_id, truth.frame_id, assume_unique=True, return_indices=True
+    )
+    if len(common) == 0:
+        raise InputError(
+            f"no common frames: {log.source} has {_range(log.frame_id)},"
+            f" {truth.source} has {_range(truth.frame_id)}"
+        )
+    return Join(
+        in_log.astype(np.int64),
+        in_truth.astype(np.int64),
+        len(log) - len(common),
+        len(truth) - len(common),
+    )
+
+
+def recording_warnings(log: LineLog, n_lanes: int, max_lri: float = 10) -> list[str]:
+    """What is odd about a recording that is used all the same, one line for each kind.
+
+    LRI of valid lines outside 0..max_lri, absurd or NaN offsets of lines that are not valid, more
+    valid lines than the n_lanes + 1 that a road has, no valid line at all. Nothing is changed.
+    """
+    known_lri = ~np.isnan(log.lri)
+    odd_lri = log.is_valid & known_lri & ((log.lri < 0) | (log.lri > max_lri))
+    absurd = np.abs(log.offset_m) > ABSURD_OFFSET_M
+    # Padding is NaN in both; a line that was recorded has an LRI, unless the detector has none.
+    odd_offset = ~log.is_valid & (absurd | (np.isnan(log.offset_m) & known_lri))
+    absurd_valid = log.is_valid & absurd
+    crowded = log.is_valid.sum(axis=1) > n_lanes + 1
+    lines = []
+    if odd_lri.any():
+        lines.append(
+            f"{log.source}: {_count(odd_lri)} valid line(s) have an LRI outside 0..{max_lri:g},"
+            f" first in frame {_first(log, odd_lri)}; used as recorded (`lri: clip` clips them)"
+        )
+    if odd_offset.any():
+        lines.append(
+            f"{log.source}: {_count(odd_offset)} line(s) that are not valid have an offset beyond"
+            f" {ABSURD_OFFSET_M:g} m or NaN, first in frame {_first(log, odd_offset)}; not used"
+        )
+    if absurd_valid.any():
+        lines.append(
+            f"{log.source}: {_count(absurd_valid)} valid line(s) have an offset beyond"
+            f" {ABSURD_OFFSET_M:g} m, first in frame {_first(log, absurd_valid)}; used as recorded"
+        )
+    if crowded.any():
+        lines.append(
+            f"{log.source}: {int(crowded.sum())} frame(s) have more valid lines than the"
+            f" {n_lanes + 1} of {n_lanes} lane(s), first frame {_first(log, crowded)};"
+            " used as recorded"
+        )
+    if len(log) and not log.is_valid.any():
+        lines.append(
+            f"{log.source}: not a single valid line in {len(log)} frames;"
+            " the belief stays what the model says"
+        )
+    return lines
+
+
+def _count(which: BoolArray) -> int:
+    return int(which.sum())
+
+
+def _first(log: LineLog, which: BoolArray) -> int:
+    return int(log.frame_id[np.argwhere(which)[0][0]])
+
+
+def _range(frame_id: IntArray) -> str:
+    if len(frame_id) == 0:
+        return "no frames"
+    return f"frames {int(frame_id[0])} to {int(frame_id[-1])}"

@@ -1,0 +1,221 @@
+"""The layout of a result directory: complete, so that a report can be made from it alone.
+
+    experiment.yaml   the resolved config, every default spelled out
+    run.json          schema_version, name, config_hash, data (path, sha256, bytes), versions, git,
+                      created, n_lanes, frames, frames_scored, tuned_on, mean_log_evidence,
+                      impossible_frames, warnings
+    beliefs.parquet   one row per frame: frame_id, time_s, Lane_1..n and the other hidden nodes'
+                      marginals (SensorState_OK, ...), assigned_lane (0: Unassigned), log_evidence,
+                      is_impossible; detector_1..n and detector_lane where the evidence rule gives
+                      a tentative vector; true_lane (null: not annotated) and is_crossing
+    scores.json       schema_version, name, tuned_on, frames, frames_scored, detector, model
+    figures/          what `plot` drew
+
+A directory is written beside its place and renamed at the end: one that has the name is whole.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import math
+import os
+import shutil
+import tempfile
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import yaml
+
+from egolane_pgm.types import BoolArray, FloatArray, InputError, IntArray
+
+SCHEMA_VERSION = 1
+
+
+@dataclass(frozen=True)
+class Result:
+    """A result directory, read.
+
+    experiment, run, scores: the contents of the files. frame_id, time_s (T,). marginals: per
+    hidden node (T, k). values: per node the names of its k values. tentative (T, n) or None.
+    assigned_lane, detector_lane (T,): 0 is Unassigned. true_lane (T,): 0 where not annotated.
+    is_crossing (T,). log_evidence (T,). is_impossible (T,).
+    """
+
+    directory: Path
+    experiment: Mapping[str, Any]
+    run: Mapping[str, Any]
+    scores: Mapping[str, Any]
+    frame_id: IntArray
+    time_s: FloatArray
+    marginals: Mapping[str, FloatArray]
+    values: Mapping[str, tuple[str, ...]]
+    tentative: FloatArray | None
+    assigned_lane: IntArray
+    detector_lane: IntArray | None
+    true_lane: IntArray
+    is_crossing: BoolArray
+    log_evidence: FloatArray
+    is_impossible: BoolArray
+
+    @property
+    def n_lanes(self) -> int:
+        """Number of lanes."""
+        return int(self.run["n_lanes"])
+
+
+def plain(value: Any) -> Any:
+    """The same in plain Python types for JSON; NaN and infinity become None."""
+    if isinstance(value, Mapping):
+        return {str(k): plain(v) for k, v in value.items()}
+    if isinstance(value, (list, tuple)):
+        return [plain(v) for v in value]
+    if isinstance(value, np.ndarray):
+        return plain(value.tolist())
+    if isinstance(value, np.generic):
+        return plain(value.item())
+    if isinstance(value, float) and not math.isfinite(value):
+        return None
+    return value
+
+
+def write_json(path: Path, content: Mapping[str, Any]) -> None:
+    """Write JSON so that the file is either the old one or the new one, never a part of it.
+
+    Raises InputError where the file cannot be written.
+    """
+    text = json.dumps(plain(content), indent=1) + "\n"
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        handle, temporary = tempfile.mkstemp(dir=path.parent, prefix=f".{path.name}.")
+        with os.fdopen(handle, "w", encoding="utf-8") as file:
+            file.write(text)
+        os.chmod(temporary, 0o644)
+        os.replace(temporary, path)
+    except OSError as error:
+        raise InputError(f"{path}: cannot be written: {error.strerror}") from error
+
+
+def check_writable(directory: Path) -> None:
+    """Raise InputError where a result could not be put there: before anything is computed."""
+    if directory.exists():
+        if not directory.is_dir():
+            raise InputError(f"{directory}: is a file, not a directory")
+        if any(directory.iterdir()) and not is_result(directory):
+            raise InputError(
+                f"{directory}: exists and is not a result directory; name another one with --out"
+            )
+    parent = directory.absolute().parent
+    while not parent.exists():
+        parent = parent.parent
+    if not parent.is_dir() or not os.access(parent, os.W_OK):
+        raise InputError(f"{directory}: cannot be written, {parent} is not a writable directory")
+
+
+def is_result(directory: Path) -> bool:
+    """Whether the directory holds a whole result."""
+    return all((directory / name).is_file() for name in ("run.json", "scores.json"))
+
+
+@contextlib.contextmanager
+def staged(directory: Path) -> Iterator[Path]:
+    """A directory to fill, which takes the place of `directory` when the block ends well."""
+    check_writable(directory)
+    try:
+        directory.absolute().parent.mkdir(parents=True, exist_ok=True)
+        temporary = Path(
+            tempfile.mkdtemp(dir=directory.absolute().parent, prefix=f".{directory.name}.part-")
+        )
+    except OSError as error:
+        raise InputError(f"{directory}: cannot be written: {error.strerror}") from error
+    try:
+        yield temporary
+        temporary.chmod(0o755)
+        if directory.exists():
+            old = temporary.with_name(temporary.name + "-old")
+            directory.rename(old)
+            temporary.rename(directory)
+            shutil.rmtree(old)
+        else:
+            temporary.rename(directory)
+    except OSError as error:
+        raise InputError(f"{directory}: cannot be written: {error.strerror or error}") from error
+    finally:
+        shutil.rmtree(temporary, ignore_errors=True)
+
+
+def write_result(
+    directory: Path,
+    *,
+    experiment: Mapping[str, Any],
+    run: Mapping[str, Any],
+    scores: Mapping[str, Any],
+    columns: Mapping[str, np.ndarray[Any, Any]],
+) -> None:
+    """Write the four files into `directory`. columns: those of beliefs.parquet, (T,) each;
+    masked arrays have nulls."""
+    import pyarrow as pa
+    from pyarrow import parquet
+
+    (directory / "experiment.yaml").write_text(
+        yaml.safe_dump(plain(experiment), sort_keys=False, allow_unicode=True), encoding="utf-8"
+    )
+    arrays = {
+        name: pa.array(np.asarray(c), mask=c.mask if isinstance(c, np.ma.MaskedArray) else None)
+        for name, c in columns.items()
+    }
+    parquet.write_table(pa.table(arrays), directory / "beliefs.parquet")
+    write_json(directory / "scores.json", {"schema_version": SCHEMA_VERSION, **scores})
+    write_json(directory / "run.json", {"schema_version": SCHEMA_VERSION, **run})
+
+
+def read_result(directory: str | Path) -> Result:
+    """Read a result directory.
+
+    Raises InputError naming the directory where it is not one, or not whole.
+    """
+    from pyarrow import parquet
+
+    directory = Path(directory)
+    if not is_result(directory):
+        raise InputError(f"{directory}: is not a result directory (no run.json and scores.json)")
+    try:
+        run = json.loads((directory / "run.json").read_text(encoding="utf-8"))
+        scores = json.loads((directory / "scores.json").read_text(encoding="utf-8"))
+        experiment = yaml.safe_load((directory / "experiment.yaml").read_text(encoding="utf-8"))
+        table = parquet.read_table(directory / "beliefs.parquet")
+    except (OSError, ValueError, yaml.YAMLError) as error:
+        raise InputError(f"{directory}: cannot be read: {' '.join(str(error).split())}") from error
+    if run.get("schema_version") != SCHEMA_VERSION:
+        raise InputError(
+            f"{directory}: has schema version {run.get('schema_version')}, this program reads"
+            f" {SCHEMA_VERSION}; run the experiment again"
+        )
+    column = {name: table.column(name) for name in table.column_names}
+
+    def stack(names: list[str]) -> FloatArray:
+        return np.stack([column[name].to_numpy() for name in names], axis=1)
+
+    values = {node: tuple(names) for node, names in run["values"].items()}
+    n_lanes = int(run["n_lanes"])
+    has_detector = "detector_lane" in column
+    return Result(
+        directory,
+        experiment,
+        run,
+        scores,
+        column["frame_id"].to_numpy(),
+        column["time_s"].to_numpy(),
+        {node: stack([f"{node}_{v}" for v in names]) for node, names in values.items()},
+        values,
+        stack([f"detector_{k + 1}" for k in range(n_lanes)]) if has_detector else None,
+        column["assigned_lane"].to_numpy(),
+        column["detector_lane"].to_numpy() if has_detector else None,
+        column["true_lane"].fill_null(0).to_numpy(),
+        column["is_crossing"].fill_null(False).to_numpy(zero_copy_only=False),
+        column["log_evidence"].to_numpy(),
+        column["is_impossible"].to_numpy(zero_copy_only=False),
+    )

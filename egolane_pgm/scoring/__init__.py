@@ -1,0 +1,22 @@
+"""How right a belief over lanes is: one file per family of scores; `score_all` gives everything.
+
+Scores read beliefs and ground truth, never the filter. Crossing frames are left out except where a
+score says otherwise (log-loss).
+"""
+
+# `confusion.confusion` stays where it is: here it would hide the module of the same name.
+from egolane_pgm.scoring.assign import assigned_lane
+from egolane_pgm.scoring.confusion import (
+    ConfusionScores,
+    frames_off,
+    scores_from_confusion,
+)
+from egolane_pgm.scoring.summary import score_all
+
+__all__ = [
+    "ConfusionScores",
+    "assigned_lane",
+    "frames_off",
+    "score_all",
+    "scores_from_confusion",
+]

@@ -1,0 +1,35 @@
+"""From a belief to an answer: the lane that a frame is assigned to, or Unassigned."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from egolane_pgm.scoring._checks import as_belief
+from egolane_pgm.types import TIE_TOLERANCE, UNASSIGNED, IntArray
+
+
+def assigned_lane(belief: ArrayLike) -> IntArray:
+    """The most probable lane of each frame, 1..n, or UNASSIGNED (0) where it is not unique.
+
+    belief (T, n): non-negative; need not be normalised (a tentative vector will do). The maximum
+    is not unique when the runner-up is within TIE_TOLERANCE of it, relative; so a row of zeros is
+    Unassigned. One lane (n = 1) is always lane 1. Returns (T,).
+
+    Raises InputError for a belief of another shape, or with negative or NaN values.
+    """
+    values = as_belief(belief, normalised=False)
+    n_lanes = values.shape[1]
+    if n_lanes == 1:
+        return np.ones(len(values), dtype=np.int64)
+    lane: IntArray = values.argmax(axis=1).astype(np.int64) + 1
+    # Column by column: NumPy reduces over a short last axis one row at a time, which is slow.
+    top = values[:, 0]
+    for k in range(1, n_lanes):
+        top = np.maximum(top, values[:, k])
+    threshold = top - TIE_TOLERANCE * top
+    near_top = np.zeros(len(values), dtype=np.int64)
+    for k in range(n_lanes):
+        near_top += values[:, k] >= threshold
+    lane[near_top > 1] = UNASSIGNED
+    return lane

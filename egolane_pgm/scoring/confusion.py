@@ -1,0 +1,169 @@
+"""Confusion matrices with an Unassigned row, and the scores of the paper's tables.
+
+Everywhere: rows are the predicted lane 1..n, then Unassigned; columns are the actual lane 1..n;
+crossing frames are left out. Zero divided by zero is 0, so every score is a number: a lane that is
+never driven or never predicted scores 0 (and pulls the mean down), and without any scored frame all
+scores are 0; look at the number of scored frames. Unassigned frames count as wrong: they are in the
+support, hence in recall and accuracy, and in no lane's precision.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from egolane_pgm.scoring._checks import as_lanes, as_mask, check_range
+from egolane_pgm.types import UNASSIGNED, FloatArray, InputError, IntArray
+
+
+@dataclass(frozen=True)
+class ConfusionScores:
+    """The scores of one confusion matrix.
+
+    confusion (n + 1, n). precision, recall, f1 (n,): per lane. mean_*: plain means over the lanes
+    (mean_f1 is the macro F1: the mean of the lanes' F1, not the F1 of the means). accuracy: right
+    frames over all scored frames. coverage: share of the scored frames that get an answer.
+    frames_scored: number of non-crossing frames.
+    """
+
+    confusion: IntArray
+    precision: FloatArray
+    recall: FloatArray
+    f1: FloatArray
+    mean_precision: float
+    mean_recall: float
+    mean_f1: float
+    accuracy: float
+    coverage: float
+    frames_scored: int
+
+
+def confusion_cell(
+    assigned: ArrayLike, lane: ArrayLike, is_crossing: ArrayLike, n_lanes: int
+) -> IntArray:
+    """The cell of the flattened confusion matrix that each frame falls into, -1 if it is crossing.
+
+    assigned (T,): 1..n or UNASSIGNED. lane (T,): 1..n. is_crossing (T,). Returns (T,): row * n +
+    column. Raises InputError, naming the row, for lanes outside 1..n (on crossing frames the label
+    is not looked at).
+    """
+    if n_lanes < 1:
+        raise InputError(f"n_lanes: {n_lanes} must be at least 1")
+    predicted = as_lanes(assigned, np.size(assigned), "assigned")
+    n_frames = len(predicted)
+    actual = as_lanes(lane, n_frames, "lane")
+    is_scored = ~as_mask(is_crossing, n_frames)
+    check_range(predicted, is_scored, UNASSIGNED, n_lanes, "assigned")
+    check_range(actual, is_scored, 1, n_lanes, "ground truth")
+    row = np.where(predicted == UNASSIGNED, n_lanes, predicted - 1)
+    return np.where(is_scored, row * n_lanes + actual - 1, -1)
+
+
+def confusion(
+    assigned: ArrayLike, lane: ArrayLike, is_crossing: ArrayLike, n_lanes: int
+) -> IntArray:
+    """The confusion matrix (n + 1, n) of counts; arguments and errors as `confusion_cell`."""
+    cell = confusion_cell(assigned, lane, is_crossing, n_lanes)
+    counts = np.bincount(cell[cell >= 0], minlength=(n_lanes + 1) * n_lanes)
+    return counts.astype(np.int64).reshape(n_lanes + 1, n_lanes)
+
+
+def check_confusion(matrix: ArrayLike) -> IntArray:
+    """The matrix or matrices (..., n + 1, n) as int64; InputError for another shape or content."""
+    values = np.asarray(matrix)
+    if values.ndim < 2 or values.shape[-1] < 1 or values.shape[-2] != values.shape[-1] + 1:
+        raise InputError(
+            f"confusion matrix has shape {values.shape}, needs (n + 1, n): the predicted lanes and"
+            " Unassigned by the actual lanes"
+        )
+    if values.dtype.kind not in "iu" or (values.size and values.min() < 0):
+        raise InputError("confusion matrix: needs counts (whole numbers, not negative)")
+    return values.astype(np.int64, copy=False)
+
+
+def _ratio(numerator: IntArray | FloatArray, denominator: IntArray | FloatArray) -> FloatArray:
+    """numerator / denominator, 0 where the denominator is 0 (the numerator is then 0 as well)."""
+    return np.asarray(numerator / np.where(denominator == 0, 1, denominator), dtype=np.float64)
+
+
+def _right(matrix: IntArray) -> IntArray:
+    return np.diagonal(matrix[..., :-1, :], axis1=-2, axis2=-1)
+
+
+def precision(matrix: ArrayLike) -> FloatArray:
+    """Per lane, right over predicted as that lane: (..., n + 1, n) -> (..., n)."""
+    m = check_confusion(matrix)
+    return _ratio(_right(m), m[..., :-1, :].sum(axis=-1))
+
+
+def recall(matrix: ArrayLike) -> FloatArray:
+    """Per lane, right over actual, Unassigned included: (..., n + 1, n) -> (..., n)."""
+    m = check_confusion(matrix)
+    return _ratio(_right(m), m.sum(axis=-2))
+
+
+def f1(matrix: ArrayLike) -> FloatArray:
+    """Per lane, the harmonic mean of precision and recall: (..., n + 1, n) -> (..., n).
+
+    Computed as 2 right / (predicted + actual), which is the same and needs one division.
+    """
+    m = check_confusion(matrix)
+    return _ratio(2 * _right(m), m[..., :-1, :].sum(axis=-1) + m.sum(axis=-2))
+
+
+def macro_f1(matrix: ArrayLike) -> FloatArray:
+    """The plain mean of F1 over the lanes: (..., n + 1, n) -> (...)."""
+    return np.asarray(f1(matrix).mean(axis=-1))
+
+
+def accuracy(matrix: ArrayLike) -> FloatArray:
+    """Right over all scored frames, Unassigned included: (..., n + 1, n) -> (...)."""
+    m = check_confusion(matrix)
+    return _ratio(_right(m).sum(axis=-1), m.sum(axis=(-2, -1)))
+
+
+def coverage(matrix: ArrayLike) -> FloatArray:
+    """Share of the scored frames that get an answer: (..., n + 1, n) -> (...)."""
+    m = check_confusion(matrix)
+    return _ratio(m[..., :-1, :].sum(axis=(-2, -1)), m.sum(axis=(-2, -1)))
+
+
+def scores_from_confusion(matrix: ArrayLike) -> ConfusionScores:
+    """All scores of one confusion matrix (n + 1, n); see the module for the rules.
+
+    Raises InputError for a matrix of another shape, or one that does not hold counts.
+    """
+    m = check_confusion(matrix)
+    if m.ndim != 2:
+        raise InputError(f"confusion matrix has shape {m.shape}, needs one matrix (n + 1, n)")
+    precisions, recalls, f1s = precision(m), recall(m), f1(m)
+    return ConfusionScores(
+        confusion=m,
+        precision=precisions,
+        recall=recalls,
+        f1=f1s,
+        mean_precision=float(precisions.mean()),
+        mean_recall=float(recalls.mean()),
+        mean_f1=float(f1s.mean()),
+        accuracy=float(accuracy(m)),
+        coverage=float(coverage(m)),
+        frames_scored=int(m.sum()),
+    )
+
+
+def frames_off(a: ArrayLike, b: ArrayLike) -> int:
+    """By how many frames two confusion matrices (n + 1, n) differ.
+
+    Half the sum of the absolute cell differences, rounded up, Unassigned row included: a frame
+    that moves from one cell to another changes two cells, one that is missing changes one. Raises
+    InputError where the shapes differ.
+    """
+    first, second = check_confusion(a), check_confusion(b)
+    if first.shape != second.shape:
+        raise InputError(
+            f"confusion matrices of shapes {first.shape} and {second.shape} cannot be compared;"
+            " is n_lanes the same?"
+        )
+    return int(np.abs(first - second).sum() + 1) // 2

@@ -1,0 +1,134 @@
+"""Scores of the belief itself: log-loss, Brier score, calibration.
+
+Without any frame to score they are NaN (None in JSON), not 0: 0 would be a perfect score.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from egolane_pgm.scoring._checks import as_belief, as_lanes, as_mask, check_range
+from egolane_pgm.scoring.assign import assigned_lane
+from egolane_pgm.types import BoolArray, FloatArray, InputError, IntArray
+
+#: Smaller probabilities count as this in the log-loss: a certain error costs 34.5, not infinity.
+SMALLEST_PROBABILITY = 1e-15
+
+#: Equal-width bins of the maximum in the calibration curve.
+N_BINS = 15
+
+
+@dataclass(frozen=True)
+class CalibrationCurve:
+    """How often the belief is right, by how sure it is.
+
+    Bin k holds the frames whose largest probability lies in (k / n_bins, (k + 1) / n_bins].
+    confidence (n_bins,): mean of the largest probability in the bin, NaN in an empty bin.
+    accuracy (n_bins,): share of its frames whose assigned lane is right, NaN in an empty bin.
+    count (n_bins,): its frames.
+    """
+
+    confidence: FloatArray
+    accuracy: FloatArray
+    count: IntArray
+
+
+def log_loss_per_frame(belief: ArrayLike, lane: ArrayLike) -> FloatArray:
+    """(T,): minus the natural log of the probability given to the annotated lane.
+
+    Probabilities are clipped below at SMALLEST_PROBABILITY (1e-15). belief (T, n), lane (T,).
+    Raises InputError for a belief that does not sum to 1, or lanes outside 1..n.
+    """
+    values = as_belief(belief, normalised=True)
+    n_frames, n_lanes = values.shape
+    actual = as_lanes(lane, n_frames)
+    check_range(actual, np.ones(n_frames, dtype=bool), 1, n_lanes, "ground truth")
+    given = values[np.arange(n_frames), actual - 1]
+    return np.asarray(-np.log(np.maximum(given, SMALLEST_PROBABILITY)))
+
+
+def log_loss(belief: ArrayLike, lane: ArrayLike) -> float:
+    """Mean of `log_loss_per_frame` over ALL frames, crossing ones included (the paper's tables).
+
+    NaN without frames.
+    """
+    return _mean(log_loss_per_frame(belief, lane))
+
+
+def brier_per_frame(belief: ArrayLike, lane: ArrayLike) -> FloatArray:
+    """(T,): sum over the lanes of the squared difference between belief and truth, 0 to 2."""
+    values = as_belief(belief, normalised=True)
+    n_frames, n_lanes = values.shape
+    actual = as_lanes(lane, n_frames)
+    check_range(actual, np.ones(n_frames, dtype=bool), 1, n_lanes, "ground truth")
+    truth = actual[:, None] == np.arange(1, n_lanes + 1)
+    return np.asarray(((values - truth) ** 2).sum(axis=1))
+
+
+def brier(belief: ArrayLike, lane: ArrayLike, is_crossing: ArrayLike) -> float:
+    """Multi-class Brier score: mean of `brier_per_frame` over the non-crossing frames.
+
+    0 is perfect, 2 the worst. belief (T, n), lane (T,), is_crossing (T,). NaN without a
+    non-crossing frame. Raises InputError for a belief that does not sum to 1, or lanes outside 1..n
+    on a non-crossing frame.
+    """
+    values, actual, is_scored = _scored(belief, lane, is_crossing)
+    return _mean(brier_per_frame(values[is_scored], actual[is_scored]))
+
+
+def calibration_curve(
+    belief: ArrayLike, lane: ArrayLike, is_crossing: ArrayLike, n_bins: int = N_BINS
+) -> CalibrationCurve:
+    """The calibration curve over the non-crossing frames, equal-width bins of the maximum.
+
+    Arguments and errors as `brier`. An Unassigned frame counts as wrong, as everywhere: a tie is
+    not broken in favour of the lane that happens to come first.
+    """
+    if n_bins < 1:
+        raise InputError(f"n_bins: {n_bins} must be at least 1")
+    values, actual, is_scored = _scored(belief, lane, is_crossing)
+    values, actual = values[is_scored], actual[is_scored]
+    largest = values.max(axis=1)
+    is_right = assigned_lane(values) == actual
+    k = np.clip(np.ceil(largest * n_bins).astype(np.int64) - 1, 0, n_bins - 1)
+    count = np.bincount(k, minlength=n_bins).astype(np.int64)
+    divisor = np.where(count == 0, np.nan, count)
+    return CalibrationCurve(
+        confidence=np.bincount(k, weights=largest, minlength=n_bins) / divisor,
+        accuracy=np.bincount(k, weights=is_right, minlength=n_bins) / divisor,
+        count=count,
+    )
+
+
+def expected_calibration_error(
+    belief: ArrayLike, lane: ArrayLike, is_crossing: ArrayLike, n_bins: int = N_BINS
+) -> float:
+    """Mean over the non-crossing frames of |confidence - accuracy| of their bin, 0 to 1.
+
+    Arguments, errors and the treatment of ties as `calibration_curve`. NaN without a non-crossing
+    frame.
+    """
+    curve = calibration_curve(belief, lane, is_crossing, n_bins)
+    filled = curve.count > 0
+    if not filled.any():
+        return float("nan")
+    gap = np.abs(curve.confidence[filled] - curve.accuracy[filled])
+    return float((gap * curve.count[filled]).sum() / curve.count.sum())
+
+
+def _scored(
+    belief: ArrayLike, lane: ArrayLike, is_crossing: ArrayLike
+) -> tuple[FloatArray, IntArray, BoolArray]:
+    values = as_belief(belief, normalised=True)
+    n_frames, n_lanes = values.shape
+    actual = as_lanes(lane, n_frames)
+    is_scored = ~as_mask(is_crossing, n_frames)
+    check_range(actual, is_scored, 1, n_lanes, "ground truth")
+    return values, actual, is_scored
+
+
+def _mean(values: FloatArray) -> float:
+    return float(values.mean()) if values.size else float("nan")

@@ -1,0 +1,75 @@
+"""Every score of one belief against one ground truth, as a plain dict."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from egolane_pgm.scoring._checks import as_belief, as_lanes, as_mask, check_frame_rate
+from egolane_pgm.scoring.assign import assigned_lane
+from egolane_pgm.scoring.confusion import confusion, scores_from_confusion
+from egolane_pgm.scoring.probabilistic import brier, expected_calibration_error, log_loss
+from egolane_pgm.scoring.stability import delay_after_lane_change, false_switches_per_minute
+
+
+def score_all(
+    belief: ArrayLike,
+    truth_lane: ArrayLike,
+    is_crossing: ArrayLike,
+    frame_id: ArrayLike,
+    frame_rate: float,
+) -> dict[str, Any]:
+    """All scores, ready for JSON: plain numbers and lists, None where a score is undefined.
+
+    belief (T, n), rows sum to 1; truth_lane (T,), 1..n; is_crossing (T,); frame_id (T,), strictly
+    increasing; frame_rate in frames per second.
+
+    Keys: `precision`, `recall`, `f1` (means over the lanes), `accuracy`, `log_loss` (over all
+    frames), `brier`, `expected_calibration_error`, `coverage`, `false_switches_per_minute`,
+    `delay` {`median_frames`, `p90_frames`, `share_missed`, `changes`}, `per_lane` {`precision`,
+    `recall`, `f1`: a list each}, `confusion` (n + 1 rows of n counts), `frames` (T),
+    `frames_scored` (those not crossing).
+
+    Raises InputError as the single scores do.
+    """
+    values = as_belief(belief, normalised=True)
+    n_frames, n_lanes = values.shape
+    lane, crossing = as_lanes(truth_lane, n_frames, "truth_lane"), as_mask(is_crossing, n_frames)
+    check_frame_rate(frame_rate)
+    assigned = assigned_lane(values)
+    scores = scores_from_confusion(confusion(assigned, lane, crossing, n_lanes))
+    delay = delay_after_lane_change(assigned, lane, crossing, frame_id)
+    return {
+        "precision": scores.mean_precision,
+        "recall": scores.mean_recall,
+        "f1": scores.mean_f1,
+        "accuracy": scores.accuracy,
+        "log_loss": _or_none(log_loss(values, lane)),
+        "brier": _or_none(brier(values, lane, crossing)),
+        "expected_calibration_error": _or_none(expected_calibration_error(values, lane, crossing)),
+        "coverage": scores.coverage,
+        "false_switches_per_minute": _or_none(
+            false_switches_per_minute(assigned, lane, crossing, frame_rate)
+        ),
+        "delay": {
+            "median_frames": _or_none(delay.median_frames),
+            "p90_frames": _or_none(delay.p90_frames),
+            "share_missed": _or_none(delay.share_missed),
+            "changes": delay.changes,
+        },
+        "per_lane": {
+            "precision": scores.precision.tolist(),
+            "recall": scores.recall.tolist(),
+            "f1": scores.f1.tolist(),
+        },
+        "confusion": scores.confusion.tolist(),
+        "frames": n_frames,
+        "frames_scored": int(np.count_nonzero(~crossing)),
+    }
+
+
+def _or_none(value: float) -> float | None:
+    return None if math.isnan(value) else value

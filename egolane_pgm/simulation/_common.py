@@ -1,0 +1,44 @@
+"""What the simulated world and the simulated detector share: checks and slow noise."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import numpy as np
+
+from egolane_pgm.types import FloatArray, InputError, Parameter
+
+
+def check_fields(instance: object, kinds: Mapping[str, str]) -> None:
+    """Check and convert the numbers of a frozen dataclass in place, when it is made.
+
+    kinds: per key a kind of `types.Parameter`, or "count" for a whole number of at least 1.
+    Raises InputError (`simulation.<key>: ...`) for a value that is not of its kind.
+    """
+    for name, kind in kinds.items():
+        where = f"simulation.{name}"
+        spec = Parameter(name, "integer" if kind == "count" else kind, 0, "")
+        value = spec.check(getattr(instance, name), 1, where)
+        if kind == "count" and value == 0:
+            raise InputError(f"{where}: 0 must be at least 1")
+        object.__setattr__(instance, name, value)
+
+
+def check_seed(seed: object) -> int:
+    """The seed, or InputError unless it is a whole number that is not negative."""
+    return int(Parameter("seed", "integer", 0, "").check(seed, 1, "simulation.seed"))  # type: ignore[arg-type]
+
+
+def slow_noise(
+    rng: np.random.Generator, n_frames: int, n_series: int, correlation_frames: float
+) -> FloatArray:
+    """(T, K) stationary first-order autoregressive noise, mean 0 and standard deviation 1.
+
+    The correlation between two frames falls to 1/e over `correlation_frames`; 0 is white noise.
+    """
+    keep = float(np.exp(-1.0 / correlation_frames)) if correlation_frames > 0 else 0.0
+    noise = rng.standard_normal((n_frames, n_series))
+    noise[1:] *= np.sqrt(1.0 - keep * keep)
+    for t in range(1, n_frames):
+        noise[t] += keep * noise[t - 1]
+    return noise

@@ -1,0 +1,277 @@
+"""A line detector and tracker that sees a simulated road, and fails in bursts.
+
+Every line of the road has a track. In each frame a track is detected or not; the line reliability
+index (LRI) counts its detections in the last frames, the line becomes valid when the index reaches
+its maximum and stays so until the index falls below a share of it (paper, section "Line detection
+and tracking"). Between detections a track keeps its last offset, as the recorded trackers do.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, fields
+
+import numpy as np
+
+from egolane_pgm.simulation._common import check_fields, check_seed, slow_noise
+from egolane_pgm.simulation.world import Road
+from egolane_pgm.types import BoolArray, FloatArray, InputError, IntArray, LineLog
+
+
+@dataclass(frozen=True)
+class DetectorModel:
+    """How lines are detected, per line and frame unless said otherwise.
+
+    Where the lines are reported:
+    offset_scale: reported over true offset (a camera whose calibration is a little off).
+    noise_m: standard deviation of a line about its place, metres. noise_s: its correlation time,
+        seconds; two frames differ by noise_m sqrt(2 (1 - exp(-1 / (noise_s frame_rate)))).
+
+    Whether they are seen:
+    seen_left, seen_inner, seen_right, seen_shoulder: probability that the leftmost line, an inner
+        (dashed) one, the rightmost one, the line beyond the shoulder is in view when near.
+    range_m: distance at which it is in view half as often. range_softness_m: over how many metres
+        that happens (logistic).
+    in_view_s: correlation time of being in view, seconds.
+    miss: probability that a line in view is missed in a frame.
+
+    What is said about them:
+    continuous_left, continuous_inner, continuous_right, continuous_shoulder: probability that the
+        line carries the continuous flag. flag_s: its correlation time, seconds.
+    lri_max: frames over which detections are counted. lri_reset: share of lri_max below which a
+        valid line stops being valid.
+
+    Lines that are none:
+    clutter_lines: how many false tracks there can be at once. clutter: share of time for which
+        each is there. clutter_s: mean duration, seconds. clutter_range_m: they lie within this
+        many metres to both sides.
+
+    Failures (two-state Markov chain, OK and BAD):
+    ok_s, bad_s: mean duration of a stretch in each state, seconds; bad_s 0 for no failures.
+    bad_missed: probability, per line and stretch, that the line is not detected during a failure.
+    bad_shifted: probability that a line that is still detected is reported shifted; the shift, of
+        standard deviation bad_shift_m metres, is common to the lines of a stretch.
+    bad_clutter: probability, per false track and stretch, that it is there during a failure.
+
+    Raises InputError, naming the key, for a value out of range.
+    """
+
+    offset_scale: float = 1.0
+    noise_m: float = 0.16
+    noise_s: float = 0.7
+    seen_left: float = 0.97
+    seen_inner: float = 0.97
+    seen_right: float = 0.95
+    seen_shoulder: float = 0.5
+    range_m: float = 8.0
+    range_softness_m: float = 1.0
+    in_view_s: float = 2.0
+    miss: float = 0.02
+    continuous_left: float = 0.78
+    continuous_inner: float = 0.02
+    continuous_right: float = 0.37
+    continuous_shoulder: float = 0.3
+    flag_s: float = 0.5
+    lri_max: int = 10
+    lri_reset: float = 0.1
+    clutter_lines: int = 2
+    clutter: float = 0.05
+    clutter_s: float = 2.0
+    clutter_range_m: float = 10.0
+    ok_s: float = 20.0
+    bad_s: float = 4.0
+    bad_missed: float = 0.6
+    bad_shifted: float = 0.5
+    bad_shift_m: float = 2.5
+    bad_clutter: float = 0.5
+
+    def __post_init__(self) -> None:
+        kinds = dict.fromkeys((f.name for f in fields(self)), "probability")
+        kinds |= dict.fromkeys(
+            ("offset_scale", "range_m", "range_softness_m", "clutter_s", "ok_s"), "positive"
+        )
+        kinds |= dict.fromkeys(
+            (
+                "noise_m",
+                "noise_s",
+                "in_view_s",
+                "flag_s",
+                "clutter_range_m",
+                "bad_s",
+                "bad_shift_m",
+            ),
+            "non_negative",
+        )
+        kinds |= {"lri_max": "count", "clutter_lines": "integer"}
+        check_fields(self, kinds)
+        if self.clutter == 1:
+            raise InputError("simulation.clutter: 1 would never end, must be below 1")
+
+
+def _stretches(
+    rng: np.random.Generator, n_frames: int, off_frames: float, on_frames: float
+) -> tuple[BoolArray, IntArray]:
+    """A stationary two-state Markov chain: is_on (T,), and the number of the stretch (T,).
+
+    off_frames, on_frames: mean lengths of the stretches, frames (at least 1); on_frames 0 for
+    never on.
+    """
+    if on_frames == 0:
+        return np.zeros(n_frames, dtype=bool), np.zeros(n_frames, dtype=np.int64)
+    mean = np.maximum(1.0, np.array([off_frames, on_frames]))
+    state = int(rng.random() < mean[1] / mean.sum())
+    lengths: list[int] = []
+    covered = 0
+    while covered < n_frames:
+        # Geometric lengths: the rest of the stretch that is under way has the same distribution.
+        lengths.append(int(rng.geometric(1.0 / mean[(state + len(lengths)) % 2])))
+        covered += lengths[-1]
+    number = np.repeat(np.arange(len(lengths)), lengths)[:n_frames]
+    return (number + state) % 2 == 1, number
+
+
+def sensor_failures(detector: DetectorModel, road: Road, seed: int) -> BoolArray:
+    """(T,) the frames in which the sensor fails: a two-state Markov chain, from its equilibrium."""
+    rng = np.random.default_rng([check_seed(seed), 1])
+    rate = road.frame_rate
+    return _stretches(rng, len(road), detector.ok_s * rate, detector.bad_s * rate)[0]
+
+
+def _slow_events(
+    rng: np.random.Generator, probability: FloatArray, correlation_frames: float
+) -> BoolArray:
+    """(T, K) events of the given probabilities (T, K) that come in stretches."""
+    noise = slow_noise(rng, len(probability), probability.shape[1], correlation_frames)
+    grid = np.linspace(-6.0, 6.0, 1201)
+    below = np.array([0.5 * (1.0 + math.erf(z / math.sqrt(2.0))) for z in grid])
+    return np.asarray(noise < np.interp(probability, below, grid))
+
+
+def _per_stretch(
+    rng: np.random.Generator, number: IntArray, probability: float, n_tracks: int
+) -> BoolArray:
+    """(T, K) one draw per stretch and track."""
+    return np.asarray(rng.random((int(number.max(initial=0)) + 1, n_tracks)) < probability)[number]
+
+
+def _road_tracks(
+    road: Road, detector: DetectorModel, is_failing: BoolArray, rng: np.random.Generator
+) -> tuple[FloatArray, BoolArray, BoolArray]:
+    """Offset, detection and continuous flag (T, K) of the road's own lines."""
+    true_m = np.column_stack([road.line_offset_m, road.shoulder_offset_m])
+    exists = np.isfinite(true_m)
+    true_m = np.where(exists, true_m, 0.0)
+    inner = road.n_lanes - 1
+
+    def per_line(left: float, middle: float, right: float, shoulder: float) -> FloatArray:
+        return np.array([left, *[middle] * inner, right, shoulder])
+
+    n_frames, n_tracks = true_m.shape
+    fps = road.frame_rate
+    seen = per_line(
+        detector.seen_left, detector.seen_inner, detector.seen_right, detector.seen_shoulder
+    )
+    excess = np.clip((np.abs(true_m) - detector.range_m) / detector.range_softness_m, -50, 50)
+    in_view = _slow_events(rng, seen / (1.0 + np.exp(excess)), detector.in_view_s * fps)
+    is_detected = in_view & exists & (rng.random(true_m.shape) >= detector.miss)
+    flag = per_line(
+        detector.continuous_left,
+        detector.continuous_inner,
+        detector.continuous_right,
+        detector.continuous_shoulder,
+    )
+    is_continuous = _slow_events(rng, np.broadcast_to(flag, true_m.shape), detector.flag_s * fps)
+    noise = detector.noise_m * slow_noise(rng, n_frames, n_tracks, detector.noise_s * fps)
+
+    stretch = np.cumsum(np.diff(is_failing, prepend=is_failing[:1]))
+    missed = _per_stretch(rng, stretch, detector.bad_missed, n_tracks)
+    shifted = _per_stretch(rng, stretch, detector.bad_shifted, n_tracks)
+    shift = detector.bad_shift_m * rng.standard_normal(int(stretch[-1]) + 1)[stretch]
+    is_detected &= ~(is_failing[:, None] & missed)
+    moved = np.where(is_failing[:, None] & shifted, shift[:, None], 0.0)
+    return detector.offset_scale * true_m + noise + moved, is_detected, is_continuous
+
+
+def _clutter_tracks(
+    road: Road, detector: DetectorModel, is_failing: BoolArray, rng: np.random.Generator
+) -> tuple[FloatArray, BoolArray, BoolArray]:
+    """Offset, detection and continuous flag (T, K) of the lines that are none."""
+    n_frames, fps, n_tracks = len(road), road.frame_rate, detector.clutter_lines
+    offset = detector.noise_m * slow_noise(rng, n_frames, n_tracks, detector.noise_s * fps)
+    is_detected = np.zeros((n_frames, n_tracks), dtype=bool)
+    failure = np.cumsum(np.diff(is_failing, prepend=is_failing[:1]))
+    in_failure = is_failing[:, None] & _per_stretch(rng, failure, detector.bad_clutter, n_tracks)
+    on = detector.clutter_s * fps if detector.clutter else 0.0
+    off = on * (1 - detector.clutter) / detector.clutter if detector.clutter else 1.0
+    for k in range(n_tracks):
+        is_there, _ = _stretches(rng, n_frames, off, on)
+        is_there = np.where(is_failing, in_failure[:, k], is_there)
+        appearance = np.cumsum(is_there & ~np.r_[False, is_there[:-1]])
+        places = rng.uniform(-1.0, 1.0, int(appearance.max(initial=0)) + 1)
+        offset[:, k] += detector.clutter_range_m * places[appearance]
+        is_detected[:, k] = is_there & (rng.random(n_frames) >= detector.miss)
+    is_continuous = _slow_events(
+        rng, np.full((n_frames, n_tracks), detector.continuous_inner), detector.flag_s * fps
+    )
+    return offset, is_detected, is_continuous
+
+
+def _last_frame_with(event: BoolArray) -> IntArray:
+    """(T, K) the last frame up to now with the event, -1 before the first."""
+    frame = np.arange(len(event))[:, None]
+    return np.asarray(np.maximum.accumulate(np.where(event, frame, -1), axis=0))
+
+
+def line_reliability(
+    is_detected: BoolArray, lri_max: int, lri_reset: float
+) -> tuple[IntArray, BoolArray]:
+    """LRI and valid flag (T, K) of tracks from their detections (T, K).
+
+    The LRI is the number of detections in the last lri_max frames; before the first frame the
+    track is taken to have been as in it. Valid from LRI = lri_max until LRI < lri_reset lri_max
+    (at the latest when it is 0).
+    """
+    first = np.repeat(is_detected[:1], lri_max, axis=0)
+    total = np.cumsum(np.concatenate([first, is_detected]), axis=0)
+    lri = total[lri_max:] - total[:-lri_max]
+    lost = (lri < lri_reset * lri_max) | (lri == 0)
+    return lri, _last_frame_with(lri == lri_max) > _last_frame_with(lost)
+
+
+def detect_lines(road: Road, is_failing: BoolArray, detector: DetectorModel, seed: int) -> LineLog:
+    """What `detector` reports of `road`; the same seed gives the same log.
+
+    is_failing (T,): the frames in which the sensor fails (`sensor_failures`, or one's own).
+    Lines are listed from left to right, those detected within the last lri_max frames.
+    Raises InputError where is_failing has another length than the road.
+    """
+    if is_failing.shape != (len(road),):
+        raise InputError(
+            f"simulation: is_failing has shape {is_failing.shape}, needs ({len(road)},)"
+        )
+    rng = np.random.default_rng([check_seed(seed), 2])
+    tracks = [
+        _road_tracks(road, detector, is_failing, rng),
+        _clutter_tracks(road, detector, is_failing, rng),
+    ]
+    offset, is_detected, is_continuous = (
+        np.concatenate(parts, axis=1) for parts in zip(*tracks, strict=True)
+    )
+    lri, is_valid = line_reliability(is_detected, detector.lri_max, detector.lri_reset)
+    is_listed = lri > 0
+    last = np.maximum(_last_frame_with(is_detected), 0)
+    offset = np.where(is_listed, np.take_along_axis(offset, last, axis=0), np.nan)
+    is_continuous = np.take_along_axis(is_continuous, last, axis=0) & is_listed
+
+    n_slots = max(1, int(is_listed.sum(axis=1).max()))
+    order = np.argsort(offset, axis=1, kind="stable")[:, :n_slots]  # NaN last
+    frame_id = np.arange(len(road), dtype=np.int64)
+    return LineLog(
+        frame_id,
+        frame_id / road.frame_rate,
+        np.take_along_axis(offset, order, axis=1),
+        np.take_along_axis(is_valid & is_listed, order, axis=1),
+        np.take_along_axis(is_continuous, order, axis=1),
+        np.take_along_axis(np.where(is_listed, lri, np.nan), order, axis=1),
+        source="simulated line detector",
+    )

@@ -1,0 +1,196 @@
+"""The road and the vehicle on it: where the lane lines are, in every frame, without any error.
+
+Nothing here knows how lines are detected, so that a line detector model and rendered images can
+look at the same drive.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from egolane_pgm.simulation._common import check_fields, check_seed, slow_noise
+from egolane_pgm.types import BoolArray, FloatArray, InputError, IntArray, LaneTruth
+
+#: The wander inside the lane saturates at this many standard deviations.
+_WANDER_LIMIT = 2.5
+
+#: The duration of a lane change is kept between these multiples of its median.
+_SHORTEST, _LONGEST = 0.6, 1.7
+
+
+@dataclass(frozen=True)
+class World:
+    """A straight motorway, a vehicle that changes lane on it, and how a person annotates it.
+
+    n_lanes: lanes, lane 1 leftmost.
+    lane_width_m: metres between neighbouring lines.
+    n_frames: frames to drive. frame_rate: frames per second.
+    changes_per_minute: lane changes; their number is this rate times the duration, rounded down.
+    change_s: median duration of a lane change, seconds, from leaving the one lane's centre to
+        reaching the other's. change_spread: standard deviation of its logarithm; durations stay
+        within 0.6 and 1.7 times the median.
+    min_stay_s: shortest stay in a lane between two changes, seconds.
+    wander_m: standard deviation of the position about the lane's centre, metres (at most 2.5
+        times as much occurs). wander_s: its correlation time, seconds.
+    crossing_share: share of a lane change, in its middle, that is annotated as crossing.
+    label_flips_at: where in the crossing the annotated lane changes: 1 at its end (the Italian
+        recordings), 0.65 (the Spanish ones).
+    shoulder_m: metres from the rightmost lane line to a further line on its right (the end of the
+        hard shoulder, a guard rail); 0 for none.
+
+    Raises InputError, naming the key, for a value out of range.
+    """
+
+    n_lanes: int = 3
+    lane_width_m: float = 3.75
+    n_frames: int = 1200
+    frame_rate: float = 10.0
+    changes_per_minute: float = 5.0
+    change_s: float = 4.0
+    change_spread: float = 0.2
+    min_stay_s: float = 1.0
+    wander_m: float = 0.2
+    wander_s: float = 5.0
+    crossing_share: float = 0.5
+    label_flips_at: float = 1.0
+    shoulder_m: float = 0.0
+
+    def __post_init__(self) -> None:
+        check_fields(
+            self,
+            {
+                "n_lanes": "count",
+                "lane_width_m": "positive",
+                "n_frames": "count",
+                "frame_rate": "positive",
+                "changes_per_minute": "non_negative",
+                "change_s": "positive",
+                "change_spread": "non_negative",
+                "min_stay_s": "non_negative",
+                "wander_m": "non_negative",
+                "wander_s": "non_negative",
+                "crossing_share": "probability",
+                "label_flips_at": "probability",
+                "shoulder_m": "non_negative",
+            },
+        )
+        shortest = _SHORTEST * self.change_s * self.frame_rate
+        if shortest < 4:
+            raise InputError(
+                f"simulation.change_s: {self.change_s} s is only {shortest:.1f} frames in the"
+                " shortest lane changes, needs 4"
+            )
+        # One frame of slack: the crossing is a whole number of frames.
+        phase = min(0.5, (1 - self.crossing_share) / 2 + 1.0 / shortest)
+        room_m = self.lane_width_m * (0.5 - float(ease(np.array(phase))))
+        if _WANDER_LIMIT * self.wander_m > room_m and self.n_lanes > 1:
+            raise InputError(
+                f"simulation.crossing_share: with {self.crossing_share} the vehicle wandering"
+                f" by wander_m {self.wander_m} can be across a line outside the annotated"
+                " crossing; enlarge crossing_share or reduce wander_m"
+            )
+        if self.wander_m * _WANDER_LIMIT >= self.lane_width_m / 2:
+            raise InputError(
+                f"simulation.wander_m: {self.wander_m} m lets the vehicle leave a lane of"
+                f" {self.lane_width_m} m without a lane change"
+            )
+
+
+@dataclass(frozen=True)
+class Road:
+    """A drive as it was: no noise, no detector.
+
+    frame_rate: frames per second. n_lanes.
+    position_m (T,): metres from the leftmost line to the vehicle, positive to the right.
+    lane (T,), is_crossing (T,): as annotated.
+    line_offset_m (T, n + 1): the lane lines seen from the vehicle, leftmost first, metres,
+        negative left. shoulder_offset_m (T,): the further line on the right, NaN without one.
+    """
+
+    frame_rate: float
+    n_lanes: int
+    position_m: FloatArray
+    lane: IntArray
+    is_crossing: BoolArray
+    line_offset_m: FloatArray
+    shoulder_offset_m: FloatArray
+
+    def __len__(self) -> int:
+        return len(self.position_m)
+
+    @property
+    def truth(self) -> LaneTruth:
+        """The annotation, frames counted from 0."""
+        return LaneTruth(
+            np.arange(len(self), dtype=np.int64), self.lane, self.is_crossing, "simulated road"
+        )
+
+
+def ease(phase: FloatArray) -> FloatArray:
+    """From 0 to 1 with no speed and no acceleration at both ends (minimum jerk)."""
+    return np.asarray(phase**3 * (10.0 - 15.0 * phase + 6.0 * phase**2))
+
+
+def _change_frames(world: World, rng: np.random.Generator) -> tuple[IntArray, IntArray]:
+    """First frame and number of frames of each lane change, in order."""
+    minutes = world.n_frames / world.frame_rate / 60.0
+    count = int(world.changes_per_minute * minutes + 1e-9) if world.n_lanes > 1 else 0
+    stretch = np.exp(world.change_spread * rng.standard_normal(count))
+    seconds = world.change_s * np.clip(stretch, _SHORTEST, _LONGEST)
+    length = np.maximum(np.round(seconds * world.frame_rate), 1).astype(np.int64)
+    stay = int(np.ceil(world.min_stay_s * world.frame_rate))
+    free = world.n_frames - int(length.sum()) - (count + 1) * stay
+    if count and free < 0:
+        raise InputError(
+            f"simulation.changes_per_minute: {count} lane changes do not fit into"
+            f" {world.n_frames} frames; reduce it, change_s or min_stay_s"
+        )
+    # Uniform over all ways to share the free frames out, as for changes at a constant rate.
+    cuts = np.sort(rng.integers(0, max(free, 0) + 1, size=count))
+    before = np.diff(cuts, prepend=0) + stay
+    first = np.cumsum(before) + np.cumsum(length) - length
+    return first.astype(np.int64), length
+
+
+def simulate_road(world: World, seed: int) -> Road:
+    """Drive along `world`; the same seed gives the same drive.
+
+    Raises InputError where the lane changes do not fit into the frames.
+    """
+    rng = np.random.default_rng([check_seed(seed), 0])
+    n, width = world.n_lanes, world.lane_width_m
+    first, length = _change_frames(world, rng)
+
+    centre = np.zeros(world.n_frames)
+    lane = np.zeros(world.n_frames, dtype=np.int64)
+    is_crossing = np.zeros(world.n_frames, dtype=bool)
+    now = int(rng.integers(1, n + 1))
+    centre += now
+    lane += now
+    for start, frames, coin in zip(first, length, rng.random(len(first)), strict=True):
+        step = 1 if now == 1 else -1 if now == n else (1 if coin < 0.5 else -1)
+        phase = (np.arange(frames) + 0.5) / frames
+        centre[start : start + frames] += step * ease(phase)
+        centre[start + frames :] += step
+        crossing = max(1, round(world.crossing_share * int(frames)))
+        enters = start + (frames - crossing) // 2
+        is_crossing[enters : enters + crossing] = True
+        lane[enters + round(world.label_flips_at * crossing) :] += step
+        now += step
+
+    wander = slow_noise(rng, world.n_frames, 1, world.wander_s * world.frame_rate)[:, 0]
+    wander = _WANDER_LIMIT * np.tanh(wander / _WANDER_LIMIT)
+    position_m = (centre - 0.5) * width + world.wander_m * wander
+    lines = np.arange(n + 1) * width - position_m[:, None]
+    shoulder = n * width + world.shoulder_m - position_m
+    return Road(
+        world.frame_rate,
+        n,
+        position_m,
+        lane,
+        is_crossing,
+        lines,
+        shoulder if world.shoulder_m > 0 else np.full(world.n_frames, np.nan),
+    )

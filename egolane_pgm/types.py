@@ -1,0 +1,299 @@
+"""The containers that pass between the parts, and the conventions that hold everywhere.
+
+Lane 1 is the leftmost lane. Offsets are metres, negative to the left of the vehicle. Frames are
+counted by their recorded frame id, which strictly increases; time is frame id over frame rate.
+In arrays over lanes, index 0 is lane 1.
+"""
+
+from __future__ import annotations
+
+import difflib
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+
+FloatArray = NDArray[np.float64]
+IntArray = NDArray[np.int64]
+BoolArray = NDArray[np.bool_]
+
+#: What an evidence array is about: one observed node, or several that are observed jointly.
+Observed = str | tuple[str, ...]
+
+#: Maxima that differ by less than this, relative to the larger one, are a tie (hence Unassigned).
+TIE_TOLERANCE = 1e-9
+
+#: The assigned lane of a frame without a unique most probable lane.
+UNASSIGNED = 0
+
+
+class InputError(ValueError):
+    """Something given from outside (file, YAML key, option) that cannot be used; one clear line."""
+
+
+def suggestion(word: str, known: Iterable[str]) -> str:
+    """`" (did you mean 'x'?)"` for the known word nearest to `word`, else what is known."""
+    names = sorted(known)
+    close = difflib.get_close_matches(word, names, n=1, cutoff=0.6)
+    if close:
+        return f" (did you mean '{close[0]}'?)"
+    return f" (known: {', '.join(names)})" if names else ""
+
+
+def _check_frame_ids(frame_id: IntArray, what: str) -> None:
+    if frame_id.ndim != 1:
+        raise InputError(f"{what}: frame_id has shape {frame_id.shape}, needs one id per frame")
+    step = np.diff(frame_id)
+    if (step == 0).any():
+        at = int(frame_id[np.argmax(step == 0)])
+        raise InputError(f"{what}: frame id {at} occurs more than once")
+    if (step < 0).any():
+        k = int(np.argmax(step < 0))
+        raise InputError(
+            f"{what}: frame ids decrease, {int(frame_id[k])} is followed by {int(frame_id[k + 1])}"
+        )
+
+
+def _check_shape(name: str, array: NDArray[np.generic], shape: tuple[int, ...], what: str) -> None:
+    if array.shape != shape:
+        raise InputError(f"{what}: {name} has shape {array.shape}, needs {shape}")
+
+
+@dataclass(frozen=True)
+class LineLog:
+    """What a line detector said: T frames of at most L lines each.
+
+    frame_id (T,): strictly increasing; gaps are allowed and kept.
+    time_s (T,): seconds, frame id over frame rate.
+    offset_m (T, L): lateral offset of each line, metres, negative left; NaN where there is none.
+    is_valid (T, L): the detector vouches for the line (False in padding).
+    is_continuous (T, L): the line is not dashed; all False for detectors that cannot tell.
+    lri (T, L): line reliability index, as recorded; NaN where unknown.
+    is_missing (T,): no message exists for the frame, it was put in by `missing_frames: predict`.
+    source: the file, for messages.
+    """
+
+    frame_id: IntArray
+    time_s: FloatArray
+    offset_m: FloatArray
+    is_valid: BoolArray
+    is_continuous: BoolArray
+    lri: FloatArray
+    is_missing: BoolArray = field(default_factory=lambda: np.zeros(0, dtype=bool))
+    source: str = "line log"
+
+    def __post_init__(self) -> None:
+        n_frames = len(self.frame_id)
+        if self.is_missing.size == 0 and n_frames:
+            object.__setattr__(self, "is_missing", np.zeros(n_frames, dtype=bool))
+        _check_frame_ids(self.frame_id, self.source)
+        _check_shape("time_s", self.time_s, (n_frames,), self.source)
+        _check_shape("is_missing", self.is_missing, (n_frames,), self.source)
+        if self.offset_m.ndim != 2 or len(self.offset_m) != n_frames:
+            raise InputError(
+                f"{self.source}: offset_m has shape {self.offset_m.shape}, needs ({n_frames}, L)"
+            )
+        for name in ("is_valid", "is_continuous", "lri"):
+            _check_shape(name, getattr(self, name), self.offset_m.shape, self.source)
+        bad = self.is_valid & ~np.isfinite(self.offset_m)
+        if bad.any():
+            frame, line = np.argwhere(bad)[0]
+            raise InputError(
+                f"{self.source}: frame {int(self.frame_id[frame])}: line {int(line) + 1} is valid"
+                f" but its offset is {self.offset_m[frame, line]}; drop it or mark it not valid"
+            )
+
+    def __len__(self) -> int:
+        return len(self.frame_id)
+
+    def take(self, frames: slice | IntArray | BoolArray) -> LineLog:
+        """The log of some frames, in order."""
+        return LineLog(
+            self.frame_id[frames],
+            self.time_s[frames],
+            self.offset_m[frames],
+            self.is_valid[frames],
+            self.is_continuous[frames],
+            self.lri[frames],
+            self.is_missing[frames],
+            self.source,
+        )
+
+
+@dataclass(frozen=True)
+class LaneTruth:
+    """Annotated ground truth.
+
+    frame_id (T,): strictly increasing. lane (T,): 1 (leftmost) to n.
+    is_crossing (T,): the vehicle is changing lane, the label is ambiguous.
+    """
+
+    frame_id: IntArray
+    lane: IntArray
+    is_crossing: BoolArray
+    source: str = "ground truth"
+
+    def __post_init__(self) -> None:
+        _check_frame_ids(self.frame_id, self.source)
+        for name in ("lane", "is_crossing"):
+            _check_shape(name, getattr(self, name), self.frame_id.shape, self.source)
+
+    def __len__(self) -> int:
+        return len(self.frame_id)
+
+    def take(self, frames: slice | IntArray | BoolArray) -> LaneTruth:
+        """The truth of some frames, in order."""
+        return LaneTruth(
+            self.frame_id[frames], self.lane[frames], self.is_crossing[frames], self.source
+        )
+
+    def check_lanes(self, n_lanes: int) -> None:
+        """Raise InputError, naming file and frame, where a lane is outside 1..n_lanes."""
+        bad = (self.lane < 1) | (self.lane > n_lanes)
+        if bad.any():
+            k = int(np.argmax(bad))
+            raise InputError(
+                f"{self.source}: frame {int(self.frame_id[k])}: lane {int(self.lane[k])} is"
+                f" outside 1..{n_lanes}; is n_lanes right?"
+            )
+
+
+@dataclass(frozen=True)
+class Evidence:
+    """Soft evidence, frame by frame.
+
+    likelihoods: per observed node (or tuple of nodes observed jointly) an array
+    (T, *cardinalities) of non-negative, finite likelihoods; they need not sum to one.
+    inputs: per input node its index in each frame (T,).
+    """
+
+    likelihoods: Mapping[Observed, FloatArray]
+    inputs: Mapping[str, IntArray] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        lengths = {len(a) for a in (*self.likelihoods.values(), *self.inputs.values())}
+        if len(lengths) > 1:
+            raise InputError(f"evidence: the arrays have different lengths {sorted(lengths)}")
+        for node, values in self.likelihoods.items():
+            bad = ~np.isfinite(values) | (values < 0)
+            if bad.any():
+                frame = int(np.argwhere(bad)[0][0])
+                raise InputError(f"evidence for {node}: frame {frame} has a negative or NaN value")
+
+    def __len__(self) -> int:
+        arrays = (*self.likelihoods.values(), *self.inputs.values())
+        return len(arrays[0]) if arrays else 0
+
+    def take(self, frames: slice | IntArray | BoolArray) -> Evidence:
+        """The evidence of some frames, in order."""
+        return Evidence(
+            {node: values[frames] for node, values in self.likelihoods.items()},
+            {node: values[frames] for node, values in self.inputs.items()},
+        )
+
+
+@dataclass(frozen=True)
+class Beliefs:
+    """What a filter believes after each frame, given the evidence so far.
+
+    frame_id (T,). marginals: per hidden node P(node | evidence so far), (T, cardinality).
+    log_evidence (T,): natural log of P(evidence of the frame | frames before), each likelihood
+    as given; 0 in frames that are flagged.
+    is_impossible (T,): the evidence had joint likelihood zero, the prediction was kept.
+    """
+
+    frame_id: IntArray
+    marginals: Mapping[str, FloatArray]
+    log_evidence: FloatArray
+    is_impossible: BoolArray
+
+    def __len__(self) -> int:
+        return len(self.frame_id)
+
+    @property
+    def lane(self) -> FloatArray:
+        """(T, n): the belief over lanes."""
+        return self.marginals["Lane"]
+
+    @property
+    def mean_log_evidence(self) -> float:
+        """Mean log evidence per frame over the frames that are not flagged; NaN if none."""
+        kept = ~self.is_impossible
+        return float(self.log_evidence[kept].mean()) if kept.any() else float("nan")
+
+
+#: A parameter's value: a number, a choice by name, or one number per lane.
+Value = float | int | str | tuple[float, ...]
+Parameters = Mapping[str, Value]
+
+
+@dataclass(frozen=True)
+class Parameter:
+    """A parameter that a graph or an evidence rule declares.
+
+    kind: "sigma" (> 0), "probability" (0 to 1), "positive" (> 0), "non_negative", "integer"
+    (>= 0) or "choice" (one of `choices`). per_lane: a list of n values is allowed as well as one.
+    search: the bounds of a parameter search, or None where it is not searched.
+    """
+
+    name: str
+    kind: str
+    default: Value
+    doc: str
+    search: tuple[float, float] | None = None
+    choices: tuple[str, ...] = ()
+    per_lane: bool = False
+
+    def check(self, value: object, n_lanes: int, where: str) -> Value:
+        """The value, converted; InputError starting with `where` where it is out of range."""
+        if self.kind == "choice":
+            if not isinstance(value, str) or value not in self.choices:
+                raise InputError(
+                    f"{where}: {value!r} is not one of {', '.join(self.choices)}"
+                    + (suggestion(str(value), self.choices) if isinstance(value, str) else "")
+                )
+            return value
+        if isinstance(value, (list, tuple, np.ndarray)):
+            if not self.per_lane:
+                raise InputError(f"{where}: needs one number, got a list")
+            if len(value) != n_lanes:
+                raise InputError(f"{where}: has {len(value)} values for {n_lanes} lanes")
+            return tuple(float(self._check_number(v, where)) for v in value)
+        return self._check_number(value, where)
+
+    def _check_number(self, value: object, where: str) -> float | int:
+        if isinstance(value, bool) or not isinstance(value, (int, float, np.integer, np.floating)):
+            raise InputError(f"{where}: {value!r} is not a number")
+        x = float(value)
+        if not np.isfinite(x):
+            raise InputError(f"{where}: {x} is not a finite number")
+        if self.kind == "probability" and not 0 <= x <= 1:
+            raise InputError(f"{where}: {value} is not a probability (0 to 1)")
+        if self.kind in ("sigma", "positive") and x <= 0:
+            raise InputError(f"{where}: {value} must be greater than 0")
+        if self.kind in ("non_negative", "integer") and x < 0:
+            raise InputError(f"{where}: {value} must not be negative")
+        if self.kind == "integer":
+            if x != int(x):
+                raise InputError(f"{where}: {value} is not a whole number")
+            return int(x)
+        return x
+
+
+def resolve_parameters(
+    specs: Iterable[Parameter], given: Mapping[str, object], n_lanes: int, where: str = "parameters"
+) -> dict[str, Value]:
+    """Every declared parameter with its given or default value, checked.
+
+    Raises InputError (`<where>.<name>: ...`) for an unknown name, with a suggestion, or a value
+    out of range.
+    """
+    known = {spec.name: spec for spec in specs}
+    for name in given:
+        if name not in known:
+            raise InputError(f"{where}: unknown key '{name}'{suggestion(str(name), known)}")
+    return {
+        name: spec.check(given.get(name, spec.default), n_lanes, f"{where}.{name}")
+        for name, spec in known.items()
+    }

@@ -1,0 +1,144 @@
+"""The ground-truth format: read, written, refused."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from egolane_pgm.recordings.ground_truth import read_ground_truth, write_ground_truth
+from egolane_pgm.types import InputError, LaneTruth
+
+
+def write(path: Path, text: str) -> Path:
+    path.write_text(text)
+    return path
+
+
+def refused(path: Path, **options: object) -> str:
+    with pytest.raises(InputError) as info:
+        read_ground_truth(path, **options)  # type: ignore[arg-type]
+    text = str(info.value)
+    assert "\n" not in text
+    assert text.startswith(f"{path}: ")
+    return text.removeprefix(f"{path}: ")
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "238;4;0\n239;4;1\n245;3;0\n",
+        "238,4,0\n239,4,1\n245,3,0",
+        "frame;lane;crossing\n238;4;0\n239;4;1\n\n245;3;0\n\n",
+        "\ufeff238; 4; 0\r\n 239;4;1\r\n245;3;0\r\n",
+    ],
+)
+def test_separators_headings_and_blank_lines_do_not_matter(tmp_path: Path, text: str) -> None:
+    (tmp_path / "gt.txt").write_bytes(text.encode())
+    truth = read_ground_truth(tmp_path / "gt.txt")
+    np.testing.assert_array_equal(truth.frame_id, [238, 239, 245])
+    np.testing.assert_array_equal(truth.lane, [4, 4, 3])
+    np.testing.assert_array_equal(truth.is_crossing, [False, True, False])
+    assert truth.source == str(tmp_path / "gt.txt")
+
+
+@pytest.mark.parametrize(
+    "line", ["3;1", "3;1;0;0", "3;x;0", "3;1;2", "3.5;1;0", "3;1;", "lane", "3 1 0", "3;1;-1"]
+)
+def test_a_malformed_line_is_refused_with_its_number(tmp_path: Path, line: str) -> None:
+    path = write(tmp_path / "gt.txt", f"1;1;0\n\n{line}\n4;1;0\n")
+    assert refused(path).startswith(f"line 3: {line!r} is not")
+
+
+def test_a_malformed_first_line_is_no_heading(tmp_path: Path) -> None:
+    assert refused(write(tmp_path / "gt.txt", "1;a;0\n2;1;0\n")).startswith("line 1: ")
+
+
+def test_frames_that_repeat_or_decrease_are_refused(tmp_path: Path) -> None:
+    assert refused(write(tmp_path / "a.txt", "1;1;0\n1;2;0\n")) == (
+        "line 2: frame 1 occurs twice; frames must increase"
+    )
+    assert refused(write(tmp_path / "b.txt", "5;1;0\n3;2;0\n")) == (
+        "line 2: frame 3 comes after frame 5; frames must increase"
+    )
+
+
+@pytest.mark.parametrize("text", ["", "\n\n", "frame;lane;crossing\n"])
+def test_a_file_without_rows_is_refused(tmp_path: Path, text: str) -> None:
+    assert "no ground truth in it" in refused(write(tmp_path / "gt.txt", text))
+
+
+def test_files_that_are_no_text_are_refused(tmp_path: Path) -> None:
+    assert refused(tmp_path / "absent.txt") == "no such file"
+    assert "cannot be read" in refused(tmp_path)
+    (tmp_path / "b.txt").write_bytes(b"\xff\xfe\x00\x80")
+    assert "not a text file" in refused(tmp_path / "b.txt")
+
+
+def test_extra_rows_are_put_in_where_they_belong(tmp_path: Path) -> None:
+    path = write(tmp_path / "gt.txt", "1;1;0\n2;1;0\n9;2;0\n")
+    truth = read_ground_truth(path, extra_rows=[(5, 2, 1), (0, 1, 0)])
+    np.testing.assert_array_equal(truth.frame_id, [0, 1, 2, 5, 9])
+    np.testing.assert_array_equal(truth.lane, [1, 1, 1, 2, 2])
+    np.testing.assert_array_equal(truth.is_crossing, [False, False, False, True, False])
+
+
+@pytest.mark.parametrize(
+    ("rows", "said"),
+    [
+        ([(2, 1, 0)], "frame 2 is there already"),
+        ([(7, 1, 0), (7, 1, 0)], "frame 7 is there already"),
+        ([(7, 1)], "is not (frame, lane, crossing)"),
+        ([(7, 1, 5)], "is not (frame, lane, crossing)"),
+    ],
+)
+def test_extra_rows_that_clash_or_are_malformed_are_refused(
+    tmp_path: Path, rows: list[tuple[int, ...]], said: str
+) -> None:
+    path = write(tmp_path / "gt.txt", "1;1;0\n2;1;0\n")
+    assert said in refused(path, extra_rows=rows)
+
+
+@given(
+    st.dictionaries(
+        st.integers(-5, 10**12), st.tuples(st.integers(1, 9), st.booleans()), min_size=1
+    )
+)
+def test_what_is_written_is_read_back(
+    tmp_path_factory: pytest.TempPathFactory, rows: dict[int, tuple[int, bool]]
+) -> None:
+    path = tmp_path_factory.getbasetemp() / "truth.txt"
+    frames = np.array(sorted(rows), dtype=np.int64)
+    truth = LaneTruth(
+        frames,
+        np.array([rows[f][0] for f in frames], dtype=np.int64),
+        np.array([rows[f][1] for f in frames]),
+    )
+    write_ground_truth(path, truth)
+    again = read_ground_truth(path)
+    for name in ("frame_id", "lane", "is_crossing"):
+        np.testing.assert_array_equal(getattr(again, name), getattr(truth, name))
+        assert getattr(again, name).dtype == getattr(truth, name).dtype
+
+
+def test_a_folder_that_cannot_be_written_is_one_line(tmp_path: Path) -> None:
+    truth = LaneTruth(np.array([1]), np.array([1]), np.array([False]))
+    with pytest.raises(InputError, match="cannot be written"):
+        write_ground_truth(tmp_path / "absent" / "gt.txt", truth)
+
+
+def test_the_published_ground_truths_are_read() -> None:
+    if "EGOLANE_DATA" not in os.environ:
+        pytest.skip("the paper's ground truths: needs EGOLANE_DATA")
+    folder = Path(os.environ["EGOLANE_DATA"]) / "rle"
+    italy = read_ground_truth(folder / "GT-A4FULL.txt")
+    italy.check_lanes(4)
+    assert (int(italy.frame_id[0]), int(italy.frame_id[-1])) == (238, 10189)
+    spain = read_ground_truth(folder / "ISIS_01.txt", extra_rows=[(0, 1, 0)])
+    spain.check_lanes(3)
+    assert int(spain.frame_id[0]) == 0
+    assert int(italy.is_crossing.sum() + spain.is_crossing.sum()) == 4088

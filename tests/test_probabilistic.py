@@ -1,0 +1,162 @@
+"""Log-loss, Brier score, calibration."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from egolane_pgm.scoring.probabilistic import (
+    brier,
+    brier_per_frame,
+    calibration_curve,
+    expected_calibration_error,
+    log_loss,
+    log_loss_per_frame,
+)
+from egolane_pgm.types import InputError
+
+Drive = tuple[np.ndarray, np.ndarray, np.ndarray]
+
+
+@st.composite
+def drives(draw: st.DrawFn) -> Drive:
+    """belief (T, n), lane (T,), is_crossing (T,), at least one frame not crossing."""
+    n = draw(st.integers(1, 5))
+    size = draw(st.integers(1, 40))
+    rng = np.random.default_rng(draw(st.integers(0, 2**32 - 1)))
+    belief = rng.dirichlet(np.full(n, draw(st.sampled_from([0.05, 1.0]))), size)
+    is_crossing = rng.random(size) < 0.3
+    is_crossing[rng.integers(size)] = False
+    return belief, rng.integers(1, n + 1, size), is_crossing
+
+
+def test_log_loss_is_the_mean_of_minus_the_log_of_the_annotated_lane() -> None:
+    belief = [[0.5, 0.25, 0.25], [0.1, 0.1, 0.8]]
+    assert log_loss(belief, [1, 2]) == pytest.approx((math.log(2) + math.log(10)) / 2)
+
+
+def test_a_lane_held_impossible_costs_the_log_of_the_smallest_probability() -> None:
+    assert log_loss_per_frame([[0.0, 1.0]], [1]) == pytest.approx([15 * math.log(10)])
+    assert log_loss_per_frame([[0.0, 1.0]], [2]) == pytest.approx([0])
+
+
+def test_brier_is_the_squared_distance_summed_over_the_lanes() -> None:
+    # 0.5^2 + 0.25^2 + 0.25^2 = 0.375; the worst is 2; the crossing frame does not count.
+    belief = [[0.5, 0.25, 0.25], [0.0, 1.0, 0.0], [0.2, 0.3, 0.5]]
+    assert brier_per_frame(belief, [1, 1, 1])[:2] == pytest.approx([0.375, 2.0])
+    assert brier(belief, [1, 1, 1], [False, False, True]) == pytest.approx(1.1875)
+
+
+def test_calibration_error_of_two_bins_is_the_one_worked_out_by_hand() -> None:
+    # Bins of a fifth. (0.6, 0.8]: 0.7 right, 0.8 wrong -> confidence 0.75, accuracy 0.5, gap 0.25.
+    # (0.8, 1]: 0.9, 1.0, 1.0 right, 0.9 wrong -> confidence 0.95, accuracy 0.75, gap 0.2.
+    belief = np.array([[p, 1 - p] for p in (0.7, 0.8, 0.9, 1.0, 1.0, 0.9)])
+    lane = [1, 2, 1, 1, 1, 2]
+    curve = calibration_curve(belief, lane, np.zeros(6, dtype=bool), n_bins=5)
+    assert curve.count.tolist() == [0, 0, 0, 2, 4]
+    np.testing.assert_allclose(curve.confidence, [np.nan, np.nan, np.nan, 0.75, 0.95])
+    np.testing.assert_allclose(curve.accuracy, [np.nan, np.nan, np.nan, 0.5, 0.75])
+    error = expected_calibration_error(belief, lane, np.zeros(6, dtype=bool), n_bins=5)
+    assert error == pytest.approx((2 * 0.25 + 4 * 0.2) / 6)
+
+
+def test_a_sure_and_right_belief_is_calibrated_and_a_sure_and_wrong_one_is_not() -> None:
+    belief, scored = [[1.0, 0.0]] * 4, [False] * 4
+    assert expected_calibration_error(belief, [1] * 4, scored) == 0
+    assert expected_calibration_error(belief, [2] * 4, scored) == 1
+
+
+def test_a_tie_counts_as_wrong_in_the_calibration_whichever_lane_is_true() -> None:
+    for lane in (1, 2):
+        curve = calibration_curve([[0.5, 0.5]], [lane], [False], n_bins=2)
+        assert curve.count.tolist() == [1, 0]
+        assert curve.accuracy[0] == 0
+        assert expected_calibration_error([[0.5, 0.5]], [lane], [False]) == 0.5
+
+
+def test_crossing_frames_count_in_the_log_loss_and_not_in_the_others() -> None:
+    belief = np.array([[0.9, 0.1], [0.2, 0.8]])
+    lane, is_crossing = np.array([1, 1]), np.array([False, True])
+    assert log_loss(belief, lane) == pytest.approx(-(math.log(0.9) + math.log(0.2)) / 2)
+    assert brier(belief, lane, is_crossing) == brier(belief[:1], lane[:1], is_crossing[:1])
+    error = expected_calibration_error(belief, lane, is_crossing)
+    assert error == pytest.approx(0.1)
+    assert calibration_curve(belief, lane, is_crossing).count.sum() == 1
+
+
+def test_with_one_lane_everything_is_perfect() -> None:
+    belief, lane, scored = np.ones((3, 1)), [1, 1, 1], [False] * 3
+    assert log_loss(belief, lane) == 0
+    assert brier(belief, lane, scored) == 0
+    assert expected_calibration_error(belief, lane, scored) == 0
+
+
+def test_without_a_frame_to_score_the_scores_are_nan_and_not_perfect() -> None:
+    assert math.isnan(log_loss(np.zeros((0, 3)), np.zeros(0, dtype=int)))
+    assert math.isnan(brier([[0.5, 0.5]], [1], [True]))
+    assert math.isnan(expected_calibration_error([[0.5, 0.5]], [1], [True]))
+    assert calibration_curve([[0.5, 0.5]], [1], [True]).count.tolist() == [0] * 15
+
+
+@given(drives())
+def test_the_scores_equal_those_of_plain_loops(drive: Drive) -> None:
+    belief, lane, is_crossing = drive
+    n = belief.shape[1]
+    losses, squares = [], []
+    bins: dict[int, list[tuple[float, bool]]] = {}
+    for row, actual, crossing in zip(belief, lane, is_crossing, strict=True):
+        losses.append(-math.log(max(row[actual - 1], 1e-15)))
+        if crossing:
+            continue
+        squares.append(sum((row[k] - (k == actual - 1)) ** 2 for k in range(n)))
+        k = next(k for k in range(15) if row.max() * 15 <= k + 1 or k == 14)
+        tied = sum(row.max() - p <= 1e-9 * row.max() for p in row) > 1
+        is_right = not tied and int(np.argmax(row)) == actual - 1
+        bins.setdefault(k, []).append((row.max(), is_right))
+    error = sum(
+        abs(sum(p for p, _ in members) - sum(right for _, right in members))
+        for members in bins.values()
+    ) / len(squares)
+    assert log_loss(belief, lane) == pytest.approx(sum(losses) / len(losses))
+    assert brier(belief, lane, is_crossing) == pytest.approx(sum(squares) / len(squares))
+    assert expected_calibration_error(belief, lane, is_crossing) == pytest.approx(error)
+
+
+@given(drives())
+def test_reversing_the_lanes_changes_no_score(drive: Drive) -> None:
+    belief, lane, is_crossing = drive
+    mirrored, other = belief[:, ::-1], belief.shape[1] + 1 - lane
+    assert log_loss(mirrored, other) == pytest.approx(log_loss(belief, lane))
+    for score in (brier, expected_calibration_error):
+        assert score(mirrored, other, is_crossing) == pytest.approx(
+            score(belief, lane, is_crossing)
+        )
+
+
+@pytest.mark.parametrize(
+    "score",
+    [
+        lambda belief, lane: log_loss(belief, lane),
+        lambda belief, lane: brier(belief, lane, np.zeros(len(belief), dtype=bool)),
+        lambda belief, lane: calibration_curve(belief, lane, np.zeros(len(belief), dtype=bool)),
+    ],
+)
+def test_beliefs_and_lanes_that_cannot_be_scored_are_refused(
+    score: Callable[[object, object], object],
+) -> None:
+    with pytest.raises(InputError, match=r"row 1 sums to 1\.5, not 1"):
+        score([[0.5, 0.5], [0.75, 0.75]], [1, 1])
+    with pytest.raises(InputError, match=r"row 1 has lane 3, outside 1\.\.2"):
+        score([[0.5, 0.5], [0.5, 0.5]], [1, 3])
+    with pytest.raises(InputError, match="lane has shape"):
+        score([[0.5, 0.5], [0.5, 0.5]], [1])
+
+
+def test_a_curve_needs_at_least_one_bin() -> None:
+    with pytest.raises(InputError, match="n_bins: 0"):
+        calibration_curve([[1.0]], [1], [False], n_bins=0)

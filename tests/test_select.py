@@ -1,0 +1,188 @@
+"""Ranges of frames, missing frames, the join with the ground truth, what is said of a log."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from egolane_pgm.recordings.select import (
+    MISSING_FRAMES,
+    clip_lri,
+    fill_missing,
+    join,
+    recording_warnings,
+    select_frames,
+)
+from egolane_pgm.types import InputError, LaneTruth, LineLog
+
+
+def make_log(frames: list[int], n_lines: int = 3, seed: int = 0) -> LineLog:
+    rng = np.random.default_rng(seed)
+    shape = (len(frames), n_lines)
+    frame_id = np.array(frames, dtype=np.int64)
+    return LineLog(
+        frame_id=frame_id,
+        time_s=frame_id / 10.0,
+        offset_m=rng.normal(0, 5, shape),
+        is_valid=rng.random(shape) < 0.5,
+        is_continuous=rng.random(shape) < 0.5,
+        lri=rng.integers(0, 11, shape).astype(float),
+        source="drive.bag",
+    )
+
+
+def make_truth(frames: list[int]) -> LaneTruth:
+    n = len(frames)
+    return LaneTruth(
+        np.array(frames, dtype=np.int64), np.ones(n, dtype=np.int64), np.zeros(n, bool), "gt.txt"
+    )
+
+
+frame_lists = st.lists(st.integers(-20, 60), min_size=1, max_size=30, unique=True).map(sorted)
+
+
+@pytest.mark.parametrize(
+    ("first", "stop", "kept"),
+    [
+        (None, None, [3, 4, 7, 9]),
+        (4, None, [4, 7, 9]),
+        (None, 9, [3, 4, 7]),
+        (4, 9, [4, 7]),
+        (5, 100, [7, 9]),
+    ],
+)
+def test_the_first_frame_is_included_and_the_stop_is_not(
+    first: int | None, stop: int | None, kept: list[int]
+) -> None:
+    log = make_log([3, 4, 7, 9])
+    chosen = select_frames(log, first, stop)
+    np.testing.assert_array_equal(chosen.frame_id, kept)
+    rows = [list(log.frame_id).index(k) for k in kept]
+    np.testing.assert_array_equal(chosen.offset_m, log.offset_m[rows])
+
+
+@pytest.mark.parametrize(("first", "stop"), [(10, None), (None, 3), (5, 7), (8, 4)])
+def test_an_empty_selection_is_refused_with_the_range_there_is(
+    first: int | None, stop: int | None
+) -> None:
+    with pytest.raises(InputError, match=r"^drive\.bag: no frame .*frames 3 to 9$"):
+        select_frames(make_log([3, 4, 7, 9]), first, stop)
+
+
+@given(frame_lists, st.integers(0, 3), st.sampled_from(MISSING_FRAMES))
+def test_filling_keeps_every_recorded_frame_as_it_was(
+    frames: list[int], n_lines: int, policy: str
+) -> None:
+    log = make_log(frames, n_lines)
+    filled = fill_missing(log, policy, frame_rate=10.0)
+    expected = frames if policy == "skip" else list(range(frames[0], frames[-1] + 1))
+    np.testing.assert_array_equal(filled.frame_id, expected)
+    rows = np.searchsorted(filled.frame_id, log.frame_id)
+    for name in ("time_s", "offset_m", "is_valid", "is_continuous", "lri", "is_missing"):
+        np.testing.assert_array_equal(getattr(filled, name)[rows], getattr(log, name))
+        assert getattr(filled, name).dtype == getattr(log, name).dtype
+    np.testing.assert_allclose(filled.time_s, filled.frame_id / 10.0)
+
+
+@given(frame_lists, st.integers(1, 3))
+def test_a_held_frame_has_the_lines_of_the_frame_before(frames: list[int], n_lines: int) -> None:
+    log = make_log(frames, n_lines)
+    filled = fill_missing(log, "hold", frame_rate=10.0)
+    assert not filled.is_missing.any()
+    for k in range(1, len(filled)):
+        if filled.frame_id[k] not in log.frame_id:
+            for name in ("offset_m", "is_valid", "is_continuous", "lri"):
+                values = getattr(filled, name)
+                np.testing.assert_array_equal(values[k], values[k - 1])
+
+
+@given(frame_lists, st.integers(1, 3))
+def test_a_predicted_frame_has_no_line_and_is_flagged(frames: list[int], n_lines: int) -> None:
+    log = make_log(frames, n_lines)
+    filled = fill_missing(log, "predict", frame_rate=10.0)
+    np.testing.assert_array_equal(filled.is_missing, ~np.isin(filled.frame_id, log.frame_id))
+    put_in = filled.is_missing
+    assert not filled.is_valid[put_in].any()
+    assert not filled.is_continuous[put_in].any()
+    assert np.isnan(filled.offset_m[put_in]).all()
+    assert np.isnan(filled.lri[put_in]).all()
+
+
+def test_an_unknown_policy_is_refused_with_a_suggestion() -> None:
+    with pytest.raises(InputError, match="did you mean 'predict'"):
+        fill_missing(make_log([1, 3]), "predit", 10.0)
+
+
+def test_ids_that_cannot_be_frame_numbers_are_not_filled() -> None:
+    log = make_log([0, 10**12])
+    assert fill_missing(log, "skip", 10.0) is log
+    with pytest.raises(InputError, match=r"drive\.bag.*are these ids frame numbers"):
+        fill_missing(log, "hold", 10.0)
+
+
+def test_clipping_moves_only_what_is_outside_and_leaves_the_unknown() -> None:
+    log = make_log([1], n_lines=5)
+    lri = np.array([[-2147483648.0, -1.0, 4.0, 11.0, np.nan]])
+    odd = LineLog(log.frame_id, log.time_s, log.offset_m, log.is_valid, log.is_continuous, lri)
+    np.testing.assert_array_equal(clip_lri(odd, 10).lri, [[0, 0, 4, 10, np.nan]])
+    np.testing.assert_array_equal(odd.lri, lri)
+    with pytest.raises(InputError, match="max_lri"):
+        clip_lri(odd, 0)
+
+
+def test_the_join_is_by_frame_id_and_says_what_it_drops() -> None:
+    log, truth = make_log([1, 2, 5, 8]), make_truth([0, 2, 3, 5, 8, 9])
+    joined = join(log, truth)
+    np.testing.assert_array_equal(joined.log, [1, 2, 3])
+    np.testing.assert_array_equal(joined.truth, [1, 3, 4])
+    assert (len(joined), joined.log_dropped, joined.truth_dropped) == (3, 1, 3)
+
+
+def test_a_join_without_common_frames_is_refused_with_both_ranges() -> None:
+    with pytest.raises(InputError) as info:
+        join(make_log([1, 2]), make_truth([5, 9]))
+    assert str(info.value) == (
+        "no common frames: drive.bag has frames 1 to 2, gt.txt has frames 5 to 9"
+    )
+
+
+def test_an_ordinary_recording_gives_no_warning() -> None:
+    assert recording_warnings(make_log(list(range(50)), n_lines=4), n_lanes=3) == []
+
+
+def test_each_oddity_is_one_line_with_its_count_and_first_frame() -> None:
+    nan = np.nan
+    log = LineLog(
+        frame_id=np.array([3, 4, 5]),
+        time_s=np.array([0.3, 0.4, 0.5]),
+        offset_m=np.array([[0.0, 1, 2, 3], [1e30, nan, 1, nan], [-5, -300, nan, nan]]),
+        is_valid=np.array([[1, 1, 1, 1], [0, 0, 1, 0], [1, 1, 0, 0]], dtype=bool),
+        is_continuous=np.zeros((3, 4), dtype=bool),
+        lri=np.array([[1.0, 2, 3, 4], [0, 7, 99, nan], [-7, 11, nan, nan]]),
+        source="odd.bag",
+    )
+    said = recording_warnings(log, n_lanes=2)
+    assert len(said) == 4
+    assert all("\n" not in line and line.startswith("odd.bag: ") for line in said)
+    assert "3 valid line(s) have an LRI outside 0..10, first in frame 4" in said[0]
+    assert "2 line(s) that are not valid" in said[1]
+    assert "first in frame 4" in said[1]
+    assert "1 valid line(s) have an offset beyond 100 m, first in frame 5" in said[2]
+    assert "1 frame(s) have more valid lines than the 3 of 2 lane(s), first frame 3" in said[3]
+    assert not any("LRI" in line for line in recording_warnings(log, n_lanes=3, max_lri=99)[1:])
+
+
+def test_a_recording_without_any_valid_line_is_said() -> None:
+    log = make_log([1, 2])
+    blind = LineLog(
+        log.frame_id,
+        log.time_s,
+        log.offset_m,
+        np.zeros_like(log.is_valid),
+        log.is_continuous,
+        log.lri,
+    )
+    (line,) = recording_warnings(blind, n_lanes=3)
+    assert "not a single valid line in 2 frames" in line
