@@ -44,15 +44,25 @@ def discretised_normal(
     so that with equal widths the centres are 1..n.
     """
     edges, centres = lane_edges(n, widths)
-    if normal == "density":
-        exponent = -0.5 * ((centres - mean) / sigma) ** 2
-        mass = np.exp(exponent - exponent.max())
-    else:
-        z = (edges - mean) / (sigma * math.sqrt(2.0))
-        # The difference of the tails on the far side of the mean keeps small masses accurate.
-        upper = np.array([math.erfc(v) for v in z])
-        lower = np.array([math.erfc(-v) for v in z])
-        mass = np.where(z[:-1] > 0, upper[:-1] - upper[1:], lower[1:] - lower[:-1])
+    # A tiny sigma overflows to infinitely many standard deviations, which is what is meant.
+    with np.errstate(over="ignore"):
+        if normal == "density":
+            distance = np.abs(centres - mean)
+            exponent = -0.5 * ((centres - mean) / sigma) ** 2
+            largest = exponent.max()
+            mass = np.exp(exponent - largest) if np.isfinite(largest) else np.zeros(n)
+        else:
+            distance = np.maximum(0.0, np.maximum(edges[:-1] - mean, mean - edges[1:]))
+            z = (edges - mean) / sigma / math.sqrt(2.0)
+            # Near the mean the difference of erf, far from it that of the tails on the lane's
+            # side: small masses keep their digits both ways.
+            middle = np.diff([math.erf(v) for v in z])
+            right = -np.diff([math.erfc(v) for v in z])
+            left = np.diff([math.erfc(-v) for v in z])
+            mass = np.where(z[:-1] > 0.5, right, np.where(z[1:] < -0.5, left, middle))
+    if not mass.any():
+        # So narrow that no lane gets any: the limit, all on the nearest.
+        mass = (distance == distance.min()).astype(np.float64)
     return np.asarray(mass / mass.sum(), dtype=np.float64)
 
 
@@ -148,8 +158,10 @@ def quiet() -> Iterator[None]:
 
             shown = config.get_show_progress()
             config.set_show_progress(False)
-            yield
-            config.set_show_progress(shown)
+            try:
+                yield
+            finally:
+                config.set_show_progress(shown)
         finally:
             logger.setLevel(level)
 
@@ -165,7 +177,11 @@ def declare(tables: Iterable[Table], observed: Iterable[Observed]) -> DynamicBay
         from pgmpy.models import DynamicBayesianNetwork
 
         tables = list(tables)
-        cardinality = {t.node: t.values.shape[-1] for t in tables}
+        cardinality: dict[SliceNode, int] = {}
+        for table in tables:
+            if table.node in cardinality:
+                raise InputError(f"{_spell(table.node)}: there are two tables for it")
+            cardinality[table.node] = table.values.shape[-1]
         for table in tables:
             for parent, size in zip(table.parents, table.values.shape, strict=False):
                 if parent not in cardinality:
@@ -199,7 +215,13 @@ def declare(tables: Iterable[Table], observed: Iterable[Observed]) -> DynamicBay
                             " same parent"
                         )
                 else:
-                    network.add_edge(parent, table.node)
+                    _add_edge(network, parent, table.node)
+        for parent, child in edges:
+            if parent[1] == child[1] == 0 and ((parent[0], 1), (child[0], 1)) not in edges:
+                raise InputError(
+                    f"{_spell(child)} depends on {_spell(parent)}, but {child[0]} at t+1 does not"
+                    f" depend on {parent[0]} at t+1: give its dynamics the same parent"
+                )
         for table in tables:
             # pgmpy wants the node's axis first, the parents' combinations as columns.
             columns = table.values.reshape(-1, table.values.shape[-1]).T
@@ -213,3 +235,10 @@ def declare(tables: Iterable[Table], observed: Iterable[Observed]) -> DynamicBay
                 )
             )
         return network
+
+
+def _add_edge(network: DynamicBayesianNetwork, parent: SliceNode, child: SliceNode) -> None:
+    try:
+        network.add_edge(parent, child)
+    except (ValueError, NotImplementedError) as error:
+        raise InputError(f"{_spell(child)} cannot depend on {_spell(parent)}: {error}") from error

@@ -145,8 +145,8 @@ def with_recording(
         content["recording"]["path"] = str(Path(recording).absolute())
         content["ground_truth"] = None
         content["name"] = _as_name(Path(recording).stem)
-        content["tuned_on"] = "other_frames" if experiment.tuned_on == "same_frames" else (
-            experiment.tuned_on
+        content["tuned_on"] = (
+            "other_frames" if experiment.tuned_on == "same_frames" else (experiment.tuned_on)
         )
     if frame_id is not None:
         content["recording"]["frame_id"] = frame_id
@@ -202,7 +202,9 @@ def _first_problem(error: ValidationError, content: Mapping[str, Any]) -> str:
     value = problem["input"]
     shown = "" if isinstance(value, dict) else f" (got {value!r})"
     if problem["type"] == "literal_error" and isinstance(value, str):
-        choices = [c.strip("'") for c in problem["ctx"]["expected"].replace(" or ", ", ").split(", ")]
+        choices = [
+            c.strip("'") for c in problem["ctx"]["expected"].replace(" or ", ", ").split(", ")
+        ]
         return f"{where}: '{value}' is not one of {', '.join(choices)}{suggestion(value, choices)}"
     return f"{where}: {message}{shown}"
 

@@ -108,11 +108,19 @@ def check_writable(directory: Path) -> None:
             raise InputError(
                 f"{directory}: exists and is not a result directory; name another one with --out"
             )
-    parent = directory.absolute().parent
-    while not parent.exists():
-        parent = parent.parent
-    if not parent.is_dir() or not os.access(parent, os.W_OK):
-        raise InputError(f"{directory}: cannot be written, {parent} is not a writable directory")
+    nearest = directory.absolute().parent
+    while not nearest.exists():
+        nearest = nearest.parent
+    if not nearest.is_dir() or not os.access(nearest, os.W_OK):
+        raise InputError(f"{directory}: cannot be written, {nearest} is not a writable directory")
+
+
+def make_directory(directory: Path) -> None:
+    """Create a directory and its parents. Raises InputError where that cannot be done."""
+    try:
+        directory.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise InputError(f"{directory}: cannot be created: {error.strerror}") from error
 
 
 def is_result(directory: Path) -> bool:

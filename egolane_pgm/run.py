@@ -6,7 +6,7 @@ import hashlib
 import platform
 import subprocess
 import warnings
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from datetime import UTC, datetime
 from importlib import metadata
@@ -350,9 +350,12 @@ def _read_log(path: Path, experiment: Experiment) -> LineLog:
     return read_lines(path, recording.format, **options)
 
 
-def save_run(run: Run, directory: str | Path) -> Path:
+def save_run(run: Run, directory: str | Path, draw: Callable[[Path], None] | None = None) -> Path:
     """Write a result directory (`results` says what is in it); an existing one is replaced as a
-    whole. Raises InputError where it cannot be written."""
+    whole. `draw` is given the directory before it has its name, to add figures.
+
+    Raises InputError where it cannot be written.
+    """
     directory = Path(directory)
     content = resolved(run.experiment, run.model.parameters)
     with staged(directory) as folder:
@@ -363,6 +366,8 @@ def save_run(run: Run, directory: str | Path) -> Path:
             scores=summary(run),
             columns=_columns(run),
         )
+        if draw is not None:
+            draw(folder)
     return directory
 
 
@@ -452,7 +457,9 @@ def file_sha256(path: Path) -> str:
 def _plugin_files(model: Model) -> dict[str, dict[str, str]]:
     files = {"evidence": model.rule.__file__, "graph": model.graph.__file__}
     return {
-        kind: {"file": Path(f).name, "sha256": file_sha256(Path(f))} for kind, f in files.items() if f
+        kind: {"file": Path(f).name, "sha256": file_sha256(Path(f))}
+        for kind, f in files.items()
+        if f
     }
 
 
@@ -487,4 +494,3 @@ def git_state() -> dict[str, Any] | None:
         return None
     commit, status = git("rev-parse", "HEAD"), git("status", "--porcelain")
     return {"commit": commit, "dirty": bool(status)} if commit else None
-

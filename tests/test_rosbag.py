@@ -320,7 +320,7 @@ def test_seq_is_only_needed_where_it_is_asked_for(tmp_path: Path) -> None:
 
 
 def test_a_definition_that_cannot_be_parsed_is_refused(tmp_path: Path) -> None:
-    bag = write_bag(tmp_path / "a.bag", [b"\0" * 80], text="this is { not a definition")
+    bag = write_bag(tmp_path / "a.bag", [b"\0" * 80], text="int32[ way_id\n")
     assert "definition" in refused(bag)
 
 

@@ -15,18 +15,16 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from egolane_pgm.cpds import SliceNode, Table, ve_name
+from egolane_pgm.inference._roles import Roles, read_tables, same_within
 from egolane_pgm.types import FloatArray, InputError, IntArray, Observed
 
 if TYPE_CHECKING:
     from pgmpy.models import DynamicBayesianNetwork
-
-#: A transition over more joint states than this would not fit into memory.
-MAX_STATES = 4096
 
 
 @dataclass(frozen=True)
@@ -67,11 +65,12 @@ class Compiled:
     transition: FloatArray
     groups: tuple[Group, ...]
     _plan: Mapping[SliceNode, _Placement]
+    _functions: Mapping[SliceNode, Table]
 
     @property
     def n_states(self) -> int:
         """Number of joint states."""
-        return self.node_value.shape[1]
+        return int(self.node_value.shape[1])
 
     @property
     def observed(self) -> tuple[Observed, ...]:
@@ -101,23 +100,31 @@ def compile_network(
 
     Raises InputError, naming the node, for anything that the filters could not honour.
     """
-    tables = _read_tables(network)
-    roles = _Roles(tables, tuple(hidden), tuple(observed), tuple(inputs))
+    tables = read_tables(network)
+    roles = Roles(tables, tuple(hidden), tuple(observed), tuple(inputs))
     return _assemble(roles, tables)
 
 
 def with_tables(compiled: Compiled, tables: Iterable[Table]) -> Compiled:
     """The same structure with new tables, without touching pgmpy.
 
-    Raises InputError naming the node whose table has other parents or another shape.
+    Raises InputError naming the node whose table is missing, has other parents or another shape,
+    or belongs to the structure: a hidden node that is a function keeps its function.
     """
     by_node = {table.node: table for table in tables}
+    for name, s in by_node:
+        if name not in compiled.cardinality:
+            raise InputError(f"{name}: the compiled network has no such node (slice {s})")
     for node, place in compiled._plan.items():
         if node not in by_node:
             raise InputError(f"{node[0]}: no table for slice {node[1]}")
-        table = by_node[node]
-        if table.parents != place.parents or table.values.shape != place.shape:
-            raise InputError(f"{node[0]}: the table has other parents or another shape than before")
+        by_node[node] = table = _aligned(by_node[node], place)
+        first = by_node.get((node[0], 0), table)
+        if place.kind == "emission" and first is not table and not same_within(first, table):
+            raise InputError(f"{node[0]}: its table differs between the slices")
+    for node, fixed in compiled._functions.items():
+        if node in by_node and not _is_equal(by_node[node], fixed):
+            raise InputError(f"{node[0]}: another function needs the network compiled anew")
     prior, transition, emissions = _fill(compiled, by_node)
     groups = tuple(
         replace(group, emission=emission)
@@ -126,173 +133,24 @@ def with_tables(compiled: Compiled, tables: Iterable[Table]) -> Compiled:
     return replace(compiled, prior=prior, transition=transition, groups=groups)
 
 
-def _read_tables(network: DynamicBayesianNetwork) -> dict[SliceNode, Table]:
-    """Every CPD as a Table with named axes, checked against the network's edges."""
-    parents: dict[SliceNode, set[SliceNode]] = {_plain(n): set() for n in network.nodes()}
-    for start, end in network.edges():
-        parents[_plain(end)].add(_plain(start))
-    tables: dict[SliceNode, Table] = {}
-    for cpd in network.cpds:
-        node, *given = (_plain(v) for v in cpd.variables)
-        if node in tables:
-            raise InputError(f"{node[0]}: two tables for slice {node[1]}")
-        if node not in parents or set(given) != parents[node]:
-            raise InputError(
-                f"{node[0]} in slice {node[1]}: its table is given"
-                f" {_names(given)}, its edges come from {_names(parents.get(node, set()))}"
-            )
-        values = np.moveaxis(np.asarray(cpd.values, dtype=np.float64), 0, -1)
-        tables[node] = Table(node, tuple(given), values)
-    for node in parents:
-        if node not in tables:
-            raise InputError(
-                f"{node[0]}: no table for slice {node[1]}; declare both slices in full"
-            )
-    cardinality = {name: t.values.shape[-1] for (name, _), t in tables.items()}
-    for table in tables.values():
-        for parent, size in zip(table.parents, table.values.shape, strict=False):
-            if cardinality[parent[0]] != size:
-                raise InputError(
-                    f"{table.node[0]}: its table has {size} rows for {parent[0]}, which has"
-                    f" {cardinality[parent[0]]} values"
-                )
-    return tables
+def _aligned(table: Table, place: _Placement) -> Table:
+    """The table with its parents in the order of the compiled one."""
+    if table.parents != place.parents and set(table.parents) == set(place.parents):
+        order = [table.parents.index(p) for p in place.parents]
+        values = table.values.transpose(*order, len(order))
+        table = Table(table.node, place.parents, values)
+    if table.parents != place.parents or table.values.shape != place.shape:
+        raise InputError(
+            f"{table.node[0]}: the table has other parents or another shape than before"
+        )
+    return table
 
 
-def _plain(node: Any) -> SliceNode:
-    return (str(node[0]), int(node[1]))
+def _is_equal(table: Table, other: Table) -> bool:
+    return table.parents == other.parents and np.array_equal(table.values, other.values)
 
 
-def _names(nodes: Iterable[SliceNode]) -> str:
-    return ", ".join(sorted(f"{name}[{'t' if s == 0 else 't+1'}]" for name, s in nodes)) or "nothing"
-
-
-class _Roles:
-    """Which node is what; raises InputError where the declaration and the tables disagree."""
-
-    def __init__(
-        self,
-        tables: Mapping[SliceNode, Table],
-        hidden: tuple[str, ...],
-        observed: tuple[Observed, ...],
-        inputs: tuple[str, ...],
-    ) -> None:
-        self.tables = tables
-        self.hidden = hidden
-        self.observed = observed
-        self.inputs = inputs
-        self.cardinality = {name: t.values.shape[-1] for (name, _), t in tables.items()}
-        names = set(self.cardinality)
-        self.ve = {ve_name(key): (key,) if isinstance(key, str) else key for key in observed}
-        listed = [n for key in self.ve.values() for n in key]
-        for name in (*hidden, *inputs, *listed):
-            if name not in names:
-                raise InputError(f"{name}: declared, but not a node of the network")
-        for name in self.ve:
-            if name not in names:
-                raise InputError(f"{name}: an observed node needs this virtual-evidence child")
-        known = {*hidden, *inputs, *listed, *self.ve}
-        for name in sorted(names - known):
-            raise InputError(f"{name}: neither hidden, observed, input nor virtual evidence")
-        across = {
-            name
-            for (child, s), table in tables.items()
-            for parent, ps in table.parents
-            if s == 1 and ps == 0
-            for name in (parent, child)
-        }
-        self.state = tuple(name for name in hidden if name in across)
-        self.functions = tuple(name for name in hidden if name not in across)
-        self.leaves = tuple(dict.fromkeys(n for n in listed if n not in hidden))
-        self._check_leaves(across)
-        self._check_inputs(across)
-        self._check_ve()
-        if not self.state:
-            raise InputError("the network has no hidden node with an edge across the slices")
-        n_states = math.prod(self.cardinality[n] for n in self.state)
-        if n_states > MAX_STATES:
-            sizes = " x ".join(f"{n} {self.cardinality[n]}" for n in self.state)
-            raise InputError(
-                f"the joint hidden state has {n_states} values ({sizes}), more than {MAX_STATES}"
-            )
-        digits = np.indices([self.cardinality[n] for n in self.state]).reshape(len(self.state), -1)
-        self.values: dict[str, IntArray] = dict(zip(self.state, digits, strict=True))
-        self._add_functions()
-
-    def _check_leaves(self, across: set[str]) -> None:
-        for name in self.leaves:
-            if name in across:
-                raise InputError(f"{name}: observed nodes may not have edges across the slices")
-            if name in self.inputs:
-                raise InputError(f"{name}: is declared both observed and input")
-            first, later = self.tables[name, 0], self.tables[name, 1]
-            if not _same_within(first, later):
-                raise InputError(f"{name}: its table differs between the slices")
-            for parent, _ in first.parents:
-                if parent in self.inputs:
-                    raise InputError(f"{name}: an observed node may not depend on input {parent}")
-        for (child, _), table in self.tables.items():
-            for parent, _ in table.parents:
-                if parent in self.leaves and child in self.hidden:
-                    raise InputError(f"{child}: a hidden node may not depend on observed {parent}")
-
-    def _check_inputs(self, across: set[str]) -> None:
-        for name in self.inputs:
-            if name in self.hidden:
-                raise InputError(f"{name}: is declared both hidden and input")
-            if self.tables[name, 0].parents or self.tables[name, 1].parents:
-                raise InputError(f"{name}: an input node may not have parents")
-            if name in across:
-                raise InputError(f"{name}: an input acts within its slice only")
-
-    def _check_ve(self) -> None:
-        for name, of in self.ve.items():
-            if self.cardinality[name] != 2:
-                raise InputError(f"{name}: a virtual-evidence node is binary")
-            for s in (0, 1):
-                if {p for p, _ in self.tables[name, s].parents} != set(of):
-                    raise InputError(f"{name}: its parents must be {', '.join(of)}")
-            if any(p == name for t in self.tables.values() for p, _ in t.parents):
-                raise InputError(f"{name}: a virtual-evidence node may not have children")
-
-    def _add_functions(self) -> None:
-        waiting = list(self.functions)
-        while waiting:
-            ready = [
-                name
-                for name in waiting
-                if all(p in self.values for p, _ in self.tables[name, 1].parents)
-            ]
-            if not ready:
-                raise InputError(
-                    f"{waiting[0]}: a hidden node without an edge across the slices must be a"
-                    " function of other hidden nodes in its slice"
-                )
-            for name in ready:
-                table = self.tables[name, 1]
-                if not _same_within(self.tables[name, 0], table):
-                    raise InputError(f"{name}: its table differs between the slices")
-                if not np.isin(table.values, (0.0, 1.0)).all():
-                    raise InputError(
-                        f"{name}: a hidden node without an edge across the slices must be a"
-                        " deterministic function of its parents (a table of zeros and ones)"
-                    )
-                index = tuple(self.values[p] for p, _ in table.parents)
-                self.values[name] = table.values.argmax(axis=-1)[index]
-                waiting.remove(name)
-
-
-def _same_within(first: Table, later: Table) -> bool:
-    """Whether two tables of one node say the same of their own slices, whatever the axis order."""
-    names = [p for p, _ in first.parents]
-    others = [p for p, _ in later.parents]
-    if set(names) != set(others) or any(s != 1 for _, s in later.parents):
-        return False
-    aligned = later.values.transpose(*(others.index(n) for n in names), len(names))
-    return bool(np.allclose(first.values, aligned, rtol=0, atol=1e-12))
-
-
-def _assemble(roles: _Roles, tables: Mapping[SliceNode, Table]) -> Compiled:
+def _assemble(roles: Roles, tables: Mapping[SliceNode, Table]) -> Compiled:
     n_states = len(roles.values[roles.state[0]])
     n_inputs = math.prod(roles.cardinality[n] for n in roles.inputs)
     groups = [_group(roles, keys) for keys in _joined(roles)]
@@ -317,9 +175,7 @@ def _assemble(roles: _Roles, tables: Mapping[SliceNode, Table]) -> Compiled:
                     indices.append(roles.values[node].reshape(shape))
                 else:
                     raise InputError(f"{name}: its parent {node} is not hidden and not an input")
-            plan[name, s] = _Placement(
-                kind, -1, table.parents, table.values.shape, tuple(indices)
-            )
+            plan[name, s] = _Placement(kind, -1, table.parents, table.values.shape, tuple(indices))
     for g, group in enumerate(groups):
         column = dict(
             zip(group.nodes, np.indices(group.sizes).reshape(len(group.sizes), -1), strict=True)
@@ -345,11 +201,12 @@ def _assemble(roles: _Roles, tables: Mapping[SliceNode, Table]) -> Compiled:
         np.ones((n_inputs, n_states, n_states)),
         tuple(groups),
         plan,
+        {(name, s): tables[name, s] for name in roles.functions for s in (0, 1)},
     )
     return with_tables(blank, tables.values())
 
 
-def _joined(roles: _Roles) -> list[list[Observed]]:
+def _joined(roles: Roles) -> list[list[Observed]]:
     """Evidence keys that must share one emission table: those whose unobserved variables are
     linked by an edge or by a common virtual-evidence node."""
     clusters: list[tuple[set[str], list[Observed]]] = []
@@ -370,7 +227,7 @@ def _joined(roles: _Roles) -> list[list[Observed]]:
     return [keys for _, keys in clusters]
 
 
-def _group(roles: _Roles, keys: list[Observed]) -> Group:
+def _group(roles: Roles, keys: list[Observed]) -> Group:
     nodes = tuple(dict.fromkeys(n for key in keys for n in roles.ve[ve_name(key)]))
     sizes = tuple(roles.cardinality[n] for n in nodes)
     axes = tuple(tuple(nodes.index(n) for n in roles.ve[ve_name(key)]) for key in keys)

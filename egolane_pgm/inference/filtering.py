@@ -204,7 +204,7 @@ def _check_keys(compiled: Compiled, evidence: Evidence) -> None:
     for name, index in evidence.inputs.items():
         if name not in compiled.inputs:
             raise InputError(f"input {name}: the graph has no such input node")
-        if len(index) and not (0 <= index.min() and index.max() < compiled.cardinality[name]):
+        if len(index) and not (index.min() >= 0 and index.max() < compiled.cardinality[name]):
             raise InputError(f"input {name}: outside 0..{compiled.cardinality[name] - 1}")
 
 

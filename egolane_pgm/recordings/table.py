@@ -149,12 +149,15 @@ def _read_csv(path: Path) -> Any:
     try:
         with path.open(encoding="utf-8-sig") as file:
             header = file.readline()
+            has_rows = any(line.strip() for line in file)
     except (OSError, UnicodeDecodeError) as error:
         raise InputError(f"{path}: cannot be read as CSV ({error})") from None
     raw_names = [name.strip() for name in next(csv_rows([header.strip()]), [])]
     if not raw_names:
         raise InputError(f"{path}: the file is empty")
     keep = _check_columns(path, raw_names)
+    if not has_rows:
+        raise InputError(f"{path}: the table has no rows")
     try:
         return csv.read_csv(
             path,
@@ -169,8 +172,6 @@ def _read_csv(path: Path) -> Any:
         )
     except (pa.ArrowInvalid, pa.ArrowKeyError) as error:
         text = " ".join(str(error).split())[:160]
-        if "Empty CSV" in text:
-            raise InputError(f"{path}: the table has no rows") from None
         raise InputError(f"{path}: cannot be read as CSV ({text})") from None
 
 

@@ -122,8 +122,8 @@ _QUICKSTART = Preset(
 last 2.5 s. Counting rule right (bonus value 7) in .66 of the non-crossing frames of seed 0, .78
 while the sensor is OK, .39 while it fails; over seeds 0 to 9 .63 (.44-.86). Seed 0, mean of seeds 0
 to 9: failing .31, .32 of the time; noise about the road lines .16, .15 m; frame to frame .08,
-.08 m, jumps over 1 m 1.0, 1.2 %; continuous flag on the leftmost line .83, .73, the rightmost .38, .36,
-inner ones .025, .019.""",
+.08 m, jumps over 1 m 1.0, 1.2 %; continuous flag on the leftmost line .83, .73, the rightmost .38,
+.36, inner ones .025, .019.""",
 )
 
 #: The presets by name.

@@ -1,0 +1,153 @@
+"""The commands of `egolane` about recordings: data, convert, simulate, online."""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+
+import click
+
+
+@click.group()
+def data() -> None:
+    """The paper's recordings: list them, download them, check them."""
+
+
+@data.command("list")
+def list_data() -> None:
+    """What the data set consists of, and which files are there."""
+    from egolane_pgm.recordings import catalog
+
+    state = {outcome.file.name: outcome.status for outcome in catalog.verify()}
+    click.echo(f"download folder: {catalog.download_folder()}")
+    for file in catalog.list_files():
+        click.echo(
+            f"{state[file.name]:>10}  {file.size / 1e6:6.2f} MB  {catalog.BASE_URL}/{file.name}"
+        )
+
+
+@data.command()
+@click.option("--base-url", help="A mirror that has the files under their names.")
+@click.option("--folder", type=click.Path(file_okay=False), help="Where to put them.")
+@click.option("--jobs", type=click.IntRange(1, 16), default=4, show_default=True)
+def fetch(base_url: str | None, folder: str | None, jobs: int) -> None:
+    """Download what is missing; resumes, checks every sha256, keeps good files."""
+    from egolane_pgm.recordings import catalog
+    from egolane_pgm.types import InputError
+
+    outcomes = catalog.fetch(base_url=base_url, folder=folder, jobs=jobs)
+    problems = catalog.problems(outcomes)
+    click.echo(f"{len(outcomes) - len(problems)} of {len(outcomes)} files are there and good")
+    _fail(problems, InputError)
+
+
+@data.command()
+@click.option("--folder", type=click.Path(file_okay=False), help="Where they are.")
+def verify(folder: str | None) -> None:
+    """Check every downloaded file against its sha256."""
+    from egolane_pgm.recordings import catalog
+    from egolane_pgm.types import InputError
+
+    outcomes = catalog.verify(folder)
+    problems = catalog.problems(outcomes)
+    click.echo(f"{len(outcomes) - len(problems)} of {len(outcomes)} files are there and good")
+    _fail(problems, InputError)
+
+
+def _fail(problems: list[str], error: type[Exception]) -> None:
+    for line in problems[:-1]:
+        click.echo(f"egolane: {line}", err=True)
+    if problems:
+        raise error(problems[-1])
+
+
+@click.command()
+@click.argument("source", type=click.Path(dir_okay=False))
+@click.argument("target", type=click.Path(dir_okay=False))
+@click.option("--topic", help="Topic of a bag.")
+@click.option("--frame-id", type=click.Choice(["way_id", "seq"]), default="way_id")
+def convert(source: str, target: str, topic: str | None, frame_id: str) -> None:
+    """Convert a recording of lines (.bag, .csv, .parquet) to .csv or .parquet."""
+    from egolane_pgm.recordings import read_lines
+    from egolane_pgm.recordings.table import write_table
+
+    options = {} if topic is None else {"topic": topic}
+    if frame_id != "way_id":
+        options["frame_id"] = frame_id
+    log = read_lines(source, **options)
+    write_table(target, log)
+    first, last = int(log.frame_id[0]), int(log.frame_id[-1])
+    click.echo(f"{target}: {len(log)} frames, ids {first} to {last}")
+
+
+@click.command()
+@click.argument("preset", default="quickstart")
+@click.option("--out", type=click.Path(file_okay=False), required=True, metavar="DIR")
+@click.option("--seed", type=click.IntRange(0), default=0, show_default=True)
+@click.option("--n-lanes", type=int)
+@click.option("--frames", type=int, help="Length of the drive.")
+@click.option(
+    "--set",
+    "overrides",
+    multiple=True,
+    metavar="KEY=VALUE",
+    help="Override a value of the preset's world or detector.",
+)
+def simulate(
+    preset: str,
+    out: str,
+    seed: int,
+    n_lanes: int | None,
+    frames: int | None,
+    overrides: tuple[str, ...],
+) -> None:
+    """Simulate a drive: lines.csv, ground_truth.txt and an experiment to run on them."""
+    import yaml
+
+    from egolane_pgm.recordings.ground_truth import write_ground_truth
+    from egolane_pgm.recordings.table import write_table
+    from egolane_pgm.results import make_directory
+    from egolane_pgm.simulation import simulate as make_drive
+    from egolane_pgm.types import InputError
+
+    values = {}
+    for override in overrides:
+        key, equals, text = override.partition("=")
+        if not equals:
+            raise InputError(f"--set {override}: write it as key=value")
+        values[key] = yaml.safe_load(text)
+    drive = make_drive(preset, seed=seed, frames=frames, n_lanes=n_lanes, **values)
+    folder = Path(out)
+    make_directory(folder)
+    write_table(folder / "lines.csv", drive.log)
+    write_ground_truth(folder / "ground_truth.txt", drive.truth)
+    experiment = {
+        "name": f"simulated_{preset}_{seed}",
+        "recording": {"path": "lines.csv"},
+        "ground_truth": {"path": "ground_truth.txt"},
+        "n_lanes": drive.n_lanes,
+        "tuned_on": "not_tuned",
+    }
+    (folder / "experiment.yaml").write_text(yaml.safe_dump(experiment, sort_keys=False))
+    click.echo(f"{len(drive)} frames; try: egolane run {folder / 'experiment.yaml'}")
+
+
+@click.command()
+@click.argument("experiment", type=click.Path(dir_okay=False))
+@click.option("--set", "overrides", multiple=True, metavar="KEY=VALUE")
+def online(experiment: str, overrides: tuple[str, ...]) -> None:
+    """Filter frame by frame: a JSON line in, the belief for it out at once.
+
+    Reads `{"frame_id": 7, "lines": [{"offset_m": -1.8, "is_valid": true, "is_continuous": false,
+    "lri": 10}]}` per line on standard input.
+    """
+    import json
+
+    from egolane_pgm.experiment import load_experiment
+    from egolane_pgm.online import filter_stream
+
+    # Standard input as an iterator would be read ahead in blocks.
+    messages = iter(sys.stdin.readline, "")
+    for belief in filter_stream(load_experiment(experiment, overrides), messages):
+        click.echo(json.dumps(belief))
+        sys.stdout.flush()

@@ -1,0 +1,373 @@
+"""The command `egolane`: parses, calls, prints. Everything heavy is imported inside a command."""
+
+from __future__ import annotations
+
+import os
+import sys
+from collections.abc import Callable
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import click
+
+from egolane_pgm import __version__, _cli_recordings
+
+if TYPE_CHECKING:
+    from egolane_pgm.experiment import Experiment
+    from egolane_pgm.run import Run
+
+
+class _Group(click.Group):
+    """Turns what a user can mend into one line and exit code 2."""
+
+    def invoke(self, ctx: click.Context) -> Any:
+        # numpy is imported by the types, so only once a command is really run.
+        from egolane_pgm.types import InputError
+
+        try:
+            return super().invoke(ctx)
+        except InputError as error:
+            click.echo(f"egolane: {' '.join(str(error).split())}", err=True)
+            ctx.exit(2)
+        except KeyboardInterrupt:
+            click.echo("egolane: interrupted; nothing was left half-written", err=True)
+            ctx.exit(130)
+        except BrokenPipeError:
+            # Whoever read our output has had enough; say nothing at exit either.
+            os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+            ctx.exit(1)
+
+
+def main() -> None:
+    """The console script."""
+    egolane(prog_name="egolane")
+
+
+@click.group(cls=_Group, context_settings={"help_option_names": ["-h", "--help"]})
+@click.version_option(__version__)
+def egolane() -> None:
+    """Which lane is the car in? Noisy lane-line detections in, a belief over lanes out."""
+
+
+_experiment = click.argument("experiment", type=click.Path(dir_okay=False))
+_set = click.option(
+    "--set",
+    "overrides",
+    multiple=True,
+    metavar="KEY=VALUE",
+    help="Override a key of the YAML, e.g. parameters.bonus_value=0.",
+)
+_json = click.option(
+    "--json",
+    "json_file",
+    type=click.Path(dir_okay=False),
+    metavar="FILE",
+    help="Write the unrounded numbers as JSON.",
+)
+_numpy = click.option(
+    "--numpy", "use_numpy", is_flag=True, help="Use the plain NumPy twins of the kernels."
+)
+
+
+def _recording_options(command: Callable[..., Any]) -> Callable[..., Any]:
+    for option in (
+        click.option("--recording", metavar="FILE", help="Run on this recording instead."),
+        click.option(
+            "--ground-truth", metavar="FILE|none", help="Annotation of the recording, if any."
+        ),
+        click.option("--n-lanes", type=int, help="Number of lanes of the road."),
+        click.option(
+            "--frame-id",
+            type=click.Choice(["way_id", "seq"]),
+            help="Which number of a bag's messages is the frame id.",
+        ),
+    ):
+        command = option(command)
+    return command
+
+
+@egolane.command("ls")
+def list_experiments() -> None:
+    """List graphs, evidence rules, simulated drives and the experiments that come along."""
+    from egolane_pgm.plugins import plugin_names
+    from egolane_pgm.reproduce import experiments_folder
+    from egolane_pgm.simulation import PRESETS
+
+    click.echo(f"graphs:      {', '.join(plugin_names('graphs'))}")
+    click.echo(f"evidence:    {', '.join(plugin_names('evidence'))}")
+    click.echo(f"simulations: {', '.join(sorted(PRESETS))}")
+    click.echo("experiments:")
+    from egolane_pgm.experiment import load_experiment
+
+    for path in sorted(experiments_folder().rglob("*.yaml")):
+        if path.name != "published.yaml":
+            found = load_experiment(path)
+            click.echo(f"  {_shown(path)}  {found.description}")
+
+
+@egolane.command()
+@click.argument("experiments", nargs=-1, required=True, type=click.Path(dir_okay=False))
+@_set
+def validate(experiments: tuple[str, ...], overrides: tuple[str, ...]) -> None:
+    """Check experiments without computing anything: keys, plugins, parameters, files."""
+    from egolane_pgm.experiment import load_experiment
+    from egolane_pgm.recordings.catalog import find_file
+    from egolane_pgm.run import prepare_model
+
+    for path in experiments:
+        experiment = load_experiment(path, overrides)
+        model = prepare_model(experiment)
+        wanted = [experiment.recording.path]
+        if experiment.ground_truth is not None:
+            wanted.append(experiment.ground_truth.path)
+        for file in wanted:
+            if file is not None:
+                find_file(file, experiment.folder)
+        states = model.compiled.n_states
+        click.echo(f"{path}: ok ({experiment.n_lanes} lanes, {states} joint states)")
+
+
+@egolane.command()
+@_experiment
+@_set
+@_recording_options
+@click.option("--out", type=click.Path(file_okay=False), help="Result directory.")
+@click.option("--no-figures", is_flag=True, help="Draw nothing.")
+@_numpy
+@_json
+def run(
+    experiment: str,
+    overrides: tuple[str, ...],
+    recording: str | None,
+    ground_truth: str | None,
+    n_lanes: int | None,
+    frame_id: str | None,
+    out: str | None,
+    no_figures: bool,
+    use_numpy: bool,
+    json_file: str | None,
+) -> None:
+    """Run an experiment: filter its recording, score it, write a result directory."""
+    from egolane_pgm.results import SCHEMA_VERSION, check_writable, write_json
+    from egolane_pgm.run import run_experiment, save_run, summary
+
+    chosen = _load(experiment, overrides, recording, ground_truth, n_lanes, frame_id)
+    directory = Path(out) if out else Path("results") / chosen.name
+    check_writable(directory)
+    done = run_experiment(chosen, kernel=not use_numpy)
+    draw = None if no_figures else _draw_all
+    save_run(done, directory, draw)
+    _print_run(done)
+    click.echo(f"\nresult: {directory}")
+    if json_file:
+        write_json(Path(json_file), {"schema_version": SCHEMA_VERSION, **summary(done)})
+
+
+def _load(
+    path: str,
+    overrides: tuple[str, ...],
+    recording: str | None,
+    ground_truth: str | None,
+    n_lanes: int | None,
+    frame_id: str | None,
+) -> Experiment:
+    from egolane_pgm.experiment import load_experiment, with_recording
+
+    found = load_experiment(path, overrides)
+    if recording is None and ground_truth is None and n_lanes is None and frame_id is None:
+        return found
+    if recording is not None and ground_truth is None:
+        click.echo("no --ground-truth given: beliefs only, no scores", err=True)
+    return with_recording(found, recording, ground_truth, n_lanes, frame_id)
+
+
+def _draw_all(directory: Path) -> None:
+    from egolane_pgm.report.figures import draw_standard
+
+    draw_standard(directory)
+
+
+def _print_run(done: Run) -> None:
+    from egolane_pgm.report.tables import TUNED_ON, confusion_table, scores_table
+
+    for note in done.notes:
+        click.echo(f"warning: {note}", err=True)
+    experiment = done.experiment
+    click.echo(
+        f"{experiment.name}: {len(done.beliefs)} frames, {experiment.n_lanes} lanes,"
+        f" graph {experiment.graph}, mean log evidence {done.beliefs.mean_log_evidence:.4f}"
+    )
+    if not done.scores:
+        click.echo("no ground truth: beliefs only")
+        return
+    click.echo(f"{done.scores['model']['frames_scored']} frames scored (crossing ones are not);")
+    click.echo(f"parameters: {TUNED_ON[experiment.tuned_on]}\n")
+    click.echo(scores_table(done.scores))
+    for name, scores in done.scores.items():
+        click.echo("\n" + confusion_table(scores["confusion"], name))
+
+
+@egolane.command()
+@click.option("--runs", default="1-10", show_default=True, help="E.g. 1-5,7.")
+@click.option(
+    "--parameters",
+    "which",
+    type=click.Choice(["recovered", "published"]),
+    default="recovered",
+    show_default=True,
+    help="As recovered by a search, or as printed (truncated).",
+)
+@click.option(
+    "--format",
+    "style",
+    type=click.Choice(["markdown", "latex", "csv"]),
+    default="markdown",
+    show_default=True,
+)
+@click.option("--matrices", is_flag=True, help="Print every confusion matrix too.")
+@click.option("--out", type=click.Path(file_okay=False), help="Keep a result directory per run.")
+@_numpy
+@_json
+def reproduce(
+    runs: str,
+    which: str,
+    style: str,
+    matrices: bool,
+    out: str | None,
+    use_numpy: bool,
+    json_file: str | None,
+) -> None:
+    """The paper's ten runs: ours beside the 20 published tables, and the difference."""
+    from tqdm import tqdm
+
+    from egolane_pgm import reproduce as paper
+    from egolane_pgm.report import tables
+    from egolane_pgm.results import write_json
+    from egolane_pgm.run import save_run
+
+    numbers = paper.parse_runs(runs)
+    done = []
+    for number in tqdm(numbers, desc="runs", unit="run", leave=False, disable=None):
+        result = paper.reproduce_run(number, which, kernel=not use_numpy)
+        done.append(result)
+        if out:
+            save_run(result.run, Path(out) / result.run.experiment.name)
+    document = paper.reproduce_json(done, which)
+    header, rows = tables.reproduction_rows(document, paper.load_published())
+    draw = {"markdown": tables.markdown, "latex": tables.latex, "csv": tables.as_csv}[style]
+    click.echo(draw(header, rows))
+    if matrices:
+        for entry in document["runs"]:
+            for kind in ("detector", "model"):
+                title = f"run {entry['run']}, {kind}"
+                click.echo("\n" + tables.confusion_table(entry[kind]["confusion"], title))
+    if style == "markdown":
+        frames = sum(2 * entry["frames_scored"] for entry in document["runs"])
+        click.echo(
+            f"\n{document['total_frames_off']} of {frames} classified frames differ from the"
+            f" published matrices (parameters: {which}; in-sample, as in the paper)"
+        )
+    if json_file:
+        write_json(Path(json_file), document)
+
+
+@egolane.command()
+@click.option("--run", "number", type=int, required=True, help="Which of the paper's runs.")
+@click.option("--evaluations", type=click.IntRange(1), default=20_000, show_default=True)
+@click.option("--seed", type=int, default=0, show_default=True)
+@click.option("--write", is_flag=True, help="Keep the set in published.yaml under `recovered`.")
+@_json
+def recover(number: int, evaluations: int, seed: int, write: bool, json_file: str | None) -> None:
+    """Search the published, truncated parameters' box for the values that were really used."""
+    from tqdm import tqdm
+
+    from egolane_pgm import reproduce as paper
+    from egolane_pgm.results import SCHEMA_VERSION, write_json
+
+    paper.paper_experiment(number)
+    with tqdm(total=evaluations, desc=f"run {number}", leave=False, disable=None) as bar:
+
+        def progress(done: int, off: int) -> None:
+            bar.update(done - bar.n)
+            bar.set_postfix(frames_off=off)
+
+        found = paper.recover(number, evaluations=evaluations, seed=seed, progress=progress)
+    values = ", ".join(f"{k}: {v!r}" for k, v in found.parameters.items())
+    click.echo(f"run {number}: {found.frames_off} frames off after {found.evaluations} evaluations")
+    click.echo(f"{{{values}}}")
+    if write:
+        how = f"random search in the box of the truncated values, seed {seed}"
+        paper.store_recovered(number, found, how)
+        click.echo(f"written to {_shown(paper.published_path())}")
+    if json_file:
+        write_json(
+            Path(json_file),
+            {
+                "schema_version": SCHEMA_VERSION,
+                "run": number,
+                "frames_off": found.frames_off,
+                "evaluations": found.evaluations,
+                "seed": seed,
+                "parameters": dict(found.parameters),
+            },
+        )
+
+
+def _shown(path: Path) -> str:
+    try:
+        return str(path.relative_to(Path.cwd()))
+    except ValueError:
+        return str(path)
+
+
+@egolane.command()
+@click.argument("results", nargs=-1, required=True, type=click.Path(file_okay=False))
+@click.option(
+    "--frames", type=(int, int), metavar="FIRST LAST", help="Frame ids of the belief strips."
+)
+@click.option("--out", type=click.Path(file_okay=False), help="Default: figures/ in the result.")
+@click.option("--style", type=click.Choice(["png", "pdf", "svg"]), default="png", show_default=True)
+def plot(
+    results: tuple[str, ...], frames: tuple[int, int] | None, out: str | None, style: str
+) -> None:
+    """Draw the figures of result directories; several together make one dispersion sheet."""
+    from egolane_pgm.report.figures import draw_standard, draw_together
+    from egolane_pgm.results import make_directory
+
+    for path in results:
+        folder = Path(path)
+        target = Path(out) / folder.name if out and len(results) > 1 else Path(out or "")
+        target = target if out else folder / "figures"
+        make_directory(target)
+        for file in draw_standard(folder, target, frames=frames, style=style):
+            click.echo(file)
+    if len(results) > 1:
+        target = Path(out) if out else Path(results[0]).parent
+        make_directory(target)
+        for file in draw_together([Path(r) for r in results], target, style=style):
+            click.echo(file)
+
+
+@egolane.command()
+@click.argument("graph")
+@click.argument("target", type=click.Path(dir_okay=False))
+@click.option("--n-lanes", type=click.IntRange(1), default=3, show_default=True)
+def network(graph: str, target: str, n_lanes: int) -> None:
+    """Draw a graph (a name, or a file of your own) as a figure, two slices."""
+    from egolane_pgm.plugins import load_plugin
+    from egolane_pgm.report.network import draw_network
+    from egolane_pgm.types import resolve_parameters
+
+    module = load_plugin("graphs", graph, Path.cwd(), "graph")
+    parameters = resolve_parameters(getattr(module, "PARAMETERS", ()), {}, n_lanes)
+    draw_network(module.build(n_lanes, parameters), Path(target))
+    click.echo(target)
+
+
+for _command in (
+    _cli_recordings.data,
+    _cli_recordings.convert,
+    _cli_recordings.simulate,
+    _cli_recordings.online,
+):
+    egolane.add_command(_command)

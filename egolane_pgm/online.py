@@ -1,0 +1,146 @@
+"""The filter as it runs in a car: lines of a frame in, the belief for that frame out, at once."""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Iterable, Iterator
+from typing import Any
+
+import numpy as np
+
+from egolane_pgm.experiment import Experiment
+from egolane_pgm.inference.filtering import FilterState, step
+from egolane_pgm.recordings.select import clip_lri, fill_missing
+from egolane_pgm.run import make_evidence, prepare_model, value_names
+from egolane_pgm.scoring.assign import assigned_lane
+from egolane_pgm.types import InputError, LineLog, suggestion
+
+#: Predicting through more missing frames than this is surely a wrong frame id.
+MAX_GAP = 100_000
+
+_LINE_KEYS = ("offset_m", "is_valid", "is_continuous", "lri")
+
+
+def filter_stream(
+    experiment: Experiment, messages: Iterable[str], *, kernel: bool = True
+) -> Iterator[dict[str, Any]]:
+    """Per message (a JSON line, `{"frame_id": 7, "lines": [{"offset_m": -1.8, "is_valid": true,
+    "is_continuous": false, "lri": 10}, ...]}`) the belief after it.
+
+    `is_valid` defaults to true, `is_continuous` to false, `lri` to unknown. Blank lines are
+    skipped. Yields `{frame_id, time_s, assigned_lane (0: Unassigned), is_impossible, beliefs:
+    {node: {value: probability}}}`. Raises InputError naming the message for what cannot be used.
+    """
+    model = prepare_model(experiment)
+    names = value_names(model)
+    recording = experiment.recording
+    max_lri = float(model.parameters.get("max_lri", 10))  # type: ignore[arg-type]
+    state: FilterState | None = None
+    last: LineLog | None = None
+    for number, text in enumerate(messages, start=1):
+        if not text.strip():
+            continue
+        where = f"message {number}"
+        log = parse_message(text, where, recording.frame_rate)
+        if recording.lri == "clip":
+            log = clip_lri(log, max_lri)
+        due = _with_gap(last, log, recording.missing_frames, recording.frame_rate, where)
+        evidence = make_evidence(model, due, experiment.evidence_reading, kernel=kernel).filtered
+        state, beliefs = step(model.compiled, state, evidence, experiment.filter, kernel=kernel)
+        last = log
+        yield {
+            "frame_id": int(log.frame_id[0]),
+            "time_s": float(log.time_s[0]),
+            "assigned_lane": int(assigned_lane(beliefs.lane[-1:])[0]),
+            "is_impossible": bool(beliefs.is_impossible[-1]),
+            "beliefs": {
+                node: dict(zip(names[node], values[-1].tolist(), strict=True))
+                for node, values in beliefs.marginals.items()
+            },
+        }
+
+
+def _with_gap(
+    last: LineLog | None, log: LineLog, policy: str, frame_rate: float, where: str
+) -> LineLog:
+    """The frame, after those that are missing before it as `missing_frames` says."""
+    if last is None:
+        return log
+    before, now = int(last.frame_id[0]), int(log.frame_id[0])
+    if now <= before:
+        raise InputError(f"{where}: frame id {now} does not come after {before}")
+    if policy == "skip" or now == before + 1:
+        return log
+    if now - before > MAX_GAP:
+        raise InputError(f"{where}: frame id jumps from {before} to {now}; is it a frame count?")
+    return fill_missing(_concatenate(last, log), policy, frame_rate).take(slice(1, None))
+
+
+def _concatenate(a: LineLog, b: LineLog) -> LineLog:
+    n_lines = max(a.offset_m.shape[1], b.offset_m.shape[1])
+
+    def padded(array: np.ndarray[Any, Any], blank: float | bool) -> np.ndarray[Any, Any]:
+        extra = n_lines - array.shape[1]
+        return np.pad(array, ((0, 0), (0, extra)), constant_values=blank)
+
+    return LineLog(
+        np.concatenate([a.frame_id, b.frame_id]),
+        np.concatenate([a.time_s, b.time_s]),
+        np.concatenate([padded(a.offset_m, np.nan), padded(b.offset_m, np.nan)]),
+        np.concatenate([padded(a.is_valid, False), padded(b.is_valid, False)]),
+        np.concatenate([padded(a.is_continuous, False), padded(b.is_continuous, False)]),
+        np.concatenate([padded(a.lri, np.nan), padded(b.lri, np.nan)]),
+        np.concatenate([a.is_missing, b.is_missing]),
+        b.source,
+    )
+
+
+def parse_message(text: str, where: str, frame_rate: float) -> LineLog:
+    """One message as a LineLog of one frame; see `filter_stream`."""
+    try:
+        content = json.loads(text)
+    except ValueError as error:
+        raise InputError(f"{where}: is not JSON: {error}") from error
+    if not isinstance(content, dict):
+        raise InputError(f"{where}: needs an object with frame_id and lines")
+    for key in content:
+        if key not in ("frame_id", "lines"):
+            raise InputError(
+                f"{where}: unknown key '{key}'{suggestion(key, ('frame_id', 'lines'))}"
+            )
+    frame_id, lines = content.get("frame_id"), content.get("lines")
+    if isinstance(frame_id, bool) or not isinstance(frame_id, int):
+        raise InputError(f"{where}: frame_id {frame_id!r} is not a whole number")
+    if not isinstance(lines, list) or not all(isinstance(line, dict) for line in lines):
+        raise InputError(f"{where}: lines must be a list of objects")
+    rows = [_line(line, f"{where}: line {k + 1}") for k, line in enumerate(lines)]
+    columns = list(zip(*rows, strict=True)) if rows else [(), (), (), ()]
+    return LineLog(
+        np.array([frame_id], dtype=np.int64),
+        np.array([frame_id / frame_rate]),
+        np.array([columns[0]], dtype=np.float64),
+        np.array([columns[1]], dtype=bool),
+        np.array([columns[2]], dtype=bool),
+        np.array([columns[3]], dtype=np.float64),
+        source=where,
+    )
+
+
+def _line(line: dict[str, Any], where: str) -> tuple[float, bool, bool, float]:
+    for key in line:
+        if key not in _LINE_KEYS:
+            raise InputError(f"{where}: unknown key '{key}'{suggestion(key, _LINE_KEYS)}")
+    valid, continuous = line.get("is_valid", True), line.get("is_continuous", False)
+    for key, flag in (("is_valid", valid), ("is_continuous", continuous)):
+        if not isinstance(flag, bool):
+            raise InputError(f"{where}: {key} {flag!r} is not true or false")
+    numbers = []
+    for key in ("offset_m", "lri"):
+        value = line.get(key)
+        if value is None:
+            value = math.nan
+        if isinstance(value, bool) or not isinstance(value, (int, float)):
+            raise InputError(f"{where}: {key} {value!r} is not a number")
+        numbers.append(float(value))
+    return numbers[0], valid, continuous, numbers[1]

@@ -1,0 +1,313 @@
+"""Lane-belief strips: model above, detector in the middle, ground truth below (the paper's Figure
+`fig:lanetransition01`).
+
+Lane 1 is the top row and time runs to the right: the road as seen from above by somebody who
+drives from left to right.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from egolane_pgm.report.style import (
+    CROSSING,
+    FAINT,
+    INK,
+    NO_DATA,
+    PROBABILITY_COLOURS,
+    answers,
+    axes_at,
+    check_figure_path,
+    lane_names,
+    new_figure,
+    plain_style,
+    save,
+    title_of,
+)
+from egolane_pgm.results import Result
+from egolane_pgm.types import UNASSIGNED, BoolArray, FloatArray, InputError, IntArray
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+#: A row of strips holds at most this many columns: about one pixel each at 200 dpi.
+MAX_COLUMNS = 1300
+
+#: A sheet has at most this many rows of strips; a longer range is averaged over frames.
+MAX_ROWS = 8
+
+# Inches.
+_WIDTH, _LEFT, _RIGHT = 9.0, 1.55, 0.25
+_LANE, _STRIP_MIN, _STRIP_GAP, _TICKS, _LABEL = 0.2, 0.78, 0.07, 0.22, 0.2
+
+
+@dataclass(frozen=True)
+class Strips:
+    """What is drawn for the frame ids from `first` to `last`, both included.
+
+    edge (C + 1,): the first frame id of each of the C columns, and last + 1. beliefs: per strip
+    ("Model", then "Detector only" where there is a tentative vector) its mean belief, (n, C), lane
+    1 in row 0; NaN where no frame was recorded. truth (n, C): share of the annotated, non-crossing
+    frames in each lane, NaN where there is none; None without ground truth. is_crossing (C,):
+    the column holds a crossing frame.
+    """
+
+    first: int
+    last: int
+    edge: IntArray
+    beliefs: Mapping[str, FloatArray]
+    truth: FloatArray | None
+    is_crossing: BoolArray
+
+    @property
+    def frames_per_column(self) -> int:
+        """The most frame ids that one column stands for."""
+        return int(np.diff(self.edge).max())
+
+    @property
+    def crossings(self) -> list[tuple[int, int]]:
+        """The runs of crossing columns: first frame id, and the one after the last."""
+        step = np.diff(np.concatenate([[0], self.is_crossing.astype(np.int64), [0]]))
+        starts, stops = np.flatnonzero(step == 1), np.flatnonzero(step == -1)
+        return [(int(self.edge[a]), int(self.edge[b])) for a, b in zip(starts, stops, strict=True)]
+
+
+def frame_range(result: Result, first: int | None, last: int | None) -> tuple[int, int]:
+    """The frame ids to draw, both included; the recording's own where not given.
+
+    Raises InputError, with the recording's range, for a range that has no frames.
+    """
+    ids = result.frame_id
+    if not len(ids):
+        raise InputError(f"{result.directory}: has no frames to draw")
+    low = int(ids[0]) if first is None else int(first)
+    high = int(ids[-1]) if last is None else int(last)
+    if not ((ids >= low) & (ids <= high)).any():
+        raise InputError(
+            f"{result.directory}: the range {low} to {high} has no frames; the recording has frame"
+            f" ids {int(ids[0])} to {int(ids[-1])}"
+        )
+    return max(low, int(ids[0])), min(high, int(ids[-1]))
+
+
+def strip_columns(
+    result: Result, first: int, last: int, max_columns: int = MAX_COLUMNS
+) -> Strips:
+    """The strips of the frame ids from first to last, both included.
+
+    One column per frame id while they fit into `max_columns`, otherwise a column is the mean over
+    several. Missing ids stay NaN: a gap is seen as a gap.
+    """
+    span = last - first + 1
+    n_columns = min(span, max_columns)
+    edge = first + np.arange(n_columns + 1) * span // n_columns
+    chosen = (result.frame_id >= first) & (result.frame_id <= last)
+    column = np.searchsorted(edge, result.frame_id[chosen], side="right") - 1
+    beliefs = {
+        name: _column_means(belief[chosen], column, n_columns)
+        for name, (belief, _) in reversed(answers(result).items())
+    }
+    lane, crossing = result.true_lane[chosen], result.is_crossing[chosen]
+    is_known = (lane != UNASSIGNED) & ~crossing
+    truth = None
+    if (result.true_lane != UNASSIGNED).any():
+        one_hot = np.eye(result.n_lanes)[lane[is_known] - 1]
+        truth = _column_means(one_hot, column[is_known], n_columns)
+    is_crossing = np.bincount(column[crossing], minlength=n_columns) > 0
+    return Strips(first, last, edge.astype(np.int64), beliefs, truth, is_crossing)
+
+
+def _column_means(values: FloatArray, column: IntArray, n_columns: int) -> FloatArray:
+    count = np.bincount(column, minlength=n_columns).astype(np.float64)
+    count[count == 0] = np.nan
+    sums = [np.bincount(column, weights=v, minlength=n_columns) for v in values.T]
+    return np.stack(sums) / count
+
+
+def split_range(first: int, last: int, max_columns: int = MAX_COLUMNS) -> list[tuple[int, int]]:
+    """The range in rows of equal length (to a frame), as few as needed, at most MAX_ROWS."""
+    span = last - first + 1
+    rows = min(MAX_ROWS, -(-span // max_columns))
+    edge = [first + k * span // rows for k in range(rows + 1)]
+    return [(a, b - 1) for a, b in zip(edge, edge[1:], strict=False)]
+
+
+def draw_strips(
+    result: Result, path: str | Path, first: int | None = None, last: int | None = None
+) -> Path:
+    """Draw the lane-belief strips into a PNG, SVG or PDF file, by its extension.
+
+    first, last: frame ids, both included; all of the recording by default. A range too long for
+    one row goes on in the next, and beyond MAX_ROWS rows columns average over frames, which the
+    title says. Without ground truth or tentative vector their strip is left out.
+    Raises InputError for a range without frames (it prints the recording's), another extension,
+    and a file that cannot be written.
+    """
+    path = check_figure_path(path)
+    with plain_style():
+        return save(strips_figure(result, first, last), path)
+
+
+def strips_figure(result: Result, first: int | None = None, last: int | None = None) -> Figure:
+    """The figure of `draw_strips`; the same errors."""
+    low, high = frame_range(result, first, last)
+    rows = [strip_columns(result, a, b) for a, b in split_range(low, high)]
+    strip = max(_STRIP_MIN, _LANE * result.n_lanes)
+    n_strips = len(rows[0].beliefs) + (rows[0].truth is not None)
+    block = n_strips * (strip + _STRIP_GAP) + 2 * _TICKS + 0.12
+    head, foot = 0.35 + _LABEL, _LABEL + 0.62
+    figure = new_figure(_WIDTH, head + len(rows) * block + foot)
+    averaged = rows[0].frames_per_column
+    note = f"; each column is the mean of up to {averaged} frames" if averaged > 1 else ""
+    figure.text(
+        _LEFT / _WIDTH,
+        1 - 0.1 / figure.get_figheight(),
+        f"{title_of(result)}: frames {low} to {high}{note}",
+        fontsize=10,
+        va="top",
+    )
+    # Rows of one sheet have one scale, though a row may be a frame shorter than another.
+    longest = max(len(s.edge) and s.last - s.first + 1 for s in rows)
+    for k, strips in enumerate(rows):
+        _draw_row(figure, result, strips, head + k * block, strip, longest)
+    across = (_LEFT + (_WIDTH - _RIGHT)) / 2 / _WIDTH
+    down = figure.get_figheight()
+    figure.text(across, 1 - (head - 0.02) / down, "frame id", fontsize=9, ha="center", va="bottom")
+    end = head + len(rows) * block
+    figure.text(across, 1 - (end - 0.1) / down, "time [s]", fontsize=9, ha="center", va="top")
+    _draw_legend(figure, rows, end + _LABEL + 0.12)
+    return figure
+
+
+def _draw_row(
+    figure: Figure, result: Result, strips: Strips, top: float, height: float, longest: int
+) -> None:
+    from matplotlib.patches import Rectangle
+
+    images = dict(strips.beliefs)
+    if strips.truth is not None:
+        images["Ground truth"] = strips.truth
+    rate = float(result.run["frame_rate"])
+    span = strips.last - strips.first + 1
+    width = (_WIDTH - _LEFT - _RIGHT) * span / longest
+    at = top + _TICKS
+    for name, image in images.items():
+        ax = axes_at(figure, _LEFT, at, width, height)
+        ax.set_label(name)
+        at += height + _STRIP_GAP
+        _draw_strip(ax, image, strips)
+        if name == "Ground truth":
+            for start, stop in strips.crossings:
+                ax.add_patch(
+                    Rectangle((start - 0.5, 0.5), stop - start, len(image), facecolor=CROSSING)
+                )
+        else:
+            for edge in (e for crossing in strips.crossings for e in crossing):
+                ax.axvline(edge - 0.5, color=INK, linewidth=0.5, linestyle=(0, (3, 2)))
+        ax.text(
+            -1.4, 0.5, name, transform=_inches_beside(ax), rotation=90, fontsize=9,
+            fontweight="bold", ha="center", va="center",
+        )  # fmt: skip
+        ax.set_yticks(range(1, len(image) + 1), lane_names(len(image)), fontsize=8)
+        ax.tick_params(axis="y", length=0, pad=3)
+        ax.tick_params(axis="x", bottom=False, labelbottom=False, labelsize=8)
+    first_ax, last_ax = figure.axes[-len(images)], figure.axes[-1]
+    first_ax.tick_params(axis="x", top=True, labeltop=True, pad=1)
+    seconds = last_ax.secondary_xaxis("bottom", functions=(lambda f: f / rate, lambda s: s * rate))
+    seconds.tick_params(axis="x", labelsize=8, pad=1.5)
+
+
+def _inches_beside(ax: Axes) -> object:
+    """x in inches from the left edge of the axes, y as a fraction of their height."""
+    from matplotlib.transforms import ScaledTranslation, blended_transform_factory
+
+    figure = ax.get_figure(root=True)
+    assert figure is not None
+    left = ScaledTranslation(ax.get_position().x0, 0, figure.transFigure)
+    return blended_transform_factory(figure.dpi_scale_trans + left, ax.transAxes)
+
+
+def _draw_strip(ax: Axes, image: FloatArray, strips: Strips) -> None:
+    from matplotlib.colors import LinearSegmentedColormap
+    from matplotlib.patches import Rectangle
+
+    n_lanes = len(image)
+    extent = (strips.first - 0.5, strips.last + 0.5, n_lanes + 0.5, 0.5)
+    span = strips.last - strips.first + 1
+    ax.add_patch(
+        Rectangle(
+            (strips.first - 0.5, 0.5), span, n_lanes,
+            facecolor="white", edgecolor=FAINT, hatch="//////", linewidth=0, zorder=0,
+        )
+    )  # fmt: skip
+    ax.imshow(
+        np.ma.masked_invalid(image),
+        cmap=LinearSegmentedColormap.from_list("probability", PROBABILITY_COLOURS),
+        vmin=0,
+        vmax=1,
+        aspect="auto",
+        interpolation="nearest",
+        extent=extent,
+        zorder=1,
+    )
+    for k in range(1, n_lanes):
+        ax.axhline(k + 0.5, color=FAINT, linewidth=0.6)
+    ax.set_xlim(extent[0], extent[1])
+    ax.set_ylim(extent[2], extent[3])
+
+
+def _draw_legend(figure: Figure, rows: list[Strips], top: float) -> None:
+    from matplotlib.cm import ScalarMappable
+    from matplotlib.colors import LinearSegmentedColormap, Normalize
+    from matplotlib.lines import Line2D
+    from matplotlib.patches import Patch
+
+    ramp = LinearSegmentedColormap.from_list("probability", PROBABILITY_COLOURS)
+    bar = axes_at(figure, _LEFT, top, 1.9, 0.13)
+    bar.set_label("colour bar")
+    figure.colorbar(ScalarMappable(Normalize(0, 1), ramp), cax=bar, orientation="horizontal")
+    bar.tick_params(labelsize=8, pad=1.5)
+    bar.set_xlabel("probability of the lane", fontsize=8, labelpad=1)
+    entries: list[Patch | Line2D] = []
+    if any(s.is_crossing.any() for s in rows):
+        entries.append(Patch(facecolor=CROSSING, label="changing lane (ground truth)"))
+        entries.append(
+            Line2D([], [], color=INK, linewidth=0.8, linestyle=(0, (3, 2)),
+                   label="begin, end of the change")
+        )  # fmt: skip
+    missing = any(np.isnan(next(iter(s.beliefs.values()))).any() for s in rows)
+    unknown = any(
+        s.truth is not None and (np.isnan(s.truth[0]) & ~s.is_crossing).any() for s in rows
+    )
+    if missing or unknown:
+        label = "no frame recorded" if missing else "not annotated"
+        if missing and unknown and _has_unannotated(rows):
+            label = "no frame, or not annotated"
+        entries.append(Patch(facecolor="white", edgecolor=NO_DATA, hatch="//////", label=label))
+    if entries:
+        figure.legend(
+            handles=entries,
+            loc="upper right",
+            bbox_to_anchor=(1 - _RIGHT / _WIDTH, 1 - (top - 0.06) / figure.get_figheight()),
+            ncols=len(entries),
+            frameon=False,
+            fontsize=8,
+            borderaxespad=0,
+        )
+
+
+def _has_unannotated(rows: list[Strips]) -> bool:
+    """Whether some recorded frame has neither a lane nor a crossing flag."""
+    return any(
+        s.truth is not None
+        and (
+            np.isnan(s.truth[0]) & ~s.is_crossing & ~np.isnan(next(iter(s.beliefs.values()))[0])
+        ).any()
+        for s in rows
+    )

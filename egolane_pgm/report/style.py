@@ -1,0 +1,180 @@
+"""What the figures share: colours that colour-blind readers can tell apart, labels, saving."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import tempfile
+from collections.abc import Iterator
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from egolane_pgm.results import Result
+from egolane_pgm.types import UNASSIGNED, BoolArray, FloatArray, InputError, IntArray
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+FORMATS = (".png", ".svg", ".pdf")
+
+INK, FAINT, CROSSING, NO_DATA = "#222222", "#b8b8b8", "#8c8c8c", "#dedede"
+
+#: Detector and model wherever they share one pair of axes: Okabe and Ito's vermillion and blue.
+DETECTOR_COLOUR, MODEL_COLOUR = "#d55e00", "#0072b2"
+
+#: White to dark blue: lightness falls all the way, so it survives greyscale printing.
+PROBABILITY_COLOURS = ("#ffffff", "#bcd7ec", "#5fa5d6", "#0072b2", "#00355c")
+
+#: Right is blue; the further off, the darker an orange-brown. Blue against orange is the contrast
+#: that all common kinds of colour blindness keep.
+RIGHT_COLOUR, UNASSIGNED_COLOUR = "#3b8bc4", "#2b2b2b"
+_OFF_COLOURS = ("#fee391", "#ec8a1e", "#8c2d04")
+
+_METADATA: dict[str, dict[str, Any]] = {
+    ".png": {"Software": None},
+    ".svg": {"Date": None},
+    ".pdf": {"CreationDate": None},
+}
+
+
+def off_colours(n: int) -> list[str]:
+    """Colours for off by 1..n lanes, from pale to dark."""
+    from matplotlib.colors import LinearSegmentedColormap, to_hex
+
+    if n <= len(_OFF_COLOURS):
+        return list(_OFF_COLOURS[:n])
+    ramp = LinearSegmentedColormap.from_list("off", _OFF_COLOURS)
+    return [to_hex(ramp(k / (n - 1))) for k in range(n)]
+
+
+def text_colour(background: Any) -> str:
+    """Black or white, whichever is read more easily on the colour."""
+    from matplotlib.colors import to_rgb
+
+    linear = [c / 12.92 if c <= 0.04045 else ((c + 0.055) / 1.055) ** 2.4 for c in to_rgb(background)]
+    luminance = 0.2126 * linear[0] + 0.7152 * linear[1] + 0.0722 * linear[2]
+    # Equal contrast ratios (WCAG 2) against black and white meet at this luminance.
+    return INK if luminance > 0.179 else "white"
+
+
+def title_of(result: Result) -> str:
+    """The run's name, marked where its parameters were tuned on the frames that are scored."""
+    mark = " (in-sample)" if result.run.get("tuned_on") == "same_frames" else ""
+    return f"{result.run['name']}{mark}"
+
+
+def is_scored(result: Result) -> BoolArray:
+    """(T,): the annotated frames that are not crossing.
+
+    Raises InputError where there is none: whoever asks needs ground truth.
+    """
+    scored = (result.true_lane != UNASSIGNED) & ~result.is_crossing
+    if not scored.any():
+        raise InputError(
+            f"{result.directory}: has no ground truth to compare with (no annotated frame that is"
+            " not crossing); run the experiment with a ground_truth"
+        )
+    return scored
+
+
+def answers(result: Result) -> dict[str, tuple[FloatArray, IntArray]]:
+    """Who answers: "Detector only" (absent without a tentative vector) and "Model", each with its
+    belief (T, n) and its assigned lane (T,)."""
+    both = {}
+    if result.tentative is not None and result.detector_lane is not None:
+        both["Detector only"] = (result.tentative, result.detector_lane)
+    both["Model"] = (result.marginals["Lane"], result.assigned_lane)
+    return both
+
+
+def check_figure_path(path: str | Path) -> Path:
+    """The path of a figure; InputError where its extension is not one that can be drawn."""
+    path = Path(path)
+    if path.suffix.lower() not in FORMATS:
+        raise InputError(f"{path}: a figure ends in {', '.join(FORMATS)}")
+    return path
+
+
+@contextlib.contextmanager
+def plain_style() -> Iterator[None]:
+    """matplotlib as it comes, whatever the user's matplotlibrc says, restored afterwards."""
+    from matplotlib import rc_context, style
+
+    with style.context("default", after_reset=True), rc_context({"hatch.linewidth": 0.5}):
+        yield
+
+
+def save(figure: Figure, path: Path) -> Path:
+    """Write the figure: the whole file or none, the same bytes for the same figure.
+
+    Raises InputError where it cannot be written.
+    """
+    from matplotlib import rc_context
+
+    extension = path.suffix.lower()
+    temporary = None
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        handle, temporary = tempfile.mkstemp(dir=path.parent, prefix=f".{path.stem}.")
+        # Type 42 is what publishers ask for; the salt fixes the ids in an SVG.
+        with (
+            os.fdopen(handle, "wb") as file,
+            rc_context({"pdf.fonttype": 42, "svg.hashsalt": "egolane", "hatch.linewidth": 0.5}),
+        ):
+            figure.savefig(
+                file,
+                format=extension[1:],
+                dpi=200,
+                facecolor="white",
+                metadata=_METADATA[extension],
+            )
+        os.chmod(temporary, 0o644)
+        os.replace(temporary, path)
+    except OSError as error:
+        raise InputError(f"{path}: cannot be written: {error.strerror or error}") from error
+    finally:
+        if temporary is not None and os.path.exists(temporary):
+            os.unlink(temporary)
+    return path
+
+
+def new_figure(width: float, height: float) -> Figure:
+    """An empty figure of that size, inches, on its own canvas (no pyplot, no global state)."""
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+    from matplotlib.figure import Figure
+
+    figure = Figure(figsize=(width, height))
+    FigureCanvasAgg(figure)
+    return figure
+
+
+def axes_at(figure: Figure, left: float, top: float, width: float, height: float) -> Axes:
+    """Axes placed in inches from the figure's top left corner."""
+    across, down = (float(x) for x in figure.get_size_inches())
+    ax: Axes = figure.add_axes(
+        (left / across, 1 - (top + height) / down, width / across, height / down)
+    )
+    return ax
+
+
+def lane_names(n_lanes: int) -> list[str]:
+    """"lane 1 (leftmost)", "lane 2", ...: for axes, so that nobody has to guess the order."""
+    return [f"lane {k}{' (leftmost)' if k == 1 else ''}" for k in range(1, n_lanes + 1)]
+
+
+def percent(share: float) -> str:
+    """A share as a percentage: one decimal, or none at 0 and 1."""
+    value = 100 * float(share)
+    if 0 < value < 0.05:
+        return "<0.1"
+    if 99.95 <= value < 100:
+        return ">99.9"
+    return f"{value:.0f}" if value in (0.0, 100.0) else f"{value:.1f}"
+
+
+def as_counts(values: FloatArray | IntArray) -> list[str]:
+    """Counts with thousands separators."""
+    return [f"{int(v):,}" for v in np.ravel(values)]

@@ -1,0 +1,367 @@
+"""The public data set: found, downloaded from a local server, checked, never spoiled."""
+
+from __future__ import annotations
+
+import hashlib
+import http.server
+import os
+import re
+import socket
+import threading
+from collections.abc import Iterator
+from pathlib import Path
+from urllib.parse import unquote
+
+import pytest
+
+from egolane_pgm.recordings import catalog
+from egolane_pgm.recordings.catalog import (
+    BASE_URL,
+    DataFile,
+    fetch,
+    find_file,
+    list_files,
+    problems,
+    verify,
+)
+from egolane_pgm.recordings.download import Unreachable, download
+from egolane_pgm.types import InputError
+
+CONTENT = {
+    "one.bag": bytes(range(256)) * 2000,
+    "two with space.bag": b"two" * 100_000,
+    "gt.txt": b"1;1;0\n",
+}
+
+
+class Mirror(http.server.ThreadingHTTPServer):
+    """A server whose faults are set from the test."""
+
+    daemon_threads = True
+
+    def __init__(self) -> None:
+        super().__init__(("127.0.0.1", 0), Handler)
+        self.content = dict(CONTENT)
+        self.has_range = True
+        self.cut_after: dict[str, int] = {}  # bytes per answer, then the connection is closed
+        self.asked: list[tuple[str, str | None]] = []
+
+    @property
+    def url(self) -> str:
+        return f"http://127.0.0.1:{self.server_address[1]}/data"
+
+    def asked_for(self, name: str) -> list[str | None]:
+        return [spec for asked, spec in self.asked if asked == name]
+
+
+class Handler(http.server.BaseHTTPRequestHandler):
+    server: Mirror
+
+    def do_GET(self) -> None:
+        name = unquote(self.path).removeprefix("/data/")
+        spec = self.headers.get("Range")
+        self.server.asked.append((name, spec))
+        if name not in self.server.content:
+            self.send_error(404)
+            return
+        body = self.server.content[name]
+        match = re.fullmatch(r"bytes=(\d+)-", spec or "")
+        start = int(match[1]) if match and self.server.has_range else 0
+        self.send_response(206 if start else 200)
+        if start:
+            self.send_header("Content-Range", f"bytes {start}-{len(body) - 1}/{len(body)}")
+        self.send_header("Content-Length", str(len(body) - start))
+        self.end_headers()
+        self.wfile.write(body[start : start + self.server.cut_after.get(name, len(body))])
+
+    def log_message(self, *args: object) -> None:
+        pass
+
+
+@pytest.fixture
+def mirror(monkeypatch: pytest.MonkeyPatch) -> Iterator[Mirror]:
+    monkeypatch.setenv("NO_PROXY", "127.0.0.1")
+    monkeypatch.setenv("no_proxy", "127.0.0.1")
+    monkeypatch.setattr(
+        catalog,
+        "_FILES",
+        tuple(
+            DataFile(name, len(body), hashlib.sha256(body).hexdigest(), "a test")
+            for name, body in CONTENT.items()
+        ),
+    )
+    monkeypatch.setattr(catalog, "BASE_URL", "http://127.0.0.1:9/never-the-real-one")
+    server = Mirror()
+    thread = threading.Thread(target=server.serve_forever, kwargs={"poll_interval": 0.01})
+    thread.start()
+    yield server
+    server.shutdown()
+    thread.join()
+    server.server_close()
+
+
+def statuses(outcomes: list[catalog.Outcome]) -> dict[str, str]:
+    return {outcome.file.name: outcome.status for outcome in outcomes}
+
+
+def files_in(folder: Path) -> dict[str, bytes]:
+    return {path.name: path.read_bytes() for path in (folder / "rle").iterdir()}
+
+
+def test_every_file_of_the_catalogue_has_a_checksum_and_the_pinned_address() -> None:
+    files = list_files()
+    assert len({file.name for file in files}) == 12
+    assert sum(file.name.endswith(".bag") for file in files) == 10
+    assert all(re.fullmatch(r"[0-9a-f]{64}", file.sha256) and file.size > 0 for file in files)
+    commit = "e35b76afbbd579190ea4194446ef02980289880a"
+    assert BASE_URL.split("/")[2:] == ["raw.githubusercontent.com", "trigal", "rle", commit, "bag"]
+
+
+def test_the_recordings_at_hand_are_those_of_the_catalogue() -> None:
+    if "EGOLANE_DATA" not in os.environ:
+        pytest.skip("the paper's recordings: needs EGOLANE_DATA")
+    folder = Path(os.environ["EGOLANE_DATA"])
+    assert problems(verify(folder)) == []
+    assert all((folder / f.target).stat().st_size == f.size for f in list_files())
+
+
+def test_all_files_are_fetched_and_then_not_asked_for_again(mirror: Mirror, tmp_path: Path) -> None:
+    assert set(statuses(fetch(mirror.url + "/", tmp_path)).values()) == {"downloaded"}
+    assert files_in(tmp_path) == CONTENT
+    n_asked = len(mirror.asked)
+    again = fetch(mirror.url, tmp_path, progress=False)
+    assert set(statuses(again).values()) == {"present"}
+    assert all(outcome.ok for outcome in again)
+    assert len(mirror.asked) == n_asked == 3
+
+
+def test_the_download_folder_is_in_the_cache_of_the_user(
+    mirror: Mirror, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
+    outcomes = fetch(mirror.url)
+    assert {str(o.path) for o in outcomes} == {
+        str(tmp_path / "egolane_pgm" / "rle" / name) for name in CONTENT
+    }
+    assert [o.status for o in verify()] == ["present"] * 3
+
+
+@pytest.mark.parametrize("has_range", [True, False])
+def test_a_part_is_continued_where_the_server_can_and_else_begun_anew(
+    mirror: Mirror, tmp_path: Path, has_range: bool
+) -> None:
+    mirror.has_range = has_range
+    (tmp_path / "rle").mkdir()
+    (tmp_path / "rle" / "one.bag.part").write_bytes(CONTENT["one.bag"][:1000])
+    assert set(statuses(fetch(mirror.url, tmp_path)).values()) == {"downloaded"}
+    assert mirror.asked_for("one.bag") == ["bytes=1000-"]
+    assert files_in(tmp_path) == CONTENT
+
+
+def test_a_connection_cut_midway_is_taken_up_again_at_once(mirror: Mirror, tmp_path: Path) -> None:
+    mirror.cut_after["one.bag"] = 200_000
+    assert set(statuses(fetch(mirror.url, tmp_path)).values()) == {"downloaded"}
+    assert mirror.asked_for("one.bag") == [None, "bytes=200000-", "bytes=400000-"]
+    assert files_in(tmp_path) == CONTENT
+
+
+def test_a_connection_cut_again_and_again_leaves_a_part_for_the_next_time(
+    mirror: Mirror, tmp_path: Path
+) -> None:
+    mirror.cut_after["one.bag"] = 1000
+    outcomes = fetch(mirror.url, tmp_path)
+    assert statuses(outcomes)["one.bag"] == "failed"
+    (line,) = problems(outcomes)
+    assert "one.bag" in line
+    assert "after 5000 of 512000 bytes; run it again to continue" in line
+    assert files_in(tmp_path)["one.bag.part"] == CONTENT["one.bag"][:5000]
+    mirror.cut_after.clear()
+    mirror.asked.clear()
+    assert statuses(fetch(mirror.url, tmp_path))["one.bag"] == "downloaded"
+    assert mirror.asked == [("one.bag", "bytes=5000-")]
+    assert files_in(tmp_path) == CONTENT
+
+
+def test_a_cut_server_without_ranges_fails_and_does_not_go_on_for_ever(
+    mirror: Mirror, tmp_path: Path
+) -> None:
+    mirror.has_range = False
+    mirror.cut_after["one.bag"] = 1000
+    assert statuses(fetch(mirror.url, tmp_path))["one.bag"] == "failed"
+    assert len(mirror.asked_for("one.bag")) == 2
+
+
+@pytest.mark.parametrize(
+    "wrong",
+    [
+        b"<html>not found</html>",
+        b"",
+        CONTENT["one.bag"][:-1] + b"x",
+        CONTENT["one.bag"] + b"x" * 99,
+    ],
+    ids=["page", "empty", "one byte", "too long"],
+)
+def test_wrong_content_is_refused_and_the_other_files_still_come(
+    mirror: Mirror, tmp_path: Path, wrong: bytes
+) -> None:
+    mirror.content["one.bag"] = wrong
+    outcomes = fetch(mirror.url, tmp_path)
+    assert statuses(outcomes) == {
+        "one.bag": "failed",
+        "two with space.bag": "downloaded",
+        "gt.txt": "downloaded",
+    }
+    (line,) = problems(outcomes)
+    assert "one.bag" in line
+    assert "wrong checksum" in line
+    assert "\n" not in line
+    assert set(files_in(tmp_path)) == {"two with space.bag", "gt.txt"}
+
+
+def test_a_bad_file_stays_until_a_good_one_has_come(mirror: Mirror, tmp_path: Path) -> None:
+    (tmp_path / "rle").mkdir()
+    (tmp_path / "rle" / "one.bag").write_bytes(b"my own notes")
+    mirror.content["one.bag"] = b"wrong as well"
+    assert statuses(verify(tmp_path))["one.bag"] == "bad"
+    assert statuses(fetch(mirror.url, tmp_path))["one.bag"] == "failed"
+    assert files_in(tmp_path)["one.bag"] == b"my own notes"
+    mirror.content["one.bag"] = CONTENT["one.bag"]
+    assert statuses(fetch(mirror.url, tmp_path))["one.bag"] == "downloaded"
+    assert files_in(tmp_path) == CONTENT
+
+
+@pytest.mark.parametrize("part", [b"garbage", b"z" * 600_000, CONTENT["one.bag"]])
+def test_a_part_of_something_else_does_no_harm(mirror: Mirror, tmp_path: Path, part: bytes) -> None:
+    (tmp_path / "rle").mkdir()
+    (tmp_path / "rle" / "one.bag.part").write_bytes(part)
+    assert statuses(fetch(mirror.url, tmp_path))["one.bag"] == "downloaded"
+    assert files_in(tmp_path) == CONTENT
+
+
+def test_a_file_that_the_mirror_lacks_is_said_in_one_line(mirror: Mirror, tmp_path: Path) -> None:
+    del mirror.content["gt.txt"]
+    outcomes = fetch(mirror.url, tmp_path, jobs=1)
+    (line,) = problems(outcomes)
+    assert line == f"gt.txt: {mirror.url}/gt.txt: the server says 404 Not Found"
+    assert set(files_in(tmp_path)) == {"one.bag", "two with space.bag"}
+
+
+def test_a_dead_network_is_said_in_one_line_for_all_files(mirror: Mirror, tmp_path: Path) -> None:
+    with socket.socket() as unused:
+        unused.bind(("127.0.0.1", 0))
+        port = unused.getsockname()[1]
+        outcomes = fetch(f"http://127.0.0.1:{port}", tmp_path, jobs=2)
+    assert set(statuses(outcomes).values()) == {"failed"}
+    (line,) = problems(outcomes)
+    assert line.startswith(f"no connection to 127.0.0.1:{port} (")
+    assert "--base-url" in line
+    assert files_in(tmp_path) == {}
+
+
+def test_the_default_address_is_used_without_a_mirror(
+    mirror: Mirror, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(catalog, "BASE_URL", mirror.url)
+    assert set(statuses(fetch(folder=tmp_path)).values()) == {"downloaded"}
+
+
+def test_bad_options_are_refused(tmp_path: Path) -> None:
+    for address in ("ftp://x/y", "example.org/data", "http://"):
+        with pytest.raises(InputError, match="--base-url"):
+            fetch(address, tmp_path)
+    with pytest.raises(InputError, match="--jobs 0"):
+        fetch("http://127.0.0.1:9", tmp_path, jobs=0)
+
+
+def test_a_folder_that_cannot_be_written_is_said(mirror: Mirror, tmp_path: Path) -> None:
+    (tmp_path / "rle").write_text("a file where the folder should be")
+    outcomes = fetch(mirror.url, tmp_path)
+    assert set(statuses(outcomes).values()) == {"failed"}
+    assert all("cannot be written" in line for line in problems(outcomes))
+    assert mirror.asked == []
+
+
+def one(mirror: Mirror, path: Path, **options: object) -> None:
+    body = CONTENT["one.bag"]
+    download(
+        f"{mirror.url}/one.bag",
+        path,
+        size=len(body),
+        sha256=hashlib.sha256(body).hexdigest(),
+        **options,  # type: ignore[arg-type]
+    )
+
+
+def test_the_bytes_told_to_the_progress_bar_add_up(mirror: Mirror, tmp_path: Path) -> None:
+    (tmp_path / "one.bag.part").write_bytes(b"not its beginning")
+    told: list[int] = []
+    one(mirror, tmp_path / "one.bag", on_bytes=told.append)
+    assert sum(told) == len(CONTENT["one.bag"])
+    assert min(told) < 0
+
+
+def test_a_download_that_is_told_to_stop_keeps_its_part(mirror: Mirror, tmp_path: Path) -> None:
+    stop = threading.Event()
+    with pytest.raises(InputError, match="stopped after"):
+        one(mirror, tmp_path / "one.bag", on_bytes=lambda n: n and stop.set(), stop=stop)
+    part = (tmp_path / "one.bag.part").read_bytes()
+    assert 0 < len(part) < len(CONTENT["one.bag"])
+    assert CONTENT["one.bag"].startswith(part)
+
+
+def test_a_second_download_of_the_same_file_is_refused(mirror: Mirror, tmp_path: Path) -> None:
+    fcntl = pytest.importorskip("fcntl")
+    with (tmp_path / "one.bag.part").open("ab") as held:
+        fcntl.flock(held, fcntl.LOCK_EX)
+        with pytest.raises(InputError, match="being downloaded by another process"):
+            one(mirror, tmp_path / "one.bag")
+    one(mirror, tmp_path / "one.bag")
+    assert (tmp_path / "one.bag").read_bytes() == CONTENT["one.bag"]
+
+
+def test_a_name_that_does_not_resolve_is_unreachable(
+    mirror: Mirror, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def fail(*args: object, **kwargs: object) -> object:
+        raise socket.gaierror(-3, "Temporary failure in name resolution")
+
+    monkeypatch.setattr(socket, "getaddrinfo", fail)
+    with pytest.raises(Unreachable, match=r"no connection to nowhere\.invalid .*name resolution"):
+        download("http://nowhere.invalid/x", tmp_path / "x", size=1, sha256="0" * 64)
+
+
+def test_a_file_is_found_beside_the_yaml_then_in_the_data_folder_then_in_the_downloads(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    folders = [tmp_path / name for name in ("yaml", "data", "cache/egolane_pgm")]
+    monkeypatch.setenv("EGOLANE_DATA", str(folders[1]))
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
+    for folder in reversed(folders):
+        (folder / "rle").mkdir(parents=True)
+        (folder / "rle" / "a.bag").write_bytes(b"")
+        assert find_file("rle/a.bag", base=folders[0]) == folder / "rle" / "a.bag"
+    assert find_file(folders[2] / "rle" / "a.bag") == folders[2] / "rle" / "a.bag"
+    monkeypatch.chdir(folders[0])
+    assert find_file("rle/a.bag").samefile(folders[0] / "rle" / "a.bag")
+
+
+def test_a_file_that_is_nowhere_is_refused_with_every_place_and_what_helps(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("EGOLANE_DATA", str(tmp_path / "data"))
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
+    with pytest.raises(InputError) as info:
+        find_file("rle/a.bag", base=tmp_path / "yaml")
+    text = str(info.value)
+    for folder in ("yaml", "data", "cache/egolane_pgm"):
+        assert str(tmp_path / folder / "rle" / "a.bag") in text
+    assert "egolane data fetch" in text
+    assert "EGOLANE_DATA" in text
+    assert "\n" not in text
+    monkeypatch.delenv("EGOLANE_DATA")
+    with pytest.raises(InputError) as info:
+        find_file("rle/a.bag", base=tmp_path / "yaml")
+    assert str(tmp_path / "data") not in str(info.value)
+    with pytest.raises(InputError) as info:
+        find_file(tmp_path / "a.bag")
+    assert "egolane data fetch" not in str(info.value)

@@ -1,0 +1,288 @@
+"""Recordings as CSV and Parquet: nothing is lost, and what does not fit is refused by place."""
+
+from __future__ import annotations
+
+import os
+import warnings
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from hypothesis.extra import numpy as hnp
+
+from egolane_pgm.recordings import read_lines
+from egolane_pgm.recordings.select import fill_missing
+from egolane_pgm.recordings.table import read_table, write_table
+from egolane_pgm.types import InputError, LineLog
+
+ARRAYS = ("frame_id", "time_s", "offset_m", "is_valid", "is_continuous", "lri", "is_missing")
+HEADING = "frame_id,line,offset_m,is_valid,is_continuous,lri\n"
+FORMATS = ("csv", "parquet")
+
+
+def assert_same(one: LineLog, other: LineLog) -> None:
+    for name in ARRAYS:
+        a, b = getattr(one, name), getattr(other, name)
+        assert a.dtype == b.dtype, name
+        np.testing.assert_array_equal(a, b, err_msg=name)
+        if a.dtype == float:
+            known = ~np.isnan(a)
+            np.testing.assert_array_equal(np.signbit(a[known]), np.signbit(b[known]))
+
+
+@st.composite
+def logs(draw: st.DrawFn) -> LineLog:
+    frames = sorted(draw(st.lists(st.integers(-(2**40), 2**40), min_size=1, unique=True)))
+    shape = (len(frames), draw(st.integers(0, 4)))
+    offset = draw(
+        hnp.arrays(np.float32, shape, elements=st.floats(width=32))
+        | hnp.arrays(np.float64, shape, elements=st.floats())
+    ).astype(np.float64)
+    lri = draw(
+        hnp.arrays(
+            np.float64, shape, elements=st.integers(-(2**31), 2**31 - 1) | st.just(float("nan"))
+        )
+    )
+    booleans = hnp.arrays(np.bool_, shape)
+    frame_id = np.array(frames, dtype=np.int64)
+    return LineLog(
+        frame_id=frame_id,
+        time_s=frame_id / 10.0,
+        offset_m=offset,
+        is_valid=draw(booleans) & np.isfinite(offset),
+        is_continuous=draw(booleans),
+        lri=lri,
+        is_missing=draw(hnp.arrays(np.bool_, len(frames))),
+    )
+
+
+@settings(deadline=None)  # the first example imports pyarrow
+@given(log=logs(), extension=st.sampled_from(FORMATS))
+def test_any_log_comes_back_as_it_was(
+    tmp_path_factory: pytest.TempPathFactory, log: LineLog, extension: str
+) -> None:
+    path = tmp_path_factory.getbasetemp() / f"round_trip.{extension}"
+    write_table(path, log)
+    assert_same(log, read_table(path))
+
+
+@pytest.mark.parametrize("extension", FORMATS)
+@pytest.mark.parametrize(
+    "name",
+    [
+        "mldhighway.isislab.001_2017-12-15-17-07-21.bag",
+        "special.issue.spain.mono.noClothoid.yesLines.left._2018-01-13-23-56-11.bag",
+    ],
+)
+def test_a_published_recording_comes_back_as_it_was(
+    tmp_path: Path, name: str, extension: str
+) -> None:
+    if "EGOLANE_DATA" not in os.environ:
+        pytest.skip("the paper's recordings: needs EGOLANE_DATA")
+    log = fill_missing(read_lines(Path(os.environ["EGOLANE_DATA"], "rle", name)), "predict", 10.0)
+    write_table(tmp_path / f"a.{extension}", log)
+    assert_same(log, read_lines(tmp_path / f"a.{extension}"))
+
+
+def test_the_csv_is_the_one_the_documentation_shows(tmp_path: Path) -> None:
+    nan = np.nan
+    log = LineLog(
+        frame_id=np.array([7, 8, 9]),
+        time_s=np.array([0.7, 0.8, 0.9]),
+        offset_m=np.array([[-1.75, 1.5], [nan, nan], [nan, nan]]),
+        is_valid=np.array([[True, False], [False, False], [False, False]]),
+        is_continuous=np.array([[False, True], [False, False], [False, False]]),
+        lri=np.array([[10, nan], [nan, nan], [3, nan]]),
+    )
+    write_table(tmp_path / "a.csv", log)
+    assert (tmp_path / "a.csv").read_text() == HEADING + (
+        "7,1,-1.75,true,false,10\n"
+        "7,2,1.5,false,true,\n"
+        "8,,,false,false,\n"
+        "9,1,nan,false,false,3\n"
+    )  # fmt: skip
+    assert sorted(p.name for p in tmp_path.iterdir()) == ["a.csv"]
+
+
+def refused(path: Path) -> str:
+    with pytest.raises(InputError) as info:
+        read_table(path)
+    text = str(info.value)
+    assert "\n" not in text
+    assert text.startswith(f"{path}: ")
+    return text.removeprefix(f"{path}: ")
+
+
+def csv(tmp_path: Path, text: str) -> Path:
+    path = tmp_path / "a.csv"
+    path.write_text(text)
+    return path
+
+
+def parquet(tmp_path: Path, **columns: object) -> Path:
+    import pyarrow as pa
+    from pyarrow import parquet as pq
+
+    pq.write_table(pa.table(columns), tmp_path / "a.parquet")
+    return tmp_path / "a.parquet"
+
+
+def test_columns_that_a_detector_lacks_have_their_meaning(tmp_path: Path) -> None:
+    log = read_table(csv(tmp_path, "frame_id,line,offset_m\n3,1,-1.5\n3,2,2\n5,,\n"), frame_rate=2)
+    np.testing.assert_array_equal(log.frame_id, [3, 5])
+    np.testing.assert_array_equal(log.time_s, [1.5, 2.5])
+    np.testing.assert_array_equal(log.is_valid, [[True, True], [False, False]])
+    assert not log.is_continuous.any()
+    assert np.isnan(log.lri).all()
+    np.testing.assert_array_equal(log.offset_m, [[-1.5, 2], [np.nan, np.nan]])
+
+
+def test_what_pandas_writes_is_read(tmp_path: Path) -> None:
+    text = (
+        '"line","frame_id","offset_m","is_valid"\r\n1.0,3,-1.5,True\r\n,4,,\r\n2.0,5,1e1,False\r\n'
+    )
+    log = read_table(csv(tmp_path, "\ufeff" + text))
+    np.testing.assert_array_equal(log.frame_id, [3, 4, 5])
+    np.testing.assert_array_equal(log.is_valid, [[True, False], [False, False], [False, False]])
+    np.testing.assert_array_equal(log.offset_m[2], [np.nan, 10.0])
+    log = read_table(
+        parquet(
+            tmp_path,
+            frame_id=[3.0, 4.0],
+            line=[1.0, float("nan")],
+            offset_m=[2, None],
+            is_valid=[1, 0],
+        )
+    )
+    np.testing.assert_array_equal(log.is_valid, [[True], [False]])
+    np.testing.assert_array_equal(log.offset_m, [[2.0], [np.nan]])
+
+
+def test_text_and_dictionary_columns_of_parquet_are_read(tmp_path: Path) -> None:
+    import pyarrow as pa
+
+    path = parquet(
+        tmp_path,
+        frame_id=["3", "4"],
+        line=pa.array(["1", "1"]).dictionary_encode(),
+        offset_m=[" 2.5", "-inf"],
+        is_valid=["TRUE", "0"],
+        lri=pa.nulls(2),
+    )
+    log = read_table(path)
+    np.testing.assert_array_equal(log.frame_id, [3, 4])
+    np.testing.assert_array_equal(log.offset_m, [[2.5], [-np.inf]])
+    np.testing.assert_array_equal(log.is_valid, [[True], [False]])
+    assert np.isnan(log.lri).all()
+
+
+def test_other_columns_are_ignored_with_one_warning_that_names_near_misses(tmp_path: Path) -> None:
+    path = csv(tmp_path, "frame_id,line,offset_m,isvalid,speed\n1,1,2.0,false,30\n")
+    with pytest.warns(UserWarning, match="ignored column") as said:
+        log = read_table(path)
+    assert len(said) == 1
+    assert "isvalid (did you mean 'is_valid'?), speed" in str(said[0].message)
+    assert log.is_valid.all()
+
+
+def test_the_own_columns_give_no_warning(tmp_path: Path) -> None:
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        assert len(read_table(csv(tmp_path, HEADING + "1,1,2.0,true,false,3\n"))) == 1
+
+
+def test_a_missing_column_is_refused_with_those_that_are_there(tmp_path: Path) -> None:
+    text = refused(csv(tmp_path, "frame_id,offset\n1,2.0\n"))
+    assert text == "no column line, offset_m; the table has frame_id, offset"
+    assert "no column line" in refused(parquet(tmp_path, frame_id=[1], offset_m=[2.0]))
+    assert "occurs more than once" in refused(csv(tmp_path, "frame_id,line,offset_m,line\n"))
+
+
+@pytest.mark.parametrize(
+    ("row", "said"),
+    [
+        ("x,1,2.0,true,false,3", "frame_id is 'x', not a number"),
+        ("2.5,1,2.0,true,false,3", "frame_id is 2.5, not a whole number"),
+        (",1,2.0,true,false,3", "frame_id is empty"),
+        ("2,1,two,true,false,3", "offset_m is 'two', not a number"),
+        ("2,1,2.0,yes,false,3", "is_valid is 'yes', not true, false, 1 or 0"),
+        ("2,1,2.0,,false,3", "frame 2 has a line with empty is_valid"),
+        ("2,1,2.0,true,,3", "frame 2 has a line with empty is_continuous"),
+        ("2,1,2.0,true,false,high", "lri is 'high', not a number"),
+        ("2,0,2.0,true,false,3", "line is not in 1..1000"),
+        ("2,1001,2.0,true,false,3", "line is not in 1..1000"),
+        ("2,,2.0,true,false,3", "frame 2 has an offset without a line"),
+        ("1,1,2.0,true,false,3", "frame 1 has this line twice"),
+        ("1,,,,,", "frame 1 has a row without a line beside others"),
+        ("0,1,2.0,true,false,3", "frame 0 comes after a later one"),
+        ("2,1,nan,true,false,3", "frame 2 has a valid line without a finite offset"),
+        ("2,1,-inf,true,false,3", "frame 2 has a valid line without a finite offset"),
+        ("2,1,,true,false,3", "frame 2 has a valid line without a finite offset"),
+    ],
+)
+def test_a_bad_row_is_refused_with_its_line_in_the_file(
+    tmp_path: Path, row: str, said: str
+) -> None:
+    # The blank line counts as a line of the file, as it does in an editor.
+    text = HEADING + f"1,1,2.0,true,false,3\n\n1,2,4.0,true,true,3\n{row}\n"
+    assert refused(csv(tmp_path, text)).startswith(f"line 5: {said}")
+
+
+def test_a_bad_row_of_parquet_is_refused_with_its_number(tmp_path: Path) -> None:
+    path = parquet(tmp_path, frame_id=[1, 2], line=[1, 1], offset_m=["1.0", "far"])
+    assert refused(path) == "row 2: offset_m is 'far', not a number"
+    path = parquet(tmp_path, frame_id=[1, 2], line=[1, 1], offset_m=[1.0, 2.0], is_valid=[1, 7])
+    assert refused(path) == "row 2: is_valid is '7', not true, false, 1 or 0"
+    path = parquet(tmp_path, frame_id=[1, 2], line=[1, 1], offset_m=[True, False])
+    assert refused(path) == "row 1: offset_m is 'True', not a number"
+    path = parquet(tmp_path, frame_id=[1], line=[1], offset_m=[[1.0]])
+    assert "column offset_m has type list" in refused(path)
+
+
+def test_without_is_valid_a_line_needs_an_offset(tmp_path: Path) -> None:
+    path = csv(tmp_path, "frame_id,line,offset_m\n3,1,-1.5\n3,2,\n")
+    assert refused(path).startswith("line 3: frame 3 has a line without an offset")
+
+
+@pytest.mark.parametrize("text", ["", "\n"])
+def test_an_empty_csv_is_refused(tmp_path: Path, text: str) -> None:
+    assert refused(csv(tmp_path, text)) == "the file is empty"
+
+
+def test_a_table_without_rows_is_refused(tmp_path: Path) -> None:
+    assert refused(csv(tmp_path, HEADING)) == "the table has no rows"
+    assert refused(csv(tmp_path, HEADING.strip())) == "the table has no rows"
+    assert refused(parquet(tmp_path, frame_id=[], line=[], offset_m=[])) == "the table has no rows"
+
+
+def test_what_is_no_table_is_refused(tmp_path: Path) -> None:
+    assert refused(tmp_path / "absent.csv") == "no such file"
+    (tmp_path / "a.txt").write_text(HEADING)
+    assert "unknown extension '.txt'" in refused(tmp_path / "a.txt")
+    (tmp_path / "b.parquet").write_bytes(b"PAR1 this is not one")
+    assert "not a whole Parquet file" in refused(tmp_path / "b.parquet")
+    (tmp_path / "b.csv").write_bytes(b"\xff\xfe\x80\x00")
+    assert "cannot be read as CSV" in refused(tmp_path / "b.csv")
+    assert "cannot be read as CSV" in refused(csv(tmp_path, HEADING + "1,1,2.0\n"))
+    (tmp_path / "c.csv").write_bytes(HEADING.encode() + b"1,1,\xff\xfe,true,false,3\n")
+    assert "cannot be read as CSV" in refused(tmp_path / "c.csv")
+    with pytest.raises(InputError, match="greater than 0"):
+        read_table(csv(tmp_path, HEADING), frame_rate=-1)
+
+
+def test_a_parquet_file_cut_anywhere_is_refused(tmp_path: Path) -> None:
+    whole = parquet(tmp_path, frame_id=[1, 2], line=[1, 1], offset_m=[1.0, 2.0]).read_bytes()
+    for n in range(0, len(whole), 50):
+        (tmp_path / "cut.parquet").write_bytes(whole[:n])
+        assert "not a whole Parquet file" in refused(tmp_path / "cut.parquet")
+
+
+def test_a_table_that_cannot_be_written_is_one_line_and_leaves_nothing(tmp_path: Path) -> None:
+    log = read_table(csv(tmp_path, HEADING + "1,1,2.0,true,false,3\n"))
+    with pytest.raises(InputError, match="cannot be written"):
+        write_table(tmp_path / "absent" / "b.csv", log)
+    with pytest.raises(InputError, match="unknown extension"):
+        write_table(tmp_path / "b.xlsx", log)
+    assert sorted(p.name for p in tmp_path.iterdir()) == ["a.csv"]
