@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import sys
 from pathlib import Path
 
@@ -52,6 +53,50 @@ def verify(folder: str | None) -> None:
     problems = catalog.problems(outcomes)
     click.echo(f"{len(outcomes) - len(problems)} of {len(outcomes)} files are there and good")
     _fail(problems, InputError)
+
+
+def have_recordings() -> bool:
+    """Whether the paper's recordings are at hand, after an offer to download them; if not, it has
+    been said in two lines what was looked for and how to get them."""
+    from egolane_pgm.recordings import catalog
+    from egolane_pgm.types import InputError
+
+    if _all_found():
+        return True
+    size = sum(file.size for file in catalog.list_files()) / 1e6
+    if sys.stdin.isatty() and click.confirm(
+        f"Download the paper's recordings ({size:.0f} MB) to {catalog.download_folder()}?"
+    ):
+        try:
+            problems = catalog.problems(catalog.fetch())
+        except InputError as error:
+            problems = [str(error)]
+        for line in problems:
+            click.echo(f"egolane: {line}", err=True)
+        if _all_found():
+            return True
+    places = [os.environ.get("EGOLANE_DATA", ""), str(catalog.download_folder())]
+    click.echo(
+        "The paper's recordings (rle/*.bag) are not there; looked in"
+        f" {' and '.join(place for place in places if place)}."
+    )
+    click.echo(
+        f"To get them: `egolane data fetch` ({size:.0f} MB), or set EGOLANE_DATA to the folder that"
+        " has rle/."
+    )
+    return False
+
+
+def _all_found() -> bool:
+    from egolane_pgm.recordings import catalog
+    from egolane_pgm.types import InputError
+
+    try:
+        for file in catalog.list_files():
+            catalog.find_file(file.target)
+    except InputError:
+        return False
+    return True
 
 
 def _fail(problems: list[str], error: type[Exception]) -> None:

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from egolane_pgm import __version__, _cli_recordings
+from egolane_pgm import __version__, _cli_compare, _cli_recordings
 
 if TYPE_CHECKING:
     from egolane_pgm.experiment import Experiment
@@ -225,6 +225,11 @@ def _print_run(done: Run) -> None:
     show_default=True,
 )
 @click.option("--matrices", is_flag=True, help="Print every confusion matrix too.")
+@click.option(
+    "--if-available",
+    is_flag=True,
+    help="Without the recordings: offer the download, or say how to get them, and end well.",
+)
 @click.option("--out", type=click.Path(file_okay=False), help="Keep a result directory per run.")
 @_numpy
 @_json
@@ -233,6 +238,7 @@ def reproduce(
     which: str,
     style: str,
     matrices: bool,
+    if_available: bool,
     out: str | None,
     use_numpy: bool,
     json_file: str | None,
@@ -246,6 +252,8 @@ def reproduce(
     from egolane_pgm.run import save_run
 
     numbers = paper.parse_runs(runs)
+    if if_available and not _cli_recordings.have_recordings():
+        return
     done = []
     for number in tqdm(numbers, desc="runs", unit="run", leave=False, disable=None):
         result = paper.reproduce_run(number, which, kernel=not use_numpy)
@@ -365,6 +373,7 @@ def network(graph: str, target: str, n_lanes: int) -> None:
 
 
 for _command in (
+    _cli_compare.compare,
     _cli_recordings.data,
     _cli_recordings.convert,
     _cli_recordings.simulate,

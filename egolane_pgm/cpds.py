@@ -173,8 +173,10 @@ def declare(tables: Iterable[Table], observed: Iterable[Observed]) -> DynamicBay
     Raises InputError naming the nodes where a table does not fit its parents.
     """
     with quiet():
+        import networkx as nx
         from pgmpy.factors.discrete import TabularCPD
         from pgmpy.models import DynamicBayesianNetwork
+        from pgmpy.models.DynamicBayesianNetwork import DynamicNode
 
         tables = list(tables)
         cardinality: dict[SliceNode, int] = {}
@@ -216,13 +218,16 @@ def declare(tables: Iterable[Table], observed: Iterable[Observed]) -> DynamicBay
                         )
                 else:
                     _add_edge(network, parent, table.node)
-        for parent, child in edges:
+        for parent, child in sorted(edges):
             if parent[1] == child[1] == 0 and ((parent[0], 1), (child[0], 1)) not in edges:
                 raise InputError(
                     f"{_spell(child)} depends on {_spell(parent)}, but {child[0]} at t+1 does not"
                     f" depend on {parent[0]} at t+1: give its dynamics the same parent"
                 )
         for table in tables:
+            if table.node[1] == 1:
+                # pgmpy gives a node its second slice only with an edge there.
+                nx.DiGraph.add_node(network, DynamicNode(*table.node))
             # pgmpy wants the node's axis first, the parents' combinations as columns.
             columns = table.values.reshape(-1, table.values.shape[-1]).T
             network.add_cpds(

@@ -6,7 +6,7 @@ from __future__ import annotations
 
 import hashlib
 import json
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any, Literal
 
@@ -30,7 +30,9 @@ class Recording(_Section):
     frames: tuple[int, int] | None = Field(
         default=None, description="first frame id and the one after the last"
     )
-    frame_rate: float = Field(default=10.0, gt=0, description="frames per second")
+    frame_rate: float = Field(
+        default=10.0, gt=0, allow_inf_nan=False, description="frames per second"
+    )
     missing_frames: Literal["skip", "hold", "predict"] = "skip"
     lri: Literal["as_recorded", "clip"] = "as_recorded"
     simulate: str | None = None
@@ -125,8 +127,26 @@ def resolved(experiment: Experiment, parameters: Mapping[str, Any]) -> dict[str,
 
 
 def config_hash(content: Mapping[str, Any]) -> str:
-    """sha256 of a resolved config, whatever the order of its keys."""
-    return hashlib.sha256(json.dumps(content, sort_keys=True).encode()).hexdigest()
+    """sha256 of a resolved config, whatever the order of its keys and wherever its files lie: of
+    each only the name counts here (a result directory has the checksums of their contents)."""
+    places = map_files(content, lambda key, path: Path(path).name)
+    return hashlib.sha256(json.dumps(places, sort_keys=True).encode()).hexdigest()
+
+
+def map_files(content: Mapping[str, Any], change: Callable[[str, str], str]) -> dict[str, Any]:
+    """A resolved config with `change(key, path)` for each file that it names."""
+    changed = dict(content)
+    for key in ("recording", "ground_truth"):
+        if (changed.get(key) or {}).get("path") is not None:
+            path = changed[key]["path"]
+            changed[key] = {**changed[key], "path": change(f"{key}.path", path)}
+    if (changed["recording"].get("format") or "").endswith(".py"):
+        path = changed["recording"]["format"]
+        changed["recording"] = {**changed["recording"], "format": change("format", path)}
+    for key in ("evidence", "graph"):
+        if changed[key].endswith(".py"):
+            changed[key] = change(key, changed[key])
+    return changed
 
 
 def with_recording(
@@ -137,10 +157,18 @@ def with_recording(
     frame_id: str | None = None,
 ) -> Experiment:
     """The experiment on another recording. What belongs to the old recording (frame range, seed,
-    ground truth and its extra rows) does not carry over; `ground_truth` may be "none"."""
+    ground truth and its extra rows) does not carry over, nor do `format`, `topic` and `frame_id`
+    where the extension of the file is another one; `ground_truth` may be "none"."""
     content = experiment.model_dump()
+    if experiment.recording.simulate is not None and recording is None and ground_truth == "none":
+        raise InputError(
+            f"{experiment.source}: --ground-truth none: a simulated drive brings its own;"
+            " write it to files with `egolane simulate` and run on those"
+        )
     if recording is not None:
-        kept = {"topic", "frame_id", "frame_rate", "missing_frames", "lri"}
+        kept = {"frame_rate", "missing_frames", "lri"}
+        if Path(recording).suffix == Path(experiment.recording.path or "").suffix:
+            kept |= {"format", "topic", "frame_id"}
         content["recording"] = {k: v for k, v in content["recording"].items() if k in kept}
         content["recording"]["path"] = str(Path(recording).absolute())
         content["ground_truth"] = None
@@ -160,7 +188,8 @@ def with_recording(
 
 
 def _as_name(stem: str) -> str:
-    name = "".join(c if c.isalnum() or c in "._-" else "_" for c in stem).lstrip("._-")
+    kept = (c if (c.isascii() and c.isalnum()) or c in "._-" else "_" for c in stem)
+    name = "".join(kept).lstrip("._-")
     return name or "recording"
 
 

@@ -6,11 +6,14 @@ The files of a folder whose name starts with `_` are not plugins.
 
 from __future__ import annotations
 
+import contextlib
 import hashlib
 import importlib
 import importlib.util
 import pkgutil
 import sys
+import traceback
+from collections.abc import Iterator
 from pathlib import Path
 from types import ModuleType
 
@@ -22,6 +25,10 @@ CONTRACTS = {
     "evidence": ("evidence",),
     "recordings": ("read",),
 }
+
+
+#: How the modules of users' own files are named.
+_OWN = "_egolane_plugin_"
 
 
 def plugin_names(folder: str) -> list[str]:
@@ -53,7 +60,7 @@ def _load_file(path: Path, where: str) -> ModuleType:
         raise InputError(f"{where}: no file {path}")
     # One module per path and content, so that two experiments may each have a my_graph.py.
     digest = hashlib.sha256(str(path).encode() + path.read_bytes()).hexdigest()[:16]
-    name = f"_egolane_plugin_{path.stem}_{digest}"
+    name = f"{_OWN}{path.stem}_{digest}"
     if name in sys.modules:
         return sys.modules[name]
     spec = importlib.util.spec_from_file_location(name, path)
@@ -68,3 +75,20 @@ def _load_file(path: Path, where: str) -> ModuleType:
         line = f"{type(error).__name__}: {error}"
         raise InputError(f"{where}: {path} cannot be imported: {line}") from error
     return module
+
+
+@contextlib.contextmanager
+def plugin_errors(module: ModuleType, where: str) -> Iterator[None]:
+    """Around a call into a plugin: what a user's own file raises becomes an InputError that starts
+    with `where` and names the file and its line. The package's own plugins raise as they are."""
+    try:
+        yield
+    except InputError:
+        raise
+    except Exception as error:
+        if not module.__name__.startswith(_OWN):
+            raise
+        frames = traceback.extract_tb(error.__traceback__)
+        lines = [f.lineno for f in frames if f.filename == module.__file__]
+        at = f"{module.__file__}, line {lines[-1]}" if lines else f"{module.__file__}"
+        raise InputError(f"{where}: {at}: {type(error).__name__}: {error}") from error

@@ -13,11 +13,10 @@ import yaml
 
 from egolane_pgm.experiment import Experiment, load_experiment
 from egolane_pgm.inference.filtering import filter_beliefs
+from egolane_pgm.loading import Recorded, load_recording
 from egolane_pgm.run import (
     Model,
-    Recorded,
     Run,
-    load_recording,
     make_evidence,
     prepare_model,
     run_experiment,

@@ -88,6 +88,7 @@ def write_json(path: Path, content: Mapping[str, Any]) -> None:
     Raises InputError where the file cannot be written.
     """
     text = json.dumps(plain(content), indent=1) + "\n"
+    temporary = None
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
         handle, temporary = tempfile.mkstemp(dir=path.parent, prefix=f".{path.name}.")
@@ -97,10 +98,14 @@ def write_json(path: Path, content: Mapping[str, Any]) -> None:
         os.replace(temporary, path)
     except OSError as error:
         raise InputError(f"{path}: cannot be written: {error.strerror}") from error
+    finally:
+        if temporary is not None:
+            Path(temporary).unlink(missing_ok=True)
 
 
 def check_writable(directory: Path) -> None:
     """Raise InputError where a result could not be put there: before anything is computed."""
+    check_place(directory)
     if directory.exists():
         if not directory.is_dir():
             raise InputError(f"{directory}: is a file, not a directory")
@@ -108,11 +113,21 @@ def check_writable(directory: Path) -> None:
             raise InputError(
                 f"{directory}: exists and is not a result directory; name another one with --out"
             )
-    nearest = directory.absolute().parent
-    while not nearest.exists():
-        nearest = nearest.parent
-    if not nearest.is_dir() or not os.access(nearest, os.W_OK):
-        raise InputError(f"{directory}: cannot be written, {nearest} is not a writable directory")
+
+
+def check_place(path: Path) -> None:
+    """Raise InputError where no file or directory of that name could be put."""
+    nearest = path.absolute().parent
+    try:
+        while not nearest.exists():
+            nearest = nearest.parent
+        # Permissions alone do not tell (root, read-only file systems); nothing is left behind.
+        with tempfile.TemporaryFile(dir=nearest):
+            pass
+    except OSError as error:
+        raise InputError(
+            f"{path}: cannot be written, {nearest} is not a writable directory ({error.strerror})"
+        ) from error
 
 
 def make_directory(directory: Path) -> None:
@@ -143,16 +158,28 @@ def staged(directory: Path) -> Iterator[Path]:
         yield temporary
         temporary.chmod(0o755)
         if directory.exists():
-            old = temporary.with_name(temporary.name + "-old")
-            directory.rename(old)
-            temporary.rename(directory)
-            shutil.rmtree(old)
+            _replace(directory, temporary)
         else:
             temporary.rename(directory)
     except OSError as error:
         raise InputError(f"{directory}: cannot be written: {error.strerror or error}") from error
     finally:
         shutil.rmtree(temporary, ignore_errors=True)
+
+
+def _replace(directory: Path, new: Path) -> None:
+    """Put `new` in the place of `directory`, which stays as it was where that fails."""
+    old = new.with_name(new.name + "-old")
+    try:
+        directory.rename(old)
+        new.rename(directory)
+    except BaseException:
+        if old.exists() and not directory.exists():
+            old.rename(directory)
+        raise
+    finally:
+        if directory.exists():
+            shutil.rmtree(old, ignore_errors=True)
 
 
 def write_result(
@@ -197,11 +224,19 @@ def read_result(directory: str | Path) -> Result:
         table = parquet.read_table(directory / "beliefs.parquet")
     except (OSError, ValueError, yaml.YAMLError) as error:
         raise InputError(f"{directory}: cannot be read: {' '.join(str(error).split())}") from error
-    if run.get("schema_version") != SCHEMA_VERSION:
+    version = run.get("schema_version") if isinstance(run, dict) else None
+    if version != SCHEMA_VERSION:
         raise InputError(
-            f"{directory}: has schema version {run.get('schema_version')}, this program reads"
+            f"{directory}: has schema version {version}, this program reads"
             f" {SCHEMA_VERSION}; run the experiment again"
         )
+    try:
+        return _as_result(directory, experiment, run, scores, table)
+    except KeyError as error:
+        raise InputError(f"{directory}: is damaged, it lacks {error}; run it again") from error
+
+
+def _as_result(directory: Path, experiment: Any, run: Any, scores: Any, table: Any) -> Result:
     column = {name: table.column(name) for name in table.column_names}
 
     def stack(names: list[str]) -> FloatArray:

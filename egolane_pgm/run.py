@@ -2,14 +2,10 @@
 
 from __future__ import annotations
 
-import hashlib
-import platform
-import subprocess
-import warnings
-from collections.abc import Callable, Mapping, Sequence
+import shutil
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from datetime import UTC, datetime
-from importlib import metadata
 from inspect import signature
 from pathlib import Path
 from types import ModuleType
@@ -25,19 +21,12 @@ from egolane_pgm.experiment import (
 )
 from egolane_pgm.inference.compile import Compiled, compile_network, with_tables
 from egolane_pgm.inference.filtering import filter_beliefs, read_evidence
+from egolane_pgm.loading import Recorded, load_recording
 from egolane_pgm.plugins import load_plugin
-from egolane_pgm.recordings import read_lines
-from egolane_pgm.recordings.catalog import find_file
-from egolane_pgm.recordings.ground_truth import read_ground_truth
-from egolane_pgm.recordings.select import (
-    clip_lri,
-    fill_missing,
-    join,
-    recording_warnings,
-    select_frames,
-)
+from egolane_pgm.provenance import file_sha256, git_state, versions
 from egolane_pgm.results import staged, write_result
 from egolane_pgm.scoring.assign import assigned_lane
+from egolane_pgm.scoring.confusion import accuracy, macro_f1
 from egolane_pgm.scoring.summary import score_all
 from egolane_pgm.types import (
     UNASSIGNED,
@@ -45,28 +34,13 @@ from egolane_pgm.types import (
     Evidence,
     FloatArray,
     InputError,
-    IntArray,
     LaneTruth,
     LineLog,
     Parameter,
     Value,
     resolve_parameters,
 )
-
-
-@dataclass(frozen=True)
-class Recorded:
-    """What an experiment is run on.
-
-    log: T frames. truth: the annotated frames among them, in order, or None. scored (K,): which
-    frames of the log those are. files: what was read. notes: what is odd about it, a line each.
-    """
-
-    log: LineLog
-    truth: LaneTruth | None
-    scored: IntArray
-    files: tuple[Path, ...]
-    notes: tuple[str, ...]
+from egolane_pgm.validation import BLOCK_FRAMES, bootstrap_interval, confusion_counts
 
 
 @dataclass(frozen=True)
@@ -153,12 +127,23 @@ def run_experiment(
 
 
 def score(recorded: Recorded, belief: FloatArray, frame_rate: float) -> dict[str, Any]:
-    """Every score of a belief (T, n) over the annotated frames of a recording."""
+    """Every score of a belief (T, n) over the annotated frames of a recording, and `intervals`:
+    95 % block-bootstrap intervals [low, high] of accuracy and f1, None for a short drive."""
     assert recorded.truth is not None
     truth = recorded.truth
-    return score_all(
-        belief[recorded.scored], truth.lane, truth.is_crossing, truth.frame_id, frame_rate
-    )
+    belief = belief[recorded.scored]
+    scores = score_all(belief, truth.lane, truth.is_crossing, truth.frame_id, frame_rate)
+    return {**scores, "intervals": _intervals(belief, truth)}
+
+
+def _intervals(belief: FloatArray, truth: LaneTruth) -> dict[str, list[float] | None]:
+    statistics = {"accuracy": accuracy, "f1": macro_f1}
+    if len(truth) < 2 * BLOCK_FRAMES:
+        return dict.fromkeys(statistics)
+    assigned = assigned_lane(belief)
+    counts = confusion_counts(assigned, truth.lane, truth.is_crossing, belief.shape[1])
+    found = {name: bootstrap_interval(counts, of) for name, of in statistics.items()}
+    return {name: [interval.low, interval.high] for name, interval in found.items()}
 
 
 def prepare_model(experiment: Experiment) -> Model:
@@ -278,78 +263,6 @@ def _tentative(rule: ModuleType, evidence: Evidence, n_lanes: int) -> FloatArray
     return np.where(total > 0, values / np.where(total > 0, total, 1), 1 / n_lanes)
 
 
-def load_recording(experiment: Experiment) -> Recorded:
-    """Read and select the frames of an experiment, and join its ground truth.
-
-    Raises InputError for files that cannot be used. What is odd but usable is in `notes`.
-    """
-    with warnings.catch_warnings(record=True) as caught:
-        warnings.simplefilter("always")
-        log, truth, files = _read_sources(experiment)
-    notes = [str(w.message) for w in caught if issubclass(w.category, UserWarning)]
-    recording = experiment.recording
-    first, stop = recording.frames or (None, None)
-    log = select_frames(log, first, stop)
-    log = fill_missing(log, recording.missing_frames, recording.frame_rate)
-    max_lri = float(experiment.parameters.get("max_lri", 10))
-    if recording.lri == "clip":
-        log = clip_lri(log, max_lri)
-    notes += recording_warnings(log, experiment.n_lanes, max_lri)
-    if truth is None:
-        return Recorded(log, None, np.zeros(0, dtype=np.int64), tuple(files), tuple(notes))
-    truth.check_lanes(experiment.n_lanes)
-    both = join(log, truth)
-    if both.log_dropped:
-        notes.append(
-            f"{log.source}: {both.log_dropped} of {len(log)} frames have no ground truth;"
-            " filtered, not scored"
-        )
-    return Recorded(log, truth.take(both.truth), both.log, tuple(files), tuple(notes))
-
-
-def _read_sources(experiment: Experiment) -> tuple[LineLog, LaneTruth | None, list[Path]]:
-    recording = experiment.recording
-    files: list[Path] = []
-    truth = None
-    if recording.simulate is not None:
-        from egolane_pgm.simulation import simulate
-
-        drive = simulate(recording.simulate, seed=recording.seed, n_lanes=experiment.n_lanes)
-        log, truth = drive.log, drive.truth
-    else:
-        assert recording.path is not None
-        path = _find(recording.path, experiment, "recording.path")
-        files.append(path)
-        log = _read_log(path, experiment)
-    if experiment.ground_truth is not None:
-        path = _find(experiment.ground_truth.path, experiment, "ground_truth.path")
-        files.append(path)
-        truth = read_ground_truth(path, experiment.ground_truth.extra_rows)
-    return log, truth, files
-
-
-def _find(path: str, experiment: Experiment, key: str) -> Path:
-    try:
-        return find_file(path, experiment.folder)
-    except InputError as error:
-        raise InputError(f"{experiment.source}: {key}: {error}") from error
-
-
-def _read_log(path: Path, experiment: Experiment) -> LineLog:
-    recording = experiment.recording
-    options: dict[str, Any] = {"frame_rate": recording.frame_rate}
-    if recording.topic is not None:
-        options["topic"] = recording.topic
-    if recording.frame_id != "way_id":
-        options["frame_id"] = recording.frame_id
-    if recording.format is not None and recording.format.endswith(".py"):
-        where = f"{experiment.source}: recording.format"
-        reader = load_plugin("recordings", recording.format, experiment.folder, where)
-        log: LineLog = reader.read(path, **options)
-        return log
-    return read_lines(path, recording.format, **options)
-
-
 def save_run(run: Run, directory: str | Path, draw: Callable[[Path], None] | None = None) -> Path:
     """Write a result directory (`results` says what is in it); an existing one is replaced as a
     whole. `draw` is given the directory before it has its name, to add figures.
@@ -361,7 +274,7 @@ def save_run(run: Run, directory: str | Path, draw: Callable[[Path], None] | Non
     with staged(directory) as folder:
         write_result(
             folder,
-            experiment=content,
+            experiment=_portable(run, content, folder),
             run=_provenance(run, content),
             scores=summary(run),
             columns=_columns(run),
@@ -369,6 +282,23 @@ def save_run(run: Run, directory: str | Path, draw: Callable[[Path], None] | Non
         if draw is not None:
             draw(folder)
     return directory
+
+
+def _portable(run: Run, content: Mapping[str, Any], folder: Path) -> dict[str, Any]:
+    """The config as it can be run from the result directory: plugin files of one's own are copied
+    into it, files that lay beside the YAML are named in full."""
+    portable = {**content}
+    for key, module in (("evidence", run.model.rule), ("graph", run.model.graph)):
+        if str(content[key]).endswith(".py") and module.__file__:
+            copy = f"{key}_{Path(module.__file__).name}"
+            shutil.copyfile(module.__file__, folder / copy)
+            portable[key] = f"./{copy}"
+    for key in ("recording", "ground_truth"):
+        section = content[key]
+        if section and section["path"] and (run.experiment.folder / section["path"]).is_file():
+            path = (run.experiment.folder / section["path"]).absolute()
+            portable[key] = {**section, "path": str(path)}
+    return portable
 
 
 def summary(run: Run) -> dict[str, Any]:
@@ -448,12 +378,6 @@ def _columns(run: Run) -> dict[str, np.ndarray[Any, Any]]:
     return columns
 
 
-def file_sha256(path: Path) -> str:
-    """The checksum of a file."""
-    with path.open("rb") as file:
-        return hashlib.file_digest(file, "sha256").hexdigest()
-
-
 def _plugin_files(model: Model) -> dict[str, dict[str, str]]:
     files = {"evidence": model.rule.__file__, "graph": model.graph.__file__}
     return {
@@ -461,36 +385,3 @@ def _plugin_files(model: Model) -> dict[str, dict[str, str]]:
         for kind, f in files.items()
         if f
     }
-
-
-def versions(
-    packages: Sequence[str] = ("egolane-pgm", "numpy", "numba", "pgmpy", "rosbags", "pyarrow"),
-) -> dict[str, str]:
-    """Versions of Python and of the packages that numbers depend on."""
-    found = {"python": platform.python_version()}
-    for name in packages:
-        try:
-            found[name] = metadata.version(name)
-        except metadata.PackageNotFoundError:
-            found[name] = "not installed"
-    return found
-
-
-def git_state() -> dict[str, Any] | None:
-    """Commit and whether the package's own checkout is dirty; None where it is no checkout."""
-    folder = Path(__file__).parent
-
-    def git(*words: str) -> str | None:
-        try:
-            done = subprocess.run(
-                ["git", "-C", str(folder), *words], capture_output=True, text=True, timeout=10
-            )
-        except (OSError, subprocess.SubprocessError):
-            return None
-        return done.stdout.strip() if done.returncode == 0 else None
-
-    # An installed package may lie in somebody else's checkout: that commit says nothing of ours.
-    if git("ls-files", "--error-unmatch", "run.py") is None:
-        return None
-    commit, status = git("rev-parse", "HEAD"), git("status", "--porcelain")
-    return {"commit": commit, "dirty": bool(status)} if commit else None

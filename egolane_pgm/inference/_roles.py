@@ -209,7 +209,8 @@ class Roles:
                         " deterministic function of its parents (a table of zeros and ones)"
                     )
                 index = tuple(self.values[p] for p, _ in table.parents)
-                self.values[name] = table.values.argmax(axis=-1)[index]
+                value = np.asarray(table.values.argmax(axis=-1))[index]
+                self.values[name] = np.broadcast_to(value, self.values[self.state[0]].shape)
                 waiting.remove(name)
 
 

@@ -96,30 +96,33 @@ def _run(
 ) -> tuple[FloatArray, FloatArray, FloatArray, BoolArray]:
     if method not in METHODS:
         raise InputError(f"filter '{method}'{suggestion(method, METHODS)}")
-    columns, start, emission = pack(compiled, evidence)
+    blocks, start, emission = _blocks(compiled, evidence)
     input_index = _input_index(compiled, evidence)
     node_column, n_columns = node_columns(compiled)
     n_frames = len(evidence)
-    is_first = state is None
     joint = np.zeros(compiled.n_states) if state is None else state.joint.copy()
     marginals = np.zeros((n_frames, n_columns))
     log_evidence = np.zeros(n_frames)
     is_impossible = np.zeros(n_frames, dtype=bool)
     run: Any
+    values: Any
     if kernel:
-        from egolane_pgm.inference.kernels import filter_frames as run
+        from egolane_pgm.inference.kernels import filter_blocks as run
+
+        values = blocks
     else:
         run = _filter_frames_numpy
+        values = np.concatenate(blocks, axis=1)
     run(
         joint,
-        is_first,
+        state is None,
         method == "assumed_density",
         compiled.prior,
         compiled.transition,
         input_index,
         emission,
         start,
-        columns,
+        values,
         node_column,
         len(compiled.state_nodes),
         marginals,
@@ -178,12 +181,22 @@ def pack(compiled: Compiled, evidence: Evidence) -> tuple[FloatArray, IntArray, 
     Raises InputError naming an observed node without evidence, evidence without a node, or a
     wrong shape.
     """
+    blocks, start, emission = _blocks(compiled, evidence)
+    return np.concatenate(blocks, axis=1), start, emission
+
+
+def _blocks(
+    compiled: Compiled, evidence: Evidence
+) -> tuple[list[FloatArray], IntArray, FloatArray]:
+    """As `pack`, but the evidence of each group as an array (T, K) of its own."""
     _check_keys(compiled, evidence)
-    blocks = [_group_evidence(group, evidence.likelihoods) for group in compiled.groups]
-    start = np.cumsum([0] + [block.shape[1] for block in blocks])
-    columns = np.ascontiguousarray(np.concatenate(blocks, axis=1), dtype=np.float64)
+    blocks = [
+        np.ascontiguousarray(_group_evidence(group, evidence.likelihoods), dtype=np.float64)
+        for group in compiled.groups
+    ]
+    start = np.cumsum([0] + [block.shape[1] for block in blocks]).astype(np.int64)
     emission = np.ascontiguousarray(np.concatenate([g.emission for g in compiled.groups], axis=1))
-    return columns, start.astype(np.int64), emission
+    return blocks, start, emission
 
 
 def _check_keys(compiled: Compiled, evidence: Evidence) -> None:

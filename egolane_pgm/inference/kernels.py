@@ -1,15 +1,28 @@
-"""The numba kernel of the filters; `filtering` has its NumPy twin."""
+"""The numba kernels of the filters; `filtering` has their NumPy twin.
+
+`filter_frames` is the recursion for networks of any size, one frame after the other. Long
+recordings and small networks go through `filter_blocks`, which has a kernel compiled for the size
+(`_unrolled`) do all frames whose likelihood is an ordinary number, and `filter_frames` the rest.
+`confusion_counts` filters many parameter sets side by side and keeps only their confusions.
+"""
 
 from __future__ import annotations
 
+import hashlib
 import math
+from collections.abc import Callable, Sequence
+from functools import lru_cache
+from typing import Any
 
+import numpy as np
 from numba import njit
 
+from egolane_pgm.inference import _unrolled
+from egolane_pgm.inference._unrolled import BATCH, HUGE, TINY, Size
 from egolane_pgm.types import BoolArray, FloatArray, IntArray
 
-#: Below this a frame's joint likelihood is computed again from scaled evidence.
-TINY = 1e-250
+#: Shorter sequences are not worth loading a kernel that is compiled for the network's size.
+MIN_FRAMES = 1000
 
 
 @njit(cache=True)
@@ -66,7 +79,8 @@ def filter_frames(
             joint[s] = predicted[s] * likelihood
             total += joint[s]
         log_scale = 0.0
-        if total < TINY:
+        # Too small or too large to trust, or NaN (infinity times zero): scale the evidence first.
+        if not TINY < total < HUGE:
             total = 0.0
             for g in range(n_groups):
                 largest = 0.0
@@ -106,3 +120,140 @@ def filter_frames(
                 for h in range(n_persistent):
                     product *= marginals[t, node_column[h, s]]
                 joint[s] = product
+
+
+def filter_blocks(
+    joint: FloatArray,
+    is_first: bool,
+    is_factored: bool,
+    prior: FloatArray,
+    transition: FloatArray,
+    input_index: IntArray,
+    emission: FloatArray,
+    group_start: IntArray,
+    blocks: Sequence[FloatArray],
+    node_column: IntArray,
+    n_persistent: int,
+    marginals: FloatArray,
+    log_evidence: FloatArray,
+    is_impossible: BoolArray,
+) -> None:
+    """As `filter_frames`, with the evidence of each group in an array of its own, (T, K).
+
+    The last three arrays have to come filled with zeros.
+    """
+    n_frames = len(log_evidence)
+    size = kernel_size(group_start, node_column, n_persistent, is_factored)
+
+    def plain(start: int, stop: int) -> None:
+        here = slice(start, stop)
+        filter_frames(
+            joint,
+            is_first and start == 0,
+            is_factored,
+            prior,
+            transition,
+            input_index[here],
+            emission,
+            group_start,
+            np.concatenate([block[here] for block in blocks], axis=1),
+            node_column,
+            n_persistent,
+            marginals[here],
+            log_evidence[here],
+            is_impossible[here],
+        )
+
+    if n_frames < MIN_FRAMES or len(transition) > 1 or not size.is_small:
+        plain(0, n_frames)
+        return
+    run = _filter_kernel(size)
+    width = _unrolled.padded(size.n_states)
+    tables = np.zeros((size.n_rows, width))
+    tables[:, : size.n_states] = np.concatenate([transition[0], emission.T])
+    carried = np.zeros(width)
+    done = 0
+    if is_first:
+        plain(0, 1)
+        done = 1
+    at_once = 1
+    while done < n_frames:
+        carried[: size.n_states] = joint
+        stop = run(carried, tables.ravel(), done, marginals, log_evidence, *blocks)
+        joint[:] = carried[: size.n_states]
+        np.log(log_evidence[done:stop], out=log_evidence[done:stop])
+        # Where nearly all frames are out of range, more and more of them are done at once.
+        at_once = 2 * at_once if stop == done else 1
+        done = min(stop + at_once, n_frames)
+        if stop < n_frames:
+            plain(stop, done)
+
+
+def kernel_size(
+    group_start: IntArray, node_column: IntArray, n_persistent: int, is_factored: bool
+) -> Size:
+    """The size that a kernel is compiled for."""
+    sizes = tuple(int(n) for n in np.diff(group_start))
+    return Size(sizes, tuple(map(tuple, node_column.tolist())), n_persistent, bool(is_factored))
+
+
+def confusion_counts(
+    size: Size,
+    lanes: tuple[int, ...],
+    prior: FloatArray,
+    tables: FloatArray,
+    blocks: Sequence[FloatArray],
+    column: IntArray,
+    tolerance: float,
+) -> IntArray | None:
+    """The confusions (P, n + 1, n) of P parameter sets, or None where a frame's likelihood is out
+    of range for one of them.
+
+    lanes: the columns of the marginals that are Lane's. prior (P, S). tables (P, R, S): each set's
+    transition, then the columns of its emissions. blocks: per group its evidence (T, K). column
+    (T,): the true lane's index, -1 where a frame is not scored. tolerance: a runner-up within it
+    of the maximum, relative, makes a frame Unassigned, the last row.
+    """
+    run = _confusion_kernel(size, lanes)
+    n_sets = len(prior)
+    counts = np.zeros((n_sets, len(lanes) + 1, len(lanes)), dtype=np.int64)
+    for start in range(0, n_sets, BATCH):
+        # The last batch is filled up with the last set.
+        chosen = np.minimum(np.arange(start, start + BATCH), n_sets - 1)
+        later = np.ascontiguousarray(tables[chosen].transpose(1, 2, 0))
+        # Before the first frame nothing moves.
+        first = later.copy()
+        first[: size.n_states] = np.eye(size.n_states)[:, :, None]
+        joint = np.ascontiguousarray(prior[chosen].T)
+        found = np.zeros((BATCH, *counts.shape[1:]), dtype=np.int64)
+        parts = ((first, 0, 1), (later, 1, len(column)))
+        for table, begin, stop in parts:
+            evidence = [block[:stop] for block in blocks]
+            if not run(joint, table.ravel(), begin, column[:stop], tolerance, found, *evidence):
+                return None
+        counts[start : start + BATCH] = found[: n_sets - start]
+    return counts
+
+
+def _compiled(kind: str, write: Callable[[str], str]) -> Any:
+    """The function that `write(name)` is the source of, compiled, and cached on disk.
+
+    numba tells cached functions apart by name and byte code, which leaves out the constants: the
+    name has to be unique to the source. The file makes the cache notice an edit of it.
+    """
+    digest = hashlib.sha256(write(kind).encode()).hexdigest()[:16]
+    name = f"{kind}_{digest}"
+    namespace: dict[str, Any] = {"np": np, "__name__": __name__}
+    exec(compile(write(name), _unrolled.__file__, "exec"), namespace)
+    # Fusing a multiplication with an addition is all that is allowed: NaN and infinity stay.
+    return njit(cache=True, fastmath={"contract"})(namespace[name])
+
+
+@lru_cache(maxsize=64)
+def _filter_kernel(size: Size) -> Any:
+    return _compiled("filter", lambda name: _unrolled.filter_source(name, size))
+
+
+@lru_cache(maxsize=64)
+def _confusion_kernel(size: Size, lanes: tuple[int, ...]) -> Any:
+    return _compiled("confusion", lambda name: _unrolled.confusion_source(name, size, lanes))

@@ -18,7 +18,6 @@ from egolane_pgm.report.style import (
     CROSSING,
     FAINT,
     INK,
-    NO_DATA,
     PROBABILITY_COLOURS,
     answers,
     axes_at,
@@ -43,8 +42,9 @@ MAX_COLUMNS = 1300
 MAX_ROWS = 8
 
 # Inches.
-_WIDTH, _LEFT, _RIGHT = 9.0, 1.55, 0.25
-_LANE, _STRIP_MIN, _STRIP_GAP, _TICKS, _LABEL = 0.2, 0.78, 0.07, 0.22, 0.2
+_WIDTH, _LEFT, _RIGHT = 9.0, 1.5, 0.2
+_LANE, _STRIP_MIN, _STRIP_GAP = 0.2, 0.78, 0.07
+_TICKS, _ROW_GAP, _HEAD, _FOOT = 0.2, 0.14, 0.42, 0.72
 
 
 @dataclass(frozen=True)
@@ -160,9 +160,9 @@ def strips_figure(result: Result, first: int | None = None, last: int | None = N
     rows = [strip_columns(result, a, b) for a, b in split_range(low, high)]
     strip = max(_STRIP_MIN, _LANE * result.n_lanes)
     n_strips = len(rows[0].beliefs) + (rows[0].truth is not None)
-    block = n_strips * (strip + _STRIP_GAP) + 2 * _TICKS + 0.12
-    head, foot = 0.35 + _LABEL, _LABEL + 0.62
-    figure = new_figure(_WIDTH, head + len(rows) * block + foot)
+    block = n_strips * (strip + _STRIP_GAP) - _STRIP_GAP + 2 * _TICKS
+    end = _HEAD + len(rows) * (block + _ROW_GAP) - _ROW_GAP
+    figure = new_figure(_WIDTH, end + _FOOT)
     averaged = rows[0].frames_per_column
     note = f"; each column is the mean of up to {averaged} frames" if averaged > 1 else ""
     figure.text(
@@ -172,16 +172,14 @@ def strips_figure(result: Result, first: int | None = None, last: int | None = N
         fontsize=10,
         va="top",
     )
-    # Rows of one sheet have one scale, though a row may be a frame shorter than another.
-    longest = max(len(s.edge) and s.last - s.first + 1 for s in rows)
+    # Rows of one sheet have one scale, though one may be a frame shorter than another.
+    longest = max(s.last - s.first + 1 for s in rows)
     for k, strips in enumerate(rows):
-        _draw_row(figure, result, strips, head + k * block, strip, longest)
-    across = (_LEFT + (_WIDTH - _RIGHT)) / 2 / _WIDTH
-    down = figure.get_figheight()
-    figure.text(across, 1 - (head - 0.02) / down, "frame id", fontsize=9, ha="center", va="bottom")
-    end = head + len(rows) * block
-    figure.text(across, 1 - (end - 0.1) / down, "time [s]", fontsize=9, ha="center", va="top")
-    _draw_legend(figure, rows, end + _LABEL + 0.12)
+        _draw_row(figure, result, strips, _HEAD + k * (block + _ROW_GAP), strip, longest)
+    middle, down = (_LEFT + _WIDTH - _RIGHT) / 2 / _WIDTH, figure.get_figheight()
+    figure.text(middle, 1 - _HEAD / down, "frame id", fontsize=9, ha="center", va="bottom")
+    figure.text(middle, 1 - end / down, "time [s]", fontsize=9, ha="center", va="top")
+    _draw_legend(figure, result, rows, end + 0.26)
     return figure
 
 
@@ -211,7 +209,7 @@ def _draw_row(
             for edge in (e for crossing in strips.crossings for e in crossing):
                 ax.axvline(edge - 0.5, color=INK, linewidth=0.5, linestyle=(0, (3, 2)))
         ax.text(
-            -1.4, 0.5, name, transform=_inches_beside(ax), rotation=90, fontsize=9,
+            -1.3, 0.5, name.replace(" ", "\n"), transform=_inches_beside(ax), rotation=90, fontsize=9,
             fontweight="bold", ha="center", va="center",
         )  # fmt: skip
         ax.set_yticks(range(1, len(image) + 1), lane_names(len(image)), fontsize=8)
@@ -262,52 +260,47 @@ def _draw_strip(ax: Axes, image: FloatArray, strips: Strips) -> None:
     ax.set_ylim(extent[2], extent[3])
 
 
-def _draw_legend(figure: Figure, rows: list[Strips], top: float) -> None:
+def _draw_legend(figure: Figure, result: Result, rows: list[Strips], top: float) -> None:
     from matplotlib.cm import ScalarMappable
     from matplotlib.colors import LinearSegmentedColormap, Normalize
     from matplotlib.lines import Line2D
     from matplotlib.patches import Patch
 
     ramp = LinearSegmentedColormap.from_list("probability", PROBABILITY_COLOURS)
-    bar = axes_at(figure, _LEFT, top, 1.9, 0.13)
+    bar = axes_at(figure, _LEFT, top, 1.6, 0.13)
     bar.set_label("colour bar")
     figure.colorbar(ScalarMappable(Normalize(0, 1), ramp), cax=bar, orientation="horizontal")
     bar.tick_params(labelsize=8, pad=1.5)
     bar.set_xlabel("probability of the lane", fontsize=8, labelpad=1)
     entries: list[Patch | Line2D] = []
     if any(s.is_crossing.any() for s in rows):
-        entries.append(Patch(facecolor=CROSSING, label="changing lane (ground truth)"))
-        entries.append(
-            Line2D([], [], color=INK, linewidth=0.8, linestyle=(0, (3, 2)),
-                   label="begin, end of the change")
-        )  # fmt: skip
-    missing = any(np.isnan(next(iter(s.beliefs.values()))).any() for s in rows)
-    unknown = any(
-        s.truth is not None and (np.isnan(s.truth[0]) & ~s.is_crossing).any() for s in rows
-    )
-    if missing or unknown:
-        label = "no frame recorded" if missing else "not annotated"
-        if missing and unknown and _has_unannotated(rows):
-            label = "no frame, or not annotated"
-        entries.append(Patch(facecolor="white", edgecolor=NO_DATA, hatch="//////", label=label))
+        line = {"color": INK, "linewidth": 0.8, "linestyle": (0, (3, 2))}
+        entries.append(Patch(facecolor=CROSSING, label="lane change (ground truth)"))
+        entries.append(Line2D([], [], label="its begin and end", **line))
+    reasons = blank_reasons(result, rows[0].first, rows[-1].last)
+    if reasons:
+        label = " or ".join(reasons)
+        entries.append(Patch(facecolor="white", edgecolor=FAINT, hatch="//////", label=label))
     if entries:
         figure.legend(
             handles=entries,
             loc="upper right",
-            bbox_to_anchor=(1 - _RIGHT / _WIDTH, 1 - (top - 0.06) / figure.get_figheight()),
-            ncols=len(entries),
+            bbox_to_anchor=(1 - _RIGHT / _WIDTH, 1 - (top - 0.02) / figure.get_figheight()),
+            ncols=len(entries) if len(reasons) < 2 else 2,
             frameon=False,
             fontsize=8,
             borderaxespad=0,
+            columnspacing=1.2,
         )
 
 
-def _has_unannotated(rows: list[Strips]) -> bool:
-    """Whether some recorded frame has neither a lane nor a crossing flag."""
-    return any(
-        s.truth is not None
-        and (
-            np.isnan(s.truth[0]) & ~s.is_crossing & ~np.isnan(next(iter(s.beliefs.values()))[0])
-        ).any()
-        for s in rows
-    )
+def blank_reasons(result: Result, first: int, last: int) -> list[str]:
+    """Why a strip is blank somewhere in the range of frame ids, for the legend."""
+    chosen = (result.frame_id >= first) & (result.frame_id <= last)
+    reasons = []
+    if chosen.sum() < last - first + 1:
+        reasons.append("no frame recorded")
+    unknown = result.true_lane == UNASSIGNED
+    if unknown[chosen].any() and not unknown.all():
+        reasons.append("not annotated")
+    return reasons

@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 
 FORMATS = (".png", ".svg", ".pdf")
 
-INK, FAINT, CROSSING, NO_DATA = "#222222", "#b8b8b8", "#8c8c8c", "#dedede"
+INK, FAINT, CROSSING = "#222222", "#b8b8b8", "#8c8c8c"
 
 #: Detector and model wherever they share one pair of axes: Okabe and Ito's vermillion and blue.
 DETECTOR_COLOUR, MODEL_COLOUR = "#d55e00", "#0072b2"

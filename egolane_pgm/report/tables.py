@@ -90,6 +90,12 @@ def scores_table(scores: Mapping[str, Mapping[str, Any]]) -> str:
         + [number(d["median_frames"], 1) for d in delays]
     )
     rows.append(["lane changes missed", *(number(d["share_missed"]) for d in delays)])
+    for key, label in (("accuracy", "accuracy"), ("f1", "F1 (mean)")):
+        found = [scores[c]["intervals"][key] for c in columns]
+        if all(found):
+            rows.append(
+                [f"{label}, 95 % interval", *(f"{low:.3f} .. {high:.3f}" for low, high in found)]
+            )
     return markdown(["score", *columns], rows)
 
 

@@ -1,0 +1,75 @@
+"""Several graphs side by side on the paper's recordings."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+from egolane_pgm.experiment import Experiment, load_experiment
+from egolane_pgm.loading import load_recording
+from egolane_pgm.plugins import load_plugin
+from egolane_pgm.reproduce import load_published, paper_experiment, parameters_for
+from egolane_pgm.run import declared_parameters, run_experiment
+
+SCHEMA_VERSION = 1
+
+
+@dataclass(frozen=True)
+class Compared:
+    """One run under several graphs. scores: per graph (and "detector") as `score_all` gives them;
+    mean_log_evidence: per graph."""
+
+    number: int
+    scores: Mapping[str, Mapping[str, Any]]
+    mean_log_evidence: Mapping[str, float]
+
+
+def compare_graphs(number: int, graphs: Sequence[str], which: str = "recovered") -> Compared:
+    """One of the paper's runs under each graph, with the paper's parameters as far as the graph
+    has them: nothing is tuned for the other graphs, and the paper's values are in-sample."""
+    experiment = load_experiment(paper_experiment(number))
+    parameters = parameters_for(load_published()[number], which)
+    recorded = load_recording(experiment)
+    scores: dict[str, Mapping[str, Any]] = {}
+    log_evidence: dict[str, float] = {}
+    for graph in graphs:
+        run = run_experiment(_under(experiment, graph, parameters), recorded=recorded)
+        scores.setdefault("detector", run.scores["detector"])
+        scores[graph] = run.scores["model"]
+        log_evidence[graph] = run.beliefs.mean_log_evidence
+    return Compared(number, scores, log_evidence)
+
+
+def _under(experiment: Experiment, graph: str, parameters: Mapping[str, Any]) -> Experiment:
+    """The experiment with another graph and those of the parameters that it declares."""
+    where = experiment.source
+    rule = load_plugin("evidence", experiment.evidence, experiment.folder, f"{where}: evidence")
+    module = load_plugin("graphs", graph, experiment.folder, f"{where}: graph")
+    known = {spec.name for spec in declared_parameters(rule, module)}
+    kept = {name: value for name, value in parameters.items() if name in known}
+    return experiment.model_copy(update={"graph": graph, "parameters": kept})
+
+
+def compare_rows(compared: Sequence[Compared], key: str) -> tuple[list[str], list[list[str]]]:
+    """Header and rows: one score, a row per run, a column per graph and one for the detector."""
+    names = list(compared[0].scores)
+    rows = [[str(c.number), *(f"{c.scores[name][key]:.3f}" for name in names)] for c in compared]
+    return ["run", *names], rows
+
+
+def compare_json(compared: Sequence[Compared], which: str) -> dict[str, Any]:
+    """What `egolane compare --json` writes."""
+    return {
+        "schema_version": SCHEMA_VERSION,
+        "parameters": which,
+        "tuned_on": "same_frames",
+        "runs": [
+            {
+                "run": c.number,
+                "scores": dict(c.scores),
+                "mean_log_evidence": dict(c.mean_log_evidence),
+            }
+            for c in compared
+        ],
+    }

@@ -1,0 +1,261 @@
+"""Error-dispersion charts: how far off the answers are, in lanes (the paper's Figures
+`fig:graph-all-italy`, `fig:graph-all-spain` and `fig:comparisonBV-run3`).
+
+Bars are shares of the annotated, non-crossing frames: right, off by 1, 2, ... lanes, Unassigned.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from egolane_pgm.report.style import (
+    FAINT,
+    INK,
+    RIGHT_COLOUR,
+    UNASSIGNED_COLOUR,
+    answers,
+    axes_at,
+    check_figure_path,
+    is_scored,
+    new_figure,
+    off_colours,
+    percent,
+    plain_style,
+    save,
+    text_colour,
+    title_of,
+)
+from egolane_pgm.results import Result
+from egolane_pgm.scoring.confusion import check_confusion, confusion
+from egolane_pgm.types import FloatArray, InputError, IntArray
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+# Inches; a share is labelled where its bar is wide enough for the text.
+_WIDTH, _LEFT, _RIGHT = 9.0, 2.75, 0.25
+_BAR, _BAR_GAP, _GROUP_GAP, _HEAD, _FOOT = 0.24, 0.04, 0.2, 0.78, 0.5
+_LABELLED = 0.045
+
+
+@dataclass(frozen=True)
+class Bar:
+    """One bar. counts (n + 1,): frames that are right, off by 1..n-1 lanes, Unassigned."""
+
+    label: str
+    counts: IntArray
+
+    @property
+    def shares(self) -> FloatArray:
+        """(n + 1,): the counts over their sum."""
+        return np.asarray(self.counts / self.counts.sum(), dtype=np.float64)
+
+
+@dataclass(frozen=True)
+class Group:
+    """Bars that belong together, with a title and a smaller line below it."""
+
+    title: str
+    note: str
+    bars: tuple[Bar, ...]
+
+
+def dispersion(matrix: IntArray) -> IntArray:
+    """(n + 1,): frames right, off by 1..n-1 lanes, and Unassigned, of a confusion matrix (n + 1,
+    n); InputError for another shape."""
+    m = check_confusion(matrix)
+    n = m.shape[1]
+    off = np.abs(np.arange(n)[:, None] - np.arange(n))
+    right_or_off = np.bincount(off.ravel(), weights=m[:-1].ravel(), minlength=n)
+    return np.append(right_or_off, m[-1].sum()).astype(np.int64)
+
+
+def dispersion_bars(result: Result) -> tuple[Bar, ...]:
+    """Detector (where there is a tentative vector) and model of a result.
+
+    Raises InputError where no frame is annotated.
+    """
+    chosen = is_scored(result)
+    lane, crossing = result.true_lane[chosen], result.is_crossing[chosen]
+    return tuple(
+        Bar(name, dispersion(confusion(assigned[chosen], lane, crossing, result.n_lanes)))
+        for name, (_, assigned) in answers(result).items()
+    )
+
+
+def draw_dispersion(results: Sequence[Result], path: str | Path) -> Path:
+    """Draw the error dispersion of all results, detector beside model, on one sheet.
+
+    Raises InputError without results, for one without ground truth (naming it), for an extension
+    other than .png, .svg and .pdf, and for a file that cannot be written.
+    """
+    path = check_figure_path(path)
+    with plain_style():
+        return save(dispersion_figure(results), path)
+
+
+def dispersion_figure(results: Sequence[Result]) -> Figure:
+    """The figure of `draw_dispersion`; the same errors."""
+    if not results:
+        raise InputError("error dispersion: no result directory was given")
+    groups = []
+    for result in results:
+        bars = dispersion_bars(result)
+        note = f"{result.n_lanes} lanes, {int(bars[0].counts.sum()):,} frames"
+        groups.append(Group(title_of(result), note, bars))
+    return _bar_sheet(groups, "Error dispersion", max(r.n_lanes for r in results))
+
+
+def draw_bonus_ablation(with_bonus: Result, without_bonus: Result, path: str | Path) -> Path:
+    """Draw what the bonus value is worth: one recording with it and without (the paper's Figure
+    `fig:comparisonBV-run3`).
+
+    Raises InputError as `draw_dispersion` does, and where the two do not have the same frames and
+    ground truth, or `bonus_value` is not above 0 in the first and 0 in the second.
+    """
+    path = check_figure_path(path)
+    with plain_style():
+        return save(bonus_ablation_figure(with_bonus, without_bonus), path)
+
+
+def bonus_ablation_figure(with_bonus: Result, without_bonus: Result) -> Figure:
+    """The figure of `draw_bonus_ablation`; the same errors."""
+    _check_ablation(with_bonus, without_bonus)
+    value = with_bonus.experiment["parameters"]["bonus_value"]
+    bars_with, bars_without = dispersion_bars(with_bonus), dispersion_bars(without_bonus)
+    groups = []
+    for a, b in zip(bars_with, bars_without, strict=True):
+        change = 100 * (b.shares[0] - a.shares[0])
+        pair = (Bar(f"BV = {value:g}", a.counts), Bar("no BV", b.counts))
+        groups.append(Group(a.label, f"right: {change:+.1f} points without", pair))
+    frames = f"{int(bars_with[0].counts.sum()):,} frames"
+    title = f"Bonus value (BV), {title_of(with_bonus)}, {frames}"
+    others = _other_differences(with_bonus, without_bonus)
+    if others:
+        title += f"; also different: {', '.join(others)}"
+    return _bar_sheet(groups, title, with_bonus.n_lanes)
+
+
+def _check_ablation(with_bonus: Result, without_bonus: Result) -> None:
+    pair = (with_bonus, without_bonus)
+    for result in pair:
+        if "bonus_value" not in result.experiment.get("parameters", {}):
+            raise InputError(f"{result.directory}: has no parameter bonus_value to leave out")
+    values = [float(r.experiment["parameters"]["bonus_value"]) for r in pair]
+    if values[0] <= 0:
+        raise InputError(f"{with_bonus.directory}: bonus_value is {values[0]:g}, needs more than 0")
+    if values[1] != 0:
+        raise InputError(
+            f"{without_bonus.directory}: bonus_value is {values[1]:g}, needs 0; run the experiment"
+            " with --set parameters.bonus_value=0"
+        )
+    for name in ("frame_id", "true_lane", "is_crossing"):
+        if not np.array_equal(getattr(with_bonus, name), getattr(without_bonus, name)):
+            raise InputError(
+                f"{with_bonus.directory} and {without_bonus.directory}: {name} differs; a"
+                " comparison needs the same recording and ground truth"
+            )
+    if (with_bonus.tentative is None) != (without_bonus.tentative is None):
+        lacks = next(r for r in pair if r.tentative is None)
+        raise InputError(f"{lacks.directory}: has no tentative vector, the other result has one")
+
+
+def _other_differences(a: Result, b: Result) -> list[str]:
+    """What else differs between the experiments; an honest ablation has nothing here."""
+    left, right = a.experiment["parameters"], b.experiment["parameters"]
+    names = [k for k in sorted({*left, *right} - {"bonus_value"}) if left.get(k) != right.get(k)]
+    keys = ("evidence", "graph", "filter", "evidence_reading")
+    return names + [k for k in keys if a.experiment.get(k) != b.experiment.get(k)]
+
+
+def _bar_sheet(groups: Sequence[Group], title: str, n_lanes: int) -> Figure:
+    group_height = [len(g.bars) * (_BAR + _BAR_GAP) for g in groups]
+    height = sum(group_height) + _GROUP_GAP * len(groups)
+    figure = new_figure(_WIDTH, _HEAD + height + _FOOT)
+    figure.text(
+        0.12 / _WIDTH, 1 - 0.1 / figure.get_figheight(), title, fontsize=11, va="top", color=INK
+    )
+    ax = axes_at(figure, _LEFT, _HEAD, _WIDTH - _LEFT - _RIGHT, height)
+    ax.set_xlim(0, 1)
+    ax.set_ylim(height, 0)
+    at, ticks = _GROUP_GAP / 2, []
+    for group, tall in zip(groups, group_height, strict=True):
+        middle = at + (tall - _BAR_GAP) / 2
+        beside = {"transform": ax.get_yaxis_transform(), "ha": "right", "color": INK}
+        # The bars' own names stand between the group's and the axes.
+        x = -1.0 / (_WIDTH - _LEFT - _RIGHT)
+        ax.text(x, middle - 0.015, group.title, va="bottom", fontsize=8.5, **beside)
+        ax.text(x, middle + 0.03, group.note, va="top", fontsize=7.5, **beside)
+        for bar in group.bars:
+            ticks.append((at + _BAR / 2, bar.label))
+            _draw_bar(ax, bar, at)
+            at += _BAR + _BAR_GAP
+        at += _GROUP_GAP
+        if group is not groups[-1]:
+            ax.plot(
+                [-(_LEFT - 0.12) / (_WIDTH - _LEFT - _RIGHT), 1],
+                [at - _GROUP_GAP / 2 - _BAR_GAP / 2] * 2,
+                color=FAINT, linewidth=0.6, clip_on=False, transform=ax.transData,
+            )  # fmt: skip
+    ax.set_yticks([y for y, _ in ticks], [label for _, label in ticks], fontsize=8.5)
+    ax.tick_params(axis="y", length=0)
+    ax.set_xticks(np.linspace(0, 1, 6), [f"{v} %" for v in range(0, 101, 20)], fontsize=8.5)
+    ax.set_xlabel("share of the annotated frames that are not crossing", fontsize=9)
+    for side in ("top", "right", "left"):
+        ax.spines[side].set_visible(False)
+    _draw_legend(figure, n_lanes)
+    return figure
+
+
+def category_colours(n_lanes: int) -> list[str]:
+    """Colours of right, off by 1..n-1 lanes, Unassigned."""
+    return [RIGHT_COLOUR, *off_colours(n_lanes - 1), UNASSIGNED_COLOUR]
+
+
+def category_names(n_lanes: int) -> list[str]:
+    """Names of right, off by 1..n-1 lanes, Unassigned."""
+    off = [f"off by {k} lane{'s' if k > 1 else ''}" for k in range(1, n_lanes)]
+    return ["right", *off, "Unassigned"]
+
+
+def _draw_bar(ax: Axes, bar: Bar, top: float) -> None:
+    left = 0.0
+    for share, colour, name in zip(
+        bar.shares,
+        category_colours(len(bar.counts) - 1),
+        category_names(len(bar.counts) - 1),
+        strict=True,
+    ):
+        ax.barh(
+            top, share, _BAR, left=left, align="edge", color=colour, edgecolor="white",
+            linewidth=0.5, label=name,
+        )  # fmt: skip
+        if share >= _LABELLED:
+            ax.text(
+                left + share / 2, top + _BAR / 2 + 0.008, percent(share), fontsize=8,
+                ha="center", va="center", color=text_colour(colour),
+            )  # fmt: skip
+        left += share
+
+
+def _draw_legend(figure: Figure, n_lanes: int) -> None:
+    from matplotlib.patches import Patch
+
+    named = zip(category_names(n_lanes), category_colours(n_lanes), strict=True)
+    figure.legend(
+        handles=[Patch(facecolor=colour, label=name) for name, colour in named],
+        loc="upper left",
+        bbox_to_anchor=(_LEFT / _WIDTH, 1 - 0.4 / figure.get_figheight()),
+        ncols=min(n_lanes + 1, 6),
+        frameon=False,
+        fontsize=8.5,
+        borderaxespad=0,
+        handlelength=1.2,
+        columnspacing=1.4,
+    )

@@ -1,0 +1,131 @@
+"""Calibration curves: is the belief right as often as it says."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from egolane_pgm.report.style import (
+    DETECTOR_COLOUR,
+    FAINT,
+    INK,
+    MODEL_COLOUR,
+    answers,
+    axes_at,
+    check_figure_path,
+    is_scored,
+    new_figure,
+    plain_style,
+    save,
+    title_of,
+)
+from egolane_pgm.results import Result
+from egolane_pgm.scoring.probabilistic import (
+    N_BINS,
+    CalibrationCurve,
+    calibration_curve,
+    expected_calibration_error,
+)
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+#: A bin with fewer frames is drawn hollow: its accuracy says little.
+FEW_FRAMES = 30
+
+_STYLE = {"Detector only": (DETECTOR_COLOUR, "s", "--"), "Model": (MODEL_COLOUR, "o", "-")}
+
+
+@dataclass(frozen=True)
+class Reliability:
+    """The calibration curve of one belief, and its expected calibration error (0 to 1)."""
+
+    curve: CalibrationCurve
+    error: float
+
+
+def reliabilities(result: Result) -> dict[str, Reliability]:
+    """"Detector only" (where there is a tentative vector) and "Model".
+
+    Raises InputError where no frame is annotated.
+    """
+    chosen = is_scored(result)
+    lane, crossing = result.true_lane[chosen], result.is_crossing[chosen]
+    return {
+        name: Reliability(
+            calibration_curve(belief[chosen], lane, crossing),
+            expected_calibration_error(belief[chosen], lane, crossing),
+        )
+        for name, (belief, _) in answers(result).items()
+    }
+
+
+def draw_reliability(result: Result, path: str | Path) -> Path:
+    """Draw the calibration curves of detector and model, with the frames in each bin.
+
+    15 equal-width bins of the largest probability; the expected calibration error (ECE) stands in
+    the legend. Without a tentative vector only the model is drawn.
+    Raises InputError without ground truth, for an extension other than .png, .svg and .pdf, and
+    for a file that cannot be written.
+    """
+    path = check_figure_path(path)
+    with plain_style():
+        return save(reliability_figure(result), path)
+
+
+def reliability_figure(result: Result) -> Figure:
+    """The figure of `draw_reliability`; the same errors."""
+    found = reliabilities(result)
+    frames = int(next(iter(found.values())).curve.count.sum())
+    figure = new_figure(5.2, 6.0)
+    figure.text(
+        0.12 / 5.2, 1 - 0.1 / 6.0, f"{title_of(result)}: {frames:,} frames", fontsize=11, va="top",
+        color=INK,
+    )  # fmt: skip
+    upper = axes_at(figure, 0.75, 0.5, 4.25, 3.5)
+    lower = axes_at(figure, 0.75, 4.15, 4.25, 1.25)
+    upper.plot([0, 1], [0, 1], color=FAINT, linewidth=1.2, label="perfectly calibrated", zorder=1)
+    edge = np.linspace(0, 1, N_BINS + 1)
+    bar = 0.8 / (N_BINS * len(found))
+    for k, (name, reliability) in enumerate(found.items()):
+        colour, marker, dashes = _STYLE[name]
+        curve = reliability.curve
+        filled = curve.count > 0
+        upper.plot(
+            curve.confidence[filled], curve.accuracy[filled], linestyle=dashes, color=colour,
+            linewidth=1.4, zorder=2,
+        )  # fmt: skip
+        for enough, face in ((True, colour), (False, "white")):
+            some = filled & ((curve.count >= FEW_FRAMES) == enough)
+            upper.plot(
+                curve.confidence[some], curve.accuracy[some], linestyle="none", marker=marker,
+                markersize=5.5, markeredgecolor=colour, markerfacecolor=face, zorder=3,
+            )  # fmt: skip
+        label = f"{name}, ECE {reliability.error:.3f}"
+        upper.plot([], [], color=colour, linestyle=dashes, marker=marker, markersize=5.5, label=label)
+        left = edge[:-1] + 0.1 / N_BINS + k * bar
+        lower.bar(left, curve.count, bar, align="edge", color=colour, label=name)
+    if any(((r.curve.count > 0) & (r.curve.count < FEW_FRAMES)).any() for r in found.values()):
+        upper.plot(
+            [], [], linestyle="none", marker="o", markerfacecolor="white", markeredgecolor=INK,
+            markersize=5.5, label=f"fewer than {FEW_FRAMES} frames",
+        )  # fmt: skip
+    # The largest of n probabilities is at least 1 / n.
+    lowest = np.floor(N_BINS / result.n_lanes) / N_BINS if result.n_lanes > 1 else 0.0
+    for ax in (upper, lower):
+        ax.set_xlim(lowest - 0.015, 1.015)
+        ax.tick_params(labelsize=8.5)
+        ax.grid(color="#ececec", linewidth=0.6)
+        ax.set_axisbelow(True)
+    upper.set_ylim(-0.02, 1.02)
+    upper.tick_params(labelbottom=False)
+    upper.set_ylabel("share of frames that are right", fontsize=9)
+    upper.legend(loc="upper left", fontsize=8.5, framealpha=0.9, edgecolor="none")
+    lower.set_yscale("log")
+    lower.set_ylim(0.7, None)
+    lower.set_ylabel("frames (log)", fontsize=9)
+    lower.set_xlabel("largest probability over the lanes", fontsize=9)
+    return figure
