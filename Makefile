@@ -6,7 +6,7 @@ ifneq ($(wildcard ../shared/data/rle),)
 export EGOLANE_DATA ?= $(abspath ../shared/data)
 endif
 
-.PHONY: run test check bench coverage figures clean
+.PHONY: run test check bench coverage paper clean
 
 run: .venv/.run
 	$(BIN)/egolane run experiments/quickstart.yaml
@@ -30,9 +30,20 @@ coverage: .venv/.dev
 bench: .venv/.bench
 	$(BIN)/python -m tests.benchmarks
 
-# What the README shows: the table and the figures of the paper's runs, from the recordings.
-figures: .venv/.run
-	$(BIN)/python results/paper/make.py
+# What results/paper/ holds: tables and figures of the paper's runs, made from the recordings.
+RUNS := results/runs
+NO_BONUS := --set parameters.bonus_value=0 --set name=run03_no_bonus
+paper: .venv/.run
+	$(BIN)/egolane reproduce --out $(RUNS) > results/paper/reproduction.md
+	$(BIN)/egolane compare > results/paper/graphs.md
+	$(BIN)/egolane run experiments/paper/run03_italy_mc.yaml --no-figures --out $(RUNS)/run03_bonus
+	$(BIN)/egolane run experiments/paper/run03_italy_mc.yaml --no-figures $(NO_BONUS) --out $(RUNS)/run03_no_bonus
+	$(BIN)/egolane plot $(RUNS)/run01_italy_ml --frames 1880 2700 --out results/paper
+	$(BIN)/egolane plot $(RUNS)/run*_italy_* $(RUNS)/run*_spain_* --out $(RUNS)/figures
+	cp $(RUNS)/figures/dispersion.png results/paper/
+	$(BIN)/egolane plot $(RUNS)/run03_bonus $(RUNS)/run03_no_bonus --out $(RUNS)/ablation
+	cp $(RUNS)/ablation/bonus_ablation.png results/paper/
+	$(BIN)/egolane network sensor_failure results/paper/network.png
 
 .venv/.venv:
 	$(PYTHON) -m venv .venv

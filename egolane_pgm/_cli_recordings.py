@@ -19,8 +19,16 @@ def list_data() -> None:
     """What the data set consists of, and which files are there."""
     from egolane_pgm.recordings import catalog
 
-    state = {outcome.file.name: outcome.status for outcome in catalog.verify()}
-    click.echo(f"download folder: {catalog.download_folder()}")
+    data = os.environ.get("EGOLANE_DATA")
+    folders = [Path(data).expanduser()] if data else []
+    folders.append(catalog.download_folder())
+    # As a run finds them: the first folder that has a file counts.
+    state: dict[str, str] = {}
+    for folder in folders:
+        click.echo(f"looked in: {folder}")
+        for outcome in catalog.verify(folder):
+            if state.get(outcome.file.name, "missing") == "missing":
+                state[outcome.file.name] = outcome.status
     for file in catalog.list_files():
         click.echo(
             f"{state[file.name]:>10}  {file.size / 1e6:6.2f} MB  {catalog.BASE_URL}/{file.name}"
@@ -160,7 +168,10 @@ def simulate(
         key, equals, text = override.partition("=")
         if not equals:
             raise InputError(f"--set {override}: write it as key=value")
-        values[key] = yaml.safe_load(text)
+        try:
+            values[key] = yaml.safe_load(text)
+        except yaml.YAMLError:
+            raise InputError(f"--set {override}: the value is not YAML") from None
     drive = make_drive(preset, seed=seed, frames=frames, n_lanes=n_lanes, **values)
     folder = Path(out)
     make_directory(folder)
@@ -173,8 +184,12 @@ def simulate(
         "n_lanes": drive.n_lanes,
         "tuned_on": "not_tuned",
     }
-    (folder / "experiment.yaml").write_text(yaml.safe_dump(experiment, sort_keys=False))
-    click.echo(f"{len(drive)} frames; try: egolane run {folder / 'experiment.yaml'}")
+    target = folder / "experiment.yaml"
+    try:
+        target.write_text(yaml.safe_dump(experiment, sort_keys=False), encoding="utf-8")
+    except OSError as error:
+        raise InputError(f"{target}: cannot be written: {error.strerror}") from error
+    click.echo(f"{len(drive)} frames; try: egolane run {target}")
 
 
 @click.command()
@@ -192,6 +207,7 @@ def online(experiment: str, overrides: tuple[str, ...]) -> None:
     from egolane_pgm.online import filter_stream
 
     # Standard input as an iterator would be read ahead in blocks.
+    sys.stdin.reconfigure(encoding="utf-8", errors="replace")  # type: ignore[union-attr]
     messages = iter(sys.stdin.readline, "")
     for belief in filter_stream(load_experiment(experiment, overrides), messages):
         click.echo(json.dumps(belief))

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import sys
+import warnings
 from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -25,9 +26,17 @@ class _Group(click.Group):
         from egolane_pgm.types import InputError
 
         try:
-            return super().invoke(ctx)
+            with warnings.catch_warnings():
+                warnings.showwarning = _show_warning
+                return super().invoke(ctx)
         except InputError as error:
             click.echo(f"egolane: {' '.join(str(error).split())}", err=True)
+            ctx.exit(2)
+        except click.UsageError as error:
+            if isinstance(error, getattr(click.exceptions, "NoArgsIsHelpError", ())):
+                raise
+            where = error.ctx.command_path if error.ctx else "egolane"
+            click.echo(f"egolane: {error.format_message()} See `{where} --help`.", err=True)
             ctx.exit(2)
         except KeyboardInterrupt:
             click.echo("egolane: interrupted; nothing was left half-written", err=True)
@@ -36,6 +45,10 @@ class _Group(click.Group):
             # Whoever read our output has had enough; say nothing at exit either.
             os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
             ctx.exit(1)
+
+
+def _show_warning(message: Warning | str, *_: Any, **__: Any) -> None:
+    click.echo(f"warning: {message}", err=True)
 
 
 def main() -> None:
@@ -111,18 +124,13 @@ def list_experiments() -> None:
 def validate(experiments: tuple[str, ...], overrides: tuple[str, ...]) -> None:
     """Check experiments without computing anything: keys, plugins, parameters, files."""
     from egolane_pgm.experiment import load_experiment
-    from egolane_pgm.recordings.catalog import find_file
+    from egolane_pgm.loading import check_sources
     from egolane_pgm.run import prepare_model
 
     for path in experiments:
         experiment = load_experiment(path, overrides)
         model = prepare_model(experiment)
-        wanted = [experiment.recording.path]
-        if experiment.ground_truth is not None:
-            wanted.append(experiment.ground_truth.path)
-        for file in wanted:
-            if file is not None:
-                find_file(file, experiment.folder)
+        check_sources(experiment)
         states = model.compiled.n_states
         click.echo(f"{path}: ok ({experiment.n_lanes} lanes, {states} joint states)")
 
@@ -148,12 +156,14 @@ def run(
     json_file: str | None,
 ) -> None:
     """Run an experiment: filter its recording, score it, write a result directory."""
-    from egolane_pgm.results import SCHEMA_VERSION, check_writable, write_json
+    from egolane_pgm.results import SCHEMA_VERSION, check_place, check_writable, write_json
     from egolane_pgm.run import run_experiment, save_run, summary
 
     chosen = _load(experiment, overrides, recording, ground_truth, n_lanes, frame_id)
     directory = Path(out) if out else Path("results") / chosen.name
     check_writable(directory)
+    if json_file:
+        check_place(Path(json_file))
     done = run_experiment(chosen, kernel=not use_numpy)
     draw = None if no_figures else _draw_all
     save_run(done, directory, draw)
@@ -176,13 +186,11 @@ def _load(
     found = load_experiment(path, overrides)
     if recording is None and ground_truth is None and n_lanes is None and frame_id is None:
         return found
-    if recording is not None and ground_truth is None:
-        click.echo("no --ground-truth given: beliefs only, no scores", err=True)
     return with_recording(found, recording, ground_truth, n_lanes, frame_id)
 
 
 def _draw_all(directory: Path) -> None:
-    from egolane_pgm.report.figures import draw_standard
+    from egolane_pgm.report.sheet import draw_standard
 
     draw_standard(directory)
 
@@ -198,7 +206,7 @@ def _print_run(done: Run) -> None:
         f" graph {experiment.graph}, mean log evidence {done.beliefs.mean_log_evidence:.4f}"
     )
     if not done.scores:
-        click.echo("no ground truth: beliefs only")
+        click.echo("no ground truth: beliefs only, no scores (--ground-truth names a file)")
         return
     click.echo(f"{done.scores['model']['frames_scored']} frames scored (crossing ones are not);")
     click.echo(f"parameters: {TUNED_ON[experiment.tuned_on]}\n")
@@ -248,10 +256,12 @@ def reproduce(
 
     from egolane_pgm import reproduce as paper
     from egolane_pgm.report import tables
-    from egolane_pgm.results import write_json
+    from egolane_pgm.results import check_place, write_json
     from egolane_pgm.run import save_run
 
     numbers = paper.parse_runs(runs)
+    if json_file:
+        check_place(Path(json_file))
     if if_available and not _cli_recordings.have_recordings():
         return
     done = []
@@ -282,7 +292,7 @@ def reproduce(
 @egolane.command()
 @click.option("--run", "number", type=int, required=True, help="Which of the paper's runs.")
 @click.option("--evaluations", type=click.IntRange(1), default=20_000, show_default=True)
-@click.option("--seed", type=int, default=0, show_default=True)
+@click.option("--seed", type=click.IntRange(0), default=0, show_default=True)
 @click.option("--write", is_flag=True, help="Keep the set in published.yaml under `recovered`.")
 @_json
 def recover(number: int, evaluations: int, seed: int, write: bool, json_file: str | None) -> None:
@@ -290,9 +300,11 @@ def recover(number: int, evaluations: int, seed: int, write: bool, json_file: st
     from tqdm import tqdm
 
     from egolane_pgm import reproduce as paper
-    from egolane_pgm.results import SCHEMA_VERSION, write_json
+    from egolane_pgm.results import SCHEMA_VERSION, check_place, write_json
 
     paper.paper_experiment(number)
+    if json_file:
+        check_place(Path(json_file))
     with tqdm(total=evaluations, desc=f"run {number}", leave=False, disable=None) as bar:
 
         def progress(done: int, off: int) -> None:
@@ -339,7 +351,7 @@ def plot(
     results: tuple[str, ...], frames: tuple[int, int] | None, out: str | None, style: str
 ) -> None:
     """Draw the figures of result directories; several together make one dispersion sheet."""
-    from egolane_pgm.report.figures import draw_standard, draw_together
+    from egolane_pgm.report.sheet import draw_standard, draw_together
     from egolane_pgm.results import make_directory
 
     for path in results:

@@ -44,26 +44,39 @@ def discretised_normal(
     so that with equal widths the centres are 1..n.
     """
     edges, centres = lane_edges(n, widths)
+    if normal == "density":
+        return _density(centres - mean, sigma)
+    distance = np.maximum(0.0, np.maximum(edges[:-1] - mean, mean - edges[1:]))
     # A tiny sigma overflows to infinitely many standard deviations, which is what is meant.
     with np.errstate(over="ignore"):
-        if normal == "density":
-            distance = np.abs(centres - mean)
-            exponent = -0.5 * ((centres - mean) / sigma) ** 2
-            largest = exponent.max()
-            mass = np.exp(exponent - largest) if np.isfinite(largest) else np.zeros(n)
-        else:
-            distance = np.maximum(0.0, np.maximum(edges[:-1] - mean, mean - edges[1:]))
-            z = (edges - mean) / sigma / math.sqrt(2.0)
-            # Near the mean the difference of erf, far from it that of the tails on the lane's
-            # side: small masses keep their digits both ways.
-            middle = np.diff([math.erf(v) for v in z])
-            right = -np.diff([math.erfc(v) for v in z])
-            left = np.diff([math.erfc(-v) for v in z])
-            mass = np.where(z[:-1] > 0.5, right, np.where(z[1:] < -0.5, left, middle))
-    if not mass.any():
-        # So narrow that no lane gets any: the limit, all on the nearest.
-        mass = (distance == distance.min()).astype(np.float64)
-    return np.asarray(mass / mass.sum(), dtype=np.float64)
+        z = (edges - mean) / sigma / math.sqrt(2.0)
+    # Near the mean the difference of erf, far from it that of the tails on the lane's
+    # side: small masses keep their digits both ways.
+    middle = np.diff([math.erf(v) for v in z])
+    right = -np.diff([math.erfc(v) for v in z])
+    left = np.diff([math.erfc(-v) for v in z])
+    mass = np.where(z[:-1] > 0.5, right, np.where(z[1:] < -0.5, left, middle))
+    return _normalised(mass, distance)
+
+
+def _density(offset: FloatArray, sigma: float) -> FloatArray:
+    """The density at some offsets from the mean, (..., n) lanes, summing to one."""
+    with np.errstate(over="ignore", invalid="ignore"):
+        exponent = -0.5 * (offset / sigma) ** 2
+        mass = np.exp(exponent - exponent.max(axis=-1, keepdims=True))
+    return _normalised(mass, offset)
+
+
+def _normalised(mass: FloatArray, offset: FloatArray) -> FloatArray:
+    """Masses (..., n) that sum to one; where all are zero (or NaN: infinitely many standard
+    deviations from every lane) the limit, all on the nearest lane."""
+    total = mass.sum(axis=-1, keepdims=True)
+    if not (total > 0).all():
+        distance = np.abs(offset)
+        nearest = distance == distance.min(axis=-1, keepdims=True)
+        mass = np.where(total > 0, mass, nearest)
+        total = mass.sum(axis=-1, keepdims=True)
+    return np.asarray(mass / total, dtype=np.float64)
 
 
 def lane_edges(n: int, widths: Sequence[float] | None = None) -> tuple[FloatArray, FloatArray]:
@@ -78,6 +91,8 @@ def lane_normals(
 ) -> FloatArray:
     """Row i: F of a normal around the centre of lane i + 1; (n, n), rows sum to one."""
     _, centres = lane_edges(n, widths)
+    if normal == "density":
+        return _density(centres - centres[:, None], sigma)
     return np.stack([discretised_normal(c, sigma, n, normal, widths) for c in centres])
 
 
@@ -101,6 +116,11 @@ class Table:
     values: FloatArray
 
     def __post_init__(self) -> None:
+        # A search makes thousands per second: the usual case costs two passes, NaN fails it too.
+        if self.values.ndim == len(self.parents) + 1:
+            off = np.abs(self.values.sum(axis=-1) - 1).max()
+            if self.values.min() >= 0 and off <= 1e-9:
+                return
         name = f"P({_spell(self.node)} | {', '.join(map(_spell, self.parents)) or 'nothing'})"
         if self.values.ndim != len(self.parents) + 1:
             raise InputError(
@@ -109,8 +129,7 @@ class Table:
             )
         if not np.isfinite(self.values).all() or (self.values < 0).any():
             raise InputError(f"{name}: the table has a negative or NaN entry")
-        if np.abs(self.values.sum(axis=-1) - 1).max() > 1e-9:
-            raise InputError(f"{name}: the rows of the table must sum to one")
+        raise InputError(f"{name}: the rows of the table must sum to one")
 
 
 def _spell(node: SliceNode) -> str:

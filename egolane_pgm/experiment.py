@@ -6,18 +6,28 @@ from __future__ import annotations
 
 import hashlib
 import json
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any, Literal, TypeVar
 
 import yaml
-from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
+from pydantic import (
+    BaseModel,
+    ConfigDict,
+    Field,
+    ValidationError,
+    field_validator,
+    model_validator,
+)
 
 from egolane_pgm.types import InputError, suggestion
 
 
 class _Section(BaseModel):
     model_config = ConfigDict(extra="forbid", frozen=True)
+
+
+Section = TypeVar("Section", bound=BaseModel)
 
 
 class Recording(_Section):
@@ -54,6 +64,48 @@ class GroundTruth(_Section):
     extra_rows: tuple[tuple[int, int, int], ...] = ()
 
 
+class Tuning(_Section):
+    """How `tune` searches parameters; options of the command go first.
+
+    objective: a score by name, or several. sampler, trials: None for the default. parameters: per
+    name [low, high], the names of a choice, or one value that is kept. never_fit: ranges of frame
+    ids (first, the one after the last or None) whose labels no held-out study looks at; in the
+    YAML also `{from_frame: 9577}`."""
+
+    objective: tuple[str, ...] = ("accuracy",)
+    sampler: str | None = None
+    trials: int | None = Field(default=None, ge=1)
+    seed: int = Field(default=0, ge=0)
+    blocks: int = Field(default=5, ge=2)
+    from_scratch: bool = False
+    parameters: dict[str, Any] = Field(default_factory=dict)
+    never_fit: tuple[tuple[int, int | None], ...] = ()
+
+    @field_validator("objective", mode="before")
+    @classmethod
+    def _one_or_several(cls, value: Any) -> Any:
+        return (value,) if isinstance(value, str) else value
+
+    @field_validator("never_fit", mode="before")
+    @classmethod
+    def _ranges(cls, value: Any) -> Any:
+        if isinstance(value, dict):
+            for key in value:
+                if key != "from_frame":
+                    raise ValueError(f"unknown key '{key}'{suggestion(str(key), ['from_frame'])}")
+            return ((value.get("from_frame"), None),)
+        return value
+
+    @model_validator(mode="after")
+    def _not_empty(self) -> Tuning:
+        if not self.objective:
+            raise ValueError("objective needs at least one score, e.g. accuracy")
+        for first, stop in self.never_fit:
+            if stop is not None and first >= stop:
+                raise ValueError(f"never_fit: [{first}, {stop}] is an empty range")
+        return self
+
+
 class Experiment(_Section):
     """One experiment. `tuned_on` says what the parameters have seen, for the scores' honesty:
     the frames that are scored (`same_frames`: in-sample), others only, or none."""
@@ -62,13 +114,14 @@ class Experiment(_Section):
     description: str = ""
     recording: Recording
     ground_truth: GroundTruth | None = None
-    n_lanes: int = Field(ge=1)
+    n_lanes: int = Field(ge=1, strict=True)
     evidence: str = "counting"
     graph: str = "sensor_failure"
     filter: Literal["assumed_density", "exact"] = "assumed_density"
     evidence_reading: Literal["soft", "hard"] = "soft"
     parameters: dict[str, Any] = Field(default_factory=dict)
     tuned_on: Literal["same_frames", "other_frames", "not_tuned", "unknown"] = "unknown"
+    tuning: Tuning | None = None
 
     _folder: Path = Path()
     _source: str = "experiment"
@@ -90,6 +143,11 @@ def load_experiment(path: str | Path, overrides: Sequence[str] = ()) -> Experime
     Raises InputError, one line that names file and key, for anything that does not fit.
     """
     path = Path(path)
+    return make_experiment(load_yaml(path, overrides), path.parent, str(path))
+
+
+def load_yaml(path: Path, overrides: Sequence[str] = ()) -> dict[str, Any]:
+    """The keys of a YAML file, overridden; errors as `load_experiment`."""
     try:
         text = path.read_text(encoding="utf-8")
     except (OSError, UnicodeDecodeError) as error:
@@ -102,23 +160,28 @@ def load_experiment(path: str | Path, overrides: Sequence[str] = ()) -> Experime
         raise InputError(f"{path}: needs keys and values, e.g. 'n_lanes: 4'")
     for override in overrides:
         _override(content, override)
-    return make_experiment(content, path.parent, str(path))
+    return content
 
 
 def make_experiment(content: Mapping[str, Any], folder: Path, source: str) -> Experiment:
     """An experiment from the keys of a YAML file; paths are relative to `folder`."""
-    try:
-        experiment = Experiment.model_validate(content)
-    except ValidationError as error:
-        raise InputError(f"{source}: {_first_problem(error, content)}") from None
+    experiment = validated(Experiment, content, source)
     experiment._folder = Path(folder)
     experiment._source = source
     return experiment
 
 
+def validated(model: type[Section], content: Mapping[str, Any], source: str) -> Section:
+    """The pydantic model of some keys; InputError, one line, for what does not fit."""
+    try:
+        return model.model_validate(content)
+    except ValidationError as error:
+        raise InputError(f"{source}: {_first_problem(error, model)}") from None
+
+
 def resolved(experiment: Experiment, parameters: Mapping[str, Any]) -> dict[str, Any]:
     """Every key with its value, defaults included, ready for YAML or JSON."""
-    content = experiment.model_dump(mode="json")
+    content = experiment.model_dump(mode="json", exclude={"tuning"})
     content["parameters"] = {
         name: list(value) if isinstance(value, tuple) else value
         for name, value in sorted(parameters.items())
@@ -127,26 +190,8 @@ def resolved(experiment: Experiment, parameters: Mapping[str, Any]) -> dict[str,
 
 
 def config_hash(content: Mapping[str, Any]) -> str:
-    """sha256 of a resolved config, whatever the order of its keys and wherever its files lie: of
-    each only the name counts here (a result directory has the checksums of their contents)."""
-    places = map_files(content, lambda key, path: Path(path).name)
-    return hashlib.sha256(json.dumps(places, sort_keys=True).encode()).hexdigest()
-
-
-def map_files(content: Mapping[str, Any], change: Callable[[str, str], str]) -> dict[str, Any]:
-    """A resolved config with `change(key, path)` for each file that it names."""
-    changed = dict(content)
-    for key in ("recording", "ground_truth"):
-        if (changed.get(key) or {}).get("path") is not None:
-            path = changed[key]["path"]
-            changed[key] = {**changed[key], "path": change(f"{key}.path", path)}
-    if (changed["recording"].get("format") or "").endswith(".py"):
-        path = changed["recording"]["format"]
-        changed["recording"] = {**changed["recording"], "format": change("format", path)}
-    for key in ("evidence", "graph"):
-        if changed[key].endswith(".py"):
-            changed[key] = change(key, changed[key])
-    return changed
+    """sha256 of a resolved config, whatever the order of its keys."""
+    return hashlib.sha256(json.dumps(content, sort_keys=True).encode()).hexdigest()
 
 
 def with_recording(
@@ -172,6 +217,7 @@ def with_recording(
         content["recording"] = {k: v for k, v in content["recording"].items() if k in kept}
         content["recording"]["path"] = str(Path(recording).absolute())
         content["ground_truth"] = None
+        content["tuning"] = None
         content["name"] = _as_name(Path(recording).stem)
         content["tuned_on"] = (
             "other_frames" if experiment.tuned_on == "same_frames" else (experiment.tuned_on)
@@ -212,15 +258,16 @@ def _override(content: dict[str, Any], override: str) -> None:
     section[parts[-1]] = value
 
 
-def _first_problem(error: ValidationError, content: Mapping[str, Any]) -> str:
+def _first_problem(error: ValidationError, model: type[BaseModel]) -> str:
     """pydantic's first complaint as one line; unknown keys come first, with a suggestion."""
     problems = error.errors(include_url=False)
     problem = next((p for p in problems if p["type"] == "extra_forbidden"), problems[0])
     where = ".".join(str(part) for part in problem["loc"])
     if problem["type"] == "extra_forbidden":
-        section: Any = Experiment
+        section: Any = model
+        sections = {"recording": Recording, "ground_truth": GroundTruth, "tuning": Tuning}
         for part in problem["loc"][:-1]:
-            section = {"recording": Recording, "ground_truth": GroundTruth}.get(str(part), section)
+            section = sections.get(str(part), section)
         *above, key = (str(part) for part in problem["loc"])
         prefix = f"{'.'.join(above)}: " if above else ""
         return f"{prefix}unknown key '{key}'{suggestion(key, section.model_fields)}"

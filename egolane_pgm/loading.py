@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import warnings
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -10,8 +11,8 @@ from typing import Any
 import numpy as np
 
 from egolane_pgm.experiment import Experiment
-from egolane_pgm.plugins import load_plugin
-from egolane_pgm.recordings import read_lines
+from egolane_pgm.plugins import load_plugin, plugin_errors
+from egolane_pgm.recordings import FORMATS, read_lines
 from egolane_pgm.recordings.catalog import find_file
 from egolane_pgm.recordings.ground_truth import read_ground_truth
 from egolane_pgm.recordings.select import (
@@ -21,7 +22,7 @@ from egolane_pgm.recordings.select import (
     recording_warnings,
     select_frames,
 )
-from egolane_pgm.types import InputError, IntArray, LaneTruth, LineLog
+from egolane_pgm.types import InputError, IntArray, LaneTruth, LineLog, suggestion
 
 
 @dataclass(frozen=True)
@@ -39,8 +40,11 @@ class Recorded:
     notes: tuple[str, ...]
 
 
-def load_recording(experiment: Experiment) -> Recorded:
+def load_recording(experiment: Experiment, parameters: Mapping[str, Any] | None = None) -> Recorded:
     """Read and select the frames of an experiment, and join its ground truth.
+
+    parameters: the model's, where they are resolved already (an evidence rule may declare its own
+    `max_lri`); default the experiment's.
 
     Raises InputError for files that cannot be used. What is odd but usable is in `notes`.
     """
@@ -52,7 +56,7 @@ def load_recording(experiment: Experiment) -> Recorded:
     first, stop = recording.frames or (None, None)
     log = select_frames(log, first, stop)
     log = fill_missing(log, recording.missing_frames, recording.frame_rate)
-    max_lri = float(experiment.parameters.get("max_lri", 10))
+    max_lri = float((parameters or experiment.parameters).get("max_lri", 10))
     if recording.lri == "clip":
         log = clip_lri(log, max_lri)
     notes += recording_warnings(log, experiment.n_lanes, max_lri)
@@ -89,6 +93,31 @@ def _read_sources(experiment: Experiment) -> tuple[LineLog, LaneTruth | None, li
     return log, truth, files
 
 
+def check_sources(experiment: Experiment) -> None:
+    """Raise InputError, naming the YAML file and key, where the recording or its ground truth are
+    not there, or its format or simulation does not exist; nothing is read."""
+    from egolane_pgm.simulation import PRESETS
+
+    recording, source = experiment.recording, experiment.source
+    if recording.simulate is not None and recording.simulate not in PRESETS:
+        raise InputError(
+            f"{source}: recording.simulate: unknown preset '{recording.simulate}'"
+            f"{suggestion(recording.simulate, PRESETS)}"
+        )
+    if recording.format is not None and recording.format.endswith(".py"):
+        where = f"{source}: recording.format"
+        load_plugin("recordings", recording.format, experiment.folder, where)
+    elif recording.format is not None and recording.format not in FORMATS:
+        raise InputError(
+            f"{source}: recording.format: unknown format '{recording.format}'"
+            f"{suggestion(recording.format, FORMATS)}"
+        )
+    if recording.path is not None:
+        _find(recording.path, experiment, "recording.path")
+    if experiment.ground_truth is not None:
+        _find(experiment.ground_truth.path, experiment, "ground_truth.path")
+
+
 def _find(path: str, experiment: Experiment, key: str) -> Path:
     try:
         return find_file(path, experiment.folder)
@@ -106,6 +135,7 @@ def _read_log(path: Path, experiment: Experiment) -> LineLog:
     if recording.format is not None and recording.format.endswith(".py"):
         where = f"{experiment.source}: recording.format"
         reader = load_plugin("recordings", recording.format, experiment.folder, where)
-        log: LineLog = reader.read(path, **options)
+        with plugin_errors(reader, where):
+            log: LineLog = reader.read(path, **options)
         return log
     return read_lines(path, recording.format, **options)

@@ -19,6 +19,9 @@ from egolane_pgm.types import InputError, LineLog, suggestion
 #: Predicting through more missing frames than this is surely a wrong frame id.
 MAX_GAP = 100_000
 
+#: Whole numbers up to here are exact as floating-point times.
+MAX_FRAME_ID = 2**53
+
 _LINE_KEYS = ("offset_m", "is_valid", "is_continuous", "lri")
 
 
@@ -100,7 +103,7 @@ def parse_message(text: str, where: str, frame_rate: float) -> LineLog:
     """One message as a LineLog of one frame; see `filter_stream`."""
     try:
         content = json.loads(text)
-    except ValueError as error:
+    except (ValueError, RecursionError) as error:
         raise InputError(f"{where}: is not JSON: {error}") from error
     if not isinstance(content, dict):
         raise InputError(f"{where}: needs an object with frame_id and lines")
@@ -112,6 +115,8 @@ def parse_message(text: str, where: str, frame_rate: float) -> LineLog:
     frame_id, lines = content.get("frame_id"), content.get("lines")
     if isinstance(frame_id, bool) or not isinstance(frame_id, int):
         raise InputError(f"{where}: frame_id {frame_id!r} is not a whole number")
+    if abs(frame_id) > MAX_FRAME_ID:
+        raise InputError(f"{where}: frame_id {str(frame_id)[:30]} is too large for a frame count")
     if not isinstance(lines, list) or not all(isinstance(line, dict) for line in lines):
         raise InputError(f"{where}: lines must be a list of objects")
     rows = [_line(line, f"{where}: line {k + 1}") for k, line in enumerate(lines)]
@@ -142,5 +147,8 @@ def _line(line: dict[str, Any], where: str) -> tuple[float, bool, bool, float]:
             value = math.nan
         if isinstance(value, bool) or not isinstance(value, (int, float)):
             raise InputError(f"{where}: {key} {value!r} is not a number")
-        numbers.append(float(value))
+        try:
+            numbers.append(float(value))
+        except OverflowError:
+            raise InputError(f"{where}: {key} is too large a number") from None
     return numbers[0], valid, continuous, numbers[1]

@@ -64,11 +64,14 @@ def parse_runs(text: str) -> list[int]:
     runs: list[int] = []
     for part in text.split(","):
         first, dash, last = part.strip().partition("-")
-        if not first.isdigit() or (dash and not last.isdigit()):
+        if not first.isdecimal() or (dash and not last.isdecimal()):
             raise InputError(f"--runs {text}: write numbers and ranges, e.g. 1-5,7")
-        runs += range(int(first), int(last or first) + 1)
-    for run in runs:
-        paper_experiment(run)
+        low, high = int(first), int(last or first)
+        for run in (low, high):
+            paper_experiment(run)
+        if low > high:
+            raise InputError(f"--runs {text}: {low}-{high} is an empty range")
+        runs += range(low, high + 1)
     return list(dict.fromkeys(runs))
 
 
@@ -213,7 +216,10 @@ def _model_matrix(experiment: Experiment) -> Callable[[Mapping[str, float]], Int
 def store_recovered(number: int, found: Recovered, how: str, path: Path | None = None) -> None:
     """Put what was found under `recovered` of the run in published.yaml, the rest as it was."""
     path = path or published_path()
-    lines = path.read_text(encoding="utf-8").splitlines()
+    try:
+        lines = path.read_text(encoding="utf-8").splitlines()
+    except OSError as error:
+        raise InputError(f"{path}: cannot be read: {error.strerror}") from error
     start = next(i for i, text in enumerate(lines) if text.strip() == f"- run: {number}")
     end = next(
         (i for i in range(start + 1, len(lines)) if lines[i].lstrip().startswith("- run:")),

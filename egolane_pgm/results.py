@@ -162,7 +162,10 @@ def staged(directory: Path) -> Iterator[Path]:
         else:
             temporary.rename(directory)
     except OSError as error:
-        raise InputError(f"{directory}: cannot be written: {error.strerror or error}") from error
+        at = f" ({error.filename})" if error.filename else ""
+        raise InputError(
+            f"{directory}: cannot be written: {error.strerror or error}{at}"
+        ) from error
     finally:
         shutil.rmtree(temporary, ignore_errors=True)
 

@@ -22,7 +22,7 @@ from egolane_pgm.experiment import (
 from egolane_pgm.inference.compile import Compiled, compile_network, with_tables
 from egolane_pgm.inference.filtering import filter_beliefs, read_evidence
 from egolane_pgm.loading import Recorded, load_recording
-from egolane_pgm.plugins import load_plugin
+from egolane_pgm.plugins import load_plugin, plugin_errors
 from egolane_pgm.provenance import file_sha256, git_state, versions
 from egolane_pgm.results import staged, write_result
 from egolane_pgm.scoring.assign import assigned_lane
@@ -90,7 +90,7 @@ def run_experiment(
         experiment = load_experiment(experiment)
     model = prepare_model(experiment)
     if recorded is None:
-        recorded = load_recording(experiment)
+        recorded = load_recording(experiment, model.parameters)
     evidence = make_evidence(model, recorded.log, experiment.evidence_reading, kernel=kernel)
     beliefs = filter_beliefs(
         model.compiled,
@@ -163,7 +163,10 @@ def prepare_model(experiment: Experiment) -> Model:
     )
     _check_fit(rule, graph, source)
     try:
-        network = graph.build(experiment.n_lanes, parameters)
+        with plugin_errors(graph, f"{source}: graph"):
+            network = graph.build(experiment.n_lanes, parameters)
+        if not hasattr(network, "get_cpds"):
+            raise InputError(f"build() gave {type(network).__name__}, not a pgmpy network")
         compiled = compile_network(
             network, graph.HIDDEN, graph.OBSERVED, getattr(graph, "INPUTS", ())
         )
@@ -195,7 +198,11 @@ def with_parameters(model: Model, parameters: Mapping[str, Value]) -> Model:
 
 def declared_parameters(rule: ModuleType, graph: ModuleType) -> list[Parameter]:
     """The parameters of an evidence rule and a graph; one that both declare is shared."""
-    specs = {p.name: p for p in (*getattr(rule, "PARAMETERS", ()),)}
+    for module in (rule, graph):
+        for p in getattr(module, "PARAMETERS", ()):
+            if not isinstance(p, Parameter):
+                raise InputError(f"{module.__file__}: PARAMETERS has {p!r}, which is no Parameter")
+    specs = {p.name: p for p in getattr(rule, "PARAMETERS", ())}
     for p in getattr(graph, "PARAMETERS", ()):
         if p.name in specs and specs[p.name].kind != p.kind:
             raise InputError(f"parameters.{p.name}: graph and evidence rule declare it differently")
@@ -238,10 +245,13 @@ def make_evidence(
     say nothing about any node."""
     rule = model.rule
     options = {"kernel": kernel} if "kernel" in signature(rule.evidence).parameters else {}
-    given: Evidence = rule.evidence(log, model.n_lanes, model.parameters, **options)
+    with plugin_errors(rule, "evidence"):
+        given: Evidence = rule.evidence(log, model.n_lanes, model.parameters, **options)
+    if not isinstance(given, Evidence):
+        raise InputError(f"{rule.__file__}: evidence() gave {type(given).__name__}, not Evidence")
     if len(given) != len(log):
         raise InputError(
-            f"evidence rule {rule.__name__}: gave {len(given)} frames for the {len(log)} recorded"
+            f"{rule.__file__}: evidence() gave {len(given)} frames for the {len(log)} recorded"
         )
     likelihoods = dict(given.likelihoods)
     for key in getattr(model.graph, "UNUSED", ()):
@@ -293,6 +303,10 @@ def _portable(run: Run, content: Mapping[str, Any], folder: Path) -> dict[str, A
             copy = f"{key}_{Path(module.__file__).name}"
             shutil.copyfile(module.__file__, folder / copy)
             portable[key] = f"./{copy}"
+    if str(content["recording"]["format"]).endswith(".py"):
+        reader = (run.experiment.folder / content["recording"]["format"]).absolute()
+        content = {**content, "recording": {**content["recording"], "format": str(reader)}}
+        portable["recording"] = content["recording"]
     for key in ("recording", "ground_truth"):
         section = content[key]
         if section and section["path"] and (run.experiment.folder / section["path"]).is_file():

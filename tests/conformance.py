@@ -276,9 +276,7 @@ def draw_graph(rng: np.random.Generator) -> RandomGraph:
     return RandomGraph(tables, tuple(hidden), tuple(observed), inputs)
 
 
-def _draw_edges_across(
-    persistent: Sequence[str], rng: np.random.Generator
-) -> dict[str, list[str]]:
+def _draw_edges_across(persistent: Sequence[str], rng: np.random.Generator) -> dict[str, list[str]]:
     across = {
         name: [p for p in persistent if rng.random() < (0.8 if p == name else 0.4)]
         for name in persistent
@@ -307,3 +305,18 @@ def shuffle_axes(tables: Iterable[Table], rng: np.random.Generator) -> list[Tabl
         values = table.values.transpose(*order, len(order))
         shuffled.append(Table(table.node, tuple(table.parents[k] for k in order), values))
     return shuffled
+
+
+# --- the smallest network that filters -----------------------------------------------------------
+
+KEEP = np.array([[0.9, 0.1], [0.2, 0.8]])
+SEES = np.array([[0.7, 0.3], [0.4, 0.6]])
+
+
+def simple_tables(name: str = "A") -> list[Table]:
+    """One persistent node and D that sees it."""
+    return [
+        *prior(name, [0.5, 0.5]),
+        *dynamics(name, [previous(name)], KEEP),
+        *within("D", [name], SEES),
+    ]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import logging
 import math
 import warnings
@@ -57,7 +58,7 @@ def test_the_integral_is_the_normal_s_mass_across_each_lane_normalised(
 ) -> None:
     row = discretised_normal(mean, 0.6, 4, "integral", widths)
     edges = [0.5, 1.5, 2.5, 3.5, 4.5] if widths is None else [0.5, 1.3, 2.8, 3.8, 5.0]
-    by_hand = [simpson(a, b, mean, 0.6) for a, b in zip(edges[:-1], edges[1:], strict=True)]
+    by_hand = [simpson(a, b, mean, 0.6) for a, b in itertools.pairwise(edges)]
     np.testing.assert_allclose(row, np.array(by_hand) / sum(by_hand), rtol=1e-9)
 
 
@@ -262,7 +263,11 @@ def test_a_node_whose_second_slice_has_no_edge_is_declared_all_the_same() -> Non
             "B at t depends on A at t, but B at t+1 does not depend on A at t+1: give its dynamics"
             " the same parent",
         ),
-        ([*within("A", ["B"], KEEP), *within("B", ["A"], KEEP)], [], "B at t cannot depend on A at t"),
+        (
+            [*within("A", ["B"], KEEP), *within("B", ["A"], KEEP)],
+            [],
+            "B at t cannot depend on A at t",
+        ),
         (
             [Table(("A", 0), (("A", 1),), KEEP), Table(("A", 1), (), np.array([0.5, 0.5]))],
             [],
@@ -284,9 +289,14 @@ def test_quiet_gives_back_what_it_silenced_even_after_an_error() -> None:
         from pgmpy.global_vars import config
     logger = logging.getLogger("pgmpy")
     before = (logger.level, config.get_show_progress())
-    with pytest.raises(RuntimeError), quiet():
-        assert config.get_show_progress() is False
-        raise RuntimeError
+
+    def fail() -> None:
+        with quiet():
+            assert config.get_show_progress() is False
+            raise RuntimeError
+
+    with pytest.raises(RuntimeError):
+        fail()
     assert (logger.level, config.get_show_progress()) == before
 
 

@@ -9,6 +9,14 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from bags import (
+    PLAIN_BODY,
+    PLAIN_LINE,
+    Line,
+    definition,
+    plain_message,
+    write_bag,
+)
 
 from egolane_pgm.recordings import read_lines
 from egolane_pgm.recordings import rosbag as rosbag_module
@@ -16,13 +24,6 @@ from egolane_pgm.recordings.rosbag import TOPIC, read_rosbag
 from egolane_pgm.recordings.select import recording_warnings
 from egolane_pgm.types import InputError, LineLog
 
-SEPARATOR = "=" * 80
-HEADER = f"{SEPARATOR}\nMSG: std_msgs/Header\nuint32 seq\ntime stamp\nstring frame_id\n"
-PLAIN_BODY = (
-    "Header header\nfloat64 number_of_lines\nfloat64 goodLines\nfloat64 width\n"
-    "float64 naive_width # full road width\n#int32 oneway\nint64 way_id\nmsg_lineInfo[] lines\n"
-)
-PLAIN_LINE = "bool isValid\nbool continuous\nint32 counter\nfloat32 offset\n"
 PAPER_FILES = (
     ("special.issue.italy.mono.noClothoid.yesLines.bag", 11738, 5),
     ("special.issue.italy.stereo.noClothoid.yesLines.bag", 11738, 5),
@@ -36,23 +37,11 @@ PAPER_FILES = (
     ("mldhighway.isislab.001_2017-12-15-17-07-21.bag", 9686, 6),
 )
 
-#: One line of a message: valid, continuous, counter, offset.
-Line = tuple[bool, bool, int, float]
 LINES: list[list[Line]] = [
     [(True, False, 7, -1.75), (False, True, -1, 3e32)],
     [],
     [(True, True, 10, 1.5), (False, False, -2147483648, float("nan")), (True, False, 3, 5.25)],
 ]
-
-
-def definition(body: str = PLAIN_BODY, line: str = PLAIN_LINE, package: str = "pkg") -> str:
-    return f"{body}\n{HEADER}\n{SEPARATOR}\nMSG: {package}/msg_lineInfo\n{line}"
-
-
-def plain_message(way_id: int, lines: list[Line], seq: int = 0, frame: bytes = b"rig") -> bytes:
-    raw = struct.pack("<IIII", seq, 0, 0, len(frame)) + frame
-    raw += struct.pack("<ddddqI", 0.0, 1.0, -1.0, 2.0, way_id, len(lines))
-    return raw + b"".join(struct.pack("<??if", *line) for line in lines)
 
 
 def extended_message(way_id: int, lines: list[Line], seq: int = 0) -> bytes:
@@ -67,29 +56,6 @@ EXTENDED = definition(
     "msg_lineInfo[] lines\nint32 way_id\nHeader header\nstring remark\n",
     "float64 width\nfloat32 offset\nbool continuous\nint32 counter\nbool isValid\n",
 )
-
-
-def write_bag(
-    path: Path,
-    messages: list[bytes],
-    *,
-    topic: str = TOPIC,
-    text: str | None = None,
-    msgtype: str = "pkg/msg/msg_lines",
-    stamps: list[int] | None = None,
-    chunk_bytes: int | None = None,
-) -> Path:
-    from rosbags.rosbag1 import Writer
-
-    with Writer(path) as bag:
-        if chunk_bytes is not None:
-            bag.chunk_threshold = chunk_bytes
-        connection = bag.add_connection(
-            topic, msgtype, msgdef=text or definition(), md5sum="0" * 32
-        )
-        for k, raw in enumerate(messages):
-            bag.write(connection, stamps[k] if stamps else k, raw)
-    return path
 
 
 def assert_same(one: LineLog, other: LineLog) -> None:

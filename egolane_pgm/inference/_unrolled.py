@@ -11,7 +11,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import NamedTuple
 
-#: Larger networks stay with the plain kernel: straight-line code grows with the square of states.
+#: Larger networks stay with the plain kernel: what is written out grows with the states' square.
 MAX_STATES = 16
 MAX_COLUMNS = 24
 
@@ -19,7 +19,7 @@ MAX_COLUMNS = 24
 TINY, HUGE = 1e-250, 1e250
 
 #: The carried belief is brought back to a sum of one when its sum leaves this range.
-LOW, HIGH = 1e-20, 1e20
+LOW, HIGH = 1e-60, 1e60
 
 #: Vector registers hold this many numbers; the states are padded with zeros to a multiple.
 WIDTH = 4
@@ -75,30 +75,34 @@ def filter_source(name: str, size: Size) -> str:
     blocks = [f"block{g}" for g in range(len(size.sizes))]
     likelihood = " * ".join(_likelihoods(size, lambda row: f"tables[{row * width} + s]"))
     predicted = _balanced([f"j{r} * tables[{r * width} + s]" for r in states])
-    # Below, n is known to be a multiple of the vector's width, so there is no remainder to do.
     lines = [
         f"def {name}(joint, tables, first, marginals, total, {', '.join(blocks)}):",
+        # So n is known to be a multiple of the vector's width: there is no remainder to do.
         f"    n = joint.shape[0] // {WIDTH} * {WIDTH}",
-        "    weighted = np.empty(n)",
+        "    weighted = joint.copy()",
         *(f"    {array} = {array}[first:]" for array in ("marginals", "total", *blocks)),
-        *(f"    j{s} = joint[{s}]" for s in states),
         # One over what the carried numbers sum to.
         "    scale = 1.0",
+        *(f"    j{s} = joint[{s}]" for s in states),
         "    for t in range(total.shape[0]):",
         *(f"        {line}" for line in _load_evidence(size)),
         "        for s in range(n):",
     ]
     if size.is_factored:
         lines.append(f"            weighted[s] = {predicted} * ({likelihood} * scale)")
+        back = [f"    joint[{s}] = {_product(size, s, 'marginals[t - 1, {}]')}" for s in states]
+        back = ["if t > 0:", *back]
     else:
+        lines.append("            joint[s] = weighted[s]")
         lines.append(f"            weighted[s] = {predicted} * ({likelihood})")
+        back = [f"joint[{s}] *= scale" for s in states]
     body = [
         *(f"w{s} = weighted[{s}]" for s in states),
         *_marginals(size),
         f"mass = {_balanced([f'm{c}' for c in _columns_of_last_persistent(size)])}",
         "likelihood = mass" if size.is_factored else "likelihood = mass * scale",
         f"if not {TINY} < likelihood < {HUGE}:",
-        *(f"    joint[{s}] = j{s} * scale" for s in states),
+        *(f"    {line}" for line in back),
         "    return first + t",
         "total[t] = likelihood",
         "inverse = 1.0 / mass",
@@ -110,11 +114,12 @@ def filter_source(name: str, size: Size) -> str:
     else:
         # The sum is put right only now and then: the division is not waited for in each frame.
         body += [
-            *(f"j{s} = w{s}" for s in states),
             "scale = inverse",
             f"if not {LOW} < mass < {HIGH}:",
-            *(f"    j{s} *= inverse" for s in states),
+            *(f"    w{s} *= inverse" for s in states),
+            *(f"    weighted[{s}] = w{s}" for s in states),
             "    scale = 1.0",
+            *(f"j{s} = w{s}" for s in states),
         ]
     lines += [f"        {line}" for line in body]
     lines += [f"    joint[{s}] = j{s} * scale" for s in states]
@@ -126,9 +131,10 @@ def confusion_source(name: str, size: Size, lanes: tuple[int, ...]) -> str:
     """`name(joint, tables, first, column, tolerance, counts, *blocks)`: BATCH sets at once.
 
     joint (S, BATCH): after the frame before `first`, overwritten. tables (rows * S * BATCH,):
-    flat, the sets last, rows as in Size.n_rows. column (T,): the true lane's index, -1 where a frame is not scored.
-    lanes: the columns of the marginals that are Lane's. counts (BATCH, n + 1, n): the confusions,
-    added to; the row is the most probable lane, or n where the runner-up is within `tolerance`.
+    flat, the sets last, rows as in Size.n_rows. column (T,): the true lane's index, -1 where a
+    frame is not scored. lanes: the columns of the marginals that are Lane's. counts
+    (BATCH, n + 1, n): the confusions, added to; the row is the most probable lane, or n where the
+    runner-up is within `tolerance`.
     Returns whether every frame had a likelihood in range; else the counts mean nothing.
     """
     states = range(size.n_states)
@@ -156,7 +162,7 @@ def confusion_source(name: str, size: Size, lanes: tuple[int, ...]) -> str:
     ]
     if size.is_factored:
         filtering += [f"n{c} = m{c} * inverse" for c in _persistent_columns(size)]
-        filtering += [f"{work(s)} = {_product(size, s, 'n')}" for s in states]
+        filtering += [f"{work(s)} = {_product(size, s, 'n{}')}" for s in states]
     else:
         filtering += [f"{work(s)} = w{s} * inverse" for s in states]
     filtering += [f"{work(size.n_states + k)} = m{c}" for k, c in enumerate(lanes)]
@@ -175,6 +181,8 @@ def confusion_source(name: str, size: Size, lanes: tuple[int, ...]) -> str:
     ]
     lines = [
         f"def {name}(joint, tables, first, column, tolerance, counts, {', '.join(blocks)}):",
+        # Known to be a multiple of the vector's width, but not written out.
+        f"    n = joint.shape[1] // {WIDTH} * {WIDTH}",
         f"    work = np.ones({(size.n_states + n_lanes + 2) * BATCH})",
         f"    rows = np.empty({BATCH})",
         f"    for s in range({size.n_states}):",
@@ -183,16 +191,18 @@ def confusion_source(name: str, size: Size, lanes: tuple[int, ...]) -> str:
         *(f"    {array} = {array}[first:]" for array in ("column", *blocks)),
         "    for t in range(column.shape[0]):",
         *(f"        {line}" for line in _load_evidence(size)),
-        f"        for b in range({BATCH}):",
+        "        for b in range(n):",
         *(f"            {line}" for line in filtering),
         "        if column[t] < 0:",
         "            continue",
-        f"        for b in range({BATCH}):",
+        "        for b in range(n):",
         *(f"            {line}" for line in scoring),
         f"        for b in range({BATCH}):",
         "            counts[b, int(rows[b]), column[t]] += 1",
         f"    for b in range({BATCH}):",
         # NaN is not equal to itself, and once there it stays in the carried belief.
+        f"        for s in range({size.n_states}):",
+        f"            joint[s, b] = work[s * {BATCH} + b]",
         f"        if not ({TINY} < {work(smallest)} and {work(largest)} < {HUGE}"
         f" and {work(0)} == {work(0)}):",
         "            return False",
@@ -244,5 +254,6 @@ def _columns_of_last_persistent(size: Size) -> list[int]:
     return sorted(set(size.node_column[size.n_persistent - 1]))
 
 
-def _product(size: Size, state: int, name: str = "m") -> str:
-    return " * ".join(f"{name}{row[state]}" for row in size.node_column[: size.n_persistent])
+def _product(size: Size, state: int, marginal: str = "m{}") -> str:
+    """The product of a state's marginals; `marginal` is how that of a column is written."""
+    return " * ".join(marginal.format(row[state]) for row in size.node_column[: size.n_persistent])

@@ -169,12 +169,10 @@ def _assemble(roles: Roles, tables: Mapping[SliceNode, Table]) -> Compiled:
                 if node in input_value:
                     shape = (-1, 1) if s == 0 else (-1, 1, 1)
                     indices.append(input_value[node].reshape(shape))
-                elif node in roles.values:
+                else:
                     before = s == 1 and node_slice == 0
                     shape = (1, -1) if s == 0 else (1, -1, 1) if before else (1, 1, -1)
                     indices.append(roles.values[node].reshape(shape))
-                else:
-                    raise InputError(f"{name}: its parent {node} is not hidden and not an input")
             plan[name, s] = _Placement(kind, -1, table.parents, table.values.shape, tuple(indices))
     for g, group in enumerate(groups):
         column = dict(

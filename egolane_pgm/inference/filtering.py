@@ -10,6 +10,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass
+from itertools import accumulate, pairwise
 from typing import Any
 
 import numpy as np
@@ -85,7 +86,7 @@ def read_evidence(evidence: Evidence, reading: str) -> Evidence:
         raise InputError(f"evidence reading '{reading}'{suggestion(reading, READINGS)}")
     hard: dict[Observed, FloatArray] = {}
     for key, values in evidence.likelihoods.items():
-        flat = values.reshape(len(values), -1)
+        flat = values.reshape(len(values), math.prod(values.shape[1:]))
         largest = flat.max(axis=1, keepdims=True)
         hard[key] = (flat >= largest * (1 - 1e-9)).astype(np.float64).reshape(values.shape)
     return Evidence(hard, evidence.inputs)
@@ -96,23 +97,22 @@ def _run(
 ) -> tuple[FloatArray, FloatArray, FloatArray, BoolArray]:
     if method not in METHODS:
         raise InputError(f"filter '{method}'{suggestion(method, METHODS)}")
-    blocks, start, emission = _blocks(compiled, evidence)
+    blocks, start, emission = evidence_blocks(compiled, evidence)
     input_index = _input_index(compiled, evidence)
     node_column, n_columns = node_columns(compiled)
     n_frames = len(evidence)
     joint = np.zeros(compiled.n_states) if state is None else state.joint.copy()
-    marginals = np.zeros((n_frames, n_columns))
-    log_evidence = np.zeros(n_frames)
-    is_impossible = np.zeros(n_frames, dtype=bool)
+    log_evidence = np.empty(n_frames)
+    is_impossible = np.empty(n_frames, dtype=bool)
     run: Any
     values: Any
     if kernel:
         from egolane_pgm.inference.kernels import filter_blocks as run
 
-        values = blocks
+        values, marginals = blocks, np.empty((n_frames, n_columns))
     else:
         run = _filter_frames_numpy
-        values = np.concatenate(blocks, axis=1)
+        values, marginals = np.concatenate(blocks, axis=1), np.zeros((n_frames, n_columns))
     run(
         joint,
         state is None,
@@ -149,7 +149,7 @@ def _filter_frames_numpy(
     is_impossible: BoolArray,
 ) -> None:
     """The NumPy twin of `kernels.filter_frames`, same arguments."""
-    groups = [slice(a, b) for a, b in zip(group_start[:-1], group_start[1:], strict=True)]
+    groups = [slice(a, b) for a, b in pairwise(group_start)]
     for t, row in enumerate(evidence):
         u = input_index[t]
         predicted = prior[u] if is_first and t == 0 else joint @ transition[u]
@@ -168,7 +168,8 @@ def _filter_frames_numpy(
             joint[:] = weighted / total
             log_evidence[t] = math.log(total) + log_scale
         else:
-            joint[:] = predicted
+            joint[:] = predicted / predicted.sum()
+            log_evidence[t] = 0.0
         for columns in node_column:
             np.add.at(marginals[t], columns, joint)
         if is_factored:
@@ -181,20 +182,20 @@ def pack(compiled: Compiled, evidence: Evidence) -> tuple[FloatArray, IntArray, 
     Raises InputError naming an observed node without evidence, evidence without a node, or a
     wrong shape.
     """
-    blocks, start, emission = _blocks(compiled, evidence)
+    blocks, start, emission = evidence_blocks(compiled, evidence)
     return np.concatenate(blocks, axis=1), start, emission
 
 
-def _blocks(
+def evidence_blocks(
     compiled: Compiled, evidence: Evidence
 ) -> tuple[list[FloatArray], IntArray, FloatArray]:
-    """As `pack`, but the evidence of each group as an array (T, K) of its own."""
+    """As `pack`, but the evidence of each group is an array (T, K) of its own."""
     _check_keys(compiled, evidence)
     blocks = [
         np.ascontiguousarray(_group_evidence(group, evidence.likelihoods), dtype=np.float64)
         for group in compiled.groups
     ]
-    start = np.cumsum([0] + [block.shape[1] for block in blocks]).astype(np.int64)
+    start = np.array([0, *accumulate(block.shape[1] for block in blocks)], dtype=np.int64)
     emission = np.ascontiguousarray(np.concatenate([g.emission for g in compiled.groups], axis=1))
     return blocks, start, emission
 
@@ -225,7 +226,7 @@ def _group_evidence(group: Group, likelihoods: Mapping[Observed, FloatArray]) ->
     """(T, K): the product of the group's evidence over all its nodes' values."""
     if len(group.observed) == 1:
         values = likelihoods[group.observed[0]]
-        return values.reshape(len(values), -1)
+        return values.reshape(len(values), math.prod(group.sizes))
     n_frames = len(likelihoods[group.observed[0]])
     product = np.ones((n_frames, *group.sizes))
     for key, axes in zip(group.observed, group.axes, strict=True):
@@ -234,7 +235,7 @@ def _group_evidence(group: Group, likelihoods: Mapping[Observed, FloatArray]) ->
         ordered = values.transpose(0, *(1 + np.argsort(axes)))
         shape = [size if k in axes else 1 for k, size in enumerate(group.sizes)]
         product *= ordered.reshape(n_frames, *shape)
-    return product.reshape(n_frames, -1)
+    return product.reshape(n_frames, math.prod(group.sizes))
 
 
 def _input_index(compiled: Compiled, evidence: Evidence) -> IntArray:
@@ -254,7 +255,7 @@ def node_columns(compiled: Compiled) -> tuple[IntArray, int]:
     for name in order:
         rows.append(start + compiled.node_value[compiled.hidden.index(name)])
         start += compiled.cardinality[name]
-    return np.stack(rows).astype(np.int64), start
+    return np.array(rows, dtype=np.int64), start
 
 
 def _node_order(compiled: Compiled) -> list[str]:

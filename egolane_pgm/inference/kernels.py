@@ -12,6 +12,7 @@ import hashlib
 import math
 from collections.abc import Callable, Sequence
 from functools import lru_cache
+from itertools import pairwise
 from typing import Any
 
 import numpy as np
@@ -107,8 +108,12 @@ def filter_frames(
             log_evidence[t] = math.log(total) + log_scale
             is_impossible[t] = False
         else:
+            # Normalised: the product of marginals would multiply rounding errors frame by frame.
+            total = 0.0
             for s in range(n_states):
-                joint[s] = predicted[s]
+                total += predicted[s]
+            for s in range(n_states):
+                joint[s] = predicted[s] / total
             log_evidence[t] = 0.0
             is_impossible[t] = True
         for h in range(n_nodes):
@@ -140,13 +145,14 @@ def filter_blocks(
 ) -> None:
     """As `filter_frames`, with the evidence of each group in an array of its own, (T, K).
 
-    The last three arrays have to come filled with zeros.
+    Unlike there, what the last three arrays hold before does not matter.
     """
     n_frames = len(log_evidence)
     size = kernel_size(group_start, node_column, n_persistent, is_factored)
 
     def plain(start: int, stop: int) -> None:
         here = slice(start, stop)
+        marginals[here] = 0.0
         filter_frames(
             joint,
             is_first and start == 0,
@@ -167,10 +173,12 @@ def filter_blocks(
     if n_frames < MIN_FRAMES or len(transition) > 1 or not size.is_small:
         plain(0, n_frames)
         return
+    is_impossible[:] = False
     run = _filter_kernel(size)
     width = _unrolled.padded(size.n_states)
     tables = np.zeros((size.n_rows, width))
-    tables[:, : size.n_states] = np.concatenate([transition[0], emission.T])
+    tables[: size.n_states, : size.n_states] = transition[0]
+    tables[size.n_states :, : size.n_states] = emission.T
     carried = np.zeros(width)
     done = 0
     if is_first:
@@ -193,8 +201,22 @@ def kernel_size(
     group_start: IntArray, node_column: IntArray, n_persistent: int, is_factored: bool
 ) -> Size:
     """The size that a kernel is compiled for."""
-    sizes = tuple(int(n) for n in np.diff(group_start))
-    return Size(sizes, tuple(map(tuple, node_column.tolist())), n_persistent, bool(is_factored))
+    return _size(
+        tuple(group_start.tolist()),
+        node_column.tobytes(),
+        node_column.shape[1],
+        n_persistent,
+        bool(is_factored),
+    )
+
+
+@lru_cache(maxsize=64)
+def _size(
+    start: tuple[int, ...], columns: bytes, n_states: int, n_persistent: int, is_factored: bool
+) -> Size:
+    node_column = np.frombuffer(columns, dtype=np.int64).reshape(-1, n_states)
+    sizes = tuple(b - a for a, b in pairwise(start))
+    return Size(sizes, tuple(map(tuple, node_column.tolist())), n_persistent, is_factored)
 
 
 def confusion_counts(
@@ -229,7 +251,11 @@ def confusion_counts(
         parts = ((first, 0, 1), (later, 1, len(column)))
         for table, begin, stop in parts:
             evidence = [block[:stop] for block in blocks]
-            if not run(joint, table.ravel(), begin, column[:stop], tolerance, found, *evidence):
+            with np.errstate(all="ignore"):  # without the compiler, NumPy would warn
+                is_fine = run(
+                    joint, table.ravel(), begin, column[:stop], tolerance, found, *evidence
+                )
+            if not is_fine:
                 return None
         counts[start : start + BATCH] = found[: n_sets - start]
     return counts
@@ -245,8 +271,10 @@ def _compiled(kind: str, write: Callable[[str], str]) -> Any:
     name = f"{kind}_{digest}"
     namespace: dict[str, Any] = {"np": np, "__name__": __name__}
     exec(compile(write(name), _unrolled.__file__, "exec"), namespace)
-    # Fusing a multiplication with an addition is all that is allowed: NaN and infinity stay.
-    return njit(cache=True, fastmath={"contract"})(namespace[name])
+    # Of fast arithmetic only fusing a multiplication with an addition: NaN and infinity stay. Code
+    # that may raise ZeroDivisionError cannot be vectorised.
+    compiled = njit(cache=True, fastmath={"contract"}, error_model="numpy")
+    return compiled(namespace[name])
 
 
 @lru_cache(maxsize=64)

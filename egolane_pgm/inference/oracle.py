@@ -40,6 +40,7 @@ def oracle_filter(
     unrolled = unroll(network, observed, evidence, inputs)
     given = {f"{name}@{t}": int(v) for name in inputs for t, v in enumerate(evidence.inputs[name])}
     answers = []
+    log_joint = 0.0
     for t in range(len(evidence)):
         seen = {node: v for node, v in given.items() if int(node.rsplit("@", 1)[1]) <= t}
         found = {f"{ve_name(key)}@{t}": 1 for key in observed}
@@ -48,9 +49,17 @@ def oracle_filter(
         if probability > 0:
             given |= found
             seen |= found
+            log_joint += math.log(probability)
+        _check_representable(probability, log_joint)
         marginals = {name: _marginal(unrolled, f"{name}@{t}", seen) for name in hidden}
         answers.append((probability, scale, marginals))
     return _beliefs(hidden, answers)
+
+
+def _check_representable(probability: float, log_joint: float) -> None:
+    """pgmpy multiplies everything out: refuse where a zero may be an underflow."""
+    if log_joint < (-500 if probability > 0 else -250):
+        raise InputError("the sequence is too improbable for the oracle; use fewer frames")
 
 
 def oracle_assumed_density(
@@ -206,13 +215,10 @@ def _marginal(model: DiscreteBayesianNetwork, node: str, given: Mapping[str, int
 
 
 def _query(model: DiscreteBayesianNetwork, nodes: list[str], given: Mapping[str, int]) -> Any:
-    with quiet(), np.errstate(invalid="ignore", divide="ignore"):
+    with quiet():
         from pgmpy.inference import VariableElimination
 
-        factor = VariableElimination(model).query(nodes, evidence=dict(given), show_progress=False)
-    if not np.isfinite(factor.values).all():
-        raise InputError("the sequence is too improbable for the oracle; use fewer frames")
-    return factor
+        return VariableElimination(model).query(nodes, evidence=dict(given), show_progress=False)
 
 
 def _beliefs(

@@ -26,6 +26,7 @@ from egolane_pgm.report.style import (
     off_colours,
     percent,
     plain_style,
+    put_title,
     save,
     text_colour,
     title_of,
@@ -39,9 +40,10 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 # Inches; a share is labelled where its bar is wide enough for the text.
-_WIDTH, _LEFT, _RIGHT = 9.0, 2.75, 0.25
-_BAR, _BAR_GAP, _GROUP_GAP, _HEAD, _FOOT = 0.24, 0.04, 0.2, 0.78, 0.5
-_LABELLED = 0.045
+_WIDTH, _RIGHT, _EDGE, _NAMES = 9.0, 0.25, 0.12, 1.05
+_BAR, _BAR_GAP, _GROUP_GAP, _HEAD, _FOOT = 0.24, 0.04, 0.2, 0.64, 0.5
+_LABELLED = 0.04
+_LEGEND_COLUMNS = 6
 
 
 @dataclass(frozen=True)
@@ -59,7 +61,7 @@ class Bar:
 
 @dataclass(frozen=True)
 class Group:
-    """Bars that belong together, with a title and a smaller line below it."""
+    """Bars that belong together, with a title and a smaller line below it, `note`."""
 
     title: str
     note: str
@@ -133,7 +135,7 @@ def bonus_ablation_figure(with_bonus: Result, without_bonus: Result) -> Figure:
     for a, b in zip(bars_with, bars_without, strict=True):
         change = 100 * (b.shares[0] - a.shares[0])
         pair = (Bar(f"BV = {value:g}", a.counts), Bar("no BV", b.counts))
-        groups.append(Group(a.label, f"right: {change:+.1f} points without", pair))
+        groups.append(Group(a.label, f"right without BV: {change:+.1f} points", pair))
     frames = f"{int(bars_with[0].counts.sum()):,} frames"
     title = f"Bonus value (BV), {title_of(with_bonus)}, {frames}"
     others = _other_differences(with_bonus, without_bonus)
@@ -175,42 +177,43 @@ def _other_differences(a: Result, b: Result) -> list[str]:
 
 
 def _bar_sheet(groups: Sequence[Group], title: str, n_lanes: int) -> Figure:
-    group_height = [len(g.bars) * (_BAR + _BAR_GAP) for g in groups]
+    group_height = [len(g.bars) * (_BAR + _BAR_GAP) - _BAR_GAP for g in groups]
     height = sum(group_height) + _GROUP_GAP * len(groups)
-    figure = new_figure(_WIDTH, _HEAD + height + _FOOT)
-    figure.text(
-        0.12 / _WIDTH, 1 - 0.1 / figure.get_figheight(), title, fontsize=11, va="top", color=INK
-    )
-    ax = axes_at(figure, _LEFT, _HEAD, _WIDTH - _LEFT - _RIGHT, height)
+    left = _left_margin(groups)
+    head = _HEAD + 0.2 * (n_lanes // _LEGEND_COLUMNS)
+    figure = new_figure(_WIDTH, head + height + _FOOT)
+    put_title(figure, title, _EDGE)
+    ax = axes_at(figure, left, head, _WIDTH - left - _RIGHT, height)
     ax.set_xlim(0, 1)
     ax.set_ylim(height, 0)
+    outer = (_EDGE - left) / (_WIDTH - left - _RIGHT)
     at, ticks = _GROUP_GAP / 2, []
     for group, tall in zip(groups, group_height, strict=True):
-        middle = at + (tall - _BAR_GAP) / 2
-        beside = {"transform": ax.get_yaxis_transform(), "ha": "right", "color": INK}
-        # The bars' own names stand between the group's and the axes.
-        x = -1.0 / (_WIDTH - _LEFT - _RIGHT)
-        ax.text(x, middle - 0.015, group.title, va="bottom", fontsize=8.5, **beside)
-        ax.text(x, middle + 0.03, group.note, va="top", fontsize=7.5, **beside)
-        for bar in group.bars:
-            ticks.append((at + _BAR / 2, bar.label))
-            _draw_bar(ax, bar, at)
-            at += _BAR + _BAR_GAP
-        at += _GROUP_GAP
+        size = min(8.5, 8.5 * (left - _NAMES - _EDGE) / (0.068 * len(group.title)))
+        ax.text(outer, at + tall / 2 - 0.015, group.title, va="bottom", fontsize=size, color=INK)
+        ax.text(outer, at + tall / 2 + 0.03, group.note, va="top", fontsize=7.5, color=INK)
+        for k, bar in enumerate(group.bars):
+            top = at + k * (_BAR + _BAR_GAP)
+            ticks.append((top + _BAR / 2, bar.label))
+            _draw_bar(ax, bar, top)
+        at += tall + _GROUP_GAP
         if group is not groups[-1]:
-            ax.plot(
-                [-(_LEFT - 0.12) / (_WIDTH - _LEFT - _RIGHT), 1],
-                [at - _GROUP_GAP / 2 - _BAR_GAP / 2] * 2,
-                color=FAINT, linewidth=0.6, clip_on=False, transform=ax.transData,
-            )  # fmt: skip
+            between = [at - _GROUP_GAP / 2] * 2
+            ax.plot([outer, 1], between, color=FAINT, linewidth=0.6, clip_on=False)
     ax.set_yticks([y for y, _ in ticks], [label for _, label in ticks], fontsize=8.5)
     ax.tick_params(axis="y", length=0)
     ax.set_xticks(np.linspace(0, 1, 6), [f"{v} %" for v in range(0, 101, 20)], fontsize=8.5)
     ax.set_xlabel("share of the annotated frames that are not crossing", fontsize=9)
     for side in ("top", "right", "left"):
         ax.spines[side].set_visible(False)
-    _draw_legend(figure, n_lanes)
+    _draw_legend(figure, n_lanes, left)
     return figure
+
+
+def _left_margin(groups: Sequence[Group]) -> float:
+    """Inches for the names of groups and bars; names that are longer still get smaller type."""
+    widest = max(max(0.068 * len(g.title), 0.06 * len(g.note)) for g in groups)
+    return min(_EDGE + widest + _NAMES, 4.0)
 
 
 def category_colours(n_lanes: int) -> list[str]:
@@ -244,15 +247,17 @@ def _draw_bar(ax: Axes, bar: Bar, top: float) -> None:
         left += share
 
 
-def _draw_legend(figure: Figure, n_lanes: int) -> None:
+def _draw_legend(figure: Figure, n_lanes: int, left: float) -> None:
     from matplotlib.patches import Patch
 
+    # More than four lanes need the whole width.
+    start = left if n_lanes <= 4 and left < 3.2 else _EDGE
     named = zip(category_names(n_lanes), category_colours(n_lanes), strict=True)
     figure.legend(
         handles=[Patch(facecolor=colour, label=name) for name, colour in named],
         loc="upper left",
-        bbox_to_anchor=(_LEFT / _WIDTH, 1 - 0.4 / figure.get_figheight()),
-        ncols=min(n_lanes + 1, 6),
+        bbox_to_anchor=(start / _WIDTH, 1 - 0.42 / figure.get_figheight()),
+        ncols=min(n_lanes + 1, _LEGEND_COLUMNS),
         frameon=False,
         fontsize=8.5,
         borderaxespad=0,

@@ -18,9 +18,10 @@ from egolane_pgm.report.style import (
     new_figure,
     percent,
     plain_style,
+    put_title,
     save,
+    series,
     text_colour,
-    title_of,
 )
 from egolane_pgm.results import Result
 from egolane_pgm.scoring.confusion import accuracy, check_confusion, confusion
@@ -28,15 +29,16 @@ from egolane_pgm.types import FloatArray, IntArray
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
+    from matplotlib.colors import Colormap
     from matplotlib.figure import Figure
 
 # Inches.
-_CELL_WIDTH, _CELL_HEIGHT, _LEFT, _GAP, _HEAD, _FOOT = 0.82, 0.56, 1.6, 0.4, 0.75, 0.75
+_CELL_WIDTH, _CELL_HEIGHT, _LEFT, _GAP, _HEAD, _FOOT = 0.82, 0.52, 1.25, 0.3, 0.62, 0.65
 _RIGHT, _BAR = 0.85, 0.14
 
 
 def confusions(result: Result) -> dict[str, IntArray]:
-    """"Detector only" (where there is a tentative vector) and "Model": (n + 1, n) counts.
+    """ "Detector only" (where there is a tentative vector) and "Model": (n + 1, n) counts.
 
     Raises InputError where no frame is annotated.
     """
@@ -78,14 +80,9 @@ def confusion_figure(result: Result) -> Figure:
     width, height = max(n * _CELL_WIDTH, 2.2), (n + 1) * _CELL_HEIGHT
     across = _LEFT + len(matrices) * (width + _GAP) - _GAP + _RIGHT
     figure = new_figure(across, _HEAD + height + _FOOT)
-    down = figure.get_figheight()
-    frames = int(next(iter(matrices.values())).sum())
-    figure.text(
-        0.12 / across, 1 - 0.1 / down, f"{title_of(result)}: {frames:,} frames", fontsize=11,
-        va="top", color=INK,
-    )  # fmt: skip
-    ramp = LinearSegmentedColormap.from_list("share", PROBABILITY_COLOURS)
-    ramp.set_bad("#efefef")
+    put_title(figure, series(result))
+    colours = LinearSegmentedColormap.from_list("share", PROBABILITY_COLOURS)
+    ramp = colours.with_extremes(bad="#efefef")
     for k, (name, matrix) in enumerate(matrices.items()):
         ax = axes_at(figure, _LEFT + k * (width + _GAP), _HEAD, width, height)
         ax.set_title(f"{name}: {percent(float(accuracy(matrix)))} % right", fontsize=9.5)
@@ -94,7 +91,9 @@ def confusion_figure(result: Result) -> Figure:
         ax.set_yticks(range(n + 1), [*lanes, "Unassigned"] if k == 0 else [], fontsize=8.5)
         if k == 0:
             ax.set_ylabel("predicted (lane 1: leftmost)", fontsize=9)
-        totals = [f"{lane}\n{int(t):,} frames" for lane, t in zip(lanes, matrix.sum(0), strict=True)]
+        totals = [
+            f"{lane}\n{int(t):,} frames" for lane, t in zip(lanes, matrix.sum(0), strict=True)
+        ]
         ax.set_xticks(range(n), totals, fontsize=8)
         ax.set_xlabel("actual", fontsize=9)
     bar = axes_at(figure, across - _RIGHT + 0.15, _HEAD, _BAR, height)
@@ -105,7 +104,7 @@ def confusion_figure(result: Result) -> Figure:
     return figure
 
 
-def _draw_matrix(ax: Axes, matrix: IntArray, ramp: object) -> None:
+def _draw_matrix(ax: Axes, matrix: IntArray, ramp: Colormap) -> None:
     shares = column_shares(matrix)
     image = ax.imshow(
         np.ma.masked_invalid(shares), cmap=ramp, vmin=0, vmax=1, aspect="auto", interpolation="none"
@@ -121,9 +120,7 @@ def _draw_matrix(ax: Axes, matrix: IntArray, ramp: object) -> None:
                 (f"{percent(share)} %" if known else "-", row - 0.14, 9),
                 (f"{int(matrix[row, column]):,}", row + 0.22, 7.5),
             ):
-                ax.text(
-                    column, y, text, fontsize=size, ha="center", va="center", color=colour
-                )
+                ax.text(column, y, text, fontsize=size, ha="center", va="center", color=colour)
     for k in range(1, n):
         ax.axvline(k - 0.5, color=FAINT, linewidth=0.5)
     for k in range(1, n + 1):

@@ -19,8 +19,9 @@ from egolane_pgm.report.style import (
     is_scored,
     new_figure,
     plain_style,
+    put_title,
     save,
-    title_of,
+    series,
 )
 from egolane_pgm.results import Result
 from egolane_pgm.scoring.probabilistic import (
@@ -48,7 +49,7 @@ class Reliability:
 
 
 def reliabilities(result: Result) -> dict[str, Reliability]:
-    """"Detector only" (where there is a tentative vector) and "Model".
+    """ "Detector only" (where there is a tentative vector) and "Model".
 
     Raises InputError where no frame is annotated.
     """
@@ -79,14 +80,10 @@ def draw_reliability(result: Result, path: str | Path) -> Path:
 def reliability_figure(result: Result) -> Figure:
     """The figure of `draw_reliability`; the same errors."""
     found = reliabilities(result)
-    frames = int(next(iter(found.values())).curve.count.sum())
-    figure = new_figure(5.2, 6.0)
-    figure.text(
-        0.12 / 5.2, 1 - 0.1 / 6.0, f"{title_of(result)}: {frames:,} frames", fontsize=11, va="top",
-        color=INK,
-    )  # fmt: skip
-    upper = axes_at(figure, 0.75, 0.5, 4.25, 3.5)
-    lower = axes_at(figure, 0.75, 4.15, 4.25, 1.25)
+    figure = new_figure(5.2, 5.7)
+    put_title(figure, series(result))
+    upper = axes_at(figure, 0.7, 0.85, 4.3, 3.1)
+    lower = axes_at(figure, 0.7, 4.07, 4.3, 1.1)
     upper.plot([0, 1], [0, 1], color=FAINT, linewidth=1.2, label="perfectly calibrated", zorder=1)
     edge = np.linspace(0, 1, N_BINS + 1)
     bar = 0.8 / (N_BINS * len(found))
@@ -105,7 +102,9 @@ def reliability_figure(result: Result) -> Figure:
                 markersize=5.5, markeredgecolor=colour, markerfacecolor=face, zorder=3,
             )  # fmt: skip
         label = f"{name}, ECE {reliability.error:.3f}"
-        upper.plot([], [], color=colour, linestyle=dashes, marker=marker, markersize=5.5, label=label)
+        upper.plot(
+            [], [], color=colour, linestyle=dashes, marker=marker, markersize=5.5, label=label
+        )
         left = edge[:-1] + 0.1 / N_BINS + k * bar
         lower.bar(left, curve.count, bar, align="edge", color=colour, label=name)
     if any(((r.curve.count > 0) & (r.curve.count < FEW_FRAMES)).any() for r in found.values()):
@@ -122,8 +121,11 @@ def reliability_figure(result: Result) -> Figure:
         ax.set_axisbelow(True)
     upper.set_ylim(-0.02, 1.02)
     upper.tick_params(labelbottom=False)
-    upper.set_ylabel("share of frames that are right", fontsize=9)
-    upper.legend(loc="upper left", fontsize=8.5, framealpha=0.9, edgecolor="none")
+    upper.set_ylabel("share right (Unassigned is wrong)", fontsize=9)
+    upper.legend(
+        loc="lower center", bbox_to_anchor=(0.5, 1.0), ncols=2, fontsize=8.5, frameon=False,
+        borderaxespad=0.3,
+    )  # fmt: skip
     lower.set_yscale("log")
     lower.set_ylim(0.7, None)
     lower.set_ylabel("frames (log)", fontsize=9)

@@ -9,6 +9,8 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from functools import partial
+from itertools import pairwise
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -25,6 +27,7 @@ from egolane_pgm.report.style import (
     lane_names,
     new_figure,
     plain_style,
+    put_title,
     save,
     title_of,
 )
@@ -42,9 +45,10 @@ MAX_COLUMNS = 1300
 MAX_ROWS = 8
 
 # Inches.
-_WIDTH, _LEFT, _RIGHT = 9.0, 1.5, 0.2
+_WIDTH, _LEFT, _LEFT_NAME, _RIGHT = 9.0, 1.5, 0.2, 0.2
 _LANE, _STRIP_MIN, _STRIP_GAP = 0.2, 0.78, 0.07
 _TICKS, _ROW_GAP, _HEAD, _FOOT = 0.2, 0.14, 0.42, 0.72
+_DASHES = (0, (3, 2))
 
 
 @dataclass(frozen=True)
@@ -96,9 +100,7 @@ def frame_range(result: Result, first: int | None, last: int | None) -> tuple[in
     return max(low, int(ids[0])), min(high, int(ids[-1]))
 
 
-def strip_columns(
-    result: Result, first: int, last: int, max_columns: int = MAX_COLUMNS
-) -> Strips:
+def strip_columns(result: Result, first: int, last: int, max_columns: int = MAX_COLUMNS) -> Strips:
     """The strips of the frame ids from first to last, both included.
 
     One column per frame id while they fit into `max_columns`, otherwise a column is the mean over
@@ -135,7 +137,7 @@ def split_range(first: int, last: int, max_columns: int = MAX_COLUMNS) -> list[t
     span = last - first + 1
     rows = min(MAX_ROWS, -(-span // max_columns))
     edge = [first + k * span // rows for k in range(rows + 1)]
-    return [(a, b - 1) for a, b in zip(edge, edge[1:], strict=False)]
+    return [(a, b - 1) for a, b in pairwise(edge)]
 
 
 def draw_strips(
@@ -165,13 +167,7 @@ def strips_figure(result: Result, first: int | None = None, last: int | None = N
     figure = new_figure(_WIDTH, end + _FOOT)
     averaged = rows[0].frames_per_column
     note = f"; each column is the mean of up to {averaged} frames" if averaged > 1 else ""
-    figure.text(
-        _LEFT / _WIDTH,
-        1 - 0.1 / figure.get_figheight(),
-        f"{title_of(result)}: frames {low} to {high}{note}",
-        fontsize=10,
-        va="top",
-    )
+    put_title(figure, f"{title_of(result)}: frames {low} to {high}{note}", _LEFT, 10)
     # Rows of one sheet have one scale, though one may be a frame shorter than another.
     longest = max(s.last - s.first + 1 for s in rows)
     for k, strips in enumerate(rows):
@@ -207,28 +203,21 @@ def _draw_row(
                 )
         else:
             for edge in (e for crossing in strips.crossings for e in crossing):
-                ax.axvline(edge - 0.5, color=INK, linewidth=0.5, linestyle=(0, (3, 2)))
+                ax.axvline(edge - 0.5, color=INK, linewidth=0.5, linestyle=_DASHES)
+        title = name.replace(" ", "\n")
         ax.text(
-            -1.3, 0.5, name.replace(" ", "\n"), transform=_inches_beside(ax), rotation=90, fontsize=9,
-            fontweight="bold", ha="center", va="center",
+            (_LEFT_NAME - _LEFT) / width, 0.5, title, transform=ax.transAxes, rotation=90,
+            fontsize=9, fontweight="bold", ha="center", va="center",
         )  # fmt: skip
         ax.set_yticks(range(1, len(image) + 1), lane_names(len(image)), fontsize=8)
         ax.tick_params(axis="y", length=0, pad=3)
         ax.tick_params(axis="x", bottom=False, labelbottom=False, labelsize=8)
     first_ax, last_ax = figure.axes[-len(images)], figure.axes[-1]
     first_ax.tick_params(axis="x", top=True, labeltop=True, pad=1)
-    seconds = last_ax.secondary_xaxis("bottom", functions=(lambda f: f / rate, lambda s: s * rate))
+    seconds = last_ax.secondary_xaxis(
+        "bottom", functions=(partial(np.multiply, 1 / rate), partial(np.multiply, rate))
+    )
     seconds.tick_params(axis="x", labelsize=8, pad=1.5)
-
-
-def _inches_beside(ax: Axes) -> object:
-    """x in inches from the left edge of the axes, y as a fraction of their height."""
-    from matplotlib.transforms import ScaledTranslation, blended_transform_factory
-
-    figure = ax.get_figure(root=True)
-    assert figure is not None
-    left = ScaledTranslation(ax.get_position().x0, 0, figure.transFigure)
-    return blended_transform_factory(figure.dpi_scale_trans + left, ax.transAxes)
 
 
 def _draw_strip(ax: Axes, image: FloatArray, strips: Strips) -> None:
@@ -274,9 +263,10 @@ def _draw_legend(figure: Figure, result: Result, rows: list[Strips], top: float)
     bar.set_xlabel("probability of the lane", fontsize=8, labelpad=1)
     entries: list[Patch | Line2D] = []
     if any(s.is_crossing.any() for s in rows):
-        line = {"color": INK, "linewidth": 0.8, "linestyle": (0, (3, 2))}
         entries.append(Patch(facecolor=CROSSING, label="lane change (ground truth)"))
-        entries.append(Line2D([], [], label="its begin and end", **line))
+        entries.append(
+            Line2D([], [], color=INK, linewidth=0.8, linestyle=_DASHES, label="its begin and end")
+        )
     reasons = blank_reasons(result, rows[0].first, rows[-1].last)
     if reasons:
         label = " or ".join(reasons)

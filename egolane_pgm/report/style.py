@@ -9,8 +9,6 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-import numpy as np
-
 from egolane_pgm.results import Result
 from egolane_pgm.types import UNASSIGNED, BoolArray, FloatArray, InputError, IntArray
 
@@ -30,7 +28,7 @@ PROBABILITY_COLOURS = ("#ffffff", "#bcd7ec", "#5fa5d6", "#0072b2", "#00355c")
 
 #: Right is blue; the further off, the darker an orange-brown. Blue against orange is the contrast
 #: that all common kinds of colour blindness keep.
-RIGHT_COLOUR, UNASSIGNED_COLOUR = "#3b8bc4", "#2b2b2b"
+RIGHT_COLOUR, UNASSIGNED_COLOUR = "#0072b2", "#1a1a1a"
 _OFF_COLOURS = ("#fee391", "#ec8a1e", "#8c2d04")
 
 _METADATA: dict[str, dict[str, Any]] = {
@@ -54,10 +52,12 @@ def text_colour(background: Any) -> str:
     """Black or white, whichever is read more easily on the colour."""
     from matplotlib.colors import to_rgb
 
-    linear = [c / 12.92 if c <= 0.04045 else ((c + 0.055) / 1.055) ** 2.4 for c in to_rgb(background)]
+    linear = [
+        c / 12.92 if c <= 0.04045 else ((c + 0.055) / 1.055) ** 2.4 for c in to_rgb(background)
+    ]
     luminance = 0.2126 * linear[0] + 0.7152 * linear[1] + 0.0722 * linear[2]
     # Equal contrast ratios (WCAG 2) against black and white meet at this luminance.
-    return INK if luminance > 0.179 else "white"
+    return "black" if luminance > 0.179 else "white"
 
 
 def title_of(result: Result) -> str:
@@ -66,12 +66,17 @@ def title_of(result: Result) -> str:
     return f"{result.run['name']}{mark}"
 
 
+def series(result: Result) -> str:
+    """A title with the number of frames that are scored, which must exist (`is_scored`)."""
+    return f"{title_of(result)}: {int(is_scored(result).sum()):,} frames"
+
+
 def is_scored(result: Result) -> BoolArray:
     """(T,): the annotated frames that are not crossing.
 
     Raises InputError where there is none: whoever asks needs ground truth.
     """
-    scored = (result.true_lane != UNASSIGNED) & ~result.is_crossing
+    scored: BoolArray = (result.true_lane != UNASSIGNED) & ~result.is_crossing
     if not scored.any():
         raise InputError(
             f"{result.directory}: has no ground truth to compare with (no annotated frame that is"
@@ -122,7 +127,7 @@ def save(figure: Figure, path: Path) -> Path:
         # Type 42 is what publishers ask for; the salt fixes the ids in an SVG.
         with (
             os.fdopen(handle, "wb") as file,
-            rc_context({"pdf.fonttype": 42, "svg.hashsalt": "egolane", "hatch.linewidth": 0.5}),
+            rc_context({"pdf.fonttype": 42, "svg.hashsalt": "egolane"}),
         ):
             figure.savefig(
                 file,
@@ -160,8 +165,18 @@ def axes_at(figure: Figure, left: float, top: float, width: float, height: float
     return ax
 
 
+def put_title(figure: Figure, text: str, left: float = 0.12, size: float = 11) -> None:
+    """The figure's title, `left` inches from its left edge, in smaller type where it is long."""
+    across, down = (float(x) for x in figure.get_size_inches())
+    # A letter of the default font is about 0.6 of the type size wide.
+    fitting = (across - left - 0.12) * 72 / (0.6 * max(len(text), 1))
+    figure.text(
+        left / across, 1 - 0.1 / down, text, fontsize=min(size, fitting), va="top", color=INK
+    )
+
+
 def lane_names(n_lanes: int) -> list[str]:
-    """"lane 1 (leftmost)", "lane 2", ...: for axes, so that nobody has to guess the order."""
+    """ "lane 1 (leftmost)", "lane 2", ...: for axes, so that nobody has to guess the order."""
     return [f"lane {k}{' (leftmost)' if k == 1 else ''}" for k in range(1, n_lanes + 1)]
 
 
@@ -173,8 +188,3 @@ def percent(share: float) -> str:
     if 99.95 <= value < 100:
         return ">99.9"
     return f"{value:.0f}" if value in (0.0, 100.0) else f"{value:.1f}"
-
-
-def as_counts(values: FloatArray | IntArray) -> list[str]:
-    """Counts with thousands separators."""
-    return [f"{int(v):,}" for v in np.ravel(values)]

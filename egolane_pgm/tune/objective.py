@@ -1,0 +1,246 @@
+"""From parameters to a score, as fast as it goes: evidence once per value of its own parameters,
+many parameter sets filtered side by side, only their confusions kept."""
+
+from __future__ import annotations
+
+from collections import OrderedDict
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from typing import Any
+
+import numpy as np
+
+from egolane_pgm.experiment import Experiment
+from egolane_pgm.inference.batch import confusions_many
+from egolane_pgm.inference.filtering import filter_beliefs
+from egolane_pgm.loading import Recorded, load_recording
+from egolane_pgm.run import Model, make_evidence, prepare_model, with_parameters
+from egolane_pgm.scoring import confusion as confusions
+from egolane_pgm.scoring import probabilistic, stability
+from egolane_pgm.scoring.assign import assigned_lane
+from egolane_pgm.types import (
+    BoolArray,
+    Evidence,
+    FloatArray,
+    InputError,
+    IntArray,
+    LaneTruth,
+    Value,
+    suggestion,
+)
+
+#: Evidence that is kept, per recording; `bonus_value` has 10 values.
+KEPT_EVIDENCE = 12
+
+#: Scores of a confusion matrix: (..., n + 1, n) -> (...).
+CONFUSION_SCORES: Mapping[str, Callable[[IntArray], FloatArray]] = {
+    "accuracy": confusions.accuracy,
+    "f1": confusions.macro_f1,
+    "precision": lambda m: np.asarray(confusions.precision(m).mean(axis=-1)),
+    "recall": lambda m: np.asarray(confusions.recall(m).mean(axis=-1)),
+    "coverage": confusions.coverage,
+}
+
+#: Scores of a belief: smaller is better.
+BELIEF_SCORES = (
+    "log_loss",
+    "brier",
+    "expected_calibration_error",
+    "false_switches_per_minute",
+    "delay",
+    "share_missed",
+)
+
+ALIASES = {"macro_f1": "f1", "macro-f1": "f1", "log-loss": "log_loss"}
+
+#: What a score counts as that is not defined (no lane change was followed, say).
+UNDEFINED = 1e6
+
+
+def check_objective(name: str, where: str = "objective") -> str:
+    """The score's own name. Raises InputError for an unknown one, with a suggestion."""
+    known = {*CONFUSION_SCORES, *BELIEF_SCORES, *ALIASES}
+    if name not in known:
+        raise InputError(f"{where}: unknown score '{name}'{suggestion(name, known)}")
+    return ALIASES.get(name, name)
+
+
+def is_maximised(objective: str) -> bool:
+    """Whether more is better."""
+    return objective in CONFUSION_SCORES
+
+
+@dataclass(frozen=True)
+class Drive:
+    """A recording with its model, ready for many parameter sets.
+
+    truth: of its K annotated frames; recorded.scored (K,) are their rows in the log. evidence:
+    what was made so far, by the values of the rule's own parameters. frame_rate: per second.
+    """
+
+    experiment: Experiment
+    model: Model
+    recorded: Recorded
+    truth: LaneTruth
+    evidence: OrderedDict[tuple[Value, ...], Evidence] = field(default_factory=OrderedDict)
+
+    def __len__(self) -> int:
+        return len(self.truth)
+
+    @property
+    def n_lanes(self) -> int:
+        """Lanes of the road."""
+        return self.experiment.n_lanes
+
+
+def load_drive(experiment: Experiment) -> Drive:
+    """Read a recording and compile its model. Raises InputError as these do, and without ground
+    truth or without a frame to score."""
+    model = prepare_model(experiment)
+    recorded = load_recording(experiment, model.parameters)
+    if recorded.truth is None:
+        raise InputError(f"{experiment.source}: ground_truth: is missing, a search needs it")
+    if recorded.truth.is_crossing.all():
+        raise InputError(f"{recorded.truth.source}: every frame is a crossing, nothing to score")
+    return Drive(experiment, model, recorded, recorded.truth)
+
+
+def evidence_of(drive: Drive, parameters: Mapping[str, Value]) -> Evidence:
+    """The evidence; made anew only when a parameter of the evidence rule has a new value."""
+    names = [p.name for p in getattr(drive.model.rule, "PARAMETERS", ())]
+    key = tuple(parameters[name] for name in names)
+    if key in drive.evidence:
+        drive.evidence.move_to_end(key)
+        return drive.evidence[key]
+    made = make_evidence(
+        replace(drive.model, parameters=parameters),
+        drive.recorded.log,
+        drive.experiment.evidence_reading,
+    ).filtered
+    drive.evidence[key] = made
+    if len(drive.evidence) > KEPT_EVIDENCE:
+        drive.evidence.popitem(last=False)
+    return made
+
+
+def belief_of(drive: Drive, parameters: Mapping[str, Value]) -> FloatArray:
+    """(K, n): the belief over lanes in the annotated frames, filtered from the first frame on."""
+    compiled = with_parameters(drive.model, parameters).compiled
+    evidence = evidence_of(drive, parameters)
+    beliefs = filter_beliefs(compiled, evidence, drive.experiment.filter)
+    return np.asarray(beliefs.lane[drive.recorded.scored])
+
+
+def confusions_of(
+    drive: Drive, sets: Sequence[Mapping[str, Value]], is_used: BoolArray
+) -> IntArray:
+    """The confusion matrices (P, n + 1, n) of P parameter sets over the annotated frames that are
+    used (K,) and not crossing; the filter sees every frame."""
+    is_scored = is_used & ~drive.truth.is_crossing
+    rows = drive.recorded.scored[is_scored]
+    lane = np.ones(len(drive.recorded.log), dtype=np.int64)
+    lane[rows] = drive.truth.lane[is_scored]
+    is_left_out = np.ones(len(lane), dtype=bool)
+    is_left_out[rows] = False
+    groups: dict[int, tuple[Evidence, list[int]]] = {}
+    for p, parameters in enumerate(sets):
+        evidence = evidence_of(drive, parameters)
+        groups.setdefault(id(evidence), (evidence, []))[1].append(p)
+    counts = np.empty((len(sets), drive.n_lanes + 1, drive.n_lanes), dtype=np.int64)
+    for evidence, members in groups.values():
+        compiled = [with_parameters(drive.model, sets[p]).compiled for p in members]
+        counts[members] = confusions_many(
+            compiled, evidence, lane, is_left_out, drive.experiment.filter
+        )
+    return counts
+
+
+def scores_of(
+    drives: Sequence[Drive],
+    sets: Sequence[Sequence[Mapping[str, Value]]],
+    is_used: Sequence[BoolArray],
+    objectives: Sequence[str],
+) -> FloatArray:
+    """(P, O): each objective of P parameter sets, the mean over the drives (equal weight each).
+
+    sets: per drive its P sets. is_used: per drive (K,), the frames that count.
+    """
+    total = np.zeros((len(sets[0]), len(objectives)))
+    for drive, mine, used in zip(drives, sets, is_used, strict=True):
+        if any(name in CONFUSION_SCORES for name in objectives):
+            matrices = confusions_of(drive, mine, used)
+            for k, name in enumerate(objectives):
+                if name in CONFUSION_SCORES:
+                    total[:, k] += CONFUSION_SCORES[name](matrices)
+        others = [(k, name) for k, name in enumerate(objectives) if name in BELIEF_SCORES]
+        for p, parameters in enumerate(mine if others else ()):
+            belief = belief_of(drive, parameters)
+            for k, name in others:
+                total[p, k] += belief_score(drive, belief, used, name)
+    return total / len(drives)
+
+
+def belief_score(drive: Drive, belief: FloatArray, is_used: BoolArray, name: str) -> float:
+    """One score of a belief (K, n) over the frames that are used (K,).
+
+    Scores over time count the pairs of neighbouring frames, and the lane changes, whose frames
+    are all used.
+    """
+    truth = drive.truth
+    if name in ("log_loss", "brier", "expected_calibration_error"):
+        rows, lane, crossing = belief[is_used], truth.lane[is_used], truth.is_crossing[is_used]
+        if name == "log_loss":
+            value = probabilistic.log_loss(rows, lane)
+        elif name == "brier":
+            value = probabilistic.brier(rows, lane, crossing)
+        else:
+            value = probabilistic.expected_calibration_error(rows, lane, crossing)
+        return _defined(value)
+    assigned = assigned_lane(belief)
+    if name == "false_switches_per_minute":
+        false, counted = stability.false_switch_frames(assigned, truth.lane, truth.is_crossing)
+        counted[1:] &= is_used[1:] & is_used[:-1]
+        minutes = counted.sum() / (60 * drive.experiment.recording.frame_rate)
+        return _defined(float((false & counted).sum() / minutes) if minutes else float("nan"))
+    changes = stability.lane_changes(truth.lane, truth.is_crossing)
+    delay = stability.delay_after_lane_change(
+        assigned, truth.lane, truth.is_crossing, truth.frame_id
+    ).delay_frames
+    spans = zip(changes.start, changes.until, strict=True)
+    delay = delay[[bool(is_used[a:b].all()) for a, b in spans]] if len(delay) else delay
+    followed = delay[~np.isnan(delay)]
+    if name == "share_missed":
+        return _defined(1 - len(followed) / len(delay) if len(delay) else float("nan"))
+    return _defined(float(np.median(followed)) if len(followed) else float("nan"))
+
+
+def _defined(value: float) -> float:
+    return value if np.isfinite(value) else UNDEFINED
+
+
+def all_used(drives: Sequence[Drive]) -> list[BoolArray]:
+    """Every frame of every drive."""
+    return [np.ones(len(drive), dtype=bool) for drive in drives]
+
+
+def fitted_frames(drive: Drive, never_fit: Sequence[tuple[int, int | None]]) -> BoolArray:
+    """(K,): frames whose labels a held-out study may look at; ranges as in `Tuning.never_fit`."""
+    ids = drive.truth.frame_id
+    keep = np.ones(len(ids), dtype=bool)
+    for first, stop in never_fit:
+        keep &= ~((ids >= first) & (ids < (ids[-1] + 1 if stop is None else stop)))
+    return keep
+
+
+def shared_specs(drives: Sequence[Drive]) -> list[Any]:
+    """The parameters that all drives' plugins declare. Raises InputError where they differ."""
+    from egolane_pgm.run import declared_parameters
+
+    first = declared_parameters(drives[0].model.rule, drives[0].model.graph)
+    for drive in drives[1:]:
+        if declared_parameters(drive.model.rule, drive.model.graph) != first:
+            raise InputError(
+                f"{drive.experiment.source}: declares other parameters than"
+                f" {drives[0].experiment.source}; one set for both needs the same plugins"
+            )
+    return first

@@ -1,0 +1,239 @@
+"""What a study searches: one dimension per number, within the bounds that graph and evidence rule
+declare and the YAML narrows."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from egolane_pgm.types import FloatArray, InputError, Parameter, Value, suggestion
+
+if TYPE_CHECKING:
+    from optuna.distributions import BaseDistribution
+
+#: An open end of a range, (0, 3] or (0, 1), begins this far inside, as a share of the range.
+OPEN_END = 1e-6
+
+#: A point of the space: a value per dimension, by key.
+Point = Mapping[str, float | int | str]
+
+
+@dataclass(frozen=True)
+class Dimension:
+    """One number, or choice, that is searched.
+
+    key: `sigma1`, or `p3[2]` for lane 2 of a parameter with one value per lane (lane from 1, else
+    None). low, high: inclusive. choices: names instead of numbers (low, high are their indices).
+    """
+
+    key: str
+    parameter: str
+    lane: int | None
+    low: float
+    high: float
+    is_integer: bool = False
+    choices: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True)
+class SearchSpace:
+    """D dimensions, and the declared parameters that are kept at a value."""
+
+    dimensions: tuple[Dimension, ...]
+    fixed: Mapping[str, Value]
+
+    def __len__(self) -> int:
+        return len(self.dimensions)
+
+    @property
+    def keys(self) -> tuple[str, ...]:
+        """The keys of the dimensions."""
+        return tuple(d.key for d in self.dimensions)
+
+
+def make_space(
+    specs: Sequence[Parameter],
+    current: Mapping[str, Value],
+    given: Mapping[str, Any],
+    n_lanes: int,
+    where: str,
+) -> SearchSpace:
+    """The space of the declared parameters.
+
+    current: every parameter's value, kept for those that are not searched. given: per name
+    [low, high], names of a choice, or one value to keep. Parameters without declared bounds are
+    searched only if bounds are given.
+
+    Raises InputError (`<where>.<name>: ...`) for unknown names, with a suggestion, empty or
+    inverted bounds, bounds that the parameter's kind does not allow, and when nothing is left.
+    """
+    known = {spec.name: spec for spec in specs}
+    for name in given:
+        if name not in known:
+            raise InputError(f"{where}: unknown parameter '{name}'{suggestion(str(name), known)}")
+    dimensions: list[Dimension] = []
+    fixed: dict[str, Value] = {}
+    for name, spec in known.items():
+        here = f"{where}.{name}"
+        bounds = given.get(name, spec.search)
+        is_list = isinstance(bounds, (list, tuple))
+        if name in given and (not is_list or (spec.per_lane and len(bounds) != 2)):
+            fixed[name] = spec.check(bounds, n_lanes, here)
+        elif bounds is None:
+            fixed[name] = current[name]
+        elif spec.kind == "choice":
+            dimensions.append(_choice(spec, bounds, n_lanes, here))
+        else:
+            low, high = _bounds(spec, bounds, n_lanes, here)
+            whole = _is_whole(spec)
+            if whole and (low != int(low) or high != int(high)):
+                raise InputError(f"{here}: [{low}, {high}] must be whole numbers")
+            # Where the graph itself declares bounds, each lane's value is searched.
+            if spec.per_lane and spec.search is not None:
+                for lane in range(1, n_lanes + 1):
+                    key = f"{name}[{lane}]"
+                    dimensions.append(Dimension(key, name, lane, low, high, whole))
+            else:
+                dimensions.append(Dimension(name, name, None, low, high, whole))
+    if not dimensions:
+        raise InputError(f"{where}: every parameter is fixed, there is nothing to search")
+    return SearchSpace(tuple(dimensions), fixed)
+
+
+def _is_whole(spec: Parameter) -> bool:
+    """Whole numbers are searched where kind, or default and bounds, are whole as declared."""
+    numbers = [spec.default, *(spec.search or (0.5,))]
+    return spec.kind == "integer" or all(isinstance(v, int) for v in numbers)
+
+
+def _choice(spec: Parameter, names: Sequence[Any], n_lanes: int, where: str) -> Dimension:
+    chosen = tuple(str(spec.check(name, n_lanes, where)) for name in names)
+    if len(set(chosen)) < 2:
+        raise InputError(f"{where}: {list(names)} leaves nothing to search; give one name to fix it")
+    return Dimension(spec.name, spec.name, None, 0, len(chosen) - 1, True, chosen)
+
+
+def _bounds(
+    spec: Parameter, bounds: Sequence[Any], n_lanes: int, where: str
+) -> tuple[float, float]:
+    if len(bounds) != 2:
+        raise InputError(f"{where}: {list(bounds)} must be [low, high], or one value to fix it")
+    is_open_below = spec.kind in ("sigma", "positive", "probability") and bounds[0] == 0
+    is_open_above = spec.kind == "probability" and bounds[1] == 1
+    low = 0.0 if is_open_below else spec.check(bounds[0], n_lanes, where)
+    high = spec.check(bounds[1], n_lanes, where)
+    assert isinstance(low, (int, float))
+    assert isinstance(high, (int, float))
+    if low > high:
+        raise InputError(f"{where}: [{low}, {high}] is inverted, the lower bound comes first")
+    if low == high:
+        raise InputError(f"{where}: [{low}, {high}] is empty; write {low} to fix the parameter")
+    margin = OPEN_END * (high - low)
+    return low + margin * is_open_below, high - margin * is_open_above
+
+
+def distributions(space: SearchSpace) -> dict[str, BaseDistribution]:
+    """The space for Optuna."""
+    from optuna.distributions import (
+        CategoricalDistribution,
+        FloatDistribution,
+        IntDistribution,
+    )
+
+    found: dict[str, BaseDistribution] = {}
+    for d in space.dimensions:
+        if d.choices:
+            found[d.key] = CategoricalDistribution(d.choices)
+        elif d.is_integer:
+            found[d.key] = IntDistribution(int(d.low), int(d.high))
+        else:
+            found[d.key] = FloatDistribution(d.low, d.high)
+    return found
+
+
+def to_parameters(space: SearchSpace, point: Point) -> dict[str, Value]:
+    """Every declared parameter's value at a point."""
+    values: dict[str, Value] = dict(space.fixed)
+    lanes: dict[str, list[float]] = {}
+    for d in space.dimensions:
+        if d.lane is None:
+            values[d.parameter] = point[d.key]
+        else:
+            lanes.setdefault(d.parameter, []).append(float(point[d.key]))
+    for name, numbers in lanes.items():
+        values[name] = tuple(numbers)
+    return values
+
+
+def to_point(space: SearchSpace, parameters: Mapping[str, Value]) -> dict[str, Any] | None:
+    """The point of a parameter set; None where a value lies outside of the space. Parameters that
+    the space keeps at another value are taken as the space has them."""
+    point: dict[str, Any] = {}
+    for d in space.dimensions:
+        value: Any = parameters[d.parameter]
+        if isinstance(value, tuple) and d.lane is not None:
+            value = value[d.lane - 1]
+        if d.choices:
+            if value not in d.choices:
+                return None
+        elif isinstance(value, (tuple, str)) or not d.low <= value <= d.high:
+            return None
+        elif d.is_integer:
+            if value != int(value):
+                return None
+            value = int(value)
+        point[d.key] = value
+    return point
+
+
+def from_unit(space: SearchSpace, unit: FloatArray) -> list[dict[str, Any]]:
+    """Points from the unit cube: (P, D) in [0, 1] -> P points."""
+    columns: list[list[Any]] = []
+    for k, d in enumerate(space.dimensions):
+        if d.is_integer:
+            n = d.high - d.low + 1
+            values = d.low + np.minimum(np.floor(unit[:, k] * n), n - 1)
+            whole = values.astype(np.int64).tolist()
+            columns.append([d.choices[v] for v in whole] if d.choices else whole)
+        else:
+            columns.append(np.clip(d.low + unit[:, k] * (d.high - d.low), d.low, d.high).tolist())
+    return [dict(zip(space.keys, row, strict=True)) for row in zip(*columns, strict=True)]
+
+
+def to_unit(space: SearchSpace, points: Sequence[Point]) -> FloatArray:
+    """(P, D): the inverse of `from_unit`; whole numbers and choices at the middle of their cell."""
+    unit = np.empty((len(points), len(space)))
+    for k, d in enumerate(space.dimensions):
+        values: list[Any] = [point[d.key] for point in points]
+        if d.choices:
+            values = [d.choices.index(v) for v in values]
+        numbers = np.asarray(values, dtype=np.float64)
+        if d.is_integer:
+            unit[:, k] = (numbers - d.low + 0.5) / (d.high - d.low + 1)
+        else:
+            unit[:, k] = (numbers - d.low) / (d.high - d.low)
+    return np.clip(unit, 0.0, 1.0)
+
+
+def describe(space: SearchSpace) -> dict[str, Any]:
+    """The space as plain JSON: what is searched and what is kept."""
+    searched = {
+        d.key: list(d.choices) if d.choices else [d.low, d.high] for d in space.dimensions
+    }
+    fixed = {k: list(v) if isinstance(v, tuple) else v for k, v in sorted(space.fixed.items())}
+    return {"searched": searched, "fixed": fixed}
+
+
+def differences(before: Mapping[str, Any], now: Mapping[str, Any], prefix: str = "") -> list[str]:
+    """What differs between two nested JSON mappings, one phrase each: `fixed.p1: 0.9, now 0.8`."""
+    found = []
+    for key in sorted({*before, *now}):
+        old, new = before.get(key, "nothing"), now.get(key, "nothing")
+        if isinstance(old, Mapping) and isinstance(new, Mapping):
+            found += differences(old, new, f"{prefix}{key}.")
+        elif old != new:
+            found.append(f"{prefix}{key}: {old}, now {new}")
+    return found

@@ -1,0 +1,25 @@
+"""What the tests of several modules share."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+
+import pytest
+
+#: For tests that would take minutes when the kernels are interpreted.
+needs_compiler = pytest.mark.skipif(
+    os.environ.get("NUMBA_DISABLE_JIT", "0") not in ("", "0"),
+    reason="whole recordings take too long with the compiler switched off (NUMBA_DISABLE_JIT)",
+)
+
+
+@pytest.fixture(scope="session")
+def recordings() -> Path:
+    """The folder that holds `rle/` with the paper's recordings."""
+    if not os.environ.get("EGOLANE_DATA"):
+        pytest.skip("the paper's recordings: needs EGOLANE_DATA")
+    folder = Path(os.environ["EGOLANE_DATA"])
+    if not (folder / "rle").is_dir():
+        pytest.skip(f"the paper's recordings: needs EGOLANE_DATA, {folder} has no folder rle")
+    return folder

@@ -1,0 +1,291 @@
+"""The paper's rules: the kernel, its twin and a reference in plain loops."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from egolane_pgm.evidence import counting
+from egolane_pgm.types import Evidence, InputError, LineLog, Parameters, resolve_parameters
+
+W = 3.5
+both = pytest.mark.parametrize("kernel", [True, False], ids=["kernel", "numpy"])
+
+# (offset_m, is_valid, is_continuous, lri)
+Line = tuple[float, bool, bool, float]
+
+
+def resolved(n_lanes: int, **given: object) -> Parameters:
+    return resolve_parameters(counting.PARAMETERS, given, n_lanes)
+
+
+def line_log(frames: list[list[Line]]) -> LineLog:
+    width = max([len(lines) for lines in frames], default=0)
+    padded = [
+        lines + [(math.nan, False, False, math.nan)] * (width - len(lines)) for lines in frames
+    ]
+    fields = np.array(padded, dtype=float).reshape(len(frames), width, 4)
+    ids = np.arange(len(frames))
+    return LineLog(
+        ids,
+        ids / 10,
+        fields[:, :, 0],
+        fields[:, :, 1] == 1,
+        fields[:, :, 2] == 1,
+        fields[:, :, 3],
+    )
+
+
+def seen(
+    frames: list[list[Line]], n_lanes: int, kernel: bool = True, **given: object
+) -> tuple[np.ndarray, np.ndarray]:
+    evidence = counting.evidence(
+        line_log(frames), n_lanes, resolved(n_lanes, **given), kernel=kernel
+    )
+    assert set(evidence.likelihoods) == set(counting.PROVIDES)
+    return evidence.likelihoods["DetectorOutput"], evidence.likelihoods["WOR"]
+
+
+def by_the_rules(
+    lines: list[Line], n: int, parameters: Parameters
+) -> tuple[list[float], list[float]]:
+    """One frame, word by word: lanes are numbered from 1, the leftmost."""
+    w, bv = float(parameters["lane_width_m"]), float(parameters["bonus_value"])  # type: ignore[arg-type]
+    vector = dict.fromkeys(range(1, n + 1), 0.0)
+    valid = [line for line in lines if line[1]]
+    for d, _, continuous, _ in valid:
+        if abs(d) > w:
+            for k in range(n):
+                if d > 0 and d < (k + 1) * w:
+                    vector[n - k] += 1
+                if d < 0 and abs(d) < (k + 1) * w:
+                    vector[1 + k] += 1
+            if continuous:
+                c = math.trunc(d / w)
+                lane = n - c if c > 0 else 1 - c if c < 0 else 1
+                if lane in vector:
+                    vector[lane] += bv
+        elif continuous:
+            vector[1 if d < 0 else n] += bv
+    values = list(vector.values())
+    if not any(values):
+        values = [1.0] * n
+    values = [v + float(parameters["tentative_noise"]) for v in values]  # type: ignore[arg-type]
+    tentative = [v / sum(values) for v in values]
+    noise, top = float(parameters["wor_noise"]), float(parameters["max_lri"])  # type: ignore[arg-type]
+    s = sum(top if math.isnan(lri) else lri for *_, lri in valid) / (top * (n + 1)) - noise
+    s = noise if s < 0 else 1 - noise if s >= 1 else s
+    if not valid and parameters["no_valid_line"] == "ignore":
+        s = 0.5
+    return tentative, [s, 1 - s]
+
+
+offsets = st.one_of(
+    st.floats(-30, 30),
+    st.integers(-8, 8).map(lambda k: k * W),
+    st.integers(-8, 8).map(lambda k: math.nextafter(k * W, 100.0)),
+    st.sampled_from([0.0, -0.0, 1e30, -1e30, 3e38, 1e-300]),
+)
+lris = st.one_of(
+    st.integers(0, 10).map(float), st.just(math.nan), st.sampled_from([-1.0, 1e9, -2147483648.0])
+)
+lines = st.tuples(offsets, st.booleans(), st.booleans(), lris)
+frames = st.lists(st.lists(lines, max_size=6), min_size=1, max_size=8)
+
+
+@both
+@settings(max_examples=200, deadline=None)
+@given(
+    frames=frames,
+    n_lanes=st.integers(1, 6),
+    bonus_value=st.sampled_from([0, 1, 2, 9, 0.5]),
+    no_valid_line=st.sampled_from(["uniform", "ignore"]),
+    max_lri=st.sampled_from([10, 7]),
+    tentative_noise=st.sampled_from([0.001, 0.1]),
+)
+def test_any_lines_are_counted_by_the_rules(
+    kernel: bool, frames: list[list[Line]], n_lanes: int, **given: object
+) -> None:
+    tentative, wor = seen(frames, n_lanes, kernel, **given)
+    parameters = resolved(n_lanes, **given)
+    for t, lines in enumerate(frames):
+        right = by_the_rules(lines, n_lanes, parameters)
+        np.testing.assert_allclose(tentative[t], right[0], rtol=1e-12)
+        np.testing.assert_allclose(wor[t], right[1], rtol=1e-9, atol=1e-12)
+
+
+@both
+@settings(max_examples=50, deadline=None)
+@given(frames=frames, n_lanes=st.integers(1, 6), width=st.sampled_from([3.5, 3.75, 2.02, 1.0]))
+def test_the_evidence_is_a_distribution_over_lanes_and_over_ok_and_bad(
+    kernel: bool, frames: list[list[Line]], n_lanes: int, width: float
+) -> None:
+    tentative, wor = seen(frames, n_lanes, kernel, lane_width_m=width)
+    assert tentative.shape == (len(frames), n_lanes)
+    assert (tentative > 0).all()
+    np.testing.assert_allclose(tentative.sum(axis=1), 1, rtol=1e-12)
+    np.testing.assert_allclose(wor.sum(axis=1), 1, rtol=1e-12)
+    assert (wor >= 0).all()
+    Evidence({"DetectorOutput": tentative, "WOR": wor})
+
+
+@both
+@settings(max_examples=100, deadline=None)
+@given(frames=frames, n_lanes=st.integers(1, 6))
+def test_mirrored_lines_give_the_mirrored_tentative_vector(
+    kernel: bool, frames: list[list[Line]], n_lanes: int
+) -> None:
+    # A line exactly below the vehicle counts as right of it, so it has no mirror image.
+    frames = [[line for line in some if line[0] != 0] for some in frames]
+    mirrored = [[(-d, *rest) for d, *rest in some] for some in frames]
+    tentative, wor = seen(frames, n_lanes, kernel)
+    other, other_wor = seen(mirrored, n_lanes, kernel)  # type: ignore[arg-type]
+    np.testing.assert_allclose(other, tentative[:, ::-1], rtol=1e-12)
+    np.testing.assert_allclose(other_wor, wor, rtol=1e-12)
+
+
+def noisy(counts: list[float]) -> list[float]:
+    total = sum(counts) + 0.001 * len(counts)
+    return [(c + 0.001) / total for c in counts]
+
+
+# Worked by hand, n = 3 and W = 3.5 m: (line, counts)
+BY_HAND = [
+    # The arrow of the paper's example: a dashed line between one and two lanes to the left.
+    ((-5.0, True, False, 10), [0, 1, 1]),
+    ((5.0, True, False, 10), [1, 1, 0]),
+    ((-5.0, True, True, 10), [0, 2, 1]),
+    ((5.0, True, True, 10), [1, 2, 0]),
+    ((-9.15, True, True, 10), [0, 0, 2]),
+    ((9.15, True, True, 10), [2, 0, 0]),
+    ((-2.15, True, False, 7), [1, 1, 1]),
+    ((-2.15, True, True, 7), [1, 0, 0]),
+    ((0.99, True, True, 7), [0, 0, 1]),
+    ((0.0, True, True, 7), [0, 0, 1]),
+    ((3.5, True, True, 7), [0, 0, 1]),
+    ((-3.5, True, True, 7), [1, 0, 0]),
+    ((7.0, True, False, 7), [1, 0, 0]),
+    ((-7.0, True, True, 7), [0, 0, 2]),
+    ((10.5, True, True, 7), [1, 1, 1]),
+    ((1e30, True, True, 7), [1, 1, 1]),
+    ((-5.0, False, True, 10), [1, 1, 1]),
+]
+
+
+@both
+@pytest.mark.parametrize(("line", "counts"), BY_HAND)
+def test_single_lines_worked_by_hand(kernel: bool, line: Line, counts: list[float]) -> None:
+    tentative, _ = seen([[line]], 3, kernel)
+    np.testing.assert_allclose(tentative[0], noisy(counts), rtol=1e-12)
+
+
+@both
+def test_the_paper_s_example_of_one_line_limits_the_lane_to_2_or_3(kernel: bool) -> None:
+    """Figure `fig:teaser`: one line, Lane 1, 2, 3 have {0, 0.5, 0.5}; tentative [0;1;1]."""
+    tentative, _ = seen([[(-5.0, True, False, 10.0)]], 3, kernel, tentative_noise=0)
+    np.testing.assert_allclose(tentative[0], [0, 0.5, 0.5])
+
+
+@both
+def test_the_paper_s_box_of_four_lines(kernel: bool) -> None:
+    """Box `box:box1`, lines 1 and 3 valid: line 1 votes for lane 3 and has the bonus there, line
+    3 is dashed and beside the vehicle; LRI 10 and 7 of 4 x 10."""
+    box = [
+        (-9.15, True, True, 10.0),
+        (-6.47, False, False, 9.0),
+        (-2.15, True, False, 7.0),
+        (0.99, False, True, 0.0),
+    ]
+    tentative, wor = seen([box], 3, kernel)
+    np.testing.assert_allclose(tentative[0], noisy([0, 0, 2]), rtol=1e-12)
+    np.testing.assert_allclose(wor[0], [17 / 40 - 0.01, 1 - 17 / 40 + 0.01], rtol=1e-12)
+
+
+@both
+def test_votes_of_several_lines_add_up_and_the_bonus_is_weighed(kernel: bool) -> None:
+    lines = [(-5.0, True, False, 5.0), (5.0, True, True, 5.0), (-1.0, True, True, 5.0)]
+    # Left line: lanes 2, 3. Right line: lanes 2, 1 and the bonus for lane 2. Near left: lane 1.
+    tentative, _ = seen([lines], 3, kernel, bonus_value=4)
+    np.testing.assert_allclose(tentative[0], noisy([1 + 4, 2 + 4, 1]), rtol=1e-12)
+
+
+@both
+@pytest.mark.parametrize(
+    ("lris", "s"),
+    [
+        ([], 0.01),
+        ([0.0], 0.01),
+        ([1.0], 1 / 40 - 0.01),
+        ([10.0] * 4, 0.99),
+        ([10.0] * 5, 0.99),
+        ([-1.0], 0.01),
+        ([1e9], 0.99),
+        ([math.nan, math.nan], 0.5 - 0.01),
+    ],
+)
+def test_wor_is_the_share_of_the_expected_reliability(
+    kernel: bool, lris: list[float], s: float
+) -> None:
+    _, wor = seen([[(1.0, True, False, lri) for lri in lris]], 3, kernel)
+    np.testing.assert_allclose(wor[0], [s, 1 - s], rtol=1e-12)
+
+
+@both
+def test_a_frame_without_a_valid_line_says_nothing_or_that_the_sensor_is_bad(kernel: bool) -> None:
+    frames: list[list[Line]] = [[(2.0, False, True, 9.0)], [], [(2.0, True, False, 0.0)]]
+    tentative, wor = seen(frames, 4, kernel)
+    np.testing.assert_allclose(tentative, np.full((3, 4), 0.25))
+    np.testing.assert_allclose(wor[:, 0], [0.01, 0.01, 0.01])
+    tentative, wor = seen(frames, 4, kernel, no_valid_line="ignore")
+    np.testing.assert_allclose(tentative, np.full((3, 4), 0.25))
+    np.testing.assert_allclose(wor[:, 0], [0.5, 0.5, 0.01])
+
+
+@both
+def test_garbage_in_lines_that_are_not_valid_is_never_read(kernel: bool) -> None:
+    good = (-5.0, True, True, 8.0)
+    bad: list[Line] = [(3e32, False, True, 1e9), (math.nan, False, True, math.nan)]
+    bad += [(math.inf, False, True, math.inf)]
+    for ours, right in zip(seen([[good, *bad]], 4, kernel), seen([[good]], 4, kernel), strict=True):
+        np.testing.assert_array_equal(ours, right)
+
+
+@both
+def test_a_recording_of_no_line_at_all_is_uniform(kernel: bool) -> None:
+    tentative, wor = seen([[], []], 3, kernel)
+    np.testing.assert_allclose(tentative, np.full((2, 3), 1 / 3))
+    np.testing.assert_allclose(wor[:, 0], 0.01)
+
+
+@both
+def test_without_noise_a_lane_that_no_line_allows_is_impossible(kernel: bool) -> None:
+    tentative, wor = seen([[(-9.0, True, False, 10.0)]], 3, kernel, tentative_noise=0, wor_noise=0)
+    np.testing.assert_array_equal(tentative[0], [0, 0, 1])
+    np.testing.assert_allclose(wor[0], [0.25, 0.75])
+
+
+@both
+def test_the_lane_width_is_a_parameter(kernel: bool) -> None:
+    line = (-3.0, True, False, 10.0)
+    np.testing.assert_allclose(seen([[line]], 3, kernel)[0][0], np.full(3, 1 / 3))
+    narrow, _ = seen([[line]], 3, kernel, lane_width_m=2.02)
+    np.testing.assert_allclose(narrow[0], noisy([0, 1, 1]), rtol=1e-12)
+
+
+def test_parameters_out_of_range_are_refused_by_name() -> None:
+    for values, message in [
+        ({"bonus_value": -1}, "parameters.bonus_value: -1 must not be negative"),
+        ({"lane_width_m": 0}, "parameters.lane_width_m: 0 must be greater than 0"),
+        ({"no_valid_line": "ignored"}, "parameters.no_valid_line: 'ignored' is not one of"),
+        (
+            {"lane_width": 3.5},
+            "parameters: unknown key 'lane_width' (did you mean 'lane_width_m'?)",
+        ),
+    ]:
+        with pytest.raises(InputError) as error:
+            resolved(3, **values)
+        assert str(error.value).startswith(message)

@@ -1,0 +1,185 @@
+"""The YAML of an experiment: read, overridden, put on another recording, resolved."""
+
+from __future__ import annotations
+
+import random
+from pathlib import Path
+from typing import Any
+
+import pytest
+import yaml
+from hypothesis import given
+from hypothesis import strategies as st
+
+from egolane_pgm.experiment import (
+    Experiment,
+    config_hash,
+    load_experiment,
+    make_experiment,
+    resolved,
+    with_recording,
+)
+from egolane_pgm.reproduce import experiments_folder
+from egolane_pgm.types import InputError
+
+MINIMAL: dict[str, Any] = {"name": "x", "recording": {"path": "a.bag"}, "n_lanes": 3}
+
+
+def made(**changes: Any) -> Experiment:
+    return make_experiment({**MINIMAL, **changes}, Path("/data"), "x.yaml")
+
+
+def test_defaults_are_the_papers() -> None:
+    experiment = made()
+    assert experiment.evidence == "counting"
+    assert experiment.graph == "sensor_failure"
+    assert experiment.filter == "assumed_density"
+    assert experiment.evidence_reading == "soft"
+    assert experiment.recording.frame_rate == 10
+    assert experiment.recording.missing_frames == "skip"
+    assert experiment.recording.lri == "as_recorded"
+    assert experiment.tuned_on == "unknown"
+
+
+def test_paths_are_relative_to_the_folder_of_the_yaml(tmp_path: Path) -> None:
+    (tmp_path / "e.yaml").write_text(yaml.safe_dump(MINIMAL))
+    experiment = load_experiment(tmp_path / "e.yaml")
+    assert experiment.folder == tmp_path
+    assert experiment.source == str(tmp_path / "e.yaml")
+
+
+def test_overrides_reach_every_level_and_are_read_as_yaml(tmp_path: Path) -> None:
+    (tmp_path / "e.yaml").write_text(yaml.safe_dump(MINIMAL))
+    experiment = load_experiment(
+        tmp_path / "e.yaml",
+        [
+            "n_lanes=4",
+            "parameters.bonus_value=0",
+            "parameters.lane_widths=[1, 1, 1.2, 1]",
+            "recording.frames=[5, 9]",
+            "ground_truth.path=gt.txt",
+            "description=with = in it",
+            "n_lanes=5",
+        ],
+    )
+    assert experiment.n_lanes == 5
+    assert experiment.parameters == {"bonus_value": 0, "lane_widths": [1, 1, 1.2, 1]}
+    assert experiment.recording.frames == (5, 9)
+    assert experiment.recording.path == "a.bag"
+    assert experiment.ground_truth is not None
+    assert experiment.ground_truth.path == "gt.txt"
+    assert experiment.description == "with = in it"
+
+
+def test_an_override_below_a_plain_value_is_refused(tmp_path: Path) -> None:
+    (tmp_path / "e.yaml").write_text(yaml.safe_dump(MINIMAL))
+    with pytest.raises(InputError, match=r"--set name\.x=1: name has no keys below it"):
+        load_experiment(tmp_path / "e.yaml", ["name.x=1"])
+
+
+def test_unknown_keys_are_named_before_any_other_problem() -> None:
+    with pytest.raises(InputError) as info:
+        made(n_lanes=0, filtr="exact")
+    assert str(info.value) == "x.yaml: unknown key 'filtr' (did you mean 'filter'?)"
+    with pytest.raises(InputError) as info:
+        made(qqqq=1)
+    assert "(known: description, evidence, evidence_reading, filter, graph," in str(info.value)
+
+
+def test_a_recording_of_ones_own_takes_nothing_from_the_old_one(tmp_path: Path) -> None:
+    old = made(
+        recording={
+            "path": "a.bag",
+            "frames": [1, 9],
+            "topic": "/t",
+            "lri": "clip",
+            "frame_rate": 5,
+        },
+        ground_truth={"path": "gt.txt", "extra_rows": [[0, 1, 0]]},
+        tuned_on="same_frames",
+        parameters={"sigma1": 0.3},
+    )
+    new = with_recording(old, str(tmp_path / "my drive.csv"), None, 2)
+    assert new.name == "my_drive"
+    assert new.recording.path == str(tmp_path / "my drive.csv")
+    assert new.recording.frames is None
+    assert new.recording.topic is None  # a table has none
+    assert new.recording.lri == "clip"
+    assert new.recording.frame_rate == 5
+    assert new.ground_truth is None
+    assert new.n_lanes == 2
+    assert new.parameters == {"sigma1": 0.3}
+    assert new.tuned_on == "other_frames"
+    bag = with_recording(old, str(tmp_path / "b.bag"), str(tmp_path / "gt2.txt"), None, "seq")
+    assert bag.recording.topic == "/t"
+    assert bag.recording.frame_id == "seq"
+    assert bag.ground_truth is not None
+    assert bag.ground_truth.path == str(tmp_path / "gt2.txt")
+    assert bag.ground_truth.extra_rows == ()
+    assert bag.n_lanes == 3
+
+
+def test_without_ground_truth_only_the_ground_truth_goes() -> None:
+    old = made(ground_truth={"path": "gt.txt"}, tuned_on="same_frames")
+    new = with_recording(old, None, "none", None)
+    assert new.ground_truth is None
+    assert new.recording == old.recording
+    assert new.name == old.name
+    assert new.tuned_on == "same_frames"
+
+
+def test_a_simulated_drive_cannot_be_without_its_ground_truth() -> None:
+    with pytest.raises(InputError, match="--ground-truth none: a simulated drive brings its own"):
+        with_recording(made(recording={"simulate": "a4"}), None, "none", None)
+
+
+@given(st.text(min_size=1).filter(lambda s: "/" not in s and "\0" not in s and s.strip(".")))
+def test_any_file_name_gives_a_name_for_the_experiment(stem: str) -> None:
+    new = with_recording(made(), f"/data/{stem}.bag", None, None)
+    assert new.name[0].isalnum()
+    assert new.name.isascii()
+
+
+def test_a_resolved_config_spells_everything_out_and_can_be_read_again() -> None:
+    experiment = made(parameters={"sigma1": 0.3})
+    content = resolved(experiment, {"sigma1": 0.3, "lane_widths": (1.0, 2.0, 1.0), "p1": 0.9})
+    assert list(content["parameters"]) == ["lane_widths", "p1", "sigma1"]
+    assert content["recording"]["missing_frames"] == "skip"
+    assert content["ground_truth"] is None
+    again = make_experiment(yaml.safe_load(yaml.safe_dump(content)), Path("/data"), "x.yaml")
+    assert resolved(again, again.parameters) == content
+
+
+def shuffled(value: Any, rng: random.Random) -> Any:
+    if not isinstance(value, dict):
+        return value
+    items = [(k, shuffled(v, rng)) for k, v in value.items()]
+    rng.shuffle(items)
+    return dict(items)
+
+
+@given(st.integers(0, 2**32))
+def test_the_hash_of_a_config_does_not_depend_on_the_order_of_its_keys(seed: int) -> None:
+    content = resolved(made(), {"sigma1": 0.3, "p1": 0.9, "bonus_value": 1})
+    assert config_hash(shuffled(content, random.Random(seed))) == config_hash(content)
+
+
+@pytest.mark.parametrize(
+    ("key", "value"), [("n_lanes", 4), ("filter", "exact"), ("parameters", {"sigma1": 0.30001})]
+)
+def test_the_hash_of_a_config_depends_on_every_value(key: str, value: Any) -> None:
+    one, other = (
+        made(parameters={"sigma1": 0.3}),
+        made(**{"parameters": {"sigma1": 0.3}, key: value}),
+    )
+    assert config_hash(resolved(one, one.parameters)) != config_hash(
+        resolved(other, other.parameters)
+    )
+
+
+def test_every_experiment_that_comes_along_is_described_and_has_its_own_name() -> None:
+    paths = [p for p in experiments_folder().rglob("*.yaml") if p.name != "published.yaml"]
+    experiments = [load_experiment(p) for p in paths]
+    assert len(experiments) >= 11
+    assert all(e.description for e in experiments)
+    assert len({e.name for e in experiments}) == len(experiments)

@@ -1,0 +1,73 @@
+"""What an import costs, and which module may import which."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+import egolane_pgm
+
+ROOT = Path(__file__).parent.parent
+HEAVY = {"numpy", "pgmpy", "numba", "matplotlib", "cv2", "pyarrow", "rosbags", "scipy", "pandas"}
+
+
+def modules_after(code: str) -> set[str]:
+    """The top-level modules that a fresh Python has loaded after running `code`."""
+    program = f"import json, sys\n{code}\nprint(json.dumps(sorted(sys.modules)), file=sys.stderr)"
+    ran = subprocess.run(
+        [sys.executable, "-c", program], capture_output=True, text=True, check=True, timeout=60
+    )
+    return {name.partition(".")[0] for name in json.loads(ran.stderr.splitlines()[-1])}
+
+
+@pytest.mark.parametrize("words", [["--help"], ["--version"], ["run", "--help"], ["data", "-h"]])
+def test_help_loads_nothing_heavy(words: list[str]) -> None:
+    loaded = modules_after(
+        "from egolane_pgm.cli import egolane\n"
+        f"try: egolane({words!r})\n"
+        "except SystemExit as end: assert end.code == 0"
+    )
+    assert "egolane_pgm" in loaded
+    allowed = {"numpy"} if words[0] not in ("--help", "--version") else set()
+    assert not loaded & (HEAVY - allowed)
+
+
+def test_importing_the_package_loads_nothing_heavy() -> None:
+    assert not modules_after("import egolane_pgm; egolane_pgm.__version__") & HEAVY
+
+
+def test_importing_every_module_loads_nothing_heavier_than_numpy() -> None:
+    folder = Path(egolane_pgm.__file__).parent
+    names = [
+        ".".join(path.relative_to(folder).with_suffix("").parts).removesuffix(".__init__")
+        for path in folder.rglob("*.py")
+        if "_experiments" not in path.parts
+    ]
+    wanted = [f"egolane_pgm.{n}" for n in sorted(names) if "kernel" not in n and n != "__init__"]
+    assert "egolane_pgm.run" in wanted
+    loaded = modules_after(f"import importlib\nfor m in {wanted!r}: importlib.import_module(m)")
+    assert not loaded & (HEAVY - {"numpy"})
+
+
+def test_what_the_package_offers_is_found_on_first_use() -> None:
+    for name in egolane_pgm.__all__:
+        assert getattr(egolane_pgm, name) is not None
+    with pytest.raises(AttributeError, match="has no attribute 'run_experimnt'"):
+        _ = egolane_pgm.run_experimnt
+
+
+def test_imports_go_downwards_only() -> None:
+    """The contracts of pyproject.toml; `lint-imports` prints which import breaks one."""
+    ran = subprocess.run(
+        [sys.executable, "-c", "from importlinter.cli import lint_imports_command as c; c()"],
+        cwd=ROOT,
+        capture_output=True,
+        text=True,
+        timeout=120,
+    )
+    assert ran.returncode == 0, ran.stdout
+    assert "0 broken" in ran.stdout

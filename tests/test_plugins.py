@@ -1,0 +1,211 @@
+"""Graphs, evidence rules and formats by name, and files of a user's own."""
+
+from __future__ import annotations
+
+import textwrap
+from pathlib import Path
+
+import numpy as np
+import pytest
+from drives import done, refused, short_drive, write_drive
+
+from egolane_pgm.plugins import load_plugin, plugin_names
+from egolane_pgm.results import read_result
+from egolane_pgm.types import InputError
+
+#: The least that a graph and a rule have to say.
+GRAPH = """
+    import numpy as np
+    from egolane_pgm.cpds import declare, dynamics, previous, prior, uniform, within
+    HIDDEN = ("Lane",)
+    OBSERVED = ("Seen",)
+    def build(n_lanes, parameters):
+        stay = 0.9 * np.eye(n_lanes) + 0.1 / n_lanes
+        tables = [
+            *prior("Lane", uniform(n_lanes)),
+            *dynamics("Lane", [previous("Lane")], stay),
+            *within("Seen", ["Lane"], np.eye(n_lanes)),
+        ]
+        return declare(tables, OBSERVED)
+"""
+RULE = """
+    import numpy as np
+    from egolane_pgm.types import Evidence
+    def evidence(log, n_lanes, parameters):
+        seen = np.ones((len(log), n_lanes))
+        seen[:, 0] += log.is_valid.sum(axis=1)
+        return Evidence({"Seen": seen})
+"""
+
+
+def write(path: Path, text: str) -> Path:
+    path.write_text(textwrap.dedent(text))
+    return path
+
+
+def test_plugins_are_the_files_of_their_folder() -> None:
+    assert plugin_names("graphs") == ["lane_only", "no_wor", "sensor_failure", "wor_on_lane"]
+    assert "counting" in plugin_names("evidence")
+    assert not [n for f in ("graphs", "evidence") for n in plugin_names(f) if n.startswith("_")]
+    listed = done("ls").stdout
+    for name in (*plugin_names("graphs"), *plugin_names("evidence")):
+        assert name in listed
+    assert "run01_italy_ml.yaml" in listed
+
+
+def test_files_of_ones_own_run_without_parameters_or_promises(tmp_path: Path) -> None:
+    write(tmp_path / "g.py", GRAPH)
+    write(tmp_path / "r.py", RULE)
+    experiment = write_drive(tmp_path, graph="./g.py", evidence="r.py")
+    shown = done("validate", experiment).stdout
+    assert "ok (3 lanes, 3 joint states)" in shown
+    ran = done("run", experiment, "--no-figures", "--out", tmp_path / "out")
+    assert "graph ./g.py" in ran.stdout
+    result = read_result(tmp_path / "out")
+    assert result.tentative is None
+    assert set(result.scores) & {"detector", "model"} == {"model"}
+    belief = np.full(3, 1 / 3)
+    stay = 0.9 * np.eye(3) + 0.1 / 3
+    for t, n_valid in enumerate(short_drive().log.is_valid.sum(axis=1)):
+        belief = (belief @ stay if t else belief) * [1 + n_valid, 1, 1]
+        belief /= belief.sum()
+        np.testing.assert_allclose(result.marginals["Lane"][t], belief, rtol=0, atol=1e-12)
+
+
+def test_a_result_of_files_of_ones_own_runs_again_where_they_are_gone(tmp_path: Path) -> None:
+    graph, rule = write(tmp_path / "g.py", GRAPH), write(tmp_path / "r.py", RULE)
+    experiment = write_drive(tmp_path, graph="./g.py", evidence="./r.py")
+    done("run", experiment, "--no-figures", "--out", tmp_path / "out")
+    graph.unlink()
+    rule.unlink()
+    again = tmp_path / "out" / "experiment.yaml"
+    done("run", again, "--no-figures", "--out", tmp_path / "again")
+    one, other = read_result(tmp_path / "out"), read_result(tmp_path / "again")
+    np.testing.assert_array_equal(one.marginals["Lane"], other.marginals["Lane"])
+    assert [p["sha256"] for p in one.run["plugins"].values()] == [
+        p["sha256"] for p in other.run["plugins"].values()
+    ]
+
+
+def test_parameters_of_files_of_ones_own_are_checked_as_any_other(tmp_path: Path) -> None:
+    parameters = """
+    from egolane_pgm.types import Parameter
+    PARAMETERS = (Parameter("trust", "probability", 0.5, "how much a line counts"),)
+    """
+    write(tmp_path / "g.py", GRAPH)
+    write(tmp_path / "r.py", parameters + RULE.replace("+= log", "+= parameters['trust'] * log"))
+    experiment = write_drive(tmp_path, graph="./g.py", evidence="./r.py")
+    assert "ok" in done("validate", experiment, "--set", "parameters.trust=1").stdout
+    said = refused("validate", experiment, "--set", "parameters.trust=2")
+    assert said.endswith("parameters.trust: 2 is not a probability (0 to 1)")
+    said = refused("validate", experiment, "--set", "parameters.trst=1")
+    assert said.endswith("unknown key 'trst' (did you mean 'trust'?)")
+    said = refused("validate", experiment, "--set", "parameters.sigma1=1")
+    assert "unknown key 'sigma1' (known: trust)" in said
+
+
+@pytest.mark.parametrize(
+    ("graph", "said"),
+    [
+        ("x = (", "g.py cannot be imported: SyntaxError"),
+        ("import nothing_of_that_name", "g.py cannot be imported: ModuleNotFoundError"),
+        ("HIDDEN = OBSERVED = ()", "g.py does not define build"),
+        (GRAPH.replace('HIDDEN = ("Lane",)', ""), "g.py does not define HIDDEN"),
+        (GRAPH.replace("stay = ", "stay = 1 / 0 + "), "g.py, line 7: ZeroDivisionError"),
+        (GRAPH.replace("return declare", "return 3 #"), "build() gave int, not a pgmpy network"),
+        (GRAPH.replace("0.9 *", "0.8 *"), "the rows of the table must sum to one"),
+        (GRAPH.replace('"Lane"', '"Line"'), "needs a hidden node Lane with 3 values, has none"),
+        (GRAPH.replace("stay =", "n_lanes = 2; stay ="), "Lane with 3 values, has 2"),
+        (GRAPH + "    PARAMETERS = ('x',)", "PARAMETERS has 'x', which is no Parameter"),
+    ],
+)  # fmt: skip
+def test_a_graph_file_with_a_fault_is_refused_by_its_name_and_line(
+    tmp_path: Path, graph: str, said: str
+) -> None:
+    write(tmp_path / "g.py", graph)
+    write(tmp_path / "r.py", RULE)
+    experiment = write_drive(tmp_path, 20, graph="./g.py", evidence="./r.py")
+    assert said in refused("validate", experiment)
+
+
+@pytest.mark.parametrize(
+    ("rule", "said"),
+    [
+        (RULE.replace("return Evidence(", "return dict("), "gave dict, not Evidence"),
+        (RULE.replace("return", "seen = seen[1:]; return"), "gave 19 frames for the 20 recorded"),
+        (RULE.replace("seen[:, 0]", "seen[:, 7]"), "r.py, line 6: IndexError"),
+        (RULE.replace('"Seen"', '"Sen"'), "observed node Seen: the evidence has nothing for it"),
+        (RULE.replace("return", "seen[3] = -1; return"), "frame 3 has a negative or NaN value"),
+        (RULE.replace("n_lanes))", "2))"), "evidence for Seen: shape (20, 2), the graph needs"),
+        ('PROVIDES = ("Sen",)\n' + textwrap.dedent(RULE), "the graph observes Seen, the evidence"),
+    ],
+)  # fmt: skip
+def test_a_rule_file_with_a_fault_is_refused_by_its_name(
+    tmp_path: Path, rule: str, said: str
+) -> None:
+    write(tmp_path / "g.py", GRAPH)
+    write(tmp_path / "r.py", rule)
+    experiment = write_drive(tmp_path, 20, graph="./g.py", evidence="./r.py")
+    assert said in refused("run", experiment, "--no-figures", "--out", tmp_path / "out")
+    assert not (tmp_path / "out").exists()
+
+
+def test_a_rule_that_gives_more_than_the_graph_observes_is_refused(tmp_path: Path) -> None:
+    write(tmp_path / "g.py", GRAPH.replace("Seen", "DetectorOutput"))
+    experiment = write_drive(tmp_path, 20, graph="./g.py")
+    said = refused("validate", experiment)
+    assert "the evidence rule gives WOR, which the graph does not observe" in said
+    assert "UNUSED" in said
+    text = GRAPH.replace("Seen", "DetectorOutput") + '    UNUSED = ("WOR",)\n'
+    write(tmp_path / "g.py", text)
+    assert "ok" in done("validate", experiment).stdout
+
+
+def test_a_format_of_ones_own_reads_a_recording(tmp_path: Path) -> None:
+    reader = """
+    import shutil
+    from egolane_pgm.recordings.table import read_table
+    def read(path, *, frame_rate):
+        return read_table(shutil.copy(path, path.with_suffix(".csv")), frame_rate=frame_rate)
+    """
+    write(tmp_path / "f.py", reader)
+    experiment = write_drive(
+        tmp_path, 20, recording={"path": "lines.dat", "format": "./f.py", "frame_rate": 20}
+    )
+    (tmp_path / "lines.csv").rename(tmp_path / "lines.dat")
+    done("run", experiment, "--no-figures", "--out", tmp_path / "out")
+    result = read_result(tmp_path / "out")
+    np.testing.assert_array_equal(result.time_s, short_drive(20).log.frame_id / 20)
+    assert Path(result.experiment["recording"]["format"]) == tmp_path / "f.py"
+    write(tmp_path / "f.py", "def read(path, **options):\n    return path.nothing\n")
+    said = refused("run", experiment, "--no-figures", "--out", tmp_path / "out")
+    assert "recording.format: " in said
+    assert "f.py, line 2: AttributeError" in said
+
+
+def test_two_files_of_the_same_name_are_two_modules(tmp_path: Path) -> None:
+    for folder, value in (("a", 1), ("b", 2)):
+        (tmp_path / folder).mkdir()
+        write(tmp_path / folder / "g.py", f"build = HIDDEN = OBSERVED = {value}")
+    one = load_plugin("graphs", "g.py", tmp_path / "a", "x")
+    other = load_plugin("graphs", "g.py", tmp_path / "b", "x")
+    assert (one.build, other.build) == (1, 2)
+    assert load_plugin("graphs", "./g.py", tmp_path / "a", "x") is one
+    write(tmp_path / "a" / "g.py", "build = HIDDEN = OBSERVED = 3")
+    assert load_plugin("graphs", "g.py", tmp_path / "a", "x").build == 3  # changed since
+
+
+def test_a_defect_of_the_package_is_not_taken_for_a_users_mistake(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    experiment = write_drive(tmp_path, 20)
+    monkeypatch.setattr("egolane_pgm.evidence.counting.evidence", lambda *a, **k: 1 // 0)
+    with pytest.raises(ZeroDivisionError):
+        done("run", experiment, "--no-figures", "--out", tmp_path / "out")
+
+
+def test_names_that_are_none_are_refused(tmp_path: Path) -> None:
+    with pytest.raises(InputError, match="here: unknown name '_parameters'"):
+        load_plugin("graphs", "_parameters", tmp_path, "here")
+    with pytest.raises(InputError, match=r"here: no file .*none\.py"):
+        load_plugin("graphs", "none.py", tmp_path, "here")

@@ -1,0 +1,240 @@
+"""The containers' checks and the messages of wrong parameters."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from egolane_pgm.types import (
+    Beliefs,
+    Evidence,
+    InputError,
+    LaneTruth,
+    LineLog,
+    Parameter,
+    resolve_parameters,
+    suggestion,
+)
+
+
+def a_log(n_frames: int = 3, n_lines: int = 2) -> LineLog:
+    shape = (n_frames, n_lines)
+    return LineLog(
+        np.arange(n_frames) * 2 + 10,
+        (np.arange(n_frames) * 2 + 10) / 10,
+        np.zeros(shape),
+        np.ones(shape, dtype=bool),
+        np.zeros(shape, dtype=bool),
+        np.full(shape, 5.0),
+        source="drive.bag",
+    )
+
+
+# --- line logs and truth -------------------------------------------------------------------------
+
+
+def test_a_log_with_gaps_is_kept_and_nothing_is_missing_by_itself() -> None:
+    log = a_log()
+    assert len(log) == 3
+    assert log.frame_id.tolist() == [10, 12, 14]
+    assert log.is_missing.tolist() == [False] * 3
+    assert len(a_log(0)) == 0
+
+
+@pytest.mark.parametrize(
+    ("ids", "message"),
+    [
+        ([4, 5, 5], "drive.bag: frame id 5 occurs more than once"),
+        ([0, 0, 0], "drive.bag: frame id 0 occurs more than once"),
+        ([4, 7, 6], "drive.bag: frame ids decrease, 7 is followed by 6"),
+    ],
+)
+def test_frame_ids_that_do_not_increase_are_refused(ids: list[int], message: str) -> None:
+    with pytest.raises(InputError) as error:
+        replace(a_log(), frame_id=np.array(ids))
+    assert str(error.value) == message
+    with pytest.raises(InputError, match=message.split(": ")[1]):
+        LaneTruth(np.array(ids), np.ones(3, dtype=int), np.zeros(3, dtype=bool))
+
+
+def test_arrays_of_another_shape_are_refused_naming_the_array() -> None:
+    for name in ("is_valid", "is_continuous", "lri"):
+        with pytest.raises(
+            InputError, match=rf"drive.bag: {name} has shape \(3, 3\), needs \(3, 2"
+        ):
+            replace(a_log(), **{name: np.zeros((3, 3))})  # type: ignore[arg-type]
+    with pytest.raises(InputError, match=r"time_s has shape \(2,\), needs \(3,\)"):
+        replace(a_log(), time_s=np.zeros(2))
+    with pytest.raises(InputError, match=r"is_missing has shape \(2,\), needs \(3,\)"):
+        replace(a_log(), is_missing=np.zeros(2, dtype=bool))
+    with pytest.raises(InputError, match=r"offset_m has shape \(3,\), needs \(3, L\)"):
+        replace(a_log(), offset_m=np.zeros(3))
+    with pytest.raises(InputError, match=r"offset_m has shape \(2, 2\), needs \(3, L\)"):
+        replace(a_log(), offset_m=np.zeros((2, 2)))
+    with pytest.raises(InputError, match=r"frame_id has shape \(3, 1\)"):
+        replace(a_log(), frame_id=np.zeros((3, 1), dtype=int))
+    with pytest.raises(InputError, match=r"lane has shape \(2,\), needs \(3,\)"):
+        LaneTruth(np.arange(3), np.ones(2, dtype=int), np.zeros(3, dtype=bool))
+
+
+@pytest.mark.parametrize("value", [math.nan, math.inf, -math.inf])
+def test_an_offset_that_is_no_number_is_refused_on_a_valid_line_only(value: float) -> None:
+    offset = np.zeros((3, 2))
+    offset[1, 1] = value
+    with pytest.raises(InputError) as error:
+        replace(a_log(), offset_m=offset)
+    assert str(error.value) == (
+        f"drive.bag: frame 12: line 2 is valid but its offset is {value};"
+        " drop it or mark it not valid"
+    )
+    kept = replace(a_log(), offset_m=offset, is_valid=np.zeros((3, 2), dtype=bool))
+    assert len(kept) == 3
+
+
+def test_taking_frames_keeps_every_array_in_step() -> None:
+    log = replace(a_log(), lri=np.arange(6.0).reshape(3, 2))
+    some = log.take(np.array([True, False, True]))
+    assert some.frame_id.tolist() == [10, 14]
+    assert some.lri.tolist() == [[0, 1], [4, 5]]
+    assert some.source == "drive.bag"
+    truth = LaneTruth(np.arange(3), np.array([1, 2, 3]), np.array([False, True, False]), "gt.txt")
+    assert truth.take(slice(1, 3)).lane.tolist() == [2, 3]
+    assert truth.take(np.array([1])).is_crossing.tolist() == [True]
+    assert (len(truth), truth.take(slice(0, 1)).source) == (3, "gt.txt")
+
+
+@pytest.mark.parametrize("lane", [0, 4, -1])
+def test_a_lane_outside_the_road_is_refused_naming_file_and_frame(lane: int) -> None:
+    truth = LaneTruth(
+        np.array([7, 8, 9]), np.array([1, lane, 3]), np.zeros(3, dtype=bool), "gt.txt"
+    )
+    with pytest.raises(InputError) as error:
+        truth.check_lanes(3)
+    assert str(error.value) == f"gt.txt: frame 8: lane {lane} is outside 1..3; is n_lanes right?"
+
+
+def test_lanes_1_to_n_are_all_allowed() -> None:
+    truth = LaneTruth(np.arange(3), np.array([1, 2, 3]), np.zeros(3, dtype=bool))
+    truth.check_lanes(3)
+    with pytest.raises(InputError, match=r"frame 2: lane 3 is outside 1\.\.2"):
+        truth.check_lanes(2)
+
+
+# --- evidence and beliefs ------------------------------------------------------------------------
+
+
+def test_evidence_of_different_lengths_is_refused_with_the_lengths() -> None:
+    with pytest.raises(InputError, match=r"different lengths \[2, 3\]"):
+        Evidence({"A": np.ones((2, 2)), "B": np.ones((3, 2))})
+    with pytest.raises(InputError, match=r"different lengths \[1, 2\]"):
+        Evidence({"A": np.ones((2, 2))}, {"I": np.zeros(1, dtype=int)})
+
+
+@pytest.mark.parametrize("value", [-1e-9, math.nan, math.inf])
+def test_evidence_that_is_negative_or_no_number_is_refused_naming_node_and_frame(
+    value: float,
+) -> None:
+    values = np.ones((3, 2))
+    values[2, 1] = value
+    with pytest.raises(InputError, match="evidence for WOR: frame 2"):
+        Evidence({"WOR": values})
+
+
+def test_evidence_may_be_zero_and_need_not_sum_to_one() -> None:
+    evidence = Evidence({"A": np.array([[0.0, 0.0], [5.0, 3.0]])}, {"I": np.array([0, 1])})
+    assert len(evidence) == 2
+    assert len(Evidence({})) == 0
+    last = evidence.take(slice(1, 2))
+    assert last.likelihoods["A"].tolist() == [[5, 3]]
+    assert last.inputs["I"].tolist() == [1]
+
+
+def test_the_mean_log_evidence_leaves_out_flagged_frames() -> None:
+    beliefs = Beliefs(
+        np.arange(3),
+        {"Lane": np.full((3, 2), 0.5)},
+        np.array([-1.0, 0.0, -3.0]),
+        np.array([False, True, False]),
+    )
+    assert beliefs.mean_log_evidence == -2
+    assert beliefs.lane is beliefs.marginals["Lane"]
+    assert len(beliefs) == 3
+    nothing = replace(beliefs, is_impossible=np.ones(3, dtype=bool))
+    assert math.isnan(nothing.mean_log_evidence)
+
+
+# --- parameters ----------------------------------------------------------------------------------
+
+SPECS = (
+    Parameter("sigma1", "sigma", 0.4, "standard deviation"),
+    Parameter("p1", "probability", 0.9, "a probability"),
+    Parameter("p3", "probability", 0.6, "a probability", per_lane=True),
+    Parameter("width", "positive", 3.5, "a width"),
+    Parameter("noise", "non_negative", 0.0, "a noise"),
+    Parameter("count", "integer", 2, "a count"),
+    Parameter("normal", "choice", "density", "a choice", choices=("density", "integral")),
+)
+
+
+@pytest.mark.parametrize(
+    ("name", "value", "message"),
+    [
+        ("p1", 1.3, "1.3 is not a probability (0 to 1)"),
+        ("p1", -0.1, "-0.1 is not a probability (0 to 1)"),
+        ("p1", math.nan, "nan is not a finite number"),
+        ("p1", True, "True is not a number"),
+        ("p1", "0.5", "'0.5' is not a number"),
+        ("p1", None, "None is not a number"),
+        ("p1", [0.1, 0.2, 0.3], "needs one number, got a list"),
+        ("p3", [0.1, 0.2], "has 2 values for 3 lanes"),
+        ("p3", [0.1, 1.2, 0.3], "1.2 is not a probability (0 to 1)"),
+        ("p3", [0.1, False, 0.3], "False is not a number"),
+        ("p3", {"1": 0.1}, "{'1': 0.1} is not a number"),
+        ("sigma1", 0, "0 must be greater than 0"),
+        ("sigma1", -0.4, "-0.4 must be greater than 0"),
+        ("sigma1", math.inf, "inf is not a finite number"),
+        ("width", 0.0, "0.0 must be greater than 0"),
+        ("noise", -0.5, "-0.5 must not be negative"),
+        ("count", 1.5, "1.5 is not a whole number"),
+        ("count", -1, "-1 must not be negative"),
+        ("normal", "densty", "'densty' is not one of density, integral (did you mean 'density'?)"),
+        ("normal", 3, "3 is not one of density, integral"),
+    ],
+)
+def test_a_value_out_of_range_is_refused_with_the_key_and_the_reason(
+    name: str, value: object, message: str
+) -> None:
+    with pytest.raises(InputError) as error:
+        resolve_parameters(SPECS, {name: value}, 3)
+    assert str(error.value) == f"parameters.{name}: {message}"
+
+
+def test_an_unknown_key_is_refused_with_a_suggestion() -> None:
+    with pytest.raises(InputError) as error:
+        resolve_parameters(SPECS, {"sigma_1": 0.4}, 3)
+    assert str(error.value) == "parameters: unknown key 'sigma_1' (did you mean 'sigma1'?)"
+    with pytest.raises(InputError, match=r"^graph: unknown key 'zzz' \(known: count, noise, "):
+        resolve_parameters(SPECS, {"zzz": 1}, 3, "graph")
+
+
+def test_what_is_not_given_has_its_default_and_what_is_given_its_own_type() -> None:
+    values = resolve_parameters(SPECS, {"p1": 1, "count": 3.0, "p3": np.array([0.1, 0.2, 1])}, 3)
+    assert values["sigma1"] == 0.4
+    assert (values["p1"], type(values["p1"])) == (1.0, float)
+    assert (values["count"], type(values["count"])) == (3, int)
+    assert values["p3"] == (0.1, 0.2, 1.0)
+    assert resolve_parameters(SPECS, {"p1": np.float32(0.5)}, 3)["p1"] == 0.5
+
+
+def test_the_bounds_of_a_probability_are_probabilities() -> None:
+    assert resolve_parameters(SPECS, {"p1": 0}, 3)["p1"] == 0
+    assert resolve_parameters(SPECS, {"p1": 1}, 3)["p1"] == 1
+
+
+def test_suggestions_name_the_nearest_word_else_all_that_are_known() -> None:
+    assert suggestion("lane_width", ["lane_width_m", "p1"]) == " (did you mean 'lane_width_m'?)"
+    assert suggestion("x", ["b", "a"]) == " (known: a, b)"
+    assert suggestion("x", []) == ""
