@@ -352,18 +352,15 @@ def plot(
 ) -> None:
     """Draw the figures of result directories; several together make one dispersion sheet."""
     from egolane_pgm.report.sheet import draw_standard, draw_together
-    from egolane_pgm.results import make_directory
 
     for path in results:
         folder = Path(path)
         target = Path(out) / folder.name if out and len(results) > 1 else Path(out or "")
         target = target if out else folder / "figures"
-        make_directory(target)
         for file in draw_standard(folder, target, frames=frames, style=style):
             click.echo(file)
     if len(results) > 1:
         target = Path(out) if out else Path(results[0]).parent
-        make_directory(target)
         for file in draw_together([Path(r) for r in results], target, style=style):
             click.echo(file)
 
@@ -374,13 +371,15 @@ def plot(
 @click.option("--n-lanes", type=click.IntRange(1), default=3, show_default=True)
 def network(graph: str, target: str, n_lanes: int) -> None:
     """Draw a graph (a name, or a file of your own) as a figure, two slices."""
-    from egolane_pgm.plugins import load_plugin
+    from egolane_pgm.plugins import load_plugin, plugin_errors
     from egolane_pgm.report.network import draw_network
     from egolane_pgm.types import resolve_parameters
 
     module = load_plugin("graphs", graph, Path.cwd(), "graph")
     parameters = resolve_parameters(getattr(module, "PARAMETERS", ()), {}, n_lanes)
-    draw_network(module.build(n_lanes, parameters), Path(target))
+    with plugin_errors(module, "graph"):
+        built = module.build(n_lanes, parameters)
+    draw_network(built, Path(target))
     click.echo(target)
 
 

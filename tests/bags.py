@@ -50,3 +50,18 @@ def write_bag(
         for k, raw in enumerate(messages):
             bag.write(connection, stamps[k] if stamps else k, raw)
     return path
+
+
+#: Six frames that nobody could complain about.
+GOOD: list[list[Line]] = [[(True, True, 8, -5.0), (True, False, 9, 1.7)] for _ in range(6)]
+
+
+def line_bag(path: Path, ids: list[int], lines: list[list[Line]] | None = None) -> Path:
+    chosen = lines or [GOOD[0]] * len(ids)
+    raw = [plain_message(i, ls, seq=k) for k, (i, ls) in enumerate(zip(ids, chosen, strict=True))]
+    return write_bag(path, raw)
+
+
+def truth_file(path: Path, rows: list[tuple[int, int, int]]) -> Path:
+    path.write_text("".join(f"{f};{lane};{c}\n" for f, lane, c in rows))
+    return path

@@ -6,6 +6,11 @@ import os
 from pathlib import Path
 
 import pytest
+from hypothesis import settings
+
+# A submission's tests must not depend on luck; elsewhere each run tries new examples.
+settings.register_profile("ci", derandomize=True, print_blob=True)
+settings.load_profile("ci" if os.environ.get("CI") else "default")
 
 #: For tests that would take minutes when the kernels are interpreted.
 needs_compiler = pytest.mark.skipif(
@@ -23,3 +28,10 @@ def recordings() -> Path:
     if not (folder / "rle").is_dir():
         pytest.skip(f"the paper's recordings: needs EGOLANE_DATA, {folder} has no folder rle")
     return folder
+
+
+def pytest_terminal_summary(terminalreporter: pytest.TerminalReporter) -> None:
+    """Say how many tests were skipped for want of the recordings."""
+    skipped = terminalreporter.stats.get("skipped", [])
+    absent = [report for report in skipped if "EGOLANE_DATA" in str(report.longrepr)]
+    terminalreporter.write_line(f"{len(absent)} tests skipped for absent data (EGOLANE_DATA)")

@@ -1,11 +1,10 @@
-"""Every bad input that the project names, through the command line: what is refused is refused in
-one line and exit code 2, and nothing is overwritten; what is odd but usable is said once."""
+"""Every bad input that the project names, through the command line: one clear
+line, exit code 2, and nothing is overwritten."""
 
 from __future__ import annotations
 
 import hashlib
 import http.server
-import json
 import threading
 from collections.abc import Iterator
 from pathlib import Path
@@ -14,14 +13,12 @@ from typing import Any
 import numpy as np
 import pytest
 import yaml
-from bags import Line, plain_message, write_bag
+from bags import GOOD, Line, line_bag, plain_message, truth_file, write_bag
 from drives import command, contents, done, refused, write_drive, write_experiment
 
 from egolane_pgm.recordings import catalog
 from egolane_pgm.recordings.catalog import DataFile
 from egolane_pgm.results import read_result
-
-GOOD: list[list[Line]] = [[(True, True, 8, -5.0), (True, False, 9, 1.7)] for _ in range(6)]
 
 
 @pytest.fixture(scope="module")
@@ -45,17 +42,6 @@ def run_on(folder: Path, recording: Path, earlier: Path, *words: object) -> str:
     return refused("run", experiment, "--no-figures", "--out", earlier, *words)
 
 
-def bag(path: Path, ids: list[int], lines: list[list[Line]] | None = None) -> Path:
-    chosen = lines or [GOOD[0]] * len(ids)
-    raw = [plain_message(i, ls, seq=k) for k, (i, ls) in enumerate(zip(ids, chosen, strict=True))]
-    return write_bag(path, raw)
-
-
-def truth(path: Path, rows: list[tuple[int, int, int]]) -> Path:
-    path.write_text("".join(f"{f};{lane};{c}\n" for f, lane, c in rows))
-    return path
-
-
 # --- refused: recordings -------------------------------------------------------------------------
 
 
@@ -66,7 +52,7 @@ def test_a_file_that_is_no_bag_is_refused(tmp_path: Path, earlier: Path) -> None
 
 
 def test_a_truncated_bag_is_refused(tmp_path: Path, earlier: Path) -> None:
-    whole = bag(tmp_path / "a.bag", [1, 2, 3]).read_bytes()
+    whole = line_bag(tmp_path / "a.bag", [1, 2, 3]).read_bytes()
     (tmp_path / "a.bag").write_bytes(whole[: len(whole) // 2])
     said = run_on(tmp_path, tmp_path / "a.bag", earlier)
     assert f"{tmp_path / 'a.bag'}: the bag is truncated or damaged" in said
@@ -94,7 +80,7 @@ def test_an_offset_that_is_no_number_is_refused_on_a_valid_line(
     tmp_path: Path, earlier: Path, offset: float
 ) -> None:
     bad: list[Line] = [(True, False, 9, 1.7), (True, False, 9, offset)]
-    bag(tmp_path / "a.bag", [4, 5], [GOOD[0], bad])
+    line_bag(tmp_path / "a.bag", [4, 5], [GOOD[0], bad])
     said = run_on(tmp_path, tmp_path / "a.bag", earlier)
     assert f"a.bag: frame 5: line 2 is valid but its offset is {offset}" in said
     assert "drop it or mark it not valid" in said
@@ -111,13 +97,13 @@ def test_the_same_in_a_table_names_the_line_of_the_file(
 
 
 def test_duplicate_frame_ids_are_refused(tmp_path: Path, earlier: Path) -> None:
-    bag(tmp_path / "a.bag", [3, 4, 4, 5])
+    line_bag(tmp_path / "a.bag", [3, 4, 4, 5])
     said = run_on(tmp_path, tmp_path / "a.bag", earlier)
     assert "a.bag: frame id 4 occurs more than once (messages 2 and 3 of the file)" in said
 
 
 def test_decreasing_frame_ids_are_refused(tmp_path: Path, earlier: Path) -> None:
-    bag(tmp_path / "a.bag", [3, 7, 5])
+    line_bag(tmp_path / "a.bag", [3, 7, 5])
     said = run_on(tmp_path, tmp_path / "a.bag", earlier)
     assert "a.bag: frame ids decrease, 7 is followed by 5" in said
 
@@ -125,7 +111,7 @@ def test_decreasing_frame_ids_are_refused(tmp_path: Path, earlier: Path) -> None
 def test_frame_id_0_in_every_message_is_refused_and_what_is_offered_works(
     tmp_path: Path, earlier: Path
 ) -> None:
-    bag(tmp_path / "a.bag", [0] * 6, GOOD)
+    line_bag(tmp_path / "a.bag", [0] * 6, GOOD)
     said = run_on(tmp_path, tmp_path / "a.bag", earlier)
     assert "a.bag: all 6 messages have frame id 0" in said
     assert said.endswith("use --frame-id seq")
@@ -149,8 +135,8 @@ def test_a_recording_that_is_not_there_is_refused(tmp_path: Path, earlier: Path)
 def test_a_range_without_a_frame_is_refused_with_the_one_there_is(
     tmp_path: Path, earlier: Path
 ) -> None:
-    bag(tmp_path / "a.bag", [3, 4])
-    truth(tmp_path / "ground_truth.txt", [(3, 1, 0)])
+    line_bag(tmp_path / "a.bag", [3, 4])
+    truth_file(tmp_path / "ground_truth.txt", [(3, 1, 0)])
     said = run_on(tmp_path, tmp_path / "a.bag", earlier, "--set", "recording.frames=[10,20]")
     assert "no frame from 10 to before 20; the recording has frames 3 to 4" in said
 
@@ -168,15 +154,15 @@ def test_a_frame_id_option_that_the_format_lacks_is_refused(tmp_path: Path, earl
 def test_ground_truth_outside_the_lanes_is_refused(
     tmp_path: Path, earlier: Path, lane: int
 ) -> None:
-    bag(tmp_path / "a.bag", [1, 2, 3])
-    truth(tmp_path / "ground_truth.txt", [(1, 1, 0), (2, lane, 0), (3, 1, 0)])
+    line_bag(tmp_path / "a.bag", [1, 2, 3])
+    truth_file(tmp_path / "ground_truth.txt", [(1, 1, 0), (2, lane, 0), (3, 1, 0)])
     said = run_on(tmp_path, tmp_path / "a.bag", earlier)
     assert f"ground_truth.txt: frame 2: lane {lane} is outside 1..3; is n_lanes right?" in said
 
 
 def test_no_common_frames_are_refused_with_both_ranges(tmp_path: Path, earlier: Path) -> None:
-    bag(tmp_path / "a.bag", [1, 2, 3])
-    truth(tmp_path / "ground_truth.txt", [(100, 1, 0), (105, 1, 0)])
+    line_bag(tmp_path / "a.bag", [1, 2, 3])
+    truth_file(tmp_path / "ground_truth.txt", [(100, 1, 0), (105, 1, 0)])
     said = run_on(tmp_path, tmp_path / "a.bag", earlier)
     assert "no common frames" in said
     assert "a.bag has frames 1 to 3" in said
@@ -184,7 +170,7 @@ def test_no_common_frames_are_refused_with_both_ranges(tmp_path: Path, earlier: 
 
 
 def test_a_file_that_is_no_ground_truth_is_refused(tmp_path: Path, earlier: Path) -> None:
-    bag(tmp_path / "a.bag", [1, 2, 3])
+    line_bag(tmp_path / "a.bag", [1, 2, 3])
     said = run_on(tmp_path, tmp_path / "a.bag", earlier, "--ground-truth", str(tmp_path / "a.bag"))
     assert "a.bag: not a text file of lines 'frame;lane;crossing'" in said
 
@@ -400,151 +386,3 @@ def test_a_mirror_that_sends_a_wrong_checksum_is_refused_and_a_good_file_kept(
 def test_an_address_that_is_none_is_refused(tmp_path: Path) -> None:
     said = refused("data", "fetch", "--base-url", "ftp://x", "--folder", tmp_path)
     assert "--base-url ftp://x" in said
-
-
-# --- kept, counted, said once --------------------------------------------------------------------
-
-
-def kept(folder: Path, recording: Path, *words: object, **changes: Any) -> tuple[list[str], Path]:
-    """The warnings of a run that ends well, and its result directory."""
-    experiment = write_experiment(
-        folder / "e.yaml", recording__path=recording.name, ground_truth=None, **changes
-    )
-    out = folder / "out"
-    words = ("--no-figures", "--out", out, *words)
-    ran = done("run", experiment, *words, "--json", folder / "out.json")
-    lines = ran.stderr.splitlines()
-    assert all(line.startswith("warning: ") for line in lines)
-    said = [line.removeprefix("warning: ") for line in lines]
-    assert json.loads((folder / "out.json").read_text())["warnings"] == said
-    assert read_result(out).run["warnings"] == said
-    return said, out
-
-
-def test_an_odd_reliability_is_used_as_recorded_and_clipped_on_request(tmp_path: Path) -> None:
-    odd: list[list[Line]] = [
-        [(True, False, 25, -5.0), (True, False, 10, 1.7)],
-        [(True, False, -3, -5.0), (True, False, 10, 1.7), (False, False, -1, 0.0)],
-    ]
-    bag(tmp_path / "a.bag", [1, 2], odd)
-    said, _ = kept(tmp_path, tmp_path / "a.bag")
-    assert len(said) == 1
-    assert "2 valid line(s) have an LRI outside 0..10, first in frame 1" in said[0]
-    assert "as recorded" in said[0]
-    as_recorded = sensor_ok(tmp_path)
-    said, _ = kept(tmp_path, tmp_path / "a.bag", recording__lri="clip")
-    assert said == []
-    clipped = sensor_ok(tmp_path)
-    # 25 + 10 of 40 against 10 + 10 of 40 in frame 1, 7 against 10 of 40 in frame 2.
-    assert clipped[0] < as_recorded[0]
-    same: list[list[Line]] = [
-        [(True, False, 10, -5.0), (True, False, 10, 1.7)],
-        [(True, False, 0, -5.0), (True, False, 10, 1.7)],
-    ]
-    bag(tmp_path / "b.bag", [1, 2], same)
-    kept(tmp_path, tmp_path / "b.bag")
-    np.testing.assert_array_equal(sensor_ok(tmp_path), clipped)
-
-
-def sensor_ok(folder: Path) -> np.ndarray:
-    return read_result(folder / "out").marginals["SensorState"][:, 0]
-
-
-def test_absurd_offsets_of_invalid_lines_change_nothing(tmp_path: Path) -> None:
-    absurd: list[Line] = [(False, True, 5, 3e32), (False, False, 0, float("nan"))]
-    bag(tmp_path / "a.bag", [1, 2], [[*GOOD[0], *absurd], [*GOOD[1], absurd[0]]])
-    said, out = kept(tmp_path, tmp_path / "a.bag")
-    assert len(said) == 1
-    assert "3 line(s) that are not valid have an offset beyond 100 m or NaN" in said[0]
-    with_absurd = read_result(out).marginals["Lane"]
-    bag(tmp_path / "b.bag", [1, 2], GOOD[:2])
-    said, out = kept(tmp_path, tmp_path / "b.bag")
-    assert said == []
-    np.testing.assert_array_equal(read_result(out).marginals["Lane"], with_absurd)
-
-
-def test_more_valid_lines_than_a_road_has_are_counted(tmp_path: Path) -> None:
-    many: list[Line] = [(True, False, 2, d) for d in (-9.0, -5.0, -2.0, 2.0, 5.0)]
-    bag(tmp_path / "a.bag", [1, 2, 3], [GOOD[0], many, GOOD[0]])
-    said, out = kept(tmp_path, tmp_path / "a.bag")
-    assert len(said) == 1
-    assert "1 frame(s) have more valid lines than the 4 of 3 lane(s), first frame 2" in said[0]
-    assert len(read_result(out).frame_id) == 3
-
-
-@pytest.mark.parametrize("is_empty", [True, False])
-def test_without_a_single_valid_line_the_belief_stays_what_the_model_says(
-    tmp_path: Path, is_empty: bool
-) -> None:
-    lines: list[Line] = [] if is_empty else [(False, True, 5, -1.0)]
-    bag(tmp_path / "a.bag", list(range(1, 9)), [lines] * 8)
-    # Over three lanes the lane dynamics by themselves favour the middle one.
-    wide: dict[str, Any] = {"sigma1": 2.0, "no_valid_line": "ignore"}
-    said, out = kept(tmp_path, tmp_path / "a.bag", parameters=wide)
-    assert len(said) == 1
-    assert "not a single valid line in 8 frames" in said[0]
-    result = read_result(out)
-    centres = np.arange(1, 4)
-    f = np.exp(-0.5 * ((centres[None] - centres[:, None]) / 2.0) ** 2)
-    f /= f.sum(axis=1, keepdims=True)
-    expected = np.full(3, 1 / 3)
-    for belief in result.marginals["Lane"]:
-        np.testing.assert_allclose(belief, expected, rtol=0, atol=1e-12)
-        expected = belief @ f
-    assert (result.detector_lane == 0).all()
-
-
-def test_frames_of_zero_joint_likelihood_keep_their_prediction_and_are_counted(
-    tmp_path: Path,
-) -> None:
-    # A frame that says lane 1 for certain, and one that says lane 3, where no lane ever changes
-    # and the detector is never wrong.
-    left: list[Line] = [(True, True, 10, -1.0)]
-    right: list[Line] = [(True, True, 10, 1.0)]
-    bag(tmp_path / "a.bag", [1, 2, 3], [left, right, left])
-    certain = {"sigma1": 1e-9, "sigma2": 1e-9, "tentative_noise": 0}
-    said, out = kept(tmp_path, tmp_path / "a.bag", graph="lane_only", parameters=certain)
-    assert len(said) == 1
-    assert "the evidence of 1 frame(s) has joint likelihood zero" in said[0]
-    result = read_result(out)
-    np.testing.assert_array_equal(result.is_impossible, [False, True, False])
-    np.testing.assert_allclose(result.marginals["Lane"], [[1, 0, 0]] * 3)
-    assert result.run["impossible_frames"] == 1
-    assert result.run["mean_log_evidence"] == pytest.approx(result.log_evidence[[0, 2]].mean())
-
-
-def test_frames_without_ground_truth_are_filtered_and_said(tmp_path: Path) -> None:
-    bag(tmp_path / "a.bag", [1, 2, 3, 4])
-    truth(tmp_path / "ground_truth.txt", [(2, 1, 0), (3, 1, 1), (9, 1, 0)])
-    experiment = write_experiment(tmp_path / "e.yaml", recording__path="a.bag")
-    ran = done("run", experiment, "--no-figures", "--out", tmp_path / "out")
-    assert ran.stderr.count("warning") == 1
-    assert "2 of 4 frames have no ground truth; filtered, not scored" in ran.stderr
-    result = read_result(tmp_path / "out")
-    np.testing.assert_array_equal(result.true_lane, [0, 1, 1, 0])
-    np.testing.assert_array_equal(result.is_crossing, [False, False, True, False])
-    assert result.run["frames"] == 4
-    assert result.run["frames_scored"] == 1
-
-
-def test_columns_that_are_ignored_are_said_in_one_plain_line(tmp_path: Path) -> None:
-    (tmp_path / "a.csv").write_text("frame_id,line,offset_m,colour,speed\n1,1,1.5,red,3\n")
-    ran = done("convert", tmp_path / "a.csv", tmp_path / "b.csv")
-    lines = ran.stderr.splitlines()
-    assert len(lines) == 1
-    assert lines[0].startswith(f"warning: {tmp_path / 'a.csv'}: ignored column(s) colour, speed")
-
-
-def test_one_lane_is_allowed(tmp_path: Path) -> None:
-    bag(tmp_path / "a.bag", [1, 2], [[(True, True, 8, -1.7)], [(True, False, 8, 1.7)]])
-    truth(tmp_path / "ground_truth.txt", [(1, 1, 0), (2, 1, 0)])
-    for graph in ("sensor_failure", "wor_on_lane", "no_wor", "lane_only"):
-        experiment = write_experiment(
-            tmp_path / "e.yaml", recording__path="a.bag", n_lanes=1, graph=graph
-        )
-        ran = done("run", experiment, "--no-figures", "--out", tmp_path / "out")
-        assert ran.stderr == ""
-        result = read_result(tmp_path / "out")
-        np.testing.assert_array_equal(result.marginals["Lane"], [[1.0], [1.0]])
-        np.testing.assert_array_equal(result.assigned_lane, [1, 1])
-        assert result.scores["model"]["accuracy"] == 1

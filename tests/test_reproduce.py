@@ -241,6 +241,7 @@ def test_other_runs_are_refused(text: str, said: str) -> None:
     assert said in refused("reproduce", "--runs", text)
 
 
+@needs_compiler
 def test_reproduce_writes_the_documented_json(recordings: Path, tmp_path: Path) -> None:
     target = tmp_path / "new" / "reproduced.json"
     shown = done("reproduce", "--runs", "6,9", "--json", target, "--out", tmp_path / "kept").stdout
@@ -262,6 +263,7 @@ def test_reproduce_writes_the_documented_json(recordings: Path, tmp_path: Path) 
     assert names == {"run06_spain_ml", "run09_spain_sc"}
 
 
+@needs_compiler
 def test_a_published_matrix_that_is_off_still_ends_well(recordings: Path, tmp_path: Path) -> None:
     target = tmp_path / "off.json"
     shown = done(
@@ -274,6 +276,7 @@ def test_a_published_matrix_that_is_off_still_ends_well(recordings: Path, tmp_pa
     assert "classified frames" not in shown  # nothing but the table
 
 
+@needs_compiler
 def test_recover_prints_and_writes_what_it_found(recordings: Path, tmp_path: Path) -> None:
     target = tmp_path / "found.json"
     shown = done("recover", "--run", "9", "--evaluations", "5", "--json", target).stdout

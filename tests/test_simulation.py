@@ -73,8 +73,8 @@ def test_the_road_does_not_depend_on_the_detector() -> None:
 @given(
     seed=st.integers(0, 10_000),
     n_lanes=st.integers(1, 6),
-    change_s=st.floats(1, 8),
-    crossing_share=st.floats(0.4, 1),
+    change_s=st.floats(2, 8),
+    crossing_share=st.floats(0.5, 1),
     label_flips_at=st.floats(0, 1),
     width=st.floats(3, 4.5),
 )

@@ -1,0 +1,196 @@
+"""The filter frame by frame: the same beliefs as `run`, at once, and messages that are refused."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from click.testing import CliRunner
+from drives import short_drive, write_drive
+
+from egolane_pgm.cli import egolane
+from egolane_pgm.experiment import Experiment, load_experiment
+from egolane_pgm.online import MAX_GAP, filter_stream, parse_message
+from egolane_pgm.recordings.table import write_table
+from egolane_pgm.run import run_experiment
+from egolane_pgm.scoring.assign import assigned_lane
+from egolane_pgm.types import InputError, LineLog
+
+GAPS = (20, 21, 22, 60)
+LINE = {"offset_m": -1.8, "is_valid": True, "is_continuous": False, "lri": 10}
+
+
+def messages(log: LineLog) -> Iterator[str]:
+    """The frames of a log as a detector would send them: padding left out."""
+    for t in range(len(log)):
+        lines: list[dict[str, Any]] = []
+        for k in range(log.offset_m.shape[1]):
+            if np.isnan(log.offset_m[t, k]) and np.isnan(log.lri[t, k]):
+                continue
+            line = {
+                "offset_m": None if np.isnan(log.offset_m[t, k]) else float(log.offset_m[t, k]),
+                "is_valid": bool(log.is_valid[t, k]),
+                "is_continuous": bool(log.is_continuous[t, k]),
+            }
+            if not np.isnan(log.lri[t, k]):
+                line["lri"] = float(log.lri[t, k])
+            lines.append(line)
+        yield json.dumps({"frame_id": int(log.frame_id[t]), "lines": lines}) + "\n"
+
+
+@pytest.mark.parametrize("policy", ["skip", "hold", "predict"])
+@pytest.mark.parametrize("choice", ["assumed_density", "exact"])
+@pytest.mark.parametrize("changes", [{}, {"evidence_reading": "hard"}, {"recording__lri": "clip"}])
+def test_online_beliefs_equal_those_of_a_run_frame_by_frame(
+    tmp_path: Path, policy: str, choice: str, changes: dict[str, Any]
+) -> None:
+    path = write_drive(tmp_path, filter=choice, recording__missing_frames=policy, **changes)
+    log = short_drive().log
+    log = log.take(~np.isin(log.frame_id, GAPS))
+    write_table(tmp_path / "lines.csv", log)
+    run = run_experiment(path)
+    answers = list(filter_stream(load_experiment(path), messages(log)))
+    assert [a["frame_id"] for a in answers] == log.frame_id.tolist()
+    at = np.searchsorted(run.beliefs.frame_id, log.frame_id)
+    for node, names in (("Lane", "123"), ("SensorState", ("OK", "BAD"))):
+        beliefs = np.array([[a["beliefs"][node][n] for n in names] for a in answers])
+        np.testing.assert_allclose(beliefs, run.beliefs.marginals[node][at], rtol=0, atol=1e-12)
+    np.testing.assert_array_equal(
+        [a["assigned_lane"] for a in answers], assigned_lane(run.beliefs.lane)[at]
+    )
+    np.testing.assert_array_equal([a["time_s"] for a in answers], run.recorded.log.time_s[at])
+    assert set(answers[0]) == {"frame_id", "time_s", "assigned_lane", "is_impossible", "beliefs"}
+
+
+@pytest.fixture(scope="module")
+def drive(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return write_drive(tmp_path_factory.mktemp("drive"))
+
+
+@pytest.fixture(scope="module")
+def experiment(drive: Path) -> Experiment:
+    return load_experiment(drive)
+
+
+def test_each_line_is_answered_before_the_next_is_sent(drive: Path) -> None:
+    process = subprocess.Popen(
+        [sys.executable, "-c", "from egolane_pgm.cli import main; main()", "online", str(drive)],
+        stdin=subprocess.PIPE,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+        bufsize=1,
+    )
+    assert process.stdin is not None
+    assert process.stdout is not None
+    expected = list(filter_stream(load_experiment(drive), list(messages(short_drive().log))[:5]))
+    for message, answer in zip(messages(short_drive().log), expected, strict=False):
+        process.stdin.write(message)
+        process.stdin.flush()
+        said = json.loads(process.stdout.readline())
+        np.testing.assert_allclose(
+            list(said["beliefs"]["Lane"].values()), list(answer["beliefs"]["Lane"].values())
+        )
+    _, error = process.communicate(timeout=30)
+    assert process.returncode == 0
+    assert error == ""
+
+
+def test_a_bad_line_ends_the_stream_after_the_answers_before_it(drive: Path) -> None:
+    text = "".join(list(messages(short_drive().log))[:2]) + "\n" + "oops\n"
+    ran = CliRunner().invoke(egolane, ["online", str(drive)], input=text)
+    assert ran.exit_code == 2
+    assert len(ran.stdout.splitlines()) == 2
+    assert ran.stderr.startswith("egolane: message 4: is not JSON")
+    assert len(ran.stderr.splitlines()) == 1
+
+
+def test_input_that_is_no_text_is_refused_in_one_line(drive: Path) -> None:
+    ran = CliRunner().invoke(egolane, ["online", str(drive)], input=b'\xff\xfe{"frame_id": 1}\n')
+    assert ran.exit_code == 2
+    assert ran.stderr.startswith("egolane: message 1: is not JSON")
+
+
+def test_nothing_in_nothing_out(drive: Path) -> None:
+    ran = CliRunner().invoke(egolane, ["online", str(drive)], input="\n  \n")
+    assert (ran.exit_code, ran.output) == (0, "")
+
+
+def test_an_override_holds_online_too(drive: Path) -> None:
+    words = ["online", str(drive), "--set", "parameters.sigma1=2"]
+    text = "".join(list(messages(short_drive().log))[:3])
+    ran = CliRunner().invoke(egolane, words, input=text)
+    changed = load_experiment(drive, ["parameters.sigma1=2"])
+    assert [json.loads(line) for line in ran.stdout.splitlines()] == list(
+        filter_stream(changed, text.splitlines())
+    )
+
+
+def frame(frame_id: object = 7, **line: object) -> str:
+    return json.dumps({"frame_id": frame_id, "lines": [{**LINE, **line}]})
+
+
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        ("{", "message 3: is not JSON"),
+        ("[" * 100_000, "message 3: is not JSON"),
+        ("[]", "message 3: needs an object with frame_id and lines"),
+        ('{"frame_id": 7, "line": []}', "unknown key 'line' (did you mean 'lines'?)"),
+        ('{"lines": []}', "message 3: frame_id None is not a whole number"),
+        ('{"frame_id": true, "lines": []}', "message 3: frame_id True is not a whole number"),
+        ('{"frame_id": 7.0, "lines": []}', "message 3: frame_id 7.0 is not a whole number"),
+        (frame(10**40), "message 3: frame_id 1000"),
+        ('{"frame_id": 7}', "message 3: lines must be a list of objects"),
+        ('{"frame_id": 7, "lines": [1]}', "message 3: lines must be a list of objects"),
+        (frame(ofset_m=1), "message 3: line 1: unknown key 'ofset_m' (did you mean 'offset_m'?)"),
+        (frame(offset_m="x"), "message 3: line 1: offset_m 'x' is not a number"),
+        (frame(offset_m=True), "message 3: line 1: offset_m True is not a number"),
+        (frame(offset_m=10**400), "message 3: line 1: offset_m is too large a number"),
+        (frame(lri="10"), "message 3: line 1: lri '10' is not a number"),
+        (frame(is_valid=1), "message 3: line 1: is_valid 1 is not true or false"),
+        (frame(is_continuous=None), "message 3: line 1: is_continuous None is not true or false"),
+        (frame(offset_m=None), "message 3: frame 7: line 1 is valid but its offset is nan"),
+        (frame(offset_m=float("nan")), "frame 7: line 1 is valid but its offset is nan"),
+        (frame(offset_m=float("-inf")), "frame 7: line 1 is valid but its offset is -inf"),
+        (frame(6), "message 3: frame id 6 does not come after 6"),
+        (frame(2), "message 3: frame id 2 does not come after 6"),
+    ],
+)
+def test_a_message_that_cannot_be_used_is_named(
+    experiment: Experiment, text: str, said: str
+) -> None:
+    stream = filter_stream(experiment, [frame(5), frame(6), text])
+    assert [next(stream)["frame_id"] for _ in range(2)] == [5, 6]
+    with pytest.raises(InputError) as info:
+        next(stream)
+    assert said in str(info.value)
+    assert "\n" not in str(info.value)
+    assert len(str(info.value)) < 200
+
+
+@pytest.mark.parametrize("policy", ["hold", "predict"])
+def test_a_jump_of_frame_ids_is_refused_where_the_gap_would_be_filled(
+    drive: Path, policy: str
+) -> None:
+    experiment = load_experiment(drive, [f"recording.missing_frames={policy}"])
+    with pytest.raises(InputError, match=r"message 2: frame id jumps from 1 to .* a frame count"):
+        list(filter_stream(experiment, [frame(1), frame(MAX_GAP + 2)]))
+    skipping = load_experiment(drive)
+    assert len(list(filter_stream(skipping, [frame(1), frame(MAX_GAP + 2)]))) == 2
+
+
+def test_what_a_line_leaves_out_is_valid_dashed_and_of_unknown_reliability() -> None:
+    log = parse_message('{"frame_id": 4, "lines": [{"offset_m": 1}, {"offset_m": -2}]}', "m", 5.0)
+    np.testing.assert_array_equal(log.offset_m, [[1, -2]])
+    assert log.is_valid.all()
+    assert not log.is_continuous.any()
+    assert np.isnan(log.lri).all()
+    assert log.time_s[0] == 0.8
+    assert parse_message('{"frame_id": 4, "lines": []}', "m", 5.0).offset_m.shape == (1, 0)

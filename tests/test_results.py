@@ -1,0 +1,372 @@
+"""The result directory: complete, read as it was written, and never half there."""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+import subprocess
+import sys
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import yaml
+from drives import contents, done, refused, write_drive
+
+from egolane_pgm.experiment import config_hash, load_experiment
+from egolane_pgm.provenance import file_sha256, git_state, versions
+from egolane_pgm.results import (
+    check_writable,
+    is_result,
+    plain,
+    read_result,
+    staged,
+    write_json,
+)
+from egolane_pgm.run import Run, run_experiment, save_run
+from egolane_pgm.scoring.assign import assigned_lane
+from egolane_pgm.types import InputError
+
+
+@pytest.fixture(scope="module")
+def drive(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return write_drive(tmp_path_factory.mktemp("drive"))
+
+
+@pytest.fixture(scope="module")
+def run(drive: Path) -> Run:
+    return run_experiment(drive)
+
+
+@pytest.fixture(scope="module")
+def saved(run: Run, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return save_run(run, tmp_path_factory.mktemp("saved") / "result")
+
+
+def test_everything_read_from_a_result_directory_equals_the_run(run: Run, saved: Path) -> None:
+    result = read_result(saved)
+    log, truth = run.recorded.log, run.recorded.truth
+    assert truth is not None
+    assert run.tentative is not None
+    np.testing.assert_array_equal(result.frame_id, log.frame_id)
+    np.testing.assert_array_equal(result.time_s, log.time_s)
+    assert set(result.marginals) == {"Lane", "SensorState"}
+    for node, belief in run.beliefs.marginals.items():
+        np.testing.assert_array_equal(result.marginals[node], belief)
+    assert result.values == {"Lane": ("1", "2", "3"), "SensorState": ("OK", "BAD")}
+    np.testing.assert_array_equal(result.tentative, run.tentative)
+    np.testing.assert_array_equal(result.assigned_lane, assigned_lane(run.beliefs.lane))
+    np.testing.assert_array_equal(result.detector_lane, assigned_lane(run.tentative))
+    np.testing.assert_array_equal(result.true_lane[run.recorded.scored], truth.lane)
+    np.testing.assert_array_equal(result.is_crossing[run.recorded.scored], truth.is_crossing)
+    np.testing.assert_array_equal(result.log_evidence, run.beliefs.log_evidence)
+    np.testing.assert_array_equal(result.is_impossible, run.beliefs.is_impossible)
+    for kind in ("detector", "model"):
+        assert result.scores[kind] == plain(run.scores[kind])
+    assert result.n_lanes == 3
+
+
+def test_a_result_says_where_its_numbers_come_from(drive: Path, run: Run, saved: Path) -> None:
+    said = read_result(saved).run
+    assert said["schema_version"] == 1
+    assert said["data"] == [
+        {
+            "path": str(drive.parent / name),
+            "sha256": file_sha256(drive.parent / name),
+            "bytes": (drive.parent / name).stat().st_size,
+        }
+        for name in ("lines.csv", "ground_truth.txt")
+    ]
+    assert set(said["versions"]) >= {"python", "egolane-pgm", "numpy", "numba", "pgmpy"}
+    assert "not installed" not in said["versions"].values()
+    assert said["git"] is None or set(said["git"]) == {"commit", "dirty"}
+    assert said["plugins"]["graph"]["file"] == "sensor_failure.py"
+    assert len(said["plugins"]["evidence"]["sha256"]) == 64
+    assert said["frames"] == len(run.beliefs)
+    assert said["frames_scored"] == run.scores["model"]["frames_scored"]
+    assert said["mean_log_evidence"] == run.beliefs.mean_log_evidence
+    assert said["tuned_on"] == "not_tuned"
+    assert said["created"].endswith("+00:00")
+
+
+def test_the_hash_of_a_result_is_that_of_its_experiment_whatever_its_order(
+    drive: Path, saved: Path, tmp_path: Path
+) -> None:
+    content = yaml.safe_load(drive.read_text())
+    turned = dict(reversed(content.items()))
+    (drive.parent / "turned.yaml").write_text(yaml.safe_dump(turned, sort_keys=False))
+    again = save_run(run_experiment(drive.parent / "turned.yaml"), tmp_path / "again")
+    assert read_result(again).run["config_hash"] == read_result(saved).run["config_hash"]
+    changed = load_experiment(drive, ["parameters.sigma1=0.41"])
+    other = save_run(run_experiment(changed), tmp_path / "other")
+    assert read_result(other).run["config_hash"] != read_result(saved).run["config_hash"]
+    assert len(config_hash({})) == 64
+
+
+def test_the_experiment_of_a_result_directory_gives_the_same_result_again(
+    saved: Path, tmp_path: Path
+) -> None:
+    done("run", saved / "experiment.yaml", "--no-figures", "--out", tmp_path / "again")
+    one, other = read_result(saved), read_result(tmp_path / "again")
+    for node in one.marginals:
+        np.testing.assert_array_equal(one.marginals[node], other.marginals[node])
+    assert one.scores == other.scores
+    assert one.experiment == other.experiment
+    assert [d["sha256"] for d in one.run["data"]] == [d["sha256"] for d in other.run["data"]]
+
+
+def test_frames_without_annotation_are_null_in_the_table(drive: Path, tmp_path: Path) -> None:
+    from pyarrow import parquet
+
+    experiment = load_experiment(drive, ["ground_truth=null"])
+    run = run_experiment(experiment)
+    assert run.scores == {}
+    saved = save_run(run, tmp_path / "result")
+    table = parquet.read_table(saved / "beliefs.parquet")
+    assert table.column("true_lane").null_count == len(table)
+    result = read_result(saved)
+    assert (result.true_lane == 0).all()
+    assert not result.is_crossing.any()
+    assert "model" not in result.scores
+    assert result.scores["frames_scored"] == 0
+
+
+def test_json_has_plain_numbers_and_null_for_what_is_no_number(tmp_path: Path) -> None:
+    content: dict[Any, Any] = {
+        "a": np.float64(0.1) + 0.2,
+        "b": np.array([1, 2]),
+        "c": float("nan"),
+        "d": (np.int64(3), np.bool_(True), float("inf")),
+        5: "five",
+    }
+    write_json(tmp_path / "new" / "a.json", content)
+    read = json.loads((tmp_path / "new" / "a.json").read_text())
+    assert read == {"a": 0.1 + 0.2, "b": [1, 2], "c": None, "d": [3, True, None], "5": "five"}
+
+
+def test_json_that_cannot_be_written_leaves_the_old_file_and_nothing_else(tmp_path: Path) -> None:
+    (tmp_path / "taken").mkdir()
+    (tmp_path / "taken" / "x").write_text("x")
+    before = contents(tmp_path)
+    with pytest.raises(InputError, match="taken: cannot be written"):
+        write_json(tmp_path / "taken", {"a": 1})
+    with pytest.raises(TypeError):
+        write_json(tmp_path / "taken" / "x", {"a": object()})
+    assert contents(tmp_path) == before
+
+
+def test_where_git_or_a_package_is_not_there_that_is_said(monkeypatch: pytest.MonkeyPatch) -> None:
+    assert versions(["numpy", "no-such-package"])["no-such-package"] == "not installed"
+    monkeypatch.setenv("GIT_DIR", "/nonexistent")
+    assert git_state() is None
+    monkeypatch.setenv("PATH", "/nonexistent")
+    assert git_state() is None
+
+
+# --- what is no result ---------------------------------------------------------------------------
+
+
+def damaged(saved: Path, folder: Path, change: Callable[[Path], object]) -> Path:
+    copy = folder / "copy"
+    for name, content in contents(saved).items():
+        (copy / name).parent.mkdir(parents=True, exist_ok=True)
+        (copy / name).write_bytes(content)
+    read_result(copy)
+    change(copy)
+    return copy
+
+
+def rewrite(name: str, **changes: object) -> Callable[[Path], object]:
+    def change(folder: Path) -> None:
+        content = json.loads((folder / name).read_text())
+        for key, value in changes.items():
+            content.pop(key) if value is None else content.update({key: value})
+        (folder / name).write_text(json.dumps(content))
+
+    return change
+
+
+@pytest.mark.parametrize(
+    ("change", "said"),
+    [
+        (lambda d: (d / "run.json").unlink(), "is not a result directory"),
+        (lambda d: (d / "beliefs.parquet").unlink(), "cannot be read"),
+        (lambda d: (d / "beliefs.parquet").write_bytes(b"PAR1"), "cannot be read"),
+        (lambda d: (d / "scores.json").write_text("{"), "cannot be read"),
+        (lambda d: (d / "experiment.yaml").write_text("a: b: c"), "cannot be read"),
+        (lambda d: (d / "run.json").write_text("[]"), "has schema version None"),
+        (rewrite("run.json", schema_version=99), "has schema version 99, this program reads 1"),
+        (rewrite("run.json", values=None), "is damaged, it lacks 'values'"),
+        (rewrite("run.json", values={"Lane": ["1", "9"]}), "is damaged, it lacks 'Lane_9'"),
+    ],
+)
+def test_a_damaged_result_is_refused_by_name(
+    saved: Path, tmp_path: Path, change: Callable[[Path], object], said: str
+) -> None:
+    copy = damaged(saved, tmp_path, change)
+    with pytest.raises(InputError) as info:
+        read_result(copy)
+    assert str(info.value).startswith(f"{copy}: {said}")
+    assert "\n" not in str(info.value)
+
+
+def test_plot_refuses_what_is_no_result_and_leaves_nothing_there(tmp_path: Path) -> None:
+    assert "is not a result directory" in refused("plot", tmp_path)
+    assert "is not a result directory" in refused("plot", tmp_path / "gone")
+    assert list(tmp_path.iterdir()) == []
+
+
+# --- interrupted ---------------------------------------------------------------------------------
+
+INTERRUPTIONS = [KeyboardInterrupt, OSError("disk full"), InputError("no"), ValueError, SystemExit]
+
+
+def earlier_result(folder: Path) -> Path:
+    with staged(folder / "result") as new:
+        (new / "run.json").write_text("old")
+        (new / "scores.json").write_text("old")
+    return folder / "result"
+
+
+def fill(folder: Path) -> None:
+    (folder / "run.json").write_text("new")
+    (folder / "scores.json").write_text("new")
+
+
+@pytest.mark.parametrize("error", INTERRUPTIONS)
+@pytest.mark.parametrize("is_there", [True, False])
+@pytest.mark.parametrize("n_written", [0, 1, 2])
+def test_a_result_interrupted_while_it_is_written_leaves_what_was_there(
+    tmp_path: Path, error: BaseException, is_there: bool, n_written: int
+) -> None:
+    if is_there:
+        earlier_result(tmp_path)
+    before = contents(tmp_path)
+
+    def interrupted() -> None:
+        with staged(tmp_path / "result") as folder:
+            assert folder != tmp_path / "result"
+            for name in ("run.json", "scores.json")[:n_written]:
+                (folder / name).write_text("half")
+            raise error
+
+    kind = error if isinstance(error, type) else type(error)
+    with pytest.raises(InputError if kind is OSError else kind):
+        interrupted()
+    assert contents(tmp_path) == before
+    assert is_there == (tmp_path / "result").exists()
+
+
+@pytest.mark.parametrize("error", [KeyboardInterrupt, OSError("disk full")])
+@pytest.mark.parametrize("at", [1, 2])
+@pytest.mark.parametrize("when", ["before", "after"])
+def test_an_interruption_around_the_renaming_leaves_one_whole_result(
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    error: BaseException,
+    at: int,
+    when: str,
+) -> None:
+    result = earlier_result(tmp_path)
+    renamed = 0
+    rename = Path.rename
+
+    def interrupted(self: Path, target: Path) -> Path:
+        nonlocal renamed
+        renamed += 1
+        if renamed == at and when == "before":
+            raise error
+        moved = rename(self, target)
+        if renamed == at:
+            raise error
+        return moved
+
+    monkeypatch.setattr(Path, "rename", interrupted)
+    with pytest.raises((KeyboardInterrupt, InputError)), staged(result) as folder:
+        fill(folder)
+    monkeypatch.undo()
+    which = "new" if (at, when) == (2, "after") else "old"
+    assert contents(tmp_path) == {f"result/{n}.json": which.encode() for n in ("run", "scores")}
+
+
+def test_a_result_takes_the_place_of_an_earlier_one_as_a_whole(tmp_path: Path) -> None:
+    result = earlier_result(tmp_path)
+    (result / "figures").mkdir()
+    (result / "figures" / "old.png").write_text("old")
+    with staged(result) as folder:
+        fill(folder)
+    assert contents(tmp_path) == {f"result/{n}.json": b"new" for n in ("run", "scores")}
+    assert result.stat().st_mode & 0o777 == 0o755
+
+
+def test_check_writable_allows_new_empty_and_earlier_directories_only(tmp_path: Path) -> None:
+    check_writable(tmp_path / "a" / "b" / "new")
+    check_writable(earlier_result(tmp_path))
+    (tmp_path / "empty").mkdir()
+    check_writable(tmp_path / "empty")
+    with pytest.raises(InputError, match="is not a result directory"):
+        check_writable(tmp_path)
+    with pytest.raises(InputError, match=r"run\.json: is a file, not a directory"):
+        check_writable(tmp_path / "result" / "run.json")
+    assert {p.name for p in tmp_path.iterdir()} == {"result", "empty"}
+
+
+#: `egolane run` that stops, with everything written, right before the directory gets its name.
+STOPS = """
+import sys, time
+from pathlib import Path
+from egolane_pgm.cli import egolane
+import egolane_pgm.report.sheet as sheet
+def draw(directory):
+    print("drawing", directory, flush=True)
+    time.sleep(60)
+sheet.draw_standard = draw
+egolane(sys.argv[1:], prog_name="egolane")
+"""
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGKILL])
+def test_a_killed_run_leaves_no_result_and_an_earlier_one_untouched(
+    drive: Path, saved: Path, tmp_path: Path, number: int
+) -> None:
+    is_there = number == signal.SIGKILL
+    result = tmp_path / "result"
+    if is_there:
+        damaged(saved, tmp_path, lambda copy: copy.rename(result))
+    before = contents(result)
+    process = subprocess.Popen(
+        [sys.executable, "-c", STOPS, "run", str(drive), "--out", str(result)],
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+    )
+    assert process.stdout is not None
+    said, _, half = process.stdout.readline().strip().partition(" ")
+    assert said == "drawing"
+    assert is_result(Path(half))
+    process.send_signal(number)
+    _, error = process.communicate(timeout=30)
+    assert result.exists() == is_there
+    assert contents(result) == before
+    if number == signal.SIGINT:
+        assert process.returncode == 130
+        assert error == "egolane: interrupted; nothing was left half-written\n"
+        assert list(tmp_path.iterdir()) == []
+    else:
+        assert process.returncode == -signal.SIGKILL
+        # What a kill cannot clean up is hidden and has no result's name.
+        assert all(p.name.startswith(".result.part-") for p in tmp_path.iterdir() if p != result)
+
+
+def test_a_result_goes_into_the_current_directory_too(
+    drive: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    done("run", drive, "--no-figures")
+    assert is_result(Path("results/drive"))
+    done("run", drive, "--no-figures", "--out", "here")
+    assert is_result(Path("here"))
+    assert sorted(os.listdir()) == ["here", "results"]

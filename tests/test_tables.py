@@ -1,0 +1,119 @@
+"""Tables as text."""
+
+from __future__ import annotations
+
+import csv
+import io
+from typing import get_args
+
+from hypothesis import given
+from hypothesis import strategies as st
+
+from egolane_pgm.experiment import Experiment
+from egolane_pgm.report import tables
+from egolane_pgm.scoring.summary import score_all
+
+HEADER = ["run", "score & co_1"]
+ROWS = [["1", "50%"], ["two", "#{x}"]]
+
+
+def test_a_markdown_table_is_aligned_first_column_left_the_others_right() -> None:
+    assert tables.markdown(HEADER, ROWS).splitlines() == [
+        "| run | score & co_1 |",
+        "| --- | -----------: |",
+        "| 1   |          50% |",
+        "| two |         #{x} |",
+    ]
+
+
+def test_a_latex_table_escapes_what_latex_would_take() -> None:
+    assert tables.latex(HEADER, ROWS).splitlines() == [
+        r"\begin{tabular}{lr}",
+        r"\toprule",
+        r"run & score \& co\_1 \\",
+        r"\midrule",
+        r"1 & 50\% \\",
+        r"two & \#\{x\} \\",
+        r"\bottomrule",
+        r"\end{tabular}",
+    ]
+
+
+cells = st.text(st.characters(codec="utf-8", exclude_characters="\r\0"), max_size=8)
+
+
+@given(st.lists(st.lists(cells, min_size=2, max_size=2), max_size=4))
+def test_csv_is_read_back_as_it_was(rows: list[list[str]]) -> None:
+    text = tables.as_csv(HEADER, rows)
+    assert list(csv.reader(io.StringIO(text, newline=""))) == [HEADER, *rows]
+
+
+def test_a_confusion_table_has_the_totals() -> None:
+    shown = tables.confusion_table([[5, 1], [0, 7], [2, 3]], "model").splitlines()
+    cells = [[cell.strip() for cell in line.strip("|").split("|")] for line in shown]
+    assert cells[0] == ["model", "actual 1", "actual 2", "total"]
+    assert cells[2:] == [
+        ["lane 1", "5", "1", "6"],
+        ["lane 2", "0", "7", "7"],
+        ["Unassigned", "2", "3", "5"],
+        ["support", "7", "11", "18"],
+    ]
+
+
+def scored(is_right: bool) -> dict[str, object]:
+    belief = [[0.9, 0.1], [0.8, 0.2], [0.1, 0.9], [0.1, 0.9]]
+    truth = [1, 1, 2, 2] if is_right else [2, 2, 1, 1]
+    none = {"intervals": {"accuracy": None, "f1": None}}
+    return {**score_all(belief, truth, [False] * 4, [1, 2, 3, 4], 10.0), **none}
+
+
+def row(table: str, label: str) -> list[str]:
+    line = next(line for line in table.splitlines() if line.startswith(f"| {label} "))
+    return [cell.strip() for cell in line.strip("|").split("|")][1:]
+
+
+def test_the_scores_of_detector_and_model_stand_side_by_side() -> None:
+    shown = tables.scores_table({"detector": scored(False), "model": scored(True)})
+    assert row(shown, "score") == ["detector", "model"]
+    assert row(shown, "accuracy") == ["0.000", "1.000"]
+    assert row(shown, "coverage") == ["1.000", "1.000"]
+    assert "95 %" not in shown  # too short a drive
+
+
+def test_without_a_detectors_answer_the_model_stands_alone_and_undefined_is_a_dash() -> None:
+    belief = scored(True) | {"brier": None}
+    belief["intervals"] = {"accuracy": [0.5, 1.0], "f1": [0.25, 1.0]}
+    shown = tables.scores_table({"model": belief})
+    assert row(shown, "score") == ["model"]
+    assert row(shown, "Brier score") == ["-"]
+    assert row(shown, "accuracy, 95 % interval") == ["0.500 .. 1.000"]
+
+
+def test_the_reproduction_table_shows_ours_theirs_and_the_difference() -> None:
+    ours = {"accuracy": 0.8584, "precision": 1, "recall": 0.5, "f1": 0.25, "log_loss": 1.2599}
+    theirs = {"accuracy": 0.85, "precision": 1, "recall": 0.51, "f1": 0.25, "log_loss": 1.25}
+    document = {
+        "runs": [
+            {
+                "run": 7,
+                "detector_frames_off": 0,
+                "model_frames_off": 12,
+                "detector": ours,
+                "model": ours,
+            }
+        ]
+    }
+    published = {7: {"detector_only": {"metrics": theirs}, "model": {"metrics": theirs}}}
+    header, rows = tables.reproduction_rows(document, published)
+    assert [len(r) for r in rows] == [len(header)] * 2
+    assert [r[:3] for r in rows] == [["7", "detector", "0"], ["7", "model", "12"]]
+    at = header.index("accuracy")
+    assert rows[1][at : at + 3] == ["0.8584", "0.85", "+0.0084"]
+    at = header.index("recall")
+    assert rows[1][at : at + 3] == ["0.5000", "0.51", "-0.0100"]
+
+
+def test_every_way_of_tuning_an_experiment_is_said_beside_its_scores() -> None:
+    ways = get_args(Experiment.model_fields["tuned_on"].annotation)
+    assert set(tables.TUNED_ON) == set(ways)
+    assert all("in-sample" in tables.TUNED_ON[way] for way in ways if way == "same_frames")
