@@ -120,15 +120,14 @@ def _fail(problems: list[str], error: type[Exception]) -> None:
 @click.option("--topic", help="Topic of a bag.")
 @click.option("--frame-id", type=click.Choice(["way_id", "seq"]), default="way_id")
 def convert(source: str, target: str, topic: str | None, frame_id: str) -> None:
-    """Convert a recording of lines (.bag, .csv, .parquet) to .csv or .parquet."""
-    from egolane_pgm.recordings import read_lines
-    from egolane_pgm.recordings.table import write_table
+    """Convert a recording of lines, .bag, .csv or .parquet, to any of these."""
+    from egolane_pgm.recordings import read_lines, write_lines
 
     options = {} if topic is None else {"topic": topic}
     if frame_id != "way_id":
         options["frame_id"] = frame_id
     log = read_lines(source, **options)
-    write_table(target, log)
+    write_lines(target, log)
     first, last = int(log.frame_id[0]), int(log.frame_id[-1])
     click.echo(f"{target}: {len(log)} frames, ids {first} to {last}")
 

@@ -17,6 +17,8 @@ FORMATS: dict[str, tuple[tuple[str, ...], str, str]] = {
     "table": ((".csv", ".parquet"), "table", "read_table"),
 }
 
+_WRITERS = {"rosbag": ("rosbag_writer", "write_rosbag"), "table": ("table", "write_table")}
+
 
 def read_lines(path: str | Path, format: str | None = None, **options: Any) -> LineLog:
     """The lines of a recording, T frames of at most L lines, read by the format it has.
@@ -39,6 +41,15 @@ def read_lines(path: str | Path, format: str | None = None, **options: Any) -> L
             )
     log: LineLog = read(path, **options)
     return log
+
+
+def write_lines(path: str | Path, log: LineLog) -> None:
+    """Write a log in the format of the file's extension.
+
+    Raises InputError for an unknown extension, and what the writer raises.
+    """
+    module, function = _WRITERS[_format_of(Path(path))]
+    getattr(import_module(f"{__name__}.{module}"), function)(path, log)
 
 
 def _format_of(path: Path) -> str:
