@@ -2,36 +2,179 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import click
+
+if TYPE_CHECKING:
+    from egolane_pgm.compare.comparing import Group, Options
 
 DEFAULT_GRAPHS = "sensor_failure,wor_on_lane,no_wor,lane_only"
 TITLES = {"accuracy": "Accuracy", "f1": "F1 (mean over lanes)", "log_loss": "Log-loss (all frames)"}
 
 
 @click.command()
-@click.option("--graphs", default=DEFAULT_GRAPHS, show_default=True, help="Names or files.")
-@click.option("--runs", default="1-10", show_default=True, help="Runs of the paper, e.g. 1-5,7.")
+@click.argument("experiments", nargs=-1, type=click.Path(dir_okay=False))
+@click.option("--graphs", help=f"Graphs, names or files.  [default: {DEFAULT_GRAPHS}]")
+@click.option("--runs", help="Runs of the paper, e.g. 1-5,7.  [default with --graphs: 1-10]")
+@click.option("--held-out", is_flag=True, help="Tune each graph without the block that is scored.")
+@click.option("--with-paper", is_flag=True, help="With --runs: the paper's model first.")
 @click.option(
     "--parameters",
     "which",
     type=click.Choice(["recovered", "published"]),
     default="recovered",
     show_default=True,
+    help="The paper's, for --graphs and --with-paper.",
 )
+@click.option("--health", is_flag=True, help="How well each tells that the detector is wrong.")
+@click.option("--blocks", type=click.IntRange(2), default=5, show_default=True)
+@click.option("--trials", type=click.IntRange(1), help="Of each block's search (fit: tune).")
+@click.option("--jobs", type=click.IntRange(1), default=1, show_default=True, help="Processes.")
+@click.option("--set", "overrides", multiple=True, metavar="KEY=VALUE", help="Override the YAMLs.")
+@click.option(
+    "--format",
+    "style",
+    type=click.Choice(["markdown", "latex", "csv"]),
+    default="markdown",
+    show_default=True,
+)
+@click.option("--figure", type=click.Path(dir_okay=False), metavar="FILE", help="Draw accuracy.")
 @click.option("--json", "json_file", type=click.Path(dir_okay=False), metavar="FILE")
-def compare(graphs: str, runs: str, which: str, json_file: str | None) -> None:
-    """The paper's runs under several graphs, with the paper's parameters."""
+def compare(
+    experiments: tuple[str, ...],
+    graphs: str | None,
+    runs: str | None,
+    held_out: bool,
+    with_paper: bool,
+    which: str,
+    health: bool,
+    blocks: int,
+    trials: int | None,
+    jobs: int,
+    overrides: tuple[str, ...],
+    style: str,
+    figure: str | None,
+    json_file: str | None,
+) -> None:
+    """Experiments side by side on frames that their parameters have not seen.
+
+    Each of EXPERIMENTS (a YAML whose `fit` says how parameters are found) on its own recording,
+    or, with --runs, on those of the paper's runs. With --graphs and without --held-out: graphs
+    with the paper's parameters, in-sample.
+    """
+    from egolane_pgm.compare.comparing import Options
+    from egolane_pgm.reproduce import parse_runs
+    from egolane_pgm.results import check_place
+    from egolane_pgm.types import InputError
+
+    if experiments and graphs:
+        raise InputError("compare: name experiments, or graphs with --graphs, not both")
+    if with_paper and not (experiments and runs):
+        raise InputError("--with-paper: goes with experiments and --runs")
+    if figure:
+        from egolane_pgm.report.style import check_figure_path
+
+        check_figure_path(figure)
+    for file in (json_file, figure):
+        if file:
+            check_place(Path(file))
+    names = [n.strip() for n in (graphs or DEFAULT_GRAPHS).split(",") if n.strip()]
+    if not experiments and not held_out:
+        if health or overrides or trials or figure or style != "markdown":
+            raise InputError(
+                "compare: --health, --set, --trials, --figure and --format go with experiments or"
+                " with --held-out"
+            )
+        _in_sample(names, parse_runs(runs or "1-10"), which, json_file)
+        return
+    numbers = parse_runs(runs) if runs else None
+    groups = _groups(experiments, names, numbers, with_paper, which, overrides)
+    _held_out(groups, Options(blocks, trials, health), jobs, style, figure, json_file)
+
+
+def _groups(
+    experiments: Sequence[str],
+    graphs: Sequence[str],
+    numbers: Sequence[int] | None,
+    with_paper: bool,
+    which: str,
+    overrides: Sequence[str],
+) -> list[Group]:
+    from egolane_pgm.compare.comparing import by_recording, graphs_on_runs, on_runs
+    from egolane_pgm.experiment import load_experiment
+    from egolane_pgm.types import InputError
+
+    if not experiments:
+        if overrides:
+            raise InputError("--set: goes with experiments, not with --graphs")
+        return graphs_on_runs(graphs, numbers or range(1, 11), "tune")
+    models = [load_experiment(path, overrides) for path in experiments]
+    if numbers is None:
+        return by_recording(models)
+    return on_runs(models, numbers, with_paper=with_paper, which=which)
+
+
+def _held_out(
+    groups: Sequence[Group],
+    options: Options,
+    jobs: int,
+    style: str,
+    figure: str | None,
+    json_file: str | None,
+) -> None:
+    from tqdm import tqdm
+
+    from egolane_pgm.compare import tables as rows_of
+    from egolane_pgm.compare.comparing import compare_groups, document
+    from egolane_pgm.report import tables
+    from egolane_pgm.report.comparison import draw_comparison
+    from egolane_pgm.results import write_json
+
+    # tqdm's monitor is a thread, and processes are forked.
+    tqdm.monitor_interval = 0
+    done = compare_groups(groups, options, jobs=jobs)
+    bar = tqdm(done, total=len(groups), unit="recording", leave=False, disable=None)
+    found = document(list(bar), options)
+    for recording in found["recordings"]:
+        for note in recording["notes"]:
+            click.echo(f"warning: {recording['title']}: {note}", err=True)
+    draw = {"markdown": tables.markdown, "latex": tables.latex, "csv": tables.as_csv}[style]
+    if style == "markdown":
+        header, rows = rows_of.accuracy_rows(found)
+        click.echo(f"{tables.markdown(header, rows)}\n\n* in-sample, or not known to be held out")
+        if rows_of.has_untrusted(found):
+            header, rows = rows_of.accuracy_rows(found, "all_frames")
+            click.echo(
+                "\nAbove without the frames of tuning.never_fit, whose labels are not trusted;"
+                f" with them:\n\n{tables.markdown(header, rows)}"
+            )
+        click.echo()
+    click.echo(draw(*rows_of.full_rows(found)).rstrip("\n"))
+    if options.health:
+        click.echo()
+        click.echo(draw(*rows_of.health_rows(found)).rstrip("\n"))
+    if style == "markdown":
+        click.echo(f"\n{rows_of.LEGEND}")
+        if options.health:
+            click.echo(f"\n{rows_of.HEALTH_LEGEND}")
+    if figure:
+        draw_comparison(found, figure)
+    if json_file:
+        write_json(Path(json_file), found)
+
+
+def _in_sample(
+    names: Sequence[str], numbers: Sequence[int], which: str, json_file: str | None
+) -> None:
     from tqdm import tqdm
 
     from egolane_pgm import compare as comparing
     from egolane_pgm.report import tables
-    from egolane_pgm.reproduce import parse_runs
     from egolane_pgm.results import write_json
 
-    names = [name.strip() for name in graphs.split(",") if name.strip()]
-    numbers = parse_runs(runs)
     bar = tqdm(numbers, desc="runs", unit="run", leave=False, disable=None)
     compared = [comparing.compare_graphs(number, names, which) for number in bar]
     for key, title in TITLES.items():

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from egolane_pgm import __version__, _cli_compare, _cli_recordings
+from egolane_pgm import __version__, _cli_compare, _cli_learn, _cli_recordings, _cli_tune
 
 if TYPE_CHECKING:
     from egolane_pgm.experiment import Experiment
@@ -113,7 +113,7 @@ def list_experiments() -> None:
     from egolane_pgm.experiment import load_experiment
 
     for path in sorted(experiments_folder().rglob("*.yaml")):
-        if path.name != "published.yaml":
+        if path.name != "published.yaml" and path.parent.name != "tuning":
             found = load_experiment(path)
             click.echo(f"  {_shown(path)}  {found.description}")
 
@@ -125,7 +125,7 @@ def validate(experiments: tuple[str, ...], overrides: tuple[str, ...]) -> None:
     """Check experiments without computing anything: keys, plugins, parameters, files."""
     from egolane_pgm.experiment import load_experiment
     from egolane_pgm.loading import check_sources
-    from egolane_pgm.run import prepare_model
+    from egolane_pgm.model import prepare_model
 
     for path in experiments:
         experiment = load_experiment(path, overrides)
@@ -205,6 +205,9 @@ def _print_run(done: Run) -> None:
         f"{experiment.name}: {len(done.beliefs)} frames, {experiment.n_lanes} lanes,"
         f" graph {experiment.graph}, mean log evidence {done.beliefs.mean_log_evidence:.4f}"
     )
+    if not experiment.is_causal:
+        later = "all later" if experiment.lag is None else f"the next {experiment.lag}"
+        click.echo(f"{experiment.filter}: not causal, a frame's belief uses {later} frames too")
     if not done.scores:
         click.echo("no ground truth: beliefs only, no scores (--ground-truth names a file)")
         return
@@ -385,9 +388,11 @@ def network(graph: str, target: str, n_lanes: int) -> None:
 
 for _command in (
     _cli_compare.compare,
+    _cli_learn.learn,
     _cli_recordings.data,
     _cli_recordings.convert,
     _cli_recordings.simulate,
     _cli_recordings.online,
+    _cli_tune.tune,
 ):
     egolane.add_command(_command)

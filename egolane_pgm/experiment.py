@@ -16,6 +16,7 @@ from pydantic import (
     ConfigDict,
     Field,
     ValidationError,
+    ValidationInfo,
     field_validator,
     model_validator,
 )
@@ -117,11 +118,44 @@ class Experiment(_Section):
     n_lanes: int = Field(ge=1, strict=True)
     evidence: str = "counting"
     graph: str = "sensor_failure"
-    filter: Literal["assumed_density", "exact"] = "assumed_density"
-    evidence_reading: Literal["soft", "hard"] = "soft"
+    filter: Literal["assumed_density", "exact", "smoothed", "fixed_lag"] = "assumed_density"
+    lag: int | None = Field(
+        default=None,
+        ge=0,
+        validate_default=True,
+        description="frames that fixed_lag waits before it answers",
+    )
+    evidence_reading: Literal["soft", "hard", "jeffrey"] = "soft"
+    unassigned_below: float = Field(
+        default=0.0,
+        ge=0,
+        lt=1,
+        allow_inf_nan=False,
+        description="no lane is answered where the largest probability is less",
+    )
+    fit: Literal["none", "learn", "tune"] = Field(
+        default="none", description="how `compare` finds parameters without the block it scores"
+    )
     parameters: dict[str, Any] = Field(default_factory=dict)
     tuned_on: Literal["same_frames", "other_frames", "not_tuned", "unknown"] = "unknown"
     tuning: Tuning | None = None
+
+    @field_validator("lag")
+    @classmethod
+    def _lag_where_needed(cls, value: int | None, info: ValidationInfo) -> int | None:
+        chosen = info.data.get("filter", "fixed_lag" if value is not None else None)
+        if value is None and chosen == "fixed_lag":
+            raise ValueError("filter fixed_lag needs a number of frames to wait, e.g. lag: 10")
+        if value is not None and chosen != "fixed_lag":
+            raise ValueError(f"only filter fixed_lag waits, filter {chosen} has no lag")
+        return value
+
+    @field_validator("evidence_reading")
+    @classmethod
+    def _reading_that_fits(cls, value: str, info: ValidationInfo) -> str:
+        if value == "jeffrey" and info.data.get("filter") in ("smoothed", "fixed_lag"):
+            raise ValueError("jeffrey goes with filter assumed_density or exact only")
+        return value
 
     _folder: Path = Path()
     _source: str = "experiment"
@@ -130,6 +164,11 @@ class Experiment(_Section):
     def folder(self) -> Path:
         """The folder of the YAML file: its relative paths start here."""
         return self._folder
+
+    @property
+    def is_causal(self) -> bool:
+        """Whether the belief about a frame uses no later frame."""
+        return self.filter in ("assumed_density", "exact")
 
     @property
     def source(self) -> str:
@@ -181,7 +220,7 @@ def validated(model: type[Section], content: Mapping[str, Any], source: str) -> 
 
 def resolved(experiment: Experiment, parameters: Mapping[str, Any]) -> dict[str, Any]:
     """Every key with its value, defaults included, ready for YAML or JSON."""
-    content = experiment.model_dump(mode="json", exclude={"tuning"})
+    content = experiment.model_dump(mode="json", exclude={"tuning", "fit"})
     content["parameters"] = {
         name: list(value) if isinstance(value, tuple) else value
         for name, value in sorted(parameters.items())

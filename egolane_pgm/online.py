@@ -4,17 +4,19 @@ from __future__ import annotations
 
 import json
 import math
-from collections.abc import Iterable, Iterator
+from collections import deque
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from typing import Any
 
 import numpy as np
 
 from egolane_pgm.experiment import Experiment
 from egolane_pgm.inference.filtering import FilterState, step
+from egolane_pgm.inference.smoothing import LagState, lag_rest, lag_step
+from egolane_pgm.model import make_evidence, online_rule, prepare_model, value_names
 from egolane_pgm.recordings.select import clip_lri, fill_missing
-from egolane_pgm.run import make_evidence, prepare_model, value_names
 from egolane_pgm.scoring.assign import assigned_lane
-from egolane_pgm.types import InputError, LineLog, suggestion
+from egolane_pgm.types import Beliefs, InputError, LineLog, suggestion
 
 #: Predicting through more missing frames than this is surely a wrong frame id.
 MAX_GAP = 100_000
@@ -33,13 +35,24 @@ def filter_stream(
 
     `is_valid` defaults to true, `is_continuous` to false, `lri` to unknown. Blank lines are
     skipped. Yields `{frame_id, time_s, assigned_lane (0: Unassigned), is_impossible, beliefs:
-    {node: {value: probability}}}`. Raises InputError naming the message for what cannot be used.
+    {node: {value: probability}}}`. With filter fixed_lag the belief about a frame comes `lag`
+    frames later, the last ones at the end. Raises InputError naming the message for what cannot be
+    used, and for filter smoothed, which needs the whole drive.
     """
+    if experiment.filter == "smoothed":
+        raise InputError(
+            f"{experiment.source}: filter: smoothed needs the whole drive; online use fixed_lag,"
+            " exact or assumed_density"
+        )
     model = prepare_model(experiment)
     names = value_names(model)
-    recording = experiment.recording
+    give = online_rule(model, kernel=kernel)
+    recording, below = experiment.recording, experiment.unassigned_below
     max_lri = float(model.parameters.get("max_lri", 10))  # type: ignore[arg-type]
     state: FilterState | None = None
+    late: LagState | None = None
+    # Frames without an answer yet; None was put in for one that is missing.
+    waiting: deque[LineLog | None] = deque()
     last: LineLog | None = None
     for number, text in enumerate(messages, start=1):
         if not text.strip():
@@ -49,19 +62,48 @@ def filter_stream(
         if recording.lri == "clip":
             log = clip_lri(log, max_lri)
         due = _with_gap(last, log, recording.missing_frames, recording.frame_rate, where)
-        evidence = make_evidence(model, due, experiment.evidence_reading, kernel=kernel).filtered
-        state, beliefs = step(model.compiled, state, evidence, experiment.filter, kernel=kernel)
+        evidence = make_evidence(model, due, experiment.evidence_reading, give=give).filtered
         last = log
-        yield {
-            "frame_id": int(log.frame_id[0]),
-            "time_s": float(log.time_s[0]),
-            "assigned_lane": int(assigned_lane(beliefs.lane[-1:])[0]),
-            "is_impossible": bool(beliefs.is_impossible[-1]),
-            "beliefs": {
-                node: dict(zip(names[node], values[-1].tolist(), strict=True))
-                for node, values in beliefs.marginals.items()
-            },
-        }
+        if experiment.lag is None:
+            state, beliefs = step(model.compiled, state, evidence, experiment.filter, kernel=kernel)
+            yield _answer(log, beliefs, -1, names, below)
+            continue
+        waiting.extend([*[None] * (len(due) - 1), log])
+        for t in range(len(due)):
+            frame = evidence.take(slice(t, t + 1))
+            late, beliefs = lag_step(model.compiled, late, frame, experiment.lag, kernel=kernel)
+            yield from _answers(waiting, beliefs, names, below)
+    if late is not None:
+        rest = lag_rest(model.compiled, late, kernel=kernel)
+        yield from _answers(waiting, rest, names, below)
+
+
+def _answers(
+    waiting: deque[LineLog | None],
+    beliefs: Beliefs,
+    names: Mapping[str, Sequence[str]],
+    below: float,
+) -> Iterator[dict[str, Any]]:
+    """The answers to the first frames that wait, as many as there are beliefs."""
+    for t in range(len(beliefs)):
+        log = waiting.popleft()
+        if log is not None:
+            yield _answer(log, beliefs, t, names, below)
+
+
+def _answer(
+    log: LineLog, beliefs: Beliefs, t: int, names: Mapping[str, Sequence[str]], below: float
+) -> dict[str, Any]:
+    return {
+        "frame_id": int(log.frame_id[0]),
+        "time_s": float(log.time_s[0]),
+        "assigned_lane": int(assigned_lane(beliefs.lane[[t]], below)[0]),
+        "is_impossible": bool(beliefs.is_impossible[t]),
+        "beliefs": {
+            node: dict(zip(names[node], values[t].tolist(), strict=True))
+            for node, values in beliefs.marginals.items()
+        },
+    }
 
 
 def _with_gap(

@@ -30,6 +30,9 @@ CONTRACTS = {
 #: How the modules of users' own files are named.
 _OWN = "_egolane_plugin_"
 
+#: How the names of users' own files end.
+OWN_FILES = (".py", ".yaml", ".yml")
+
 
 def plugin_names(folder: str) -> list[str]:
     """The plugins of a folder of the package, in alphabetical order."""
@@ -38,13 +41,18 @@ def plugin_names(folder: str) -> list[str]:
 
 
 def load_plugin(folder: str, name: str, base: Path, where: str) -> ModuleType:
-    """The module `name` of a folder, or the file `name` (ends in .py; relative to `base`).
+    """The module `name` of a folder, or the file `name` (ends in .py, or for a graph in .yaml;
+    relative to `base`).
 
     Raises InputError starting with `where` for an unknown name (with a suggestion), a missing
     file, a file that cannot be imported or one that lacks what the contract asks for.
     """
     if name.endswith(".py"):
         module = _load_file((base / name).resolve(), where)
+    elif name.endswith(OWN_FILES) and folder == "graphs":
+        # Above this module in the order of imports, as all graphs are.
+        reader = importlib.import_module("egolane_pgm.graphs._yaml_graph")
+        module = reader.load_yaml_graph((base / name).resolve(), f"{_OWN}{Path(name).stem}", where)
     elif name in plugin_names(folder):
         module = importlib.import_module(f"egolane_pgm.{folder}.{name}")
     else:

@@ -14,14 +14,8 @@ import yaml
 from egolane_pgm.experiment import Experiment, load_experiment
 from egolane_pgm.inference.filtering import filter_beliefs
 from egolane_pgm.loading import Recorded, load_recording
-from egolane_pgm.run import (
-    Model,
-    Run,
-    make_evidence,
-    prepare_model,
-    run_experiment,
-    with_parameters,
-)
+from egolane_pgm.model import Model, make_evidence, prepare_model, with_parameters
+from egolane_pgm.run import Run, run_experiment
 from egolane_pgm.scoring.assign import assigned_lane
 from egolane_pgm.scoring.confusion import confusion, frames_off
 from egolane_pgm.types import Evidence, InputError, IntArray

@@ -3,12 +3,15 @@
     experiment.yaml   the resolved config, every default spelled out
     run.json          schema_version, name, config_hash, data (path, sha256, bytes), versions, git,
                       created, n_lanes, frames, frames_scored, tuned_on, mean_log_evidence,
-                      impossible_frames, warnings
+                      impossible_frames, warnings, is_causal (false: a belief about a frame uses
+                      later frames too)
     beliefs.parquet   one row per frame: frame_id, time_s, Lane_1..n and the other hidden nodes'
-                      marginals (SensorState_OK, ...), assigned_lane (0: Unassigned), log_evidence,
-                      is_impossible; detector_1..n and detector_lane where the evidence rule gives
-                      a tentative vector; true_lane (null: not annotated) and is_crossing
-    scores.json       schema_version, name, tuned_on, frames, frames_scored, detector, model
+                      marginals (SensorState_OK, ...), assigned_lane (0: Unassigned, by a tie
+                      or by unassigned_below), log_evidence, is_impossible; detector_1..n and
+                      detector_lane where the evidence rule gives a tentative vector; true_lane
+                      (null: not annotated) and is_crossing
+    scores.json       schema_version, name, tuned_on, is_causal, frames, frames_scored, detector,
+                      model
     figures/          what `plot` drew
 
 A directory is written beside its place and renamed at the end: one that has the name is whole.

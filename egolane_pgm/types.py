@@ -8,8 +8,11 @@ In arrays over lanes, index 0 is lane 1.
 from __future__ import annotations
 
 import difflib
-from collections.abc import Iterable, Mapping
+import math
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field
+from functools import partial
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -118,6 +121,27 @@ class LineLog:
             self.lri[frames],
             self.is_missing[frames],
             self.source,
+        )
+
+    def then(self, later: LineLog) -> LineLog:
+        """This log and a later one behind it, as one."""
+        n_lines = max(self.offset_m.shape[1], later.offset_m.shape[1])
+
+        def joined(name: str, blank: float | bool) -> NDArray[Any]:
+            parts = [getattr(log, name) for log in (self, later)]
+            wide = [((0, 0), (0, n_lines - part.shape[1])) for part in parts]
+            padded = map(partial(np.pad, constant_values=blank), parts, wide)
+            return np.concatenate(list(padded))
+
+        return LineLog(
+            np.concatenate([self.frame_id, later.frame_id]),
+            np.concatenate([self.time_s, later.time_s]),
+            joined("offset_m", np.nan),
+            joined("is_valid", False),
+            joined("is_continuous", False),
+            joined("lri", np.nan),
+            np.concatenate([self.is_missing, later.is_missing]),
+            later.source,
         )
 
 
@@ -235,6 +259,9 @@ class Parameter:
     kind: "sigma" (> 0), "probability" (0 to 1), "positive" (> 0), "non_negative", "integer"
     (>= 0) or "choice" (one of `choices`). per_lane: a list of n values is allowed as well as one.
     search: the bounds of a parameter search, or None where it is not searched.
+    choices: for another kind than "choice", names that may stand for a number (`auto`).
+    lowest: the smallest value of an "integer". shape: for n lanes, the shape of a list of numbers,
+    nested as in a table or all in one row; it is kept as one row, the last axis fastest.
     """
 
     name: str
@@ -244,6 +271,8 @@ class Parameter:
     search: tuple[float, float] | None = None
     choices: tuple[str, ...] = ()
     per_lane: bool = False
+    lowest: int = 0
+    shape: Callable[[int], tuple[int, ...]] | None = None
 
     def check(self, value: object, n_lanes: int, where: str) -> Value:
         """The value, converted; InputError starting with `where` where it is out of range."""
@@ -254,6 +283,14 @@ class Parameter:
                     + (suggestion(str(value), self.choices) if isinstance(value, str) else "")
                 )
             return value
+        if isinstance(value, str) and self.choices:
+            if value not in self.choices:
+                raise InputError(
+                    f"{where}: '{value}' is neither a number nor {' or '.join(self.choices)}"
+                )
+            return value
+        if self.shape is not None:
+            return self._check_table(value, self.shape(n_lanes), where)
         if isinstance(value, (list, tuple, np.ndarray)):
             if not self.per_lane:
                 raise InputError(f"{where}: needs one number, got a list")
@@ -261,6 +298,20 @@ class Parameter:
                 raise InputError(f"{where}: has {len(value)} values for {n_lanes} lanes")
             return tuple(float(self._check_number(v, where)) for v in value)
         return self._check_number(value, where)
+
+    def _check_table(self, value: object, shape: tuple[int, ...], where: str) -> Value:
+        needed = f"a list of {' x '.join(map(str, shape))} numbers"
+        if not isinstance(value, (list, tuple, np.ndarray)):
+            raise InputError(f"{where}: {value!r} is not {needed}")
+        rows = list(value)
+        for size in shape[1:]:
+            if all(isinstance(row, (list, tuple, np.ndarray)) for row in rows):
+                if any(len(row) != size for row in rows):
+                    raise InputError(f"{where}: needs {needed}, every row of the same length")
+                rows = [number for row in rows for number in row]
+        if len(rows) != math.prod(shape):
+            raise InputError(f"{where}: has {len(rows)} numbers, needs {needed}")
+        return tuple(float(self._check_number(v, where)) for v in rows)
 
     def _check_number(self, value: object, where: str) -> float | int:
         if isinstance(value, bool) or not isinstance(value, (int, float, np.integer, np.floating)):
@@ -277,6 +328,8 @@ class Parameter:
         if self.kind == "integer":
             if x != int(x):
                 raise InputError(f"{where}: {value} is not a whole number")
+            if x < self.lowest:
+                raise InputError(f"{where}: {value} must be at least {self.lowest}")
             return int(x)
         return x
 

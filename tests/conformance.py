@@ -39,7 +39,8 @@ def graph_inputs(module: ModuleType) -> tuple[str, ...]:
 def draw_parameters(
     specs: Iterable[Parameter], n_lanes: int, rng: np.random.Generator
 ) -> dict[str, Value]:
-    """Random values by kind; one in three is an extreme of its kind."""
+    """Random values by kind; one in three is an extreme of its kind. A whole number shapes the
+    network (so many cells, so many levels) and keeps its default."""
     specs = list(specs)
     given: dict[str, object] = {}
     for spec in specs:
@@ -59,7 +60,7 @@ def _draw_value(spec: Parameter, rng: np.random.Generator) -> object:
         return float(rng.choice([1e-200, 1e-3, 50.0, 1e9])) if is_extreme else rng.uniform(0.3, 3)
     if spec.kind == "positive":
         return rng.uniform(0.5, 2)
-    return int(rng.integers(10)) if spec.kind == "integer" else rng.uniform(0, 10)
+    return spec.default if spec.kind == "integer" else rng.uniform(0, 10)
 
 
 def draw_evidence(

@@ -198,7 +198,10 @@ def test_a_file_that_is_no_ground_truth_is_refused(tmp_path: Path, earlier: Path
         ("n_lanes=true", "n_lanes: input should be a valid integer (got True)"),
         ("n_lanes=null", "n_lanes: input should be a valid integer"),
         ("name=../x", "name: string should match pattern"),
-        ("filter=exat", "filter: 'exat' is not one of assumed_density, exact (did you mean"),
+        (
+            "filter=exat",
+            "filter: 'exat' is not one of assumed_density, exact, smoothed, fixed_lag (did",
+        ),
         ("evidence_reading=softer", "evidence_reading: 'softer' is not one of soft, hard"),
         ("recording.missing_frames=keep", "missing_frames: 'keep' is not one of skip, hold"),
         ("recording.lri=cut", "recording.lri: 'cut' is not one of as_recorded, clip"),

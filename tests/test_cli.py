@@ -45,6 +45,7 @@ def test_run_writes_the_documented_json_unrounded(drive: Path, tmp_path: Path) -
         "schema_version",
         "name",
         "tuned_on",
+        "is_causal",
         "n_lanes",
         "frames",
         "frames_scored",
@@ -129,7 +130,7 @@ def test_recording_ground_truth_and_lanes_are_taken_from_the_command_line(
 def test_figures_are_part_of_the_result(drive: Path, tmp_path: Path) -> None:
     done("run", drive, "--out", tmp_path / "out")
     names = {path.name for path in (tmp_path / "out" / "figures").iterdir()}
-    assert names == {"strips.png", "confusion.png", "reliability.png"}
+    assert names == {"strips.png", "confusion.png", "reliability.png", "coverage.png"}
     shown = done("plot", tmp_path / "out", "--frames", "10", "60", "--style", "svg").stdout
     figures = [Path(line) for line in shown.splitlines()]
     assert all(f.suffix == ".svg" and f.stat().st_size > 1000 for f in figures)
@@ -177,7 +178,7 @@ def test_validate_says_which_recording_is_not_there(
 def test_ls_lists_what_there_is(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(experiments_folder().parent)
     shown = done("ls").stdout
-    assert "graphs:      lane_only, no_wor, sensor_failure, wor_on_lane" in shown
+    assert "sensor_failure, three_sensor_states, wor_direct, wor_levels, wor_on_lane" in shown
     assert "simulations: a2, a4, quickstart" in shown
     assert "experiments/quickstart.yaml  simulated drive of two minutes" in shown
     assert len([line for line in shown.splitlines() if "/run" in line]) == 10

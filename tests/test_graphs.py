@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from types import ModuleType
+
 import numpy as np
 import pytest
 from conformance import (
@@ -174,16 +176,27 @@ def test_the_mirrored_road_gives_the_mirrored_belief(name: str, seed: int, n_lan
     here = with_tables(compiled, module.tables(n_lanes, parameters))
     there = with_tables(compiled, module.tables(n_lanes, mirrored_parameters))
     evidence = draw_evidence(compiled, 6, rng)
-    mirrored = Evidence({k: mirror(k, v) for k, v in evidence.likelihoods.items()}, evidence.inputs)
+    mirrored = Evidence(
+        {k: mirror(k, v) for k, v in evidence.likelihoods.items()},
+        {k: mirrored_input(v, parameters) for k, v in evidence.inputs.items()},
+    )
     for method in METHODS:
         belief = filter_beliefs(here, evidence, method)
         other = filter_beliefs(there, mirrored, method)
         np.testing.assert_allclose(other.lane, belief.lane[:, ::-1], rtol=0, atol=1e-9)
         np.testing.assert_allclose(other.log_evidence, belief.log_evidence, rtol=0, atol=1e-9)
         for node in set(module.HIDDEN) - {"Lane"}:
-            np.testing.assert_allclose(
-                other.marginals[node], belief.marginals[node], rtol=0, atol=1e-9
-            )
+            seen = other.marginals[node][:, mirrored_values(module, node, belief.marginals[node])]
+            np.testing.assert_allclose(seen, belief.marginals[node], rtol=0, atol=1e-9)
+
+
+def mirrored_values(module: ModuleType, node: str, marginal: np.ndarray) -> list[int]:
+    """The values of a node as seen in a mirror: LEFT is RIGHT."""
+    if node == "RoadPosition":
+        return list(range(marginal.shape[1]))[::-1]
+    names = getattr(module, "VALUES", {}).get(node, range(marginal.shape[1]))
+    other_side = {"LEFT": "RIGHT", "RIGHT": "LEFT"}
+    return [names.index(other_side.get(name, name)) for name in names]
 
 
 _TEMPLATES: dict[tuple[str, int], Compiled] = {}
@@ -198,8 +211,15 @@ def compiled_template(name: str, n_lanes: int) -> Compiled:
 
 def mirror(key: object, values: np.ndarray) -> np.ndarray:
     names = (key,) if isinstance(key, str) else key
-    axes = [1 + k for k, n in enumerate(names) if n in ("Lane", "DetectorOutput")]  # type: ignore
+    lateral = ("Lane", "DetectorOutput", "RoadPosition")
+    axes = [1 + k for k, n in enumerate(names) if n in lateral]  # type: ignore
     return np.flip(values, axes)
+
+
+def mirrored_input(index: np.ndarray, parameters: Parameters) -> np.ndarray:
+    """LineMotion as seen in a mirror; where it is unknown it stays so."""
+    bins = int(parameters["motion_bins"])  # type: ignore[arg-type]
+    return np.where(index < bins, bins - 1 - index, index)
 
 
 @pytest.mark.parametrize("n_lanes", [1, 2, 3, 4])

@@ -82,7 +82,8 @@ def results_of(run, arguments, *, in_blocks):
         fill(n_frames, np.nan),
         np.full(n_frames, in_blocks),
     ]
-    run(*given.values(), *written)
+    with np.errstate(all="ignore"):  # the kernel itself, with the compiler switched off
+        run(*given.values(), *written)
     return [given["joint"], *written]
 
 
@@ -136,6 +137,22 @@ def test_likelihoods_of_absurd_size_are_scaled_not_lost(scale, is_factored):
     np.testing.assert_allclose(after[1], before[1], rtol=0, atol=1e-12)
 
 
+@pytest.mark.parametrize("is_factored", METHODS)
+def test_hardly_possible_states_survive_small_likelihoods(is_factored):
+    """A state of probability 1e-150 is all that is left once the others are ruled out."""
+    rng = np.random.default_rng(14)
+    arguments = random_arguments(rng, (4, 2), (4, 2), 40, is_factored=is_factored)
+    arguments["transition"][:] = np.eye(8)
+    arguments["emission"][:, :4] = np.repeat(np.eye(4), 2, axis=0)
+    lanes = arguments["evidence"][0]
+    lanes[5] = [1.0, 1.0, 1.0, 1e-150]
+    lanes[6:12] *= 1e-120
+    lanes[12] = [0.0, 0.0, 0.0, 1.0]
+    twin = assert_all_agree(arguments)
+    assert not twin[-1].any()
+    np.testing.assert_allclose(twin[1][12:, 3], 1.0, rtol=0, atol=1e-12)
+
+
 def test_small_likelihoods_over_many_frames_do_not_underflow():
     rng = np.random.default_rng(5)
     n_frames = 2000 if IS_COMPILED else 200
@@ -172,6 +189,18 @@ def test_networks_with_inputs_or_many_states_use_the_plain_kernel(is_factored):
     assert_all_agree(large)
 
 
+def test_logarithms_are_right_to_the_last_bits_over_the_whole_range():
+    rng = np.random.default_rng(13)
+    near_one = 1 + rng.uniform(-1e-6, 1e-6, 200)
+    borders = np.array([1.0, 0.5**0.5, 2**0.5, 0.5, 2.0, 1e-250, 1e250])
+    borders = np.concatenate([borders, np.nextafter(borders, 0), np.nextafter(borders, 1e300)])
+    values = np.concatenate([np.exp(rng.uniform(-570, 570, 2000)), near_one, borders])
+    expected = np.log(values)
+    with np.errstate(over="ignore"):
+        kernels.log_in_place(values)
+    np.testing.assert_allclose(values, expected, rtol=4e-16, atol=0)
+
+
 @pytest.mark.skipif(not IS_COMPILED, reason="nothing is compiled with NUMBA_DISABLE_JIT")
 def test_a_second_process_loads_the_kernels_instead_of_compiling_them(tmp_path):
     program = """
@@ -179,7 +208,8 @@ import numpy as np
 from egolane_pgm.inference import kernels
 size = kernels.Size((2,), ((0, 1),), 1, False)
 run = kernels._filter_kernel(size)
-run(np.array([0.5, 0.5, 0, 0]), np.ones(16), 0, np.ones((3, 2)), np.ones(3), np.ones((3, 2)))
+square, frames = np.ones((2, 2)), np.ones((3, 2))
+run(np.ones(2), np.ones(2), square, square, True, 0, 3, frames, np.ones(3), frames)
 print(sum(run.stats.cache_hits.values()), sum(run.stats.cache_misses.values()))
 """
     environment = dict(os.environ, NUMBA_CACHE_DIR=str(tmp_path))

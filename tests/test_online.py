@@ -46,7 +46,15 @@ def messages(log: LineLog) -> Iterator[str]:
 
 @pytest.mark.parametrize("policy", ["skip", "hold", "predict"])
 @pytest.mark.parametrize("choice", ["assumed_density", "exact"])
-@pytest.mark.parametrize("changes", [{}, {"evidence_reading": "hard"}, {"recording__lri": "clip"}])
+@pytest.mark.parametrize(
+    "changes",
+    [
+        {},
+        {"evidence_reading": "hard"},
+        {"evidence_reading": "jeffrey"},
+        {"recording__lri": "clip"},
+    ],
+)
 def test_online_beliefs_equal_those_of_a_run_frame_by_frame(
     tmp_path: Path, policy: str, choice: str, changes: dict[str, Any]
 ) -> None:
@@ -66,6 +74,40 @@ def test_online_beliefs_equal_those_of_a_run_frame_by_frame(
     )
     np.testing.assert_array_equal([a["time_s"] for a in answers], run.recorded.log.time_s[at])
     assert set(answers[0]) == {"frame_id", "time_s", "assigned_lane", "is_impossible", "beliefs"}
+
+
+@pytest.mark.parametrize("policy", ["skip", "hold", "predict"])
+@pytest.mark.parametrize("lag", [0, 3, 500])
+def test_fixed_lag_online_answers_late_and_as_the_run(
+    tmp_path: Path, policy: str, lag: int
+) -> None:
+    path = write_drive(tmp_path, 70, filter="fixed_lag", lag=lag, recording__missing_frames=policy)
+    log = short_drive(70).log
+    log = log.take(~np.isin(log.frame_id, GAPS))
+    write_table(tmp_path / "lines.csv", log)
+    run = run_experiment(path)
+    sent: list[int] = []
+
+    def send() -> Iterator[str]:
+        for message in messages(log):
+            sent.append(json.loads(message)["frame_id"])
+            yield message
+
+    answers = []
+    for answer in filter_stream(load_experiment(path), send()):
+        waited = sent[-1] - answer["frame_id"]
+        assert waited >= lag or len(sent) == len(log)
+        answers.append(answer)
+    assert [a["frame_id"] for a in answers] == log.frame_id.tolist()
+    at = np.searchsorted(run.beliefs.frame_id, log.frame_id)
+    lane = np.array([[a["beliefs"]["Lane"][n] for n in "123"] for a in answers])
+    np.testing.assert_allclose(lane, run.beliefs.lane[at], rtol=0, atol=1e-12)
+
+
+def test_what_needs_the_whole_drive_is_refused_online(tmp_path: Path) -> None:
+    experiment = load_experiment(write_drive(tmp_path, 20, filter="smoothed"))
+    with pytest.raises(InputError, match="smoothed needs the whole drive; online use fixed_lag"):
+        list(filter_stream(experiment, messages(short_drive(20).log)))
 
 
 @pytest.fixture(scope="module")

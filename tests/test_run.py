@@ -14,8 +14,9 @@ from egolane_pgm.evidence.counting import evidence as counting
 from egolane_pgm.experiment import Experiment
 from egolane_pgm.inference.filtering import filter_beliefs, read_evidence
 from egolane_pgm.loading import check_sources, load_recording
+from egolane_pgm.model import make_evidence, prepare_model, with_parameters
 from egolane_pgm.recordings.table import write_table
-from egolane_pgm.run import make_evidence, prepare_model, summary, with_parameters
+from egolane_pgm.run import summary
 from egolane_pgm.scoring.assign import assigned_lane
 from egolane_pgm.types import InputError, resolve_parameters
 

@@ -113,9 +113,7 @@ def _count_lines_numpy(
     votes = (is_far[..., None] & (distance[..., None] < reach)).astype(np.float64)
     bonus_lane = np.minimum(distance / lane_width_m, n_lanes).astype(np.int64)
     has_bonus = is_far & is_continuous & (bonus_lane < n_lanes)
-    votes += bonus_value * (
-        has_bonus[..., None] & (bonus_lane[..., None] == np.arange(n_lanes))
-    )
+    votes += bonus_value * (has_bonus[..., None] & (bonus_lane[..., None] == np.arange(n_lanes)))
     is_right = (d > 0)[..., None]
     counts = np.where(is_right, votes[..., ::-1], votes).sum(axis=1)
     is_near = is_valid & ~is_far & is_continuous

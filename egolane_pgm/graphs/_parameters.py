@@ -4,7 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 
-from egolane_pgm.cpds import lane_normals
+import numpy as np
+
+from egolane_pgm.cpds import discretised_normal, lane_edges, lane_normals
 from egolane_pgm.types import FloatArray, Parameter, Value
 
 SIGMA1 = Parameter(
@@ -42,6 +44,9 @@ P3 = Parameter(
 P4 = Parameter(
     "p4", "probability", 0.6, "P(WOR BAD | SensorState BAD); Table `tab:cptri`", search=(0.0, 1.0)
 )
+WOR_LEVELS = Parameter(
+    "wor_levels", "integer", 3, "values of WOR, the most reliable one first", lowest=2
+)
 NORMAL = Parameter(
     "normal",
     "choice",
@@ -70,11 +75,21 @@ def per_lane(value: Value, n_lanes: int) -> Sequence[float]:
     return value if isinstance(value, tuple) else (number(value),) * n_lanes
 
 
-def f_table(sigma: str, n_lanes: int, parameters: Mapping[str, Value]) -> FloatArray:
-    """F(N(lane, sigma^2)) for each lane, (n, n); `sigma` names the parameter."""
-    return lane_normals(
-        number(parameters[sigma]),
-        n_lanes,
-        str(parameters["normal"]),
-        per_lane(parameters["lane_widths"], n_lanes),
-    )
+def f_table(
+    sigma: str, n_lanes: int, parameters: Mapping[str, Value], shift: float = 0.0
+) -> FloatArray:
+    """F(N(lane + shift, sigma^2)) for each lane, (n, n); `sigma` names the parameter, `shift` is
+    in nominal lanes."""
+    normal, widths = str(parameters["normal"]), per_lane(parameters["lane_widths"], n_lanes)
+    if not shift:
+        return lane_normals(number(parameters[sigma]), n_lanes, normal, widths)
+    _, centres = lane_edges(n_lanes, widths)
+    deviation = number(parameters[sigma])
+    rows = [discretised_normal(c + shift, deviation, n_lanes, normal, widths) for c in centres]
+    return np.stack(rows)
+
+
+def sticky(*stay: float) -> FloatArray:
+    """(k, k): value i is kept with probability `stay[i]`, else left for each other one alike."""
+    k = len(stay)
+    return np.stack([np.where(np.arange(k) == i, p, (1 - p) / (k - 1)) for i, p in enumerate(stay)])

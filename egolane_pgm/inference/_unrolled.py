@@ -18,8 +18,9 @@ MAX_COLUMNS = 24
 #: A frame whose likelihood is outside of this range is left to the plain kernel.
 TINY, HUGE = 1e-250, 1e250
 
-#: The carried belief is brought back to a sum of one when its sum leaves this range.
-LOW, HIGH = 1e-60, 1e60
+#: The carried belief is brought back to a sum of one when its sum leaves this range, before the
+#: states that hardly count are lost (a product of marginals has this sum to some power).
+LOW, HIGH = 1e-30, 1e30
 
 #: Vector registers hold this many numbers; the states are padded with zeros to a multiple.
 WIDTH = 4
@@ -63,68 +64,93 @@ def padded(n_states: int) -> int:
 
 
 def filter_source(name: str, size: Size) -> str:
-    """`name(joint, tables, first, marginals, total, *blocks)`: filter the frames from `first` on.
+    """`name(joint, prior, transition, emission, is_first, first, last, marginals, total, *blocks)`:
+    filter the frames from `first` to before `last`.
 
-    joint (S padded,): the belief after the frame before; at the end that of the last one filtered.
-    tables (rows * S padded,): flat, rows as in Size.n_rows. blocks: per group its evidence (T, K).
-    Written: marginals (T, M), total (T,), the likelihood of each frame given those before.
-    Returns the frame that it stopped at: T, or one that the plain kernel has to do.
+    joint (S,): the belief after the frame before; becomes that after the last one. is_first: there
+    is none, the first frame takes prior (S,). transition (S, S), emission (S, K), the groups side
+    by side. blocks: per group its evidence (T, K). Written: marginals (T, M), total (T,), the
+    likelihood of each frame given those before.
+    Returns `last`, or a frame that the plain kernel has to do; then joint is as it was.
     """
-    states = range(size.n_states)
-    width = padded(size.n_states)
+    n_states = size.n_states
+    states = range(n_states)
+    width = padded(n_states)
+    end = size.n_rows * width
     blocks = [f"block{g}" for g in range(len(size.sizes))]
-    likelihood = " * ".join(_likelihoods(size, lambda row: f"tables[{row * width} + s]"))
-    predicted = _balanced([f"j{r} * tables[{r * width} + s]" for r in states])
-    lines = [
-        f"def {name}(joint, tables, first, marginals, total, {', '.join(blocks)}):",
-        # So n is known to be a multiple of the vector's width: there is no remainder to do.
-        f"    n = joint.shape[0] // {WIDTH} * {WIDTH}",
-        "    weighted = joint.copy()",
-        *(f"    {array} = {array}[first:]" for array in ("marginals", "total", *blocks)),
-        # One over what the carried numbers sum to.
-        "    scale = 1.0",
-        *(f"    j{s} = joint[{s}]" for s in states),
-        "    for t in range(total.shape[0]):",
-        *(f"        {line}" for line in _load_evidence(size)),
-        "        for s in range(n):",
-    ]
-    if size.is_factored:
-        lines.append(f"            weighted[s] = {predicted} * ({likelihood} * scale)")
-        back = [f"    joint[{s}] = {_product(size, s, 'marginals[t - 1, {}]')}" for s in states]
-        back = ["if t > 0:", *back]
-    else:
-        lines.append("            joint[s] = weighted[s]")
-        lines.append(f"            weighted[s] = {predicted} * ({likelihood})")
-        back = [f"joint[{s}] *= scale" for s in states]
+    likelihood = " * ".join(_likelihoods(size, lambda row: f"work[{row * width} + s]"))
+    predicted = _balanced([f"j{r} * work[{r * width} + s]" for r in states])
+    arrays = ["marginals", "total", *blocks]
+    flat = ", ".join(arrays)
+    slices = ", ".join(f"{array}[first:last].ravel()" for array in arrays)
+    head = f"""
+def {name}(
+    joint, prior, transition, emission, is_first, first, last, marginals, total, {", ".join(blocks)}
+):
+    # One array for what is read and written in the loop over states: the compiler sees that the
+    # parts do not overlap. Rows of a vector's width: transition, emission, what is carried.
+    work = np.zeros({end + width})
+    for s in range({n_states}):
+        for k in range({size.n_rows - n_states}):
+            work[({n_states} + k) * {width} + s] = emission[s, k]
+        work[{end} + s] = prior[s] if is_first else joint[s]
+    {flat} = ({slices})
+    # One over what the carried numbers sum to.
+    scale = 1.0
+    # Before the first frame of all nothing moves.
+    n_still = 1 if is_first else 0
+    for part in range(2):
+        for r in range({n_states}):
+            for s in range({n_states}):
+                still = 1.0 if r == s else 0.0
+                work[r * {width} + s] = transition[r, s] if part == 1 else still
+        begin, stop = (n_still, last - first) if part == 1 else (0, n_still)
+        for t in range(begin, stop):
+"""
     body = [
-        *(f"w{s} = weighted[{s}]" for s in states),
+        *_load_evidence(size),
+        *(f"j{s} = work[{end + s}]" for s in states),
+        f"for s in range({width}):",
+        f"    work[{end} + s] = {predicted} * ({likelihood}{' * scale' * size.is_factored})",
+        *(f"w{s} = work[{end + s}]" for s in states),
         *_marginals(size),
         f"mass = {_balanced([f'm{c}' for c in _columns_of_last_persistent(size)])}",
-        "likelihood = mass" if size.is_factored else "likelihood = mass * scale",
-        f"if not {TINY} < likelihood < {HUGE}:",
-        *(f"    {line}" for line in back),
-        "    return first + t",
-        "total[t] = likelihood",
         "inverse = 1.0 / mass",
-        *(f"marginals[t, {c}] = m{c} * inverse" for c in range(_n_columns(size))),
+        *(
+            f"marginals[t * {_n_columns(size)} + {c}] = m{c} * inverse"
+            for c in range(_n_columns(size))
+        ),
     ]
+    # The carried sum is put right only now and then: the division is not waited for in each frame.
     if size.is_factored:
-        body += [f"j{s} = {_product(size, s)}" for s in states]
-        body += [f"scale = {' * '.join(['inverse'] * size.n_persistent)}"]
-    else:
-        # The sum is put right only now and then: the division is not waited for in each frame.
         body += [
+            "total[t] = mass",
+            *(f"work[{end + s}] = {_product(size, s)}" for s in states),
+            f"scale = {' * '.join(['inverse'] * size.n_persistent)}",
+            f"if not {LOW} < mass < {HIGH}:",
+            f"    if not {TINY} < mass < {HUGE}:",
+            "        return first + t",
+            *(f"    n{c} = m{c} * inverse" for c in _persistent_columns(size)),
+            *(f"    work[{end + s}] = {_product(size, s, 'n{}')}" for s in states),
+            "    scale = 1.0",
+        ]
+    else:
+        body += [
+            "likelihood = mass * scale",
+            "total[t] = likelihood",
             "scale = inverse",
             f"if not {LOW} < mass < {HIGH}:",
-            *(f"    w{s} *= inverse" for s in states),
-            *(f"    weighted[{s}] = w{s}" for s in states),
+            f"    if not {TINY} < likelihood < {HUGE}:",
+            "        return first + t",
+            *(f"    work[{end + s}] *= inverse" for s in states),
             "    scale = 1.0",
-            *(f"j{s} = w{s}" for s in states),
         ]
-    lines += [f"        {line}" for line in body]
-    lines += [f"    joint[{s}] = j{s} * scale" for s in states]
-    lines += ["    return first + total.shape[0]"]
-    return "\n".join(lines) + "\n"
+    lines = [
+        *(f"            {line}" for line in body),
+        *(f"    joint[{s}] = work[{end + s}] * scale" for s in states),
+        "    return last",
+    ]
+    return head + "\n".join(lines) + "\n"
 
 
 def confusion_source(name: str, size: Size, lanes: tuple[int, ...]) -> str:
@@ -188,7 +214,8 @@ def confusion_source(name: str, size: Size, lanes: tuple[int, ...]) -> str:
         f"    for s in range({size.n_states}):",
         f"        for b in range({BATCH}):",
         f"            work[s * {BATCH} + b] = joint[s, b]",
-        *(f"    {array} = {array}[first:]" for array in ("column", *blocks)),
+        "    column = column[first:]",
+        *(f"    {array} = {array}[first:].ravel()" for array in blocks),
         "    for t in range(column.shape[0]):",
         *(f"        {line}" for line in _load_evidence(size)),
         "        for b in range(n):",
@@ -212,7 +239,10 @@ def confusion_source(name: str, size: Size, lanes: tuple[int, ...]) -> str:
 
 
 def _load_evidence(size: Size) -> list[str]:
-    return [f"e{g}_{k} = block{g}[t, {k}]" for g, n in enumerate(size.sizes) for k in range(n)]
+    """The blocks are flat: with the row's length known its start costs nothing."""
+    return [
+        f"e{g}_{k} = block{g}[t * {n} + {k}]" for g, n in enumerate(size.sizes) for k in range(n)
+    ]
 
 
 def _likelihoods(size: Size, table: Callable[[int], str]) -> list[str]:

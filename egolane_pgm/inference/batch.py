@@ -69,9 +69,12 @@ def confusions_many(
 def _side_by_side(
     compiled: Sequence[Compiled], evidence: Evidence, column: IntArray, method: str, node: str
 ) -> IntArray | None:
-    """None where the kernel for many sets cannot do it: inputs, size, zero likelihoods."""
+    """None where the kernel for many sets cannot do it: inputs, size, zero likelihoods, evidence
+    of a kind that is read in another way."""
     from egolane_pgm.inference.kernels import confusion_counts, kernel_size
 
+    if type(evidence) is not Evidence:
+        return None
     model = compiled[0]
     blocks, start, _ = evidence_blocks(model, evidence)
     columns, _ = node_columns(model)

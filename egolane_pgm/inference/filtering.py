@@ -8,6 +8,7 @@ section "Inference" do: each marginal is propagated by its own table.
 from __future__ import annotations
 
 import math
+import weakref
 from collections.abc import Mapping
 from dataclasses import dataclass
 from itertools import accumulate, pairwise
@@ -15,6 +16,7 @@ from typing import Any
 
 import numpy as np
 
+from egolane_pgm.inference._banded import Banded, banded
 from egolane_pgm.inference.compile import Compiled, Group
 from egolane_pgm.types import (
     Beliefs,
@@ -28,7 +30,18 @@ from egolane_pgm.types import (
 )
 
 METHODS = ("assumed_density", "exact")
-READINGS = ("soft", "hard")
+READINGS = ("soft", "hard", "jeffrey")
+
+
+@dataclass(frozen=True)
+class PosteriorEvidence(Evidence):
+    """Evidence that is read by Jeffrey's rule (`jeffrey`). A row says how probable each value of
+    the observed node is after the frame, up to a factor; one of nothing but ones says nothing."""
+
+    def take(self, frames: slice | IntArray | BoolArray) -> PosteriorEvidence:
+        """The evidence of some frames, in order."""
+        some = super().take(frames)
+        return PosteriorEvidence(some.likelihoods, some.inputs)
 
 
 @dataclass(frozen=True)
@@ -77,11 +90,14 @@ def step(
 
 
 def read_evidence(evidence: Evidence, reading: str) -> Evidence:
-    """The evidence as the filter takes it (section "Inference"): `soft` as it is, `hard` only its
-    most probable value. A tie has no most probable value: all that share it are kept as equals.
+    """The evidence as the filter takes it (section "Inference"): `soft` as it is, a likelihood;
+    `hard` only its most probable value; `jeffrey` as the posterior of the observed node. A tie has
+    no most probable value: all that share it are kept as equals.
     """
     if reading == "soft":
         return evidence
+    if reading == "jeffrey":
+        return PosteriorEvidence(evidence.likelihoods, evidence.inputs)
     if reading != "hard":
         raise InputError(f"evidence reading '{reading}'{suggestion(reading, READINGS)}")
     hard: dict[Observed, FloatArray] = {}
@@ -97,6 +113,15 @@ def _run(
 ) -> tuple[FloatArray, FloatArray, FloatArray, BoolArray]:
     if method not in METHODS:
         raise InputError(f"filter '{method}'{suggestion(method, METHODS)}")
+    if isinstance(evidence, PosteriorEvidence):
+        from egolane_pgm.inference.jeffrey import run_jeffrey
+
+        return run_jeffrey(compiled, evidence, method, state, kernel)
+    if kernel:
+        found = banded(compiled, node_columns)
+        # Of more than two nodes the product of all marginals would be needed.
+        if found is not None and (method == "exact" or len(compiled.state_nodes) <= 2):
+            return _run_banded(compiled, found, evidence, method, state)
     blocks, start, emission = evidence_blocks(compiled, evidence)
     input_index = _input_index(compiled, evidence)
     node_column, n_columns = node_columns(compiled)
@@ -125,6 +150,43 @@ def _run(
         values,
         node_column,
         len(compiled.state_nodes),
+        marginals,
+        log_evidence,
+        is_impossible,
+    )
+    return joint, marginals, log_evidence, is_impossible
+
+
+def _run_banded(
+    compiled: Compiled, found: Banded, evidence: Evidence, method: str, state: FilterState | None
+) -> tuple[FloatArray, FloatArray, FloatArray, BoolArray]:
+    from egolane_pgm.inference._banded_kernel import filter_banded
+
+    n_frames = len(evidence)
+    joint = np.zeros(compiled.n_states) if state is None else state.joint.copy()
+    marginals = np.empty((n_frames, found.n_columns))
+    log_evidence = np.empty(n_frames)
+    is_impossible = np.empty(n_frames, dtype=bool)
+    _check_keys(compiled, evidence)
+    blocks = [_group_evidence(group, evidence.likelihoods) for group in compiled.groups]
+    values = blocks[0] if len(blocks) == 1 else np.concatenate(blocks, axis=1)
+    filter_banded(
+        joint,
+        state is None,
+        method == "assumed_density",
+        found.state,
+        found.prior,
+        found.others,
+        found.half,
+        found.floor,
+        found.band,
+        found.column,
+        found.by_wide,
+        found.by_others,
+        found.by_both,
+        _input_index(compiled, evidence),
+        found.group_start,
+        np.ascontiguousarray(values, dtype=np.float64),
         marginals,
         log_evidence,
         is_impossible,
@@ -176,40 +238,39 @@ def _filter_frames_numpy(
             joint[:] = marginals[t][node_column[:n_persistent]].prod(axis=0)
 
 
-def pack(compiled: Compiled, evidence: Evidence) -> tuple[FloatArray, IntArray, FloatArray]:
-    """The groups side by side: evidence (T, K), where each group starts (G + 1,), emission (S, K).
+def evidence_blocks(
+    compiled: Compiled, evidence: Evidence
+) -> tuple[list[FloatArray], IntArray, FloatArray]:
+    """The evidence of each group (T, K), where each group's columns start (G + 1,) in the emission
+    (S, K), which has those of all groups side by side.
 
     Raises InputError naming an observed node without evidence, evidence without a node, or a
     wrong shape.
     """
-    blocks, start, emission = evidence_blocks(compiled, evidence)
-    return np.concatenate(blocks, axis=1), start, emission
-
-
-def evidence_blocks(
-    compiled: Compiled, evidence: Evidence
-) -> tuple[list[FloatArray], IntArray, FloatArray]:
-    """As `pack`, but the evidence of each group is an array (T, K) of its own."""
+    if isinstance(evidence, PosteriorEvidence):
+        raise InputError(
+            "evidence read by Jeffrey's rule is no likelihood: only the filters exact and"
+            " assumed_density take it; use evidence_reading soft or hard here"
+        )
     _check_keys(compiled, evidence)
     blocks = [
         np.ascontiguousarray(_group_evidence(group, evidence.likelihoods), dtype=np.float64)
         for group in compiled.groups
     ]
-    start = np.array([0, *accumulate(block.shape[1] for block in blocks)], dtype=np.int64)
-    emission = np.ascontiguousarray(np.concatenate([g.emission for g in compiled.groups], axis=1))
-    return blocks, start, emission
+    layout = _layout(compiled)
+    return blocks, layout.start, layout.emission
 
 
 def _check_keys(compiled: Compiled, evidence: Evidence) -> None:
-    given = set(evidence.likelihoods)
-    for key in compiled.observed:
-        if key not in given:
+    observed, n_frames = compiled.observed, len(evidence)
+    for key in observed:
+        if key not in evidence.likelihoods:
             raise InputError(f"observed node {key}: the evidence has nothing for it")
-    for key in given - set(compiled.observed):
-        raise InputError(f"evidence for {key}: the graph does not observe such a node")
     for key, values in evidence.likelihoods.items():
+        if key not in observed:
+            raise InputError(f"evidence for {key}: the graph does not observe such a node")
         names = (key,) if isinstance(key, str) else key
-        shape = (len(evidence), *(compiled.cardinality[n] for n in names))
+        shape = (n_frames, *[compiled.cardinality[n] for n in names])
         if values.shape != shape:
             raise InputError(f"evidence for {key}: shape {values.shape}, the graph needs {shape}")
     for name in compiled.inputs:
@@ -218,7 +279,8 @@ def _check_keys(compiled: Compiled, evidence: Evidence) -> None:
     for name, index in evidence.inputs.items():
         if name not in compiled.inputs:
             raise InputError(f"input {name}: the graph has no such input node")
-        if len(index) and not (index.min() >= 0 and index.max() < compiled.cardinality[name]):
+        ends = index if len(index) < 2 else (index.min(), index.max())
+        if not all(0 <= end < compiled.cardinality[name] for end in ends):
             raise InputError(f"input {name}: outside 0..{compiled.cardinality[name] - 1}")
 
 
@@ -241,6 +303,8 @@ def _group_evidence(group: Group, likelihoods: Mapping[Observed, FloatArray]) ->
 def _input_index(compiled: Compiled, evidence: Evidence) -> IntArray:
     if not compiled.inputs:
         return np.zeros(len(evidence), dtype=np.int64)
+    if len(compiled.inputs) == 1:
+        return np.ascontiguousarray(evidence.inputs[compiled.inputs[0]], dtype=np.int64)
     sizes = [compiled.cardinality[name] for name in compiled.inputs]
     parts = [evidence.inputs[name] for name in compiled.inputs]
     return np.asarray(np.ravel_multi_index(parts, sizes), dtype=np.int64)
@@ -249,13 +313,41 @@ def _input_index(compiled: Compiled, evidence: Evidence) -> IntArray:
 def node_columns(compiled: Compiled) -> tuple[IntArray, int]:
     """(H, S): which column of the marginals each node's value in each state adds to; persistent
     nodes first, then functions; and the number of columns."""
-    order = _node_order(compiled)
-    start = 0
-    rows = []
-    for name in order:
-        rows.append(start + compiled.node_value[compiled.hidden.index(name)])
-        start += compiled.cardinality[name]
-    return np.array(rows, dtype=np.int64), start
+    layout = _layout(compiled)
+    return layout.node_column, layout.n_columns
+
+
+@dataclass(frozen=True)
+class _Layout:
+    """What `evidence_blocks` and `node_columns` say of a network, whatever the evidence."""
+
+    start: IntArray
+    emission: FloatArray
+    node_column: IntArray
+    n_columns: int
+
+
+_layouts: dict[int, tuple[weakref.ref[Compiled], _Layout]] = {}
+
+
+def _layout(compiled: Compiled) -> _Layout:
+    """Made once per network: with a kernel this quick it would be a tenth of the time."""
+    key = id(compiled)
+    if key not in _layouts:
+        column = 0
+        rows = []
+        for name in _node_order(compiled):
+            rows.append(column + compiled.node_value[compiled.hidden.index(name)])
+            column += compiled.cardinality[name]
+        widths = [group.emission.shape[1] for group in compiled.groups]
+        layout = _Layout(
+            np.array([0, *accumulate(widths)], dtype=np.int64),
+            np.ascontiguousarray(np.concatenate([g.emission for g in compiled.groups], axis=1)),
+            np.array(rows, dtype=np.int64),
+            column,
+        )
+        _layouts[key] = (weakref.ref(compiled, lambda _: _layouts.pop(key, None)), layout)
+    return _layouts[key][1]
 
 
 def _node_order(compiled: Compiled) -> list[str]:

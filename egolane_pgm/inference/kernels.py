@@ -25,6 +25,11 @@ from egolane_pgm.types import BoolArray, FloatArray, IntArray
 #: Shorter sequences are not worth loading a kernel that is compiled for the network's size.
 MIN_FRAMES = 1000
 
+# Of float64 numbers, read as integers.
+_MANTISSA_BITS, _BIAS = np.uint64(52), np.uint64(1023)
+_SQRT_HALF_TO_ONE = np.float64(1.0).view(np.uint64) - np.sqrt(0.5).view(np.uint64)
+_LOG_2 = math.log(2.0)
+
 
 @njit(cache=True)
 def filter_frames(
@@ -127,6 +132,7 @@ def filter_frames(
                 joint[s] = product
 
 
+@np.errstate(all="ignore")  # with the compiler switched off NumPy would warn of what is handled
 def filter_blocks(
     joint: FloatArray,
     is_first: bool,
@@ -175,26 +181,43 @@ def filter_blocks(
         return
     is_impossible[:] = False
     run = _filter_kernel(size)
-    width = _unrolled.padded(size.n_states)
-    tables = np.zeros((size.n_rows, width))
-    tables[: size.n_states, : size.n_states] = transition[0]
-    tables[size.n_states :, : size.n_states] = emission.T
-    carried = np.zeros(width)
-    done = 0
-    if is_first:
-        plain(0, 1)
-        done = 1
-    at_once = 1
+    model = (prior[0], transition[0], emission)
+    written = (marginals, log_evidence)
+    done, at_once = 0, 1
     while done < n_frames:
-        carried[: size.n_states] = joint
-        stop = run(carried, tables.ravel(), done, marginals, log_evidence, *blocks)
-        joint[:] = carried[: size.n_states]
-        np.log(log_evidence[done:stop], out=log_evidence[done:stop])
+        starts = is_first and done == 0
+        stop = run(joint, *model, starts, done, n_frames, *written, *blocks)
+        if done < stop < n_frames:
+            # Again up to there, for the belief that the next frame starts from.
+            run(joint, *model, starts, done, stop, *written, *blocks)
+        log_in_place(log_evidence[done:stop])
         # Where nearly all frames are out of range, more and more of them are done at once.
         at_once = 2 * at_once if stop == done else 1
         done = min(stop + at_once, n_frames)
         if stop < n_frames:
             plain(stop, done)
+
+
+@njit(cache=True, fastmath={"contract"}, error_model="numpy")
+def log_in_place(values: FloatArray) -> None:
+    """Natural logarithms of positive normal numbers, in a third of the library's time.
+
+    With x = m 2^e, m within sqrt(2) of 1, and r = (m - 1) / (m + 1), so |r| < 0.172:
+    log x = e log 2 + 2 (r + r^3 / 3 + r^5 / 5 + ...). Two loops, for each to be vectorised.
+    """
+    bits = values.view(np.uint64)
+    exponent = np.empty(values.shape[0])
+    for t in range(values.shape[0]):
+        biased = (bits[t] + _SQRT_HALF_TO_ONE) >> _MANTISSA_BITS
+        exponent[t] = np.float64(np.int64(biased)) - 1023.0
+        bits[t] -= (biased - _BIAS) << _MANTISSA_BITS
+    for t in range(values.shape[0]):
+        r = (values[t] - 1.0) / (values[t] + 1.0)
+        q = r * r
+        tail = 1 / 17 + q * (1 / 19 + q * (1 / 21 + q * (1 / 23)))
+        tail = 1 / 9 + q * (1 / 11 + q * (1 / 13 + q * (1 / 15 + q * tail)))
+        tail = 1 / 3 + q * (1 / 5 + q * (1 / 7 + q * tail))
+        values[t] = exponent[t] * _LOG_2 + 2.0 * (r + r * q * tail)
 
 
 def kernel_size(
@@ -219,6 +242,7 @@ def _size(
     return Size(sizes, tuple(map(tuple, node_column.tolist())), n_persistent, is_factored)
 
 
+@np.errstate(all="ignore")
 def confusion_counts(
     size: Size,
     lanes: tuple[int, ...],
@@ -251,11 +275,7 @@ def confusion_counts(
         parts = ((first, 0, 1), (later, 1, len(column)))
         for table, begin, stop in parts:
             evidence = [block[:stop] for block in blocks]
-            with np.errstate(all="ignore"):  # without the compiler, NumPy would warn
-                is_fine = run(
-                    joint, table.ravel(), begin, column[:stop], tolerance, found, *evidence
-                )
-            if not is_fine:
+            if not run(joint, table.ravel(), begin, column[:stop], tolerance, found, *evidence):
                 return None
         counts[start : start + BATCH] = found[: n_sets - start]
     return counts

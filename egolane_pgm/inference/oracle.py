@@ -93,6 +93,36 @@ def oracle_assumed_density(
     return _beliefs(hidden, answers)
 
 
+def oracle_smooth(
+    network: DynamicBayesianNetwork,
+    hidden: Sequence[str],
+    observed: Sequence[Observed],
+    evidence: Evidence,
+    inputs: Sequence[str] = (),
+    lag: int | None = None,
+) -> Beliefs:
+    """P(node | evidence of all frames), or up to `lag` frames later, for every hidden node and
+    frame. Frames that `oracle_filter` flags are left out as there; flags and log evidence are
+    its."""
+    filtered = oracle_filter(network, hidden, observed, evidence, inputs)
+    unrolled = unroll(network, observed, evidence, inputs)
+    n_frames = len(evidence)
+    marginals: dict[str, list[FloatArray]] = {name: [] for name in hidden}
+    for t in range(n_frames):
+        last = n_frames - 1 if lag is None else min(t + lag, n_frames - 1)
+        given = {f"{n}@{k}": int(evidence.inputs[n][k]) for n in inputs for k in range(last + 1)}
+        for k in np.flatnonzero(~filtered.is_impossible[: last + 1]):
+            given |= {f"{ve_name(key)}@{k}": 1 for key in observed}
+        for name in hidden:
+            marginals[name].append(_marginal(unrolled, f"{name}@{t}", given))
+    return Beliefs(
+        np.arange(n_frames),
+        {name: np.stack(values) for name, values in marginals.items()},
+        filtered.log_evidence,
+        filtered.is_impossible,
+    )
+
+
 def unroll(
     network: DynamicBayesianNetwork,
     observed: Sequence[Observed],

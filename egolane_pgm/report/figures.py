@@ -3,6 +3,8 @@
 `network.draw_network` draws the graph itself.
 """
 
+from egolane_pgm.report.comparison import draw_comparison
+from egolane_pgm.report.coverage import draw_coverage
 from egolane_pgm.report.dispersion import draw_bonus_ablation, draw_dispersion
 from egolane_pgm.report.heatmaps import draw_confusion
 from egolane_pgm.report.reliability import draw_reliability
@@ -10,7 +12,9 @@ from egolane_pgm.report.strips import draw_strips
 
 __all__ = [
     "draw_bonus_ablation",
+    "draw_comparison",
     "draw_confusion",
+    "draw_coverage",
     "draw_dispersion",
     "draw_reliability",
     "draw_strips",

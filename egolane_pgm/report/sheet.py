@@ -8,6 +8,7 @@ from pathlib import Path
 from egolane_pgm.report.figures import (
     draw_bonus_ablation,
     draw_confusion,
+    draw_coverage,
     draw_dispersion,
     draw_reliability,
     draw_strips,
@@ -23,7 +24,8 @@ def draw_standard(
     style: str = "png",
 ) -> list[Path]:
     """The strips of a result (of `frames`, first and last frame id) and, with ground truth, its
-    confusion matrices and reliability diagram. target: default `figures/` in the directory.
+    confusion matrices, reliability diagram and accuracy-coverage curves. target: default
+    `figures/` in the directory.
 
     style: png, pdf or svg. Returns the files written.
     """
@@ -37,6 +39,8 @@ def draw_standard(
         files += [folder / f"confusion.{style}", folder / f"reliability.{style}"]
         draw_confusion(result, files[1])
         draw_reliability(result, files[2])
+        files.append(folder / f"coverage.{style}")
+        draw_coverage(result, files[3])
     return files
 
 

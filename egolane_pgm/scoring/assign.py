@@ -6,22 +6,27 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from egolane_pgm.scoring._checks import as_belief
-from egolane_pgm.types import TIE_TOLERANCE, UNASSIGNED, IntArray
+from egolane_pgm.types import TIE_TOLERANCE, UNASSIGNED, InputError, IntArray
 
 
-def assigned_lane(belief: ArrayLike) -> IntArray:
+def assigned_lane(belief: ArrayLike, unassigned_below: float = 0.0) -> IntArray:
     """The most probable lane of each frame, 1..n, or UNASSIGNED (0) where it is not unique.
 
     belief (T, n): non-negative; need not be normalised (a tentative vector will do). The maximum
     is not unique when the runner-up is within TIE_TOLERANCE of it, relative; so a row of zeros is
-    Unassigned. One lane (n = 1) is always lane 1. Returns (T,).
+    Unassigned. One lane (n = 1) is always lane 1. A row whose maximum is less than
+    `unassigned_below` is Unassigned too (the reject option, for normalised beliefs; 0 for none).
+    Returns (T,).
 
-    Raises InputError for a belief of another shape, or with negative or NaN values.
+    Raises InputError for a belief of another shape, or with negative or NaN values, and for an
+    unassigned_below outside 0..1.
     """
+    if not 0 <= unassigned_below <= 1:
+        raise InputError(f"unassigned_below: {unassigned_below} is not a probability (0 to 1)")
     values = as_belief(belief, normalised=False)
     n_lanes = values.shape[1]
     if n_lanes == 1:
-        return np.ones(len(values), dtype=np.int64)
+        return np.where(values[:, 0] < unassigned_below, UNASSIGNED, 1).astype(np.int64)
     lane: IntArray = values.argmax(axis=1).astype(np.int64) + 1
     # Column by column: NumPy reduces over a short last axis one row at a time, which is slow.
     top = values[:, 0]
@@ -31,5 +36,5 @@ def assigned_lane(belief: ArrayLike) -> IntArray:
     near_top = np.zeros(len(values), dtype=np.int64)
     for k in range(n_lanes):
         near_top += values[:, k] >= threshold
-    lane[near_top > 1] = UNASSIGNED
+    lane[(near_top > 1) | (top < unassigned_below)] = UNASSIGNED
     return lane

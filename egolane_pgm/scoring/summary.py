@@ -21,11 +21,13 @@ def score_all(
     is_crossing: ArrayLike,
     frame_id: ArrayLike,
     frame_rate: float,
+    unassigned_below: float = 0.0,
 ) -> dict[str, Any]:
     """All scores, ready for JSON: plain numbers and lists, None where a score is undefined.
 
     belief (T, n), rows sum to 1; truth_lane (T,), 1..n; is_crossing (T,); frame_id (T,), strictly
-    increasing; frame_rate in frames per second.
+    increasing; frame_rate in frames per second. unassigned_below: see `assigned_lane`; it changes
+    the answers, not the scores of the belief itself (log-loss, Brier, calibration).
 
     Keys: `precision`, `recall`, `f1` (means over the lanes), `accuracy`, `log_loss` (over all
     frames), `brier`, `expected_calibration_error`, `coverage`, `false_switches_per_minute`,
@@ -39,7 +41,7 @@ def score_all(
     n_frames, n_lanes = values.shape
     lane, crossing = as_lanes(truth_lane, n_frames, "truth_lane"), as_mask(is_crossing, n_frames)
     check_frame_rate(frame_rate)
-    assigned = assigned_lane(values)
+    assigned = assigned_lane(values, unassigned_below)
     scores = scores_from_confusion(confusion(assigned, lane, crossing, n_lanes))
     delay = delay_after_lane_change(assigned, lane, crossing, frame_id)
     return {

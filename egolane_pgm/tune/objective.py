@@ -14,11 +14,12 @@ from egolane_pgm.experiment import Experiment
 from egolane_pgm.inference.batch import confusions_many
 from egolane_pgm.inference.filtering import filter_beliefs
 from egolane_pgm.loading import Recorded, load_recording
-from egolane_pgm.run import Model, make_evidence, prepare_model, with_parameters
+from egolane_pgm.model import Model, make_evidence, prepare_model, with_parameters
 from egolane_pgm.scoring import confusion as confusions
 from egolane_pgm.scoring import probabilistic, stability
 from egolane_pgm.scoring.assign import assigned_lane
 from egolane_pgm.types import (
+    TIE_TOLERANCE,
     BoolArray,
     Evidence,
     FloatArray,
@@ -31,6 +32,9 @@ from egolane_pgm.types import (
 
 #: Evidence that is kept, per recording; `bonus_value` has 10 values.
 KEPT_EVIDENCE = 12
+
+#: Parameter sets that `confusions_many` does in the time of one, and how many are faster alone.
+SIDE_BY_SIDE, FEW = 8, 4
 
 #: Scores of a confusion matrix: (..., n + 1, n) -> (...).
 CONFUSION_SCORES: Mapping[str, Callable[[IntArray], FloatArray]] = {
@@ -149,9 +153,29 @@ def confusions_of(
     counts = np.empty((len(sets), drive.n_lanes + 1, drive.n_lanes), dtype=np.int64)
     for evidence, members in groups.values():
         compiled = [with_parameters(drive.model, sets[p]).compiled for p in members]
-        counts[members] = confusions_many(
-            compiled, evidence, lane, is_left_out, drive.experiment.filter
+        # The kernel for many sets does eight at a time: a few are faster one by one.
+        n_many = (
+            len(members)
+            if len(members) % SIDE_BY_SIDE > FEW
+            else (len(members) // SIDE_BY_SIDE * SIDE_BY_SIDE)
         )
+        method = drive.experiment.filter
+        if n_many:
+            counts[members[:n_many]] = confusions_many(
+                compiled[:n_many], evidence, lane, is_left_out, method
+            )
+        for p, network in zip(members[n_many:], compiled[n_many:], strict=True):
+            belief = filter_beliefs(network, evidence, method).lane
+            counts[p] = _counted(belief, lane, is_left_out)
+    return counts
+
+
+def _counted(belief: FloatArray, lane: IntArray, is_left_out: BoolArray) -> IntArray:
+    from egolane_pgm.scoring._kernels import count_confusion
+
+    n_lanes = belief.shape[1]
+    counts = np.zeros((n_lanes + 1, n_lanes), dtype=np.int64)
+    count_confusion(belief, lane, is_left_out, TIE_TOLERANCE, counts)
     return counts
 
 
@@ -223,18 +247,20 @@ def all_used(drives: Sequence[Drive]) -> list[BoolArray]:
     return [np.ones(len(drive), dtype=bool) for drive in drives]
 
 
-def fitted_frames(drive: Drive, never_fit: Sequence[tuple[int, int | None]]) -> BoolArray:
-    """(K,): frames whose labels a held-out study may look at; ranges as in `Tuning.never_fit`."""
+def fitted_frames(drive: Drive, also: Sequence[tuple[int, int | None]] = ()) -> BoolArray:
+    """(K,): frames whose labels a held-out study may look at: those outside of the ranges of
+    `never_fit` in the experiment's own tuning section, and of those in `also`."""
+    tuning = drive.experiment.tuning
     ids = drive.truth.frame_id
     keep = np.ones(len(ids), dtype=bool)
-    for first, stop in never_fit:
+    for first, stop in (*(tuning.never_fit if tuning else ()), *also):
         keep &= ~((ids >= first) & (ids < (ids[-1] + 1 if stop is None else stop)))
     return keep
 
 
 def shared_specs(drives: Sequence[Drive]) -> list[Any]:
     """The parameters that all drives' plugins declare. Raises InputError where they differ."""
-    from egolane_pgm.run import declared_parameters
+    from egolane_pgm.model import declared_parameters
 
     first = declared_parameters(drives[0].model.rule, drives[0].model.graph)
     for drive in drives[1:]:

@@ -112,7 +112,9 @@ def _is_whole(spec: Parameter) -> bool:
 def _choice(spec: Parameter, names: Sequence[Any], n_lanes: int, where: str) -> Dimension:
     chosen = tuple(str(spec.check(name, n_lanes, where)) for name in names)
     if len(set(chosen)) < 2:
-        raise InputError(f"{where}: {list(names)} leaves nothing to search; give one name to fix it")
+        raise InputError(
+            f"{where}: {list(names)} leaves nothing to search; give one name to fix it"
+        )
     return Dimension(spec.name, spec.name, None, 0, len(chosen) - 1, True, chosen)
 
 
@@ -220,9 +222,7 @@ def to_unit(space: SearchSpace, points: Sequence[Point]) -> FloatArray:
 
 def describe(space: SearchSpace) -> dict[str, Any]:
     """The space as plain JSON: what is searched and what is kept."""
-    searched = {
-        d.key: list(d.choices) if d.choices else [d.low, d.high] for d in space.dimensions
-    }
+    searched = {d.key: list(d.choices) if d.choices else [d.low, d.high] for d in space.dimensions}
     fixed = {k: list(v) if isinstance(v, tuple) else v for k, v in sorted(space.fixed.items())}
     return {"searched": searched, "fixed": fixed}
 

@@ -4,13 +4,15 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from types import ModuleType
 from typing import Any
 
 from egolane_pgm.experiment import Experiment, load_experiment
 from egolane_pgm.loading import load_recording
-from egolane_pgm.plugins import load_plugin
+from egolane_pgm.model import declared_parameters
+from egolane_pgm.plugins import load_plugin, plugin_names
 from egolane_pgm.reproduce import load_published, paper_experiment, parameters_for
-from egolane_pgm.run import declared_parameters, run_experiment
+from egolane_pgm.run import run_experiment
 
 SCHEMA_VERSION = 1
 
@@ -34,21 +36,45 @@ def compare_graphs(number: int, graphs: Sequence[str], which: str = "recovered")
     scores: dict[str, Mapping[str, Any]] = {}
     log_evidence: dict[str, float] = {}
     for graph in graphs:
-        run = run_experiment(_under(experiment, graph, parameters), recorded=recorded)
-        scores.setdefault("detector", run.scores["detector"])
+        run = run_experiment(with_graph(experiment, graph, parameters), recorded=recorded)
+        if "detector" in run.scores:
+            scores.setdefault("detector", run.scores["detector"])
         scores[graph] = run.scores["model"]
         log_evidence[graph] = run.beliefs.mean_log_evidence
     return Compared(number, scores, log_evidence)
 
 
-def _under(experiment: Experiment, graph: str, parameters: Mapping[str, Any]) -> Experiment:
-    """The experiment with another graph and those of the parameters that it declares."""
+def with_graph(experiment: Experiment, graph: str, parameters: Mapping[str, Any]) -> Experiment:
+    """The experiment with another graph, those of the parameters that it declares, and its own
+    evidence rule where that gives what the graph observes, else the first one that does."""
     where = experiment.source
-    rule = load_plugin("evidence", experiment.evidence, experiment.folder, f"{where}: evidence")
     module = load_plugin("graphs", graph, experiment.folder, f"{where}: graph")
-    known = {spec.name for spec in declared_parameters(rule, module)}
+    names = [experiment.evidence, *plugin_names("evidence")]
+    rules = {
+        name: load_plugin("evidence", name, experiment.folder, f"{where}: evidence")
+        for name in dict.fromkeys(names)
+    }
+    fitting = [name for name, rule in rules.items() if _fits(rule, module)]
+    evidence = experiment.evidence
+    if fitting:
+        # Whole numbers shape a graph's nodes: the rule must know of them.
+        shapes = {p.name for p in getattr(module, "PARAMETERS", ()) if p.kind == "integer"}
+        evidence = min(fitting, key=lambda name: len(shapes - _declared(rules[name])))
+    known = {spec.name for spec in declared_parameters(rules[evidence], module)}
     kept = {name: value for name, value in parameters.items() if name in known}
-    return experiment.model_copy(update={"graph": graph, "parameters": kept})
+    changed = {"graph": graph, "evidence": evidence, "parameters": kept}
+    return experiment.model_copy(update=changed)
+
+
+def _declared(rule: ModuleType) -> set[str]:
+    return {p.name for p in getattr(rule, "PARAMETERS", ())}
+
+
+def _fits(rule: ModuleType, graph: ModuleType) -> bool:
+    """Whether a rule gives what a graph observes, and nothing that it does not know."""
+    provides = set(getattr(rule, "PROVIDES", graph.OBSERVED))
+    known = {*graph.OBSERVED, *getattr(graph, "UNUSED", ())}
+    return set(graph.OBSERVED) <= provides <= known
 
 
 def compare_rows(compared: Sequence[Compared], key: str) -> tuple[list[str], list[list[str]]]:

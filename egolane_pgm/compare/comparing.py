@@ -1,0 +1,355 @@
+"""Experiments side by side, held out, recording by recording."""
+
+from __future__ import annotations
+
+import multiprocessing
+import re
+import warnings
+from collections.abc import Iterator, Mapping, Sequence
+from concurrent.futures import ProcessPoolExecutor
+from concurrent.futures.process import BrokenProcessPool
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from egolane_pgm.compare.health import detector_answers, detector_health, model_health
+from egolane_pgm.compare.held_out import HeldOutRun, held_out_run, load_for_scoring
+from egolane_pgm.compare.in_sample import with_graph
+from egolane_pgm.experiment import Experiment, Tuning, load_experiment, make_experiment
+from egolane_pgm.loading import Recorded
+from egolane_pgm.model import prepare_model
+from egolane_pgm.reproduce import load_published, paper_experiment, parameters_for
+from egolane_pgm.run import score
+from egolane_pgm.scoring.assign import assigned_lane
+from egolane_pgm.scoring.confusion import accuracy, macro_f1
+from egolane_pgm.scoring.health import detector_errors
+from egolane_pgm.scoring.probabilistic import log_loss_per_frame
+from egolane_pgm.types import BoolArray, InputError
+from egolane_pgm.validation import (
+    BLOCK_FRAMES,
+    N_BLOCKS,
+    confusion_counts,
+    mean_counts,
+    paired_difference_interval,
+    ratio,
+)
+
+SCHEMA_VERSION = 1
+
+#: Scores whose differences have an interval.
+DIFFERENCES = ("accuracy", "f1", "log_loss")
+
+
+@dataclass(frozen=True)
+class Group:
+    """Experiments on one recording; differences are to the first. run: the paper's, or None.
+    detector: experiments that say what the detector alone answers, the first that can."""
+
+    title: str
+    run: int | None
+    experiments: tuple[Experiment, ...]
+    detector: tuple[Experiment, ...] = ()
+
+
+@dataclass(frozen=True)
+class Options:
+    """blocks: held out in turn. trials: of each search, None for what the experiment says. health:
+    the detector's errors are looked for too."""
+
+    blocks: int = N_BLOCKS
+    trials: int | None = None
+    health: bool = False
+
+
+def by_recording(experiments: Sequence[Experiment]) -> list[Group]:
+    """The experiments, grouped by what they are run on. Raises InputError for a name that occurs
+    twice in a group."""
+    found: dict[str, list[Experiment]] = {}
+    for experiment in experiments:
+        found.setdefault(_recording_key(experiment), []).append(experiment)
+    groups = []
+    for mine in found.values():
+        recording = mine[0].recording
+        title = Path(recording.path).stem if recording.path else f"{recording.simulate}"
+        if recording.simulate:
+            title += f", seed {recording.seed}"
+        run = next((n for n in map(_paper_run, mine) if n is not None), None)
+        groups.append(_checked(Group(title, run, tuple(mine), tuple(mine))))
+    return groups
+
+
+def on_runs(
+    models: Sequence[Experiment],
+    numbers: Sequence[int],
+    *,
+    with_paper: bool = False,
+    which: str = "published",
+) -> list[Group]:
+    """Each model (evidence, graph, filter, parameters, fit) on the recording of each of the
+    paper's runs. with_paper: the run's own experiment comes first, with its `which` parameters.
+    Raises InputError for a model that does not go with a run's number of lanes."""
+    groups = []
+    checked: set[tuple[str, int]] = set()
+    for number in numbers:
+        own = _own_experiment(number, which)
+        placed = [on_recording(model, own) for model in models]
+        for model in placed:
+            if (model.source, own.n_lanes) not in checked:
+                checked.add((model.source, own.n_lanes))
+                try:
+                    prepare_model(model)
+                except InputError as error:
+                    raise InputError(f"run {number}, {own.n_lanes} lanes: {error}") from error
+        first = [own.model_copy(update={"name": "paper"})] if with_paper else []
+        groups.append(_checked(Group(f"run {number}", number, (*first, *placed), (own,))))
+    return groups
+
+
+def graphs_on_runs(graphs: Sequence[str], numbers: Sequence[int], fit: str) -> list[Group]:
+    """Each graph on the recording of each of the paper's runs, with the run's evidence rule where
+    that fits it, else one that does."""
+    groups = []
+    for number in numbers:
+        own = _own_experiment(number, "published")
+        placed = [
+            with_graph(own, graph, own.parameters).model_copy(
+                update={"name": Path(graph).stem, "fit": fit}
+            )
+            for graph in graphs
+        ]
+        groups.append(_checked(Group(f"run {number}", number, tuple(placed), (own,))))
+    return groups
+
+
+def on_recording(model: Experiment, place: Experiment) -> Experiment:
+    """The model of one experiment on the recording of another: that one's frames, ground truth,
+    number of lanes and untrusted labels (`tuning.never_fit`)."""
+    content = model.model_dump()
+    recording = place.recording.model_dump()
+    recording["path"] = _full(recording["path"], place.folder)
+    truth = place.ground_truth.model_dump() if place.ground_truth is not None else None
+    if truth is not None:
+        truth["path"] = _full(truth["path"], place.folder)
+    never_fit = place.tuning.never_fit if place.tuning is not None else ()
+    tuning = (model.tuning or Tuning()).model_dump()
+    content |= {
+        "recording": recording,
+        "ground_truth": truth,
+        "n_lanes": place.n_lanes,
+        "tuning": {**tuning, "never_fit": never_fit},
+    }
+    if model.tuned_on == "same_frames" and _recording_key(model) != _recording_key(place):
+        content["tuned_on"] = "other_frames"
+    return make_experiment(content, model.folder, model.source)
+
+
+def _full(path: str | None, folder: Path) -> str | None:
+    """A file that lies beside the YAML, named in full."""
+    return str((folder / path).absolute()) if path and (folder / path).is_file() else path
+
+
+def _own_experiment(number: int, which: str) -> Experiment:
+    own = load_experiment(paper_experiment(number))
+    entry = load_published().get(number)
+    if entry is None or which == "published":
+        return own
+    return own.model_copy(update={"parameters": parameters_for(entry, which)})
+
+
+def _paper_run(experiment: Experiment) -> int | None:
+    match = re.fullmatch(r"run(\d\d)_.*", experiment.name)
+    return int(match.group(1)) if match else None
+
+
+def _recording_key(experiment: Experiment) -> str:
+    """What is driven: file or simulation, its frames, and the number of lanes."""
+    recording = experiment.recording
+    path = _full(recording.path, experiment.folder)
+    return repr((path, recording.simulate, recording.seed, recording.frames, experiment.n_lanes))
+
+
+def _checked(group: Group) -> Group:
+    names = [experiment.name for experiment in group.experiments]
+    for experiment in group.experiments:
+        if names.count(experiment.name) > 1:
+            raise InputError(
+                f"{experiment.source}: {group.title}: two experiments have the name"
+                f" {experiment.name}; give one another `name`"
+            )
+    return group
+
+
+def compare_groups(
+    groups: Sequence[Group], options: Options | None = None, *, jobs: int = 1
+) -> Iterator[dict[str, Any]]:
+    """Each group's part of the document (`document`), in order. jobs: processes that share the
+    groups. Raises InputError as the experiments do."""
+    options = options or Options()
+    if jobs > 1 and len(groups) > 1 and "fork" in multiprocessing.get_all_start_methods():
+        context = multiprocessing.get_context("fork")
+        try:
+            with ProcessPoolExecutor(min(jobs, len(groups)), mp_context=context) as pool:
+                yield from pool.map(compare_group, groups, [options] * len(groups))
+        except BrokenProcessPool as error:
+            raise InputError(
+                "a process died while it compared experiments; try fewer --jobs"
+            ) from error
+        return
+    for group in groups:
+        yield compare_group(group, options)
+
+
+def compare_group(group: Group, options: Options) -> dict[str, Any]:
+    """The experiments of one recording: see `document` for the keys."""
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("always", UserWarning)
+        runs, recorded = _held_out_runs(group, options)
+        errors = None
+        if options.health:
+            tentative = detector_answers(group.detector or group.experiments, recorded)
+            truth = runs[0].truth
+            errors = detector_errors(tentative, truth.lane, truth.is_crossing)
+    notes = [str(w.message) for w in caught if issubclass(w.category, UserWarning)]
+    notes += [note for run in runs for note in run.notes]
+    keep = _subsets(runs)
+    entries = []
+    for run in runs:
+        entry = _entry(run, runs[0], keep)
+        if errors is not None:
+            entry["health"] = {k: model_health(run, errors, kept) for k, kept in keep.items()}
+        entries.append(entry)
+    health = None
+    if errors is not None:
+        health = {key: detector_health(errors, kept) for key, kept in keep.items()}
+    return {
+        "title": group.title,
+        "run": group.run,
+        "frames": len(runs[0].truth),
+        "blocks": options.blocks,
+        "health": health,
+        "experiments": entries,
+        "notes": list(dict.fromkeys([*recorded.notes, *notes])),
+    }
+
+
+def _held_out_runs(group: Group, options: Options) -> tuple[list[HeldOutRun], Recorded]:
+    """All experiments on the recording, which is read once for all that read it alike."""
+    read: dict[str, Recorded] = {}
+    runs: list[HeldOutRun] = []
+    for experiment in group.experiments:
+        key = repr(
+            (
+                experiment.recording,
+                experiment.ground_truth,
+                experiment.folder,
+                experiment.recording.lri == "clip" and experiment.parameters.get("max_lri"),
+            )
+        )
+        drive = load_for_scoring(experiment, read.get(key))
+        read[key] = drive.recorded
+        if runs:
+            _check_same_frames(runs[0], drive.experiment, drive.recorded)
+        runs.append(held_out_run(drive, n_blocks=options.blocks, trials=options.trials))
+    return runs, next(iter(read.values()))
+
+
+def _check_same_frames(first: HeldOutRun, experiment: Experiment, recorded: Recorded) -> None:
+    truth = recorded.truth
+    assert truth is not None
+    for name in ("frame_id", "lane", "is_crossing"):
+        if not np.array_equal(getattr(first.truth, name), getattr(truth, name)):
+            raise InputError(
+                f"{experiment.source}: {name} of the {len(truth)} annotated frames is not that of"
+                f" {first.experiment.source} ({len(first.truth)} frames); a difference needs the"
+                " same frames, missing_frames and ground_truth"
+            )
+
+
+def _subsets(runs: Sequence[HeldOutRun]) -> dict[str, BoolArray]:
+    """Which frames count: all, and, where an experiment names untrusted labels, the others."""
+    trusted = np.logical_and.reduce([run.may_fit for run in runs])
+    keep = {"all_frames": np.ones(len(trusted), dtype=bool)}
+    return keep if trusted.all() else {**keep, "without_never_fit": trusted}
+
+
+def _entry(run: HeldOutRun, first: HeldOutRun, keep: Mapping[str, BoolArray]) -> dict[str, Any]:
+    experiment = run.experiment
+    return {
+        "name": experiment.name,
+        "source": Path(experiment.source).name,
+        "evidence": experiment.evidence,
+        "graph": experiment.graph,
+        "filter": experiment.filter,
+        "fit": experiment.fit,
+        "tuned_on": run.tuned_on,
+        "is_causal": experiment.is_causal,
+        "unassigned_below": experiment.unassigned_below,
+        "free_parameters": run.free_parameters,
+        "microseconds_per_frame": 1e6 * run.seconds_per_frame,
+        "parameters": [dict(found) for found in run.parameters],
+        "scores": {key: _scores(run, kept) for key, kept in keep.items()},
+        "difference_to": None if run is first else first.experiment.name,
+        "difference": None
+        if run is first
+        else {key: _difference(run, first, kept) for key, kept in keep.items()},
+        "health": None,
+    }
+
+
+def _scores(run: HeldOutRun, keep: BoolArray) -> dict[str, Any]:
+    kept = np.flatnonzero(keep)
+    experiment = run.experiment
+    # What is scored are rows of the belief, which has the annotated frames only.
+    rows = replace(run.recorded, truth=run.truth.take(kept), scored=kept)
+    rate, below = experiment.recording.frame_rate, experiment.unassigned_below
+    possible = keep & ~run.is_impossible
+    return {
+        **score(rows, run.belief, rate, below),
+        "mean_log_evidence": float(run.log_evidence[possible].mean()) if possible.any() else None,
+    }
+
+
+def _difference(run: HeldOutRun, first: HeldOutRun, keep: BoolArray) -> dict[str, Any]:
+    """The run less the first, per score [estimate, low, high]; None for a short drive."""
+    if int(keep.sum()) < 2 * BLOCK_FRAMES:
+        return dict.fromkeys(DIFFERENCES)
+    found = {}
+    statistics = {"accuracy": accuracy, "f1": macro_f1, "log_loss": ratio}
+    for name, statistic in statistics.items():
+        mine, theirs = (_counts(side, keep, name) for side in (run, first))
+        interval = paired_difference_interval(mine, theirs, statistic)
+        found[name] = [interval.estimate, interval.low, interval.high]
+    return found
+
+
+def _counts(run: HeldOutRun, keep: BoolArray, name: str) -> Any:
+    truth, belief = run.truth.take(keep), run.belief[keep]
+    if name == "log_loss":
+        return mean_counts(log_loss_per_frame(belief, truth.lane))
+    assigned = assigned_lane(belief, run.experiment.unassigned_below)
+    return confusion_counts(assigned, truth.lane, truth.is_crossing, belief.shape[1])
+
+
+def document(groups: Sequence[Mapping[str, Any]], options: Options) -> dict[str, Any]:
+    """What `egolane compare --json` writes for held-out comparisons.
+
+    `schema_version`, `held_out` (true), `blocks`, `recordings`: a list of `title`, `run` (the
+    paper's, or null), `frames` (annotated), `notes`, `health` (of the detector, per subset, see
+    `health.detector_health`; null unless asked for) and `experiments`: a list of `name`, `source`,
+    `evidence`, `graph`, `filter`, `fit`, `tuned_on` (same_frames: in-sample), `is_causal`,
+    `unassigned_below`, `free_parameters` (numbers fitted to labels), `microseconds_per_frame`
+    (evidence and filter), `parameters` (per block, those that were fitted without it), `scores`
+    (per subset, as `scoring.summary.score_all` with `intervals` and `mean_log_evidence`),
+    `difference_to` (name of the first experiment, null for itself), `difference` (per subset and
+    score [estimate, low, high], paired block bootstrap, 95 %; null for short drives) and `health`
+    (per subset, see `health.model_health`). Subsets: `all_frames`, and, where an experiment's
+    `tuning.never_fit` names frames with untrusted labels, `without_never_fit`.
+    """
+    return {
+        "schema_version": SCHEMA_VERSION,
+        "held_out": True,
+        "blocks": options.blocks,
+        "recordings": list(groups),
+    }

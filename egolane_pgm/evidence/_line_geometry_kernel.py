@@ -1,0 +1,126 @@
+"""The numba kernels of `line_geometry`; the NumPy twins are in `_line_geometry_numpy`."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numba import njit
+
+from egolane_pgm.types import BoolArray, FloatArray, IntArray
+
+
+@njit(cache=True)
+def follow_lines(
+    offset_m: FloatArray,
+    kind: IntArray,
+    lri: FloatArray,
+    follows: BoolArray,
+    reach_m: FloatArray,
+    is_held: BoolArray,
+    displacement_m: FloatArray,
+) -> None:
+    """Write is_held (T, L) and displacement_m (T,), NaN where unknown.
+
+    kind (T, L): the line's class, -1 where there is none. follows (T,): the frame comes right
+    after the one before. reach_m (T,): lines are matched within it.
+    """
+    n_frames, n_lines = offset_m.shape
+    moves = np.empty(n_lines)
+    for t in range(n_frames):
+        displacement_m[t] = np.nan
+        for i in range(n_lines):
+            is_held[t, i] = False
+        if t == 0 or not follows[t]:
+            continue
+        for i in range(n_lines):
+            for j in range(n_lines):
+                if offset_m[t, i] == offset_m[t - 1, j] and lri[t, i] < lri[t - 1, j]:
+                    is_held[t, i] = True
+        # Lines measured in both frames; without any, a new measurement of a line that was held.
+        for take_held in (False, True):
+            n_moves = 0
+            for i in range(n_lines):
+                if kind[t, i] < 0 or is_held[t, i]:
+                    continue
+                nearest = reach_m[t]
+                match = -1
+                for j in range(n_lines):
+                    if kind[t - 1, j] < 0 or (is_held[t - 1, j] and not take_held):
+                        continue
+                    distance = abs(offset_m[t, i] - offset_m[t - 1, j])
+                    if distance < nearest:
+                        nearest = distance
+                        match = j
+                if match < 0:
+                    continue
+                is_mutual = True
+                for other in range(n_lines):
+                    if other == i or kind[t, other] < 0 or is_held[t, other]:
+                        continue
+                    if abs(offset_m[t, other] - offset_m[t - 1, match]) < nearest:
+                        is_mutual = False
+                if is_mutual:
+                    moves[n_moves] = offset_m[t, i] - offset_m[t - 1, match]
+                    n_moves += 1
+            if n_moves:
+                displacement_m[t] = np.median(moves[:n_moves])
+                break
+
+
+@njit(cache=True)
+def weigh_positions(
+    offset_m: FloatArray,
+    kind: IntArray,
+    log_intensity: FloatArray,
+    log_mean: FloatArray,
+    first_m: float,
+    step_m: float,
+    expected: FloatArray,
+    width_m: float,
+    alpha: float,
+    beta: float,
+    likelihood: FloatArray,
+) -> None:
+    """Write likelihood (T, n cells, 2), each frame's maximum 1.
+
+    kind (T, L): the line's class, -1 where it does not count. log_intensity (n, 4, Z), log_mean
+    (4, Z), first_m, step_m, expected (n,), width_m: see `_line_model.LineTables`.
+    """
+    n_frames, n_lines = offset_m.shape
+    n_lanes = log_intensity.shape[0]
+    cells = likelihood.shape[1] // n_lanes
+    of_lane = np.empty((n_lanes, cells))
+    mean = np.empty(cells)
+    expected_mean = expected.mean()
+    cell_m = width_m / cells
+    for t in range(n_frames):
+        of_lane[:] = 0.0
+        mean[:] = 0.0
+        for i in range(n_lines):
+            c = kind[t, i]
+            if c < 0:
+                continue
+            # z of the leftmost cell's centre, in steps of the tables.
+            start = (offset_m[t, i] + (0.5 * cell_m - 0.5 * width_m) - first_m) / step_m
+            for u in range(cells):
+                at = start + u * (cell_m / step_m)
+                z = int(at)
+                right = at - z
+                for lane in range(n_lanes):
+                    below = log_intensity[lane, c, z]
+                    of_lane[lane, u] += below + right * (log_intensity[lane, c, z + 1] - below)
+                below = log_mean[c, z]
+                mean[u] += below + right * (log_mean[c, z + 1] - below)
+        largest = -np.inf
+        for u in range(cells):
+            largest = max(largest, beta * mean[u])
+            for lane in range(n_lanes):
+                known = of_lane[lane, u] - expected[lane] - mean[u] + expected_mean
+                of_lane[lane, u] = beta * mean[u] + alpha * known
+                largest = max(largest, of_lane[lane, u])
+        for u in range(cells):
+            phase_only = math.exp(beta * mean[u] - largest)
+            for lane in range(n_lanes):
+                likelihood[t, lane * cells + u, 0] = math.exp(of_lane[lane, u] - largest)
+                likelihood[t, lane * cells + u, 1] = phase_only

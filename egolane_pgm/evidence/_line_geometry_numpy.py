@@ -1,0 +1,78 @@
+"""The NumPy twins of `_line_geometry_kernel`, same arguments."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from egolane_pgm.types import BoolArray, FloatArray, IntArray
+
+
+def follow_lines(
+    offset_m: FloatArray,
+    kind: IntArray,
+    lri: FloatArray,
+    follows: BoolArray,
+    reach_m: FloatArray,
+    is_held: BoolArray,
+    displacement_m: FloatArray,
+) -> None:
+    """Write is_held (T, L) and displacement_m (T,), NaN where unknown."""
+    displacement_m[:] = np.nan
+    is_held[:] = False
+    if len(offset_m) < 2 or offset_m.shape[1] == 0:
+        return
+    with np.errstate(invalid="ignore"):
+        same = offset_m[1:, :, None] == offset_m[:-1, None, :]
+        falls = lri[1:, :, None] < lri[:-1, None, :]
+        distance = np.abs(offset_m[1:, :, None] - offset_m[:-1, None, :])
+    is_held[1:] = (same & falls).any(axis=2) & follows[1:, None]
+    now = (kind[1:] >= 0) & ~is_held[1:] & follows[1:, None]
+    for take_held in (False, True):
+        before = (kind[:-1] >= 0) & (take_held | ~is_held[:-1])
+        apart = np.where(now[:, :, None] & before[:, None, :], distance, np.inf)
+        match = apart.argmin(axis=2)
+        nearest = np.take_along_axis(apart, match[:, :, None], axis=2)[:, :, 0]
+        rival = np.take_along_axis(apart.min(axis=1), match, axis=1)
+        is_match = (nearest < reach_m[1:, None]) & (nearest <= rival)
+        with np.errstate(invalid="ignore"):
+            moves = offset_m[1:] - np.take_along_axis(offset_m[:-1], match, axis=1)
+        moves = np.where(is_match, moves, np.nan)
+        found = is_match.any(axis=1) & np.isnan(displacement_m[1:])
+        displacement_m[1:][found] = np.nanmedian(moves[found], axis=1)
+
+
+def weigh_positions(
+    offset_m: FloatArray,
+    kind: IntArray,
+    log_intensity: FloatArray,
+    log_mean: FloatArray,
+    first_m: float,
+    step_m: float,
+    expected: FloatArray,
+    width_m: float,
+    alpha: float,
+    beta: float,
+    likelihood: FloatArray,
+) -> None:
+    """Write likelihood (T, n cells, 2), each frame's maximum 1."""
+    n_lanes = len(log_intensity)
+    cells = likelihood.shape[1] // n_lanes
+    of_lane = np.zeros((len(offset_m), n_lanes, cells))
+    mean = np.zeros((len(offset_m), cells))
+    centre_m = (np.arange(cells) + 0.5) / cells * width_m - width_m / 2
+    for i in range(offset_m.shape[1]):
+        frames = np.flatnonzero(kind[:, i] >= 0)
+        c = kind[frames, i][:, None]
+        at = (offset_m[frames, i][:, None] + centre_m - first_m) / step_m
+        z = at.astype(np.int64)
+        right = at - z
+        for lane in range(n_lanes):
+            table = log_intensity[lane]
+            of_lane[frames, lane] += (1 - right) * table[c, z] + right * table[c, z + 1]
+        mean[frames] += (1 - right) * log_mean[c, z] + right * log_mean[c, z + 1]
+    known = of_lane - expected[:, None] - mean[:, None] + expected.mean()
+    log_likelihood = np.empty((*of_lane.shape, 2))
+    log_likelihood[..., 1] = beta * mean[:, None]
+    log_likelihood[..., 0] = log_likelihood[..., 1] + alpha * known
+    log_likelihood -= log_likelihood.max(axis=(1, 2, 3), keepdims=True)
+    likelihood[:] = np.exp(log_likelihood).reshape(likelihood.shape)

@@ -1,0 +1,159 @@
+"""The geometric model of lines: which lines a detector reports from each lane, and where.
+
+From lane l (counted from 0) lines are reported as a Poisson process over the lateral offset z from
+the lane's centre, with intensity
+
+    lambda_lc(z) = sum_k rates[l, k] class_shares[k, c] N(z; place[l, k], sigma_m[k]^2) + clutter[c]
+
+for lines of class c. The n + 1 lines of the road, k = 0..n, lie at (k - l - 1/2) lane widths; the
+last two are lines beside the road, `shoulders[0]` lane widths left of the leftmost line and
+`shoulders[1]` right of the rightmost. A vehicle u right of the centre sees a line at offset o for
+one at z = o + u, so that log p_l(u) = sum over lines of log lambda_lc(o + u) - Lambda_l, where
+Lambda_l is the expected number of lines.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from typing import cast
+
+import numpy as np
+
+from egolane_pgm.types import FloatArray, Value
+
+#: Valid and continuous; valid, LRI >= STRONG_LRI; valid, less; not valid, LRI >= LEAST_LRI.
+N_CLASSES = 4
+STRONG_LRI, LEAST_LRI = 6.0, 3.0
+
+#: Lines are looked for within so many metres.
+REACH_M = 16.0
+
+#: Step of the tables over z, metres.
+TABLE_STEP_M = 0.02
+
+#: Generic shares of the classes among clutter, and among lines that are not continuous.
+CLUTTER_SHARES = (0.05, 0.5, 0.2, 0.25)
+PLAIN_SHARES = (0.88, 0.06, 0.06)
+
+#: No intensity is lower: nothing that a detector says is impossible.
+LEAST_INTENSITY = 1e-9
+
+
+@dataclass(frozen=True)
+class LineModel:
+    """rates (n, n + 3): expected lines, per lane the n + 1 of the road, then left and right
+    shoulder. class_shares (n + 3, 4). sigma_m (n + 3,), metres. shoulders (2,): distance from the
+    road's outer lines, lane widths. clutter (4,): lines per metre and class."""
+
+    rates: FloatArray
+    class_shares: FloatArray
+    sigma_m: FloatArray
+    shoulders: FloatArray
+    clutter: FloatArray
+
+    @property
+    def n_lanes(self) -> int:
+        """Number of lanes."""
+        return len(self.rates)
+
+    @property
+    def expected(self) -> FloatArray:
+        """(n,): Lambda, the expected number of lines from each lane."""
+        return np.asarray(self.rates.sum(axis=1) + self.clutter.sum() * 2 * REACH_M)
+
+
+#: The parameters that a fit gives, by field of the model.
+FITTED = {
+    "rates": "rates",
+    "class_shares": "class_shares",
+    "sigmas_m": "sigma_m",
+    "shoulders": "shoulders",
+    "clutter": "clutter",
+}
+
+
+def line_model(n_lanes: int, parameters: Mapping[str, Value]) -> LineModel:
+    """The model of an evidence rule's resolved parameters."""
+    generic = generic_model(n_lanes, parameters)
+    fields = {}
+    for name, field in FITTED.items():
+        default: FloatArray = getattr(generic, field)
+        value = parameters[name]
+        fields[field] = (
+            default if isinstance(value, str) else np.array(value).reshape(default.shape)
+        )
+    return LineModel(**fields)
+
+
+def generic_model(n_lanes: int, parameters: Mapping[str, Value]) -> LineModel:
+    """A model for any detector: the nearer a line, the more often it is seen."""
+    p = {name: cast(float, v) for name, v in parameters.items() if not isinstance(v, (str, tuple))}
+    n_lines = n_lanes + 3
+    rates = np.empty((n_lanes, n_lines))
+    for lane in range(n_lanes):
+        lines_away = np.abs(np.arange(n_lanes + 1) - lane - 0.5) - 0.5
+        rates[lane, : n_lanes + 1] = np.maximum(
+            p["seen_far"], p["seen_near"] * (1 - p["fade"] * lines_away)
+        )
+    rates[:, -2:] = p["shoulder_left"], p["shoulder_right"]
+    shares = np.empty((n_lines, N_CLASSES))
+    shares[:, 0] = p["inner_continuous"]
+    shares[[0, n_lanes], 0] = p["edge_continuous"]
+    shares[:, 1:] = (1 - shares[:, :1]) * np.array(PLAIN_SHARES)
+    return LineModel(
+        rates,
+        shares,
+        np.full(n_lines, p["line_sigma_m"]),
+        np.full(2, p["shoulder_distance"]),
+        p["clutter_per_m"] * np.array(CLUTTER_SHARES),
+    )
+
+
+def without_flags(model: LineModel) -> LineModel:
+    """The model for a detector that cannot tell continuous lines: they are like any others."""
+    shares, clutter = model.class_shares.copy(), model.clutter.copy()
+    shares[:, 1] += shares[:, 0]
+    clutter[1] += clutter[0]
+    shares[:, 0] = clutter[0] = 0
+    return replace(model, class_shares=shares, clutter=clutter)
+
+
+def places(model: LineModel, width_m: float) -> FloatArray:
+    """(n, n + 3): where each line lies, metres right of the centre of each lane."""
+    n = model.n_lanes
+    lane = np.arange(n)[:, None]
+    road = (np.arange(n + 1) - lane - 0.5) * width_m
+    left = -(lane + 0.5 + model.shoulders[0]) * width_m
+    right = (n - lane - 0.5 + model.shoulders[1]) * width_m
+    return np.concatenate([road, left, right], axis=1)
+
+
+@dataclass(frozen=True)
+class LineTables:
+    """A model tabulated for one lane width. log_intensity (n, 4, Z) and log_mean (4, Z), of the
+    mean over lanes, at z = first_m + TABLE_STEP_M * index. expected (n,): Lambda. width_m."""
+
+    log_intensity: FloatArray
+    log_mean: FloatArray
+    first_m: float
+    expected: FloatArray
+    width_m: float
+
+
+def line_tables(model: LineModel, width_m: float) -> LineTables:
+    """The tables over every z that a line within reach can have."""
+    last = REACH_M + width_m
+    n_steps = math.ceil(2 * last / TABLE_STEP_M) + 2
+    z = -last + TABLE_STEP_M * np.arange(n_steps)
+    sigma = model.sigma_m[:, None]
+    with np.errstate(over="ignore"):
+        exponent = -0.5 * ((z - places(model, width_m)[..., None]) / sigma) ** 2
+    density = np.exp(exponent) / (sigma * math.sqrt(2 * math.pi))
+    weights = model.rates[:, :, None] * model.class_shares
+    intensity = np.einsum("lkc,lkz->lcz", weights, density) + model.clutter[:, None]
+    intensity = np.maximum(intensity, LEAST_INTENSITY)
+    return LineTables(
+        np.log(intensity), np.log(intensity.mean(axis=0)), -last, model.expected, width_m
+    )

@@ -1,0 +1,59 @@
+"""The paper's rules (`counting`) with WOR in `wor_levels` levels instead of two, the most reliable
+one first: for the graph `wor_levels`.
+
+The reliability s of `counting`, between 0 and 1, becomes evidence over the levels: `linear` gives
+it to the two levels nearest to s, where level j of k stands for s = 1 - j / (k - 1); `one_hot` all
+to the level that s is in, of k equal intervals. With two levels, `linear` is `counting`.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from egolane_pgm.evidence import counting
+from egolane_pgm.types import Evidence, FloatArray, LineLog, Parameter, Parameters
+
+PROVIDES = counting.PROVIDES
+TENTATIVE = counting.TENTATIVE
+PARAMETERS = (
+    *counting.PARAMETERS,
+    Parameter("wor_levels", "integer", 3, "values of WOR, the most reliable one first", lowest=2),
+    Parameter(
+        "level_evidence",
+        "choice",
+        "linear",
+        "reliability between two levels: `linear` is shared by both, `one_hot` given to the level"
+        " whose interval it is in",
+        choices=("linear", "one_hot"),
+    ),
+)
+
+
+def evidence(
+    log: LineLog, n_lanes: int, parameters: Parameters, *, kernel: bool = True
+) -> Evidence:
+    """DetectorOutput (T, n) as `counting`, and WOR (T, k), summing to one.
+
+    parameters: resolved values of PARAMETERS. `kernel=False` runs the NumPy twin.
+    """
+    given = counting.evidence(log, n_lanes, parameters, kernel=kernel).likelihoods
+    levels = int(parameters["wor_levels"])  # type: ignore[arg-type]
+    wor = level_evidence(given["WOR"][:, 0], levels, str(parameters["level_evidence"]))
+    if parameters["no_valid_line"] == "ignore":
+        wor[~log.is_valid.any(axis=1)] = 1 / levels
+    return Evidence({"DetectorOutput": given["DetectorOutput"], "WOR": wor})
+
+
+def level_evidence(reliability: FloatArray, levels: int, how: str) -> FloatArray:
+    """(T, k) for reliabilities (T,) between 0 and 1."""
+    frames = np.arange(len(reliability))
+    rows = np.zeros((len(reliability), levels))
+    if how == "one_hot":
+        level = np.minimum(((1 - reliability) * levels).astype(np.int64), levels - 1)
+        rows[frames, level] = 1.0
+        return rows
+    place = (1 - reliability) * (levels - 1)
+    upper = np.minimum(place.astype(np.int64), levels - 2)
+    rows[frames, upper + 1] = place - upper
+    rows[frames, upper] = 1 - (place - upper)
+    return rows

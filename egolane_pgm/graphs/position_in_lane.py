@@ -1,0 +1,215 @@
+"""A hidden position inside the lane: RoadPosition, the vehicle's place across the road in cells,
+persists beside SensorState; Lane is a function of it.
+
+A lane change is RoadPosition drifting across a line, which is what the tracked lines show: the
+input LineMotion is their median displacement since the frame before. Lines are observed by the
+joint likelihood of RoadPosition and SensorState (`evidence.line_geometry`): with OK it knows about
+the lane and the place inside it, with BAD only about the place inside the lane.
+
+RoadPosition's first cell is the leftmost one of lane 1. SensorState has the values OK (0) and
+BAD (1). LineMotion's values are `motion_bins` intervals from -motion_range to motion_range,
+displacements of lines in lane widths, then one for each entry of `STEPS`: no displacement is known
+and so many frames have passed.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from egolane_pgm.cpds import Table, binary, declare, dynamics, previous, prior, uniform, within
+from egolane_pgm.graphs._parameters import P1, P2, number
+from egolane_pgm.types import FloatArray, IntArray, Parameter, Parameters, Value
+
+if TYPE_CHECKING:
+    from pgmpy.models import DynamicBayesianNetwork
+
+HIDDEN = ("RoadPosition", "Lane", "SensorState")
+OBSERVED = (("RoadPosition", "SensorState"),)
+INPUTS = ("LineMotion",)
+VALUES = {"SensorState": ("OK", "BAD")}
+
+#: Frames passed since the last one, for the values of LineMotion that say nothing about motion; a
+#: longer gap counts as the next entry, one longer than the last as the last.
+STEPS = (1, 2, 3, 4, 6, 8, 16, 64, 256)
+
+#: The geometry of the cells and of LineMotion: the evidence rule declares them too.
+CELLS = Parameter("cells", "integer", 16, "cells of RoadPosition in each lane", lowest=1)
+MOTION_BINS = Parameter(
+    "motion_bins", "integer", 49, "values of LineMotion for known displacements", lowest=1
+)
+MOTION_RANGE = Parameter(
+    "motion_range",
+    "positive",
+    0.2,
+    "largest displacement of a line from frame to frame that is followed, lane widths",
+)
+
+PARAMETERS = (
+    CELLS,
+    MOTION_BINS,
+    MOTION_RANGE,
+    Parameter(
+        "motion_gain",
+        "non_negative",
+        0.9,
+        "share of the lines' displacement by which RoadPosition moves, the other way",
+    ),
+    Parameter(
+        "motion_sigma",
+        "sigma",
+        0.04,
+        "standard deviation of the motion from frame to frame, lane widths",
+        search=(0.005, 0.1),
+    ),
+    Parameter(
+        "motion_sigma_wide",
+        "sigma",
+        0.12,
+        "the same for the share of frames in which the displacement misleads, lane widths",
+        search=(0.05, 0.3),
+    ),
+    Parameter(
+        "wide_share",
+        "probability",
+        0.1,
+        "weight of the wide normal where a displacement is known",
+        search=(0.01, 0.3),
+    ),
+    Parameter(
+        "wide_share_unknown",
+        "probability",
+        0.2,
+        "weight of the wide normal where no displacement is known",
+        search=(0.01, 0.9),
+    ),
+    Parameter(
+        "jump", "probability", 1e-4, "probability of a jump to anywhere on the road, per frame"
+    ),
+    replace(P1, default=0.98),
+    replace(P2, default=0.85),
+)
+
+#: Half-width of the band in which RoadPosition moves in one frame, lanes.
+_BAND = 0.5
+
+#: A normal wider than this, in cells, is flat over the band; the differences of one lose digits.
+_WIDEST = 100.0
+
+
+def motion_values(parameters: Mapping[str, Value]) -> int:
+    """How many values LineMotion has."""
+    return int(number(parameters["motion_bins"])) + len(STEPS)
+
+
+def motion_index(
+    displacement: FloatArray, steps: IntArray, parameters: Mapping[str, Value]
+) -> IntArray:
+    """The value of LineMotion for displacements (T,) in lane widths, NaN where unknown, and the
+    frames that have passed since the last one (T,), at least 1.
+
+    A displacement out of range, or over several frames, is unknown.
+    """
+    n_bins, reach = int(number(parameters["motion_bins"])), number(parameters["motion_range"])
+    known = (np.abs(displacement) < reach) & (steps == 1)
+    share = (np.where(known, displacement, 0.0) / reach + 1) / 2
+    index = np.minimum((share * n_bins).astype(np.int64), n_bins - 1)
+    unknown = n_bins + np.minimum(np.searchsorted(STEPS, steps), len(STEPS) - 1)
+    return np.where(known, index, unknown)
+
+
+def tables(n_lanes: int, parameters: Parameters) -> list[Table]:
+    """RoadPosition and SensorState persist, moved by LineMotion; Lane is the lane of the cell."""
+    cells = int(number(parameters["cells"]))
+    n_positions, n_values = n_lanes * cells, motion_values(parameters)
+    n_bins = n_values - len(STEPS)
+    sensor = binary(number(parameters["p1"]), number(parameters["p2"]))
+    sensors = [sensor] * n_bins + [_power(sensor, k) for k in STEPS]
+    lane = np.repeat(np.eye(n_lanes), cells, axis=0)
+    motion = uniform(n_values)
+    return [
+        *prior("LineMotion", motion),
+        *dynamics("LineMotion", [], motion),
+        *prior("RoadPosition", uniform(n_values, n_positions), ["LineMotion"]),
+        *prior("SensorState", uniform(n_values, 2), ["LineMotion"]),
+        *dynamics(
+            "RoadPosition",
+            [previous("RoadPosition"), "LineMotion"],
+            np.stack(_motions(n_positions, cells, parameters), axis=1),
+        ),
+        *dynamics(
+            "SensorState", [previous("SensorState"), "LineMotion"], np.stack(sensors, axis=1)
+        ),
+        *within("Lane", ["RoadPosition"], lane),
+    ]
+
+
+def build(n_lanes: int, parameters: Parameters) -> DynamicBayesianNetwork:
+    """The network, declared."""
+    return declare(tables(n_lanes, parameters), OBSERVED)
+
+
+def _motions(n_positions: int, cells: int, parameters: Mapping[str, Value]) -> list[FloatArray]:
+    """Per value of LineMotion RoadPosition's transition (R, R)."""
+    n_bins, reach = int(number(parameters["motion_bins"])), number(parameters["motion_range"])
+    gain, jump = number(parameters["motion_gain"]), number(parameters["jump"])
+    narrow = number(parameters["motion_sigma"]) * cells
+    wide = number(parameters["motion_sigma_wide"]) * cells
+    half = max(1, math.ceil(_BAND * cells))
+    moves = []
+    centres = ((np.arange(n_bins) + 0.5) / n_bins * 2 - 1) * reach
+    shares = [number(parameters["wide_share"])] * n_bins
+    shares.append(number(parameters["wide_share_unknown"]))
+    for centre, share in zip([*centres, 0.0], shares, strict=True):
+        shift = -gain * centre * cells
+        move = (1 - share) * _cell_moves(shift, narrow, half)
+        move += share * _cell_moves(shift, wide, half)
+        kept = (1 - jump) * _banded(move, n_positions)
+        moves.append(kept + jump / n_positions)
+    unknown = moves.pop()
+    return moves + [_power(unknown, k) for k in STEPS]
+
+
+def _power(transition: FloatArray, steps: int) -> FloatArray:
+    """The transition over several frames; its rows sum to one in every digit again."""
+    power = np.linalg.matrix_power(transition, steps)
+    return np.asarray(power / power.sum(axis=1, keepdims=True))
+
+
+def _cell_moves(shift: float, sigma: float, half: int) -> FloatArray:
+    """(2 half + 1,): probability of moving -half ... half cells, from anywhere in a cell, by a
+    normal around `shift`; in cells."""
+    sigma = min(sigma, _WIDEST)
+    # By symmetry on the left side, where small numbers keep their digits.
+    left = -np.abs(np.arange(-half, half + 1) - shift)
+    # Twice the integral of the normal: its second difference is the integral over both cells.
+    before, at, after = (_twice_integrated(left + k, sigma) for k in (-1, 0, 1))
+    return np.maximum(before - 2 * at + after, 0.0)
+
+
+def _twice_integrated(x: FloatArray, sigma: float) -> FloatArray:
+    with np.errstate(over="ignore"):
+        z = x / sigma
+        density = np.exp(-0.5 * z**2) / math.sqrt(2 * math.pi)
+    below = np.array([0.5 * math.erfc(-v / math.sqrt(2)) for v in z])
+    return np.asarray(x * below + sigma * density)
+
+
+def _banded(move: FloatArray, n_positions: int) -> FloatArray:
+    """(R, R): the moves from each cell, those off the road left out; a cell that could only leave
+    the road is kept."""
+    half = len(move) // 2
+    target = np.arange(n_positions)[:, None] + np.arange(-half, half + 1)
+    on_road = (target >= 0) & (target < n_positions)
+    rows = np.where(on_road, move, 0.0)
+    total = rows.sum(axis=1, keepdims=True)
+    rows[:, half] = np.where(total[:, 0] > 0, rows[:, half], 1.0)
+    rows /= np.where(total > 0, total, 1.0)
+    transition = np.zeros((n_positions, n_positions))
+    source = np.broadcast_to(np.arange(n_positions)[:, None], target.shape)
+    transition[source[on_road], target[on_road]] = rows[on_road]
+    return transition

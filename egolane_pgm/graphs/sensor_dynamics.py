@@ -1,0 +1,50 @@
+"""The paper's graph with lane dynamics that depend on SensorState in the same slice: lanes are
+changed where lines are hard to see, so that a lane change and a failing sensor come together.
+
+With `sigma1_bad` equal to `sigma1` this is `sensor_failure`.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from egolane_pgm.cpds import Table, declare, dynamics, previous, prior, uniform
+from egolane_pgm.graphs import sensor_failure
+from egolane_pgm.graphs._parameters import f_table
+from egolane_pgm.types import Parameter, Parameters
+
+if TYPE_CHECKING:
+    from pgmpy.models import DynamicBayesianNetwork
+
+HIDDEN = sensor_failure.HIDDEN
+OBSERVED = sensor_failure.OBSERVED
+VALUES = sensor_failure.VALUES
+PARAMETERS = (
+    *sensor_failure.PARAMETERS,
+    Parameter(
+        "sigma1_bad",
+        "sigma",
+        0.6,
+        "standard deviation of the lane dynamics into a frame in which the sensor is BAD, lanes"
+        " (`sigma1`: in which it is OK)",
+        search=(0.0, 3.0),
+    ),
+)
+
+
+def tables(n_lanes: int, parameters: Parameters) -> list[Table]:
+    """As `sensor_failure`, with Table `tab:cptlane` once for each sensor state."""
+    others = [t for t in sensor_failure.tables(n_lanes, parameters) if t.node[0] != "Lane"]
+    moves = [f_table(sigma, n_lanes, parameters) for sigma in ("sigma1", "sigma1_bad")]
+    return [
+        *others,
+        *prior("Lane", uniform(2, n_lanes), ["SensorState"]),
+        *dynamics("Lane", ["SensorState", previous("Lane")], np.stack(moves)),
+    ]
+
+
+def build(n_lanes: int, parameters: Parameters) -> DynamicBayesianNetwork:
+    """The network, declared."""
+    return declare(tables(n_lanes, parameters), OBSERVED)

@@ -1,0 +1,62 @@
+"""The paper's graph with a sensor that may also be WORN: its output still depends on the lane, but
+more widely than when it is OK; BAD is uniform as in the paper.
+
+A state is left for each of the other two alike.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from egolane_pgm.cpds import Table, declare, dynamics, previous, prior, uniform, within
+from egolane_pgm.graphs import sensor_failure
+from egolane_pgm.graphs._parameters import f_table, number, sticky
+from egolane_pgm.types import Parameter, Parameters
+
+if TYPE_CHECKING:
+    from pgmpy.models import DynamicBayesianNetwork
+
+HIDDEN = sensor_failure.HIDDEN
+OBSERVED = sensor_failure.OBSERVED
+VALUES = {"SensorState": ("OK", "WORN", "BAD")}
+PARAMETERS = (
+    *sensor_failure.PARAMETERS,
+    Parameter(
+        "sigma2_worn",
+        "sigma",
+        1.0,
+        "standard deviation of the detector output when the sensor is WORN, lanes",
+        search=(0.0, 3.0),
+    ),
+    Parameter(
+        "p_worn", "probability", 0.9, "P(SensorState WORN at t+1 | WORN at t)", search=(0.0, 1.0)
+    ),
+    Parameter("p3_worn", "probability", 0.5, "P(WOR OK | SensorState WORN)", search=(0.0, 1.0)),
+)
+
+
+def tables(n_lanes: int, parameters: Parameters) -> list[Table]:
+    """As `sensor_failure`, each table of SensorState with a row for WORN."""
+    p1, p2, p3, p4, p_worn, p3_worn = (
+        number(parameters[name]) for name in ("p1", "p2", "p3", "p4", "p_worn", "p3_worn")
+    )
+    outputs = [
+        f_table("sigma2", n_lanes, parameters),
+        f_table("sigma2_worn", n_lanes, parameters),
+        uniform(n_lanes, n_lanes),
+    ]
+    return [
+        *prior("Lane", uniform(n_lanes)),
+        *prior("SensorState", uniform(3)),
+        *dynamics("Lane", [previous("Lane")], f_table("sigma1", n_lanes, parameters)),
+        *dynamics("SensorState", [previous("SensorState")], sticky(p1, p_worn, p2)),
+        *within("DetectorOutput", ["SensorState", "Lane"], np.stack(outputs)),
+        *within("WOR", ["SensorState"], [[p3, 1 - p3], [p3_worn, 1 - p3_worn], [1 - p4, p4]]),
+    ]
+
+
+def build(n_lanes: int, parameters: Parameters) -> DynamicBayesianNetwork:
+    """The network, declared."""
+    return declare(tables(n_lanes, parameters), OBSERVED)

@@ -1,0 +1,49 @@
+"""The paper's graph with WOR in `wor_levels` levels, the most reliable one first; use it with the
+evidence rule `counting_levels`.
+
+Given the sensor state the level is binomial: `wor_levels` - 1 draws, each of which lowers it by one
+with probability 1 - p3 when the sensor is OK and p4 when it is BAD. With two levels this is
+`sensor_failure`.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from egolane_pgm.cpds import Table, declare, within
+from egolane_pgm.graphs import sensor_failure
+from egolane_pgm.graphs._parameters import WOR_LEVELS, number
+from egolane_pgm.types import FloatArray, Parameters
+
+if TYPE_CHECKING:
+    from pgmpy.models import DynamicBayesianNetwork
+
+HIDDEN = sensor_failure.HIDDEN
+OBSERVED = sensor_failure.OBSERVED
+VALUES = sensor_failure.VALUES
+PARAMETERS = (*sensor_failure.PARAMETERS, WOR_LEVELS)
+
+
+def tables(n_lanes: int, parameters: Parameters) -> list[Table]:
+    """As `sensor_failure`, with a column of Table `tab:cptri` for each level."""
+    p3, p4 = number(parameters["p3"]), number(parameters["p4"])
+    levels = int(number(parameters["wor_levels"]))
+    return [
+        *sensor_failure.tables_without_wor(n_lanes, parameters),
+        *within("WOR", ["SensorState"], np.stack([binomial(p3, levels), binomial(1 - p4, levels)])),
+    ]
+
+
+def binomial(keep: float, levels: int) -> FloatArray:
+    """(levels,): P(lowered j times) of `levels` - 1 draws, each with probability 1 - keep."""
+    draws = levels - 1
+    terms = [math.comb(draws, j) * keep ** (draws - j) * (1 - keep) ** j for j in range(levels)]
+    return np.array(terms) / math.fsum(terms)
+
+
+def build(n_lanes: int, parameters: Parameters) -> DynamicBayesianNetwork:
+    """The network, declared."""
+    return declare(tables(n_lanes, parameters), OBSERVED)

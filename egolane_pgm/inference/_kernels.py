@@ -1,0 +1,251 @@
+"""The numba kernels of smoothing, of the most probable path and of Jeffrey's rule; `smoothing`,
+`viterbi` and `jeffrey` have their NumPy twins."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numba import njit
+
+from egolane_pgm.types import BoolArray, FloatArray, IntArray
+
+#: Products of probabilities below this have lost digits.
+TINY = 1e-280
+
+
+@njit(cache=True, fastmath={"reassoc", "contract"})
+def _look_ahead(
+    filtered: FloatArray,
+    transition: FloatArray,
+    likelihood: FloatArray,
+    ahead: FloatArray,
+    weight: FloatArray,
+) -> None:
+    """One frame back: `ahead` (S,) is the likelihood of all later evidence given the state, up to
+    a factor; `likelihood` that of the frame after, `transition` (S, S) into it. States that are
+    impossible here are left out, so that those that matter set the scale."""
+    n_states = filtered.shape[0]
+    for s in range(n_states):
+        weight[s] = likelihood[s] * ahead[s]
+    largest = 0.0
+    for r in range(n_states):
+        total = 0.0
+        if filtered[r] > 0.0:
+            for s in range(n_states):
+                total += transition[r, s] * weight[s]
+        ahead[r] = total
+        largest = max(largest, total)
+    for r in range(n_states):
+        # Zero everywhere only where floating-point numbers end: what comes later is ignored.
+        ahead[r] = ahead[r] / largest if largest > 0.0 else 1.0
+
+
+@njit(cache=True)
+def _combine(filtered: FloatArray, ahead: FloatArray, smoothed: FloatArray) -> None:
+    """smoothed (S,): filtered times ahead, normalised."""
+    n_states = filtered.shape[0]
+    total = 0.0
+    for s in range(n_states):
+        smoothed[s] = filtered[s] * ahead[s]
+        total += smoothed[s]
+    if not total > TINY:
+        # Each factor is a number, their product is not: add logarithms.
+        largest = -np.inf
+        for s in range(n_states):
+            if filtered[s] > 0.0 and ahead[s] > 0.0:
+                largest = max(largest, math.log(filtered[s]) + math.log(ahead[s]))
+        total = 0.0
+        for s in range(n_states):
+            smoothed[s] = 0.0
+            if filtered[s] > 0.0 and ahead[s] > 0.0:
+                smoothed[s] = math.exp(math.log(filtered[s]) + math.log(ahead[s]) - largest)
+            total += smoothed[s]
+    for s in range(n_states):
+        smoothed[s] /= total
+
+
+@njit(cache=True)
+def smooth_frames(
+    filtered: FloatArray,
+    likelihood: FloatArray,
+    transition: FloatArray,
+    input_index: IntArray,
+    smoothed: FloatArray,
+) -> None:
+    """Forward-backward: `smoothed` (T, S) from `filtered` (T, S), the joint belief after each
+    frame. likelihood (T, S): of each frame's evidence, any scale. transition (U, S, S).
+    input_index (T,): which of them leads into the frame."""
+    n_frames, n_states = filtered.shape
+    ahead = np.ones(n_states)
+    weight = np.empty(n_states)
+    for t in range(n_frames - 1, -1, -1):
+        if t < n_frames - 1:
+            into = transition[input_index[t + 1]]
+            _look_ahead(filtered[t], into, likelihood[t + 1], ahead, weight)
+        _combine(filtered[t], ahead, smoothed[t])
+
+
+@njit(cache=True)
+def fixed_lag_frames(
+    lag: int,
+    filtered: FloatArray,
+    likelihood: FloatArray,
+    transition: FloatArray,
+    input_index: IntArray,
+    smoothed: FloatArray,
+) -> None:
+    """As `smooth_frames`, frame t given the evidence up to frame t + lag."""
+    n_frames, n_states = filtered.shape
+    ahead = np.ones(n_states)
+    weight = np.empty(n_states)
+    for t in range(n_frames):
+        for s in range(n_states):
+            ahead[s] = 1.0
+        for k in range(min(t + lag, n_frames - 1), t, -1):
+            _look_ahead(filtered[k - 1], transition[input_index[k]], likelihood[k], ahead, weight)
+        _combine(filtered[t], ahead, smoothed[t])
+
+
+@njit(cache=True)
+def best_path(
+    log_prior: FloatArray,
+    log_transition: FloatArray,
+    log_likelihood: FloatArray,
+    input_index: IntArray,
+    path: IntArray,
+) -> float:
+    """The most probable joint states (T,), the lowest-numbered one in a tie, and the logarithm of
+    their probability with the evidence. log_prior (U, S), log_transition (U, S, S),
+    log_likelihood (T, S)."""
+    n_frames, n_states = log_likelihood.shape
+    score = log_prior[input_index[0]] + log_likelihood[0]
+    before = np.empty(n_states)
+    came_from = np.zeros((n_frames, n_states), dtype=np.int64)
+    for t in range(1, n_frames):
+        move = log_transition[input_index[t]]
+        before[:] = score
+        for s in range(n_states):
+            best = -np.inf
+            for r in range(n_states):
+                value = before[r] + move[r, s]
+                if value > best:
+                    best = value
+                    came_from[t, s] = r
+            score[s] = best + log_likelihood[t, s]
+    state = 0
+    for s in range(n_states):
+        if score[s] > score[state]:
+            state = s
+    total = float(score[state])
+    for t in range(n_frames - 1, -1, -1):
+        path[t] = state
+        state = came_from[t, state]
+    return total
+
+
+@njit(cache=True)
+def jeffrey_frames(
+    joint: FloatArray,
+    is_first: bool,
+    is_factored: bool,
+    prior: FloatArray,
+    transition: FloatArray,
+    input_index: IntArray,
+    emission: FloatArray,
+    group_start: IntArray,
+    posterior: FloatArray,
+    is_said: BoolArray,
+    key_start: IntArray,
+    key_group: IntArray,
+    key_value: IntArray,
+    node_column: IntArray,
+    n_persistent: int,
+    marginals: FloatArray,
+    log_evidence: FloatArray,
+    is_impossible: BoolArray,
+) -> None:
+    """As `kernels.filter_frames`, but the evidence is read by Jeffrey's rule, one observed node
+    (N of them) after the other.
+
+    posterior (T, V): per node the probabilities of its values, in key_start[i]:key_start[i + 1],
+    summing to one. is_said (T, N): False where the frame says nothing about it. key_group (N,):
+    which group the node belongs to. key_value (N, K): the node's value in each column of the
+    emissions.
+    """
+    n_states = joint.shape[0]
+    n_groups = group_start.shape[0] - 1
+    n_nodes = node_column.shape[0]
+    n_keys = key_group.shape[0]
+    factor = np.ones(emission.shape[1])
+    of_group = np.ones((n_groups, n_states))
+    predicted = joint.copy()
+    for t in range(posterior.shape[0]):
+        u = input_index[t]
+        for s in range(n_states):
+            predicted[s] = 0.0
+        if is_first and t == 0:
+            for s in range(n_states):
+                predicted[s] = prior[u, s]
+        else:
+            for r in range(n_states):
+                for s in range(n_states):
+                    predicted[s] += joint[r] * transition[u, r, s]
+        factor[:] = 1.0
+        of_group[:, :] = 1.0
+        is_impossible[t] = False
+        log_evidence[t] = 0.0
+        for i in range(n_keys):
+            if not is_said[t, i] or is_impossible[t]:
+                continue
+            g, first = key_group[i], key_start[i]
+            expected = np.zeros(key_start[i + 1] - first)
+            for s in range(n_states):
+                weight = predicted[s]
+                for h in range(n_groups):
+                    if h != g:
+                        weight *= of_group[h, s]
+                if weight > 0.0:
+                    for k in range(group_start[g], group_start[g + 1]):
+                        expected[key_value[i, k]] += weight * emission[s, k] * factor[k]
+            total = expected.sum()
+            agreement = 0.0
+            possible = 0.0
+            for v in range(expected.shape[0]):
+                if expected[v] > 0.0:
+                    agreement += posterior[t, first + v] * expected[v] / total
+                    possible += posterior[t, first + v]
+            if not agreement > 0.0:
+                is_impossible[t] = True
+                continue
+            log_evidence[t] += math.log(agreement)
+            for k in range(group_start[g], group_start[g + 1]):
+                v = key_value[i, k]
+                if expected[v] > 0.0:
+                    factor[k] *= posterior[t, first + v] / possible * (total / expected[v])
+                else:
+                    factor[k] = 0.0
+            for s in range(n_states):
+                of_group[g, s] = 0.0
+                for k in range(group_start[g], group_start[g + 1]):
+                    of_group[g, s] += emission[s, k] * factor[k]
+        if is_impossible[t]:
+            log_evidence[t] = 0.0
+            of_group[:, :] = 1.0
+        total = 0.0
+        for s in range(n_states):
+            joint[s] = predicted[s]
+            for g in range(n_groups):
+                joint[s] *= of_group[g, s]
+            total += joint[s]
+        for s in range(n_states):
+            joint[s] /= total
+        for h in range(n_nodes):
+            for s in range(n_states):
+                marginals[t, node_column[h, s]] += joint[s]
+        if is_factored:
+            for s in range(n_states):
+                product = 1.0
+                for h in range(n_persistent):
+                    product *= marginals[t, node_column[h, s]]
+                joint[s] = product

@@ -1,0 +1,146 @@
+"""The most probable path of the joint hidden state, and where it is not to be trusted.
+
+The path is the best single story of the whole drive; where several stories share the probability
+it may be far from what each frame's smoothed belief says. `disagreement` finds such stretches.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from egolane_pgm.inference.compile import Compiled
+from egolane_pgm.inference.filtering import _input_index, filter_beliefs
+from egolane_pgm.inference.smoothing import state_likelihood
+from egolane_pgm.types import (
+    Beliefs,
+    BoolArray,
+    Evidence,
+    FloatArray,
+    InputError,
+    IntArray,
+    suggestion,
+)
+
+#: Frames in a row that the path may disagree with the smoothed belief without a warning.
+LIMIT = 50
+
+
+@dataclass(frozen=True)
+class Path:
+    """frame_id (T,). values: per hidden node the index of its value in each frame (T,); lanes
+    count from 0. log_probability: natural logarithm of P(path, evidence), each likelihood as
+    given. is_impossible (T,): the frame's evidence has joint likelihood zero and was ignored."""
+
+    frame_id: IntArray
+    values: Mapping[str, IntArray]
+    log_probability: float
+    is_impossible: BoolArray
+
+    def __len__(self) -> int:
+        return len(self.frame_id)
+
+    @property
+    def lane(self) -> IntArray:
+        """(T,): the lane in each frame, 1 to n."""
+        return self.values["Lane"] + 1
+
+
+@dataclass(frozen=True)
+class Disagreement:
+    """The longest stretch of frames in which the path's value has a smoothed probability below
+    1/2. frames: its length, 0 if there is none. first, last: its frame ids, or None. warning: one
+    line where it is longer than the limit, else None."""
+
+    frames: int
+    first: int | None
+    last: int | None
+    warning: str | None
+
+
+def viterbi_path(
+    compiled: Compiled,
+    evidence: Evidence,
+    *,
+    frame_id: IntArray | None = None,
+    kernel: bool = True,
+) -> Path:
+    """The joint hidden states of highest probability given all evidence, in log space; of equally
+    probable ones the state with the lowest number, from the last frame backwards.
+
+    A frame of zero joint likelihood is flagged and ignored, as the exact filter does. Raises
+    InputError as `smooth_beliefs`.
+    """
+    ids = np.arange(len(evidence)) if frame_id is None else frame_id
+    is_impossible = filter_beliefs(compiled, evidence, "exact", kernel=kernel).is_impossible
+    likelihood, log_scale = state_likelihood(compiled, evidence, is_impossible)
+    states = np.zeros(len(evidence), dtype=np.int64)
+    total = 0.0
+    if len(evidence):
+        run: Any = _best_path_numpy
+        if kernel:
+            from egolane_pgm.inference._kernels import best_path as run
+        with np.errstate(divide="ignore"):
+            tables = [np.log(a) for a in (compiled.prior, compiled.transition, likelihood)]
+        total = run(*tables, _input_index(compiled, evidence), states)
+    values = {
+        name: np.asarray(value[states])
+        for name, value in zip(compiled.hidden, compiled.node_value, strict=True)
+    }
+    return Path(ids, values, float(total + log_scale.sum()), is_impossible)
+
+
+def _best_path_numpy(
+    log_prior: FloatArray,
+    log_transition: FloatArray,
+    log_likelihood: FloatArray,
+    input_index: IntArray,
+    path: IntArray,
+) -> float:
+    """The NumPy twin of `_kernels.best_path`, same arguments."""
+    score = log_prior[input_index[0]] + log_likelihood[0]
+    came_from = np.zeros(log_likelihood.shape, dtype=np.int64)
+    for t in range(1, len(log_likelihood)):
+        moved = score[:, None] + log_transition[input_index[t]]
+        came_from[t] = moved.argmax(axis=0)
+        score = moved.max(axis=0) + log_likelihood[t]
+    state = int(score.argmax())
+    total = float(score[state])
+    for t in range(len(path) - 1, -1, -1):
+        path[t] = state
+        state = int(came_from[t, state])
+    return total
+
+
+def disagreement(
+    path: Path, smoothed: Beliefs, *, node: str = "Lane", limit: int = LIMIT
+) -> Disagreement:
+    """Where the path and the smoothed belief of a node tell different stories for longest.
+
+    limit: frames in a row that are accepted. Raises InputError for a node that is not hidden and
+    for different frames.
+    """
+    if node not in path.values:
+        raise InputError(f"node '{node}' is not a hidden one{suggestion(node, path.values)}")
+    if not np.array_equal(path.frame_id, smoothed.frame_id):
+        raise InputError("the path and the smoothed beliefs are about different frames")
+    chosen = path.values[node]
+    doubted = smoothed.marginals[node][np.arange(len(path)), chosen] < 0.5
+    # +1 where a stretch begins, -1 after its end.
+    edge = np.diff(np.concatenate([[0], doubted.astype(np.int64), [0]]))
+    start, stop = np.flatnonzero(edge == 1), np.flatnonzero(edge == -1)
+    if not len(start):
+        return Disagreement(0, None, None, None)
+    k = int(np.argmax(stop - start))
+    frames = int(stop[k] - start[k])
+    first, last = int(path.frame_id[start[k]]), int(path.frame_id[stop[k] - 1])
+    warning = None
+    if frames > limit:
+        warning = (
+            f"the most probable path holds a {node} that the smoothed belief gives less than 1/2"
+            f" for {frames} frames ({first} to {last}); trust the smoothed belief there"
+        )
+    return Disagreement(frames, first, last, warning)

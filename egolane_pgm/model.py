@@ -1,0 +1,210 @@
+"""An experiment's plugins, checked and compiled, and the evidence they make of a recording."""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, replace
+from functools import partial
+from inspect import signature
+from types import ModuleType
+
+import numpy as np
+
+from egolane_pgm.experiment import Experiment
+from egolane_pgm.inference.compile import Compiled, compile_network, with_tables
+from egolane_pgm.inference.filtering import read_evidence
+from egolane_pgm.plugins import load_plugin, plugin_errors
+from egolane_pgm.types import (
+    Evidence,
+    FloatArray,
+    InputError,
+    LineLog,
+    Parameter,
+    Value,
+    resolve_parameters,
+)
+
+
+@dataclass(frozen=True)
+class Model:
+    """An experiment's plugins, checked and compiled: nothing of the recording is in it.
+
+    rule, graph: the plugin modules. parameters: every declared one with its value.
+    """
+
+    rule: ModuleType
+    graph: ModuleType
+    parameters: Mapping[str, Value]
+    compiled: Compiled
+    n_lanes: int
+
+
+def prepare_model(experiment: Experiment) -> Model:
+    """Load and compile the experiment's plugins.
+
+    Raises InputError naming the YAML file and key for unknown plugins and parameters, values out
+    of range, and an evidence rule that does not fit the graph.
+    """
+    source = experiment.source
+    rule = load_plugin("evidence", experiment.evidence, experiment.folder, f"{source}: evidence")
+    graph = load_plugin("graphs", experiment.graph, experiment.folder, f"{source}: graph")
+    parameters = resolve_parameters(
+        declared_parameters(rule, graph),
+        experiment.parameters,
+        experiment.n_lanes,
+        f"{source}: parameters",
+    )
+    _check_fit(rule, graph, source)
+    try:
+        with plugin_errors(graph, f"{source}: graph"):
+            network = graph.build(experiment.n_lanes, parameters)
+        if not hasattr(network, "get_cpds"):
+            raise InputError(f"build() gave {type(network).__name__}, not a pgmpy network")
+        compiled = compile_network(
+            network, graph.HIDDEN, graph.OBSERVED, getattr(graph, "INPUTS", ())
+        )
+    except InputError as error:
+        raise InputError(f"{source}: graph {experiment.graph}: {error}") from error
+    lanes = compiled.cardinality.get("Lane")
+    if lanes != experiment.n_lanes:
+        raise InputError(
+            f"{source}: graph {experiment.graph}: needs a hidden node Lane with"
+            f" {experiment.n_lanes} values, has {lanes or 'none'}"
+        )
+    return Model(rule, graph, parameters, compiled, experiment.n_lanes)
+
+
+def with_parameters(model: Model, parameters: Mapping[str, Value]) -> Model:
+    """The same model with other (resolved) parameters; only a graph without `tables` is declared
+    anew, or where a whole number of its own changes, which shapes the network."""
+    shapes = [p.name for p in getattr(model.graph, "PARAMETERS", ()) if p.kind == "integer"]
+    same_shape = all(parameters[name] == model.parameters[name] for name in shapes)
+    if same_shape and hasattr(model.graph, "tables"):
+        compiled = with_tables(model.compiled, model.graph.tables(model.n_lanes, parameters))
+    else:
+        compiled = compile_network(
+            model.graph.build(model.n_lanes, parameters),
+            model.graph.HIDDEN,
+            model.graph.OBSERVED,
+            getattr(model.graph, "INPUTS", ()),
+        )
+    return replace(model, parameters=parameters, compiled=compiled)
+
+
+def declared_parameters(rule: ModuleType, graph: ModuleType) -> list[Parameter]:
+    """The parameters of an evidence rule and a graph; one that both declare is shared."""
+    for module in (rule, graph):
+        for p in getattr(module, "PARAMETERS", ()):
+            if not isinstance(p, Parameter):
+                raise InputError(f"{module.__file__}: PARAMETERS has {p!r}, which is no Parameter")
+    specs = {p.name: p for p in getattr(rule, "PARAMETERS", ())}
+    for p in getattr(graph, "PARAMETERS", ()):
+        if p.name in specs and specs[p.name].kind != p.kind:
+            raise InputError(f"parameters.{p.name}: graph and evidence rule declare it differently")
+        specs[p.name] = p
+    return list(specs.values())
+
+
+def _check_fit(rule: ModuleType, graph: ModuleType, source: str) -> None:
+    provides = getattr(rule, "PROVIDES", None)
+    if provides is None:
+        return
+    for key in graph.OBSERVED:
+        if key not in provides:
+            raise InputError(
+                f"{source}: the graph observes {key}, the evidence rule gives only"
+                f" {', '.join(map(str, provides))}"
+            )
+    known = {*graph.OBSERVED, *getattr(graph, "UNUSED", ())}
+    for key in provides:
+        if key not in known:
+            raise InputError(
+                f"{source}: the evidence rule gives {key}, which the graph does not observe;"
+                " if that is meant, the graph file says so with UNUSED"
+            )
+
+
+@dataclass(frozen=True)
+class RuleOutput:
+    """filtered: what the filter takes. tentative (T, n), rows summing to one: the rule's own
+    answer over lanes, or None. notes: what the rule warned of, a line each."""
+
+    filtered: Evidence
+    tentative: FloatArray | None
+    notes: tuple[str, ...] = ()
+
+
+def online_rule(model: Model, *, kernel: bool = True) -> Callable[[LineLog], Evidence]:
+    """The evidence rule for frames that come one after the other: a rule that looks at the frames
+    before defines `online(n_lanes, parameters)`, which gives such a function."""
+    rule = model.rule
+    if hasattr(rule, "online"):
+        options = {"kernel": kernel} if "kernel" in signature(rule.online).parameters else {}
+        with plugin_errors(rule, "evidence"):
+            found: Callable[[LineLog], Evidence] = rule.online(
+                model.n_lanes, model.parameters, **options
+            )
+            return found
+    options = {"kernel": kernel} if "kernel" in signature(rule.evidence).parameters else {}
+    return partial(_evidence, rule, model, options)
+
+
+def _evidence(
+    rule: ModuleType, model: Model, options: Mapping[str, bool], log: LineLog
+) -> Evidence:
+    given: Evidence = rule.evidence(log, model.n_lanes, model.parameters, **options)
+    return given
+
+
+def make_evidence(
+    model: Model,
+    log: LineLog,
+    reading: str = "soft",
+    *,
+    kernel: bool = True,
+    give: Callable[[LineLog], Evidence] | None = None,
+) -> RuleOutput:
+    """The evidence of a log for the model's graph; frames put in by `missing_frames: predict`
+    say nothing about any node. give: an `online_rule` that has seen the frames before."""
+    rule = model.rule
+    options = {"kernel": kernel} if "kernel" in signature(rule.evidence).parameters else {}
+    with plugin_errors(rule, "evidence"), warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("always", UserWarning)
+        given = _evidence(rule, model, options, log) if give is None else give(log)
+    if not isinstance(given, Evidence):
+        raise InputError(f"{rule.__file__}: evidence() gave {type(given).__name__}, not Evidence")
+    if len(given) != len(log):
+        raise InputError(
+            f"{rule.__file__}: evidence() gave {len(given)} frames for the {len(log)} recorded"
+        )
+    likelihoods = dict(given.likelihoods)
+    for key in getattr(model.graph, "UNUSED", ()):
+        if key not in model.compiled.observed:
+            likelihoods.pop(key, None)
+    if log.is_missing.any():
+        for key, values in likelihoods.items():
+            blank = log.is_missing.reshape(-1, *[1] * (values.ndim - 1))
+            likelihoods[key] = np.where(blank, 1.0, values)
+    filtered = read_evidence(Evidence(likelihoods, given.inputs), reading)
+    notes = tuple(str(w.message) for w in caught if issubclass(w.category, UserWarning))
+    return RuleOutput(filtered, _tentative(rule, given, model.n_lanes), notes)
+
+
+def _tentative(rule: ModuleType, evidence: Evidence, n_lanes: int) -> FloatArray | None:
+    values = evidence.likelihoods.get(getattr(rule, "TENTATIVE", ""))
+    if values is None or values.shape[1:] != (n_lanes,):
+        return None
+    total = values.sum(axis=1, keepdims=True)
+    return np.where(total > 0, values / np.where(total > 0, total, 1), 1 / n_lanes)
+
+
+def value_names(model: Model) -> dict[str, list[str]]:
+    """The names of each hidden node's values: lanes from 1, the graph's VALUES, else 0, 1, ..."""
+    named = getattr(model.graph, "VALUES", {})
+    names = {}
+    for node in model.compiled.hidden:
+        size = model.compiled.cardinality[node]
+        default = [str(k + 1 if node == "Lane" else k) for k in range(size)]
+        names[node] = [str(v) for v in named.get(node, default)]
+    return names

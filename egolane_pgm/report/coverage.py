@@ -1,0 +1,103 @@
+"""Accuracy-coverage curves: what a user gets who answers only when the belief is sure enough."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from egolane_pgm.report.style import (
+    DETECTOR_COLOUR,
+    INK,
+    MODEL_COLOUR,
+    answers,
+    axes_at,
+    check_figure_path,
+    is_scored,
+    new_figure,
+    plain_style,
+    put_title,
+    save,
+    series,
+)
+from egolane_pgm.results import Result
+from egolane_pgm.scoring.coverage import CoverageCurve, coverage_curve
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+#: Values of `unassigned_below` that are marked on the curves.
+MARKED = (0.5, 0.9, 0.99)
+
+_STYLE = {"Detector only": (DETECTOR_COLOUR, "s", "--"), "Model": (MODEL_COLOUR, "o", "-")}
+
+
+def coverage_curves(result: Result) -> dict[str, CoverageCurve]:
+    """ "Detector only" (where there is a tentative vector) and "Model".
+
+    Raises InputError where no frame is annotated.
+    """
+    chosen = is_scored(result)
+    lane, crossing = result.true_lane[chosen], result.is_crossing[chosen]
+    return {
+        name: coverage_curve(belief[chosen], lane, crossing)
+        for name, (belief, _) in answers(result).items()
+    }
+
+
+def draw_coverage(result: Result, path: str | Path) -> Path:
+    """Draw the share of right answers against the share of frames that get one, as the probability
+    that an answer needs falls from 1; some values of `unassigned_below` are marked.
+
+    Raises InputError without ground truth, for an extension other than .png, .svg and .pdf, and
+    for a file that cannot be written.
+    """
+    path = check_figure_path(path)
+    with plain_style():
+        return save(coverage_figure(result), path)
+
+
+def coverage_figure(result: Result) -> Figure:
+    """The figure of `draw_coverage`; the same errors."""
+    curves = coverage_curves(result)
+    figure = new_figure(5.2, 4.3)
+    put_title(figure, series(result))
+    ax = axes_at(figure, 0.75, 0.75, 4.25, 2.95)
+    lowest = 1.0
+    for name, curve in curves.items():
+        colour, marker, dashes = _STYLE[name]
+        # A handful of answers say nothing about accuracy: the curve begins at one in a hundred.
+        shown = curve.coverage >= 0.01
+        ax.plot(
+            curve.coverage[shown], curve.accuracy[shown], linestyle=dashes, color=colour,
+            linewidth=1.5, label=name,
+        )  # fmt: skip
+        if shown.any():
+            lowest = min(lowest, float(curve.accuracy[shown].min()))
+        for below in MARKED:
+            coverage, accuracy = curve.at(below)
+            if coverage < 0.01 or np.isnan(accuracy):
+                continue
+            lowest = min(lowest, accuracy)
+            ax.plot(
+                [coverage], [accuracy], marker=marker, markersize=5.5, color=colour,
+                linestyle="none", zorder=3,
+            )  # fmt: skip
+            ax.annotate(
+                f"{below:g}", (coverage, accuracy), textcoords="offset points", xytext=(4, 5),
+                fontsize=8, color=INK,
+            )  # fmt: skip
+    margin = 0.08 * (1 - lowest) + 0.002
+    ax.set_xlim(-0.015, 1.06)
+    ax.set_ylim(max(0.0, lowest - margin), 1 + margin)
+    ax.set_xlabel("coverage: share of frames with an answer", fontsize=9)
+    ax.set_ylabel("share of answers that are right", fontsize=9)
+    ax.tick_params(labelsize=8.5)
+    ax.grid(color="#ececec", linewidth=0.6)
+    ax.set_axisbelow(True)
+    ax.legend(
+        loc="lower center", bbox_to_anchor=(0.5, 1.0), ncols=2, fontsize=8.5, frameon=False,
+        title="marked: unassigned_below", title_fontsize=8, borderaxespad=0.2,
+    )  # fmt: skip
+    return figure

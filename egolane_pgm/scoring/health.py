@@ -1,0 +1,82 @@
+"""Is the detector wrong in this frame? How well a score says so: the area under the ROC curve.
+
+Looked at are non-crossing frames in which the detector commits to a lane (its tentative vector has
+a unique maximum): that a detector which says nothing is no help is known without a model.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from egolane_pgm.scoring._checks import as_belief, as_lanes, as_mask, check_range
+from egolane_pgm.scoring.assign import assigned_lane
+from egolane_pgm.types import UNASSIGNED, BoolArray, FloatArray, InputError, IntArray
+
+
+@dataclass(frozen=True)
+class DetectorErrors:
+    """Where the detector alone is wrong.
+
+    assigned (T,): its lane, 0 for Unassigned. is_committed (T,): non-crossing frames with a lane.
+    is_scored (T,): non-crossing frames. is_wrong (T,): the lane is not the true one; Unassigned is
+    wrong too.
+    """
+
+    assigned: IntArray
+    is_committed: BoolArray
+    is_scored: BoolArray
+    is_wrong: BoolArray
+
+
+def detector_errors(
+    tentative: ArrayLike, lane: ArrayLike, is_crossing: ArrayLike
+) -> DetectorErrors:
+    """The errors of a tentative vector (T, n) against lane (T,) and is_crossing (T,).
+
+    Raises InputError for arrays that do not fit or lanes outside 1..n on a non-crossing frame.
+    """
+    values = as_belief(tentative, normalised=False)
+    n_frames, n_lanes = values.shape
+    actual = as_lanes(lane, n_frames)
+    is_scored = ~as_mask(is_crossing, n_frames)
+    check_range(actual, is_scored, 1, n_lanes, "ground truth")
+    assigned = assigned_lane(values)
+    is_committed = is_scored & (assigned != UNASSIGNED)
+    return DetectorErrors(assigned, is_committed, is_scored, assigned != actual)
+
+
+def doubt(belief: ArrayLike, assigned: ArrayLike) -> FloatArray:
+    """(T,): 1 - P(assigned lane), a health score: what a belief (T, n) makes of the lanes that
+    somebody else assigned (T,), 1..n; 1 where nothing is assigned (0)."""
+    values = as_belief(belief, normalised=True)
+    lanes = as_lanes(assigned, len(values), "assigned")
+    check_range(lanes, np.ones(len(lanes), dtype=bool), UNASSIGNED, values.shape[1], "assigned")
+    given = values[np.arange(len(values)), np.maximum(lanes, 1) - 1]
+    return np.asarray(1.0 - np.where(lanes == UNASSIGNED, 0.0, given))
+
+
+def roc_auc(score: ArrayLike, is_positive: ArrayLike) -> float:
+    """The area under the ROC curve: the probability that a positive frame has a larger score than
+    a negative one, ties counting half (Hanley & McNeil 1982).
+
+    score (T,), is_positive (T,). NaN without a positive or without a negative frame. Raises
+    InputError for arrays of different lengths, or NaN scores.
+    """
+    values = np.asarray(score, dtype=np.float64)
+    positive = as_mask(is_positive, np.size(score), "is_positive")
+    if values.shape != positive.shape:
+        raise InputError(f"score has shape {values.shape}, needs one number per frame")
+    if np.isnan(values).any():
+        raise InputError(f"score: frame {int(np.argmax(np.isnan(values)))} is NaN")
+    n_positive = int(positive.sum())
+    n_negative = len(values) - n_positive
+    if not n_positive or not n_negative:
+        return float("nan")
+    _, index, count = np.unique(values, return_inverse=True, return_counts=True)
+    # The mean rank of equal scores, counted from 1.
+    rank = np.cumsum(count) - (count - 1) / 2
+    total = float(rank[index][positive].sum())
+    return (total - n_positive * (n_positive + 1) / 2) / (n_positive * n_negative)

@@ -1,0 +1,232 @@
+"""What a study leaves behind, in one directory:
+
+study.json     schema_version, name, what was searched and how, data (path, sha256, bytes),
+               versions, git, best, pareto, in_sample, held_out, difference
+trials.csv     number, state, a column per score (in-sample) and per parameter; also .parquet
+best.yaml      the best parameters as an experiment for `egolane run`; best_<name>.yaml for
+               each of several recordings
+nested.json    what each study without one part came to, so that a repeated command goes on
+study.db       the trials in Optuna's format (or study.journal)
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import tempfile
+from collections.abc import Mapping, Sequence
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import yaml
+
+from egolane_pgm.experiment import Experiment, config_hash, resolved
+from egolane_pgm.provenance import file_sha256, git_state, versions
+from egolane_pgm.results import plain, write_json
+from egolane_pgm.tune.held_out import Nested
+from egolane_pgm.tune.objective import fitted_frames
+from egolane_pgm.tune.plan import Problem, parameters_at
+from egolane_pgm.tune.space import describe
+from egolane_pgm.types import InputError, Value
+
+if TYPE_CHECKING:
+    import optuna
+
+SCHEMA_VERSION = 1
+STUDY_FILE = "study.json"
+NESTED_FILE = "nested.json"
+PACKAGES = ("egolane-pgm", "numpy", "numba", "optuna", "cmaes", "rosbags")
+
+
+def identity_of(problem: Problem) -> dict[str, Any]:
+    """What makes two studies the same one; the number of trials may grow."""
+    tuning = problem.plan.tuning
+    recordings = []
+    for drive in problem.drives:
+        content = resolved(drive.experiment, {})
+        kept = ("n_lanes", "evidence", "graph", "filter", "evidence_reading")
+        recordings.append(
+            {
+                "name": drive.experiment.name,
+                **{key: content[key] for key in kept},
+                "recording": {k: v for k, v in content["recording"].items() if k != "path"},
+                "data": [file_sha256(path)[:16] for path in drive.recorded.files],
+            }
+        )
+    return {
+        "name": problem.plan.name,
+        "objective": list(problem.settings.objectives),
+        "sampler": problem.settings.sampler,
+        "seed": problem.settings.seed,
+        "from_scratch": tuning.from_scratch,
+        "space": {
+            "searched": describe(problem.space)["searched"],
+            "fixed": {
+                drive.experiment.name: describe(space)["fixed"]
+                for drive, space in zip(problem.drives, problem.spaces, strict=True)
+            },
+        },
+        "recordings": {r.pop("name"): r for r in recordings},
+    }
+
+
+def provenance(problem: Problem) -> dict[str, Any]:
+    """Resolved config, checksums, versions, commit."""
+    identity = identity_of(problem)
+    return {
+        "schema_version": SCHEMA_VERSION,
+        "kind": "tuning",
+        "name": problem.plan.name,
+        "description": problem.plan.description,
+        "run": problem.plan.run,
+        "config_hash": config_hash(_plain_json(identity)),
+        "tuning": {
+            **problem.plan.tuning.model_dump(mode="json"),
+            "objective": list(problem.settings.objectives),
+            "sampler": problem.settings.sampler,
+            "trials": problem.settings.trials,
+        },
+        "space": identity["space"],
+        "experiments": [resolved(d.experiment, d.model.parameters) for d in problem.drives],
+        "data": [
+            {"path": path.name, "sha256": file_sha256(path), "bytes": path.stat().st_size}
+            for drive in problem.drives
+            for path in drive.recorded.files
+        ],
+        "versions": versions(PACKAGES),
+        "git": git_state(),
+        "created": datetime.now(UTC).isoformat(timespec="seconds"),
+    }
+
+
+def write_trials(directory: Path, study: optuna.Study, objectives: Sequence[str]) -> None:
+    """trials.csv and trials.parquet; raises InputError where they cannot be written."""
+    import pyarrow as pa
+    from pyarrow import csv, parquet
+
+    trials = study.get_trials(deepcopy=False)
+    columns: dict[str, list[Any]] = {
+        "number": [t.number for t in trials],
+        "state": [t.state.name for t in trials],
+    }
+    for k, name in enumerate(objectives):
+        columns[f"{name}_in_sample"] = [None if t.values is None else t.values[k] for t in trials]
+    keys = dict.fromkeys(key for t in trials for key in t.params)
+    for key in keys:
+        columns[key] = [t.params.get(key) for t in trials]
+    table = pa.table(columns)
+
+    try:
+        for name, write in (
+            ("trials.csv", csv.write_csv),
+            ("trials.parquet", parquet.write_table),
+        ):
+            temporary = directory / f".{name}.part"
+            write(table, temporary)
+            os.replace(temporary, directory / name)
+    except OSError as error:
+        raise InputError(f"{directory}: cannot be written: {error.strerror or error}") from error
+
+
+def write_best(directory: Path, problem: Problem, point: Mapping[str, Any]) -> list[Path]:
+    """The best parameters as experiments that `egolane run` takes, one per recording."""
+    written = []
+    for drive, parameters in zip(problem.drives, parameters_at(problem, point), strict=True):
+        name = "best.yaml" if len(problem.drives) == 1 else f"best_{drive.experiment.name}.yaml"
+        path = directory / name
+        write_yaml(path, tuned_experiment(drive.experiment, parameters, problem))
+        written.append(path)
+    return written
+
+
+def tuned_experiment(
+    experiment: Experiment, parameters: Mapping[str, Value], problem: Problem
+) -> dict[str, Any]:
+    """The experiment with other parameters, as the keys of a YAML file that may lie anywhere."""
+    content = plain(resolved(experiment, parameters))
+    content["name"] = f"{experiment.name}_tuned"
+    scores = ", ".join(problem.settings.objectives)
+    what = f"parameters tuned for {scores}: {problem.settings.trials} trials"
+    if len(problem.drives) > 1:
+        what += f" on {len(problem.drives)} recordings, {problem.plan.name}"
+    content["description"] = "; ".join(part for part in (experiment.description, what) if part)
+    content["tuned_on"] = "same_frames"
+    for key in ("recording", "ground_truth"):
+        section = content[key]
+        if section and section["path"] and (experiment.folder / section["path"]).is_file():
+            section["path"] = str((experiment.folder / section["path"]).absolute())
+    for place, key in ((content, "evidence"), (content, "graph"), (content["recording"], "format")):
+        if str(place[key]).endswith(".py"):
+            place[key] = str((experiment.folder / place[key]).absolute())
+    return dict(content)
+
+
+def write_yaml(path: Path, content: Mapping[str, Any]) -> None:
+    """Write YAML as a whole or not at all. Raises InputError where it cannot be written."""
+    text = yaml.safe_dump(dict(content), sort_keys=False, allow_unicode=True)
+    try:
+        handle, temporary = tempfile.mkstemp(dir=path.parent, prefix=f".{path.name}.")
+        with os.fdopen(handle, "w", encoding="utf-8") as file:
+            file.write(text)
+        os.chmod(temporary, 0o644)
+        os.replace(temporary, path)
+    except OSError as error:
+        raise InputError(f"{path}: cannot be written: {error.strerror}") from error
+
+
+def nested_key(problem: Problem, by_recording: bool) -> dict[str, Any]:
+    """What the results of the nested studies depend on."""
+    return {
+        **_plain_json(identity_of(problem)),
+        "trials": problem.settings.trials,
+        "blocks": "recordings" if by_recording else problem.plan.tuning.blocks,
+        "never_fit": [
+            int((~fitted_frames(drive, problem.plan.tuning.never_fit)).sum())
+            for drive in problem.drives
+        ],
+    }
+
+
+def read_nested(directory: Path, key: Mapping[str, Any]) -> dict[int, Nested]:
+    """Nested studies that are done already, by part; none where they were others."""
+    try:
+        content = json.loads((directory / NESTED_FILE).read_text(encoding="utf-8"))
+    except (OSError, ValueError):
+        return {}
+    if content.get("key") != key:
+        return {}
+    return {
+        entry["part"]: Nested(
+            entry["part"], entry["point"], tuple(entry["values"]), entry["trials"]
+        )
+        for entry in content["parts"]
+    }
+
+
+def write_nested(directory: Path, key: Mapping[str, Any], done: Mapping[int, Nested]) -> None:
+    """Keep the nested studies that are done."""
+    parts = [
+        {"part": n.part, "point": n.point, "values": list(n.values), "trials": n.trials}
+        for _, n in sorted(done.items())
+    ]
+    write_json(directory / NESTED_FILE, {"key": key, "parts": parts})
+
+
+def read_study(directory: str | Path) -> dict[str, Any]:
+    """study.json of a directory. Raises InputError where there is none that this program reads."""
+    path = Path(directory) / STUDY_FILE
+    try:
+        content = json.loads(path.read_text(encoding="utf-8"))
+    except (OSError, ValueError) as error:
+        raise InputError(f"{directory}: is not the directory of a finished study") from error
+    if content.get("schema_version") != SCHEMA_VERSION:
+        raise InputError(
+            f"{path}: has schema version {content.get('schema_version')}, this program reads"
+            f" {SCHEMA_VERSION}; tune again"
+        )
+    return dict(content)
+
+
+def _plain_json(content: Mapping[str, Any]) -> Any:
+    return json.loads(json.dumps(plain(content)))

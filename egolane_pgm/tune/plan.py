@@ -1,0 +1,205 @@
+"""What is to be tuned: an experiment, or a tuning file that names one or several.
+
+    name: italy_all
+    description: one parameter set for all detectors in Italy
+    experiments: [../paper/run01_italy_ml.yaml, ../paper/run02_italy_sl.yaml]
+    tuning: {trials: 3000, parameters: {p1: 0.9}}
+
+With several experiments one parameter set is searched for all of them, each with equal weight.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+from pydantic import BaseModel, ConfigDict, Field
+
+from egolane_pgm.experiment import Experiment, Tuning, load_yaml, make_experiment, validated
+from egolane_pgm.model import declared_parameters
+from egolane_pgm.reproduce import experiments_folder, load_published, parameters_for
+from egolane_pgm.tune.objective import (
+    Drive,
+    check_objective,
+    load_drive,
+    scores_of,
+    shared_specs,
+)
+from egolane_pgm.tune.space import Point, SearchSpace, make_space, to_parameters, to_point
+from egolane_pgm.tune.study import TRIALS, Evaluate, Settings, check_sampler
+from egolane_pgm.types import BoolArray, FloatArray, InputError, Value, resolve_parameters
+
+
+class _TuningFile(BaseModel):
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+    name: str = Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9._-]*$")
+    description: str = ""
+    experiments: tuple[str, ...] = Field(min_length=1)
+    tuning: Tuning = Tuning()
+
+
+@dataclass(frozen=True)
+class Plan:
+    """A study to do. source: the YAML, for messages. run: number of the paper's run, or None."""
+
+    name: str
+    description: str
+    experiments: tuple[Experiment, ...]
+    tuning: Tuning
+    source: str
+
+    @property
+    def settings(self) -> Settings:
+        """How the study is run, checked."""
+        where = f"{self.source}: tuning"
+        names = tuple(check_objective(n, f"{where}.objective") for n in self.tuning.objective)
+        if len(set(names)) < len(names):
+            raise InputError(f"{where}.objective: a score is named twice")
+        sampler = check_sampler(self.tuning.sampler, names, f"{where}.sampler")
+        return Settings(names, sampler, self.tuning.trials or TRIALS, self.tuning.seed)
+
+    @property
+    def run(self) -> int | None:
+        """The paper's run that is tuned, if it is one."""
+        return paper_run(self.experiments[0]) if len(self.experiments) == 1 else None
+
+
+@dataclass(frozen=True)
+class Problem:
+    """A plan with its recordings read. spaces: per drive; their dimensions are the same, what is
+    kept may differ."""
+
+    plan: Plan
+    settings: Settings
+    drives: tuple[Drive, ...]
+    spaces: tuple[SearchSpace, ...]
+
+    @property
+    def space(self) -> SearchSpace:
+        """The dimensions that are searched."""
+        return self.spaces[0]
+
+
+def load_plan(path: str | Path, overrides: Sequence[str] = ()) -> Plan:
+    """Read an experiment or a tuning file. Raises InputError, one line, as `load_experiment`."""
+    path = Path(path)
+    content = load_yaml(path, overrides)
+    if "experiments" not in content:
+        experiment = make_experiment(content, path.parent, str(path))
+        tuning = experiment.tuning or Tuning()
+        return Plan(experiment.name, experiment.description, (experiment,), tuning, str(path))
+    given = validated(_TuningFile, content, str(path))
+    found = []
+    for entry in given.experiments:
+        place = path.parent / entry
+        found.append(make_experiment(load_yaml(place), place.parent, str(place)))
+    return Plan(given.name, given.description, tuple(found), given.tuning, str(path))
+
+
+def paper_plans(numbers: Sequence[int]) -> list[Plan]:
+    """The tuning files of the paper's runs."""
+    folder = experiments_folder() / "tuning"
+    return [load_plan(next(iter(sorted(folder.glob(f"run{n:02d}_*.yaml"))))) for n in numbers]
+
+
+def together(plans: Sequence[Plan]) -> Plan:
+    """One plan for the experiments of several; the tuning section is the first one's."""
+    names = [plan.name for plan in plans]
+    return Plan(
+        "+".join(names) if len("+".join(names)) < 100 else f"{names[0]}+{len(names) - 1}",
+        f"one parameter set for {', '.join(names)}",
+        tuple(e for plan in plans for e in plan.experiments),
+        plans[0].tuning,
+        plans[0].source,
+    )
+
+
+def with_options(plan: Plan, options: Mapping[str, Any]) -> Plan:
+    """The plan with the keys of its tuning section that are given (not None) replaced;
+    `parameters` are added one by one."""
+    content = plan.tuning.model_dump()
+    for key, value in options.items():
+        if key == "parameters":
+            content["parameters"] = {**content["parameters"], **value}
+        elif value is not None:
+            content[key] = value
+    return replace(plan, tuning=validated(Tuning, content, plan.source))
+
+
+def paper_run(experiment: Experiment) -> int | None:
+    """The number of the paper's run that an experiment is, by its name."""
+    match = re.fullmatch(r"run(\d\d)_(italy|spain)_[a-z]+", experiment.name)
+    return int(match.group(1)) if match and 1 <= int(match.group(1)) <= 10 else None
+
+
+def make_problem(plan: Plan) -> Problem:
+    """Read the recordings and make the search space.
+
+    Raises InputError for whatever does not fit: unknown names, bounds, other parameters in one of
+    the experiments, the same recording twice.
+    """
+    settings = plan.settings
+    drives = tuple(load_drive(experiment) for experiment in plan.experiments)
+    shared_specs(drives)
+    spaces = tuple(_space(plan, drive) for drive in drives)
+    for drive, space in zip(drives, spaces, strict=True):
+        if space.dimensions != spaces[0].dimensions:
+            raise InputError(
+                f"{drive.experiment.source}: has other lanes than"
+                f" {drives[0].experiment.source}: a parameter with one value per lane cannot be"
+                " shared; fix it, or tune them apart"
+            )
+    return Problem(plan, settings, drives, spaces)
+
+
+def _space(plan: Plan, drive: Drive) -> SearchSpace:
+    specs = declared_parameters(drive.model.rule, drive.model.graph)
+    where = f"{plan.source}: tuning.parameters"
+    return make_space(specs, drive.model.parameters, plan.tuning.parameters, drive.n_lanes, where)
+
+
+def parameters_at(problem: Problem, point: Point) -> list[dict[str, Value]]:
+    """Per drive, every declared parameter's value at a point."""
+    return [to_parameters(space, point) for space in problem.spaces]
+
+
+def evaluator(problem: Problem, is_used: Sequence[BoolArray]) -> Evaluate:
+    """The function of a study: scores of points over the frames that are used, per drive (K,)."""
+
+    def evaluate(points: Sequence[Point]) -> FloatArray:
+        sets = [[to_parameters(space, p) for p in points] for space in problem.spaces]
+        return scores_of(problem.drives, sets, is_used, problem.settings.objectives)
+
+    return evaluate
+
+
+def starting_points(problem: Problem) -> tuple[list[Point], list[str]]:
+    """What is tried first: the current values of each experiment, and for a run of the paper the
+    recovered and the published ones. And notes about those that the bounds leave out."""
+    if problem.plan.tuning.from_scratch:
+        return [], []
+    named: list[tuple[str, Mapping[str, Value]]] = []
+    for drive in problem.drives:
+        number = paper_run(drive.experiment)
+        if number is not None:
+            specs = declared_parameters(drive.model.rule, drive.model.graph)
+            known = {spec.name for spec in specs}
+            for which in ("recovered", "published"):
+                values = parameters_for(load_published()[number], which)
+                kept = {k: v for k, v in values.items() if k in known}
+                merged = {**drive.experiment.parameters, **kept}
+                named.append((which, resolve_parameters(specs, merged, drive.n_lanes)))
+        named.append(("current", drive.model.parameters))
+    points: list[Point] = []
+    notes = []
+    for which, parameters in named:
+        point = to_point(problem.space, parameters)
+        if point is None:
+            notes.append(f"the {which} values lie outside of the bounds and are not tried first")
+        elif point not in points:
+            points.append(point)
+    return points, notes

@@ -1,0 +1,302 @@
+"""The measurements themselves."""
+
+from __future__ import annotations
+
+import shutil
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Callable
+from pathlib import Path
+from statistics import median
+
+import numpy as np
+
+from egolane_pgm.evidence import counting
+from egolane_pgm.graphs import sensor_failure
+from egolane_pgm.inference.batch import confusions_many
+from egolane_pgm.inference.filtering import METHODS, filter_beliefs
+from egolane_pgm.inference.oracle import oracle_assumed_density
+from egolane_pgm.scoring._kernels import count_confusion
+from egolane_pgm.scoring.assign import assigned_lane
+from egolane_pgm.scoring.confusion import confusion
+from egolane_pgm.types import TIE_TOLERANCE, FloatArray, IntArray, resolve_parameters
+from tests.benchmarks import peers
+from tests.benchmarks.data import N_LANES, PARAMETERS, Data, load, parameter_sets
+from tests.benchmarks.timing import Row, machine, table, take_turns
+
+ROOT = Path(__file__).parents[2]
+EXPERIMENT = Path("experiments/paper/run01_italy_ml.yaml")
+N_SETS = 100
+PGMPY_FRAMES = 200
+NOTE = """\
+Every time ends with the belief over lanes, made from the evidence vectors; ours has the log
+evidence of each frame as well. Where confusions differ from dynamax's, it is that dynamax lifts
+probabilities below 1e-15 to that: hmmlearn and the NumPy twin agree with ours."""
+
+
+def run_all(rounds: int) -> str:
+    """Measure everything, print each row as it comes, and give the whole table back."""
+    data = load()
+    head = f"Measured on {data.source}.\n{machine()}.\n"
+    print(head, flush=True)
+    rows: list[Row] = []
+    for part in (
+        evidence_rows,
+        filter_rows,
+        exact_rows,
+        many_rows,
+        scoring_rows,
+        together_rows,
+        pgmpy_rows,
+        reading_rows,
+        command_rows,
+    ):
+        print(f"{part.__name__} ...", file=sys.stderr, flush=True)
+        rows += part(data, rounds)
+    text = f"{table(rows)}\n{NOTE}\n"
+    print(text)
+    return f"{head}\n{text}"
+
+
+def evidence_rows(data: Data, rounds: int) -> list[Row]:
+    def run(kernel: bool) -> FloatArray:
+        made = counting.evidence(data.log, N_LANES, data.counting, kernel=kernel)
+        return made.likelihoods["DetectorOutput"]
+
+    times = take_turns({"kernel": lambda: run(True), "twin": lambda: run(False)}, rounds)
+    return [
+        Row(
+            "evidence",
+            times["kernel"],
+            len(data.log),
+            "the NumPy twin",
+            times["twin"],
+            largest_difference(run(True), run(False)),
+        )
+    ]
+
+
+def filter_rows(data: Data, rounds: int) -> list[Row]:
+    rows = []
+    for method in METHODS:
+
+        def run(kernel: bool, method: str = method) -> FloatArray:
+            return filter_beliefs(data.compiled, data.evidence, method, kernel=kernel).lane
+
+        times = take_turns(
+            {"kernel": lambda run=run: run(True), "twin": lambda run=run: run(False)},
+            min(rounds, 5),
+        )
+        rows.append(
+            Row(
+                f"filter, {method}",
+                times["kernel"],
+                len(data.log),
+                "the NumPy twin",
+                times["twin"],
+                largest_difference(run(True), run(False)),
+            )
+        )
+    return rows
+
+
+def exact_rows(data: Data, rounds: int) -> list[Row]:
+    """One sequence. Ours is the whole call, with its checks and the log evidence of each frame."""
+
+    def ours() -> FloatArray:
+        return filter_beliefs(data.compiled, data.evidence, "exact").lane
+
+    others: dict[str, peers.Filter | None] = {
+        "hmmlearn, C++ forward pass on log likelihoods": peers.hmmlearn_log(
+            data.compiled, data.evidence
+        ),
+        "hmmlearn, C++ forward pass with scaling": peers.hmmlearn_scaling(
+            data.compiled, data.evidence
+        ),
+        "dynamax, jit": peers.dynamax_filter([data.compiled], data.evidence),
+    }
+    rows = []
+    for name, run in others.items():
+        times = take_turns({"ours": ours} | ({"theirs": run} if run else {}), rounds)
+        rows.append(
+            Row(
+                "filter, exact, 8 joint states",
+                times["ours"],
+                len(data.log),
+                name,
+                times.get("theirs"),
+                largest_difference(ours(), run()) if run else "",
+            )
+        )
+    return rows
+
+
+def many_rows(data: Data, rounds: int) -> list[Row]:
+    """100 parameter sets. Ours ends with their confusions (as a search does), and once more with
+    their beliefs over lanes, as the others do."""
+    models = parameter_sets(data.compiled, N_SETS)
+    lane, is_crossing = data.truth.lane, data.truth.is_crossing
+
+    def to_confusions() -> IntArray:
+        return confusions_many(models, data.evidence, lane, is_crossing, "exact")
+
+    def to_beliefs() -> FloatArray:
+        for model in models:
+            last = filter_beliefs(model, data.evidence, "exact").lane
+        return last
+
+    ours: dict[str, Callable[[], object]] = {"confusions": to_confusions, "beliefs": to_beliefs}
+    others: dict[str, Callable[[], object] | None] = {}
+    for name, make in (
+        ("hmmlearn, C++ forward pass on log likelihoods", peers.hmmlearn_log),
+        ("hmmlearn, C++ forward pass with scaling", peers.hmmlearn_scaling),
+    ):
+        runs = [make(model, data.evidence) for model in models]
+        others[name] = None if runs[0] is None else one_after_the_other(runs)
+    others["dynamax, jit of vmap"] = peers.dynamax_filter(models, data.evidence)
+    installed = {name: run for name, run in others.items() if run is not None}
+    times = take_turns(ours | installed, max(3, rounds // 4))
+
+    found = to_confusions()
+    rows = []
+    for name, run in others.items():
+        difference = ""
+        if run is not None:
+            theirs = [confusion(assigned_lane(b), lane, is_crossing, N_LANES) for b in run()]
+            differ = (np.stack(theirs) != found).any(axis=(1, 2))
+            difference = f"{differ.sum()} of {N_SETS} confusions"
+        for kind in ours:
+            rows.append(
+                Row(
+                    f"filter, exact, {N_SETS} parameter sets, to {kind}",
+                    times[kind],
+                    N_SETS * len(data.log),
+                    name,
+                    times.get(name),
+                    difference,
+                )
+            )
+    return rows
+
+
+def one_after_the_other(runs: list[peers.Filter | None]) -> Callable[[], object]:
+    """A function that calls each."""
+    return lambda: [run() for run in runs if run is not None]
+
+
+def scoring_rows(data: Data, rounds: int) -> list[Row]:
+    belief = np.ascontiguousarray(filter_beliefs(data.compiled, data.evidence).lane)
+    lane, is_crossing = data.truth.lane, data.truth.is_crossing
+
+    def ours() -> IntArray:
+        return one_pass(belief, lane, is_crossing)
+
+    def twin() -> IntArray:
+        return confusion(assigned_lane(belief), lane, is_crossing, N_LANES)
+
+    times = take_turns({"ours": ours, "twin": twin}, rounds)
+    return [
+        Row(
+            "confusion of one belief",
+            times["ours"],
+            len(belief),
+            "the NumPy functions",
+            times["twin"],
+            largest_difference(ours(), twin()),
+        )
+    ]
+
+
+def together_rows(data: Data, rounds: int) -> list[Row]:
+    lane, is_crossing = data.truth.lane, data.truth.is_crossing
+
+    def run() -> float:
+        evidence = counting.evidence(data.log, N_LANES, data.counting)
+        belief = filter_beliefs(data.compiled, evidence).lane
+        counts = one_pass(belief, lane, is_crossing)
+        return float(np.trace(counts) / counts.sum())
+
+    times = take_turns({"ours": run}, rounds)
+    return [Row("evidence, filter and accuracy together", times["ours"], len(data.log))]
+
+
+def pgmpy_rows(data: Data, rounds: int) -> list[Row]:
+    evidence = data.evidence.take(slice(0, PGMPY_FRAMES))
+    given = resolve_parameters(sensor_failure.PARAMETERS, PARAMETERS, N_LANES)
+    network = sensor_failure.build(N_LANES, given)
+
+    def theirs() -> FloatArray:
+        return oracle_assumed_density(
+            network, sensor_failure.HIDDEN, sensor_failure.OBSERVED, evidence
+        ).lane
+
+    def ours() -> FloatArray:
+        return filter_beliefs(data.compiled, evidence).lane
+
+    start = time.perf_counter()
+    expected = theirs()
+    their_time = time.perf_counter() - start
+    # Ours on the whole recording, per frame: on 200 frames nearly all of it is the call.
+    whole = take_turns({"ours": lambda: filter_beliefs(data.compiled, data.evidence)}, rounds)
+    return [
+        Row(
+            f"filter, assumed_density, {PGMPY_FRAMES} frames",
+            whole["ours"] / len(data.log) * PGMPY_FRAMES,
+            PGMPY_FRAMES,
+            "pgmpy, VariableElimination frame by frame",
+            their_time,
+            largest_difference(ours(), expected),
+        )
+    ]
+
+
+def reading_rows(data: Data, rounds: int) -> list[Row]:
+    if data.read is None:
+        return []
+    times = take_turns({"ours": data.read}, max(3, rounds // 4))
+    return [Row("reading the bag", times["ours"], len(data.log))]
+
+
+def command_rows(data: Data, rounds: int) -> list[Row]:
+    """Whole commands, each a new process; kernels are in the cache by then."""
+    command = shutil.which("egolane", path=str(Path(sys.executable).parent))
+    if command is None:
+        print("no `egolane` command in this environment: its times are left out")
+        return []
+    rows = [Row("`egolane --help`", process_time([command, "--help"], 7))]
+    if data.read is not None:
+        with tempfile.TemporaryDirectory() as folder:
+            out = str(Path(folder, "result"))
+            words = [command, "run", str(EXPERIMENT), "--no-figures", "--out", out]
+            if (
+                "--force"
+                in subprocess.run(
+                    [command, "run", "--help"], capture_output=True, text=True, check=True
+                ).stdout
+            ):
+                words.append("--force")
+            rows.append(Row(f"`egolane run {EXPERIMENT} --no-figures`", process_time(words, 5)))
+    return rows
+
+
+def process_time(words: list[str], times: int) -> float:
+    """The median wall time of a command, which is run once more before, in seconds."""
+    measured = []
+    for _ in range(times + 1):
+        start = time.perf_counter()
+        subprocess.run(words, cwd=ROOT, check=True, capture_output=True)
+        measured.append(time.perf_counter() - start)
+    return median(measured[1:])
+
+
+def one_pass(belief: FloatArray, lane: IntArray, is_crossing: np.ndarray) -> IntArray:
+    n_lanes = belief.shape[1]
+    counts = np.zeros((n_lanes + 1, n_lanes), dtype=np.int64)
+    count_confusion(belief, lane, is_crossing, TIE_TOLERANCE, counts)
+    return counts
+
+
+def largest_difference(a: np.ndarray, b: np.ndarray) -> str:
+    return f"{np.abs(np.asarray(a) - np.asarray(b)).max():.1g}"

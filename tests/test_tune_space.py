@@ -1,0 +1,119 @@
+"""The search space: what is declared, narrowed, fixed; and what is refused."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from egolane_pgm.evidence import counting
+from egolane_pgm.graphs import sensor_failure, wor_on_lane
+from egolane_pgm.model import declared_parameters
+from egolane_pgm.tune.space import (
+    SearchSpace,
+    describe,
+    differences,
+    from_unit,
+    make_space,
+    to_parameters,
+    to_point,
+    to_unit,
+)
+from egolane_pgm.types import InputError, resolve_parameters
+
+SPECS = declared_parameters(counting, sensor_failure)
+CURRENT = resolve_parameters(SPECS, {}, 3)
+
+
+def space(**given: Any) -> SearchSpace:
+    return make_space(SPECS, CURRENT, given, 3, "x.yaml: tuning.parameters")
+
+
+def test_the_authors_ranges_are_the_default() -> None:
+    ranges = describe(space())["searched"]
+    assert set(ranges) == {"sigma1", "sigma2", "p1", "p2", "p3", "p4", "bonus_value"}
+    assert 0 < ranges["sigma1"][0] < 1e-4
+    assert ranges["sigma1"][1] == 3
+    assert 0 < ranges["p1"][0] < 1e-5
+    assert 1 - 1e-5 < ranges["p1"][1] < 1
+    assert ranges["bonus_value"] == [0, 9]
+    assert {d.key for d in space().dimensions if d.is_integer} == {"bonus_value"}
+
+
+def test_bounds_narrow_and_values_fix() -> None:
+    found = space(sigma1=[0.1, 1.0], p1=0.9, bonus_value=[2, 4])
+    ranges = describe(found)
+    assert ranges["searched"]["sigma1"] == [0.1, 1.0]
+    assert ranges["searched"]["bonus_value"] == [2, 4]
+    assert "p1" not in ranges["searched"]
+    assert ranges["fixed"]["p1"] == 0.9
+
+
+def test_what_declares_no_bounds_is_searched_when_given_some() -> None:
+    assert "lane_width_m" not in space().keys
+    assert "lane_width_m" in space(lane_width_m=[3.0, 4.0]).keys
+
+
+def test_a_choice_is_searched_among_the_names_given() -> None:
+    found = space(normal=["density", "integral"])
+    points = from_unit(found, np.array([[0.01] * len(found), [0.99] * len(found)]))
+    assert [p["normal"] for p in points] == ["density", "integral"]
+
+
+def test_a_parameter_with_one_value_per_lane_has_a_dimension_per_lane() -> None:
+    specs = declared_parameters(counting, wor_on_lane)
+    found = make_space(specs, resolve_parameters(specs, {}, 3), {}, 3, "x")
+    assert {"p3[1]", "p3[2]", "p3[3]"} <= set(found.keys)
+    point = from_unit(found, np.full((1, len(found)), 0.25))[0]
+    assert to_parameters(found, point)["p3"] == pytest.approx((0.25, 0.25, 0.25), abs=1e-5)
+
+
+@pytest.mark.parametrize(
+    ("given", "message"),
+    [
+        ({"sigma_1": [0, 1]}, "unknown parameter 'sigma_1' \\(did you mean 'sigma1'\\?\\)"),
+        ({"sigma1": [1, 1]}, "sigma1: .* is empty"),
+        ({"sigma1": [2, 1]}, "sigma1: .* is inverted"),
+        ({"p1": [0.5, 1.5]}, "p1: 1.5 is not a probability"),
+        ({"sigma1": [-1, 1]}, "sigma1: -1 must be greater than 0"),
+        ({"p1": [0.1, 0.2, 0.3]}, "p1: .* must be \\[low, high\\]"),
+        ({"p1": ["a", "b"]}, "p1: 'a' is not a number"),
+        ({"bonus_value": [0.5, 3]}, "bonus_value: .* whole numbers"),
+        ({"normal": ["density"]}, "normal: .* leaves nothing to search"),
+        ({"normal": ["density", "densty"]}, "did you mean 'density'"),
+        (dict.fromkeys(("sigma1", "sigma2", "p1", "p2", "p3", "p4", "bonus_value"), 0.5), "to"),
+    ],
+)
+def test_bounds_that_make_no_sense_are_refused_with_their_name(
+    given: dict[str, Any], message: str
+) -> None:
+    with pytest.raises(InputError, match=message) as caught:
+        space(**given)
+    assert str(caught.value).startswith("x.yaml: tuning.parameters")
+    assert "\n" not in str(caught.value)
+
+
+@given(st.lists(st.floats(0, 1), min_size=8, max_size=8))
+def test_points_and_the_unit_cube_agree(unit: list[float]) -> None:
+    found = space(lane_width_m=[3.0, 4.0])
+    point = from_unit(found, np.array([unit]))[0]
+    again = to_unit(found, [point])
+    assert from_unit(found, again)[0] == pytest.approx(point, abs=1e-12)
+    assert to_point(found, to_parameters(found, point)) == point
+
+
+def test_a_point_outside_of_the_bounds_is_none() -> None:
+    parameters = {**CURRENT, "sigma1": 2.0}
+    assert to_point(space(), parameters) is not None
+    assert to_point(space(sigma1=[0.1, 1.0]), parameters) is None
+
+
+def test_differences_name_each_key_with_both_values() -> None:
+    before, now = describe(space()), describe(space(p1=0.9, sigma1=[0.1, 1.0]))
+    text = "; ".join(differences(before, now))
+    assert "fixed.p1: nothing, now 0.9" in text
+    assert "searched.sigma1: [3e-06, 3.0], now [0.1, 1.0]" in text
+    assert "sigma2" not in text
