@@ -12,7 +12,18 @@ import pytest
 import egolane_pgm
 
 ROOT = Path(__file__).parent.parent
-HEAVY = {"numpy", "pgmpy", "numba", "matplotlib", "cv2", "pyarrow", "rosbags", "scipy", "pandas"}
+HEAVY = {
+    "numpy",
+    "pgmpy",
+    "numba",
+    "matplotlib",
+    "cv2",
+    "pyarrow",
+    "rosbags",
+    "scipy",
+    "pandas",
+    "optuna",
+}
 
 
 def modules_after(code: str) -> set[str]:

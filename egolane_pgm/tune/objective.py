@@ -135,17 +135,29 @@ def belief_of(drive: Drive, parameters: Mapping[str, Value]) -> FloatArray:
     return np.asarray(beliefs.lane[drive.recorded.scored])
 
 
-def confusions_of(
-    drive: Drive, sets: Sequence[Mapping[str, Value]], is_used: BoolArray
-) -> IntArray:
-    """The confusion matrices (P, n + 1, n) of P parameter sets over the annotated frames that are
-    used (K,) and not crossing; the filter sees every frame."""
+@dataclass(frozen=True)
+class Labels:
+    """What the frames of a log are counted as: lane (T,), 1..n; is_left_out (T,): not annotated,
+    crossing, or not used."""
+
+    lane: IntArray
+    is_left_out: BoolArray
+
+
+def labels_of(drive: Drive, is_used: BoolArray) -> Labels:
+    """The labels of the annotated frames that are used (K,)."""
     is_scored = is_used & ~drive.truth.is_crossing
     rows = drive.recorded.scored[is_scored]
     lane = np.ones(len(drive.recorded.log), dtype=np.int64)
     lane[rows] = drive.truth.lane[is_scored]
     is_left_out = np.ones(len(lane), dtype=bool)
     is_left_out[rows] = False
+    return Labels(lane, is_left_out)
+
+
+def confusions_of(drive: Drive, sets: Sequence[Mapping[str, Value]], labels: Labels) -> IntArray:
+    """The confusion matrices (P, n + 1, n) of P parameter sets over the frames that are not left
+    out; the filter sees every frame."""
     groups: dict[int, tuple[Evidence, list[int]]] = {}
     for p, parameters in enumerate(sets):
         evidence = evidence_of(drive, parameters)
@@ -162,20 +174,20 @@ def confusions_of(
         method = drive.experiment.filter
         if n_many:
             counts[members[:n_many]] = confusions_many(
-                compiled[:n_many], evidence, lane, is_left_out, method
+                compiled[:n_many], evidence, labels.lane, labels.is_left_out, method
             )
         for p, network in zip(members[n_many:], compiled[n_many:], strict=True):
             belief = filter_beliefs(network, evidence, method).lane
-            counts[p] = _counted(belief, lane, is_left_out)
+            counts[p] = _counted(belief, labels)
     return counts
 
 
-def _counted(belief: FloatArray, lane: IntArray, is_left_out: BoolArray) -> IntArray:
+def _counted(belief: FloatArray, labels: Labels) -> IntArray:
     from egolane_pgm.scoring._kernels import count_confusion
 
     n_lanes = belief.shape[1]
     counts = np.zeros((n_lanes + 1, n_lanes), dtype=np.int64)
-    count_confusion(belief, lane, is_left_out, TIE_TOLERANCE, counts)
+    count_confusion(belief, labels.lane, labels.is_left_out, TIE_TOLERANCE, counts)
     return counts
 
 
@@ -184,15 +196,19 @@ def scores_of(
     sets: Sequence[Sequence[Mapping[str, Value]]],
     is_used: Sequence[BoolArray],
     objectives: Sequence[str],
+    labels: Sequence[Labels] | None = None,
 ) -> FloatArray:
     """(P, O): each objective of P parameter sets, the mean over the drives (equal weight each).
 
-    sets: per drive its P sets. is_used: per drive (K,), the frames that count.
+    sets: per drive its P sets. is_used: per drive (K,), the frames that count. labels: of these,
+    where they are at hand.
     """
+    if labels is None:
+        labels = [labels_of(d, used) for d, used in zip(drives, is_used, strict=True)]
     total = np.zeros((len(sets[0]), len(objectives)))
-    for drive, mine, used in zip(drives, sets, is_used, strict=True):
+    for drive, mine, used, label in zip(drives, sets, is_used, labels, strict=True):
         if any(name in CONFUSION_SCORES for name in objectives):
-            matrices = confusions_of(drive, mine, used)
+            matrices = confusions_of(drive, mine, label)
             for k, name in enumerate(objectives):
                 if name in CONFUSION_SCORES:
                     total[:, k] += CONFUSION_SCORES[name](matrices)

@@ -24,6 +24,7 @@ from egolane_pgm.reproduce import experiments_folder, load_published, parameters
 from egolane_pgm.tune.objective import (
     Drive,
     check_objective,
+    labels_of,
     load_drive,
     scores_of,
     shared_specs,
@@ -170,9 +171,11 @@ def parameters_at(problem: Problem, point: Point) -> list[dict[str, Value]]:
 def evaluator(problem: Problem, is_used: Sequence[BoolArray]) -> Evaluate:
     """The function of a study: scores of points over the frames that are used, per drive (K,)."""
 
+    labels = [labels_of(d, used) for d, used in zip(problem.drives, is_used, strict=True)]
+
     def evaluate(points: Sequence[Point]) -> FloatArray:
         sets = [[to_parameters(space, p) for p in points] for space in problem.spaces]
-        return scores_of(problem.drives, sets, is_used, problem.settings.objectives)
+        return scores_of(problem.drives, sets, is_used, problem.settings.objectives, labels)
 
     return evaluate
 

@@ -23,6 +23,7 @@ from egolane_pgm.scoring.assign import assigned_lane
 from egolane_pgm.scoring.confusion import confusion
 from egolane_pgm.types import TIE_TOLERANCE, FloatArray, IntArray, resolve_parameters
 from tests.benchmarks import peers
+from tests.benchmarks.bench_tune import markdown, tune_lines
 from tests.benchmarks.data import N_LANES, PARAMETERS, Data, load, parameter_sets
 from tests.benchmarks.timing import Row, machine, table, take_turns
 
@@ -55,7 +56,8 @@ def run_all(rounds: int) -> str:
     ):
         print(f"{part.__name__} ...", file=sys.stderr, flush=True)
         rows += part(data, rounds)
-    text = f"{table(rows)}\n{NOTE}\n"
+    print("tune_lines ...", file=sys.stderr, flush=True)
+    text = f"{table(rows)}\n{NOTE}\n\n{markdown(tune_lines())}\n"
     print(text)
     return f"{head}\n{text}"
 
@@ -270,13 +272,6 @@ def command_rows(data: Data, rounds: int) -> list[Row]:
         with tempfile.TemporaryDirectory() as folder:
             out = str(Path(folder, "result"))
             words = [command, "run", str(EXPERIMENT), "--no-figures", "--out", out]
-            if (
-                "--force"
-                in subprocess.run(
-                    [command, "run", "--help"], capture_output=True, text=True, check=True
-                ).stdout
-            ):
-                words.append("--force")
             rows.append(Row(f"`egolane run {EXPERIMENT} --no-figures`", process_time(words, 5)))
     return rows
 
