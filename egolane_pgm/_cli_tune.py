@@ -44,6 +44,7 @@ if TYPE_CHECKING:
 @click.option("--in-sample-only", is_flag=True, help="No nested studies: in-sample scores only.")
 @click.option("--together", is_flag=True, help="One parameter set for all the experiments.")
 @click.option("--out", default="results/tuning", show_default=True, help="A directory per study.")
+@click.option("--no-figures", is_flag=True, help="Do not draw figures/ in each study's directory.")
 @click.option(
     "--workers", type=click.IntRange(1), help="Processes that share the trials of one study."
 )
@@ -76,6 +77,7 @@ def tune(
     in_sample_only: bool,
     together: bool,
     out: str,
+    no_figures: bool,
     workers: int | None,
     jobs: int | None,
     style: str,
@@ -128,8 +130,17 @@ def tune(
     folders = ", ".join(str(study.directory) for study in studies[:3])
     if style == "markdown":
         click.echo(f"\nstudies: {folders}{', ...' if len(studies) > 3 else ''}; best.yaml: run it")
+    if not no_figures:
+        _draw([study.directory for study in studies])
     if json_file:
         write_json(Path(json_file), {"schema_version": SCHEMA_VERSION, "studies": documents})
+
+
+def _draw(directories: Sequence[Path]) -> None:
+    from egolane_pgm.report.tuning import draw_study
+
+    for directory in directories:
+        draw_study(directory)
 
 
 def _jobs(jobs: int | None, workers: int | None) -> int:

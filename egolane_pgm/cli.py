@@ -353,18 +353,29 @@ def _shown(path: Path) -> str:
 def plot(
     results: tuple[str, ...], frames: tuple[int, int] | None, out: str | None, style: str
 ) -> None:
-    """Draw the figures of result directories; several together make one dispersion sheet."""
+    """Draw the figures of result directories, and of those that `egolane tune` leaves; several
+    results together make one dispersion sheet."""
     from egolane_pgm.report.sheet import draw_standard, draw_together
+    from egolane_pgm.report.trials import is_study
+    from egolane_pgm.report.tuning import draw_study
+    from egolane_pgm.types import InputError
 
+    drives = [Path(path) for path in results if not is_study(path)]
+    if frames and len(drives) < len(results):
+        raise InputError("--frames: goes with results; the figures of a study have no frames")
     for path in results:
         folder = Path(path)
         target = Path(out) / folder.name if out and len(results) > 1 else Path(out or "")
         target = target if out else folder / "figures"
-        for file in draw_standard(folder, target, frames=frames, style=style):
+        if folder in drives:
+            files = draw_standard(folder, target, frames=frames, style=style)
+        else:
+            files = draw_study(folder, target, style=style)
+        for file in files:
             click.echo(file)
-    if len(results) > 1:
-        target = Path(out) if out else Path(results[0]).parent
-        for file in draw_together([Path(r) for r in results], target, style=style):
+    if len(drives) > 1:
+        target = Path(out) if out else drives[0].parent
+        for file in draw_together(drives, target, style=style):
             click.echo(file)
 
 

@@ -116,7 +116,7 @@ def test_bad_input_is_one_line_and_leaves_nothing(tmp_path: Path) -> None:
 
 
 def test_another_search_space_of_the_same_name_is_refused(tmp_path: Path) -> None:
-    words = (QUICKSTART, "--in-sample-only", "--trials", 9, "--out", tmp_path)
+    words = (QUICKSTART, "--in-sample-only", "--no-figures", "--trials", 9, "--out", tmp_path)
     assert tune(*words).exit_code == 0
     folder = tmp_path / "quickstart"
     before = {p.name: p.read_bytes() for p in folder.iterdir()}

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import threading
+import warnings
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from pathlib import Path
@@ -134,7 +135,10 @@ def list_files() -> tuple[DataFile, ...]:
 
 def download_folder() -> Path:
     """The user's cache folder for this package (XDG_CACHE_HOME is respected)."""
-    import pooch
+    with warnings.catch_warnings():
+        # In a notebook tqdm, which pooch imports, warns of widgets that nobody asked for.
+        warnings.simplefilter("ignore")
+        import pooch
 
     return Path(pooch.os_cache("egolane_pgm"))
 
