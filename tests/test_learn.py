@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 import pytest
 import yaml
+from conftest import needs_compiler
 from drives import command, done, refused, write_drive
 
 from egolane_pgm.evidence import line_geometry
@@ -75,6 +76,7 @@ def drawn_from(
     return offset, kind, lane
 
 
+@needs_compiler
 @pytest.mark.parametrize("strength", [0.0, 30.0, 1000.0])
 def test_every_iteration_increases_the_log_posterior(strength: float) -> None:
     offset, kind, lane = drawn_from(truth_model(), 300, seed=1)
@@ -84,6 +86,7 @@ def test_every_iteration_increases_the_log_posterior(strength: float) -> None:
     assert history[-1] > history[0] + 1
 
 
+@needs_compiler
 def test_em_finds_the_model_that_the_frames_were_drawn_from() -> None:
     true = truth_model()
     offset, kind, lane = drawn_from(true, 4000, seed=2)
@@ -141,6 +144,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return tmp_path_factory.mktemp("drive")
 
 
+@needs_compiler
 def test_only_the_labels_of_the_training_frames_are_looked_at(folder: Path) -> None:
     experiment, model, recorded = prepared(folder)
     truth = recorded.truth
@@ -163,6 +167,7 @@ def test_only_the_labels_of_the_training_frames_are_looked_at(folder: Path) -> N
         )
 
 
+@needs_compiler
 def test_learning_on_frames_without_some_lane_warns_and_keeps_its_prior(folder: Path) -> None:
     experiment, model, recorded = prepared(folder)
     assert recorded.truth is not None
@@ -176,6 +181,7 @@ def test_learning_on_frames_without_some_lane_warns_and_keeps_its_prior(folder: 
     assert np.abs(rates[0] - generic[0]).max() > 1e-3
 
 
+@needs_compiler
 def test_what_is_held_out_is_believed_with_parameters_of_the_other_blocks(folder: Path) -> None:
     experiment, model, recorded = prepared(folder)
     assert recorded.truth is not None
@@ -190,6 +196,7 @@ def test_what_is_held_out_is_believed_with_parameters_of_the_other_blocks(folder
     assert right[scored].mean() > 0.9
 
 
+@needs_compiler
 def test_learning_again_from_what_was_learned_gives_the_same(folder: Path) -> None:
     """The first guess is generic whatever the experiment holds, else blocks would leak."""
     experiment, model, recorded = prepared(folder)
@@ -203,6 +210,7 @@ def test_learning_again_from_what_was_learned_gives_the_same(folder: Path) -> No
         assert fit(prepare_model(again), recorded, everything, again) == found
 
 
+@needs_compiler
 def test_frames_that_are_never_fit_are_scored_apart(tmp_path: Path) -> None:
     path = write_drive(tmp_path, 600, **GEOMETRY, tuning={"never_fit": {"from_frame": 500}})
     experiment = load_experiment(path)
@@ -218,6 +226,7 @@ def test_frames_that_are_never_fit_are_scored_apart(tmp_path: Path) -> None:
     assert learned.scores_all["frames_scored"] == np.count_nonzero(~crossing)
 
 
+@needs_compiler
 def test_the_learned_experiment_can_be_run_and_says_what_it_has_seen(tmp_path: Path) -> None:
     write_drive(tmp_path, 600, **GEOMETRY)
     out = tmp_path / "learned_drive.yaml"
