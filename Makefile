@@ -22,9 +22,10 @@ check: .venv/.dev
 	$(BIN)/mypy
 	$(BIN)/lint-imports
 
-# The kernels as plain Python, so that their lines are seen too.
+# The kernels as plain Python, so that their lines are seen too; then what would take minutes so.
 coverage: .venv/.dev
 	NUMBA_DISABLE_JIT=1 $(BIN)/python -m coverage run -m pytest -q
+	$(BIN)/python -m coverage run --append -m pytest -q tests/test_compare.py tests/test_learn.py
 	$(BIN)/python -m coverage report
 
 bench: .venv/.bench

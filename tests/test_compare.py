@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 import pytest
 import yaml
+from conftest import needs_compiler
 from drives import done, refused, short_drive, write_drive
 
 from egolane_pgm import reproduce as paper
@@ -36,7 +37,10 @@ from egolane_pgm.tune.objective import Drive
 from egolane_pgm.types import InputError
 from egolane_pgm.validation import confusion_counts, paired_difference_interval
 
-pytestmark = pytest.mark.filterwarnings("ignore:.*no frame to learn from:UserWarning")
+pytestmark = [
+    pytest.mark.filterwarnings("ignore:.*no frame to learn from:UserWarning"),
+    needs_compiler,
+]
 
 N_FRAMES = 700
 TRIALS = 12
