@@ -123,7 +123,7 @@ def _run(
         if found is not None and (method == "exact" or len(compiled.state_nodes) <= 2):
             return _run_banded(compiled, found, evidence, method, state)
     blocks, start, emission = evidence_blocks(compiled, evidence)
-    input_index = _input_index(compiled, evidence)
+    input_index = joint_input(compiled, evidence)
     node_column, n_columns = node_columns(compiled)
     n_frames = len(evidence)
     joint = np.zeros(compiled.n_states) if state is None else state.joint.copy()
@@ -167,7 +167,7 @@ def _run_banded(
     marginals = np.empty((n_frames, found.n_columns))
     log_evidence = np.empty(n_frames)
     is_impossible = np.empty(n_frames, dtype=bool)
-    _check_keys(compiled, evidence)
+    check_keys(compiled, evidence)
     blocks = [_group_evidence(group, evidence.likelihoods) for group in compiled.groups]
     values = blocks[0] if len(blocks) == 1 else np.concatenate(blocks, axis=1)
     filter_banded(
@@ -184,7 +184,7 @@ def _run_banded(
         found.by_wide,
         found.by_others,
         found.by_both,
-        _input_index(compiled, evidence),
+        joint_input(compiled, evidence),
         found.group_start,
         np.ascontiguousarray(values, dtype=np.float64),
         marginals,
@@ -252,7 +252,7 @@ def evidence_blocks(
             "evidence read by Jeffrey's rule is no likelihood: only the filters exact and"
             " assumed_density take it; use evidence_reading soft or hard here"
         )
-    _check_keys(compiled, evidence)
+    check_keys(compiled, evidence)
     blocks = [
         np.ascontiguousarray(_group_evidence(group, evidence.likelihoods), dtype=np.float64)
         for group in compiled.groups
@@ -261,7 +261,8 @@ def evidence_blocks(
     return blocks, layout.start, layout.emission
 
 
-def _check_keys(compiled: Compiled, evidence: Evidence) -> None:
+def check_keys(compiled: Compiled, evidence: Evidence) -> None:
+    """Raise InputError, naming the node, where evidence and network do not fit each other."""
     observed, n_frames = compiled.observed, len(evidence)
     for key in observed:
         if key not in evidence.likelihoods:
@@ -300,7 +301,8 @@ def _group_evidence(group: Group, likelihoods: Mapping[Observed, FloatArray]) ->
     return product.reshape(n_frames, math.prod(group.sizes))
 
 
-def _input_index(compiled: Compiled, evidence: Evidence) -> IntArray:
+def joint_input(compiled: Compiled, evidence: Evidence) -> IntArray:
+    """(T,): which joint value of the input nodes each frame has; 0 without inputs."""
     if not compiled.inputs:
         return np.zeros(len(evidence), dtype=np.int64)
     if len(compiled.inputs) == 1:

@@ -27,8 +27,8 @@ from egolane_pgm.inference.compile import Compiled
 from egolane_pgm.inference.filtering import (
     FilterState,
     PosteriorEvidence,
-    _check_keys,
-    _input_index,
+    check_keys,
+    joint_input,
     node_columns,
 )
 from egolane_pgm.types import BoolArray, FloatArray, IntArray
@@ -43,7 +43,7 @@ def run_jeffrey(
 ) -> tuple[FloatArray, FloatArray, FloatArray, BoolArray]:
     """The filter's recursion: the joint belief after the last frame (S,), and for each frame the
     marginals (T, M), the log evidence and the flag (T,)."""
-    _check_keys(compiled, evidence)
+    check_keys(compiled, evidence)
     rows, is_said = _posterior_rows(compiled, evidence)
     start, group, value = _key_columns(compiled)
     node_column, n_columns = node_columns(compiled)
@@ -61,7 +61,7 @@ def run_jeffrey(
         method == "assumed_density",
         compiled.prior,
         compiled.transition,
-        _input_index(compiled, evidence),
+        joint_input(compiled, evidence),
         np.ascontiguousarray(np.concatenate([g.emission for g in compiled.groups], axis=1)),
         np.array([0, *accumulate(g.emission.shape[1] for g in compiled.groups)], dtype=np.int64),
         rows,

@@ -20,9 +20,9 @@ from egolane_pgm.inference.compile import Compiled
 from egolane_pgm.inference.filtering import (
     METHODS,
     FilterState,
-    _input_index,
     evidence_blocks,
     filter_beliefs,
+    joint_input,
     step,
 )
 from egolane_pgm.types import (
@@ -83,7 +83,7 @@ def smooth_beliefs(
     if kernel:
         from egolane_pgm.inference._kernels import smooth_frames as run
     smoothed = np.empty_like(filtered)
-    index = _input_index(compiled, evidence)
+    index = joint_input(compiled, evidence)
     run(filtered, likelihood, compiled.transition, index, smoothed)
     return replace(beliefs, marginals=node_marginals(compiled, smoothed))
 
@@ -105,7 +105,7 @@ def fixed_lag_beliefs(
     if kernel:
         from egolane_pgm.inference._kernels import fixed_lag_frames as run
     smoothed = np.empty_like(filtered)
-    index = _input_index(compiled, evidence)
+    index = joint_input(compiled, evidence)
     run(lag, filtered, likelihood, compiled.transition, index, smoothed)
     return replace(beliefs, marginals=node_marginals(compiled, smoothed))
 
@@ -152,7 +152,7 @@ def lag_step(
         last,
         last.joint[None],
         likelihood,
-        _input_index(compiled, evidence),
+        joint_input(compiled, evidence),
         beliefs.log_evidence,
         beliefs.is_impossible,
         1,

@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from egolane_pgm.inference.compile import Compiled
-from egolane_pgm.inference.filtering import _input_index, filter_beliefs
+from egolane_pgm.inference.filtering import filter_beliefs, joint_input
 from egolane_pgm.inference.smoothing import state_likelihood
 from egolane_pgm.types import (
     Beliefs,
@@ -85,7 +85,7 @@ def viterbi_path(
             from egolane_pgm.inference._kernels import best_path as run
         with np.errstate(divide="ignore"):
             tables = [np.log(a) for a in (compiled.prior, compiled.transition, likelihood)]
-        total = run(*tables, _input_index(compiled, evidence), states)
+        total = run(*tables, joint_input(compiled, evidence), states)
     values = {
         name: np.asarray(value[states])
         for name, value in zip(compiled.hidden, compiled.node_value, strict=True)

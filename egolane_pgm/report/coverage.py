@@ -8,9 +8,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from egolane_pgm.report.style import (
-    DETECTOR_COLOUR,
+    ANSWER_STYLE,
     INK,
-    MODEL_COLOUR,
     answers,
     axes_at,
     check_figure_path,
@@ -29,8 +28,6 @@ if TYPE_CHECKING:
 
 #: Values of `unassigned_below` that are marked on the curves.
 MARKED = (0.5, 0.9, 0.99)
-
-_STYLE = {"Detector only": (DETECTOR_COLOUR, "s", "--"), "Model": (MODEL_COLOUR, "o", "-")}
 
 
 def coverage_curves(result: Result) -> dict[str, CoverageCurve]:
@@ -66,7 +63,7 @@ def coverage_figure(result: Result) -> Figure:
     ax = axes_at(figure, 0.75, 0.75, 4.25, 2.95)
     lowest = 1.0
     for name, curve in curves.items():
-        colour, marker, dashes = _STYLE[name]
+        colour, marker, dashes = ANSWER_STYLE[name]
         # A handful of answers say nothing about accuracy: the curve begins at one in a hundred.
         shown = curve.coverage >= 0.01
         ax.plot(

@@ -9,10 +9,9 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from egolane_pgm.report.style import (
-    DETECTOR_COLOUR,
+    ANSWER_STYLE,
     FAINT,
     INK,
-    MODEL_COLOUR,
     answers,
     axes_at,
     check_figure_path,
@@ -36,8 +35,6 @@ if TYPE_CHECKING:
 
 #: A bin with fewer frames is drawn hollow: its accuracy says little.
 FEW_FRAMES = 30
-
-_STYLE = {"Detector only": (DETECTOR_COLOUR, "s", "--"), "Model": (MODEL_COLOUR, "o", "-")}
 
 
 @dataclass(frozen=True)
@@ -88,7 +85,7 @@ def reliability_figure(result: Result) -> Figure:
     edge = np.linspace(0, 1, N_BINS + 1)
     bar = 0.8 / (N_BINS * len(found))
     for k, (name, reliability) in enumerate(found.items()):
-        colour, marker, dashes = _STYLE[name]
+        colour, marker, dashes = ANSWER_STYLE[name]
         curve = reliability.curve
         filled = curve.count > 0
         upper.plot(

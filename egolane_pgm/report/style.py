@@ -23,6 +23,9 @@ INK, FAINT, CROSSING = "#222222", "#b8b8b8", "#8c8c8c"
 #: Detector and model wherever they share one pair of axes: Okabe and Ito's vermillion and blue.
 DETECTOR_COLOUR, MODEL_COLOUR = "#d55e00", "#0072b2"
 
+#: Colour, marker and line of who gives an answer.
+ANSWER_STYLE = {"Detector only": (DETECTOR_COLOUR, "s", "--"), "Model": (MODEL_COLOUR, "o", "-")}
+
 #: White to dark blue: lightness falls all the way, so it survives greyscale printing.
 PROBABILITY_COLOURS = ("#ffffff", "#bcd7ec", "#5fa5d6", "#0072b2", "#00355c")
 

@@ -213,20 +213,5 @@ def write_nested(directory: Path, key: Mapping[str, Any], done: Mapping[int, Nes
     write_json(directory / NESTED_FILE, {"key": key, "parts": parts})
 
 
-def read_study(directory: str | Path) -> dict[str, Any]:
-    """study.json of a directory. Raises InputError where there is none that this program reads."""
-    path = Path(directory) / STUDY_FILE
-    try:
-        content = json.loads(path.read_text(encoding="utf-8"))
-    except (OSError, ValueError) as error:
-        raise InputError(f"{directory}: is not the directory of a finished study") from error
-    if content.get("schema_version") != SCHEMA_VERSION:
-        raise InputError(
-            f"{path}: has schema version {content.get('schema_version')}, this program reads"
-            f" {SCHEMA_VERSION}; tune again"
-        )
-    return dict(content)
-
-
 def _plain_json(content: Mapping[str, Any]) -> Any:
     return json.loads(json.dumps(plain(content)))
