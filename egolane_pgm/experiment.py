@@ -32,7 +32,10 @@ Section = TypeVar("Section", bound=BaseModel)
 
 
 class Recording(_Section):
-    """Where the lines come from: a file (`path`) or a simulated drive (`simulate`)."""
+    """Where the lines come from: a file (`path`) or a simulated drive (`simulate`).
+
+    camera: the YAML file of the camera, for pictures and for lines given in pixels. detector: by
+    name, where `path` is a video or a folder of pictures; right: those of the second camera."""
 
     path: str | None = None
     format: str | None = None
@@ -48,6 +51,10 @@ class Recording(_Section):
     lri: Literal["as_recorded", "clip"] = "as_recorded"
     simulate: str | None = None
     seed: int = Field(default=0, ge=0)
+    camera: str | None = None
+    detector: str | None = None
+    detector_parameters: dict[str, Any] = Field(default_factory=dict)
+    right: str | None = None
 
     @model_validator(mode="after")
     def _one_source(self) -> Recording:

@@ -1,4 +1,5 @@
-"""Graphs, evidence rules and recording formats by name, or a file of one's own named in the YAML.
+"""Graphs, evidence rules, recording formats and detectors by name, or a file of one's own named in
+the YAML.
 
 A plugin is a module with the names that its folder's contract asks for (`build`, `evidence`, ...).
 The files of a folder whose name starts with `_` are not plugins.
@@ -24,6 +25,7 @@ CONTRACTS = {
     "graphs": ("build", "HIDDEN", "OBSERVED"),
     "evidence": ("evidence",),
     "recordings": ("read",),
+    "detectors": ("start", "STEREO"),
 }
 
 

@@ -1,0 +1,249 @@
+"""A camera over a flat road: where a point of the road is in the picture, and back.
+
+Vehicle coordinates, metres: x forward from the camera, y to the right (so that a line's y at x = 0
+is its offset, negative left), z up from the road. Picture coordinates, pixels: u to the right, v
+down. NumPy only: detectors look at real pictures through it, the simulation draws its own.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, fields, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from egolane_pgm.types import FloatArray, InputError, suggestion
+
+#: Rounds of the fixed-point iteration that takes lens distortion away.
+_ROUNDS = 20
+
+#: What a camera in a car can be; anything else is a wrong unit.
+_RANGES = {
+    "width": (16, 20_000, "pixels"),
+    "height": (16, 20_000, "pixels"),
+    "fx": (10, 100_000, "pixels"),
+    "fy": (10, 100_000, "pixels"),
+    "cx": (-20_000, 40_000, "pixels"),
+    "cy": (-20_000, 40_000, "pixels"),
+    "height_m": (0.2, 10, "metres above the road"),
+    "pitch_deg": (-60, 60, "degrees, up is positive"),
+    "yaw_deg": (-60, 60, "degrees, right is positive"),
+    "roll_deg": (-60, 60, "degrees, clockwise is positive"),
+    "lateral_m": (-5, 5, "metres right of the vehicle's middle"),
+    "baseline_m": (0.01, 5, "metres between the two cameras"),
+}
+
+
+@dataclass(frozen=True)
+class Camera:
+    """A calibrated camera.
+
+    width, height: of the picture, pixels. fx, fy, cx, cy: pinhole, pixels. distortion: OpenCV's
+    k1, k2, p1, p2, k3. height_m: above the road. pitch_deg: upwards, yaw_deg: to the right of the
+    direction of travel, roll_deg: clockwise. lateral_m: right of the vehicle's middle.
+    baseline_m: of a rectified stereo pair, the second camera that far to the right of this one;
+    None for a single camera.
+
+    Raises InputError, naming the key, for a value that no camera in a car has.
+    """
+
+    width: int
+    height: int
+    fx: float
+    fy: float
+    cx: float
+    cy: float
+    height_m: float
+    pitch_deg: float = 0.0
+    yaw_deg: float = 0.0
+    roll_deg: float = 0.0
+    lateral_m: float = 0.0
+    distortion: tuple[float, float, float, float, float] = (0.0, 0.0, 0.0, 0.0, 0.0)
+    baseline_m: float | None = None
+
+    def __post_init__(self) -> None:
+        for name, (low, high, unit) in _RANGES.items():
+            value = getattr(self, name)
+            if value is None and name == "baseline_m":
+                continue
+            _check_number(name, value)
+            if not low <= value <= high:
+                raise InputError(f"{name}: {value} is not between {low} and {high} ({unit})")
+        for name in ("width", "height"):
+            if getattr(self, name) != int(getattr(self, name)):
+                raise InputError(f"{name}: {getattr(self, name)} is not a whole number of pixels")
+        if not isinstance(self.distortion, tuple) or len(self.distortion) != 5:
+            raise InputError("distortion: needs the five numbers k1, k2, p1, p2, k3")
+        for value in self.distortion:
+            _check_number("distortion", value)
+
+
+def _check_number(name: str, value: object) -> None:
+    if isinstance(value, bool) or not isinstance(value, (int, float)) or not math.isfinite(value):
+        raise InputError(f"{name}: {value!r} is not a finite number")
+
+
+def axes(camera: Camera) -> FloatArray:
+    """(3, 3): the directions right, down and forward of the camera, one per row, in vehicle
+    coordinates (x forward, y right, z up)."""
+    pitch, yaw, roll = np.deg2rad([camera.pitch_deg, camera.yaw_deg, camera.roll_deg])
+    forward = np.array(
+        [math.cos(pitch) * math.cos(yaw), math.cos(pitch) * math.sin(yaw), math.sin(pitch)]
+    )
+    level = np.array([-math.sin(yaw), math.cos(yaw), 0.0])
+    down = np.array(
+        [math.sin(pitch) * math.cos(yaw), math.sin(pitch) * math.sin(yaw), -math.cos(pitch)]
+    )
+    right = math.cos(roll) * level + math.sin(roll) * down
+    return np.stack([right, math.cos(roll) * down - math.sin(roll) * level, forward])
+
+
+def matrix(camera: Camera) -> FloatArray:
+    """(3, 3): the pinhole matrix."""
+    return np.array(
+        [[camera.fx, 0.0, camera.cx], [0.0, camera.fy, camera.cy], [0.0, 0.0, 1.0]],
+        dtype=np.float64,
+    )
+
+
+def road_homography(camera: Camera) -> FloatArray:
+    """(3, 3): takes (x, y, 1) on the road to the undistorted picture, homogeneous (u w, v w, w)
+    with w > 0 in front of the camera."""
+    to_camera = axes(camera)
+    position = np.array([0.0, camera.lateral_m, camera.height_m])
+    columns = np.stack([to_camera[:, 0], to_camera[:, 1], -to_camera @ position], axis=1)
+    homography: FloatArray = matrix(camera) @ columns
+    return homography
+
+
+def road_to_image(
+    camera: Camera, x: ArrayLike, y: ArrayLike, z: ArrayLike = 0.0, *, undistorted: bool = False
+) -> tuple[FloatArray, FloatArray]:
+    """The pixels u, v of points x, y, z (metres; any shapes that broadcast); NaN behind the camera.
+    undistorted: in the picture freed of lens distortion."""
+    x, y, z = np.broadcast_arrays(*(np.asarray(a, dtype=np.float64) for a in (x, y, z)))
+    relative = np.stack([x, y - camera.lateral_m, z - camera.height_m], axis=-1) @ axes(camera).T
+    with np.errstate(divide="ignore", invalid="ignore"):
+        ahead = np.where(relative[..., 2] > 1e-9, relative[..., 2], np.nan)
+        a, b = relative[..., 0] / ahead, relative[..., 1] / ahead
+    if not undistorted:
+        a, b = _distort(camera, a, b)
+    return camera.fx * a + camera.cx, camera.fy * b + camera.cy
+
+
+def image_to_road(
+    camera: Camera, u: ArrayLike, v: ArrayLike, *, undistorted: bool = False
+) -> tuple[FloatArray, FloatArray]:
+    """The road point x, y (metres) under pixels u, v; NaN at the horizon and above.
+    undistorted: the pixels are of the picture freed of lens distortion."""
+    u, v = np.broadcast_arrays(np.asarray(u, dtype=np.float64), np.asarray(v, dtype=np.float64))
+    a, b = (u - camera.cx) / camera.fx, (v - camera.cy) / camera.fy
+    if not undistorted:
+        a, b = _undistort(camera, a, b)
+    ray = np.stack([a, b, np.ones_like(a)], axis=-1) @ axes(camera)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        reach = np.where(ray[..., 2] < -1e-9, -camera.height_m / ray[..., 2], np.nan)
+    return reach * ray[..., 0], camera.lateral_m + reach * ray[..., 1]
+
+
+def vanishing_point(camera: Camera) -> tuple[float, float]:
+    """Where lines along the direction of travel meet in the undistorted picture, pixels."""
+    right, down, forward = axes(camera)[:, 0]
+    return camera.cx + camera.fx * right / forward, camera.cy + camera.fy * down / forward
+
+
+def with_vanishing_point(camera: Camera, u: float, v: float) -> Camera:
+    """The camera turned, its roll kept, so that straight-ahead lines meet at (u, v) of the
+    undistorted picture."""
+    roll = math.radians(camera.roll_deg)
+    a, b = (u - camera.cx) / camera.fx, (v - camera.cy) / camera.fy
+    # In the camera without roll the ahead direction is (-tan yaw / cos pitch, tan pitch).
+    level_a = math.cos(roll) * a - math.sin(roll) * b
+    level_b = math.sin(roll) * a + math.cos(roll) * b
+    pitch = math.atan(level_b)
+    yaw = math.atan(-level_a * math.cos(pitch))
+    return replace(camera, pitch_deg=math.degrees(pitch), yaw_deg=math.degrees(yaw))
+
+
+def _distort(camera: Camera, a: FloatArray, b: FloatArray) -> tuple[FloatArray, FloatArray]:
+    k1, k2, p1, p2, k3 = camera.distortion
+    square = a * a + b * b
+    radial = 1 + square * (k1 + square * (k2 + square * k3))
+    return (
+        a * radial + 2 * p1 * a * b + p2 * (square + 2 * a * a),
+        b * radial + p1 * (square + 2 * b * b) + 2 * p2 * a * b,
+    )
+
+
+def _undistort(camera: Camera, a: FloatArray, b: FloatArray) -> tuple[FloatArray, FloatArray]:
+    if not any(camera.distortion):
+        return a, b
+    k1, k2, p1, p2, k3 = camera.distortion
+    free_a, free_b = a, b
+    for _ in range(_ROUNDS):
+        square = free_a * free_a + free_b * free_b
+        radial = 1 + square * (k1 + square * (k2 + square * k3))
+        shift_a = 2 * p1 * free_a * free_b + p2 * (square + 2 * free_a * free_a)
+        shift_b = p1 * (square + 2 * free_b * free_b) + 2 * p2 * free_a * free_b
+        free_a, free_b = (a - shift_a) / radial, (b - shift_b) / radial
+    return free_a, free_b
+
+
+def camera_content(camera: Camera) -> dict[str, Any]:
+    """The camera as the keys of a YAML file."""
+    content = {f.name: getattr(camera, f.name) for f in fields(camera)}
+    content["distortion"] = list(camera.distortion)
+    if camera.baseline_m is None:
+        del content["baseline_m"]
+    return content
+
+
+def camera_from(content: Mapping[str, Any], where: str) -> Camera:
+    """A camera from the keys of a YAML file; InputError starting with `where`."""
+    known = [f.name for f in fields(Camera)]
+    for key in content:
+        if key not in known:
+            raise InputError(f"{where}: unknown key '{key}'{suggestion(str(key), known)}")
+    for key in ("width", "height", "fx", "fy", "cx", "cy", "height_m"):
+        if key not in content:
+            raise InputError(f"{where}: {key}: is missing")
+    values = dict(content)
+    if isinstance(values.get("distortion"), list):
+        values["distortion"] = tuple(values["distortion"])
+    try:
+        return Camera(**values)
+    except InputError as error:
+        raise InputError(f"{where}: {error}") from None
+
+
+def read_camera(path: str | Path) -> Camera:
+    """The camera of a YAML file. Raises InputError, one line that names file and key."""
+    import yaml
+
+    path = Path(path)
+    try:
+        content = yaml.safe_load(path.read_text(encoding="utf-8"))
+    except (OSError, UnicodeDecodeError) as error:
+        reason = getattr(error, "strerror", None) or error
+        raise InputError(f"{path}: cannot be read: {reason}") from error
+    except yaml.YAMLError as error:
+        raise InputError(f"{path}: is not YAML: {' '.join(str(error).split())}") from error
+    if not isinstance(content, dict):
+        raise InputError(f"{path}: needs the keys of a camera, e.g. 'height_m: 1.3'")
+    return camera_from(content, str(path))
+
+
+def write_camera(path: str | Path, camera: Camera, comment: str = "") -> None:
+    """Write a camera as YAML, its comment (how it was calibrated) above it."""
+    import yaml
+
+    above = "".join(f"# {line}\n" for line in comment.splitlines())
+    text = yaml.safe_dump(camera_content(camera), sort_keys=False, default_flow_style=None)
+    try:
+        Path(path).write_text(above + text, encoding="utf-8")
+    except OSError as error:
+        raise InputError(f"{path}: cannot be written: {error.strerror}") from error

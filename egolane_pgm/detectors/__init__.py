@@ -1,0 +1,93 @@
+"""Camera pictures in, lines out (the red box): one file per detector.
+
+A detector is a module with
+
+- `STEREO`: whether it needs pictures of two cameras;
+- `PARAMETERS`: a tuple of `Parameter`, every constant that it has;
+- `start(camera, parameters) -> step`: makes what a drive needs once, and gives a function from one
+  `Picture` to its `FrameLines`, called frame by frame in order, that keeps its tracks to itself.
+
+Modules whose name starts with `_` are what the detectors share.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from egolane_pgm.types import BoolArray, FloatArray, InputError, LineLog
+
+Image = NDArray[np.uint8]
+
+
+@dataclass(frozen=True)
+class Picture:
+    """One frame: image (H, W, 3), blue green red; right: the second camera's, rectified."""
+
+    frame_id: int
+    image: Image
+    right: Image | None = None
+
+
+@dataclass(frozen=True)
+class FrameLines:
+    """The L lines of one frame, left to right.
+
+    shape (L, 4): y(x) = s0 + s1 x + s2 x^2 / 2 + s3 x^3 / 6, metres to the right at x metres ahead
+    (offset, heading, curvature and its rate: a clothoid; straight lines have s2 = s3 = 0).
+    is_valid, is_continuous (L,). lri (L,): detections in the last frames.
+    """
+
+    shape: FloatArray
+    is_valid: BoolArray
+    is_continuous: BoolArray
+    lri: FloatArray
+
+    def __post_init__(self) -> None:
+        n_lines = len(self.shape)
+        if self.shape.shape != (n_lines, 4):
+            raise InputError(f"lines: shape is {self.shape.shape}, needs (L, 4)")
+        for name in ("is_valid", "is_continuous", "lri"):
+            if getattr(self, name).shape != (n_lines,):
+                raise InputError(f"lines: {name} needs one value for each of {n_lines} lines")
+
+    @property
+    def offset_m(self) -> FloatArray:
+        """(L,): metres, negative left."""
+        return self.shape[:, 0]
+
+
+Step = Callable[[Picture], FrameLines]
+
+
+def as_log(
+    frames: Iterable[tuple[int, FrameLines]], frame_rate: float, source: str = "detector"
+) -> LineLog:
+    """The lines of a drive, frame by frame, as a LineLog."""
+    ids, lines = [], []
+    for number, found in frames:
+        ids.append(number)
+        lines.append(found)
+    n_lines = max((len(found.lri) for found in lines), default=0)
+
+    def table(name: str, blank: float | bool) -> NDArray[Any]:
+        rows = np.full((len(lines), n_lines), blank)
+        for row, found in zip(rows, lines, strict=True):
+            values = getattr(found, name)
+            row[: len(values)] = values
+        return rows
+
+    frame_id = np.array(ids, dtype=np.int64)
+    return LineLog(
+        frame_id,
+        frame_id / frame_rate,
+        table("offset_m", np.nan),
+        table("is_valid", False),
+        table("is_continuous", False),
+        table("lri", np.nan),
+        source=source,
+    )
