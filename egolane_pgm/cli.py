@@ -5,17 +5,19 @@ from __future__ import annotations
 import os
 import sys
 import warnings
-from collections.abc import Callable
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import click
 
-from egolane_pgm import __version__, _cli_compare, _cli_learn, _cli_recordings, _cli_tune
-
-if TYPE_CHECKING:
-    from egolane_pgm.experiment import Experiment
-    from egolane_pgm.run import Run
+from egolane_pgm import (
+    __version__,
+    _cli_compare,
+    _cli_learn,
+    _cli_recordings,
+    _cli_run,
+    _cli_tune,
+)
 
 
 class _Group(click.Group):
@@ -82,23 +84,6 @@ _numpy = click.option(
 )
 
 
-def _recording_options(command: Callable[..., Any]) -> Callable[..., Any]:
-    for option in (
-        click.option("--recording", metavar="FILE", help="Run on this recording instead."),
-        click.option(
-            "--ground-truth", metavar="FILE|none", help="Annotation of the recording, if any."
-        ),
-        click.option("--n-lanes", type=int, help="Number of lanes of the road."),
-        click.option(
-            "--frame-id",
-            type=click.Choice(["way_id", "seq"]),
-            help="Which number of a bag's messages is the frame id.",
-        ),
-    ):
-        command = option(command)
-    return command
-
-
 @egolane.command("ls")
 def list_experiments() -> None:
     """List graphs, evidence rules, simulated drives and the experiments that come along."""
@@ -133,89 +118,6 @@ def validate(experiments: tuple[str, ...], overrides: tuple[str, ...]) -> None:
         check_sources(experiment)
         states = model.compiled.n_states
         click.echo(f"{path}: ok ({experiment.n_lanes} lanes, {states} joint states)")
-
-
-@egolane.command()
-@_experiment
-@_set
-@_recording_options
-@click.option("--out", type=click.Path(file_okay=False), help="Result directory.")
-@click.option("--no-figures", is_flag=True, help="Draw nothing.")
-@_numpy
-@_json
-def run(
-    experiment: str,
-    overrides: tuple[str, ...],
-    recording: str | None,
-    ground_truth: str | None,
-    n_lanes: int | None,
-    frame_id: str | None,
-    out: str | None,
-    no_figures: bool,
-    use_numpy: bool,
-    json_file: str | None,
-) -> None:
-    """Run an experiment: filter its recording, score it, write a result directory."""
-    from egolane_pgm.results import SCHEMA_VERSION, check_place, check_writable, write_json
-    from egolane_pgm.run import run_experiment, save_run, summary
-
-    chosen = _load(experiment, overrides, recording, ground_truth, n_lanes, frame_id)
-    directory = Path(out) if out else Path("results") / chosen.name
-    check_writable(directory)
-    if json_file:
-        check_place(Path(json_file))
-    done = run_experiment(chosen, kernel=not use_numpy)
-    draw = None if no_figures else _draw_all
-    save_run(done, directory, draw)
-    _print_run(done)
-    click.echo(f"\nresult: {directory}")
-    if json_file:
-        write_json(Path(json_file), {"schema_version": SCHEMA_VERSION, **summary(done)})
-
-
-def _load(
-    path: str,
-    overrides: tuple[str, ...],
-    recording: str | None,
-    ground_truth: str | None,
-    n_lanes: int | None,
-    frame_id: str | None,
-) -> Experiment:
-    from egolane_pgm.experiment import load_experiment, with_recording
-
-    found = load_experiment(path, overrides)
-    if recording is None and ground_truth is None and n_lanes is None and frame_id is None:
-        return found
-    return with_recording(found, recording, ground_truth, n_lanes, frame_id)
-
-
-def _draw_all(directory: Path) -> None:
-    from egolane_pgm.report.sheet import draw_standard
-
-    draw_standard(directory)
-
-
-def _print_run(done: Run) -> None:
-    from egolane_pgm.report.tables import TUNED_ON, confusion_table, scores_table
-
-    for note in done.notes:
-        click.echo(f"warning: {note}", err=True)
-    experiment = done.experiment
-    click.echo(
-        f"{experiment.name}: {len(done.beliefs)} frames, {experiment.n_lanes} lanes,"
-        f" graph {experiment.graph}, mean log evidence {done.beliefs.mean_log_evidence:.4f}"
-    )
-    if not experiment.is_causal:
-        later = "all later" if experiment.lag is None else f"the next {experiment.lag}"
-        click.echo(f"{experiment.filter}: not causal, a frame's belief uses {later} frames too")
-    if not done.scores:
-        click.echo("no ground truth: beliefs only, no scores (--ground-truth names a file)")
-        return
-    click.echo(f"{done.scores['model']['frames_scored']} frames scored (crossing ones are not);")
-    click.echo(f"parameters: {TUNED_ON[experiment.tuned_on]}\n")
-    click.echo(scores_table(done.scores))
-    for name, scores in done.scores.items():
-        click.echo("\n" + confusion_table(scores["confusion"], name))
 
 
 @egolane.command()
@@ -404,6 +306,7 @@ for _command in (
     _cli_recordings.convert,
     _cli_recordings.simulate,
     _cli_recordings.online,
+    _cli_run.run,
     _cli_tune.tune,
 ):
     egolane.add_command(_command)

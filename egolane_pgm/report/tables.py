@@ -99,6 +99,19 @@ def scores_table(scores: Mapping[str, Mapping[str, Any]]) -> str:
     return markdown(["score", *columns], rows)
 
 
+def runs_table(summaries: Sequence[Mapping[str, Any]]) -> str:
+    """Markdown: one row per run (as `run.summary`), detector beside model."""
+    header = ["run", "frames", "scored", "detector", "model", "F1", "log-loss", "parameters"]
+    rows = []
+    for found in summaries:
+        detector, model = found.get("detector"), found.get("model")
+        scores = [number(s["accuracy"]) if s else "" for s in (detector, model)]
+        scores += [number(model[key]) if model else "" for key in ("f1", "log_loss")]
+        frames = [str(found["frames"]), str(found["frames_scored"])]
+        rows.append([found["name"], *frames, *scores, found["tuned_on"] if model else ""])
+    return markdown(header, rows)
+
+
 def confusion_table(matrix: Sequence[Sequence[int]], header: str = "predicted") -> str:
     """Markdown: rows predicted lane (then Unassigned), columns actual lane, with totals."""
     n = len(matrix[0])
