@@ -35,7 +35,8 @@ class Recording(_Section):
     """Where the lines come from: a file (`path`) or a simulated drive (`simulate`).
 
     camera: the YAML file of the camera, for pictures and for lines given in pixels. detector: by
-    name, where `path` is a video or a folder of pictures; right: those of the second camera."""
+    name, where `path` is a video or a folder of pictures; right: those of the second camera.
+    options: further options of the format's reader, such as `valid: always` for labels."""
 
     path: str | None = None
     format: str | None = None
@@ -55,6 +56,7 @@ class Recording(_Section):
     detector: str | None = None
     detector_parameters: dict[str, Any] = Field(default_factory=dict)
     right: str | None = None
+    options: dict[str, Any] = Field(default_factory=dict)
 
     @model_validator(mode="after")
     def _one_source(self) -> Recording:
@@ -114,6 +116,43 @@ class Tuning(_Section):
         return self
 
 
+class Choice(_Section):
+    """What `fit: choose` chooses from, and with the help of what.
+
+    grid: per parameter its values. objective: what is chosen by. cautious: one of these parameters,
+    whose earlier values are kept unless a later one is better by a standard error. recordings:
+    experiments, files beside the YAML, whose labels help to choose; those of the stretch that is
+    scored are not looked at."""
+
+    grid: dict[str, tuple[Any, ...]] = Field(min_length=1)
+    objective: Literal["accuracy", "log_loss"] = "accuracy"
+    cautious: str | None = None
+    recordings: tuple[str, ...] = ()
+
+    @model_validator(mode="after")
+    def _fits_together(self) -> Choice:
+        for name, values in self.grid.items():
+            if not values or any(values.count(value) > 1 for value in values):
+                raise ValueError(f"grid.{name}: needs values, each once")
+        if self.cautious is not None and self.cautious not in self.grid:
+            raise ValueError(
+                f"cautious: '{self.cautious}' is not in the grid"
+                f"{suggestion(self.cautious, self.grid)}"
+            )
+        return self
+
+
+class Learning(_Section):
+    """How the tables of a graph are learned (EM). labels: whether lanes are looked at. strength:
+    what the starting tables are worth, frames per row. tables: nodes whose tables are learned,
+    default all that can be. iterations: at most so many."""
+
+    labels: bool = True
+    strength: float = Field(default=100.0, gt=0, allow_inf_nan=False)
+    tables: tuple[str, ...] | None = None
+    iterations: int = Field(default=200, ge=1)
+
+
 class Experiment(_Section):
     """One experiment. `tuned_on` says what the parameters have seen, for the scores' honesty:
     the frames that are scored (`same_frames`: in-sample), others only, or none."""
@@ -140,9 +179,14 @@ class Experiment(_Section):
         allow_inf_nan=False,
         description="no lane is answered where the largest probability is less",
     )
-    fit: Literal["none", "learn", "tune"] = Field(
+    fit: Literal["none", "learn", "tune", "choose"] = Field(
         default="none", description="how `compare` finds parameters without the block it scores"
     )
+    learned_on: tuple[str, ...] = Field(
+        default=(), description="with fit: learn, experiments whose recordings are learned from"
+    )
+    learning: Learning | None = None
+    choice: Choice | None = None
     parameters: dict[str, Any] = Field(default_factory=dict)
     tuned_on: Literal["same_frames", "other_frames", "not_tuned", "unknown"] = "unknown"
     tuning: Tuning | None = None
@@ -225,9 +269,13 @@ def validated(model: type[Section], content: Mapping[str, Any], source: str) -> 
         raise InputError(f"{source}: {_first_problem(error, model)}") from None
 
 
+#: Keys that say how parameters are found; what they do is in the parameters.
+_FITTING = {"tuning", "fit", "learned_on", "learning", "choice"}
+
+
 def resolved(experiment: Experiment, parameters: Mapping[str, Any]) -> dict[str, Any]:
     """Every key with its value, defaults included, ready for YAML or JSON."""
-    content = experiment.model_dump(mode="json", exclude={"tuning", "fit"})
+    content = experiment.model_dump(mode="json", exclude=_FITTING)
     content["parameters"] = {
         name: list(value) if isinstance(value, tuple) else value
         for name, value in sorted(parameters.items())
@@ -246,11 +294,17 @@ def with_recording(
     ground_truth: str | None,
     n_lanes: int | None,
     frame_id: str | None = None,
+    camera: str | None = None,
+    detector: str | None = None,
 ) -> Experiment:
     """The experiment on another recording. What belongs to the old recording (frame range, seed,
-    ground truth and its extra rows) does not carry over, nor do `format`, `topic` and `frame_id`
-    where the extension of the file is another one; `ground_truth` may be "none"."""
+    ground truth and its extra rows) does not carry over, nor do `format`, `topic`, `frame_id`,
+    `camera`, `detector` and its parameters where the extension of the file is another one;
+    `ground_truth` may be "none". camera, detector: for a video or pictures."""
     content = experiment.model_dump()
+    if "frame_rate" not in experiment.recording.model_fields_set:
+        # A video may tell its own.
+        del content["recording"]["frame_rate"]
     if experiment.recording.simulate is not None and recording is None and ground_truth == "none":
         raise InputError(
             f"{experiment.source}: --ground-truth none: a simulated drive brings its own;"
@@ -259,7 +313,8 @@ def with_recording(
     if recording is not None:
         kept = {"frame_rate", "missing_frames", "lri"}
         if Path(recording).suffix == Path(experiment.recording.path or "").suffix:
-            kept |= {"format", "topic", "frame_id"}
+            kept |= {"format", "topic", "frame_id", "options"}
+            kept |= {"camera", "detector", "detector_parameters"}
         content["recording"] = {k: v for k, v in content["recording"].items() if k in kept}
         content["recording"]["path"] = str(Path(recording).absolute())
         content["ground_truth"] = None
@@ -270,6 +325,13 @@ def with_recording(
         )
     if frame_id is not None:
         content["recording"]["frame_id"] = frame_id
+    if camera is not None:
+        content["recording"]["camera"] = str(Path(camera).absolute())
+    if detector is not None:
+        is_own = detector.endswith(".py")
+        if detector != content["recording"].get("detector"):
+            content["recording"].pop("detector_parameters", None)
+        content["recording"]["detector"] = str(Path(detector).absolute()) if is_own else detector
     if ground_truth is not None:
         content["ground_truth"] = (
             None if ground_truth == "none" else {"path": str(Path(ground_truth).absolute())}
@@ -311,7 +373,13 @@ def _first_problem(error: ValidationError, model: type[BaseModel]) -> str:
     where = ".".join(str(part) for part in problem["loc"])
     if problem["type"] == "extra_forbidden":
         section: Any = model
-        sections = {"recording": Recording, "ground_truth": GroundTruth, "tuning": Tuning}
+        sections: dict[str, Any] = {
+            "recording": Recording,
+            "ground_truth": GroundTruth,
+            "tuning": Tuning,
+            "choice": Choice,
+            "learning": Learning,
+        }
         for part in problem["loc"][:-1]:
             section = sections.get(str(part), section)
         *above, key = (str(part) for part in problem["loc"])

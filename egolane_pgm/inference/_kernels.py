@@ -249,3 +249,96 @@ def jeffrey_frames(
                 for h in range(n_persistent):
                     product *= marginals[t, node_column[h, s]]
                 joint[s] = product
+
+
+@njit(cache=True, fastmath={"reassoc", "contract"})
+def _add_moves(
+    filtered: FloatArray, transition: FloatArray, weight: FloatArray, moves: FloatArray
+) -> None:
+    """Add P(state before, state now | all evidence) to `moves` (S, S). weight (S,): the likelihood
+    of the evidence of this frame and of all later ones, given the state, up to a factor."""
+    n_states = filtered.shape[0]
+    total = 0.0
+    for r in range(n_states):
+        onward = 0.0
+        for s in range(n_states):
+            onward += transition[r, s] * weight[s]
+        total += filtered[r] * onward
+    if total > TINY:
+        for r in range(n_states):
+            share = filtered[r] / total
+            for s in range(n_states):
+                moves[r, s] += share * transition[r, s] * weight[s]
+        return
+    # Each factor is a number, their product is not: add logarithms.
+    log_move = np.full((n_states, n_states), -np.inf)
+    for r in range(n_states):
+        for s in range(n_states):
+            if filtered[r] > 0.0 and transition[r, s] > 0.0 and weight[s] > 0.0:
+                log_move[r, s] = (
+                    math.log(filtered[r]) + math.log(transition[r, s]) + math.log(weight[s])
+                )
+    largest = log_move.max()
+    if largest == -np.inf:
+        return
+    share = np.exp(log_move - largest)
+    moves += share / share.sum()
+
+
+@njit(cache=True)
+def expect_frames(
+    prior: FloatArray,
+    transition: FloatArray,
+    input_index: IntArray,
+    is_first: BoolArray,
+    likelihood: FloatArray,
+    smoothed: FloatArray,
+    first: FloatArray,
+    moves: FloatArray,
+    log_evidence: FloatArray,
+    is_impossible: BoolArray,
+) -> None:
+    """Forward-backward over sequences that lie one behind the other, with what EM counts.
+
+    prior (U, S), transition (U, S, S), input_index (T,): which of them leads into the frame.
+    is_first (T,): a sequence begins. likelihood (T, S): of each frame's evidence, any scale; in
+    frames that are impossible it is set to one. Written: smoothed (T, S), log_evidence (T,) with
+    the likelihoods as given, 0 in impossible frames. Added to: first (S,), the states of first
+    frames, and moves (S, S), the pairs of a state and the next one.
+    """
+    n_frames, n_states = likelihood.shape
+    filtered = np.zeros((n_frames, n_states))
+    for t in range(n_frames):
+        u = input_index[t]
+        before = 0.0
+        total = 0.0
+        if is_first[t]:
+            filtered[t] = prior[u]
+        else:
+            for r in range(n_states):
+                for s in range(n_states):
+                    filtered[t, s] += filtered[t - 1, r] * transition[u, r, s]
+        for s in range(n_states):
+            before += filtered[t, s]
+            total += filtered[t, s] * likelihood[t, s]
+        is_impossible[t] = not total > 0.0
+        log_evidence[t] = 0.0
+        if total > 0.0:
+            log_evidence[t] = math.log(total)
+        else:
+            likelihood[t] = 1.0
+            total = before
+        for s in range(n_states):
+            filtered[t, s] *= likelihood[t, s] / total
+    ahead = np.ones(n_states)
+    weight = np.empty(n_states)
+    for t in range(n_frames - 1, -1, -1):
+        _combine(filtered[t], ahead, smoothed[t])
+        if is_first[t]:
+            for s in range(n_states):
+                first[s] += smoothed[t, s]
+                ahead[s] = 1.0
+        else:
+            into = transition[input_index[t]]
+            _look_ahead(filtered[t - 1], into, likelihood[t], ahead, weight)
+            _add_moves(filtered[t - 1], into, weight, moves)

@@ -53,7 +53,8 @@ class Compiled:
     whose values, first slowest, number the joint states. cardinality: of every node.
     node_value (H, S): the value of each hidden node in each joint state.
     inputs: input nodes, first slowest in U. prior (U, S): the first frame before its evidence.
-    transition (U, S, S): row is the state before. groups: the emissions.
+    transition (U, S, S): row is the state before. groups: the emissions. places: per table where
+    its entries go.
     """
 
     hidden: tuple[str, ...]
@@ -64,7 +65,7 @@ class Compiled:
     prior: FloatArray
     transition: FloatArray
     groups: tuple[Group, ...]
-    _plan: Mapping[SliceNode, _Placement]
+    places: Mapping[SliceNode, Placement]
     _functions: Mapping[SliceNode, Table]
 
     @property
@@ -79,7 +80,7 @@ class Compiled:
 
 
 @dataclass(frozen=True)
-class _Placement:
+class Placement:
     """Where a conditional table goes: `indices` (one broadcastable array per axis of the table,
     parents first, node last) select its entries for the array that `kind` names."""
 
@@ -115,7 +116,7 @@ def with_tables(compiled: Compiled, tables: Iterable[Table]) -> Compiled:
     for name, s in by_node:
         if name not in compiled.cardinality:
             raise InputError(f"{name}: the compiled network has no such node (slice {s})")
-    for node, place in compiled._plan.items():
+    for node, place in compiled.places.items():
         if node not in by_node:
             raise InputError(f"{node[0]}: no table for slice {node[1]}")
         by_node[node] = table = _aligned(by_node[node], place)
@@ -133,7 +134,7 @@ def with_tables(compiled: Compiled, tables: Iterable[Table]) -> Compiled:
     return replace(compiled, prior=prior, transition=transition, groups=groups)
 
 
-def _aligned(table: Table, place: _Placement) -> Table:
+def _aligned(table: Table, place: Placement) -> Table:
     """The table with its parents in the order of the compiled one."""
     if table.parents != place.parents and set(table.parents) == set(place.parents):
         order = [table.parents.index(p) for p in place.parents]
@@ -160,7 +161,7 @@ def _assemble(roles: Roles, tables: Mapping[SliceNode, Table]) -> Compiled:
         digits = np.indices(sizes).reshape(len(sizes), -1)
         input_value = dict(zip(roles.inputs, digits, strict=True))
 
-    plan: dict[SliceNode, _Placement] = {}
+    plan: dict[SliceNode, Placement] = {}
     for name in roles.state:
         for s, kind in ((0, "prior"), (1, "transition")):
             table = tables[name, s]
@@ -173,7 +174,7 @@ def _assemble(roles: Roles, tables: Mapping[SliceNode, Table]) -> Compiled:
                     before = s == 1 and node_slice == 0
                     shape = (1, -1) if s == 0 else (1, -1, 1) if before else (1, 1, -1)
                     indices.append(roles.values[node].reshape(shape))
-            plan[name, s] = _Placement(kind, -1, table.parents, table.values.shape, tuple(indices))
+            plan[name, s] = Placement(kind, -1, table.parents, table.values.shape, tuple(indices))
     for g, group in enumerate(groups):
         column = dict(
             zip(group.nodes, np.indices(group.sizes).reshape(len(group.sizes), -1), strict=True)
@@ -186,7 +187,7 @@ def _assemble(roles: Roles, tables: Mapping[SliceNode, Table]) -> Compiled:
                 column[node][None, :] if node in column else roles.values[node][:, None]
                 for node, _ in (*table.parents, (name, 1))
             ]
-            plan[name, 1] = _Placement(
+            plan[name, 1] = Placement(
                 "emission", g, table.parents, table.values.shape, tuple(indices)
             )
     blank = Compiled(
@@ -244,7 +245,7 @@ def _fill(
     transition = np.ones_like(compiled.transition)
     emissions = [group.mask.copy() for group in compiled.groups]
     target = {"prior": prior, "transition": transition}
-    for node, place in compiled._plan.items():
+    for node, place in compiled.places.items():
         array = emissions[place.group] if place.kind == "emission" else target[place.kind]
         array *= tables[node].values[place.indices]
     return prior, transition, emissions

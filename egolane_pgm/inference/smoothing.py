@@ -235,8 +235,8 @@ def state_likelihood(
     log_scale = np.zeros(len(evidence))
     for group, block in zip(compiled.groups, blocks, strict=True):
         # Scaled before and after: neither the likelihoods nor their product may underflow.
-        shares, log_largest = _over_largest(block)
-        factor, log_factor = _over_largest(shares @ group.emission.T)
+        shares, log_largest = over_largest(block)
+        factor, log_factor = over_largest(shares @ group.emission.T)
         likelihood *= factor
         log_scale += log_largest + log_factor
     likelihood[is_ignored] = 1.0
@@ -244,7 +244,7 @@ def state_likelihood(
     return likelihood, log_scale
 
 
-def _over_largest(rows: FloatArray) -> tuple[FloatArray, FloatArray]:
+def over_largest(rows: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Rows (T, K) over their largest entry, and its logarithm (T,); zeros stay as they are."""
     largest = rows.max(axis=1, initial=0.0)
     largest[~(largest > 0)] = 1.0

@@ -1,0 +1,118 @@
+"""What was learned as files: a new experiment, and its graph where tables were learned."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import yaml
+
+from egolane_pgm.experiment import Experiment, load_experiment, resolved
+from egolane_pgm.learn.graph_file import graph_yaml
+from egolane_pgm.learn.learning import Learned
+from egolane_pgm.learn.tables import PREFIX, found_tables, settings
+from egolane_pgm.model import declared_parameters, prepare_model
+from egolane_pgm.plugins import OWN_FILES
+from egolane_pgm.results import check_place
+from egolane_pgm.types import InputError
+
+
+def output_files(experiment: Experiment, target: Path) -> list[Path]:
+    """The files that `write_learned` may write: the experiment, and a graph. Raises InputError
+    where that is not possible."""
+    files = [target, target.with_name(f"{target.stem}.graph.yaml")]
+    for file in files:
+        check_place(file)
+    if target.resolve() == Path(experiment.source).resolve():
+        raise InputError(f"{target}: is the experiment itself; name another file with --out")
+    return files
+
+
+def write_learned(experiment: Experiment, learned: Learned, target: Path) -> list[Path]:
+    """Write the learned experiment to `target`, and beside it, where tables were learned, the
+    graph `<its name>.graph.yaml`; the files that were written.
+
+    What the new experiment says of its scores is that they are in-sample where it is run on the
+    same recording. Raises InputError where a file cannot be written.
+    """
+    tables = {k: v for k, v in learned.parameters.items() if k.startswith(PREFIX)}
+    files = output_files(experiment, target)[: 2 if tables else 1]
+    content = _experiment_yaml(experiment, learned, target, bool(tables))
+    source = Path(experiment.source).name
+    heading = f"# Learned by `egolane learn {source}` from all labelled frames of its recording\n"
+    left_out = "# (labels of crossing ones and the frames of tuning.never_fit left out).\n"
+    if tables:
+        how = "lines and labels" if settings(experiment).labels else "lines alone, no labels"
+        if not settings(experiment).labels:
+            heading = (
+                f"# Learned by `egolane learn {source}` from its recording, no label looked at\n"
+            )
+            left_out = "# (the frames of tuning.never_fit left out).\n"
+        say = f"tables of {experiment.graph}, learned from {how}, of {_recording(experiment)}"
+        graph = graph_yaml(learned.model, found_tables(learned.model, tables, experiment), say)
+        _write(files[1], f"# Learned by `egolane learn {source}`.\n", graph)
+        content["graph"] = f"./{files[1].name}"
+        content["description"] = f"{experiment.description}; tables learned from {how}".lstrip("; ")
+    _write(target, heading + left_out, content)
+    # It must be an experiment that can be run.
+    prepare_model(load_experiment(target))
+    return files
+
+
+def _write(path: Path, heading: str, content: Mapping[str, Any]) -> None:
+    text = yaml.safe_dump(dict(content), sort_keys=False, default_flow_style=None, width=100)
+    try:
+        path.write_text(heading + text, encoding="utf-8")
+    except OSError as error:
+        raise InputError(f"{path}: cannot be written: {error.strerror}") from error
+
+
+def _recording(experiment: Experiment) -> str:
+    recording = experiment.recording
+    return Path(recording.path).name if recording.path else f"{recording.simulate}"
+
+
+def _experiment_yaml(
+    experiment: Experiment, learned: Learned, target: Path, has_tables: bool
+) -> dict[str, Any]:
+    model = learned.model
+    of_rule = {p.name for p in getattr(model.rule, "PARAMETERS", ())}
+    found = {k: v for k, v in learned.parameters.items() if not k.startswith(PREFIX)}
+    given = (
+        {k: v for k, v in model.parameters.items() if k in of_rule}
+        if has_tables
+        else (experiment.parameters)
+    )
+    content = resolved(experiment, {**given, **found})
+    for section in ("recording", "ground_truth"):
+        if content[section] is not None:
+            content[section] = {k: v for k, v in content[section].items() if v not in (None, [])}
+    content["name"] = target.stem
+    content["description"] = experiment.description.replace(
+        "generic constants", "learned from its labels"
+    )
+    content["tuned_on"] = "same_frames"
+    if experiment.tuning is not None:
+        content["tuning"] = experiment.tuning.model_dump(mode="json", exclude_defaults=True)
+    for spec in declared_parameters(model.rule, model.graph):
+        value = content["parameters"].get(spec.name)
+        if spec.shape is not None and isinstance(value, list):
+            rows = np.array([float(f"{v:.4g}") for v in value])
+            content["parameters"][spec.name] = rows.reshape(spec.shape(experiment.n_lanes)).tolist()
+    for place, key in (("recording", "path"), ("ground_truth", "path"), ("recording", "format")):
+        if content[place] and content[place].get(key):
+            content[place][key] = _from(target.parent, content[place][key], experiment.folder)
+    for key in ("evidence", "graph"):
+        if content[key].endswith(OWN_FILES):
+            content[key] = _from(target.parent, content[key], experiment.folder)
+    return content
+
+
+def _from(folder: Path, name: str, old: Path) -> str:
+    """A file that is named relative to the old experiment's folder, named relative to another."""
+    if not (old / name).is_file() or folder.resolve() == old.resolve():
+        return name
+    return os.path.relpath((old / name).resolve(), folder.resolve())
