@@ -29,6 +29,12 @@ TITLES = {"accuracy": "Accuracy", "f1": "F1 (mean over lanes)", "log_loss": "Log
     show_default=True,
     help="The paper's, for --graphs and --with-paper.",
 )
+@click.option(
+    "--learned-on",
+    multiple=True,
+    metavar="RUNS|YAML,...",
+    help="Learn from these recordings instead, several pooled; a column for each time it is given.",
+)
 @click.option("--health", is_flag=True, help="How well each tells that the detector is wrong.")
 @click.option("--blocks", type=click.IntRange(2), default=5, show_default=True)
 @click.option("--trials", type=click.IntRange(1), help="Of each block's search (fit: tune).")
@@ -41,6 +47,9 @@ TITLES = {"accuracy": "Accuracy", "f1": "F1 (mean over lanes)", "log_loss": "Log
     default="markdown",
     show_default=True,
 )
+@click.option(
+    "--out", type=click.Path(file_okay=False), help="Keep a result directory for each recording."
+)
 @click.option("--figure", type=click.Path(dir_okay=False), metavar="FILE", help="Draw accuracy.")
 @click.option("--json", "json_file", type=click.Path(dir_okay=False), metavar="FILE")
 def compare(
@@ -50,12 +59,14 @@ def compare(
     held_out: bool,
     with_paper: bool,
     which: str,
+    learned_on: tuple[str, ...],
     health: bool,
     blocks: int,
     trials: int | None,
     jobs: int,
     overrides: tuple[str, ...],
     style: str,
+    out: str | None,
     figure: str | None,
     json_file: str | None,
 ) -> None:
@@ -72,27 +83,30 @@ def compare(
 
     if experiments and graphs:
         raise InputError("compare: name experiments, or graphs with --graphs, not both")
+    if learned_on and not experiments:
+        raise InputError("--learned-on: goes with experiments")
     if with_paper and not (experiments and runs):
         raise InputError("--with-paper: goes with experiments and --runs")
     if figure:
         from egolane_pgm.report.style import check_figure_path
 
         check_figure_path(figure)
-    for file in (json_file, figure):
+    for file in (json_file, figure, out):
         if file:
             check_place(Path(file))
     names = [n.strip() for n in (graphs or DEFAULT_GRAPHS).split(",") if n.strip()]
     if not experiments and not held_out:
-        if health or overrides or trials or figure or style != "markdown":
+        if health or overrides or trials or figure or out or style != "markdown":
             raise InputError(
-                "compare: --health, --set, --trials, --figure and --format go with experiments or"
-                " with --held-out"
+                "compare: --health, --set, --trials, --figure, --out and --format go with"
+                " experiments or with --held-out"
             )
         _in_sample(names, parse_runs(runs or "1-10"), which, json_file)
         return
     numbers = parse_runs(runs) if runs else None
-    groups = _groups(experiments, names, numbers, with_paper, which, overrides)
-    _held_out(groups, Options(blocks, trials, health), jobs, style, figure, json_file)
+    groups = _groups(experiments, names, numbers, with_paper, which, learned_on, overrides)
+    options = Options(blocks, trials, health, Path(out) if out else None)
+    _held_out(groups, options, jobs, style, figure, json_file)
 
 
 def _groups(
@@ -101,9 +115,11 @@ def _groups(
     numbers: Sequence[int] | None,
     with_paper: bool,
     which: str,
+    learned_on: Sequence[str],
     overrides: Sequence[str],
 ) -> list[Group]:
     from egolane_pgm.compare.comparing import by_recording, graphs_on_runs, on_runs
+    from egolane_pgm.compare.elsewhere import learned_elsewhere
     from egolane_pgm.experiment import load_experiment
     from egolane_pgm.types import InputError
 
@@ -112,6 +128,8 @@ def _groups(
             raise InputError("--set: goes with experiments, not with --graphs")
         return graphs_on_runs(graphs, numbers or range(1, 11), "tune")
     models = [load_experiment(path, overrides) for path in experiments]
+    if learned_on:
+        models = learned_elsewhere(models, learned_on, numbers is not None)
     if numbers is None:
         return by_recording(models)
     return on_runs(models, numbers, with_paper=with_paper, which=which)
@@ -128,16 +146,27 @@ def _held_out(
     from tqdm import tqdm
 
     from egolane_pgm.compare import tables as rows_of
+    from egolane_pgm.compare.choice import distinct, known_losses, plan, try_all
     from egolane_pgm.compare.comparing import compare_groups, document
     from egolane_pgm.report import tables
     from egolane_pgm.report.comparison import draw_comparison
     from egolane_pgm.results import write_json
+    from egolane_pgm.types import InputError
 
     # tqdm's monitor is a thread, and processes are forked.
     tqdm.monitor_interval = 0
-    done = compare_groups(groups, options, jobs=jobs)
+    tasks = plan([e for group in groups for e in group.experiments], options.blocks)
+    todo = distinct(tasks)
+    tried = try_all(list(todo.values()), jobs)
+    shown = tqdm(
+        tried, "choosing", len(todo), unit="recording", leave=False, disable=None if todo else True
+    )
+    known = known_losses(tasks, dict(zip(todo, shown, strict=True)))
+    done = compare_groups(groups, options, jobs=jobs, known=known)
     bar = tqdm(done, total=len(groups), unit="recording", leave=False, disable=None)
     found = document(list(bar), options)
+    if not found["recordings"]:
+        raise InputError(found["failed"][0]["error"])
     for recording in found["recordings"]:
         for note in recording["notes"]:
             click.echo(f"warning: {recording['title']}: {note}", err=True)
@@ -153,6 +182,9 @@ def _held_out(
             )
         click.echo()
     click.echo(draw(*rows_of.full_rows(found)).rstrip("\n"))
+    header, rows = rows_of.chosen_rows(found)
+    if rows:
+        click.echo(f"\n{draw(header, rows)}".rstrip("\n"))
     if options.health:
         click.echo()
         click.echo(draw(*rows_of.health_rows(found)).rstrip("\n"))
@@ -164,6 +196,10 @@ def _held_out(
         draw_comparison(found, figure)
     if json_file:
         write_json(Path(json_file), found)
+    for failed in found["failed"]:
+        click.echo(f"failed: {failed['title']}: {failed['error']}", err=True)
+    if found["failed"]:
+        raise SystemExit(1)
 
 
 def _in_sample(

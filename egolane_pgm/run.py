@@ -18,7 +18,7 @@ from egolane_pgm.experiment import (
     resolved,
 )
 from egolane_pgm.inference.smoothing import infer_beliefs
-from egolane_pgm.loading import Recorded, load_recording
+from egolane_pgm.loading import Recorded, file_entry, load_recording, with_video_rate
 from egolane_pgm.model import Model, make_evidence, prepare_model, value_names
 from egolane_pgm.plugins import OWN_FILES
 from egolane_pgm.provenance import file_sha256, git_state, versions
@@ -69,6 +69,7 @@ def run_experiment(
         experiment = load_experiment(experiment)
     model = prepare_model(experiment)
     if recorded is None:
+        experiment = with_video_rate(experiment)
         recorded = load_recording(experiment, model.parameters)
     evidence = make_evidence(model, recorded.log, experiment.evidence_reading, kernel=kernel)
     beliefs = infer_beliefs(
@@ -146,7 +147,7 @@ def save_run(run: Run, directory: str | Path, draw: Callable[[Path], None] | Non
     with staged(directory) as folder:
         write_result(
             folder,
-            experiment=_portable(run, content, folder),
+            experiment=portable(run.experiment, run.model, content, folder),
             run=_provenance(run, content),
             scores=summary(run),
             columns=_columns(run),
@@ -156,25 +157,34 @@ def save_run(run: Run, directory: str | Path, draw: Callable[[Path], None] | Non
     return directory
 
 
-def _portable(run: Run, content: Mapping[str, Any], folder: Path) -> dict[str, Any]:
-    """The config as it can be run from the result directory: plugin files of one's own are copied
-    into it, files that lay beside the YAML are named in full."""
+def portable(
+    experiment: Experiment, model: Model, content: Mapping[str, Any], folder: Path
+) -> dict[str, Any]:
+    """The resolved config as it can be run from the result directory `folder`: plugin files of
+    one's own are copied into it, files that lay beside the YAML are named in full."""
     portable = {**content}
-    for key, module in (("evidence", run.model.rule), ("graph", run.model.graph)):
+    for key, module in (("evidence", model.rule), ("graph", model.graph)):
         if str(content[key]).endswith(OWN_FILES) and module.__file__:
             copy = f"{key}_{Path(module.__file__).name}"
             shutil.copyfile(module.__file__, folder / copy)
             portable[key] = f"./{copy}"
-    if str(content["recording"]["format"]).endswith(".py"):
-        reader = (run.experiment.folder / content["recording"]["format"]).absolute()
-        content = {**content, "recording": {**content["recording"], "format": str(reader)}}
-        portable["recording"] = content["recording"]
     for key in ("recording", "ground_truth"):
-        section = content[key]
-        if section and section["path"] and (run.experiment.folder / section["path"]).is_file():
-            path = (run.experiment.folder / section["path"]).absolute()
-            portable[key] = {**section, "path": str(path)}
+        if content[key]:
+            portable[key] = {
+                name: _in_full(name, value, experiment.folder)
+                for name, value in content[key].items()
+            }
     return portable
+
+
+def _in_full(key: str, value: Any, folder: Path) -> Any:
+    """The value of a key, where it is a file beside the YAML with its whole path."""
+    if not isinstance(value, str):
+        return value
+    is_plugin = key in ("format", "detector") and value.endswith(".py")
+    is_path = key in ("path", "camera", "right")
+    is_there = any(c in value for c in "*?[") or (folder / value).exists()
+    return str((folder / value).absolute()) if is_plugin or (is_path and is_there) else value
 
 
 def summary(run: Run) -> dict[str, Any]:
@@ -200,11 +210,8 @@ def _provenance(run: Run, content: Mapping[str, Any]) -> dict[str, Any]:
     return {
         "name": run.experiment.name,
         "config_hash": config_hash(content),
-        "data": [
-            {"path": str(path), "sha256": file_sha256(path), "bytes": path.stat().st_size}
-            for path in run.recorded.files
-        ],
-        "plugins": _plugin_files(run.model),
+        "data": [file_entry(path) for path in run.recorded.files],
+        "plugins": plugin_files(run.model),
         "versions": versions(),
         "git": git_state(),
         "created": datetime.now(UTC).isoformat(timespec="seconds"),
@@ -245,7 +252,8 @@ def _columns(run: Run) -> dict[str, np.ndarray[Any, Any]]:
     return columns
 
 
-def _plugin_files(model: Model) -> dict[str, dict[str, str]]:
+def plugin_files(model: Model) -> dict[str, dict[str, str]]:
+    """Name and sha256 of the files that a model's evidence rule and graph come from."""
     files = {"evidence": model.rule.__file__, "graph": model.graph.__file__}
     return {
         kind: {"file": Path(f).name, "sha256": file_sha256(Path(f))}

@@ -3,15 +3,14 @@ not stop the others."""
 
 from __future__ import annotations
 
-import multiprocessing
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from concurrent.futures import ProcessPoolExecutor
-from concurrent.futures.process import BrokenProcessPool
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 from egolane_pgm.experiment import Experiment
+from egolane_pgm.processes import in_processes
 from egolane_pgm.results import check_writable
 from egolane_pgm.run import run_experiment, save_run, summary
 from egolane_pgm.types import InputError
@@ -72,33 +71,24 @@ def run_all(
     """Run the tasks and write their results; what became of each, in order, as soon as those
     before it are done. jobs: processes that share them. draw, kernel: as in `save_run`,
     `run_experiment`."""
-    if jobs > 1 and len(tasks) > 1 and "fork" in multiprocessing.get_all_start_methods():
-        context = multiprocessing.get_context("fork")
-        with ProcessPoolExecutor(min(jobs, len(tasks)), mp_context=context) as pool:
-            waiting = [pool.submit(run_task, task, draw, kernel) for task in tasks]
-            for task, future in zip(tasks, waiting, strict=True):
-                try:
-                    yield future.result()
-                except BrokenProcessPool:
-                    # Whose process died cannot be told; a result directory is whole or not there.
-                    error = "its process, or one beside it, died; run it again, with fewer --jobs"
-                    yield Outcome(task.title, task.directory, None, error)
-        return
-    for task in tasks:
-        yield run_task(task, draw, kernel)
+    work = partial(run_task, draw=draw, kernel=kernel)
+    yield from in_processes(work, tasks, jobs, died=_failed)
+
+
+def _failed(task: Task, error: str) -> Outcome:
+    return Outcome(task.title, task.directory, None, " ".join(error.split()))
 
 
 def run_task(task: Task, draw: Draw | None = None, kernel: bool = True) -> Outcome:
     """Run one task and write its result; a failure is in the outcome."""
     if task.experiment is None:
-        return Outcome(task.title, task.directory, None, task.error)
+        return _failed(task, task.error or "")
     try:
         done = run_experiment(task.experiment, kernel=kernel)
         save_run(done, task.directory, draw)
     except InputError as error:
-        return Outcome(task.title, task.directory, None, " ".join(str(error).split()))
+        return _failed(task, str(error))
     except Exception as error:
         # A fault of ours in one run must not cost the others what they computed.
-        line = f"{type(error).__name__}: {' '.join(str(error).split())}"
-        return Outcome(task.title, task.directory, None, line)
+        return _failed(task, f"{type(error).__name__}: {error}")
     return Outcome(task.title, task.directory, summary(done), None)

@@ -22,10 +22,10 @@ from egolane_pgm.compare.comparing import (
     compare_groups,
     document,
     graphs_on_runs,
-    on_recording,
     on_runs,
 )
-from egolane_pgm.compare.held_out import HeldOutRun, held_out_run, load_for_scoring
+from egolane_pgm.compare.drives import load_for_scoring, on_recording
+from egolane_pgm.compare.held_out import HeldOutRun, held_out_run
 from egolane_pgm.compare.tables import accuracy_rows, full_rows, health_rows
 from egolane_pgm.experiment import Experiment, make_experiment, resolved
 from egolane_pgm.plugins import plugin_names
@@ -288,9 +288,7 @@ def test_what_cannot_be_compared_is_refused_in_one_line(runs: Path, tmp_path: Pa
     assert "--with-paper" in refused("compare", one, "--with-paper")
     assert "--held-out" in refused("compare", "--health", "--runs", "2")
     message = refused("compare", write(tmp_path / "f.yaml", simulated()), "--set", "fit=lern")
-    assert "fit: 'lern' is not one of none, learn, tune (did you mean 'learn'?)" in message
-    message = refused("compare", one, "--set", "fit=learn")
-    assert "evidence rule counting cannot be learned" in message
+    assert "fit: 'lern' is not one of none, learn, tune, choose (did you mean 'learn'?)" in message
     (tmp_path / "bare").mkdir()
     bare = write_drive(tmp_path / "bare", ground_truth=None)
     assert "ground_truth: is missing" in refused("compare", bare)

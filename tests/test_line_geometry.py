@@ -14,7 +14,8 @@ from hypothesis import strategies as st
 
 from egolane_pgm.evidence import line_geometry
 from egolane_pgm.evidence._line_model import line_model, places
-from egolane_pgm.evidence.line_geometry import NODES, frame_widths, line_classes, read_lines
+from egolane_pgm.evidence._line_reading import frame_widths, line_classes, read_lines
+from egolane_pgm.evidence.line_geometry import NODES
 from egolane_pgm.graphs import position_in_lane
 from egolane_pgm.inference.compile import compile_network
 from egolane_pgm.inference.filtering import filter_beliefs

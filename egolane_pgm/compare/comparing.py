@@ -2,24 +2,33 @@
 
 from __future__ import annotations
 
-import multiprocessing
 import re
 import warnings
 from collections.abc import Iterator, Mapping, Sequence
-from concurrent.futures import ProcessPoolExecutor
-from concurrent.futures.process import BrokenProcessPool
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from egolane_pgm.compare.choice import (
+    Known,
+    distinct,
+    experiment_key,
+    known_losses,
+    plan,
+    try_all,
+)
+from egolane_pgm.compare.drives import load_for_scoring, on_recording, recording_key
 from egolane_pgm.compare.health import detector_answers, detector_health, model_health
-from egolane_pgm.compare.held_out import HeldOutRun, held_out_run, load_for_scoring
+from egolane_pgm.compare.held_out import HeldOutRun, held_out_run
 from egolane_pgm.compare.in_sample import with_graph
-from egolane_pgm.experiment import Experiment, Tuning, load_experiment, make_experiment
+from egolane_pgm.compare.saving import save_comparison
+from egolane_pgm.experiment import Experiment, load_experiment
 from egolane_pgm.loading import Recorded
 from egolane_pgm.model import prepare_model
+from egolane_pgm.processes import in_processes
 from egolane_pgm.reproduce import load_published, paper_experiment, parameters_for
 from egolane_pgm.run import score
 from egolane_pgm.scoring.assign import assigned_lane
@@ -56,11 +65,12 @@ class Group:
 @dataclass(frozen=True)
 class Options:
     """blocks: held out in turn. trials: of each search, None for what the experiment says. health:
-    the detector's errors are looked for too."""
+    the detector's errors are looked for too. out: where result directories go, None for nowhere."""
 
     blocks: int = N_BLOCKS
     trials: int | None = None
     health: bool = False
+    out: Path | None = None
 
 
 def by_recording(experiments: Sequence[Experiment]) -> list[Group]:
@@ -68,7 +78,7 @@ def by_recording(experiments: Sequence[Experiment]) -> list[Group]:
     twice in a group."""
     found: dict[str, list[Experiment]] = {}
     for experiment in experiments:
-        found.setdefault(_recording_key(experiment), []).append(experiment)
+        found.setdefault(recording_key(experiment), []).append(experiment)
     groups = []
     for mine in found.values():
         recording = mine[0].recording
@@ -123,33 +133,6 @@ def graphs_on_runs(graphs: Sequence[str], numbers: Sequence[int], fit: str) -> l
     return groups
 
 
-def on_recording(model: Experiment, place: Experiment) -> Experiment:
-    """The model of one experiment on the recording of another: that one's frames, ground truth,
-    number of lanes and untrusted labels (`tuning.never_fit`)."""
-    content = model.model_dump()
-    recording = place.recording.model_dump()
-    recording["path"] = _full(recording["path"], place.folder)
-    truth = place.ground_truth.model_dump() if place.ground_truth is not None else None
-    if truth is not None:
-        truth["path"] = _full(truth["path"], place.folder)
-    never_fit = place.tuning.never_fit if place.tuning is not None else ()
-    tuning = (model.tuning or Tuning()).model_dump()
-    content |= {
-        "recording": recording,
-        "ground_truth": truth,
-        "n_lanes": place.n_lanes,
-        "tuning": {**tuning, "never_fit": never_fit},
-    }
-    if model.tuned_on == "same_frames" and _recording_key(model) != _recording_key(place):
-        content["tuned_on"] = "other_frames"
-    return make_experiment(content, model.folder, model.source)
-
-
-def _full(path: str | None, folder: Path) -> str | None:
-    """A file that lies beside the YAML, named in full."""
-    return str((folder / path).absolute()) if path and (folder / path).is_file() else path
-
-
 def _own_experiment(number: int, which: str) -> Experiment:
     own = load_experiment(paper_experiment(number))
     entry = load_published().get(number)
@@ -161,13 +144,6 @@ def _own_experiment(number: int, which: str) -> Experiment:
 def _paper_run(experiment: Experiment) -> int | None:
     match = re.fullmatch(r"run(\d\d)_.*", experiment.name)
     return int(match.group(1)) if match else None
-
-
-def _recording_key(experiment: Experiment) -> str:
-    """What is driven: file or simulation, its frames, and the number of lanes."""
-    recording = experiment.recording
-    path = _full(recording.path, experiment.folder)
-    return repr((path, recording.simulate, recording.seed, recording.frames, experiment.n_lanes))
 
 
 def _checked(group: Group) -> Group:
@@ -182,30 +158,42 @@ def _checked(group: Group) -> Group:
 
 
 def compare_groups(
-    groups: Sequence[Group], options: Options | None = None, *, jobs: int = 1
+    groups: Sequence[Group],
+    options: Options | None = None,
+    *,
+    jobs: int = 1,
+    known: Known | None = None,
 ) -> Iterator[dict[str, Any]]:
-    """Each group's part of the document (`document`), in order. jobs: processes that share the
-    groups. Raises InputError as the experiments do."""
+    """Each group's part of the document (`document`), in order, or `title`, `run` and `error` of
+    one that failed, which stops no other. jobs: processes that share the groups. known: what was
+    tried for experiments that say `fit: choose`, where that is at hand (`choice.plan`)."""
     options = options or Options()
-    if jobs > 1 and len(groups) > 1 and "fork" in multiprocessing.get_all_start_methods():
-        context = multiprocessing.get_context("fork")
-        try:
-            with ProcessPoolExecutor(min(jobs, len(groups)), mp_context=context) as pool:
-                yield from pool.map(compare_group, groups, [options] * len(groups))
-        except BrokenProcessPool as error:
-            raise InputError(
-                "a process died while it compared experiments; try fewer --jobs"
-            ) from error
-        return
-    for group in groups:
-        yield compare_group(group, options)
+    if known is None:
+        tasks = plan([e for group in groups for e in group.experiments], options.blocks)
+        todo = distinct(tasks)
+        done = try_all(list(todo.values()), jobs)
+        known = known_losses(tasks, dict(zip(todo, done, strict=True)))
+    work = partial(_tried, options=options, known=known)
+    yield from in_processes(work, groups, jobs, died=_failed)
 
 
-def compare_group(group: Group, options: Options) -> dict[str, Any]:
-    """The experiments of one recording: see `document` for the keys."""
+def _tried(group: Group, options: Options, known: Known) -> dict[str, Any]:
+    try:
+        return compare_group(group, options, known)
+    except InputError as error:
+        return _failed(group, " ".join(str(error).split()))
+
+
+def _failed(group: Group, error: str) -> dict[str, Any]:
+    return {"title": group.title, "run": group.run, "error": error}
+
+
+def compare_group(group: Group, options: Options, known: Known | None = None) -> dict[str, Any]:
+    """The experiments of one recording: see `document` for the keys. Raises InputError as the
+    experiments do."""
     with warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always", UserWarning)
-        runs, recorded = _held_out_runs(group, options)
+        runs, recorded = _held_out_runs(group, options, known or {})
         errors = None
         if options.health:
             tentative = detector_answers(group.detector or group.experiments, recorded)
@@ -223,7 +211,7 @@ def compare_group(group: Group, options: Options) -> dict[str, Any]:
     health = None
     if errors is not None:
         health = {key: detector_health(errors, kept) for key, kept in keep.items()}
-    return {
+    part = {
         "title": group.title,
         "run": group.run,
         "frames": len(runs[0].truth),
@@ -232,9 +220,14 @@ def compare_group(group: Group, options: Options) -> dict[str, Any]:
         "experiments": entries,
         "notes": list(dict.fromkeys([*recorded.notes, *notes])),
     }
+    if options.out is not None:
+        save_comparison(options.out, part, runs)
+    return part
 
 
-def _held_out_runs(group: Group, options: Options) -> tuple[list[HeldOutRun], Recorded]:
+def _held_out_runs(
+    group: Group, options: Options, known: Known
+) -> tuple[list[HeldOutRun], Recorded]:
     """All experiments on the recording, which is read once for all that read it alike."""
     read: dict[str, Recorded] = {}
     runs: list[HeldOutRun] = []
@@ -251,7 +244,10 @@ def _held_out_runs(group: Group, options: Options) -> tuple[list[HeldOutRun], Re
         read[key] = drive.recorded
         if runs:
             _check_same_frames(runs[0], drive.experiment, drive.recorded)
-        runs.append(held_out_run(drive, n_blocks=options.blocks, trials=options.trials))
+        losses = known.get(experiment_key(experiment))
+        runs.append(
+            held_out_run(drive, n_blocks=options.blocks, trials=options.trials, losses=losses)
+        )
     return runs, next(iter(read.values()))
 
 
@@ -288,6 +284,9 @@ def _entry(run: HeldOutRun, first: HeldOutRun, keep: Mapping[str, BoolArray]) ->
         "unassigned_below": experiment.unassigned_below,
         "free_parameters": run.free_parameters,
         "microseconds_per_frame": 1e6 * run.seconds_per_frame,
+        "chosen": list(experiment.choice.grid)
+        if experiment.fit == "choose" and experiment.choice is not None
+        else [],
         "parameters": [dict(found) for found in run.parameters],
         "scores": {key: _scores(run, kept) for key, kept in keep.items()},
         "difference_to": None if run is first else first.experiment.name,
@@ -340,16 +339,19 @@ def document(groups: Sequence[Mapping[str, Any]], options: Options) -> dict[str,
     `health.detector_health`; null unless asked for) and `experiments`: a list of `name`, `source`,
     `evidence`, `graph`, `filter`, `fit`, `tuned_on` (same_frames: in-sample), `is_causal`,
     `unassigned_below`, `free_parameters` (numbers fitted to labels), `microseconds_per_frame`
-    (evidence and filter), `parameters` (per block, those that were fitted without it), `scores`
-    (per subset, as `scoring.summary.score_all` with `intervals` and `mean_log_evidence`),
+    (evidence and filter), `chosen` (the parameters that `fit: choose` chose), `parameters` (per
+    block, those that were fitted without it), `scores` (per subset, as `scoring.summary.score_all`
+    with `intervals` and `mean_log_evidence`),
     `difference_to` (name of the first experiment, null for itself), `difference` (per subset and
     score [estimate, low, high], paired block bootstrap, 95 %; null for short drives) and `health`
     (per subset, see `health.model_health`). Subsets: `all_frames`, and, where an experiment's
-    `tuning.never_fit` names frames with untrusted labels, `without_never_fit`.
+    `tuning.never_fit` names frames with untrusted labels, `without_never_fit`. `failed`: a list of
+    `title`, `run` and `error` of the recordings that could not be compared.
     """
     return {
         "schema_version": SCHEMA_VERSION,
         "held_out": True,
         "blocks": options.blocks,
-        "recordings": list(groups),
+        "recordings": [part for part in groups if "error" not in part],
+        "failed": [part for part in groups if "error" in part],
     }

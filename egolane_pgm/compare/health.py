@@ -5,7 +5,8 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from egolane_pgm.compare.held_out import HeldOutRun, load_for_scoring
+from egolane_pgm.compare.drives import load_for_scoring
+from egolane_pgm.compare.held_out import HeldOutRun
 from egolane_pgm.experiment import Experiment
 from egolane_pgm.loading import Recorded
 from egolane_pgm.model import make_evidence
@@ -18,7 +19,7 @@ def detector_answers(candidates: Sequence[Experiment], recorded: Recorded) -> Fl
     evidence rule gives one, else by the default rule with its default parameters."""
     default = {
         key: Experiment.model_fields[key].default
-        for key in ("evidence", "graph", "filter", "evidence_reading", "lag", "fit")
+        for key in ("evidence", "graph", "filter", "evidence_reading", "lag", "fit", "learned_on")
     }
     fallback = candidates[0].model_copy(update={**default, "parameters": {}})
     for experiment in (*candidates, fallback):

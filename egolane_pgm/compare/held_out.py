@@ -5,35 +5,31 @@ from __future__ import annotations
 
 import itertools
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 
-from egolane_pgm.experiment import Experiment, Tuning
-from egolane_pgm.inference.smoothing import infer_beliefs
-from egolane_pgm.learn import fit as learn_from
-from egolane_pgm.loading import Recorded, load_recording
-from egolane_pgm.model import (
-    declared_parameters,
-    make_evidence,
-    prepare_model,
-    value_names,
-    with_parameters,
+from egolane_pgm.compare.choice import (
+    Losses,
+    choose,
+    experiment_key,
+    learns,
+    plan,
+    settings_of,
+    try_all,
 )
+from egolane_pgm.compare.drives import Found, believe, drive_key
+from egolane_pgm.compare.elsewhere import learner_elsewhere
+from egolane_pgm.experiment import Experiment, Tuning
+from egolane_pgm.learn import check_learnable, n_learned, with_found
+from egolane_pgm.learn import fit as learn_from
+from egolane_pgm.loading import Recorded
+from egolane_pgm.model import declared_parameters, value_names
 from egolane_pgm.tune.objective import Drive, check_objective, fitted_frames, scores_of
 from egolane_pgm.tune.space import Point, SearchSpace, make_space, to_parameters
 from egolane_pgm.tune.study import Settings, best_trial, check_sampler, run_study
-from egolane_pgm.types import (
-    Beliefs,
-    BoolArray,
-    FloatArray,
-    InputError,
-    IntArray,
-    LaneTruth,
-    Value,
-    resolve_parameters,
-)
+from egolane_pgm.types import Beliefs, BoolArray, FloatArray, InputError, IntArray, LaneTruth
 from egolane_pgm.validation import N_BLOCKS, held_out
 
 #: Trials of each block's search where nothing else is said; a study of its own takes more.
@@ -45,8 +41,6 @@ _WARM_UP = 50
 #: Times that the whole recording is filtered where one would do, for the time it takes.
 _TIMED = 3
 
-#: Parameters that a fit found, by name; those that it leaves alone are not in it.
-Found = Mapping[str, Value]
 Fit = Callable[[IntArray], Found]
 
 
@@ -77,43 +71,32 @@ class HeldOutRun:
     notes: tuple[str, ...] = ()
 
 
-def load_for_scoring(experiment: Experiment, recorded: Recorded | None = None) -> Drive:
-    """The experiment's recording and model. recorded: the recording where it is at hand.
-
-    Raises InputError as these do, and without ground truth or without a frame to score.
-    """
-    source = experiment.source
-    if experiment.ground_truth is None and experiment.recording.simulate is None:
-        raise InputError(f"{source}: ground_truth: is missing, a comparison scores against it")
-    model = prepare_model(experiment)
-    if recorded is None:
-        recorded = load_recording(experiment, model.parameters)
-    assert recorded.truth is not None
-    if recorded.truth.is_crossing.all():
-        raise InputError(f"{recorded.truth.source}: every frame is a crossing, nothing to score")
-    return Drive(experiment, model, recorded, recorded.truth)
-
-
 def held_out_run(
-    drive: Drive, *, n_blocks: int = N_BLOCKS, trials: int | None = None
+    drive: Drive,
+    *,
+    n_blocks: int = N_BLOCKS,
+    trials: int | None = None,
+    losses: Sequence[Losses] | None = None,
 ) -> HeldOutRun:
     """Fit without each block in turn, filter the whole recording, keep the block.
 
-    trials: of each block's search with `fit: tune`; default the experiment's, else TRIALS. Raises
-    InputError for a fit that the experiment's plugins do not allow, or too many blocks.
+    trials: of each block's search with `fit: tune`; default the experiment's, else TRIALS. losses:
+    of the settings of `fit: choose`, where they are at hand. Raises InputError for a fit that the
+    experiment's plugins do not allow, or too many blocks.
     """
     experiment, recorded, n_frames = drive.experiment, drive.recorded, len(drive)
-    fit, free_parameters = _fit_of(drive, trials)
+    fit, free_parameters = _fit_of(drive, n_blocks, trials, losses)
     names = value_names(drive.model).get("SensorState", [])
     stitched: list[Beliefs] = []
     notes: list[str] = []
     seconds: list[float] = []
-    _believe(drive, {}, slice(0, _WARM_UP))
+    believe(drive, drive.model, slice(0, _WARM_UP))
 
     def predict(found: Found) -> FloatArray:
         if not (experiment.fit == "none" and len(stitched) >= _TIMED):
             begun = time.process_time()
-            beliefs, said = _believe(drive, found, slice(None))
+            changed = with_found(drive.model, found, experiment)
+            beliefs, said = believe(drive, changed, slice(None))
             notes.extend(said)
             seconds.append((time.process_time() - begun) / len(recorded.log))
             stitched.append(beliefs)
@@ -146,29 +129,13 @@ def held_out_run(
     )
 
 
-def _believe(drive: Drive, found: Found, frames: slice) -> tuple[Beliefs, tuple[str, ...]]:
-    """The beliefs over some frames of the log, the parameters found put in, and what the evidence
-    rule said."""
-    model, experiment, log = drive.model, drive.experiment, drive.recorded.log.take(frames)
-    if found:
-        specs = declared_parameters(model.rule, model.graph)
-        values = resolve_parameters(
-            specs,
-            {**model.parameters, **found},
-            drive.n_lanes,
-            f"{experiment.source}: parameters",
-        )
-        model = with_parameters(model, values)
-    evidence = make_evidence(model, log, experiment.evidence_reading)
-    beliefs = infer_beliefs(
-        model.compiled, evidence.filtered, experiment.filter, experiment.lag, frame_id=log.frame_id
-    )
-    return beliefs, evidence.notes
-
-
-def _fit_of(drive: Drive, trials: int | None) -> tuple[Fit, int]:
+def _fit_of(
+    drive: Drive, n_blocks: int, trials: int | None, losses: Sequence[Losses] | None
+) -> tuple[Fit, int]:
     """The fit, a function of the training frames, and how many numbers it finds."""
     experiment, model = drive.experiment, drive.model
+    if experiment.learned_on and experiment.fit != "learn":
+        raise InputError(f"{experiment.source}: learned_on: goes with fit: learn")
     if experiment.fit == "none":
         if experiment.tuned_on == "not_tuned":
             return (lambda train: {}), 0
@@ -179,26 +146,36 @@ def _fit_of(drive: Drive, trials: int | None) -> tuple[Fit, int]:
         ]
         return (lambda train: {}), sum(np.size(model.parameters[name]) for name in searched)
     if experiment.fit == "learn":
-        if not (hasattr(model.rule, "fit") and hasattr(model.rule, "LEARNED")):
-            raise InputError(
-                f"{experiment.source}: fit: the evidence rule {experiment.evidence} cannot be"
-                " learned; write fit: tune, or none"
-            )
-        return (lambda train: learn_from(model, drive.recorded, train, experiment)), _n_learned(
-            drive
-        )
+        check_learnable(model, experiment)
+        numbers = n_learned(model, experiment)
+        if experiment.learned_on:
+            return learner_elsewhere(drive, n_blocks), numbers
+        return (lambda train: learn_from(model, drive.recorded, train, experiment)), numbers
+    if experiment.fit == "choose":
+        numbers = len(settings_of(experiment)[0])
+        if learns(model, experiment):
+            numbers += n_learned(model, experiment)
+        return _chooser(drive, n_blocks, losses), numbers
     space, settings = _search(drive, trials)
     return _tuner(drive, space, settings), len(space)
 
 
-def _n_learned(drive: Drive) -> int:
-    """Numbers that learning finds: those of each learned parameter's shape."""
-    count = 0
-    for spec in declared_parameters(drive.model.rule, drive.model.graph):
-        if spec.name in drive.model.rule.LEARNED:
-            shape = spec.shape(drive.n_lanes) if spec.shape is not None else ()
-            count += int(np.prod(shape, dtype=np.int64))
-    return count
+def _chooser(drive: Drive, n_blocks: int, losses: Sequence[Losses] | None) -> Fit:
+    """The setting that is best without the block, and what is learned with it."""
+    experiment = drive.experiment
+    if losses is None:
+        tasks = plan([experiment], n_blocks)
+        losses = list(try_all(tasks[experiment_key(experiment)]))
+    settings, part = settings_of(experiment), itertools.count()
+
+    def fit(train: IntArray) -> Found:
+        setting = settings[choose(losses, drive_key(experiment), next(part), experiment)]
+        model = with_found(drive.model, setting, experiment)
+        if not learns(model, experiment):
+            return setting
+        return {**setting, **learn_from(model, drive.recorded, train, experiment)}
+
+    return fit
 
 
 def _search(drive: Drive, trials: int | None) -> tuple[SearchSpace, Settings]:

@@ -113,6 +113,26 @@ def _cells(entry: Mapping[str, Any], subset: str, scores: Mapping[str, Any]) -> 
     ]
 
 
+def chosen_rows(document: Mapping[str, Any]) -> tuple[list[str], list[list[str]]]:
+    """A row per recording and experiment with `fit: choose`, a column per block: what was chosen
+    without it."""
+    n_blocks = document["blocks"]
+    rows = []
+    for recording in document["recordings"]:
+        for entry in recording["experiments"]:
+            cells = [
+                ", ".join(f"{name} {_short(found[name])}" for name in entry["chosen"])
+                for found in entry["parameters"]
+            ]
+            if entry["chosen"]:
+                rows.append([recording["title"], entry["name"], *cells])
+    return ["chosen", "experiment", *(f"block {b + 1}" for b in range(n_blocks))], rows
+
+
+def _short(value: Any) -> str:
+    return f"{value:g}" if isinstance(value, (int, float)) else str(value)
+
+
 def health_rows(document: Mapping[str, Any]) -> tuple[list[str], list[list[str]]]:
     """A row per recording: areas under the ROC curve for "the detector alone is wrong", over the
     frames whose labels can be trusted."""

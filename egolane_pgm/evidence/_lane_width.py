@@ -15,7 +15,7 @@ from functools import lru_cache
 
 import numpy as np
 
-from egolane_pgm.types import BoolArray, FloatArray, LineLog
+from egolane_pgm.types import BoolArray, FloatArray, IntArray, LineLog
 
 #: Candidates, metres: from detectors that report half the distance to wide lanes.
 NARROWEST, WIDEST, STEP = 1.5, 6.0, 0.02
@@ -62,26 +62,52 @@ def lane_width(log: LineLog, fallback_m: float) -> LaneWidth:
 def gap_counts(log: LineLog) -> FloatArray:
     """(B,): how many gaps between neighbouring strong lines of a frame, and between every other
     one, are in each bin; for `width_of_gaps`, added up over the logs that count."""
-    counts = np.zeros(len(_EDGES) - 1)
+    return np.asarray(_counts_of_parts(log, np.zeros(len(log), dtype=np.int64), 1)[0])
+
+
+def widths_so_far(log: LineLog, every: int, fallback_m: float) -> FloatArray:
+    """(N,): for each stretch of `every` frames the lane width from the frames before it, rounded
+    to centimetres; the fallback for the first and wherever unsure."""
+    part = np.arange(len(log)) // every
+    n_parts = int(part[-1]) + 1 if len(log) else 0
+    before = np.zeros((n_parts, len(_EDGES) - 1))
+    before[1:] = np.cumsum(_counts_of_parts(log, part, n_parts)[:-1], axis=0)
+    scores = before @ _log_likelihood()
+    widths = np.full(n_parts, fallback_m)
+    for k in np.flatnonzero(before.any(axis=1)):
+        widths[k] = round(_answer(before[k], scores[k], fallback_m, log.source).width_m, 2)
+    return widths
+
+
+def _counts_of_parts(log: LineLog, part: IntArray, n_parts: int) -> FloatArray:
+    """(N, B): the gaps of each part; part (T,) is the one that each frame belongs to."""
+    n_bins = len(_EDGES) - 1
+    counts = np.zeros(n_parts * n_bins)
     offsets = np.sort(np.where(_strong(log), log.offset_m, np.inf), axis=1)
     for apart in (1, 2):
         if offsets.shape[1] > apart:
-            left = offsets[:, :-apart].ravel()
-            is_pair = np.isfinite(offsets[:, apart:].ravel())
-            gaps = offsets[:, apart:].ravel()[is_pair] - left[is_pair]
-            where = np.floor((gaps[gaps < _EDGES[-1]] - _EDGES[0]) / _BIN).astype(np.int64)
-            where = where[(where >= 0) & (where < len(counts))]
-            counts += np.bincount(where, minlength=len(counts))
-    return counts
+            frame, line = np.nonzero(np.isfinite(offsets[:, apart:]))
+            gaps = offsets[frame, line + apart] - offsets[frame, line]
+            is_near = gaps < _EDGES[-1]
+            where = np.floor((gaps[is_near] - _EDGES[0]) / _BIN).astype(np.int64)
+            inside = (where >= 0) & (where < n_bins)
+            cell = part[frame[is_near][inside]] * n_bins + where[inside]
+            counts += np.bincount(cell, minlength=len(counts))
+    return counts.reshape(n_parts, n_bins)
 
 
 def width_of_gaps(counts: FloatArray, fallback_m: float, source: str) -> LaneWidth:
     """The answer from the counts (B,) of all gaps."""
+    return _answer(counts, counts @ _log_likelihood(), fallback_m, source)
+
+
+def _answer(counts: FloatArray, total: FloatArray, fallback_m: float, source: str) -> LaneWidth:
+    """total: the summed log likelihood of the gaps under each candidate."""
     n_gaps = int(counts.sum())
     if n_gaps == 0:
         message = f"{source}: no two lines in one frame to tell the lane width from"
         return _unsure(fallback_m, math.nan, 0, 0.0, 0.0, message)
-    score = counts @ _log_likelihood() / n_gaps
+    score = total / n_gaps
     best = int(score.argmax())
     others = np.abs(_CANDIDATES / _CANDIDATES[best] - 1) > 0.15
     lead = float(score[best] - score[others].max())

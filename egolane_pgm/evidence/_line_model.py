@@ -152,7 +152,7 @@ def line_tables(model: LineModel, width_m: float) -> LineTables:
         exponent = -0.5 * ((z - places(model, width_m)[..., None]) / sigma) ** 2
     density = np.exp(exponent) / (sigma * math.sqrt(2 * math.pi))
     weights = model.rates[:, :, None] * model.class_shares
-    intensity = np.einsum("lkc,lkz->lcz", weights, density) + model.clutter[:, None]
+    intensity = weights.transpose(0, 2, 1) @ density + model.clutter[:, None]
     intensity = np.maximum(intensity, LEAST_INTENSITY)
     return LineTables(
         np.log(intensity), np.log(intensity.mean(axis=0)), -last, model.expected, width_m

@@ -25,21 +25,17 @@ and the lane width is estimated from the gaps between lines.
 from __future__ import annotations
 
 import warnings
-from collections.abc import Callable, Iterator
-from dataclasses import dataclass
+from collections.abc import Callable, Iterator, Sequence
 from itertools import pairwise
 from typing import Any
 
 import numpy as np
 
-from egolane_pgm.evidence._lane_width import LaneWidth, gap_counts, lane_width, width_of_gaps
-from egolane_pgm.evidence._line_em import fit_lines
+from egolane_pgm.evidence._lane_width import gap_counts, width_of_gaps
+from egolane_pgm.evidence._line_em import STRENGTH, fit_lines
 from egolane_pgm.evidence._line_model import (
     FITTED,
-    LEAST_LRI,
     N_CLASSES,
-    REACH_M,
-    STRONG_LRI,
     TABLE_STEP_M,
     LineModel,
     LineTables,
@@ -47,8 +43,15 @@ from egolane_pgm.evidence._line_model import (
     line_tables,
     without_flags,
 )
+from egolane_pgm.evidence._line_reading import (
+    LOOK_AGAIN,
+    SeenLines,
+    frame_widths,
+    one_width,
+    read_lines,
+)
 from egolane_pgm.graphs._parameters import number
-from egolane_pgm.graphs.position_in_lane import CELLS, MOTION_BINS, MOTION_RANGE, motion_index
+from egolane_pgm.graphs.position_in_lane import CELLS, MOTION_BINS, MOTION_RANGE
 from egolane_pgm.types import (
     BoolArray,
     Evidence,
@@ -66,8 +69,8 @@ PROVIDES = (NODES,)
 #: What `fit` learns.
 LEARNED = (*FITTED, "fallback_width_m")
 
-#: With `lane_width_m: causal`, frames until the width is looked at again.
-LOOK_AGAIN = 200
+#: Parameters that `fit` does not look at: settings that differ in these only share what is learned.
+FIT_IGNORES = ("alpha", "beta")
 
 _OR_FITTED = "; `generic`, or a list that `egolane learn` writes"
 
@@ -149,23 +152,18 @@ PARAMETERS = (
     Parameter("inner_continuous", "probability", 0.05, "the same of all other lines"),
     Parameter("line_sigma_m", "sigma", 0.25, "generic standard deviation of a line, metres"),
     Parameter("clutter_per_m", "non_negative", 0.05, "generic clutter, lines per metre"),
+    Parameter(
+        "prior_frames",
+        "non_negative",
+        STRENGTH,
+        "frames of each lane that the generic constants are worth where parameters are learned;"
+        " `infinite`: nothing is learned",
+        choices=("infinite",),
+    ),
     CELLS,
     MOTION_BINS,
     MOTION_RANGE,
 )
-
-
-@dataclass(frozen=True)
-class SeenLines:
-    """A log's lines, read for the geometry.
-
-    offset_m (T, L): 0 where there is no line. kind (T, L): the class of a line that counts, else
-    -1. motion (T,): the value of LineMotion.
-    """
-
-    offset_m: FloatArray
-    kind: IntArray
-    motion: IntArray
 
 
 def evidence(
@@ -229,69 +227,6 @@ def online(
     return give
 
 
-def frame_widths(log: LineLog, parameters: Parameters) -> FloatArray:
-    """(T,): the lane width that each frame is read with; says what was found in a warning."""
-    width = parameters["lane_width_m"]
-    if not isinstance(width, str):
-        return np.full(len(log), number(width))
-    fallback = number(parameters["fallback_width_m"])
-    whole = lane_width(log, fallback)
-    if width == "auto":
-        _say(whole)
-        return np.full(len(log), whole.width_m)
-    widths = np.full(len(log), fallback)
-    total = gap_counts(log.take(slice(0, 0)))
-    for start in range(0, len(log), LOOK_AGAIN):
-        block = slice(start, start + LOOK_AGAIN)
-        if total.any():
-            so_far = width_of_gaps(total, fallback, log.source)
-            widths[block] = round(so_far.width_m, 2)
-        total = total + gap_counts(log.take(block))
-    _say(whole)
-    return widths
-
-
-def _say(found: LaneWidth) -> None:
-    warnings.warn(found.message, UserWarning, stacklevel=2)
-
-
-def read_lines(
-    log: LineLog, widths: FloatArray, parameters: Parameters, *, kernel: bool = True
-) -> SeenLines:
-    """Which lines count, and how they moved. widths (T,): lane width of each frame, metres."""
-    run: Any
-    if kernel:
-        from egolane_pgm.evidence._line_geometry_kernel import follow_lines as run
-    else:
-        from egolane_pgm.evidence._line_geometry_numpy import follow_lines as run
-    kind = line_classes(log)
-    steps = np.ones(len(log), dtype=np.int64)
-    steps[1:] = np.diff(log.frame_id)
-    # A frame that was put in says nothing about motion, nor does the one after it.
-    follows = (steps == 1) & ~log.is_missing
-    follows[1:] &= ~log.is_missing[:-1]
-    is_held = np.zeros(kind.shape, dtype=bool)
-    displacement = np.empty(len(log))
-    reach = number(parameters["motion_range"]) * widths
-    run(log.offset_m, kind, log.lri, follows, reach, is_held, displacement)
-    kind = np.where(is_held, -1, kind)
-    offset = np.where(kind >= 0, log.offset_m, 0.0)
-    return SeenLines(offset, kind, motion_index(displacement / widths, steps, parameters))
-
-
-def line_classes(log: LineLog) -> IntArray:
-    """(T, L): the class of each line, -1 where there is none or it is out of reach. A line of
-    unknown LRI counts as reliable."""
-    reliable = np.isnan(log.lri) | (log.lri >= STRONG_LRI)
-    tracked = log.lri >= LEAST_LRI
-    kind = np.where(log.is_valid, np.where(reliable, 1, 2), np.where(tracked, 3, -1))
-    kind[log.is_valid & log.is_continuous] = 0
-    with np.errstate(invalid="ignore"):
-        distance = np.abs(log.offset_m)
-        kind[~((distance > 1e-6) & (distance < REACH_M))] = -1
-    return kind.astype(np.int64)
-
-
 def _likelihood(
     seen: SeenLines,
     widths: FloatArray,
@@ -348,36 +283,58 @@ def fit(
     """The model's parameters, learned from the frames is_used (T,) with the lanes (T,), 1 to n:
     the other frames' lanes are not looked at.
 
-    The first guess is what the parameters say; it is worth `_line_em.STRENGTH` frames of each
-    lane. A lane without a frame keeps it, with a warning.
+    The first guess is what the parameters say; it is worth `prior_frames` frames of each lane. A
+    lane without a frame keeps it, with a warning.
     """
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore")
-        widths = frame_widths(log, {**parameters, "lane_width_m": "auto"})
-    width = parameters["lane_width_m"]
-    if not isinstance(width, str):
-        widths[:] = number(width)
-    seen = read_lines(log, widths, parameters)
-    used = np.flatnonzero(is_used & ~log.is_missing)
-    for k in range(1, n_lanes + 1):
-        if not (lane[used] == k).any():
+    return fit_pooled([(log, lane, is_used)], n_lanes, parameters)
+
+
+def fit_pooled(
+    parts: Sequence[tuple[LineLog, IntArray, BoolArray]], n_lanes: int, parameters: Parameters
+) -> dict[str, Value]:
+    """As `fit`, from several recordings, (log, lane, is_used) of each, whose lines are brought to
+    the lane width of the first."""
+    if parameters["prior_frames"] == "infinite":
+        return {}
+    source = ", ".join(log.source for log, _, _ in parts)
+    offsets, kinds, lanes = [], [], []
+    first_width = 0.0
+    for log, lane, is_used in parts:
+        width = one_width(log, parameters)
+        first_width = first_width or width
+        seen = read_lines(log, np.full(len(log), width), parameters)
+        used = np.flatnonzero(is_used & ~log.is_missing)
+        offsets.append(seen.offset_m[used] * (first_width / width))
+        kinds.append(seen.kind[used])
+        lanes.append(lane[used] - 1)
+    known = np.concatenate(lanes)
+    for k in range(n_lanes):
+        if not (known == k).any():
             warnings.warn(
-                f"{log.source}: no frame to learn from has lane {k}; it keeps its first guess",
+                f"{source}: no frame to learn from has lane {k + 1}; it keeps its first guess",
                 UserWarning,
                 stacklevel=2,
             )
-    if not len(used):
+    if not len(known):
         return {}
+    n_lines = max(offset.shape[1] for offset in offsets)
     model, _ = fit_lines(
-        seen.offset_m[used],
-        seen.kind[used],
-        lane[used] - 1,
+        _padded(offsets, n_lines, 0.0),
+        _padded(kinds, n_lines, -1),
+        known,
         line_model(n_lanes, parameters),
-        float(widths[0]),
+        first_width,
         int(number(parameters["cells"])),
+        strength=number(parameters["prior_frames"]),
     )
     found: dict[str, Value] = {
         name: tuple(np.asarray(getattr(model, field)).ravel().tolist())
         for name, field in FITTED.items()
     }
-    return {**found, "fallback_width_m": float(widths[0])}
+    return {**found, "fallback_width_m": first_width}
+
+
+def _padded(parts: Sequence[Any], n_lines: int, blank: float) -> Any:
+    """(T, L): parts of fewer lines, with blanks, below each other."""
+    wide = [np.pad(p, ((0, 0), (0, n_lines - p.shape[1])), constant_values=blank) for p in parts]
+    return np.concatenate(wide)

@@ -1,0 +1,111 @@
+"""An experiment on a recording: put there, loaded, and what it believes with given parameters."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+
+import numpy as np
+
+from egolane_pgm.experiment import Experiment, Tuning, load_experiment, make_experiment
+from egolane_pgm.inference.smoothing import infer_beliefs
+from egolane_pgm.loading import Recorded, load_recording
+from egolane_pgm.model import Model, make_evidence, prepare_model
+from egolane_pgm.tune.objective import Drive
+from egolane_pgm.types import Beliefs, BoolArray, InputError, IntArray, Value
+
+#: Parameters that a fit found, by name; those that it leaves alone are not in it.
+Found = Mapping[str, Value]
+
+
+def on_recording(model: Experiment, place: Experiment) -> Experiment:
+    """The model of one experiment on the recording of another: that one's frames, ground truth,
+    number of lanes and untrusted labels (`tuning.never_fit`)."""
+    content = model.model_dump()
+    recording = place.recording.model_dump()
+    recording["path"] = full_path(recording["path"], place.folder)
+    truth = place.ground_truth.model_dump() if place.ground_truth is not None else None
+    if truth is not None:
+        truth["path"] = full_path(truth["path"], place.folder)
+    never_fit = place.tuning.never_fit if place.tuning is not None else ()
+    tuning = (model.tuning or Tuning()).model_dump()
+    content |= {
+        "recording": recording,
+        "ground_truth": truth,
+        "n_lanes": place.n_lanes,
+        "tuning": {**tuning, "never_fit": never_fit},
+    }
+    if model.tuned_on == "same_frames" and recording_key(model) != recording_key(place):
+        content["tuned_on"] = "other_frames"
+    return make_experiment(content, model.folder, model.source)
+
+
+def on_recordings(model: Experiment, names: Sequence[str], key: str) -> list[Experiment]:
+    """The model on the recordings of other experiments, files beside its YAML. Raises InputError
+    that names the key (`choice.recordings`) for one that cannot be used."""
+    placed = []
+    for name in names:
+        try:
+            placed.append(on_recording(model, load_experiment(model.folder / name)))
+        except InputError as error:
+            raise InputError(f"{model.source}: {key}: {error}") from error
+    return placed
+
+
+def full_path(path: str | None, folder: Path) -> str | None:
+    """A file that lies beside the YAML, named in full."""
+    return str((folder / path).absolute()) if path and (folder / path).is_file() else path
+
+
+def recording_key(experiment: Experiment) -> str:
+    """What is driven: file or simulation, its frames, and the number of lanes."""
+    recording = experiment.recording
+    path = full_path(recording.path, experiment.folder)
+    return repr((path, recording.simulate, recording.seed, recording.frames, experiment.n_lanes))
+
+
+def drive_key(experiment: Experiment) -> str:
+    """What recordings of one drive have in common: the ground truth, whose frame ids are theirs
+    too, or the simulation."""
+    if experiment.ground_truth is not None:
+        return str(full_path(experiment.ground_truth.path, experiment.folder))
+    return repr((experiment.recording.simulate, experiment.recording.seed, experiment.n_lanes))
+
+
+def load_for_scoring(experiment: Experiment, recorded: Recorded | None = None) -> Drive:
+    """The experiment's recording and model. recorded: the recording where it is at hand.
+
+    Raises InputError as these do, and without ground truth or without a frame to score.
+    """
+    source = experiment.source
+    if experiment.ground_truth is None and experiment.recording.simulate is None:
+        raise InputError(f"{source}: ground_truth: is missing, a comparison scores against it")
+    model = prepare_model(experiment)
+    if recorded is None:
+        recorded = load_recording(experiment, model.parameters)
+    assert recorded.truth is not None
+    if recorded.truth.is_crossing.all():
+        raise InputError(f"{recorded.truth.source}: every frame is a crossing, nothing to score")
+    return Drive(experiment, model, recorded, recorded.truth)
+
+
+def believe(drive: Drive, model: Model, frames: slice) -> tuple[Beliefs, tuple[str, ...]]:
+    """The beliefs over some frames of the log, and what the evidence rule said."""
+    experiment, log = drive.experiment, drive.recorded.log.take(frames)
+    evidence = make_evidence(model, log, experiment.evidence_reading)
+    beliefs = infer_beliefs(
+        model.compiled, evidence.filtered, experiment.filter, experiment.lag, frame_id=log.frame_id
+    )
+    return beliefs, evidence.notes
+
+
+def stretch(drive: Drive, frames: IntArray) -> tuple[int, int]:
+    """The first and last frame id of some annotated frames, for recordings of the same drive."""
+    ids = drive.truth.frame_id[frames]
+    return int(ids[0]), int(ids[-1])
+
+
+def on_stretch(drive: Drive, ends: tuple[int, int]) -> BoolArray:
+    """(K,): annotated frames with ids from the first to the last one, both included."""
+    ids = drive.truth.frame_id
+    return np.asarray((ids >= ends[0]) & (ids <= ends[1]))
