@@ -46,7 +46,8 @@ class Camera:
     k1, k2, p1, p2, k3. height_m: above the road. pitch_deg: upwards, yaw_deg: to the right of the
     direction of travel, roll_deg: clockwise. lateral_m: right of the vehicle's middle.
     baseline_m: of a rectified stereo pair, the second camera that far to the right of this one;
-    None for a single camera.
+    None for a single camera. ignore: rectangles of the picture that never show road (bonnet,
+    mirror), each left, top, right, bottom in pixels, the last two exclusive.
 
     Raises InputError, naming the key, for a value that no camera in a car has.
     """
@@ -64,6 +65,7 @@ class Camera:
     lateral_m: float = 0.0
     distortion: tuple[float, float, float, float, float] = (0.0, 0.0, 0.0, 0.0, 0.0)
     baseline_m: float | None = None
+    ignore: tuple[tuple[int, int, int, int], ...] = ()
 
     def __post_init__(self) -> None:
         for name, (low, high, unit) in _RANGES.items():
@@ -80,11 +82,30 @@ class Camera:
             raise InputError("distortion: needs the five numbers k1, k2, p1, p2, k3")
         for value in self.distortion:
             _check_number("distortion", value)
+        if not isinstance(self.ignore, tuple):
+            raise InputError("ignore: needs a list of rectangles, each left, top, right, bottom")
+        for rectangle in self.ignore:
+            _check_rectangle(rectangle)
 
 
 def _check_number(name: str, value: object) -> None:
     if isinstance(value, bool) or not isinstance(value, (int, float)) or not math.isfinite(value):
         raise InputError(f"{name}: {value!r} is not a finite number")
+
+
+def _check_rectangle(rectangle: object) -> None:
+    if not isinstance(rectangle, tuple) or len(rectangle) != 4:
+        raise InputError(f"ignore: {rectangle!r} is not a list of left, top, right, bottom")
+    for value in rectangle:
+        _check_number("ignore", value)
+        if value != int(value):
+            raise InputError(f"ignore: {value} is not a whole number of pixels")
+    left, top, right, bottom = rectangle
+    if left >= right or top >= bottom:
+        raise InputError(
+            f"ignore: {list(rectangle)} is empty; needs left, top, right, bottom with left < right"
+            " and top < bottom"
+        )
 
 
 def axes(camera: Camera) -> FloatArray:
@@ -169,6 +190,20 @@ def with_vanishing_point(camera: Camera, u: float, v: float) -> Camera:
     return replace(camera, pitch_deg=math.degrees(pitch), yaw_deg=math.degrees(yaw))
 
 
+def undistorted(camera: Camera, u: ArrayLike, v: ArrayLike) -> tuple[FloatArray, FloatArray]:
+    """Where pixels u, v of the picture are in the picture freed of lens distortion."""
+    u, v = np.broadcast_arrays(np.asarray(u, dtype=np.float64), np.asarray(v, dtype=np.float64))
+    a, b = _undistort(camera, (u - camera.cx) / camera.fx, (v - camera.cy) / camera.fy)
+    return camera.fx * a + camera.cx, camera.fy * b + camera.cy
+
+
+def distorted(camera: Camera, u: ArrayLike, v: ArrayLike) -> tuple[FloatArray, FloatArray]:
+    """Where pixels u, v of the picture freed of lens distortion are in the picture."""
+    u, v = np.broadcast_arrays(np.asarray(u, dtype=np.float64), np.asarray(v, dtype=np.float64))
+    a, b = _distort(camera, (u - camera.cx) / camera.fx, (v - camera.cy) / camera.fy)
+    return camera.fx * a + camera.cx, camera.fy * b + camera.cy
+
+
 def _distort(camera: Camera, a: FloatArray, b: FloatArray) -> tuple[FloatArray, FloatArray]:
     k1, k2, p1, p2, k3 = camera.distortion
     square = a * a + b * b
@@ -199,6 +234,9 @@ def camera_content(camera: Camera) -> dict[str, Any]:
     content["distortion"] = list(camera.distortion)
     if camera.baseline_m is None:
         del content["baseline_m"]
+    content["ignore"] = [list(rectangle) for rectangle in camera.ignore]
+    if not camera.ignore:
+        del content["ignore"]
     return content
 
 
@@ -214,6 +252,11 @@ def camera_from(content: Mapping[str, Any], where: str) -> Camera:
     values = dict(content)
     if isinstance(values.get("distortion"), list):
         values["distortion"] = tuple(values["distortion"])
+    if isinstance(values.get("ignore"), list):
+        values["ignore"] = tuple(
+            tuple(rectangle) if isinstance(rectangle, list) else rectangle
+            for rectangle in values["ignore"]
+        )
     try:
         return Camera(**values)
     except InputError as error:
@@ -238,12 +281,14 @@ def read_camera(path: str | Path) -> Camera:
 
 
 def write_camera(path: str | Path, camera: Camera, comment: str = "") -> None:
-    """Write a camera as YAML, its comment (how it was calibrated) above it."""
+    """Write a camera as YAML, its comment (how it was calibrated) above it; folders that lack are
+    made. Raises InputError where it cannot be written."""
     import yaml
 
     above = "".join(f"# {line}\n" for line in comment.splitlines())
     text = yaml.safe_dump(camera_content(camera), sort_keys=False, default_flow_style=None)
     try:
+        Path(path).parent.mkdir(parents=True, exist_ok=True)
         Path(path).write_text(above + text, encoding="utf-8")
     except OSError as error:
         raise InputError(f"{path}: cannot be written: {error.strerror}") from error

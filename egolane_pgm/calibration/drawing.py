@@ -1,0 +1,132 @@
+"""What a calibration means, drawn on a still, to look at."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+
+import cv2
+import numpy as np
+
+from egolane_pgm.calibration.parallel_lines import RoadView, from_level_to_image, to_level
+from egolane_pgm.camera import image_to_road, road_to_image
+from egolane_pgm.detectors import Image
+from egolane_pgm.types import FloatArray, InputError
+
+Colour = tuple[int, int, int]
+
+# Colours that colour-blind people tell apart, blue green red.
+_FOUND, _HORIZON, _LANE, _METRE = (167, 121, 204), (233, 180, 86), (0, 159, 230), (235, 235, 235)
+
+#: What of the road is drawn, metres ahead and to either side.
+_NEAR, _FAR, _BESIDE = 4.0, 60.0, 9
+
+#: How the names of pictures end that are drawn.
+PICTURES = (".png", ".jpg", ".jpeg")
+
+_FONT = cv2.FONT_HERSHEY_SIMPLEX
+
+
+def draw_view(image: Image, view: RoadView, lines: Sequence[FloatArray]) -> Image:
+    """The still with the points of its lines, the horizon, a grid of 1 m by 10 m (white) and lanes
+    of the given width, counted from the line nearest to the car on its left (orange)."""
+    canvas: Image = image.copy()
+    ahead = np.geomspace(_NEAR, _FAR, 60)
+    for metre in range(-_BESIDE, _BESIDE + 1):
+        _draw_road(canvas, view, ahead, np.full_like(ahead, metre), _METRE, 1)
+    across = np.linspace(-_BESIDE, _BESIDE, 60)
+    for x in range(10, int(_FAR) + 1, 10):
+        _draw_road(canvas, view, np.full_like(across, x), across, _METRE, 1)
+        at = _to_picture(view, np.array([float(x)]), np.array([0.0]))
+        if np.isfinite(at).all() and x <= 30:
+            _say(canvas, f"{x} m", at[0], _METRE)
+    start = _left_line(view, lines)
+    for k in range(-3, 4):
+        y = start + k * view.lane_width_m
+        if abs(y) <= _BESIDE:
+            _draw_road(canvas, view, ahead, np.full_like(ahead, y), _LANE, 2)
+    for points in lines:
+        for u, v in np.rint(points).astype(int):
+            cv2.circle(canvas, (int(u), int(v)), 2, _FOUND, -1)
+    _draw_horizon(canvas, view)
+    return canvas
+
+
+def _left_line(view: RoadView, lines: Sequence[FloatArray]) -> float:
+    """Offset of the nearest line on the left, metres; half a lane without one."""
+    offsets = []
+    for points in lines:
+        x, y = image_to_road(view.camera, points[:, 0], points[:, 1])
+        near = np.isfinite(y) & (x < 40)
+        if near.any():
+            offsets.append(float(np.median(y[near])))
+    return max((y for y in offsets if y < 0), default=-view.lane_width_m / 2)
+
+
+def straightness(view: RoadView, lines: Sequence[FloatArray]) -> float:
+    """Median metres by which lines leave the direction of travel; infinite without two lines."""
+    strays = []
+    for points in lines:
+        x, y = image_to_road(view.camera, points[:, 0], points[:, 1])
+        near = np.isfinite(y) & (x < 40)
+        if near.sum() >= 5:
+            strays.append(float(np.median(np.abs(y[near] - np.median(y[near])))))
+    return float(np.median(strays)) if len(strays) >= 2 else float("inf")
+
+
+def _to_picture(view: RoadView, x: FloatArray, y: FloatArray) -> FloatArray:
+    """(N, 2): pixels; NaN far outside the picture, where the model of the lens folds back."""
+    camera = view.camera
+    u, v = road_to_image(camera, x, y, undistorted=True)
+    outside = (np.abs(u - camera.cx) > 0.75 * camera.width) | (v > 1.25 * camera.height)
+    u, v = road_to_image(camera, x, y)
+    pixels: FloatArray = np.where(outside[:, None], np.nan, np.stack([u, v], axis=-1))
+    return pixels
+
+
+def _draw_road(
+    canvas: Image, view: RoadView, x: FloatArray, y: FloatArray, colour: Colour, thick: int
+) -> None:
+    _draw_path(canvas, _to_picture(view, x, y), colour, thick)
+
+
+def _draw_path(canvas: Image, pixels: FloatArray, colour: Colour, thick: int) -> None:
+    whole = np.rint(pixels[np.isfinite(pixels).all(axis=1)]).astype(np.int32)
+    cv2.polylines(canvas, [whole.reshape(-1, 1, 2)], False, colour, thick, cv2.LINE_AA)
+
+
+def _draw_horizon(canvas: Image, view: RoadView) -> None:
+    camera = view.camera
+    wide = 0.7 * camera.width / camera.fx
+    middle = to_level(camera, np.array([camera.width / 2]), np.array([camera.height / 2]))[0, 0]
+    a = np.linspace(middle - wide, middle + wide, 60)
+    rays = np.stack([a, np.full_like(a, view.ahead[1])], axis=-1)
+    _draw_path(canvas, np.stack(from_level_to_image(camera, rays), axis=-1), _HORIZON, 1)
+    at = np.stack(from_level_to_image(camera, view.ahead), axis=-1)
+    place = tuple(int(value) for value in np.rint(at))
+    cv2.drawMarker(canvas, place, _HORIZON, cv2.MARKER_CROSS, 25, 2)
+    _say(canvas, "horizon", at + np.array([14, -8]), _HORIZON)
+
+
+def _say(canvas: Image, text: str, at: FloatArray, colour: Colour) -> None:
+    place = (int(at[0]) + 3, int(at[1]) - 3)
+    cv2.putText(canvas, text, place, _FONT, 0.5, (0, 0, 0), 3, cv2.LINE_AA)
+    cv2.putText(canvas, text, place, _FONT, 0.5, colour, 1, cv2.LINE_AA)
+
+
+def check_picture_name(path: str | Path) -> None:
+    """Raises InputError for a name that tells of no format that pictures are written in."""
+    if Path(path).suffix.lower() not in PICTURES:
+        raise InputError(f"{path}: a picture's name ends in {' or '.join(PICTURES)}")
+
+
+def write_picture(path: str | Path, image: Image) -> None:
+    """Write an image (H, W, 3), blue green red. Raises InputError where it cannot be written."""
+    check_picture_name(path)
+    try:
+        Path(path).parent.mkdir(parents=True, exist_ok=True)
+        done = cv2.imwrite(str(path), image)
+    except (OSError, cv2.error):
+        done = False
+    if not done:
+        raise InputError(f"{path}: cannot be written")

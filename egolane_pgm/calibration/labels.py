@@ -1,0 +1,76 @@
+"""Lines that people have labelled: TuSimple's JSON lines."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from egolane_pgm.calibration.pictures import read_picture, size_of
+from egolane_pgm.recordings.tusimple import entry_lines, read_entries
+from egolane_pgm.types import FloatArray, InputError
+
+
+def read_labels(path: str | Path) -> list[dict[str, Any]]:
+    """The entries of a file of TuSimple labels (`recordings.tusimple`), all of them checked."""
+    path = Path(path)
+    frames = []
+    for where, entry in read_entries(path):
+        entry_lines(entry, where)
+        frames.append(entry)
+    if not frames:
+        raise InputError(f"{path}: holds no labelled frame")
+    return frames
+
+
+def line_points(frame: dict[str, Any]) -> list[FloatArray]:
+    """The points (N, 2) of each line of a frame, pixels."""
+    return [np.stack([line.u, line.v], axis=-1) for line in entry_lines(frame, "labels")]
+
+
+def label_picture(frame: dict[str, Any], labels: Path) -> Path:
+    """The picture of a labelled frame, beside its file of labels."""
+    for key in ("image", "raw_file"):
+        name = frame.get(key)
+        if isinstance(name, str) and (labels.parent / name).is_file():
+            return labels.parent / name
+    named = frame.get("image", frame.get("raw_file"))
+    if not isinstance(named, str):
+        raise InputError(f"{labels}: a frame names no image; give --size, e.g. 1280x720")
+    raise InputError(
+        f"{labels.parent / named}: the image of a label is missing; give --size, e.g. 1280x720"
+    )
+
+
+def check_size(size: tuple[int, int], frames: list[dict[str, Any]], labels: Path) -> None:
+    """InputError where the first picture that is there has another size, or where lines reach below
+    it: rows that no picture of this size has."""
+    width, height = size
+    for frame in frames:
+        try:
+            picture = label_picture(frame, labels)
+            seen = size_of(read_picture(picture))
+        except InputError:
+            continue
+        if seen != size:
+            raise InputError(f"--size: {picture} is {seen[0]}x{seen[1]}, not {width}x{height}")
+        break
+    lowest = max((line.v.max() for f in frames for line in entry_lines(f, "labels")), default=0.0)
+    if lowest > height:
+        raise InputError(
+            f"--size: the lines of {labels} reach down to row {lowest:.0f}, below a picture of"
+            f" {width}x{height}"
+        )
+
+
+def size_of_pictures(frames: list[dict[str, Any]], labels: Path) -> tuple[int, int]:
+    """Width and height of the pictures of labelled frames, all of them looked at."""
+    sizes: dict[tuple[int, int], Path] = {}
+    for frame in frames:
+        picture = label_picture(frame, labels)
+        sizes.setdefault(size_of(read_picture(picture)), picture)
+    if len(sizes) > 1:
+        said = ", ".join(f"{path} {w}x{h}" for (w, h), path in list(sizes.items())[:2])
+        raise InputError(f"{labels}: its pictures differ in size: {said}")
+    return next(iter(sizes))
