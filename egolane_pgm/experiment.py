@@ -117,16 +117,15 @@ class Tuning(_Section):
 
 
 class Choice(_Section):
-    """What `fit: choose` chooses from, and with the help of what.
-
-    grid: per parameter its values. objective: what is chosen by. cautious: one of these parameters,
-    whose earlier values are kept unless a later one is better by a standard error. recordings:
-    experiments, files beside the YAML, whose labels help to choose; those of the stretch that is
-    scored are not looked at."""
+    """What `fit: choose` chooses from: per parameter its values (grid). cautious: one of these; its
+    earlier values are kept unless a later one is better by a standard error, `error_of` the best
+    setting's mean loss or of the difference. recordings: experiments, files beside the YAML, whose
+    labels help to choose; those of the stretch that is scored are not looked at."""
 
     grid: dict[str, tuple[Any, ...]] = Field(min_length=1)
     objective: Literal["accuracy", "log_loss"] = "accuracy"
     cautious: str | None = None
+    error_of: Literal["best", "difference"] = "best"
     recordings: tuple[str, ...] = ()
 
     @model_validator(mode="after")
@@ -135,10 +134,8 @@ class Choice(_Section):
             if not values or any(values.count(value) > 1 for value in values):
                 raise ValueError(f"grid.{name}: needs values, each once")
         if self.cautious is not None and self.cautious not in self.grid:
-            raise ValueError(
-                f"cautious: '{self.cautious}' is not in the grid"
-                f"{suggestion(self.cautious, self.grid)}"
-            )
+            hint = suggestion(self.cautious, self.grid)
+            raise ValueError(f"cautious: '{self.cautious}' is not in the grid{hint}")
         return self
 
 

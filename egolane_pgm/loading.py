@@ -2,17 +2,19 @@
 
 from __future__ import annotations
 
+import hashlib
 import warnings
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from egolane_pgm.experiment import Experiment
+from egolane_pgm.experiment import Experiment, make_experiment
 from egolane_pgm.plugins import load_plugin, plugin_errors
-from egolane_pgm.recordings import FORMATS, read_lines
+from egolane_pgm.provenance import file_sha256
+from egolane_pgm.recordings import FORMATS, files_of, format_of, needs_camera, read_with
 from egolane_pgm.recordings.catalog import find_file
 from egolane_pgm.recordings.ground_truth import read_ground_truth
 from egolane_pgm.recordings.select import (
@@ -24,13 +26,22 @@ from egolane_pgm.recordings.select import (
 )
 from egolane_pgm.types import InputError, IntArray, LaneTruth, LineLog, suggestion
 
+if TYPE_CHECKING:
+    from egolane_pgm.camera import Camera
+    from egolane_pgm.detectors._drive import Detector
+    from egolane_pgm.detectors._pictures import Source
+
+#: Extensions by which a video is known where no detector is named.
+_VIDEOS = (".mp4", ".avi", ".mkv", ".mov", ".mpg", ".mpeg", ".m4v", ".webm", ".wmv", ".ts")
+
 
 @dataclass(frozen=True)
 class Recorded:
     """What an experiment is run on.
 
     log: T frames. truth: the annotated frames among them, in order, or None. scored (K,): which
-    frames of the log those are. files: what was read. notes: what is odd about it, a line each.
+    frames of the log those are. files: what was read (a folder of pictures, or a glob, stands for
+    all of them). notes: what is odd about it, a line each.
     """
 
     log: LineLog
@@ -83,9 +94,14 @@ def _read_sources(experiment: Experiment) -> tuple[LineLog, LaneTruth | None, li
         log, truth = drive.log, drive.truth
     else:
         assert recording.path is not None
-        path = _find(recording.path, experiment, "recording.path")
-        files.append(path)
-        log = _read_log(path, experiment)
+        if recording.detector is not None:
+            log, read = _detected(experiment)
+            files += read
+        else:
+            _refuse_video(experiment)
+            path = _find(recording.path, experiment, "recording.path", folders=True)
+            files.append(path)
+            log = _read_log(path, experiment)
     if experiment.ground_truth is not None:
         path = _find(experiment.ground_truth.path, experiment, "ground_truth.path")
         files.append(path)
@@ -112,22 +128,35 @@ def check_sources(experiment: Experiment) -> None:
             f"{source}: recording.format: unknown format '{recording.format}'"
             f"{suggestion(recording.format, FORMATS)}"
         )
-    if recording.path is not None:
-        _find(recording.path, experiment, "recording.path")
+    if recording.detector is not None:
+        _check_detector(experiment)
+    elif recording.path is not None:
+        _refuse_video(experiment)
+        path = _find(recording.path, experiment, "recording.path", folders=True)
+        if recording.camera is not None:
+            _find(recording.camera, experiment, "recording.camera")
+        elif not (recording.format or "").endswith(".py") and needs_camera(
+            recording.format or format_of(path)
+        ):
+            raise InputError(
+                f"{source}: recording.camera: is missing; the lines of {path.name} are in pixels"
+            )
     if experiment.ground_truth is not None:
         _find(experiment.ground_truth.path, experiment, "ground_truth.path")
 
 
-def _find(path: str, experiment: Experiment, key: str) -> Path:
+def _find(path: str, experiment: Experiment, key: str, *, folders: bool = False) -> Path:
     try:
-        return find_file(path, experiment.folder)
+        return find_file(path, experiment.folder, folders=folders)
     except InputError as error:
         raise InputError(f"{experiment.source}: {key}: {error}") from error
 
 
 def _read_log(path: Path, experiment: Experiment) -> LineLog:
     recording = experiment.recording
-    options: dict[str, Any] = {"frame_rate": recording.frame_rate}
+    options: dict[str, Any] = {**recording.options, "frame_rate": recording.frame_rate}
+    if recording.camera is not None:
+        options["camera"] = _find(recording.camera, experiment, "recording.camera")
     if recording.topic is not None:
         options["topic"] = recording.topic
     if recording.frame_id != "way_id":
@@ -138,4 +167,136 @@ def _read_log(path: Path, experiment: Experiment) -> LineLog:
         with plugin_errors(reader, where):
             log: LineLog = reader.read(path, **options)
         return log
-    return read_lines(path, recording.format, **options)
+    return read_with(path, recording.format, options)
+
+
+# --- pictures ------------------------------------------------------------------------------------
+
+
+def with_video_rate(experiment: Experiment) -> Experiment:
+    """The experiment with the frame rate that its video tells, where the YAML says none."""
+    recording = experiment.recording
+    if recording.detector is None or "frame_rate" in recording.model_fields_set:
+        return experiment
+    rate = _pictures_of(experiment, "path").frame_rate
+    if rate is None:
+        return experiment
+    content = experiment.model_dump()
+    content["recording"]["frame_rate"] = rate
+    return make_experiment(content, experiment.folder, experiment.source)
+
+
+def file_entry(path: Path, *, pictures: bool = True) -> dict[str, Any]:
+    """Path, sha256 and bytes of a file; of a folder of pictures, or a glob, the sha256 of the list
+    of its pictures' checksums and names, and how many `files` they are. pictures: False for a
+    folder that was read as a recording of lines."""
+    if path.is_file():
+        return {"path": str(path), "sha256": file_sha256(path), "bytes": path.stat().st_size}
+    if pictures:
+        from egolane_pgm.detectors._pictures import open_source
+
+        files = open_source(path).files
+    else:
+        files = tuple(files_of(path))
+    lines = "".join(f"{file_sha256(file)}  {file.name}\n" for file in files)
+    return {
+        "path": str(path),
+        "sha256": hashlib.sha256(lines.encode()).hexdigest(),
+        "bytes": sum(file.stat().st_size for file in files),
+        "files": len(files),
+    }
+
+
+def _detected(experiment: Experiment) -> tuple[LineLog, list[Path]]:
+    """The lines that the experiment's detector sees in its pictures, and the files it looked at."""
+    from tqdm import tqdm
+
+    from egolane_pgm.detectors._drive import collect, detect
+    from egolane_pgm.detectors._pictures import read_pictures
+
+    recording = experiment.recording
+    detector, camera, left, right = _check_detector(experiment)
+    pictures = tqdm(
+        read_pictures(left, camera, right, recording.frames),
+        desc=detector.name,
+        unit="frame",
+        total=left.n_frames if recording.frames is None else None,
+        leave=False,
+        disable=None,
+    )
+    done = collect(detect(detector, camera, pictures), recording.frame_rate, left.path)
+    if done.stopped is not None:
+        raise done.stopped
+    if left.frame_rate is not None and left.frame_rate != recording.frame_rate:
+        warnings.warn(
+            f"{left.path}: the video has {left.frame_rate:g} frames per second,"
+            f" recording.frame_rate is {recording.frame_rate:g}; times and delays are counted with"
+            " the latter",
+            UserWarning,
+            stacklevel=2,
+        )
+    assert done.log is not None
+    files = [Path(left.path), *([Path(right.path)] if right else [])]
+    assert recording.camera is not None
+    files.append(_find(recording.camera, experiment, "recording.camera"))
+    if detector.name.endswith(".py"):
+        files.append((experiment.folder / detector.name).resolve())
+    values = detector.parameters.values()
+    files += [Path(v) for v in values if isinstance(v, str) and v.endswith(".py")]
+    return done.log, files
+
+
+def _check_detector(experiment: Experiment) -> tuple[Detector, Camera, Source, Source | None]:
+    """The detector, its camera and its pictures; InputError, naming the YAML key, for what is not
+    there or does not fit together."""
+    from egolane_pgm.camera import read_camera
+    from egolane_pgm.detectors._drive import check_pair, find_detector, start
+
+    recording, source = experiment.recording, experiment.source
+    assert recording.detector is not None
+    if recording.path is None or recording.format is not None:
+        wrong = "simulate" if recording.path is None else "format"
+        raise InputError(
+            f"{source}: recording.{wrong}: does not go with a detector, which looks at a video or"
+            " pictures (recording.path)"
+        )
+    detector = find_detector(
+        recording.detector,
+        recording.detector_parameters,
+        experiment.folder,
+        f"{source}: recording.detector",
+    )
+    if recording.camera is None:
+        raise InputError(
+            f"{source}: recording.camera: is missing; the detector needs the camera's YAML file"
+            " (`egolane calibrate` makes one)"
+        )
+    camera = read_camera(_find(recording.camera, experiment, "recording.camera"))
+    check_pair(detector, camera, recording.right is not None, f"{source}: recording.right")
+    left = _pictures_of(experiment, "path")
+    right = _pictures_of(experiment, "right") if recording.right is not None else None
+    # Made only to be refused early where the camera does not see the road.
+    start(detector, camera)
+    return detector, camera, left, right
+
+
+def _pictures_of(experiment: Experiment, key: str) -> Source:
+    from egolane_pgm.detectors._pictures import is_pattern, open_source
+
+    path = getattr(experiment.recording, key)
+    if not is_pattern(path):
+        return open_source(_find(path, experiment, f"recording.{key}", folders=True))
+    try:
+        return open_source(str(experiment.folder / Path(path).expanduser()))
+    except InputError as error:
+        raise InputError(f"{experiment.source}: recording.{key}: {error}") from error
+
+
+def _refuse_video(experiment: Experiment) -> None:
+    """A video without a detector: say what is missing rather than that its format is unknown."""
+    path, format_ = experiment.recording.path, experiment.recording.format
+    if format_ is None and path is not None and Path(path).suffix.lower() in _VIDEOS:
+        raise InputError(
+            f"{experiment.source}: recording.path: {path} is a video: say which detector looks at"
+            " it (recording.detector, e.g. ml) and with which camera (recording.camera)"
+        )

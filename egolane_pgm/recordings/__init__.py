@@ -5,9 +5,13 @@ One file per format of recording; `read_lines` picks it by the file's extension.
 
 from __future__ import annotations
 
+import sys
+from collections.abc import Mapping
 from importlib import import_module
 from pathlib import Path
 from typing import Any
+
+import numpy as np
 
 from egolane_pgm.types import InputError, LineLog, suggestion
 
@@ -15,20 +19,33 @@ from egolane_pgm.types import InputError, LineLog, suggestion
 FORMATS: dict[str, tuple[tuple[str, ...], str, str]] = {
     "rosbag": ((".bag",), "rosbag", "read_rosbag"),
     "table": ((".csv", ".parquet"), "table", "read_table"),
+    "tusimple": ((".jsonl", ".json"), "tusimple", "read_tusimple"),
+    "culane": ((), "culane", "read_culane"),
+    "openlane": ((), "openlane", "read_openlane"),
 }
+
+#: Folders: the format of one that holds files with this ending.
+_FOLDERS = {".lines.txt": "culane", ".json": "openlane"}
 
 _WRITERS = {"rosbag": ("rosbag_writer", "write_rosbag"), "table": ("table", "write_table")}
 
 
-def read_lines(path: str | Path, format: str | None = None, **options: Any) -> LineLog:
+def read_lines(path: str | Path, /, format: str | None = None, **options: Any) -> LineLog:
     """The lines of a recording, T frames of at most L lines, read by the format it has.
 
-    format: a name of FORMATS; None goes by the extension. options: those of the format's reader
-    (`read_rosbag`: topic, frame_id, frame_rate; `read_table`: frame_rate).
+    format: a name of FORMATS; None goes by the extension, or by what is in a folder. options: those
+    of the format's reader (`read_rosbag`: topic, frame_id, frame_rate; `read_table`: frame_rate;
+    `read_tusimple`, `read_culane`, `read_openlane`: camera, valid, frame_step, ahead_m, frame_rate;
+    `read_tusimple` also continuous).
 
     Raises InputError for an unknown format, extension or option, and what the reader raises.
     """
-    name = _format_of(Path(path)) if format is None else format
+    return read_with(path, format, options)
+
+
+def read_with(path: str | Path, format: str | None, options: Mapping[str, Any]) -> LineLog:
+    """As `read_lines`, with options whose names are somebody else's."""
+    name = format_of(path) if format is None else format
     if name not in FORMATS:
         raise InputError(f"{path}: unknown format '{name}'{suggestion(name, FORMATS)}")
     _, module, function = FORMATS[name]
@@ -37,10 +54,19 @@ def read_lines(path: str | Path, format: str | None = None, **options: Any) -> L
     for option in options:
         if option not in allowed:
             raise InputError(
-                f"{path}: format {name} has no option '{option}'{suggestion(option, allowed)}"
+                f"{path}: format {name} has no option '{option}'{suggestion(str(option), allowed)}"
             )
+    if "frame_rate" in options:
+        _check_frame_rate(options["frame_rate"], path)
     log: LineLog = read(path, **options)
     return log
+
+
+def _check_frame_rate(value: object, path: str | Path) -> None:
+    if isinstance(value, bool) or not isinstance(value, (int, float, np.number)):
+        raise InputError(f"{path}: frame_rate: {value!r} is not a number")
+    if not 0 < value <= sys.float_info.max:
+        raise InputError(f"{path}: frame_rate {value} must be greater than 0")
 
 
 def write_lines(path: str | Path, log: LineLog) -> None:
@@ -48,15 +74,45 @@ def write_lines(path: str | Path, log: LineLog) -> None:
 
     Raises InputError for an unknown extension, and what the writer raises.
     """
-    module, function = _WRITERS[_format_of(Path(path))]
+    name = format_of(path)
+    if name not in _WRITERS:
+        raise InputError(f"{path}: a recording is written as .csv, .parquet or .bag")
+    module, function = _WRITERS[name]
     getattr(import_module(f"{__name__}.{module}"), function)(path, log)
 
 
-def _format_of(path: Path) -> str:
+def files_of(folder: Path) -> list[Path]:
+    """The files of a folder that is a recording: those with the ending of its format."""
+    for ending in _FOLDERS:
+        files = sorted(folder.glob(f"*{ending}"))
+        if files:
+            return files
+    return sorted(path for path in folder.iterdir() if path.is_file())
+
+
+def needs_camera(name: str) -> bool:
+    """Whether the lines of a format are in pixels, so that its reader needs a camera."""
+    _, module, function = FORMATS[name]
+    reader = getattr(import_module(f"{__name__}.{module}"), function)
+    return "camera" in reader.__kwdefaults__
+
+
+def format_of(path: str | Path) -> str:
+    """The format of a recording by its extension, or by what is in a folder; InputError where that
+    does not tell."""
+    path = Path(path)
     for name, (extensions, _, _) in FORMATS.items():
         if path.suffix.lower() in extensions:
             return name
-    known = "; ".join(f"{name}: {', '.join(ext)}" for name, (ext, _, _) in FORMATS.items())
+    if path.is_dir():
+        for ending, name in _FOLDERS.items():
+            if next(path.glob(f"*{ending}"), None) is not None:
+                return name
+        raise InputError(
+            f"{path}: a folder without lines ({', '.join(f'*{e}' for e in _FOLDERS)}); pictures"
+            " need a detector (recording.detector, or --detector)"
+        )
+    known = "; ".join(f"{name}: {', '.join(ext)}" for name, (ext, _, _) in FORMATS.items() if ext)
     raise InputError(
         f"{path}: unknown extension '{path.suffix}' of a recording ({known}); name its format"
     )

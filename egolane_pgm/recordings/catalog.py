@@ -143,8 +143,8 @@ def download_folder() -> Path:
     return Path(pooch.os_cache("egolane_pgm"))
 
 
-def find_file(path: str | Path, base: str | Path | None = None) -> Path:
-    """The file that is meant by a path in an experiment.
+def find_file(path: str | Path, base: str | Path | None = None, *, folders: bool = False) -> Path:
+    """The file that is meant by a path in an experiment; with `folders`, or the folder.
 
     An absolute path is taken as it is. Any other is looked for below `base` (the folder of the
     YAML), then below `$EGOLANE_DATA`, then in the download folder.
@@ -156,12 +156,12 @@ def find_file(path: str | Path, base: str | Path | None = None) -> Path:
         places = [wanted]
     else:
         data = os.environ.get("EGOLANE_DATA", "")
-        folders = [Path.cwd() if base is None else Path(base)]
-        folders += [Path(data).expanduser()] if data else []
-        folders += [download_folder()]
-        places = [folder / wanted for folder in folders]
+        bases = [Path.cwd() if base is None else Path(base)]
+        bases += [Path(data).expanduser()] if data else []
+        bases += [download_folder()]
+        places = [folder / wanted for folder in bases]
     for place in places:
-        if place.is_file():
+        if place.is_file() or (folders and place.is_dir()):
             return place
     looked = ", ".join(str(place) for place in places)
     help_ = "run `egolane data fetch`, or set EGOLANE_DATA to the folder that has it"

@@ -1,6 +1,7 @@
 """The parameter search on run 1: trials per second, and our share of one.
 
-`python -m tests.benchmarks.bench_tune` prints these rows alone.
+`python -m tests.benchmarks.bench_tune` prints these rows alone, `bench_postgres` those of studies
+that several workers share.
 """
 
 from __future__ import annotations
@@ -74,6 +75,13 @@ def tune_lines(rounds: int = 3) -> list[Line]:
             slow[workers] = timed(_journal(problem, folder, workers), 800, 1)
         lines.append((f"random, journal, {workers} worker(s)", slow[workers]))
     return lines
+
+
+def shared_studies() -> str:
+    """Trials per second of studies that workers share, as Markdown."""
+    from tests.benchmarks.bench_postgres import shared_table
+
+    return shared_table(load())
 
 
 def _sqlite(problem: Problem, folder: str, settings: Settings) -> Callable[[], object]:

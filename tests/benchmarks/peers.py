@@ -17,54 +17,82 @@ from egolane_pgm.types import Evidence, FloatArray
 Filter = Callable[[], FloatArray]
 
 
-def state_likelihoods(compiled: Compiled, evidence: Evidence) -> FloatArray:
-    """(T, S): one matrix product per observed node."""
-    first, second = compiled.groups
-    return (evidence.likelihoods["DetectorOutput"] @ first.emission.T) * (
-        evidence.likelihoods["WOR"] @ second.emission.T
+def blocks_of(compiled: Compiled, evidence: Evidence) -> list[FloatArray]:
+    """The evidence (T, K) of each observed node, or tuple of them."""
+    values = [evidence.likelihoods[group.observed[0]] for group in compiled.groups]
+    return [np.ascontiguousarray(v.reshape(len(v), -1)) for v in values]
+
+
+def emissions_of(compiled: Compiled) -> list[FloatArray | None]:
+    """The emission (S, K) of each, None where the evidence is about the states themselves."""
+    emissions = [group.emission for group in compiled.groups]
+    return [None if is_identity(e) else e for e in emissions]
+
+
+def is_identity(emission: FloatArray) -> bool:
+    """Whether a state is one column's own."""
+    return emission.shape[0] == emission.shape[1] and bool(
+        (emission == np.eye(len(emission))).all()
     )
 
 
-def lanes_of(states: FloatArray) -> FloatArray:
-    """(T, 8) -> (T, 4): SensorState, which varies fastest, summed out."""
-    return states[:, ::2] + states[:, 1::2]
+def state_likelihoods(
+    emissions: Sequence[FloatArray | None], blocks: Sequence[FloatArray]
+) -> FloatArray:
+    """(T, S): one matrix product per observed node; numpy's arrays or jax's."""
+    factors = [v if e is None else v @ e.T for e, v in zip(emissions, blocks, strict=True)]
+    product = factors[0]
+    for factor in factors[1:]:
+        product = product * factor
+    return product
 
 
-def hmmlearn_scaling(compiled: Compiled, evidence: Evidence) -> Filter | None:
+def lanes_of(states: FloatArray, n_lanes: int) -> FloatArray:
+    """(T, S) -> (T, n): the lane varies slowest, all else is summed out."""
+    if states.shape[1] == 2 * n_lanes:
+        return states[:, ::2] + states[:, 1::2]
+    return states.reshape(len(states), n_lanes, -1).sum(axis=2)
+
+
+def hmmlearn_scaling(compiled: Compiled, evidence: Evidence, u: int = 0) -> Filter | None:
     """hmmlearn's C++ forward pass on likelihoods (`implementation="scaling"`)."""
     try:
         from hmmlearn import _hmmc
     except ImportError:
         return None
-    prior, transition = compiled.prior[0].copy(), compiled.transition[0].copy()
+    prior, transition = compiled.prior[u].copy(), compiled.transition[u].copy()
+    emissions, blocks = emissions_of(compiled), blocks_of(compiled, evidence)
+    n_lanes = compiled.cardinality["Lane"]
 
     def run() -> FloatArray:
-        likelihoods = state_likelihoods(compiled, evidence)
+        likelihoods = state_likelihoods(emissions, blocks)
         # The lattice of this pass is scaled to a sum of one in each frame: it is the belief.
-        return lanes_of(_hmmc.forward_scaling(prior, transition, likelihoods)[1])
+        return lanes_of(_hmmc.forward_scaling(prior, transition, likelihoods)[1], n_lanes)
 
     return run
 
 
-def hmmlearn_log(compiled: Compiled, evidence: Evidence) -> Filter | None:
+def hmmlearn_log(compiled: Compiled, evidence: Evidence, u: int = 0) -> Filter | None:
     """hmmlearn's C++ forward pass on log likelihoods (`implementation="log"`, its default)."""
     try:
         from hmmlearn import _hmmc
     except ImportError:
         return None
-    prior, transition = compiled.prior[0].copy(), compiled.transition[0].copy()
+    prior, transition = compiled.prior[u].copy(), compiled.transition[u].copy()
+    emissions, blocks = emissions_of(compiled), blocks_of(compiled, evidence)
+    n_lanes = compiled.cardinality["Lane"]
 
     def run() -> FloatArray:
-        likelihoods = np.log(state_likelihoods(compiled, evidence))
+        likelihoods = np.log(state_likelihoods(emissions, blocks))
         lattice = _hmmc.forward_log(prior, transition, likelihoods)[1]
         # Joint log probabilities; the largest is subtracted, or they would underflow.
-        lanes = lanes_of(np.exp(lattice - lattice.max(axis=1, keepdims=True)))
+        lanes = lanes_of(np.exp(lattice - lattice.max(axis=1, keepdims=True)), n_lanes)
         return lanes / lanes.sum(axis=1, keepdims=True)
 
     return run
 
 
-def dynamax_filter(compiled: Sequence[Compiled], evidence: Evidence) -> Filter | None:
+def dynamax_filter(compiled: Sequence[Compiled], evidence: Evidence, u: int = 0) -> Filter | None:
     """dynamax's filter, compiled, with double precision; several networks side by side (vmap),
     (P, T, n), one alone as (T, n).
 
@@ -78,21 +106,23 @@ def dynamax_filter(compiled: Sequence[Compiled], evidence: Evidence) -> Filter |
     jax.config.update("jax_enable_x64", True)
     jnp = jax.numpy
 
-    def one(prior, transition, first, second, detector, wor):  # type: ignore[no-untyped-def]
-        log_likelihoods = jnp.log((detector @ first.T) * (wor @ second.T))
-        return lanes_of(hmm_filter(prior, transition, log_likelihoods).filtered_probs)
+    n_lanes = compiled[0].cardinality["Lane"]
 
-    arrays = [
-        np.stack([c.prior[0] for c in compiled]),
-        np.stack([c.transition[0] for c in compiled]),
-        np.stack([c.groups[0].emission for c in compiled]),
-        np.stack([c.groups[1].emission for c in compiled]),
+    def one(prior, transition, emissions, blocks):  # type: ignore[no-untyped-def]
+        log_likelihoods = jnp.log(state_likelihoods(emissions, blocks))
+        return lanes_of(hmm_filter(prior, transition, log_likelihoods).filtered_probs, n_lanes)
+
+    prior = np.stack([c.prior[u] for c in compiled])
+    transition = np.stack([c.transition[u] for c in compiled])
+    emissions = [
+        None if each[0] is None else np.stack(each)
+        for each in zip(*map(emissions_of, compiled), strict=True)
     ]
+    given = [prior, transition, emissions]
     if len(compiled) == 1:
         run = jax.jit(one)
-        arrays = [array[0] for array in arrays]
+        given = jax.tree.map(lambda array: array[0], given)
     else:
-        run = jax.jit(jax.vmap(one, in_axes=(0, 0, 0, 0, None, None)))
-    arrays += [evidence.likelihoods["DetectorOutput"], evidence.likelihoods["WOR"]]
-    on_device = [jnp.asarray(array) for array in arrays]
+        run = jax.jit(jax.vmap(one, in_axes=(0, 0, 0, None)))
+    on_device = jax.tree.map(jnp.asarray, [*given, blocks_of(compiled[0], evidence)])
     return lambda: jax.block_until_ready(run(*on_device))

@@ -22,10 +22,11 @@ from egolane_pgm.scoring._kernels import count_confusion
 from egolane_pgm.scoring.assign import assigned_lane
 from egolane_pgm.scoring.confusion import confusion
 from egolane_pgm.types import TIE_TOLERANCE, FloatArray, IntArray, resolve_parameters
-from tests.benchmarks import peers
-from tests.benchmarks.bench_tune import markdown, tune_lines
+from tests.benchmarks import bench_camera, peers
+from tests.benchmarks.bench_tune import markdown, shared_studies, tune_lines
 from tests.benchmarks.data import N_LANES, PARAMETERS, Data, load, parameter_sets
-from tests.benchmarks.timing import Row, machine, table, take_turns
+from tests.benchmarks.position import position_rows
+from tests.benchmarks.timing import Row, largest_difference, machine, table, take_turns
 
 ROOT = Path(__file__).parents[2]
 EXPERIMENT = Path("experiments/paper/run01_italy_ml.yaml")
@@ -34,7 +35,9 @@ PGMPY_FRAMES = 200
 NOTE = """\
 Every time ends with the belief over lanes, made from the evidence vectors; ours has the log
 evidence of each frame as well. Where confusions differ from dynamax's, it is that dynamax lifts
-probabilities below 1e-15 to that: hmmlearn and the NumPy twin agree with ours."""
+probabilities below 1e-15 to that: hmmlearn and the NumPy twin agree with ours. In position in lane
+the evidence vectors are the likelihoods of the states, and where others are compared the motion is
+held still for all."""
 
 
 def run_all(rounds: int) -> str:
@@ -50,6 +53,7 @@ def run_all(rounds: int) -> str:
         many_rows,
         scoring_rows,
         together_rows,
+        position_rows,
         pgmpy_rows,
         reading_rows,
         command_rows,
@@ -57,7 +61,9 @@ def run_all(rounds: int) -> str:
         print(f"{part.__name__} ...", file=sys.stderr, flush=True)
         rows += part(data, rounds)
     print("tune_lines ...", file=sys.stderr, flush=True)
-    text = f"{table(rows)}\n{NOTE}\n\n{markdown(tune_lines())}\n"
+    text = f"{table(rows)}\n{NOTE}\n\n{markdown(tune_lines())}\n{shared_studies()}\n"
+    print("camera_lines ...", file=sys.stderr, flush=True)
+    text += f"{bench_camera.markdown(bench_camera.camera_lines())}\n"
     print(text)
     return f"{head}\n{text}"
 
@@ -291,7 +297,3 @@ def one_pass(belief: FloatArray, lane: IntArray, is_crossing: np.ndarray) -> Int
     counts = np.zeros((n_lanes + 1, n_lanes), dtype=np.int64)
     count_confusion(belief, lane, is_crossing, TIE_TOLERANCE, counts)
     return counts
-
-
-def largest_difference(a: np.ndarray, b: np.ndarray) -> str:
-    return f"{np.abs(np.asarray(a) - np.asarray(b)).max():.1g}"

@@ -11,6 +11,8 @@ from importlib import metadata
 from pathlib import Path
 from statistics import median
 
+import numpy as np
+
 HEADER = ("what", "time", "compared with", "its time", "ratio", "largest difference")
 
 
@@ -59,6 +61,11 @@ def cells(row: Row) -> list[str]:
         theirs = "not installed"
     ours = duration(row.seconds, row.frames)
     return [row.what, ours, row.against, theirs, ratio, row.difference]
+
+
+def largest_difference(a: np.ndarray, b: np.ndarray) -> str:
+    """Between two arrays, to one digit."""
+    return f"{np.abs(np.asarray(a) - np.asarray(b)).max():.1g}"
 
 
 def duration(seconds: float, frames: int) -> str:

@@ -1,0 +1,15 @@
+"""MC: one camera, clothoids (paper, section `section:simple-line-detector`)."""
+
+from __future__ import annotations
+
+from egolane_pgm.camera import Camera
+from egolane_pgm.detectors import Step, _simple
+from egolane_pgm.types import Parameters
+
+STEREO = False
+PARAMETERS = _simple.PARAMETERS
+
+
+def start(camera: Camera, parameters: Parameters) -> Step:
+    """Pictures of one drive in, in order; clothoids out."""
+    return _simple.start(camera, parameters, curve="clothoid")

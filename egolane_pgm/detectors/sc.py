@@ -1,0 +1,17 @@
+"""SC: two cameras, clothoids (paper, section `section:simple-line-detector`)."""
+
+from __future__ import annotations
+
+from egolane_pgm.camera import Camera
+from egolane_pgm.detectors import Step, _simple, _stereo
+from egolane_pgm.types import Parameters
+
+STEREO = True
+PARAMETERS = _simple.PARAMETERS + _stereo.PARAMETERS
+
+
+def start(camera: Camera, parameters: Parameters) -> Step:
+    """Pairs of pictures of one drive in, in order; clothoids out."""
+    return _simple.start(
+        camera, parameters, curve="clothoid", on_road=_stereo.on_road(camera, parameters)
+    )

@@ -1,0 +1,17 @@
+"""SL: two cameras, straight lines (paper, section `section:simple-line-detector`)."""
+
+from __future__ import annotations
+
+from egolane_pgm.camera import Camera
+from egolane_pgm.detectors import Step, _simple, _stereo
+from egolane_pgm.types import Parameters
+
+STEREO = True
+PARAMETERS = _simple.PARAMETERS + _stereo.PARAMETERS
+
+
+def start(camera: Camera, parameters: Parameters) -> Step:
+    """Pairs of pictures of one drive in, in order; straight lines out."""
+    return _simple.start(
+        camera, parameters, curve="line", on_road=_stereo.on_road(camera, parameters)
+    )

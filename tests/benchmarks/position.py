@@ -1,0 +1,140 @@
+"""Position in lane: 4 lanes, 16 cells each, 128 joint states. The others have no banded
+transitions and no input nodes: they get the same dense matrices, and the motion is held still for
+all where they are compared. Their likelihoods of the states are ready, as our evidence is."""
+
+from __future__ import annotations
+
+import warnings
+from dataclasses import dataclass
+
+import numpy as np
+
+from egolane_pgm.evidence import line_geometry
+from egolane_pgm.graphs import position_in_lane
+from egolane_pgm.inference.compile import Compiled, compile_network
+from egolane_pgm.inference.filtering import filter_beliefs, step
+from egolane_pgm.types import Evidence, FloatArray, Parameters, resolve_parameters
+from tests.benchmarks import peers
+from tests.benchmarks.data import N_LANES, Data
+from tests.benchmarks.timing import Row, largest_difference, take_turns
+
+#: Frames that are stepped through one by one.
+STEPS = 2000
+
+WHAT = "position in lane, 128 joint states"
+
+
+@dataclass(frozen=True)
+class Position:
+    """compiled: the network. evidence: of the whole recording. still: the same as if no line ever
+    moved; u: the value of the input in it."""
+
+    parameters: Parameters
+    compiled: Compiled
+    evidence: Evidence
+    still: Evidence
+    u: int
+
+
+def prepared(data: Data) -> Position:
+    specs = {p.name: p for p in (*line_geometry.PARAMETERS, *position_in_lane.PARAMETERS)}
+    parameters = resolve_parameters(specs.values(), {}, N_LANES)
+    network = position_in_lane.build(N_LANES, parameters)
+    compiled = compile_network(
+        network,
+        position_in_lane.HIDDEN,
+        position_in_lane.OBSERVED,
+        position_in_lane.INPUTS,
+    )
+    evidence = made(data, parameters)
+    u = int(parameters["motion_bins"]) // 2  # type: ignore[arg-type]
+    motion = np.full(len(evidence), u)
+    still = Evidence(evidence.likelihoods, {"LineMotion": motion})
+    return Position(parameters, compiled, evidence, still, u)
+
+
+def made(data: Data, parameters: Parameters, *, kernel: bool = True) -> Evidence:
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", UserWarning)
+        return line_geometry.evidence(data.log, N_LANES, parameters, kernel=kernel)
+
+
+def position_rows(data: Data, rounds: int) -> list[Row]:
+    position = prepared(data)
+    return [
+        *evidence_rows(data, position, rounds),
+        *filter_rows(data, position, rounds),
+        *step_rows(position, rounds),
+    ]
+
+
+def evidence_rows(data: Data, position: Position, rounds: int) -> list[Row]:
+    rows = []
+    for width in ("auto", "causal"):
+        given = {**position.parameters, "lane_width_m": width}
+
+        def ours(given: Parameters = given) -> Evidence:
+            return made(data, given)
+
+        def twin(given: Parameters = given) -> Evidence:
+            return made(data, given, kernel=False)
+
+        times = take_turns({"kernel": ours, "twin": twin}, min(rounds, 10))
+        found, expected = (e.likelihoods[line_geometry.NODES] for e in (ours(), twin()))
+        rows.append(
+            Row(
+                f"line geometry evidence, lane width {width}",
+                times["kernel"],
+                len(data.log),
+                "the NumPy twin",
+                times["twin"],
+                largest_difference(found, expected),
+            )
+        )
+    return rows
+
+
+def filter_rows(data: Data, position: Position, rounds: int) -> list[Row]:
+    compiled, still, u = position.compiled, position.still, position.u
+
+    def ours() -> FloatArray:
+        return filter_beliefs(compiled, still, "exact").lane
+
+    def moving() -> FloatArray:
+        return filter_beliefs(compiled, position.evidence, "exact").lane
+
+    others = {
+        "hmmlearn, C++ forward pass on log likelihoods": peers.hmmlearn_log(compiled, still, u),
+        "hmmlearn, C++ forward pass with scaling": peers.hmmlearn_scaling(compiled, still, u),
+        "dynamax, jit": peers.dynamax_filter([compiled], still, u),
+    }
+    installed = {name: run for name, run in others.items() if run is not None}
+    times = take_turns({"ours": ours, "moving": moving} | installed, max(3, rounds // 8))
+    rows = [Row(f"{WHAT}: filter, motion as measured", times["moving"], len(data.log))]
+    for name, run in others.items():
+        difference = largest_difference(ours(), run()) if run else ""
+        rows.append(
+            Row(
+                f"{WHAT}: filter, motion held still",
+                times["ours"],
+                len(data.log),
+                name,
+                times.get(name),
+                difference,
+            )
+        )
+    return rows
+
+
+def step_rows(position: Position, rounds: int) -> list[Row]:
+    frames = [
+        position.evidence.take(slice(t, t + 1)) for t in range(min(STEPS, len(position.evidence)))
+    ]
+
+    def ours() -> None:
+        state = None
+        for frame in frames:
+            state, _ = step(position.compiled, state, frame, "exact")
+
+    times = take_turns({"ours": ours}, max(3, rounds // 4))
+    return [Row(f"{WHAT}: online step, evidence ready", times["ours"], len(frames))]
