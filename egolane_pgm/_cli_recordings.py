@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import sys
 from pathlib import Path
+from typing import Any
 
 import click
 
@@ -115,21 +116,63 @@ def _fail(problems: list[str], error: type[Exception]) -> None:
 
 
 @click.command()
-@click.argument("source", type=click.Path(dir_okay=False))
+@click.argument("source", type=click.Path())
 @click.argument("target", type=click.Path(dir_okay=False))
 @click.option("--topic", help="Topic of a bag.")
 @click.option("--frame-id", type=click.Choice(["way_id", "seq"]), default="way_id")
-def convert(source: str, target: str, topic: str | None, frame_id: str) -> None:
-    """Convert a recording of lines, .bag, .csv or .parquet, to any of these."""
-    from egolane_pgm.recordings import read_lines, write_lines
+@click.option("--format", "format_", metavar="NAME", help="Where the extension does not tell it.")
+@click.option("--camera", metavar="FILE", help="The camera's YAML, for lines given in pixels.")
+@click.option("--frame-rate", type=float, help="Frames per second.")
+@click.option(
+    "--set",
+    "overrides",
+    multiple=True,
+    metavar="KEY=VALUE",
+    help="A further option of the format, e.g. valid=always for labels.",
+)
+def convert(
+    source: str,
+    target: str,
+    topic: str | None,
+    frame_id: str,
+    format_: str | None,
+    camera: str | None,
+    frame_rate: float | None,
+    overrides: tuple[str, ...],
+) -> None:
+    """Convert a recording of lines to .bag, .csv or .parquet.
 
-    options = {} if topic is None else {"topic": topic}
+    SOURCE is one of these, or what another lane detector wrote, with --camera: TuSimple's JSON
+    lines, a folder of CULane's .lines.txt or of OpenLane's .json.
+    """
+    from egolane_pgm.recordings import read_with, write_lines
+
+    given = {"topic": topic, "camera": camera, "frame_rate": frame_rate}
+    options = _given(overrides) | {key: value for key, value in given.items() if value is not None}
     if frame_id != "way_id":
         options["frame_id"] = frame_id
-    log = read_lines(source, **options)
+    log = read_with(source, format_, options)
     write_lines(target, log)
     first, last = int(log.frame_id[0]), int(log.frame_id[-1])
     click.echo(f"{target}: {len(log)} frames, ids {first} to {last}")
+
+
+def _given(overrides: tuple[str, ...]) -> dict[str, Any]:
+    """The keys and values of --set; values are YAML."""
+    import yaml
+
+    from egolane_pgm.types import InputError
+
+    values = {}
+    for override in overrides:
+        key, equals, text = override.partition("=")
+        if not equals:
+            raise InputError(f"--set {override}: write it as key=value")
+        try:
+            values[key] = yaml.safe_load(text)
+        except yaml.YAMLError:
+            raise InputError(f"--set {override}: the value is not YAML") from None
+    return values
 
 
 @click.command()
@@ -143,8 +186,12 @@ def convert(source: str, target: str, topic: str | None, frame_id: str) -> None:
     "overrides",
     multiple=True,
     metavar="KEY=VALUE",
-    help="Override a value of the preset's world or detector.",
+    help="Override a value of the preset's world or detector; with --images world or failures.",
 )
+@click.option("--images", is_flag=True, help="Render pictures instead of lines.")
+@click.option("--stereo", is_flag=True, help="With --images: of two cameras.")
+@click.option("--video", is_flag=True, help="With --images: as MP4 instead of JPEG files.")
+@click.option("--png", is_flag=True, help="With --images: PNG, exact and large, instead of JPEG.")
 def simulate(
     preset: str,
     out: str,
@@ -152,8 +199,15 @@ def simulate(
     n_lanes: int | None,
     frames: int | None,
     overrides: tuple[str, ...],
+    images: bool,
+    stereo: bool,
+    video: bool,
+    png: bool,
 ) -> None:
-    """Simulate a drive: lines.csv, ground_truth.txt and an experiment to run on them."""
+    """Simulate a drive: lines.csv, ground_truth.txt and an experiment to run on them.
+
+    With --images a rendered motorway: pictures, camera.yaml, the truth about every line.
+    """
     import yaml
 
     from egolane_pgm.recordings.ground_truth import write_ground_truth
@@ -162,15 +216,22 @@ def simulate(
     from egolane_pgm.simulation import simulate as make_drive
     from egolane_pgm.types import InputError
 
-    values = {}
-    for override in overrides:
-        key, equals, text = override.partition("=")
-        if not equals:
-            raise InputError(f"--set {override}: write it as key=value")
-        try:
-            values[key] = yaml.safe_load(text)
-        except yaml.YAMLError:
-            raise InputError(f"--set {override}: the value is not YAML") from None
+    values = _given(overrides)
+    for name, is_given in (("stereo", stereo), ("video", video), ("png", png)):
+        if is_given and not images:
+            raise InputError(f"--{name}: needs --images")
+    if video and png:
+        raise InputError("--video and --png: choose one")
+    if images:
+        from egolane_pgm._cli_images import write_images
+
+        if n_lanes is not None:
+            values["n_lanes"] = n_lanes
+        write_images(preset, Path(out), seed, frames, values, stereo=stereo, video=video, png=png)
+        return
+    for name in ("preset", "seed", "frames", "n_lanes"):
+        if name in values:
+            raise InputError(f"--set {name}: is given by an argument or option of its own")
     drive = make_drive(preset, seed=seed, frames=frames, n_lanes=n_lanes, **values)
     folder = Path(out)
     make_directory(folder)

@@ -39,6 +39,20 @@ def filter_stream(
     frames later, the last ones at the end. Raises InputError naming the message for what cannot be
     used, and for filter smoothed, which needs the whole drive.
     """
+    frame_rate = experiment.recording.frame_rate
+    logs = (
+        parse_message(text, f"message {number}", frame_rate)
+        for number, text in enumerate(messages, start=1)
+        if text.strip()
+    )
+    yield from filter_logs(experiment, logs, kernel=kernel)
+
+
+def filter_logs(
+    experiment: Experiment, logs: Iterable[LineLog], *, kernel: bool = True
+) -> Iterator[dict[str, Any]]:
+    """The same for frames that are logs of one frame each, named by their `source`: an answer for
+    each, in order."""
     if experiment.filter == "smoothed":
         raise InputError(
             f"{experiment.source}: filter: smoothed needs the whole drive; online use fixed_lag,"
@@ -54,14 +68,10 @@ def filter_stream(
     # Frames without an answer yet; None was put in for one that is missing.
     waiting: deque[LineLog | None] = deque()
     last: LineLog | None = None
-    for number, text in enumerate(messages, start=1):
-        if not text.strip():
-            continue
-        where = f"message {number}"
-        log = parse_message(text, where, recording.frame_rate)
+    for log in logs:
         if recording.lri == "clip":
             log = clip_lri(log, max_lri)
-        due = _with_gap(last, log, recording.missing_frames, recording.frame_rate, where)
+        due = _with_gap(last, log, recording.missing_frames, recording.frame_rate)
         evidence = make_evidence(model, due, experiment.evidence_reading, give=give).filtered
         last = log
         if experiment.lag is None:
@@ -106,13 +116,12 @@ def _answer(
     }
 
 
-def _with_gap(
-    last: LineLog | None, log: LineLog, policy: str, frame_rate: float, where: str
-) -> LineLog:
+def _with_gap(last: LineLog | None, log: LineLog, policy: str, frame_rate: float) -> LineLog:
     """The frame, after those that are missing before it as `missing_frames` says."""
     if last is None:
         return log
     before, now = int(last.frame_id[0]), int(log.frame_id[0])
+    where = log.source
     if now <= before:
         raise InputError(f"{where}: frame id {now} does not come after {before}")
     if policy == "skip" or now == before + 1:

@@ -83,6 +83,8 @@ def read_rosbag(
     path = Path(path)
     if frame_id not in ("way_id", "seq"):
         raise InputError(f"{path}: frame_id '{frame_id}' is not one of way_id, seq")
+    if not isinstance(topic, str):
+        raise InputError(f"{path}: topic: {topic!r} is not the name of a topic")
     if not (np.isfinite(frame_rate) and frame_rate > 0):
         raise InputError(f"{path}: frame_rate {frame_rate} must be greater than 0")
     flat = _read_flat(path, topic, frame_id)

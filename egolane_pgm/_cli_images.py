@@ -1,0 +1,130 @@
+"""`egolane simulate --images`: a rendered drive as pictures or video, with its truth."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import click
+
+if TYPE_CHECKING:
+    from egolane_pgm.simulation.render import Frame, Scene
+
+_README = """A rendered drive: {n_frames} frames of {width}x{height} pixels, {rate:g} per second,
+preset {preset}, seed {seed}.
+
+    egolane detect {pictures} --camera camera.yaml --detector {detector} -o lines.parquet
+    egolane run experiment.yaml
+
+camera.yaml: the camera at rest (its pitch oscillates about it). ground_truth.txt: the lane.
+lines_truth.parquet: the lane lines as a perfect detector would see them. visibility.csv: per frame
+and line its shape y(x) = offset_m + heading x + curvature x^2/2 + curvature_rate x^3/6, and the
+shares of its marking between 6 and 25 m ahead that can be seen well, that are worn, hidden (or out
+of the picture) and in shadow; is_failing: in a burst of failures; pitch_deg of the camera.
+"""
+
+_COLUMNS = (
+    "frame_id,line,offset_m,heading,curvature,curvature_rate,is_continuous,visible,worn,hidden,"
+    "shaded,is_failing,pitch_deg\n"
+)
+
+
+def write_images(
+    preset: str,
+    folder: Path,
+    seed: int,
+    frames: int | None,
+    overrides: Mapping[str, Any],
+    *,
+    stereo: bool,
+    video: bool,
+    png: bool,
+) -> None:
+    """Render a drive into a folder, one frame in memory at a time.
+
+    Raises InputError for what cannot be simulated, or where something cannot be written; the
+    frames rendered until then, or until Ctrl-C, are kept.
+    """
+    from tqdm import tqdm
+
+    from egolane_pgm.camera import write_camera
+    from egolane_pgm.recordings.ground_truth import write_ground_truth
+    from egolane_pgm.recordings.table import write_table
+    from egolane_pgm.results import make_directory
+    from egolane_pgm.simulation._render_files import picture_writer
+    from egolane_pgm.simulation.render import (
+        check_settings,
+        make_scene,
+        render_frame,
+        true_lines,
+    )
+    from egolane_pgm.types import InputError
+
+    check_settings(overrides)
+    scene = make_scene(preset, seed, frames, stereo=stereo, **overrides)
+    make_directory(folder)
+    write_camera(folder / "camera.yaml", scene.camera, f"rendered drive {preset}, seed {seed}")
+    write_ground_truth(folder / "ground_truth.txt", scene.road.truth)
+    write_table(folder / "lines_truth.parquet", true_lines(scene))
+    names = ["left", "right"] if stereo else ["images"]
+    places = [f"{name}.mp4" for name in names] if video else names
+    try:
+        _write_texts(folder, scene, preset, seed, places)
+        with (folder / "visibility.csv").open("w", encoding="ascii") as table:
+            table.write(_COLUMNS)
+            rate = scene.road.frame_rate
+            writers = [picture_writer(folder / p, scene.camera, rate, png) for p in places]
+            try:
+                for k in tqdm(range(len(scene)), unit="frame", disable=None):
+                    frame = render_frame(scene, k)
+                    for (write, _), image in zip(writers, (frame.image, frame.right), strict=False):
+                        if image is not None:
+                            write(k, image)
+                    table.write(_rows(frame))
+            finally:
+                for _, close in writers:
+                    close()
+    except OSError as error:
+        raise InputError(f"{folder}: cannot be written: {error.strerror or error}") from error
+    click.echo(f"{len(scene)} frames in {folder}; see {folder / 'README.md'}")
+
+
+def _write_texts(folder: Path, scene: Scene, preset: str, seed: int, places: list[str]) -> None:
+    import yaml
+
+    pictures = places[0] if len(places) == 1 else f"{places[0]} --right {places[1]}"
+    readme = _README.format(
+        n_frames=len(scene),
+        width=scene.camera.width,
+        height=scene.camera.height,
+        rate=scene.road.frame_rate,
+        preset=preset,
+        seed=seed,
+        pictures=pictures,
+        detector="ml" if len(places) == 1 else "sl",
+    )
+    (folder / "README.md").write_text(readme, encoding="ascii")
+    experiment = {
+        "name": f"rendered_{preset}_{seed}",
+        "recording": {"path": "lines.parquet"},
+        "ground_truth": {"path": "ground_truth.txt"},
+        "n_lanes": scene.road.n_lanes,
+        "tuned_on": "not_tuned",
+    }
+    text = yaml.safe_dump(experiment, sort_keys=False)
+    (folder / "experiment.yaml").write_text(text, encoding="utf-8")
+
+
+def _rows(frame: Frame) -> str:
+    truth = frame.truth
+    rows = []
+    for line, (shape, solid) in enumerate(zip(truth.shape, truth.is_continuous, strict=True)):
+        shares = (truth.visible, truth.worn, truth.hidden, truth.shaded)
+        numbers = ",".join(f"{value:.6g}" for value in shape)
+        rest = ",".join(f"{share[line]:.3f}" for share in shares)
+        rows.append(
+            f"{frame.frame_id},{line + 1},{numbers},{int(solid)},{rest},"
+            f"{int(truth.is_failing)},{truth.camera.pitch_deg:.4f}\n"
+        )
+    return "".join(rows)

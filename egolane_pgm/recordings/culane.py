@@ -1,0 +1,90 @@
+"""CULane's label files: a folder with a text file per picture, `00030.lines.txt`. Each line of it
+is one lane line, its points as `x y x y ...` in pixels; they may lie outside of the picture.
+
+The frame number is the last number in the file's name. CULane says nothing about the kind of line:
+none is continuous. The folder is that of one drive (`driver_23_30frame/05151640_0419.MP4`), not the
+folder of drives.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+
+from egolane_pgm.camera import Camera
+from egolane_pgm.recordings._image_lines import (
+    ImageFrame,
+    ImageLine,
+    camera_of,
+    frame_numbers,
+    line_log,
+)
+from egolane_pgm.types import InputError, LineLog
+
+ENDING = ".lines.txt"
+
+
+def read_culane(
+    path: str | Path,
+    *,
+    frame_rate: float = 10.0,
+    camera: Camera | str | Path | None = None,
+    valid: str = "hysteresis",
+    frame_step: int = 1,
+    ahead_m: float = 0.0,
+) -> LineLog:
+    """The lines of a folder of `.lines.txt` files, T frames of at most L lines, left to right.
+
+    Options as of `read_tusimple`. An empty file is a picture without lines.
+
+    Raises InputError, with file and line, for a folder without such files, an odd number of
+    coordinates, what is no number, frames given twice, no camera.
+    """
+    path = Path(path)
+    seen_by = camera_of(camera, path)
+    if not path.is_dir():
+        raise InputError(f"{path}: no such folder; CULane's format is a folder of *{ENDING}")
+    files = sorted(path.glob(f"*{ENDING}"))
+    if not files:
+        below = next(path.rglob(f"*{ENDING}"), None)
+        hint = f"; name one drive's folder, e.g. {below.parent}" if below else ""
+        raise InputError(f"{path}: no file *{ENDING} in it{hint}")
+    names = [file.name.removesuffix(ENDING) for file in files]
+    frames = [
+        ImageFrame(number, _lines(file), str(file))
+        for number, file in zip(frame_numbers(names, frame_rate, str(path)), files, strict=True)
+    ]
+    return line_log(
+        frames,
+        camera=seen_by,
+        frame_rate=frame_rate,
+        valid=valid,
+        frame_step=frame_step,
+        ahead_m=ahead_m,
+        source=str(path),
+    )
+
+
+def _lines(file: Path) -> list[ImageLine]:
+    try:
+        text = file.read_text(encoding="utf-8")
+    except (OSError, UnicodeDecodeError) as error:
+        reason = getattr(error, "strerror", None) or "is not text"
+        raise InputError(f"{file}: cannot be read: {reason}") from None
+    lines = []
+    for number, row in enumerate(text.splitlines(), start=1):
+        words = row.split()
+        if not words:
+            continue
+        where = f"{file}: line {number}"
+        try:
+            values = np.array([float(word) for word in words])
+        except ValueError as error:
+            raise InputError(f"{where}: {error}; needs 'x y x y ...'") from None
+        if len(values) % 2:
+            raise InputError(f"{where}: {len(values)} numbers are no pairs; needs 'x y x y ...'")
+        if not np.isfinite(values).all():
+            raise InputError(f"{where}: a coordinate is not finite")
+        lines.append(ImageLine(values[::2], values[1::2]))
+    return lines

@@ -1,0 +1,155 @@
+"""TuSimple's JSON lines, which most lane detection networks can write: one picture per line,
+
+    {"raw_file": "clips/0313-1/6040/20.jpg", "lanes": [[-2, 632, ...], ...],
+     "h_samples": [240, ...]}
+
+`lanes` has, per line, its column in each of the rows `h_samples`, negative where it is absent.
+`classes`, where it is there, has the class of each line; 2 (solid white) and 4 (solid yellow) are
+continuous unless the option `continuous` says otherwise. (6, a double white line, has another lane
+beyond it and is not by default: the flag is evidence of the road's edge.)
+
+The frame number is the name of the picture's folder where that is a number
+(`clips/0313-1/6040/20.jpg`: 6040; every clip has a 20.jpg), else the last number in the picture's
+name (`frame_00042.jpg`: 42). All pictures are of one drive; they may come in any order.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Collection, Iterator
+from pathlib import Path, PurePosixPath
+from typing import Any
+
+from egolane_pgm.camera import Camera
+from egolane_pgm.recordings._image_lines import (
+    ImageFrame,
+    ImageLine,
+    camera_of,
+    check_one_drive,
+    frame_numbers,
+    line_log,
+    points,
+)
+from egolane_pgm.types import InputError, LineLog
+
+#: No set of classes in use has more.
+_LARGEST_CLASS = 20
+
+
+def read_tusimple(
+    path: str | Path,
+    *,
+    frame_rate: float = 10.0,
+    camera: Camera | str | Path | None = None,
+    valid: str = "hysteresis",
+    frame_step: int = 1,
+    ahead_m: float = 0.0,
+    continuous: Collection[int] = (2, 4),
+) -> LineLog:
+    """The lines of a TuSimple label or result file, T frames of at most L lines, left to right.
+
+    camera: that of the pictures, or its YAML file. valid: "hysteresis" (a line becomes valid once
+    it is seen in ten pictures, as in the paper) or "always", for a source that is trusted, labels
+    say. frame_step: by how much the numbers of neighbouring frames differ (frame id is number over
+    frame_step); frame_rate: frames per second, after that. ahead_m: how far ahead of the camera
+    offsets are measured; a car that steers to the left is there before it is at the camera.
+    continuous: the classes that are continuous lines.
+
+    Raises InputError, with the line of the file, for broken JSON, missing keys, rows and columns
+    that do not match, unknown classes, frames given twice, no camera, no frame.
+    """
+    path = Path(path)
+    seen_by = camera_of(camera, path)
+    solid = _classes(continuous, path)
+    entries = list(read_entries(path))
+    drives = [_drive_and_name(entry["raw_file"]) for _, entry in entries]
+    check_one_drive(
+        [(where, drive) for (where, _), (drive, _) in zip(entries, drives, strict=True)]
+    )
+    numbers = frame_numbers([name for _, name in drives], frame_rate, str(path))
+    frames = [
+        ImageFrame(number, entry_lines(entry, where, solid), where)
+        for number, (where, entry) in zip(numbers, entries, strict=True)
+    ]
+    return line_log(
+        frames,
+        camera=seen_by,
+        frame_rate=frame_rate,
+        valid=valid,
+        frame_step=frame_step,
+        ahead_m=ahead_m,
+        source=str(path),
+    )
+
+
+def read_entries(path: Path) -> Iterator[tuple[str, dict[str, Any]]]:
+    """Each picture's entry, and its place in the file for messages; InputError, naming the place,
+    for one that is none."""
+    try:
+        text = path.read_text(encoding="utf-8")
+    except (OSError, UnicodeDecodeError) as error:
+        reason = getattr(error, "strerror", None) or "is not text"
+        raise InputError(f"{path}: cannot be read: {reason}") from None
+    for number, line in enumerate(text.splitlines(), start=1):
+        if not line.strip():
+            continue
+        where = f"{path}: line {number}"
+        try:
+            entry = json.loads(line)
+        except (ValueError, RecursionError) as error:
+            raise InputError(f"{where}: is not JSON: {error}") from None
+        if isinstance(entry, dict) and "lane_lines" in entry:
+            raise InputError(f"{where}: has lane_lines: that is OpenLane's, format: openlane")
+        for key in ("raw_file", "lanes", "h_samples"):
+            if not isinstance(entry, dict) or key not in entry:
+                raise InputError(f"{where}: has no {key}, which TuSimple's format needs")
+        if not isinstance(entry["raw_file"], str) or not isinstance(entry["lanes"], list):
+            raise InputError(f"{where}: raw_file must be a text and lanes a list of lists")
+        yield where, entry
+
+
+def _drive_and_name(raw_file: str) -> tuple[str, str]:
+    """The folder of the drive, and what has the frame number."""
+    picture = PurePosixPath(raw_file)
+    clip = picture.parent
+    return (str(clip.parent), clip.name) if clip.name.isdigit() else (str(clip), picture.stem)
+
+
+def entry_lines(
+    entry: dict[str, Any], where: str, solid: frozenset[int] = frozenset()
+) -> list[ImageLine]:
+    """The lines of a picture's entry that have a point; solid: the classes that are continuous.
+    Raises InputError as `read_tusimple`."""
+    rows = points(entry["h_samples"], where, "h_samples")
+    classes = entry.get("classes")
+    if classes is not None and (
+        not isinstance(classes, list) or len(classes) != len(entry["lanes"])
+    ):
+        raise InputError(
+            f"{where}: classes needs one class for each of {len(entry['lanes'])} lanes"
+        )
+    lines = []
+    for k, lane in enumerate(entry["lanes"]):
+        columns = points(lane, where, f"lane {k + 1}")
+        if len(columns) != len(rows):
+            raise InputError(
+                f"{where}: lane {k + 1} has {len(columns)} values for {len(rows)} h_samples"
+            )
+        known = 0 if classes is None else classes[k]
+        if isinstance(known, bool) or known not in range(_LARGEST_CLASS + 1):
+            raise InputError(
+                f"{where}: lane {k + 1} has class {known!r}, not one of 0 to {_LARGEST_CLASS}"
+            )
+        is_there = columns >= 0
+        if is_there.any():
+            lines.append(ImageLine(columns[is_there], rows[is_there], known in solid))
+    return lines
+
+
+def _classes(continuous: Collection[int], path: Path) -> frozenset[int]:
+    given = list(continuous) if isinstance(continuous, (list, tuple, set, frozenset)) else [None]
+    if not all(type(c) is int and 0 <= c <= _LARGEST_CLASS for c in given):
+        raise InputError(
+            f"{path}: continuous: {continuous!r} is not a list of classes, 0 to {_LARGEST_CLASS}"
+        )
+    return frozenset(c for c in given if c is not None)

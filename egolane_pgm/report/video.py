@@ -1,0 +1,397 @@
+"""A drive as a video: the picture with the lines on it, the bird's-eye view, the belief as bars
+over the lanes from left to right, the truth if it is known.
+
+Blue and solid: a line that is valid and continuous; orange and dashed: valid, not continuous; grey
+and thin: not valid. One frame is in memory at a time.
+"""
+
+from __future__ import annotations
+
+import contextlib
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from egolane_pgm.camera import Camera, road_to_image, undistorted
+from egolane_pgm.types import UNASSIGNED, FloatArray, InputError
+
+if TYPE_CHECKING:
+    from egolane_pgm.detectors import FrameLines
+
+Image = NDArray[np.uint8]
+Colour = tuple[int, int, int]
+
+#: Blue green red; Okabe and Ito's colours.
+CONTINUOUS: Colour = (178, 114, 0)
+DASHED: Colour = (0, 159, 230)
+NOT_VALID: Colour = (150, 150, 150)
+ASSIGNED: Colour = (178, 114, 0)
+OTHER: Colour = (236, 215, 188)
+TRUTH: Colour = (0, 94, 213)
+INK: Colour = (34, 34, 34)
+PAPER: Colour = (255, 255, 255)
+FRAME: Colour = (170, 170, 170)
+
+#: The bird's-eye view: metres ahead of the camera (first, last), and to either side.
+AHEAD_M, SIDE_M = (0.0, 40.0), 10.0
+
+#: How far ahead lines are drawn, and how long a dash is, metres.
+DRAWN_M, DASH_M = 60.0, 3.0
+
+#: Pictures that are lower are drawn larger, so that the writing fits.
+LEAST_HEIGHT = 360
+
+#: Four letters of the codec that every build of OpenCV can write.
+CODEC = "mp4v"
+
+
+@dataclass(frozen=True)
+class Scene:
+    """What is known of one frame. lines: as a detector gives them. belief (n,): over the lanes.
+    assigned: the lane that is answered, 0 for Unassigned. truth: the annotated lane, or None where
+    there is none. is_crossing: the annotation says that the car is changing lane."""
+
+    frame_id: int
+    time_s: float
+    lines: FrameLines
+    belief: FloatArray
+    assigned: int
+    truth: int | None = None
+    is_crossing: bool = False
+
+
+@dataclass(frozen=True)
+class Layout:
+    """Where things are on a drawn frame, pixels. scale: of the picture. picture: width, height.
+    birdseye: width, height, right of the picture. panel: top and height, below both. size: width
+    and height of all. from_above: for each pixel of the bird's-eye view the picture's column and
+    row."""
+
+    camera: Camera
+    scale: float
+    picture: tuple[int, int]
+    birdseye: tuple[int, int]
+    panel: tuple[int, int]
+    size: tuple[int, int]
+    from_above: tuple[NDArray[np.float32], NDArray[np.float32]]
+
+
+def layout(camera: Camera) -> Layout:
+    """The places of a camera's pictures."""
+    scale = max(1.0, LEAST_HEIGHT / camera.height)
+    width, height = round(camera.width * scale), round(camera.height * scale)
+    above = round(height * 2 * SIDE_M / (AHEAD_M[1] - AHEAD_M[0]))
+    below = max(150, height // 4)
+    # Video codecs want even sizes.
+    size = (width + above + (width + above) % 2, height + below + (height + below) % 2)
+    x = np.linspace(AHEAD_M[1], AHEAD_M[0], 2 * height + 1)[1::2]
+    y = np.linspace(-SIDE_M, SIDE_M, 2 * above + 1)[1::2]
+    u, v = _seen(camera, x[:, None], y[None, :])
+    # Points behind the camera are nowhere in the picture.
+    maps = (np.nan_to_num(u, nan=-1e6), np.nan_to_num(v, nan=-1e6))
+    columns, rows = (np.clip(m, -1e6, 1e6).astype(np.float32) for m in maps)
+    return Layout(
+        camera,
+        scale,
+        (width, height),
+        (above, height),
+        (height, size[1] - height),
+        size,
+        (columns, rows),
+    )
+
+
+def draw_frame(places: Layout, picture: Image, scene: Scene) -> Image:
+    """One frame, (H, W, 3), blue green red. picture: of the camera's size."""
+    canvas = np.full((places.size[1], places.size[0], 3), 255, dtype=np.uint8)
+    width, height = places.picture
+    above = places.birdseye[0]
+    larger = cv2.resize(picture, (width, height)) if places.scale != 1 else picture.copy()
+    shown = np.asarray(larger, dtype=np.uint8)
+    columns, rows = places.from_above
+    from_above = np.asarray(cv2.remap(picture, columns, rows, cv2.INTER_LINEAR), dtype=np.uint8)
+    _lines_on_picture(places, shown, scene.lines)
+    _lines_from_above(places, from_above, scene.lines)
+    canvas[:height, :width] = shown
+    canvas[:height, width : width + above] = from_above
+    _bars(places, canvas, scene)
+    _legend(places, canvas, scene)
+    return canvas
+
+
+# --- lines ---------------------------------------------------------------------------------------
+
+
+def _style(lines: FrameLines, k: int) -> tuple[Colour, int, bool]:
+    """Colour, thickness, and whether it is drawn dashed."""
+    if not lines.is_valid[k]:
+        return NOT_VALID, 1, not lines.is_continuous[k]
+    return (CONTINUOUS, 3, False) if lines.is_continuous[k] else (DASHED, 3, True)
+
+
+def _across(shape: FloatArray, x: FloatArray) -> FloatArray:
+    """y(x) of a line, metres to the right."""
+    return np.asarray(shape[0] + x * (shape[1] + x * (shape[2] / 2 + x * shape[3] / 6)))
+
+
+def _pieces(is_dashed: bool, last: float) -> Iterator[FloatArray]:
+    """The stretches ahead that are drawn, metres."""
+    step = DASH_M if is_dashed else last
+    for start in np.arange(0.0, last, 2 * step if is_dashed else step):
+        yield np.linspace(start, min(start + step, last), 12 if is_dashed else 80)
+
+
+def _seen(camera: Camera, x: FloatArray, y: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """The pixels of points on the road; NaN well outside of the picture, where the formula of a
+    lens folds back into it."""
+    u, v = road_to_image(camera, x, y)
+    if any(camera.distortion):
+        straight = road_to_image(camera, x, y, undistorted=True)
+        across, down = np.linspace(0, camera.width, 33), np.linspace(0, camera.height, 33)
+        # The rim of the picture, freed of distortion.
+        rim_u = np.concatenate([across, across, 0 * down, 0 * down + camera.width])
+        rim_v = np.concatenate([0 * across, 0 * across + camera.height, down, down])
+        for rim, place in zip(undistorted(camera, rim_u, rim_v), straight, strict=True):
+            spare = 0.05 * (rim.max() - rim.min())
+            with np.errstate(invalid="ignore"):
+                outside = (place < rim.min() - spare) | (place > rim.max() + spare)
+            u, v = np.where(outside, np.nan, u), np.where(outside, np.nan, v)
+    return u, v
+
+
+def _lines_on_picture(places: Layout, picture: Image, lines: FrameLines) -> None:
+    for k in range(len(lines.is_valid)):
+        colour, thickness, is_dashed = _style(lines, k)
+        for x in _pieces(is_dashed, DRAWN_M):
+            u, v = _seen(places.camera, x, _across(lines.shape[k], x))
+            _stroke(picture, u * places.scale, v * places.scale, colour, thickness)
+    for k in range(len(lines.is_valid)):
+        _offset_label(places, picture, lines, k)
+
+
+def _offset_label(places: Layout, picture: Image, lines: FrameLines, k: int) -> None:
+    """The offset, where the line enters the picture from below or from its side."""
+    x = np.linspace(0.5, 30, 200)
+    u, v = _seen(places.camera, x, _across(lines.shape[k], x))
+    width, height = places.picture
+    u, v = u * places.scale, v * places.scale
+    inside = (u >= 0) & (u < width) & (v >= 0) & (v < height - 4)
+    if not inside.any():
+        return
+    at = int(np.argmax(inside))
+    text = f"{lines.offset_m[k]:+.2f} m"
+    across = _text_width(text, 0.5)
+    left = int(np.clip(u[at] - across / 2, 2, width - across - 2))
+    _write(picture, text, (left, int(np.clip(v[at] - 6, 14, height - 8))), 0.5, PAPER, halo=True)
+
+
+def _lines_from_above(places: Layout, view: Image, lines: FrameLines) -> None:
+    width, height = places.birdseye
+    per_metre = height / (AHEAD_M[1] - AHEAD_M[0])
+    for k in range(len(lines.is_valid)):
+        colour, thickness, is_dashed = _style(lines, k)
+        for x in _pieces(is_dashed, AHEAD_M[1]):
+            u = (_across(lines.shape[k], x) + SIDE_M) * width / (2 * SIDE_M)
+            _stroke(view, u, (AHEAD_M[1] - x) * per_metre, colour, max(1, thickness - 1))
+    middle = width // 2
+    # The car: a small triangle whose tip is the camera.
+    corners = np.array([[middle, height - 12], [middle - 6, height - 1], [middle + 6, height - 1]])
+    cv2.fillPoly(view, [corners.astype(np.int32)], PAPER)
+    cv2.polylines(view, [corners.astype(np.int32)], True, INK, 1, cv2.LINE_AA)
+    for ahead in (10, 20, 30):
+        row = round((AHEAD_M[1] - ahead) * per_metre)
+        cv2.line(view, (0, row), (5, row), PAPER, 1)
+        _write(view, f"{ahead} m", (8, row + 4), 0.35, PAPER, halo=True)
+
+
+def _stroke(image: Image, u: FloatArray, v: FloatArray, colour: Colour, thickness: int) -> None:
+    """A curve, as far as it is in or near the image."""
+    reach = 4.0 * max(image.shape)
+    with np.errstate(invalid="ignore"):
+        there = np.isfinite(u) & np.isfinite(v) & (np.abs(u) < reach) & (np.abs(v) < reach)
+    if there.sum() < 2:
+        return
+    # In sixteenths of a pixel, for smooth curves.
+    points = [np.round(16 * np.stack([u[there], v[there]], axis=1)).astype(np.int32)]
+    if thickness > 1:
+        # A pale edge, so that a dark line shows on dark asphalt.
+        cv2.polylines(image, points, False, PAPER, thickness + 2, cv2.LINE_AA, 4)
+    cv2.polylines(image, points, False, colour, thickness, cv2.LINE_AA, 4)
+
+
+# --- the panel below -----------------------------------------------------------------------------
+
+
+def bar_boxes(places: Layout, n_lanes: int) -> list[tuple[int, int, int, int]]:
+    """Left, top, right, bottom of the room of each lane's bar, lanes left to right; the last one is
+    Unassigned's."""
+    top, height = places.panel
+    width = places.picture[0]
+    margin, gap = 12, 8
+    room = width - 2 * margin
+    slot = room / (n_lanes + 1)
+    upper, lower = top + 26, top + height - 42
+    return [
+        (
+            round(margin + k * slot + gap / 2),
+            upper,
+            round(margin + (k + 1) * slot - gap / 2),
+            lower,
+        )
+        for k in range(n_lanes + 1)
+    ]
+
+
+def _bars(places: Layout, canvas: Image, scene: Scene) -> None:
+    n_lanes = len(scene.belief)
+    top, _ = places.panel
+    boxes = bar_boxes(places, n_lanes)
+    for k, (left, upper, right, lower) in enumerate(boxes):
+        is_answer = scene.assigned == (k + 1 if k < n_lanes else UNASSIGNED)
+        share = float(scene.belief[k]) if k < n_lanes else float(is_answer)
+        height = round(share * (lower - upper))
+        colour = ASSIGNED if is_answer else OTHER
+        if k == n_lanes and is_answer:
+            colour = INK
+        if height:
+            cv2.rectangle(canvas, (left, lower - height), (right, lower), colour, -1)
+        cv2.rectangle(canvas, (left, upper), (right, lower), FRAME, 1)
+        name = f"lane {k + 1}" if k < n_lanes else "Unassigned"
+        _centred(canvas, name, (left + right) // 2, lower + 15, right - left, INK)
+        if k < n_lanes:
+            _centred(canvas, _percent(share), (left + right) // 2, upper - 5, right - left, INK)
+            if scene.truth == k + 1:
+                cv2.rectangle(canvas, (left - 3, upper - 1), (right + 3, lower + 2), TRUTH, 2)
+                mark = "truth (crossing)" if scene.is_crossing else "truth"
+                _centred(canvas, mark, (left + right) // 2, lower + 32, right - left + 6, TRUTH)
+    cv2.line(canvas, (0, top), (canvas.shape[1], top), FRAME, 1)
+
+
+def _legend(places: Layout, canvas: Image, scene: Scene) -> None:
+    left = places.picture[0] + 10
+    room = canvas.shape[1] - left - 6
+    top, height = places.panel
+    answer = f"lane {scene.assigned}" if scene.assigned != UNASSIGNED else "Unassigned"
+    rows: list[tuple[str, tuple[Colour, int, bool] | None]] = [
+        (f"frame {scene.frame_id}, {scene.time_s:.1f} s", None),
+        (f"answer: {answer}", None),
+        ("valid, continuous", (CONTINUOUS, 3, False)),
+        ("valid, dashed", (DASHED, 3, True)),
+        ("not valid", (NOT_VALID, 1, False)),
+    ]
+    step = (height - 16) // len(rows)
+    for k, (text, style) in enumerate(rows):
+        baseline = top + 22 + k * step
+        start = left
+        if style is not None:
+            start = left + 42
+            colour, thickness, is_dashed = style
+            for a, b in ((0, 14), (20, 34)) if is_dashed else ((0, 34),):
+                ends = (left + a, baseline - 4), (left + b, baseline - 4)
+                cv2.line(canvas, *ends, colour, thickness, cv2.LINE_AA)
+        scale = min(0.45, 0.45 * (room - (start - left)) / max(1, _text_width(text, 0.45)))
+        _write(canvas, text, (start, baseline), scale, INK)
+
+
+def _percent(share: float) -> str:
+    return f"{100 * share:.0f} %"
+
+
+def _text_width(text: str, scale: float) -> int:
+    return int(cv2.getTextSize(text, cv2.FONT_HERSHEY_SIMPLEX, scale, 1)[0][0])
+
+
+def _centred(canvas: Image, text: str, middle: int, row: int, room: int, colour: Colour) -> None:
+    scale = min(0.45, 0.45 * room / max(1, _text_width(text, 0.45)))
+    _write(canvas, text, (middle - _text_width(text, scale) // 2, row), scale, colour)
+
+
+def _write(
+    image: Image, text: str, at: tuple[int, int], scale: float, colour: Colour, halo: bool = False
+) -> None:
+    font: Any = cv2.FONT_HERSHEY_SIMPLEX
+    if halo:
+        cv2.putText(image, text, at, font, scale, INK, 3, cv2.LINE_AA)
+    cv2.putText(image, text, at, font, scale, colour, 1, cv2.LINE_AA)
+
+
+# --- files ---------------------------------------------------------------------------------------
+
+
+@contextlib.contextmanager
+def frame_writer(
+    target: str | Path, frame_rate: float, size: tuple[int, int]
+) -> Iterator[Callable[[int, Image], None]]:
+    """A function that takes frame id and drawn frame, and puts it into a video (`.mp4`) or a folder
+    of pictures (`frame_000123.png`). What was written is kept, whatever ends the block.
+
+    size: width and height. Raises InputError where the target cannot be written.
+    """
+    target = Path(target)
+    if target.suffix.lower() == ".mp4":
+        if target.is_dir():
+            raise InputError(
+                f"{target}: is a folder; a video is a file, PNG pictures need a folder"
+                " whose name does not end in .mp4"
+            )
+        with _video(target, frame_rate, size) as write:
+            yield write
+        return
+    if target.suffix and not target.is_dir():
+        raise InputError(f"{target}: a video ends in .mp4; for PNG pictures name a folder")
+    try:
+        target.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise InputError(f"{target}: cannot be written: {error.strerror}") from None
+
+    def write_picture(frame_id: int, image: Image) -> None:
+        file = target / f"frame_{frame_id:06d}.png"
+        content = cv2.imencode(".png", image)[1]
+        try:
+            file.write_bytes(content.tobytes())
+        except OSError as error:
+            raise InputError(f"{file}: cannot be written: {error.strerror}") from None
+
+    yield write_picture
+
+
+@contextlib.contextmanager
+def _video(
+    target: Path, frame_rate: float, size: tuple[int, int]
+) -> Iterator[Callable[[int, Image], None]]:
+    if not target.parent.is_dir():
+        raise InputError(f"{target}: cannot be written: no such folder")
+    part = target.with_name(f".{target.stem}.part.mp4")
+    video = cv2.VideoWriter(str(part), cv2.VideoWriter.fourcc(*CODEC), frame_rate, size)
+    if not video.isOpened():
+        part.unlink(missing_ok=True)
+        raise InputError(f"{target}: cannot be written (is the folder writable?)")
+    n_frames = 0
+
+    def write(_: int, image: Image) -> None:
+        nonlocal n_frames
+        video.write(image)
+        n_frames += 1
+
+    try:
+        yield write
+    finally:
+        video.release()
+        if n_frames:
+            _put(part, target)
+        else:
+            part.unlink(missing_ok=True)
+
+
+def _put(part: Path, target: Path) -> None:
+    try:
+        part.replace(target)
+    except OSError as error:
+        raise InputError(
+            f"{target}: cannot be written: {error.strerror}; the video is in {part}"
+        ) from None
