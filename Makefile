@@ -6,7 +6,7 @@ ifneq ($(wildcard ../shared/data/rle),)
 export EGOLANE_DATA ?= $(abspath ../shared/data)
 endif
 
-.PHONY: run test check bench coverage paper clean
+.PHONY: run test check bench coverage paper cluster-demo camera rendered clean
 
 run: .venv/.run
 	$(BIN)/egolane run experiments/quickstart.yaml
@@ -25,11 +25,15 @@ check: .venv/.dev
 # The kernels as plain Python, so that their lines are seen too; then what would take minutes so.
 coverage: .venv/.dev
 	NUMBA_DISABLE_JIT=1 $(BIN)/python -m coverage run -m pytest -q
-	$(BIN)/python -m coverage run --append -m pytest -q tests/test_compare.py tests/test_learn.py
+	$(BIN)/python -m coverage run --append -m pytest -q tests/test_compare.py tests/test_choice.py tests/test_learn.py
 	$(BIN)/python -m coverage report
 
 bench: .venv/.bench
 	$(BIN)/python -m tests.benchmarks
+
+# Four workers on a PostgreSQL server in a temporary directory, one of them killed; the account.
+cluster-demo: .venv/.dev
+	$(BIN)/python -m tests.cluster_demo
 
 # What results/paper/ holds: tables and figures of the paper's runs, made from the recordings.
 RUNS := results/runs
@@ -45,6 +49,15 @@ paper: .venv/.run
 	$(BIN)/egolane plot $(RUNS)/run03_bonus $(RUNS)/run03_no_bonus --out $(RUNS)/ablation
 	cp $(RUNS)/ablation/bonus_ablation.png results/paper/
 	$(BIN)/egolane network sensor_failure results/paper/network.png
+
+# What results/camera/ holds of real pictures, made from those in EGOLANE_DATA.
+camera: .venv/.dev
+	$(BIN)/python -m tests.camera_figures carnd tusimple clips lane_change labels --out results/camera > results/camera/pictures.md
+
+# What results/camera/ holds of rendered motorways: tables (half an hour on one core), a frame.
+rendered: .venv/.dev
+	mkdir -p results/camera
+	$(BIN)/python -m tests.camera_figures rendered --out results/camera > results/camera/rendered.md
 
 .venv/.venv:
 	$(PYTHON) -m venv .venv

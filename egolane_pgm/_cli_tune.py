@@ -8,6 +8,14 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
+from egolane_pgm._cli_studies import (
+    address_of,
+    check_alone,
+    is_named,
+    join_studies,
+    storage_options,
+)
+
 if TYPE_CHECKING:
     from egolane_pgm.tune.plan import Plan
     from egolane_pgm.tune.tuning import Progress
@@ -53,6 +61,18 @@ if TYPE_CHECKING:
     type=click.IntRange(1),
     help="Processes that share the studies.  [default: the processor's cores]",
 )
+@storage_options
+@click.option(
+    "--join",
+    multiple=True,
+    metavar="STUDY",
+    help="Take part in a study of the storage; needs no EXPERIMENTS.",
+)
+@click.option(
+    "--grace",
+    type=click.FloatRange(min=1),
+    help="Of a new study in a storage: seconds after which a silent worker is dead.  [default: 60]",
+)
 @click.option(
     "--format",
     "style",
@@ -80,6 +100,10 @@ def tune(
     no_figures: bool,
     workers: int | None,
     jobs: int | None,
+    storage: str | None,
+    password_file: str | None,
+    join: tuple[str, ...],
+    grace: float | None,
     style: str,
     overrides: tuple[str, ...],
     json_file: str | None,
@@ -87,19 +111,37 @@ def tune(
     """Search parameters; report what they are worth on frames that they have not seen.
 
     A repeated command goes on where it stopped. EXPERIMENTS: experiments, or tuning files.
+
+    With --storage the study is kept in PostgreSQL, and other machines may share it: with the same
+    command, or with --join and its name.
     """
     from egolane_pgm.results import SCHEMA_VERSION, check_place, write_json
     from egolane_pgm.tune import plan as planning
+    from egolane_pgm.tune.joining import tune_shared
+    from egolane_pgm.tune.postgres import GRACE_S
     from egolane_pgm.tune.tuning import n_trials, prepare
     from egolane_pgm.tune.tuning import tune as run_studies
     from egolane_pgm.types import InputError
 
+    address = address_of(storage, password_file) if join or is_named(storage) else None
+    if join:
+        check_alone(("join", "storage", "password_file", "workers"))
+        assert address is not None
+        with _bar(None) as progress:
+            lines = join_studies(join, address, workers or _jobs(None, None), progress)
+        click.echo("\n".join(lines))
+        return
     if in_sample_only and (whole_recordings or blocks is not None):
         raise InputError("--in-sample-only: goes with neither --blocks nor --whole-recordings")
     if whole_recordings and blocks is not None:
         raise InputError("--whole-recordings: a recording is the block, leave --blocks away")
     if workers is not None and jobs is not None:
         raise InputError("--workers: shares one study, --jobs several; take one of the two")
+    if address is not None and jobs is not None:
+        raise InputError("--jobs: goes with no --storage (or EGOLANE_STORAGE); take --workers")
+    if address is None and (grace is not None or password_file is not None):
+        option = "--grace" if grace is not None else "--password-file"
+        raise InputError(f"{option}: goes with --storage")
     options = {
         "trials": trials,
         "objective": objectives or None,
@@ -120,12 +162,20 @@ def tune(
     studies = [prepare(p, Path(out) / p.name, held_out, test) for p in plans]
     for note in dict.fromkeys(note for study in studies for note in study.notes):
         click.echo(f"warning: {note}", err=True)
-    documents = []
     with _bar(n_trials(studies)) as progress:
-        for document in run_studies(
-            studies, jobs=_jobs(jobs, workers), workers=workers, progress=progress
-        ):
-            documents.append(document)
+        if address is None:
+            done = run_studies(
+                studies, jobs=_jobs(jobs, workers), workers=workers, progress=progress
+            )
+        else:
+            done = tune_shared(
+                studies,
+                address,
+                workers=workers or _jobs(None, None),
+                grace_s=grace or GRACE_S,
+                progress=progress,
+            )
+        documents = list(done)
     _print(documents, style)
     folders = ", ".join(str(study.directory) for study in studies[:3])
     if style == "markdown":
@@ -196,7 +246,7 @@ def _parameters(given: Sequence[str]) -> dict[str, Any]:
 class _bar:
     """A progress bar on stderr; silent where that is no terminal."""
 
-    def __init__(self, total: int) -> None:
+    def __init__(self, total: int | None) -> None:
         from tqdm import tqdm
 
         # tqdm's monitor is a thread, and processes are forked below.

@@ -16,7 +16,7 @@ from egolane_pgm.scoring.stability import lane_changes
 from egolane_pgm.tune.objective import Drive, belief_of, fitted_frames
 from egolane_pgm.tune.plan import Problem, evaluator, parameters_at
 from egolane_pgm.tune.space import Point
-from egolane_pgm.tune.study import Report, best_trial, run_study
+from egolane_pgm.tune.study import Evaluate, Report, Settings, best_trial, run_study
 from egolane_pgm.types import BoolArray, FloatArray, InputError
 from egolane_pgm.validation import (
     BLOCK_FRAMES,
@@ -122,6 +122,14 @@ def run_nested(
 ) -> Nested:
     """The study anew without one part, in memory and from scratch: values that were tuned on the
     frames held out, such as the published ones, would tell it about them."""
+    evaluate, own = without_part(problem, part, by_recording)
+    study = run_study(problem.space, evaluate, own, report=report)
+    best = best_trial(study)
+    return Nested(part, dict(best.params), tuple(best.values), own.trials)
+
+
+def without_part(problem: Problem, part: int, by_recording: bool) -> tuple[Evaluate, Settings]:
+    """Scores over the frames that the study without a part may look at, and how it is run."""
     used = training_frames(problem, part, by_recording)
     settings = problem.settings
     chosen = list(range(len(used)))
@@ -135,15 +143,13 @@ def run_nested(
     )
     evaluate = evaluator(smaller, [used[k] for k in chosen])
     # Another seed for each part: equal studies would share their luck.
-    own = type(settings)(
+    own = Settings(
         settings.objectives,
         settings.sampler,
         settings.trials,
         int(np.random.SeedSequence([settings.seed, part + 1]).generate_state(1)[0]),
     )
-    study = run_study(problem.space, evaluate, own, report=report)
-    best = best_trial(study)
-    return Nested(part, dict(best.params), tuple(best.values), settings.trials)
+    return evaluate, own
 
 
 def beliefs_at(problem: Problem, point: Point) -> list[FloatArray]:

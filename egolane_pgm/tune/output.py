@@ -22,10 +22,11 @@ from typing import TYPE_CHECKING, Any
 import yaml
 
 from egolane_pgm.experiment import Experiment, config_hash, resolved
-from egolane_pgm.provenance import file_sha256, git_state, versions
+from egolane_pgm.loading import file_entry
+from egolane_pgm.provenance import git_state, versions
 from egolane_pgm.results import plain, write_json
 from egolane_pgm.tune.held_out import Nested
-from egolane_pgm.tune.objective import fitted_frames
+from egolane_pgm.tune.objective import Drive, fitted_frames
 from egolane_pgm.tune.plan import Problem, parameters_at
 from egolane_pgm.tune.space import describe
 from egolane_pgm.types import InputError, Value
@@ -51,7 +52,7 @@ def identity_of(problem: Problem) -> dict[str, Any]:
                 "name": drive.experiment.name,
                 **{key: content[key] for key in kept},
                 "recording": {k: v for k, v in content["recording"].items() if k != "path"},
-                "data": [file_sha256(path)[:16] for path in drive.recorded.files],
+                "data": [_entry(drive, path)["sha256"][:16] for path in drive.recorded.files],
             }
         )
     return {
@@ -69,6 +70,10 @@ def identity_of(problem: Problem) -> dict[str, Any]:
         },
         "recordings": {r.pop("name"): r for r in recordings},
     }
+
+
+def _entry(drive: Drive, path: Path) -> dict[str, Any]:
+    return file_entry(path, pictures=drive.experiment.recording.detector is not None)
 
 
 def provenance(problem: Problem) -> dict[str, Any]:
@@ -90,7 +95,7 @@ def provenance(problem: Problem) -> dict[str, Any]:
         "space": identity["space"],
         "experiments": [resolved(d.experiment, d.model.parameters) for d in problem.drives],
         "data": [
-            {"path": path.name, "sha256": file_sha256(path), "bytes": path.stat().st_size}
+            {**_entry(drive, path), "path": path.name}
             for drive in problem.drives
             for path in drive.recorded.files
         ],

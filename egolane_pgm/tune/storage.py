@@ -38,6 +38,7 @@ _COLUMNS = {
     "trials": {"trial_id", "number", "study_id", "state", "datetime_start", "datetime_complete"},
     "trial_params": {"param_id", "trial_id", "param_name", "param_value", "distribution_json"},
     "trial_values": {"trial_value_id", "trial_id", "objective", "value", "value_type"},
+    "trial_user_attributes": {"trial_user_attribute_id", "trial_id", "key", "value_json"},
 }
 
 
@@ -201,7 +202,11 @@ class SqliteStore:
         self.base.executemany(
             "INSERT INTO trial_values (trial_id, objective, value, value_type)"
             " VALUES (?, ?, ?, 'FINITE')",
-            [(trial_id, k, value) for k, value in enumerate(trial.values)],
+            [(trial_id, k, value) for k, value in enumerate(trial.values or ())],
+        )
+        self.base.executemany(
+            "INSERT INTO trial_user_attributes (trial_id, key, value_json) VALUES (?, ?, ?)",
+            [(trial_id, key, json.dumps(value)) for key, value in trial.user_attrs.items()],
         )
 
     def close(self) -> None:

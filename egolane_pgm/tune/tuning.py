@@ -131,7 +131,7 @@ def run_main(study: Study, workers: int | None, progress: Progress | None) -> op
                     " --workers, or name another directory with --out"
                 )
             # Evidence and kernels are made once, before the processes part.
-            evaluate([dict(p) for p in _corners(problem)])
+            evaluate([dict(p) for p in corners(problem)])
             job = Job(directory, name, problem.space, evaluate, settings, starts)
             return run_workers(job, identity, workers or 1, report)
         with SqliteStore(directory, name, identity, settings.directions) as store:
@@ -154,7 +154,8 @@ def _counted(progress: Progress | None, label: str) -> Report | None:
     return report
 
 
-def _corners(problem: Problem) -> list[Any]:
+def corners(problem: Problem) -> list[Any]:
+    """A few points all over the space, which make the evidence that a search needs most."""
     from egolane_pgm.tune.space import from_unit
 
     steps = np.linspace(0, 1, 10)
@@ -347,7 +348,7 @@ def _in_processes(studies: Sequence[Study], jobs: int, progress: Progress | None
     tasks = [(k, -1) for k in range(len(studies))]
     for k, study in enumerate(studies):
         # Kernels are compiled, or loaded from their cache, before the processes part.
-        evaluator(study.problem, all_used(study.problem.drives))(_corners(study.problem)[:1])
+        evaluator(study.problem, all_used(study.problem.drives))(corners(study.problem)[:1])
         tasks += [(k, part) for part in range(study.n_parts) if part not in study.nested]
     context = multiprocessing.get_context("fork")
     _shared.studies = studies
