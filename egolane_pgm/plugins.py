@@ -26,6 +26,8 @@ CONTRACTS = {
     "evidence": ("evidence",),
     "recordings": ("read",),
     "detectors": ("start", "STEREO"),
+    # Only users' own files: the package's are names of `detectors._matchers`.
+    "matchers": ("match",),
 }
 
 

@@ -100,16 +100,18 @@ def test_losses_are_those_of_what_is_learned_without_both_stretches(tmp_path: Pa
     assert (np.sum(inside, axis=0) > 1).any()
     setting = settings_of(experiment)[3]
     model = replace(drive.model, parameters={**drive.model.parameters, **setting})
-    train = np.flatnonzero(~inside[1] & ~inside[4])
+    train = np.flatnonzero(~inside[1] & ~inside[2])
     learned = fit(model, drive.recorded, train, experiment)
     there = tasks[1].experiment.model_copy(
         update={"fit": "none", "parameters": {**SMALL, **setting, **learned}}
     )
     belief = held_out_run(load_for_scoring(there)).belief
     loss = -np.log(np.maximum(belief[np.arange(len(ids)), drive.truth.lane - 1], 0.01))
-    for without, on in ((1, 4), (4, 1)):
+    for without, on in ((1, 2), (2, 1)):
         kept = inside[on] & ~inside[without] & ~drive.truth.is_crossing
-        assert found.sums[3, without, on] == pytest.approx(loss[kept].sum())
+        assert found.sums["log_loss"][3, without, on] == pytest.approx(loss[kept].sum())
+        wrong = belief.argmax(axis=1) + 1 != drive.truth.lane
+        assert found.sums["accuracy"][3, without, on] == wrong[kept].sum()
         assert found.frames[without, on] == kept.sum()
 
 
@@ -117,12 +119,12 @@ def losses(sums: list[list[float]], drive: str = "here", frames: int = 100) -> L
     """sums[s][c], whatever else is left out."""
     table = np.array(sums, dtype=float)
     each = np.repeat(table[:, None, :], table.shape[1], axis=1)
-    return Losses(drive, each, np.full(each.shape[1:], frames))
+    return Losses(drive, {"accuracy": each}, np.full(each.shape[1:], frames))
 
 
-def choosing(cautious: str | None = "prior_frames", **grid: list[Any]) -> Experiment:
-    grid = grid or {"prior_frames": ["infinite", 100], "alpha": [0.05, 0.2]}
-    return geometry(fit="choose", choice={"grid": grid, "cautious": cautious})
+def choosing(cautious: str | None = "prior_frames", **keys: str) -> Experiment:
+    grid = {"prior_frames": ["infinite", 100], "alpha": [0.05, 0.2]}
+    return geometry(fit="choose", choice={"grid": grid, "cautious": cautious, **keys})
 
 
 def test_the_setting_of_least_loss_is_chosen_where_nothing_is_cautious() -> None:
@@ -136,23 +138,29 @@ def test_the_setting_of_least_loss_is_chosen_where_nothing_is_cautious() -> None
 def test_what_is_scored_is_not_looked_at() -> None:
     one = losses([[0, 9, 9], [9, 5, 5], [9, 6, 6], [9, 7, 7]])
     assert choose([one], "here", 0, choosing(None)) == 1
-    one.sums[:, :, 0] = np.nan
+    one.sums["accuracy"][:, :, 0] = np.nan
     assert choose([one], "here", 0, choosing(None)) == 1
     # What was learned with the block is of no use either.
     one = losses([[1, 1, 1], [2, 2, 2], [3, 3, 3], [4, 4, 4]])
-    one.sums[:, 1:, :] = np.nan
+    one.sums["accuracy"][:, 1:, :] = np.nan
     assert choose([one], "here", 0, choosing(None)) == 0
 
 
 def test_caution_keeps_what_is_not_worse_by_a_standard_error() -> None:
-    # Mean differences: 1 in each stretch, surely; or 3, -1, 1, 1, by luck.
-    surely = losses([[0] * 5, [6] * 5, [9] * 5, [5] * 5])
-    surely.sums[0] = 9
-    assert choose([surely], "here", 0, choosing()) == 3
-    by_luck = losses([[9] * 5, [0, 8, 4, 6, 5], [9] * 5, [5] * 5])
-    assert choose([by_luck], "here", 0, choosing()) == 1
+    paired = choosing(error_of="difference")
+    # Worse by 1 in each stretch; or by 4, 0, -1, 1: a standard error of 1.1 about a mean of 1.
+    surely = losses([[9] * 5, [0, 2, 9, 4, 6], [9] * 5, [0, 1, 8, 3, 5]])
+    assert choose([surely], "here", 0, paired) == 3
+    by_luck = losses([[9] * 5, [0, 9, 5, 4, 6], [9] * 5, [5] * 5])
+    assert choose([by_luck], "here", 0, paired) == 1
+    # By 4, 0, 3, 0: a standard error of 1 about a mean of 1.75.
+    mostly = losses([[9] * 5, [0, 9, 5, 8, 5], [9] * 5, [5] * 5])
+    assert choose([mostly], "here", 0, paired) == 3
     assert choose([by_luck], "here", 0, choosing(None)) == 3
-    assert choose([by_luck], "here", 0, choosing("alpha")) == 3
+    assert choose([by_luck], "here", 0, choosing("alpha", error_of="difference")) == 3
+    # The least loss itself is not known as well as the difference: 1, 8, 3, 5.
+    assert choose([surely], "here", 0, choosing()) == 1
+    assert choose([by_luck], "here", 0, choosing()) == 3
 
 
 def test_with_a_rule_that_learns_nothing_only_the_grid_is_chosen_from() -> None:
@@ -172,7 +180,8 @@ def test_with_a_rule_that_learns_nothing_only_the_grid_is_chosen_from() -> None:
 def test_processes_try_the_same(tmp_path: Path) -> None:
     (tasks,) = plan([two_recordings(tmp_path)], 5).values()
     for one, two in zip(try_all(tasks), try_all(tasks, jobs=2), strict=True):
-        np.testing.assert_array_equal(one.sums, two.sums)
+        for objective in ("accuracy", "log_loss"):
+            np.testing.assert_array_equal(one.sums[objective], two.sums[objective])
 
 
 def test_the_command_says_what_was_chosen(tmp_path: Path) -> None:
@@ -195,8 +204,10 @@ def test_what_is_learned_in_the_end_is_chosen_with_every_block(tmp_path: Path) -
     final = load_experiment(target)
     (tasks,) = plan([experiment], 5, is_held_out=False).values()
     losses = list(try_all(tasks))
-    total = sum(one.sums[:, range(5), range(5)].sum(axis=1) for one in losses)
+    total = sum(one.sums["log_loss"][:, range(5), range(5)].sum(axis=1) for one in losses)
     best = settings_of(experiment)[int(np.argmin(total))]
+    assert experiment.choice is not None
+    assert experiment.choice.cautious is None
     assert {name: final.parameters[name] for name in best} == best
     assert final.fit == "none"
     assert f"alpha {best['alpha']}" in said
@@ -314,7 +325,10 @@ def test_nothing_is_learned_where_the_prior_is_infinite(tmp_path: Path) -> None:
         "recording": {"simulate": "quickstart"},
         "n_lanes": 4,
         **GEOMETRY,
-        "parameters": {**SMALL, "prior_frames": "infinite"},
+        "parameters": {**SMALL, "prior_frames": "infinite", "sigmas_m": [0.1] * 7},
     }
     drive = load_for_scoring(make_experiment(content, tmp_path, "x.yaml"))
-    assert fit(drive.model, drive.recorded, np.arange(len(drive)), drive.experiment) == {}
+    found = fit(drive.model, drive.recorded, np.arange(len(drive)), drive.experiment)
+    # What the experiment has learned before may be from frames that are scored.
+    assert set(found) == set(line_geometry.LEARNED)
+    assert found["rates"] == found["sigmas_m"] == "generic"

@@ -7,7 +7,12 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from egolane_pgm.evidence._lane_width import gap_counts, lane_width, width_of_gaps
+from egolane_pgm.evidence._lane_width import (
+    gap_counts,
+    lane_width,
+    width_of_gaps,
+    widths_so_far,
+)
 from egolane_pgm.experiment import load_experiment
 from egolane_pgm.loading import load_recording
 from egolane_pgm.reproduce import paper_experiment
@@ -61,6 +66,22 @@ def test_lines_anywhere_tell_no_width(seed: int) -> None:
     assert found.width_m == FALLBACK
     assert "unsure" in found.message
     assert "3.5 m is used" in found.message
+
+
+@pytest.mark.parametrize("n_frames", [0, 1, 49, 50, 330])
+def test_the_width_so_far_is_that_of_the_frames_before(n_frames: int) -> None:
+    # The road becomes another one; no line in the first frames.
+    offsets = np.concatenate([road(3.0).offset_m[:200], 0.8 * road(3.0).offset_m[200:]])
+    offsets[:60] = np.nan
+    log = log_of(offsets[:n_frames])
+    found = widths_so_far(log, 50, FALLBACK)
+    assert len(found) == -(-n_frames // 50)
+    for k, width in enumerate(found):
+        before = lane_width(log.take(slice(0, 50 * k)), FALLBACK)
+        assert width == (round(before.width_m, 2) if before.gaps else FALLBACK)
+    if n_frames == 330:
+        assert (found[:2] == FALLBACK).all()
+        assert found[-1] != FALLBACK
 
 
 def test_too_few_gaps_tell_no_width() -> None:

@@ -8,8 +8,10 @@ or none; with `log_loss` it is -ln P(true lane), at most -ln FLOOR: more says ho
 belief was, not how often one is wrong.
 
 The setting of least mean loss is chosen. With `choice.cautious` an earlier value of that parameter
-is kept where its best setting is worse by no more than one standard error of the paired
-difference, over the stretches of road: recordings of one stretch share its luck.
+is kept where its best setting is worse by no more than one standard error, of the least mean loss
+(Breiman et al. 1984, the 1 SE rule) or of the paired difference (`choice.error_of`), over the
+stretches of road: recordings of one stretch share its luck. Of many settings the best looks better
+than it is, which the error of a difference does not know.
 """
 
 from __future__ import annotations
@@ -36,7 +38,7 @@ from egolane_pgm.compare.drives import (
 from egolane_pgm.experiment import Experiment
 from egolane_pgm.learn import fit as learn_from
 from egolane_pgm.learn import with_found
-from egolane_pgm.model import Model, declared_parameters
+from egolane_pgm.model import Model, declared_parameters, prepare_model
 from egolane_pgm.processes import in_processes
 from egolane_pgm.scoring.assign import assigned_lane
 from egolane_pgm.tune.objective import Drive, fitted_frames
@@ -78,19 +80,21 @@ class Task:
     @property
     def key(self) -> str:
         """The same for tasks that come to the same."""
-        content = self.experiment.model_dump(exclude={"name", "description"})
+        unused: dict[str, Any] = {"name": True, "description": True}
+        unused["choice"] = {"objective", "cautious", "error_of"}
+        content = self.experiment.model_dump(exclude=unused)
         folder = str(self.experiment.folder.absolute())
         return repr((content, folder, self.stretches, self.is_target, self.is_alone))
 
 
 @dataclass(frozen=True)
 class Losses:
-    """Of S settings on one recording. drive: which it is of (`drives.drive_key`). sums (S, B, B):
-    [s, b, c] is the loss, summed over the frames of stretch c that are not in b, with what was
-    learned without both (b = c: without c). frames (B, B): how many these are."""
+    """Of S settings on one recording. drive: which it is of (`drives.drive_key`). sums (S, B, B),
+    by objective: [s, b, c] is the loss, summed over the frames of stretch c that are not in b, with
+    what was learned without both (b = c: without c). frames (B, B): how many these are."""
 
     drive: str
-    sums: FloatArray
+    sums: Mapping[str, FloatArray]
     frames: IntArray
 
 
@@ -122,7 +126,7 @@ def plan(
     drives: dict[str, Drive] = {}
     pools: list[list[Experiment]] = []
     for own in chosen:
-        settings_of(own)
+        _check_grid(own)
         assert own.choice is not None
         pool = {recording_key(own): own}
         for other in on_recordings(own, own.choice.recordings, "choice.recordings"):
@@ -131,7 +135,6 @@ def plan(
         for key, experiment in pool.items():
             if key not in drives:
                 drives[key] = load_for_scoring(experiment)
-                _check_grid(drives[key])
     targets = {drive_key(own) for own in chosen if is_held_out}
     tasks = {}
     for own, members in zip(chosen, pools, strict=True):
@@ -155,11 +158,12 @@ def plan(
     return tasks
 
 
-def _check_grid(drive: Drive) -> None:
-    specs = declared_parameters(drive.model.rule, drive.model.graph)
-    where = f"{drive.experiment.source}: choice.grid"
-    for setting in settings_of(drive.experiment):
-        resolve_parameters(specs, setting, drive.n_lanes, where)
+def _check_grid(experiment: Experiment) -> None:
+    settings = settings_of(experiment)
+    model = prepare_model(experiment)
+    specs = declared_parameters(model.rule, model.graph)
+    for setting in settings:
+        resolve_parameters(specs, setting, model.n_lanes, f"{experiment.source}: choice.grid")
 
 
 def known_losses(tasks: Mapping[str, Sequence[Task]], done: Mapping[str, Losses]) -> Known:
@@ -184,7 +188,8 @@ def losses_of(task: Task) -> Losses:
     inside = [on_stretch(drive, ends) for ends in task.stretches]
     may_fit = fitted_frames(drive)
     settings = settings_of(task.experiment)
-    sums = np.zeros((len(settings), n_stretches, n_stretches))
+    shape = (len(settings), n_stretches, n_stretches)
+    sums = {objective: np.zeros(shape) for objective in LOSSES}
     frames = np.zeros((n_stretches, n_stretches), dtype=np.int64)
     tried = _Tried(drive, settings)
     for b, c in itertools.combinations_with_replacement(range(n_stretches), 2):
@@ -203,26 +208,28 @@ def losses_of(task: Task) -> Losses:
             is_scored = may_fit & ~truth.is_crossing & inside[on]
             if without != on:
                 is_scored &= ~inside[without]
-            sums[:, without, on] = loss[:, is_scored].sum(axis=1)
+            for objective, values in loss.items():
+                sums[objective][:, without, on] = values[:, is_scored].sum(axis=1)
             frames[without, on] = np.count_nonzero(is_scored)
     return Losses(drive_key(task.experiment), sums, frames)
 
 
 class _Tried:
-    """The settings on one drive. Kept is what does not change with the training frames: the losses
-    where nothing is learned."""
+    """The settings on one drive. Kept are the losses with what each has learned last: where nothing
+    is learned, it is always the same."""
 
     def __init__(self, drive: Drive, settings: Sequence[Setting]) -> None:
         self.drive = drive
         experiment = drive.experiment
         self.models = [with_found(drive.model, setting, experiment) for setting in settings]
-        self.unlearned: dict[int, FloatArray] = {}
+        self.last: dict[int, tuple[str, list[FloatArray]]] = {}
 
-    def losses(self, train: IntArray) -> FloatArray:
-        """(S, K): of each setting in each annotated frame, learned from the frames `train`."""
+    def losses(self, train: IntArray) -> dict[str, FloatArray]:
+        """(S, K) by objective: of each setting in each annotated frame, learned from the frames
+        `train`."""
         experiment = self.drive.experiment
         known: dict[str, Found] = {}
-        losses = np.empty((len(self.models), len(self.drive)))
+        losses: list[list[FloatArray]] = []
         for s, model in enumerate(self.models):
             found: Found = {}
             if learns(model, experiment):
@@ -231,13 +238,11 @@ class _Tried:
                 if key not in known:
                     known[key] = self._learned(model, train)
                 found = known[key]
-            if found:
-                losses[s] = self._loss(with_found(model, found, experiment))
-                continue
-            if s not in self.unlearned:
-                self.unlearned[s] = self._loss(model)
-            losses[s] = self.unlearned[s]
-        return losses
+            what = repr(found)
+            if s not in self.last or self.last[s][0] != what:
+                self.last[s] = what, self._losses(with_found(model, found, experiment))
+            losses.append(self.last[s][1])
+        return {name: np.stack([each[k] for each in losses]) for k, name in enumerate(LOSSES)}
 
     def _learned(self, model: Model, train: IntArray) -> Found:
         # Which lanes were not seen is said where what is learned is used.
@@ -245,12 +250,11 @@ class _Tried:
             warnings.simplefilter("ignore", UserWarning)
             return learn_from(model, self.drive.recorded, train, self.drive.experiment)
 
-    def _loss(self, model: Model) -> FloatArray:
+    def _losses(self, model: Model) -> list[FloatArray]:
         drive = self.drive
         beliefs, _ = believe(drive, model, slice(None))
-        choice = drive.experiment.choice
-        assert choice is not None
-        return LOSSES[choice.objective](beliefs.lane[drive.recorded.scored], drive.truth.lane)
+        belief = beliefs.lane[drive.recorded.scored]
+        return [of(belief, drive.truth.lane) for of in LOSSES.values()]
 
 
 def learns(model: Model, experiment: Experiment) -> bool:
@@ -263,7 +267,7 @@ def choose(losses: Sequence[Losses], own_drive: str, block: int, experiment: Exp
     """The number of the setting that is chosen for a block of a recording of a drive."""
     choice = experiment.choice
     assert choice is not None
-    sums, n_frames = _clusters(losses, own_drive, block)
+    sums, n_frames = _clusters(losses, choice.objective, own_drive, block)
     total = sums.sum(axis=0)
     best = int(total.argmin())
     if choice.cautious is None or len(sums) < 2:
@@ -273,8 +277,8 @@ def choose(losses: Sequence[Losses], own_drive: str, block: int, experiment: Exp
     for value in range(int(level[best])):
         rival = int(np.where(level == value, total, np.inf).argmin())
         worse = (sums[:, rival] - sums[:, best]) / n_frames
-        error = math.sqrt(len(worse)) * float(worse.std(ddof=1))
-        if float(worse.sum()) <= error:
+        of = worse if choice.error_of == "difference" else sums[:, best] / n_frames
+        if float(worse.sum()) <= math.sqrt(len(of)) * float(of.std(ddof=1)):
             return rival
     return best
 
@@ -287,7 +291,9 @@ def chosen_on_all(experiment: Experiment, losses: Sequence[Losses]) -> Experimen
     return experiment.model_copy(update=changes)
 
 
-def _clusters(losses: Sequence[Losses], own_drive: str, block: int) -> tuple[FloatArray, int]:
+def _clusters(
+    losses: Sequence[Losses], objective: str, own_drive: str, block: int
+) -> tuple[FloatArray, int]:
     """(C, S): the summed losses on each stretch of road that may be looked at, over the recordings
     of it; and the number of frames."""
     sums: dict[tuple[str, int], FloatArray] = {}
@@ -299,7 +305,7 @@ def _clusters(losses: Sequence[Losses], own_drive: str, block: int) -> tuple[Flo
                 continue
             without = block if is_own else c
             key = (one.drive, c)
-            sums[key] = sums.get(key, 0.0) + one.sums[:, without, c]
+            sums[key] = sums.get(key, 0.0) + one.sums[objective][:, without, c]
             n_frames += int(one.frames[without, c])
     if not n_frames:
         raise InputError(f"block {block + 1}: no frame is left to choose on")

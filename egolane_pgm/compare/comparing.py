@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import re
 import warnings
 from collections.abc import Iterator, Mapping, Sequence
@@ -24,7 +25,7 @@ from egolane_pgm.compare.drives import load_for_scoring, on_recording, recording
 from egolane_pgm.compare.health import detector_answers, detector_health, model_health
 from egolane_pgm.compare.held_out import HeldOutRun, held_out_run
 from egolane_pgm.compare.in_sample import with_graph
-from egolane_pgm.compare.saving import save_comparison
+from egolane_pgm.compare.saving import folder_of, save_comparison
 from egolane_pgm.experiment import Experiment, load_experiment
 from egolane_pgm.loading import Recorded
 from egolane_pgm.model import prepare_model
@@ -87,7 +88,22 @@ def by_recording(experiments: Sequence[Experiment]) -> list[Group]:
             title += f", seed {recording.seed}"
         run = next((n for n in map(_paper_run, mine) if n is not None), None)
         groups.append(_checked(Group(title, run, tuple(mine), tuple(mine))))
-    return groups
+    return _with_own_titles(groups)
+
+
+def _with_own_titles(groups: Sequence[Group]) -> list[Group]:
+    """Recordings of one name (`a/lines.csv`, `b/lines.csv`) with their folder's, else numbered:
+    rows of a table and result directories go by the title."""
+    titles = [group.title for group in groups]
+    found: dict[str, Group] = {}
+    for group in groups:
+        first, title = group.experiments[0], group.title
+        if first.recording.path and titles.count(title) > 1:
+            title = f"{(first.folder / first.recording.path).absolute().parent.name} {title}"
+        numbered = (f"{title} ({k})" for k in itertools.count(2))
+        title = next(t for t in itertools.chain([title], numbered) if folder_of(t) not in found)
+        found[folder_of(title)] = replace(group, title=title)
+    return list(found.values())
 
 
 def on_runs(

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from pathlib import Path
 
 import numpy as np
 
@@ -11,6 +10,7 @@ from egolane_pgm.experiment import Experiment, Tuning, load_experiment, make_exp
 from egolane_pgm.inference.smoothing import infer_beliefs
 from egolane_pgm.loading import Recorded, load_recording
 from egolane_pgm.model import Model, make_evidence, prepare_model
+from egolane_pgm.run import files_in_full
 from egolane_pgm.tune.objective import Drive
 from egolane_pgm.types import Beliefs, BoolArray, InputError, IntArray, Value
 
@@ -22,16 +22,12 @@ def on_recording(model: Experiment, place: Experiment) -> Experiment:
     """The model of one experiment on the recording of another: that one's frames, ground truth,
     number of lanes and untrusted labels (`tuning.never_fit`)."""
     content = model.model_dump()
-    recording = place.recording.model_dump()
-    recording["path"] = full_path(recording["path"], place.folder)
-    truth = place.ground_truth.model_dump() if place.ground_truth is not None else None
-    if truth is not None:
-        truth["path"] = full_path(truth["path"], place.folder)
+    truth = place.ground_truth
     never_fit = place.tuning.never_fit if place.tuning is not None else ()
     tuning = (model.tuning or Tuning()).model_dump()
     content |= {
-        "recording": recording,
-        "ground_truth": truth,
+        "recording": files_in_full(place.recording.model_dump(), place.folder),
+        "ground_truth": files_in_full(truth.model_dump(), place.folder) if truth else None,
         "n_lanes": place.n_lanes,
         "tuning": {**tuning, "never_fit": never_fit},
     }
@@ -52,15 +48,10 @@ def on_recordings(model: Experiment, names: Sequence[str], key: str) -> list[Exp
     return placed
 
 
-def full_path(path: str | None, folder: Path) -> str | None:
-    """A file that lies beside the YAML, named in full."""
-    return str((folder / path).absolute()) if path and (folder / path).is_file() else path
-
-
 def recording_key(experiment: Experiment) -> str:
     """What is driven: file or simulation, its frames, and the number of lanes."""
     recording = experiment.recording
-    path = full_path(recording.path, experiment.folder)
+    path = files_in_full({"path": recording.path}, experiment.folder)["path"]
     return repr((path, recording.simulate, recording.seed, recording.frames, experiment.n_lanes))
 
 
@@ -68,7 +59,8 @@ def drive_key(experiment: Experiment) -> str:
     """What recordings of one drive have in common: the ground truth, whose frame ids are theirs
     too, or the simulation."""
     if experiment.ground_truth is not None:
-        return str(full_path(experiment.ground_truth.path, experiment.folder))
+        truth = {"path": experiment.ground_truth.path}
+        return str(files_in_full(truth, experiment.folder)["path"])
     return repr((experiment.recording.simulate, experiment.recording.seed, experiment.n_lanes))
 
 

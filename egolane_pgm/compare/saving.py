@@ -13,8 +13,9 @@ import numpy as np
 
 from egolane_pgm.compare.held_out import HeldOutRun
 from egolane_pgm.experiment import config_hash, resolved
+from egolane_pgm.loading import file_entry
 from egolane_pgm.model import Model, prepare_model
-from egolane_pgm.provenance import file_sha256, git_state, versions
+from egolane_pgm.provenance import git_state, versions
 from egolane_pgm.results import make_directory, staged, write_json, write_result
 from egolane_pgm.run import plugin_files, portable
 from egolane_pgm.scoring.assign import assigned_lane
@@ -60,7 +61,7 @@ def _provenance(
         "name": experiment.name,
         "config_hash": config_hash(content),
         "data": [
-            {"path": str(path), "sha256": file_sha256(path), "bytes": path.stat().st_size}
+            file_entry(path, pictures=experiment.recording.detector is not None)
             for path in run.recorded.files
         ],
         "plugins": plugin_files(model),

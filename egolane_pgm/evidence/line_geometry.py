@@ -295,7 +295,7 @@ def fit_pooled(
     """As `fit`, from several recordings, (log, lane, is_used) of each, whose lines are brought to
     the lane width of the first."""
     if parameters["prior_frames"] == "infinite":
-        return {}
+        return {p.name: p.default for p in PARAMETERS if p.name in LEARNED}
     source = ", ".join(log.source for log, _, _ in parts)
     offsets, kinds, lanes = [], [], []
     first_width = 0.0
