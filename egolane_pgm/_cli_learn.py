@@ -53,12 +53,12 @@ def learn(
     if unlabelled:
         overrides = (*overrides, "learning.labels=false")
     found = load_experiment(experiment, overrides)
-    found = _chosen(found, blocks)
     name = f"learned_{found.name.removeprefix('learned_')}"
     target = Path(out) if out else Path(f"{name}.yaml")
     output_files(found, target)
     if json_file:
         check_place(Path(json_file))
+    found = _chosen(found, blocks)
     with warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always", UserWarning)
         with tqdm(total=blocks + 1, unit="fit", leave=False, disable=None) as bar:
@@ -66,8 +66,9 @@ def learn(
     # Each block may have the same to say.
     for note in dict.fromkeys(str(w.message) for w in caught):
         click.echo(f"warning: {note}", err=True)
-    files = write_learned(found, learned, target)
+    # What was computed is said, whatever becomes of the files.
     _print(found.name, learned, blocks)
+    files = write_learned(found, learned, target)
     click.echo(f"\nwritten to {' and '.join(map(str, files))}")
     if json_file:
         write_json(

@@ -27,6 +27,8 @@ def _recording_options(command: Callable[..., Any]) -> Callable[..., Any]:
             "--ground-truth", metavar="FILE|none", help="Annotation of the recording, if any."
         ),
         click.option("--n-lanes", type=int, help="Number of lanes of the road."),
+        click.option("--camera", metavar="FILE", help="Its camera, for a video or pictures."),
+        click.option("--detector", metavar="NAME|FILE.py", help="What looks at the video."),
         click.option(
             "--frame-id",
             type=click.Choice(["way_id", "seq"]),
@@ -71,6 +73,8 @@ def run(
     ground_truth: str | None,
     n_lanes: int | None,
     frame_id: str | None,
+    camera: str | None,
+    detector: str | None,
     out: str | None,
     no_figures: bool,
     jobs: int,
@@ -93,13 +97,14 @@ def run(
     if json_file:
         check_place(Path(json_file))
     draw = None if no_figures else _draw_all
+    changes = (ground_truth, n_lanes, frame_id, camera, detector)
     if len(experiments) == 1 and len(recordings) < 2:
         recording = recordings[0] if recordings else None
-        chosen = _load(experiments[0], overrides, recording, ground_truth, n_lanes, frame_id)
+        chosen = _load(experiments[0], overrides, recording, *changes)
         _run_one(chosen, Path(out) if out else None, draw, not use_numpy, json_file)
         return
     jobs_to_do = [
-        (path, overrides, recording, ground_truth, n_lanes, frame_id)
+        (path, overrides, recording, *changes)
         for path in experiments
         for recording in recordings or (None,)
     ]
@@ -113,13 +118,14 @@ def _load(
     ground_truth: str | None,
     n_lanes: int | None,
     frame_id: str | None,
+    camera: str | None,
+    detector: str | None,
 ) -> Experiment:
     from egolane_pgm.experiment import load_experiment, with_recording
 
     found = load_experiment(path, overrides)
-    if recording is None and ground_truth is None and n_lanes is None and frame_id is None:
-        return found
-    return with_recording(found, recording, ground_truth, n_lanes, frame_id)
+    changes = (recording, ground_truth, n_lanes, frame_id, camera, detector)
+    return found if changes == (None,) * 6 else with_recording(found, *changes)
 
 
 def _run_one(

@@ -12,11 +12,15 @@ import click
 
 from egolane_pgm import (
     __version__,
+    _cli_camera,
     _cli_compare,
+    _cli_detect,
     _cli_learn,
     _cli_recordings,
     _cli_run,
+    _cli_studies,
     _cli_tune,
+    _cli_video,
 )
 
 
@@ -86,13 +90,16 @@ _numpy = click.option(
 
 @egolane.command("ls")
 def list_experiments() -> None:
-    """List graphs, evidence rules, simulated drives and the experiments that come along."""
+    """List graphs, evidence rules, detectors, simulated drives and experiments that come along."""
     from egolane_pgm.plugins import plugin_names
+    from egolane_pgm.recordings import FORMATS
     from egolane_pgm.reproduce import experiments_folder
     from egolane_pgm.simulation import PRESETS
 
     click.echo(f"graphs:      {', '.join(plugin_names('graphs'))}")
     click.echo(f"evidence:    {', '.join(plugin_names('evidence'))}")
+    click.echo(f"detectors:   {', '.join(plugin_names('detectors'))}")
+    click.echo(f"recordings:  {', '.join(FORMATS)}")
     click.echo(f"simulations: {', '.join(sorted(PRESETS))}")
     click.echo("experiments:")
     from egolane_pgm.experiment import load_experiment
@@ -300,13 +307,18 @@ def network(graph: str, target: str, n_lanes: int) -> None:
 
 
 for _command in (
+    _cli_camera.calibrate,
     _cli_compare.compare,
+    _cli_detect.detect,
     _cli_learn.learn,
     _cli_recordings.data,
     _cli_recordings.convert,
     _cli_recordings.simulate,
     _cli_recordings.online,
     _cli_run.run,
+    _cli_studies.studies,
     _cli_tune.tune,
+    _cli_video.lines,
+    _cli_video.video,
 ):
     egolane.add_command(_command)

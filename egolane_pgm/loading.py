@@ -102,6 +102,8 @@ def _read_sources(experiment: Experiment) -> tuple[LineLog, LaneTruth | None, li
             path = _find(recording.path, experiment, "recording.path", folders=True)
             files.append(path)
             log = _read_log(path, experiment)
+            if recording.camera is not None:
+                files.append(_find(recording.camera, experiment, "recording.camera"))
     if experiment.ground_truth is not None:
         path = _find(experiment.ground_truth.path, experiment, "ground_truth.path")
         files.append(path)

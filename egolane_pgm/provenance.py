@@ -18,7 +18,15 @@ def file_sha256(path: Path) -> str:
 
 
 def versions(
-    packages: Sequence[str] = ("egolane-pgm", "numpy", "numba", "pgmpy", "rosbags", "pyarrow"),
+    packages: Sequence[str] = (
+        "egolane-pgm",
+        "numpy",
+        "numba",
+        "opencv-python-headless",
+        "pgmpy",
+        "rosbags",
+        "pyarrow",
+    ),
 ) -> dict[str, str]:
     """Versions of Python and of the packages that numbers depend on."""
     found = {"python": platform.python_version()}

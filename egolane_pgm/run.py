@@ -170,15 +170,17 @@ def portable(
             portable[key] = f"./{copy}"
     for key in ("recording", "ground_truth"):
         if content[key]:
-            portable[key] = {
-                name: _in_full(name, value, experiment.folder)
-                for name, value in content[key].items()
-            }
+            portable[key] = files_in_full(content[key], experiment.folder)
     return portable
 
 
+def files_in_full(section: Mapping[str, Any], folder: Path) -> dict[str, Any]:
+    """The keys of a `recording` or `ground_truth`; files and folders that lie in `folder`, that of
+    the YAML, with their whole path, those that are found elsewhere as they are named."""
+    return {name: _in_full(name, value, folder) for name, value in section.items()}
+
+
 def _in_full(key: str, value: Any, folder: Path) -> Any:
-    """The value of a key, where it is a file beside the YAML with its whole path."""
     if not isinstance(value, str):
         return value
     is_plugin = key in ("format", "detector") and value.endswith(".py")
@@ -210,7 +212,10 @@ def _provenance(run: Run, content: Mapping[str, Any]) -> dict[str, Any]:
     return {
         "name": run.experiment.name,
         "config_hash": config_hash(content),
-        "data": [file_entry(path) for path in run.recorded.files],
+        "data": [
+            file_entry(path, pictures=run.experiment.recording.detector is not None)
+            for path in run.recorded.files
+        ],
         "plugins": plugin_files(run.model),
         "versions": versions(),
         "git": git_state(),

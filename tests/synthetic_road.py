@@ -1,14 +1,17 @@
 """Pictures of a flat road with lines on it, for the tests of detectors: drawn ray by ray, without
-anything of the detectors or of the simulation."""
+anything of the detectors or of the simulation; and files of them."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from pathlib import Path
 
+import cv2
 import numpy as np
+import yaml
 
-from egolane_pgm.camera import Camera, image_to_road
+from egolane_pgm.camera import Camera, image_to_road, write_camera
 from egolane_pgm.detectors import Image, Picture
 
 CAMERA = Camera(480, 270, 390.0, 390.0, 239.5, 134.5, height_m=1.4, pitch_deg=-4.0)
@@ -78,3 +81,39 @@ def drive(
             right = road(here, k * step_m, camera=second, seed=1000 + k)
         pictures.append(Picture(first + k, image, right))
     return pictures
+
+
+def write_video(
+    path: Path, images: Sequence[Image], rate: float = 12.5, four: str = "MJPG"
+) -> Path:
+    height, width = images[0].shape[:2]
+    writer = cv2.VideoWriter(str(path), cv2.VideoWriter_fourcc(*four), rate, (width, height))
+    for image in images:
+        writer.write(image)
+    writer.release()
+    return path
+
+
+def write_pictures(folder: Path, images: Sequence[Image], name: str = "{:d}.png") -> Path:
+    folder.mkdir(parents=True, exist_ok=True)
+    for k, image in enumerate(images):
+        assert cv2.imwrite(str(folder / name.format(k)), image)
+    return folder
+
+
+def images(n: int) -> list[Image]:
+    """The pictures of a drive."""
+    return [picture.image for picture in drive(n)]
+
+
+def write_place(folder: Path, n_frames: int) -> Path:
+    """drive.avi, cam.yaml and run.yaml in a folder."""
+    write_video(folder / "drive.avi", images(n_frames))
+    write_camera(folder / "cam.yaml", CAMERA)
+    content = {
+        "name": "seen",
+        "recording": {"path": "drive.avi", "camera": "cam.yaml", "detector": "ml"},
+        "n_lanes": 2,
+    }
+    (folder / "run.yaml").write_text(yaml.safe_dump(content))
+    return folder

@@ -100,6 +100,16 @@ def test_what_has_an_option_of_its_own_is_not_set(tmp_path: Path, key: str) -> N
     assert not (tmp_path / "drive").exists()
 
 
+def test_a_line_far_beside_the_picture_is_refused(labels: Path) -> None:
+    first = json.loads(labels.read_text().splitlines()[0])
+    first["lanes"][1] = [1e18] * len(ROWS)
+    labels.write_text(json.dumps(first) + "\n")
+    said = refused(
+        "convert", labels, labels.with_name("a.csv"), "--camera", labels.with_name("cam.yaml")
+    )
+    assert said.startswith(f"{labels}: line 1: a line reaches column 1e+18, the camera's pictures")
+
+
 # --- lines ---------------------------------------------------------------------------------------
 
 
@@ -174,12 +184,14 @@ def test_a_folder_in_the_place_of_a_video_is_refused_at_once(tmp_path: Path) -> 
 
 def test_a_video_that_cannot_be_put_in_its_place_is_kept_beside_it(tmp_path: Path) -> None:
     target = tmp_path / "d.mp4"
-    with (
-        pytest.raises(InputError, match=r"cannot be written: .*; the video is in (.*)") as caught,
-        frame_writer(target, 10, (64, 48)) as write,
-    ):
-        write(0, np.zeros((48, 64, 3), dtype=np.uint8))
-        target.mkdir()
+
+    def draw() -> None:
+        with frame_writer(target, 10, (64, 48)) as write:
+            write(0, np.zeros((48, 64, 3), dtype=np.uint8))
+            target.mkdir()
+
+    with pytest.raises(InputError, match=r"cannot be written: .*; the video is in ") as caught:
+        draw()
     kept = Path(str(caught.value).rpartition("the video is in ")[2])
     assert cv2.VideoCapture(str(kept)).read()[0]
 

@@ -47,6 +47,12 @@ MOMENTS = 20
 GRACE_S = 1.0
 
 
+def slower(points: Any) -> Any:
+    """Time enough to be killed in mid-trial."""
+    time.sleep(0.005 * len(points))
+    return bowl(points)
+
+
 def refused(url: str) -> str:
     with pytest.raises(InputError) as caught:
         make_job(url, "drive")
@@ -166,10 +172,11 @@ def test_one_of_four_workers_is_killed_in_mid_trial(
 ) -> None:
     rng = random.Random(moment)
     sampler = ("evolution", "random", "evolution", "tpe")[moment % 4]
-    options = {"sampler": sampler, "trials": TRIALS if sampler != "tpe" else 40}
+    trials = TRIALS if sampler != "tpe" else 40
+    options: dict[str, Any] = {"sampler": sampler, "trials": trials, "evaluate": slower}
     if moment % 2:
         # Nobody on its machine sees it die: the others hear nothing of it.
-        job = make_job(shared, name, grace_s=0.7, **options)  # type: ignore[arg-type]
+        job = make_job(shared, name, grace_s=0.7, **options)
         processes = [start(alone, job, f"{rng.getrandbits(48):012x}") for _ in range(4)]
         victims = [process.pid for process in processes]
     else:
@@ -190,7 +197,7 @@ def test_one_of_four_workers_is_killed_in_mid_trial(
     assert [process.exitcode for process in processes if process.pid != victim] == [0] * (
         len(processes) - (moment % 2)
     )
-    is_whole(server, shared, name, options["trials"], sampler)  # type: ignore[arg-type]
+    is_whole(server, shared, name, trials, sampler)
     after = finished(server, shared, name)
     assert {number: after[number] for number in before} == before
 

@@ -17,17 +17,24 @@ from egolane_pgm.learn.tables import PREFIX, found_tables, settings
 from egolane_pgm.model import declared_parameters, prepare_model
 from egolane_pgm.plugins import OWN_FILES
 from egolane_pgm.results import check_place
+from egolane_pgm.run import files_in_full
 from egolane_pgm.types import InputError
 
 
 def output_files(experiment: Experiment, target: Path) -> list[Path]:
     """The files that `write_learned` may write: the experiment, and a graph. Raises InputError
-    where that is not possible."""
+    where that is not possible, or would write over what the experiment reads."""
     files = [target, target.with_name(f"{target.stem}.graph.yaml")]
     for file in files:
         check_place(file)
     if target.resolve() == Path(experiment.source).resolve():
         raise InputError(f"{target}: is the experiment itself; name another file with --out")
+    recording, truth = experiment.recording, experiment.ground_truth
+    named = [experiment.graph, recording.path, recording.camera, truth and truth.path]
+    read = {(experiment.folder / name).resolve() for name in named if name}
+    for file in files:
+        if file.resolve() in read:
+            raise InputError(f"{file}: is read by {experiment.source}; name another with --out")
     return files
 
 
@@ -65,6 +72,7 @@ def write_learned(experiment: Experiment, learned: Learned, target: Path) -> lis
 def _write(path: Path, heading: str, content: Mapping[str, Any]) -> None:
     text = yaml.safe_dump(dict(content), sort_keys=False, default_flow_style=None, width=100)
     try:
+        path.parent.mkdir(parents=True, exist_ok=True)
         path.write_text(heading + text, encoding="utf-8")
     except OSError as error:
         raise InputError(f"{path}: cannot be written: {error.strerror}") from error
@@ -102,17 +110,15 @@ def _experiment_yaml(
         if spec.shape is not None and isinstance(value, list):
             rows = np.array([float(f"{v:.4g}") for v in value])
             content["parameters"][spec.name] = rows.reshape(spec.shape(experiment.n_lanes)).tolist()
-    for place, key in (("recording", "path"), ("ground_truth", "path"), ("recording", "format")):
-        if content[place] and content[place].get(key):
-            content[place][key] = _from(target.parent, content[place][key], experiment.folder)
+    old, new = experiment.folder.resolve(), target.parent.resolve()
+    if old == new:
+        return content
+    for section in ("recording", "ground_truth"):
+        named = content[section] or {}
+        for key, full in files_in_full(named, old).items():
+            if full != named[key]:
+                named[key] = os.path.relpath(full, new)
     for key in ("evidence", "graph"):
         if content[key].endswith(OWN_FILES):
-            content[key] = _from(target.parent, content[key], experiment.folder)
+            content[key] = os.path.relpath((old / content[key]).resolve(), new)
     return content
-
-
-def _from(folder: Path, name: str, old: Path) -> str:
-    """A file that is named relative to the old experiment's folder, named relative to another."""
-    if not (old / name).is_file() or folder.resolve() == old.resolve():
-        return name
-    return os.path.relpath((old / name).resolve(), folder.resolve())

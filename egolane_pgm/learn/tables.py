@@ -63,6 +63,11 @@ def check_tables(model: Model, experiment: Experiment) -> dict[SliceNode, Table]
     if wanted is None:
         return open_
     names = {name for name, _ in open_}
+    if not wanted:
+        raise InputError(
+            f"{source}: learning.tables: names no table; leave it out to learn all of"
+            f" {', '.join(sorted(names))}"
+        )
     for name in wanted:
         if name not in names:
             raise InputError(

@@ -49,6 +49,9 @@ LONGEST_GAP_S = 1.0
 #: How a line becomes valid: by the paper's hysteresis, or always, where the source is trusted.
 VALID = ("hysteresis", "always")
 
+#: Lines are drawn on beyond the sides of the picture, but not by so many of its widths.
+_MOST_WIDTHS = 20
+
 #: Names of pictures with more digits are time stamps; by their length, seconds for one.
 _STAMP_UNITS = {13: 1e-3, 16: 1e-6, 18: 1e-8, 19: 1e-9}
 
@@ -290,13 +293,22 @@ def _in_order(
 
 
 def _check_rows(frames: Iterable[ImageFrame], camera: Camera, source: str) -> None:
-    """InputError where the lines reach far below the camera's picture: they are of another."""
+    """InputError where the lines reach far below the camera's picture, or many times its width to
+    a side: they are of another."""
     for frame in frames:
         lowest = max((float(line.v.max()) for line in frame.lines if len(line.v)), default=0.0)
         if lowest > 1.1 * camera.height:
             raise InputError(
                 f"{frame.where}: a line reaches down to row {lowest:.0f}, the camera's pictures"
                 f" have {camera.height}; is it the camera of these pictures?"
+            )
+        widest = max(
+            (float(np.abs(line.u).max()) for line in frame.lines if len(line.u)), default=0
+        )
+        if widest > _MOST_WIDTHS * camera.width:
+            raise InputError(
+                f"{frame.where}: a line reaches column {widest:g}, the camera's pictures have"
+                f" {camera.width}; is it the camera of these pictures?"
             )
 
 

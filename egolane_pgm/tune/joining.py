@@ -61,7 +61,8 @@ SCORED_BY = (
 
 def code_of(problem: Problem) -> dict[str, str]:
     """What scores depend on beside recordings and parameters: the package's version, and the
-    beginning of a sha256 of each graph, evidence rule, own format and own detector, and of what they stand on."""
+    beginning of a sha256 of each graph, evidence rule, format and detector of one's own, and of
+    what they stand on."""
     folder = Path(egolane_pgm.__file__).parent
     files = []
     for name in SCORED_BY:

@@ -37,7 +37,7 @@ N_LANES = 4
 #: The bonnet begins in this row.
 BONNET = 670
 
-#: With half the picture black its edge runs straight ahead from the car: no line of the left half.
+#: With half the picture black, what is seen this near the car's middle is not of the left half.
 EDGE_M = 0.6
 
 #: From here on the belief is asked for, seconds.
@@ -134,11 +134,12 @@ def left_blanked(folder: Path) -> Followed:
     return follow_video(folder, blanked)
 
 
-def frames_with_left_line(followed: Followed) -> tuple[int, int]:
-    """In how many frames there is a line left of the car, valid or not, and in how many one that is
-    not the edge of the black straight ahead."""
+def frames_with_left_line(followed: Followed) -> tuple[int, int, int]:
+    """In how many frames there is a line left of the car, valid or not; a valid one; and one that
+    is not near the car's middle, valid or not."""
     any_line = sum(bool((f.offset_m < 0).any()) for f in followed.lines)
-    return any_line, sum(bool((f.offset_m < -EDGE_M).any()) for f in followed.lines)
+    valid = sum(bool((f.offset_m[f.is_valid] < 0).any()) for f in followed.lines)
+    return any_line, valid, sum(bool((f.offset_m < -EDGE_M).any()) for f in followed.lines)
 
 
 def measure() -> list[str]:
@@ -181,11 +182,11 @@ def measure() -> list[str]:
         ("zero labels", (plain.lane_zero, mirror.lane_zero)),
     ):
         lines.append(f"| lane, {name} | {' | '.join(runs(lane[start:]) for lane in lanes)} |")
-    some, far = frames_with_left_line(blank)
+    some, valid, far = frames_with_left_line(blank)
     lines += [
         "",
         f"With the left half of every picture black: a line more than {EDGE_M} m left of the car,"
-        f" valid or not, in {far} of {n} frames; the edge of the black itself,"
-        f" straight ahead, is followed as a line in {some}.",
+        f" valid or not, in {far} of {n} frames; something nearer is followed in {some},"
+        f" and valid in {valid}.",
     ]
     return lines

@@ -66,21 +66,21 @@ def data() -> Path | None:
 
 
 @cache
-def camera_of(folder: Path) -> Camera:
-    """Calibrated by the command from the lines it finds."""
+def camera_of(folder: Path, first: int = 50) -> Camera:
+    """Calibrated by the command from the lines it finds in the first pictures."""
     masks = [word for hidden in HIDDEN for word in ("--ignore", hidden)]
     with TemporaryDirectory() as place:
         return calibrate(
             Path(place) / "camera.yaml",
             *("--stills", folder / "*.jpg", "--lane-width", LANE_WIDTH_M, "--roll", -1.5),
-            *masks,
+            *("--first", first, *masks),
         )
 
 
 @cache
-def follow_pictures(folder: Path, curve: str = "clothoid") -> Followed:
-    """The detector over the pictures."""
-    camera = camera_of(folder)
+def follow_pictures(folder: Path, curve: str = "clothoid", first: int = 50) -> Followed:
+    """The detector over the pictures, the camera calibrated from the first of them."""
+    camera = camera_of(folder, first)
     return follow(read_pictures(open_source(folder), camera), camera, curve, **SETTINGS)
 
 
