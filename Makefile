@@ -54,7 +54,7 @@ paper: .venv/.run
 camera: .venv/.dev
 	$(BIN)/python -m tests.camera_figures carnd tusimple clips lane_change labels --out results/camera > results/camera/pictures.md
 
-# What results/camera/ holds of rendered motorways: tables (half an hour on one core), a frame.
+# What results/camera/ holds of rendered motorways: tables (20 minutes of one core), a frame.
 rendered: .venv/.dev
 	mkdir -p results/camera
 	$(BIN)/python -m tests.camera_figures rendered --out results/camera > results/camera/rendered.md

@@ -73,7 +73,9 @@ def detect(
     check_place(Path(target))
     if frames is not None and frames[0] >= frames[1]:
         raise InputError(f"--frames {frames[0]} {frames[1]}: is an empty range")
-    detector = find_detector(name, _given(overrides), Path.cwd(), "--detector")
+    detector = find_detector(
+        name, _given(overrides), Path.cwd(), "--detector", "--set detector_parameters"
+    )
     camera = read_camera(camera_file)
     check_pair(detector, camera, right_pictures is not None, "--right")
     source = open_source(pictures)

@@ -43,8 +43,8 @@ def write_images(
 ) -> None:
     """Render a drive into a folder, one frame in memory at a time.
 
-    Raises InputError for what cannot be simulated, or where something cannot be written; the
-    frames rendered until then, or until Ctrl-C, are kept.
+    Raises InputError for what cannot be simulated, for a folder that has pictures already, or
+    where something cannot be written; the frames rendered until then, or until Ctrl-C, are kept.
     """
     from tqdm import tqdm
 
@@ -63,12 +63,17 @@ def write_images(
 
     check_settings(overrides)
     scene = make_scene(preset, seed, frames, stereo=stereo, **overrides)
+    names = ["left", "right"] if stereo else ["images"]
+    places = [f"{name}.mp4" for name in names] if video else names
+    for place in places:
+        # Those of another drive would be read with the new ones as one.
+        if (folder / place).is_dir() and any((folder / place).iterdir()):
+            raise InputError(f"{folder / place}: is not empty; name another folder (--out)")
     make_directory(folder)
     write_camera(folder / "camera.yaml", scene.camera, f"rendered drive {preset}, seed {seed}")
     write_ground_truth(folder / "ground_truth.txt", scene.road.truth)
     write_table(folder / "lines_truth.parquet", true_lines(scene))
-    names = ["left", "right"] if stereo else ["images"]
-    places = [f"{name}.mp4" for name in names] if video else names
+    n_rendered = 0
     try:
         _write_texts(folder, scene, preset, seed, places)
         with (folder / "visibility.csv").open("w", encoding="ascii") as table:
@@ -82,11 +87,17 @@ def write_images(
                         if image is not None:
                             write(k, image)
                     table.write(_rows(frame))
+                    n_rendered = k + 1
             finally:
                 for _, close in writers:
                     close()
     except OSError as error:
         raise InputError(f"{folder}: cannot be written: {error.strerror or error}") from error
+    except KeyboardInterrupt:
+        click.echo(
+            f"egolane: interrupted; {n_rendered} of {len(scene)} frames are in {folder}", err=True
+        )
+        click.get_current_context().exit(130)
     click.echo(f"{len(scene)} frames in {folder}; see {folder / 'README.md'}")
 
 

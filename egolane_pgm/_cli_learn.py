@@ -42,12 +42,16 @@ def learn(
     other the tables of the graph are learned by EM, from lines and labels, or from lines alone.
     They are written in numbers, as a YAML graph beside the new experiment. Each block is scored
     with what was learned from the frames of the other blocks.
+
+    With `fit: choose` constants are chosen first, and tables learned only where the experiment has
+    a `learning` section, as in `egolane compare`.
     """
     from tqdm import tqdm
 
     from egolane_pgm.experiment import load_experiment
     from egolane_pgm.learn import learn as run_learn
     from egolane_pgm.learn import output_files, write_learned
+    from egolane_pgm.loading import with_video_rate
     from egolane_pgm.results import SCHEMA_VERSION, check_place, write_json
 
     if unlabelled:
@@ -58,7 +62,12 @@ def learn(
     output_files(found, target)
     if json_file:
         check_place(Path(json_file))
-    found = _chosen(found, blocks)
+    # What is written says the rate that was counted with.
+    given = with_video_rate(found)
+    found = _chosen(given, blocks)
+    if not _learns_more(given):
+        _write_chosen(found, target, blocks, json_file)
+        return
     with warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always", UserWarning)
         with tqdm(total=blocks + 1, unit="fit", leave=False, disable=None) as bar:
@@ -99,11 +108,43 @@ def _chosen(experiment: Experiment, blocks: int) -> Experiment:
     found = chosen_on_all(experiment, list(bar))
     assert experiment.choice is not None
     said = ", ".join(f"{name} {found.parameters[name]}" for name in experiment.choice.grid)
+    what = "nothing else is learned"
+    if _learns_more(experiment):
+        what = "the scores below have seen that choice"
     click.echo(
-        f"chosen on all blocks: {said}; the scores below have seen that choice, `egolane compare`"
-        " chooses without each block that it scores"
+        f"chosen on all blocks: {said}; {what}, `egolane compare` chooses without each block that"
+        " it scores"
     )
     return found
+
+
+def _learns_more(experiment: Experiment) -> bool:
+    """Whether anything is learned beside what is chosen: with `fit: choose`, as in `compare`,
+    tables are learned only where the experiment says how (`learning`)."""
+    from egolane_pgm.compare.choice import learns
+    from egolane_pgm.model import prepare_model
+
+    return experiment.fit != "choose" or learns(prepare_model(experiment), experiment)
+
+
+def _write_chosen(experiment: Experiment, target: Path, blocks: int, json_file: str | None) -> None:
+    """The experiment with its constants chosen, as a file; there is nothing to score held out."""
+    import numpy as np
+
+    from egolane_pgm.learn import Learned, write_learned
+    from egolane_pgm.model import prepare_model
+    from egolane_pgm.results import SCHEMA_VERSION, write_json
+    from egolane_pgm.validation import HeldOut
+
+    model = prepare_model(experiment)
+    nothing = HeldOut[Any](np.zeros((0, model.n_lanes)), np.zeros(0, dtype=np.int64), ())
+    files = write_learned(experiment, Learned(model, {}, nothing, None, None), target)
+    click.echo(f"\nwritten to {' and '.join(map(str, files))}")
+    if json_file:
+        content: dict[str, Any] = {"schema_version": SCHEMA_VERSION, "name": experiment.name}
+        content |= {"blocks": blocks, "parameters": dict(experiment.parameters)}
+        none = ("held_out", "held_out_all_frames", "log_evidence_before", "log_evidence_held_out")
+        write_json(Path(json_file), {**content, **dict.fromkeys(none)})
 
 
 def _print(name: str, learned: Learned, blocks: int) -> None:

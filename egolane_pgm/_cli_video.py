@@ -172,7 +172,7 @@ def _detected(
     chosen = name or recording.detector or "ml"
     given = recording.detector_parameters if is_own or chosen == recording.detector else {}
     base = experiment.folder if is_own else Path.cwd()
-    detector = find_detector(chosen, given, base, "--detector")
+    detector = find_detector(chosen, given, base, "--detector", "recording.detector_parameters")
     check_pair(detector, camera, has_right, "--right")
     pictures.set_description(chosen)
     # The detector is asked for one picture after the other, so that this is always its latest.
@@ -206,8 +206,9 @@ def _recorded(file: str, camera: Camera, source: Source, experiment: Experiment)
     def lines(frame_id: int) -> FrameLines:
         k = at.get(frame_id, 0)
         offset = log.offset_m[k]
-        # An offset of exactly 0 is what some detectors write where there is no line.
-        is_line = np.isfinite(offset) & (offset != 0) & (frame_id in at)
+        # An offset of exactly 0 is what some detectors write where there is no line; a valid one is
+        # a line under the car, which the evidence rules count too.
+        is_line = np.isfinite(offset) & ((offset != 0) | log.is_valid[k]) & (frame_id in at)
         order = np.argsort(np.where(is_line, offset, np.inf), kind="stable")[: is_line.sum()]
         shape = np.zeros((len(order), 4))
         shape[:, 0] = offset[order]

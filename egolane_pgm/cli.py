@@ -36,13 +36,14 @@ class _Group(click.Group):
                 warnings.showwarning = _show_warning
                 return super().invoke(ctx)
         except InputError as error:
-            click.echo(f"egolane: {' '.join(str(error).split())}", err=True)
+            click.echo(f"egolane: {_safe(' '.join(str(error).split()))}", err=True)
             ctx.exit(2)
         except click.UsageError as error:
             if isinstance(error, getattr(click.exceptions, "NoArgsIsHelpError", ())):
                 raise
             where = error.ctx.command_path if error.ctx else "egolane"
-            click.echo(f"egolane: {error.format_message()} See `{where} --help`.", err=True)
+            said = _safe(error.format_message())
+            click.echo(f"egolane: {said} See `{where} --help`.", err=True)
             ctx.exit(2)
         except KeyboardInterrupt:
             click.echo("egolane: interrupted; nothing was left half-written", err=True)
@@ -51,6 +52,15 @@ class _Group(click.Group):
             # Whoever read our output has had enough; say nothing at exit either.
             os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
             ctx.exit(1)
+
+
+def _safe(text: str) -> str:
+    """A message without the password of an address that was given in the wrong place."""
+    if ":/" not in text:
+        return text
+    from egolane_pgm.tune.address import without_passwords
+
+    return without_passwords(text)
 
 
 def _show_warning(message: Warning | str, *_: Any, **__: Any) -> None:
@@ -102,24 +112,39 @@ def list_experiments() -> None:
     click.echo(f"recordings:  {', '.join(FORMATS)}")
     click.echo(f"simulations: {', '.join(sorted(PRESETS))}")
     click.echo("experiments:")
-    from egolane_pgm.experiment import load_experiment
+    from egolane_pgm.experiment import load_experiment, load_yaml
 
+    tuning = experiments_folder() / "tuning"
     for path in sorted(experiments_folder().rglob("*.yaml")):
         if path.name != "published.yaml" and path.parent.name != "tuning":
             found = load_experiment(path)
             click.echo(f"  {_shown(path)}  {found.description}")
+    click.echo("tuning files (for `egolane tune`):")
+    for path in sorted(tuning.glob("*.yaml")):
+        click.echo(f"  {_shown(path)}  {load_yaml(path).get('description', '')}")
 
 
 @egolane.command()
 @click.argument("experiments", nargs=-1, required=True, type=click.Path(dir_okay=False))
 @_set
 def validate(experiments: tuple[str, ...], overrides: tuple[str, ...]) -> None:
-    """Check experiments without computing anything: keys, plugins, parameters, files."""
-    from egolane_pgm.experiment import load_experiment
+    """Check experiments, and tuning files with theirs, without computing anything: keys, plugins,
+    parameters, files."""
+    from egolane_pgm.experiment import load_experiment, load_yaml
     from egolane_pgm.loading import check_sources
     from egolane_pgm.model import prepare_model
+    from egolane_pgm.tune.plan import check_plan, load_plan
 
     for path in experiments:
+        if "experiments" in load_yaml(Path(path), overrides):
+            plan = load_plan(path, overrides)
+            n_searched = check_plan(plan)
+            for each in plan.experiments:
+                check_sources(each)
+            click.echo(
+                f"{path}: ok ({len(plan.experiments)} experiment(s), {n_searched} numbers searched)"
+            )
+            continue
         experiment = load_experiment(path, overrides)
         model = prepare_model(experiment)
         check_sources(experiment)
@@ -296,8 +321,10 @@ def network(graph: str, target: str, n_lanes: int) -> None:
     """Draw a graph (a name, or a file of your own) as a figure, two slices."""
     from egolane_pgm.plugins import load_plugin, plugin_errors
     from egolane_pgm.report.network import draw_network
-    from egolane_pgm.types import resolve_parameters
+    from egolane_pgm.types import MAX_LANES, InputError, resolve_parameters
 
+    if n_lanes > MAX_LANES:
+        raise InputError(f"--n-lanes: {n_lanes} is more than {MAX_LANES}")
     module = load_plugin("graphs", graph, Path.cwd(), "graph")
     parameters = resolve_parameters(getattr(module, "PARAMETERS", ()), {}, n_lanes)
     with plugin_errors(module, "graph"):

@@ -21,7 +21,7 @@ from pydantic import (
     model_validator,
 )
 
-from egolane_pgm.types import InputError, suggestion
+from egolane_pgm.types import MAX_LANES, InputError, suggestion
 
 
 class _Section(BaseModel):
@@ -158,7 +158,7 @@ class Experiment(_Section):
     description: str = ""
     recording: Recording
     ground_truth: GroundTruth | None = None
-    n_lanes: int = Field(ge=1, strict=True)
+    n_lanes: int = Field(ge=1, le=MAX_LANES, strict=True)
     evidence: str = "counting"
     graph: str = "sensor_failure"
     filter: Literal["assumed_density", "exact", "smoothed", "fixed_lag"] = "assumed_density"

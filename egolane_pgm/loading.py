@@ -149,7 +149,8 @@ def check_sources(experiment: Experiment) -> None:
 
 def _find(path: str, experiment: Experiment, key: str, *, folders: bool = False) -> Path:
     try:
-        return find_file(path, experiment.folder, folders=folders)
+        is_fetched = key != "recording.camera" and experiment.recording.detector is None
+        return find_file(path, experiment.folder, folders=folders, is_fetched=is_fetched)
     except InputError as error:
         raise InputError(f"{experiment.source}: {key}: {error}") from error
 
@@ -227,6 +228,8 @@ def _detected(experiment: Experiment) -> tuple[LineLog, list[Path]]:
         disable=None,
     )
     done = collect(detect(detector, camera, pictures), recording.frame_rate, left.path)
+    if isinstance(done.stopped, InputError) and done.log is not None:
+        raise InputError(f"{done.stopped}; `egolane detect` writes the lines of the frames before")
     if done.stopped is not None:
         raise done.stopped
     if left.frame_rate is not None and left.frame_rate != recording.frame_rate:

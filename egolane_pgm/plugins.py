@@ -18,7 +18,7 @@ from collections.abc import Iterator
 from pathlib import Path
 from types import ModuleType
 
-from egolane_pgm.types import InputError, suggestion
+from egolane_pgm.types import InputError, Parameter, suggestion
 
 #: What a module of each folder must define.
 CONTRACTS = {
@@ -64,6 +64,12 @@ def load_plugin(folder: str, name: str, base: Path, where: str) -> ModuleType:
     for needed in CONTRACTS[folder]:
         if not hasattr(module, needed):
             raise InputError(f"{where}: {name} does not define {needed}")
+    specs = getattr(module, "PARAMETERS", ())
+    if not isinstance(specs, (tuple, list)):
+        raise InputError(f"{where}: {name}: PARAMETERS is no tuple of Parameter")
+    for spec in specs:
+        if not isinstance(spec, Parameter):
+            raise InputError(f"{where}: {name}: PARAMETERS has {spec!r}, which is no Parameter")
     return module
 
 

@@ -6,14 +6,26 @@ import multiprocessing
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
-from typing import TypeVar
+from typing import Any, TypeVar
 
 from egolane_pgm.types import InputError
 
 T = TypeVar("T")
 R = TypeVar("R")
 
+#: In a forked process: what it works with.
+_inherited: list[Any] = []
+
 _DIED = "its process, or one beside it, died; try again with fewer --jobs"
+
+
+def _inherit(work: Callable[[Any], Any], items: Sequence[Any]) -> None:
+    _inherited[:] = [work, items]
+
+
+def _do(k: int) -> Any:
+    work, items = _inherited
+    return work(items[k])
 
 
 def in_processes(
@@ -31,8 +43,13 @@ def in_processes(
         yield from map(work, items)
         return
     context = multiprocessing.get_context("fork")
-    with ProcessPoolExecutor(min(jobs, len(items)), mp_context=context) as pool:
-        waiting = [pool.submit(work, item) for item in items]
+    # Forked processes inherit work and items. Sent through the pool's queue they would have to be
+    # pickled, and after one that cannot be Python 3.11's pool never ends: its manager thread still
+    # waits for the answer when `shutdown` waits for the thread.
+    with ProcessPoolExecutor(
+        min(jobs, len(items)), mp_context=context, initializer=_inherit, initargs=(work, items)
+    ) as pool:
+        waiting = [pool.submit(_do, k) for k in range(len(items))]
         try:
             for item, future in zip(items, waiting, strict=True):
                 try:

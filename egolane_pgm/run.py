@@ -181,6 +181,8 @@ def files_in_full(section: Mapping[str, Any], folder: Path) -> dict[str, Any]:
 
 
 def _in_full(key: str, value: Any, folder: Path) -> Any:
+    if key == "detector_parameters":
+        return {k: _in_full("detector", v, folder) for k, v in value.items()}
     if not isinstance(value, str):
         return value
     is_plugin = key in ("format", "detector") and value.endswith(".py")

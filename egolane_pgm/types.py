@@ -27,6 +27,10 @@ Observed = str | tuple[str, ...]
 #: Maxima that differ by less than this, relative to the larger one, are a tie (hence Unassigned).
 TIE_TOLERANCE = 1e-9
 
+#: Lanes of a road, at most: the widest there are have about half as many. Far more are a slip of
+#: the keys, and their tables fill the memory.
+MAX_LANES = 50
+
 #: The assigned lane of a frame without a unique most probable lane.
 UNASSIGNED = 0
 
@@ -260,8 +264,9 @@ class Parameter:
     (>= 0) or "choice" (one of `choices`). per_lane: a list of n values is allowed as well as one.
     search: the bounds of a parameter search, or None where it is not searched.
     choices: for another kind than "choice", names that may stand for a number (`auto`).
-    lowest: the smallest value of an "integer". shape: for n lanes, the shape of a list of numbers,
-    nested as in a table or all in one row; it is kept as one row, the last axis fastest.
+    lowest, highest: the smallest and the largest value of a number, both allowed. shape: for n
+    lanes, the shape of a list of numbers, nested as in a table or all in one row; it is kept as one
+    row, the last axis fastest.
     """
 
     name: str
@@ -271,7 +276,8 @@ class Parameter:
     search: tuple[float, float] | None = None
     choices: tuple[str, ...] = ()
     per_lane: bool = False
-    lowest: int = 0
+    lowest: float = 0
+    highest: float = math.inf
     shape: Callable[[int], tuple[int, ...]] | None = None
 
     def check(self, value: object, n_lanes: int, where: str) -> Value:
@@ -325,13 +331,13 @@ class Parameter:
             raise InputError(f"{where}: {value} must be greater than 0")
         if self.kind in ("non_negative", "integer") and x < 0:
             raise InputError(f"{where}: {value} must not be negative")
-        if self.kind == "integer":
-            if x != int(x):
-                raise InputError(f"{where}: {value} is not a whole number")
-            if x < self.lowest:
-                raise InputError(f"{where}: {value} must be at least {self.lowest}")
-            return int(x)
-        return x
+        if self.kind == "integer" and x != int(x):
+            raise InputError(f"{where}: {value} is not a whole number")
+        if x < self.lowest:
+            raise InputError(f"{where}: {value} must be at least {self.lowest}")
+        if x > self.highest:
+            raise InputError(f"{where}: {value} must be at most {self.highest}")
+        return int(x) if self.kind == "integer" else x
 
 
 def resolve_parameters(

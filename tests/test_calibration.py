@@ -182,7 +182,7 @@ def test_pictures_that_cannot_be_used_are_left_out_with_one_line_each(boards, tm
     cv2.imwrite(str(tmp_path / "x_part.png"), part)
     lens = calibrate_lens(sorted(tmp_path.iterdir()))
     said = {line.split(": ")[0].rsplit("/", 1)[1]: line for line in lens.skipped}
-    assert "not a picture" in said["x_text.jpg"]
+    assert "no picture" in said["x_text.jpg"]
     assert "no chessboard" in said["x_empty.png"]
     assert "640x480, most are 1280x720" in said["x_small.png"]
     assert "inner corners seen, not 9x6" in said["x_part.png"]
@@ -341,7 +341,7 @@ def test_stills_of_another_size_and_no_pictures_are_left_out_with_a_line_each(st
     assert len(found.paths) == 3
     assert found.skipped == (
         f"{small}: 100x100, needs 1280x720",
-        f"{text}: is not a picture that OpenCV can read",
+        f"{text}: is no picture that can be read",
     )
     with pytest.raises(InputError, match=r"none of them can be used.*100x100"):
         find_in_stills(unturned(TRUE), [small])

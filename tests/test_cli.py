@@ -181,7 +181,7 @@ def test_ls_lists_what_there_is(monkeypatch: pytest.MonkeyPatch) -> None:
     assert "sensor_failure, three_sensor_states, wor_direct, wor_levels, wor_on_lane" in shown
     assert "simulations: a2, a4, quickstart" in shown
     assert "experiments/quickstart.yaml  simulated drive of two minutes" in shown
-    assert len([line for line in shown.splitlines() if "/run" in line]) == 10
+    assert len([line for line in shown.splitlines() if "paper/run" in line]) == 10
     assert "published" not in shown
 
 

@@ -213,7 +213,8 @@ def test_the_ego_lane_of_a_real_video(is_mirrored: bool) -> None:
 
 
 def test_without_the_left_half_of_the_picture_there_is_no_left_line() -> None:
-    _, real = carnd.frames_with_left_line(carnd.left_blanked(folder_of(carnd, "carnd")))
+    _, valid, real = carnd.frames_with_left_line(carnd.left_blanked(folder_of(carnd, "carnd")))
+    assert valid == 0
     assert real == 0
 
 

@@ -12,10 +12,13 @@ import cv2
 import numpy as np
 import pytest
 from drives import contents, done, refused, short_drive, write_drive
-from synthetic_road import CAMERA, road
+from synthetic_road import CAMERA, road, write_pictures
 
+from egolane_pgm._cli_video import _recorded
 from egolane_pgm.calibration.pictures import read_picture
 from egolane_pgm.camera import read_camera, road_to_image, write_camera
+from egolane_pgm.detectors._pictures import open_source, read_image
+from egolane_pgm.experiment import load_experiment
 from egolane_pgm.recordings.table import write_table
 from egolane_pgm.report.box import box_text
 from egolane_pgm.report.video import frame_writer
@@ -194,6 +197,70 @@ def test_a_video_that_cannot_be_put_in_its_place_is_kept_beside_it(tmp_path: Pat
         draw()
     kept = Path(str(caught.value).rpartition("the video is in ")[2])
     assert cv2.VideoCapture(str(kept)).read()[0]
+
+
+@pytest.mark.parametrize("lines", [True, False])
+def test_a_drive_without_one_picture_that_can_be_drawn_leaves_no_folder(
+    labels: Path, lines: bool
+) -> None:
+    words: tuple[object, ...] = (labels.parent / "pics", "--camera", labels.with_name("cam.yaml"))
+    words += ("--n-lanes", 3, "--frames", 900, 950, "-o", labels.parent / "new" / "out")
+    said = refused("video", *words, *(("--lines", labels) if lines else ()))
+    assert "no frame from 900 to before 950" in said
+    assert not labels.with_name("new").exists()
+
+
+def test_a_file_in_the_place_of_a_folder_of_drawn_pictures_is_refused(tmp_path: Path) -> None:
+    (tmp_path / "out").touch()
+    with (
+        pytest.raises(InputError, match=r"out: a video ends in \.mp4; for PNG pictures name a"),
+        frame_writer(tmp_path / "out", 10, (64, 48)),
+    ):
+        pass
+
+
+def test_valid_lines_are_drawn_at_offset_0_and_without_a_reliability_index(tmp_path: Path) -> None:
+    (tmp_path / "lines.csv").write_text(
+        "frame_id,line,offset_m,is_valid,is_continuous\n"
+        "0,1,-1.7,true,true\n0,2,0.0,true,false\n0,3,1.8,false,true\n"
+        "1,1,0.0,false,false\n1,2,1.8,true,true\n"
+    )
+    source = open_source(write_pictures(tmp_path / "pics", [road()] * 2))
+    lines = _recorded(
+        str(tmp_path / "lines.csv"),
+        CAMERA,
+        source,
+        load_experiment(write_drive(tmp_path / "x", 30)),
+    )
+    assert lines(0).offset_m.tolist() == [-1.7, 0.0, 1.8]
+    assert lines(0).is_valid.tolist() == [True, True, False]
+    assert np.isnan(lines(0).lri).all()
+    assert lines(1).offset_m.tolist() == [1.8]
+
+
+def test_a_picture_that_is_too_large_is_one_line_for_video_and_detect(labels: Path) -> None:
+    huge = huge_picture(labels.parent / "huge.png")
+    with pytest.raises(InputError, match=r"huge\.png: cannot be read: .*PIXELS"):
+        read_image(huge)
+    camera = labels.with_name("cam.yaml")
+    for words in (("video", huge, "--n-lanes", 3, "-o", "v.mp4"), ("detect", huge, "-o", "d.csv")):
+        target = labels.with_name(str(words[-1]))
+        said = refused(*words[:-1], target, "--camera", camera)
+        assert f"{huge}: cannot be read: " in said
+        assert not target.exists()
+
+
+def test_a_road_of_more_lanes_than_there_are_is_refused_at_once(labels: Path) -> None:
+    said = refused(
+        "video", labels.parent / "pics", "--camera", labels.with_name("cam.yaml"),
+        "--n-lanes", 300, "-o", labels.with_name("out"),
+    )  # fmt: skip
+    assert said.endswith("n_lanes: input should be less than or equal to 50 (got 300)")
+    words = (write_drive(labels.parent / "x", 30), "--set", "n_lanes=1000000000")
+    for name in ("run", "validate", "learn", "compare", "tune"):
+        assert "n_lanes: input should be less than or equal to 50" in refused(name, *words)
+    said = refused("network", "lane_only", labels.with_name("n.png"), "--n-lanes", 51)
+    assert said == "--n-lanes: 51 is more than 50"
 
 
 # --- calibrate -----------------------------------------------------------------------------------

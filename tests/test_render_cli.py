@@ -91,7 +91,9 @@ def test_what_was_rendered_before_an_interruption_is_kept(
 
     monkeypatch.setattr(render, "render_frame", interrupted)
     result = simulate("a4", "--images", "--video", "--frames", 9, "--out", tmp_path)
-    assert result.exit_code != 0
+    assert result.exit_code == 130
+    assert f"egolane: interrupted; 2 of 9 frames are in {tmp_path}" in result.output
+    assert "half-written" not in result.output
     camera = read_camera(tmp_path / "camera.yaml")
     assert len(list(read_pictures(open_source(tmp_path / "images.mp4"), camera))) == 2
     assert len((tmp_path / "visibility.csv").read_text().splitlines()) == 1 + 2 * 5
@@ -110,6 +112,13 @@ def test_what_was_rendered_before_an_interruption_is_kept(
         (("a4", "--images", "--set", "wear=2"), "simulation.wear: 2 is not a probability"),
         (("a4", "--images", "--set", "wear=much"), "simulation.wear: 'much' is not a number"),
         (("a4", "--images", "--frames", "0"), "simulation.n_frames: 0"),
+        (
+            ("a4", "--images", "--frames", "9" * 12),
+            "simulation.n_frames: 999999999999 must be at most",
+        ),
+        (("a4", "--images", "--set", "ok_s=10000000"), "simulation.ok_s: 10000000 must be at most"),
+        (("a4", "--images", "--set", "shoulder_m=101"), "simulation.shoulder_m: 101 must be at"),
+        (("a4", "--images", "--n-lanes", "101"), "simulation.n_lanes: 101 must be at most 100"),
     ],
 )
 def test_bad_options_are_refused_in_one_line(
@@ -120,6 +129,14 @@ def test_bad_options_are_refused_in_one_line(
     assert said in result.output
     assert len(result.output.strip().splitlines()) == 1
     assert not (tmp_path / "out").exists()
+
+
+def test_pictures_of_two_drives_are_not_mixed(drive: Path) -> None:
+    before = sorted(path.stat().st_mtime_ns for path in drive.rglob("*"))
+    result = simulate("a2", "--images", "--stereo", "--frames", 2, "--out", drive)
+    assert result.exit_code == 2
+    assert result.output == f"egolane: {drive}/left: is not empty; name another folder (--out)\n"
+    assert sorted(path.stat().st_mtime_ns for path in drive.rglob("*")) == before
 
 
 def test_a_place_that_cannot_be_written_is_said(tmp_path: Path) -> None:

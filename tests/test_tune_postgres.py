@@ -122,6 +122,41 @@ def test_another_identity_is_refused_and_nothing_changed(
     assert rows(server, shared, query) == [(10,)]
 
 
+def test_a_study_that_is_deleted_while_workers_are_at_it_ends_in_one_line(
+    server: Server, shared: str, name: str, capfd: pytest.CaptureFixture[str]
+) -> None:
+    job = make_job(shared, name, trials=100_000)
+    deleting = start(_deletes, shared, name)
+    with pytest.raises(InputError, match="was removed meanwhile"):
+        run_shared(job, 2)
+    deleting.join()
+    assert "Traceback" not in capfd.readouterr().err
+
+
+def _deletes(url: str, name: str) -> None:
+    wait_for(lambda: len(study_of(url, name).trials) > 20)
+    optuna.delete_study(study_name=name, storage=url)
+
+
+@pytest.mark.parametrize("grace_s", [float("inf"), float("nan"), 1e300, 86_401.0, 0.0])
+def test_a_grace_period_that_would_break_the_list_of_everybody_is_refused(
+    server: Server, shared: str, name: str, grace_s: float
+) -> None:
+    make_job(shared, f"{name}_before", trials=8, evaluate=bowl)
+    with pytest.raises(InputError, match=r"--grace: .* s is not above 0 and at most 86400"):
+        make_job(shared, name, trials=8, evaluate=bowl, grace_s=grace_s)
+    link = Link(parse(shared))
+    assert name not in [line.job for line in list_studies(link)]
+    link.close()
+
+
+def test_more_trials_than_the_storage_counts_are_refused(
+    server: Server, shared: str, name: str
+) -> None:
+    with pytest.raises(InputError, match=f"{name}: trials: 2147483648 is more than"):
+        make_job(shared, name, trials=2**31, evaluate=bowl)
+
+
 def test_a_study_that_optuna_alone_made_is_refused(server: Server, shared: str, name: str) -> None:
     make_job(shared, f"{name}a")
     optuna.create_study(study_name=name, storage=shared)
@@ -191,6 +226,9 @@ def test_an_export_has_the_same_trials(
         export_study(link, name, tmp_path / f"study.{end}")
     with pytest.raises(InputError, match="no folder"):
         export_study(link, name, tmp_path / "nowhere" / "b.db")
+    if Path("/proc/self").is_dir():
+        with pytest.raises(InputError, match=r"/proc/b\.db: cannot be written"):
+            export_study(link, name, Path("/proc/b.db"))
     link.close()
 
 

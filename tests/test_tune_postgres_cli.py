@@ -76,7 +76,9 @@ def test_a_study_with_its_nested_ones_is_shared_and_joined(
     server: Server, database: str, tmp_path: Path
 ) -> None:
     words = ("tune", QUICKSTART, "--trials", 30, "--blocks", BLOCKS, "--storage", database)
-    assert "accuracy, held out" in says(*words, "--out", tmp_path, "--workers", 2, "--no-figures")
+    first = says(*words, "--out", tmp_path, "--workers", 2, "--no-figures")
+    assert "accuracy, held out" in first
+    assert "held out: each block of the drive (or each recording)" in first
     total = 30 * (1 + BLOCKS)
     joined = says("tune", "--join", "quickstart", "--storage", database, "--workers", 1)
     assert f"quickstart: {total} asked, {total} finished, 0 running, 0 lost" in joined
@@ -85,6 +87,8 @@ def test_a_study_with_its_nested_ones_is_shared_and_joined(
     assert document["best"]["trials"] == 30
     assert [s["trials"] for s in document["held_out"]["studies"]] == [30] * BLOCKS
     second = f"quickstart without block 2 of {BLOCKS}"
+    said = refused("tune", "--join", second, "--storage", database)
+    assert said.endswith(f"study {second} is a part of quickstart; take that one")
     nested = optuna.load_study(study_name=second, storage=database)
     assert nested.best_params == document["held_out"]["studies"][1]["point"]
     table = parquet.read_table(folder / "trials.parquet").to_pylist()

@@ -6,10 +6,8 @@ import glob
 from collections.abc import Iterable, Iterator
 from pathlib import Path
 
-import cv2
-import numpy as np
-
 from egolane_pgm.detectors import Image
+from egolane_pgm.detectors._pictures import read_image
 from egolane_pgm.types import InputError
 
 
@@ -25,15 +23,9 @@ def matching(pattern: str) -> list[Path]:
 
 def read_picture(path: Path) -> Image:
     """A picture (H, W, 3), blue green red. InputError for a file that is none."""
-    try:
-        image = cv2.imread(str(path), cv2.IMREAD_COLOR)
-    except cv2.error as error:
-        # A picture of more pixels than OpenCV takes, say.
-        raise InputError(f"{path}: cannot be read: {' '.join(error.err.split())}") from None
-    if image is None:
-        reason = "is not a picture that OpenCV can read" if path.exists() else "is missing"
-        raise InputError(f"{path}: {reason}")
-    return image.astype(np.uint8, copy=False)
+    if not path.exists():
+        raise InputError(f"{path}: is missing")
+    return read_image(path)
 
 
 def readable(paths: Iterable[Path], skipped: list[str]) -> Iterator[tuple[Path, Image]]:

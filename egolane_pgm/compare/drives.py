@@ -8,7 +8,7 @@ import numpy as np
 
 from egolane_pgm.experiment import Experiment, Tuning, load_experiment, make_experiment
 from egolane_pgm.inference.smoothing import infer_beliefs
-from egolane_pgm.loading import Recorded, load_recording
+from egolane_pgm.loading import Recorded, load_recording, with_video_rate
 from egolane_pgm.model import Model, make_evidence, prepare_model
 from egolane_pgm.run import files_in_full
 from egolane_pgm.tune.objective import Drive
@@ -23,10 +23,14 @@ def on_recording(model: Experiment, place: Experiment) -> Experiment:
     number of lanes and untrusted labels (`tuning.never_fit`)."""
     content = model.model_dump()
     truth = place.ground_truth
+    recording = place.recording.model_dump()
+    if "frame_rate" not in place.recording.model_fields_set:
+        # A video may tell its own.
+        del recording["frame_rate"]
     never_fit = place.tuning.never_fit if place.tuning is not None else ()
     tuning = (model.tuning or Tuning()).model_dump()
     content |= {
-        "recording": files_in_full(place.recording.model_dump(), place.folder),
+        "recording": files_in_full(recording, place.folder),
         "ground_truth": files_in_full(truth.model_dump(), place.folder) if truth else None,
         "n_lanes": place.n_lanes,
         "tuning": {**tuning, "never_fit": never_fit},
@@ -73,6 +77,7 @@ def load_for_scoring(experiment: Experiment, recorded: Recorded | None = None) -
     if experiment.ground_truth is None and experiment.recording.simulate is None:
         raise InputError(f"{source}: ground_truth: is missing, a comparison scores against it")
     model = prepare_model(experiment)
+    experiment = with_video_rate(experiment)
     if recorded is None:
         recorded = load_recording(experiment, model.parameters)
     assert recorded.truth is not None

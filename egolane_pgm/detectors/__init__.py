@@ -39,7 +39,9 @@ class FrameLines:
 
     shape (L, 4): y(x) = s0 + s1 x + s2 x^2 / 2 + s3 x^3 / 6, metres to the right at x metres ahead
     (offset, heading, curvature and its rate: a clothoid; straight lines have s2 = s3 = 0).
-    is_valid, is_continuous (L,). lri (L,): detections in the last frames.
+    is_valid, is_continuous (L,): bool. lri (L,): detections in the last frames.
+
+    Raises InputError for what are no arrays of these shapes and kinds.
     """
 
     shape: FloatArray
@@ -48,7 +50,17 @@ class FrameLines:
     lri: FloatArray
 
     def __post_init__(self) -> None:
-        n_lines = len(self.shape)
+        for name, kinds, needed in (
+            ("shape", "iuf", "numbers"),
+            ("is_valid", "b", "True or False"),
+            ("is_continuous", "b", "True or False"),
+            ("lri", "iuf", "numbers"),
+        ):
+            value = getattr(self, name)
+            if not isinstance(value, np.ndarray) or value.dtype.kind not in kinds:
+                found = value.dtype if isinstance(value, np.ndarray) else type(value).__name__
+                raise InputError(f"lines: {name} is {found}, needs a NumPy array of {needed}")
+        n_lines = len(self.shape) if self.shape.ndim else 0
         if self.shape.shape != (n_lines, 4):
             raise InputError(f"lines: shape is {self.shape.shape}, needs (L, 4)")
         for name in ("is_valid", "is_continuous", "lri"):

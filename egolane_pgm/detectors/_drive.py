@@ -34,14 +34,17 @@ class Detector:
         return bool(self.module.STEREO)
 
 
-def find_detector(name: str, given: Mapping[str, Any], base: Path, where: str) -> Detector:
+def find_detector(
+    name: str, given: Mapping[str, Any], base: Path, where: str, given_by: str | None = None
+) -> Detector:
     """The detector of a name, or of a file relative to `base`, with its parameters.
 
-    Raises InputError starting with `where` for an unknown name, parameter or value.
+    Raises InputError starting with `where` for an unknown name, and with `given_by` (default: the
+    key beside `where`) for an unknown parameter or value.
     """
     module = load_plugin("detectors", name, base, where)
     specs = getattr(module, "PARAMETERS", ())
-    values = resolve_parameters(specs, given, 1, f"{where}_parameters")
+    values = resolve_parameters(specs, given, 1, given_by or f"{where}_parameters")
     for key, value in values.items():
         # A user's own file, as a stereo matcher may be, is named as the detector's is.
         if isinstance(value, str) and value.endswith(".py"):
@@ -96,6 +99,8 @@ def _check(lines: FrameLines, where: str) -> None:
         raise InputError(f"{where}: gave {type(lines).__name__}, not FrameLines")
     if not np.isfinite(lines.shape).all():
         raise InputError(f"{where}: a line's shape is not finite")
+    if not (np.isfinite(lines.lri) & (lines.lri >= 0)).all():
+        raise InputError(f"{where}: a line's lri is not a count of detections")
     if (np.diff(lines.offset_m) < 0).any():
         raise InputError(f"{where}: the lines are not sorted left to right")
 

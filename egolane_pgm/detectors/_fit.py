@@ -248,7 +248,8 @@ def _scores(
     inside = (at >= 0) & (at < n_bins)
     area = np.bincount(at[inside], (strips.width_m * agreement)[inside], n_bins) * view.along_m
     wide = 2 * round(number(parameters, "reach_m") / _BIN_M - 0.5) + 1
-    covered = np.convolve(area, np.ones(wide), "same")
+    # Not "same", which is as long as the longer of the two.
+    covered = np.convolve(area, np.ones(wide))[wide // 2 : wide // 2 + n_bins]
     shown = _visible(view, common.shape(centre))
     full = np.maximum(shown, _LEAST_VISIBLE_M) * number(parameters, "stripe_m")
     own = np.minimum(covered / full, 1.0)

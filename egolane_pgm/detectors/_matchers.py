@@ -49,19 +49,28 @@ PARAMETERS = (
         " with match(left, right, n_disparities)",
         choices=NAMES,
     ),
-    Parameter("block_px", "integer", 5, "side of the blocks compared (sgbm, bm); odd", lowest=1),
+    Parameter(
+        "block_px",
+        "integer",
+        5,
+        "side of the blocks compared (sgbm, bm); odd",
+        lowest=1,
+        highest=255,
+    ),
     Parameter(
         "small_step",
         "positive",
         8.0,
         "cost of a step of one in disparity beside a pixel, times the block's area (sgbm: P1)",
+        highest=1000,
     ),
-    Parameter("large_step", "positive", 32.0, "the same of a larger step (sgbm: P2)"),
+    Parameter("large_step", "positive", 32.0, "the same of a larger step (sgbm: P2)", highest=1000),
     Parameter(
         "uniqueness",
         "integer",
         5,
         "the best match beats the second by so many percent (sgbm, bm)",
+        highest=100,
     ),
     Parameter(
         "left_right_px",
@@ -69,14 +78,22 @@ PARAMETERS = (
         1,
         "matching from right to left agrees within so many pixels (sgbm)",
         lowest=1,
+        highest=1000,
     ),
-    Parameter("speckle_px", "integer", 60, "patches of fewer pixels are no match (sgbm, bm)"),
+    Parameter(
+        "speckle_px",
+        "integer",
+        60,
+        "patches of fewer pixels are no match (sgbm, bm)",
+        highest=1_000_000,
+    ),
     Parameter(
         "speckle_step",
         "integer",
         1,
         "disparities of a patch differ by at most so much from pixel to pixel (sgbm, bm)",
         lowest=1,
+        highest=1000,
     ),
     Parameter(
         "most_gradient",
@@ -84,6 +101,7 @@ PARAMETERS = (
         31,
         "steeper differences of grey levels between neighbours count as this (sgbm, bm)",
         lowest=1,
+        highest=1000,
     ),
 )
 

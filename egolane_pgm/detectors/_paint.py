@@ -20,9 +20,15 @@ PARAMETERS = (
     Parameter("paint_length_m", "positive", 10.0, "length of a line that is looked at, metres"),
     Parameter("least_length_m", "positive", 3.0, "of a shorter piece in view nothing is said"),
     Parameter(
-        "paint_width_m", "positive", 0.4, "strips wider than this are no paint (top-hat), metres"
+        "paint_width_m",
+        "positive",
+        0.4,
+        "strips wider than this are no paint (top-hat), metres",
+        highest=10,
     ),
-    Parameter("paint_reach_m", "positive", 0.25, "paint is so near to the fitted line, metres"),
+    Parameter(
+        "paint_reach_m", "positive", 0.25, "paint is so near to the fitted line, metres", highest=10
+    ),
     Parameter("least_paint", "positive", 0.14, "share of local brightness that paint adds"),
     Parameter(
         "paint_share", "probability", 0.15, "and the share of what the line's brightest tenth adds"

@@ -256,7 +256,11 @@ def read_image(path: Path) -> Image:
         content = np.fromfile(path, dtype=np.uint8)
     except OSError as error:
         raise InputError(f"{path}: cannot be read: {error.strerror}") from None
-    image = cv2.imdecode(content, cv2.IMREAD_COLOR) if content.size else None
+    try:
+        image = cv2.imdecode(content, cv2.IMREAD_COLOR) if content.size else None
+    except cv2.error as error:
+        # A picture of more pixels than OpenCV takes, say.
+        raise InputError(f"{path}: cannot be read: {' '.join(error.err.split())}") from None
     if image is None:
         raise InputError(f"{path}: is no picture that can be read")
     return image  # type: ignore[return-value]

@@ -23,7 +23,14 @@ PARAMETERS = (
         0.5,
         "a disparity is on a plane within so many pixels of the pictures as matched",
     ),
-    Parameter("plane_trials", "integer", 100, "planes through three points tried", lowest=1),
+    Parameter(
+        "plane_trials",
+        "integer",
+        100,
+        "planes through three points tried",
+        lowest=1,
+        highest=10_000,
+    ),
     Parameter("plane_seed", "integer", 0, "seed of their choice"),
     Parameter(
         "plane_points",
@@ -38,6 +45,7 @@ PARAMETERS = (
         "positive",
         2.5,
         "the plane's pitch is at most so far from the calibrated one, degrees",
+        highest=30,
     ),
     Parameter("most_roll_deg", "positive", 1.5, "the same of its roll, degrees"),
     Parameter("most_heave", "positive", 0.12, "the same of the camera's height, as a share of it"),
@@ -120,7 +128,10 @@ def fit_plane(
         return planes
 
     tilts = _candidates(points, off, parameters)
-    tilts = tilts[_possible(camera, whole(tilts), parameters)]
+    is_possible = _possible(camera, whole(tilts), parameters)
+    # The calibrated plane, whatever rounding says.
+    is_possible[0] = True
+    tilts = tilts[is_possible]
     away = np.abs(tilts @ points.T - off)
     best = tilts[int(np.argmax((away <= tolerance_px).sum(axis=1)))]
     for times in _ROUNDS:
@@ -149,7 +160,6 @@ def _possible(camera: Camera, planes: FloatArray, parameters: Parameters) -> Boo
     """(K,): whether the camera can be in that pose over planes (K, 3)."""
     height, pitch, roll = np.moveaxis(pose(camera, planes), -1, 0)
     heave = np.abs(height / camera.height_m - 1)
-    # The calibrated plane itself (K = 0 of the candidates) always is.
     possible: BoolArray = (
         (np.abs(pitch - camera.pitch_deg) <= number(parameters, "most_pitch_deg"))
         & (np.abs(roll - camera.roll_deg) <= number(parameters, "most_roll_deg"))

@@ -32,9 +32,16 @@ from egolane_pgm.types import BoolArray, FloatArray, InputError, Parameter, Para
 PARAMETERS = (
     *matchers.PARAMETERS,
     Parameter(
-        "match_scale", "integer", 2, "pictures are made so many times smaller to match", lowest=1
+        "match_scale",
+        "integer",
+        2,
+        "pictures are made so many times smaller to match",
+        lowest=1,
+        highest=100,
     ),
-    Parameter("nearest_m", "positive", 3.2, "nothing nearer to the camera is matched, metres"),
+    Parameter(
+        "nearest_m", "positive", 3.2, "nothing nearer to the camera is matched, metres", lowest=0.1
+    ),
     Parameter(
         "edge_px",
         "integer",
@@ -56,6 +63,7 @@ PARAMETERS = (
         "integer",
         2,
         "so many pixels (as matched) around it are no road either",
+        highest=1000,
     ),
     Parameter(
         "pitch_from",
@@ -64,7 +72,13 @@ PARAMETERS = (
         "the camera's pitch in a frame: of the fitted plane where that is sure, or calibrated",
         choices=("plane", "calibration"),
     ),
-    Parameter("pitch_step_deg", "positive", 0.1, "steps in which the pitch is corrected, degrees"),
+    Parameter(
+        "pitch_step_deg",
+        "positive",
+        0.1,
+        "steps in which the pitch is corrected, degrees",
+        lowest=0.001,
+    ),
     Parameter(
         "unsure_after",
         "integer",

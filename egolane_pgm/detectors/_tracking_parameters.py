@@ -15,6 +15,7 @@ PARAMETERS = (
         10,
         "k: the LRI of a line is how many of the last k frames it was detected in",
         lowest=1,
+        highest=10_000,
     ),
     Parameter(
         "valid_until",
@@ -44,21 +45,41 @@ PARAMETERS = (
     ),
     Parameter("farthest_m", "positive", 14.0, "a line farther to the side than this is given up"),
     Parameter(
-        "track_near_m", "positive", 6.0, "lines are compared from so far ahead of the camera"
+        "track_near_m",
+        "positive",
+        6.0,
+        "lines are compared from so far ahead of the camera",
+        highest=1000,
     ),
-    Parameter("track_far_m", "positive", 30.0, "up to so far ahead"),
+    Parameter("track_far_m", "positive", 30.0, "up to so far ahead", highest=1000),
     Parameter(
-        "measure_sigma_m", "positive", 0.12, "standard deviation of a found line's place, near"
+        "measure_sigma_m",
+        "positive",
+        0.12,
+        "standard deviation of a found line's place, near",
+        lowest=1e-3,
+        highest=100,
     ),
     Parameter(
-        "measure_sigma_far_m", "positive", 0.35, "the same at the far end, growing in between"
+        "measure_sigma_far_m",
+        "positive",
+        0.35,
+        "the same at the far end, growing in between",
+        lowest=1e-3,
+        highest=100,
     ),
     Parameter(
-        "offset_walk_m", "positive", 0.06, "standard deviation of a line's own motion per frame"
+        "offset_walk_m",
+        "positive",
+        0.06,
+        "standard deviation of a line's own motion per frame",
+        highest=10,
     ),
-    Parameter("heading_walk", "positive", 0.004, "the same of its heading, radians"),
-    Parameter("curvature_walk", "positive", 2e-4, "the same of its curvature, 1/m"),
-    Parameter("rate_walk", "positive", 4e-6, "the same of the curvature's change, 1/m^2"),
+    Parameter("heading_walk", "positive", 0.004, "the same of its heading, radians", highest=1),
+    Parameter("curvature_walk", "positive", 2e-4, "the same of its curvature, 1/m", highest=0.1),
+    Parameter(
+        "rate_walk", "positive", 4e-6, "the same of the curvature's change, 1/m^2", highest=0.1
+    ),
     Parameter(
         "shift_gain",
         "probability",
@@ -78,6 +99,7 @@ PARAMETERS = (
         20,
         "detections of a line that vote on continuous or dashed",
         lowest=1,
+        highest=10_000,
     ),
     Parameter(
         "continuous_cover",

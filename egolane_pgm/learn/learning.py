@@ -20,7 +20,7 @@ from egolane_pgm.learn.tables import (
     starting,
     with_found,
 )
-from egolane_pgm.loading import Recorded, load_recording
+from egolane_pgm.loading import Recorded, load_recording, with_video_rate
 from egolane_pgm.model import Model, declared_parameters, make_evidence, prepare_model
 from egolane_pgm.plugins import plugin_errors
 from egolane_pgm.run import score
@@ -46,7 +46,7 @@ class Learned:
     parameters of the others. scores: of that belief, as `run.score` gives them, over the frames
     whose labels can be trusted; scores_all: over all annotated frames; None without ground truth.
     log_evidence: mean per frame of the exact filter, before learning and, each block with the
-    tables of the others, after; None where no table was learned.
+    tables of the others, after; None where no table was learned, or no frame is possible.
     """
 
     model: Model
@@ -75,6 +75,8 @@ def learn(
     crossing ones are not looked at either. Raises InputError for an experiment without ground
     truth, unless it learns without labels, or of which nothing can be learned.
     """
+    if recorded is None:
+        experiment = with_video_rate(experiment)
     model, recorded = _prepare(experiment, recorded)
     frames = _blocked(recorded)
     trusted = may_fit(frames, experiment)
@@ -97,8 +99,8 @@ def learn(
         model,
         parameters,
         result,
-        score(only, belief, rate),
-        score(recorded, belief, rate),
+        score(only, belief, rate, experiment.unassigned_below),
+        score(recorded, belief, rate, experiment.unassigned_below),
         log_evidence,
     )
 
@@ -227,8 +229,9 @@ def _log_evidence(
     recorded: Recorded,
     experiment: Experiment,
     result: HeldOut[Mapping[str, Value]],
-) -> tuple[float, float]:
-    """Mean per frame in which the evidence is possible, before learning and held out."""
+) -> tuple[float, float] | None:
+    """Mean per frame in which the evidence is possible, before learning and held out; None where
+    there is no such frame."""
     evidence = make_evidence(model, recorded.log, experiment.evidence_reading).filtered
     rows = np.arange(len(recorded.log)) if recorded.truth is None else recorded.scored
 
@@ -242,4 +245,6 @@ def _log_evidence(
         inside = result.block == block
         values, possible = per_frame(with_found(model, found, experiment))
         after[inside], counts_after[inside] = values[inside], possible[inside]
+    if not counts.any() or not counts_after.any():
+        return None
     return float(before[counts].mean()), float(after[counts_after].mean())

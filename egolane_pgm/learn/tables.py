@@ -127,6 +127,12 @@ def fit_graph(
         iterations=options.iterations,
     )
     impossible = int(fitted.is_impossible.sum())
+    if impossible == len(evidence):
+        raise InputError(
+            f"{experiment.source}: none of the {impossible} frames to learn from can be under graph"
+            f" {experiment.graph}, evidence and label together, so there is nothing to learn;"
+            " do the evidence rule and the graph fit together?"
+        )
     if impossible:
         warnings.warn(
             f"{experiment.source}: {impossible} frame(s) to learn from cannot be under graph"

@@ -143,11 +143,18 @@ def download_folder() -> Path:
     return Path(pooch.os_cache("egolane_pgm"))
 
 
-def find_file(path: str | Path, base: str | Path | None = None, *, folders: bool = False) -> Path:
+def find_file(
+    path: str | Path,
+    base: str | Path | None = None,
+    *,
+    folders: bool = False,
+    is_fetched: bool = True,
+) -> Path:
     """The file that is meant by a path in an experiment; with `folders`, or the folder.
 
     An absolute path is taken as it is. Any other is looked for below `base` (the folder of the
-    YAML), then below `$EGOLANE_DATA`, then in the download folder.
+    YAML), then below `$EGOLANE_DATA`, then in the download folder. is_fetched: whether the public
+    data may have it, for the message.
 
     Raises InputError, with every place that was looked in, where it is nowhere.
     """
@@ -167,7 +174,7 @@ def find_file(path: str | Path, base: str | Path | None = None, *, folders: bool
     help_ = "run `egolane data fetch`, or set EGOLANE_DATA to the folder that has it"
     raise InputError(
         f"{path}: no such file; looked for {looked}"
-        + ("" if wanted.is_absolute() else f"; {help_}")
+        + (f"; {help_}" if is_fetched and not wanted.is_absolute() else "")
     )
 
 

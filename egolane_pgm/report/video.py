@@ -18,6 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from egolane_pgm.camera import Camera, road_to_image, undistorted
+from egolane_pgm.results import check_place
 from egolane_pgm.types import UNASSIGNED, FloatArray, InputError
 
 if TYPE_CHECKING:
@@ -342,17 +343,16 @@ def frame_writer(
         with _video(target, frame_rate, size) as write:
             yield write
         return
-    if target.suffix and not target.is_dir():
+    if (target.suffix or target.exists()) and not target.is_dir():
         raise InputError(f"{target}: a video ends in .mp4; for PNG pictures name a folder")
-    try:
-        target.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise InputError(f"{target}: cannot be written: {error.strerror}") from None
+    check_place(target)
 
     def write_picture(frame_id: int, image: Image) -> None:
         file = target / f"frame_{frame_id:06d}.png"
         content = cv2.imencode(".png", image)[1]
         try:
+            # Not before there is a picture: a drive that cannot be drawn leaves no empty folder.
+            target.mkdir(parents=True, exist_ok=True)
             file.write_bytes(content.tobytes())
         except OSError as error:
             raise InputError(f"{file}: cannot be written: {error.strerror}") from None

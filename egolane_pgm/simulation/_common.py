@@ -9,15 +9,19 @@ import numpy as np
 from egolane_pgm.types import FloatArray, InputError, Parameter
 
 
-def check_fields(instance: object, kinds: Mapping[str, str]) -> None:
+def check_fields(
+    instance: object, kinds: Mapping[str, str], most: Mapping[str, float] | None = None
+) -> None:
     """Check and convert the numbers of a frozen dataclass in place, when it is made.
 
     kinds: per key a kind of `types.Parameter`, or "count" for a whole number of at least 1.
+    most: the largest values of some; of the others a million, which in any unit is a slip.
     Raises InputError (`simulation.<key>: ...`) for a value that is not of its kind.
     """
     for name, kind in kinds.items():
         where = f"simulation.{name}"
-        spec = Parameter(name, "integer" if kind == "count" else kind, 0, "")
+        highest = (most or {}).get(name, 1_000_000)
+        spec = Parameter(name, "integer" if kind == "count" else kind, 0, "", highest=highest)
         value = spec.check(getattr(instance, name), 1, where)
         if kind == "count" and value == 0:
             raise InputError(f"{where}: 0 must be at least 1")

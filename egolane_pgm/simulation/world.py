@@ -19,6 +19,9 @@ _WANDER_LIMIT = 2.5
 #: The duration of a lane change is kept between these multiples of its median.
 _SHORTEST, _LONGEST = 0.6, 1.7
 
+#: More than this of a drive is a slip of the finger (11 days of frames), and fills the memory.
+_MOST = {"n_lanes": 100, "n_frames": 10_000_000, "shoulder_m": 100}
+
 
 @dataclass(frozen=True)
 class World:
@@ -75,6 +78,7 @@ class World:
                 "label_flips_at": "probability",
                 "shoulder_m": "non_negative",
             },
+            _MOST,
         )
         shortest = _SHORTEST * self.change_s * self.frame_rate
         if shortest < 4:

@@ -16,6 +16,7 @@ from typing import TYPE_CHECKING, Any
 from egolane_pgm.tune._connection import Link
 from egolane_pgm.tune._proposers import Offer, Proposer
 from egolane_pgm.tune.space import Point, SearchSpace, distributions
+from egolane_pgm.types import InputError
 
 if TYPE_CHECKING:
     import psycopg
@@ -183,7 +184,7 @@ class Claims:
         self, results: Sequence[tuple[Claimed, Sequence[float]]], at_most: int = CLAIM
     ) -> Answer:
         """Tell results, learn others', and claim the next trials: none when there are enough.
-        Raises InputError where the storage stays away."""
+        Raises InputError where the storage stays away, or the study was removed."""
         self.proposer.learn([Told(c.number, c.point, values) for c, values in results])
         self.proposer.prepare()
         told = [(c.trial_id, k, v) for c, values in results for k, v in enumerate(values)]
@@ -212,7 +213,8 @@ class Claims:
             mine = connection.execute(_OUTSTANDING, given)
             dead = connection.execute(_DEAD, given)
         row = told.fetchone()
-        assert row is not None
+        if row is None:
+            raise InputError(f"storage {self.link.address.shown}: the study was removed meanwhile")
         asked, finished, running, number, kept = row
         news = [Told(n, self._point(p), s, a) for n, p, s, a in found]
         outstanding = [Claimed(t, n, self._point(p)) for t, n, p in mine]

@@ -76,7 +76,11 @@ SELECT to_regclass('studies') IS NOT NULL,
 def check_tables(link: Link) -> bool:
     """Whether the database has our tables, ready for use. Raises InputError where they, or
     Optuna's, are of another schema."""
-    return link.once(lambda connection: _are_there(link.address, connection))
+    try:
+        return link.once(lambda connection: _are_there(link.address, connection))
+    except InputError:
+        # Somebody may be making them at this moment, which is more than one transaction.
+        return link.once(lambda connection: _are_there_in_the_end(link.address, connection))
 
 
 def make_tables(link: Link) -> None:
@@ -108,6 +112,15 @@ def make_tables(link: Link) -> None:
         raise explained(address, cause) from None
     except (psycopg.Error, RuntimeError) as error:
         raise explained(address, error) from None
+
+
+def _are_there_in_the_end(address: Address, connection: psycopg.Connection[Any]) -> bool:
+    """`_are_there`, once whoever makes tables has made them."""
+    connection.execute("SELECT pg_advisory_lock_shared(%s)", [_MAKING])
+    try:
+        return _are_there(address, connection)
+    finally:
+        connection.execute("SELECT pg_advisory_unlock_shared(%s)", [_MAKING])
 
 
 def _are_there(address: Address, connection: psycopg.Connection[Any]) -> bool:

@@ -9,6 +9,7 @@ from __future__ import annotations
 import contextlib
 import os
 import re
+from collections.abc import Iterable
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -23,6 +24,9 @@ EXAMPLE = "postgresql+psycopg://user@host/database"
 
 #: What stands for a password.
 MASK = "***"
+
+#: Names of options in an address whose values are passwords.
+_SECRET = r"(?!passfile)\w*pass\w*"
 
 
 @dataclass(frozen=True)
@@ -82,7 +86,10 @@ def parse(text: str, where: str = "--storage") -> Address:
         raise InputError(f"{where}: has an @ too many; write %40 for one in a password")
     options = {k: v if isinstance(v, str) else v[-1] for k, v in url.query.items()}
     password = options.pop("password", None) or (str(url.password) if url.password else None)
-    shown = url.set(drivername="postgresql+psycopg", password=None, query=options)
+    # Also `sslpassword`, and what libpq is going to refuse: `passwd`, `PASSWORD`.
+    secret = {k: v for k, v in options.items() if re.fullmatch(_SECRET, k, re.IGNORECASE)}
+    public = {k: v for k, v in options.items() if k not in secret}
+    shown = url.set(drivername="postgresql+psycopg", password=None, query=public)
     parameters: dict[str, Any] = {
         **{"host": url.host, "port": url.port, "user": url.username, "dbname": url.database},
         **options,
@@ -91,18 +98,27 @@ def parse(text: str, where: str = "--storage") -> Address:
     return Address(
         shown.render_as_string(),
         {key: value for key, value in parameters.items() if value is not None},
-        _forms(password, text),
+        _forms([password, *secret.values()], text),
     )
 
 
-def _forms(password: str | None, text: str) -> tuple[str, ...]:
-    """A password as it is, and as a URL may have it."""
-    if not password:
+def _forms(passwords: Iterable[str | None], text: str) -> tuple[str, ...]:
+    """Passwords as they are, and as a URL may have them."""
+    known = [word for word in passwords if word]
+    if not known:
         return ()
-    typed = re.findall(r"//[^:@/]*:([^@]*)@|[?&]password=([^&]*)", text)
-    found = {password, quote(password), quote(password, safe=""), quote_plus(password)}
+    typed = re.findall(rf"//[^:@/]*:([^@]*)@|[?&]{_SECRET}=([^&]*)", text, re.IGNORECASE)
+    found = {f for w in known for f in (w, quote(w), quote(w, safe=""), quote_plus(w))}
     found |= {form for forms in typed for form in forms if form}
     return tuple(sorted(found, key=len, reverse=True))
+
+
+def without_passwords(text: str) -> str:
+    """A text in which an address of a database may stand where none belongs, without its
+    password."""
+    # As a path it has lost a slash.
+    text = re.sub(r"(:/{1,2}[^\s:@/]*:)\S*@", rf"\1{MASK}@", text)
+    return re.sub(rf"([?&]{_SECRET}=)[^\s&'\")]*", rf"\1{MASK}", text, flags=re.IGNORECASE)
 
 
 def _checked(path: Path) -> Path:

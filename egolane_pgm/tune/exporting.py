@@ -9,6 +9,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from egolane_pgm.results import check_place
 from egolane_pgm.tune._connection import Link
 from egolane_pgm.tune.postgres import frozen_trials, list_studies
 from egolane_pgm.types import InputError, suggestion
@@ -22,7 +23,8 @@ def export_study(link: Link, name: str, path: Path) -> int:
     """Write a study to a SQLite file (.db) or a journal (.journal), as a whole or not at all;
     returns how many trials it has. Running trials are left out.
 
-    Raises InputError for another extension, a file that is there, a study that is not.
+    Raises InputError for another extension, a file that is there or cannot be written, a study that
+    is not there.
     """
     if path.suffix not in (".db", ".journal"):
         raise InputError(f"{path}: an export ends in .db (SQLite) or .journal")
@@ -40,6 +42,7 @@ def export_study(link: Link, name: str, path: Path) -> int:
     trials = frozen_trials(link, study_id, ranges)
     for number, trial in enumerate(trials):
         trial.number = number  # Without gaps where trials are running still.
+    check_place(path)
     with tempfile.TemporaryDirectory(dir=path.parent, prefix=".export.") as folder:
         if path.suffix == ".db":
             made = _to_sqlite(Path(folder), name, directions, attributes, trials)

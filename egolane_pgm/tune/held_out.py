@@ -184,7 +184,8 @@ def assess(
     for drive, belief, kept in zip(drives, beliefs, keep, strict=True):
         truth = drive.truth.take(kept)
         rows = belief[kept]
-        counts = confusion_counts(assigned_lane(rows), truth.lane, truth.is_crossing, drive.n_lanes)
+        assigned = assigned_lane(rows, drive.experiment.unassigned_below)
+        counts = confusion_counts(assigned, truth.lane, truth.is_crossing, drive.n_lanes)
         scores = scores_from_confusion(counts.sum(axis=0))
         scored = ~truth.is_crossing
         brier = brier_per_frame(rows[scored], truth.lane[scored])
@@ -241,9 +242,8 @@ def _counts(drive: Drive, belief: FloatArray, kept: BoolArray, name: str) -> Any
     truth = drive.truth.take(kept)
     if name == "log_loss":
         return mean_counts(log_loss_per_frame(belief[kept], truth.lane))
-    return confusion_counts(
-        assigned_lane(belief[kept]), truth.lane, truth.is_crossing, drive.n_lanes
-    )
+    assigned = assigned_lane(belief[kept], drive.experiment.unassigned_below)
+    return confusion_counts(assigned, truth.lane, truth.is_crossing, drive.n_lanes)
 
 
 def _intervals(

@@ -13,7 +13,7 @@ import numpy as np
 from egolane_pgm.experiment import Experiment
 from egolane_pgm.inference.batch import confusions_many
 from egolane_pgm.inference.filtering import filter_beliefs
-from egolane_pgm.loading import Recorded, load_recording
+from egolane_pgm.loading import Recorded, load_recording, with_video_rate
 from egolane_pgm.model import Model, make_evidence, prepare_model, with_parameters
 from egolane_pgm.scoring import confusion as confusions
 from egolane_pgm.scoring import probabilistic, stability
@@ -97,10 +97,21 @@ class Drive:
         return self.experiment.n_lanes
 
 
+def check_filter(experiment: Experiment) -> None:
+    """Raise InputError for a filter that looks ahead."""
+    if not experiment.is_causal:
+        raise InputError(
+            f"{experiment.source}: filter: a search takes assumed_density or exact, not"
+            f" {experiment.filter}; search with one of these (--set filter=exact)"
+        )
+
+
 def load_drive(experiment: Experiment) -> Drive:
-    """Read a recording and compile its model. Raises InputError as these do, and without ground
-    truth or without a frame to score."""
+    """Read a recording and compile its model. Raises InputError as these do, without ground truth
+    or a frame to score, and for a filter that looks ahead."""
+    check_filter(experiment)
     model = prepare_model(experiment)
+    experiment = with_video_rate(experiment)
     recorded = load_recording(experiment, model.parameters)
     if recorded.truth is None:
         raise InputError(f"{experiment.source}: ground_truth: is missing, a search needs it")
@@ -171,21 +182,27 @@ def confusions_of(drive: Drive, sets: Sequence[Mapping[str, Value]], labels: Lab
             if len(members) % SIDE_BY_SIDE > FEW
             else (len(members) // SIDE_BY_SIDE * SIDE_BY_SIDE)
         )
-        method = drive.experiment.filter
+        method, below = drive.experiment.filter, drive.experiment.unassigned_below
+        if below:
+            # The kernel for many sets knows no reject option.
+            n_many = 0
         if n_many:
             counts[members[:n_many]] = confusions_many(
                 compiled[:n_many], evidence, labels.lane, labels.is_left_out, method
             )
         for p, network in zip(members[n_many:], compiled[n_many:], strict=True):
             belief = filter_beliefs(network, evidence, method).lane
-            counts[p] = _counted(belief, labels)
+            counts[p] = _counted(belief, labels, below)
     return counts
 
 
-def _counted(belief: FloatArray, labels: Labels) -> IntArray:
+def _counted(belief: FloatArray, labels: Labels, below: float) -> IntArray:
     from egolane_pgm.scoring._kernels import count_confusion
 
     n_lanes = belief.shape[1]
+    if below:
+        assigned = assigned_lane(belief, below)
+        return confusions.confusion(assigned, labels.lane, labels.is_left_out, n_lanes)
     counts = np.zeros((n_lanes + 1, n_lanes), dtype=np.int64)
     count_confusion(belief, labels.lane, labels.is_left_out, TIE_TOLERANCE, counts)
     return counts
@@ -236,7 +253,7 @@ def belief_score(drive: Drive, belief: FloatArray, is_used: BoolArray, name: str
         else:
             value = probabilistic.expected_calibration_error(rows, lane, crossing)
         return _defined(value)
-    assigned = assigned_lane(belief)
+    assigned = assigned_lane(belief, drive.experiment.unassigned_below)
     if name == "false_switches_per_minute":
         false, counted = stability.false_switch_frames(assigned, truth.lane, truth.is_crossing)
         counted[1:] &= is_used[1:] & is_used[:-1]

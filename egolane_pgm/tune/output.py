@@ -23,8 +23,10 @@ import yaml
 
 from egolane_pgm.experiment import Experiment, config_hash, resolved
 from egolane_pgm.loading import file_entry
+from egolane_pgm.plugins import OWN_FILES
 from egolane_pgm.provenance import git_state, versions
 from egolane_pgm.results import plain, write_json
+from egolane_pgm.run import files_in_full
 from egolane_pgm.tune.held_out import Nested
 from egolane_pgm.tune.objective import Drive, fitted_frames
 from egolane_pgm.tune.plan import Problem, parameters_at
@@ -46,7 +48,10 @@ def identity_of(problem: Problem) -> dict[str, Any]:
     recordings = []
     for drive in problem.drives:
         content = resolved(drive.experiment, {})
-        kept = ("n_lanes", "evidence", "graph", "filter", "evidence_reading")
+        kept = ["n_lanes", "evidence", "graph", "filter", "evidence_reading"]
+        if drive.experiment.unassigned_below:
+            # Only where it does something: studies that are older go on without it.
+            kept.append("unassigned_below")
         recordings.append(
             {
                 "name": drive.experiment.name,
@@ -158,12 +163,11 @@ def tuned_experiment(
     content["description"] = "; ".join(part for part in (experiment.description, what) if part)
     content["tuned_on"] = "same_frames"
     for key in ("recording", "ground_truth"):
-        section = content[key]
-        if section and section["path"] and (experiment.folder / section["path"]).is_file():
-            section["path"] = str((experiment.folder / section["path"]).absolute())
-    for place, key in ((content, "evidence"), (content, "graph"), (content["recording"], "format")):
-        if str(place[key]).endswith(".py"):
-            place[key] = str((experiment.folder / place[key]).absolute())
+        if content[key]:
+            content[key] = files_in_full(content[key], experiment.folder)
+    for key in ("evidence", "graph"):
+        if str(content[key]).endswith(OWN_FILES):
+            content[key] = str((experiment.folder / content[key]).absolute())
     return dict(content)
 
 

@@ -19,10 +19,11 @@ from typing import Any
 from pydantic import BaseModel, ConfigDict, Field
 
 from egolane_pgm.experiment import Experiment, Tuning, load_yaml, make_experiment, validated
-from egolane_pgm.model import declared_parameters
+from egolane_pgm.model import Model, declared_parameters, prepare_model
 from egolane_pgm.reproduce import experiments_folder, load_published, parameters_for
 from egolane_pgm.tune.objective import (
     Drive,
+    check_filter,
     check_objective,
     labels_of,
     load_drive,
@@ -146,21 +147,37 @@ def make_problem(plan: Plan) -> Problem:
     settings = plan.settings
     drives = tuple(load_drive(experiment) for experiment in plan.experiments)
     shared_specs(drives)
-    spaces = tuple(_space(plan, drive) for drive in drives)
+    spaces = tuple(_space(plan, drive.model) for drive in drives)
     for drive, space in zip(drives, spaces, strict=True):
         if space.dimensions != spaces[0].dimensions:
-            raise InputError(
-                f"{drive.experiment.source}: has other lanes than"
-                f" {drives[0].experiment.source}: a parameter with one value per lane cannot be"
-                " shared; fix it, or tune them apart"
-            )
+            raise _unlike(drive.experiment, drives[0].experiment)
     return Problem(plan, settings, drives, spaces)
 
 
-def _space(plan: Plan, drive: Drive) -> SearchSpace:
-    specs = declared_parameters(drive.model.rule, drive.model.graph)
+def check_plan(plan: Plan) -> int:
+    """How many numbers are searched; no recording is read. Raises InputError, as `make_problem`
+    does, for what can be told without one."""
+    _ = plan.settings
+    spaces = []
+    for experiment in plan.experiments:
+        check_filter(experiment)
+        spaces.append(_space(plan, prepare_model(experiment)))
+        if spaces[-1].dimensions != spaces[0].dimensions:
+            raise _unlike(experiment, plan.experiments[0])
+    return len(spaces[0])
+
+
+def _unlike(experiment: Experiment, first: Experiment) -> InputError:
+    return InputError(
+        f"{experiment.source}: has other lanes than {first.source}: a parameter with one value per"
+        " lane cannot be shared; fix it, or tune them apart"
+    )
+
+
+def _space(plan: Plan, model: Model) -> SearchSpace:
+    specs = declared_parameters(model.rule, model.graph)
     where = f"{plan.source}: tuning.parameters"
-    return make_space(specs, drive.model.parameters, plan.tuning.parameters, drive.n_lanes, where)
+    return make_space(specs, model.parameters, plan.tuning.parameters, model.n_lanes, where)
 
 
 def parameters_at(problem: Problem, point: Point) -> list[dict[str, Value]]:

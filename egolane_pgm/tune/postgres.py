@@ -26,6 +26,9 @@ if TYPE_CHECKING:
 #: Seconds without a word after which a worker is dead, where nothing else is said.
 GRACE_S = 60.0
 
+#: The longest that makes sense (a day), and the largest number of the column.
+MOST_GRACE_S, MOST_TRIALS = 86_400.0, 2**31 - 1
+
 #: Seconds that the rate of a study is measured over.
 RATE_S = 60
 
@@ -64,8 +67,13 @@ def begin_job(link: Link, job: str, parts: Sequence[Part], grace_s: float) -> li
     makes them and the other finds them. Totals may grow.
 
     Raises InputError, and then nothing was changed, where a study of that name was not made by
-    egolane or is another one.
+    egolane or is another one, and for a grace period or a total that the database cannot hold.
     """
+    if not 0 < grace_s <= MOST_GRACE_S:
+        raise InputError(f"--grace: {grace_s:g} s is not above 0 and at most {MOST_GRACE_S:g}")
+    most = max(part.settings.trials for part in parts)
+    if most > MOST_TRIALS:
+        raise InputError(f"{job}: trials: {most} is more than a storage counts, {MOST_TRIALS}")
     make_tables(link)
 
     def begin(connection: psycopg.Connection[Any]) -> None:
@@ -152,7 +160,7 @@ def find_job(link: Link, job: str) -> list[Kept]:
     and for a job that is not there, with a suggestion."""
     require_tables(link)
 
-    def find(connection: psycopg.Connection[Any]) -> tuple[list[Kept], list[str]]:
+    def find(connection: psycopg.Connection[Any]) -> tuple[list[Kept], dict[str, str]]:
         rows: list[Any] = connection.execute(
             "SELECT study_id, study_name, job, kind, part, n_parts, asked, grace_s, (SELECT"
             " json_object_agg(key, value_json::json) FROM study_user_attributes a WHERE"
@@ -160,13 +168,19 @@ def find_job(link: Link, job: str) -> list[Kept]:
             " WHERE job = %s ORDER BY kind <> 'all', study_id",
             [job],
         ).fetchall()
-        jobs = connection.execute("SELECT DISTINCT job FROM egolane_studies").fetchall()
-        return [Kept(*row) for row in rows], [row[0] for row in jobs]
+        jobs = connection.execute(
+            "SELECT study_name, job FROM egolane_studies JOIN studies USING (study_id)"
+        ).fetchall()
+        return [Kept(*row) for row in rows], dict(jobs)
 
     kept, others = link.once(find)
+    if not kept and job in others:
+        raise InputError(
+            f"storage {link.address.shown}: study {job} is a part of {others[job]}; take that one"
+        )
     if not kept:
         raise InputError(
-            f"storage {link.address.shown}: no study {job}{suggestion(job, others)};"
+            f"storage {link.address.shown}: no study {job}{suggestion(job, set(others.values()))};"
             " `egolane studies` lists them"
         )
     return kept

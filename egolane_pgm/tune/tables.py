@@ -15,7 +15,7 @@ COUNTRIES = {"italy": "A4, Italy", "spain": "A2, Spain"}
 
 #: What the columns mean, beside every table.
 LEGEND = (
-    "in-sample: on the frames that the parameters were tuned on; held out: each fifth of the drive"
+    "in-sample: on the frames that the parameters were tuned on; held out: each block of the drive"
     " (or each recording) with parameters found without it, the search run anew; in brackets 95 %"
     " intervals of a block bootstrap"
 )

@@ -293,7 +293,8 @@ def draw(folder: Path) -> None:
         frame.truth.is_crossing,
     )
     picture = video.draw_frame(video.layout(scene.camera), frame.image, told)
-    cv2.imwrite(str(folder / "frame.png"), picture)
+    smaller = cv2.resize(picture, None, fx=0.75, fy=0.75, interpolation=cv2.INTER_AREA)
+    cv2.imwrite(str(folder / "frame.png"), smaller)
 
 
 def available(names: Sequence[str] = DETECTORS) -> list[str]:
