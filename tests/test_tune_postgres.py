@@ -122,22 +122,6 @@ def test_another_identity_is_refused_and_nothing_changed(
     assert rows(server, shared, query) == [(10,)]
 
 
-def test_a_study_that_is_deleted_while_workers_are_at_it_ends_in_one_line(
-    server: Server, shared: str, name: str, capfd: pytest.CaptureFixture[str]
-) -> None:
-    job = make_job(shared, name, trials=100_000)
-    deleting = start(_deletes, shared, name)
-    with pytest.raises(InputError, match="was removed meanwhile"):
-        run_shared(job, 2)
-    deleting.join()
-    assert "Traceback" not in capfd.readouterr().err
-
-
-def _deletes(url: str, name: str) -> None:
-    wait_for(lambda: len(study_of(url, name).trials) > 20)
-    optuna.delete_study(study_name=name, storage=url)
-
-
 @pytest.mark.parametrize("grace_s", [float("inf"), float("nan"), 1e300, 86_401.0, 0.0])
 def test_a_grace_period_that_would_break_the_list_of_everybody_is_refused(
     server: Server, shared: str, name: str, grace_s: float
