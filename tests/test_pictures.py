@@ -58,6 +58,8 @@ def test_a_file_that_is_no_video_is_refused(place: Path, tmp_path: Path) -> None
         open_source(tmp_path / "*.png")
     with pytest.raises(InputError, match="has no pictures"):
         open_source(tmp_path)
+    words = ("detect", "", "--camera", place / "cam.yaml", "-o", tmp_path / "l.csv")
+    assert "the path is empty" in refused(*words)
 
 
 def test_a_video_that_breaks_off_gives_what_was_there_and_one_warning(
@@ -119,6 +121,7 @@ def test_the_order_of_pictures_is_natural_and_their_id_the_number_that_counts(
         "c": (["left.png", "right.png"], [0, 1]),
         "d": (["1_5.png", "2_5.png", "3.png"], [0, 1, 2]),
         "e": (["7.png"], [0]),
+        "f": (["a1²2.png", "a2²2.png"], [1, 2]),
     }
     for folder, (names, ids) in cases.items():
         (tmp_path / folder).mkdir()

@@ -60,6 +60,8 @@ def open_source(path: str | Path) -> Source:
     Raises InputError, naming the path, where there are none or the file is no video.
     """
     path = str(path)
+    if not path:
+        raise InputError("pictures: the path is empty; name a video, a folder or a 'glob*.jpg'")
     if is_pattern(path):
         return _picture_files(path, [Path(p) for p in glob.glob(path, recursive=True)])
     place = Path(path)
@@ -228,7 +230,7 @@ def _picture_files(path: str, found: list[Path]) -> Source:
 def _natural(path: Path) -> list[tuple[int, int | str]]:
     """Sorts 9 before 10."""
     parts = re.split(r"(\d+)", str(path))
-    return [(0, int(part)) if part.isdigit() else (1, part) for part in parts]
+    return [(0, int(part)) if part.isdecimal() else (1, part) for part in parts]
 
 
 def _frame_ids(files: list[Path]) -> list[int]:
