@@ -178,7 +178,7 @@ def test_the_mirrored_lines_give_the_mirrored_evidence(seed: int) -> None:
         (1.8, True, False, 5, 2),
         (1.8, False, True, 3, 3),
         (1.8, False, False, 2, -1),
-        (1.8, False, False, math.nan, -1),
+        (1.8, False, False, math.nan, 3),
         (0.0, True, False, 10, -1),
         (-5e-7, True, False, 10, -1),
         (16.1, True, False, 10, -1),

@@ -69,6 +69,30 @@ def follow_lines(
 
 
 @njit(cache=True)
+def drop_doubles(offset_m: FloatArray, kind: IntArray, near_m: FloatArray) -> None:
+    """Set kind (T, L) to -1 where a better line is nearer than near_m (T,): one of a better class,
+    or of the same and nearer to the vehicle, or else listed before."""
+    n_frames, n_lines = offset_m.shape
+    is_double = np.empty(n_lines, dtype=np.bool_)
+    for t in range(n_frames):
+        for i in range(n_lines):
+            is_double[i] = False
+            if kind[t, i] < 0:
+                continue
+            for j in range(n_lines):
+                if j == i or kind[t, j] < 0 or kind[t, j] > kind[t, i]:
+                    continue
+                if not abs(offset_m[t, i] - offset_m[t, j]) < near_m[t]:
+                    continue
+                here, there = abs(offset_m[t, i]), abs(offset_m[t, j])
+                if kind[t, j] < kind[t, i] or there < here or (there == here and j < i):
+                    is_double[i] = True
+        for i in range(n_lines):
+            if is_double[i]:
+                kind[t, i] = -1
+
+
+@njit(cache=True)
 def weigh_positions(
     offset_m: FloatArray,
     kind: IntArray,
@@ -78,14 +102,15 @@ def weigh_positions(
     step_m: float,
     expected: FloatArray,
     width_m: float,
-    alpha: float,
-    beta: float,
+    alpha: FloatArray,
+    beta: FloatArray,
     likelihood: FloatArray,
 ) -> None:
     """Write likelihood (T, n cells, 2), each frame's maximum 1.
 
-    kind (T, L): the line's class, -1 where it does not count. log_intensity (n, 4, Z), log_mean
-    (4, Z), first_m, step_m, expected (n,), width_m: see `_line_model.LineTables`.
+    kind (T, L): the line's class, -1 where it does not count. alpha, beta (T,): of each frame.
+    log_intensity (n, 4, Z), log_mean (4, Z), first_m, step_m, expected (n,), width_m: see
+    `_line_model.LineTables`.
     """
     n_frames, n_lines = offset_m.shape
     n_lanes = log_intensity.shape[0]
@@ -114,13 +139,13 @@ def weigh_positions(
                 mean[u] += below + right * (log_mean[c, z + 1] - below)
         largest = -np.inf
         for u in range(cells):
-            largest = max(largest, beta * mean[u])
+            largest = max(largest, beta[t] * mean[u])
             for lane in range(n_lanes):
                 known = of_lane[lane, u] - expected[lane] - mean[u] + expected_mean
-                of_lane[lane, u] = beta * mean[u] + alpha * known
+                of_lane[lane, u] = beta[t] * mean[u] + alpha[t] * known
                 largest = max(largest, of_lane[lane, u])
         for u in range(cells):
-            phase_only = math.exp(beta * mean[u] - largest)
+            phase_only = math.exp(beta[t] * mean[u] - largest)
             for lane in range(n_lanes):
                 likelihood[t, lane * cells + u, 0] = math.exp(of_lane[lane, u] - largest)
                 likelihood[t, lane * cells + u, 1] = phase_only

@@ -41,6 +41,20 @@ def follow_lines(
         displacement_m[1:][found] = np.nanmedian(moves[found], axis=1)
 
 
+def drop_doubles(offset_m: FloatArray, kind: IntArray, near_m: FloatArray) -> None:
+    """Set kind (T, L) to -1 where a better line is nearer than near_m (T,)."""
+    counts = kind >= 0
+    offset = np.where(counts, offset_m, np.inf)
+    with np.errstate(invalid="ignore"):
+        near = np.abs(offset[:, :, None] - offset[:, None, :]) < near_m[:, None, None]
+    # Class, then distance, then place in the list; lexsort has its first key last.
+    place = np.broadcast_to(np.arange(kind.shape[1]), kind.shape)
+    rank = np.argsort(np.lexsort((place, np.abs(offset), kind), axis=1), axis=1)
+    is_better = rank[:, None, :] < rank[:, :, None]
+    both = counts[:, :, None] & counts[:, None, :]
+    kind[(near & is_better & both).any(axis=2)] = -1
+
+
 def weigh_positions(
     offset_m: FloatArray,
     kind: IntArray,
@@ -50,8 +64,8 @@ def weigh_positions(
     step_m: float,
     expected: FloatArray,
     width_m: float,
-    alpha: float,
-    beta: float,
+    alpha: FloatArray,
+    beta: FloatArray,
     likelihood: FloatArray,
 ) -> None:
     """Write likelihood (T, n cells, 2), each frame's maximum 1."""
@@ -72,7 +86,7 @@ def weigh_positions(
         mean[frames] += (1 - right) * log_mean[c, z] + right * log_mean[c, z + 1]
     known = of_lane - expected[:, None] - mean[:, None] + expected.mean()
     log_likelihood = np.empty((*of_lane.shape, 2))
-    log_likelihood[..., 1] = beta * mean[:, None]
-    log_likelihood[..., 0] = log_likelihood[..., 1] + alpha * known
+    log_likelihood[..., 1] = (beta[:, None] * mean)[:, None]
+    log_likelihood[..., 0] = log_likelihood[..., 1] + alpha[:, None, None] * known
     log_likelihood -= log_likelihood.max(axis=(1, 2, 3), keepdims=True)
     likelihood[:] = np.exp(log_likelihood).reshape(likelihood.shape)

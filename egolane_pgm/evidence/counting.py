@@ -43,7 +43,7 @@ PARAMETERS = (
         "wor_noise",
         "probability",
         0.01,
-        "subtracted from WOR, and the distance that it keeps from 0 and 1",
+        "subtracted from WOR; it is the WOR then where that is below 0, 1 less it where that is 1",
     ),
     Parameter("max_lri", "positive", 10, "largest value of a line's reliability index"),
     Parameter(

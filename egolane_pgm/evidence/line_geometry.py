@@ -8,15 +8,18 @@ likelihood of RoadPosition and SensorState is
     OK:  pbar(u)^beta (p_l(u) / pbar(u))^alpha        BAD:  pbar(u)^beta
 
 alpha and beta are small because the errors of neighbouring frames are much alike: the filter would
-count each of them as news. A working sensor tells lane and place inside it, a failing one only the
-place.
+count each of them as news. They are those of a tenth of a second; a frame that comes later after
+the one before weighs more, up to 1, and one that comes sooner less. A working sensor tells lane and
+place inside it, a failing one only the place.
 
 A line that the detector could not measure and holds where it was (offset the same to the last
-digit, LRI falling) says nothing new: it is no evidence, and not followed. Offsets of exactly 0 are
-placeholders. LineMotion is the median displacement of the lines that were measured in this frame
-and the one before, matched to the nearest.
+digit, LRI falling or unknown) says nothing new: it is no evidence, and not followed. Offsets of
+exactly 0 are placeholders. LineMotion is the median displacement of the lines that were measured in
+this frame and the one before, matched to the nearest.
 
-A detector that never says that a line is continuous is taken for one that cannot tell.
+A detector that never says that a line is continuous is taken for one that cannot tell. What its
+other flags, its LRI and its unit mean is told from the recording (`_line_detector`,
+`_line_reading`, `_lane_width`), and said where it is not as usual.
 
 No label is needed: where `rates` and the like are `generic`, they are the same for every detector,
 and the lane width is estimated from the gaps between lines.
@@ -24,6 +27,7 @@ and the lane width is estimated from the gaps between lines.
 
 from __future__ import annotations
 
+import math
 import warnings
 from collections.abc import Callable, Iterator, Sequence
 from itertools import pairwise
@@ -31,11 +35,20 @@ from typing import Any
 
 import numpy as np
 
-from egolane_pgm.evidence._lane_width import gap_counts, width_of_gaps
-from egolane_pgm.evidence._line_em import STRENGTH, fit_lines
+from egolane_pgm.evidence._lane_width import gap_counts, rounded, width_of_gaps
+from egolane_pgm.evidence._line_detector import (
+    FULL_LRI,
+    Habits,
+    Tally,
+    as_usual,
+    habits,
+    tally,
+    total,
+    usual,
+)
+from egolane_pgm.evidence._line_em import fit_lines
 from egolane_pgm.evidence._line_model import (
     FITTED,
-    N_CLASSES,
     TABLE_STEP_M,
     LineModel,
     LineTables,
@@ -43,22 +56,26 @@ from egolane_pgm.evidence._line_model import (
     line_tables,
     without_flags,
 )
+from egolane_pgm.evidence._line_parameters import PARAMETERS
 from egolane_pgm.evidence._line_reading import (
     LOOK_AGAIN,
     SeenLines,
+    count_once,
+    frame_weights,
     frame_widths,
+    in_metres,
     one_width,
     read_lines,
+    say_doubles,
+    say_places,
 )
 from egolane_pgm.graphs._parameters import number
-from egolane_pgm.graphs.position_in_lane import CELLS, MOTION_BINS, MOTION_RANGE
 from egolane_pgm.types import (
     BoolArray,
     Evidence,
     FloatArray,
     IntArray,
     LineLog,
-    Parameter,
     Parameters,
     Value,
 )
@@ -72,99 +89,6 @@ LEARNED = (*FITTED, "fallback_width_m")
 #: Parameters that `fit` does not look at: settings that differ in these only share what is learned.
 FIT_IGNORES = ("alpha", "beta")
 
-_OR_FITTED = "; `generic`, or a list that `egolane learn` writes"
-
-PARAMETERS = (
-    Parameter(
-        "lane_width_m",
-        "positive",
-        "auto",
-        "lane width in the detector's metres: a number, `auto` (from the lines of the whole"
-        " recording) or `causal` (from those of the frames so far)",
-        choices=("auto", "causal"),
-    ),
-    Parameter(
-        "fallback_width_m", "positive", 3.5, "lane width where the lines do not tell it, metres"
-    ),
-    Parameter(
-        "alpha", "non_negative", 0.05, "weight of what lines say of the lane", search=(0.01, 0.2)
-    ),
-    Parameter(
-        "beta",
-        "non_negative",
-        0.15,
-        "weight of what lines say of the place inside the lane",
-        search=(0.05, 1.0),
-    ),
-    Parameter(
-        "rates",
-        "non_negative",
-        "generic",
-        "expected lines from each lane: a row of n + 3 per lane, the n + 1 lines of the road, then"
-        " left and right shoulder" + _OR_FITTED,
-        choices=("generic",),
-        shape=lambda n: (n, n + 3),
-    ),
-    Parameter(
-        "class_shares",
-        "probability",
-        "generic",
-        "shares of the line classes: a row of four per line" + _OR_FITTED,
-        choices=("generic",),
-        shape=lambda n: (n + 3, N_CLASSES),
-    ),
-    Parameter(
-        "sigmas_m",
-        "sigma",
-        "generic",
-        "standard deviation of each line about its place, metres" + _OR_FITTED,
-        choices=("generic",),
-        shape=lambda n: (n + 3,),
-    ),
-    Parameter(
-        "shoulders",
-        "positive",
-        "generic",
-        "distance of the left and right shoulder line from the road, lane widths" + _OR_FITTED,
-        choices=("generic",),
-        shape=lambda n: (2,),
-    ),
-    Parameter(
-        "clutter",
-        "non_negative",
-        "generic",
-        "lines that are none, per metre, of each class" + _OR_FITTED,
-        choices=("generic",),
-        shape=lambda n: (N_CLASSES,),
-    ),
-    Parameter("seen_near", "non_negative", 0.9, "generic rate of the lines of the own lane"),
-    Parameter("fade", "non_negative", 0.2, "share of it that each lane further away takes off"),
-    Parameter("seen_far", "non_negative", 0.15, "lowest generic rate of a line of the road"),
-    Parameter("shoulder_left", "non_negative", 0.08, "generic rate of a line left of the road"),
-    Parameter("shoulder_right", "non_negative", 0.13, "generic rate of a line right of the road"),
-    Parameter("shoulder_distance", "positive", 0.9, "generic distance of those, lane widths"),
-    Parameter(
-        "edge_continuous",
-        "probability",
-        0.25,
-        "generic share of continuous among what is seen of the road's outer lines",
-    ),
-    Parameter("inner_continuous", "probability", 0.05, "the same of all other lines"),
-    Parameter("line_sigma_m", "sigma", 0.25, "generic standard deviation of a line, metres"),
-    Parameter("clutter_per_m", "non_negative", 0.05, "generic clutter, lines per metre"),
-    Parameter(
-        "prior_frames",
-        "non_negative",
-        STRENGTH,
-        "frames of each lane that the generic constants are worth where parameters are learned;"
-        " `infinite`: nothing is learned",
-        choices=("infinite",),
-    ),
-    CELLS,
-    MOTION_BINS,
-    MOTION_RANGE,
-)
-
 
 def evidence(
     log: LineLog, n_lanes: int, parameters: Parameters, *, kernel: bool = True
@@ -175,12 +99,17 @@ def evidence(
     parameters: resolved values of PARAMETERS. `kernel=False` runs the NumPy twins. What lane width
     was found is said in a warning.
     """
-    widths = frame_widths(log, parameters)
-    seen = read_lines(log, widths, parameters, kernel=kernel)
+    log, detector = usual(log)
+    log, widths = in_metres(log, frame_widths(log, parameters), parameters)
+    say_places(log, widths)
+    held = detector.repeats_are_held
+    seen = read_lines(log, widths, parameters, repeats_are_held=held, kernel=kernel)
+    say_doubles(seen.lines, log.source)
+    seen = count_once(seen, seen.lines)
     model = line_model(n_lanes, parameters)
     if not log.is_continuous.any():
         model = without_flags(model)
-    likelihood = _likelihood(seen, widths, model, parameters, kernel, {})
+    likelihood = _likelihood(seen, widths, frame_weights(log)[0], model, parameters, kernel, {})
     return Evidence({NODES: likelihood}, {"LineMotion": seen.motion})
 
 
@@ -188,40 +117,70 @@ def online(
     n_lanes: int, parameters: Parameters, *, kernel: bool = True
 ) -> Callable[[LineLog], Evidence]:
     """A function that gives the evidence of one frame after the other (or of some at a time), each
-    log following on the one before. A width from the lines is `causal`, and the detector can tell
-    continuous lines from the first one on; what was found is not said."""
+    log following on the one before. A width from the lines is `causal`; the detector can tell
+    continuous lines from the first one on, and what else its flags and LRI mean is told from the
+    frames so far. What was found is not said."""
     flagged = line_model(n_lanes, parameters)
-    model = without_flags(flagged)
+    model = flagless = without_flags(flagged)
     known: dict[float, LineTables] = {}
     given = parameters["lane_width_m"]
     fallback = number(parameters["fallback_width_m"])
     width = fallback if isinstance(given, str) else number(given)
     context: LineLog | None = None
-    n_frames = 0
-    total = np.zeros(0)
+    n_frames, last_s = 0, -math.inf
+    gaps: FloatArray = np.zeros(1)
+    detector = Habits(FULL_LRI, says_valid=True, says_continuous=True)
+    tallies: list[Tally] = []
+    lines = np.zeros(2, dtype=np.int64)
 
-    def give(log: LineLog) -> Evidence:
-        nonlocal context, width, n_frames, total, model
+    def look_again(source: str) -> None:
+        nonlocal width, model, detector
+        tallies[:] = [total(tallies)]
+        detector = habits(tallies[0], source)
+        if not detector.says_continuous:
+            model = flagless
+            known.clear()
+        if isinstance(given, str) and gaps.any():
+            width = rounded(width_of_gaps(gaps, fallback, source).width_m)
+
+    def give(recorded: LineLog) -> Evidence:
+        nonlocal context, n_frames, gaps, lines, model, last_s
+        log, widths = context, np.empty(len(recorded))
+        cuts = [*range(-n_frames % LOOK_AGAIN, len(recorded), LOOK_AGAIN), len(recorded)]
+        for first, stop in pairwise([0, *cuts] if cuts[0] else cuts):
+            if n_frames and n_frames % LOOK_AGAIN == 0:
+                look_again(recorded.source)
+            piece = recorded.take(slice(first, stop))
+            tallies.append(tally(piece))
+            piece = as_usual(piece, detector)
+            if isinstance(given, str):
+                gaps = gaps + gap_counts(piece)
+            widths[first:stop] = width
+            log = piece if log is None else log.then(piece)
+            n_frames += len(piece)
+        if log is None:
+            log = recorded
         if model is not flagged and log.is_continuous.any():
             model = flagged
             known.clear()
-        widths = np.empty(len(log))
-        for t in range(len(log)):
-            if isinstance(given, str):
-                if n_frames and n_frames % LOOK_AGAIN == 0 and total.any():
-                    width = round(width_of_gaps(total, fallback, log.source).width_m, 2)
-                counts = gap_counts(log.take(slice(t, t + 1)))
-                total = counts if n_frames == 0 else total + counts
-            widths[t] = width
-            n_frames += 1
-        whole = log if context is None else context.then(log)
-        before = len(whole) - len(log)
-        all_widths = np.concatenate([np.full(before, widths[0] if len(log) else width), widths])
-        seen = read_lines(whole, all_widths, parameters, kernel=kernel)
-        now = SeenLines(seen.offset_m[before:], seen.kind[before:], seen.motion[before:])
-        likelihood = _likelihood(now, widths, model, parameters, kernel, known)
+        before = len(log) - len(recorded)
+        all_widths = np.concatenate([np.full(before, widths[0] if len(widths) else width), widths])
+        scaled, all_widths = in_metres(log, all_widths, parameters)
+        held = detector.repeats_are_held
+        seen = read_lines(scaled, all_widths, parameters, repeats_are_held=held, kernel=kernel)
+        now = SeenLines(
+            seen.offset_m[before:],
+            seen.kind[before:],
+            seen.motion[before:],
+            seen.is_double[before:],
+        )
+        lines = lines + now.lines
+        now = count_once(now, lines)
+        weights, last_s = frame_weights(recorded, last_s)
+        of_frame = all_widths[before:]
+        likelihood = _likelihood(now, of_frame, weights, model, parameters, kernel, known)
         # Whether a line of the frame before was held shows in the one before that.
-        context = whole.take(slice(max(0, len(whole) - 2), None))
+        context = log.take(slice(max(0, len(log) - 2), None))
         return Evidence({NODES: likelihood}, {"LineMotion": now.motion})
 
     return give
@@ -230,6 +189,7 @@ def online(
 def _likelihood(
     seen: SeenLines,
     widths: FloatArray,
+    weights: FloatArray,
     model: LineModel,
     parameters: Parameters,
     kernel: bool,
@@ -242,6 +202,7 @@ def _likelihood(
     else:
         from egolane_pgm.evidence._line_geometry_numpy import weigh_positions as run
     n_positions = model.n_lanes * int(number(parameters["cells"]))
+    alpha, beta = (_weighted(number(parameters[name]), weights) for name in ("alpha", "beta"))
     likelihood = np.empty((len(widths), n_positions, 2))
     for part in _same(widths):
         width = float(widths[part.start])
@@ -257,11 +218,16 @@ def _likelihood(
             TABLE_STEP_M,
             tables.expected,
             tables.width_m,
-            number(parameters["alpha"]),
-            number(parameters["beta"]),
+            alpha[part],
+            beta[part],
             likelihood[part],
         )
     return likelihood
+
+
+def _weighted(exponent: float, weights: FloatArray) -> FloatArray:
+    """(T,): the exponent of each frame; lines never count more than once."""
+    return np.minimum(exponent * weights, max(exponent, 1.0))
 
 
 def _same(widths: FloatArray) -> Iterator[slice]:
@@ -299,10 +265,14 @@ def fit_pooled(
     source = ", ".join(log.source for log, _, _ in parts)
     offsets, kinds, lanes = [], [], []
     first_width = 0.0
-    for log, lane, is_used in parts:
-        width = one_width(log, parameters)
+    for recorded, lane, is_used in parts:
+        log, detector = usual(recorded, say=False)
+        log, widths = in_metres(log, np.full(len(log), one_width(log, parameters)), parameters)
+        width = float(widths[0]) if len(widths) else number(parameters["fallback_width_m"])
         first_width = first_width or width
-        seen = read_lines(log, np.full(len(log), width), parameters)
+        held = detector.repeats_are_held
+        seen = read_lines(log, widths, parameters, repeats_are_held=held)
+        seen = count_once(seen, seen.lines)
         used = np.flatnonzero(is_used & ~log.is_missing)
         offsets.append(seen.offset_m[used] * (first_width / width))
         kinds.append(seen.kind[used])

@@ -176,7 +176,7 @@ def recording_warnings(log: LineLog, n_lanes: int, max_lri: float = 10) -> list[
     if len(log) and not log.is_valid.any():
         lines.append(
             f"{log.source}: not a single valid line in {len(log)} frames;"
-            " the belief stays what the model says"
+            " an evidence rule that needs valid lines says nothing"
         )
     return lines
 

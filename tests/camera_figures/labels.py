@@ -11,8 +11,9 @@ What was chosen with these labels in sight:
 - Only solid yellow counts as the road's edge: a double white line has the car-pool lane beyond it,
   and in 12 of 46 frames with solid white directly right there is another line beyond that.
 - One frame a second (`frame_step: 20`): where labels are a second apart lines are followed, where
-  they are three the belief widens for three. Labels a second apart do not share their errors, hence
-  `beta: 1` (the default 0.15 is for ten correlated frames a second); `alpha: 0.2`.
+  they are three the belief widens for three. What lines say weighs by the time since the frame
+  before (`alpha` and `beta` are those of a tenth of a second): `beta: 0.1` and `alpha: 0.01` are 1
+  and .1 for a second, the defaults .15 and .05 are 1 (the most) and .5.
 - Offsets are read 12 m ahead of the camera (11 to 15 m do as well).
 
 LANE_CHANGES are the last labelled pictures before each change, as somebody read them from the
@@ -66,7 +67,7 @@ STRETCHES = ((0, TURN_LANE[0], 6), (TURN_LANE[0], 60_000, 5))
 
 LANE_WIDTH_M = 3.66
 AHEAD_M = 12.0
-PARAMETERS = {"alpha": 0.2, "beta": 1.0}
+PARAMETERS = {"alpha": 0.01, "beta": 0.1}
 WITHIN_S = 3.0
 
 
@@ -206,8 +207,8 @@ def measure() -> list[str]:
             (f"**smoothed, offsets {AHEAD_M:.0f} m ahead**", {}),
             ("smoothed, offsets at the camera", {"ahead_m": 0.0}),
             ("smoothed, offsets 10 m ahead", {"ahead_m": 10.0}),
-            ("smoothed, alpha .1", {"alpha": 0.1}),
-            ("smoothed, alpha .3", {"alpha": 0.3}),
+            ("smoothed, alpha .005", {"alpha": 0.005}),
+            ("smoothed, alpha .02", {"alpha": 0.02}),
             ("smoothed, 7 lanes and 5", {"stretches": _with_lanes(7, 5)}),
             ("smoothed, 6 lanes and 6", {"stretches": _with_lanes(6, 6)}),
             ("smoothed, generic alpha .05 and beta .15", {"alpha": 0.05, "beta": 0.15}),
