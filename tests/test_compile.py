@@ -133,6 +133,28 @@ def test_a_transition_reads_the_state_before_in_its_rows() -> None:
     np.testing.assert_allclose(compiled.groups[0].emission, SEES)
 
 
+@pytest.mark.parametrize("order", [(0, 1, 2, 3), (0, 3, 2, 1), (2, 0, 3, 1), (3, 2, 1, 0)])
+def test_leaves_that_hang_together_in_a_chain_are_one_group_in_the_order_declared(
+    order: tuple[int, ...],
+) -> None:
+    """D <- E <- F, and G sees D: whichever is declared first, one emission table holds them all."""
+    rng = np.random.default_rng(0)
+    both = rng.dirichlet(np.ones(2), (2, 2))
+    tables = [
+        *simple_tables(),
+        *within("E", ["D"], SEES),
+        *within("F", ["A", "E"], both),
+        *within("G", ["D"], SEES[::-1]),
+    ]
+    observed = tuple("DEFG"[k] for k in order)
+    compiled = compile_network(declare(tables, observed), ["A"], observed)
+    assert compiled.observed == observed
+    assert len(compiled.groups) == 1
+    evidence = draw_evidence(compiled, 2, rng)
+    right = {m: brute_force(tables, ["A"], evidence, m) for m in METHODS}
+    assert_filters_agree(compiled, evidence, right)
+
+
 def test_an_input_selects_the_transition_and_the_prior() -> None:
     tables = [
         *within("Speed", [], [0.5, 0.5]),

@@ -207,6 +207,15 @@ def test_a_joint_state_too_large_is_refused_with_its_size_and_its_nodes() -> Non
     )
 
 
+def test_a_joint_state_of_just_the_largest_size_is_taken(monkeypatch: pytest.MonkeyPatch) -> None:
+    network = declare(simple_tables(), ["D"])
+    monkeypatch.setattr(_roles, "MAX_STATES", 2)
+    assert compile_network(network, ["A"], ["D"]).n_states == 2
+    monkeypatch.setattr(_roles, "MAX_STATES", 1)
+    with pytest.raises(InputError, match=r"2 values \(A 2\), more than 1"):
+        compile_network(network, ["A"], ["D"])
+
+
 def test_a_transition_or_emission_too_large_is_refused_with_its_nodes(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:

@@ -206,6 +206,32 @@ def test_the_paper_s_box_of_four_lines(kernel: bool) -> None:
 
 
 @both
+@pytest.mark.parametrize(
+    ("lris", "noise", "ok"),
+    [
+        ([1.0], 0.1, 0.1),  # below 0
+        ([10.0], 0.5, 0.0),  # just 0 is left as it is,
+        ([3.0], 0.1, 0.05),  # and so is what is nearer to 0 than the noise
+        ([10.0, 10.0, 10.0], 0.5, 0.5),  # just 1 is not
+        ([10.0, 10.0, 10.0], 0.25, 0.75),  # above 1
+    ],
+)
+def test_the_ends_of_wor_worked_by_hand(
+    kernel: bool, lris: list[float], noise: float, ok: float
+) -> None:
+    """One lane, so two lines are expected: s = sum / 20 - noise."""
+    lines: list[Line] = [(-1.0, True, False, lri) for lri in lris]
+    _, wor = seen([lines], 1, kernel, wor_noise=noise)
+    np.testing.assert_allclose(wor[0], [ok, 1 - ok], rtol=0, atol=1e-15)
+
+
+@both
+def test_without_noise_a_frame_without_votes_is_uniform_still(kernel: bool) -> None:
+    tentative, _ = seen([[], [(-5.0, False, True, 10.0)]], 4, kernel, tentative_noise=0)
+    np.testing.assert_allclose(tentative, np.full((2, 4), 0.25))
+
+
+@both
 def test_votes_of_several_lines_add_up_and_the_bonus_is_weighed(kernel: bool) -> None:
     lines = [(-5.0, True, False, 5.0), (5.0, True, True, 5.0), (-1.0, True, True, 5.0)]
     # Left line: lanes 2, 3. Right line: lanes 2, 1 and the bonus for lane 2. Near left: lane 1.

@@ -31,7 +31,7 @@ NO_CROSSING = np.zeros(5, dtype=bool)
 def test_a_lane_below_the_threshold_is_unassigned_and_one_at_it_is_not() -> None:
     assert assigned_lane(BELIEF, 0.9).tolist() == [0, 1, 0, 0, 1]
     assert assigned_lane(BELIEF).tolist() == [1, 1, 0, 2, 1]
-    assert assigned_lane(np.ones((2, 1)), 0.9).tolist() == [1, 1]
+    assert assigned_lane(np.array([[1.0], [0.8]]), 0.9).tolist() == [1, 0]
     with pytest.raises(InputError, match=r"unassigned_below: 1\.5 is not a probability"):
         assigned_lane(BELIEF, 1.5)
 
@@ -48,6 +48,14 @@ def test_the_curve_counts_answers_and_right_ones_from_the_surest_on() -> None:
     coverage, accuracy = curve.at(0.99)
     assert coverage == 0.0
     assert np.isnan(accuracy)
+
+
+def test_equal_probabilities_are_one_point_of_the_curve() -> None:
+    belief = np.array([[0.9, 0.1], [0.1, 0.9], [0.7, 0.3], [0.3, 0.7]])
+    curve = coverage_curve(belief, np.array([1, 1, 1, 2]), np.zeros(4, dtype=bool))
+    assert curve.threshold.tolist() == [0.9, 0.7]
+    assert curve.answered.tolist() == [2, 4]
+    assert curve.right.tolist() == [1, 3]
 
 
 def test_crossing_frames_are_left_out_and_none_at_all_is_an_empty_curve() -> None:

@@ -14,8 +14,9 @@ from hypothesis import strategies as st
 
 from egolane_pgm.cpds import Table, declare
 from egolane_pgm.experiment import load_experiment
-from egolane_pgm.inference.compile import Compiled, compile_network
+from egolane_pgm.inference.compile import Compiled, compile_network, with_tables
 from egolane_pgm.inference.expectation import FREE, counted_tables
+from egolane_pgm.inference.filtering import filter_beliefs
 from egolane_pgm.learn.em import fit_tables, with_changed
 from egolane_pgm.learn.tables import starting_tables
 from egolane_pgm.loading import load_recording
@@ -132,6 +133,37 @@ def test_the_prior_is_worth_as_many_frames_as_it_says() -> None:
     np.testing.assert_allclose(fitted.tables["Lane", 1].values, right, atol=1e-12)
     strong = fit_tables(compiled, tables, evidence, {"Lane": lane}, strength=1e9)
     np.testing.assert_allclose(strong.tables["Lane", 1].values, start, atol=1e-7)
+
+
+def test_the_log_posterior_is_the_log_evidence_and_the_prior_of_the_tables_at_hand() -> None:
+    compiled, tables = paper_case()
+    evidence, _ = a_drive_of(compiled, tables, 50, seed=3)
+    fitted = fit_tables(compiled, tables, evidence, strength=7.0, iterations=2)
+    after = with_tables(compiled, with_changed(compiled, tables, fitted.tables))
+    log_prior = 0.0
+    for node, table in counted_tables(compiled, tables).items():
+        some = table.values > 0
+        ratio = fitted.tables[node].values[some] / table.values[some]
+        log_prior += 7.0 * float((table.values[some] * np.log(ratio)).sum())
+    assert log_prior < -0.1
+    before, now = (
+        filter_beliefs(network, evidence, "exact").log_evidence.sum()
+        for network in (compiled, after)
+    )
+    assert fitted.log_posterior[0] == pytest.approx(before)
+    assert fitted.log_posterior[-1] == pytest.approx(now + log_prior)
+
+
+def test_what_is_never_used_stays_possible_without_any_prior() -> None:
+    compiled, tables = paper_case()
+    evidence = Evidence({"DetectorOutput": np.ones((8, 3)), "WOR": np.ones((8, 2))})
+    held = {"Lane": np.zeros(8, dtype=np.int64)}
+    fitted = fit_tables(compiled, tables, evidence, held, strength=0.0)
+    lane = fitted.tables["Lane", 1].values
+    start = counted_tables(compiled, tables)["Lane", 1].values
+    np.testing.assert_allclose(lane[0], [1, 0, 0], atol=1e-300)
+    np.testing.assert_array_equal(lane > 0, start > 0)
+    np.testing.assert_array_equal(lane[1:], start[1:])  # rows that were not used
 
 
 def test_only_the_tables_that_are_asked_for_are_learned() -> None:

@@ -16,13 +16,14 @@ from conformance import (
     graph,
     graph_inputs,
     graph_names,
+    shuffle_axes,
     simple_tables,
 )
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from trajectories import trajectories
 
-from egolane_pgm.cpds import SliceNode, Table, declare
+from egolane_pgm.cpds import SliceNode, Table, declare, dynamics, previous, prior, within
 from egolane_pgm.inference.compile import Compiled, compile_network
 from egolane_pgm.inference.expectation import (
     FREE,
@@ -73,6 +74,33 @@ def enumerated(
                     index = [now[p] if ps == s else path[t - 1][p] for p, ps in table.parents]
                 counts[name, s][(*index, now[name])] += weight / total
     return counts, flags, math.log(total)
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_tables_that_name_their_axes_in_another_order_are_counted_alike(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    drawn = draw_graph(rng)
+    compiled = compiled_of(drawn)
+    straight = counted_tables(compiled, drawn.tables)
+    shuffled = counted_tables(compiled, shuffle_axes(drawn.tables, rng))
+    assert set(shuffled) == set(straight)
+    for node, table in straight.items():
+        assert shuffled[node].parents == table.parents
+        np.testing.assert_array_equal(shuffled[node].values, table.values)
+
+
+def test_three_parents_are_put_in_the_compiled_order() -> None:
+    """Two axes may be swapped either way round; three may not."""
+    values = np.random.default_rng(0).dirichlet(np.ones(2), (2, 3, 4))
+    names = {"P": 2, "Q": 3, "R": 4}
+    tables = [t for n, k in names.items() for t in prior(n, np.full(k, 1 / k))]
+    tables += [t for n, k in names.items() for t in dynamics(n, [previous(n)], np.eye(k))]
+    tables += within("D", list(names), values)
+    compiled = compile_network(declare(tables, ["D"]), list(names), ["D"])
+    turned = [*tables[:-2], *within("D", ["R", "P", "Q"], values.transpose(2, 0, 1, 3))]
+    found = counted_tables(compiled, turned)["D", 1]
+    assert [name for name, _ in found.parents] == list(names)
+    np.testing.assert_array_equal(found.values, values)
 
 
 def draw_known(
@@ -219,6 +247,30 @@ def test_a_known_value_that_cannot_be_is_left_out_and_flagged(kernel: bool) -> N
     found = expected_counts(compiled, evidence, {"A": known}, kernel=kernel)
     assert found.is_impossible.tolist() == [False, True, False, False]
     np.testing.assert_allclose(found.counts["A", 1], [[3, 0], [0, 0]])
+
+
+@both
+def test_a_step_between_states_of_hardly_a_number_is_counted_as_one(kernel: bool) -> None:
+    """The products of what is left of such numbers have lost digits."""
+    tables = [*simple_tables()]
+    tables[1] = Table(("A", 1), (("A", 0),), np.array([[1.0, 0.0], [0.67, 0.33]]))
+    tables[2:] = within("D", ["A"], np.eye(2))
+    compiled = compile_network(declare(tables, ["D"]), ["A"], ["D"])
+    evidence = Evidence({"D": np.array([[1.0, 2e-322], [0.0, 1.0]])})
+    found = expected_counts(compiled, evidence, kernel=kernel)
+    np.testing.assert_allclose(found.counts["A", 1], [[0, 0], [0, 1]], atol=1e-12)
+    assert np.isfinite(found.counts["D", 1]).all()
+
+
+def test_what_is_given_is_left_as_it_is() -> None:
+    compiled, _, evidence, lane = drawn_case(2, 30)
+    is_first, before = np.zeros(30, dtype=bool), lane.copy()
+    likelihoods = {key: values.copy() for key, values in evidence.likelihoods.items()}
+    expected_counts(compiled, evidence, {"Lane": lane}, is_first)
+    assert not is_first.any()
+    np.testing.assert_array_equal(lane, before)
+    for key, values in likelihoods.items():
+        np.testing.assert_array_equal(evidence.likelihoods[key], values)
 
 
 def test_nothing_is_counted_in_no_frames() -> None:

@@ -37,6 +37,10 @@ def test_hard_evidence_is_the_most_probable_value_and_a_tie_keeps_all_that_share
     hard = read_evidence(soft, "hard").likelihoods["D"]
     np.testing.assert_array_equal(hard[:2], [[0, 1, 0], [1, 1, 0]])
     assert read_evidence(soft, "soft") is soft
+    nearly = Evidence({"D": np.array([[0.4, 0.4 * (1 - 1e-10), 0.2], [0.4, 0.4 - 1e-6, 0.2]])})
+    np.testing.assert_array_equal(
+        read_evidence(nearly, "hard").likelihoods["D"], [[1, 1, 0], [1, 0, 0]]
+    )
 
 
 def test_hard_evidence_on_a_tuple_of_nodes_is_their_most_probable_combination() -> None:
@@ -107,6 +111,29 @@ def test_an_input_that_is_missing_unknown_or_out_of_range_is_refused() -> None:
                 {"Speed": np.zeros(1, dtype=int)},
             ),
         )
+
+
+@every_method
+@pytest.mark.parametrize("key", [("Z", "X", "Y"), ("Y", "Z", "X"), ("Z", "Y", "X")])
+def test_evidence_on_three_nodes_has_its_axes_in_the_order_of_its_key(
+    method: str, key: tuple[str, str, str]
+) -> None:
+    """X, Y and Z have 2, 3 and 4 values, and evidence of their own beside the joint one."""
+    rng = np.random.default_rng(3)
+    sizes = {"X": 2, "Y": 3, "Z": 4}
+    tables = [
+        *prior("Lane", [0.4, 0.6]),
+        *dynamics("Lane", [previous("Lane")], rng.dirichlet(np.ones(2), 2)),
+    ]
+    for name, size in sizes.items():
+        tables += within(name, ["Lane"], rng.dirichlet(np.ones(size), 2))
+    observed = ("X", "Y", "Z", key)
+    compiled = compile_network(declare(tables, observed), ["Lane"], observed)
+    evidence = draw_evidence(compiled, 2, rng, zeros=0)
+    right = brute_force(tables, ["Lane"], evidence, method)
+    for kernel in (True, False):
+        ours = filter_beliefs(compiled, evidence, method, kernel=kernel)
+        assert_same_beliefs(ours, right)
 
 
 @every_method

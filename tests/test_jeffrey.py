@@ -170,7 +170,7 @@ def test_frame_by_frame_equals_the_whole_sequence_and_scale_does_not_matter(
     evidence = draw_evidence(compiled, 10, np.random.default_rng(seed))
     posterior = read_evidence(evidence, "jeffrey")
     whole = filter_beliefs(compiled, posterior, kernel=kernel)
-    larger = Evidence({k: v * 1e300 for k, v in evidence.likelihoods.items()}, evidence.inputs)
+    larger = Evidence({k: v * 1.5e308 for k, v in evidence.likelihoods.items()}, evidence.inputs)
     again = filter_beliefs(compiled, read_evidence(larger, "jeffrey"), kernel=kernel)
     assert_same_beliefs(again, whole, 1e-9)
     state = None
@@ -181,6 +181,28 @@ def test_frame_by_frame_equals_the_whole_sequence_and_scale_does_not_matter(
             np.testing.assert_allclose(
                 belief.marginals[name][0], whole.marginals[name][t], rtol=0, atol=1e-12
             )
+
+
+@every_method
+@both
+def test_stepping_leaves_the_earlier_state_as_it_was(method: str, kernel: bool) -> None:
+    compiled = template("sensor_failure", 3)
+    evidence = read_evidence(draw_evidence(compiled, 2, _rng(0), zeros=0), "jeffrey")
+    first, _ = step(compiled, None, evidence.take(slice(0, 1)), method, kernel=kernel)
+    before = first.joint.copy()
+    step(compiled, first, evidence.take(slice(1, 2)), method, kernel=kernel)
+    np.testing.assert_array_equal(first.joint, before)
+
+
+def test_evidence_that_does_not_fit_is_refused_here_too() -> None:
+    compiled = template("sensor_failure", 3)
+    good = draw_evidence(compiled, 2, _rng(0)).likelihoods
+    for likelihoods, message in [
+        ({"DetectorOutput": np.ones((2, 3))}, "observed node WOR: the evidence has nothing"),
+        ({**good, "WOR": np.ones((2, 3))}, "evidence for WOR: shape"),
+    ]:
+        with pytest.raises(InputError, match=message):
+            filter_beliefs(compiled, read_evidence(Evidence(likelihoods), "jeffrey"))
 
 
 @every_method

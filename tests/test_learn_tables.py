@@ -19,8 +19,8 @@ from egolane_pgm.cpds import lane_normals
 from egolane_pgm.experiment import Experiment, load_experiment
 from egolane_pgm.inference.expectation import counted_tables
 from egolane_pgm.inference.filtering import filter_beliefs
-from egolane_pgm.learn import fit, held_out_belief, learn, with_found
-from egolane_pgm.learn.tables import found_tables, starting_tables, training_frames
+from egolane_pgm.learn import fit, held_out_belief, learn, may_fit, with_found
+from egolane_pgm.learn.tables import found_tables, starting, starting_tables, training_frames
 from egolane_pgm.loading import Recorded, load_recording
 from egolane_pgm.model import Model, prepare_model
 from egolane_pgm.run import run_experiment
@@ -145,8 +145,63 @@ def test_frames_between_two_training_frames_are_trained_on_others_are_not() -> N
     assert training_frames(recorded, np.array([0, 4])).tolist() == (
         [True, True, *[False] * 5, True, True]
     )
+    # One neighbour alone is not enough: 3 and 4 lie between 2 and 5.
+    for train, trained in (([0, 1], [0, 1, 2]), ([2, 3, 4], [5, 6, 7, 8])):
+        assert np.flatnonzero(training_frames(recorded, np.array(train))).tolist() == trained
     alone = recorded_with([], 4, annotated=False)
     assert training_frames(alone, np.array([1, 3])).tolist() == [False, True, False, True]
+
+
+@needs_compiler
+def test_a_block_that_is_left_out_is_no_step_from_what_is_before_to_what_is_after_it(
+    folder: Path,
+) -> None:
+    """Lane 1 up to the block, lane 3 behind it: nobody was seen to go from one to the other."""
+    experiment, model, recorded = prepared(folder)
+    assert recorded.truth is not None
+    n_frames = len(recorded.truth)
+    is_before = np.arange(n_frames) < n_frames // 2
+    truth = LaneTruth(
+        recorded.truth.frame_id, np.where(is_before, 1, 3), np.zeros(n_frames, dtype=bool)
+    )
+    train = np.flatnonzero(np.abs(np.arange(n_frames) - n_frames // 2) > 50)
+    found = fit(model, replace(recorded, truth=truth), train, experiment)
+    start = counted_tables(model.compiled, starting_tables(model, experiment))
+    move, first = np.reshape(found["tables.Lane.next"], (3, 3)), start["Lane", 1].values
+    assert move[0, 2] <= first[0, 2]
+    assert move[2, 0] <= first[2, 0]
+    # Behind the block the drive begins anew, in lane 3.
+    prior = np.asarray(found["tables.Lane.first"])
+    assert prior[0] == pytest.approx(prior[2])
+
+
+def test_a_rule_that_looks_back_has_seen_what_is_before_the_training_frames(tmp_path: Path) -> None:
+    """This one says lane 1 in the first ten frames that it is given, then lane 3."""
+    (tmp_path / "rule.py").write_text(
+        "import numpy as np\n"
+        "from egolane_pgm.types import Evidence\n"
+        "PARAMETERS, PROVIDES = (), ('DetectorOutput',)\n"
+        "def evidence(log, n_lanes, parameters):\n"
+        "    says = np.where(np.arange(len(log)) < 10, 0, 2)\n"
+        "    return Evidence({'DetectorOutput': np.eye(n_lanes)[says] + 1e-3})\n"
+    )
+    changes = {"evidence": "./rule.py", "graph": "lane_only", "learning": {"labels": False}}
+    experiment = load_experiment(write_drive(tmp_path, 100, **changes))
+    model, recorded = prepare_model(experiment), load_recording(experiment)
+    found = fit(model, recorded, np.arange(40, 100), experiment)
+    first = np.asarray(found["tables.Lane.first"])
+    assert first[2] > first[0]
+
+
+def test_the_prior_is_as_strong_as_the_experiment_says(folder: Path) -> None:
+    away = {}
+    for strength in (1, 1_000_000):
+        experiment, model, recorded = prepared(folder, f"{{strength: {strength}}}")
+        assert recorded.truth is not None
+        found = fit(model, recorded, np.arange(len(recorded.truth)), experiment)
+        start = counted_tables(model.compiled, starting_tables(model, experiment))["Lane", 1].values
+        away[strength] = np.abs(np.reshape(found["tables.Lane.next"], (3, 3)) - start).max()
+    assert away[1_000_000] < 1e-3 < 0.02 < away[1]
 
 
 @needs_compiler
@@ -161,11 +216,69 @@ def test_frames_that_are_never_fit_are_not_learned_from(tmp_path: Path) -> None:
     assert learned.scores_all is not None
     assert learned.scores["frames_scored"] == np.count_nonzero(~crossing & (ids < 500))
     assert learned.scores_all["frames_scored"] == np.count_nonzero(~crossing)
-    lane = np.where(ids >= 500, 4 - recorded.truth.lane, recorded.truth.lane)
+    lane = np.where(ids >= 500, recorded.truth.lane % 3 + 1, recorded.truth.lane)
     changed = replace(recorded, truth=replace(recorded.truth, lane=lane))
     again = learn(experiment, recorded=changed, n_blocks=3)
     assert dict(again.parameters) == dict(learned.parameters)
     assert again.held_out.parameters == learned.held_out.parameters
+
+
+def test_several_stretches_may_be_left_out(tmp_path: Path) -> None:
+    ranges = [[5, 10], [20, 30], [50, None]]
+    path = write_drive(tmp_path, 60, tuning={"never_fit": ranges})
+    experiment = load_experiment(path)
+    truth = load_recording(experiment).truth
+    assert truth is not None
+    left_out = truth.frame_id[~may_fit(truth, experiment)]
+    assert left_out.tolist() == [*range(5, 10), *range(20, 30), *range(50, 60)]
+
+
+def test_leaving_out_every_frame_is_refused(tmp_path: Path) -> None:
+    said = refused("learn", write_drive(tmp_path, 60, tuning={"never_fit": {"from_frame": 0}}))
+    assert said.endswith("tuning.never_fit leaves no frame to learn from")
+
+
+def test_the_log_evidence_is_that_of_frames_that_can_be_and_of_the_tables_started_from(
+    tmp_path: Path,
+) -> None:
+    """A rule that says as much of every lane says ln 1/2 each frame, but for the first ten."""
+    (tmp_path / "rule.py").write_text(
+        "import numpy as np\n"
+        "from egolane_pgm.types import Evidence\n"
+        "PARAMETERS, PROVIDES = (), ('DetectorOutput',)\n"
+        "def evidence(log, n_lanes, parameters):\n"
+        "    rows = np.full((len(log), n_lanes), 0.5)\n"
+        "    rows[:10] = 0\n"
+        "    return Evidence({'DetectorOutput': rows})\n"
+    )
+    path = write_drive(tmp_path, 60, evidence="./rule.py", graph="lane_only")
+    with pytest.warns(UserWarning, match=r"10 frame\(s\) to learn from cannot be"):
+        learned = learn(load_experiment(path), n_blocks=3)
+    assert learned.log_evidence == pytest.approx((np.log(0.5), np.log(0.5)))
+
+    changes = {"tuned_on": "same_frames", "parameters": {"sigma1": 0.1}}
+    tuned = load_experiment(write_drive(tmp_path, 100, **changes))
+    model, recorded = prepare_model(tuned), load_recording(tuned)
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        before, _ = learn(tuned, recorded=recorded, n_blocks=2).log_evidence or (0, 0)
+    evidence = run_experiment(tuned, recorded=recorded).evidence
+    beliefs = filter_beliefs(starting(model, tuned).compiled, evidence, "exact")
+    assert before == pytest.approx(beliefs.log_evidence[recorded.scored].mean())
+    own = filter_beliefs(model.compiled, evidence, "exact").log_evidence[recorded.scored]
+    assert before != pytest.approx(own.mean())
+
+
+def test_a_rule_that_learns_what_it_does_not_name_is_refused(tmp_path: Path) -> None:
+    (tmp_path / "rule.py").write_text(
+        "from egolane_pgm.evidence import counting\n"
+        "PARAMETERS, PROVIDES = counting.PARAMETERS, counting.PROVIDES\n"
+        "evidence, LEARNED = counting.evidence, ('bonus_value',)\n"
+        "def fit(log, lane, is_used, n_lanes, parameters):\n"
+        "    return {'bonus_value': 2.0, 'max_lri': 7.0}\n"
+    )
+    said = refused("learn", write_drive(tmp_path, 60, evidence="./rule.py"))
+    assert said.endswith("rule.py: fit() gave max_lri, not one of LEARNED")
 
 
 @needs_compiler

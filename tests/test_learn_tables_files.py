@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -20,6 +21,7 @@ from egolane_pgm.learn.tables import found_tables
 from egolane_pgm.loading import load_recording
 from egolane_pgm.model import Model, prepare_model
 from egolane_pgm.plugins import load_plugin
+from egolane_pgm.types import InputError
 
 DISCRETE = [name for name in graph_names() if name != "position_in_lane"]
 
@@ -80,6 +82,7 @@ def test_random_graphs_come_back_from_their_file(seed: int, tmp_path: Path) -> N
 @pytest.mark.parametrize(
     ("learning", "said"),
     [
+        ({"tables": []}, "learning.tables: names no table; leave it out to learn all of"),
         ({"tables": ["Lan"]}, "learning.tables: 'Lan' has no table to learn (did you mean 'Lane'?"),
         ({"strenth": 3}, "learning: unknown key 'strenth' (did you mean 'strength'?)"),
         ({"strength": 0}, "learning.strength: input should be greater than 0 (got 0)"),
@@ -137,6 +140,42 @@ def test_the_experiment_itself_is_not_written_over(tmp_path: Path) -> None:
     assert path.read_text() == before
 
 
+def test_a_file_that_the_experiment_reads_is_not_written_over(tmp_path: Path) -> None:
+    """The graph that is learned would be the one that it was learned from."""
+    graph = tmp_path / "out.graph.yaml"
+    graph.write_text(
+        "nodes: {Lane: n_lanes, DetectorOutput: n_lanes}\nhidden: [Lane]\n"
+        "observed: [DetectorOutput]\nunused: [WOR]\n"
+        "edges: {within: [Lane -> DetectorOutput], across: [Lane -> Lane]}\n"
+        "tables:\n  Lane: {first: uniform, next: {rows: {of: [Lane before],"
+        " values: [[.8, .1, .1], [.1, .8, .1], [.1, .1, .8]]}}}\n"
+        "  DetectorOutput: {identity: {of: Lane}}\n"
+    )
+    before = graph.read_text()
+    path = write_drive(tmp_path, 30, graph="./out.graph.yaml")
+    said = refused("learn", path, "--out", tmp_path / "out.yaml")
+    assert said.endswith(f"{graph}: is read by {path}; name another with --out")
+    assert refused("learn", path, "--out", tmp_path / "lines.csv").endswith("with --out")
+    assert graph.read_text() == before
+    done("learn", path, "--out", tmp_path / "other.yaml", "--blocks", "2")
+
+
+def test_what_a_rule_learned_is_written_with_four_digits(tmp_path: Path) -> None:
+    (tmp_path / "rule.py").write_text(
+        "from egolane_pgm.evidence import counting\n"
+        "from egolane_pgm.types import Parameter\n"
+        "PARAMETERS = (*counting.PARAMETERS, Parameter(\n"
+        "    'shares', 'non_negative', (0.0,) * 6, '', shape=lambda n: (n, 2)))\n"
+        "PROVIDES, evidence, LEARNED = counting.PROVIDES, counting.evidence, ('shares',)\n"
+        "def fit(log, lane, is_used, n_lanes, parameters):\n"
+        "    return {'shares': (0.123456, 2.0, 1234.56, 1e-7, 0.0, 0.999949)}\n"
+    )
+    path = write_drive(tmp_path, 60, evidence="./rule.py")
+    done("learn", path, "--out", tmp_path / "out.yaml", "--blocks", "2")
+    content = yaml.safe_load((tmp_path / "out.yaml").read_text())
+    assert content["parameters"]["shares"] == [[0.1235, 2.0], [1235.0, 1e-7], [0.0, 0.9999]]
+
+
 @needs_compiler
 def test_labels_that_the_graph_does_not_allow_are_left_out_and_counted(tmp_path: Path) -> None:
     path = write_drive(tmp_path, 600, tuned_on="not_tuned", parameters={"sigma1": 1e-9})
@@ -147,9 +186,35 @@ def test_labels_that_the_graph_does_not_allow_are_left_out_and_counted(tmp_path:
         fit(model, recorded, np.arange(len(recorded.truth)), experiment)
 
 
+def test_labels_that_the_graph_never_allows_leave_nothing_to_learn(tmp_path: Path) -> None:
+    """Lane 1 is all that the graph knows of, and the drive is labelled as one in lane 3."""
+    (tmp_path / "g.yaml").write_text(
+        "nodes: {Lane: n_lanes, DetectorOutput: n_lanes}\nhidden: [Lane]\n"
+        "observed: [DetectorOutput]\nunused: [WOR]\n"
+        "edges: {within: [Lane -> DetectorOutput], across: [Lane -> Lane]}\n"
+        "tables:\n  Lane: {first: {rows: {values: [1, 0, 0]}},"
+        " next: {identity: {of: Lane before}}}\n"
+        "  DetectorOutput: {rows: {of: [Lane],"
+        " values: [[.8, .1, .1], [.1, .8, .1], [.1, .1, .8]]}}\n"
+    )
+    experiment = load_experiment(write_drive(tmp_path, 60, graph="./g.yaml"))
+    model, recorded = prepare_model(experiment), load_recording(experiment)
+    assert recorded.truth is not None
+    n_frames = len(recorded.truth)
+    truth = replace(recorded.truth, lane=np.full(n_frames, 3), is_crossing=np.zeros(n_frames, bool))
+    with pytest.raises(InputError, match="none of the 60 frames to learn from can be under graph"):
+        fit(model, replace(recorded, truth=truth), np.arange(n_frames), experiment)
+
+
 def test_learning_that_does_not_stand_still_says_so(tmp_path: Path) -> None:
     experiment = load_experiment(write_drive(tmp_path, 60, learning={"iterations": 1}))
     model, recorded = prepare_model(experiment), load_recording(experiment)
     assert recorded.truth is not None
     with pytest.warns(UserWarning, match="stopped after 1 iterations"):
         fit(model, recorded, np.arange(len(recorded.truth)), experiment)
+
+
+def test_without_labels_no_number_is_fitted_to_them(tmp_path: Path) -> None:
+    for labels in (True, False):
+        experiment = load_experiment(write_drive(tmp_path, 30, learning={"labels": labels}))
+        assert (n_learned(prepare_model(experiment), experiment) > 0) is labels

@@ -151,6 +151,9 @@ def test_beliefs_and_lanes_that_cannot_be_scored_are_refused(
 ) -> None:
     with pytest.raises(InputError, match=r"row 1 sums to 1\.5, not 1"):
         score([[0.5, 0.5], [0.75, 0.75]], [1, 1])
+    with pytest.raises(InputError, match=r"row 0 sums to 1\.0001, not 1"):
+        score([[0.5, 0.5001]], [1])
+    score(np.array([[1 / 3, 2 / 3]], dtype=np.float32), [1])
     with pytest.raises(InputError, match=r"row 1 has lane 3, outside 1\.\.2"):
         score([[0.5, 0.5], [0.5, 0.5]], [1, 3])
     with pytest.raises(InputError, match="lane has shape"):

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import functools
+from typing import Any
 
 import numpy as np
 import pytest
@@ -25,13 +26,21 @@ from egolane_pgm.inference.filtering import filter_beliefs, read_evidence
 from egolane_pgm.inference.oracle import oracle_smooth
 from egolane_pgm.inference.smoothing import (
     LagState,
+    _smooth_frames_numpy,
     fixed_lag_beliefs,
     infer_beliefs,
     lag_rest,
     lag_step,
     smooth_beliefs,
 )
-from egolane_pgm.types import Beliefs, Evidence, InputError, Parameters, resolve_parameters
+from egolane_pgm.types import (
+    Beliefs,
+    Evidence,
+    FloatArray,
+    InputError,
+    Parameters,
+    resolve_parameters,
+)
 
 every_graph = pytest.mark.parametrize("name", graph_names())
 both = pytest.mark.parametrize("kernel", [True, False], ids=["kernel", "numpy"])
@@ -281,6 +290,48 @@ def test_weights_too_small_to_multiply_are_added_as_logarithms(kernel: bool) -> 
     detector = np.array([[1.0, tiny], [3 * tiny, 1.0]])
     smoothed = smooth_beliefs(compiled, Evidence({"DetectorOutput": detector}), kernel=kernel)
     np.testing.assert_allclose(smoothed.lane[0], [0.75, 0.25], rtol=1e-9)
+
+
+def smoothed_where_nothing_moves(
+    filtered: FloatArray, likelihood: FloatArray, kernel: bool
+) -> FloatArray:
+    """The recursion backwards alone, with a transition that keeps every state."""
+    run: Any = _smooth_frames_numpy
+    if kernel:
+        from egolane_pgm.inference._kernels import smooth_frames as run
+    n_frames, n_states = filtered.shape
+    smoothed = np.empty_like(filtered)
+    index = np.zeros(n_frames, dtype=np.int64)
+    run(filtered, likelihood, np.eye(n_states)[None], index, smoothed)
+    return smoothed
+
+
+@both
+def test_products_with_hardly_a_digit_left_are_added_as_logarithms_too(kernel: bool) -> None:
+    smallest = float(np.finfo(np.float64).smallest_subnormal)
+    filtered = np.array([[1.0, 1e-160, 3 * smallest], [0.0, 0.5, 0.5]])
+    likelihood = np.array([[1.0, 1.0, 1.0], [0.0, 1.4e160 * smallest, 1.0]])
+    smoothed = smoothed_where_nothing_moves(filtered, likelihood, kernel)
+    np.testing.assert_allclose(smoothed[0], [0, 1.4 / 4.4, 3 / 4.4], rtol=1e-6)
+
+
+@both
+def test_a_state_that_cannot_be_sets_no_scale_however_well_it_would_explain_the_rest(
+    kernel: bool,
+) -> None:
+    filtered = np.tile([0.25, 0.75, 0.0], (4, 1))
+    likelihood = np.tile([2e-200, 2e-200, 1.0], (4, 1))
+    smoothed = smoothed_where_nothing_moves(filtered, likelihood, kernel)
+    np.testing.assert_allclose(smoothed, filtered)
+
+
+@both
+def test_what_comes_later_is_ignored_where_all_numbers_have_run_out(kernel: bool) -> None:
+    """Here it is zero for every state; the filtered belief is what is left, not NaN."""
+    filtered = np.array([[0.75, 0.25, 0.0], [0.0, 0.0, 1.0]])
+    likelihood = np.array([[1.0, 1.0, 1.0], [0.0, 0.0, 1.0]])
+    smoothed = smoothed_where_nothing_moves(filtered, likelihood, kernel)
+    np.testing.assert_allclose(smoothed, filtered)
 
 
 @both

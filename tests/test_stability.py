@@ -276,6 +276,19 @@ def test_the_summary_holds_every_score_of_a_drive_worked_out_by_hand() -> None:
     }
 
 
+def test_the_summary_tells_the_usual_delay_from_the_worst_ones() -> None:
+    lane = np.repeat([1, 2, 1], 20)
+    given = np.repeat([1, 2, 1], [20, 30, 10])  # followed at once, then ten frames late
+    belief = np.where(np.arange(1, 3) == given[:, None], 0.9, 0.1)
+    scores = score_all(belief, lane, np.zeros(60, bool), np.arange(60), 10)
+    assert scores["delay"] == {
+        "median_frames": 5,
+        "p90_frames": 9,
+        "share_missed": 0,
+        "changes": 2,
+    }
+
+
 def test_the_summary_of_nothing_is_valid_json_without_nan() -> None:
     scores = score_all(np.zeros((0, 3)), np.zeros(0, int), np.zeros(0, bool), np.zeros(0, int), 10)
     again = json.loads(json.dumps(scores, allow_nan=False))

@@ -16,6 +16,7 @@ from egolane_pgm.tune.space import (
     SearchSpace,
     describe,
     differences,
+    distributions,
     from_unit,
     make_space,
     to_parameters,
@@ -71,6 +72,41 @@ def test_a_parameter_with_one_value_per_lane_has_a_dimension_per_lane() -> None:
     assert to_parameters(found, point)["p3"] == pytest.approx((0.25, 0.25, 0.25), abs=1e-5)
 
 
+def test_the_lanes_of_a_parameter_keep_their_order_there_and_back() -> None:
+    specs = declared_parameters(counting, wor_on_lane)
+    current = resolve_parameters(specs, {}, 3)
+    found = make_space(specs, current, {}, 3, "x")
+    mine = {**current, "p3": (0.2, 0.4, 0.6)}
+    point = to_point(found, mine)
+    assert point is not None
+    assert [point[f"p3[{lane}]"] for lane in (1, 2, 3)] == [0.2, 0.4, 0.6]
+    assert to_parameters(found, point)["p3"] == (0.2, 0.4, 0.6)
+    fixed = make_space(specs, current, {"p3": [0.2, 0.4, 0.6]}, 3, "x")
+    assert fixed.fixed["p3"] == (0.2, 0.4, 0.6)
+    assert not any(key.startswith("p3") for key in fixed.keys)
+    narrow = make_space(specs, current, {"p3": [0.2, 0.4]}, 3, "x")
+    assert [d.high for d in narrow.dimensions if d.parameter == "p3"] == [0.4] * 3
+
+
+def test_a_value_per_lane_that_nobody_declared_bounds_for_is_searched_as_one() -> None:
+    found = space(lane_widths=[0.9, 1.1])
+    assert [d.key for d in found.dimensions if d.parameter == "lane_widths"] == ["lane_widths"]
+
+
+def test_what_is_not_searched_keeps_the_value_of_the_experiment() -> None:
+    current = {**CURRENT, "wor_noise": 0.2}
+    assert make_space(SPECS, current, {}, 3, "x").fixed["wor_noise"] == 0.2
+
+
+def test_optuna_gets_the_same_bounds() -> None:
+    found = distributions(space(normal=["density", "integral"], sigma1=[0.1, 1.0]))
+    assert (found["sigma1"].low, found["sigma1"].high) == (0.1, 1.0)  # type: ignore[attr-defined]
+    whole = found["bonus_value"]
+    assert type(whole).__name__ == "IntDistribution"
+    assert (whole.low, whole.high) == (0, 9)  # type: ignore[attr-defined]
+    assert found["normal"].choices == ("density", "integral")  # type: ignore[attr-defined]
+
+
 @pytest.mark.parametrize(
     ("given", "message"),
     [
@@ -109,6 +145,10 @@ def test_a_point_outside_of_the_bounds_is_none() -> None:
     parameters = {**CURRENT, "sigma1": 2.0}
     assert to_point(space(), parameters) is not None
     assert to_point(space(sigma1=[0.1, 1.0]), parameters) is None
+    assert to_point(space(), {**CURRENT, "bonus_value": 2.5}) is None
+    names = space(no_valid_line=["uniform", "ignore"])
+    assert to_point(names, {**CURRENT, "no_valid_line": "ignore"}) is not None
+    assert to_point(names, {**CURRENT, "no_valid_line": "neither"}) is None
 
 
 def test_differences_name_each_key_with_both_values() -> None:
@@ -117,3 +157,4 @@ def test_differences_name_each_key_with_both_values() -> None:
     assert "fixed.p1: nothing, now 0.9" in text
     assert "searched.sigma1: [3e-06, 3.0], now [0.1, 1.0]" in text
     assert "sigma2" not in text
+    assert differences({"a": {"b": 1}, "c": 2}, {"c": 2}) == ["a: {'b': 1}, now nothing"]

@@ -285,6 +285,8 @@ def test_a_difference_uses_the_same_resamples_for_both_sides() -> None:
     assert interval.low == pytest.approx(np.quantile(slow, 0.025))
     assert interval.high == pytest.approx(np.quantile(slow, 0.975))
     assert interval.low > 0
+    whole = accuracy(a.sum(axis=0)) - accuracy(b.sum(axis=0))
+    assert interval.estimate == pytest.approx(float(whole), abs=1e-12)
     turned = paired_difference_interval(b, a, accuracy, block=20, resamples=100, seed=2)
     assert (turned.estimate, turned.low) == pytest.approx((-interval.estimate, -interval.high))
 

@@ -65,6 +65,17 @@ def test_kernel_and_twin_take_the_same_path() -> None:
             np.testing.assert_array_equal(ours.values[name], right.values[name])
 
 
+def test_the_frame_ids_given_are_kept() -> None:
+    compiled = template("lane_only", 3)
+    evidence = draw_evidence(compiled, 3, np.random.default_rng(0))
+    ids = np.array([7, 8, 12])
+    path = viterbi_path(compiled, evidence, frame_id=ids)
+    np.testing.assert_array_equal(path.frame_id, ids)
+    smoothed = smooth_beliefs(compiled, evidence, frame_id=ids)
+    assert disagreement(path, smoothed).frames <= 3
+    assert viterbi_path(compiled, evidence).frame_id.tolist() == [0, 1, 2]
+
+
 @both
 def test_of_equally_probable_paths_the_lowest_numbered_is_taken(kernel: bool) -> None:
     compiled = template("sensor_failure", 3)

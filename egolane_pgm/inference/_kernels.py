@@ -329,7 +329,8 @@ def expect_frames(
             likelihood[t] = 1.0
             total = before
         for s in range(n_states):
-            filtered[t, s] *= likelihood[t, s] / total
+            # In this order: one over the smallest numbers is infinite.
+            filtered[t, s] = filtered[t, s] * likelihood[t, s] / total
     ahead = np.ones(n_states)
     weight = np.empty(n_states)
     for t in range(n_frames - 1, -1, -1):

@@ -207,7 +207,8 @@ def _assemble(roles: Roles, tables: Mapping[SliceNode, Table]) -> Compiled:
 
 def _joined(roles: Roles) -> list[list[Observed]]:
     """Evidence keys that must share one emission table: those whose unobserved variables are
-    linked by an edge or by a common virtual-evidence node."""
+    linked by an edge or by a common virtual-evidence node. In the order declared: Jeffrey's rule
+    does not commute."""
     clusters: list[tuple[set[str], list[Observed]]] = []
     for key in roles.observed:
         leaves = {n for n in roles.ve[ve_name(key)] if n in roles.leaves}
@@ -223,7 +224,8 @@ def _joined(roles: Roles) -> list[list[Observed]]:
             else:
                 apart.append((nodes, others))
         clusters = [*apart, (linked, keys)]
-    return [keys for _, keys in clusters]
+    joined = [sorted(keys, key=roles.observed.index) for _, keys in clusters]
+    return sorted(joined, key=lambda keys: roles.observed.index(keys[0]))
 
 
 def _group(roles: Roles, keys: list[Observed]) -> Group:

@@ -23,6 +23,10 @@ from egolane_pgm.types import BoolArray, Evidence, FloatArray, IntArray
 #: The value of a node that is known in a frame, where it is not.
 FREE = -1
 
+#: A state with less than this of the largest likelihood is not seen with it: one over it is no
+#: number any more.
+_LEAST = 1e-300
+
 
 @dataclass(frozen=True)
 class Expected:
@@ -105,7 +109,7 @@ def expected_counts(
     seen = []
     for group, scaled, of_state in zip(compiled.groups, shares, by_group, strict=True):
         # P(state, value | all) = P(state | all) P(value | state) e(value) / P(evidence | state).
-        weight = np.divide(smoothed, of_state, out=np.zeros_like(smoothed), where=of_state > 0)
+        weight = np.divide(smoothed, of_state, out=np.zeros_like(smoothed), where=of_state > _LEAST)
         seen.append(group.emission * (weight.T @ scaled))
 
     counts: dict[SliceNode, FloatArray] = {}
