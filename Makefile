@@ -22,10 +22,12 @@ check: .venv/.dev
 	$(BIN)/mypy
 	$(BIN)/lint-imports
 
-# The kernels as plain Python, so that their lines are seen too; then what would take minutes so.
+# The kernels as plain Python, so that their lines are seen too; then, compiled, what would take
+# minutes so.
+COMPILED := $(addprefix tests/test_,compare.py choice.py learn.py detectors.py detector_limits.py)
 coverage: .venv/.dev
-	NUMBA_DISABLE_JIT=1 $(BIN)/python -m coverage run -m pytest -q
-	$(BIN)/python -m coverage run --append -m pytest -q tests/test_compare.py tests/test_choice.py tests/test_learn.py
+	NUMBA_DISABLE_JIT=1 $(BIN)/python -m coverage run -m pytest -q $(addprefix --ignore=,$(COMPILED))
+	$(BIN)/python -m coverage run --append -m pytest -q $(COMPILED)
 	$(BIN)/python -m coverage report
 
 bench: .venv/.bench

@@ -2,14 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import click
 
 if TYPE_CHECKING:
     from egolane_pgm.compare.comparing import Group, Options
+    from egolane_pgm.types import InputError
 
 DEFAULT_GRAPHS = "sensor_failure,wor_on_lane,no_wor,lane_only"
 TITLES = {"accuracy": "Accuracy", "f1": "F1 (mean over lanes)", "log_loss": "Log-loss (all frames)"}
@@ -78,7 +79,7 @@ def compare(
     """
     from egolane_pgm.compare.comparing import Options
     from egolane_pgm.reproduce import parse_runs
-    from egolane_pgm.results import check_place
+    from egolane_pgm.results import check_not_read, check_place
     from egolane_pgm.types import InputError
 
     if experiments and graphs:
@@ -91,9 +92,11 @@ def compare(
         from egolane_pgm.report.style import check_figure_path
 
         check_figure_path(figure)
-    for file in (json_file, figure, out):
-        if file:
-            check_place(Path(file))
+    for place in (json_file, figure, out and str(Path(out) / "recording")):
+        if place:
+            check_place(Path(place))
+    if json_file:
+        check_not_read(Path(json_file), map(Path, experiments))
     names = [n.strip() for n in (graphs or DEFAULT_GRAPHS).split(",") if n.strip()]
     if not experiments and not held_out:
         if health or overrides or trials or figure or out or style != "markdown":
@@ -150,7 +153,6 @@ def _held_out(
     from egolane_pgm.compare.comparing import compare_groups, document
     from egolane_pgm.report import tables
     from egolane_pgm.report.comparison import draw_comparison
-    from egolane_pgm.results import write_json
     from egolane_pgm.types import InputError
 
     # tqdm's monitor is a thread, and processes are forked.
@@ -164,9 +166,19 @@ def _held_out(
     known = known_losses(tasks, dict(zip(todo, shown, strict=True)))
     done = compare_groups(groups, options, jobs=jobs, known=known)
     bar = tqdm(done, total=len(groups), unit="recording", leave=False, disable=None)
-    found = document(list(bar), options)
+    compared: list[Any] = []
+    is_interrupted = False
+    try:
+        compared.extend(bar)
+    except KeyboardInterrupt:
+        # What is known of the first recordings is not lost.
+        if not compared:
+            raise
+        is_interrupted = True
+    found = document(compared, options)
     if not found["recordings"]:
         raise InputError(found["failed"][0]["error"])
+    unwritten = _write_first(json_file, found)
     for recording in found["recordings"]:
         for note in recording["notes"]:
             click.echo(f"warning: {recording['title']}: {note}", err=True)
@@ -194,12 +206,31 @@ def _held_out(
             click.echo(f"\n{rows_of.HEALTH_LEGEND}")
     if figure:
         draw_comparison(found, figure)
-    if json_file:
-        write_json(Path(json_file), found)
     for failed in found["failed"]:
         click.echo(f"failed: {failed['title']}: {failed['error']}", err=True)
+    if unwritten is not None:
+        raise unwritten
+    if is_interrupted:
+        click.echo(
+            f"egolane: interrupted; this is {len(compared)} of {len(groups)} recordings", err=True
+        )
+        click.get_current_context().exit(130)
     if found["failed"]:
         raise SystemExit(1)
+
+
+def _write_first(json_file: str | None, found: Mapping[str, Any]) -> InputError | None:
+    """Write the numbers before anything is printed, for whoever reads it may stop reading; what
+    keeps them from being written is told after what is printed."""
+    from egolane_pgm.results import write_json
+    from egolane_pgm.types import InputError
+
+    try:
+        if json_file:
+            write_json(Path(json_file), found)
+    except InputError as error:
+        return error
+    return None
 
 
 def _in_sample(
@@ -209,10 +240,10 @@ def _in_sample(
 
     from egolane_pgm import compare as comparing
     from egolane_pgm.report import tables
-    from egolane_pgm.results import write_json
 
     bar = tqdm(numbers, desc="runs", unit="run", leave=False, disable=None)
     compared = [comparing.compare_graphs(number, names, which) for number in bar]
+    unwritten = _write_first(json_file, comparing.compare_json(compared, which))
     for key, title in TITLES.items():
         header, rows = comparing.compare_rows(compared, key)
         click.echo(f"{title}\n\n{tables.markdown(header, rows)}\n")
@@ -225,5 +256,5 @@ def _in_sample(
             "wor_on_lane is sensor_failure until its p3 and p4 differ from lane to lane; the paper"
             " has one value of each."
         )
-    if json_file:
-        write_json(Path(json_file), comparing.compare_json(compared, which))
+    if unwritten is not None:
+        raise unwritten

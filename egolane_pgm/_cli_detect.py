@@ -64,7 +64,6 @@ def detect(
     from egolane_pgm.detectors._drive import check_pair, collect, find_detector
     from egolane_pgm.detectors._drive import detect as detect_lines
     from egolane_pgm.detectors._pictures import open_source, read_pictures
-    from egolane_pgm.recordings import write_lines
     from egolane_pgm.results import check_place
     from egolane_pgm.types import InputError
 
@@ -94,7 +93,7 @@ def detect(
     bar.close()
     if done.log is None:
         raise done.stopped or InputError(f"{pictures}: no frame")
-    write_lines(target, done.log)
+    _write(target, done.log)
     if isinstance(done.stopped, InputError):
         raise InputError(f"{done.stopped}; the lines of the frames before are in {target}")
     _say(target, done.log, seconds)
@@ -106,6 +105,25 @@ def detect(
     if done.stopped is not None:
         click.echo(f"egolane: interrupted; what was detected so far is in {target}", err=True)
         click.get_current_context().exit(130)
+
+
+def _write(target: str, log: LineLog) -> None:
+    """Write the lines; where the disk is full, or the folder gone meanwhile, to another place, for
+    they may be the work of hours."""
+    import tempfile
+
+    from egolane_pgm.recordings import write_lines
+    from egolane_pgm.types import InputError
+
+    try:
+        write_lines(target, log)
+    except InputError as error:
+        try:
+            other = Path(tempfile.mkdtemp(prefix="egolane-")) / Path(target).name
+            write_lines(other, log)
+        except (OSError, InputError):
+            raise error from None
+        raise InputError(f"{error}; the lines are in {other} instead") from None
 
 
 def _given(overrides: tuple[str, ...]) -> dict[str, Any]:

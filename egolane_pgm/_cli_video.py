@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from collections import deque
 from collections.abc import Iterator, Sequence
 from pathlib import Path
@@ -79,10 +80,13 @@ def video(
 
     from egolane_pgm.camera import read_camera
     from egolane_pgm.detectors._pictures import open_source, read_pictures
+    from egolane_pgm.picture_files import NotKeptError
     from egolane_pgm.recordings.ground_truth import read_ground_truth
     from egolane_pgm.report.video import draw_frame, frame_writer, layout
     from egolane_pgm.types import InputError
 
+    if not target:
+        raise InputError("--out: is empty; name a video (.mp4) or a folder")
     if frames is not None and frames[0] >= frames[1]:
         raise InputError(f"--frames {frames[0]} {frames[1]}: is an empty range")
     if lines_file and (detector or right_pictures):
@@ -116,8 +120,10 @@ def video(
             for picture, scene in _scenes(pairs, experiment, truth, pictures):
                 write(picture.frame_id, draw_frame(places, picture.image, scene))
                 n_drawn += 1
+    except NotKeptError:
+        raise
     except InputError as error:
-        if not n_drawn:
+        if not n_drawn or not Path(target).exists():
             raise
         raise InputError(f"{error}; the {n_drawn} frames before are in {target}") from None
     except KeyboardInterrupt:
@@ -133,10 +139,11 @@ def _check_target(target: Path, sources: Sequence[Source]) -> None:
     from egolane_pgm.types import InputError
 
     for source in sources:
-        taken = {file.resolve() for file in source.files}
+        taken = {os.path.realpath(file) for file in source.files}
         if not source.is_video:
-            taken |= {file.parent for file in taken}
-        if target.resolve() in taken:
+            taken |= {os.path.dirname(file) for file in taken}
+        # Not `resolve`, which ends in an error of its own where a link leads to itself.
+        if os.path.realpath(target) in taken:
             raise InputError(f"{target}: has the pictures that are drawn; name another place (-o)")
 
 

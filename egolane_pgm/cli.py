@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import os
 import sys
 import warnings
@@ -50,8 +51,24 @@ class _Group(click.Group):
             ctx.exit(130)
         except BrokenPipeError:
             # Whoever read our output has had enough; say nothing at exit either.
-            os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+            _give_up_output()
             ctx.exit(1)
+        except OSError as error:
+            # Printing on a full disk, mostly: files of ours are spoken of where they are written.
+            where = error.filename or "output"
+            _give_up_output()
+            click.echo(f"egolane: {where}: {error.strerror or error}", err=True)
+            ctx.exit(2)
+        except UnicodeEncodeError as error:
+            name = str(error.object)[:200]
+            click.echo(f"egolane: {name!a}: is not text in UTF-8; rename the file", err=True)
+            ctx.exit(2)
+
+
+def _give_up_output() -> None:
+    """What is still to be printed goes nowhere, so that nothing is said of it at exit."""
+    with contextlib.suppress(OSError, ValueError):
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
 
 
 def _safe(text: str) -> str:

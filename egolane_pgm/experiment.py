@@ -285,65 +285,6 @@ def config_hash(content: Mapping[str, Any]) -> str:
     return hashlib.sha256(json.dumps(content, sort_keys=True).encode()).hexdigest()
 
 
-def with_recording(
-    experiment: Experiment,
-    recording: str | None,
-    ground_truth: str | None,
-    n_lanes: int | None,
-    frame_id: str | None = None,
-    camera: str | None = None,
-    detector: str | None = None,
-) -> Experiment:
-    """The experiment on another recording. What belongs to the old recording (frame range, seed,
-    ground truth and its extra rows) does not carry over, nor do `format`, `topic`, `frame_id`,
-    `camera`, `detector` and its parameters where the extension of the file is another one;
-    `ground_truth` may be "none". camera, detector: for a video or pictures."""
-    content = experiment.model_dump()
-    if "frame_rate" not in experiment.recording.model_fields_set:
-        # A video may tell its own.
-        del content["recording"]["frame_rate"]
-    if experiment.recording.simulate is not None and recording is None and ground_truth == "none":
-        raise InputError(
-            f"{experiment.source}: --ground-truth none: a simulated drive brings its own;"
-            " write it to files with `egolane simulate` and run on those"
-        )
-    if recording is not None:
-        kept = {"frame_rate", "missing_frames", "lri"}
-        if Path(recording).suffix == Path(experiment.recording.path or "").suffix:
-            kept |= {"format", "topic", "frame_id", "options"}
-            kept |= {"camera", "detector", "detector_parameters"}
-        content["recording"] = {k: v for k, v in content["recording"].items() if k in kept}
-        content["recording"]["path"] = str(Path(recording).absolute())
-        content["ground_truth"] = None
-        content["tuning"] = None
-        content["name"] = _as_name(Path(recording).stem)
-        content["tuned_on"] = (
-            "other_frames" if experiment.tuned_on == "same_frames" else (experiment.tuned_on)
-        )
-    if frame_id is not None:
-        content["recording"]["frame_id"] = frame_id
-    if camera is not None:
-        content["recording"]["camera"] = str(Path(camera).absolute())
-    if detector is not None:
-        is_own = detector.endswith(".py")
-        if detector != content["recording"].get("detector"):
-            content["recording"].pop("detector_parameters", None)
-        content["recording"]["detector"] = str(Path(detector).absolute()) if is_own else detector
-    if ground_truth is not None:
-        content["ground_truth"] = (
-            None if ground_truth == "none" else {"path": str(Path(ground_truth).absolute())}
-        )
-    if n_lanes is not None:
-        content["n_lanes"] = n_lanes
-    return make_experiment(content, experiment.folder, experiment.source)
-
-
-def _as_name(stem: str) -> str:
-    kept = (c if (c.isascii() and c.isalnum()) or c in "._-" else "_" for c in stem)
-    name = "".join(kept).lstrip("._-")
-    return name or "recording"
-
-
 def _override(content: dict[str, Any], override: str) -> None:
     key, equals, text = override.partition("=")
     parts = key.strip().split(".")

@@ -32,7 +32,7 @@ if TYPE_CHECKING:
     from egolane_pgm.detectors._pictures import Source
 
 #: Extensions by which a video is known where no detector is named.
-_VIDEOS = (".mp4", ".avi", ".mkv", ".mov", ".mpg", ".mpeg", ".m4v", ".webm", ".wmv", ".ts")
+VIDEOS = (".mp4", ".avi", ".mkv", ".mov", ".mpg", ".mpeg", ".m4v", ".webm", ".wmv", ".ts")
 
 
 @dataclass(frozen=True)
@@ -300,7 +300,7 @@ def _pictures_of(experiment: Experiment, key: str) -> Source:
 def _refuse_video(experiment: Experiment) -> None:
     """A video without a detector: say what is missing rather than that its format is unknown."""
     path, format_ = experiment.recording.path, experiment.recording.format
-    if format_ is None and path is not None and Path(path).suffix.lower() in _VIDEOS:
+    if format_ is None and path is not None and Path(path).suffix.lower() in VIDEOS:
         raise InputError(
             f"{experiment.source}: recording.path: {path} is a video: say which detector looks at"
             " it (recording.detector, e.g. ml) and with which camera (recording.camera)"

@@ -11,6 +11,7 @@ import contextlib
 import hashlib
 import importlib
 import importlib.util
+import os
 import pkgutil
 import sys
 import traceback
@@ -18,7 +19,7 @@ from collections.abc import Iterator
 from pathlib import Path
 from types import ModuleType
 
-from egolane_pgm.types import InputError, Parameter, suggestion
+from egolane_pgm.types import InputError, Parameter, check_name, suggestion
 
 #: What a module of each folder must define.
 CONTRACTS = {
@@ -51,12 +52,14 @@ def load_plugin(folder: str, name: str, base: Path, where: str) -> ModuleType:
     Raises InputError starting with `where` for an unknown name (with a suggestion), a missing
     file, a file that cannot be imported or one that lacks what the contract asks for.
     """
+    # Not `resolve`, which ends in an error of its own where a link leads to itself.
+    file = Path(os.path.realpath(base / name))
     if name.endswith(".py"):
-        module = _load_file((base / name).resolve(), where)
+        module = _load_file(file, where)
     elif name.endswith(OWN_FILES) and folder == "graphs":
         # Above this module in the order of imports, as all graphs are.
         reader = importlib.import_module("egolane_pgm.graphs._yaml_graph")
-        module = reader.load_yaml_graph((base / name).resolve(), f"{_OWN}{Path(name).stem}", where)
+        module = reader.load_yaml_graph(file, f"{_OWN}{Path(name).stem}", where)
     elif name in plugin_names(folder):
         module = importlib.import_module(f"egolane_pgm.{folder}.{name}")
     else:
@@ -74,6 +77,7 @@ def load_plugin(folder: str, name: str, base: Path, where: str) -> ModuleType:
 
 
 def _load_file(path: Path, where: str) -> ModuleType:
+    check_name(path)
     if not path.is_file():
         raise InputError(f"{where}: no file {path}")
     # One module per path and content, so that two experiments may each have a my_graph.py.

@@ -25,7 +25,7 @@ import math
 import os
 import shutil
 import tempfile
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -33,7 +33,7 @@ from typing import Any
 import numpy as np
 import yaml
 
-from egolane_pgm.types import BoolArray, FloatArray, InputError, IntArray
+from egolane_pgm.types import BoolArray, FloatArray, InputError, IntArray, check_name
 
 SCHEMA_VERSION = 1
 
@@ -109,6 +109,8 @@ def write_json(path: Path, content: Mapping[str, Any]) -> None:
 def check_writable(directory: Path) -> None:
     """Raise InputError where a result could not be put there: before anything is computed."""
     check_place(directory)
+    if directory.is_symlink() and not directory.exists():
+        raise InputError(f"{directory}: is a link to nothing; name another directory")
     if directory.exists():
         if not directory.is_dir():
             raise InputError(f"{directory}: is a file, not a directory")
@@ -120,9 +122,12 @@ def check_writable(directory: Path) -> None:
 
 def check_place(path: Path) -> None:
     """Raise InputError where no file or directory of that name could be put."""
+    check_name(path)
     nearest = path.absolute().parent
     try:
         while not nearest.exists():
+            if nearest.is_symlink():
+                raise InputError(f"{path}: cannot be written, {nearest} is a link to nothing")
             nearest = nearest.parent
         # Permissions alone do not tell (root, read-only file systems); nothing is left behind.
         with tempfile.TemporaryFile(dir=nearest):
@@ -133,8 +138,15 @@ def check_place(path: Path) -> None:
         ) from error
 
 
+def check_not_read(file: Path, read: Iterable[Path]) -> None:
+    """Raise InputError where a file to be written is one of those that are read."""
+    if file.exists() and any(other.exists() and other.samefile(file) for other in read):
+        raise InputError(f"{file}: is read here; name another file")
+
+
 def make_directory(directory: Path) -> None:
     """Create a directory and its parents. Raises InputError where that cannot be done."""
+    check_name(directory)
     try:
         directory.mkdir(parents=True, exist_ok=True)
     except OSError as error:
@@ -158,7 +170,11 @@ def staged(directory: Path) -> Iterator[Path]:
     except OSError as error:
         raise InputError(f"{directory}: cannot be written: {error.strerror}") from error
     try:
-        yield temporary
+        try:
+            yield temporary
+        except InputError as error:
+            # What could not be written is named by its place, not by where it is made.
+            raise InputError(str(error).replace(str(temporary), str(directory))) from None
         temporary.chmod(0o755)
         if directory.exists():
             _replace(directory, temporary)

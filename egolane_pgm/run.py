@@ -31,6 +31,7 @@ from egolane_pgm.types import (
     Beliefs,
     Evidence,
     FloatArray,
+    InputError,
     LaneTruth,
 )
 from egolane_pgm.validation import BLOCK_FRAMES, bootstrap_interval, confusion_counts
@@ -140,9 +141,10 @@ def save_run(run: Run, directory: str | Path, draw: Callable[[Path], None] | Non
     """Write a result directory (`results` says what is in it); an existing one is replaced as a
     whole. `draw` is given the directory before it has its name, to add figures.
 
-    Raises InputError where it cannot be written.
+    Raises InputError where it cannot be written; without figures it is kept all the same.
     """
     directory = Path(directory)
+    undrawn: InputError | None = None
     content = resolved(run.experiment, run.model.parameters)
     with staged(directory) as folder:
         write_result(
@@ -152,8 +154,14 @@ def save_run(run: Run, directory: str | Path, draw: Callable[[Path], None] | Non
             scores=summary(run),
             columns=_columns(run),
         )
-        if draw is not None:
-            draw(folder)
+        try:
+            if draw is not None:
+                draw(folder)
+        except InputError as error:
+            shutil.rmtree(folder / "figures", ignore_errors=True)
+            undrawn = InputError(str(error).replace(str(folder), str(directory)))
+    if undrawn is not None:
+        raise InputError(f"{undrawn}; the result without figures is in {directory}")
     return directory
 
 

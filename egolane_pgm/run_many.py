@@ -54,6 +54,8 @@ def plan_runs(sources: Sequence[tuple[str, Callable[[], Experiment]]], folder: P
             tasks.append(Task(title, folder, None, str(error)))
             continue
         directory = folder / experiment.name
+        if taken.get(directory) == title:
+            raise InputError(f"{title}: is named twice")
         if directory in taken:
             raise InputError(
                 f"{title}: would write {directory}, as {taken[directory]} does; give one of them"

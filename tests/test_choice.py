@@ -17,7 +17,15 @@ from conftest import needs_compiler
 from drives import done, refused, short_drive, write_drive, write_experiment
 from test_compare import geometry, simulated
 
-from egolane_pgm.compare.choice import Losses, choose, losses_of, plan, settings_of, try_all
+from egolane_pgm.compare.choice import (
+    LOSSES,
+    Losses,
+    choose,
+    losses_of,
+    plan,
+    settings_of,
+    try_all,
+)
 from egolane_pgm.compare.drives import drive_key, load_for_scoring
 from egolane_pgm.compare.elsewhere import learn_pooled
 from egolane_pgm.compare.held_out import held_out_run
@@ -87,6 +95,22 @@ def test_the_labels_of_a_stretch_reach_nothing_in_any_recording_of_it(tmp_path: 
     assert before.tuned_on == "other_frames"
 
 
+def test_untrusted_labels_choose_nothing(tmp_path: Path) -> None:
+    """Neither by what is learned from them nor by the loss in their frames."""
+    experiment = two_recordings(tmp_path, tuning={"never_fit": [[300, 380]]})
+    truth = short_drive(N_FRAMES).truth
+    found = []
+    for other in (truth.lane, truth.lane % 3 + 1):
+        is_untrusted = (truth.frame_id >= 300) & (truth.frame_id < 380)
+        lane = np.where(is_untrusted, other, truth.lane)
+        write_ground_truth(tmp_path / "ground_truth.txt", replace(truth, lane=lane))
+        (task, _) = next(iter(plan([experiment], 5).values()))
+        found.append(losses_of(task))
+    for objective, sums in found[0].sums.items():
+        np.testing.assert_array_equal(found[1].sums[objective], sums)
+    np.testing.assert_array_equal(found[1].frames, found[0].frames)
+
+
 def test_losses_are_those_of_what_is_learned_without_both_stretches(tmp_path: Path) -> None:
     experiment = two_recordings(tmp_path)
     (tasks,) = plan([experiment], 5).values()
@@ -113,6 +137,13 @@ def test_losses_are_those_of_what_is_learned_without_both_stretches(tmp_path: Pa
         wrong = belief.argmax(axis=1) + 1 != drive.truth.lane
         assert found.sums["accuracy"][3, without, on] == wrong[kept].sum()
         assert found.frames[without, on] == kept.sum()
+
+
+def test_a_tie_is_wrong_and_a_sure_error_costs_no_more_than_the_floor_says() -> None:
+    belief, lane = np.array([[0.5, 0.5], [0.2, 0.8], [1.0, 0.0]]), np.array([1, 2, 2])
+    np.testing.assert_array_equal(LOSSES["accuracy"](belief, lane, 0.0), [1, 0, 1])
+    np.testing.assert_array_equal(LOSSES["accuracy"](belief, lane, 0.9), [1, 1, 1])
+    np.testing.assert_allclose(LOSSES["log_loss"](belief, lane, 0.0), -np.log([0.5, 0.8, 0.01]))
 
 
 def losses(sums: list[list[float]], drive: str = "here", frames: int = 100) -> Losses:
@@ -146,6 +177,12 @@ def test_what_is_scored_is_not_looked_at() -> None:
     assert choose([one], "here", 0, choosing(None)) == 0
 
 
+def test_without_a_frame_to_choose_on_nothing_is_chosen() -> None:
+    one = losses([[0, 0, 0], [0, 0, 0]], frames=0)
+    with pytest.raises(InputError, match="block 2: no frame is left to choose on"):
+        choose([one], "here", 1, choosing(None))
+
+
 def test_caution_keeps_what_is_not_worse_by_a_standard_error() -> None:
     paired = choosing(error_of="difference")
     # Worse by 1 in each stretch; or by 4, 0, -1, 1: a standard error of 1.1 about a mean of 1.
@@ -161,6 +198,11 @@ def test_caution_keeps_what_is_not_worse_by_a_standard_error() -> None:
     # The least loss itself is not known as well as the difference: 1, 8, 3, 5.
     assert choose([surely], "here", 0, choosing()) == 1
     assert choose([by_luck], "here", 0, choosing()) == 3
+    # Each value has its own chance: the first is surely worse by 1, the second by 8, 0, -2, 2.
+    grid = {"prior_frames": ["infinite", 100, 50]}
+    three = {"grid": grid, "cautious": "prior_frames", "error_of": "difference"}
+    one_of_three = losses([[9, 6, 6, 6, 6], [9, 13, 5, 3, 7], [9, 5, 5, 5, 5]])
+    assert choose([one_of_three], "here", 0, geometry(fit="choose", choice=three)) == 1
 
 
 def test_with_a_rule_that_learns_nothing_only_the_grid_is_chosen_from() -> None:
@@ -197,7 +239,8 @@ def test_the_command_says_what_was_chosen(tmp_path: Path) -> None:
 
 
 def test_what_is_learned_in_the_end_is_chosen_with_every_block(tmp_path: Path) -> None:
-    experiment = two_recordings(tmp_path)
+    # What the experiment says of a parameter is not what is chosen.
+    experiment = two_recordings(tmp_path, parameters={**SMALL, "alpha": 0.1})
     target = tmp_path / "final.yaml"
     said = done("learn", tmp_path / "choosing.yaml", "--out", target).stdout
     assert "have seen that choice" in said

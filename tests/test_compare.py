@@ -24,11 +24,12 @@ from egolane_pgm.compare.comparing import (
     graphs_on_runs,
     on_runs,
 )
-from egolane_pgm.compare.drives import load_for_scoring, on_recording
+from egolane_pgm.compare.drives import load_for_scoring, on_recording, recording_key
 from egolane_pgm.compare.held_out import HeldOutRun, held_out_run
 from egolane_pgm.compare.tables import accuracy_rows, full_rows, health_rows
-from egolane_pgm.experiment import Experiment, make_experiment, resolved
+from egolane_pgm.experiment import Experiment, load_experiment, make_experiment, resolved
 from egolane_pgm.plugins import plugin_names
+from egolane_pgm.recordings.ground_truth import write_ground_truth
 from egolane_pgm.report.comparison import comparison_figure, draw_comparison
 from egolane_pgm.run import run_experiment
 from egolane_pgm.scoring.assign import assigned_lane
@@ -227,6 +228,23 @@ def test_a_model_is_put_on_the_recording_of_a_run(runs: Path) -> None:
     assert on_recording(own, own).tuned_on == "same_frames"
 
 
+def test_a_frame_rate_that_nobody_gave_is_left_to_the_recording() -> None:
+    """A video tells its own."""
+    place = {"simulate": "quickstart"}
+    for given in ({}, {"frame_rate": 20.0}):
+        placed = on_recording(simulated(), simulated("place", recording={**place, **given}))
+        assert ("frame_rate" in placed.recording.model_fields_set) == bool(given)
+    assert placed.recording.frame_rate == 20
+
+
+def test_the_same_road_taken_for_another_number_of_lanes_is_another_recording(
+    tmp_path: Path,
+) -> None:
+    three = load_experiment(write_drive(tmp_path, 60))
+    assert recording_key(three) != recording_key(three.model_copy(update={"n_lanes": 4}))
+    assert recording_key(three) == recording_key(three.model_copy(update={"name": "other"}))
+
+
 def test_every_graph_gets_an_evidence_rule_that_fits_it(runs: Path) -> None:
     graphs = plugin_names("graphs")
     (group,) = graphs_on_runs(graphs, [2], "tune")
@@ -292,6 +310,12 @@ def test_what_cannot_be_compared_is_refused_in_one_line(runs: Path, tmp_path: Pa
     (tmp_path / "bare").mkdir()
     bare = write_drive(tmp_path / "bare", ground_truth=None)
     assert "ground_truth: is missing" in refused("compare", bare)
+    crossing = write_drive(tmp_path / "crossing", 60)
+    truth = short_drive(60).truth
+    flags = np.ones(len(truth), dtype=bool)
+    write_ground_truth(crossing.parent / "ground_truth.txt", replace(truth, is_crossing=flags))
+    message = refused("compare", crossing)
+    assert message.endswith("ground_truth.txt: every frame is a crossing, nothing to score")
     assert "a figure ends in .png" in refused("compare", one, "--figure", tmp_path / "a.gif")
     assert "fit: tune searches with filter" in refused(
         "compare", one, "--set", "fit=tune", "--set", "filter=smoothed"

@@ -14,8 +14,9 @@ from drives import done, refused
 from synthetic_road import CAMERA, images, write_pictures, write_place
 
 from egolane_pgm.detectors._pictures import open_source, read_pictures
-from egolane_pgm.experiment import load_experiment, with_recording
+from egolane_pgm.experiment import load_experiment
 from egolane_pgm.loading import check_sources, load_recording
+from egolane_pgm.other_recording import with_recording
 from egolane_pgm.recordings import read_lines
 from egolane_pgm.run import run_experiment, save_run
 from egolane_pgm.types import InputError

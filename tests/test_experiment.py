@@ -17,8 +17,8 @@ from egolane_pgm.experiment import (
     load_experiment,
     make_experiment,
     resolved,
-    with_recording,
 )
+from egolane_pgm.other_recording import with_recording
 from egolane_pgm.reproduce import experiments_folder
 from egolane_pgm.types import InputError
 

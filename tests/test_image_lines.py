@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import functools
-import json
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
@@ -13,9 +11,19 @@ import pytest
 from drives import done, refused, write_experiment
 from hypothesis import given
 from hypothesis import strategies as st
+from image_line_files import (
+    CAMERA,
+    OFFSETS,
+    ROWS,
+    culane,
+    entry,
+    openlane,
+    read,
+    saved_camera,
+    tusimple,
+)
 
-from egolane_pgm.camera import Camera, road_to_image, write_camera
-from egolane_pgm.recordings import read_lines
+from egolane_pgm.camera import road_to_image
 from egolane_pgm.recordings._image_lines import (
     ImageLine,
     frame_numbers,
@@ -24,76 +32,7 @@ from egolane_pgm.recordings._image_lines import (
 )
 from egolane_pgm.recordings.table import read_table
 from egolane_pgm.results import read_result
-from egolane_pgm.types import InputError, LineLog
-
-CAMERA = Camera(
-    width=1280, height=720, fx=1040, fy=1040, cx=640, cy=360, height_m=1.6, pitch_deg=-4, yaw_deg=1
-)
-ROWS = list(range(300, 720, 10))
-OFFSETS = (-5.4, -1.8, 1.9)
-
-
-@functools.cache
-def columns(offset: float) -> list[float]:
-    """Where a straight line at an offset is in each of the rows; -2 above the horizon."""
-    far = np.geomspace(2, 400, 4000)[::-1]
-    u, v = road_to_image(CAMERA, far, offset)
-    return np.interp(ROWS, v, u, left=-2, right=-2).tolist()
-
-
-def entry(number: int, offsets: Sequence[float] = OFFSETS, **more: Any) -> dict[str, Any]:
-    """A line of TuSimple's format."""
-    lanes = [columns(offset) for offset in offsets]
-    found = {"raw_file": f"clips/0313-1/{number}/20.jpg", "lanes": lanes, "h_samples": ROWS}
-    return {**found, **more}
-
-
-def tusimple(path: Path, entries: Sequence[dict[str, Any]]) -> Path:
-    path.write_text("".join(json.dumps(e) + "\n" for e in entries))
-    return path
-
-
-def culane(folder: Path, numbers: Sequence[int]) -> Path:
-    folder.mkdir()
-    for number in numbers:
-        text = ""
-        for offset in OFFSETS:
-            pairs = zip(columns(offset), ROWS, strict=True)
-            text += " ".join(f"{u:.3f} {v}" for u, v in pairs if u != -2) + " \n"
-        (folder / f"{number:05d}.lines.txt").write_text(text)
-    return folder
-
-
-def openlane(folder: Path, stamps: Sequence[int], categories: Sequence[int] = (8, 1, 2)) -> Path:
-    folder.mkdir()
-    for stamp in stamps:
-        lanes = []
-        for offset, category in zip(OFFSETS, categories, strict=True):
-            pairs = [(u, v) for u, v in zip(columns(offset), ROWS, strict=True) if u != -2]
-            uv = [[u for u, _ in pairs], [v for _, v in pairs]]
-            lanes.append({"category": category, "uv": uv, "attribute": 1, "visibility": []})
-        content = {"file_path": f"training/segment-7/{stamp}.jpg", "lane_lines": lanes}
-        (folder / f"{stamp}.json").write_text(json.dumps(content))
-    return folder
-
-
-def saved_camera(folder: Path, camera: Camera = CAMERA) -> Path:
-    write_camera(folder / "cam.yaml", camera)
-    return folder / "cam.yaml"
-
-
-def read(path: Path, **options: Any) -> LineLog:
-    return read_lines(path, **{"camera": CAMERA, **options})
-
-
-def whats_wrong(path: Path, **options: Any) -> str:
-    with pytest.raises(InputError) as caught:
-        read(path, **options)
-    said = str(caught.value)
-    assert "\n" not in said
-    assert said.startswith(str(path))
-    return said
-
+from egolane_pgm.types import InputError
 
 # --- three formats, one road ---------------------------------------------------------------------
 
@@ -329,131 +268,3 @@ def test_lines_in_pixels_without_a_camera_are_refused(tmp_path: Path) -> None:
     assert said == f"{experiment}: recording.camera: is missing; the lines of a.jsonl are in pixels"
     said = refused("convert", labels, tmp_path / "b.jsonl", "--camera", saved_camera(tmp_path))
     assert said == f"{tmp_path / 'b.jsonl'}: a recording is written as .csv, .parquet or .bag"
-
-
-# --- refused -------------------------------------------------------------------------------------
-
-
-def test_broken_json_is_refused_with_its_line(tmp_path: Path) -> None:
-    path = tusimple(tmp_path / "a.jsonl", [entry(1), entry(2)])
-    path.write_text(path.read_text()[:-40])
-    assert f"{path}: line 2: is not JSON" in whats_wrong(path)
-    folder = openlane(tmp_path / "o", [1, 2])
-    (folder / "2.json").write_text("{")
-    assert f"{folder}/2.json: is not JSON" in whats_wrong(folder)
-
-
-@pytest.mark.parametrize(
-    ("change", "said"),
-    [
-        ({"lanes": [[1.0, 2.0]]}, f"line 2: lane 1 has 2 values for {len(ROWS)} h_samples"),
-        ({"lanes": [["x"] * len(ROWS)]}, "line 2: lane 1 is not a list of numbers"),
-        ({"lanes": {}}, "line 2: raw_file must be a text and lanes a list of lists"),
-        ({"h_samples": [float("nan")] * len(ROWS)}, "h_samples has a number that is not finite"),
-        ({"classes": [1]}, "line 2: classes needs one class for each of 3 lanes"),
-        ({"classes": [1, 99, 1]}, "line 2: lane 2 has class 99, not one of 0 to 20"),
-        ({"raw_file": "clips/0313-1/b/20.jpg"}, "line 2: is of another drive (clips/0313-1/b)"),
-        ({"raw_file": "clips/0313-2/2/20.jpg"}, "line 2: is of another drive (clips/0313-2) than"),
-        ({"raw_file": "clips/0313-1/1/20.jpg"}, "line 2: frame 1 is there twice"),
-        ({"h_samples": [row * 4 for row in ROWS]}, "reaches down to row 2840, the camera's"),
-    ],
-)
-def test_a_bad_picture_is_refused_with_its_line(
-    tmp_path: Path, change: dict[str, Any], said: str
-) -> None:
-    path = tusimple(tmp_path / "a.jsonl", [entry(1), {**entry(2), **change}])
-    assert said in whats_wrong(path)
-
-
-def test_a_missing_key_is_refused_with_its_line(tmp_path: Path) -> None:
-    without = entry(2)
-    del without["h_samples"]
-    path = tusimple(tmp_path / "a.jsonl", [entry(1), without])
-    assert "line 2: has no h_samples, which TuSimple's format needs" in whats_wrong(path)
-
-
-def test_a_picture_without_a_number_is_refused(tmp_path: Path) -> None:
-    path = tusimple(tmp_path / "a.jsonl", [entry(1, raw_file="a/b.jpg")])
-    assert "'b' has no frame number in it" in whats_wrong(path)
-
-
-def test_openlane_in_the_wrong_reader_is_told(tmp_path: Path) -> None:
-    folder = openlane(tmp_path / "o", [1])
-    said = whats_wrong(folder / "1.json")
-    assert "line 1: has lane_lines: that is OpenLane's, format: openlane" in said
-    assert len(read(folder / "1.json", format="openlane")) == 1
-
-
-def test_files_with_nothing_in_them_are_refused(tmp_path: Path) -> None:
-    empty = tusimple(tmp_path / "a.jsonl", [])
-    assert whats_wrong(empty) == f"{empty}: no frame in it"
-    (tmp_path / "d").mkdir()
-    said = whats_wrong(tmp_path / "d", format="culane")
-    assert said.endswith("no file *.lines.txt in it")
-    assert "no file *.json in it" in whats_wrong(tmp_path / "d", format="openlane")
-    said = whats_wrong(tmp_path / "d")
-    assert "a folder without lines (*.lines.txt, *.json); pictures need a detector" in said
-    culane(tmp_path / "d" / "drive", [1])
-    said = whats_wrong(tmp_path / "d", format="culane")
-    assert said.endswith(f"name one drive's folder, e.g. {tmp_path / 'd' / 'drive'}")
-
-
-def test_odd_culane_files_are_refused(tmp_path: Path) -> None:
-    folder = culane(tmp_path / "c", [1, 2])
-    file = folder / "00002.lines.txt"
-    for text, said in (
-        ("1 2\n3 4 5\n", "line 2: 3 numbers are no pairs"),
-        ("1 x\n", "line 1: could not convert string to float: 'x'"),
-        ("1 nan\n", "line 1: a coordinate is not finite"),
-    ):
-        file.write_text(text)
-        assert f"{file}: {said}" in whats_wrong(folder)
-    file.rename(folder / "1.lines.txt")
-    (folder / "1.lines.txt").write_text("")
-    assert "frame 1 is there twice" in whats_wrong(folder)
-
-
-@pytest.mark.parametrize(
-    ("change", "said"),
-    [
-        ({"category": 77}, "unknown category 77 (known: 0, 1, 2,"),
-        ({"category": [1]}, "unknown category [1]"),
-        ({"attribute": 9}, "unknown attribute 9 (known: 0 to 4)"),
-        ({"uv": [[1, 2], [3]]}, "2 u for 1 v"),
-        ({"uv": [1, 2, 3]}, "uv needs a list of u and a list of v"),
-        ({"uv": [["a"], [1]]}, "u is not a list of numbers"),
-    ],
-)
-def test_an_odd_openlane_line_is_refused(tmp_path: Path, change: dict[str, Any], said: str) -> None:
-    folder = openlane(tmp_path / "o", [1])
-    content = json.loads((folder / "1.json").read_text())
-    content["lane_lines"][1].update(change)
-    (folder / "1.json").write_text(json.dumps(content))
-    assert f"{folder}/1.json: lane_lines 2: {said}" in whats_wrong(folder)
-
-
-def test_a_camera_that_sees_only_sky_where_the_lines_are_is_refused(tmp_path: Path) -> None:
-    path = tusimple(tmp_path / "a.jsonl", [entry(1)])
-    up = Camera(
-        width=1280, height=720, fx=1040, fy=1040, cx=640, cy=360, height_m=1.6, pitch_deg=40
-    )
-    said = whats_wrong(path, camera=up)
-    assert "no line has two points on the road within 25 m ahead of this camera" in said
-
-
-@pytest.mark.parametrize(
-    ("options", "said"),
-    [
-        ({"valid": "allways"}, "valid: 'allways' is not one of hysteresis, always (did you mean"),
-        ({"frame_step": 0}, "frame_step: 0 is not a whole number from 1 up"),
-        ({"frame_step": 2}, "frame 1 is no multiple of frame_step 2"),
-        ({"frame_rate": 0}, "frame_rate 0 must be greater than 0"),
-        ({"ahead_m": 300}, "ahead_m: 300 is not between 0 and 25 m"),
-        ({"ahead_m": "far"}, "ahead_m: 'far' is not a number"),
-        ({"continuous": "all"}, "continuous: 'all' is not a list of classes, 0 to 20"),
-    ],
-)
-def test_options_out_of_range_are_refused(
-    tmp_path: Path, options: dict[str, Any], said: str
-) -> None:
-    assert said in whats_wrong(tusimple(tmp_path / "a.jsonl", [entry(1)]), **options)

@@ -55,7 +55,7 @@ def draws_or_looks(name: str) -> bool:
     """Whether a module is one of those that may load OpenCV."""
     package, _, module = name.partition(".")
     return package in ("detectors", "calibration") or (
-        "render" in module if package == "simulation" else name == "report.video"
+        "render" in module if package == "simulation" else name in ("picture_files", "report.video")
     )
 
 

@@ -3,6 +3,7 @@
 import json
 import os
 import signal
+from pathlib import Path
 
 import pytest
 import yaml
@@ -85,7 +86,9 @@ def test_a_file_that_is_no_experiment_is_listed_and_the_others_run(experiments, 
 
 def test_two_runs_of_one_name_are_refused_before_anything_is_run(experiments, tmp_path):
     out = tmp_path / "out"
-    found = invoke("run", experiments[0], experiments[0], "--out", out)
+    other = tmp_path / "other.yaml"
+    other.write_text(Path(experiments[0]).read_text())
+    found = invoke("run", experiments[0], other, "--out", out)
     assert found.exit_code == 2
     assert "give one of them another `name`" in found.output
     assert not out.exists()

@@ -8,6 +8,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 
+from egolane_pgm import picture_files
 from egolane_pgm.calibration.parallel_lines import RoadView, from_level_to_image, to_level
 from egolane_pgm.camera import image_to_road, road_to_image
 from egolane_pgm.detectors import Image
@@ -125,8 +126,6 @@ def write_picture(path: str | Path, image: Image) -> None:
     check_picture_name(path)
     try:
         Path(path).parent.mkdir(parents=True, exist_ok=True)
-        done = cv2.imwrite(str(path), image)
-    except (OSError, cv2.error):
-        done = False
-    if not done:
-        raise InputError(f"{path}: cannot be written")
+    except OSError as error:
+        raise InputError(f"{path}: cannot be written: {error.strerror}") from None
+    picture_files.write_picture(Path(path), image)

@@ -4,8 +4,8 @@ For block b of a recording every setting of the grid is tried on all recordings 
 `choice`, the own one included: on each stretch of road c with what is learned without c; on the
 drive that b belongs to, also without b, whose stretch is left out in every recording of it. With
 `choice.objective: accuracy` a frame's loss is 1 where another lane than the true one is assigned,
-or none; with `log_loss` it is -ln P(true lane), at most -ln FLOOR: more says how sure a wrong
-belief was, not how often one is wrong.
+or none (by `unassigned_below` too, as the scores count); with `log_loss` it is -ln P(true lane), at
+most -ln FLOOR: more says how sure a wrong belief was, not how often one is wrong.
 
 The setting of least mean loss is chosen. With `choice.cautious` an earlier value of that parameter
 is kept where its best setting is worse by no more than one standard error, of the least mean loss
@@ -49,16 +49,17 @@ from egolane_pgm.validation import blocks
 FLOOR = 0.01
 
 
-def _is_wrong(belief: FloatArray, lane: IntArray) -> FloatArray:
-    return np.asarray(assigned_lane(belief) != lane, dtype=np.float64)
+def _is_wrong(belief: FloatArray, lane: IntArray, unassigned_below: float) -> FloatArray:
+    return np.asarray(assigned_lane(belief, unassigned_below) != lane, dtype=np.float64)
 
 
-def _capped_log_loss(belief: FloatArray, lane: IntArray) -> FloatArray:
+def _capped_log_loss(belief: FloatArray, lane: IntArray, _: float) -> FloatArray:
     return np.asarray(-np.log(np.maximum(belief[np.arange(len(lane)), lane - 1], FLOOR)))
 
 
-#: The loss of each frame (K,) of a belief (K, n) and the true lanes (K,), by objective.
-LOSSES: Mapping[str, Callable[[FloatArray, IntArray], FloatArray]] = {
+#: The loss of each frame (K,) of a belief (K, n), the true lanes (K,) and `unassigned_below`, by
+#: objective.
+LOSSES: Mapping[str, Callable[[FloatArray, IntArray, float], FloatArray]] = {
     "accuracy": _is_wrong,
     "log_loss": _capped_log_loss,
 }
@@ -254,7 +255,8 @@ class _Tried:
         drive = self.drive
         beliefs, _ = believe(drive, model, slice(None))
         belief = beliefs.lane[drive.recorded.scored]
-        return [of(belief, drive.truth.lane) for of in LOSSES.values()]
+        below = drive.experiment.unassigned_below
+        return [of(belief, drive.truth.lane, below) for of in LOSSES.values()]
 
 
 def learns(model: Model, experiment: Experiment) -> bool:

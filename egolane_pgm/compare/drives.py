@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+import functools
+import hashlib
 from collections.abc import Mapping, Sequence
+from pathlib import Path
 
 import numpy as np
 
@@ -10,6 +13,8 @@ from egolane_pgm.experiment import Experiment, Tuning, load_experiment, make_exp
 from egolane_pgm.inference.smoothing import infer_beliefs
 from egolane_pgm.loading import Recorded, load_recording, with_video_rate
 from egolane_pgm.model import Model, make_evidence, prepare_model
+from egolane_pgm.recordings.catalog import find_file
+from egolane_pgm.recordings.ground_truth import read_ground_truth
 from egolane_pgm.run import files_in_full
 from egolane_pgm.tune.objective import Drive
 from egolane_pgm.types import Beliefs, BoolArray, InputError, IntArray, Value
@@ -61,11 +66,27 @@ def recording_key(experiment: Experiment) -> str:
 
 def drive_key(experiment: Experiment) -> str:
     """What recordings of one drive have in common: the ground truth, whose frame ids are theirs
-    too, or the simulation."""
-    if experiment.ground_truth is not None:
-        truth = {"path": experiment.ground_truth.path}
-        return str(files_in_full(truth, experiment.folder)["path"])
-    return repr((experiment.recording.simulate, experiment.recording.seed, experiment.n_lanes))
+    too, or the simulation. The frame ids and labels of the file count, not its name: those of a
+    copy are known to whoever knows the original. Raises InputError where it cannot be read."""
+    if experiment.ground_truth is None:
+        recording = experiment.recording
+        return repr((recording.simulate, recording.seed, experiment.n_lanes))
+    try:
+        path = find_file(experiment.ground_truth.path, experiment.folder)
+        state = path.stat()
+        return _labels_key(path, state.st_mtime_ns, state.st_size)
+    except InputError as error:
+        raise InputError(f"{experiment.source}: ground_truth.path: {error}") from error
+
+
+@functools.lru_cache(maxsize=256)
+def _labels_key(path: Path, changed_ns: int, size: int) -> str:
+    """A checksum of the labels of a file, as it was then."""
+    truth = read_ground_truth(path)
+    content = hashlib.sha256()
+    for values in (truth.frame_id, truth.lane, truth.is_crossing):
+        content.update(np.ascontiguousarray(values).tobytes())
+    return content.hexdigest()
 
 
 def load_for_scoring(experiment: Experiment, recorded: Recorded | None = None) -> Drive:

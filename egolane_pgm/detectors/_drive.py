@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -48,7 +49,7 @@ def find_detector(
     for key, value in values.items():
         # A user's own file, as a stereo matcher may be, is named as the detector's is.
         if isinstance(value, str) and value.endswith(".py"):
-            values[key] = str((base / value).resolve())
+            values[key] = os.path.realpath(base / value)
     return Detector(name, module, values, where)
 
 

@@ -9,9 +9,7 @@ One picture at a time is in memory, whatever the length of the drive.
 from __future__ import annotations
 
 import glob
-import os
 import re
-import warnings
 from collections.abc import Iterator
 from dataclasses import dataclass
 from itertools import pairwise
@@ -22,6 +20,7 @@ import numpy as np
 
 from egolane_pgm.camera import Camera
 from egolane_pgm.detectors import Image, Picture
+from egolane_pgm.detectors._video import open_video, video_images
 from egolane_pgm.types import InputError
 
 #: Extensions of picture files; every other file is taken for a video.
@@ -66,12 +65,15 @@ def open_source(path: str | Path) -> Source:
         return _picture_files(path, [Path(p) for p in glob.glob(path, recursive=True)])
     place = Path(path)
     if place.is_dir():
-        return _picture_files(path, list(place.iterdir()))
+        try:
+            return _picture_files(path, list(place.iterdir()))
+        except OSError as error:
+            raise InputError(f"{path}: cannot be read: {error.strerror}") from None
     if not place.is_file():
         raise InputError(f"{path}: no such video, folder or pictures")
     if place.suffix.lower() in PICTURES:
         return _picture_files(path, [place])
-    video = _open_video(place)
+    video = open_video(place)
     count, rate = video.get(cv2.CAP_PROP_FRAME_COUNT), video.get(cv2.CAP_PROP_FPS)
     video.release()
     known_rate = float(rate) if _RATES[0] <= rate <= _RATES[1] else None
@@ -87,9 +89,9 @@ def read_pictures(
     """The pictures in order; right: those of the second camera; frames: first frame id and the one
     after the last.
 
-    Warns of a video that ends before it should. Raises InputError, naming file and frame, for a
-    picture that cannot be read or has another size than the calibration, and where the pictures
-    of the two cameras are not equally many.
+    Warns of a video that ends before it should, or lacks pictures. Raises InputError, naming file
+    and frame, for a picture that cannot be read or has another size than the calibration, and where
+    the pictures of the two cameras are not equally many.
     """
     if right is not None:
         _check_pair(source, right)
@@ -140,9 +142,13 @@ def _same_frames(
 def _images(
     source: Source, camera: Camera, frames: tuple[int, int] | None
 ) -> Iterator[tuple[int, Image]]:
-    read = _video_images if source.is_video else _file_images
+    if source.is_video:
+        rate = source.frame_rate
+        images = video_images(source.path, source.files[0], source.n_frames, rate, frames)
+    else:
+        images = _file_images(source, frames)
     n_read = 0
-    for frame_id, image in read(source, frames):
+    for frame_id, image in images:
         height, width = image.shape[:2]
         if (width, height) != (camera.width, camera.height):
             raise InputError(
@@ -161,60 +167,6 @@ def _described(source: Source) -> str:
     if source.frame_id:
         return f"its frames are {source.frame_id[0]} to {source.frame_id[-1]}"
     return f"it has {source.n_frames or 'no'} frames"
-
-
-# --- videos --------------------------------------------------------------------------------------
-
-
-def _open_video(path: Path) -> cv2.VideoCapture:
-    # Without it FFmpeg writes complaints of its own about files that we explain in one line.
-    os.environ.setdefault("OPENCV_FFMPEG_LOGLEVEL", "-8")
-    with path.open("rb") as file:
-        if not file.read(1):
-            raise InputError(f"{path}: the file is empty")
-    video = cv2.VideoCapture(str(path))
-    if not video.isOpened() or not video.grab():
-        video.release()
-        raise InputError(
-            f"{path}: is no video that can be read (another kind of file, or cut off before its"
-            " index was written)"
-        )
-    video.release()
-    return cv2.VideoCapture(str(path))
-
-
-def _video_images(source: Source, frames: tuple[int, int] | None) -> Iterator[tuple[int, Image]]:
-    first, stop = frames or (0, None)
-    video = _open_video(source.files[0])
-    try:
-        at = 0
-        while at < first and video.grab():
-            at += 1
-        # A picture is given only when the next one is there: the last one of a video that was cut
-        # off may be half a picture.
-        held: Image | None = None
-        while stop is None or at <= stop:
-            is_there, image = video.read()
-            if not is_there:
-                break
-            if held is not None:
-                yield at - 1, held
-            held = image  # type: ignore[assignment]
-            at += 1
-        if stop is not None and at > stop:
-            return
-        is_cut = source.n_frames is not None and at < source.n_frames and at > first
-        if is_cut:
-            warnings.warn(
-                f"{source.path}: breaks off in frame {at - 1}, it should have {source.n_frames};"
-                " the frames before that one are used",
-                UserWarning,
-                stacklevel=2,
-            )
-        elif held is not None:
-            yield at - 1, held
-    finally:
-        video.release()
 
 
 # --- picture files -------------------------------------------------------------------------------

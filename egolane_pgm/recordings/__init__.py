@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from egolane_pgm.types import InputError, LineLog, suggestion
+from egolane_pgm.types import InputError, LineLog, check_name, suggestion
 
 #: Format: (extensions, module of this folder, function that reads a file into a LineLog).
 FORMATS: dict[str, tuple[tuple[str, ...], str, str]] = {
@@ -45,6 +45,7 @@ def read_lines(path: str | Path, /, format: str | None = None, **options: Any) -
 
 def read_with(path: str | Path, format: str | None, options: Mapping[str, Any]) -> LineLog:
     """As `read_lines`, with options whose names are somebody else's."""
+    check_name(path)
     name = format_of(path) if format is None else format
     if name not in FORMATS:
         raise InputError(f"{path}: unknown format '{name}'{suggestion(name, FORMATS)}")
@@ -74,6 +75,7 @@ def write_lines(path: str | Path, log: LineLog) -> None:
 
     Raises InputError for an unknown extension, and what the writer raises.
     """
+    check_name(path)
     name = format_of(path)
     if name not in _WRITERS:
         raise InputError(f"{path}: a recording is written as .csv, .parquet or .bag")

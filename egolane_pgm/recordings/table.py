@@ -7,6 +7,7 @@ Frames that `missing_frames: predict` put in are marked in a further column, is_
 
 from __future__ import annotations
 
+import contextlib
 import os
 import warnings
 from csv import reader as csv_rows
@@ -63,7 +64,9 @@ def write_table(path: str | Path, log: LineLog) -> None:
     except OSError as error:
         raise InputError(f"{path}: cannot be written: {error.strerror or error}") from None
     finally:
-        part.unlink(missing_ok=True)
+        # Where it could not be made (a file in the place of its folder) it cannot be removed.
+        with contextlib.suppress(OSError):
+            part.unlink(missing_ok=True)
 
 
 # --- writing -----------------------------------------------------------------------------------

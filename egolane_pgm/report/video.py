@@ -18,7 +18,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from egolane_pgm.camera import Camera, road_to_image, undistorted
-from egolane_pgm.results import check_place
+from egolane_pgm.picture_files import video_writer, write_picture
+from egolane_pgm.results import check_place, make_directory
 from egolane_pgm.types import UNASSIGNED, FloatArray, InputError
 
 if TYPE_CHECKING:
@@ -46,9 +47,6 @@ DRAWN_M, DASH_M = 60.0, 3.0
 
 #: Pictures that are lower are drawn larger, so that the writing fits.
 LEAST_HEIGHT = 360
-
-#: Four letters of the codec that every build of OpenCV can write.
-CODEC = "mp4v"
 
 
 @dataclass(frozen=True)
@@ -331,7 +329,8 @@ def frame_writer(
     """A function that takes frame id and drawn frame, and puts it into a video (`.mp4`) or a folder
     of pictures (`frame_000123.png`). What was written is kept, whatever ends the block.
 
-    size: width and height. Raises InputError where the target cannot be written.
+    size: width and height. Raises InputError where the target cannot be written, and NotKeptError
+    where what was written cannot be read.
     """
     target = Path(target)
     if target.suffix.lower() == ".mp4":
@@ -340,58 +339,22 @@ def frame_writer(
                 f"{target}: is a folder; a video is a file, PNG pictures need a folder"
                 " whose name does not end in .mp4"
             )
-        with _video(target, frame_rate, size) as write:
-            yield write
+        with video_writer(target, frame_rate, size) as write:
+            yield lambda _, image: write(image)
         return
     if (target.suffix or target.exists()) and not target.is_dir():
         raise InputError(f"{target}: a video ends in .mp4; for PNG pictures name a folder")
     check_place(target)
 
-    def write_picture(frame_id: int, image: Image) -> None:
-        file = target / f"frame_{frame_id:06d}.png"
-        content = cv2.imencode(".png", image)[1]
-        try:
-            # Not before there is a picture: a drive that cannot be drawn leaves no empty folder.
-            target.mkdir(parents=True, exist_ok=True)
-            file.write_bytes(content.tobytes())
-        except OSError as error:
-            raise InputError(f"{file}: cannot be written: {error.strerror}") from None
+    is_made = False
 
-    yield write_picture
+    def write_frame(frame_id: int, image: Image) -> None:
+        nonlocal is_made
+        # Not before there is a picture: a drive that cannot be drawn leaves no empty folder. Nor
+        # again, where it was taken away with what was in it.
+        if not is_made:
+            make_directory(target)
+            is_made = True
+        write_picture(target / f"frame_{frame_id:06d}.png", image)
 
-
-@contextlib.contextmanager
-def _video(
-    target: Path, frame_rate: float, size: tuple[int, int]
-) -> Iterator[Callable[[int, Image], None]]:
-    if not target.parent.is_dir():
-        raise InputError(f"{target}: cannot be written: no such folder")
-    part = target.with_name(f".{target.stem}.part.mp4")
-    video = cv2.VideoWriter(str(part), cv2.VideoWriter.fourcc(*CODEC), frame_rate, size)
-    if not video.isOpened():
-        part.unlink(missing_ok=True)
-        raise InputError(f"{target}: cannot be written (is the folder writable?)")
-    n_frames = 0
-
-    def write(_: int, image: Image) -> None:
-        nonlocal n_frames
-        video.write(image)
-        n_frames += 1
-
-    try:
-        yield write
-    finally:
-        video.release()
-        if n_frames:
-            _put(part, target)
-        else:
-            part.unlink(missing_ok=True)
-
-
-def _put(part: Path, target: Path) -> None:
-    try:
-        part.replace(target)
-    except OSError as error:
-        raise InputError(
-            f"{target}: cannot be written: {error.strerror}; the video is in {part}"
-        ) from None
+    yield write_frame

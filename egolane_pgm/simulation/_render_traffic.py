@@ -173,28 +173,31 @@ def _take(traffic: Traffic, which: IntArray) -> Traffic:
 
 def _possible(traffic: Traffic, time_s: FloatArray, position_m: FloatArray) -> IntArray:
     """Those that keep clear of the car and of the ones before them in the list."""
-    kept: list[int] = []
-    track: dict[int, FloatArray] = {}
     steps = np.arange(0, len(time_s), 3)
-    clock = time_s[steps]
+    clock, beside_m = time_s[steps], position_m[steps]
+    # While each is there; in a long drive few are at the same time.
+    first = np.searchsorted(clock, traffic.time_s[:, 0], side="left")
+    stop = np.searchsorted(clock, traffic.time_s[:, -1], side="right")
+    is_kept = np.zeros(len(traffic), dtype=bool)
+    track: dict[int, FloatArray] = {}
     for k in range(len(traffic)):
-        rear = np.interp(clock, traffic.time_s[k], traffic.x_m[k], left=np.nan, right=np.nan)
+        a, b = int(first[k]), int(stop[k])
+        rear = np.interp(clock[a:b], traffic.time_s[k], traffic.x_m[k])
         front = rear + traffic.length_m[k]
-        beside = np.abs(traffic.d_m[k] - position_m[steps]) < 2.9
+        beside = np.abs(traffic.d_m[k] - beside_m[a:b]) < 2.9
         if (beside & (front > -6.0) & (rear < 8.0)).any():
             continue
-        same = [j for j in kept if abs(traffic.d_m[j] - traffic.d_m[k]) < 2.0]
-        clash = any(
-            (
-                (rear < track[j] + traffic.length_m[j] + 4.0)
-                & (front > track[j] - 4.0)
-            ).any()
-            for j in same
-        )  # fmt: skip
-        if not clash:
-            kept.append(k)
+        same = is_kept & (np.abs(traffic.d_m - traffic.d_m[k]) < 2.0) & (first < b) & (stop > a)
+        for j in np.flatnonzero(same).tolist():
+            start, end = max(a, int(first[j])), min(b, int(stop[j]))
+            mine, other = slice(start - a, end - a), slice(start - first[j], end - first[j])
+            before = rear[mine] < track[j][other] + traffic.length_m[j] + 4.0
+            if (before & (front[mine] > track[j][other] - 4.0)).any():
+                break
+        else:
+            is_kept[k] = True
             track[k] = rear
-    return np.array(kept, dtype=np.int64)
+    return np.flatnonzero(is_kept)
 
 
 @dataclass(frozen=True)

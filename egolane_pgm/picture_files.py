@@ -1,0 +1,154 @@
+"""Pictures and videos that are written: a full disk, or a folder that is gone, is noticed, and what
+was written before is whole."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import shutil
+from collections.abc import Callable, Iterator, Sequence
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from egolane_pgm.types import InputError, check_name
+
+Image = NDArray[np.uint8]
+
+#: Four letters of the codec that every build of OpenCV can write.
+CODEC = "mp4v"
+
+#: Bytes that stay free while a video is written, beside those of a picture: what is on its way to
+#: the disk, and the index, without which nothing can be read. Then the index per frame.
+_SPARE, _INDEX = 2 * 2**20, 64
+
+
+class NotKeptError(InputError):
+    """What was written cannot be read; the message says how much of it is left."""
+
+
+def write_picture(file: Path, image: Image, options: Sequence[int] = ()) -> None:
+    """Write a picture (H, W, 3), blue green red, in the format of its ending; the file is the whole
+    picture or not there. Raises InputError where it cannot be written."""
+    content = cv2.imencode(file.suffix, image, list(options))[1]
+    part = file.with_name(f".{file.name}.part")
+    try:
+        try:
+            part.write_bytes(content.tobytes())
+            part.replace(file)
+        except BaseException:
+            with contextlib.suppress(OSError):
+                part.unlink(missing_ok=True)
+            raise
+    except OSError as error:
+        raise InputError(f"{file}: cannot be written: {error.strerror}") from None
+
+
+@contextlib.contextmanager
+def video_writer(
+    target: Path, frame_rate: float, size: tuple[int, int]
+) -> Iterator[Callable[[Image], None]]:
+    """A function that takes the pictures of a video (`.mp4`) one after the other. What was written
+    is kept, whatever ends the block; without a picture no file is made.
+
+    size: width and height. Raises InputError, when writing, where the folder is gone or the disk is
+    full, with what was written before in its place; and NotKeptError, at the end, where
+    what was written cannot be read.
+    """
+    check_name(target)
+    if not target.parent.is_dir():
+        raise InputError(f"{target}: cannot be written: no such folder")
+    part = target.with_name(f".{target.stem}.part.mp4")
+    with _silent():
+        video = cv2.VideoWriter(str(part), cv2.VideoWriter.fourcc(*CODEC), frame_rate, size)
+    if not video.isOpened():
+        part.unlink(missing_ok=True)
+        raise InputError(f"{target}: cannot be written (is the folder writable?)")
+    n_written = 0
+
+    def write(image: Image) -> None:
+        nonlocal n_written
+        # OpenCV ends a video that met a full disk without its index: it must not come to that.
+        _check_room(target, part, _SPARE + image.nbytes + _INDEX * n_written)
+        with _silent():
+            # None in versions that do not tell.
+            is_written = video.write(image)
+        if is_written is False:
+            raise InputError(f"{target}: cannot be written, the system takes no more of it")
+        n_written += 1
+
+    try:
+        yield write
+    finally:
+        with _silent():
+            video.release()
+        if n_written:
+            _put(part, target, n_written)
+        else:
+            part.unlink(missing_ok=True)
+
+
+def _check_room(target: Path, part: Path, needed: int) -> None:
+    try:
+        part.stat()
+        disk = shutil.disk_usage(part.parent)
+    except OSError as error:
+        raise InputError(f"{target}: cannot be written any more: {error.strerror}") from None
+    # Some file systems do not say how large they are.
+    if disk.total and disk.free < needed:
+        raise InputError(
+            f"{target}: the disk is full ({disk.free / 1e6:.1f} MB left, a video needs"
+            f" {needed / 1e6:.1f} MB to end well)"
+        )
+
+
+def _put(part: Path, target: Path, n_written: int) -> None:
+    """Give a video its name, if it can be read."""
+    n_there = _count(part)
+    if n_there == 0:
+        is_gone = not part.exists()
+        with contextlib.suppress(OSError):
+            part.unlink(missing_ok=True)
+        why = "its folder is gone" if is_gone else "is the disk full, or a limit reached?"
+        raise NotKeptError(
+            f"{target}: cannot be written ({why}); nothing of the {n_written} frames is kept"
+        )
+    try:
+        part.replace(target)
+    except OSError as error:
+        raise NotKeptError(
+            f"{target}: cannot be written: {error.strerror}; the video is in {part}"
+        ) from None
+    if n_there < n_written:
+        raise NotKeptError(
+            f"{target}: has {n_there} of {n_written} frames, the others could not be written (is"
+            " the disk full, or a limit reached?)"
+        )
+
+
+def _count(video: Path) -> int:
+    """Frames that can be read, as far as its index tells."""
+    if not video.is_file():
+        return 0
+    os.environ.setdefault("OPENCV_FFMPEG_LOGLEVEL", "-8")
+    with _silent():
+        read = cv2.VideoCapture(str(video))
+        is_readable = read.isOpened() and read.grab()
+        count = int(read.get(cv2.CAP_PROP_FRAME_COUNT)) if is_readable else 0
+        read.release()
+    return max(0, count)
+
+
+@contextlib.contextmanager
+def _silent() -> Iterator[None]:
+    """OpenCV's own complaints, which say in many lines what we say in one."""
+    # It moved from one major version to the next.
+    set_level: Any = getattr(cv2, "setLogLevel", None) or cv2.utils.logging.setLogLevel
+    before = set_level(0)
+    try:
+        yield
+    finally:
+        set_level(before)
