@@ -7,10 +7,12 @@ import numpy as np
 import pytest
 from calibration_kit import TRUE, calibrate, unturned, write_labels
 
+from egolane_pgm.calibration import found_lines
 from egolane_pgm.calibration.drawing import draw_view
 from egolane_pgm.calibration.found_lines import find_in_stills
-from egolane_pgm.calibration.parallel_lines import view_from
+from egolane_pgm.calibration.parallel_lines import FrameFit, to_level, view_from
 from egolane_pgm.camera import (
+    distorted,
     image_to_road,
     read_camera,
     vanishing_point,
@@ -37,15 +39,54 @@ def test_what_is_ignored_is_not_looked_at(stills):
     assert all(points[:, 0].min() > 640 for lines in found.lines for points in lines)
 
 
+def test_a_still_without_lines_says_nothing(stills, tmp_path):
+    blank = tmp_path / "blank.png"
+    cv2.imwrite(str(blank), np.full((720, 1280, 3), 90, np.uint8))
+    found = find_in_stills(unturned(TRUE), [sorted(stills.iterdir())[0], blank])
+    assert len(found.paths) == len(found.lines) == 2
+    assert len(found.lines[0]) >= 3
+    assert found.lines[1] == []
+    assert found.each.shape == (1, 2)
+    assert np.isfinite(found.each).all()
+    assert len(found.fits) == 1
+
+
+def test_lines_that_meet_far_from_where_the_edges_do_are_not_used(stills, monkeypatch):
+    ahead = to_level(TRUE, *np.reshape(distorted(TRUE, *vanishing_point(TRUE)), (2, 1)))[0]
+    for away, n_fits in (([0.09, 0.0], 1), ([0.11, 0.0], 0), ([0.0, 0.024], 1), ([0.0, -0.036], 0)):
+
+        def fit(lines, about_b0, away=away):
+            # The horizon is looked for about that of all edges.
+            assert about_b0 == pytest.approx(ahead[1], abs=0.005)
+            return FrameFit(ahead + away, np.array([-1.0, 1.0]), 0.0)
+
+        monkeypatch.setattr(found_lines, "find_lines", lambda *_: [])
+        monkeypatch.setattr(found_lines, "fit_frame", fit)
+        found = find_in_stills(unturned(TRUE), sorted(stills.iterdir())[:1])
+        assert len(found.fits) == n_fits, away
+
+
+def test_a_still_whose_edges_do_not_meet_is_looked_at_where_those_of_all_do(stills, monkeypatch):
+    ahead = to_level(TRUE, *np.reshape(distorted(TRUE, *vanishing_point(TRUE)), (2, 1)))[0]
+    meeting = (ahead, np.full((1, 2), np.nan))
+    monkeypatch.setattr(found_lines, "meeting_of_stills", lambda *_: meeting)
+    found = find_in_stills(unturned(TRUE), sorted(stills.iterdir())[:1])
+    assert len(found.lines[0]) >= 3
+    assert found.each.shape == (0, 2)
+
+
 def test_stills_of_another_size_and_no_pictures_are_left_out_with_a_line_each(stills, tmp_path):
     small = tmp_path / "small.png"
     cv2.imwrite(str(small), np.zeros((100, 100, 3), np.uint8))
+    low = tmp_path / "low.png"
+    cv2.imwrite(str(low), np.zeros((600, 1280, 3), np.uint8))
     text = tmp_path / "text.png"
     text.write_text("no picture")
-    found = find_in_stills(unturned(TRUE), [small, text, *sorted(stills.iterdir())])
+    found = find_in_stills(unturned(TRUE), [small, low, text, *sorted(stills.iterdir())])
     assert len(found.paths) == 3
     assert found.skipped == (
         f"{small}: 100x100, needs 1280x720",
+        f"{low}: 1280x600, needs 1280x720",
         f"{text}: is no picture that can be read",
     )
     with pytest.raises(InputError, match=r"none of them can be used.*100x100"):

@@ -79,6 +79,27 @@ def test_a_camera_that_looks_at_its_own_bonnet_is_refused():
         make_view(replace(CAMERA, pitch_deg=-45.0), 20, 35, -9, 9)
 
 
+@pytest.mark.parametrize(("percent", "is_refused"), [(7, True), (13, False)])
+def test_a_tenth_of_the_road_must_be_in_the_picture(percent, is_refused):
+    # A window of the picture in which the road from 10 to 20 m is so wide.
+    u = road_to_image(CAMERA, 15.0, np.array([0.0, 0.1 * percent]))[0]
+    assert CAMERA.width > u[1] > u[0] > 0
+    window = replace(CAMERA, ignore=((0, 0, round(u[0]), 540), (round(u[1]), 0, 960, 540)))
+    if is_refused:
+        with pytest.raises(InputError, match=r"camera: only [5-9] % of the road from 10 to 20 m"):
+            make_view(window, 10, 20, -5, 5)
+    else:
+        assert 0.1 < make_view(window, 10, 20, -5, 5).valid.mean() < 0.16
+
+
+def test_valid_is_what_lies_between_the_outermost_pixels():
+    view = make_view(CAMERA, 4, 20, -9, 9)
+    u, v = road_to_image(CAMERA, view.x_m[:, None], view.y_m)
+    inside = (u >= 0) & (u <= 959) & (v >= 0) & (v <= 539)
+    assert 0.3 < inside.mean() < 0.9
+    np.testing.assert_array_equal(view.valid, inside)
+
+
 @pytest.mark.parametrize("region", [(0, 20, -5, 5), (20, 10, -5, 5), (5, 20, 5, -5)])
 def test_a_region_that_is_none_is_refused(region):
     with pytest.raises(InputError, match="no region in front of the camera"):
@@ -88,9 +109,22 @@ def test_a_region_that_is_none_is_refused(region):
 def test_pixels_in_the_wrong_unit_are_refused():
     with pytest.raises(InputError, match=r"bird's-eye view: 200000 x 250 pixels.*larger pixels"):
         make_view(CAMERA, 5, 30, -5, 5, along_m=0.1, across_m=5e-5)
+    with pytest.raises(InputError, match=r"bird's-eye view: 200 x 25000 pixels.*larger pixels"):
+        make_view(CAMERA, 5, 30, -5, 5, along_m=1e-3, across_m=0.05)
 
 
-def test_pictures_of_another_size_are_refused():
+@pytest.mark.parametrize("size", [{"along_m": 0.0}, {"across_m": 0.0}, {"along_m": -0.1}])
+def test_pixels_without_a_size_are_refused(size):
+    with pytest.raises(InputError, match="no region in front of the camera"):
+        make_view(CAMERA, 5, 30, -5, 5, **size)
+
+
+def test_a_region_smaller_than_a_pixel_is_one_pixel():
+    assert make_view(CAMERA, 10, 10.01, 0, 0.01, 0.1, 0.05).valid.shape == (1, 1)
+
+
+@pytest.mark.parametrize(("width", "height"), [(1280, 720), (960, 720), (1280, 540)])
+def test_pictures_of_another_size_are_refused(width, height):
     view = make_view(CAMERA, 5, 25, -5, 5)
-    with pytest.raises(InputError, match=r"1280x720 pixels.*960x540"):
-        look(view, np.zeros((720, 1280, 3), np.uint8))
+    with pytest.raises(InputError, match=rf"{width}x{height} pixels.*960x540"):
+        look(view, np.zeros((height, width, 3), np.uint8))

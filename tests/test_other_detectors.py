@@ -388,16 +388,8 @@ def test_a_strangers_recording_on_the_command_line(tmp_path: Path) -> None:
         for t, i in np.argwhere(log.is_valid & is_placed(log))
     ]
     (tmp_path / "feet.csv").write_text("\n".join(["frame_id,line,offset_m", *rows]) + "\n")
-    result = done(
-        "run",
-        ROOT / "experiments/zero_label.yaml",
-        "--recording",
-        tmp_path / "feet.csv",
-        "--n-lanes",
-        3,
-        "--out",
-        tmp_path / "result",
-        "--no-figures",
-    )
+    words = ("--n-lanes", 3, "--out", tmp_path / "result", "--no-figures")
+    zero_label = ROOT / "experiments/zero_label.yaml"
+    result = done("run", zero_label, "--recording", tmp_path / "feet.csv", *words)
     assert re.search(r"lane width 12\.[23]\d m from", result.stderr)
     assert "offsets are scaled to lanes of 3.5 m" in result.stderr

@@ -13,7 +13,9 @@ from egolane_pgm.types import InputError
 
 def matching(pattern: str) -> list[Path]:
     """The files that match a pattern such as `boards/*.jpg`, or all files of a folder, sorted."""
-    whole = str(Path(pattern) / "*") if Path(pattern).is_dir() else pattern
+    if Path(pattern).is_file():
+        return [Path(pattern)]
+    whole = str(Path(glob.escape(pattern)) / "*") if Path(pattern).is_dir() else pattern
     found = [Path(name) for name in sorted(glob.glob(whole, recursive=True))]
     files = [path for path in found if path.is_file()]
     if not files:

@@ -34,8 +34,7 @@ class BirdsEye:
 
     x_m (R,): metres ahead of each row, decreasing. y_m (C,): metres to the right of each column.
     along_m, across_m: metres per pixel. valid (R, C): the picture shows this bit of road, and
-    no bonnet or mirror that the camera is told to ignore;
-    weight (R, C): the same as 0 or 1.
+    no bonnet or mirror that the camera is told to ignore.
     map_uv: where in the picture each pixel comes from, as cv2.remap wants it.
     """
 

@@ -52,7 +52,7 @@ def _seen(view: BirdsEye, above: Image, wide: int) -> NDArray[np.uint8]:
 def _contrast(
     view: BirdsEye, above: Image, wide: int, parameters: Parameters
 ) -> NDArray[np.float32]:
-    """(R, C): by how many grey levels strips no wider than `wide` pixels are brighter than the road
+    """(R, C): by how many grey levels strips narrower than `wide` pixels are brighter than the road
     beside them."""
     strip = np.ones((1, wide), dtype=np.uint8)
     bright = cv2.morphologyEx(above, cv2.MORPH_TOPHAT, strip).astype(np.float32)
