@@ -142,6 +142,7 @@ def test_the_kernel_equals_its_twin(seed: int, n_lanes: int, width: object) -> N
     assert (ours.likelihoods[NODES].max(axis=(1, 2)) == 1).all()
 
 
+@pytest.mark.filterwarnings("ignore:line log")
 @settings(max_examples=20, deadline=None)
 @given(seed=st.integers(0, 2**32 - 1))
 def test_the_mirrored_lines_give_the_mirrored_evidence(seed: int) -> None:
@@ -253,6 +254,7 @@ def test_no_frames_at_all() -> None:
     assert len(given) == 0
 
 
+@pytest.mark.filterwarnings("ignore:line log")
 def test_a_detector_without_flags_is_taken_for_one_that_cannot_tell() -> None:
     """The own lane's lines, of a detector with flags that sees none: hardly the outer lane."""
     lines = [[-W / 2, W / 2, 1.5 * W]]
@@ -336,6 +338,7 @@ def test_values_that_do_not_fit_are_named(given: dict[str, object], message: str
     assert message in str(error.value)
 
 
+@pytest.mark.filterwarnings("ignore:line log")
 def test_a_table_may_be_nested_or_in_one_row() -> None:
     nested = [[0.1 * k for k in range(6)]] * 3
     flat = [v for row in nested for v in row]
