@@ -16,6 +16,12 @@ from egolane_pgm.inference.compile import Compiled, compile_network
 from egolane_pgm.inference.filtering import filter_beliefs, node_columns, step
 from egolane_pgm.types import Evidence, FloatArray, InputError
 
+#: Compiled code overflows to infinity in silence, and the kernel then scales; as plain Python
+#: (NUMBA_DISABLE_JIT) it warns.
+pytestmark = pytest.mark.filterwarnings(
+    "ignore:(overflow|invalid value) encountered:RuntimeWarning"
+)
+
 every_method = pytest.mark.parametrize("method", METHODS)
 
 N_WIDE = 18
