@@ -167,14 +167,12 @@ def _check_masks(masks: Sequence[Rectangle], size: tuple[int, int]) -> None:
 
 def _check_not_read(place: Path, patterns: Sequence[str | None], lines: str | None) -> None:
     """InputError where a file that is read would be written over."""
-    from egolane_pgm.types import InputError
+    from egolane_pgm.results import check_not_read
 
-    if place.exists():
-        read = [Path(lines)] if lines else []
-        for pattern in filter(None, patterns):
-            read += [p for p in _matching_or_none(pattern) if p.name == place.name]
-        if any(path.exists() and path.samefile(place) for path in read):
-            raise InputError(f"{place}: is read here; name another file")
+    read = [Path(lines)] if lines else []
+    for pattern in filter(None, patterns):
+        read += [p for p in _matching_or_none(pattern) if p.name == place.name]
+    check_not_read(place, read)
 
 
 def _matching_or_none(pattern: str) -> list[Path]:

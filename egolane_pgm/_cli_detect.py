@@ -127,21 +127,10 @@ def _write(target: str, log: LineLog) -> None:
 
 
 def _given(overrides: tuple[str, ...]) -> dict[str, Any]:
-    import yaml
+    from egolane_pgm.experiment import read_override
 
-    from egolane_pgm.types import InputError
-
-    given = {}
-    for override in overrides:
-        key, equals, text = override.partition("=")
-        key = key.strip().removeprefix("detector_parameters.")
-        if not equals or not key:
-            raise InputError(f"--set {override}: write it as key=value, e.g. lri_frames=5")
-        try:
-            given[key] = yaml.safe_load(text)
-        except yaml.YAMLError:
-            raise InputError(f"--set {override}: the value is not YAML") from None
-    return given
+    given = (read_override(override, "lri_frames=5") for override in overrides)
+    return {key.strip().removeprefix("detector_parameters."): value for key, value in given}
 
 
 def _say(target: str, log: LineLog, seconds: float) -> None:

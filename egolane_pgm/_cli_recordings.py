@@ -148,7 +148,9 @@ def convert(
     from egolane_pgm.recordings import read_with, write_lines
 
     given = {"topic": topic, "camera": camera, "frame_rate": frame_rate}
-    options = _given(overrides) | {key: value for key, value in given.items() if value is not None}
+    options = _given(overrides, "valid=always") | {
+        key: value for key, value in given.items() if value is not None
+    }
     if frame_id != "way_id":
         options["frame_id"] = frame_id
     log = read_with(source, format_, options)
@@ -157,22 +159,11 @@ def convert(
     click.echo(f"{target}: {len(log)} frames, ids {first} to {last}")
 
 
-def _given(overrides: tuple[str, ...]) -> dict[str, Any]:
-    """The keys and values of --set; values are YAML."""
-    import yaml
+def _given(overrides: tuple[str, ...], example: str) -> dict[str, Any]:
+    """The keys and values of --set."""
+    from egolane_pgm.experiment import read_override
 
-    from egolane_pgm.types import InputError
-
-    values = {}
-    for override in overrides:
-        key, equals, text = override.partition("=")
-        if not equals:
-            raise InputError(f"--set {override}: write it as key=value")
-        try:
-            values[key] = yaml.safe_load(text)
-        except yaml.YAMLError:
-            raise InputError(f"--set {override}: the value is not YAML") from None
-    return values
+    return dict(read_override(override, example) for override in overrides)
 
 
 @click.command()
@@ -216,7 +207,7 @@ def simulate(
     from egolane_pgm.simulation import simulate as make_drive
     from egolane_pgm.types import InputError
 
-    values = _given(overrides)
+    values = _given(overrides, "change_s=5")
     for name, is_given in (("stereo", stereo), ("video", video), ("png", png)):
         if is_given and not images:
             raise InputError(f"--{name}: needs --images")

@@ -204,6 +204,6 @@ def line_classes(log: LineLog) -> IntArray:
     kind = np.where(log.is_valid, np.where(reliable, 1, 2), np.where(tracked, 3, -1))
     kind[log.is_valid & log.is_continuous] = 0
     with np.errstate(invalid="ignore"):
-        distance = np.abs(log.offset_m)
-        kind[~((distance > 1e-6) & (distance < REACH_M))] = -1
+        is_near = np.abs(log.offset_m) < REACH_M
+    kind[~(is_placed(log) & is_near)] = -1
     return kind.astype(np.int64)

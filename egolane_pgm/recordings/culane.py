@@ -19,6 +19,7 @@ from egolane_pgm.recordings._image_lines import (
     camera_of,
     frame_numbers,
     line_log,
+    read_text,
 )
 from egolane_pgm.types import InputError, LineLog
 
@@ -67,13 +68,8 @@ def read_culane(
 
 
 def _lines(file: Path) -> list[ImageLine]:
-    try:
-        text = file.read_text(encoding="utf-8")
-    except (OSError, UnicodeDecodeError) as error:
-        reason = getattr(error, "strerror", None) or "is not text"
-        raise InputError(f"{file}: cannot be read: {reason}") from None
     lines = []
-    for number, row in enumerate(text.splitlines(), start=1):
+    for number, row in enumerate(read_text(file).splitlines(), start=1):
         words = row.split()
         if not words:
             continue

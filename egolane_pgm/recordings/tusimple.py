@@ -29,6 +29,7 @@ from egolane_pgm.recordings._image_lines import (
     frame_numbers,
     line_log,
     points,
+    read_text,
 )
 from egolane_pgm.types import InputError, LineLog
 
@@ -85,12 +86,7 @@ def read_tusimple(
 def read_entries(path: Path) -> Iterator[tuple[str, dict[str, Any]]]:
     """Each picture's entry, and its place in the file for messages; InputError, naming the place,
     for one that is none."""
-    try:
-        text = path.read_text(encoding="utf-8")
-    except (OSError, UnicodeDecodeError) as error:
-        reason = getattr(error, "strerror", None) or "is not text"
-        raise InputError(f"{path}: cannot be read: {reason}") from None
-    for number, line in enumerate(text.splitlines(), start=1):
+    for number, line in enumerate(read_text(path).splitlines(), start=1):
         if not line.strip():
             continue
         where = f"{path}: line {number}"
