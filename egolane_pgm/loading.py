@@ -27,9 +27,9 @@ from egolane_pgm.recordings.select import (
 from egolane_pgm.types import InputError, IntArray, LaneTruth, LineLog, suggestion
 
 if TYPE_CHECKING:
-    from egolane_pgm.camera import Camera
-    from egolane_pgm.detectors._drive import Detector
-    from egolane_pgm.detectors._pictures import Source
+    from egolane_pgm.camera.model import Camera
+    from egolane_pgm.camera.pictures import Source
+    from egolane_pgm.detectors.runner import Detector
 
 #: Extensions by which a video is known where no detector is named.
 VIDEOS = (".mp4", ".avi", ".mkv", ".mov", ".mpg", ".mpeg", ".m4v", ".webm", ".wmv", ".ts")
@@ -196,7 +196,7 @@ def file_entry(path: Path, *, pictures: bool = True) -> dict[str, Any]:
     if path.is_file():
         return {"path": str(path), "sha256": file_sha256(path), "bytes": path.stat().st_size}
     if pictures:
-        from egolane_pgm.detectors._pictures import open_source
+        from egolane_pgm.camera.pictures import open_source
 
         files = open_source(path).files
     else:
@@ -214,8 +214,8 @@ def _detected(experiment: Experiment) -> tuple[LineLog, list[Path]]:
     """The lines that the experiment's detector sees in its pictures, and the files it looked at."""
     from tqdm import tqdm
 
-    from egolane_pgm.detectors._drive import collect, detect
-    from egolane_pgm.detectors._pictures import read_pictures
+    from egolane_pgm.camera.pictures import read_pictures
+    from egolane_pgm.detectors.runner import collect, detect
 
     recording = experiment.recording
     detector, camera, left, right = _check_detector(experiment)
@@ -254,8 +254,8 @@ def _detected(experiment: Experiment) -> tuple[LineLog, list[Path]]:
 def _check_detector(experiment: Experiment) -> tuple[Detector, Camera, Source, Source | None]:
     """The detector, its camera and its pictures; InputError, naming the YAML key, for what is not
     there or does not fit together."""
-    from egolane_pgm.camera import read_camera
-    from egolane_pgm.detectors._drive import check_pair, find_detector, start
+    from egolane_pgm.camera.model import read_camera
+    from egolane_pgm.detectors.runner import check_pair, find_detector, start
 
     recording, source = experiment.recording, experiment.source
     assert recording.detector is not None
@@ -286,7 +286,7 @@ def _check_detector(experiment: Experiment) -> tuple[Detector, Camera, Source, S
 
 
 def _pictures_of(experiment: Experiment, key: str) -> Source:
-    from egolane_pgm.detectors._pictures import is_pattern, open_source
+    from egolane_pgm.camera.pictures import is_pattern, open_source
 
     path = getattr(experiment.recording, key)
     if not is_pattern(path):

@@ -73,7 +73,7 @@ def with_recording(
 def _is_of_pictures(recording: str, old: str | None, detector: str | None) -> bool:
     """Whether a recording is a video or pictures. detector: asked for with the recording, which
     says that pictures are meant."""
-    from egolane_pgm.detectors._pictures import PICTURES, is_pattern
+    from egolane_pgm.camera.pictures import PICTURES, is_pattern
 
     path = Path(recording).expanduser()
     if path.is_dir():
@@ -86,7 +86,7 @@ def _is_of_pictures(recording: str, old: str | None, detector: str | None) -> bo
 
 
 def _is_folder_of_pictures(folder: Path, detector: str | None) -> bool:
-    from egolane_pgm.detectors._pictures import PICTURES
+    from egolane_pgm.camera.pictures import PICTURES
 
     try:
         endings = {path.suffix.lower() for path in folder.iterdir() if path.is_file()}

@@ -2,7 +2,7 @@
 the YAML.
 
 A plugin is a module with the names that its folder's contract asks for (`build`, `evidence`, ...).
-The files of a folder whose name starts with `_` are not plugins.
+A folder's other modules are what its plugins share.
 """
 
 from __future__ import annotations
@@ -12,7 +12,7 @@ import hashlib
 import importlib
 import importlib.util
 import os
-import pkgutil
+import re
 import sys
 import traceback
 from collections.abc import Iterator
@@ -40,9 +40,21 @@ OWN_FILES = (".py", ".yaml", ".yml")
 
 
 def plugin_names(folder: str) -> list[str]:
-    """The plugins of a folder of the package, in alphabetical order."""
+    """The plugins of a folder of the package, in alphabetical order.
+
+    A module is a plugin where it defines the first name that the folder's contract asks for, a
+    folder where its `__all__` has that name. Their text is searched: importing them all is slow.
+    """
+    first = CONTRACTS[folder][0]
     path = Path(__file__).parent / folder
-    return sorted(m.name for m in pkgutil.iter_modules([str(path)]) if not m.name.startswith("_"))
+    defined = re.compile(rf"^def {first}\(", re.MULTILINE)
+    found = [f.stem for f in path.glob("*.py") if defined.search(_text(f))]
+    found += [f.parent.name for f in path.glob("*/__init__.py") if f'"{first}"' in _text(f)]
+    return sorted(found)
+
+
+def _text(file: Path) -> str:
+    return file.read_text(encoding="utf-8")
 
 
 def load_plugin(folder: str, name: str, base: Path, where: str) -> ModuleType:
@@ -58,7 +70,7 @@ def load_plugin(folder: str, name: str, base: Path, where: str) -> ModuleType:
         module = _load_file(file, where)
     elif name.endswith(OWN_FILES) and folder == "graphs":
         # Above this module in the order of imports, as all graphs are.
-        reader = importlib.import_module("egolane_pgm.graphs._yaml_graph")
+        reader = importlib.import_module("egolane_pgm.graphs.yaml_graph")
         module = reader.load_yaml_graph(file, f"{_OWN}{Path(name).stem}", where)
     elif name in plugin_names(folder):
         module = importlib.import_module(f"egolane_pgm.{folder}.{name}")

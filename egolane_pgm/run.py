@@ -24,6 +24,7 @@ from egolane_pgm.plugins import OWN_FILES
 from egolane_pgm.provenance import file_sha256, git_state, versions
 from egolane_pgm.results import staged, write_result
 from egolane_pgm.scoring.assign import assigned_lane
+from egolane_pgm.scoring.bootstrap import BLOCK_FRAMES, bootstrap_interval, confusion_counts
 from egolane_pgm.scoring.confusion import accuracy, macro_f1
 from egolane_pgm.scoring.summary import score_all
 from egolane_pgm.types import (
@@ -34,7 +35,6 @@ from egolane_pgm.types import (
     InputError,
     LaneTruth,
 )
-from egolane_pgm.validation import BLOCK_FRAMES, bootstrap_interval, confusion_counts
 
 
 @dataclass(frozen=True)

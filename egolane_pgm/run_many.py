@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from egolane_pgm.experiment import Experiment
-from egolane_pgm.processes import in_processes
+from egolane_pgm.parallel import in_processes
 from egolane_pgm.results import check_writable
 from egolane_pgm.run import run_experiment, save_run, summary
 from egolane_pgm.types import InputError

@@ -8,7 +8,7 @@ from collections import deque
 import cv2
 import numpy as np
 
-from egolane_pgm.camera import road_to_image
+from egolane_pgm.camera.model import road_to_image
 from egolane_pgm.detectors import FrameLines
 from egolane_pgm.types import Parameter
 

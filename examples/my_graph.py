@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from egolane_pgm.cpds import (
+from egolane_pgm.graphs.cpds import (
     binary,
     declare,
     dynamics,

@@ -16,7 +16,7 @@ import tempfile
 import time
 from pathlib import Path
 
-from tests.postgres_server import Server, find_binaries
+from tests.kits.postgres_server import Server, find_binaries
 
 EXPERIMENT = Path(__file__).parents[1] / "experiments" / "quickstart.yaml"
 TRIALS, WORKERS, USER = 2000, 4, "demo"
@@ -37,7 +37,7 @@ def main() -> int:
 
 
 def _study(server: Server, storage: list[str], folder: str) -> int:
-    egolane = [sys.executable, "-c", "from egolane_pgm.cli import main; main()"]
+    egolane = [sys.executable, "-c", "from egolane_pgm.cli.main import main; main()"]
     words = ["tune", str(EXPERIMENT), "--trials", str(TRIALS), "--workers", str(WORKERS)]
     words += ["--in-sample-only", "--no-figures", "--grace", "3", "--out", folder]
     print(f"study:  egolane tune quickstart.yaml --trials {TRIALS} --workers {WORKERS}")

@@ -10,7 +10,7 @@ import pytest
 
 from egolane_pgm import load_experiment, run_experiment
 
-ROOT = Path(__file__).parent.parent
+ROOT = Path(__file__).parents[1]
 
 
 def test_the_python_code_of_the_readme_runs_and_does_the_main_job(

@@ -19,7 +19,7 @@ from egolane_pgm.experiment import (
     resolved,
 )
 from egolane_pgm.other_recording import with_recording
-from egolane_pgm.reproduce import experiments_folder
+from egolane_pgm.paper import experiments_folder
 from egolane_pgm.types import InputError
 
 MINIMAL: dict[str, Any] = {"name": "x", "recording": {"path": "a.bag"}, "n_lanes": 3}

@@ -11,7 +11,7 @@ import pytest
 
 import egolane_pgm
 
-ROOT = Path(__file__).parent.parent
+ROOT = Path(__file__).parents[1]
 HEAVY = {
     "numpy",
     "pgmpy",
@@ -38,7 +38,7 @@ def modules_after(code: str) -> set[str]:
 @pytest.mark.parametrize("words", [["--help"], ["--version"], ["run", "--help"], ["data", "-h"]])
 def test_help_loads_nothing_heavy(words: list[str]) -> None:
     loaded = modules_after(
-        "from egolane_pgm.cli import egolane\n"
+        "from egolane_pgm.cli.main import egolane\n"
         f"try: egolane({words!r})\n"
         "except SystemExit as end: assert end.code == 0"
     )

@@ -12,9 +12,9 @@ from typing import Any
 import numpy as np
 import pytest
 from click.testing import CliRunner
-from drives import short_drive, write_drive
+from tests.kits.drives import short_drive, write_drive
 
-from egolane_pgm.cli import egolane
+from egolane_pgm.cli.main import egolane
 from egolane_pgm.experiment import Experiment, load_experiment
 from egolane_pgm.online import MAX_GAP, filter_stream, parse_message
 from egolane_pgm.recordings.table import write_table
@@ -122,7 +122,13 @@ def experiment(drive: Path) -> Experiment:
 
 def test_each_line_is_answered_before_the_next_is_sent(drive: Path) -> None:
     process = subprocess.Popen(
-        [sys.executable, "-c", "from egolane_pgm.cli import main; main()", "online", str(drive)],
+        [
+            sys.executable,
+            "-c",
+            "from egolane_pgm.cli.main import main; main()",
+            "online",
+            str(drive),
+        ],
         stdin=subprocess.PIPE,
         stdout=subprocess.PIPE,
         stderr=subprocess.PIPE,

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from drives import done, refused, short_drive, write_drive
+from tests.kits.drives import done, refused, short_drive, write_drive
 
 from egolane_pgm.plugins import load_plugin, plugin_names
 from egolane_pgm.results import read_result
@@ -16,7 +16,7 @@ from egolane_pgm.types import InputError
 #: The least that a graph and a rule have to say.
 GRAPH = """
     import numpy as np
-    from egolane_pgm.cpds import declare, dynamics, previous, prior, uniform, within
+    from egolane_pgm.graphs.cpds import declare, dynamics, previous, prior, uniform, within
     HIDDEN = ("Lane",)
     OBSERVED = ("Seen",)
     def build(n_lanes, parameters):

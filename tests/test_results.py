@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 import pytest
 import yaml
-from drives import contents, done, refused, write_drive
+from tests.kits.drives import contents, done, refused, write_drive
 
 from egolane_pgm.experiment import config_hash, load_experiment
 from egolane_pgm.provenance import file_sha256, git_state, versions
@@ -318,8 +318,8 @@ def test_check_writable_allows_new_empty_and_earlier_directories_only(tmp_path: 
 STOPS = """
 import sys, time
 from pathlib import Path
-from egolane_pgm.cli import egolane
-import egolane_pgm.report.sheet as sheet
+from egolane_pgm.cli.main import egolane
+import egolane_pgm.report.draw as sheet
 def draw(directory):
     print("drawing", directory, flush=True)
     time.sleep(60)

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from drives import N_FRAMES, short_drive, write_drive, write_experiment
+from tests.kits.drives import N_FRAMES, short_drive, write_drive, write_experiment
 
 from egolane_pgm import load_experiment, run_experiment
 from egolane_pgm.evidence.counting import evidence as counting
@@ -236,7 +236,7 @@ def test_every_graph_runs_and_new_parameters_are_as_good_as_a_new_model(
 def test_a_graph_without_tables_takes_new_parameters_by_being_declared_anew(
     drive: Experiment,
 ) -> None:
-    own = Path(__file__).parent.parent / "examples" / "my_graph.py"
+    own = Path(__file__).parents[1] / "examples" / "my_graph.py"
     experiment = changed(drive, graph=str(own))
     model = prepare_model(experiment)
     changed_model = with_parameters(model, {**model.parameters, "sigma1": 0.9})

@@ -10,7 +10,7 @@ import yaml
 from click.testing import CliRunner
 
 from egolane_pgm import run_many
-from egolane_pgm.cli import egolane
+from egolane_pgm.cli.main import egolane
 from egolane_pgm.experiment import load_experiment
 from egolane_pgm.results import is_result
 from egolane_pgm.types import InputError

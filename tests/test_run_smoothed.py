@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from drives import done, refused, short_drive, write_drive
+from tests.kits.drives import done, refused, short_drive, write_drive
 
 from egolane_pgm.experiment import load_experiment
 from egolane_pgm.inference.filtering import filter_beliefs, read_evidence
@@ -96,7 +96,7 @@ def test_evidence_read_by_jeffreys_rule_gives_other_beliefs_and_no_stop_at_gaps(
     assert len(missing) == 2
     before = run.beliefs.lane[missing[0] - 1]
     # One step of the lane dynamics by itself.
-    from egolane_pgm.graphs._parameters import f_table
+    from egolane_pgm.graphs.shared_parameters import f_table
 
     moved = before @ f_table("sigma1", 3, run.model.parameters)
     np.testing.assert_allclose(run.beliefs.lane[missing[0]], moved, rtol=0, atol=1e-12)

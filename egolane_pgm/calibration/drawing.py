@@ -8,9 +8,9 @@ from pathlib import Path
 import cv2
 import numpy as np
 
-from egolane_pgm import picture_files
-from egolane_pgm.calibration.parallel_lines import RoadView, from_level_to_image, to_level
-from egolane_pgm.camera import image_to_road, road_to_image
+from egolane_pgm.calibration.straight_road import RoadView, from_level_to_image, to_level
+from egolane_pgm.camera import writing as picture_files
+from egolane_pgm.camera.model import image_to_road, road_to_image
 from egolane_pgm.detectors import Image
 from egolane_pgm.types import FloatArray, InputError
 

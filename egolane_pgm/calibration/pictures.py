@@ -6,8 +6,8 @@ import glob
 from collections.abc import Iterable, Iterator
 from pathlib import Path
 
+from egolane_pgm.camera.pictures import read_image
 from egolane_pgm.detectors import Image
-from egolane_pgm.detectors._pictures import read_image
 from egolane_pgm.types import InputError
 
 

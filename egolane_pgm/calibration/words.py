@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from egolane_pgm.calibration.chessboard import Lens
-from egolane_pgm.calibration.parallel_lines import RoadView
+from egolane_pgm.calibration.straight_road import RoadView
 
 
 def lens_words(lens: Lens, board: str) -> list[str]:

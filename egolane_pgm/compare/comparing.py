@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from egolane_pgm.compare.choice import (
+from egolane_pgm.compare.choose import (
     Known,
     distinct,
     experiment_key,
@@ -21,23 +21,19 @@ from egolane_pgm.compare.choice import (
     plan,
     try_all,
 )
-from egolane_pgm.compare.drives import load_for_scoring, on_recording, recording_key
-from egolane_pgm.compare.health import detector_answers, detector_health, model_health
+from egolane_pgm.compare.detector_health import detector_answers, detector_health, model_health
 from egolane_pgm.compare.held_out import HeldOutRun, held_out_run
 from egolane_pgm.compare.in_sample import with_graph
+from egolane_pgm.compare.placing import load_for_scoring, on_recording, recording_key
 from egolane_pgm.compare.saving import folder_of, save_comparison
 from egolane_pgm.experiment import Experiment, load_experiment
 from egolane_pgm.loading import Recorded
 from egolane_pgm.model import prepare_model
-from egolane_pgm.processes import in_processes
-from egolane_pgm.reproduce import load_published, paper_experiment, parameters_for
+from egolane_pgm.paper import load_published, paper_experiment, parameters_for
+from egolane_pgm.parallel import in_processes
 from egolane_pgm.run import score
 from egolane_pgm.scoring.assign import assigned_lane
-from egolane_pgm.scoring.confusion import accuracy, macro_f1
-from egolane_pgm.scoring.health import detector_errors
-from egolane_pgm.scoring.probabilistic import log_loss_per_frame
-from egolane_pgm.types import BoolArray, InputError
-from egolane_pgm.validation import (
+from egolane_pgm.scoring.bootstrap import (
     BLOCK_FRAMES,
     N_BLOCKS,
     confusion_counts,
@@ -45,6 +41,10 @@ from egolane_pgm.validation import (
     paired_difference_interval,
     ratio,
 )
+from egolane_pgm.scoring.confusion import accuracy, macro_f1
+from egolane_pgm.scoring.health import detector_errors
+from egolane_pgm.scoring.probabilistic import log_loss_per_frame
+from egolane_pgm.types import BoolArray, InputError
 
 SCHEMA_VERSION = 1
 

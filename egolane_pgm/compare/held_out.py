@@ -10,7 +10,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from egolane_pgm.compare.choice import (
+from egolane_pgm.compare.choose import (
     Losses,
     choose,
     experiment_key,
@@ -19,18 +19,18 @@ from egolane_pgm.compare.choice import (
     settings_of,
     try_all,
 )
-from egolane_pgm.compare.drives import Found, believe, drive_key
-from egolane_pgm.compare.elsewhere import learner_elsewhere
+from egolane_pgm.compare.learned_on import learner_elsewhere
+from egolane_pgm.compare.placing import Found, believe, drive_key
 from egolane_pgm.experiment import Experiment, Tuning
 from egolane_pgm.learn import check_learnable, n_learned, with_found
 from egolane_pgm.learn import fit as learn_from
 from egolane_pgm.loading import Recorded
 from egolane_pgm.model import declared_parameters, value_names
+from egolane_pgm.scoring.bootstrap import N_BLOCKS, held_out
 from egolane_pgm.tune.objective import Drive, check_objective, fitted_frames, scores_of
 from egolane_pgm.tune.space import Point, SearchSpace, make_space, to_parameters
 from egolane_pgm.tune.study import Settings, best_trial, check_sampler, run_study
 from egolane_pgm.types import Beliefs, BoolArray, FloatArray, InputError, IntArray, LaneTruth
-from egolane_pgm.validation import N_BLOCKS, held_out
 
 #: Trials of each block's search where nothing else is said; a study of its own takes more.
 TRIALS = 300

@@ -19,7 +19,7 @@ from egolane_pgm.provenance import git_state, versions
 from egolane_pgm.results import make_directory, staged, write_json, write_result
 from egolane_pgm.run import plugin_files, portable
 from egolane_pgm.scoring.assign import assigned_lane
-from egolane_pgm.validation import blocks
+from egolane_pgm.scoring.bootstrap import blocks
 
 SCHEMA_VERSION = 1
 

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from egolane_pgm.camera import Camera
-from egolane_pgm.detectors import Step, _simple
+from egolane_pgm.camera.model import Camera
+from egolane_pgm.detectors import Step
+from egolane_pgm.detectors.simple import finder as _simple
 from egolane_pgm.types import Parameters
 
 STEREO = False

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from egolane_pgm.cpds import binary, discretised_normal, lane_edges, lane_normals, uniform
+from egolane_pgm.graphs.cpds import binary, discretised_normal, lane_edges, lane_normals, uniform
 from egolane_pgm.types import FloatArray, InputError, Parameters, suggestion
 
 

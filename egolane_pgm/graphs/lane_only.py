@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from egolane_pgm.cpds import Table, declare, dynamics, previous, prior, uniform, within
-from egolane_pgm.graphs._parameters import LANE_WIDTHS, NORMAL, SIGMA1, SIGMA2, f_table
+from egolane_pgm.graphs.cpds import Table, declare, dynamics, previous, prior, uniform, within
+from egolane_pgm.graphs.shared_parameters import LANE_WIDTHS, NORMAL, SIGMA1, SIGMA2, f_table
 from egolane_pgm.types import Parameters
 
 if TYPE_CHECKING:

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from egolane_pgm.cpds import Table, declare
 from egolane_pgm.graphs import sensor_failure
+from egolane_pgm.graphs.cpds import Table, declare
 from egolane_pgm.types import Parameters
 
 if TYPE_CHECKING:

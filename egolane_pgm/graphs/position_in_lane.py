@@ -21,8 +21,17 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from egolane_pgm.cpds import Table, binary, declare, dynamics, previous, prior, uniform, within
-from egolane_pgm.graphs._parameters import P1, P2, number
+from egolane_pgm.graphs.cpds import (
+    Table,
+    binary,
+    declare,
+    dynamics,
+    previous,
+    prior,
+    uniform,
+    within,
+)
+from egolane_pgm.graphs.shared_parameters import P1, P2, number
 from egolane_pgm.types import FloatArray, IntArray, Parameter, Parameters, Value
 
 if TYPE_CHECKING:

@@ -10,8 +10,17 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from egolane_pgm.cpds import Table, binary, declare, dynamics, previous, prior, uniform, within
-from egolane_pgm.graphs._parameters import (
+from egolane_pgm.graphs.cpds import (
+    Table,
+    binary,
+    declare,
+    dynamics,
+    previous,
+    prior,
+    uniform,
+    within,
+)
+from egolane_pgm.graphs.shared_parameters import (
     LANE_WIDTHS,
     NORMAL,
     P1,

@@ -10,9 +10,9 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from egolane_pgm.cpds import Table, declare, dynamics, previous, prior, uniform, within
 from egolane_pgm.graphs import sensor_failure
-from egolane_pgm.graphs._parameters import f_table, number, sticky
+from egolane_pgm.graphs.cpds import Table, declare, dynamics, previous, prior, uniform, within
+from egolane_pgm.graphs.shared_parameters import f_table, number, sticky
 from egolane_pgm.types import Parameter, Parameters
 
 if TYPE_CHECKING:

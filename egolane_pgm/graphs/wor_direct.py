@@ -10,8 +10,15 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from egolane_pgm.cpds import Table, declare, dynamics, previous, prior, uniform, within
-from egolane_pgm.graphs._parameters import LANE_WIDTHS, NORMAL, SIGMA1, SIGMA2, f_table, number
+from egolane_pgm.graphs.cpds import Table, declare, dynamics, previous, prior, uniform, within
+from egolane_pgm.graphs.shared_parameters import (
+    LANE_WIDTHS,
+    NORMAL,
+    SIGMA1,
+    SIGMA2,
+    f_table,
+    number,
+)
 from egolane_pgm.types import Parameter, Parameters
 
 if TYPE_CHECKING:

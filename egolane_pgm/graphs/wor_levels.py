@@ -13,9 +13,9 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from egolane_pgm.cpds import Table, declare, within
 from egolane_pgm.graphs import sensor_failure
-from egolane_pgm.graphs._parameters import WOR_LEVELS, number
+from egolane_pgm.graphs.cpds import Table, declare, within
+from egolane_pgm.graphs.shared_parameters import WOR_LEVELS, number
 from egolane_pgm.types import FloatArray, Parameters
 
 if TYPE_CHECKING:

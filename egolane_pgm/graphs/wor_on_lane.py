@@ -11,9 +11,9 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from egolane_pgm.cpds import Table, binary, declare, within
 from egolane_pgm.graphs import sensor_failure
-from egolane_pgm.graphs._parameters import per_lane
+from egolane_pgm.graphs.cpds import Table, binary, declare, within
+from egolane_pgm.graphs.shared_parameters import per_lane
 from egolane_pgm.types import Parameters
 
 if TYPE_CHECKING:

@@ -7,7 +7,7 @@ import math
 import numpy as np
 from numba import njit
 
-from egolane_pgm.inference._unrolled import HUGE, TINY
+from egolane_pgm.inference.kernels.unrolled import HUGE, TINY
 from egolane_pgm.types import BoolArray, FloatArray, IntArray
 
 

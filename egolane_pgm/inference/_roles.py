@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from egolane_pgm.cpds import SliceNode, Table, ve_name
+from egolane_pgm.graphs.cpds import SliceNode, Table, ve_name
 from egolane_pgm.types import InputError, IntArray, Observed, suggestion
 
 if TYPE_CHECKING:

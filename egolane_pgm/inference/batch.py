@@ -71,7 +71,7 @@ def _side_by_side(
 ) -> IntArray | None:
     """None where the kernel for many sets cannot do it: inputs, size, zero likelihoods, evidence
     of a kind that is read in another way."""
-    from egolane_pgm.inference.kernels import confusion_counts, kernel_size
+    from egolane_pgm.inference.kernels.filter import confusion_counts, kernel_size
 
     if type(evidence) is not Evidence:
         return None

@@ -19,7 +19,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from egolane_pgm.cpds import SliceNode, Table, ve_name
+from egolane_pgm.graphs.cpds import SliceNode, Table, ve_name
 from egolane_pgm.inference._roles import Roles, read_tables, same_within
 from egolane_pgm.types import FloatArray, InputError, IntArray, Observed
 

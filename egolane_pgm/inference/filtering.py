@@ -16,8 +16,8 @@ from typing import Any
 
 import numpy as np
 
-from egolane_pgm.inference._banded import Banded, banded
 from egolane_pgm.inference.compile import Compiled, Group
+from egolane_pgm.inference.kernels.banded import Banded, banded
 from egolane_pgm.types import (
     Beliefs,
     BoolArray,
@@ -132,7 +132,7 @@ def _run(
     run: Any
     values: Any
     if kernel:
-        from egolane_pgm.inference.kernels import filter_blocks as run
+        from egolane_pgm.inference.kernels.filter import filter_blocks as run
 
         values, marginals = blocks, np.empty((n_frames, n_columns))
     else:

@@ -54,7 +54,7 @@ def run_jeffrey(
     is_impossible = np.empty(n_frames, dtype=bool)
     run: Any = _jeffrey_frames_numpy
     if kernel:
-        from egolane_pgm.inference._kernels import jeffrey_frames as run
+        from egolane_pgm.inference.kernels.sweeps import jeffrey_frames as run
     run(
         joint,
         state is None,

@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from egolane_pgm.cpds import quiet, ve_name
+from egolane_pgm.graphs.cpds import quiet, ve_name
 from egolane_pgm.types import Beliefs, Evidence, FloatArray, InputError, Observed
 
 if TYPE_CHECKING:

@@ -81,7 +81,7 @@ def smooth_beliefs(
     beliefs, filtered, likelihood = _forward(compiled, evidence, frame_id, kernel)
     run: Any = _smooth_frames_numpy
     if kernel:
-        from egolane_pgm.inference._kernels import smooth_frames as run
+        from egolane_pgm.inference.kernels.sweeps import smooth_frames as run
     smoothed = np.empty_like(filtered)
     index = joint_input(compiled, evidence)
     run(filtered, likelihood, compiled.transition, index, smoothed)
@@ -103,7 +103,7 @@ def fixed_lag_beliefs(
     beliefs, filtered, likelihood = _forward(compiled, evidence, frame_id, kernel)
     run: Any = _fixed_lag_frames_numpy
     if kernel:
-        from egolane_pgm.inference._kernels import fixed_lag_frames as run
+        from egolane_pgm.inference.kernels.sweeps import fixed_lag_frames as run
     smoothed = np.empty_like(filtered)
     index = joint_input(compiled, evidence)
     run(lag, filtered, likelihood, compiled.transition, index, smoothed)
@@ -184,7 +184,7 @@ def _lagged(compiled: Compiled, state: LagState, n_frames: int, kernel: bool) ->
     """The first of the frames that are due, given all that was seen."""
     run: Any = _smooth_frames_numpy
     if kernel:
-        from egolane_pgm.inference._kernels import smooth_frames as run
+        from egolane_pgm.inference.kernels.sweeps import smooth_frames as run
     first = len(state.filtered) - state.due
     here = slice(first, first + n_frames)
     smoothed = np.empty_like(state.filtered[first:])

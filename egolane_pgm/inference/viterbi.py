@@ -82,7 +82,7 @@ def viterbi_path(
     if len(evidence):
         run: Any = _best_path_numpy
         if kernel:
-            from egolane_pgm.inference._kernels import best_path as run
+            from egolane_pgm.inference.kernels.sweeps import best_path as run
         with np.errstate(divide="ignore"):
             tables = [np.log(a) for a in (compiled.prior, compiled.transition, likelihood)]
         total = run(*tables, joint_input(compiled, evidence), states)

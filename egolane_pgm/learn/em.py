@@ -13,9 +13,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from egolane_pgm.cpds import SliceNode, Table
+from egolane_pgm.graphs.cpds import SliceNode, Table
 from egolane_pgm.inference.compile import Compiled, with_tables
-from egolane_pgm.inference.expectation import counted_tables, expected_counts
+from egolane_pgm.inference.expected_counts import counted_tables, expected_counts
 from egolane_pgm.types import BoolArray, Evidence, FloatArray, IntArray
 
 #: The iterations end where the log posterior grows by less than this, nats per frame.

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from egolane_pgm.cpds import SliceNode, Table, ve_name
+from egolane_pgm.graphs.cpds import SliceNode, Table, ve_name
 from egolane_pgm.model import Model
 from egolane_pgm.types import FloatArray
 

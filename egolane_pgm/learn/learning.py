@@ -24,6 +24,7 @@ from egolane_pgm.loading import Recorded, load_recording, with_video_rate
 from egolane_pgm.model import Model, declared_parameters, make_evidence, prepare_model
 from egolane_pgm.plugins import plugin_errors
 from egolane_pgm.run import score
+from egolane_pgm.scoring.bootstrap import N_BLOCKS, HeldOut, held_out
 from egolane_pgm.types import (
     BoolArray,
     FloatArray,
@@ -34,7 +35,6 @@ from egolane_pgm.types import (
     Value,
     resolve_parameters,
 )
-from egolane_pgm.validation import N_BLOCKS, HeldOut, held_out
 
 
 @dataclass(frozen=True)

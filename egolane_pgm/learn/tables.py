@@ -14,11 +14,11 @@ from typing import Any
 
 import numpy as np
 
-from egolane_pgm.cpds import SliceNode, Table
 from egolane_pgm.experiment import Experiment, Learning
+from egolane_pgm.graphs.cpds import SliceNode, Table
 from egolane_pgm.inference._roles import read_tables
 from egolane_pgm.inference.compile import Compiled, with_tables
-from egolane_pgm.inference.expectation import FREE, counted_tables
+from egolane_pgm.inference.expected_counts import FREE, counted_tables
 from egolane_pgm.learn.em import fit_tables, with_changed
 from egolane_pgm.loading import Recorded
 from egolane_pgm.model import Model, declared_parameters, make_evidence, with_parameters

@@ -12,8 +12,8 @@ from pathlib import Path
 
 import numpy as np
 
-from egolane_pgm.camera import Camera
-from egolane_pgm.recordings._image_lines import (
+from egolane_pgm.camera.model import Camera
+from egolane_pgm.recordings.image_lines import (
     ImageFrame,
     ImageLine,
     camera_of,

@@ -20,8 +20,8 @@ from collections.abc import Collection, Iterator
 from pathlib import Path, PurePosixPath
 from typing import Any
 
-from egolane_pgm.camera import Camera
-from egolane_pgm.recordings._image_lines import (
+from egolane_pgm.camera.model import Camera
+from egolane_pgm.recordings.image_lines import (
     ImageFrame,
     ImageLine,
     camera_of,

@@ -17,8 +17,8 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from egolane_pgm.camera import Camera, road_to_image, undistorted
-from egolane_pgm.picture_files import video_writer, write_picture
+from egolane_pgm.camera.model import Camera, road_to_image, undistorted
+from egolane_pgm.camera.writing import video_writer, write_picture
 from egolane_pgm.results import check_place, make_directory
 from egolane_pgm.types import UNASSIGNED, FloatArray, InputError
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import ArrayLike
 
-from egolane_pgm.scoring._checks import as_belief
+from egolane_pgm.scoring.checks import as_belief
 from egolane_pgm.types import TIE_TOLERANCE, UNASSIGNED, InputError, IntArray
 
 

@@ -14,7 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike
 
-from egolane_pgm.scoring._checks import as_lanes, as_mask, check_range
+from egolane_pgm.scoring.checks import as_lanes, as_mask, check_range
 from egolane_pgm.types import UNASSIGNED, FloatArray, InputError, IntArray
 
 

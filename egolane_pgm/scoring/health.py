@@ -11,8 +11,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike
 
-from egolane_pgm.scoring._checks import as_belief, as_lanes, as_mask, check_range
 from egolane_pgm.scoring.assign import assigned_lane
+from egolane_pgm.scoring.checks import as_belief, as_lanes, as_mask, check_range
 from egolane_pgm.types import UNASSIGNED, BoolArray, FloatArray, InputError, IntArray
 
 

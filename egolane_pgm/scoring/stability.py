@@ -32,7 +32,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike
 
-from egolane_pgm.scoring._checks import as_lanes, as_mask, check_frame_rate
+from egolane_pgm.scoring.checks import as_lanes, as_mask, check_frame_rate
 from egolane_pgm.types import BoolArray, FloatArray, InputError, IntArray
 
 #: The new lane counts as found once it is held for this many frames.

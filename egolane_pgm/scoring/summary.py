@@ -8,8 +8,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from egolane_pgm.scoring._checks import as_belief, as_lanes, as_mask, check_frame_rate
 from egolane_pgm.scoring.assign import assigned_lane
+from egolane_pgm.scoring.checks import as_belief, as_lanes, as_mask, check_frame_rate
 from egolane_pgm.scoring.confusion import confusion, scores_from_confusion
 from egolane_pgm.scoring.probabilistic import brier, expected_calibration_error, log_loss
 from egolane_pgm.scoring.stability import delay_after_lane_change, false_switches_per_minute

@@ -10,15 +10,7 @@ from typing import Any
 import numpy as np
 
 from egolane_pgm.scoring.assign import assigned_lane
-from egolane_pgm.scoring.confusion import accuracy, macro_f1, scores_from_confusion
-from egolane_pgm.scoring.probabilistic import brier_per_frame, log_loss_per_frame
-from egolane_pgm.scoring.stability import lane_changes
-from egolane_pgm.tune.objective import Drive, belief_of, fitted_frames
-from egolane_pgm.tune.plan import Problem, evaluator, parameters_at
-from egolane_pgm.tune.space import Point
-from egolane_pgm.tune.study import Evaluate, Report, Settings, best_trial, run_study
-from egolane_pgm.types import BoolArray, FloatArray, InputError
-from egolane_pgm.validation import (
+from egolane_pgm.scoring.bootstrap import (
     BLOCK_FRAMES,
     LEVEL,
     blocks,
@@ -28,6 +20,14 @@ from egolane_pgm.validation import (
     ratio,
     resampled_sums,
 )
+from egolane_pgm.scoring.confusion import accuracy, macro_f1, scores_from_confusion
+from egolane_pgm.scoring.probabilistic import brier_per_frame, log_loss_per_frame
+from egolane_pgm.scoring.stability import lane_changes
+from egolane_pgm.tune.objective import Drive, belief_of, fitted_frames
+from egolane_pgm.tune.plan import Problem, evaluator, parameters_at
+from egolane_pgm.tune.space import Point
+from egolane_pgm.tune.study import Evaluate, Report, Settings, best_trial, run_study
+from egolane_pgm.types import BoolArray, FloatArray, InputError
 
 #: The scores that every result shows, and those of them that have an interval.
 SCORES = ("accuracy", "precision", "recall", "f1", "log_loss", "brier")

@@ -20,7 +20,7 @@ from pydantic import BaseModel, ConfigDict, Field
 
 from egolane_pgm.experiment import Experiment, Tuning, load_yaml, make_experiment, validated
 from egolane_pgm.model import Model, declared_parameters, prepare_model
-from egolane_pgm.reproduce import experiments_folder, load_published, parameters_for
+from egolane_pgm.paper import experiments_folder, load_published, parameters_for
 from egolane_pgm.tune.objective import (
     Drive,
     check_filter,

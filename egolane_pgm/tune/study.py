@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from egolane_pgm.tune import evolution
+from egolane_pgm.tune import sampler as evolution
 from egolane_pgm.tune.objective import is_maximised
 from egolane_pgm.tune.space import Point, SearchSpace, distributions, from_unit, to_unit
 from egolane_pgm.types import FloatArray, InputError, suggestion

@@ -26,7 +26,7 @@ from egolane_pgm.tune.shared import SharedJob, Task, run_shared
 from egolane_pgm.tune.storage import only_one
 from egolane_pgm.tune.study import Evaluate, Settings, run_study
 from egolane_pgm.tune.workers import Job, run_workers
-from tests.postgres_server import Server, find_binaries
+from tests.kits.postgres_server import Server, find_binaries
 
 TRIALS = 2000
 WORKERS = (1, 2, 4)

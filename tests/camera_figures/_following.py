@@ -15,11 +15,11 @@ from typing import Any
 
 import numpy as np
 
-from egolane_pgm.camera import Camera, read_camera
-from egolane_pgm.cli import egolane
+from egolane_pgm.camera.model import Camera, read_camera
+from egolane_pgm.cli.main import egolane
 from egolane_pgm.detectors import FrameLines, Picture, as_log
-from egolane_pgm.detectors._simple import PARAMETERS, follower
-from egolane_pgm.detectors._tracking import Tracks, lines_of, no_tracks
+from egolane_pgm.detectors.simple.finder import PARAMETERS, follower
+from egolane_pgm.detectors.simple.tracking import Tracks, lines_of, no_tracks
 from egolane_pgm.experiment import make_experiment
 from egolane_pgm.loading import Recorded
 from egolane_pgm.run import run_experiment

@@ -20,10 +20,10 @@ from typing import Any
 import numpy as np
 
 from egolane_pgm.calibration.labels import read_labels
-from egolane_pgm.camera import Camera
-from egolane_pgm.detectors._drive import find_detector
-from egolane_pgm.detectors._fit import find_lines, view_for
-from egolane_pgm.detectors._pictures import open_source, read_pictures
+from egolane_pgm.camera.model import Camera
+from egolane_pgm.camera.pictures import open_source, read_pictures
+from egolane_pgm.detectors.runner import find_detector
+from egolane_pgm.detectors.simple.fit import find_lines, view_for
 from egolane_pgm.types import FloatArray, IntArray
 from tests.camera_figures import tusimple
 from tests.camera_figures._following import (

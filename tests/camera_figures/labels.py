@@ -36,8 +36,8 @@ from typing import Any
 import numpy as np
 
 from egolane_pgm.calibration.labels import line_points, read_labels
-from egolane_pgm.calibration.parallel_lines import assumed_camera, view_of_road
-from egolane_pgm.camera import write_camera
+from egolane_pgm.calibration.straight_road import assumed_camera, view_of_road
+from egolane_pgm.camera.model import write_camera
 from egolane_pgm.experiment import make_experiment
 from egolane_pgm.run import run_experiment
 

@@ -18,8 +18,8 @@ from tempfile import TemporaryDirectory
 
 import numpy as np
 
-from egolane_pgm.camera import Camera
-from egolane_pgm.detectors._pictures import open_source, read_pictures
+from egolane_pgm.camera.model import Camera
+from egolane_pgm.camera.pictures import open_source, read_pictures
 from egolane_pgm.types import IntArray
 from tests.camera_figures._following import (
     ZERO_LABEL,

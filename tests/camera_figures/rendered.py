@@ -21,7 +21,7 @@ import yaml
 from tqdm import tqdm
 
 from egolane_pgm.detectors import FrameLines, as_log
-from egolane_pgm.detectors._drive import find_detector, start
+from egolane_pgm.detectors.runner import find_detector, start
 from egolane_pgm.plugins import plugin_names
 from egolane_pgm.recordings.ground_truth import write_ground_truth
 from egolane_pgm.recordings.table import write_table
@@ -29,7 +29,13 @@ from egolane_pgm.report import video
 from egolane_pgm.report.tables import markdown
 from egolane_pgm.run import Run, run_experiment
 from egolane_pgm.scoring.assign import assigned_lane
-from egolane_pgm.simulation.render import FAILURES, FrameTruth, Scene, make_scene, render_frame
+from egolane_pgm.simulation.rendering.render import (
+    FAILURES,
+    FrameTruth,
+    Scene,
+    make_scene,
+    render_frame,
+)
 from egolane_pgm.types import FloatArray, LineLog
 
 FRAMES = 3000

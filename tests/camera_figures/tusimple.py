@@ -20,10 +20,10 @@ import cv2
 import numpy as np
 
 from egolane_pgm.calibration.labels import label_picture, line_points, read_labels
-from egolane_pgm.calibration.parallel_lines import assumed_camera, view_of_road
-from egolane_pgm.camera import Camera, image_to_road
-from egolane_pgm.detectors._fit import find_lines, view_for
-from egolane_pgm.detectors._parameters import PARAMETERS
+from egolane_pgm.calibration.straight_road import assumed_camera, view_of_road
+from egolane_pgm.camera.model import Camera, image_to_road
+from egolane_pgm.detectors.simple.fit import find_lines, view_for
+from egolane_pgm.detectors.simple.parameters import PARAMETERS
 from egolane_pgm.types import BoolArray, FloatArray, resolve_parameters
 
 FILE = "camera/tusimple_frames/labels.jsonl"

@@ -1,0 +1,311 @@
+"""Lines found in stills of a road, for a camera that nobody has labelled lines for.
+
+First where most straight edges of all stills meet (random pairs vote); then, still by still, what
+is bright and narrow in a fan of rays through that point, where parallel lines stand upright: the
+fan is turned until they stand sharpest, and upright streaks are lines.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import cv2
+import numpy as np
+
+from egolane_pgm.calibration.pictures import read_picture, readable, size_of
+from egolane_pgm.calibration.straight_road import (
+    NEAREST_TO_HORIZON,
+    FrameFit,
+    fit_frame,
+    from_level,
+    from_level_to_image,
+    to_level,
+)
+from egolane_pgm.camera.model import Camera
+from egolane_pgm.detectors import Image
+from egolane_pgm.types import BoolArray, FloatArray, InputError
+
+#: The fan: offsets over the camera's height to either side, and their step.
+_SIDE, _STEP = 5.0, 0.025
+_ROWS = 120
+
+#: Widest marking, in heights of the camera (block markings are .6 m and more).
+_MARKING = 0.8
+
+#: A streak brighter than its surroundings by so many grey levels, and so many times what the
+#: row's pixels scatter, is paint.
+_CONTRAST, _SCATTERS = 12.0, 4.0
+
+#: Paint covers at least so much of a line's length in the picture.
+_COVERED = 0.08
+
+#: Paint whose middle strays more than this (median, heights of the camera) is grass or a car.
+_RAGGED = 0.06
+
+#: What is tried of each still: turned (a) and bent (c).
+_TURNS = np.linspace(-0.025, 0.025, 11)
+_BENDS = np.linspace(-0.0015, 0.0015, 7)
+
+#: Stills of one drive differ in heading and pitch by no more than this (a, b).
+_STILLS_DIFFER = np.array([0.1, 0.03])
+
+#: Edges this near to a point (sine of the angle) vote for it; shorter ones (share of the picture's
+#: width) do not vote; flatter ones (b per a) are no lines of the road ahead.
+_NEAR, _SHORTEST, _FLATTEST = 0.02, 0.025, 0.12
+
+#: So much of the length of all edges must vote for the point where they meet; of edges in any
+#: direction it is a twentieth.
+_AGREE = 0.08
+
+
+@dataclass(frozen=True)
+class Fan:
+    """paint (R, S): how much brighter than both sides, grey levels; seen (R, S): in the picture and
+    not masked. below (R,): b - b0; side (S,): offset over height."""
+
+    paint: FloatArray
+    seen: BoolArray
+    below: FloatArray
+    side: FloatArray
+
+
+def seen_mask(camera: Camera) -> BoolArray:
+    """(H, W): what of the picture may show road."""
+    mask = np.ones((camera.height, camera.width), dtype=bool)
+    for left, top, right, bottom in camera.ignore:
+        mask[max(top, 0) : max(bottom, 0), max(left, 0) : max(right, 0)] = False
+    return mask
+
+
+def edges(camera: Camera, image: Image, mask: BoolArray) -> FloatArray:
+    """(M, 4): straight edges of a picture as rays a, b of the upper and a, b of the lower end."""
+    grey = cv2.GaussianBlur(cv2.cvtColor(image, cv2.COLOR_BGR2GRAY), (3, 3), 0)
+    found = cv2.createLineSegmentDetector().detect(grey)[0]
+    if found is None:
+        return np.zeros((0, 4))
+    found = found.reshape(-1, 4).astype(np.float64)
+    middle = np.rint((found[:, :2] + found[:, 2:]) / 2).astype(int)
+    rows = np.clip(middle[:, 1], 0, mask.shape[0] - 1)
+    columns = np.clip(middle[:, 0], 0, mask.shape[1] - 1)
+    found = found[mask[rows, columns]]
+    ends = to_level(camera, found[:, [0, 2]], found[:, [1, 3]])
+    order = np.argsort(ends[..., 1], axis=1)
+    ends = np.take_along_axis(ends, order[..., None], axis=1)
+    along = ends[:, 1] - ends[:, 0]
+    length = np.hypot(along[:, 0], along[:, 1])
+    keep = (along[:, 1] > _FLATTEST * np.abs(along[:, 0])) & (
+        length > _SHORTEST * camera.width / camera.fx
+    )
+    return ends[keep].reshape(-1, 4)
+
+
+def _votes(points: FloatArray, lines: FloatArray) -> FloatArray:
+    """(P,): length of the edges (M, 4) that point at each of the points (P, 2) from below."""
+    upper, along = lines[:, :2], lines[:, 2:] - lines[:, :2]
+    length = np.hypot(along[:, 0], along[:, 1])
+    to = points[:, None, :] - (lines[:, :2] + lines[:, 2:])[None] / 2
+    reach = np.hypot(to[..., 0], to[..., 1])
+    with np.errstate(divide="ignore", invalid="ignore"):
+        sine = np.abs(to[..., 0] * along[:, 1] - to[..., 1] * along[:, 0]) / (reach * length)
+    good = (sine < _NEAR) & (upper[None, :, 1] > points[:, None, 1])
+    votes: FloatArray = np.where(good, length * (1 - sine / _NEAR), 0.0).sum(axis=1)
+    return votes
+
+
+def _crossings(lines: FloatArray, tries: int, rng: np.random.Generator) -> FloatArray:
+    """(P, 2): where random pairs of edges (M, 4), long ones more often, meet."""
+    weight = np.hypot(lines[:, 2] - lines[:, 0], lines[:, 3] - lines[:, 1])
+    first, second = rng.choice(len(lines), (2, tries), p=weight / weight.sum())
+    p, r = lines[first, :2], lines[first, 2:] - lines[first, :2]
+    q, s = lines[second, :2], lines[second, 2:] - lines[second, :2]
+    cross = r[:, 0] * s[:, 1] - r[:, 1] * s[:, 0]
+    far = np.abs(cross) > 0.1 * np.hypot(*r.T) * np.hypot(*s.T)
+    p, r, q, s, cross = p[far], r[far], q[far], s[far], cross[far]
+    along = ((q - p)[:, 0] * s[:, 1] - (q - p)[:, 1] * s[:, 0]) / cross
+    crossings: FloatArray = p + along[:, None] * r
+    return crossings
+
+
+def _winner(candidates: FloatArray, votes: FloatArray) -> FloatArray:
+    best = candidates[np.argmax(votes)]
+    for _ in range(3):
+        near = np.hypot(*(candidates - best).T) < 0.03
+        best = np.average(candidates[near], axis=0, weights=votes[near] ** 2 + 1e-12)
+    result: FloatArray = best
+    return result
+
+
+def meeting_of_stills(
+    stills: Sequence[FloatArray], seed: int = 0, tries: int = 3000
+) -> tuple[FloatArray, FloatArray]:
+    """(2,): the ray a, b where most edges (M, 4) of all stills meet, and (F, 2): where those of
+    each still meet, near it (NaN where they do not)."""
+    rng = np.random.default_rng(seed)
+    n = max(60, tries // max(len(stills), 1))
+    crossings = [
+        _crossings(lines, n, rng) if len(lines) >= 2 else np.zeros((0, 2)) for lines in stills
+    ]
+    candidates = np.concatenate(crossings)
+    if not len(candidates):
+        raise InputError("stills: no straight edges that meet; are they of a road ahead?")
+    votes = np.sum([_votes(candidates, lines) for lines in stills], axis=0)
+    lengths = [np.hypot(lines[:, 2] - lines[:, 0], lines[:, 3] - lines[:, 1]) for lines in stills]
+    if votes.max() < _AGREE * np.concatenate(lengths).sum():
+        raise InputError(
+            "stills: their straight edges do not meet in one point; choose stills of a straight"
+            " road, and leave out bonnet and mirror with --ignore"
+        )
+    every = _winner(candidates, votes)
+    each = np.full((len(stills), 2), np.nan)
+    for i, (points, lines) in enumerate(zip(crossings, stills, strict=True)):
+        near = points[(np.abs(points - every) < _STILLS_DIFFER).all(axis=1)]
+        votes = _votes(near, lines)
+        if votes.any():
+            each[i] = _winner(near, votes)
+    return every, each
+
+
+def fan(
+    camera: Camera, grey: FloatArray, mask: BoolArray, point: FloatArray, bend: float = 0.0
+) -> Fan:
+    """The picture along rays through a point (2,), bent (c): paint stands upright in it."""
+    lowest = to_level(camera, np.array([camera.width / 2]), np.array([camera.height - 1.0]))[0, 1]
+    # Rows denser far away, as dashes are.
+    farthest, nearest = NEAREST_TO_HORIZON, max(lowest - point[1], 2 * NEAREST_TO_HORIZON)
+    below = np.geomspace(farthest, nearest, _ROWS)
+    side = np.arange(-_SIDE, _SIDE + _STEP / 2, _STEP)
+    rays = _rays(point, bend, side[None, :], below[:, None])
+    u, v = from_level_to_image(camera, rays)
+    # The model of the lens folds back far outside the picture.
+    free_u, free_v = from_level(camera, rays)
+    inside = (np.abs(free_u - camera.cx) < 0.75 * camera.width) & (free_v < 1.25 * camera.height)
+    u, v = u.astype(np.float32), v.astype(np.float32)
+    bright = cv2.remap(grey, u, v, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
+    seen = cv2.remap(mask.astype(np.uint8), u, v, cv2.INTER_NEAREST, borderValue=0)
+    kernel = np.ones((1, round(_MARKING / _STEP) | 1), dtype=np.uint8)
+    paint = cv2.morphologyEx(bright, cv2.MORPH_TOPHAT, kernel)
+    shown = cv2.erode(seen, kernel) * inside > 0
+    return Fan(np.where(shown, paint, 0.0), shown, below, side)
+
+
+def _rays(point: FloatArray, bend: float, side: FloatArray, below: FloatArray) -> FloatArray:
+    side, below = np.broadcast_arrays(side, below)
+    return np.stack([point[0] + side * below + bend / below, point[1] + below], axis=-1)
+
+
+def is_paint(found: Fan) -> BoolArray:
+    """(R, S): the pixels of a fan that are paint."""
+    n_seen = np.maximum(found.seen.sum(axis=1, keepdims=True), 1)
+    scatter = found.paint.sum(axis=1, keepdims=True) / n_seen
+    is_bright: BoolArray = found.paint > np.maximum(_CONTRAST, _SCATTERS * scatter)
+    return is_bright & found.seen
+
+
+def _profile(found: Fan) -> FloatArray:
+    """(S,): share of each ray that is paint, 0 where too little of it is seen."""
+    n_seen = found.seen.sum(axis=0)
+    share = is_paint(found).sum(axis=0) / np.maximum(n_seen, 1)
+    return np.where(n_seen > 0.25 * len(found.below), share, 0.0)
+
+
+def grey_of(image: Image) -> FloatArray:
+    """(H, W) float32: white and yellow paint are bright in it."""
+    grey: FloatArray = image[..., 1:].mean(axis=-1, dtype=np.float32)
+    return grey
+
+
+def find_lines(
+    camera: Camera, image: Image, mask: BoolArray, about: FloatArray
+) -> list[FloatArray]:
+    """The points (N, 2), pixels, of each line painted on the road of a still; about: the ray a, b
+    where they roughly meet."""
+    grey = grey_of(image)
+    best, point, bend = -1.0, about, 0.0
+    for c in _BENDS:
+        for da in _TURNS:
+            at = about + np.array([da, 0.0])
+            profile = _profile(fan(camera, grey, mask, at, c))
+            sharp = float(np.sum(profile**2)) * (1 - 0.05 * abs(c) / _BENDS[-1])
+            if sharp > best:
+                best, point, bend = sharp, at, c
+    found = fan(camera, grey, mask, point, bend)
+    lines = []
+    for side, below in _streaks(found):
+        pixels = from_level_to_image(camera, _rays(point, bend, side, below))
+        lines.append(np.stack(pixels, axis=-1))
+    return lines
+
+
+def _streaks(found: Fan) -> Iterator[tuple[FloatArray, FloatArray]]:
+    """Upright streaks of paint in a fan, most covered first: (N,) side and (N,) below of each row
+    with paint."""
+    paint, profile = is_paint(found), _profile(found)
+    smooth = np.convolve(profile, np.ones(3) / 3, mode="same")
+    taken = np.zeros(len(smooth), dtype=bool)
+    reach = round(0.5 * _MARKING / _STEP)
+    for peak in np.argsort(-smooth):
+        if smooth[peak] < _COVERED:
+            break
+        if taken[peak]:
+            continue
+        window = slice(max(0, peak - reach), peak + reach + 1)
+        taken[max(0, peak - 2 * reach) : peak + 2 * reach + 1] = True
+        weight = found.paint[:, window] * paint[:, window]
+        rows = weight.sum(axis=1) > 0
+        side = (weight[rows] @ found.side[window]) / weight[rows].sum(axis=1)
+        if rows.sum() >= 5 and np.median(np.abs(side - np.median(side))) < _RAGGED:
+            yield side, found.below[rows]
+
+
+@dataclass(frozen=True)
+class FoundLines:
+    """ahead (2,): the ray a, b where the edges of all stills meet; each (F, 2): where those of each
+    still do. paths: the stills used; lines: for each the points (N, 2) of its lines, pixels; fits:
+    of the stills with two lines and more. skipped: one line for each still not used.
+    """
+
+    ahead: FloatArray
+    each: FloatArray
+    paths: tuple[Path, ...]
+    lines: tuple[list[FloatArray], ...]
+    fits: tuple[FrameFit, ...]
+    skipped: tuple[str, ...]
+
+
+def find_in_stills(
+    camera: Camera,
+    paths: Iterable[Path],
+    seed: int = 0,
+    progress: Callable[[Iterable[Path]], Iterable[Path]] = iter,
+) -> FoundLines:
+    """The lines of stills of one camera over one road; what the camera ignores is left out.
+
+    progress: wrapped around the stills while they are looked at. Raises InputError where nothing
+    meets.
+    """
+    mask = seen_mask(camera)
+    skipped: list[str] = []
+    used, straight = [], []
+    for path, image in readable(progress(paths), skipped):
+        width, height = size_of(image)
+        if (width, height) != (camera.width, camera.height):
+            skipped.append(f"{path}: {width}x{height}, needs {camera.width}x{camera.height}")
+            continue
+        used.append(path)
+        straight.append(edges(camera, image, mask))
+    if not used:
+        raise InputError(f"stills: none of them can be used; {skipped[0]}")
+    ahead, each = meeting_of_stills(straight, seed)
+    fits, lines = [], []
+    for path, point in zip(progress(used), each, strict=True):
+        about = point if np.isfinite(point).all() else ahead
+        found = find_lines(camera, read_picture(path), mask, about)
+        lines.append(found)
+        rays = [to_level(camera, line[:, 0], line[:, 1]) for line in found]
+        fit = fit_frame(rays, float(ahead[1]))
+        if fit and (np.abs(fit.vanishing_point - ahead) < _STILLS_DIFFER).all():
+            fits.append(fit)
+    each = each[np.isfinite(each).all(axis=1)]
+    return FoundLines(ahead, each, tuple(used), tuple(lines), tuple(fits), tuple(skipped))

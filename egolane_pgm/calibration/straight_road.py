@@ -1,0 +1,316 @@
+"""How a camera looks at the road, from lines that are parallel on it.
+
+Lines of one road meet at the vanishing point of the direction of travel: pitch and yaw. How fast
+they spread below it is their lateral distance over the camera's height: with a lane width, the
+height. All fits are done in the camera freed of lens and roll, where a ray is (a, b, 1), a to the
+right, b down: there a line of a road with curvature is
+
+    a = a0 + s (b - b0) + c / (b - b0),
+
+(a0, b0) the vanishing point, s the line's offset over the camera's height, and c (half the
+curvature times the height) the same for all lines, so that a bend does not move b0.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from egolane_pgm.camera.model import (
+    Camera,
+    distorted,
+    image_to_road,
+    undistorted,
+    with_vanishing_point,
+)
+from egolane_pgm.types import BoolArray, FloatArray, InputError
+
+#: The horizontal field of view assumed of a camera that nobody has calibrated, degrees.
+ASSUMED_FIELD_OF_VIEW = 62.0
+
+#: Lane widths that roads have, metres.
+LANE_WIDTHS = (2.0, 6.0)
+
+#: Nothing nearer to the horizon than this is looked at (b - b0; 1.5 m above the road: 38 m ahead);
+#: beyond, roads rise and fall.
+NEAREST_TO_HORIZON = 0.04
+
+#: Heights at which cameras are carried by cars and lorries, metres; gaps that would need another
+#: are not between neighbouring lines.
+_HEIGHTS = (0.5, 4.0)
+
+#: Gaps within this share of the most common one are one lane.
+_SAME_GAP = 0.15
+
+#: Vanishing points of single frames scatter by pitch, heading and bends; more than this and the
+#: lines were none (a, b).
+_MOST_SPREAD = (0.15, 0.05)
+
+#: Noise of a line's points, and what bends do to c (a road of 500 m radius).
+_NOISE, _BEND = 0.001, 0.0015
+
+_MIN_POINTS = 5
+
+
+@dataclass(frozen=True)
+class FrameFit:
+    """Lines of one frame through one point: vanishing_point (2,): a0, b0; slope (L,): s, sorted;
+    bend: c."""
+
+    vanishing_point: FloatArray
+    slope: FloatArray
+    bend: float
+
+
+@dataclass(frozen=True)
+class RoadView:
+    """What parallel lines say of a camera.
+
+    camera: turned, and at its height. vanishing_point (2,): pixels of the undistorted picture;
+    ahead (2,): its ray a, b. vanishing_points (F, 2): of single frames; spread_px (2,): half the
+    distance between their 16th and 84th percentiles. gaps_m (G,): distances of neighbouring lines;
+    is_lane (G,): which were taken for a lane of lane_width_m.
+    """
+
+    camera: Camera
+    vanishing_points: FloatArray
+    vanishing_point: FloatArray
+    ahead: FloatArray
+    spread_px: FloatArray
+    gaps_m: FloatArray
+    is_lane: BoolArray
+    lane_width_m: float
+
+
+def assumed_camera(
+    width: int, height: int, field_of_view_deg: float = ASSUMED_FIELD_OF_VIEW
+) -> Camera:
+    """A pinhole in the middle of the picture, its focal length from a horizontal field of view.
+    Offsets hardly depend on it: vanishing point and lane width fix what they depend on."""
+    if not 10 <= field_of_view_deg <= 150:
+        raise InputError(f"field of view {field_of_view_deg} is not between 10 and 150 degrees")
+    focal = width / 2 / math.tan(math.radians(field_of_view_deg) / 2)
+    return Camera(
+        width, height, focal, focal, (width - 1) / 2, (height - 1) / 2, height_m=_HEIGHTS[0]
+    )
+
+
+def to_level(camera: Camera, u: FloatArray, v: FloatArray) -> FloatArray:
+    """(..., 2): the rays a, b under pixels, freed of lens and roll."""
+    u, v = undistorted(camera, u, v)
+    a, b = (u - camera.cx) / camera.fx, (v - camera.cy) / camera.fy
+    roll = math.radians(camera.roll_deg)
+    return np.stack(
+        [math.cos(roll) * a - math.sin(roll) * b, math.sin(roll) * a + math.cos(roll) * b], axis=-1
+    )
+
+
+def from_level(camera: Camera, rays: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """The pixels u, v of the undistorted picture that see rays (..., 2)."""
+    roll = math.radians(camera.roll_deg)
+    a = math.cos(roll) * rays[..., 0] + math.sin(roll) * rays[..., 1]
+    b = -math.sin(roll) * rays[..., 0] + math.cos(roll) * rays[..., 1]
+    return camera.fx * a + camera.cx, camera.fy * b + camera.cy
+
+
+def from_level_to_image(camera: Camera, rays: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """The pixels u, v of the picture that see rays (..., 2)."""
+    return distorted(camera, *from_level(camera, rays))
+
+
+def check_lane_width(lane_width_m: float) -> None:
+    """Raises InputError for a width in other units than metres."""
+    low, high = LANE_WIDTHS
+    if not low <= lane_width_m <= high:
+        raise InputError(f"lane width {lane_width_m:g}: lanes are {low:g} to {high:g} m wide")
+
+
+def meeting_point(lines: Sequence[FloatArray]) -> FloatArray | None:
+    """(2,): where straight lines through each line's points (N, 2) meet, least squares; None where
+    they are parallel."""
+    normals, distances = [], []
+    for points in lines:
+        middle = points.mean(axis=0)
+        direction = np.linalg.svd(points - middle)[2][0]
+        normal = np.array([-direction[1], direction[0]])
+        normals.append(normal)
+        distances.append(normal @ middle)
+    matrix = np.stack(normals)
+    if np.linalg.svd(matrix, compute_uv=False)[-1] < 0.05:
+        return None
+    meeting: FloatArray = np.linalg.lstsq(matrix, np.array(distances), rcond=None)[0]
+    return meeting
+
+
+def _fit_at(lines: Sequence[FloatArray], b0: float) -> tuple[FloatArray, float]:
+    """Coefficients a0, s of each line, c with the horizon at b0, and the robust loss."""
+    n_lines = len(lines)
+    blocks, targets = [], []
+    for i, points in enumerate(lines):
+        below = points[:, 1] - b0
+        block = np.zeros((len(points), n_lines + 2))
+        block[:, 0], block[:, 1 + i], block[:, -1] = 1.0, below, 1.0 / below
+        blocks.append(block)
+        targets.append(points[:, 0])
+    prior = np.zeros((1, n_lines + 2))
+    prior[0, -1] = _NOISE / _BEND
+    design = np.vstack([*blocks, prior])
+    target = np.append(np.concatenate(targets), 0.0)
+    weight = np.ones(len(target))
+    for _ in range(4):
+        root = np.sqrt(weight)
+        solved = np.linalg.lstsq(design * root[:, None], target * root, rcond=None)[0]
+        off = (target - design @ solved) / _NOISE
+        weight = 1.0 / np.sqrt(1.0 + (off / 2) ** 2)
+    return solved, float(np.sum(1.0 / weight - 1.0))
+
+
+def fit_frame(lines: Sequence[FloatArray], about_b0: float) -> FrameFit | None:
+    """The common vanishing point of the lines of one frame, each (N, 2): points a, b.
+
+    about_b0: the horizon, roughly. Points near it and above are left out; None without two lines
+    that spread.
+    """
+    usable = [points[points[:, 1] > about_b0 + NEAREST_TO_HORIZON] for points in lines]
+    usable = [points for points in usable if len(points) >= _MIN_POINTS]
+    if len(usable) < 2:
+        return None
+    low, high = about_b0 - 2 * _MOST_SPREAD[1], about_b0 + 0.9 * NEAREST_TO_HORIZON
+    ratio = (math.sqrt(5) - 1) / 2
+    left, right = high - ratio * (high - low), low + ratio * (high - low)
+    at_left, at_right = _fit_at(usable, left)[1], _fit_at(usable, right)[1]
+    for _ in range(24):
+        if at_left < at_right:
+            high, right, at_right = right, left, at_left
+            left = high - ratio * (high - low)
+            at_left = _fit_at(usable, left)[1]
+        else:
+            low, left, at_left = left, right, at_right
+            right = low + ratio * (high - low)
+            at_right = _fit_at(usable, right)[1]
+    b0 = (low + high) / 2
+    solved, _ = _fit_at(usable, b0)
+    slope = np.sort(solved[1:-1])
+    if slope[-1] - slope[0] < 0.3:
+        return None
+    return FrameFit(np.array([solved[0], b0]), slope, float(solved[-1]))
+
+
+def rough_horizon(frames: Sequence[Sequence[FloatArray]]) -> float | None:
+    """b0, roughly: the median of where straight lines through the lower halves of the lines of
+    each frame meet; None if they do not."""
+    meetings = []
+    for lines in frames:
+        halves = []
+        for points in lines:
+            lower = points[points[:, 1] >= np.median(points[:, 1])] if len(points) else points
+            if len(lower) >= 3:
+                halves.append(lower)
+        found = meeting_point(halves) if len(halves) >= 2 else None
+        if found is not None:
+            meetings.append(found[1])
+    return float(np.median(meetings)) if meetings else None
+
+
+def one_lane(gaps: FloatArray, weights: FloatArray) -> BoolArray:
+    """(G,): which of gaps (G,) are near the most common one, each counted by its weight."""
+    if not gaps.size:
+        return np.zeros(0, dtype=bool)
+    near = np.maximum(0.0, 1 - np.abs(gaps[None, :] / gaps[:, None] - 1) / _SAME_GAP)
+    common = gaps[np.argmax(near @ weights)]
+    common = np.median(gaps[np.abs(gaps / common - 1) < _SAME_GAP])
+    chosen: BoolArray = np.abs(gaps / common - 1) < _SAME_GAP
+    return chosen
+
+
+def view_of_road(
+    camera: Camera, frames: Sequence[Sequence[FloatArray]], lane_width_m: float, what: str = "lines"
+) -> RoadView:
+    """Turn a camera so that lines of the road meet ahead, and find its height.
+
+    camera: pinhole, lens and roll; the rest is replaced. frames: for each the points (N, 2) of its
+    lines, pixels. Raises InputError, starting with `what`, where lines do not tell.
+    """
+    check_lane_width(lane_width_m)
+    rays = [[to_level(camera, line[:, 0], line[:, 1]) for line in lines] for lines in frames]
+    with_lines = [lines for lines in rays if len(lines) >= 2]
+    if not with_lines:
+        raise InputError(
+            f"{what}: none of {len(frames)} frames has two lines; needs at least two in one frame"
+        )
+    horizon = rough_horizon(with_lines)
+    if horizon is None:
+        raise InputError(f"{what}: the lines do not meet; needs parallel lines of the road ahead")
+    fits: list[FrameFit] = []
+    for _ in range(2):
+        fits = [fit for lines in with_lines if (fit := fit_frame(lines, horizon)) is not None]
+        if not fits:
+            raise InputError(
+                f"{what}: no frame has two lines that meet; needs parallel lines of the road ahead"
+            )
+        horizon = float(np.median([fit.vanishing_point[1] for fit in fits]))
+    each = np.stack([fit.vanishing_point for fit in fits])
+    return view_from(camera, np.median(each, axis=0), each, fits, lane_width_m, what)
+
+
+def view_from(
+    camera: Camera,
+    ahead: FloatArray,
+    each: FloatArray,
+    fits: Sequence[FrameFit],
+    lane_width_m: float,
+    what: str,
+) -> RoadView:
+    """The same, of lines already fitted. ahead (2,): the ray a, b of their vanishing point; each
+    (F, 2): of single frames."""
+    check_lane_width(lane_width_m)
+    pixels = np.stack(from_level(camera, each), axis=-1)
+    u, v = (float(value) for value in from_level(camera, ahead))
+    spread = np.diff(np.percentile(pixels, [16, 84], axis=0), axis=0)[0] / 2
+    where = f"({u:.0f}, {v:.0f})"
+    if spread[1] > _MOST_SPREAD[1] * camera.fy or spread[0] > _MOST_SPREAD[0] * camera.fx:
+        raise InputError(
+            f"{what}: the lines of {len(each)} frames meet at {where} give or take"
+            f" ({spread[0]:.0f}, {spread[1]:.0f}) pixels, so they do not meet; give straighter,"
+            " longer lines"
+        )
+    if not (0 <= u < camera.width and 0 <= v < camera.height):
+        raise InputError(
+            f"{what}: the lines meet at {where}, outside the picture of {camera.width}x"
+            f"{camera.height}; the horizon must be in it"
+        )
+    turned = replace(with_vanishing_point(camera, u, v), height_m=1.0, lateral_m=0.0)
+    offsets = [_offsets(turned, ahead, fit) for fit in fits]
+    gaps = np.concatenate([[], *(np.diff(offset) for offset in offsets)])
+    middles = np.concatenate([[], *((offset[1:] + offset[:-1]) / 2 for offset in offsets)])
+    low, high = (lane_width_m / height for height in reversed(_HEIGHTS))
+    sane = (gaps > low) & (gaps < high)
+    gaps, middles = gaps[sane], middles[sane]
+    # A little roll, or a lens not quite known, falsifies what is far to the side.
+    weights = 1 / (1 + middles**2)
+    lanes = one_lane(gaps, weights)
+    if not lanes.any():
+        raise InputError(
+            f"{what}: no two neighbouring lines are one lane of {lane_width_m:g} m apart for any"
+            f" camera {_HEIGHTS[0]:g} to {_HEIGHTS[1]:g} m above the road; check the lane width"
+        )
+    height_m = lane_width_m / float(np.average(gaps[lanes], weights=weights[lanes]))
+    return RoadView(
+        replace(turned, height_m=height_m, lateral_m=camera.lateral_m),
+        pixels,
+        np.array([u, v]),
+        ahead,
+        spread,
+        gaps * height_m,
+        lanes,
+        lane_width_m,
+    )
+
+
+def _offsets(turned: Camera, ahead: FloatArray, fit: FrameFit) -> FloatArray:
+    """(L,): offsets of a frame's lines, in heights of the camera."""
+    below = np.stack([ahead[0] + fit.slope * 0.2, np.full_like(fit.slope, ahead[1] + 0.2)], axis=-1)
+    return image_to_road(turned, *from_level(turned, below), undistorted=True)[1]

@@ -1,0 +1,1 @@
+"""What a picture is: the camera that took it, pictures and videos as files."""

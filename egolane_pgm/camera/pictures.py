@@ -1,0 +1,220 @@
+"""Pictures of a drive: a video, a folder of pictures or a glob, and pairs of them for two cameras.
+
+The frame id of a video's pictures is their position, from 0. That of picture files is the number
+in their names, where one number of the name increases from file to file (the last that does, in
+natural order: `img_9.jpg` before `img_10.jpg`); else their position, from 0.
+One picture at a time is in memory, whatever the length of the drive.
+"""
+
+from __future__ import annotations
+
+import glob
+import re
+from collections.abc import Iterator
+from dataclasses import dataclass
+from itertools import pairwise
+from pathlib import Path
+
+import cv2
+import numpy as np
+
+from egolane_pgm.camera.model import Camera
+from egolane_pgm.camera.video import open_video, video_images
+from egolane_pgm.detectors import Image, Picture
+from egolane_pgm.types import InputError
+
+#: Extensions of picture files; every other file is taken for a video.
+PICTURES = (".jpg", ".jpeg", ".png", ".bmp", ".ppm", ".pgm", ".tif", ".tiff", ".webp")
+
+#: Frame rates that a video may tell of itself; others are made up by its container.
+_RATES = (0.5, 500.0)
+
+
+@dataclass(frozen=True)
+class Source:
+    """Where pictures come from. path: as given. files: the video, or the pictures in order.
+    frame_id: of each file, None for a video. n_frames: None where a video does not tell.
+    frame_rate: of a video, None where it tells none."""
+
+    path: str
+    files: tuple[Path, ...]
+    frame_id: tuple[int, ...] | None
+    n_frames: int | None
+    frame_rate: float | None
+
+    @property
+    def is_video(self) -> bool:
+        """Whether it is one file of many frames."""
+        return self.frame_id is None
+
+
+def is_pattern(path: str) -> bool:
+    """Whether a path is a glob."""
+    return any(c in path for c in "*?[") and not Path(path).exists()
+
+
+def open_source(path: str | Path) -> Source:
+    """The pictures at a path: a video, a picture, a folder of pictures or a glob.
+
+    Raises InputError, naming the path, where there are none or the file is no video.
+    """
+    path = str(path)
+    if not path:
+        raise InputError("pictures: the path is empty; name a video, a folder or a 'glob*.jpg'")
+    if is_pattern(path):
+        return _picture_files(path, [Path(p) for p in glob.glob(path, recursive=True)])
+    place = Path(path)
+    if place.is_dir():
+        try:
+            return _picture_files(path, list(place.iterdir()))
+        except OSError as error:
+            raise InputError(f"{path}: cannot be read: {error.strerror}") from None
+    if not place.is_file():
+        raise InputError(f"{path}: no such video, folder or pictures")
+    if place.suffix.lower() in PICTURES:
+        return _picture_files(path, [place])
+    video = open_video(place)
+    count, rate = video.get(cv2.CAP_PROP_FRAME_COUNT), video.get(cv2.CAP_PROP_FPS)
+    video.release()
+    known_rate = float(rate) if _RATES[0] <= rate <= _RATES[1] else None
+    return Source(path, (place,), None, int(count) if count > 0 else None, known_rate)
+
+
+def read_pictures(
+    source: Source,
+    camera: Camera,
+    right: Source | None = None,
+    frames: tuple[int, int] | None = None,
+) -> Iterator[Picture]:
+    """The pictures in order; right: those of the second camera; frames: first frame id and the one
+    after the last.
+
+    Warns of a video that ends before it should, or lacks pictures. Raises InputError, naming file
+    and frame, for a picture that cannot be read or has another size than the calibration, and where
+    the pictures of the two cameras are not equally many.
+    """
+    if right is not None:
+        _check_pair(source, right)
+    left_images = _images(source, camera, frames)
+    if right is None:
+        for frame_id, image in left_images:
+            yield Picture(frame_id, image)
+        return
+    right_images = _images(right, camera, _same_frames(source, right, frames))
+    for frame_id, image in left_images:
+        other = next(right_images, None)
+        if other is None:
+            raise InputError(
+                f"{right.path}: ends before frame {frame_id} of {source.path}; the pictures of the"
+                " two cameras must be equally many"
+            )
+        yield Picture(frame_id, image, other[1])
+    if next(right_images, None) is not None:
+        raise InputError(
+            f"{source.path}: ends before {right.path}; the pictures of the two cameras must be"
+            " equally many"
+        )
+
+
+def _check_pair(source: Source, right: Source) -> None:
+    if source.n_frames is None or right.n_frames is None or source.n_frames == right.n_frames:
+        return
+    raise InputError(
+        f"{right.path}: has {right.n_frames} pictures, {source.path} has {source.n_frames}; the"
+        " pictures of the two cameras must be equally many"
+    )
+
+
+def _same_frames(
+    source: Source, right: Source, frames: tuple[int, int] | None
+) -> tuple[int, int] | None:
+    """The range in the ids of the second camera: pairs go by position."""
+    if frames is None or (source.frame_id is None and right.frame_id is None):
+        return frames
+    left_id = source.frame_id or tuple(range(len(right.files)))
+    right_id = right.frame_id or tuple(range(len(source.files)))
+    chosen = [k for k, frame_id in enumerate(left_id) if frames[0] <= frame_id < frames[1]]
+    if not chosen:
+        return frames
+    return right_id[chosen[0]], right_id[chosen[-1]] + 1
+
+
+def _images(
+    source: Source, camera: Camera, frames: tuple[int, int] | None
+) -> Iterator[tuple[int, Image]]:
+    if source.is_video:
+        rate = source.frame_rate
+        images = video_images(source.path, source.files[0], source.n_frames, rate, frames)
+    else:
+        images = _file_images(source, frames)
+    n_read = 0
+    for frame_id, image in images:
+        height, width = image.shape[:2]
+        if (width, height) != (camera.width, camera.height):
+            raise InputError(
+                f"{source.path}: frame {frame_id}: the picture has {width}x{height} pixels, the"
+                f" camera was calibrated for {camera.width}x{camera.height}; calibrate with"
+                " pictures of this size"
+            )
+        n_read += 1
+        yield frame_id, image
+    if n_read == 0:
+        asked = "" if frames is None else f" from {frames[0]} to before {frames[1]}"
+        raise InputError(f"{source.path}: no frame{asked}; {_described(source)}")
+
+
+def _described(source: Source) -> str:
+    if source.frame_id:
+        return f"its frames are {source.frame_id[0]} to {source.frame_id[-1]}"
+    return f"it has {source.n_frames or 'no'} frames"
+
+
+# --- picture files -------------------------------------------------------------------------------
+
+
+def _picture_files(path: str, found: list[Path]) -> Source:
+    files = sorted((p for p in found if p.suffix.lower() in PICTURES and p.is_file()), key=_natural)
+    if not files:
+        raise InputError(f"{path}: has no pictures ({', '.join(PICTURES)})")
+    return Source(path, tuple(files), tuple(_frame_ids(files)), len(files), None)
+
+
+def _natural(path: Path) -> list[tuple[int, int | str]]:
+    """Sorts 9 before 10."""
+    parts = re.split(r"(\d+)", str(path))
+    return [(0, int(part)) if part.isdecimal() else (1, part) for part in parts]
+
+
+def _frame_ids(files: list[Path]) -> list[int]:
+    numbers = [[int(n) for n in re.findall(r"\d+", p.stem)] for p in files]
+    if len({len(row) for row in numbers}) == 1 and len(files) > 1:
+        for column in reversed(list(zip(*numbers, strict=True))):
+            if all(a < b for a, b in pairwise(column)):
+                # Nanoseconds and the like would lose digits as times.
+                return list(column) if column[-1] < 2**53 else list(range(len(files)))
+    return list(range(len(files)))
+
+
+def _file_images(source: Source, frames: tuple[int, int] | None) -> Iterator[tuple[int, Image]]:
+    assert source.frame_id is not None
+    first, stop = frames or (None, None)
+    for frame_id, path in zip(source.frame_id, source.files, strict=True):
+        if (first is not None and frame_id < first) or (stop is not None and frame_id >= stop):
+            continue
+        yield frame_id, read_image(path)
+
+
+def read_image(path: Path) -> Image:
+    """A picture file as (H, W, 3), blue green red. Raises InputError where it is none."""
+    try:
+        content = np.fromfile(path, dtype=np.uint8)
+    except OSError as error:
+        raise InputError(f"{path}: cannot be read: {error.strerror}") from None
+    try:
+        image = cv2.imdecode(content, cv2.IMREAD_COLOR) if content.size else None
+    except cv2.error as error:
+        # A picture of more pixels than OpenCV takes, say.
+        raise InputError(f"{path}: cannot be read: {' '.join(error.err.split())}") from None
+    if image is None:
+        raise InputError(f"{path}: is no picture that can be read")
+    return image  # type: ignore[return-value]

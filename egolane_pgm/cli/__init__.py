@@ -1,0 +1,1 @@
+"""The command `egolane`: one file per command."""

@@ -1,0 +1,306 @@
+"""The command `egolane calibrate`: chessboards and roads in, a camera's YAML out."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import click
+
+if TYPE_CHECKING:
+    from egolane_pgm.calibration.straight_road import RoadView
+    from egolane_pgm.camera.model import Camera
+    from egolane_pgm.types import FloatArray
+
+Rectangle = tuple[int, int, int, int]
+
+
+@click.command()
+@click.option("--chessboards", metavar="GLOB", help="Pictures of a chessboard, for the lens.")
+@click.option(
+    "--board",
+    default="9x6",
+    show_default=True,
+    metavar="COLUMNSxROWS",
+    help="Inner corners of the chessboard.",
+)
+@click.option("--stills", metavar="GLOB", help="Pictures of a straight road: its lines are found.")
+@click.option("--lines", metavar="FILE", help="Labelled lines instead: TuSimple JSON lines.")
+@click.option(
+    "--lane-width", type=float, required=True, metavar="M", help="Of that road's lanes, metres."
+)
+@click.option(
+    "--first", type=click.IntRange(1), metavar="N", help="Only the first N stills or labels."
+)
+@click.option("--size", metavar="WxH", help="Of the labelled pictures, where they are not there.")
+@click.option(
+    "--field-of-view",
+    type=float,
+    metavar="DEGREES",
+    help="Horizontal, where there are no chessboards; 62 is assumed.",
+)
+@click.option("--roll", default=0.0, metavar="DEGREES", help="Clockwise; default 0.")
+@click.option(
+    "--lateral", default=0.0, metavar="M", help="Right of the vehicle's middle; default 0."
+)
+@click.option("--baseline", type=float, metavar="M", help="Of a rectified stereo pair.")
+@click.option(
+    "--ignore",
+    "rectangles",
+    multiple=True,
+    metavar="LEFT,TOP,RIGHT,BOTTOM",
+    help="Pixels that never show road (mirror, dashboard); kept in the YAML. Repeatable.",
+)
+@click.option("--ignore-below", type=click.IntRange(1), metavar="ROW", help="The same: bonnet.")
+@click.option("--seed", type=click.IntRange(0), default=0, show_default=True)
+@click.option(
+    "--picture",
+    type=click.Path(dir_okay=False),
+    metavar="PNG",
+    help="Draw lines, horizon and a grid of metres on a still.",
+)
+@click.option(
+    "-o",
+    "--out",
+    "target",
+    required=True,
+    type=click.Path(dir_okay=False),
+    metavar="FILE",
+    help="The camera's YAML.",
+)
+def calibrate(
+    chessboards: str | None,
+    board: str,
+    stills: str | None,
+    lines: str | None,
+    lane_width: float,
+    first: int | None,
+    size: str | None,
+    field_of_view: float | None,
+    roll: float,
+    lateral: float,
+    baseline: float | None,
+    rectangles: tuple[str, ...],
+    ignore_below: int | None,
+    seed: int,
+    picture: str | None,
+    target: str,
+) -> None:
+    """Find out how a camera sees the road: lens from chessboards, turn and height from lines."""
+    from dataclasses import replace
+
+    from egolane_pgm.calibration.drawing import check_picture_name
+    from egolane_pgm.calibration.straight_road import check_lane_width
+    from egolane_pgm.calibration.words import road_words
+    from egolane_pgm.camera.model import write_camera
+    from egolane_pgm.results import check_place
+    from egolane_pgm.types import InputError
+
+    check_lane_width(lane_width)
+    if (stills is None) == (lines is None):
+        raise InputError("give either --stills of a road or --lines with labels")
+    if chessboards and field_of_view is not None:
+        raise InputError("--field-of-view: goes without --chessboards, which measure the lens")
+    if size and not lines:
+        raise InputError("--size: goes with --lines; stills say their own size")
+    if picture:
+        check_picture_name(picture)
+    for place in (target, *([picture] if picture else [])):
+        _check_not_read(Path(place), [chessboards, stills], lines)
+        check_place(Path(place))
+    masks = tuple(_rectangle(text) for text in rectangles)
+    known = _known_size(_size(size, "--size") if size else None, stills, lines, first)
+    _check_masks(masks, known)
+    camera, words = _lens(chessboards, board, known, field_of_view)
+    if ignore_below is not None:
+        if ignore_below >= camera.height:
+            raise InputError(
+                f"--ignore-below: row {ignore_below} is not in a picture {camera.height} high"
+            )
+        masks = (*masks, (0, ignore_below, camera.width, camera.height))
+    camera = replace(camera, roll_deg=roll, lateral_m=lateral, baseline_m=baseline, ignore=masks)
+    if stills:
+        view, what, shown = _from_stills(camera, stills, first, lane_width, seed)
+    else:
+        view, what, shown = _from_labels(camera, str(lines), first, lane_width)
+    words += road_words(view, what)
+    if roll:
+        words.append(f"Roll: {roll:g} degrees, given.")
+    write_camera(target, view.camera, "\n".join(["Made by `egolane calibrate`.", *words]))
+    for line in words:
+        click.echo(line)
+    click.echo(f"written to {target}")
+    if picture:
+        _draw(view, shown, Path(picture))
+
+
+def _numbers(text: str, separator: str, n: int, option: str, example: str) -> tuple[int, ...]:
+    from egolane_pgm.types import InputError
+
+    parts = text.lower().split(separator)
+    if len(parts) != n or not all(part.strip().isdecimal() for part in parts):
+        raise InputError(f"{option}: '{text}' is not {example}")
+    return tuple(int(part) for part in parts)
+
+
+def _size(text: str, option: str) -> tuple[int, int]:
+    first, second = _numbers(text, "x", 2, option, "two whole numbers, e.g. 1280x720")
+    return first, second
+
+
+def _rectangle(text: str) -> Rectangle:
+    example = "left,top,right,bottom in pixels, e.g. 0,600,1280,720"
+    left, top, right, bottom = _numbers(text, ",", 4, "--ignore", example)
+    return left, top, right, bottom
+
+
+def _check_masks(masks: Sequence[Rectangle], size: tuple[int, int]) -> None:
+    """InputError for a rectangle that covers nothing of the pictures."""
+    from egolane_pgm.types import InputError
+
+    for mask in masks:
+        if mask[0] >= size[0] or mask[1] >= size[1]:
+            said = ",".join(map(str, mask))
+            raise InputError(f"--ignore: {said} is not in a picture of {size[0]}x{size[1]}")
+
+
+def _check_not_read(place: Path, patterns: Sequence[str | None], lines: str | None) -> None:
+    """InputError where a file that is read would be written over."""
+    from egolane_pgm.results import check_not_read
+
+    read = [Path(lines)] if lines else []
+    for pattern in filter(None, patterns):
+        read += [p for p in _matching_or_none(pattern) if p.name == place.name]
+    check_not_read(place, read)
+
+
+def _matching_or_none(pattern: str) -> list[Path]:
+    from egolane_pgm.calibration.pictures import matching
+    from egolane_pgm.types import InputError
+
+    try:
+        return matching(pattern)
+    except InputError:
+        return []
+
+
+def _known_size(
+    given: tuple[int, int] | None, stills: str | None, lines: str | None, first: int | None
+) -> tuple[int, int]:
+    """Width and height of the road's pictures; given: for labels whose pictures are not there."""
+    from egolane_pgm.calibration.labels import check_size, read_labels, size_of_pictures
+    from egolane_pgm.calibration.pictures import matching, readable, size_of
+    from egolane_pgm.types import InputError
+
+    if lines:
+        labels = read_labels(lines)[:first]
+        if given is None:
+            return size_of_pictures(labels, Path(lines))
+        check_size(given, labels, Path(lines))
+        return given
+    skipped: list[str] = []
+    for _, image in readable(matching(str(stills))[:first], skipped):
+        return size_of(image)
+    raise InputError(f"{stills}: no picture among {len(skipped)} files; {skipped[0]}")
+
+
+def _lens(
+    chessboards: str | None, board: str, size: tuple[int, int], field_of_view: float | None
+) -> tuple[Camera, list[str]]:
+    from egolane_pgm.calibration.chessboard import calibrate_lens
+    from egolane_pgm.calibration.straight_road import ASSUMED_FIELD_OF_VIEW, assumed_camera
+    from egolane_pgm.calibration.words import assumed_words, lens_words
+    from egolane_pgm.camera.model import Camera
+    from egolane_pgm.types import InputError
+
+    if not chessboards:
+        degrees = ASSUMED_FIELD_OF_VIEW if field_of_view is None else field_of_view
+        return assumed_camera(*size, degrees), assumed_words(degrees)
+    from egolane_pgm.calibration.pictures import matching
+
+    columns, rows = _size(board, "--board")
+    lens = calibrate_lens(_progress(matching(chessboards), "chessboards"), columns, rows)
+    _say_skipped(lens.skipped)
+    for name, rms in zip(lens.boards, lens.rms_px, strict=True):
+        click.echo(f"{name}: {rms:.2f} px RMS")
+    if (lens.width, lens.height) != size:
+        raise InputError(
+            f"the chessboards are {lens.width}x{lens.height}, the road's pictures {size[0]}x"
+            f"{size[1]}; both must come from one camera, uncropped"
+        )
+    camera = Camera(
+        lens.width,
+        lens.height,
+        lens.fx,
+        lens.fy,
+        lens.cx,
+        lens.cy,
+        height_m=1.0,
+        distortion=lens.distortion,
+    )
+    return camera, lens_words(lens, board)
+
+
+#: A view, the words for its lines, and per picture the points of its lines.
+Found = tuple["RoadView", str, "list[tuple[Path | None, list[FloatArray]]]"]
+
+
+def _from_stills(
+    camera: Camera, pattern: str, first: int | None, lane_width: float, seed: int
+) -> Found:
+    from egolane_pgm.calibration.pictures import matching
+    from egolane_pgm.calibration.road_lines import find_in_stills
+    from egolane_pgm.calibration.straight_road import view_from
+
+    paths = matching(pattern)[:first]
+    found = find_in_stills(camera, paths, seed, lambda paths: _progress(paths, "stills"))
+    _say_skipped(found.skipped)
+    view = view_from(camera, found.ahead, found.each, found.fits, lane_width, "stills")
+    n_lines = sum(len(lines) for lines in found.lines)
+    what = f"{n_lines} lines found in {len(found.paths)} stills"
+    return view, what, list(zip(found.paths, found.lines, strict=True))
+
+
+def _from_labels(camera: Camera, file: str, first: int | None, lane_width: float) -> Found:
+    from egolane_pgm.calibration.labels import label_picture, line_points, read_labels
+    from egolane_pgm.calibration.straight_road import view_of_road
+    from egolane_pgm.types import InputError
+
+    labels = read_labels(file)[:first]
+    frames = [line_points(frame) for frame in labels]
+    view = view_of_road(camera, frames, lane_width, file)
+    shown: list[tuple[Path | None, list[FloatArray]]] = []
+    for frame, points in zip(labels, frames, strict=True):
+        try:
+            shown.append((label_picture(frame, Path(file)), points))
+        except InputError:
+            shown.append((None, points))
+    n_lines = sum(len(lines) for lines in frames)
+    which = f"the first {len(labels)}" if first else f"{len(labels)}"
+    return view, f"{n_lines} lines of {which} labelled frames of {Path(file).name}", shown
+
+
+def _draw(view: RoadView, shown: list[tuple[Path | None, list[FloatArray]]], target: Path) -> None:
+    """On the picture whose lines run straightest ahead."""
+    from egolane_pgm.calibration.drawing import draw_view, straightness, write_picture
+    from egolane_pgm.calibration.pictures import read_picture
+
+    path, lines = min(shown, key=lambda one: (one[0] is None, straightness(view, one[1])))
+    if path is None:
+        click.echo("--picture: none of the labelled pictures is there to draw on", err=True)
+        return
+    write_picture(target, draw_view(read_picture(path), view, lines))
+    click.echo(f"{target}: drawn on {path.name}")
+
+
+def _progress(paths: Iterable[Path], what: str) -> Iterable[Path]:
+    from tqdm import tqdm
+
+    bar: Iterable[Path] = tqdm(paths, desc=what, unit="picture", leave=False, disable=None)
+    return bar
+
+
+def _say_skipped(skipped: tuple[str, ...]) -> None:
+    for line in skipped:
+        click.echo(f"skipped: {line}", err=True)

@@ -1,0 +1,276 @@
+"""The command `egolane run`: one experiment, or many in several processes."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable, Sequence
+from functools import partial
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import click
+
+if TYPE_CHECKING:
+    from egolane_pgm.experiment import Experiment
+    from egolane_pgm.run import Run
+    from egolane_pgm.run_many import Outcome
+
+
+def _recording_options(command: Callable[..., Any]) -> Callable[..., Any]:
+    for option in (
+        click.option(
+            "--recording",
+            "recordings",
+            multiple=True,
+            metavar="FILE",
+            help="Run on this recording instead; several times: on each of them.",
+        ),
+        click.option(
+            "--ground-truth", metavar="FILE|none", help="Annotation of the recording, if any."
+        ),
+        click.option("--n-lanes", type=int, help="Number of lanes of the road."),
+        click.option("--camera", metavar="FILE", help="Its camera, for a video or pictures."),
+        click.option("--detector", metavar="NAME|FILE.py", help="What looks at the video."),
+        click.option(
+            "--frame-id",
+            type=click.Choice(["way_id", "seq"]),
+            help="Which number of a bag's messages is the frame id.",
+        ),
+    ):
+        command = option(command)
+    return command
+
+
+@click.command()
+@click.argument("experiments", nargs=-1, required=True, type=click.Path(dir_okay=False))
+@click.option(
+    "--set",
+    "overrides",
+    multiple=True,
+    metavar="KEY=VALUE",
+    help="Override a key of the YAML, e.g. parameters.bonus_value=0.",
+)
+@_recording_options
+@click.option(
+    "--out",
+    type=click.Path(file_okay=False),
+    help="Result directory; of several runs, their folder.",
+)
+@click.option("--no-figures", is_flag=True, help="Draw nothing.")
+@click.option("--jobs", type=click.IntRange(1), default=1, show_default=True, help="Processes.")
+@click.option(
+    "--numpy", "use_numpy", is_flag=True, help="Use the plain NumPy twins of the kernels."
+)
+@click.option(
+    "--json",
+    "json_file",
+    type=click.Path(dir_okay=False),
+    metavar="FILE",
+    help="Write the unrounded numbers as JSON.",
+)
+def run(
+    experiments: tuple[str, ...],
+    overrides: tuple[str, ...],
+    recordings: tuple[str, ...],
+    ground_truth: str | None,
+    n_lanes: int | None,
+    frame_id: str | None,
+    camera: str | None,
+    detector: str | None,
+    out: str | None,
+    no_figures: bool,
+    jobs: int,
+    use_numpy: bool,
+    json_file: str | None,
+) -> None:
+    """Run experiments: filter the recording, score it, write a result directory.
+
+    Several EXPERIMENTS, or one on several recordings, share --jobs processes; each has its own
+    result directory, and one that fails does not stop the others.
+    """
+    from egolane_pgm.results import check_place
+    from egolane_pgm.types import InputError
+
+    if len(recordings) > 1 and (len(experiments) > 1 or ground_truth not in (None, "none")):
+        raise InputError(
+            "run: several --recording go with one experiment and no --ground-truth; write one"
+            " experiment per recording that has its own"
+        )
+    if "" in (*recordings, ground_truth, camera, out):
+        raise InputError("run: a file or folder that is named is empty (--recording, --out, ...)")
+    if json_file:
+        check_place(Path(json_file))
+    draw = None if no_figures else _draw_all
+    changes = (ground_truth, n_lanes, frame_id, camera, detector)
+    if len(experiments) == 1 and len(recordings) < 2:
+        recording = recordings[0] if recordings else None
+        chosen = _load(experiments[0], overrides, recording, *changes)
+        _run_one(chosen, Path(out) if out else None, draw, not use_numpy, json_file)
+        return
+    several = _named(experiments, recordings)
+    to_load = [
+        (title, partial(_load, path, overrides, recording, *changes, name=name))
+        for title, path, recording, name in several
+    ]
+    _run_many(to_load, Path(out or "results"), draw, not use_numpy, jobs, json_file)
+
+
+def _named(
+    experiments: Sequence[str], recordings: Sequence[str]
+) -> list[tuple[str, str, str | None, str | None]]:
+    """Title, experiment, recording and name of each of several runs. None for the name that it has
+    by itself; recordings that would have the same are called after their folders too, and one that
+    several experiments are run on after these (`*`). InputError for one that is named twice."""
+    from egolane_pgm.other_recording import as_name
+    from egolane_pgm.types import InputError
+
+    places = [os.path.realpath(recording) for recording in recordings]
+    for k, place in enumerate(places):
+        if place in places[:k]:
+            raise InputError(f"--recording {recordings[k]}: is named twice")
+    stems = [as_name(Path(recording).stem) for recording in recordings]
+    if len(experiments) > 1:
+        given, name = (recordings[0], f"{stems[0]}_*") if recordings else (None, None)
+        return [(path, path, given, name) for path in experiments]
+    folders = [Path(recording).absolute().parent.name for recording in recordings]
+    names = [
+        as_name(f"{folder}_{stem}") if stems.count(stem) > 1 else None
+        for folder, stem in zip(folders, stems, strict=True)
+    ]
+    return [
+        (given, experiments[0], given, name) for given, name in zip(recordings, names, strict=True)
+    ]
+
+
+def _load(
+    path: str,
+    overrides: Sequence[str],
+    recording: str | None,
+    ground_truth: str | None,
+    n_lanes: int | None,
+    frame_id: str | None,
+    camera: str | None,
+    detector: str | None,
+    name: str | None = None,
+) -> Experiment:
+    from egolane_pgm.experiment import load_experiment
+    from egolane_pgm.other_recording import with_recording
+
+    found = load_experiment(path, overrides)
+    changes = (recording, ground_truth, n_lanes, frame_id, camera, detector)
+    chosen = found if changes == (None,) * 6 else with_recording(found, *changes)
+    if name is None:
+        return chosen
+    return chosen.model_copy(update={"name": name.replace("*", found.name)})
+
+
+def _run_one(
+    chosen: Experiment,
+    out: Path | None,
+    draw: Callable[[Path], None] | None,
+    kernel: bool,
+    json_file: str | None,
+) -> None:
+    from egolane_pgm.results import SCHEMA_VERSION, check_not_read, check_writable, write_json
+    from egolane_pgm.run import run_experiment, save_run, summary
+
+    directory = out or Path("results") / chosen.name
+    check_writable(directory)
+    if json_file:
+        check_not_read(Path(json_file), _read_by(chosen))
+    done = run_experiment(chosen, kernel=kernel)
+    save_run(done, directory, draw)
+    # Before anything is printed: whoever reads it may stop reading.
+    if json_file:
+        write_json(Path(json_file), {"schema_version": SCHEMA_VERSION, **summary(done)})
+    _print_run(done)
+    click.echo(f"\nresult: {directory}")
+
+
+def _run_many(
+    to_load: Sequence[tuple[str, Callable[[], Experiment]]],
+    folder: Path,
+    draw: Callable[[Path], None] | None,
+    kernel: bool,
+    jobs: int,
+    json_file: str | None,
+) -> None:
+    from tqdm import tqdm
+
+    from egolane_pgm.report.tables import runs_table
+    from egolane_pgm.results import SCHEMA_VERSION, check_not_read, write_json
+    from egolane_pgm.run_many import plan_runs, run_all
+
+    # tqdm's monitor is a thread, and processes are forked.
+    tqdm.monitor_interval = 0
+    plan = plan_runs(to_load, folder)
+    if json_file:
+        chosen = [task.experiment for task in plan if task.experiment is not None]
+        check_not_read(Path(json_file), [file for each in chosen for file in _read_by(each)])
+    before = {task.directory: _inode(task.directory) for task in plan}
+    outcomes: list[Outcome] = []
+    try:
+        done = run_all(plan, jobs=jobs, draw=draw, kernel=kernel)
+        outcomes.extend(tqdm(done, total=len(plan), unit="run", leave=False, disable=None))
+    except KeyboardInterrupt:
+        # A directory that was written is another one than before.
+        written = sum(_inode(place) not in (None, was) for place, was in before.items())
+        click.echo(f"egolane: interrupted; {written} of {len(plan)} are in {folder}", err=True)
+        click.get_current_context().exit(130)
+    failed = [o for o in outcomes if o.error is not None]
+    if json_file:
+        document = {
+            "schema_version": SCHEMA_VERSION,
+            "runs": [{"result": str(o.directory), **o.summary} for o in outcomes if o.summary],
+            "failed": [{"experiment": o.title, "error": o.error} for o in failed],
+        }
+        write_json(Path(json_file), document)
+    for outcome in outcomes:
+        for note in (outcome.summary or {}).get("warnings", ()):
+            click.echo(f"warning: {outcome.title}: {note}", err=True)
+    click.echo(runs_table([o.summary for o in outcomes if o.summary is not None]))
+    click.echo(f"\nresults: {len(outcomes) - len(failed)} of {len(outcomes)} in {folder}")
+    for outcome in failed:
+        click.echo(f"failed: {outcome.title}: {outcome.error}", err=True)
+    if failed:
+        raise SystemExit(1)
+
+
+def _read_by(experiment: Experiment) -> list[Path]:
+    """The YAML of an experiment and the files that lie beside it, or are named in full."""
+    recording, truth = experiment.recording, experiment.ground_truth
+    names = (recording.path, recording.right, recording.camera, truth.path if truth else None)
+    return [Path(experiment.source), *(experiment.folder / name for name in names if name)]
+
+
+def _inode(directory: Path) -> int | None:
+    return directory.stat().st_ino if directory.is_dir() else None
+
+
+def _draw_all(directory: Path) -> None:
+    from egolane_pgm.report.draw import draw_standard
+
+    draw_standard(directory)
+
+
+def _print_run(done: Run) -> None:
+    from egolane_pgm.report.tables import TUNED_ON, confusion_table, scores_table
+
+    for note in done.notes:
+        click.echo(f"warning: {note}", err=True)
+    experiment = done.experiment
+    click.echo(
+        f"{experiment.name}: {len(done.beliefs)} frames, {experiment.n_lanes} lanes,"
+        f" graph {experiment.graph}, mean log evidence {done.beliefs.mean_log_evidence:.4f}"
+    )
+    if not experiment.is_causal:
+        later = "all later" if experiment.lag is None else f"the next {experiment.lag}"
+        click.echo(f"{experiment.filter}: not causal, a frame's belief uses {later} frames too")
+    if not done.scores:
+        click.echo("no ground truth: beliefs only, no scores (--ground-truth names a file)")
+        return
+    click.echo(f"{done.scores['model']['frames_scored']} frames scored (crossing ones are not);")
+    click.echo(f"parameters: {TUNED_ON[experiment.tuned_on]}\n")
+    click.echo(scores_table(done.scores))
+    for name, scores in done.scores.items():
+        click.echo("\n" + confusion_table(scores["confusion"], name))

@@ -1,0 +1,311 @@
+"""The commands of `egolane` that show a drive: video and lines."""
+
+from __future__ import annotations
+
+import os
+from collections import deque
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import click
+
+if TYPE_CHECKING:
+    from egolane_pgm.camera.model import Camera
+    from egolane_pgm.camera.pictures import Source
+    from egolane_pgm.detectors import FrameLines, Picture
+    from egolane_pgm.experiment import Experiment
+    from egolane_pgm.report.video import Scene
+    from egolane_pgm.types import LaneTruth, LineLog
+
+
+@click.command()
+@click.argument("pictures")
+@click.option("--camera", "camera_file", required=True, metavar="FILE", help="The camera's YAML.")
+@click.option(
+    "--detector",
+    metavar="NAME|FILE.py",
+    help="What looks at the pictures; `egolane ls` lists them.  [default: the experiment's, or ml]",
+)
+@click.option(
+    "--lines",
+    "lines_file",
+    metavar="FILE",
+    help="Draw this recording of lines instead of what a detector sees.",
+)
+@click.option("--right", "right_pictures", metavar="PICTURES", help="Those of the second camera.")
+@click.option(
+    "--experiment",
+    "experiment_file",
+    type=click.Path(dir_okay=False),
+    metavar="X.yaml",
+    help="Evidence, graph, filter and parameters.  [default: position in lane, no labels needed]",
+)
+@click.option("--n-lanes", type=click.IntRange(1), help="Number of lanes of the road.")
+@click.option("--truth", "truth_file", metavar="FILE", help="The annotated lanes, where known.")
+@click.option("--frames", type=(int, int), metavar="FIRST STOP", help="Frame ids, STOP left out.")
+@click.option(
+    "--frame-rate",
+    type=click.FloatRange(0.1, 1000),
+    help="Frames per second.  [default: the video's]",
+)
+@click.option(
+    "-o",
+    "--out",
+    "target",
+    required=True,
+    type=click.Path(),
+    metavar="OUT.mp4|DIR",
+    help="The video, or a folder for PNG pictures.",
+)
+def video(
+    pictures: str,
+    camera_file: str,
+    detector: str | None,
+    lines_file: str | None,
+    right_pictures: str | None,
+    experiment_file: str | None,
+    n_lanes: int | None,
+    truth_file: str | None,
+    frames: tuple[int, int] | None,
+    frame_rate: float | None,
+    target: str,
+) -> None:
+    """Draw a drive: PICTURES (a video, a folder or a 'glob*.jpg') with the lines on them, the
+    bird's-eye view, the belief over the lanes, and the truth where it is known.
+
+    What was drawn before Ctrl-C, or before a picture that cannot be used, is kept.
+    """
+    from tqdm import tqdm
+
+    from egolane_pgm.camera.model import read_camera
+    from egolane_pgm.camera.pictures import open_source, read_pictures
+    from egolane_pgm.camera.writing import NotKeptError
+    from egolane_pgm.recordings.ground_truth import read_ground_truth
+    from egolane_pgm.report.video import draw_frame, frame_writer, layout
+    from egolane_pgm.types import InputError
+
+    if not target:
+        raise InputError("--out: is empty; name a video (.mp4) or a folder")
+    if frames is not None and frames[0] >= frames[1]:
+        raise InputError(f"--frames {frames[0]} {frames[1]}: is an empty range")
+    if lines_file and (detector or right_pictures):
+        wrong = "--detector" if detector else "--right"
+        raise InputError(f"{wrong}: does not go with --lines, whose lines are drawn as they are")
+    camera = read_camera(camera_file)
+    source = open_source(pictures)
+    right = open_source(right_pictures) if right_pictures else None
+    _check_target(Path(target), [source, *([right] if right else [])])
+    experiment = _experiment(experiment_file, n_lanes, frame_rate or source.frame_rate)
+    truth = read_ground_truth(truth_file) if truth_file else None
+    if truth is not None:
+        truth.check_lanes(experiment.n_lanes)
+    seen = tqdm(
+        read_pictures(source, camera, right, frames),
+        unit="frame",
+        total=None if frames else source.n_frames,
+        leave=False,
+        disable=None,
+    )
+    pairs: Iterator[tuple[Picture, FrameLines]]
+    if lines_file:
+        lines = _recorded(lines_file, camera, source, experiment)
+        pairs = ((picture, lines(picture.frame_id)) for picture in seen)
+    else:
+        pairs = _detected(seen, camera, detector, right is not None, experiment)
+    places = layout(camera)
+    n_drawn = 0
+    try:
+        with frame_writer(target, experiment.recording.frame_rate, places.size) as write:
+            for picture, scene in _scenes(pairs, experiment, truth, pictures):
+                write(picture.frame_id, draw_frame(places, picture.image, scene))
+                n_drawn += 1
+    except NotKeptError:
+        raise
+    except InputError as error:
+        if not n_drawn or not Path(target).exists():
+            raise
+        raise InputError(f"{error}; the {n_drawn} frames before are in {target}") from None
+    except KeyboardInterrupt:
+        click.echo(f"egolane: interrupted; {n_drawn} frames are in {target}", err=True)
+        click.get_current_context().exit(130)
+    finally:
+        seen.close()
+    click.echo(f"{target}: {n_drawn} frames")
+
+
+def _check_target(target: Path, sources: Sequence[Source]) -> None:
+    """InputError where drawing would write over the pictures, or among them."""
+    from egolane_pgm.types import InputError
+
+    for source in sources:
+        taken = {os.path.realpath(file) for file in source.files}
+        if not source.is_video:
+            taken |= {os.path.dirname(file) for file in taken}
+        # Not `resolve`, which ends in an error of its own where a link leads to itself.
+        if os.path.realpath(target) in taken:
+            raise InputError(f"{target}: has the pictures that are drawn; name another place (-o)")
+
+
+def _experiment(file: str | None, n_lanes: int | None, frame_rate: float | None) -> Experiment:
+    """The experiment that says how lines become a belief; its own recording is not looked at."""
+    from egolane_pgm.experiment import load_experiment, make_experiment
+    from egolane_pgm.paper import experiments_folder
+    from egolane_pgm.types import InputError
+
+    found = load_experiment(file or experiments_folder() / "zero_label.yaml")
+    if file is None and n_lanes is None:
+        raise InputError("--n-lanes: say how many lanes the road has")
+    content = found.model_dump()
+    if frame_rate is not None:
+        content["recording"]["frame_rate"] = frame_rate
+    if n_lanes is not None:
+        content["n_lanes"] = n_lanes
+    return make_experiment(content, found.folder, found.source)
+
+
+def _detected(
+    pictures: Any,
+    camera: Camera,
+    name: str | None,
+    has_right: bool,
+    experiment: Experiment,
+) -> Iterator[tuple[Picture, FrameLines]]:
+    """Each picture with the lines that the detector sees in it."""
+    from egolane_pgm.detectors.runner import check_pair, detect, find_detector
+
+    recording = experiment.recording
+    is_own = name is None and recording.detector is not None
+    chosen = name or recording.detector or "ml"
+    given = recording.detector_parameters if is_own or chosen == recording.detector else {}
+    base = experiment.folder if is_own else Path.cwd()
+    detector = find_detector(chosen, given, base, "--detector", "recording.detector_parameters")
+    check_pair(detector, camera, has_right, "--right")
+    pictures.set_description(chosen)
+    # The detector is asked for one picture after the other, so that this is always its latest.
+    latest: deque[Picture] = deque(maxlen=1)
+
+    def remembered() -> Iterator[Picture]:
+        for picture in pictures:
+            latest.append(picture)
+            yield picture
+
+    for _, lines in detect(detector, camera, remembered()):
+        yield latest[0], lines
+
+
+def _recorded(file: str, camera: Camera, source: Source, experiment: Experiment) -> Any:
+    """A function from a frame id to the recorded lines, drawn straight ahead: a recording has
+    offsets only."""
+    import numpy as np
+
+    from egolane_pgm.detectors import FrameLines
+    from egolane_pgm.types import InputError
+
+    log = _read_log(file, camera, experiment.recording.frame_rate)
+    if source.frame_id is not None and not np.isin(source.frame_id, log.frame_id).any():
+        raise InputError(
+            f"{file}: no frame of it is a picture's: its frames are {log.frame_id[0]} to"
+            f" {log.frame_id[-1]}, the pictures {source.frame_id[0]} to {source.frame_id[-1]}"
+        )
+    at = {int(frame_id): k for k, frame_id in enumerate(log.frame_id)}
+
+    def lines(frame_id: int) -> FrameLines:
+        k = at.get(frame_id, 0)
+        offset = log.offset_m[k]
+        # An offset of exactly 0 is what some detectors write where there is no line; a valid one is
+        # a line under the car, which the evidence rules count too.
+        is_line = np.isfinite(offset) & ((offset != 0) | log.is_valid[k]) & (frame_id in at)
+        order = np.argsort(np.where(is_line, offset, np.inf), kind="stable")[: is_line.sum()]
+        shape = np.zeros((len(order), 4))
+        shape[:, 0] = offset[order]
+        return FrameLines(
+            shape, log.is_valid[k][order], log.is_continuous[k][order], log.lri[k][order]
+        )
+
+    return lines
+
+
+def _scenes(
+    pairs: Iterator[tuple[Picture, FrameLines]],
+    experiment: Experiment,
+    truth: LaneTruth | None,
+    source: str,
+) -> Iterator[tuple[Picture, Scene]]:
+    """Each picture with what is known of it; a filter that waits keeps so many pictures."""
+    import numpy as np
+
+    from egolane_pgm.detectors import as_log
+    from egolane_pgm.online import filter_logs
+    from egolane_pgm.report.video import Scene
+
+    rate = experiment.recording.frame_rate
+    waiting: deque[tuple[Picture, FrameLines]] = deque()
+
+    def logs() -> Iterator[LineLog]:
+        for picture, lines in pairs:
+            waiting.append((picture, lines))
+            where = f"{source}: frame {picture.frame_id}"
+            yield as_log([(picture.frame_id, lines)], rate, where)
+
+    at = {} if truth is None else {int(f): k for k, f in enumerate(truth.frame_id)}
+    for answer in filter_logs(experiment, logs()):
+        picture, lines = waiting.popleft()
+        k = at.get(picture.frame_id)
+        yield (
+            picture,
+            Scene(
+                frame_id=picture.frame_id,
+                time_s=answer["time_s"],
+                lines=lines,
+                belief=np.array(list(answer["beliefs"]["Lane"].values())),
+                assigned=answer["assigned_lane"],
+                truth=None if truth is None or k is None else int(truth.lane[k]),
+                is_crossing=truth is not None and k is not None and bool(truth.is_crossing[k]),
+            ),
+        )
+
+
+def _read_log(file: str, camera: Camera | str | None, frame_rate: float | None) -> LineLog:
+    """A recording of lines; the camera is handed to formats whose lines are in pixels."""
+    from egolane_pgm.recordings import format_of, needs_camera, read_lines
+
+    options: dict[str, Any] = {} if frame_rate is None else {"frame_rate": frame_rate}
+    if needs_camera(format_of(file)):
+        options["camera"] = camera
+    return read_lines(file, **options)
+
+
+@click.command()
+@click.argument("recording", type=click.Path())
+@click.option("--frame", "frame_id", type=int, required=True, help="The frame's id.")
+@click.option("--camera", metavar="FILE", help="The camera's YAML, for lines given in pixels.")
+@click.option(
+    "--set",
+    "overrides",
+    multiple=True,
+    metavar="KEY=VALUE",
+    help="Override a key of the experiment.",
+)
+def lines(recording: str, frame_id: int, camera: str | None, overrides: tuple[str, ...]) -> None:
+    """The lines of one frame, laid out as in the paper's Box 1.
+
+    RECORDING is a recording of lines, or the YAML of an experiment: then its own.
+    """
+    from egolane_pgm.experiment import load_experiment
+    from egolane_pgm.loading import load_recording
+    from egolane_pgm.recordings import format_of, needs_camera
+    from egolane_pgm.report.box import box_text
+    from egolane_pgm.types import InputError
+
+    if Path(recording).suffix.lower() in (".yaml", ".yml"):
+        if camera is not None:
+            raise InputError("--camera: an experiment names its own; --set recording.camera=FILE")
+        log = load_recording(load_experiment(recording, overrides)).log
+    elif overrides:
+        raise InputError("--set: goes with an experiment")
+    elif camera is not None and not needs_camera(format_of(recording)):
+        raise InputError(f"--camera: the lines of {recording} are in metres, they need no camera")
+    else:
+        log = _read_log(recording, camera, None)
+    click.echo(box_text(log, frame_id))

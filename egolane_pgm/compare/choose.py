@@ -1,0 +1,314 @@
+"""`fit: choose`: constants from a grid, chosen without the frames that are scored.
+
+For block b of a recording every setting of the grid is tried on all recordings of the experiment's
+`choice`, the own one included: on each stretch of road c with what is learned without c; on the
+drive that b belongs to, also without b, whose stretch is left out in every recording of it. With
+`choice.objective: accuracy` a frame's loss is 1 where another lane than the true one is assigned,
+or none (by `unassigned_below` too, as the scores count); with `log_loss` it is -ln P(true lane), at
+most -ln FLOOR: more says how sure a wrong belief was, not how often one is wrong.
+
+The setting of least mean loss is chosen. With `choice.cautious` an earlier value of that parameter
+is kept where its best setting is worse by no more than one standard error, of the least mean loss
+(Breiman et al. 1984, the 1 SE rule) or of the paired difference (`choice.error_of`), over the
+stretches of road: recordings of one stretch share its luck. Of many settings the best looks better
+than it is, which the error of a difference does not know.
+"""
+
+from __future__ import annotations
+
+import itertools
+import math
+import warnings
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from egolane_pgm.compare.placing import (
+    Found,
+    believe,
+    drive_key,
+    load_for_scoring,
+    on_recordings,
+    on_stretch,
+    recording_key,
+    stretch,
+)
+from egolane_pgm.experiment import Experiment
+from egolane_pgm.learn import fit as learn_from
+from egolane_pgm.learn import with_found
+from egolane_pgm.model import Model, declared_parameters, prepare_model
+from egolane_pgm.parallel import in_processes
+from egolane_pgm.scoring.assign import assigned_lane
+from egolane_pgm.scoring.bootstrap import blocks
+from egolane_pgm.tune.objective import Drive, fitted_frames
+from egolane_pgm.types import FloatArray, InputError, IntArray, resolve_parameters
+
+#: P(true lane) counts as this where it is less.
+FLOOR = 0.01
+
+
+def _is_wrong(belief: FloatArray, lane: IntArray, unassigned_below: float) -> FloatArray:
+    return np.asarray(assigned_lane(belief, unassigned_below) != lane, dtype=np.float64)
+
+
+def _capped_log_loss(belief: FloatArray, lane: IntArray, _: float) -> FloatArray:
+    return np.asarray(-np.log(np.maximum(belief[np.arange(len(lane)), lane - 1], FLOOR)))
+
+
+#: The loss of each frame (K,) of a belief (K, n), the true lanes (K,) and `unassigned_below`, by
+#: objective.
+LOSSES: Mapping[str, Callable[[FloatArray, IntArray, float], FloatArray]] = {
+    "accuracy": _is_wrong,
+    "log_loss": _capped_log_loss,
+}
+
+Setting = Mapping[str, Any]
+
+
+@dataclass(frozen=True)
+class Task:
+    """A recording on which settings are tried. experiment: the model on it. stretches: the first
+    and last frame id of each block, over all recordings of the drive. is_target: blocks of this
+    drive are scored. is_alone: and of no other drive."""
+
+    experiment: Experiment
+    stretches: tuple[tuple[int, int], ...]
+    is_target: bool
+    is_alone: bool
+
+    @property
+    def key(self) -> str:
+        """The same for tasks that come to the same."""
+        unused: dict[str, Any] = {"name": True, "description": True}
+        unused["choice"] = {"objective", "cautious", "error_of"}
+        content = self.experiment.model_dump(exclude=unused)
+        folder = str(self.experiment.folder.absolute())
+        return repr((content, folder, self.stretches, self.is_target, self.is_alone))
+
+
+@dataclass(frozen=True)
+class Losses:
+    """Of S settings on one recording. drive: which it is of (`drives.drive_key`). sums (S, B, B),
+    by objective: [s, b, c] is the loss, summed over the frames of stretch c that are not in b, with
+    what was learned without both (b = c: without c). frames (B, B): how many these are."""
+
+    drive: str
+    sums: Mapping[str, FloatArray]
+    frames: IntArray
+
+
+#: What each recording of an experiment's choice came to, by `experiment_key`.
+Known = Mapping[str, Sequence[Losses]]
+
+
+def experiment_key(experiment: Experiment) -> str:
+    """Which experiment on which recording."""
+    return repr((experiment.source, experiment.name, recording_key(experiment)))
+
+
+def settings_of(experiment: Experiment) -> list[dict[str, Any]]:
+    """Every setting of the grid, the last parameter fastest. Raises InputError without a grid."""
+    if experiment.choice is None:
+        raise InputError(f"{experiment.source}: fit: choose needs choice.grid, what to choose from")
+    grid = experiment.choice.grid
+    return [dict(zip(grid, values, strict=True)) for values in itertools.product(*grid.values())]
+
+
+def plan(
+    experiments: Iterable[Experiment], n_blocks: int, *, is_held_out: bool = True
+) -> dict[str, list[Task]]:
+    """What is to be tried for each of the experiments that say `fit: choose`, by `experiment_key`;
+    tasks of the same `key` need to be done once only. Reads the recordings. is_held_out: False for
+    one choice with the help of every block. Raises InputError as the recordings do, and for a grid
+    that does not go with the experiment."""
+    chosen = [e for e in experiments if e.fit == "choose"]
+    drives: dict[str, Drive] = {}
+    pools: list[list[Experiment]] = []
+    for own in chosen:
+        _check_grid(own)
+        assert own.choice is not None
+        pool = {recording_key(own): own}
+        for other in on_recordings(own, own.choice.recordings, "choice.recordings"):
+            pool.setdefault(recording_key(other), other)
+        pools.append(list(pool.values()))
+        for key, experiment in pool.items():
+            if key not in drives:
+                drives[key] = load_for_scoring(experiment)
+    targets = {drive_key(own) for own in chosen if is_held_out}
+    tasks = {}
+    for own, members in zip(chosen, pools, strict=True):
+        ends: dict[str, list[tuple[int, int]]] = {}
+        for experiment in members:
+            drive = drives[recording_key(experiment)]
+            mine = [stretch(drive, part) for part in blocks(len(drive), n_blocks)]
+            known = ends.setdefault(drive_key(experiment), mine)
+            ends[drive_key(experiment)] = [
+                (min(a, c), max(b, d)) for (a, b), (c, d) in zip(known, mine, strict=True)
+            ]
+        tasks[experiment_key(own)] = [
+            Task(
+                experiment,
+                tuple(ends[drive_key(experiment)]),
+                drive_key(experiment) in targets,
+                targets == {drive_key(experiment)},
+            )
+            for experiment in members
+        ]
+    return tasks
+
+
+def _check_grid(experiment: Experiment) -> None:
+    settings = settings_of(experiment)
+    model = prepare_model(experiment)
+    specs = declared_parameters(model.rule, model.graph)
+    for setting in settings:
+        resolve_parameters(specs, setting, model.n_lanes, f"{experiment.source}: choice.grid")
+
+
+def known_losses(tasks: Mapping[str, Sequence[Task]], done: Mapping[str, Losses]) -> Known:
+    """What was planned, done: losses by the key of a task."""
+    return {key: [done[task.key] for task in mine] for key, mine in tasks.items()}
+
+
+def distinct(tasks: Mapping[str, Sequence[Task]]) -> dict[str, Task]:
+    """The tasks that have to be done, by their keys."""
+    return {task.key: task for mine in tasks.values() for task in mine}
+
+
+def try_all(tasks: Sequence[Task], jobs: int = 1) -> Iterator[Losses]:
+    """The losses of each task, in order. jobs: processes that share them."""
+    return in_processes(losses_of, tasks, jobs)
+
+
+def losses_of(task: Task) -> Losses:
+    """Every setting on one recording."""
+    drive = load_for_scoring(task.experiment)
+    truth, n_stretches = drive.truth, len(task.stretches)
+    inside = [on_stretch(drive, ends) for ends in task.stretches]
+    may_fit = fitted_frames(drive)
+    settings = settings_of(task.experiment)
+    shape = (len(settings), n_stretches, n_stretches)
+    sums = {objective: np.zeros(shape) for objective in LOSSES}
+    frames = np.zeros((n_stretches, n_stretches), dtype=np.int64)
+    tried = _Tried(drive, settings)
+    for b, c in itertools.combinations_with_replacement(range(n_stretches), 2):
+        # On the drive that is scored one stretch is left out for that, another to try it on.
+        is_needed = not task.is_alone if b == c else task.is_target
+        train = np.flatnonzero(may_fit & ~inside[b] & ~inside[c])
+        if not is_needed:
+            continue
+        if not len(train):
+            raise InputError(
+                f"{task.experiment.source}: blocks {b + 1} and {c + 1}: no frame is left to learn"
+                " from; take more blocks, or exclude fewer frames"
+            )
+        loss = tried.losses(train)
+        for without, on in {(b, c), (c, b)}:
+            is_scored = may_fit & ~truth.is_crossing & inside[on]
+            if without != on:
+                is_scored &= ~inside[without]
+            for objective, values in loss.items():
+                sums[objective][:, without, on] = values[:, is_scored].sum(axis=1)
+            frames[without, on] = np.count_nonzero(is_scored)
+    return Losses(drive_key(task.experiment), sums, frames)
+
+
+class _Tried:
+    """The settings on one drive. Kept are the losses with what each has learned last: where nothing
+    is learned, it is always the same."""
+
+    def __init__(self, drive: Drive, settings: Sequence[Setting]) -> None:
+        self.drive = drive
+        experiment = drive.experiment
+        self.models = [with_found(drive.model, setting, experiment) for setting in settings]
+        self.last: dict[int, tuple[str, list[FloatArray]]] = {}
+
+    def losses(self, train: IntArray) -> dict[str, FloatArray]:
+        """(S, K) by objective: of each setting in each annotated frame, learned from the frames
+        `train`."""
+        experiment = self.drive.experiment
+        known: dict[str, Found] = {}
+        losses: list[list[FloatArray]] = []
+        for s, model in enumerate(self.models):
+            found: Found = {}
+            if learns(model, experiment):
+                ignored = getattr(model.rule, "FIT_IGNORES", ())
+                key = repr({k: v for k, v in model.parameters.items() if k not in ignored})
+                if key not in known:
+                    known[key] = self._learned(model, train)
+                found = known[key]
+            what = repr(found)
+            if s not in self.last or self.last[s][0] != what:
+                self.last[s] = what, self._losses(with_found(model, found, experiment))
+            losses.append(self.last[s][1])
+        return {name: np.stack([each[k] for each in losses]) for k, name in enumerate(LOSSES)}
+
+    def _learned(self, model: Model, train: IntArray) -> Found:
+        # Which lanes were not seen is said where what is learned is used.
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", UserWarning)
+            return learn_from(model, self.drive.recorded, train, self.drive.experiment)
+
+    def _losses(self, model: Model) -> list[FloatArray]:
+        drive = self.drive
+        beliefs, _ = believe(drive, model, slice(None))
+        belief = beliefs.lane[drive.recorded.scored]
+        below = drive.experiment.unassigned_below
+        return [of(belief, drive.truth.lane, below) for of in LOSSES.values()]
+
+
+def learns(model: Model, experiment: Experiment) -> bool:
+    """Whether anything is learned beside what is chosen: by an evidence rule that can be learned,
+    or, where the experiment says how (`learning`), the tables of the graph."""
+    return hasattr(model.rule, "fit") or experiment.learning is not None
+
+
+def choose(losses: Sequence[Losses], own_drive: str, block: int, experiment: Experiment) -> int:
+    """The number of the setting that is chosen for a block of a recording of a drive."""
+    choice = experiment.choice
+    assert choice is not None
+    sums, n_frames = _clusters(losses, choice.objective, own_drive, block)
+    total = sums.sum(axis=0)
+    best = int(total.argmin())
+    if choice.cautious is None or len(sums) < 2:
+        return best
+    sizes = [len(values) for values in choice.grid.values()]
+    level = np.unravel_index(np.arange(len(total)), sizes)[list(choice.grid).index(choice.cautious)]
+    for value in range(int(level[best])):
+        rival = int(np.where(level == value, total, np.inf).argmin())
+        worse = (sums[:, rival] - sums[:, best]) / n_frames
+        of = worse if choice.error_of == "difference" else sums[:, best] / n_frames
+        if float(worse.sum()) <= math.sqrt(len(of)) * float(of.std(ddof=1)):
+            return rival
+    return best
+
+
+def chosen_on_all(experiment: Experiment, losses: Sequence[Losses]) -> Experiment:
+    """The experiment with the constants that are best on all blocks of all recordings, to learn
+    with. losses: of the tasks that are not held out."""
+    setting = settings_of(experiment)[choose(losses, "", 0, experiment)]
+    changes = {"fit": "learn", "parameters": {**experiment.parameters, **setting}}
+    return experiment.model_copy(update=changes)
+
+
+def _clusters(
+    losses: Sequence[Losses], objective: str, own_drive: str, block: int
+) -> tuple[FloatArray, int]:
+    """(C, S): the summed losses on each stretch of road that may be looked at, over the recordings
+    of it; and the number of frames."""
+    sums: dict[tuple[str, int], FloatArray] = {}
+    n_frames = 0
+    for one in losses:
+        for c in range(one.frames.shape[0]):
+            is_own = one.drive == own_drive
+            if is_own and c == block:
+                continue
+            without = block if is_own else c
+            key = (one.drive, c)
+            sums[key] = sums.get(key, 0.0) + one.sums[objective][:, without, c]
+            n_frames += int(one.frames[without, c])
+    if not n_frames:
+        raise InputError(f"block {block + 1}: no frame is left to choose on")
+    return np.stack(list(sums.values())), n_frames

@@ -1,0 +1,125 @@
+"""`learned_on`: parameters learned on other recordings than the one that is scored, one or several
+pooled, without the stretch of road that is scored where they are of the same drive."""
+
+from __future__ import annotations
+
+import itertools
+import re
+from collections.abc import Callable, Sequence
+from pathlib import Path
+
+import numpy as np
+
+from egolane_pgm.compare.placing import (
+    Found,
+    drive_key,
+    load_for_scoring,
+    on_recordings,
+    on_stretch,
+    recording_key,
+    stretch,
+)
+from egolane_pgm.experiment import Experiment
+from egolane_pgm.learn import fit as learn_from
+from egolane_pgm.model import declared_parameters
+from egolane_pgm.paper import paper_experiment, parse_runs
+from egolane_pgm.plugins import plugin_errors
+from egolane_pgm.scoring.bootstrap import blocks
+from egolane_pgm.tune.objective import Drive, fitted_frames
+from egolane_pgm.types import InputError, IntArray, resolve_parameters
+
+
+def learned_elsewhere(
+    models: Sequence[Experiment], sources: Sequence[str], on_runs: bool
+) -> list[Experiment]:
+    """Each model once for each source: runs of the paper (`1-4`), or experiments, YAML files with
+    commas between them. on_runs: every model is put on every recording.
+
+    They are named after the source, and after the model where it shares a recording. Raises
+    InputError for a file that is not there.
+    """
+    keys = [recording_key(model) for model in models]
+    is_shared = len(models) > 1 if on_runs else len(set(keys)) < len(keys)
+    found = []
+    for model, source in itertools.product(models, sources):
+        words = [word.strip() for word in source.split(",") if word.strip()]
+        if words and all(re.fullmatch(r"\d+(-\d+)?", word) for word in words):
+            paths = [paper_experiment(number) for number in parse_runs(source)]
+            label = f"run_{'_'.join(words)}"
+        else:
+            paths = [Path(word) for word in words]
+            label = "_".join(path.stem for path in paths)
+        for path in paths:
+            if not path.is_file():
+                raise InputError(f"--learned-on: {path}: no such file")
+        if not paths:
+            raise InputError("--learned-on: names nothing; write runs, 1-4, or YAML files")
+        name = f"{model.name}_on_{label}" if is_shared else f"on_{label}"
+        learned_on = tuple(str(path.absolute()) for path in paths)
+        changes = {"name": name, "fit": "learn", "learned_on": learned_on}
+        found.append(model.model_copy(update=changes))
+    return found
+
+
+def learner_elsewhere(drive: Drive, n_blocks: int) -> Callable[[IntArray], Found]:
+    """A fit for `validation.held_out`, for its blocks in order. Raises InputError for recordings
+    that cannot be read, of another number of lanes, or without a frame to learn from."""
+    experiment = drive.experiment
+    others = [
+        load_for_scoring(other)
+        for other in on_recordings(experiment, experiment.learned_on, "learned_on")
+    ]
+    for other in others:
+        if other.n_lanes != drive.n_lanes:
+            raise InputError(
+                f"{experiment.source}: learned_on: {other.recorded.log.source} has"
+                f" {other.n_lanes} lanes, what is scored has {drive.n_lanes}"
+            )
+    parts = iter(blocks(len(drive), n_blocks))
+
+    def fit(train: IntArray) -> Found:
+        ends = stretch(drive, next(parts))
+        trains = []
+        for other in others:
+            is_used = fitted_frames(other)
+            if drive_key(other.experiment) == drive_key(experiment):
+                is_used &= ~on_stretch(other, ends)
+            trains.append(np.flatnonzero(is_used))
+        if not any(len(frames) for frames in trains):
+            raise InputError(f"{experiment.source}: learned_on: no frame is left to learn from")
+        return learn_pooled(others, trains)
+
+    return fit
+
+
+def learn_pooled(drives: Sequence[Drive], trains: Sequence[IntArray]) -> Found:
+    """What is learned from the annotated frames `trains` of each drive, all of one model. Raises
+    InputError for several drives where the evidence rule has no `fit_pooled`."""
+    first = drives[0]
+    rule, experiment = first.model.rule, first.experiment
+    if len(drives) == 1:
+        return learn_from(first.model, first.recorded, trains[0], experiment)
+    if not hasattr(rule, "fit_pooled"):
+        raise InputError(
+            f"{experiment.source}: learned_on: the evidence rule {experiment.evidence} learns from"
+            " one recording, it has no fit_pooled"
+        )
+    specs = declared_parameters(rule, first.model.graph)
+    given = {k: v for k, v in first.model.parameters.items() if k not in rule.LEARNED}
+    start = resolve_parameters(specs, given, first.n_lanes, f"{experiment.source}: parameters")
+    parts = [labelled(drive, train) for drive, train in zip(drives, trains, strict=True)]
+    with plugin_errors(rule, "evidence"):
+        found: Found = rule.fit_pooled(parts, first.n_lanes, start)
+    return found
+
+
+def labelled(drive: Drive, train: IntArray) -> tuple[object, IntArray, np.ndarray]:
+    """The log, the lane of each of its T frames (0 where it must not be looked at), and which
+    frames are learned from: annotated ones among `train`, crossing ones left out."""
+    train = train[~drive.truth.is_crossing[train]]
+    lane = np.zeros(len(drive.recorded.log), dtype=np.int64)
+    is_used = np.zeros(len(lane), dtype=bool)
+    frames = drive.recorded.scored[train]
+    lane[frames] = drive.truth.lane[train]
+    is_used[frames] = True
+    return drive.recorded.log, lane, is_used

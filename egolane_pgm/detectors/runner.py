@@ -1,0 +1,137 @@
+"""A detector over the pictures of a drive: the plugin, checked, and its lines collected."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Iterable, Iterator, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from types import ModuleType
+from typing import Any
+
+import numpy as np
+
+from egolane_pgm.camera.model import Camera
+from egolane_pgm.detectors import FrameLines, Picture, Step, as_log
+from egolane_pgm.plugins import load_plugin, plugin_errors
+from egolane_pgm.types import InputError, LineLog, Value, resolve_parameters
+
+#: So many frames are collected one by one before they are packed into arrays.
+_PACK = 1000
+
+
+@dataclass(frozen=True)
+class Detector:
+    """A detector's module and the values of its parameters, checked. where: for messages."""
+
+    name: str
+    module: ModuleType
+    parameters: Mapping[str, Value]
+    where: str
+
+    @property
+    def is_stereo(self) -> bool:
+        """Whether it needs the pictures of two cameras."""
+        return bool(self.module.STEREO)
+
+
+def find_detector(
+    name: str, given: Mapping[str, Any], base: Path, where: str, given_by: str | None = None
+) -> Detector:
+    """The detector of a name, or of a file relative to `base`, with its parameters.
+
+    Raises InputError starting with `where` for an unknown name, and with `given_by` (default: the
+    key beside `where`) for an unknown parameter or value.
+    """
+    module = load_plugin("detectors", name, base, where)
+    specs = getattr(module, "PARAMETERS", ())
+    values = resolve_parameters(specs, given, 1, given_by or f"{where}_parameters")
+    for key, value in values.items():
+        # A user's own file, as a stereo matcher may be, is named as the detector's is.
+        if isinstance(value, str) and value.endswith(".py"):
+            values[key] = os.path.realpath(base / value)
+    return Detector(name, module, values, where)
+
+
+def check_pair(detector: Detector, camera: Camera, has_right: bool, where: str) -> None:
+    """Raise InputError where a stereo detector has no second camera, or another one has."""
+    if detector.is_stereo and not has_right:
+        raise InputError(f"{where}: detector {detector.name} needs the pictures of a second camera")
+    if has_right and not detector.is_stereo:
+        raise InputError(
+            f"{where}: detector {detector.name} looks at one camera only; leave the second out"
+        )
+    if detector.is_stereo and camera.baseline_m is None:
+        raise InputError(
+            f"{detector.where}: {detector.name} needs to know how far the two cameras are apart:"
+            " baseline_m of the camera"
+        )
+
+
+def start(detector: Detector, camera: Camera) -> Step:
+    """The detector, ready for the first picture."""
+    with plugin_errors(detector.module, detector.where):
+        step: Step = detector.module.start(camera, detector.parameters)
+    return step
+
+
+def detect(
+    detector: Detector, camera: Camera, pictures: Iterable[Picture]
+) -> Iterator[tuple[int, FrameLines]]:
+    """Frame id and lines of each picture, checked.
+
+    Raises InputError naming detector and frame for lines that are not what the contract asks for.
+    """
+    step = start(detector, camera)
+    for picture in pictures:
+        where = f"{detector.where}: {detector.name}: frame {picture.frame_id}"
+        try:
+            with plugin_errors(detector.module, where):
+                lines = step(picture)
+        except InputError as error:
+            said = str(error)
+            raise InputError(said if said.startswith(where) else f"{where}: {said}") from error
+        _check(lines, where)
+        yield picture.frame_id, lines
+
+
+def _check(lines: FrameLines, where: str) -> None:
+    if not isinstance(lines, FrameLines):
+        raise InputError(f"{where}: gave {type(lines).__name__}, not FrameLines")
+    if not np.isfinite(lines.shape).all():
+        raise InputError(f"{where}: a line's shape is not finite")
+    if not (np.isfinite(lines.lri) & (lines.lri >= 0)).all():
+        raise InputError(f"{where}: a line's lri is not a count of detections")
+    if (np.diff(lines.offset_m) < 0).any():
+        raise InputError(f"{where}: the lines are not sorted left to right")
+
+
+@dataclass(frozen=True)
+class Collected:
+    """The lines of a drive so far. log: None without a frame. stopped: what ended it before its
+    end (Ctrl-C, a picture that cannot be used), or None."""
+
+    log: LineLog | None
+    stopped: KeyboardInterrupt | InputError | None
+
+
+def collect(frames: Iterable[tuple[int, FrameLines]], frame_rate: float, source: str) -> Collected:
+    """The lines of a drive as one log; what was detected before an interruption is kept."""
+    log: LineLog | None = None
+    pending: list[tuple[int, FrameLines]] = []
+    stopped: KeyboardInterrupt | InputError | None = None
+
+    def packed() -> LineLog | None:
+        if not pending:
+            return log
+        latest = as_log(pending, frame_rate, source)
+        return latest if log is None else log.then(latest)
+
+    try:
+        for frame in frames:
+            pending.append(frame)
+            if len(pending) == _PACK:
+                log, pending = packed(), []
+    except (KeyboardInterrupt, InputError) as reason:
+        stopped = reason
+    return Collected(packed(), stopped)

@@ -1,0 +1,1 @@
+"""What the paper's four simple line detectors are made of."""

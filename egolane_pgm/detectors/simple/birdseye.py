@@ -1,0 +1,138 @@
+"""The road seen from above: the bird's-eye view of a calibrated camera.
+
+Section `section:simple-line-detector` of paper.tex, first step. Row 0 is the far edge, column 0 the
+left one; a pixel is so many metres along the road and so many across, not the same number, because
+the camera sees finely to the side and coarsely ahead.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from egolane_pgm.camera.model import Camera, image_to_road, road_to_image, vanishing_point
+from egolane_pgm.detectors import Image
+from egolane_pgm.types import BoolArray, FloatArray, InputError
+
+#: Larger views are a wrong unit, and OpenCV cannot make them.
+_MOST_PIXELS = 8000
+
+#: A view of which less than this share is in the picture is no view of the road.
+_LEAST_SHARE = 0.1
+
+#: Pixels by which taking distortion away may miss where putting it on started; beyond, the lens
+#: model has folded over and shows the picture a second time.
+_FOLD_PX = 1.0
+
+
+@dataclass(frozen=True)
+class BirdsEye:
+    """A bird's-eye view of R rows and C columns.
+
+    x_m (R,): metres ahead of each row, decreasing. y_m (C,): metres to the right of each column.
+    along_m, across_m: metres per pixel. valid (R, C): the picture shows this bit of road, and
+    no bonnet or mirror that the camera is told to ignore.
+    map_uv: where in the picture each pixel comes from, as cv2.remap wants it.
+    """
+
+    camera: Camera
+    x_m: FloatArray
+    y_m: FloatArray
+    along_m: float
+    across_m: float
+    valid: BoolArray
+    map_uv: tuple[NDArray[np.int16], NDArray[np.uint16]]
+
+
+def make_view(
+    camera: Camera,
+    x_min: float,
+    x_max: float,
+    y_min: float,
+    y_max: float,
+    along_m: float = 0.2,
+    across_m: float = 0.05,
+) -> BirdsEye:
+    """The view of the road from x_min to x_max metres ahead, y_min to y_max to the right, with
+    pixels of along_m x across_m metres.
+
+    Raises InputError where the region is empty or its pixels too many, or the camera sees the sky
+    instead of it.
+    """
+    if not (0 < x_min < x_max and y_min < y_max and along_m > 0 and across_m > 0):
+        raise InputError(
+            f"bird's-eye view: {x_min} to {x_max} m ahead and {y_min} to {y_max} m to the right"
+            " is no region in front of the camera"
+        )
+    n_rows = max(round((x_max - x_min) / along_m), 1)
+    n_columns = max(round((y_max - y_min) / across_m), 1)
+    if max(n_rows, n_columns) > _MOST_PIXELS:
+        raise InputError(
+            f"bird's-eye view: {n_columns} x {n_rows} pixels of {across_m:g} x {along_m:g} m are"
+            f" more than {_MOST_PIXELS} a side; look less far or choose larger pixels"
+        )
+    x_m = x_max - (np.arange(n_rows, dtype=np.float64) + 0.5) * along_m
+    y_m = y_min + (np.arange(n_columns, dtype=np.float64) + 0.5) * across_m
+    u, v = road_to_image(camera, x_m[:, None], y_m)
+    with np.errstate(invalid="ignore"):
+        valid = (u >= 0) & (u <= camera.width - 1) & (v >= 0) & (v <= camera.height - 1)
+    valid &= _unfolded(camera, x_m, y_m, u, v)
+    for left, top, right, bottom in camera.ignore:
+        valid &= ~((u >= left) & (u < right) & (v >= top) & (v < bottom))
+    _check_sees_road(camera, valid, x_min, x_max)
+    outside = np.float32(-10)
+    map_uv, fractions = cv2.convertMaps(
+        np.where(valid, u, outside).astype(np.float32),
+        np.where(valid, v, outside).astype(np.float32),
+        cv2.CV_16SC2,
+    )
+    maps = (map_uv.astype(np.int16, copy=False), fractions.astype(np.uint16, copy=False))
+    return BirdsEye(camera, x_m, y_m, along_m, across_m, valid, maps)
+
+
+def _unfolded(
+    camera: Camera, x_m: FloatArray, y_m: FloatArray, u: FloatArray, v: FloatArray
+) -> BoolArray:
+    """Where the lens model, taken back, returns to where it started (R, C)."""
+    if not any(camera.distortion):
+        return np.ones(u.shape, dtype=bool)
+    back_u, back_v = road_to_image(camera, *image_to_road(camera, u, v), undistorted=True)
+    free_u, free_v = road_to_image(camera, x_m[:, None], y_m, undistorted=True)
+    with np.errstate(invalid="ignore"):
+        unfolded: BoolArray = np.hypot(back_u - free_u, back_v - free_v) < _FOLD_PX
+    return unfolded
+
+
+def _check_sees_road(camera: Camera, valid: BoolArray, x_min: float, x_max: float) -> None:
+    if valid.mean() >= _LEAST_SHARE:
+        return
+    _, horizon = vanishing_point(camera)
+    region = f"the road from {x_min:g} to {x_max:g} m ahead"
+    if horizon >= camera.height - 1:
+        raise InputError(
+            f"pitch_deg: {camera.pitch_deg:g}: the camera looks at the sky, its horizon is below"
+            f" the picture, so it does not see {region}; calibrate it again"
+        )
+    raise InputError(
+        f"camera: only {100 * valid.mean():.0f} % of {region} is in the picture (pitch_deg"
+        f" {camera.pitch_deg:g}, height_m {camera.height_m:g}); calibrate it again or choose"
+        " another region"
+    )
+
+
+def look(view: BirdsEye, image: Image) -> Image:
+    """The picture (H, W, 3) or (H, W) from above, (R, C, 3) or (R, C); 0 where it shows nothing.
+
+    Raises InputError where the picture has another size than the calibration.
+    """
+    height, width = image.shape[:2]
+    if (width, height) != (view.camera.width, view.camera.height):
+        raise InputError(
+            f"a picture of {width}x{height} pixels, but the camera was calibrated for"
+            f" {view.camera.width}x{view.camera.height}; calibrate with pictures of this size"
+        )
+    above = cv2.remap(image, *view.map_uv, cv2.INTER_LINEAR, borderMode=cv2.BORDER_CONSTANT)
+    return above.astype(np.uint8, copy=False)

@@ -1,0 +1,145 @@
+"""The paper's "simple" line detector and tracker (section `section:simple-line-detector`): what its
+four variants, mono or stereo, lines or clothoids, share."""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Callable
+
+import numpy as np
+from numpy.typing import NDArray
+
+from egolane_pgm.camera.model import Camera
+from egolane_pgm.detectors import FrameLines, Picture, Step
+from egolane_pgm.detectors._tracking_parameters import PARAMETERS as _TRACKING
+from egolane_pgm.detectors.simple.birdseye import BirdsEye
+from egolane_pgm.detectors.simple.fit import Found, find_lines, view_for
+from egolane_pgm.detectors.simple.paint import PARAMETERS as _PAINT
+from egolane_pgm.detectors.simple.paint import painted_share
+from egolane_pgm.detectors.simple.parameters import PARAMETERS as _FINDER
+from egolane_pgm.detectors.simple.tracking import (
+    Rules,
+    Tracks,
+    advance,
+    expected,
+    lines_of,
+    no_tracks,
+    rules,
+)
+from egolane_pgm.types import BoolArray, Parameter, Parameters
+
+PARAMETERS = (
+    # Lines or clothoids is what tells the variants apart.
+    *(p for p in _FINDER if p.name != "curve"),
+    *_PAINT,
+    *_TRACKING,
+    Parameter(
+        "frozen_below",
+        "non_negative",
+        0.05,
+        "a picture that differs from the one before by no more than this, grey levels on the"
+        " average, is that picture again: the lines stay as they are",
+    ),
+    Parameter(
+        "frozen_after",
+        "integer",
+        3,
+        "but after so many repeated pictures running the camera is frozen: nothing is detected",
+        lowest=1,
+    ),
+)
+
+#: Every so many pixels are compared to tell whether a picture is the one before.
+_EVERY = 8
+
+#: From a picture of both cameras: the view of it, as the camera pitches in it, and which of its
+#: pixels (R, C) lie on the plane of the road.
+OnRoad = Callable[[Picture], tuple[BirdsEye, BoolArray]]
+
+
+def start(
+    camera: Camera,
+    parameters: Parameters,
+    *,
+    curve: str,
+    on_road: Callable[[BirdsEye], OnRoad] | None = None,
+) -> Step:
+    """A detector's `start`. curve: "line" or "clothoid". on_road: given the view, makes the
+    function that tells the road from what stands on it; None: everything counts as road.
+
+    Raises InputError where the camera does not see the road that the parameters ask for.
+    """
+    follow, rule = follower(camera, parameters, curve=curve, on_road=on_road)
+    tracks = no_tracks(rule)
+
+    def step(picture: Picture) -> FrameLines:
+        nonlocal tracks
+        tracks = follow(tracks, picture)
+        return lines_of(tracks, rule)
+
+    return step
+
+
+def follower(
+    camera: Camera,
+    parameters: Parameters,
+    *,
+    curve: str,
+    on_road: Callable[[BirdsEye], OnRoad] | None = None,
+) -> tuple[Callable[[Tracks, Picture], Tracks], Rules]:
+    """The step from tracks and the next picture to its tracks, and the rules that it follows."""
+    parameters = {**parameters, "curve": curve}
+    rule = rules(parameters, curved=curve == "clothoid")
+    view = view_for(camera, parameters)
+    road = None if on_road is None else on_road(view)
+    is_still = _still(rule)
+
+    def follow(tracks: Tracks, picture: Picture) -> Tracks:
+        repeated = is_still(picture)
+        if 0 < repeated < rule["frozen_after"]:
+            return tracks
+        if repeated:
+            return advance(tracks, rule, np.zeros((0, 4)), np.zeros(0))
+        prior = expected(tracks)
+        seen, is_road = (view, None) if road is None else road(picture)
+        found: Found = find_lines(
+            seen,
+            picture.image,
+            parameters,
+            prior_shape=prior if len(prior) else None,
+            on_road=is_road,
+        )
+        painted = painted_share(seen, picture.image, found.shape, parameters)
+        return advance(tracks, rule, found.shape, painted)
+
+    return follow, rule
+
+
+def _still(rule: Rules) -> Callable[[Picture], int]:
+    """How many times running a picture has been shown again by now; one warning for a camera that
+    is frozen."""
+    before: NDArray[np.int16] | None = None
+    repeated, has_warned = 0, False
+
+    def is_still(picture: Picture) -> int:
+        nonlocal before, repeated, has_warned
+        sample = picture.image[::_EVERY, ::_EVERY].astype(np.int16)
+        is_same = (
+            before is not None
+            and before.shape == sample.shape
+            and float(np.abs(sample - before).mean()) <= rule["frozen_below"]
+        )
+        repeated = repeated + 1 if is_same else 0
+        before = sample
+        if repeated == rule["frozen_after"] and not has_warned:
+            has_warned = True
+            warnings.warn(
+                f"frame {picture.frame_id}: the picture has not changed for"
+                f" {repeated} frames (a frozen camera, or a car at rest); nothing counts as"
+                " detected until it does",
+                UserWarning,
+                stacklevel=2,
+            )
+        return repeated
+
+    return is_still

@@ -1,0 +1,345 @@
+"""From one picture to its lines.
+
+A fixed number of lines or clothoids that cover the most contour area (paper.tex, section
+`section:simple-line-detector`). All lines of a road share heading and curvature, so these are found
+first, from how sharply the contours then gather at a few offsets, and the offsets after that. A
+third thing is in common: a car that pitches sees all distances to the side grow or shrink with the
+distance ahead, y = o (1 + q x), where q is the change of pitch over the height of the camera.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+
+from egolane_pgm.camera.model import Camera
+from egolane_pgm.detectors import Image
+from egolane_pgm.detectors.simple.birdseye import BirdsEye, look, make_view
+from egolane_pgm.detectors.simple.contours import Strips, find_strips
+from egolane_pgm.detectors.simple.markings import marking_mask
+from egolane_pgm.detectors.simple.parameters import number
+from egolane_pgm.types import BoolArray, FloatArray, IntArray, Parameters
+
+#: What all lines of a frame share.
+_SHARED = ("heading", "curvature", "squeeze")
+
+#: Steps of the search for heading, curvature and squeeze; then of the finer one around the best.
+_COARSE = (41, 9, 5)
+_FINE = (7, 5, 5)
+
+#: Bins of the coarse and the fine search, metres.
+_COARSE_BIN_M, _FINE_BIN_M = 0.1, 0.07
+
+#: Pieces of contours that are this long are one point of the search, metres.
+_PIECE_M = 0.8
+
+#: Bins in which the offsets of lines are looked for, metres.
+_BIN_M = 0.05
+
+#: Rounds of least squares, each over the runs within so many reaches of the lines.
+_REFINE = (2.5, 2.0, 1.5)
+
+#: Scatter around its line of a run of contour one metre wide (runs are far from independent).
+_RUN_SD_M = 0.07
+
+#: What keeps the offset of a line solvable that no run is near (1/m^2).
+_WEAK = 1e-3
+
+#: Less than this of a line in view is no measure of its coverage, metres.
+_LEAST_VISIBLE_M = 5.0
+
+#: How much a neighbour's own score counts at most.
+_MOST_SUPPORT = 0.5
+
+
+@dataclass(frozen=True)
+class Found:
+    """The M lines of one frame, left to right.
+
+    shape (M, 4): as FrameLines.shape. score (M,): how much speaks for the line: the share of its
+    visible length where contours cover it, with what its neighbours lend it. coverage (M,): share
+    of the visible length that contours cover. visible (M,): metres of the line in view.
+    """
+
+    shape: FloatArray
+    score: FloatArray
+    coverage: FloatArray
+    visible: FloatArray
+
+
+@dataclass(frozen=True)
+class _Common:
+    """What all lines of a frame share: heading (m/m), curvature (1/m), squeeze (1/m)."""
+
+    heading: float
+    curvature: float
+    squeeze: float
+
+    def offset(self, x: FloatArray, y: FloatArray) -> FloatArray:
+        """The offset at the camera of the line through each point."""
+        straight = y - x * (self.heading + 0.5 * self.curvature * x)
+        return straight / (1 + self.squeeze * x)
+
+    def shape(self, offset: FloatArray) -> FloatArray:
+        """(M, 4): the lines with offsets (M,)."""
+        out = np.zeros((len(offset), 4))
+        out[:, 0] = offset
+        out[:, 1] = self.heading + self.squeeze * offset
+        out[:, 2] = self.curvature
+        return out
+
+
+def view_for(camera: Camera, parameters: Parameters) -> BirdsEye:
+    """The bird's-eye view that the parameters ask for; InputError as make_view."""
+    side, far = number(parameters, "side_m"), number(parameters, "x_max_m")
+    if parameters["curve"] == "line":
+        far = min(far, number(parameters, "straight_to_m"))
+    return make_view(
+        camera,
+        number(parameters, "x_min_m"),
+        far,
+        -side,
+        side,
+        number(parameters, "along_m"),
+        number(parameters, "across_m"),
+    )
+
+
+def find_lines(
+    view: BirdsEye,
+    image: Image,
+    parameters: Parameters,
+    *,
+    prior_shape: FloatArray | None = None,
+    on_road: BoolArray | None = None,
+) -> Found:
+    """The lines in a picture (H, W, 3), blue green red.
+
+    prior_shape (P, 4): lines expected here, from the frames before; heading, curvature and squeeze
+    are then looked for near theirs. on_road (R, C): pixels of the view that lie on the plane of the
+    road; marking elsewhere is dropped. Raises InputError for a picture of another size than the
+    calibration.
+    """
+    mask = marking_mask(view, from_above(view, image), parameters)
+    if on_road is not None:
+        mask[~on_road] = 0
+    return fit_lines(view, find_strips(view, mask, parameters), parameters, prior_shape)
+
+
+def from_above(view: BirdsEye, image: Image) -> Image:
+    """(R, C): the red of a picture (H, W, 3) from above: yellow paint is as bright as white in it,
+    and brighter than concrete. A grey picture (H, W) as it is."""
+    red = image if image.ndim == 2 else cv2.extractChannel(image, 2).astype(np.uint8, copy=False)
+    return look(view, red)
+
+
+def fit_lines(
+    view: BirdsEye, strips: Strips, parameters: Parameters, prior_shape: FloatArray | None = None
+) -> Found:
+    """The lines that cover the most of the contours; prior_shape as in find_lines."""
+    if len(strips.row) == 0:
+        return _select(np.zeros((0, 4)), np.zeros(0), np.zeros(0), np.zeros(0))
+    prior = _prior(parameters, prior_shape)
+    common = _find_common(view, strips, parameters, prior)
+    offset, agreement = _along(strips, common, parameters)
+    centre, score = _scores(view, strips, offset, agreement, common, parameters)
+    peaks = _peaks(centre, score, parameters)
+    common, found = _refine(strips, common, centre[peaks], parameters, prior)
+    shape = common.shape(found)
+    visible = _visible(view, shape)
+    coverage = _coverage(view, strips, found, common, parameters) / np.maximum(visible, 1e-9)
+    return _select(shape, score[peaks], np.minimum(coverage, 1.0), visible)
+
+
+def _select(
+    shape: FloatArray, score: FloatArray, coverage: FloatArray, visible: FloatArray
+) -> Found:
+    order = np.argsort(shape[:, 0], kind="stable")
+    return Found(shape[order], score[order], coverage[order], visible[order])
+
+
+def _prior(parameters: Parameters, prior_shape: FloatArray | None) -> tuple[FloatArray, FloatArray]:
+    """(3,) each: what heading, curvature and squeeze are expected to be, and how surely."""
+    sd = np.array([number(parameters, f"{name}_sd") for name in _SHARED])
+    if prior_shape is None or not len(prior_shape):
+        return np.zeros(3), sd
+    heading, squeeze = float(np.median(prior_shape[:, 1])), 0.0
+    if len(prior_shape) > 1 and np.ptp(prior_shape[:, 0]) > 1:
+        squeeze, heading = np.polyfit(prior_shape[:, 0], prior_shape[:, 1], 1)
+    centre = np.array([heading, np.median(prior_shape[:, 2]), squeeze])
+    return centre, sd * number(parameters, "prior_share")
+
+
+def _find_common(
+    view: BirdsEye, strips: Strips, parameters: Parameters, prior: tuple[FloatArray, FloatArray]
+) -> _Common:
+    """Coarse search for what lines share, then a finer one around the best."""
+    from egolane_pgm.detectors.simple.kernels import common_scores
+
+    is_curved = parameters["curve"] == "clothoid"
+    most = np.array([number(parameters, f"most_{name}") for name in _SHARED])
+    x, y, area, contour = _pieces(view, strips)
+    tolerance = np.hypot(number(parameters, "slope_sd"), strips.slope_sd)[contour]
+    middle, slope = strips.middle_m[contour], strips.slope[contour]
+    side = number(parameters, "side_m")
+
+    def best(grid: list[FloatArray], bin_m: float) -> FloatArray:
+        if not is_curved:
+            grid[1] = np.zeros(1)
+        scores = common_scores(
+            x, y, area, middle, slope, tolerance, grid[0], grid[1], grid[2], side, bin_m
+        )
+        away = np.meshgrid(
+            *((values - c) / s for values, c, s in zip(grid, *prior, strict=True)),
+            indexing="ij",
+        )
+        # Heavy tails: a ramp is unusual, but so many contours can say that it is one.
+        scores = scores / (1 + sum(a * a for a in away) / 3)
+        index = np.unravel_index(np.argmax(scores), scores.shape)
+        return np.array([values[i] for values, i in zip(grid, index, strict=True)])
+
+    first = best(
+        [m * np.linspace(-1, 1, n) for m, n in zip(most, _COARSE, strict=True)], _COARSE_BIN_M
+    )
+    step = 2 * most / (np.array(_COARSE) - 1) * np.array([1.0, 0.75, 0.75])
+    around = [at + s * np.linspace(-1, 1, n) for at, s, n in zip(first, step, _FINE, strict=True)]
+    return _Common(*map(float, best(around, _FINE_BIN_M)))
+
+
+def _pieces(view: BirdsEye, strips: Strips) -> tuple[FloatArray, FloatArray, FloatArray, IntArray]:
+    """x, y, area and contour of the contours cut into short pieces along the road."""
+    rows = max(round(_PIECE_M / view.along_m), 1)
+    key = strips.contour * (len(view.x_m) // rows + 1) + strips.row // rows
+    piece, index = np.unique(key, return_inverse=True)
+    width: FloatArray = np.bincount(index, strips.width_m).astype(np.float64)
+    x: FloatArray = np.bincount(index, strips.width_m * strips.x_m) / width
+    y: FloatArray = np.bincount(index, strips.width_m * strips.y_m) / width
+    return x, y, width * view.along_m, piece // (len(view.x_m) // rows + 1)
+
+
+def _along(
+    strips: Strips, common: _Common, parameters: Parameters
+) -> tuple[FloatArray, FloatArray]:
+    """(N,) each: offset of the line through a run, and 1 where its contour goes the way of that
+    line, down to 0."""
+    offset = common.offset(strips.x_m, strips.y_m)
+    slope = strips.slope[strips.contour]
+    tolerance = np.hypot(number(parameters, "slope_sd"), strips.slope_sd)[strips.contour]
+    expected = common.heading + common.curvature * strips.middle_m[strips.contour]
+    expected += common.squeeze * offset
+    return offset, np.maximum(1 - ((slope - expected) / tolerance) ** 2, 0)
+
+
+def _scores(
+    view: BirdsEye,
+    strips: Strips,
+    offset: FloatArray,
+    agreement: FloatArray,
+    common: _Common,
+    parameters: Parameters,
+) -> tuple[FloatArray, FloatArray]:
+    """Offsets (B,) and the score of the line at each."""
+    side = number(parameters, "side_m")
+    n_bins = 2 * round(side / _BIN_M)
+    centre = -side + (np.arange(n_bins, dtype=np.float64) + 0.5) * _BIN_M
+    at = np.floor((offset + side) / _BIN_M).astype(int)
+    inside = (at >= 0) & (at < n_bins)
+    area = np.bincount(at[inside], (strips.width_m * agreement)[inside], n_bins) * view.along_m
+    wide = 2 * round(number(parameters, "reach_m") / _BIN_M - 0.5) + 1
+    # Not "same", which is as long as the longer of the two.
+    covered = np.convolve(area, np.ones(wide))[wide // 2 : wide // 2 + n_bins]
+    shown = _visible(view, common.shape(centre))
+    full = np.maximum(shown, _LEAST_VISIBLE_M) * number(parameters, "stripe_m")
+    own = np.minimum(covered / full, 1.0)
+    bonus = number(parameters, "neighbour_bonus")
+    return centre, np.where(own > 0.03, own + bonus * _support(own, parameters), own)
+
+
+def _support(own: FloatArray, parameters: Parameters) -> FloatArray:
+    """(B,): the best score one lane away to either side, less where the width is unusual."""
+    width, sd = number(parameters, "lane_width_m"), number(parameters, "lane_width_sd")
+    lag = np.arange(1, len(own))
+    lag = lag[np.abs(lag * _BIN_M - width) <= 3 * sd + _BIN_M]
+    if not len(lag):
+        return np.zeros(len(own))
+    likely = np.exp(-0.5 * ((lag * _BIN_M - width) / sd) ** 2)
+    limited = np.pad(np.minimum(own, _MOST_SUPPORT), lag[-1])
+    at = np.arange(len(own))[:, None] + lag[-1]
+    support: FloatArray = (np.maximum(limited[at - lag], limited[at + lag]) * likely).max(axis=1)
+    return support
+
+
+def _visible(view: BirdsEye, shape: FloatArray) -> FloatArray:
+    """(M,): metres of each line (M, 4) that the view shows, every fourth row looked at."""
+    x = view.x_m[::4]
+    y = shape[:, :1] + x * (shape[:, 1:2] + 0.5 * x * shape[:, 2:3])
+    column = np.floor((y - view.y_m[0]) / view.across_m + 0.5).astype(int)
+    inside = (column >= 0) & (column < len(view.y_m))
+    rows = np.arange(0, len(view.x_m), 4)
+    shown = inside & view.valid[rows, np.where(inside, column, 0)]
+    visible: FloatArray = shown.sum(axis=1) * 4 * view.along_m
+    return visible
+
+
+def _peaks(centre: FloatArray, score: FloatArray, parameters: Parameters) -> IntArray:
+    """Indices of the best scores, one after the other, that keep their distance."""
+    left = score.copy()
+    peaks: list[int] = []
+    least = max(number(parameters, "least_score"), 1e-6)
+    while len(peaks) < number(parameters, "lines"):
+        best = int(np.argmax(left))
+        if left[best] < least:
+            break
+        peaks.append(best)
+        left[np.abs(centre - centre[best]) < number(parameters, "apart_m")] = 0
+    return np.array(peaks, dtype=np.int64)
+
+
+def _refine(
+    strips: Strips,
+    common: _Common,
+    found: FloatArray,
+    parameters: Parameters,
+    prior: tuple[FloatArray, FloatArray],
+) -> tuple[_Common, FloatArray]:
+    """What the lines share and their offsets (M,), by least squares over the runs near them."""
+    reach = number(parameters, "reach_m")
+    is_curved = parameters["curve"] == "clothoid"
+    for times in _REFINE:
+        if not len(found):
+            break
+        offset, agreement = _along(strips, common, parameters)
+        line = np.argmin(np.abs(offset[:, None] - found), axis=1)
+        near = np.flatnonzero((np.abs(offset - found[line]) <= times * reach) & (agreement > 0))
+        line, x = line[near], strips.x_m[near]
+        weight = strips.width_m[near] * agreement[near] / _RUN_SD_M**2
+        # Unknowns: heading, curvature, squeeze, then each line's offset.
+        now = np.array([common.heading, common.curvature, common.squeeze, *found])
+        design = np.zeros((len(near), len(now)))
+        design[:, 0], design[:, 2] = x, found[line] * x
+        if is_curved:
+            design[:, 1] = 0.5 * x * x
+        design[np.arange(len(near)), 3 + line] = 1 + common.squeeze * x
+        # The squeeze times the offset is in the design twice, so once is taken from what is left.
+        value = strips.y_m[near] + common.squeeze * found[line] * x
+        normal = design.T @ (weight[:, None] * design)
+        right = design.T @ (weight * value)
+        strength = np.array([*prior[1] ** -2.0, *np.full(len(found), _WEAK)])
+        normal[np.diag_indices(len(now))] += strength
+        right += strength * np.array([*prior[0], *found])
+        now = np.linalg.solve(normal, right)
+        common, found = _Common(*map(float, now[:3] * [1, is_curved, 1])), now[3:]
+    return common, found
+
+
+def _coverage(
+    view: BirdsEye, strips: Strips, found: FloatArray, common: _Common, parameters: Parameters
+) -> FloatArray:
+    """(M,): metres of the lines with offsets `found` (M,) along which contours cover them."""
+    offset, agreement = _along(strips, common, parameters)
+    near = np.abs(offset - found[:, None]) <= number(parameters, "reach_m")
+    near &= agreement > 0
+    rows = [len(np.unique(strips.row[covers])) for covers in near]
+    return np.array(rows, dtype=np.float64) * view.along_m

@@ -1,0 +1,74 @@
+"""Which pixels of the bird's-eye view may be road marking.
+
+A marking is a narrow strip that is brighter than the road on both sides of it: what a top-hat
+across the road keeps (paper.tex, section `section:simple-line-detector`). How much brighter goes
+with the brightness around, so that worn dots in the shade of a bridge pass, and with the contrast
+that is usual around, so that rough concrete in the sun does not.
+"""
+
+from __future__ import annotations
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from egolane_pgm.detectors import Image
+from egolane_pgm.detectors.simple.birdseye import BirdsEye
+from egolane_pgm.detectors.simple.parameters import number
+from egolane_pgm.types import Parameters
+
+#: Contrast beyond this counts as this in the mean: one bright line must not hide its neighbours.
+_MOST_CONTRAST = 0.2
+
+
+def marking_mask(view: BirdsEye, above: Image, parameters: Parameters) -> NDArray[np.uint8]:
+    """(R, C): 1 where a bird's-eye view (R, C) of one colour may show marking, else 0."""
+    wide = _odd(number(parameters, "marking_width_m") / view.across_m)
+    seen = _seen(view, above, wide).astype(np.float32)
+    count = _blur(seen, view, parameters)
+    np.maximum(count, np.float32(1e-3), out=count)
+    share = _contrast(view, above, wide, parameters)
+    local = _blur(above.astype(np.float32), view, parameters) / count
+    share /= local + np.float32(number(parameters, "brightness_floor") + 1e-3)
+    share *= seen
+    usual = _blur(np.minimum(share, np.float32(_MOST_CONTRAST)), view, parameters) / count
+    usual *= np.float32(number(parameters, "least_rise"))
+    np.maximum(usual, np.float32(number(parameters, "least_contrast")), out=usual)
+    return (share > usual).astype(np.uint8)
+
+
+def _seen(view: BirdsEye, above: Image, wide: int) -> NDArray[np.uint8]:
+    """(R, C): 1 where there is road on both sides, too: not at the rim of the picture, nor at that
+    of a part of it without any light (a covered lens, a blanked half)."""
+    patch = np.ones((wide, wide), dtype=np.uint8)
+    lit = cv2.morphologyEx((above > 0).astype(np.uint8), cv2.MORPH_CLOSE, patch)
+    lit[~view.valid] = 0
+    # One more than the strip, for pixels that are half dark.
+    beside = np.ones((1, 2 * wide + 1), dtype=np.uint8)
+    seen = cv2.erode(lit, beside, borderType=cv2.BORDER_CONSTANT, borderValue=0)
+    return seen.astype(np.uint8, copy=False)
+
+
+def _contrast(
+    view: BirdsEye, above: Image, wide: int, parameters: Parameters
+) -> NDArray[np.float32]:
+    """(R, C): by how many grey levels strips narrower than `wide` pixels are brighter than the road
+    beside them."""
+    strip = np.ones((1, wide), dtype=np.uint8)
+    bright = cv2.morphologyEx(above, cv2.MORPH_TOPHAT, strip).astype(np.float32)
+    long = _odd(number(parameters, "smooth_along_m") / view.along_m)
+    return cv2.blur(bright, (1, long)).astype(np.float32, copy=False)
+
+
+def _blur(
+    values: NDArray[np.float32], view: BirdsEye, parameters: Parameters
+) -> NDArray[np.float32]:
+    """The mean over the patch around each pixel, 0 beyond the edges."""
+    size = number(parameters, "around_m")
+    patch = (_odd(size / view.across_m), _odd(size / view.along_m))
+    blurred = cv2.blur(values, patch, borderType=cv2.BORDER_CONSTANT)
+    return blurred.astype(np.float32, copy=False)
+
+
+def _odd(pixels: float) -> int:
+    return 2 * max(round((pixels - 1) / 2), 0) + 1

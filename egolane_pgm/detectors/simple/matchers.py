@@ -1,0 +1,215 @@
+"""Stereo matchers by name, or a file of one's own.
+
+A matcher is a function `match(left, right, n_disparities) -> disparity`: two grey pictures (H, W)
+in, out of it (H, W) how many pixels farther left each pixel of the left one is in the right one,
+0 to n_disparities - 1, and NaN (or less than 0) where it cannot tell. The right picture has been
+moved by what the calibrated road's disparities are, so that a flat road has one and the same
+disparity everywhere, and what stands on it a larger one.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from egolane_pgm.detectors import Image
+from egolane_pgm.detectors.simple.parameters import number
+from egolane_pgm.plugins import load_plugin, plugin_errors
+from egolane_pgm.types import InputError, Parameter, Parameters, Value, suggestion
+
+Match = Callable[[Image, Image, int], NDArray[np.float32]]
+
+#: What is in the package; a name that ends in .py is a file.
+NAMES = ("bm", "elas", "sgbm")
+
+
+class MatcherName(Parameter):
+    """The name of a matcher, or of a file."""
+
+    def check(self, value: object, n_lanes: int, where: str) -> Value:
+        """The value; InputError, with a suggestion, for an unknown name."""
+        if not isinstance(value, str):
+            raise InputError(f"{where}: {value!r} is not the name of a matcher or a .py file")
+        if value not in NAMES and not value.endswith(".py"):
+            raise InputError(f"{where}: unknown matcher '{value}'{suggestion(value, NAMES)}")
+        return value
+
+
+PARAMETERS = (
+    MatcherName(
+        "matcher",
+        "choice",
+        "sgbm",
+        "what finds the disparities: sgbm, bm, elas (package pyelas), or a file of one's own"
+        " with match(left, right, n_disparities)",
+        choices=NAMES,
+    ),
+    Parameter(
+        "block_px",
+        "integer",
+        5,
+        "side of the blocks compared (sgbm, bm); odd",
+        lowest=1,
+        highest=255,
+    ),
+    Parameter(
+        "small_step",
+        "positive",
+        8.0,
+        "cost of a step of one in disparity beside a pixel, times the block's area (sgbm: P1)",
+        highest=1000,
+    ),
+    Parameter("large_step", "positive", 32.0, "the same of a larger step (sgbm: P2)", highest=1000),
+    Parameter(
+        "uniqueness",
+        "integer",
+        5,
+        "the best match beats the second by so many percent (sgbm, bm)",
+        highest=100,
+    ),
+    Parameter(
+        "left_right_px",
+        "integer",
+        1,
+        "matching from right to left agrees within so many pixels (sgbm)",
+        lowest=1,
+        highest=1000,
+    ),
+    Parameter(
+        "speckle_px",
+        "integer",
+        60,
+        "patches of fewer pixels are no match (sgbm, bm)",
+        highest=1_000_000,
+    ),
+    Parameter(
+        "speckle_step",
+        "integer",
+        1,
+        "disparities of a patch differ by at most so much from pixel to pixel (sgbm, bm)",
+        lowest=1,
+        highest=1000,
+    ),
+    Parameter(
+        "most_gradient",
+        "integer",
+        31,
+        "steeper differences of grey levels between neighbours count as this (sgbm, bm)",
+        lowest=1,
+        highest=1000,
+    ),
+)
+
+
+def find_matcher(parameters: Parameters, where: str) -> Match:
+    """The matcher that the parameters name.
+
+    Raises InputError for one whose package is not installed, a file that is none, or an even block.
+    """
+    name = str(parameters["matcher"])
+    if name.endswith(".py"):
+        return _own(name, where)
+    if name == "elas":
+        return _elas(where)
+    block = int(number(parameters, "block_px"))
+    if block % 2 == 0 or (name == "bm" and block < 5):
+        least = " of 5 or more" if name == "bm" else ""
+        raise InputError(f"block_px: {block} must be odd; {name} needs an odd side{least}")
+    return _bm(parameters, block) if name == "bm" else _sgbm(parameters, block)
+
+
+def _whole(parameters: Parameters, name: str) -> int:
+    return round(number(parameters, name))
+
+
+def _sixteenths(matcher: Any) -> Callable[[Image, Image], NDArray[np.float32]]:
+    """What an OpenCV matcher finds, in pixels."""
+
+    def compute(left: Image, right: Image) -> NDArray[np.float32]:
+        try:
+            disparity: NDArray[np.float32] = matcher.compute(left, right).astype(np.float32)
+        except cv2.error as error:
+            raise InputError(
+                "matcher: cannot match with these values of block_px, uniqueness or most_gradient:"
+                f" {' '.join(str(error.err).split())}"
+            ) from error
+        disparity /= 16
+        return disparity
+
+    return compute
+
+
+def _sgbm(parameters: Parameters, block: int) -> Match:
+    area = block * block
+
+    def match(left: Image, right: Image, n_disparities: int) -> NDArray[np.float32]:
+        small = round(number(parameters, "small_step") * area)
+        large = round(number(parameters, "large_step") * area)
+        matcher = cv2.StereoSGBM.create(
+            minDisparity=0,
+            numDisparities=n_disparities,
+            blockSize=block,
+            P1=small,
+            # OpenCV wants it larger.
+            P2=max(large, small + 1),
+            disp12MaxDiff=_whole(parameters, "left_right_px"),
+            preFilterCap=_whole(parameters, "most_gradient"),
+            uniquenessRatio=_whole(parameters, "uniqueness"),
+            speckleWindowSize=_whole(parameters, "speckle_px"),
+            speckleRange=_whole(parameters, "speckle_step"),
+            mode=cv2.STEREO_SGBM_MODE_SGBM,
+        )
+        return _sixteenths(matcher)(left, right)
+
+    return match
+
+
+def _bm(parameters: Parameters, block: int) -> Match:
+    def match(left: Image, right: Image, n_disparities: int) -> NDArray[np.float32]:
+        matcher = cv2.StereoBM.create(n_disparities, block)
+        matcher.setUniquenessRatio(_whole(parameters, "uniqueness"))
+        matcher.setSpeckleWindowSize(_whole(parameters, "speckle_px"))
+        matcher.setSpeckleRange(_whole(parameters, "speckle_step"))
+        matcher.setPreFilterCap(_whole(parameters, "most_gradient"))
+        return _sixteenths(matcher)(left, right)
+
+    return match
+
+
+def _elas(where: str) -> Match:
+    try:
+        from elas import Elas  # type: ignore[import-not-found]
+    except ImportError:
+        raise InputError(
+            f"{where}: elas is not installed: `pip install pyelas` (GPL), or choose sgbm or bm"
+        ) from None
+
+    def match(left: Image, right: Image, n_disparities: int) -> NDArray[np.float32]:
+        matcher = Elas()
+        matcher.disp_max = n_disparities - 1
+        found, _ = matcher.process(np.ascontiguousarray(left), np.ascontiguousarray(right))
+        return np.asarray(found, dtype=np.float32)
+
+    return match
+
+
+def _own(name: str, where: str) -> Match:
+    module = load_plugin("matchers", name, Path.cwd(), where)
+
+    def match(left: Image, right: Image, n_disparities: int) -> NDArray[np.float32]:
+        with plugin_errors(module, where):
+            disparity = np.asarray(module.match(left, right, n_disparities))
+        is_number = np.issubdtype(disparity.dtype, np.number) and np.isrealobj(disparity)
+        if disparity.shape != left.shape or not is_number:
+            raise InputError(
+                f"{where}: {name}: match gave {disparity.dtype} {disparity.shape}, needs one number"
+                f" per pixel {left.shape}"
+            )
+        return disparity.astype(np.float32)
+
+    return match

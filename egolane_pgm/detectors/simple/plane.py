@@ -1,0 +1,168 @@
+"""The plane of the road in the disparities of a stereo pair.
+
+A point that is Z metres away along the optical axis is f B / Z pixels farther left in the second
+picture. On a flat road this disparity is linear in the pixel, d = a u + b v + c, and 0 at the
+horizon (section `section:simple-line-detector` of paper.tex: "the ground plane equation").
+Pixels are those of the first picture, rectified, at full size.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from egolane_pgm.camera.model import Camera, axes
+from egolane_pgm.detectors.simple.parameters import number
+from egolane_pgm.types import BoolArray, FloatArray, Parameter, Parameters
+
+PARAMETERS = (
+    Parameter(
+        "plane_px",
+        "positive",
+        0.5,
+        "a disparity is on a plane within so many pixels of the pictures as matched",
+    ),
+    Parameter(
+        "plane_trials",
+        "integer",
+        100,
+        "planes through three points tried",
+        lowest=1,
+        highest=10_000,
+    ),
+    Parameter("plane_seed", "integer", 0, "seed of their choice"),
+    Parameter(
+        "plane_points",
+        "integer",
+        200,
+        "the plane is sure only with so many points on it, of at most 3,000",
+        lowest=3,
+    ),
+    Parameter("plane_share", "probability", 0.4, "and with this share of the matched points on it"),
+    Parameter(
+        "most_pitch_deg",
+        "positive",
+        2.5,
+        "the plane's pitch is at most so far from the calibrated one, degrees",
+        highest=30,
+    ),
+    Parameter("most_roll_deg", "positive", 1.5, "the same of its roll, degrees"),
+    Parameter("most_heave", "positive", 0.12, "the same of the camera's height, as a share of it"),
+)
+
+
+#: Most points that a plane is fitted to.
+MOST_POINTS = 3000
+
+#: Rounds of least squares over the points on the plane, each within so many tolerances.
+_ROUNDS = (2.0, 1.5, 1.0, 1.0)
+
+
+@dataclass(frozen=True)
+class Plane:
+    """A road plane d = a u + b v + c. abc (3,): pixels. share: of the points looked at, those on
+    it. is_sure: False where too little speaks for any, then abc is the calibrated plane."""
+
+    abc: FloatArray
+    share: float
+    is_sure: bool
+
+
+def ground_plane(camera: Camera) -> FloatArray:
+    """(3,): a, b and c of the flat road under a calibrated camera.
+
+    A ray (right, down, 1) of the camera meets the road Z = -h / (n . ray) ahead, n the upward
+    direction in the camera's axes and h its height; so d = -(f B / h) n . ray.
+    """
+    assert camera.baseline_m is not None
+    up = axes(camera)[:, 2]
+    scale = -camera.fx * camera.baseline_m / camera.height_m
+    a, b = scale * up[0] / camera.fx, scale * up[1] / camera.fy
+    return np.array([a, b, scale * up[2] - a * camera.cx - b * camera.cy])
+
+
+def pose(camera: Camera, planes: FloatArray) -> FloatArray:
+    """(..., 3): height (metres), pitch and roll (degrees) of the camera over planes (..., 3); the
+    inverse of `ground_plane`. NaN where a plane is none."""
+    assert camera.baseline_m is not None
+    a, b, c = np.moveaxis(planes, -1, 0)
+    up = -np.stack([a * camera.fx, b * camera.fy, c + a * camera.cx + b * camera.cy], axis=-1)
+    length = np.linalg.norm(up, axis=-1)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        height = camera.fx * camera.baseline_m / length
+        pitch = np.degrees(np.arcsin(np.clip(up[..., 2] / length, -1, 1)))
+        roll = np.degrees(np.arctan2(-up[..., 0], -up[..., 1]))
+    return np.stack([height, pitch, roll], axis=-1)
+
+
+def disparity_at(plane: FloatArray, u: FloatArray, v: FloatArray) -> FloatArray:
+    """The disparity of the plane (3,) at pixels u, v."""
+    at: FloatArray = plane[0] * u + plane[1] * v + plane[2]
+    return at
+
+
+def fit_plane(
+    camera: Camera,
+    u: FloatArray,
+    v: FloatArray,
+    disparity: FloatArray,
+    tolerance_px: float,
+    parameters: Parameters,
+) -> Plane:
+    """The plane that most of the points u, v with a disparity (N,) lie on: the calibrated one and
+    those through three random points compete, then least squares. N: at most a few thousand."""
+    calibrated = ground_plane(camera)
+    off = disparity - disparity_at(calibrated, u, v)
+    if len(off) < int(number(parameters, "plane_points")):
+        return Plane(calibrated, 0.0, False)
+    # Centred and scaled, so that the three equations are well conditioned.
+    centre, scale = np.array([u.mean(), v.mean()]), max(float(np.ptp(u)), float(np.ptp(v)), 1.0)
+    points = np.stack([(u - centre[0]) / scale, (v - centre[1]) / scale, np.ones_like(u)], axis=1)
+
+    def whole(tilt: FloatArray) -> FloatArray:
+        """The planes (..., 3) in pixels of what differs from the calibrated one by `tilt`."""
+        slope = tilt[..., :2] / scale
+        shift = tilt[..., 2] - slope @ centre
+        planes: FloatArray = calibrated + np.concatenate([slope, shift[..., None]], axis=-1)
+        return planes
+
+    tilts = _candidates(points, off, parameters)
+    is_possible = _possible(camera, whole(tilts), parameters)
+    # The calibrated plane, whatever rounding says.
+    is_possible[0] = True
+    tilts = tilts[is_possible]
+    away = np.abs(tilts @ points.T - off)
+    best = tilts[int(np.argmax((away <= tolerance_px).sum(axis=1)))]
+    for times in _ROUNDS:
+        near = np.abs(points @ best - off) <= times * tolerance_px
+        if near.sum() < int(number(parameters, "plane_points")):
+            return Plane(calibrated, float(near.mean()), False)
+        best = np.linalg.lstsq(points[near], off[near])[0]
+    share = float((np.abs(points @ best - off) <= tolerance_px).mean())
+    found = whole(best)
+    is_sure = share >= number(parameters, "plane_share")
+    is_sure &= bool(_possible(camera, found[None], parameters)[0])
+    return Plane(found if is_sure else calibrated, share, is_sure)
+
+
+def _candidates(points: FloatArray, off: FloatArray, parameters: Parameters) -> FloatArray:
+    """(K, 3): no tilt, then the tilts through three random points each."""
+    rng = np.random.default_rng(int(number(parameters, "plane_seed")))
+    three = rng.integers(0, len(off), (int(number(parameters, "plane_trials")), 3))
+    matrices = points[three]
+    three = three[np.abs(np.linalg.det(matrices)) > 1e-3]
+    through = np.linalg.solve(points[three], off[three][..., None])[..., 0]
+    return np.concatenate([np.zeros((1, 3)), through])
+
+
+def _possible(camera: Camera, planes: FloatArray, parameters: Parameters) -> BoolArray:
+    """(K,): whether the camera can be in that pose over planes (K, 3)."""
+    height, pitch, roll = np.moveaxis(pose(camera, planes), -1, 0)
+    heave = np.abs(height / camera.height_m - 1)
+    possible: BoolArray = (
+        (np.abs(pitch - camera.pitch_deg) <= number(parameters, "most_pitch_deg"))
+        & (np.abs(roll - camera.roll_deg) <= number(parameters, "most_roll_deg"))
+        & (heave <= number(parameters, "most_heave"))
+    )
+    return possible

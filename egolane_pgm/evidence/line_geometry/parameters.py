@@ -1,0 +1,105 @@
+"""What can be set of the line geometry, and what is where nothing is said."""
+
+from __future__ import annotations
+
+from egolane_pgm.evidence.line_geometry.fitting import STRENGTH
+from egolane_pgm.evidence.line_geometry.model import N_CLASSES
+from egolane_pgm.graphs.position_in_lane import CELLS, MOTION_BINS, MOTION_RANGE
+from egolane_pgm.types import Parameter
+
+_OR_FITTED = "; `generic`, or a list that `egolane learn` writes"
+
+PARAMETERS = (
+    Parameter(
+        "lane_width_m",
+        "positive",
+        "auto",
+        "lane width in the detector's metres: a number, `auto` (from the lines of the whole"
+        " recording) or `causal` (from those of the frames so far)",
+        choices=("auto", "causal"),
+    ),
+    Parameter(
+        "fallback_width_m", "positive", 3.5, "lane width where the lines do not tell it, metres"
+    ),
+    Parameter(
+        "alpha",
+        "non_negative",
+        0.05,
+        "weight of what lines say of the lane in a tenth of a second",
+        search=(0.01, 0.2),
+    ),
+    Parameter(
+        "beta",
+        "non_negative",
+        0.15,
+        "weight of what lines say of the place inside the lane in a tenth of a second",
+        search=(0.05, 1.0),
+    ),
+    Parameter(
+        "rates",
+        "non_negative",
+        "generic",
+        "expected lines from each lane: a row of n + 3 per lane, the n + 1 lines of the road, then"
+        " left and right shoulder" + _OR_FITTED,
+        choices=("generic",),
+        shape=lambda n: (n, n + 3),
+    ),
+    Parameter(
+        "class_shares",
+        "probability",
+        "generic",
+        "shares of the line classes: a row of four per line" + _OR_FITTED,
+        choices=("generic",),
+        shape=lambda n: (n + 3, N_CLASSES),
+    ),
+    Parameter(
+        "sigmas_m",
+        "sigma",
+        "generic",
+        "standard deviation of each line about its place, metres" + _OR_FITTED,
+        choices=("generic",),
+        shape=lambda n: (n + 3,),
+    ),
+    Parameter(
+        "shoulders",
+        "positive",
+        "generic",
+        "distance of the left and right shoulder line from the road, lane widths" + _OR_FITTED,
+        choices=("generic",),
+        shape=lambda n: (2,),
+    ),
+    Parameter(
+        "clutter",
+        "non_negative",
+        "generic",
+        "lines that are none, per metre, of each class" + _OR_FITTED,
+        choices=("generic",),
+        shape=lambda n: (N_CLASSES,),
+    ),
+    Parameter("seen_near", "non_negative", 0.9, "generic rate of the lines of the own lane"),
+    Parameter("fade", "non_negative", 0.2, "share of it that each lane further away takes off"),
+    Parameter("seen_far", "non_negative", 0.15, "lowest generic rate of a line of the road"),
+    Parameter("shoulder_left", "non_negative", 0.08, "generic rate of a line left of the road"),
+    Parameter("shoulder_right", "non_negative", 0.13, "generic rate of a line right of the road"),
+    Parameter("shoulder_distance", "positive", 0.9, "generic distance of those, lane widths"),
+    Parameter(
+        "edge_continuous",
+        "probability",
+        0.25,
+        "generic share of continuous among what is seen of the road's outer lines",
+    ),
+    Parameter("inner_continuous", "probability", 0.05, "the same of all other lines"),
+    Parameter("line_sigma_m", "sigma", 0.25, "generic standard deviation of a line, metres"),
+    Parameter("clutter_per_m", "non_negative", 0.05, "generic clutter, lines per metre"),
+    Parameter(
+        "prior_frames",
+        "non_negative",
+        STRENGTH,
+        "frames of each lane that the generic constants are worth where parameters are learned;"
+        " `infinite`: nothing is learned",
+        choices=("infinite",),
+    ),
+    CELLS,
+    MOTION_BINS,
+    MOTION_RANGE,
+)

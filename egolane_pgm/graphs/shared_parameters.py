@@ -1,0 +1,95 @@
+"""The parameters of equation `eq:HMM` that the graphs share, and how F is computed."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+
+from egolane_pgm.graphs.cpds import discretised_normal, lane_edges, lane_normals
+from egolane_pgm.types import FloatArray, Parameter, Value
+
+SIGMA1 = Parameter(
+    "sigma1",
+    "sigma",
+    0.4,
+    "standard deviation of the lane dynamics, lanes; Table `tab:cptlane`",
+    search=(0.0, 3.0),
+)
+SIGMA2 = Parameter(
+    "sigma2",
+    "sigma",
+    0.5,
+    "standard deviation of the detector output when the sensor works, lanes; Table"
+    " `tab:cptdetlane`",
+    search=(0.0, 3.0),
+)
+P1 = Parameter(
+    "p1",
+    "probability",
+    0.9,
+    "P(SensorState OK at t+1 | OK at t); Table `tab:cptsensor`",
+    search=(0.0, 1.0),
+)
+P2 = Parameter(
+    "p2",
+    "probability",
+    0.9,
+    "P(SensorState BAD at t+1 | BAD at t); Table `tab:cptsensor`",
+    search=(0.0, 1.0),
+)
+P3 = Parameter(
+    "p3", "probability", 0.6, "P(WOR OK | SensorState OK); Table `tab:cptri`", search=(0.0, 1.0)
+)
+P4 = Parameter(
+    "p4", "probability", 0.6, "P(WOR BAD | SensorState BAD); Table `tab:cptri`", search=(0.0, 1.0)
+)
+WOR_LEVELS = Parameter(
+    "wor_levels", "integer", 3, "values of WOR, the most reliable one first", lowest=2
+)
+NORMAL = Parameter(
+    "normal",
+    "choice",
+    "density",
+    "how F makes a table of a normal: `density` at the lane centres (the authors'), `integral`"
+    " across each lane (the text)",
+    choices=("density", "integral"),
+)
+LANE_WIDTHS = Parameter(
+    "lane_widths",
+    "positive",
+    1.0,
+    "width of each lane in units of the nominal lane (one number, or one per lane)",
+    per_lane=True,
+)
+
+
+def number(value: Value) -> float:
+    """A parameter that is one number."""
+    assert isinstance(value, (int, float))
+    return float(value)
+
+
+def per_lane(value: Value, n_lanes: int) -> Sequence[float]:
+    """A parameter that is one number, or one for each lane, as n numbers."""
+    return value if isinstance(value, tuple) else (number(value),) * n_lanes
+
+
+def f_table(
+    sigma: str, n_lanes: int, parameters: Mapping[str, Value], shift: float = 0.0
+) -> FloatArray:
+    """F(N(lane + shift, sigma^2)) for each lane, (n, n); `sigma` names the parameter, `shift` is
+    in nominal lanes."""
+    normal, widths = str(parameters["normal"]), per_lane(parameters["lane_widths"], n_lanes)
+    if not shift:
+        return lane_normals(number(parameters[sigma]), n_lanes, normal, widths)
+    _, centres = lane_edges(n_lanes, widths)
+    deviation = number(parameters[sigma])
+    rows = [discretised_normal(c + shift, deviation, n_lanes, normal, widths) for c in centres]
+    return np.stack(rows)
+
+
+def sticky(*stay: float) -> FloatArray:
+    """(k, k): value i is kept with probability `stay[i]`, else left for each other one alike."""
+    k = len(stay)
+    return np.stack([np.where(np.arange(k) == i, p, (1 - p) / (k - 1)) for i, p in enumerate(stay)])

@@ -1,0 +1,334 @@
+"""What the readers of other lane detectors' output share: points in the picture become offsets at
+the car, and the persistence of a line over the frames becomes its LRI.
+
+The points of a line are put on the road by the camera and y(x) = s0 + s1 x + s2 x^2 / 2 is fitted
+to those of at most `FARTHEST_M` ahead; s0, where the line passes the camera, is its offset (or
+y(`ahead_m`), so far ahead of it). A point is as exact as a pixel is wide where it lies, and heading
+and curvature are those of a motorway, so that a line of which only a far piece is seen is not drawn
+out wildly.
+
+A line is followed from frame to frame by the nearest offset. Its LRI is the share of the last
+`LRI_FRAMES` pictures, the frame's own included, in which it was seen, times `LRI_FRAMES` (the
+paper's count, section `section:simple-line-detector`). Frames whose number is missing are neither
+seen nor missed; after a gap longer than `LONGEST_GAP_S` every line begins anew.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from egolane_pgm.camera.model import Camera, image_to_road, read_camera
+from egolane_pgm.types import BoolArray, FloatArray, InputError, LineLog, suggestion
+
+#: The paper's k.
+LRI_FRAMES = 10
+
+#: A line becomes valid at LRI = LRI_FRAMES and stays so until its LRI falls below this.
+RELEASE_LRI = 5.0
+
+#: Points further ahead are left out: a pixel is metres long there and roads are not flat.
+FARTHEST_M = 50.0
+
+#: A line whose nearest point is further ahead says too little about the offset at the car.
+NEAREST_M = 25.0
+
+#: Standard deviations of the fit: of a point, pixels; of heading, radians; of curvature, 1/m.
+POINT_PX, HEADING, CURVATURE = 3.0, 0.1, 0.002
+
+#: How far a line may move between two pictures: metres, and metres for each second between them.
+GATE_M, GATE_M_PER_S = 0.3, 1.5
+
+#: A line is lost, and not followed on, after so many seconds without a picture.
+LONGEST_GAP_S = 1.0
+
+#: How a line becomes valid: by the paper's hysteresis, or always, where the source is trusted.
+VALID = ("hysteresis", "always")
+
+#: Lines are drawn on beyond the sides of the picture, but not by so many of its widths.
+_MOST_WIDTHS = 20
+
+#: Names of pictures with more digits are time stamps; by their length, seconds for one.
+_STAMP_UNITS = {13: 1e-3, 16: 1e-6, 18: 1e-8, 19: 1e-9}
+
+
+@dataclass(frozen=True)
+class ImageLine:
+    """One line: its points u, v (P,) in pixels, and whether it is known to be continuous."""
+
+    u: FloatArray
+    v: FloatArray
+    is_continuous: bool = False
+
+
+@dataclass(frozen=True)
+class ImageFrame:
+    """The lines of one picture. number: as the file names it. where: for messages."""
+
+    number: int
+    lines: Sequence[ImageLine]
+    where: str
+
+
+def read_text(path: Path) -> str:
+    """A label file's text. Raises InputError where it cannot be read or is none."""
+    try:
+        return path.read_text(encoding="utf-8")
+    except (OSError, UnicodeDecodeError) as error:
+        reason = getattr(error, "strerror", None) or "is not text"
+        raise InputError(f"{path}: cannot be read: {reason}") from None
+
+
+def line_log(
+    frames: Sequence[ImageFrame],
+    *,
+    camera: Camera,
+    frame_rate: float,
+    valid: str,
+    frame_step: int,
+    ahead_m: float,
+    source: str,
+) -> LineLog:
+    """The frames, put in order, as a LineLog: lines left to right.
+
+    frame_step: how many numbers one frame is apart; frame id is number over frame_step. valid: one
+    of VALID; with "always" every line has the highest LRI too. ahead_m: where offsets are measured.
+
+    Raises InputError for frames that occur twice, numbers that frame_step does not divide, points
+    outside of what the camera takes, and where no point at all lies below the horizon.
+    """
+    _check_options(frame_rate, valid, frame_step, ahead_m, source)
+    ordered = _in_order(frames, frame_step, source)
+    _check_rows([f for _, f in ordered], camera, source)
+    ids = np.array([k for k, _ in ordered], dtype=np.int64)
+    offsets, flags = [], []
+    for _, frame in ordered:
+        offset = np.array([offset_of(line, camera, ahead_m) for line in frame.lines])
+        continuous = np.array([line.is_continuous for line in frame.lines], dtype=bool)
+        order = np.argsort(offset[np.isfinite(offset)], kind="stable")
+        offsets.append(offset[np.isfinite(offset)][order])
+        flags.append(continuous[np.isfinite(offset)][order])
+    if not any(map(len, offsets)) and any(len(frame.lines) for _, frame in ordered):
+        raise InputError(
+            f"{source}: no line has two points on the road within {NEAREST_M:.0f} m ahead of this"
+            " camera; is it the camera of these pictures?"
+        )
+    lri, is_valid = persistence(offsets, ids / frame_rate)
+    if valid == "always":
+        lri = [np.full(len(row), float(LRI_FRAMES)) for row in lri]
+        is_valid = [np.ones(len(row), dtype=bool) for row in is_valid]
+    widest = max(map(len, offsets))
+
+    def padded(rows: Sequence[FloatArray] | Sequence[BoolArray], blank: float | bool) -> FloatArray:
+        table = np.full((len(rows), widest), blank)
+        for at, row in zip(table, rows, strict=True):
+            at[: len(row)] = row
+        return table
+
+    return LineLog(
+        frame_id=ids,
+        time_s=ids / frame_rate,
+        offset_m=padded(offsets, np.nan),
+        is_valid=padded(is_valid, False).astype(bool),
+        is_continuous=padded(flags, False).astype(bool),
+        lri=padded(lri, np.nan),
+        source=source,
+    )
+
+
+def offset_of(line: ImageLine, camera: Camera, ahead_m: float = 0.0) -> float:
+    """Where the line is, metres to the right, `ahead_m` ahead of the camera; NaN with fewer than
+    two points on the road near enough."""
+    x, y = image_to_road(camera, line.u, line.v)
+    with np.errstate(invalid="ignore"):
+        near = (x > 0) & (x <= FARTHEST_M) & np.isfinite(y)
+    x, y = x[near], y[near]
+    if len(np.unique(x)) < 2 or x.min() > NEAREST_M:
+        return float("nan")
+    weight = camera.fx / (POINT_PX * x)
+    rows = np.stack([np.ones_like(x), x, x * x / 2], axis=1) * weight[:, None]
+    prior = np.diag([0.0, 1 / HEADING, 1 / CURVATURE])[1:]
+    design = np.concatenate([rows, prior])
+    values = np.concatenate([y * weight, np.zeros(len(prior))])
+    shape = np.linalg.lstsq(design, values, rcond=None)[0]
+    return float(shape @ [1.0, ahead_m, ahead_m**2 / 2])
+
+
+@dataclass
+class _Track:
+    offset: float
+    history: list[bool]
+    is_valid: bool = False
+
+
+def persistence(
+    offsets: Sequence[FloatArray], time_s: FloatArray
+) -> tuple[list[FloatArray], list[BoolArray]]:
+    """LRI and valid flag, by the paper's hysteresis, of the lines of each frame.
+
+    offsets: per frame (L,) in ascending order, metres. time_s (T,): of the frames.
+    """
+    tracks: list[_Track] = []
+    lri, valid = [], []
+    for t, offset in enumerate(offsets):
+        gap = float(time_s[t] - time_s[t - 1]) if t else 0.0
+        if gap > LONGEST_GAP_S + 1e-9:
+            tracks = []
+        matched = _nearest([track.offset for track in tracks], offset, GATE_M + GATE_M_PER_S * gap)
+        for k, track in enumerate(tracks):
+            track.history = [*track.history, k in matched.values()][-LRI_FRAMES:]
+        own = []
+        for line, value in enumerate(offset):
+            if line in matched:
+                own.append(tracks[matched[line]])
+                own[-1].offset = float(value)
+            else:
+                own.append(_Track(float(value), [True]))
+                tracks.append(own[-1])
+        for track in tracks:
+            seen = sum(track.history)
+            # Of a drive's first frames none was missed, but too few were seen for a verdict.
+            track.is_valid = seen == LRI_FRAMES or (track.is_valid and seen >= RELEASE_LRI)
+        tracks = [track for track in tracks if any(track.history)]
+        lri.append(np.array([float(sum(track.history)) for track in own]))
+        valid.append(np.array([track.is_valid for track in own], dtype=bool))
+    return lri, valid
+
+
+def _nearest(before: Sequence[float], now: FloatArray, gate: float) -> dict[int, int]:
+    """Line -> track for the pairs nearer than the gate, nearest first, each used once."""
+    distance = np.abs(np.subtract.outer(np.asarray(now), np.asarray(before)))
+    pairs: dict[int, int] = {}
+    for flat in np.argsort(distance, axis=None, kind="stable"):
+        line, track = divmod(int(flat), len(before))
+        if distance[line, track] > gate:
+            break
+        if line not in pairs and track not in pairs.values():
+            pairs[line] = track
+    return pairs
+
+
+# --- what the files say of frames and cameras ----------------------------------------------------
+
+
+def camera_of(camera: Camera | str | Path | None, source: Path) -> Camera:
+    """The camera given, read where it is a file; InputError where there is none."""
+    if camera is None:
+        raise InputError(
+            f"{source}: its lines are in pixels: name the camera's YAML file (recording.camera, or"
+            " --camera cam.yaml; `egolane calibrate` makes one)"
+        )
+    if not isinstance(camera, (Camera, str, Path)):
+        raise InputError(f"{source}: camera: {camera!r} is not the name of a camera's YAML file")
+    return camera if isinstance(camera, Camera) else read_camera(camera)
+
+
+def frame_numbers(names: Sequence[str], frame_rate: float, source: str) -> list[int]:
+    """The frame number in each name: the last run of digits in it. Time stamps (13, 16, 18 or 19
+    digits: milliseconds, microseconds, tens of nanoseconds, nanoseconds) become frames of the frame
+    rate, the earliest number 0.
+
+    Raises InputError for a name without a number.
+    """
+    found = [re.findall(r"\d+", name) for name in names]
+    for name, digits in zip(names, found, strict=True):
+        if not digits:
+            raise InputError(f"{source}: '{name}' has no frame number in it")
+    last = [digits[-1] for digits in found]
+    if any(len(d) >= min(_STAMP_UNITS) for d in last):
+        lengths = {len(d) for d in last}
+        if len(lengths) > 1 or not lengths <= set(_STAMP_UNITS):
+            raise InputError(
+                f"{source}: frame numbers of {sorted(lengths)} digits, neither counts nor one kind"
+                f" of time stamp ({', '.join(map(str, _STAMP_UNITS))} digits)"
+            )
+        first = min(map(int, last))
+        return [round((int(d) - first) * _STAMP_UNITS[len(d)] * frame_rate) for d in last]
+    return [int(d) for d in last]
+
+
+def check_one_drive(drives: Sequence[tuple[str, str]]) -> None:
+    """InputError where pictures are of several drives, whose numbers must not be mixed. drives: per
+    picture where it is named, for messages, and the folder of its drive."""
+    for where, drive in drives:
+        if drive != drives[0][1]:
+            raise InputError(
+                f"{where}: is of another drive ({drive}) than {drives[0][0]} ({drives[0][1]}); keep"
+                " the frames of one drive"
+            )
+
+
+def _check_options(
+    frame_rate: float, valid: str, frame_step: int, ahead_m: float, source: str
+) -> None:
+    if not (np.isfinite(frame_rate) and frame_rate > 0):
+        raise InputError(f"{source}: frame_rate {frame_rate} must be greater than 0")
+    if valid not in VALID:
+        raise InputError(
+            f"{source}: valid: '{valid}' is not one of {', '.join(VALID)}"
+            f"{suggestion(str(valid), VALID)}"
+        )
+    if isinstance(frame_step, bool) or not isinstance(frame_step, int) or frame_step < 1:
+        raise InputError(f"{source}: frame_step: {frame_step!r} is not a whole number from 1 up")
+    if isinstance(ahead_m, bool) or not isinstance(ahead_m, (int, float)):
+        raise InputError(f"{source}: ahead_m: {ahead_m!r} is not a number")
+    if not 0 <= ahead_m <= NEAREST_M:
+        raise InputError(f"{source}: ahead_m: {ahead_m} is not between 0 and {NEAREST_M:.0f} m")
+
+
+def _in_order(
+    frames: Iterable[ImageFrame], frame_step: int, source: str
+) -> list[tuple[int, ImageFrame]]:
+    by_id: dict[int, ImageFrame] = {}
+    for frame in frames:
+        if frame.number % frame_step:
+            raise InputError(
+                f"{frame.where}: frame {frame.number} is no multiple of frame_step {frame_step}"
+            )
+        k = frame.number // frame_step
+        if k in by_id:
+            raise InputError(
+                f"{frame.where}: frame {frame.number} is there twice (also {by_id[k].where}); keep"
+                " one of them, or, of time stamps, give the frame_rate of the pictures"
+            )
+        by_id[k] = frame
+    if not by_id:
+        raise InputError(f"{source}: no frame in it")
+    return sorted(by_id.items())
+
+
+def _check_rows(frames: Iterable[ImageFrame], camera: Camera, source: str) -> None:
+    """InputError where the lines reach far below the camera's picture, or many times its width to
+    a side: they are of another."""
+    for frame in frames:
+        lowest = max((float(line.v.max()) for line in frame.lines if len(line.v)), default=0.0)
+        if lowest > 1.1 * camera.height:
+            raise InputError(
+                f"{frame.where}: a line reaches down to row {lowest:.0f}, the camera's pictures"
+                f" have {camera.height}; is it the camera of these pictures?"
+            )
+        widest = max(
+            (float(np.abs(line.u).max()) for line in frame.lines if len(line.u)), default=0
+        )
+        if widest > _MOST_WIDTHS * camera.width:
+            raise InputError(
+                f"{frame.where}: a line reaches column {widest:g}, the camera's pictures have"
+                f" {camera.width}; is it the camera of these pictures?"
+            )
+
+
+def points(values: object, where: str, what: str) -> FloatArray:
+    """A list of numbers as an array; InputError for anything else."""
+    try:
+        array = np.array(values, dtype=np.float64)
+    except (TypeError, ValueError, OverflowError):
+        array = np.zeros((0, 0))
+    if array.ndim != 1 or not isinstance(values, list) or any(isinstance(v, bool) for v in values):
+        raise InputError(f"{where}: {what} is not a list of numbers")
+    if not np.isfinite(array).all():
+        raise InputError(f"{where}: {what} has a number that is not finite")
+    return array

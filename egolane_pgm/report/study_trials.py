@@ -1,0 +1,324 @@
+"""The trials of a study as arrays, and what its figures show of them."""
+
+from __future__ import annotations
+
+import json
+import warnings
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from egolane_pgm.types import BoolArray, FloatArray, InputError, IntArray
+
+STUDY_FILE, TRIALS_FILE, SCHEMA_VERSION = "study.json", "trials.parquet", 1
+
+#: Scores of which more is better; of all others less.
+MAXIMISED = ("accuracy", "f1", "precision", "recall", "coverage")
+
+#: As good as the best: 0.5 points of accuracy, and as much of any other score.
+TOLERANCE = 0.005
+
+#: Importances of fewer trials than this would be noise.
+FEWEST = 20
+
+
+@dataclass(frozen=True)
+class Searched:
+    """A parameter that was searched, from `low` to `high`, both included. Choices are counted from
+    0, in the order of `choices`."""
+
+    key: str
+    low: float
+    high: float
+    is_integer: bool = False
+    choices: tuple[str, ...] = ()
+
+    def share(self, values: FloatArray) -> FloatArray:
+        """Where values lie on the range: 0 at the lower, 1 at the upper end; whole numbers and
+        choices at the middle of their cell."""
+        if self.is_integer:
+            return np.asarray((values - self.low + 0.5) / (self.high - self.low + 1))
+        return np.asarray((values - self.low) / (self.high - self.low))
+
+    def edges(self, n: int) -> FloatArray:
+        """Edges of n equal bins; a bin per value where the values are whole and few enough."""
+        if not self.is_integer:
+            return np.linspace(self.low, self.high, n + 1)
+        count = int(self.high - self.low) + 1
+        return np.linspace(self.low - 0.5, self.high + 0.5, min(count, max(n, 12)) + 1)
+
+    def label(self, value: float) -> str:
+        """A value for people."""
+        if self.choices:
+            return self.choices[round(value)]
+        if self.is_integer:
+            return f"{value:.0f}"
+        # An open range, (0, 3], begins a hair inside: for people it begins at 0.
+        return "0" if abs(value) <= 1e-5 * (self.high - self.low) else f"{value:.3g}"
+
+
+@dataclass(frozen=True)
+class Trials:
+    """The finished trials of a study, in the order of their numbers.
+
+    number (N,); score (N,), in-sample, of the first objective; values: per key of `searched` (N,);
+    best: index of the best trial, the first among equals; held_out: the score on frames that were
+    not searched on, NaN where there is none; reference: known values, of the paper where
+    `reference_name` says so; nested: the best point of each study without a part of the frames.
+    """
+
+    name: str
+    objective: str
+    searched: tuple[Searched, ...]
+    number: IntArray
+    score: FloatArray
+    values: Mapping[str, FloatArray]
+    best: int
+    held_out: float
+    reference: Mapping[str, float]
+    reference_name: str
+    nested: tuple[Mapping[str, float], ...]
+
+    @property
+    def is_maximised(self) -> bool:
+        """Whether a larger score is better."""
+        return self.objective in MAXIMISED
+
+    @property
+    def gain(self) -> FloatArray:
+        """(N,): the score, negative where less is better."""
+        return self.score if self.is_maximised else -self.score
+
+
+def is_study(directory: str | Path) -> bool:
+    """Whether the directory holds a finished study."""
+    return (Path(directory) / STUDY_FILE).is_file()
+
+
+def read_trials(directory: str | Path) -> Trials:
+    """Read study.json and trials.parquet of a study; no recording is needed.
+
+    Raises InputError for a directory without a study, files that cannot be read, columns that are
+    missing, and a study without a finished trial.
+    """
+    content, table = _read(Path(directory))
+    bounds = content["space"]["searched"]
+    objective = str(content["tuning"]["objective"][0])
+    path = Path(directory) / TRIALS_FILE
+    for column in ("number", f"{objective}_in_sample", *bounds):
+        if column not in table:
+            raise InputError(f"{path}: has no column {column}; tune again")
+    order = np.argsort(np.asarray(table["number"]), kind="stable")
+    score = np.array(table[f"{objective}_in_sample"], dtype=np.float64)[order]
+    chosen = order[np.isfinite(score)]
+    score = score[np.isfinite(score)]
+    if not len(score):
+        raise InputError(
+            f"{directory}: no trial of this study is finished, there is nothing to draw"
+        )
+    searched = tuple(_searched(key, bounds[key], table[key]) for key in bounds)
+    values = {s.key: _numbers(s, [table[s.key][k] for k in chosen]) for s in searched}
+    held_out = content.get("held_out") or {}
+    reference, named = _reference(content, searched)
+    return Trials(
+        str(content["name"]),
+        objective,
+        searched,
+        np.asarray(table["number"])[chosen],
+        score,
+        values,
+        int(np.argmax(score if objective in MAXIMISED else -score)),
+        float((held_out.get("all_frames") or {}).get(objective, np.nan)),
+        reference,
+        named,
+        tuple(_point(searched, s["point"]) for s in held_out.get("studies", ())),
+    )
+
+
+def _read(directory: Path) -> tuple[Mapping[str, Any], Mapping[str, Sequence[Any]]]:
+    from pyarrow import ArrowException, parquet
+
+    path = directory / STUDY_FILE
+    try:
+        content = json.loads(path.read_text(encoding="utf-8"))
+    except (OSError, ValueError) as error:
+        raise InputError(
+            f"{directory}: is not the directory of a finished study ({STUDY_FILE} is missing or"
+            " damaged); make one with `egolane tune`"
+        ) from error
+    if content.get("schema_version") != SCHEMA_VERSION or "space" not in content:
+        raise InputError(f"{path}: is not of schema version {SCHEMA_VERSION}; tune again")
+    trials = directory / TRIALS_FILE
+    try:
+        # A file handle of its own: paths with odd characters are URIs to pyarrow.
+        with trials.open("rb") as file:
+            table = parquet.read_table(file).to_pydict()
+    except (OSError, ArrowException) as error:
+        raise InputError(f"{trials}: cannot be read; repeat the `egolane tune` command") from error
+    return content, table
+
+
+def _searched(key: str, bounds: Sequence[Any], column: Sequence[Any]) -> Searched:
+    if isinstance(bounds[0], str):
+        return Searched(key, 0, len(bounds) - 1, True, tuple(bounds))
+    is_integer = all(v is None or isinstance(v, int) for v in column)
+    return Searched(key, float(bounds[0]), float(bounds[1]), is_integer)
+
+
+def _numbers(searched: Searched, values: Sequence[Any]) -> FloatArray:
+    if searched.choices:
+        values = [searched.choices.index(v) for v in values]
+    return np.array(values, dtype=np.float64)
+
+
+def _point(searched: Sequence[Searched], point: Mapping[str, Any]) -> dict[str, float]:
+    found = {}
+    for s in searched:
+        value = point.get(s.key)
+        if s.choices and value in s.choices:
+            found[s.key] = float(s.choices.index(value))
+        elif isinstance(value, (int, float)):
+            found[s.key] = float(value)
+    return found
+
+
+def _reference(
+    content: Mapping[str, Any], searched: Sequence[Searched]
+) -> tuple[dict[str, float], str]:
+    """The paper's values for one of its runs; else what all the experiments came with."""
+    from egolane_pgm.paper import load_published, parameters_for
+
+    if content.get("run") is not None:
+        return _point(searched, parameters_for(load_published()[content["run"]], "published")), (
+            "the paper's"
+        )
+    points = [
+        _point(searched, _per_lane(e["parameters"])) for e in content.get("experiments", ())
+    ] or [{}]
+    common = {k: v for k, v in points[0].items() if all(p.get(k) == v for p in points)}
+    return common, "before the search"
+
+
+def _per_lane(parameters: Mapping[str, Any]) -> dict[str, Any]:
+    """Parameters with one value per lane also under the keys of the search, `p3[2]`."""
+    found = dict(parameters)
+    for name, value in parameters.items():
+        if isinstance(value, list):
+            found |= {f"{name}[{lane}]": v for lane, v in enumerate(value, start=1)}
+    return found
+
+
+def best_so_far(trials: Trials) -> FloatArray:
+    """(N,): the best score up to each trial."""
+    best = np.maximum.accumulate(trials.gain)
+    return best if trials.is_maximised else -best
+
+
+def as_good(trials: Trials, tolerance: float = TOLERANCE) -> BoolArray:
+    """(N,): the trials whose score is within the tolerance of the best."""
+    # Scores are ratios of counts: the bound itself counts in, whatever its last bit says.
+    return np.asarray(trials.gain >= trials.gain.max() - tolerance - 1e-12)
+
+
+@dataclass(frozen=True)
+class Flat:
+    """Values of one parameter among the trials that are as good as the best: from low to high, and
+    the share of the search range that this is (whole numbers and choices: of its cells)."""
+
+    low: float
+    high: float
+    share: float
+
+
+def flat_ranges(trials: Trials, tolerance: float = TOLERANCE) -> dict[str, Flat]:
+    """Per parameter, the range that the good trials span. It is what the search has seen: the real
+    range can only be wider."""
+    good = as_good(trials, tolerance)
+    found = {}
+    for s in trials.searched:
+        values = trials.values[s.key][good]
+        low, high = float(values.min()), float(values.max())
+        if s.choices:
+            share = len(np.unique(values)) / len(s.choices)
+        else:
+            share = (high - low + s.is_integer) / (s.high - s.low + s.is_integer)
+        found[s.key] = Flat(low, high, share)
+    return found
+
+
+def importances(trials: Trials) -> dict[str, float]:
+    """Per parameter, how much of what sets the best tenth of the trials apart from the rest it
+    explains (PED-ANOVA, as Optuna has it); they add up to 1, most important first.
+
+    Empty where fewer than 20 trials are finished, or all have one score.
+    """
+    if len(trials.score) < FEWEST or np.ptp(trials.score) == 0:
+        return {}
+    import optuna
+    from optuna import distributions as d
+    from optuna.trial import create_trial
+
+    ranges: dict[str, d.BaseDistribution] = {}
+    for s in trials.searched:
+        if s.choices:
+            ranges[s.key] = d.CategoricalDistribution(tuple(range(len(s.choices))))
+        elif s.is_integer:
+            ranges[s.key] = d.IntDistribution(int(s.low), int(s.high))
+        else:
+            ranges[s.key] = d.FloatDistribution(s.low, s.high)
+    columns = [
+        [int(v) if s.is_integer else float(v) for v in trials.values[s.key]]
+        for s in trials.searched
+    ]
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        optuna.logging.set_verbosity(optuna.logging.ERROR)
+        study = optuna.create_study(direction="minimize")
+        study.add_trials(
+            [
+                create_trial(
+                    params=dict(zip(ranges, row, strict=True)), distributions=ranges, value=-gain
+                )
+                for *row, gain in zip(*columns, trials.gain.tolist(), strict=True)
+            ]
+        )
+        evaluator = optuna.importance.PedAnovaImportanceEvaluator()
+        found = optuna.importance.get_param_importances(study, evaluator=evaluator)
+    return {key: float(v) for key, v in sorted(found.items(), key=lambda item: -item[1])}
+
+
+def best_per_bin(trials: Trials, key: str, n: int = 24) -> tuple[FloatArray, FloatArray]:
+    """Edges (B + 1,) of bins over a parameter's range, and the best score in each (B,), NaN where
+    no trial lies."""
+    edges = _by_key(trials)[key].edges(n)
+    cells = _cells(edges, trials.values[key])
+    return edges, _best(trials, cells, len(edges) - 1)
+
+
+def best_per_cell(
+    trials: Trials, across: str, up: str, n: int = 18
+) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Edges (X + 1,) and (Y + 1,) of cells over two parameters' ranges, and the best score in each
+    (Y, X), NaN where no trial lies."""
+    x, y = (_by_key(trials)[key].edges(n) for key in (across, up))
+    width = len(x) - 1
+    cells = _cells(y, trials.values[up]) * width + _cells(x, trials.values[across])
+    return x, y, _best(trials, cells, width * (len(y) - 1)).reshape(-1, width)
+
+
+def _by_key(trials: Trials) -> dict[str, Searched]:
+    return {s.key: s for s in trials.searched}
+
+
+def _cells(edges: FloatArray, values: FloatArray) -> IntArray:
+    return np.clip(np.searchsorted(edges, values, side="right") - 1, 0, len(edges) - 2)
+
+
+def _best(trials: Trials, cells: IntArray, count: int) -> FloatArray:
+    best = np.full(count, -np.inf)
+    np.maximum.at(best, cells, trials.gain)
+    best[np.isinf(best)] = np.nan
+    return best if trials.is_maximised else -best

@@ -1,0 +1,331 @@
+"""How far a score can be trusted: held-out blocks and block-bootstrap intervals.
+
+Neighbouring frames are much alike, so neither a random split nor a bootstrap of single frames says
+anything about the next drive: both are done with contiguous blocks of frames. Nothing here knows a
+filter or a fit; those are functions that the caller gives.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from typing import Generic, TypeVar
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from egolane_pgm.scoring.assign import assigned_lane
+from egolane_pgm.scoring.checks import as_belief, as_lanes, as_mask
+from egolane_pgm.scoring.confusion import confusion, confusion_cell
+from egolane_pgm.types import BoolArray, FloatArray, InputError, IntArray
+
+#: Defaults of the definitions that hold everywhere: blocks, intervals.
+N_BLOCKS = 5
+BLOCK_FRAMES = 300
+RESAMPLES = 2000
+LEVEL = 0.95
+
+#: Numbers held at once while resamples are summed; bounds the memory, not the result.
+_CHUNK = 1 << 22
+
+P = TypeVar("P")
+
+#: Sums (R, ...) of per-frame counts -> the statistic of each resample (R,).
+Statistic = Callable[[NDArray[np.generic]], FloatArray]
+
+
+@dataclass(frozen=True)
+class HeldOut(Generic[P]):
+    """What was believed in each frame with parameters fitted without the frame's block.
+
+    belief (T, n): stitched together; any score can be computed from it. block (T,): the block of
+    each frame, 0..B-1. parameters: what `fit` returned for each block.
+    """
+
+    belief: FloatArray
+    block: IntArray
+    parameters: tuple[P, ...]
+
+
+@dataclass(frozen=True)
+class BlockResamples:
+    """Resamples of a drive in circular blocks.
+
+    starts (R, K): first frame of each of the K blocks of a resample. Blocks are `block` frames
+    long and run on from the last frame to the first; the last one is cut so that a resample has
+    n_frames frames.
+    """
+
+    n_frames: int
+    block: int
+    starts: IntArray
+
+    def __len__(self) -> int:
+        return len(self.starts)
+
+    def __iter__(self) -> Iterator[IntArray]:
+        """The frames (n_frames,) of each resample, for statistics that are not sums over frames."""
+        within = np.arange(self.block)
+        for starts in self.starts:
+            frames = (starts[:, None] + within).ravel()[: self.n_frames]
+            yield frames % self.n_frames
+
+
+@dataclass(frozen=True)
+class Interval:
+    """A statistic of all frames with its bootstrap interval (percentiles of the resamples)."""
+
+    estimate: float
+    low: float
+    high: float
+    level: float
+
+
+def blocks(n_frames: int, n_blocks: int = N_BLOCKS) -> list[IntArray]:
+    """The frames of each block: `np.array_split` of the joined frames, crossing ones included.
+
+    Returns n_blocks index arrays, contiguous, in order. Raises InputError for fewer than 2 blocks
+    or more blocks than frames.
+    """
+    if n_blocks < 2:
+        raise InputError(f"n_blocks: {n_blocks} must be at least 2, one is held out at a time")
+    if n_blocks > n_frames:
+        raise InputError(f"n_blocks: {n_blocks} blocks are more than the {n_frames} frames")
+    return np.array_split(np.arange(n_frames, dtype=np.int64), n_blocks)
+
+
+def held_out(
+    n_frames: int,
+    n_blocks: int,
+    fit: Callable[[IntArray], P],
+    predict: Callable[[P], FloatArray],
+    *,
+    fit_exclude: ArrayLike | None = None,
+) -> HeldOut[P]:
+    """Believe each block of a drive with parameters fitted on the other blocks.
+
+    fit(train_index) -> parameters, with the increasing indices of the frames it may look at: all
+    outside the block, except those marked in fit_exclude (T,) (labels that cannot be trusted; they
+    are still predicted). predict(parameters) -> belief (T, n) over the whole drive, filtered from
+    the first frame; only the block's rows are kept. A search that proposes adaptively belongs
+    inside `fit`, so that it is run anew for each block.
+
+    Raises InputError for impossible numbers of blocks, a block that leaves no frame to fit on, or a
+    prediction that is not a belief (T, n) with the same n throughout.
+    """
+    parts = blocks(n_frames, n_blocks)
+    may_fit = np.ones(n_frames, dtype=bool)
+    if fit_exclude is not None:
+        may_fit = ~as_mask(fit_exclude, n_frames, "fit_exclude")
+    beliefs: list[FloatArray] = []
+    parameters: list[P] = []
+    for b, part in enumerate(parts):
+        is_train = may_fit.copy()
+        is_train[part] = False
+        if not is_train.any():
+            raise InputError(
+                f"block {b + 1} of {n_blocks}: no frame is left to fit on; exclude fewer frames"
+            )
+        fitted = fit(np.flatnonzero(is_train))
+        belief = as_belief(predict(fitted), normalised=True)
+        n_lanes = beliefs[0].shape[1] if beliefs else belief.shape[1]
+        if belief.shape != (n_frames, n_lanes):
+            raise InputError(
+                f"block {b + 1} of {n_blocks}: predict gave a belief of shape {belief.shape},"
+                f" needs ({n_frames}, {n_lanes}): the whole drive"
+            )
+        beliefs.append(belief[part])
+        parameters.append(fitted)
+    block = np.repeat(np.arange(n_blocks, dtype=np.int64), [len(part) for part in parts])
+    return HeldOut(np.concatenate(beliefs), block, tuple(parameters))
+
+
+def confusion_by_block(
+    result: HeldOut[P], lane: ArrayLike, is_crossing: ArrayLike
+) -> NDArray[np.int64]:
+    """The confusion matrix of each held-out block, (B, n + 1, n); their sum is the held-out one.
+
+    lane (T,), is_crossing (T,). Raises InputError as `scoring.confusion.confusion` does.
+    """
+    n_frames, n_lanes = result.belief.shape
+    actual, crossing = as_lanes(lane, n_frames), as_mask(is_crossing, n_frames)
+    assigned = assigned_lane(result.belief)
+    return np.stack(
+        [
+            confusion(assigned[inside], actual[inside], crossing[inside], n_lanes)
+            for inside in (result.block == b for b in range(len(result.parameters)))
+        ]
+    )
+
+
+def held_out_confusion(
+    n_frames: int,
+    n_blocks: int,
+    fit: Callable[[IntArray], P],
+    predict: Callable[[P], FloatArray],
+    *,
+    lane: ArrayLike,
+    is_crossing: ArrayLike,
+    fit_exclude: ArrayLike | None = None,
+) -> tuple[IntArray, HeldOut[P]]:
+    """The held-out confusion matrix (n + 1, n), added over the blocks, and what it comes from.
+
+    Arguments and errors as `held_out` and `confusion_by_block`.
+    """
+    result = held_out(n_frames, n_blocks, fit, predict, fit_exclude=fit_exclude)
+    return confusion_by_block(result, lane, is_crossing).sum(axis=0), result
+
+
+def circular_block_bootstrap(
+    n_frames: int, block: int = BLOCK_FRAMES, resamples: int = RESAMPLES, seed: int = 0
+) -> BlockResamples:
+    """Draw the resamples of a circular block bootstrap (Politis & Romano 1992).
+
+    Each resample strings together blocks of `block` frames whose first frames are uniform over the
+    drive, ceil(n_frames / block) of them, cut to n_frames. Only the first frames are kept. The
+    same arguments give the same resamples, so that two sides of a difference share them.
+
+    Raises InputError for a drive shorter than two blocks (its resamples would all be nearly the
+    same, and the interval far too short), or non-positive numbers.
+    """
+    if block < 1:
+        raise InputError(f"block: {block} must be at least 1 frame")
+    if resamples < 1:
+        raise InputError(f"resamples: {resamples} must be at least 1")
+    if n_frames < 2 * block:
+        raise InputError(
+            f"{n_frames} frames are too few for an interval from blocks of {block} frames;"
+            f" at least {2 * block} are needed, or a shorter block"
+        )
+    n_parts = -(-n_frames // block)
+    starts = np.random.default_rng(seed).integers(0, n_frames, size=(resamples, n_parts))
+    return BlockResamples(n_frames, block, starts)
+
+
+def resampled_sums(values: NDArray[np.generic], resamples: BlockResamples) -> NDArray[np.generic]:
+    """Sum of per-frame values over each resample: (T, ...) -> (R, ...).
+
+    Costs one look-up per block, not per frame: the sum over each possible block comes from
+    cumulative sums. Counts (integers, booleans) are summed exactly as int64.
+    """
+    array = np.asarray(values)
+    n_frames = resamples.n_frames
+    if array.shape[:1] != (n_frames,):
+        raise InputError(f"values of shape {array.shape} for resamples of {n_frames} frames")
+    exact = array.dtype.kind in "biu"
+    flat = array.reshape(n_frames, -1).astype(np.int64 if exact else np.float64, copy=False)
+    wrapped = np.concatenate([np.zeros_like(flat[:1]), flat, flat[: resamples.block]])
+    np.cumsum(wrapped, axis=0, out=wrapped)
+    n_parts = resamples.starts.shape[1]
+    last_length = n_frames - (n_parts - 1) * resamples.block
+    whole = wrapped[resamples.block :][:n_frames] - wrapped[:n_frames]
+    last = wrapped[last_length:][:n_frames] - wrapped[:n_frames]
+    sums = last[resamples.starts[:, -1]]
+    step = max(1, _CHUNK // max(1, n_parts * flat.shape[1]))
+    for k in range(0, len(resamples), step):
+        sums[k : k + step] += whole[resamples.starts[k : k + step, :-1]].sum(axis=1)
+    return np.asarray(sums.reshape(len(resamples), *array.shape[1:]))
+
+
+def confusion_counts(
+    assigned: ArrayLike, lane: ArrayLike, is_crossing: ArrayLike, n_lanes: int
+) -> BoolArray:
+    """Per frame its confusion matrix, (T, n + 1, n): True in one cell, none where it is crossing.
+
+    For `bootstrap_interval` with `scoring.confusion.accuracy`, `macro_f1` and the like. Arguments
+    and errors as `scoring.confusion.confusion`.
+    """
+    cell = confusion_cell(assigned, lane, is_crossing, n_lanes)
+    counts = np.zeros((len(cell), (n_lanes + 1) * n_lanes), dtype=bool)
+    is_scored = cell >= 0
+    counts[np.flatnonzero(is_scored), cell[is_scored]] = True
+    return counts.reshape(len(cell), n_lanes + 1, n_lanes)
+
+
+def mean_counts(values: ArrayLike, is_counted: ArrayLike | None = None) -> FloatArray:
+    """Per frame (value, 1), or (0, 0) where it is not counted: (T,) -> (T, 2), for `ratio`.
+
+    For the mean of a per-frame score such as `scoring.probabilistic.log_loss_per_frame`.
+    """
+    array = np.asarray(values, dtype=np.float64)
+    if array.ndim != 1:
+        raise InputError(f"values have shape {array.shape}, need one per frame")
+    counted = np.ones(len(array), dtype=bool)
+    if is_counted is not None:
+        counted = as_mask(is_counted, len(array), "is_counted")
+    return np.stack([np.where(counted, array, 0.0), counted.astype(np.float64)], axis=1)
+
+
+def ratio(sums: NDArray[np.generic]) -> FloatArray:
+    """First over second of (..., 2), NaN where the second is 0."""
+    array = np.asarray(sums, dtype=np.float64)
+    below = array[..., 1]
+    return np.asarray(array[..., 0] / np.where(below == 0, np.nan, below))
+
+
+def bootstrap_interval(
+    counts: NDArray[np.generic],
+    statistic: Statistic,
+    *,
+    block: int = BLOCK_FRAMES,
+    resamples: int = RESAMPLES,
+    seed: int = 0,
+    level: float = LEVEL,
+) -> Interval:
+    """The statistic of a drive with its circular-block-bootstrap percentile interval.
+
+    counts (T, ...): per frame what the statistic sums over (`confusion_counts`, `mean_counts`),
+    in the order of the drive, with crossing frames in their place, counting nothing. statistic:
+    sums (R, ...) -> (R,), such as `scoring.confusion.accuracy`, `macro_f1`, or `ratio`. Resamples
+    in which it is undefined (NaN) are left out; NaN bounds if none is left.
+
+    Raises InputError as `circular_block_bootstrap` does, and for a level outside 0..1.
+    """
+    drawn = circular_block_bootstrap(len(counts), block, resamples, seed)
+    low, high = _percentiles(statistic(resampled_sums(counts, drawn)), level)
+    return Interval(_of_all_frames(counts, statistic), low, high, level)
+
+
+def paired_difference_interval(
+    counts_a: NDArray[np.generic],
+    counts_b: NDArray[np.generic],
+    statistic: Statistic,
+    *,
+    block: int = BLOCK_FRAMES,
+    resamples: int = RESAMPLES,
+    seed: int = 0,
+    level: float = LEVEL,
+) -> Interval:
+    """The difference a - b of a statistic between two sides, both over the same resamples.
+
+    counts_a, counts_b (T, ...): row k of both is the same frame of the same drive. Otherwise as
+    `bootstrap_interval`. Raises InputError also where the two have different numbers of frames.
+    """
+    if len(counts_a) != len(counts_b):
+        raise InputError(
+            f"a difference needs the same frames on both sides, got {len(counts_a)} and"
+            f" {len(counts_b)}; join the two by frame id first"
+        )
+    drawn = circular_block_bootstrap(len(counts_a), block, resamples, seed)
+    difference = statistic(resampled_sums(counts_a, drawn)) - statistic(
+        resampled_sums(counts_b, drawn)
+    )
+    low, high = _percentiles(difference, level)
+    estimate = _of_all_frames(counts_a, statistic) - _of_all_frames(counts_b, statistic)
+    return Interval(estimate, low, high, level)
+
+
+def _of_all_frames(counts: NDArray[np.generic], statistic: Statistic) -> float:
+    array = np.asarray(counts)
+    total = array.sum(axis=0, dtype=np.int64 if array.dtype.kind in "biu" else np.float64)
+    return float(statistic(np.asarray(total)[None])[0])
+
+
+def _percentiles(values: FloatArray, level: float) -> tuple[float, float]:
+    if not 0 < level < 1:
+        raise InputError(f"level: {level} must lie between 0 and 1")
+    defined = values[~np.isnan(values)]
+    if not defined.size:
+        return float("nan"), float("nan")
+    low, high = np.quantile(defined, [(1 - level) / 2, (1 + level) / 2])
+    return float(low), float(high)

@@ -1,0 +1,129 @@
+"""What is believed in a block, and all that is said of it, comes of what was fitted without it."""
+
+from __future__ import annotations
+
+import warnings
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from tests.conftest import needs_compiler
+from tests.kits.drives import write_drive
+from tests.compare.test_comparing import geometry, simulated
+
+from egolane_pgm.compare import held_out as module
+from egolane_pgm.compare.held_out import held_out_run
+from egolane_pgm.compare.learned_on import learn_pooled
+from egolane_pgm.compare.placing import believe, load_for_scoring
+from egolane_pgm.experiment import Experiment, load_experiment
+from egolane_pgm.learn import fit, n_learned, with_found
+from egolane_pgm.scoring.bootstrap import blocks
+
+pytestmark = [
+    pytest.mark.filterwarnings("ignore:.*no frame to learn from:UserWarning"),
+    needs_compiler,
+]
+
+GRID = {"prior_frames": ["infinite", 50], "alpha": [0.05, 0.2]}
+CHOOSING = geometry(fit="choose", choice={"grid": GRID, "objective": "log_loss"})
+
+
+@pytest.mark.parametrize(
+    "experiment",
+    [geometry(fit="learn"), simulated(fit="tune"), CHOOSING],
+    ids=["learn", "tune", "choose"],
+)
+def test_each_block_is_believed_with_its_own_parameters(experiment: Experiment) -> None:
+    drive = load_for_scoring(experiment)
+    run = held_out_run(drive, trials=4)
+    assert len({repr(sorted(found.items())) for found in run.parameters}) > 1
+    scored = drive.recorded.scored
+    for found, block in zip(run.parameters, blocks(len(drive)), strict=True):
+        model = with_found(drive.model, found, experiment)
+        beliefs, _ = believe(drive, model, slice(None))
+        there = scored[block]
+        np.testing.assert_array_equal(run.belief[block], beliefs.lane[there])
+        np.testing.assert_array_equal(run.log_evidence[block], beliefs.log_evidence[there])
+        np.testing.assert_array_equal(run.is_impossible[block], beliefs.is_impossible[there])
+        bad = beliefs.marginals["SensorState"][:, 1]
+        assert run.bad is not None
+        np.testing.assert_array_equal(run.bad[block], bad[there])
+
+
+def test_a_choice_learns_with_the_setting_that_is_chosen_and_counts_both() -> None:
+    drive = load_for_scoring(CHOOSING)
+    run = held_out_run(drive)
+    for found in run.parameters:
+        assert set(GRID) | set(drive.model.rule.LEARNED) == set(found)
+    assert run.free_parameters == 2 + n_learned(drive.model, CHOOSING)
+
+
+def test_a_search_sees_the_other_blocks_only_and_draws_by_a_seed_of_its_own(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    tuning = {"trials": 6, "never_fit": {"from_frame": 1000}}
+    drive = load_for_scoring(simulated(fit="tune", tuning=tuning))
+    scores_of, run_study = module.scores_of, module.run_study
+    looked_at: list[list[np.ndarray]] = []
+    settings: list[Any] = []
+
+    def scores(drives: Any, sets: Any, used: Any, objectives: Any) -> Any:
+        looked_at[-1].append(used[0].copy())
+        return scores_of(drives, sets, used, objectives)
+
+    def study(space: Any, evaluate: Any, own: Any) -> Any:
+        looked_at.append([])
+        settings.append(own)
+        return run_study(space, evaluate, own)
+
+    monkeypatch.setattr(module, "scores_of", scores)
+    monkeypatch.setattr(module, "run_study", study)
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        held_out_run(drive, trials=4)
+    assert [own.trials for own in settings] == [4] * 5
+    assert len({own.seed for own in settings}) == 5
+    for masks, block in zip(looked_at, blocks(len(drive)), strict=True):
+        right = drive.truth.frame_id < 1000
+        right[block] = False
+        assert masks
+        for mask in masks:
+            np.testing.assert_array_equal(mask, right)
+    held_out_run(drive)
+    assert [own.trials for own in settings[5:]] == [6] * 5
+
+
+LINES: dict[str, Any] = {
+    "evidence": "line_geometry",
+    "graph": "position_in_lane",
+    "filter": "exact",
+    "parameters": {"cells": 4, "motion_bins": 9},
+}
+
+
+def test_of_another_drive_every_frame_that_is_trusted_is_learned_from(tmp_path: Path) -> None:
+    """Its frame ids are those of another road, so no stretch of it is left out."""
+    untrusted = {"never_fit": [[250, None]]}
+    there = write_drive(tmp_path / "there", 400, **LINES, tuning=untrusted)
+    here = write_drive(tmp_path / "here", 600, **LINES)
+    keys = {"fit": "learn", "learned_on": (str(there),)}
+    drive = load_for_scoring(load_experiment(here).model_copy(update=keys))
+    run = held_out_run(drive)
+    other = load_for_scoring(load_experiment(there))
+    trusted = np.flatnonzero(other.truth.frame_id < 250)
+    everything = fit(other.model, other.recorded, trusted, other.experiment)
+    for found in run.parameters:
+        assert found["rates"] == pytest.approx(everything["rates"])
+
+
+def test_recordings_are_pooled_from_the_first_guess_whatever_was_learned_before(
+    tmp_path: Path,
+) -> None:
+    """Else what is held out would be known by way of the parameters given."""
+    first = load_for_scoring(load_experiment(write_drive(tmp_path, 300, **LINES)))
+    train = [np.arange(len(first))] * 2
+    found = learn_pooled([first, first], train)
+    again = replace(first, model=with_found(first.model, found, first.experiment))
+    assert dict(learn_pooled([again, again], train)) == dict(found)

@@ -1,0 +1,90 @@
+"""What a comparison keeps on disk, and that a recording that fails stops no other."""
+
+import json
+
+import numpy as np
+import pytest
+import yaml
+from click.testing import CliRunner
+
+from egolane_pgm.cli.main import egolane
+from egolane_pgm.compare.saving import folder_of
+from egolane_pgm.experiment import load_experiment
+from egolane_pgm.model import prepare_model
+from egolane_pgm.results import read_result
+
+
+@pytest.fixture
+def experiments(tmp_path):
+    """Two models on one simulated drive, one on another, one whose recording is not there."""
+    recordings = [{"simulate": "quickstart", "seed": k} for k in (1, 1, 2)] + [{"path": "gone.bag"}]
+    names = ["paper", "plain", "other", "gone"]
+    graphs = ["sensor_failure", "lane_only", "sensor_failure", "sensor_failure"]
+    paths = []
+    for name, graph, recording in zip(names, graphs, recordings, strict=True):
+        content = {"name": name, "recording": recording, "n_lanes": 3, "graph": graph}
+        content["ground_truth"] = {"path": "gone.csv"} if name == "gone" else None
+        content["tuned_on"] = "not_tuned"
+        paths.append(tmp_path / f"{name}.yaml")
+        paths[-1].write_text(yaml.safe_dump(content))
+    return paths
+
+
+def invoke(*arguments):
+    return CliRunner().invoke(egolane, [str(a) for a in arguments])
+
+
+def test_each_recording_has_its_own_directory_and_each_experiment_in_it_a_result(
+    experiments, tmp_path
+):
+    out = tmp_path / "out"
+    found = invoke("compare", *experiments[:3], "--out", out, "--json", tmp_path / "all.json")
+    assert found.exit_code == 0, found.output
+    folders = sorted(path.name for path in out.iterdir())
+    assert folders == ["quickstart_seed_1", "quickstart_seed_2"]
+    part = json.loads((out / "quickstart_seed_1" / "comparison.json").read_text())
+    whole = json.loads((tmp_path / "all.json").read_text())
+    assert part["experiments"] == whole["recordings"][0]["experiments"]
+    result = read_result(out / "quickstart_seed_1" / "plain")
+    assert np.allclose(result.marginals["Lane"].sum(axis=1), 1)
+    scored = ~result.is_crossing
+    accuracy = np.mean((result.assigned_lane == result.true_lane)[scored])
+    entry = part["experiments"][1]
+    assert accuracy == pytest.approx(entry["scores"]["all_frames"]["accuracy"], abs=1e-12)
+    assert result.run["blocks"] == 5
+
+
+def test_the_experiment_in_a_result_can_be_run_again(experiments, tmp_path):
+    out = tmp_path / "out"
+    assert invoke("compare", experiments[0], experiments[1], "--out", out).exit_code == 0
+    kept = yaml.safe_load((out / "quickstart_seed_1/plain/experiment.yaml").read_text())
+    assert kept["graph"] == "lane_only"
+    again = load_experiment(out / "quickstart_seed_1/plain/experiment.yaml")
+    assert prepare_model(again).compiled.n_states == 3
+
+
+@pytest.mark.parametrize("jobs", [1, 2])
+def test_a_recording_that_fails_is_listed_and_the_others_are_compared(experiments, tmp_path, jobs):
+    file = tmp_path / "all.json"
+    found = invoke("compare", *experiments, "--jobs", jobs, "--json", file)
+    assert found.exit_code == 1
+    assert "failed: gone: " in found.output
+    assert "gone.bag: no such file" in found.output
+    document = json.loads(file.read_text())
+    assert [part["title"] for part in document["recordings"]] == [
+        "quickstart, seed 1",
+        "quickstart, seed 2",
+    ]
+    assert [part["title"] for part in document["failed"]] == ["gone"]
+
+
+def test_where_every_recording_fails_the_first_reason_is_the_one_line(experiments):
+    found = invoke("compare", experiments[3])
+    assert found.exit_code == 2
+    assert found.output.count("\n") == 1
+    assert "gone.bag: no such file" in found.output
+
+
+def test_a_title_becomes_a_plain_directory_name():
+    assert folder_of("quickstart, seed 1") == "quickstart_seed_1"
+    assert folder_of("../..") == "recording"

@@ -1,0 +1,249 @@
+"""What the second camera adds: the road's plane, and what stands on it, on rendered pairs."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from tests.kits.stereo_pairs import CLEAR, PAIR, K, empty, picture, plane_of, scene, settled, with_vehicle
+
+from egolane_pgm.camera.model import axes, image_to_road, road_to_image
+from egolane_pgm.detectors import sc
+from egolane_pgm.detectors.runner import find_detector, start
+from egolane_pgm.detectors.simple import fit as _fit
+from egolane_pgm.detectors.simple import plane as _plane
+from egolane_pgm.detectors.simple import stereo as _stereo
+from egolane_pgm.simulation.rendering import traffic as traffics
+from egolane_pgm.simulation.rendering.render import Frame, Scene, make_scene, render_frame
+from egolane_pgm.types import BoolArray, FloatArray, resolve_parameters
+
+pitches = st.floats(-8, 4)
+rolls = st.floats(-4, 4)
+heights = st.floats(1.0, 2.5)
+
+
+# --- geometry ------------------------------------------------------------------------------------
+
+
+@given(pitches, st.floats(-5, 5), rolls, heights, st.floats(5, 60), st.floats(-8, 8))
+def test_the_disparity_of_the_road_is_that_of_its_projection_in_both_cameras(
+    pitch: float, yaw: float, roll: float, height: float, x: float, y: float
+) -> None:
+    left = replace(PAIR, pitch_deg=pitch, yaw_deg=yaw, roll_deg=roll, height_m=height)
+    assert left.baseline_m is not None
+    ahead, aside, up = left.baseline_m * axes(left)[0]
+    right = replace(left, lateral_m=left.lateral_m + aside, height_m=left.height_m + up)
+    u, v = road_to_image(left, x, y)
+    other_u, other_v = road_to_image(right, x - ahead, y)
+    assert other_v == pytest.approx(v, abs=1e-6)
+    expected = _plane.disparity_at(_plane.ground_plane(left), u, v)
+    assert u - other_u == pytest.approx(expected, abs=1e-6)
+
+
+def test_a_level_camera_sees_a_disparity_that_grows_with_the_rows_below_the_horizon() -> None:
+    level = replace(PAIR, pitch_deg=0.0)
+    a, b, c = _plane.ground_plane(level)
+    # Z = h fy / (v - cy), d = B fx / Z.
+    assert a == pytest.approx(0)
+    assert b == pytest.approx(0.4 / 1.4 * level.fx / level.fy)
+    assert b * level.cy + c == pytest.approx(0)
+
+
+@given(pitches, rolls, heights)
+def test_the_pose_over_a_plane_is_that_of_the_camera_that_made_it(
+    pitch: float, roll: float, height: float
+) -> None:
+    camera = replace(PAIR, pitch_deg=pitch, roll_deg=roll, height_m=height)
+    found = _plane.pose(PAIR, _plane.ground_plane(camera))
+    assert found == pytest.approx([height, pitch, roll], abs=1e-6)
+
+
+# --- the fit -------------------------------------------------------------------------------------
+
+
+@settings(max_examples=20)
+@given(st.floats(-2, 2), st.floats(-1, 1), st.floats(0.95, 1.05), st.integers(0, 99))
+def test_a_plane_is_found_among_many_points_that_are_not_on_it(
+    pitch: float, roll: float, heave: float, seed: int
+) -> None:
+    rng = np.random.default_rng(seed)
+    true = replace(
+        PAIR,
+        pitch_deg=PAIR.pitch_deg + pitch,
+        roll_deg=PAIR.roll_deg + roll,
+        height_m=PAIR.height_m * heave,
+    )
+    u, v = rng.uniform(0, 640, 2000), rng.uniform(170, 300, 2000)
+    disparity = _plane.disparity_at(_plane.ground_plane(true), u, v) + rng.normal(0, 0.2, 2000)
+    stands = u < 260
+    disparity[stands] = rng.uniform(25, 40, stands.sum())
+    plane = _plane.fit_plane(PAIR, u, v, disparity, 1.0, settled())
+    assert plane.is_sure
+    away = _plane.disparity_at(plane.abc - _plane.ground_plane(true), u, v)
+    assert np.abs(away).max() < 0.2
+
+
+@pytest.mark.parametrize("kind", ["noise", "few", "wall"])
+def test_an_unsure_fit_says_so_and_keeps_the_calibrated_plane(kind: str) -> None:
+    rng = np.random.default_rng(1)
+    n_points = 100 if kind == "few" else 2000
+    u, v = rng.uniform(0, 640, n_points), rng.uniform(170, 300, n_points)
+    flat = _plane.disparity_at(_plane.ground_plane(PAIR), u, v)
+    disparity = {
+        "few": flat,
+        "wall": np.full(n_points, 30.0),
+        "noise": rng.uniform(0, 60, n_points),
+    }
+    plane = _plane.fit_plane(PAIR, u, v, disparity[kind], 1.0, settled())
+    assert not plane.is_sure
+    assert np.array_equal(plane.abc, _plane.ground_plane(PAIR))
+
+
+# --- rendered pairs ------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(("matcher", "scale"), [("sgbm", 2), ("sgbm", 4), ("bm", 2)])
+def test_the_plane_of_an_empty_road_is_the_cameras(matcher: str, scale: int) -> None:
+    block = 9 if matcher == "bm" else 5
+    camera = empty().truth.camera
+    pair, plane, disparity = plane_of(
+        empty(), camera, matcher=matcher, match_scale=scale, block_px=block
+    )
+    assert plane.is_sure
+    height, pitch, roll = _plane.pose(camera, plane.abc)
+    assert height == pytest.approx(camera.height_m, rel=0.02)
+    assert pitch == pytest.approx(camera.pitch_deg, abs=0.1)
+    assert roll == pytest.approx(0, abs=0.1)
+    # Row by row: B / Z of the road under each pixel.
+    x, _ = image_to_road(camera, pair.u, pair.v)
+    depth = x * axes(camera)[2, 0] - camera.height_m * axes(camera)[2, 2]
+    expected = camera.fx * 0.4 / depth
+    away = (disparity - expected)[pair.looked]
+    assert np.nanmedian(np.abs(away)) < 0.5
+    assert np.isfinite(away).mean() > 0.6
+
+
+def test_the_pitch_of_a_frame_is_found_and_its_lines_are_where_they_are() -> None:
+    still = scene()
+    nodding = replace(still, pitch_deg=np.full(len(still), 1.2))
+    frame = render_frame(nodding, K)
+    _, plane, _ = plane_of(frame, still.camera)
+    assert plane.is_sure
+    pitch = float(_plane.pose(still.camera, plane.abc)[1])
+    assert pitch == pytest.approx(frame.truth.camera.pitch_deg, abs=0.15)
+
+    def worst(**more: Any) -> float:
+        parameters = settled(**more)
+        view = _fit.view_for(still.camera, parameters)
+        seen, is_road = _stereo.on_road(still.camera, parameters)(view)(picture(frame))
+        found = _fit.find_lines(seen, frame.image, parameters, on_road=is_road).shape[:, 0]
+        near = frame.truth.offset_m[np.abs(frame.truth.offset_m) < 6]
+        return float(np.abs(found - near[:, None]).min(axis=1).max())
+
+    assert worst() < 0.1
+    assert worst() < worst(pitch_from="calibration")
+
+
+def _flank(frame: Frame, where: Scene, pair: _stereo.Pair, low_m: float) -> BoolArray:
+    """Pixels (H, W) of the left flank of the vehicle from low_m above the road up."""
+    camera = frame.truth.camera
+    box = traffics.boxes(
+        where.traffic, K / 10, float(where.road.position_m[K]), lambda x: np.zeros_like(x)
+    )[0]
+    u, v = road_to_image(
+        camera,
+        box.x[[0, 3, 3, 0]],
+        box.y[[0, 3, 3, 0]],
+        np.array([low_m, low_m, box.height_m, box.height_m]),
+    )
+    points = np.stack([u, v], -1).astype(np.float32)
+    mask = np.zeros((camera.height, camera.width), dtype=np.uint8)
+    cv2.fillConvexPoly(mask, cv2.convexHull(points).astype(np.int32), 1)
+    rows, columns = pair.v.astype(int), pair.u.astype(int)
+    shown: BoolArray = mask[rows, columns] > 0
+    return shown
+
+
+def test_an_upright_vehicle_is_off_the_plane_and_the_road_is_on_it() -> None:
+    where = make_scene("a4", 3, 60, stereo=True, **CLEAR, curvature=0)
+    where = replace(with_vehicle(6.0, 1, lorry=True), course=where.course, s_m=where.s_m)
+    frame = render_frame(where, K)
+    parameters = settled()
+    pair, plane, disparity = plane_of(frame, where.camera)
+    off = _stereo.off_plane(pair, disparity, plane, parameters)
+    lorry = _flank(frame, where, pair, 0.55) & pair.looked
+    assert lorry.sum() > 1000
+    assert off[lorry].mean() > 0.95
+    # Left of the car's own lane there is nothing but road up to the barrier.
+    x, y = image_to_road(where.camera, pair.u, pair.v)
+    with np.errstate(invalid="ignore"):
+        road = (y < 1) & (y > -8) & (x < 30) & pair.looked
+    assert road.sum() > 5000
+    assert off[road].mean() < 0.01
+
+
+def test_without_a_sure_plane_a_pitching_camera_keeps_its_road_and_loses_near_cars() -> None:
+    where = with_vehicle(3.0, -1, lorry=False)
+    nodding = replace(where, pitch_deg=np.full(len(where), 1.5))
+    parameters = settled(plane_share=1.0)
+    pair, plane, disparity = plane_of(render_frame(nodding, K), scene().camera, plane_share=1.0)
+    assert not plane.is_sure
+    off = _stereo.off_plane(pair, disparity, plane, parameters)
+    x, y = image_to_road(scene().camera, pair.u, pair.v)
+    with np.errstate(invalid="ignore"):
+        road = (y > -1) & (y < 3) & (x < 30) & pair.looked
+        car = (y > -7) & (y < -5) & (x < 10) & pair.looked
+    assert off[road].mean() < 0.01
+    assert off[car].mean() > 0.4
+
+
+def test_lines_on_flanks_are_dropped() -> None:
+    parameters = settled()
+    camera = scene().camera
+    view = _fit.view_for(camera, parameters)
+    look = _stereo.on_road(camera, parameters)(view)
+    one, two = 0, 0
+    for x, lane, lorry in [(3.0, -1, False), (6.0, 1, False), (12.0, 1, True)]:
+        frame = render_frame(with_vehicle(x, lane, lorry=lorry), K)
+        seen, is_road = look(picture(frame))
+        mono = _fit.find_lines(view, frame.image, parameters)
+        stereo = _fit.find_lines(seen, frame.image, parameters, on_road=is_road)
+
+        def false(found: _fit.Found, true: FloatArray = frame.truth.offset_m) -> int:
+            return int((np.abs(found.shape[:, :1] - true).min(axis=1) > 0.35).sum())
+
+        one, two = one + false(mono), two + false(stereo)
+    assert one >= 2
+    assert two == 0
+
+
+@pytest.mark.parametrize(("mono", "stereo"), [("ml", "sl"), ("mc", "sc")])
+def test_on_an_empty_road_two_cameras_say_what_one_says(mono: str, stereo: str) -> None:
+    camera = scene().camera
+    same = {"pitch_from": "calibration"}
+    # The barriers on both sides are no road, so one camera's view ends before them as well.
+    steps = [
+        start(find_detector(name, {**more, "side_m": 5.5}, Path.cwd(), "x"), camera)
+        for name, more in ((mono, {}), (stereo, same), (stereo, {}))
+    ]
+    for k in range(K, K + 4):
+        pair = picture(render_frame(scene(), k))
+        one, two, pitched = (step(pair) for step in steps)
+        assert len(one.lri) >= 2
+        assert two.shape == pytest.approx(one.shape, abs=1e-3)
+        assert np.array_equal(two.is_continuous, one.is_continuous)
+        assert pitched.offset_m == pytest.approx(one.offset_m, abs=0.05)
+
+
+def test_the_same_pairs_give_the_same_lines() -> None:
+    frame = picture(render_frame(with_vehicle(6.0, 1, lorry=True), K))
+    parameters = resolve_parameters(sc.PARAMETERS, {}, 1)
+    first, second = (sc.start(scene().camera, parameters)(frame) for _ in range(2))
+    assert np.array_equal(first.shape, second.shape)
+    assert len(first.lri)

@@ -1,0 +1,310 @@
+"""Lines followed over time: filter, reliability, validity, votes, births and deaths."""
+
+from __future__ import annotations
+
+import itertools
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from egolane_pgm.detectors._tracking_parameters import PARAMETERS
+from egolane_pgm.detectors.simple.tracking import (
+    Rules,
+    Tracks,
+    advance,
+    continuous_share,
+    expected,
+    lines_of,
+    no_tracks,
+    rules,
+)
+from egolane_pgm.types import FloatArray, resolve_parameters
+
+NOTHING = np.zeros((0, 4)), np.zeros(0)
+
+
+def made(curved: bool = True, **given: object) -> Rules:
+    return rules(resolve_parameters(PARAMETERS, given, 1), curved=curved)
+
+
+def at(*offsets: float, heading: float = 0.0, curvature: float = 0.0) -> FloatArray:
+    return np.array([[o, heading, curvature, 0.0] for o in offsets]).reshape(-1, 4)
+
+
+def followed(rule: Rules, frames: list[tuple[FloatArray, FloatArray]]) -> list[Tracks]:
+    tracks, history = no_tracks(rule), []
+    for shape, coverage in frames:
+        tracks = advance(tracks, rule, shape, coverage)
+        history.append(tracks)
+    return history
+
+
+def seen(shape: FloatArray, coverage: float = 0.5) -> tuple[FloatArray, FloatArray]:
+    return shape, np.full(len(shape), coverage)
+
+
+def test_the_lri_counts_detections_in_the_last_ten_frames() -> None:
+    rng = np.random.default_rng(0)
+    hits = np.concatenate([np.ones(12, dtype=bool), rng.random(60) < 0.8])
+    rule = made()
+    history = followed(rule, [seen(at(-1.8)) if hit else NOTHING for hit in hits])
+    for t, tracks in enumerate(history):
+        assert tracks.number.tolist() == [1]
+        assert tracks.lri[0] == hits[max(0, t - 9) : t + 1].sum()
+
+
+def test_valid_at_the_largest_lri_and_until_below_a_share_of_it() -> None:
+    rule = made(valid_until=0.5, die_after=100)
+    frames = [seen(at(-1.8))] * 12 + [NOTHING] * 8 + [seen(at(-1.8))] * 11
+    history = followed(rule, frames)
+    lri = [int(t.lri[0]) for t in history]
+    valid = [bool(t.is_valid[0]) for t in history]
+    assert lri[:12] == [*range(1, 11), 10, 10]
+    assert valid[:12] == [False] * 9 + [True] * 3
+    # Down to half of it the flag stays, below it goes; on the way up only the maximum sets it.
+    assert lri[12:20] == [9, 8, 7, 6, 5, 4, 3, 2]
+    assert valid[12:20] == [True] * 5 + [False] * 3
+    assert valid[20:] == [value == 10 for value in lri[20:]]
+    assert valid[-1]
+
+
+@settings(max_examples=40, deadline=None)
+@given(
+    st.lists(st.booleans(), min_size=1, max_size=60),
+    st.integers(1, 12),
+    st.floats(0, 1),
+)
+def test_validity_is_always_the_hysteresis_of_the_lri(
+    hits: list[bool], k: int, until: float
+) -> None:
+    rule = made(lri_frames=k, valid_until=until)
+    was: dict[int, bool] = {}
+    for tracks in followed(rule, [seen(at(2.0)) if hit else NOTHING for hit in hits]):
+        for number, lri, valid in zip(tracks.number, tracks.lri, tracks.is_valid, strict=True):
+            assert 0 <= lri <= k
+            assert valid == (lri == k or (was.get(int(number), False) and lri >= until * k))
+        was = dict(zip(tracks.number.tolist(), tracks.is_valid.tolist(), strict=True))
+
+
+def test_the_filter_has_less_noise_than_single_frames_and_no_bias() -> None:
+    rng = np.random.default_rng(1)
+    true = np.array([-1.8, 0.01, 3e-4, 0.0])
+    rule = made()
+    x = np.linspace(6, 30, 4)
+    columns = np.stack([np.ones_like(x), x, x**2 / 2, x**3 / 6], axis=1)
+    noise = np.linspace(0.12, 0.35, 4)
+    frames = []
+    for _ in range(300):
+        measured = np.linalg.solve(columns, columns @ true + noise * rng.normal(size=4))
+        frames.append(seen(measured[None]))
+    history = followed(rule, frames)[50:]
+    for distance in (6.0, 15.0, 30.0):
+        row = np.array([1, distance, distance**2 / 2, distance**3 / 6])
+        raw = np.array([shape[0] @ row for shape, _ in frames[50:]]) - true @ row
+        ours = np.array([t.mean[0] @ row for t in history]) - true @ row
+        assert abs(ours.mean()) < 0.1
+        assert ours.std() < 0.8 * raw.std()
+
+
+def test_the_covariance_stays_symmetric_and_positive() -> None:
+    rng = np.random.default_rng(2)
+    rule = made()
+    frames = [
+        seen(at(-1.8 + rng.normal(0, 0.1), 1.9)) if rng.random() < 0.7 else NOTHING
+        for _ in range(200)
+    ]
+    for tracks in followed(rule, frames):
+        for covariance in tracks.covariance:
+            np.testing.assert_allclose(covariance, covariance.T, rtol=0, atol=1e-12)
+            scale = np.sqrt(np.diag(covariance))
+            assert np.linalg.eigvalsh(covariance / np.outer(scale, scale)).min() > -1e-9
+
+
+def test_straight_lines_stay_straight_whatever_is_found() -> None:
+    rule = made(curved=False)
+    history = followed(rule, [seen(at(-1.8, 1.8, curvature=1e-3))] * 20)
+    assert not np.any(history[-1].mean[:, 2:])
+
+
+@pytest.mark.parametrize("sideways", [-0.5, -0.2, 0.2, 0.5])
+def test_a_lane_change_keeps_every_line_its_number(sideways: float) -> None:
+    """As fast as 0.5 m per frame (1.5 m/s, three pictures per second), after a gentle start."""
+    lines = np.arange(-3, 4) * 3.6 - 1.8
+    shift = np.cumsum([0.0] * 12 + list(np.linspace(0, sideways, 6)) + [sideways] * 5)
+    frames = [seen(at(*lines + s)) for s in shift]
+    rule = made()
+    history = followed(rule, frames)
+    for tracks, s in zip(history[-3:], shift[-3:], strict=True):
+        for number, mean in zip(tracks.number, tracks.mean, strict=True):
+            if number <= len(lines) and abs(lines[number - 1] + s) < 8:
+                assert mean[0] == pytest.approx(lines[number - 1] + s, abs=0.3)
+    within = np.abs(lines + shift[-1]) < 8
+    assert set(np.flatnonzero(within) + 1) <= set(history[-1].number.tolist())
+
+
+def test_lines_not_seen_move_with_those_that_are() -> None:
+    rule = made()
+    frames = [seen(at(-5.4, -1.8, 1.8))] * 12
+    frames += [seen(at(-5.4 + 0.1 * k, -1.8 + 0.1 * k)) for k in range(1, 8)]
+    tracks = followed(rule, frames)[-1]
+    hidden = tracks.mean[tracks.number == 3]
+    assert hidden[0, 0] == pytest.approx(1.8 + 0.7, abs=0.25)
+    still = made(motion_gain=0.0, shift_gain=0.0)
+    assert followed(still, frames)[-1].mean[2, 0] == pytest.approx(1.8, abs=0.01)
+
+
+def test_an_outlier_beyond_the_gate_does_not_move_a_line() -> None:
+    rule = made(gate_m=1.0, least_lane_m=1.0)
+    tracks = followed(rule, [seen(at(-1.8, 1.8))] * 15 + [seen(at(-1.8, 3.1))])[-1]
+    kept = tracks.mean[tracks.number == 2]
+    assert kept[0, 0] == pytest.approx(1.8, abs=0.05)
+    assert tracks.missed[tracks.number == 2] == 1
+    assert 3 in tracks.number
+
+
+def test_each_found_line_continues_one_line_at_most() -> None:
+    rule = made(tracks_apart_m=0.3, least_lane_m=0.3)
+    tracks = followed(rule, [seen(at(-1.8, -1.2))] * 12 + [seen(at(-1.5))])[-1]
+    assert sorted(tracks.missed.tolist()) == [0, 1]
+
+
+def test_a_new_line_that_is_not_seen_again_dies_soon_a_proven_one_late() -> None:
+    rule = made(die_after=8, new_die_after=2)
+    once = followed(rule, [seen(at(-1.8)), *[NOTHING] * 2])
+    assert [len(t) for t in once] == [1, 1, 0]
+    proven = followed(rule, [seen(at(-1.8))] * 10 + [NOTHING] * 8)
+    assert [len(t) for t in proven[10:]] == [1] * 7 + [0]
+
+
+def test_a_line_next_to_a_better_one_is_given_up() -> None:
+    rule = made(tracks_apart_m=1.0, motion_gain=0.0)
+    frames = [seen(at(-1.8))] * 12
+    frames += [seen(at(-1.8, -0.5 - 0.1 * k)) for k in range(8)]
+    tracks = followed(rule, frames)[-1]
+    assert tracks.number.tolist() == [1]
+
+
+def test_a_line_far_to_the_side_is_given_up() -> None:
+    rule = made(farthest_m=8.0)
+    assert followed(rule, [seen(at(9.0))] * 3)[-1].number.size == 0
+
+
+def test_dashed_and_continuous_follow_the_majority_of_the_last_votes() -> None:
+    rule = made(vote_frames=20, continuous_cover=0.8, continuous_share=0.5)
+    rng = np.random.default_rng(3)
+    frames = []
+    for _ in range(60):
+        # A dashed line that looks whole in one frame of five, a continuous one with holes.
+        cover = np.array([0.95 if rng.random() < 0.2 else 0.5, 0.4 if rng.random() < 0.2 else 1])
+        frames.append((at(-1.8, 1.8), cover))
+    history = followed(rule, frames)
+    for tracks in history[20:]:
+        assert lines_of(tracks, rule).is_continuous.tolist() == [False, True]
+
+
+def test_votes_of_old_detections_are_forgotten() -> None:
+    rule = made(vote_frames=10)
+    dashed, whole = seen(at(1.8), 0.5), seen(at(1.8), 1.0)
+    history = followed(rule, [dashed] * 30 + [whole] * 6)
+    assert continuous_share(history[29])[0] == 0
+    assert continuous_share(history[-1])[0] == pytest.approx(0.6)
+
+
+def test_lines_beyond_a_valid_continuous_one_are_hidden_unless_asked_for() -> None:
+    cover = np.array([0.4, 1.0, 0.4, 0.4, 1.0, 1.0])
+    frames = [(at(-5.4, -1.8, 1.8, 5.4, 9.0, 12.6), cover)] * 12
+    for beyond, seen_then in (
+        ("hide_continuous", [-5.4, -1.8, 1.8, 5.4, 9.0]),
+        ("hide_all", [-1.8, 1.8, 5.4, 9.0]),
+        ("keep", [-5.4, -1.8, 1.8, 5.4, 9.0, 12.6]),
+    ):
+        rule = made(beyond_edge=beyond)
+        history = followed(rule, frames)
+        # Not before it is sure.
+        assert len(lines_of(history[5], rule).lri) == 6
+        np.testing.assert_allclose(lines_of(history[-1], rule).offset_m, seen_then, atol=0.05)
+    # The car itself may be beyond what was the edge: each side has its own.
+    rule = made(beyond_edge="hide_all")
+    crossed = [
+        (at(-1.8, 1.8, 5.4) - [[0.3 * k, 0, 0, 0]], np.array([0.4, 1, 0.4])) for k in range(14)
+    ]
+    history = followed(rule, [(at(-1.8, 1.8, 5.4), np.array([0.4, 1, 0.4]))] * 12 + crossed)
+    assert lines_of(history[-1], rule).offset_m.round(1).tolist() == [-2.1, 1.5]
+
+
+def test_lines_are_reported_from_left_to_right() -> None:
+    rule = made()
+    rng = np.random.default_rng(4)
+    for tracks in followed(rule, [seen(at(*rng.uniform(-9, 9, 5))) for _ in range(40)]):
+        lines = lines_of(tracks, rule)
+        assert (np.diff(lines.offset_m) >= 0).all()
+        assert len(lines.lri) == len(tracks)
+
+
+def test_what_is_expected_is_the_valid_lines_moved_on() -> None:
+    rule = made()
+    history = followed(rule, [seen(at(1.8, -1.8))] * 10 + [seen(at(1.8, -1.8, 5.4))] * 2)
+    np.testing.assert_allclose(expected(history[-1])[:, 0], [-1.8, 1.8], atol=0.05)
+    np.testing.assert_allclose(expected(history[3])[:, 0], [-1.8, 1.8], atol=0.05)
+    assert expected(no_tracks(rule)).shape == (0, 4)
+
+
+def test_a_later_frame_changes_nothing_before_it_and_nothing_given_is_changed() -> None:
+    rng = np.random.default_rng(5)
+    rule = made()
+    frames = [seen(at(*rng.normal([-1.8, 1.8], 0.1))) for _ in range(30)]
+    copies = [(shape.copy(), cover.copy()) for shape, cover in frames]
+    whole = followed(rule, frames)
+    for short, long in zip(followed(rule, frames[:20]), whole, strict=False):
+        np.testing.assert_array_equal(short.mean, long.mean)
+    for (shape, cover), (shape_then, cover_then) in zip(frames, copies, strict=True):
+        np.testing.assert_array_equal(shape, shape_then)
+        np.testing.assert_array_equal(cover, cover_then)
+    again = followed(rule, frames)
+    for one, other in itertools.pairwise([whole[-1], again[-1]]):
+        np.testing.assert_array_equal(one.covariance, other.covariance)
+
+
+def test_a_line_close_beyond_another_bounds_no_lane_and_is_given_up() -> None:
+    rule = made(least_lane_m=2.8)
+    tracks = followed(rule, [seen(at(-4.1, -1.7, 1.9, 5.5))] * 12)[-1]
+    assert sorted(tracks.mean[:, 0].round(1).tolist()) == [-1.7, 1.9, 5.5]
+    # On the other side of the car, or where the nearer one is seldom seen, it stays.
+    tracks = followed(rule, [seen(at(-0.9, 1.5))] * 12)[-1]
+    assert len(tracks) == 2
+    often = [seen(at(-4.1, -1.7) if k % 4 == 0 else at(-4.1)) for k in range(14)]
+    assert -4.1 in followed(rule, often)[-1].mean[:, 0].round(1)
+
+
+_LINE = st.tuples(
+    st.floats(-15, 15), st.floats(-0.3, 0.3), st.floats(-0.01, 0.01), st.floats(-1e-4, 1e-4)
+)
+
+
+@settings(max_examples=60, deadline=None)
+@given(
+    st.lists(st.lists(_LINE, max_size=6), min_size=1, max_size=30),
+    st.booleans(),
+    st.integers(0, 2**32 - 1),
+)
+def test_whatever_is_found_the_tracks_stay_sound(
+    frames: list[list[tuple[float, float, float, float]]], curved: bool, seed: int
+) -> None:
+    rng = np.random.default_rng(seed)
+    rule = made(curved=curved)
+    tracks = no_tracks(rule)
+    for found in frames:
+        cover = np.where(rng.random(len(found)) < 0.3, np.nan, rng.random(len(found)))
+        tracks = advance(tracks, rule, np.array(found).reshape(-1, 4), cover)
+        assert len(set(tracks.number.tolist())) == len(tracks) <= tracks.born
+        for values in (tracks.mean, tracks.covariance, tracks.motion):
+            assert np.isfinite(values).all()
+        assert (tracks.lri >= 1).all()
+        shapes = tracks.mean @ rule.at[:2].T
+        for k in range(len(tracks)):
+            others = np.delete(shapes, k, axis=0)
+            assert (np.abs(others - shapes[k]).mean(axis=1) >= 1.0 - 1e-9).all()
+        lines = lines_of(tracks, rule)
+        assert (np.diff(lines.offset_m) >= 0).all()

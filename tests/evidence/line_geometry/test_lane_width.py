@@ -1,0 +1,193 @@
+"""The lane width from the gaps between lines: found, doubted, or fallen back on."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from egolane_pgm.evidence.line_geometry.lane_width import (
+    gap_counts,
+    lane_width,
+    width_of_gaps,
+    widths_so_far,
+)
+from egolane_pgm.experiment import load_experiment
+from egolane_pgm.loading import load_recording
+from egolane_pgm.paper import paper_experiment
+from egolane_pgm.types import FloatArray, LineLog
+
+FALLBACK = 3.5
+
+
+def log_of(offsets: FloatArray, lri: float = 10.0) -> LineLog:
+    ids = np.arange(len(offsets))
+    valid = np.isfinite(offsets)
+    return LineLog(
+        ids, ids / 10, offsets, valid, np.zeros(offsets.shape, bool), np.where(valid, lri, np.nan)
+    )
+
+
+def road(
+    width: float, n_frames: int = 400, seed: int = 0, missed: float = 0.2, noise: float = 0.12
+) -> LineLog:
+    """Four lanes' lines around a vehicle that wanders, some of them missed."""
+    rng = np.random.default_rng(seed)
+    vehicle = np.cumsum(rng.normal(0, 0.1, n_frames)) % width
+    offsets = (np.arange(5) - 2) * width - vehicle[:, None] + rng.normal(0, noise, (n_frames, 5))
+    return log_of(np.where(rng.random(offsets.shape) < missed, np.nan, offsets))
+
+
+@settings(max_examples=30, deadline=None)
+@given(width=st.floats(1.8, 4.8), seed=st.integers(0, 1000), missed=st.floats(0, 0.4))
+def test_the_width_of_a_road_is_found_whatever_it_is(
+    width: float, seed: int, missed: float
+) -> None:
+    found = lane_width(road(width, seed=seed, missed=missed), FALLBACK)
+    assert found.is_sure
+    assert found.width_m == pytest.approx(width, abs=0.05)
+    assert found.on_lattice > 0.65
+    assert f"lane width {found.width_m:.2f} m" in found.message
+
+
+def test_twice_the_width_is_not_taken_where_every_other_line_is_often_missed() -> None:
+    """The multi-lane detector on the Italian motorway: a third of its gaps skip a line."""
+    found = lane_width(road(2.0, n_frames=2000, missed=0.5), FALLBACK)
+    assert found.is_sure
+    assert found.width_m == pytest.approx(2.0, abs=0.05)
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_lines_anywhere_tell_no_width(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    found = lane_width(log_of(rng.uniform(-9, 9, (2000, 4))), FALLBACK)
+    assert not found.is_sure
+    assert found.width_m == FALLBACK
+    assert "unsure" in found.message
+    assert "3.5 m is used" in found.message
+
+
+@pytest.mark.parametrize("n_frames", [0, 1, 49, 50, 330])
+def test_the_width_so_far_is_that_of_the_frames_before(n_frames: int) -> None:
+    # The road becomes another one; no line in the first frames.
+    offsets = np.concatenate([road(3.0).offset_m[:200], 0.8 * road(3.0).offset_m[200:]])
+    offsets[:60] = np.nan
+    log = log_of(offsets[:n_frames])
+    found = widths_so_far(log, 50, FALLBACK)
+    assert len(found) == -(-n_frames // 50)
+    for k, width in enumerate(found):
+        before = lane_width(log.take(slice(0, 50 * k)), FALLBACK)
+        assert width == (round(before.width_m, 2) if before.gaps else FALLBACK)
+    if n_frames == 330:
+        assert (found[:2] == FALLBACK).all()
+        assert found[-1] != FALLBACK
+
+
+@settings(max_examples=20, deadline=None)
+@given(unit=st.floats(1e-2, 1e3), seed=st.integers(0, 1000))
+def test_the_width_does_not_depend_on_the_unit(unit: float, seed: int) -> None:
+    """Feet, centimetres, pixels: the expected width is in another unit, and hardly matters."""
+    log = road(3.6, seed=seed)
+    scaled = log_of(unit * log.offset_m)
+    metres, other = lane_width(log, FALLBACK), lane_width(scaled, FALLBACK)
+    assert other.is_sure
+    assert other.width_m == pytest.approx(unit * metres.width_m, rel=0.01)
+    so_far = widths_so_far(scaled, 200, FALLBACK)
+    assert so_far[-1] == pytest.approx(unit * 3.6, rel=0.03)
+
+
+@pytest.mark.parametrize("share", [0.4, 0.5, 0.6])
+@pytest.mark.parametrize("seed", range(3))
+def test_a_line_half_a_lane_beside_the_road_does_not_halve_the_width(
+    share: float, seed: int
+) -> None:
+    """The edge of a hard shoulder that is always seen, while each of three lane lines is missed
+    half of the time."""
+    rng = np.random.default_rng(seed)
+    lanes = road(3.6, n_frames=8000, seed=seed, missed=0.5).offset_m[:, 2:]
+    edge = road(3.6, n_frames=8000, seed=seed, missed=0, noise=0).offset_m[:, -1:]
+    beside = edge + share * 3.6 + rng.normal(0, 0.12, (8000, 1))
+    found = lane_width(log_of(np.hstack([lanes, beside])), FALLBACK)
+    assert found.width_m == pytest.approx(3.6, abs=0.1)
+
+
+@pytest.mark.parametrize("width", [2.0, 3.4, 4.1])
+def test_lines_that_are_none_among_the_others_do_not_hide_the_width(width: float) -> None:
+    rng = np.random.default_rng(0)
+    lanes = road(width, n_frames=2000).offset_m
+    found = lane_width(log_of(np.hstack([lanes, rng.uniform(-10, 10, (2000, 2))])), FALLBACK)
+    assert found.is_sure
+    assert found.width_m == pytest.approx(width, abs=0.06)
+
+
+@pytest.mark.parametrize("apart", [0.0, 0.05, 0.2])
+def test_lines_that_are_reported_twice_do_not_change_the_width(apart: float) -> None:
+    lanes = road(3.6, n_frames=2000, missed=0.02).offset_m
+    found = lane_width(log_of(np.hstack([lanes, lanes + apart])), FALLBACK)
+    assert found.is_sure
+    assert found.width_m == pytest.approx(3.6, abs=0.05)
+
+
+def test_of_two_widths_that_explain_few_gaps_alike_the_expected_one_is_taken() -> None:
+    """Gaps of 3 m in half of the frames, of 4.5 m in the others."""
+    offsets = np.tile([-4.5, 0.01, 4.5, np.nan], (40, 1))
+    offsets[::2] = [-3.0, 0.01, 3.0, np.nan]
+    log = log_of(offsets)
+    assert lane_width(log, 3.0).found_m == pytest.approx(3.0, abs=0.05)
+    assert lane_width(log, 4.5).found_m == pytest.approx(4.5, abs=0.05)
+
+
+def test_too_few_gaps_tell_no_width() -> None:
+    few, many = road(3.0, n_frames=5), road(3.0, n_frames=100)
+    assert not lane_width(few, FALLBACK).is_sure
+    assert lane_width(few, FALLBACK).width_m == FALLBACK
+    assert lane_width(many, FALLBACK).is_sure
+
+
+@pytest.mark.parametrize(
+    "offsets",
+    [
+        np.empty((0, 0)),
+        np.empty((5, 0)),
+        np.full((5, 3), np.nan),
+        np.full((5, 1), 1.75),
+        np.zeros((500, 3)),
+    ],
+    ids=["no frames", "no slots", "no lines", "one line", "placeholders at zero"],
+)
+def test_without_two_lines_in_a_frame_the_fallback_is_used_and_it_says_so(
+    offsets: FloatArray,
+) -> None:
+    found = lane_width(log_of(offsets), 3.2)
+    assert (found.width_m, found.is_sure, found.gaps) == (3.2, False, 0)
+    assert np.isnan(found.found_m)
+    assert "no two lines" in found.message
+    assert "3.2 m is used" in found.message
+
+
+def test_weak_lines_do_not_count_and_unknown_reliability_does() -> None:
+    offsets = road(3.6).offset_m
+    assert lane_width(log_of(offsets, lri=5), FALLBACK).gaps == 0
+    assert lane_width(log_of(offsets, lri=np.nan), FALLBACK).is_sure
+
+
+def test_counts_of_single_frames_add_up_to_those_of_the_drive() -> None:
+    log = road(3.7, n_frames=50)
+    frames = [gap_counts(log.take(slice(t, t + 1))) for t in range(50)]
+    np.testing.assert_array_equal(np.sum(frames, axis=0), gap_counts(log))
+    assert width_of_gaps(np.sum(frames, axis=0), FALLBACK, log.source) == lane_width(log, FALLBACK)
+
+
+@pytest.mark.parametrize(
+    ("run", "width"), [(1, 3.9), (4, 3.9), (5, 2.02), (7, 3.4), (10, 4.06)], ids=str
+)
+def test_the_papers_recordings(recordings: object, run: int, width: float) -> None:
+    log = load_recording(load_experiment(paper_experiment(run))).log
+    found = lane_width(log, FALLBACK)
+    assert found.is_sure
+    assert found.width_m == pytest.approx(width, abs=0.06)
+    # From any fifth of the drive, too.
+    for part in np.array_split(np.arange(len(log)), 5):
+        piece = lane_width(log.take(part), FALLBACK)
+        assert piece.found_m == pytest.approx(width, abs=0.15)

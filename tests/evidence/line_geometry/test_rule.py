@@ -1,0 +1,346 @@
+"""Lines as evidence of the place on the road: kernel, twin and the formula in plain loops."""
+
+from __future__ import annotations
+
+import math
+import warnings
+from itertools import pairwise
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from egolane_pgm.evidence.line_geometry import rule as line_geometry
+from egolane_pgm.evidence.line_geometry.model import line_model, places
+from egolane_pgm.evidence.line_geometry.reading import frame_widths, line_classes, read_lines
+from egolane_pgm.evidence.line_geometry.rule import NODES
+from egolane_pgm.graphs import position_in_lane
+from egolane_pgm.inference.compile import compile_network
+from egolane_pgm.inference.filtering import filter_beliefs
+from egolane_pgm.simulation import simulate
+from egolane_pgm.types import Evidence, InputError, LineLog, Parameters, resolve_parameters
+
+W = 3.6
+UNKNOWN = 49  # the first value of LineMotion that is no displacement
+
+
+def resolved(n_lanes: int = 3, **given: object) -> Parameters:
+    specs = {p.name: p for p in (*line_geometry.PARAMETERS, *position_in_lane.PARAMETERS)}
+    return resolve_parameters(specs.values(), {"lane_width_m": W, **given}, n_lanes)
+
+
+def line_log(offsets: Any, **given: Any) -> LineLog:
+    """Valid lines of LRI 10, dashed; NaN where there is none."""
+    offset = np.array(offsets, dtype=float)
+    valid = np.isfinite(offset)
+    fields = {
+        "frame_id": np.arange(len(offset)),
+        "is_valid": valid,
+        "is_continuous": np.zeros(offset.shape, bool),
+        "lri": np.where(valid, 10.0, np.nan),
+        "is_missing": np.zeros(len(offset), bool),
+        **{k: np.asarray(v) for k, v in given.items()},
+    }
+    return LineLog(
+        fields["frame_id"],
+        fields["frame_id"] / 10,
+        offset,
+        fields["is_valid"],
+        fields["is_continuous"],
+        fields["lri"],
+        fields["is_missing"],
+    )
+
+
+def random_log(seed: int, n_frames: int = 40) -> LineLog:
+    """Anything that a detector may say: gaps, held lines, placeholders, far and garbage offsets."""
+    rng = np.random.default_rng(seed)
+    shape = (n_frames, 5)
+    offset = rng.uniform(-9, 9, shape)
+    valid = rng.random(shape) < 0.7
+    lri = rng.integers(-1, 11, shape).astype(float)
+    held = rng.random(shape) < 0.3
+    for t in range(1, n_frames):
+        offset[t, held[t]] = offset[t - 1, held[t]]
+    offset[rng.random(shape) < 0.05] = 0.0
+    offset[rng.random(shape) < 0.05] = 40.0
+    offset[~valid & (rng.random(shape) < 0.3)] = np.nan
+    offset[~valid & (rng.random(shape) < 0.1)] = 3e32
+    lri[rng.random(shape) < 0.1] = np.nan
+    return line_log(
+        offset,
+        frame_id=np.cumsum(rng.choice([1, 1, 1, 2, 9], n_frames)),
+        is_valid=valid,
+        is_continuous=rng.random(shape) < 0.3,
+        lri=lri,
+        is_missing=rng.random(n_frames) < 0.1,
+    )
+
+
+def by_the_formula(lines: list[tuple[float, int]], n: int, parameters: Parameters) -> np.ndarray:
+    """One frame, (n cells, 2), from the intensities themselves."""
+    model = line_model(n, parameters)
+    place = places(model, W)
+    cells = int(parameters["cells"])  # type: ignore[call-overload]
+    alpha, beta = float(parameters["alpha"]), float(parameters["beta"])  # type: ignore[arg-type]
+    result = np.empty((n * cells, 2))
+    for u in range(cells):
+        in_lane = ((u + 0.5) / cells - 0.5) * W
+        log_p, log_mean = np.zeros(n), 0.0
+        for offset, c in lines:
+            intensity = np.empty(n)
+            for lane in range(n):
+                intensity[lane] = model.clutter[c]
+                for k in range(n + 3):
+                    z = (offset + in_lane - place[lane, k]) / model.sigma_m[k]
+                    normal = math.exp(-0.5 * z * z) / (model.sigma_m[k] * math.sqrt(2 * math.pi))
+                    intensity[lane] += model.rates[lane, k] * model.class_shares[k, c] * normal
+            log_p += np.log(intensity)
+            log_mean += math.log(intensity.mean())
+        log_p -= model.expected
+        log_mean -= model.expected.mean()
+        for lane in range(n):
+            bad = beta * log_mean
+            result[lane * cells + u] = bad + alpha * (log_p[lane] - log_mean), bad
+    return np.exp(result - result.max())
+
+
+def test_the_likelihood_is_the_formula() -> None:
+    offsets = [-1.9, 1.6, 5.3, -5.2]
+    log = line_log(
+        [offsets],
+        is_valid=[[True, True, True, False]],
+        is_continuous=[[True, False, False, False]],
+        lri=[[9.0, 6.0, 5.0, 3.0]],
+    )
+    parameters = resolved(alpha=0.3, beta=0.7)
+    right = by_the_formula(list(zip(offsets, [0, 1, 2, 3], strict=True)), 3, parameters)
+    for kernel in (True, False):
+        ours = line_geometry.evidence(log, 3, parameters, kernel=kernel).likelihoods[NODES][0]
+        # The tables are interpolated between points 2 cm apart.
+        np.testing.assert_allclose(np.log(ours), np.log(right), atol=5e-3)
+        assert ours.max() == 1
+
+
+@settings(max_examples=25, deadline=None)
+@given(
+    seed=st.integers(0, 2**32 - 1),
+    n_lanes=st.integers(1, 5),
+    width=st.sampled_from([2.0, 3.6, "auto", "causal"]),
+)
+def test_the_kernel_equals_its_twin(seed: int, n_lanes: int, width: object) -> None:
+    log, parameters = random_log(seed), resolved(n_lanes, lane_width_m=width)
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        ours = line_geometry.evidence(log, n_lanes, parameters)
+        twin = line_geometry.evidence(log, n_lanes, parameters, kernel=False)
+    assert ours.likelihoods[NODES].shape == (len(log), 16 * n_lanes, 2)
+    np.testing.assert_allclose(ours.likelihoods[NODES], twin.likelihoods[NODES], atol=1e-11)
+    np.testing.assert_array_equal(ours.inputs["LineMotion"], twin.inputs["LineMotion"])
+    assert (ours.likelihoods[NODES].max(axis=(1, 2)) == 1).all()
+
+
+@pytest.mark.filterwarnings("ignore:line log")
+@settings(max_examples=20, deadline=None)
+@given(seed=st.integers(0, 2**32 - 1))
+def test_the_mirrored_lines_give_the_mirrored_evidence(seed: int) -> None:
+    log = random_log(seed)
+    with np.errstate(invalid="ignore"):
+        other = line_log(
+            -log.offset_m,
+            frame_id=log.frame_id,
+            is_valid=log.is_valid,
+            is_continuous=log.is_continuous,
+            lri=log.lri,
+            is_missing=log.is_missing,
+        )
+    # A road of equal shoulders, and an odd number of bins about zero.
+    parameters = resolved(shoulder_left=0.1, shoulder_right=0.1)
+    here = line_geometry.evidence(log, 3, parameters)
+    there = line_geometry.evidence(other, 3, parameters)
+    # The tables' points are not the same on both sides of zero.
+    np.testing.assert_allclose(
+        there.likelihoods[NODES][:, ::-1], here.likelihoods[NODES], atol=2e-3
+    )
+    motion, mirrored = here.inputs["LineMotion"], there.inputs["LineMotion"]
+    known = motion < UNKNOWN
+    np.testing.assert_array_equal(mirrored[~known], motion[~known])
+    np.testing.assert_allclose(mirrored[known], UNKNOWN - 1 - motion[known], atol=1)
+
+
+@pytest.mark.parametrize(
+    ("offset", "valid", "continuous", "lri", "kind"),
+    [
+        (1.8, True, True, 2, 0),
+        (1.8, True, False, 6, 1),
+        (1.8, True, False, math.nan, 1),
+        (1.8, True, False, 5, 2),
+        (1.8, False, True, 3, 3),
+        (1.8, False, False, 2, -1),
+        (1.8, False, False, math.nan, 3),
+        (0.0, True, False, 10, -1),
+        (-5e-7, True, False, 10, -1),
+        (16.1, True, False, 10, -1),
+        (3e32, False, False, 10, -1),
+        (math.nan, False, False, 10, -1),
+    ],
+)
+def test_the_class_of_a_line(
+    offset: float, valid: bool, continuous: bool, lri: float, kind: int
+) -> None:
+    log = line_log([[offset]], is_valid=[[valid]], is_continuous=[[continuous]], lri=[[lri]])
+    assert line_classes(log).tolist() == [[kind]]
+
+
+def motion_of(log: LineLog, **given: object) -> list[int]:
+    parameters = resolved(**given)
+    return read_lines(log, frame_widths(log, parameters), parameters).motion.tolist()
+
+
+def value_of(displacement_m: float) -> int:
+    parameters = resolved()
+    index = position_in_lane.motion_index(np.array([displacement_m / W]), np.array([1]), parameters)
+    return int(index[0])
+
+
+def test_the_motion_is_the_median_of_the_matched_lines() -> None:
+    log = line_log([[-1.8, 1.8, 5.4], [-1.7, 1.92, 5.8]])
+    assert motion_of(log) == [UNKNOWN, value_of(0.12)]
+
+
+def test_a_held_line_is_no_evidence_and_is_not_followed() -> None:
+    """The left line moves; the right one is held: same offset, its LRI falls."""
+    offsets = [[-1.8, 1.8], [-1.7, 1.8], [-1.6, 1.8]]
+    log = line_log(offsets, lri=[[10, 10], [10, 9], [10, 8]])
+    assert motion_of(log) == [UNKNOWN, value_of(0.1), value_of(0.1)]
+    parameters = resolved()
+    kind = read_lines(log, frame_widths(log, parameters), parameters).kind
+    assert kind.tolist() == [[1, 1], [1, -1], [1, -1]]
+
+
+def test_a_line_that_stands_still_with_a_steady_index_is_measured() -> None:
+    assert motion_of(line_log([[-1.8, 1.8]] * 3)) == [UNKNOWN, value_of(0), value_of(0)]
+
+
+def test_a_line_that_was_held_tells_the_motion_when_no_other_does() -> None:
+    log = line_log([[1.8], [1.8], [1.4]], lri=[[10], [9], [10]])
+    assert motion_of(log) == [UNKNOWN, UNKNOWN, value_of(-0.4)]
+
+
+def test_nothing_is_matched_beyond_reach_or_across_a_gap() -> None:
+    assert motion_of(line_log([[1.0], [2.0]])) == [UNKNOWN, UNKNOWN]
+    steps = position_in_lane.STEPS
+    gap = motion_of(line_log([[1.8], [1.8]], frame_id=[10, 13]))
+    assert gap == [UNKNOWN, UNKNOWN + steps.index(3)]
+    put_in = line_log([[1.8], [math.nan], [1.8]], is_missing=[False, True, False])
+    assert motion_of(put_in) == [UNKNOWN] * 3
+
+
+@pytest.mark.parametrize("n_slots", [0, 2])
+def test_frames_without_lines_tell_no_place_inside_the_lane(n_slots: int) -> None:
+    with pytest.warns(UserWarning, match="no two lines in one frame"):
+        given = line_geometry.evidence(
+            line_log(np.full((3, n_slots), math.nan)), 3, resolved(lane_width_m="auto")
+        )
+    by_cell = given.likelihoods[NODES].reshape(3, 3, 16, 2)
+    np.testing.assert_allclose(by_cell.std(axis=2), 0, atol=1e-12)
+    assert given.inputs["LineMotion"].tolist() == [UNKNOWN] * 3
+
+
+def test_no_frames_at_all() -> None:
+    given = line_geometry.evidence(line_log(np.empty((0, 2))), 3, resolved())
+    assert len(given) == 0
+
+
+@pytest.mark.filterwarnings("ignore:line log")
+def test_a_detector_without_flags_is_taken_for_one_that_cannot_tell() -> None:
+    """The own lane's lines, of a detector with flags that sees none: hardly the outer lane."""
+    lines = [[-W / 2, W / 2, 1.5 * W]]
+    parameters = resolved(edge_continuous=0.95, inner_continuous=0.05, alpha=1)
+    cannot_tell = line_log(lines * 2)
+    can_tell = line_log(lines * 2, is_continuous=[[False] * 3, [False, False, True]])
+    shares = []
+    for log in (cannot_tell, can_tell):
+        given = line_geometry.evidence(log, 3, parameters).likelihoods[NODES][0, :, 0]
+        lane = given.reshape(3, 16).sum(axis=1)
+        shares.append(lane[0] / lane.sum())
+    assert shares[0] > shares[1] + 0.02
+
+
+def test_one_frame_after_the_other_is_the_same_as_the_causal_whole() -> None:
+    log = simulate("quickstart", seed=4, frames=450).log
+    log = log.take(np.delete(np.arange(450), [60, 61, 300]))
+    for width in ("causal", 3.5):
+        parameters = resolved(lane_width_m=width)
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")
+            whole = line_geometry.evidence(log, 3, parameters)
+        give = line_geometry.online(3, parameters)
+        cuts = [0, 1, 2, 3, 10, 11, *range(12, len(log), 7), len(log)]
+        parts = [give(log.take(slice(a, b))) for a, b in pairwise(cuts)]
+        motion = np.concatenate([p.inputs["LineMotion"] for p in parts])
+        np.testing.assert_array_equal(motion, whole.inputs["LineMotion"])
+        # Until the first continuous line it cannot know that the detector tells them.
+        first = int(np.argmax(log.is_continuous.any(axis=1))) + 7
+        ours = np.concatenate([p.likelihoods[NODES] for p in parts])
+        np.testing.assert_allclose(ours[first:], whole.likelihoods[NODES][first:], atol=1e-12)
+
+
+def test_the_width_that_was_found_is_said_once() -> None:
+    log = simulate("quickstart", seed=1, frames=300).log
+    with pytest.warns(UserWarning, match=r"lane width 3\.\d\d m from") as caught:
+        line_geometry.evidence(log, 3, resolved(lane_width_m="auto"))
+    assert len(caught) == 1
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        line_geometry.evidence(log, 3, resolved(lane_width_m=3.7))
+
+
+@pytest.mark.parametrize("seed", range(2))
+def test_without_labels_it_beats_the_votes_on_a_simulated_drive(seed: int) -> None:
+    from egolane_pgm.evidence import counting
+
+    drive = simulate("quickstart", seed=seed, frames=800)
+    parameters = resolved(lane_width_m="auto")
+    graph = position_in_lane
+    network = compile_network(
+        graph.build(3, parameters), graph.HIDDEN, graph.OBSERVED, graph.INPUTS
+    )
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        given = line_geometry.evidence(drive.log, 3, parameters)
+    lane = filter_beliefs(network, given, "exact").lane.argmax(axis=1) + 1
+    votes = counting.evidence(drive.log, 3, resolve_parameters(counting.PARAMETERS, {}, 3))
+    voted = votes.likelihoods["DetectorOutput"].argmax(axis=1) + 1
+    scored = ~drive.truth.is_crossing
+    right = drive.truth.lane[scored]
+    assert (lane[scored] == right).mean() > 0.95
+    assert (lane[scored] == right).mean() > (voted[scored] == right).mean()
+
+
+@pytest.mark.parametrize(
+    ("given", "message"),
+    [
+        ({"lane_width_m": "automatic"}, "'automatic' is neither a number nor auto or causal"),
+        ({"lane_width_m": -1}, "must be greater than 0"),
+        ({"rates": [1.0, 2.0]}, "has 2 numbers, needs a list of 3 x 6 numbers"),
+        ({"rates": [[1.0] * 5] * 3}, "every row of the same length"),
+        ({"rates": 0.5}, "is not a list of 3 x 6 numbers"),
+        ({"sigmas_m": [0.2] * 5 + [0]}, "must be greater than 0"),
+        ({"class_shares": [[2.0] * 4] * 6}, "not a probability"),
+    ],
+)
+def test_values_that_do_not_fit_are_named(given: dict[str, object], message: str) -> None:
+    with pytest.raises(InputError, match=r"parameters\." + next(iter(given))) as error:
+        resolved(**given)
+    assert message in str(error.value)
+
+
+@pytest.mark.filterwarnings("ignore:line log")
+def test_a_table_may_be_nested_or_in_one_row() -> None:
+    nested = [[0.1 * k for k in range(6)]] * 3
+    flat = [v for row in nested for v in row]
+    assert resolved(rates=nested)["rates"] == resolved(rates=flat)["rates"]
+    assert isinstance(line_geometry.evidence(line_log([[1.8]]), 3, resolved(rates=flat)), Evidence)

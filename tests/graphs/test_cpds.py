@@ -1,0 +1,308 @@
+"""F, the tables and their declaration."""
+
+from __future__ import annotations
+
+import itertools
+import logging
+import math
+import warnings
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from egolane_pgm.graphs.cpds import (
+    Table,
+    binary,
+    declare,
+    discretised_normal,
+    dynamics,
+    lane_edges,
+    lane_normals,
+    previous,
+    prior,
+    quiet,
+    uniform,
+    ve_name,
+    within,
+)
+from egolane_pgm.types import InputError
+
+NORMALS = ("density", "integral")
+both_normals = pytest.mark.parametrize("normal", NORMALS)
+sigmas = st.floats(0.05, 1e6)
+all_widths = st.lists(st.floats(0.3, 3), min_size=1, max_size=6)
+
+
+def density(x: float, mean: float, sigma: float) -> float:
+    return math.exp(-((x - mean) ** 2) / (2 * sigma**2)) / (sigma * math.sqrt(2 * math.pi))
+
+
+def simpson(a: float, b: float, mean: float, sigma: float, steps: int = 2000) -> float:
+    h = (b - a) / steps
+    inner = (density(a + k * h, mean, sigma) * (4 if k % 2 else 2) for k in range(1, steps))
+    return (density(a, mean, sigma) + sum(inner) + density(b, mean, sigma)) * h / 3
+
+
+def test_the_density_is_the_normal_at_the_lane_centres_normalised() -> None:
+    row = discretised_normal(2, 0.7, 4)
+    by_hand = [density(x, 2, 0.7) for x in (1, 2, 3, 4)]
+    np.testing.assert_allclose(row, np.array(by_hand) / sum(by_hand), rtol=1e-13)
+
+
+@pytest.mark.parametrize("mean", [1.0, 2.0, 2.7, 4.0])
+@pytest.mark.parametrize("widths", [None, [0.8, 1.5, 1.0, 1.2]])
+def test_the_integral_is_the_normal_s_mass_across_each_lane_normalised(
+    mean: float, widths: list[float] | None
+) -> None:
+    row = discretised_normal(mean, 0.6, 4, "integral", widths)
+    edges = [0.5, 1.5, 2.5, 3.5, 4.5] if widths is None else [0.5, 1.3, 2.8, 3.8, 5.0]
+    by_hand = [simpson(a, b, mean, 0.6) for a, b in itertools.pairwise(edges)]
+    np.testing.assert_allclose(row, np.array(by_hand) / sum(by_hand), rtol=1e-9)
+
+
+def test_the_density_with_unequal_widths_is_taken_at_their_centres() -> None:
+    row = discretised_normal(1.0, 0.8, 3, widths=[1.0, 2.0, 1.0])
+    by_hand = [density(x, 1.0, 0.8) for x in (1.0, 2.5, 4.0)]
+    np.testing.assert_allclose(row, np.array(by_hand) / sum(by_hand), rtol=1e-13)
+
+
+def test_lanes_of_equal_width_have_their_centres_at_1_to_n() -> None:
+    edges, centres = lane_edges(3)
+    np.testing.assert_array_equal(edges, [0.5, 1.5, 2.5, 3.5])
+    np.testing.assert_array_equal(centres, [1, 2, 3])
+    edges, centres = lane_edges(3, [1, 2, 3])
+    np.testing.assert_array_equal(edges, [0.5, 1.5, 3.5, 6.5])
+    np.testing.assert_array_equal(centres, [1, 2.5, 5])
+
+
+def test_a_wide_lane_gets_more_of_a_broad_normal_by_integral_but_not_by_density() -> None:
+    widths = [1.0, 2.0, 1.0]
+    broad = discretised_normal(2.5, 1e6, 3, "integral", widths)
+    np.testing.assert_allclose(broad, [0.25, 0.5, 0.25], rtol=1e-6)
+    np.testing.assert_allclose(discretised_normal(2.5, 1e6, 3, "density", widths), 1 / 3)
+
+
+@both_normals
+@settings(max_examples=50, deadline=None)
+@given(sigma=sigmas, widths=all_widths)
+def test_every_row_is_a_distribution_and_its_mirror_image_mirrored(
+    normal: str, sigma: float, widths: list[float]
+) -> None:
+    n = len(widths)
+    rows = lane_normals(sigma, n, normal, widths)
+    assert rows.shape == (n, n)
+    assert (rows >= 0).all()
+    np.testing.assert_allclose(rows.sum(axis=1), 1, atol=1e-12)
+    mirrored = lane_normals(sigma, n, normal, widths[::-1])
+    np.testing.assert_allclose(mirrored[::-1, ::-1], rows, rtol=1e-6, atol=1e-12)
+
+
+@both_normals
+@pytest.mark.parametrize("sigma", [1e-3, 1e-100, 1e-200, 5e-324])
+def test_a_tiny_sigma_leaves_all_on_the_lane_itself_without_a_warning(
+    normal: str, sigma: float
+) -> None:
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        np.testing.assert_array_equal(lane_normals(sigma, 4, normal), np.eye(4))
+        off_centre = discretised_normal(2.4, sigma, 4, normal)
+        beside = discretised_normal(-7.0, sigma, 3, normal)
+    np.testing.assert_allclose(off_centre, [0, 1, 0, 0], atol=1e-12)
+    np.testing.assert_array_equal(beside, [1, 0, 0])
+
+
+@both_normals
+@pytest.mark.parametrize("sigma", [1e6, 1e12, 1e17, 1e200, 1.7e308])
+def test_a_boundless_sigma_is_uniform(normal: str, sigma: float) -> None:
+    np.testing.assert_allclose(lane_normals(sigma, 5, normal), np.full((5, 5), 0.2), rtol=1e-6)
+
+
+def test_far_lanes_keep_the_digits_of_their_small_mass() -> None:
+    row = discretised_normal(1, 0.2, 4, "integral")
+    scale = math.sqrt(2) * 0.2
+    tail = [math.erfc(k / scale) - math.erfc((k + 1) / scale) for k in (0.5, 1.5, 2.5)]
+    np.testing.assert_allclose(row[1:] / row[1], np.array(tail) / tail[0], rtol=1e-12)
+    # From the other side the masses are the same to the last digits.
+    np.testing.assert_allclose(discretised_normal(4, 0.2, 4, "integral")[::-1], row, rtol=1e-9)
+
+
+def test_one_lane_has_everything() -> None:
+    for normal in NORMALS:
+        np.testing.assert_array_equal(lane_normals(0.4, 1, normal), [[1.0]])
+
+
+def test_binary_rows_are_ok_and_bad_before_columns_ok_and_bad_now() -> None:
+    np.testing.assert_allclose(binary(0.9, 0.7), [[0.9, 0.1], [0.3, 0.7]])
+
+
+def test_uniform_is_over_the_last_axis() -> None:
+    np.testing.assert_allclose(uniform(3, 4).sum(axis=-1), np.ones(3))
+    assert uniform(3, 4).shape == (3, 4)
+
+
+# --- tables --------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("parents", "values", "message"),
+    [
+        ((), np.full((2, 2), 0.5), "P(D at t+1 | nothing): the table has 2 axes, needs 1"),
+        ((("A", 0),), np.full(2, 0.5), "P(D at t+1 | A at t): the table has 1 axes, needs 2"),
+        ((), np.array([np.nan, 1.0]), "P(D at t+1 | nothing): the table has a negative or NaN"),
+        ((), np.array([-0.5, 1.5]), "P(D at t+1 | nothing): the table has a negative or NaN"),
+        ((), np.array([np.inf, 1.0]), "P(D at t+1 | nothing): the table has a negative or NaN"),
+        (
+            (("A", 1),),
+            np.array([[0.5, 0.5], [0.5, 0.6]]),
+            "P(D at t+1 | A at t+1): the rows of the table must sum to one",
+        ),
+    ],
+)
+def test_a_table_that_is_no_distribution_is_refused_naming_it(
+    parents: tuple[tuple[str, int], ...], values: np.ndarray, message: str
+) -> None:
+    with pytest.raises(InputError) as error:
+        Table(("D", 1), parents, values)
+    assert str(error.value).startswith(message)
+
+
+def test_columns_instead_of_rows_are_noticed() -> None:
+    with pytest.raises(InputError, match="rows of the table must sum to one"):
+        within("D", ["A"], np.array([[0.9, 0.3], [0.1, 0.7]]))
+
+
+def test_the_helpers_place_their_tables_in_the_right_slices() -> None:
+    assert [t.node for t in prior("A", [0.5, 0.5])] == [("A", 0)]
+    (table,) = prior("B", np.full((2, 2), 0.5), ["A"])
+    assert (table.node, table.parents) == (("B", 0), (("A", 0),))
+    (table,) = dynamics("B", [previous("A"), "C"], np.full((2, 2, 2), 0.5))
+    assert (table.node, table.parents) == (("B", 1), (("A", 0), ("C", 1)))
+    both = within("D", ["A"], np.full((2, 2), 0.5))
+    assert [(t.node, t.parents) for t in both] == [
+        (("D", 0), (("A", 0),)),
+        (("D", 1), (("A", 1),)),
+    ]
+
+
+def test_a_virtual_evidence_node_is_named_after_what_it_observes() -> None:
+    assert ve_name("D") == "D_ve"
+    assert ve_name(("A", "D")) == "A+D_ve"
+
+
+# --- declaration ---------------------------------------------------------------------------------
+
+KEEP = np.array([[0.9, 0.1], [0.2, 0.8]])
+
+
+def persistent(name: str) -> list[Table]:
+    return [*prior(name, [0.5, 0.5]), *dynamics(name, [previous(name)], KEEP)]
+
+
+def test_declared_tables_arrive_in_pgmpy_with_their_own_names_on_every_axis() -> None:
+    rng = np.random.default_rng(0)
+    sees = rng.dirichlet(np.ones(4), (2, 3))
+    tables = [
+        *persistent("A"),
+        *prior("B", uniform(3)),
+        *dynamics("B", [previous("B")], uniform(3, 3)),
+        *within("D", ["A", "B"], sees),
+    ]
+    network = declare(tables, ["D", ("B", "D")])
+    assert network.check_model()
+    for s in (0, 1):
+        cpd = next(c for c in network.cpds if tuple(c.variable) == ("D", s))
+        for a in range(2):
+            for b in range(3):
+                for d in range(4):
+                    given = {"A": a, "B": b, "D": d}
+                    index = tuple(given[v[0]] for v in cpd.variables)
+                    assert cpd.values[index] == sees[a, b, d]
+        ve = next(c for c in network.cpds if tuple(c.variable) == ("B+D_ve", s))
+        assert ve.cardinality.tolist() == [2, 3, 4]
+
+
+def test_a_node_whose_second_slice_has_no_edge_is_declared_all_the_same() -> None:
+    tables = [
+        *prior("A", [0.5, 0.5]),
+        *dynamics("A", [], [0.3, 0.7]),
+        *prior("B", [0.5, 0.5]),
+        *dynamics("B", [previous("A")], KEEP),
+        *within("D", ["B"], KEEP),
+    ]
+    network = declare(tables, ["D"])
+    assert {(str(n[0]), int(n[1])) for n in network.nodes()} >= {("A", 0), ("A", 1)}
+
+
+@pytest.mark.parametrize(
+    ("tables", "observed", "message"),
+    [
+        (
+            [*prior("A", [0.5, 0.5]), *dynamics("A", [previous("B")], KEEP)],
+            [],
+            "A at t+1 has the parent B at t, for which there is no table",
+        ),
+        (
+            [*prior("A", uniform(3)), *dynamics("A", [previous("A")], uniform(2, 3))],
+            [],
+            "A at t+1: its table has 2 rows for A at t, which has 3 values",
+        ),
+        (persistent("A"), ["D"], "observed node D: there is no table for it"),
+        (persistent("A"), [("A", "D")], "observed node D: there is no table for it"),
+        ([*persistent("A"), *prior("A", [0.5, 0.5])], [], "A at t: there are two tables for it"),
+        (
+            [*persistent("A"), *prior("B", [0.5, 0.5]), *dynamics("B", ["A"], KEEP)],
+            [],
+            "B at t+1 depends on A at t+1, but B in the first frame does not: give its prior the"
+            " same parent",
+        ),
+        (
+            [*persistent("A"), *prior("B", KEEP, ["A"]), *dynamics("B", [previous("B")], KEEP)],
+            [],
+            "B at t depends on A at t, but B at t+1 does not depend on A at t+1: give its dynamics"
+            " the same parent",
+        ),
+        (
+            [*within("A", ["B"], KEEP), *within("B", ["A"], KEEP)],
+            [],
+            "B at t cannot depend on A at t",
+        ),
+        (
+            [Table(("A", 0), (("A", 1),), KEEP), Table(("A", 1), (), np.array([0.5, 0.5]))],
+            [],
+            "A at t cannot depend on A at t+1",
+        ),
+    ],
+)  # fmt: skip
+def test_tables_that_do_not_fit_together_are_refused_naming_both_nodes(
+    tables: list[Table], observed: list[str], message: str
+) -> None:
+    with pytest.raises(InputError) as error:
+        declare(tables, observed)
+    assert str(error.value).startswith(message)
+    assert "\n" not in str(error.value)
+
+
+def test_quiet_gives_back_what_it_silenced_even_after_an_error() -> None:
+    with quiet():
+        from pgmpy.global_vars import config
+    logger = logging.getLogger("pgmpy")
+    before = (logger.level, config.get_show_progress())
+
+    def fail() -> None:
+        with quiet():
+            assert config.get_show_progress() is False
+            raise RuntimeError
+
+    with pytest.raises(RuntimeError):
+        fail()
+    assert (logger.level, config.get_show_progress()) == before
+
+
+def test_declaring_and_asking_pgmpy_prints_nothing(capfd: pytest.CaptureFixture[str]) -> None:
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        declare([*persistent("A"), *within("D", ["A"], KEEP)], ["D"])
+    out, err = capfd.readouterr()
+    assert (out, err) == ("", "")

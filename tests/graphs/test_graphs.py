@@ -1,0 +1,333 @@
+"""Every graph of the package through the same tests, found by listing the folder."""
+
+from __future__ import annotations
+
+from types import ModuleType
+
+import numpy as np
+import pytest
+from tests.conformance.networks import (
+    METHODS,
+    assert_filters_agree,
+    assert_same_beliefs,
+    brute_force,
+    draw_evidence,
+    draw_parameters,
+    graph,
+    graph_inputs,
+    graph_names,
+    shuffle_axes,
+)
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from egolane_pgm.graphs.cpds import declare, ve_name
+from egolane_pgm.inference.compile import Compiled, compile_network, with_tables
+from egolane_pgm.inference.filtering import filter_beliefs
+from egolane_pgm.inference.oracle import oracle_assumed_density, oracle_filter
+from egolane_pgm.types import Evidence, Parameters, resolve_parameters
+
+GRAPHS = graph_names()
+every_graph = pytest.mark.parametrize("name", GRAPHS)
+every_n = pytest.mark.parametrize("n_lanes", [1, 2, 3, 4, 5])
+
+
+def compiled_graph(name: str, n_lanes: int, parameters: Parameters) -> Compiled:
+    module = graph(name)
+    network = module.build(n_lanes, parameters)
+    return compile_network(network, module.HIDDEN, module.OBSERVED, graph_inputs(module))
+
+
+def defaults(name: str, n_lanes: int, **given: object) -> Parameters:
+    return resolve_parameters(graph(name).PARAMETERS, given, n_lanes)
+
+
+def test_the_papers_graph_and_its_variants_are_found() -> None:
+    assert {"sensor_failure", "wor_on_lane", "lane_only", "no_wor"} <= set(GRAPHS)
+
+
+@every_graph
+@every_n
+def test_build_declares_both_slices_in_full(name: str, n_lanes: int) -> None:
+    module = graph(name)
+    network = module.build(n_lanes, defaults(name, n_lanes))
+    assert network.check_model()
+    declared = {(str(cpd.variable[0]), int(cpd.variable[1])) for cpd in network.cpds}
+    nodes = {*module.HIDDEN, *graph_inputs(module), *map(ve_name, module.OBSERVED)}
+    nodes |= {n for key in module.OBSERVED for n in ((key,) if isinstance(key, str) else key)}
+    assert declared == {(node, s) for node in nodes for s in (0, 1)}
+    assert "Lane" in module.HIDDEN
+    lanes = {cpd.variable_card for cpd in network.cpds if cpd.variable[0] == "Lane"}
+    assert lanes == {n_lanes}
+
+
+@every_graph
+def test_parameters_have_a_default_that_passes_their_own_check_and_a_meaning(name: str) -> None:
+    specs = graph(name).PARAMETERS
+    assert len({spec.name for spec in specs}) == len(specs)
+    for spec in specs:
+        assert spec.check(spec.default, 3, spec.name) == spec.default
+        assert len(spec.doc) > 10
+        if spec.search is not None:
+            low, high = spec.search
+            assert low <= spec.default <= high  # type: ignore[operator]
+
+
+@every_graph
+@every_n
+@pytest.mark.parametrize("seed", [0, 1])
+def test_both_filters_agree_with_the_oracle(name: str, n_lanes: int, seed: int) -> None:
+    rng = np.random.default_rng([seed, n_lanes])
+    module = graph(name)
+    parameters = draw_parameters(module.PARAMETERS, n_lanes, rng)
+    network = module.build(n_lanes, parameters)
+    roles = (module.HIDDEN, module.OBSERVED)
+    inputs = graph_inputs(module)
+    compiled = compile_network(network, *roles, inputs)
+    evidence = draw_evidence(compiled, 4, rng)
+    right = {
+        "exact": oracle_filter(network, *roles, evidence, inputs),
+        "assumed_density": oracle_assumed_density(network, *roles, evidence, inputs),
+    }
+    assert_filters_agree(compiled, evidence, right)
+
+
+@every_graph
+@pytest.mark.parametrize("method", METHODS)
+def test_both_filters_agree_with_brute_force_on_tiny_cases(name: str, method: str) -> None:
+    module = graph(name)
+    for seed in range(3):
+        rng = np.random.default_rng(seed)
+        n_lanes = 2 if seed else 3
+        parameters = draw_parameters(module.PARAMETERS, n_lanes, rng)
+        compiled = compiled_graph(name, n_lanes, parameters)
+        evidence = draw_evidence(compiled, 2, rng)
+        right = brute_force(module.tables(n_lanes, parameters), module.HIDDEN, evidence, method)
+        assert_filters_agree(compiled, evidence, {method: right})
+
+
+@every_graph
+@pytest.mark.parametrize("zeroed", ["one", "all"])
+def test_a_frame_of_zero_joint_likelihood_is_kept_as_predicted_by_the_oracle_too(
+    name: str, zeroed: str
+) -> None:
+    module = graph(name)
+    network = module.build(3, defaults(name, 3))
+    roles = (module.HIDDEN, module.OBSERVED)
+    inputs = graph_inputs(module)
+    compiled = compile_network(network, *roles, inputs)
+    evidence = draw_evidence(compiled, 4, np.random.default_rng(5), zeros=0)
+    for key in module.OBSERVED[: 1 if zeroed == "one" else None]:
+        evidence.likelihoods[key][[0, 2]] = 0
+    right = {
+        "exact": oracle_filter(network, *roles, evidence, inputs),
+        "assumed_density": oracle_assumed_density(network, *roles, evidence, inputs),
+    }
+    assert right["exact"].is_impossible.tolist() == [True, False, True, False]
+    assert_filters_agree(compiled, evidence, right)
+
+
+@every_graph
+def test_new_parameters_in_a_compiled_graph_equal_a_graph_built_with_them(name: str) -> None:
+    module = graph(name)
+    for n_lanes in (1, 3, 4):
+        rng = np.random.default_rng(n_lanes)
+        compiled = compiled_graph(name, n_lanes, defaults(name, n_lanes))
+        parameters = draw_parameters(module.PARAMETERS, n_lanes, rng)
+        quick = with_tables(compiled, module.tables(n_lanes, parameters))
+        assert_same_arrays(quick, compiled_graph(name, n_lanes, parameters))
+
+
+@every_graph
+def test_the_order_of_a_tables_axes_does_not_matter(name: str) -> None:
+    module = graph(name)
+    rng = np.random.default_rng(3)
+    parameters = draw_parameters(module.PARAMETERS, 3, rng)
+    tables = module.tables(3, parameters)
+    compiled = compiled_graph(name, 3, parameters)
+    for _ in range(3):
+        shuffled = shuffle_axes(tables, rng)
+        rng.shuffle(shuffled)  # type: ignore[arg-type]
+        network = declare(shuffled, module.OBSERVED)
+        other = compile_network(network, module.HIDDEN, module.OBSERVED, graph_inputs(module))
+        assert_same_arrays(other, compiled)
+        assert_same_arrays(with_tables(compiled, shuffled), compiled)
+
+
+def assert_same_arrays(ours: Compiled, right: Compiled) -> None:
+    np.testing.assert_allclose(ours.prior, right.prior, rtol=1e-14, atol=0)
+    np.testing.assert_allclose(ours.transition, right.transition, rtol=1e-14, atol=0)
+    assert [g.observed for g in ours.groups] == [g.observed for g in right.groups]
+    for group, other in zip(ours.groups, right.groups, strict=True):
+        np.testing.assert_allclose(group.emission, other.emission, rtol=1e-14, atol=0)
+
+
+@every_graph
+@settings(max_examples=15, deadline=None)
+@given(seed=st.integers(0, 2**32 - 1), n_lanes=st.integers(1, 5))
+def test_the_mirrored_road_gives_the_mirrored_belief(name: str, seed: int, n_lanes: int) -> None:
+    module = graph(name)
+    rng = np.random.default_rng(seed)
+    parameters = draw_parameters(module.PARAMETERS, n_lanes, rng)
+    mirrored_parameters = {
+        k: tuple(reversed(v)) if isinstance(v, tuple) else v for k, v in parameters.items()
+    }
+    compiled = compiled_template(name, n_lanes)
+    here = with_tables(compiled, module.tables(n_lanes, parameters))
+    there = with_tables(compiled, module.tables(n_lanes, mirrored_parameters))
+    evidence = draw_evidence(compiled, 6, rng)
+    mirrored = Evidence(
+        {k: mirror(k, v) for k, v in evidence.likelihoods.items()},
+        {k: mirrored_input(v, parameters) for k, v in evidence.inputs.items()},
+    )
+    for method in METHODS:
+        belief = filter_beliefs(here, evidence, method)
+        other = filter_beliefs(there, mirrored, method)
+        np.testing.assert_allclose(other.lane, belief.lane[:, ::-1], rtol=0, atol=1e-9)
+        np.testing.assert_allclose(other.log_evidence, belief.log_evidence, rtol=0, atol=1e-9)
+        for node in set(module.HIDDEN) - {"Lane"}:
+            seen = other.marginals[node][:, mirrored_values(module, node, belief.marginals[node])]
+            np.testing.assert_allclose(seen, belief.marginals[node], rtol=0, atol=1e-9)
+
+
+def mirrored_values(module: ModuleType, node: str, marginal: np.ndarray) -> list[int]:
+    """The values of a node as seen in a mirror: LEFT is RIGHT."""
+    if node == "RoadPosition":
+        return list(range(marginal.shape[1]))[::-1]
+    names = getattr(module, "VALUES", {}).get(node, range(marginal.shape[1]))
+    other_side = {"LEFT": "RIGHT", "RIGHT": "LEFT"}
+    return [names.index(other_side.get(name, name)) for name in names]
+
+
+_TEMPLATES: dict[tuple[str, int], Compiled] = {}
+
+
+def compiled_template(name: str, n_lanes: int) -> Compiled:
+    """Compiled once for each number of lanes; the tests put their own tables in."""
+    if (name, n_lanes) not in _TEMPLATES:
+        _TEMPLATES[name, n_lanes] = compiled_graph(name, n_lanes, defaults(name, n_lanes))
+    return _TEMPLATES[name, n_lanes]
+
+
+def mirror(key: object, values: np.ndarray) -> np.ndarray:
+    names = (key,) if isinstance(key, str) else key
+    lateral = ("Lane", "DetectorOutput", "RoadPosition")
+    axes = [1 + k for k, n in enumerate(names) if n in lateral]  # type: ignore
+    return np.flip(values, axes)
+
+
+def mirrored_input(index: np.ndarray, parameters: Parameters) -> np.ndarray:
+    """LineMotion as seen in a mirror; where it is unknown it stays so."""
+    bins = int(parameters["motion_bins"])  # type: ignore[arg-type]
+    return np.where(index < bins, bins - 1 - index, index)
+
+
+@pytest.mark.parametrize("n_lanes", [1, 2, 3, 4])
+def test_wor_on_lane_with_equal_numbers_for_all_lanes_is_sensor_failure(n_lanes: int) -> None:
+    rng = np.random.default_rng(n_lanes)
+    parameters = draw_parameters(graph("sensor_failure").PARAMETERS, n_lanes, rng)
+    plain = compiled_graph("sensor_failure", n_lanes, parameters)
+    per_lane = {
+        **parameters,
+        "p3": (parameters["p3"],) * n_lanes,
+        "p4": (parameters["p4"],) * n_lanes,
+    }
+    one = compiled_graph("wor_on_lane", n_lanes, resolve("wor_on_lane", parameters, n_lanes))
+    many = compiled_graph("wor_on_lane", n_lanes, resolve("wor_on_lane", per_lane, n_lanes))
+    evidence = draw_evidence(plain, 30, rng)
+    for method in METHODS:
+        right = filter_beliefs(plain, evidence, method)
+        assert_same_beliefs(filter_beliefs(one, evidence, method), right, 1e-12)
+        assert_same_beliefs(filter_beliefs(many, evidence, method), right, 1e-12)
+
+
+def resolve(name: str, given: Parameters, n_lanes: int) -> Parameters:
+    return resolve_parameters(graph(name).PARAMETERS, given, n_lanes)
+
+
+def test_wor_that_differs_per_lane_moves_the_belief_over_lanes() -> None:
+    parameters = defaults("wor_on_lane", 3, p3=[0.2, 0.9, 0.2], p4=[0.8, 0.1, 0.8])
+    compiled = compiled_graph("wor_on_lane", 3, parameters)
+    uniform = np.full((1, 3), 1 / 3)
+    evidence = Evidence({"DetectorOutput": uniform, "WOR": np.array([[1.0, 0.0]])})
+    # Both sensor states give WOR OK .2, .9, .2 in the three lanes; Bayes from a uniform prior.
+    np.testing.assert_allclose(
+        filter_beliefs(compiled, evidence).lane[0], np.array([0.2, 0.9, 0.2]) / 1.3, atol=1e-12
+    )
+
+
+def test_wor_without_information_makes_sensor_failure_equal_no_wor() -> None:
+    rng = np.random.default_rng(0)
+    parameters = resolve("sensor_failure", {"p3": 0.5, "p4": 0.5, "p1": 0.8, "p2": 0.7}, 3)
+    short = {k: v for k, v in parameters.items() if k not in ("p3", "p4")}
+    with_wor = compiled_graph("sensor_failure", 3, parameters)
+    without = compiled_graph("no_wor", 3, short)
+    evidence = draw_evidence(with_wor, 30, rng, zeros=0)
+    tentative = Evidence({"DetectorOutput": evidence.likelihoods["DetectorOutput"]})
+    for method in METHODS:
+        ours = filter_beliefs(with_wor, evidence, method)
+        right = filter_beliefs(without, tentative, method)
+        np.testing.assert_allclose(ours.lane, right.lane, atol=1e-12)
+        np.testing.assert_allclose(
+            ours.marginals["SensorState"], right.marginals["SensorState"], atol=1e-12
+        )
+
+
+def test_a_sensor_that_never_fails_makes_no_wor_equal_lane_only_from_a_certain_start() -> None:
+    # p1 = 1 and p2 = 0: after one transition the sensor is OK for good.
+    sensor = compiled_graph("no_wor", 4, defaults("no_wor", 4, p1=1.0, p2=0.0))
+    plain = compiled_graph("lane_only", 4, defaults("lane_only", 4))
+    evidence = draw_evidence(plain, 30, np.random.default_rng(1), zeros=0)
+    likelihood = evidence.likelihoods["DetectorOutput"]
+    likelihood[0] = 1.0  # says nothing in the frame in which the sensor may be BAD
+    for method in METHODS:
+        ours = filter_beliefs(sensor, evidence, method)
+        np.testing.assert_allclose(
+            ours.lane, filter_beliefs(plain, evidence, method).lane, atol=1e-12
+        )
+        np.testing.assert_allclose(ours.marginals["SensorState"][1:, 0], 1.0)
+
+
+@pytest.mark.parametrize("name", ["sensor_failure", "wor_on_lane", "lane_only", "no_wor"])
+def test_a_detector_of_boundless_sigma_says_nothing_about_the_lane(name: str) -> None:
+    wor_says_nothing = {"p3": 0.5, "p4": 0.5} if "WOR" in graph(name).OBSERVED else {}
+    compiled = compiled_graph(name, 4, defaults(name, 4, sigma2=1e12, **wor_says_nothing))
+    evidence = draw_evidence(compiled, 20, np.random.default_rng(2), zeros=0)
+    nothing = Evidence({k: np.ones_like(v) for k, v in evidence.likelihoods.items()})
+    for method in METHODS:
+        np.testing.assert_allclose(
+            filter_beliefs(compiled, evidence, method).lane,
+            filter_beliefs(compiled, nothing, method).lane,
+            atol=1e-9,
+        )
+
+
+def test_tiny_sigmas_hold_the_lane_and_believe_the_detector() -> None:
+    compiled = compiled_graph("lane_only", 4, defaults("lane_only", 4, sigma1=1e-3, sigma2=1e-3))
+    likelihood = np.array([[0.1, 0.4, 0.3, 0.2], [0.2, 0.2, 0.5, 0.1], [1.0, 0.0, 0.0, 0.0]])
+    lane = filter_beliefs(compiled, Evidence({"DetectorOutput": likelihood}), "exact").lane
+    for t in range(3):
+        product = likelihood[: t + 1].prod(axis=0)
+        np.testing.assert_allclose(lane[t], product / product.sum(), atol=1e-12)
+
+
+def test_boundless_sigma1_forgets_the_lane_in_one_frame() -> None:
+    parameters = defaults("lane_only", 3, sigma1=1e9, sigma2=1e-3)
+    compiled = compiled_graph("lane_only", 3, parameters)
+    likelihood = np.array([[0.98, 0.01, 0.01], [0.2, 0.3, 0.5]])
+    lane = filter_beliefs(compiled, Evidence({"DetectorOutput": likelihood})).lane
+    np.testing.assert_allclose(lane[1], likelihood[1], atol=1e-9)
+
+
+def test_the_papers_tables_are_the_papers_rows() -> None:
+    parameters = defaults("sensor_failure", 3, p1=0.9, p2=0.8, p3=0.7, p4=0.6, sigma1=0.5)
+    tables = {t.node: t for t in graph("sensor_failure").tables(3, parameters)}
+    # Rows are the value before, columns the value now, OK first.
+    np.testing.assert_allclose(tables["SensorState", 1].values, [[0.9, 0.1], [0.2, 0.8]])
+    np.testing.assert_allclose(tables["WOR", 1].values, [[0.7, 0.3], [0.4, 0.6]])
+    row = np.exp(-0.5 * (np.array([-1.0, 0.0, 1.0]) / 0.5) ** 2)
+    np.testing.assert_allclose(tables["Lane", 1].values[1], row / row.sum(), rtol=1e-14)
+    detector = tables["DetectorOutput", 1]
+    assert detector.parents == (("SensorState", 1), ("Lane", 1))
+    np.testing.assert_allclose(detector.values[1], np.full((3, 3), 1 / 3))
+    np.testing.assert_allclose(tables["Lane", 0].values, np.full(3, 1 / 3))

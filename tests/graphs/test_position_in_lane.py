@@ -1,0 +1,190 @@
+"""The graph with a hidden position inside the lane, and the kernel for what it looks like."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from tests.conformance.networks import METHODS, assert_same_beliefs, brute_force, draw_evidence, draw_parameters
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from egolane_pgm.graphs import position_in_lane as graph
+from egolane_pgm.inference.compile import Compiled, compile_network
+from egolane_pgm.inference.filtering import filter_beliefs, node_columns, step
+from egolane_pgm.inference.kernels.banded import banded
+from egolane_pgm.inference.oracle import oracle_assumed_density, oracle_filter
+from egolane_pgm.types import Evidence, InputError, Parameters, resolve_parameters
+
+JOINT = ("RoadPosition", "SensorState")
+SMALL = {"cells": 3, "motion_bins": 3}
+
+
+def resolved(n_lanes: int, **given: object) -> Parameters:
+    return resolve_parameters(graph.PARAMETERS, given, n_lanes)
+
+
+def compiled(n_lanes: int, parameters: Parameters) -> Compiled:
+    network = graph.build(n_lanes, parameters)
+    return compile_network(network, graph.HIDDEN, graph.OBSERVED, graph.INPUTS)
+
+
+def silent(network: Compiled, motion: list[int]) -> Evidence:
+    """Frames whose lines say nothing, so that only the motion acts."""
+    n_positions = network.cardinality["RoadPosition"]
+    return Evidence(
+        {JOINT: np.ones((len(motion), n_positions, 2))}, {"LineMotion": np.array(motion)}
+    )
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_a_small_road_agrees_with_the_oracle_and_with_brute_force(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    drawn = draw_parameters(graph.PARAMETERS, 2, rng)
+    parameters = {**drawn, **resolved(2, **SMALL), "p1": drawn["p1"], "p2": drawn["p2"]}
+    network = compiled(2, parameters)
+    declared = graph.build(2, parameters)
+    evidence = draw_evidence(network, 3, rng)
+    roles = (graph.HIDDEN, graph.OBSERVED, evidence, graph.INPUTS)
+    oracle = {
+        "exact": oracle_filter(declared, *roles),
+        "assumed_density": oracle_assumed_density(declared, *roles),
+    }
+    for method in METHODS:
+        right = brute_force(graph.tables(2, parameters), graph.HIDDEN, evidence, method)
+        assert_same_beliefs(oracle[method], right)
+        for kernel in (True, False):
+            assert_same_beliefs(filter_beliefs(network, evidence, method, kernel=kernel), right)
+
+
+def test_lane_is_the_lane_of_the_cell() -> None:
+    network = compiled(3, resolved(3, **SMALL))
+    beliefs = filter_beliefs(network, draw_evidence(network, 20, np.random.default_rng(1)), "exact")
+    position = beliefs.marginals["RoadPosition"].reshape(20, 3, 3)
+    np.testing.assert_allclose(beliefs.lane, position.sum(axis=2), atol=1e-12)
+
+
+@pytest.mark.parametrize("cells", [8, 16])
+@pytest.mark.parametrize("method", METHODS)
+def test_the_banded_kernel_equals_the_plain_recursion(cells: int, method: str) -> None:
+    rng = np.random.default_rng(cells)
+    network = compiled(4, resolved(4, cells=cells, motion_bins=7))
+    assert banded(network, node_columns) is not None
+    evidence = draw_evidence(network, 60, rng)
+    # Every input, and likelihoods at the ends of what can be represented.
+    evidence.inputs["LineMotion"][:16] = np.arange(16)
+    evidence.likelihoods[JOINT][20] = 1e-300 * rng.random(evidence.likelihoods[JOINT][20].shape)
+    evidence.likelihoods[JOINT][21] = 1e300 * rng.random(evidence.likelihoods[JOINT][21].shape)
+    right = filter_beliefs(network, evidence, method, kernel=False)
+    assert right.is_impossible.any()
+    assert_same_beliefs(filter_beliefs(network, evidence, method), right, 1e-12)
+    state, answers = None, []
+    for t in range(len(evidence)):
+        state, now = step(network, state, evidence.take(slice(t, t + 1)), method)
+        answers.append(now.lane[0])
+    np.testing.assert_allclose(np.stack(answers), right.lane, rtol=0, atol=1e-12)
+
+
+def test_the_order_of_the_hidden_nodes_does_not_matter_to_the_banded_kernel() -> None:
+    parameters = resolved(3, cells=8, motion_bins=7)
+    network = graph.build(3, parameters)
+    ours, turned = (
+        compile_network(network, hidden, graph.OBSERVED, graph.INPUTS)
+        for hidden in (graph.HIDDEN, graph.HIDDEN[::-1])
+    )
+    assert turned.state_nodes == ours.state_nodes[::-1]
+    assert banded(turned, node_columns) is not None
+    evidence = draw_evidence(ours, 30, np.random.default_rng(6))
+    for method in METHODS:
+        right = filter_beliefs(ours, evidence, method, kernel=False)
+        assert_same_beliefs(filter_beliefs(turned, evidence, method), right, 1e-12)
+
+
+def test_a_transition_that_is_no_product_is_left_to_the_plain_kernel() -> None:
+    network = compiled(3, resolved(3, cells=8, motion_bins=7))
+    mixed = network.transition.copy()
+    mixed[2, 5] = np.roll(mixed[2, 5], 1)
+    assert banded(replace(network, transition=mixed), node_columns) is None
+
+
+def test_a_small_road_is_left_to_the_plain_kernel() -> None:
+    assert banded(compiled(2, resolved(2, cells=3)), node_columns) is None
+
+
+@settings(max_examples=30, deadline=None)
+@given(seed=st.integers(0, 2**32 - 1), n_lanes=st.integers(1, 4))
+def test_every_parameter_gives_rows_that_sum_to_one(seed: int, n_lanes: int) -> None:
+    parameters = draw_parameters(graph.PARAMETERS, n_lanes, np.random.default_rng(seed))
+    for table in graph.tables(n_lanes, parameters):
+        np.testing.assert_allclose(table.values.sum(axis=-1), 1, atol=1e-12)
+
+
+def test_lines_that_drift_to_the_left_carry_the_vehicle_into_the_lane_to_the_right() -> None:
+    parameters = resolved(3)
+    network = compiled(3, parameters)
+    start = np.full((1, 48, 2), 1e-9)
+    start[0, 8] = 1.0  # the middle of lane 1
+    bins = int(parameters["motion_bins"])  # type: ignore[arg-type]
+    displacement = np.full(10, -0.11)  # lane widths per frame; gain .9: one lane in ten frames
+    motion = graph.motion_index(displacement, np.ones(10, dtype=int), parameters)
+    assert (motion < bins // 2).all()
+    evidence = silent(network, [bins, *motion.tolist()])
+    evidence.likelihoods[JOINT][0] = start
+    lane = filter_beliefs(network, evidence, "exact").lane
+    assert lane[0].argmax() == 0
+    assert lane[-1].argmax() == 1
+    assert lane[-1, 1] > 0.9
+
+
+def test_unknown_motion_spreads_but_does_not_drift() -> None:
+    parameters = resolved(3, jump=0)
+    network = compiled(3, parameters)
+    bins = int(parameters["motion_bins"])  # type: ignore[arg-type]
+    evidence = silent(network, [bins] * 4)
+    evidence.likelihoods[JOINT][0] = 0
+    evidence.likelihoods[JOINT][0, 24] = 1
+    position = filter_beliefs(network, evidence, "exact").marginals["RoadPosition"]
+    mean = position @ np.arange(48)
+    spread = (position * (np.arange(48) - mean[:, None]) ** 2).sum(axis=1)
+    np.testing.assert_allclose(mean, 24, atol=1e-9)
+    assert (np.diff(spread) > 0).all()
+
+
+@pytest.mark.parametrize("method", METHODS)
+@pytest.mark.parametrize("missing", [1, 2, 5, 7])
+def test_a_gap_diffuses_the_belief_by_as_many_steps_as_frames_are_missing(
+    missing: int, method: str
+) -> None:
+    """One frame after a gap is the same as the missing frames with lines that say nothing."""
+    parameters = resolved(3)
+    network = compiled(3, parameters)
+    bins = int(parameters["motion_bins"])  # type: ignore[arg-type]
+    steps = np.array([1, missing + 1])
+    gap = graph.motion_index(np.array([np.nan, 0.05]), steps, parameters)
+    jumping = silent(network, gap.tolist())
+    filled = silent(network, [bins] * (missing + 2))
+    start = np.zeros((48, 2))
+    start[20] = 1, 0.5
+    for evidence in (jumping, filled):
+        evidence.likelihoods[JOINT][0] = start
+    ours = filter_beliefs(network, jumping, method)
+    right = filter_beliefs(network, filled, method)
+    for node in ("RoadPosition", "SensorState", "Lane"):
+        np.testing.assert_allclose(
+            ours.marginals[node][-1], right.marginals[node][-1], atol=1e-9, err_msg=node
+        )
+
+
+def test_the_value_of_line_motion() -> None:
+    parameters = resolved(3, motion_bins=4, motion_range=0.2)
+    displacement = np.array([-0.19, -0.01, 0.01, 0.19, 0.2, np.nan, 0.01, np.nan, np.nan])
+    steps = np.array([1, 1, 1, 1, 1, 1, 2, 5, 10_000])
+    index = graph.motion_index(displacement, steps, parameters)
+    last = 4 + len(graph.STEPS) - 1
+    assert index.tolist() == [0, 1, 2, 3, 4, 4, 5, 4 + graph.STEPS.index(6), last]
+
+
+def test_no_cells_at_all_are_refused() -> None:
+    with pytest.raises(InputError, match=r"parameters\.cells: 0 must be at least 1"):
+        resolved(3, cells=0)

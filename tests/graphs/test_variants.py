@@ -1,0 +1,175 @@
+"""What each ready graph is in its special cases, and the evidence rule of the levels."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from tests.conformance.networks import (
+    METHODS,
+    assert_filters_agree,
+    assert_same_beliefs,
+    draw_evidence,
+    draw_parameters,
+    graph,
+)
+from tests.kits.drives import done, refused, write_drive
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from egolane_pgm.evidence import counting, counting_levels
+from egolane_pgm.evidence.counting_levels import level_evidence
+from egolane_pgm.graphs.wor_levels import binomial
+from egolane_pgm.inference.compile import Compiled, compile_network
+from egolane_pgm.inference.filtering import filter_beliefs
+from egolane_pgm.inference.oracle import oracle_assumed_density, oracle_filter
+from egolane_pgm.simulation import simulate
+from egolane_pgm.types import Evidence, Parameters, resolve_parameters
+
+
+def compiled(name: str, n_lanes: int, given: Parameters) -> Compiled:
+    module = graph(name)
+    known = {spec.name for spec in module.PARAMETERS}
+    own = {k: v for k, v in given.items() if k in known}
+    parameters = resolve_parameters(module.PARAMETERS, own, n_lanes)
+    return compile_network(module.build(n_lanes, parameters), module.HIDDEN, module.OBSERVED)
+
+
+@pytest.mark.parametrize("n_lanes", [1, 3, 4])
+def test_one_sigma1_for_both_sensor_states_is_the_papers_graph(n_lanes: int) -> None:
+    rng = np.random.default_rng(n_lanes)
+    parameters = draw_parameters(graph("sensor_failure").PARAMETERS, n_lanes, rng)
+    paper = compiled("sensor_failure", n_lanes, parameters)
+    same = {**parameters, "sigma1_bad": parameters["sigma1"]}
+    evidence = draw_evidence(paper, 30, rng)
+    for method in METHODS:
+        right = filter_beliefs(paper, evidence, method)
+        ours = filter_beliefs(compiled("sensor_dynamics", n_lanes, same), evidence, method)
+        assert_same_beliefs(ours, right, 1e-12)
+    other = compiled("sensor_dynamics", 3, {"sigma1": 0.3, "sigma1_bad": 2.0})
+    plain = compiled("sensor_failure", 3, {"sigma1": 0.3})
+    evidence = draw_evidence(plain, 5, rng, zeros=0)
+    moved = filter_beliefs(other, evidence).lane - filter_beliefs(plain, evidence).lane
+    assert np.abs(moved[1:]).max() > 1e-3
+
+
+@pytest.mark.parametrize("n_lanes", [1, 3, 4])
+def test_two_levels_of_wor_are_the_papers_graph_and_rule(n_lanes: int) -> None:
+    rng = np.random.default_rng(n_lanes)
+    parameters = draw_parameters(graph("sensor_failure").PARAMETERS, n_lanes, rng)
+    paper = compiled("sensor_failure", n_lanes, parameters)
+    levels = compiled("wor_levels", n_lanes, {**parameters, "wor_levels": 2})
+    evidence = draw_evidence(paper, 30, rng)
+    for method in METHODS:
+        right = filter_beliefs(paper, evidence, method)
+        assert_same_beliefs(filter_beliefs(levels, evidence, method), right, 1e-12)
+    log = simulate("quickstart", seed=0, n_lanes=n_lanes if n_lanes > 1 else 2, frames=50).log
+    of_rule = resolve_parameters(counting_levels.PARAMETERS, {"wor_levels": 2}, n_lanes)
+    ours = counting_levels.evidence(log, n_lanes, of_rule).likelihoods
+    plain = counting.evidence(log, n_lanes, of_rule).likelihoods
+    for key in counting_levels.PROVIDES:
+        np.testing.assert_allclose(ours[key], plain[key], rtol=0, atol=1e-15)
+
+
+@pytest.mark.parametrize("levels", [2, 4, 7])
+def test_any_number_of_levels_agrees_with_the_oracle(levels: int) -> None:
+    module = graph("wor_levels")
+    parameters = resolve_parameters(module.PARAMETERS, {"wor_levels": levels, "p3": 0.8}, 3)
+    network = module.build(3, parameters)
+    roles = (module.HIDDEN, module.OBSERVED)
+    found = compile_network(network, *roles)
+    evidence = draw_evidence(found, 3, np.random.default_rng(levels))
+    assert evidence.likelihoods["WOR"].shape == (3, levels)
+    right = {
+        "exact": oracle_filter(network, *roles, evidence),
+        "assumed_density": oracle_assumed_density(network, *roles, evidence),
+    }
+    assert_filters_agree(found, evidence, right)
+
+
+def test_the_level_given_the_sensor_state_is_binomial() -> None:
+    np.testing.assert_allclose(binomial(0.8, 3), [0.64, 0.32, 0.04])
+    np.testing.assert_array_equal(binomial(1.0, 4), [1, 0, 0, 0])
+    np.testing.assert_array_equal(binomial(0.0, 4), [0, 0, 0, 1])
+
+
+@settings(max_examples=50, deadline=None)
+@given(s=st.lists(st.floats(0, 1), min_size=1, max_size=20), levels=st.integers(2, 9))
+def test_levels_of_evidence_sum_to_one_and_keep_the_reliability(
+    s: list[float], levels: int
+) -> None:
+    reliability = np.array(s)
+    linear = level_evidence(reliability, levels, "linear")
+    assert (linear >= 0).all()
+    np.testing.assert_allclose(linear.sum(axis=1), 1, atol=1e-12)
+    stands_for = 1 - np.arange(levels) / (levels - 1)
+    np.testing.assert_allclose(linear @ stands_for, reliability, atol=1e-12)
+    hot = level_evidence(reliability, levels, "one_hot")
+    assert ((hot == 0) | (hot == 1)).all()
+    centre = 1 - (np.arange(levels) + 0.5) / levels
+    assert (np.abs(hot @ centre - reliability) <= 0.5 / levels + 1e-12).all()
+    np.testing.assert_array_equal(hot.sum(axis=1), 1)
+
+
+def test_levels_of_a_frame_without_a_line_say_nothing_where_that_is_wanted() -> None:
+    log = simulate("quickstart", seed=0, frames=20).log
+    log.is_valid[3] = False
+    given = {"no_valid_line": "ignore", "wor_levels": 5, "level_evidence": "one_hot"}
+    parameters = resolve_parameters(counting_levels.PARAMETERS, given, 4)
+    for kernel in (True, False):
+        wor = counting_levels.evidence(log, 4, parameters, kernel=kernel).likelihoods["WOR"]
+        np.testing.assert_array_equal(wor[3], np.full(5, 0.2))
+        assert set(np.unique(wor[:3])) == {0.0, 1.0}
+
+
+def test_an_experiment_with_levels_runs_and_one_with_the_wrong_rule_is_refused(tmp_path) -> None:  # type: ignore[no-untyped-def]
+    path = write_drive(
+        tmp_path, 60, graph="wor_levels", evidence="counting_levels", parameters={"wor_levels": 4}
+    )
+    done("run", path, "--no-figures", "--out", tmp_path / "out")
+    said = refused("validate", path, "--set", "parameters.wor_levels=1")
+    assert "parameters.wor_levels: 1 must be at least 2" in said
+    said = refused(
+        "run", path, "--no-figures", "--out", tmp_path / "o", "--set", "evidence=counting"
+    )
+    assert "evidence for WOR: shape (60, 2), the graph needs (60, 4)" in said
+
+
+def test_a_worn_sensor_has_its_own_sigma_and_leaves_for_each_other_state_alike() -> None:
+    module = graph("three_sensor_states")
+    given = {"p1": 0.8, "p_worn": 0.6, "p2": 0.9, "p3_worn": 0.3, "sigma2_worn": 2.0}
+    parameters = resolve_parameters(module.PARAMETERS, given, 3)
+    tables = {t.node: t.values for t in module.tables(3, parameters)}
+    np.testing.assert_allclose(
+        tables["SensorState", 1], [[0.8, 0.1, 0.1], [0.2, 0.6, 0.2], [0.05, 0.05, 0.9]]
+    )
+    np.testing.assert_allclose(tables["WOR", 1][1], [0.3, 0.7])
+    row = np.exp(-0.5 * (np.arange(3) / 2.0) ** 2)
+    np.testing.assert_allclose(tables["DetectorOutput", 1][1, 0], row / row.sum())
+
+
+def test_a_sensor_that_is_biased_for_long_is_found_out() -> None:
+    """The output jumps a lane to the right and stays there; lane changes are far rarer than that.
+    The paper's graph gives in, this one keeps the lane and says RIGHT."""
+    given = {"sigma1": 0.2, "sigma2": 0.25, "p1": 0.99, "p2": 0.9, "p_biased": 0.95}
+    seen = 0.01 + 0.95 * np.eye(5)
+    # Long enough before the jump for LEFT in the next lane, as good at first, to be ruled out.
+    detector = np.repeat([seen[2], seen[3]], [300, 40], axis=0)
+    wor = np.tile([0.9, 0.1], (340, 1))
+    evidence = Evidence({"DetectorOutput": detector, "WOR": wor})
+    biased = filter_beliefs(compiled("biased_sensor", 5, given), evidence, "exact")
+    paper = filter_beliefs(compiled("sensor_failure", 5, given), evidence, "exact")
+    assert paper.lane[-1].argmax() == 3
+    assert biased.lane[-1].argmax() == 2
+    assert biased.marginals["SensorState"][-1].argmax() == 2
+    assert biased.marginals["SensorState"][30].argmax() == 0
+
+
+def test_direct_wor_trusts_each_frame_as_far_as_its_own_wor() -> None:
+    given = {"sigma1": 1e9, "sigma2": 1e-3, "p_wor": 0.5}
+    detector = np.tile([1.0, 0.0, 0.0], (3, 1))
+    wor = np.array([[1.0, 0.0], [0.0, 1.0], [0.5, 0.5]])
+    found = compiled("wor_direct", 3, given)
+    lane = filter_beliefs(found, Evidence({"DetectorOutput": detector, "WOR": wor})).lane
+    # Lane 1 if WOR is OK, else it may be any: (.5 + .5 / 3) over its sum with 2 * .5 / 3.
+    mixed = np.array([0.5 + 0.5 / 3, 0.5 / 3, 0.5 / 3])
+    np.testing.assert_allclose(lane, [[1, 0, 0], np.full(3, 1 / 3), mixed / mixed.sum()], atol=1e-9)

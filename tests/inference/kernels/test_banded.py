@@ -1,0 +1,173 @@
+"""The kernel for networks of one node that moves to values near its own, and others that move by
+themselves: against the plain recursion, on networks with more in them than position in lane."""
+
+from __future__ import annotations
+
+import functools
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from tests.conformance.networks import METHODS, assert_same_beliefs, draw_evidence
+
+from egolane_pgm.graphs.cpds import declare, dynamics, previous, prior, within
+from egolane_pgm.inference.compile import Compiled, compile_network
+from egolane_pgm.inference.filtering import filter_beliefs, node_columns, step
+from egolane_pgm.inference.kernels.banded import banded
+from egolane_pgm.types import Evidence, FloatArray, InputError
+
+#: Compiled code overflows to infinity in silence, and the kernel then scales; as plain Python
+#: (NUMBA_DISABLE_JIT) it warns.
+pytestmark = pytest.mark.filterwarnings(
+    "ignore:(overflow|invalid value) encountered:RuntimeWarning"
+)
+
+every_method = pytest.mark.parametrize("method", METHODS)
+
+N_WIDE = 18
+
+
+def near(half: int, floor: float) -> FloatArray:
+    """(N_WIDE, N_WIDE): moves of up to `half` values, and `floor` for each other one."""
+    rng = np.random.default_rng(half)
+    away = np.abs(np.subtract.outer(np.arange(N_WIDE), np.arange(N_WIDE)))
+    rows = np.where(away <= half, rng.uniform(0.5, 1.0, (N_WIDE, N_WIDE)), 0.0)
+    rows /= rows.sum(axis=1, keepdims=True)
+    return rows * (1 - N_WIDE * floor) + floor
+
+
+@functools.cache
+def network(n_others: int = 1, noise: float = 0.0) -> Compiled:
+    """Wide, and others of two values each; Part is a function of Wide, Leaf sees Wide (wrongly by
+    `noise`), and what is observed comes in four groups. An input selects the width of the band."""
+    rng = np.random.default_rng(7)
+    others = [f"Q{k}" for k in range(n_others)]
+    sees = np.repeat(np.eye(3), N_WIDE // 3, axis=0) * (1 - 3 * noise) + noise
+    tables = [
+        *within("Speed", [], [0.5, 0.5]),
+        *prior("Wide", rng.dirichlet(np.ones(N_WIDE), 2), ["Speed"]),
+        *dynamics("Wide", ["Speed", previous("Wide")], np.stack([near(1, 0.0), near(4, 1e-3)])),
+        *within("Part", ["Wide"], np.repeat(np.eye(2), N_WIDE // 2, axis=0)),
+        *within("Leaf", ["Wide"], sees),
+    ]
+    for name in others:
+        tables += prior(name, [0.3, 0.7])
+        tables += dynamics(name, [previous(name)], rng.dirichlet(np.ones(2), 2))
+    observed = ("Part", ("Q0", "Wide"), "Leaf", tuple(others) if n_others > 1 else "Q0")
+    hidden = (others[0], "Wide", *others[1:], "Part")
+    return compile_network(declare(tables, observed), hidden, observed, ("Speed",))
+
+
+def random_evidence(compiled: Compiled, seed: int) -> Evidence:
+    """Of any scale, some of it impossible."""
+    rng = np.random.default_rng(seed)
+    evidence = draw_evidence(compiled, 60, rng, zeros=0.2)
+    for values in evidence.likelihoods.values():
+        scale = 10.0 ** rng.choice([0, 0, -140, -290, 140], size=60)
+        values *= scale.reshape(-1, *[1] * (values.ndim - 1))
+    return evidence
+
+
+@every_method
+@pytest.mark.parametrize("seed", range(8))
+def test_several_groups_inputs_and_functions_agree_with_the_plain_recursion(
+    method: str, seed: int
+) -> None:
+    compiled = network()
+    assert banded(compiled, node_columns) is not None
+    evidence = random_evidence(compiled, seed)
+    right = filter_beliefs(compiled, evidence, method, kernel=False)
+    assert right.is_impossible.any()
+    assert not right.is_impossible.all()
+    assert_same_beliefs(filter_beliefs(compiled, evidence, method), right, 1e-9)
+
+
+@every_method
+def test_with_three_nodes_that_persist_the_product_of_marginals_is_of_all_three(
+    method: str,
+) -> None:
+    compiled = network(n_others=2)
+    assert banded(compiled, node_columns) is not None
+    evidence = random_evidence(compiled, 0)
+    right = filter_beliefs(compiled, evidence, method, kernel=False)
+    assert_same_beliefs(filter_beliefs(compiled, evidence, method), right, 1e-9)
+
+
+def test_evidence_that_only_just_allows_what_is_left_is_not_lost() -> None:
+    """One over the likelihood of the frame would be infinite."""
+    compiled = network()
+    rows = np.random.default_rng(0).uniform(0.5, 1, (2, 2, N_WIDE))
+    rows[1, :, : N_WIDE // 2] *= 1e-10
+    likelihoods = {
+        "Part": np.array([[1.0, 0.0], [1.0, 1.0]]),
+        ("Q0", "Wide"): rows,
+        "Leaf": np.array([[1.0, 0.0, 0.0], [1e-300, 0.0, 1.0]]),
+        "Q0": np.ones((2, 2)),
+    }
+    evidence = Evidence(likelihoods, {"Speed": np.zeros(2, dtype=np.int64)})
+    right = filter_beliefs(compiled, evidence, "exact", kernel=False)
+    ours = filter_beliefs(compiled, evidence, "exact")
+    assert not ours.is_impossible.any()
+    assert_same_beliefs(ours, right, 1e-9)
+
+
+@every_method
+def test_a_network_that_is_nearly_of_this_kind_is_not_taken_for_one(method: str) -> None:
+    compiled = network()
+    evidence = draw_evidence(compiled, 30, np.random.default_rng(1), zeros=0)
+    mixed = compiled.transition.copy()
+    # Q0, the slowest digit, hardly minds where Wide is: in its third value a little.
+    after = mixed[:, 2, N_WIDE:] * 1e-5
+    mixed[:, 2, N_WIDE:] -= after
+    mixed[:, 2, :N_WIDE] += after
+    leaning = replace(compiled, transition=mixed)
+    for other in (leaning, network(noise=1e-4)):
+        assert banded(other, node_columns) is None
+        right = filter_beliefs(other, evidence, method, kernel=False)
+        assert_same_beliefs(filter_beliefs(other, evidence, method), right, 1e-12)
+        assert np.abs(right.marginals["Wide"] - filter_beliefs(
+            compiled, evidence, method).marginals["Wide"]).max() > 1e-10  # fmt: skip
+
+
+@every_method
+def test_rounding_does_not_grow_over_frames_that_cannot_be(method: str) -> None:
+    compiled = network()
+    evidence = draw_evidence(compiled, 400, np.random.default_rng(4), zeros=0)
+    evidence.likelihoods["Part"][1:] = 0
+    beliefs = filter_beliefs(compiled, evidence, method)
+    assert beliefs.is_impossible.tolist() == [False] + [True] * 399
+    for name, rows in beliefs.marginals.items():
+        np.testing.assert_allclose(rows.sum(axis=1), 1, rtol=0, atol=1e-13, err_msg=name)
+
+
+@every_method
+def test_what_was_known_of_a_network_that_is_gone_is_not_taken_for_another(method: str) -> None:
+    evidence = draw_evidence(network(), 2, np.random.default_rng(5), zeros=0)
+    for seed in range(20):
+        rows = np.random.default_rng(seed).dirichlet(np.ones(2 * N_WIDE), 2)
+        other = replace(network(), prior=rows)
+        right = filter_beliefs(other, evidence, method, kernel=False)
+        assert_same_beliefs(filter_beliefs(other, evidence, method), right)
+
+
+@every_method
+def test_stepping_leaves_the_earlier_state_as_it_was_here_too(method: str) -> None:
+    compiled = network()
+    evidence = draw_evidence(compiled, 3, np.random.default_rng(2), zeros=0)
+    whole = filter_beliefs(compiled, evidence, method, kernel=False)
+    first, _ = step(compiled, None, evidence.take(slice(0, 1)), method)
+    before = first.joint.copy()
+    for _ in range(2):
+        _, beliefs = step(compiled, first, evidence.take(slice(1, 3)), method)
+        np.testing.assert_array_equal(first.joint, before)
+        np.testing.assert_allclose(beliefs.marginals["Wide"], whole.marginals["Wide"][1:])
+
+
+def test_evidence_that_does_not_fit_is_refused_here_too() -> None:
+    compiled = network()
+    good = draw_evidence(compiled, 3, np.random.default_rng(3))
+    short = {**good.likelihoods, "Leaf": np.ones((3, 2))}
+    with pytest.raises(InputError, match="evidence for Leaf: shape"):
+        filter_beliefs(compiled, Evidence(short, good.inputs))
+    with pytest.raises(InputError, match="input node Speed: the evidence has nothing for it"):
+        filter_beliefs(compiled, Evidence(good.likelihoods, {}))

@@ -1,0 +1,294 @@
+"""The E step: expected counts of every table, against adding up every trajectory."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from itertools import pairwise
+
+import numpy as np
+import pytest
+from tests.conformance.networks import (
+    RandomGraph,
+    draw_evidence,
+    draw_graph,
+    draw_parameters,
+    graph,
+    graph_inputs,
+    graph_names,
+    shuffle_axes,
+    simple_tables,
+)
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from tests.kits.trajectories import trajectories
+
+from egolane_pgm.graphs.cpds import SliceNode, Table, declare, dynamics, previous, prior, within
+from egolane_pgm.inference.compile import Compiled, compile_network
+from egolane_pgm.inference.expected_counts import (
+    FREE,
+    Expected,
+    counted_tables,
+    expected_counts,
+)
+from egolane_pgm.inference.filtering import filter_beliefs, read_evidence
+from egolane_pgm.inference.smoothing import smooth_beliefs
+from egolane_pgm.types import Evidence, InputError, IntArray
+
+both = pytest.mark.parametrize("kernel", [True, False], ids=["kernel", "numpy"])
+seeds = st.integers(0, 2**32 - 1)
+
+
+def compiled_of(drawn: RandomGraph) -> Compiled:
+    network = declare(drawn.tables, drawn.observed)
+    return compile_network(network, drawn.hidden, drawn.observed, drawn.inputs)
+
+
+def enumerated(
+    tables: Sequence[Table],
+    counted: Mapping[SliceNode, Table],
+    evidence: Evidence,
+    known: Mapping[str, IntArray],
+    sizes: Mapping[str, int],
+) -> tuple[dict[SliceNode, np.ndarray], list[bool], float]:
+    """Expected counts of one sequence, the flags, and P(evidence, known) by its logarithm."""
+    likelihoods = dict(evidence.likelihoods)
+    for node, value in known.items():
+        sure = (value[:, None] == np.arange(sizes[node])) | (value == FREE)[:, None]
+        likelihoods[node] = likelihoods.get(node, 1.0) * sure.astype(float)
+    seen = Evidence(likelihoods, evidence.inputs)
+    paths, flags = trajectories(tables, seen)
+    total = math.fsum(weight for _, weight in paths)
+    counts = {node: np.zeros(table.values.shape) for node, table in counted.items()}
+    leaves = {node for node, s in counted if (node, 0) not in counted}
+    for path, weight in paths:
+        for t, now in enumerate(path):
+            for (name, s), table in counted.items():
+                if name in leaves:
+                    if flags[t]:
+                        continue
+                    index = [now[p] for p, _ in table.parents]
+                elif s != min(t, 1):
+                    continue
+                else:
+                    index = [now[p] if ps == s else path[t - 1][p] for p, ps in table.parents]
+                counts[name, s][(*index, now[name])] += weight / total
+    return counts, flags, math.log(total)
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_tables_that_name_their_axes_in_another_order_are_counted_alike(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    drawn = draw_graph(rng)
+    compiled = compiled_of(drawn)
+    straight = counted_tables(compiled, drawn.tables)
+    shuffled = counted_tables(compiled, shuffle_axes(drawn.tables, rng))
+    assert set(shuffled) == set(straight)
+    for node, table in straight.items():
+        assert shuffled[node].parents == table.parents
+        np.testing.assert_array_equal(shuffled[node].values, table.values)
+
+
+def test_three_parents_are_put_in_the_compiled_order() -> None:
+    """Two axes may be swapped either way round; three may not."""
+    values = np.random.default_rng(0).dirichlet(np.ones(2), (2, 3, 4))
+    names = {"P": 2, "Q": 3, "R": 4}
+    tables = [t for n, k in names.items() for t in prior(n, np.full(k, 1 / k))]
+    tables += [t for n, k in names.items() for t in dynamics(n, [previous(n)], np.eye(k))]
+    tables += within("D", list(names), values)
+    compiled = compile_network(declare(tables, ["D"]), list(names), ["D"])
+    turned = [*tables[:-2], *within("D", ["R", "P", "Q"], values.transpose(2, 0, 1, 3))]
+    found = counted_tables(compiled, turned)["D", 1]
+    assert [name for name, _ in found.parents] == list(names)
+    np.testing.assert_array_equal(found.values, values)
+
+
+def draw_known(
+    compiled: Compiled, n_frames: int, rng: np.random.Generator
+) -> dict[str, np.ndarray]:
+    node = str(rng.choice(compiled.hidden))
+    value = rng.integers(compiled.cardinality[node], size=n_frames)
+    return {node: np.where(rng.random(n_frames) < 0.5, FREE, value)}
+
+
+def assert_right(
+    compiled: Compiled,
+    tables: Sequence[Table],
+    evidence: Evidence,
+    known: Mapping[str, IntArray],
+    starts: Sequence[int],
+) -> None:
+    counted = counted_tables(compiled, tables)
+    edges = [*starts, len(evidence)]
+    right = {node: np.zeros(table.values.shape) for node, table in counted.items()}
+    flags: list[bool] = []
+    log_evidence = 0.0
+    for a, b in pairwise(edges):
+        part = slice(a, b)
+        counts, here, log_part = enumerated(
+            tables,
+            counted,
+            evidence.take(part),
+            {node: value[part] for node, value in known.items()},
+            compiled.cardinality,
+        )
+        for node in right:
+            right[node] += counts[node]
+        flags += here
+        log_evidence += log_part
+    is_first = np.isin(np.arange(len(evidence)), starts)
+    for kernel in (True, False):
+        found = expected_counts(compiled, evidence, known, is_first, kernel=kernel)
+        assert found.is_impossible.tolist() == flags
+        assert set(found.counts) == set(right)
+        for node, count in right.items():
+            np.testing.assert_allclose(found.counts[node], count, atol=1e-9, err_msg=str(node))
+        assert found.log_evidence == pytest.approx(log_evidence, abs=1e-9)
+
+
+@pytest.mark.parametrize("seed", range(12))
+def test_random_networks_agree_with_adding_up_every_trajectory(seed: int) -> None:
+    """Inputs, functions, joint evidence, leaves that depend on each other, two sequences."""
+    rng = np.random.default_rng(seed)
+    drawn = draw_graph(rng)
+    compiled = compiled_of(drawn)
+    # The number of trajectories is to the power of this.
+    n_frames = 3 if compiled.n_states <= 8 else 2
+    evidence = draw_evidence(compiled, n_frames, rng, zeros=0.2)
+    starts = [0, 1] if seed % 2 else [0]
+    assert_right(compiled, drawn.tables, evidence, draw_known(compiled, n_frames, rng), starts)
+
+
+@pytest.mark.parametrize("name", [name for name in graph_names() if name != "position_in_lane"])
+def test_every_discrete_graph_agrees_with_adding_up_every_trajectory(name: str) -> None:
+    module = graph(name)
+    for seed in range(2):
+        rng = np.random.default_rng(seed)
+        parameters = draw_parameters(module.PARAMETERS, 2, rng)
+        network = module.build(2, parameters)
+        compiled = compile_network(network, module.HIDDEN, module.OBSERVED, graph_inputs(module))
+        evidence = draw_evidence(compiled, 2, rng)
+        lane = np.array([FREE, int(rng.integers(2))])
+        assert_right(compiled, module.tables(2, parameters), evidence, {"Lane": lane}, [0])
+
+
+def drawn_case(seed: int, n_frames: int) -> tuple[Compiled, list[Table], Evidence, IntArray]:
+    rng = np.random.default_rng(seed)
+    module = graph("sensor_failure")
+    parameters = draw_parameters(module.PARAMETERS, 3, rng)
+    compiled = compile_network(module.build(3, parameters), module.HIDDEN, module.OBSERVED)
+    lane = np.where(rng.random(n_frames) < 0.7, FREE, rng.integers(3, size=n_frames))
+    evidence = draw_evidence(compiled, n_frames, rng)
+    return compiled, module.tables(3, parameters), evidence, lane
+
+
+@given(seed=seeds)
+@settings(max_examples=25, deadline=None)
+def test_the_kernel_equals_its_twin(seed: int) -> None:
+    compiled, _, evidence, lane = drawn_case(seed, 60)
+    is_first = np.random.default_rng(seed).random(60) < 0.1
+    one, other = (
+        expected_counts(compiled, evidence, {"Lane": lane}, is_first, kernel=kernel)
+        for kernel in (True, False)
+    )
+    np.testing.assert_array_equal(one.is_impossible, other.is_impossible)
+    assert one.log_evidence == pytest.approx(other.log_evidence, rel=1e-9, abs=1e-7)
+    for node in one.counts:
+        np.testing.assert_allclose(one.counts[node], other.counts[node], atol=1e-7)
+
+
+def totals(found: Expected) -> dict[SliceNode, float]:
+    return {node: float(count.sum()) for node, count in found.counts.items()}
+
+
+@given(seed=seeds)
+@settings(max_examples=15, deadline=None)
+def test_every_frame_is_counted_once(seed: int) -> None:
+    compiled, _, evidence, lane = drawn_case(seed, 40)
+    is_first = np.isin(np.arange(40), [0, 13, 14])
+    found = expected_counts(compiled, evidence, {"Lane": lane}, is_first)
+    used = np.count_nonzero(~found.is_impossible)
+    expected = {("Lane", 0): 3, ("SensorState", 0): 3, ("Lane", 1): 37, ("SensorState", 1): 37}
+    expected |= {("DetectorOutput", 1): used, ("WOR", 1): used}
+    assert totals(found) == pytest.approx(expected)
+
+
+@both
+def test_it_agrees_with_the_filter_and_the_smoother(kernel: bool) -> None:
+    compiled, _, evidence, _ = drawn_case(4, 50)
+    found = expected_counts(compiled, evidence, kernel=kernel)
+    beliefs = filter_beliefs(compiled, evidence, "exact")
+    np.testing.assert_array_equal(found.is_impossible, beliefs.is_impossible)
+    assert found.log_evidence == pytest.approx(beliefs.log_evidence.sum())
+    smoothed = smooth_beliefs(compiled, evidence).marginals["Lane"]
+    np.testing.assert_allclose(
+        found.counts["Lane", 1].sum(axis=1), smoothed[:-1].sum(axis=0), atol=1e-9
+    )
+    np.testing.assert_allclose(found.counts["Lane", 0], smoothed[0], atol=1e-9)
+
+
+@both
+def test_a_long_recording_of_tiny_likelihoods_does_not_underflow(kernel: bool) -> None:
+    compiled = compile_network(declare(simple_tables(), ["D"]), ["A"], ["D"])
+    evidence = Evidence({"D": np.tile([1e-300, 3e-300], (2000, 1))})
+    found = expected_counts(compiled, evidence, kernel=kernel)
+    beliefs = filter_beliefs(compiled, evidence, "exact")
+    assert found.log_evidence == pytest.approx(beliefs.log_evidence.sum())
+    assert totals(found)["A", 1] == pytest.approx(1999)
+
+
+@both
+def test_a_known_value_that_cannot_be_is_left_out_and_flagged(kernel: bool) -> None:
+    tables = [*simple_tables()]
+    tables[1] = Table(("A", 1), (("A", 0),), np.eye(2))
+    compiled = compile_network(declare(tables, ["D"]), ["A"], ["D"])
+    evidence = Evidence({"D": np.ones((4, 2))})
+    known = np.array([0, 1, FREE, 0])
+    found = expected_counts(compiled, evidence, {"A": known}, kernel=kernel)
+    assert found.is_impossible.tolist() == [False, True, False, False]
+    np.testing.assert_allclose(found.counts["A", 1], [[3, 0], [0, 0]])
+
+
+@both
+def test_a_step_between_states_of_hardly_a_number_is_counted_as_one(kernel: bool) -> None:
+    """The products of what is left of such numbers have lost digits."""
+    tables = [*simple_tables()]
+    tables[1] = Table(("A", 1), (("A", 0),), np.array([[1.0, 0.0], [0.67, 0.33]]))
+    tables[2:] = within("D", ["A"], np.eye(2))
+    compiled = compile_network(declare(tables, ["D"]), ["A"], ["D"])
+    evidence = Evidence({"D": np.array([[1.0, 2e-322], [0.0, 1.0]])})
+    found = expected_counts(compiled, evidence, kernel=kernel)
+    np.testing.assert_allclose(found.counts["A", 1], [[0, 0], [0, 1]], atol=1e-12)
+    assert np.isfinite(found.counts["D", 1]).all()
+
+
+def test_what_is_given_is_left_as_it_is() -> None:
+    compiled, _, evidence, lane = drawn_case(2, 30)
+    is_first, before = np.zeros(30, dtype=bool), lane.copy()
+    likelihoods = {key: values.copy() for key, values in evidence.likelihoods.items()}
+    expected_counts(compiled, evidence, {"Lane": lane}, is_first)
+    assert not is_first.any()
+    np.testing.assert_array_equal(lane, before)
+    for key, values in likelihoods.items():
+        np.testing.assert_array_equal(evidence.likelihoods[key], values)
+
+
+def test_nothing_is_counted_in_no_frames() -> None:
+    compiled = compile_network(declare(simple_tables(), ["D"]), ["A"], ["D"])
+    found = expected_counts(compiled, Evidence({"D": np.empty((0, 2))}))
+    assert totals(found) == {("A", 0): 0, ("A", 1): 0, ("D", 1): 0}
+    assert found.log_evidence == 0
+
+
+def test_functions_and_tables_that_an_input_selects_are_not_counted() -> None:
+    module = graph("position_in_lane")
+    small = {**{p.name: p.default for p in module.PARAMETERS}, "cells": 2, "motion_bins": 3}
+    network = module.build(2, small)
+    compiled = compile_network(network, module.HIDDEN, module.OBSERVED, module.INPUTS)
+    assert counted_tables(compiled, module.tables(2, small)) == {}
+
+
+def test_evidence_read_by_jeffreys_rule_is_no_likelihood_to_learn_from() -> None:
+    compiled, _, evidence, _ = drawn_case(1, 5)
+    with pytest.raises(InputError, match="Jeffrey's rule"):
+        expected_counts(compiled, read_evidence(evidence, "jeffrey"))

@@ -1,0 +1,393 @@
+"""Properties of the filters that hold whatever the graph, the parameters and the evidence."""
+
+from __future__ import annotations
+
+import functools
+from contextlib import AbstractContextManager, nullcontext
+
+import numpy as np
+import pytest
+from tests.conformance.networks import (
+    METHODS,
+    RandomGraph,
+    assert_same_beliefs,
+    draw_evidence,
+    draw_graph,
+    draw_parameters,
+    graph,
+)
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from egolane_pgm.graphs.cpds import declare, dynamics, previous, prior, within
+from egolane_pgm.inference.compile import Compiled, compile_network, with_tables
+from egolane_pgm.inference.filtering import filter_beliefs, step
+from egolane_pgm.types import Evidence, resolve_parameters
+
+every_method = pytest.mark.parametrize("method", METHODS)
+both = pytest.mark.parametrize("kernel", [True, False], ids=["kernel", "numpy"])
+seeds = st.integers(0, 2**32 - 1)
+few = settings(max_examples=20, deadline=None)
+
+
+@functools.cache
+def compiled_paper(n_lanes: int = 4) -> Compiled:
+    module = graph("sensor_failure")
+    parameters = resolve_parameters(module.PARAMETERS, {}, n_lanes)
+    return compile_network(module.build(n_lanes, parameters), module.HIDDEN, module.OBSERVED)
+
+
+@functools.cache
+def compiled_random(seed: int) -> tuple[RandomGraph, Compiled]:
+    drawn = draw_graph(np.random.default_rng(seed))
+    network = declare(drawn.tables, drawn.observed)
+    return drawn, compile_network(network, drawn.hidden, drawn.observed, drawn.inputs)
+
+
+def any_compiled(seed: int) -> Compiled:
+    """The paper's graph with random parameters, or a random graph (one of five)."""
+    if seed % 2:
+        return compiled_random(seed % 5)[1]
+    rng = np.random.default_rng(seed)
+    n_lanes = int(rng.integers(1, 6))
+    module = graph("sensor_failure")
+    parameters = draw_parameters(module.PARAMETERS, n_lanes, rng)
+    return with_tables(compiled_paper(n_lanes), module.tables(n_lanes, parameters))
+
+
+def as_compiled(kernel: bool) -> AbstractContextManager[object]:
+    """Compiled code overflows to infinity in silence, and the kernel then scales; as plain Python
+    (NUMBA_DISABLE_JIT) it must be told to. The twin never overflows."""
+    return np.errstate(over="ignore", invalid="ignore") if kernel else nullcontext()
+
+
+def scaled(evidence: Evidence, factor: float) -> Evidence:
+    likelihoods = {key: values * factor for key, values in evidence.likelihoods.items()}
+    return Evidence(likelihoods, evidence.inputs)
+
+
+@every_method
+@both
+@few
+@given(seed=seeds)
+def test_every_belief_sums_to_one(method: str, kernel: bool, seed: int) -> None:
+    compiled = any_compiled(seed)
+    evidence = draw_evidence(compiled, 40, np.random.default_rng(seed))
+    beliefs = filter_beliefs(compiled, evidence, method, kernel=kernel)
+    for marginal in beliefs.marginals.values():
+        assert (marginal >= 0).all()
+        np.testing.assert_allclose(marginal.sum(axis=1), 1, rtol=0, atol=1e-9)
+
+
+@every_method
+@few
+@given(seed=seeds)
+def test_kernel_and_twin_give_the_same(method: str, seed: int) -> None:
+    compiled = any_compiled(seed)
+    evidence = draw_evidence(compiled, 60, np.random.default_rng(seed))
+    right = filter_beliefs(compiled, evidence, method, kernel=False)
+    assert_same_beliefs(filter_beliefs(compiled, evidence, method, kernel=True), right, 1e-11)
+
+
+@every_method
+@both
+@few
+@given(seed=seeds, cut=st.integers(1, 19))
+def test_a_later_frame_never_changes_an_earlier_belief(
+    method: str, kernel: bool, seed: int, cut: int
+) -> None:
+    compiled = any_compiled(seed)
+    rng = np.random.default_rng(seed)
+    evidence = draw_evidence(compiled, 20, rng)
+    other = draw_evidence(compiled, 20, rng)
+    joined = Evidence(
+        {k: np.concatenate([v[:cut], other.likelihoods[k][cut:]])
+         for k, v in evidence.likelihoods.items()},
+        {k: np.concatenate([v[:cut], other.inputs[k][cut:]]) for k, v in evidence.inputs.items()},
+    )  # fmt: skip
+    whole = filter_beliefs(compiled, evidence, method, kernel=kernel)
+    changed = filter_beliefs(compiled, joined, method, kernel=kernel)
+    for name in compiled.hidden:
+        np.testing.assert_array_equal(whole.marginals[name][:cut], changed.marginals[name][:cut])
+    np.testing.assert_array_equal(whole.log_evidence[:cut], changed.log_evidence[:cut])
+
+
+@every_method
+@both
+@few
+@given(seed=seeds)
+def test_frame_by_frame_equals_the_whole_sequence(method: str, kernel: bool, seed: int) -> None:
+    compiled = any_compiled(seed)
+    evidence = draw_evidence(compiled, 15, np.random.default_rng(seed))
+    whole = filter_beliefs(compiled, evidence, method, kernel=kernel)
+    state = None
+    for t in range(15):
+        state, belief = step(compiled, state, evidence.take(slice(t, t + 1)), method, kernel=kernel)
+        for name in compiled.hidden:
+            np.testing.assert_allclose(
+                belief.marginals[name][0], whole.marginals[name][t], rtol=0, atol=1e-13
+            )
+        np.testing.assert_allclose(belief.log_evidence[0], whole.log_evidence[t], atol=1e-12)
+        assert belief.is_impossible[0] == whole.is_impossible[t]
+
+
+@every_method
+@both
+def test_stepping_leaves_the_earlier_state_as_it_was(method: str, kernel: bool) -> None:
+    compiled = compiled_paper()
+    evidence = draw_evidence(compiled, 3, np.random.default_rng(0), zeros=0)
+    first, _ = step(compiled, None, evidence.take(slice(0, 1)), method, kernel=kernel)
+    before = first.joint.copy()
+    _, once = step(compiled, first, evidence.take(slice(1, 3)), method, kernel=kernel)
+    _, again = step(compiled, first, evidence.take(slice(1, 3)), method, kernel=kernel)
+    np.testing.assert_array_equal(first.joint, before)
+    np.testing.assert_array_equal(once.lane, again.lane)
+
+
+@every_method
+@both
+@few
+@given(seed=seeds, factor=st.floats(1e-30, 1e30))
+def test_scaled_evidence_changes_the_log_evidence_only(
+    method: str, kernel: bool, seed: int, factor: float
+) -> None:
+    compiled = any_compiled(seed)
+    evidence = draw_evidence(compiled, 20, np.random.default_rng(seed))
+    right = filter_beliefs(compiled, evidence, method, kernel=kernel)
+    ours = filter_beliefs(compiled, scaled(evidence, factor), method, kernel=kernel)
+    np.testing.assert_array_equal(ours.is_impossible, right.is_impossible)
+    for name in compiled.hidden:
+        np.testing.assert_allclose(ours.marginals[name], right.marginals[name], atol=1e-10)
+    shift = len(evidence.likelihoods) * np.log(factor)
+    kept = ~right.is_impossible
+    np.testing.assert_allclose(
+        ours.log_evidence[kept], right.log_evidence[kept] + shift, rtol=1e-9, atol=1e-8
+    )
+
+
+@every_method
+@both
+@pytest.mark.parametrize("size", [1e-200, 1e-300, 1e200, 1e300])
+def test_likelihoods_of_any_size_give_the_same_belief(
+    method: str, kernel: bool, size: float
+) -> None:
+    compiled = compiled_paper()
+    evidence = draw_evidence(compiled, 30, np.random.default_rng(1), zeros=0)
+    right = filter_beliefs(compiled, evidence, method, kernel=kernel)
+    with as_compiled(kernel):
+        ours = filter_beliefs(compiled, scaled(evidence, size), method, kernel=kernel)
+    assert not ours.is_impossible.any()
+    np.testing.assert_allclose(ours.lane, right.lane, rtol=0, atol=1e-12)
+    np.testing.assert_allclose(
+        ours.log_evidence, right.log_evidence + 2 * np.log(size), rtol=1e-12, atol=1e-9
+    )
+
+
+@every_method
+@both
+@few
+@given(seed=seeds, level=st.sampled_from([1.0, 0.25, 1e-5]))
+def test_uniform_evidence_changes_nothing_but_the_prediction(
+    method: str, kernel: bool, seed: int, level: float
+) -> None:
+    """The belief after a frame that says nothing is the prediction, and its evidence is certain."""
+    compiled = any_compiled(seed)
+    evidence = draw_evidence(compiled, 8, np.random.default_rng(seed))
+    for values in evidence.likelihoods.values():
+        values[[0, 4]] = level
+    beliefs = filter_beliefs(compiled, evidence, method, kernel=kernel)
+    start, u = compiled.prior, input_index(compiled, evidence)
+    np.testing.assert_allclose(
+        beliefs.log_evidence[[0, 4]], len(evidence.likelihoods) * np.log(level), atol=1e-9
+    )
+    state, _ = step(compiled, None, evidence.take(slice(0, 4)), method, kernel=kernel)
+    for t, predicted in ((0, start[u[0]]), (4, state.joint @ compiled.transition[u[4]])):
+        for h, name in enumerate(compiled.hidden):
+            expected = np.bincount(
+                compiled.node_value[h], predicted, minlength=compiled.cardinality[name]
+            )
+            np.testing.assert_allclose(beliefs.marginals[name][t], expected, atol=1e-9)
+
+
+def input_index(compiled: Compiled, evidence: Evidence) -> np.ndarray:
+    if not compiled.inputs:
+        return np.zeros(len(evidence), dtype=int)
+    (name,) = compiled.inputs
+    return evidence.inputs[name]
+
+
+@every_method
+@both
+def test_a_frame_of_zero_joint_likelihood_keeps_its_prediction_and_is_flagged(
+    method: str, kernel: bool
+) -> None:
+    compiled = compiled_paper()
+    evidence = draw_evidence(compiled, 6, np.random.default_rng(2), zeros=0)
+    silent = Evidence({k: v.copy() for k, v in evidence.likelihoods.items()})
+    for key, frame in (("DetectorOutput", 2), ("WOR", 4)):
+        evidence.likelihoods[key][frame] = 0
+    for values in silent.likelihoods.values():
+        values[[2, 4]] = 1
+    ours = filter_beliefs(compiled, evidence, method, kernel=kernel)
+    right = filter_beliefs(compiled, silent, method, kernel=kernel)
+    assert ours.is_impossible.tolist() == [False, False, True, False, True, False]
+    assert not right.is_impossible.any()
+    for name in compiled.hidden:
+        np.testing.assert_allclose(ours.marginals[name], right.marginals[name], atol=1e-13)
+    assert (ours.log_evidence[[2, 4]] == 0).all()
+    kept = [0, 1, 3, 5]
+    np.testing.assert_allclose(ours.mean_log_evidence, right.log_evidence[kept].mean())
+
+
+@every_method
+@both
+def test_evidence_that_the_model_rules_out_is_flagged_though_no_likelihood_is_all_zero(
+    method: str, kernel: bool
+) -> None:
+    """The state stays at 0 and is seen without error: a certain sight of 1 is impossible."""
+    tables = [
+        *prior("Lane", [1.0, 0.0]),
+        *dynamics("Lane", [previous("Lane")], np.eye(2)),
+        *within("D", ["Lane"], np.eye(2)),
+    ]
+    compiled = compile_network(declare(tables, ["D"]), ["Lane"], ["D"])
+    evidence = Evidence({"D": np.array([[0.5, 0.5], [0.0, 1.0], [0.2, 0.8]])})
+    beliefs = filter_beliefs(compiled, evidence, method, kernel=kernel)
+    assert beliefs.is_impossible.tolist() == [False, True, False]
+    np.testing.assert_array_equal(beliefs.lane, [[1, 0]] * 3)
+    np.testing.assert_allclose(beliefs.mean_log_evidence, np.log([0.5, 0.2]).mean())
+
+
+@every_method
+@both
+def test_a_sequence_of_nothing_but_impossible_frames_stays_the_models_prediction(
+    method: str, kernel: bool
+) -> None:
+    # Rounding errors must not grow from frame to frame either.
+    module = graph("sensor_failure")
+    parameters = resolve_parameters(
+        module.PARAMETERS, {"sigma1": 0.3333, "sigma2": 0.37, "p1": 0.77777}, 3
+    )
+    compiled = with_tables(compiled_paper(3), module.tables(3, parameters))
+    detector, wor = np.zeros((300, 3)), np.zeros((300, 2))
+    detector[0], wor[0] = [0.9, 0.05, 0.05], [0.7, 0.3]
+    evidence = Evidence({"DetectorOutput": detector, "WOR": wor})
+    beliefs = filter_beliefs(compiled, evidence, method, kernel=kernel)
+    assert beliefs.is_impossible.tolist() == [False] + [True] * 299
+    silent = Evidence({"DetectorOutput": detector + ~detector.any(1, keepdims=True),
+                       "WOR": wor + ~wor.any(1, keepdims=True)})  # fmt: skip
+    right = filter_beliefs(compiled, silent, method, kernel=kernel)
+    for name in compiled.hidden:
+        np.testing.assert_allclose(beliefs.marginals[name], right.marginals[name], atol=1e-12)
+
+
+@both
+def test_a_sequence_of_only_impossible_frames_has_no_mean_log_evidence(kernel: bool) -> None:
+    evidence = Evidence({"DetectorOutput": np.zeros((3, 4)), "WOR": np.zeros((3, 2))})
+    beliefs = filter_beliefs(compiled_paper(), evidence, kernel=kernel)
+    assert beliefs.is_impossible.all()
+    assert np.isnan(beliefs.mean_log_evidence)
+
+
+@every_method
+@both
+def test_nothing_underflows_over_a_thousand_frames(method: str, kernel: bool) -> None:
+    module = graph("sensor_failure")
+    parameters = resolve_parameters(module.PARAMETERS, {"sigma1": 1.0}, 4)
+    compiled = with_tables(compiled_paper(), module.tables(4, parameters))
+    rng = np.random.default_rng(3)
+    evidence = scaled(draw_evidence(compiled, 1000, rng, zeros=0), 1e-6)
+    beliefs = filter_beliefs(compiled, evidence, method, kernel=kernel)
+    assert not beliefs.is_impossible.any()
+    assert np.isfinite(beliefs.log_evidence).all()
+    np.testing.assert_allclose(beliefs.lane.sum(axis=1), 1, atol=1e-12)
+    # The chain forgets: the last belief is that of the last two hundred frames alone.
+    late = filter_beliefs(compiled, evidence.take(slice(800, 1000)), method, kernel=kernel)
+    np.testing.assert_allclose(beliefs.lane[-1], late.lane[-1], atol=1e-9)
+
+
+@both
+def test_the_paper_s_update_worked_by_hand(kernel: bool) -> None:
+    """Assumed density as in section "Inference": each marginal through its own table."""
+    module = graph("sensor_failure")
+    parameters = resolve_parameters(module.PARAMETERS, {"p1": 0.8, "p2": 0.7}, 3)
+    compiled = with_tables(compiled_paper(3), module.tables(3, parameters))
+    tables = {t.node: t.values for t in module.tables(3, parameters)}
+    rng = np.random.default_rng(4)
+    detector, wor = rng.random((5, 3)), rng.random((5, 2))
+    ours = filter_beliefs(
+        compiled, Evidence({"DetectorOutput": detector, "WOR": wor}), kernel=kernel
+    )
+    lane, sensor = np.full(3, 1 / 3), np.full(2, 1 / 2)
+    for t in range(5):
+        if t:
+            lane, sensor = lane @ tables["Lane", 1], sensor @ tables["SensorState", 1]
+        likelihood = tables["DetectorOutput", 1] @ detector[t]  # [sensor, lane]
+        joint = sensor[:, None] * lane * likelihood * (tables["WOR", 1] @ wor[t])[:, None]
+        np.testing.assert_allclose(ours.log_evidence[t], np.log(joint.sum()), atol=1e-12)
+        joint /= joint.sum()
+        lane, sensor = joint.sum(axis=0), joint.sum(axis=1)
+        np.testing.assert_allclose(ours.lane[t], lane, atol=1e-12)
+        np.testing.assert_allclose(ours.marginals["SensorState"][t], sensor, atol=1e-12)
+
+
+def test_the_two_filters_differ_once_a_transition_follows_a_correlated_belief() -> None:
+    evidence = draw_evidence(compiled_paper(), 5, np.random.default_rng(5), zeros=0)
+    exact = filter_beliefs(compiled_paper(), evidence, "exact")
+    assumed = filter_beliefs(compiled_paper(), evidence, "assumed_density")
+    np.testing.assert_allclose(exact.lane[:1], assumed.lane[:1], atol=1e-12)
+    assert np.abs(exact.lane[2:] - assumed.lane[2:]).max() > 1e-6
+
+
+def test_with_one_persistent_node_assumed_density_is_exact() -> None:
+    module = graph("lane_only")
+    parameters = resolve_parameters(module.PARAMETERS, {}, 4)
+    compiled = compile_network(module.build(4, parameters), module.HIDDEN, module.OBSERVED)
+    evidence = draw_evidence(compiled, 50, np.random.default_rng(6))
+    right = filter_beliefs(compiled, evidence, "exact")
+    assert_same_beliefs(filter_beliefs(compiled, evidence, "assumed_density"), right, 1e-12)
+
+
+@every_method
+@both
+def test_the_frame_ids_given_are_the_beliefs_own(method: str, kernel: bool) -> None:
+    evidence = draw_evidence(compiled_paper(), 3, np.random.default_rng(0))
+    ids = np.array([5, 8, 9])
+    beliefs = filter_beliefs(compiled_paper(), evidence, method, frame_id=ids, kernel=kernel)
+    np.testing.assert_array_equal(beliefs.frame_id, ids)
+
+
+@every_method
+@both
+def test_no_frames_give_no_beliefs(method: str, kernel: bool) -> None:
+    nothing = Evidence({"DetectorOutput": np.zeros((0, 4)), "WOR": np.zeros((0, 2))})
+    beliefs = filter_beliefs(compiled_paper(), nothing, method, kernel=kernel)
+    assert beliefs.lane.shape == (0, 4)
+    assert len(beliefs) == 0
+
+
+@every_method
+@pytest.mark.parametrize("name", ["sensor_failure", "lane_only"])
+@pytest.mark.parametrize("n_lanes", [1, 3, 4])
+def test_long_sequences_agree_with_the_twin_whatever_kernel_does_them(
+    method: str, name: str, n_lanes: int
+) -> None:
+    """Long enough for a kernel compiled for the network's size, with frames that it cannot do."""
+    module = graph(name)
+    rng = np.random.default_rng(n_lanes)
+    parameters = resolve_parameters(module.PARAMETERS, {"sigma1": 1e-3, "sigma2": 0.05}, n_lanes)
+    compiled = compile_network(module.build(n_lanes, parameters), module.HIDDEN, module.OBSERVED)
+    evidence = draw_evidence(compiled, 1500, rng)
+    for values in evidence.likelihoods.values():
+        size = np.where(rng.random(1500) < 0.05, 1e-200, 1.0)
+        size[rng.random(1500) < 0.05] = 1e200
+        values *= size[:, None]
+    right = filter_beliefs(compiled, evidence, method, kernel=False)
+    assert 0 < right.is_impossible.sum() < 1000
+    with as_compiled(kernel=True):
+        ours = filter_beliefs(compiled, evidence, method, kernel=True)
+    assert_same_beliefs(ours, right, 1e-9)
+    assert np.isfinite(ours.mean_log_evidence)
+    easy = draw_evidence(compiled, 1500, rng, zeros=0)
+    right = filter_beliefs(compiled, easy, method, kernel=False)
+    assert_same_beliefs(filter_beliefs(compiled, easy, method, kernel=True), right, 1e-9)

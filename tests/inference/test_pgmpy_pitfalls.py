@@ -1,0 +1,180 @@
+"""What goes wrong in pgmpy 1.1.2 with soft evidence in dynamic networks, and that it does not
+reach the filters: each test holds the filters to a right answer on the case that fails there."""
+
+from __future__ import annotations
+
+import inspect
+import math
+from typing import Any
+
+import numpy as np
+import pytest
+from tests.conformance.networks import METHODS, assert_same_beliefs, brute_force
+
+from egolane_pgm.graphs.cpds import Table, declare, dynamics, previous, prior, quiet, within
+from egolane_pgm.inference.compile import compile_network
+from egolane_pgm.inference.filtering import filter_beliefs
+from egolane_pgm.types import Evidence, InputError
+
+START = np.array([0.3, 0.7])
+MOVES = np.array([[0.9, 0.1], [0.2, 0.8]])
+SEES = np.array([[0.8, 0.2], [0.3, 0.7]])
+
+both = pytest.mark.parametrize("kernel", [True, False], ids=["kernel", "numpy"])
+
+
+def tables() -> list[Table]:
+    return [
+        *prior("Lane", START),
+        *dynamics("Lane", [previous("Lane")], MOVES),
+        *within("D", ["Lane"], SEES),
+    ]
+
+
+def filtered(likelihood: np.ndarray, kernel: bool = True) -> np.ndarray:
+    network = declare(tables(), ["D"])
+    compiled = compile_network(network, ["Lane"], ["D"])
+    return filter_beliefs(compiled, Evidence({"D": likelihood}), "exact", kernel=kernel).lane
+
+
+def forward(likelihood: np.ndarray) -> np.ndarray:
+    """The filter of a textbook, in three lines."""
+    belief, beliefs = START, []
+    for t, row in enumerate(likelihood):
+        belief = (belief @ MOVES if t else belief) * (SEES @ row)
+        belief = belief / belief.sum()
+        beliefs.append(belief)
+    return np.array(beliefs)
+
+
+def dbn_inference() -> Any:
+    """pgmpy's own inference on the same network, without our virtual-evidence nodes."""
+    from pgmpy.inference import DBNInference
+
+    return DBNInference(declare(tables(), []))
+
+
+@both
+def test_soft_evidence_which_dbn_inference_does_not_know_weighs_in_the_filter(
+    kernel: bool,
+) -> None:
+    with quiet():
+        from pgmpy.inference import DBNInference
+
+        for method in (DBNInference.query, DBNInference.forward_inference):
+            assert "virtual_evidence" not in inspect.signature(method).parameters
+    soft = np.array([[0.6, 0.4], [0.1, 0.9], [0.5, 0.5]])
+    np.testing.assert_allclose(filtered(soft, kernel), forward(soft), atol=1e-12)
+    hard = (soft == soft.max(axis=1, keepdims=True)).astype(float)
+    assert np.abs(filtered(soft, kernel) - filtered(hard, kernel)).max() > 0.05
+
+
+@both
+def test_asking_for_all_frames_at_once_gives_each_frame_its_own_right_answer(kernel: bool) -> None:
+    seen = [0, 1, 0, 0, 1]
+    hard = np.eye(2)[seen]
+    right = forward(hard)
+    np.testing.assert_allclose(filtered(hard, kernel), right, atol=1e-12)
+    with quiet():
+        evidence = {("D", t): d for t, d in enumerate(seen)}
+        answer = dbn_inference().forward_inference([("Lane", t) for t in range(5)], evidence)
+        together = np.array([answer["Lane", t].values for t in range(5)])
+        alone = dbn_inference().forward_inference([("Lane", 4)], evidence)["Lane", 4].values
+    # pgmpy is right when asked for the last frame alone, wrong when asked for several.
+    np.testing.assert_allclose(alone, right[4], atol=1e-9)
+    assert np.abs(together - right).max() > 0.01
+
+
+@both
+@pytest.mark.parametrize("method", METHODS)
+def test_hundreds_of_improbable_frames_do_not_underflow(method: str, kernel: bool) -> None:
+    # The joint probability of the sequence is about 1e-5000, far below the smallest double.
+    rng = np.random.default_rng(0)
+    soft = rng.random((600, 2)) * 1e-8
+    network = declare(tables(), ["D"])
+    compiled = compile_network(network, ["Lane"], ["D"])
+    beliefs = filter_beliefs(compiled, Evidence({"D": soft}), method, kernel=kernel)
+    assert not beliefs.is_impossible.any()
+    np.testing.assert_allclose(beliefs.lane, forward(soft), atol=1e-10)
+    assert beliefs.log_evidence.sum() < -600 * math.log(1e8)
+
+
+def two_parents(order: tuple[str, str], both_slices: bool) -> Any:
+    """A and B persist, D sees both: table P(D | B, A), the edges in `order`."""
+    sees = np.array([[[0.9, 0.1], [0.6, 0.4]], [[0.3, 0.7], [0.2, 0.8]]])  # [b, a, d]
+    from pgmpy.factors.discrete import TabularCPD
+    from pgmpy.models import DynamicBayesianNetwork
+
+    network = DynamicBayesianNetwork([((n, 0), (n, 1)) for n in "AB"])
+    network.add_edges_from([((n, 0), ("D", 0)) for n in order] + [(("D", 0), ("D_ve", 0))])
+    for s in (0, 1) if both_slices else (0,):
+        columns = sees.reshape(-1, 2).T
+        network.add_cpds(
+            TabularCPD(("D", s), 2, columns, [("B", s), ("A", s)], [2, 2]),
+            TabularCPD(("D_ve", s), 2, np.full((2, 2), 0.5), [("D", s)], [2]),
+        )
+    for n in "AB":
+        network.add_cpds(
+            TabularCPD((n, 0), 2, START.reshape(-1, 1)),
+            TabularCPD((n, 1), 2, MOVES.T, [(n, 0)], [2]),
+        )
+    declared = [
+        *(t for n in "AB" for t in prior(n, START)),
+        *(t for n in "AB" for t in dynamics(n, [previous(n)], MOVES)),
+        *within("D", ["B", "A"], sees),
+    ]
+    return network, declared
+
+
+@pytest.mark.parametrize("order", [("A", "B"), ("B", "A")])
+@pytest.mark.parametrize("method", METHODS)
+def test_axes_keep_their_names_whatever_the_order_of_the_edges(
+    order: tuple[str, str], method: str
+) -> None:
+    soft = np.array([[0.2, 0.8], [0.9, 0.1], [0.4, 0.6]])
+    with quiet():
+        network, declared = two_parents(order, both_slices=True)
+    compiled = compile_network(network, ["A", "B"], ["D"])
+    evidence = Evidence({"D": soft})
+    right = brute_force(declared, ["A", "B"], evidence, method)
+    assert_same_beliefs(filter_beliefs(compiled, evidence, method), right, 1e-12)
+
+
+def test_a_slice_that_pgmpy_would_fill_in_by_position_is_refused_and_if_filled_in_so_noticed() -> (
+    None
+):
+    """`initialize_initial_state` copies P(D | B, A) to slice 1 as P(D | A, B), the edges' order,
+    without moving the axes."""
+    with quiet():
+        network, _ = two_parents(("A", "B"), both_slices=False)
+    with pytest.raises(InputError, match="D: no table for slice 1; declare both slices in full"):
+        compile_network(network, ["A", "B"], ["D"])
+    with quiet():
+        network.initialize_initial_state()
+    with pytest.raises(InputError, match="D: its table differs between the slices"):
+        compile_network(network, ["A", "B"], ["D"])
+
+
+def test_the_network_that_is_declared_needs_nothing_filled_in_by_pgmpy() -> None:
+    """declare() gives both slices in full: `initialize_initial_state` finds nothing to do."""
+    network = declare(tables(), ["D"])
+    before = {tuple(c.variable): (list(c.variables), c.values.copy()) for c in network.cpds}
+    with quiet():
+        network.initialize_initial_state()
+    after = {tuple(c.variable): (list(c.variables), c.values) for c in network.cpds}
+    assert before.keys() == after.keys()
+    for node, (names, values) in before.items():
+        assert after[node][0] == names
+        np.testing.assert_array_equal(after[node][1], values)
+
+
+@both
+def test_zero_likelihoods_give_no_nan(kernel: bool) -> None:
+    soft = np.array([[0.0, 1.0], [0.0, 0.0], [1.0, 0.0]])
+    lane = filtered(soft, kernel)
+    assert np.isfinite(lane).all()
+    first = forward(soft[:1])[0]
+    predicted = first @ MOVES
+    np.testing.assert_allclose(lane[:2], [first, predicted], atol=1e-12)
+    last = predicted @ MOVES * SEES[:, 0]
+    np.testing.assert_allclose(lane[2], last / last.sum(), atol=1e-12)

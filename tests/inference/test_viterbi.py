@@ -1,0 +1,150 @@
+"""The most probable path, and the warning where it is not to be trusted."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+from tests.conformance.networks import draw_evidence, graph, graph_names
+from tests.inference.test_smoothing import (
+    any_compiled,
+    frames_to_enumerate,
+    random_network,
+    small_parameters,
+    template,
+)
+from tests.kits.trajectories import enumerated_paths
+
+from egolane_pgm.inference.compile import Compiled, with_tables
+from egolane_pgm.inference.smoothing import smooth_beliefs
+from egolane_pgm.inference.viterbi import Path, disagreement, viterbi_path
+from egolane_pgm.types import Beliefs, Evidence, InputError, resolve_parameters
+
+both = pytest.mark.parametrize("kernel", [True, False], ids=["kernel", "numpy"])
+
+
+def check_against(compiled: Compiled, tables: list, evidence: Evidence, hidden: tuple) -> None:
+    right = enumerated_paths(tables, hidden, evidence)
+    best = max(right.values())
+    for kernel in (True, False):
+        path = viterbi_path(compiled, evidence, kernel=kernel)
+        states = tuple(
+            tuple(int(path.values[name][t]) for name in hidden) for t in range(len(evidence))
+        )
+        np.testing.assert_allclose(right[states], best, rtol=1e-9)
+        np.testing.assert_allclose(path.log_probability, math.log(best), rtol=0, atol=1e-9)
+
+
+@pytest.mark.parametrize("name", graph_names())
+def test_no_trajectory_of_any_graph_is_more_probable(name: str) -> None:
+    module = graph(name)
+    for seed in range(2):
+        rng = np.random.default_rng(seed)
+        tables = module.tables(2, small_parameters(name, 2, rng))
+        compiled = with_tables(template(name, 2), tables)
+        evidence = draw_evidence(compiled, frames_to_enumerate(compiled), rng)
+        check_against(compiled, tables, evidence, module.HIDDEN)
+
+
+@pytest.mark.parametrize("seed", range(10))
+def test_no_trajectory_of_random_networks_is_more_probable(seed: int) -> None:
+    drawn, compiled = random_network(seed)
+    evidence = draw_evidence(compiled, 2, np.random.default_rng(seed))
+    check_against(compiled, drawn.tables, evidence, drawn.hidden)
+
+
+def test_kernel_and_twin_take_the_same_path() -> None:
+    for seed in range(20):
+        compiled = any_compiled(seed)
+        evidence = draw_evidence(compiled, 200, np.random.default_rng(seed))
+        ours = viterbi_path(compiled, evidence)
+        right = viterbi_path(compiled, evidence, kernel=False)
+        assert ours.log_probability == pytest.approx(right.log_probability, abs=1e-9)
+        for name in compiled.hidden:
+            np.testing.assert_array_equal(ours.values[name], right.values[name])
+
+
+def test_the_frame_ids_given_are_kept() -> None:
+    compiled = template("lane_only", 3)
+    evidence = draw_evidence(compiled, 3, np.random.default_rng(0))
+    ids = np.array([7, 8, 12])
+    path = viterbi_path(compiled, evidence, frame_id=ids)
+    np.testing.assert_array_equal(path.frame_id, ids)
+    smoothed = smooth_beliefs(compiled, evidence, frame_id=ids)
+    assert disagreement(path, smoothed).frames <= 3
+    assert viterbi_path(compiled, evidence).frame_id.tolist() == [0, 1, 2]
+
+
+@both
+def test_of_equally_probable_paths_the_lowest_numbered_is_taken(kernel: bool) -> None:
+    compiled = template("sensor_failure", 3)
+    says_nothing = Evidence({"DetectorOutput": np.ones((4, 3)), "WOR": np.ones((4, 2))})
+    path = viterbi_path(compiled, says_nothing, kernel=kernel)
+    # Lane 1 and lane 3 are mirror images; an outer lane is held more surely than the middle one.
+    assert path.lane.tolist() == [1, 1, 1, 1]
+    assert path.values["SensorState"].tolist() == [0, 0, 0, 0]
+
+
+@both
+def test_long_drives_do_not_underflow_and_impossible_frames_are_ignored(kernel: bool) -> None:
+    compiled = template("sensor_failure", 4)
+    n_frames = 10_000 if kernel else 1_000
+    evidence = draw_evidence(compiled, n_frames, np.random.default_rng(0), zeros=0)
+    for values in evidence.likelihoods.values():
+        values *= 1e-200
+    evidence.likelihoods["WOR"][17] = 0
+    path = viterbi_path(compiled, evidence, kernel=kernel)
+    assert np.flatnonzero(path.is_impossible).tolist() == [17]
+    # Two likelihoods of about 1e-200 in each frame that counts.
+    assert path.log_probability / (n_frames - 1) == pytest.approx(2 * math.log(1e-200), rel=0.02)
+    assert set(np.unique(path.lane)) <= {1, 2, 3, 4}
+    nothing = viterbi_path(compiled, evidence.take(slice(0, 0)), kernel=kernel)
+    assert len(nothing) == 0
+    assert nothing.log_probability == 0
+
+
+def believed(lane: list[int], probability: list[float]) -> tuple[Path, Beliefs]:
+    """A path over two lanes and a belief that gives its lane this probability."""
+    ids = np.arange(100, 100 + len(lane))
+    values = np.array(lane)
+    rows = np.empty((len(lane), 2))
+    rows[np.arange(len(lane)), values] = probability
+    rows[np.arange(len(lane)), 1 - values] = 1 - np.array(probability)
+    flags = np.zeros(len(lane), dtype=bool)
+    path = Path(ids, {"Lane": values}, 0.0, flags)
+    return path, Beliefs(ids, {"Lane": rows}, np.zeros(len(lane)), flags)
+
+
+def test_the_longest_stretch_of_doubt_is_found_and_warned_of_beyond_the_limit() -> None:
+    doubt = [0.9, 0.4, 0.9, 0.3, 0.2, 0.49, 0.5, 0.1, 0.1]
+    path, smoothed = believed([0, 0, 0, 1, 1, 1, 0, 0, 0], doubt)
+    found = disagreement(path, smoothed, limit=3)
+    assert (found.frames, found.first, found.last, found.warning) == (3, 103, 105, None)
+    found = disagreement(path, smoothed, limit=2)
+    assert found.warning is not None
+    assert "for 3 frames (103 to 105)" in found.warning
+    sure = disagreement(*believed([0, 1], [0.9, 0.8]), limit=0)
+    assert (sure.frames, sure.first, sure.last, sure.warning) == (0, None, None, None)
+
+
+def test_the_path_of_a_sensor_that_may_be_bad_for_long_is_found_to_disagree() -> None:
+    """The likeliest story holds one lane; all stories together leave it."""
+    parameters = resolve_parameters(graph("lane_only").PARAMETERS, {"sigma1": 0.8}, 5)
+    compiled = with_tables(template("lane_only", 5), graph("lane_only").tables(5, parameters))
+    evidence = Evidence({"DetectorOutput": np.ones((120, 5))})
+    path = viterbi_path(compiled, evidence)
+    smoothed = smooth_beliefs(compiled, evidence)
+    assert len(set(path.lane.tolist())) == 1
+    found = disagreement(path, smoothed)
+    assert found.frames == 120
+    assert found.warning is not None
+
+
+def test_what_cannot_be_compared_is_refused() -> None:
+    path, smoothed = believed([0, 1], [0.5, 0.5])
+    with pytest.raises(InputError, match=r"node 'lane' is not a hidden one \(did you mean 'Lane'"):
+        disagreement(path, smoothed, node="lane")
+    other, _ = believed([0], [0.5])
+    with pytest.raises(InputError, match="different frames"):
+        disagreement(other, smoothed)

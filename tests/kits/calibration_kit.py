@@ -1,0 +1,111 @@
+"""Chessboards and roads as a known camera sees them, drawn or labelled."""
+
+import json
+from dataclasses import replace
+from functools import cache
+from pathlib import Path
+
+import cv2
+import numpy as np
+from click.testing import CliRunner
+from hypothesis import strategies as st
+
+from egolane_pgm.camera.model import (
+    Camera,
+    image_to_road,
+    road_to_image,
+    undistorted,
+)
+from egolane_pgm.cli.main import egolane
+
+LENS = (-0.25, 0.02, -0.0006, 0.0002, 0.0)
+TRUE = Camera(
+    1280, 720, 1100.0, 1095.0, 650.0, 370.0, height_m=1.4, pitch_deg=-2.0, yaw_deg=1.0,
+    distortion=LENS,
+)  # fmt: skip
+
+cameras = st.builds(
+    Camera,
+    st.just(1280),
+    st.just(720),
+    st.floats(900, 1300),
+    st.floats(900, 1300),
+    st.floats(600, 700),
+    st.floats(330, 400),
+    height_m=st.floats(1.0, 2.8),
+    pitch_deg=st.floats(-4, 3),
+    yaw_deg=st.floats(-4, 4),
+    roll_deg=st.floats(-3, 3),
+    distortion=st.sampled_from([(0.0,) * 5, LENS]),
+)
+
+
+def unturned(camera: Camera) -> Camera:
+    """What is known before the road is looked at: lens and roll."""
+    return replace(camera, height_m=1.0, pitch_deg=0.0, yaw_deg=0.0)
+
+
+def lines_of(camera: Camera, offsets, heading=0.0, curvature=0.0, noise=0.0, seed=0):
+    """The points of parallel lines, pixels, as somebody would label them."""
+    x = np.geomspace(5, 60, 60)
+    rng = np.random.default_rng(seed)
+    lines = []
+    for offset in offsets:
+        y = offset + heading * x + curvature * x**2 / 2
+        points = np.stack(road_to_image(camera, x, y), axis=-1)
+        points += rng.normal(0, noise, points.shape)
+        inside = (points >= 0).all(axis=1) & (points < (camera.width, camera.height)).all(axis=1)
+        lines.append(points[inside])
+    return lines
+
+
+@cache
+def _rays(camera: Camera):
+    v, u = np.mgrid[: camera.height, : camera.width].astype(np.float64)
+    u, v = undistorted(camera, u, v)
+    return np.stack([(u - camera.cx) / camera.fx, (v - camera.cy) / camera.fy, 0 * u + 1], -1)
+
+
+def draw_board(camera: Camera, turn, place):
+    """A chessboard of 9x6 inner corners, 30 mm squares, seen through a lens."""
+    rays = _rays(camera)
+    rotation = cv2.Rodrigues(np.array(turn, dtype=np.float64))[0]
+    normal = rotation[:, 2]
+    where = rays * ((normal @ place) / (rays @ normal))[..., None] - place
+    column, row = (where @ rotation[:, i] / 0.03 + n / 2 for i, n in ((0, 10), (1, 7)))
+    dark = (np.floor(column) + np.floor(row)) % 2 == 0
+    board = (column >= 0) & (column < 10) & (row >= 0) & (row < 7)
+    grey = np.where(board & dark, 40, 220).astype(np.uint8)
+    return cv2.cvtColor(cv2.GaussianBlur(grey, (0, 0), 0.8), cv2.COLOR_GRAY2BGR)
+
+
+def draw_road(camera: Camera, offsets, heading=0.0, seed=0):
+    """A grey road with bright markings, dashed but for the outer ones, under a dark sky."""
+    v, u = np.mgrid[: camera.height, : camera.width].astype(np.float64)
+    x, y = image_to_road(camera, u, v)
+    paint = np.zeros(x.shape, dtype=bool)
+    with np.errstate(invalid="ignore"):
+        for k, offset in enumerate(offsets):
+            solid = k in (0, len(offsets) - 1)
+            on = np.abs(y - offset - heading * x) < 0.08
+            paint |= on & (x < 80) & (solid | ((x + 3 * seed) % 12 < 5))
+    grey = np.where(np.isfinite(x), 90.0, 40.0) + np.random.default_rng(seed).normal(0, 3, x.shape)
+    grey = np.clip(np.where(paint, 210.0, grey), 0, 255).astype(np.uint8)
+    return cv2.cvtColor(cv2.GaussianBlur(grey, (0, 0), 0.7), cv2.COLOR_GRAY2BGR)
+
+
+def calibrate(*arguments):
+    return CliRunner().invoke(egolane, ["calibrate", *map(str, arguments)])
+
+
+def write_labels(path: Path, camera: Camera, n_frames=4, offsets=(-5.4, -1.8, 1.8, 5.4)):
+    rows = list(range(240, 720, 10))
+    with path.open("w") as file:
+        for k in range(n_frames):
+            lanes = []
+            for line in lines_of(camera, np.array(offsets) + 0.2 * k, 0.003 * (k - 1.5)):
+                line = line[np.argsort(line[:, 1])]
+                at = np.interp(rows, line[:, 1], line[:, 0], left=-2, right=-2)
+                lanes.append([float(value) for value in at])
+            frame = {"lanes": lanes, "h_samples": rows, "raw_file": f"{k}.jpg"}
+            file.write(json.dumps(frame) + "\n")

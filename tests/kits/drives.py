@@ -1,0 +1,84 @@
+"""A short simulated drive as files, and the command line run in this process, as a user has it."""
+
+from __future__ import annotations
+
+import functools
+from pathlib import Path
+from typing import Any
+
+import yaml
+from click.testing import CliRunner, Result
+
+from egolane_pgm.cli.main import egolane
+from egolane_pgm.recordings.ground_truth import write_ground_truth
+from egolane_pgm.recordings.table import write_table
+from egolane_pgm.simulation import Drive, simulate
+
+N_FRAMES = 150
+
+
+@functools.cache
+def short_drive(n_frames: int = N_FRAMES) -> Drive:
+    return simulate("quickstart", seed=3, frames=n_frames)
+
+
+def write_drive(folder: Path, n_frames: int = N_FRAMES, **changes: Any) -> Path:
+    """lines.csv, ground_truth.txt and the experiment.yaml that is returned. changes: keys of the
+    YAML, `recording__lri` for a key below a section; None takes a key out."""
+    drive = short_drive(n_frames)
+    folder.mkdir(parents=True, exist_ok=True)
+    write_table(folder / "lines.csv", drive.log)
+    write_ground_truth(folder / "ground_truth.txt", drive.truth)
+    return write_experiment(folder / "experiment.yaml", n_lanes=drive.n_lanes, **changes)
+
+
+def write_experiment(path: Path, **changes: Any) -> Path:
+    content: dict[str, Any] = {
+        "name": "drive",
+        "recording": {"path": "lines.csv"},
+        "ground_truth": {"path": "ground_truth.txt"},
+        "n_lanes": 3,
+        "tuned_on": "not_tuned",
+    }
+    for key, value in changes.items():
+        *above, last = key.split("__")
+        section = content
+        for part in above:
+            section = section.setdefault(part, {})
+        if value is None:
+            section.pop(last, None)
+        else:
+            section[last] = value
+    path.write_text(yaml.safe_dump(content, sort_keys=False))
+    return path
+
+
+def command(*words: object) -> Result:
+    """`egolane words...`, which must not end in a traceback."""
+    result = CliRunner().invoke(egolane, [str(word) for word in words])
+    if result.exception is not None and not isinstance(result.exception, SystemExit):
+        raise result.exception
+    return result
+
+
+def done(*words: object) -> Result:
+    """`egolane words...`, which must end well."""
+    result = command(*words)
+    assert result.exit_code == 0, result.output
+    return result
+
+
+def refused(*words: object) -> str:
+    """What `egolane words...` says on standard error: exit code 2 and one line, nothing else."""
+    result = command(*words)
+    assert result.exit_code == 2, (result.exit_code, result.output)
+    lines = result.stderr.splitlines()
+    assert len(lines) == 1, lines
+    assert lines[0].startswith("egolane: ")
+    assert result.stdout == ""
+    return lines[0].removeprefix("egolane: ")
+
+
+def contents(folder: Path) -> dict[str, bytes]:
+    """Every file below a folder, byte by byte; hidden ones too."""
+    return {str(p.relative_to(folder)): p.read_bytes() for p in folder.rglob("*") if p.is_file()}

@@ -1,0 +1,153 @@
+"""The reject option: answers below a probability become Unassigned, in scores, runs and online."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+from tests.kits.drives import command, done, refused, short_drive, write_drive
+from hypothesis import given
+from hypothesis import strategies as st
+from hypothesis.extra import numpy as hnp
+from tests.kits.tiny_result import a_result, without_truth
+
+from egolane_pgm.experiment import load_experiment
+from egolane_pgm.online import filter_stream
+from egolane_pgm.report.coverage import MARKED, coverage_curves, coverage_figure
+from egolane_pgm.results import read_result
+from egolane_pgm.run import run_experiment
+from egolane_pgm.scoring.assign import assigned_lane
+from egolane_pgm.scoring.confusion import confusion, scores_from_confusion
+from egolane_pgm.scoring.coverage import coverage_curve
+from egolane_pgm.types import InputError
+
+BELIEF = np.array([[0.6, 0.4], [0.95, 0.05], [0.5, 0.5], [0.2, 0.8], [0.9, 0.1]])
+LANE = np.array([1, 1, 1, 1, 2])
+NO_CROSSING = np.zeros(5, dtype=bool)
+
+
+def test_a_lane_below_the_threshold_is_unassigned_and_one_at_it_is_not() -> None:
+    assert assigned_lane(BELIEF, 0.9).tolist() == [0, 1, 0, 0, 1]
+    assert assigned_lane(BELIEF).tolist() == [1, 1, 0, 2, 1]
+    assert assigned_lane(np.array([[1.0], [0.8]]), 0.9).tolist() == [1, 0]
+    with pytest.raises(InputError, match=r"unassigned_below: 1\.5 is not a probability"):
+        assigned_lane(BELIEF, 1.5)
+
+
+def test_the_curve_counts_answers_and_right_ones_from_the_surest_on() -> None:
+    curve = coverage_curve(BELIEF, LANE, NO_CROSSING)
+    assert curve.threshold.tolist() == [0.95, 0.9, 0.8, 0.6]
+    assert curve.answered.tolist() == [1, 2, 3, 4]
+    assert curve.right.tolist() == [1, 1, 1, 2]
+    # The tie is never answered.
+    assert curve.coverage.tolist() == [0.2, 0.4, 0.6, 0.8]
+    assert curve.at(0.9) == (0.4, 0.5)
+    assert curve.at(0.0) == (0.8, 0.5)
+    coverage, accuracy = curve.at(0.99)
+    assert coverage == 0.0
+    assert np.isnan(accuracy)
+
+
+def test_equal_probabilities_are_one_point_of_the_curve() -> None:
+    belief = np.array([[0.9, 0.1], [0.1, 0.9], [0.7, 0.3], [0.3, 0.7]])
+    curve = coverage_curve(belief, np.array([1, 1, 1, 2]), np.zeros(4, dtype=bool))
+    assert curve.threshold.tolist() == [0.9, 0.7]
+    assert curve.answered.tolist() == [2, 4]
+    assert curve.right.tolist() == [1, 3]
+
+
+def test_crossing_frames_are_left_out_and_none_at_all_is_an_empty_curve() -> None:
+    crossing = np.array([True, False, False, False, True])
+    assert coverage_curve(BELIEF, LANE, crossing).frames_scored == 3
+    assert coverage_curve(BELIEF, LANE, crossing).answered.tolist() == [1, 2]
+    nothing = coverage_curve(BELIEF, LANE, np.ones(5, dtype=bool))
+    assert nothing.threshold.size == nothing.coverage.size == 0
+    assert nothing.at(0.0)[0] == 0.0
+
+
+@given(
+    weights=hnp.arrays(
+        np.int64, st.tuples(st.integers(1, 30), st.just(3)), elements=st.integers(1, 6)
+    ),
+    below=st.floats(0, 1),
+    seed=st.integers(0, 99),
+)
+def test_every_point_of_the_curve_is_what_the_reject_option_gives(
+    weights: np.ndarray, below: float, seed: int
+) -> None:
+    belief = weights / weights.sum(axis=1, keepdims=True)
+    rng = np.random.default_rng(seed)
+    lane = rng.integers(1, 4, size=len(belief))
+    crossing = rng.random(len(belief)) < 0.2
+    matrix = confusion(assigned_lane(belief, below), lane, crossing, 3)
+    coverage, accuracy = coverage_curve(belief, lane, crossing).at(below)
+    answered = int(matrix[:-1].sum())
+    assert coverage == pytest.approx(answered / max(1, int((~crossing).sum())))
+    if answered:
+        assert accuracy == pytest.approx(np.trace(matrix[:-1]) / answered)
+    else:
+        assert np.isnan(accuracy)
+
+
+def test_a_run_rejects_the_models_answers_only_and_leaves_the_belief_alone(tmp_path: Path) -> None:
+    plain = run_experiment(write_drive(tmp_path / "a"))
+    careful = run_experiment(write_drive(tmp_path / "b", unassigned_below=0.9))
+    assert careful.scores["detector"] == plain.scores["detector"]
+    before, after = plain.scores["model"], careful.scores["model"]
+    assert after["coverage"] < before["coverage"]
+    for key in ("log_loss", "brier", "expected_calibration_error"):
+        assert after[key] == before[key]
+    rejected = assigned_lane(careful.beliefs.lane[careful.recorded.scored], 0.9)
+    truth = careful.recorded.truth
+    assert truth is not None
+    expected = scores_from_confusion(confusion(rejected, truth.lane, truth.is_crossing, 3))
+    assert after["accuracy"] == expected.accuracy
+
+
+def test_result_and_online_filter_say_unassigned_where_the_run_does(tmp_path: Path) -> None:
+    path = write_drive(tmp_path, unassigned_below=0.9)
+    done("run", path, "--out", tmp_path / "out")
+    result = read_result(tmp_path / "out")
+    lane = result.assigned_lane
+    assert lane.tolist() == assigned_lane(result.marginals["Lane"], 0.9).tolist()
+    assert (lane == 0).any()
+    assert (lane > 0).any()
+    assert (tmp_path / "out" / "figures" / "coverage.png").stat().st_size > 1000
+    log = short_drive().log
+    messages = []
+    for t in range(40):
+        lines = [
+            {
+                "offset_m": float(log.offset_m[t, k]),
+                "is_valid": bool(log.is_valid[t, k]),
+                "is_continuous": bool(log.is_continuous[t, k]),
+                "lri": float(log.lri[t, k]),
+            }
+            for k in np.flatnonzero(np.isfinite(log.offset_m[t]))
+        ]
+        messages.append(json.dumps({"frame_id": int(log.frame_id[t]), "lines": lines}))
+    online = [a["assigned_lane"] for a in filter_stream(load_experiment(path), messages)]
+    assert online == lane[:40].tolist()
+
+
+def test_a_threshold_that_is_no_probability_is_refused(tmp_path: Path) -> None:
+    path = write_drive(tmp_path, unassigned_below=1.5)
+    assert "unassigned_below" in refused("validate", path)
+    assert command("validate", path, "--set", "unassigned_below=0.9").exit_code == 0
+
+
+def test_the_figure_draws_the_curves_and_marks_the_thresholds() -> None:
+    result = a_result()
+    curves = coverage_curves(result)
+    assert list(curves) == ["Detector only", "Model"]
+    (ax,) = coverage_figure(result).axes
+    line = next(line for line in ax.lines if line.get_label() == "Model")
+    assert np.asarray(line.get_xdata()).tolist() == curves["Model"].coverage.tolist()
+    assert np.asarray(line.get_ydata()).tolist() == curves["Model"].accuracy.tolist()
+    labels = {t.get_text() for t in ax.texts}
+    assert labels <= {f"{below:g}" for below in MARKED}
+    assert "0.5" in labels
+    with pytest.raises(InputError, match="no ground truth"):
+        coverage_figure(without_truth())

@@ -1,0 +1,316 @@
+"""The paper's 20 published confusion matrices and 100 printed scores, from its recordings."""
+
+from __future__ import annotations
+
+import json
+import shutil
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+import pytest
+import yaml
+from tests.conftest import needs_compiler
+from tests.kits.drives import done, refused
+
+from egolane_pgm import paper as paper
+from egolane_pgm.experiment import load_experiment
+from egolane_pgm.loading import load_recording
+from egolane_pgm.paper import SCORES, Recovered, Reproduced
+from egolane_pgm.recordings.ground_truth import read_ground_truth
+from egolane_pgm.recordings.rosbag import read_rosbag
+from egolane_pgm.types import InputError
+
+RUNS = range(1, 11)
+#: Frames off in the model matrices with the parameters as printed (run 5: in full precision).
+PUBLISHED_OFF = (4, 15, 16, 17, 0, 2, 1, 2, 1, 65)
+#: With those that a search found: two ties of run 10 and one of run 1 cannot be had in double
+#: precision with the tie rule.
+RECOVERED_AT_MOST = (1, 0, 0, 0, 0, 0, 0, 0, 0, 2)
+
+
+@pytest.fixture(scope="module")
+def recovered(recordings: Path) -> list[Reproduced]:
+    return [paper.reproduce_run(number, "recovered") for number in RUNS]
+
+
+@pytest.fixture(scope="module")
+def published(recordings: Path) -> list[Reproduced]:
+    return [paper.reproduce_run(number, "published") for number in RUNS]
+
+
+def assert_published_matrices(runs: Sequence[Reproduced]) -> None:
+    total = 0
+    for r, at_most in zip(runs, RECOVERED_AT_MOST, strict=True):
+        ours = r.run.scores
+        assert ours["detector"]["confusion"] == r.entry["detector_only"]["confusion"], r.number
+        if at_most == 0:
+            assert ours["model"]["confusion"] == r.entry["model"]["confusion"], r.number
+        assert r.detector_frames_off == 0
+        assert r.model_frames_off <= at_most, r.number
+        total += r.detector_frames_off + r.model_frames_off
+    assert total <= 3
+    assert sum(np.sum(r.run.scores[k]["confusion"]) for r in runs for k in r.run.scores) == 156_028
+
+
+@needs_compiler
+def test_all_20_published_matrices_come_out_within_three_frames(
+    recovered: list[Reproduced],
+) -> None:
+    assert_published_matrices(recovered)
+
+
+@needs_compiler
+def test_the_numpy_twins_reproduce_the_same(recordings: Path, recovered: list[Reproduced]) -> None:
+    twins = [paper.reproduce_run(number, "recovered", kernel=False) for number in RUNS]
+    assert_published_matrices(twins)
+    for twin, kernel in zip(twins, recovered, strict=True):
+        np.testing.assert_allclose(
+            twin.run.beliefs.lane, kernel.run.beliefs.lane, rtol=0, atol=1e-12
+        )
+        assert twin.run.scores["model"]["confusion"] == kernel.run.scores["model"]["confusion"]
+
+
+@needs_compiler
+def test_the_printed_parameters_are_as_far_off_as_truncation_makes_them(
+    published: list[Reproduced],
+) -> None:
+    assert [r.detector_frames_off for r in published] == [0] * 10
+    assert all(
+        r.model_frames_off <= most for r, most in zip(published, PUBLISHED_OFF, strict=True)
+    ), [r.model_frames_off for r in published]
+    run5 = published[4]
+    assert run5.run.scores["model"]["confusion"] == run5.entry["model"]["confusion"]
+
+
+@needs_compiler
+@pytest.mark.parametrize("which", ["recovered", "published"])
+def test_all_100_printed_scores_agree_truncated_or_rounded(
+    which: str, request: pytest.FixtureRequest
+) -> None:
+    compared = 0
+    for r in request.getfixturevalue(which):
+        for ours, theirs in (("detector", "detector_only"), ("model", "model")):
+            for key in SCORES:
+                value, printed = r.run.scores[ours][key], r.entry[theirs]["metrics"][key]
+                assert paper.agrees(value, printed), (r.number, ours, key, value, printed)
+                compared += 1
+    assert compared == 100
+
+
+@pytest.mark.parametrize(
+    ("ours", "printed", "agree"),
+    [
+        (0.5584, 0.55, True),
+        (0.5584, 0.56, True),
+        (0.5584, 0.57, False),
+        (0.5542, 0.55, True),
+        (0.5542, 0.56, False),
+        (0.55, 0.55, True),
+        (0.5499, 0.54, True),
+        (1.0, 0.99, False),
+        (0.0, 0.0, True),
+    ],
+)
+def test_a_score_agrees_when_it_is_the_printed_one_truncated_or_rounded(
+    ours: float, printed: float, agree: bool
+) -> None:
+    assert paper.agrees(ours, printed) is agree
+
+
+def test_the_missing_frame_of_run_6_is_held(recordings: Path) -> None:
+    experiment = load_experiment(paper.paper_experiment(6))
+    raw = read_rosbag(recordings / str(experiment.recording.path))
+    assert 652 not in raw.frame_id
+    log = load_recording(experiment).log
+    assert len(log) == len(raw) + 1
+    at = int(np.flatnonzero(log.frame_id == 652)[0])
+    np.testing.assert_array_equal(log.offset_m[at], log.offset_m[at - 1])
+    np.testing.assert_array_equal(log.lri[at], log.lri[at - 1])
+    assert log.is_valid[at].any()
+    assert not log.is_missing[at]
+
+
+def test_frame_0_of_spain_counts_as_lane_1_though_its_annotation_starts_later(
+    recordings: Path,
+) -> None:
+    for number in range(6, 10):  # the recording of run 10 starts at frame 8
+        experiment = load_experiment(paper.paper_experiment(number))
+        assert experiment.ground_truth is not None
+        assert read_ground_truth(recordings / experiment.ground_truth.path).frame_id[0] == 1
+        truth = load_recording(experiment).truth
+        assert truth is not None
+        assert (truth.frame_id[0], truth.lane[0], truth.is_crossing[0]) == (0, 1, False)
+
+
+def test_the_experiments_of_the_paper_have_the_parameters_of_the_published_file() -> None:
+    for number, entry in paper.load_published().items():
+        experiment = load_experiment(paper.paper_experiment(number))
+        assert experiment.parameters == entry["parameters"], number
+        assert experiment.n_lanes == entry["n_lanes"]
+        assert experiment.tuned_on == "same_frames"
+        assert np.shape(entry["model"]["confusion"]) == (entry["n_lanes"] + 1, entry["n_lanes"])
+
+
+def test_what_was_recovered_lies_in_the_box_of_the_truncated_values() -> None:
+    for number, entry in paper.load_published().items():
+        used = paper.parameters_for(entry, "recovered")
+        for name, printed in entry["parameters"].items():
+            if name == "bonus_value":
+                assert used[name] == printed
+            else:
+                assert printed <= used[name] < printed + paper.TRUNCATION, (number, name)
+
+
+@needs_compiler
+@pytest.mark.parametrize("number", [7, 9])
+def test_the_search_is_seeded_and_finds_a_set_without_a_frame_off(
+    recordings: Path, number: int
+) -> None:
+    found = paper.recover(number, evaluations=200, seed=0)
+    assert found.frames_off == 0
+    stored = paper.load_published()[number]["recovered"]
+    assert found.parameters == stored["parameters"]
+    assert found.evaluations == stored["evaluations"]
+    other = paper.recover(number, evaluations=200, seed=1)
+    assert other.parameters != found.parameters
+
+
+@needs_compiler
+def test_the_search_stops_at_its_evaluations_with_the_best_so_far(recordings: Path) -> None:
+    said: list[tuple[int, int]] = []
+    found = paper.recover(10, evaluations=100, progress=lambda n, off: said.append((n, off)))
+    assert found.evaluations == 100
+    assert said == [(100, found.frames_off)]
+    assert 0 < found.frames_off < PUBLISHED_OFF[9]
+
+
+@pytest.mark.parametrize("number", [1, 5, 10])
+def test_storing_a_recovered_set_leaves_the_rest_of_the_file_as_it_was(
+    tmp_path: Path, number: int
+) -> None:
+    copy = Path(shutil.copy(paper.published_path(), tmp_path / "published.yaml"))
+    before = paper.load_published(copy)
+    parameters = {**before[number]["parameters"], "sigma1": 0.1 + 0.2}
+    found = Recovered(parameters, 3, 17)
+    for _ in range(2):  # a set that is there already is replaced
+        paper.store_recovered(number, found, "by hand, for a test", copy)
+    after = paper.load_published(copy)
+    assert after[number].pop("recovered") == {
+        "parameters": parameters,
+        "frames_off": 3,
+        "evaluations": 17,
+        "how": "by hand, for a test",
+    }
+    before[number].pop("recovered", None)
+    assert after == before
+    old, new = (p.read_text().splitlines() for p in (paper.published_path(), copy))
+    is_other = [not line.startswith(("    recovered:", "      ")) for line in new]
+    assert [line for line, other in zip(new, is_other, strict=True) if other] == [
+        line for line in old if not line.startswith(("    recovered:", "      "))
+    ]
+
+
+def test_a_published_file_that_is_not_there_is_named(tmp_path: Path) -> None:
+    found = Recovered(paper.load_published()[7]["parameters"], 0, 1)
+    with pytest.raises(InputError, match=r"gone\.yaml: cannot be read"):
+        paper.store_recovered(7, found, "x", tmp_path / "gone.yaml")
+
+
+@pytest.mark.parametrize(
+    ("text", "runs"), [("1-3,7", [1, 2, 3, 7]), ("10", [10]), (" 2 , 2-4", [2, 3, 4])]
+)
+def test_runs_are_written_as_numbers_and_ranges(text: str, runs: list[int]) -> None:
+    assert paper.parse_runs(text) == runs
+
+
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        ("", "write numbers and ranges"),
+        ("1-", "write numbers and ranges"),
+        ("a", "write numbers and ranges"),
+        ("²", "write numbers and ranges"),
+        ("0", "the paper has runs 1 to 10"),
+        ("5-11", "the paper has runs 1 to 10"),
+        ("1-99999999999", "the paper has runs 1 to 10"),
+        ("5-3", "empty range"),
+    ],
+)
+def test_other_runs_are_refused(text: str, said: str) -> None:
+    assert said in refused("reproduce", "--runs", text)
+
+
+@needs_compiler
+def test_reproduce_writes_the_documented_json(recordings: Path, tmp_path: Path) -> None:
+    target = tmp_path / "new" / "reproduced.json"
+    shown = done("reproduce", "--runs", "6,9", "--json", target, "--out", tmp_path / "kept").stdout
+    document = json.loads(target.read_text())
+    assert {"schema_version", "runs", "total_frames_off"} <= set(document)
+    assert document["schema_version"] == 1
+    assert [entry["run"] for entry in document["runs"]] == [6, 9]
+    for entry in document["runs"]:
+        assert {"run", "detector_frames_off", "model_frames_off"} <= set(entry)
+        for kind in ("detector", "model"):
+            assert set(entry[kind]) == {*SCORES, "confusion"}
+            right = np.trace(np.array(entry[kind]["confusion"])[:-1])
+            total = np.sum(entry[kind]["confusion"])
+            assert entry[kind]["accuracy"] == right / total  # unrounded
+    assert document["total_frames_off"] == 0
+    total = 4 * document["runs"][0]["frames_scored"]
+    assert f"0 of {total} classified frames differ" in shown
+    names = {path.name for path in (tmp_path / "kept").iterdir()}
+    assert names == {"run06_spain_ml", "run09_spain_sc"}
+
+
+@needs_compiler
+def test_a_published_matrix_that_is_off_still_ends_well(recordings: Path, tmp_path: Path) -> None:
+    target = tmp_path / "off.json"
+    shown = done(
+        "reproduce", "--runs", "6", "--parameters", "published", "--json", target, "--format", "csv"
+    ).stdout
+    document = json.loads(target.read_text())
+    assert 0 < document["total_frames_off"] <= 2
+    assert document["total_frames_off"] == document["runs"][0]["model_frames_off"]
+    assert shown.splitlines()[2].startswith(f"6,model,{document['total_frames_off']},")
+    assert "classified frames" not in shown  # nothing but the table
+
+
+@needs_compiler
+def test_recover_prints_and_writes_what_it_found(recordings: Path, tmp_path: Path) -> None:
+    target = tmp_path / "found.json"
+    shown = done("recover", "--run", "9", "--evaluations", "5", "--json", target).stdout
+    document = json.loads(target.read_text())
+    assert set(document) == {
+        "schema_version",
+        "run",
+        "frames_off",
+        "evaluations",
+        "seed",
+        "parameters",
+    }
+    assert yaml.safe_load(shown.splitlines()[1]) == document["parameters"]
+    assert f"{document['frames_off']} frames off after {document['evaluations']}" in shown
+
+
+def test_without_the_recordings_it_is_said_how_to_get_them(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.delenv("EGOLANE_DATA", raising=False)
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
+    said = refused("reproduce", "--runs", "2")
+    assert "run02_italy_sl.yaml: recording.path: rle/special.issue.italy.stereo" in said
+    assert str(tmp_path) in said
+    assert "egolane data fetch" in said
+    assert "EGOLANE_DATA" in said
+
+
+def test_reproduce_if_available_ends_well_without_the_recordings_and_asks_no_pipe(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.delenv("EGOLANE_DATA", raising=False)
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
+    lines = done("reproduce", "--if-available").stdout.splitlines()
+    assert len(lines) == 2
+    assert str(tmp_path) in lines[0]
+    assert "egolane data fetch" in lines[1]
