@@ -14,16 +14,9 @@ import numpy as np
 from egolane_pgm.experiment import Experiment
 from egolane_pgm.inference.compile import Compiled, compile_network, with_tables
 from egolane_pgm.inference.filtering import read_evidence
+from egolane_pgm.parameters import Parameter, Value, resolve_parameters
 from egolane_pgm.plugins import load_plugin, plugin_errors
-from egolane_pgm.types import (
-    Evidence,
-    FloatArray,
-    InputError,
-    LineLog,
-    Parameter,
-    Value,
-    resolve_parameters,
-)
+from egolane_pgm.types import Evidence, FloatArray, InputError, LineLog
 
 
 @dataclass(frozen=True)

@@ -19,14 +19,15 @@ from collections.abc import Iterator
 from pathlib import Path
 from types import ModuleType
 
-from egolane_pgm.types import InputError, Parameter, check_name, suggestion
+from egolane_pgm.parameters import Parameter
+from egolane_pgm.types import InputError, check_name, suggestion
 
 #: What a module of each folder must define.
 CONTRACTS = {
     "graphs": ("build", "HIDDEN", "OBSERVED"),
     "evidence": ("evidence",),
     "recordings": ("read",),
-    "detectors": ("start", "STEREO"),
+    "detectors": ("STEREO", "start"),
     # Only users' own files: the package's are names of `detectors._matchers`.
     "matchers": ("match",),
 }
@@ -47,7 +48,7 @@ def plugin_names(folder: str) -> list[str]:
     """
     first = CONTRACTS[folder][0]
     path = Path(__file__).parent / folder
-    defined = re.compile(rf"^def {first}\(", re.MULTILINE)
+    defined = re.compile(rf"^(def )?{first}\b", re.MULTILINE)
     found = [f.stem for f in path.glob("*.py") if defined.search(_text(f))]
     found += [f.parent.name for f in path.glob("*/__init__.py") if f'"{first}"' in _text(f)]
     return sorted(found)

@@ -10,7 +10,7 @@ import numpy as np
 
 from egolane_pgm.camera.model import road_to_image
 from egolane_pgm.detectors import FrameLines
-from egolane_pgm.types import Parameter
+from egolane_pgm.parameters import Parameter
 
 STEREO = False
 PARAMETERS = (

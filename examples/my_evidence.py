@@ -4,7 +4,8 @@ Lines of neighbouring frames are not independent, so each frame may say less tha
 """
 
 from egolane_pgm.evidence import counting
-from egolane_pgm.types import Evidence, Parameter
+from egolane_pgm.parameters import Parameter
+from egolane_pgm.types import Evidence
 
 PARAMETERS = (
     *counting.PARAMETERS,

@@ -12,7 +12,7 @@ from egolane_pgm.graphs.cpds import (
     uniform,
     within,
 )
-from egolane_pgm.types import Parameter
+from egolane_pgm.parameters import Parameter
 
 HIDDEN = ("Lane", "SensorState")
 OBSERVED = ("DetectorOutput", "WOR")

@@ -18,7 +18,7 @@ from egolane_pgm.experiment import (
     make_experiment,
     resolved,
 )
-from egolane_pgm.other_recording import with_recording
+from egolane_pgm.loading import with_recording
 from egolane_pgm.paper import experiments_folder
 from egolane_pgm.types import InputError
 

@@ -12,7 +12,6 @@ from typing import Any
 import numpy as np
 import pytest
 from click.testing import CliRunner
-from tests.kits.drives import short_drive, write_drive
 
 from egolane_pgm.cli.main import egolane
 from egolane_pgm.experiment import Experiment, load_experiment
@@ -21,6 +20,7 @@ from egolane_pgm.recordings.table import write_table
 from egolane_pgm.run import run_experiment
 from egolane_pgm.scoring.assign import assigned_lane
 from egolane_pgm.types import InputError, LineLog
+from tests.kits.drives import short_drive, write_drive
 
 GAPS = (20, 21, 22, 60)
 LINE = {"offset_m": -1.8, "is_valid": True, "is_continuous": False, "lri": 10}

@@ -10,8 +10,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 import yaml
-from tests.conftest import needs_compiler
-from tests.kits.drives import done, refused
 
 from egolane_pgm import paper as paper
 from egolane_pgm.experiment import load_experiment
@@ -20,6 +18,8 @@ from egolane_pgm.paper import SCORES, Recovered, Reproduced
 from egolane_pgm.recordings.ground_truth import read_ground_truth
 from egolane_pgm.recordings.rosbag import read_rosbag
 from egolane_pgm.types import InputError
+from tests.conftest import needs_compiler
+from tests.kits.drives import done, refused
 
 RUNS = range(1, 11)
 #: Frames off in the model matrices with the parameters as printed (run 5: in full precision).

@@ -11,11 +11,11 @@ from typing import Any
 import numpy as np
 import pytest
 import yaml
-from tests.kits.drives import command, done, short_drive, write_drive
 
 from egolane_pgm import compare
 from egolane_pgm import paper as paper
 from egolane_pgm.run import run_experiment
+from tests.kits.drives import command, done, short_drive, write_drive
 
 #: What was "used", and what is "printed" of it.
 USED = {

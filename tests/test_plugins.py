@@ -7,11 +7,11 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from tests.kits.drives import done, refused, short_drive, write_drive
 
 from egolane_pgm.plugins import load_plugin, plugin_names
 from egolane_pgm.results import read_result
 from egolane_pgm.types import InputError
+from tests.kits.drives import done, refused, short_drive, write_drive
 
 #: The least that a graph and a rule have to say.
 GRAPH = """
@@ -90,7 +90,7 @@ def test_a_result_of_files_of_ones_own_runs_again_where_they_are_gone(tmp_path: 
 
 def test_parameters_of_files_of_ones_own_are_checked_as_any_other(tmp_path: Path) -> None:
     parameters = """
-    from egolane_pgm.types import Parameter
+    from egolane_pgm.parameters import Parameter
     PARAMETERS = (Parameter("trust", "probability", 0.5, "how much a line counts"),)
     """
     write(tmp_path / "g.py", GRAPH)

@@ -14,21 +14,23 @@ from typing import Any
 import numpy as np
 import pytest
 import yaml
-from tests.kits.drives import contents, done, refused, write_drive
 
 from egolane_pgm.experiment import config_hash, load_experiment
-from egolane_pgm.provenance import file_sha256, git_state, versions
 from egolane_pgm.results import (
     check_writable,
+    file_sha256,
+    git_state,
     is_result,
     plain,
     read_result,
     staged,
+    versions,
     write_json,
 )
 from egolane_pgm.run import Run, run_experiment, save_run
 from egolane_pgm.scoring.assign import assigned_lane
 from egolane_pgm.types import InputError
+from tests.kits.drives import contents, done, refused, write_drive
 
 
 @pytest.fixture(scope="module")

@@ -7,7 +7,6 @@ from typing import Any
 
 import numpy as np
 import pytest
-from tests.kits.drives import N_FRAMES, short_drive, write_drive, write_experiment
 
 from egolane_pgm import load_experiment, run_experiment
 from egolane_pgm.evidence.counting import evidence as counting
@@ -15,10 +14,12 @@ from egolane_pgm.experiment import Experiment
 from egolane_pgm.inference.filtering import filter_beliefs, read_evidence
 from egolane_pgm.loading import check_sources, load_recording
 from egolane_pgm.model import make_evidence, prepare_model, with_parameters
+from egolane_pgm.parameters import resolve_parameters
 from egolane_pgm.recordings.table import write_table
 from egolane_pgm.run import summary
 from egolane_pgm.scoring.assign import assigned_lane
-from egolane_pgm.types import InputError, resolve_parameters
+from egolane_pgm.types import InputError
+from tests.kits.drives import N_FRAMES, short_drive, write_drive, write_experiment
 
 #: Frames that the recording below lacks; none of them first or last.
 GAPS = (20, 21, 22, 60)
@@ -204,7 +205,7 @@ def test_a_rule_with_its_own_largest_lri_clips_at_that(tmp_path: Path) -> None:
     (tmp_path / "r.py").write_text(
         "from egolane_pgm.evidence.counting import *\n"
         "from egolane_pgm.evidence import counting\n"
-        "from egolane_pgm.types import Parameter\n"
+        "from egolane_pgm.parameters import Parameter\n"
         "TENTATIVE = 'DetectorOutput'\n"
         "PARAMETERS = tuple(p for p in counting.PARAMETERS if p.name != 'max_lri') + (\n"
         "    Parameter('max_lri', 'positive', 4, 'x'),)\n"
@@ -250,7 +251,7 @@ def test_a_parameter_that_rule_and_graph_declare_differently_is_refused(
 ) -> None:
     (tmp_path / "g.py").write_text(
         "from egolane_pgm.graphs.sensor_failure import *\n"
-        "from egolane_pgm.types import Parameter\n"
+        "from egolane_pgm.parameters import Parameter\n"
         "PARAMETERS = PARAMETERS + (Parameter('max_lri', 'integer', 1, 'x'),)\n"
     )
     with pytest.raises(InputError, match=r"parameters\.max_lri: graph and evidence rule declare"):

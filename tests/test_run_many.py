@@ -9,7 +9,7 @@ import pytest
 import yaml
 from click.testing import CliRunner
 
-from egolane_pgm import run_many
+from egolane_pgm import run as run_many
 from egolane_pgm.cli.main import egolane
 from egolane_pgm.experiment import load_experiment
 from egolane_pgm.results import is_result

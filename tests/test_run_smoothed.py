@@ -7,7 +7,6 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from tests.kits.drives import done, refused, short_drive, write_drive
 
 from egolane_pgm.experiment import load_experiment
 from egolane_pgm.inference.filtering import filter_beliefs, read_evidence
@@ -15,6 +14,7 @@ from egolane_pgm.inference.smoothing import fixed_lag_beliefs, smooth_beliefs
 from egolane_pgm.recordings.table import write_table
 from egolane_pgm.results import read_result
 from egolane_pgm.run import run_experiment, summary
+from tests.kits.drives import done, refused, short_drive, write_drive
 
 
 def test_a_smoothed_run_is_the_smoother_and_says_that_it_is_not_causal(tmp_path: Path) -> None:

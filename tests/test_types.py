@@ -8,16 +8,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from egolane_pgm.types import (
-    Beliefs,
-    Evidence,
-    InputError,
-    LaneTruth,
-    LineLog,
-    Parameter,
-    resolve_parameters,
-    suggestion,
-)
+from egolane_pgm.parameters import Parameter, resolve_parameters
+from egolane_pgm.types import Beliefs, Evidence, InputError, LaneTruth, LineLog, suggestion
 
 
 def a_log(n_frames: int = 3, n_lines: int = 2) -> LineLog:

@@ -10,8 +10,8 @@ from pathlib import Path
 import cv2
 import numpy as np
 
-from egolane_pgm.calibration.pictures import readable, size_of
-from egolane_pgm.detectors import Image
+from egolane_pgm.camera.picture import Image
+from egolane_pgm.camera.pictures import readable, size_of
 from egolane_pgm.types import FloatArray, InputError
 
 #: Fewer boards leave the distortion to chance.

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from egolane_pgm.calibration.pictures import read_picture, size_of
+from egolane_pgm.camera.pictures import read_picture, size_of
 from egolane_pgm.recordings.tusimple import entry_lines, read_entries
 from egolane_pgm.types import FloatArray, InputError
 

@@ -14,7 +14,6 @@ from pathlib import Path
 import cv2
 import numpy as np
 
-from egolane_pgm.calibration.pictures import read_picture, readable, size_of
 from egolane_pgm.calibration.straight_road import (
     NEAREST_TO_HORIZON,
     FrameFit,
@@ -24,7 +23,8 @@ from egolane_pgm.calibration.straight_road import (
     to_level,
 )
 from egolane_pgm.camera.model import Camera
-from egolane_pgm.detectors import Image
+from egolane_pgm.camera.picture import Image
+from egolane_pgm.camera.pictures import read_picture, readable, size_of
 from egolane_pgm.types import BoolArray, FloatArray, InputError
 
 #: The fan: offsets over the camera's height to either side, and their step.

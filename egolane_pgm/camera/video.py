@@ -16,7 +16,7 @@ from pathlib import Path
 
 import cv2
 
-from egolane_pgm.detectors import Image
+from egolane_pgm.camera.picture import Image
 from egolane_pgm.types import InputError, check_name
 
 #: So many pictures in a row that cannot be decoded, at most, are passed over.

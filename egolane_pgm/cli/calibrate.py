@@ -90,9 +90,8 @@ def calibrate(
     """Find out how a camera sees the road: lens from chessboards, turn and height from lines."""
     from dataclasses import replace
 
-    from egolane_pgm.calibration.drawing import check_picture_name
+    from egolane_pgm.calibration.drawing import check_picture_name, road_words
     from egolane_pgm.calibration.straight_road import check_lane_width
-    from egolane_pgm.calibration.words import road_words
     from egolane_pgm.camera.model import write_camera
     from egolane_pgm.results import check_place
     from egolane_pgm.types import InputError
@@ -176,7 +175,7 @@ def _check_not_read(place: Path, patterns: Sequence[str | None], lines: str | No
 
 
 def _matching_or_none(pattern: str) -> list[Path]:
-    from egolane_pgm.calibration.pictures import matching
+    from egolane_pgm.camera.pictures import matching
     from egolane_pgm.types import InputError
 
     try:
@@ -190,7 +189,7 @@ def _known_size(
 ) -> tuple[int, int]:
     """Width and height of the road's pictures; given: for labels whose pictures are not there."""
     from egolane_pgm.calibration.labels import check_size, read_labels, size_of_pictures
-    from egolane_pgm.calibration.pictures import matching, readable, size_of
+    from egolane_pgm.camera.pictures import matching, readable, size_of
     from egolane_pgm.types import InputError
 
     if lines:
@@ -209,15 +208,15 @@ def _lens(
     chessboards: str | None, board: str, size: tuple[int, int], field_of_view: float | None
 ) -> tuple[Camera, list[str]]:
     from egolane_pgm.calibration.chessboard import calibrate_lens
+    from egolane_pgm.calibration.drawing import assumed_words, lens_words
     from egolane_pgm.calibration.straight_road import ASSUMED_FIELD_OF_VIEW, assumed_camera
-    from egolane_pgm.calibration.words import assumed_words, lens_words
     from egolane_pgm.camera.model import Camera
     from egolane_pgm.types import InputError
 
     if not chessboards:
         degrees = ASSUMED_FIELD_OF_VIEW if field_of_view is None else field_of_view
         return assumed_camera(*size, degrees), assumed_words(degrees)
-    from egolane_pgm.calibration.pictures import matching
+    from egolane_pgm.camera.pictures import matching
 
     columns, rows = _size(board, "--board")
     lens = calibrate_lens(_progress(matching(chessboards), "chessboards"), columns, rows)
@@ -249,9 +248,9 @@ Found = tuple["RoadView", str, "list[tuple[Path | None, list[FloatArray]]]"]
 def _from_stills(
     camera: Camera, pattern: str, first: int | None, lane_width: float, seed: int
 ) -> Found:
-    from egolane_pgm.calibration.pictures import matching
     from egolane_pgm.calibration.road_lines import find_in_stills
     from egolane_pgm.calibration.straight_road import view_from
+    from egolane_pgm.camera.pictures import matching
 
     paths = matching(pattern)[:first]
     found = find_in_stills(camera, paths, seed, lambda paths: _progress(paths, "stills"))
@@ -284,7 +283,7 @@ def _from_labels(camera: Camera, file: str, first: int | None, lane_width: float
 def _draw(view: RoadView, shown: list[tuple[Path | None, list[FloatArray]]], target: Path) -> None:
     """On the picture whose lines run straightest ahead."""
     from egolane_pgm.calibration.drawing import draw_view, straightness, write_picture
-    from egolane_pgm.calibration.pictures import read_picture
+    from egolane_pgm.camera.pictures import read_picture
 
     path, lines = min(shown, key=lambda one: (one[0] is None, straightness(view, one[1])))
     if path is None:

@@ -134,7 +134,7 @@ def _write_chosen(experiment: Experiment, target: Path, blocks: int, json_file: 
     from egolane_pgm.learn import Learned, write_learned
     from egolane_pgm.model import prepare_model
     from egolane_pgm.results import SCHEMA_VERSION, write_json
-    from egolane_pgm.scoring.bootstrap import HeldOut
+    from egolane_pgm.scoring.held_out import HeldOut
 
     model = prepare_model(experiment)
     nothing = HeldOut[Any](np.zeros((0, model.n_lanes)), np.zeros(0, dtype=np.int64), ())

@@ -334,9 +334,10 @@ def plot(
 @click.option("--n-lanes", type=click.IntRange(1), default=3, show_default=True)
 def network(graph: str, target: str, n_lanes: int) -> None:
     """Draw a graph (a name, or a file of your own) as a figure, two slices."""
+    from egolane_pgm.parameters import resolve_parameters
     from egolane_pgm.plugins import load_plugin, plugin_errors
     from egolane_pgm.report.network import draw_network
-    from egolane_pgm.types import MAX_LANES, InputError, resolve_parameters
+    from egolane_pgm.types import MAX_LANES, InputError
 
     if n_lanes > MAX_LANES:
         raise InputError(f"--n-lanes: {n_lanes} is more than {MAX_LANES}")

@@ -12,8 +12,7 @@ import click
 
 if TYPE_CHECKING:
     from egolane_pgm.experiment import Experiment
-    from egolane_pgm.run import Run
-    from egolane_pgm.run_many import Outcome
+    from egolane_pgm.run import Outcome, Run
 
 
 def _recording_options(command: Callable[..., Any]) -> Callable[..., Any]:
@@ -121,7 +120,7 @@ def _named(
     """Title, experiment, recording and name of each of several runs. None for the name that it has
     by itself; recordings that would have the same are called after their folders too, and one that
     several experiments are run on after these (`*`). InputError for one that is named twice."""
-    from egolane_pgm.other_recording import as_name
+    from egolane_pgm.loading import as_name
     from egolane_pgm.types import InputError
 
     places = [os.path.realpath(recording) for recording in recordings]
@@ -154,7 +153,7 @@ def _load(
     name: str | None = None,
 ) -> Experiment:
     from egolane_pgm.experiment import load_experiment
-    from egolane_pgm.other_recording import with_recording
+    from egolane_pgm.loading import with_recording
 
     found = load_experiment(path, overrides)
     changes = (recording, ground_truth, n_lanes, frame_id, camera, detector)
@@ -199,7 +198,7 @@ def _run_many(
 
     from egolane_pgm.report.tables import runs_table
     from egolane_pgm.results import SCHEMA_VERSION, check_not_read, write_json
-    from egolane_pgm.run_many import plan_runs, run_all
+    from egolane_pgm.run import plan_runs, run_all
 
     # tqdm's monitor is a thread, and processes are forked.
     tqdm.monitor_interval = 0

@@ -12,8 +12,9 @@ import click
 
 if TYPE_CHECKING:
     from egolane_pgm.camera.model import Camera
+    from egolane_pgm.camera.picture import Picture
     from egolane_pgm.camera.pictures import Source
-    from egolane_pgm.detectors import FrameLines, Picture
+    from egolane_pgm.detectors import FrameLines
     from egolane_pgm.experiment import Experiment
     from egolane_pgm.report.video import Scene
     from egolane_pgm.types import LaneTruth, LineLog
@@ -295,7 +296,7 @@ def lines(recording: str, frame_id: int, camera: str | None, overrides: tuple[st
     from egolane_pgm.experiment import load_experiment
     from egolane_pgm.loading import load_recording
     from egolane_pgm.recordings import format_of, needs_camera
-    from egolane_pgm.report.box import box_text
+    from egolane_pgm.report.tables import box_text
     from egolane_pgm.types import InputError
 
     if Path(recording).suffix.lower() in (".yaml", ".yml"):

@@ -40,10 +40,11 @@ from egolane_pgm.learn import fit as learn_from
 from egolane_pgm.learn import with_found
 from egolane_pgm.model import Model, declared_parameters, prepare_model
 from egolane_pgm.parallel import in_processes
+from egolane_pgm.parameters import resolve_parameters
 from egolane_pgm.scoring.assign import assigned_lane
-from egolane_pgm.scoring.bootstrap import blocks
+from egolane_pgm.scoring.held_out import blocks
 from egolane_pgm.tune.objective import Drive, fitted_frames
-from egolane_pgm.types import FloatArray, InputError, IntArray, resolve_parameters
+from egolane_pgm.types import FloatArray, InputError, IntArray
 
 #: P(true lane) counts as this where it is less.
 FLOOR = 0.01

@@ -35,7 +35,6 @@ from egolane_pgm.run import score
 from egolane_pgm.scoring.assign import assigned_lane
 from egolane_pgm.scoring.bootstrap import (
     BLOCK_FRAMES,
-    N_BLOCKS,
     confusion_counts,
     mean_counts,
     paired_difference_interval,
@@ -43,6 +42,7 @@ from egolane_pgm.scoring.bootstrap import (
 )
 from egolane_pgm.scoring.confusion import accuracy, macro_f1
 from egolane_pgm.scoring.health import detector_errors
+from egolane_pgm.scoring.held_out import N_BLOCKS
 from egolane_pgm.scoring.probabilistic import log_loss_per_frame
 from egolane_pgm.types import BoolArray, InputError
 

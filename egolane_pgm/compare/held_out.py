@@ -26,7 +26,7 @@ from egolane_pgm.learn import check_learnable, n_learned, with_found
 from egolane_pgm.learn import fit as learn_from
 from egolane_pgm.loading import Recorded
 from egolane_pgm.model import declared_parameters, value_names
-from egolane_pgm.scoring.bootstrap import N_BLOCKS, held_out
+from egolane_pgm.scoring.held_out import N_BLOCKS, held_out
 from egolane_pgm.tune.objective import Drive, check_objective, fitted_frames, scores_of
 from egolane_pgm.tune.space import Point, SearchSpace, make_space, to_parameters
 from egolane_pgm.tune.study import Settings, best_trial, check_sampler, run_study

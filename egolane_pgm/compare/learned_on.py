@@ -23,10 +23,11 @@ from egolane_pgm.experiment import Experiment
 from egolane_pgm.learn import fit as learn_from
 from egolane_pgm.model import declared_parameters
 from egolane_pgm.paper import paper_experiment, parse_runs
+from egolane_pgm.parameters import resolve_parameters
 from egolane_pgm.plugins import plugin_errors
-from egolane_pgm.scoring.bootstrap import blocks
+from egolane_pgm.scoring.held_out import blocks
 from egolane_pgm.tune.objective import Drive, fitted_frames
-from egolane_pgm.types import InputError, IntArray, resolve_parameters
+from egolane_pgm.types import InputError, IntArray
 
 
 def learned_elsewhere(

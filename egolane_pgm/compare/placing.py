@@ -13,11 +13,12 @@ from egolane_pgm.experiment import Experiment, Tuning, load_experiment, make_exp
 from egolane_pgm.inference.smoothing import infer_beliefs
 from egolane_pgm.loading import Recorded, load_recording, with_video_rate
 from egolane_pgm.model import Model, make_evidence, prepare_model
+from egolane_pgm.parameters import Value
 from egolane_pgm.recordings.catalog import find_file
 from egolane_pgm.recordings.ground_truth import read_ground_truth
 from egolane_pgm.run import files_in_full
 from egolane_pgm.tune.objective import Drive
-from egolane_pgm.types import Beliefs, BoolArray, InputError, IntArray, Value
+from egolane_pgm.types import Beliefs, BoolArray, InputError, IntArray
 
 #: Parameters that a fit found, by name; those that it leaves alone are not in it.
 Found = Mapping[str, Value]

@@ -15,11 +15,17 @@ from egolane_pgm.compare.held_out import HeldOutRun
 from egolane_pgm.experiment import config_hash, resolved
 from egolane_pgm.loading import file_entry
 from egolane_pgm.model import Model, prepare_model
-from egolane_pgm.provenance import git_state, versions
-from egolane_pgm.results import make_directory, staged, write_json, write_result
+from egolane_pgm.results import (
+    git_state,
+    make_directory,
+    staged,
+    versions,
+    write_json,
+    write_result,
+)
 from egolane_pgm.run import plugin_files, portable
 from egolane_pgm.scoring.assign import assigned_lane
-from egolane_pgm.scoring.bootstrap import blocks
+from egolane_pgm.scoring.held_out import blocks
 
 SCHEMA_VERSION = 1
 

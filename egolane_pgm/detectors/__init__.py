@@ -19,18 +19,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from egolane_pgm.camera.picture import Image as Image
+from egolane_pgm.camera.picture import Picture
 from egolane_pgm.types import BoolArray, FloatArray, InputError, LineLog
-
-Image = NDArray[np.uint8]
-
-
-@dataclass(frozen=True)
-class Picture:
-    """One frame: image (H, W, 3), blue green red; right: the second camera's, rectified."""
-
-    frame_id: int
-    image: Image
-    right: Image | None = None
 
 
 @dataclass(frozen=True)

@@ -5,7 +5,7 @@ from __future__ import annotations
 from egolane_pgm.camera.model import Camera
 from egolane_pgm.detectors import Step
 from egolane_pgm.detectors.simple import finder as _simple
-from egolane_pgm.types import Parameters
+from egolane_pgm.parameters import Parameters
 
 STEREO = False
 PARAMETERS = _simple.PARAMETERS

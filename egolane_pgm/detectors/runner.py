@@ -12,9 +12,11 @@ from typing import Any
 import numpy as np
 
 from egolane_pgm.camera.model import Camera
-from egolane_pgm.detectors import FrameLines, Picture, Step, as_log
+from egolane_pgm.camera.picture import Picture
+from egolane_pgm.detectors import FrameLines, Step, as_log
+from egolane_pgm.parameters import Value, resolve_parameters
 from egolane_pgm.plugins import load_plugin, plugin_errors
-from egolane_pgm.types import InputError, LineLog, Value, resolve_parameters
+from egolane_pgm.types import InputError, LineLog
 
 #: So many frames are collected one by one before they are packed into arrays.
 _PACK = 1000

@@ -6,7 +6,7 @@ from egolane_pgm.camera.model import Camera
 from egolane_pgm.detectors import Step
 from egolane_pgm.detectors.simple import finder as _simple
 from egolane_pgm.detectors.simple import stereo as _stereo
-from egolane_pgm.types import Parameters
+from egolane_pgm.parameters import Parameters
 
 STEREO = True
 PARAMETERS = _simple.PARAMETERS + _stereo.PARAMETERS

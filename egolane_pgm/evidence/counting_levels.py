@@ -11,7 +11,8 @@ from __future__ import annotations
 import numpy as np
 
 from egolane_pgm.evidence import counting
-from egolane_pgm.types import Evidence, FloatArray, LineLog, Parameter, Parameters
+from egolane_pgm.parameters import Parameter, Parameters
+from egolane_pgm.types import Evidence, FloatArray, LineLog
 
 PROVIDES = counting.PROVIDES
 TENTATIVE = counting.TENTATIVE

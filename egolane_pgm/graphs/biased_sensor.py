@@ -14,7 +14,7 @@ import numpy as np
 from egolane_pgm.graphs import sensor_failure
 from egolane_pgm.graphs.cpds import Table, declare, dynamics, previous, prior, uniform, within
 from egolane_pgm.graphs.shared_parameters import f_table, number, sticky
-from egolane_pgm.types import Parameter, Parameters
+from egolane_pgm.parameters import Parameter, Parameters
 
 if TYPE_CHECKING:
     from pgmpy.models import DynamicBayesianNetwork

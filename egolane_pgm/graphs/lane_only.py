@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 
 from egolane_pgm.graphs.cpds import Table, declare, dynamics, previous, prior, uniform, within
 from egolane_pgm.graphs.shared_parameters import LANE_WIDTHS, NORMAL, SIGMA1, SIGMA2, f_table
-from egolane_pgm.types import Parameters
+from egolane_pgm.parameters import Parameters
 
 if TYPE_CHECKING:
     from pgmpy.models import DynamicBayesianNetwork

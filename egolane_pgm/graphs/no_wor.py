@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 
 from egolane_pgm.graphs import sensor_failure
 from egolane_pgm.graphs.cpds import Table, declare
-from egolane_pgm.types import Parameters
+from egolane_pgm.parameters import Parameters
 
 if TYPE_CHECKING:
     from pgmpy.models import DynamicBayesianNetwork

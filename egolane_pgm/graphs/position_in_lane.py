@@ -32,7 +32,8 @@ from egolane_pgm.graphs.cpds import (
     within,
 )
 from egolane_pgm.graphs.shared_parameters import P1, P2, number
-from egolane_pgm.types import FloatArray, IntArray, Parameter, Parameters, Value
+from egolane_pgm.parameters import Parameter, Parameters, Value
+from egolane_pgm.types import FloatArray, IntArray
 
 if TYPE_CHECKING:
     from pgmpy.models import DynamicBayesianNetwork

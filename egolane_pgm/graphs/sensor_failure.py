@@ -32,7 +32,7 @@ from egolane_pgm.graphs.shared_parameters import (
     f_table,
     number,
 )
-from egolane_pgm.types import Parameters
+from egolane_pgm.parameters import Parameters
 
 if TYPE_CHECKING:
     from pgmpy.models import DynamicBayesianNetwork

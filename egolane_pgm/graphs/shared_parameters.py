@@ -7,7 +7,8 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 
 from egolane_pgm.graphs.cpds import discretised_normal, lane_edges, lane_normals
-from egolane_pgm.types import FloatArray, Parameter, Value
+from egolane_pgm.parameters import Parameter, Value
+from egolane_pgm.types import FloatArray
 
 SIGMA1 = Parameter(
     "sigma1",

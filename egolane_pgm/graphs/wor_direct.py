@@ -19,7 +19,7 @@ from egolane_pgm.graphs.shared_parameters import (
     f_table,
     number,
 )
-from egolane_pgm.types import Parameter, Parameters
+from egolane_pgm.parameters import Parameter, Parameters
 
 if TYPE_CHECKING:
     from pgmpy.models import DynamicBayesianNetwork

@@ -16,7 +16,8 @@ import numpy as np
 from egolane_pgm.graphs import sensor_failure
 from egolane_pgm.graphs.cpds import Table, declare, within
 from egolane_pgm.graphs.shared_parameters import WOR_LEVELS, number
-from egolane_pgm.types import FloatArray, Parameters
+from egolane_pgm.parameters import Parameters
+from egolane_pgm.types import FloatArray
 
 if TYPE_CHECKING:
     from pgmpy.models import DynamicBayesianNetwork

@@ -14,7 +14,7 @@ import numpy as np
 from egolane_pgm.graphs import sensor_failure
 from egolane_pgm.graphs.cpds import Table, binary, declare, within
 from egolane_pgm.graphs.shared_parameters import per_lane
-from egolane_pgm.types import Parameters
+from egolane_pgm.parameters import Parameters
 
 if TYPE_CHECKING:
     from pgmpy.models import DynamicBayesianNetwork

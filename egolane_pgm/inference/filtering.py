@@ -160,7 +160,7 @@ def _run(
 def _run_banded(
     compiled: Compiled, found: Banded, evidence: Evidence, method: str, state: FilterState | None
 ) -> tuple[FloatArray, FloatArray, FloatArray, BoolArray]:
-    from egolane_pgm.inference._banded_kernel import filter_banded
+    from egolane_pgm.inference.kernels.banded import filter_banded
 
     n_frames = len(evidence)
     joint = np.zeros(compiled.n_states) if state is None else state.joint.copy()

@@ -22,19 +22,11 @@ from egolane_pgm.learn.tables import (
 )
 from egolane_pgm.loading import Recorded, load_recording, with_video_rate
 from egolane_pgm.model import Model, declared_parameters, make_evidence, prepare_model
+from egolane_pgm.parameters import Value, resolve_parameters
 from egolane_pgm.plugins import plugin_errors
 from egolane_pgm.run import score
-from egolane_pgm.scoring.bootstrap import N_BLOCKS, HeldOut, held_out
-from egolane_pgm.types import (
-    BoolArray,
-    FloatArray,
-    InputError,
-    IntArray,
-    LaneTruth,
-    LineLog,
-    Value,
-    resolve_parameters,
-)
+from egolane_pgm.scoring.held_out import N_BLOCKS, HeldOut, held_out
+from egolane_pgm.types import BoolArray, FloatArray, InputError, IntArray, LaneTruth, LineLog
 
 
 @dataclass(frozen=True)

@@ -16,22 +16,14 @@ import numpy as np
 
 from egolane_pgm.experiment import Experiment, Learning
 from egolane_pgm.graphs.cpds import SliceNode, Table
-from egolane_pgm.inference._roles import read_tables
-from egolane_pgm.inference.compile import Compiled, with_tables
+from egolane_pgm.inference.compile import Compiled, read_tables, with_tables
 from egolane_pgm.inference.expected_counts import FREE, counted_tables
 from egolane_pgm.learn.em import fit_tables, with_changed
 from egolane_pgm.loading import Recorded
 from egolane_pgm.model import Model, declared_parameters, make_evidence, with_parameters
+from egolane_pgm.parameters import Parameter, Value, resolve_parameters
 from egolane_pgm.plugins import plugin_errors
-from egolane_pgm.types import (
-    BoolArray,
-    InputError,
-    IntArray,
-    Parameter,
-    Value,
-    resolve_parameters,
-    suggestion,
-)
+from egolane_pgm.types import BoolArray, InputError, IntArray, suggestion
 
 #: What the name of a learned table begins with.
 PREFIX = "tables."

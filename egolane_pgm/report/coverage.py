@@ -21,7 +21,7 @@ from egolane_pgm.report.style import (
     series,
 )
 from egolane_pgm.results import Result
-from egolane_pgm.scoring.coverage import CoverageCurve, coverage_curve
+from egolane_pgm.scoring.probabilistic import CoverageCurve, coverage_curve
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

@@ -5,14 +5,12 @@ from __future__ import annotations
 from collections.abc import Sequence
 from pathlib import Path
 
-from egolane_pgm.report.figures import (
-    draw_bonus_ablation,
-    draw_confusion,
-    draw_coverage,
-    draw_dispersion,
-    draw_reliability,
-    draw_strips,
-)
+from egolane_pgm.report.comparison import draw_comparison
+from egolane_pgm.report.coverage import draw_coverage
+from egolane_pgm.report.dispersion import draw_bonus_ablation, draw_dispersion
+from egolane_pgm.report.heatmaps import draw_confusion
+from egolane_pgm.report.reliability import draw_reliability
+from egolane_pgm.report.strips import draw_strips
 from egolane_pgm.results import make_directory, read_result
 
 
@@ -57,3 +55,14 @@ def draw_together(directories: Sequence[Path], target: Path, *, style: str = "pn
             files.append(target / f"bonus_ablation.{style}")
             draw_bonus_ablation(results[0], results[1], files[-1])
     return files
+
+
+__all__ = [
+    "draw_bonus_ablation",
+    "draw_comparison",
+    "draw_confusion",
+    "draw_coverage",
+    "draw_dispersion",
+    "draw_reliability",
+    "draw_strips",
+]

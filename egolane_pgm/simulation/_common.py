@@ -6,7 +6,8 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from egolane_pgm.types import FloatArray, InputError, Parameter
+from egolane_pgm.parameters import Parameter
+from egolane_pgm.types import FloatArray, InputError
 
 
 def check_fields(

@@ -13,7 +13,6 @@ from egolane_pgm.scoring.assign import assigned_lane
 from egolane_pgm.scoring.bootstrap import (
     BLOCK_FRAMES,
     LEVEL,
-    blocks,
     circular_block_bootstrap,
     confusion_counts,
     mean_counts,
@@ -21,6 +20,7 @@ from egolane_pgm.scoring.bootstrap import (
     resampled_sums,
 )
 from egolane_pgm.scoring.confusion import accuracy, macro_f1, scores_from_confusion
+from egolane_pgm.scoring.held_out import blocks
 from egolane_pgm.scoring.probabilistic import brier_per_frame, log_loss_per_frame
 from egolane_pgm.scoring.stability import lane_changes
 from egolane_pgm.tune.objective import Drive, belief_of, fitted_frames

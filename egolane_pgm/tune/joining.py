@@ -19,9 +19,8 @@ from typing import TYPE_CHECKING, Any
 import egolane_pgm
 from egolane_pgm.experiment import Experiment, Tuning, make_experiment, validated
 from egolane_pgm.plugins import OWN_FILES
-from egolane_pgm.provenance import file_sha256
 from egolane_pgm.recordings.catalog import find_file
-from egolane_pgm.results import plain
+from egolane_pgm.results import file_sha256, plain
 from egolane_pgm.tune import output
 from egolane_pgm.tune._connection import Link
 from egolane_pgm.tune.address import Address

@@ -15,6 +15,7 @@ from egolane_pgm.inference.batch import confusions_many
 from egolane_pgm.inference.filtering import filter_beliefs
 from egolane_pgm.loading import Recorded, load_recording, with_video_rate
 from egolane_pgm.model import Model, make_evidence, prepare_model, with_parameters
+from egolane_pgm.parameters import Value
 from egolane_pgm.scoring import confusion as confusions
 from egolane_pgm.scoring import probabilistic, stability
 from egolane_pgm.scoring.assign import assigned_lane
@@ -26,7 +27,6 @@ from egolane_pgm.types import (
     InputError,
     IntArray,
     LaneTruth,
-    Value,
     suggestion,
 )
 
@@ -197,7 +197,7 @@ def confusions_of(drive: Drive, sets: Sequence[Mapping[str, Value]], labels: Lab
 
 
 def _counted(belief: FloatArray, labels: Labels, below: float) -> IntArray:
-    from egolane_pgm.scoring._kernels import count_confusion
+    from egolane_pgm.scoring.confusion import count_confusion
 
     n_lanes = belief.shape[1]
     if below:

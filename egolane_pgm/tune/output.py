@@ -23,15 +23,15 @@ import yaml
 
 from egolane_pgm.experiment import Experiment, config_hash, resolved
 from egolane_pgm.loading import file_entry
+from egolane_pgm.parameters import Value
 from egolane_pgm.plugins import OWN_FILES
-from egolane_pgm.provenance import git_state, versions
-from egolane_pgm.results import plain, write_json
+from egolane_pgm.results import git_state, plain, versions, write_json
 from egolane_pgm.run import files_in_full
 from egolane_pgm.tune.held_out import Nested
 from egolane_pgm.tune.objective import Drive, fitted_frames
 from egolane_pgm.tune.plan import Problem, parameters_at
 from egolane_pgm.tune.space import describe
-from egolane_pgm.types import InputError, Value
+from egolane_pgm.types import InputError
 
 if TYPE_CHECKING:
     import optuna

@@ -21,6 +21,7 @@ from pydantic import BaseModel, ConfigDict, Field
 from egolane_pgm.experiment import Experiment, Tuning, load_yaml, make_experiment, validated
 from egolane_pgm.model import Model, declared_parameters, prepare_model
 from egolane_pgm.paper import experiments_folder, load_published, parameters_for
+from egolane_pgm.parameters import Value, resolve_parameters
 from egolane_pgm.tune.objective import (
     Drive,
     check_filter,
@@ -32,7 +33,7 @@ from egolane_pgm.tune.objective import (
 )
 from egolane_pgm.tune.space import Point, SearchSpace, make_space, to_parameters, to_point
 from egolane_pgm.tune.study import TRIALS, Evaluate, Settings, check_sampler
-from egolane_pgm.types import BoolArray, FloatArray, InputError, Value, resolve_parameters
+from egolane_pgm.types import BoolArray, FloatArray, InputError
 
 
 class _TuningFile(BaseModel):

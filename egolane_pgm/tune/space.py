@@ -9,7 +9,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from egolane_pgm.types import FloatArray, InputError, Parameter, Value, suggestion
+from egolane_pgm.parameters import Parameter, Value
+from egolane_pgm.types import FloatArray, InputError, suggestion
 
 if TYPE_CHECKING:
     from optuna.distributions import BaseDistribution

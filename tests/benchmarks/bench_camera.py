@@ -16,14 +16,14 @@ from typing import Any
 import cv2
 
 from egolane_pgm import detectors
-from egolane_pgm.detectors import Picture
+from egolane_pgm.camera.picture import Picture
 from egolane_pgm.detectors.simple import fit as _fit
 from egolane_pgm.detectors.simple import matchers as _matchers
 from egolane_pgm.detectors.simple import stereo as _stereo
 from egolane_pgm.detectors.simple.contours import find_strips
 from egolane_pgm.detectors.simple.markings import marking_mask
+from egolane_pgm.parameters import Parameters, resolve_parameters
 from egolane_pgm.simulation.rendering.render import Scene, make_scene, render_frame
-from egolane_pgm.types import Parameters, resolve_parameters
 
 HEADER = ("camera picture, 1312x540", "per frame", "frames per second")
 NAMES = ("ml", "mc", "sl", "sc")

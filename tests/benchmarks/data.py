@@ -12,7 +12,8 @@ import numpy as np
 from egolane_pgm.evidence import counting
 from egolane_pgm.graphs import sensor_failure
 from egolane_pgm.inference.compile import Compiled, compile_network, with_tables
-from egolane_pgm.types import Evidence, LaneTruth, LineLog, Parameters, resolve_parameters
+from egolane_pgm.parameters import Parameters, resolve_parameters
+from egolane_pgm.types import Evidence, LaneTruth, LineLog
 
 BAG = "rle/special.issue.italy.mono.noClothoid.yesLines.bag"
 TRUTH = "rle/GT-A4FULL.txt"

@@ -13,7 +13,8 @@ from egolane_pgm.evidence.line_geometry import rule as line_geometry
 from egolane_pgm.graphs import position_in_lane
 from egolane_pgm.inference.compile import Compiled, compile_network
 from egolane_pgm.inference.filtering import filter_beliefs, step
-from egolane_pgm.types import Evidence, FloatArray, Parameters, resolve_parameters
+from egolane_pgm.parameters import Parameters, resolve_parameters
+from egolane_pgm.types import Evidence, FloatArray
 from tests.benchmarks import peers
 from tests.benchmarks.data import N_LANES, Data
 from tests.benchmarks.timing import Row, largest_difference, take_turns

@@ -18,10 +18,10 @@ from egolane_pgm.graphs import sensor_failure
 from egolane_pgm.inference.batch import confusions_many
 from egolane_pgm.inference.filtering import METHODS, filter_beliefs
 from egolane_pgm.inference.oracle import oracle_assumed_density
-from egolane_pgm.scoring._kernels import count_confusion
+from egolane_pgm.parameters import resolve_parameters
 from egolane_pgm.scoring.assign import assigned_lane
-from egolane_pgm.scoring.confusion import confusion
-from egolane_pgm.types import TIE_TOLERANCE, FloatArray, IntArray, resolve_parameters
+from egolane_pgm.scoring.confusion import confusion, count_confusion
+from egolane_pgm.types import TIE_TOLERANCE, FloatArray, IntArray
 from tests.benchmarks import bench_camera, peers
 from tests.benchmarks.bench_tune import markdown, shared_studies, tune_lines
 from tests.benchmarks.data import N_LANES, PARAMETERS, Data, load, parameter_sets

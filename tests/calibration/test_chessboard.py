@@ -6,7 +6,6 @@ from dataclasses import replace
 import cv2
 import numpy as np
 import pytest
-from tests.kits.calibration_kit import TRUE, cameras, draw_board, lines_of, unturned
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -23,6 +22,7 @@ from egolane_pgm.camera.model import (
     vanishing_point,
 )
 from egolane_pgm.types import InputError
+from tests.kits.calibration_kit import TRUE, cameras, draw_board, lines_of, unturned
 
 pytest_plugins = ["tests.kits.calibration_fixtures"]
 

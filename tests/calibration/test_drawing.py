@@ -8,12 +8,12 @@ from itertools import pairwise
 import cv2
 import numpy as np
 import pytest
-from tests.kits.drawn_frames import CAMERA, OFFSETS, around, drawn, filled, is_colour, road, scene
 
 from egolane_pgm.camera.model import road_to_image
 from egolane_pgm.detectors import FrameLines
 from egolane_pgm.report import video
 from egolane_pgm.report.video import bar_boxes, draw_frame, layout
+from tests.kits.drawn_frames import CAMERA, OFFSETS, around, drawn, filled, is_colour, road, scene
 
 # --- one frame -----------------------------------------------------------------------------------
 

@@ -17,7 +17,7 @@ from egolane_pgm.calibration.labels import (
     read_labels,
     size_of_pictures,
 )
-from egolane_pgm.calibration.pictures import matching, read_picture
+from egolane_pgm.camera.pictures import matching, read_picture
 from egolane_pgm.types import InputError
 
 

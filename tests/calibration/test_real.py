@@ -9,13 +9,13 @@ import pytest
 
 from egolane_pgm.calibration.chessboard import calibrate_lens
 from egolane_pgm.calibration.labels import line_points, read_labels
-from egolane_pgm.calibration.pictures import matching
 from egolane_pgm.calibration.road_lines import find_in_stills
 from egolane_pgm.calibration.straight_road import assumed_camera, view_from, view_of_road
 from egolane_pgm.camera.model import (
     Camera,
     image_to_road,
 )
+from egolane_pgm.camera.pictures import matching
 
 
 @pytest.fixture(scope="session")

@@ -8,12 +8,12 @@ from itertools import pairwise
 import cv2
 import numpy as np
 import pytest
-from tests.kits.calibration_kit import TRUE, draw_road, unturned
 
 from egolane_pgm.calibration import road_lines as found
 from egolane_pgm.calibration.straight_road import to_level
-from egolane_pgm.detectors import Image
+from egolane_pgm.camera.picture import Image
 from egolane_pgm.types import FloatArray, InputError
+from tests.kits.calibration_kit import TRUE, draw_road, unturned
 
 PLAIN = replace(unturned(TRUE), distortion=(0.0,) * 5)
 WHOLE = found.seen_mask(PLAIN)

@@ -5,7 +5,6 @@ from dataclasses import replace
 import cv2
 import numpy as np
 import pytest
-from tests.kits.calibration_kit import TRUE, calibrate, unturned, write_labels
 
 from egolane_pgm.calibration import road_lines as found_lines
 from egolane_pgm.calibration.drawing import draw_view
@@ -18,6 +17,7 @@ from egolane_pgm.camera.model import (
     vanishing_point,
 )
 from egolane_pgm.types import InputError
+from tests.kits.calibration_kit import TRUE, calibrate, unturned, write_labels
 
 pytest_plugins = ["tests.kits.calibration_fixtures"]
 

@@ -10,7 +10,6 @@ from typing import Any
 import cv2
 import numpy as np
 import pytest
-from tests.kits.calibration_kit import TRUE, lines_of, unturned
 
 from egolane_pgm.calibration.chessboard import Lens, _solve, calibrate_lens
 from egolane_pgm.calibration.straight_road import (
@@ -30,6 +29,7 @@ from egolane_pgm.calibration.straight_road import (
 )
 from egolane_pgm.camera.model import Camera, vanishing_point
 from egolane_pgm.types import FloatArray, InputError
+from tests.kits.calibration_kit import TRUE, lines_of, unturned
 
 PLAIN = replace(unturned(TRUE), distortion=(0.0,) * 5, lateral_m=0.25)
 

@@ -11,18 +11,17 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
-from tests.kits.drives import contents, done, refused, short_drive, write_drive
-from tests.kits.synthetic_road import CAMERA, road, write_pictures
 
-from egolane_pgm.calibration.pictures import read_picture
 from egolane_pgm.camera.model import read_camera, road_to_image, write_camera
-from egolane_pgm.camera.pictures import open_source, read_image
+from egolane_pgm.camera.pictures import open_source, read_image, read_picture
 from egolane_pgm.cli.video import _recorded
 from egolane_pgm.experiment import load_experiment
 from egolane_pgm.recordings.table import write_table
-from egolane_pgm.report.box import box_text
+from egolane_pgm.report.tables import box_text
 from egolane_pgm.report.video import frame_writer
 from egolane_pgm.types import InputError
+from tests.kits.drives import contents, done, refused, short_drive, write_drive
+from tests.kits.synthetic_road import CAMERA, road, write_pictures
 
 OFFSETS = (-5.2, -1.7, 1.8)
 ROWS = list(range(150, CAMERA.height, 5))

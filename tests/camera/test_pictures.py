@@ -15,14 +15,22 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
-from tests.kits.drives import command, done, refused
-from tests.kits.synthetic_road import CAMERA, PAIR, drive, images, write_pictures, write_place, write_video
 
 from egolane_pgm.camera.model import write_camera
+from egolane_pgm.camera.picture import Image
 from egolane_pgm.camera.pictures import open_source, read_pictures
-from egolane_pgm.detectors import Image
 from egolane_pgm.recordings import read_lines
 from egolane_pgm.types import InputError
+from tests.kits.drives import command, done, refused
+from tests.kits.synthetic_road import (
+    CAMERA,
+    PAIR,
+    drive,
+    images,
+    write_pictures,
+    write_place,
+    write_video,
+)
 
 N_FRAMES = 16
 

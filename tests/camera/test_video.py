@@ -10,18 +10,29 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
-from tests.kits.drawn_frames import CAMERA, LINES, OFFSETS, around, drawn, filled, is_colour, road, scene
-from tests.kits.drives import command, done, refused, write_experiment
 
 from egolane_pgm.camera.model import road_to_image, write_camera
+from egolane_pgm.camera.picture import Picture
 from egolane_pgm.cli import video as _cli_video
-from egolane_pgm.detectors import FrameLines, Picture
+from egolane_pgm.detectors import FrameLines
 from egolane_pgm.experiment import load_experiment
 from egolane_pgm.recordings.ground_truth import write_ground_truth
 from egolane_pgm.recordings.table import write_table
 from egolane_pgm.report import video
 from egolane_pgm.report.video import bar_boxes, frame_writer, layout
 from egolane_pgm.types import InputError, LaneTruth, LineLog
+from tests.kits.drawn_frames import (
+    CAMERA,
+    LINES,
+    OFFSETS,
+    around,
+    drawn,
+    filled,
+    is_colour,
+    road,
+    scene,
+)
+from tests.kits.drives import command, done, refused, write_experiment
 
 #: A detector that says the same of every picture.
 DETECTOR = """

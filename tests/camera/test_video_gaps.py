@@ -10,9 +10,9 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
-from tests.kits.synthetic_road import CAMERA, images, write_video
 
 from egolane_pgm.camera.pictures import open_source, read_pictures
+from tests.kits.synthetic_road import CAMERA, images, write_video
 
 N_FRAMES = 40
 

@@ -16,15 +16,17 @@ from typing import Any
 import numpy as np
 
 from egolane_pgm.camera.model import Camera, read_camera
+from egolane_pgm.camera.picture import Picture
 from egolane_pgm.cli.main import egolane
-from egolane_pgm.detectors import FrameLines, Picture, as_log
+from egolane_pgm.detectors import FrameLines, as_log
 from egolane_pgm.detectors.simple.finder import PARAMETERS, follower
 from egolane_pgm.detectors.simple.tracking import Tracks, lines_of, no_tracks
 from egolane_pgm.experiment import make_experiment
 from egolane_pgm.loading import Recorded
+from egolane_pgm.parameters import resolve_parameters
 from egolane_pgm.run import run_experiment
 from egolane_pgm.scoring.assign import assigned_lane
-from egolane_pgm.types import IntArray, LineLog, resolve_parameters
+from egolane_pgm.types import IntArray, LineLog
 
 
 def data_folder(name: str) -> Path | None:

@@ -16,8 +16,8 @@ from tempfile import TemporaryDirectory
 import numpy as np
 
 from egolane_pgm.camera.model import Camera
+from egolane_pgm.camera.picture import Image, Picture
 from egolane_pgm.camera.pictures import open_source, read_pictures
-from egolane_pgm.detectors import Image, Picture
 from egolane_pgm.types import BoolArray, FloatArray, IntArray
 from tests.camera_figures._following import (
     ZERO_LABEL,

@@ -2,14 +2,12 @@
 
 from __future__ import annotations
 
-import sys
 from pathlib import Path
 
 import pytest
-from tests.conftest import needs_compiler
-
 
 from tests.camera_figures import labels
+from tests.conftest import needs_compiler
 
 
 def test_outcomes_count_changes_within_three_seconds_and_in_the_right_direction() -> None:

@@ -23,8 +23,9 @@ from egolane_pgm.calibration.labels import label_picture, line_points, read_labe
 from egolane_pgm.calibration.straight_road import assumed_camera, view_of_road
 from egolane_pgm.camera.model import Camera, image_to_road
 from egolane_pgm.detectors.simple.fit import find_lines, view_for
-from egolane_pgm.detectors.simple.parameters import PARAMETERS
-from egolane_pgm.types import BoolArray, FloatArray, resolve_parameters
+from egolane_pgm.detectors.simple.parameters import FINDING
+from egolane_pgm.parameters import resolve_parameters
+from egolane_pgm.types import BoolArray, FloatArray
 
 FILE = "camera/tusimple_frames/labels.jsonl"
 HALF = 55
@@ -109,7 +110,7 @@ def label_places(camera: Camera, frame: dict[str, Any]) -> FloatArray:
 def look_at(labels: Path, which: slice, **parameters: Any) -> list[Still]:
     """Lines and labels of some of the stills, single frames, lines of any score."""
     camera = calibrated(labels)
-    settings = resolve_parameters(PARAMETERS, {"least_score": 0.0, **parameters}, 1)
+    settings = resolve_parameters(FINDING, {"least_score": 0.0, **parameters}, 1)
     view = view_for(camera, settings)
     ahead = np.array([1.0, AHEAD_M, AHEAD_M**2 / 2, AHEAD_M**3 / 6])
     stills = []
@@ -162,7 +163,7 @@ def _halves(labels: Path, curve: str = "clothoid") -> tuple[list[Still], list[St
 
 def least_score() -> float:
     """The threshold that detectors use if not told otherwise."""
-    return float(resolve_parameters(PARAMETERS, {}, 1)["least_score"])
+    return float(resolve_parameters(FINDING, {}, 1)["least_score"])
 
 
 def measure() -> list[str]:

@@ -13,12 +13,12 @@ from typing import Any
 import numpy as np
 import pytest
 import yaml
-from tests.kits.bags import GOOD, Line, line_bag, plain_message, truth_file, write_bag
-from tests.kits.drives import command, contents, done, refused, write_drive, write_experiment
 
 from egolane_pgm.recordings import catalog
 from egolane_pgm.recordings.catalog import DataFile
 from egolane_pgm.results import read_result
+from tests.kits.bags import GOOD, Line, line_bag, plain_message, truth_file, write_bag
+from tests.kits.drives import command, contents, done, refused, write_drive, write_experiment
 
 
 @pytest.fixture(scope="module")

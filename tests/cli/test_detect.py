@@ -10,16 +10,15 @@ import cv2
 import numpy as np
 import pytest
 import yaml
-from tests.kits.drives import done, refused
-from tests.kits.synthetic_road import CAMERA, images, write_pictures, write_place
 
 from egolane_pgm.camera.pictures import open_source, read_pictures
 from egolane_pgm.experiment import load_experiment
-from egolane_pgm.loading import check_sources, load_recording
-from egolane_pgm.other_recording import with_recording
+from egolane_pgm.loading import check_sources, load_recording, with_recording
 from egolane_pgm.recordings import read_lines
 from egolane_pgm.run import run_experiment, save_run
 from egolane_pgm.types import InputError
+from tests.kits.drives import done, refused
+from tests.kits.synthetic_road import CAMERA, images, write_pictures, write_place
 
 N_FRAMES = 16
 

@@ -7,12 +7,12 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from tests.conftest import needs_compiler
-from tests.kits.drives import command, done, refused, short_drive, write_drive
 
 from egolane_pgm.recordings.table import write_table
 from egolane_pgm.results import read_result
 from egolane_pgm.types import FloatArray, LineLog
+from tests.conftest import needs_compiler
+from tests.kits.drives import command, done, refused, short_drive, write_drive
 
 ZERO_LABEL = Path(__file__).parents[2] / "experiments" / "zero_label.yaml"
 

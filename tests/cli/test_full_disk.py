@@ -15,8 +15,6 @@ from typing import Any
 import cv2
 import numpy as np
 import pytest
-from tests.kits.drives import command, done, refused
-from tests.kits.synthetic_road import images, write_place
 
 from egolane_pgm.camera import writing as picture_files
 from egolane_pgm.camera.writing import NotKeptError, video_writer, write_picture
@@ -26,6 +24,8 @@ from egolane_pgm.simulation.rendering import render
 from egolane_pgm.simulation.rendering import traffic as traffics
 from egolane_pgm.simulation.rendering.render import make_scene
 from egolane_pgm.types import InputError, IntArray
+from tests.kits.drives import command, done, refused
+from tests.kits.synthetic_road import images, write_place
 
 Usage = namedtuple("Usage", "total used free")
 

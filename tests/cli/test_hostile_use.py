@@ -15,8 +15,6 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from tests.kits.drives import command, contents, done, refused, write_drive
-from tests.kits.synthetic_road import write_place
 
 from egolane_pgm.compare import comparing
 from egolane_pgm.experiment import load_experiment
@@ -24,6 +22,8 @@ from egolane_pgm.parallel import in_processes
 from egolane_pgm.results import check_place, is_result, staged
 from egolane_pgm.run import run_experiment, save_run
 from egolane_pgm.types import InputError
+from tests.kits.drives import command, contents, done, refused, write_drive
+from tests.kits.synthetic_road import write_place
 
 MAIN = [sys.executable, "-c", "from egolane_pgm.cli.main import main; main()"]
 

@@ -12,8 +12,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 import yaml
-from tests.conftest import needs_compiler
-from tests.kits.drives import N_FRAMES, command, contents, done, refused, short_drive, write_drive
 
 from egolane_pgm import __version__
 from egolane_pgm.paper import Recovered, experiments_folder, paper_experiment
@@ -21,6 +19,8 @@ from egolane_pgm.recordings import catalog, read_lines
 from egolane_pgm.recordings.ground_truth import read_ground_truth
 from egolane_pgm.results import read_result
 from egolane_pgm.run import run_experiment
+from tests.conftest import needs_compiler
+from tests.kits.drives import N_FRAMES, command, contents, done, refused, short_drive, write_drive
 
 EXAMPLES = Path(__file__).parents[2] / "examples"
 

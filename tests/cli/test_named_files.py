@@ -12,8 +12,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 import yaml
-from tests.kits.drives import command, contents, done, refused, write_drive, write_experiment
-from tests.kits.synthetic_road import write_place
 
 from egolane_pgm.camera.model import Camera, road_to_image, write_camera
 from egolane_pgm.compare.comparing import by_recording
@@ -30,6 +28,8 @@ from egolane_pgm.tune.objective import load_drive
 from egolane_pgm.tune.output import tuned_experiment, write_yaml
 from egolane_pgm.tune.plan import load_plan, make_problem
 from egolane_pgm.types import LaneTruth
+from tests.kits.drives import command, contents, done, refused, write_drive, write_experiment
+from tests.kits.synthetic_road import write_place
 
 CAMERA = Camera(width=480, height=270, fx=390, fy=390, cx=240, cy=135, height_m=1.4, pitch_deg=-4)
 N_FRAMES = 12

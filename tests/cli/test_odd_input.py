@@ -8,10 +8,10 @@ from typing import Any
 
 import numpy as np
 import pytest
-from tests.kits.bags import GOOD, Line, line_bag, truth_file
-from tests.kits.drives import done, write_experiment
 
 from egolane_pgm.results import read_result
+from tests.kits.bags import GOOD, Line, line_bag, truth_file
+from tests.kits.drives import done, write_experiment
 
 
 def kept(folder: Path, recording: Path, *words: object, **changes: Any) -> tuple[list[str], Path]:

@@ -17,11 +17,11 @@ import pytest
 import yaml
 from click.testing import CliRunner, Result
 from pyarrow import parquet
-from tests.kits.tuning_kit import BLOCKS, EXPERIMENTS, QUICKSTART
 
 from egolane_pgm.cli.main import egolane
 from egolane_pgm.experiment import load_experiment
 from egolane_pgm.run import run_experiment
+from tests.kits.tuning_kit import BLOCKS, EXPERIMENTS, QUICKSTART
 
 NEEDS_DATA = pytest.mark.skipif(
     not os.environ.get("EGOLANE_DATA"), reason="the paper's recordings: needs EGOLANE_DATA"

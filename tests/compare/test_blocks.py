@@ -9,9 +9,6 @@ from typing import Any
 
 import numpy as np
 import pytest
-from tests.conftest import needs_compiler
-from tests.kits.drives import write_drive
-from tests.compare.test_comparing import geometry, simulated
 
 from egolane_pgm.compare import held_out as module
 from egolane_pgm.compare.held_out import held_out_run
@@ -19,7 +16,10 @@ from egolane_pgm.compare.learned_on import learn_pooled
 from egolane_pgm.compare.placing import believe, load_for_scoring
 from egolane_pgm.experiment import Experiment, load_experiment
 from egolane_pgm.learn import fit, n_learned, with_found
-from egolane_pgm.scoring.bootstrap import blocks
+from egolane_pgm.scoring.held_out import blocks
+from tests.compare.test_comparing import geometry, simulated
+from tests.conftest import needs_compiler
+from tests.kits.drives import write_drive
 
 pytestmark = [
     pytest.mark.filterwarnings("ignore:.*no frame to learn from:UserWarning"),

@@ -13,9 +13,6 @@ from typing import Any
 import numpy as np
 import pytest
 import yaml
-from tests.conftest import needs_compiler
-from tests.kits.drives import done, refused, short_drive, write_drive, write_experiment
-from tests.compare.test_comparing import geometry, simulated
 
 from egolane_pgm.compare.choose import (
     LOSSES,
@@ -35,6 +32,9 @@ from egolane_pgm.learn import fit
 from egolane_pgm.recordings.ground_truth import write_ground_truth
 from egolane_pgm.recordings.table import write_table
 from egolane_pgm.types import InputError, LineLog
+from tests.compare.test_comparing import geometry, simulated
+from tests.conftest import needs_compiler
+from tests.kits.drives import done, refused, short_drive, write_drive, write_experiment
 
 pytestmark = needs_compiler
 

@@ -11,14 +11,14 @@ from typing import Any
 import numpy as np
 import pytest
 import yaml
-from tests.conftest import needs_compiler
-from tests.kits.drives import refused, write_drive
-from tests.compare.test_comparing import simulated
 
 from egolane_pgm.compare.choose import losses_of, plan, settings_of
 from egolane_pgm.compare.placing import drive_key
 from egolane_pgm.experiment import Experiment, load_experiment
 from egolane_pgm.run import run_experiment
+from tests.compare.test_comparing import simulated
+from tests.conftest import needs_compiler
+from tests.kits.drives import refused, write_drive
 
 pytestmark = needs_compiler
 

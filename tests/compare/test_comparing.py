@@ -11,8 +11,6 @@ from typing import Any
 import numpy as np
 import pytest
 import yaml
-from tests.conftest import needs_compiler
-from tests.kits.drives import done, refused, short_drive, write_drive
 
 from egolane_pgm import paper as paper
 from egolane_pgm.compare.comparing import (
@@ -37,6 +35,8 @@ from egolane_pgm.scoring.bootstrap import confusion_counts, paired_difference_in
 from egolane_pgm.scoring.confusion import accuracy
 from egolane_pgm.tune.objective import Drive
 from egolane_pgm.types import InputError
+from tests.conftest import needs_compiler
+from tests.kits.drives import done, refused, short_drive, write_drive
 
 pytestmark = [
     pytest.mark.filterwarnings("ignore:.*no frame to learn from:UserWarning"),

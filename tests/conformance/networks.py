@@ -17,7 +17,8 @@ import egolane_pgm.graphs
 from egolane_pgm.graphs.cpds import Table, dynamics, previous, prior, within
 from egolane_pgm.inference.compile import Compiled
 from egolane_pgm.inference.filtering import filter_beliefs
-from egolane_pgm.types import Beliefs, Evidence, Observed, Parameter, Value, resolve_parameters
+from egolane_pgm.parameters import Parameter, Value, resolve_parameters
+from egolane_pgm.types import Beliefs, Evidence, Observed
 
 METHODS = ("assumed_density", "exact")
 

@@ -10,15 +10,16 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from tests.kits.synthetic_road import CAMERA, PAIR, THREE, Paint, drive
 
 from egolane_pgm.camera.model import Camera
+from egolane_pgm.camera.picture import Picture
 from egolane_pgm.camera.pictures import open_source, read_pictures
-from egolane_pgm.detectors import FrameLines, Picture, Step
+from egolane_pgm.detectors import FrameLines, Step
 from egolane_pgm.detectors.runner import Detector, detect, find_detector, start
 from egolane_pgm.plugins import plugin_names
 from egolane_pgm.types import InputError
 from tests.camera_figures import carnd, clips, lane_change
+from tests.kits.synthetic_road import CAMERA, PAIR, THREE, Paint, drive
 
 OWN = str(Path(__file__).parents[2] / "examples" / "my_detector.py")
 NAMES = [*plugin_names("detectors"), OWN]

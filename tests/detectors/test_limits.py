@@ -8,13 +8,15 @@ from typing import Any
 
 import numpy as np
 import pytest
-from tests.kits.drives import command, refused
-from tests.kits.synthetic_road import CAMERA, PAIR, drive, images, write_pictures, write_place
 
-from egolane_pgm.detectors import FrameLines, Picture, ml, sl
+from egolane_pgm.camera.picture import Picture
+from egolane_pgm.detectors import FrameLines, ml, sl
 from egolane_pgm.detectors.runner import detect, find_detector
 from egolane_pgm.detectors.simple.fit import find_lines, view_for
-from egolane_pgm.types import InputError, Parameter, resolve_parameters
+from egolane_pgm.parameters import Parameter, resolve_parameters
+from egolane_pgm.types import InputError
+from tests.kits.drives import command, refused
+from tests.kits.synthetic_road import CAMERA, PAIR, drive, images, write_pictures, write_place
 
 ONLY_STEREO = tuple(p for p in sl.PARAMETERS if p not in ml.PARAMETERS)
 

@@ -10,7 +10,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from egolane_pgm.evidence import counting
-from egolane_pgm.types import Evidence, InputError, LineLog, Parameters, resolve_parameters
+from egolane_pgm.parameters import Parameters, resolve_parameters
+from egolane_pgm.types import Evidence, InputError, LineLog
 
 W = 3.5
 both = pytest.mark.parametrize("kernel", [True, False], ids=["kernel", "numpy"])

@@ -6,7 +6,6 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from tests.conformance.networks import METHODS, assert_same_beliefs, brute_force, draw_evidence, draw_parameters
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -15,7 +14,15 @@ from egolane_pgm.inference.compile import Compiled, compile_network
 from egolane_pgm.inference.filtering import filter_beliefs, node_columns, step
 from egolane_pgm.inference.kernels.banded import banded
 from egolane_pgm.inference.oracle import oracle_assumed_density, oracle_filter
-from egolane_pgm.types import Evidence, InputError, Parameters, resolve_parameters
+from egolane_pgm.parameters import Parameters, resolve_parameters
+from egolane_pgm.types import Evidence, InputError
+from tests.conformance.networks import (
+    METHODS,
+    assert_same_beliefs,
+    brute_force,
+    draw_evidence,
+    draw_parameters,
+)
 
 JOINT = ("RoadPosition", "SensorState")
 SMALL = {"cells": 3, "motion_bins": 3}

@@ -4,15 +4,6 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from tests.conformance.networks import (
-    METHODS,
-    assert_filters_agree,
-    assert_same_beliefs,
-    draw_evidence,
-    draw_parameters,
-    graph,
-)
-from tests.kits.drives import done, refused, write_drive
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -22,8 +13,18 @@ from egolane_pgm.graphs.wor_levels import binomial
 from egolane_pgm.inference.compile import Compiled, compile_network
 from egolane_pgm.inference.filtering import filter_beliefs
 from egolane_pgm.inference.oracle import oracle_assumed_density, oracle_filter
+from egolane_pgm.parameters import Parameters, resolve_parameters
 from egolane_pgm.simulation import simulate
-from egolane_pgm.types import Evidence, Parameters, resolve_parameters
+from egolane_pgm.types import Evidence
+from tests.conformance.networks import (
+    METHODS,
+    assert_filters_agree,
+    assert_same_beliefs,
+    draw_evidence,
+    draw_parameters,
+    graph,
+)
+from tests.kits.drives import done, refused, write_drive
 
 
 def compiled(name: str, n_lanes: int, given: Parameters) -> Compiled:

@@ -10,6 +10,16 @@ from typing import Any
 import numpy as np
 import pytest
 import yaml
+
+from egolane_pgm.experiment import load_experiment
+from egolane_pgm.graphs.cpds import Table
+from egolane_pgm.inference.compile import Compiled, compile_network, with_tables
+from egolane_pgm.model import prepare_model
+from egolane_pgm.parameters import Parameters, resolve_parameters
+from egolane_pgm.plugins import load_plugin
+from egolane_pgm.results import read_result
+from egolane_pgm.run import run_experiment
+from egolane_pgm.types import InputError
 from tests.conformance.networks import (
     METHODS,
     assert_filters_agree,
@@ -19,15 +29,6 @@ from tests.conformance.networks import (
     graph,
 )
 from tests.kits.drives import done, refused, write_drive
-
-from egolane_pgm.experiment import load_experiment
-from egolane_pgm.graphs.cpds import Table
-from egolane_pgm.inference.compile import Compiled, compile_network, with_tables
-from egolane_pgm.model import prepare_model
-from egolane_pgm.plugins import load_plugin
-from egolane_pgm.results import read_result
-from egolane_pgm.run import run_experiment
-from egolane_pgm.types import InputError, Parameters, resolve_parameters
 
 EXAMPLES = Path(__file__).parents[2] / "examples"
 

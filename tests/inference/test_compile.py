@@ -6,19 +6,6 @@ from typing import Any
 
 import numpy as np
 import pytest
-from tests.conformance.networks import (
-    KEEP,
-    METHODS,
-    SEES,
-    RandomGraph,
-    assert_filters_agree,
-    assert_same_beliefs,
-    brute_force,
-    draw_evidence,
-    draw_graph,
-    shuffle_axes,
-    simple_tables,
-)
 
 from egolane_pgm.graphs.cpds import (
     Table,
@@ -34,6 +21,19 @@ from egolane_pgm.inference.compile import Compiled, compile_network, with_tables
 from egolane_pgm.inference.filtering import filter_beliefs
 from egolane_pgm.inference.oracle import oracle_assumed_density, oracle_filter
 from egolane_pgm.types import Evidence, InputError
+from tests.conformance.networks import (
+    KEEP,
+    METHODS,
+    SEES,
+    RandomGraph,
+    assert_filters_agree,
+    assert_same_beliefs,
+    brute_force,
+    draw_evidence,
+    draw_graph,
+    shuffle_axes,
+    simple_tables,
+)
 
 OF_TWO = np.array([[[0.7, 0.3], [0.4, 0.6]], [[0.1, 0.9], [0.5, 0.5]]])
 

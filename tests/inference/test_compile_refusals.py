@@ -7,13 +7,6 @@ from typing import Any
 
 import numpy as np
 import pytest
-from tests.conformance.networks import (
-    KEEP,
-    SEES,
-    assert_filters_agree,
-    draw_evidence,
-    simple_tables,
-)
 
 from egolane_pgm.graphs.cpds import (
     Table,
@@ -25,10 +18,17 @@ from egolane_pgm.graphs.cpds import (
     uniform,
     within,
 )
-from egolane_pgm.inference import _roles
+from egolane_pgm.inference import compile as _roles
 from egolane_pgm.inference.compile import compile_network
 from egolane_pgm.inference.oracle import oracle_filter
 from egolane_pgm.types import InputError, Observed
+from tests.conformance.networks import (
+    KEEP,
+    SEES,
+    assert_filters_agree,
+    draw_evidence,
+    simple_tables,
+)
 
 OF_TWO = np.array([[[0.7, 0.3], [0.4, 0.6]], [[0.1, 0.9], [0.5, 0.5]]])
 

@@ -8,20 +8,8 @@ from itertools import pairwise
 
 import numpy as np
 import pytest
-from tests.conformance.networks import (
-    RandomGraph,
-    draw_evidence,
-    draw_graph,
-    draw_parameters,
-    graph,
-    graph_inputs,
-    graph_names,
-    shuffle_axes,
-    simple_tables,
-)
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from tests.kits.trajectories import trajectories
 
 from egolane_pgm.graphs.cpds import SliceNode, Table, declare, dynamics, previous, prior, within
 from egolane_pgm.inference.compile import Compiled, compile_network
@@ -34,6 +22,18 @@ from egolane_pgm.inference.expected_counts import (
 from egolane_pgm.inference.filtering import filter_beliefs, read_evidence
 from egolane_pgm.inference.smoothing import smooth_beliefs
 from egolane_pgm.types import Evidence, InputError, IntArray
+from tests.conformance.networks import (
+    RandomGraph,
+    draw_evidence,
+    draw_graph,
+    draw_parameters,
+    graph,
+    graph_inputs,
+    graph_names,
+    shuffle_axes,
+    simple_tables,
+)
+from tests.kits.trajectories import trajectories
 
 both = pytest.mark.parametrize("kernel", [True, False], ids=["kernel", "numpy"])
 seeds = st.integers(0, 2**32 - 1)

@@ -7,6 +7,14 @@ from contextlib import AbstractContextManager, nullcontext
 
 import numpy as np
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from egolane_pgm.graphs.cpds import declare, dynamics, previous, prior, within
+from egolane_pgm.inference.compile import Compiled, compile_network, with_tables
+from egolane_pgm.inference.filtering import filter_beliefs, step
+from egolane_pgm.parameters import resolve_parameters
+from egolane_pgm.types import Evidence
 from tests.conformance.networks import (
     METHODS,
     RandomGraph,
@@ -16,13 +24,6 @@ from tests.conformance.networks import (
     draw_parameters,
     graph,
 )
-from hypothesis import given, settings
-from hypothesis import strategies as st
-
-from egolane_pgm.graphs.cpds import declare, dynamics, previous, prior, within
-from egolane_pgm.inference.compile import Compiled, compile_network, with_tables
-from egolane_pgm.inference.filtering import filter_beliefs, step
-from egolane_pgm.types import Evidence, resolve_parameters
 
 every_method = pytest.mark.parametrize("method", METHODS)
 both = pytest.mark.parametrize("kernel", [True, False], ids=["kernel", "numpy"])

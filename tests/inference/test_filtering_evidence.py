@@ -6,6 +6,12 @@ import functools
 
 import numpy as np
 import pytest
+
+from egolane_pgm.graphs.cpds import declare, dynamics, previous, prior, within
+from egolane_pgm.inference.compile import Compiled, compile_network
+from egolane_pgm.inference.filtering import filter_beliefs, read_evidence
+from egolane_pgm.parameters import resolve_parameters
+from egolane_pgm.types import Evidence, InputError
 from tests.conformance.networks import (
     METHODS,
     assert_same_beliefs,
@@ -13,11 +19,6 @@ from tests.conformance.networks import (
     draw_evidence,
     graph,
 )
-
-from egolane_pgm.graphs.cpds import declare, dynamics, previous, prior, within
-from egolane_pgm.inference.compile import Compiled, compile_network
-from egolane_pgm.inference.filtering import filter_beliefs, read_evidence
-from egolane_pgm.types import Evidence, InputError, resolve_parameters
 
 every_method = pytest.mark.parametrize("method", METHODS)
 

@@ -4,6 +4,13 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from hypothesis import given
+
+from egolane_pgm.graphs.cpds import declare, dynamics, previous, prior, within
+from egolane_pgm.inference.batch import confusions_many
+from egolane_pgm.inference.compile import compile_network, with_tables
+from egolane_pgm.inference.filtering import evidence_blocks, filter_beliefs, read_evidence, step
+from egolane_pgm.types import Evidence, InputError
 from tests.conformance.networks import (
     METHODS,
     assert_same_beliefs,
@@ -11,15 +18,15 @@ from tests.conformance.networks import (
     graph,
     graph_names,
 )
-from hypothesis import given
-from tests.inference.test_smoothing import any_compiled, few, random_network, seeds, small_parameters, template
+from tests.inference.test_smoothing import (
+    any_compiled,
+    few,
+    random_network,
+    seeds,
+    small_parameters,
+    template,
+)
 from tests.kits.trajectories import enumerated_jeffrey
-
-from egolane_pgm.graphs.cpds import declare, dynamics, previous, prior, within
-from egolane_pgm.inference.batch import confusions_many
-from egolane_pgm.inference.compile import compile_network, with_tables
-from egolane_pgm.inference.filtering import evidence_blocks, filter_beliefs, read_evidence, step
-from egolane_pgm.types import Evidence, InputError
 
 every_method = pytest.mark.parametrize("method", METHODS)
 both = pytest.mark.parametrize("kernel", [True, False], ids=["kernel", "numpy"])

@@ -7,6 +7,11 @@ from typing import Any
 
 import numpy as np
 import pytest
+
+from egolane_pgm.graphs.cpds import declare, dynamics, previous, prior, quiet, within
+from egolane_pgm.inference.compile import compile_network
+from egolane_pgm.inference.oracle import oracle_assumed_density, oracle_filter, unroll
+from egolane_pgm.types import Evidence, InputError
 from tests.conformance.networks import (
     METHODS,
     assert_same_beliefs,
@@ -16,11 +21,6 @@ from tests.conformance.networks import (
     draw_parameters,
     graph,
 )
-
-from egolane_pgm.graphs.cpds import declare, dynamics, previous, prior, quiet, within
-from egolane_pgm.inference.compile import compile_network
-from egolane_pgm.inference.oracle import oracle_assumed_density, oracle_filter, unroll
-from egolane_pgm.types import Evidence, InputError
 
 ORACLES = {"exact": oracle_filter, "assumed_density": oracle_assumed_density}
 

@@ -9,12 +9,12 @@ from typing import Any
 
 import numpy as np
 import pytest
-from tests.conformance.networks import METHODS, assert_same_beliefs, brute_force
 
 from egolane_pgm.graphs.cpds import Table, declare, dynamics, previous, prior, quiet, within
 from egolane_pgm.inference.compile import compile_network
 from egolane_pgm.inference.filtering import filter_beliefs
 from egolane_pgm.types import Evidence, InputError
+from tests.conformance.networks import METHODS, assert_same_beliefs, brute_force
 
 START = np.array([0.3, 0.7])
 MOVES = np.array([[0.9, 0.1], [0.2, 0.8]])

@@ -7,18 +7,8 @@ from typing import Any
 
 import numpy as np
 import pytest
-from tests.conformance.networks import (
-    RandomGraph,
-    draw_evidence,
-    draw_graph,
-    draw_parameters,
-    graph,
-    graph_inputs,
-    graph_names,
-)
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from tests.kits.trajectories import enumerated_smoothing
 
 from egolane_pgm.graphs.cpds import declare
 from egolane_pgm.inference.compile import Compiled, compile_network, with_tables
@@ -33,14 +23,18 @@ from egolane_pgm.inference.smoothing import (
     lag_step,
     smooth_beliefs,
 )
-from egolane_pgm.types import (
-    Beliefs,
-    Evidence,
-    FloatArray,
-    InputError,
-    Parameters,
-    resolve_parameters,
+from egolane_pgm.parameters import Parameters, resolve_parameters
+from egolane_pgm.types import Beliefs, Evidence, FloatArray, InputError
+from tests.conformance.networks import (
+    RandomGraph,
+    draw_evidence,
+    draw_graph,
+    draw_parameters,
+    graph,
+    graph_inputs,
+    graph_names,
 )
+from tests.kits.trajectories import enumerated_smoothing
 
 every_graph = pytest.mark.parametrize("name", graph_names())
 both = pytest.mark.parametrize("kernel", [True, False], ids=["kernel", "numpy"])

@@ -6,6 +6,12 @@ import math
 
 import numpy as np
 import pytest
+
+from egolane_pgm.inference.compile import Compiled, with_tables
+from egolane_pgm.inference.smoothing import smooth_beliefs
+from egolane_pgm.inference.viterbi import Path, disagreement, viterbi_path
+from egolane_pgm.parameters import resolve_parameters
+from egolane_pgm.types import Beliefs, Evidence, InputError
 from tests.conformance.networks import draw_evidence, graph, graph_names
 from tests.inference.test_smoothing import (
     any_compiled,
@@ -15,11 +21,6 @@ from tests.inference.test_smoothing import (
     template,
 )
 from tests.kits.trajectories import enumerated_paths
-
-from egolane_pgm.inference.compile import Compiled, with_tables
-from egolane_pgm.inference.smoothing import smooth_beliefs
-from egolane_pgm.inference.viterbi import Path, disagreement, viterbi_path
-from egolane_pgm.types import Beliefs, Evidence, InputError, resolve_parameters
 
 both = pytest.mark.parametrize("kernel", [True, False], ids=["kernel", "numpy"])
 

@@ -5,6 +5,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
+
 from tests.kits.calibration_kit import TRUE, draw_board, draw_road
 
 

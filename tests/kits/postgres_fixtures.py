@@ -7,6 +7,7 @@ import os
 from collections.abc import Iterator
 
 import pytest
+
 from tests.kits.postgres_kit import GUARDED, PASSWORD, end_all
 from tests.kits.postgres_server import Server, find_binaries, memory
 

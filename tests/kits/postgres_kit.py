@@ -9,14 +9,13 @@ from collections import Counter
 from collections.abc import Callable
 from typing import Any
 
-from tests.kits.postgres_server import Server
-from tests.kits.tuning_kit import bowl, plain_space, slow_bowl
-
 from egolane_pgm.tune._connection import Link
 from egolane_pgm.tune.address import parse
 from egolane_pgm.tune.postgres import Part, account, begin_job
 from egolane_pgm.tune.shared import SharedJob, Task, run_shared, work
 from egolane_pgm.tune.study import Settings
+from tests.kits.postgres_server import Server
+from tests.kits.tuning_kit import bowl, plain_space, slow_bowl
 
 FORK = multiprocessing.get_context("fork")
 SPACE = plain_space()

@@ -8,10 +8,10 @@ from collections import defaultdict
 from collections.abc import Sequence
 
 import numpy as np
-from tests.conformance.networks import _assignments, _likelihood, _marginal, _size, _weight
 
 from egolane_pgm.graphs.cpds import Table
 from egolane_pgm.types import Beliefs, Evidence
+from tests.conformance.networks import _assignments, _likelihood, _marginal, _size, _weight
 
 #: The assignment of every node in every frame, and its probability with the evidence.
 Weighted = tuple[tuple[dict[str, int], ...], float]

@@ -10,9 +10,10 @@ from typing import Any
 
 import numpy as np
 
+from egolane_pgm.parameters import Parameter
 from egolane_pgm.tune.plan import Plan, Problem, load_plan, make_problem, with_options
 from egolane_pgm.tune.space import Point, SearchSpace, make_space
-from egolane_pgm.types import FloatArray, Parameter
+from egolane_pgm.types import FloatArray
 
 EXPERIMENTS = Path(__file__).parents[2] / "experiments"
 QUICKSTART = EXPERIMENTS / "quickstart.yaml"

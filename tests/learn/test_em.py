@@ -7,8 +7,6 @@ from typing import Any
 
 import numpy as np
 import pytest
-from tests.conformance.networks import draw_evidence, draw_graph, graph
-from tests.conftest import needs_compiler
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -22,8 +20,11 @@ from egolane_pgm.learn.tables import starting_tables
 from egolane_pgm.loading import load_recording
 from egolane_pgm.model import prepare_model
 from egolane_pgm.paper import paper_experiment
+from egolane_pgm.parameters import Parameters
 from egolane_pgm.run import run_experiment
-from egolane_pgm.types import Evidence, IntArray, Parameters
+from egolane_pgm.types import Evidence, IntArray
+from tests.conformance.networks import draw_evidence, draw_graph, graph
+from tests.conftest import needs_compiler
 
 
 def a_case(seed: int, n_frames: int = 40) -> tuple[Compiled, list[Table], Evidence, Any, Any]:

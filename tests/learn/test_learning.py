@@ -10,8 +10,6 @@ from typing import Any
 import numpy as np
 import pytest
 import yaml
-from tests.conftest import needs_compiler
-from tests.kits.drives import command, done, refused, write_drive
 
 from egolane_pgm.evidence.line_geometry import rule as line_geometry
 from egolane_pgm.evidence.line_geometry.fitting import expect, fit_lines
@@ -20,13 +18,10 @@ from egolane_pgm.experiment import load_experiment
 from egolane_pgm.learn import fit, held_out_belief, learn, may_fit
 from egolane_pgm.loading import Recorded, load_recording
 from egolane_pgm.model import Model, prepare_model
-from egolane_pgm.types import (
-    FloatArray,
-    IntArray,
-    LaneTruth,
-    Parameters,
-    resolve_parameters,
-)
+from egolane_pgm.parameters import Parameters, resolve_parameters
+from egolane_pgm.types import FloatArray, IntArray, LaneTruth
+from tests.conftest import needs_compiler
+from tests.kits.drives import command, done, refused, write_drive
 
 W = 3.6
 GEOMETRY: dict[str, Any] = {

@@ -12,8 +12,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 import yaml
-from tests.conftest import needs_compiler
-from tests.kits.drives import done, refused, write_drive
 
 from egolane_pgm.experiment import Experiment, load_experiment
 from egolane_pgm.graphs.cpds import lane_normals
@@ -25,6 +23,8 @@ from egolane_pgm.loading import Recorded, load_recording
 from egolane_pgm.model import Model, prepare_model
 from egolane_pgm.run import run_experiment
 from egolane_pgm.types import LaneTruth, LineLog
+from tests.conftest import needs_compiler
+from tests.kits.drives import done, refused, write_drive
 
 ROOT = Path(__file__).parents[2]
 

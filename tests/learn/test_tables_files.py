@@ -8,9 +8,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 import yaml
-from tests.conformance.networks import draw_graph, graph_names
-from tests.conftest import needs_compiler
-from tests.kits.drives import done, refused, write_drive
 
 from egolane_pgm.experiment import load_experiment, resolved
 from egolane_pgm.graphs.cpds import declare
@@ -22,6 +19,9 @@ from egolane_pgm.loading import load_recording
 from egolane_pgm.model import Model, prepare_model
 from egolane_pgm.plugins import load_plugin
 from egolane_pgm.types import InputError
+from tests.conformance.networks import draw_graph, graph_names
+from tests.conftest import needs_compiler
+from tests.kits.drives import done, refused, write_drive
 
 DISCRETE = [name for name in graph_names() if name != "position_in_lane"]
 
@@ -163,7 +163,7 @@ def test_a_file_that_the_experiment_reads_is_not_written_over(tmp_path: Path) ->
 def test_what_a_rule_learned_is_written_with_four_digits(tmp_path: Path) -> None:
     (tmp_path / "rule.py").write_text(
         "from egolane_pgm.evidence import counting\n"
-        "from egolane_pgm.types import Parameter\n"
+        "from egolane_pgm.parameters import Parameter\n"
         "PARAMETERS = (*counting.PARAMETERS, Parameter(\n"
         "    'shares', 'non_negative', (0.0,) * 6, '', shape=lambda n: (n, 2)))\n"
         "PROVIDES, evidence, LEARNED = counting.PROVIDES, counting.evidence, ('shares',)\n"

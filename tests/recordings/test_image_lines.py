@@ -8,20 +8,8 @@ from typing import Any
 
 import numpy as np
 import pytest
-from tests.kits.drives import done, refused, write_experiment
 from hypothesis import given
 from hypothesis import strategies as st
-from tests.kits.image_line_files import (
-    CAMERA,
-    OFFSETS,
-    ROWS,
-    culane,
-    entry,
-    openlane,
-    read,
-    saved_camera,
-    tusimple,
-)
 
 from egolane_pgm.camera.model import road_to_image
 from egolane_pgm.recordings.image_lines import (
@@ -33,6 +21,18 @@ from egolane_pgm.recordings.image_lines import (
 from egolane_pgm.recordings.table import read_table
 from egolane_pgm.results import read_result
 from egolane_pgm.types import InputError
+from tests.kits.drives import done, refused, write_experiment
+from tests.kits.image_line_files import (
+    CAMERA,
+    OFFSETS,
+    ROWS,
+    culane,
+    entry,
+    openlane,
+    read,
+    saved_camera,
+    tusimple,
+)
 
 # --- three formats, one road ---------------------------------------------------------------------
 

@@ -9,7 +9,6 @@ from typing import Any
 
 import numpy as np
 import pytest
-from tests.kits.image_line_files import CAMERA, OFFSETS, columns, culane, entry, openlane, read, tusimple
 
 from egolane_pgm.camera.model import road_to_image
 from egolane_pgm.recordings.image_lines import (
@@ -22,6 +21,16 @@ from egolane_pgm.recordings.image_lines import (
 from egolane_pgm.recordings.openlane import CATEGORIES
 from egolane_pgm.recordings.tusimple import entry_lines, read_tusimple
 from egolane_pgm.types import InputError
+from tests.kits.image_line_files import (
+    CAMERA,
+    OFFSETS,
+    columns,
+    culane,
+    entry,
+    openlane,
+    read,
+    tusimple,
+)
 
 WRITERS: dict[str, Callable[[Path, list[int]], Path]] = {
     "tusimple": lambda folder, ids: tusimple(folder / "labels.json", [entry(k) for k in ids]),

@@ -7,6 +7,8 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+
+from egolane_pgm.camera.model import Camera
 from tests.kits.image_line_files import (
     ROWS,
     culane,
@@ -16,8 +18,6 @@ from tests.kits.image_line_files import (
     tusimple,
     whats_wrong,
 )
-
-from egolane_pgm.camera.model import Camera
 
 # --- refused -------------------------------------------------------------------------------------
 

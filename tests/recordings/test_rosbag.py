@@ -9,6 +9,12 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+
+from egolane_pgm.recordings import read_lines
+from egolane_pgm.recordings import rosbag as rosbag_module
+from egolane_pgm.recordings.rosbag import TOPIC, read_rosbag
+from egolane_pgm.recordings.select import recording_warnings
+from egolane_pgm.types import InputError, LineLog
 from tests.kits.bags import (
     PLAIN_BODY,
     PLAIN_LINE,
@@ -17,12 +23,6 @@ from tests.kits.bags import (
     plain_message,
     write_bag,
 )
-
-from egolane_pgm.recordings import read_lines
-from egolane_pgm.recordings import rosbag as rosbag_module
-from egolane_pgm.recordings.rosbag import TOPIC, read_rosbag
-from egolane_pgm.recordings.select import recording_warnings
-from egolane_pgm.types import InputError, LineLog
 
 PAPER_FILES = (
     ("special.issue.italy.mono.noClothoid.yesLines.bag", 11738, 5),

@@ -11,16 +11,6 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from tests.kits.tiny_result import (
-    IDS,
-    a_result,
-    legend_labels,
-    long_drive,
-    texts,
-    without_bonus,
-    without_tentative,
-    without_truth,
-)
 
 from egolane_pgm.report import reliability, style
 from egolane_pgm.report.dispersion import (
@@ -31,7 +21,7 @@ from egolane_pgm.report.dispersion import (
     dispersion_bars,
     dispersion_figure,
 )
-from egolane_pgm.report.figures import (
+from egolane_pgm.report.draw import (
     draw_bonus_ablation,
     draw_confusion,
     draw_dispersion,
@@ -43,6 +33,16 @@ from egolane_pgm.report.reliability import reliabilities, reliability_figure
 from egolane_pgm.results import Result
 from egolane_pgm.scoring.confusion import accuracy
 from egolane_pgm.types import InputError
+from tests.kits.tiny_result import (
+    IDS,
+    a_result,
+    legend_labels,
+    long_drive,
+    texts,
+    without_bonus,
+    without_tentative,
+    without_truth,
+)
 
 # Error dispersion.
 

@@ -8,6 +8,16 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+
+from egolane_pgm.report import strips
+from egolane_pgm.report.strips import (
+    blank_reasons,
+    frame_range,
+    split_range,
+    strip_columns,
+    strips_figure,
+)
+from egolane_pgm.types import InputError
 from tests.kits.tiny_result import (
     DETECTOR,
     IDS,
@@ -21,16 +31,6 @@ from tests.kits.tiny_result import (
     without_tentative,
     without_truth,
 )
-
-from egolane_pgm.report import strips
-from egolane_pgm.report.strips import (
-    blank_reasons,
-    frame_range,
-    split_range,
-    strip_columns,
-    strips_figure,
-)
-from egolane_pgm.types import InputError
 
 LANES = ["lane 1 (leftmost)", "lane 2", "lane 3"]
 

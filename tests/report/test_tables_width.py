@@ -5,11 +5,11 @@ from __future__ import annotations
 from pathlib import Path
 
 import numpy as np
-from tests.kits.drives import done, refused, write_experiment
 
 from egolane_pgm.recordings.table import write_table
-from egolane_pgm.report.box import box_text
+from egolane_pgm.report.tables import box_text
 from egolane_pgm.types import LineLog
+from tests.kits.drives import done, refused, write_experiment
 
 #: The paper's Box 1.
 BOX = """\

@@ -11,19 +11,16 @@ from hypothesis import strategies as st
 
 from egolane_pgm.scoring.assign import assigned_lane
 from egolane_pgm.scoring.bootstrap import (
-    blocks,
     bootstrap_interval,
     circular_block_bootstrap,
-    confusion_by_block,
     confusion_counts,
-    held_out,
-    held_out_confusion,
     mean_counts,
     paired_difference_interval,
     ratio,
     resampled_sums,
 )
 from egolane_pgm.scoring.confusion import accuracy, confusion, macro_f1
+from egolane_pgm.scoring.held_out import blocks, confusion_by_block, held_out, held_out_confusion
 from egolane_pgm.types import InputError
 
 

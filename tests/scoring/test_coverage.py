@@ -7,11 +7,9 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from tests.kits.drives import command, done, refused, short_drive, write_drive
 from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
-from tests.kits.tiny_result import a_result, without_truth
 
 from egolane_pgm.experiment import load_experiment
 from egolane_pgm.online import filter_stream
@@ -20,8 +18,10 @@ from egolane_pgm.results import read_result
 from egolane_pgm.run import run_experiment
 from egolane_pgm.scoring.assign import assigned_lane
 from egolane_pgm.scoring.confusion import confusion, scores_from_confusion
-from egolane_pgm.scoring.coverage import coverage_curve
+from egolane_pgm.scoring.probabilistic import coverage_curve
 from egolane_pgm.types import InputError
+from tests.kits.drives import command, done, refused, short_drive, write_drive
+from tests.kits.tiny_result import a_result, without_truth
 
 BELIEF = np.array([[0.6, 0.4], [0.95, 0.05], [0.5, 0.5], [0.2, 0.8], [0.9, 0.1]])
 LANE = np.array([1, 1, 1, 1, 2])

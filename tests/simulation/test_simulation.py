@@ -253,7 +253,7 @@ def test_the_counting_rule_is_right_as_often_as_on_the_road_and_less_in_failures
 ) -> None:
     counting = pytest.importorskip("egolane_pgm.evidence.counting")
     assign = pytest.importorskip("egolane_pgm.scoring.assign")
-    from egolane_pgm.types import resolve_parameters
+    from egolane_pgm.parameters import resolve_parameters
 
     drive = simulate(preset, 0)
     values = resolve_parameters(counting.PARAMETERS, {"bonus_value": 7}, drive.n_lanes)

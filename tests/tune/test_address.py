@@ -5,9 +5,9 @@ from __future__ import annotations
 from pathlib import Path
 
 import pytest
-from tests.kits.drives import refused
 
 from egolane_pgm.tune.address import MASK, parse, without_passwords
+from tests.kits.drives import refused
 
 
 @pytest.mark.parametrize("key", ["sslpassword", "passwd", "PASSWORD"])

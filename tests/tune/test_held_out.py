@@ -7,12 +7,10 @@ from typing import Any
 
 import numpy as np
 import pytest
-from tests.kits.tuning_kit import BLOCKS, plan, problem
 
 from egolane_pgm.scoring import score_all
 from egolane_pgm.scoring.assign import assigned_lane
 from egolane_pgm.scoring.bootstrap import (
-    blocks,
     bootstrap_interval,
     circular_block_bootstrap,
     confusion_counts,
@@ -20,6 +18,7 @@ from egolane_pgm.scoring.bootstrap import (
     resampled_sums,
 )
 from egolane_pgm.scoring.confusion import accuracy, confusion
+from egolane_pgm.scoring.held_out import blocks
 from egolane_pgm.tune import tuning
 from egolane_pgm.tune.held_out import (
     assess,
@@ -35,6 +34,7 @@ from egolane_pgm.tune.held_out import (
 from egolane_pgm.tune.objective import all_used
 from egolane_pgm.tune.plan import Plan, Problem, make_problem, together, with_options
 from egolane_pgm.types import InputError
+from tests.kits.tuning_kit import BLOCKS, plan, problem
 
 
 def with_labels(found: Problem, lanes: list[Any]) -> Problem:

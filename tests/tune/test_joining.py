@@ -9,9 +9,8 @@ from typing import Any
 
 import numpy as np
 import pytest
-from tests.kits.tuning_kit import BLOCKS, plan, problem
 
-from egolane_pgm.provenance import file_sha256
+from egolane_pgm.results import file_sha256
 from egolane_pgm.tune import tuning
 from egolane_pgm.tune.held_out import without_part
 from egolane_pgm.tune.joining import _find, _parts, _task
@@ -19,6 +18,7 @@ from egolane_pgm.tune.plan import Plan, Problem, make_problem, together, with_op
 from egolane_pgm.tune.postgres import Kept
 from egolane_pgm.tune.space import from_unit
 from egolane_pgm.types import InputError
+from tests.kits.tuning_kit import BLOCKS, plan, problem
 
 
 def kept(kind: str, part: int, n_parts: int) -> Kept:

@@ -6,7 +6,6 @@ from typing import Any
 
 import numpy as np
 import pytest
-from tests.kits.tuning_kit import plan, problem
 
 from egolane_pgm.run import run_experiment
 from egolane_pgm.scoring.summary import score_all
@@ -14,6 +13,7 @@ from egolane_pgm.tune import objective
 from egolane_pgm.tune.plan import evaluator
 from egolane_pgm.tune.space import from_unit, to_parameters
 from egolane_pgm.types import InputError
+from tests.kits.tuning_kit import plan, problem
 
 NAMES = ("accuracy", "f1", "precision", "recall", "coverage")
 

@@ -10,6 +10,15 @@ from typing import Any
 
 import optuna
 import pytest
+
+from egolane_pgm.tune._connection import Link
+from egolane_pgm.tune.address import parse
+from egolane_pgm.tune.exporting import export_study
+from egolane_pgm.tune.postgres import account, list_studies, read_trials
+from egolane_pgm.tune.shared import run_shared
+from egolane_pgm.tune.storage import journal_storage
+from egolane_pgm.tune.study import run_study
+from egolane_pgm.types import InputError
 from tests.kits.postgres_kit import (
     GUARDED,
     PASSWORD,
@@ -28,15 +37,6 @@ from tests.kits.postgres_kit import (
 )
 from tests.kits.postgres_server import Server
 from tests.kits.tuning_kit import bowl, told
-
-from egolane_pgm.tune._connection import Link
-from egolane_pgm.tune.address import parse
-from egolane_pgm.tune.exporting import export_study
-from egolane_pgm.tune.postgres import account, list_studies, read_trials
-from egolane_pgm.tune.shared import run_shared
-from egolane_pgm.tune.storage import journal_storage
-from egolane_pgm.tune.study import run_study
-from egolane_pgm.types import InputError
 
 pytest_plugins = ["tests.kits.postgres_fixtures"]
 

@@ -11,6 +11,17 @@ from typing import Any
 
 import optuna
 import pytest
+
+from egolane_pgm.tune._claims import CLAIM, Claims, bury, enlist
+from egolane_pgm.tune._connection import Link
+from egolane_pgm.tune._proposers import make_proposer
+from egolane_pgm.tune.address import parse
+from egolane_pgm.tune.exporting import export_study
+from egolane_pgm.tune.postgres import Part, begin_job
+from egolane_pgm.tune.shared import SharedJob, Task, _look, run_shared
+from egolane_pgm.tune.storage import journal_storage
+from egolane_pgm.tune.study import Settings
+from egolane_pgm.types import InputError
 from tests.kits.postgres_kit import (
     SPACE,
     finished,
@@ -24,17 +35,6 @@ from tests.kits.postgres_kit import (
 )
 from tests.kits.postgres_server import Server
 from tests.kits.tuning_kit import bowl
-
-from egolane_pgm.tune._claims import CLAIM, Claims, bury, enlist
-from egolane_pgm.tune._connection import Link
-from egolane_pgm.tune._proposers import make_proposer
-from egolane_pgm.tune.address import parse
-from egolane_pgm.tune.exporting import export_study
-from egolane_pgm.tune.postgres import Part, begin_job
-from egolane_pgm.tune.shared import SharedJob, Task, _look, run_shared
-from egolane_pgm.tune.storage import journal_storage
-from egolane_pgm.tune.study import Settings
-from egolane_pgm.types import InputError
 
 pytest_plugins = ["tests.kits.postgres_fixtures"]
 

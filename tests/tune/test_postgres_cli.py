@@ -17,15 +17,23 @@ import yaml
 from click.testing import CliRunner, Result
 from hypothesis import given
 from hypothesis import strategies as st
-from tests.kits.postgres_kit import GUARDED, PASSWORD, address_with_password, make_job, rows, start, wait_for
-from tests.kits.postgres_server import Server
 from pyarrow import parquet
-from tests.kits.tuning_kit import BLOCKS, QUICKSTART
 
 import egolane_pgm
 from egolane_pgm.cli.main import egolane
 from egolane_pgm.tune.address import MASK, find_address, parse
 from egolane_pgm.types import InputError
+from tests.kits.postgres_kit import (
+    GUARDED,
+    PASSWORD,
+    address_with_password,
+    make_job,
+    rows,
+    start,
+    wait_for,
+)
+from tests.kits.postgres_server import Server
+from tests.kits.tuning_kit import BLOCKS, QUICKSTART
 
 pytest_plugins = ["tests.kits.postgres_fixtures"]
 

@@ -13,6 +13,13 @@ from typing import Any
 
 import psycopg
 import pytest
+
+from egolane_pgm.tune import _connection
+from egolane_pgm.tune._claims import CLAIM, Claims, bury, enlist
+from egolane_pgm.tune._connection import Link, connect
+from egolane_pgm.tune._proposers import make_proposer
+from egolane_pgm.tune.shared import SharedJob, run_shared
+from egolane_pgm.types import InputError
 from tests.kits.postgres_kit import (
     TRIALS,
     alone,
@@ -27,13 +34,6 @@ from tests.kits.postgres_kit import (
 )
 from tests.kits.postgres_server import Server, network
 from tests.kits.tuning_kit import bowl
-
-from egolane_pgm.tune import _connection
-from egolane_pgm.tune._claims import CLAIM, Claims, bury, enlist
-from egolane_pgm.tune._connection import Link, connect
-from egolane_pgm.tune._proposers import make_proposer
-from egolane_pgm.tune.shared import SharedJob, run_shared
-from egolane_pgm.types import InputError
 
 pytest_plugins = ["tests.kits.postgres_fixtures"]
 

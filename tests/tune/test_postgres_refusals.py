@@ -6,6 +6,13 @@ import socket
 import time
 
 import pytest
+
+from egolane_pgm.tune import _connection
+from egolane_pgm.tune._connection import Link
+from egolane_pgm.tune.address import parse
+from egolane_pgm.tune.postgres import find_job, list_studies
+from egolane_pgm.tune.shared import run_shared
+from egolane_pgm.types import InputError
 from tests.kits.postgres_kit import (
     address_with_password,
     is_whole,
@@ -14,13 +21,6 @@ from tests.kits.postgres_kit import (
 )
 from tests.kits.postgres_server import HOST, Server, free_port
 from tests.kits.tuning_kit import bowl
-
-from egolane_pgm.tune import _connection
-from egolane_pgm.tune._connection import Link
-from egolane_pgm.tune.address import parse
-from egolane_pgm.tune.postgres import find_job, list_studies
-from egolane_pgm.tune.shared import run_shared
-from egolane_pgm.types import InputError
 
 pytest_plugins = ["tests.kits.postgres_fixtures"]
 

@@ -12,6 +12,7 @@ from hypothesis import strategies as st
 from egolane_pgm.evidence import counting
 from egolane_pgm.graphs import sensor_failure, wor_on_lane
 from egolane_pgm.model import declared_parameters
+from egolane_pgm.parameters import resolve_parameters
 from egolane_pgm.tune.space import (
     SearchSpace,
     describe,
@@ -23,7 +24,7 @@ from egolane_pgm.tune.space import (
     to_point,
     to_unit,
 )
-from egolane_pgm.types import InputError, resolve_parameters
+from egolane_pgm.types import InputError
 
 SPECS = declared_parameters(counting, sensor_failure)
 CURRENT = resolve_parameters(SPECS, {}, 3)

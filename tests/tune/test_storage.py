@@ -10,12 +10,12 @@ from typing import Any
 
 import optuna
 import pytest
-from tests.kits.tuning_kit import bowl, plain_space, told
 
 from egolane_pgm.tune import storage
 from egolane_pgm.tune.storage import SqliteStore, journal_storage, only_one, stored_identity
 from egolane_pgm.tune.study import Settings, run_study
 from egolane_pgm.types import InputError
+from tests.kits.tuning_kit import bowl, plain_space, told
 
 SPACE = plain_space()
 IDENTITY = {"space": {"searched": {"x0": [0.0, 1.0]}}, "seed": 0}

@@ -7,11 +7,11 @@ from typing import Any
 
 import numpy as np
 import pytest
-from tests.kits.tuning_kit import bowl, plain_space, problem, told
 
 from egolane_pgm.tune import sampler as evolution
 from egolane_pgm.tune.plan import starting_points
 from egolane_pgm.tune.study import SAMPLERS, Settings, best_trial, pareto, run_study
+from tests.kits.tuning_kit import bowl, plain_space, problem, told
 
 SPACE = plain_space()
 

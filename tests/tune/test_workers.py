@@ -14,12 +14,12 @@ from typing import Any
 
 import optuna
 import pytest
-from tests.kits.tuning_kit import bowl, plain_space, slow_bowl, told
 
 from egolane_pgm.tune.storage import SqliteStore, journal_storage, only_one
 from egolane_pgm.tune.study import Settings, run_study
 from egolane_pgm.tune.workers import Job, run_workers
 from egolane_pgm.types import InputError
+from tests.kits.tuning_kit import bowl, plain_space, slow_bowl, told
 
 SPACE = plain_space()
 TRIALS = 90

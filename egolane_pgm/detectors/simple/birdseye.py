@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from egolane_pgm.camera.model import Camera, image_to_road, road_to_image, vanishing_point
-from egolane_pgm.detectors import Image
+from egolane_pgm.camera.picture import Image
 from egolane_pgm.types import BoolArray, FloatArray, InputError
 
 #: Larger views are a wrong unit, and OpenCV cannot make them.

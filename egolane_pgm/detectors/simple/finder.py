@@ -10,13 +10,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from egolane_pgm.camera.model import Camera
-from egolane_pgm.detectors import FrameLines, Picture, Step
-from egolane_pgm.detectors._tracking_parameters import PARAMETERS as _TRACKING
+from egolane_pgm.camera.picture import Picture
+from egolane_pgm.detectors import FrameLines, Step
 from egolane_pgm.detectors.simple.birdseye import BirdsEye
 from egolane_pgm.detectors.simple.fit import Found, find_lines, view_for
 from egolane_pgm.detectors.simple.paint import PARAMETERS as _PAINT
 from egolane_pgm.detectors.simple.paint import painted_share
-from egolane_pgm.detectors.simple.parameters import PARAMETERS as _FINDER
+from egolane_pgm.detectors.simple.parameters import FINDING, TRACKING
 from egolane_pgm.detectors.simple.tracking import (
     Rules,
     Tracks,
@@ -26,13 +26,14 @@ from egolane_pgm.detectors.simple.tracking import (
     no_tracks,
     rules,
 )
-from egolane_pgm.types import BoolArray, Parameter, Parameters
+from egolane_pgm.parameters import Parameter, Parameters
+from egolane_pgm.types import BoolArray
 
 PARAMETERS = (
     # Lines or clothoids is what tells the variants apart.
-    *(p for p in _FINDER if p.name != "curve"),
+    *(p for p in FINDING if p.name != "curve"),
     *_PAINT,
-    *_TRACKING,
+    *TRACKING,
     Parameter(
         "frozen_below",
         "non_negative",

@@ -17,10 +17,11 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from egolane_pgm.detectors import Image
+from egolane_pgm.camera.picture import Image
 from egolane_pgm.detectors.simple.parameters import number
+from egolane_pgm.parameters import Parameter, Parameters, Value
 from egolane_pgm.plugins import load_plugin, plugin_errors
-from egolane_pgm.types import InputError, Parameter, Parameters, Value, suggestion
+from egolane_pgm.types import InputError, suggestion
 
 Match = Callable[[Image, Image, int], NDArray[np.float32]]
 

@@ -11,10 +11,11 @@ from __future__ import annotations
 import cv2
 import numpy as np
 
-from egolane_pgm.detectors import Image
+from egolane_pgm.camera.picture import Image
 from egolane_pgm.detectors.simple.birdseye import BirdsEye
 from egolane_pgm.detectors.simple.parameters import number
-from egolane_pgm.types import FloatArray, IntArray, Parameter, Parameters
+from egolane_pgm.parameters import Parameter, Parameters
+from egolane_pgm.types import FloatArray, IntArray
 
 PARAMETERS = (
     Parameter("paint_length_m", "positive", 10.0, "length of a line that is looked at, metres"),

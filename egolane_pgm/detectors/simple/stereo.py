@@ -19,7 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from egolane_pgm.camera.model import Camera, image_to_road
-from egolane_pgm.detectors import Image, Picture
+from egolane_pgm.camera.picture import Image, Picture
 from egolane_pgm.detectors.simple import matchers as matchers
 from egolane_pgm.detectors.simple import plane as planes
 from egolane_pgm.detectors.simple.birdseye import BirdsEye, make_view
@@ -27,7 +27,8 @@ from egolane_pgm.detectors.simple.finder import OnRoad
 from egolane_pgm.detectors.simple.matchers import Match
 from egolane_pgm.detectors.simple.parameters import number
 from egolane_pgm.detectors.simple.plane import Plane
-from egolane_pgm.types import BoolArray, FloatArray, InputError, Parameter, Parameters
+from egolane_pgm.parameters import Parameter, Parameters
+from egolane_pgm.types import BoolArray, FloatArray, InputError
 
 PARAMETERS = (
     *matchers.PARAMETERS,

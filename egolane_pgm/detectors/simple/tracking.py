@@ -15,7 +15,8 @@ from typing import Any
 import numpy as np
 
 from egolane_pgm.detectors import FrameLines
-from egolane_pgm.types import BoolArray, FloatArray, IntArray, Parameters
+from egolane_pgm.parameters import Parameters
+from egolane_pgm.types import BoolArray, FloatArray, IntArray
 
 #: How many distances ahead a line is compared at; four parameters need four.
 _PLACES = 4

@@ -81,7 +81,7 @@ def expect(
     cells: int,
 ) -> Statistics:
     """The E step."""
-    from egolane_pgm.evidence._line_em_kernel import expected_counts
+    from egolane_pgm.evidence.line_geometry.kernels import expected_counts
 
     n, n_lines = model.rates.shape
     frames = np.bincount(lane, minlength=n).astype(np.float64)

@@ -21,7 +21,8 @@ from typing import cast
 
 import numpy as np
 
-from egolane_pgm.types import FloatArray, Value
+from egolane_pgm.parameters import Value
+from egolane_pgm.types import FloatArray
 
 #: Valid and continuous; valid, LRI >= STRONG_LRI; valid, less; not valid, LRI >= LEAST_LRI.
 N_CLASSES = 4

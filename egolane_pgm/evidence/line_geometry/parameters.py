@@ -5,7 +5,7 @@ from __future__ import annotations
 from egolane_pgm.evidence.line_geometry.fitting import STRENGTH
 from egolane_pgm.evidence.line_geometry.model import N_CLASSES
 from egolane_pgm.graphs.position_in_lane import CELLS, MOTION_BINS, MOTION_RANGE
-from egolane_pgm.types import Parameter
+from egolane_pgm.parameters import Parameter
 
 _OR_FITTED = "; `generic`, or a list that `egolane learn` writes"
 

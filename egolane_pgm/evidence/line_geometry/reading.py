@@ -14,7 +14,8 @@ from egolane_pgm.evidence.line_geometry.lane_width import lane_width, rounded, w
 from egolane_pgm.evidence.line_geometry.model import LEAST_LRI, REACH_M, STRONG_LRI
 from egolane_pgm.graphs.position_in_lane import motion_index
 from egolane_pgm.graphs.shared_parameters import number
-from egolane_pgm.types import BoolArray, FloatArray, IntArray, LineLog, Parameters
+from egolane_pgm.parameters import Parameters
+from egolane_pgm.types import BoolArray, FloatArray, IntArray, LineLog
 
 #: Lanes in metres are not narrower or wider, even in those of a detector that is wrong by half.
 NARROWEST_M, WIDEST_M = 1.5, 6.0

@@ -70,15 +70,8 @@ from egolane_pgm.evidence.line_geometry.reading import (
     say_places,
 )
 from egolane_pgm.graphs.shared_parameters import number
-from egolane_pgm.types import (
-    BoolArray,
-    Evidence,
-    FloatArray,
-    IntArray,
-    LineLog,
-    Parameters,
-    Value,
-)
+from egolane_pgm.parameters import Parameters, Value
+from egolane_pgm.types import BoolArray, Evidence, FloatArray, IntArray, LineLog
 
 NODES = ("RoadPosition", "SensorState")
 PROVIDES = (NODES,)

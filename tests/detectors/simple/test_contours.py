@@ -4,14 +4,14 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from tests.conftest import needs_compiler
 from numpy.typing import NDArray
-from tests.kits.synthetic_road import CAMERA
 
 from egolane_pgm.detectors.simple.birdseye import make_view
 from egolane_pgm.detectors.simple.contours import Strips, find_strips
-from egolane_pgm.detectors.simple.parameters import PARAMETERS
-from egolane_pgm.types import resolve_parameters
+from egolane_pgm.detectors.simple.parameters import FINDING
+from egolane_pgm.parameters import resolve_parameters
+from tests.conftest import needs_compiler
+from tests.kits.synthetic_road import CAMERA
 
 #: Pixels of 0.1 m along the road and 0.05 m across it.
 VIEW = make_view(CAMERA, 5.0, 30.0, -5.0, 5.0, 0.1, 0.05)
@@ -24,7 +24,7 @@ def nothing() -> NDArray[np.uint8]:
 
 
 def strips_of(mask: NDArray[np.uint8], **given: object) -> Strips:
-    return find_strips(VIEW, mask, resolve_parameters(PARAMETERS, given, 1))
+    return find_strips(VIEW, mask, resolve_parameters(FINDING, given, 1))
 
 
 def test_a_bar_along_the_road_is_measured_in_metres() -> None:

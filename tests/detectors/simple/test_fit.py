@@ -13,13 +13,14 @@ from egolane_pgm.detectors import ml
 from egolane_pgm.detectors.simple import _kernels_numpy
 from egolane_pgm.detectors.simple import kernels as _kernels
 from egolane_pgm.detectors.simple.fit import Found, find_lines, view_for
-from egolane_pgm.detectors.simple.parameters import PARAMETERS
-from egolane_pgm.types import InputError, resolve_parameters
+from egolane_pgm.detectors.simple.parameters import FINDING
+from egolane_pgm.parameters import resolve_parameters
+from egolane_pgm.types import InputError
 from tests.conftest import needs_compiler
 from tests.kits.synthetic_road import Paint, road
 
 CAMERA = Camera(960, 540, 780.0, 780.0, 479.5, 269.5, height_m=1.4, pitch_deg=-4.0)
-DEFAULTS = resolve_parameters(PARAMETERS, {}, 1)
+DEFAULTS = resolve_parameters(FINDING, {}, 1)
 VIEW = view_for(CAMERA, DEFAULTS)
 STRAIGHT = {**DEFAULTS, "curve": "line"}
 STRAIGHT_VIEW = view_for(CAMERA, STRAIGHT)
@@ -261,6 +262,6 @@ def test_scores_of_what_lines_share_are_the_same_as_in_numpy(seed):
 
 def test_every_constant_is_documented_and_its_name_is_used_once():
     names = [parameter.name for parameter in ml.PARAMETERS]
-    assert {parameter.name for parameter in PARAMETERS} <= {*names, "curve"}
+    assert {parameter.name for parameter in FINDING} <= {*names, "curve"}
     assert len(set(names)) == len(names)
-    assert all(len(parameter.doc) > 10 for parameter in (*PARAMETERS, *ml.PARAMETERS))
+    assert all(len(parameter.doc) > 10 for parameter in (*FINDING, *ml.PARAMETERS))

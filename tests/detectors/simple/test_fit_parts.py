@@ -6,25 +6,26 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from tests.conftest import needs_compiler
 from hypothesis import given
 from hypothesis import strategies as st
-from tests.kits.synthetic_road import CAMERA
 
 from egolane_pgm.detectors.simple import fit as _fit
 from egolane_pgm.detectors.simple.birdseye import BirdsEye
 from egolane_pgm.detectors.simple.contours import Strips
-from egolane_pgm.detectors.simple.parameters import PARAMETERS
-from egolane_pgm.types import FloatArray, Parameters, resolve_parameters
+from egolane_pgm.detectors.simple.parameters import FINDING
+from egolane_pgm.parameters import Parameters, resolve_parameters
+from egolane_pgm.types import FloatArray
+from tests.conftest import needs_compiler
+from tests.kits.synthetic_road import CAMERA
 
-DEFAULTS = resolve_parameters(PARAMETERS, {}, 1)
+DEFAULTS = resolve_parameters(FINDING, {}, 1)
 VIEW = _fit.view_for(CAMERA, DEFAULTS)
 SIDE, BIN = 9.0, 0.05
 CENTRE = -SIDE + (np.arange(360) + 0.5) * BIN
 
 
 def given_(**more: object) -> Parameters:
-    return resolve_parameters(PARAMETERS, more, 1)
+    return resolve_parameters(FINDING, more, 1)
 
 
 def strips_along(

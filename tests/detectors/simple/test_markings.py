@@ -7,12 +7,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from numpy.typing import NDArray
-from tests.kits.synthetic_road import CAMERA
 
 from egolane_pgm.detectors.simple.birdseye import make_view
 from egolane_pgm.detectors.simple.markings import _odd, marking_mask
-from egolane_pgm.detectors.simple.parameters import PARAMETERS
-from egolane_pgm.types import resolve_parameters
+from egolane_pgm.detectors.simple.parameters import FINDING
+from egolane_pgm.parameters import resolve_parameters
+from tests.kits.synthetic_road import CAMERA
 
 _PART = make_view(CAMERA, 5.0, 30.0, -5.0, 5.0, 0.1, 0.05)
 
@@ -25,7 +25,7 @@ def grey(value: int = 100) -> NDArray[np.uint8]:
 
 
 def mask_of(above: NDArray[np.uint8], view: object = VIEW, **given: object) -> NDArray[np.bool_]:
-    parameters = resolve_parameters(PARAMETERS, given, 1)
+    parameters = resolve_parameters(FINDING, given, 1)
     return marking_mask(view, above, parameters) > 0  # type: ignore[arg-type]
 
 

@@ -6,12 +6,13 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from tests.kits.synthetic_road import CAMERA, Paint, road
 
-from egolane_pgm.detectors import Image
+from egolane_pgm.camera.picture import Image
 from egolane_pgm.detectors.simple.birdseye import make_view
 from egolane_pgm.detectors.simple.paint import PARAMETERS, _in_view, painted_share
-from egolane_pgm.types import FloatArray, resolve_parameters
+from egolane_pgm.parameters import resolve_parameters
+from egolane_pgm.types import FloatArray
+from tests.kits.synthetic_road import CAMERA, Paint, road
 
 VIEW = make_view(CAMERA, 4.5, 35.0, -9.0, 9.0, 0.1, 0.05)
 

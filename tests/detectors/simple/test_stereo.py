@@ -11,7 +11,6 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from tests.kits.stereo_pairs import CLEAR, PAIR, K, empty, picture, plane_of, scene, settled, with_vehicle
 
 from egolane_pgm.camera.model import axes, image_to_road, road_to_image
 from egolane_pgm.detectors import sc
@@ -19,9 +18,21 @@ from egolane_pgm.detectors.runner import find_detector, start
 from egolane_pgm.detectors.simple import fit as _fit
 from egolane_pgm.detectors.simple import plane as _plane
 from egolane_pgm.detectors.simple import stereo as _stereo
+from egolane_pgm.parameters import resolve_parameters
 from egolane_pgm.simulation.rendering import traffic as traffics
 from egolane_pgm.simulation.rendering.render import Frame, Scene, make_scene, render_frame
-from egolane_pgm.types import BoolArray, FloatArray, resolve_parameters
+from egolane_pgm.types import BoolArray, FloatArray
+from tests.kits.stereo_pairs import (
+    CLEAR,
+    PAIR,
+    K,
+    empty,
+    picture,
+    plane_of,
+    scene,
+    settled,
+    with_vehicle,
+)
 
 pitches = st.floats(-8, 4)
 rolls = st.floats(-4, 4)

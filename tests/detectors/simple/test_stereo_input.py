@@ -12,12 +12,14 @@ from typing import Any
 import cv2
 import numpy as np
 import pytest
-from tests.kits.stereo_pairs import PAIR, empty, picture, plane_of, scene
 
 from egolane_pgm.camera.model import Camera
-from egolane_pgm.detectors import Picture, ml, sc, sl
+from egolane_pgm.camera.picture import Picture
+from egolane_pgm.detectors import ml, sc, sl
 from egolane_pgm.detectors.runner import detect, find_detector, start
-from egolane_pgm.types import FloatArray, InputError, resolve_parameters
+from egolane_pgm.parameters import resolve_parameters
+from egolane_pgm.types import FloatArray, InputError
+from tests.kits.stereo_pairs import PAIR, empty, picture, plane_of, scene
 
 # --- matchers ------------------------------------------------------------------------------------
 

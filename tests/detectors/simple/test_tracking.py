@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from egolane_pgm.detectors._tracking_parameters import PARAMETERS
+from egolane_pgm.detectors.simple.parameters import TRACKING
 from egolane_pgm.detectors.simple.tracking import (
     Rules,
     Tracks,
@@ -20,13 +20,14 @@ from egolane_pgm.detectors.simple.tracking import (
     no_tracks,
     rules,
 )
-from egolane_pgm.types import FloatArray, resolve_parameters
+from egolane_pgm.parameters import resolve_parameters
+from egolane_pgm.types import FloatArray
 
 NOTHING = np.zeros((0, 4)), np.zeros(0)
 
 
 def made(curved: bool = True, **given: object) -> Rules:
-    return rules(resolve_parameters(PARAMETERS, given, 1), curved=curved)
+    return rules(resolve_parameters(TRACKING, given, 1), curved=curved)
 
 
 def at(*offsets: float, heading: float = 0.0, curvature: float = 0.0) -> FloatArray:

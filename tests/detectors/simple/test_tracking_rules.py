@@ -8,7 +8,6 @@ from types import ModuleType
 
 import numpy as np
 import pytest
-from tests.detectors.simple.test_tracking import NOTHING, at, followed, made, seen
 
 from egolane_pgm.camera.model import Camera
 from egolane_pgm.detectors import FrameLines
@@ -21,6 +20,7 @@ from egolane_pgm.detectors.simple.tracking import (
     lines_of,
 )
 from egolane_pgm.types import InputError
+from tests.detectors.simple.test_tracking import NOTHING, at, followed, made, seen
 
 
 def offset_of(tracks: Tracks, number: int) -> float:

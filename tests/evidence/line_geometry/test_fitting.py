@@ -7,7 +7,6 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from tests.conftest import needs_compiler
 
 from egolane_pgm.evidence.line_geometry import rule as line_geometry
 from egolane_pgm.evidence.line_geometry.fitting import (
@@ -19,7 +18,9 @@ from egolane_pgm.evidence.line_geometry.fitting import (
     maximise,
 )
 from egolane_pgm.evidence.line_geometry.model import REACH_M, LineModel, line_model, places
-from egolane_pgm.types import FloatArray, Parameters, resolve_parameters
+from egolane_pgm.parameters import Parameters, resolve_parameters
+from egolane_pgm.types import FloatArray
+from tests.conftest import needs_compiler
 
 W = 3.6
 N = 2

@@ -28,8 +28,9 @@ from egolane_pgm.graphs import position_in_lane
 from egolane_pgm.loading import Recorded, load_recording
 from egolane_pgm.model import Model, make_evidence, prepare_model
 from egolane_pgm.paper import paper_experiment
+from egolane_pgm.parameters import Parameters, resolve_parameters
 from egolane_pgm.simulation import Drive, simulate
-from egolane_pgm.types import FloatArray, LineLog, Parameters, resolve_parameters
+from egolane_pgm.types import FloatArray, LineLog
 from tests.conftest import needs_compiler
 
 ROOT = Path(__file__).parents[3]

@@ -19,8 +19,9 @@ from egolane_pgm.evidence.line_geometry.rule import NODES
 from egolane_pgm.graphs import position_in_lane
 from egolane_pgm.inference.compile import compile_network
 from egolane_pgm.inference.filtering import filter_beliefs
+from egolane_pgm.parameters import Parameters, resolve_parameters
 from egolane_pgm.simulation import simulate
-from egolane_pgm.types import Evidence, InputError, LineLog, Parameters, resolve_parameters
+from egolane_pgm.types import Evidence, InputError, LineLog
 
 W = 3.6
 UNKNOWN = 49  # the first value of LineMotion that is no displacement

@@ -8,13 +8,13 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from tests.conformance.networks import METHODS, assert_same_beliefs, draw_evidence
 
 from egolane_pgm.graphs.cpds import declare, dynamics, previous, prior, within
 from egolane_pgm.inference.compile import Compiled, compile_network
 from egolane_pgm.inference.filtering import filter_beliefs, node_columns, step
 from egolane_pgm.inference.kernels.banded import banded
 from egolane_pgm.types import Evidence, FloatArray, InputError
+from tests.conformance.networks import METHODS, assert_same_beliefs, draw_evidence
 
 #: Compiled code overflows to infinity in silence, and the kernel then scales; as plain Python
 #: (NUMBA_DISABLE_JIT) it warns.

@@ -18,16 +18,10 @@ from egolane_pgm.inference import filtering
 from egolane_pgm.inference.batch import confusions_many
 from egolane_pgm.inference.compile import Compiled, compile_network, with_tables
 from egolane_pgm.inference.kernels import filter as kernels
-from egolane_pgm.scoring._kernels import count_confusion
+from egolane_pgm.parameters import resolve_parameters
 from egolane_pgm.scoring.assign import assigned_lane
-from egolane_pgm.scoring.confusion import confusion
-from egolane_pgm.types import (
-    TIE_TOLERANCE,
-    Evidence,
-    InputError,
-    LineLog,
-    resolve_parameters,
-)
+from egolane_pgm.scoring.confusion import confusion, count_confusion
+from egolane_pgm.types import TIE_TOLERANCE, Evidence, InputError, LineLog
 
 #: Without the compiler everything is thousands of times slower, and one size is as good as ten.
 IS_COMPILED = os.environ.get("NUMBA_DISABLE_JIT", "0") == "0"

@@ -1,0 +1,119 @@
+"""Parameters that a graph, an evidence rule or a detector declares: checked, and resolved."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import dataclass
+
+import numpy as np
+
+from egolane_pgm.types import InputError, suggestion
+
+#: A parameter's value: a number, a choice by name, or one number per lane.
+Value = float | int | str | tuple[float, ...]
+
+
+Parameters = Mapping[str, Value]
+
+
+@dataclass(frozen=True)
+class Parameter:
+    """A parameter that a graph or an evidence rule declares.
+
+    kind: "sigma" (> 0), "probability" (0 to 1), "positive" (> 0), "non_negative", "integer"
+    (>= 0) or "choice" (one of `choices`). per_lane: a list of n values is allowed as well as one.
+    search: the bounds of a parameter search, or None where it is not searched.
+    choices: for another kind than "choice", names that may stand for a number (`auto`).
+    lowest, highest: the smallest and the largest value of a number, both allowed. shape: for n
+    lanes, the shape of a list of numbers, nested as in a table or all in one row; it is kept as one
+    row, the last axis fastest.
+    """
+
+    name: str
+    kind: str
+    default: Value
+    doc: str
+    search: tuple[float, float] | None = None
+    choices: tuple[str, ...] = ()
+    per_lane: bool = False
+    lowest: float = 0
+    highest: float = math.inf
+    shape: Callable[[int], tuple[int, ...]] | None = None
+
+    def check(self, value: object, n_lanes: int, where: str) -> Value:
+        """The value, converted; InputError starting with `where` where it is out of range."""
+        if self.kind == "choice":
+            if not isinstance(value, str) or value not in self.choices:
+                raise InputError(
+                    f"{where}: {value!r} is not one of {', '.join(self.choices)}"
+                    + (suggestion(str(value), self.choices) if isinstance(value, str) else "")
+                )
+            return value
+        if isinstance(value, str) and self.choices:
+            if value not in self.choices:
+                raise InputError(
+                    f"{where}: '{value}' is neither a number nor {' or '.join(self.choices)}"
+                )
+            return value
+        if self.shape is not None:
+            return self._check_table(value, self.shape(n_lanes), where)
+        if isinstance(value, (list, tuple, np.ndarray)):
+            if not self.per_lane:
+                raise InputError(f"{where}: needs one number, got a list")
+            if len(value) != n_lanes:
+                raise InputError(f"{where}: has {len(value)} values for {n_lanes} lanes")
+            return tuple(float(self._check_number(v, where)) for v in value)
+        return self._check_number(value, where)
+
+    def _check_table(self, value: object, shape: tuple[int, ...], where: str) -> Value:
+        needed = f"a list of {' x '.join(map(str, shape))} numbers"
+        if not isinstance(value, (list, tuple, np.ndarray)):
+            raise InputError(f"{where}: {value!r} is not {needed}")
+        rows = list(value)
+        for size in shape[1:]:
+            if all(isinstance(row, (list, tuple, np.ndarray)) for row in rows):
+                if any(len(row) != size for row in rows):
+                    raise InputError(f"{where}: needs {needed}, every row of the same length")
+                rows = [number for row in rows for number in row]
+        if len(rows) != math.prod(shape):
+            raise InputError(f"{where}: has {len(rows)} numbers, needs {needed}")
+        return tuple(float(self._check_number(v, where)) for v in rows)
+
+    def _check_number(self, value: object, where: str) -> float | int:
+        if isinstance(value, bool) or not isinstance(value, (int, float, np.integer, np.floating)):
+            raise InputError(f"{where}: {value!r} is not a number")
+        x = float(value)
+        if not np.isfinite(x):
+            raise InputError(f"{where}: {x} is not a finite number")
+        if self.kind == "probability" and not 0 <= x <= 1:
+            raise InputError(f"{where}: {value} is not a probability (0 to 1)")
+        if self.kind in ("sigma", "positive") and x <= 0:
+            raise InputError(f"{where}: {value} must be greater than 0")
+        if self.kind in ("non_negative", "integer") and x < 0:
+            raise InputError(f"{where}: {value} must not be negative")
+        if self.kind == "integer" and x != int(x):
+            raise InputError(f"{where}: {value} is not a whole number")
+        if x < self.lowest:
+            raise InputError(f"{where}: {value} must be at least {self.lowest}")
+        if x > self.highest:
+            raise InputError(f"{where}: {value} must be at most {self.highest}")
+        return int(x) if self.kind == "integer" else x
+
+
+def resolve_parameters(
+    specs: Iterable[Parameter], given: Mapping[str, object], n_lanes: int, where: str = "parameters"
+) -> dict[str, Value]:
+    """Every declared parameter with its given or default value, checked.
+
+    Raises InputError (`<where>.<name>: ...`) for an unknown name, with a suggestion, or a value
+    out of range.
+    """
+    known = {spec.name: spec for spec in specs}
+    for name in given:
+        if name not in known:
+            raise InputError(f"{where}: unknown key '{name}'{suggestion(str(name), known)}")
+    return {
+        name: spec.check(given.get(name, spec.default), n_lanes, f"{where}.{name}")
+        for name, spec in known.items()
+    }
