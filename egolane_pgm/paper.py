@@ -70,13 +70,11 @@ def parse_runs(text: str) -> list[int]:
 
 
 def parameters_for(entry: Mapping[str, Any], which: str) -> dict[str, Any]:
-    """A run's parameters: `published` as printed (in full precision for the run whose values the
-    authors left in their code), `recovered` where a search found them."""
+    """A run's parameters: `published` as printed, or `recovered`, which give the published model
+    matrix. Those of run 5 stand in the authors' code, a search found the others."""
     if which not in PARAMETER_SETS:
         raise InputError(f"--parameters {which}: is not one of {', '.join(PARAMETER_SETS)}")
-    if which == "recovered" and "recovered" in entry:
-        return dict(entry["recovered"]["parameters"])
-    return dict(entry.get("full_precision", entry["parameters"]))
+    return dict(entry["parameters"] if which == "published" else entry["recovered"]["parameters"])
 
 
 @dataclass(frozen=True)
@@ -134,9 +132,8 @@ def reproduce_json(runs: Iterable[Reproduced], which: str) -> dict[str, Any]:
 
 
 def agrees(ours: float, printed: float) -> bool:
-    """Whether a score, truncated or rounded to two digits, is the printed one."""
-    shown = round(printed * 100)
-    return shown in (int(np.floor(ours * 100 + 1e-9)), int(np.floor(ours * 100 + 0.5)))
+    """Tells whether a score, truncated to two digits as the paper does it, is the printed one."""
+    return int(np.floor(ours * 100 + 1e-9)) == round(printed * 100)
 
 
 @dataclass(frozen=True)

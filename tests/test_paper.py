@@ -22,8 +22,10 @@ from tests.conftest import needs_compiler
 from tests.kits.drives import done, refused
 
 RUNS = range(1, 11)
-#: Frames off in the model matrices with the parameters as printed (run 5: in full precision).
-PUBLISHED_OFF = (4, 15, 16, 17, 0, 2, 1, 2, 1, 65)
+#: Frames off in the model matrices with the parameters as printed, truncated to three decimals.
+PUBLISHED_OFF = (3, 15, 16, 9, 39, 2, 1, 2, 1, 65)
+#: Scores of the model that these parameters move past a second digit, up to the printed one.
+PUBLISHED_BELOW = {(2, "precision"), (2, "log_loss"), (3, "log_loss")}
 #: With those that a search found: two ties of run 10 and one of run 1 cannot be had in double
 #: precision with the tie rule.
 RECOVERED_AT_MOST = (1, 0, 0, 0, 0, 0, 0, 0, 0, 2)
@@ -76,46 +78,55 @@ def test_the_printed_parameters_are_as_far_off_as_truncation_makes_them(
     published: list[Reproduced],
 ) -> None:
     assert [r.detector_frames_off for r in published] == [0] * 10
-    assert all(
-        r.model_frames_off <= most for r, most in zip(published, PUBLISHED_OFF, strict=True)
-    ), [r.model_frames_off for r in published]
-    run5 = published[4]
-    assert run5.run.scores["model"]["confusion"] == run5.entry["model"]["confusion"]
+    assert tuple(r.model_frames_off for r in published) == PUBLISHED_OFF
+    assert sum(PUBLISHED_OFF) == 153
 
 
 @needs_compiler
-@pytest.mark.parametrize("which", ["recovered", "published"])
-def test_all_100_printed_scores_agree_truncated_or_rounded(
-    which: str, request: pytest.FixtureRequest
+@pytest.mark.parametrize(("which", "below"), [("recovered", set()), ("published", PUBLISHED_BELOW)])
+def test_all_100_printed_scores_are_ours_truncated(
+    which: str, below: set[tuple[int, str]], request: pytest.FixtureRequest
 ) -> None:
     compared = 0
+    differ = set()
     for r in request.getfixturevalue(which):
         for ours, theirs in (("detector", "detector_only"), ("model", "model")):
             for key in SCORES:
                 value, printed = r.run.scores[ours][key], r.entry[theirs]["metrics"][key]
-                assert paper.agrees(value, printed), (r.number, ours, key, value, printed)
                 compared += 1
+                if not paper.agrees(value, printed):
+                    assert round(value, 2) == printed
+                    assert ours == "model"
+                    differ.add((r.number, key))
     assert compared == 100
+    assert differ == below
 
 
 @pytest.mark.parametrize(
     ("ours", "printed", "agree"),
     [
         (0.5584, 0.55, True),
-        (0.5584, 0.56, True),
-        (0.5584, 0.57, False),
+        (0.5584, 0.56, False),
         (0.5542, 0.55, True),
         (0.5542, 0.56, False),
         (0.55, 0.55, True),
         (0.5499, 0.54, True),
+        (0.29, 0.29, True),
         (1.0, 0.99, False),
         (0.0, 0.0, True),
     ],
 )
-def test_a_score_agrees_when_it_is_the_printed_one_truncated_or_rounded(
+def test_a_score_agrees_when_it_is_the_printed_one_truncated(
     ours: float, printed: float, agree: bool
 ) -> None:
     assert paper.agrees(ours, printed) is agree
+
+
+def test_the_recovered_values_of_run_5_are_those_of_the_authors_code() -> None:
+    recovered = paper.load_published()[5]["recovered"]
+    assert "authors' code" in recovered["how"]
+    assert recovered["parameters"]["p4"] == 0.87309355
+    assert paper.parameters_for(paper.load_published()[5], "published")["p4"] == 0.873
 
 
 def test_the_missing_frame_of_run_6_is_held(recordings: Path) -> None:

@@ -175,7 +175,7 @@ def validate(experiments: tuple[str, ...], overrides: tuple[str, ...]) -> None:
     type=click.Choice(["recovered", "published"]),
     default="recovered",
     show_default=True,
-    help="As recovered by a search, or as printed (truncated).",
+    help="Recovered (by a search; run 5 from the authors' code), or as printed (truncated).",
 )
 @click.option(
     "--format",
