@@ -1,10 +1,12 @@
-"""An experiment's plugins, checked and compiled, and the evidence they make of a recording."""
+"""An experiment's plugins, checked and compiled; the evidence they make of a recording; and the two
+together, a drive, for whatever scores or fits."""
 
 from __future__ import annotations
 
 import warnings
-from collections.abc import Callable, Mapping
-from dataclasses import dataclass, replace
+from collections import OrderedDict
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from functools import partial
 from inspect import signature
 from types import ModuleType
@@ -13,10 +15,22 @@ import numpy as np
 
 from egolane_pgm.experiment import Experiment
 from egolane_pgm.inference.compile import Compiled, compile_network, with_tables
-from egolane_pgm.inference.filtering import read_evidence
+from egolane_pgm.inference.filtering import filter_beliefs, read_evidence
+from egolane_pgm.loading import Recorded, load_recording, with_video_rate
 from egolane_pgm.parameters import Parameter, Value, resolve_parameters
 from egolane_pgm.plugins import load_plugin, plugin_errors
-from egolane_pgm.types import Evidence, FloatArray, InputError, LineLog
+from egolane_pgm.types import (
+    BoolArray,
+    Evidence,
+    FloatArray,
+    InputError,
+    IntArray,
+    LaneTruth,
+    LineLog,
+)
+
+#: How many evidences a drive keeps; `bonus_value`, which is searched, has 10 values.
+KEPT_EVIDENCE = 12
 
 
 @dataclass(frozen=True)
@@ -201,3 +215,106 @@ def value_names(model: Model) -> dict[str, list[str]]:
         default = [str(k + 1 if node == "Lane" else k) for k in range(size)]
         names[node] = [str(v) for v in named.get(node, default)]
     return names
+
+
+@dataclass(frozen=True)
+class Drive:
+    """A recording together with an experiment's model, for whatever fits or scores.
+
+    experiment: with the frame rate that was counted with.
+    model: the experiment's, with its own parameters.
+    recorded: the log of T frames, and the K annotated ones among them.
+    evidence: what `evidence_of` made so far, by the values of the evidence rule's parameters.
+    """
+
+    experiment: Experiment
+    model: Model
+    recorded: Recorded
+    evidence: OrderedDict[tuple[Value, ...], Evidence] = field(default_factory=OrderedDict)
+
+    def __len__(self) -> int:
+        """The number of frames that blocks are made of: the annotated ones, or all T of a
+        recording without ground truth."""
+        return len(self.rows)
+
+    @property
+    def n_lanes(self) -> int:
+        """Lanes of the road."""
+        return self.experiment.n_lanes
+
+    @property
+    def truth(self) -> LaneTruth:
+        """The ground truth of the K annotated frames; the drive must have one."""
+        assert self.recorded.truth is not None
+        return self.recorded.truth
+
+    @property
+    def rows(self) -> IntArray:
+        """(K,): which frames of the log are annotated; all (T,) without ground truth."""
+        if self.recorded.truth is None:
+            return np.arange(len(self.recorded.log))
+        return self.recorded.scored
+
+
+def load_drive(
+    experiment: Experiment, *, needs_truth: str | None, recorded: Recorded | None = None
+) -> Drive:
+    """Read an experiment's recording and compile its model.
+
+    needs_truth: what the ground truth is needed for, as the end of a message; None where a
+    recording without it will do.
+    recorded: the recording, where it was read already.
+
+    Raises InputError as `prepare_model` and `load_recording` do, and, where ground truth is needed,
+    for a recording without it or without a frame to score.
+    """
+    named = experiment.ground_truth is not None or experiment.recording.simulate is not None
+    has_truth = named if recorded is None else recorded.truth is not None
+    if needs_truth is not None and not has_truth:
+        raise InputError(f"{experiment.source}: ground_truth: is missing, {needs_truth}")
+    model = prepare_model(experiment)
+    experiment = with_video_rate(experiment)
+    if recorded is None:
+        recorded = load_recording(experiment, model.parameters)
+    truth = recorded.truth
+    if needs_truth is not None and truth is not None and truth.is_crossing.all():
+        raise InputError(f"{truth.source}: every frame is a crossing, nothing to score")
+    return Drive(experiment, model, recorded)
+
+
+def may_fit(drive: Drive, also: Sequence[tuple[int, int | None]] = ()) -> BoolArray:
+    """(K,): marks the frames whose labels may be used for fitting: those outside of the ranges of
+    frame ids in the experiment's `tuning.never_fit`, and of those in `also`."""
+    ids = drive.recorded.log.frame_id[drive.rows]
+    tuning = drive.experiment.tuning
+    keep = np.ones(len(ids), dtype=bool)
+    for first, stop in (*(tuning.never_fit if tuning else ()), *also):
+        keep &= ~((ids >= first) & (ids < (ids[-1] + 1 if stop is None else stop)))
+    return keep
+
+
+def evidence_of(drive: Drive, parameters: Mapping[str, Value]) -> Evidence:
+    """The evidence of the whole log with other parameters; it is made anew only when a parameter of
+    the evidence rule has a value that was not used lately."""
+    names = [p.name for p in getattr(drive.model.rule, "PARAMETERS", ())]
+    key = tuple(parameters[name] for name in names)
+    if key in drive.evidence:
+        drive.evidence.move_to_end(key)
+        return drive.evidence[key]
+    made = make_evidence(
+        replace(drive.model, parameters=parameters),
+        drive.recorded.log,
+        drive.experiment.evidence_reading,
+    ).filtered
+    drive.evidence[key] = made
+    if len(drive.evidence) > KEPT_EVIDENCE:
+        drive.evidence.popitem(last=False)
+    return made
+
+
+def belief_of(drive: Drive, parameters: Mapping[str, Value]) -> FloatArray:
+    """(K, n): the belief over lanes in the annotated frames with other parameters, filtered from
+    the first frame of the log on."""
+    compiled = with_parameters(drive.model, parameters).compiled
+    beliefs = filter_beliefs(compiled, evidence_of(drive, parameters), drive.experiment.filter)
+    return np.asarray(beliefs.lane[drive.rows])

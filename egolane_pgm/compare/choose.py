@@ -38,12 +38,11 @@ from egolane_pgm.compare.placing import (
 from egolane_pgm.experiment import Experiment
 from egolane_pgm.learn import fit as learn_from
 from egolane_pgm.learn import with_found
-from egolane_pgm.model import Model, declared_parameters, prepare_model
+from egolane_pgm.model import Drive, Model, declared_parameters, may_fit, prepare_model
 from egolane_pgm.parallel import in_processes
 from egolane_pgm.parameters import resolve_parameters
 from egolane_pgm.scoring.assign import assigned_lane
 from egolane_pgm.scoring.held_out import blocks
-from egolane_pgm.tune.objective import Drive, fitted_frames
 from egolane_pgm.types import FloatArray, InputError, IntArray
 
 #: P(true lane) counts as this where it is less.
@@ -188,7 +187,7 @@ def losses_of(task: Task) -> Losses:
     drive = load_for_scoring(task.experiment)
     truth, n_stretches = drive.truth, len(task.stretches)
     inside = [on_stretch(drive, ends) for ends in task.stretches]
-    may_fit = fitted_frames(drive)
+    trusted = may_fit(drive)
     settings = settings_of(task.experiment)
     shape = (len(settings), n_stretches, n_stretches)
     sums = {objective: np.zeros(shape) for objective in LOSSES}
@@ -197,7 +196,7 @@ def losses_of(task: Task) -> Losses:
     for b, c in itertools.combinations_with_replacement(range(n_stretches), 2):
         # On the drive that is scored one stretch is left out for that, another to try it on.
         is_needed = not task.is_alone if b == c else task.is_target
-        train = np.flatnonzero(may_fit & ~inside[b] & ~inside[c])
+        train = np.flatnonzero(trusted & ~inside[b] & ~inside[c])
         if not is_needed:
             continue
         if not len(train):
@@ -207,7 +206,7 @@ def losses_of(task: Task) -> Losses:
             )
         loss = tried.losses(train)
         for without, on in {(b, c), (c, b)}:
-            is_scored = may_fit & ~truth.is_crossing & inside[on]
+            is_scored = trusted & ~truth.is_crossing & inside[on]
             if without != on:
                 is_scored &= ~inside[without]
             for objective, values in loss.items():

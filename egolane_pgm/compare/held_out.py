@@ -25,9 +25,9 @@ from egolane_pgm.experiment import Experiment, Tuning
 from egolane_pgm.learn import check_learnable, n_learned, with_found
 from egolane_pgm.learn import fit as learn_from
 from egolane_pgm.loading import Recorded
-from egolane_pgm.model import declared_parameters, value_names
+from egolane_pgm.model import Drive, declared_parameters, may_fit, value_names
 from egolane_pgm.scoring.held_out import N_BLOCKS, held_out
-from egolane_pgm.tune.objective import Drive, check_objective, fitted_frames, scores_of
+from egolane_pgm.tune.objective import check_objective, scores_of
 from egolane_pgm.tune.space import Point, SearchSpace, make_space, to_parameters
 from egolane_pgm.tune.study import Settings, best_trial, check_sampler, run_study
 from egolane_pgm.types import Beliefs, BoolArray, FloatArray, InputError, IntArray, LaneTruth
@@ -104,8 +104,8 @@ def held_out_run(
             stitched.append(stitched[0])
         return stitched[-1].lane[recorded.scored]
 
-    may_fit = fitted_frames(drive)
-    result = held_out(n_frames, n_blocks, fit, predict, fit_exclude=~may_fit)
+    trusted = may_fit(drive)
+    result = held_out(n_frames, n_blocks, fit, predict, fit_exclude=~trusted)
 
     def pick(values: Callable[[Beliefs], np.ndarray]) -> np.ndarray:
         each = np.stack([values(beliefs)[recorded.scored] for beliefs in stitched])
@@ -116,7 +116,7 @@ def held_out_run(
         experiment,
         recorded,
         drive.truth,
-        may_fit,
+        trusted,
         result.belief,
         pick(lambda b: b.log_evidence),
         pick(lambda b: b.is_impossible),

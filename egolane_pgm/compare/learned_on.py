@@ -21,12 +21,11 @@ from egolane_pgm.compare.placing import (
 )
 from egolane_pgm.experiment import Experiment
 from egolane_pgm.learn import fit as learn_from
-from egolane_pgm.model import declared_parameters
+from egolane_pgm.model import Drive, declared_parameters, may_fit
 from egolane_pgm.paper import paper_experiment, parse_runs
 from egolane_pgm.parameters import resolve_parameters
 from egolane_pgm.plugins import plugin_errors
 from egolane_pgm.scoring.held_out import blocks
-from egolane_pgm.tune.objective import Drive, fitted_frames
 from egolane_pgm.types import InputError, IntArray
 
 
@@ -82,7 +81,7 @@ def learner_elsewhere(drive: Drive, n_blocks: int) -> Callable[[IntArray], Found
         ends = stretch(drive, next(parts))
         trains = []
         for other in others:
-            is_used = fitted_frames(other)
+            is_used = may_fit(other)
             if drive_key(other.experiment) == drive_key(experiment):
                 is_used &= ~on_stretch(other, ends)
             trains.append(np.flatnonzero(is_used))

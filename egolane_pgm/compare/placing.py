@@ -11,13 +11,12 @@ import numpy as np
 
 from egolane_pgm.experiment import Experiment, Tuning, load_experiment, make_experiment
 from egolane_pgm.inference.smoothing import infer_beliefs
-from egolane_pgm.loading import Recorded, load_recording, with_video_rate
-from egolane_pgm.model import Model, make_evidence, prepare_model
+from egolane_pgm.loading import Recorded
+from egolane_pgm.model import Drive, Model, load_drive, make_evidence
 from egolane_pgm.parameters import Value
 from egolane_pgm.recordings.catalog import find_file
 from egolane_pgm.recordings.ground_truth import read_ground_truth
 from egolane_pgm.run import files_in_full
-from egolane_pgm.tune.objective import Drive
 from egolane_pgm.types import Beliefs, BoolArray, InputError, IntArray
 
 #: Parameters that a fit found, by name; those that it leaves alone are not in it.
@@ -91,21 +90,9 @@ def _labels_key(path: Path, changed_ns: int, size: int) -> str:
 
 
 def load_for_scoring(experiment: Experiment, recorded: Recorded | None = None) -> Drive:
-    """The experiment's recording and model. recorded: the recording where it is at hand.
-
-    Raises InputError as these do, and without ground truth or without a frame to score.
-    """
-    source = experiment.source
-    if experiment.ground_truth is None and experiment.recording.simulate is None:
-        raise InputError(f"{source}: ground_truth: is missing, a comparison scores against it")
-    model = prepare_model(experiment)
-    experiment = with_video_rate(experiment)
-    if recorded is None:
-        recorded = load_recording(experiment, model.parameters)
-    assert recorded.truth is not None
-    if recorded.truth.is_crossing.all():
-        raise InputError(f"{recorded.truth.source}: every frame is a crossing, nothing to score")
-    return Drive(experiment, model, recorded, recorded.truth)
+    """The experiment's recording and model, as `load_drive` gives them."""
+    needs = "a comparison scores against it"
+    return load_drive(experiment, needs_truth=needs, recorded=recorded)
 
 
 def believe(drive: Drive, model: Model, frames: slice) -> tuple[Beliefs, tuple[str, ...]]:

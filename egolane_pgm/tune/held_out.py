@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 
+from egolane_pgm.model import Drive, belief_of, may_fit
 from egolane_pgm.scoring.assign import assigned_lane
 from egolane_pgm.scoring.bootstrap import (
     BLOCK_FRAMES,
@@ -23,7 +24,6 @@ from egolane_pgm.scoring.confusion import accuracy, macro_f1, scores_from_confus
 from egolane_pgm.scoring.held_out import blocks
 from egolane_pgm.scoring.probabilistic import brier_per_frame, log_loss_per_frame
 from egolane_pgm.scoring.stability import lane_changes
-from egolane_pgm.tune.objective import Drive, belief_of, fitted_frames
 from egolane_pgm.tune.plan import Problem, evaluator, parameters_at
 from egolane_pgm.tune.space import Point
 from egolane_pgm.tune.study import Evaluate, Report, Settings, best_trial, run_study
@@ -71,10 +71,10 @@ def check_blocks(problem: Problem) -> list[str]:
                 f"{where}: {n_blocks} blocks, but the drive has {changes} lane change(s): a block"
                 f" without one says nothing; {advice}"
             )
-        may_fit = fitted_frames(drive, never_fit)
-        lost = _lost_lane(drive, may_fit, n_blocks)
+        trusted = may_fit(drive, never_fit)
+        lost = _lost_lane(drive, trusted, n_blocks)
         if lost is not None:
-            fine = [n for n in range(2, min(changes, 20) + 1) if not _lost_lane(drive, may_fit, n)]
+            fine = [n for n in range(2, min(changes, 20) + 1) if not _lost_lane(drive, trusted, n)]
             advice = (
                 f"take {' or '.join(map(str, fine[:3]))} (--blocks)"
                 if fine
@@ -93,12 +93,12 @@ def check_blocks(problem: Problem) -> list[str]:
     return notes
 
 
-def _lost_lane(drive: Drive, may_fit: BoolArray, n_blocks: int) -> tuple[int, int] | None:
+def _lost_lane(drive: Drive, trusted: BoolArray, n_blocks: int) -> tuple[int, int] | None:
     """The first block without which a lane is not left to fit on, and that lane."""
     truth = drive.truth
     driven = set(truth.lane[~truth.is_crossing].tolist())
     for b, inside in enumerate(block_frames(drive, n_blocks)):
-        left = set(truth.lane[may_fit & ~inside & ~truth.is_crossing].tolist())
+        left = set(truth.lane[trusted & ~inside & ~truth.is_crossing].tolist())
         if driven - left:
             return b + 1, min(driven - left)
     return None
@@ -108,7 +108,7 @@ def training_frames(problem: Problem, part: int, by_recording: bool) -> list[Boo
     """Per drive the frames (K,) that the study without a part may look at."""
     used = []
     for k, drive in enumerate(problem.drives):
-        mask = fitted_frames(drive, problem.plan.tuning.never_fit)
+        mask = may_fit(drive, problem.plan.tuning.never_fit)
         if by_recording:
             mask &= k != part
         else:

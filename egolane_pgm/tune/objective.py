@@ -3,9 +3,8 @@ many parameter sets filtered side by side, only their confusions kept."""
 
 from __future__ import annotations
 
-from collections import OrderedDict
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -13,8 +12,7 @@ import numpy as np
 from egolane_pgm.experiment import Experiment
 from egolane_pgm.inference.batch import confusions_many
 from egolane_pgm.inference.filtering import filter_beliefs
-from egolane_pgm.loading import Recorded, load_recording, with_video_rate
-from egolane_pgm.model import Model, make_evidence, prepare_model, with_parameters
+from egolane_pgm.model import Drive, belief_of, declared_parameters, evidence_of, with_parameters
 from egolane_pgm.parameters import Value
 from egolane_pgm.scoring import confusion as confusions
 from egolane_pgm.scoring import probabilistic, stability
@@ -26,12 +24,8 @@ from egolane_pgm.types import (
     FloatArray,
     InputError,
     IntArray,
-    LaneTruth,
     suggestion,
 )
-
-#: Evidence that is kept, per recording; `bonus_value` has 10 values.
-KEPT_EVIDENCE = 12
 
 #: Parameter sets that `confusions_many` does in the time of one, and how many are faster alone.
 SIDE_BY_SIDE, FEW = 8, 4
@@ -74,29 +68,6 @@ def is_maximised(objective: str) -> bool:
     return objective in CONFUSION_SCORES
 
 
-@dataclass(frozen=True)
-class Drive:
-    """A recording with its model, ready for many parameter sets.
-
-    truth: of its K annotated frames; recorded.scored (K,) are their rows in the log. evidence:
-    what was made so far, by the values of the rule's own parameters. frame_rate: per second.
-    """
-
-    experiment: Experiment
-    model: Model
-    recorded: Recorded
-    truth: LaneTruth
-    evidence: OrderedDict[tuple[Value, ...], Evidence] = field(default_factory=OrderedDict)
-
-    def __len__(self) -> int:
-        return len(self.truth)
-
-    @property
-    def n_lanes(self) -> int:
-        """Lanes of the road."""
-        return self.experiment.n_lanes
-
-
 def check_filter(experiment: Experiment) -> None:
     """Raise InputError for a filter that looks ahead."""
     if not experiment.is_causal:
@@ -104,46 +75,6 @@ def check_filter(experiment: Experiment) -> None:
             f"{experiment.source}: filter: a search takes assumed_density or exact, not"
             f" {experiment.filter}; search with one of these (--set filter=exact)"
         )
-
-
-def load_drive(experiment: Experiment) -> Drive:
-    """Read a recording and compile its model. Raises InputError as these do, without ground truth
-    or a frame to score, and for a filter that looks ahead."""
-    check_filter(experiment)
-    model = prepare_model(experiment)
-    experiment = with_video_rate(experiment)
-    recorded = load_recording(experiment, model.parameters)
-    if recorded.truth is None:
-        raise InputError(f"{experiment.source}: ground_truth: is missing, a search needs it")
-    if recorded.truth.is_crossing.all():
-        raise InputError(f"{recorded.truth.source}: every frame is a crossing, nothing to score")
-    return Drive(experiment, model, recorded, recorded.truth)
-
-
-def evidence_of(drive: Drive, parameters: Mapping[str, Value]) -> Evidence:
-    """The evidence; made anew only when a parameter of the evidence rule has a new value."""
-    names = [p.name for p in getattr(drive.model.rule, "PARAMETERS", ())]
-    key = tuple(parameters[name] for name in names)
-    if key in drive.evidence:
-        drive.evidence.move_to_end(key)
-        return drive.evidence[key]
-    made = make_evidence(
-        replace(drive.model, parameters=parameters),
-        drive.recorded.log,
-        drive.experiment.evidence_reading,
-    ).filtered
-    drive.evidence[key] = made
-    if len(drive.evidence) > KEPT_EVIDENCE:
-        drive.evidence.popitem(last=False)
-    return made
-
-
-def belief_of(drive: Drive, parameters: Mapping[str, Value]) -> FloatArray:
-    """(K, n): the belief over lanes in the annotated frames, filtered from the first frame on."""
-    compiled = with_parameters(drive.model, parameters).compiled
-    evidence = evidence_of(drive, parameters)
-    beliefs = filter_beliefs(compiled, evidence, drive.experiment.filter)
-    return np.asarray(beliefs.lane[drive.recorded.scored])
 
 
 @dataclass(frozen=True)
@@ -280,21 +211,8 @@ def all_used(drives: Sequence[Drive]) -> list[BoolArray]:
     return [np.ones(len(drive), dtype=bool) for drive in drives]
 
 
-def fitted_frames(drive: Drive, also: Sequence[tuple[int, int | None]] = ()) -> BoolArray:
-    """(K,): frames whose labels a held-out study may look at: those outside of the ranges of
-    `never_fit` in the experiment's own tuning section, and of those in `also`."""
-    tuning = drive.experiment.tuning
-    ids = drive.truth.frame_id
-    keep = np.ones(len(ids), dtype=bool)
-    for first, stop in (*(tuning.never_fit if tuning else ()), *also):
-        keep &= ~((ids >= first) & (ids < (ids[-1] + 1 if stop is None else stop)))
-    return keep
-
-
 def shared_specs(drives: Sequence[Drive]) -> list[Any]:
     """The parameters that all drives' plugins declare. Raises InputError where they differ."""
-    from egolane_pgm.model import declared_parameters
-
     first = declared_parameters(drives[0].model.rule, drives[0].model.graph)
     for drive in drives[1:]:
         if declared_parameters(drive.model.rule, drive.model.graph) != first:

@@ -23,12 +23,12 @@ import yaml
 
 from egolane_pgm.experiment import Experiment, config_hash, resolved
 from egolane_pgm.loading import file_entry
+from egolane_pgm.model import Drive, may_fit
 from egolane_pgm.parameters import Value
 from egolane_pgm.plugins import OWN_FILES
 from egolane_pgm.results import git_state, plain, versions, write_json
 from egolane_pgm.run import files_in_full
 from egolane_pgm.tune.held_out import Nested
-from egolane_pgm.tune.objective import Drive, fitted_frames
 from egolane_pgm.tune.plan import Problem, parameters_at
 from egolane_pgm.tune.space import describe
 from egolane_pgm.types import InputError
@@ -191,8 +191,7 @@ def nested_key(problem: Problem, by_recording: bool) -> dict[str, Any]:
         "trials": problem.settings.trials,
         "blocks": "recordings" if by_recording else problem.plan.tuning.blocks,
         "never_fit": [
-            int((~fitted_frames(drive, problem.plan.tuning.never_fit)).sum())
-            for drive in problem.drives
+            int((~may_fit(drive, problem.plan.tuning.never_fit)).sum()) for drive in problem.drives
         ],
     }
 

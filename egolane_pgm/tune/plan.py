@@ -19,15 +19,13 @@ from typing import Any
 from pydantic import BaseModel, ConfigDict, Field
 
 from egolane_pgm.experiment import Experiment, Tuning, load_yaml, make_experiment, validated
-from egolane_pgm.model import Model, declared_parameters, prepare_model
+from egolane_pgm.model import Drive, Model, declared_parameters, load_drive, prepare_model
 from egolane_pgm.paper import experiments_folder, load_published, parameters_for
 from egolane_pgm.parameters import Value, resolve_parameters
 from egolane_pgm.tune.objective import (
-    Drive,
     check_filter,
     check_objective,
     labels_of,
-    load_drive,
     scores_of,
     shared_specs,
 )
@@ -146,13 +144,16 @@ def make_problem(plan: Plan) -> Problem:
     the experiments, the same recording twice.
     """
     settings = plan.settings
-    drives = tuple(load_drive(experiment) for experiment in plan.experiments)
+    drives = []
+    for experiment in plan.experiments:
+        check_filter(experiment)
+        drives.append(load_drive(experiment, needs_truth="a search needs it"))
     shared_specs(drives)
     spaces = tuple(_space(plan, drive.model) for drive in drives)
     for drive, space in zip(drives, spaces, strict=True):
         if space.dimensions != spaces[0].dimensions:
             raise _unlike(drive.experiment, drives[0].experiment)
-    return Problem(plan, settings, drives, spaces)
+    return Problem(plan, settings, tuple(drives), spaces)
 
 
 def check_plan(plan: Plan) -> int:

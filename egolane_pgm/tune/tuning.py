@@ -18,6 +18,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from egolane_pgm.model import may_fit
 from egolane_pgm.results import write_json
 from egolane_pgm.tune import output
 from egolane_pgm.tune.held_out import (
@@ -29,7 +30,7 @@ from egolane_pgm.tune.held_out import (
     run_nested,
     stitched,
 )
-from egolane_pgm.tune.objective import all_used, fitted_frames
+from egolane_pgm.tune.objective import all_used
 from egolane_pgm.tune.plan import (
     Plan,
     Problem,
@@ -192,7 +193,7 @@ def finish(study: Study) -> dict[str, Any]:
     problem, drives = study.problem, study.problem.drives
     tuning = problem.plan.tuning
     everything = all_used(drives)
-    trusted = [fitted_frames(d, tuning.never_fit) for d in drives]
+    trusted = [may_fit(d, tuning.never_fit) for d in drives]
     subsets = {"all_frames": everything}
     if not all(keep.all() for keep in trusted):
         subsets["without_never_fit"] = trusted
@@ -242,7 +243,7 @@ def _tested(test: Problem, point: dict[str, Any]) -> dict[str, Any]:
     """Scores on recordings that had no part in the search."""
     beliefs = beliefs_at(test, point)
     keep = {"all_frames": all_used(test.drives)}
-    trusted = [fitted_frames(d, test.plan.tuning.never_fit) for d in test.drives]
+    trusted = [may_fit(d, test.plan.tuning.never_fit) for d in test.drives]
     if not all(kept.all() for kept in trusted):
         keep["without_never_fit"] = trusted
     return {

@@ -24,7 +24,6 @@ from egolane_pgm.paper import experiments_folder
 from egolane_pgm.parallel import in_processes
 from egolane_pgm.recordings.ground_truth import write_ground_truth
 from egolane_pgm.run import run_experiment
-from egolane_pgm.tune.objective import load_drive
 from egolane_pgm.tune.output import tuned_experiment, write_yaml
 from egolane_pgm.tune.plan import load_plan, make_problem
 from egolane_pgm.types import LaneTruth
@@ -317,7 +316,7 @@ def test_a_videos_own_frame_rate_counts_wherever_it_is_scored(tmp_path: Path) ->
     path.write_text(yaml.safe_dump({**yaml.safe_load(path.read_text()), **truth}))
     own = load_experiment(path)
     placed = on_recording(load_experiment(write_drive(tmp_path / "m", 30)), own)
-    for drive in (load_drive(own), load_for_scoring(own), load_for_scoring(placed)):
+    for drive in (load_for_scoring(own), load_for_scoring(placed)):
         assert drive.experiment.recording.frame_rate == 12.5
         assert not any("frames per second" in note for note in drive.recorded.notes)
     done("learn", path, "--blocks", 2, "--out", folder / "new.yaml")

@@ -65,7 +65,7 @@ def scrambled(drive: Drive, frames: np.ndarray) -> Drive:
     lane = drive.truth.lane.copy()
     lane[frames] = np.random.default_rng(0).integers(1, drive.n_lanes + 1, size=len(lane[frames]))
     truth = replace(drive.truth, lane=lane)
-    return replace(drive, truth=truth, recorded=replace(drive.recorded, truth=truth))
+    return replace(drive, recorded=replace(drive.recorded, truth=truth))
 
 
 def run_of(drive: Drive) -> HeldOutRun:

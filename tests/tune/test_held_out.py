@@ -39,7 +39,7 @@ from tests.kits.tuning_kit import BLOCKS, plan, problem
 
 def with_labels(found: Problem, lanes: list[Any]) -> Problem:
     drives = tuple(
-        replace(d, truth=replace(d.truth, lane=lane))
+        replace(d, recorded=replace(d.recorded, truth=replace(d.truth, lane=lane)))
         for d, lane in zip(found.drives, lanes, strict=True)
     )
     return replace(found, drives=drives)
@@ -201,7 +201,7 @@ def labelled(lane: np.ndarray, crossing: np.ndarray, **options: Any) -> Problem:
     found = problem(**options)
     [drive] = found.drives
     truth = replace(drive.truth, lane=lane, is_crossing=crossing)
-    return replace(found, drives=(replace(drive, truth=truth),))
+    return replace(found, drives=(replace(drive, recorded=replace(drive.recorded, truth=truth)),))
 
 
 @pytest.mark.parametrize("why", ["crossing", "never_fit"])

@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
 import pytest
 
+from egolane_pgm import model
+from egolane_pgm.model import belief_of, load_drive, may_fit
 from egolane_pgm.run import run_experiment
 from egolane_pgm.scoring.summary import score_all
 from egolane_pgm.tune import objective
@@ -40,7 +43,7 @@ def test_delay_is_that_of_a_run_over_all_frames() -> None:
     everything = objective.all_used([drive])
     found = objective.scores_of([drive], [sets], everything, ("delay", "share_missed"))
     for row, parameters in zip(found, sets, strict=True):
-        belief = objective.belief_of(drive, parameters)
+        belief = belief_of(drive, parameters)
         truth = drive.truth
         delay = score_all(belief, truth.lane, truth.is_crossing, truth.frame_id, 10.0)["delay"]
         assert row[0] == (
@@ -58,8 +61,8 @@ def test_only_frames_that_are_used_count_and_labels_of_others_do_not_matter() ->
     rng = np.random.default_rng(1)
     lane = drive.truth.lane.copy()
     lane[~used] = rng.integers(1, drive.n_lanes + 1, size=(~used).sum())
-    truth = objective.replace(drive.truth, lane=lane)
-    scrambled = objective.replace(drive, truth=truth)
+    truth = replace(drive.truth, lane=lane)
+    scrambled = replace(drive, recorded=replace(drive.recorded, truth=truth))
     cut = [n for n in names if n not in ("delay", "share_missed")]
     columns = [names.index(n) for n in cut]
     after = objective.scores_of([scrambled], [sets], [used], cut)
@@ -71,11 +74,9 @@ def test_evidence_is_made_again_only_when_its_own_parameters_change(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     made = []
-    original = objective.make_evidence
-    monkeypatch.setattr(
-        objective, "make_evidence", lambda *a, **k: made.append(1) or original(*a, **k)
-    )
-    fresh = objective.load_drive(problem().drives[0].experiment)
+    original = model.make_evidence
+    monkeypatch.setattr(model, "make_evidence", lambda *a, **k: made.append(1) or original(*a, **k))
+    fresh = load_drive(problem().drives[0].experiment, needs_truth="a search needs it")
     sets = [{**fresh.model.parameters, "bonus_value": k % 3, "p1": k / 40} for k in range(40)]
     everything = objective.all_used([fresh])
     objective.scores_of([fresh], [sets], everything, ("accuracy",))
@@ -110,7 +111,7 @@ def test_an_unknown_sampler_and_one_for_one_objective_are_refused() -> None:
 def test_never_fit_takes_frame_ids() -> None:
     drive = problem().drives[0]
     first = int(drive.truth.frame_id[100])
-    kept = objective.fitted_frames(drive, [(first, first + 10), (first + 500, None)])
+    kept = may_fit(drive, [(first, first + 10), (first + 500, None)])
     np.testing.assert_array_equal(np.flatnonzero(~kept)[:10], np.arange(100, 110))
     assert not kept[600:].any()
     assert kept[110:600].all()
@@ -127,8 +128,6 @@ def test_an_evaluator_scores_points_in_order() -> None:
 
 def test_a_drive_without_ground_truth_is_refused() -> None:
     experiment = problem().drives[0].experiment
-    lines = objective.replace(problem().drives[0].recorded, truth=None)
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(objective, "load_recording", lambda *_: lines)
-        with pytest.raises(InputError, match="ground_truth: is missing, a search needs it"):
-            objective.load_drive(experiment)
+    lines = replace(problem().drives[0].recorded, truth=None)
+    with pytest.raises(InputError, match="ground_truth: is missing, a search needs it"):
+        load_drive(experiment, needs_truth="a search needs it", recorded=lines)
