@@ -26,7 +26,7 @@ from egolane_pgm.compare.choose import (
 from egolane_pgm.compare.held_out import held_out_run
 from egolane_pgm.compare.learned_on import learn_pooled
 from egolane_pgm.compare.placing import drive_key, load_for_scoring
-from egolane_pgm.evidence.line_geometry import rule as line_geometry
+from egolane_pgm.evidence import line_geometry
 from egolane_pgm.experiment import Experiment, load_experiment, make_experiment
 from egolane_pgm.learn import fit
 from egolane_pgm.recordings.ground_truth import write_ground_truth
