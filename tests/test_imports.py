@@ -51,33 +51,6 @@ def test_importing_the_package_loads_nothing_heavy() -> None:
     assert not modules_after("import egolane_pgm; egolane_pgm.__version__") & HEAVY
 
 
-def draws_or_looks(name: str) -> bool:
-    """Whether a module is one of those that may load OpenCV."""
-    package, _, module = name.partition(".")
-    return package in ("detectors", "calibration") or (
-        "render" in module if package == "simulation" else name in ("picture_files", "report.video")
-    )
-
-
-def test_importing_every_module_loads_nothing_heavier_than_numpy() -> None:
-    """But for OpenCV in the modules that look at pictures or draw them."""
-    folder = Path(egolane_pgm.__file__).parent
-    names = [
-        ".".join(path.relative_to(folder).with_suffix("").parts).removesuffix(".__init__")
-        for path in folder.rglob("*.py")
-        if "_experiments" not in path.parts
-    ]
-    plain = [n for n in sorted(names) if "kernel" not in n and n != "__init__"]
-    for allowed, wanted in (
-        ({"numpy"}, [n for n in plain if not draws_or_looks(n)]),
-        ({"numpy", "cv2"}, [n for n in plain if draws_or_looks(n)]),
-    ):
-        full = [f"egolane_pgm.{name}" for name in wanted]
-        assert len(full) > 1
-        loaded = modules_after(f"import importlib\nfor m in {full!r}: importlib.import_module(m)")
-        assert not loaded & (HEAVY - allowed)
-
-
 def test_what_the_package_offers_is_found_on_first_use() -> None:
     for name in egolane_pgm.__all__:
         assert getattr(egolane_pgm, name) is not None

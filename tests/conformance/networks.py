@@ -6,18 +6,17 @@ from __future__ import annotations
 import importlib
 import itertools
 import math
-import pkgutil
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from types import ModuleType
 
 import numpy as np
 
-import egolane_pgm.graphs
 from egolane_pgm.graphs.cpds import Table, dynamics, previous, prior, within
 from egolane_pgm.inference.compile import Compiled
 from egolane_pgm.inference.filtering import filter_beliefs
 from egolane_pgm.parameters import Parameter, Value, resolve_parameters
+from egolane_pgm.plugins import plugin_names
 from egolane_pgm.types import Beliefs, Evidence, Observed
 
 METHODS = ("assumed_density", "exact")
@@ -25,8 +24,7 @@ METHODS = ("assumed_density", "exact")
 
 def graph_names() -> list[str]:
     """Every graph of the package."""
-    found = pkgutil.iter_modules(egolane_pgm.graphs.__path__)
-    return sorted(m.name for m in found if not m.name.startswith("_"))
+    return plugin_names("graphs")
 
 
 def graph(name: str) -> ModuleType:

@@ -67,7 +67,7 @@ def test_ahead_of_the_car_a_line_that_turns_away_is_further_off(
     for offset in OFFSETS:
         u, v = road_to_image(CAMERA, far, offset + 0.02 * far)
         turned[offset] = np.interp(range(300, 720, 10), v, u, left=-2, right=-2).tolist()
-    monkeypatch.setattr("image_line_files.columns", turned.__getitem__)
+    monkeypatch.setattr("tests.kits.image_line_files.columns", turned.__getitem__)
     path = WRITERS[name](tmp_path, [1])
     here, ahead = (read(path, format=name, ahead_m=metres).offset_m[0] for metres in (0.0, 10.0))
     np.testing.assert_allclose(here, OFFSETS, atol=0.05)

@@ -200,7 +200,7 @@ def test_logarithms_are_right_to_the_last_bits_over_the_whole_range():
 def test_a_second_process_loads_the_kernels_instead_of_compiling_them(tmp_path):
     program = """
 import numpy as np
-from egolane_pgm.inference import kernels
+from egolane_pgm.inference.kernels import filter as kernels
 size = kernels.Size((2,), ((0, 1),), 1, False)
 run = kernels._filter_kernel(size)
 square, frames = np.ones((2, 2)), np.ones((3, 2))
