@@ -7,9 +7,11 @@ import subprocess
 import sys
 from pathlib import Path
 
+import click
 import pytest
 
 import egolane_pgm
+from egolane_pgm.cli.main import COMMANDS, egolane
 
 ROOT = Path(__file__).parents[1]
 HEAVY = {
@@ -35,16 +37,32 @@ def modules_after(code: str) -> set[str]:
     return {name.partition(".")[0] for name in json.loads(ran.stderr.splitlines()[-1])}
 
 
-@pytest.mark.parametrize("words", [["--help"], ["--version"], ["run", "--help"], ["data", "-h"]])
-def test_help_loads_nothing_heavy(words: list[str]) -> None:
+@pytest.mark.parametrize(
+    ("words", "allowed"),
+    [
+        (["--help"], set()),
+        (["--version"], set()),
+        (["data", "-h"], {"numpy"}),
+        # What this command always uses: numba and, for numba, scipy.
+        (["run", "--help"], {"numpy", "numba", "scipy"}),
+    ],
+)
+def test_help_loads_nothing_heavy(words: list[str], allowed: set[str]) -> None:
     loaded = modules_after(
         "from egolane_pgm.cli.main import egolane\n"
         f"try: egolane({words!r})\n"
         "except SystemExit as end: assert end.code == 0"
     )
     assert "egolane_pgm" in loaded
-    allowed = {"numpy"} if words[0] not in ("--help", "--version") else set()
     assert not loaded & (HEAVY - allowed)
+
+
+@pytest.mark.parametrize("name", COMMANDS)
+def test_every_command_that_is_listed_is_there_and_has_a_help(name: str) -> None:
+    command = egolane.get_command(click.Context(egolane), name)
+    assert command is not None
+    assert command.name == name
+    assert command.help
 
 
 def test_importing_the_package_loads_nothing_heavy() -> None:

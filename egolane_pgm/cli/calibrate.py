@@ -3,15 +3,42 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
+from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import click
+from tqdm import tqdm
 
-if TYPE_CHECKING:
-    from egolane_pgm.calibration.straight_road import RoadView
-    from egolane_pgm.camera.model import Camera
-    from egolane_pgm.types import FloatArray
+from egolane_pgm.calibration.chessboard import calibrate_lens
+from egolane_pgm.calibration.drawing import (
+    assumed_words,
+    check_picture_name,
+    draw_view,
+    lens_words,
+    road_words,
+    straightness,
+    write_picture,
+)
+from egolane_pgm.calibration.labels import (
+    check_size,
+    label_picture,
+    line_points,
+    read_labels,
+    size_of_pictures,
+)
+from egolane_pgm.calibration.road_lines import find_in_stills
+from egolane_pgm.calibration.straight_road import (
+    ASSUMED_FIELD_OF_VIEW,
+    RoadView,
+    assumed_camera,
+    check_lane_width,
+    view_from,
+    view_of_road,
+)
+from egolane_pgm.camera.model import Camera, write_camera
+from egolane_pgm.camera.pictures import matching, read_picture, readable, size_of
+from egolane_pgm.results import check_not_read, check_place
+from egolane_pgm.types import FloatArray, InputError
 
 Rectangle = tuple[int, int, int, int]
 
@@ -88,13 +115,6 @@ def calibrate(
     target: str,
 ) -> None:
     """Find out how a camera sees the road: lens from chessboards, turn and height from lines."""
-    from dataclasses import replace
-
-    from egolane_pgm.calibration.drawing import check_picture_name, road_words
-    from egolane_pgm.calibration.straight_road import check_lane_width
-    from egolane_pgm.camera.model import write_camera
-    from egolane_pgm.results import check_place
-    from egolane_pgm.types import InputError
 
     check_lane_width(lane_width)
     if (stills is None) == (lines is None):
@@ -135,7 +155,6 @@ def calibrate(
 
 
 def _numbers(text: str, separator: str, n: int, option: str, example: str) -> tuple[int, ...]:
-    from egolane_pgm.types import InputError
 
     parts = text.lower().split(separator)
     if len(parts) != n or not all(part.strip().isdecimal() for part in parts):
@@ -156,7 +175,6 @@ def _rectangle(text: str) -> Rectangle:
 
 def _check_masks(masks: Sequence[Rectangle], size: tuple[int, int]) -> None:
     """InputError for a rectangle that covers nothing of the pictures."""
-    from egolane_pgm.types import InputError
 
     for mask in masks:
         if mask[0] >= size[0] or mask[1] >= size[1]:
@@ -166,7 +184,6 @@ def _check_masks(masks: Sequence[Rectangle], size: tuple[int, int]) -> None:
 
 def _check_not_read(place: Path, patterns: Sequence[str | None], lines: str | None) -> None:
     """InputError where a file that is read would be written over."""
-    from egolane_pgm.results import check_not_read
 
     read = [Path(lines)] if lines else []
     for pattern in filter(None, patterns):
@@ -175,8 +192,6 @@ def _check_not_read(place: Path, patterns: Sequence[str | None], lines: str | No
 
 
 def _matching_or_none(pattern: str) -> list[Path]:
-    from egolane_pgm.camera.pictures import matching
-    from egolane_pgm.types import InputError
 
     try:
         return matching(pattern)
@@ -188,9 +203,6 @@ def _known_size(
     given: tuple[int, int] | None, stills: str | None, lines: str | None, first: int | None
 ) -> tuple[int, int]:
     """Width and height of the road's pictures; given: for labels whose pictures are not there."""
-    from egolane_pgm.calibration.labels import check_size, read_labels, size_of_pictures
-    from egolane_pgm.camera.pictures import matching, readable, size_of
-    from egolane_pgm.types import InputError
 
     if lines:
         labels = read_labels(lines)[:first]
@@ -207,16 +219,10 @@ def _known_size(
 def _lens(
     chessboards: str | None, board: str, size: tuple[int, int], field_of_view: float | None
 ) -> tuple[Camera, list[str]]:
-    from egolane_pgm.calibration.chessboard import calibrate_lens
-    from egolane_pgm.calibration.drawing import assumed_words, lens_words
-    from egolane_pgm.calibration.straight_road import ASSUMED_FIELD_OF_VIEW, assumed_camera
-    from egolane_pgm.camera.model import Camera
-    from egolane_pgm.types import InputError
 
     if not chessboards:
         degrees = ASSUMED_FIELD_OF_VIEW if field_of_view is None else field_of_view
         return assumed_camera(*size, degrees), assumed_words(degrees)
-    from egolane_pgm.camera.pictures import matching
 
     columns, rows = _size(board, "--board")
     lens = calibrate_lens(_progress(matching(chessboards), "chessboards"), columns, rows)
@@ -248,9 +254,6 @@ Found = tuple["RoadView", str, "list[tuple[Path | None, list[FloatArray]]]"]
 def _from_stills(
     camera: Camera, pattern: str, first: int | None, lane_width: float, seed: int
 ) -> Found:
-    from egolane_pgm.calibration.road_lines import find_in_stills
-    from egolane_pgm.calibration.straight_road import view_from
-    from egolane_pgm.camera.pictures import matching
 
     paths = matching(pattern)[:first]
     found = find_in_stills(camera, paths, seed, lambda paths: _progress(paths, "stills"))
@@ -262,9 +265,6 @@ def _from_stills(
 
 
 def _from_labels(camera: Camera, file: str, first: int | None, lane_width: float) -> Found:
-    from egolane_pgm.calibration.labels import label_picture, line_points, read_labels
-    from egolane_pgm.calibration.straight_road import view_of_road
-    from egolane_pgm.types import InputError
 
     labels = read_labels(file)[:first]
     frames = [line_points(frame) for frame in labels]
@@ -282,8 +282,6 @@ def _from_labels(camera: Camera, file: str, first: int | None, lane_width: float
 
 def _draw(view: RoadView, shown: list[tuple[Path | None, list[FloatArray]]], target: Path) -> None:
     """On the picture whose lines run straightest ahead."""
-    from egolane_pgm.calibration.drawing import draw_view, straightness, write_picture
-    from egolane_pgm.camera.pictures import read_picture
 
     path, lines = min(shown, key=lambda one: (one[0] is None, straightness(view, one[1])))
     if path is None:
@@ -294,7 +292,6 @@ def _draw(view: RoadView, shown: list[tuple[Path | None, list[FloatArray]]], tar
 
 
 def _progress(paths: Iterable[Path], what: str) -> Iterable[Path]:
-    from tqdm import tqdm
 
     bar: Iterable[Path] = tqdm(paths, desc=what, unit="picture", leave=False, disable=None)
     return bar

@@ -4,13 +4,32 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import click
+from tqdm import tqdm
 
-if TYPE_CHECKING:
-    from egolane_pgm.compare.comparing import Group, Options
-    from egolane_pgm.types import InputError
+from egolane_pgm import compare as comparing
+from egolane_pgm.cli import options
+from egolane_pgm.compare.choose import distinct, known_losses, plan, try_all
+from egolane_pgm.compare.comparing import (
+    Group,
+    Options,
+    by_recording,
+    compare_groups,
+    document,
+    graphs_on_runs,
+    on_runs,
+)
+from egolane_pgm.compare.learned_on import learned_elsewhere
+from egolane_pgm.experiment import load_experiment
+from egolane_pgm.paper import parse_runs
+from egolane_pgm.report import comparison_tables as rows_of
+from egolane_pgm.report import tables
+from egolane_pgm.report.comparison import draw_comparison
+from egolane_pgm.report.style import check_figure_path
+from egolane_pgm.results import check_not_read, check_place, write_json
+from egolane_pgm.types import InputError
 
 DEFAULT_GRAPHS = "sensor_failure,wor_on_lane,no_wor,lane_only"
 TITLES = {"accuracy": "Accuracy", "f1": "F1 (mean over lanes)", "log_loss": "Log-loss (all frames)"}
@@ -22,14 +41,7 @@ TITLES = {"accuracy": "Accuracy", "f1": "F1 (mean over lanes)", "log_loss": "Log
 @click.option("--runs", help="Runs of the paper, e.g. 1-5,7.  [default with --graphs: 1-10]")
 @click.option("--held-out", is_flag=True, help="Tune each graph without the block that is scored.")
 @click.option("--with-paper", is_flag=True, help="With --runs: the paper's model first.")
-@click.option(
-    "--parameters",
-    "which",
-    type=click.Choice(["recovered", "published"]),
-    default="recovered",
-    show_default=True,
-    help="The paper's, for --graphs and --with-paper.",
-)
+@options.parameters("The paper's, for --graphs and --with-paper.")
 @click.option(
     "--learned-on",
     multiple=True,
@@ -39,20 +51,14 @@ TITLES = {"accuracy": "Accuracy", "f1": "F1 (mean over lanes)", "log_loss": "Log
 @click.option("--health", is_flag=True, help="How well each tells that the detector is wrong.")
 @click.option("--blocks", type=click.IntRange(2), default=5, show_default=True)
 @click.option("--trials", type=click.IntRange(1), help="Of each block's search (fit: tune).")
-@click.option("--jobs", type=click.IntRange(1), default=1, show_default=True, help="Processes.")
-@click.option("--set", "overrides", multiple=True, metavar="KEY=VALUE", help="Override the YAMLs.")
-@click.option(
-    "--format",
-    "style",
-    type=click.Choice(["markdown", "latex", "csv"]),
-    default="markdown",
-    show_default=True,
-)
+@options.jobs
+@options.overrides("Override the YAMLs.")
+@options.style
 @click.option(
     "--out", type=click.Path(file_okay=False), help="Keep a result directory for each recording."
 )
 @click.option("--figure", type=click.Path(dir_okay=False), metavar="FILE", help="Draw accuracy.")
-@click.option("--json", "json_file", type=click.Path(dir_okay=False), metavar="FILE")
+@options.json_file
 def compare(
     experiments: tuple[str, ...],
     graphs: str | None,
@@ -69,7 +75,7 @@ def compare(
     style: str,
     out: str | None,
     figure: str | None,
-    json_file: str | None,
+    json_file: Path | None,
 ) -> None:
     """Experiments side by side on frames that their parameters have not seen.
 
@@ -77,10 +83,6 @@ def compare(
     or, with --runs, on those of the paper's runs. With --graphs and without --held-out: graphs
     with the paper's parameters, in-sample.
     """
-    from egolane_pgm.compare.comparing import Options
-    from egolane_pgm.paper import parse_runs
-    from egolane_pgm.results import check_not_read, check_place
-    from egolane_pgm.types import InputError
 
     if experiments and graphs:
         raise InputError("compare: name experiments, or graphs with --graphs, not both")
@@ -89,14 +91,12 @@ def compare(
     if with_paper and not (experiments and runs):
         raise InputError("--with-paper: goes with experiments and --runs")
     if figure:
-        from egolane_pgm.report.style import check_figure_path
-
         check_figure_path(figure)
-    for place in (json_file, figure, out and str(Path(out) / "recording")):
+    for place in (figure, out and str(Path(out) / "recording")):
         if place:
             check_place(Path(place))
     if json_file:
-        check_not_read(Path(json_file), map(Path, experiments))
+        check_not_read(json_file, map(Path, experiments))
     names = [n.strip() for n in (graphs or DEFAULT_GRAPHS).split(",") if n.strip()]
     if not experiments and not held_out:
         if health or overrides or trials or figure or out or style != "markdown":
@@ -108,8 +108,8 @@ def compare(
         return
     numbers = parse_runs(runs) if runs else None
     groups = _groups(experiments, names, numbers, with_paper, which, learned_on, overrides)
-    options = Options(blocks, trials, health, Path(out) if out else None)
-    _held_out(groups, options, jobs, style, figure, json_file)
+    settings = Options(blocks, trials, health, Path(out) if out else None)
+    _held_out(groups, settings, jobs, style, figure, json_file)
 
 
 def _groups(
@@ -121,11 +121,6 @@ def _groups(
     learned_on: Sequence[str],
     overrides: Sequence[str],
 ) -> list[Group]:
-    from egolane_pgm.compare.comparing import by_recording, graphs_on_runs, on_runs
-    from egolane_pgm.compare.learned_on import learned_elsewhere
-    from egolane_pgm.experiment import load_experiment
-    from egolane_pgm.types import InputError
-
     if not experiments:
         if overrides:
             raise InputError("--set: goes with experiments, not with --graphs")
@@ -140,31 +135,22 @@ def _groups(
 
 def _held_out(
     groups: Sequence[Group],
-    options: Options,
+    settings: Options,
     jobs: int,
     style: str,
     figure: str | None,
-    json_file: str | None,
+    json_file: Path | None,
 ) -> None:
-    from tqdm import tqdm
-
-    from egolane_pgm.compare.choose import distinct, known_losses, plan, try_all
-    from egolane_pgm.compare.comparing import compare_groups, document
-    from egolane_pgm.report import comparison_tables as rows_of
-    from egolane_pgm.report import tables
-    from egolane_pgm.report.comparison import draw_comparison
-    from egolane_pgm.types import InputError
-
     # tqdm's monitor is a thread, and processes are forked.
     tqdm.monitor_interval = 0
-    tasks = plan([e for group in groups for e in group.experiments], options.blocks)
+    tasks = plan([e for group in groups for e in group.experiments], settings.blocks)
     todo = distinct(tasks)
     tried = try_all(list(todo.values()), jobs)
     shown = tqdm(
         tried, "choosing", len(todo), unit="recording", leave=False, disable=None if todo else True
     )
     known = known_losses(tasks, dict(zip(todo, shown, strict=True)))
-    done = compare_groups(groups, options, jobs=jobs, known=known)
+    done = compare_groups(groups, settings, jobs=jobs, known=known)
     bar = tqdm(done, total=len(groups), unit="recording", leave=False, disable=None)
     compared: list[Any] = []
     is_interrupted = False
@@ -175,14 +161,14 @@ def _held_out(
         if not compared:
             raise
         is_interrupted = True
-    found = document(compared, options)
+    found = document(compared, settings)
     if not found["recordings"]:
         raise InputError(found["failed"][0]["error"])
     unwritten = _write_first(json_file, found)
     for recording in found["recordings"]:
         for note in recording["notes"]:
             click.echo(f"warning: {recording['title']}: {note}", err=True)
-    draw = {"markdown": tables.markdown, "latex": tables.latex, "csv": tables.as_csv}[style]
+    draw = tables.STYLES[style]
     if style == "markdown":
         header, rows = rows_of.accuracy_rows(found)
         click.echo(f"{tables.markdown(header, rows)}\n\n* in-sample, or not known to be held out")
@@ -197,12 +183,12 @@ def _held_out(
     header, rows = rows_of.chosen_rows(found)
     if rows:
         click.echo(f"\n{draw(header, rows)}".rstrip("\n"))
-    if options.health:
+    if settings.health:
         click.echo()
         click.echo(draw(*rows_of.health_rows(found)).rstrip("\n"))
     if style == "markdown":
         click.echo(f"\n{rows_of.LEGEND}")
-        if options.health:
+        if settings.health:
             click.echo(f"\n{rows_of.HEALTH_LEGEND}")
     if figure:
         draw_comparison(found, figure)
@@ -211,36 +197,26 @@ def _held_out(
     if unwritten is not None:
         raise unwritten
     if is_interrupted:
-        click.echo(
-            f"egolane: interrupted; this is {len(compared)} of {len(groups)} recordings", err=True
-        )
-        click.get_current_context().exit(130)
+        raise KeyboardInterrupt(f"this is {len(compared)} of {len(groups)} recordings")
     if found["failed"]:
         raise SystemExit(1)
 
 
-def _write_first(json_file: str | None, found: Mapping[str, Any]) -> InputError | None:
+def _write_first(json_file: Path | None, found: Mapping[str, Any]) -> InputError | None:
     """Write the numbers before anything is printed, for whoever reads it may stop reading; what
     keeps them from being written is told after what is printed."""
-    from egolane_pgm.results import write_json
-    from egolane_pgm.types import InputError
 
     try:
         if json_file:
-            write_json(Path(json_file), found)
+            write_json(json_file, found)
     except InputError as error:
         return error
     return None
 
 
 def _in_sample(
-    names: Sequence[str], numbers: Sequence[int], which: str, json_file: str | None
+    names: Sequence[str], numbers: Sequence[int], which: str, json_file: Path | None
 ) -> None:
-    from tqdm import tqdm
-
-    from egolane_pgm import compare as comparing
-    from egolane_pgm.report import tables
-
     bar = tqdm(numbers, desc="runs", unit="run", leave=False, disable=None)
     compared = [comparing.compare_graphs(number, names, which) for number in bar]
     unwritten = _write_first(json_file, comparing.compare_json(compared, which))

@@ -2,14 +2,22 @@
 
 from __future__ import annotations
 
+import tempfile
 import time
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
 
 import click
+import numpy as np
+from tqdm import tqdm
 
-if TYPE_CHECKING:
-    from egolane_pgm.types import LineLog
+from egolane_pgm.camera.model import read_camera
+from egolane_pgm.camera.pictures import open_source, read_pictures
+from egolane_pgm.cli import options
+from egolane_pgm.detectors.runner import check_pair, collect, find_detector
+from egolane_pgm.detectors.runner import detect as detect_lines
+from egolane_pgm.recordings import write_lines
+from egolane_pgm.results import check_place
+from egolane_pgm.types import InputError, LineLog
 
 #: Extensions of recordings of lines that can be written.
 _TARGETS = (".parquet", ".csv", ".bag")
@@ -17,7 +25,7 @@ _TARGETS = (".parquet", ".csv", ".bag")
 
 @click.command()
 @click.argument("pictures")
-@click.option("--camera", "camera_file", required=True, metavar="FILE", help="The camera's YAML.")
+@options.camera
 @click.option(
     "--detector",
     "name",
@@ -35,15 +43,9 @@ _TARGETS = (".parquet", ".csv", ".bag")
     metavar="FILE",
     help="Where the lines go: .parquet, .csv or .bag.",
 )
-@click.option("--right", "right_pictures", metavar="PICTURES", help="Those of the second camera.")
-@click.option("--frames", type=(int, int), metavar="FIRST STOP", help="Frame ids, STOP left out.")
-@click.option(
-    "--set",
-    "overrides",
-    multiple=True,
-    metavar="KEY=VALUE",
-    help="A parameter of the detector, e.g. lri_frames=5.",
-)
+@options.right
+@options.frames
+@options.overrides("A parameter of the detector, e.g. lri_frames=5.")
 def detect(
     pictures: str,
     camera_file: str,
@@ -58,22 +60,16 @@ def detect(
     What was detected before Ctrl-C, or before a picture that cannot be used, is written too. Then
     `egolane run X.yaml --recording FILE` gives the lane.
     """
-    from tqdm import tqdm
-
-    from egolane_pgm.camera.model import read_camera
-    from egolane_pgm.camera.pictures import open_source, read_pictures
-    from egolane_pgm.detectors.runner import check_pair, collect, find_detector
-    from egolane_pgm.detectors.runner import detect as detect_lines
-    from egolane_pgm.results import check_place
-    from egolane_pgm.types import InputError
 
     if Path(target).suffix.lower() not in _TARGETS:
         raise InputError(f"--out {target}: lines are written as {', '.join(_TARGETS)}")
     check_place(Path(target))
     if frames is not None and frames[0] >= frames[1]:
         raise InputError(f"--frames {frames[0]} {frames[1]}: is an empty range")
+    given = options.given(overrides, "lri_frames=5").items()
+    parameters = {key.removeprefix("detector_parameters."): value for key, value in given}
     detector = find_detector(
-        name, _given(overrides), Path.cwd(), "--detector", "--set detector_parameters"
+        name, parameters, Path.cwd(), "--detector", "--set detector_parameters"
     )
     camera = read_camera(camera_file)
     check_pair(detector, camera, right_pictures is not None, "--right")
@@ -103,17 +99,12 @@ def detect(
             f" say so: run on it with --set recording.frame_rate={source.frame_rate:g}"
         )
     if done.stopped is not None:
-        click.echo(f"egolane: interrupted; what was detected so far is in {target}", err=True)
-        click.get_current_context().exit(130)
+        raise KeyboardInterrupt(f"what was detected so far is in {target}")
 
 
 def _write(target: str, log: LineLog) -> None:
     """Write the lines; where the disk is full, or the folder gone meanwhile, to another place, for
     they may be the work of hours."""
-    import tempfile
-
-    from egolane_pgm.recordings import write_lines
-    from egolane_pgm.types import InputError
 
     try:
         write_lines(target, log)
@@ -126,16 +117,7 @@ def _write(target: str, log: LineLog) -> None:
         raise InputError(f"{error}; the lines are in {other} instead") from None
 
 
-def _given(overrides: tuple[str, ...]) -> dict[str, Any]:
-    from egolane_pgm.experiment import read_override
-
-    given = (read_override(override, "lri_frames=5") for override in overrides)
-    return {key.strip().removeprefix("detector_parameters."): value for key, value in given}
-
-
 def _say(target: str, log: LineLog, seconds: float) -> None:
-    import numpy as np
-
     lines = np.isfinite(log.offset_m).sum(axis=1).mean()
     click.echo(
         f"{target}: {len(log)} frames, ids {int(log.frame_id[0])} to {int(log.frame_id[-1])};"

@@ -4,18 +4,27 @@ from __future__ import annotations
 
 import warnings
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import click
+import numpy as np
+from tqdm import tqdm
 
-if TYPE_CHECKING:
-    from egolane_pgm.experiment import Experiment
-    from egolane_pgm.learn import Learned
+from egolane_pgm.cli import options
+from egolane_pgm.compare.choose import chosen_on_all, learns, plan, try_all
+from egolane_pgm.experiment import Experiment, load_experiment
+from egolane_pgm.learn import Learned, output_files, write_learned
+from egolane_pgm.learn import learn as run_learn
+from egolane_pgm.loading import with_video_rate
+from egolane_pgm.model import prepare_model
+from egolane_pgm.report.tables import scores_table
+from egolane_pgm.results import SCHEMA_VERSION, write_json
+from egolane_pgm.scoring.held_out import HeldOut
 
 
 @click.command()
-@click.argument("experiment", type=click.Path(dir_okay=False))
-@click.option("--set", "overrides", multiple=True, metavar="KEY=VALUE", help="Override a key.")
+@options.experiment
+@options.overrides()
 @click.option(
     "--unlabelled", is_flag=True, help="Look at no label (learning.labels=false); for tables."
 )
@@ -25,16 +34,14 @@ if TYPE_CHECKING:
     help="The new experiment; default learned_<name>.yaml here.",
 )
 @click.option("--blocks", type=click.IntRange(2), default=5, show_default=True)
-@click.option(
-    "--json", "json_file", type=click.Path(dir_okay=False), help="Write the scores as JSON."
-)
+@options.json_file
 def learn(
     experiment: str,
     overrides: tuple[str, ...],
     unlabelled: bool,
     out: str | None,
     blocks: int,
-    json_file: str | None,
+    json_file: Path | None,
 ) -> None:
     """Learn an experiment from its recording: a new experiment, and what it is worth held out.
 
@@ -46,13 +53,6 @@ def learn(
     With `fit: choose` constants are chosen first, and tables learned only where the experiment has
     a `learning` section, as in `egolane compare`.
     """
-    from tqdm import tqdm
-
-    from egolane_pgm.experiment import load_experiment
-    from egolane_pgm.learn import learn as run_learn
-    from egolane_pgm.learn import output_files, write_learned
-    from egolane_pgm.loading import with_video_rate
-    from egolane_pgm.results import SCHEMA_VERSION, check_place, write_json
 
     if unlabelled:
         overrides = (*overrides, "learning.labels=false")
@@ -60,8 +60,6 @@ def learn(
     name = f"learned_{found.name.removeprefix('learned_')}"
     target = Path(out) if out else Path(f"{name}.yaml")
     output_files(found, target)
-    if json_file:
-        check_place(Path(json_file))
     # What is written says the rate that was counted with.
     given = with_video_rate(found)
     found = _chosen(given, blocks)
@@ -81,7 +79,7 @@ def learn(
     click.echo(f"\nwritten to {' and '.join(map(str, files))}")
     if json_file:
         write_json(
-            Path(json_file),
+            json_file,
             {
                 "schema_version": SCHEMA_VERSION,
                 "name": found.name,
@@ -99,9 +97,6 @@ def _chosen(experiment: Experiment, blocks: int) -> Experiment:
     """With `fit: choose`, the experiment with its constants chosen."""
     if experiment.fit != "choose":
         return experiment
-    from tqdm import tqdm
-
-    from egolane_pgm.compare.choose import chosen_on_all, plan, try_all
 
     (tasks,) = plan([experiment], blocks, is_held_out=False).values()
     bar = tqdm(try_all(tasks), "choosing", len(tasks), unit="recording", leave=False, disable=None)
@@ -121,20 +116,14 @@ def _chosen(experiment: Experiment, blocks: int) -> Experiment:
 def _learns_more(experiment: Experiment) -> bool:
     """Whether anything is learned beside what is chosen: with `fit: choose`, as in `compare`,
     tables are learned only where the experiment says how (`learning`)."""
-    from egolane_pgm.compare.choose import learns
-    from egolane_pgm.model import prepare_model
 
     return experiment.fit != "choose" or learns(prepare_model(experiment), experiment)
 
 
-def _write_chosen(experiment: Experiment, target: Path, blocks: int, json_file: str | None) -> None:
+def _write_chosen(
+    experiment: Experiment, target: Path, blocks: int, json_file: Path | None
+) -> None:
     """The experiment with its constants chosen, as a file; there is nothing to score held out."""
-    import numpy as np
-
-    from egolane_pgm.learn import Learned, write_learned
-    from egolane_pgm.model import prepare_model
-    from egolane_pgm.results import SCHEMA_VERSION, write_json
-    from egolane_pgm.scoring.held_out import HeldOut
 
     model = prepare_model(experiment)
     nothing = HeldOut[Any](np.zeros((0, model.n_lanes)), np.zeros(0, dtype=np.int64), ())
@@ -144,12 +133,10 @@ def _write_chosen(experiment: Experiment, target: Path, blocks: int, json_file: 
         content: dict[str, Any] = {"schema_version": SCHEMA_VERSION, "name": experiment.name}
         content |= {"blocks": blocks, "parameters": dict(experiment.parameters)}
         none = ("held_out", "held_out_all_frames", "log_evidence_before", "log_evidence_held_out")
-        write_json(Path(json_file), {**content, **dict.fromkeys(none)})
+        write_json(json_file, {**content, **dict.fromkeys(none)})
 
 
 def _print(name: str, learned: Learned, blocks: int) -> None:
-    from egolane_pgm.report.tables import scores_table
-
     if learned.scores is None or learned.scores_all is None:
         click.echo(f"{name}: no ground truth, so nothing is scored; {blocks} blocks")
     else:

@@ -1,13 +1,26 @@
-"""The commands of `egolane` about recordings: data, convert, simulate, online."""
+"""The commands of `egolane` about recordings: data, convert and lines."""
 
 from __future__ import annotations
 
 import os
 import sys
 from pathlib import Path
-from typing import Any
 
 import click
+
+from egolane_pgm.cli import options
+from egolane_pgm.experiment import load_experiment
+from egolane_pgm.loading import load_recording
+from egolane_pgm.recordings import (
+    catalog,
+    format_of,
+    needs_camera,
+    read_lines_with,
+    read_with,
+    write_lines,
+)
+from egolane_pgm.report.tables import box_text
+from egolane_pgm.types import InputError
 
 
 @click.group()
@@ -18,7 +31,6 @@ def data() -> None:
 @data.command("list")
 def list_data() -> None:
     """What the data set consists of, and which files are there."""
-    from egolane_pgm.recordings import catalog
 
     data = os.environ.get("EGOLANE_DATA")
     folders = [Path(data).expanduser()] if data else []
@@ -42,33 +54,27 @@ def list_data() -> None:
 @click.option("--jobs", type=click.IntRange(1, 16), default=4, show_default=True)
 def fetch(base_url: str | None, folder: str | None, jobs: int) -> None:
     """Download what is missing; resumes, checks every sha256, keeps good files."""
-    from egolane_pgm.recordings import catalog
-    from egolane_pgm.types import InputError
 
     outcomes = catalog.fetch(base_url=base_url, folder=folder, jobs=jobs)
     problems = catalog.problems(outcomes)
     click.echo(f"{len(outcomes) - len(problems)} of {len(outcomes)} files are there and good")
-    _fail(problems, InputError)
+    _fail(problems)
 
 
 @data.command()
 @click.option("--folder", type=click.Path(file_okay=False), help="Where they are.")
 def verify(folder: str | None) -> None:
     """Check every downloaded file against its sha256."""
-    from egolane_pgm.recordings import catalog
-    from egolane_pgm.types import InputError
 
     outcomes = catalog.verify(folder)
     problems = catalog.problems(outcomes)
     click.echo(f"{len(outcomes) - len(problems)} of {len(outcomes)} files are there and good")
-    _fail(problems, InputError)
+    _fail(problems)
 
 
 def have_recordings() -> bool:
     """Whether the paper's recordings are at hand, after an offer to download them; if not, it has
     been said in two lines what was looked for and how to get them."""
-    from egolane_pgm.recordings import catalog
-    from egolane_pgm.types import InputError
 
     if _all_found():
         return True
@@ -97,9 +103,6 @@ def have_recordings() -> bool:
 
 
 def _all_found() -> bool:
-    from egolane_pgm.recordings import catalog
-    from egolane_pgm.types import InputError
-
     try:
         for file in catalog.list_files():
             catalog.find_file(file.target)
@@ -108,11 +111,11 @@ def _all_found() -> bool:
     return True
 
 
-def _fail(problems: list[str], error: type[Exception]) -> None:
+def _fail(problems: list[str]) -> None:
     for line in problems[:-1]:
         click.echo(f"egolane: {line}", err=True)
     if problems:
-        raise error(problems[-1])
+        raise InputError(problems[-1])
 
 
 @click.command()
@@ -123,13 +126,7 @@ def _fail(problems: list[str], error: type[Exception]) -> None:
 @click.option("--format", "format_", metavar="NAME", help="Where the extension does not tell it.")
 @click.option("--camera", metavar="FILE", help="The camera's YAML, for lines given in pixels.")
 @click.option("--frame-rate", type=float, help="Frames per second.")
-@click.option(
-    "--set",
-    "overrides",
-    multiple=True,
-    metavar="KEY=VALUE",
-    help="A further option of the format, e.g. valid=always for labels.",
-)
+@options.overrides("A further option of the format, e.g. valid=always for labels.")
 def convert(
     source: str,
     target: str,
@@ -145,121 +142,38 @@ def convert(
     SOURCE is one of these, or what another lane detector wrote, with --camera: TuSimple's JSON
     lines, a folder of CULane's .lines.txt or of OpenLane's .json.
     """
-    from egolane_pgm.recordings import read_with, write_lines
 
     given = {"topic": topic, "camera": camera, "frame_rate": frame_rate}
-    options = _given(overrides, "valid=always") | {
+    chosen = options.given(overrides, "valid=always") | {
         key: value for key, value in given.items() if value is not None
     }
     if frame_id != "way_id":
-        options["frame_id"] = frame_id
-    log = read_with(source, format_, options)
+        chosen["frame_id"] = frame_id
+    log = read_with(source, format_, chosen)
     write_lines(target, log)
     first, last = int(log.frame_id[0]), int(log.frame_id[-1])
     click.echo(f"{target}: {len(log)} frames, ids {first} to {last}")
 
 
-def _given(overrides: tuple[str, ...], example: str) -> dict[str, Any]:
-    """The keys and values of --set."""
-    from egolane_pgm.experiment import read_override
-
-    return dict(read_override(override, example) for override in overrides)
-
-
 @click.command()
-@click.argument("preset", default="quickstart")
-@click.option("--out", type=click.Path(file_okay=False), required=True, metavar="DIR")
-@click.option("--seed", type=click.IntRange(0), default=0, show_default=True)
-@click.option("--n-lanes", type=int)
-@click.option("--frames", type=int, help="Length of the drive.")
-@click.option(
-    "--set",
-    "overrides",
-    multiple=True,
-    metavar="KEY=VALUE",
-    help="Override a value of the preset's world or detector; with --images world or failures.",
-)
-@click.option("--images", is_flag=True, help="Render pictures instead of lines.")
-@click.option("--stereo", is_flag=True, help="With --images: of two cameras.")
-@click.option("--video", is_flag=True, help="With --images: as MP4 instead of JPEG files.")
-@click.option("--png", is_flag=True, help="With --images: PNG, exact and large, instead of JPEG.")
-def simulate(
-    preset: str,
-    out: str,
-    seed: int,
-    n_lanes: int | None,
-    frames: int | None,
-    overrides: tuple[str, ...],
-    images: bool,
-    stereo: bool,
-    video: bool,
-    png: bool,
-) -> None:
-    """Simulate a drive: lines.csv, ground_truth.txt and an experiment to run on them.
+@click.argument("recording", type=click.Path())
+@click.option("--frame", "frame_id", type=int, required=True, help="The frame's id.")
+@click.option("--camera", metavar="FILE", help="The camera's YAML, for lines given in pixels.")
+@options.overrides("Override a key of the experiment.")
+def lines(recording: str, frame_id: int, camera: str | None, overrides: tuple[str, ...]) -> None:
+    """The lines of one frame, laid out as in the paper's Box 1.
 
-    With --images a rendered motorway: pictures, camera.yaml, the truth about every line.
+    RECORDING is a recording of lines, or the YAML of an experiment: then its own.
     """
-    import yaml
 
-    from egolane_pgm.recordings.ground_truth import write_ground_truth
-    from egolane_pgm.recordings.table import write_table
-    from egolane_pgm.results import make_directory
-    from egolane_pgm.simulation import simulate as make_drive
-    from egolane_pgm.types import InputError
-
-    values = _given(overrides, "change_s=5")
-    for name, is_given in (("stereo", stereo), ("video", video), ("png", png)):
-        if is_given and not images:
-            raise InputError(f"--{name}: needs --images")
-    if video and png:
-        raise InputError("--video and --png: choose one")
-    if images:
-        from egolane_pgm.cli.render import write_images
-
-        if n_lanes is not None:
-            values["n_lanes"] = n_lanes
-        write_images(preset, Path(out), seed, frames, values, stereo=stereo, video=video, png=png)
-        return
-    for name in ("preset", "seed", "frames", "n_lanes"):
-        if name in values:
-            raise InputError(f"--set {name}: is given by an argument or option of its own")
-    drive = make_drive(preset, seed=seed, frames=frames, n_lanes=n_lanes, **values)
-    folder = Path(out)
-    make_directory(folder)
-    write_table(folder / "lines.csv", drive.log)
-    write_ground_truth(folder / "ground_truth.txt", drive.truth)
-    experiment = {
-        "name": f"simulated_{preset}_{seed}",
-        "recording": {"path": "lines.csv"},
-        "ground_truth": {"path": "ground_truth.txt"},
-        "n_lanes": drive.n_lanes,
-        "tuned_on": "not_tuned",
-    }
-    target = folder / "experiment.yaml"
-    try:
-        target.write_text(yaml.safe_dump(experiment, sort_keys=False), encoding="utf-8")
-    except OSError as error:
-        raise InputError(f"{target}: cannot be written: {error.strerror}") from error
-    click.echo(f"{len(drive)} frames; try: egolane run {target}")
-
-
-@click.command()
-@click.argument("experiment", type=click.Path(dir_okay=False))
-@click.option("--set", "overrides", multiple=True, metavar="KEY=VALUE")
-def online(experiment: str, overrides: tuple[str, ...]) -> None:
-    """Filter frame by frame: a JSON line in, the belief for it out at once.
-
-    Reads `{"frame_id": 7, "lines": [{"offset_m": -1.8, "is_valid": true, "is_continuous": false,
-    "lri": 10}]}` per line on standard input.
-    """
-    import json
-
-    from egolane_pgm.experiment import load_experiment
-    from egolane_pgm.online import filter_stream
-
-    # Standard input as an iterator would be read ahead in blocks.
-    sys.stdin.reconfigure(encoding="utf-8", errors="replace")  # type: ignore[union-attr]
-    messages = iter(sys.stdin.readline, "")
-    for belief in filter_stream(load_experiment(experiment, overrides), messages):
-        click.echo(json.dumps(belief))
-        sys.stdout.flush()
+    if Path(recording).suffix.lower() in (".yaml", ".yml"):
+        if camera is not None:
+            raise InputError("--camera: an experiment names its own; --set recording.camera=FILE")
+        log = load_recording(load_experiment(recording, overrides)).log
+    elif overrides:
+        raise InputError("--set: goes with an experiment")
+    elif camera is not None and not needs_camera(format_of(recording)):
+        raise InputError(f"--camera: the lines of {recording} are in metres, they need no camera")
+    else:
+        log = read_lines_with(recording, camera)
+    click.echo(box_text(log, frame_id))

@@ -6,13 +6,24 @@ import os
 from collections.abc import Callable, Sequence
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import click
+from tqdm import tqdm
 
-if TYPE_CHECKING:
-    from egolane_pgm.experiment import Experiment
-    from egolane_pgm.run import Outcome, Run
+from egolane_pgm.cli import options
+from egolane_pgm.experiment import Experiment, load_experiment
+from egolane_pgm.loading import as_name, with_recording
+from egolane_pgm.report.draw import draw_standard
+from egolane_pgm.report.tables import TUNED_ON, confusion_table, runs_table, scores_table
+from egolane_pgm.results import (
+    SCHEMA_VERSION,
+    check_not_read,
+    check_writable,
+    write_json,
+)
+from egolane_pgm.run import Outcome, Run, plan_runs, run_all, run_experiment, save_run, summary
+from egolane_pgm.types import InputError
 
 
 def _recording_options(command: Callable[..., Any]) -> Callable[..., Any]:
@@ -42,13 +53,7 @@ def _recording_options(command: Callable[..., Any]) -> Callable[..., Any]:
 
 @click.command()
 @click.argument("experiments", nargs=-1, required=True, type=click.Path(dir_okay=False))
-@click.option(
-    "--set",
-    "overrides",
-    multiple=True,
-    metavar="KEY=VALUE",
-    help="Override a key of the YAML, e.g. parameters.bonus_value=0.",
-)
+@options.overrides()
 @_recording_options
 @click.option(
     "--out",
@@ -56,17 +61,9 @@ def _recording_options(command: Callable[..., Any]) -> Callable[..., Any]:
     help="Result directory; of several runs, their folder.",
 )
 @click.option("--no-figures", is_flag=True, help="Draw nothing.")
-@click.option("--jobs", type=click.IntRange(1), default=1, show_default=True, help="Processes.")
-@click.option(
-    "--numpy", "use_numpy", is_flag=True, help="Use the plain NumPy twins of the kernels."
-)
-@click.option(
-    "--json",
-    "json_file",
-    type=click.Path(dir_okay=False),
-    metavar="FILE",
-    help="Write the unrounded numbers as JSON.",
-)
+@options.jobs
+@options.numpy
+@options.json_file
 def run(
     experiments: tuple[str, ...],
     overrides: tuple[str, ...],
@@ -80,15 +77,13 @@ def run(
     no_figures: bool,
     jobs: int,
     use_numpy: bool,
-    json_file: str | None,
+    json_file: Path | None,
 ) -> None:
     """Run experiments: filter the recording, score it, write a result directory.
 
     Several EXPERIMENTS, or one on several recordings, share --jobs processes; each has its own
     result directory, and one that fails does not stop the others.
     """
-    from egolane_pgm.results import check_place
-    from egolane_pgm.types import InputError
 
     if len(recordings) > 1 and (len(experiments) > 1 or ground_truth not in (None, "none")):
         raise InputError(
@@ -97,8 +92,6 @@ def run(
         )
     if "" in (*recordings, ground_truth, camera, out):
         raise InputError("run: a file or folder that is named is empty (--recording, --out, ...)")
-    if json_file:
-        check_place(Path(json_file))
     draw = None if no_figures else _draw_all
     changes = (ground_truth, n_lanes, frame_id, camera, detector)
     if len(experiments) == 1 and len(recordings) < 2:
@@ -120,8 +113,6 @@ def _named(
     """Title, experiment, recording and name of each of several runs. None for the name that it has
     by itself; recordings that would have the same are called after their folders too, and one that
     several experiments are run on after these (`*`). InputError for one that is named twice."""
-    from egolane_pgm.loading import as_name
-    from egolane_pgm.types import InputError
 
     places = [os.path.realpath(recording) for recording in recordings]
     for k, place in enumerate(places):
@@ -152,9 +143,6 @@ def _load(
     detector: str | None,
     name: str | None = None,
 ) -> Experiment:
-    from egolane_pgm.experiment import load_experiment
-    from egolane_pgm.loading import with_recording
-
     found = load_experiment(path, overrides)
     changes = (recording, ground_truth, n_lanes, frame_id, camera, detector)
     chosen = found if changes == (None,) * 6 else with_recording(found, *changes)
@@ -168,20 +156,17 @@ def _run_one(
     out: Path | None,
     draw: Callable[[Path], None] | None,
     kernel: bool,
-    json_file: str | None,
+    json_file: Path | None,
 ) -> None:
-    from egolane_pgm.results import SCHEMA_VERSION, check_not_read, check_writable, write_json
-    from egolane_pgm.run import run_experiment, save_run, summary
-
     directory = out or Path("results") / chosen.name
     check_writable(directory)
     if json_file:
-        check_not_read(Path(json_file), _read_by(chosen))
+        check_not_read(json_file, _read_by(chosen))
     done = run_experiment(chosen, kernel=kernel)
     save_run(done, directory, draw)
     # Before anything is printed: whoever reads it may stop reading.
     if json_file:
-        write_json(Path(json_file), {"schema_version": SCHEMA_VERSION, **summary(done)})
+        write_json(json_file, {"schema_version": SCHEMA_VERSION, **summary(done)})
     _print_run(done)
     click.echo(f"\nresult: {directory}")
 
@@ -192,30 +177,23 @@ def _run_many(
     draw: Callable[[Path], None] | None,
     kernel: bool,
     jobs: int,
-    json_file: str | None,
+    json_file: Path | None,
 ) -> None:
-    from tqdm import tqdm
-
-    from egolane_pgm.report.tables import runs_table
-    from egolane_pgm.results import SCHEMA_VERSION, check_not_read, write_json
-    from egolane_pgm.run import plan_runs, run_all
-
     # tqdm's monitor is a thread, and processes are forked.
     tqdm.monitor_interval = 0
     plan = plan_runs(to_load, folder)
     if json_file:
         chosen = [task.experiment for task in plan if task.experiment is not None]
-        check_not_read(Path(json_file), [file for each in chosen for file in _read_by(each)])
+        check_not_read(json_file, [file for each in chosen for file in _read_by(each)])
     before = {task.directory: _inode(task.directory) for task in plan}
     outcomes: list[Outcome] = []
     try:
         done = run_all(plan, jobs=jobs, draw=draw, kernel=kernel)
         outcomes.extend(tqdm(done, total=len(plan), unit="run", leave=False, disable=None))
     except KeyboardInterrupt:
-        # A directory that was written is another one than before.
+        # A result that was rewritten has a new inode.
         written = sum(_inode(place) not in (None, was) for place, was in before.items())
-        click.echo(f"egolane: interrupted; {written} of {len(plan)} are in {folder}", err=True)
-        click.get_current_context().exit(130)
+        raise KeyboardInterrupt(f"{written} of {len(plan)} are in {folder}") from None
     failed = [o for o in outcomes if o.error is not None]
     if json_file:
         document = {
@@ -223,7 +201,7 @@ def _run_many(
             "runs": [{"result": str(o.directory), **o.summary} for o in outcomes if o.summary],
             "failed": [{"experiment": o.title, "error": o.error} for o in failed],
         }
-        write_json(Path(json_file), document)
+        write_json(json_file, document)
     for outcome in outcomes:
         for note in (outcome.summary or {}).get("warnings", ()):
             click.echo(f"warning: {outcome.title}: {note}", err=True)
@@ -247,14 +225,10 @@ def _inode(directory: Path) -> int | None:
 
 
 def _draw_all(directory: Path) -> None:
-    from egolane_pgm.report.draw import draw_standard
-
     draw_standard(directory)
 
 
 def _print_run(done: Run) -> None:
-    from egolane_pgm.report.tables import TUNED_ON, confusion_table, scores_table
-
     for note in done.notes:
         click.echo(f"warning: {note}", err=True)
     experiment = done.experiment

@@ -1,4 +1,4 @@
-"""The commands of `egolane` that show a drive: video and lines."""
+"""The command `egolane video`."""
 
 from __future__ import annotations
 
@@ -6,23 +6,31 @@ import os
 from collections import deque
 from collections.abc import Iterator, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import click
+import numpy as np
+from tqdm import tqdm
 
-if TYPE_CHECKING:
-    from egolane_pgm.camera.model import Camera
-    from egolane_pgm.camera.picture import Picture
-    from egolane_pgm.camera.pictures import Source
-    from egolane_pgm.detectors import FrameLines
-    from egolane_pgm.experiment import Experiment
-    from egolane_pgm.report.video import Scene
-    from egolane_pgm.types import LaneTruth, LineLog
+from egolane_pgm.camera.model import Camera, read_camera
+from egolane_pgm.camera.picture import Picture
+from egolane_pgm.camera.pictures import Source, open_source, read_pictures
+from egolane_pgm.camera.writing import NotKeptError
+from egolane_pgm.cli import options
+from egolane_pgm.detectors import FrameLines, as_log
+from egolane_pgm.detectors.runner import check_pair, detect, find_detector
+from egolane_pgm.experiment import Experiment, load_experiment, make_experiment
+from egolane_pgm.online import filter_logs
+from egolane_pgm.paper import experiments_folder
+from egolane_pgm.recordings import read_lines_with
+from egolane_pgm.recordings.ground_truth import read_ground_truth
+from egolane_pgm.report.video import Scene, draw_frame, frame_writer, layout
+from egolane_pgm.types import InputError, LaneTruth, LineLog
 
 
 @click.command()
 @click.argument("pictures")
-@click.option("--camera", "camera_file", required=True, metavar="FILE", help="The camera's YAML.")
+@options.camera
 @click.option(
     "--detector",
     metavar="NAME|FILE.py",
@@ -34,7 +42,7 @@ if TYPE_CHECKING:
     metavar="FILE",
     help="Draw this recording of lines instead of what a detector sees.",
 )
-@click.option("--right", "right_pictures", metavar="PICTURES", help="Those of the second camera.")
+@options.right
 @click.option(
     "--experiment",
     "experiment_file",
@@ -44,7 +52,7 @@ if TYPE_CHECKING:
 )
 @click.option("--n-lanes", type=click.IntRange(1), help="Number of lanes of the road.")
 @click.option("--truth", "truth_file", metavar="FILE", help="The annotated lanes, where known.")
-@click.option("--frames", type=(int, int), metavar="FIRST STOP", help="Frame ids, STOP left out.")
+@options.frames
 @click.option(
     "--frame-rate",
     type=click.FloatRange(0.1, 1000),
@@ -77,14 +85,6 @@ def video(
 
     What was drawn before Ctrl-C, or before a picture that cannot be used, is kept.
     """
-    from tqdm import tqdm
-
-    from egolane_pgm.camera.model import read_camera
-    from egolane_pgm.camera.pictures import open_source, read_pictures
-    from egolane_pgm.camera.writing import NotKeptError
-    from egolane_pgm.recordings.ground_truth import read_ground_truth
-    from egolane_pgm.report.video import draw_frame, frame_writer, layout
-    from egolane_pgm.types import InputError
 
     if not target:
         raise InputError("--out: is empty; name a video (.mp4) or a folder")
@@ -128,8 +128,7 @@ def video(
             raise
         raise InputError(f"{error}; the {n_drawn} frames before are in {target}") from None
     except KeyboardInterrupt:
-        click.echo(f"egolane: interrupted; {n_drawn} frames are in {target}", err=True)
-        click.get_current_context().exit(130)
+        raise KeyboardInterrupt(f"{n_drawn} frames are in {target}") from None
     finally:
         seen.close()
     click.echo(f"{target}: {n_drawn} frames")
@@ -137,7 +136,6 @@ def video(
 
 def _check_target(target: Path, sources: Sequence[Source]) -> None:
     """InputError where drawing would write over the pictures, or among them."""
-    from egolane_pgm.types import InputError
 
     for source in sources:
         taken = {os.path.realpath(file) for file in source.files}
@@ -150,9 +148,6 @@ def _check_target(target: Path, sources: Sequence[Source]) -> None:
 
 def _experiment(file: str | None, n_lanes: int | None, frame_rate: float | None) -> Experiment:
     """The experiment that says how lines become a belief; its own recording is not looked at."""
-    from egolane_pgm.experiment import load_experiment, make_experiment
-    from egolane_pgm.paper import experiments_folder
-    from egolane_pgm.types import InputError
 
     found = load_experiment(file or experiments_folder() / "zero_label.yaml")
     if file is None and n_lanes is None:
@@ -173,7 +168,6 @@ def _detected(
     experiment: Experiment,
 ) -> Iterator[tuple[Picture, FrameLines]]:
     """Each picture with the lines that the detector sees in it."""
-    from egolane_pgm.detectors.runner import check_pair, detect, find_detector
 
     recording = experiment.recording
     is_own = name is None and recording.detector is not None
@@ -198,12 +192,8 @@ def _detected(
 def _recorded(file: str, camera: Camera, source: Source, experiment: Experiment) -> Any:
     """A function from a frame id to the recorded lines, drawn straight ahead: a recording has
     offsets only."""
-    import numpy as np
 
-    from egolane_pgm.detectors import FrameLines
-    from egolane_pgm.types import InputError
-
-    log = _read_log(file, camera, experiment.recording.frame_rate)
+    log = read_lines_with(file, camera, experiment.recording.frame_rate)
     if source.frame_id is not None and not np.isin(source.frame_id, log.frame_id).any():
         raise InputError(
             f"{file}: no frame of it is a picture's: its frames are {log.frame_id[0]} to"
@@ -234,11 +224,6 @@ def _scenes(
     source: str,
 ) -> Iterator[tuple[Picture, Scene]]:
     """Each picture with what is known of it; a filter that waits keeps so many pictures."""
-    import numpy as np
-
-    from egolane_pgm.detectors import as_log
-    from egolane_pgm.online import filter_logs
-    from egolane_pgm.report.video import Scene
 
     rate = experiment.recording.frame_rate
     waiting: deque[tuple[Picture, FrameLines]] = deque()
@@ -265,48 +250,3 @@ def _scenes(
                 is_crossing=truth is not None and k is not None and bool(truth.is_crossing[k]),
             ),
         )
-
-
-def _read_log(file: str, camera: Camera | str | None, frame_rate: float | None) -> LineLog:
-    """A recording of lines; the camera is handed to formats whose lines are in pixels."""
-    from egolane_pgm.recordings import format_of, needs_camera, read_lines
-
-    options: dict[str, Any] = {} if frame_rate is None else {"frame_rate": frame_rate}
-    if needs_camera(format_of(file)):
-        options["camera"] = camera
-    return read_lines(file, **options)
-
-
-@click.command()
-@click.argument("recording", type=click.Path())
-@click.option("--frame", "frame_id", type=int, required=True, help="The frame's id.")
-@click.option("--camera", metavar="FILE", help="The camera's YAML, for lines given in pixels.")
-@click.option(
-    "--set",
-    "overrides",
-    multiple=True,
-    metavar="KEY=VALUE",
-    help="Override a key of the experiment.",
-)
-def lines(recording: str, frame_id: int, camera: str | None, overrides: tuple[str, ...]) -> None:
-    """The lines of one frame, laid out as in the paper's Box 1.
-
-    RECORDING is a recording of lines, or the YAML of an experiment: then its own.
-    """
-    from egolane_pgm.experiment import load_experiment
-    from egolane_pgm.loading import load_recording
-    from egolane_pgm.recordings import format_of, needs_camera
-    from egolane_pgm.report.tables import box_text
-    from egolane_pgm.types import InputError
-
-    if Path(recording).suffix.lower() in (".yaml", ".yml"):
-        if camera is not None:
-            raise InputError("--camera: an experiment names its own; --set recording.camera=FILE")
-        log = load_recording(load_experiment(recording, overrides)).log
-    elif overrides:
-        raise InputError("--set: goes with an experiment")
-    elif camera is not None and not needs_camera(format_of(recording)):
-        raise InputError(f"--camera: the lines of {recording} are in metres, they need no camera")
-    else:
-        log = _read_log(recording, camera, None)
-    click.echo(box_text(log, frame_id))

@@ -63,6 +63,15 @@ def read_with(path: str | Path, format: str | None, options: Mapping[str, Any]) 
     return log
 
 
+def read_lines_with(path: str, camera: object, frame_rate: float | None = None) -> LineLog:
+    """The lines of a recording of any format; the camera (or its YAML file) is used by those
+    formats whose lines are in pixels. Raises InputError as `read_lines`."""
+    options: dict[str, Any] = {} if frame_rate is None else {"frame_rate": frame_rate}
+    if needs_camera(format_of(path)):
+        options["camera"] = camera
+    return read_with(path, None, options)
+
+
 def _check_frame_rate(value: object, path: str | Path) -> None:
     if isinstance(value, bool) or not isinstance(value, (int, float, np.number)):
         raise InputError(f"{path}: frame_rate: {value!r} is not a number")

@@ -73,6 +73,10 @@ def as_csv(header: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
     return text.getvalue()
 
 
+#: How a table is written, by the name that `--format` has for it.
+STYLES = {"markdown": markdown, "latex": latex, "csv": as_csv}
+
+
 def _escape(text: str) -> str:
     for character in "&%$#_{}":
         text = text.replace(character, "\\" + character)

@@ -18,8 +18,8 @@ import pytest
 
 from egolane_pgm.camera import writing as picture_files
 from egolane_pgm.camera.writing import NotKeptError, video_writer, write_picture
-from egolane_pgm.cli import render as _cli_images
 from egolane_pgm.recordings import read_lines
+from egolane_pgm.simulation.rendering import files as rendering_files
 from egolane_pgm.simulation.rendering import render
 from egolane_pgm.simulation.rendering import traffic as traffics
 from egolane_pgm.simulation.rendering.render import make_scene
@@ -221,7 +221,7 @@ def test_frames_rendered_before_the_disk_was_full_are_whole_pairs(
 def test_what_a_drive_costs_is_said_before_it_is_rendered(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(_cli_images, "_SAID_FROM", 5)
+    monkeypatch.setattr(rendering_files, "_SAID_FROM", 5)
     told = command(*rendered("--frames", 6, "--png", "--out", tmp_path / "a"))
     assert told.exit_code == 0
     said = told.stderr.splitlines()[0]
@@ -234,7 +234,7 @@ def test_what_a_drive_costs_is_said_before_it_is_rendered(
 def test_a_drive_that_the_disk_has_no_room_for_is_refused_before_it_is_made(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(_cli_images, "_SAID_FROM", 5)
+    monkeypatch.setattr(rendering_files, "_SAID_FROM", 5)
     monkeypatch.setattr(shutil, "disk_usage", lambda _: Usage(10**12, 0, 10**9))
     monkeypatch.setattr(render, "make_scene", lambda *a, **k: make_scene(a[0], a[1], 5))
     said = refused(*rendered("--frames", 9_000_000, "--out", tmp_path / "new" / "a"))

@@ -1,23 +1,213 @@
-"""Rendered pictures written to a folder or a video."""
+"""A rendered drive, written to a folder: pictures or a video, and the truth about every line."""
 
 from __future__ import annotations
 
 import contextlib
+import shutil
 import tempfile
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import cv2
 import numpy as np
+import yaml
 from numpy.typing import NDArray
 
-from egolane_pgm.camera.model import Camera
-from egolane_pgm.camera.writing import video_writer, write_picture
-from egolane_pgm.simulation.rendering.render import render_frame
+from egolane_pgm.camera.model import Camera, write_camera
+from egolane_pgm.camera.writing import NotKeptError, video_writer, write_picture
+from egolane_pgm.recordings.ground_truth import write_ground_truth
+from egolane_pgm.recordings.table import write_table
+from egolane_pgm.results import make_directory
+from egolane_pgm.simulation.presets import PRESETS
+from egolane_pgm.simulation.rendering.render import Frame, make_scene, render_frame, true_lines
 from egolane_pgm.simulation.rendering.scene import Scene
+from egolane_pgm.types import InputError
 
 Image = NDArray[np.uint8]
+
+_README = """A rendered drive: {n_frames} frames of {width}x{height} pixels, {rate:g} per second,
+preset {preset}, seed {seed}.
+
+    egolane detect {pictures} --camera camera.yaml --detector {detector} -o lines.parquet
+    egolane run experiment.yaml
+
+camera.yaml: the camera at rest (its pitch oscillates about it). ground_truth.txt: the lane.
+lines_truth.parquet: the lane lines as a perfect detector would see them. visibility.csv: per frame
+and line its shape y(x) = offset_m + heading x + curvature x^2/2 + curvature_rate x^3/6, and the
+shares of its marking between 6 and 25 m ahead that can be seen well, that are worn, hidden (or out
+of the picture) and in shadow; is_failing: in a burst of failures; pitch_deg of the camera.
+"""
+
+#: From so many frames on it is said beforehand what they cost, measured on a drive of so many.
+_SAID_FROM = 100
+
+_COLUMNS = (
+    "frame_id,line,offset_m,heading,curvature,curvature_rate,is_continuous,visible,worn,hidden,"
+    "shaded,is_failing,pitch_deg\n"
+)
+
+
+def free_places(folder: Path, *, stereo: bool, video: bool) -> list[str]:
+    """Where the pictures go in the folder, the left camera's first. Raises InputError where there
+    are pictures already: those of another drive would be read with the new ones as one."""
+    names = ["left", "right"] if stereo else ["images"]
+    places = [f"{name}.mp4" for name in names] if video else names
+    for place in places:
+        if (folder / place).is_dir() and any((folder / place).iterdir()):
+            raise InputError(f"{folder / place}: is not empty; name another folder (--out)")
+    return places
+
+
+def foretell(
+    preset: str,
+    seed: int,
+    frames: int | None,
+    overrides: Mapping[str, Any],
+    folder: Path,
+    *,
+    stereo: bool,
+    video: bool,
+    png: bool,
+) -> str | None:
+    """How much disk and time a long drive will take, or None for a short one. Raises InputError
+    where the disk has too little left."""
+    if preset not in PRESETS:
+        return None  # make_scene refuses it
+    world = replace(PRESETS[preset].world)
+    n_frames = frames if frames is not None else overrides.get("n_frames", world.n_frames)
+    # Checked before it is counted with.
+    n_frames = replace(world, n_frames=n_frames).n_frames
+    if n_frames < _SAID_FROM:
+        return None
+    settings = {key: value for key, value in overrides.items() if key != "n_frames"}
+    short = make_scene(preset, seed, _SAID_FROM, stereo=stereo, **settings)
+    seconds, size = cost_per_frame(short, png=png, video=video)
+    nearest = folder.absolute()
+    while not nearest.exists():
+        nearest = nearest.parent
+    disk = shutil.disk_usage(nearest)
+    need = f"{n_frames} frames need about {_amount(n_frames * size)}"
+    if disk.total and n_frames * size > disk.free:
+        raise InputError(
+            f"{folder}: {need}, the disk has {_amount(disk.free)} left; ask for fewer (--frames)"
+            " or name another place (--out)"
+        )
+    return f"{need} and {_duration(n_frames * seconds)}; Ctrl-C keeps those rendered"
+
+
+def write_drive(
+    scene: Scene,
+    folder: Path,
+    preset: str,
+    seed: int,
+    places: Sequence[str],
+    *,
+    png: bool,
+    progress: Callable[[range], Iterable[int]],
+) -> None:
+    """Render a drive into a folder, one frame in memory at a time.
+
+    - places: where the pictures go, as `free_places` says.
+    - png: pictures are PNG instead of JPEG.
+    - progress: goes through the frame numbers, and may show a bar meanwhile.
+
+    Raises InputError where something cannot be written. The frames rendered until then, or until
+    Ctrl-C, are kept.
+    """
+    make_directory(folder)
+    write_camera(folder / "camera.yaml", scene.camera, f"rendered drive {preset}, seed {seed}")
+    write_ground_truth(folder / "ground_truth.txt", scene.road.truth)
+    write_table(folder / "lines_truth.parquet", true_lines(scene))
+    n_rendered, rate = 0, scene.road.frame_rate
+    try:
+        _write_texts(folder, scene, preset, seed, places)
+        with contextlib.ExitStack() as files:
+            # Line buffered: a row is on the disk as soon as its picture is.
+            table = (folder / "visibility.csv").open("w", encoding="ascii", buffering=1)
+            files.enter_context(table).write(_COLUMNS)
+            writers = [
+                files.enter_context(picture_writer(folder / p, scene.camera, rate, png))
+                for p in places
+            ]
+            for k in progress(range(len(scene))):
+                frame = render_frame(scene, k)
+                for write, image in zip(writers, (frame.image, frame.right), strict=False):
+                    if image is not None:
+                        write(k, image)
+                table.write(_rows(frame))
+                n_rendered = k + 1
+    except NotKeptError:
+        raise
+    except (OSError, InputError) as error:
+        _remove_half(folder, places, n_rendered)
+        said = str(error)
+        if isinstance(error, OSError):
+            said = f"{folder}: cannot be written: {error.strerror or error}"
+        raise InputError(f"{said}; {n_rendered} of {len(scene)} frames are in {folder}") from error
+    except KeyboardInterrupt:
+        _remove_half(folder, places, n_rendered)
+        raise KeyboardInterrupt(f"{n_rendered} of {len(scene)} frames are in {folder}") from None
+
+
+def _amount(n_bytes: float) -> str:
+    return f"{n_bytes / 1e9:.1f} GB" if n_bytes >= 1e9 else f"{max(1, round(n_bytes / 1e6))} MB"
+
+
+def _duration(seconds: float) -> str:
+    for unit, name in ((86400.0, "days"), (3600.0, "hours"), (60.0, "minutes")):
+        if seconds >= 2 * unit:
+            return f"{seconds / unit:.0f} {name}"
+    return f"{max(1, round(seconds))} seconds"
+
+
+def _remove_half(folder: Path, places: Sequence[str], frame: int) -> None:
+    """Remove what is there of a frame that was not written whole."""
+    for place in places:
+        for file in (folder / place).glob(f"{frame:06d}.*"):
+            with contextlib.suppress(OSError):
+                file.unlink()
+
+
+def _write_texts(folder: Path, scene: Scene, preset: str, seed: int, places: Sequence[str]) -> None:
+
+    pictures = places[0] if len(places) == 1 else f"{places[0]} --right {places[1]}"
+    readme = _README.format(
+        n_frames=len(scene),
+        width=scene.camera.width,
+        height=scene.camera.height,
+        rate=scene.road.frame_rate,
+        preset=preset,
+        seed=seed,
+        pictures=pictures,
+        detector="ml" if len(places) == 1 else "sl",
+    )
+    (folder / "README.md").write_text(readme, encoding="ascii")
+    experiment = {
+        "name": f"rendered_{preset}_{seed}",
+        "recording": {"path": "lines.parquet"},
+        "ground_truth": {"path": "ground_truth.txt"},
+        "n_lanes": scene.road.n_lanes,
+        "tuned_on": "not_tuned",
+    }
+    text = yaml.safe_dump(experiment, sort_keys=False)
+    (folder / "experiment.yaml").write_text(text, encoding="utf-8")
+
+
+def _rows(frame: Frame) -> str:
+    truth = frame.truth
+    rows = []
+    for line, (shape, solid) in enumerate(zip(truth.shape, truth.is_continuous, strict=True)):
+        shares = (truth.visible, truth.worn, truth.hidden, truth.shaded)
+        numbers = ",".join(f"{value:.6g}" for value in shape)
+        rest = ",".join(f"{share[line]:.3f}" for share in shares)
+        rows.append(
+            f"{frame.frame_id},{line + 1},{numbers},{int(solid)},{rest},"
+            f"{int(truth.is_failing)},{truth.camera.pitch_deg:.4f}\n"
+        )
+    return "".join(rows)
 
 
 @contextlib.contextmanager

@@ -1,0 +1,29 @@
+"""The command `egolane online`."""
+
+from __future__ import annotations
+
+import json
+import sys
+
+import click
+
+from egolane_pgm.cli import options
+from egolane_pgm.experiment import load_experiment
+from egolane_pgm.online import filter_stream
+
+
+@click.command()
+@options.experiment
+@options.overrides()
+def online(experiment: str, overrides: tuple[str, ...]) -> None:
+    """Filter frame by frame: a JSON line in, the belief for it out at once.
+
+    Reads `{"frame_id": 7, "lines": [{"offset_m": -1.8, "is_valid": true, "is_continuous": false,
+    "lri": 10}]}` per line on standard input.
+    """
+    # Standard input as an iterator would be read ahead in blocks.
+    sys.stdin.reconfigure(encoding="utf-8", errors="replace")  # type: ignore[union-attr]
+    messages = iter(sys.stdin.readline, "")
+    for belief in filter_stream(load_experiment(experiment, overrides), messages):
+        click.echo(json.dumps(belief))
+        sys.stdout.flush()

@@ -1,0 +1,96 @@
+"""The arguments and options that several commands share, each declared once."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable
+from pathlib import Path
+from typing import Any
+
+import click
+
+from egolane_pgm.experiment import read_override
+from egolane_pgm.results import check_place
+
+Decorator = Callable[[Callable[..., Any]], Callable[..., Any]]
+
+experiment = click.argument("experiment", type=click.Path(dir_okay=False))
+
+style = click.option(
+    "--format",
+    "style",
+    type=click.Choice(["markdown", "latex", "csv"]),
+    default="markdown",
+    show_default=True,
+)
+
+jobs = click.option(
+    "--jobs", type=click.IntRange(1), default=1, show_default=True, help="Processes."
+)
+
+camera = click.option(
+    "--camera", "camera_file", required=True, metavar="FILE", help="The camera's YAML."
+)
+
+right = click.option(
+    "--right", "right_pictures", metavar="PICTURES", help="Those of the second camera."
+)
+
+frames = click.option(
+    "--frames", type=(int, int), metavar="FIRST STOP", help="Frame ids, STOP left out."
+)
+
+
+def overrides(
+    help: str = "Override a key of the YAML, e.g. parameters.bonus_value=0.",
+) -> Decorator:
+    """`--set KEY=VALUE`, which may be given several times."""
+    return click.option("--set", "overrides", multiple=True, metavar="KEY=VALUE", help=help)
+
+
+def parameters(
+    help: str = "Recovered (by a search; run 5 from the authors' code), or as printed (truncated).",
+) -> Decorator:
+    """`--parameters`: which of the two sets that are known for each of the paper's runs."""
+    return click.option(
+        "--parameters",
+        "which",
+        type=click.Choice(["recovered", "published"]),
+        default="recovered",
+        show_default=True,
+        help=help,
+    )
+
+
+def _writable(_: click.Context, __: click.Parameter, file: str | None) -> Path | None:
+    """Refuse the file before anything is computed."""
+    if file is None:
+        return None
+    check_place(Path(file))
+    return Path(file)
+
+
+json_file = click.option(
+    "--json",
+    "json_file",
+    type=click.Path(dir_okay=False),
+    metavar="FILE",
+    callback=_writable,
+    help="Write the unrounded numbers as JSON.",
+)
+
+numpy = click.option(
+    "--numpy", "use_numpy", is_flag=True, help="Use the plain NumPy twins of the kernels."
+)
+
+
+def shown(path: Path) -> str:
+    """A path as it is printed: relative where it lies in the current folder."""
+    try:
+        return str(path.relative_to(Path.cwd()))
+    except ValueError:
+        return str(path)
+
+
+def given(overrides: Iterable[str], example: str) -> dict[str, Any]:
+    """The keys and values of `--set`. Raises InputError, with the example, for one that is none."""
+    return dict(read_override(override, example) for override in overrides)

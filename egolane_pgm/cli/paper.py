@@ -1,0 +1,103 @@
+"""The commands of `egolane` about the paper's own runs: reproduce and recover."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import click
+from tqdm import tqdm
+
+from egolane_pgm import paper
+from egolane_pgm.cli import options
+from egolane_pgm.cli.recordings import have_recordings
+from egolane_pgm.report import tables
+from egolane_pgm.results import SCHEMA_VERSION, write_json
+from egolane_pgm.run import save_run
+
+
+@click.command()
+@click.option("--runs", default="1-10", show_default=True, help="E.g. 1-5,7.")
+@options.parameters()
+@options.style
+@click.option("--matrices", is_flag=True, help="Print every confusion matrix too.")
+@click.option(
+    "--if-available",
+    is_flag=True,
+    help="Without the recordings: offer the download, or say how to get them, and end well.",
+)
+@click.option("--out", type=click.Path(file_okay=False), help="Keep a result directory per run.")
+@options.numpy
+@options.json_file
+def reproduce(
+    runs: str,
+    which: str,
+    style: str,
+    matrices: bool,
+    if_available: bool,
+    out: str | None,
+    use_numpy: bool,
+    json_file: Path | None,
+) -> None:
+    """The paper's ten runs: ours beside the 20 published tables, and the difference."""
+    numbers = paper.parse_runs(runs)
+    if if_available and not have_recordings():
+        return
+    done = []
+    for number in tqdm(numbers, desc="runs", unit="run", leave=False, disable=None):
+        result = paper.reproduce_run(number, which, kernel=not use_numpy)
+        done.append(result)
+        if out:
+            save_run(result.run, Path(out) / result.run.experiment.name)
+    document = paper.reproduce_json(done, which)
+    header, rows = tables.reproduction_rows(document, paper.load_published())
+    click.echo(tables.STYLES[style](header, rows))
+    if matrices:
+        for entry in document["runs"]:
+            for kind in ("detector", "model"):
+                title = f"run {entry['run']}, {kind}"
+                click.echo("\n" + tables.confusion_table(entry[kind]["confusion"], title))
+    if style == "markdown":
+        frames = sum(2 * entry["frames_scored"] for entry in document["runs"])
+        click.echo(
+            f"\n{document['total_frames_off']} of {frames} classified frames differ from the"
+            f" published matrices (parameters: {which}; in-sample, as in the paper)"
+        )
+    if json_file:
+        write_json(json_file, document)
+
+
+@click.command()
+@click.option("--run", "number", type=int, required=True, help="Which of the paper's runs.")
+@click.option("--evaluations", type=click.IntRange(1), default=20_000, show_default=True)
+@click.option("--seed", type=click.IntRange(0), default=0, show_default=True)
+@click.option("--write", is_flag=True, help="Keep the set in published.yaml under `recovered`.")
+@options.json_file
+def recover(number: int, evaluations: int, seed: int, write: bool, json_file: Path | None) -> None:
+    """Search the published, truncated parameters' box for the values that were really used."""
+    paper.paper_experiment(number)
+    with tqdm(total=evaluations, desc=f"run {number}", leave=False, disable=None) as bar:
+
+        def progress(done: int, off: int) -> None:
+            bar.update(done - bar.n)
+            bar.set_postfix(frames_off=off)
+
+        found = paper.recover(number, evaluations=evaluations, seed=seed, progress=progress)
+    values = ", ".join(f"{k}: {v!r}" for k, v in found.parameters.items())
+    click.echo(f"run {number}: {found.frames_off} frames off after {found.evaluations} evaluations")
+    click.echo(f"{{{values}}}")
+    if write:
+        how = f"random search in the box of the truncated values, seed {seed}"
+        paper.store_recovered(number, found, how)
+        click.echo(f"written to {options.shown(paper.published_path())}")
+    if json_file:
+        write_json(
+            json_file,
+            {
+                "schema_version": SCHEMA_VERSION,
+                "run": number,
+                "frames_off": found.frames_off,
+                "evaluations": found.evaluations,
+                "seed": seed,
+                "parameters": dict(found.parameters),
+            },
+        )
