@@ -16,7 +16,7 @@ from egolane_pgm.cli.main import egolane
 from egolane_pgm.experiment import load_experiment
 from egolane_pgm.recordings import read_lines
 from egolane_pgm.recordings.ground_truth import read_ground_truth
-from egolane_pgm.simulation.rendering import render
+from egolane_pgm.simulation.rendering import files, render
 from egolane_pgm.simulation.rendering.render import make_scene, render_frame
 
 
@@ -89,7 +89,7 @@ def test_what_was_rendered_before_an_interruption_is_kept(
             raise KeyboardInterrupt
         return real(scene, k)
 
-    monkeypatch.setattr(render, "render_frame", interrupted)
+    monkeypatch.setattr(files, "render_frame", interrupted)
     result = simulate("a4", "--images", "--video", "--frames", 9, "--out", tmp_path)
     assert result.exit_code == 130
     assert f"egolane: interrupted; 2 of 9 frames are in {tmp_path}" in result.output
