@@ -1,16 +1,25 @@
-"""Work that processes share."""
+"""Work shared out to processes, through one `concurrent.futures.Executor`.
+
+Processes are started anew ("spawn", which every system has): what they are given is pickled, so
+functions are named at the top of a module, and a script that shares out work does so below
+`if __name__ == "__main__":`.
+"""
 
 from __future__ import annotations
 
+import _thread
 import contextlib
 import multiprocessing
 import os
+import pickle
 import signal
+import sys
 import threading
 import time
+import warnings
 from collections.abc import Callable, Iterator, Sequence
-from concurrent.futures import Future, ProcessPoolExecutor
-from concurrent.futures.process import BrokenProcessPool
+from concurrent.futures import BrokenExecutor, Executor, Future, ProcessPoolExecutor
+from multiprocessing.process import BaseProcess
 from typing import Any, TypeVar
 
 from egolane_pgm.types import InputError
@@ -18,144 +27,168 @@ from egolane_pgm.types import InputError
 T = TypeVar("T")
 R = TypeVar("R")
 
-#: In a forked process: what it works with; whether it is at work; whether it was interrupted.
-_inherited: list[Any] = []
-_state = {"is_busy": False, "is_interrupted": False}
+#: Processes that are told to end have this long to remove what they were writing.
+_SECONDS_TO_END = 2.0
 
-_DIED = "its process died, and again when it was tried alone (killed, or out of memory?)"
-
-
-def _inherit(work: Callable[[Any], Any], items: Sequence[Any], parent: int) -> None:
-    _inherited[:] = [work, items]
-    signal.signal(signal.SIGINT, _interrupt)
-    threading.Thread(target=_end_with, args=(parent,), daemon=True).start()
+_DIED = "its process, or one beside it, died (killed, or out of memory?)"
 
 
-def _interrupt(*_: Any) -> None:
-    """Ctrl-C ends the work at hand, once: the terminal and the parent may both send it."""
-    is_first = not _state["is_interrupted"]
-    _state["is_interrupted"] = True
-    if is_first and _state["is_busy"]:
-        raise KeyboardInterrupt
+class InProcess(Executor):
+    """Does the work in this process, when it is submitted; `map` when the answer is asked for."""
+
+    def submit(self, fn: Callable[..., R], /, *args: Any, **kwargs: Any) -> Future[R]:
+        future: Future[R] = Future()
+        try:
+            future.set_result(fn(*args, **kwargs))
+        except Exception as error:
+            future.set_exception(error)
+        return future
+
+    def map(self, fn: Callable[..., R], *iterables: Any, **_: Any) -> Iterator[R]:
+        return map(fn, *iterables)
 
 
-def _end_with(parent: int) -> None:
-    """Ends this process, which would wait for ever, when its parent was killed."""
-    while os.getppid() == parent:
-        time.sleep(0.5)
-    os.kill(os.getpid(), signal.SIGINT)
-    while _state["is_busy"]:
-        time.sleep(0.1)
+@contextlib.contextmanager
+def executor(jobs: int) -> Iterator[Executor]:
+    """An executor: this process for one job, else a pool of processes.
+
+    An error inside the `with` block, Ctrl-C included, ends the pool at once: work at hand is told
+    to end, work that waits is not begun.
+    """
+    if jobs <= 1:
+        yield InProcess()
+        return
+    others = set(multiprocessing.active_children())
+    pool = _Pool(jobs)
+    try:
+        yield pool
+    except BaseException:
+        # Without waiting: what was at work may never answer.
+        pool.shutdown(wait=False, cancel_futures=True)
+        _end(set(multiprocessing.active_children()) - others)
+        raise
+    pool.shutdown()
+
+
+def in_order(
+    work: Callable[[T], R],
+    items: Sequence[T],
+    jobs: int = 1,
+    died: Callable[[T, str], R] | None = None,
+) -> Iterator[R]:
+    """Yield what `work` makes of each item, in order, as soon as those before it are done.
+
+    - work, items: picklable where there is more than one job.
+    - jobs: number of processes that share the items; 1 for this process.
+    - died: makes the answer for an item that was at work when a process died, given the reason.
+
+    Raises InputError where a process died and `died` is None, and whatever `work` raises.
+    """
+    if jobs <= 1 or len(items) <= 1:
+        yield from map(work, items)
+        return
+    answers: list[Future[tuple[R, list[Warning]]]] = []
+    k = 0
+    while k < len(items):
+        with executor(min(jobs, len(items) - k)) as pool:
+            for j in range(k, len(items)):
+                if j >= len(answers):
+                    answers.append(pool.submit(_with_warnings, work, items[j]))
+                elif not _is_done(answers[j]):
+                    answers[j] = pool.submit(_with_warnings, work, items[j])
+            with contextlib.suppress(BrokenExecutor):
+                while k < len(items):
+                    answer, caught = answers[k].result()
+                    for warning in caught:
+                        warnings.warn(warning, stacklevel=2)
+                    yield answer
+                    k += 1
+        # Items are begun in order, so the first ones without an answer were at work.
+        for j in [j for j in range(k, len(items)) if not _is_done(answers[j])][:jobs]:
+            if died is None:
+                raise InputError("a process died; try again with fewer --jobs")
+            answers[j] = Future()
+            answers[j].set_result((died(items[j], _DIED), []))
+
+
+def _is_done(answer: Future[Any]) -> bool:
+    return answer.done() and not isinstance(answer.exception(), BrokenExecutor)
+
+
+def _with_warnings(work: Callable[[T], R], item: T) -> tuple[R, list[Warning]]:
+    with warnings.catch_warnings(record=True) as caught:
+        answer = work(item)
+    return answer, [w.message for w in caught if isinstance(w.message, Warning)]
+
+
+class _Ended(SystemExit):
+    """Raised in a process that is told to end."""
+
+
+class _Pool(ProcessPoolExecutor):
+    def __init__(self, n_processes: int) -> None:
+        super().__init__(
+            n_processes, mp_context=multiprocessing.get_context("spawn"), initializer=_begin
+        )
+
+    def submit(self, fn: Callable[..., R], /, *args: Any, **kwargs: Any) -> Future[R]:
+        # Pickled here, so that what cannot be pickled is an error of the caller's.
+        given = pickle.dumps((fn, args, kwargs))
+        with _without_interrupts():
+            return super().submit(_do, given)
+
+
+@contextlib.contextmanager
+def _without_interrupts() -> Iterator[None]:
+    """Processes that are started here leave Ctrl-C to this one, from their first moment on. Where
+    a system has no such thing they do so once they have begun."""
+    if not hasattr(signal, "pthread_sigmask"):
+        yield
+        return
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
+    try:
+        yield
+    finally:
+        signal.pthread_sigmask(signal.SIG_SETMASK, before)
+
+
+def _begin() -> None:
+    """What a process does first."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    signal.signal(signal.SIGTERM, _raise_ended)
+    threading.Thread(target=_end_with_parent, daemon=True).start()
+
+
+def _raise_ended(*_: Any) -> None:
+    # Once: both this package and the pool may tell a process to end, which cleans up meanwhile.
+    signal.signal(signal.SIGTERM, signal.SIG_IGN)
+    raise _Ended(1)
+
+
+def _end_with_parent() -> None:
+    """A process would wait for ever for work of a parent that was killed."""
+    parent = multiprocessing.parent_process()
+    assert parent is not None
+    parent.join()
+    _thread.interrupt_main(signal.SIGTERM)
+    time.sleep(_SECONDS_TO_END)
     os._exit(1)
 
 
-def _do(k: int) -> Any:
-    work, items = _inherited
-    _state["is_busy"] = True
+def _do(given: bytes) -> Any:
     try:
-        # What was queued before the interruption is not begun after it.
-        if _state["is_interrupted"]:
-            raise KeyboardInterrupt
-        return work(items[k])
-    finally:
-        _state["is_busy"] = False
+        work, args, kwargs = pickle.loads(given)
+        return work(*args, **kwargs)
+    except _Ended:
+        # The work has cleaned up behind itself; the pool would go on with its next item.
+        sys.stdout.flush()
+        os._exit(1)
 
 
-def in_processes(
-    work: Callable[[T], R],
-    items: Sequence[T],
-    jobs: int,
-    died: Callable[[T, str], R] | None = None,
-) -> Iterator[R]:
-    """What `work` makes of each item, in order.
-
-    An item whose process died, or one beside it (which one did cannot be told), is tried again
-    alone. died: what stands for one that dies again, given the reason; without it InputError is
-    raised. Items that are not begun when it is left are not done, those at hand are interrupted.
-    """
-    if jobs <= 1 or len(items) <= 1 or "fork" not in multiprocessing.get_all_start_methods():
-        yield from map(work, items)
-        return
-    known: dict[int, R] = {}
-    k = 0
-    while k < len(items):
-        if k in known:
-            yield known.pop(k)
-            k += 1
-            continue
-        todo = [j for j in range(k, len(items)) if j not in known]
-        waiting: dict[int, Future[R]] = {}
-        with _pool(work, items, min(jobs, len(todo))) as pool:
-            try:
-                for j in todo:
-                    waiting[j] = pool.submit(_do, j)
-                while k < len(items):
-                    yield known.pop(k) if k in known else waiting[k].result()
-                    k += 1
-            except BrokenProcessPool:
-                known |= {
-                    j: waiting[j].result() for j in waiting if j >= k and _is_good(waiting[j])
-                }
-        # They are begun in order.
-        for j in [j for j in todo if j >= k and j not in known][:jobs]:
-            known[j] = _alone(work, items, j, died)
-
-
-def _is_good(answer: Future[Any]) -> bool:
-    return answer.done() and not answer.cancelled() and answer.exception() is None
-
-
-def _alone(
-    work: Callable[[T], R], items: Sequence[T], k: int, died: Callable[[T, str], R] | None
-) -> R:
-    with _pool(work, items, 1) as pool:
-        try:
-            answer: R = pool.submit(_do, k).result()
-            return answer
-        except BrokenProcessPool as error:
-            if died is None:
-                raise InputError("a process died; try again with fewer --jobs") from error
-            return died(items[k], _DIED)
-
-
-@contextlib.contextmanager
-def _pool(
-    work: Callable[[Any], Any], items: Sequence[Any], n_processes: int
-) -> Iterator[ProcessPoolExecutor]:
-    """Forked processes inherit work and items. Sent through the pool's queue they would have to be
-    pickled, and after one that cannot be Python 3.11's pool never ends: its manager thread still
-    waits for the answer when `shutdown` waits for the thread."""
-    context = multiprocessing.get_context("fork")
-    given = (work, items, os.getpid())
-    with ProcessPoolExecutor(
-        n_processes, mp_context=context, initializer=_inherit, initargs=given
-    ) as pool:
-        try:
-            yield pool
-        except BaseException:
-            # After Ctrl-C or an error nobody asks for the rest; after a second one not even for
-            # an end in good order.
-            with _second_kills():
-                for process in multiprocessing.active_children():
-                    with contextlib.suppress(ProcessLookupError):
-                        os.kill(process.pid or 0, signal.SIGINT)
-                pool.shutdown(cancel_futures=True)
-            raise
-
-
-@contextlib.contextmanager
-def _second_kills() -> Iterator[None]:
-    """Meanwhile Ctrl-C kills the processes."""
-    if threading.current_thread() is not threading.main_thread():
-        yield
-        return
-
-    def kill(*_: Any) -> None:
-        for process in multiprocessing.active_children():
-            process.kill()
-
-    before = signal.signal(signal.SIGINT, kill)
-    try:
-        yield
-    finally:
-        signal.signal(signal.SIGINT, before)
+def _end(processes: set[BaseProcess]) -> None:
+    for process in processes:
+        process.terminate()
+    until = time.monotonic() + _SECONDS_TO_END
+    for process in processes:
+        process.join(max(0.0, until - time.monotonic()))
+        process.kill()

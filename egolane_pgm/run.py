@@ -21,7 +21,7 @@ from egolane_pgm.experiment import (
 from egolane_pgm.inference.smoothing import infer_beliefs
 from egolane_pgm.loading import Recorded, file_entry, load_recording, with_video_rate
 from egolane_pgm.model import Model, make_evidence, prepare_model, value_names
-from egolane_pgm.parallel import in_processes
+from egolane_pgm.parallel import in_order
 from egolane_pgm.plugins import OWN_FILES
 from egolane_pgm.results import (
     check_writable,
@@ -344,7 +344,7 @@ def run_all(
     before it are done. jobs: processes that share them. draw, kernel: as in `save_run`,
     `run_experiment`."""
     work = partial(run_task, draw=draw, kernel=kernel)
-    yield from in_processes(work, tasks, jobs, died=_failed)
+    yield from in_order(work, tasks, jobs, died=_failed)
 
 
 def _failed(task: Task, error: str) -> Outcome:

@@ -141,8 +141,6 @@ def _held_out(
     figure: str | None,
     json_file: Path | None,
 ) -> None:
-    # tqdm's monitor is a thread, and processes are forked.
-    tqdm.monitor_interval = 0
     tasks = plan([e for group in groups for e in group.experiments], settings.blocks)
     todo = distinct(tasks)
     tried = try_all(list(todo.values()), jobs)

@@ -179,8 +179,6 @@ def _run_many(
     jobs: int,
     json_file: Path | None,
 ) -> None:
-    # tqdm's monitor is a thread, and processes are forked.
-    tqdm.monitor_interval = 0
     plan = plan_runs(to_load, folder)
     if json_file:
         chosen = [task.experiment for task in plan if task.experiment is not None]

@@ -39,7 +39,7 @@ from egolane_pgm.experiment import Experiment
 from egolane_pgm.learn import fit as learn_from
 from egolane_pgm.learn import with_found
 from egolane_pgm.model import Drive, Model, declared_parameters, may_fit, prepare_model
-from egolane_pgm.parallel import in_processes
+from egolane_pgm.parallel import in_order
 from egolane_pgm.parameters import resolve_parameters
 from egolane_pgm.scoring.assign import assigned_lane
 from egolane_pgm.scoring.held_out import blocks
@@ -179,7 +179,7 @@ def distinct(tasks: Mapping[str, Sequence[Task]]) -> dict[str, Task]:
 
 def try_all(tasks: Sequence[Task], jobs: int = 1) -> Iterator[Losses]:
     """The losses of each task, in order. jobs: processes that share them."""
-    return in_processes(losses_of, tasks, jobs)
+    return in_order(losses_of, tasks, jobs)
 
 
 def losses_of(task: Task) -> Losses:

@@ -30,7 +30,7 @@ from egolane_pgm.experiment import Experiment, load_experiment
 from egolane_pgm.loading import Recorded
 from egolane_pgm.model import prepare_model
 from egolane_pgm.paper import load_published, paper_experiment, parameters_for
-from egolane_pgm.parallel import in_processes
+from egolane_pgm.parallel import in_order
 from egolane_pgm.run import score
 from egolane_pgm.scoring.assign import assigned_lane
 from egolane_pgm.scoring.bootstrap import (
@@ -190,7 +190,7 @@ def compare_groups(
         done = try_all(list(todo.values()), jobs)
         known = known_losses(tasks, dict(zip(todo, done, strict=True)))
     work = partial(_tried, options=options, known=known)
-    yield from in_processes(work, groups, jobs, died=_failed)
+    yield from in_order(work, groups, jobs, died=_failed)
 
 
 def _tried(group: Group, options: Options, known: Known) -> dict[str, Any]:

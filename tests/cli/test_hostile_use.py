@@ -18,7 +18,6 @@ import pytest
 
 from egolane_pgm.compare import comparing
 from egolane_pgm.experiment import load_experiment
-from egolane_pgm.parallel import in_processes
 from egolane_pgm.results import check_place, is_result, staged
 from egolane_pgm.run import run_experiment, save_run
 from egolane_pgm.types import InputError
@@ -211,79 +210,12 @@ def test_ctrl_c_keeps_the_finished_runs_and_begins_no_other(tmp_path: Path) -> N
     began = time.perf_counter()
     os.killpg(running.pid, signal.SIGINT)
     _, said = running.communicate(timeout=30)
-    assert time.perf_counter() - began < 20
+    assert time.perf_counter() - began < 5
     assert running.returncode == 130
     assert said == f"egolane: interrupted; 1 of 4 are in {out}\n"
     assert [p.name for p in out.iterdir()] == ["fast"]
     assert is_result(out / "fast")
     assert not (tmp_path / "d" / "lines.begun").exists()
-
-
-def _never(_: int) -> int:
-    time.sleep(60)
-    return 0
-
-
-@needs_links
-def test_work_whose_answer_nobody_waits_for_is_ended() -> None:
-    answers = in_processes(lambda k: k if k == 0 else _never(k), range(4), jobs=2)
-    assert next(answers) == 0
-    began = time.perf_counter()
-    answers.close()  # type: ignore[attr-defined]
-    assert time.perf_counter() - began < 20
-
-
-@needs_links
-def test_work_whose_process_was_killed_is_done_again(tmp_path: Path) -> None:
-    def work(k: int) -> int:
-        begun = tmp_path / str(k)
-        if k == 2 and not begun.exists():
-            begun.touch()
-            os.kill(os.getpid(), signal.SIGKILL)
-        with (tmp_path / "done").open("a") as file:
-            file.write(f"{k} ")
-        return 10 * k
-
-    assert list(in_processes(work, range(7), jobs=2)) == [0, 10, 20, 30, 40, 50, 60]
-    assert set((tmp_path / "done").read_text().split()) == set("0123456")
-
-
-@needs_links
-def test_only_work_that_kills_its_process_every_time_is_given_up() -> None:
-    def work(k: int) -> str:
-        if k in (1, 4):
-            os.kill(os.getpid(), signal.SIGKILL)
-        return str(k)
-
-    answers = list(in_processes(work, range(6), 3, died=lambda k, why: f"{k} {why.split()[2]}"))
-    assert answers == ["0", "1 died,", "2", "3", "4 died,", "5"]
-    with pytest.raises(InputError, match="a process died"):
-        list(in_processes(work, range(6), 3))
-
-
-@needs_links
-def test_processes_end_when_their_parent_is_killed(tmp_path: Path) -> None:
-    program = (
-        "import os, sys, time; from pathlib import Path;"
-        "from egolane_pgm.parallel import in_processes\n"
-        "def work(k):\n"
-        "    (Path(sys.argv[1]) / str(os.getpid())).touch(); time.sleep(60)\n"
-        "list(in_processes(work, range(4), 2))"
-    )
-    running = subprocess.Popen([sys.executable, "-c", program, str(tmp_path)])
-    for _ in range(600):
-        if len(list(tmp_path.iterdir())) == 2:
-            break
-        time.sleep(0.05)
-    children = [int(file.name) for file in tmp_path.iterdir()]
-    assert len(children) == 2
-    running.kill()
-    running.wait()
-    for _ in range(200):
-        if not any(Path(f"/proc/{pid}").exists() for pid in children):
-            return
-        time.sleep(0.05)
-    raise AssertionError("they are still there")
 
 
 @needs_links

@@ -4,9 +4,7 @@ recordings of one name."""
 from __future__ import annotations
 
 import json
-import time
 import warnings
-from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -21,7 +19,6 @@ from egolane_pgm.learn import output
 from egolane_pgm.loading import load_recording
 from egolane_pgm.model import prepare_model
 from egolane_pgm.paper import experiments_folder
-from egolane_pgm.parallel import in_processes
 from egolane_pgm.recordings.ground_truth import write_ground_truth
 from egolane_pgm.run import run_experiment
 from egolane_pgm.tune.output import tuned_experiment, write_yaml
@@ -137,37 +134,6 @@ def test_what_was_learned_is_said_where_its_files_cannot_be_written(
     assert result.exit_code == 2
     assert "held out, 5 blocks" in result.stdout
     assert "No space left on device" in result.stderr
-
-
-def leave_a_file(folder: Path, k: int) -> int:
-    time.sleep(0.1)
-    (folder / str(k)).touch()
-    return k
-
-
-def test_nothing_is_begun_after_the_work_is_left(tmp_path: Path) -> None:
-    results = in_processes(partial(leave_a_file, tmp_path), range(60), 2)
-    assert next(iter(results)) == 0
-    results.close()  # type: ignore[attr-defined]
-    assert len(list(tmp_path.iterdir())) < 30
-
-
-def no_pickle(k: int) -> int:
-    if k == 3:
-        raise ValueError("three")
-    return k
-
-
-def test_a_function_that_cannot_be_pickled_is_done_in_processes() -> None:
-    own = 10
-    assert list(in_processes(lambda k: own * k, range(4), 2)) == [0, 10, 20, 30]
-    with pytest.raises(ValueError, match="three"):
-        list(in_processes(lambda k: no_pickle(k), range(4), 2))
-
-
-def test_a_result_that_cannot_be_pickled_is_an_error() -> None:
-    with pytest.raises(Exception, match="pickle"):
-        list(in_processes(lambda k: lambda: k, range(4), 2))
 
 
 # --- tuning --------------------------------------------------------------------------------------
