@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -13,21 +13,23 @@ from egolane_pgm.types import InputError, suggestion
 #: A parameter's value: a number, a choice by name, or one number per lane.
 Value = float | int | str | tuple[float, ...]
 
-
+#: Values by the parameters' names, checked (`resolve_parameters`).
 Parameters = Mapping[str, Value]
 
 
 @dataclass(frozen=True)
 class Parameter:
-    """A parameter that a graph or an evidence rule declares.
+    """A parameter that a graph, an evidence rule or a detector declares.
 
-    kind: "sigma" (> 0), "probability" (0 to 1), "positive" (> 0), "non_negative", "integer"
-    (>= 0) or "choice" (one of `choices`). per_lane: a list of n values is allowed as well as one.
-    search: the bounds of a parameter search, or None where it is not searched.
-    choices: for another kind than "choice", names that may stand for a number (`auto`).
-    lowest, highest: the smallest and the largest value of a number, both allowed. shape: for n
-    lanes, the shape of a list of numbers, nested as in a table or all in one row; it is kept as one
-    row, the last axis fastest.
+    - kind: "sigma" (> 0), "probability" (0 to 1), "positive" (> 0), "non_negative", "integer"
+      (>= 0) or "choice" (one of `choices`)
+    - doc: what it means and its unit
+    - search: the bounds of a parameter search, or None where it is not searched
+    - choices: for another kind than "choice", names that may stand for a number (`auto`)
+    - per_lane: a list of n values is allowed as well as one value
+    - lowest, highest: the smallest and the largest number, both allowed
+    - shape: for a parameter that is a table, its shape for n lanes. The numbers may be given as
+      nested lists or as one row; the value is one row, the last axis fastest.
     """
 
     name: str
@@ -42,7 +44,10 @@ class Parameter:
     shape: Callable[[int], tuple[int, ...]] | None = None
 
     def check(self, value: object, n_lanes: int, where: str) -> Value:
-        """The value, converted; InputError starting with `where` where it is out of range."""
+        """The value, converted to its type.
+
+        Raises InputError, starting with `where`, for a value of another type or out of range.
+        """
         if self.kind == "choice":
             if not isinstance(value, str) or value not in self.choices:
                 raise InputError(
@@ -99,6 +104,19 @@ class Parameter:
         if x > self.highest:
             raise InputError(f"{where}: {value} must be at most {self.highest}")
         return int(x) if self.kind == "integer" else x
+
+
+def number(parameters: Parameters, name: str) -> float:
+    """The value of a parameter that is one number."""
+    value = parameters[name]
+    assert isinstance(value, (int, float))
+    return float(value)
+
+
+def per_lane(parameters: Parameters, name: str, n_lanes: int) -> Sequence[float]:
+    """The value of a parameter that is one number or one for each lane, as n numbers."""
+    value = parameters[name]
+    return value if isinstance(value, tuple) else (number(parameters, name),) * n_lanes
 
 
 def resolve_parameters(

@@ -1,8 +1,8 @@
-"""The paper's graph with a sensor that may be biased for a while: its output is that of a lane
-further LEFT or RIGHT, as when an exit lane or a barrier is taken for the road's edge.
+"""The paper's graph with a sensor that may be biased for a while: it then reports a lane further
+LEFT or RIGHT, for example because the detector takes an exit lane or a barrier for the road's edge.
 
-A biased sensor looks like one that works: WOR tells it from a BAD one only. A state is left for
-each of the other three alike.
+WOR has the same table for a biased sensor as for a working one, so it only tells either from a BAD
+one. A sensor that leaves a state goes to each of the other three with equal probability.
 """
 
 from __future__ import annotations
@@ -12,9 +12,18 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from egolane_pgm.graphs import sensor_failure
-from egolane_pgm.graphs.cpds import Table, declare, dynamics, previous, prior, uniform, within
-from egolane_pgm.graphs.shared_parameters import f_table, number, sticky
-from egolane_pgm.parameters import Parameter, Parameters
+from egolane_pgm.graphs.cpds import (
+    Table,
+    declare,
+    dynamics,
+    previous,
+    prior,
+    sticky,
+    uniform,
+    within,
+)
+from egolane_pgm.graphs.shared_parameters import f_table
+from egolane_pgm.parameters import Parameter, Parameters, number
 
 if TYPE_CHECKING:
     from pgmpy.models import DynamicBayesianNetwork
@@ -31,16 +40,14 @@ PARAMETERS = (
         "P(SensorState LEFT at t+1 | LEFT at t), and the same for RIGHT",
         search=(0.0, 1.0),
     ),
-    Parameter(
-        "shift", "positive", 1.0, "by how far a biased output is off, lanes", search=(0.5, 2.0)
-    ),
+    Parameter("shift", "positive", 1.0, "error of a biased output, lanes", search=(0.5, 2.0)),
 )
 
 
 def tables(n_lanes: int, parameters: Parameters) -> list[Table]:
     """As `sensor_failure`, each table of SensorState with rows for LEFT and RIGHT."""
     p1, p2, p3, p4, p_biased, shift = (
-        number(parameters[name]) for name in ("p1", "p2", "p3", "p4", "p_biased", "shift")
+        number(parameters, name) for name in ("p1", "p2", "p3", "p4", "p_biased", "shift")
     )
     outputs = [f_table("sigma2", n_lanes, parameters, by) for by in (0.0, -shift, shift)]
     working = [p3, 1 - p3]
@@ -59,5 +66,5 @@ def tables(n_lanes: int, parameters: Parameters) -> list[Table]:
 
 
 def build(n_lanes: int, parameters: Parameters) -> DynamicBayesianNetwork:
-    """The network, declared."""
+    """Declares the network in pgmpy."""
     return declare(tables(n_lanes, parameters), OBSERVED)

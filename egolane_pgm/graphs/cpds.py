@@ -1,8 +1,9 @@
 """Conditional probability tables with named axes, and their declaration as a pgmpy network.
 
-Tables are written as in the paper: the parents' values select the row, the node's values are the
-columns. So `values` has one axis per parent, in the order of `parents`, and the node's axis last.
-A node of a slice is the pair (name, slice): slice 0 is time t, slice 1 is time t + 1.
+Tables are written as in the paper: the parents' values select the row, the columns are the node's
+own values. The array of a table therefore has one axis per parent, in the order in which the
+parents are listed, and the node's own axis last. A node of one slice is the pair (name, slice):
+slice 0 is time t, slice 1 is time t + 1.
 """
 
 from __future__ import annotations
@@ -17,6 +18,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import ArrayLike
+from scipy.special import erf, erfc
 
 from egolane_pgm.types import FloatArray, InputError, Observed
 
@@ -25,54 +27,54 @@ if TYPE_CHECKING:
 
 SliceNode = tuple[str, int]
 
+#: What the name of a virtual-evidence node ends with.
 VE_SUFFIX = "_ve"
 
 
 def discretised_normal(
-    mean: float,
+    mean: float | FloatArray,
     sigma: float,
     n: int,
     normal: str = "density",
     widths: Sequence[float] | None = None,
 ) -> FloatArray:
-    """F(N(mean, sigma^2)) over lanes 1..n, (n,), summing to one (section "HMM with Transient
-    Failure Model").
+    """The paper's F(N(mean, sigma^2)): a normal as probabilities of the lanes 1 to n (section "HMM
+    with Transient Failure Model").
 
-    mean, sigma: in lanes. normal: "density" takes the density at the lane centres (what the
-    authors computed), "integral" the integral across each lane (what the text describes).
-    widths: (n,) lane widths in units of the nominal lane, default all 1; lane 1 starts at 0.5,
-    so that with equal widths the centres are 1..n.
+    - mean: one mean, or an array (...) of them, lanes
+    - sigma: standard deviation, lanes
+    - normal: "density" takes the density at the lane centres, as the authors computed it;
+      "integral" takes the integral across each lane, as the text describes it
+    - widths: (n,) width of each lane in units of the nominal lane, all 1 by default
+
+    Returns (..., n); each row sums to one.
     """
     edges, centres = lane_edges(n, widths)
+    mean = np.asarray(mean, dtype=np.float64)[..., None]
     if normal == "density":
-        return _density(centres - mean, sigma)
-    distance = np.maximum(0.0, np.maximum(edges[:-1] - mean, mean - edges[1:]))
-    # A tiny sigma overflows to infinitely many standard deviations, which is what is meant.
+        with np.errstate(over="ignore", invalid="ignore"):
+            exponent = -0.5 * ((centres - mean) / sigma) ** 2
+            mass = np.exp(exponent - exponent.max(axis=-1, keepdims=True))
+        return _normalised(mass, np.abs(centres - mean))
+    # With a tiny sigma this overflows to infinity, which gives the right limit.
     with np.errstate(over="ignore"):
         z = (edges - mean) / sigma / math.sqrt(2.0)
-    # Near the mean the difference of erf, far from it that of the tails on the lane's
-    # side: small masses keep their digits both ways.
-    middle = np.diff([math.erf(v) for v in z])
-    right = -np.diff([math.erfc(v) for v in z])
-    left = np.diff([math.erfc(-v) for v in z])
-    mass = np.where(z[:-1] > 0.5, right, np.where(z[1:] < -0.5, left, middle))
+    # A lane near the mean takes the difference of erf; a lane far from it takes the difference of
+    # the tails on its own side. Small masses keep their digits in this way.
+    middle, right, left = np.diff(erf(z)), -np.diff(erfc(z)), np.diff(erfc(-z))
+    mass = np.where(z[..., :-1] > 0.5, right, np.where(z[..., 1:] < -0.5, left, middle))
+    distance = np.maximum(0.0, np.maximum(edges[:-1] - mean, mean - edges[1:]))
     return _normalised(mass, distance)
 
 
-def _density(offset: FloatArray, sigma: float) -> FloatArray:
-    """The density at some offsets from the mean, (..., n) lanes, summing to one."""
-    with np.errstate(over="ignore", invalid="ignore"):
-        exponent = -0.5 * (offset / sigma) ** 2
-        mass = np.exp(exponent - exponent.max(axis=-1, keepdims=True))
-    return _normalised(mass, offset)
+def _normalised(mass: FloatArray, distance: FloatArray) -> FloatArray:
+    """Divides masses (..., n) by their sum.
 
-
-def _normalised(mass: FloatArray, offset: FloatArray) -> FloatArray:
-    """Masses (..., n) that sum to one; where all are zero (or NaN: infinitely many standard
-    deviations from every lane) the limit, all on the nearest lane."""
+    A row that is all zero or NaN, because every lane is infinitely many standard deviations away,
+    puts everything on the lane at the smallest distance (..., n), which is the limit.
+    """
     total = mass.sum(axis=-1, keepdims=True)
     if not (total > 0).all():
-        distance = np.abs(offset)
         nearest = distance == distance.min(axis=-1, keepdims=True)
         mass = np.where(total > 0, mass, nearest)
         total = mass.sum(axis=-1, keepdims=True)
@@ -80,43 +82,62 @@ def _normalised(mass: FloatArray, offset: FloatArray) -> FloatArray:
 
 
 def lane_edges(n: int, widths: Sequence[float] | None = None) -> tuple[FloatArray, FloatArray]:
-    """Edges (n + 1,) and centres (n,) of the lanes, in units of the nominal lane, from 0.5 on."""
+    """Edges (n + 1,) and centres (n,) of the lanes, in units of the nominal lane.
+
+    Lane 1 starts at 0.5, so that lanes of width 1 have their centres at 1 to n.
+    """
     widths_array = np.ones(n) if widths is None else np.asarray(widths, dtype=np.float64)
     edges = 0.5 + np.concatenate([[0.0], np.cumsum(widths_array)])
     return edges, (edges[:-1] + edges[1:]) / 2
 
 
 def lane_normals(
-    sigma: float, n: int, normal: str = "density", widths: Sequence[float] | None = None
+    sigma: float,
+    n: int,
+    normal: str = "density",
+    widths: Sequence[float] | None = None,
+    shift: float = 0.0,
 ) -> FloatArray:
-    """Row i: F of a normal around the centre of lane i + 1; (n, n), rows sum to one."""
+    """F of a normal around each lane's centre, moved by `shift` lanes to the right: (n, n), whose
+    row i belongs to lane i + 1. The other parameters are those of `discretised_normal`."""
     _, centres = lane_edges(n, widths)
-    if normal == "density":
-        return _density(centres - centres[:, None], sigma)
-    return np.stack([discretised_normal(c, sigma, n, normal, widths) for c in centres])
+    return discretised_normal(centres + shift, sigma, n, normal, widths)
 
 
 def binary(ok: float, bad: float) -> FloatArray:
-    """[[ok, 1 - ok], [1 - bad, bad]]: how well OK and BAD are kept (Tables `tab:cptsensor`,
-    `tab:cptri`)."""
+    """[[ok, 1 - ok], [1 - bad, bad]]: an OK parent gives OK with probability `ok`, a BAD one gives
+    BAD with probability `bad` (Tables `tab:cptsensor`, `tab:cptri`)."""
     return np.array([[ok, 1 - ok], [1 - bad, bad]])
 
 
+def sticky(*stay: float) -> FloatArray:
+    """(k, k): value i stays with probability `stay[i]`; otherwise each of the other values is
+    equally likely."""
+    k = len(stay)
+    return np.stack([np.where(np.arange(k) == i, p, (1 - p) / (k - 1)) for i, p in enumerate(stay)])
+
+
 def uniform(*shape: int) -> FloatArray:
-    """Uniform over the last axis."""
+    """An array of this shape that is uniform over its last axis."""
     return np.full(shape, 1.0 / shape[-1])
 
 
 @dataclass(frozen=True)
 class Table:
-    """P(node | parents): values (*cardinalities of the parents, cardinality of the node)."""
+    """P(node | parents).
+
+    values: one axis per parent, in the order of `parents`, and the node's own axis last.
+    Raises InputError, naming node and parents, where an axis is missing, an entry is negative or
+    NaN, or a row does not sum to one.
+    """
 
     node: SliceNode
     parents: tuple[SliceNode, ...]
     values: FloatArray
 
     def __post_init__(self) -> None:
-        # A search makes thousands per second: the usual case costs two passes, NaN fails it too.
+        # A search builds thousands of tables per second, so a good table is recognised in two
+        # passes; NaN fails both comparisons.
         if self.values.ndim == len(self.parents) + 1:
             off = np.abs(self.values.sum(axis=-1) - 1).max()
             if self.values.min() >= 0 and off <= 1e-9:
@@ -137,7 +158,7 @@ def _spell(node: SliceNode) -> str:
 
 
 def previous(name: str) -> SliceNode:
-    """The node in the slice before, as a parent in `dynamics`."""
+    """The node at time t, as a parent in `dynamics`."""
     return (name, 0)
 
 
@@ -148,13 +169,13 @@ def prior(name: str, values: ArrayLike, given: Sequence[str] = ()) -> list[Table
 
 
 def dynamics(name: str, given: Sequence[str | SliceNode], values: ArrayLike) -> list[Table]:
-    """P(name at t+1 | given): `previous(x)` is x at t, a plain name is the node at t+1."""
+    """P(name at t+1 | given). In `given`, `previous(x)` is x at t and a plain name is x at t+1."""
     parents = tuple((g, 1) if isinstance(g, str) else g for g in given)
     return [Table((name, 1), parents, np.asarray(values, dtype=np.float64))]
 
 
 def within(name: str, given: Sequence[str], values: ArrayLike) -> list[Table]:
-    """P(name | given in the same slice), the same table in both slices."""
+    """P(name | given in the same slice): one table for each of the two slices."""
     array = np.asarray(values, dtype=np.float64)
     return [Table((name, s), tuple((g, s) for g in given), array) for s in (0, 1)]
 
@@ -166,7 +187,7 @@ def ve_name(observed: Observed) -> str:
 
 @contextlib.contextmanager
 def quiet() -> Iterator[None]:
-    """pgmpy's warnings, log lines and progress bars, kept from the user's terminal."""
+    """Keeps pgmpy's warnings, log lines and progress bars off the terminal."""
     logger = logging.getLogger("pgmpy")
     level = logger.level
     with warnings.catch_warnings():
@@ -186,10 +207,12 @@ def quiet() -> Iterator[None]:
 
 
 def declare(tables: Iterable[Table], observed: Iterable[Observed]) -> DynamicBayesianNetwork:
-    """The pgmpy network of these tables, both slices in full, with a virtual-evidence child for
-    each observed node or tuple (its table is a placeholder: 1/2 everywhere).
+    """Declares the tables as a pgmpy network with both slices in full.
 
-    Raises InputError naming the nodes where a table does not fit its parents.
+    Each observed node, or tuple of nodes observed jointly, gets a binary child `<name>_ve` for
+    virtual evidence, whose table is a placeholder (1/2 everywhere).
+    Raises InputError, naming the nodes, where a table is missing, is there twice or does not fit
+    its parents, and where the two slices have different edges.
     """
     with quiet():
         import networkx as nx
@@ -228,7 +251,7 @@ def declare(tables: Iterable[Table], observed: Iterable[Observed]) -> DynamicBay
         for table in tables:
             for parent in table.parents:
                 if parent[1] == table.node[1] == 1:
-                    # pgmpy mirrors an edge inside slice 0 into slice 1, so both need it.
+                    # pgmpy copies an edge inside slice 0 into slice 1, so both must have it.
                     if ((parent[0], 0), (table.node[0], 0)) not in edges:
                         raise InputError(
                             f"{_spell(table.node)} depends on {_spell(parent)}, but"
@@ -245,9 +268,9 @@ def declare(tables: Iterable[Table], observed: Iterable[Observed]) -> DynamicBay
                 )
         for table in tables:
             if table.node[1] == 1:
-                # pgmpy gives a node its second slice only with an edge there.
+                # pgmpy adds a node to the second slice only together with an edge.
                 nx.DiGraph.add_node(network, DynamicNode(*table.node))
-            # pgmpy wants the node's axis first, the parents' combinations as columns.
+            # pgmpy wants the node's values as rows, the parents' combinations as columns.
             columns = table.values.reshape(-1, table.values.shape[-1]).T
             network.add_cpds(
                 TabularCPD(

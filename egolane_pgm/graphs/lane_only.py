@@ -1,4 +1,4 @@
-"""A plain hidden Markov model: Lane causes DetectorOutput, the sensor never fails."""
+"""A plain hidden Markov model: Lane is the parent of DetectorOutput, and the sensor never fails."""
 
 from __future__ import annotations
 
@@ -27,5 +27,5 @@ def tables(n_lanes: int, parameters: Parameters) -> list[Table]:
 
 
 def build(n_lanes: int, parameters: Parameters) -> DynamicBayesianNetwork:
-    """The network, declared."""
+    """Declares the network in pgmpy."""
     return declare(tables(n_lanes, parameters), OBSERVED)

@@ -19,10 +19,10 @@ PARAMETERS = tuple(p for p in sensor_failure.PARAMETERS if p.name not in ("p3", 
 
 
 def tables(n_lanes: int, parameters: Parameters) -> list[Table]:
-    """As `sensor_failure`, less Table `tab:cptri`."""
+    """As `sensor_failure`, without Table `tab:cptri`."""
     return sensor_failure.tables_without_wor(n_lanes, parameters)
 
 
 def build(n_lanes: int, parameters: Parameters) -> DynamicBayesianNetwork:
-    """The network, declared."""
+    """Declares the network in pgmpy."""
     return declare(tables(n_lanes, parameters), OBSERVED)

@@ -1,15 +1,16 @@
-"""A hidden position inside the lane: RoadPosition, the vehicle's place across the road in cells,
-persists beside SensorState; Lane is a function of it.
+"""A graph that also follows the car's position inside the lane.
 
-A lane change is RoadPosition drifting across a line, which is what the tracked lines show: the
-input LineMotion is their median displacement since the frame before. Lines are observed by the
-joint likelihood of RoadPosition and SensorState (`evidence.line_geometry`): with OK it knows about
-the lane and the place inside it, with BAD only about the place inside the lane.
+RoadPosition is the car's place across the road, in cells; it persists from frame to frame, as
+SensorState does. Lane is a function of RoadPosition. In a lane change RoadPosition drifts across a
+line. The tracked lines show this drift: the input LineMotion is the median displacement of the
+lines since the frame before. The evidence (`evidence.line_geometry`) is a joint likelihood of
+RoadPosition and SensorState. When the sensor is OK, the lines tell the lane and the place inside
+it; when it is BAD, they tell only the place inside the lane.
 
-RoadPosition's first cell is the leftmost one of lane 1. SensorState has the values OK (0) and
-BAD (1). LineMotion's values are `motion_bins` intervals from -motion_range to motion_range,
-displacements of lines in lane widths, then one for each entry of `STEPS`: no displacement is known
-and so many frames have passed.
+The first cell of RoadPosition is the leftmost one of lane 1. SensorState has the values OK (0) and
+BAD (1). The first `motion_bins` values of LineMotion are intervals of the displacement, from
+-motion_range to motion_range, in lane widths. One value for each entry of `STEPS` follows; it says
+that the displacement is unknown and how many frames have passed.
 """
 
 from __future__ import annotations
@@ -20,6 +21,7 @@ from dataclasses import replace
 from typing import TYPE_CHECKING
 
 import numpy as np
+from scipy.special import ndtr
 
 from egolane_pgm.graphs.cpds import (
     Table,
@@ -31,8 +33,8 @@ from egolane_pgm.graphs.cpds import (
     uniform,
     within,
 )
-from egolane_pgm.graphs.shared_parameters import P1, P2, number
-from egolane_pgm.parameters import Parameter, Parameters, Value
+from egolane_pgm.graphs.shared_parameters import P1, P2
+from egolane_pgm.parameters import Parameter, Parameters, Value, number
 from egolane_pgm.types import FloatArray, IntArray
 
 if TYPE_CHECKING:
@@ -43,11 +45,11 @@ OBSERVED = (("RoadPosition", "SensorState"),)
 INPUTS = ("LineMotion",)
 VALUES = {"SensorState": ("OK", "BAD")}
 
-#: Frames passed since the last one, for the values of LineMotion that say nothing about motion; a
-#: longer gap counts as the next entry, one longer than the last as the last.
+#: How many frames have passed, for the values of LineMotion without a displacement. A gap between
+#: two entries counts as the larger one; a gap beyond the last entry counts as the last.
 STEPS = (1, 2, 3, 4, 6, 8, 16, 64, 256)
 
-#: The geometry of the cells and of LineMotion: the evidence rule declares them too.
+#: The geometry of the cells and of LineMotion. The evidence rule declares these parameters too.
 CELLS = Parameter("cells", "integer", 16, "cells of RoadPosition in each lane", lowest=1)
 MOTION_BINS = Parameter(
     "motion_bins", "integer", 49, "values of LineMotion for known displacements", lowest=1
@@ -104,27 +106,30 @@ PARAMETERS = (
     replace(P2, default=0.85),
 )
 
-#: Half-width of the band in which RoadPosition moves in one frame, lanes.
+#: The furthest that RoadPosition moves in one frame, lanes.
 _BAND = 0.5
 
-#: A normal wider than this, in cells, is flat over the band; the differences of one lose digits.
+#: The largest standard deviation that is used, in cells. A wider normal is as flat over the band,
+#: and its differences would lose digits.
 _WIDEST = 100.0
 
 
 def motion_values(parameters: Mapping[str, Value]) -> int:
     """How many values LineMotion has."""
-    return int(number(parameters["motion_bins"])) + len(STEPS)
+    return int(number(parameters, "motion_bins")) + len(STEPS)
 
 
 def motion_index(
     displacement: FloatArray, steps: IntArray, parameters: Mapping[str, Value]
 ) -> IntArray:
-    """The value of LineMotion for displacements (T,) in lane widths, NaN where unknown, and the
-    frames that have passed since the last one (T,), at least 1.
+    """The value of LineMotion in each frame, (T,).
 
-    A displacement out of range, or over several frames, is unknown.
+    - displacement: (T,) of the lines since the frame before, lane widths; NaN where unknown
+    - steps: (T,) frames that have passed since the frame before, at least 1
+
+    A displacement that is out of range or spans several frames counts as unknown.
     """
-    n_bins, reach = int(number(parameters["motion_bins"])), number(parameters["motion_range"])
+    n_bins, reach = int(number(parameters, "motion_bins")), number(parameters, "motion_range")
     known = (np.abs(displacement) < reach) & (steps == 1)
     share = (np.where(known, displacement, 0.0) / reach + 1) / 2
     index = np.minimum((share * n_bins).astype(np.int64), n_bins - 1)
@@ -133,11 +138,11 @@ def motion_index(
 
 
 def tables(n_lanes: int, parameters: Parameters) -> list[Table]:
-    """RoadPosition and SensorState persist, moved by LineMotion; Lane is the lane of the cell."""
-    cells = int(number(parameters["cells"]))
+    """RoadPosition moves with LineMotion, SensorState persists, and Lane is the cell's lane."""
+    cells = int(number(parameters, "cells"))
     n_positions, n_values = n_lanes * cells, motion_values(parameters)
     n_bins = n_values - len(STEPS)
-    sensor = binary(number(parameters["p1"]), number(parameters["p2"]))
+    sensor = binary(number(parameters, "p1"), number(parameters, "p2"))
     sensors = [sensor] * n_bins + [_power(sensor, k) for k in STEPS]
     lane = np.repeat(np.eye(n_lanes), cells, axis=0)
     motion = uniform(n_values)
@@ -159,21 +164,21 @@ def tables(n_lanes: int, parameters: Parameters) -> list[Table]:
 
 
 def build(n_lanes: int, parameters: Parameters) -> DynamicBayesianNetwork:
-    """The network, declared."""
+    """Declares the network in pgmpy."""
     return declare(tables(n_lanes, parameters), OBSERVED)
 
 
 def _motions(n_positions: int, cells: int, parameters: Mapping[str, Value]) -> list[FloatArray]:
-    """Per value of LineMotion RoadPosition's transition (R, R)."""
-    n_bins, reach = int(number(parameters["motion_bins"])), number(parameters["motion_range"])
-    gain, jump = number(parameters["motion_gain"]), number(parameters["jump"])
-    narrow = number(parameters["motion_sigma"]) * cells
-    wide = number(parameters["motion_sigma_wide"]) * cells
+    """The transition of RoadPosition, (R, R), for each value of LineMotion."""
+    n_bins, reach = int(number(parameters, "motion_bins")), number(parameters, "motion_range")
+    gain, jump = number(parameters, "motion_gain"), number(parameters, "jump")
+    narrow = number(parameters, "motion_sigma") * cells
+    wide = number(parameters, "motion_sigma_wide") * cells
     half = max(1, math.ceil(_BAND * cells))
     moves = []
     centres = ((np.arange(n_bins) + 0.5) / n_bins * 2 - 1) * reach
-    shares = [number(parameters["wide_share"])] * n_bins
-    shares.append(number(parameters["wide_share_unknown"]))
+    shares = [number(parameters, "wide_share")] * n_bins
+    shares.append(number(parameters, "wide_share_unknown"))
     for centre, share in zip([*centres, 0.0], shares, strict=True):
         shift = -gain * centre * cells
         move = (1 - share) * _cell_moves(shift, narrow, half)
@@ -185,18 +190,23 @@ def _motions(n_positions: int, cells: int, parameters: Mapping[str, Value]) -> l
 
 
 def _power(transition: FloatArray, steps: int) -> FloatArray:
-    """The transition over several frames; its rows sum to one in every digit again."""
+    """The transition over several frames, normalised again after rounding."""
     power = np.linalg.matrix_power(transition, steps)
     return np.asarray(power / power.sum(axis=1, keepdims=True))
 
 
 def _cell_moves(shift: float, sigma: float, half: int) -> FloatArray:
-    """(2 half + 1,): probability of moving -half ... half cells, from anywhere in a cell, by a
-    normal around `shift`; in cells."""
+    """Probabilities of moving by -half to half cells, (2 half + 1,).
+
+    The motion is normal around `shift` with standard deviation `sigma`, both in cells; it starts
+    anywhere in a cell with equal density.
+    """
     sigma = min(sigma, _WIDEST)
-    # By symmetry on the left side, where small numbers keep their digits.
+    # By symmetry, all differences are taken left of the mean, where small numbers keep their
+    # digits.
     left = -np.abs(np.arange(-half, half + 1) - shift)
-    # Twice the integral of the normal: its second difference is the integral over both cells.
+    # The second difference of the normal's second antiderivative integrates over the cell that the
+    # car leaves and over the one that it enters.
     before, at, after = (_twice_integrated(left + k, sigma) for k in (-1, 0, 1))
     return np.maximum(before - 2 * at + after, 0.0)
 
@@ -205,13 +215,12 @@ def _twice_integrated(x: FloatArray, sigma: float) -> FloatArray:
     with np.errstate(over="ignore"):
         z = x / sigma
         density = np.exp(-0.5 * z**2) / math.sqrt(2 * math.pi)
-    below = np.array([0.5 * math.erfc(-v / math.sqrt(2)) for v in z])
-    return np.asarray(x * below + sigma * density)
+    return np.asarray(x * ndtr(z) + sigma * density)
 
 
 def _banded(move: FloatArray, n_positions: int) -> FloatArray:
-    """(R, R): the moves from each cell, those off the road left out; a cell that could only leave
-    the road is kept."""
+    """Makes a transition (R, R) of the moves from each cell, without those that leave the road. A
+    cell from which every move leaves the road keeps its car."""
     half = len(move) // 2
     target = np.arange(n_positions)[:, None] + np.arange(-half, half + 1)
     on_road = (target >= 0) & (target < n_positions)

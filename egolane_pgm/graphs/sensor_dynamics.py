@@ -1,7 +1,7 @@
-"""The paper's graph with lane dynamics that depend on SensorState in the same slice: lanes are
-changed where lines are hard to see, so that a lane change and a failing sensor come together.
+"""The paper's graph in which the lane dynamics depend on SensorState in the same slice: during a
+lane change the lines are harder to detect, so that lane changes and sensor failures coincide.
 
-With `sigma1_bad` equal to `sigma1` this is `sensor_failure`.
+With `sigma1_bad` equal to `sigma1` this is the graph `sensor_failure`.
 """
 
 from __future__ import annotations
@@ -35,7 +35,7 @@ PARAMETERS = (
 
 
 def tables(n_lanes: int, parameters: Parameters) -> list[Table]:
-    """As `sensor_failure`, with Table `tab:cptlane` once for each sensor state."""
+    """As `sensor_failure`, with one Table `tab:cptlane` for each sensor state."""
     others = [t for t in sensor_failure.tables(n_lanes, parameters) if t.node[0] != "Lane"]
     moves = [f_table(sigma, n_lanes, parameters) for sigma in ("sigma1", "sigma1_bad")]
     return [
@@ -46,5 +46,5 @@ def tables(n_lanes: int, parameters: Parameters) -> list[Table]:
 
 
 def build(n_lanes: int, parameters: Parameters) -> DynamicBayesianNetwork:
-    """The network, declared."""
+    """Declares the network in pgmpy."""
     return declare(tables(n_lanes, parameters), OBSERVED)

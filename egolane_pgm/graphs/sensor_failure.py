@@ -1,7 +1,7 @@
-"""The paper's graph (Figure `fig:model`): Lane and SensorState persist, both cause DetectorOutput,
-SensorState causes WOR.
+"""The paper's graph (Figure `fig:model`, equation `eq:HMM`).
 
-SensorState and WOR have the values OK (0) and BAD (1).
+Lane and SensorState persist from frame to frame. Both are parents of DetectorOutput, and
+SensorState is the parent of WOR. SensorState and WOR have the values OK (0) and BAD (1).
 """
 
 from __future__ import annotations
@@ -30,9 +30,8 @@ from egolane_pgm.graphs.shared_parameters import (
     SIGMA1,
     SIGMA2,
     f_table,
-    number,
 )
-from egolane_pgm.parameters import Parameters
+from egolane_pgm.parameters import Parameters, number
 
 if TYPE_CHECKING:
     from pgmpy.models import DynamicBayesianNetwork
@@ -45,7 +44,7 @@ PARAMETERS = (SIGMA1, SIGMA2, P1, P2, P3, P4, NORMAL, LANE_WIDTHS)
 
 def tables(n_lanes: int, parameters: Parameters) -> list[Table]:
     """The paper's Tables `tab:cptlane`, `tab:cptsensor`, `tab:cptdetlane` and `tab:cptri`."""
-    p3, p4 = number(parameters["p3"]), number(parameters["p4"])
+    p3, p4 = number(parameters, "p3"), number(parameters, "p4")
     return [
         *tables_without_wor(n_lanes, parameters),
         *within("WOR", ["SensorState"], binary(p3, p4)),
@@ -54,7 +53,7 @@ def tables(n_lanes: int, parameters: Parameters) -> list[Table]:
 
 def tables_without_wor(n_lanes: int, parameters: Parameters) -> list[Table]:
     """Tables `tab:cptlane`, `tab:cptsensor` and `tab:cptdetlane`."""
-    p1, p2 = number(parameters["p1"]), number(parameters["p2"])
+    p1, p2 = number(parameters, "p1"), number(parameters, "p2")
     detector_ok = f_table("sigma2", n_lanes, parameters)
     detector_bad = uniform(n_lanes, n_lanes)
     return [
@@ -67,5 +66,5 @@ def tables_without_wor(n_lanes: int, parameters: Parameters) -> list[Table]:
 
 
 def build(n_lanes: int, parameters: Parameters) -> DynamicBayesianNetwork:
-    """The network, declared."""
+    """Declares the network in pgmpy."""
     return declare(tables(n_lanes, parameters), OBSERVED)

@@ -1,13 +1,10 @@
-"""The parameters of equation `eq:HMM` that the graphs share, and how F is computed."""
+"""The parameters of the paper's model (equation `eq:HMM`) that several graphs declare, and the
+table F of a normal made from them."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-
-import numpy as np
-
-from egolane_pgm.graphs.cpds import discretised_normal, lane_edges, lane_normals
-from egolane_pgm.parameters import Parameter, Value
+from egolane_pgm.graphs.cpds import lane_normals
+from egolane_pgm.parameters import Parameter, Parameters, number, per_lane
 from egolane_pgm.types import FloatArray
 
 SIGMA1 = Parameter(
@@ -65,32 +62,11 @@ LANE_WIDTHS = Parameter(
 )
 
 
-def number(value: Value) -> float:
-    """A parameter that is one number."""
-    assert isinstance(value, (int, float))
-    return float(value)
+def f_table(sigma: str, n_lanes: int, parameters: Parameters, shift: float = 0.0) -> FloatArray:
+    """F(N(lane + shift, sigma^2)) for each lane: (n, n), a row per lane.
 
-
-def per_lane(value: Value, n_lanes: int) -> Sequence[float]:
-    """A parameter that is one number, or one for each lane, as n numbers."""
-    return value if isinstance(value, tuple) else (number(value),) * n_lanes
-
-
-def f_table(
-    sigma: str, n_lanes: int, parameters: Mapping[str, Value], shift: float = 0.0
-) -> FloatArray:
-    """F(N(lane + shift, sigma^2)) for each lane, (n, n); `sigma` names the parameter, `shift` is
-    in nominal lanes."""
-    normal, widths = str(parameters["normal"]), per_lane(parameters["lane_widths"], n_lanes)
-    if not shift:
-        return lane_normals(number(parameters[sigma]), n_lanes, normal, widths)
-    _, centres = lane_edges(n_lanes, widths)
-    deviation = number(parameters[sigma])
-    rows = [discretised_normal(c + shift, deviation, n_lanes, normal, widths) for c in centres]
-    return np.stack(rows)
-
-
-def sticky(*stay: float) -> FloatArray:
-    """(k, k): value i is kept with probability `stay[i]`, else left for each other one alike."""
-    k = len(stay)
-    return np.stack([np.where(np.arange(k) == i, p, (1 - p) / (k - 1)) for i, p in enumerate(stay)])
+    - sigma: name of the parameter that holds the standard deviation
+    - shift: nominal lanes, positive to the right
+    """
+    normal, widths = str(parameters["normal"]), per_lane(parameters, "lane_widths", n_lanes)
+    return lane_normals(number(parameters, sigma), n_lanes, normal, widths, shift)

@@ -1,7 +1,8 @@
-"""The paper's graph with a sensor that may also be WORN: its output still depends on the lane, but
-more widely than when it is OK; BAD is uniform as in the paper.
+"""The paper's graph with a third sensor state, WORN, between OK and BAD.
 
-A state is left for each of the other two alike.
+The output of a WORN sensor still depends on the lane, with a larger standard deviation than that
+of an OK one; the output of a BAD sensor is uniform, as in the paper. A sensor that leaves a state
+goes to either of the other two with equal probability.
 """
 
 from __future__ import annotations
@@ -11,9 +12,18 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from egolane_pgm.graphs import sensor_failure
-from egolane_pgm.graphs.cpds import Table, declare, dynamics, previous, prior, uniform, within
-from egolane_pgm.graphs.shared_parameters import f_table, number, sticky
-from egolane_pgm.parameters import Parameter, Parameters
+from egolane_pgm.graphs.cpds import (
+    Table,
+    declare,
+    dynamics,
+    previous,
+    prior,
+    sticky,
+    uniform,
+    within,
+)
+from egolane_pgm.graphs.shared_parameters import f_table
+from egolane_pgm.parameters import Parameter, Parameters, number
 
 if TYPE_CHECKING:
     from pgmpy.models import DynamicBayesianNetwork
@@ -40,7 +50,7 @@ PARAMETERS = (
 def tables(n_lanes: int, parameters: Parameters) -> list[Table]:
     """As `sensor_failure`, each table of SensorState with a row for WORN."""
     p1, p2, p3, p4, p_worn, p3_worn = (
-        number(parameters[name]) for name in ("p1", "p2", "p3", "p4", "p_worn", "p3_worn")
+        number(parameters, name) for name in ("p1", "p2", "p3", "p4", "p_worn", "p3_worn")
     )
     outputs = [
         f_table("sigma2", n_lanes, parameters),
@@ -58,5 +68,5 @@ def tables(n_lanes: int, parameters: Parameters) -> list[Table]:
 
 
 def build(n_lanes: int, parameters: Parameters) -> DynamicBayesianNetwork:
-    """The network, declared."""
+    """Declares the network in pgmpy."""
     return declare(tables(n_lanes, parameters), OBSERVED)

@@ -1,7 +1,7 @@
-"""WOR in the place of SensorState: it says of each frame by itself whether the detector output can
-be trusted, and nothing about the sensor is carried from frame to frame.
+"""A graph without SensorState, in which WOR takes its place: WOR says for each frame by itself
+whether the detector output can be trusted, and the sensor has no memory.
 
-WOR is observed and a parent of DetectorOutput; what is known of it is its evidence and `p_wor`.
+WOR is an observed parent of DetectorOutput. It is known from its evidence and its prior `p_wor`.
 """
 
 from __future__ import annotations
@@ -11,15 +11,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from egolane_pgm.graphs.cpds import Table, declare, dynamics, previous, prior, uniform, within
-from egolane_pgm.graphs.shared_parameters import (
-    LANE_WIDTHS,
-    NORMAL,
-    SIGMA1,
-    SIGMA2,
-    f_table,
-    number,
-)
-from egolane_pgm.parameters import Parameter, Parameters
+from egolane_pgm.graphs.shared_parameters import LANE_WIDTHS, NORMAL, SIGMA1, SIGMA2, f_table
+from egolane_pgm.parameters import Parameter, Parameters, number
 
 if TYPE_CHECKING:
     from pgmpy.models import DynamicBayesianNetwork
@@ -36,8 +29,8 @@ PARAMETERS = (
 
 
 def tables(n_lanes: int, parameters: Parameters) -> list[Table]:
-    """Tables `tab:cptlane` and `tab:cptdetlane`, the latter's rows selected by WOR."""
-    p_wor = number(parameters["p_wor"])
+    """Tables `tab:cptlane` and `tab:cptdetlane`; WOR selects the rows of the latter."""
+    p_wor = number(parameters, "p_wor")
     outputs = [f_table("sigma2", n_lanes, parameters), uniform(n_lanes, n_lanes)]
     return [
         *prior("Lane", uniform(n_lanes)),
@@ -48,5 +41,5 @@ def tables(n_lanes: int, parameters: Parameters) -> list[Table]:
 
 
 def build(n_lanes: int, parameters: Parameters) -> DynamicBayesianNetwork:
-    """The network, declared."""
+    """Declares the network in pgmpy."""
     return declare(tables(n_lanes, parameters), OBSERVED)

@@ -1,7 +1,8 @@
-"""The paper's graph with WOR depending on Lane too, as section "HMM with Transient Failure Model"
-suggests: on an outer lane a working detector sees fewer lines.
+"""The paper's graph in which WOR also depends on Lane, as the paper's section "HMM with Transient
+Failure Model" suggests: on an outer lane a working detector sees fewer lines.
 
-`p3` and `p4` may be one number or one per lane; with equal numbers this is `sensor_failure`.
+Each of `p3` and `p4` is one number or one per lane. With equal numbers for all lanes this is the
+graph `sensor_failure`.
 """
 
 from __future__ import annotations
@@ -13,8 +14,7 @@ import numpy as np
 
 from egolane_pgm.graphs import sensor_failure
 from egolane_pgm.graphs.cpds import Table, binary, declare, within
-from egolane_pgm.graphs.shared_parameters import per_lane
-from egolane_pgm.parameters import Parameters
+from egolane_pgm.parameters import Parameters, per_lane
 
 if TYPE_CHECKING:
     from pgmpy.models import DynamicBayesianNetwork
@@ -28,9 +28,9 @@ PARAMETERS = tuple(
 
 
 def tables(n_lanes: int, parameters: Parameters) -> list[Table]:
-    """As `sensor_failure`, with Table `tab:cptri` once for each lane."""
-    p3 = per_lane(parameters["p3"], n_lanes)
-    p4 = per_lane(parameters["p4"], n_lanes)
+    """As `sensor_failure`, with one Table `tab:cptri` for each lane."""
+    p3 = per_lane(parameters, "p3", n_lanes)
+    p4 = per_lane(parameters, "p4", n_lanes)
     wor = np.stack([binary(ok, bad) for ok, bad in zip(p3, p4, strict=True)])
     return [
         *sensor_failure.tables_without_wor(n_lanes, parameters),
@@ -39,5 +39,5 @@ def tables(n_lanes: int, parameters: Parameters) -> list[Table]:
 
 
 def build(n_lanes: int, parameters: Parameters) -> DynamicBayesianNetwork:
-    """The network, declared."""
+    """Declares the network in pgmpy."""
     return declare(tables(n_lanes, parameters), OBSERVED)

@@ -1,4 +1,4 @@
-"""A graph written in YAML alone: nodes, edges and, for each node, a table function by name.
+"""Reads a graph that is written in YAML alone: nodes, edges and, for each node, a table function.
 
     nodes:            # per node n_lanes, a number of values, or the names of its values
       Lane: n_lanes
@@ -18,19 +18,19 @@
       DetectorOutput:
         stack: {over: SensorState, OK: {normal: {around: Lane, sigma: 0.5}}, BAD: uniform}
 
-and, as wanted, `inputs`, `unused` (evidence that the graph does without) and `description`. A
-parent in the slice before is written `<name> before`. Where a number is needed there may be the
-name of a parameter, or `1 - <name>`; one with a value per lane has its own in each lane of a
-`stack` over Lane. The table functions:
+Optional keys are `inputs`, `unused` (evidence that the graph does not use) and `description`. A
+parent at time t of a node at t+1 is written `<name> before`. A number may be replaced by the name
+of a parameter or by `1 - <name>`. A parameter with a value per lane can be used inside a `stack`
+over the lanes, where each lane takes its own value. The table functions:
 
-    uniform    every value alike
+    uniform    every value is equally likely
     normal     {around, sigma}: F of a normal around the parent's lane; optional: shift (lanes),
                how (density or integral), widths (of the lanes)
-    binary     {of, ok, bad}: OK is kept with probability ok, BAD with bad
-    identity   {of}: the parent's value
-    rows       {of, values}: the numbers; of: a parent, a list of them, or absent; a row that ends
-               in `rest` is filled up to one
-    stack      {over, <value>: table, ..., else: table}: a table for each value of the parent
+    binary     {of, ok, bad}: an OK parent gives OK with probability ok, a BAD one BAD with bad
+    identity   {of}: the node has the parent's value
+    rows       {of, values}: the probabilities as numbers; of: a parent, a list of them, or absent;
+               a row that ends in `rest` is filled up to a sum of one
+    stack      {over, <value>: table, ..., else: table}: one table for each value of the parent
 """
 
 from __future__ import annotations
@@ -50,8 +50,6 @@ from egolane_pgm.graphs.cpds import (
     Table,
     binary,
     declare,
-    discretised_normal,
-    lane_edges,
     lane_normals,
     previous,
     uniform,
@@ -59,8 +57,8 @@ from egolane_pgm.graphs.cpds import (
 from egolane_pgm.parameters import Parameter, Parameters
 from egolane_pgm.types import FloatArray, InputError, Observed, suggestion
 
-#: What a parent's name ends with where it is the node in the slice before.
-BEFORE = " before"
+#: What the name of a parent at time t ends with.
+_BEFORE = " before"
 
 _KEYS = (
     *("description", "nodes", "hidden", "observed", "inputs", "unused", "edges"),
@@ -72,8 +70,13 @@ _KINDS = ("sigma", "probability", "positive", "non_negative", "integer", "choice
 
 @dataclass(frozen=True)
 class _Graph:
-    """What a file says. values: per node its number of values (None: n_lanes). within, across:
-    per node its parents. tables: per node its table, or first and next."""
+    """The content of a file, checked but not yet evaluated; every mapping goes by node.
+
+    - values: how many values the node has; None stands for n_lanes
+    - names: the names of its values, for the nodes that give them
+    - within, across: its parents in the same slice, and those in the slice before
+    - tables: its table, or a mapping with `first` and `next`
+    """
 
     values: Mapping[str, int | None]
     names: Mapping[str, tuple[str, ...]]
@@ -82,11 +85,41 @@ class _Graph:
     tables: Mapping[str, Any]
 
 
-def load_yaml_graph(path: Path, name: str, where: str) -> ModuleType:
-    """A module that has what a graph file has (HIDDEN, OBSERVED, PARAMETERS, tables, build, ...).
+@dataclass(frozen=True)
+class _Place:
+    """The node whose table a table function makes, and what the function may use.
 
-    Raises InputError starting with `where` for a file that is missing or does not fit together;
-    what is wrong in a table is found when it is built.
+    - where: how error messages begin
+    - size: how many values the node has
+    - parents, names: how many values each parent has, and their names
+    - lane: index of the lane in an enclosing stack over the lanes, otherwise None
+    - lanes: the parents that have n_lanes values
+    """
+
+    where: str
+    size: int
+    parents: Mapping[str, int]
+    names: Mapping[str, Sequence[str]]
+    parameters: Parameters
+    n_lanes: int
+    lane: int | None
+    lanes: frozenset[str]
+
+
+#: What a table function makes: the parents that it uses, and an array with an axis for each of them
+#: and the node's own axis last.
+_Made = tuple[tuple[str, ...], FloatArray]
+
+
+def load_yaml_graph(path: Path, name: str, where: str) -> ModuleType:
+    """Makes a module from a YAML file, with the names of a graph in Python (HIDDEN, OBSERVED,
+    PARAMETERS, tables, build, ...).
+
+    - name: name of the new module
+    - where: how error messages begin
+
+    Raises InputError for a file that is missing or whose parts do not fit together. An error
+    inside a table is found only when `tables` or `build` is called.
     """
     if not path.is_file():
         raise InputError(f"{where}: no file {path}")
@@ -95,16 +128,16 @@ def load_yaml_graph(path: Path, name: str, where: str) -> ModuleType:
     except InputError as error:
         raise InputError(f"{where}: {error}") from None
     here = f"{where}: {path.name}"
-    check_keys(content, _KEYS, here)
+    _check_keys(content, _KEYS, here)
     for key in ("nodes", "hidden", "observed", "tables"):
         if not content.get(key):
             raise InputError(f"{here}: {key}: is missing")
     graph = _read_graph(content, here)
     module = ModuleType(name, content.get("description"))
-    observed = _observed(content, here)
+    observed = _read_observed(content, here)
     known = set(graph.values)
-    hidden = _names(content, "hidden", here)
-    inputs = _names(content, "inputs", here)
+    hidden = _read_names(content, "hidden", here)
+    inputs = _read_names(content, "inputs", here)
     for key, listed in (("hidden", hidden), ("inputs", inputs), ("observed", _flat(observed))):
         for node in listed:
             if node not in known:
@@ -125,7 +158,7 @@ def load_yaml_graph(path: Path, name: str, where: str) -> ModuleType:
             tuple(u) if isinstance(u, list) else str(u) for u in content.get("unused") or ()
         ),
         "VALUES": {node: names for node, names in graph.names.items() if node in hidden},
-        "PARAMETERS": _parameters(content.get("parameters") or {}, here),
+        "PARAMETERS": _read_parameters(content.get("parameters") or {}, here),
         "tables": tables,
         "build": build,
     }
@@ -134,14 +167,22 @@ def load_yaml_graph(path: Path, name: str, where: str) -> ModuleType:
     return module
 
 
-def _names(content: Mapping[str, Any], key: str, where: str) -> tuple[str, ...]:
+def _check_keys(section: Any, known: Iterable[str], where: str) -> None:
+    if not isinstance(section, Mapping):
+        raise InputError(f"{where}: needs keys and values, got {section!r}")
+    for key in section:
+        if key not in known:
+            raise InputError(f"{where}: unknown key '{key}'{suggestion(str(key), known)}")
+
+
+def _read_names(content: Mapping[str, Any], key: str, where: str) -> tuple[str, ...]:
     listed = content.get(key) or []
     if not isinstance(listed, list):
         raise InputError(f"{where}: {key}: needs a list of nodes, got {listed!r}")
     return tuple(map(str, listed))
 
 
-def _observed(content: Mapping[str, Any], where: str) -> tuple[Observed, ...]:
+def _read_observed(content: Mapping[str, Any], where: str) -> tuple[Observed, ...]:
     listed = content["observed"]
     if not isinstance(listed, list):
         raise InputError(f"{where}: observed: needs a list of nodes, got {listed!r}")
@@ -172,20 +213,20 @@ def _read_graph(content: Mapping[str, Any], where: str) -> _Graph:
                 " of their names"
             )
     edges = content.get("edges") or {}
-    check_keys(edges, ("within", "across"), f"{where}: edges")
+    _check_keys(edges, ("within", "across"), f"{where}: edges")
     within, across = (
-        _parents(edges.get(kind) or [], values, f"{where}: edges.{kind}")
+        _read_edges(edges.get(kind) or [], values, f"{where}: edges.{kind}")
         for kind in ("within", "across")
     )
     tables = content["tables"]
-    check_keys(tables, values, f"{where}: tables")
+    _check_keys(tables, values, f"{where}: tables")
     for node in values:
         if node not in tables and node not in (content.get("inputs") or ()):
             raise InputError(f"{where}: tables.{node}: is missing")
     return _Graph(values, names, within, across, tables)
 
 
-def _parents(edges: Any, known: Iterable[str], where: str) -> dict[str, tuple[str, ...]]:
+def _read_edges(edges: Any, known: Iterable[str], where: str) -> dict[str, tuple[str, ...]]:
     parents: dict[str, tuple[str, ...]] = dict.fromkeys(known, ())
     for edge in edges if isinstance(edges, list) else [edges]:
         ends = [end.strip() for end in str(edge).split("->")]
@@ -198,13 +239,13 @@ def _parents(edges: Any, known: Iterable[str], where: str) -> dict[str, tuple[st
     return parents
 
 
-def _parameters(section: Any, where: str) -> tuple[Parameter, ...]:
+def _read_parameters(section: Any, where: str) -> tuple[Parameter, ...]:
     if not isinstance(section, Mapping):
         raise InputError(f"{where}: parameters: needs a kind and a default for each name")
     found = []
     for name, given in section.items():
         here = f"{where}: parameters.{name}"
-        check_keys(given, _PARAMETER_KEYS, here)
+        _check_keys(given, _PARAMETER_KEYS, here)
         kind = given.get("kind")
         if kind not in _KINDS:
             raise InputError(f"{here}: unknown kind '{kind}'{suggestion(str(kind), _KINDS)}")
@@ -227,6 +268,9 @@ def _parameters(section: Any, where: str) -> tuple[Parameter, ...]:
         spec.check(default, len(default) if isinstance(default, list) else 1, f"{here}.default")
         found.append(spec)
     return tuple(found)
+
+
+# --- tables -------------------------------------------------------------------------------------
 
 
 def _tables(
@@ -253,8 +297,8 @@ def _tables(
             part = ("first", "next")[s]
             given: dict[str, SliceNode] = {p: (p, s) for p in graph.within[node]}
             if s == 1:
-                given |= {p + BEFORE: previous(p) for p in graph.across[node]}
-            place = Place(
+                given |= {p + _BEFORE: previous(p) for p in graph.across[node]}
+            place = _Place(
                 f"tables.{node}.{part}" if by_slice else f"tables.{node}",
                 size[node],
                 {p: size[n] for p, (n, _) in given.items()},
@@ -264,7 +308,7 @@ def _tables(
                 None,
                 frozenset(p for p, (n, _) in given.items() if graph.values[n] is None),
             )
-            used, values = evaluate(spec[part] if by_slice else spec, place)
+            used, values = _evaluate(spec[part] if by_slice else spec, place)
             if set(used) != set(given) and node not in inputs:
                 raise InputError(
                     f"{place.where}: the table uses {', '.join(used) or 'no parent'}, its edges"
@@ -274,58 +318,31 @@ def _tables(
     return tables
 
 
-@dataclass(frozen=True)
-class Place:
-    """Where a table function is evaluated: the node's size, the parents it may use with their
-    sizes and value names, the parameters, the lane of the enclosing stack, and which parents have
-    n_lanes values."""
-
-    where: str
-    size: int
-    parents: Mapping[str, int]
-    names: Mapping[str, Sequence[str]]
-    parameters: Parameters
-    n_lanes: int
-    lane: int | None
-    lanes: frozenset[str]
-
-
-#: A conditional table: the parents that it uses, and an array with an axis for each and the node's.
-Made = tuple[tuple[str, ...], FloatArray]
-
-
-def check_keys(section: Any, known: Iterable[str], where: str) -> None:
-    if not isinstance(section, Mapping):
-        raise InputError(f"{where}: needs keys and values, got {section!r}")
-    for key in section:
-        if key not in known:
-            raise InputError(f"{where}: unknown key '{key}'{suggestion(str(key), known)}")
-
-
-def evaluate(spec: Any, place: Place) -> Made:
-    """The table of a spec: a function's name, or {name: arguments}."""
+def _evaluate(spec: Any, place: _Place) -> _Made:
+    """The table that a spec asks for: a function's name, or {name: arguments}."""
     if isinstance(spec, Mapping) and len(spec) == 1:
         [(function, arguments)] = spec.items()
     else:
         function, arguments = spec, None
-    if not isinstance(function, str) or function not in FUNCTIONS:
+    if not isinstance(function, str) or function not in _FUNCTIONS:
         shown = function if isinstance(function, str) else repr(function)
         raise InputError(
-            f"{place.where}: unknown table function '{shown}'{suggestion(str(function), FUNCTIONS)}"
+            f"{place.where}: unknown table function '{shown}'"
+            f"{suggestion(str(function), _FUNCTIONS)}"
         )
-    make, needed, optional = FUNCTIONS[function]
+    make, needed, optional = _FUNCTIONS[function]
     arguments = {} if arguments is None else arguments
     where = f"{place.where}: {function}"
     if optional != ("*",):
-        check_keys(arguments, (*needed, *optional), where)
+        _check_keys(arguments, (*needed, *optional), where)
     for key in needed:
         if not isinstance(arguments, Mapping) or key not in arguments:
             raise InputError(f"{where} needs {', '.join(needed)}; {key} is missing")
     return make(arguments, place)
 
 
-def _parent(name: Any, place: Place, size: int | None = None) -> str:
-    """The parent of that name; `size`: the number of values that it has to have."""
+def _parent(name: Any, place: _Place, size: int | None = None) -> str:
+    """Checks that `name` is a parent and, where `size` is given, that it has so many values."""
     if name not in place.parents:
         raise InputError(
             f"{place.where}: '{name}' is no parent by the edges"
@@ -338,8 +355,8 @@ def _parent(name: Any, place: Place, size: int | None = None) -> str:
     return str(name)
 
 
-def _number(given: Any, place: Place) -> float:
-    """A number, a parameter's name, or 1 - a parameter's name."""
+def _read_number(given: Any, place: _Place) -> float:
+    """Reads a number, a parameter's name, or `1 - <name>`."""
     if isinstance(given, (int, float)) and not isinstance(given, bool):
         return float(given)
     match = re.fullmatch(r"(1\s*-\s*)?([^\W\d]\w*)", str(given).strip())
@@ -357,7 +374,7 @@ def _number(given: Any, place: Place) -> float:
     return 1 - float(value) if match[1] else float(value)
 
 
-def _parameter(name: str, place: Place) -> Any:
+def _parameter(name: str, place: _Place) -> Any:
     if name not in place.parameters:
         raise InputError(
             f"{place.where}: no parameter '{name}'{suggestion(name, place.parameters)}"
@@ -365,15 +382,15 @@ def _parameter(name: str, place: Place) -> Any:
     return place.parameters[name]
 
 
-def _uniform(_: Mapping[str, Any], place: Place) -> Made:
+def _uniform(_: Mapping[str, Any], place: _Place) -> _Made:
     return (), uniform(place.size)
 
 
-def _normal(given: Mapping[str, Any], place: Place) -> Made:
+def _normal(given: Mapping[str, Any], place: _Place) -> _Made:
     parent = _parent(given["around"], place, place.size)
     if place.size != place.n_lanes:
         raise InputError(f"{place.where}: normal is for nodes with n_lanes values")
-    sigma = _number(given["sigma"], place)
+    sigma = _read_number(given["sigma"], place)
     if sigma <= 0:
         raise InputError(f"{place.where}: sigma {sigma} must be greater than 0")
     how = given.get("how", "density")
@@ -383,26 +400,22 @@ def _normal(given: Mapping[str, Any], place: Place) -> Made:
     widths: Any = given.get("widths", 1.0)
     widths = _parameter(widths, place) if isinstance(widths, str) else widths
     widths = widths if isinstance(widths, (tuple, list)) else (float(widths),) * place.n_lanes
-    if "shift" not in given:
-        return (parent,), lane_normals(sigma, place.n_lanes, how, widths)
-    shift = _number(given["shift"], place)
-    _, centres = lane_edges(place.n_lanes, widths)
-    rows = [discretised_normal(c + shift, sigma, place.n_lanes, how, widths) for c in centres]
-    return (parent,), np.stack(rows)
+    shift = _read_number(given.get("shift", 0.0), place)
+    return (parent,), lane_normals(sigma, place.n_lanes, how, widths, shift)
 
 
-def _binary(given: Mapping[str, Any], place: Place) -> Made:
+def _binary(given: Mapping[str, Any], place: _Place) -> _Made:
     if place.size != 2:
         raise InputError(f"{place.where}: binary is for nodes with 2 values, not {place.size}")
     parent = _parent(given["of"], place, 2)
-    return (parent,), binary(_number(given["ok"], place), _number(given["bad"], place))
+    return (parent,), binary(_read_number(given["ok"], place), _read_number(given["bad"], place))
 
 
-def _identity(given: Mapping[str, Any], place: Place) -> Made:
+def _identity(given: Mapping[str, Any], place: _Place) -> _Made:
     return (_parent(given["of"], place, place.size),), np.eye(place.size)
 
 
-def _rows(given: Mapping[str, Any], place: Place) -> Made:
+def _rows(given: Mapping[str, Any], place: _Place) -> _Made:
     of = given.get("of", [])
     parents = tuple(_parent(p, place) for p in (of if isinstance(of, list) else [of]))
     shape = (*(place.parents[p] for p in parents), place.size)
@@ -415,13 +428,13 @@ def _rows(given: Mapping[str, Any], place: Place) -> Made:
         if len(shape) > 1:
             return [read(row, shape[1:]) for row in values]
         *first, last = values
-        numbers = [_number(v, place) for v in first]
-        return [*numbers, 1 - sum(numbers) if last == "rest" else _number(last, place)]
+        numbers = [_read_number(v, place) for v in first]
+        return [*numbers, 1 - sum(numbers) if last == "rest" else _read_number(last, place)]
 
     return parents, np.array(read(given["values"], shape), dtype=np.float64)
 
 
-def _stack(given: Mapping[str, Any], place: Place) -> Made:
+def _stack(given: Mapping[str, Any], place: _Place) -> _Made:
     over = _parent(given["over"], place)
     names = place.names[over]
     branches = {str(key): table for key, table in given.items() if key != "over"}
@@ -434,7 +447,7 @@ def _stack(given: Mapping[str, Any], place: Place) -> Made:
     for k, name in enumerate(names):
         if name not in branches and "else" not in branches:
             raise InputError(f"{place.where}: stack: no table for {over} {name}, and no else")
-        inner = Place(
+        inner = _Place(
             f"{place.where}.{name}",
             place.size,
             {p: size for p, size in place.parents.items() if p != over},
@@ -444,14 +457,14 @@ def _stack(given: Mapping[str, Any], place: Place) -> Made:
             k if over in place.lanes else place.lane,
             place.lanes,
         )
-        made.append(evaluate(branches.get(name, branches.get("else")), inner))
+        made.append(_evaluate(branches.get(name, branches.get("else")), inner))
     parents = tuple(dict.fromkeys(p for used, _ in made for p in used))
     shape = (*(place.parents[p] for p in parents), place.size)
     return (over, *parents), np.stack([_spread(one, parents, shape) for one in made])
 
 
-def _spread(made: Made, parents: Sequence[str], shape: tuple[int, ...]) -> FloatArray:
-    """A table with an axis for each of `parents`, also for those that it does not depend on."""
+def _spread(made: _Made, parents: Sequence[str], shape: tuple[int, ...]) -> FloatArray:
+    """Repeats a table along the parents that it does not depend on, so that it has all axes."""
     used, values = made
     order = [used.index(p) for p in parents if p in used]
     ordered = values.transpose(*order, len(used))
@@ -459,9 +472,10 @@ def _spread(made: Made, parents: Sequence[str], shape: tuple[int, ...]) -> Float
     return np.broadcast_to(ordered.reshape(*kept, shape[-1]), shape)
 
 
-#: Table functions: how each is made, the arguments it needs and those it may have.
-FUNCTIONS: Mapping[
-    str, tuple[Callable[[Mapping[str, Any], Place], Made], tuple[str, ...], tuple[str, ...]]
+#: Table functions by name: the function, the arguments that it needs, and those that are optional
+#: ("*": any).
+_FUNCTIONS: Mapping[
+    str, tuple[Callable[[Mapping[str, Any], _Place], _Made], tuple[str, ...], tuple[str, ...]]
 ] = {
     "uniform": (_uniform, (), ()),
     "normal": (_normal, ("around", "sigma"), ("shift", "how", "widths")),

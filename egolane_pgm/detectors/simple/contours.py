@@ -14,8 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from egolane_pgm.detectors.simple.birdseye import BirdsEye
-from egolane_pgm.detectors.simple.parameters import number
-from egolane_pgm.parameters import Parameters
+from egolane_pgm.parameters import Parameters, number
 from egolane_pgm.types import FloatArray, IntArray
 
 

@@ -19,8 +19,7 @@ from egolane_pgm.camera.picture import Image
 from egolane_pgm.detectors.simple.birdseye import BirdsEye, look, make_view
 from egolane_pgm.detectors.simple.contours import Strips, find_strips
 from egolane_pgm.detectors.simple.markings import marking_mask
-from egolane_pgm.detectors.simple.parameters import number
-from egolane_pgm.parameters import Parameters
+from egolane_pgm.parameters import Parameters, number
 from egolane_pgm.types import BoolArray, FloatArray, IntArray
 
 #: What all lines of a frame share.

@@ -14,8 +14,7 @@ from numpy.typing import NDArray
 
 from egolane_pgm.camera.picture import Image
 from egolane_pgm.detectors.simple.birdseye import BirdsEye
-from egolane_pgm.detectors.simple.parameters import number
-from egolane_pgm.parameters import Parameters
+from egolane_pgm.parameters import Parameters, number
 
 #: Contrast beyond this counts as this in the mean: one bright line must not hide its neighbours.
 _MOST_CONTRAST = 0.2

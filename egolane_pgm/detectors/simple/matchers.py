@@ -18,8 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from egolane_pgm.camera.picture import Image
-from egolane_pgm.detectors.simple.parameters import number
-from egolane_pgm.parameters import Parameter, Parameters, Value
+from egolane_pgm.parameters import Parameter, Parameters, Value, number
 from egolane_pgm.plugins import load_plugin, plugin_errors
 from egolane_pgm.types import InputError, suggestion
 

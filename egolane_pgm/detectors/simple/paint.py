@@ -13,8 +13,7 @@ import numpy as np
 
 from egolane_pgm.camera.picture import Image
 from egolane_pgm.detectors.simple.birdseye import BirdsEye
-from egolane_pgm.detectors.simple.parameters import number
-from egolane_pgm.parameters import Parameter, Parameters
+from egolane_pgm.parameters import Parameter, Parameters, number
 from egolane_pgm.types import FloatArray, IntArray
 
 PARAMETERS = (

@@ -6,7 +6,7 @@ traffic (the first 55 stills of `tusimple_frames`).
 
 from __future__ import annotations
 
-from egolane_pgm.parameters import Parameter, Parameters
+from egolane_pgm.parameters import Parameter
 
 _VIEW = (
     Parameter("x_min_m", "positive", 4.5, "nearest road looked at, metres ahead", highest=1000),
@@ -228,10 +228,3 @@ TRACKING = (
         choices=("hide_all", "hide_continuous", "keep"),
     ),
 )
-
-
-def number(parameters: Parameters, name: str) -> float:
-    """The value of a parameter that is one number."""
-    value = parameters[name]
-    assert isinstance(value, (int, float))
-    return float(value)

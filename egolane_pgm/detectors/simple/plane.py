@@ -13,8 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from egolane_pgm.camera.model import Camera, axes
-from egolane_pgm.detectors.simple.parameters import number
-from egolane_pgm.parameters import Parameter, Parameters
+from egolane_pgm.parameters import Parameter, Parameters, number
 from egolane_pgm.types import BoolArray, FloatArray
 
 PARAMETERS = (

@@ -25,9 +25,8 @@ from egolane_pgm.detectors.simple import plane as planes
 from egolane_pgm.detectors.simple.birdseye import BirdsEye, make_view
 from egolane_pgm.detectors.simple.finder import OnRoad
 from egolane_pgm.detectors.simple.matchers import Match
-from egolane_pgm.detectors.simple.parameters import number
 from egolane_pgm.detectors.simple.plane import Plane
-from egolane_pgm.parameters import Parameter, Parameters
+from egolane_pgm.parameters import Parameter, Parameters, number
 from egolane_pgm.types import BoolArray, FloatArray, InputError
 
 PARAMETERS = (

@@ -13,8 +13,7 @@ from egolane_pgm.evidence.line_geometry.habits import is_placed
 from egolane_pgm.evidence.line_geometry.lane_width import lane_width, rounded, widths_so_far
 from egolane_pgm.evidence.line_geometry.model import LEAST_LRI, REACH_M, STRONG_LRI
 from egolane_pgm.graphs.position_in_lane import motion_index
-from egolane_pgm.graphs.shared_parameters import number
-from egolane_pgm.parameters import Parameters
+from egolane_pgm.parameters import Parameters, number
 from egolane_pgm.types import BoolArray, FloatArray, IntArray, LineLog
 
 #: Lanes in metres are not narrower or wider, even in those of a detector that is wrong by half.
@@ -60,8 +59,8 @@ def frame_widths(log: LineLog, parameters: Parameters) -> FloatArray:
     """(T,): the lane width that each frame is read with; says what was found in a warning."""
     width = parameters["lane_width_m"]
     if not isinstance(width, str):
-        return np.full(len(log), number(width))
-    fallback = number(parameters["fallback_width_m"])
+        return np.full(len(log), number(parameters, "lane_width_m"))
+    fallback = number(parameters, "fallback_width_m")
     whole = lane_width(log, fallback)
     message = whole.message
     if whole.is_sure and not NARROWEST_M <= whole.width_m <= WIDEST_M:
@@ -80,7 +79,7 @@ def in_metres(
     """The log and the lane widths (T,) of its frames; where no lane in metres is so narrow or so
     wide, both brought to the expected width, since the model's noise, clutter and reach are in
     metres."""
-    expected = number(parameters["fallback_width_m"])
+    expected = number(parameters, "fallback_width_m")
     is_other = (widths < NARROWEST_M) | (widths > WIDEST_M)
     if not is_other.any():
         return log, widths
@@ -124,8 +123,8 @@ def one_width(log: LineLog, parameters: Parameters) -> float:
     lines. Says nothing."""
     width = parameters["lane_width_m"]
     if not isinstance(width, str):
-        return number(width)
-    return lane_width(log, number(parameters["fallback_width_m"])).width_m
+        return number(parameters, "lane_width_m")
+    return lane_width(log, number(parameters, "fallback_width_m")).width_m
 
 
 def read_lines(
@@ -151,7 +150,7 @@ def read_lines(
     follows[1:] &= ~log.is_missing[:-1]
     is_held = np.zeros(kind.shape, dtype=bool)
     displacement = np.empty(len(log))
-    reach = number(parameters["motion_range"]) * widths
+    reach = number(parameters, "motion_range") * widths
     lri = log.lri
     if repeats_are_held:
         # One that falls with every frame.

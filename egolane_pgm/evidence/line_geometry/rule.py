@@ -69,8 +69,7 @@ from egolane_pgm.evidence.line_geometry.reading import (
     say_doubles,
     say_places,
 )
-from egolane_pgm.graphs.shared_parameters import number
-from egolane_pgm.parameters import Parameters, Value
+from egolane_pgm.parameters import Parameters, Value, number
 from egolane_pgm.types import BoolArray, Evidence, FloatArray, IntArray, LineLog
 
 NODES = ("RoadPosition", "SensorState")
@@ -117,8 +116,8 @@ def online(
     model = flagless = without_flags(flagged)
     known: dict[float, LineTables] = {}
     given = parameters["lane_width_m"]
-    fallback = number(parameters["fallback_width_m"])
-    width = fallback if isinstance(given, str) else number(given)
+    fallback = number(parameters, "fallback_width_m")
+    width = fallback if isinstance(given, str) else number(parameters, "lane_width_m")
     context: LineLog | None = None
     n_frames, last_s = 0, -math.inf
     gaps: FloatArray = np.zeros(1)
@@ -194,8 +193,8 @@ def _likelihood(
         from egolane_pgm.evidence.line_geometry.kernels import weigh_positions as run
     else:
         from egolane_pgm.evidence.line_geometry._numpy import weigh_positions as run
-    n_positions = model.n_lanes * int(number(parameters["cells"]))
-    alpha, beta = (_weighted(number(parameters[name]), weights) for name in ("alpha", "beta"))
+    n_positions = model.n_lanes * int(number(parameters, "cells"))
+    alpha, beta = (_weighted(number(parameters, name), weights) for name in ("alpha", "beta"))
     likelihood = np.empty((len(widths), n_positions, 2))
     for part in _same(widths):
         width = float(widths[part.start])
@@ -261,7 +260,7 @@ def fit_pooled(
     for recorded, lane, is_used in parts:
         log, detector = usual(recorded, say=False)
         log, widths = in_metres(log, np.full(len(log), one_width(log, parameters)), parameters)
-        width = float(widths[0]) if len(widths) else number(parameters["fallback_width_m"])
+        width = float(widths[0]) if len(widths) else number(parameters, "fallback_width_m")
         first_width = first_width or width
         held = detector.repeats_are_held
         seen = read_lines(log, widths, parameters, repeats_are_held=held)
@@ -287,8 +286,8 @@ def fit_pooled(
         known,
         line_model(n_lanes, parameters),
         first_width,
-        int(number(parameters["cells"])),
-        strength=number(parameters["prior_frames"]),
+        int(number(parameters, "cells")),
+        strength=number(parameters, "prior_frames"),
     )
     found: dict[str, Value] = {
         name: tuple(np.asarray(getattr(model, field)).ravel().tolist())
