@@ -1,1 +1,1 @@
-"""How a camera looks at the road, found from its pictures."""
+"""Calibration: how a camera looks at the road, found from its pictures."""

@@ -1,4 +1,5 @@
-"""The lens from pictures of a chessboard: pinhole and distortion (Zhang's method, in OpenCV)."""
+"""Finds the pinhole and distortion of a lens from pictures of a chessboard (Zhang's method, in
+OpenCV)."""
 
 from __future__ import annotations
 
@@ -14,17 +15,17 @@ from egolane_pgm.camera.picture import Image
 from egolane_pgm.camera.pictures import readable, size_of
 from egolane_pgm.types import FloatArray, InputError
 
-#: Fewer boards leave the distortion to chance.
+#: With fewer boards the distortion would be left to chance.
 MIN_BOARDS = 5
 
-#: More corners, along one side, are not told apart in a picture.
+#: The most inner corners along one side that a picture can show apart.
 LARGEST_BOARD = 100
 
-#: The third radial coefficient is kept only where the boards tell it from 0 by as many standard
-#: errors: it is hardly ever needed and, when fitted to noise, bends the corners of the picture.
+#: How many standard errors the third radial coefficient must differ from 0 to be kept. It is rarely
+#: needed, and a coefficient fitted to noise bends the corners of the picture.
 K3_ERRORS = 3.0
 
-#: The smallest part of a board that is worth a word, inner corners.
+#: The smallest part of a board that a message mentions, inner corners.
 _PART = (4, 3)
 
 _SEARCH = cv2.CALIB_CB_NORMALIZE_IMAGE
@@ -32,11 +33,13 @@ _SEARCH = cv2.CALIB_CB_NORMALIZE_IMAGE
 
 @dataclass(frozen=True)
 class Lens:
-    """The inside of a camera.
+    """The lens of a camera.
 
-    width, height, fx, fy, cx, cy: pixels. distortion: OpenCV's k1, k2, p1, p2, k3.
-    boards (B,): the pictures used; rms_px (B,): what each board is off by, root mean square,
-    pixels. skipped: one line for each picture that was not used.
+    - width, height, fx, fy, cx, cy: size of the picture and pinhole model, pixels
+    - distortion: OpenCV's k1, k2, p1, p2, k3
+    - boards: names of the B pictures that were used
+    - rms_px: (B,) root mean square reprojection error of each board, pixels
+    - skipped: one line for each picture that was not used, with the reason
     """
 
     width: int
@@ -52,18 +55,19 @@ class Lens:
 
     @property
     def overall_rms_px(self) -> float:
-        """Root mean square over all boards, pixels; NaN without boards."""
+        """Root mean square error over all boards, pixels; NaN without boards."""
         return float(np.sqrt(np.mean(np.square(self.rms_px)))) if self.rms_px else float("nan")
 
 
 def find_board(image: Image, columns: int, rows: int) -> FloatArray | None:
-    """The inner corners (rows * columns, 2), pixels, row by row; None unless all are seen."""
+    """The inner corners of a board, (rows * columns, 2), pixels, row by row; None unless all of
+    them are found."""
     grey = cv2.cvtColor(image, cv2.COLOR_BGR2GRAY)
     found, corners = cv2.findChessboardCornersSB(grey, (columns, rows), flags=_SEARCH)
     if not found:
         return None
     grid = np.asarray(corners, dtype=np.float32).reshape(rows, columns, 2)
-    # The corner and nothing of its neighbours in the window, wherever the board is small.
+    # The window is small enough to hold one corner only, even where the board is small.
     nearest = min(np.linalg.norm(np.diff(grid, axis=k), axis=-1).min() for k in (0, 1))
     half = int(np.clip(nearest / 3, 2, 11))
     until = (cv2.TERM_CRITERIA_EPS + cv2.TERM_CRITERIA_MAX_ITER, 30, 1e-3)
@@ -84,12 +88,15 @@ def _seen_in_part(image: Image, columns: int, rows: int) -> str:
 def calibrate_lens(
     paths: Iterable[Path], columns: int = 9, rows: int = 6, min_boards: int = MIN_BOARDS
 ) -> Lens:
-    """The lens of the camera that took these pictures of a chessboard.
+    """Finds the lens of the camera that took these pictures of a chessboard.
 
-    columns, rows: inner corners of the board. Pictures of another size than most, that are none,
-    or that do not show the whole board are left out and reported in `skipped`.
+    - paths: the pictures. A file that is no picture, a picture of another size than most, and one
+      that does not show the whole board are left out and reported in `skipped`.
+    - columns, rows: inner corners of the board
+    - min_boards: the least number of pictures with the whole board
 
-    Raises InputError for a board that there is not, and with fewer than `min_boards` boards.
+    Raises InputError for a board of impossible size, for fewer than `min_boards` boards, and for
+    boards from which OpenCV finds no lens.
     """
     if min(columns, rows) < 3 or max(columns, rows) > LARGEST_BOARD:
         raise InputError(

@@ -1,4 +1,4 @@
-"""What a calibration means, drawn on a still, to look at."""
+"""Draws a calibration on a still, so that one can check it by eye."""
 
 from __future__ import annotations
 
@@ -17,21 +17,25 @@ from egolane_pgm.types import FloatArray, InputError
 
 Colour = tuple[int, int, int]
 
-# Colours that colour-blind people tell apart, blue green red.
+# Colours that colour-blind readers can tell apart, blue green red.
 _FOUND, _HORIZON, _LANE, _METRE = (167, 121, 204), (233, 180, 86), (0, 159, 230), (235, 235, 235)
 
-#: What of the road is drawn, metres ahead and to either side.
+#: The part of the road that is drawn: from and to, metres ahead, and metres to either side.
 _NEAR, _FAR, _BESIDE = 4.0, 60.0, 9
 
-#: How the names of pictures end that are drawn.
+#: Extensions of the pictures that can be written.
 PICTURES = (".png", ".jpg", ".jpeg")
 
 _FONT = cv2.FONT_HERSHEY_SIMPLEX
 
 
 def draw_view(image: Image, view: RoadView, lines: Sequence[FloatArray]) -> Image:
-    """The still with the points of its lines, the horizon, a grid of 1 m by 10 m (white) and lanes
-    of the given width, counted from the line nearest to the car on its left (orange)."""
+    """Draws a road view on a still: the points of the lines, the horizon, a grid of 1 m by 10 m
+    (white), and lanes of the given width (orange) that start at the nearest line on the left.
+
+    - image: (H, W, 3), blue green red; it is not changed
+    - lines: the points (N, 2) of each line, pixels
+    """
     canvas: Image = image.copy()
     ahead = np.geomspace(_NEAR, _FAR, 60)
     for metre in range(-_BESIDE, _BESIDE + 1):
@@ -55,7 +59,7 @@ def draw_view(image: Image, view: RoadView, lines: Sequence[FloatArray]) -> Imag
 
 
 def _left_line(view: RoadView, lines: Sequence[FloatArray]) -> float:
-    """Offset of the nearest line on the left, metres; half a lane without one."""
+    """Offset of the nearest line on the left, metres; without one, half a lane to the left."""
     offsets = []
     for points in lines:
         x, y = image_to_road(view.camera, points[:, 0], points[:, 1])
@@ -66,7 +70,8 @@ def _left_line(view: RoadView, lines: Sequence[FloatArray]) -> float:
 
 
 def straightness(view: RoadView, lines: Sequence[FloatArray]) -> float:
-    """Median metres by which lines leave the direction of travel; infinite without two lines."""
+    """How far the lines of a still leave the direction of travel: the median over its lines,
+    metres; infinite with fewer than two lines."""
     strays = []
     for points in lines:
         x, y = image_to_road(view.camera, points[:, 0], points[:, 1])
@@ -77,7 +82,8 @@ def straightness(view: RoadView, lines: Sequence[FloatArray]) -> float:
 
 
 def _to_picture(view: RoadView, x: FloatArray, y: FloatArray) -> FloatArray:
-    """(N, 2): pixels; NaN far outside the picture, where the model of the lens folds back."""
+    """The pixels (N, 2) of points on the road. They are NaN far outside the picture, where the
+    distortion formula would fold them back into it."""
     camera = view.camera
     u, v = road_to_image(camera, x, y, undistorted=True)
     outside = (np.abs(u - camera.cx) > 0.75 * camera.width) | (v > 1.25 * camera.height)
@@ -117,13 +123,13 @@ def _say(canvas: Image, text: str, at: FloatArray, colour: Colour) -> None:
 
 
 def check_picture_name(path: str | Path) -> None:
-    """Raises InputError for a name that tells of no format that pictures are written in."""
+    """Raises InputError for a name without the extension of a picture that can be written."""
     if Path(path).suffix.lower() not in PICTURES:
         raise InputError(f"{path}: a picture's name ends in {' or '.join(PICTURES)}")
 
 
 def write_picture(path: str | Path, image: Image) -> None:
-    """Write an image (H, W, 3), blue green red. Raises InputError where it cannot be written."""
+    """Writes an image and makes its folder. Raises InputError where it cannot be written."""
     check_picture_name(path)
     try:
         Path(path).parent.mkdir(parents=True, exist_ok=True)

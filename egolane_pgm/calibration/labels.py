@@ -1,4 +1,4 @@
-"""Lines that people have labelled: TuSimple's JSON lines."""
+"""Lines that people have labelled, in TuSimple's format (one JSON object per frame and line)."""
 
 from __future__ import annotations
 
@@ -13,7 +13,10 @@ from egolane_pgm.types import FloatArray, InputError
 
 
 def read_labels(path: str | Path) -> list[dict[str, Any]]:
-    """The entries of a file of TuSimple labels (`recordings.tusimple`), all of them checked."""
+    """Reads a file of TuSimple labels (`recordings.tusimple`): one mapping per frame, checked.
+
+    Raises InputError for a file without frames, and one that names the line of a bad entry.
+    """
     path = Path(path)
     frames = []
     for where, entry in read_entries(path):
@@ -30,7 +33,10 @@ def line_points(frame: dict[str, Any]) -> list[FloatArray]:
 
 
 def label_picture(frame: dict[str, Any], labels: Path) -> Path:
-    """The picture of a labelled frame, beside its file of labels."""
+    """The picture of a labelled frame, in the folder of the label file.
+
+    Raises InputError if the frame names no picture, or the picture is not there.
+    """
     for key in ("image", "raw_file"):
         name = frame.get(key)
         if isinstance(name, str) and (labels.parent / name).is_file():
@@ -44,8 +50,11 @@ def label_picture(frame: dict[str, Any], labels: Path) -> Path:
 
 
 def check_size(size: tuple[int, int], frames: list[dict[str, Any]], labels: Path) -> None:
-    """InputError where the first picture that is there has another size, or where lines reach below
-    it: rows that no picture of this size has."""
+    """Checks a picture's width and height, given by the user, against the labels.
+
+    Raises InputError if the first picture found has another size, or if a line has points below
+    the last row of such a picture.
+    """
     width, height = size
     for frame in frames:
         try:
@@ -65,7 +74,10 @@ def check_size(size: tuple[int, int], frames: list[dict[str, Any]], labels: Path
 
 
 def size_of_pictures(frames: list[dict[str, Any]], labels: Path) -> tuple[int, int]:
-    """Width and height of the pictures of labelled frames, all of them looked at."""
+    """Width and height of the pictures of labelled frames.
+
+    Raises InputError if a picture is missing, or if they differ in size.
+    """
     sizes: dict[tuple[int, int], Path] = {}
     for frame in frames:
         picture = label_picture(frame, labels)

@@ -1,8 +1,11 @@
-"""Lines found in stills of a road, for a camera that nobody has labelled lines for.
+"""Finds painted lines in stills of a road, to calibrate a camera without labelled lines.
 
-First where most straight edges of all stills meet (random pairs vote); then, still by still, what
-is bright and narrow in a fan of rays through that point, where parallel lines stand upright: the
-fan is turned until they stand sharpest, and upright streaks are lines.
+First it finds the point where most straight edges of all stills meet, by a vote of random pairs of
+edges. Then each still is resampled along a fan of rays through that point, in which parallel lines
+stand upright. The fan is turned and bent until bright, narrow streaks stand as upright as possible;
+these streaks are the lines.
+
+Points are rays a, b of the camera without lens distortion and roll, as in `straight_road`.
 """
 
 from __future__ import annotations
@@ -27,43 +30,50 @@ from egolane_pgm.camera.picture import Image
 from egolane_pgm.camera.pictures import read_picture, readable, size_of
 from egolane_pgm.types import BoolArray, FloatArray, InputError
 
-#: The fan: offsets over the camera's height to either side, and their step.
+#: The fan: the largest offset to either side and the step, in heights of the camera; and its rows.
 _SIDE, _STEP = 5.0, 0.025
 _ROWS = 120
 
-#: Widest marking, in heights of the camera (block markings are .6 m and more).
+#: The widest marking, in heights of the camera (block markings are 0.6 m wide and more).
 _MARKING = 0.8
 
-#: A streak brighter than its surroundings by so many grey levels, and so many times what the
-#: row's pixels scatter, is paint.
+#: A pixel is paint if it is brighter than its surroundings by so many grey levels, and by so many
+#: times the mean difference in its row.
 _CONTRAST, _SCATTERS = 12.0, 4.0
 
-#: Paint covers at least so much of a line's length in the picture.
+#: The smallest share of a line's length in the picture that paint covers.
 _COVERED = 0.08
 
-#: Paint whose middle strays more than this (median, heights of the camera) is grass or a car.
+#: A streak whose middle deviates by more than this (median, in heights of the camera) is grass or a
+#: car, not paint.
 _RAGGED = 0.06
 
-#: What is tried of each still: turned (a) and bent (c).
+#: The turns (a) and bends (c) of the fan that are tried for each still.
 _TURNS = np.linspace(-0.025, 0.025, 11)
 _BENDS = np.linspace(-0.0015, 0.0015, 7)
 
-#: Stills of one drive differ in heading and pitch by no more than this (a, b).
+#: The largest difference in heading and pitch between stills of one drive (a, b).
 _STILLS_DIFFER = np.array([0.1, 0.03])
 
-#: Edges this near to a point (sine of the angle) vote for it; shorter ones (share of the picture's
-#: width) do not vote; flatter ones (b per a) are no lines of the road ahead.
+#: An edge votes for a point if the sine of the angle between them is below the first value. Edges
+#: shorter than the second (share of the picture's width) or flatter than the third (b per a) do not
+#: vote, since they are no lines of the road ahead.
 _NEAR, _SHORTEST, _FLATTEST = 0.02, 0.025, 0.12
 
-#: So much of the length of all edges must vote for the point where they meet; of edges in any
-#: direction it is a twentieth.
+#: The share of the length of all edges that must vote for the point where they meet. With edges in
+#: random directions it is about a twentieth.
 _AGREE = 0.08
 
 
 @dataclass(frozen=True)
 class Fan:
-    """paint (R, S): how much brighter than both sides, grey levels; seen (R, S): in the picture and
-    not masked. below (R,): b - b0; side (S,): offset over height."""
+    """A still, resampled along rays through the point where lines meet.
+
+    - paint: (R, S) how much brighter a pixel is than both sides of it, grey levels
+    - seen: (R, S) whether it is in the picture and not masked
+    - below: (R,) b - b0 of each row
+    - side: (S,) offset of each column, in heights of the camera
+    """
 
     paint: FloatArray
     seen: BoolArray
@@ -72,7 +82,7 @@ class Fan:
 
 
 def seen_mask(camera: Camera) -> BoolArray:
-    """(H, W): what of the picture may show road."""
+    """The pixels, (H, W), that may show road: all outside the camera's `ignore` rectangles."""
     mask = np.ones((camera.height, camera.width), dtype=bool)
     for left, top, right, bottom in camera.ignore:
         mask[max(top, 0) : max(bottom, 0), max(left, 0) : max(right, 0)] = False
@@ -80,7 +90,10 @@ def seen_mask(camera: Camera) -> BoolArray:
 
 
 def edges(camera: Camera, image: Image, mask: BoolArray) -> FloatArray:
-    """(M, 4): straight edges of a picture as rays a, b of the upper and a, b of the lower end."""
+    """The straight edges of a picture, (M, 4): a, b of the upper end, then a, b of the lower end.
+
+    mask: (H, W) pixels that may show road.
+    """
     grey = cv2.GaussianBlur(cv2.cvtColor(image, cv2.COLOR_BGR2GRAY), (3, 3), 0)
     found = cv2.createLineSegmentDetector().detect(grey)[0]
     if found is None:
@@ -102,7 +115,8 @@ def edges(camera: Camera, image: Image, mask: BoolArray) -> FloatArray:
 
 
 def _votes(points: FloatArray, lines: FloatArray) -> FloatArray:
-    """(P,): length of the edges (M, 4) that point at each of the points (P, 2) from below."""
+    """The total length (P,) of the edges (M, 4) that point at each of the points (P, 2) from
+    below."""
     upper, along = lines[:, :2], lines[:, 2:] - lines[:, :2]
     length = np.hypot(along[:, 0], along[:, 1])
     to = points[:, None, :] - (lines[:, :2] + lines[:, 2:])[None] / 2
@@ -115,7 +129,7 @@ def _votes(points: FloatArray, lines: FloatArray) -> FloatArray:
 
 
 def _crossings(lines: FloatArray, tries: int, rng: np.random.Generator) -> FloatArray:
-    """(P, 2): where random pairs of edges (M, 4), long ones more often, meet."""
+    """The points (P, 2) where random pairs of edges (M, 4) meet; long edges come more often."""
     weight = np.hypot(lines[:, 2] - lines[:, 0], lines[:, 3] - lines[:, 1])
     first, second = rng.choice(len(lines), (2, tries), p=weight / weight.sum())
     p, r = lines[first, :2], lines[first, 2:] - lines[first, :2]
@@ -140,8 +154,14 @@ def _winner(candidates: FloatArray, votes: FloatArray) -> FloatArray:
 def meeting_of_stills(
     stills: Sequence[FloatArray], seed: int = 0, tries: int = 3000
 ) -> tuple[FloatArray, FloatArray]:
-    """(2,): the ray a, b where most edges (M, 4) of all stills meet, and (F, 2): where those of
-    each still meet, near it (NaN where they do not)."""
+    """The point (2,) where most edges of all stills meet, and the points (F, 2) near it where the
+    edges of each still meet (NaN where they do not).
+
+    - stills: the edges (M, 4) of each of the F stills
+    - seed, tries: of the random pairs, and how many there are over all stills
+
+    Raises InputError if the edges do not meet in one point.
+    """
     rng = np.random.default_rng(seed)
     n = max(60, tries // max(len(stills), 1))
     crossings = [
@@ -170,15 +190,21 @@ def meeting_of_stills(
 def fan(
     camera: Camera, grey: FloatArray, mask: BoolArray, point: FloatArray, bend: float = 0.0
 ) -> Fan:
-    """The picture along rays through a point (2,), bent (c): paint stands upright in it."""
+    """Resamples a picture along rays through a point, so that paint along the road stands upright.
+
+    - grey: (H, W) brightness, grey levels
+    - mask: (H, W) pixels that may show road
+    - point: (2,) the point a, b where lines meet
+    - bend: c, half the road's curvature times the camera's height
+    """
     lowest = to_level(camera, np.array([camera.width / 2]), np.array([camera.height - 1.0]))[0, 1]
-    # Rows denser far away, as dashes are.
+    # The rows are denser far away, where dashes are shorter in the picture.
     farthest, nearest = NEAREST_TO_HORIZON, max(lowest - point[1], 2 * NEAREST_TO_HORIZON)
     below = np.geomspace(farthest, nearest, _ROWS)
     side = np.arange(-_SIDE, _SIDE + _STEP / 2, _STEP)
     rays = _rays(point, bend, side[None, :], below[:, None])
     u, v = from_level_to_image(camera, rays)
-    # The model of the lens folds back far outside the picture.
+    # Far outside the picture the distortion formula folds points back into it.
     free_u, free_v = from_level(camera, rays)
     inside = (np.abs(free_u - camera.cx) < 0.75 * camera.width) & (free_v < 1.25 * camera.height)
     u, v = u.astype(np.float32), v.astype(np.float32)
@@ -196,7 +222,7 @@ def _rays(point: FloatArray, bend: float, side: FloatArray, below: FloatArray) -
 
 
 def is_paint(found: Fan) -> BoolArray:
-    """(R, S): the pixels of a fan that are paint."""
+    """Which pixels of a fan, (R, S), are paint."""
     n_seen = np.maximum(found.seen.sum(axis=1, keepdims=True), 1)
     scatter = found.paint.sum(axis=1, keepdims=True) / n_seen
     is_bright: BoolArray = found.paint > np.maximum(_CONTRAST, _SCATTERS * scatter)
@@ -204,14 +230,14 @@ def is_paint(found: Fan) -> BoolArray:
 
 
 def _profile(found: Fan) -> FloatArray:
-    """(S,): share of each ray that is paint, 0 where too little of it is seen."""
+    """The share of each ray that is paint, (S,); 0 where too little of the ray is seen."""
     n_seen = found.seen.sum(axis=0)
     share = is_paint(found).sum(axis=0) / np.maximum(n_seen, 1)
     return np.where(n_seen > 0.25 * len(found.below), share, 0.0)
 
 
 def grey_of(image: Image) -> FloatArray:
-    """(H, W) float32: white and yellow paint are bright in it."""
+    """The mean of green and red, (H, W), float32, in which white and yellow paint are bright."""
     grey: FloatArray = image[..., 1:].mean(axis=-1, dtype=np.float32)
     return grey
 
@@ -219,8 +245,11 @@ def grey_of(image: Image) -> FloatArray:
 def find_lines(
     camera: Camera, image: Image, mask: BoolArray, about: FloatArray
 ) -> list[FloatArray]:
-    """The points (N, 2), pixels, of each line painted on the road of a still; about: the ray a, b
-    where they roughly meet."""
+    """The points (N, 2), pixels, of each line painted on the road in a still.
+
+    - mask: (H, W) pixels that may show road
+    - about: (2,) the point a, b where the lines roughly meet
+    """
     grey = grey_of(image)
     best, point, bend = -1.0, about, 0.0
     for c in _BENDS:
@@ -239,8 +268,8 @@ def find_lines(
 
 
 def _streaks(found: Fan) -> Iterator[tuple[FloatArray, FloatArray]]:
-    """Upright streaks of paint in a fan, most covered first: (N,) side and (N,) below of each row
-    with paint."""
+    """Upright streaks of paint in a fan, the most covered one first: `side` and `below`, (N,)
+    each, of the rows with paint."""
     paint, profile = is_paint(found), _profile(found)
     smooth = np.convolve(profile, np.ones(3) / 3, mode="same")
     taken = np.zeros(len(smooth), dtype=bool)
@@ -261,9 +290,14 @@ def _streaks(found: Fan) -> Iterator[tuple[FloatArray, FloatArray]]:
 
 @dataclass(frozen=True)
 class FoundLines:
-    """ahead (2,): the ray a, b where the edges of all stills meet; each (F, 2): where those of each
-    still do. paths: the stills used; lines: for each the points (N, 2) of its lines, pixels; fits:
-    of the stills with two lines and more. skipped: one line for each still not used.
+    """The lines found in the stills of a drive.
+
+    - ahead: (2,) the point a, b where the edges of all stills meet
+    - each: (F, 2) the same for single stills, where it was found
+    - paths: the stills that were used
+    - lines: for each of these, the points (N, 2) of its lines, pixels
+    - fits: the fits of the stills with at least two lines
+    - skipped: one line for each still that was not used, with the reason
     """
 
     ahead: FloatArray
@@ -280,10 +314,13 @@ def find_in_stills(
     seed: int = 0,
     progress: Callable[[Iterable[Path]], Iterable[Path]] = iter,
 ) -> FoundLines:
-    """The lines of stills of one camera over one road; what the camera ignores is left out.
+    """Finds the lines in stills that one camera took of a road.
 
-    progress: wrapped around the stills while they are looked at. Raises InputError where nothing
-    meets.
+    - paths: the stills; `camera.ignore` says which parts never show road
+    - seed: of the random pairs of edges
+    - progress: wraps the stills while they are read, e.g. tqdm
+
+    Raises InputError if no still can be used, or if the edges do not meet in one point.
     """
     mask = seen_mask(camera)
     skipped: list[str] = []

@@ -1,14 +1,16 @@
-"""How a camera looks at the road, from lines that are parallel on it.
+"""Finds how a camera looks at the road, from lines that are parallel on the road.
 
-Lines of one road meet at the vanishing point of the direction of travel: pitch and yaw. How fast
-they spread below it is their lateral distance over the camera's height: with a lane width, the
-height. All fits are done in the camera freed of lens and roll, where a ray is (a, b, 1), a to the
-right, b down: there a line of a road with curvature is
+The lines of a road meet at the vanishing point of the direction of travel, which gives pitch and
+yaw. The rate at which they spread below it is their lateral distance over the camera's height; a
+known lane width therefore gives the height.
 
-    a = a0 + s (b - b0) + c / (b - b0),
+All fits are done without lens distortion and roll, where a ray is (a, b, 1) with a to the right and
+b down. There a line of a road with curvature is
 
-(a0, b0) the vanishing point, s the line's offset over the camera's height, and c (half the
-curvature times the height) the same for all lines, so that a bend does not move b0.
+    a = a0 + s (b - b0) + c / (b - b0).
+
+(a0, b0) is the vanishing point and s the line's offset over the camera's height. c is half the
+curvature times the height; it is the same for all lines, so that a bend does not move b0.
 """
 
 from __future__ import annotations
@@ -28,28 +30,28 @@ from egolane_pgm.camera.model import (
 )
 from egolane_pgm.types import BoolArray, FloatArray, InputError
 
-#: The horizontal field of view assumed of a camera that nobody has calibrated, degrees.
+#: The horizontal field of view that is assumed for a lens that was not measured, degrees.
 ASSUMED_FIELD_OF_VIEW = 62.0
 
-#: Lane widths that roads have, metres.
+#: The narrowest and the widest lane of real roads, metres.
 LANE_WIDTHS = (2.0, 6.0)
 
-#: Nothing nearer to the horizon than this is looked at (b - b0; 1.5 m above the road: 38 m ahead);
-#: beyond, roads rise and fall.
+#: The smallest b - b0 that is used: 38 m ahead for a camera 1.5 m above the road. Roads rise and
+#: fall beyond.
 NEAREST_TO_HORIZON = 0.04
 
-#: Heights at which cameras are carried by cars and lorries, metres; gaps that would need another
-#: are not between neighbouring lines.
+#: The lowest and the highest camera on cars and lorries, metres. A gap that would need another
+#: height is not between neighbouring lines.
 _HEIGHTS = (0.5, 4.0)
 
-#: Gaps within this share of the most common one are one lane.
+#: A gap that differs from the most common one by less than this share is one lane.
 _SAME_GAP = 0.15
 
-#: Vanishing points of single frames scatter by pitch, heading and bends; more than this and the
-#: lines were none (a, b).
+#: The most by which vanishing points of single frames scatter through pitch, heading and bends
+#: (a, b). If they scatter more, they were not those of lines.
 _MOST_SPREAD = (0.15, 0.05)
 
-#: Noise of a line's points, and what bends do to c (a road of 500 m radius).
+#: Standard deviations: of the noise of a line's points, and of c (a road of 500 m radius).
 _NOISE, _BEND = 0.001, 0.0015
 
 _MIN_POINTS = 5
@@ -57,8 +59,12 @@ _MIN_POINTS = 5
 
 @dataclass(frozen=True)
 class FrameFit:
-    """Lines of one frame through one point: vanishing_point (2,): a0, b0; slope (L,): s, sorted;
-    bend: c."""
+    """The lines of one frame, fitted through one point.
+
+    - vanishing_point: (2,) a0, b0
+    - slope: (L,) s of each line, ascending
+    - bend: c
+    """
 
     vanishing_point: FloatArray
     slope: FloatArray
@@ -67,12 +73,15 @@ class FrameFit:
 
 @dataclass(frozen=True)
 class RoadView:
-    """What parallel lines say of a camera.
+    """What parallel lines say about a camera.
 
-    camera: turned, and at its height. vanishing_point (2,): pixels of the undistorted picture;
-    ahead (2,): its ray a, b. vanishing_points (F, 2): of single frames; spread_px (2,): half the
-    distance between their 16th and 84th percentiles. gaps_m (G,): distances of neighbouring lines;
-    is_lane (G,): which were taken for a lane of lane_width_m.
+    - camera: with pitch, yaw and height as found
+    - vanishing_points: (F, 2) of the single frames, pixels of the undistorted picture
+    - vanishing_point: (2,) of all frames, pixels of the undistorted picture
+    - ahead: (2,) the same as a, b
+    - spread_px: (2,) half the distance between the 16th and 84th percentiles of vanishing_points
+    - gaps_m: (G,) distances between neighbouring lines
+    - is_lane: (G,) which of these count as a lane of lane_width_m
     """
 
     camera: Camera
@@ -88,8 +97,12 @@ class RoadView:
 def assumed_camera(
     width: int, height: int, field_of_view_deg: float = ASSUMED_FIELD_OF_VIEW
 ) -> Camera:
-    """A pinhole in the middle of the picture, its focal length from a horizontal field of view.
-    Offsets hardly depend on it: vanishing point and lane width fix what they depend on."""
+    """A camera for a lens that was not measured: the principal point is the middle of the picture,
+    and the focal length follows from the horizontal field of view.
+
+    Offsets hardly depend on this guess, because vanishing point and lane width are measured.
+    Raises InputError for a field of view outside 10 to 150 degrees.
+    """
     if not 10 <= field_of_view_deg <= 150:
         raise InputError(f"field of view {field_of_view_deg} is not between 10 and 150 degrees")
     focal = width / 2 / math.tan(math.radians(field_of_view_deg) / 2)
@@ -99,7 +112,7 @@ def assumed_camera(
 
 
 def to_level(camera: Camera, u: FloatArray, v: FloatArray) -> FloatArray:
-    """(..., 2): the rays a, b under pixels, freed of lens and roll."""
+    """The rays a, b, (..., 2), of pixels u, v, without lens distortion and roll."""
     u, v = undistorted(camera, u, v)
     a, b = (u - camera.cx) / camera.fx, (v - camera.cy) / camera.fy
     roll = math.radians(camera.roll_deg)
@@ -109,7 +122,7 @@ def to_level(camera: Camera, u: FloatArray, v: FloatArray) -> FloatArray:
 
 
 def from_level(camera: Camera, rays: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """The pixels u, v of the undistorted picture that see rays (..., 2)."""
+    """The pixels u, v of rays (..., 2) in the undistorted picture."""
     roll = math.radians(camera.roll_deg)
     a = math.cos(roll) * rays[..., 0] + math.sin(roll) * rays[..., 1]
     b = -math.sin(roll) * rays[..., 0] + math.cos(roll) * rays[..., 1]
@@ -117,20 +130,20 @@ def from_level(camera: Camera, rays: FloatArray) -> tuple[FloatArray, FloatArray
 
 
 def from_level_to_image(camera: Camera, rays: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """The pixels u, v of the picture that see rays (..., 2)."""
+    """The pixels u, v of rays (..., 2) in the picture."""
     return distorted(camera, *from_level(camera, rays))
 
 
 def check_lane_width(lane_width_m: float) -> None:
-    """Raises InputError for a width in other units than metres."""
+    """Raises InputError for a width that no lane has, for instance in other units."""
     low, high = LANE_WIDTHS
     if not low <= lane_width_m <= high:
         raise InputError(f"lane width {lane_width_m:g}: lanes are {low:g} to {high:g} m wide")
 
 
 def meeting_point(lines: Sequence[FloatArray]) -> FloatArray | None:
-    """(2,): where straight lines through each line's points (N, 2) meet, least squares; None where
-    they are parallel."""
+    """The point (2,) where straight lines through the points (N, 2) of each line meet, by least
+    squares; None if they are parallel."""
     normals, distances = [], []
     for points in lines:
         middle = points.mean(axis=0)
@@ -146,7 +159,8 @@ def meeting_point(lines: Sequence[FloatArray]) -> FloatArray | None:
 
 
 def _fit_at(lines: Sequence[FloatArray], b0: float) -> tuple[FloatArray, float]:
-    """Coefficients a0, s of each line, c with the horizon at b0, and the robust loss."""
+    """Fits a0, the s of each line and c with the horizon at b0. Returns them with the loss, which
+    grows linearly for outliers."""
     n_lines = len(lines)
     blocks, targets = [], []
     for i, points in enumerate(lines):
@@ -169,10 +183,12 @@ def _fit_at(lines: Sequence[FloatArray], b0: float) -> tuple[FloatArray, float]:
 
 
 def fit_frame(lines: Sequence[FloatArray], about_b0: float) -> FrameFit | None:
-    """The common vanishing point of the lines of one frame, each (N, 2): points a, b.
+    """Fits the lines of one frame through a common vanishing point.
 
-    about_b0: the horizon, roughly. Points near it and above are left out; None without two lines
-    that spread.
+    - lines: the points (N, 2), a and b, of each line
+    - about_b0: a rough horizon; points near it and above are left out
+
+    Returns None unless at least two lines spread.
     """
     usable = [points[points[:, 1] > about_b0 + NEAREST_TO_HORIZON] for points in lines]
     usable = [points for points in usable if len(points) >= _MIN_POINTS]
@@ -200,8 +216,8 @@ def fit_frame(lines: Sequence[FloatArray], about_b0: float) -> FrameFit | None:
 
 
 def rough_horizon(frames: Sequence[Sequence[FloatArray]]) -> float | None:
-    """b0, roughly: the median of where straight lines through the lower halves of the lines of
-    each frame meet; None if they do not."""
+    """A rough b0: the median over frames of where straight lines through the lower halves of the
+    lines meet; None if they meet in no frame."""
     meetings = []
     for lines in frames:
         halves = []
@@ -216,7 +232,7 @@ def rough_horizon(frames: Sequence[Sequence[FloatArray]]) -> float | None:
 
 
 def one_lane(gaps: FloatArray, weights: FloatArray) -> BoolArray:
-    """(G,): which of gaps (G,) are near the most common one, each counted by its weight."""
+    """Which of the gaps (G,) are near the most common one, counted by their weights (G,)."""
     if not gaps.size:
         return np.zeros(0, dtype=bool)
     near = np.maximum(0.0, 1 - np.abs(gaps[None, :] / gaps[:, None] - 1) / _SAME_GAP)
@@ -229,10 +245,14 @@ def one_lane(gaps: FloatArray, weights: FloatArray) -> BoolArray:
 def view_of_road(
     camera: Camera, frames: Sequence[Sequence[FloatArray]], lane_width_m: float, what: str = "lines"
 ) -> RoadView:
-    """Turn a camera so that lines of the road meet ahead, and find its height.
+    """Finds the pitch, yaw and height of a camera from lines of the road.
 
-    camera: pinhole, lens and roll; the rest is replaced. frames: for each the points (N, 2) of its
-    lines, pixels. Raises InputError, starting with `what`, where lines do not tell.
+    - camera: gives the pinhole, distortion and roll; pitch, yaw and height are replaced
+    - frames: for each frame the points (N, 2) of its lines, pixels
+    - lane_width_m: the width of the road's lanes
+    - what: how error messages name the lines
+
+    Raises InputError if the lines do not meet or do not give a height.
     """
     check_lane_width(lane_width_m)
     rays = [[to_level(camera, line[:, 0], line[:, 1]) for line in lines] for lines in frames]
@@ -264,8 +284,12 @@ def view_from(
     lane_width_m: float,
     what: str,
 ) -> RoadView:
-    """The same, of lines already fitted. ahead (2,): the ray a, b of their vanishing point; each
-    (F, 2): of single frames."""
+    """As `view_of_road`, from lines that are fitted already.
+
+    - ahead: (2,) a, b of the vanishing point of all frames
+    - each: (F, 2) a, b of the vanishing points of single frames
+    - fits: the fits of single frames
+    """
     check_lane_width(lane_width_m)
     pixels = np.stack(from_level(camera, each), axis=-1)
     u, v = (float(value) for value in from_level(camera, ahead))
@@ -289,7 +313,7 @@ def view_from(
     low, high = (lane_width_m / height for height in reversed(_HEIGHTS))
     sane = (gaps > low) & (gaps < high)
     gaps, middles = gaps[sane], middles[sane]
-    # A little roll, or a lens not quite known, falsifies what is far to the side.
+    # A small error of roll or lens makes the gaps far to the side wrong, so they count less.
     weights = 1 / (1 + middles**2)
     lanes = one_lane(gaps, weights)
     if not lanes.any():
@@ -311,6 +335,6 @@ def view_from(
 
 
 def _offsets(turned: Camera, ahead: FloatArray, fit: FrameFit) -> FloatArray:
-    """(L,): offsets of a frame's lines, in heights of the camera."""
+    """The offsets (L,) of a frame's lines, in heights of the camera."""
     below = np.stack([ahead[0] + fit.slope * 0.2, np.full_like(fit.slope, ahead[1] + 0.2)], axis=-1)
     return image_to_road(turned, *from_level(turned, below), undistorted=True)[1]

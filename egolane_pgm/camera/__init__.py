@@ -1,1 +1,1 @@
-"""What a picture is: the camera that took it, pictures and videos as files."""
+"""Cameras and what they see: the camera model, and pictures and videos as files."""

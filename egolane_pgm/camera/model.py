@@ -1,8 +1,8 @@
-"""A camera over a flat road: where a point of the road is in the picture, and back.
+"""A camera above a flat road: from a point on the road to its pixel, and back.
 
-Vehicle coordinates, metres: x forward from the camera, y to the right (so that a line's y at x = 0
-is its offset, negative left), z up from the road. Picture coordinates, pixels: u to the right, v
-down. NumPy only: detectors look at real pictures through it, the simulation draws its own.
+Vehicle coordinates are in metres: x forward from the camera, y to the right (so that a line's y at
+x = 0 is its offset, negative on the left), z up from the road. Picture coordinates are in pixels: u
+to the right, v down. Detectors read real pictures with this model, the simulation draws with it.
 """
 
 from __future__ import annotations
@@ -18,10 +18,10 @@ from numpy.typing import ArrayLike
 
 from egolane_pgm.types import FloatArray, InputError, suggestion
 
-#: Rounds of the fixed-point iteration that takes lens distortion away.
+#: Rounds of the fixed-point iteration that inverts the lens distortion.
 _ROUNDS = 20
 
-#: What a camera in a car can be; anything else is a wrong unit.
+#: The range of each value for a camera in a car, and its unit; a value outside has a wrong unit.
 _RANGES = {
     "width": (16, 20_000, "pixels"),
     "height": (16, 20_000, "pixels"),
@@ -42,12 +42,17 @@ _RANGES = {
 class Camera:
     """A calibrated camera.
 
-    width, height: of the picture, pixels. fx, fy, cx, cy: pinhole, pixels. distortion: OpenCV's
-    k1, k2, p1, p2, k3. height_m: above the road. pitch_deg: upwards, yaw_deg: to the right of the
-    direction of travel, roll_deg: clockwise. lateral_m: right of the vehicle's middle.
-    baseline_m: of a rectified stereo pair, the second camera that far to the right of this one;
-    None for a single camera. ignore: rectangles of the picture that never show road (bonnet,
-    mirror), each left, top, right, bottom in pixels, the last two exclusive.
+    - width, height: size of the picture, pixels
+    - fx, fy, cx, cy: focal lengths and principal point of the pinhole model, pixels
+    - height_m: height above the road
+    - pitch_deg, yaw_deg, roll_deg: turn of the camera against the direction of travel; positive
+      is upwards, to the right and clockwise
+    - lateral_m: distance to the right of the vehicle's middle
+    - distortion: OpenCV's k1, k2, p1, p2, k3
+    - baseline_m: for a rectified stereo pair, how far the second camera is to the right of this
+      one; None for a single camera
+    - ignore: rectangles of the picture that never show road (bonnet, mirror), each left, top,
+      right, bottom in pixels, the last two exclusive
 
     Raises InputError, naming the key, for a value that no camera in a car has.
     """
@@ -109,7 +114,7 @@ def _check_rectangle(rectangle: object) -> None:
 
 
 def axes(camera: Camera) -> FloatArray:
-    """(3, 3): the directions right, down and forward of the camera, one per row, in vehicle
+    """The camera's directions right, down and forward as the rows of a (3, 3) array, in vehicle
     coordinates (x forward, y right, z up)."""
     pitch, yaw, roll = np.deg2rad([camera.pitch_deg, camera.yaw_deg, camera.roll_deg])
     forward = np.array(
@@ -124,7 +129,7 @@ def axes(camera: Camera) -> FloatArray:
 
 
 def matrix(camera: Camera) -> FloatArray:
-    """(3, 3): the pinhole matrix."""
+    """The pinhole matrix, (3, 3)."""
     return np.array(
         [[camera.fx, 0.0, camera.cx], [0.0, camera.fy, camera.cy], [0.0, 0.0, 1.0]],
         dtype=np.float64,
@@ -132,8 +137,8 @@ def matrix(camera: Camera) -> FloatArray:
 
 
 def road_homography(camera: Camera) -> FloatArray:
-    """(3, 3): takes (x, y, 1) on the road to the undistorted picture, homogeneous (u w, v w, w)
-    with w > 0 in front of the camera."""
+    """The homography (3, 3) from the road, (x, y, 1), to the undistorted picture, (u w, v w, w),
+    where w > 0 for points in front of the camera."""
     to_camera = axes(camera)
     position = np.array([0.0, camera.lateral_m, camera.height_m])
     columns = np.stack([to_camera[:, 0], to_camera[:, 1], -to_camera @ position], axis=1)
@@ -144,8 +149,11 @@ def road_homography(camera: Camera) -> FloatArray:
 def road_to_image(
     camera: Camera, x: ArrayLike, y: ArrayLike, z: ArrayLike = 0.0, *, undistorted: bool = False
 ) -> tuple[FloatArray, FloatArray]:
-    """The pixels u, v of points x, y, z (metres; any shapes that broadcast); NaN behind the camera.
-    undistorted: in the picture freed of lens distortion."""
+    """Pixels u, v of points in vehicle coordinates; NaN for points behind the camera.
+
+    - x, y, z: metres, of any shapes that broadcast
+    - undistorted: the pixels are those of the picture without lens distortion
+    """
     x, y, z = np.broadcast_arrays(*(np.asarray(a, dtype=np.float64) for a in (x, y, z)))
     relative = np.stack([x, y - camera.lateral_m, z - camera.height_m], axis=-1) @ axes(camera).T
     with np.errstate(divide="ignore", invalid="ignore"):
@@ -159,8 +167,11 @@ def road_to_image(
 def image_to_road(
     camera: Camera, u: ArrayLike, v: ArrayLike, *, undistorted: bool = False
 ) -> tuple[FloatArray, FloatArray]:
-    """The road point x, y (metres) under pixels u, v; NaN at the horizon and above.
-    undistorted: the pixels are of the picture freed of lens distortion."""
+    """Points x, y of the road, metres, that pixels show; NaN at the horizon and above.
+
+    - u, v: pixels, of any shapes that broadcast
+    - undistorted: the pixels are those of the picture without lens distortion
+    """
     u, v = np.broadcast_arrays(np.asarray(u, dtype=np.float64), np.asarray(v, dtype=np.float64))
     a, b = (u - camera.cx) / camera.fx, (v - camera.cy) / camera.fy
     if not undistorted:
@@ -172,14 +183,14 @@ def image_to_road(
 
 
 def vanishing_point(camera: Camera) -> tuple[float, float]:
-    """Where lines along the direction of travel meet in the undistorted picture, pixels."""
+    """The pixel of the undistorted picture where lines along the direction of travel meet."""
     right, down, forward = axes(camera)[:, 0]
     return camera.cx + camera.fx * right / forward, camera.cy + camera.fy * down / forward
 
 
 def with_vanishing_point(camera: Camera, u: float, v: float) -> Camera:
-    """The camera turned, its roll kept, so that straight-ahead lines meet at (u, v) of the
-    undistorted picture."""
+    """Turns the camera, without changing its roll, so that lines along the direction of travel
+    meet at the pixel (u, v) of the undistorted picture."""
     roll = math.radians(camera.roll_deg)
     a, b = (u - camera.cx) / camera.fx, (v - camera.cy) / camera.fy
     # In the camera without roll the ahead direction is (-tan yaw / cos pitch, tan pitch).
@@ -191,14 +202,14 @@ def with_vanishing_point(camera: Camera, u: float, v: float) -> Camera:
 
 
 def undistorted(camera: Camera, u: ArrayLike, v: ArrayLike) -> tuple[FloatArray, FloatArray]:
-    """Where pixels u, v of the picture are in the picture freed of lens distortion."""
+    """Takes pixels u, v of the picture to the picture without lens distortion."""
     u, v = np.broadcast_arrays(np.asarray(u, dtype=np.float64), np.asarray(v, dtype=np.float64))
     a, b = _undistort(camera, (u - camera.cx) / camera.fx, (v - camera.cy) / camera.fy)
     return camera.fx * a + camera.cx, camera.fy * b + camera.cy
 
 
 def distorted(camera: Camera, u: ArrayLike, v: ArrayLike) -> tuple[FloatArray, FloatArray]:
-    """Where pixels u, v of the picture freed of lens distortion are in the picture."""
+    """Takes pixels u, v of the picture without lens distortion to the picture."""
     u, v = np.broadcast_arrays(np.asarray(u, dtype=np.float64), np.asarray(v, dtype=np.float64))
     a, b = _distort(camera, (u - camera.cx) / camera.fx, (v - camera.cy) / camera.fy)
     return camera.fx * a + camera.cx, camera.fy * b + camera.cy
@@ -241,7 +252,11 @@ def camera_content(camera: Camera) -> dict[str, Any]:
 
 
 def camera_from(content: Mapping[str, Any], where: str) -> Camera:
-    """A camera from the keys of a YAML file; InputError starting with `where`."""
+    """A camera from the keys of a YAML file.
+
+    Raises InputError, starting with `where` and naming the key, for a key that is missing, unknown
+    or has a wrong value.
+    """
     known = [f.name for f in fields(Camera)]
     for key in content:
         if key not in known:
@@ -281,8 +296,8 @@ def read_camera(path: str | Path) -> Camera:
 
 
 def write_camera(path: str | Path, camera: Camera, comment: str = "") -> None:
-    """Write a camera as YAML, its comment (how it was calibrated) above it; folders that lack are
-    made. Raises InputError where it cannot be written."""
+    """Writes a camera as YAML below a comment that says how it was calibrated, and makes missing
+    folders. Raises InputError where the file cannot be written."""
     import yaml
 
     above = "".join(f"# {line}\n" for line in comment.splitlines())

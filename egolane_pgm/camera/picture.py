@@ -1,4 +1,4 @@
-"""One frame of a camera, or of two."""
+"""The types of a picture: an image, and one frame of a drive with one or two images."""
 
 from __future__ import annotations
 
@@ -7,12 +7,13 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+#: (H, W, 3), blue green red, as OpenCV has it.
 Image = NDArray[np.uint8]
 
 
 @dataclass(frozen=True)
 class Picture:
-    """One frame: image (H, W, 3), blue green red; right: the second camera's, rectified."""
+    """One frame of a drive. right: the image of the second camera of a rectified stereo pair."""
 
     frame_id: int
     image: Image

@@ -1,9 +1,9 @@
-"""Pictures of a drive: a video, a folder of pictures or a glob, and pairs of them for two cameras.
+"""Reads the pictures of a drive from a video, a folder or a glob, for one camera or for two.
 
-The frame id of a video's pictures is their position, from 0. That of picture files is the number
-in their names, where one number of the name increases from file to file (the last that does, in
-natural order: `img_9.jpg` before `img_10.jpg`); else their position, from 0.
-One picture at a time is in memory, whatever the length of the drive.
+The frame id of a picture in a video is its position, from 0. Picture files are taken in natural
+order (`img_9.jpg` before `img_10.jpg`). Their frame ids are the last number of the names that
+increases from file to file; if there is none, their positions, from 0. Only one picture is in
+memory at a time.
 """
 
 from __future__ import annotations
@@ -23,18 +23,23 @@ from egolane_pgm.camera.picture import Image, Picture
 from egolane_pgm.camera.video import open_video, video_images
 from egolane_pgm.types import InputError
 
-#: Extensions of picture files; every other file is taken for a video.
+#: Extensions of picture files; any other file is read as a video.
 PICTURES = (".jpg", ".jpeg", ".png", ".bmp", ".ppm", ".pgm", ".tif", ".tiff", ".webp")
 
-#: Frame rates that a video may tell of itself; others are made up by its container.
+#: The range in which the frame rate that a video states is trusted, Hz.
 _RATES = (0.5, 500.0)
 
 
 @dataclass(frozen=True)
 class Source:
-    """Where pictures come from. path: as given. files: the video, or the pictures in order.
-    frame_id: of each file, None for a video. n_frames: None where a video does not tell.
-    frame_rate: of a video, None where it tells none."""
+    """Where the pictures of one camera come from.
+
+    - path: as the user gave it
+    - files: the video, or the picture files in order
+    - frame_id: frame id of each picture file; None for a video
+    - n_frames: None for a video that does not say
+    - frame_rate: Hz; None for picture files and for a video that does not say
+    """
 
     path: str
     files: tuple[Path, ...]
@@ -49,14 +54,14 @@ class Source:
 
 
 def is_pattern(path: str) -> bool:
-    """Whether a path is a glob."""
+    """Whether a path is a glob pattern."""
     return any(c in path for c in "*?[") and not Path(path).exists()
 
 
 def open_source(path: str | Path) -> Source:
-    """The pictures at a path: a video, a picture, a folder of pictures or a glob.
+    """Finds the pictures at a path: a video, a picture, a folder of pictures or a glob.
 
-    Raises InputError, naming the path, where there are none or the file is no video.
+    Raises InputError, naming the path, if there are none or the file is no video.
     """
     path = str(path)
     if not path:
@@ -86,12 +91,15 @@ def read_pictures(
     right: Source | None = None,
     frames: tuple[int, int] | None = None,
 ) -> Iterator[Picture]:
-    """The pictures in order; right: those of the second camera; frames: first frame id and the one
-    after the last.
+    """Reads the pictures in order, one at a time.
 
-    Warns of a video that ends before it should, or lacks pictures. Raises InputError, naming file
-    and frame, for a picture that cannot be read or has another size than the calibration, and where
-    the pictures of the two cameras are not equally many.
+    - camera: the calibration, for the size that pictures must have
+    - right: the pictures of the second camera of a stereo pair
+    - frames: the first frame id to read and the one after the last; None for all
+
+    Warns of a video that ends too early or lacks pictures. Raises InputError, naming file and
+    frame, for a picture that cannot be read or has another size than the calibration, and for two
+    cameras with different numbers of pictures.
     """
     if right is not None:
         _check_pair(source, right)
@@ -128,7 +136,7 @@ def _check_pair(source: Source, right: Source) -> None:
 def _same_frames(
     source: Source, right: Source, frames: tuple[int, int] | None
 ) -> tuple[int, int] | None:
-    """The range in the ids of the second camera: pairs go by position."""
+    """The same range in the frame ids of the second camera; the pairs are matched by position."""
     if frames is None or (source.frame_id is None and right.frame_id is None):
         return frames
     left_id = source.frame_id or tuple(range(len(right.files)))
@@ -180,7 +188,7 @@ def _picture_files(path: str, found: list[Path]) -> Source:
 
 
 def _natural(path: Path) -> list[tuple[int, int | str]]:
-    """Sorts 9 before 10."""
+    """A sorting key that puts 9 before 10."""
     parts = re.split(r"(\d+)", str(path))
     return [(0, int(part)) if part.isdecimal() else (1, part) for part in parts]
 
@@ -190,7 +198,7 @@ def _frame_ids(files: list[Path]) -> list[int]:
     if len({len(row) for row in numbers}) == 1 and len(files) > 1:
         for column in reversed(list(zip(*numbers, strict=True))):
             if all(a < b for a, b in pairwise(column)):
-                # Nanoseconds and the like would lose digits as times.
+                # A number as large as a time in nanoseconds would lose digits as a float.
                 return list(column) if column[-1] < 2**53 else list(range(len(files)))
     return list(range(len(files)))
 
@@ -213,7 +221,7 @@ def read_image(path: Path) -> Image:
     try:
         image = cv2.imdecode(content, cv2.IMREAD_COLOR) if content.size else None
     except cv2.error as error:
-        # A picture of more pixels than OpenCV takes, say.
+        # For example a picture with more pixels than OpenCV accepts.
         raise InputError(f"{path}: cannot be read: {' '.join(error.err.split())}") from None
     if image is None:
         raise InputError(f"{path}: is no picture that can be read")

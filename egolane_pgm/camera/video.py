@@ -1,10 +1,11 @@
-"""The pictures of a video, with their positions from 0.
+"""Reads the pictures of a video, with their positions from 0.
 
-Pictures of a damaged video that cannot be decoded are left out; those after them keep their
-positions where the container says when each is due (AVI counts what it finds) and the rate has been
-constant. OpenCV passes over lost pictures in silence, too. They are missed where the container says
-how many there are, and then it is said that the positions of those after the damage are too low:
-where it is cannot be told for certain, for good videos of variable rate have such gaps, too.
+A picture that cannot be decoded, because the video is damaged, is left out. The pictures after it
+keep their positions if the container gives each picture's time (AVI does not: it counts the
+pictures that it finds) and the frame rate has been constant. OpenCV also skips lost pictures
+without a word. Such a loss is noticed if the container says how many pictures there are; a warning
+then says that the positions after the damage are too low. The place of the damage is not certain,
+because a good video of variable frame rate has gaps as well.
 """
 
 from __future__ import annotations
@@ -19,16 +20,16 @@ import cv2
 from egolane_pgm.camera.picture import Image
 from egolane_pgm.types import InputError, check_name
 
-#: So many pictures in a row that cannot be decoded, at most, are passed over.
+#: The longest run of pictures that cannot be decoded, before the video counts as ended.
 _MOST_LOST = 300
 
-#: Frames by which a picture of a constant rate is due too early or late, at most.
+#: The largest difference, in frames, between a picture's time and its position at constant rate.
 _STEADY = 0.05
 
 
 def open_video(path: Path) -> cv2.VideoCapture:
-    """A video, before its first picture. Raises InputError where the file is none."""
-    # Without it FFmpeg writes complaints of its own about files that we explain in one line.
+    """Opens a video before its first picture. Raises InputError for a file that is no video."""
+    # Without this, FFmpeg prints its own lines about files that our one-line error explains.
     os.environ.setdefault("OPENCV_FFMPEG_LOGLEVEL", "-8")
     check_name(path)
     with path.open("rb") as file:
@@ -52,10 +53,13 @@ def video_images(
     frame_rate: float | None,
     frames: tuple[int, int] | None,
 ) -> Iterator[tuple[int, Image]]:
-    """Positions and pictures, (H, W, 3). name: for messages. n_frames, frame_rate: as the file
-    says. frames: first position and the one after the last.
+    """The positions and pictures of a video.
 
-    Warns of a video that ends before it should or that lacks pictures in between.
+    - name: how messages name the video
+    - n_frames, frame_rate: as the file says; None where it does not
+    - frames: the first position to read and the one after the last; None for all
+
+    Warns of a video that ends too early or lacks pictures in between.
     """
     first, stop = frames or (0, None)
     rate, is_avi = frame_rate or 0.0, _is_avi(path)
@@ -63,8 +67,8 @@ def video_images(
     try:
         at, due, gap, lost = 0, 0.0, None, list[int]()
         is_steady = rate > 0 and not is_avi
-        # A picture is given only when the next one is there: the last one of a video that was cut
-        # off may be half a picture.
+        # A picture is given out only when the next one can be read, because the last picture of a
+        # video that was cut off may be incomplete.
         held: tuple[int, Image] | None = None
         while True:
             if not video.grab():
@@ -97,7 +101,7 @@ def video_images(
             )
         is_short = n_frames is not None and first < at < n_frames
         if (stop is None or at < stop) and is_short:
-            # A picture that cannot be decoded is no end: others come after it.
+            # A picture that cannot be decoded is not the end of the video: more may follow.
             is_end = not any(video.grab() for _ in range(5))
             is_whole = due > (n_frames or 0) - 1.5 or (is_avi and _is_complete(path))
             if is_end and is_whole:
@@ -121,13 +125,13 @@ def video_images(
 
 
 def _due(video: cv2.VideoCapture, rate: float) -> float:
-    """When the picture at hand is due, in frames."""
+    """The time of the current picture, in frames at constant rate."""
     return float(video.get(cv2.CAP_PROP_POS_MSEC)) * rate / 1000
 
 
 def _later(video: cv2.VideoCapture, at: int, n_frames: int | None, rate: float) -> int | None:
-    """The position of the next picture that can be decoded, after some that cannot; None at the
-    end, and where it is not one of a constant rate."""
+    """The position of the next picture that can be decoded, after some that cannot. None at the
+    end of the video, and where the frame rate is not constant."""
     for _ in range(min(_MOST_LOST, (n_frames or 0) - at)):
         if video.grab():
             due = _due(video, rate)
@@ -142,6 +146,6 @@ def _is_avi(path: Path) -> bool:
 
 
 def _is_complete(avi: Path) -> bool:
-    """Whether an AVI is as long as it says: nothing of its end is missing."""
+    """Whether an AVI file is as long as its header says."""
     with avi.open("rb") as file:
         return 8 + int.from_bytes(file.read(8)[4:], "little") <= avi.stat().st_size

@@ -1,5 +1,5 @@
-"""Pictures and videos that are written: a full disk, or a folder that is gone, is noticed, and what
-was written before is whole."""
+"""Writes pictures and videos. A full disk or a vanished folder raises an error, and whatever was
+written before stays readable."""
 
 from __future__ import annotations
 
@@ -18,16 +18,16 @@ from egolane_pgm.types import InputError, check_name
 
 Image = NDArray[np.uint8]
 
-#: Four letters of the codec that every build of OpenCV can write.
+#: The codec that every build of OpenCV can write.
 CODEC = "mp4v"
 
-#: Bytes that stay free while a video is written, beside those of a picture: what is on its way to
-#: the disk, and the index, without which nothing can be read. Then the index per frame.
+#: Bytes that must stay free on the disk while a video is written, beside those of one picture: for
+#: buffers, and per frame for the index, without which the video cannot be read.
 _SPARE, _INDEX = 2 * 2**20, 64
 
 
 class NotKeptError(InputError):
-    """What was written cannot be read; the message says how much of it is left."""
+    """A video that was written cannot be read in full; the message says how much is left."""
 
 
 def write_picture(file: Path, image: Image, options: Sequence[int] = ()) -> None:
@@ -51,12 +51,16 @@ def write_picture(file: Path, image: Image, options: Sequence[int] = ()) -> None
 def video_writer(
     target: Path, frame_rate: float, size: tuple[int, int]
 ) -> Iterator[Callable[[Image], None]]:
-    """A function that takes the pictures of a video (`.mp4`) one after the other. What was written
-    is kept, whatever ends the block; without a picture no file is made.
+    """A context that gives a function to call with each picture of a video (`.mp4`) in turn.
 
-    size: width and height. Raises InputError, when writing, where the folder is gone or the disk is
-    full, with what was written before in its place; and NotKeptError, at the end, where
-    what was written cannot be read.
+    Whatever ends the block, the pictures written so far are kept. Without any picture there is no
+    file.
+
+    - frame_rate: Hz
+    - size: width and height of the pictures, pixels
+
+    Raises InputError while writing if the folder is gone or the disk is full (the pictures before
+    are kept), and NotKeptError at the end if the video cannot be read.
     """
     check_name(target)
     if not target.parent.is_dir():
@@ -71,10 +75,10 @@ def video_writer(
 
     def write(image: Image) -> None:
         nonlocal n_written
-        # OpenCV ends a video that met a full disk without its index: it must not come to that.
+        # On a full disk OpenCV would end the video without its index, which makes it unreadable.
         _check_room(target, part, _SPARE + image.nbytes + _INDEX * n_written)
         with _silent():
-            # None in versions that do not tell.
+            # None in versions of OpenCV that do not report failure.
             is_written = video.write(image)
         if is_written is False:
             raise InputError(f"{target}: cannot be written, the system takes no more of it")
@@ -97,7 +101,7 @@ def _check_room(target: Path, part: Path, needed: int) -> None:
         disk = shutil.disk_usage(part.parent)
     except OSError as error:
         raise InputError(f"{target}: cannot be written any more: {error.strerror}") from None
-    # Some file systems do not say how large they are.
+    # Some file systems do not report their size.
     if disk.total and disk.free < needed:
         raise InputError(
             f"{target}: the disk is full ({disk.free / 1e6:.1f} MB left, a video needs"
@@ -106,7 +110,7 @@ def _check_room(target: Path, part: Path, needed: int) -> None:
 
 
 def _put(part: Path, target: Path, n_written: int) -> None:
-    """Give a video its name, if it can be read."""
+    """Gives a finished video its final name, if it can be read."""
     n_there = _count(part)
     if n_there == 0:
         is_gone = not part.exists()
@@ -130,7 +134,7 @@ def _put(part: Path, target: Path, n_written: int) -> None:
 
 
 def _count(video: Path) -> int:
-    """Frames that can be read, as far as its index tells."""
+    """How many frames can be read, according to the video's index."""
     if not video.is_file():
         return 0
     os.environ.setdefault("OPENCV_FFMPEG_LOGLEVEL", "-8")
@@ -144,8 +148,8 @@ def _count(video: Path) -> int:
 
 @contextlib.contextmanager
 def _silent() -> Iterator[None]:
-    """OpenCV's own complaints, which say in many lines what we say in one."""
-    # It moved from one major version to the next.
+    """Silences OpenCV's own messages, for which we raise a one-line error."""
+    # The function's place differs between OpenCV's major versions.
     set_level: Any = getattr(cv2, "setLogLevel", None) or cv2.utils.logging.setLogLevel
     before = set_level(0)
     try:
