@@ -23,7 +23,7 @@ from numpy.lib.stride_tricks import sliding_window_view
 
 from egolane_pgm.evidence.line_geometry.habits import is_placed
 from egolane_pgm.evidence.line_geometry.model import STRONG_LRI
-from egolane_pgm.types import BoolArray, FloatArray, IntArray, LineLog
+from egolane_pgm.types import BoolArray, FloatArray, LineLog
 
 #: Gaps are counted in bins of one per cent, from the smallest to the largest (any unit).
 _STEP = 0.01
@@ -98,20 +98,29 @@ def gap_counts(log: LineLog) -> FloatArray:
     """(3, B): how many gaps between neighbouring strong lines of a frame are in each bin, how many
     between every other one, and how many frames have their largest gap between neighbours there.
     For `width_of_gaps`, added up over the logs that count."""
-    return np.asarray(_counts_of_parts(log, np.zeros(len(log), dtype=np.int64), 1)[0])
+    counts = np.zeros((3, _N_BINS))
 
+    def add(kind: int, gaps: FloatArray) -> None:
+        inside = gaps[(gaps > _SMALLEST) & (gaps < _LARGEST)]
+        where = (np.log(inside / _SMALLEST) / _STEP).astype(np.int64)
+        counts[kind] += np.bincount(np.minimum(where, _N_BINS - 1), minlength=_N_BINS)
 
-def widths_so_far(log: LineLog, every: int, fallback_m: float) -> FloatArray:
-    """(N,): for each stretch of `every` frames the lane width from the frames before it, rounded
-    to centimetres; the fallback for the first and wherever unsure."""
-    part = np.arange(len(log)) // every
-    n_parts = int(part[-1]) + 1 if len(log) else 0
-    if not n_parts:
-        return np.zeros(0)
-    before = np.zeros((n_parts, 3, _N_BINS))
-    before[1:] = np.cumsum(_counts_of_parts(log, part, n_parts)[:-1], axis=0)
-    widths = [found.width_m for found in _answers(before, fallback_m, log.source)]
-    return np.array([rounded(width) for width in widths])
+    offsets = np.sort(np.where(_strong(log), log.offset_m, np.inf), axis=1)
+    if offsets.shape[1] < 2:
+        return counts
+    offsets = offsets[np.isfinite(offsets[:, 1])]
+    gaps = _gaps(offsets, 1)
+    largest = gaps.max(axis=1)
+    is_double = gaps < DOUBLE * largest[:, None]
+    is_double &= np.isfinite(offsets[:, 1:])
+    if is_double.any():
+        offsets[:, 1:][is_double] = np.inf
+        offsets.sort(axis=1)
+    add(2, largest)
+    for apart in range(1, min(3, offsets.shape[1])):
+        gaps = _gaps(offsets, apart)
+        add(apart - 1, gaps[gaps != 0])
+    return counts
 
 
 def rounded(width_m: float) -> float:
@@ -121,37 +130,18 @@ def rounded(width_m: float) -> float:
 
 def width_of_gaps(counts: FloatArray, fallback_m: float, source: str) -> LaneWidth:
     """The answer from the counts (3, B) of all gaps."""
-    return _answers(counts[None], fallback_m, source)[0]
-
-
-def _counts_of_parts(log: LineLog, part: IntArray, n_parts: int) -> FloatArray:
-    """(N, 3, B): the gaps of each part; part (T,) is the one that each frame belongs to."""
-    counts = np.zeros((n_parts, 3, _N_BINS))
-
-    def add(kind: int, frame: IntArray, gaps: FloatArray) -> None:
-        inside = (gaps > _SMALLEST) & (gaps < _LARGEST)
-        where = (np.log(gaps[inside] / _SMALLEST) / _STEP).astype(np.int64)
-        cell = part[frame[inside]] * _N_BINS + np.minimum(where, _N_BINS - 1)
-        counts[:, kind] += np.bincount(cell, minlength=n_parts * _N_BINS).reshape(n_parts, -1)
-
-    offsets = np.sort(np.where(_strong(log), log.offset_m, np.inf), axis=1)
-    if offsets.shape[1] < 2:
-        return counts
-    frames = np.flatnonzero(np.isfinite(offsets[:, 1]))
-    offsets = offsets[frames]
-    gaps = _gaps(offsets, 1)
-    largest = gaps.max(axis=1)
-    is_double = gaps < DOUBLE * largest[:, None]
-    is_double &= np.isfinite(offsets[:, 1:])
-    if is_double.any():
-        offsets[:, 1:][is_double] = np.inf
-        offsets.sort(axis=1)
-    add(2, frames, largest)
-    for apart in range(1, min(3, offsets.shape[1])):
-        gaps = _gaps(offsets, apart)
-        frame, line = np.nonzero(gaps)
-        add(apart - 1, frames[frame], gaps[frame, line])
-    return counts
+    frames = counts[2].cumsum()
+    middle = int(np.argmax(frames >= max(frames[-1] / 2, 0.5)))
+    # The bin of the narrowest candidate.
+    first = middle + round(math.log(NARROWEST) / _STEP)
+    bins = first + _BELOW + np.arange(_N_WINDOW)
+    is_bin = (bins >= 0) & (bins < _N_BINS)
+    near = np.where(is_bin, counts[:2, np.clip(bins, 0, _N_BINS - 1)], 0.0)
+    of_gap, is_pair = _tables()
+    fit = (near.sum(axis=0) @ of_gap).reshape(len(OFF_LATTICE), -1).max(axis=0) / ALIKE
+    n_pairs = counts[1].sum()
+    may_be = (n_pairs < ENOUGH_PAIRS) | (near[1] @ is_pair >= LEAST_PAIRS * n_pairs)
+    return _answer(counts[:2].sum(axis=0), first, fit, may_be, fallback_m, source)
 
 
 def _gaps(offsets: FloatArray, apart: int) -> FloatArray:
@@ -160,27 +150,6 @@ def _gaps(offsets: FloatArray, apart: int) -> FloatArray:
     return np.subtract(
         offsets[:, apart:], offsets[:, :-apart], out=np.zeros(is_there.shape), where=is_there
     )
-
-
-def _answers(counts: FloatArray, fallback_m: float, source: str) -> list[LaneWidth]:
-    """For each of the counts (N, 3, B)."""
-    # The bin of the narrowest candidate.
-    frames = counts[:, 2].cumsum(axis=1)
-    middle = np.argmax(frames >= np.maximum(frames[:, -1:] / 2, 0.5), axis=1)
-    first = middle + round(math.log(NARROWEST) / _STEP)
-    bins = first[:, None] + _BELOW + np.arange(_N_WINDOW)
-    near = np.take_along_axis(counts[:, :2], np.clip(bins, 0, _N_BINS - 1)[:, None], axis=2)
-    near *= ((bins >= 0) & (bins < _N_BINS))[:, None]
-    of_gap, is_pair = _tables()
-    shape = (len(counts), len(OFF_LATTICE), _N_CANDIDATES)
-    fit = (near.sum(axis=1) @ of_gap).reshape(shape).max(axis=1) / ALIKE
-    pairs = near[:, 1] @ is_pair
-    n_pairs = counts[:, 1].sum(axis=1, keepdims=True)
-    may_be = (n_pairs < ENOUGH_PAIRS) | (pairs >= LEAST_PAIRS * n_pairs)
-    return [
-        _answer(counts[k, :2].sum(axis=0), int(first[k]), fit[k], may_be[k], fallback_m, source)
-        for k in range(len(counts))
-    ]
 
 
 def _answer(

@@ -15,7 +15,8 @@ PARAMETERS = (
         "positive",
         "auto",
         "lane width in the detector's metres: a number, `auto` (from the lines of the whole"
-        " recording) or `causal` (from those of the frames so far)",
+        " recording) or `causal` (that, and what the detector's flags and LRI mean, from the frames"
+        " so far)",
         choices=("auto", "causal"),
     ),
     Parameter(

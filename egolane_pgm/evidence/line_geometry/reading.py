@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from egolane_pgm.evidence.line_geometry.habits import is_placed
-from egolane_pgm.evidence.line_geometry.lane_width import lane_width, rounded, widths_so_far
+from egolane_pgm.evidence.line_geometry.lane_width import lane_width, rounded
 from egolane_pgm.evidence.line_geometry.model import LEAST_LRI, REACH_M, STRONG_LRI
 from egolane_pgm.graphs.position_in_lane import motion_index
 from egolane_pgm.parameters import Parameters, number
@@ -31,7 +31,8 @@ OFF_CENTRE, STEADY, ENOUGH_LINES = 0.2, 0.3, 1000
 #: a second.
 FRAME_S = 0.1
 
-#: With `lane_width_m: causal`, frames until the width is looked at again.
+#: With `lane_width_m: causal`, the width and the detector's habits are told anew from all frames so
+#: far, each time that so many have passed.
 LOOK_AGAIN = 200
 
 
@@ -51,15 +52,15 @@ class SeenLines:
 
     @property
     def lines(self) -> IntArray:
-        """(2,): how many lines count, and how many of them are doubles."""
-        return np.array([(self.kind >= 0).sum(), self.is_double.sum()])
+        """(T, 2): how many lines of each frame count, and how many of them are doubles."""
+        return np.stack([(self.kind >= 0).sum(axis=1), self.is_double.sum(axis=1)], axis=1)
 
 
-def frame_widths(log: LineLog, parameters: Parameters) -> FloatArray:
-    """(T,): the lane width that each frame is read with; says what was found in a warning."""
+def recording_width(log: LineLog, parameters: Parameters) -> float:
+    """The lane width of a whole recording, given or found; what was found is said in a warning."""
     width = parameters["lane_width_m"]
     if not isinstance(width, str):
-        return np.full(len(log), number(parameters, "lane_width_m"))
+        return number(parameters, "lane_width_m")
     fallback = number(parameters, "fallback_width_m")
     whole = lane_width(log, fallback)
     message = whole.message
@@ -68,9 +69,7 @@ def frame_widths(log: LineLog, parameters: Parameters) -> FloatArray:
             f"; no lane has that in metres, offsets are scaled to lanes of {rounded(fallback):g} m"
         )
     warnings.warn(message, UserWarning, stacklevel=2)
-    if width == "auto":
-        return np.full(len(log), whole.width_m)
-    return np.repeat(widths_so_far(log, LOOK_AGAIN, fallback), LOOK_AGAIN)[: len(log)]
+    return whole.width_m
 
 
 def in_metres(
@@ -165,10 +164,10 @@ def read_lines(
 
 
 def count_once(seen: SeenLines, lines: IntArray) -> SeenLines:
-    """Without the doubles, if the detector reports many; lines (2,): those it is judged by."""
-    if lines[1] < LEAST_DOUBLES * lines[0]:
-        return seen
-    return replace(seen, kind=np.where(seen.is_double, -1, seen.kind))
+    """Leaves the doubles out where the detector reports many. lines: numbers of lines and of
+    doubles by which it is judged, (2,) for all frames or (T, 2) for each."""
+    has_many = lines[..., 1] >= LEAST_DOUBLES * lines[..., 0]
+    return replace(seen, kind=np.where(seen.is_double & has_many[..., None], -1, seen.kind))
 
 
 def say_doubles(lines: IntArray, source: str) -> None:

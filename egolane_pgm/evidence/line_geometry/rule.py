@@ -62,10 +62,10 @@ from egolane_pgm.evidence.line_geometry.reading import (
     SeenLines,
     count_once,
     frame_weights,
-    frame_widths,
     in_metres,
     one_width,
     read_lines,
+    recording_width,
     say_doubles,
     say_places,
 )
@@ -89,15 +89,22 @@ def evidence(
     LineMotion (T,).
 
     parameters: resolved values of PARAMETERS. `kernel=False` runs the NumPy twins. What lane width
-    was found is said in a warning.
+    was found in the whole recording, and what is odd about its lines, is said in warnings. With
+    `lane_width_m: causal` nothing of the whole recording enters the evidence: each frame's is what
+    `online` gives for it.
     """
+    recorded = log
     log, detector = usual(log)
-    log, widths = in_metres(log, frame_widths(log, parameters), parameters)
+    width = recording_width(log, parameters)
+    log, widths = in_metres(log, np.full(len(log), width), parameters)
     say_places(log, widths)
     held = detector.repeats_are_held
     seen = read_lines(log, widths, parameters, repeats_are_held=held, kernel=kernel)
-    say_doubles(seen.lines, log.source)
-    seen = count_once(seen, seen.lines)
+    lines = seen.lines.sum(axis=0)
+    say_doubles(lines, log.source)
+    if parameters["lane_width_m"] == "causal":
+        return online(n_lanes, parameters, kernel=kernel)(recorded)
+    seen = count_once(seen, lines)
     model = line_model(n_lanes, parameters)
     if not log.is_continuous.any():
         model = without_flags(model)
@@ -108,10 +115,13 @@ def evidence(
 def online(
     n_lanes: int, parameters: Parameters, *, kernel: bool = True
 ) -> Callable[[LineLog], Evidence]:
-    """A function that gives the evidence of one frame after the other (or of some at a time), each
-    log following on the one before. A width from the lines is `causal`; the detector can tell
-    continuous lines from the first one on, and what else its flags and LRI mean is told from the
-    frames so far. What was found is not said."""
+    """Returns a function that gives the evidence of one frame after the other, or of some at a
+    time, each log following on the one before.
+
+    All that it knows comes from the frames so far, however they are grouped: the lane width (unless
+    given), what the detector's flags and LRI mean, and whether it reports lines twice. From the
+    first continuous line on, the detector is one that can tell. What was found is not said.
+    """
     flagged = line_model(n_lanes, parameters)
     model = flagless = without_flags(flagged)
     known: dict[float, LineTables] = {}
@@ -135,45 +145,55 @@ def online(
         if isinstance(given, str) and gaps.any():
             width = rounded(width_of_gaps(gaps, fallback, source).width_m)
 
-    def give(recorded: LineLog) -> Evidence:
+    def give_alike(recorded: LineLog) -> Evidence:
+        """For frames that are all read in the same way."""
         nonlocal context, n_frames, gaps, lines, model, last_s
-        log, widths = context, np.empty(len(recorded))
-        cuts = [*range(-n_frames % LOOK_AGAIN, len(recorded), LOOK_AGAIN), len(recorded)]
-        for first, stop in pairwise([0, *cuts] if cuts[0] else cuts):
-            if n_frames and n_frames % LOOK_AGAIN == 0:
-                look_again(recorded.source)
-            piece = recorded.take(slice(first, stop))
-            tallies.append(tally(piece))
-            piece = as_usual(piece, detector)
-            if isinstance(given, str):
-                gaps = gaps + gap_counts(piece)
-            widths[first:stop] = width
-            log = piece if log is None else log.then(piece)
-            n_frames += len(piece)
-        if log is None:
-            log = recorded
-        if model is not flagged and log.is_continuous.any():
+        if n_frames and n_frames % LOOK_AGAIN == 0:
+            look_again(recorded.source)
+        tallies.append(tally(recorded))
+        piece = as_usual(recorded, detector)
+        if isinstance(given, str):
+            gaps = gaps + gap_counts(piece)
+        if model is not flagged and piece.is_continuous.any():
             model = flagged
             known.clear()
-        before = len(log) - len(recorded)
-        all_widths = np.concatenate([np.full(before, widths[0] if len(widths) else width), widths])
-        scaled, all_widths = in_metres(log, all_widths, parameters)
+        log = piece if context is None else context.then(piece)
+        before = len(log) - len(piece)
+        n_frames += len(piece)
+        # Whether a line of the frame before was held shows in the one before that.
+        context = log.take(slice(max(0, len(log) - 2), None))
+        scaled, widths = in_metres(log, np.full(len(log), width), parameters)
         held = detector.repeats_are_held
-        seen = read_lines(scaled, all_widths, parameters, repeats_are_held=held, kernel=kernel)
+        seen = read_lines(scaled, widths, parameters, repeats_are_held=held, kernel=kernel)
         now = SeenLines(
             seen.offset_m[before:],
             seen.kind[before:],
             seen.motion[before:],
             seen.is_double[before:],
         )
-        lines = lines + now.lines
-        now = count_once(now, lines)
+        of_frame = now.lines
+        now = count_once(now, lines + of_frame.cumsum(axis=0))
+        lines = lines + of_frame.sum(axis=0)
         weights, last_s = frame_weights(recorded, last_s)
-        of_frame = all_widths[before:]
-        likelihood = _likelihood(now, of_frame, weights, model, parameters, kernel, known)
-        # Whether a line of the frame before was held shows in the one before that.
-        context = log.take(slice(max(0, len(log) - 2), None))
+        likelihood = _likelihood(now, widths[before:], weights, model, parameters, kernel, known)
         return Evidence({NODES: likelihood}, {"LineMotion": now.motion})
+
+    def give(recorded: LineLog) -> Evidence:
+        looks = np.arange(-n_frames % LOOK_AGAIN, len(recorded), LOOK_AGAIN)
+        starts = np.unique([0, *looks])
+        is_continuous = np.asarray(recorded.is_continuous.any(axis=1))
+        # The first frame with a continuous line may change how lines are read.
+        firsts = [
+            a + int(np.argmax(is_continuous[a:b]))
+            for a, b in pairwise([*starts, len(recorded)])
+            if is_continuous[a:b].any()
+        ]
+        cuts = [*np.unique([*starts, *firsts]).tolist(), len(recorded)]
+        parts = [give_alike(recorded.take(slice(a, b))) for a, b in pairwise(cuts)]
+        return Evidence(
+            {NODES: np.concatenate([part.likelihoods[NODES] for part in parts])},
+            {"LineMotion": np.concatenate([part.inputs["LineMotion"] for part in parts])},
+        )
 
     return give
 
@@ -264,7 +284,7 @@ def fit_pooled(
         first_width = first_width or width
         held = detector.repeats_are_held
         seen = read_lines(log, widths, parameters, repeats_are_held=held)
-        seen = count_once(seen, seen.lines)
+        seen = count_once(seen, seen.lines.sum(axis=0))
         used = np.flatnonzero(is_used & ~log.is_missing)
         offsets.append(seen.offset_m[used] * (first_width / width))
         kinds.append(seen.kind[used])

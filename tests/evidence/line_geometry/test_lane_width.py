@@ -11,7 +11,6 @@ from egolane_pgm.evidence.line_geometry.lane_width import (
     gap_counts,
     lane_width,
     width_of_gaps,
-    widths_so_far,
 )
 from egolane_pgm.experiment import load_experiment
 from egolane_pgm.loading import load_recording
@@ -68,20 +67,16 @@ def test_lines_anywhere_tell_no_width(seed: int) -> None:
     assert "3.5 m is used" in found.message
 
 
-@pytest.mark.parametrize("n_frames", [0, 1, 49, 50, 330])
-def test_the_width_so_far_is_that_of_the_frames_before(n_frames: int) -> None:
+@pytest.mark.parametrize("n_frames", [1, 49, 50, 330])
+def test_the_width_of_gaps_added_up_is_that_of_all_the_frames(n_frames: int) -> None:
     # The road becomes another one; no line in the first frames.
     offsets = np.concatenate([road(3.0).offset_m[:200], 0.8 * road(3.0).offset_m[200:]])
     offsets[:60] = np.nan
     log = log_of(offsets[:n_frames])
-    found = widths_so_far(log, 50, FALLBACK)
-    assert len(found) == -(-n_frames // 50)
-    for k, width in enumerate(found):
-        before = lane_width(log.take(slice(0, 50 * k)), FALLBACK)
-        assert width == (round(before.width_m, 2) if before.gaps else FALLBACK)
-    if n_frames == 330:
-        assert (found[:2] == FALLBACK).all()
-        assert found[-1] != FALLBACK
+    parts = [gap_counts(log.take(slice(k, k + 50))) for k in range(0, n_frames, 50)]
+    added_up = width_of_gaps(np.sum(parts, axis=0), FALLBACK, log.source)
+    assert str(added_up) == str(lane_width(log, FALLBACK))
+    assert added_up.is_sure == (n_frames == 330)
 
 
 @settings(max_examples=20, deadline=None)
@@ -93,8 +88,8 @@ def test_the_width_does_not_depend_on_the_unit(unit: float, seed: int) -> None:
     metres, other = lane_width(log, FALLBACK), lane_width(scaled, FALLBACK)
     assert other.is_sure
     assert other.width_m == pytest.approx(unit * metres.width_m, rel=0.01)
-    so_far = widths_so_far(scaled, 200, FALLBACK)
-    assert so_far[-1] == pytest.approx(unit * 3.6, rel=0.03)
+    half = lane_width(scaled.take(slice(0, 200)), FALLBACK)
+    assert half.width_m == pytest.approx(unit * 3.6, rel=0.03)
 
 
 @pytest.mark.parametrize("share", [0.4, 0.5, 0.6])

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import warnings
+from dataclasses import replace
 from itertools import pairwise
 from typing import Any
 
@@ -14,7 +15,7 @@ from hypothesis import strategies as st
 
 from egolane_pgm.evidence.line_geometry import rule as line_geometry
 from egolane_pgm.evidence.line_geometry.model import line_model, places
-from egolane_pgm.evidence.line_geometry.reading import frame_widths, line_classes, read_lines
+from egolane_pgm.evidence.line_geometry.reading import line_classes, read_lines
 from egolane_pgm.evidence.line_geometry.rule import NODES
 from egolane_pgm.graphs import position_in_lane
 from egolane_pgm.inference.compile import compile_network
@@ -197,7 +198,7 @@ def test_the_class_of_a_line(
 
 def motion_of(log: LineLog, **given: object) -> list[int]:
     parameters = resolved(**given)
-    return read_lines(log, frame_widths(log, parameters), parameters).motion.tolist()
+    return read_lines(log, np.full(len(log), W), parameters).motion.tolist()
 
 
 def value_of(displacement_m: float) -> int:
@@ -217,7 +218,7 @@ def test_a_held_line_is_no_evidence_and_is_not_followed() -> None:
     log = line_log(offsets, lri=[[10, 10], [10, 9], [10, 8]])
     assert motion_of(log) == [UNKNOWN, value_of(0.1), value_of(0.1)]
     parameters = resolved()
-    kind = read_lines(log, frame_widths(log, parameters), parameters).kind
+    kind = read_lines(log, np.full(len(log), W), parameters).kind
     assert kind.tolist() == [[1, 1], [1, -1], [1, -1]]
 
 
@@ -270,23 +271,64 @@ def test_a_detector_without_flags_is_taken_for_one_that_cannot_tell() -> None:
     assert shares[0] > shares[1] + 0.02
 
 
-def test_one_frame_after_the_other_is_the_same_as_the_causal_whole() -> None:
-    log = simulate("quickstart", seed=4, frames=450).log
-    log = log.take(np.delete(np.arange(450), [60, 61, 300]))
-    for width in ("causal", 3.5):
-        parameters = resolved(lane_width_m=width)
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore")
-            whole = line_geometry.evidence(log, 3, parameters)
+def causal_drive(kind: str) -> LineLog:
+    """A drive whose lines change how they are read as it goes on."""
+    log = simulate("quickstart", seed=4, frames=650).log
+    log = log.take(np.delete(np.arange(650), [60, 61, 300]))
+    late = np.arange(len(log))[:, None] >= 330
+    if kind == "doubled":
+        return replace(
+            log,
+            offset_m=np.concatenate([log.offset_m, log.offset_m + 0.1], axis=1),
+            is_valid=np.concatenate([log.is_valid, log.is_valid & late], axis=1),
+            is_continuous=np.tile(log.is_continuous, 2),
+            lri=np.concatenate([log.lri, np.where(late, log.lri, np.nan)], axis=1),
+        )
+    if kind == "hardly a flag":
+        flags = np.zeros(log.offset_m.shape, dtype=bool)
+        flags[[150, 399], 0] = True
+        return replace(log, is_continuous=flags & log.is_valid, lri=np.full(log.lri.shape, np.nan))
+    return log
+
+
+@pytest.mark.parametrize("kind", ["plain", "doubled", "hardly a flag"])
+def test_one_frame_after_the_other_is_the_same_as_the_causal_whole(kind: str) -> None:
+    log = causal_drive(kind)
+    parameters = resolved(lane_width_m="causal")
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        whole = line_geometry.evidence(log, 3, parameters)
+    for cuts in (range(len(log) + 1), [0, 1, 2, 3, 10, 11, *range(12, len(log), 137), len(log)]):
         give = line_geometry.online(3, parameters)
-        cuts = [0, 1, 2, 3, 10, 11, *range(12, len(log), 7), len(log)]
         parts = [give(log.take(slice(a, b))) for a, b in pairwise(cuts)]
         motion = np.concatenate([p.inputs["LineMotion"] for p in parts])
         np.testing.assert_array_equal(motion, whole.inputs["LineMotion"])
-        # Until the first continuous line it cannot know that the detector tells them.
-        first = int(np.argmax(log.is_continuous.any(axis=1))) + 7
         ours = np.concatenate([p.likelihoods[NODES] for p in parts])
-        np.testing.assert_allclose(ours[first:], whole.likelihoods[NODES][first:], atol=1e-12)
+        np.testing.assert_allclose(ours, whole.likelihoods[NODES], rtol=0, atol=1e-12)
+
+
+@pytest.mark.parametrize("kind", ["plain", "doubled", "hardly a flag"])
+def test_with_a_causal_width_no_later_frame_changes_the_evidence(kind: str) -> None:
+    log = causal_drive(kind)
+    parameters = resolved(lane_width_m="causal")
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        whole = line_geometry.evidence(log, 3, parameters)
+        for n_frames in (149, 333, 500):
+            part = line_geometry.evidence(log.take(slice(0, n_frames)), 3, parameters)
+            np.testing.assert_array_equal(
+                part.likelihoods[NODES], whole.likelihoods[NODES][:n_frames]
+            )
+
+
+def test_with_a_given_width_the_frames_after_the_first_flag_are_read_as_the_whole() -> None:
+    log = causal_drive("plain")
+    parameters = resolved(lane_width_m=3.5)
+    whole = line_geometry.evidence(log, 3, parameters)
+    ours = line_geometry.online(3, parameters)(log).likelihoods[NODES]
+    # Until the first continuous line it cannot know that the detector tells them.
+    first = int(np.argmax(log.is_continuous.any(axis=1)))
+    np.testing.assert_allclose(ours[first:], whole.likelihoods[NODES][first:], atol=1e-12)
 
 
 def test_the_width_that_was_found_is_said_once() -> None:
