@@ -21,6 +21,7 @@ from pydantic import (
     model_validator,
 )
 
+from egolane_pgm.files import read_yaml
 from egolane_pgm.types import MAX_LANES, InputError, suggestion
 
 
@@ -235,16 +236,7 @@ def load_experiment(path: str | Path, overrides: Sequence[str] = ()) -> Experime
 
 def load_yaml(path: Path, overrides: Sequence[str] = ()) -> dict[str, Any]:
     """The keys of a YAML file, overridden; errors as `load_experiment`."""
-    try:
-        text = path.read_text(encoding="utf-8")
-    except (OSError, UnicodeDecodeError) as error:
-        raise InputError(f"{path}: cannot be read: {_reason(error)}") from error
-    try:
-        content = yaml.safe_load(text)
-    except yaml.YAMLError as error:
-        raise InputError(f"{path}: is not YAML: {' '.join(str(error).split())}") from error
-    if not isinstance(content, dict):
-        raise InputError(f"{path}: needs keys and values, e.g. 'n_lanes: 4'")
+    content = read_yaml(path, "n_lanes: 4")
     for override in overrides:
         _override(content, override)
     return content
@@ -341,7 +333,3 @@ def _first_problem(error: ValidationError, model: type[BaseModel]) -> str:
         ]
         return f"{where}: '{value}' is not one of {', '.join(choices)}{suggestion(value, choices)}"
     return f"{where}: {message}{shown}"
-
-
-def _reason(error: Exception) -> str:
-    return getattr(error, "strerror", None) or str(error)

@@ -9,9 +9,9 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import yaml
 
 from egolane_pgm.experiment import Experiment, load_experiment
+from egolane_pgm.files import read_text, read_yaml, write_text
 from egolane_pgm.inference.filtering import filter_beliefs
 from egolane_pgm.loading import Recorded, load_recording
 from egolane_pgm.model import Model, make_evidence, prepare_model, with_parameters
@@ -41,7 +41,7 @@ def published_path() -> Path:
 
 def load_published(path: Path | None = None) -> dict[int, dict[str, Any]]:
     """The published matrices, metrics and parameters per run number."""
-    content = yaml.safe_load((path or published_path()).read_text(encoding="utf-8"))
+    content = read_yaml(path or published_path(), "runs: []")
     return {entry["run"]: entry for entry in content["runs"]}
 
 
@@ -207,10 +207,7 @@ def _model_matrix(experiment: Experiment) -> Callable[[Mapping[str, float]], Int
 def store_recovered(number: int, found: Recovered, how: str, path: Path | None = None) -> None:
     """Put what was found under `recovered` of the run in published.yaml, the rest as it was."""
     path = path or published_path()
-    try:
-        lines = path.read_text(encoding="utf-8").splitlines()
-    except OSError as error:
-        raise InputError(f"{path}: cannot be read: {error.strerror}") from error
+    lines = read_text(path).splitlines()
     start = next(i for i, text in enumerate(lines) if text.strip() == f"- run: {number}")
     end = next(
         (i for i in range(start + 1, len(lines)) if lines[i].lstrip().startswith("- run:")),
@@ -225,10 +222,7 @@ def store_recovered(number: int, found: Recovered, how: str, path: Path | None =
         f"      how: {how}",
     ]
     text = "\n".join([*lines[:start], *block, *lines[end:]]) + "\n"
-    try:
-        path.write_text(text, encoding="utf-8")
-    except OSError as error:
-        raise InputError(f"{path}: cannot be written: {error.strerror}") from error
+    write_text(path, text)
 
 
 def _without_recovered(block: Sequence[str]) -> list[str]:

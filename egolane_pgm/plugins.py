@@ -19,8 +19,9 @@ from collections.abc import Iterator
 from pathlib import Path
 from types import ModuleType
 
+from egolane_pgm.files import check_name
 from egolane_pgm.parameters import Parameter
-from egolane_pgm.types import InputError, check_name, suggestion
+from egolane_pgm.types import InputError, suggestion
 
 #: What a module of each folder must define.
 CONTRACTS = {

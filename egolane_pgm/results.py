@@ -22,13 +22,9 @@ from __future__ import annotations
 import contextlib
 import hashlib
 import json
-import math
-import os
 import platform
-import shutil
 import subprocess
-import tempfile
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from importlib import metadata
 from pathlib import Path
@@ -37,7 +33,13 @@ from typing import Any
 import numpy as np
 import yaml
 
-from egolane_pgm.types import BoolArray, FloatArray, InputError, IntArray, check_name
+from egolane_pgm.files import atomic_directory, write_parquet, write_yaml
+from egolane_pgm.files import check_not_read as check_not_read
+from egolane_pgm.files import check_place as check_place
+from egolane_pgm.files import make_directory as make_directory
+from egolane_pgm.files import plain as plain
+from egolane_pgm.files import write_json as write_json
+from egolane_pgm.types import BoolArray, FloatArray, InputError, IntArray
 
 SCHEMA_VERSION = 1
 
@@ -74,42 +76,6 @@ class Result:
         return int(self.run["n_lanes"])
 
 
-def plain(value: Any) -> Any:
-    """The same in plain Python types for JSON; NaN and infinity become None."""
-    if isinstance(value, Mapping):
-        return {str(k): plain(v) for k, v in value.items()}
-    if isinstance(value, (list, tuple)):
-        return [plain(v) for v in value]
-    if isinstance(value, np.ndarray):
-        return plain(value.tolist())
-    if isinstance(value, np.generic):
-        return plain(value.item())
-    if isinstance(value, float) and not math.isfinite(value):
-        return None
-    return value
-
-
-def write_json(path: Path, content: Mapping[str, Any]) -> None:
-    """Write JSON so that the file is either the old one or the new one, never a part of it.
-
-    Raises InputError where the file cannot be written.
-    """
-    text = json.dumps(plain(content), indent=1) + "\n"
-    temporary = None
-    try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        handle, temporary = tempfile.mkstemp(dir=path.parent, prefix=f".{path.name}.")
-        with os.fdopen(handle, "w", encoding="utf-8") as file:
-            file.write(text)
-        os.chmod(temporary, 0o644)
-        os.replace(temporary, path)
-    except OSError as error:
-        raise InputError(f"{path}: cannot be written: {error.strerror}") from error
-    finally:
-        if temporary is not None:
-            Path(temporary).unlink(missing_ok=True)
-
-
 def check_writable(directory: Path) -> None:
     """Raise InputError where a result could not be put there: before anything is computed."""
     check_place(directory)
@@ -124,39 +90,6 @@ def check_writable(directory: Path) -> None:
             )
 
 
-def check_place(path: Path) -> None:
-    """Raise InputError where no file or directory of that name could be put."""
-    check_name(path)
-    nearest = path.absolute().parent
-    try:
-        while not nearest.exists():
-            if nearest.is_symlink():
-                raise InputError(f"{path}: cannot be written, {nearest} is a link to nothing")
-            nearest = nearest.parent
-        # Permissions alone do not tell (root, read-only file systems); nothing is left behind.
-        with tempfile.TemporaryFile(dir=nearest):
-            pass
-    except OSError as error:
-        raise InputError(
-            f"{path}: cannot be written, {nearest} is not a writable directory ({error.strerror})"
-        ) from error
-
-
-def check_not_read(file: Path, read: Iterable[Path]) -> None:
-    """Raise InputError where a file to be written is one of those that are read."""
-    if file.exists() and any(other.exists() and other.samefile(file) for other in read):
-        raise InputError(f"{file}: is read here; name another file")
-
-
-def make_directory(directory: Path) -> None:
-    """Create a directory and its parents. Raises InputError where that cannot be done."""
-    check_name(directory)
-    try:
-        directory.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise InputError(f"{directory}: cannot be created: {error.strerror}") from error
-
-
 def is_result(directory: Path) -> bool:
     """Whether the directory holds a whole result."""
     return all((directory / name).is_file() for name in ("run.json", "scores.json"))
@@ -164,48 +97,11 @@ def is_result(directory: Path) -> bool:
 
 @contextlib.contextmanager
 def staged(directory: Path) -> Iterator[Path]:
-    """A directory to fill, which takes the place of `directory` when the block ends well."""
+    """A directory to fill, which takes the place of the result `directory` when the block ends
+    well. Raises InputError where that holds something else, or cannot be written."""
     check_writable(directory)
-    try:
-        directory.absolute().parent.mkdir(parents=True, exist_ok=True)
-        temporary = Path(
-            tempfile.mkdtemp(dir=directory.absolute().parent, prefix=f".{directory.name}.part-")
-        )
-    except OSError as error:
-        raise InputError(f"{directory}: cannot be written: {error.strerror}") from error
-    try:
-        try:
-            yield temporary
-        except InputError as error:
-            # What could not be written is named by its place, not by where it is made.
-            raise InputError(str(error).replace(str(temporary), str(directory))) from None
-        temporary.chmod(0o755)
-        if directory.exists():
-            _replace(directory, temporary)
-        else:
-            temporary.rename(directory)
-    except OSError as error:
-        at = f" ({error.filename})" if error.filename else ""
-        raise InputError(
-            f"{directory}: cannot be written: {error.strerror or error}{at}"
-        ) from error
-    finally:
-        shutil.rmtree(temporary, ignore_errors=True)
-
-
-def _replace(directory: Path, new: Path) -> None:
-    """Put `new` in the place of `directory`, which stays as it was where that fails."""
-    old = new.with_name(new.name + "-old")
-    try:
-        directory.rename(old)
-        new.rename(directory)
-    except BaseException:
-        if old.exists() and not directory.exists():
-            old.rename(directory)
-        raise
-    finally:
-        if directory.exists():
-            shutil.rmtree(old, ignore_errors=True)
+    with atomic_directory(directory) as temporary:
+        yield temporary
 
 
 def write_result(
@@ -219,16 +115,13 @@ def write_result(
     """Write the four files into `directory`. columns: those of beliefs.parquet, (T,) each;
     masked arrays have nulls."""
     import pyarrow as pa
-    from pyarrow import parquet
 
-    (directory / "experiment.yaml").write_text(
-        yaml.safe_dump(plain(experiment), sort_keys=False, allow_unicode=True), encoding="utf-8"
-    )
+    write_yaml(directory / "experiment.yaml", experiment)
     arrays = {
         name: pa.array(np.asarray(c), mask=c.mask if isinstance(c, np.ma.MaskedArray) else None)
         for name, c in columns.items()
     }
-    parquet.write_table(pa.table(arrays), directory / "beliefs.parquet")
+    write_parquet(directory / "beliefs.parquet", pa.table(arrays))
     write_json(directory / "scores.json", {"schema_version": SCHEMA_VERSION, **scores})
     write_json(directory / "run.json", {"schema_version": SCHEMA_VERSION, **run})
 
@@ -238,6 +131,7 @@ def read_result(directory: str | Path) -> Result:
 
     Raises InputError naming the directory where it is not one, or not whole.
     """
+    import pyarrow as pa
     from pyarrow import parquet
 
     directory = Path(directory)
@@ -247,7 +141,8 @@ def read_result(directory: str | Path) -> Result:
         run = json.loads((directory / "run.json").read_text(encoding="utf-8"))
         scores = json.loads((directory / "scores.json").read_text(encoding="utf-8"))
         experiment = yaml.safe_load((directory / "experiment.yaml").read_text(encoding="utf-8"))
-        table = parquet.read_table(directory / "beliefs.parquet")
+        # Given a name, pyarrow takes what is before a colon for the scheme of an address.
+        table = parquet.read_table(pa.OSFile(str(directory / "beliefs.parquet")))
     except (OSError, ValueError, yaml.YAMLError) as error:
         raise InputError(f"{directory}: cannot be read: {' '.join(str(error).split())}") from error
     version = run.get("schema_version") if isinstance(run, dict) else None

@@ -47,15 +47,6 @@ def suggestion(word: str, known: Iterable[str]) -> str:
     return f" (known: {', '.join(names)})" if names else ""
 
 
-def check_name(path: object) -> None:
-    """Raise InputError for the name of a file that is not text in UTF-8 (from another system, or
-    under a locale that lacks its letters): libraries refuse it, and OpenCV crashes on it."""
-    try:
-        str(path).encode()
-    except UnicodeEncodeError:
-        raise InputError(f"{str(path)!a}: the name is not text in UTF-8; rename it") from None
-
-
 def _check_frame_ids(frame_id: IntArray, what: str) -> None:
     if frame_id.ndim != 1:
         raise InputError(f"{what}: frame_id has shape {frame_id.shape}, needs one id per frame")

@@ -360,7 +360,7 @@ def test_a_killed_run_leaves_no_result_and_an_earlier_one_untouched(
     else:
         assert process.returncode == -signal.SIGKILL
         # What a kill cannot clean up is hidden and has no result's name.
-        assert all(p.name.startswith(".result.part-") for p in tmp_path.iterdir() if p != result)
+        assert all(p.name.startswith(".egolane-") for p in tmp_path.iterdir() if p != result)
 
 
 def test_a_result_goes_into_the_current_directory_too(

@@ -13,6 +13,7 @@ from egolane_pgm.calibration.straight_road import RoadView, from_level_to_image,
 from egolane_pgm.camera import writing as picture_files
 from egolane_pgm.camera.model import image_to_road, road_to_image
 from egolane_pgm.camera.picture import Image
+from egolane_pgm.files import make_directory
 from egolane_pgm.types import FloatArray, InputError
 
 Colour = tuple[int, int, int]
@@ -131,10 +132,7 @@ def check_picture_name(path: str | Path) -> None:
 def write_picture(path: str | Path, image: Image) -> None:
     """Writes an image and makes its folder. Raises InputError where it cannot be written."""
     check_picture_name(path)
-    try:
-        Path(path).parent.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise InputError(f"{path}: cannot be written: {error.strerror}") from None
+    make_directory(Path(path).parent)
     picture_files.write_picture(Path(path), image)
 
 

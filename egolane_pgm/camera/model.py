@@ -16,6 +16,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
+from egolane_pgm.files import read_yaml, write_yaml
 from egolane_pgm.types import FloatArray, InputError, suggestion
 
 #: Rounds of the fixed-point iteration that inverts the lens distortion.
@@ -280,30 +281,11 @@ def camera_from(content: Mapping[str, Any], where: str) -> Camera:
 
 def read_camera(path: str | Path) -> Camera:
     """The camera of a YAML file. Raises InputError, one line that names file and key."""
-    import yaml
-
-    path = Path(path)
-    try:
-        content = yaml.safe_load(path.read_text(encoding="utf-8"))
-    except (OSError, UnicodeDecodeError) as error:
-        reason = getattr(error, "strerror", None) or error
-        raise InputError(f"{path}: cannot be read: {reason}") from error
-    except yaml.YAMLError as error:
-        raise InputError(f"{path}: is not YAML: {' '.join(str(error).split())}") from error
-    if not isinstance(content, dict):
-        raise InputError(f"{path}: needs the keys of a camera, e.g. 'height_m: 1.3'")
-    return camera_from(content, str(path))
+    return camera_from(read_yaml(Path(path), "height_m: 1.3"), str(path))
 
 
 def write_camera(path: str | Path, camera: Camera, comment: str = "") -> None:
     """Writes a camera as YAML below a comment that says how it was calibrated, and makes missing
     folders. Raises InputError where the file cannot be written."""
-    import yaml
-
     above = "".join(f"# {line}\n" for line in comment.splitlines())
-    text = yaml.safe_dump(camera_content(camera), sort_keys=False, default_flow_style=None)
-    try:
-        Path(path).parent.mkdir(parents=True, exist_ok=True)
-        Path(path).write_text(above + text, encoding="utf-8")
-    except OSError as error:
-        raise InputError(f"{path}: cannot be written: {error.strerror}") from error
+    write_yaml(Path(path), camera_content(camera), above)

@@ -18,7 +18,8 @@ from pathlib import Path
 import cv2
 
 from egolane_pgm.camera.picture import Image
-from egolane_pgm.types import InputError, check_name
+from egolane_pgm.files import check_name
+from egolane_pgm.types import InputError
 
 #: The longest run of pictures that cannot be decoded, before the video counts as ended.
 _MOST_LOST = 300
@@ -35,7 +36,9 @@ def open_video(path: Path) -> cv2.VideoCapture:
     with path.open("rb") as file:
         if not file.read(1):
             raise InputError(f"{path}: the file is empty")
-    video = cv2.VideoCapture(str(path))
+    # FFmpeg takes what is before a colon for a protocol, unless the path is absolute.
+    absolute = os.path.abspath(path)
+    video = cv2.VideoCapture(absolute)
     if not video.isOpened() or not video.grab():
         video.release()
         raise InputError(
@@ -43,7 +46,7 @@ def open_video(path: Path) -> cv2.VideoCapture:
             " index was written)"
         )
     video.release()
-    return cv2.VideoCapture(str(path))
+    return cv2.VideoCapture(absolute)
 
 
 def video_images(

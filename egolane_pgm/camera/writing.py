@@ -14,7 +14,8 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from egolane_pgm.types import InputError, check_name
+from egolane_pgm.files import check_name, temporary_name, write_bytes
+from egolane_pgm.types import InputError
 
 Image = NDArray[np.uint8]
 
@@ -34,17 +35,7 @@ def write_picture(file: Path, image: Image, options: Sequence[int] = ()) -> None
     """Write a picture (H, W, 3), blue green red, in the format of its ending; the file is the whole
     picture or not there. Raises InputError where it cannot be written."""
     content = cv2.imencode(file.suffix, image, list(options))[1]
-    part = file.with_name(f".{file.name}.part")
-    try:
-        try:
-            part.write_bytes(content.tobytes())
-            part.replace(file)
-        except BaseException:
-            with contextlib.suppress(OSError):
-                part.unlink(missing_ok=True)
-            raise
-    except OSError as error:
-        raise InputError(f"{file}: cannot be written: {error.strerror}") from None
+    write_bytes(file, content.tobytes())
 
 
 @contextlib.contextmanager
@@ -65,7 +56,8 @@ def video_writer(
     check_name(target)
     if not target.parent.is_dir():
         raise InputError(f"{target}: cannot be written: no such folder")
-    part = target.with_name(f".{target.stem}.part.mp4")
+    # FFmpeg takes what is before a colon for a protocol, unless the path is absolute.
+    part = temporary_name(target.absolute())
     with _silent():
         video = cv2.VideoWriter(str(part), cv2.VideoWriter.fourcc(*CODEC), frame_rate, size)
     if not video.isOpened():

@@ -37,7 +37,7 @@ from egolane_pgm.calibration.straight_road import (
 )
 from egolane_pgm.camera.model import Camera, write_camera
 from egolane_pgm.camera.pictures import matching, read_picture, readable, size_of
-from egolane_pgm.results import check_not_read, check_place
+from egolane_pgm.files import check_not_read, check_place
 from egolane_pgm.types import FloatArray, InputError
 
 Rectangle = tuple[int, int, int, int]

@@ -23,12 +23,12 @@ from egolane_pgm.compare.comparing import (
 )
 from egolane_pgm.compare.learned_on import learned_elsewhere
 from egolane_pgm.experiment import load_experiment
+from egolane_pgm.files import check_not_read, check_place, write_json
 from egolane_pgm.paper import parse_runs
 from egolane_pgm.report import comparison_tables as rows_of
 from egolane_pgm.report import tables
 from egolane_pgm.report.comparison import draw_comparison
 from egolane_pgm.report.style import check_figure_path
-from egolane_pgm.results import check_not_read, check_place, write_json
 from egolane_pgm.types import InputError
 
 DEFAULT_GRAPHS = "sensor_failure,wor_on_lane,no_wor,lane_only"

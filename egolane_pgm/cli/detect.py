@@ -15,8 +15,8 @@ from egolane_pgm.camera.pictures import open_source, read_pictures
 from egolane_pgm.cli import options
 from egolane_pgm.detectors.runner import check_pair, collect, find_detector
 from egolane_pgm.detectors.runner import detect as detect_lines
+from egolane_pgm.files import check_place
 from egolane_pgm.recordings import write_lines
-from egolane_pgm.results import check_place
 from egolane_pgm.types import InputError, LineLog
 
 #: Extensions of recordings of lines that can be written.

@@ -13,12 +13,13 @@ from tqdm import tqdm
 from egolane_pgm.cli import options
 from egolane_pgm.compare.choose import chosen_on_all, learns, plan, try_all
 from egolane_pgm.experiment import Experiment, load_experiment
+from egolane_pgm.files import write_json
 from egolane_pgm.learn import Learned, output_files, write_learned
 from egolane_pgm.learn import learn as run_learn
 from egolane_pgm.loading import with_video_rate
 from egolane_pgm.model import prepare_model
 from egolane_pgm.report.tables import scores_table
-from egolane_pgm.results import SCHEMA_VERSION, write_json
+from egolane_pgm.results import SCHEMA_VERSION
 from egolane_pgm.scoring.held_out import HeldOut
 
 

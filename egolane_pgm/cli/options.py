@@ -9,7 +9,7 @@ from typing import Any
 import click
 
 from egolane_pgm.experiment import read_override
-from egolane_pgm.results import check_place
+from egolane_pgm.files import check_place
 
 Decorator = Callable[[Callable[..., Any]], Callable[..., Any]]
 

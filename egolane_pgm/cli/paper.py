@@ -10,8 +10,9 @@ from tqdm import tqdm
 from egolane_pgm import paper
 from egolane_pgm.cli import options
 from egolane_pgm.cli.recordings import have_recordings
+from egolane_pgm.files import write_json
 from egolane_pgm.report import tables
-from egolane_pgm.results import SCHEMA_VERSION, write_json
+from egolane_pgm.results import SCHEMA_VERSION
 from egolane_pgm.run import save_run
 
 

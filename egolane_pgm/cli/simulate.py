@@ -8,13 +8,12 @@ from pathlib import Path
 from typing import Any
 
 import click
-import yaml
 from tqdm import tqdm
 
 from egolane_pgm.cli import options
+from egolane_pgm.files import make_directory, write_yaml
 from egolane_pgm.recordings.ground_truth import write_ground_truth
 from egolane_pgm.recordings.table import write_table
-from egolane_pgm.results import make_directory
 from egolane_pgm.simulation import simulate as make_drive
 from egolane_pgm.simulation.rendering.files import foretell, free_places, write_drive
 from egolane_pgm.simulation.rendering.render import check_settings, make_scene
@@ -77,10 +76,7 @@ def simulate(
         "tuned_on": "not_tuned",
     }
     target = folder / "experiment.yaml"
-    try:
-        target.write_text(yaml.safe_dump(experiment, sort_keys=False), encoding="utf-8")
-    except OSError as error:
-        raise InputError(f"{target}: cannot be written: {error.strerror}") from error
+    write_yaml(target, experiment)
     click.echo(f"{len(drive)} frames; try: egolane run {target}")
 
 

@@ -3,20 +3,18 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-import yaml
 
 from egolane_pgm.experiment import Experiment, load_experiment, resolved
+from egolane_pgm.files import check_place, write_yaml
 from egolane_pgm.learn.graph_file import graph_yaml
 from egolane_pgm.learn.learning import Learned
 from egolane_pgm.learn.tables import PREFIX, found_tables, settings
 from egolane_pgm.model import declared_parameters, prepare_model
 from egolane_pgm.plugins import OWN_FILES
-from egolane_pgm.results import check_place
 from egolane_pgm.run import files_in_full
 from egolane_pgm.types import InputError
 
@@ -60,22 +58,13 @@ def write_learned(experiment: Experiment, learned: Learned, target: Path) -> lis
             left_out = "# (the frames of tuning.never_fit left out).\n"
         say = f"tables of {experiment.graph}, learned from {how}, of {_recording(experiment)}"
         graph = graph_yaml(learned.model, found_tables(learned.model, tables, experiment), say)
-        _write(files[1], f"# Learned by `egolane learn {source}`.\n", graph)
+        write_yaml(files[1], graph, f"# Learned by `egolane learn {source}`.\n")
         content["graph"] = f"./{files[1].name}"
         content["description"] = f"{experiment.description}; tables learned from {how}".lstrip("; ")
-    _write(target, heading + left_out, content)
+    write_yaml(target, content, heading + left_out)
     # It must be an experiment that can be run.
     prepare_model(load_experiment(target))
     return files
-
-
-def _write(path: Path, heading: str, content: Mapping[str, Any]) -> None:
-    text = yaml.safe_dump(dict(content), sort_keys=False, default_flow_style=None, width=100)
-    try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        path.write_text(heading + text, encoding="utf-8")
-    except OSError as error:
-        raise InputError(f"{path}: cannot be written: {error.strerror}") from error
 
 
 def _recording(experiment: Experiment) -> str:

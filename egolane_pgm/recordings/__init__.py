@@ -13,7 +13,8 @@ from typing import Any
 
 import numpy as np
 
-from egolane_pgm.types import InputError, LineLog, check_name, suggestion
+from egolane_pgm.files import check_name
+from egolane_pgm.types import InputError, LineLog, suggestion
 
 #: Format: (extensions, module of this folder, function that reads a file into a LineLog).
 FORMATS: dict[str, tuple[tuple[str, ...], str, str]] = {

@@ -13,13 +13,13 @@ from pathlib import Path
 import numpy as np
 
 from egolane_pgm.camera.model import Camera
+from egolane_pgm.files import read_text
 from egolane_pgm.recordings.image_lines import (
     ImageFrame,
     ImageLine,
     camera_of,
     frame_numbers,
     line_log,
-    read_text,
 )
 from egolane_pgm.types import InputError, LineLog
 

@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
+from egolane_pgm.files import read_text, write_text
 from egolane_pgm.types import InputError, LaneTruth
 
 _INTEGER = r"\s*([+-]?[0-9]{1,18})\s*"
@@ -26,7 +27,7 @@ def read_ground_truth(path: str | Path, extra_rows: Iterable[Sequence[int]] = ()
     """
     path = Path(path)
     rows: list[tuple[int, int, int]] = []
-    for number, line in enumerate(_read_text(path).splitlines(), start=1):
+    for number, line in enumerate(read_text(path).splitlines(), start=1):
         if not line.strip():
             continue
         row = _row(line)
@@ -57,21 +58,7 @@ def write_ground_truth(path: str | Path, truth: LaneTruth) -> None:
     """
     rows = zip(truth.frame_id, truth.lane, truth.is_crossing, strict=True)
     text = "".join(f"{int(f)};{int(lane)};{int(crossing)}\n" for f, lane, crossing in rows)
-    try:
-        Path(path).write_text(text, encoding="ascii")
-    except OSError as error:
-        raise InputError(f"{path}: cannot be written: {error.strerror}") from None
-
-
-def _read_text(path: Path) -> str:
-    try:
-        return path.read_text(encoding="utf-8-sig")
-    except FileNotFoundError:
-        raise InputError(f"{path}: no such file") from None
-    except OSError as error:
-        raise InputError(f"{path}: cannot be read: {error.strerror}") from None
-    except UnicodeDecodeError:
-        raise InputError(f"{path}: not a text file of lines 'frame;lane;crossing'") from None
+    write_text(path, text)
 
 
 def _row(line: str) -> tuple[int, int, int] | None:

@@ -74,15 +74,6 @@ class ImageFrame:
     where: str
 
 
-def read_text(path: Path) -> str:
-    """A label file's text. Raises InputError where it cannot be read or is none."""
-    try:
-        return path.read_text(encoding="utf-8")
-    except (OSError, UnicodeDecodeError) as error:
-        reason = getattr(error, "strerror", None) or "is not text"
-        raise InputError(f"{path}: cannot be read: {reason}") from None
-
-
 def line_log(
     frames: Sequence[ImageFrame],
     *,

@@ -17,6 +17,7 @@ from pathlib import Path, PurePosixPath
 from typing import Any
 
 from egolane_pgm.camera.model import Camera
+from egolane_pgm.files import read_text
 from egolane_pgm.recordings.image_lines import (
     ImageFrame,
     ImageLine,
@@ -94,10 +95,9 @@ def read_openlane(
 
 
 def _entry(file: Path) -> dict[str, Any]:
+    text = read_text(file)
     try:
-        entry = json.loads(file.read_text(encoding="utf-8"))
-    except OSError as error:
-        raise InputError(f"{file}: cannot be read: {error.strerror}") from None
+        entry = json.loads(text)
     except (ValueError, RecursionError) as error:
         raise InputError(f"{file}: is not JSON: {error}") from None
     if not isinstance(entry, dict) or not isinstance(entry.get("lane_lines"), list):

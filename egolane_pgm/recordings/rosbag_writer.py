@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-import contextlib
-import os
 import struct
 from pathlib import Path
 
 import numpy as np
 
+from egolane_pgm.files import atomic
 from egolane_pgm.recordings.rosbag import TOPIC
 from egolane_pgm.types import InputError, LineLog
 
@@ -51,7 +50,6 @@ def write_rosbag(path: str | Path, log: LineLog, *, topic: str = TOPIC) -> None:
     from rosbags.rosbag1 import Writer
 
     path = Path(path)
-    part = path.with_name(f".{path.name}.part")
     listed = ~(np.isnan(log.offset_m) & np.isnan(log.lri))
     bad = listed & ~(np.isfinite(log.lri) & (np.abs(log.lri) < 2**31) & (log.lri % 1 == 0))
     if bad.any():
@@ -60,22 +58,12 @@ def write_rosbag(path: str | Path, log: LineLog, *, topic: str = TOPIC) -> None:
             f"{path}: frame {int(log.frame_id[frame])}: line {int(line) + 1} has the LRI"
             f" {log.lri[frame, line]}, a bag holds whole numbers; write a .csv or .parquet"
         )
-    try:
-        part.unlink(missing_ok=True)
-        with Writer(part) as bag:
-            connection = bag.add_connection(
-                topic, MESSAGE_TYPE, msgdef=_DEFINITION, md5sum="0" * 32
-            )
-            for t in np.flatnonzero(~log.is_missing):
-                # A bag's own stamps may not be zero or negative.
-                stamp = max(1, round(float(log.time_s[t]) * 1e9))
-                bag.write(connection, stamp, _message(log, int(t), listed[t]))
-        os.replace(part, path)
-    except OSError as error:
-        raise InputError(f"{path}: cannot be written: {error.strerror}") from error
-    finally:
-        with contextlib.suppress(OSError):
-            part.unlink(missing_ok=True)
+    with atomic(path) as temporary, Writer(temporary) as bag:
+        connection = bag.add_connection(topic, MESSAGE_TYPE, msgdef=_DEFINITION, md5sum="0" * 32)
+        for t in np.flatnonzero(~log.is_missing):
+            # A bag's own stamps may not be zero or negative.
+            stamp = max(1, round(float(log.time_s[t]) * 1e9))
+            bag.write(connection, stamp, _message(log, int(t), listed[t]))
 
 
 def _message(log: LineLog, t: int, listed: np.ndarray[tuple[int], np.dtype[np.bool_]]) -> bytes:

@@ -7,8 +7,6 @@ Frames that `missing_frames: predict` put in are marked in a further column, is_
 
 from __future__ import annotations
 
-import contextlib
-import os
 import warnings
 from csv import reader as csv_rows
 from dataclasses import dataclass
@@ -18,6 +16,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from egolane_pgm.files import atomic, write_parquet
 from egolane_pgm.recordings.rosbag import MAX_LINES
 from egolane_pgm.types import BoolArray, FloatArray, InputError, IntArray, LineLog, suggestion
 
@@ -54,19 +53,10 @@ def write_table(path: str | Path, log: LineLog) -> None:
     Raises InputError for another extension, or where the file cannot be written.
     """
     path = Path(path)
-    write = {".csv": _write_csv, ".parquet": _write_parquet}.get(path.suffix.lower())
+    write = {".csv": _write_csv, ".parquet": write_parquet}.get(path.suffix.lower())
     if write is None:
         raise InputError(f"{path}: unknown extension '{path.suffix}' of a table (.csv, .parquet)")
-    part = path.with_name(path.name + ".part")
-    try:
-        write(part, _to_arrow(log))
-        os.replace(part, path)
-    except OSError as error:
-        raise InputError(f"{path}: cannot be written: {error.strerror or error}") from None
-    finally:
-        # Where it could not be made (a file in the place of its folder) it cannot be removed.
-        with contextlib.suppress(OSError):
-            part.unlink(missing_ok=True)
+    write(path, _to_arrow(log))
 
 
 # --- writing -----------------------------------------------------------------------------------
@@ -110,15 +100,9 @@ def _to_arrow(log: LineLog) -> Any:
 def _write_csv(path: Path, table: Any) -> None:
     from pyarrow import csv
 
-    with path.open("wb") as file:
+    with atomic(path) as temporary, temporary.open("wb") as file:
         file.write((",".join(table.column_names) + "\n").encode())
         csv.write_csv(table, file, csv.WriteOptions(include_header=False))
-
-
-def _write_parquet(path: Path, table: Any) -> None:
-    from pyarrow import parquet
-
-    parquet.write_table(table, path)
 
 
 # --- reading -----------------------------------------------------------------------------------
@@ -182,14 +166,15 @@ def _read_parquet(path: Path) -> Any:
     import pyarrow as pa
     from pyarrow import parquet
 
+    # Given a name, pyarrow takes what is before a colon for the scheme of an address.
     try:
-        names = list(parquet.read_schema(path).names)
+        names = list(parquet.ParquetFile(pa.OSFile(str(path))).schema_arrow.names)
     except (pa.ArrowException, OSError) as error:
         text = " ".join(str(error).split())[:120]
         raise InputError(f"{path}: not a whole Parquet file ({text})") from None
     keep = _check_columns(path, names)
     try:
-        return parquet.ParquetFile(path).read(columns=keep)
+        return parquet.ParquetFile(pa.OSFile(str(path))).read(columns=keep)
     except (pa.ArrowException, OSError) as error:
         text = " ".join(str(error).split())[:120]
         raise InputError(f"{path}: the Parquet file is damaged ({text})") from None

@@ -21,6 +21,7 @@ from pathlib import Path, PurePosixPath
 from typing import Any
 
 from egolane_pgm.camera.model import Camera
+from egolane_pgm.files import read_text
 from egolane_pgm.recordings.image_lines import (
     ImageFrame,
     ImageLine,
@@ -29,7 +30,6 @@ from egolane_pgm.recordings.image_lines import (
     frame_numbers,
     line_log,
     points,
-    read_text,
 )
 from egolane_pgm.types import InputError, LineLog
 

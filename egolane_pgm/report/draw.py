@@ -5,13 +5,14 @@ from __future__ import annotations
 from collections.abc import Sequence
 from pathlib import Path
 
+from egolane_pgm.files import make_directory
 from egolane_pgm.report.comparison import draw_comparison
 from egolane_pgm.report.coverage import draw_coverage
 from egolane_pgm.report.dispersion import draw_bonus_ablation, draw_dispersion
 from egolane_pgm.report.heatmaps import draw_confusion
 from egolane_pgm.report.reliability import draw_reliability
 from egolane_pgm.report.strips import draw_strips
-from egolane_pgm.results import make_directory, read_result
+from egolane_pgm.results import read_result
 
 
 def draw_standard(

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Protocol
 
 import numpy as np
 
+from egolane_pgm.files import atomic
 from egolane_pgm.types import InputError
 
 if TYPE_CHECKING:
@@ -306,4 +307,5 @@ def draw_network(network: TwoSliceNetwork, path: str | Path) -> None:
     if path.suffix.lower() not in _FORMATS:
         raise InputError(f"{path}: a figure ends in {', '.join(_FORMATS)}")
     figure = network_figure(network)
-    figure.savefig(path, dpi=200, facecolor="white")
+    with atomic(path) as temporary:
+        figure.savefig(temporary, format=path.suffix[1:].lower(), dpi=200, facecolor="white")

@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from egolane_pgm.files import make_directory
 from egolane_pgm.report import study_trials as numbers
 from egolane_pgm.report.study_trials import TOLERANCE, Searched, Trials
 from egolane_pgm.report.style import (
@@ -27,7 +28,6 @@ from egolane_pgm.report.style import (
     put_title,
     save,
 )
-from egolane_pgm.results import make_directory
 from egolane_pgm.types import BoolArray, InputError
 
 if TYPE_CHECKING:

@@ -3,12 +3,11 @@
 from __future__ import annotations
 
 import contextlib
-import os
-import tempfile
 from collections.abc import Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from egolane_pgm.files import atomic
 from egolane_pgm.results import Result
 from egolane_pgm.types import UNASSIGNED, BoolArray, FloatArray, InputError, IntArray
 
@@ -123,29 +122,18 @@ def save(figure: Figure, path: Path) -> Path:
     from matplotlib import rc_context
 
     extension = path.suffix.lower()
-    temporary = None
-    try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        handle, temporary = tempfile.mkstemp(dir=path.parent, prefix=f".{path.stem}.")
-        # Type 42 is what publishers ask for; the salt fixes the ids in an SVG.
-        with (
-            os.fdopen(handle, "wb") as file,
-            rc_context({"pdf.fonttype": 42, "svg.hashsalt": "egolane"}),
-        ):
-            figure.savefig(
-                file,
-                format=extension[1:],
-                dpi=200,
-                facecolor="white",
-                metadata=_METADATA[extension],
-            )
-        os.chmod(temporary, 0o644)
-        os.replace(temporary, path)
-    except OSError as error:
-        raise InputError(f"{path}: cannot be written: {error.strerror or error}") from error
-    finally:
-        if temporary is not None and os.path.exists(temporary):
-            os.unlink(temporary)
+    # Type 42 is what publishers ask for; the salt fixes the ids in an SVG.
+    with (
+        atomic(path, make_folder=True) as temporary,
+        rc_context({"pdf.fonttype": 42, "svg.hashsalt": "egolane"}),
+    ):
+        figure.savefig(
+            temporary,
+            format=extension[1:],
+            dpi=200,
+            facecolor="white",
+            metadata=_METADATA[extension],
+        )
     return path
 
 

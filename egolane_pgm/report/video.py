@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 
 from egolane_pgm.camera.model import Camera, road_to_image, undistorted
 from egolane_pgm.camera.writing import video_writer, write_picture
-from egolane_pgm.results import check_place, make_directory
+from egolane_pgm.files import check_place, make_directory
 from egolane_pgm.types import UNASSIGNED, FloatArray, InputError
 
 if TYPE_CHECKING:

@@ -146,7 +146,7 @@ def test_a_camera_comes_back_from_its_file(tmp_path):
     ("text", "message"),
     [
         ("height_m: 1.5", "width: is missing"),
-        ("[1, 2]", "needs the keys of a camera"),
+        ("[1, 2]", "needs keys and values, e.g. 'height_m: 1.3'"),
         ("{a", "is not YAML"),
         ("GOOD\nheigth: 3", "unknown key 'heigth' (did you mean 'height'?)"),
         ("GOOD\nheight_m: 1500", "height_m: 1500 is not between 0.2 and 10 (metres above"),
@@ -201,7 +201,7 @@ def test_a_camera_is_written_into_a_new_folder_and_not_over_one(tmp_path):
 
 def test_a_camera_file_that_is_no_text_is_refused(tmp_path):
     (tmp_path / "cam.yaml").write_bytes(b"\xff\xd8\xff\xe0 a picture")
-    with pytest.raises(InputError, match=r"cam\.yaml: cannot be read: 'utf-8' codec"):
+    with pytest.raises(InputError, match=r"cam\.yaml: cannot be read: is not text in UTF-8"):
         read_camera(tmp_path / "cam.yaml")
 
 

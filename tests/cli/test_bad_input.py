@@ -172,7 +172,7 @@ def test_no_common_frames_are_refused_with_both_ranges(tmp_path: Path, earlier: 
 def test_a_file_that_is_no_ground_truth_is_refused(tmp_path: Path, earlier: Path) -> None:
     line_bag(tmp_path / "a.bag", [1, 2, 3])
     said = run_on(tmp_path, tmp_path / "a.bag", earlier, "--ground-truth", str(tmp_path / "a.bag"))
-    assert "a.bag: not a text file of lines 'frame;lane;crossing'" in said
+    assert "a.bag: cannot be read: is not text in UTF-8" in said
 
 
 # --- refused: the experiment ---------------------------------------------------------------------
@@ -298,7 +298,9 @@ def test_a_place_that_cannot_be_written_is_refused_before_anything_is_computed(
 ) -> None:
     experiment = write_drive(tmp_path, 20)
     before = contents(tmp_path)
-    monkeypatch.setattr("egolane_pgm.run.run_experiment", lambda *a, **k: pytest.fail("computed"))
+    monkeypatch.setattr(
+        "egolane_pgm.cli.run.run_experiment", lambda *a, **k: pytest.fail("computed")
+    )
     below_a_file = experiment / "below" / "result"
     words = ("run", experiment, "--no-figures")
     if what == "--json":

@@ -84,7 +84,7 @@ def full_after(monkeypatch: pytest.MonkeyPatch, n_files: int) -> None:
 
     def write(path: Path, content: bytes) -> int:
         nonlocal n_written
-        n_written += 1
+        n_written += path.suffix in (".png", ".jpg")
         if n_written > n_files:
             real(path, content[:10])
             raise OSError(errno.ENOSPC, "No space left on device")
@@ -236,7 +236,7 @@ def test_a_drive_that_the_disk_has_no_room_for_is_refused_before_it_is_made(
 ) -> None:
     monkeypatch.setattr(rendering_files, "_SAID_FROM", 5)
     monkeypatch.setattr(shutil, "disk_usage", lambda _: Usage(10**12, 0, 10**9))
-    monkeypatch.setattr(render, "make_scene", lambda *a, **k: make_scene(a[0], a[1], 5))
+    monkeypatch.setattr(rendering_files, "make_scene", lambda *a, **k: make_scene(a[0], a[1], 5))
     said = refused(*rendered("--frames", 9_000_000, "--out", tmp_path / "new" / "a"))
     assert "9000000 frames need about" in said
     assert "GB, the disk has 1.0 GB left; ask for fewer (--frames)" in said

@@ -171,7 +171,7 @@ def test_a_comparison_whose_numbers_cannot_be_written_is_printed_all_the_same(
         raise InputError("x.json: cannot be written: No space left on device")
 
     path = write_drive(tmp_path)
-    monkeypatch.setattr("egolane_pgm.results.write_json", full)
+    monkeypatch.setattr("egolane_pgm.cli.compare.write_json", full)
     result = command("compare", path, "--json", tmp_path / "x.json")
     assert result.exit_code == 2
     assert "| accuracy | drive" in result.stdout
@@ -188,7 +188,7 @@ def test_ctrl_c_shows_the_recordings_that_were_compared(
         yield next(iter(real(groups[:1], *given, **named)))
         raise KeyboardInterrupt
 
-    monkeypatch.setattr(comparing, "compare_groups", interrupted)
+    monkeypatch.setattr("egolane_pgm.cli.compare.compare_groups", interrupted)
     result = command("compare", *paths, "--json", tmp_path / "x.json")
     assert result.exit_code == 130
     assert result.stderr == "egolane: interrupted; this is 1 of 2 recordings\n"

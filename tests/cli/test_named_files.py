@@ -127,7 +127,7 @@ def test_what_was_learned_is_said_where_its_files_cannot_be_written(
     def full(path: Path, *_: object) -> None:
         raise output.InputError(f"{path}: cannot be written: No space left on device")
 
-    monkeypatch.setattr(output, "_write", full)
+    monkeypatch.setattr(output, "write_yaml", full)
     result = command(
         "learn", write_drive(tmp_path, graph="lane_only"), "--out", tmp_path / "one.yaml"
     )

@@ -73,10 +73,10 @@ def test_a_file_without_rows_is_refused(tmp_path: Path, text: str) -> None:
 
 
 def test_files_that_are_no_text_are_refused(tmp_path: Path) -> None:
-    assert refused(tmp_path / "absent.txt") == "no such file"
+    assert refused(tmp_path / "absent.txt") == "cannot be read: No such file or directory"
     assert "cannot be read" in refused(tmp_path)
     (tmp_path / "b.txt").write_bytes(b"\xff\xfe\x00\x80")
-    assert "not a text file" in refused(tmp_path / "b.txt")
+    assert refused(tmp_path / "b.txt") == "cannot be read: is not text in UTF-8"
 
 
 def test_extra_rows_are_put_in_where_they_belong(tmp_path: Path) -> None:

@@ -13,14 +13,13 @@ from typing import Any
 
 import cv2
 import numpy as np
-import yaml
 from numpy.typing import NDArray
 
 from egolane_pgm.camera.model import Camera, write_camera
 from egolane_pgm.camera.writing import NotKeptError, video_writer, write_picture
+from egolane_pgm.files import make_directory, write_text, write_yaml
 from egolane_pgm.recordings.ground_truth import write_ground_truth
 from egolane_pgm.recordings.table import write_table
-from egolane_pgm.results import make_directory
 from egolane_pgm.simulation.presets import PRESETS
 from egolane_pgm.simulation.rendering.render import Frame, make_scene, render_frame, true_lines
 from egolane_pgm.simulation.rendering.scene import Scene
@@ -184,7 +183,7 @@ def _write_texts(folder: Path, scene: Scene, preset: str, seed: int, places: Seq
         pictures=pictures,
         detector="ml" if len(places) == 1 else "sl",
     )
-    (folder / "README.md").write_text(readme, encoding="ascii")
+    write_text(folder / "README.md", readme)
     experiment = {
         "name": f"rendered_{preset}_{seed}",
         "recording": {"path": "lines.parquet"},
@@ -192,8 +191,7 @@ def _write_texts(folder: Path, scene: Scene, preset: str, seed: int, places: Seq
         "n_lanes": scene.road.n_lanes,
         "tuned_on": "not_tuned",
     }
-    text = yaml.safe_dump(experiment, sort_keys=False)
-    (folder / "experiment.yaml").write_text(text, encoding="utf-8")
+    write_yaml(folder / "experiment.yaml", experiment)
 
 
 def _rows(frame: Frame) -> str:

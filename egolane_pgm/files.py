@@ -1,0 +1,232 @@
+"""Files: how they are written whole, read as text or YAML, and refused in one line.
+
+A file is written beside its place, under a random name that nobody else uses, and then renamed: a
+file that has the name is whole, a file that was there before stays until then, and two programs
+that write the same file do not damage it. The user's umask decides who may read it.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import math
+import secrets
+import shutil
+import tempfile
+from collections.abc import Iterable, Iterator, Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import yaml
+
+from egolane_pgm.types import InputError
+
+
+def check_name(path: object) -> None:
+    """Raise InputError for the name of a file that is not text in UTF-8 (from another system, or
+    under a locale that lacks its letters): libraries refuse it, and OpenCV crashes on it."""
+    try:
+        str(path).encode()
+    except UnicodeEncodeError:
+        raise InputError(f"{str(path)!a}: the name is not text in UTF-8; rename it") from None
+
+
+# --- writing ---------------------------------------------------------------------------------
+
+
+def temporary_name(path: Path) -> Path:
+    """A name in the same folder, with the same ending, that nobody else uses."""
+    return path.parent / f".egolane-{secrets.token_hex(8)}{path.suffix}"
+
+
+@contextlib.contextmanager
+def atomic(path: str | Path, *, make_folder: bool = False) -> Iterator[Path]:
+    """The name of a file to write, which takes the place of `path` when the block ends well.
+
+    - make_folder: folders that are not there yet are made.
+
+    Nothing is left where the block does not end well. A device or a pipe is written as it is.
+    Raises InputError, naming `path`, for an OSError of the block or where the file cannot be put
+    in its place.
+    """
+    path = Path(path)
+    check_name(path)
+    temporary = temporary_name(path)
+    try:
+        if make_folder:
+            path.parent.mkdir(parents=True, exist_ok=True)
+        if path.exists() and not path.is_file() and not path.is_dir():
+            yield path
+            return
+        yield temporary
+        temporary.replace(path)
+    except OSError as error:
+        raise InputError(f"{path}: cannot be written: {error.strerror or error}") from error
+    finally:
+        # Where its folder is gone, or is none, it cannot be removed either.
+        with contextlib.suppress(OSError):
+            temporary.unlink(missing_ok=True)
+
+
+def write_bytes(path: str | Path, content: bytes, *, make_folder: bool = False) -> None:
+    """Write a whole file. Raises InputError where it cannot be written."""
+    with atomic(path, make_folder=make_folder) as temporary:
+        temporary.write_bytes(content)
+
+
+def write_text(path: str | Path, text: str, *, make_folder: bool = False) -> None:
+    """Write a whole file of text, UTF-8. Raises InputError where it cannot be written."""
+    write_bytes(path, text.encode(), make_folder=make_folder)
+
+
+def write_json(path: Path, content: Mapping[str, Any]) -> None:
+    """Write JSON; folders that are not there are made. Raises InputError where it cannot be
+    written."""
+    write_text(path, json.dumps(plain(content), indent=1) + "\n", make_folder=True)
+
+
+def write_yaml(path: Path, content: Mapping[str, Any], heading: str = "") -> None:
+    """Write YAML, keys in their order, innermost lists in one line; the heading, comments, above
+    it; folders that are not there are made. Raises InputError where it cannot be written."""
+    text = yaml.safe_dump(
+        plain(content), sort_keys=False, allow_unicode=True, default_flow_style=None, width=100
+    )
+    write_text(path, heading + text, make_folder=True)
+
+
+def write_parquet(path: Path, table: Any) -> None:
+    """Write a pyarrow table. Raises InputError where it cannot be written."""
+    from pyarrow import parquet
+
+    # Given a name, pyarrow takes what is before a colon for the scheme of an address.
+    with atomic(path) as temporary, temporary.open("wb") as file:
+        parquet.write_table(table, file)
+
+
+def plain(value: Any) -> Any:
+    """The same in plain Python types, for JSON and YAML; NaN and infinity become None."""
+    if isinstance(value, Mapping):
+        return {str(k): plain(v) for k, v in value.items()}
+    if isinstance(value, (list, tuple)):
+        return [plain(v) for v in value]
+    if isinstance(value, np.ndarray):
+        return plain(value.tolist())
+    if isinstance(value, np.generic):
+        return plain(value.item())
+    if isinstance(value, float) and not math.isfinite(value):
+        return None
+    return value
+
+
+# --- directories -----------------------------------------------------------------------------
+
+
+def make_directory(directory: Path) -> None:
+    """Create a directory and its parents. Raises InputError where that cannot be done."""
+    check_name(directory)
+    try:
+        directory.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise InputError(f"{directory}: cannot be created: {error.strerror}") from error
+
+
+@contextlib.contextmanager
+def atomic_directory(directory: Path) -> Iterator[Path]:
+    """A directory to fill, which takes the place of `directory` when the block ends well.
+
+    Raises InputError, naming `directory`, where it cannot be written.
+    """
+    try:
+        temporary = temporary_name(directory.absolute())
+        temporary.parent.mkdir(parents=True, exist_ok=True)
+        temporary.mkdir()
+    except OSError as error:
+        raise InputError(f"{directory}: cannot be written: {error.strerror}") from error
+    try:
+        try:
+            yield temporary
+        except InputError as error:
+            # The message names the file by its place, not by where it is made.
+            raise InputError(str(error).replace(str(temporary), str(directory))) from None
+        if directory.exists():
+            _replace(directory, temporary)
+        else:
+            temporary.rename(directory)
+    except OSError as error:
+        at = f" ({error.filename})" if error.filename else ""
+        raise InputError(
+            f"{directory}: cannot be written: {error.strerror or error}{at}"
+        ) from error
+    finally:
+        shutil.rmtree(temporary, ignore_errors=True)
+
+
+def _replace(directory: Path, new: Path) -> None:
+    """Put `new` in the place of `directory`, which stays as it was where that fails."""
+    old = new.with_name(new.name + "-old")
+    try:
+        directory.rename(old)
+        new.rename(directory)
+    except BaseException:
+        if old.exists() and not directory.exists():
+            old.rename(directory)
+        raise
+    finally:
+        if directory.exists():
+            shutil.rmtree(old, ignore_errors=True)
+
+
+# --- before anything is computed -------------------------------------------------------------
+
+
+def check_place(path: Path) -> None:
+    """Raise InputError where no file or directory of that name could be put."""
+    check_name(path)
+    nearest = path.absolute().parent
+    try:
+        while not nearest.exists():
+            if nearest.is_symlink():
+                raise InputError(f"{path}: cannot be written, {nearest} is a link to nothing")
+            nearest = nearest.parent
+        # Permissions alone do not tell (root, read-only file systems); nothing is left behind.
+        with tempfile.TemporaryFile(dir=nearest):
+            pass
+    except OSError as error:
+        raise InputError(
+            f"{path}: cannot be written, {nearest} is not a writable directory ({error.strerror})"
+        ) from error
+
+
+def check_not_read(file: Path, read: Iterable[Path]) -> None:
+    """Raise InputError where a file to be written is one of those that are read."""
+    if file.exists() and any(other.exists() and other.samefile(file) for other in read):
+        raise InputError(f"{file}: is read here; name another file")
+
+
+# --- reading ---------------------------------------------------------------------------------
+
+
+def read_text(path: Path) -> str:
+    """The text of a file in UTF-8, without the mark that some editors put before it. Raises
+    InputError where it cannot be read or is no text."""
+    check_name(path)
+    try:
+        return path.read_text(encoding="utf-8-sig")
+    except OSError as error:
+        raise InputError(f"{path}: cannot be read: {error.strerror}") from error
+    except UnicodeDecodeError as error:
+        raise InputError(f"{path}: cannot be read: is not text in UTF-8") from error
+
+
+def read_yaml(path: Path, example: str) -> dict[str, Any]:
+    """The keys and values of a YAML file. Raises InputError where it cannot be read or is no YAML,
+    and, with the example of a line that it might have, where it has no keys."""
+    text = read_text(path)
+    try:
+        content = yaml.safe_load(text)
+    except (yaml.YAMLError, ValueError, RecursionError) as error:
+        raise InputError(f"{path}: is not YAML: {' '.join(str(error).split())}") from error
+    if not isinstance(content, dict):
+        raise InputError(f"{path}: needs keys and values, e.g. '{example}'")
+    return content

@@ -1,0 +1,234 @@
+"""How files are written and read, whatever is in them."""
+
+from __future__ import annotations
+
+import os
+import stat
+import threading
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+import pytest
+from matplotlib.figure import Figure
+
+from egolane_pgm.camera.model import Camera, read_camera, write_camera
+from egolane_pgm.camera.video import open_video
+from egolane_pgm.camera.writing import video_writer, write_picture
+from egolane_pgm.files import (
+    atomic,
+    atomic_directory,
+    read_text,
+    read_yaml,
+    write_json,
+    write_text,
+    write_yaml,
+)
+from egolane_pgm.recordings import read_lines, write_lines
+from egolane_pgm.recordings.ground_truth import read_ground_truth, write_ground_truth
+from egolane_pgm.report.style import save
+from egolane_pgm.results import write_result
+from egolane_pgm.simulation import simulate
+from egolane_pgm.types import InputError
+from tests.kits.drives import done
+
+DRIVE = simulate("quickstart", frames=60)
+OTHER = simulate("quickstart", seed=1, frames=300)
+CAMERA = Camera(64, 48, 50.0, 50.0, 32.0, 24.0, height_m=1.3)
+PICTURE = np.full((48, 64, 3), 7, dtype=np.uint8)
+
+
+def write_figure(path: Path) -> None:
+    save(Figure(), path)
+
+
+#: What writes each kind of file.
+WRITERS: dict[str, Callable[[Path], object]] = {
+    "lines.csv": lambda path: write_lines(path, DRIVE.log),
+    "lines.parquet": lambda path: write_lines(path, DRIVE.log),
+    "lines.bag": lambda path: write_lines(path, DRIVE.log),
+    "truth.txt": lambda path: write_ground_truth(path, DRIVE.truth),
+    "scores.json": lambda path: write_json(path, {"a": 1}),
+    "x.yaml": lambda path: write_yaml(path, {"a": 1}),
+    "camera.yaml": lambda path: write_camera(path, CAMERA),
+    "picture.png": lambda path: write_picture(path, PICTURE),
+    "figure.png": write_figure,
+}
+
+
+@pytest.fixture
+def umask() -> Iterator[Callable[[int], int]]:
+    before = os.umask(0o022)
+    os.umask(before)
+    yield os.umask
+    os.umask(before)
+
+
+# --- one way to write a file -------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("name", WRITERS)
+def test_every_writer_keeps_the_umask_and_leaves_only_its_file(
+    tmp_path: Path, umask: Callable[[int], int], name: str
+) -> None:
+    for mask, mode in ((0o022, 0o644), (0o077, 0o600), (0o002, 0o664)):
+        umask(mask)
+        WRITERS[name](tmp_path / name)
+        assert stat.S_IMODE((tmp_path / name).stat().st_mode) == mode
+    assert [p.name for p in tmp_path.iterdir()] == [name]
+
+
+@pytest.mark.parametrize("name", WRITERS)
+def test_files_beside_that_look_like_temporary_ones_stay_as_they_are(
+    tmp_path: Path, name: str
+) -> None:
+    own = tmp_path / "precious"
+    own.write_text("mine")
+    (tmp_path / f"{name}.part").write_text("mine too")
+    (tmp_path / f".{name}.part").symlink_to(own)
+    WRITERS[name](tmp_path / name)
+    assert own.read_text() == "mine"
+    assert (tmp_path / f"{name}.part").read_text() == "mine too"
+    assert (tmp_path / f".{name}.part").is_symlink()
+
+
+@pytest.mark.parametrize("name", WRITERS)
+def test_a_writer_that_fails_leaves_what_was_there(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, name: str
+) -> None:
+    (tmp_path / name).write_text("before")
+
+    def fails(*_: Any) -> None:
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr(Path, "replace", fails)
+    with pytest.raises(InputError, match=f"{name}: cannot be written: No space left on device"):
+        WRITERS[name](tmp_path / name)
+    assert (tmp_path / name).read_text() == "before"
+    assert [p.name for p in tmp_path.iterdir()] == [name]
+
+
+@pytest.mark.parametrize("name", ["lines.csv", "lines.parquet", "lines.bag"])
+def test_two_writers_of_one_file_do_not_damage_it(tmp_path: Path, name: str) -> None:
+    target, failed = tmp_path / name, []
+
+    def write(log: Any) -> None:
+        try:
+            for _ in range(20):
+                write_lines(target, log)
+                assert len(read_lines(target)) in (len(DRIVE.log), len(OTHER.log))
+        except Exception as error:  # shown by the assertion below
+            failed.append(error)
+
+    threads = [threading.Thread(target=write, args=(log,)) for log in (DRIVE.log, OTHER.log)]
+    for thread in threads:
+        thread.start()
+    for thread in threads:
+        thread.join()
+    assert failed == []
+    assert [p.name for p in tmp_path.iterdir()] == [name]
+
+
+def test_a_name_with_a_colon_is_a_name(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    Path("run:1").mkdir()
+    for ending in ("csv", "parquet", "bag"):
+        for place in (f"drive:2.{ending}", f"run:1/drive.{ending}"):
+            done("simulate", "--out", "here", "--frames", 60)
+            done("convert", "here/lines.csv", place)
+            assert len(read_lines(place)) == 60
+    with video_writer(Path("run:1/a:b.mp4"), 10, (64, 48)) as write:
+        write(PICTURE)
+    video = open_video(Path("run:1/a:b.mp4"))
+    assert video.grab()
+    video.release()
+    write_picture(Path("a:b.png"), PICTURE)
+    assert (cv2.imread("a:b.png") == PICTURE).all()
+    done("run", "here/experiment.yaml", "--no-figures", "--out", "run:1/out:1")
+    assert "run:1/out:1" in done("plot", "run:1/out:1").stdout
+
+
+def test_an_interrupted_writer_leaves_nothing(tmp_path: Path) -> None:
+    def interrupted() -> None:
+        with atomic(tmp_path / "a.txt") as temporary:
+            temporary.write_text("half")
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        interrupted()
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_a_device_is_written_and_not_replaced() -> None:
+    write_text("/dev/null", "gone")
+    assert not Path("/dev/null").is_file()
+
+
+def test_a_file_with_the_longest_name_can_be_written(tmp_path: Path) -> None:
+    path = tmp_path / ("x" * 250 + ".json")
+    write_json(path, {})
+    assert path.is_file()
+
+
+def test_a_directory_is_replaced_whole_or_not_at_all(
+    tmp_path: Path, umask: Callable[[int], int]
+) -> None:
+    place = tmp_path / "result"
+    umask(0o027)
+    for text in ("one", "two"):
+        with atomic_directory(place) as folder:
+            (folder / "a").write_text(text)
+    assert stat.S_IMODE(place.stat().st_mode) == 0o750
+
+    def fails() -> None:
+        with atomic_directory(place) as folder:
+            (folder / "a").write_text("three")
+            raise InputError(f"{folder / 'a'}: is wrong")
+
+    with pytest.raises(InputError) as caught:
+        fails()
+    assert str(caught.value) == f"{place / 'a'}: is wrong"
+    assert (place / "a").read_text() == "two"
+    assert [p.name for p in tmp_path.iterdir()] == ["result"]
+
+
+def test_the_files_of_a_result_keep_the_umask(tmp_path: Path, umask: Callable[[int], int]) -> None:
+    umask(0o077)
+    columns = {"frame_id": np.arange(3)}
+    write_result(tmp_path, experiment={"name": "x"}, run={}, scores={}, columns=columns)
+    modes = {stat.S_IMODE(path.stat().st_mode) for path in tmp_path.iterdir()}
+    assert modes == {0o600}
+
+
+# --- one way to read text and YAML -------------------------------------------------------------
+
+
+def test_a_text_is_read_without_the_mark_before_it(tmp_path: Path) -> None:
+    (tmp_path / "a.yaml").write_bytes(b"\xef\xbb\xbfa: 1\n")
+    assert read_text(tmp_path / "a.yaml") == "a: 1\n"
+    assert read_yaml(tmp_path / "a.yaml", "a: 1") == {"a": 1}
+    write_camera(tmp_path / "cam.yaml", CAMERA, "how\nit was made")
+    assert read_camera(tmp_path / "cam.yaml") == CAMERA
+    write_ground_truth(tmp_path / "t.txt", DRIVE.truth)
+    assert len(read_ground_truth(tmp_path / "t.txt")) == len(DRIVE.truth)
+
+
+@pytest.mark.parametrize(
+    ("content", "said"),
+    [
+        (b"a: [1", "is not YAML: "),
+        (b"a: 2020-99-99", "is not YAML: month must be in 1..12"),
+        (b"[" * 3000, "is not YAML: "),
+        (b"- 1", "needs keys and values, e.g. 'n_lanes: 4'"),
+        (b"", "needs keys and values, e.g. 'n_lanes: 4'"),
+        (b"\xff\xfe\x00", "cannot be read: is not text in UTF-8"),
+    ],
+)
+def test_a_file_that_is_no_yaml_is_one_line(tmp_path: Path, content: bytes, said: str) -> None:
+    (tmp_path / "x.yaml").write_bytes(content)
+    with pytest.raises(InputError, match=r"x\.yaml: ") as caught:
+        read_yaml(tmp_path / "x.yaml", "n_lanes: 4")
+    assert said in str(caught.value)
+    assert "\n" not in str(caught.value)
