@@ -20,7 +20,6 @@ from egolane_pgm.camera import writing as picture_files
 from egolane_pgm.camera.writing import NotKeptError, video_writer, write_picture
 from egolane_pgm.recordings import read_lines
 from egolane_pgm.simulation.rendering import files as rendering_files
-from egolane_pgm.simulation.rendering import render
 from egolane_pgm.simulation.rendering import traffic as traffics
 from egolane_pgm.simulation.rendering.render import make_scene
 from egolane_pgm.types import InputError, IntArray
