@@ -16,10 +16,12 @@ import numpy as np
 from egolane_pgm.experiment import Experiment
 from egolane_pgm.inference.compile import Compiled, compile_network, with_tables
 from egolane_pgm.inference.filtering import filter_beliefs, read_evidence
+from egolane_pgm.inference.smoothing import infer_beliefs
 from egolane_pgm.loading import Recorded, load_recording, with_video_rate
 from egolane_pgm.parameters import Parameter, Value, resolve_parameters
 from egolane_pgm.plugins import load_plugin, plugin_errors
 from egolane_pgm.types import (
+    Beliefs,
     BoolArray,
     Evidence,
     FloatArray,
@@ -224,12 +226,15 @@ class Drive:
     experiment: with the frame rate that was counted with.
     model: the experiment's, with its own parameters.
     recorded: the log of T frames, and the K annotated ones among them.
+    never_fit: ranges of frame ids, first to stop (None: to the end), whose labels are not used for
+        fitting.
     evidence: what `evidence_of` made so far, by the values of the evidence rule's parameters.
     """
 
     experiment: Experiment
     model: Model
     recorded: Recorded
+    never_fit: tuple[tuple[int, int | None], ...] = ()
     evidence: OrderedDict[tuple[Value, ...], Evidence] = field(default_factory=OrderedDict)
 
     def __len__(self) -> int:
@@ -255,15 +260,41 @@ class Drive:
             return np.arange(len(self.recorded.log))
         return self.recorded.scored
 
+    @property
+    def may_fit(self) -> BoolArray:
+        """(K,): marks the frames whose labels may be used for fitting."""
+        ids = self.recorded.log.frame_id[self.rows]
+        keep = np.ones(len(ids), dtype=bool)
+        for first, stop in self.never_fit:
+            keep &= ~((ids >= first) & (ids < (ids[-1] + 1 if stop is None else stop)))
+        return keep
+
+    def only_labels_of(self, train: IntArray) -> Drive:
+        """The same drive, the labels of all annotated frames but `train` removed: there the lane is
+        1 and the frame is crossing, of which no fit and no score looks at the lane."""
+        if self.recorded.truth is None:
+            return self
+        lane = np.ones_like(self.truth.lane)
+        is_crossing = np.ones_like(self.truth.is_crossing)
+        lane[train] = self.truth.lane[train]
+        is_crossing[train] = self.truth.is_crossing[train]
+        truth = replace(self.truth, lane=lane, is_crossing=is_crossing)
+        return replace(self, recorded=replace(self.recorded, truth=truth))
+
 
 def load_drive(
-    experiment: Experiment, *, needs_truth: str | None, recorded: Recorded | None = None
+    experiment: Experiment,
+    *,
+    needs_truth: str | None,
+    recorded: Recorded | None = None,
+    never_fit: Sequence[tuple[int, int | None]] = (),
 ) -> Drive:
     """Read an experiment's recording and compile its model.
 
     needs_truth: what the ground truth is needed for, as the end of a message; None where a
     recording without it will do.
     recorded: the recording, where it was read already.
+    never_fit: ranges beside those of the experiment's own `tuning.never_fit`.
 
     Raises InputError as `prepare_model` and `load_recording` do, and, where ground truth is needed,
     for a recording without it or without a frame to score.
@@ -279,18 +310,19 @@ def load_drive(
     truth = recorded.truth
     if needs_truth is not None and truth is not None and truth.is_crossing.all():
         raise InputError(f"{truth.source}: every frame is a crossing, nothing to score")
-    return Drive(experiment, model, recorded)
+    own = experiment.tuning.never_fit if experiment.tuning is not None else ()
+    return Drive(experiment, model, recorded, (*own, *never_fit))
 
 
-def may_fit(drive: Drive, also: Sequence[tuple[int, int | None]] = ()) -> BoolArray:
-    """(K,): marks the frames whose labels may be used for fitting: those outside of the ranges of
-    frame ids in the experiment's `tuning.never_fit`, and of those in `also`."""
-    ids = drive.recorded.log.frame_id[drive.rows]
-    tuning = drive.experiment.tuning
-    keep = np.ones(len(ids), dtype=bool)
-    for first, stop in (*(tuning.never_fit if tuning else ()), *also):
-        keep &= ~((ids >= first) & (ids < (ids[-1] + 1 if stop is None else stop)))
-    return keep
+def believe(drive: Drive, model: Model) -> tuple[Beliefs, tuple[str, ...]]:
+    """The beliefs of the K annotated frames under a model, by the experiment's filter from the
+    first frame of the log on; and what the evidence rule warned of."""
+    experiment, log = drive.experiment, drive.recorded.log
+    evidence = make_evidence(model, log, experiment.evidence_reading)
+    beliefs = infer_beliefs(
+        model.compiled, evidence.filtered, experiment.filter, experiment.lag, frame_id=log.frame_id
+    )
+    return beliefs.take(drive.rows), evidence.notes
 
 
 def evidence_of(drive: Drive, parameters: Mapping[str, Value]) -> Evidence:

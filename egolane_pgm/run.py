@@ -32,16 +32,13 @@ from egolane_pgm.results import (
     write_result,
 )
 from egolane_pgm.scoring.assign import assigned_lane
-from egolane_pgm.scoring.bootstrap import BLOCK_FRAMES, bootstrap_interval, confusion_counts
-from egolane_pgm.scoring.confusion import accuracy, macro_f1
-from egolane_pgm.scoring.summary import score_all
+from egolane_pgm.scoring.summary import score_with_intervals
 from egolane_pgm.types import (
     UNASSIGNED,
     Beliefs,
     Evidence,
     FloatArray,
     InputError,
-    LaneTruth,
 )
 
 
@@ -49,8 +46,9 @@ from egolane_pgm.types import (
 class Run:
     """An experiment that was run.
 
-    tentative (T, n): the evidence rule's own answer over lanes, or None. scores: "model" and,
-    with a tentative vector, "detector", as `score_all` gives them; empty without ground truth.
+    tentative (T, n): the evidence rule's own answer over lanes, or None.
+    scores: "model" and, with a tentative vector, "detector", as `score_with_intervals` gives them;
+        empty without ground truth.
     """
 
     experiment: Experiment
@@ -101,8 +99,9 @@ def run_experiment(
         named = {"detector": evidence.tentative, "model": beliefs.lane}
         # A tentative vector is no belief: the reject option is the model's.
         below = {"detector": 0.0, "model": experiment.unassigned_below}
+        rate = experiment.recording.frame_rate
         scores = {
-            name: score(recorded, belief, experiment.recording.frame_rate, below[name])
+            name: score_with_intervals(belief[recorded.scored], recorded.truth, rate, below[name])
             for name, belief in named.items()
             if belief is not None
         }
@@ -116,33 +115,6 @@ def run_experiment(
         scores,
         tuple(notes),
     )
-
-
-def score(
-    recorded: Recorded, belief: FloatArray, frame_rate: float, unassigned_below: float = 0.0
-) -> dict[str, Any]:
-    """Every score of a belief (T, n) over the annotated frames of a recording, and `intervals`:
-    95 % block-bootstrap intervals [low, high] of accuracy and f1, None for a short drive.
-    unassigned_below: see `assigned_lane`."""
-    assert recorded.truth is not None
-    truth = recorded.truth
-    belief = belief[recorded.scored]
-    scores = score_all(
-        belief, truth.lane, truth.is_crossing, truth.frame_id, frame_rate, unassigned_below
-    )
-    return {**scores, "intervals": _intervals(belief, truth, unassigned_below)}
-
-
-def _intervals(
-    belief: FloatArray, truth: LaneTruth, unassigned_below: float
-) -> dict[str, list[float] | None]:
-    statistics = {"accuracy": accuracy, "f1": macro_f1}
-    if len(truth) < 2 * BLOCK_FRAMES:
-        return dict.fromkeys(statistics)
-    assigned = assigned_lane(belief, unassigned_below)
-    counts = confusion_counts(assigned, truth.lane, truth.is_crossing, belief.shape[1])
-    found = {name: bootstrap_interval(counts, of) for name, of in statistics.items()}
-    return {name: [interval.low, interval.high] for name, interval in found.items()}
 
 
 def save_run(run: Run, directory: str | Path, draw: Callable[[Path], None] | None = None) -> Path:

@@ -238,6 +238,15 @@ class Beliefs:
     def __len__(self) -> int:
         return len(self.frame_id)
 
+    def take(self, frames: slice | IntArray | BoolArray) -> Beliefs:
+        """The beliefs of some frames, in order."""
+        return Beliefs(
+            self.frame_id[frames],
+            {node: values[frames] for node, values in self.marginals.items()},
+            self.log_evidence[frames],
+            self.is_impossible[frames],
+        )
+
     @property
     def lane(self) -> FloatArray:
         """(T, n): the belief over lanes."""

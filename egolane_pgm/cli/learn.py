@@ -7,7 +7,6 @@ from pathlib import Path
 from typing import Any
 
 import click
-import numpy as np
 from tqdm import tqdm
 
 from egolane_pgm.cli import options
@@ -20,7 +19,6 @@ from egolane_pgm.loading import with_video_rate
 from egolane_pgm.model import prepare_model
 from egolane_pgm.report.tables import scores_table
 from egolane_pgm.results import SCHEMA_VERSION
-from egolane_pgm.scoring.held_out import HeldOut
 
 
 @click.command()
@@ -76,7 +74,7 @@ def learn(
         click.echo(f"warning: {note}", err=True)
     # What was computed is said, whatever becomes of the files.
     _print(found.name, learned, blocks)
-    files = write_learned(found, learned, target)
+    files = write_learned(found, learned.model, learned.parameters, target)
     click.echo(f"\nwritten to {' and '.join(map(str, files))}")
     if json_file:
         write_json(
@@ -126,9 +124,7 @@ def _write_chosen(
 ) -> None:
     """The experiment with its constants chosen, as a file; there is nothing to score held out."""
 
-    model = prepare_model(experiment)
-    nothing = HeldOut[Any](np.zeros((0, model.n_lanes)), np.zeros(0, dtype=np.int64), ())
-    files = write_learned(experiment, Learned(model, {}, nothing, None, None), target)
+    files = write_learned(experiment, prepare_model(experiment), {}, target)
     click.echo(f"\nwritten to {' and '.join(map(str, files))}")
     if json_file:
         content: dict[str, Any] = {"schema_version": SCHEMA_VERSION, "name": experiment.name}

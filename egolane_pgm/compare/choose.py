@@ -20,14 +20,12 @@ import itertools
 import math
 import warnings
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 
 from egolane_pgm.compare.placing import (
-    Found,
-    believe,
     drive_key,
     load_for_scoring,
     on_recordings,
@@ -36,9 +34,9 @@ from egolane_pgm.compare.placing import (
     stretch,
 )
 from egolane_pgm.experiment import Experiment
+from egolane_pgm.learn import Found, with_found
 from egolane_pgm.learn import fit as learn_from
-from egolane_pgm.learn import with_found
-from egolane_pgm.model import Drive, Model, declared_parameters, may_fit, prepare_model
+from egolane_pgm.model import Drive, Model, believe, declared_parameters, prepare_model
 from egolane_pgm.parallel import in_order
 from egolane_pgm.parameters import resolve_parameters
 from egolane_pgm.scoring.assign import assigned_lane
@@ -64,7 +62,7 @@ LOSSES: Mapping[str, Callable[[FloatArray, IntArray, float], FloatArray]] = {
     "log_loss": _capped_log_loss,
 }
 
-Setting = Mapping[str, Any]
+Candidate = Mapping[str, Any]
 
 
 @dataclass(frozen=True)
@@ -108,7 +106,7 @@ def experiment_key(experiment: Experiment) -> str:
     return repr((experiment.source, experiment.name, recording_key(experiment)))
 
 
-def settings_of(experiment: Experiment) -> list[dict[str, Any]]:
+def candidates(experiment: Experiment) -> list[dict[str, Any]]:
     """Every setting of the grid, the last parameter fastest. Raises InputError without a grid."""
     if experiment.choice is None:
         raise InputError(f"{experiment.source}: fit: choose needs choice.grid, what to choose from")
@@ -160,11 +158,11 @@ def plan(
 
 
 def _check_grid(experiment: Experiment) -> None:
-    settings = settings_of(experiment)
+    found = candidates(experiment)
     model = prepare_model(experiment)
     specs = declared_parameters(model.rule, model.graph)
-    for setting in settings:
-        resolve_parameters(specs, setting, model.n_lanes, f"{experiment.source}: choice.grid")
+    for candidate in found:
+        resolve_parameters(specs, candidate, model.n_lanes, f"{experiment.source}: choice.grid")
 
 
 def known_losses(tasks: Mapping[str, Sequence[Task]], done: Mapping[str, Losses]) -> Known:
@@ -187,12 +185,11 @@ def losses_of(task: Task) -> Losses:
     drive = load_for_scoring(task.experiment)
     truth, n_stretches = drive.truth, len(task.stretches)
     inside = [on_stretch(drive, ends) for ends in task.stretches]
-    trusted = may_fit(drive)
-    settings = settings_of(task.experiment)
-    shape = (len(settings), n_stretches, n_stretches)
+    trusted = drive.may_fit
+    tried = _Tried(drive, candidates(task.experiment))
+    shape = (len(tried.models), n_stretches, n_stretches)
     sums = {objective: np.zeros(shape) for objective in LOSSES}
     frames = np.zeros((n_stretches, n_stretches), dtype=np.int64)
-    tried = _Tried(drive, settings)
     for b, c in itertools.combinations_with_replacement(range(n_stretches), 2):
         # On the drive that is scored one stretch is left out for that, another to try it on.
         is_needed = not task.is_alone if b == c else task.is_target
@@ -219,10 +216,10 @@ class _Tried:
     """The settings on one drive. Kept are the losses with what each has learned last: where nothing
     is learned, it is always the same."""
 
-    def __init__(self, drive: Drive, settings: Sequence[Setting]) -> None:
+    def __init__(self, drive: Drive, tried: Sequence[Candidate]) -> None:
         self.drive = drive
         experiment = drive.experiment
-        self.models = [with_found(drive.model, setting, experiment) for setting in settings]
+        self.models = [with_found(drive.model, each, experiment) for each in tried]
         self.last: dict[int, tuple[str, list[FloatArray]]] = {}
 
     def losses(self, train: IntArray) -> dict[str, FloatArray]:
@@ -249,12 +246,12 @@ class _Tried:
         # Which lanes were not seen is said where what is learned is used.
         with warnings.catch_warnings():
             warnings.simplefilter("ignore", UserWarning)
-            return learn_from(model, self.drive.recorded, train, self.drive.experiment)
+            seen = self.drive.only_labels_of(train)
+            return learn_from(replace(seen, model=model), train)
 
     def _losses(self, model: Model) -> list[FloatArray]:
         drive = self.drive
-        beliefs, _ = believe(drive, model, slice(None))
-        belief = beliefs.lane[drive.recorded.scored]
+        belief = believe(drive, model)[0].lane
         below = drive.experiment.unassigned_below
         return [of(belief, drive.truth.lane, below) for of in LOSSES.values()]
 
@@ -288,8 +285,8 @@ def choose(losses: Sequence[Losses], own_drive: str, block: int, experiment: Exp
 def chosen_on_all(experiment: Experiment, losses: Sequence[Losses]) -> Experiment:
     """The experiment with the constants that are best on all blocks of all recordings, to learn
     with. losses: of the tasks that are not held out."""
-    setting = settings_of(experiment)[choose(losses, "", 0, experiment)]
-    changes = {"fit": "learn", "parameters": {**experiment.parameters, **setting}}
+    chosen = candidates(experiment)[choose(losses, "", 0, experiment)]
+    changes = {"fit": "learn", "parameters": {**experiment.parameters, **chosen}}
     return experiment.model_copy(update=changes)
 
 

@@ -22,34 +22,22 @@ from egolane_pgm.compare.choose import (
     try_all,
 )
 from egolane_pgm.compare.detector_health import detector_answers, detector_health, model_health
-from egolane_pgm.compare.held_out import HeldOutRun, held_out_run
 from egolane_pgm.compare.in_sample import with_graph
 from egolane_pgm.compare.placing import load_for_scoring, on_recording, recording_key
 from egolane_pgm.compare.saving import folder_of, save_comparison
+from egolane_pgm.compare.side import Side, held_out_side
 from egolane_pgm.experiment import Experiment, load_experiment
 from egolane_pgm.loading import Recorded
-from egolane_pgm.model import prepare_model
+from egolane_pgm.model import Drive, prepare_model
 from egolane_pgm.paper import load_published, paper_experiment, parameters_for
 from egolane_pgm.parallel import in_order
-from egolane_pgm.run import score
-from egolane_pgm.scoring.assign import assigned_lane
-from egolane_pgm.scoring.bootstrap import (
-    BLOCK_FRAMES,
-    confusion_counts,
-    mean_counts,
-    paired_difference_interval,
-    ratio,
-)
-from egolane_pgm.scoring.confusion import accuracy, macro_f1
+from egolane_pgm.scoring.bootstrap import score_counts, score_intervals
 from egolane_pgm.scoring.health import detector_errors
 from egolane_pgm.scoring.held_out import N_BLOCKS
-from egolane_pgm.scoring.probabilistic import log_loss_per_frame
+from egolane_pgm.scoring.summary import score_with_intervals
 from egolane_pgm.types import BoolArray, InputError
 
 SCHEMA_VERSION = 1
-
-#: Scores whose differences have an interval.
-DIFFERENCES = ("accuracy", "f1", "log_loss")
 
 
 @dataclass(frozen=True)
@@ -209,20 +197,20 @@ def compare_group(group: Group, options: Options, known: Known | None = None) ->
     experiments do."""
     with warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always", UserWarning)
-        runs, recorded = _held_out_runs(group, options, known or {})
+        sides, recorded = _sides(group, options, known or {})
         errors = None
         if options.health:
             tentative = detector_answers(group.detector or group.experiments, recorded)
-            truth = runs[0].truth
+            truth = sides[0].truth
             errors = detector_errors(tentative, truth.lane, truth.is_crossing)
     notes = [str(w.message) for w in caught if issubclass(w.category, UserWarning)]
-    notes += [note for run in runs for note in run.notes]
-    keep = _subsets(runs)
+    notes += [note for side in sides for note in side.notes]
+    keep = _subsets(sides)
     entries = []
-    for run in runs:
-        entry = _entry(run, runs[0], keep)
+    for side in sides:
+        entry = _entry(side, sides[0], keep)
         if errors is not None:
-            entry["health"] = {k: model_health(run, errors, kept) for k, kept in keep.items()}
+            entry["health"] = {k: model_health(side, errors, kept) for k, kept in keep.items()}
         entries.append(entry)
     health = None
     if errors is not None:
@@ -230,23 +218,21 @@ def compare_group(group: Group, options: Options, known: Known | None = None) ->
     part = {
         "title": group.title,
         "run": group.run,
-        "frames": len(runs[0].truth),
+        "frames": len(sides[0].truth),
         "blocks": options.blocks,
         "health": health,
         "experiments": entries,
         "notes": list(dict.fromkeys([*recorded.notes, *notes])),
     }
     if options.out is not None:
-        save_comparison(options.out, part, runs)
+        save_comparison(options.out, part, sides)
     return part
 
 
-def _held_out_runs(
-    group: Group, options: Options, known: Known
-) -> tuple[list[HeldOutRun], Recorded]:
+def _sides(group: Group, options: Options, known: Known) -> tuple[list[Side], Recorded]:
     """All experiments on the recording, which is read once for all that read it alike."""
     read: dict[str, Recorded] = {}
-    runs: list[HeldOutRun] = []
+    sides: list[Side] = []
     for experiment in group.experiments:
         key = repr(
             (
@@ -258,36 +244,34 @@ def _held_out_runs(
         )
         drive = load_for_scoring(experiment, read.get(key))
         read[key] = drive.recorded
-        if runs:
-            _check_same_frames(runs[0], drive.experiment, drive.recorded)
+        if sides:
+            _check_same_frames(sides[0].drive, drive)
         losses = known.get(experiment_key(experiment))
-        runs.append(
-            held_out_run(drive, n_blocks=options.blocks, trials=options.trials, losses=losses)
+        sides.append(
+            held_out_side(drive, n_blocks=options.blocks, trials=options.trials, losses=losses)
         )
-    return runs, next(iter(read.values()))
+    return sides, next(iter(read.values()))
 
 
-def _check_same_frames(first: HeldOutRun, experiment: Experiment, recorded: Recorded) -> None:
-    truth = recorded.truth
-    assert truth is not None
+def _check_same_frames(first: Drive, drive: Drive) -> None:
     for name in ("frame_id", "lane", "is_crossing"):
-        if not np.array_equal(getattr(first.truth, name), getattr(truth, name)):
+        if not np.array_equal(getattr(first.truth, name), getattr(drive.truth, name)):
             raise InputError(
-                f"{experiment.source}: {name} of the {len(truth)} annotated frames is not that of"
-                f" {first.experiment.source} ({len(first.truth)} frames); a difference needs the"
+                f"{drive.experiment.source}: {name} of the {len(drive)} annotated frames is not"
+                f" that of {first.experiment.source} ({len(first)} frames); a difference needs the"
                 " same frames, missing_frames and ground_truth"
             )
 
 
-def _subsets(runs: Sequence[HeldOutRun]) -> dict[str, BoolArray]:
+def _subsets(sides: Sequence[Side]) -> dict[str, BoolArray]:
     """Which frames count: all, and, where an experiment names untrusted labels, the others."""
-    trusted = np.logical_and.reduce([run.may_fit for run in runs])
+    trusted = np.logical_and.reduce([side.drive.may_fit for side in sides])
     keep = {"all_frames": np.ones(len(trusted), dtype=bool)}
     return keep if trusted.all() else {**keep, "without_never_fit": trusted}
 
 
-def _entry(run: HeldOutRun, first: HeldOutRun, keep: Mapping[str, BoolArray]) -> dict[str, Any]:
-    experiment = run.experiment
+def _entry(side: Side, first: Side, keep: Mapping[str, BoolArray]) -> dict[str, Any]:
+    experiment = side.experiment
     return {
         "name": experiment.name,
         "source": Path(experiment.source).name,
@@ -295,56 +279,47 @@ def _entry(run: HeldOutRun, first: HeldOutRun, keep: Mapping[str, BoolArray]) ->
         "graph": experiment.graph,
         "filter": experiment.filter,
         "fit": experiment.fit,
-        "tuned_on": run.tuned_on,
+        "tuned_on": side.tuned_on,
         "is_causal": experiment.is_causal,
         "unassigned_below": experiment.unassigned_below,
-        "free_parameters": run.free_parameters,
-        "microseconds_per_frame": 1e6 * run.seconds_per_frame,
+        "free_parameters": side.free_parameters,
+        "microseconds_per_frame": 1e6 * side.seconds_per_frame,
         "chosen": list(experiment.choice.grid)
         if experiment.fit == "choose" and experiment.choice is not None
         else [],
-        "parameters": [dict(found) for found in run.parameters],
-        "scores": {key: _scores(run, kept) for key, kept in keep.items()},
-        "difference_to": None if run is first else first.experiment.name,
+        "parameters": [dict(found) for found in side.held_out.parameters],
+        "scores": {key: _scores(side, kept) for key, kept in keep.items()},
+        "difference_to": None if side is first else first.experiment.name,
         "difference": None
-        if run is first
-        else {key: _difference(run, first, kept) for key, kept in keep.items()},
+        if side is first
+        else {key: _difference(side, first, kept) for key, kept in keep.items()},
         "health": None,
     }
 
 
-def _scores(run: HeldOutRun, keep: BoolArray) -> dict[str, Any]:
-    kept = np.flatnonzero(keep)
-    experiment = run.experiment
-    # What is scored are rows of the belief, which has the annotated frames only.
-    rows = replace(run.recorded, truth=run.truth.take(kept), scored=kept)
+def _scores(side: Side, kept: BoolArray) -> dict[str, Any]:
+    experiment, beliefs = side.experiment, side.beliefs.take(kept)
     rate, below = experiment.recording.frame_rate, experiment.unassigned_below
-    possible = keep & ~run.is_impossible
+    log_evidence = beliefs.mean_log_evidence
     return {
-        **score(rows, run.belief, rate, below),
-        "mean_log_evidence": float(run.log_evidence[possible].mean()) if possible.any() else None,
+        **score_with_intervals(beliefs.lane, side.truth.take(kept), rate, below),
+        "mean_log_evidence": None if np.isnan(log_evidence) else log_evidence,
     }
 
 
-def _difference(run: HeldOutRun, first: HeldOutRun, keep: BoolArray) -> dict[str, Any]:
-    """The run less the first, per score [estimate, low, high]; None for a short drive."""
-    if int(keep.sum()) < 2 * BLOCK_FRAMES:
-        return dict.fromkeys(DIFFERENCES)
-    found = {}
-    statistics = {"accuracy": accuracy, "f1": macro_f1, "log_loss": ratio}
-    for name, statistic in statistics.items():
-        mine, theirs = (_counts(side, keep, name) for side in (run, first))
-        interval = paired_difference_interval(mine, theirs, statistic)
-        found[name] = [interval.estimate, interval.low, interval.high]
-    return found
-
-
-def _counts(run: HeldOutRun, keep: BoolArray, name: str) -> Any:
-    truth, belief = run.truth.take(keep), run.belief[keep]
-    if name == "log_loss":
-        return mean_counts(log_loss_per_frame(belief, truth.lane))
-    assigned = assigned_lane(belief, run.experiment.unassigned_below)
-    return confusion_counts(assigned, truth.lane, truth.is_crossing, belief.shape[1])
+def _difference(side: Side, first: Side, kept: BoolArray) -> dict[str, Any]:
+    """The side less the first, per score [estimate, low, high]; None for a short drive."""
+    mine, theirs = (
+        score_counts(
+            each.beliefs.lane[kept],
+            each.truth.lane[kept],
+            each.truth.is_crossing[kept],
+            each.experiment.unassigned_below,
+        )
+        for each in (side, first)
+    )
+    intervals = score_intervals([mine], [theirs])
+    return {name: i and [i.estimate, i.low, i.high] for name, i in intervals.items()}
 
 
 def document(groups: Sequence[Mapping[str, Any]], options: Options) -> dict[str, Any]:
@@ -356,8 +331,8 @@ def document(groups: Sequence[Mapping[str, Any]], options: Options) -> dict[str,
     `evidence`, `graph`, `filter`, `fit`, `tuned_on` (same_frames: in-sample), `is_causal`,
     `unassigned_below`, `free_parameters` (numbers fitted to labels), `microseconds_per_frame`
     (evidence and filter), `chosen` (the parameters that `fit: choose` chose), `parameters` (per
-    block, those that were fitted without it), `scores` (per subset, as `scoring.summary.score_all`
-    with `intervals` and `mean_log_evidence`),
+    block, those that were fitted without it), `scores` (per subset, as
+    `scoring.summary.score_with_intervals` and `mean_log_evidence`),
     `difference_to` (name of the first experiment, null for itself), `difference` (per subset and
     score [estimate, low, high], paired block bootstrap, 95 %; null for short drives) and `health`
     (per subset, see `health.model_health`). Subsets: `all_frames`, and, where an experiment's

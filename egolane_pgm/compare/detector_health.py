@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from egolane_pgm.compare.held_out import HeldOutRun
 from egolane_pgm.compare.placing import load_for_scoring
+from egolane_pgm.compare.side import Side
 from egolane_pgm.experiment import Experiment
 from egolane_pgm.loading import Recorded
 from egolane_pgm.model import make_evidence
@@ -46,7 +46,7 @@ def detector_health(errors: DetectorErrors, keep: BoolArray) -> dict[str, Any]:
     }
 
 
-def model_health(run: HeldOutRun, errors: DetectorErrors, keep: BoolArray) -> Mapping[str, Any]:
+def model_health(side: Side, errors: DetectorErrors, keep: BoolArray) -> Mapping[str, Any]:
     """The areas under the ROC curve of an experiment's health scores for "the detector alone is
     wrong", over the kept frames (K,) in which it commits to a lane.
 
@@ -54,10 +54,10 @@ def model_health(run: HeldOutRun, errors: DetectorErrors, keep: BoolArray) -> Ma
     without that node), `auc_doubt_all` (doubt over all non-crossing frames; 1 where Unassigned).
     """
     committed, scored = errors.is_committed & keep, errors.is_scored & keep
-    score = doubt(run.belief, errors.assigned)
+    score = doubt(side.beliefs.lane, errors.assigned)
     wrong = errors.is_wrong
     return {
         "auc_doubt": roc_auc(score[committed], wrong[committed]),
-        "auc_bad": None if run.bad is None else roc_auc(run.bad[committed], wrong[committed]),
+        "auc_bad": None if side.bad is None else roc_auc(side.bad[committed], wrong[committed]),
         "auc_doubt_all": roc_auc(score[scored], wrong[scored]),
     }

@@ -11,7 +11,6 @@ from pathlib import Path
 import numpy as np
 
 from egolane_pgm.compare.placing import (
-    Found,
     drive_key,
     load_for_scoring,
     on_recordings,
@@ -20,11 +19,9 @@ from egolane_pgm.compare.placing import (
     stretch,
 )
 from egolane_pgm.experiment import Experiment
-from egolane_pgm.learn import fit as learn_from
-from egolane_pgm.model import Drive, declared_parameters, may_fit
+from egolane_pgm.learn import Found, fit_pooled
+from egolane_pgm.model import Drive
 from egolane_pgm.paper import paper_experiment, parse_runs
-from egolane_pgm.parameters import resolve_parameters
-from egolane_pgm.plugins import plugin_errors
 from egolane_pgm.scoring.held_out import blocks
 from egolane_pgm.types import InputError, IntArray
 
@@ -61,9 +58,12 @@ def learned_elsewhere(
     return found
 
 
-def learner_elsewhere(drive: Drive, n_blocks: int) -> Callable[[IntArray], Found]:
-    """A fit for `validation.held_out`, for its blocks in order. Raises InputError for recordings
-    that cannot be read, of another number of lanes, or without a frame to learn from."""
+def learner_elsewhere(drive: Drive, n_blocks: int) -> Callable[[Drive, IntArray, int], Found]:
+    """A fit for `held_out` that learns from the recordings of `learned_on`.
+
+    Raises InputError for recordings that cannot be read, of another number of lanes, or without a
+    frame to learn from.
+    """
     experiment = drive.experiment
     others = [
         load_for_scoring(other)
@@ -75,51 +75,19 @@ def learner_elsewhere(drive: Drive, n_blocks: int) -> Callable[[IntArray], Found
                 f"{experiment.source}: learned_on: {other.recorded.log.source} has"
                 f" {other.n_lanes} lanes, what is scored has {drive.n_lanes}"
             )
-    parts = iter(blocks(len(drive), n_blocks))
+    parts = blocks(len(drive), n_blocks)
 
-    def fit(train: IntArray) -> Found:
-        ends = stretch(drive, next(parts))
+    def fit(_drive: Drive, _train: IntArray, block: int) -> Found:
+        ends = stretch(drive, parts[block])
         trains = []
         for other in others:
-            is_used = may_fit(other)
+            is_used = other.may_fit
             if drive_key(other.experiment) == drive_key(experiment):
                 is_used &= ~on_stretch(other, ends)
             trains.append(np.flatnonzero(is_used))
         if not any(len(frames) for frames in trains):
             raise InputError(f"{experiment.source}: learned_on: no frame is left to learn from")
-        return learn_pooled(others, trains)
+        seen = [o.only_labels_of(train) for o, train in zip(others, trains, strict=True)]
+        return fit_pooled(seen, trains)
 
     return fit
-
-
-def learn_pooled(drives: Sequence[Drive], trains: Sequence[IntArray]) -> Found:
-    """What is learned from the annotated frames `trains` of each drive, all of one model. Raises
-    InputError for several drives where the evidence rule has no `fit_pooled`."""
-    first = drives[0]
-    rule, experiment = first.model.rule, first.experiment
-    if len(drives) == 1:
-        return learn_from(first.model, first.recorded, trains[0], experiment)
-    if not hasattr(rule, "fit_pooled"):
-        raise InputError(
-            f"{experiment.source}: learned_on: the evidence rule {experiment.evidence} learns from"
-            " one recording, it has no fit_pooled"
-        )
-    specs = declared_parameters(rule, first.model.graph)
-    given = {k: v for k, v in first.model.parameters.items() if k not in rule.LEARNED}
-    start = resolve_parameters(specs, given, first.n_lanes, f"{experiment.source}: parameters")
-    parts = [labelled(drive, train) for drive, train in zip(drives, trains, strict=True)]
-    with plugin_errors(rule, "evidence"):
-        found: Found = rule.fit_pooled(parts, first.n_lanes, start)
-    return found
-
-
-def labelled(drive: Drive, train: IntArray) -> tuple[object, IntArray, np.ndarray]:
-    """The log, the lane of each of its T frames (0 where it must not be looked at), and which
-    frames are learned from: annotated ones among `train`, crossing ones left out."""
-    train = train[~drive.truth.is_crossing[train]]
-    lane = np.zeros(len(drive.recorded.log), dtype=np.int64)
-    is_used = np.zeros(len(lane), dtype=bool)
-    frames = drive.recorded.scored[train]
-    lane[frames] = drive.truth.lane[train]
-    is_used[frames] = True
-    return drive.recorded.log, lane, is_used

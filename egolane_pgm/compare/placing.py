@@ -1,26 +1,21 @@
-"""An experiment on a recording: put there, loaded, and what it believes with given parameters."""
+"""An experiment on a recording: put there and loaded, and which recordings are of one drive."""
 
 from __future__ import annotations
 
 import functools
 import hashlib
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
 
 from egolane_pgm.experiment import Experiment, Tuning, load_experiment, make_experiment
-from egolane_pgm.inference.smoothing import infer_beliefs
 from egolane_pgm.loading import Recorded
-from egolane_pgm.model import Drive, Model, load_drive, make_evidence
-from egolane_pgm.parameters import Value
+from egolane_pgm.model import Drive, load_drive
 from egolane_pgm.recordings.catalog import find_file
 from egolane_pgm.recordings.ground_truth import read_ground_truth
 from egolane_pgm.run import files_in_full
-from egolane_pgm.types import Beliefs, BoolArray, InputError, IntArray
-
-#: Parameters that a fit found, by name; those that it leaves alone are not in it.
-Found = Mapping[str, Value]
+from egolane_pgm.types import BoolArray, InputError, IntArray
 
 
 def on_recording(model: Experiment, place: Experiment) -> Experiment:
@@ -93,16 +88,6 @@ def load_for_scoring(experiment: Experiment, recorded: Recorded | None = None) -
     """The experiment's recording and model, as `load_drive` gives them."""
     needs = "a comparison scores against it"
     return load_drive(experiment, needs_truth=needs, recorded=recorded)
-
-
-def believe(drive: Drive, model: Model, frames: slice) -> tuple[Beliefs, tuple[str, ...]]:
-    """The beliefs over some frames of the log, and what the evidence rule said."""
-    experiment, log = drive.experiment, drive.recorded.log.take(frames)
-    evidence = make_evidence(model, log, experiment.evidence_reading)
-    beliefs = infer_beliefs(
-        model.compiled, evidence.filtered, experiment.filter, experiment.lag, frame_id=log.frame_id
-    )
-    return beliefs, evidence.notes
 
 
 def stretch(drive: Drive, frames: IntArray) -> tuple[int, int]:

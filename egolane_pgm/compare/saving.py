@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from egolane_pgm.compare.held_out import HeldOutRun
+from egolane_pgm.compare.side import Side
 from egolane_pgm.experiment import config_hash, resolved
 from egolane_pgm.loading import file_entry
 from egolane_pgm.model import Model, prepare_model
@@ -35,7 +35,7 @@ def folder_of(title: str) -> str:
     return re.sub(r"[^A-Za-z0-9._-]+", "_", title).strip("._-") or "recording"
 
 
-def save_comparison(out: Path, part: Mapping[str, Any], runs: Sequence[HeldOutRun]) -> Path:
+def save_comparison(out: Path, part: Mapping[str, Any], runs: Sequence[Side]) -> Path:
     """Write `out`/<recording>: comparison.json (the recording's part of the document) and a result
     directory for each experiment, whose beliefs.parquet has the annotated frames and their block.
 
@@ -60,7 +60,7 @@ def save_comparison(out: Path, part: Mapping[str, Any], runs: Sequence[HeldOutRu
 
 
 def _provenance(
-    run: HeldOutRun, model: Model, content: Mapping[str, Any], n_blocks: int
+    run: Side, model: Model, content: Mapping[str, Any], n_blocks: int
 ) -> dict[str, Any]:
     experiment = run.experiment
     return {
@@ -68,7 +68,7 @@ def _provenance(
         "config_hash": config_hash(content),
         "data": [
             file_entry(path, pictures=experiment.recording.detector is not None)
-            for path in run.recorded.files
+            for path in run.drive.recorded.files
         ],
         "plugins": plugin_files(model),
         "versions": versions(),
@@ -78,20 +78,20 @@ def _provenance(
         "frame_rate": experiment.recording.frame_rate,
         "fit": experiment.fit,
         "blocks": n_blocks,
-        "parameters_per_block": [dict(found) for found in run.parameters],
+        "parameters_per_block": [dict(found) for found in run.held_out.parameters],
         "tuned_on": run.tuned_on,
         "is_causal": experiment.is_causal,
         "frames": len(run.truth),
-        "mean_log_evidence": float(run.log_evidence[~run.is_impossible].mean())
-        if not run.is_impossible.all()
+        "mean_log_evidence": float(run.beliefs.log_evidence[~run.beliefs.is_impossible].mean())
+        if not run.beliefs.is_impossible.all()
         else None,
-        "impossible_frames": int(run.is_impossible.sum()),
-        "warnings": [*run.recorded.notes, *run.notes],
+        "impossible_frames": int(run.beliefs.is_impossible.sum()),
+        "warnings": [*run.drive.recorded.notes, *run.notes],
         "values": {"Lane": [str(k + 1) for k in range(experiment.n_lanes)]},
     }
 
 
-def _columns(run: HeldOutRun, n_blocks: int) -> dict[str, np.ndarray[Any, Any]]:
+def _columns(run: Side, n_blocks: int) -> dict[str, np.ndarray[Any, Any]]:
     truth, experiment = run.truth, run.experiment
     n_frames = len(truth)
     parts = blocks(n_frames, n_blocks)
@@ -100,10 +100,10 @@ def _columns(run: HeldOutRun, n_blocks: int) -> dict[str, np.ndarray[Any, Any]]:
         "time_s": truth.frame_id / experiment.recording.frame_rate,
     }
     for k in range(experiment.n_lanes):
-        columns[f"Lane_{k + 1}"] = run.belief[:, k]
-    columns["assigned_lane"] = assigned_lane(run.belief, experiment.unassigned_below)
-    columns["log_evidence"] = run.log_evidence
-    columns["is_impossible"] = run.is_impossible
+        columns[f"Lane_{k + 1}"] = run.beliefs.lane[:, k]
+    columns["assigned_lane"] = assigned_lane(run.beliefs.lane, experiment.unassigned_below)
+    columns["log_evidence"] = run.beliefs.log_evidence
+    columns["is_impossible"] = run.beliefs.is_impossible
     columns["block"] = np.repeat(np.arange(n_blocks), [len(part) for part in parts])
     columns["true_lane"] = truth.lane
     columns["is_crossing"] = truth.is_crossing

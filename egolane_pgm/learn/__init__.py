@@ -7,24 +7,26 @@ Everything else is the same for all.
 """
 
 from egolane_pgm.learn.learning import (
+    Found,
     Learned,
     check_learnable,
     fit,
+    fit_pooled,
     held_out_belief,
     learn,
-    may_fit,
     n_learned,
 )
 from egolane_pgm.learn.output import output_files, write_learned
 from egolane_pgm.learn.tables import with_found
 
 __all__ = [
+    "Found",
     "Learned",
     "check_learnable",
     "fit",
+    "fit_pooled",
     "held_out_belief",
     "learn",
-    "may_fit",
     "n_learned",
     "output_files",
     "with_found",

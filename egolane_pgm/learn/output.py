@@ -11,9 +11,9 @@ import numpy as np
 from egolane_pgm.experiment import Experiment, load_experiment, resolved
 from egolane_pgm.files import check_place, write_yaml
 from egolane_pgm.learn.graph_file import graph_yaml
-from egolane_pgm.learn.learning import Learned
-from egolane_pgm.learn.tables import PREFIX, found_tables, settings
-from egolane_pgm.model import declared_parameters, prepare_model
+from egolane_pgm.learn.learning import Found
+from egolane_pgm.learn.tables import PREFIX, found_tables, learning_of
+from egolane_pgm.model import Model, declared_parameters, prepare_model
 from egolane_pgm.plugins import OWN_FILES
 from egolane_pgm.run import files_in_full
 from egolane_pgm.types import InputError
@@ -36,28 +36,32 @@ def output_files(experiment: Experiment, target: Path) -> list[Path]:
     return files
 
 
-def write_learned(experiment: Experiment, learned: Learned, target: Path) -> list[Path]:
-    """Write the learned experiment to `target`, and beside it, where tables were learned, the
-    graph `<its name>.graph.yaml`; the files that were written.
+def write_learned(
+    experiment: Experiment, model: Model, parameters: Found, target: Path
+) -> list[Path]:
+    """Write the experiment with what was learned to `target`, and beside it, where tables were
+    learned, the graph `<its name>.graph.yaml`; returns the files that were written.
+
+    parameters: those that were learned, tables by the names of `tables`.
 
     What the new experiment says of its scores is that they are in-sample where it is run on the
     same recording. Raises InputError where a file cannot be written.
     """
-    tables = {k: v for k, v in learned.parameters.items() if k.startswith(PREFIX)}
+    tables = {k: v for k, v in parameters.items() if k.startswith(PREFIX)}
     files = output_files(experiment, target)[: 2 if tables else 1]
-    content = _experiment_yaml(experiment, learned, target, bool(tables))
+    content = _experiment_yaml(experiment, model, parameters, target, bool(tables))
     source = Path(experiment.source).name
     heading = f"# Learned by `egolane learn {source}` from all labelled frames of its recording\n"
     left_out = "# (labels of crossing ones and the frames of tuning.never_fit left out).\n"
     if tables:
-        how = "lines and labels" if settings(experiment).labels else "lines alone, no labels"
-        if not settings(experiment).labels:
+        how = "lines and labels" if learning_of(experiment).labels else "lines alone, no labels"
+        if not learning_of(experiment).labels:
             heading = (
                 f"# Learned by `egolane learn {source}` from its recording, no label looked at\n"
             )
             left_out = "# (the frames of tuning.never_fit left out).\n"
         say = f"tables of {experiment.graph}, learned from {how}, of {_recording(experiment)}"
-        graph = graph_yaml(learned.model, found_tables(learned.model, tables, experiment), say)
+        graph = graph_yaml(model, found_tables(model, tables, experiment), say)
         write_yaml(files[1], graph, f"# Learned by `egolane learn {source}`.\n")
         content["graph"] = f"./{files[1].name}"
         content["description"] = f"{experiment.description}; tables learned from {how}".lstrip("; ")
@@ -73,11 +77,10 @@ def _recording(experiment: Experiment) -> str:
 
 
 def _experiment_yaml(
-    experiment: Experiment, learned: Learned, target: Path, has_tables: bool
+    experiment: Experiment, model: Model, parameters: Found, target: Path, has_tables: bool
 ) -> dict[str, Any]:
-    model = learned.model
     of_rule = {p.name for p in getattr(model.rule, "PARAMETERS", ())}
-    found = {k: v for k, v in learned.parameters.items() if not k.startswith(PREFIX)}
+    found = {k: v for k, v in parameters.items() if not k.startswith(PREFIX)}
     given = (
         {k: v for k, v in model.parameters.items() if k in of_rule}
         if has_tables

@@ -19,8 +19,7 @@ from egolane_pgm.graphs.cpds import SliceNode, Table
 from egolane_pgm.inference.compile import Compiled, read_tables, with_tables
 from egolane_pgm.inference.expected_counts import FREE, counted_tables
 from egolane_pgm.learn.em import fit_tables, with_changed
-from egolane_pgm.loading import Recorded
-from egolane_pgm.model import Model, declared_parameters, make_evidence, with_parameters
+from egolane_pgm.model import Drive, Model, declared_parameters, make_evidence, with_parameters
 from egolane_pgm.parameters import Parameter, Value, resolve_parameters
 from egolane_pgm.plugins import plugin_errors
 from egolane_pgm.types import BoolArray, InputError, IntArray, suggestion
@@ -29,7 +28,7 @@ from egolane_pgm.types import BoolArray, InputError, IntArray, suggestion
 PREFIX = "tables."
 
 
-def settings(experiment: Experiment) -> Learning:
+def learning_of(experiment: Experiment) -> Learning:
     """The experiment's `learning`, or the defaults."""
     return experiment.learning or Learning()
 
@@ -51,7 +50,7 @@ def check_tables(model: Model, experiment: Experiment) -> dict[SliceNode, Table]
             f" graph {experiment.graph}: each of its tables is certain or selected by an input;"
             " search parameters with `egolane tune`"
         )
-    wanted = settings(experiment).tables
+    wanted = learning_of(experiment).tables
     if wanted is None:
         return open_
     names = {name for name, _ in open_}
@@ -77,9 +76,7 @@ def free_numbers(tables: Mapping[SliceNode, Table]) -> int:
     )
 
 
-def fit_graph(
-    model: Model, recorded: Recorded, train: IntArray, experiment: Experiment
-) -> dict[str, Value]:
+def fit_graph(drive: Drive, train: IntArray) -> dict[str, Value]:
     """The tables learned from the annotated frames `train`, and the frames between those; without
     ground truth from the frames `train` of the log.
 
@@ -87,15 +84,15 @@ def fit_graph(
     free. Warns of a lane without a label, which keeps its first guess, of frames that the graph
     does not allow, and as `seen_before` says.
     """
+    model, recorded, experiment = drive.model, drive.recorded, drive.experiment
     for note in seen_before(model, experiment):
         warnings.warn(note, UserWarning, stacklevel=2)
-    options = settings(experiment)
-    used = training_frames(recorded, train)
+    options = learning_of(experiment)
+    used = training_frames(drive.rows, train, len(recorded.log))
     log = recorded.log.take(used)
     lane = np.full(len(recorded.log), FREE, dtype=np.int64)
     if options.labels:
-        truth = recorded.truth
-        assert truth is not None
+        truth = drive.truth
         labelled = train[~truth.is_crossing[train]]
         lane[recorded.scored[labelled]] = truth.lane[labelled] - 1
         for k in range(1, experiment.n_lanes + 1):
@@ -145,17 +142,17 @@ def fit_graph(
     }
 
 
-def training_frames(recorded: Recorded, train: IntArray) -> BoolArray:
-    """(T,): the annotated frames `train`, and each frame without annotation whose annotated
-    neighbours are among them; without ground truth the frames `train`."""
-    n_frames, scored = len(recorded.log), recorded.scored
-    if recorded.truth is None:
-        scored = np.arange(n_frames)
-    is_train = np.zeros(len(scored), dtype=bool)
+def training_frames(rows: IntArray, train: IntArray, n_frames: int) -> BoolArray:
+    """(T,): marks the annotated frames that are learned from, and each frame without annotation
+    whose annotated neighbours are both among them.
+
+    rows (K,): which of the T frames are annotated. train: indices into rows.
+    """
+    is_train = np.zeros(len(rows), dtype=bool)
     is_train[train] = True
-    before = np.searchsorted(scored, np.arange(n_frames), side="right") - 1
-    after = np.searchsorted(scored, np.arange(n_frames), side="left")
-    return is_train[np.maximum(before, 0)] & is_train[np.minimum(after, len(scored) - 1)]
+    before = np.searchsorted(rows, np.arange(n_frames), side="right") - 1
+    after = np.searchsorted(rows, np.arange(n_frames), side="left")
+    return is_train[np.maximum(before, 0)] & is_train[np.minimum(after, len(rows) - 1)]
 
 
 def with_found(model: Model, found: Mapping[str, Value], experiment: Experiment) -> Model:

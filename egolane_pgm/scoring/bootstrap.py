@@ -1,20 +1,21 @@
-"""How far a score can be trusted: held-out blocks and block-bootstrap intervals.
+"""How far a score can be trusted: intervals by a circular block bootstrap.
 
-Neighbouring frames are much alike, so neither a random split nor a bootstrap of single frames says
-anything about the next drive: both are done with contiguous blocks of frames. Nothing here knows a
-filter or a fit; those are functions that the caller gives.
+Neighbouring frames are much alike, so a bootstrap of single frames says nothing about the next
+drive: contiguous blocks of frames are drawn instead.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from egolane_pgm.scoring.assign import assigned_lane
 from egolane_pgm.scoring.checks import as_mask
-from egolane_pgm.scoring.confusion import confusion_cell
+from egolane_pgm.scoring.confusion import accuracy, confusion_cell, macro_f1
+from egolane_pgm.scoring.probabilistic import log_loss_per_frame
 from egolane_pgm.types import BoolArray, FloatArray, InputError, IntArray
 
 BLOCK_FRAMES = 300
@@ -150,56 +151,89 @@ def ratio(sums: NDArray[np.generic]) -> FloatArray:
     return np.asarray(array[..., 0] / np.where(below == 0, np.nan, below))
 
 
+#: The scores that have an interval in every result.
+INTERVAL_STATISTICS: Mapping[str, Statistic] = {
+    "accuracy": accuracy,
+    "f1": macro_f1,
+    "log_loss": ratio,
+}
+
+
 def bootstrap_interval(
-    counts: NDArray[np.generic],
+    counts: Sequence[NDArray[np.generic]],
     statistic: Statistic,
     *,
+    minus: Sequence[NDArray[np.generic]] | None = None,
     block: int = BLOCK_FRAMES,
     resamples: int = RESAMPLES,
     seed: int = 0,
     level: float = LEVEL,
 ) -> Interval:
-    """The statistic of a drive with its circular-block-bootstrap percentile interval.
+    """A statistic with its circular-block-bootstrap percentile interval: of one recording, or the
+    mean over several; of one side, or the difference of two over the same resamples.
 
-    counts (T, ...): per frame what the statistic sums over (`confusion_counts`, `mean_counts`),
-    in the order of the drive, with crossing frames in their place, counting nothing. statistic:
-    sums (R, ...) -> (R,), such as `scoring.confusion.accuracy`, `macro_f1`, or `ratio`. Resamples
-    in which it is undefined (NaN) are left out; NaN bounds if none is left.
+    counts: per recording (T, ...), per frame what the statistic sums over (`confusion_counts`,
+        `mean_counts`), in the order of the drive, with crossing frames in their place, counting
+        nothing.
+    statistic: sums (R, ...) -> (R,), such as `scoring.confusion.accuracy`, `macro_f1`, or `ratio`.
+    minus: the other side of a difference, the same frames of the same recordings.
+    seed: of the first recording; each is resampled by itself, with the next seed.
 
-    Raises InputError as `circular_block_bootstrap` does, and for a level outside 0..1.
+    Resamples in which the statistic is undefined (NaN) are left out; NaN bounds if none is left.
+    Raises InputError as `circular_block_bootstrap` does, for a level outside 0..1, and where the
+    two sides have different numbers of frames.
     """
-    drawn = circular_block_bootstrap(len(counts), block, resamples, seed)
-    low, high = _percentiles(statistic(resampled_sums(counts, drawn)), level)
-    return Interval(_of_all_frames(counts, statistic), low, high, level)
+    of_all, of_resamples = [], []
+    for k, mine in enumerate(counts):
+        drawn = circular_block_bootstrap(len(mine), block, resamples, seed + k)
+        whole, values = _of_all_frames(mine, statistic), statistic(resampled_sums(mine, drawn))
+        if minus is not None:
+            theirs = minus[k]
+            if len(theirs) != len(mine):
+                raise InputError(
+                    f"a difference needs the same frames on both sides, got {len(mine)} and"
+                    f" {len(theirs)}; join the two by frame id first"
+                )
+            whole -= _of_all_frames(theirs, statistic)
+            values = values - statistic(resampled_sums(theirs, drawn))
+        of_all.append(whole)
+        of_resamples.append(values)
+    low, high = _percentiles(np.mean(of_resamples, axis=0), level)
+    return Interval(float(np.mean(of_all)), low, high, level)
 
 
-def paired_difference_interval(
-    counts_a: NDArray[np.generic],
-    counts_b: NDArray[np.generic],
-    statistic: Statistic,
-    *,
-    block: int = BLOCK_FRAMES,
-    resamples: int = RESAMPLES,
-    seed: int = 0,
-    level: float = LEVEL,
-) -> Interval:
-    """The difference a - b of a statistic between two sides, both over the same resamples.
+def score_counts(
+    belief: ArrayLike, lane: ArrayLike, is_crossing: ArrayLike, unassigned_below: float = 0.0
+) -> dict[str, NDArray[np.generic]]:
+    """Per score that has an interval, what it sums over in each frame; for `score_intervals`.
 
-    counts_a, counts_b (T, ...): row k of both is the same frame of the same drive. Otherwise as
-    `bootstrap_interval`. Raises InputError also where the two have different numbers of frames.
+    belief (T, n), lane (T,), is_crossing (T,). unassigned_below: see `assigned_lane`.
     """
-    if len(counts_a) != len(counts_b):
-        raise InputError(
-            f"a difference needs the same frames on both sides, got {len(counts_a)} and"
-            f" {len(counts_b)}; join the two by frame id first"
+    assigned = assigned_lane(belief, unassigned_below)
+    cells = confusion_counts(assigned, lane, is_crossing, np.shape(belief)[1])
+    losses = mean_counts(log_loss_per_frame(belief, lane))
+    return {"accuracy": cells, "f1": cells, "log_loss": losses}
+
+
+def score_intervals(
+    counts: Sequence[Mapping[str, NDArray[np.generic]]],
+    minus: Sequence[Mapping[str, NDArray[np.generic]]] | None = None,
+) -> dict[str, Interval | None]:
+    """The interval of accuracy, F1 and log-loss: the mean over recordings, or the difference of
+    that to the same of another side; None where a recording is too short for one.
+
+    counts, minus: per recording what `score_counts` gives.
+    """
+    if any(len(values) < 2 * BLOCK_FRAMES for mine in counts for values in mine.values()):
+        return dict.fromkeys(INTERVAL_STATISTICS)
+    return {
+        name: bootstrap_interval(
+            [mine[name] for mine in counts],
+            statistic,
+            minus=None if minus is None else [theirs[name] for theirs in minus],
         )
-    drawn = circular_block_bootstrap(len(counts_a), block, resamples, seed)
-    difference = statistic(resampled_sums(counts_a, drawn)) - statistic(
-        resampled_sums(counts_b, drawn)
-    )
-    low, high = _percentiles(difference, level)
-    estimate = _of_all_frames(counts_a, statistic) - _of_all_frames(counts_b, statistic)
-    return Interval(estimate, low, high, level)
+        for name, statistic in INTERVAL_STATISTICS.items()
+    }
 
 
 def _of_all_frames(counts: NDArray[np.generic], statistic: Statistic) -> float:

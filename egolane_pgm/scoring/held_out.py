@@ -1,35 +1,51 @@
-"""The held-out engine: whatever is fitted for a block of a drive uses the other blocks only."""
+"""The held-out engine: whatever is fitted for a block of a drive uses the other blocks only.
+
+A block's labels do not reach the fit: it is given a drive from which they were removed.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import Generic, TypeVar
+from typing import Generic, Protocol, Self, TypeVar
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
 
-from egolane_pgm.scoring.assign import assigned_lane
-from egolane_pgm.scoring.checks import as_belief, as_lanes, as_mask
-from egolane_pgm.scoring.confusion import confusion
-from egolane_pgm.types import FloatArray, InputError, IntArray
+from egolane_pgm.scoring.checks import as_belief
+from egolane_pgm.types import Beliefs, BoolArray, InputError, IntArray
 
-#: Defaults of the definitions that hold everywhere: blocks, intervals.
+#: The number of blocks where nothing else is said.
 N_BLOCKS = 5
 
 
+class Labelled(Protocol):
+    """What the engine must know of a drive of K annotated frames; see `model.Drive`."""
+
+    def __len__(self) -> int: ...
+
+    @property
+    def may_fit(self) -> BoolArray:
+        """(K,): marks the frames whose labels may be used for fitting."""
+
+    def only_labels_of(self, train: IntArray) -> Self:
+        """The same drive, the labels of all frames but `train` removed."""
+
+
+D = TypeVar("D", bound=Labelled)
 P = TypeVar("P")
 
 
 @dataclass(frozen=True)
 class HeldOut(Generic[P]):
-    """What was believed in each frame with parameters fitted without the frame's block.
+    """What is believed in each frame with parameters that were fitted without the frame's block.
 
-    belief (T, n): stitched together; any score can be computed from it. block (T,): the block of
-    each frame, 0..B-1. parameters: what `fit` returned for each block.
+    beliefs: of the K annotated frames, each block with its own parameters; any score can be
+    computed from them.
+    block (K,): the block of each frame, 0..B-1.
+    parameters: what `fit` returned for each block.
     """
 
-    belief: FloatArray
+    beliefs: Beliefs
     block: IntArray
     parameters: tuple[P, ...]
 
@@ -47,83 +63,65 @@ def blocks(n_frames: int, n_blocks: int = N_BLOCKS) -> list[IntArray]:
     return np.array_split(np.arange(n_frames, dtype=np.int64), n_blocks)
 
 
+def without_block(drive: D, n_blocks: int, block: int) -> tuple[D, IntArray]:
+    """The drive with the labels of the frames that may be used for fitting when a block (0..B-1) is
+    held out, and the increasing indices of these frames.
+
+    Raises InputError for impossible numbers of blocks, or where no frame is left.
+    """
+    is_train = drive.may_fit.copy()
+    is_train[blocks(len(drive), n_blocks)[block]] = False
+    if not is_train.any():
+        raise InputError(
+            f"block {block + 1} of {n_blocks}: no frame is left to fit on; exclude fewer frames"
+        )
+    train = np.flatnonzero(is_train)
+    return drive.only_labels_of(train), train
+
+
 def held_out(
-    n_frames: int,
-    n_blocks: int,
-    fit: Callable[[IntArray], P],
-    predict: Callable[[P], FloatArray],
-    *,
-    fit_exclude: ArrayLike | None = None,
+    drive: D,
+    fit: Callable[[D, IntArray, int], P],
+    believe: Callable[[P], Beliefs],
+    n_blocks: int = N_BLOCKS,
 ) -> HeldOut[P]:
     """Believe each block of a drive with parameters fitted on the other blocks.
 
-    fit(train_index) -> parameters, with the increasing indices of the frames it may look at: all
-    outside the block, except those marked in fit_exclude (T,) (labels that cannot be trusted; they
-    are still predicted). predict(parameters) -> belief (T, n) over the whole drive, filtered from
-    the first frame; only the block's rows are kept. A search that proposes adaptively belongs
-    inside `fit`, so that it is run anew for each block.
+    drive: of K annotated frames.
+    fit: called as fit(drive, train, block) -> parameters. `drive` is without the labels that must
+        not be used, `train` has the indices of the frames that may be. A search that proposes
+        adaptively belongs inside, so that it is run anew for each block.
+    believe: the beliefs of all K frames with some parameters, filtered from the first frame of the
+        recording on; only the block's are kept.
+    n_blocks: B, at least 2.
 
-    Raises InputError for impossible numbers of blocks, a block that leaves no frame to fit on, or a
-    prediction that is not a belief (T, n) with the same n throughout.
+    Raises InputError for impossible numbers of blocks, a block that leaves no frame to fit on, or
+    beliefs that are not those of K frames.
     """
-    parts = blocks(n_frames, n_blocks)
-    may_fit = np.ones(n_frames, dtype=bool)
-    if fit_exclude is not None:
-        may_fit = ~as_mask(fit_exclude, n_frames, "fit_exclude")
-    beliefs: list[FloatArray] = []
+    parts = blocks(len(drive), n_blocks)
     parameters: list[P] = []
-    for b, part in enumerate(parts):
-        is_train = may_fit.copy()
-        is_train[part] = False
-        if not is_train.any():
+    beliefs: list[Beliefs] = []
+    for b in range(n_blocks):
+        parameters.append(fit(*without_block(drive, n_blocks, b), b))
+        found = believe(parameters[-1])
+        if len(as_belief(found.lane, normalised=True)) != len(drive):
             raise InputError(
-                f"block {b + 1} of {n_blocks}: no frame is left to fit on; exclude fewer frames"
+                f"block {b + 1} of {n_blocks}: {len(found)} frames are believed of {len(drive)}"
             )
-        fitted = fit(np.flatnonzero(is_train))
-        belief = as_belief(predict(fitted), normalised=True)
-        n_lanes = beliefs[0].shape[1] if beliefs else belief.shape[1]
-        if belief.shape != (n_frames, n_lanes):
-            raise InputError(
-                f"block {b + 1} of {n_blocks}: predict gave a belief of shape {belief.shape},"
-                f" needs ({n_frames}, {n_lanes}): the whole drive"
-            )
-        beliefs.append(belief[part])
-        parameters.append(fitted)
+        beliefs.append(found)
     block = np.repeat(np.arange(n_blocks, dtype=np.int64), [len(part) for part in parts])
-    return HeldOut(np.concatenate(beliefs), block, tuple(parameters))
+    return HeldOut(stitched(beliefs), block, tuple(parameters))
 
 
-def confusion_by_block(
-    result: HeldOut[P], lane: ArrayLike, is_crossing: ArrayLike
-) -> NDArray[np.int64]:
-    """The confusion matrix of each held-out block, (B, n + 1, n); their sum is the held-out one.
-
-    lane (T,), is_crossing (T,). Raises InputError as `scoring.confusion.confusion` does.
-    """
-    n_frames, n_lanes = result.belief.shape
-    actual, crossing = as_lanes(lane, n_frames), as_mask(is_crossing, n_frames)
-    assigned = assigned_lane(result.belief)
-    return np.stack(
-        [
-            confusion(assigned[inside], actual[inside], crossing[inside], n_lanes)
-            for inside in (result.block == b for b in range(len(result.parameters)))
-        ]
+def stitched(beliefs: Sequence[Beliefs]) -> Beliefs:
+    """Block b of the b-th beliefs, for each of B beliefs of the same K frames."""
+    kept = [
+        each.take(part)
+        for each, part in zip(beliefs, blocks(len(beliefs[0]), len(beliefs)), strict=True)
+    ]
+    return Beliefs(
+        np.concatenate([each.frame_id for each in kept]),
+        {n: np.concatenate([each.marginals[n] for each in kept]) for n in kept[0].marginals},
+        np.concatenate([each.log_evidence for each in kept]),
+        np.concatenate([each.is_impossible for each in kept]),
     )
-
-
-def held_out_confusion(
-    n_frames: int,
-    n_blocks: int,
-    fit: Callable[[IntArray], P],
-    predict: Callable[[P], FloatArray],
-    *,
-    lane: ArrayLike,
-    is_crossing: ArrayLike,
-    fit_exclude: ArrayLike | None = None,
-) -> tuple[IntArray, HeldOut[P]]:
-    """The held-out confusion matrix (n + 1, n), added over the blocks, and what it comes from.
-
-    Arguments and errors as `held_out` and `confusion_by_block`.
-    """
-    result = held_out(n_frames, n_blocks, fit, predict, fit_exclude=fit_exclude)
-    return confusion_by_block(result, lane, is_crossing).sum(axis=0), result

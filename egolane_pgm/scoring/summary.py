@@ -9,10 +9,12 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from egolane_pgm.scoring.assign import assigned_lane
+from egolane_pgm.scoring.bootstrap import score_counts, score_intervals
 from egolane_pgm.scoring.checks import as_belief, as_lanes, as_mask, check_frame_rate
 from egolane_pgm.scoring.confusion import confusion, scores_from_confusion
 from egolane_pgm.scoring.probabilistic import brier, expected_calibration_error, log_loss
 from egolane_pgm.scoring.stability import delay_after_lane_change, false_switches_per_minute
+from egolane_pgm.types import LaneTruth
 
 
 def score_all(
@@ -71,6 +73,18 @@ def score_all(
         "frames": n_frames,
         "frames_scored": int(np.count_nonzero(~crossing)),
     }
+
+
+def score_with_intervals(
+    belief: ArrayLike, truth: LaneTruth, frame_rate: float, unassigned_below: float = 0.0
+) -> dict[str, Any]:
+    """`score_all` of a belief (T, n) over the frames of the ground truth, and `intervals`: 95 %
+    block-bootstrap intervals [low, high] of `accuracy` and `f1`, None for a short drive."""
+    lane, is_crossing = truth.lane, truth.is_crossing
+    scores = score_all(belief, lane, is_crossing, truth.frame_id, frame_rate, unassigned_below)
+    found = score_intervals([score_counts(belief, lane, is_crossing, unassigned_below)])
+    intervals = {name: found[name] for name in ("accuracy", "f1")}
+    return {**scores, "intervals": {k: i and [i.low, i.high] for k, i in intervals.items()}}
 
 
 def _or_none(value: float) -> float | None:

@@ -3,41 +3,33 @@ of the drive (or without each recording) and scored there only."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 
-from egolane_pgm.model import Drive, belief_of, may_fit
-from egolane_pgm.scoring.assign import assigned_lane
-from egolane_pgm.scoring.bootstrap import (
-    BLOCK_FRAMES,
-    LEVEL,
-    circular_block_bootstrap,
-    confusion_counts,
-    mean_counts,
-    ratio,
-    resampled_sums,
-)
-from egolane_pgm.scoring.confusion import accuracy, macro_f1, scores_from_confusion
-from egolane_pgm.scoring.held_out import blocks
-from egolane_pgm.scoring.probabilistic import brier_per_frame, log_loss_per_frame
+from egolane_pgm.model import Drive, belief_of
+from egolane_pgm.scoring.bootstrap import Interval, score_counts, score_intervals
+from egolane_pgm.scoring.held_out import blocks, without_block
 from egolane_pgm.scoring.stability import lane_changes
+from egolane_pgm.scoring.summary import score_all
 from egolane_pgm.tune.plan import Problem, evaluator, parameters_at
 from egolane_pgm.tune.space import Point
-from egolane_pgm.tune.study import Evaluate, Report, Settings, best_trial, run_study
-from egolane_pgm.types import BoolArray, FloatArray, InputError
+from egolane_pgm.tune.study import Report, Settings, best_trial, run_study
+from egolane_pgm.types import BoolArray, FloatArray, InputError, LaneTruth
 
-#: The scores that every result shows, and those of them that have an interval.
+#: The scores that every result shows.
 SCORES = ("accuracy", "precision", "recall", "f1", "log_loss", "brier")
-WITH_INTERVAL = ("accuracy", "f1", "log_loss")
 
 
 @dataclass(frozen=True)
 class Nested:
-    """What a study without one part of the frames came to. values: its scores on the frames that
-    it saw (in-sample for those). seconds: how long it took."""
+    """What a study without one part of the frames came to.
+
+    part: the block or recording, from 0. point: its best. values: of the best, on the frames that
+    the study saw (in-sample for those). trials: how many it took.
+    """
 
     part: int
     point: Mapping[str, Any]
@@ -45,22 +37,11 @@ class Nested:
     trials: int
 
 
-def block_frames(drive: Drive, n_blocks: int) -> list[BoolArray]:
-    """Per block the frames (K,) that belong to it."""
-    masks = []
-    for part in blocks(len(drive), n_blocks):
-        mask = np.zeros(len(drive), dtype=bool)
-        mask[part] = True
-        masks.append(mask)
-    return masks
-
-
 def check_blocks(problem: Problem) -> list[str]:
     """Raise InputError for more blocks than the drive has lane changes, and where the frames that
     are left to fit on lack a lane that was driven. Returns notes: blocks in which a lane does not
     occur."""
     n_blocks = problem.plan.tuning.blocks
-    never_fit = problem.plan.tuning.never_fit
     notes = []
     for drive in problem.drives:
         where, truth = drive.experiment.source, drive.truth
@@ -71,10 +52,9 @@ def check_blocks(problem: Problem) -> list[str]:
                 f"{where}: {n_blocks} blocks, but the drive has {changes} lane change(s): a block"
                 f" without one says nothing; {advice}"
             )
-        trusted = may_fit(drive, never_fit)
-        lost = _lost_lane(drive, trusted, n_blocks)
+        lost = _lost_lane(drive, n_blocks)
         if lost is not None:
-            fine = [n for n in range(2, min(changes, 20) + 1) if not _lost_lane(drive, trusted, n)]
+            fine = [n for n in range(2, min(changes, 20) + 1) if not _lost_lane(drive, n)]
             advice = (
                 f"take {' or '.join(map(str, fine[:3]))} (--blocks)"
                 if fine
@@ -84,72 +64,75 @@ def check_blocks(problem: Problem) -> list[str]:
                 f"{where}: without block {lost[0]} of {n_blocks} no frame in lane {lost[1]} is"
                 f" left to fit on; {advice}"
             )
-        driven = set(truth.lane[~truth.is_crossing].tolist())
-        for b, inside in enumerate(block_frames(drive, n_blocks)):
-            absent = sorted(driven - set(truth.lane[inside & ~truth.is_crossing].tolist()))
+        driven = _lanes(truth)
+        for b, part in enumerate(blocks(len(drive), n_blocks)):
+            absent = sorted(driven - _lanes(truth.take(part)))
             if absent:
                 lanes = ", ".join(map(str, absent))
                 notes.append(f"{drive.experiment.name}: block {b + 1} has no frame in lane {lanes}")
     return notes
 
 
-def _lost_lane(drive: Drive, trusted: BoolArray, n_blocks: int) -> tuple[int, int] | None:
+def _lost_lane(drive: Drive, n_blocks: int) -> tuple[int, int] | None:
     """The first block without which a lane is not left to fit on, and that lane."""
-    truth = drive.truth
-    driven = set(truth.lane[~truth.is_crossing].tolist())
-    for b, inside in enumerate(block_frames(drive, n_blocks)):
-        left = set(truth.lane[trusted & ~inside & ~truth.is_crossing].tolist())
-        if driven - left:
-            return b + 1, min(driven - left)
+    driven = _lanes(drive.truth)
+    for b, part in enumerate(blocks(len(drive), n_blocks)):
+        is_train = drive.may_fit
+        is_train[part] = False
+        lost = driven - _lanes(drive.truth.take(is_train))
+        if lost:
+            return b + 1, min(lost)
     return None
 
 
-def training_frames(problem: Problem, part: int, by_recording: bool) -> list[BoolArray]:
-    """Per drive the frames (K,) that the study without a part may look at."""
-    used = []
-    for k, drive in enumerate(problem.drives):
-        mask = may_fit(drive, problem.plan.tuning.never_fit)
-        if by_recording:
-            mask &= k != part
-        else:
-            mask &= ~block_frames(drive, problem.plan.tuning.blocks)[part]
-        used.append(mask)
-    return used
+def _lanes(truth: LaneTruth) -> set[int]:
+    """The lanes that are driven in the frames that are not crossing."""
+    return set(truth.lane[~truth.is_crossing].tolist())
 
 
 def run_nested(
     problem: Problem, part: int, by_recording: bool, report: Report | None = None
 ) -> Nested:
-    """The study anew without one part, in memory and from scratch: values that were tuned on the
-    frames held out, such as the published ones, would tell it about them."""
-    evaluate, own = without_part(problem, part, by_recording)
-    study = run_study(problem.space, evaluate, own, report=report)
-    best = best_trial(study)
-    return Nested(part, dict(best.params), tuple(best.values), own.trials)
+    """The study anew without one part, in memory."""
+    return search(*without_part(problem, part, by_recording), part, report)
 
 
-def without_part(problem: Problem, part: int, by_recording: bool) -> tuple[Evaluate, Settings]:
-    """Scores over the frames that the study without a part may look at, and how it is run."""
-    used = training_frames(problem, part, by_recording)
-    settings = problem.settings
-    chosen = list(range(len(used)))
+def without_part(
+    problem: Problem, part: int, by_recording: bool
+) -> tuple[Problem, list[BoolArray]]:
+    """The problem without the labels of a part, and per drive the frames that may be used."""
     if by_recording:
-        chosen = [k for k in chosen if k != part]
-    smaller = Problem(
-        problem.plan,
-        settings,
-        tuple(problem.drives[k] for k in chosen),
-        tuple(problem.spaces[k] for k in chosen),
-    )
-    evaluate = evaluator(smaller, [used[k] for k in chosen])
-    # Another seed for each part: equal studies would share their luck.
-    own = Settings(
-        settings.objectives,
-        settings.sampler,
-        settings.trials,
-        int(np.random.SeedSequence([settings.seed, part + 1]).generate_state(1)[0]),
-    )
-    return evaluate, own
+        kept = [k for k in range(len(problem.drives)) if k != part]
+        drives = tuple(problem.drives[k] for k in kept)
+        spaces = tuple(problem.spaces[k] for k in kept)
+        smaller = replace(problem, drives=drives, spaces=spaces)
+        return smaller, [drive.may_fit for drive in drives]
+    n_blocks = problem.plan.tuning.blocks
+    pairs = [without_block(drive, n_blocks, part) for drive in problem.drives]
+    used = [np.isin(np.arange(len(drive)), train) for drive, train in pairs]
+    return replace(problem, drives=tuple(drive for drive, _ in pairs)), used
+
+
+def search(
+    problem: Problem, used: Sequence[BoolArray], part: int, report: Report | None = None
+) -> Nested:
+    """A study from scratch: values that were tuned on the frames held out, such as the published
+    ones, would tell it about them.
+
+    problem: without the labels of the part that is held out.
+    used: per drive (K,), marks the frames that are scored.
+    """
+    settings = settings_without(problem, part)
+    study = run_study(problem.space, evaluator(problem, used), settings, report=report)
+    best = best_trial(study)
+    return Nested(part, dict(best.params), tuple(best.values), settings.trials)
+
+
+def settings_without(problem: Problem, part: int) -> Settings:
+    """How the study without a part is run: with another seed, for equal studies would share their
+    luck."""
+    seed = np.random.SeedSequence([problem.settings.seed, part + 1]).generate_state(1)[0]
+    return replace(problem.settings, seed=int(seed))
 
 
 def beliefs_at(problem: Problem, point: Point) -> list[FloatArray]:
@@ -160,20 +143,13 @@ def beliefs_at(problem: Problem, point: Point) -> list[FloatArray]:
 
 def stitched(problem: Problem, nested: Sequence[Nested], by_recording: bool) -> list[FloatArray]:
     """Per drive the belief (K, n), each part of it with the parameters found without it."""
-    stitched_beliefs = []
-    for k, drive in enumerate(problem.drives):
-        belief = np.empty((len(drive), drive.n_lanes))
-        masks = (
-            [np.full(len(drive), part == k) for part in range(len(problem.drives))]
-            if by_recording
-            else block_frames(drive, problem.plan.tuning.blocks)
-        )
-        for result, mask in zip(nested, masks, strict=True):
-            if mask.any():
-                parameters = parameters_at(problem, result.point)[k]
-                belief[mask] = belief_of(drive, parameters)[mask]
-        stitched_beliefs.append(belief)
-    return stitched_beliefs
+    each = [beliefs_at(problem, result.point) for result in nested]
+    if by_recording:
+        return [each[k][k] for k in range(len(problem.drives))]
+    return [
+        np.concatenate([each[b][k][part] for b, part in enumerate(blocks(len(drive), len(nested)))])
+        for k, drive in enumerate(problem.drives)
+    ]
 
 
 def assess(
@@ -182,33 +158,22 @@ def assess(
     """Scores with intervals over the kept frames, per recording and their plain mean."""
     each = []
     for drive, belief, kept in zip(drives, beliefs, keep, strict=True):
-        truth = drive.truth.take(kept)
-        rows = belief[kept]
-        assigned = assigned_lane(rows, drive.experiment.unassigned_below)
-        counts = confusion_counts(assigned, truth.lane, truth.is_crossing, drive.n_lanes)
-        scores = scores_from_confusion(counts.sum(axis=0))
-        scored = ~truth.is_crossing
-        brier = brier_per_frame(rows[scored], truth.lane[scored])
-        each.append(
-            {
-                "name": drive.experiment.name,
-                "accuracy": scores.accuracy,
-                "precision": scores.mean_precision,
-                "recall": scores.mean_recall,
-                "f1": scores.mean_f1,
-                "log_loss": float(log_loss_per_frame(rows, truth.lane).mean()),
-                "brier": float(brier.mean()),
-                "confusion": scores.confusion.tolist(),
-                "frames_scored": scores.frames_scored,
-            }
+        truth, experiment = drive.truth.take(kept), drive.experiment
+        scores = score_all(
+            belief[kept],
+            truth.lane,
+            truth.is_crossing,
+            truth.frame_id,
+            experiment.recording.frame_rate,
+            experiment.unassigned_below,
         )
+        shown = (*SCORES, "confusion", "frames_scored")
+        each.append({"name": experiment.name, **{name: scores[name] for name in shown}})
     found: dict[str, Any] = {
         name: float(np.mean([scores[name] for scores in each])) for name in SCORES
     }
     found["frames_scored"] = sum(scores["frames_scored"] for scores in each)
-    found["intervals"] = _intervals(
-        lambda name: [_counts(d, b, k, name) for d, b, k in zip(drives, beliefs, keep, strict=True)]
-    )
+    found["intervals"] = _bounds(score_intervals(_counts(drives, beliefs, keep)))
     if len(each) == 1:
         found["confusion"] = each[0]["confusion"]
     else:
@@ -223,48 +188,21 @@ def difference(
     keep: Sequence[BoolArray],
 ) -> dict[str, Any]:
     """First less second with intervals, over the same resamples of the same frames."""
-
-    def counts(beliefs: Sequence[FloatArray]) -> Callable[[str], list[FloatArray]]:
-        return lambda name: [
-            _counts(d, b, k, name) for d, b, k in zip(drives, beliefs, keep, strict=True)
-        ]
-
     one, other = assess(drives, first, keep), assess(drives, second, keep)
-    found: dict[str, Any] = {name: one[name] - other[name] for name in WITH_INTERVAL}
-    found["intervals"] = _intervals(counts(first), counts(second))
+    intervals = score_intervals(_counts(drives, first, keep), _counts(drives, second, keep))
+    differences = {name: one[name] - other[name] for name in intervals}
+    return {**differences, "intervals": _bounds(intervals)}
+
+
+def _counts(
+    drives: Sequence[Drive], beliefs: Sequence[FloatArray], keep: Sequence[BoolArray]
+) -> list[dict[str, Any]]:
+    found = []
+    for drive, belief, kept in zip(drives, beliefs, keep, strict=True):
+        truth, below = drive.truth.take(kept), drive.experiment.unassigned_below
+        found.append(score_counts(belief[kept], truth.lane, truth.is_crossing, below))
     return found
 
 
-_STATISTIC = {"accuracy": accuracy, "f1": macro_f1, "log_loss": ratio}
-
-
-def _counts(drive: Drive, belief: FloatArray, kept: BoolArray, name: str) -> Any:
-    truth = drive.truth.take(kept)
-    if name == "log_loss":
-        return mean_counts(log_loss_per_frame(belief[kept], truth.lane))
-    assigned = assigned_lane(belief[kept], drive.experiment.unassigned_below)
-    return confusion_counts(assigned, truth.lane, truth.is_crossing, drive.n_lanes)
-
-
-def _intervals(
-    first: Callable[[str], Sequence[Any]], second: Callable[[str], Sequence[Any]] | None = None
-) -> dict[str, list[float] | None]:
-    """Per score [low, high]; each recording is resampled by itself, with a seed of its own."""
-    found: dict[str, list[float] | None] = {}
-    for name in WITH_INTERVAL:
-        statistic = _STATISTIC[name]
-        mine = first(name)
-        theirs = second(name) if second is not None else [None] * len(mine)
-        if any(len(counts) < 2 * BLOCK_FRAMES for counts in mine):
-            found[name] = None
-            continue
-        means = []
-        for seed, (a, b) in enumerate(zip(mine, theirs, strict=True)):
-            drawn = circular_block_bootstrap(len(a), seed=seed)
-            values = statistic(resampled_sums(a, drawn))
-            if b is not None:
-                values = values - statistic(resampled_sums(b, drawn))
-            means.append(values)
-        bounds = np.quantile(np.mean(means, axis=0), [(1 - LEVEL) / 2, (1 + LEVEL) / 2])
-        found[name] = [float(bounds[0]), float(bounds[1])]
-    return found
+def _bounds(intervals: Mapping[str, Interval | None]) -> dict[str, list[float] | None]:
+    return {name: None if i is None else [i.low, i.high] for name, i in intervals.items()}

@@ -24,7 +24,7 @@ from egolane_pgm.results import file_sha256, plain
 from egolane_pgm.tune import output
 from egolane_pgm.tune._connection import Link
 from egolane_pgm.tune.address import Address
-from egolane_pgm.tune.held_out import Nested, without_part
+from egolane_pgm.tune.held_out import Nested, settings_without, without_part
 from egolane_pgm.tune.objective import all_used
 from egolane_pgm.tune.plan import Plan, Problem, evaluator, make_problem, starting_points
 from egolane_pgm.tune.postgres import (
@@ -227,7 +227,7 @@ def _parts(study: Study) -> list[Part]:
             if by_recording
             else f"block {k + 1} of {study.n_parts}"
         )
-        _, own = without_part(problem, k, by_recording)
+        own = settings_without(problem, k)
         key = output.nested_key(problem, by_recording)
         key.pop("trials")
         parts.append(
@@ -257,8 +257,9 @@ def _task(problem: Problem, kept: Kept) -> Task:
     if kept.kind == "block" and problem.plan.tuning.blocks != kept.n_parts:
         tuning = problem.plan.tuning.model_copy(update={"blocks": kept.n_parts})
         problem = replace(problem, plan=replace(problem.plan, tuning=tuning))
-    evaluate, settings = without_part(problem, kept.part, kept.kind == "recording")
-    return Task(kept, problem.space, evaluate, settings)
+    smaller, used = without_part(problem, kept.part, kept.kind == "recording")
+    settings = settings_without(problem, kept.part)
+    return Task(kept, problem.space, evaluator(smaller, used), settings)
 
 
 def _warm(job: SharedJob, problem: Problem) -> None:

@@ -23,7 +23,7 @@ import yaml
 
 from egolane_pgm.experiment import Experiment, config_hash, resolved
 from egolane_pgm.loading import file_entry
-from egolane_pgm.model import Drive, may_fit
+from egolane_pgm.model import Drive
 from egolane_pgm.parameters import Value
 from egolane_pgm.plugins import OWN_FILES
 from egolane_pgm.results import git_state, plain, versions, write_json
@@ -190,9 +190,7 @@ def nested_key(problem: Problem, by_recording: bool) -> dict[str, Any]:
         **_plain_json(identity_of(problem)),
         "trials": problem.settings.trials,
         "blocks": "recordings" if by_recording else problem.plan.tuning.blocks,
-        "never_fit": [
-            int((~may_fit(drive, problem.plan.tuning.never_fit)).sum()) for drive in problem.drives
-        ],
+        "never_fit": [int((~drive.may_fit).sum()) for drive in problem.drives],
     }
 
 

@@ -143,17 +143,24 @@ def make_problem(plan: Plan) -> Problem:
     Raises InputError for whatever does not fit: unknown names, bounds, other parameters in one of
     the experiments, the same recording twice.
     """
-    settings = plan.settings
+    _ = plan.settings  # Checked before anything is read.
+    never_fit = plan.tuning.never_fit
     drives = []
     for experiment in plan.experiments:
         check_filter(experiment)
-        drives.append(load_drive(experiment, needs_truth="a search needs it"))
+        needs = "a search needs it"
+        drives.append(load_drive(experiment, needs_truth=needs, never_fit=never_fit))
     shared_specs(drives)
+    return problem_of(plan, drives)
+
+
+def problem_of(plan: Plan, drives: Sequence[Drive]) -> Problem:
+    """The search space of recordings that were read. Raises InputError as `make_problem` does."""
     spaces = tuple(_space(plan, drive.model) for drive in drives)
     for drive, space in zip(drives, spaces, strict=True):
         if space.dimensions != spaces[0].dimensions:
             raise _unlike(drive.experiment, drives[0].experiment)
-    return Problem(plan, settings, tuple(drives), spaces)
+    return Problem(plan, plan.settings, tuple(drives), spaces)
 
 
 def check_plan(plan: Plan) -> int:

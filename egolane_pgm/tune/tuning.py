@@ -18,7 +18,6 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from egolane_pgm.model import may_fit
 from egolane_pgm.results import write_json
 from egolane_pgm.tune import output
 from egolane_pgm.tune.held_out import (
@@ -191,9 +190,8 @@ def finish_main(study: Study, done: optuna.Study, seconds: float) -> None:
 def finish(study: Study) -> dict[str, Any]:
     """Score the study in-sample and held out, and write study.json; returns what is in it."""
     problem, drives = study.problem, study.problem.drives
-    tuning = problem.plan.tuning
     everything = all_used(drives)
-    trusted = [may_fit(d, tuning.never_fit) for d in drives]
+    trusted = [d.may_fit for d in drives]
     subsets = {"all_frames": everything}
     if not all(keep.all() for keep in trusted):
         subsets["without_never_fit"] = trusted
@@ -243,7 +241,7 @@ def _tested(test: Problem, point: dict[str, Any]) -> dict[str, Any]:
     """Scores on recordings that had no part in the search."""
     beliefs = beliefs_at(test, point)
     keep = {"all_frames": all_used(test.drives)}
-    trusted = [may_fit(d, test.plan.tuning.never_fit) for d in test.drives]
+    trusted = [d.may_fit for d in test.drives]
     if not all(kept.all() for kept in trusted):
         keep["without_never_fit"] = trusted
     return {

@@ -10,13 +10,13 @@ from typing import Any
 import numpy as np
 import pytest
 
-from egolane_pgm.compare import held_out as module
-from egolane_pgm.compare.held_out import held_out_run
-from egolane_pgm.compare.learned_on import learn_pooled
-from egolane_pgm.compare.placing import believe, load_for_scoring
+from egolane_pgm.compare.placing import load_for_scoring
+from egolane_pgm.compare.side import held_out_side
 from egolane_pgm.experiment import Experiment, load_experiment
-from egolane_pgm.learn import fit, n_learned, with_found
+from egolane_pgm.learn import fit, fit_pooled, n_learned, with_found
+from egolane_pgm.model import believe
 from egolane_pgm.scoring.held_out import blocks
+from egolane_pgm.tune import held_out as module
 from tests.compare.test_comparing import geometry, simulated
 from tests.conftest import needs_compiler
 from tests.kits.drives import write_drive
@@ -37,25 +37,25 @@ CHOOSING = geometry(fit="choose", choice={"grid": GRID, "objective": "log_loss"}
 )
 def test_each_block_is_believed_with_its_own_parameters(experiment: Experiment) -> None:
     drive = load_for_scoring(experiment)
-    run = held_out_run(drive, trials=4)
-    assert len({repr(sorted(found.items())) for found in run.parameters}) > 1
-    scored = drive.recorded.scored
-    for found, block in zip(run.parameters, blocks(len(drive)), strict=True):
+    run = held_out_side(drive, trials=4)
+    assert len({repr(sorted(found.items())) for found in run.held_out.parameters}) > 1
+    for found, block in zip(run.held_out.parameters, blocks(len(drive)), strict=True):
         model = with_found(drive.model, found, experiment)
-        beliefs, _ = believe(drive, model, slice(None))
-        there = scored[block]
-        np.testing.assert_array_equal(run.belief[block], beliefs.lane[there])
-        np.testing.assert_array_equal(run.log_evidence[block], beliefs.log_evidence[there])
-        np.testing.assert_array_equal(run.is_impossible[block], beliefs.is_impossible[there])
+        beliefs, _ = believe(drive, model)
+        np.testing.assert_array_equal(run.beliefs.lane[block], beliefs.lane[block])
+        np.testing.assert_array_equal(run.beliefs.log_evidence[block], beliefs.log_evidence[block])
+        np.testing.assert_array_equal(
+            run.beliefs.is_impossible[block], beliefs.is_impossible[block]
+        )
         bad = beliefs.marginals["SensorState"][:, 1]
         assert run.bad is not None
-        np.testing.assert_array_equal(run.bad[block], bad[there])
+        np.testing.assert_array_equal(run.bad[block], bad[block])
 
 
 def test_a_choice_learns_with_the_setting_that_is_chosen_and_counts_both() -> None:
     drive = load_for_scoring(CHOOSING)
-    run = held_out_run(drive)
-    for found in run.parameters:
+    run = held_out_side(drive)
+    for found in run.held_out.parameters:
         assert set(GRID) | set(drive.model.rule.LEARNED) == set(found)
     assert run.free_parameters == 2 + n_learned(drive.model, CHOOSING)
 
@@ -65,33 +65,30 @@ def test_a_search_sees_the_other_blocks_only_and_draws_by_a_seed_of_its_own(
 ) -> None:
     tuning = {"trials": 6, "never_fit": {"from_frame": 1000}}
     drive = load_for_scoring(simulated(fit="tune", tuning=tuning))
-    scores_of, run_study = module.scores_of, module.run_study
-    looked_at: list[list[np.ndarray]] = []
+    evaluator, run_study = module.evaluator, module.run_study
+    looked_at: list[np.ndarray] = []
     settings: list[Any] = []
 
-    def scores(drives: Any, sets: Any, used: Any, objectives: Any) -> Any:
-        looked_at[-1].append(used[0].copy())
-        return scores_of(drives, sets, used, objectives)
+    def scores(problem: Any, used: Any) -> Any:
+        looked_at.append(used[0].copy())
+        return evaluator(problem, used)
 
-    def study(space: Any, evaluate: Any, own: Any) -> Any:
-        looked_at.append([])
+    def study(space: Any, evaluate: Any, own: Any, **rest: Any) -> Any:
         settings.append(own)
-        return run_study(space, evaluate, own)
+        return run_study(space, evaluate, own, **rest)
 
-    monkeypatch.setattr(module, "scores_of", scores)
+    monkeypatch.setattr(module, "evaluator", scores)
     monkeypatch.setattr(module, "run_study", study)
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
-        held_out_run(drive, trials=4)
+        held_out_side(drive, trials=4)
     assert [own.trials for own in settings] == [4] * 5
     assert len({own.seed for own in settings}) == 5
-    for masks, block in zip(looked_at, blocks(len(drive)), strict=True):
+    for mask, block in zip(looked_at, blocks(len(drive)), strict=True):
         right = drive.truth.frame_id < 1000
         right[block] = False
-        assert masks
-        for mask in masks:
-            np.testing.assert_array_equal(mask, right)
-    held_out_run(drive)
+        np.testing.assert_array_equal(mask, right)
+    held_out_side(drive)
     assert [own.trials for own in settings[5:]] == [6] * 5
 
 
@@ -110,11 +107,11 @@ def test_of_another_drive_every_frame_that_is_trusted_is_learned_from(tmp_path: 
     here = write_drive(tmp_path / "here", 600, **LINES)
     keys = {"fit": "learn", "learned_on": (str(there),)}
     drive = load_for_scoring(load_experiment(here).model_copy(update=keys))
-    run = held_out_run(drive)
+    run = held_out_side(drive)
     other = load_for_scoring(load_experiment(there))
     trusted = np.flatnonzero(other.truth.frame_id < 250)
-    everything = fit(other.model, other.recorded, trusted, other.experiment)
-    for found in run.parameters:
+    everything = fit(other, trusted)
+    for found in run.held_out.parameters:
         assert found["rates"] == pytest.approx(everything["rates"])
 
 
@@ -124,6 +121,6 @@ def test_recordings_are_pooled_from_the_first_guess_whatever_was_learned_before(
     """Else what is held out would be known by way of the parameters given."""
     first = load_for_scoring(load_experiment(write_drive(tmp_path, 300, **LINES)))
     train = [np.arange(len(first))] * 2
-    found = learn_pooled([first, first], train)
+    found = fit_pooled([first, first], train)
     again = replace(first, model=with_found(first.model, found, first.experiment))
-    assert dict(learn_pooled([again, again], train)) == dict(found)
+    assert dict(fit_pooled([again, again], train)) == dict(found)

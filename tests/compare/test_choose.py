@@ -17,18 +17,17 @@ import yaml
 from egolane_pgm.compare.choose import (
     LOSSES,
     Losses,
+    candidates,
     choose,
     losses_of,
     plan,
-    settings_of,
     try_all,
 )
-from egolane_pgm.compare.held_out import held_out_run
-from egolane_pgm.compare.learned_on import learn_pooled
 from egolane_pgm.compare.placing import drive_key, load_for_scoring
+from egolane_pgm.compare.side import held_out_side
 from egolane_pgm.evidence import line_geometry
 from egolane_pgm.experiment import Experiment, load_experiment, make_experiment
-from egolane_pgm.learn import fit
+from egolane_pgm.learn import fit, fit_pooled
 from egolane_pgm.recordings.ground_truth import write_ground_truth
 from egolane_pgm.recordings.table import write_table
 from egolane_pgm.types import InputError, LineLog
@@ -82,16 +81,19 @@ def two_recordings(folder: Path, **changes: Any) -> Experiment:
 
 def test_the_labels_of_a_stretch_reach_nothing_in_any_recording_of_it(tmp_path: Path) -> None:
     experiment = two_recordings(tmp_path)
-    before = held_out_run(load_for_scoring(experiment))
+    before = held_out_side(load_for_scoring(experiment))
     truth = short_drive(N_FRAMES).truth
     block = np.array_split(np.arange(len(truth)), 5)[2]
     lane = truth.lane.copy()
     lane[block] = np.random.default_rng(0).integers(1, 4, size=len(block))
     write_ground_truth(tmp_path / "ground_truth.txt", replace(truth, lane=lane))
-    after = held_out_run(load_for_scoring(experiment))
-    np.testing.assert_array_equal(before.belief[block], after.belief[block])
-    assert dict(before.parameters[2]) == dict(after.parameters[2])
-    assert any(dict(before.parameters[k]) != dict(after.parameters[k]) for k in (0, 1, 3, 4))
+    after = held_out_side(load_for_scoring(experiment))
+    np.testing.assert_array_equal(before.beliefs.lane[block], after.beliefs.lane[block])
+    assert dict(before.held_out.parameters[2]) == dict(after.held_out.parameters[2])
+    assert any(
+        dict(before.held_out.parameters[k]) != dict(after.held_out.parameters[k])
+        for k in (0, 1, 3, 4)
+    )
     assert before.tuned_on == "other_frames"
 
 
@@ -122,14 +124,14 @@ def test_losses_are_those_of_what_is_learned_without_both_stretches(tmp_path: Pa
     inside = [(ids >= first) & (ids <= last) for first, last in tasks[1].stretches]
     # A block of one recording is a few frames longer than that of the other.
     assert (np.sum(inside, axis=0) > 1).any()
-    setting = settings_of(experiment)[3]
+    setting = candidates(experiment)[3]
     model = replace(drive.model, parameters={**drive.model.parameters, **setting})
     train = np.flatnonzero(~inside[1] & ~inside[2])
-    learned = fit(model, drive.recorded, train, experiment)
+    learned = fit(replace(drive, model=model), train)
     there = tasks[1].experiment.model_copy(
         update={"fit": "none", "parameters": {**SMALL, **setting, **learned}}
     )
-    belief = held_out_run(load_for_scoring(there)).belief
+    belief = held_out_side(load_for_scoring(there)).beliefs.lane
     loss = -np.log(np.maximum(belief[np.arange(len(ids)), drive.truth.lane - 1], 0.01))
     for without, on in ((1, 2), (2, 1)):
         kept = inside[on] & ~inside[without] & ~drive.truth.is_crossing
@@ -208,15 +210,15 @@ def test_caution_keeps_what_is_not_worse_by_a_standard_error() -> None:
 def test_with_a_rule_that_learns_nothing_only_the_grid_is_chosen_from() -> None:
     grid = {"sigma1": [0.2, 0.9], "p1": [0.5, 0.9]}
     experiment = simulated(fit="choose", choice={"grid": grid})
-    run = held_out_run(load_for_scoring(experiment))
+    run = held_out_side(load_for_scoring(experiment))
     assert run.free_parameters == 2
-    for found in run.parameters:
+    for found in run.held_out.parameters:
         assert set(found) == set(grid)
         assert found["sigma1"] in grid["sigma1"]
-    alone = simulated(parameters=dict(run.parameters[3]), tuned_on="not_tuned")
+    alone = simulated(parameters=dict(run.held_out.parameters[3]), tuned_on="not_tuned")
     block = np.array_split(np.arange(len(run.truth)), 5)[3]
-    expected = held_out_run(load_for_scoring(alone)).belief[block]
-    np.testing.assert_array_equal(run.belief[block], expected)
+    expected = held_out_side(load_for_scoring(alone)).beliefs.lane[block]
+    np.testing.assert_array_equal(run.beliefs.lane[block], expected)
 
 
 def test_processes_try_the_same(tmp_path: Path) -> None:
@@ -248,7 +250,7 @@ def test_what_is_learned_in_the_end_is_chosen_with_every_block(tmp_path: Path) -
     (tasks,) = plan([experiment], 5, is_held_out=False).values()
     losses = list(try_all(tasks))
     total = sum(one.sums["log_loss"][:, range(5), range(5)].sum(axis=1) for one in losses)
-    best = settings_of(experiment)[int(np.argmin(total))]
+    best = candidates(experiment)[int(np.argmin(total))]
     assert experiment.choice is not None
     assert experiment.choice.cautious is None
     assert {name: final.parameters[name] for name in best} == best
@@ -294,7 +296,7 @@ def test_learned_on_another_recording_its_stretch_is_left_out(tmp_path: Path) ->
     assert drive_key(drive.experiment) == drive_key(own.experiment)
     train = np.flatnonzero(~np.isin(drive.truth.frame_id, own.truth.frame_id[block]))
     assert 0 < len(train) < len(drive)
-    expected = fit(drive.model, drive.recorded, train, drive.experiment)
+    expected = fit(drive, train)
     assert entry["parameters"][3]["rates"] == pytest.approx(expected["rates"])
 
 
@@ -302,8 +304,8 @@ def test_pooled_parts_of_a_recording_come_to_the_whole(tmp_path: Path) -> None:
     write_drive(tmp_path, N_FRAMES, **GEOMETRY)
     drive = load_for_scoring(load_experiment(tmp_path / "experiment.yaml"))
     parts = np.array_split(np.arange(len(drive)), 2)
-    whole = fit(drive.model, drive.recorded, np.arange(len(drive)), drive.experiment)
-    pooled = learn_pooled([drive, drive], parts)
+    whole = fit(drive, np.arange(len(drive)))
+    pooled = fit_pooled([drive, drive], parts)
     for name, value in whole.items():
         np.testing.assert_allclose(np.asarray(pooled[name]), np.asarray(value), rtol=1e-6)
 
@@ -315,7 +317,7 @@ def test_detectors_with_other_metres_are_pooled_in_lane_widths(tmp_path: Path) -
         for name in ("experiment", "other")
     )
     train = [np.arange(len(drive)) for drive in (first, second)]
-    alone, pooled = learn_pooled([first], train[:1]), learn_pooled([first, second], train)
+    alone, pooled = fit_pooled([first], train[:1]), fit_pooled([first, second], train)
     assert pooled["fallback_width_m"] == alone["fallback_width_m"]
     np.testing.assert_allclose(np.asarray(pooled["sigmas_m"]), alone["sigmas_m"], atol=0.02)
 
@@ -359,7 +361,7 @@ def test_a_rule_that_learns_from_one_recording_cannot_be_pooled(
     drive = load_for_scoring(load_experiment(tmp_path / "experiment.yaml"))
     monkeypatch.delattr(line_geometry, "fit_pooled")
     with pytest.raises(InputError, match="it has no fit_pooled"):
-        learn_pooled([drive, drive], [np.arange(9)] * 2)
+        fit_pooled([drive, drive], [np.arange(9)] * 2)
 
 
 def test_nothing_is_learned_where_the_prior_is_infinite(tmp_path: Path) -> None:
@@ -371,7 +373,7 @@ def test_nothing_is_learned_where_the_prior_is_infinite(tmp_path: Path) -> None:
         "parameters": {**SMALL, "prior_frames": "infinite", "sigmas_m": [0.1] * 7},
     }
     drive = load_for_scoring(make_experiment(content, tmp_path, "x.yaml"))
-    found = fit(drive.model, drive.recorded, np.arange(len(drive)), drive.experiment)
+    found = fit(drive, np.arange(len(drive)))
     # What the experiment has learned before may be from frames that are scored.
     assert set(found) == set(line_geometry.LEARNED)
     assert found["rates"] == found["sigmas_m"] == "generic"

@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 import yaml
 
-from egolane_pgm.compare.choose import losses_of, plan, settings_of
+from egolane_pgm.compare.choose import candidates, losses_of, plan
 from egolane_pgm.compare.placing import drive_key
 from egolane_pgm.experiment import Experiment, load_experiment
 from egolane_pgm.run import run_experiment
@@ -37,7 +37,7 @@ def test_a_setting_is_judged_by_accuracy_as_the_scores_judge_it(below: float) ->
     ((task,),) = plan([experiment], 5, is_held_out=False).values()
     found = losses_of(task)
     assert found.frames.sum() > 0
-    for setting, sums in zip(settings_of(experiment), found.sums["accuracy"], strict=True):
+    for setting, sums in zip(candidates(experiment), found.sums["accuracy"], strict=True):
         one = simulated(parameters=setting, unassigned_below=below, tuned_on="not_tuned")
         scores = run_experiment(one).scores["model"]
         wrong = round((1 - scores["accuracy"]) * scores["frames_scored"])

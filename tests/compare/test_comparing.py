@@ -22,18 +22,18 @@ from egolane_pgm.compare.comparing import (
     graphs_on_runs,
     on_runs,
 )
-from egolane_pgm.compare.held_out import HeldOutRun, held_out_run
 from egolane_pgm.compare.placing import load_for_scoring, on_recording, recording_key
+from egolane_pgm.compare.side import Side, held_out_side
 from egolane_pgm.experiment import Experiment, load_experiment, make_experiment, resolved
+from egolane_pgm.model import Drive
 from egolane_pgm.plugins import plugin_names
 from egolane_pgm.recordings.ground_truth import write_ground_truth
 from egolane_pgm.report.comparison import comparison_figure, draw_comparison
 from egolane_pgm.report.comparison_tables import accuracy_rows, full_rows, health_rows
 from egolane_pgm.run import run_experiment
 from egolane_pgm.scoring.assign import assigned_lane
-from egolane_pgm.scoring.bootstrap import confusion_counts, paired_difference_interval
+from egolane_pgm.scoring.bootstrap import bootstrap_interval, confusion_counts
 from egolane_pgm.scoring.confusion import accuracy
-from egolane_pgm.tune.objective import Drive
 from egolane_pgm.types import InputError
 from tests.conftest import needs_compiler
 from tests.kits.drives import done, refused, short_drive, write_drive
@@ -68,8 +68,8 @@ def scrambled(drive: Drive, frames: np.ndarray) -> Drive:
     return replace(drive, recorded=replace(drive.recorded, truth=truth))
 
 
-def run_of(drive: Drive) -> HeldOutRun:
-    return held_out_run(drive, trials=TRIALS)
+def run_of(drive: Drive) -> Side:
+    return held_out_side(drive, trials=TRIALS)
 
 
 @pytest.mark.parametrize(
@@ -80,9 +80,13 @@ def test_the_labels_of_a_block_do_not_reach_what_is_believed_in_it(experiment: E
     block = np.array_split(np.arange(len(drive)), 5)[2]
     before, after = run_of(drive), run_of(scrambled(drive, block))
     assert before.tuned_on == after.tuned_on == "other_frames"
-    np.testing.assert_array_equal(before.belief[block], after.belief[block])
-    assert dict(before.parameters[2]) == dict(after.parameters[2])
-    others = [k for k in range(5) if dict(before.parameters[k]) != dict(after.parameters[k])]
+    np.testing.assert_array_equal(before.beliefs.lane[block], after.beliefs.lane[block])
+    assert dict(before.held_out.parameters[2]) == dict(after.held_out.parameters[2])
+    others = [
+        k
+        for k in range(5)
+        if dict(before.held_out.parameters[k]) != dict(after.held_out.parameters[k])
+    ]
     assert others
     assert 2 not in others
 
@@ -93,21 +97,21 @@ def test_untrusted_labels_are_never_fitted() -> None:
     untrusted = np.flatnonzero(drive.truth.frame_id >= 1000)
     assert 0 < len(untrusted) < len(drive)
     before, after = run_of(drive), run_of(scrambled(drive, untrusted))
-    np.testing.assert_array_equal(before.belief, after.belief)
-    assert np.flatnonzero(~before.may_fit).tolist() == untrusted.tolist()
+    np.testing.assert_array_equal(before.beliefs.lane, after.beliefs.lane)
+    assert np.flatnonzero(~before.drive.may_fit).tolist() == untrusted.tolist()
 
 
 def test_without_a_fit_the_belief_is_that_of_a_run() -> None:
     experiment = simulated(tuned_on="not_tuned")
     run = run_of(load_for_scoring(experiment))
     plain = run_experiment(experiment)
-    np.testing.assert_array_equal(run.belief, plain.beliefs.lane[plain.recorded.scored])
+    np.testing.assert_array_equal(run.beliefs.lane, plain.beliefs.lane[plain.recorded.scored])
     assert run.tuned_on == "not_tuned"
     assert run.free_parameters == 0
     bad = plain.beliefs.marginals["SensorState"][:, 1]
     assert run.bad is not None
     np.testing.assert_array_equal(run.bad, bad[plain.recorded.scored])
-    assert run.log_evidence.mean() == pytest.approx(plain.beliefs.mean_log_evidence)
+    assert run.beliefs.log_evidence.mean() == pytest.approx(plain.beliefs.mean_log_evidence)
     assert 0 < run.seconds_per_frame < 0.01
 
 
@@ -117,7 +121,7 @@ def test_free_parameters_are_the_numbers_that_were_fitted() -> None:
     tuned = simulated(fit="tune", parameters=kept, tuning={"parameters": kept})
     assert run_of(load_for_scoring(tuned)).free_parameters == 5
     learned = run_of(load_for_scoring(geometry(fit="learn")))
-    found = {k: v for k, v in learned.parameters[0].items() if isinstance(v, tuple)}
+    found = {k: v for k, v in learned.held_out.parameters[0].items() if isinstance(v, tuple)}
     numbers = sum(len(v) for v in found.values())
     assert numbers <= learned.free_parameters <= numbers + 1
 
@@ -134,7 +138,7 @@ def test_a_difference_is_paired_and_to_the_first_experiment() -> None:
         truth, belief = run.recorded.truth, run.beliefs.lane[run.recorded.scored]
         assert truth is not None
         counts.append(confusion_counts(assigned_lane(belief), truth.lane, truth.is_crossing, 4))
-    expected = paired_difference_interval(counts[0], counts[1], accuracy)
+    expected = bootstrap_interval(counts[:1], accuracy, minus=counts[1:])
     found = entries[1]["difference"]["all_frames"]["accuracy"]
     assert found == [expected.estimate, expected.low, expected.high]
     scores = [e["scores"]["all_frames"]["accuracy"] for e in entries]
@@ -209,7 +213,9 @@ def runs(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
         folder, N_FRAMES, tuned_on="same_frames", tuning={"never_fit": {"from_frame": 650}}
     )
     own.rename(folder / "run02_x.yaml")
-    (folder / "published.yaml").write_text("runs: [{run: 2, parameters: {p1: 0.9, p2: 0.8}}]\n")
+    (folder / "published.yaml").write_text(
+        "runs: [{run: 2, recovered: {parameters: {p1: 0.9, p2: 0.8}}}]\n"
+    )
     monkeypatch.setattr(paper, "experiments_folder", lambda: tmp_path / "experiments")
     return folder
 
@@ -252,7 +258,7 @@ def test_every_graph_gets_an_evidence_rule_that_fits_it(runs: Path) -> None:
     for experiment in group.experiments:
         assert experiment.fit == "tune"
         plain = experiment.model_copy(update={"fit": "none"})
-        assert held_out_run(load_for_scoring(plain)).belief.shape[1] == 3
+        assert held_out_side(load_for_scoring(plain)).beliefs.lane.shape[1] == 3
     found = {e.graph: e.evidence for e in group.experiments}
     assert found["sensor_failure"] == "counting"
     assert found["wor_levels"] == "counting_levels"
@@ -317,7 +323,7 @@ def test_what_cannot_be_compared_is_refused_in_one_line(runs: Path, tmp_path: Pa
     message = refused("compare", crossing)
     assert message.endswith("ground_truth.txt: every frame is a crossing, nothing to score")
     assert "a figure ends in .png" in refused("compare", one, "--figure", tmp_path / "a.gif")
-    assert "fit: tune searches with filter" in refused(
+    assert "a search takes assumed_density or exact" in refused(
         "compare", one, "--set", "fit=tune", "--set", "filter=smoothed"
     )
     wide = geometry("wide", parameters={"sigmas_m": [0.2] * 7})

@@ -15,9 +15,9 @@ from egolane_pgm.evidence.line_geometry import rule as line_geometry
 from egolane_pgm.evidence.line_geometry.fitting import expect, fit_lines
 from egolane_pgm.evidence.line_geometry.model import LineModel, line_model, places
 from egolane_pgm.experiment import load_experiment
-from egolane_pgm.learn import fit, held_out_belief, learn, may_fit
+from egolane_pgm.learn import fit, held_out_belief, learn
 from egolane_pgm.loading import Recorded, load_recording
-from egolane_pgm.model import Model, prepare_model
+from egolane_pgm.model import Drive, Model, load_drive, prepare_model
 from egolane_pgm.parameters import Parameters, resolve_parameters
 from egolane_pgm.types import FloatArray, IntArray, LaneTruth
 from tests.conftest import needs_compiler
@@ -156,9 +156,11 @@ def test_only_the_labels_of_the_training_frames_are_looked_at(folder: Path) -> N
     )
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
-        assert fit(model, recorded, train, experiment) == fit(model, changed, train, experiment)
-        assert fit(model, recorded, train, experiment) != fit(
-            model, recorded, np.arange(len(truth)), experiment
+        assert fit(Drive(experiment, model, recorded), train) == fit(
+            Drive(experiment, model, changed), train
+        )
+        assert fit(Drive(experiment, model, recorded), train) != fit(
+            Drive(experiment, model, recorded), np.arange(len(truth))
         )
 
 
@@ -169,7 +171,7 @@ def test_learning_on_frames_without_some_lane_warns_and_keeps_its_prior(folder: 
     lane = recorded.truth.lane
     some = np.flatnonzero((lane != 3) & ~recorded.truth.is_crossing)
     with pytest.warns(UserWarning, match="no frame to learn from has lane 3"):
-        found = fit(model, recorded, some, experiment)
+        found = fit(Drive(experiment, model, recorded), some)
     rates = np.reshape(found["rates"], (3, 6))
     generic = line_model(3, model.parameters).rates
     np.testing.assert_allclose(rates[2], generic[2])
@@ -182,12 +184,13 @@ def test_what_is_held_out_is_believed_with_parameters_of_the_other_blocks(folder
     assert recorded.truth is not None
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
-        result = held_out_belief(experiment, recorded=recorded, n_blocks=3)
+        drive = Drive(experiment, model, recorded)
+        result = held_out_belief(drive, n_blocks=3)
         without_first = np.flatnonzero(result.block != 0)
-        assert result.parameters[0] == fit(model, recorded, without_first, experiment)
-    assert result.belief.shape == (len(recorded.truth), 3)
+        assert result.parameters[0] == fit(drive, without_first)
+    assert result.beliefs.lane.shape == (len(recorded.truth), 3)
     scored = ~recorded.truth.is_crossing
-    right = result.belief.argmax(axis=1) + 1 == recorded.truth.lane
+    right = result.beliefs.lane.argmax(axis=1) + 1 == recorded.truth.lane
     assert right[scored].mean() > 0.9
 
 
@@ -199,10 +202,10 @@ def test_learning_again_from_what_was_learned_gives_the_same(folder: Path) -> No
     everything = np.arange(len(recorded.truth))
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
-        found = fit(model, recorded, everything, experiment)
+        found = fit(Drive(experiment, model, recorded), everything)
         again = experiment.model_copy(update={"parameters": found})
         again._source, again._folder = experiment.source, experiment.folder
-        assert fit(prepare_model(again), recorded, everything, again) == found
+        assert fit(Drive(again, prepare_model(again), recorded), everything) == found
 
 
 @needs_compiler
@@ -212,7 +215,7 @@ def test_frames_that_are_never_fit_are_scored_apart(tmp_path: Path) -> None:
     recorded = load_recording(experiment)
     assert recorded.truth is not None
     ids = recorded.truth.frame_id
-    np.testing.assert_array_equal(may_fit(recorded.truth, experiment), ids < 500)
+    np.testing.assert_array_equal(load_drive(experiment, needs_truth=None).may_fit, ids < 500)
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
         learned = learn(experiment, recorded=recorded, n_blocks=3)
@@ -243,7 +246,7 @@ def test_the_learned_experiment_can_be_run_and_says_what_it_has_seen(tmp_path: P
 
 def test_learning_needs_ground_truth(tmp_path: Path) -> None:
     said = refused("learn", write_drive(tmp_path, **GEOMETRY, ground_truth=None))
-    assert said.endswith("learning needs ground_truth")
+    assert said.endswith("ground_truth: is missing, learning needs it")
 
 
 def test_settings_for_tables_are_refused_where_the_rule_learns(tmp_path: Path) -> None:

@@ -17,12 +17,12 @@ from egolane_pgm.experiment import Experiment, load_experiment
 from egolane_pgm.graphs.cpds import lane_normals
 from egolane_pgm.inference.expected_counts import counted_tables
 from egolane_pgm.inference.filtering import filter_beliefs
-from egolane_pgm.learn import fit, held_out_belief, learn, may_fit, with_found
+from egolane_pgm.learn import fit, held_out_belief, learn, with_found
 from egolane_pgm.learn.tables import found_tables, starting, starting_tables, training_frames
 from egolane_pgm.loading import Recorded, load_recording
-from egolane_pgm.model import Model, prepare_model
+from egolane_pgm.model import Drive, Model, load_drive, prepare_model
 from egolane_pgm.run import run_experiment
-from egolane_pgm.types import LaneTruth, LineLog
+from egolane_pgm.types import LaneTruth
 from tests.conftest import needs_compiler
 from tests.kits.drives import done, refused, write_drive
 
@@ -65,17 +65,17 @@ def test_only_the_training_frames_are_looked_at(folder: Path, learning: str) -> 
     train = np.flatnonzero(is_train)
     other = np.where(is_train & ~truth.is_crossing, truth.lane, 4 - truth.lane)
     offset = log.offset_m.copy()
-    unused = ~training_frames(recorded, train)
+    unused = ~training_frames(recorded.scored, train, len(recorded.log))
     offset[unused] = -offset[unused]
     changed = replace(
         recorded,
         log=replace(log, offset_m=offset),
         truth=LaneTruth(truth.frame_id, other, truth.is_crossing),
     )
-    found = fit(model, recorded, train, experiment)
+    found = fit(Drive(experiment, model, recorded), train)
     assert unused.sum() > 200
-    assert fit(model, changed, train, experiment) == found
-    assert fit(model, recorded, np.arange(len(truth)), experiment) != found
+    assert fit(Drive(experiment, model, changed), train) == found
+    assert fit(Drive(experiment, model, recorded), np.arange(len(truth))) != found
 
 
 @needs_compiler
@@ -86,7 +86,7 @@ def test_labels_are_used_unless_they_are_not_to_be(folder: Path) -> None:
         train = np.arange(len(recorded.truth))
         mirrored = replace(recorded.truth, lane=4 - recorded.truth.lane)
         changed = replace(recorded, truth=mirrored)
-        one, other = (fit(model, r, train, experiment) for r in (recorded, changed))
+        one, other = (fit(Drive(experiment, model, r), train) for r in (recorded, changed))
         assert (one == other) is is_same
 
 
@@ -97,7 +97,7 @@ def test_a_lane_without_a_label_keeps_its_first_guess_and_is_said(folder: Path) 
     assert truth is not None
     some = np.flatnonzero((truth.lane != 3) & ~truth.is_crossing)
     with pytest.warns(UserWarning, match="no frame to learn from has lane 3; it keeps its first"):
-        found = fit(model, recorded, some, experiment)
+        found = fit(Drive(experiment, model, recorded), some)
     changed = with_found(model, found, experiment)
     (before, after) = (
         counted_tables(m.compiled, t)["Lane", 1].values
@@ -118,38 +118,32 @@ def test_each_block_is_believed_with_tables_of_the_other_blocks(folder: Path) ->
     experiment, model, recorded = prepared(folder)
     truth = recorded.truth
     assert truth is not None
-    result = held_out_belief(experiment, recorded=recorded, n_blocks=3)
+    result = held_out_belief(Drive(experiment, model, recorded), n_blocks=3)
     without_first = np.flatnonzero(result.block != 0)
-    assert result.parameters[0] == fit(model, recorded, without_first, experiment)
+    assert result.parameters[0] == fit(Drive(experiment, model, recorded), without_first)
     evidence = run_experiment(experiment, recorded=recorded).evidence
     believed = with_found(model, result.parameters[0], experiment)
     beliefs = filter_beliefs(believed.compiled, evidence, experiment.filter)
     inside = result.block == 0
-    np.testing.assert_array_equal(result.belief[inside], beliefs.lane[recorded.scored][inside])
+    np.testing.assert_array_equal(
+        result.beliefs.lane[inside], beliefs.lane[recorded.scored][inside]
+    )
     scored = ~truth.is_crossing
-    assert (result.belief.argmax(axis=1) + 1 == truth.lane)[scored].mean() > 0.6
-
-
-def recorded_with(scored: list[int], n_frames: int, annotated: bool = True) -> Recorded:
-    ids = np.arange(n_frames)
-    blank = np.zeros((n_frames, 1))
-    log = LineLog(ids, ids / 10.0, blank, blank > 0, blank > 0, blank)
-    frames = np.array(scored)
-    truth = LaneTruth(frames, np.ones(len(frames), dtype=np.int64), np.zeros(len(frames), bool))
-    return Recorded(log, truth if annotated else None, frames, (), ())
+    assert (result.beliefs.lane.argmax(axis=1) + 1 == truth.lane)[scored].mean() > 0.6
 
 
 def test_frames_between_two_training_frames_are_trained_on_others_are_not() -> None:
-    recorded = recorded_with([1, 2, 5, 6, 7], 9)
-    assert training_frames(recorded, np.array([0, 1, 2])).tolist() == [True] * 6 + [False] * 3
-    assert training_frames(recorded, np.array([0, 4])).tolist() == (
-        [True, True, *[False] * 5, True, True]
-    )
+    rows = np.array([1, 2, 5, 6, 7])
+
+    def trained(train: list[int]) -> list[int]:
+        return np.flatnonzero(training_frames(rows, np.array(train), 9)).tolist()
+
+    assert trained([0, 1, 2]) == [0, 1, 2, 3, 4, 5]
+    assert trained([0, 4]) == [0, 1, 7, 8]
     # One neighbour alone is not enough: 3 and 4 lie between 2 and 5.
-    for train, trained in (([0, 1], [0, 1, 2]), ([2, 3, 4], [5, 6, 7, 8])):
-        assert np.flatnonzero(training_frames(recorded, np.array(train))).tolist() == trained
-    alone = recorded_with([], 4, annotated=False)
-    assert training_frames(alone, np.array([1, 3])).tolist() == [False, True, False, True]
+    assert trained([0, 1]) == [0, 1, 2]
+    assert trained([2, 3, 4]) == [5, 6, 7, 8]
+    assert training_frames(np.arange(4), np.array([1, 3]), 4).tolist() == [False, True] * 2
 
 
 @needs_compiler
@@ -165,7 +159,7 @@ def test_a_block_that_is_left_out_is_no_step_from_what_is_before_to_what_is_afte
         recorded.truth.frame_id, np.where(is_before, 1, 3), np.zeros(n_frames, dtype=bool)
     )
     train = np.flatnonzero(np.abs(np.arange(n_frames) - n_frames // 2) > 50)
-    found = fit(model, replace(recorded, truth=truth), train, experiment)
+    found = fit(Drive(experiment, model, replace(recorded, truth=truth)), train)
     start = counted_tables(model.compiled, starting_tables(model, experiment))
     move, first = np.reshape(found["tables.Lane.next"], (3, 3)), start["Lane", 1].values
     assert move[0, 2] <= first[0, 2]
@@ -188,7 +182,7 @@ def test_a_rule_that_looks_back_has_seen_what_is_before_the_training_frames(tmp_
     changes = {"evidence": "./rule.py", "graph": "lane_only", "learning": {"labels": False}}
     experiment = load_experiment(write_drive(tmp_path, 100, **changes))
     model, recorded = prepare_model(experiment), load_recording(experiment)
-    found = fit(model, recorded, np.arange(40, 100), experiment)
+    found = fit(Drive(experiment, model, recorded), np.arange(40, 100))
     first = np.asarray(found["tables.Lane.first"])
     assert first[2] > first[0]
 
@@ -198,7 +192,7 @@ def test_the_prior_is_as_strong_as_the_experiment_says(folder: Path) -> None:
     for strength in (1, 1_000_000):
         experiment, model, recorded = prepared(folder, f"{{strength: {strength}}}")
         assert recorded.truth is not None
-        found = fit(model, recorded, np.arange(len(recorded.truth)), experiment)
+        found = fit(Drive(experiment, model, recorded), np.arange(len(recorded.truth)))
         start = counted_tables(model.compiled, starting_tables(model, experiment))["Lane", 1].values
         away[strength] = np.abs(np.reshape(found["tables.Lane.next"], (3, 3)) - start).max()
     assert away[1_000_000] < 1e-3 < 0.02 < away[1]
@@ -229,7 +223,7 @@ def test_several_stretches_may_be_left_out(tmp_path: Path) -> None:
     experiment = load_experiment(path)
     truth = load_recording(experiment).truth
     assert truth is not None
-    left_out = truth.frame_id[~may_fit(truth, experiment)]
+    left_out = truth.frame_id[~load_drive(experiment, needs_truth=None).may_fit]
     assert left_out.tolist() == [*range(5, 10), *range(20, 30), *range(50, 60)]
 
 
@@ -312,7 +306,7 @@ def test_what_was_learned_can_be_run_and_compared(tmp_path: Path, words: tuple[s
     )
     model, recorded = prepare_model(experiment), load_recording(experiment)
     assert recorded.truth is not None
-    everything = fit(model, recorded, np.arange(len(recorded.truth)), experiment)
+    everything = fit(Drive(experiment, model, recorded), np.arange(len(recorded.truth)))
     right = with_found(model, everything, experiment).compiled
     mine = prepare_model(load_experiment(out)).compiled
     np.testing.assert_allclose(mine.transition, right.transition, rtol=1e-9)
@@ -324,7 +318,10 @@ def test_what_was_learned_can_be_run_and_compared(tmp_path: Path, words: tuple[s
 def test_without_ground_truth_only_the_evidence_is_learned_from(tmp_path: Path) -> None:
     path = write_drive(tmp_path, 300, ground_truth=None)
     said = refused("learn", path, "--out", tmp_path / "a.yaml")
-    assert "learning needs ground_truth, or learning.labels: false (--unlabelled)" in said
+    assert (
+        "ground_truth: is missing, learning needs it, or learning.labels: false (--unlabelled)"
+        in said
+    )
     shown = done("learn", path, "--unlabelled", "--out", tmp_path / "a.yaml").stdout
     assert "no ground truth, so nothing is scored" in shown
     assert "log evidence per frame" in shown

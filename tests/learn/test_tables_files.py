@@ -16,7 +16,7 @@ from egolane_pgm.learn import fit, n_learned, with_found
 from egolane_pgm.learn.graph_file import graph_yaml
 from egolane_pgm.learn.tables import found_tables
 from egolane_pgm.loading import load_recording
-from egolane_pgm.model import Model, prepare_model
+from egolane_pgm.model import Drive, Model, prepare_model
 from egolane_pgm.plugins import load_plugin
 from egolane_pgm.types import InputError
 from tests.conformance.networks import draw_graph, graph_names
@@ -37,7 +37,7 @@ def test_every_discrete_graph_can_be_learned_and_written(name: str, tmp_path: Pa
     experiment = load_experiment(write_drive(tmp_path, 200, graph=name, evidence=rule))
     model, recorded = prepare_model(experiment), load_recording(experiment)
     assert recorded.truth is not None
-    found = fit(model, recorded, np.arange(len(recorded.truth)), experiment)
+    found = fit(Drive(experiment, model, recorded), np.arange(len(recorded.truth)))
     assert n_learned(model, experiment) > 0
     learned = with_found(model, found, experiment)
     content = graph_yaml(model, found_tables(model, found, experiment), "learned")
@@ -183,7 +183,7 @@ def test_labels_that_the_graph_does_not_allow_are_left_out_and_counted(tmp_path:
     model, recorded = prepare_model(experiment), load_recording(experiment)
     assert recorded.truth is not None
     with pytest.warns(UserWarning, match=r"frame\(s\) to learn from cannot be under graph sensor"):
-        fit(model, recorded, np.arange(len(recorded.truth)), experiment)
+        fit(Drive(experiment, model, recorded), np.arange(len(recorded.truth)))
 
 
 def test_labels_that_the_graph_never_allows_leave_nothing_to_learn(tmp_path: Path) -> None:
@@ -203,7 +203,7 @@ def test_labels_that_the_graph_never_allows_leave_nothing_to_learn(tmp_path: Pat
     n_frames = len(recorded.truth)
     truth = replace(recorded.truth, lane=np.full(n_frames, 3), is_crossing=np.zeros(n_frames, bool))
     with pytest.raises(InputError, match="none of the 60 frames to learn from can be under graph"):
-        fit(model, replace(recorded, truth=truth), np.arange(n_frames), experiment)
+        fit(Drive(experiment, model, replace(recorded, truth=truth)), np.arange(n_frames))
 
 
 def test_learning_that_does_not_stand_still_says_so(tmp_path: Path) -> None:
@@ -211,7 +211,7 @@ def test_learning_that_does_not_stand_still_says_so(tmp_path: Path) -> None:
     model, recorded = prepare_model(experiment), load_recording(experiment)
     assert recorded.truth is not None
     with pytest.warns(UserWarning, match="stopped after 1 iterations"):
-        fit(model, recorded, np.arange(len(recorded.truth)), experiment)
+        fit(Drive(experiment, model, recorded), np.arange(len(recorded.truth)))
 
 
 def test_without_labels_no_number_is_fitted_to_them(tmp_path: Path) -> None:

@@ -14,7 +14,6 @@ from egolane_pgm.scoring.bootstrap import (
     bootstrap_interval,
     circular_block_bootstrap,
     confusion_counts,
-    paired_difference_interval,
     resampled_sums,
 )
 from egolane_pgm.scoring.confusion import accuracy, confusion
@@ -23,12 +22,11 @@ from egolane_pgm.tune import tuning
 from egolane_pgm.tune.held_out import (
     assess,
     beliefs_at,
-    block_frames,
     check_blocks,
     difference,
     run_nested,
+    settings_without,
     stitched,
-    training_frames,
     without_part,
 )
 from egolane_pgm.tune.objective import all_used
@@ -49,7 +47,7 @@ def scrambled(found: Problem, part: int, seed: int) -> Problem:
     """The labels of a block, and of the frames that are never fitted, at random."""
     rng = np.random.default_rng(seed)
     lanes = []
-    for drive, seen in zip(found.drives, training_frames(found, part, False), strict=True):
+    for drive, seen in zip(found.drives, without_part(found, part, False)[1], strict=True):
         lane = drive.truth.lane.copy()
         lane[~seen] = rng.integers(1, drive.n_lanes + 1, size=(~seen).sum())
         lanes.append(lane)
@@ -57,14 +55,14 @@ def scrambled(found: Problem, part: int, seed: int) -> Problem:
 
 
 @pytest.mark.parametrize("part", range(0, BLOCKS, 2))
-@pytest.mark.parametrize("objective", ["accuracy", "log_loss"])
+@pytest.mark.parametrize("objective", ["accuracy", "log_loss", "share_missed"])
 def test_nothing_of_a_block_influences_its_study(part: int, objective: str) -> None:
     trials = 90 if objective == "accuracy" else 35
     found = problem(trials=trials, objective=(objective,), never_fit=((1000, 1020), (1150, None)))
     honest = run_nested(found, part, False)
     for seed in (1, 2):
         assert run_nested(scrambled(found, part, seed), part, False) == honest
-    seen = training_frames(found, part, False)[0]
+    seen = without_part(found, part, False)[1][0]
     upside = found.drives[0].truth.lane.copy()
     upside[seen] = found.drives[0].n_lanes + 1 - upside[seen]
     assert run_nested(with_labels(found, [upside]), part, False) != honest
@@ -87,7 +85,7 @@ def test_the_stitched_belief_is_each_blocks_own() -> None:
     found = problem(trials=40)
     nested = [run_nested(found, b, False) for b in range(BLOCKS)]
     belief = stitched(found, nested, False)[0]
-    for result, inside in zip(nested, block_frames(found.drives[0], BLOCKS), strict=True):
+    for result, inside in zip(nested, blocks(len(belief), BLOCKS), strict=True):
         alone = beliefs_at(found, result.point)[0]
         np.testing.assert_array_equal(belief[inside], alone[inside])
     assert len({str(n.point) for n in nested}) > 1
@@ -103,7 +101,7 @@ def test_scores_of_one_recording_are_those_of_validation() -> None:
     matrix = confusion(assigned, truth.lane, truth.is_crossing, drive.n_lanes)
     assert scores["confusion"] == matrix.tolist()
     counts = confusion_counts(assigned, truth.lane, truth.is_crossing, drive.n_lanes)
-    interval = bootstrap_interval(counts, accuracy)
+    interval = bootstrap_interval([counts], accuracy)
     assert scores["accuracy"] == interval.estimate
     assert scores["intervals"]["accuracy"] == pytest.approx([interval.low, interval.high])
 
@@ -119,17 +117,17 @@ def test_what_a_study_may_look_at_is_neither_its_part_nor_untrusted() -> None:
     ids = found.drives[0].truth.frame_id
     trusted = ~(((ids >= 1000) & (ids < 1020)) | (ids >= 1150))
     for part in range(BLOCKS):
-        [seen] = training_frames(found, part, False)
+        [seen] = without_part(found, part, False)[1]
         np.testing.assert_array_equal(seen, trusted & ~np.array(frames_of(found, part)))
     two = make_problem(two_drives(never_fit=((1000, 1020), (1150, None))))
-    first, second = training_frames(two, 1, True)
+    smaller, [first] = without_part(two, 1, True)
     np.testing.assert_array_equal(first, trusted)
-    assert not second.any()
+    assert smaller.drives == two.drives[:1]
 
 
 def test_each_part_is_searched_for_with_a_seed_of_its_own() -> None:
     found = problem()
-    seeds = {without_part(found, part, False)[1].seed for part in range(BLOCKS)}
+    seeds = {settings_without(found, part).seed for part in range(BLOCKS)}
     assert len(seeds) == BLOCKS
     assert found.settings.seed not in seeds
 
@@ -174,7 +172,7 @@ def test_a_difference_is_the_first_less_the_second() -> None:
         confusion_counts(assigned_lane(b, 0.8), truth.lane, truth.is_crossing, drive.n_lanes)
         for b in (belief, worse)
     ]
-    right = paired_difference_interval(*counts, accuracy)
+    right = bootstrap_interval(counts[:1], accuracy, minus=counts[1:])
     assert less["intervals"]["accuracy"] == pytest.approx([right.low, right.high])
 
 

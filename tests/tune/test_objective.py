@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from egolane_pgm import model
-from egolane_pgm.model import belief_of, load_drive, may_fit
+from egolane_pgm.model import belief_of, load_drive
 from egolane_pgm.run import run_experiment
 from egolane_pgm.scoring.summary import score_all
 from egolane_pgm.tune import objective
@@ -111,7 +111,7 @@ def test_an_unknown_sampler_and_one_for_one_objective_are_refused() -> None:
 def test_never_fit_takes_frame_ids() -> None:
     drive = problem().drives[0]
     first = int(drive.truth.frame_id[100])
-    kept = may_fit(drive, [(first, first + 10), (first + 500, None)])
+    kept = replace(drive, never_fit=((first, first + 10), (first + 500, None))).may_fit
     np.testing.assert_array_equal(np.flatnonzero(~kept)[:10], np.arange(100, 110))
     assert not kept[600:].any()
     assert kept[110:600].all()
