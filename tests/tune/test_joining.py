@@ -12,9 +12,9 @@ import pytest
 
 from egolane_pgm.results import file_sha256
 from egolane_pgm.tune import tuning
-from egolane_pgm.tune.held_out import without_part
+from egolane_pgm.tune.held_out import settings_without, without_part
 from egolane_pgm.tune.joining import _find, _parts, _task
-from egolane_pgm.tune.plan import Plan, Problem, make_problem, together, with_options
+from egolane_pgm.tune.plan import Plan, Problem, evaluator, make_problem, together, with_options
 from egolane_pgm.tune.postgres import Kept
 from egolane_pgm.tune.space import from_unit
 from egolane_pgm.types import InputError
@@ -49,10 +49,11 @@ def test_without_a_recording_the_other_one_is_scored(part: int) -> None:
     found = make_problem(two_drives())
     points = some_points(found)
     task = _task(found, kept("recording", part, 2))
-    evaluate, settings = without_part(found, part, True)
+    evaluate = evaluator(*without_part(found, part, True))
+    settings = settings_without(found, part)
     np.testing.assert_array_equal(task.evaluate(points), evaluate(points))
     assert task.settings == settings
-    other, _ = without_part(found, 1 - part, True)
+    other = evaluator(*without_part(found, 1 - part, True))
     assert (np.asarray(task.evaluate(points)) != other(points)).any()
 
 
@@ -61,7 +62,8 @@ def test_blocks_are_as_many_as_the_study_was_begun_with(n_parts: int) -> None:
     found = problem()
     points = some_points(found)
     task = _task(found, kept("block", 1, n_parts))
-    evaluate, settings = without_part(problem(blocks=n_parts), 1, False)
+    evaluate = evaluator(*without_part(problem(blocks=n_parts), 1, False))
+    settings = settings_without(problem(blocks=n_parts), 1)
     np.testing.assert_array_equal(task.evaluate(points), evaluate(points))
     assert task.settings == settings
 
