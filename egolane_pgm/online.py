@@ -128,26 +128,7 @@ def _with_gap(last: LineLog | None, log: LineLog, policy: str, frame_rate: float
         return log
     if now - before > MAX_GAP:
         raise InputError(f"{where}: frame id jumps from {before} to {now}; is it a frame count?")
-    return fill_missing(_concatenate(last, log), policy, frame_rate).take(slice(1, None))
-
-
-def _concatenate(a: LineLog, b: LineLog) -> LineLog:
-    n_lines = max(a.offset_m.shape[1], b.offset_m.shape[1])
-
-    def padded(array: np.ndarray[Any, Any], blank: float | bool) -> np.ndarray[Any, Any]:
-        extra = n_lines - array.shape[1]
-        return np.pad(array, ((0, 0), (0, extra)), constant_values=blank)
-
-    return LineLog(
-        np.concatenate([a.frame_id, b.frame_id]),
-        np.concatenate([a.time_s, b.time_s]),
-        np.concatenate([padded(a.offset_m, np.nan), padded(b.offset_m, np.nan)]),
-        np.concatenate([padded(a.is_valid, False), padded(b.is_valid, False)]),
-        np.concatenate([padded(a.is_continuous, False), padded(b.is_continuous, False)]),
-        np.concatenate([padded(a.lri, np.nan), padded(b.lri, np.nan)]),
-        np.concatenate([a.is_missing, b.is_missing]),
-        b.source,
-    )
+    return fill_missing(last.then(log), policy, frame_rate).take(slice(1, None))
 
 
 def parse_message(text: str, where: str, frame_rate: float) -> LineLog:
@@ -171,14 +152,12 @@ def parse_message(text: str, where: str, frame_rate: float) -> LineLog:
     if not isinstance(lines, list) or not all(isinstance(line, dict) for line in lines):
         raise InputError(f"{where}: lines must be a list of objects")
     rows = [_line(line, f"{where}: line {k + 1}") for k, line in enumerate(lines)]
-    columns = list(zip(*rows, strict=True)) if rows else [(), (), (), ()]
-    return LineLog(
+    columns = np.array(rows, dtype=np.float64).reshape(-1, 4).T
+    return LineLog.from_rows(
         np.array([frame_id], dtype=np.int64),
-        np.array([frame_id / frame_rate]),
-        np.array([columns[0]], dtype=np.float64),
-        np.array([columns[1]], dtype=bool),
-        np.array([columns[2]], dtype=bool),
-        np.array([columns[3]], dtype=np.float64),
+        frame_rate,
+        np.zeros(len(rows), dtype=np.int64),
+        *columns,
         source=where,
     )
 

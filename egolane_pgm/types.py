@@ -8,9 +8,8 @@ In arrays over lanes, index 0 is lane 1.
 from __future__ import annotations
 
 import difflib
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
-from functools import partial
 from typing import Any
 
 import numpy as np
@@ -45,6 +44,17 @@ def suggestion(word: str, known: Iterable[str]) -> str:
     if close:
         return f" (did you mean '{close[0]}'?)"
     return f" (known: {', '.join(names)})" if names else ""
+
+
+def stacked(parts: Sequence[NDArray[Any]], blank: float | bool) -> NDArray[Any]:
+    """Arrays (T_k, L_k) one below the other, the narrower ones filled up with `blank`."""
+    width = max(part.shape[1] for part in parts)
+    return np.concatenate(
+        [
+            np.pad(part, ((0, 0), (0, width - part.shape[1])), constant_values=blank)
+            for part in parts
+        ]
+    )
 
 
 def _check_frame_ids(frame_id: IntArray, what: str) -> None:
@@ -113,6 +123,51 @@ class LineLog:
     def __len__(self) -> int:
         return len(self.frame_id)
 
+    @classmethod
+    def from_rows(
+        cls,
+        frame_id: IntArray,
+        frame_rate: float,
+        row_frame: IntArray,
+        offset_m: FloatArray,
+        is_valid: BoolArray,
+        is_continuous: BoolArray,
+        lri: FloatArray,
+        *,
+        row_line: IntArray | None = None,
+        is_missing: BoolArray | None = None,
+        source: str = "line log",
+    ) -> LineLog:
+        """The log of N lines that are given one after the other, frame by frame.
+
+        - frame_id (T,): frames without lines are there too. frame_rate: per second.
+        - row_frame (N,): which of the T frames each line is of, counted from 0, never decreasing.
+        - offset_m, is_valid, is_continuous, lri (N,): as those of a log.
+        - row_line (N,): the place of each line in its frame, counted from 0; by default the next.
+        - is_missing (T,): by default no frame is.
+
+        Raises InputError as a log does.
+        """
+        if row_line is None:
+            row_line = np.arange(len(row_frame)) - np.searchsorted(row_frame, row_frame)
+        shape = (len(frame_id), int(row_line.max(initial=-1)) + 1)
+
+        def padded(values: NDArray[Any], kind: type, blank: float | bool) -> NDArray[Any]:
+            array: NDArray[Any] = np.full(shape, blank, dtype=kind)
+            array[row_frame, row_line] = values
+            return array
+
+        return cls(
+            frame_id,
+            frame_id / frame_rate,
+            padded(offset_m, float, np.nan),
+            padded(is_valid, bool, False),
+            padded(is_continuous, bool, False),
+            padded(lri, float, np.nan),
+            np.zeros(len(frame_id), dtype=bool) if is_missing is None else is_missing,
+            source,
+        )
+
     def take(self, frames: slice | IntArray | BoolArray) -> LineLog:
         """The log of some frames, in order."""
         return LineLog(
@@ -128,21 +183,13 @@ class LineLog:
 
     def then(self, later: LineLog) -> LineLog:
         """This log and a later one behind it, as one."""
-        n_lines = max(self.offset_m.shape[1], later.offset_m.shape[1])
-
-        def joined(name: str, blank: float | bool) -> NDArray[Any]:
-            parts = [getattr(log, name) for log in (self, later)]
-            wide = [((0, 0), (0, n_lines - part.shape[1])) for part in parts]
-            padded = map(partial(np.pad, constant_values=blank), parts, wide)
-            return np.concatenate(list(padded))
-
         return LineLog(
             np.concatenate([self.frame_id, later.frame_id]),
             np.concatenate([self.time_s, later.time_s]),
-            joined("offset_m", np.nan),
-            joined("is_valid", False),
-            joined("is_continuous", False),
-            joined("lri", np.nan),
+            stacked([self.offset_m, later.offset_m], np.nan),
+            stacked([self.is_valid, later.is_valid], False),
+            stacked([self.is_continuous, later.is_continuous], False),
+            stacked([self.lri, later.lri], np.nan),
             np.concatenate([self.is_missing, later.is_missing]),
             later.source,
         )

@@ -98,6 +98,61 @@ def test_taking_frames_keeps_every_array_in_step() -> None:
     assert (len(truth), truth.take(slice(0, 1)).source) == (3, "gt.txt")
 
 
+def test_lines_given_one_after_the_other_are_padded_frame_by_frame() -> None:
+    rng = np.random.default_rng(0)
+    for _ in range(50):
+        counts = rng.integers(0, 4, size=rng.integers(0, 6))
+        n_lines = int(counts.sum())
+        offset, lri = rng.normal(size=n_lines), rng.integers(0, 10, n_lines).astype(float)
+        valid, continuous = rng.random((2, n_lines)) < 0.5
+        ids = np.cumsum(rng.integers(1, 4, len(counts)))
+        frame = np.repeat(np.arange(len(counts)), counts)
+        log = LineLog.from_rows(ids, 4.0, frame, offset, valid, continuous, lri, source="here")
+        widest = counts.max(initial=0)
+        assert log.offset_m.shape == (len(counts), widest)
+        assert log.time_s.tolist() == (ids / 4).tolist()
+        assert log.source == "here"
+        assert not log.is_missing.any()
+        at = 0
+        for t, count in enumerate(counts):
+            for name, values in (("offset_m", offset), ("lri", lri)):
+                row = getattr(log, name)[t]
+                assert row[:count].tolist() == values[at : at + count].tolist()
+                assert np.isnan(row[count:]).all()
+            for name, values in (("is_valid", valid), ("is_continuous", continuous)):
+                row = getattr(log, name)[t]
+                assert row.tolist() == [*values[at : at + count], *[False] * (widest - count)]
+            at += count
+
+
+def test_a_line_may_say_its_place_in_the_frame() -> None:
+    log = LineLog.from_rows(
+        np.array([3, 8]),
+        10.0,
+        np.array([0, 1, 1]),
+        np.array([1.0, 2.0, 3.0]),
+        np.array([True, False, True]),
+        np.array([False, False, True]),
+        np.array([1.0, 2.0, 3.0]),
+        row_line=np.array([1, 2, 0]),
+        is_missing=np.array([False, True]),
+    )
+    np.testing.assert_array_equal(log.offset_m, [[np.nan, 1, np.nan], [3, np.nan, 2]])
+    np.testing.assert_array_equal(log.is_valid, [[False, True, False], [True, False, False]])
+    assert log.is_missing.tolist() == [False, True]
+
+
+def test_a_log_behind_another_is_as_wide_as_the_wider_one() -> None:
+    first, later = a_log(2, 1), replace(a_log(2, 3), frame_id=np.array([20, 21]), source="b")
+    both = first.then(later)
+    assert both.frame_id.tolist() == [10, 12, 20, 21]
+    assert both.source == "b"
+    assert np.isnan(both.offset_m[:2, 1:]).all()
+    assert not both.is_valid[:2, 1:].any()
+    for name in ("offset_m", "is_valid", "is_continuous", "lri", "time_s", "is_missing"):
+        np.testing.assert_array_equal(getattr(both, name)[2:], getattr(later, name))
+
+
 @pytest.mark.parametrize("lane", [0, 4, -1])
 def test_a_lane_outside_the_road_is_refused_naming_file_and_frame(lane: int) -> None:
     truth = LaneTruth(

@@ -71,26 +71,19 @@ def as_log(
     frames: Iterable[tuple[int, FrameLines]], frame_rate: float, source: str = "detector"
 ) -> LineLog:
     """The lines of a drive, frame by frame, as a LineLog."""
-    ids, lines = [], []
-    for number, found in frames:
-        ids.append(number)
-        lines.append(found)
-    n_lines = max((len(found.lri) for found in lines), default=0)
+    given = list(frames)
+    lines = [found for _, found in given]
 
-    def table(name: str, blank: float | bool) -> NDArray[Any]:
-        rows = np.full((len(lines), n_lines), blank)
-        for row, found in zip(rows, lines, strict=True):
-            values = getattr(found, name)
-            row[: len(values)] = values
-        return rows
+    def column(name: str) -> NDArray[Any]:
+        return np.concatenate([[], *(getattr(found, name) for found in lines)])
 
-    frame_id = np.array(ids, dtype=np.int64)
-    return LineLog(
-        frame_id,
-        frame_id / frame_rate,
-        table("offset_m", np.nan),
-        table("is_valid", False),
-        table("is_continuous", False),
-        table("lri", np.nan),
+    return LineLog.from_rows(
+        np.array([number for number, _ in given], dtype=np.int64),
+        frame_rate,
+        np.repeat(np.arange(len(lines)), np.array([len(found.lri) for found in lines], dtype=int)),
+        column("offset_m"),
+        column("is_valid"),
+        column("is_continuous"),
+        column("lri"),
         source=source,
     )

@@ -109,24 +109,17 @@ def line_log(
             " camera; is it the camera of these pictures?"
         )
     lri, is_valid = persistence(offsets, ids / frame_rate)
+    all_lri, all_valid = np.concatenate(lri), np.concatenate(is_valid)
     if valid == "always":
-        lri = [np.full(len(row), float(LRI_FRAMES)) for row in lri]
-        is_valid = [np.ones(len(row), dtype=bool) for row in is_valid]
-    widest = max(map(len, offsets))
-
-    def padded(rows: Sequence[FloatArray] | Sequence[BoolArray], blank: float | bool) -> FloatArray:
-        table = np.full((len(rows), widest), blank)
-        for at, row in zip(table, rows, strict=True):
-            at[: len(row)] = row
-        return table
-
-    return LineLog(
-        frame_id=ids,
-        time_s=ids / frame_rate,
-        offset_m=padded(offsets, np.nan),
-        is_valid=padded(is_valid, False).astype(bool),
-        is_continuous=padded(flags, False).astype(bool),
-        lri=padded(lri, np.nan),
+        all_lri, all_valid = np.full(len(all_lri), float(LRI_FRAMES)), np.ones_like(all_valid)
+    return LineLog.from_rows(
+        ids,
+        frame_rate,
+        np.repeat(np.arange(len(ids)), [len(row) for row in offsets]),
+        np.concatenate(offsets),
+        all_valid,
+        np.concatenate(flags),
+        all_lri,
         source=source,
     )
 

@@ -355,19 +355,13 @@ def _pad(path: Path, flat: _Flat, frame_rate: float) -> LineLog:
     if most > MAX_LINES:
         frame = int(flat.frame_id[np.argmax(flat.n_lines)])
         raise InputError(f"{path}: frame {frame} has {most} lines; at most {MAX_LINES} are read")
-    at = (np.repeat(np.arange(n_frames), flat.n_lines), _within(flat.n_lines))
-
-    def padded(values: NDArray[Any], empty: float | bool) -> NDArray[Any]:
-        array = np.full((n_frames, most), empty, dtype=values.dtype)
-        array[at] = values
-        return array
-
-    return LineLog(
-        frame_id=flat.frame_id,
-        time_s=flat.frame_id / frame_rate,
-        offset_m=padded(flat.offset_m, np.nan),
-        is_valid=padded(flat.is_valid, False),
-        is_continuous=padded(flat.is_continuous, False),
-        lri=padded(flat.lri, np.nan),
+    return LineLog.from_rows(
+        flat.frame_id,
+        frame_rate,
+        np.repeat(np.arange(n_frames), flat.n_lines),
+        flat.offset_m,
+        flat.is_valid,
+        flat.is_continuous,
+        flat.lri,
         source=str(path),
     )

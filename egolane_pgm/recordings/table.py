@@ -223,7 +223,6 @@ def _assemble(path: Path, table: Any, frame_rate: float) -> LineLog:
     alone = np.bincount(at)[at] == 1
     rows.refuse(~has_line & ~alone, "frame {} has a row without a line beside others")
     n_lines = int(line[has_line].max(initial=-1)) + 1
-    shape = (int(at[-1]) + 1, n_lines)
     rows.refuse(_occurs_again(at * (n_lines + 1) + line, has_line), "frame {} has this line twice")
 
     offset = _offsets(rows, has_line)
@@ -239,19 +238,15 @@ def _assemble(path: Path, table: Any, frame_rate: float) -> LineLog:
     )
     missing = rows.values.get("is_missing", np.zeros(n_rows, dtype=bool))
 
-    def padded(values: NDArray[Any], otherwise: float | bool) -> NDArray[Any]:
-        array = np.full(shape, otherwise, dtype=values.dtype)
-        array[at[has_line], line[has_line]] = values[has_line]
-        return array
-
-    frame_id = frame[starts]
-    return LineLog(
-        frame_id=frame_id,
-        time_s=frame_id / frame_rate,
-        offset_m=padded(offset, np.nan),
-        is_valid=padded(valid, False),
-        is_continuous=padded(continuous, False),
-        lri=padded(lri, np.nan),
+    return LineLog.from_rows(
+        frame[starts],
+        frame_rate,
+        at[has_line],
+        offset[has_line],
+        valid[has_line],
+        continuous[has_line],
+        lri[has_line],
+        row_line=line[has_line],
         is_missing=missing[starts],
         source=str(path),
     )

@@ -70,7 +70,7 @@ from egolane_pgm.evidence.line_geometry.reading import (
     say_places,
 )
 from egolane_pgm.parameters import Parameters, Value, number
-from egolane_pgm.types import BoolArray, Evidence, FloatArray, IntArray, LineLog
+from egolane_pgm.types import BoolArray, Evidence, FloatArray, IntArray, LineLog, stacked
 
 NODES = ("RoadPosition", "SensorState")
 PROVIDES = (NODES,)
@@ -299,10 +299,9 @@ def fit_pooled(
             )
     if not len(known):
         return {}
-    n_lines = max(offset.shape[1] for offset in offsets)
     model, _ = fit_lines(
-        _padded(offsets, n_lines, 0.0),
-        _padded(kinds, n_lines, -1),
+        stacked(offsets, 0.0),
+        stacked(kinds, -1),
         known,
         line_model(n_lanes, parameters),
         first_width,
@@ -314,9 +313,3 @@ def fit_pooled(
         for name, field in FITTED.items()
     }
     return {**found, "fallback_width_m": first_width}
-
-
-def _padded(parts: Sequence[Any], n_lines: int, blank: float) -> Any:
-    """(T, L): parts of fewer lines, with blanks, below each other."""
-    wide = [np.pad(p, ((0, 0), (0, n_lines - p.shape[1])), constant_values=blank) for p in parts]
-    return np.concatenate(wide)
