@@ -145,4 +145,6 @@ def test_an_interrupted_command_says_so(
     monkeypatch.setattr(paper, "reproduce_run", interrupted)
     result = command("reproduce", "--runs", "2")
     assert result.exit_code == 130
-    assert result.stderr == "egolane: interrupted; nothing was left half-written\n"
+    assert result.stderr == (
+        "egolane: interrupted; nothing was left half-written; the same command begins anew\n"
+    )

@@ -355,7 +355,9 @@ def test_a_killed_run_leaves_no_result_and_an_earlier_one_untouched(
     assert contents(result) == before
     if number == signal.SIGINT:
         assert process.returncode == 130
-        assert error == "egolane: interrupted; nothing was left half-written\n"
+        assert error == (
+            "egolane: interrupted; nothing was left half-written; the same command begins anew\n"
+        )
         assert list(tmp_path.iterdir()) == []
     else:
         assert process.returncode == -signal.SIGKILL

@@ -195,7 +195,9 @@ def _held_out(
     if unwritten is not None:
         raise unwritten
     if is_interrupted:
-        raise KeyboardInterrupt(f"this is {len(compared)} of {len(groups)} recordings")
+        raise KeyboardInterrupt(
+            f"this is {len(compared)} of {len(groups)} recordings; the same command begins anew"
+        )
     if found["failed"]:
         raise SystemExit(1)
 

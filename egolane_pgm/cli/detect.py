@@ -99,7 +99,9 @@ def detect(
             f" say so: run on it with --set recording.frame_rate={source.frame_rate:g}"
         )
     if done.stopped is not None:
-        raise KeyboardInterrupt(f"what was detected so far is in {target}")
+        raise KeyboardInterrupt(
+            f"what was detected so far is in {target}; the same command begins anew"
+        )
 
 
 def _write(target: str, log: LineLog) -> None:

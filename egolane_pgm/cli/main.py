@@ -12,6 +12,7 @@ from typing import Any
 import click
 
 from egolane_pgm import __version__
+from egolane_pgm.cli.entry import main as main
 
 #: The file of each command, which has a function of the command's name, and its short help. A
 #: command's file is imported only when that command is asked for: `--help` stays quick, and each
@@ -58,6 +59,16 @@ class _Group(click.Group):
             formatter.write_dl([(name, text) for name, (_, text) in COMMANDS.items()])
 
     def invoke(self, ctx: click.Context) -> Any:
+        try:
+            return self._invoke(ctx)
+        except KeyboardInterrupt as stop:
+            # A command that knows what was kept says so: KeyboardInterrupt("3 of 5 are in x;
+            # the same command begins anew").
+            kept = str(stop) or "nothing was left half-written; the same command begins anew"
+            click.echo(f"egolane: interrupted; {kept}", err=True)
+            ctx.exit(130)
+
+    def _invoke(self, ctx: click.Context) -> Any:
         # This imports NumPy, which `egolane --help` does not need.
         from egolane_pgm.types import InputError
 
@@ -75,11 +86,6 @@ class _Group(click.Group):
             said = _safe(error.format_message())
             click.echo(f"egolane: {said} See `{where} --help`.", err=True)
             ctx.exit(2)
-        except KeyboardInterrupt as stop:
-            # A command that knows what was kept says so: KeyboardInterrupt("3 of 5 are in x").
-            kept = str(stop) or "nothing was left half-written"
-            click.echo(f"egolane: interrupted; {kept}", err=True)
-            ctx.exit(130)
         except BrokenPipeError:
             # Whoever read the output has stopped reading it.
             _give_up_output()
@@ -120,8 +126,3 @@ def _show_warning(message: Warning | str, *_: Any, **__: Any) -> None:
 @click.version_option(__version__)
 def egolane() -> None:
     """Which lane is the car in? Noisy lane-line detections in, a belief over lanes out."""
-
-
-def main() -> None:
-    """Run the command; this is the console script."""
-    egolane(prog_name="egolane")

@@ -187,7 +187,9 @@ def _run_many(
     except KeyboardInterrupt:
         # A result that was rewritten has a new inode.
         written = sum(_inode(place) not in (None, was) for place, was in before.items())
-        raise KeyboardInterrupt(f"{written} of {len(plan)} are in {folder}") from None
+        raise KeyboardInterrupt(
+            f"{written} of {len(plan)} are in {folder}; the same command begins anew"
+        ) from None
     failed = [o for o in outcomes if o.error is not None]
     if json_file:
         document = {

@@ -128,7 +128,9 @@ def video(
             raise
         raise InputError(f"{error}; the {n_drawn} frames before are in {target}") from None
     except KeyboardInterrupt:
-        raise KeyboardInterrupt(f"{n_drawn} frames are in {target}") from None
+        raise KeyboardInterrupt(
+            f"{n_drawn} frames are in {target}; the same command begins anew"
+        ) from None
     finally:
         seen.close()
     click.echo(f"{target}: {n_drawn} frames")

@@ -224,7 +224,9 @@ def test_frames_before_an_interruption_are_kept(drive: Path) -> None:
     write_detector(drive, "if picture.frame_id == 13: raise KeyboardInterrupt")
     result = command(*words(drive, out="out.mp4"))
     assert result.exit_code == 130
-    assert result.stderr == f"egolane: interrupted; 3 frames are in {drive / 'out.mp4'}\n"
+    assert result.stderr == (
+        f"egolane: interrupted; 3 frames are in {drive / 'out.mp4'}; the same command begins anew\n"
+    )
     assert len(frames_of(drive / "out.mp4")) == 3
 
 

@@ -191,7 +191,10 @@ def test_ctrl_c_shows_the_recordings_that_were_compared(
     monkeypatch.setattr("egolane_pgm.cli.compare.compare_groups", interrupted)
     result = command("compare", *paths, "--json", tmp_path / "x.json")
     assert result.exit_code == 130
-    assert result.stderr == "egolane: interrupted; this is 1 of 2 recordings\n"
+    assert (
+        result.stderr
+        == "egolane: interrupted; this is 1 of 2 recordings; the same command begins anew\n"
+    )
     assert "| a lines  |" in result.stdout
     assert len(json.loads((tmp_path / "x.json").read_text())["recordings"]) == 1
 
@@ -212,7 +215,7 @@ def test_ctrl_c_keeps_the_finished_runs_and_begins_no_other(tmp_path: Path) -> N
     _, said = running.communicate(timeout=30)
     assert time.perf_counter() - began < 5
     assert running.returncode == 130
-    assert said == f"egolane: interrupted; 1 of 4 are in {out}\n"
+    assert said == f"egolane: interrupted; 1 of 4 are in {out}; the same command begins anew\n"
     assert [p.name for p in out.iterdir()] == ["fast"]
     assert is_result(out / "fast")
     assert not (tmp_path / "d" / "lines.begun").exists()

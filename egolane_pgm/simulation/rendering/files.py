@@ -148,7 +148,9 @@ def write_drive(
         raise InputError(f"{said}; {n_rendered} of {len(scene)} frames are in {folder}") from error
     except KeyboardInterrupt:
         _remove_half(folder, places, n_rendered)
-        raise KeyboardInterrupt(f"{n_rendered} of {len(scene)} frames are in {folder}") from None
+        raise KeyboardInterrupt(
+            f"{n_rendered} of {len(scene)} frames are in {folder}; the same command begins anew"
+        ) from None
 
 
 def _amount(n_bytes: float) -> str:

@@ -1,0 +1,126 @@
+"""Ctrl-C, in real processes: at the terminal (all processes are told) and to the command alone."""
+
+from __future__ import annotations
+
+import os
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pytest
+
+from tests.kits.drives import write_drive
+from tests.kits.synthetic_road import write_place
+
+pytestmark = pytest.mark.skipif(sys.platform == "win32", reason="needs signals")
+
+START = [
+    sys.executable,
+    "-c",
+    "from egolane_pgm.cli.entry import main; print('started', flush=True); main()",
+]
+
+#: An evidence rule that is never done.
+SLOW = """
+import time
+from egolane_pgm.evidence.counting import *
+def evidence(*given, **named):
+    time.sleep(600)
+"""
+
+#: A detector that is slow.
+DETECTOR = """
+import time
+from egolane_pgm.detectors import ml
+STEREO, PARAMETERS = False, ml.PARAMETERS
+def start(camera, parameters):
+    step = ml.start(camera, parameters)
+    def look(picture):
+        time.sleep(0.5)
+        return step(picture)
+    return look
+"""
+
+
+def slow_drives(folder: Path) -> list[Path]:
+    (folder / "slow.py").write_text(SLOW)
+    rule = str(folder / "slow.py")
+    return [write_drive(folder / n, name=n, evidence=rule, fit="none") for n in ("a", "b", "c")]
+
+
+def interrupt(
+    words: list[object], seconds: float, out: Path, whole_group: bool, **environment: str
+) -> None:
+    """Interrupt `egolane words...` after some seconds: it ends at once, in one line, as a whole."""
+    running = subprocess.Popen(
+        [*START, *map(str, words)],
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+        start_new_session=True,
+        env={**os.environ, **environment},
+    )
+    assert running.stdout is not None
+    assert running.stdout.readline() == "started\n"
+    time.sleep(seconds)
+    assert running.poll() is None, running.communicate()
+    began = time.perf_counter()
+    (os.killpg if whole_group else os.kill)(running.pid, signal.SIGINT)
+    _, said = running.communicate(timeout=60)
+    assert time.perf_counter() - began < 5
+    assert running.returncode == 130, said
+    assert said.count("\n") == 1
+    assert said.startswith("egolane: interrupted; ")
+    assert said.endswith("the same command begins anew\n") or "the same command goes on" in said
+    # What the pool needed to be started ends a moment later.
+    time.sleep(0.3)
+    listed = subprocess.run(["ps", "-A", "-o", "pgid=,stat="], capture_output=True, text=True)
+    groups = [line.split() for line in listed.stdout.splitlines()]
+    assert not [g for g in groups if g[0] == str(running.pid) and not g[1].startswith("Z")]
+    assert not list(out.parent.glob(".*"))
+
+
+MOMENTS = pytest.mark.parametrize(
+    ("seconds", "whole_group"), [(0.1, False), (0.6, True), (2.0, True), (4.0, False)]
+)
+
+
+@MOMENTS
+def test_ctrl_c_ends_many_runs(tmp_path: Path, seconds: float, whole_group: bool) -> None:
+    out = tmp_path / "place" / "out"
+    words = ["run", *slow_drives(tmp_path), "--jobs", 2, "--out", out]
+    interrupt(words, seconds, out, whole_group)
+
+
+@MOMENTS
+def test_ctrl_c_ends_a_comparison(tmp_path: Path, seconds: float, whole_group: bool) -> None:
+    out = tmp_path / "place" / "out"
+    words = ["compare", *slow_drives(tmp_path), "--jobs", 2, "--out", out]
+    interrupt(words, seconds, out, whole_group)
+
+
+@pytest.mark.parametrize("seconds", [1.5, 2.5])
+def test_ctrl_c_ends_a_compiler(tmp_path: Path, seconds: float) -> None:
+    out = tmp_path / "place" / "out"
+    words = ["run", write_drive(tmp_path), "--out", out]
+    interrupt(words, seconds, out, False, NUMBA_CACHE_DIR=str(tmp_path / "cache"))
+
+
+@MOMENTS
+def test_ctrl_c_ends_a_detector(tmp_path: Path, seconds: float, whole_group: bool) -> None:
+    drive = write_place(tmp_path, 16)
+    (tmp_path / "slow.py").write_text(DETECTOR)
+    out = tmp_path / "place" / "lines.csv"
+    out.parent.mkdir()
+    words = ["detect", drive / "drive.avi", "--camera", drive / "cam.yaml", "-o", out]
+    interrupt([*words, "--detector", tmp_path / "slow.py"], seconds, out, whole_group)
+
+
+@pytest.mark.parametrize(("seconds", "whole_group"), [(0.2, True), (0.9, False)])
+def test_ctrl_c_ends_the_reproduction(
+    recordings: Path, tmp_path: Path, seconds: float, whole_group: bool
+) -> None:
+    out = tmp_path / "place" / "out"
+    interrupt(["reproduce", "--out", out], seconds, out, whole_group)
