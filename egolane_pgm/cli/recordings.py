@@ -51,11 +51,10 @@ def list_data() -> None:
 @data.command()
 @click.option("--base-url", help="A mirror that has the files under their names.")
 @click.option("--folder", type=click.Path(file_okay=False), help="Where to put them.")
-@click.option("--jobs", type=click.IntRange(1, 16), default=4, show_default=True)
-def fetch(base_url: str | None, folder: str | None, jobs: int) -> None:
-    """Download what is missing; resumes, checks every sha256, keeps good files."""
+def fetch(base_url: str | None, folder: str | None) -> None:
+    """Download what is missing; checks every sha256, keeps good files."""
 
-    outcomes = catalog.fetch(base_url=base_url, folder=folder, jobs=jobs)
+    outcomes = catalog.fetch(base_url=base_url, folder=folder)
     problems = catalog.problems(outcomes)
     click.echo(f"{len(outcomes) - len(problems)} of {len(outcomes)} files are there and good")
     _fail(problems)

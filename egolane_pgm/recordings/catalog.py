@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 import os
-import threading
+import sys
 import warnings
-from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
-from urllib.parse import quote, urlsplit
+from types import ModuleType
+from urllib.parse import urlsplit
 
-from egolane_pgm.recordings.download import Unreachable, download, is_good
 from egolane_pgm.types import InputError
 
 #: The folder `bag/` of github trigal/rle at tag SpecialIssueTIV.submission.1 (BSD licence).
@@ -135,12 +134,19 @@ def list_files() -> tuple[DataFile, ...]:
 
 def download_folder() -> Path:
     """The user's cache folder for this package (XDG_CACHE_HOME is respected)."""
+    return Path(_pooch().os_cache("egolane_pgm"))
+
+
+def _pooch() -> ModuleType:
     with warnings.catch_warnings():
         # In a notebook tqdm, which pooch imports, warns of widgets that nobody asked for.
         warnings.simplefilter("ignore")
         import pooch
 
-    return Path(pooch.os_cache("egolane_pgm"))
+    # It would say on standard error what it does.
+    pooch.get_logger().setLevel("ERROR")
+    module: ModuleType = pooch
+    return module
 
 
 def find_file(
@@ -188,7 +194,7 @@ def _verify(file: DataFile, path: Path) -> Outcome:
     if not path.is_file():
         return Outcome(file, path, "missing", f"{path}: no such file; `egolane data fetch` gets it")
     try:
-        good = is_good(path, file.sha256)
+        good = _pooch().file_hash(str(path), alg="sha256") == file.sha256
     except OSError as error:
         return Outcome(file, path, "bad", f"{path}: cannot be read: {error.strerror}")
     if good:
@@ -197,86 +203,81 @@ def _verify(file: DataFile, path: Path) -> Outcome:
 
 
 def fetch(
-    base_url: str | None = None,
-    folder: str | Path | None = None,
-    jobs: int = 4,
-    progress: bool = True,
+    base_url: str | None = None, folder: str | Path | None = None, progress: bool = True
 ) -> list[Outcome]:
-    """Download the files that are not there yet, `jobs` at a time; one Outcome per file.
+    """Download the files that are not there yet; one Outcome per file.
 
-    base_url: a mirror with the same file names (default: GitHub). folder: default the download
-    folder. progress: a bar on standard error, where that is a terminal. A file that is there and
-    good is not asked for again; a download that broke goes on where it stopped; content with a
-    wrong checksum never takes the place of anything. A file that fails does not keep the others.
+    - base_url: a mirror with the same file names (default: GitHub).
+    - folder: where they go (default: the download folder).
+    - progress: a bar for each file on standard error, where that is a terminal.
 
-    Raises InputError for an address that is not http or https, and for jobs below 1.
+    A file that is there and good is not asked for again, and content with a wrong checksum never
+    takes the place of anything. A file that fails does not keep the others, unless the server
+    cannot be reached at all. Raises InputError for an address that is not http or https.
     """
     address = (BASE_URL if base_url is None else base_url).rstrip("/")
     if urlsplit(address).scheme not in ("http", "https") or not urlsplit(address).netloc:
         raise InputError(f"--base-url {base_url}: needs an address http://... or https://...")
-    if jobs < 1:
-        raise InputError(f"--jobs {jobs}: needs at least 1")
-    root = download_folder() if folder is None else Path(folder)
-    before = [_verify(file, root / file.target) for file in _FILES]
-    wanted = [outcome for outcome in before if not outcome.ok]
-    if not wanted:
-        return before
-    after = _fetch_all(address, wanted, jobs, progress)
-    return [after.get(outcome.file.name, outcome) for outcome in before]
+    outcomes = verify(folder)
+    for k, outcome in enumerate(outcomes):
+        if outcome.ok:
+            continue
+        try:
+            _download(address, outcome.file, outcome.path, progress and sys.stderr.isatty())
+        except Unreachable as error:
+            # The others would only wait for the same server.
+            return [
+                o if o.ok else replace(o, status="failed", message=str(error)) for o in outcomes
+            ]
+        except InputError as error:
+            outcomes[k] = replace(outcome, status="failed", message=str(error))
+        else:
+            outcomes[k] = Outcome(outcome.file, outcome.path, "downloaded")
+    return outcomes
+
+
+class Unreachable(InputError):
+    """The server cannot be reached at all; the message names the host, not the file."""
+
+
+def _download(address: str, file: DataFile, path: Path, progress: bool) -> None:
+    import requests
+
+    pooch = _pooch()
+    known = {file.name: f"sha256:{file.sha256}"}
+    store = pooch.create(path.parent, f"{address}/", registry=known, retry_if_failed=1)
+    loader = pooch.HTTPDownloader(progressbar=progress, timeout=30)
+    url = f"{address}/{file.name}"
+    try:
+        store.fetch(file.name, downloader=loader)
+    except requests.HTTPError as error:
+        answer = error.response
+        assert answer is not None
+        raise InputError(
+            f"{file.name}: {url}: the server says {answer.status_code} {answer.reason}"
+        ) from None
+    except (requests.ConnectionError, requests.Timeout) as error:
+        # What requests says of a connection is several lines long; the system's own words are last.
+        reason = getattr(error.args[0] if error.args else error, "reason", error)
+        raise Unreachable(
+            f"no connection to {urlsplit(address).netloc} ({str(reason).rpartition(': ')[2]}); is"
+            " the network up? --base-url takes a mirror"
+        ) from None
+    except requests.RequestException:
+        raise InputError(f"{file.name}: {url}: the connection broke; run it again") from None
+    except ValueError:
+        raise InputError(
+            f"{file.name}: {url} sends something else (wrong checksum); not used, try another"
+            " mirror"
+        ) from None
+    except OSError as error:
+        raise InputError(f"{path}: cannot be written: {error.strerror or error}") from None
+    # pooch makes a file that only the user can read.
+    umask = os.umask(0)
+    os.umask(umask)
+    path.chmod(0o666 & ~umask)
 
 
 def problems(outcomes: list[Outcome]) -> list[str]:
     """One line for each thing that went wrong; a server that is down is one thing."""
     return list(dict.fromkeys(outcome.message for outcome in outcomes if not outcome.ok))
-
-
-def _fetch_all(
-    address: str, wanted: list[Outcome], jobs: int, progress: bool
-) -> dict[str, Outcome]:
-    from tqdm import tqdm
-
-    stop = threading.Event()
-    lock = threading.Lock()
-    n_received = 0
-    unreachable: list[str] = []
-    with tqdm(
-        total=sum(outcome.file.size for outcome in wanted),
-        unit="B",
-        unit_scale=True,
-        desc="egolane data",
-        disable=None if progress else True,
-    ) as bar:
-
-        def on_bytes(n: int) -> None:
-            nonlocal n_received
-            with lock:
-                n_received += n
-                bar.update(n)
-
-        def fetch_one(outcome: Outcome) -> Outcome:
-            file, path = outcome.file, outcome.path
-            if unreachable and n_received <= 0:  # not twelve times the same wait
-                return Outcome(file, path, "failed", unreachable[0])
-            try:
-                download(
-                    f"{address}/{quote(file.name)}",
-                    path,
-                    size=file.size,
-                    sha256=file.sha256,
-                    on_bytes=on_bytes,
-                    stop=stop,
-                )
-            except Unreachable as error:
-                unreachable.append(str(error))
-                return Outcome(file, path, "failed", str(error))
-            except InputError as error:
-                return Outcome(file, path, "failed", str(error))
-            return Outcome(file, path, "downloaded")
-
-        with ThreadPoolExecutor(max_workers=jobs) as pool:
-            try:
-                return {outcome.file.name: outcome for outcome in pool.map(fetch_one, wanted)}
-            except BaseException:  # Ctrl-C: leave the parts as they are, for the next time
-                stop.set()
-                pool.shutdown(cancel_futures=True)
-                raise

@@ -7,6 +7,7 @@ import http.server
 import os
 import re
 import socket
+import stat
 import threading
 from collections.abc import Iterator
 from pathlib import Path
@@ -24,7 +25,6 @@ from egolane_pgm.recordings.catalog import (
     problems,
     verify,
 )
-from egolane_pgm.recordings.download import Unreachable, download
 from egolane_pgm.types import InputError
 
 CONTENT = {
@@ -42,16 +42,12 @@ class Mirror(http.server.ThreadingHTTPServer):
     def __init__(self) -> None:
         super().__init__(("127.0.0.1", 0), Handler)
         self.content = dict(CONTENT)
-        self.has_range = True
         self.cut_after: dict[str, int] = {}  # bytes per answer, then the connection is closed
-        self.asked: list[tuple[str, str | None]] = []
+        self.asked: list[str] = []
 
     @property
     def url(self) -> str:
         return f"http://127.0.0.1:{self.server_address[1]}/data"
-
-    def asked_for(self, name: str) -> list[str | None]:
-        return [spec for asked, spec in self.asked if asked == name]
 
 
 class Handler(http.server.BaseHTTPRequestHandler):
@@ -59,20 +55,15 @@ class Handler(http.server.BaseHTTPRequestHandler):
 
     def do_GET(self) -> None:
         name = unquote(self.path).removeprefix("/data/")
-        spec = self.headers.get("Range")
-        self.server.asked.append((name, spec))
+        self.server.asked.append(name)
         if name not in self.server.content:
             self.send_error(404)
             return
         body = self.server.content[name]
-        match = re.fullmatch(r"bytes=(\d+)-", spec or "")
-        start = int(match[1]) if match and self.server.has_range else 0
-        self.send_response(206 if start else 200)
-        if start:
-            self.send_header("Content-Range", f"bytes {start}-{len(body) - 1}/{len(body)}")
-        self.send_header("Content-Length", str(len(body) - start))
+        self.send_response(200)
+        self.send_header("Content-Length", str(len(body)))
         self.end_headers()
-        self.wfile.write(body[start : start + self.server.cut_after.get(name, len(body))])
+        self.wfile.write(body[: self.server.cut_after.get(name, len(body))])
 
     def log_message(self, *args: object) -> None:
         pass
@@ -146,49 +137,29 @@ def test_the_download_folder_is_in_the_cache_of_the_user(
     assert [o.status for o in verify()] == ["present"] * 3
 
 
-@pytest.mark.parametrize("has_range", [True, False])
-def test_a_part_is_continued_where_the_server_can_and_else_begun_anew(
-    mirror: Mirror, tmp_path: Path, has_range: bool
-) -> None:
-    mirror.has_range = has_range
-    (tmp_path / "rle").mkdir()
-    (tmp_path / "rle" / "one.bag.part").write_bytes(CONTENT["one.bag"][:1000])
-    assert set(statuses(fetch(mirror.url, tmp_path)).values()) == {"downloaded"}
-    assert mirror.asked_for("one.bag") == ["bytes=1000-"]
-    assert files_in(tmp_path) == CONTENT
-
-
-def test_a_connection_cut_midway_is_taken_up_again_at_once(mirror: Mirror, tmp_path: Path) -> None:
-    mirror.cut_after["one.bag"] = 200_000
-    assert set(statuses(fetch(mirror.url, tmp_path)).values()) == {"downloaded"}
-    assert mirror.asked_for("one.bag") == [None, "bytes=200000-", "bytes=400000-"]
-    assert files_in(tmp_path) == CONTENT
-
-
-def test_a_connection_cut_again_and_again_leaves_a_part_for_the_next_time(
+def test_a_connection_that_is_cut_is_said_in_one_line_and_leaves_nothing(
     mirror: Mirror, tmp_path: Path
 ) -> None:
-    mirror.cut_after["one.bag"] = 1000
+    mirror.cut_after["one.bag"] = 200_000
     outcomes = fetch(mirror.url, tmp_path)
     assert statuses(outcomes)["one.bag"] == "failed"
     (line,) = problems(outcomes)
-    assert "one.bag" in line
-    assert "after 5000 of 512000 bytes; run it again to continue" in line
-    assert files_in(tmp_path)["one.bag.part"] == CONTENT["one.bag"][:5000]
+    assert line.startswith(f"one.bag: {mirror.url}/one.bag")
+    assert "\n" not in line
+    assert set(files_in(tmp_path)) == {"two with space.bag", "gt.txt"}
     mirror.cut_after.clear()
-    mirror.asked.clear()
     assert statuses(fetch(mirror.url, tmp_path))["one.bag"] == "downloaded"
-    assert mirror.asked == [("one.bag", "bytes=5000-")]
     assert files_in(tmp_path) == CONTENT
 
 
-def test_a_cut_server_without_ranges_fails_and_does_not_go_on_for_ever(
-    mirror: Mirror, tmp_path: Path
-) -> None:
-    mirror.has_range = False
-    mirror.cut_after["one.bag"] = 1000
-    assert statuses(fetch(mirror.url, tmp_path))["one.bag"] == "failed"
-    assert len(mirror.asked_for("one.bag")) == 2
+@pytest.mark.parametrize(("mask", "mode"), [(0o022, 0o644), (0o077, 0o600)])
+def test_a_download_keeps_the_umask(mirror: Mirror, tmp_path: Path, mask: int, mode: int) -> None:
+    before = os.umask(mask)
+    try:
+        fetch(mirror.url, tmp_path)
+    finally:
+        os.umask(before)
+    assert stat.S_IMODE((tmp_path / "rle" / "one.bag").stat().st_mode) == mode
 
 
 @pytest.mark.parametrize(
@@ -230,17 +201,9 @@ def test_a_bad_file_stays_until_a_good_one_has_come(mirror: Mirror, tmp_path: Pa
     assert files_in(tmp_path) == CONTENT
 
 
-@pytest.mark.parametrize("part", [b"garbage", b"z" * 600_000, CONTENT["one.bag"]])
-def test_a_part_of_something_else_does_no_harm(mirror: Mirror, tmp_path: Path, part: bytes) -> None:
-    (tmp_path / "rle").mkdir()
-    (tmp_path / "rle" / "one.bag.part").write_bytes(part)
-    assert statuses(fetch(mirror.url, tmp_path))["one.bag"] == "downloaded"
-    assert files_in(tmp_path) == CONTENT
-
-
 def test_a_file_that_the_mirror_lacks_is_said_in_one_line(mirror: Mirror, tmp_path: Path) -> None:
     del mirror.content["gt.txt"]
-    outcomes = fetch(mirror.url, tmp_path, jobs=1)
+    outcomes = fetch(mirror.url, tmp_path)
     (line,) = problems(outcomes)
     assert line == f"gt.txt: {mirror.url}/gt.txt: the server says 404 Not Found"
     assert set(files_in(tmp_path)) == {"one.bag", "two with space.bag"}
@@ -250,12 +213,12 @@ def test_a_dead_network_is_said_in_one_line_for_all_files(mirror: Mirror, tmp_pa
     with socket.socket() as unused:
         unused.bind(("127.0.0.1", 0))
         port = unused.getsockname()[1]
-        outcomes = fetch(f"http://127.0.0.1:{port}", tmp_path, jobs=2)
+        outcomes = fetch(f"http://127.0.0.1:{port}", tmp_path)
     assert set(statuses(outcomes).values()) == {"failed"}
     (line,) = problems(outcomes)
     assert line.startswith(f"no connection to 127.0.0.1:{port} (")
     assert "--base-url" in line
-    assert files_in(tmp_path) == {}
+    assert not list(tmp_path.rglob("*.*"))
 
 
 def test_the_default_address_is_used_without_a_mirror(
@@ -269,8 +232,6 @@ def test_bad_options_are_refused(tmp_path: Path) -> None:
     for address in ("ftp://x/y", "example.org/data", "http://"):
         with pytest.raises(InputError, match="--base-url"):
             fetch(address, tmp_path)
-    with pytest.raises(InputError, match="--jobs 0"):
-        fetch("http://127.0.0.1:9", tmp_path, jobs=0)
 
 
 def test_a_folder_that_cannot_be_written_is_said(mirror: Mirror, tmp_path: Path) -> None:
@@ -281,44 +242,6 @@ def test_a_folder_that_cannot_be_written_is_said(mirror: Mirror, tmp_path: Path)
     assert mirror.asked == []
 
 
-def one(mirror: Mirror, path: Path, **options: object) -> None:
-    body = CONTENT["one.bag"]
-    download(
-        f"{mirror.url}/one.bag",
-        path,
-        size=len(body),
-        sha256=hashlib.sha256(body).hexdigest(),
-        **options,  # type: ignore[arg-type]
-    )
-
-
-def test_the_bytes_told_to_the_progress_bar_add_up(mirror: Mirror, tmp_path: Path) -> None:
-    (tmp_path / "one.bag.part").write_bytes(b"not its beginning")
-    told: list[int] = []
-    one(mirror, tmp_path / "one.bag", on_bytes=told.append)
-    assert sum(told) == len(CONTENT["one.bag"])
-    assert min(told) < 0
-
-
-def test_a_download_that_is_told_to_stop_keeps_its_part(mirror: Mirror, tmp_path: Path) -> None:
-    stop = threading.Event()
-    with pytest.raises(InputError, match="stopped after"):
-        one(mirror, tmp_path / "one.bag", on_bytes=lambda n: n and stop.set(), stop=stop)
-    part = (tmp_path / "one.bag.part").read_bytes()
-    assert 0 < len(part) < len(CONTENT["one.bag"])
-    assert CONTENT["one.bag"].startswith(part)
-
-
-def test_a_second_download_of_the_same_file_is_refused(mirror: Mirror, tmp_path: Path) -> None:
-    fcntl = pytest.importorskip("fcntl")
-    with (tmp_path / "one.bag.part").open("ab") as held:
-        fcntl.flock(held, fcntl.LOCK_EX)
-        with pytest.raises(InputError, match="being downloaded by another process"):
-            one(mirror, tmp_path / "one.bag")
-    one(mirror, tmp_path / "one.bag")
-    assert (tmp_path / "one.bag").read_bytes() == CONTENT["one.bag"]
-
-
 def test_a_name_that_does_not_resolve_is_unreachable(
     mirror: Mirror, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -326,8 +249,8 @@ def test_a_name_that_does_not_resolve_is_unreachable(
         raise socket.gaierror(-3, "Temporary failure in name resolution")
 
     monkeypatch.setattr(socket, "getaddrinfo", fail)
-    with pytest.raises(Unreachable, match=r"no connection to nowhere\.invalid .*name resolution"):
-        download("http://nowhere.invalid/x", tmp_path / "x", size=1, sha256="0" * 64)
+    (line,) = problems(fetch("http://nowhere.invalid", tmp_path))
+    assert re.match(r"no connection to nowhere\.invalid \(.*name resolution\)*; is the", line)
 
 
 def test_a_file_is_found_beside_the_yaml_then_in_the_data_folder_then_in_the_downloads(
