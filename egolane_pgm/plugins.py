@@ -29,7 +29,7 @@ CONTRACTS = {
     "evidence": ("evidence",),
     "recordings": ("read",),
     "detectors": ("STEREO", "start"),
-    # Only users' own files: the package's are names of `detectors._matchers`.
+    # Only users' own files: the package's are names of `detectors.simple.matchers`.
     "matchers": ("match",),
 }
 

@@ -1,13 +1,14 @@
-"""Camera pictures in, lines out (the red box): one file per detector.
+"""The red box: detectors, which take camera pictures and give lines. Each is a file here.
 
 A detector is a module with
 
-- `STEREO`: whether it needs pictures of two cameras;
-- `PARAMETERS`: a tuple of `Parameter`, every constant that it has;
-- `start(camera, parameters) -> step`: makes what a drive needs once, and gives a function from one
-  `Picture` to its `FrameLines`, called frame by frame in order, that keeps its tracks to itself.
+- `STEREO`: whether it needs the pictures of two cameras
+- `PARAMETERS`: a tuple with a `Parameter` for each of its constants
+- `start(camera, parameters) -> step`: prepares for one drive. `step` takes a `Picture` and gives
+  its `FrameLines`; it is called for each frame in order and keeps its own tracks.
 
-Modules whose name starts with `_` are what the detectors share.
+`runner` runs a detector over the pictures of a drive; `simple` holds the parts that the paper's
+detectors share.
 """
 
 from __future__ import annotations
@@ -26,13 +27,15 @@ from egolane_pgm.types import BoolArray, FloatArray, InputError, LineLog
 
 @dataclass(frozen=True)
 class FrameLines:
-    """The L lines of one frame, left to right.
+    """The L lines of one frame, sorted left to right.
 
-    shape (L, 4): y(x) = s0 + s1 x + s2 x^2 / 2 + s3 x^3 / 6, metres to the right at x metres ahead
-    (offset, heading, curvature and its rate: a clothoid; straight lines have s2 = s3 = 0).
-    is_valid, is_continuous (L,): bool. lri (L,): detections in the last frames.
+    - shape: (L, 4) coefficients of the clothoid y(x) = s0 + s1 x + s2 x^2 / 2 + s3 x^3 / 6, metres
+      to the right at x metres ahead: offset, heading, curvature and its rate. Straight lines have
+      s2 = s3 = 0.
+    - is_valid, is_continuous: (L,) bool
+    - lri: (L,) the line reliability index, how often the line was detected in the last frames
 
-    Raises InputError for what are no arrays of these shapes and kinds.
+    Raises InputError for arrays of other shapes or types.
     """
 
     shape: FloatArray
@@ -60,17 +63,21 @@ class FrameLines:
 
     @property
     def offset_m(self) -> FloatArray:
-        """(L,): metres, negative left."""
+        """The lines' offsets, (L,), metres, negative on the left."""
         return self.shape[:, 0]
 
 
+#: The function that a detector's `start` gives: from the next picture of a drive to its lines.
 Step = Callable[[Picture], FrameLines]
 
 
 def as_log(
     frames: Iterable[tuple[int, FrameLines]], frame_rate: float, source: str = "detector"
 ) -> LineLog:
-    """The lines of a drive, frame by frame, as a LineLog."""
+    """Packs the lines of a drive, given as pairs of frame id and lines, into a LineLog.
+
+    frame_rate: Hz, from which times follow (frame id over frame rate).
+    """
     given = list(frames)
     lines = [found for _, found in given]
 

@@ -4,13 +4,13 @@ from __future__ import annotations
 
 from egolane_pgm.camera.model import Camera
 from egolane_pgm.detectors import Step
-from egolane_pgm.detectors.simple import finder as _simple
+from egolane_pgm.detectors.simple import finder
 from egolane_pgm.parameters import Parameters
 
 STEREO = False
-PARAMETERS = _simple.PARAMETERS
+PARAMETERS = finder.PARAMETERS
 
 
 def start(camera: Camera, parameters: Parameters) -> Step:
-    """Pictures of one drive in, in order; clothoids out."""
-    return _simple.start(camera, parameters, curve="clothoid")
+    """Starts a drive: the step takes its pictures in order and gives clothoids."""
+    return finder.start(camera, parameters, curve="clothoid")

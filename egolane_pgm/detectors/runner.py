@@ -1,4 +1,5 @@
-"""A detector over the pictures of a drive: the plugin, checked, and its lines collected."""
+"""Runs a detector over the pictures of a drive: finds the plugin, checks its answers and collects
+its lines."""
 
 from __future__ import annotations
 
@@ -18,13 +19,13 @@ from egolane_pgm.parameters import Value, resolve_parameters
 from egolane_pgm.plugins import load_plugin, plugin_errors
 from egolane_pgm.types import InputError, LineLog
 
-#: So many frames are collected one by one before they are packed into arrays.
+#: How many frames are collected before they are packed into arrays.
 _PACK = 1000
 
 
 @dataclass(frozen=True)
 class Detector:
-    """A detector's module and the values of its parameters, checked. where: for messages."""
+    """A detector's module and the checked values of its parameters. where: how messages begin."""
 
     name: str
     module: ModuleType
@@ -40,23 +41,26 @@ class Detector:
 def find_detector(
     name: str, given: Mapping[str, Any], base: Path, where: str, given_by: str | None = None
 ) -> Detector:
-    """The detector of a name, or of a file relative to `base`, with its parameters.
+    """Finds a detector by its name, or in a file relative to `base`, and checks its parameters.
 
-    Raises InputError starting with `where` for an unknown name, and with `given_by` (default: the
-    key beside `where`) for an unknown parameter or value.
+    - given: values of parameters; the others keep their defaults
+    - where: how messages about the name begin
+    - given_by: how messages about parameters begin; `<where>_parameters` by default
+
+    Raises InputError for an unknown detector or parameter and for a wrong value.
     """
     module = load_plugin("detectors", name, base, where)
     specs = getattr(module, "PARAMETERS", ())
     values = resolve_parameters(specs, given, 1, given_by or f"{where}_parameters")
     for key, value in values.items():
-        # A user's own file, as a stereo matcher may be, is named as the detector's is.
+        # A parameter may name a user's own file (a stereo matcher), relative to `base` as well.
         if isinstance(value, str) and value.endswith(".py"):
             values[key] = os.path.realpath(base / value)
     return Detector(name, module, values, where)
 
 
 def check_pair(detector: Detector, camera: Camera, has_right: bool, where: str) -> None:
-    """Raise InputError where a stereo detector has no second camera, or another one has."""
+    """Raises InputError if a stereo detector has no second camera, or a mono detector has one."""
     if detector.is_stereo and not has_right:
         raise InputError(f"{where}: detector {detector.name} needs the pictures of a second camera")
     if has_right and not detector.is_stereo:
@@ -71,7 +75,7 @@ def check_pair(detector: Detector, camera: Camera, has_right: bool, where: str) 
 
 
 def start(detector: Detector, camera: Camera) -> Step:
-    """The detector, ready for the first picture."""
+    """Prepares a detector for the first picture of a drive."""
     with plugin_errors(detector.module, detector.where):
         step: Step = detector.module.start(camera, detector.parameters)
     return step
@@ -80,9 +84,9 @@ def start(detector: Detector, camera: Camera) -> Step:
 def detect(
     detector: Detector, camera: Camera, pictures: Iterable[Picture]
 ) -> Iterator[tuple[int, FrameLines]]:
-    """Frame id and lines of each picture, checked.
+    """Runs a detector over pictures; gives the frame id and the checked lines of each.
 
-    Raises InputError naming detector and frame for lines that are not what the contract asks for.
+    Raises InputError, naming detector and frame, for lines that break the detectors' contract.
     """
     step = start(detector, camera)
     for picture in pictures:
@@ -110,15 +114,23 @@ def _check(lines: FrameLines, where: str) -> None:
 
 @dataclass(frozen=True)
 class Collected:
-    """The lines of a drive so far. log: None without a frame. stopped: what ended it before its
-    end (Ctrl-C, a picture that cannot be used), or None."""
+    """The lines of a drive, as far as it went.
+
+    - log: None if there was no frame
+    - stopped: what ended the drive early (Ctrl-C, a picture that cannot be used), or None
+    """
 
     log: LineLog | None
     stopped: KeyboardInterrupt | InputError | None
 
 
 def collect(frames: Iterable[tuple[int, FrameLines]], frame_rate: float, source: str) -> Collected:
-    """The lines of a drive as one log; what was detected before an interruption is kept."""
+    """Collects the lines of a drive into one log; an interruption keeps the frames before it.
+
+    - frames: pairs of frame id and lines, as `detect` gives them
+    - frame_rate: Hz
+    - source: where the lines come from, for messages
+    """
     log: LineLog | None = None
     pending: list[tuple[int, FrameLines]] = []
     stopped: KeyboardInterrupt | InputError | None = None

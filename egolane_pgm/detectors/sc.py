@@ -4,16 +4,15 @@ from __future__ import annotations
 
 from egolane_pgm.camera.model import Camera
 from egolane_pgm.detectors import Step
-from egolane_pgm.detectors.simple import finder as _simple
-from egolane_pgm.detectors.simple import stereo as _stereo
+from egolane_pgm.detectors.simple import finder, stereo
 from egolane_pgm.parameters import Parameters
 
 STEREO = True
-PARAMETERS = _simple.PARAMETERS + _stereo.PARAMETERS
+PARAMETERS = finder.PARAMETERS + stereo.PARAMETERS
 
 
 def start(camera: Camera, parameters: Parameters) -> Step:
-    """Pairs of pictures of one drive in, in order; clothoids out."""
-    return _simple.start(
-        camera, parameters, curve="clothoid", on_road=_stereo.on_road(camera, parameters)
+    """Starts a drive: the step takes its pairs of pictures in order and gives clothoids."""
+    return finder.start(
+        camera, parameters, curve="clothoid", on_road=stereo.on_road(camera, parameters)
     )

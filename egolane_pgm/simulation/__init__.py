@@ -1,17 +1,18 @@
-"""Motorways that do not exist: seeded drives at the level of lines, with everything known."""
+"""Simulated motorways: seeded drives as lists of lines, in which the truth is known. `rendering`
+draws the same drives as pictures."""
 
 from __future__ import annotations
 
 from egolane_pgm.simulation.detector import DetectorModel, detect_lines, sensor_failures
-from egolane_pgm.simulation.presets import PRESETS, Drive, Preset, simulate
+from egolane_pgm.simulation.presets import PRESETS, Preset, SimulatedDrive, simulate
 from egolane_pgm.simulation.world import Road, World, simulate_road
 
 __all__ = [
     "PRESETS",
     "DetectorModel",
-    "Drive",
     "Preset",
     "Road",
+    "SimulatedDrive",
     "World",
     "detect_lines",
     "sensor_failures",

@@ -1,4 +1,4 @@
-"""What the simulated world and the simulated detector share: checks and slow noise."""
+"""Checks of settings, and correlated noise, which the modules of the simulation share."""
 
 from __future__ import annotations
 
@@ -13,11 +13,14 @@ from egolane_pgm.types import FloatArray, InputError
 def check_fields(
     instance: object, kinds: Mapping[str, str], most: Mapping[str, float] | None = None
 ) -> None:
-    """Check and convert the numbers of a frozen dataclass in place, when it is made.
+    """Checks the numbers of a frozen dataclass and converts them in place, in `__post_init__`.
 
-    kinds: per key a kind of `types.Parameter`, or "count" for a whole number of at least 1.
-    most: the largest values of some; of the others a million, which in any unit is a slip.
-    Raises InputError (`simulation.<key>: ...`) for a value that is not of its kind.
+    - kinds: for each field a kind of `parameters.Parameter`, or "count" for a whole number of at
+      least 1
+    - most: the largest value of some fields; it is a million for the others, which is a slip of
+      the finger in any unit
+
+    Raises InputError (`simulation.<field>: ...`) for a value that is not of its kind.
     """
     for name, kind in kinds.items():
         where = f"simulation.{name}"
@@ -30,16 +33,16 @@ def check_fields(
 
 
 def check_seed(seed: object) -> int:
-    """The seed, or InputError unless it is a whole number that is not negative."""
+    """The seed. Raises InputError unless it is a whole number of at least 0."""
     return int(Parameter("seed", "integer", 0, "").check(seed, 1, "simulation.seed"))  # type: ignore[arg-type]
 
 
 def slow_noise(
     rng: np.random.Generator, n_frames: int, n_series: int, correlation_frames: float
 ) -> FloatArray:
-    """(T, K) stationary first-order autoregressive noise, mean 0 and standard deviation 1.
+    """Stationary first-order autoregressive noise, (T, K), with mean 0 and standard deviation 1.
 
-    The correlation between two frames falls to 1/e over `correlation_frames`; 0 is white noise.
+    correlation_frames: over so many frames the correlation falls to 1/e; 0 gives white noise.
     """
     keep = float(np.exp(-1.0 / correlation_frames)) if correlation_frames > 0 else 0.0
     noise = rng.standard_normal((n_frames, n_series))

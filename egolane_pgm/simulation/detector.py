@@ -1,17 +1,18 @@
-"""A line detector and tracker that sees a simulated road, and fails in bursts.
+"""A simulated line detector and tracker, which fails in bursts.
 
-Every line of the road has a track. In each frame a track is detected or not; the line reliability
-index (LRI) counts its detections in the last frames, the line becomes valid when the index reaches
-its maximum and stays so until the index falls below a share of it (paper, section "Line detection
-and tracking"). Between detections a track keeps its last offset, as the recorded trackers do.
+Every line of the road has a track. In each frame a track is detected or not. The line reliability
+index (LRI) counts its detections in the last frames. The line becomes valid when the LRI reaches
+its maximum, and stays so until the LRI falls below a share of it (paper, section
+`section:simple-line-detector`). Between detections a track keeps its last offset, as the recorded
+trackers do.
 """
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass, fields
 
 import numpy as np
+from scipy.special import ndtr
 
 from egolane_pgm.simulation._common import check_fields, check_seed, slow_noise
 from egolane_pgm.simulation.world import Road
@@ -20,38 +21,46 @@ from egolane_pgm.types import BoolArray, FloatArray, InputError, IntArray, LineL
 
 @dataclass(frozen=True)
 class DetectorModel:
-    """How lines are detected, per line and frame unless said otherwise.
+    """How lines are detected; probabilities are per line and frame unless said otherwise.
 
-    Where the lines are reported:
-    offset_scale: reported over true offset (a camera whose calibration is a little off).
-    noise_m: standard deviation of a line about its place, metres. noise_s: its correlation time,
-        seconds; two frames differ by noise_m sqrt(2 (1 - exp(-1 / (noise_s frame_rate)))).
+    Reported offsets:
 
-    Whether they are seen:
-    seen_left, seen_inner, seen_right, seen_shoulder: probability that the leftmost line, an inner
-        (dashed) one, the rightmost one, the line beyond the shoulder is in view when near.
-    range_m: distance at which it is in view half as often. range_softness_m: over how many metres
-        that happens (logistic).
-    in_view_s: correlation time of being in view, seconds.
-    miss: probability that a line in view is missed in a frame.
+    - offset_scale: reported over true offset (an error of the camera's calibration)
+    - noise_m: standard deviation of a reported line from its place
+    - noise_s: correlation time of that noise, seconds; two neighbouring frames differ by
+      noise_m sqrt(2 (1 - exp(-1 / (noise_s frame_rate))))
 
-    What is said about them:
-    continuous_left, continuous_inner, continuous_right, continuous_shoulder: probability that the
-        line carries the continuous flag. flag_s: its correlation time, seconds.
-    lri_max: frames over which detections are counted. lri_reset: share of lri_max below which a
-        valid line stops being valid.
+    Detections:
 
-    Lines that are none:
-    clutter_lines: how many false tracks there can be at once. clutter: share of time for which
-        each is there. clutter_s: mean duration, seconds. clutter_range_m: they lie within this
-        many metres to both sides.
+    - seen_left, seen_inner, seen_right, seen_shoulder: probability that a near line is in view: the
+      leftmost line, an inner (dashed) one, the rightmost one, the line beyond the shoulder
+    - range_m: distance at which a line is in view half as often
+    - range_softness_m: the width of that fall with distance (logistic)
+    - in_view_s: correlation time of being in view, seconds
+    - miss: probability that a line in view is missed in a frame
 
-    Failures (two-state Markov chain, OK and BAD):
-    ok_s, bad_s: mean duration of a stretch in each state, seconds; bad_s 0 for no failures.
-    bad_missed: probability, per line and stretch, that the line is not detected during a failure.
-    bad_shifted: probability that a line that is still detected is reported shifted; the shift, of
-        standard deviation bad_shift_m metres, is common to the lines of a stretch.
-    bad_clutter: probability, per false track and stretch, that it is there during a failure.
+    Flags:
+
+    - continuous_left, continuous_inner, continuous_right, continuous_shoulder: probability that the
+      line has the continuous flag
+    - flag_s: correlation time of the flag, seconds
+    - lri_max: number of frames over which detections are counted
+    - lri_reset: share of lri_max below which a valid line stops being valid
+
+    False lines:
+
+    - clutter_lines: the largest number of false tracks at once
+    - clutter: share of the time for which each of them is there
+    - clutter_s: mean duration of a false track, seconds
+    - clutter_range_m: the largest distance of a false track to either side
+
+    Failures, from a Markov chain with the states OK and BAD:
+
+    - ok_s, bad_s: mean time in each state, seconds; bad_s = 0 for no failures
+    - bad_missed: probability, per line and failure, that the line is not detected
+    - bad_shifted: probability, per line and failure, that the line is reported shifted
+    - bad_shift_m: standard deviation of the shift, which all lines of a failure share
+    - bad_clutter: probability, per false track and failure, that the track is there
 
     Raises InputError, naming the key, for a value out of range.
     """
@@ -111,10 +120,11 @@ class DetectorModel:
 def _stretches(
     rng: np.random.Generator, n_frames: int, off_frames: float, on_frames: float
 ) -> tuple[BoolArray, IntArray]:
-    """A stationary two-state Markov chain: is_on (T,), and the number of the stretch (T,).
+    """A stationary two-state Markov chain: whether it is on, (T,), and the number of the stretch
+    that a frame belongs to, (T,).
 
-    off_frames, on_frames: mean lengths of the stretches, frames (at least 1); on_frames 0 for
-    never on.
+    off_frames, on_frames: mean lengths of the stretches, raised to 1 frame; on_frames = 0 for a
+    chain that is never on.
     """
     if on_frames == 0:
         return np.zeros(n_frames, dtype=bool), np.zeros(n_frames, dtype=np.int64)
@@ -123,7 +133,7 @@ def _stretches(
     lengths: list[int] = []
     covered = 0
     while covered < n_frames:
-        # Geometric lengths: the rest of the stretch that is under way has the same distribution.
+        # A geometric length has no memory, so the rest of the first stretch is geometric as well.
         lengths.append(int(rng.geometric(1.0 / mean[(state + len(lengths)) % 2])))
         covered += lengths[-1]
     number = np.repeat(np.arange(len(lengths)), lengths)[:n_frames]
@@ -131,7 +141,7 @@ def _stretches(
 
 
 def sensor_failures(detector: DetectorModel, road: Road, seed: int) -> BoolArray:
-    """(T,) the frames in which the sensor fails: a two-state Markov chain, from its equilibrium."""
+    """The frames in which the sensor fails, (T,): a Markov chain that starts in equilibrium."""
     rng = np.random.default_rng([check_seed(seed), 1])
     rate = road.frame_rate
     return _stretches(rng, len(road), detector.ok_s * rate, detector.bad_s * rate)[0]
@@ -140,24 +150,23 @@ def sensor_failures(detector: DetectorModel, road: Road, seed: int) -> BoolArray
 def _slow_events(
     rng: np.random.Generator, probability: FloatArray, correlation_frames: float
 ) -> BoolArray:
-    """(T, K) events of the given probabilities (T, K) that come in stretches."""
+    """Events (T, K) of the given probabilities (T, K) that are correlated over time."""
     noise = slow_noise(rng, len(probability), probability.shape[1], correlation_frames)
     grid = np.linspace(-6.0, 6.0, 1201)
-    below = np.array([0.5 * (1.0 + math.erf(z / math.sqrt(2.0))) for z in grid])
-    return np.asarray(noise < np.interp(probability, below, grid))
+    return np.asarray(noise < np.interp(probability, ndtr(grid), grid))
 
 
 def _per_stretch(
     rng: np.random.Generator, number: IntArray, probability: float, n_tracks: int
 ) -> BoolArray:
-    """(T, K) one draw per stretch and track."""
+    """Events (T, K), drawn once for each stretch and track."""
     return np.asarray(rng.random((int(number.max(initial=0)) + 1, n_tracks)) < probability)[number]
 
 
 def _road_tracks(
     road: Road, detector: DetectorModel, is_failing: BoolArray, rng: np.random.Generator
 ) -> tuple[FloatArray, BoolArray, BoolArray]:
-    """Offset, detection and continuous flag (T, K) of the road's own lines."""
+    """Offsets, detections and continuous flags, (T, K) each, of the road's own lines."""
     true_m = np.column_stack([road.line_offset_m, road.shoulder_offset_m])
     exists = np.isfinite(true_m)
     true_m = np.where(exists, true_m, 0.0)
@@ -195,7 +204,7 @@ def _road_tracks(
 def _clutter_tracks(
     road: Road, detector: DetectorModel, is_failing: BoolArray, rng: np.random.Generator
 ) -> tuple[FloatArray, BoolArray, BoolArray]:
-    """Offset, detection and continuous flag (T, K) of the lines that are none."""
+    """Offsets, detections and continuous flags, (T, K) each, of the false lines."""
     n_frames, fps, n_tracks = len(road), road.frame_rate, detector.clutter_lines
     offset = detector.noise_m * slow_noise(rng, n_frames, n_tracks, detector.noise_s * fps)
     is_detected = np.zeros((n_frames, n_tracks), dtype=bool)
@@ -217,7 +226,7 @@ def _clutter_tracks(
 
 
 def _last_frame_with(event: BoolArray) -> IntArray:
-    """(T, K) the last frame up to now with the event, -1 before the first."""
+    """The last frame up to now with the event, (T, K); -1 before the first."""
     frame = np.arange(len(event))[:, None]
     return np.asarray(np.maximum.accumulate(np.where(event, frame, -1), axis=0))
 
@@ -225,11 +234,10 @@ def _last_frame_with(event: BoolArray) -> IntArray:
 def line_reliability(
     is_detected: BoolArray, lri_max: int, lri_reset: float
 ) -> tuple[IntArray, BoolArray]:
-    """LRI and valid flag (T, K) of tracks from their detections (T, K).
+    """LRI and valid flags, (T, K) each, of tracks with detections (T, K).
 
-    The LRI is the number of detections in the last lri_max frames; before the first frame the
-    track is taken to have been as in it. Valid from LRI = lri_max until LRI < lri_reset lri_max
-    (at the latest when it is 0).
+    The LRI is the number of detections in the last lri_max frames; frames before the first count as
+    the first one. A track is valid from LRI = lri_max until LRI < lri_reset lri_max or LRI = 0.
     """
     first = np.repeat(is_detected[:1], lri_max, axis=0)
     total = np.cumsum(np.concatenate([first, is_detected]), axis=0)
@@ -239,11 +247,12 @@ def line_reliability(
 
 
 def detect_lines(road: Road, is_failing: BoolArray, detector: DetectorModel, seed: int) -> LineLog:
-    """What `detector` reports of `road`; the same seed gives the same log.
+    """The lines that `detector` reports on `road`; the same seed gives the same log.
 
-    is_failing (T,): the frames in which the sensor fails (`sensor_failures`, or one's own).
-    Lines are listed from left to right, those detected within the last lri_max frames.
-    Raises InputError where is_failing has another length than the road.
+    is_failing: (T,) the frames in which the sensor fails, for example from `sensor_failures`.
+
+    Each frame lists, from left to right, the lines detected within the last lri_max frames.
+    Raises InputError if is_failing has another length than the road.
     """
     if is_failing.shape != (len(road),):
         raise InputError(

@@ -1,4 +1,4 @@
-"""Ready-made drives, like the paper's two motorways, and the one call that makes a drive."""
+"""Presets for simulated drives, such as those on the paper's two motorways, and `simulate`."""
 
 from __future__ import annotations
 
@@ -12,12 +12,13 @@ from egolane_pgm.types import BoolArray, FloatArray, InputError, LaneTruth, Line
 
 
 @dataclass(frozen=True)
-class Drive:
-    """A simulated drive: what was recorded and annotated, and what only a simulator knows.
+class SimulatedDrive:
+    """A simulated drive: the recording and its annotation, and the simulator's hidden state.
 
-    log: the detected lines. truth: the annotated lane. n_lanes.
-    position_m (T,): metres from the leftmost line to the vehicle.
-    is_failing (T,): the sensor is in its BAD state.
+    - log: the detected lines
+    - truth: the annotated lane
+    - position_m: (T,) distance of the vehicle from the leftmost line, metres
+    - is_failing: (T,) whether the sensor is in its BAD state
     """
 
     log: LineLog
@@ -32,7 +33,7 @@ class Drive:
 
 @dataclass(frozen=True)
 class Preset:
-    """A world, a detector, and what drives made with them were measured to be like (`doc`)."""
+    """A world and a detector. doc: what drives made with them are like, as measured."""
 
     world: World
     detector: DetectorModel
@@ -136,11 +137,13 @@ def simulate(
     frames: int | None = None,
     n_lanes: int | None = None,
     **overrides: float,
-) -> Drive:
-    """A drive from a preset; the same arguments give the same drive.
+) -> SimulatedDrive:
+    """Simulates a drive; the same arguments give the same drive.
 
-    preset: a name in `PRESETS`. frames, n_lanes: instead of the preset's. overrides: any field of
-    `World` or `DetectorModel`, by its name.
+    - preset: a name in `PRESETS`
+    - frames, n_lanes: replace the preset's values
+    - overrides: replace any fields of `World` or `DetectorModel`, by their names
+
     Raises InputError for an unknown preset or key, with a suggestion, and for a value that is out
     of range, naming the key.
     """
@@ -161,4 +164,4 @@ def simulate(
     road = simulate_road(world, seed)
     is_failing = sensor_failures(detector, road, seed)
     log = detect_lines(road, is_failing, detector, seed)
-    return Drive(log, road.truth, world.n_lanes, road.position_m, is_failing)
+    return SimulatedDrive(log, road.truth, world.n_lanes, road.position_m, is_failing)

@@ -1,7 +1,7 @@
-"""The road and the vehicle on it: where the lane lines are, in every frame, without any error.
+"""The road and the vehicle on it: the exact place of the lane lines in every frame.
 
-Nothing here knows how lines are detected, so that a line detector model and rendered images can
-look at the same drive.
+This module knows nothing of detectors, so that the simulated detector and the rendered pictures can
+show the same drive.
 """
 
 from __future__ import annotations
@@ -13,35 +13,39 @@ import numpy as np
 from egolane_pgm.simulation._common import check_fields, check_seed, slow_noise
 from egolane_pgm.types import BoolArray, FloatArray, InputError, IntArray, LaneTruth
 
-#: The wander inside the lane saturates at this many standard deviations.
+#: The largest wander inside the lane, in standard deviations.
 _WANDER_LIMIT = 2.5
 
-#: The duration of a lane change is kept between these multiples of its median.
+#: The shortest and the longest lane change, as multiples of the median duration.
 _SHORTEST, _LONGEST = 0.6, 1.7
 
-#: More than this of a drive is a slip of the finger (11 days of frames), and fills the memory.
+#: Largest values of some fields. More (11 days of frames) is a slip of the finger and would fill
+#: the memory.
 _MOST = {"n_lanes": 100, "n_frames": 10_000_000, "shoulder_m": 100}
 
 
 @dataclass(frozen=True)
 class World:
-    """A straight motorway, a vehicle that changes lane on it, and how a person annotates it.
+    """A straight motorway, a vehicle that changes lane on it, and how a person annotates the drive.
 
-    n_lanes: lanes, lane 1 leftmost.
-    lane_width_m: metres between neighbouring lines.
-    n_frames: frames to drive. frame_rate: frames per second.
-    changes_per_minute: lane changes; their number is this rate times the duration, rounded down.
-    change_s: median duration of a lane change, seconds, from leaving the one lane's centre to
-        reaching the other's. change_spread: standard deviation of its logarithm; durations stay
-        within 0.6 and 1.7 times the median.
-    min_stay_s: shortest stay in a lane between two changes, seconds.
-    wander_m: standard deviation of the position about the lane's centre, metres (at most 2.5
-        times as much occurs). wander_s: its correlation time, seconds.
-    crossing_share: share of a lane change, in its middle, that is annotated as crossing.
-    label_flips_at: where in the crossing the annotated lane changes: 1 at its end (the Italian
-        recordings), 0.65 (the Spanish ones).
-    shoulder_m: metres from the rightmost lane line to a further line on its right (the end of the
-        hard shoulder, a guard rail); 0 for none.
+    - n_lanes: number of lanes; lane 1 is the leftmost
+    - lane_width_m: distance between neighbouring lines
+    - n_frames: length of the drive
+    - frame_rate: frames per second
+    - changes_per_minute: rate of lane changes; their number is rounded down
+    - change_s: median duration of a lane change, from leaving one lane's centre to reaching the
+      next, seconds
+    - change_spread: standard deviation of the logarithm of that duration, which stays within 0.6
+      and 1.7 times the median
+    - min_stay_s: shortest stay in a lane between two changes, seconds
+    - wander_m: standard deviation of the position about the lane's centre; at most 2.5 times as
+      much occurs
+    - wander_s: correlation time of the wander, seconds
+    - crossing_share: share of a lane change, in its middle, that is annotated as crossing
+    - label_flips_at: where in the crossing the annotated lane changes: 1 is its end (as in the
+      Italian recordings); the Spanish ones have 0.65
+    - shoulder_m: distance from the rightmost lane line to one more line on its right (the end of
+      the hard shoulder, a guard rail); 0 for none
 
     Raises InputError, naming the key, for a value out of range.
     """
@@ -86,7 +90,7 @@ class World:
                 f"simulation.change_s: {self.change_s} s is only {shortest:.1f} frames in the"
                 " shortest lane changes, needs 4"
             )
-        # One frame of slack: the crossing is a whole number of frames.
+        # One frame of slack, because the crossing is rounded to whole frames.
         phase = min(0.5, (1 - self.crossing_share) / 2 + 1.0 / shortest)
         room_m = self.lane_width_m * (0.5 - float(ease(np.array(phase))))
         if _WANDER_LIMIT * self.wander_m > room_m and self.n_lanes > 1:
@@ -104,13 +108,14 @@ class World:
 
 @dataclass(frozen=True)
 class Road:
-    """A drive as it was: no noise, no detector.
+    """A drive over T frames without noise or detector.
 
-    frame_rate: frames per second. n_lanes.
-    position_m (T,): metres from the leftmost line to the vehicle, positive to the right.
-    lane (T,), is_crossing (T,): as annotated.
-    line_offset_m (T, n + 1): the lane lines seen from the vehicle, leftmost first, metres,
-        negative left. shoulder_offset_m (T,): the further line on the right, NaN without one.
+    - frame_rate: frames per second
+    - position_m: (T,) distance of the vehicle from the leftmost line, positive to the right
+    - lane, is_crossing: (T,) as annotated
+    - line_offset_m: (T, n + 1) lane lines as seen from the vehicle, leftmost first, metres,
+      negative on the left
+    - shoulder_offset_m: (T,) the additional line on the right; NaN without one
     """
 
     frame_rate: float
@@ -126,14 +131,15 @@ class Road:
 
     @property
     def truth(self) -> LaneTruth:
-        """The annotation, frames counted from 0."""
+        """The annotation; frame ids count from 0."""
         return LaneTruth(
             np.arange(len(self), dtype=np.int64), self.lane, self.is_crossing, "simulated road"
         )
 
 
 def ease(phase: FloatArray) -> FloatArray:
-    """From 0 to 1 with no speed and no acceleration at both ends (minimum jerk)."""
+    """A move from 0 to 1 as `phase` goes from 0 to 1, with no speed and no acceleration at both
+    ends (minimum jerk)."""
     return np.asarray(phase**3 * (10.0 - 15.0 * phase + 6.0 * phase**2))
 
 
@@ -151,7 +157,7 @@ def _change_frames(world: World, rng: np.random.Generator) -> tuple[IntArray, In
             f"simulation.changes_per_minute: {count} lane changes do not fit into"
             f" {world.n_frames} frames; reduce it, change_s or min_stay_s"
         )
-    # Uniform over all ways to share the free frames out, as for changes at a constant rate.
+    # All ways to distribute the free frames are equally likely, as for changes at a constant rate.
     cuts = np.sort(rng.integers(0, max(free, 0) + 1, size=count))
     before = np.diff(cuts, prepend=0) + stay
     first = np.cumsum(before) + np.cumsum(length) - length
@@ -159,9 +165,9 @@ def _change_frames(world: World, rng: np.random.Generator) -> tuple[IntArray, In
 
 
 def simulate_road(world: World, seed: int) -> Road:
-    """Drive along `world`; the same seed gives the same drive.
+    """Simulates a drive along `world`; the same seed gives the same drive.
 
-    Raises InputError where the lane changes do not fit into the frames.
+    Raises InputError if the lane changes do not fit into the frames.
     """
     rng = np.random.default_rng([check_seed(seed), 0])
     n, width = world.n_lanes, world.lane_width_m

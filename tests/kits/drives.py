@@ -12,13 +12,13 @@ from click.testing import CliRunner, Result
 from egolane_pgm.cli.main import egolane
 from egolane_pgm.recordings.ground_truth import write_ground_truth
 from egolane_pgm.recordings.table import write_table
-from egolane_pgm.simulation import Drive, simulate
+from egolane_pgm.simulation import SimulatedDrive, simulate
 
 N_FRAMES = 150
 
 
 @functools.cache
-def short_drive(n_frames: int = N_FRAMES) -> Drive:
+def short_drive(n_frames: int = N_FRAMES) -> SimulatedDrive:
     return simulate("quickstart", seed=3, frames=n_frames)
 
 

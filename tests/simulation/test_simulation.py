@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 from egolane_pgm.simulation import (
     PRESETS,
     DetectorModel,
-    Drive,
+    SimulatedDrive,
     World,
     detect_lines,
     sensor_failures,
@@ -40,7 +40,7 @@ PERFECT = DetectorModel(
 )
 
 
-def assert_same(a: Drive, b: Drive) -> None:
+def assert_same(a: SimulatedDrive, b: SimulatedDrive) -> None:
     for x, y in ((a.log, b.log), (a.truth, b.truth), (a, b)):
         for f in fields(x):
             value = getattr(x, f.name)

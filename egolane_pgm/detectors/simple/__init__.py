@@ -1,1 +1,1 @@
-"""What the paper's four simple line detectors are made of."""
+"""The parts of the paper's four simple line detectors (section `section:simple-line-detector`)."""

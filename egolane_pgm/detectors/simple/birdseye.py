@@ -1,8 +1,8 @@
-"""The road seen from above: the bird's-eye view of a calibrated camera.
+"""The bird's-eye view: the road as a calibrated camera would see it from above (first step of the
+paper's section `section:simple-line-detector`).
 
-Section `section:simple-line-detector` of paper.tex, first step. Row 0 is the far edge, column 0 the
-left one; a pixel is so many metres along the road and so many across, not the same number, because
-the camera sees finely to the side and coarsely ahead.
+Row 0 is the far edge and column 0 the left edge. A pixel has one size along the road and another
+across it, because the camera resolves the road finely to the side and coarsely ahead.
 """
 
 from __future__ import annotations
@@ -17,14 +17,14 @@ from egolane_pgm.camera.model import Camera, image_to_road, road_to_image, vanis
 from egolane_pgm.camera.picture import Image
 from egolane_pgm.types import BoolArray, FloatArray, InputError
 
-#: Larger views are a wrong unit, and OpenCV cannot make them.
+#: The largest side of a view, pixels. A larger one has a wrong unit, and OpenCV cannot make it.
 _MOST_PIXELS = 8000
 
-#: A view of which less than this share is in the picture is no view of the road.
+#: The smallest share of a view that must be in the picture.
 _LEAST_SHARE = 0.1
 
-#: Pixels by which taking distortion away may miss where putting it on started; beyond, the lens
-#: model has folded over and shows the picture a second time.
+#: The largest error, in pixels, of distorting a point and removing the distortion again. If it is
+#: larger, the distortion formula has folded over and would show the picture a second time.
 _FOLD_PX = 1.0
 
 
@@ -32,10 +32,12 @@ _FOLD_PX = 1.0
 class BirdsEye:
     """A bird's-eye view of R rows and C columns.
 
-    x_m (R,): metres ahead of each row, decreasing. y_m (C,): metres to the right of each column.
-    along_m, across_m: metres per pixel. valid (R, C): the picture shows this bit of road, and
-    no bonnet or mirror that the camera is told to ignore.
-    map_uv: where in the picture each pixel comes from, as cv2.remap wants it.
+    - x_m: (R,) metres ahead of each row, decreasing
+    - y_m: (C,) metres to the right of each column
+    - along_m, across_m: size of a pixel, metres
+    - valid: (R, C) whether the picture shows this part of the road, outside the camera's `ignore`
+      rectangles
+    - map_uv: where in the picture each pixel comes from, in the form that cv2.remap takes
     """
 
     camera: Camera
@@ -56,11 +58,13 @@ def make_view(
     along_m: float = 0.2,
     across_m: float = 0.05,
 ) -> BirdsEye:
-    """The view of the road from x_min to x_max metres ahead, y_min to y_max to the right, with
-    pixels of along_m x across_m metres.
+    """Makes the view of a region of the road.
 
-    Raises InputError where the region is empty or its pixels too many, or the camera sees the sky
-    instead of it.
+    - x_min, x_max: from and to, metres ahead
+    - y_min, y_max: from and to, metres to the right
+    - along_m, across_m: size of a pixel, metres
+
+    Raises InputError if the region is empty, has too many pixels, or is not in the picture.
     """
     if not (0 < x_min < x_max and y_min < y_max and along_m > 0 and across_m > 0):
         raise InputError(
@@ -96,7 +100,7 @@ def make_view(
 def _unfolded(
     camera: Camera, x_m: FloatArray, y_m: FloatArray, u: FloatArray, v: FloatArray
 ) -> BoolArray:
-    """Where the lens model, taken back, returns to where it started (R, C)."""
+    """Where, (R, C), removing the distortion leads back to the point that was distorted."""
     if not any(camera.distortion):
         return np.ones(u.shape, dtype=bool)
     back_u, back_v = road_to_image(camera, *image_to_road(camera, u, v), undistorted=True)
@@ -124,9 +128,10 @@ def _check_sees_road(camera: Camera, valid: BoolArray, x_min: float, x_max: floa
 
 
 def look(view: BirdsEye, image: Image) -> Image:
-    """The picture (H, W, 3) or (H, W) from above, (R, C, 3) or (R, C); 0 where it shows nothing.
+    """Resamples a picture, (H, W, 3) or (H, W), as seen from above, (R, C, 3) or (R, C); 0 where
+    the picture does not show the road.
 
-    Raises InputError where the picture has another size than the calibration.
+    Raises InputError for a picture of another size than the calibration.
     """
     height, width = image.shape[:2]
     if (width, height) != (view.camera.width, view.camera.height):

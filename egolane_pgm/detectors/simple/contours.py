@@ -1,8 +1,9 @@
-"""Which of the marking pixels hang together well enough to belong to a line.
+"""Groups marking pixels into contours and keeps those that may belong to a line.
 
-Contours by Suzuki and Abe's border following (`cv2.findContours`), as in section
-`section:simple-line-detector` of paper.tex. What is thrown away is small, or lies across the road:
-the flanks of vehicles stand up from the road and so become streaks that point at the camera.
+The contours come from Suzuki and Abe's border following (`cv2.findContours`), as in the paper's
+section `section:simple-line-detector`. Small contours are dropped, and so are those that run across
+the road. The latter removes the flanks of vehicles: these stand up from the road, and so the
+bird's-eye view shows them as streaks that point at the camera.
 """
 
 from __future__ import annotations
@@ -14,18 +15,22 @@ import numpy as np
 from numpy.typing import NDArray
 
 from egolane_pgm.detectors.simple.birdseye import BirdsEye
+from egolane_pgm.detectors.simple.kernels import contour_runs
 from egolane_pgm.parameters import Parameters, number
 from egolane_pgm.types import FloatArray, IntArray
 
 
 @dataclass(frozen=True)
 class Strips:
-    """The contours that are kept, as N runs of pixels across the road.
+    """The K contours that are kept, cut into N runs of pixels across the road.
 
-    row (N,): row of the view. x_m, y_m (N,): middle of the run, metres. width_m (N,).
-    contour (N,): which contour it belongs to, 0 to K - 1. middle_m (K,): metres ahead of a
-    contour's middle; slope (K,): its direction, metres to the right per metre ahead; slope_sd (K,):
-    how well its shape tells it.
+    - row: (N,) the run's row in the view
+    - x_m, y_m: (N,) middle of the run, metres
+    - width_m: (N,) width of the run
+    - contour: (N,) the contour that the run belongs to, 0 to K - 1
+    - middle_m: (K,) middle of the contour, metres ahead
+    - slope: (K,) direction of the contour, metres to the right per metre ahead
+    - slope_sd: (K,) standard deviation of the slope, from the contour's shape
     """
 
     row: IntArray
@@ -39,9 +44,7 @@ class Strips:
 
 
 def find_strips(view: BirdsEye, mask: NDArray[np.uint8], parameters: Parameters) -> Strips:
-    """The contours of a mask (R, C) that may be marking."""
-    from egolane_pgm.detectors.simple.kernels import contour_runs
-
+    """Finds the contours of a mask (R, C) that may be marking."""
     borders, tree = cv2.findContours(mask, cv2.RETR_CCOMP, cv2.CHAIN_APPROX_NONE)
     if not borders:
         nothing, none = np.zeros(0), np.zeros(0, dtype=np.int64)
@@ -75,18 +78,19 @@ def find_strips(view: BirdsEye, mask: NDArray[np.uint8], parameters: Parameters)
 def _directions(
     view: BirdsEye, x: FloatArray, y: FloatArray, width: FloatArray, contour: IntArray, count: int
 ) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
-    """Area (square metres), middle (metres ahead), slope and its uncertainty for each of `count`
-    contours: the line through the middles of a contour's runs, weighted by their width."""
+    """Fits a line through the middles of each contour's runs, weighted by their width. Gives the
+    area (square metres), middle (metres ahead), slope and slope's standard deviation, (count,)
+    each."""
 
     def total(values: FloatArray) -> FloatArray:
         return np.bincount(contour, values, count).astype(np.float64)
 
-    # A hole's border has no runs of its own.
+    # The border of a hole has no runs of its own, so its weight would be 0.
     weight = np.maximum(total(width), 1e-9)
     middle = total(width * x) / weight
     x = x - middle[contour]
     y = y - (total(width * y) / weight)[contour]
-    # A run is as long as a pixel, and wide: both spread.
+    # A run is one pixel long and has a width; both add to the spread (a uniform's variance).
     along = total(width * x * x) / weight + view.along_m**2 / 12
     across = total(width * (y * y + width * width / 12)) / weight
     slope = total(width * x * y) / weight / along

@@ -1,5 +1,5 @@
-"""The paper's "simple" line detector and tracker (section `section:simple-line-detector`): what its
-four variants, mono or stereo, lines or clothoids, share."""
+"""The paper's "simple" line detector and tracker (section `section:simple-line-detector`), as its
+four variants share it: with one or two cameras, for straight lines or clothoids."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ from egolane_pgm.parameters import Parameter, Parameters
 from egolane_pgm.types import BoolArray
 
 PARAMETERS = (
-    # Lines or clothoids is what tells the variants apart.
+    # Each variant sets `curve` itself.
     *(p for p in FINDING if p.name != "curve"),
     *_PAINT,
     *TRACKING,
@@ -50,11 +50,11 @@ PARAMETERS = (
     ),
 )
 
-#: Every so many pixels are compared to tell whether a picture is the one before.
+#: The step in pixels at which a picture is compared with the one before.
 _EVERY = 8
 
-#: From a picture of both cameras: the view of it, as the camera pitches in it, and which of its
-#: pixels (R, C) lie on the plane of the road.
+#: Takes a picture of both cameras; gives the bird's-eye view with the camera's pitch in this frame,
+#: and which of its pixels (R, C) lie on the plane of the road.
 OnRoad = Callable[[Picture], tuple[BirdsEye, BoolArray]]
 
 
@@ -65,10 +65,13 @@ def start(
     curve: str,
     on_road: Callable[[BirdsEye], OnRoad] | None = None,
 ) -> Step:
-    """A detector's `start`. curve: "line" or "clothoid". on_road: given the view, makes the
-    function that tells the road from what stands on it; None: everything counts as road.
+    """The `start` of a detector.
 
-    Raises InputError where the camera does not see the road that the parameters ask for.
+    - curve: "line" or "clothoid"
+    - on_road: makes, for a view, the function that separates the road from the objects on it; None
+      if all pixels count as road
+
+    Raises InputError if the camera does not see the region that the parameters ask for.
     """
     follow, rule = follower(camera, parameters, curve=curve, on_road=on_road)
     tracks = no_tracks(rule)
@@ -88,15 +91,15 @@ def follower(
     curve: str,
     on_road: Callable[[BirdsEye], OnRoad] | None = None,
 ) -> tuple[Callable[[Tracks, Picture], Tracks], Rules]:
-    """The step from tracks and the next picture to its tracks, and the rules that it follows."""
+    """As `start`, but the step takes the tracks and gives the new ones. Also gives its rules."""
     parameters = {**parameters, "curve": curve}
     rule = rules(parameters, curved=curve == "clothoid")
     view = view_for(camera, parameters)
     road = None if on_road is None else on_road(view)
-    is_still = _still(rule)
+    count_repeats = _repeat_counter(rule)
 
     def follow(tracks: Tracks, picture: Picture) -> Tracks:
-        repeated = is_still(picture)
+        repeated = count_repeats(picture)
         if 0 < repeated < rule["frozen_after"]:
             return tracks
         if repeated:
@@ -116,13 +119,13 @@ def follower(
     return follow, rule
 
 
-def _still(rule: Rules) -> Callable[[Picture], int]:
-    """How many times running a picture has been shown again by now; one warning for a camera that
-    is frozen."""
+def _repeat_counter(rule: Rules) -> Callable[[Picture], int]:
+    """Makes a function that counts how often in a row a picture has repeated the one before. It
+    warns once if the camera is frozen."""
     before: NDArray[np.int16] | None = None
     repeated, has_warned = 0, False
 
-    def is_still(picture: Picture) -> int:
+    def count_repeats(picture: Picture) -> int:
         nonlocal before, repeated, has_warned
         sample = picture.image[::_EVERY, ::_EVERY].astype(np.int16)
         is_same = (
@@ -143,4 +146,4 @@ def _still(rule: Rules) -> Callable[[Picture], int]:
             )
         return repeated
 
-    return is_still
+    return count_repeats

@@ -1,10 +1,11 @@
-"""From one picture to its lines.
+"""Finds the lines in one picture: a given number of lines or clothoids that cover the most contour
+area (paper, section `section:simple-line-detector`).
 
-A fixed number of lines or clothoids that cover the most contour area (paper.tex, section
-`section:simple-line-detector`). All lines of a road share heading and curvature, so these are found
-first, from how sharply the contours then gather at a few offsets, and the offsets after that. A
-third thing is in common: a car that pitches sees all distances to the side grow or shrink with the
-distance ahead, y = o (1 + q x), where q is the change of pitch over the height of the camera.
+All lines of a road share heading and curvature. These are found first: the right values are those
+with which the contours gather most sharply at a few offsets. The offsets follow. The lines also
+share a third value, the squeeze q. When the car pitches, distances to the side appear to grow or
+shrink with the distance ahead, y = o (1 + q x), where q is the change of pitch over the height of
+the camera.
 """
 
 from __future__ import annotations
@@ -18,49 +19,54 @@ from egolane_pgm.camera.model import Camera
 from egolane_pgm.camera.picture import Image
 from egolane_pgm.detectors.simple.birdseye import BirdsEye, look, make_view
 from egolane_pgm.detectors.simple.contours import Strips, find_strips
+from egolane_pgm.detectors.simple.kernels import common_scores
 from egolane_pgm.detectors.simple.markings import marking_mask
 from egolane_pgm.parameters import Parameters, number
 from egolane_pgm.types import BoolArray, FloatArray, IntArray
 
-#: What all lines of a frame share.
+#: The values that all lines of a frame share.
 _SHARED = ("heading", "curvature", "squeeze")
 
-#: Steps of the search for heading, curvature and squeeze; then of the finer one around the best.
+#: Grid sizes for heading, curvature and squeeze: of the coarse search, and of the fine one around
+#: the best point.
 _COARSE = (41, 9, 5)
 _FINE = (7, 5, 5)
 
 #: Bins of the coarse and the fine search, metres.
 _COARSE_BIN_M, _FINE_BIN_M = 0.1, 0.07
 
-#: Pieces of contours that are this long are one point of the search, metres.
+#: Length of the pieces of contours that are one point of the search, metres.
 _PIECE_M = 0.8
 
-#: Bins in which the offsets of lines are looked for, metres.
+#: Size of the bins of the search for offsets, metres.
 _BIN_M = 0.05
 
-#: Rounds of least squares, each over the runs within so many reaches of the lines.
+#: For each round of least squares, how near a run must be to a line to count, in `reach_m`.
 _REFINE = (2.5, 2.0, 1.5)
 
-#: Scatter around its line of a run of contour one metre wide (runs are far from independent).
+#: Standard deviation, from its line, of a run one metre wide. It is large because runs are far from
+#: independent.
 _RUN_SD_M = 0.07
 
-#: What keeps the offset of a line solvable that no run is near (1/m^2).
+#: Weight of an offset's previous value (1/m^2), which keeps the equations solvable for a line
+#: without runs near it.
 _WEAK = 1e-3
 
-#: Less than this of a line in view is no measure of its coverage, metres.
+#: The visible length that coverage is at least divided by, metres: a shorter view says too little.
 _LEAST_VISIBLE_M = 5.0
 
-#: How much a neighbour's own score counts at most.
+#: The most of a neighbour's own score that counts as support.
 _MOST_SUPPORT = 0.5
 
 
 @dataclass(frozen=True)
 class Found:
-    """The M lines of one frame, left to right.
+    """The M lines found in one frame, left to right.
 
-    shape (M, 4): as FrameLines.shape. score (M,): how much speaks for the line: the share of its
-    visible length where contours cover it, with what its neighbours lend it. coverage (M,): share
-    of the visible length that contours cover. visible (M,): metres of the line in view.
+    - shape: (M, 4) as in FrameLines
+    - score: (M,) share of the visible length that contours cover, plus support from neighbours
+    - coverage: (M,) share of the visible length that contours cover, after the refinement
+    - visible: (M,) length of the line in view, metres
     """
 
     shape: FloatArray
@@ -71,19 +77,19 @@ class Found:
 
 @dataclass(frozen=True)
 class _Common:
-    """What all lines of a frame share: heading (m/m), curvature (1/m), squeeze (1/m)."""
+    """The values that all lines of a frame share: heading (m/m), curvature and squeeze (1/m)."""
 
     heading: float
     curvature: float
     squeeze: float
 
     def offset(self, x: FloatArray, y: FloatArray) -> FloatArray:
-        """The offset at the camera of the line through each point."""
+        """The offset of the line through each point x, y."""
         straight = y - x * (self.heading + 0.5 * self.curvature * x)
         return straight / (1 + self.squeeze * x)
 
     def shape(self, offset: FloatArray) -> FloatArray:
-        """(M, 4): the lines with offsets (M,)."""
+        """The shapes (M, 4) of the lines with offsets (M,)."""
         out = np.zeros((len(offset), 4))
         out[:, 0] = offset
         out[:, 1] = self.heading + self.squeeze * offset
@@ -92,7 +98,7 @@ class _Common:
 
 
 def view_for(camera: Camera, parameters: Parameters) -> BirdsEye:
-    """The bird's-eye view that the parameters ask for; InputError as make_view."""
+    """The bird's-eye view that the parameters ask for. Raises InputError as `make_view` does."""
     side, far = number(parameters, "side_m"), number(parameters, "x_max_m")
     if parameters["curve"] == "line":
         far = min(far, number(parameters, "straight_to_m"))
@@ -115,12 +121,14 @@ def find_lines(
     prior_shape: FloatArray | None = None,
     on_road: BoolArray | None = None,
 ) -> Found:
-    """The lines in a picture (H, W, 3), blue green red.
+    """Finds the lines in a picture.
 
-    prior_shape (P, 4): lines expected here, from the frames before; heading, curvature and squeeze
-    are then looked for near theirs. on_road (R, C): pixels of the view that lie on the plane of the
-    road; marking elsewhere is dropped. Raises InputError for a picture of another size than the
-    calibration.
+    - image: (H, W, 3), blue green red
+    - prior_shape: (P, 4) lines expected from the frames before; heading, curvature and squeeze are
+      searched near theirs
+    - on_road: (R, C) pixels of the view on the plane of the road; marking elsewhere is dropped
+
+    Raises InputError for a picture of another size than the calibration.
     """
     mask = marking_mask(view, from_above(view, image), parameters)
     if on_road is not None:
@@ -129,8 +137,8 @@ def find_lines(
 
 
 def from_above(view: BirdsEye, image: Image) -> Image:
-    """(R, C): the red of a picture (H, W, 3) from above: yellow paint is as bright as white in it,
-    and brighter than concrete. A grey picture (H, W) as it is."""
+    """The red channel of a picture (H, W, 3) from above, (R, C). In red, yellow paint is as bright
+    as white paint and brighter than concrete. A grey picture (H, W) is taken as it is."""
     red = image if image.ndim == 2 else cv2.extractChannel(image, 2).astype(np.uint8, copy=False)
     return look(view, red)
 
@@ -138,7 +146,7 @@ def from_above(view: BirdsEye, image: Image) -> Image:
 def fit_lines(
     view: BirdsEye, strips: Strips, parameters: Parameters, prior_shape: FloatArray | None = None
 ) -> Found:
-    """The lines that cover the most of the contours; prior_shape as in find_lines."""
+    """Finds the lines that cover most of the contours; `prior_shape` as in `find_lines`."""
     if len(strips.row) == 0:
         return _select(np.zeros((0, 4)), np.zeros(0), np.zeros(0), np.zeros(0))
     prior = _prior(parameters, prior_shape)
@@ -161,7 +169,7 @@ def _select(
 
 
 def _prior(parameters: Parameters, prior_shape: FloatArray | None) -> tuple[FloatArray, FloatArray]:
-    """(3,) each: what heading, curvature and squeeze are expected to be, and how surely."""
+    """Mean and standard deviation, (3,) each, of the prior on heading, curvature and squeeze."""
     sd = np.array([number(parameters, f"{name}_sd") for name in _SHARED])
     if prior_shape is None or not len(prior_shape):
         return np.zeros(3), sd
@@ -175,9 +183,8 @@ def _prior(parameters: Parameters, prior_shape: FloatArray | None) -> tuple[Floa
 def _find_common(
     view: BirdsEye, strips: Strips, parameters: Parameters, prior: tuple[FloatArray, FloatArray]
 ) -> _Common:
-    """Coarse search for what lines share, then a finer one around the best."""
-    from egolane_pgm.detectors.simple.kernels import common_scores
-
+    """Searches for the values that the lines share, on a coarse grid, then on a fine one around the
+    best point."""
     is_curved = parameters["curve"] == "clothoid"
     most = np.array([number(parameters, f"most_{name}") for name in _SHARED])
     x, y, area, contour = _pieces(view, strips)
@@ -195,7 +202,7 @@ def _find_common(
             *((values - c) / s for values, c, s in zip(grid, *prior, strict=True)),
             indexing="ij",
         )
-        # Heavy tails: a ramp is unusual, but so many contours can say that it is one.
+        # The prior has heavy tails: a ramp is unusual, but enough contours can show one.
         scores = scores / (1 + sum(a * a for a in away) / 3)
         index = np.unravel_index(np.argmax(scores), scores.shape)
         return np.array([values[i] for values, i in zip(grid, index, strict=True)])
@@ -209,7 +216,7 @@ def _find_common(
 
 
 def _pieces(view: BirdsEye, strips: Strips) -> tuple[FloatArray, FloatArray, FloatArray, IntArray]:
-    """x, y, area and contour of the contours cut into short pieces along the road."""
+    """Cuts the contours into short pieces along the road; gives x, y, area and contour of each."""
     rows = max(round(_PIECE_M / view.along_m), 1)
     key = strips.contour * (len(view.x_m) // rows + 1) + strips.row // rows
     piece, index = np.unique(key, return_inverse=True)
@@ -222,8 +229,8 @@ def _pieces(view: BirdsEye, strips: Strips) -> tuple[FloatArray, FloatArray, Flo
 def _along(
     strips: Strips, common: _Common, parameters: Parameters
 ) -> tuple[FloatArray, FloatArray]:
-    """(N,) each: offset of the line through a run, and 1 where its contour goes the way of that
-    line, down to 0."""
+    """For each run, (N,): the offset of the line through it, and how well its contour's direction
+    agrees with that line's, from 1 down to 0."""
     offset = common.offset(strips.x_m, strips.y_m)
     slope = strips.slope[strips.contour]
     tolerance = np.hypot(number(parameters, "slope_sd"), strips.slope_sd)[strips.contour]
@@ -240,7 +247,7 @@ def _scores(
     common: _Common,
     parameters: Parameters,
 ) -> tuple[FloatArray, FloatArray]:
-    """Offsets (B,) and the score of the line at each."""
+    """Offsets (B,) and the score (B,) of the line at each."""
     side = number(parameters, "side_m")
     n_bins = 2 * round(side / _BIN_M)
     centre = -side + (np.arange(n_bins, dtype=np.float64) + 0.5) * _BIN_M
@@ -248,7 +255,7 @@ def _scores(
     inside = (at >= 0) & (at < n_bins)
     area = np.bincount(at[inside], (strips.width_m * agreement)[inside], n_bins) * view.along_m
     wide = 2 * round(number(parameters, "reach_m") / _BIN_M - 0.5) + 1
-    # Not "same", which is as long as the longer of the two.
+    # mode="same" would give as many values as the longer of the two arrays.
     covered = np.convolve(area, np.ones(wide))[wide // 2 : wide // 2 + n_bins]
     shown = _visible(view, common.shape(centre))
     full = np.maximum(shown, _LEAST_VISIBLE_M) * number(parameters, "stripe_m")
@@ -258,7 +265,7 @@ def _scores(
 
 
 def _support(own: FloatArray, parameters: Parameters) -> FloatArray:
-    """(B,): the best score one lane away to either side, less where the width is unusual."""
+    """The best score (B,) one lane away on either side, less if the lane's width is unusual."""
     width, sd = number(parameters, "lane_width_m"), number(parameters, "lane_width_sd")
     lag = np.arange(1, len(own))
     lag = lag[np.abs(lag * _BIN_M - width) <= 3 * sd + _BIN_M]
@@ -272,7 +279,7 @@ def _support(own: FloatArray, parameters: Parameters) -> FloatArray:
 
 
 def _visible(view: BirdsEye, shape: FloatArray) -> FloatArray:
-    """(M,): metres of each line (M, 4) that the view shows, every fourth row looked at."""
+    """How much of each line (M, 4) the view shows, (M,), metres, from every fourth row."""
     x = view.x_m[::4]
     y = shape[:, :1] + x * (shape[:, 1:2] + 0.5 * x * shape[:, 2:3])
     column = np.floor((y - view.y_m[0]) / view.across_m + 0.5).astype(int)
@@ -284,7 +291,7 @@ def _visible(view: BirdsEye, shape: FloatArray) -> FloatArray:
 
 
 def _peaks(centre: FloatArray, score: FloatArray, parameters: Parameters) -> IntArray:
-    """Indices of the best scores, one after the other, that keep their distance."""
+    """Indices of the best scores in turn, each at least `apart_m` from those before."""
     left = score.copy()
     peaks: list[int] = []
     least = max(number(parameters, "least_score"), 1e-6)
@@ -304,7 +311,8 @@ def _refine(
     parameters: Parameters,
     prior: tuple[FloatArray, FloatArray],
 ) -> tuple[_Common, FloatArray]:
-    """What the lines share and their offsets (M,), by least squares over the runs near them."""
+    """Refines the shared values and the offsets (M,) by least squares over the runs near the
+    lines."""
     reach = number(parameters, "reach_m")
     is_curved = parameters["curve"] == "clothoid"
     for times in _REFINE:
@@ -322,7 +330,7 @@ def _refine(
         if is_curved:
             design[:, 1] = 0.5 * x * x
         design[np.arange(len(near)), 3 + line] = 1 + common.squeeze * x
-        # The squeeze times the offset is in the design twice, so once is taken from what is left.
+        # The design counts squeeze times offset twice, so one of them is added to the target.
         value = strips.y_m[near] + common.squeeze * found[line] * x
         normal = design.T @ (weight[:, None] * design)
         right = design.T @ (weight * value)
@@ -337,7 +345,7 @@ def _refine(
 def _coverage(
     view: BirdsEye, strips: Strips, found: FloatArray, common: _Common, parameters: Parameters
 ) -> FloatArray:
-    """(M,): metres of the lines with offsets `found` (M,) along which contours cover them."""
+    """The length (M,), metres, over which contours cover the lines with offsets `found` (M,)."""
     offset, agreement = _along(strips, common, parameters)
     near = np.abs(offset - found[:, None]) <= number(parameters, "reach_m")
     near &= agreement > 0

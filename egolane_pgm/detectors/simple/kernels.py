@@ -1,4 +1,4 @@
-"""The numba kernels of the line finder; `_kernels_numpy` has the same in plain NumPy."""
+"""The numba kernels of the line finder."""
 
 from __future__ import annotations
 
@@ -15,11 +15,13 @@ from egolane_pgm.types import FloatArray, IntArray
 def contour_runs(
     mask: NDArray[np.uint8], points: NDArray[np.int32], starts: IntArray, owner: IntArray
 ) -> tuple[IntArray, IntArray, IntArray, IntArray]:
-    """The runs of ones along the rows of a mask (R, C): row, first and last column, and the contour
-    whose inside it is, each (N,).
+    """The N runs of ones along the rows of a mask: row, first and last column, and contour, (N,)
+    each.
 
-    points (P, 2): column and row of the border points, all borders one after the other, starts
-    (B + 1,) where each begins; owner (B,): the contour of each border (of a hole: the one around).
+    - mask: (R, C)
+    - points: (P, 2) column and row of the points of all borders, one border after the other
+    - starts: (B + 1,) where each border begins in `points`, and P
+    - owner: (B,) the contour of each border; for the border of a hole, the contour around it
     """
     n_rows, n_columns = mask.shape
     border = np.full((n_rows, n_columns), -1, dtype=np.int32)
@@ -63,13 +65,19 @@ def common_scores(
     side_m: float,
     bin_m: float,
 ) -> FloatArray:
-    """(H, K, Q): how sharply N pieces of marking gather at a few offsets o, if every line is
-    y = o (1 + q x) + h x + k x^2 / 2 with the heading h, curvature k and squeeze q in common.
+    """How sharply N pieces of marking gather at a few offsets, (H, K, Q), for lines
+    y = o (1 + q x) + h x + k x^2 / 2 with offset o and common heading h, curvature k and squeeze q.
 
-    x, y, area (N,): where each piece is. middle, slope, tolerance (N,): how far ahead the middle of
-    its contour is, the contour's direction, and by how much this may differ from the line's there
-    before the piece counts for nothing. The score is the sum of the squares of the areas in bins of
-    bin_m metres, each area shared between its two nearest bins.
+    - x, y: (N,) place of each piece, metres ahead and to the right
+    - area: (N,) its area, square metres
+    - middle: (N,) metres ahead of the middle of the piece's contour
+    - slope: (N,) direction of that contour, m/m
+    - tolerance: (N,) difference of slope from the line's at which the piece stops counting
+    - headings (H,), curvatures (K,), squeezes (Q,): the values to try
+    - side_m, bin_m: largest offset, and size of the bins of offset, metres
+
+    The score is the sum of squares of the area per bin. Each piece is shared between the two
+    nearest bins.
     """
     n_bins = math.floor(2 * side_m / bin_m) + 1
     out = np.empty((len(headings), len(curvatures), len(squeezes)))

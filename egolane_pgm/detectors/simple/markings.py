@@ -1,9 +1,9 @@
-"""Which pixels of the bird's-eye view may be road marking.
+"""Finds the pixels of the bird's-eye view that may be road marking.
 
-A marking is a narrow strip that is brighter than the road on both sides of it: what a top-hat
-across the road keeps (paper.tex, section `section:simple-line-detector`). How much brighter goes
-with the brightness around, so that worn dots in the shade of a bridge pass, and with the contrast
-that is usual around, so that rough concrete in the sun does not.
+A marking is a narrow strip that is brighter than the road on both sides of it; a top-hat filter
+across the road keeps such strips (paper, section `section:simple-line-detector`). The threshold
+rises with the brightness around a pixel, so that worn dots in the shade of a bridge are kept. It
+also rises with the contrast around it, so that rough concrete in the sun is not.
 """
 
 from __future__ import annotations
@@ -16,12 +16,12 @@ from egolane_pgm.camera.picture import Image
 from egolane_pgm.detectors.simple.birdseye import BirdsEye
 from egolane_pgm.parameters import Parameters, number
 
-#: Contrast beyond this counts as this in the mean: one bright line must not hide its neighbours.
+#: The largest contrast that enters the mean, so that one bright line does not hide its neighbours.
 _MOST_CONTRAST = 0.2
 
 
 def marking_mask(view: BirdsEye, above: Image, parameters: Parameters) -> NDArray[np.uint8]:
-    """(R, C): 1 where a bird's-eye view (R, C) of one colour may show marking, else 0."""
+    """1 where a bird's-eye view of one colour, (R, C), may show marking, else 0; (R, C)."""
     wide = _odd(number(parameters, "marking_width_m") / view.across_m)
     seen = _seen(view, above, wide).astype(np.float32)
     count = _blur(seen, view, parameters)
@@ -37,12 +37,12 @@ def marking_mask(view: BirdsEye, above: Image, parameters: Parameters) -> NDArra
 
 
 def _seen(view: BirdsEye, above: Image, wide: int) -> NDArray[np.uint8]:
-    """(R, C): 1 where there is road on both sides, too: not at the rim of the picture, nor at that
-    of a part of it without any light (a covered lens, a blanked half)."""
+    """1 where the view shows road on both sides of a pixel as well, (R, C). It is 0 at the edge of
+    the picture, and at the edge of a black part of it (a covered lens, a blanked half)."""
     patch = np.ones((wide, wide), dtype=np.uint8)
     lit = cv2.morphologyEx((above > 0).astype(np.uint8), cv2.MORPH_CLOSE, patch)
     lit[~view.valid] = 0
-    # One more than the strip, for pixels that are half dark.
+    # One pixel more than the strip, because pixels at the edge are half dark.
     beside = np.ones((1, 2 * wide + 1), dtype=np.uint8)
     seen = cv2.erode(lit, beside, borderType=cv2.BORDER_CONSTANT, borderValue=0)
     return seen.astype(np.uint8, copy=False)
@@ -51,8 +51,8 @@ def _seen(view: BirdsEye, above: Image, wide: int) -> NDArray[np.uint8]:
 def _contrast(
     view: BirdsEye, above: Image, wide: int, parameters: Parameters
 ) -> NDArray[np.float32]:
-    """(R, C): by how many grey levels strips narrower than `wide` pixels are brighter than the road
-    beside them."""
+    """How much brighter, in grey levels, strips narrower than `wide` pixels are than the road
+    beside them, (R, C)."""
     strip = np.ones((1, wide), dtype=np.uint8)
     bright = cv2.morphologyEx(above, cv2.MORPH_TOPHAT, strip).astype(np.float32)
     long = _odd(number(parameters, "smooth_along_m") / view.along_m)
@@ -62,7 +62,7 @@ def _contrast(
 def _blur(
     values: NDArray[np.float32], view: BirdsEye, parameters: Parameters
 ) -> NDArray[np.float32]:
-    """The mean over the patch around each pixel, 0 beyond the edges."""
+    """The mean over the patch around each pixel; values beyond the edges count as 0."""
     size = number(parameters, "around_m")
     patch = (_odd(size / view.across_m), _odd(size / view.along_m))
     blurred = cv2.blur(values, patch, borderType=cv2.BORDER_CONSTANT)

@@ -1,10 +1,10 @@
-"""Stereo matchers by name, or a file of one's own.
+"""Stereo matchers, by name or in a user's own file.
 
-A matcher is a function `match(left, right, n_disparities) -> disparity`: two grey pictures (H, W)
-in, out of it (H, W) how many pixels farther left each pixel of the left one is in the right one,
-0 to n_disparities - 1, and NaN (or less than 0) where it cannot tell. The right picture has been
-moved by what the calibrated road's disparities are, so that a flat road has one and the same
-disparity everywhere, and what stands on it a larger one.
+A matcher is a function `match(left, right, n_disparities) -> disparity`. It takes two grey pictures
+(H, W) and gives, for each pixel of the left one, how many pixels farther left it is in the right
+one: 0 to n_disparities - 1, and NaN or a negative number where it cannot tell. The right picture
+has been moved by the disparities of the calibrated road. A flat road therefore has the same
+disparity everywhere, and objects on it have a larger one.
 """
 
 from __future__ import annotations
@@ -24,15 +24,15 @@ from egolane_pgm.types import InputError, suggestion
 
 Match = Callable[[Image, Image, int], NDArray[np.float32]]
 
-#: What is in the package; a name that ends in .py is a file.
+#: The matchers of the package; a name that ends in .py is a file.
 NAMES = ("bm", "elas", "sgbm")
 
 
 class MatcherName(Parameter):
-    """The name of a matcher, or of a file."""
+    """A parameter whose value is the name of a matcher or of a file."""
 
     def check(self, value: object, n_lanes: int, where: str) -> Value:
-        """The value; InputError, with a suggestion, for an unknown name."""
+        """The value. Raises InputError, with a suggestion, for an unknown name."""
         if not isinstance(value, str):
             raise InputError(f"{where}: {value!r} is not the name of a matcher or a .py file")
         if value not in NAMES and not value.endswith(".py"):
@@ -45,15 +45,15 @@ PARAMETERS = (
         "matcher",
         "choice",
         "sgbm",
-        "what finds the disparities: sgbm, bm, elas (package pyelas), or a file of one's own"
-        " with match(left, right, n_disparities)",
+        "the stereo matcher: sgbm, bm, elas (package pyelas), or a file of your own with"
+        " match(left, right, n_disparities)",
         choices=NAMES,
     ),
     Parameter(
         "block_px",
         "integer",
         5,
-        "side of the blocks compared (sgbm, bm); odd",
+        "side of the blocks that are compared, odd (sgbm, bm)",
         lowest=1,
         highest=255,
     ),
@@ -64,19 +64,21 @@ PARAMETERS = (
         "cost of a step of one in disparity beside a pixel, times the block's area (sgbm: P1)",
         highest=1000,
     ),
-    Parameter("large_step", "positive", 32.0, "the same of a larger step (sgbm: P2)", highest=1000),
+    Parameter(
+        "large_step", "positive", 32.0, "the same for a larger step (sgbm: P2)", highest=1000
+    ),
     Parameter(
         "uniqueness",
         "integer",
         5,
-        "the best match beats the second by so many percent (sgbm, bm)",
+        "least lead of the best match over the second one, percent (sgbm, bm)",
         highest=100,
     ),
     Parameter(
         "left_right_px",
         "integer",
         1,
-        "matching from right to left agrees within so many pixels (sgbm)",
+        "largest difference between matching left to right and right to left, pixels (sgbm)",
         lowest=1,
         highest=1000,
     ),
@@ -84,14 +86,14 @@ PARAMETERS = (
         "speckle_px",
         "integer",
         60,
-        "patches of fewer pixels are no match (sgbm, bm)",
+        "smallest patch of equal disparity that is kept, pixels (sgbm, bm)",
         highest=1_000_000,
     ),
     Parameter(
         "speckle_step",
         "integer",
         1,
-        "disparities of a patch differ by at most so much from pixel to pixel (sgbm, bm)",
+        "largest difference of disparity between neighbours in a patch (sgbm, bm)",
         lowest=1,
         highest=1000,
     ),
@@ -99,7 +101,7 @@ PARAMETERS = (
         "most_gradient",
         "integer",
         31,
-        "steeper differences of grey levels between neighbours count as this (sgbm, bm)",
+        "larger differences of grey level between neighbours are cut to this (sgbm, bm)",
         lowest=1,
         highest=1000,
     ),
@@ -107,13 +109,14 @@ PARAMETERS = (
 
 
 def find_matcher(parameters: Parameters, where: str) -> Match:
-    """The matcher that the parameters name.
+    """The matcher that the parameters name. where: how error messages begin.
 
-    Raises InputError for one whose package is not installed, a file that is none, or an even block.
+    Raises InputError for a matcher whose package is not installed, a file that cannot be used, and
+    an even block size.
     """
     name = str(parameters["matcher"])
     if name.endswith(".py"):
-        return _own(name, where)
+        return _from_file(name, where)
     if name == "elas":
         return _elas(where)
     block = int(number(parameters, "block_px"))
@@ -127,8 +130,8 @@ def _whole(parameters: Parameters, name: str) -> int:
     return round(number(parameters, name))
 
 
-def _sixteenths(matcher: Any) -> Callable[[Image, Image], NDArray[np.float32]]:
-    """What an OpenCV matcher finds, in pixels."""
+def _in_pixels(matcher: Any) -> Callable[[Image, Image], NDArray[np.float32]]:
+    """Converts the result of an OpenCV matcher from sixteenths of a pixel to pixels."""
 
     def compute(left: Image, right: Image) -> NDArray[np.float32]:
         try:
@@ -155,7 +158,7 @@ def _sgbm(parameters: Parameters, block: int) -> Match:
             numDisparities=n_disparities,
             blockSize=block,
             P1=small,
-            # OpenCV wants it larger.
+            # OpenCV needs P2 > P1.
             P2=max(large, small + 1),
             disp12MaxDiff=_whole(parameters, "left_right_px"),
             preFilterCap=_whole(parameters, "most_gradient"),
@@ -164,7 +167,7 @@ def _sgbm(parameters: Parameters, block: int) -> Match:
             speckleRange=_whole(parameters, "speckle_step"),
             mode=cv2.STEREO_SGBM_MODE_SGBM,
         )
-        return _sixteenths(matcher)(left, right)
+        return _in_pixels(matcher)(left, right)
 
     return match
 
@@ -176,7 +179,7 @@ def _bm(parameters: Parameters, block: int) -> Match:
         matcher.setSpeckleWindowSize(_whole(parameters, "speckle_px"))
         matcher.setSpeckleRange(_whole(parameters, "speckle_step"))
         matcher.setPreFilterCap(_whole(parameters, "most_gradient"))
-        return _sixteenths(matcher)(left, right)
+        return _in_pixels(matcher)(left, right)
 
     return match
 
@@ -198,7 +201,7 @@ def _elas(where: str) -> Match:
     return match
 
 
-def _own(name: str, where: str) -> Match:
+def _from_file(name: str, where: str) -> Match:
     module = load_plugin("matchers", name, Path.cwd(), where)
 
     def match(left: Image, right: Image, n_disparities: int) -> NDArray[np.float32]:

@@ -1,9 +1,9 @@
-"""Continuous or dashed: how much of a line is painted, where the camera sees it best.
+"""Measures how much of a line is painted, to tell a continuous line from a dashed one.
 
-The contours that lines are fitted to will not do: on worn concrete they miss half of a faint yellow
-line, and far ahead dashes run together. So the first metres in view are looked at again, in the
-picture's own pixels and with the brightest of the three colours, in which yellow is as bright as
-white.
+The contours that lines are fitted to cannot tell: on worn concrete they miss half of a faint yellow
+line, and far ahead the dashes run together. This module therefore looks again at the first metres
+in view, in the picture's own pixels. It takes the brightest of the three colours, in which yellow
+is as bright as white.
 """
 
 from __future__ import annotations
@@ -17,39 +17,49 @@ from egolane_pgm.parameters import Parameter, Parameters, number
 from egolane_pgm.types import FloatArray, IntArray
 
 PARAMETERS = (
-    Parameter("paint_length_m", "positive", 10.0, "length of a line that is looked at, metres"),
-    Parameter("least_length_m", "positive", 3.0, "of a shorter piece in view nothing is said"),
+    Parameter("paint_length_m", "positive", 10.0, "length of a line that is examined, metres"),
+    Parameter("least_length_m", "positive", 3.0, "shortest piece in view that is judged, metres"),
     Parameter(
         "paint_width_m",
         "positive",
         0.4,
-        "strips wider than this are no paint (top-hat), metres",
+        "width of the widest strip that counts as paint (top-hat), metres",
         highest=10,
     ),
     Parameter(
-        "paint_reach_m", "positive", 0.25, "paint is so near to the fitted line, metres", highest=10
+        "paint_reach_m",
+        "positive",
+        0.25,
+        "largest distance of paint from the fitted line, metres",
+        highest=10,
     ),
-    Parameter("least_paint", "positive", 0.14, "share of local brightness that paint adds"),
     Parameter(
-        "paint_share", "probability", 0.15, "and the share of what the line's brightest tenth adds"
+        "least_paint", "positive", 0.14, "least contrast of paint, as a share of local brightness"
+    ),
+    Parameter(
+        "paint_share", "probability", 0.15, "the same, as a share of the line's brightest tenth"
     ),
     Parameter(
         "paint_over_noise",
         "non_negative",
         2.0,
-        "and so many times what the road beside the line shows, the quieter side of it",
+        "the same, as a multiple of the contrast beside the line (on the side with less)",
     ),
 )
 
-#: Added to the local brightness (grey levels), so that noise in the dark is no paint.
+#: Added to the local brightness (grey levels), so that noise in the dark does not count as paint.
 _DARK = 10.0
 
 
 def painted_share(
     view: BirdsEye, image: Image, shape: FloatArray, parameters: Parameters
 ) -> FloatArray:
-    """(M,): the share of each line (M, 4) that is painted, from where it comes into view; NaN
-    where too little of it is in view. image (H, W, 3)."""
+    """The share (M,) of each line that is painted, over its first metres in view; NaN where too
+    little of it is in view.
+
+    - image: (H, W, 3), blue green red
+    - shape: (M, 4) the lines, as in FrameLines
+    """
     reach_m, width_m = number(parameters, "paint_reach_m"), number(parameters, "paint_width_m")
     aside = round((reach_m + width_m) / view.across_m) + 1
     across = np.arange(-aside, aside + 1)
@@ -82,14 +92,14 @@ def painted_share(
 def _in_view(
     view: BirdsEye, line: FloatArray, aside: int, length_m: float
 ) -> tuple[IntArray, IntArray]:
-    """Rows of the view in which the line is in the picture, over its first metres there, and its
-    columns in them."""
+    """The rows of the view that show the first metres of a line in the picture, and the line's
+    columns in these rows."""
     x = view.x_m
     y = line[0] + x * (line[1] + x * (line[2] / 2 + x * line[3] / 6))
     columns = np.floor((y - view.y_m[0]) / view.across_m + 0.5).astype(np.int64)
     inside = (columns >= aside) & (columns < len(view.y_m) - aside)
     rows = np.flatnonzero(inside)
-    # The edges of the strip too: what lies outside of the picture is no dark road.
+    # The edges of the strip must be in the picture as well: outside is not dark road.
     ends = view.valid[rows, columns[rows] - aside] & view.valid[rows, columns[rows] + aside]
     rows = rows[ends]
     if len(rows):

@@ -1,7 +1,7 @@
-"""The constants of the single-frame line finder, each with what it means.
+"""The parameters of the line finder and of the tracking.
 
-The defaults were chosen on the first half of a drive on a worn concrete motorway with heavy
-traffic (the first 55 stills of `tusimple_frames`).
+The defaults of the line finder were chosen on the first half of a drive on a worn concrete motorway
+with heavy traffic (the first 55 stills of `tusimple_frames`).
 """
 
 from __future__ import annotations
@@ -9,10 +9,14 @@ from __future__ import annotations
 from egolane_pgm.parameters import Parameter
 
 _VIEW = (
-    Parameter("x_min_m", "positive", 4.5, "nearest road looked at, metres ahead", highest=1000),
-    Parameter("x_max_m", "positive", 35.0, "farthest road looked at, metres ahead", highest=1000),
-    Parameter("straight_to_m", "positive", 25.0, "but straight lines only up to here: roads bend"),
-    Parameter("side_m", "positive", 9.0, "how far to either side is looked, metres", highest=100),
+    Parameter(
+        "x_min_m", "positive", 4.5, "near edge of the bird's-eye view, metres ahead", highest=1000
+    ),
+    Parameter(
+        "x_max_m", "positive", 35.0, "far edge of the bird's-eye view, metres ahead", highest=1000
+    ),
+    Parameter("straight_to_m", "positive", 25.0, "the same for straight lines, as roads bend"),
+    Parameter("side_m", "positive", 9.0, "half-width of the bird's-eye view, metres", highest=100),
     Parameter(
         "along_m",
         "positive",
@@ -36,7 +40,7 @@ _MARKINGS = (
         "marking_width_m",
         "positive",
         0.25,
-        "strips wider than this are no marking, metres",
+        "width of the widest strip that counts as marking, metres",
         highest=10,
     ),
     Parameter(
@@ -50,17 +54,19 @@ _MARKINGS = (
         "around_m",
         "positive",
         4.0,
-        "size of the patch that says what is usual, metres",
+        "side of the patch over which brightness and contrast are averaged, metres",
         highest=100,
     ),
     Parameter("brightness_floor", "non_negative", 40.0, "added to the local brightness (0 to 255)"),
-    Parameter("least_contrast", "positive", 0.02, "share of local brightness that a marking adds"),
-    Parameter("least_rise", "non_negative", 4.0, "times the mean contrast around that it has"),
+    Parameter("least_contrast", "positive", 0.02, "least contrast of marking over brightness"),
+    Parameter("least_rise", "non_negative", 4.0, "the same over the mean contrast around"),
 )
 
 _CONTOURS = (
-    Parameter("least_area_m2", "non_negative", 0.04, "smaller contours are dropped, square metres"),
-    Parameter("most_slope", "positive", 0.35, "contours further across the road are dropped, m/m"),
+    Parameter(
+        "least_area_m2", "non_negative", 0.04, "area of the smallest contour kept, square metres"
+    ),
+    Parameter("most_slope", "positive", 0.35, "steepest contour across the road that is kept, m/m"),
 )
 
 _FIT = (
@@ -93,27 +99,30 @@ _FIT = (
         "prior_share",
         "positive",
         0.3,
-        "the same three given the frame before, times this",
+        "factor on these three standard deviations once the frame before is known",
         lowest=1e-3,
         highest=1000,
     ),
-    Parameter("slope_sd", "sigma", 0.05, "contours of a line differ so much in direction, m/m"),
+    Parameter("slope_sd", "sigma", 0.05, "how much contours of a line differ in direction, m/m"),
     Parameter(
-        "reach_m", "positive", 0.125, "a line covers what is so near to it, metres", highest=10
+        "reach_m",
+        "positive",
+        0.125,
+        "half-width of the strip that a line covers, metres",
+        highest=10,
     ),
-    Parameter("apart_m", "positive", 2.2, "lines are at least so far apart, metres"),
-    Parameter("stripe_m", "positive", 0.1, "width of a marking that counts as fully there, metres"),
+    Parameter("apart_m", "positive", 2.2, "least distance between lines, metres"),
+    Parameter("stripe_m", "positive", 0.1, "width of a marking that counts in full, metres"),
     Parameter("lane_width_m", "positive", 3.66, "usual distance of neighbouring lines, metres"),
     Parameter("lane_width_sd", "sigma", 0.2, "standard deviation of that distance, metres"),
     Parameter("neighbour_bonus", "non_negative", 0.5, "score that a line lends to its neighbours"),
-    Parameter("least_score", "non_negative", 0.12, "lines that score less are dropped"),
+    Parameter("least_score", "non_negative", 0.12, "least score of a line that is kept"),
 )
 
-#: What finding the lines of one picture depends on.
+#: The parameters of the line finder, which sees one picture.
 FINDING = _VIEW + _MARKINGS + _CONTOURS + _FIT
 
-
-#: What following lines from picture to picture depends on.
+#: The parameters of the tracking.
 TRACKING = (
     Parameter(
         "lri_frames",
@@ -133,36 +142,40 @@ TRACKING = (
         "die_after",
         "integer",
         10,
-        "a line that once was valid is given up when not detected in so many frames running",
+        "a line that was valid once is dropped after so many frames in a row without detection",
         lowest=1,
     ),
-    Parameter("new_die_after", "integer", 3, "the same for a line that never was valid", lowest=1),
-    Parameter("gate_m", "positive", 1.0, "a line moves at most so far from where it is predicted"),
-    Parameter(
-        "gate_sigmas", "positive", 4.0, "and at most so many standard deviations, on the average"
-    ),
-    Parameter("tracks_apart_m", "positive", 1.0, "of two lines nearer than this one is given up"),
+    Parameter("new_die_after", "integer", 3, "the same for a line that was never valid", lowest=1),
+    Parameter("gate_m", "positive", 1.0, "largest distance of a line from its prediction"),
+    Parameter("gate_sigmas", "positive", 4.0, "the same on average, in standard deviations"),
+    Parameter("tracks_apart_m", "positive", 1.0, "of two lines nearer than this one is dropped"),
     Parameter(
         "least_lane_m",
         "positive",
         2.8,
         "a line beyond another, seen from the car, and nearer to it than this bounds no lane"
-        " (the foot of a barrier, a kerb) and is given up",
+        " (the foot of a barrier, a kerb) and is dropped",
     ),
-    Parameter("farthest_m", "positive", 14.0, "a line farther to the side than this is given up"),
+    Parameter("farthest_m", "positive", 14.0, "a line farther to the side than this is dropped"),
     Parameter(
         "track_near_m",
         "positive",
         6.0,
-        "lines are compared from so far ahead of the camera",
+        "nearest distance ahead at which lines are compared",
         highest=1000,
     ),
-    Parameter("track_far_m", "positive", 30.0, "up to so far ahead", highest=1000),
+    Parameter(
+        "track_far_m",
+        "positive",
+        30.0,
+        "farthest distance ahead at which they are compared",
+        highest=1000,
+    ),
     Parameter(
         "measure_sigma_m",
         "positive",
         0.12,
-        "standard deviation of a found line's place, near",
+        "standard deviation of a found line's place at the near end",
         lowest=1e-3,
         highest=100,
     ),
@@ -178,32 +191,31 @@ TRACKING = (
         "offset_walk_m",
         "positive",
         0.06,
-        "standard deviation of a line's own motion per frame",
+        "standard deviation of a line's own change of offset per frame",
         highest=10,
     ),
-    Parameter("heading_walk", "positive", 0.004, "the same of its heading, radians", highest=1),
-    Parameter("curvature_walk", "positive", 2e-4, "the same of its curvature, 1/m", highest=0.1),
+    Parameter("heading_walk", "positive", 0.004, "the same for its heading, radians", highest=1),
+    Parameter("curvature_walk", "positive", 2e-4, "the same for its curvature, 1/m", highest=0.1),
     Parameter(
-        "rate_walk", "positive", 4e-6, "the same of the curvature's change, 1/m^2", highest=0.1
+        "rate_walk", "positive", 4e-6, "the same for the curvature's rate, 1/m^2", highest=0.1
     ),
     Parameter(
         "shift_gain",
         "probability",
         0.6,
-        "the share of what all matched lines have moved alike that is taken for the car's motion"
-        " and moves every line",
+        "share of the matched lines' common motion that moves every line (the car's motion)",
     ),
     Parameter(
         "motion_gain",
         "probability",
         0.4,
-        "the share of that which goes into the car's steady motion, by which lines are predicted",
+        "share of it that enters the steady motion, with which lines are predicted",
     ),
     Parameter(
         "vote_frames",
         "integer",
         20,
-        "detections of a line that vote on continuous or dashed",
+        "number of last detections that vote on continuous or dashed",
         lowest=1,
         highest=10_000,
     ),
@@ -211,13 +223,13 @@ TRACKING = (
         "continuous_cover",
         "probability",
         0.55,
-        "a detection votes for continuous where at least this share of the line is painted",
+        "least painted share of a line for a vote for continuous",
     ),
     Parameter(
         "continuous_share",
         "probability",
         0.5,
-        "a line is continuous where more than this share of its votes says so",
+        "a line is continuous if more than this share of its votes says so",
     ),
     Parameter(
         "beyond_edge",

@@ -1,9 +1,9 @@
-"""The plane of the road in the disparities of a stereo pair.
+"""Fits the plane of the road to the disparities of a stereo pair.
 
-A point that is Z metres away along the optical axis is f B / Z pixels farther left in the second
-picture. On a flat road this disparity is linear in the pixel, d = a u + b v + c, and 0 at the
-horizon (section `section:simple-line-detector` of paper.tex: "the ground plane equation").
-Pixels are those of the first picture, rectified, at full size.
+A point Z metres away along the optical axis lies f B / Z pixels farther left in the second picture.
+On a flat road this disparity is linear in the pixel, d = a u + b v + c, and it is 0 at the horizon
+(paper, section `section:simple-line-detector`: "the ground plane equation"). Pixels are those of
+the first picture, rectified and at full size.
 """
 
 from __future__ import annotations
@@ -21,48 +21,53 @@ PARAMETERS = (
         "plane_px",
         "positive",
         0.5,
-        "a disparity is on a plane within so many pixels of the pictures as matched",
+        "largest distance of a disparity from a plane that it lies on, pixels as matched",
     ),
     Parameter(
         "plane_trials",
         "integer",
         100,
-        "planes through three points tried",
+        "how many planes through three points are tried",
         lowest=1,
         highest=10_000,
     ),
-    Parameter("plane_seed", "integer", 0, "seed of their choice"),
+    Parameter("plane_seed", "integer", 0, "seed of the choice of these points"),
     Parameter(
         "plane_points",
         "integer",
         200,
-        "the plane is sure only with so many points on it, of at most 3,000",
+        "least number of points on a sure plane, of at most 3,000",
         lowest=3,
     ),
-    Parameter("plane_share", "probability", 0.4, "and with this share of the matched points on it"),
+    Parameter(
+        "plane_share", "probability", 0.4, "least share of the matched points on a sure plane"
+    ),
     Parameter(
         "most_pitch_deg",
         "positive",
         2.5,
-        "the plane's pitch is at most so far from the calibrated one, degrees",
+        "largest difference of the plane's pitch from the calibrated one, degrees",
         highest=30,
     ),
-    Parameter("most_roll_deg", "positive", 1.5, "the same of its roll, degrees"),
-    Parameter("most_heave", "positive", 0.12, "the same of the camera's height, as a share of it"),
+    Parameter("most_roll_deg", "positive", 1.5, "the same for its roll, degrees"),
+    Parameter("most_heave", "positive", 0.12, "the same for the camera's height, as a share of it"),
 )
 
-
-#: Most points that a plane is fitted to.
+#: The most points that a plane is fitted to.
 MOST_POINTS = 3000
 
-#: Rounds of least squares over the points on the plane, each within so many tolerances.
+#: For each round of least squares, how near a point must be to the plane to count, in tolerances.
 _ROUNDS = (2.0, 1.5, 1.0, 1.0)
 
 
 @dataclass(frozen=True)
 class Plane:
-    """A road plane d = a u + b v + c. abc (3,): pixels. share: of the points looked at, those on
-    it. is_sure: False where too little speaks for any, then abc is the calibrated plane."""
+    """A plane of the road, d = a u + b v + c.
+
+    - abc: (3,) its coefficients; those of the calibrated plane where none is sure
+    - share: the share of the points that lie on it
+    - is_sure: whether enough points lie on it, and the camera can be in this pose
+    """
 
     abc: FloatArray
     share: float
@@ -70,10 +75,10 @@ class Plane:
 
 
 def ground_plane(camera: Camera) -> FloatArray:
-    """(3,): a, b and c of the flat road under a calibrated camera.
+    """The coefficients (3,) of the flat road below a calibrated camera.
 
-    A ray (right, down, 1) of the camera meets the road Z = -h / (n . ray) ahead, n the upward
-    direction in the camera's axes and h its height; so d = -(f B / h) n . ray.
+    A ray (right, down, 1) of the camera meets the road at Z = -h / (n . ray), where n is the upward
+    direction in the camera's axes and h its height. Hence d = -(f B / h) n . ray.
     """
     assert camera.baseline_m is not None
     up = axes(camera)[:, 2]
@@ -83,8 +88,8 @@ def ground_plane(camera: Camera) -> FloatArray:
 
 
 def pose(camera: Camera, planes: FloatArray) -> FloatArray:
-    """(..., 3): height (metres), pitch and roll (degrees) of the camera over planes (..., 3); the
-    inverse of `ground_plane`. NaN where a plane is none."""
+    """The camera's height (metres), pitch and roll (degrees) above planes (..., 3), as (..., 3);
+    the inverse of `ground_plane`. NaN for coefficients that are no plane."""
     assert camera.baseline_m is not None
     a, b, c = np.moveaxis(planes, -1, 0)
     up = -np.stack([a * camera.fx, b * camera.fy, c + a * camera.cx + b * camera.cy], axis=-1)
@@ -110,18 +115,25 @@ def fit_plane(
     tolerance_px: float,
     parameters: Parameters,
 ) -> Plane:
-    """The plane that most of the points u, v with a disparity (N,) lie on: the calibrated one and
-    those through three random points compete, then least squares. N: at most a few thousand."""
+    """Finds the plane that most points lie on.
+
+    The candidates are the calibrated plane and planes through three random points; the best one is
+    refined by least squares.
+
+    - u, v, disparity: (N,) the points, pixels; N is at most a few thousand
+    - tolerance_px: largest distance of a point from a plane that it lies on, pixels
+    """
     calibrated = ground_plane(camera)
     off = disparity - disparity_at(calibrated, u, v)
     if len(off) < int(number(parameters, "plane_points")):
         return Plane(calibrated, 0.0, False)
-    # Centred and scaled, so that the three equations are well conditioned.
+    # Points are centred and scaled so that the three equations are well conditioned.
     centre, scale = np.array([u.mean(), v.mean()]), max(float(np.ptp(u)), float(np.ptp(v)), 1.0)
     points = np.stack([(u - centre[0]) / scale, (v - centre[1]) / scale, np.ones_like(u)], axis=1)
 
     def whole(tilt: FloatArray) -> FloatArray:
-        """The planes (..., 3) in pixels of what differs from the calibrated one by `tilt`."""
+        """The planes (..., 3), in pixels, that differ from the calibrated one by `tilt` (..., 3),
+        in centred and scaled points."""
         slope = tilt[..., :2] / scale
         shift = tilt[..., 2] - slope @ centre
         planes: FloatArray = calibrated + np.concatenate([slope, shift[..., None]], axis=-1)
@@ -129,7 +141,7 @@ def fit_plane(
 
     tilts = _candidates(points, off, parameters)
     is_possible = _possible(camera, whole(tilts), parameters)
-    # The calibrated plane, whatever rounding says.
+    # The calibrated plane stays a candidate whatever rounding says.
     is_possible[0] = True
     tilts = tilts[is_possible]
     away = np.abs(tilts @ points.T - off)
@@ -147,7 +159,7 @@ def fit_plane(
 
 
 def _candidates(points: FloatArray, off: FloatArray, parameters: Parameters) -> FloatArray:
-    """(K, 3): no tilt, then the tilts through three random points each."""
+    """The tilts to try, (K, 3): none, then those of planes through three random points each."""
     rng = np.random.default_rng(int(number(parameters, "plane_seed")))
     three = rng.integers(0, len(off), (int(number(parameters, "plane_trials")), 3))
     matrices = points[three]
@@ -157,7 +169,7 @@ def _candidates(points: FloatArray, off: FloatArray, parameters: Parameters) -> 
 
 
 def _possible(camera: Camera, planes: FloatArray, parameters: Parameters) -> BoolArray:
-    """(K,): whether the camera can be in that pose over planes (K, 3)."""
+    """Whether the camera can be in the pose that planes (K, 3) ask for, (K,)."""
     height, pitch, roll = np.moveaxis(pose(camera, planes), -1, 0)
     heave = np.abs(height / camera.height_m - 1)
     possible: BoolArray = (

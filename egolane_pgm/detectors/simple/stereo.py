@@ -1,9 +1,10 @@
-"""What the second camera adds: the plane of the road, and what stands on it (paper.tex, section
+"""Separates the road from the objects on it, with a second camera (paper, section
 `section:simple-line-detector`).
 
-The right picture is first moved by the disparities of the calibrated road, so that a flat road has
-the same disparity everywhere: matchers prefer surfaces that face the camera, and follow a road that
-runs away from it only with a lag. What is then found is how much nearer than the road things are.
+Matchers prefer surfaces that face the camera; they follow a road that runs away from it only with
+a lag. So the right picture is first moved by the disparities of the calibrated road. A flat road
+then has the same disparity everywhere, and the matcher finds how much nearer than the road objects
+are.
 """
 
 from __future__ import annotations
@@ -20,7 +21,7 @@ from numpy.typing import NDArray
 
 from egolane_pgm.camera.model import Camera, image_to_road
 from egolane_pgm.camera.picture import Image, Picture
-from egolane_pgm.detectors.simple import matchers as matchers
+from egolane_pgm.detectors.simple import matchers
 from egolane_pgm.detectors.simple import plane as planes
 from egolane_pgm.detectors.simple.birdseye import BirdsEye, make_view
 from egolane_pgm.detectors.simple.finder import OnRoad
@@ -35,41 +36,41 @@ PARAMETERS = (
         "match_scale",
         "integer",
         2,
-        "pictures are made so many times smaller to match",
+        "factor by which pictures are made smaller to match",
         lowest=1,
         highest=100,
     ),
     Parameter(
-        "nearest_m", "positive", 3.2, "nothing nearer to the camera is matched, metres", lowest=0.1
+        "nearest_m", "positive", 3.2, "smallest distance that is matched, metres", lowest=0.1
     ),
     Parameter(
         "edge_px",
         "integer",
         8,
-        "so near to where the right picture ends, pixels as matched, nothing is matched well",
+        "width of the right picture's edge where nothing is matched well, pixels as matched",
     ),
     *planes.PARAMETERS,
     Parameter(
-        "off_plane_m", "positive", 0.25, "what is so far above or below the plane is no road"
+        "off_plane_m", "positive", 0.25, "least height above or below the plane of objects, metres"
     ),
     Parameter(
         "off_plane_px",
         "positive",
         1.0,
-        "and whose disparity differs from the plane's by so many pixels as matched",
+        "least difference of an object's disparity from the plane's, pixels as matched",
     ),
     Parameter(
         "off_plane_grow",
         "integer",
         2,
-        "so many pixels (as matched) around it are no road either",
+        "width of the margin around objects that is no road either, pixels as matched",
         highest=1000,
     ),
     Parameter(
         "pitch_from",
         "choice",
         "plane",
-        "the camera's pitch in a frame: of the fitted plane where that is sure, or calibrated",
+        "the camera's pitch in a frame: that of the fitted plane if it is sure, or the calibrated",
         choices=("plane", "calibration"),
     ),
     Parameter(
@@ -83,28 +84,32 @@ PARAMETERS = (
         "unsure_after",
         "integer",
         20,
-        "frames running without a sure plane before a warning",
+        "frames in a row without a sure plane before a warning",
         lowest=1,
     ),
 )
 
-#: Views for other pitches that are kept.
+#: How many views for other pitches are cached.
 _VIEWS = 24
 
-#: Frames without a sure plane in which it is tried whether left and right are swapped.
+#: The number of first frames without a sure plane in which swapped pictures are tried.
 _SWAP_TRIALS = 5
 
 
 @dataclass(frozen=True)
 class Pair:
-    """How pairs of pictures are matched: H x W pixels, those of the rows from `top` on, `scale`
-    times smaller.
+    """How the pairs of pictures of one camera are matched: as H x W pixels.
 
-    road (3,): the calibrated plane. u, v (H, W): where in the picture each pixel's middle is.
-    looked (H, W): the road is there, and the right picture shows it. points (N,): flat indices of
-    those that the plane is fitted to. below_px: disparities of so much less than the road's can be
-    found; n_disparities: in all. edge_px: what the right picture must show beyond a match, pixels
-    of the full picture. warp (2, 3): moves the right picture's rows by the plane.
+    - scale: factor by which the pictures are made smaller
+    - top: first row of the full picture that is used
+    - road: (3,) the calibrated plane
+    - u, v: (H, W) pixel of the full picture at the middle of each small pixel
+    - looked: (H, W) whether a pixel shows road, and the right picture shows it as well
+    - points: (N,) flat indices of the small pixels that the plane is fitted to
+    - below_px: how far below the road's disparity the search goes, small pixels
+    - n_disparities: how many disparities are searched
+    - edge_px: how far inside the right picture a match must be, pixels of the full picture
+    - warp: (2, 3) affine map that moves the rows of the right picture by the plane
     """
 
     camera: Camera
@@ -122,11 +127,11 @@ class Pair:
 
 
 def on_road(camera: Camera, parameters: Parameters) -> Callable[[BirdsEye], OnRoad]:
-    """For a view, the function from a picture of both cameras to the view of it (its pitch that of
-    the fitted plane) and which pixels (R, C) of this lie on the plane.
+    """Makes the `on_road` of `finder.start`: given a view, it makes a function from a picture of
+    both cameras to the view with this frame's pitch and its pixels (R, C) on the road plane.
 
-    Raises InputError for a camera that has no second one or is not rectified, and for a matcher
-    that there is none of.
+    Raises InputError for a camera without a second one or with lens distortion, and for a matcher
+    that cannot be used.
     """
     if camera.baseline_m is None:
         raise InputError(
@@ -167,9 +172,9 @@ def on_road(camera: Camera, parameters: Parameters) -> Callable[[BirdsEye], OnRo
 
 
 def make_pair(camera: Camera, parameters: Parameters) -> Pair:
-    """How this camera's pairs are matched.
+    """Prepares the matching of a camera's pairs.
 
-    Raises InputError where the pictures would be too small for it.
+    Raises InputError if the pictures would become too small, or `nearest_m` too near for them.
     """
     scale = int(number(parameters, "match_scale"))
     road = planes.ground_plane(camera)
@@ -209,7 +214,7 @@ def make_pair(camera: Camera, parameters: Parameters) -> Pair:
 
 
 def _is_road(camera: Camera, u: FloatArray, v: FloatArray, parameters: Parameters) -> BoolArray:
-    """Whether pixels u, v show the road that lines are looked for on."""
+    """Whether pixels u, v show the region of the road that lines are searched in."""
     x, y = image_to_road(camera, u, v)
     with np.errstate(invalid="ignore"):
         is_road: BoolArray = (x < number(parameters, "x_max_m")) & (
@@ -219,7 +224,7 @@ def _is_road(camera: Camera, u: FloatArray, v: FloatArray, parameters: Parameter
 
 
 def _first_row(camera: Camera, parameters: Parameters) -> int:
-    """The first row that may show that road, the camera pitching as much as it can."""
+    """The first row that may show that region at the largest allowed pitch."""
     u, v = np.meshgrid(np.arange(float(camera.width)), np.arange(0.0, camera.height, 4.0))
     rows = np.flatnonzero(_is_road(camera, u, v, parameters).any(axis=1)) * 4
     slack = math.tan(math.radians(number(parameters, "most_pitch_deg"))) * camera.fy
@@ -227,9 +232,9 @@ def _first_row(camera: Camera, parameters: Parameters) -> int:
 
 
 def reduced(pair: Pair, picture: Picture) -> tuple[Image, Image]:
-    """Both pictures, grey and as small as they are matched, (H, W) each.
+    """Both pictures in grey, made smaller for the matching, (H, W) each.
 
-    Raises InputError where one is missing or has another size.
+    Raises InputError if one is missing or has another size than the calibration.
     """
     if picture.right is None:
         raise InputError("the picture of the second camera is missing")
@@ -252,8 +257,11 @@ def _small(pair: Pair, image: Image) -> Image:
 
 
 def disparities(pair: Pair, match: Match, left: Image, right: Image) -> FloatArray:
-    """(H, W): disparity of each pixel of the small left picture, in pixels of the full one; NaN
-    where there is none, or it is of what the right picture does not show."""
+    """The disparity of each pixel of the small left picture, (H, W), in pixels of the full one. NaN
+    where none is found, or where the right picture does not show the point.
+
+    left, right: (H, W) the pictures as `reduced` gives them.
+    """
     height, width = pair.u.shape
     moved: Image = cv2.warpAffine(
         right,
@@ -262,7 +270,7 @@ def disparities(pair: Pair, match: Match, left: Image, right: Image) -> FloatArr
         flags=cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP,
         borderMode=cv2.BORDER_REPLICATE,
     ).astype(np.uint8, copy=False)
-    # Matchers leave out the first columns; here these have a match, so the pictures are widened.
+    # Matchers leave out the first columns. These have a match here, so both pictures are padded.
     more = pair.n_disparities
     wide = [np.pad(image, ((0, 0), (more, 0)), mode="edge") for image in (left, moved)]
     found = match(wide[0], wide[1], more)[:, more:]
@@ -276,7 +284,7 @@ def disparities(pair: Pair, match: Match, left: Image, right: Image) -> FloatArr
 
 
 def find_plane(pair: Pair, disparity: FloatArray, parameters: Parameters) -> Plane:
-    """The road's plane in disparities (H, W)."""
+    """Finds the plane of the road in disparities (H, W)."""
     points = pair.points[np.isfinite(disparity.ravel()[pair.points])]
     u, v, d = (a.ravel()[points] for a in (pair.u, pair.v, disparity))
     tolerance = pair.scale * number(parameters, "plane_px")
@@ -286,8 +294,8 @@ def find_plane(pair: Pair, disparity: FloatArray, parameters: Parameters) -> Pla
 
 
 def off_plane(pair: Pair, disparity: FloatArray, plane: Plane, parameters: Parameters) -> BoolArray:
-    """(H, W): what is not on the plane. What has no disparity counts as on it; where the plane is
-    not sure, so does what would be on it if the camera pitched as much as it can."""
+    """The pixels, (H, W), that are not on the plane. A pixel without disparity counts as on it. If
+    the plane is not sure, so does a pixel that would be on it at the largest allowed pitch."""
     flat = planes.disparity_at(plane.abc, pair.u, pair.v)
     least_px = number(parameters, "off_plane_px") + (0 if plane.is_sure else pair.below_px)
     with np.errstate(invalid="ignore", divide="ignore"):
@@ -303,8 +311,8 @@ def off_plane(pair: Pair, disparity: FloatArray, plane: Plane, parameters: Param
 def _watch(
     pair: Pair, match: Match, parameters: Parameters
 ) -> Callable[[int, Plane, Image, Image], None]:
-    """What speaks up where the plane is not sure: InputError where the two pictures are swapped,
-    one warning where it stays unknown."""
+    """Makes a function to call after each frame: it raises InputError if the two pictures are
+    swapped, and warns once if the plane stays unsure."""
     ever_sure, has_warned, running = False, False, 0
 
     def watch(frame_id: int, plane: Plane, left: Image, right: Image) -> None:
@@ -332,7 +340,7 @@ def _watch(
 
 
 def _pitched(view: BirdsEye, more_deg: float) -> BirdsEye:
-    """The same view as a camera with so much more pitch sees it."""
+    """The same view for a camera whose pitch is larger by `more_deg`."""
     if not more_deg:
         return view
     half_x, half_y = view.along_m / 2, view.across_m / 2
@@ -348,7 +356,7 @@ def _pitched(view: BirdsEye, more_deg: float) -> BirdsEye:
 
 
 def _pixels(pair: Pair, view: BirdsEye) -> NDArray[np.int64]:
-    """(R, C): which pixel of the small picture, as a flat index, a pixel of the view is."""
+    """For each pixel of the view, (R, C), the flat index of the small picture's pixel there."""
     height, width = pair.u.shape
     column = np.clip(view.map_uv[0][..., 0] // pair.scale, 0, width - 1).astype(np.int64)
     row = np.clip((view.map_uv[0][..., 1] - pair.top) // pair.scale, 0, height - 1)

@@ -1,10 +1,11 @@
-"""From the lines found in single frames to lines followed over time (paper, section "Line detection
-and tracking": each line's parameters are updated by a Kalman filter, the LRI counts detections).
+"""Follows the lines found in single frames over time (paper, section
+`section:simple-line-detector`): a Kalman filter updates each line's parameters, and its LRI counts
+detections.
 
-A line is y(x) = s0 + s1 x + s2 x^2 / 2 + s3 x^3 / 6. What is measured is where it lies at some
-distances ahead, because there it was seen: its offset at the car is an extrapolation. The car's own
-motion moves all lines alike, so one shift per frame is estimated for all of them together.
-NumPy only; nothing here has seen a picture.
+A line is y(x) = s0 + s1 x + s2 x^2 / 2 + s3 x^3 / 6. The measurement is where it lies at some
+distances ahead, because there it was seen; its offset at the car is an extrapolation. The car's own
+motion moves all lines alike, so one shift per frame is estimated for all of them together. This
+module works on arrays alone and sees no picture.
 """
 
 from __future__ import annotations
@@ -18,22 +19,25 @@ from egolane_pgm.detectors import FrameLines
 from egolane_pgm.parameters import Parameters
 from egolane_pgm.types import BoolArray, FloatArray, IntArray
 
-#: How many distances ahead a line is compared at; four parameters need four.
+#: How many distances ahead a line is compared at: four parameters need four.
 _PLACES = 4
 
-#: What a new line's detection leaves open is taken for as wide as so many steps of the walk.
+#: Limit on a new line's standard deviations, in steps of the walk.
 _OPEN_STEPS = 50
 
 
 @dataclass(frozen=True)
 class Tracks:
-    """The L lines that are followed, in no order.
+    """The L lines that are followed, in no particular order.
 
-    number (L,): which line it is, for as long as it is followed. mean (L, 4), covariance
-    (L, 4, 4): its parameters. hits (L, k): whether it was detected, the newest frame last.
-    votes (L, v): 1 continuous, 0 dashed, NaN none, of its last detections. missed (L,): frames
-    since the last one. is_valid, was_valid (L,). motion (4,): the change of the parameters per
-    frame that all lines share. born: lines so far.
+    - number: (L,) identifies a line for as long as it is followed
+    - mean, covariance: (L, 4) and (L, 4, 4), of the line's parameters
+    - hits: (L, k) whether it was detected in the last k frames, the newest last
+    - votes: (L, v) of its last v detections: 1 for continuous, 0 for dashed, NaN for no vote
+    - missed: (L,) frames since it was last detected
+    - is_valid, was_valid: (L,) whether it is valid, and whether it ever was
+    - motion: (4,) change of the parameters per frame that all lines share
+    - n_started: how many lines have been started so far
     """
 
     number: IntArray
@@ -45,24 +49,29 @@ class Tracks:
     is_valid: BoolArray
     was_valid: BoolArray
     motion: FloatArray
-    born: int = 0
+    n_started: int = 0
 
     def __len__(self) -> int:
         return len(self.number)
 
     @property
     def lri(self) -> IntArray:
-        """(L,): detections in the last k frames."""
+        """The number of detections in the last k frames, (L,)."""
         detections: IntArray = self.hits.sum(axis=1)
         return detections
 
 
 @dataclass(frozen=True)
 class Rules:
-    """The parameters and what follows from them. at (J, 4): takes a line's parameters to its places
-    at J distances ahead; noise (J, J), walk (4, 4): of the measurement and of a frame's step;
-    first (4, 4): of a line detected once. curved: lines have curvature (clothoids), else they are
-    straight."""
+    """The parameters of tracking and the matrices that follow from them.
+
+    - values: the parameters
+    - curved: whether lines have curvature (clothoids) or are straight
+    - at: (J, 4) takes a line's parameters to its places at J distances ahead
+    - noise: (J, J) covariance of a measurement
+    - walk: (4, 4) covariance of the change from frame to frame
+    - first: (4, 4) covariance of a line that was detected once
+    """
 
     values: Parameters
     curved: bool
@@ -76,7 +85,7 @@ class Rules:
 
 
 def rules(parameters: Parameters, *, curved: bool) -> Rules:
-    """The rules of tracking from resolved values of the parameters."""
+    """The rules of tracking, from checked values of the parameters."""
 
     def value(name: str) -> float:
         return float(parameters[name])  # type: ignore[arg-type]
@@ -98,7 +107,7 @@ def rules(parameters: Parameters, *, curved: bool) -> Rules:
 
 
 def no_tracks(rule: Rules) -> Tracks:
-    """Before the first frame."""
+    """The tracks before the first frame: none."""
     n_hits, n_votes = int(rule["lri_frames"]), int(rule["vote_frames"])
     return Tracks(
         number=np.zeros(0, dtype=np.int64),
@@ -114,15 +123,18 @@ def no_tracks(rule: Rules) -> Tracks:
 
 
 def expected(tracks: Tracks) -> FloatArray:
-    """(K, 4): where the lines should be in the next frame, left to right: those that are valid, or
-    all where none is."""
+    """The lines (K, 4) predicted for the next frame, left to right: the valid ones, or all of them
+    if none is valid."""
     shapes = tracks.mean[tracks.is_valid | ~tracks.is_valid.any()] + tracks.motion
     return shapes[np.argsort(shapes[:, 0], kind="stable")]
 
 
 def advance(tracks: Tracks, rule: Rules, shape: FloatArray, coverage: FloatArray) -> Tracks:
-    """The tracks after a frame in which lines `shape` (M, 4) were found, of which the shares
-    `coverage` (M,) are painted (NaN: that cannot be told)."""
+    """The tracks after one more frame.
+
+    - shape: (M, 4) the lines found in it
+    - coverage: (M,) the share of each line that is painted; NaN where that is unknown
+    """
     if not rule.curved:
         shape = np.concatenate([shape[:, :2], np.zeros((len(shape), 2))], axis=1)
     tracks = replace(
@@ -133,15 +145,15 @@ def advance(tracks: Tracks, rule: Rules, shape: FloatArray, coverage: FloatArray
     is_new = np.ones(len(shape), dtype=bool)
     is_new[matched[matched >= 0]] = False
     for found in np.flatnonzero(is_new):
-        new = _born(tracks, rule, shape[found], coverage[found])
+        new = _new_track(tracks, rule, shape[found], coverage[found])
         is_apart = _gaps(tracks.mean, shape[found], rule) >= rule["tracks_apart_m"]
-        if is_apart.all() and not _bounds_nothing(tracks, new, rule):
+        if is_apart.all() and not _is_just_beyond(tracks, new, rule):
             tracks = _joined(tracks, new)
-    return _without_lost(_judged(tracks, rule), rule)
+    return _without_lost(_with_validity(tracks, rule), rule)
 
 
 def lines_of(tracks: Tracks, rule: Rules) -> FrameLines:
-    """What the detector says of its tracks, left to right."""
+    """The lines of a frame, left to right, as the detector gives them."""
     is_continuous = continuous_share(tracks) > rule["continuous_share"]
     order = np.argsort(tracks.mean[:, 0], kind="stable")
     order = order[~_is_hidden(tracks, is_continuous, rule)[order]]
@@ -154,7 +166,7 @@ def lines_of(tracks: Tracks, rule: Rules) -> FrameLines:
 
 
 def _is_hidden(tracks: Tracks, is_continuous: BoolArray, rule: Rules) -> BoolArray:
-    """(L,): the lines that `beyond_edge` keeps back."""
+    """Which lines, (L,), the parameter `beyond_edge` hides."""
     choice, offset = rule.values["beyond_edge"], tracks.mean[:, 0]
     edges = offset[is_continuous & tracks.is_valid]
     left, right = edges[edges < 0].max(initial=-np.inf), edges[edges > 0].min(initial=np.inf)
@@ -165,14 +177,15 @@ def _is_hidden(tracks: Tracks, is_continuous: BoolArray, rule: Rules) -> BoolArr
 
 
 def continuous_share(tracks: Tracks) -> FloatArray:
-    """(L,): the share of each line's votes that is for continuous; 0 without a vote."""
+    """The share of each line's votes that says continuous, (L,); 0 without a vote."""
     n_votes = np.isfinite(tracks.votes).sum(axis=1)
     share: FloatArray = np.nansum(tracks.votes, axis=1) / np.maximum(n_votes, 1)
     return share
 
 
 def _match(tracks: Tracks, rule: Rules, shape: FloatArray) -> IntArray:
-    """(L,): for each line the found one that continues it, or -1; the closest pairs first."""
+    """For each line, (L,), the index of the found line that continues it, or -1. The closest pairs
+    are matched first."""
     taken = np.full(len(tracks), -1, dtype=np.int64)
     if not len(tracks) or not len(shape):
         return taken
@@ -180,7 +193,7 @@ def _match(tracks: Tracks, rule: Rules, shape: FloatArray) -> IntArray:
     spread = rule.at @ tracks.covariance @ rule.at.T + rule.noise
     variance = np.diagonal(spread, axis1=1, axis2=2)[:, None, :]
     sigmas = np.sqrt((gap**2 / variance).mean(axis=2))
-    # Of the gate in metres the nearer half: far ahead a small turn of the car is a large gap.
+    # The gate in metres uses the nearer half, because far ahead a small turn makes a large gap.
     metres = np.abs(gap[..., : _PLACES // 2]).mean(axis=2)
     cost = np.where((metres <= rule["gate_m"]) & (sigmas <= rule["gate_sigmas"]), metres, np.inf)
     while np.isfinite(cost).any():
@@ -194,11 +207,13 @@ def _match(tracks: Tracks, rule: Rules, shape: FloatArray) -> IntArray:
 def _update(
     tracks: Tracks, rule: Rules, matched: IntArray, shape: FloatArray, coverage: FloatArray
 ) -> Tracks:
-    """Kalman update of the matched lines, and the count of hits and votes of all."""
+    """Updates the matched lines by a Kalman step, and counts the hits and votes of all lines."""
     is_hit = matched >= 0
     found = matched[is_hit]
-    tells = len(found) >= min(2, len(tracks))
-    shift = _common_shift((shape[found] - tracks.mean[is_hit]) @ rule.at.T, rule, tells)
+    # One line of several may have moved alone, which says nothing about the car.
+    shows_motion = len(found) >= min(2, len(tracks))
+    moved = (shape[found] - tracks.mean[is_hit]) @ rule.at.T
+    shift = _common_shift(moved, rule) if shows_motion and len(found) else np.zeros(4)
     tracks = replace(tracks, mean=tracks.mean + rule["shift_gain"] * shift)
     mean, covariance, votes = tracks.mean.copy(), tracks.covariance.copy(), tracks.votes.copy()
     prior = covariance[is_hit]
@@ -206,7 +221,7 @@ def _update(
     gain = np.linalg.solve(spread, rule.at @ prior).transpose(0, 2, 1)
     surprise = (shape[found] - mean[is_hit]) @ rule.at.T
     mean[is_hit] += np.einsum("lij,lj->li", gain, surprise)
-    # Joseph's form, which stays symmetric and positive.
+    # Joseph's form stays symmetric and positive definite.
     kept = np.eye(4) - gain @ rule.at
     covariance[is_hit] = kept @ prior @ kept.transpose(0, 2, 1) + gain @ rule.noise @ (
         gain.transpose(0, 2, 1)
@@ -222,35 +237,36 @@ def _update(
         votes=votes,
         hits=np.concatenate([tracks.hits[:, 1:], is_hit[:, None]], axis=1),
         missed=np.where(is_hit, 0, tracks.missed + 1),
-        motion=_steady(tracks.motion, shift, rule["motion_gain"], tells),
+        # Without matched lines the common motion decays.
+        motion=(
+            tracks.motion + rule["motion_gain"] * shift
+            if shows_motion
+            else tracks.motion * (1 - rule["motion_gain"])
+        ),
     )
 
 
-def _common_shift(surprise: FloatArray, rule: Rules, tells: bool) -> FloatArray:
-    """(4,): the change of offset and heading that most of the matched lines show at their places
-    (K, J). tells: whether they tell about the car: one of several lines may have moved alone."""
+def _common_shift(moved: FloatArray, rule: Rules) -> FloatArray:
+    """The change of offset and heading, as (4,), that most of the K matched lines show.
+
+    moved: (K, J) measured minus predicted places, metres.
+    """
     shift = np.zeros(4)
-    if len(surprise) and tells:
-        weight = 1 / np.sqrt(np.diag(rule.noise))
-        moved = np.median(surprise, axis=0)
-        shift[:2] = np.linalg.lstsq(rule.at[:, :2] * weight[:, None], moved * weight)[0]
+    weight = 1 / np.sqrt(np.diag(rule.noise))
+    design, middle = rule.at[:, :2] * weight[:, None], np.median(moved, axis=0)
+    shift[:2] = np.linalg.lstsq(design, middle * weight)[0]
     return shift
 
 
-def _steady(motion: FloatArray, shift: FloatArray, gain: float, tells: bool) -> FloatArray:
-    """The steady motion after a shift beyond it; it comes to rest where the lines do not tell."""
-    return motion + gain * shift if tells else motion * (1 - gain)
-
-
-def _born(tracks: Tracks, rule: Rules, shape: FloatArray, coverage: float) -> Tracks:
-    """The one track of a line detected for the first time."""
+def _new_track(tracks: Tracks, rule: Rules, shape: FloatArray, coverage: float) -> Tracks:
+    """Tracks with a single line, which was detected for the first time."""
     hits = np.zeros((1, tracks.hits.shape[1]), dtype=bool)
     hits[0, -1] = True
     votes = np.full((1, tracks.votes.shape[1]), np.nan)
     if np.isfinite(coverage):
         votes[0, -1] = coverage >= rule["continuous_cover"]
     return Tracks(
-        number=np.array([tracks.born + 1]),
+        number=np.array([tracks.n_started + 1]),
         mean=shape[None].astype(np.float64),
         covariance=rule.first[None],
         hits=hits,
@@ -259,19 +275,21 @@ def _born(tracks: Tracks, rule: Rules, shape: FloatArray, coverage: float) -> Tr
         is_valid=np.zeros(1, dtype=bool),
         was_valid=np.zeros(1, dtype=bool),
         motion=tracks.motion,
-        born=tracks.born + 1,
+        n_started=tracks.n_started + 1,
     )
 
 
-def _judged(tracks: Tracks, rule: Rules) -> Tracks:
-    """Valid from the largest LRI on, until it is below a share of it."""
+def _with_validity(tracks: Tracks, rule: Rules) -> Tracks:
+    """Sets `is_valid`: a line becomes valid at the largest LRI and stays so until its LRI falls
+    below a share of that."""
     k = tracks.hits.shape[1]
     is_valid = (tracks.lri == k) | (tracks.is_valid & (tracks.lri >= rule["valid_until"] * k))
     return replace(tracks, is_valid=is_valid, was_valid=tracks.was_valid | is_valid)
 
 
 def _without_lost(tracks: Tracks, rule: Rules) -> Tracks:
-    """Without lines not seen for long, far to the side, or beside a better one."""
+    """Drops lines that were missed for too long, are too far to the side, or are too close to a
+    better one."""
     patience = np.where(tracks.was_valid, rule["die_after"], rule["new_die_after"])
     is_good = (tracks.missed < patience) & (np.abs(tracks.mean[:, 0]) <= rule["farthest_m"])
     tracks = _chosen(tracks, np.flatnonzero(is_good))
@@ -280,13 +298,14 @@ def _without_lost(tracks: Tracks, rule: Rules) -> Tracks:
     for k in best_first:
         one = _chosen(tracks, np.array([k]))
         is_apart = _gaps(tracks.mean[kept], tracks.mean[k], rule) >= rule["tracks_apart_m"]
-        if is_apart.all() and not _bounds_nothing(tracks, one, rule):
+        if is_apart.all() and not _is_just_beyond(tracks, one, rule):
             kept.append(int(k))
     return _chosen(tracks, np.sort(np.array(kept, dtype=np.int64)))
 
 
-def _bounds_nothing(tracks: Tracks, one: Tracks, rule: Rules) -> bool:
-    """Whether a line lies close beyond one that is valid, or seen now and as often."""
+def _is_just_beyond(tracks: Tracks, one: Tracks, rule: Rules) -> bool:
+    """Whether a line lies beyond another, seen from the car, too close for a lane between them. The
+    other one is valid, or is detected in this frame and has at least the same LRI."""
     near = rule.at[: _PLACES // 2].mean(axis=0)
     place, places = float(one.mean[0] @ near), tracks.mean @ near
     is_between = (np.sign(places) == np.sign(place)) & (np.abs(places) < np.abs(place))
@@ -297,13 +316,14 @@ def _bounds_nothing(tracks: Tracks, one: Tracks, rule: Rules) -> bool:
 
 
 def _gaps(means: FloatArray, shape: FloatArray, rule: Rules) -> FloatArray:
-    """(L,): metres between lines (L, 4) and one (4,), in the nearer half of where they are seen."""
+    """The distance (L,), metres, of lines (L, 4) from one line (4,), over the nearer half of the
+    distances ahead."""
     gaps: FloatArray = np.abs((means - shape) @ rule.at[: _PLACES // 2].T).mean(axis=1)
     return gaps
 
 
 def _per_line(tracks: Tracks) -> dict[str, Any]:
-    shared = ("motion", "born")
+    shared = ("motion", "n_started")
     return {f.name: getattr(tracks, f.name) for f in fields(tracks) if f.name not in shared}
 
 

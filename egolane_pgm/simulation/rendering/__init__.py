@@ -1,1 +1,1 @@
-"""Pictures of simulated motorways."""
+"""Draws simulated motorways as pictures."""

@@ -1,10 +1,10 @@
-"""A motorway rendered as pictures, with exact truth: the same drives as at the level of lines.
+"""Renders the pictures of a simulated drive, with their exact truth.
 
     scene = make_scene("a4", seed=0, frames=3000)
-    frame = render_frame(scene, 1234)      # .image, .right (a stereo camera's), .truth
+    frame = render_frame(scene, 1234)      # .image, .right (of a stereo camera), .truth
     truth = frame_truth(scene, 1234)       # the same truth, without the picture
 
-Any frame can be made without the ones before it, and the same arguments give the same pictures.
+Any frame can be rendered without those before it. The same arguments give the same pictures.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ import numpy as np
 
 from egolane_pgm.camera.model import Camera, axes, matrix, road_to_image
 from egolane_pgm.simulation.rendering import road as roads
-from egolane_pgm.simulation.rendering import roadside as roadside
+from egolane_pgm.simulation.rendering import roadside
 from egolane_pgm.simulation.rendering import surface as surfaces
 from egolane_pgm.simulation.rendering import traffic as traffics
 from egolane_pgm.simulation.rendering.road import ITALIAN, SPANISH, Markings
@@ -53,27 +53,29 @@ __all__ = [
     "true_lines",
 ]
 
-#: Light on the horizon, blue green red.
+#: The colour of the horizon, blue green red.
 _HAZE = (222.0, 214.0, 205.0)
 
-#: Rows nearer to the horizon than this many metres of road are haze.
+#: The farthest road that is drawn, metres ahead; haze begins there.
 _FAR_M = 350.0
 
-#: Where the marking of a line is looked for to tell its visibility, metres ahead.
+#: The points at which the visibility of a line is judged, metres ahead.
 _SEEN_M = np.linspace(6.0, 25.0, 153)
 
 
 @dataclass(frozen=True)
 class FrameTruth:
-    """What is true in a frame; L = n + 1 lines of the road from left to right.
+    """The truth of a frame with L = n + 1 lines, from left to right.
 
-    lane, is_crossing: as annotated. is_failing: in a burst of failures.
-    camera: as it was in this frame, pitch included.
-    shape (L, 4): y(x) = s0 + s1 x + s2 x^2 / 2 + s3 x^3 / 6 near the car: offset, heading,
-    curvature and its rate of the line, relative to the car, metres.
-    is_continuous (L,).
-    visible, worn, hidden, shaded (L,): shares of the marking between 6 and 25 m ahead: that can be
-    seen well; whose paint is gone; that is behind a vehicle or out of the picture; in shadow.
+    - lane, is_crossing: as annotated
+    - is_failing: whether the frame is in a burst of failures
+    - camera: with the pitch of this frame
+    - shape: (L, 4) coefficients of y(x) = s0 + s1 x + s2 x^2 / 2 + s3 x^3 / 6, metres, near the
+      car: offset, heading, curvature and its rate
+    - is_continuous: (L,)
+    - visible, worn, hidden, shaded: (L,) shares of the marking between 6 and 25 m ahead that can be
+      seen well, whose paint is gone, that is behind a vehicle or out of the picture, and that is
+      in shadow
     """
 
     frame_id: int
@@ -90,13 +92,13 @@ class FrameTruth:
 
     @property
     def offset_m(self) -> FloatArray:
-        """(L,): metres, negative left."""
+        """The lines' offsets, (L,), metres, negative on the left."""
         return self.shape[:, 0]
 
 
 @dataclass(frozen=True)
 class Frame:
-    """A rendered frame: image (H, W, 3), blue green red; right: the second camera's or None."""
+    """A rendered frame. image: (H, W, 3), blue green red; right: that of the second camera."""
 
     frame_id: int
     image: Image
@@ -115,13 +117,13 @@ def _camera_at(scene: Scene, k: int) -> Camera:
 
 
 def _side(scene: Scene, k: int) -> Callable[[FloatArray], FloatArray]:
-    """How far to the right the road has moved at x metres ahead of the car in frame k."""
+    """A function from x, metres ahead of the car in frame k, to how far right the road bends."""
     s0, heading = float(scene.s_m[k]), float(scene.heading[k])
     return lambda x: np.asarray(heading * x + scene.course.bend(s0, x))
 
 
 def line_y(scene: Scene, k: int, x: FloatArray) -> FloatArray:
-    """(L, *x.shape): where the lines are x metres ahead in frame k, metres to the right."""
+    """The places of the lines x metres ahead in frame k, metres to the right: (L, *x.shape)."""
     offsets = scene.road.line_offset_m[k].reshape(-1, *[1] * np.ndim(x))
     return np.asarray(offsets + _side(scene, k)(x))
 
@@ -133,7 +135,7 @@ def _boxes(scene: Scene, k: int) -> list[traffics.Box]:
 
 
 def frame_truth(scene: Scene, k: int) -> FrameTruth:
-    """The truth of frame k. Raises InputError where there is no such frame."""
+    """The truth of frame k. Raises InputError if there is no such frame."""
     k = _frame_index(scene, k)
     camera, s0 = _camera_at(scene, k), float(scene.s_m[k])
     _, _, bend, rate = scene.course.at(np.array(s0))
@@ -179,7 +181,7 @@ def frame_truth(scene: Scene, k: int) -> FrameTruth:
 
 
 def render_frame(scene: Scene, k: int) -> Frame:
-    """Frame k with its truth. Raises InputError where there is no such frame."""
+    """Renders frame k with its truth. Raises InputError if there is no such frame."""
     truth = frame_truth(scene, k)
     baseline = truth.camera.baseline_m
     left = _render(scene, truth, 0.0, 0)
@@ -188,7 +190,7 @@ def render_frame(scene: Scene, k: int) -> Frame:
 
 
 def _render(scene: Scene, truth: FrameTruth, shift_m: float, which: int) -> Image:
-    """The picture of the camera `shift_m` to the right of the first one (in its own axes)."""
+    """The picture of camera number `which`, `shift_m` to the right of the first one."""
     camera, k = truth.camera, truth.frame_id
     to_camera = axes(camera)
     shift = shift_m * to_camera[0]
@@ -199,7 +201,7 @@ def _render(scene: Scene, truth: FrameTruth, shift_m: float, which: int) -> Imag
     horizon = camera.cy - camera.fy * to_camera[2, 2] / to_camera[1, 2]
     first = _sky(image, scene, k, horizon)
 
-    # The road under every pixel: without roll a row has one distance along the optical axis.
+    # The road point of every pixel. Without roll, a row has one distance along the optical axis.
     b = (np.arange(first, camera.height) - camera.cy)[:, None] / camera.fy
     a = (np.arange(camera.width) - camera.cx)[None, :] / camera.fx
     reach = -camera.height_m / (b * to_camera[1, 2] + to_camera[2, 2])
@@ -244,7 +246,7 @@ def _render(scene: Scene, truth: FrameTruth, shift_m: float, which: int) -> Imag
 
 
 def _projector(camera: Camera, shift: FloatArray) -> traffics.Project:
-    """`road_to_image` of the camera moved by `shift` (x, y, z; metres), for many small calls."""
+    """A fast `road_to_image` for many small calls; the camera is moved by `shift` (x, y, z), m."""
     to_camera = axes(camera)
     position = shift + np.array([0.0, camera.lateral_m, camera.height_m])
     rows = (matrix(camera) @ np.column_stack([to_camera, -to_camera @ position])).tolist()
@@ -260,7 +262,7 @@ def _projector(camera: Camera, shift: FloatArray) -> traffics.Project:
 def _edges(
     scene: Scene, k: int, project: traffics.Project, first: int, camera: Camera
 ) -> list[tuple[FloatArray, FloatArray, FloatArray, FloatArray, FloatArray]]:
-    """Where the lines' edges cross the picture's rows, for `draw_lines`."""
+    """The `edges` of `draw_lines`: where the edges of each line cross the rows of the picture."""
     s0 = float(scene.s_m[k])
     x = 1 / np.linspace(1 / 1.2, 1 / _FAR_M, 600)
     y = line_y(scene, k, x)
@@ -278,7 +280,7 @@ def _edges(
 
 
 def _sky(image: Image, scene: Scene, k: int, horizon: float) -> int:
-    """Fill the sky down to the first row of the road, which is returned."""
+    """Draws the sky and returns the first row below it."""
     camera = scene.camera
     first = math.ceil(horizon + camera.fy * camera.height_m / _FAR_M)
     first = min(max(first, 0), camera.height)
@@ -289,7 +291,7 @@ def _sky(image: Image, scene: Scene, k: int, horizon: float) -> int:
 
 
 def _finish(image: Image, scene: Scene, k: int, which: int) -> Image:
-    """The camera's own faults: glare, a soft lens, noise."""
+    """Adds the camera's own faults: glare, a soft lens, noise."""
     glare = float(scene.level["glare"][k])
     if glare > 0:
         lit = cv2.addWeighted(image, 1 - 0.45 * glare, scene.halo, 0.9 * glare, 0)
@@ -303,7 +305,7 @@ def _finish(image: Image, scene: Scene, k: int, which: int) -> Image:
 
 
 def true_lines(scene: Scene) -> LineLog:
-    """The lane lines as a perfect detector would report them, all of them in every frame."""
+    """The lane lines as a perfect detector would report them: all of them in every frame."""
     offset = scene.road.line_offset_m
     frame_id = np.arange(len(scene), dtype=np.int64)
     return LineLog(

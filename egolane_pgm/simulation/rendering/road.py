@@ -1,6 +1,6 @@
-"""The rendered road's shape and paint: its course, its dashes, how worn they are.
+"""The course of the rendered road, and its lines: their dashes and how worn they are.
 
-Road coordinates, metres: s along the road, d to the right of the leftmost line.
+Road coordinates are in metres: s along the road, d to the right of the leftmost line.
 """
 
 from __future__ import annotations
@@ -17,14 +17,17 @@ from egolane_pgm.types import BoolArray, FloatArray, InputError
 
 Floats = NDArray[np.float32]
 
-#: Metres per pixel of the tile of wear along a line, and across it in shares of the line's width.
+#: The tile of wear: metres per pixel along a line, and pixels across a line's width.
 _WEAR_STEP_M = 0.05
 _WEAR_ACROSS = 8
 
 
 @dataclass(frozen=True)
 class Markings:
-    """How lanes are marked: dashes between lanes, continuous lines at both edges, metres.
+    """The markings of a road: dashed lines between lanes, continuous lines at both edges.
+
+    - dash_m, gap_m: lengths of a dash and of the gap after it
+    - lane_line_m, edge_line_m: widths of a line between lanes and of one at an edge
 
     Raises InputError, naming the key, for a value that is not positive.
     """
@@ -43,8 +46,8 @@ class Markings:
             raise InputError("simulation.lane_line_m: a line is at most 1 m wide")
 
 
-#: Motorways with a design speed above 110 km/h: dashes by D.P.R. 495/1992 art. 138 (type a), width
-#: of lane lines by the same, of edge lines by art. 141 (least values).
+#: Motorways with a design speed above 110 km/h, least values: dashes and width of lane lines by
+#: D.P.R. 495/1992 art. 138 (type a), width of edge lines by art. 141.
 ITALIAN = Markings(dash_m=4.5, gap_m=7.5, lane_line_m=0.15, edge_line_m=0.25)
 
 #: Roads of more than 100 km/h: Norma 8.2-IC (1987), mark M-1.1 (5 m, gaps of 12 m, .10 m wide);
@@ -54,10 +57,11 @@ SPANISH = Markings(dash_m=5.0, gap_m=12.0, lane_line_m=0.10, edge_line_m=0.20)
 
 @dataclass(frozen=True)
 class Course:
-    """A road of clothoids: its curvature is linear in s between nodes.
+    """A road of clothoids: the curvature is linear in s between N nodes.
 
-    s_m (N,): the nodes. curvature (N,): 1/m, positive to the right. heading (N,), side_m (N,):
-    its first and second integral.
+    - s_m: (N,) the nodes
+    - curvature: (N,) 1/m, positive to the right
+    - heading, side_m: (N,) the first and second integral of the curvature
     """
 
     s_m: FloatArray
@@ -66,7 +70,7 @@ class Course:
     side_m: FloatArray
 
     def at(self, s: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
-        """Second and first integral of the curvature, itself and its slope, at s (any shape)."""
+        """Side, heading, curvature and its rate at s (any shape)."""
         k = np.clip(np.searchsorted(self.s_m, s, side="right") - 1, 0, len(self.s_m) - 2)
         u = s - self.s_m[k]
         slope = (self.curvature[k + 1] - self.curvature[k]) / (self.s_m[k + 1] - self.s_m[k])
@@ -75,18 +79,18 @@ class Course:
         return side, self.heading[k] + u * (bend + u * slope / 2), bend + u * slope, slope
 
     def bend(self, s0: float, x: FloatArray) -> FloatArray:
-        """How far to the right the road has turned x metres after s0, metres."""
+        """How far to the right the road bends from s0 to x metres after it, metres."""
         here = np.array(s0)
         side, heading, _, _ = self.at(here)
         return np.asarray(self.at(s0 + x)[0] - side - heading * x)
 
 
 def make_course(rng: np.random.Generator, length_m: float, curvature: float) -> Course:
-    """A course of straights, clothoids and arcs, its curvature (1/m) at most `curvature`."""
+    """Draws a random course of straights, clothoids and arcs; `curvature` (1/m) is the largest."""
     n_nodes = int(length_m / 200) + 4
     s_m = -100.0 + np.concatenate([[0.0], np.cumsum(rng.uniform(150, 450, n_nodes))])
     target = curvature * rng.uniform(-1, 1, n_nodes + 1) * (rng.random(n_nodes + 1) < 0.7)
-    # Every second piece keeps its curvature: straight or arc; the ones between are clothoids.
+    # Every second piece has constant curvature (straight or arc); clothoids connect them.
     bends = np.repeat(target, 2)[: n_nodes + 1]
     step = np.diff(s_m)
     slope = np.diff(bends) / step
@@ -97,12 +101,15 @@ def make_course(rng: np.random.Generator, length_m: float, curvature: float) -> 
 
 @dataclass(frozen=True)
 class Lines:
-    """The lines of the road, L = n + 1, from left to right.
+    """The L = n + 1 lines of the road, from left to right.
 
-    d_m, width_m, phase_m (L,): place, width, and where a dash begins; is_continuous (L,).
-    dash_m, period_m: of the dashes. wear_offset_m (L,): where in the tile a line begins.
-    wear_tile (rows along, columns across): in [0, 1], each value as frequent; paint is gone where
-    it is below the level of wear.
+    - d_m, width_m: (L,) place and width
+    - phase_m: (L,) an s at which a dash begins
+    - is_continuous: (L,)
+    - dash_m, period_m: length of a dash, and distance from one to the next
+    - wear_offset_m: (L,) where in the tile of wear a line begins
+    - wear_tile: (rows along, columns across), uniformly distributed in [0, 1]; the paint is gone
+      where the tile is below the level of wear
     """
 
     d_m: FloatArray
@@ -118,13 +125,13 @@ class Lines:
         return len(self.d_m)
 
     def is_dash(self, line: int, s: FloatArray) -> BoolArray:
-        """Whether the pattern of a line has paint at s."""
+        """Whether the dash pattern of a line has paint at s."""
         if self.is_continuous[line]:
             return np.ones(np.shape(s), dtype=bool)
         return np.asarray((s - self.phase_m[line]) % self.period_m < self.dash_m)
 
     def dash_share(self, line: int, near: FloatArray, far: FloatArray) -> FloatArray:
-        """The share of a line between `near` and `far` that its pattern paints."""
+        """The share of a line between `near` and `far` that its dash pattern paints."""
         if self.is_continuous[line]:
             return np.ones(np.shape(near))
         painted = [
@@ -135,8 +142,12 @@ class Lines:
         return np.asarray((painted[1] - painted[0]) / np.maximum(far - near, 1e-9))
 
     def paint(self, line: int, s: FloatArray, across: FloatArray, wear: FloatArray) -> FloatArray:
-        """How much paint is left at s and `across` (0 to 1, from the line's left edge), where the
-        level of wear is `wear`; shapes broadcast."""
+        """How much paint is left, 0 to 1, after wear. The arguments broadcast.
+
+        - s: metres along the road
+        - across: place in the line, from 0 at its left edge to 1
+        - wear: level of wear, 0 to 1
+        """
         along = ((s + self.wear_offset_m[line]) / _WEAR_STEP_M).astype(np.int64)
         column = np.clip((across * _WEAR_ACROSS).astype(np.int64), 0, _WEAR_ACROSS - 1)
         tile = self.wear_tile[along % len(self.wear_tile), column]
@@ -147,7 +158,7 @@ class Lines:
 def make_lines(
     rng: np.random.Generator, n_lanes: int, lane_width_m: float, markings: Markings
 ) -> Lines:
-    """The lines of a road with n lanes, leftmost at d = 0."""
+    """Makes the lines of a road; the leftmost one is at d = 0."""
     n_lines = n_lanes + 1
     is_edge = np.isin(np.arange(n_lines), (0, n_lanes))
     period = markings.dash_m + markings.gap_m
@@ -170,7 +181,10 @@ def make_lines(
 
 
 def blurred(noise: FloatArray, along: float, across: float) -> Floats:
-    """Periodic noise, smoothed over so many pixels (standard deviation), of deviation 1."""
+    """Smooths periodic noise with a Gaussian, and scales it to mean 0 and standard deviation 1.
+
+    along, across: standard deviations of the Gaussian, pixels.
+    """
     height, width = noise.shape
     pad = [(min(height, int(4 * along) + 1),) * 2, (min(width, int(4 * across) + 1),) * 2]
     wide: NDArray[Any] = np.pad(noise.astype(np.float32), pad, mode="wrap")
@@ -190,18 +204,19 @@ def draw_lines(
     wear_s: FloatArray,
     colour: tuple[float, float, float],
 ) -> None:
-    """Paint the lines into the picture, row by row, each pixel by the share of it that is line.
+    """Draws the lines into the picture, row by row; each pixel gets as much paint as it shows line.
 
-    edges: per line, for every row that it crosses: the row; the picture's columns of its left and
-    right edge at the row's middle; s at the row's lower and upper border.
-    wear: its level along the road at wear_s.
+    - edges: for each line, five arrays over the rows that it crosses: the row, the columns of the
+      line's left and right edge in it, and s at the row's lower and upper border
+    - wear: level of wear at the places wear_s along the road
+    - colour: of new paint, blue green red
     """
     width = image.shape[1]
     for line, (rows, left, right, near, far) in enumerate(edges):
         middle = (near + far) / 2
         share = lines.dash_share(line, near, far)
         level = np.interp(middle, wear_s, wear)
-        # Where a row covers metres of road, single holes in the paint blend.
+        # Single holes in the paint blur where a row covers metres of road.
         blend = np.clip((far - near) / 1.0, 0, 1)
         for part in _alike(right - left):
             part = part[(share[part] > 0) & (right[part] > 0) & (left[part] < width - 1)]
@@ -216,7 +231,7 @@ def draw_lines(
             left_over = lines.paint(line, middle[part, None], across, lvl)
             mix = blend[part, None]
             left_over = (1 - mix) * left_over + mix * (1 - lvl)
-            # What is left of worn paint is thinner, too.
+            # The paint that is left is also thinner where it is worn.
             alpha = cover * share[part, None] * left_over * (1 - 0.4 * lvl)
             inside = (columns >= 0) & (columns < width) & (alpha > 0.004)
             at_row = np.broadcast_to(rows[part, None], columns.shape)[inside]
@@ -228,6 +243,6 @@ def draw_lines(
 
 
 def _alike(width: FloatArray) -> list[NDArray[np.int64]]:
-    """Rows grouped by the width of the line in them, so that windows stay small."""
+    """Groups of rows in which a line has a similar width, so that windows stay small."""
     groups = np.digitize(width, [3.0, 8.0, 20.0])
     return [np.flatnonzero(groups == g) for g in range(4)]

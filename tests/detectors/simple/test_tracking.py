@@ -299,7 +299,7 @@ def test_whatever_is_found_the_tracks_stay_sound(
     for found in frames:
         cover = np.where(rng.random(len(found)) < 0.3, np.nan, rng.random(len(found)))
         tracks = advance(tracks, rule, np.array(found).reshape(-1, 4), cover)
-        assert len(set(tracks.number.tolist())) == len(tracks) <= tracks.born
+        assert len(set(tracks.number.tolist())) == len(tracks) <= tracks.n_started
         for values in (tracks.mean, tracks.covariance, tracks.motion):
             assert np.isfinite(values).all()
         assert (tracks.lri >= 1).all()

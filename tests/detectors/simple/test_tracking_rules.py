@@ -113,9 +113,9 @@ def test_of_two_lines_in_one_place_the_valid_one_stays_however_young() -> None:
     both = {
         f.name: np.concatenate([getattr(weak, f.name), getattr(strong, f.name)])
         for f in fields(Tracks)
-        if f.name not in ("motion", "born")
+        if f.name not in ("motion", "n_started")
     }
-    tracks = advance(replace(strong, **both, born=2), rule, *NOTHING)
+    tracks = advance(replace(strong, **both, n_started=2), rule, *NOTHING)
     assert tracks.number.tolist() == [2]
 
 

@@ -29,7 +29,7 @@ from egolane_pgm.loading import Recorded, load_recording
 from egolane_pgm.model import Model, make_evidence, prepare_model
 from egolane_pgm.paper import paper_experiment
 from egolane_pgm.parameters import Parameters, resolve_parameters
-from egolane_pgm.simulation import Drive, simulate
+from egolane_pgm.simulation import SimulatedDrive, simulate
 from egolane_pgm.types import FloatArray, LineLog
 from tests.conftest import needs_compiler
 
@@ -37,7 +37,7 @@ ROOT = Path(__file__).parents[3]
 
 
 @cache
-def drive() -> Drive:
+def drive() -> SimulatedDrive:
     return simulate("quickstart", seed=1, frames=900)
 
 
