@@ -11,13 +11,10 @@ from pathlib import Path
 from typing import Any
 
 import cv2
-import numpy as np
-from numpy.typing import NDArray
 
+from egolane_pgm.camera.picture import Image
 from egolane_pgm.files import check_name, temporary_name, write_bytes
 from egolane_pgm.types import InputError
-
-Image = NDArray[np.uint8]
 
 #: The codec that every build of OpenCV can write.
 CODEC = "mp4v"

@@ -15,7 +15,7 @@ from egolane_pgm.files import make_directory, write_yaml
 from egolane_pgm.recordings.ground_truth import write_ground_truth
 from egolane_pgm.recordings.table import write_table
 from egolane_pgm.simulation import simulate as make_drive
-from egolane_pgm.simulation.rendering.files import foretell, free_places, write_drive
+from egolane_pgm.simulation.rendering.files import cost_estimate, free_places, write_drive
 from egolane_pgm.simulation.rendering.render import check_settings, make_scene
 from egolane_pgm.types import InputError
 
@@ -93,7 +93,9 @@ def _write_images(
 ) -> None:
     check_settings(overrides)
     places = free_places(folder, stereo=stereo, video=video)
-    cost = foretell(preset, seed, frames, overrides, folder, stereo=stereo, video=video, png=png)
+    cost = cost_estimate(
+        preset, seed, frames, overrides, folder, stereo=stereo, video=video, png=png
+    )
     if cost is not None:
         click.echo(cost, err=True)
     scene = make_scene(preset, seed, frames, stereo=stereo, **overrides)

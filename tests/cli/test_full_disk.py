@@ -220,7 +220,7 @@ def test_frames_rendered_before_the_disk_was_full_are_whole_pairs(
 def test_what_a_drive_costs_is_said_before_it_is_rendered(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(rendering_files, "_SAID_FROM", 5)
+    monkeypatch.setattr(rendering_files, "_ESTIMATED_FROM", 5)
     told = command(*rendered("--frames", 6, "--png", "--out", tmp_path / "a"))
     assert told.exit_code == 0
     said = told.stderr.splitlines()[0]
@@ -233,7 +233,7 @@ def test_what_a_drive_costs_is_said_before_it_is_rendered(
 def test_a_drive_that_the_disk_has_no_room_for_is_refused_before_it_is_made(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(rendering_files, "_SAID_FROM", 5)
+    monkeypatch.setattr(rendering_files, "_ESTIMATED_FROM", 5)
     monkeypatch.setattr(shutil, "disk_usage", lambda _: Usage(10**12, 0, 10**9))
     monkeypatch.setattr(rendering_files, "make_scene", lambda *a, **k: make_scene(a[0], a[1], 5))
     said = refused(*rendered("--frames", 9_000_000, "--out", tmp_path / "new" / "a"))

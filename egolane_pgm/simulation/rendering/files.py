@@ -1,4 +1,4 @@
-"""A rendered drive, written to a folder: pictures or a video, and the truth about every line."""
+"""Writes a rendered drive to a folder: pictures or a video, and the truth about every line."""
 
 from __future__ import annotations
 
@@ -13,9 +13,9 @@ from typing import Any
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 
 from egolane_pgm.camera.model import Camera, write_camera
+from egolane_pgm.camera.picture import Image
 from egolane_pgm.camera.writing import NotKeptError, video_writer, write_picture
 from egolane_pgm.files import make_directory, write_text, write_yaml
 from egolane_pgm.recordings.ground_truth import write_ground_truth
@@ -24,8 +24,6 @@ from egolane_pgm.simulation.presets import PRESETS
 from egolane_pgm.simulation.rendering.render import Frame, make_scene, render_frame, true_lines
 from egolane_pgm.simulation.rendering.scene import Scene
 from egolane_pgm.types import InputError
-
-Image = NDArray[np.uint8]
 
 _README = """A rendered drive: {n_frames} frames of {width}x{height} pixels, {rate:g} per second,
 preset {preset}, seed {seed}.
@@ -40,8 +38,8 @@ shares of its marking between 6 and 25 m ahead that can be seen well, that are w
 of the picture) and in shadow; is_failing: in a burst of failures; pitch_deg of the camera.
 """
 
-#: From so many frames on it is said beforehand what they cost, measured on a drive of so many.
-_SAID_FROM = 100
+#: The shortest drive whose cost is estimated, and the length of the drive that it is measured on.
+_ESTIMATED_FROM = 100
 
 _COLUMNS = (
     "frame_id,line,offset_m,heading,curvature,curvature_rate,is_continuous,visible,worn,hidden,"
@@ -50,8 +48,11 @@ _COLUMNS = (
 
 
 def free_places(folder: Path, *, stereo: bool, video: bool) -> list[str]:
-    """Where the pictures go in the folder, the left camera's first. Raises InputError where there
-    are pictures already: those of another drive would be read with the new ones as one."""
+    """The names that the pictures get in a folder, the left camera's first.
+
+    Raises InputError if one of these folders has files already, because those of another drive
+    would be read together with the new ones.
+    """
     names = ["left", "right"] if stereo else ["images"]
     places = [f"{name}.mp4" for name in names] if video else names
     for place in places:
@@ -60,7 +61,7 @@ def free_places(folder: Path, *, stereo: bool, video: bool) -> list[str]:
     return places
 
 
-def foretell(
+def cost_estimate(
     preset: str,
     seed: int,
     frames: int | None,
@@ -71,18 +72,20 @@ def foretell(
     video: bool,
     png: bool,
 ) -> str | None:
-    """How much disk and time a long drive will take, or None for a short one. Raises InputError
-    where the disk has too little left."""
+    """A message on how much disk and time a long drive will take; None for a short one.
+
+    Raises InputError if the disk has too little space left.
+    """
     if preset not in PRESETS:
         return None  # make_scene refuses it
     world = replace(PRESETS[preset].world)
     n_frames = frames if frames is not None else overrides.get("n_frames", world.n_frames)
-    # Checked before it is counted with.
+    # `replace` checks the number.
     n_frames = replace(world, n_frames=n_frames).n_frames
-    if n_frames < _SAID_FROM:
+    if n_frames < _ESTIMATED_FROM:
         return None
     settings = {key: value for key, value in overrides.items() if key != "n_frames"}
-    short = make_scene(preset, seed, _SAID_FROM, stereo=stereo, **settings)
+    short = make_scene(preset, seed, _ESTIMATED_FROM, stereo=stereo, **settings)
     seconds, size = cost_per_frame(short, png=png, video=video)
     nearest = folder.absolute()
     while not nearest.exists():
@@ -107,13 +110,13 @@ def write_drive(
     png: bool,
     progress: Callable[[range], Iterable[int]],
 ) -> None:
-    """Render a drive into a folder, one frame in memory at a time.
+    """Renders a drive into a folder, with one frame in memory at a time.
 
-    - places: where the pictures go, as `free_places` says.
-    - png: pictures are PNG instead of JPEG.
-    - progress: goes through the frame numbers, and may show a bar meanwhile.
+    - places: the names of the pictures, from `free_places`
+    - png: whether pictures are PNG instead of JPEG
+    - progress: wraps the frame numbers, e.g. tqdm
 
-    Raises InputError where something cannot be written. The frames rendered until then, or until
+    Raises InputError if something cannot be written. The frames rendered before that, or before
     Ctrl-C, are kept.
     """
     make_directory(folder)
@@ -124,7 +127,7 @@ def write_drive(
     try:
         _write_texts(folder, scene, preset, seed, places)
         with contextlib.ExitStack() as files:
-            # Line buffered: a row is on the disk as soon as its picture is.
+            # The table is line buffered, so that a row is on the disk as soon as its picture is.
             table = (folder / "visibility.csv").open("w", encoding="ascii", buffering=1)
             files.enter_context(table).write(_COLUMNS)
             writers = [
@@ -141,13 +144,13 @@ def write_drive(
     except NotKeptError:
         raise
     except (OSError, InputError) as error:
-        _remove_half(folder, places, n_rendered)
+        _remove_incomplete(folder, places, n_rendered)
         said = str(error)
         if isinstance(error, OSError):
             said = f"{folder}: cannot be written: {error.strerror or error}"
         raise InputError(f"{said}; {n_rendered} of {len(scene)} frames are in {folder}") from error
     except KeyboardInterrupt:
-        _remove_half(folder, places, n_rendered)
+        _remove_incomplete(folder, places, n_rendered)
         raise KeyboardInterrupt(
             f"{n_rendered} of {len(scene)} frames are in {folder}; the same command begins anew"
         ) from None
@@ -164,8 +167,8 @@ def _duration(seconds: float) -> str:
     return f"{max(1, round(seconds))} seconds"
 
 
-def _remove_half(folder: Path, places: Sequence[str], frame: int) -> None:
-    """Remove what is there of a frame that was not written whole."""
+def _remove_incomplete(folder: Path, places: Sequence[str], frame: int) -> None:
+    """Removes the files of a frame that was not written in full."""
     for place in places:
         for file in (folder / place).glob(f"{frame:06d}.*"):
             with contextlib.suppress(OSError):
@@ -214,10 +217,11 @@ def _rows(frame: Frame) -> str:
 def picture_writer(
     place: Path, camera: Camera, frame_rate: float, png: bool
 ) -> Iterator[Callable[[int, Image], None]]:
-    """What writes a frame's picture to a video (.mp4) or a folder (JPEG or PNG).
+    """A context that gives a function to write a frame's picture to a video (.mp4) or into a folder
+    (JPEG or PNG).
 
-    Raises InputError, then or when writing, where it cannot be written, and NotKeptError where what
-    was written of a video cannot be read.
+    Raises InputError if something cannot be written, and NotKeptError if a written video cannot be
+    read.
     """
     if place.suffix == ".mp4":
         with video_writer(place, frame_rate, (camera.width, camera.height)) as append:
@@ -229,8 +233,8 @@ def picture_writer(
 
 
 def cost_per_frame(scene: Scene, *, png: bool, video: bool) -> tuple[float, float]:
-    """Seconds of rendering, and bytes on the disk, that a frame of a drive takes, measured on a few
-    (of a video: bytes of consecutive ones, which it stores as differences)."""
+    """The seconds and the bytes on the disk that a frame takes, measured on a few frames; on
+    consecutive ones for a video, which stores differences."""
     few = range(min(13, len(scene))) if video else np.linspace(0, len(scene) - 1, 5).astype(int)
     seconds, frames = [], []
     for k in few:

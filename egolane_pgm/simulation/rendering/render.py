@@ -17,6 +17,7 @@ import cv2
 import numpy as np
 
 from egolane_pgm.camera.model import Camera, axes, matrix, road_to_image
+from egolane_pgm.camera.picture import Image
 from egolane_pgm.simulation.rendering import road as roads
 from egolane_pgm.simulation.rendering import roadside
 from egolane_pgm.simulation.rendering import surface as surfaces
@@ -26,7 +27,6 @@ from egolane_pgm.simulation.rendering.scene import (
     FAILURES,
     SETTINGS,
     Failures,
-    Image,
     Motion,
     Scene,
     check_settings,

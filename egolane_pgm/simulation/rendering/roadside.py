@@ -1,5 +1,14 @@
-"""What stands beside the rendered road: a concrete barrier on the left, a guard rail and trees on
-the right, bridges across, hills behind."""
+"""Draws what stands beside the rendered road: a concrete barrier on the left, a guard rail and
+trees on the right, bridges across the road, hills behind it.
+
+Arguments of all functions:
+
+- project: takes points in vehicle coordinates to pixels
+- side: how far to the right the road bends, metres, at x metres ahead
+- at_m: place beside the car, metres to the right
+- s0: where the car is along the road, metres
+- haze: colour of the horizon
+"""
 
 from __future__ import annotations
 
@@ -7,10 +16,11 @@ from collections.abc import Callable
 
 import numpy as np
 
-from egolane_pgm.simulation.rendering.traffic import Colour, Image, Project, fill
+from egolane_pgm.camera.picture import Image
+from egolane_pgm.simulation.rendering.traffic import Colour, Project, fill
 from egolane_pgm.types import FloatArray
 
-#: The barrier's slopes (a New Jersey profile): from and to what height, colour.
+#: The slopes of the barrier (a New Jersey profile): lower and upper height, metres, and colour.
 _BARRIER: tuple[tuple[float, float, Colour], ...] = (
     (0.0, 0.08, (150, 152, 155)),
     (0.08, 0.33, (176, 179, 182)),
@@ -25,7 +35,7 @@ _AHEAD = 1 / np.linspace(1 / 1.2, 1 / 200.0, 28)
 
 
 def hazed(colour: Colour, x: float, haze: Colour) -> Colour:
-    """A colour seen through x metres of air."""
+    """A colour as seen through x metres of air."""
     far = 1 - np.exp(-max(x, 0.0) / 500.0)
     mixed = (1 - far) * np.array(colour) + far * np.array(haze)
     return float(mixed[0]), float(mixed[1]), float(mixed[2])
@@ -48,6 +58,11 @@ def _band(
     fill(image, u, v, colour)
 
 
+def _every(step_m: float, s0: float, far_m: float) -> FloatArray:
+    """Metres ahead of all multiples of step_m along the road, from 1.3 m to far_m ahead."""
+    return np.arange(np.ceil((s0 + 1.3) / step_m) * step_m, s0 + far_m, step_m) - s0
+
+
 def draw_barrier(
     image: Image,
     project: Project,
@@ -56,14 +71,13 @@ def draw_barrier(
     s0: float,
     haze: Colour,
 ) -> None:
-    """The concrete barrier at y = at_m + side(x). s0: where the car is along the road."""
+    """Draws the concrete barrier, with joints every 6 m."""
     y = at_m + side(_AHEAD)
     near, far = slice(0, 23), slice(22, None)
     for low, high, colour in _BARRIER:
         _band(image, project, _AHEAD[far], y[far], low, high, hazed(colour, 90.0, haze))
         _band(image, project, _AHEAD[near], y[near], low, high, hazed(colour, 10.0, haze))
-    joints = np.arange(np.ceil((s0 + 1.3) / 6.0) * 6.0, s0 + 45.0, 6.0) - s0
-    for x in joints:
+    for x in _every(6.0, s0, 45.0):
         both = np.array([x, x + 0.04])
         _band(image, project, both, at_m + side(both), 0.0, BARRIER_M, (96, 98, 100))
 
@@ -76,9 +90,8 @@ def draw_rail(
     s0: float,
     haze: Colour,
 ) -> None:
-    """The guard rail at y = at_m + side(x), its posts 4 m apart."""
-    posts = np.arange(np.ceil((s0 + 1.3) / 4.0) * 4.0, s0 + 60.0, 4.0) - s0
-    for x in posts:
+    """Draws the guard rail, with posts every 4 m."""
+    for x in _every(4.0, s0, 60.0):
         both = np.array([x, x + 0.12])
         _band(image, project, both, at_m + 0.1 + side(both), 0.0, 0.7, (88, 90, 92))
     y = at_m + side(_AHEAD)
@@ -99,8 +112,10 @@ def draw_trees(
     tree_s_m: FloatArray,
     haze: Colour,
 ) -> None:
-    """Trees some metres right of at_m, and fewer beyond the other carriageway; tree_s_m: where
-    along the road (their looks follow from it)."""
+    """Draws trees, most of them some metres right of at_m, some beyond the other carriageway.
+
+    tree_s_m: their places along the road, from which size, side and colour follow.
+    """
     angle = np.linspace(0, 2 * np.pi, 14, endpoint=False)
     first, last = np.searchsorted(tree_s_m, (s0 + 6.0, s0 + 240.0))
     for s in tree_s_m[first:last][::-1]:
@@ -137,7 +152,7 @@ def draw_trees(
 
 
 def draw_hills(image: Image, horizon: float, turn_px: float, first: int, haze: Colour) -> None:
-    """Two ranges of hills on the horizon, turned by turn_px; above row `first` only."""
+    """Draws two ranges of hills above row `first`, moved to the left by turn_px."""
     width = image.shape[1]
     u = np.linspace(0, width - 1, 80)
     for height, wave, colour in ((26.0, 260.0, (192, 178, 160)), (15.0, 140.0, (150, 150, 132))):
@@ -160,7 +175,7 @@ def draw_bridge(
     x_m: float,
     haze: Colour,
 ) -> None:
-    """A bridge across the road x_m ahead: its face, piers to both sides."""
+    """Draws a bridge across the road x_m ahead: its face, and a pier on either side."""
     at = np.array([x_m, x_m])
     middle = side(at)
     across = middle + np.array([-45.0, 45.0])

@@ -1,4 +1,4 @@
-"""What a rendered drive consists of: the road, its failures, what is around it; made once."""
+"""The scene of a rendered drive: road, failures and surroundings, prepared once for all frames."""
 
 from __future__ import annotations
 
@@ -7,9 +7,9 @@ from dataclasses import dataclass, fields, replace
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from egolane_pgm.camera.model import Camera, image_to_road
+from egolane_pgm.camera.picture import Image
 from egolane_pgm.simulation._common import check_fields, check_seed, slow_noise
 from egolane_pgm.simulation.detector import DetectorModel, sensor_failures
 from egolane_pgm.simulation.presets import PRESETS
@@ -19,17 +19,19 @@ from egolane_pgm.simulation.rendering import traffic as traffics
 from egolane_pgm.simulation.world import Road, World, simulate_road
 from egolane_pgm.types import BoolArray, FloatArray, InputError, suggestion
 
-Image = NDArray[np.uint8]
-
 
 @dataclass(frozen=True)
 class Failures:
-    """What makes lines hard to see, each 0 (never) to 1 (as bad as it gets).
+    """How strongly each kind of failure hides lines, from 0 (not at all) to 1.
 
-    occlusion: cars and lorries. wear: paint that is gone. shadow: of barriers, trees and bridges.
-    pitch: the camera's oscillation, of up to some 2 degrees. noise: of the sensor. glare: a low
-    sun. They are weak (the share `calm` of their strength) but in bursts, each of one kind: ok_s,
-    bad_s: mean seconds between bursts and of a burst (0 for none).
+    - occlusion: by cars and lorries
+    - wear: of the paint
+    - shadow: of barriers, trees and bridges
+    - pitch: oscillation of the camera, up to about 2 degrees
+    - noise: of the sensor
+    - glare: of a low sun
+    - calm: share of these strengths outside bursts; each burst has one kind at full strength
+    - ok_s, bad_s: mean time between bursts, and of a burst, seconds; bad_s = 0 for no bursts
 
     Raises InputError, naming the key, for a value out of range.
     """
@@ -52,8 +54,8 @@ class Failures:
 #: The kinds of failure, in the order in which results list them.
 FAILURES = ("occlusion", "wear", "shadow", "pitch", "noise", "glare")
 
-#: Per preset its camera (of the paper's picture sizes) and its markings. The paper states neither
-#: focal lengths nor heights; these see a lane to each side from 7 m on.
+#: The camera and the markings of each preset. The pictures have the paper's sizes; the paper states
+#: neither focal lengths nor heights, and these cameras see a lane to each side from 7 m ahead.
 CAMERAS: Mapping[str, Camera] = {
     "a4": Camera(1312, 540, 760.0, 760.0, 655.5, 215.0, 1.5, pitch_deg=-1.0),
     "a2": Camera(1392, 400, 820.0, 820.0, 695.5, 150.0, 1.4, pitch_deg=-1.0),
@@ -71,10 +73,12 @@ BASELINE_M = 0.4
 
 @dataclass(frozen=True)
 class Motion:
-    """How the car moves: speed_mps, its mean speed, metres per second; curvature of the road's
-    bends, at most, 1/m (0 for a straight road).
+    """The speed of the car, and the bends of the road.
 
-    Raises InputError, naming the key, for a value that no car on a motorway has.
+    - speed_mps: mean speed, metres per second
+    - curvature: largest curvature of the road, 1/m; 0 for a straight road
+
+    Raises InputError, naming the key, for a value that no motorway has.
     """
 
     speed_mps: float = 29.0
@@ -90,14 +94,19 @@ class Motion:
 
 @dataclass(frozen=True)
 class Scene:
-    """A drive to be rendered.
+    """A drive of T frames, ready to be rendered.
 
-    camera: at rest. road: the world's drive at the level of lines. failures; level: how strong each
-    one is in each frame (T,). is_failing (T,): a burst. s_m (T,): the distance driven.
-    heading (T,): the slope of the road ahead, as seen from the car. pitch_deg (T,): of the camera,
-    beyond the camera's own. course, lines, surface, traffic: the road's bends, its markings, what
-    it is made of, who else is there. tree_s_m: where along the road trees stand. rail_m: the guard
-    rail, from the leftmost line. noise_tile, halo: what the sensor and a low sun add.
+    - camera: at rest
+    - road: the drive as lines
+    - level: (T,) strength of each kind of failure in each frame
+    - is_failing: (T,) whether a frame is in a burst
+    - s_m: (T,) distance driven
+    - heading: (T,) slope of the road ahead, as seen from the car, m/m
+    - pitch_deg: (T,) additional pitch of the camera
+    - course, lines, surface, traffic: the road's bends, its markings, its surface, other vehicles
+    - tree_s_m: places of the trees along the road
+    - rail_m: distance of the guard rail from the leftmost line
+    - noise_tile, halo: pictures of the sensor's noise and of the light of a low sun
     """
 
     camera: Camera
@@ -122,12 +131,12 @@ class Scene:
         return len(self.road)
 
 
-#: What of a drive can be set by name.
+#: The settings of a drive that `make_scene` takes by name.
 SETTINGS = tuple(f.name for kind in (World, Failures, Motion) for f in fields(kind))
 
 
 def check_settings(overrides: Mapping[str, Any]) -> None:
-    """InputError, with a suggestion, for a key that is none of `SETTINGS`."""
+    """Raises InputError, with a suggestion, for a key that is not in `SETTINGS`."""
     for key in overrides:
         if key not in SETTINGS:
             raise InputError(f"simulation: unknown key '{key}'{suggestion(key, SETTINGS)}")
@@ -144,11 +153,13 @@ def make_scene(
     stereo: bool = False,
     **overrides: Any,
 ) -> Scene:
-    """A drive of a preset to be rendered.
+    """Prepares a drive for rendering.
 
-    frames: its length, instead of the preset's. failures, camera, markings: instead of the
-    preset's. stereo: two cameras. overrides: any of `SETTINGS`: the fields of `World`, `Failures`
-    and `Motion`, by their names.
+    - preset: a name in `simulation.PRESETS`
+    - frames, failures, camera, markings: replace those of the preset
+    - stereo: whether there are two cameras
+    - overrides: replace any of `SETTINGS`, the fields of `World`, `Failures` and `Motion`
+
     Raises InputError for an unknown preset or key, with a suggestion, and for a value that is out
     of range, naming the key.
     """
@@ -175,7 +186,7 @@ def make_scene(
     check_seed(seed)
 
     def rng(part: int) -> np.random.Generator:
-        # Each part draws its own numbers, so that one can be changed and the rest stays.
+        # Each part has its own random numbers, so that a change of one leaves the others as is.
         return np.random.default_rng([seed, 3, part])
 
     rate, n_frames = road.frame_rate, len(road)
@@ -226,7 +237,7 @@ def make_scene(
 
 
 def _smooth(values: FloatArray, frames: float) -> FloatArray:
-    """Gaussian smoothing over so many frames, the ends held."""
+    """Smooths values with a Gaussian of so many frames (standard deviation)."""
     half = max(1, int(4 * frames))
     kernel = np.exp(-0.5 * (np.arange(-half, half + 1) / max(frames, 0.1)) ** 2)
     padded = np.pad(values, half, mode="edge")
@@ -236,7 +247,8 @@ def _smooth(values: FloatArray, frames: float) -> FloatArray:
 def _levels(
     rng: np.random.Generator, failures: Failures, is_failing: BoolArray
 ) -> tuple[dict[str, FloatArray], dict[str, list[tuple[int, int]]]]:
-    """How strong each failure is in each frame, and its bursts (first frame, frame after)."""
+    """The level of each kind of failure in each frame, and its bursts (first frame, one after the
+    last)."""
     level = {
         name: np.full(len(is_failing), failures.calm * getattr(failures, name)) for name in FAILURES
     }
@@ -252,7 +264,8 @@ def _levels(
 
 
 def _pitching(rng: np.random.Generator, level: FloatArray, rate: float) -> FloatArray:
-    """(T,): the body's oscillation on its springs, and the slower one of the road, degrees."""
+    """The additional pitch in each frame, (T,), degrees: the body's oscillation on its springs, and
+    the slower one of the road."""
     t = np.arange(len(level)) / rate
     swing = slow_noise(rng, len(level), 2, 1.5 * rate)
     body = swing[:, 0] * np.sin(2 * np.pi * 1.4 * t + rng.uniform(0, 6))
@@ -260,15 +273,16 @@ def _pitching(rng: np.random.Generator, level: FloatArray, rate: float) -> Float
 
 
 def _noise_tile(rng: np.random.Generator, camera: Camera) -> Image:
-    """Noise about 128, deviation 24, larger than the picture so that each frame cuts its own."""
+    """Noise of mean 128 and standard deviation 24, larger than the picture; each frame uses another
+    part of it."""
     shape = (camera.height + 128, camera.width + 128, 3)
     grain = rng.standard_normal(shape, dtype=np.float32)
     return np.clip(128 + 24 * grain, 0, 255).astype(np.uint8)
 
 
 def _halo(rng: np.random.Generator, camera: Camera) -> Image:
-    """What a low sun adds to the picture: its disc's surroundings, rays, a veil, wet-looking
-    asphalt beneath it."""
+    """The light that a low sun adds to the picture: its disc, a veil, and a bright stripe on the
+    asphalt below it."""
     v, u = np.mgrid[0 : camera.height, 0 : camera.width].astype(np.float32)
     at = camera.width * rng.uniform(0.3, 0.7), camera.cy - 0.22 * camera.height
     away = np.hypot(u - at[0], v - at[1])

@@ -1,4 +1,4 @@
-"""What lies flat in the rendered world: asphalt, concrete, grass, and the shadows on them."""
+"""Draws the ground of the rendered world: asphalt, concrete, grass, and the shadows on them."""
 
 from __future__ import annotations
 
@@ -6,27 +6,26 @@ from dataclasses import dataclass
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 
+from egolane_pgm.camera.picture import Image
 from egolane_pgm.simulation.rendering.road import Floats, blurred
 from egolane_pgm.types import FloatArray
 
-Image = NDArray[np.uint8]
-
-#: The tile of the road's surface: metres per pixel along and across, its length, its left border.
+#: The tile of the road's surface: metres per pixel along and across, its length, its left edge.
 ALONG_M, ACROSS_M = 0.0625, 0.03
 TILE_M = 64.0
 LEFT_M = -14.0
 
-#: The tile of the asphalt's grain, for the nearest rows: metres per pixel along and across, pixels;
-#: up to how much road per picture row it can be seen, and how strongly, in bands.
+#: The tile of the asphalt's grain: metres per pixel along and across, and its size in pixels. Then
+#: bands of picture rows in which it is visible: metres of road per row up to which a band goes, and
+#: the strength of the grain in it.
 _GRAIN_ALONG_M, _GRAIN_ACROSS_M, _GRAINS = 0.02, 0.006, 512
 _GRAIN_BANDS = ((0.03, 1.0), (0.06, 0.75), (0.12, 0.5), (0.25, 0.25))
 
-#: The tile of leaves' shadows: metres per pixel, pixels.
+#: The tile of the shadows of leaves: metres per pixel, and its size in pixels.
 _LEAF_M, _LEAVES = 0.1, 512
 
-#: What of the light is left in a shadow.
+#: The share of light that is left in a shadow.
 DARK = 0.42
 
 
@@ -34,13 +33,17 @@ DARK = 0.42
 class Surface:
     """The road's surface, and the light on it.
 
-    tiles: from sharp to blurred along the road, (rows along + 1, columns across, 3); tile k is for
-    picture rows that cover up to footprint_m[k] metres of road. grain_tile: about 128.
-    grid_m (G,): where along the road the rest is known. concrete (G,): 1 on concrete.
-    bridge (G,): 1 in the shadow of a bridge, bridge_m: where each one begins. reach_m (G,): how
-    far to the right of barrier_m the barrier's shadow falls, 0 for none. leaves (G,): share of the
-    road's right edge in the shadow of trees; leaf_tile: in [0, 1]; right_m: that edge;
-    rail_m: that of the asphalt.
+    - tiles: (rows along + 1, columns across, 3) each, from sharp to blurred along the road; tile k
+      is for picture rows that cover up to footprint_m[k] metres of road
+    - grain_tile: the asphalt's grain, around 128
+    - grid_m: (G,) places along the road at which the following are given
+    - concrete: (G,) 1 on concrete, else 0
+    - bridge: (G,) 1 in the shadow of a bridge, else 0
+    - bridge_m: where each bridge begins
+    - reach_m: (G,) how far to the right of the barrier its shadow falls; 0 for none
+    - leaves: (G,) share of the road's right edge that is in the shadow of trees
+    - leaf_tile: pattern of that shadow, in [0, 1]
+    - barrier_m, right_m, rail_m: d of the barrier, of the rightmost line, of the asphalt's end
     """
 
     tiles: list[Image]
@@ -58,7 +61,7 @@ class Surface:
     rail_m: float
 
     def shadow(self, s: FloatArray, d: FloatArray) -> FloatArray | Floats:
-        """How deep in shadow, 0 to 1, the road at s and d is; shapes broadcast."""
+        """How deep in shadow, 0 to 1, the road is at s and d, which broadcast."""
         deep = np.interp(s, self.grid_m, self.bridge).astype(np.float32)
         reach = np.interp(s, self.grid_m, self.reach_m).astype(np.float32)
         if reach.max(initial=0) > 0:
@@ -66,7 +69,7 @@ class Surface:
             deep = np.maximum(deep, edge * (reach > 0) * (d > self.barrier_m))
         leaves = np.interp(s, self.grid_m, self.leaves).astype(np.float32)
         if leaves.max(initial=0) > 0:
-            # Trees stand on the right: their shadows thin out to the left.
+            # Trees stand on the right, so their shadows thin out to the left.
             share = leaves * np.clip((d + 6.0) / (self.right_m + 6.0), 0.15, 1.0)
             deep = np.maximum(deep, np.clip((share - self._leaf(s, d)) / 0.12, 0, 1))
         return np.asarray(np.broadcast_to(deep, np.broadcast_shapes(s.shape, d.shape)))
@@ -90,10 +93,10 @@ class Surface:
 def make_tiles(
     rng: np.random.Generator, line_d_m: FloatArray, barrier_m: float, rail_m: float
 ) -> tuple[list[Image], FloatArray]:
-    """The tiles of the surface, and the footprints they are for.
+    """Draws the tiles of the surface; gives them with their footprints.
 
-    line_d_m (L,): the lines, between which wheels have left tracks. barrier_m, rail_m: the left
-    and right end of the asphalt.
+    - line_d_m: (L,) the lines; between them wheels have left tracks
+    - barrier_m, rail_m: left and right end of the asphalt
     """
     rows = int(TILE_M / ALONG_M)
     d = np.arange(LEFT_M, rail_m + 12.0, ACROSS_M)
@@ -110,7 +113,7 @@ def make_tiles(
         for wheel in (-0.9, 0.9):
             grey -= 5.0 * np.exp(-0.5 * ((d - centre - wheel) / 0.25) ** 2)
         grey -= 7.0 * np.exp(-0.5 * ((d - centre) / 0.2) ** 2)
-    # Paving seams beside some lines, dark with bitumen or light where the joint is open.
+    # Some lines have a paving seam beside them, dark with bitumen, or light where it is open.
     for place in line_d_m[1:-1] + rng.uniform(0.15, 0.5, len(line_d_m) - 2):
         grey += rng.choice([-22.0, -14.0, 10.0]) * np.exp(-0.5 * ((d - place) / 0.03) ** 2)
     _patch(grey, rng, d, barrier_m, rail_m)
@@ -138,7 +141,7 @@ def make_tiles(
 def _patch(
     grey: FloatArray, rng: np.random.Generator, d: FloatArray, left: float, right: float
 ) -> None:
-    """Repairs, tar along cracks and cross joints, drawn into the tile."""
+    """Draws repairs, tar along cracks, and cross joints into the tile."""
     rows = len(grey)
     road = np.flatnonzero((d > left) & (d < right))
     for _ in range(8):
@@ -165,12 +168,12 @@ def make_surface(
     barrier_m: float,
     rail_m: float,
 ) -> Surface:
-    """The surface of a road; level (G,): how much shadow there is at grid_m (0 to 1)."""
+    """Makes the surface of a road. level: (G,) how much shadow there is at grid_m, 0 to 1."""
     tiles, footprint = make_tiles(rng, line_d_m, barrier_m, rail_m)
     step = float(grid_m[1] - grid_m[0])
     smooth = blurred(rng.standard_normal((len(grid_m), 1)), 120.0 / step, 0)[:, 0]
     detail = blurred(rng.standard_normal((len(grid_m), 1)), 15.0 / step, 0)[:, 0]
-    # The sun stands on the side of the barrier or on that of the trees, as the road turns.
+    # As the road turns, the sun stands on the side of the barrier or on that of the trees.
     reach = np.where(smooth > 0, level * (2.6 + 0.35 * detail), 0.0)
     reach = np.where(reach > 0.15, reach, 0.0)
     leaves = np.where(smooth < 0, np.clip(level * (0.8 + 0.25 * detail), 0, 0.9), 0.0)
@@ -206,8 +209,10 @@ def make_surface(
 def draw_ground(
     image: Image, surface: Surface, first_row: int, s: FloatArray, d: FloatArray
 ) -> None:
-    """Fill the picture's rows from first_row on with the surface at s and d (rows, columns; or
-    (rows, 1) for s)."""
+    """Draws the surface into the picture's rows from first_row on.
+
+    s, d: road coordinates of each pixel, (rows, columns); s may be (rows, 1).
+    """
     rows = slice(first_row, None)
     shape = np.broadcast_shapes(s.shape, d.shape)
     along = np.broadcast_to(((s % TILE_M) / ALONG_M).astype(np.float32), shape)
@@ -261,7 +266,7 @@ def _draw_grain(
 
 
 def shade(image: Image, surface: Surface, first_row: int, s: FloatArray, d: FloatArray) -> None:
-    """Darken the picture's rows from first_row on where the road is in shadow."""
+    """Darkens the picture's rows from first_row on where the road is in shadow."""
     deep = np.asarray(surface.shadow(s, d), dtype=np.float32)
     if deep.max(initial=0) > 0:
         into = image[first_row:]

@@ -1,4 +1,4 @@
-"""Other cars and lorries of the rendered motorway: where they are, and how they are drawn."""
+"""Places and draws the other cars and lorries of the rendered motorway."""
 
 from __future__ import annotations
 
@@ -7,17 +7,16 @@ from dataclasses import dataclass
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 
+from egolane_pgm.camera.picture import Image
 from egolane_pgm.types import BoolArray, FloatArray, IntArray
 
-Image = NDArray[np.uint8]
 Colour = tuple[float, float, float]
 
-#: Projects x, y, z (metres, vehicle) into a picture: u, v.
+#: Takes x, y, z in vehicle coordinates (metres) to the pixels u, v.
 Project = Callable[[FloatArray, FloatArray, FloatArray], tuple[FloatArray, FloatArray]]
 
-#: Nothing nearer than this is drawn, metres.
+#: The nearest distance at which a vehicle is drawn, metres.
 NEAR_M = 0.8
 
 _PAINTS: tuple[Colour, ...] = (
@@ -30,10 +29,12 @@ _PAINTS: tuple[Colour, ...] = (
 class Traffic:
     """V vehicles.
 
-    time_s, x_m (V, 4): where each one's rear is, metres ahead of the car, straight between these
-    times; it is nowhere before the first and after the last.
-    d_m (V,): its middle, to the right of the leftmost line. length_m, width_m, height_m (V,).
-    paint (V, 3). is_lorry (V,).
+    - time_s, x_m: (V, 4) times, seconds, and where the vehicle's rear is then, metres ahead of the
+      car; linear in between. It is there from the first to the last of these times.
+    - d_m: (V,) distance of its middle from the leftmost line, to the right
+    - length_m, width_m, height_m: (V,)
+    - paint: (V, 3) colour, blue green red
+    - is_lorry: (V,)
     """
 
     time_s: FloatArray
@@ -49,7 +50,7 @@ class Traffic:
         return len(self.d_m)
 
     def rear_m(self, time_s: float) -> FloatArray:
-        """(V,): where the rears are, NaN for those that are not there."""
+        """Where the vehicles' rears are, (V,), metres ahead; NaN for those that are not there."""
         out = np.full(len(self), np.nan)
         there = (self.time_s[:, 0] <= time_s) & (time_s <= self.time_s[:, -1])
         for k in np.flatnonzero(there):
@@ -59,8 +60,7 @@ class Traffic:
 
 @dataclass(frozen=True)
 class _Plan:
-    """Where a vehicle will be: four times, seconds, and its rear then, metres ahead of the car;
-    its lane, from 0; whether it is a lorry."""
+    """The planned path of a vehicle; the fields are as in Traffic. lane: counted from 0."""
 
     time_s: tuple[float, float, float, float]
     x_m: tuple[float, float, float, float]
@@ -76,11 +76,12 @@ def make_traffic(
     per_minute: FloatArray,
     bursts: list[tuple[float, float]],
 ) -> Traffic:
-    """Vehicles around a drive.
+    """Makes the vehicles around a drive; none of them collides with the car or with another.
 
-    time_s, position_m (T,): the drive. lane_middle_m (n,): middles of the lanes.
-    per_minute (T,): how many vehicles come. bursts: from and to when (seconds) a lorry stays
-    beside the car and a car close ahead of it. None gets in the car's way, nor in another's.
+    - time_s, position_m: (T,) the drive: times, and distance from the leftmost line
+    - lane_middle_m: (n,) middles of the lanes, from the leftmost line
+    - per_minute: (T,) rate at which vehicles come
+    - bursts: from and to when, seconds, lorries stay beside the car and a car close ahead of it
     """
     plans: list[_Plan] = []
     for start, end in bursts:
@@ -95,8 +96,10 @@ def make_traffic(
 def _hiding(
     rng: np.random.Generator, start: float, end: float, own: int, n_lanes: int
 ) -> list[_Plan]:
-    """Lorries beside the car, and perhaps a car ahead of it, from `start` to `end`; own: its
-    lane, from 0."""
+    """Plans lorries beside the car, and perhaps a car ahead of it, from `start` to `end`, seconds.
+
+    own: the car's lane, from 0.
+    """
     plans = []
     sides = [lane for lane in (own + 1, own - 1) if 0 <= lane < n_lanes]
     for lane in sides[: 1 + int(rng.random() < 0.4)]:
@@ -113,8 +116,8 @@ def _hiding(
 def _flow(
     rng: np.random.Generator, time_s: FloatArray, n_lanes: int, per_minute: FloatArray
 ) -> list[_Plan]:
-    """Those who come and go: in the left lanes they overtake, in the right ones they are
-    overtaken, and some keep pace ahead of the car."""
+    """Plans vehicles that come and go: those on the left lanes overtake the car, those on the right
+    ones are overtaken, and some keep pace ahead of it."""
     minutes = float(time_s[-1] - time_s[0]) / 60.0
     count = int(rng.poisson(float(per_minute.mean()) * minutes))
     weight = np.cumsum(per_minute) / max(float(per_minute.sum()), 1e-9)
@@ -143,7 +146,7 @@ def _flow(
 
 
 def _built(rng: np.random.Generator, plans: list[_Plan], lane_middle_m: FloatArray) -> Traffic:
-    """The vehicles of the plans, each of some size and colour."""
+    """Makes vehicles of random sizes and colours for the plans."""
     size, paint = [], []
     for plan in plans:
         if plan.is_lorry:
@@ -172,10 +175,10 @@ def _take(traffic: Traffic, which: IntArray) -> Traffic:
 
 
 def _possible(traffic: Traffic, time_s: FloatArray, position_m: FloatArray) -> IntArray:
-    """Those that keep clear of the car and of the ones before them in the list."""
+    """The indices of vehicles that keep clear of the car and of those before them in the list."""
     steps = np.arange(0, len(time_s), 3)
     clock, beside_m = time_s[steps], position_m[steps]
-    # While each is there; in a long drive few are at the same time.
+    # Pairs are compared only while both are there, which in a long drive are few.
     first = np.searchsorted(clock, traffic.time_s[:, 0], side="left")
     stop = np.searchsorted(clock, traffic.time_s[:, -1], side="right")
     is_kept = np.zeros(len(traffic), dtype=bool)
@@ -202,8 +205,13 @@ def _possible(traffic: Traffic, time_s: FloatArray, position_m: FloatArray) -> I
 
 @dataclass(frozen=True)
 class Box:
-    """A vehicle as it stands: x and y (4,) of its feet (rear left, rear right, front right, front
-    left), its height, whether its rear can be seen, and its looks."""
+    """A vehicle in one frame.
+
+    - x, y: (4,) corners on the road in vehicle coordinates: rear left, rear right, front right,
+      front left
+    - has_rear: whether its rear is far enough ahead to be drawn
+    - paint: (3,) colour, blue green red
+    """
 
     x: FloatArray
     y: FloatArray
@@ -216,8 +224,11 @@ class Box:
 def boxes(
     traffic: Traffic, time_s: float, position_m: float, side: Callable[[FloatArray], FloatArray]
 ) -> list[Box]:
-    """The vehicles ahead, farthest first. side: how far to the right the leftmost line is, at x
-    metres ahead, relative to where it is beside the car."""
+    """The vehicles ahead of the car, the farthest first.
+
+    - position_m: distance of the car from the leftmost line
+    - side: how far to the right the road bends, metres, at x metres ahead
+    """
     rear = traffic.rear_m(time_s)
     front = rear + traffic.length_m
     seen = np.flatnonzero((front > NEAR_M + 0.5) & (rear < 165.0))
@@ -237,7 +248,7 @@ def boxes(
 
 
 def fill(image: Image, u: FloatArray, v: FloatArray, colour: Colour) -> None:
-    """Fill a polygon with smooth edges; points in pixels, not finite ones leave it out."""
+    """Fills a polygon with smooth edges; u, v are pixels. A corner that is not finite skips it."""
     if not (np.isfinite(u).all() and np.isfinite(v).all()):
         return
     points = np.stack([np.clip(u, -9000, 9000), np.clip(v, -9000, 9000)], axis=-1)
@@ -245,7 +256,7 @@ def fill(image: Image, u: FloatArray, v: FloatArray, colour: Colour) -> None:
 
 
 def hull(box: Box, project: Project) -> tuple[FloatArray, FloatArray]:
-    """The outline of a vehicle in the picture: u, v of its corners."""
+    """The convex outline of a vehicle in the picture: u, v of its corners."""
     u, v = project(np.tile(box.x, 2), np.tile(box.y, 2), np.repeat([0.0, box.height_m], 4))
     points = np.stack([u, v], axis=-1)[np.isfinite(u)].astype(np.float32)
     outline = cv2.convexHull(points)[:, 0] if len(points) else np.zeros((0, 2), np.float32)
@@ -255,8 +266,10 @@ def hull(box: Box, project: Project) -> tuple[FloatArray, FloatArray]:
 def _inner(
     x: FloatArray, y: FloatArray, part: tuple[float, float]
 ) -> tuple[FloatArray, FloatArray]:
-    """Feet moved along the vehicle to between the shares `part` of its length; two feet of a side,
-    or all four."""
+    """The corners on the road of a part of a vehicle, between two shares of its length.
+
+    x, y: the two corners of one side, or all four.
+    """
     if len(x) == 2:
         ends = np.array(part)
         return x[0] + (x[1] - x[0]) * ends, y[0] + (y[1] - y[0]) * ends
@@ -266,7 +279,7 @@ def _inner(
 
 
 def draw_box(image: Image, box: Box, project: Project, light: float, haze: Colour) -> None:
-    """Draw a vehicle: its shadow beneath it, its side, its rear. light: 1 in the sun."""
+    """Draws a vehicle: the shadow below it, its side, its rear. light: 1 in the sun."""
     x, y, top = box.x, box.y, box.height_m
     far = float(np.clip(1 - np.exp(-x[0] / 500.0), 0, 1))
 
