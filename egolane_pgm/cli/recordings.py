@@ -54,10 +54,7 @@ def list_data() -> None:
 def fetch(base_url: str | None, folder: str | None) -> None:
     """Download what is missing; checks every sha256, keeps good files."""
 
-    outcomes = catalog.fetch(base_url=base_url, folder=folder)
-    problems = catalog.problems(outcomes)
-    click.echo(f"{len(outcomes) - len(problems)} of {len(outcomes)} files are there and good")
-    _fail(problems)
+    _say(catalog.fetch(base_url=base_url, folder=folder))
 
 
 @data.command()
@@ -65,10 +62,7 @@ def fetch(base_url: str | None, folder: str | None) -> None:
 def verify(folder: str | None) -> None:
     """Check every downloaded file against its sha256."""
 
-    outcomes = catalog.verify(folder)
-    problems = catalog.problems(outcomes)
-    click.echo(f"{len(outcomes) - len(problems)} of {len(outcomes)} files are there and good")
-    _fail(problems)
+    _say(catalog.verify(folder))
 
 
 def have_recordings() -> bool:
@@ -110,7 +104,11 @@ def _all_found() -> bool:
     return True
 
 
-def _fail(problems: list[str]) -> None:
+def _say(outcomes: list[catalog.Outcome]) -> None:
+    """Print how many files are good; InputError for the last thing that is wrong."""
+    good = sum(outcome.ok for outcome in outcomes)
+    click.echo(f"{good} of {len(outcomes)} files are there and good")
+    problems = catalog.problems(outcomes)
     for line in problems[:-1]:
         click.echo(f"egolane: {line}", err=True)
     if problems:

@@ -1,20 +1,22 @@
-"""ROS 1 bags of line messages, written without ROS: the way back from a table."""
+"""ROS 1 bags of line messages, written without ROS, of the published type: ROS can read them."""
 
 from __future__ import annotations
 
-import struct
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
 from egolane_pgm.files import atomic
 from egolane_pgm.recordings.rosbag import TOPIC
-from egolane_pgm.types import InputError, LineLog
+from egolane_pgm.types import BoolArray, InputError, LineLog
 
 MESSAGE_TYPE = "road_layout_estimation/msg/msg_lines"
+_LINE_TYPE = "road_layout_estimation/msg/msg_lineInfo"
 
-_RULE = "=" * 80
-_DEFINITION = f"""\
+#: The published definitions. ROS tells types apart by a checksum of these.
+_DEFINITIONS = {
+    MESSAGE_TYPE: """\
 Header header
 float64 number_of_lines
 float64 goodLines
@@ -22,20 +24,14 @@ float64 width
 float64 naive_width
 int64 way_id
 msg_lineInfo[] lines
-
-{_RULE}
-MSG: std_msgs/Header
-uint32 seq
-time stamp
-string frame_id
-
-{_RULE}
-MSG: road_layout_estimation/msg_lineInfo
+""",
+    _LINE_TYPE: """\
 bool isValid
 bool continuous
 int32 counter
 float32 offset
-"""
+""",
+}
 
 
 def write_rosbag(path: str | Path, log: LineLog, *, topic: str = TOPIC) -> None:
@@ -48,6 +44,7 @@ def write_rosbag(path: str | Path, log: LineLog, *, topic: str = TOPIC) -> None:
     or no whole number; and for a file that cannot be written.
     """
     from rosbags.rosbag1 import Writer
+    from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
     path = Path(path)
     listed = ~(np.isnan(log.offset_m) & np.isnan(log.lri))
@@ -58,24 +55,36 @@ def write_rosbag(path: str | Path, log: LineLog, *, topic: str = TOPIC) -> None:
             f"{path}: frame {int(log.frame_id[frame])}: line {int(line) + 1} has the LRI"
             f" {log.lri[frame, line]}, a bag holds whole numbers; write a .csv or .parquet"
         )
+    store = get_typestore(Stores.ROS1_NOETIC)
+    for name, definition in _DEFINITIONS.items():
+        store.register(get_types_from_msg(definition, name))
     with atomic(path) as temporary, Writer(temporary) as bag:
-        connection = bag.add_connection(topic, MESSAGE_TYPE, msgdef=_DEFINITION, md5sum="0" * 32)
+        connection = bag.add_connection(topic, MESSAGE_TYPE, typestore=store)
         for t in np.flatnonzero(~log.is_missing):
-            # A bag's own stamps may not be zero or negative.
+            # The stamp of a message in a bag must be greater than zero.
             stamp = max(1, round(float(log.time_s[t]) * 1e9))
-            bag.write(connection, stamp, _message(log, int(t), listed[t]))
+            message = _message(store.types, log, int(t), listed[t])
+            bag.write(connection, stamp, bytes(store.serialize_ros1(message, MESSAGE_TYPE)))
 
 
-def _message(log: LineLog, t: int, listed: np.ndarray[tuple[int], np.dtype[np.bool_]]) -> bytes:
+def _message(types: Any, log: LineLog, t: int, listed: BoolArray) -> Any:
     seconds = max(0.0, float(log.time_s[t]))
-    stamp = (int(seconds) % 2**32, int(seconds % 1 * 1e9))
-    lines = np.flatnonzero(listed)
-    raw = struct.pack("<IIII", t % 2**32, *stamp, 0)
-    good = float(log.is_valid[t].sum())
-    raw += struct.pack("<ddddqI", len(lines), good, 0.0, 0.0, int(log.frame_id[t]), len(lines))
-    for k in lines:
-        raw += struct.pack(
-            "<??i", bool(log.is_valid[t, k]), bool(log.is_continuous[t, k]), int(log.lri[t, k])
+    time = types["builtin_interfaces/msg/Time"](int(seconds) % 2**31, int(seconds % 1 * 1e9))
+    lines = [
+        types[_LINE_TYPE](
+            bool(log.is_valid[t, k]),
+            bool(log.is_continuous[t, k]),
+            int(log.lri[t, k]),
+            float(np.float32(log.offset_m[t, k])),
         )
-        raw += np.float32(log.offset_m[t, k]).tobytes()
-    return raw
+        for k in np.flatnonzero(listed)
+    ]
+    return types[MESSAGE_TYPE](
+        header=types["std_msgs/msg/Header"](seq=t, stamp=time, frame_id=""),
+        number_of_lines=float(len(lines)),
+        goodLines=float(log.is_valid[t].sum()),
+        width=0.0,
+        naive_width=0.0,
+        way_id=int(log.frame_id[t]),
+        lines=lines,
+    )

@@ -388,6 +388,14 @@ def test_a_mirror_that_sends_a_wrong_checksum_is_refused_and_a_good_file_kept(
     assert contents(folder) == {"rle/two.bag": good}
 
 
+def test_no_file_is_counted_as_good_where_there_is_no_network(tmp_path: Path) -> None:
+    result = command("data", "fetch", "--base-url", "http://127.0.0.1:9", "--folder", tmp_path)
+    assert result.exit_code == 2
+    assert result.stdout == "0 of 12 files are there and good\n"
+    assert len(result.stderr.splitlines()) == 1
+    assert "no connection to 127.0.0.1:9 (" in result.stderr
+
+
 def test_an_address_that_is_none_is_refused(tmp_path: Path) -> None:
     said = refused("data", "fetch", "--base-url", "ftp://x", "--folder", tmp_path)
     assert "--base-url ftp://x" in said
