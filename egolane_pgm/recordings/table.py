@@ -7,6 +7,7 @@ Frames that `missing_frames: predict` put in are marked in a further column, is_
 
 from __future__ import annotations
 
+import re
 import warnings
 from csv import reader as csv_rows
 from dataclasses import dataclass
@@ -23,6 +24,20 @@ from egolane_pgm.types import BoolArray, FloatArray, InputError, IntArray, LineL
 NEEDED = ("frame_id", "line", "offset_m")
 OPTIONAL = ("is_valid", "is_continuous", "lri", "is_missing")
 COLUMNS = (*NEEDED, *OPTIONAL)
+
+#: What a cell of each column must be.
+_NEEDS = dict.fromkeys(("frame_id", "line", "offset_m", "lri"), "a number") | dict.fromkeys(
+    ("is_valid", "is_continuous", "is_missing"), "true, false, 1 or 0"
+)
+
+#: How truth values are written in a CSV file; pyarrow keeps the blanks around them.
+_WORDS = {
+    value: [f"{a}{word}{b}" for word in words for a in ("", " ") for b in ("", " ")]
+    for value, words in (
+        (True, ("true", "True", "TRUE", "1", "1.0")),
+        (False, ("false", "False", "FALSE", "0", "0.0")),
+    )
+}
 
 
 def read_table(path: str | Path, *, frame_rate: float = 10.0) -> LineLog:
@@ -135,31 +150,35 @@ def _read_csv(path: Path) -> Any:
 
     try:
         with path.open(encoding="utf-8-sig") as file:
-            header = file.readline()
-            has_rows = any(line.strip() for line in file)
+            names = [name.strip() for name in next(csv_rows([file.readline().strip()]), [])]
     except (OSError, UnicodeDecodeError) as error:
         raise InputError(f"{path}: cannot be read as CSV ({error})") from None
-    raw_names = [name.strip() for name in next(csv_rows([header.strip()]), [])]
-    if not raw_names:
+    if not names:
         raise InputError(f"{path}: the file is empty")
-    keep = _check_columns(path, raw_names)
-    if not has_rows:
-        raise InputError(f"{path}: the table has no rows")
+    keep = _check_columns(path, names)
     try:
         return csv.read_csv(
             path,
-            csv.ReadOptions(use_threads=False, column_names=raw_names, skip_rows=1),
+            csv.ReadOptions(use_threads=False, column_names=names, skip_rows=1),
             csv.ParseOptions(ignore_empty_lines=True),
             csv.ConvertOptions(
-                column_types={name: pa.string() for name in keep},
+                column_types={name: _type(name) for name in keep},
                 include_columns=keep,
-                null_values=[""],
-                strings_can_be_null=True,
+                null_values=["", " "],
+                true_values=_WORDS[True],
+                false_values=_WORDS[False],
             ),
         )
     except (pa.ArrowInvalid, pa.ArrowKeyError) as error:
-        text = " ".join(str(error).split())[:160]
-        raise InputError(f"{path}: cannot be read as CSV ({text})") from None
+        text = " ".join(str(error).split())
+        if "too short" in text:
+            raise InputError(f"{path}: the table has no rows") from None
+        cell = re.search(r"column #(\d+): Row #(\d+): .* invalid value '(.*)'", text)
+        if cell is None:
+            raise InputError(f"{path}: cannot be read as CSV ({text[:160]})") from None
+        name = names[int(cell[1])]
+        place = _place(path, int(cell[2]) - 2)
+        raise InputError(f"{place}: {name} is {cell[3][:40]!r}, not {_NEEDS[name]}") from None
 
 
 def _read_parquet(path: Path) -> Any:
@@ -168,16 +187,59 @@ def _read_parquet(path: Path) -> Any:
 
     # Given a name, pyarrow takes what is before a colon for the scheme of an address.
     try:
-        names = list(parquet.ParquetFile(pa.OSFile(str(path))).schema_arrow.names)
+        file = parquet.ParquetFile(pa.OSFile(str(path)))
     except (pa.ArrowException, OSError) as error:
         text = " ".join(str(error).split())[:120]
         raise InputError(f"{path}: not a whole Parquet file ({text})") from None
-    keep = _check_columns(path, names)
+    keep = _check_columns(path, list(file.schema_arrow.names))
     try:
-        return parquet.ParquetFile(pa.OSFile(str(path))).read(columns=keep)
+        table = file.read(columns=keep)
     except (pa.ArrowException, OSError) as error:
         text = " ".join(str(error).split())[:120]
         raise InputError(f"{path}: the Parquet file is damaged ({text})") from None
+    return pa.table({name: _typed(path, name, table[name]) for name in keep})
+
+
+def _typed(path: Path, name: str, column: Any) -> Any:
+    """A column of a Parquet file, which may hold text or other numbers, in the type it needs."""
+    import pyarrow as pa
+    import pyarrow.compute as pc
+
+    wanted, given = _type(name), column.type
+    try:
+        if pa.types.is_dictionary(given):
+            column = column.cast(given.value_type)
+        if pa.types.is_string(column.type) or pa.types.is_large_string(column.type):
+            column = pc.utf8_trim_whitespace(column)
+        elif pa.types.is_boolean(column.type) and not pa.types.is_boolean(wanted):
+            raise pa.ArrowInvalid
+        elif pa.types.is_boolean(wanted) and not pa.types.is_boolean(column.type):
+            # To pyarrow every number but 0 is true; 7 is more likely another column.
+            is_flag = pc.is_in(column.cast(pa.float64()), pa.array([0.0, 1.0, None]))
+            if not pc.all(is_flag).as_py():
+                raise pa.ArrowInvalid
+        return column.cast(wanted, safe=False)
+    except pa.ArrowException as error:
+        text = " ".join(str(error).split())[:120]
+        raise InputError(
+            f"{path}: column {name} has type {given}, which is not {_NEEDS[name]}"
+            + (f" ({text})" if text else "")
+        ) from None
+
+
+def _type(name: str) -> Any:
+    import pyarrow as pa
+
+    return pa.float64() if _NEEDS[name] == "a number" else pa.bool_()
+
+
+def _place(path: Path, row: int) -> str:
+    """Where a row is, as an editor would say it (CSV), or counted from 1 (Parquet)."""
+    if path.suffix.lower() != ".csv":
+        return f"{path}: row {row + 1}"
+    with path.open(encoding="utf-8-sig", errors="replace") as file:
+        filled = [number for number, line in enumerate(file, start=1) if line.strip()]
+    return f"{path}: line {filled[row + 1] if row + 1 < len(filled) else row + 2}"
 
 
 @dataclass(frozen=True)
@@ -188,19 +250,13 @@ class _Rows:
     values: dict[str, NDArray[Any]]
     is_null: dict[str, BoolArray]
 
-    def place(self, row: int) -> str:
-        """Where a row is, as an editor would say it (CSV), or counted from 1 (Parquet)."""
-        if self.path.suffix.lower() != ".csv":
-            return f"{self.path}: row {row + 1}"
-        with self.path.open(encoding="utf-8-sig", errors="replace") as file:
-            filled = [number for number, line in enumerate(file, start=1) if line.strip()]
-        return f"{self.path}: line {filled[row + 1] if row + 1 < len(filled) else row + 2}"
-
     def refuse(self, bad: BoolArray, why: str) -> None:
         """InputError at the first row that is bad; `{}` in `why` is its frame id."""
         if bad.any():
             row = int(np.argmax(bad))
-            raise InputError(f"{self.place(row)}: " + why.format(self.values["frame_id"][row]))
+            raise InputError(
+                f"{_place(self.path, row)}: " + why.format(self.values["frame_id"][row])
+            )
 
 
 def _assemble(path: Path, table: Any, frame_rate: float) -> LineLog:
@@ -272,102 +328,24 @@ def _occurs_again(key: IntArray, which: BoolArray) -> BoolArray:
     return again
 
 
-# --- cells -------------------------------------------------------------------------------------
-
-
 def _convert(path: Path, table: Any) -> _Rows:
-    rows = _Rows(path, {}, {})
-    kinds = {"frame_id": _to_int, "line": _to_int, "offset_m": _to_float, "lri": _to_float}
+    """The columns as arrays; an empty number is NaN, an empty flag False."""
+    values, is_null = {}, {}
     for name in table.column_names:
         column = table[name].combine_chunks()
-        values, is_null = kinds.get(name, _to_bool)(rows, name, column)
-        rows.values[name] = values
-        rows.is_null[name] = is_null
+        blank = np.nan if _NEEDS[name] == "a number" else False
+        values[name] = column.fill_null(blank).to_numpy(zero_copy_only=False)
+        is_null[name] = column.is_null().to_numpy(zero_copy_only=False)
+    rows = _Rows(path, values, is_null)
+    for name in ("frame_id", "line"):
+        number = values[name]
+        # pandas writes whole numbers beside empty cells as 12.0, and empty ones may be NaN.
+        is_null[name] |= np.isnan(number)
+        with np.errstate(invalid="ignore"):
+            whole = (np.floor(number) == number) & (np.abs(number) < 2.0**53)
+        bad = ~is_null[name] & ~whole
+        if bad.any():
+            row = int(np.argmax(bad))
+            raise InputError(f"{_place(path, row)}: {name} is {number[row]}, not a whole number")
+        values[name] = np.where(is_null[name], 0, number).astype(np.int64)
     return rows
-
-
-def _plain(rows: _Rows, name: str, column: Any) -> Any:
-    """The column as text, number or bool; InputError for any other type."""
-    import pyarrow as pa
-    import pyarrow.compute as pc
-
-    if pa.types.is_dictionary(column.type):
-        column = column.cast(column.type.value_type)
-    kind = column.type
-    if pa.types.is_string(kind) or pa.types.is_large_string(kind):
-        return pc.utf8_trim_whitespace(column)
-    if pa.types.is_null(kind):
-        return column.cast(pa.float64())
-    if any(f(kind) for f in (pa.types.is_integer, pa.types.is_floating, pa.types.is_boolean)):
-        return column
-    raise InputError(f"{rows.path}: column {name} has type {kind}, needs numbers or true/false")
-
-
-def _bad_cell(rows: _Rows, name: str, column: Any, fits: Any, need: str) -> InputError:
-    """The error for the first cell that does not fit."""
-    for row, cell in enumerate(column.to_pylist()):
-        if cell is not None and not fits(cell):
-            return InputError(f"{rows.place(row)}: {name} is {str(cell)[:40]!r}, not {need}")
-    return InputError(f"{rows.path}: column {name} holds something that is not {need}")
-
-
-def _to_float(rows: _Rows, name: str, column: Any) -> tuple[FloatArray, BoolArray]:
-    import pyarrow as pa
-
-    column = _plain(rows, name, column)
-    is_null = column.is_null().to_numpy(zero_copy_only=False)
-    try:
-        if pa.types.is_boolean(column.type):
-            raise pa.ArrowInvalid
-        numbers = column.cast(pa.float64(), safe=False)
-    except pa.ArrowInvalid:
-
-        def fits(cell: object) -> bool:
-            try:
-                pa.array([cell]).cast(pa.float64())
-            except pa.ArrowInvalid:
-                return False
-            return not isinstance(cell, bool)
-
-        raise _bad_cell(rows, name, column, fits, "a number") from None
-    values = np.array(numbers.fill_null(np.nan).to_numpy(zero_copy_only=False), dtype=np.float64)
-    return values, is_null
-
-
-def _to_int(rows: _Rows, name: str, column: Any) -> tuple[IntArray, BoolArray]:
-    import pyarrow as pa
-
-    column = _plain(rows, name, column)
-    is_null = column.is_null().to_numpy(zero_copy_only=False)
-    try:
-        if pa.types.is_boolean(column.type) or pa.types.is_floating(column.type):
-            raise pa.ArrowInvalid
-        numbers = column.cast(pa.int64())
-    except pa.ArrowInvalid:  # "12.0", which pandas makes of whole numbers beside empty cells
-        floats, _ = _to_float(rows, name, column)
-        is_null = is_null | np.isnan(floats)
-        whole = is_null | ((np.floor(floats) == floats) & (np.abs(floats) < 2.0**53))
-        if not whole.all():
-            row = int(np.argmin(whole))
-            raise InputError(
-                f"{rows.place(row)}: {name} is {floats[row]}, not a whole number"
-            ) from None
-        return np.where(is_null, 0.0, floats).astype(np.int64), is_null
-    values = np.array(numbers.fill_null(0).to_numpy(zero_copy_only=False), dtype=np.int64)
-    return values, is_null
-
-
-def _to_bool(rows: _Rows, name: str, column: Any) -> tuple[BoolArray, BoolArray]:
-    import pyarrow as pa
-
-    column = _plain(rows, name, column)
-    is_null = column.is_null().to_numpy(zero_copy_only=False)
-    known = {"true": True, "1": True, "1.0": True, "false": False, "0": False, "0.0": False}
-    encoded = column.cast(pa.string()).dictionary_encode()
-    words = [str(word).lower() for word in encoded.dictionary.to_pylist()]
-    if any(word not in known for word in words):
-        raise _bad_cell(
-            rows, name, column, lambda cell: str(cell).lower() in known, "true, false, 1 or 0"
-        )
-    index = encoded.indices.fill_null(len(words)).to_numpy(zero_copy_only=False)
-    return np.array([*(known[word] for word in words), False], dtype=bool)[index], is_null

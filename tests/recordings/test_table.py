@@ -160,6 +160,14 @@ def test_what_pandas_writes_is_read(tmp_path: Path) -> None:
     np.testing.assert_array_equal(log.offset_m, [[2.0], [np.nan]])
 
 
+def test_blanks_around_cells_do_no_harm(tmp_path: Path) -> None:
+    text = "frame_id, line, offset_m, is_valid, lri\n3, 1, -1.5, true , 4\n4, 1, 2, 0, \n"
+    log = read_table(csv(tmp_path, text))
+    np.testing.assert_array_equal(log.offset_m, [[-1.5], [2.0]])
+    np.testing.assert_array_equal(log.is_valid, [[True], [False]])
+    np.testing.assert_array_equal(log.lri, [[4.0], [np.nan]])
+
+
 def test_text_and_dictionary_columns_of_parquet_are_read(tmp_path: Path) -> None:
     import pyarrow as pa
 
@@ -230,13 +238,17 @@ def test_a_bad_row_is_refused_with_its_line_in_the_file(
     assert refused(csv(tmp_path, text)).startswith(f"line 5: {said}")
 
 
-def test_a_bad_row_of_parquet_is_refused_with_its_number(tmp_path: Path) -> None:
+def test_a_bad_cell_of_parquet_is_refused_with_its_column(tmp_path: Path) -> None:
     path = parquet(tmp_path, frame_id=[1, 2], line=[1, 1], offset_m=["1.0", "far"])
-    assert refused(path) == "row 2: offset_m is 'far', not a number"
+    said = refused(path)
+    assert said.startswith("column offset_m has type string, which is not a number (")
+    assert "'far'" in said
     path = parquet(tmp_path, frame_id=[1, 2], line=[1, 1], offset_m=[1.0, 2.0], is_valid=[1, 7])
-    assert refused(path) == "row 2: is_valid is '7', not true, false, 1 or 0"
+    assert refused(path) == "column is_valid has type int64, which is not true, false, 1 or 0"
     path = parquet(tmp_path, frame_id=[1, 2], line=[1, 1], offset_m=[True, False])
-    assert refused(path) == "row 1: offset_m is 'True', not a number"
+    assert refused(path) == "column offset_m has type bool, which is not a number"
+    path = parquet(tmp_path, frame_id=[1, 2], line=[1, 2.5], offset_m=[1.0, 2.0])
+    assert refused(path) == "row 2: line is 2.5, not a whole number"
     path = parquet(tmp_path, frame_id=[1], line=[1], offset_m=[[1.0]])
     assert "column offset_m has type list" in refused(path)
 
