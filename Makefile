@@ -6,7 +6,7 @@ ifneq ($(wildcard ../shared/data/rle),)
 export EGOLANE_DATA ?= $(abspath ../shared/data)
 endif
 
-.PHONY: run test check bench coverage paper cluster-demo camera rendered clean
+.PHONY: run test check bench coverage paper camera rendered clean
 
 run: .venv/.run
 	$(BIN)/egolane run experiments/quickstart.yaml
@@ -24,8 +24,7 @@ check: .venv/.dev
 
 # The kernels as plain Python, so that their lines are seen too; then, compiled, what would take
 # minutes so.
-COMPILED := $(addsuffix .py,$(addprefix tests/,compare/test_comparing compare/test_choose \
-	learn/test_learning detectors/test_detectors detectors/test_limits))
+COMPILED := $(addprefix tests/test_,compare.py choice.py learn.py detectors.py detector_limits.py)
 coverage: .venv/.dev
 	NUMBA_DISABLE_JIT=1 $(BIN)/python -m coverage run -m pytest -q $(addprefix --ignore=,$(COMPILED))
 	$(BIN)/python -m coverage run --append -m pytest -q $(COMPILED)
@@ -33,10 +32,6 @@ coverage: .venv/.dev
 
 bench: .venv/.bench
 	$(BIN)/python -m tests.benchmarks
-
-# Four workers on a PostgreSQL server in a temporary directory, one of them killed; the account.
-cluster-demo: .venv/.dev
-	$(BIN)/python -m tests.cluster_demo
 
 # What results/paper/ holds: tables and figures of the paper's runs, made from the recordings.
 RUNS := results/runs

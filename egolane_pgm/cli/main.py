@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import os
+import re
 import sys
 import warnings
 from importlib import import_module
@@ -33,7 +34,6 @@ COMMANDS = {
     "reproduce": ("paper", "Repeat the paper's ten runs, beside the published tables."),
     "run": ("run", "Filter a recording, score it, write a result directory."),
     "simulate": ("simulate", "Simulate a drive, as lines or as pictures."),
-    "studies": ("studies", "List the studies of a PostgreSQL storage."),
     "tune": ("tune", "Search parameters, and score them on frames they have not seen."),
     "validate": ("show", "Check experiments and tuning files without computing anything."),
     "video": ("video", "Draw a drive: pictures, lines, bird's-eye view and belief."),
@@ -110,12 +110,8 @@ def _give_up_output() -> None:
 
 
 def _safe(text: str) -> str:
-    """A message without the password of an address that was given in the wrong place."""
-    if ":/" not in text:
-        return text
-    from egolane_pgm.tune.address import without_passwords
-
-    return without_passwords(text)
+    """A message without the password of an address, wherever it was given."""
+    return re.sub(r"(://[^\s:/@]*):[^\s@]*@", r"\1:***@", text)
 
 
 def _show_warning(message: Warning | str, *_: Any, **__: Any) -> None:

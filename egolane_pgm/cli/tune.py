@@ -2,23 +2,23 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import click
+import yaml
+from tqdm import tqdm
 
-from egolane_pgm.cli.studies import (
-    address_of,
-    check_alone,
-    is_named,
-    join_studies,
-    storage_options,
-)
-
-if TYPE_CHECKING:
-    from egolane_pgm.tune.plan import Plan
-    from egolane_pgm.tune.tuning import Progress
+from egolane_pgm.cli import options
+from egolane_pgm.paper import parse_runs
+from egolane_pgm.report import study_tables, tables
+from egolane_pgm.report.study_figures import draw_study
+from egolane_pgm.results import SCHEMA_VERSION, write_json
+from egolane_pgm.tune import plan as planning
+from egolane_pgm.tune import tuning
+from egolane_pgm.types import InputError
 
 
 @click.command()
@@ -61,27 +61,16 @@ if TYPE_CHECKING:
     type=click.IntRange(1),
     help="Processes that share the studies.  [default: the processor's cores]",
 )
-@storage_options
 @click.option(
-    "--join",
-    multiple=True,
-    metavar="STUDY",
-    help="Take part in a study of the storage; needs no EXPERIMENTS.",
+    "--storage",
+    envvar="EGOLANE_STORAGE",
+    metavar="URL",
+    help="A database that machines share, as Optuna names it; also EGOLANE_STORAGE."
+    "  [default: study.journal in the study's directory]",
 )
-@click.option(
-    "--grace",
-    type=click.FloatRange(min=1),
-    help="Of a new study in a storage: seconds after which a silent worker is dead.  [default: 60]",
-)
-@click.option(
-    "--format",
-    "style",
-    type=click.Choice(["markdown", "latex", "csv"]),
-    default="markdown",
-    show_default=True,
-)
-@click.option("--set", "overrides", multiple=True, metavar="KEY=VALUE", help="Override the YAML.")
-@click.option("--json", "json_file", type=click.Path(dir_okay=False), metavar="FILE")
+@options.style
+@options.overrides()
+@options.json_file
 def tune(
     experiments: tuple[str, ...],
     runs: str | None,
@@ -101,48 +90,24 @@ def tune(
     workers: int | None,
     jobs: int | None,
     storage: str | None,
-    password_file: str | None,
-    join: tuple[str, ...],
-    grace: float | None,
     style: str,
     overrides: tuple[str, ...],
-    json_file: str | None,
+    json_file: Path | None,
 ) -> None:
     """Search parameters; report what they are worth on frames that they have not seen.
 
     A repeated command goes on where it stopped. EXPERIMENTS: experiments, or tuning files.
 
-    With --storage the study is kept in PostgreSQL, and other machines may share it: with the same
-    command, or with --join and its name.
+    Every study is Optuna's, kept in study.journal of its directory or in --storage. Other machines,
+    or terminals, join in it by giving the same command.
     """
-    from egolane_pgm.results import SCHEMA_VERSION, check_place, write_json
-    from egolane_pgm.tune import plan as planning
-    from egolane_pgm.tune.joining import tune_shared
-    from egolane_pgm.tune.postgres import GRACE_S
-    from egolane_pgm.tune.tuning import n_trials, prepare
-    from egolane_pgm.tune.tuning import tune as run_studies
-    from egolane_pgm.types import InputError
-
-    address = address_of(storage, password_file) if join or is_named(storage) else None
-    if join:
-        check_alone(("join", "storage", "password_file", "workers"))
-        assert address is not None
-        with _bar(None) as progress:
-            lines = join_studies(join, address, workers or _jobs(None, None), progress)
-        click.echo("\n".join(lines))
-        return
     if in_sample_only and (whole_recordings or blocks is not None):
         raise InputError("--in-sample-only: goes with neither --blocks nor --whole-recordings")
     if whole_recordings and blocks is not None:
         raise InputError("--whole-recordings: a recording is the block, leave --blocks away")
     if workers is not None and jobs is not None:
         raise InputError("--workers: shares one study, --jobs several; take one of the two")
-    if address is not None and jobs is not None:
-        raise InputError("--jobs: goes with no --storage (or EGOLANE_STORAGE); take --workers")
-    if address is None and (grace is not None or password_file is not None):
-        option = "--grace" if grace is not None else "--password-file"
-        raise InputError(f"{option}: goes with --storage")
-    options = {
+    changed = {
         "trials": trials,
         "objective": objectives or None,
         "sampler": sampler,
@@ -151,75 +116,62 @@ def tune(
         "from_scratch": from_scratch or None,
         "parameters": _parameters(parameters),
     }
-    plans = [planning.with_options(p, options) for p in _plans(experiments, runs, overrides)]
+    plans = [planning.with_options(p, changed) for p in _plans(experiments, runs, overrides)]
     if together:
         plans = [planning.together(plans)]
-    if json_file:
-        check_place(Path(json_file))
     held_out = "none" if in_sample_only else "recordings" if whole_recordings else "blocks"
     test = None if test_on is None else planning.load_plan(test_on)
     _check_names(plans)
-    studies = [prepare(p, Path(out) / p.name, held_out, test) for p in plans]
-    for note in dict.fromkeys(note for study in studies for note in study.notes):
+    searches = [tuning.prepare(p, Path(out) / p.name, held_out, test, storage) for p in plans]
+    for note in dict.fromkeys(note for made in searches for note in made.notes):
         click.echo(f"warning: {note}", err=True)
-    with _bar(n_trials(studies)) as progress:
-        if address is None:
-            done = run_studies(
-                studies, jobs=_jobs(jobs, workers), workers=workers, progress=progress
-            )
-        else:
-            done = tune_shared(
-                studies,
-                address,
-                workers=workers or _jobs(None, None),
-                grace_s=grace or GRACE_S,
-                progress=progress,
-            )
-        documents = list(done)
+    folders = ", ".join(str(made.directory) for made in searches[:3])
+    folders += ", ..." if len(searches) > 3 else ""
+    total = tuning.n_trials(searches)
+    with tqdm(total=total, unit="trial", leave=False, disable=None) as bar:
+
+        def progress(label: str, more: int, best: float) -> None:
+            bar.set_description(label, refresh=False)
+            bar.set_postfix(best=f"{best:.4f}", refresh=False)
+            bar.update(more)
+
+        try:
+            done = tuning.tune(searches, jobs=jobs or _cores(), workers=workers, progress=progress)
+            documents = list(done)
+        except KeyboardInterrupt:
+            place = "the storage" if storage else folders
+            raise KeyboardInterrupt(
+                f"complete trials are kept in {place}; repeat the command to go on"
+            ) from None
     _print(documents, style)
-    folders = ", ".join(str(study.directory) for study in studies[:3])
     if style == "markdown":
-        click.echo(f"\nstudies: {folders}{', ...' if len(studies) > 3 else ''}; best.yaml: run it")
+        click.echo(f"\nstudies: {folders}; best.yaml: run it")
     if not no_figures:
-        _draw([study.directory for study in studies])
+        for made in searches:
+            draw_study(made.directory)
     if json_file:
-        write_json(Path(json_file), {"schema_version": SCHEMA_VERSION, "studies": documents})
+        write_json(json_file, {"schema_version": SCHEMA_VERSION, "studies": documents})
 
 
-def _draw(directories: Sequence[Path]) -> None:
-    from egolane_pgm.report.study_figures import draw_study
-
-    for directory in directories:
-        draw_study(directory)
-
-
-def _jobs(jobs: int | None, workers: int | None) -> int:
-    import os
-
-    if workers is not None:
-        return 1
-    if jobs is not None:
-        return jobs
-    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else 1
+def _cores() -> int:
+    if hasattr(os, "sched_getaffinity"):
+        return len(os.sched_getaffinity(0))
+    return os.cpu_count() or 1
 
 
-def _plans(experiments: Sequence[str], runs: str | None, overrides: Sequence[str]) -> list[Plan]:
-    from egolane_pgm.paper import parse_runs
-    from egolane_pgm.tune.plan import load_plan, paper_plans
-    from egolane_pgm.types import InputError
-
+def _plans(
+    experiments: Sequence[str], runs: str | None, overrides: Sequence[str]
+) -> list[planning.Plan]:
     if bool(experiments) == bool(runs):
         raise InputError("tune: name experiments, or runs of the paper with --runs 1-10")
     if runs:
         if overrides:
             raise InputError("--set: goes with an experiment's YAML, not with --runs")
-        return paper_plans(parse_runs(runs))
-    return [load_plan(path, overrides) for path in experiments]
+        return planning.paper_plans(parse_runs(runs))
+    return [planning.load_plan(path, overrides) for path in experiments]
 
 
-def _check_names(plans: Sequence[Plan]) -> None:
-    from egolane_pgm.types import InputError
-
+def _check_names(plans: Sequence[planning.Plan]) -> None:
     names = [plan.name for plan in plans]
     for plan in plans:
         if names.count(plan.name) > 1:
@@ -227,10 +179,6 @@ def _check_names(plans: Sequence[Plan]) -> None:
 
 
 def _parameters(given: Sequence[str]) -> dict[str, Any]:
-    import yaml
-
-    from egolane_pgm.types import InputError
-
     found = {}
     for text in given:
         name, equals, value = text.partition("=")
@@ -243,43 +191,18 @@ def _parameters(given: Sequence[str]) -> dict[str, Any]:
     return found
 
 
-class _bar:
-    """A progress bar on stderr; silent where that is no terminal."""
-
-    def __init__(self, total: int | None) -> None:
-        from tqdm import tqdm
-
-        # tqdm's monitor is a thread, and processes are forked below.
-        tqdm.monitor_interval = 0
-        self.bar = tqdm(total=total, unit="trial", leave=False, disable=None)
-
-    def __enter__(self) -> Progress:
-        def progress(label: str, more: int, best: float) -> None:
-            self.bar.set_description(label, refresh=False)
-            self.bar.set_postfix(best=f"{best:.4f}", refresh=False)
-            self.bar.update(more)
-
-        return progress
-
-    def __exit__(self, *_: object) -> None:
-        self.bar.close()
-
-
 def _print(documents: Sequence[Mapping[str, Any]], style: str) -> None:
-    from egolane_pgm.report import study_tables as tables
-    from egolane_pgm.report import tables as text
-
-    draw = {"markdown": text.markdown, "latex": text.latex, "csv": text.as_csv}[style]
-    for title, mine in tables.by_country(documents).items():
+    draw = tables.STYLES[style]
+    for title, mine in study_tables.by_country(documents).items():
         if style == "markdown":
             click.echo(f"{title}\n")
         score = next(iter(mine[0]["best"]["values"]))
         shown = score if score in ("accuracy", "f1", "log_loss") else "accuracy"
-        header, rows = tables.parameter_rows(mine, shown)
+        header, rows = study_tables.parameter_rows(mine, shown)
         click.echo(draw(header, rows) + ("\n" if style == "markdown" else ""))
     if style != "markdown":
         return
     if len(documents) == 1:
-        header, rows = tables.score_rows(documents[0])
-        click.echo(f"{text.markdown(header, rows)}\n")
-    click.echo(tables.LEGEND)
+        header, rows = study_tables.score_rows(documents[0])
+        click.echo(f"{tables.markdown(header, rows)}\n")
+    click.echo(study_tables.LEGEND)

@@ -25,7 +25,7 @@ from egolane_pgm.learn import Found, check_learnable, n_learned, with_found
 from egolane_pgm.learn import fit as learn_from
 from egolane_pgm.model import Drive, believe, declared_parameters, value_names
 from egolane_pgm.scoring.held_out import N_BLOCKS, HeldOut, held_out
-from egolane_pgm.tune.held_out import search
+from egolane_pgm.tune.held_out import nested_search
 from egolane_pgm.tune.objective import check_filter
 from egolane_pgm.tune.plan import Plan, parameters_at, problem_of
 from egolane_pgm.types import Beliefs, FloatArray, InputError, IntArray, LaneTruth
@@ -185,7 +185,7 @@ def _searcher(drive: Drive, trials: int | None) -> tuple[Fit, int]:
 
     def fit(drive: Drive, train: IntArray, block: int) -> Found:
         used = np.isin(np.arange(len(drive)), train)
-        found = search(replace(problem, drives=(drive,)), [used], block)
+        found = nested_search(replace(problem, drives=(drive,)), [used], block)
         return parameters_at(problem, found.point)[0]
 
     return fit, len(problem.space)

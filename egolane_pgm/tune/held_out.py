@@ -8,15 +8,16 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
+import optuna
 
 from egolane_pgm.model import Drive, belief_of
 from egolane_pgm.scoring.bootstrap import Interval, score_counts, score_intervals
 from egolane_pgm.scoring.held_out import blocks, without_block
 from egolane_pgm.scoring.stability import lane_changes
 from egolane_pgm.scoring.summary import score_all
-from egolane_pgm.tune.plan import Problem, evaluator, parameters_at
+from egolane_pgm.tune.plan import Problem, parameters_at, scorer
+from egolane_pgm.tune.search import Report, Settings, best_trial, search, search_in_memory
 from egolane_pgm.tune.space import Point
-from egolane_pgm.tune.study import Report, Settings, best_trial, run_study
 from egolane_pgm.types import BoolArray, FloatArray, InputError, LaneTruth
 
 #: The scores that every result shows.
@@ -27,8 +28,10 @@ SCORES = ("accuracy", "precision", "recall", "f1", "log_loss", "brier")
 class Nested:
     """What a study without one part of the frames came to.
 
-    part: the block or recording, from 0. point: its best. values: of the best, on the frames that
-    the study saw (in-sample for those). trials: how many it took.
+    - part: number of the block, or of the recording, from 0.
+    - point: the best one.
+    - values: its scores on the frames that the study saw (in-sample for those).
+    - trials: how many there were.
     """
 
     part: int
@@ -90,11 +93,9 @@ def _lanes(truth: LaneTruth) -> set[int]:
     return set(truth.lane[~truth.is_crossing].tolist())
 
 
-def run_nested(
-    problem: Problem, part: int, by_recording: bool, report: Report | None = None
-) -> Nested:
-    """The study anew without one part, in memory."""
-    return search(*without_part(problem, part, by_recording), part, report)
+def run_nested(problem: Problem, part: int, by_recording: bool, **options: Any) -> Nested:
+    """Run the study anew without one part; options as `nested_search` takes them."""
+    return nested_search(*without_part(problem, part, by_recording), part, **options)
 
 
 def without_part(
@@ -113,17 +114,29 @@ def without_part(
     return replace(problem, drives=tuple(drive for drive, _ in pairs)), used
 
 
-def search(
-    problem: Problem, used: Sequence[BoolArray], part: int, report: Report | None = None
+def nested_search(
+    problem: Problem,
+    used: Sequence[BoolArray],
+    part: int,
+    *,
+    study: optuna.Study | None = None,
+    worker: int = 0,
+    report: Report | None = None,
 ) -> Nested:
-    """A study from scratch: values that were tuned on the frames held out, such as the published
-    ones, would tell it about them.
+    """Run a study from scratch: values that were tuned on the frames held out, such as the
+    published ones, would tell it about them.
 
-    problem: without the labels of the part that is held out.
-    used: per drive (K,), marks the frames that are scored.
+    - problem: without the labels of the part that is held out.
+    - used: per drive (K,), marks the frames that are scored.
+    - part: number of the part; each has a seed of its own.
+    - study: the one to go on with; by default one in memory.
+    - worker, report: as `search` takes them.
     """
-    settings = settings_without(problem, part)
-    study = run_study(problem.space, evaluator(problem, used), settings, report=report)
+    settings, score = settings_without(problem, part), scorer(problem, used)
+    if study is None:
+        study = search_in_memory(problem.space, score, settings, report)
+    else:
+        search(study, problem.space, score, settings, worker=worker, report=report)
     best = best_trial(study)
     return Nested(part, dict(best.params), tuple(best.values), settings.trials)
 

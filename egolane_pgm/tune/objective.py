@@ -1,18 +1,14 @@
-"""From parameters to a score, as fast as it goes: evidence once per value of its own parameters,
-many parameter sets filtered side by side, only their confusions kept."""
+"""From parameters to a score: evidence, filter, confusion matrix or another score of the belief."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
 from egolane_pgm.experiment import Experiment
-from egolane_pgm.inference.batch import confusions_many
-from egolane_pgm.inference.filtering import filter_beliefs
-from egolane_pgm.model import Drive, belief_of, declared_parameters, evidence_of, with_parameters
+from egolane_pgm.model import Drive, belief_of, declared_parameters
 from egolane_pgm.parameters import Value
 from egolane_pgm.scoring import confusion as confusions
 from egolane_pgm.scoring import probabilistic, stability
@@ -20,7 +16,6 @@ from egolane_pgm.scoring.assign import assigned_lane
 from egolane_pgm.types import (
     TIE_TOLERANCE,
     BoolArray,
-    Evidence,
     FloatArray,
     InputError,
     IntArray,
@@ -56,7 +51,7 @@ UNDEFINED = 1e6
 
 
 def check_objective(name: str, where: str = "objective") -> str:
-    """The score's own name. Raises InputError for an unknown one, with a suggestion."""
+    """Return the score's own name. Raises InputError for an unknown one, with a suggestion."""
     known = {*CONFUSION_SCORES, *BELIEF_SCORES, *ALIASES}
     if name not in known:
         raise InputError(f"{where}: unknown score '{name}'{suggestion(name, known)}")
@@ -64,7 +59,7 @@ def check_objective(name: str, where: str = "objective") -> str:
 
 
 def is_maximised(objective: str) -> bool:
-    """Whether more is better."""
+    """Whether more of a score is better."""
     return objective in CONFUSION_SCORES
 
 
@@ -77,102 +72,49 @@ def check_filter(experiment: Experiment) -> None:
         )
 
 
-@dataclass(frozen=True)
-class Labels:
-    """What the frames of a log are counted as: lane (T,), 1..n; is_left_out (T,): not annotated,
-    crossing, or not used."""
-
-    lane: IntArray
-    is_left_out: BoolArray
-
-
-def labels_of(drive: Drive, is_used: BoolArray) -> Labels:
-    """The labels of the annotated frames that are used (K,)."""
-    is_scored = is_used & ~drive.truth.is_crossing
-    rows = drive.recorded.scored[is_scored]
-    lane = np.ones(len(drive.recorded.log), dtype=np.int64)
-    lane[rows] = drive.truth.lane[is_scored]
-    is_left_out = np.ones(len(lane), dtype=bool)
-    is_left_out[rows] = False
-    return Labels(lane, is_left_out)
-
-
-def confusions_of(drive: Drive, sets: Sequence[Mapping[str, Value]], labels: Labels) -> IntArray:
-    """The confusion matrices (P, n + 1, n) of P parameter sets over the frames that are not left
-    out; the filter sees every frame."""
-    groups: dict[int, tuple[Evidence, list[int]]] = {}
-    for p, parameters in enumerate(sets):
-        evidence = evidence_of(drive, parameters)
-        groups.setdefault(id(evidence), (evidence, []))[1].append(p)
-    counts = np.empty((len(sets), drive.n_lanes + 1, drive.n_lanes), dtype=np.int64)
-    for evidence, members in groups.values():
-        compiled = [with_parameters(drive.model, sets[p]).compiled for p in members]
-        # The kernel for many sets does eight at a time: a few are faster one by one.
-        n_many = (
-            len(members)
-            if len(members) % SIDE_BY_SIDE > FEW
-            else (len(members) // SIDE_BY_SIDE * SIDE_BY_SIDE)
-        )
-        method, below = drive.experiment.filter, drive.experiment.unassigned_below
-        if below:
-            # The kernel for many sets knows no reject option.
-            n_many = 0
-        if n_many:
-            counts[members[:n_many]] = confusions_many(
-                compiled[:n_many], evidence, labels.lane, labels.is_left_out, method
-            )
-        for p, network in zip(members[n_many:], compiled[n_many:], strict=True):
-            belief = filter_beliefs(network, evidence, method).lane
-            counts[p] = _counted(belief, labels, below)
-    return counts
-
-
-def _counted(belief: FloatArray, labels: Labels, below: float) -> IntArray:
-    from egolane_pgm.scoring.confusion import count_confusion
-
-    n_lanes = belief.shape[1]
-    if below:
-        assigned = assigned_lane(belief, below)
-        return confusions.confusion(assigned, labels.lane, labels.is_left_out, n_lanes)
-    counts = np.zeros((n_lanes + 1, n_lanes), dtype=np.int64)
-    count_confusion(belief, labels.lane, labels.is_left_out, TIE_TOLERANCE, counts)
-    return counts
-
-
 def scores_of(
     drives: Sequence[Drive],
-    sets: Sequence[Sequence[Mapping[str, Value]]],
+    sets: Sequence[Mapping[str, Value]],
     is_used: Sequence[BoolArray],
     objectives: Sequence[str],
-    labels: Sequence[Labels] | None = None,
-) -> FloatArray:
-    """(P, O): each objective of P parameter sets, the mean over the drives (equal weight each).
+) -> list[float]:
+    """Score one parameter set: per objective the mean over the drives, equal weight each.
 
-    sets: per drive its P sets. is_used: per drive (K,), the frames that count. labels: of these,
-    where they are at hand.
+    - sets: per drive every declared parameter's value.
+    - is_used: per drive (K,), marks the annotated frames that count; the filter sees every frame.
+    - objectives: names of scores.
     """
-    if labels is None:
-        labels = [labels_of(d, used) for d, used in zip(drives, is_used, strict=True)]
-    total = np.zeros((len(sets[0]), len(objectives)))
-    for drive, mine, used, label in zip(drives, sets, is_used, labels, strict=True):
-        if any(name in CONFUSION_SCORES for name in objectives):
-            matrices = confusions_of(drive, mine, label)
-            for k, name in enumerate(objectives):
-                if name in CONFUSION_SCORES:
-                    total[:, k] += CONFUSION_SCORES[name](matrices)
-        others = [(k, name) for k, name in enumerate(objectives) if name in BELIEF_SCORES]
-        for p, parameters in enumerate(mine if others else ()):
-            belief = belief_of(drive, parameters)
-            for k, name in others:
-                total[p, k] += belief_score(drive, belief, used, name)
-    return total / len(drives)
+    total = np.zeros(len(objectives))
+    for drive, parameters, used in zip(drives, sets, is_used, strict=True):
+        belief = belief_of(drive, parameters)
+        counts = None
+        for k, name in enumerate(objectives):
+            if name in BELIEF_SCORES:
+                total[k] += belief_score(drive, belief, used, name)
+                continue
+            if counts is None:
+                counts = _counted(drive, belief, used)
+            total[k] += CONFUSION_SCORES[name](counts)
+    return (total / len(drives)).tolist()  # type: ignore[no-any-return]
+
+
+def _counted(drive: Drive, belief: FloatArray, is_used: BoolArray) -> IntArray:
+    """The confusion matrix (n + 1, n) of a belief (K, n) over the frames that are used (K,)."""
+    lane, is_left_out = drive.truth.lane, drive.truth.is_crossing | ~is_used
+    below = drive.experiment.unassigned_below
+    if below:
+        assigned = assigned_lane(belief, below)
+        return confusions.confusion(assigned, lane, is_left_out, drive.n_lanes)
+    counts = np.zeros((drive.n_lanes + 1, drive.n_lanes), dtype=np.int64)
+    confusions.count_confusion(belief, lane, is_left_out, TIE_TOLERANCE, counts)
+    return counts
 
 
 def belief_score(drive: Drive, belief: FloatArray, is_used: BoolArray, name: str) -> float:
-    """One score of a belief (K, n) over the frames that are used (K,).
+    """Compute one score of a belief (K, n) over the frames that are used (K,).
 
     Scores over time count the pairs of neighbouring frames, and the lane changes, whose frames
-    are all used.
+    are all used. A score that is not defined is `UNDEFINED`, a large number.
     """
     truth = drive.truth
     if name in ("log_loss", "brier", "expected_calibration_error"):
@@ -207,7 +149,7 @@ def _defined(value: float) -> float:
 
 
 def all_used(drives: Sequence[Drive]) -> list[BoolArray]:
-    """Every frame of every drive."""
+    """Per drive (K,): marks every frame."""
     return [np.ones(len(drive), dtype=bool) for drive in drives]
 
 

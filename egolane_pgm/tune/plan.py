@@ -20,18 +20,17 @@ from pydantic import BaseModel, ConfigDict, Field
 
 from egolane_pgm.experiment import Experiment, Tuning, load_yaml, make_experiment, validated
 from egolane_pgm.model import Drive, Model, declared_parameters, load_drive, prepare_model
-from egolane_pgm.paper import experiments_folder, load_published, parameters_for
+from egolane_pgm.paper import load_published, paper_experiment, parameters_for
 from egolane_pgm.parameters import Value, resolve_parameters
 from egolane_pgm.tune.objective import (
     check_filter,
     check_objective,
-    labels_of,
     scores_of,
     shared_specs,
 )
+from egolane_pgm.tune.search import TRIALS, Score, Settings, check_sampler
 from egolane_pgm.tune.space import Point, SearchSpace, make_space, to_parameters, to_point
-from egolane_pgm.tune.study import TRIALS, Evaluate, Settings, check_sampler
-from egolane_pgm.types import BoolArray, FloatArray, InputError
+from egolane_pgm.types import BoolArray, InputError
 
 
 class _TuningFile(BaseModel):
@@ -102,9 +101,9 @@ def load_plan(path: str | Path, overrides: Sequence[str] = ()) -> Plan:
 
 
 def paper_plans(numbers: Sequence[int]) -> list[Plan]:
-    """The tuning files of the paper's runs."""
-    folder = experiments_folder() / "tuning"
-    return [load_plan(next(iter(sorted(folder.glob(f"run{n:02d}_*.yaml"))))) for n in numbers]
+    """Return a plan per run of the paper, with the defaults of a search."""
+    # The frames that a run's own experiment never fits are left out with every plan.
+    return [replace(load_plan(paper_experiment(n)), tuning=Tuning()) for n in numbers]
 
 
 def together(plans: Sequence[Plan]) -> Plan:
@@ -194,16 +193,14 @@ def parameters_at(problem: Problem, point: Point) -> list[dict[str, Value]]:
     return [to_parameters(space, point) for space in problem.spaces]
 
 
-def evaluator(problem: Problem, is_used: Sequence[BoolArray]) -> Evaluate:
-    """The function of a study: scores of points over the frames that are used, per drive (K,)."""
+def scorer(problem: Problem, is_used: Sequence[BoolArray]) -> Score:
+    """The objective of a study: scores of a point over the frames that are used, per drive (K,)."""
 
-    labels = [labels_of(d, used) for d, used in zip(problem.drives, is_used, strict=True)]
+    def score(point: Point) -> list[float]:
+        sets = parameters_at(problem, point)
+        return scores_of(problem.drives, sets, is_used, problem.settings.objectives)
 
-    def evaluate(points: Sequence[Point]) -> FloatArray:
-        sets = [[to_parameters(space, p) for p in points] for space in problem.spaces]
-        return scores_of(problem.drives, sets, is_used, problem.settings.objectives, labels)
-
-    return evaluate
+    return score
 
 
 def starting_points(problem: Problem) -> tuple[list[Point], list[str]]:

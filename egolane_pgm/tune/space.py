@@ -5,15 +5,17 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
-import numpy as np
+from optuna.distributions import (
+    BaseDistribution,
+    CategoricalDistribution,
+    FloatDistribution,
+    IntDistribution,
+)
 
 from egolane_pgm.parameters import Parameter, Value
-from egolane_pgm.types import FloatArray, InputError, suggestion
-
-if TYPE_CHECKING:
-    from optuna.distributions import BaseDistribution
+from egolane_pgm.types import InputError, suggestion
 
 #: An open end of a range, (0, 3] or (0, 1), begins this far inside, as a share of the range.
 OPEN_END = 1e-6
@@ -139,13 +141,7 @@ def _bounds(
 
 
 def distributions(space: SearchSpace) -> dict[str, BaseDistribution]:
-    """The space for Optuna."""
-    from optuna.distributions import (
-        CategoricalDistribution,
-        FloatDistribution,
-        IntDistribution,
-    )
-
+    """Return the space as Optuna has it: a distribution per dimension."""
     found: dict[str, BaseDistribution] = {}
     for d in space.dimensions:
         if d.choices:
@@ -190,35 +186,6 @@ def to_point(space: SearchSpace, parameters: Mapping[str, Value]) -> dict[str, A
             value = int(value)
         point[d.key] = value
     return point
-
-
-def from_unit(space: SearchSpace, unit: FloatArray) -> list[dict[str, Any]]:
-    """Points from the unit cube: (P, D) in [0, 1] -> P points."""
-    columns: list[list[Any]] = []
-    for k, d in enumerate(space.dimensions):
-        if d.is_integer:
-            n = d.high - d.low + 1
-            values = d.low + np.minimum(np.floor(unit[:, k] * n), n - 1)
-            whole = values.astype(np.int64).tolist()
-            columns.append([d.choices[v] for v in whole] if d.choices else whole)
-        else:
-            columns.append(np.clip(d.low + unit[:, k] * (d.high - d.low), d.low, d.high).tolist())
-    return [dict(zip(space.keys, row, strict=True)) for row in zip(*columns, strict=True)]
-
-
-def to_unit(space: SearchSpace, points: Sequence[Point]) -> FloatArray:
-    """(P, D): the inverse of `from_unit`; whole numbers and choices at the middle of their cell."""
-    unit = np.empty((len(points), len(space)))
-    for k, d in enumerate(space.dimensions):
-        values: list[Any] = [point[d.key] for point in points]
-        if d.choices:
-            values = [d.choices.index(v) for v in values]
-        numbers = np.asarray(values, dtype=np.float64)
-        if d.is_integer:
-            unit[:, k] = (numbers - d.low + 0.5) / (d.high - d.low + 1)
-        else:
-            unit[:, k] = (numbers - d.low) / (d.high - d.low)
-    return np.clip(unit, 0.0, 1.0)
 
 
 def describe(space: SearchSpace) -> dict[str, Any]:

@@ -1,25 +1,21 @@
-"""Studies from end to end: search, search anew without each part, score, write."""
+"""Searches from end to end: search, search anew without each part, score, write."""
 
 from __future__ import annotations
 
-import contextlib
-import ctypes
-import multiprocessing
-import os
-import signal
+import functools
+import pickle
 import time
 from collections.abc import Callable, Iterator, Sequence
-from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor
-from concurrent.futures import wait as wait_for
-from concurrent.futures.process import BrokenProcessPool
+from concurrent.futures import BrokenExecutor, as_completed
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
-import numpy as np
+import optuna
 
-from egolane_pgm.results import write_json
-from egolane_pgm.tune import output
+from egolane_pgm.parallel import executor
+from egolane_pgm.results import make_directory, write_json
+from egolane_pgm.tune import study_directory as files
 from egolane_pgm.tune.held_out import (
     Nested,
     assess,
@@ -27,178 +23,291 @@ from egolane_pgm.tune.held_out import (
     check_blocks,
     difference,
     run_nested,
+    settings_without,
     stitched,
 )
+from egolane_pgm.tune.identity import identity_of
 from egolane_pgm.tune.objective import all_used
 from egolane_pgm.tune.plan import (
     Plan,
     Problem,
-    evaluator,
     make_problem,
     parameters_at,
+    scorer,
     starting_points,
+    with_options,
 )
+from egolane_pgm.tune.search import Report, best_trial, n_complete, pareto, search
 from egolane_pgm.tune.storage import (
     JOURNAL_NAME,
-    SQLITE_NAME,
-    SqliteStore,
-    check_identity,
-    only_one,
-    stored_identity,
+    check_study,
+    open_storage,
+    open_study,
+    storage_errors,
 )
-from egolane_pgm.tune.study import Report, best_trial, pareto, run_study
-from egolane_pgm.tune.workers import Job, run_workers
 from egolane_pgm.types import InputError
-
-if TYPE_CHECKING:
-    import optuna
 
 #: Called now and then: what is being done, how many more trials are, the best score so far.
 Progress = Callable[[str, int, float], None]
 
-HELD_OUT = ("blocks", "recordings", "none")
-
 
 @dataclass
-class Study:
-    """A study to do and how far it came. notes: what a user should know, a line each."""
+class Search:
+    """A search to do, and how far it came.
+
+    - directory: of its results.
+    - held_out: "blocks", "recordings", or "none" for in-sample scores only.
+    - storage: URL of the storage; None for a journal in the directory.
+    - test: recordings that take no part in the search and are scored with what it finds.
+    - notes: what a user should know, a line each.
+    - best: the part of study.json on the best trial.
+    - nested: the studies without a part that are done, by part.
+    """
 
     problem: Problem
     directory: Path
-    held_out: str
+    held_out: str = "blocks"
+    storage: str | None = None
     test: Problem | None = None
     notes: list[str] = field(default_factory=list)
     best: dict[str, Any] = field(default_factory=dict)
     nested: dict[int, Nested] = field(default_factory=dict)
 
     @property
+    def by_recording(self) -> bool:
+        """Whether whole recordings are held out."""
+        return self.held_out == "recordings"
+
+    @property
     def n_parts(self) -> int:
-        """Studies that are run anew without a part."""
+        """Number of studies that are run anew without a part."""
         if self.held_out == "none":
             return 0
-        by_blocks = self.held_out == "blocks"
-        return self.problem.plan.tuning.blocks if by_blocks else len(self.problem.drives)
+        return len(self.problem.drives) if self.by_recording else self.problem.plan.tuning.blocks
+
+    @property
+    def key(self) -> dict[str, Any]:
+        """What the nested studies depend on."""
+        return files.nested_key(self.problem, self.by_recording)
 
 
 def prepare(
-    plan: Plan, directory: Path, held_out: str = "blocks", test: Plan | None = None
-) -> Study:
+    plan: Plan,
+    directory: Path,
+    held_out: str = "blocks",
+    test: Plan | None = None,
+    storage: str | None = None,
+) -> Search:
     """Read the recordings and check everything that can be checked before anything is computed.
 
-    Raises InputError for whatever does not fit, another study in the directory included.
+    Raises InputError for whatever does not fit, another study in the same place included.
     """
     problem = make_problem(plan)
-    study = Study(problem, directory, held_out)
-    study.notes += [n for drive in problem.drives for n in drive.recorded.notes]
+    made = Search(problem, directory, held_out, storage)
+    made.notes += [n for drive in problem.drives for n in drive.recorded.notes]
+    made.notes += starting_points(problem)[1]
     if held_out == "blocks":
-        study.notes += check_blocks(problem)
+        made.notes += check_blocks(problem)
     if held_out == "recordings" and len(problem.drives) < 2:
         raise InputError(f"{plan.source}: whole recordings as blocks need at least two of them")
     if test is not None:
-        study.test = make_problem(_same_tuning(test, plan))
-        if study.test.space.dimensions != problem.space.dimensions:
+        same = {**plan.tuning.model_dump(), "never_fit": test.tuning.never_fit}
+        made.test = make_problem(with_options(test, same))
+        if made.test.space.dimensions != problem.space.dimensions:
             raise InputError(
                 f"{test.source}: --test-on: declares other parameters than {plan.source}"
             )
-    found = stored_identity(directory) if directory.is_dir() else None
-    if found is not None:
-        check_identity(found, output.identity_of(problem), directory)
-    return study
+    if storage is not None or (directory / JOURNAL_NAME).exists():
+        check_study(open_storage(storage, directory), plan.name, identity_of(problem))
+    return made
 
 
-def _same_tuning(test: Plan, plan: Plan) -> Plan:
-    from egolane_pgm.tune.plan import with_options
+def open_main(made: Search) -> optuna.Study:
+    """Open, or begin, the study on all frames."""
+    problem = made.problem
+    storage = open_storage(made.storage, made.directory)
+    starts, _ = starting_points(problem)
+    return open_study(storage, problem.plan.name, problem.settings, identity_of(problem), starts)
 
-    given = plan.tuning.model_dump()
-    given["never_fit"] = test.tuning.never_fit
-    return with_options(test, given)
+
+def _search_all(made: Search, worker: int = 0, report: Report | None = None) -> float:
+    """Run the study on all frames, or this process's share of it; returns seconds."""
+    begun = time.perf_counter()
+    problem = made.problem
+    with storage_errors(made.storage):
+        study = open_main(made)
+        score = scorer(problem, all_used(problem.drives))
+        search(study, problem.space, score, problem.settings, worker=worker, report=report)
+    return time.perf_counter() - begun
 
 
-def run_main(study: Study, workers: int | None, progress: Progress | None) -> optuna.Study:
-    """The study on all frames, kept in its directory."""
-    problem, directory = study.problem, study.directory
-    starts, notes = starting_points(problem)
-    study.notes += notes
-    evaluate = evaluator(problem, all_used(problem.drives))
-    identity = output.identity_of(problem)
-    settings, name = problem.settings, problem.plan.name
-    report = _counted(progress, name)
-    with only_one(directory):
-        if workers is not None or (directory / JOURNAL_NAME).exists():
-            if (directory / SQLITE_NAME).exists():
-                raise InputError(
-                    f"{directory}: was begun in one process ({SQLITE_NAME}); go on without"
-                    " --workers, or name another directory with --out"
-                )
-            # Evidence and kernels are made once, before the processes part.
-            evaluate([dict(p) for p in corners(problem)])
-            job = Job(directory, name, problem.space, evaluate, settings, starts)
-            return run_workers(job, identity, workers or 1, report)
-        with SqliteStore(directory, name, identity, settings.directions) as store:
-            return run_study(
-                problem.space, evaluate, settings, starts=starts, store=store, report=report
+def _search_without(
+    made: Search, part: int, worker: int = 0, report: Report | None = None
+) -> Nested:
+    """Run the study without one part: in memory, or in the storage where one is given."""
+    study = None
+    problem = made.problem
+    with storage_errors(made.storage):
+        if made.storage is not None:
+            settings = settings_without(problem, part)
+            study = open_study(
+                open_storage(made.storage, made.directory),
+                f"{problem.plan.name} without {_what(made)} {part + 1}",
+                settings,
+                {**made.key, "without": part},
             )
+        return run_nested(
+            problem, part, made.by_recording, study=study, worker=worker, report=report
+        )
 
 
-def _counted(progress: Progress | None, label: str) -> Report | None:
-    """A study's report of its trials so far, as progress of how many more there are."""
+def _what(made: Search) -> str:
+    return "recording" if made.by_recording else "block"
+
+
+@functools.lru_cache(maxsize=32)
+def _loaded(plan: bytes) -> Problem:
+    """The recordings of a plan, read once in each process."""
+    return make_problem(pickle.loads(plan))
+
+
+def _do(
+    plan: bytes, directory: Path, held_out: str, storage: str | None, part: int | None, worker: int
+) -> Any:
+    """A task of a process: one study on all frames (`part` None), or without a part."""
+    made = Search(_loaded(plan), directory, held_out, storage)
+    if part is None:
+        return _search_all(made, worker)
+    return _search_without(made, part, worker)
+
+
+def tune(
+    searches: Sequence[Search],
+    *,
+    jobs: int = 1,
+    workers: int | None = None,
+    progress: Progress | None = None,
+) -> Iterator[dict[str, Any]]:
+    """Do searches, and yield each one's study.json when it is finished, in their order.
+
+    - jobs: processes that share the studies, those without a part included.
+    - workers: processes that share the trials of each study on all frames, and the other studies.
+
+    Nested studies that a repeated command finds done are kept.
+    """
+    for made in searches:
+        make_directory(made.directory)
+        made.nested = files.read_nested(made.directory, made.key)
+    n_tasks = sum(1 + made.n_parts - len(made.nested) for made in searches)
+    jobs = workers or min(jobs, n_tasks)
+    if jobs > 1:
+        _in_processes(searches, jobs, workers or 1, progress)
+        for made in searches:
+            yield finish(made)
+        return
+    for made in searches:
+        name = made.problem.plan.name
+        seconds = _search_all(made, report=_counted(progress, made, name))
+        finish_main(made, seconds)
+        for part in range(made.n_parts):
+            if part not in made.nested:
+                report = _counted(progress, made, f"{name} without {_what(made)} {part + 1}")
+                _keep(made, _search_without(made, part, report=report))
+        yield finish(made)
+
+
+def _keep(made: Search, nested: Nested) -> None:
+    made.nested[nested.part] = nested
+    files.write_nested(made.directory, made.key, made.nested)
+
+
+def _counted(progress: Progress | None, made: Search, label: str) -> Report | None:
+    """A study's report of each trial's score, as progress with the best score so far."""
     if progress is None:
         return None
-    before = 0
+    better = max if made.problem.settings.directions[0] == "maximize" else min
+    best: list[float] = []
 
-    def report(done: int, best: float) -> None:
-        nonlocal before
-        progress(label, done - before, best)
-        before = done
+    def report(score: float) -> None:
+        best[:] = [better([*best, score])]
+        progress(label, 1, best[0])
 
     return report
 
 
-def corners(problem: Problem) -> list[Any]:
-    """A few points all over the space, which make the evidence that a search needs most."""
-    from egolane_pgm.tune.space import from_unit
+def _in_processes(
+    searches: Sequence[Search], jobs: int, workers: int, progress: Progress | None
+) -> None:
+    """Share the studies and their nested ones out to processes."""
+    tasks: list[tuple[int, int | None, int]] = []
+    for k in range(len(searches)):
+        open_main(searches[k])  # Begun once, before processes share it.
+        tasks += [(k, None, worker) for worker in range(workers)]
+    for k, made in enumerate(searches):
+        tasks += [(k, part, 0) for part in range(made.n_parts) if part not in made.nested]
+    seconds = [0.0] * len(searches)
+    at_work = [workers] * len(searches)
+    with executor(jobs) as pool:
+        waiting = {}
+        for k, part, worker in tasks:
+            made = searches[k]
+            given = (pickle.dumps(made.problem.plan), made.directory, made.held_out, made.storage)
+            waiting[pool.submit(_do, *given, part, worker)] = (k, part)
+        try:
+            for future in as_completed(waiting):
+                k, part = waiting[future]
+                made, label = searches[k], searches[k].problem.plan.name
+                if part is not None:
+                    _keep(made, future.result())
+                    best = made.nested[part].values[0]
+                else:
+                    seconds[k] = max(seconds[k], future.result())
+                    at_work[k] -= 1
+                    if at_work[k]:
+                        continue
+                    finish_main(made, seconds[k])
+                    best = next(iter(made.best["values"].values()))
+                if progress is not None:
+                    progress(label, made.problem.settings.trials, best)
+        except BrokenExecutor as error:
+            raise InputError(
+                "a process died while it worked on a study; repeat the command, what is finished"
+                " is kept"
+            ) from error
 
-    steps = np.linspace(0, 1, 10)
-    return from_unit(problem.space, np.repeat(steps[:, None], len(problem.space), axis=1))
 
-
-def finish_main(study: Study, done: optuna.Study, seconds: float) -> None:
+def finish_main(made: Search, seconds: float) -> None:
     """Write trials and best parameters of the study on all frames."""
-    problem, directory = study.problem, study.directory
-    output.write_trials(directory, done, problem.settings.objectives)
-    best = best_trial(done)
-    output.write_best(directory, problem, best.params)
-    trials = done.get_trials(deepcopy=False)
-    study.best = {
+    problem = made.problem
+    study = open_main(made)
+    files.write_trials(made.directory, study, problem.settings.objectives)
+    best = best_trial(study)
+    files.write_best(made.directory, problem, best.params)
+    names = [drive.experiment.name for drive in problem.drives]
+    made.best = {
         "number": best.number,
         "values": dict(zip(problem.settings.objectives, best.values, strict=True)),
         "point": dict(best.params),
-        "parameters": dict(
-            zip(
-                (d.experiment.name for d in problem.drives),
-                parameters_at(problem, best.params),
-                strict=True,
-            )
-        ),
-        "trials": sum(t.values is not None for t in trials),
+        "parameters": dict(zip(names, parameters_at(problem, best.params), strict=True)),
+        "trials": n_complete(study),
         "seconds": seconds,
     }
     if len(problem.settings.objectives) > 1:
-        study.best["pareto"] = pareto(done)
+        made.best["pareto"] = pareto(study)
 
 
-def finish(study: Study) -> dict[str, Any]:
-    """Score the study in-sample and held out, and write study.json; returns what is in it."""
-    problem, drives = study.problem, study.problem.drives
+def finish(made: Search) -> dict[str, Any]:
+    """Score a search in-sample and held out, and write made.json; returns what is in it."""
+    problem, drives = made.problem, made.problem.drives
     everything = all_used(drives)
     trusted = [d.may_fit for d in drives]
     subsets = {"all_frames": everything}
     if not all(keep.all() for keep in trusted):
         subsets["without_never_fit"] = trusted
-    mine = beliefs_at(problem, study.best["point"])
+    mine = beliefs_at(problem, made.best["point"])
     content = {
-        **output.provenance(problem),
-        "best": study.best,
+        **files.provenance(problem),
+        "best": made.best,
         "in_sample": {
             "tuned_on": "same_frames",
             **{key: assess(drives, mine, keep) for key, keep in subsets.items()},
@@ -206,15 +315,15 @@ def finish(study: Study) -> dict[str, Any]:
         "held_out": None,
         "difference": None,
         "test": None,
-        "notes": study.notes,
+        "notes": made.notes,
     }
-    if study.held_out != "none":
-        by_recording = study.held_out == "recordings"
-        nested = [study.nested[b] for b in range(study.n_parts)]
+    if made.held_out != "none":
+        by_recording = made.by_recording
+        nested = [made.nested[b] for b in range(made.n_parts)]
         theirs = stitched(problem, nested, by_recording)
         content["held_out"] = {
             "tuned_on": "other_frames",
-            "parts": study.held_out,
+            "parts": made.held_out,
             "starts": "from scratch: known values may have been tuned on the frames held out",
             "studies": [
                 {
@@ -231,9 +340,9 @@ def finish(study: Study) -> dict[str, Any]:
         content["difference"] = {
             key: difference(drives, mine, theirs, keep) for key, keep in subsets.items()
         }
-    if study.test is not None:
-        content["test"] = _tested(study.test, study.best["point"])
-    write_json(study.directory / output.STUDY_FILE, content)
+    if made.test is not None:
+        content["test"] = _tested(made.test, made.best["point"])
+    write_json(made.directory / files.STUDY_FILE, content)
     return content
 
 
@@ -251,140 +360,6 @@ def _tested(test: Problem, point: dict[str, Any]) -> dict[str, Any]:
     }
 
 
-def tune(
-    studies: Sequence[Study],
-    *,
-    jobs: int = 1,
-    workers: int | None = None,
-    progress: Progress | None = None,
-) -> Iterator[dict[str, Any]]:
-    """Do studies, and yield each one's study.json when it is finished (in their order).
-
-    jobs: processes that share the studies, those without a part included. workers: processes that
-    share the trials of one study. Nested studies that a repeated command finds done are kept.
-    """
-    for study in studies:
-        study.nested = output.read_nested(study.directory, _key(study))
-    if jobs > 1 and "fork" in multiprocessing.get_all_start_methods():
-        _in_processes(studies, jobs, progress)
-        for study in studies:
-            yield finish(study)
-        return
-    for k, study in enumerate(studies):
-        _do_main(k, studies, workers, progress)
-        for part in range(study.n_parts):
-            if part not in study.nested:
-                _keep(study, _nested_task(k, part, studies, progress))
-        yield finish(study)
-
-
-def _key(study: Study) -> dict[str, Any]:
-    return output.nested_key(study.problem, study.held_out == "recordings")
-
-
-def _keep(study: Study, nested: Nested) -> None:
-    study.nested[nested.part] = nested
-    output.write_nested(study.directory, _key(study), study.nested)
-
-
-def _do_main(
-    k: int, studies: Sequence[Study], workers: int | None, progress: Progress | None
-) -> None:
-    study = studies[k]
-    begun = time.perf_counter()
-    done = run_main(study, workers, progress)
-    finish_main(study, done, time.perf_counter() - begun)
-
-
-def _nested_task(k: int, part: int, studies: Sequence[Study], progress: Progress | None) -> Nested:
-    study = studies[k]
-    by_recording = study.held_out == "recordings"
-    what = "recording" if by_recording else "block"
-    report = _counted(progress, f"{study.problem.plan.name} without {what} {part + 1}")
-    return run_nested(study.problem, part, by_recording, report)
-
-
-@dataclass
-class _Shared:
-    """What forked processes find: the studies with their recordings, read before the processes
-    part, and per task (trials so far, best score so far), written by the one that does it."""
-
-    studies: Sequence[Study] = ()
-    state: Any = ()
-
-    def progress(self, task: int) -> Progress:
-        """Progress of a task, for the parent to see."""
-
-        def note(_: str, more: int, best: float) -> None:
-            self.state[2 * task] += more
-            self.state[2 * task + 1] = best
-
-        return note
-
-
-_shared = _Shared()
-
-
-def _main_task(task: int, k: int) -> tuple[dict[str, Any], list[str]]:
-    _do_main(k, _shared.studies, None, _shared.progress(task))
-    return _shared.studies[k].best, _shared.studies[k].notes
-
-
-def _part_task(task: int, k: int, part: int) -> Nested:
-    return _nested_task(k, part, _shared.studies, _shared.progress(task))
-
-
-def _die_with_parent(parent: int) -> None:
-    """Have the kernel end this process when its parent is killed; it would wait for ever."""
-    with contextlib.suppress(OSError, AttributeError):
-        ctypes.CDLL(None).prctl(1, signal.SIGKILL)  # PR_SET_PDEATHSIG, Linux only
-    if os.getppid() != parent:
-        os._exit(1)
-
-
-def _in_processes(studies: Sequence[Study], jobs: int, progress: Progress | None) -> None:
-    """The studies and their nested ones, shared out to processes."""
-    tasks = [(k, -1) for k in range(len(studies))]
-    for k, study in enumerate(studies):
-        # Kernels are compiled, or loaded from their cache, before the processes part.
-        evaluator(study.problem, all_used(study.problem.drives))(corners(study.problem)[:1])
-        tasks += [(k, part) for part in range(study.n_parts) if part not in study.nested]
-    context = multiprocessing.get_context("fork")
-    _shared.studies = studies
-    _shared.state = context.RawArray("d", 2 * len(tasks))
-    seen = 0
-    with ProcessPoolExecutor(
-        jobs, mp_context=context, initializer=_die_with_parent, initargs=(os.getpid(),)
-    ) as pool:
-        waiting: dict[Future[Any], int] = {}
-        for task, (k, part) in enumerate(tasks):
-            given = (_main_task, task, k) if part < 0 else (_part_task, task, k, part)
-            waiting[pool.submit(*given)] = task
-        try:
-            while waiting:
-                finished, _ = wait_for(waiting, timeout=0.2, return_when=FIRST_COMPLETED)
-                for future in finished:
-                    k, part = tasks[waiting.pop(future)]
-                    if part < 0:
-                        studies[k].best, studies[k].notes = future.result()
-                    else:
-                        _keep(studies[k], future.result())
-                done = int(sum(_shared.state[::2]))
-                if progress is not None and done > seen:
-                    busy = max(t for t in range(len(tasks)) if _shared.state[2 * t])
-                    label = studies[tasks[busy][0]].problem.plan.name
-                    progress(label, done - seen, _shared.state[2 * busy + 1])
-                    seen = done
-        except BrokenProcessPool as error:
-            raise InputError(
-                "a process died while it worked on a study; repeat the command, what is finished"
-                " is kept"
-            ) from error
-        finally:
-            for future in waiting:
-                future.cancel()
-
-
-def n_trials(studies: Sequence[Study]) -> int:
+def n_trials(searches: Sequence[Search]) -> int:
     """How many trials there are to do, those of nested studies included."""
-    return sum((1 + study.n_parts) * study.problem.settings.trials for study in studies)
+    return sum((1 + made.n_parts) * made.problem.settings.trials for made in searches)

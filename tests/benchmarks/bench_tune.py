@@ -1,7 +1,6 @@
-"""The parameter search on run 1: trials per second, and our share of one.
+"""The parameter search on run 1: time per trial, and our share of it.
 
-`python -m tests.benchmarks.bench_tune` prints these rows alone, `bench_postgres` those of studies
-that several workers share.
+`python -m tests.benchmarks.bench_tune` prints these rows alone.
 """
 
 from __future__ import annotations
@@ -12,15 +11,15 @@ import time
 from collections.abc import Callable
 from pathlib import Path
 from statistics import median
+from typing import Any
 
 import numpy as np
 
 from egolane_pgm.tune.objective import all_used
-from egolane_pgm.tune.plan import Problem, evaluator, load_plan, make_problem
-from egolane_pgm.tune.space import from_unit
-from egolane_pgm.tune.storage import SqliteStore, only_one
-from egolane_pgm.tune.study import Settings, run_study
-from egolane_pgm.tune.workers import Job, run_workers
+from egolane_pgm.tune.plan import Problem, load_plan, make_problem, scorer
+from egolane_pgm.tune.search import Settings, search, search_in_memory
+from egolane_pgm.tune.storage import open_storage, open_study
+from tests.kits.tuning_kit import points_at
 
 ROOT = Path(__file__).parents[2]
 EXPERIMENT = ROOT / "experiments" / "paper" / "run01_italy_ml.yaml"
@@ -38,12 +37,11 @@ def load() -> Problem:
 def tune_lines(rounds: int = 3) -> list[Line]:
     """(what, seconds per trial) of everything that is measured."""
     problem = load()
-    evaluate = evaluator(problem, all_used(problem.drives))
-    units = np.random.default_rng(0).random((256, len(problem.space)))
-    points = from_unit(problem.space, units)
-    evaluate(points)
-    n_frames = len(problem.drives[0].recorded.log)
-    share = 10_000 / n_frames
+    score = scorer(problem, all_used(problem.drives))
+    points = points_at(problem.space, np.random.default_rng(0).random((256, len(problem.space))))
+    for point in points:
+        score(point)
+    share = 10_000 / len(problem.drives[0].recorded.log)
 
     def timed(run: Callable[[], object], trials: int, times: int = rounds) -> float:
         found = []
@@ -53,69 +51,45 @@ def tune_lines(rounds: int = 3) -> list[Line]:
             found.append((time.perf_counter() - begun) / trials)
         return median(found)
 
-    def one_by_one() -> None:
-        for point in points[:100]:
-            evaluate([point])
-
-    lines = [
-        ("our share, many at once, 10,000 frames", share * timed(lambda: evaluate(points), 256)),
-        ("our share, one at a time, 10,000 frames", share * timed(one_by_one, 100)),
-    ]
+    seconds = timed(lambda: [score(point) for point in points], 256)
+    lines = [("our share, 10,000 frames", share * seconds)]
     for sampler in ("random", "evolution"):
         settings = Settings(("accuracy",), sampler, 2000, 0)
-        seconds = timed(lambda s=settings: run_study(problem.space, evaluate, s), 2000)
+        seconds = timed(lambda s=settings: search_in_memory(problem.space, score, s), 2000)
         lines.append((f"{sampler}, in memory, whole trial", seconds))
-        with tempfile.TemporaryDirectory() as folder:
-            lines.append((f"{sampler}, SQLite", timed(_sqlite(problem, folder, settings), 2000, 1)))
+        for kept in ("journal", "SQLite"):
+            with tempfile.TemporaryDirectory() as folder:
+                url = f"sqlite:///{folder}/study.db" if kept == "SQLite" else None
+                trials = 100 if url else 1000
+                run = _kept(problem, Path(folder), url, Settings(("accuracy",), sampler, trials, 0))
+                lines.append((f"{sampler}, {kept}", timed(run, trials, 1)))
     for sampler in ("tpe", "cma-es"):
         lines += _at(problem, sampler)
-    slow: dict[int, float] = {}
-    for workers in (1, 2):
-        with tempfile.TemporaryDirectory() as folder:
-            slow[workers] = timed(_journal(problem, folder, workers), 800, 1)
-        lines.append((f"random, journal, {workers} worker(s)", slow[workers]))
     return lines
 
 
-def shared_studies() -> str:
-    """Trials per second of studies that workers share, as Markdown."""
-    from tests.benchmarks.bench_postgres import shared_table
-
-    return shared_table(load())
-
-
-def _sqlite(problem: Problem, folder: str, settings: Settings) -> Callable[[], object]:
-    evaluate = evaluator(problem, all_used(problem.drives))
+def _kept(
+    problem: Problem, folder: Path, url: str | None, settings: Settings
+) -> Callable[[], object]:
+    score = scorer(problem, all_used(problem.drives))
 
     def run() -> None:
-        with SqliteStore(Path(folder), "bench", {}, ["maximize"]) as store:
-            run_study(problem.space, evaluate, settings, store=store)
-
-    return run
-
-
-def _journal(problem: Problem, folder: str, workers: int) -> Callable[[], object]:
-    evaluate = evaluator(problem, all_used(problem.drives))
-    settings = Settings(("accuracy",), "random", 800, 0)
-    job = Job(Path(folder), "bench", problem.space, evaluate, settings, ())
-
-    def run() -> None:
-        with only_one(Path(folder)):
-            run_workers(job, {}, workers)
+        study = open_study(open_storage(url, folder), "bench", settings, {})
+        search(study, problem.space, score, settings)
 
     return run
 
 
 def _at(problem: Problem, sampler: str) -> list[Line]:
     """A sampler that slows down: its 100th and its 1,000th trial (mean of 20 around it)."""
-    evaluate = evaluator(problem, all_used(problem.drives))
+    score = scorer(problem, all_used(problem.drives))
     clock: list[float] = []
 
-    def timed(points: object) -> object:
+    def timed(point: Any) -> Any:
         clock.append(time.perf_counter())
-        return evaluate(points)  # type: ignore[arg-type]
+        return score(point)
 
-    run_study(problem.space, timed, Settings(("accuracy",), sampler, 1011, 0))  # type: ignore[arg-type]
+    search_in_memory(problem.space, timed, Settings(("accuracy",), sampler, 1011, 0))
     return [
         (f"{sampler}, in memory, at the {n}th trial", (clock[n + 10] - clock[n - 10]) / 20)
         for n in (100, 1000)

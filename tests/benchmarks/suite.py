@@ -23,7 +23,7 @@ from egolane_pgm.scoring.assign import assigned_lane
 from egolane_pgm.scoring.confusion import confusion, count_confusion
 from egolane_pgm.types import TIE_TOLERANCE, FloatArray, IntArray
 from tests.benchmarks import bench_camera, peers
-from tests.benchmarks.bench_tune import markdown, shared_studies, tune_lines
+from tests.benchmarks.bench_tune import markdown, tune_lines
 from tests.benchmarks.data import N_LANES, PARAMETERS, Data, load, parameter_sets
 from tests.benchmarks.position import position_rows
 from tests.benchmarks.timing import Row, largest_difference, machine, table, take_turns
@@ -61,7 +61,7 @@ def run_all(rounds: int) -> str:
         print(f"{part.__name__} ...", file=sys.stderr, flush=True)
         rows += part(data, rounds)
     print("tune_lines ...", file=sys.stderr, flush=True)
-    text = f"{table(rows)}\n{NOTE}\n\n{markdown(tune_lines())}\n{shared_studies()}\n"
+    text = f"{table(rows)}\n{NOTE}\n\n{markdown(tune_lines())}\n"
     print("camera_lines ...", file=sys.stderr, flush=True)
     text += f"{bench_camera.markdown(bench_camera.camera_lines())}\n"
     print(text)

@@ -15,14 +15,15 @@ from egolane_pgm.camera.model import Camera, road_to_image, write_camera
 from egolane_pgm.compare.comparing import by_recording
 from egolane_pgm.compare.placing import load_for_scoring, on_recording, recording_key
 from egolane_pgm.experiment import load_experiment
+from egolane_pgm.files import write_yaml
 from egolane_pgm.learn import output
 from egolane_pgm.loading import load_recording
 from egolane_pgm.model import prepare_model
 from egolane_pgm.paper import experiments_folder
 from egolane_pgm.recordings.ground_truth import write_ground_truth
 from egolane_pgm.run import run_experiment
-from egolane_pgm.tune.output import tuned_experiment, write_yaml
 from egolane_pgm.tune.plan import load_plan, make_problem
+from egolane_pgm.tune.study_directory import tuned_experiment
 from egolane_pgm.types import LaneTruth
 from tests.kits.drives import command, contents, done, refused, write_drive, write_experiment
 from tests.kits.synthetic_road import write_place

@@ -5,17 +5,19 @@ from __future__ import annotations
 import csv
 import json
 import os
-import random
 import signal
-import sqlite3
 import subprocess
 import sys
 import time
+from collections import Counter
 from pathlib import Path
 
+import optuna
 import pytest
 import yaml
 from click.testing import CliRunner, Result
+from optuna.storages import JournalStorage
+from optuna.storages.journal import JournalFileBackend
 from pyarrow import parquet
 
 from egolane_pgm.cli.main import egolane
@@ -129,13 +131,7 @@ def test_another_search_space_of_the_same_name_is_refused(tmp_path: Path) -> Non
 def test_a_place_that_cannot_be_written_is_one_line(tmp_path: Path) -> None:
     (tmp_path / "file").write_text("")
     words = (QUICKSTART, "--in-sample-only", "--trials", 9)
-    assert "cannot be written" in refused(*words, "--out", tmp_path / "file")
-
-
-def test_a_study_of_one_process_is_not_taken_over_by_workers(tmp_path: Path) -> None:
-    words = (QUICKSTART, "--in-sample-only", "--trials", 9, "--out", tmp_path)
-    assert tune(*words).exit_code == 0
-    assert "begun in one process" in refused(*words, "--workers", 2)
+    assert "cannot be created" in refused(*words, "--out", tmp_path / "file")
 
 
 def test_workers_share_a_study_and_one_process_may_go_on_with_it(tmp_path: Path) -> None:
@@ -143,7 +139,38 @@ def test_workers_share_a_study_and_one_process_may_go_on_with_it(tmp_path: Path)
     assert tune(*words, 40, "--workers", 2).exit_code == 0
     assert tune(*words, 50).exit_code == 0
     table = parquet.read_table(tmp_path / "quickstart" / "trials.parquet").to_pylist()
-    assert len(table) == 50
+    # Each worker finishes what it is at when the total is reached.
+    assert 50 <= len(table) <= 51
+
+
+def test_a_database_keeps_the_study_and_those_without_a_block(tmp_path: Path) -> None:
+    base = f"sqlite:///{tmp_path}/shared.db"
+    words = (QUICKSTART, "--trials", 6, "--blocks", BLOCKS, "--storage", base, "--no-figures")
+    for out in ("here", "there"):
+        assert tune(*words, "--out", tmp_path / out, "--jobs", 1).exit_code == 0
+    parts = [f"quickstart without block {k}" for k in range(1, BLOCKS + 1)]
+    assert optuna.get_all_study_names(base) == ["quickstart", *parts]
+    assert {len(s.trials) for s in studies_of(base)} == {6}
+    documents = [
+        json.loads((tmp_path / out / "quickstart" / "study.json").read_text())
+        for out in ("here", "there")
+    ]
+    for key in ("in_sample", "held_out"):
+        assert documents[0][key] == documents[1][key]
+    line = refused(*words, "--out", tmp_path / "there", "-p", "p1=0.9")
+    assert "holds another study" in line
+
+
+def studies_of(base: str) -> list[optuna.Study]:
+    names = optuna.get_all_study_names(base)
+    return [optuna.load_study(study_name=name, storage=base) for name in names]
+
+
+def test_the_password_of_a_storage_is_not_shown(tmp_path: Path) -> None:
+    address = "nosuch://me:secret@host/base"
+    line = refused(QUICKSTART, "--in-sample-only", "--out", tmp_path, "--storage", address)
+    assert "nosuch://me:***@host/base" in line
+    assert "secret" not in line
 
 
 def test_a_group_has_one_parameter_set_and_an_experiment_per_recording(tmp_path: Path) -> None:
@@ -176,34 +203,46 @@ def test_a_typo_in_a_tuning_file_is_named(tmp_path: Path) -> None:
     assert "x.yaml: cannot be read" in refused(path)
 
 
-def is_alive(pid: str) -> bool:
-    try:
-        status = Path(f"/proc/{pid}/stat").read_text()
-    except OSError:
-        return False
-    return status.rpartition(")")[2].split()[0] != "Z"
-
-
-@pytest.mark.parametrize("moment", range(2))
-def test_the_command_itself_is_killed_and_repeated(moment: int, tmp_path: Path) -> None:
-    words = ["tune", str(QUICKSTART), "--in-sample-only", "--trials", "900", "--jobs", "2", "--out"]
+@pytest.mark.parametrize("stop", [signal.SIGKILL, signal.SIGINT])
+@pytest.mark.parametrize("jobs", [1, 2])
+def test_the_command_itself_is_stopped_and_repeated(
+    jobs: int, stop: signal.Signals, tmp_path: Path
+) -> None:
+    words = ["tune", str(QUICKSTART), "--trials", "2500", "--blocks", str(BLOCKS), "--no-figures"]
+    words += ["--jobs", str(jobs), "--out", str(tmp_path)]
     code = "from egolane_pgm.cli.main import main; main()"
-    command = [sys.executable, "-c", code, *words, str(tmp_path)]
-    with subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL) as first:
-        base = tmp_path / "quickstart" / "study.db"
+    command = [sys.executable, "-c", code, *words]
+    with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE) as first:
+        journal = tmp_path / "quickstart" / "study.journal"
         deadline = time.monotonic() + 60
-        while not base.exists() and time.monotonic() < deadline:
+        while time.monotonic() < deadline:
+            if journal.exists() and journal.stat().st_size > 100_000:
+                break
             time.sleep(0.01)
-        time.sleep(random.Random(moment).uniform(0.1, 0.8))
-        own = Path(f"/proc/{first.pid}/task/{first.pid}/children").read_text().split()
-        first.send_signal(signal.SIGKILL)
-    time.sleep(0.2)
-    assert own
-    assert not [pid for pid in own if is_alive(pid)]
-    assert tune(*words[1:], tmp_path).exit_code == 0
-    with sqlite3.connect(base) as study:
-        states = study.execute("SELECT state, count(*) FROM trials GROUP BY state").fetchall()
-    assert states == [("COMPLETE", 900)]
+        begun = time.monotonic()
+        first.send_signal(stop)
+        _, said = first.communicate()
+        assert time.monotonic() - begun < 5
+    if stop == signal.SIGINT:
+        assert first.returncode == 130
+        lines = [x for x in said.decode().splitlines() if not x.startswith("warning:")]
+        assert lines == [
+            f"egolane: interrupted; complete trials are kept in {tmp_path / 'quickstart'};"
+            " repeat the command to go on"
+        ]
+    before = states(journal)
+    assert before["COMPLETE"] > 10
+    total = before["COMPLETE"] + 10
+    words = [str(QUICKSTART), "--in-sample-only", "--no-figures", "--jobs", "1"]
+    assert tune(*words, "--trials", total, "--out", tmp_path).exit_code == 0
+    assert states(journal)["COMPLETE"] == total
+
+
+def states(journal: Path) -> Counter[str]:
+    """How many trials of a study are in each state."""
+    storage = JournalStorage(JournalFileBackend(str(journal)))
+    study = optuna.load_study(study_name="quickstart", storage=storage)
+    return Counter(t.state.name for t in study.trials)
 
 
 @pytest.mark.parametrize(

@@ -65,20 +65,20 @@ def test_a_search_sees_the_other_blocks_only_and_draws_by_a_seed_of_its_own(
 ) -> None:
     tuning = {"trials": 6, "never_fit": {"from_frame": 1000}}
     drive = load_for_scoring(simulated(fit="tune", tuning=tuning))
-    evaluator, run_study = module.evaluator, module.run_study
+    scorer, search_in_memory = module.scorer, module.search_in_memory
     looked_at: list[np.ndarray] = []
     settings: list[Any] = []
 
     def scores(problem: Any, used: Any) -> Any:
         looked_at.append(used[0].copy())
-        return evaluator(problem, used)
+        return scorer(problem, used)
 
-    def study(space: Any, evaluate: Any, own: Any, **rest: Any) -> Any:
+    def study(space: Any, score: Any, own: Any, *rest: Any) -> Any:
         settings.append(own)
-        return run_study(space, evaluate, own, **rest)
+        return search_in_memory(space, score, own, *rest)
 
-    monkeypatch.setattr(module, "evaluator", scores)
-    monkeypatch.setattr(module, "run_study", study)
+    monkeypatch.setattr(module, "scorer", scores)
+    monkeypatch.setattr(module, "search_in_memory", study)
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
         held_out_side(drive, trials=4)

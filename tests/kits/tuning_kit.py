@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import functools
-import time
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -12,7 +11,8 @@ import numpy as np
 
 from egolane_pgm.parameters import Parameter
 from egolane_pgm.tune.plan import Plan, Problem, load_plan, make_problem, with_options
-from egolane_pgm.tune.space import Point, SearchSpace, make_space
+from egolane_pgm.tune.sampler import from_unit
+from egolane_pgm.tune.space import Point, SearchSpace, distributions, make_space
 from egolane_pgm.types import FloatArray
 
 EXPERIMENTS = Path(__file__).parents[2] / "experiments"
@@ -43,16 +43,19 @@ def plain_space(n: int = 3) -> SearchSpace:
     return make_space(specs, {s.name: s.default for s in specs}, {}, 1, "plain")
 
 
-def bowl(points: Sequence[Point]) -> FloatArray:
+def bowl(point: Point) -> list[float]:
     """Best, 1, where all are 0.3; in steps, as accuracy is."""
-    values = np.array([[float(v) for v in p.values()] for p in points])
-    return np.round(1 - np.abs(values - 0.3).mean(axis=1, keepdims=True), 3)
+    values = np.array([float(v) for v in point.values()])
+    return [float(np.round(1 - np.abs(values - 0.3).mean(), 3))]
 
 
-def slow_bowl(points: Sequence[Point]) -> FloatArray:
-    """As `bowl`, with time to be killed in the middle of a trial."""
-    time.sleep(0.002 * len(points))
-    return bowl(points)
+def points_at(space: SearchSpace, units: FloatArray) -> list[dict[str, Any]]:
+    """Points of the space from rows of the unit cube."""
+    ranges = distributions(space)
+    return [
+        {key: from_unit(d, u) for (key, d), u in zip(ranges.items(), row, strict=True)}
+        for row in units.tolist()
+    ]
 
 
 def told(trials: Sequence[Any]) -> list[tuple[Mapping[str, Any], Any]]:

@@ -338,12 +338,12 @@ def test_nested_studies_that_are_done_are_not_run_again(
     ran = []
     original = tuning.run_nested
 
-    def counted(found: Problem, part: int, *rest: Any) -> Any:
+    def counted(found: Problem, part: int, *rest: Any, **options: Any) -> Any:
         if part == 3 and not ran.count(3):
             ran.append(3)
             raise KeyboardInterrupt
         ran.append(part)
-        return original(found, part, *rest)
+        return original(found, part, *rest, **options)
 
     monkeypatch.setattr(tuning, "run_nested", counted)
     with pytest.raises(KeyboardInterrupt):

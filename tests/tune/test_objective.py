@@ -13,10 +13,10 @@ from egolane_pgm.model import belief_of, load_drive
 from egolane_pgm.run import run_experiment
 from egolane_pgm.scoring.summary import score_all
 from egolane_pgm.tune import objective
-from egolane_pgm.tune.plan import evaluator
-from egolane_pgm.tune.space import from_unit, to_parameters
+from egolane_pgm.tune.plan import scorer
+from egolane_pgm.tune.space import to_parameters
 from egolane_pgm.types import InputError
-from tests.kits.tuning_kit import plan, problem
+from tests.kits.tuning_kit import plan, points_at, problem
 
 NAMES = ("accuracy", "f1", "precision", "recall", "coverage")
 
@@ -24,14 +24,22 @@ NAMES = ("accuracy", "f1", "precision", "recall", "coverage")
 def some_sets(n: int = 12) -> list[dict[str, Any]]:
     space = problem().space
     units = np.random.default_rng(0).random((n, len(space)))
-    return [to_parameters(space, p) for p in from_unit(space, units)]
+    return [to_parameters(space, p) for p in points_at(space, units)]
+
+
+def scores(
+    drives: list[Any], sets: list[list[Any]], used: list[Any], names: tuple[str, ...]
+) -> np.ndarray:
+    """(P, O): the scores of P parameter sets, given per drive."""
+    each = zip(*sets, strict=True)
+    return np.array([objective.scores_of(drives, mine, used, names) for mine in each])
 
 
 def test_scores_are_those_of_a_run_with_the_same_parameters() -> None:
     drive, sets = problem().drives[0], some_sets()
     everything = objective.all_used([drive])
     names = (*NAMES, "log_loss", "brier", "expected_calibration_error", "false_switches_per_minute")
-    found = objective.scores_of([drive], [sets], everything, names)
+    found = scores([drive], [sets], everything, names)
     for row, parameters in zip(found, sets, strict=True):
         content = drive.experiment.model_copy(update={"parameters": parameters})
         run = run_experiment(content, recorded=drive.recorded)
@@ -41,7 +49,7 @@ def test_scores_are_those_of_a_run_with_the_same_parameters() -> None:
 def test_delay_is_that_of_a_run_over_all_frames() -> None:
     drive, sets = problem().drives[0], some_sets(4)
     everything = objective.all_used([drive])
-    found = objective.scores_of([drive], [sets], everything, ("delay", "share_missed"))
+    found = scores([drive], [sets], everything, ("delay", "share_missed"))
     for row, parameters in zip(found, sets, strict=True):
         belief = belief_of(drive, parameters)
         truth = drive.truth
@@ -57,15 +65,15 @@ def test_only_frames_that_are_used_count_and_labels_of_others_do_not_matter() ->
     used = np.zeros(len(drive), dtype=bool)
     used[200:700] = True
     names = (*NAMES, *objective.BELIEF_SCORES)
-    before = objective.scores_of([drive], [sets], [used], names)
+    before = scores([drive], [sets], [used], names)
     rng = np.random.default_rng(1)
     lane = drive.truth.lane.copy()
     lane[~used] = rng.integers(1, drive.n_lanes + 1, size=(~used).sum())
     truth = replace(drive.truth, lane=lane)
     scrambled = replace(drive, recorded=replace(drive.recorded, truth=truth))
-    cut = [n for n in names if n not in ("delay", "share_missed")]
+    cut = tuple(n for n in names if n not in ("delay", "share_missed"))
     columns = [names.index(n) for n in cut]
-    after = objective.scores_of([scrambled], [sets], [used], cut)
+    after = scores([scrambled], [sets], [used], cut)
     np.testing.assert_array_equal(before[:, columns], after)
     assert len(np.unique(before[:, 0])) > 3
 
@@ -79,8 +87,8 @@ def test_evidence_is_made_again_only_when_its_own_parameters_change(
     fresh = load_drive(problem().drives[0].experiment, needs_truth="a search needs it")
     sets = [{**fresh.model.parameters, "bonus_value": k % 3, "p1": k / 40} for k in range(40)]
     everything = objective.all_used([fresh])
-    objective.scores_of([fresh], [sets], everything, ("accuracy",))
-    objective.scores_of([fresh], [sets], everything, ("accuracy", "log_loss"))
+    scores([fresh], [sets], everything, ("accuracy",))
+    scores([fresh], [sets], everything, ("accuracy", "log_loss"))
     assert len(made) == 3
 
 
@@ -88,9 +96,9 @@ def test_several_recordings_weigh_the_same_whatever_their_length() -> None:
     drive, sets = problem().drives[0], some_sets(5)
     few = np.zeros(len(drive), dtype=bool)
     few[:150] = True
-    both = objective.scores_of([drive, drive], [sets, sets], [few, ~few], ("accuracy",))
-    one = objective.scores_of([drive], [sets], [few], ("accuracy",))
-    other = objective.scores_of([drive], [sets], [~few], ("accuracy",))
+    both = scores([drive, drive], [sets, sets], [few, ~few], ("accuracy",))
+    one = scores([drive], [sets], [few], ("accuracy",))
+    other = scores([drive], [sets], [~few], ("accuracy",))
     np.testing.assert_allclose(both, (one + other) / 2)
 
 
@@ -117,13 +125,14 @@ def test_never_fit_takes_frame_ids() -> None:
     assert kept[110:600].all()
 
 
-def test_an_evaluator_scores_points_in_order() -> None:
+def test_a_point_is_scored_with_the_parameters_that_it_stands_for() -> None:
     found = problem()
-    evaluate = evaluator(found, objective.all_used(found.drives))
+    everything = objective.all_used(found.drives)
     units = np.random.default_rng(3).random((9, len(found.space)))
-    points = from_unit(found.space, units)
-    together = evaluate(points)
-    np.testing.assert_array_equal(together, np.concatenate([evaluate([p]) for p in points]))
+    for point in points_at(found.space, units):
+        parameters = to_parameters(found.space, point)
+        expected = objective.scores_of(found.drives, [parameters], everything, ("accuracy",))
+        assert scorer(found, everything)(point) == expected
 
 
 def test_a_drive_without_ground_truth_is_refused() -> None:

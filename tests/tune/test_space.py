@@ -13,18 +13,18 @@ from egolane_pgm.evidence import counting
 from egolane_pgm.graphs import sensor_failure, wor_on_lane
 from egolane_pgm.model import declared_parameters
 from egolane_pgm.parameters import resolve_parameters
+from egolane_pgm.tune.sampler import to_unit
 from egolane_pgm.tune.space import (
     SearchSpace,
     describe,
     differences,
     distributions,
-    from_unit,
     make_space,
     to_parameters,
     to_point,
-    to_unit,
 )
 from egolane_pgm.types import InputError
+from tests.kits.tuning_kit import points_at
 
 SPECS = declared_parameters(counting, sensor_failure)
 CURRENT = resolve_parameters(SPECS, {}, 3)
@@ -61,7 +61,7 @@ def test_what_declares_no_bounds_is_searched_when_given_some() -> None:
 
 def test_a_choice_is_searched_among_the_names_given() -> None:
     found = space(normal=["density", "integral"])
-    points = from_unit(found, np.array([[0.01] * len(found), [0.99] * len(found)]))
+    points = points_at(found, np.array([[0.01] * len(found), [0.99] * len(found)]))
     assert [p["normal"] for p in points] == ["density", "integral"]
 
 
@@ -69,7 +69,7 @@ def test_a_parameter_with_one_value_per_lane_has_a_dimension_per_lane() -> None:
     specs = declared_parameters(counting, wor_on_lane)
     found = make_space(specs, resolve_parameters(specs, {}, 3), {}, 3, "x")
     assert {"p3[1]", "p3[2]", "p3[3]"} <= set(found.keys)
-    point = from_unit(found, np.full((1, len(found)), 0.25))[0]
+    point = points_at(found, np.full((1, len(found)), 0.25))[0]
     assert to_parameters(found, point)["p3"] == pytest.approx((0.25, 0.25, 0.25), abs=1e-5)
 
 
@@ -136,9 +136,9 @@ def test_bounds_that_make_no_sense_are_refused_with_their_name(
 @given(st.lists(st.floats(0, 1), min_size=8, max_size=8))
 def test_points_and_the_unit_cube_agree(unit: list[float]) -> None:
     found = space(lane_width_m=[3.0, 4.0])
-    point = from_unit(found, np.array([unit]))[0]
-    again = to_unit(found, [point])
-    assert from_unit(found, again)[0] == pytest.approx(point, abs=1e-12)
+    point = points_at(found, np.array([unit]))[0]
+    again = [to_unit(d, point[key]) for key, d in distributions(found).items()]
+    assert points_at(found, np.array([again]))[0] == pytest.approx(point, abs=1e-12)
     assert to_point(found, to_parameters(found, point)) == point
 
 

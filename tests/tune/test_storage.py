@@ -2,18 +2,34 @@
 
 from __future__ import annotations
 
+import itertools
+import multiprocessing
 import resource
 import signal
 import sqlite3
+import subprocess
+import sys
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
 import optuna
 import pytest
+from optuna.storages import JournalStorage
+from optuna.storages.journal import JournalFileBackend
+from optuna.trial import TrialState
 
-from egolane_pgm.tune import storage
-from egolane_pgm.tune.storage import SqliteStore, journal_storage, only_one, stored_identity
-from egolane_pgm.tune.study import Settings, run_study
+from egolane_pgm.tune import storage as module
+from egolane_pgm.tune.search import Settings, n_complete, search, search_in_memory
+from egolane_pgm.tune.storage import (
+    JOURNAL_NAME,
+    check_study,
+    open_storage,
+    open_study,
+    storage_errors,
+)
 from egolane_pgm.types import InputError
 from tests.kits.tuning_kit import bowl, plain_space, told
 
@@ -25,157 +41,200 @@ def settings(trials: int) -> Settings:
     return Settings(("accuracy",), "evolution", trials, 0)
 
 
-def store(folder: Path, identity: Any = IDENTITY) -> SqliteStore:
-    return SqliteStore(folder, "drive", identity, ["maximize"])
+def study_in(place: Path | str, trials: int = 30, identity: Any = IDENTITY) -> optuna.Study:
+    """A study in a journal below a folder, or in a database."""
+    url, folder = (place, Path()) if isinstance(place, str) else (None, place)
+    return open_study(open_storage(url, folder), "drive", settings(trials), identity)
 
 
-def test_optuna_reads_what_was_written_and_so_do_we(tmp_path: Path) -> None:
-    with store(tmp_path) as kept:
-        done = run_study(SPACE, bowl, settings(70), store=kept)
-        assert kept.is_known
-    assert not list(tmp_path.glob("*-wal"))
-    study = optuna.load_study(study_name="drive", storage=f"sqlite:///{tmp_path}/study.db")
-    assert told(study.trials) == told(done.trials)
-    assert [t.number for t in study.trials] == list(range(70))
-    assert study.best_value == done.best_value
-    assert study.trials[3].distributions == done.trials[3].distributions
-    assert study.trials[3].datetime_complete == done.trials[3].datetime_complete
-    with store(tmp_path) as kept:
-        assert told(kept.finished()) == told(done.trials)
+@pytest.fixture(params=["journal", "sqlite"])
+def place(request: pytest.FixtureRequest, tmp_path: Path) -> Path | str:
+    return tmp_path if request.param == "journal" else f"sqlite:///{tmp_path}/study.db"
 
 
-def test_a_schema_that_is_not_known_is_written_by_optuna_itself(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setitem(storage._COLUMNS, "trials", {"another"})
-    with store(tmp_path) as kept:
-        assert not kept.is_known
-        done = run_study(SPACE, bowl, settings(33), store=kept)
-        assert told(kept.finished()) == told(done.trials)
+def test_a_study_goes_on_to_a_larger_total_as_if_it_had_not_stopped(place: Path | str) -> None:
+    whole = told(search_in_memory(SPACE, bowl, settings(65)).trials)
+    for trials in (33, 65):
+        search(study_in(place), SPACE, bowl, settings(trials))
+    assert told(study_in(place).trials) == whole
 
 
-def test_a_study_goes_on_to_a_larger_total(tmp_path: Path) -> None:
-    whole = told(run_study(SPACE, bowl, settings(100)).trials)
-    for trials in (40, 100):
-        with store(tmp_path) as kept:
-            run_study(SPACE, bowl, settings(trials), store=kept)
-    with store(tmp_path) as kept:
-        assert told(kept.finished()) == whole
+def test_optuna_reads_the_journal_and_copies_it_to_a_database(tmp_path: Path) -> None:
+    search(study_in(tmp_path), SPACE, bowl, settings(20))
+    journal = JournalStorage(JournalFileBackend(str(tmp_path / JOURNAL_NAME)))
+    study = optuna.load_study(study_name=None, storage=journal)
+    assert study.study_name == "drive"
+    assert study.metric_names == ["accuracy"]
+    assert study.user_attrs["identity"] == IDENTITY
+    base = f"sqlite:///{tmp_path}/study.db"
+    optuna.copy_study(from_study_name="drive", from_storage=journal, to_storage=base)
+    copy = optuna.load_study(study_name="drive", storage=base)
+    assert told(copy.trials) == told(study.trials)
+    assert copy.trials[3].datetime_start == study.trials[3].datetime_start
+
+
+def test_known_points_are_tried_once_however_often_a_study_is_opened(tmp_path: Path) -> None:
+    start = {"x0": 0.3, "x1": 0.3, "x2": 0.3}
+    for _ in range(3):
+        made = open_study(open_storage(None, tmp_path), "drive", settings(9), IDENTITY, [start])
+    search(made, SPACE, bowl, settings(9))
+    assert [t.params for t in made.trials].count(start) == 1
+    assert made.best_trial.number == 0
 
 
 def test_another_search_space_under_the_same_name_is_refused_and_nothing_changed(
     tmp_path: Path,
 ) -> None:
-    with store(tmp_path) as kept:
-        run_study(SPACE, bowl, settings(30), store=kept)
+    search(study_in(tmp_path), SPACE, bowl, settings(5))
     before = {p.name: p.read_bytes() for p in tmp_path.iterdir()}
     other = {"space": {"searched": {"x0": [0.0, 0.5]}}, "seed": 0}
     with pytest.raises(InputError) as caught:
-        store(tmp_path, other)
+        study_in(tmp_path, identity=other)
     assert "space.searched.x0: [0.0, 1.0], now [0.0, 0.5]" in str(caught.value)
     assert "seed" not in str(caught.value)
+    with pytest.raises(InputError, match="holds another study"):
+        check_study(open_storage(None, tmp_path), "drive", other)
+    check_study(open_storage(None, tmp_path), "drive", IDENTITY)
+    check_study(open_storage(None, tmp_path), "another name", other)
     assert {p.name: p.read_bytes() for p in tmp_path.iterdir()} == before
 
 
-def test_the_identity_is_read_without_writing(tmp_path: Path) -> None:
-    assert stored_identity(tmp_path) is None
-    store(tmp_path).close()
-    before = sorted(p.name for p in tmp_path.iterdir())
-    assert stored_identity(tmp_path) == IDENTITY
-    assert sorted(p.name for p in tmp_path.iterdir()) == before
+def share(place: Path | str, worker: int, trials: int) -> None:
+    def slow(point: Any) -> list[float]:
+        time.sleep(0.01)
+        return bowl(point)
+
+    search(study_in(place), SPACE, slow, settings(trials), worker=worker)
 
 
-def test_a_locked_database_is_one_clear_line(
+def test_processes_share_a_study(place: Path | str) -> None:
+    study_in(place)
+    context = multiprocessing.get_context("spawn")
+    workers = [context.Process(target=share, args=(place, k, 40)) for k in range(2)]
+    for process in workers:
+        process.start()
+    for process in workers:
+        process.join()
+        assert process.exitcode == 0
+    trials = study_in(place).trials
+    assert 40 <= len(trials) <= 41
+    assert all(t.state == TrialState.COMPLETE for t in trials)
+    points = [tuple(t.params.values()) for t in trials]
+    assert len(points) == len(set(points))
+    # Both were at work at the same time.
+    starts = sorted((t.datetime_start, t.datetime_complete) for t in trials)
+    assert any(b[0] < a[1] for a, b in itertools.pairwise(starts))
+
+
+def test_what_a_killed_worker_was_at_is_tried_again_by_another(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(storage, "PATIENCE_S", 0.1)
-    with store(tmp_path) as kept:
-        run_study(SPACE, bowl, settings(30), store=kept)
-        other = sqlite3.connect(tmp_path / "study.db", isolation_level=None)
-        other.execute("BEGIN IMMEDIATE")
-        with pytest.raises(InputError, match=r"study\.db: the database is locked by another"):
-            run_study(SPACE, bowl, settings(60), store=kept)
-        other.execute("ROLLBACK")
-        other.close()
-        assert len(run_study(SPACE, bowl, settings(60), store=kept).trials) == 60
+    place = f"sqlite:///{tmp_path}/study.db"
+    code = (
+        "import time\n"
+        "from tests.tune.test_storage import *\n"
+        "module.HEARTBEAT_S = 1\n"
+        "search(study_in({!r}), SPACE, lambda p: time.sleep(60) or [0.0], settings(9))\n"
+    )
+    study = study_in(place)
+    with subprocess.Popen([sys.executable, "-c", code.format(place)]) as worker:
+        deadline = time.monotonic() + 60
+        while not any(len(t.params) == 3 for t in study.trials) and time.monotonic() < deadline:
+            time.sleep(0.1)
+        time.sleep(1.5)
+        worker.kill()
+    time.sleep(2.5)
+    monkeypatch.setattr(module, "HEARTBEAT_S", 1)
+    monkeypatch.setattr(module, "GRACE_S", 2)
+    search(study_in(place), SPACE, bowl, settings(9))
+    first, *others = study_in(place).trials
+    assert first.state == TrialState.FAIL
+    assert [t.params for t in others].count(first.params) == 1
+    assert n_complete(study) == 9
 
 
-def test_a_database_that_is_locked_from_the_start_is_one_clear_line(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    store(tmp_path).close()
-    monkeypatch.setattr(storage, "PATIENCE_S", 0.1)
+def test_a_file_that_is_no_journal_or_database_is_one_clear_line(tmp_path: Path) -> None:
+    for name in (JOURNAL_NAME, "study.db"):
+        (tmp_path / name).write_text("this is no database\n" * 100)
+    with pytest.raises(InputError, match=r"study\.journal: is damaged, or no journal of Optuna's"):
+        open_storage(None, tmp_path)
+    with pytest.raises(InputError, match="file is not a database"):
+        open_storage(f"sqlite:///{tmp_path}/study.db", tmp_path)
+
+
+@pytest.mark.parametrize("address", ["nonsense", "nosuch://h/d", "sqlite:////no/such/place/x.db"])
+def test_a_storage_that_cannot_be_opened_is_one_clear_line(address: str, tmp_path: Path) -> None:
+    with pytest.raises(InputError, match=f"--storage {address}: ") as caught:
+        open_storage(address, tmp_path)
+    assert "\n" not in str(caught.value)
+
+
+def test_a_database_without_its_driver_says_what_to_install(tmp_path: Path) -> None:
+    with pytest.raises(InputError, match=r"needs the package \w+: pip install \w+"):
+        open_storage("oracle+oracledb://h/d", tmp_path)
+
+
+def test_a_database_that_is_locked_is_one_clear_line(tmp_path: Path) -> None:
+    place = f"sqlite:///{tmp_path}/study.db?timeout=0.1"
+    study = study_in(place)
     other = sqlite3.connect(tmp_path / "study.db", isolation_level=None)
-    other.execute("PRAGMA locking_mode=EXCLUSIVE")
     other.execute("BEGIN EXCLUSIVE")
-    with pytest.raises(InputError, match="the database is locked"):
-        store(tmp_path)
+    with pytest.raises(InputError, match="database is locked"), storage_errors(place):
+        search(study, SPACE, bowl, settings(9))
+    other.execute("ROLLBACK")
     other.close()
+    search(study_in(place), SPACE, bowl, settings(9))
+    assert n_complete(study) == 9
 
 
-def test_a_file_that_is_no_database_is_one_clear_line(tmp_path: Path) -> None:
-    (tmp_path / "study.db").write_text("this is no database " * 100)
-    with pytest.raises(InputError, match=r"study\.db: file is not a database"):
-        store(tmp_path)
-
-
-def test_a_full_disk_is_one_clear_line_and_what_was_finished_stays(tmp_path: Path) -> None:
-    with store(tmp_path) as kept:
-        run_study(SPACE, bowl, settings(30), store=kept)
-        pages = kept.base.execute("PRAGMA page_count").fetchone()[0]
-        kept.base.execute(f"PRAGMA max_page_count={pages + 2}")
-        with pytest.raises(InputError, match="database or disk is full; finished trials"):
-            run_study(SPACE, bowl, settings(3000), store=kept)
-    with store(tmp_path) as kept:
-        n = len(kept.finished())
-        assert n >= 30
-        assert n % 30 == 0
-        assert len(run_study(SPACE, bowl, settings(n + 30), store=kept).trials) == n + 30
-
-
-def test_a_journal_on_a_full_disk_is_one_clear_line(tmp_path: Path) -> None:
+@contextmanager
+def disk_with(n_bytes: int) -> Iterator[None]:
+    """Files that may grow to a size only."""
     limit = resource.getrlimit(resource.RLIMIT_FSIZE)
     handler = signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
-    study = optuna.create_study(storage=journal_storage(tmp_path), study_name="drive")
-    study.add_trial(optuna.trial.create_trial(value=1.0))
     try:
-        size = (tmp_path / "study.journal").stat().st_size
-        resource.setrlimit(resource.RLIMIT_FSIZE, (size + 20, limit[1]))
-        for _ in range(2):
-            with pytest.raises(InputError, match=r"study\.journal: cannot be written"):
-                study.add_trial(optuna.trial.create_trial(value=2.0))
+        resource.setrlimit(resource.RLIMIT_FSIZE, (n_bytes, limit[1]))
+        yield
     finally:
         resource.setrlimit(resource.RLIMIT_FSIZE, limit)
         signal.signal(signal.SIGXFSZ, handler)
-    again = optuna.load_study(study_name="drive", storage=journal_storage(tmp_path))
-    again.add_trial(optuna.trial.create_trial(value=3.0))
-    assert [t.value for t in again.trials] == [1.0, 3.0]
 
 
-def test_a_line_that_a_killed_process_left_half_written_is_cut(tmp_path: Path) -> None:
-    study = optuna.create_study(storage=journal_storage(tmp_path), study_name="drive")
-    study.add_trial(optuna.trial.create_trial(value=1.0))
-    with (tmp_path / "study.journal").open("ab") as file:
-        file.write(b'{"op_code": 4, "worker_id": "x", "st')
-    study.add_trial(optuna.trial.create_trial(value=2.0))
-    again = optuna.load_study(study_name="drive", storage=journal_storage(tmp_path))
-    assert [t.value for t in again.trials] == [1.0, 2.0]
-
-
-def test_a_study_belongs_to_one_command_at_a_time(tmp_path: Path) -> None:
+def test_a_full_disk_is_one_clear_line_and_what_was_finished_stays(tmp_path: Path) -> None:
+    whole = told(search_in_memory(SPACE, bowl, settings(40)).trials)
+    search(study_in(tmp_path), SPACE, bowl, settings(10))
+    size = (tmp_path / JOURNAL_NAME).stat().st_size
     with (
-        only_one(tmp_path),
-        pytest.raises(InputError, match="another process is at work"),
-        only_one(tmp_path, 0.1),
+        disk_with(size + 2020),
+        pytest.raises(InputError, match=r"study\.journal: cannot be written: No space left"),
     ):
-        pass
-    with only_one(tmp_path, 0.1):
-        pass
+        search(study_in(tmp_path), SPACE, bowl, settings(40))
+    assert not list(tmp_path.glob("*.lock"))
+    search(study_in(tmp_path), SPACE, bowl, settings(40))
+    done = study_in(tmp_path).get_trials(states=(TrialState.COMPLETE,))
+    assert told(done)[:10] == whole[:10]
+    assert len(done) == 40
+
+
+def test_a_killed_process_leaves_a_journal_to_go_on_with(tmp_path: Path) -> None:
+    code = (
+        "from tests.tune.test_storage import *\n"
+        "search(study_in(Path({!r})), SPACE, bowl, settings(100000))\n"
+    )
+    with subprocess.Popen([sys.executable, "-c", code.format(str(tmp_path))]) as first:
+        journal, deadline = tmp_path / JOURNAL_NAME, time.monotonic() + 60
+        while time.monotonic() < deadline:
+            if journal.exists() and journal.stat().st_size > 50_000:
+                break
+            time.sleep(0.01)
+        first.kill()
+    before = n_complete(study_in(tmp_path))
+    assert before > 10
+    search(study_in(tmp_path), SPACE, bowl, settings(before + 10))
+    assert n_complete(study_in(tmp_path)) == before + 10
 
 
 def test_a_place_that_cannot_be_written_is_one_clear_line(tmp_path: Path) -> None:
     (tmp_path / "file").write_text("")
-    with pytest.raises(InputError, match="cannot be written"), only_one(tmp_path / "file" / "x"):
-        pass
-    with pytest.raises(InputError, match="cannot be written"), only_one(Path("/proc/nothing/x")):
-        pass
+    with pytest.raises(InputError, match="cannot be created: Not a directory"):
+        open_storage(None, tmp_path / "file" / "x")

@@ -6,79 +6,35 @@ trials.csv     number, state, a column per score (in-sample) and per parameter; 
 best.yaml      the best parameters as an experiment for `egolane run`; best_<name>.yaml for
                each of several recordings
 nested.json    what each study without one part came to, so that a repeated command goes on
-study.db       the trials in Optuna's format (or study.journal)
+study.journal  the study itself, as Optuna keeps it (not with --storage)
 """
 
 from __future__ import annotations
 
 import json
-import os
-import tempfile
 from collections.abc import Mapping, Sequence
 from datetime import UTC, datetime
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
-import yaml
+import optuna
+import pyarrow as pa
+from pyarrow import csv
 
 from egolane_pgm.experiment import Experiment, config_hash, resolved
-from egolane_pgm.loading import file_entry
-from egolane_pgm.model import Drive
+from egolane_pgm.files import atomic, write_parquet, write_yaml
 from egolane_pgm.parameters import Value
 from egolane_pgm.plugins import OWN_FILES
 from egolane_pgm.results import git_state, plain, versions, write_json
 from egolane_pgm.run import files_in_full
 from egolane_pgm.tune.held_out import Nested
+from egolane_pgm.tune.identity import data_entry, identity_of
 from egolane_pgm.tune.plan import Problem, parameters_at
-from egolane_pgm.tune.space import describe
-from egolane_pgm.types import InputError
-
-if TYPE_CHECKING:
-    import optuna
 
 SCHEMA_VERSION = 1
 STUDY_FILE = "study.json"
 NESTED_FILE = "nested.json"
 PACKAGES = ("egolane-pgm", "numpy", "numba", "optuna", "cmaes", "rosbags")
-
-
-def identity_of(problem: Problem) -> dict[str, Any]:
-    """What makes two studies the same one; the number of trials may grow."""
-    tuning = problem.plan.tuning
-    recordings = []
-    for drive in problem.drives:
-        content = resolved(drive.experiment, {})
-        kept = ["n_lanes", "evidence", "graph", "filter", "evidence_reading"]
-        if drive.experiment.unassigned_below:
-            # Only where it does something: studies that are older go on without it.
-            kept.append("unassigned_below")
-        recordings.append(
-            {
-                "name": drive.experiment.name,
-                **{key: content[key] for key in kept},
-                "recording": {k: v for k, v in content["recording"].items() if k != "path"},
-                "data": [_entry(drive, path)["sha256"][:16] for path in drive.recorded.files],
-            }
-        )
-    return {
-        "name": problem.plan.name,
-        "objective": list(problem.settings.objectives),
-        "sampler": problem.settings.sampler,
-        "seed": problem.settings.seed,
-        "from_scratch": tuning.from_scratch,
-        "space": {
-            "searched": describe(problem.space)["searched"],
-            "fixed": {
-                drive.experiment.name: describe(space)["fixed"]
-                for drive, space in zip(problem.drives, problem.spaces, strict=True)
-            },
-        },
-        "recordings": {r.pop("name"): r for r in recordings},
-    }
-
-
-def _entry(drive: Drive, path: Path) -> dict[str, Any]:
-    return file_entry(path, pictures=drive.experiment.recording.detector is not None)
 
 
 def provenance(problem: Problem) -> dict[str, Any]:
@@ -90,7 +46,7 @@ def provenance(problem: Problem) -> dict[str, Any]:
         "name": problem.plan.name,
         "description": problem.plan.description,
         "run": problem.plan.run,
-        "config_hash": config_hash(_plain_json(identity)),
+        "config_hash": config_hash(identity),
         "tuning": {
             **problem.plan.tuning.model_dump(mode="json"),
             "objective": list(problem.settings.objectives),
@@ -100,7 +56,7 @@ def provenance(problem: Problem) -> dict[str, Any]:
         "space": identity["space"],
         "experiments": [resolved(d.experiment, d.model.parameters) for d in problem.drives],
         "data": [
-            {**_entry(drive, path), "path": path.name}
+            {**data_entry(drive, path), "path": path.name}
             for drive in problem.drives
             for path in drive.recorded.files
         ],
@@ -112,9 +68,6 @@ def provenance(problem: Problem) -> dict[str, Any]:
 
 def write_trials(directory: Path, study: optuna.Study, objectives: Sequence[str]) -> None:
     """trials.csv and trials.parquet; raises InputError where they cannot be written."""
-    import pyarrow as pa
-    from pyarrow import csv, parquet
-
     trials = study.get_trials(deepcopy=False)
     columns: dict[str, list[Any]] = {
         "number": [t.number for t in trials],
@@ -126,17 +79,10 @@ def write_trials(directory: Path, study: optuna.Study, objectives: Sequence[str]
     for key in keys:
         columns[key] = [t.params.get(key) for t in trials]
     table = pa.table(columns)
-
-    try:
-        for name, write in (
-            ("trials.csv", csv.write_csv),
-            ("trials.parquet", parquet.write_table),
-        ):
-            temporary = directory / f".{name}.part"
-            write(table, temporary)
-            os.replace(temporary, directory / name)
-    except OSError as error:
-        raise InputError(f"{directory}: cannot be written: {error.strerror or error}") from error
+    # A file handle of its own: paths with odd characters are URIs to pyarrow.
+    with atomic(directory / "trials.csv") as path, path.open("wb") as file:
+        csv.write_csv(table, file)
+    write_parquet(directory / "trials.parquet", table)
 
 
 def write_best(directory: Path, problem: Problem, point: Mapping[str, Any]) -> list[Path]:
@@ -171,23 +117,10 @@ def tuned_experiment(
     return dict(content)
 
 
-def write_yaml(path: Path, content: Mapping[str, Any]) -> None:
-    """Write YAML as a whole or not at all. Raises InputError where it cannot be written."""
-    text = yaml.safe_dump(dict(content), sort_keys=False, allow_unicode=True)
-    try:
-        handle, temporary = tempfile.mkstemp(dir=path.parent, prefix=f".{path.name}.")
-        with os.fdopen(handle, "w", encoding="utf-8") as file:
-            file.write(text)
-        os.chmod(temporary, 0o644)
-        os.replace(temporary, path)
-    except OSError as error:
-        raise InputError(f"{path}: cannot be written: {error.strerror}") from error
-
-
 def nested_key(problem: Problem, by_recording: bool) -> dict[str, Any]:
     """What the results of the nested studies depend on."""
     return {
-        **_plain_json(identity_of(problem)),
+        **identity_of(problem),
         "trials": problem.settings.trials,
         "blocks": "recordings" if by_recording else problem.plan.tuning.blocks,
         "never_fit": [int((~drive.may_fit).sum()) for drive in problem.drives],
@@ -217,7 +150,3 @@ def write_nested(directory: Path, key: Mapping[str, Any], done: Mapping[int, Nes
         for _, n in sorted(done.items())
     ]
     write_json(directory / NESTED_FILE, {"key": key, "parts": parts})
-
-
-def _plain_json(content: Mapping[str, Any]) -> Any:
-    return json.loads(json.dumps(plain(content)))

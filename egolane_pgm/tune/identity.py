@@ -1,0 +1,79 @@
+"""What makes two studies the same one, so that none goes on with trials of another."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from pathlib import Path
+from types import ModuleType
+from typing import Any
+
+from egolane_pgm.experiment import Experiment, resolved
+from egolane_pgm.loading import file_entry
+from egolane_pgm.model import Drive
+from egolane_pgm.plugins import OWN_FILES
+from egolane_pgm.results import plain
+from egolane_pgm.tune.plan import Problem
+from egolane_pgm.tune.space import describe
+
+
+def identity_of(problem: Problem) -> dict[str, Any]:
+    """Describe a study as JSON: recordings by checksum, search space, code of graph and evidence
+    rule by checksum, objective, sampler and seed. The number of trials may grow."""
+    recordings = {}
+    for drive in problem.drives:
+        content = resolved(drive.experiment, {})
+        kept = ("n_lanes", "evidence", "graph", "filter", "evidence_reading", "unassigned_below")
+        recordings[drive.experiment.name] = {
+            **{key: content[key] for key in kept},
+            "recording": {k: v for k, v in content["recording"].items() if k != "path"},
+            "data": [data_entry(drive, path)["sha256"][:16] for path in drive.recorded.files],
+            "code": _code(drive),
+        }
+    identity = {
+        "name": problem.plan.name,
+        "objective": list(problem.settings.objectives),
+        "sampler": problem.settings.sampler,
+        "seed": problem.settings.seed,
+        "from_scratch": problem.plan.tuning.from_scratch,
+        "space": {
+            "searched": describe(problem.space)["searched"],
+            "fixed": {
+                drive.experiment.name: describe(space)["fixed"]
+                for drive, space in zip(problem.drives, problem.spaces, strict=True)
+            },
+        },
+        "recordings": recordings,
+    }
+    return dict(json.loads(json.dumps(plain(identity))))
+
+
+def data_entry(drive: Drive, path: Path) -> dict[str, Any]:
+    """Path, size and checksum of a file that a recording was read from."""
+    return file_entry(path, pictures=drive.experiment.recording.detector is not None)
+
+
+def _code(drive: Drive) -> dict[str, str]:
+    """The checksum of the graph and of the evidence rule, and of a reader or detector that is a
+    file of one's own."""
+    experiment = drive.experiment
+    files = {
+        "graph": _files(experiment, experiment.graph, drive.model.graph),
+        "evidence": _files(experiment, experiment.evidence, drive.model.rule),
+    }
+    for kind in ("format", "detector"):
+        name = getattr(experiment.recording, kind)
+        if name is not None and name.endswith(OWN_FILES):
+            files[kind] = [experiment.folder / name]
+    return {
+        kind: hashlib.sha256(b"".join(file.read_bytes() for file in mine)).hexdigest()[:16]
+        for kind, mine in files.items()
+    }
+
+
+def _files(experiment: Experiment, name: str, module: ModuleType) -> list[Path]:
+    """The file of a plugin, or all of a plugin that is a package."""
+    if name.endswith(OWN_FILES):
+        return [experiment.folder / name]
+    file = Path(str(module.__file__))
+    return sorted(file.parent.glob("*.py")) if file.name == "__init__.py" else [file]
