@@ -8,6 +8,9 @@ from pathlib import Path
 import pytest
 from hypothesis import settings
 
+from tests.kits.calibration_kit import write_boards, write_stills
+from tests.kits.labelled_pictures import write_labelled
+
 # A submission's tests must not depend on luck; elsewhere each run tries new examples.
 settings.register_profile("ci", derandomize=True, print_blob=True)
 settings.load_profile("ci" if os.environ.get("CI") else "default")
@@ -28,6 +31,24 @@ def recordings() -> Path:
     if not (folder / "rle").is_dir():
         pytest.skip(f"the paper's recordings: needs EGOLANE_DATA, {folder} has no folder rle")
     return folder
+
+
+@pytest.fixture
+def labels(tmp_path: Path) -> Path:
+    """Labels of three pictures, which are beside them, and the camera."""
+    return write_labelled(tmp_path)
+
+
+@pytest.fixture(scope="module")
+def boards(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A folder of pictures of a chessboard."""
+    return write_boards(tmp_path_factory.mktemp("boards"))
+
+
+@pytest.fixture(scope="module")
+def stills(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A folder of pictures of a straight road."""
+    return write_stills(tmp_path_factory.mktemp("stills"))
 
 
 def pytest_terminal_summary(terminalreporter: pytest.TerminalReporter) -> None:

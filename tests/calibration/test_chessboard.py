@@ -24,9 +24,6 @@ from egolane_pgm.camera.model import (
 from egolane_pgm.types import InputError
 from tests.kits.calibration_kit import TRUE, cameras, draw_board, lines_of, unturned
 
-pytest_plugins = ["tests.kits.calibration_fixtures"]
-
-
 # --- the lens ---
 
 

@@ -9,13 +9,18 @@ import cv2
 import numpy as np
 import pytest
 
-from egolane_pgm.camera.model import road_to_image
+from egolane_pgm.calibration.drawing import draw_view
+from egolane_pgm.calibration.road_lines import find_in_stills
+from egolane_pgm.calibration.straight_road import view_from
+from egolane_pgm.camera.model import (
+    image_to_road,
+    road_to_image,
+)
 from egolane_pgm.detectors import FrameLines
 from egolane_pgm.report import video
 from egolane_pgm.report.video import bar_boxes, draw_frame, layout
+from tests.kits.calibration_kit import TRUE, unturned
 from tests.kits.drawn_frames import CAMERA, OFFSETS, around, drawn, filled, is_colour, road, scene
-
-# --- one frame -----------------------------------------------------------------------------------
 
 
 def test_a_frame_has_the_picture_the_birds_eye_view_and_a_panel() -> None:
@@ -98,9 +103,6 @@ def test_lines_that_are_behind_or_far_beside_the_camera_do_no_harm() -> None:
     draw_frame(layout(up), road(up), scene([1, 0], 1))
 
 
-# --- bars ----------------------------------------------------------------------------------------
-
-
 def test_bars_show_the_belief_over_the_lanes_from_left_to_right() -> None:
     belief = [0.1, 0.6, 0.25, 0.05]
     image = drawn(scene(belief, 2))
@@ -140,3 +142,18 @@ def test_eight_lanes_fit() -> None:
     assert len(boxes) == 9
     assert boxes[-1][2] <= 640
     drawn(scene([1 / 8] * 8, 0, truth=8))
+
+
+def test_the_drawing_lays_its_lanes_over_the_lines(stills):
+    path = sorted(stills.iterdir())[1]
+    found = find_in_stills(unturned(TRUE), [path])
+    view = view_from(unturned(TRUE), found.ahead, found.each, found.fits, 3.7, "stills")
+    before = cv2.imread(str(path))
+    drawn = draw_view(before, view, [])
+    assert (before == cv2.imread(str(path))).all()
+    orange = (drawn == (0, 159, 230)).all(axis=-1)
+    near = np.argwhere(orange)[:, ::-1]
+    y = image_to_road(TRUE, *near.T.astype(float))[1]
+    # Without lines the lanes start half a lane to the left.
+    off = np.abs((y[np.isfinite(y)] + 1.85 + 1.85) % 3.7 - 1.85)
+    assert np.median(off) < 0.15

@@ -10,12 +10,20 @@ import numpy as np
 import pytest
 
 from egolane_pgm.calibration import road_lines as found
-from egolane_pgm.calibration.straight_road import to_level
+from egolane_pgm.calibration import road_lines as found_lines
+from egolane_pgm.calibration.road_lines import find_in_stills
+from egolane_pgm.calibration.straight_road import FrameFit, to_level, view_from
+from egolane_pgm.camera.model import (
+    distorted,
+    vanishing_point,
+)
 from egolane_pgm.camera.picture import Image
 from egolane_pgm.types import FloatArray, InputError
 from tests.kits.calibration_kit import TRUE, draw_road, unturned
 
 PLAIN = replace(unturned(TRUE), distortion=(0.0,) * 5)
+
+
 WHOLE = found.seen_mask(PLAIN)
 
 
@@ -25,9 +33,6 @@ def test_rectangles_to_ignore_may_reach_beyond_the_picture() -> None:
     expected = np.ones((720, 1280), dtype=bool)
     expected[:30, :200] = expected[700:, 1200:] = False
     np.testing.assert_array_equal(mask, expected)
-
-
-# --- edges ---------------------------------------------------------------------------------------
 
 
 def with_lines(*ends: tuple[tuple[int, int], tuple[int, int]]) -> Image:
@@ -112,15 +117,14 @@ def test_edges_in_any_direction_meet_nowhere() -> None:
         found.meeting_of_stills([edges_to((0.0, 0.0), 1, n=1, stray=0)])
 
 
-# --- paint ---------------------------------------------------------------------------------------
-
-
 def test_white_and_yellow_paint_are_bright() -> None:
     colours = np.array([[[255, 255, 255], [60, 175, 250], [200, 90, 90]]], dtype=np.uint8)
     assert found.grey_of(colours).tolist() == [[255, 212.5, 90]]
 
 
 SIDE = np.arange(-5, 5.0125, 0.025)
+
+
 BELOW = np.geomspace(0.04, 0.4, 120)
 
 
@@ -231,3 +235,87 @@ def test_the_lines_of_a_still_are_where_they_were_painted() -> None:
         assert other - one > 3
     for offset in (-1.8, 1.9):
         assert np.abs(np.array(seen) - offset).min() < 0.05
+
+
+def test_a_camera_is_recovered_from_lines_found_in_stills(stills):
+    found = find_in_stills(unturned(TRUE), sorted(stills.iterdir()))
+    view = view_from(unturned(TRUE), found.ahead, found.each, found.fits, 3.7, "stills")
+    assert view.vanishing_point == pytest.approx(vanishing_point(TRUE), abs=4)
+    assert view.camera.height_m == pytest.approx(TRUE.height_m, rel=0.02)
+    assert min(len(lines) for lines in found.lines) >= 3
+
+
+def test_what_is_ignored_is_not_looked_at(stills):
+    masked = replace(unturned(TRUE), ignore=((0, 0, 640, 720),))
+    found = find_in_stills(masked, sorted(stills.iterdir()))
+    assert all(points[:, 0].min() > 640 for lines in found.lines for points in lines)
+
+
+def test_a_still_without_lines_says_nothing(stills, tmp_path):
+    blank = tmp_path / "blank.png"
+    cv2.imwrite(str(blank), np.full((720, 1280, 3), 90, np.uint8))
+    found = find_in_stills(unturned(TRUE), [sorted(stills.iterdir())[0], blank])
+    assert len(found.paths) == len(found.lines) == 2
+    assert len(found.lines[0]) >= 3
+    assert found.lines[1] == []
+    assert found.each.shape == (1, 2)
+    assert np.isfinite(found.each).all()
+    assert len(found.fits) == 1
+
+
+def test_lines_that_meet_far_from_where_the_edges_do_are_not_used(stills, monkeypatch):
+    ahead = to_level(TRUE, *np.reshape(distorted(TRUE, *vanishing_point(TRUE)), (2, 1)))[0]
+    for away, n_fits in (([0.09, 0.0], 1), ([0.11, 0.0], 0), ([0.0, 0.024], 1), ([0.0, -0.036], 0)):
+
+        def fit(lines, about_b0, away=away):
+            # The horizon is looked for about that of all edges.
+            assert about_b0 == pytest.approx(ahead[1], abs=0.005)
+            return FrameFit(ahead + away, np.array([-1.0, 1.0]), 0.0)
+
+        monkeypatch.setattr(found_lines, "find_lines", lambda *_: [])
+        monkeypatch.setattr(found_lines, "fit_frame", fit)
+        found = find_in_stills(unturned(TRUE), sorted(stills.iterdir())[:1])
+        assert len(found.fits) == n_fits, away
+
+
+def test_a_still_whose_edges_do_not_meet_is_looked_at_where_those_of_all_do(stills, monkeypatch):
+    ahead = to_level(TRUE, *np.reshape(distorted(TRUE, *vanishing_point(TRUE)), (2, 1)))[0]
+    meeting = (ahead, np.full((1, 2), np.nan))
+    monkeypatch.setattr(found_lines, "meeting_of_stills", lambda *_: meeting)
+    found = find_in_stills(unturned(TRUE), sorted(stills.iterdir())[:1])
+    assert len(found.lines[0]) >= 3
+    assert found.each.shape == (0, 2)
+
+
+def test_stills_of_another_size_and_no_pictures_are_left_out_with_a_line_each(stills, tmp_path):
+    small = tmp_path / "small.png"
+    cv2.imwrite(str(small), np.zeros((100, 100, 3), np.uint8))
+    low = tmp_path / "low.png"
+    cv2.imwrite(str(low), np.zeros((600, 1280, 3), np.uint8))
+    text = tmp_path / "text.png"
+    text.write_text("no picture")
+    found = find_in_stills(unturned(TRUE), [small, low, text, *sorted(stills.iterdir())])
+    assert len(found.paths) == 3
+    assert found.skipped == (
+        f"{small}: 100x100, needs 1280x720",
+        f"{low}: 1280x600, needs 1280x720",
+        f"{text}: is no picture that can be read",
+    )
+    with pytest.raises(InputError, match=r"none of them can be used.*100x100"):
+        find_in_stills(unturned(TRUE), [small])
+
+
+def test_edges_in_all_directions_and_blank_stills_are_refused(tmp_path):
+    rng = np.random.default_rng(0)
+    paths = []
+    for k in range(2):
+        image = np.zeros((720, 1280, 3), np.uint8)
+        for ends in rng.integers(0, (1280, 720), (150, 2, 2)).tolist():
+            cv2.line(image, ends[0], ends[1], (200, 200, 200), 3)
+        paths.append(tmp_path / f"{k}.png")
+        cv2.imwrite(str(paths[-1]), image)
+    with pytest.raises(InputError, match="edges do not meet in one point"):
+        find_in_stills(unturned(TRUE), paths)
+    cv2.imwrite(str(tmp_path / "blank.png"), np.full((720, 1280, 3), 255, np.uint8))
+    with pytest.raises(InputError, match="no straight edges"):
+        find_in_stills(unturned(TRUE), [tmp_path / "blank.png"])

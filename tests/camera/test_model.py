@@ -1,6 +1,9 @@
 """The camera over a flat road."""
 
+from __future__ import annotations
+
 from dataclasses import replace
+from pathlib import Path
 
 import cv2
 import numpy as np
@@ -23,9 +26,13 @@ from egolane_pgm.camera.model import (
     write_camera,
 )
 from egolane_pgm.types import InputError
+from tests.kits.drives import refused, write_drive
 
 LEVEL = Camera(1280, 720, 1000.0, 1000.0, 640.0, 360.0, height_m=1.5)
+
+
 LENS = (-0.2485, -0.0195, -0.0006, 0.0002, 0.0086)
+
 
 cameras = st.builds(
     Camera,
@@ -208,3 +215,12 @@ def test_a_camera_file_that_is_no_text_is_refused(tmp_path):
 def test_a_camera_file_that_is_not_there_is_named(tmp_path):
     with pytest.raises(InputError, match=r"none\.yaml: cannot be read: No such file"):
         read_camera(tmp_path / "none.yaml")
+
+
+def test_a_camera_that_nothing_would_look_through_is_refused(tmp_path: Path) -> None:
+    experiment = write_drive(tmp_path, 30)
+    table = tmp_path / "lines.csv"
+    said = refused("lines", table, "--frame", 0, "--camera", "cam.yaml")
+    assert said == f"--camera: the lines of {table} are in metres, they need no camera"
+    said = refused("lines", experiment, "--frame", 0, "--camera", "cam.yaml")
+    assert said == "--camera: an experiment names its own; --set recording.camera=FILE"

@@ -1,255 +1,129 @@
-"""A drive drawn: as a video or as pictures, by the functions and by the command."""
+"""Videos that lack pictures in between: good ones keep their positions and are not complained of,
+damaged ones are said to have wrong frame ids."""
 
 from __future__ import annotations
 
-import textwrap
-from collections.abc import Iterator
-from dataclasses import replace
+import warnings
+from itertools import pairwise
 from pathlib import Path
 
 import cv2
 import numpy as np
 import pytest
 
-from egolane_pgm.camera.model import road_to_image, write_camera
-from egolane_pgm.camera.picture import Picture
-from egolane_pgm.cli import video as _cli_video
-from egolane_pgm.detectors import FrameLines
-from egolane_pgm.experiment import load_experiment
-from egolane_pgm.recordings.ground_truth import write_ground_truth
-from egolane_pgm.recordings.table import write_table
-from egolane_pgm.report import video
-from egolane_pgm.report.video import bar_boxes, frame_writer, layout
-from egolane_pgm.types import InputError, LaneTruth, LineLog
-from tests.kits.drawn_frames import (
-    CAMERA,
-    LINES,
-    OFFSETS,
-    around,
-    drawn,
-    filled,
-    is_colour,
-    road,
-    scene,
+from egolane_pgm.camera.pictures import open_source, read_pictures
+from tests.kits.synthetic_road import CAMERA, images, write_video
+
+N_FRAMES = 40
+
+
+@pytest.fixture(scope="module")
+def pictures() -> list[np.ndarray]:
+    return images(N_FRAMES)  # type: ignore[return-value]
+
+
+def read(path: Path, frames: tuple[int, int] | None = None) -> tuple[list[int], list[str]]:
+    """The frame ids of a video, and what is said about it."""
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("always")
+        ids = [p.frame_id for p in read_pictures(open_source(path), CAMERA, frames=frames)]
+    return ids, [str(w.message) for w in caught]
+
+
+def damaged(path: Path, target: Path) -> Path:
+    """The video with a twentieth of its bytes set to zero, from its middle on."""
+    content = bytearray(path.read_bytes())
+    middle, some = len(content) // 2, len(content) // 20
+    content[middle : middle + some] = bytes(some)
+    target.write_bytes(content)
+    return target
+
+
+@pytest.mark.parametrize(
+    ("ending", "four"), [("avi", "MJPG"), ("avi", "XVID"), ("mkv", "mp4v"), ("mp4", "mp4v")]
 )
-from tests.kits.drives import command, done, refused, write_experiment
-
-#: A detector that says the same of every picture.
-DETECTOR = """
-    import numpy as np
-    from egolane_pgm.detectors import FrameLines
-    STEREO = False
-    def start(camera, parameters):
-        def step(picture):
-            {}
-            shape = np.zeros((3, 4))
-            shape[:, 0] = -1.9, 1.6, 5.2
-            yes = np.ones(3, dtype=bool)
-            return FrameLines(shape, yes, np.array([True, False, False]), np.full(3, 10.0))
-        return step
-"""
+def test_a_good_video_has_every_position_and_nothing_is_said(
+    tmp_path: Path, pictures: list[np.ndarray], ending: str, four: str
+) -> None:
+    video = write_video(tmp_path / f"a.{ending}", pictures, four=four)
+    assert read(video) == (list(range(N_FRAMES)), [])
+    assert read(video, (7, 12)) == ([7, 8, 9, 10, 11], [])
+    assert read(video, (35, N_FRAMES)) == (list(range(35, N_FRAMES)), [])
 
 
-# --- files ---------------------------------------------------------------------------------------
+@pytest.mark.parametrize(
+    ("ending", "four", "where"),
+    [("avi", "XVID", "frames: dropped"), ("mkv", "mp4v", "frames (some before frame ")],
+)
+def test_a_video_damaged_in_its_middle_is_said_to_have_wrong_frame_ids(
+    tmp_path: Path, pictures: list[np.ndarray], ending: str, four: str, where: str
+) -> None:
+    good = write_video(tmp_path / f"good.{ending}", pictures, four=four)
+    bad = damaged(good, tmp_path / f"bad.{ending}")
+    ids, (said,) = read(bad)
+    assert N_FRAMES // 2 < len(ids) < N_FRAMES
+    assert ids == list(range(len(ids)))
+    assert said.startswith(f"{bad}: lacks {N_FRAMES - len(ids)} of its {N_FRAMES} {where}")
+    assert said.endswith("or damaged; the frame ids after such a place are too low")
+    # Before the damage nothing is wrong.
+    assert read(bad, (0, 10)) == (list(range(10)), [])
 
 
-def frames_of(path: Path) -> list[np.ndarray]:
-    read = cv2.VideoCapture(str(path))
-    images = []
-    while True:
-        is_there, image = read.read()
-        if not is_there:
-            return images
-        images.append(image)
+def test_pictures_after_a_damaged_place_keep_their_positions_where_the_container_tells(
+    tmp_path: Path, pictures: list[np.ndarray]
+) -> None:
+    good = write_video(tmp_path / "good.mp4", pictures, four="mp4v")
+    bad = damaged(good, tmp_path / "bad.mp4")
+    ids, (said,) = read(bad)
+    n_lost = N_FRAMES - len(ids)
+    (first,) = {k + 1 for k, later in pairwise(ids) if later != k + 1}
+    assert 0 < n_lost < 10
+    assert ids == [*range(first), *range(first + n_lost, N_FRAMES)]
+    assert said.startswith(f"{bad}: frame {first} and {n_lost - 1} later ones cannot be decoded")
+    # The last pictures do not hang on the damaged ones any more.
+    images = {p.frame_id: p.image for p in read_pictures(open_source(good), CAMERA)}
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        found = list(read_pictures(open_source(bad), CAMERA))
+        some = list(read_pictures(open_source(bad), CAMERA, frames=(N_FRAMES - 3, N_FRAMES)))
+    for picture in (*found[:10], *found[-3:], *some):
+        np.testing.assert_array_equal(picture.image, images[picture.frame_id])
+    assert [p.frame_id for p in some] == [37, 38, 39]
 
 
-def test_a_video_has_as_many_frames_of_the_same_size(tmp_path: Path) -> None:
-    places = layout(CAMERA)
-    image = drawn(scene([0, 1], 2))
-    with frame_writer(tmp_path / "a.mp4", 12.5, places.size) as write:
-        for k in range(7):
-            write(k, image)
-    found = frames_of(tmp_path / "a.mp4")
-    assert len(found) == 7
-    assert found[0].shape == image.shape
-    assert np.abs(found[3].astype(int) - image).mean() < 6
-    assert cv2.VideoCapture(str(tmp_path / "a.mp4")).get(cv2.CAP_PROP_FPS) == 12.5
-    assert [p.name for p in tmp_path.iterdir()] == ["a.mp4"]
+def test_a_damaged_video_of_variable_rate_breaks_off(
+    tmp_path: Path, pictures: list[np.ndarray]
+) -> None:
+    video = write_video(tmp_path / "a.mp4", pictures, four="mp4v")
+    video.write_bytes(with_times(video.read_bytes(), [0.25, 0.25, 0.25, 3.25] * (N_FRAMES // 4)))
+    ids, (said,) = read(damaged(video, tmp_path / "bad.mp4"))
+    assert ids == list(range(len(ids)))
+    assert f"breaks off in frame {len(ids)}, it should have {N_FRAMES}" in said
 
 
-def test_what_was_written_is_kept_whatever_ends_the_drive(tmp_path: Path) -> None:
-    image = drawn(scene([0, 1], 2))
-    size = layout(CAMERA).size
-
-    def interrupted() -> None:
-        with frame_writer(tmp_path / "a.mp4", 10, size) as write:
-            write(0, image)
-            write(1, image)
-            raise KeyboardInterrupt
-
-    with pytest.raises(KeyboardInterrupt):
-        interrupted()
-    assert len(frames_of(tmp_path / "a.mp4")) == 2
-    with pytest.raises(InputError), frame_writer(tmp_path / "a.mp4", 10, size):
-        raise InputError("no picture")
-    assert len(frames_of(tmp_path / "a.mp4")) == 2, "an earlier video is not overwritten by nothing"
-    assert [p.name for p in tmp_path.iterdir()] == ["a.mp4"]
+def with_times(video: bytes, steps: list[float]) -> bytes:
+    """An MP4 whose pictures are due at other times: steps, in units of the old one, between them.
+    The index is behind the pictures, so that it may grow."""
+    at = video.index(b"stts") - 4
+    size = int.from_bytes(video[at : at + 4], "big")
+    unit = int.from_bytes(video[at + 20 : at + 24], "big")
+    rows = b"".join((1).to_bytes(4, "big") + round(unit * s).to_bytes(4, "big") for s in steps)
+    box = b"stts" + bytes(4) + len(steps).to_bytes(4, "big") + rows
+    box = (4 + len(box)).to_bytes(4, "big") + box
+    changed = bytearray(video[:at] + box + video[at + size :])
+    for name in (b"moov", b"trak", b"mdia", b"minf", b"stbl"):
+        start = video.index(name) - 4
+        longer = int.from_bytes(video[start : start + 4], "big") + len(box) - size
+        changed[start : start + 4] = longer.to_bytes(4, "big")
+    return bytes(changed)
 
 
-def test_places_that_cannot_be_written_are_refused(tmp_path: Path) -> None:
-    size = layout(CAMERA).size
-    (tmp_path / "file").write_text("")
-    for target, said in (
-        (tmp_path / "none" / "a.mp4", "a.mp4: cannot be written: no such folder"),
-        (tmp_path / "a.avi", "a.avi: a video ends in .mp4; for PNG pictures name a folder"),
-        (tmp_path / "file" / "b", "cannot be written"),
-    ):
-        with pytest.raises(InputError) as caught, frame_writer(target, 10, size):
-            pass
-        assert said in str(caught.value)
-
-
-# --- the command ---------------------------------------------------------------------------------
-
-
-@pytest.fixture
-def drive(tmp_path: Path) -> Path:
-    """A folder with six pictures (`pictures/img_0010.png` ...), cam.yaml and fake.py."""
-    (tmp_path / "pictures").mkdir()
-    for k in range(10, 16):
-        cv2.imwrite(str(tmp_path / "pictures" / f"img_{k:04d}.png"), road())
-    write_camera(tmp_path / "cam.yaml", CAMERA)
-    write_detector(tmp_path)
-    return tmp_path
-
-
-def write_detector(folder: Path, first: str = "pass") -> None:
-    (folder / "fake.py").write_text(textwrap.dedent(DETECTOR.format(first)))
-
-
-def words(drive: Path, *more: object, n_lanes: int = 3, out: str = "out") -> list[object]:
-    given = ["--detector", drive / "fake.py", "--n-lanes", n_lanes, "-o", drive / out]
-    return ["video", drive / "pictures", "--camera", drive / "cam.yaml", *given, *more]
-
-
-def test_the_command_draws_pictures_named_by_their_frames(drive: Path) -> None:
-    said = done(*words(drive, "--frames", 11, 14)).stdout
-    assert said == f"{drive / 'out'}: 3 frames\n"
-    files = sorted(p.name for p in (drive / "out").iterdir())
-    assert files == ["frame_000011.png", "frame_000012.png", "frame_000013.png"]
-    image = cv2.imread(str(drive / "out" / files[0]))
-    places = layout(CAMERA)
-    assert image.shape == (places.size[1], places.size[0], 3)
-    u, v = road_to_image(CAMERA, 7.0, OFFSETS[0])
-    assert any(is_colour(p, video.CONTINUOUS, 40) for p in around(image, float(u), float(v)))
-
-
-def test_the_command_draws_a_video_of_a_video_with_the_truth(drive: Path) -> None:
-    size = (CAMERA.width, CAMERA.height)
-    with frame_writer(drive / "in.mp4", 20, size) as write:
-        for k in range(5):
-            write(k, road())
-    truth = LaneTruth(np.arange(5), np.full(5, 2), np.zeros(5, dtype=bool))
-    write_ground_truth(drive / "truth.txt", truth)
-    line = words(drive, "--truth", drive / "truth.txt", out="out.mp4")
-    line[1] = drive / "in.mp4"
-    done(*line)
-    found = frames_of(drive / "out.mp4")
-    assert len(found) == 5
-    assert cv2.VideoCapture(str(drive / "out.mp4")).get(cv2.CAP_PROP_FPS) == 20
-    left, upper, _, lower = bar_boxes(layout(CAMERA), 3)[1]
-    assert is_colour(found[-1][(upper + lower) // 2, left - 3], video.TRUTH, 70)
-
-
-def test_the_continuous_line_on_the_left_gives_the_leftmost_lane(drive: Path) -> None:
-    for k in range(16, 60):
-        cv2.imwrite(str(drive / "pictures" / f"img_{k:04d}.png"), road())
-    done(*words(drive))
-    image = cv2.imread(str(drive / "out" / "frame_000059.png"))
-    assert filled(image, bar_boxes(layout(CAMERA), 3)[0], video.ASSIGNED) > 0.4
-
-
-def test_a_filter_that_waits_draws_every_frame_too(drive: Path) -> None:
-    made = {"evidence": "line_geometry", "graph": "position_in_lane"}
-    experiment = write_experiment(drive / "e.yaml", filter="fixed_lag", lag=4, **made)
-    done(*words(drive, "--experiment", experiment))
-    assert len(list((drive / "out").iterdir())) == 6
-    experiment = write_experiment(drive / "e.yaml", filter="smoothed", **made)
-    said = refused(*words(drive, "--experiment", experiment, out="out2"))
-    assert "filter: smoothed needs the whole drive" in said
-
-
-def test_a_recording_is_drawn_beside_its_pictures(drive: Path) -> None:
-    offset = np.tile([np.nan, 0.0, OFFSETS[1], OFFSETS[0]], (4, 1))
-    there = np.isfinite(offset)
-    log = LineLog(
-        np.arange(12, 16), np.arange(12, 16) / 10, offset, there, there & (offset < 0), 10.0 * there
-    )
-    write_table(drive / "lines.csv", log)
-    given = ["--n-lanes", 3, "-o", drive / "out", "--lines", drive / "lines.csv"]
-    line = ["video", drive / "pictures", "--camera", drive / "cam.yaml", *given]
-    done(*line)
-    assert len(list((drive / "out").iterdir())) == 6
-    u, v = road_to_image(CAMERA, 7.0, OFFSETS[0])
-    for frame, has_lines in ((10, False), (12, True)):
-        image = cv2.imread(str(drive / "out" / f"frame_{frame:06d}.png"))
-        near = around(image, float(u), float(v))
-        assert any(is_colour(p, video.CONTINUOUS, 40) for p in near) == has_lines
-    assert "--detector: does not go with --lines" in refused(*line, "--detector", "ml")
-    write_table(drive / "lines.csv", replace(log, frame_id=np.arange(100, 104)))
-    said = refused(*line)
-    assert said.endswith("its frames are 100 to 103, the pictures 10 to 15")
-
-
-def test_one_picture_at_a_time_is_in_memory(drive: Path) -> None:
-    made = {"evidence": "line_geometry", "graph": "position_in_lane", "filter": "exact"}
-    experiment = load_experiment(write_experiment(drive / "e.yaml", **made))
-    n_read = 0
-
-    def pairs() -> Iterator[tuple[Picture, FrameLines]]:
-        nonlocal n_read
-        for k in range(20):
-            n_read += 1
-            yield Picture(k, road()), LINES
-
-    for k, (picture, one) in enumerate(_cli_video._scenes(pairs(), experiment, None, "x")):
-        assert (picture.frame_id, one.frame_id, n_read) == (k, k, k + 1)
-    assert n_read == 20
-
-
-# --- refused, and interrupted --------------------------------------------------------------------
-
-
-def test_frames_before_an_interruption_are_kept(drive: Path) -> None:
-    write_detector(drive, "if picture.frame_id == 13: raise KeyboardInterrupt")
-    result = command(*words(drive, out="out.mp4"))
-    assert result.exit_code == 130
-    assert result.stderr == (
-        f"egolane: interrupted; 3 frames are in {drive / 'out.mp4'}; the same command begins anew\n"
-    )
-    assert len(frames_of(drive / "out.mp4")) == 3
-
-
-def test_a_picture_of_another_size_ends_the_video_after_those_before_it(drive: Path) -> None:
-    cv2.imwrite(str(drive / "pictures" / "img_0012.png"), road()[:-8])
-    said = refused(*words(drive))
-    assert "frame 12: the picture has 640x392 pixels, the camera was calibrated" in said
-    assert said.endswith(f"; the 2 frames before are in {drive / 'out'}")
-    assert len(list((drive / "out").iterdir())) == 2
-
-
-def test_what_is_missing_or_wrong_is_said_in_one_line(drive: Path) -> None:
-    write_detector(drive, "raise ValueError('broken')")
-    assert "ValueError: broken" in refused(*words(drive, out="a.mp4"))
-    assert not (drive / "a.mp4").exists()
-    write_detector(drive)
-    assert "--frames 5 2: is an empty range" in refused(*words(drive, "--frames", 5, 2))
-    assert "no frame from 90 to before 95" in refused(*words(drive, "--frames", 90, 95))
-    (drive / "truth.txt").write_text("10;5;0\n")
-    said = refused(*words(drive, "--truth", drive / "truth.txt"))
-    assert "frame 10: lane 5 is outside 1..3" in said
-    line = ["video", drive / "pictures", "--camera", drive / "cam.yaml", "-o", drive / "o"]
-    assert refused(*line) == "--n-lanes: say how many lanes the road has"
-    said = refused(*line, "--n-lanes", 3, "--detector", "mml")
-    assert "--detector: unknown name 'mml' (did you mean 'ml'?)" in said
-    assert not (drive / "o" / "frame_000010.png").exists()
+def test_a_video_of_variable_rate_is_good(tmp_path: Path, pictures: list[np.ndarray]) -> None:
+    video = write_video(tmp_path / "a.mp4", pictures, four="mp4v")
+    video.write_bytes(with_times(video.read_bytes(), [0.25, 0.25, 0.25, 3.25] * (N_FRAMES // 4)))
+    times = cv2.VideoCapture(str(video))
+    due = []
+    while times.grab():
+        due.append(times.get(cv2.CAP_PROP_POS_MSEC))
+    assert max(np.diff(due)) > 10 * min(np.diff(due)), "its rate is variable"
+    assert read(video) == (list(range(N_FRAMES)), [])

@@ -4,6 +4,7 @@ a video."""
 from __future__ import annotations
 
 import json
+import shutil
 from pathlib import Path
 
 import cv2
@@ -18,6 +19,7 @@ from egolane_pgm.recordings import read_lines
 from egolane_pgm.run import run_experiment, save_run
 from egolane_pgm.types import InputError
 from tests.kits.drives import done, refused
+from tests.kits.full_disk import BLIND, drawing
 from tests.kits.synthetic_road import CAMERA, images, write_pictures, write_place
 
 N_FRAMES = 16
@@ -31,9 +33,6 @@ def place(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 def detected(source: object, camera: Path, target: Path, *words: object) -> str:
     return done("detect", source, "--camera", camera, "-o", target, *words).stdout
-
-
-# --- egolane detect ------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize("extension", ["parquet", "csv"])
@@ -108,9 +107,6 @@ def test_wrong_words_are_refused_in_one_line(
     given += ["-o", tmp_path / "l.csv", *words]
     assert message in refused(*given)
     assert not (tmp_path / "l.csv").exists()
-
-
-# --- egolane run on a video ----------------------------------------------------------------------
 
 
 def test_run_takes_a_video_and_keeps_what_it_needs_to_run_again(
@@ -214,3 +210,17 @@ def test_what_does_not_fit_is_said_with_its_key_by_validate_and_run(
             check(experiment)
         assert message in str(caught.value)
         assert "\n" not in str(caught.value)
+
+
+def test_lines_of_a_folder_that_went_away_are_put_elsewhere(place: Path, tmp_path: Path) -> None:
+    (tmp_path / "gone").mkdir()
+    own = tmp_path / "own.py"
+    own.write_text(BLIND.format(f"shutil.rmtree({str(tmp_path / 'gone')!r})"))
+    target = tmp_path / "gone" / "lines.csv"
+    said = refused(*drawing(place, "detect", target, "--detector", own))
+    assert said.startswith(f"{target}: cannot be written: No such file or directory; the lines are")
+    other = Path(said.split(" are in ")[1].removesuffix(" instead"))
+    try:
+        assert len(read_lines(other)) == N_FRAMES
+    finally:
+        shutil.rmtree(other.parent)

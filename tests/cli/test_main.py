@@ -343,3 +343,16 @@ def test_the_download_is_offered_where_somebody_can_answer(
 class Terminal:
     def isatty(self) -> bool:
         return True
+
+
+def test_a_road_of_more_lanes_than_there_are_is_refused_at_once(labels: Path) -> None:
+    said = refused(
+        "video", labels.parent / "pics", "--camera", labels.with_name("cam.yaml"),
+        "--n-lanes", 300, "-o", labels.with_name("out"),
+    )  # fmt: skip
+    assert said.endswith("n_lanes: input should be less than or equal to 50 (got 300)")
+    words = (write_drive(labels.parent / "x", 30), "--set", "n_lanes=1000000000")
+    for name in ("run", "validate", "learn", "compare", "tune"):
+        assert "n_lanes: input should be less than or equal to 50" in refused(name, *words)
+    said = refused("network", "lane_only", labels.with_name("n.png"), "--n-lanes", 51)
+    assert said == "--n-lanes: 51 is more than 50"

@@ -109,3 +109,19 @@ def write_labels(path: Path, camera: Camera, n_frames=4, offsets=(-5.4, -1.8, 1.
                 lanes.append([float(value) for value in at])
             frame = {"lanes": lanes, "h_samples": rows, "raw_file": f"{k}.jpg"}
             file.write(json.dumps(frame) + "\n")
+
+
+def write_boards(folder: Path) -> Path:
+    rng = np.random.default_rng(3)
+    for k in range(10):
+        turn = rng.uniform(-0.5, 0.5, 3)
+        place = np.array([rng.uniform(-0.09, 0.09), rng.uniform(-0.04, 0.04), 0.42])
+        cv2.imwrite(str(folder / f"{k}.png"), draw_board(TRUE, turn, place))
+    return folder
+
+
+def write_stills(folder: Path) -> Path:
+    for k, shift in enumerate((0.0, 0.3, -0.4)):
+        offsets = np.array([-5.55, -1.85, 1.85, 5.55]) + shift
+        cv2.imwrite(str(folder / f"{k}.png"), draw_road(TRUE, offsets, 0.004 * (k - 1), k))
+    return folder

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
@@ -33,8 +34,6 @@ from tests.kits.image_line_files import (
     saved_camera,
     tusimple,
 )
-
-# --- three formats, one road ---------------------------------------------------------------------
 
 
 def test_tusimple_lines_get_their_offsets_at_the_car_from_left_to_right(tmp_path: Path) -> None:
@@ -115,9 +114,6 @@ def test_points_above_the_horizon_are_left_out(tmp_path: Path) -> None:
     )
 
 
-# --- persistence ---------------------------------------------------------------------------------
-
-
 def rows(*offsets: Sequence[float]) -> list[np.ndarray]:
     return [np.array(row, dtype=float) for row in offsets]
 
@@ -187,9 +183,6 @@ def test_lines_of_a_trusted_source_are_valid_at_once(tmp_path: Path) -> None:
     assert (log.lri == 10).all()
 
 
-# --- frame numbers -------------------------------------------------------------------------------
-
-
 def test_time_stamps_become_frames_of_the_frame_rate() -> None:
     assert frame_numbers(["1492626270684175793", "1492626271684175793"], 20, "x") == [0, 20]
     assert frame_numbers(["1522688014970", "1522688015070"], 10, "x") == [0, 1]
@@ -198,9 +191,6 @@ def test_time_stamps_become_frames_of_the_frame_rate() -> None:
         frame_numbers(["left"], 10, "x")
     with pytest.raises(InputError, match=r"digits, neither counts nor one kind of time stamp"):
         frame_numbers(["1492626270684175793", "12"], 10, "x")
-
-
-# --- on the command line -------------------------------------------------------------------------
 
 
 def test_labels_are_converted_and_run_like_any_recording(tmp_path: Path) -> None:
@@ -268,3 +258,31 @@ def test_lines_in_pixels_without_a_camera_are_refused(tmp_path: Path) -> None:
     assert said == f"{experiment}: recording.camera: is missing; the lines of a.jsonl are in pixels"
     said = refused("convert", labels, tmp_path / "b.jsonl", "--camera", saved_camera(tmp_path))
     assert said == f"{tmp_path / 'b.jsonl'}: a recording is written as .csv, .parquet or .bag"
+
+
+@pytest.mark.parametrize(
+    ("setting", "said"),
+    [
+        ("frame_rate=abc", "frame_rate: 'abc' is not a number"),
+        ("frame_rate=true", "frame_rate: True is not a number"),
+        ("frame_rate=.nan", "frame_rate nan must be greater than 0"),
+        ("frame_rate=.inf", "frame_rate inf must be greater than 0"),
+        ("camera=5", "camera: 5 is not the name of a camera's YAML file"),
+        ("camera={fx: 3}", "camera: {'fx': 3} is not the name of a camera's YAML file"),
+        ("format=culane", "format tusimple has no option 'format'"),
+        ("path=x", "format tusimple has no option 'path'"),
+    ],
+)
+def test_an_option_of_another_kind_is_refused(labels: Path, setting: str, said: str) -> None:
+    assert said in refused("convert", labels, labels.with_name("a.csv"), "--set", setting)
+    assert not labels.with_name("a.csv").exists()
+
+
+def test_a_line_far_beside_the_picture_is_refused(labels: Path) -> None:
+    first = json.loads(labels.read_text().splitlines()[0])
+    first["lanes"][1] = [1e18] * len(first["h_samples"])
+    labels.write_text(json.dumps(first) + "\n")
+    said = refused(
+        "convert", labels, labels.with_name("a.csv"), "--camera", labels.with_name("cam.yaml")
+    )
+    assert said.startswith(f"{labels}: line 1: a line reaches column 1e+18, the camera's pictures")

@@ -6,14 +6,21 @@ import csv
 import io
 from typing import get_args
 
+import numpy as np
+import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
 from egolane_pgm.experiment import Experiment
 from egolane_pgm.report import tables
+from egolane_pgm.report.tables import box_text
 from egolane_pgm.scoring.summary import score_all
+from egolane_pgm.types import InputError, LineLog
+from tests.kits.drives import short_drive
 
 HEADER = ["run", "score & co_1"]
+
+
 ROWS = [["1", "50%"], ["two", "#{x}"]]
 
 
@@ -117,3 +124,47 @@ def test_every_way_of_tuning_an_experiment_is_said_beside_its_scores() -> None:
     ways = get_args(Experiment.model_fields["tuned_on"].annotation)
     assert set(tables.TUNED_ON) == set(ways)
     assert all("in-sample" in tables.TUNED_ON[way] for way in ways if way == "same_frames")
+
+
+@pytest.mark.parametrize("frame", [-(10**30), 10**30])
+def test_a_frame_that_no_array_can_hold_is_not_there(frame: int) -> None:
+    log = short_drive(30).log
+    nearest = int(log.frame_id[0 if frame < 0 else -1])
+    with pytest.raises(InputError, match=f"has no frame {frame}; the nearest is {nearest} "):
+        box_text(log, frame)
+
+
+def test_the_nearest_frame_is_named_in_a_gap() -> None:
+    log = short_drive(30).log.take(np.array([0, 1, 9, 10]))
+    with pytest.raises(InputError, match=f"the nearest is {int(log.frame_id[2])} "):
+        box_text(log, int(log.frame_id[2]) - 1)
+    assert box_text(log, int(log.frame_id[2])).startswith("Line1: ")
+
+
+#: The paper's Box 1.
+BOX = """\
+Line1: isValid = 1; continuous=1; LRI: 10; offset: -9.15m
+Line2: isValid = 0; continuous=0; LRI: 09; offset: -6.47m
+Line3: isValid = 1; continuous=0; LRI: 07; offset: -2.15m
+Line4: isValid = 0; continuous=1; LRI: 00; offset: +0.99m"""
+
+
+def box_log() -> LineLog:
+    """Frame 1234 is the paper's; 1236 has no line, 1237 has two of which little is known."""
+    nan = np.nan
+    offset = np.array([[-9.15, -6.47, -2.15, 0.99, nan], [nan] * 5, [nan, 1.5, nan, nan, nan]])
+    valid = np.array([[1, 0, 1, 0, 0], [0] * 5, [0, 1, 0, 0, 0]], dtype=bool)
+    continuous = np.array([[1, 0, 0, 1, 0], [0] * 5, [0] * 5], dtype=bool)
+    lri = np.array([[10, 9, 7, 0, nan], [nan] * 5, [3, nan, nan, nan, nan]])
+    frame_id = np.array([1234, 1236, 1237])
+    return LineLog(frame_id, frame_id / 10, offset, valid, continuous, lri, source="box.csv")
+
+
+def test_the_papers_box_is_printed_as_in_the_paper() -> None:
+    assert box_text(box_log(), 1234) == BOX
+    assert box_text(box_log(), 1236) == "no lines"
+    unknown = box_text(box_log(), 1237).splitlines()
+    assert unknown == [
+        "Line1: isValid = 0; continuous=0; LRI: 03; offset: --",
+        "Line2: isValid = 1; continuous=0; LRI: --; offset: +1.50m",
+    ]

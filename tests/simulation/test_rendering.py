@@ -12,6 +12,7 @@ import pytest
 from egolane_pgm.camera.model import Camera, axes, road_to_image
 from egolane_pgm.simulation.presets import PRESETS
 from egolane_pgm.simulation.rendering import road as roads
+from egolane_pgm.simulation.rendering import traffic as traffics
 from egolane_pgm.simulation.rendering.render import (
     FAILURES,
     ITALIAN,
@@ -26,7 +27,7 @@ from egolane_pgm.simulation.rendering.render import (
 )
 from egolane_pgm.simulation.rendering.traffic import Traffic
 from egolane_pgm.simulation.world import simulate_road
-from egolane_pgm.types import FloatArray, InputError
+from egolane_pgm.types import FloatArray, InputError, IntArray
 
 CLEAR: dict[str, float] = dict.fromkeys(FAILURES, 0.0)
 
@@ -382,3 +383,38 @@ def test_markings_and_frames_that_are_none_are_refused() -> None:
     for k in (-1, 200):
         with pytest.raises(InputError, match=f"frame {k} is outside 0..199"):
             render_frame(clear_scene(), k)
+
+
+def test_vehicles_keep_clear_of_each_other_as_a_search_over_all_frames_finds(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    real = traffics._possible
+    n_kept = []
+
+    def both(traffic: Any, time_s: Any, position_m: Any) -> IntArray:
+        found = real(traffic, time_s, position_m)
+        assert found.tolist() == plainly_possible(traffic, time_s, position_m)
+        n_kept.append(len(found))
+        return found
+
+    monkeypatch.setattr(traffics, "_possible", both)
+    for seed in range(3):
+        make_scene("a4", seed, 1500)
+    make_scene("a4", 0, 1)
+    assert min(n_kept[:3]) > 5
+
+
+def plainly_possible(traffic: Any, time_s: Any, position_m: Any) -> list[int]:
+    kept: list[tuple[int, Any]] = []
+    for k in range(len(traffic)):
+        rear = np.interp(time_s[::3], traffic.time_s[k], traffic.x_m[k], left=np.nan, right=np.nan)
+        front = rear + traffic.length_m[k]
+        is_beside = np.abs(traffic.d_m[k] - position_m[::3]) < 2.9
+        is_clear = not (is_beside & (front > -6) & (rear < 8)).any()
+        for j, other in kept:
+            if abs(traffic.d_m[j] - traffic.d_m[k]) < 2:
+                far = other + traffic.length_m[j] + 4
+                is_clear &= not ((rear < far) & (front > other - 4)).any()
+        if is_clear:
+            kept.append((k, rear))
+    return [k for k, _ in kept]

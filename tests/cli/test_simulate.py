@@ -1,8 +1,9 @@
-"""`egolane simulate --images`: pictures, video and truth on disk, and what is refused."""
+"""The command `egolane simulate`: lines and rendered pictures."""
 
 from __future__ import annotations
 
 import csv
+import shutil
 from pathlib import Path
 from typing import Any
 
@@ -17,7 +18,10 @@ from egolane_pgm.experiment import load_experiment
 from egolane_pgm.recordings import read_lines
 from egolane_pgm.recordings.ground_truth import read_ground_truth
 from egolane_pgm.simulation.rendering import files, render
+from egolane_pgm.simulation.rendering import files as rendering_files
 from egolane_pgm.simulation.rendering.render import make_scene, render_frame
+from tests.kits.drives import command, done, refused
+from tests.kits.full_disk import Usage, full_after, left
 
 
 def simulate(*words: object) -> Result:
@@ -144,3 +148,64 @@ def test_a_place_that_cannot_be_written_is_said(tmp_path: Path) -> None:
     result = simulate("a4", "--images", "--frames", 2, "--out", tmp_path)
     assert result.exit_code == 2
     assert "cannot be written" in result.output.splitlines()[-1]
+
+
+@pytest.mark.parametrize("key", ["preset", "seed", "frames", "n_lanes"])
+def test_what_has_an_option_of_its_own_is_not_set(tmp_path: Path, key: str) -> None:
+    said = refused("simulate", "--out", tmp_path / "drive", "--set", f"{key}=3")
+    assert said == f"--set {key}: is given by an argument or option of its own"
+    assert not (tmp_path / "drive").exists()
+
+
+def rendered(*more: object) -> list[object]:
+    return ["simulate", "quickstart", "--images", *more]
+
+
+def test_frames_rendered_before_the_disk_was_full_are_whole_pairs(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    full_after(monkeypatch, 3)
+    said = refused(*rendered("--stereo", "--frames", 4, "--out", tmp_path))
+    assert "right/000001.jpg: cannot be written: No space left on device" in said
+    assert said.endswith(f"1 of 4 frames are in {tmp_path}")
+    assert left(tmp_path / "left") == left(tmp_path / "right") == ["000000.jpg"]
+    rows = (tmp_path / "visibility.csv").read_text().splitlines()[1:]
+    assert {row.split(",")[0] for row in rows} == {"0"}
+
+
+def test_what_a_drive_costs_is_said_before_it_is_rendered(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(rendering_files, "_ESTIMATED_FROM", 5)
+    told = command(*rendered("--frames", 6, "--png", "--out", tmp_path / "a"))
+    assert told.exit_code == 0
+    said = told.stderr.splitlines()[0]
+    size = sum(file.stat().st_size for file in (tmp_path / "a/images").iterdir())
+    assert said.startswith("6 frames need about ")
+    assert float(said.split()[4]) == pytest.approx(size / 1e6, rel=0.3)
+    assert said.endswith(" seconds; Ctrl-C keeps those rendered")
+
+
+def test_a_drive_that_the_disk_has_no_room_for_is_refused_before_it_is_made(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(rendering_files, "_ESTIMATED_FROM", 5)
+    monkeypatch.setattr(shutil, "disk_usage", lambda _: Usage(10**12, 0, 10**9))
+    monkeypatch.setattr(rendering_files, "make_scene", lambda *a, **k: make_scene(a[0], a[1], 5))
+    said = refused(*rendered("--frames", 9_000_000, "--out", tmp_path / "new" / "a"))
+    assert "9000000 frames need about" in said
+    assert "GB, the disk has 1.0 GB left; ask for fewer (--frames)" in said
+    assert not (tmp_path / "new").exists()
+
+
+@pytest.mark.parametrize("video", [False, True])
+def test_the_cost_of_a_frame_is_about_that_of_those_rendered(tmp_path: Path, video: bool) -> None:
+    from egolane_pgm.simulation.rendering.files import cost_per_frame
+
+    scene = make_scene("quickstart", 0, 26)
+    seconds, size = cost_per_frame(scene, png=False, video=video)
+    assert 0.001 < seconds < 10
+    done(*rendered("--frames", 26, *(["--video"] if video else []), "--out", tmp_path))
+    place = tmp_path / ("images.mp4" if video else "images")
+    files = [place] if video else list(place.iterdir())
+    assert size == pytest.approx(sum(f.stat().st_size for f in files) / 26, rel=0.25)

@@ -1,4 +1,4 @@
-"""The lines of a frame as text: the paper's Box 1."""
+"""The commands `data`, `convert` and `lines`."""
 
 from __future__ import annotations
 
@@ -7,9 +7,16 @@ from pathlib import Path
 import numpy as np
 
 from egolane_pgm.recordings.table import write_table
-from egolane_pgm.report.tables import box_text
 from egolane_pgm.types import LineLog
-from tests.kits.drives import done, refused, write_experiment
+from tests.kits.drives import done, refused, short_drive, write_experiment
+
+
+def test_the_topic_of_a_bag_is_a_name(tmp_path: Path) -> None:
+    write_table(tmp_path / "a.csv", short_drive(30).log)
+    done("convert", tmp_path / "a.csv", tmp_path / "a.bag")
+    said = refused("convert", tmp_path / "a.bag", tmp_path / "b.csv", "--set", "topic=5")
+    assert said == f"{tmp_path / 'a.bag'}: topic: 5 is not the name of a topic"
+
 
 #: The paper's Box 1.
 BOX = """\
@@ -28,16 +35,6 @@ def box_log() -> LineLog:
     lri = np.array([[10, 9, 7, 0, nan], [nan] * 5, [3, nan, nan, nan, nan]])
     frame_id = np.array([1234, 1236, 1237])
     return LineLog(frame_id, frame_id / 10, offset, valid, continuous, lri, source="box.csv")
-
-
-def test_the_papers_box_is_printed_as_in_the_paper() -> None:
-    assert box_text(box_log(), 1234) == BOX
-    assert box_text(box_log(), 1236) == "no lines"
-    unknown = box_text(box_log(), 1237).splitlines()
-    assert unknown == [
-        "Line1: isValid = 0; continuous=0; LRI: 03; offset: --",
-        "Line2: isValid = 1; continuous=0; LRI: --; offset: +1.50m",
-    ]
 
 
 def test_the_command_prints_it_from_a_recording_and_from_an_experiment(tmp_path: Path) -> None:
