@@ -215,8 +215,8 @@ class Experiment(_Section):
         return self._folder
 
     @property
-    def is_causal(self) -> bool:
-        """Whether the belief about a frame uses no later frame."""
+    def has_causal_filter(self) -> bool:
+        """Whether the filter believes a frame by the evidence up to it; see `model.causality`."""
         return self.filter in ("assumed_density", "exact")
 
     @property

@@ -210,6 +210,12 @@ def file_entry(path: Path, *, pictures: bool = True) -> dict[str, Any]:
     }
 
 
+def data_entries(experiment: Experiment, recorded: Recorded) -> list[dict[str, Any]]:
+    """The `file_entry` of each file that was read."""
+    has_pictures = experiment.recording.detector is not None
+    return [file_entry(path, pictures=has_pictures) for path in recorded.files]
+
+
 def _detected(experiment: Experiment) -> tuple[LineLog, list[Path]]:
     """The lines that the experiment's detector sees in its pictures, and the files it looked at."""
     from tqdm import tqdm

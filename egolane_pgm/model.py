@@ -10,6 +10,7 @@ from dataclasses import dataclass, field, replace
 from functools import partial
 from inspect import signature
 from types import ModuleType
+from typing import Any
 
 import numpy as np
 
@@ -99,6 +100,32 @@ def with_parameters(model: Model, parameters: Mapping[str, Value]) -> Model:
             getattr(model.graph, "INPUTS", ()),
         )
     return replace(model, parameters=parameters, compiled=compiled)
+
+
+def causality(
+    experiment: Experiment, model: Model, found: Sequence[Mapping[str, Value]] = ({},)
+) -> dict[str, Any]:
+    """Whether a belief about a frame uses the frames up to it only, as results say it.
+
+    found: values that replace the model's own, one mapping for each way in which it was run.
+
+    Returns `is_causal`; `causal`, which says it of `filter` and `evidence` apart; and
+    `why_not_causal`, a line for each of them that looks ahead. An evidence rule that looks ahead
+    says so itself: its `looks_ahead(parameters)` gives the reason, or None.
+    """
+    reasons = []
+    if not experiment.has_causal_filter:
+        later = "all later" if experiment.lag is None else f"the next {experiment.lag}"
+        reasons.append(f"{experiment.filter}: not causal, a frame's belief uses {later} frames too")
+    looks_ahead = getattr(model.rule, "looks_ahead", lambda parameters: None)
+    with plugin_errors(model.rule, "evidence"):
+        ahead = dict.fromkeys(looks_ahead({**model.parameters, **each}) for each in found)
+    of_evidence = [f"{experiment.evidence}: not causal, {why}" for why in ahead if why]
+    return {
+        "is_causal": experiment.has_causal_filter and not of_evidence,
+        "causal": {"filter": experiment.has_causal_filter, "evidence": not of_evidence},
+        "why_not_causal": reasons + of_evidence,
+    }
 
 
 def declared_parameters(rule: ModuleType, graph: ModuleType) -> list[Parameter]:

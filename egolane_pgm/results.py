@@ -2,17 +2,25 @@
 
     experiment.yaml   the resolved config, every default spelled out
     run.json          schema_version, name, config_hash, data (path, sha256, bytes), versions, git,
-                      created, n_lanes, frames, frames_scored, tuned_on, mean_log_evidence,
-                      impossible_frames, warnings, is_causal (false: a belief about a frame uses
-                      later frames too)
+                      created, plugins, n_lanes, frame_rate, frames, frames_scored, tuned_on,
+                      mean_log_evidence, impossible_frames, warnings, values (the names of each
+                      hidden node's values), is_causal (false: a belief about a frame uses later
+                      frames too), causal (the same of `filter` and `evidence` apart: an evidence
+                      rule may take a lane width from the whole recording), why_not_causal (a line
+                      for each that is not)
     beliefs.parquet   one row per frame: frame_id, time_s, Lane_1..n and the other hidden nodes'
                       marginals (SensorState_OK, ...), assigned_lane (0: Unassigned, by a tie
                       or by unassigned_below), log_evidence, is_impossible; detector_1..n and
                       detector_lane where the evidence rule gives a tentative vector; true_lane
                       (null: not annotated) and is_crossing
-    scores.json       schema_version, name, tuned_on, is_causal, frames, frames_scored, detector,
-                      model
+    scores.json       schema_version, name, tuned_on, is_causal, causal, why_not_causal, n_lanes,
+                      frames, frames_scored, mean_log_evidence, impossible_frames, warnings,
+                      detector, model
     figures/          what `plot` drew
+
+`egolane compare --out` writes the same for what was believed held out: beliefs.parquet has the
+annotated frames, and the `block` of each; run.json has `fit`, `blocks` and `parameters_per_block`
+besides; scores.json has the experiment's part of the comparison under `held_out`.
 
 A directory is written beside its place and renamed at the end: one that has the name is whole.
 """
@@ -26,6 +34,7 @@ import platform
 import subprocess
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from datetime import UTC, datetime
 from importlib import metadata
 from pathlib import Path
 from typing import Any
@@ -33,6 +42,7 @@ from typing import Any
 import numpy as np
 import yaml
 
+from egolane_pgm.experiment import config_hash
 from egolane_pgm.files import atomic_directory, write_parquet, write_yaml
 from egolane_pgm.files import check_not_read as check_not_read
 from egolane_pgm.files import check_place as check_place
@@ -185,6 +195,24 @@ def _as_result(directory: Path, experiment: Any, run: Any, scores: Any, table: A
     )
 
 
+def provenance(
+    name: str, content: Mapping[str, Any], data: Sequence[Mapping[str, Any]]
+) -> dict[str, Any]:
+    """Where numbers come from, for every file that has some.
+
+    content: what was configured, all defaults included. data: an entry for each file that was read,
+    as `loading.data_entries` gives them.
+    """
+    return {
+        "name": name,
+        "config_hash": config_hash(content),
+        "data": list(data),
+        "versions": versions(),
+        "git": git_state(),
+        "created": datetime.now(UTC).isoformat(timespec="seconds"),
+    }
+
+
 def file_sha256(path: Path) -> str:
     """The checksum of a file."""
     with path.open("rb") as file:
@@ -195,9 +223,12 @@ def versions(
     packages: Sequence[str] = (
         "egolane-pgm",
         "numpy",
+        "scipy",
         "numba",
         "opencv-python-headless",
         "pgmpy",
+        "optuna",
+        "cmaes",
         "rosbags",
         "pyarrow",
     ),

@@ -5,7 +5,6 @@ from __future__ import annotations
 import shutil
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from datetime import UTC, datetime
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -14,21 +13,19 @@ import numpy as np
 
 from egolane_pgm.experiment import (
     Experiment,
-    config_hash,
     load_experiment,
     resolved,
 )
 from egolane_pgm.inference.smoothing import infer_beliefs
-from egolane_pgm.loading import Recorded, file_entry, load_recording, with_video_rate
-from egolane_pgm.model import Model, make_evidence, prepare_model, value_names
+from egolane_pgm.loading import Recorded, data_entries, load_recording, with_video_rate
+from egolane_pgm.model import Model, causality, make_evidence, prepare_model, value_names
 from egolane_pgm.parallel import in_order
 from egolane_pgm.plugins import OWN_FILES
 from egolane_pgm.results import (
     check_writable,
     file_sha256,
-    git_state,
+    provenance,
     staged,
-    versions,
     write_result,
 )
 from egolane_pgm.scoring.assign import assigned_lane
@@ -130,9 +127,13 @@ def save_run(run: Run, directory: str | Path, draw: Callable[[Path], None] | Non
         write_result(
             folder,
             experiment=portable(run.experiment, run.model, content, folder),
-            run=_provenance(run, content),
+            run=provenance_of(
+                run.experiment, run.model, run.recorded, run.beliefs, content, run.notes
+            ),
             scores=summary(run),
-            columns=_columns(run),
+            columns=belief_columns(
+                run.experiment, run.model, run.recorded, run.beliefs, run.tentative
+            ),
         )
         try:
             if draw is not None:
@@ -184,7 +185,7 @@ def summary(run: Run) -> dict[str, Any]:
     content = {
         "name": run.experiment.name,
         "tuned_on": run.experiment.tuned_on,
-        "is_causal": run.experiment.is_causal,
+        **causality(run.experiment, run.model),
         "n_lanes": run.experiment.n_lanes,
         "frames": len(run.beliefs),
         "frames_scored": 0,
@@ -198,49 +199,61 @@ def summary(run: Run) -> dict[str, Any]:
     return content
 
 
-def _provenance(run: Run, content: Mapping[str, Any]) -> dict[str, Any]:
+def provenance_of(
+    experiment: Experiment,
+    model: Model,
+    recorded: Recorded,
+    beliefs: Beliefs,
+    content: Mapping[str, Any],
+    notes: Sequence[str],
+) -> dict[str, Any]:
+    """What run.json says of beliefs: see `results`.
+
+    content: the resolved config. notes: the warnings, a line each.
+    """
+    truth = recorded.truth
     return {
-        "name": run.experiment.name,
-        "config_hash": config_hash(content),
-        "data": [
-            file_entry(path, pictures=run.experiment.recording.detector is not None)
-            for path in run.recorded.files
-        ],
-        "plugins": plugin_files(run.model),
-        "versions": versions(),
-        "git": git_state(),
-        "created": datetime.now(UTC).isoformat(timespec="seconds"),
-        "n_lanes": run.experiment.n_lanes,
-        "frame_rate": run.experiment.recording.frame_rate,
-        "tuned_on": run.experiment.tuned_on,
-        "is_causal": run.experiment.is_causal,
-        "frames": len(run.beliefs),
-        "frames_scored": summary(run)["frames_scored"],
-        "mean_log_evidence": run.beliefs.mean_log_evidence,
-        "impossible_frames": int(run.beliefs.is_impossible.sum()),
-        "warnings": list(run.notes),
-        "values": value_names(run.model),
+        **provenance(experiment.name, content, data_entries(experiment, recorded)),
+        "plugins": plugin_files(model),
+        "n_lanes": experiment.n_lanes,
+        "frame_rate": experiment.recording.frame_rate,
+        "tuned_on": experiment.tuned_on,
+        **causality(experiment, model),
+        "frames": len(beliefs),
+        "frames_scored": 0 if truth is None else int(np.count_nonzero(~truth.is_crossing)),
+        "mean_log_evidence": beliefs.mean_log_evidence,
+        "impossible_frames": int(beliefs.is_impossible.sum()),
+        "warnings": list(notes),
+        "values": value_names(model),
     }
 
 
-def _columns(run: Run) -> dict[str, np.ndarray[Any, Any]]:
-    log, beliefs = run.recorded.log, run.beliefs
+def belief_columns(
+    experiment: Experiment,
+    model: Model,
+    recorded: Recorded,
+    beliefs: Beliefs,
+    tentative: FloatArray | None,
+) -> dict[str, np.ndarray[Any, Any]]:
+    """The columns of beliefs.parquet, (T,) each; see `results`. beliefs, tentative: of the T frames
+    of the log."""
+    log, truth = recorded.log, recorded.truth
     columns: dict[str, np.ndarray[Any, Any]] = {"frame_id": log.frame_id, "time_s": log.time_s}
-    for node, names in value_names(run.model).items():
+    for node, names in value_names(model).items():
         for k, name in enumerate(names):
             columns[f"{node}_{name}"] = beliefs.marginals[node][:, k]
-    columns["assigned_lane"] = assigned_lane(beliefs.lane, run.experiment.unassigned_below)
-    if run.tentative is not None:
-        for k in range(run.experiment.n_lanes):
-            columns[f"detector_{k + 1}"] = run.tentative[:, k]
-        columns["detector_lane"] = assigned_lane(run.tentative)
+    columns["assigned_lane"] = assigned_lane(beliefs.lane, experiment.unassigned_below)
+    if tentative is not None:
+        for k in range(experiment.n_lanes):
+            columns[f"detector_{k + 1}"] = tentative[:, k]
+        columns["detector_lane"] = assigned_lane(tentative)
     columns["log_evidence"] = beliefs.log_evidence
     columns["is_impossible"] = beliefs.is_impossible
     lane = np.full(len(log), UNASSIGNED)
     crossing = np.zeros(len(log), dtype=bool)
-    if run.recorded.truth is not None:
-        lane[run.recorded.scored] = run.recorded.truth.lane
-        crossing[run.recorded.scored] = run.recorded.truth.is_crossing
+    if truth is not None:
+        lane[recorded.scored] = truth.lane
+        crossing[recorded.scored] = truth.is_crossing
     unknown = lane == UNASSIGNED
     columns["true_lane"] = np.ma.masked_array(lane, unknown)
     columns["is_crossing"] = np.ma.masked_array(crossing, unknown)

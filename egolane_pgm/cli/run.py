@@ -15,6 +15,7 @@ from egolane_pgm.cli import options
 from egolane_pgm.experiment import Experiment, load_experiment
 from egolane_pgm.files import check_not_read, write_json
 from egolane_pgm.loading import as_name, with_recording
+from egolane_pgm.model import causality
 from egolane_pgm.report.draw import draw_standard
 from egolane_pgm.report.tables import TUNED_ON, confusion_table, runs_table, scores_table
 from egolane_pgm.results import SCHEMA_VERSION, check_writable
@@ -232,9 +233,8 @@ def _print_run(done: Run) -> None:
         f"{experiment.name}: {len(done.beliefs)} frames, {experiment.n_lanes} lanes,"
         f" graph {experiment.graph}, mean log evidence {done.beliefs.mean_log_evidence:.4f}"
     )
-    if not experiment.is_causal:
-        later = "all later" if experiment.lag is None else f"the next {experiment.lag}"
-        click.echo(f"{experiment.filter}: not causal, a frame's belief uses {later} frames too")
+    for why in causality(experiment, done.model)["why_not_causal"]:
+        click.echo(why)
     if not done.scores:
         click.echo("no ground truth: beliefs only, no scores (--ground-truth names a file)")
         return

@@ -28,7 +28,7 @@ from egolane_pgm.compare.saving import folder_of, save_comparison
 from egolane_pgm.compare.side import Side, held_out_side
 from egolane_pgm.experiment import Experiment, load_experiment
 from egolane_pgm.loading import Recorded
-from egolane_pgm.model import Drive, prepare_model
+from egolane_pgm.model import Drive, causality, prepare_model
 from egolane_pgm.paper import load_published, paper_experiment, parameters_for
 from egolane_pgm.parallel import in_order
 from egolane_pgm.scoring.bootstrap import score_counts, score_intervals
@@ -198,7 +198,7 @@ def compare_group(group: Group, options: Options, known: Known | None = None) ->
     with warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always", UserWarning)
         sides, recorded = _sides(group, options, known or {})
-        errors = None
+        errors = tentative = None
         if options.health:
             tentative = detector_answers(group.detector or group.experiments, recorded)
             truth = sides[0].truth
@@ -225,7 +225,7 @@ def compare_group(group: Group, options: Options, known: Known | None = None) ->
         "notes": list(dict.fromkeys([*recorded.notes, *notes])),
     }
     if options.out is not None:
-        save_comparison(options.out, part, sides)
+        save_comparison(options.out, part, sides, tentative)
     return part
 
 
@@ -280,7 +280,7 @@ def _entry(side: Side, first: Side, keep: Mapping[str, BoolArray]) -> dict[str, 
         "filter": experiment.filter,
         "fit": experiment.fit,
         "tuned_on": side.tuned_on,
-        "is_causal": experiment.is_causal,
+        **causality(experiment, side.drive.model, side.held_out.parameters),
         "unassigned_below": experiment.unassigned_below,
         "free_parameters": side.free_parameters,
         "microseconds_per_frame": 1e6 * side.seconds_per_frame,
@@ -329,6 +329,7 @@ def document(groups: Sequence[Mapping[str, Any]], options: Options) -> dict[str,
     paper's, or null), `frames` (annotated), `notes`, `health` (of the detector, per subset, see
     `health.detector_health`; null unless asked for) and `experiments`: a list of `name`, `source`,
     `evidence`, `graph`, `filter`, `fit`, `tuned_on` (same_frames: in-sample), `is_causal`,
+    `causal` and `why_not_causal` (as `model.causality`),
     `unassigned_below`, `free_parameters` (numbers fitted to labels), `microseconds_per_frame`
     (evidence and filter), `chosen` (the parameters that `fit: choose` chose), `parameters` (per
     block, those that were fitted without it), `scores` (per subset, as

@@ -5,23 +5,16 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from egolane_pgm.report.tables import number
-
-#: How `tuned_on` is said in a narrow column.
-SEEN = {
-    "same_frames": "in-sample",
-    "other_frames": "held out",
-    "not_tuned": "not tuned",
-    "unknown": "unknown",
-}
+from egolane_pgm.report.tables import number, seen
 
 LEGEND = """\
 Held out: each block of the drive is scored with parameters fitted without it, or with fixed ones
 from another recording (which may be another detector's of the same drive); not tuned: no label was
-used; in-sample: tuned on the frames that are scored. Intervals: 95 %, block bootstrap; those of
-differences (to the first experiment of the recording) are paired. Log evidence can be compared only
-between experiments with the same evidence rule and parameters of it. us/frame: processor
-time of evidence and filter. Parameters: numbers that were fitted to labels."""
+used; in-sample: tuned on the frames that are scored; not causal: the filter or the evidence look at
+later frames too, as a lane width from the whole recording does. Intervals: 95 %, block bootstrap;
+those of differences (to the first experiment of the recording) are paired. Log evidence can be
+compared only between experiments with the same evidence rule and parameters of it. us/frame:
+processor time of evidence and filter. Parameters: numbers that were fitted to labels."""
 
 HEALTH_LEGEND = """\
 AUC: area under the ROC curve for "the detector alone is wrong in this frame", over non-crossing
@@ -91,11 +84,10 @@ def full_rows(document: Mapping[str, Any]) -> tuple[list[str], list[list[str]]]:
 def _cells(entry: Mapping[str, Any], subset: str, scores: Mapping[str, Any]) -> list[str]:
     delay = scores["delay"]
     difference = (entry["difference"] or {}).get(subset) or {}
-    seen = SEEN[entry["tuned_on"]] + ("" if entry["is_causal"] else ", not causal")
     return [
         entry["name"],
         "all" if subset == "all_frames" else "trusted",
-        seen,
+        seen(entry),
         _with_interval(scores, "accuracy", 4),
         _with_interval(scores, "f1", 4),
         number(scores["log_loss"]),

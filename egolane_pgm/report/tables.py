@@ -19,6 +19,9 @@ TUNED_ON = {
     "unknown": "unknown (tuned_on is not set)",
 }
 
+#: The same in a narrow column.
+SEEN = {way: said.split(" (")[0] for way, said in TUNED_ON.items()}
+
 _SCORES = {
     "accuracy": "accuracy",
     "precision": "precision (mean)",
@@ -116,8 +119,15 @@ def runs_table(summaries: Sequence[Mapping[str, Any]]) -> str:
         scores = [number(s["accuracy"]) if s else "" for s in (detector, model)]
         scores += [number(model[key]) if model else "" for key in ("f1", "log_loss")]
         frames = [str(found["frames"]), str(found["frames_scored"])]
-        rows.append([found["name"], *frames, *scores, found["tuned_on"] if model else ""])
+        rows.append([found["name"], *frames, *scores, seen(found) if model else ""])
     return markdown(header, rows)
+
+
+def seen(found: Mapping[str, Any]) -> str:
+    """Which frames the parameters have seen, and what looks at later frames (`model.causality`),
+    in a narrow column."""
+    ahead = [part for part, is_causal in found["causal"].items() if not is_causal]
+    return SEEN[found["tuned_on"]] + (f", not causal ({', '.join(ahead)})" if ahead else "")
 
 
 def confusion_table(matrix: Sequence[Sequence[int]], header: str = "predicted") -> str:

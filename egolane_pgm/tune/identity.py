@@ -9,7 +9,7 @@ from types import ModuleType
 from typing import Any
 
 from egolane_pgm.experiment import Experiment, resolved
-from egolane_pgm.loading import file_entry
+from egolane_pgm.loading import data_entries
 from egolane_pgm.model import Drive
 from egolane_pgm.plugins import OWN_FILES
 from egolane_pgm.results import plain
@@ -27,7 +27,9 @@ def identity_of(problem: Problem) -> dict[str, Any]:
         recordings[drive.experiment.name] = {
             **{key: content[key] for key in kept},
             "recording": {k: v for k, v in content["recording"].items() if k != "path"},
-            "data": [data_entry(drive, path)["sha256"][:16] for path in drive.recorded.files],
+            "data": [
+                entry["sha256"][:16] for entry in data_entries(drive.experiment, drive.recorded)
+            ],
             "code": _code(drive),
         }
     identity = {
@@ -46,11 +48,6 @@ def identity_of(problem: Problem) -> dict[str, Any]:
         "recordings": recordings,
     }
     return dict(json.loads(json.dumps(plain(identity))))
-
-
-def data_entry(drive: Drive, path: Path) -> dict[str, Any]:
-    """Path, size and checksum of a file that a recording was read from."""
-    return file_entry(path, pictures=drive.experiment.recording.detector is not None)
 
 
 def _code(drive: Drive) -> dict[str, str]:

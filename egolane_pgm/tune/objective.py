@@ -65,7 +65,7 @@ def is_maximised(objective: str) -> bool:
 
 def check_filter(experiment: Experiment) -> None:
     """Raise InputError for a filter that looks ahead."""
-    if not experiment.is_causal:
+    if not experiment.has_causal_filter:
         raise InputError(
             f"{experiment.source}: filter: a search takes assumed_density or exact, not"
             f" {experiment.filter}; search with one of these (--set filter=exact)"

@@ -13,7 +13,6 @@ from __future__ import annotations
 
 import json
 from collections.abc import Mapping, Sequence
-from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
@@ -21,32 +20,36 @@ import optuna
 import pyarrow as pa
 from pyarrow import csv
 
-from egolane_pgm.experiment import Experiment, config_hash, resolved
+from egolane_pgm.experiment import Experiment, resolved
 from egolane_pgm.files import atomic, write_parquet, write_yaml
+from egolane_pgm.loading import data_entries
 from egolane_pgm.parameters import Value
 from egolane_pgm.plugins import OWN_FILES
-from egolane_pgm.results import git_state, plain, versions, write_json
+from egolane_pgm.results import plain, provenance, write_json
 from egolane_pgm.run import files_in_full
 from egolane_pgm.tune.held_out import Nested
-from egolane_pgm.tune.identity import data_entry, identity_of
+from egolane_pgm.tune.identity import identity_of
 from egolane_pgm.tune.plan import Problem, parameters_at
 
 SCHEMA_VERSION = 1
 STUDY_FILE = "study.json"
 NESTED_FILE = "nested.json"
-PACKAGES = ("egolane-pgm", "numpy", "numba", "optuna", "cmaes", "rosbags")
 
 
-def provenance(problem: Problem) -> dict[str, Any]:
-    """Resolved config, checksums, versions, commit."""
+def provenance_of(problem: Problem) -> dict[str, Any]:
+    """Where a study's numbers come from, and how it was done."""
     identity = identity_of(problem)
+    data = [
+        {**entry, "path": Path(entry["path"]).name}
+        for drive in problem.drives
+        for entry in data_entries(drive.experiment, drive.recorded)
+    ]
     return {
         "schema_version": SCHEMA_VERSION,
         "kind": "tuning",
-        "name": problem.plan.name,
+        **provenance(problem.plan.name, identity, data),
         "description": problem.plan.description,
         "run": problem.plan.run,
-        "config_hash": config_hash(identity),
         "tuning": {
             **problem.plan.tuning.model_dump(mode="json"),
             "objective": list(problem.settings.objectives),
@@ -55,14 +58,6 @@ def provenance(problem: Problem) -> dict[str, Any]:
         },
         "space": identity["space"],
         "experiments": [resolved(d.experiment, d.model.parameters) for d in problem.drives],
-        "data": [
-            {**data_entry(drive, path), "path": path.name}
-            for drive in problem.drives
-            for path in drive.recorded.files
-        ],
-        "versions": versions(PACKAGES),
-        "git": git_state(),
-        "created": datetime.now(UTC).isoformat(timespec="seconds"),
     }
 
 

@@ -306,7 +306,7 @@ def finish(made: Search) -> dict[str, Any]:
         subsets["without_never_fit"] = trusted
     mine = beliefs_at(problem, made.best["point"])
     content = {
-        **files.provenance(problem),
+        **files.provenance_of(problem),
         "best": made.best,
         "in_sample": {
             "tuned_on": "same_frames",

@@ -46,6 +46,8 @@ def test_run_writes_the_documented_json_unrounded(drive: Path, tmp_path: Path) -
         "name",
         "tuned_on",
         "is_causal",
+        "causal",
+        "why_not_causal",
         "n_lanes",
         "frames",
         "frames_scored",

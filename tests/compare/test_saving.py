@@ -12,6 +12,9 @@ from egolane_pgm.compare.saving import folder_of
 from egolane_pgm.experiment import load_experiment
 from egolane_pgm.model import prepare_model
 from egolane_pgm.results import read_result
+from egolane_pgm.scoring.health import detector_errors, doubt, roc_auc
+from egolane_pgm.scoring.summary import score_with_intervals
+from egolane_pgm.types import LaneTruth
 
 
 @pytest.fixture
@@ -52,6 +55,30 @@ def test_each_recording_has_its_own_directory_and_each_experiment_in_it_a_result
     entry = part["experiments"][1]
     assert accuracy == pytest.approx(entry["scores"]["all_frames"]["accuracy"], abs=1e-12)
     assert result.run["blocks"] == 5
+
+
+def test_what_is_said_of_the_detectors_health_can_be_computed_from_the_result(
+    experiments, tmp_path
+):
+    out = tmp_path / "out"
+    assert invoke("compare", *experiments[:2], "--health", "--out", out).exit_code == 0
+    folder = out / "quickstart_seed_1"
+    entry = json.loads((folder / "comparison.json").read_text())["experiments"][0]
+    result = read_result(folder / "paper")
+    errors = detector_errors(result.tentative, result.true_lane, result.is_crossing)
+    frames = errors.is_committed
+    bad = result.marginals["SensorState"][:, result.values["SensorState"].index("BAD")]
+    found = entry["health"]["all_frames"]
+    assert found["auc_bad"] == roc_auc(bad[frames], errors.is_wrong[frames])
+    score = doubt(result.marginals["Lane"], errors.assigned)
+    assert found["auc_doubt"] == roc_auc(score[frames], errors.is_wrong[frames])
+    again = score_with_intervals(
+        result.marginals["Lane"],
+        LaneTruth(result.frame_id, result.true_lane, result.is_crossing),
+        result.run["frame_rate"],
+    )
+    saved = entry["scores"]["all_frames"]
+    assert again == {k: v for k, v in saved.items() if k != "mean_log_evidence"}
 
 
 def test_the_experiment_in_a_result_can_be_run_again(experiments, tmp_path):

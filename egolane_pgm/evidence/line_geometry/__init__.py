@@ -10,6 +10,7 @@ from egolane_pgm.evidence.line_geometry.rule import (
     evidence,
     fit,
     fit_pooled,
+    looks_ahead,
     online,
 )
 
@@ -22,5 +23,6 @@ __all__ = [
     "evidence",
     "fit",
     "fit_pooled",
+    "looks_ahead",
     "online",
 ]

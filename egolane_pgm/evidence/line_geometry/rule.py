@@ -82,6 +82,16 @@ LEARNED = (*FITTED, "fallback_width_m")
 FIT_IGNORES = ("alpha", "beta")
 
 
+def looks_ahead(parameters: Parameters) -> str | None:
+    """How the evidence of a frame depends on later frames, or None where it does not."""
+    if parameters["lane_width_m"] == "causal":
+        return None
+    what = "what the detector's flags and LRI mean"
+    if isinstance(parameters["lane_width_m"], str):
+        what = f"the lane width and {what}"
+    return f"{what} are taken from the whole recording (lane_width_m: causal looks back only)"
+
+
 def evidence(
     log: LineLog, n_lanes: int, parameters: Parameters, *, kernel: bool = True
 ) -> Evidence:
