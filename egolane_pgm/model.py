@@ -8,7 +8,6 @@ from collections import OrderedDict
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
-from inspect import signature
 from types import ModuleType
 from typing import Any
 
@@ -171,25 +170,19 @@ class RuleOutput:
     notes: tuple[str, ...] = ()
 
 
-def online_rule(model: Model, *, kernel: bool = True) -> Callable[[LineLog], Evidence]:
+def online_rule(model: Model) -> Callable[[LineLog], Evidence]:
     """The evidence rule for frames that come one after the other: a rule that looks at the frames
     before defines `online(n_lanes, parameters)`, which gives such a function."""
     rule = model.rule
     if hasattr(rule, "online"):
-        options = {"kernel": kernel} if "kernel" in signature(rule.online).parameters else {}
         with plugin_errors(rule, "evidence"):
-            found: Callable[[LineLog], Evidence] = rule.online(
-                model.n_lanes, model.parameters, **options
-            )
+            found: Callable[[LineLog], Evidence] = rule.online(model.n_lanes, model.parameters)
             return found
-    options = {"kernel": kernel} if "kernel" in signature(rule.evidence).parameters else {}
-    return partial(_evidence, rule, model, options)
+    return partial(_evidence, rule, model)
 
 
-def _evidence(
-    rule: ModuleType, model: Model, options: Mapping[str, bool], log: LineLog
-) -> Evidence:
-    given: Evidence = rule.evidence(log, model.n_lanes, model.parameters, **options)
+def _evidence(rule: ModuleType, model: Model, log: LineLog) -> Evidence:
+    given: Evidence = rule.evidence(log, model.n_lanes, model.parameters)
     return given
 
 
@@ -198,16 +191,14 @@ def make_evidence(
     log: LineLog,
     reading: str = "soft",
     *,
-    kernel: bool = True,
     give: Callable[[LineLog], Evidence] | None = None,
 ) -> RuleOutput:
     """The evidence of a log for the model's graph; frames put in by `missing_frames: predict`
     say nothing about any node. give: an `online_rule` that has seen the frames before."""
     rule = model.rule
-    options = {"kernel": kernel} if "kernel" in signature(rule.evidence).parameters else {}
     with plugin_errors(rule, "evidence"), warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always", UserWarning)
-        given = _evidence(rule, model, options, log) if give is None else give(log)
+        given = _evidence(rule, model, log) if give is None else give(log)
     if not isinstance(given, Evidence):
         raise InputError(f"{rule.__file__}: evidence() gave {type(given).__name__}, not Evidence")
     if len(given) != len(log):

@@ -11,7 +11,8 @@ from typing import Any
 import numpy as np
 
 from egolane_pgm.experiment import Experiment
-from egolane_pgm.inference.filtering import FilterState, step
+from egolane_pgm.inference.filtering import step
+from egolane_pgm.inference.layout import FilterState
 from egolane_pgm.inference.smoothing import LagState, lag_rest, lag_step
 from egolane_pgm.model import make_evidence, online_rule, prepare_model, value_names
 from egolane_pgm.recordings.select import clip_lri, fill_missing
@@ -27,9 +28,7 @@ MAX_FRAME_ID = 2**53
 _LINE_KEYS = ("offset_m", "is_valid", "is_continuous", "lri")
 
 
-def filter_stream(
-    experiment: Experiment, messages: Iterable[str], *, kernel: bool = True
-) -> Iterator[dict[str, Any]]:
+def filter_stream(experiment: Experiment, messages: Iterable[str]) -> Iterator[dict[str, Any]]:
     """Per message (a JSON line, `{"frame_id": 7, "lines": [{"offset_m": -1.8, "is_valid": true,
     "is_continuous": false, "lri": 10}, ...]}`) the belief after it.
 
@@ -45,12 +44,10 @@ def filter_stream(
         for number, text in enumerate(messages, start=1)
         if text.strip()
     )
-    yield from filter_logs(experiment, logs, kernel=kernel)
+    yield from filter_logs(experiment, logs)
 
 
-def filter_logs(
-    experiment: Experiment, logs: Iterable[LineLog], *, kernel: bool = True
-) -> Iterator[dict[str, Any]]:
+def filter_logs(experiment: Experiment, logs: Iterable[LineLog]) -> Iterator[dict[str, Any]]:
     """The same for frames that are logs of one frame each, named by their `source`: an answer for
     each, in order."""
     if experiment.filter == "smoothed":
@@ -60,7 +57,7 @@ def filter_logs(
         )
     model = prepare_model(experiment)
     names = value_names(model)
-    give = online_rule(model, kernel=kernel)
+    give = online_rule(model)
     recording, below = experiment.recording, experiment.unassigned_below
     max_lri = float(model.parameters.get("max_lri", 10))  # type: ignore[arg-type]
     state: FilterState | None = None
@@ -75,16 +72,16 @@ def filter_logs(
         evidence = make_evidence(model, due, experiment.evidence_reading, give=give).filtered
         last = log
         if experiment.lag is None:
-            state, beliefs = step(model.compiled, state, evidence, experiment.filter, kernel=kernel)
+            state, beliefs = step(model.compiled, state, evidence, experiment.filter)
             yield _answer(log, beliefs, -1, names, below)
             continue
         waiting.extend([*[None] * (len(due) - 1), log])
         for t in range(len(due)):
             frame = evidence.take(slice(t, t + 1))
-            late, beliefs = lag_step(model.compiled, late, frame, experiment.lag, kernel=kernel)
+            late, beliefs = lag_step(model.compiled, late, frame, experiment.lag)
             yield from _answers(waiting, beliefs, names, below)
     if late is not None:
-        rest = lag_rest(model.compiled, late, kernel=kernel)
+        rest = lag_rest(model.compiled, late)
         yield from _answers(waiting, rest, names, below)
 
 

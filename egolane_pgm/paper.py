@@ -89,12 +89,12 @@ class Reproduced:
     model_frames_off: int
 
 
-def reproduce_run(number: int, which: str, *, kernel: bool = True) -> Reproduced:
+def reproduce_run(number: int, which: str) -> Reproduced:
     """Run one of the paper's experiments and compare it with what was published."""
     entry = load_published()[number]
     experiment = load_experiment(paper_experiment(number))
     experiment = experiment.model_copy(update={"parameters": parameters_for(entry, which)})
-    run = run_experiment(experiment, kernel=kernel)
+    run = run_experiment(experiment)
     off = {
         kind: frames_off(
             np.asarray(run.scores[kind]["confusion"]), np.asarray(entry[theirs]["confusion"])

@@ -62,10 +62,8 @@ def run_experiment(
     experiment: Experiment | str | Path,
     *,
     recorded: Recorded | None = None,
-    kernel: bool = True,
 ) -> Run:
-    """Run an experiment (or its YAML file). `recorded`: the recording where it is at hand;
-    `kernel=False`: the NumPy twins.
+    """Run an experiment (or its YAML file). `recorded`: the recording where it is at hand.
 
     Raises InputError for whatever does not fit, in one line.
     """
@@ -75,14 +73,13 @@ def run_experiment(
     if recorded is None:
         experiment = with_video_rate(experiment)
         recorded = load_recording(experiment, model.parameters)
-    evidence = make_evidence(model, recorded.log, experiment.evidence_reading, kernel=kernel)
+    evidence = make_evidence(model, recorded.log, experiment.evidence_reading)
     beliefs = infer_beliefs(
         model.compiled,
         evidence.filtered,
         experiment.filter,
         experiment.lag,
         frame_id=recorded.log.frame_id,
-        kernel=kernel,
     )
     notes = [*recorded.notes, *evidence.notes]
     impossible = int(beliefs.is_impossible.sum())
@@ -322,13 +319,10 @@ def plan_runs(sources: Sequence[tuple[str, Callable[[], Experiment]]], folder: P
     return tasks
 
 
-def run_all(
-    tasks: Sequence[Task], *, jobs: int = 1, draw: Draw | None = None, kernel: bool = True
-) -> Iterator[Outcome]:
+def run_all(tasks: Sequence[Task], *, jobs: int = 1, draw: Draw | None = None) -> Iterator[Outcome]:
     """Run the tasks and write their results; what became of each, in order, as soon as those
-    before it are done. jobs: processes that share them. draw, kernel: as in `save_run`,
-    `run_experiment`."""
-    work = partial(run_task, draw=draw, kernel=kernel)
+    before it are done. jobs: processes that share them. draw: as in `save_run`."""
+    work = partial(run_task, draw=draw)
     yield from in_order(work, tasks, jobs, died=_failed)
 
 
@@ -336,12 +330,12 @@ def _failed(task: Task, error: str) -> Outcome:
     return Outcome(task.title, task.directory, None, " ".join(error.split()))
 
 
-def run_task(task: Task, draw: Draw | None = None, kernel: bool = True) -> Outcome:
+def run_task(task: Task, draw: Draw | None = None) -> Outcome:
     """Run one task and write its result; a failure is in the outcome."""
     if task.experiment is None:
         return _failed(task, task.error or "")
     try:
-        done = run_experiment(task.experiment, kernel=kernel)
+        done = run_experiment(task.experiment)
         save_run(done, task.directory, draw)
     except InputError as error:
         return _failed(task, str(error))

@@ -106,7 +106,7 @@ def test_the_commands_print_store_and_compare(stand_in: dict[str, Any], tmp_path
     assert f"\n0 of {total} classified frames differ" in shown
     assert "| run 2, model" in shown
     assert (tmp_path / "kept" / "run02" / "run.json").is_file()
-    latex = done("reproduce", "--runs", "2", "--format", "latex", "--numpy").stdout
+    latex = done("reproduce", "--runs", "2", "--format", "latex").stdout
     assert latex.startswith(r"\begin{tabular}")
 
     target = tmp_path / "graphs.json"

@@ -78,10 +78,6 @@ json_file = click.option(
     help="Write the unrounded numbers as JSON.",
 )
 
-numpy = click.option(
-    "--numpy", "use_numpy", is_flag=True, help="Use the plain NumPy twins of the kernels."
-)
-
 
 def shown(path: Path) -> str:
     """A path as it is printed: relative where it lies in the current folder."""

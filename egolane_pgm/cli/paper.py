@@ -27,7 +27,6 @@ from egolane_pgm.run import save_run
     help="Without the recordings: offer the download, or say how to get them, and end well.",
 )
 @click.option("--out", type=click.Path(file_okay=False), help="Keep a result directory per run.")
-@options.numpy
 @options.json_file
 def reproduce(
     runs: str,
@@ -36,7 +35,6 @@ def reproduce(
     matrices: bool,
     if_available: bool,
     out: str | None,
-    use_numpy: bool,
     json_file: Path | None,
 ) -> None:
     """The paper's ten runs: ours beside the 20 published tables, and the difference."""
@@ -45,7 +43,7 @@ def reproduce(
         return
     done = []
     for number in tqdm(numbers, desc="runs", unit="run", leave=False, disable=None):
-        result = paper.reproduce_run(number, which, kernel=not use_numpy)
+        result = paper.reproduce_run(number, which)
         done.append(result)
         if out:
             save_run(result.run, Path(out) / result.run.experiment.name)

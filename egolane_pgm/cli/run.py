@@ -59,7 +59,6 @@ def _recording_options(command: Callable[..., Any]) -> Callable[..., Any]:
 )
 @click.option("--no-figures", is_flag=True, help="Draw nothing.")
 @options.jobs
-@options.numpy
 @options.json_file
 def run(
     experiments: tuple[str, ...],
@@ -73,7 +72,6 @@ def run(
     out: str | None,
     no_figures: bool,
     jobs: int,
-    use_numpy: bool,
     json_file: Path | None,
 ) -> None:
     """Run experiments: filter the recording, score it, write a result directory.
@@ -94,14 +92,14 @@ def run(
     if len(experiments) == 1 and len(recordings) < 2:
         recording = recordings[0] if recordings else None
         chosen = _load(experiments[0], overrides, recording, *changes)
-        _run_one(chosen, Path(out) if out else None, draw, not use_numpy, json_file)
+        _run_one(chosen, Path(out) if out else None, draw, json_file)
         return
     several = _named(experiments, recordings)
     to_load = [
         (title, partial(_load, path, overrides, recording, *changes, name=name))
         for title, path, recording, name in several
     ]
-    _run_many(to_load, Path(out or "results"), draw, not use_numpy, jobs, json_file)
+    _run_many(to_load, Path(out or "results"), draw, jobs, json_file)
 
 
 def _named(
@@ -152,14 +150,13 @@ def _run_one(
     chosen: Experiment,
     out: Path | None,
     draw: Callable[[Path], None] | None,
-    kernel: bool,
     json_file: Path | None,
 ) -> None:
     directory = out or Path("results") / chosen.name
     check_writable(directory)
     if json_file:
         check_not_read(json_file, _read_by(chosen))
-    done = run_experiment(chosen, kernel=kernel)
+    done = run_experiment(chosen)
     save_run(done, directory, draw)
     # Before anything is printed: whoever reads it may stop reading.
     if json_file:
@@ -172,7 +169,6 @@ def _run_many(
     to_load: Sequence[tuple[str, Callable[[], Experiment]]],
     folder: Path,
     draw: Callable[[Path], None] | None,
-    kernel: bool,
     jobs: int,
     json_file: Path | None,
 ) -> None:
@@ -183,7 +179,7 @@ def _run_many(
     before = {task.directory: _inode(task.directory) for task in plan}
     outcomes: list[Outcome] = []
     try:
-        done = run_all(plan, jobs=jobs, draw=draw, kernel=kernel)
+        done = run_all(plan, jobs=jobs, draw=draw)
         outcomes.extend(tqdm(done, total=len(plan), unit="run", leave=False, disable=None))
     except KeyboardInterrupt:
         # A result that was rewritten has a new inode.

@@ -9,13 +9,10 @@ n + 1 expected lines that were found.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from typing import Any
-
 import numpy as np
 from numba import njit
 
-from egolane_pgm.parameters import Parameter, Parameters, Value
+from egolane_pgm.parameters import Parameter, Parameters, number
 from egolane_pgm.types import BoolArray, Evidence, FloatArray, LineLog
 
 PROVIDES = ("DetectorOutput", "WOR")
@@ -51,78 +48,29 @@ PARAMETERS = (
 )
 
 
-def evidence(
-    log: LineLog, n_lanes: int, parameters: Parameters, *, kernel: bool = True
-) -> Evidence:
+def evidence(log: LineLog, n_lanes: int, parameters: Parameters) -> Evidence:
     """DetectorOutput (T, n), the tentative vector, summing to one, and WOR (T, 2) = (OK, BAD).
 
-    parameters: resolved values of PARAMETERS. `kernel=False` runs the NumPy twin.
+    - log: T frames.
+    - parameters: resolved values of PARAMETERS.
     """
     tentative = np.empty((len(log), n_lanes))
     wor = np.empty((len(log), 2))
-    run: Any
-    if kernel:
-        from egolane_pgm.evidence.counting import count_lines as run
-    else:
-        run = _count_lines_numpy
-    run(
+    count_lines(
         log.offset_m,
         log.is_valid,
         log.is_continuous,
         log.lri,
-        *_numbers(parameters),
+        number(parameters, "lane_width_m"),
+        number(parameters, "bonus_value"),
+        number(parameters, "tentative_noise"),
+        number(parameters, "wor_noise"),
+        number(parameters, "max_lri"),
         parameters["no_valid_line"] == "ignore",
         tentative,
         wor,
     )
     return Evidence({"DetectorOutput": tentative, "WOR": wor})
-
-
-def _numbers(parameters: Mapping[str, Value]) -> list[float]:
-    names = ("lane_width_m", "bonus_value", "tentative_noise", "wor_noise", "max_lri")
-    return [float(parameters[name]) for name in names]  # type: ignore[arg-type]
-
-
-def _count_lines_numpy(
-    offset_m: FloatArray,
-    is_valid: BoolArray,
-    is_continuous: BoolArray,
-    lri: FloatArray,
-    lane_width_m: float,
-    bonus_value: float,
-    tentative_noise: float,
-    wor_noise: float,
-    max_lri: float,
-    ignore_frames_without_line: bool,
-    tentative: FloatArray,
-    wor: FloatArray,
-) -> None:
-    """The NumPy twin of `_counting_kernel.count_lines`, same arguments."""
-    n_lanes = tentative.shape[1]
-    d = np.where(is_valid, offset_m, 0.0)
-    distance = np.abs(d)
-    is_far = is_valid & (distance > lane_width_m)
-    reach = (np.arange(n_lanes) + 1) * lane_width_m
-    # votes[..., k]: for a line to the right, the k-th lane from the right; else from the left.
-    votes = (is_far[..., None] & (distance[..., None] < reach)).astype(np.float64)
-    bonus_lane = np.minimum(distance / lane_width_m, n_lanes).astype(np.int64)
-    has_bonus = is_far & is_continuous & (bonus_lane < n_lanes)
-    votes += bonus_value * (has_bonus[..., None] & (bonus_lane[..., None] == np.arange(n_lanes)))
-    is_right = (d > 0)[..., None]
-    counts = np.where(is_right, votes[..., ::-1], votes).sum(axis=1)
-    is_near = is_valid & ~is_far & is_continuous
-    counts[:, 0] += bonus_value * (is_near & (d < 0)).sum(axis=1)
-    counts[:, -1] += bonus_value * (is_near & (d >= 0)).sum(axis=1)
-    counts[counts.sum(axis=1) == 0] = 1.0
-    counts += tentative_noise
-    tentative[:] = counts / counts.sum(axis=1, keepdims=True)
-    known = np.where(np.isnan(lri), max_lri, lri)
-    s = np.where(is_valid, known, 0.0).sum(axis=1) / (max_lri * (n_lanes + 1)) - wor_noise
-    s = np.where(s < 0, wor_noise, np.where(s >= 1, 1 - wor_noise, s))
-    if ignore_frames_without_line:
-        s[~is_valid.any(axis=1)] = 0.5
-    wor[:, 0] = s
-    wor[:, 1] = 1 - s
 
 
 @njit(cache=True)

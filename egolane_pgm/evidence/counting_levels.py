@@ -30,14 +30,13 @@ PARAMETERS = (
 )
 
 
-def evidence(
-    log: LineLog, n_lanes: int, parameters: Parameters, *, kernel: bool = True
-) -> Evidence:
+def evidence(log: LineLog, n_lanes: int, parameters: Parameters) -> Evidence:
     """DetectorOutput (T, n) as `counting`, and WOR (T, k), summing to one.
 
-    parameters: resolved values of PARAMETERS. `kernel=False` runs the NumPy twin.
+    - log: T frames.
+    - parameters: resolved values of PARAMETERS.
     """
-    given = counting.evidence(log, n_lanes, parameters, kernel=kernel).likelihoods
+    given = counting.evidence(log, n_lanes, parameters).likelihoods
     levels = int(parameters["wor_levels"])  # type: ignore[arg-type]
     wor = level_evidence(given["WOR"][:, 0], levels, str(parameters["level_evidence"]))
     if parameters["no_valid_line"] == "ignore":

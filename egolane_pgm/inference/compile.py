@@ -44,7 +44,7 @@ class Group:
     mask: FloatArray
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Compiled:
     """A network as arrays, S joint states, U joint values of the inputs (1 without inputs).
 

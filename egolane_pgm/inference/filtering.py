@@ -1,5 +1,9 @@
 """Filters: the belief over the hidden nodes after each frame, given the evidence so far.
 
+The evidence of a frame becomes, once, its likelihood given each joint state (`state_likelihood`).
+All that follows stands on one recursion over that (`forward`): filters, online steps, smoothers,
+the most probable path and the expected counts of learning.
+
 `exact` carries the joint hidden state from frame to frame. `assumed_density` carries the product
 of the persistent nodes' marginals (Boyen and Koller 1998), which is what the paper's equations in
 section "Inference" do: each marginal is propagated by its own table.
@@ -8,16 +12,28 @@ section "Inference" do: each marginal is propagated by its own table.
 from __future__ import annotations
 
 import math
-import weakref
-from collections.abc import Mapping
-from dataclasses import dataclass
-from itertools import accumulate, pairwise
+from collections.abc import Sequence
+from itertools import pairwise
 from typing import Any
 
 import numpy as np
 
-from egolane_pgm.inference.compile import Compiled, Group
-from egolane_pgm.inference.kernels.banded import Banded, banded
+from egolane_pgm.inference.compile import Compiled
+from egolane_pgm.inference.jeffrey import run_jeffrey
+from egolane_pgm.inference.kernels.banded import forward_banded
+from egolane_pgm.inference.kernels.filter import (
+    forward_kernel,
+    likelihood_kernel,
+    multiply_chosen,
+)
+from egolane_pgm.inference.layout import (
+    FilterState,
+    PosteriorEvidence,
+    evidence_blocks,
+    joint_input,
+    layout,
+    marginals_of,
+)
 from egolane_pgm.types import (
     Beliefs,
     BoolArray,
@@ -32,24 +48,14 @@ from egolane_pgm.types import (
 METHODS = ("assumed_density", "exact")
 READINGS = ("soft", "hard", "jeffrey")
 
+#: Kernels are compiled for the sizes of networks with at most so many joint states, ...
+MAX_FIXED_STATES = 16
+#: ... of groups with at most so many columns, and for recordings of at least so many frames.
+MAX_FIXED_COLUMNS = 24
+MIN_FIXED_FRAMES = 1000
 
-@dataclass(frozen=True)
-class PosteriorEvidence(Evidence):
-    """Evidence that is read by Jeffrey's rule (`jeffrey`). A row says how probable each value of
-    the observed node is after the frame, up to a factor; one of nothing but ones says nothing."""
-
-    def take(self, frames: slice | IntArray | BoolArray) -> PosteriorEvidence:
-        """The evidence of some frames, in order."""
-        some = super().take(frames)
-        return PosteriorEvidence(some.likelihoods, some.inputs)
-
-
-@dataclass(frozen=True)
-class FilterState:
-    """What an online filter carries: joint (S,), the belief after the last frame (its product of
-    marginals under assumed density)."""
-
-    joint: FloatArray
+#: The filter takes frames in pieces of about so many numbers: they stay in the processor's cache.
+PIECE = 2**17
 
 
 def filter_beliefs(
@@ -58,17 +64,17 @@ def filter_beliefs(
     method: str = "assumed_density",
     *,
     frame_id: IntArray | None = None,
-    kernel: bool = True,
 ) -> Beliefs:
     """P(node | evidence so far) for every hidden node and frame, and the log evidence.
 
-    A frame whose joint likelihood is zero keeps its prediction and is flagged. `kernel=False`
-    runs the NumPy twin. Raises InputError for an unknown method and for evidence that does not
-    fit the network (both named).
+    - evidence: T frames.
+    - method: one of METHODS.
+    - frame_id (T,): the beliefs' frame ids, 0, 1, ... by default.
+
+    A frame whose joint likelihood is zero keeps its prediction and is flagged. Raises InputError
+    for an unknown method and for evidence that does not fit the network (both named).
     """
-    ids = np.arange(len(evidence)) if frame_id is None else frame_id
-    _, marginals, log_evidence, is_impossible = _run(compiled, evidence, method, None, kernel)
-    return Beliefs(ids, _split(compiled, marginals), log_evidence, is_impossible)
+    return _filter(compiled, evidence, method, None, frame_id)[1]
 
 
 def step(
@@ -76,17 +82,13 @@ def step(
     state: FilterState | None,
     evidence: Evidence,
     method: str = "assumed_density",
-    *,
-    kernel: bool = True,
 ) -> tuple[FilterState, Beliefs]:
-    """One more frame (or several) online: the new state and the beliefs of these frames.
+    """Filter one more frame (or several) online: the new state and the beliefs of these frames.
 
-    state: None before the first frame.
+    - state: what the call before gave, None before the first frame; it stays as it is.
+    - evidence, method, errors: as in `filter_beliefs`.
     """
-    joint, marginals, log_evidence, is_impossible = _run(compiled, evidence, method, state, kernel)
-    ids = np.arange(len(evidence))
-    beliefs = Beliefs(ids, _split(compiled, marginals), log_evidence, is_impossible)
-    return FilterState(joint), beliefs
+    return _filter(compiled, evidence, method, state, None)
 
 
 def read_evidence(evidence: Evidence, reading: str) -> Evidence:
@@ -108,260 +110,134 @@ def read_evidence(evidence: Evidence, reading: str) -> Evidence:
     return Evidence(hard, evidence.inputs)
 
 
-def _run(
-    compiled: Compiled, evidence: Evidence, method: str, state: FilterState | None, kernel: bool
-) -> tuple[FloatArray, FloatArray, FloatArray, BoolArray]:
+def _filter(
+    compiled: Compiled,
+    evidence: Evidence,
+    method: str,
+    state: FilterState | None,
+    frame_id: IntArray | None,
+) -> tuple[FilterState, Beliefs]:
     if method not in METHODS:
         raise InputError(f"filter '{method}'{suggestion(method, METHODS)}")
-    if isinstance(evidence, PosteriorEvidence):
-        from egolane_pgm.inference.jeffrey import run_jeffrey
-
-        return run_jeffrey(compiled, evidence, method, state, kernel)
-    if kernel:
-        found = banded(compiled, node_columns)
-        # Of more than two nodes the product of all marginals would be needed.
-        if found is not None and (method == "exact" or len(compiled.state_nodes) <= 2):
-            return _run_banded(compiled, found, evidence, method, state)
-    blocks, start, emission = evidence_blocks(compiled, evidence)
-    input_index = joint_input(compiled, evidence)
-    node_column, n_columns = node_columns(compiled)
+    is_factored = method == "assumed_density"
     n_frames = len(evidence)
+    ids = np.arange(n_frames) if frame_id is None else frame_id
     joint = np.zeros(compiled.n_states) if state is None else state.joint.copy()
-    log_evidence = np.empty(n_frames)
-    is_impossible = np.empty(n_frames, dtype=bool)
-    run: Any
-    values: Any
-    if kernel:
-        from egolane_pgm.inference.kernels.filter import filter_blocks as run
+    begins = np.zeros(n_frames, dtype=bool)
+    begins[:1] = state is None
+    if isinstance(evidence, PosteriorEvidence):
+        whole = run_jeffrey(compiled, evidence, begins, joint, is_factored)
+        beliefs, log_evidence, is_impossible = whole
+        marginals = marginals_of(compiled, beliefs)
+        return FilterState(joint), Beliefs(ids, marginals, log_evidence, is_impossible)
+    blocks = evidence_blocks(compiled, evidence)
+    index = joint_input(compiled, evidence)
+    done = []
+    for piece in _pieces(n_frames, compiled.n_states):
+        likelihood, log_scale = state_likelihood(compiled, [block[piece] for block in blocks])
+        beliefs, log_evidence, is_impossible = forward(
+            compiled, likelihood, log_scale, index[piece], begins[piece], joint, is_factored
+        )
+        marginals = marginals_of(compiled, beliefs)
+        done.append(Beliefs(ids[piece], marginals, log_evidence, is_impossible))
+    return FilterState(joint), done[0] if len(done) == 1 else _joined(done)
 
-        values, marginals = blocks, np.empty((n_frames, n_columns))
-    else:
-        run = _filter_frames_numpy
-        values, marginals = np.concatenate(blocks, axis=1), np.zeros((n_frames, n_columns))
+
+def _joined(parts: Sequence[Beliefs]) -> Beliefs:
+    return Beliefs(
+        np.concatenate([part.frame_id for part in parts]),
+        {
+            name: np.concatenate([part.marginals[name] for part in parts])
+            for name in parts[0].marginals
+        },
+        np.concatenate([part.log_evidence for part in parts]),
+        np.concatenate([part.is_impossible for part in parts]),
+    )
+
+
+def _pieces(n_frames: int, n_states: int) -> list[slice]:
+    size = max(MIN_FIXED_FRAMES, PIECE // n_states)
+    # A remainder is done with the piece before it.
+    starts = [*range(0, max(1, n_frames - size // 2), size), n_frames]
+    return [slice(a, b) for a, b in pairwise(starts)]
+
+
+@np.errstate(all="ignore")  # with the compiler switched off NumPy would warn of what is handled
+def state_likelihood(
+    compiled: Compiled, blocks: Sequence[FloatArray]
+) -> tuple[FloatArray, FloatArray]:
+    """P(evidence of a frame | joint state) up to a factor, (T, S), and the factor's logarithm (T,).
+
+    blocks: the evidence of each group of observed nodes, (T, K) each.
+    """
+    n_frames, n_states = len(blocks[0]), compiled.n_states
+    arrays = layout(compiled)
+    likelihood = np.ones((n_frames, n_states))
+    log_scale = np.zeros(n_frames)
+    is_fixed = n_frames >= MIN_FIXED_FRAMES and n_states <= MAX_FIXED_STATES
+    for block, emission, only in zip(blocks, arrays.emissions, arrays.only, strict=True):
+        if only is not None:
+            multiply_chosen(block, only, likelihood, log_scale)
+        elif is_fixed and len(emission) <= MAX_FIXED_COLUMNS:
+            likelihood_kernel(n_states, len(emission))(block, emission, likelihood, log_scale)
+        else:
+            likelihood_kernel()(block, emission, likelihood, log_scale)
+    return likelihood, log_scale
+
+
+@np.errstate(all="ignore")
+def forward(
+    compiled: Compiled,
+    likelihood: FloatArray,
+    log_scale: FloatArray,
+    index: IntArray,
+    begins: BoolArray,
+    joint: FloatArray | None = None,
+    is_factored: bool = False,
+) -> tuple[FloatArray, FloatArray, BoolArray]:
+    """The forward recursion: the joint belief after each frame (T, S), the log evidence of each
+    frame given those before (T,), and where the evidence was impossible and left out (T,).
+
+    - likelihood (T, S), log_scale (T,): of the evidence, as `state_likelihood` makes them.
+    - index (T,): the joint value of the inputs.
+    - begins (T,): True where a sequence begins.
+    - joint (S,): the belief before the first frame, overwritten by that after the last one. None
+      where a sequence begins with the first frame.
+    - is_factored: True for assumed density, False for the exact recursion.
+    """
+    n_frames, n_states = likelihood.shape
+    arrays = layout(compiled)
+    if joint is None:
+        joint = np.zeros(n_states)
+    beliefs = np.empty((n_frames, n_states))
+    total = np.empty(n_frames)
+    is_impossible = np.empty(n_frames, dtype=bool)
+    run, transition = _forward_for(compiled, n_frames, is_factored)
     run(
         joint,
-        state is None,
-        method == "assumed_density",
+        begins,
+        is_factored,
         compiled.prior,
-        compiled.transition,
-        input_index,
-        emission,
-        start,
-        values,
-        node_column,
-        len(compiled.state_nodes),
-        marginals,
-        log_evidence,
+        transition,
+        index,
+        likelihood,
+        arrays.persistent,
+        beliefs,
+        total,
         is_impossible,
     )
-    return joint, marginals, log_evidence, is_impossible
+    log_evidence = np.log(total)
+    log_evidence += log_scale
+    if is_impossible.any():
+        log_evidence[is_impossible] = 0.0
+    return beliefs, log_evidence, is_impossible
 
 
-def _run_banded(
-    compiled: Compiled, found: Banded, evidence: Evidence, method: str, state: FilterState | None
-) -> tuple[FloatArray, FloatArray, FloatArray, BoolArray]:
-    from egolane_pgm.inference.kernels.banded import filter_banded
-
-    n_frames = len(evidence)
-    joint = np.zeros(compiled.n_states) if state is None else state.joint.copy()
-    marginals = np.empty((n_frames, found.n_columns))
-    log_evidence = np.empty(n_frames)
-    is_impossible = np.empty(n_frames, dtype=bool)
-    check_keys(compiled, evidence)
-    blocks = [_group_evidence(group, evidence.likelihoods) for group in compiled.groups]
-    values = blocks[0] if len(blocks) == 1 else np.concatenate(blocks, axis=1)
-    filter_banded(
-        joint,
-        state is None,
-        method == "assumed_density",
-        found.state,
-        found.prior,
-        found.others,
-        found.half,
-        found.floor,
-        found.band,
-        found.column,
-        found.by_wide,
-        found.by_others,
-        found.by_both,
-        joint_input(compiled, evidence),
-        found.group_start,
-        np.ascontiguousarray(values, dtype=np.float64),
-        marginals,
-        log_evidence,
-        is_impossible,
-    )
-    return joint, marginals, log_evidence, is_impossible
-
-
-def _filter_frames_numpy(
-    joint: FloatArray,
-    is_first: bool,
-    is_factored: bool,
-    prior: FloatArray,
-    transition: FloatArray,
-    input_index: IntArray,
-    emission: FloatArray,
-    group_start: IntArray,
-    evidence: FloatArray,
-    node_column: IntArray,
-    n_persistent: int,
-    marginals: FloatArray,
-    log_evidence: FloatArray,
-    is_impossible: BoolArray,
-) -> None:
-    """The NumPy twin of `kernels.filter_frames`, same arguments."""
-    groups = [slice(a, b) for a, b in pairwise(group_start)]
-    for t, row in enumerate(evidence):
-        u = input_index[t]
-        predicted = prior[u] if is_first and t == 0 else joint @ transition[u]
-        log_scale = 0.0
-        weighted = predicted.copy()
-        for g in groups:
-            largest = row[g].max()
-            if largest > 0:
-                weighted *= emission[:, g] @ (row[g] / largest)
-                log_scale += math.log(largest)
-            else:
-                weighted *= 0.0
-        total = weighted.sum()
-        is_impossible[t] = not total > 0
-        if total > 0:
-            joint[:] = weighted / total
-            log_evidence[t] = math.log(total) + log_scale
-        else:
-            joint[:] = predicted / predicted.sum()
-            log_evidence[t] = 0.0
-        for columns in node_column:
-            np.add.at(marginals[t], columns, joint)
-        if is_factored:
-            joint[:] = marginals[t][node_column[:n_persistent]].prod(axis=0)
-
-
-def evidence_blocks(
-    compiled: Compiled, evidence: Evidence
-) -> tuple[list[FloatArray], IntArray, FloatArray]:
-    """The evidence of each group (T, K), where each group's columns start (G + 1,) in the emission
-    (S, K), which has those of all groups side by side.
-
-    Raises InputError naming an observed node without evidence, evidence without a node, or a
-    wrong shape.
-    """
-    if isinstance(evidence, PosteriorEvidence):
-        raise InputError(
-            "evidence read by Jeffrey's rule is no likelihood: only the filters exact and"
-            " assumed_density take it; use evidence_reading soft or hard here"
-        )
-    check_keys(compiled, evidence)
-    blocks = [
-        np.ascontiguousarray(_group_evidence(group, evidence.likelihoods), dtype=np.float64)
-        for group in compiled.groups
-    ]
-    layout = _layout(compiled)
-    return blocks, layout.start, layout.emission
-
-
-def check_keys(compiled: Compiled, evidence: Evidence) -> None:
-    """Raise InputError, naming the node, where evidence and network do not fit each other."""
-    observed, n_frames = compiled.observed, len(evidence)
-    for key in observed:
-        if key not in evidence.likelihoods:
-            raise InputError(f"observed node {key}: the evidence has nothing for it")
-    for key, values in evidence.likelihoods.items():
-        if key not in observed:
-            raise InputError(f"evidence for {key}: the graph does not observe such a node")
-        names = (key,) if isinstance(key, str) else key
-        shape = (n_frames, *[compiled.cardinality[n] for n in names])
-        if values.shape != shape:
-            raise InputError(f"evidence for {key}: shape {values.shape}, the graph needs {shape}")
-    for name in compiled.inputs:
-        if name not in evidence.inputs:
-            raise InputError(f"input node {name}: the evidence has nothing for it")
-    for name, index in evidence.inputs.items():
-        if name not in compiled.inputs:
-            raise InputError(f"input {name}: the graph has no such input node")
-        ends = index if len(index) < 2 else (index.min(), index.max())
-        if not all(0 <= end < compiled.cardinality[name] for end in ends):
-            raise InputError(f"input {name}: outside 0..{compiled.cardinality[name] - 1}")
-
-
-def _group_evidence(group: Group, likelihoods: Mapping[Observed, FloatArray]) -> FloatArray:
-    """(T, K): the product of the group's evidence over all its nodes' values."""
-    if len(group.observed) == 1:
-        values = likelihoods[group.observed[0]]
-        return values.reshape(len(values), math.prod(group.sizes))
-    n_frames = len(likelihoods[group.observed[0]])
-    product = np.ones((n_frames, *group.sizes))
-    for key, axes in zip(group.observed, group.axes, strict=True):
-        values = likelihoods[key]
-        # The evidence's axes in the order of the group's, then 1 where it says nothing.
-        ordered = values.transpose(0, *(1 + np.argsort(axes)))
-        shape = [size if k in axes else 1 for k, size in enumerate(group.sizes)]
-        product *= ordered.reshape(n_frames, *shape)
-    return product.reshape(n_frames, math.prod(group.sizes))
-
-
-def joint_input(compiled: Compiled, evidence: Evidence) -> IntArray:
-    """(T,): which joint value of the input nodes each frame has; 0 without inputs."""
-    if not compiled.inputs:
-        return np.zeros(len(evidence), dtype=np.int64)
-    if len(compiled.inputs) == 1:
-        return np.ascontiguousarray(evidence.inputs[compiled.inputs[0]], dtype=np.int64)
-    sizes = [compiled.cardinality[name] for name in compiled.inputs]
-    parts = [evidence.inputs[name] for name in compiled.inputs]
-    return np.asarray(np.ravel_multi_index(parts, sizes), dtype=np.int64)
-
-
-def node_columns(compiled: Compiled) -> tuple[IntArray, int]:
-    """(H, S): which column of the marginals each node's value in each state adds to; persistent
-    nodes first, then functions; and the number of columns."""
-    layout = _layout(compiled)
-    return layout.node_column, layout.n_columns
-
-
-@dataclass(frozen=True)
-class _Layout:
-    """What `evidence_blocks` and `node_columns` say of a network, whatever the evidence."""
-
-    start: IntArray
-    emission: FloatArray
-    node_column: IntArray
-    n_columns: int
-
-
-_layouts: dict[int, tuple[weakref.ref[Compiled], _Layout]] = {}
-
-
-def _layout(compiled: Compiled) -> _Layout:
-    """Made once per network: with a kernel this quick it would be a tenth of the time."""
-    key = id(compiled)
-    if key not in _layouts:
-        column = 0
-        rows = []
-        for name in _node_order(compiled):
-            rows.append(column + compiled.node_value[compiled.hidden.index(name)])
-            column += compiled.cardinality[name]
-        widths = [group.emission.shape[1] for group in compiled.groups]
-        layout = _Layout(
-            np.array([0, *accumulate(widths)], dtype=np.int64),
-            np.ascontiguousarray(np.concatenate([g.emission for g in compiled.groups], axis=1)),
-            np.array(rows, dtype=np.int64),
-            column,
-        )
-        _layouts[key] = (weakref.ref(compiled, lambda _: _layouts.pop(key, None)), layout)
-    return _layouts[key][1]
-
-
-def _node_order(compiled: Compiled) -> list[str]:
-    functions = [name for name in compiled.hidden if name not in compiled.state_nodes]
-    return [*compiled.state_nodes, *functions]
-
-
-def _split(compiled: Compiled, marginals: FloatArray) -> dict[str, FloatArray]:
-    start = 0
-    nodes = {}
-    for name in _node_order(compiled):
-        size = compiled.cardinality[name]
-        nodes[name] = marginals[:, start : start + size]
-        start += size
-    return nodes
+def _forward_for(compiled: Compiled, n_frames: int, is_factored: bool) -> tuple[Any, Any]:
+    """Which implementation of the recursion suits the network, and the transition that it takes."""
+    band = layout(compiled).band
+    # The banded one knows the product of two marginals, not of more.
+    if band is not None and (not is_factored or len(compiled.state_nodes) <= 2):
+        return forward_banded, band
+    is_fixed = n_frames >= MIN_FIXED_FRAMES and compiled.n_states <= MAX_FIXED_STATES
+    return forward_kernel(compiled.n_states if is_fixed else 0), compiled.transition

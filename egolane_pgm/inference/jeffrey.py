@@ -18,47 +18,36 @@ of the other readings.
 from __future__ import annotations
 
 import math
-from itertools import accumulate, pairwise
-from typing import Any
+from itertools import accumulate
 
 import numpy as np
 
 from egolane_pgm.inference.compile import Compiled
-from egolane_pgm.inference.filtering import (
-    FilterState,
-    PosteriorEvidence,
-    check_keys,
-    joint_input,
-    node_columns,
-)
+from egolane_pgm.inference.kernels.sweeps import jeffrey_frames
+from egolane_pgm.inference.layout import PosteriorEvidence, check_keys, joint_input, layout
 from egolane_pgm.types import BoolArray, FloatArray, IntArray
 
 
 def run_jeffrey(
     compiled: Compiled,
     evidence: PosteriorEvidence,
-    method: str,
-    state: FilterState | None,
-    kernel: bool,
-) -> tuple[FloatArray, FloatArray, FloatArray, BoolArray]:
-    """The filter's recursion: the joint belief after the last frame (S,), and for each frame the
-    marginals (T, M), the log evidence and the flag (T,)."""
+    begins: BoolArray,
+    joint: FloatArray,
+    is_factored: bool,
+) -> tuple[FloatArray, FloatArray, BoolArray]:
+    """The filter's recursion with this update: arguments and what it gives as in
+    `filtering.forward`."""
     check_keys(compiled, evidence)
     rows, is_said = _posterior_rows(compiled, evidence)
     start, group, value = _key_columns(compiled)
-    node_column, n_columns = node_columns(compiled)
     n_frames = len(evidence)
-    joint = np.zeros(compiled.n_states) if state is None else state.joint.copy()
-    marginals = np.zeros((n_frames, n_columns))
+    beliefs = np.empty((n_frames, compiled.n_states))
     log_evidence = np.empty(n_frames)
     is_impossible = np.empty(n_frames, dtype=bool)
-    run: Any = _jeffrey_frames_numpy
-    if kernel:
-        from egolane_pgm.inference.kernels.sweeps import jeffrey_frames as run
-    run(
+    jeffrey_frames(
         joint,
-        state is None,
-        method == "assumed_density",
+        begins,
+        is_factored,
         compiled.prior,
         compiled.transition,
         joint_input(compiled, evidence),
@@ -69,13 +58,12 @@ def run_jeffrey(
         start,
         group,
         value,
-        node_column,
-        len(compiled.state_nodes),
-        marginals,
+        layout(compiled).persistent,
+        beliefs,
         log_evidence,
         is_impossible,
     )
-    return joint, marginals, log_evidence, is_impossible
+    return beliefs, log_evidence, is_impossible
 
 
 def _posterior_rows(
@@ -114,59 +102,3 @@ def _key_columns(compiled: Compiled) -> tuple[IntArray, IntArray, IntArray]:
             values.append(row)
         first += size
     return np.array(starts), np.array(groups), np.stack(values)
-
-
-def _jeffrey_frames_numpy(
-    joint: FloatArray,
-    is_first: bool,
-    is_factored: bool,
-    prior: FloatArray,
-    transition: FloatArray,
-    input_index: IntArray,
-    emission: FloatArray,
-    group_start: IntArray,
-    posterior: FloatArray,
-    is_said: BoolArray,
-    key_start: IntArray,
-    key_group: IntArray,
-    key_value: IntArray,
-    node_column: IntArray,
-    n_persistent: int,
-    marginals: FloatArray,
-    log_evidence: FloatArray,
-    is_impossible: BoolArray,
-) -> None:
-    """The NumPy twin of `_kernels.jeffrey_frames`, same arguments."""
-    groups = [slice(a, b) for a, b in pairwise(group_start)]
-    keys = [slice(a, b) for a, b in pairwise(key_start)]
-    for t, row in enumerate(posterior):
-        u = input_index[t]
-        predicted = prior[u] if is_first and t == 0 else joint @ transition[u]
-        factor = np.ones(emission.shape[1])
-        of_group = np.ones((len(groups), len(joint)))
-        log_total = 0.0
-        is_impossible[t] = False
-        for i in np.flatnonzero(is_said[t]):
-            g, columns = key_group[i], groups[key_group[i]]
-            q, value = row[keys[i]], key_value[i, columns]
-            others = predicted * np.delete(of_group, g, axis=0).prod(axis=0)
-            mass = (others @ emission[:, columns]) * factor[columns]
-            expected = np.bincount(value, mass, minlength=len(q))
-            expected = expected / expected.sum()
-            agreement = float(q @ expected)
-            if not agreement > 0:
-                is_impossible[t] = True
-                break
-            log_total += math.log(agreement)
-            possible = expected > 0
-            ratio = np.zeros(len(q))
-            ratio[possible] = q[possible] / q[possible].sum() / expected[possible]
-            factor[columns] *= ratio[value]
-            of_group[g] = emission[:, columns] @ factor[columns]
-        weighted = predicted if is_impossible[t] else predicted * of_group.prod(axis=0)
-        joint[:] = weighted / weighted.sum()
-        log_evidence[t] = 0.0 if is_impossible[t] else log_total
-        for columns in node_column:
-            np.add.at(marginals[t], columns, joint)
-        if is_factored:
-            joint[:] = marginals[t][node_column[:n_persistent]].prod(axis=0)

@@ -1,8 +1,8 @@
 """Smoothing: the belief about each frame, given later evidence as well.
 
 `smooth_beliefs` knows the whole sequence (forward-backward), `fixed_lag_beliefs` the next `lag`
-frames; `lag_step` does the latter online, `lag` frames late. All start from the exact filter. What
-is carried backwards is scaled frame by frame, so that long sequences do not underflow.
+frames; `lag_step` does the latter online, `lag` frames late. All start from the exact recursion.
+What is carried backwards is scaled frame by frame, so that long sequences do not underflow.
 
 A frame whose evidence has joint likelihood zero given the frames before it is flagged by the
 filter, and its evidence is ignored by the smoothers too. `log_evidence` is the filter's.
@@ -10,21 +10,14 @@ filter, and its evidence is ignored by the smoothers too. `log_evidence` is the 
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass, replace
-from typing import Any
 
 import numpy as np
 
 from egolane_pgm.inference.compile import Compiled
-from egolane_pgm.inference.filtering import (
-    METHODS,
-    FilterState,
-    evidence_blocks,
-    filter_beliefs,
-    joint_input,
-    step,
-)
+from egolane_pgm.inference.filtering import METHODS, filter_beliefs, forward, state_likelihood
+from egolane_pgm.inference.kernels.sweeps import fixed_lag_frames, smooth_frames
+from egolane_pgm.inference.layout import evidence_blocks, joint_input, marginals_of
 from egolane_pgm.types import (
     Beliefs,
     BoolArray,
@@ -38,9 +31,6 @@ from egolane_pgm.types import (
 #: How an experiment may ask for its beliefs.
 FILTERS = (*METHODS, "smoothed", "fixed_lag")
 
-#: A name that no node of a network has: the joint hidden state.
-_JOINT = " joint"
-
 
 def infer_beliefs(
     compiled: Compiled,
@@ -49,259 +39,188 @@ def infer_beliefs(
     lag: int | None = None,
     *,
     frame_id: IntArray | None = None,
-    kernel: bool = True,
 ) -> Beliefs:
-    """The beliefs by name: a filter of `filtering`, `smoothed` or `fixed_lag` (needs `lag`).
+    """The beliefs by the name of their method.
+
+    - filter: one of FILTERS.
+    - lag: later frames that `fixed_lag` waits for; the others take none.
+    - frame_id (T,): the beliefs' frame ids, 0, 1, ... by default.
 
     Raises InputError for an unknown name, a missing lag and evidence that does not fit.
     """
     if filter == "smoothed":
-        return smooth_beliefs(compiled, evidence, frame_id=frame_id, kernel=kernel)
+        return smooth_beliefs(compiled, evidence, frame_id=frame_id)
     if filter == "fixed_lag":
         if lag is None:
             raise InputError("filter 'fixed_lag' needs a lag, in frames")
-        return fixed_lag_beliefs(compiled, evidence, lag, frame_id=frame_id, kernel=kernel)
+        return fixed_lag_beliefs(compiled, evidence, lag, frame_id=frame_id)
     if filter not in METHODS:
         raise InputError(f"filter '{filter}'{suggestion(filter, FILTERS)}")
-    return filter_beliefs(compiled, evidence, filter, frame_id=frame_id, kernel=kernel)
+    return filter_beliefs(compiled, evidence, filter, frame_id=frame_id)
 
 
-def smooth_beliefs(
-    compiled: Compiled,
-    evidence: Evidence,
-    *,
-    frame_id: IntArray | None = None,
-    kernel: bool = True,
-) -> Beliefs:
-    """P(node | evidence of all frames) for every hidden node and frame (Rabiner 1989, section
-    III.B, on the joint hidden state). `kernel=False` runs the NumPy twin.
+@dataclass(frozen=True)
+class Passed:
+    """What the exact forward recursion leaves of T frames for those who look back.
+
+    filtered (T, S): the joint belief after each frame.
+    likelihood (T, S): of each frame's evidence, up to a factor; one where the evidence is left out.
+    log_scale (T,): the logarithm of the factor; 0 there.
+    index (T,): the joint value of the inputs.
+    begins (T,): True in the first frame.
+    log_evidence, is_impossible (T,): as in `Beliefs`.
+    """
+
+    filtered: FloatArray
+    likelihood: FloatArray
+    log_scale: FloatArray
+    index: IntArray
+    begins: BoolArray
+    log_evidence: FloatArray
+    is_impossible: BoolArray
+
+
+def pass_forward(
+    compiled: Compiled, evidence: Evidence, before: FloatArray | None = None
+) -> Passed:
+    """The exact recursion over T frames.
+
+    - before (S,): the joint belief after the frame before, None where the sequence begins.
 
     Raises InputError as `filter_beliefs`, and for evidence that is read by Jeffrey's rule.
     """
-    beliefs, filtered, likelihood = _forward(compiled, evidence, frame_id, kernel)
-    run: Any = _smooth_frames_numpy
-    if kernel:
-        from egolane_pgm.inference.kernels.sweeps import smooth_frames as run
-    smoothed = np.empty_like(filtered)
+    blocks = evidence_blocks(compiled, evidence)
     index = joint_input(compiled, evidence)
-    run(filtered, likelihood, compiled.transition, index, smoothed)
-    return replace(beliefs, marginals=node_marginals(compiled, smoothed))
+    begins = np.zeros(len(evidence), dtype=bool)
+    begins[:1] = before is None
+    likelihood, log_scale = state_likelihood(compiled, blocks)
+    filtered, log_evidence, is_impossible = forward(
+        compiled,
+        likelihood,
+        log_scale,
+        index,
+        begins,
+        None if before is None else before.copy(),
+    )
+    likelihood[is_impossible] = 1.0
+    log_scale[is_impossible] = 0.0
+    return Passed(filtered, likelihood, log_scale, index, begins, log_evidence, is_impossible)
+
+
+def smooth_beliefs(
+    compiled: Compiled, evidence: Evidence, *, frame_id: IntArray | None = None
+) -> Beliefs:
+    """P(node | evidence of all frames) for every hidden node and frame (Rabiner 1989, section
+    III.B, on the joint hidden state).
+
+    - frame_id (T,): the beliefs' frame ids, 0, 1, ... by default.
+
+    Raises InputError as `pass_forward`.
+    """
+    passed = pass_forward(compiled, evidence)
+    return _beliefs(compiled, passed, _smoothed(compiled, passed), frame_id)
 
 
 def fixed_lag_beliefs(
-    compiled: Compiled,
-    evidence: Evidence,
-    lag: int,
-    *,
-    frame_id: IntArray | None = None,
-    kernel: bool = True,
+    compiled: Compiled, evidence: Evidence, lag: int, *, frame_id: IntArray | None = None
 ) -> Beliefs:
     """P(node at t | evidence up to frame t + lag) for every hidden node and frame; near the end
-    there are fewer later frames. With lag 0 this is the exact filter. Raises as `smooth_beliefs`.
+    there are fewer later frames. With lag 0 this is the exact filter.
+
+    - lag: frames, not negative.
+    - frame_id (T,): the beliefs' frame ids, 0, 1, ... by default.
+
+    Raises InputError as `pass_forward`, and for a negative lag.
     """
     _check_lag(lag)
-    beliefs, filtered, likelihood = _forward(compiled, evidence, frame_id, kernel)
-    run: Any = _fixed_lag_frames_numpy
-    if kernel:
-        from egolane_pgm.inference.kernels.sweeps import fixed_lag_frames as run
-    smoothed = np.empty_like(filtered)
-    index = joint_input(compiled, evidence)
-    run(lag, filtered, likelihood, compiled.transition, index, smoothed)
-    return replace(beliefs, marginals=node_marginals(compiled, smoothed))
+    passed = pass_forward(compiled, evidence)
+    smoothed = np.empty_like(passed.filtered)
+    fixed_lag_frames(
+        lag, passed.filtered, passed.likelihood, compiled.transition, passed.index, smoothed
+    )
+    return _beliefs(compiled, passed, smoothed, frame_id)
 
 
 @dataclass(frozen=True)
 class LagState:
-    """What an online fixed-lag smoother carries of its last K <= lag + 1 frames.
+    """What an online fixed-lag smoother carries.
 
-    filtered (K, S): the joint belief after each. likelihood (K, S): of each one's evidence.
-    index (K,): the value of the inputs. log_evidence, is_impossible (K,). count: frames so far.
-    due: how many of the frames are still to be answered.
+    recent: its last frames, lag + 1 of them or fewer.
+    count: frames seen so far.
+    due: how many of the recent frames are still to be answered.
     """
 
-    last: FilterState
-    filtered: FloatArray
-    likelihood: FloatArray
-    index: IntArray
-    log_evidence: FloatArray
-    is_impossible: BoolArray
+    recent: Passed
     count: int
     due: int
 
 
 def lag_step(
-    compiled: Compiled,
-    state: LagState | None,
-    evidence: Evidence,
-    lag: int,
-    *,
-    kernel: bool = True,
+    compiled: Compiled, state: LagState | None, evidence: Evidence, lag: int
 ) -> tuple[LagState, Beliefs]:
-    """One more frame online: the new state, and the belief about the frame `lag` frames ago, which
-    is now as good as it gets; no frame as long as there was none. `frame_id` of the belief counts
-    from 0, the first frame. `lag_rest` has the last frames at the end.
+    """Take one more frame online: the new state, and the belief about the frame `lag` frames ago,
+    which is now as good as it gets; no belief as long as there was no such frame.
 
-    state: None before the first frame. evidence: one frame.
+    - state: what the call before gave, None before the first frame.
+    - evidence: one frame.
+    - lag: frames, not negative.
+
+    The `frame_id` of a belief counts from 0, the first frame. `lag_rest` has the last frames at the
+    end. Raises InputError as `fixed_lag_beliefs`, and for more frames than one.
     """
     _check_lag(lag)
     if len(evidence) != 1:
         raise InputError(f"lag_step takes one frame at a time, got {len(evidence)}")
-    last, beliefs = step(compiled, state.last if state else None, evidence, "exact", kernel=kernel)
-    likelihood, _ = state_likelihood(compiled, evidence, beliefs.is_impossible)
-    new = LagState(
-        last,
-        last.joint[None],
-        likelihood,
-        joint_input(compiled, evidence),
-        beliefs.log_evidence,
-        beliefs.is_impossible,
-        1,
-        1,
-    )
-    if state is not None:
-        kept = slice(max(0, len(state.filtered) - lag), None)
-        new = LagState(
-            last,
-            np.concatenate([state.filtered[kept], new.filtered]),
-            np.concatenate([state.likelihood[kept], new.likelihood]),
-            np.concatenate([state.index[kept], new.index]),
-            np.concatenate([state.log_evidence[kept], new.log_evidence]),
-            np.concatenate([state.is_impossible[kept], new.is_impossible]),
-            state.count + 1,
-            state.due + 1,
-        )
+    if state is None:
+        new = LagState(pass_forward(compiled, evidence), 1, 1)
+    else:
+        last = pass_forward(compiled, evidence, state.recent.filtered[-1])
+        kept = slice(max(0, len(state.recent.filtered) - lag), None)
+        pairs = zip(vars(state.recent).values(), vars(last).values(), strict=True)
+        recent = Passed(*(np.concatenate([a[kept], b]) for a, b in pairs))
+        new = LagState(recent, state.count + 1, state.due + 1)
     if new.due <= lag:
-        return new, _lagged(compiled, new, 0, kernel)
-    return replace(new, due=new.due - 1), _lagged(compiled, new, 1, kernel)
+        return new, _due(compiled, new, 0)
+    return replace(new, due=new.due - 1), _due(compiled, new, 1)
 
 
-def lag_rest(compiled: Compiled, state: LagState, *, kernel: bool = True) -> Beliefs:
+def lag_rest(compiled: Compiled, state: LagState) -> Beliefs:
     """The beliefs about the frames that `lag_step` has not answered yet, at the end."""
-    return _lagged(compiled, state, state.due, kernel)
+    return _due(compiled, state, state.due)
 
 
-def _lagged(compiled: Compiled, state: LagState, n_frames: int, kernel: bool) -> Beliefs:
-    """The first of the frames that are due, given all that was seen."""
-    run: Any = _smooth_frames_numpy
-    if kernel:
-        from egolane_pgm.inference.kernels.sweeps import smooth_frames as run
-    first = len(state.filtered) - state.due
-    here = slice(first, first + n_frames)
-    smoothed = np.empty_like(state.filtered[first:])
-    if n_frames:
-        run(
-            state.filtered[first:],
-            state.likelihood[first:],
-            compiled.transition,
-            state.index[first:],
-            smoothed,
-        )
-    return Beliefs(
-        np.arange(state.count - state.due, state.count - state.due + n_frames),
-        node_marginals(compiled, smoothed[:n_frames]),
-        state.log_evidence[here],
-        state.is_impossible[here],
+def _due(compiled: Compiled, state: LagState, n_frames: int) -> Beliefs:
+    """The beliefs about the first of the frames that are due, given all that was seen."""
+    first = len(state.recent.filtered) - state.due
+    due = Passed(*(array[first:] for array in vars(state.recent).values()))
+    ids = np.arange(state.count - state.due, state.count - state.due + n_frames)
+    here = Passed(*(array[:n_frames] for array in vars(due).values()))
+    smoothed = _smoothed(compiled, due)[:n_frames] if n_frames else here.filtered
+    return _beliefs(compiled, here, smoothed, ids)
+
+
+def _smoothed(compiled: Compiled, passed: Passed) -> FloatArray:
+    smoothed = np.empty_like(passed.filtered)
+    smooth_frames(
+        passed.filtered,
+        passed.likelihood,
+        compiled.transition,
+        passed.index,
+        passed.begins,
+        smoothed,
+        np.zeros((0, 0)),
     )
+    return smoothed
+
+
+def _beliefs(
+    compiled: Compiled, passed: Passed, joint: FloatArray, frame_id: IntArray | None
+) -> Beliefs:
+    ids = np.arange(len(joint)) if frame_id is None else frame_id
+    marginals = marginals_of(compiled, joint)
+    return Beliefs(ids, marginals, passed.log_evidence, passed.is_impossible)
 
 
 def _check_lag(lag: int) -> None:
     if lag < 0:
         raise InputError(f"lag {lag}: must not be negative")
-
-
-def _forward(
-    compiled: Compiled, evidence: Evidence, frame_id: IntArray | None, kernel: bool
-) -> tuple[Beliefs, FloatArray, FloatArray]:
-    """The exact filter's beliefs, its joint belief after each frame (T, S), and the likelihood of
-    each frame's evidence (T, S)."""
-    with_joint = replace(
-        compiled,
-        hidden=(*compiled.hidden, _JOINT),
-        cardinality={**compiled.cardinality, _JOINT: compiled.n_states},
-        node_value=np.vstack([compiled.node_value, np.arange(compiled.n_states)]),
-    )
-    beliefs = filter_beliefs(with_joint, evidence, "exact", frame_id=frame_id, kernel=kernel)
-    likelihood, _ = state_likelihood(compiled, evidence, beliefs.is_impossible)
-    return beliefs, np.ascontiguousarray(beliefs.marginals[_JOINT]), likelihood
-
-
-def state_likelihood(
-    compiled: Compiled, evidence: Evidence, is_ignored: BoolArray
-) -> tuple[FloatArray, FloatArray]:
-    """P(evidence of the frame | joint state), (T, S), over its largest entry, and the logarithm of
-    that, (T,). Frames that are ignored (T,) have likelihood one."""
-    blocks, _, _ = evidence_blocks(compiled, evidence)
-    likelihood = np.ones((len(evidence), compiled.n_states))
-    log_scale = np.zeros(len(evidence))
-    for group, block in zip(compiled.groups, blocks, strict=True):
-        # Scaled before and after: neither the likelihoods nor their product may underflow.
-        shares, log_largest = over_largest(block)
-        factor, log_factor = over_largest(shares @ group.emission.T)
-        likelihood *= factor
-        log_scale += log_largest + log_factor
-    likelihood[is_ignored] = 1.0
-    log_scale[is_ignored] = 0.0
-    return likelihood, log_scale
-
-
-def over_largest(rows: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Rows (T, K) over their largest entry, and its logarithm (T,); zeros stay as they are."""
-    largest = rows.max(axis=1, initial=0.0)
-    largest[~(largest > 0)] = 1.0
-    return rows / largest[:, None], np.log(largest)
-
-
-def node_marginals(compiled: Compiled, joint: FloatArray) -> dict[str, FloatArray]:
-    """Per hidden node (T, cardinality), from beliefs over the joint state (T, S)."""
-    return {
-        name: joint @ (value[:, None] == np.arange(compiled.cardinality[name])).astype(np.float64)
-        for name, value in zip(compiled.hidden, compiled.node_value, strict=True)
-    }
-
-
-def _smooth_frames_numpy(
-    filtered: FloatArray,
-    likelihood: FloatArray,
-    transition: FloatArray,
-    input_index: IntArray,
-    smoothed: FloatArray,
-) -> None:
-    """The NumPy twin of `_kernels.smooth_frames`, same arguments."""
-    ahead = np.ones(filtered.shape[1])
-    for t in range(len(filtered) - 1, -1, -1):
-        if t < len(filtered) - 1:
-            into = transition[input_index[t + 1]]
-            ahead = _look_ahead_numpy(filtered[t], into, likelihood[t + 1] * ahead)
-        smoothed[t] = _combined_numpy(filtered[t], ahead)
-
-
-def _fixed_lag_frames_numpy(
-    lag: int,
-    filtered: FloatArray,
-    likelihood: FloatArray,
-    transition: FloatArray,
-    input_index: IntArray,
-    smoothed: FloatArray,
-) -> None:
-    """The NumPy twin of `_kernels.fixed_lag_frames`, same arguments."""
-    for t in range(len(filtered)):
-        ahead = np.ones(filtered.shape[1])
-        for k in range(min(t + lag, len(filtered) - 1), t, -1):
-            into = transition[input_index[k]]
-            ahead = _look_ahead_numpy(filtered[k - 1], into, likelihood[k] * ahead)
-        smoothed[t] = _combined_numpy(filtered[t], ahead)
-
-
-def _look_ahead_numpy(filtered: FloatArray, into: FloatArray, weight: FloatArray) -> FloatArray:
-    ahead = np.where(filtered > 0, into @ weight, 0.0)
-    largest = ahead.max()
-    # Zero everywhere only where floating-point numbers end: what comes later is ignored.
-    return ahead / largest if largest > 0 else np.ones_like(ahead)
-
-
-def _combined_numpy(filtered: FloatArray, ahead: FloatArray) -> FloatArray:
-    both = (filtered > 0) & (ahead > 0)
-    log_product = np.full(filtered.shape, -math.inf)
-    log_product[both] = np.log(filtered[both]) + np.log(ahead[both])
-    product = np.exp(log_product - log_product.max())
-    return np.asarray(product / product.sum(), dtype=np.float64)

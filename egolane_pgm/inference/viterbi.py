@@ -8,18 +8,16 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 
 from egolane_pgm.inference.compile import Compiled
-from egolane_pgm.inference.filtering import filter_beliefs, joint_input
-from egolane_pgm.inference.smoothing import state_likelihood
+from egolane_pgm.inference.kernels.sweeps import best_path
+from egolane_pgm.inference.smoothing import pass_forward
 from egolane_pgm.types import (
     Beliefs,
     BoolArray,
     Evidence,
-    FloatArray,
     InputError,
     IntArray,
     suggestion,
@@ -62,57 +60,30 @@ class Disagreement:
 
 
 def viterbi_path(
-    compiled: Compiled,
-    evidence: Evidence,
-    *,
-    frame_id: IntArray | None = None,
-    kernel: bool = True,
+    compiled: Compiled, evidence: Evidence, *, frame_id: IntArray | None = None
 ) -> Path:
     """The joint hidden states of highest probability given all evidence, in log space; of equally
     probable ones the state with the lowest number, from the last frame backwards.
+
+    - frame_id (T,): the path's frame ids, 0, 1, ... by default.
 
     A frame of zero joint likelihood is flagged and ignored, as the exact filter does. Raises
     InputError as `smooth_beliefs`.
     """
     ids = np.arange(len(evidence)) if frame_id is None else frame_id
-    is_impossible = filter_beliefs(compiled, evidence, "exact", kernel=kernel).is_impossible
-    likelihood, log_scale = state_likelihood(compiled, evidence, is_impossible)
+    passed = pass_forward(compiled, evidence)
     states = np.zeros(len(evidence), dtype=np.int64)
     total = 0.0
     if len(evidence):
-        run: Any = _best_path_numpy
-        if kernel:
-            from egolane_pgm.inference.kernels.sweeps import best_path as run
         with np.errstate(divide="ignore"):
-            tables = [np.log(a) for a in (compiled.prior, compiled.transition, likelihood)]
-        total = run(*tables, joint_input(compiled, evidence), states)
+            log_likelihood = np.log(passed.likelihood)
+            log_prior, log_transition = np.log(compiled.prior), np.log(compiled.transition)
+        total = best_path(log_prior, log_transition, log_likelihood, passed.index, states)
     values = {
         name: np.asarray(value[states])
         for name, value in zip(compiled.hidden, compiled.node_value, strict=True)
     }
-    return Path(ids, values, float(total + log_scale.sum()), is_impossible)
-
-
-def _best_path_numpy(
-    log_prior: FloatArray,
-    log_transition: FloatArray,
-    log_likelihood: FloatArray,
-    input_index: IntArray,
-    path: IntArray,
-) -> float:
-    """The NumPy twin of `_kernels.best_path`, same arguments."""
-    score = log_prior[input_index[0]] + log_likelihood[0]
-    came_from = np.zeros(log_likelihood.shape, dtype=np.int64)
-    for t in range(1, len(log_likelihood)):
-        moved = score[:, None] + log_transition[input_index[t]]
-        came_from[t] = moved.argmax(axis=0)
-        score = moved.max(axis=0) + log_likelihood[t]
-    state = int(score.argmax())
-    total = float(score[state])
-    for t in range(len(path) - 1, -1, -1):
-        path[t] = state
-        state = int(came_from[t, state])
-    return total
+    return Path(ids, values, float(total + passed.log_scale.sum()), passed.is_impossible)
 
 
 def disagreement(

@@ -48,7 +48,6 @@ def fit_tables(
     nodes: Container[str] | None = None,
     strength: float = 100.0,
     iterations: int = 200,
-    kernel: bool = True,
 ) -> Fitted:
     """The most probable tables, by EM from `tables`.
 
@@ -61,7 +60,7 @@ def fit_tables(
     enough = TOLERANCE * max(1, len(evidence))
     while True:
         changed = with_tables(compiled, with_changed(compiled, tables, now))
-        expected = expected_counts(changed, evidence, known, is_first, kernel=kernel)
+        expected = expected_counts(changed, evidence, known, is_first)
         history.append(expected.log_evidence + strength * _log_prior(start, now))
         is_still = len(history) > 1 and history[-1] - history[-2] <= enough
         if is_still or len(history) > iterations:

@@ -22,9 +22,6 @@ from egolane_pgm.types import (
     suggestion,
 )
 
-#: Parameter sets that `confusions_many` does in the time of one, and how many are faster alone.
-SIDE_BY_SIDE, FEW = 8, 4
-
 #: Scores of a confusion matrix: (..., n + 1, n) -> (...).
 CONFUSION_SCORES: Mapping[str, Callable[[IntArray], FloatArray]] = {
     "accuracy": confusions.accuracy,

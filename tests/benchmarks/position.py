@@ -18,6 +18,7 @@ from egolane_pgm.types import Evidence, FloatArray
 from tests.benchmarks import peers
 from tests.benchmarks.data import N_LANES, Data
 from tests.benchmarks.timing import Row, largest_difference, take_turns
+from tests.reference.line_geometry import plain
 
 #: Frames that are stepped through one by one.
 STEPS = 2000
@@ -54,10 +55,10 @@ def prepared(data: Data) -> Position:
     return Position(parameters, compiled, evidence, still, u)
 
 
-def made(data: Data, parameters: Parameters, *, kernel: bool = True) -> Evidence:
+def made(data: Data, parameters: Parameters) -> Evidence:
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", UserWarning)
-        return line_geometry.evidence(data.log, N_LANES, parameters, kernel=kernel)
+        return line_geometry.evidence(data.log, N_LANES, parameters)
 
 
 def position_rows(data: Data, rounds: int) -> list[Row]:
@@ -77,18 +78,19 @@ def evidence_rows(data: Data, position: Position, rounds: int) -> list[Row]:
         def ours(given: Parameters = given) -> Evidence:
             return made(data, given)
 
-        def twin(given: Parameters = given) -> Evidence:
-            return made(data, given, kernel=False)
+        def plain_numpy(given: Parameters = given) -> Evidence:
+            with plain():
+                return made(data, given)
 
-        times = take_turns({"kernel": ours, "twin": twin}, min(rounds, 10))
-        found, expected = (e.likelihoods[line_geometry.NODES] for e in (ours(), twin()))
+        times = take_turns({"ours": ours, "plain": plain_numpy}, min(rounds, 10))
+        found, expected = (e.likelihoods[line_geometry.NODES] for e in (ours(), plain_numpy()))
         rows.append(
             Row(
                 f"line geometry evidence, lane width {width}",
-                times["kernel"],
+                times["ours"],
                 len(data.log),
-                "the NumPy twin",
-                times["twin"],
+                "plain NumPy",
+                times["plain"],
                 largest_difference(found, expected),
             )
         )

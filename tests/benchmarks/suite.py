@@ -15,9 +15,7 @@ import numpy as np
 
 from egolane_pgm.evidence import counting
 from egolane_pgm.graphs import sensor_failure
-from egolane_pgm.inference.batch import confusions_many
 from egolane_pgm.inference.filtering import METHODS, filter_beliefs
-from egolane_pgm.inference.oracle import oracle_assumed_density
 from egolane_pgm.parameters import resolve_parameters
 from egolane_pgm.scoring.assign import assigned_lane
 from egolane_pgm.scoring.confusion import confusion, count_confusion
@@ -27,6 +25,9 @@ from tests.benchmarks.bench_tune import markdown, tune_lines
 from tests.benchmarks.data import N_LANES, PARAMETERS, Data, load, parameter_sets
 from tests.benchmarks.position import position_rows
 from tests.benchmarks.timing import Row, largest_difference, machine, table, take_turns
+from tests.reference import counting as plain_counting
+from tests.reference import inference as reference
+from tests.reference.oracle import oracle_assumed_density
 
 ROOT = Path(__file__).parents[2]
 EXPERIMENT = Path("experiments/paper/run01_italy_ml.yaml")
@@ -35,7 +36,7 @@ PGMPY_FRAMES = 200
 NOTE = """\
 Every time ends with the belief over lanes, made from the evidence vectors; ours has the log
 evidence of each frame as well. Where confusions differ from dynamax's, it is that dynamax lifts
-probabilities below 1e-15 to that: hmmlearn and the NumPy twin agree with ours. In position in lane
+probabilities below 1e-15 to that: hmmlearn and plain NumPy agree with ours. In position in lane
 the evidence vectors are the likelihoods of the states, and where others are compared the motion is
 held still for all."""
 
@@ -69,19 +70,23 @@ def run_all(rounds: int) -> str:
 
 
 def evidence_rows(data: Data, rounds: int) -> list[Row]:
-    def run(kernel: bool) -> FloatArray:
-        made = counting.evidence(data.log, N_LANES, data.counting, kernel=kernel)
+    def ours() -> FloatArray:
+        made = counting.evidence(data.log, N_LANES, data.counting)
         return made.likelihoods["DetectorOutput"]
 
-    times = take_turns({"kernel": lambda: run(True), "twin": lambda: run(False)}, rounds)
+    def plain() -> FloatArray:
+        made = plain_counting.evidence(data.log, N_LANES, data.counting)
+        return made.likelihoods["DetectorOutput"]
+
+    times = take_turns({"ours": ours, "plain": plain}, rounds)
     return [
         Row(
             "evidence",
-            times["kernel"],
+            times["ours"],
             len(data.log),
-            "the NumPy twin",
-            times["twin"],
-            largest_difference(run(True), run(False)),
+            "plain NumPy",
+            times["plain"],
+            largest_difference(ours(), plain()),
         )
     ]
 
@@ -90,21 +95,21 @@ def filter_rows(data: Data, rounds: int) -> list[Row]:
     rows = []
     for method in METHODS:
 
-        def run(kernel: bool, method: str = method) -> FloatArray:
-            return filter_beliefs(data.compiled, data.evidence, method, kernel=kernel).lane
+        def ours(method: str = method) -> FloatArray:
+            return filter_beliefs(data.compiled, data.evidence, method).lane
 
-        times = take_turns(
-            {"kernel": lambda run=run: run(True), "twin": lambda run=run: run(False)},
-            min(rounds, 5),
-        )
+        def plain(method: str = method) -> FloatArray:
+            return reference.filter_beliefs(data.compiled, data.evidence, method).lane
+
+        times = take_turns({"ours": ours, "plain": plain}, min(rounds, 5))
         rows.append(
             Row(
                 f"filter, {method}",
-                times["kernel"],
+                times["ours"],
                 len(data.log),
-                "the NumPy twin",
-                times["twin"],
-                largest_difference(run(True), run(False)),
+                "plain NumPy",
+                times["plain"],
+                largest_difference(ours(), plain()),
             )
         )
     return rows
@@ -148,7 +153,8 @@ def many_rows(data: Data, rounds: int) -> list[Row]:
     lane, is_crossing = data.truth.lane, data.truth.is_crossing
 
     def to_confusions() -> IntArray:
-        return confusions_many(models, data.evidence, lane, is_crossing, "exact")
+        beliefs = (filter_beliefs(model, data.evidence, "exact").lane for model in models)
+        return np.stack([one_pass(belief, lane, is_crossing) for belief in beliefs])
 
     def to_beliefs() -> FloatArray:
         for model in models:

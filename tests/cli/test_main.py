@@ -89,16 +89,6 @@ def test_set_overrides_keys_of_the_yaml(drive: Path, tmp_path: Path) -> None:
     assert said["detector"] != run(drive, tmp_path)["detector"]
 
 
-def test_the_numpy_twins_give_the_same_scores(drive: Path, tmp_path: Path) -> None:
-    one, other = run(drive, tmp_path), run(drive, tmp_path, "--numpy")
-    for kind in ("detector", "model"):
-        a, b = one[kind], other[kind]
-        assert isinstance(a, dict)
-        assert isinstance(b, dict)
-        assert a["confusion"] == b["confusion"]
-        assert a["log_loss"] == pytest.approx(b["log_loss"], abs=1e-12)
-
-
 def test_a_recording_of_ones_own_runs_without_any_ground_truth(drive: Path, tmp_path: Path) -> None:
     recording = drive.parent / "lines.csv"
     said = run(EXAMPLES.parent / "experiments/quickstart.yaml", tmp_path, "--recording", recording)

@@ -1,4 +1,4 @@
-"""The paper's rules: the kernel, its twin and a reference in plain loops."""
+"""The paper's rules, against NumPy and against plain loops."""
 
 from __future__ import annotations
 
@@ -12,9 +12,9 @@ from hypothesis import strategies as st
 from egolane_pgm.evidence import counting
 from egolane_pgm.parameters import Parameters, resolve_parameters
 from egolane_pgm.types import Evidence, InputError, LineLog
+from tests.reference import counting as reference
 
 W = 3.5
-both = pytest.mark.parametrize("kernel", [True, False], ids=["kernel", "numpy"])
 
 # (offset_m, is_valid, is_continuous, lri)
 Line = tuple[float, bool, bool, float]
@@ -41,12 +41,8 @@ def line_log(frames: list[list[Line]]) -> LineLog:
     )
 
 
-def seen(
-    frames: list[list[Line]], n_lanes: int, kernel: bool = True, **given: object
-) -> tuple[np.ndarray, np.ndarray]:
-    evidence = counting.evidence(
-        line_log(frames), n_lanes, resolved(n_lanes, **given), kernel=kernel
-    )
+def seen(frames: list[list[Line]], n_lanes: int, **given: object) -> tuple[np.ndarray, np.ndarray]:
+    evidence = counting.evidence(line_log(frames), n_lanes, resolved(n_lanes, **given))
     assert set(evidence.likelihoods) == set(counting.PROVIDES)
     return evidence.likelihoods["DetectorOutput"], evidence.likelihoods["WOR"]
 
@@ -98,7 +94,6 @@ lines = st.tuples(offsets, st.booleans(), st.booleans(), lris)
 frames = st.lists(st.lists(lines, max_size=6), min_size=1, max_size=8)
 
 
-@both
 @settings(max_examples=200, deadline=None)
 @given(
     frames=frames,
@@ -109,9 +104,9 @@ frames = st.lists(st.lists(lines, max_size=6), min_size=1, max_size=8)
     tentative_noise=st.sampled_from([0.001, 0.1]),
 )
 def test_any_lines_are_counted_by_the_rules(
-    kernel: bool, frames: list[list[Line]], n_lanes: int, **given: object
+    frames: list[list[Line]], n_lanes: int, **given: object
 ) -> None:
-    tentative, wor = seen(frames, n_lanes, kernel, **given)
+    tentative, wor = seen(frames, n_lanes, **given)
     parameters = resolved(n_lanes, **given)
     for t, lines in enumerate(frames):
         right = by_the_rules(lines, n_lanes, parameters)
@@ -119,13 +114,12 @@ def test_any_lines_are_counted_by_the_rules(
         np.testing.assert_allclose(wor[t], right[1], rtol=1e-9, atol=1e-12)
 
 
-@both
 @settings(max_examples=50, deadline=None)
 @given(frames=frames, n_lanes=st.integers(1, 6), width=st.sampled_from([3.5, 3.75, 2.02, 1.0]))
 def test_the_evidence_is_a_distribution_over_lanes_and_over_ok_and_bad(
-    kernel: bool, frames: list[list[Line]], n_lanes: int, width: float
+    frames: list[list[Line]], n_lanes: int, width: float
 ) -> None:
-    tentative, wor = seen(frames, n_lanes, kernel, lane_width_m=width)
+    tentative, wor = seen(frames, n_lanes, lane_width_m=width)
     assert tentative.shape == (len(frames), n_lanes)
     assert (tentative > 0).all()
     np.testing.assert_allclose(tentative.sum(axis=1), 1, rtol=1e-12)
@@ -134,17 +128,16 @@ def test_the_evidence_is_a_distribution_over_lanes_and_over_ok_and_bad(
     Evidence({"DetectorOutput": tentative, "WOR": wor})
 
 
-@both
 @settings(max_examples=100, deadline=None)
 @given(frames=frames, n_lanes=st.integers(1, 6))
 def test_mirrored_lines_give_the_mirrored_tentative_vector(
-    kernel: bool, frames: list[list[Line]], n_lanes: int
+    frames: list[list[Line]], n_lanes: int
 ) -> None:
     # A line exactly below the vehicle counts as right of it, so it has no mirror image.
     frames = [[line for line in some if line[0] != 0] for some in frames]
     mirrored = [[(-d, *rest) for d, *rest in some] for some in frames]
-    tentative, wor = seen(frames, n_lanes, kernel)
-    other, other_wor = seen(mirrored, n_lanes, kernel)  # type: ignore[arg-type]
+    tentative, wor = seen(frames, n_lanes)
+    other, other_wor = seen(mirrored, n_lanes)  # type: ignore[arg-type]
     np.testing.assert_allclose(other, tentative[:, ::-1], rtol=1e-12)
     np.testing.assert_allclose(other_wor, wor, rtol=1e-12)
 
@@ -177,22 +170,19 @@ BY_HAND = [
 ]
 
 
-@both
 @pytest.mark.parametrize(("line", "counts"), BY_HAND)
-def test_single_lines_worked_by_hand(kernel: bool, line: Line, counts: list[float]) -> None:
-    tentative, _ = seen([[line]], 3, kernel)
+def test_single_lines_worked_by_hand(line: Line, counts: list[float]) -> None:
+    tentative, _ = seen([[line]], 3)
     np.testing.assert_allclose(tentative[0], noisy(counts), rtol=1e-12)
 
 
-@both
-def test_the_paper_s_example_of_one_line_limits_the_lane_to_2_or_3(kernel: bool) -> None:
+def test_the_paper_s_example_of_one_line_limits_the_lane_to_2_or_3() -> None:
     """Figure `fig:teaser`: one line, Lane 1, 2, 3 have {0, 0.5, 0.5}; tentative [0;1;1]."""
-    tentative, _ = seen([[(-5.0, True, False, 10.0)]], 3, kernel, tentative_noise=0)
+    tentative, _ = seen([[(-5.0, True, False, 10.0)]], 3, tentative_noise=0)
     np.testing.assert_allclose(tentative[0], [0, 0.5, 0.5])
 
 
-@both
-def test_the_paper_s_box_of_four_lines(kernel: bool) -> None:
+def test_the_paper_s_box_of_four_lines() -> None:
     """Box `box:box1`, lines 1 and 3 valid: line 1 votes for lane 3 and has the bonus there, line
     3 is dashed and beside the vehicle; LRI 10 and 7 of 4 x 10."""
     box = [
@@ -201,12 +191,11 @@ def test_the_paper_s_box_of_four_lines(kernel: bool) -> None:
         (-2.15, True, False, 7.0),
         (0.99, False, True, 0.0),
     ]
-    tentative, wor = seen([box], 3, kernel)
+    tentative, wor = seen([box], 3)
     np.testing.assert_allclose(tentative[0], noisy([0, 0, 2]), rtol=1e-12)
     np.testing.assert_allclose(wor[0], [17 / 40 - 0.01, 1 - 17 / 40 + 0.01], rtol=1e-12)
 
 
-@both
 @pytest.mark.parametrize(
     ("lris", "noise", "ok"),
     [
@@ -217,30 +206,25 @@ def test_the_paper_s_box_of_four_lines(kernel: bool) -> None:
         ([10.0, 10.0, 10.0], 0.25, 0.75),  # above 1
     ],
 )
-def test_the_ends_of_wor_worked_by_hand(
-    kernel: bool, lris: list[float], noise: float, ok: float
-) -> None:
+def test_the_ends_of_wor_worked_by_hand(lris: list[float], noise: float, ok: float) -> None:
     """One lane, so two lines are expected: s = sum / 20 - noise."""
     lines: list[Line] = [(-1.0, True, False, lri) for lri in lris]
-    _, wor = seen([lines], 1, kernel, wor_noise=noise)
+    _, wor = seen([lines], 1, wor_noise=noise)
     np.testing.assert_allclose(wor[0], [ok, 1 - ok], rtol=0, atol=1e-15)
 
 
-@both
-def test_without_noise_a_frame_without_votes_is_uniform_still(kernel: bool) -> None:
-    tentative, _ = seen([[], [(-5.0, False, True, 10.0)]], 4, kernel, tentative_noise=0)
+def test_without_noise_a_frame_without_votes_is_uniform_still() -> None:
+    tentative, _ = seen([[], [(-5.0, False, True, 10.0)]], 4, tentative_noise=0)
     np.testing.assert_allclose(tentative, np.full((2, 4), 0.25))
 
 
-@both
-def test_votes_of_several_lines_add_up_and_the_bonus_is_weighed(kernel: bool) -> None:
+def test_votes_of_several_lines_add_up_and_the_bonus_is_weighed() -> None:
     lines = [(-5.0, True, False, 5.0), (5.0, True, True, 5.0), (-1.0, True, True, 5.0)]
     # Left line: lanes 2, 3. Right line: lanes 2, 1 and the bonus for lane 2. Near left: lane 1.
-    tentative, _ = seen([lines], 3, kernel, bonus_value=4)
+    tentative, _ = seen([lines], 3, bonus_value=4)
     np.testing.assert_allclose(tentative[0], noisy([1 + 4, 2 + 4, 1]), rtol=1e-12)
 
 
-@both
 @pytest.mark.parametrize(
     ("lris", "s"),
     [
@@ -254,52 +238,45 @@ def test_votes_of_several_lines_add_up_and_the_bonus_is_weighed(kernel: bool) ->
         ([math.nan, math.nan], 0.5 - 0.01),
     ],
 )
-def test_wor_is_the_share_of_the_expected_reliability(
-    kernel: bool, lris: list[float], s: float
-) -> None:
-    _, wor = seen([[(1.0, True, False, lri) for lri in lris]], 3, kernel)
+def test_wor_is_the_share_of_the_expected_reliability(lris: list[float], s: float) -> None:
+    _, wor = seen([[(1.0, True, False, lri) for lri in lris]], 3)
     np.testing.assert_allclose(wor[0], [s, 1 - s], rtol=1e-12)
 
 
-@both
-def test_a_frame_without_a_valid_line_says_nothing_or_that_the_sensor_is_bad(kernel: bool) -> None:
+def test_a_frame_without_a_valid_line_says_nothing_or_that_the_sensor_is_bad() -> None:
     frames: list[list[Line]] = [[(2.0, False, True, 9.0)], [], [(2.0, True, False, 0.0)]]
-    tentative, wor = seen(frames, 4, kernel)
+    tentative, wor = seen(frames, 4)
     np.testing.assert_allclose(tentative, np.full((3, 4), 0.25))
     np.testing.assert_allclose(wor[:, 0], [0.01, 0.01, 0.01])
-    tentative, wor = seen(frames, 4, kernel, no_valid_line="ignore")
+    tentative, wor = seen(frames, 4, no_valid_line="ignore")
     np.testing.assert_allclose(tentative, np.full((3, 4), 0.25))
     np.testing.assert_allclose(wor[:, 0], [0.5, 0.5, 0.01])
 
 
-@both
-def test_garbage_in_lines_that_are_not_valid_is_never_read(kernel: bool) -> None:
+def test_garbage_in_lines_that_are_not_valid_is_never_read() -> None:
     good = (-5.0, True, True, 8.0)
     bad: list[Line] = [(3e32, False, True, 1e9), (math.nan, False, True, math.nan)]
     bad += [(math.inf, False, True, math.inf)]
-    for ours, right in zip(seen([[good, *bad]], 4, kernel), seen([[good]], 4, kernel), strict=True):
+    for ours, right in zip(seen([[good, *bad]], 4), seen([[good]], 4), strict=True):
         np.testing.assert_array_equal(ours, right)
 
 
-@both
-def test_a_recording_of_no_line_at_all_is_uniform(kernel: bool) -> None:
-    tentative, wor = seen([[], []], 3, kernel)
+def test_a_recording_of_no_line_at_all_is_uniform() -> None:
+    tentative, wor = seen([[], []], 3)
     np.testing.assert_allclose(tentative, np.full((2, 3), 1 / 3))
     np.testing.assert_allclose(wor[:, 0], 0.01)
 
 
-@both
-def test_without_noise_a_lane_that_no_line_allows_is_impossible(kernel: bool) -> None:
-    tentative, wor = seen([[(-9.0, True, False, 10.0)]], 3, kernel, tentative_noise=0, wor_noise=0)
+def test_without_noise_a_lane_that_no_line_allows_is_impossible() -> None:
+    tentative, wor = seen([[(-9.0, True, False, 10.0)]], 3, tentative_noise=0, wor_noise=0)
     np.testing.assert_array_equal(tentative[0], [0, 0, 1])
     np.testing.assert_allclose(wor[0], [0.25, 0.75])
 
 
-@both
-def test_the_lane_width_is_a_parameter(kernel: bool) -> None:
+def test_the_lane_width_is_a_parameter() -> None:
     line = (-3.0, True, False, 10.0)
-    np.testing.assert_allclose(seen([[line]], 3, kernel)[0][0], np.full(3, 1 / 3))
-    narrow, _ = seen([[line]], 3, kernel, lane_width_m=2.02)
+    np.testing.assert_allclose(seen([[line]], 3)[0][0], np.full(3, 1 / 3))
+    narrow, _ = seen([[line]], 3, lane_width_m=2.02)
     np.testing.assert_allclose(narrow[0], noisy([0, 1, 1]), rtol=1e-12)
 
 
@@ -316,3 +293,28 @@ def test_parameters_out_of_range_are_refused_by_name() -> None:
         with pytest.raises(InputError) as error:
             resolved(3, **values)
         assert str(error.value).startswith(message)
+
+
+@settings(max_examples=60, deadline=None)
+@given(st.integers(0, 2**32 - 1), st.integers(1, 6), st.booleans())
+def test_counting_equals_plain_numpy(seed: int, n_lanes: int, ignore: bool) -> None:
+    rng = np.random.default_rng(seed)
+    shape = (30, 5)
+    on_border = rng.choice([-7.0, -3.5, 0.0, 3.5, 7.0, 10.5], shape)
+    offset = np.where(rng.uniform(size=shape) < 0.3, on_border, rng.normal(0, 6, shape))
+    valid = rng.uniform(size=shape) < 0.6
+    offset[~valid & (rng.uniform(size=shape) < 0.5)] = np.nan
+    lri = np.where(rng.uniform(size=shape) < 0.1, np.nan, rng.integers(-1, 12, shape))
+    ids = np.arange(30)
+    log = LineLog(ids, ids / 10, offset, valid, rng.uniform(size=shape) < 0.5, lri)
+    parameters = resolve_parameters(
+        counting.PARAMETERS,
+        {"bonus_value": rng.uniform(0, 9), "no_valid_line": "ignore" if ignore else "uniform"},
+        n_lanes,
+    )
+    fast = counting.evidence(log, n_lanes, parameters)
+    plain = reference.evidence(log, n_lanes, parameters)
+    for key in counting.PROVIDES:
+        np.testing.assert_allclose(
+            fast.likelihoods[key], plain.likelihoods[key], rtol=0, atol=1e-12
+        )

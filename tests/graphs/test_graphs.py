@@ -12,7 +12,6 @@ from hypothesis import strategies as st
 from egolane_pgm.graphs.cpds import declare, ve_name
 from egolane_pgm.inference.compile import Compiled, compile_network, with_tables
 from egolane_pgm.inference.filtering import filter_beliefs
-from egolane_pgm.inference.oracle import oracle_assumed_density, oracle_filter
 from egolane_pgm.parameters import Parameters, resolve_parameters
 from egolane_pgm.types import Evidence
 from tests.conformance.networks import (
@@ -27,6 +26,7 @@ from tests.conformance.networks import (
     graph_names,
     shuffle_axes,
 )
+from tests.reference.oracle import oracle_assumed_density, oracle_filter
 
 GRAPHS = graph_names()
 every_graph = pytest.mark.parametrize("name", GRAPHS)

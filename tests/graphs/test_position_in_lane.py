@@ -11,9 +11,8 @@ from hypothesis import strategies as st
 
 from egolane_pgm.graphs import position_in_lane as graph
 from egolane_pgm.inference.compile import Compiled, compile_network
-from egolane_pgm.inference.filtering import filter_beliefs, node_columns, step
-from egolane_pgm.inference.kernels.banded import banded
-from egolane_pgm.inference.oracle import oracle_assumed_density, oracle_filter
+from egolane_pgm.inference.filtering import filter_beliefs, step
+from egolane_pgm.inference.kernels.banded import find_band
 from egolane_pgm.parameters import Parameters, resolve_parameters
 from egolane_pgm.types import Evidence, InputError
 from tests.conformance.networks import (
@@ -23,6 +22,8 @@ from tests.conformance.networks import (
     draw_evidence,
     draw_parameters,
 )
+from tests.reference import inference as reference
+from tests.reference.oracle import oracle_assumed_density, oracle_filter
 
 JOINT = ("RoadPosition", "SensorState")
 SMALL = {"cells": 3, "motion_bins": 3}
@@ -61,8 +62,7 @@ def test_a_small_road_agrees_with_the_oracle_and_with_brute_force(seed: int) -> 
     for method in METHODS:
         right = brute_force(graph.tables(2, parameters), graph.HIDDEN, evidence, method)
         assert_same_beliefs(oracle[method], right)
-        for kernel in (True, False):
-            assert_same_beliefs(filter_beliefs(network, evidence, method, kernel=kernel), right)
+        assert_same_beliefs(filter_beliefs(network, evidence, method), right)
 
 
 def test_lane_is_the_lane_of_the_cell() -> None:
@@ -77,13 +77,13 @@ def test_lane_is_the_lane_of_the_cell() -> None:
 def test_the_banded_kernel_equals_the_plain_recursion(cells: int, method: str) -> None:
     rng = np.random.default_rng(cells)
     network = compiled(4, resolved(4, cells=cells, motion_bins=7))
-    assert banded(network, node_columns) is not None
+    assert find_band(network) is not None
     evidence = draw_evidence(network, 60, rng)
     # Every input, and likelihoods at the ends of what can be represented.
     evidence.inputs["LineMotion"][:16] = np.arange(16)
     evidence.likelihoods[JOINT][20] = 1e-300 * rng.random(evidence.likelihoods[JOINT][20].shape)
     evidence.likelihoods[JOINT][21] = 1e300 * rng.random(evidence.likelihoods[JOINT][21].shape)
-    right = filter_beliefs(network, evidence, method, kernel=False)
+    right = reference.filter_beliefs(network, evidence, method)
     assert right.is_impossible.any()
     assert_same_beliefs(filter_beliefs(network, evidence, method), right, 1e-12)
     state, answers = None, []
@@ -101,10 +101,10 @@ def test_the_order_of_the_hidden_nodes_does_not_matter_to_the_banded_kernel() ->
         for hidden in (graph.HIDDEN, graph.HIDDEN[::-1])
     )
     assert turned.state_nodes == ours.state_nodes[::-1]
-    assert banded(turned, node_columns) is not None
+    assert find_band(turned) is not None
     evidence = draw_evidence(ours, 30, np.random.default_rng(6))
     for method in METHODS:
-        right = filter_beliefs(ours, evidence, method, kernel=False)
+        right = reference.filter_beliefs(ours, evidence, method)
         assert_same_beliefs(filter_beliefs(turned, evidence, method), right, 1e-12)
 
 
@@ -112,11 +112,11 @@ def test_a_transition_that_is_no_product_is_left_to_the_plain_kernel() -> None:
     network = compiled(3, resolved(3, cells=8, motion_bins=7))
     mixed = network.transition.copy()
     mixed[2, 5] = np.roll(mixed[2, 5], 1)
-    assert banded(replace(network, transition=mixed), node_columns) is None
+    assert find_band(replace(network, transition=mixed)) is None
 
 
 def test_a_small_road_is_left_to_the_plain_kernel() -> None:
-    assert banded(compiled(2, resolved(2, cells=3)), node_columns) is None
+    assert find_band(compiled(2, resolved(2, cells=3))) is None
 
 
 @settings(max_examples=30, deadline=None)

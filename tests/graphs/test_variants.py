@@ -12,7 +12,6 @@ from egolane_pgm.evidence.counting_levels import level_evidence
 from egolane_pgm.graphs.wor_levels import binomial
 from egolane_pgm.inference.compile import Compiled, compile_network
 from egolane_pgm.inference.filtering import filter_beliefs
-from egolane_pgm.inference.oracle import oracle_assumed_density, oracle_filter
 from egolane_pgm.parameters import Parameters, resolve_parameters
 from egolane_pgm.simulation import simulate
 from egolane_pgm.types import Evidence
@@ -25,6 +24,7 @@ from tests.conformance.networks import (
     graph,
 )
 from tests.kits.drives import done, refused, write_drive
+from tests.reference.oracle import oracle_assumed_density, oracle_filter
 
 
 def compiled(name: str, n_lanes: int, given: Parameters) -> Compiled:
@@ -116,10 +116,9 @@ def test_levels_of_a_frame_without_a_line_say_nothing_where_that_is_wanted() -> 
     log.is_valid[3] = False
     given = {"no_valid_line": "ignore", "wor_levels": 5, "level_evidence": "one_hot"}
     parameters = resolve_parameters(counting_levels.PARAMETERS, given, 4)
-    for kernel in (True, False):
-        wor = counting_levels.evidence(log, 4, parameters, kernel=kernel).likelihoods["WOR"]
-        np.testing.assert_array_equal(wor[3], np.full(5, 0.2))
-        assert set(np.unique(wor[:3])) == {0.0, 1.0}
+    wor = counting_levels.evidence(log, 4, parameters).likelihoods["WOR"]
+    np.testing.assert_array_equal(wor[3], np.full(5, 0.2))
+    assert set(np.unique(wor[:3])) == {0.0, 1.0}
 
 
 def test_an_experiment_with_levels_runs_and_one_with_the_wrong_rule_is_refused(tmp_path) -> None:  # type: ignore[no-untyped-def]

@@ -19,7 +19,6 @@ from egolane_pgm.graphs.cpds import (
 )
 from egolane_pgm.inference.compile import Compiled, compile_network, with_tables
 from egolane_pgm.inference.filtering import filter_beliefs
-from egolane_pgm.inference.oracle import oracle_assumed_density, oracle_filter
 from egolane_pgm.types import Evidence, InputError
 from tests.conformance.networks import (
     KEEP,
@@ -34,6 +33,7 @@ from tests.conformance.networks import (
     shuffle_axes,
     simple_tables,
 )
+from tests.reference.oracle import oracle_assumed_density, oracle_filter
 
 OF_TWO = np.array([[[0.7, 0.3], [0.4, 0.6]], [[0.1, 0.9], [0.5, 0.5]]])
 

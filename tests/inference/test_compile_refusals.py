@@ -20,7 +20,6 @@ from egolane_pgm.graphs.cpds import (
 )
 from egolane_pgm.inference import compile as _roles
 from egolane_pgm.inference.compile import compile_network
-from egolane_pgm.inference.oracle import oracle_filter
 from egolane_pgm.types import InputError, Observed
 from tests.conformance.networks import (
     KEEP,
@@ -29,6 +28,7 @@ from tests.conformance.networks import (
     draw_evidence,
     simple_tables,
 )
+from tests.reference.oracle import oracle_filter
 
 OF_TWO = np.array([[[0.7, 0.3], [0.4, 0.6]], [[0.1, 0.9], [0.5, 0.5]]])
 

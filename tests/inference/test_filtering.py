@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import functools
-from contextlib import AbstractContextManager, nullcontext
+from contextlib import AbstractContextManager
 
 import numpy as np
 import pytest
@@ -24,9 +24,9 @@ from tests.conformance.networks import (
     draw_parameters,
     graph,
 )
+from tests.reference import inference as reference
 
 every_method = pytest.mark.parametrize("method", METHODS)
-both = pytest.mark.parametrize("kernel", [True, False], ids=["kernel", "numpy"])
 seeds = st.integers(0, 2**32 - 1)
 few = settings(max_examples=20, deadline=None)
 
@@ -56,10 +56,10 @@ def any_compiled(seed: int) -> Compiled:
     return with_tables(compiled_paper(n_lanes), module.tables(n_lanes, parameters))
 
 
-def as_compiled(kernel: bool) -> AbstractContextManager[object]:
+def as_compiled() -> AbstractContextManager[object]:
     """Compiled code overflows to infinity in silence, and the kernel then scales; as plain Python
-    (NUMBA_DISABLE_JIT) it must be told to. The twin never overflows."""
-    return np.errstate(over="ignore", invalid="ignore") if kernel else nullcontext()
+    (NUMBA_DISABLE_JIT) it must be told to."""
+    return np.errstate(over="ignore", invalid="ignore")
 
 
 def scaled(evidence: Evidence, factor: float) -> Evidence:
@@ -68,13 +68,12 @@ def scaled(evidence: Evidence, factor: float) -> Evidence:
 
 
 @every_method
-@both
 @few
 @given(seed=seeds)
-def test_every_belief_sums_to_one(method: str, kernel: bool, seed: int) -> None:
+def test_every_belief_sums_to_one(method: str, seed: int) -> None:
     compiled = any_compiled(seed)
     evidence = draw_evidence(compiled, 40, np.random.default_rng(seed))
-    beliefs = filter_beliefs(compiled, evidence, method, kernel=kernel)
+    beliefs = filter_beliefs(compiled, evidence, method)
     for marginal in beliefs.marginals.values():
         assert (marginal >= 0).all()
         np.testing.assert_allclose(marginal.sum(axis=1), 1, rtol=0, atol=1e-9)
@@ -86,17 +85,14 @@ def test_every_belief_sums_to_one(method: str, kernel: bool, seed: int) -> None:
 def test_kernel_and_twin_give_the_same(method: str, seed: int) -> None:
     compiled = any_compiled(seed)
     evidence = draw_evidence(compiled, 60, np.random.default_rng(seed))
-    right = filter_beliefs(compiled, evidence, method, kernel=False)
-    assert_same_beliefs(filter_beliefs(compiled, evidence, method, kernel=True), right, 1e-11)
+    right = reference.filter_beliefs(compiled, evidence, method)
+    assert_same_beliefs(filter_beliefs(compiled, evidence, method), right, 1e-11)
 
 
 @every_method
-@both
 @few
 @given(seed=seeds, cut=st.integers(1, 19))
-def test_a_later_frame_never_changes_an_earlier_belief(
-    method: str, kernel: bool, seed: int, cut: int
-) -> None:
+def test_a_later_frame_never_changes_an_earlier_belief(method: str, seed: int, cut: int) -> None:
     compiled = any_compiled(seed)
     rng = np.random.default_rng(seed)
     evidence = draw_evidence(compiled, 20, rng)
@@ -106,24 +102,23 @@ def test_a_later_frame_never_changes_an_earlier_belief(
          for k, v in evidence.likelihoods.items()},
         {k: np.concatenate([v[:cut], other.inputs[k][cut:]]) for k, v in evidence.inputs.items()},
     )  # fmt: skip
-    whole = filter_beliefs(compiled, evidence, method, kernel=kernel)
-    changed = filter_beliefs(compiled, joined, method, kernel=kernel)
+    whole = filter_beliefs(compiled, evidence, method)
+    changed = filter_beliefs(compiled, joined, method)
     for name in compiled.hidden:
         np.testing.assert_array_equal(whole.marginals[name][:cut], changed.marginals[name][:cut])
     np.testing.assert_array_equal(whole.log_evidence[:cut], changed.log_evidence[:cut])
 
 
 @every_method
-@both
 @few
 @given(seed=seeds)
-def test_frame_by_frame_equals_the_whole_sequence(method: str, kernel: bool, seed: int) -> None:
+def test_frame_by_frame_equals_the_whole_sequence(method: str, seed: int) -> None:
     compiled = any_compiled(seed)
     evidence = draw_evidence(compiled, 15, np.random.default_rng(seed))
-    whole = filter_beliefs(compiled, evidence, method, kernel=kernel)
+    whole = filter_beliefs(compiled, evidence, method)
     state = None
     for t in range(15):
-        state, belief = step(compiled, state, evidence.take(slice(t, t + 1)), method, kernel=kernel)
+        state, belief = step(compiled, state, evidence.take(slice(t, t + 1)), method)
         for name in compiled.hidden:
             np.testing.assert_allclose(
                 belief.marginals[name][0], whole.marginals[name][t], rtol=0, atol=1e-13
@@ -133,29 +128,27 @@ def test_frame_by_frame_equals_the_whole_sequence(method: str, kernel: bool, see
 
 
 @every_method
-@both
-def test_stepping_leaves_the_earlier_state_as_it_was(method: str, kernel: bool) -> None:
+def test_stepping_leaves_the_earlier_state_as_it_was(method: str) -> None:
     compiled = compiled_paper()
     evidence = draw_evidence(compiled, 3, np.random.default_rng(0), zeros=0)
-    first, _ = step(compiled, None, evidence.take(slice(0, 1)), method, kernel=kernel)
+    first, _ = step(compiled, None, evidence.take(slice(0, 1)), method)
     before = first.joint.copy()
-    _, once = step(compiled, first, evidence.take(slice(1, 3)), method, kernel=kernel)
-    _, again = step(compiled, first, evidence.take(slice(1, 3)), method, kernel=kernel)
+    _, once = step(compiled, first, evidence.take(slice(1, 3)), method)
+    _, again = step(compiled, first, evidence.take(slice(1, 3)), method)
     np.testing.assert_array_equal(first.joint, before)
     np.testing.assert_array_equal(once.lane, again.lane)
 
 
 @every_method
-@both
 @few
 @given(seed=seeds, factor=st.floats(1e-30, 1e30))
 def test_scaled_evidence_changes_the_log_evidence_only(
-    method: str, kernel: bool, seed: int, factor: float
+    method: str, seed: int, factor: float
 ) -> None:
     compiled = any_compiled(seed)
     evidence = draw_evidence(compiled, 20, np.random.default_rng(seed))
-    right = filter_beliefs(compiled, evidence, method, kernel=kernel)
-    ours = filter_beliefs(compiled, scaled(evidence, factor), method, kernel=kernel)
+    right = filter_beliefs(compiled, evidence, method)
+    ours = filter_beliefs(compiled, scaled(evidence, factor), method)
     np.testing.assert_array_equal(ours.is_impossible, right.is_impossible)
     for name in compiled.hidden:
         np.testing.assert_allclose(ours.marginals[name], right.marginals[name], atol=1e-10)
@@ -167,16 +160,13 @@ def test_scaled_evidence_changes_the_log_evidence_only(
 
 
 @every_method
-@both
 @pytest.mark.parametrize("size", [1e-200, 1e-300, 1e200, 1e300])
-def test_likelihoods_of_any_size_give_the_same_belief(
-    method: str, kernel: bool, size: float
-) -> None:
+def test_likelihoods_of_any_size_give_the_same_belief(method: str, size: float) -> None:
     compiled = compiled_paper()
     evidence = draw_evidence(compiled, 30, np.random.default_rng(1), zeros=0)
-    right = filter_beliefs(compiled, evidence, method, kernel=kernel)
-    with as_compiled(kernel):
-        ours = filter_beliefs(compiled, scaled(evidence, size), method, kernel=kernel)
+    right = filter_beliefs(compiled, evidence, method)
+    with as_compiled():
+        ours = filter_beliefs(compiled, scaled(evidence, size), method)
     assert not ours.is_impossible.any()
     np.testing.assert_allclose(ours.lane, right.lane, rtol=0, atol=1e-12)
     np.testing.assert_allclose(
@@ -185,23 +175,22 @@ def test_likelihoods_of_any_size_give_the_same_belief(
 
 
 @every_method
-@both
 @few
 @given(seed=seeds, level=st.sampled_from([1.0, 0.25, 1e-5]))
 def test_uniform_evidence_changes_nothing_but_the_prediction(
-    method: str, kernel: bool, seed: int, level: float
+    method: str, seed: int, level: float
 ) -> None:
     """The belief after a frame that says nothing is the prediction, and its evidence is certain."""
     compiled = any_compiled(seed)
     evidence = draw_evidence(compiled, 8, np.random.default_rng(seed))
     for values in evidence.likelihoods.values():
         values[[0, 4]] = level
-    beliefs = filter_beliefs(compiled, evidence, method, kernel=kernel)
+    beliefs = filter_beliefs(compiled, evidence, method)
     start, u = compiled.prior, input_index(compiled, evidence)
     np.testing.assert_allclose(
         beliefs.log_evidence[[0, 4]], len(evidence.likelihoods) * np.log(level), atol=1e-9
     )
-    state, _ = step(compiled, None, evidence.take(slice(0, 4)), method, kernel=kernel)
+    state, _ = step(compiled, None, evidence.take(slice(0, 4)), method)
     for t, predicted in ((0, start[u[0]]), (4, state.joint @ compiled.transition[u[4]])):
         for h, name in enumerate(compiled.hidden):
             expected = np.bincount(
@@ -218,10 +207,7 @@ def input_index(compiled: Compiled, evidence: Evidence) -> np.ndarray:
 
 
 @every_method
-@both
-def test_a_frame_of_zero_joint_likelihood_keeps_its_prediction_and_is_flagged(
-    method: str, kernel: bool
-) -> None:
+def test_a_frame_of_zero_joint_likelihood_keeps_its_prediction_and_is_flagged(method: str) -> None:
     compiled = compiled_paper()
     evidence = draw_evidence(compiled, 6, np.random.default_rng(2), zeros=0)
     silent = Evidence({k: v.copy() for k, v in evidence.likelihoods.items()})
@@ -229,8 +215,8 @@ def test_a_frame_of_zero_joint_likelihood_keeps_its_prediction_and_is_flagged(
         evidence.likelihoods[key][frame] = 0
     for values in silent.likelihoods.values():
         values[[2, 4]] = 1
-    ours = filter_beliefs(compiled, evidence, method, kernel=kernel)
-    right = filter_beliefs(compiled, silent, method, kernel=kernel)
+    ours = filter_beliefs(compiled, evidence, method)
+    right = filter_beliefs(compiled, silent, method)
     assert ours.is_impossible.tolist() == [False, False, True, False, True, False]
     assert not right.is_impossible.any()
     for name in compiled.hidden:
@@ -241,9 +227,8 @@ def test_a_frame_of_zero_joint_likelihood_keeps_its_prediction_and_is_flagged(
 
 
 @every_method
-@both
 def test_evidence_that_the_model_rules_out_is_flagged_though_no_likelihood_is_all_zero(
-    method: str, kernel: bool
+    method: str,
 ) -> None:
     """The state stays at 0 and is seen without error: a certain sight of 1 is impossible."""
     tables = [
@@ -253,16 +238,15 @@ def test_evidence_that_the_model_rules_out_is_flagged_though_no_likelihood_is_al
     ]
     compiled = compile_network(declare(tables, ["D"]), ["Lane"], ["D"])
     evidence = Evidence({"D": np.array([[0.5, 0.5], [0.0, 1.0], [0.2, 0.8]])})
-    beliefs = filter_beliefs(compiled, evidence, method, kernel=kernel)
+    beliefs = filter_beliefs(compiled, evidence, method)
     assert beliefs.is_impossible.tolist() == [False, True, False]
     np.testing.assert_array_equal(beliefs.lane, [[1, 0]] * 3)
     np.testing.assert_allclose(beliefs.mean_log_evidence, np.log([0.5, 0.2]).mean())
 
 
 @every_method
-@both
 def test_a_sequence_of_nothing_but_impossible_frames_stays_the_models_prediction(
-    method: str, kernel: bool
+    method: str,
 ) -> None:
     # Rounding errors must not grow from frame to frame either.
     module = graph("sensor_failure")
@@ -273,42 +257,39 @@ def test_a_sequence_of_nothing_but_impossible_frames_stays_the_models_prediction
     detector, wor = np.zeros((300, 3)), np.zeros((300, 2))
     detector[0], wor[0] = [0.9, 0.05, 0.05], [0.7, 0.3]
     evidence = Evidence({"DetectorOutput": detector, "WOR": wor})
-    beliefs = filter_beliefs(compiled, evidence, method, kernel=kernel)
+    beliefs = filter_beliefs(compiled, evidence, method)
     assert beliefs.is_impossible.tolist() == [False] + [True] * 299
     silent = Evidence({"DetectorOutput": detector + ~detector.any(1, keepdims=True),
                        "WOR": wor + ~wor.any(1, keepdims=True)})  # fmt: skip
-    right = filter_beliefs(compiled, silent, method, kernel=kernel)
+    right = filter_beliefs(compiled, silent, method)
     for name in compiled.hidden:
         np.testing.assert_allclose(beliefs.marginals[name], right.marginals[name], atol=1e-12)
 
 
-@both
-def test_a_sequence_of_only_impossible_frames_has_no_mean_log_evidence(kernel: bool) -> None:
+def test_a_sequence_of_only_impossible_frames_has_no_mean_log_evidence() -> None:
     evidence = Evidence({"DetectorOutput": np.zeros((3, 4)), "WOR": np.zeros((3, 2))})
-    beliefs = filter_beliefs(compiled_paper(), evidence, kernel=kernel)
+    beliefs = filter_beliefs(compiled_paper(), evidence)
     assert beliefs.is_impossible.all()
     assert np.isnan(beliefs.mean_log_evidence)
 
 
 @every_method
-@both
-def test_nothing_underflows_over_a_thousand_frames(method: str, kernel: bool) -> None:
+def test_nothing_underflows_over_a_thousand_frames(method: str) -> None:
     module = graph("sensor_failure")
     parameters = resolve_parameters(module.PARAMETERS, {"sigma1": 1.0}, 4)
     compiled = with_tables(compiled_paper(), module.tables(4, parameters))
     rng = np.random.default_rng(3)
     evidence = scaled(draw_evidence(compiled, 1000, rng, zeros=0), 1e-6)
-    beliefs = filter_beliefs(compiled, evidence, method, kernel=kernel)
+    beliefs = filter_beliefs(compiled, evidence, method)
     assert not beliefs.is_impossible.any()
     assert np.isfinite(beliefs.log_evidence).all()
     np.testing.assert_allclose(beliefs.lane.sum(axis=1), 1, atol=1e-12)
     # The chain forgets: the last belief is that of the last two hundred frames alone.
-    late = filter_beliefs(compiled, evidence.take(slice(800, 1000)), method, kernel=kernel)
+    late = filter_beliefs(compiled, evidence.take(slice(800, 1000)), method)
     np.testing.assert_allclose(beliefs.lane[-1], late.lane[-1], atol=1e-9)
 
 
-@both
-def test_the_paper_s_update_worked_by_hand(kernel: bool) -> None:
+def test_the_paper_s_update_worked_by_hand() -> None:
     """Assumed density as in section "Inference": each marginal through its own table."""
     module = graph("sensor_failure")
     parameters = resolve_parameters(module.PARAMETERS, {"p1": 0.8, "p2": 0.7}, 3)
@@ -316,9 +297,7 @@ def test_the_paper_s_update_worked_by_hand(kernel: bool) -> None:
     tables = {t.node: t.values for t in module.tables(3, parameters)}
     rng = np.random.default_rng(4)
     detector, wor = rng.random((5, 3)), rng.random((5, 2))
-    ours = filter_beliefs(
-        compiled, Evidence({"DetectorOutput": detector, "WOR": wor}), kernel=kernel
-    )
+    ours = filter_beliefs(compiled, Evidence({"DetectorOutput": detector, "WOR": wor}))
     lane, sensor = np.full(3, 1 / 3), np.full(2, 1 / 2)
     for t in range(5):
         if t:
@@ -350,19 +329,17 @@ def test_with_one_persistent_node_assumed_density_is_exact() -> None:
 
 
 @every_method
-@both
-def test_the_frame_ids_given_are_the_beliefs_own(method: str, kernel: bool) -> None:
+def test_the_frame_ids_given_are_the_beliefs_own(method: str) -> None:
     evidence = draw_evidence(compiled_paper(), 3, np.random.default_rng(0))
     ids = np.array([5, 8, 9])
-    beliefs = filter_beliefs(compiled_paper(), evidence, method, frame_id=ids, kernel=kernel)
+    beliefs = filter_beliefs(compiled_paper(), evidence, method, frame_id=ids)
     np.testing.assert_array_equal(beliefs.frame_id, ids)
 
 
 @every_method
-@both
-def test_no_frames_give_no_beliefs(method: str, kernel: bool) -> None:
+def test_no_frames_give_no_beliefs(method: str) -> None:
     nothing = Evidence({"DetectorOutput": np.zeros((0, 4)), "WOR": np.zeros((0, 2))})
-    beliefs = filter_beliefs(compiled_paper(), nothing, method, kernel=kernel)
+    beliefs = filter_beliefs(compiled_paper(), nothing, method)
     assert beliefs.lane.shape == (0, 4)
     assert len(beliefs) == 0
 
@@ -383,12 +360,12 @@ def test_long_sequences_agree_with_the_twin_whatever_kernel_does_them(
         size = np.where(rng.random(1500) < 0.05, 1e-200, 1.0)
         size[rng.random(1500) < 0.05] = 1e200
         values *= size[:, None]
-    right = filter_beliefs(compiled, evidence, method, kernel=False)
+    right = reference.filter_beliefs(compiled, evidence, method)
     assert 0 < right.is_impossible.sum() < 1000
-    with as_compiled(kernel=True):
-        ours = filter_beliefs(compiled, evidence, method, kernel=True)
+    with as_compiled():
+        ours = filter_beliefs(compiled, evidence, method)
     assert_same_beliefs(ours, right, 1e-9)
     assert np.isfinite(ours.mean_log_evidence)
     easy = draw_evidence(compiled, 1500, rng, zeros=0)
-    right = filter_beliefs(compiled, easy, method, kernel=False)
-    assert_same_beliefs(filter_beliefs(compiled, easy, method, kernel=True), right, 1e-9)
+    right = reference.filter_beliefs(compiled, easy, method)
+    assert_same_beliefs(filter_beliefs(compiled, easy, method), right, 1e-9)

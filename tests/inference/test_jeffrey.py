@@ -7,9 +7,9 @@ import pytest
 from hypothesis import given
 
 from egolane_pgm.graphs.cpds import declare, dynamics, previous, prior, within
-from egolane_pgm.inference.batch import confusions_many
 from egolane_pgm.inference.compile import compile_network, with_tables
-from egolane_pgm.inference.filtering import evidence_blocks, filter_beliefs, read_evidence, step
+from egolane_pgm.inference.filtering import filter_beliefs, read_evidence, step
+from egolane_pgm.inference.layout import evidence_blocks
 from egolane_pgm.types import Evidence, InputError
 from tests.conformance.networks import (
     METHODS,
@@ -27,9 +27,9 @@ from tests.inference.test_smoothing import (
     template,
 )
 from tests.kits.trajectories import enumerated_jeffrey
+from tests.reference import inference as reference
 
 every_method = pytest.mark.parametrize("method", METHODS)
-both = pytest.mark.parametrize("kernel", [True, False], ids=["kernel", "numpy"])
 
 
 @pytest.mark.parametrize("name", graph_names())
@@ -42,9 +42,8 @@ def test_every_graph_agrees_with_weighting_all_trajectories(name: str, method: s
         compiled = with_tables(template(name, 2), tables)
         evidence = draw_evidence(compiled, 2, rng)
         right = enumerated_jeffrey(tables, module.HIDDEN, compiled.observed, evidence, method)
-        for kernel in (True, False):
-            posterior = read_evidence(evidence, "jeffrey")
-            assert_same_beliefs(filter_beliefs(compiled, posterior, method, kernel=kernel), right)
+        posterior = read_evidence(evidence, "jeffrey")
+        assert_same_beliefs(filter_beliefs(compiled, posterior, method), right)
 
 
 @pytest.mark.parametrize("seed", range(20))
@@ -55,8 +54,7 @@ def test_random_networks_agree_with_weighting_all_trajectories(seed: int) -> Non
     posterior = read_evidence(evidence, "jeffrey")
     for method in METHODS:
         right = enumerated_jeffrey(drawn.tables, drawn.hidden, compiled.observed, evidence, method)
-        for kernel in (True, False):
-            assert_same_beliefs(filter_beliefs(compiled, posterior, method, kernel=kernel), right)
+        assert_same_beliefs(filter_beliefs(compiled, posterior, method), right)
 
 
 @every_method
@@ -65,17 +63,14 @@ def test_random_networks_agree_with_weighting_all_trajectories(seed: int) -> Non
 def test_kernel_and_twin_give_the_same(method: str, seed: int) -> None:
     compiled = any_compiled(seed)
     posterior = read_evidence(draw_evidence(compiled, 60, np.random.default_rng(seed)), "jeffrey")
-    right = filter_beliefs(compiled, posterior, method, kernel=False)
-    assert_same_beliefs(filter_beliefs(compiled, posterior, method, kernel=True), right, 1e-10)
+    right = reference.filter_beliefs(compiled, posterior, method)
+    assert_same_beliefs(filter_beliefs(compiled, posterior, method), right, 1e-10)
 
 
 @every_method
-@both
 @few
 @given(seed=seeds)
-def test_certain_evidence_is_the_same_however_it_is_read(
-    method: str, kernel: bool, seed: int
-) -> None:
+def test_certain_evidence_is_the_same_however_it_is_read(method: str, seed: int) -> None:
     compiled = any_compiled(seed)
     evidence = draw_evidence(compiled, 20, np.random.default_rng(seed), zeros=0)
     certain = {}
@@ -86,14 +81,13 @@ def test_certain_evidence_is_the_same_however_it_is_read(
     hard = Evidence(certain, evidence.inputs)
     if any(values[0].size == 1 for values in certain.values()):
         return  # a node of one value: ones are all that can be said
-    right = filter_beliefs(compiled, hard, method, kernel=kernel)
+    right = filter_beliefs(compiled, hard, method)
     # Impossible evidence is found at another node of the frame, the flag is the same.
-    ours = filter_beliefs(compiled, read_evidence(hard, "jeffrey"), method, kernel=kernel)
+    ours = filter_beliefs(compiled, read_evidence(hard, "jeffrey"), method)
     assert_same_beliefs(ours, right, 1e-8)
 
 
-@both
-def test_the_observed_node_is_afterwards_distributed_as_the_evidence_says(kernel: bool) -> None:
+def test_the_observed_node_is_afterwards_distributed_as_the_evidence_says() -> None:
     """Lane observed directly: whatever was believed, Lane's belief is the evidence."""
     stay = 0.9 * np.eye(3) + 0.1 / 3
     tables = [
@@ -106,7 +100,7 @@ def test_the_observed_node_is_afterwards_distributed_as_the_evidence_says(kernel
     rows = _rng(1).dirichlet(np.ones(3), 10)
     said_of_seen = np.ones((10, 3))  # nothing
     posterior = read_evidence(Evidence({"Lane": rows, "Seen": said_of_seen}), "jeffrey")
-    lane = filter_beliefs(compiled, posterior, kernel=kernel).lane
+    lane = filter_beliefs(compiled, posterior).lane
     np.testing.assert_allclose(lane, rows, rtol=0, atol=1e-12)
 
 
@@ -115,30 +109,28 @@ def _rng(seed: int) -> np.random.Generator:
 
 
 @every_method
-@both
-def test_evidence_equal_to_the_prediction_changes_nothing(method: str, kernel: bool) -> None:
+def test_evidence_equal_to_the_prediction_changes_nothing(method: str) -> None:
     compiled = template("lane_only", 4)
     start = read_evidence(Evidence({"DetectorOutput": np.array([[0.1, 0.2, 0.6, 0.1]])}), "jeffrey")
-    state, _ = step(compiled, None, start, method, kernel=kernel)
+    state, _ = step(compiled, None, start, method)
     expected = state.joint @ compiled.transition[0]
     seen = expected @ compiled.groups[0].emission
     as_predicted = read_evidence(Evidence({"DetectorOutput": seen[None]}), "jeffrey")
-    _, belief = step(compiled, state, as_predicted, method, kernel=kernel)
+    _, belief = step(compiled, state, as_predicted, method)
     np.testing.assert_allclose(belief.lane[0], expected, rtol=0, atol=1e-12)
     np.testing.assert_allclose(belief.log_evidence[0], np.log(seen @ seen), rtol=0, atol=1e-12)
     as_likelihood = Evidence({"DetectorOutput": seen[None]})
-    _, other = step(compiled, state, as_likelihood, method, kernel=kernel)
+    _, other = step(compiled, state, as_likelihood, method)
     assert np.abs(other.lane[0] - expected).max() > 0.01
 
 
-@both
-def test_a_row_of_ones_says_nothing_and_a_uniform_row_does(kernel: bool) -> None:
+def test_a_row_of_ones_says_nothing_and_a_uniform_row_does() -> None:
     compiled = template("lane_only", 4)
     first = [0.97, 0.01, 0.01, 0.01]
 
     def second(row: list[float]) -> np.ndarray:
         rows = Evidence({"DetectorOutput": np.array([first, row])})
-        return filter_beliefs(compiled, read_evidence(rows, "jeffrey"), kernel=kernel).lane
+        return filter_beliefs(compiled, read_evidence(rows, "jeffrey")).lane
 
     silent = second([1.0, 1.0, 1.0, 1.0])
     np.testing.assert_allclose(silent[1], silent[0] @ compiled.transition[0], rtol=0, atol=1e-12)
@@ -147,8 +139,7 @@ def test_a_row_of_ones_says_nothing_and_a_uniform_row_does(kernel: bool) -> None
 
 
 @every_method
-@both
-def test_values_that_were_impossible_stay_so_and_are_shared_out(method: str, kernel: bool) -> None:
+def test_values_that_were_impossible_stay_so_and_are_shared_out(method: str) -> None:
     tables = [
         *prior("Lane", [0.5, 0.5, 0.0]),
         *dynamics("Lane", [previous("Lane")], np.eye(3)),
@@ -157,33 +148,30 @@ def test_values_that_were_impossible_stay_so_and_are_shared_out(method: str, ker
     compiled = compile_network(declare(tables, ["Seen"]), ["Lane"], ["Seen"])
     rows = np.array([[0.3, 0.1, 0.6]])
     posterior = read_evidence(Evidence({"Seen": rows}), "jeffrey")
-    belief = filter_beliefs(compiled, posterior, method, kernel=kernel)
+    belief = filter_beliefs(compiled, posterior, method)
     np.testing.assert_allclose(belief.lane[0], [0.75, 0.25, 0.0], rtol=0, atol=1e-12)
     assert not belief.is_impossible[0]
     posterior = read_evidence(Evidence({"Seen": np.array([[0.0, 0.0, 1.0]])}), "jeffrey")
-    belief = filter_beliefs(compiled, posterior, method, kernel=kernel)
+    belief = filter_beliefs(compiled, posterior, method)
     np.testing.assert_allclose(belief.lane[0], [0.5, 0.5, 0.0], rtol=0, atol=1e-12)
     assert belief.is_impossible[0]
     assert belief.log_evidence[0] == 0
 
 
-@both
 @few
 @given(seed=seeds)
-def test_frame_by_frame_equals_the_whole_sequence_and_scale_does_not_matter(
-    kernel: bool, seed: int
-) -> None:
+def test_frame_by_frame_equals_the_whole_sequence_and_scale_does_not_matter(seed: int) -> None:
     compiled = any_compiled(seed)
     evidence = draw_evidence(compiled, 10, np.random.default_rng(seed))
     posterior = read_evidence(evidence, "jeffrey")
-    whole = filter_beliefs(compiled, posterior, kernel=kernel)
+    whole = filter_beliefs(compiled, posterior)
     larger = Evidence({k: v * 1.5e308 for k, v in evidence.likelihoods.items()}, evidence.inputs)
-    again = filter_beliefs(compiled, read_evidence(larger, "jeffrey"), kernel=kernel)
+    again = filter_beliefs(compiled, read_evidence(larger, "jeffrey"))
     assert_same_beliefs(again, whole, 1e-9)
     state = None
     for t in range(10):
         frame = posterior.take(slice(t, t + 1))
-        state, belief = step(compiled, state, frame, kernel=kernel)
+        state, belief = step(compiled, state, frame)
         for name in compiled.hidden:
             np.testing.assert_allclose(
                 belief.marginals[name][0], whole.marginals[name][t], rtol=0, atol=1e-12
@@ -191,13 +179,12 @@ def test_frame_by_frame_equals_the_whole_sequence_and_scale_does_not_matter(
 
 
 @every_method
-@both
-def test_stepping_leaves_the_earlier_state_as_it_was(method: str, kernel: bool) -> None:
+def test_stepping_leaves_the_earlier_state_as_it_was(method: str) -> None:
     compiled = template("sensor_failure", 3)
     evidence = read_evidence(draw_evidence(compiled, 2, _rng(0), zeros=0), "jeffrey")
-    first, _ = step(compiled, None, evidence.take(slice(0, 1)), method, kernel=kernel)
+    first, _ = step(compiled, None, evidence.take(slice(0, 1)), method)
     before = first.joint.copy()
-    step(compiled, first, evidence.take(slice(1, 2)), method, kernel=kernel)
+    step(compiled, first, evidence.take(slice(1, 2)), method)
     np.testing.assert_array_equal(first.joint, before)
 
 
@@ -210,18 +197,6 @@ def test_evidence_that_does_not_fit_is_refused_here_too() -> None:
     ]:
         with pytest.raises(InputError, match=message):
             filter_beliefs(compiled, read_evidence(Evidence(likelihoods), "jeffrey"))
-
-
-@every_method
-def test_a_parameter_search_side_by_side_reads_it_the_same_way(method: str) -> None:
-    compiled = template("sensor_failure", 3)
-    evidence = read_evidence(draw_evidence(compiled, 50, _rng(0), zeros=0), "jeffrey")
-    truth, crossing = _rng(1).integers(1, 4, 50), np.zeros(50, dtype=bool)
-    [counts] = confusions_many([compiled, compiled], evidence, truth, crossing, method)[:1]
-    lane = filter_beliefs(compiled, evidence, method).lane.argmax(axis=1)
-    right = np.zeros((4, 3), dtype=np.int64)
-    np.add.at(right, (lane, truth - 1), 1)
-    np.testing.assert_array_equal(counts, right)
 
 
 def test_where_a_likelihood_is_needed_it_is_refused() -> None:

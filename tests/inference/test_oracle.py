@@ -10,7 +10,6 @@ import pytest
 
 from egolane_pgm.graphs.cpds import declare, dynamics, previous, prior, quiet, within
 from egolane_pgm.inference.compile import compile_network
-from egolane_pgm.inference.oracle import oracle_assumed_density, oracle_filter, unroll
 from egolane_pgm.types import Evidence, InputError
 from tests.conformance.networks import (
     METHODS,
@@ -21,6 +20,7 @@ from tests.conformance.networks import (
     draw_parameters,
     graph,
 )
+from tests.reference.oracle import oracle_assumed_density, oracle_filter, unroll
 
 ORACLES = {"exact": oracle_filter, "assumed_density": oracle_assumed_density}
 
@@ -94,10 +94,10 @@ def test_the_oracle_uses_neither_compile_nor_the_filters(monkeypatch: pytest.Mon
     module = graph("lane_only")
     network = module.build(2, draw_parameters(module.PARAMETERS, 2, np.random.default_rng(3)))
     evidence = Evidence({"DetectorOutput": np.array([[0.3, 0.7], [0.6, 0.4]])})
-    for name in ("compile", "filtering", "kernels", "_roles"):
+    for name in ("compile", "filtering", "kernels", "layout"):
         monkeypatch.setitem(sys.modules, f"egolane_pgm.inference.{name}", None)
-    monkeypatch.delitem(sys.modules, "egolane_pgm.inference.oracle")
-    import egolane_pgm.inference.oracle as fresh
+    monkeypatch.delitem(sys.modules, "tests.reference.oracle")
+    import tests.reference.oracle as fresh
 
     beliefs = fresh.oracle_filter(network, module.HIDDEN, module.OBSERVED, evidence)
     np.testing.assert_allclose(beliefs.lane.sum(axis=1), 1)

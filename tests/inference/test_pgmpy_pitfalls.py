@@ -20,8 +20,6 @@ START = np.array([0.3, 0.7])
 MOVES = np.array([[0.9, 0.1], [0.2, 0.8]])
 SEES = np.array([[0.8, 0.2], [0.3, 0.7]])
 
-both = pytest.mark.parametrize("kernel", [True, False], ids=["kernel", "numpy"])
-
 
 def tables() -> list[Table]:
     return [
@@ -31,10 +29,10 @@ def tables() -> list[Table]:
     ]
 
 
-def filtered(likelihood: np.ndarray, kernel: bool = True) -> np.ndarray:
+def filtered(likelihood: np.ndarray) -> np.ndarray:
     network = declare(tables(), ["D"])
     compiled = compile_network(network, ["Lane"], ["D"])
-    return filter_beliefs(compiled, Evidence({"D": likelihood}), "exact", kernel=kernel).lane
+    return filter_beliefs(compiled, Evidence({"D": likelihood}), "exact").lane
 
 
 def forward(likelihood: np.ndarray) -> np.ndarray:
@@ -54,27 +52,23 @@ def dbn_inference() -> Any:
     return DBNInference(declare(tables(), []))
 
 
-@both
-def test_soft_evidence_which_dbn_inference_does_not_know_weighs_in_the_filter(
-    kernel: bool,
-) -> None:
+def test_soft_evidence_which_dbn_inference_does_not_know_weighs_in_the_filter() -> None:
     with quiet():
         from pgmpy.inference import DBNInference
 
         for method in (DBNInference.query, DBNInference.forward_inference):
             assert "virtual_evidence" not in inspect.signature(method).parameters
     soft = np.array([[0.6, 0.4], [0.1, 0.9], [0.5, 0.5]])
-    np.testing.assert_allclose(filtered(soft, kernel), forward(soft), atol=1e-12)
+    np.testing.assert_allclose(filtered(soft), forward(soft), atol=1e-12)
     hard = (soft == soft.max(axis=1, keepdims=True)).astype(float)
-    assert np.abs(filtered(soft, kernel) - filtered(hard, kernel)).max() > 0.05
+    assert np.abs(filtered(soft) - filtered(hard)).max() > 0.05
 
 
-@both
-def test_asking_for_all_frames_at_once_gives_each_frame_its_own_right_answer(kernel: bool) -> None:
+def test_asking_for_all_frames_at_once_gives_each_frame_its_own_right_answer() -> None:
     seen = [0, 1, 0, 0, 1]
     hard = np.eye(2)[seen]
     right = forward(hard)
-    np.testing.assert_allclose(filtered(hard, kernel), right, atol=1e-12)
+    np.testing.assert_allclose(filtered(hard), right, atol=1e-12)
     with quiet():
         evidence = {("D", t): d for t, d in enumerate(seen)}
         answer = dbn_inference().forward_inference([("Lane", t) for t in range(5)], evidence)
@@ -85,15 +79,14 @@ def test_asking_for_all_frames_at_once_gives_each_frame_its_own_right_answer(ker
     assert np.abs(together - right).max() > 0.01
 
 
-@both
 @pytest.mark.parametrize("method", METHODS)
-def test_hundreds_of_improbable_frames_do_not_underflow(method: str, kernel: bool) -> None:
+def test_hundreds_of_improbable_frames_do_not_underflow(method: str) -> None:
     # The joint probability of the sequence is about 1e-5000, far below the smallest double.
     rng = np.random.default_rng(0)
     soft = rng.random((600, 2)) * 1e-8
     network = declare(tables(), ["D"])
     compiled = compile_network(network, ["Lane"], ["D"])
-    beliefs = filter_beliefs(compiled, Evidence({"D": soft}), method, kernel=kernel)
+    beliefs = filter_beliefs(compiled, Evidence({"D": soft}), method)
     assert not beliefs.is_impossible.any()
     np.testing.assert_allclose(beliefs.lane, forward(soft), atol=1e-10)
     assert beliefs.log_evidence.sum() < -600 * math.log(1e8)
@@ -168,10 +161,9 @@ def test_the_network_that_is_declared_needs_nothing_filled_in_by_pgmpy() -> None
         np.testing.assert_array_equal(after[node][1], values)
 
 
-@both
-def test_zero_likelihoods_give_no_nan(kernel: bool) -> None:
+def test_zero_likelihoods_give_no_nan() -> None:
     soft = np.array([[0.0, 1.0], [0.0, 0.0], [1.0, 0.0]])
-    lane = filtered(soft, kernel)
+    lane = filtered(soft)
     assert np.isfinite(lane).all()
     first = forward(soft[:1])[0]
     predicted = first @ MOVES

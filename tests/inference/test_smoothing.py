@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import functools
-from typing import Any
 
 import numpy as np
 import pytest
@@ -13,10 +12,9 @@ from hypothesis import strategies as st
 from egolane_pgm.graphs.cpds import declare
 from egolane_pgm.inference.compile import Compiled, compile_network, with_tables
 from egolane_pgm.inference.filtering import filter_beliefs, read_evidence
-from egolane_pgm.inference.oracle import oracle_smooth
+from egolane_pgm.inference.kernels.sweeps import smooth_frames
 from egolane_pgm.inference.smoothing import (
     LagState,
-    _smooth_frames_numpy,
     fixed_lag_beliefs,
     infer_beliefs,
     lag_rest,
@@ -35,9 +33,10 @@ from tests.conformance.networks import (
     graph_names,
 )
 from tests.kits.trajectories import enumerated_smoothing
+from tests.reference import inference as reference
+from tests.reference.oracle import oracle_smooth
 
 every_graph = pytest.mark.parametrize("name", graph_names())
-both = pytest.mark.parametrize("kernel", [True, False], ids=["kernel", "numpy"])
 seeds = st.integers(0, 2**32 - 1)
 few = settings(max_examples=20, deadline=None)
 
@@ -102,11 +101,10 @@ def test_every_graph_agrees_with_adding_up_all_trajectories(name: str) -> None:
     evidence = draw_evidence(compiled, n_frames, rng)
     answers = enumerated_smoothing(tables, module.HIDDEN, evidence, range(n_frames))
     for lag, right in enumerate(answers):
-        for kernel in (True, False):
-            ours = fixed_lag_beliefs(compiled, evidence, lag, kernel=kernel)
-            assert_same_marginals(ours, right)
-            if lag == n_frames - 1:
-                assert_same_marginals(smooth_beliefs(compiled, evidence, kernel=kernel), right)
+        ours = fixed_lag_beliefs(compiled, evidence, lag)
+        assert_same_marginals(ours, right)
+        if lag == n_frames - 1:
+            assert_same_marginals(smooth_beliefs(compiled, evidence), right)
 
 
 @every_graph
@@ -121,13 +119,12 @@ def test_every_graph_agrees_with_the_oracle(name: str, n_lanes: int) -> None:
     evidence = draw_evidence(compiled, 4, rng)
     right = oracle_smooth(network, *roles, evidence, graph_inputs(module))
     lagged = oracle_smooth(network, *roles, evidence, graph_inputs(module), lag=1)
-    for kernel in (True, False):
-        ours = smooth_beliefs(compiled, evidence, kernel=kernel)
-        assert_same_marginals(ours, dict(right.marginals))
-        np.testing.assert_array_equal(ours.is_impossible, right.is_impossible)
-        np.testing.assert_allclose(ours.log_evidence, right.log_evidence, rtol=0, atol=1e-9)
-        ours = fixed_lag_beliefs(compiled, evidence, 1, kernel=kernel)
-        assert_same_marginals(ours, dict(lagged.marginals))
+    ours = smooth_beliefs(compiled, evidence)
+    assert_same_marginals(ours, dict(right.marginals))
+    np.testing.assert_array_equal(ours.is_impossible, right.is_impossible)
+    np.testing.assert_allclose(ours.log_evidence, right.log_evidence, rtol=0, atol=1e-9)
+    ours = fixed_lag_beliefs(compiled, evidence, 1)
+    assert_same_marginals(ours, dict(lagged.marginals))
 
 
 @pytest.mark.parametrize("seed", range(25))
@@ -137,42 +134,37 @@ def test_networks_that_nobody_thought_of_agree_with_the_oracle(seed: int) -> Non
     evidence = draw_evidence(compiled, 4, np.random.default_rng(seed))
     network = declare(drawn.tables, drawn.observed)
     right = oracle_smooth(network, drawn.hidden, drawn.observed, evidence, drawn.inputs)
-    for kernel in (True, False):
-        ours = smooth_beliefs(compiled, evidence, kernel=kernel)
-        assert_same_marginals(ours, dict(right.marginals))
+    ours = smooth_beliefs(compiled, evidence)
+    assert_same_marginals(ours, dict(right.marginals))
 
 
 # --- properties ----------------------------------------------------------------------------------
 
 
-@both
 @few
 @given(seed=seeds)
-def test_lag_zero_is_the_filter_and_a_lag_beyond_the_end_the_whole_smoother(
-    kernel: bool, seed: int
-) -> None:
+def test_lag_zero_is_the_filter_and_a_lag_beyond_the_end_the_whole_smoother(seed: int) -> None:
     compiled = any_compiled(seed)
     evidence = draw_evidence(compiled, 12, np.random.default_rng(seed))
-    filtered = filter_beliefs(compiled, evidence, "exact", kernel=kernel)
-    whole = smooth_beliefs(compiled, evidence, kernel=kernel)
-    none = fixed_lag_beliefs(compiled, evidence, 0, kernel=kernel)
+    filtered = filter_beliefs(compiled, evidence, "exact")
+    whole = smooth_beliefs(compiled, evidence)
+    none = fixed_lag_beliefs(compiled, evidence, 0)
     assert_same_marginals(none, dict(filtered.marginals), 1e-12)
     for lag in (11, 12, 50):
-        ours = fixed_lag_beliefs(compiled, evidence, lag, kernel=kernel)
+        ours = fixed_lag_beliefs(compiled, evidence, lag)
         assert_same_marginals(ours, dict(whole.marginals), 1e-12)
     for beliefs in (none, whole):
         np.testing.assert_array_equal(beliefs.log_evidence, filtered.log_evidence)
         np.testing.assert_array_equal(beliefs.is_impossible, filtered.is_impossible)
 
 
-@both
 @few
 @given(seed=seeds)
-def test_the_last_frame_smoothed_is_the_last_frame_filtered(kernel: bool, seed: int) -> None:
+def test_the_last_frame_smoothed_is_the_last_frame_filtered(seed: int) -> None:
     compiled = any_compiled(seed)
     evidence = draw_evidence(compiled, 9, np.random.default_rng(seed))
-    filtered = filter_beliefs(compiled, evidence, "exact", kernel=kernel)
-    smoothed = smooth_beliefs(compiled, evidence, kernel=kernel)
+    filtered = filter_beliefs(compiled, evidence, "exact")
+    smoothed = smooth_beliefs(compiled, evidence)
     for name in compiled.hidden:
         np.testing.assert_allclose(
             smoothed.marginals[name][-1], filtered.marginals[name][-1], rtol=0, atol=1e-12
@@ -185,29 +177,28 @@ def test_the_last_frame_smoothed_is_the_last_frame_filtered(kernel: bool, seed: 
 def test_kernel_and_twin_give_the_same(seed: int, lag: int) -> None:
     compiled = any_compiled(seed)
     evidence = draw_evidence(compiled, 40, np.random.default_rng(seed))
-    right = smooth_beliefs(compiled, evidence, kernel=False)
+    right = reference.smooth_beliefs(compiled, evidence)
     assert_same_marginals(smooth_beliefs(compiled, evidence), dict(right.marginals), 1e-10)
-    right = fixed_lag_beliefs(compiled, evidence, lag, kernel=False)
+    right = reference.fixed_lag_beliefs(compiled, evidence, lag)
     assert_same_marginals(fixed_lag_beliefs(compiled, evidence, lag), dict(right.marginals), 1e-10)
 
 
-@both
 @few
 @given(seed=seeds, lag=st.integers(0, 5))
-def test_frame_by_frame_equals_the_whole_sequence(kernel: bool, seed: int, lag: int) -> None:
+def test_frame_by_frame_equals_the_whole_sequence(seed: int, lag: int) -> None:
     compiled = any_compiled(seed)
     evidence = draw_evidence(compiled, 9, np.random.default_rng(seed))
-    right = fixed_lag_beliefs(compiled, evidence, lag, kernel=kernel)
+    right = fixed_lag_beliefs(compiled, evidence, lag)
     state: LagState | None = None
     answers = []
     for t in range(9):
         frame = evidence.take(slice(t, t + 1))
-        state, belief = lag_step(compiled, state, frame, lag, kernel=kernel)
+        state, belief = lag_step(compiled, state, frame, lag)
         assert belief.frame_id.tolist() == ([t - lag] if t >= lag else [])
-        assert len(state.filtered) <= lag + 1
+        assert len(state.recent.filtered) <= lag + 1
         answers.append(belief)
     assert state is not None
-    answers.append(lag_rest(compiled, state, kernel=kernel))
+    answers.append(lag_rest(compiled, state))
     assert [k for b in answers for k in b.frame_id] == list(range(9))
     for name in compiled.hidden:
         joined = np.concatenate([b.marginals[name] for b in answers])
@@ -243,22 +234,20 @@ def test_the_mirrored_road_gives_the_mirrored_belief(seed: int, n_lanes: int) ->
     )
 
 
-@both
-def test_long_drives_do_not_underflow_however_unlikely_each_frame_is(kernel: bool) -> None:
+def test_long_drives_do_not_underflow_however_unlikely_each_frame_is() -> None:
     compiled = any_compiled(0)
-    evidence = draw_evidence(compiled, 10_000 if kernel else 2_000, np.random.default_rng(0), 0)
+    evidence = draw_evidence(compiled, 10_000, np.random.default_rng(0), 0)
     for values in evidence.likelihoods.values():
         values *= 1e-200
-    smoothed = smooth_beliefs(compiled, evidence, kernel=kernel)
+    smoothed = smooth_beliefs(compiled, evidence)
     assert not smoothed.is_impossible.any()
     np.testing.assert_allclose(smoothed.lane.sum(axis=1), 1, rtol=0, atol=1e-12)
-    again = smooth_beliefs(compiled, evidence.take(slice(500, 1500)), kernel=kernel)
+    again = smooth_beliefs(compiled, evidence.take(slice(500, 1500)))
     # Far from both ends the rest of the drive is forgotten.
     np.testing.assert_allclose(again.lane[400:600], smoothed.lane[900:1100], rtol=0, atol=1e-9)
 
 
-@both
-def test_a_lane_change_that_the_filter_sees_late_is_put_where_it_happened(kernel: bool) -> None:
+def test_a_lane_change_that_the_filter_sees_late_is_put_where_it_happened() -> None:
     parameters = resolve_parameters(
         graph("lane_only").PARAMETERS, {"sigma1": 0.05, "sigma2": 0.7}, 2
     )
@@ -266,14 +255,13 @@ def test_a_lane_change_that_the_filter_sees_late_is_put_where_it_happened(kernel
     # About e^-200 for a lane change: one late frame after the other makes it believed.
     detector = np.repeat([[0.99, 0.01], [0.01, 0.99]], [400, 800], axis=0)
     evidence = Evidence({"DetectorOutput": detector})
-    filtered = filter_beliefs(compiled, evidence, "exact", kernel=kernel)
-    smoothed = smooth_beliefs(compiled, evidence, kernel=kernel)
+    filtered = filter_beliefs(compiled, evidence, "exact")
+    smoothed = smooth_beliefs(compiled, evidence)
     assert filtered.lane[450, 0] > 0.99
     np.testing.assert_array_equal(smoothed.lane.argmax(axis=1), np.repeat([0, 1], [400, 800]))
 
 
-@both
-def test_weights_too_small_to_multiply_are_added_as_logarithms(kernel: bool) -> None:
+def test_weights_too_small_to_multiply_are_added_as_logarithms() -> None:
     """The filter is sure of one state and what follows of another one, both by 1e-200: the product
     of belief and look-ahead is too small a number, their ratio is not."""
     tiny = 1e-200
@@ -282,75 +270,67 @@ def test_weights_too_small_to_multiply_are_added_as_logarithms(kernel: bool) -> 
     )
     compiled = with_tables(template("lane_only", 2), tables)
     detector = np.array([[1.0, tiny], [3 * tiny, 1.0]])
-    smoothed = smooth_beliefs(compiled, Evidence({"DetectorOutput": detector}), kernel=kernel)
+    smoothed = smooth_beliefs(compiled, Evidence({"DetectorOutput": detector}))
     np.testing.assert_allclose(smoothed.lane[0], [0.75, 0.25], rtol=1e-9)
 
 
-def smoothed_where_nothing_moves(
-    filtered: FloatArray, likelihood: FloatArray, kernel: bool
-) -> FloatArray:
+def smoothed_where_nothing_moves(filtered: FloatArray, likelihood: FloatArray) -> FloatArray:
     """The recursion backwards alone, with a transition that keeps every state."""
-    run: Any = _smooth_frames_numpy
-    if kernel:
-        from egolane_pgm.inference.kernels.sweeps import smooth_frames as run
     n_frames, n_states = filtered.shape
     smoothed = np.empty_like(filtered)
     index = np.zeros(n_frames, dtype=np.int64)
-    run(filtered, likelihood, np.eye(n_states)[None], index, smoothed)
+    begins = np.arange(n_frames) == 0
+    still = np.eye(n_states)[None]
+    smooth_frames(filtered, likelihood, still, index, begins, smoothed, np.zeros((0, 0)))
+    right = reference.smooth(filtered, likelihood, still, index, n_frames)
+    np.testing.assert_allclose(smoothed, right, rtol=1e-9)
     return smoothed
 
 
-@both
-def test_products_with_hardly_a_digit_left_are_added_as_logarithms_too(kernel: bool) -> None:
+def test_products_with_hardly_a_digit_left_are_added_as_logarithms_too() -> None:
     smallest = float(np.finfo(np.float64).smallest_subnormal)
     filtered = np.array([[1.0, 1e-160, 3 * smallest], [0.0, 0.5, 0.5]])
     likelihood = np.array([[1.0, 1.0, 1.0], [0.0, 1.4e160 * smallest, 1.0]])
-    smoothed = smoothed_where_nothing_moves(filtered, likelihood, kernel)
+    smoothed = smoothed_where_nothing_moves(filtered, likelihood)
     np.testing.assert_allclose(smoothed[0], [0, 1.4 / 4.4, 3 / 4.4], rtol=1e-6)
 
 
-@both
-def test_a_state_that_cannot_be_sets_no_scale_however_well_it_would_explain_the_rest(
-    kernel: bool,
-) -> None:
+def test_a_state_that_cannot_be_sets_no_scale_however_well_it_would_explain_the_rest() -> None:
     filtered = np.tile([0.25, 0.75, 0.0], (4, 1))
     likelihood = np.tile([2e-200, 2e-200, 1.0], (4, 1))
-    smoothed = smoothed_where_nothing_moves(filtered, likelihood, kernel)
+    smoothed = smoothed_where_nothing_moves(filtered, likelihood)
     np.testing.assert_allclose(smoothed, filtered)
 
 
-@both
-def test_what_comes_later_is_ignored_where_all_numbers_have_run_out(kernel: bool) -> None:
+def test_what_comes_later_is_ignored_where_all_numbers_have_run_out() -> None:
     """Here it is zero for every state; the filtered belief is what is left, not NaN."""
     filtered = np.array([[0.75, 0.25, 0.0], [0.0, 0.0, 1.0]])
     likelihood = np.array([[1.0, 1.0, 1.0], [0.0, 0.0, 1.0]])
-    smoothed = smoothed_where_nothing_moves(filtered, likelihood, kernel)
+    smoothed = smoothed_where_nothing_moves(filtered, likelihood)
     np.testing.assert_allclose(smoothed, filtered)
 
 
-@both
-def test_an_impossible_frame_is_flagged_and_its_evidence_ignored(kernel: bool) -> None:
+def test_an_impossible_frame_is_flagged_and_its_evidence_ignored() -> None:
     compiled = any_compiled(2)
     evidence = draw_evidence(compiled, 6, np.random.default_rng(1), zeros=0)
     without = {k: v.copy() for k, v in evidence.likelihoods.items()}
     for key, values in evidence.likelihoods.items():
         values[3] = 0
         without[key][3] = 1
-    ours = smooth_beliefs(compiled, evidence, kernel=kernel)
-    right = smooth_beliefs(compiled, Evidence(without), kernel=kernel)
+    ours = smooth_beliefs(compiled, evidence)
+    right = smooth_beliefs(compiled, Evidence(without))
     assert ours.is_impossible.tolist() == [False, False, False, True, False, False]
     assert_same_marginals(ours, dict(right.marginals), 1e-12)
 
 
-@both
-def test_no_frames_give_no_beliefs_and_the_frame_ids_given_are_kept(kernel: bool) -> None:
+def test_no_frames_give_no_beliefs_and_the_frame_ids_given_are_kept() -> None:
     compiled = template("sensor_failure", 3)
     evidence = draw_evidence(compiled, 3, np.random.default_rng(0))
     ids = np.array([4, 7, 8])
     for filter, lag in (("smoothed", None), ("fixed_lag", 1), ("exact", None)):
-        found = infer_beliefs(compiled, evidence, filter, lag, frame_id=ids, kernel=kernel)
+        found = infer_beliefs(compiled, evidence, filter, lag, frame_id=ids)
         np.testing.assert_array_equal(found.frame_id, ids)
-        nothing = infer_beliefs(compiled, evidence.take(slice(0, 0)), filter, lag, kernel=kernel)
+        nothing = infer_beliefs(compiled, evidence.take(slice(0, 0)), filter, lag)
         assert nothing.lane.shape == (0, 3)
 
 

@@ -15,6 +15,7 @@ from egolane_pgm.scoring.assign import assigned_lane
 from egolane_pgm.scoring.confusion import (
     accuracy,
     confusion,
+    count_confusion,
     coverage,
     f1,
     frames_off,
@@ -23,7 +24,7 @@ from egolane_pgm.scoring.confusion import (
     recall,
     scores_from_confusion,
 )
-from egolane_pgm.types import InputError
+from egolane_pgm.types import TIE_TOLERANCE, InputError
 
 PUBLISHED = Path(__file__).parents[2] / "experiments" / "paper" / "published.yaml"
 
@@ -274,3 +275,17 @@ def test_the_published_matrices_give_the_published_scores() -> None:
                 assert _is_printed_as(value, printed), (run["run"], kind, name, value, printed)
                 compared += 1
     assert compared == 80
+
+
+@settings(max_examples=60, deadline=None)
+@given(st.integers(0, 2**32 - 1), st.integers(1, 5))
+def test_one_pass_confusion_equals_assign_then_confusion(seed: int, n_lanes: int) -> None:
+    rng = np.random.default_rng(seed)
+    # Few distinct values, so that ties, within and just outside the tolerance, are frequent.
+    near = np.array([0.0, 0.25, 0.5, 0.5 * (1 - 1e-10), 0.5 * (1 - 1e-8)])
+    belief = rng.choice(near, (50, n_lanes))
+    lane, is_crossing = rng.integers(1, n_lanes + 1, 50), rng.uniform(size=50) < 0.2
+    counts = np.zeros((n_lanes + 1, n_lanes), dtype=np.int64)
+    count_confusion(belief, lane, is_crossing, TIE_TOLERANCE, counts)
+    expected = confusion(assigned_lane(belief), lane, is_crossing, n_lanes)
+    assert np.array_equal(counts, expected)

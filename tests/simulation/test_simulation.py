@@ -257,7 +257,7 @@ def test_the_counting_rule_is_right_as_often_as_on_the_road_and_less_in_failures
 
     drive = simulate(preset, 0)
     values = resolve_parameters(counting.PARAMETERS, {"bonus_value": 7}, drive.n_lanes)
-    tentative = counting.evidence(drive.log, drive.n_lanes, values, kernel=False)
+    tentative = counting.evidence(drive.log, drive.n_lanes, values)
     lane = assign.assigned_lane(tentative.likelihoods["DetectorOutput"])
     scored = ~drive.truth.is_crossing
     is_right = lane == drive.truth.lane

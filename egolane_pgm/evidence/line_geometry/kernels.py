@@ -1,4 +1,4 @@
-"""The numba kernels of `line_geometry`; the NumPy twins are in `_line_geometry_numpy`."""
+"""The numba kernels of `line_geometry`."""
 
 from __future__ import annotations
 

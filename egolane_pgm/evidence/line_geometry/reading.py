@@ -5,10 +5,10 @@ from __future__ import annotations
 import math
 import warnings
 from dataclasses import dataclass, replace
-from typing import Any
 
 import numpy as np
 
+from egolane_pgm.evidence.line_geometry import kernels
 from egolane_pgm.evidence.line_geometry.habits import is_placed
 from egolane_pgm.evidence.line_geometry.lane_width import lane_width, rounded
 from egolane_pgm.evidence.line_geometry.model import LEAST_LRI, REACH_M, STRONG_LRI
@@ -132,15 +132,9 @@ def read_lines(
     parameters: Parameters,
     *,
     repeats_are_held: bool = False,
-    kernel: bool = True,
 ) -> SeenLines:
     """Which lines count, and how they moved. widths (T,): lane width of each frame, metres.
     repeats_are_held: see `_line_detector.Habits`."""
-    run: Any
-    if kernel:
-        from egolane_pgm.evidence.line_geometry import kernels as run
-    else:
-        from egolane_pgm.evidence.line_geometry import _numpy as run
     kind = line_classes(log)
     steps = np.ones(len(log), dtype=np.int64)
     steps[1:] = np.diff(log.frame_id)
@@ -154,10 +148,10 @@ def read_lines(
     if repeats_are_held:
         # One that falls with every frame.
         lri = np.repeat(-np.arange(float(len(log)))[:, None], lri.shape[1], axis=1)
-    run.follow_lines(log.offset_m, kind, lri, follows, reach, is_held, displacement)
+    kernels.follow_lines(log.offset_m, kind, lri, follows, reach, is_held, displacement)
     kind = np.where(is_held, -1, kind)
     single = kind.copy()
-    run.drop_doubles(log.offset_m, single, DOUBLE * widths)
+    kernels.drop_doubles(log.offset_m, single, DOUBLE * widths)
     offset = np.where(kind >= 0, log.offset_m, 0.0)
     motion = motion_index(displacement / widths, steps, parameters)
     return SeenLines(offset, kind, motion, kind != single)

@@ -31,10 +31,10 @@ import math
 import warnings
 from collections.abc import Callable, Iterator, Sequence
 from itertools import pairwise
-from typing import Any
 
 import numpy as np
 
+from egolane_pgm.evidence.line_geometry import kernels
 from egolane_pgm.evidence.line_geometry.fitting import fit_lines
 from egolane_pgm.evidence.line_geometry.habits import (
     FULL_LRI,
@@ -92,14 +92,12 @@ def looks_ahead(parameters: Parameters) -> str | None:
     return f"{what} are taken from the whole recording (lane_width_m: causal looks back only)"
 
 
-def evidence(
-    log: LineLog, n_lanes: int, parameters: Parameters, *, kernel: bool = True
-) -> Evidence:
+def evidence(log: LineLog, n_lanes: int, parameters: Parameters) -> Evidence:
     """(RoadPosition, SensorState) (T, n cells, 2), each frame's largest 1, and the input
     LineMotion (T,).
 
-    parameters: resolved values of PARAMETERS. `kernel=False` runs the NumPy twins. What lane width
-    was found in the whole recording, and what is odd about its lines, is said in warnings. With
+    parameters: resolved values of PARAMETERS. What lane width was found in the whole recording,
+    and what is odd about its lines, is said in warnings. With
     `lane_width_m: causal` nothing of the whole recording enters the evidence: each frame's is what
     `online` gives for it.
     """
@@ -109,22 +107,20 @@ def evidence(
     log, widths = in_metres(log, np.full(len(log), width), parameters)
     say_places(log, widths)
     held = detector.repeats_are_held
-    seen = read_lines(log, widths, parameters, repeats_are_held=held, kernel=kernel)
+    seen = read_lines(log, widths, parameters, repeats_are_held=held)
     lines = seen.lines.sum(axis=0)
     say_doubles(lines, log.source)
     if parameters["lane_width_m"] == "causal":
-        return online(n_lanes, parameters, kernel=kernel)(recorded)
+        return online(n_lanes, parameters)(recorded)
     seen = count_once(seen, lines)
     model = line_model(n_lanes, parameters)
     if not log.is_continuous.any():
         model = without_flags(model)
-    likelihood = _likelihood(seen, widths, frame_weights(log)[0], model, parameters, kernel, {})
+    likelihood = _likelihood(seen, widths, frame_weights(log)[0], model, parameters, {})
     return Evidence({NODES: likelihood}, {"LineMotion": seen.motion})
 
 
-def online(
-    n_lanes: int, parameters: Parameters, *, kernel: bool = True
-) -> Callable[[LineLog], Evidence]:
+def online(n_lanes: int, parameters: Parameters) -> Callable[[LineLog], Evidence]:
     """Returns a function that gives the evidence of one frame after the other, or of some at a
     time, each log following on the one before.
 
@@ -174,7 +170,7 @@ def online(
         context = log.take(slice(max(0, len(log) - 2), None))
         scaled, widths = in_metres(log, np.full(len(log), width), parameters)
         held = detector.repeats_are_held
-        seen = read_lines(scaled, widths, parameters, repeats_are_held=held, kernel=kernel)
+        seen = read_lines(scaled, widths, parameters, repeats_are_held=held)
         now = SeenLines(
             seen.offset_m[before:],
             seen.kind[before:],
@@ -185,7 +181,7 @@ def online(
         now = count_once(now, lines + of_frame.cumsum(axis=0))
         lines = lines + of_frame.sum(axis=0)
         weights, last_s = frame_weights(recorded, last_s)
-        likelihood = _likelihood(now, widths[before:], weights, model, parameters, kernel, known)
+        likelihood = _likelihood(now, widths[before:], weights, model, parameters, known)
         return Evidence({NODES: likelihood}, {"LineMotion": now.motion})
 
     def give(recorded: LineLog) -> Evidence:
@@ -214,15 +210,9 @@ def _likelihood(
     weights: FloatArray,
     model: LineModel,
     parameters: Parameters,
-    kernel: bool,
     known: dict[float, LineTables],
 ) -> FloatArray:
     """known: the tables so far, by width."""
-    run: Any
-    if kernel:
-        from egolane_pgm.evidence.line_geometry.kernels import weigh_positions as run
-    else:
-        from egolane_pgm.evidence.line_geometry._numpy import weigh_positions as run
     n_positions = model.n_lanes * int(number(parameters, "cells"))
     alpha, beta = (_weighted(number(parameters, name), weights) for name in ("alpha", "beta"))
     likelihood = np.empty((len(widths), n_positions, 2))
@@ -231,7 +221,7 @@ def _likelihood(
         if width not in known:
             known[width] = line_tables(model, width)
         tables = known[width]
-        run(
+        kernels.weigh_positions(
             seen.offset_m[part],
             seen.kind[part],
             tables.log_intensity,

@@ -1,5 +1,5 @@
-"""The numba kernels of smoothing, of the most probable path and of Jeffrey's rule; `smoothing`,
-`viterbi` and `jeffrey` have their NumPy twins."""
+"""What goes over the frames besides the forward recursion, compiled: smoothing backwards, the most
+probable path, and the filter that reads evidence by Jeffrey's rule."""
 
 from __future__ import annotations
 
@@ -8,6 +8,7 @@ import math
 import numpy as np
 from numba import njit
 
+from egolane_pgm.inference.kernels.filter import settle
 from egolane_pgm.types import BoolArray, FloatArray, IntArray
 
 #: Products of probabilities below this have lost digits.
@@ -65,25 +66,72 @@ def _combine(filtered: FloatArray, ahead: FloatArray, smoothed: FloatArray) -> N
         smoothed[s] /= total
 
 
+@njit(cache=True, fastmath={"reassoc", "contract"})
+def _add_moves(
+    filtered: FloatArray, transition: FloatArray, weight: FloatArray, moves: FloatArray
+) -> None:
+    """Add P(state before, state now | all evidence) to `moves` (S, S). weight (S,): the likelihood
+    of the evidence of this frame and of all later ones, given the state, up to a factor."""
+    n_states = filtered.shape[0]
+    total = 0.0
+    for r in range(n_states):
+        onward = 0.0
+        for s in range(n_states):
+            onward += transition[r, s] * weight[s]
+        total += filtered[r] * onward
+    if total > TINY:
+        for r in range(n_states):
+            share = filtered[r] / total
+            for s in range(n_states):
+                moves[r, s] += share * transition[r, s] * weight[s]
+        return
+    # Each factor is a number, their product is not: add logarithms.
+    log_move = np.full((n_states, n_states), -np.inf)
+    for r in range(n_states):
+        for s in range(n_states):
+            if filtered[r] > 0.0 and transition[r, s] > 0.0 and weight[s] > 0.0:
+                log_move[r, s] = (
+                    math.log(filtered[r]) + math.log(transition[r, s]) + math.log(weight[s])
+                )
+    largest = log_move.max()
+    if largest == -np.inf:
+        return
+    share = np.exp(log_move - largest)
+    moves += share / share.sum()
+
+
 @njit(cache=True)
 def smooth_frames(
     filtered: FloatArray,
     likelihood: FloatArray,
     transition: FloatArray,
-    input_index: IntArray,
+    index: IntArray,
+    begins: BoolArray,
     smoothed: FloatArray,
+    moves: FloatArray,
 ) -> None:
-    """Forward-backward: `smoothed` (T, S) from `filtered` (T, S), the joint belief after each
-    frame. likelihood (T, S): of each frame's evidence, any scale. transition (U, S, S).
-    input_index (T,): which of them leads into the frame."""
+    """Smooth T frames backwards, given all frames of their sequence.
+
+    filtered (T, S): the joint belief after each frame. likelihood (T, S): of each frame's evidence,
+        any scale; one in frames whose evidence is left out.
+    transition (U, S, S); index (T,): which of the U leads into a frame.
+    begins (T,): True where a sequence begins.
+    smoothed (T, S): written, the joint belief about each frame.
+    moves (S, S): the expected number of moves from one state to the next is added to it; nothing
+        is counted where it is (0, 0).
+    """
     n_frames, n_states = filtered.shape
     ahead = np.ones(n_states)
     weight = np.empty(n_states)
     for t in range(n_frames - 1, -1, -1):
-        if t < n_frames - 1:
-            into = transition[input_index[t + 1]]
-            _look_ahead(filtered[t], into, likelihood[t + 1], ahead, weight)
         _combine(filtered[t], ahead, smoothed[t])
+        if begins[t]:
+            ahead[:] = 1.0
+        elif t > 0:
+            into = transition[index[t]]
+            _look_ahead(filtered[t - 1], into, likelihood[t], ahead, weight)
+            if moves.shape[0] > 0:
+                _add_moves(filtered[t - 1], into, weight, moves)
 
 
 @njit(cache=True)
@@ -92,7 +140,7 @@ def fixed_lag_frames(
     filtered: FloatArray,
     likelihood: FloatArray,
     transition: FloatArray,
-    input_index: IntArray,
+    index: IntArray,
     smoothed: FloatArray,
 ) -> None:
     """As `smooth_frames`, frame t given the evidence up to frame t + lag."""
@@ -103,7 +151,7 @@ def fixed_lag_frames(
         for s in range(n_states):
             ahead[s] = 1.0
         for k in range(min(t + lag, n_frames - 1), t, -1):
-            _look_ahead(filtered[k - 1], transition[input_index[k]], likelihood[k], ahead, weight)
+            _look_ahead(filtered[k - 1], transition[index[k]], likelihood[k], ahead, weight)
         _combine(filtered[t], ahead, smoothed[t])
 
 
@@ -112,18 +160,18 @@ def best_path(
     log_prior: FloatArray,
     log_transition: FloatArray,
     log_likelihood: FloatArray,
-    input_index: IntArray,
+    index: IntArray,
     path: IntArray,
 ) -> float:
     """The most probable joint states (T,), the lowest-numbered one in a tie, and the logarithm of
     their probability with the evidence. log_prior (U, S), log_transition (U, S, S),
     log_likelihood (T, S)."""
     n_frames, n_states = log_likelihood.shape
-    score = log_prior[input_index[0]] + log_likelihood[0]
+    score = log_prior[index[0]] + log_likelihood[0]
     before = np.empty(n_states)
     came_from = np.zeros((n_frames, n_states), dtype=np.int64)
     for t in range(1, n_frames):
-        move = log_transition[input_index[t]]
+        move = log_transition[index[t]]
         before[:] = score
         for s in range(n_states):
             best = -np.inf
@@ -147,11 +195,11 @@ def best_path(
 @njit(cache=True)
 def jeffrey_frames(
     joint: FloatArray,
-    is_first: bool,
+    begins: BoolArray,
     is_factored: bool,
     prior: FloatArray,
     transition: FloatArray,
-    input_index: IntArray,
+    index: IntArray,
     emission: FloatArray,
     group_start: IntArray,
     posterior: FloatArray,
@@ -159,32 +207,33 @@ def jeffrey_frames(
     key_start: IntArray,
     key_group: IntArray,
     key_value: IntArray,
-    node_column: IntArray,
-    n_persistent: int,
-    marginals: FloatArray,
+    column: IntArray,
+    beliefs: FloatArray,
     log_evidence: FloatArray,
     is_impossible: BoolArray,
 ) -> None:
-    """As `kernels.filter_frames`, but the evidence is read by Jeffrey's rule, one observed node
-    (N of them) after the other.
+    """Filter T frames, the evidence read by Jeffrey's rule, one observed node (of N) after the
+    other. What is not named here is as in the recursion of `forward_kernel`.
 
+    emission (S, K): the groups' tables side by side, group g in group_start[g]:group_start[g + 1].
     posterior (T, V): per node the probabilities of its values, in key_start[i]:key_start[i + 1],
-    summing to one. is_said (T, N): False where the frame says nothing about it. key_group (N,):
-    which group the node belongs to. key_value (N, K): the node's value in each column of the
-    emissions.
+        summing to one. is_said (T, N): False where the frame says nothing about the node.
+    key_group (N,): which group the node belongs to. key_value (N, K): the node's value in each
+        column of the emissions.
+    log_evidence (T,): written; 0 in impossible frames.
     """
     n_states = joint.shape[0]
     n_groups = group_start.shape[0] - 1
-    n_nodes = node_column.shape[0]
     n_keys = key_group.shape[0]
     factor = np.ones(emission.shape[1])
     of_group = np.ones((n_groups, n_states))
     predicted = joint.copy()
+    share = np.empty(column.max() + 1)
     for t in range(posterior.shape[0]):
-        u = input_index[t]
+        u = index[t]
         for s in range(n_states):
             predicted[s] = 0.0
-        if is_first and t == 0:
+        if begins[t]:
             for s in range(n_states):
                 predicted[s] = prior[u, s]
         else:
@@ -229,117 +278,20 @@ def jeffrey_frames(
                 of_group[g, s] = 0.0
                 for k in range(group_start[g], group_start[g + 1]):
                     of_group[g, s] += emission[s, k] * factor[k]
-        if is_impossible[t]:
-            log_evidence[t] = 0.0
-            of_group[:, :] = 1.0
-        total = 0.0
         for s in range(n_states):
-            joint[s] = predicted[s]
+            joint[s] = 0.0 if is_impossible[t] else predicted[s]
             for g in range(n_groups):
                 joint[s] *= of_group[g, s]
-            total += joint[s]
-        for s in range(n_states):
-            joint[s] /= total
-        for h in range(n_nodes):
-            for s in range(n_states):
-                marginals[t, node_column[h, s]] += joint[s]
+        is_impossible[t] = settle(joint, predicted) == 0.0
+        if is_impossible[t]:
+            log_evidence[t] = 0.0
+        beliefs[t] = joint
         if is_factored:
-            for s in range(n_states):
-                product = 1.0
-                for h in range(n_persistent):
-                    product *= marginals[t, node_column[h, s]]
-                joint[s] = product
-
-
-@njit(cache=True, fastmath={"reassoc", "contract"})
-def _add_moves(
-    filtered: FloatArray, transition: FloatArray, weight: FloatArray, moves: FloatArray
-) -> None:
-    """Add P(state before, state now | all evidence) to `moves` (S, S). weight (S,): the likelihood
-    of the evidence of this frame and of all later ones, given the state, up to a factor."""
-    n_states = filtered.shape[0]
-    total = 0.0
-    for r in range(n_states):
-        onward = 0.0
-        for s in range(n_states):
-            onward += transition[r, s] * weight[s]
-        total += filtered[r] * onward
-    if total > TINY:
-        for r in range(n_states):
-            share = filtered[r] / total
-            for s in range(n_states):
-                moves[r, s] += share * transition[r, s] * weight[s]
-        return
-    # Each factor is a number, their product is not: add logarithms.
-    log_move = np.full((n_states, n_states), -np.inf)
-    for r in range(n_states):
-        for s in range(n_states):
-            if filtered[r] > 0.0 and transition[r, s] > 0.0 and weight[s] > 0.0:
-                log_move[r, s] = (
-                    math.log(filtered[r]) + math.log(transition[r, s]) + math.log(weight[s])
-                )
-    largest = log_move.max()
-    if largest == -np.inf:
-        return
-    share = np.exp(log_move - largest)
-    moves += share / share.sum()
-
-
-@njit(cache=True)
-def expect_frames(
-    prior: FloatArray,
-    transition: FloatArray,
-    input_index: IntArray,
-    is_first: BoolArray,
-    likelihood: FloatArray,
-    smoothed: FloatArray,
-    first: FloatArray,
-    moves: FloatArray,
-    log_evidence: FloatArray,
-    is_impossible: BoolArray,
-) -> None:
-    """Forward-backward over sequences that lie one behind the other, with what EM counts.
-
-    prior (U, S), transition (U, S, S), input_index (T,): which of them leads into the frame.
-    is_first (T,): a sequence begins. likelihood (T, S): of each frame's evidence, any scale; in
-    frames that are impossible it is set to one. Written: smoothed (T, S), log_evidence (T,) with
-    the likelihoods as given, 0 in impossible frames. Added to: first (S,), the states of first
-    frames, and moves (S, S), the pairs of a state and the next one.
-    """
-    n_frames, n_states = likelihood.shape
-    filtered = np.zeros((n_frames, n_states))
-    for t in range(n_frames):
-        u = input_index[t]
-        before = 0.0
-        total = 0.0
-        if is_first[t]:
-            filtered[t] = prior[u]
-        else:
-            for r in range(n_states):
+            share[:] = 0.0
+            for p in range(column.shape[0]):
                 for s in range(n_states):
-                    filtered[t, s] += filtered[t - 1, r] * transition[u, r, s]
-        for s in range(n_states):
-            before += filtered[t, s]
-            total += filtered[t, s] * likelihood[t, s]
-        is_impossible[t] = not total > 0.0
-        log_evidence[t] = 0.0
-        if total > 0.0:
-            log_evidence[t] = math.log(total)
-        else:
-            likelihood[t] = 1.0
-            total = before
-        for s in range(n_states):
-            # In this order: one over the smallest numbers is infinite.
-            filtered[t, s] = filtered[t, s] * likelihood[t, s] / total
-    ahead = np.ones(n_states)
-    weight = np.empty(n_states)
-    for t in range(n_frames - 1, -1, -1):
-        _combine(filtered[t], ahead, smoothed[t])
-        if is_first[t]:
+                    share[column[p, s]] += joint[s]
             for s in range(n_states):
-                first[s] += smoothed[t, s]
-                ahead[s] = 1.0
-        else:
-            into = transition[input_index[t]]
-            _look_ahead(filtered[t - 1], into, likelihood[t], ahead, weight)
-            _add_moves(filtered[t - 1], into, weight, moves)
+                joint[s] = 1.0
+                for p in range(column.shape[0]):
+                    joint[s] *= share[column[p, s]]

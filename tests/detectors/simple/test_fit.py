@@ -12,7 +12,6 @@ from hypothesis import strategies as st
 
 from egolane_pgm.camera.model import Camera
 from egolane_pgm.detectors import ml
-from egolane_pgm.detectors.simple import _kernels_numpy
 from egolane_pgm.detectors.simple import fit as _fit
 from egolane_pgm.detectors.simple import kernels as _kernels
 from egolane_pgm.detectors.simple.birdseye import BirdsEye
@@ -24,6 +23,7 @@ from egolane_pgm.types import FloatArray, InputError
 from tests.conftest import needs_compiler
 from tests.kits.synthetic_road import CAMERA as ROAD_CAMERA
 from tests.kits.synthetic_road import Paint, road
+from tests.reference import line_finder
 
 CAMERA = Camera(960, 540, 780.0, 780.0, 479.5, 269.5, height_m=1.4, pitch_deg=-4.0)
 
@@ -243,7 +243,7 @@ def test_runs_of_contours_are_the_same_as_in_numpy_and_cover_the_mask(seed):
     mask = random_mask(seed)
     arguments = (mask, *borders(mask))
     runs = _kernels.contour_runs(*arguments)
-    for ours, twin in zip(runs, _kernels_numpy.contour_runs(*arguments), strict=True):
+    for ours, twin in zip(runs, line_finder.contour_runs(*arguments), strict=True):
         np.testing.assert_array_equal(ours, twin)
     row, left, right, contour = runs
     # Which runs belong together, told by OpenCV's connected components.
@@ -271,7 +271,7 @@ def test_scores_of_what_lines_share_are_the_same_as_in_numpy(seed):
     )
     grid = (np.linspace(-0.1, 0.1, 5), np.linspace(-0.002, 0.002, 3), np.linspace(-0.01, 0.01, 3))
     ours = _kernels.common_scores(*pieces, *grid, 9.0, 0.1)
-    twin = _kernels_numpy.common_scores(*pieces, *grid, 9.0, 0.1)
+    twin = line_finder.common_scores(*pieces, *grid, 9.0, 0.1)
     np.testing.assert_allclose(ours, twin, rtol=1e-9)
     assert ours.max() > 0
 

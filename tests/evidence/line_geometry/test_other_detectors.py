@@ -17,7 +17,6 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from egolane_pgm.evidence.line_geometry import _numpy as _line_geometry_numpy
 from egolane_pgm.evidence.line_geometry import kernels as _line_geometry_kernel
 from egolane_pgm.evidence.line_geometry import rule as line_geometry
 from egolane_pgm.evidence.line_geometry.habits import Habits, habits, is_placed, tally, total
@@ -32,6 +31,7 @@ from egolane_pgm.parameters import Parameters, resolve_parameters
 from egolane_pgm.simulation import SimulatedDrive, simulate
 from egolane_pgm.types import FloatArray, LineLog
 from tests.conftest import needs_compiler
+from tests.reference import line_geometry as _line_geometry_numpy
 
 ROOT = Path(__file__).parents[3]
 
@@ -286,8 +286,7 @@ def test_frames_that_were_put_in_do_not_count_as_a_frame_before() -> None:
 # --- online --------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("kernel", [True, False])
-def test_one_frame_after_the_other_finds_out_as_well(kernel: bool) -> None:
+def test_one_frame_after_the_other_finds_out_as_well() -> None:
     """LRI 0 to 1, centimetres, every line twice, no line valid, one continuous: after a while the
     evidence is that of the whole recording with the same lane width."""
     log = simulate("quickstart", seed=4, frames=500).log
@@ -303,7 +302,7 @@ def test_one_frame_after_the_other_finds_out_as_well(kernel: bool) -> None:
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
         whole = line_geometry.evidence(odd, 3, parameters)
-    give = line_geometry.online(3, parameters, kernel=kernel)
+    give = line_geometry.online(3, parameters)
     cuts = [0, 1, 2, 150, 150, 420, len(odd)]
     parts = [give(odd.take(slice(a, b))) for a, b in pairwise(cuts)]
     ours = np.concatenate([p.likelihoods[NODES] for p in parts])

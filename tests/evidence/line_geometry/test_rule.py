@@ -23,6 +23,7 @@ from egolane_pgm.inference.filtering import filter_beliefs
 from egolane_pgm.parameters import Parameters, resolve_parameters
 from egolane_pgm.simulation import simulate
 from egolane_pgm.types import Evidence, InputError, LineLog
+from tests.reference import line_geometry as reference
 
 W = 3.6
 UNKNOWN = 49  # the first value of LineMotion that is no displacement
@@ -119,8 +120,8 @@ def test_the_likelihood_is_the_formula() -> None:
     )
     parameters = resolved(alpha=0.3, beta=0.7)
     right = by_the_formula(list(zip(offsets, [0, 1, 2, 3], strict=True)), 3, parameters)
-    for kernel in (True, False):
-        ours = line_geometry.evidence(log, 3, parameters, kernel=kernel).likelihoods[NODES][0]
+    for evidence in (line_geometry.evidence, reference.evidence):
+        ours = evidence(log, 3, parameters).likelihoods[NODES][0]
         # The tables are interpolated between points 2 cm apart.
         np.testing.assert_allclose(np.log(ours), np.log(right), atol=5e-3)
         assert ours.max() == 1
@@ -137,7 +138,7 @@ def test_the_kernel_equals_its_twin(seed: int, n_lanes: int, width: object) -> N
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
         ours = line_geometry.evidence(log, n_lanes, parameters)
-        twin = line_geometry.evidence(log, n_lanes, parameters, kernel=False)
+        twin = reference.evidence(log, n_lanes, parameters)
     assert ours.likelihoods[NODES].shape == (len(log), 16 * n_lanes, 2)
     np.testing.assert_allclose(ours.likelihoods[NODES], twin.likelihoods[NODES], atol=1e-11)
     np.testing.assert_array_equal(ours.inputs["LineMotion"], twin.inputs["LineMotion"])

@@ -11,10 +11,11 @@ import pytest
 
 from egolane_pgm.graphs.cpds import declare, dynamics, previous, prior, within
 from egolane_pgm.inference.compile import Compiled, compile_network
-from egolane_pgm.inference.filtering import filter_beliefs, node_columns, step
-from egolane_pgm.inference.kernels.banded import banded
+from egolane_pgm.inference.filtering import filter_beliefs, step
+from egolane_pgm.inference.kernels.banded import find_band
 from egolane_pgm.types import Evidence, FloatArray, InputError
 from tests.conformance.networks import METHODS, assert_same_beliefs, draw_evidence
+from tests.reference import inference as reference
 
 #: Compiled code overflows to infinity in silence, and the kernel then scales; as plain Python
 #: (NUMBA_DISABLE_JIT) it warns.
@@ -74,9 +75,9 @@ def test_several_groups_inputs_and_functions_agree_with_the_plain_recursion(
     method: str, seed: int
 ) -> None:
     compiled = network()
-    assert banded(compiled, node_columns) is not None
+    assert find_band(compiled) is not None
     evidence = random_evidence(compiled, seed)
-    right = filter_beliefs(compiled, evidence, method, kernel=False)
+    right = reference.filter_beliefs(compiled, evidence, method)
     assert right.is_impossible.any()
     assert not right.is_impossible.all()
     assert_same_beliefs(filter_beliefs(compiled, evidence, method), right, 1e-9)
@@ -87,9 +88,9 @@ def test_with_three_nodes_that_persist_the_product_of_marginals_is_of_all_three(
     method: str,
 ) -> None:
     compiled = network(n_others=2)
-    assert banded(compiled, node_columns) is not None
+    assert find_band(compiled) is not None
     evidence = random_evidence(compiled, 0)
-    right = filter_beliefs(compiled, evidence, method, kernel=False)
+    right = reference.filter_beliefs(compiled, evidence, method)
     assert_same_beliefs(filter_beliefs(compiled, evidence, method), right, 1e-9)
 
 
@@ -105,7 +106,7 @@ def test_evidence_that_only_just_allows_what_is_left_is_not_lost() -> None:
         "Q0": np.ones((2, 2)),
     }
     evidence = Evidence(likelihoods, {"Speed": np.zeros(2, dtype=np.int64)})
-    right = filter_beliefs(compiled, evidence, "exact", kernel=False)
+    right = reference.filter_beliefs(compiled, evidence, "exact")
     ours = filter_beliefs(compiled, evidence, "exact")
     assert not ours.is_impossible.any()
     assert_same_beliefs(ours, right, 1e-9)
@@ -121,12 +122,20 @@ def test_a_network_that_is_nearly_of_this_kind_is_not_taken_for_one(method: str)
     mixed[:, 2, N_WIDE:] -= after
     mixed[:, 2, :N_WIDE] += after
     leaning = replace(compiled, transition=mixed)
-    for other in (leaning, network(noise=1e-4)):
-        assert banded(other, node_columns) is None
-        right = filter_beliefs(other, evidence, method, kernel=False)
-        assert_same_beliefs(filter_beliefs(other, evidence, method), right, 1e-12)
-        assert np.abs(right.marginals["Wide"] - filter_beliefs(
-            compiled, evidence, method).marginals["Wide"]).max() > 1e-10  # fmt: skip
+    assert find_band(leaning) is None
+    right = reference.filter_beliefs(leaning, evidence, method)
+    assert_same_beliefs(filter_beliefs(leaning, evidence, method), right, 1e-12)
+    straight = filter_beliefs(compiled, evidence, method)
+    assert np.abs(right.marginals["Wide"] - straight.marginals["Wide"]).max() > 1e-10
+
+
+@every_method
+def test_states_that_may_show_several_values_are_filtered_right_too(method: str) -> None:
+    noisy = network(noise=1e-4)
+    assert find_band(noisy) is not None
+    evidence = random_evidence(noisy, 1)
+    right = reference.filter_beliefs(noisy, evidence, method)
+    assert_same_beliefs(filter_beliefs(noisy, evidence, method), right, 1e-9)
 
 
 @every_method
@@ -146,7 +155,7 @@ def test_what_was_known_of_a_network_that_is_gone_is_not_taken_for_another(metho
     for seed in range(20):
         rows = np.random.default_rng(seed).dirichlet(np.ones(2 * N_WIDE), 2)
         other = replace(network(), prior=rows)
-        right = filter_beliefs(other, evidence, method, kernel=False)
+        right = reference.filter_beliefs(other, evidence, method)
         assert_same_beliefs(filter_beliefs(other, evidence, method), right)
 
 
@@ -154,7 +163,7 @@ def test_what_was_known_of_a_network_that_is_gone_is_not_taken_for_another(metho
 def test_stepping_leaves_the_earlier_state_as_it_was_here_too(method: str) -> None:
     compiled = network()
     evidence = draw_evidence(compiled, 3, np.random.default_rng(2), zeros=0)
-    whole = filter_beliefs(compiled, evidence, method, kernel=False)
+    whole = reference.filter_beliefs(compiled, evidence, method)
     first, _ = step(compiled, None, evidence.take(slice(0, 1)), method)
     before = first.joint.copy()
     for _ in range(2):

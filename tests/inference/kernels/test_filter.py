@@ -1,4 +1,5 @@
-"""Every fast path against its readable twin, over many seeds, sizes and awkward likelihoods."""
+"""The compiled recursion and the compiled likelihood, for any size and for sizes that are
+constants, against plain NumPy, with awkward likelihoods."""
 
 from __future__ import annotations
 
@@ -9,19 +10,15 @@ from itertools import pairwise
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
 
-from egolane_pgm.evidence import counting
-from egolane_pgm.graphs import sensor_failure
+from egolane_pgm.graphs.cpds import declare, dynamics, previous, prior, within
 from egolane_pgm.inference import filtering
-from egolane_pgm.inference.batch import confusions_many
-from egolane_pgm.inference.compile import Compiled, compile_network, with_tables
-from egolane_pgm.inference.kernels import filter as kernels
-from egolane_pgm.parameters import resolve_parameters
-from egolane_pgm.scoring.assign import assigned_lane
-from egolane_pgm.scoring.confusion import confusion, count_confusion
-from egolane_pgm.types import TIE_TOLERANCE, Evidence, InputError, LineLog
+from egolane_pgm.inference.compile import Compiled, compile_network
+from egolane_pgm.inference.filtering import METHODS, filter_beliefs, state_likelihood, step
+from egolane_pgm.inference.layout import evidence_blocks
+from egolane_pgm.types import Beliefs, Evidence
+from tests.conformance.networks import assert_same_beliefs
+from tests.reference import inference as reference
 
 #: Without the compiler everything is thousands of times slower, and one size is as good as ten.
 IS_COMPILED = os.environ.get("NUMBA_DISABLE_JIT", "0") == "0"
@@ -30,182 +27,192 @@ IS_COMPILED = os.environ.get("NUMBA_DISABLE_JIT", "0") == "0"
 SIZES = [((4, 2), (4, 2)), ((3, 2), (3, 2)), ((4,), (4,)), ((1,), (1,)), ((2, 3), (5, 1, 2))]
 SIZES = SIZES if IS_COMPILED else SIZES[:1]
 
-METHODS = (False, True)
+every_method = pytest.mark.parametrize("method", METHODS)
+#: With the compiler switched off NumPy warns of an overflow that the kernel handles.
+pytestmark = pytest.mark.filterwarnings("ignore:overflow encountered:RuntimeWarning")
 
 
-def random_rows(rng, *shape, zeros=0.0):
+@pytest.fixture(params=["fixed sizes", "any size"], autouse=True)
+def fixed_sizes(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Every test runs through both, however short its sequences are."""
+    least = 1 if request.param == "fixed sizes" else 10**9
+    monkeypatch.setattr(filtering, "MIN_FIXED_FRAMES", least)
+
+
+def random_rows(rng: np.random.Generator, *shape: int, zeros: float = 0.0) -> np.ndarray:
     values = rng.uniform(0.02, 1.0, shape) * (rng.uniform(size=shape) >= zeros)
     values[..., 0] += 1e-3
     return values / values.sum(axis=-1, keepdims=True)
 
 
-def random_arguments(rng, nodes, columns, n_frames, *, is_factored, inputs=1, zeros=0.0):
-    """Arguments of a filter, up to what it writes; evidence last, a block for each group."""
-    n_states = int(np.prod(nodes))
-    digits = np.indices(nodes).reshape(len(nodes), -1)
-    start = np.concatenate([[0], np.cumsum(nodes)[:-1]])
-    node_column = (digits + start[:, None]).astype(np.int64)
-    group_start = np.concatenate([[0], np.cumsum(columns)]).astype(np.int64)
-    emission = np.concatenate([random_rows(rng, n_states, k, zeros=zeros) for k in columns], axis=1)
-    blocks = [random_rows(rng, n_frames, k, zeros=zeros) for k in columns]
-    return {
-        "joint": np.zeros(n_states),
-        "is_first": True,
-        "is_factored": is_factored,
-        "prior": random_rows(rng, inputs, n_states),
-        "transition": random_rows(rng, inputs, n_states, n_states, zeros=zeros),
-        "input_index": rng.integers(0, inputs, n_frames),
-        "emission": emission,
-        "group_start": group_start,
-        "evidence": blocks,
-        "node_column": node_column,
-        "n_persistent": len(nodes),
+def random_network(
+    rng: np.random.Generator, nodes: tuple[int, ...], columns: tuple[int, ...], *, inputs: int = 1
+) -> Compiled:
+    """Persistent nodes N0, N1, ... that depend on all of them before, and groups D0, D1, ... that
+    depend on all of them now."""
+    names = [f"N{k}" for k in range(len(nodes))]
+    given = [previous(name) for name in names]
+    tables = within("Input", [], np.full(inputs, 1 / inputs)) if inputs > 1 else []
+    for name, size in zip(names, nodes, strict=True):
+        chosen = ["Input"] if inputs > 1 else []
+        shape = (inputs,) if inputs > 1 else ()
+        tables += prior(name, random_rows(rng, *shape, size), chosen)
+        rows = random_rows(rng, *shape, *nodes, size, zeros=0.2)
+        tables += dynamics(name, [*chosen, *given], rows)
+    observed = [f"D{k}" for k in range(len(columns))]
+    for name, size in zip(observed, columns, strict=True):
+        tables += within(name, names, random_rows(rng, *nodes, size))
+    roles = (["Input"],) if inputs > 1 else ()
+    return compile_network(declare(tables, observed), names, observed, *roles)
+
+
+def random_evidence(
+    rng: np.random.Generator, compiled: Compiled, n_frames: int, zeros: float = 0.0
+) -> Evidence:
+    likelihoods = {
+        key: random_rows(rng, n_frames, compiled.cardinality[str(key)], zeros=zeros)
+        for key in compiled.observed
     }
+    inputs = {n: rng.integers(0, compiled.cardinality[n], n_frames) for n in compiled.inputs}
+    return Evidence(likelihoods, inputs)
 
 
-def results_of(run, arguments, *, in_blocks):
-    given = dict(arguments, joint=arguments["joint"].copy())
-    blocks = given["evidence"]
-    n_frames = len(blocks[0])
-    if not in_blocks:
-        given["evidence"] = np.concatenate(blocks, axis=1)
-    n_columns = int(given["node_column"].max()) + 1
-    # `filter_blocks` may be given anything to write to, the others need zeros.
-    fill = np.full if in_blocks else lambda shape, _: np.zeros(shape)
-    written = [
-        fill((n_frames, n_columns), np.nan),
-        fill(n_frames, np.nan),
-        np.full(n_frames, in_blocks),
-    ]
-    with np.errstate(all="ignore"):  # the kernel itself, with the compiler switched off
-        run(*given.values(), *written)
-    return [given["joint"], *written]
+def checked(compiled: Compiled, evidence: Evidence, method: str) -> Beliefs:
+    """The beliefs, which are the reference's."""
+    ours = filter_beliefs(compiled, evidence, method)
+    right = reference.filter_beliefs(compiled, evidence, method)
+    assert_same_beliefs(ours, right, 1e-12 * max(1.0, np.abs(right.log_evidence).max()))
+    return ours
 
 
-def assert_all_agree(arguments):
-    twin = results_of(filtering._filter_frames_numpy, arguments, in_blocks=False)
-    plain = results_of(kernels.filter_frames, arguments, in_blocks=False)
-    fast = results_of(kernels.filter_blocks, arguments, in_blocks=True)
-    for name, a, b, c in zip(
-        ("joint", "marginals", "log", "impossible"), twin, plain, fast, strict=True
-    ):
-        np.testing.assert_allclose(b, a, rtol=1e-12, atol=1e-12, err_msg=f"plain {name}")
-        np.testing.assert_allclose(c, a, rtol=1e-12, atol=1e-12, err_msg=f"fast {name}")
-    return twin
-
-
-@pytest.fixture(autouse=True)
-def use_written_out_kernels_for_short_sequences(monkeypatch):
-    monkeypatch.setattr(kernels, "MIN_FRAMES", 4)
-
-
-@pytest.mark.parametrize("is_factored", METHODS)
+@every_method
 @pytest.mark.parametrize(("nodes", "columns"), SIZES)
-def test_kernels_equal_the_numpy_twin(nodes, columns, is_factored):
-    for seed in range(25 if IS_COMPILED else 3):
+def test_the_recursion_equals_the_reference(
+    nodes: tuple[int, ...], columns: tuple[int, ...], method: str
+) -> None:
+    for seed in range(8 if IS_COMPILED else 2):
         rng = np.random.default_rng(seed)
-        assert_all_agree(
-            random_arguments(rng, nodes, columns, 40, is_factored=is_factored, zeros=seed % 3 * 0.2)
+        compiled = random_network(rng, nodes, columns)
+        checked(compiled, random_evidence(rng, compiled, 40, zeros=seed % 3 * 0.2), method)
+
+
+@every_method
+def test_so_it_does_around_impossible_frames(method: str) -> None:
+    rng = np.random.default_rng(3)
+    compiled = random_network(rng, (4, 2), (4, 2))
+    evidence = random_evidence(rng, compiled, 60)
+    impossible = np.isin(np.arange(60), [0, 7, 8, 9, 10, 11, 30, 59])
+    evidence.likelihoods["D0"][impossible] = 0.0
+    assert np.array_equal(checked(compiled, evidence, method).is_impossible, impossible)
+
+
+@every_method
+@pytest.mark.parametrize("scale", [1e-200, 1e-130, 1e130, 1e200, 1e300])
+def test_likelihoods_of_absurd_size_are_scaled_not_lost(scale: float, method: str) -> None:
+    rng = np.random.default_rng(4)
+    compiled = random_network(rng, (4, 2), (4, 2))
+    evidence = random_evidence(rng, compiled, 40)
+    before = checked(compiled, evidence, method)
+    for values in evidence.likelihoods.values():
+        values[10:20] *= scale
+    after = checked(compiled, evidence, method)
+    assert not after.is_impossible.any()
+    for name in before.marginals:
+        np.testing.assert_allclose(
+            after.marginals[name], before.marginals[name], rtol=0, atol=1e-12
         )
 
 
-@pytest.mark.parametrize("is_factored", METHODS)
-def test_kernels_equal_the_twin_around_impossible_frames(is_factored):
-    rng = np.random.default_rng(3)
-    arguments = random_arguments(rng, (4, 2), (4, 2), 60, is_factored=is_factored)
-    impossible = np.isin(np.arange(60), [0, 7, 8, 9, 10, 11, 30, 59])
-    arguments["evidence"][0][impossible] = 0.0
-    twin = assert_all_agree(arguments)
-    assert np.array_equal(twin[-1], impossible)
-
-
-@pytest.mark.parametrize("is_factored", METHODS)
-@pytest.mark.parametrize("scale", [1e-200, 1e-130, 1e130, 1e200, 1e300])
-def test_likelihoods_of_absurd_size_are_scaled_not_lost(scale, is_factored):
-    rng = np.random.default_rng(4)
-    arguments = random_arguments(rng, (4, 2), (4, 2), 40, is_factored=is_factored)
-    before = assert_all_agree(arguments)
-    for block in arguments["evidence"]:
-        block[10:20] *= scale
-    after = assert_all_agree(arguments)
-    assert not after[-1].any()
-    np.testing.assert_allclose(after[1], before[1], rtol=0, atol=1e-12)
-
-
-@pytest.mark.parametrize("is_factored", METHODS)
-def test_hardly_possible_states_survive_small_likelihoods(is_factored):
+@every_method
+def test_hardly_possible_states_survive_small_likelihoods(method: str) -> None:
     """A state of probability 1e-150 is all that is left once the others are ruled out."""
-    rng = np.random.default_rng(14)
-    arguments = random_arguments(rng, (4, 2), (4, 2), 40, is_factored=is_factored)
-    arguments["transition"][:] = np.eye(8)
-    arguments["emission"][:, :4] = np.repeat(np.eye(4), 2, axis=0)
-    lanes = arguments["evidence"][0]
+    keep = [previous("Lane")], np.eye(4)
+    tables = [
+        *prior("Lane", np.full(4, 0.25)),
+        *dynamics("Lane", *keep),
+        *within("D", ["Lane"], np.eye(4) * (1 - 4e-12) + 1e-12),
+    ]
+    compiled = compile_network(declare(tables, ["D"]), ["Lane"], ["D"])
+    lanes = np.random.default_rng(14).uniform(0.5, 1.0, (40, 4))
     lanes[5] = [1.0, 1.0, 1.0, 1e-150]
     lanes[6:12] *= 1e-120
     lanes[12] = [0.0, 0.0, 0.0, 1.0]
-    twin = assert_all_agree(arguments)
-    assert not twin[-1].any()
-    np.testing.assert_allclose(twin[1][12:, 3], 1.0, rtol=0, atol=1e-12)
+    beliefs = checked(compiled, Evidence({"D": lanes}), method)
+    assert not beliefs.is_impossible.any()
 
 
-def test_small_likelihoods_over_many_frames_do_not_underflow():
+def test_small_likelihoods_over_many_frames_do_not_underflow() -> None:
     rng = np.random.default_rng(5)
     n_frames = 2000 if IS_COMPILED else 200
-    arguments = random_arguments(rng, (4, 2), (4, 2), n_frames, is_factored=False)
-    arguments["evidence"][0] *= 1e-9
-    twin = assert_all_agree(arguments)
-    assert twin[2].sum() < -20 * n_frames
+    compiled = random_network(rng, (4, 2), (4, 2))
+    evidence = random_evidence(rng, compiled, n_frames)
+    evidence.likelihoods["D0"][:] *= 1e-9
+    assert checked(compiled, evidence, "exact").log_evidence.sum() < -20 * n_frames
 
 
-@pytest.mark.parametrize("is_factored", METHODS)
-def test_a_sequence_in_parts_equals_the_whole(is_factored):
+@every_method
+def test_a_sequence_in_parts_equals_the_whole(method: str) -> None:
     rng = np.random.default_rng(6)
-    whole = random_arguments(rng, (4, 2), (4, 2), 50, is_factored=is_factored)
-    _, marginals, log_evidence, _ = results_of(kernels.filter_blocks, whole, in_blocks=True)
-    joint = whole["joint"]
+    compiled = random_network(rng, (4, 2), (4, 2))
+    evidence = random_evidence(rng, compiled, 50)
+    whole = filter_beliefs(compiled, evidence, method)
+    state = None
     for begin, stop in pairwise([0, 6, 7, 30, 50]):
-        part = dict(whole, joint=joint, is_first=begin == 0)
-        part["input_index"] = whole["input_index"][begin:stop]
-        part["evidence"] = [block[begin:stop] for block in whole["evidence"]]
-        joint, m, e, _ = results_of(kernels.filter_blocks, part, in_blocks=True)
-        np.testing.assert_allclose(m, marginals[begin:stop], rtol=0, atol=1e-12)
-        np.testing.assert_allclose(e, log_evidence[begin:stop], rtol=0, atol=1e-12)
+        state, part = step(compiled, state, evidence.take(slice(begin, stop)), method)
+        for name, values in part.marginals.items():
+            np.testing.assert_allclose(values, whole.marginals[name][begin:stop], atol=1e-12)
+        np.testing.assert_allclose(part.log_evidence, whole.log_evidence[begin:stop], atol=1e-12)
 
 
-@pytest.mark.parametrize("is_factored", METHODS)
-def test_networks_with_inputs_or_many_states_use_the_plain_kernel(is_factored):
+@every_method
+def test_pieces_that_the_filter_takes_one_by_one_equal_the_whole(
+    method: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    rng = np.random.default_rng(9)
+    compiled = random_network(rng, (4, 2), (4, 2))
+    evidence = random_evidence(rng, compiled, 50)
+    monkeypatch.setattr(filtering, "MIN_FIXED_FRAMES", 1)
+    monkeypatch.setattr(filtering, "PIECE", 8 * 7)
+    assert len(filtering._pieces(50, compiled.n_states)) == 7
+    beliefs = checked(compiled, evidence, method)
+    np.testing.assert_array_equal(beliefs.frame_id, np.arange(50))
+
+
+@every_method
+@pytest.mark.parametrize("nodes", [(3, 2), (5, 4)])
+def test_inputs_select_the_transition_whatever_the_size(
+    nodes: tuple[int, ...], method: str
+) -> None:
     rng = np.random.default_rng(7)
-    assert_all_agree(
-        random_arguments(rng, (3, 2), (3, 2), 20, is_factored=is_factored, inputs=3, zeros=0.2)
-    )
-    large = random_arguments(rng, (5, 4), (5, 2), 20, is_factored=is_factored)
-    size = kernels.kernel_size(large["group_start"], large["node_column"], 2, is_factored)
-    assert not size.is_small
-    assert_all_agree(large)
+    compiled = random_network(rng, nodes, (3, 2), inputs=3)
+    checked(compiled, random_evidence(rng, compiled, 20, zeros=0.2), method)
 
 
-def test_logarithms_are_right_to_the_last_bits_over_the_whole_range():
-    rng = np.random.default_rng(13)
-    near_one = 1 + rng.uniform(-1e-6, 1e-6, 200)
-    borders = np.array([1.0, 0.5**0.5, 2**0.5, 0.5, 2.0, 1e-250, 1e250])
-    borders = np.concatenate([borders, np.nextafter(borders, 0), np.nextafter(borders, 1e300)])
-    values = np.concatenate([np.exp(rng.uniform(-570, 570, 2000)), near_one, borders])
-    expected = np.log(values)
-    with np.errstate(over="ignore"):
-        kernels.log_in_place(values)
-    np.testing.assert_allclose(values, expected, rtol=4e-16, atol=0)
+def test_the_likelihood_times_its_scale_is_the_references() -> None:
+    rng = np.random.default_rng(8)
+    compiled = random_network(rng, (4, 2), (4, 2, 3))
+    evidence = random_evidence(rng, compiled, 30)
+    for k, values in enumerate(evidence.likelihoods.values()):
+        values[3 * k : 3 * k + 6] *= 10.0 ** rng.choice([-290, -100, 100, 290], 6)[:, None]
+    evidence.likelihoods["D1"][20] = 0.0
+    ours, our_scale = state_likelihood(compiled, evidence_blocks(compiled, evidence))
+    right, scale = reference.state_likelihood(compiled, evidence)
+    with np.errstate(divide="ignore"):
+        ours, right = np.log(ours) + our_scale[:, None], np.log(right) + scale[:, None]
+    np.testing.assert_allclose(ours, right, rtol=1e-12, atol=1e-12)
 
 
 @pytest.mark.skipif(not IS_COMPILED, reason="nothing is compiled with NUMBA_DISABLE_JIT")
-def test_a_second_process_loads_the_kernels_instead_of_compiling_them(tmp_path):
+def test_a_second_process_loads_the_kernels_instead_of_compiling_them(tmp_path) -> None:  # type: ignore[no-untyped-def]
     program = """
 import numpy as np
-from egolane_pgm.inference.kernels import filter as kernels
-size = kernels.Size((2,), ((0, 1),), 1, False)
-run = kernels._filter_kernel(size)
-square, frames = np.ones((2, 2)), np.ones((3, 2))
-run(np.ones(2), np.ones(2), square, square, True, 0, 3, frames, np.ones(3), frames)
-print(sum(run.stats.cache_hits.values()), sum(run.stats.cache_misses.values()))
+from egolane_pgm.inference.kernels.filter import likelihood_kernel
+for sizes in ((2, 3), (3, 2)):
+    run = likelihood_kernel(*sizes)
+    frames = np.ones((4, sizes[0]))
+    run(np.ones((4, sizes[1])), np.ones(sizes[::-1]), frames, np.zeros(4))
+    assert (frames == sizes[1]).all()
+    print(sum(run.stats.cache_hits.values()), sum(run.stats.cache_misses.values()))
 """
     environment = dict(os.environ, NUMBA_CACHE_DIR=str(tmp_path))
     said = [
@@ -218,146 +225,4 @@ print(sum(run.stats.cache_hits.values()), sum(run.stats.cache_misses.values()))
         ).stdout.split()
         for _ in range(2)
     ]
-    assert said == [["0", "1"], ["1", "0"]]
-
-
-@pytest.fixture(scope="module")
-def models() -> list[Compiled]:
-    """The paper's graph for three lanes with eleven parameter sets: more than one batch."""
-    rng = np.random.default_rng(8)
-
-    def tables(**given):
-        return sensor_failure.tables(3, resolve_parameters(sensor_failure.PARAMETERS, given, 3))
-
-    parameters = resolve_parameters(sensor_failure.PARAMETERS, {}, 3)
-    model = compile_network(
-        sensor_failure.build(3, parameters), sensor_failure.HIDDEN, sensor_failure.OBSERVED
-    )
-    names = ("p1", "p2", "p3", "p4")
-    return [
-        with_tables(
-            model,
-            tables(
-                sigma1=rng.uniform(0.1, 1.0),
-                sigma2=rng.uniform(0.1, 1.0),
-                **dict(zip(names, rng.uniform(0.05, 0.95, 4), strict=True)),
-            ),
-        )
-        for _ in range(11)
-    ]
-
-
-def random_evidence(rng, n_frames):
-    detector = random_rows(rng, n_frames, 3)
-    detector[rng.uniform(size=n_frames) < 0.2] = 1 / 3
-    return Evidence({"DetectorOutput": detector, "WOR": random_rows(rng, n_frames, 2)})
-
-
-def one_by_one(models, evidence, lane, is_crossing, method):
-    return np.stack(
-        [
-            confusion(
-                assigned_lane(
-                    filtering.filter_beliefs(m, evidence, method, kernel=False).marginals["Lane"]
-                ),
-                lane,
-                is_crossing,
-                3,
-            )
-            for m in models
-        ]
-    )
-
-
-@pytest.mark.parametrize("method", filtering.METHODS)
-def test_many_parameter_sets_give_the_confusions_of_each_on_its_own(models, method):
-    rng = np.random.default_rng(9)
-    n_frames = 400 if IS_COMPILED else 40
-    evidence = random_evidence(rng, n_frames)
-    # A tie in the first frame, whose belief is the uniform prior times this: Unassigned.
-    evidence.likelihoods["DetectorOutput"][0] = 1 / 3
-    lane, is_crossing = rng.integers(1, 4, n_frames), rng.uniform(size=n_frames) < 0.1
-    is_crossing[0] = False
-    lane[is_crossing] = 99  # not looked at
-    many = confusions_many(models, evidence, lane, is_crossing, method)
-    assert np.array_equal(many, one_by_one(models, evidence, lane, is_crossing, method))
-    assert (many[:, 3].sum(axis=1) >= 1).all()
-    assert (many.sum(axis=(1, 2)) == (~is_crossing).sum()).all()
-
-
-@pytest.mark.parametrize("method", filtering.METHODS)
-@pytest.mark.parametrize("factor", [0.0, 1e-300, 1e300])
-def test_many_parameter_sets_agree_where_a_likelihood_is_out_of_range(models, factor, method):
-    rng = np.random.default_rng(10)
-    evidence = random_evidence(rng, 60)
-    evidence.likelihoods["DetectorOutput"][20] *= factor
-    evidence.likelihoods["WOR"][20] *= factor
-    lane, is_crossing = rng.integers(1, 4, 60), np.zeros(60, dtype=bool)
-    many = confusions_many(models, evidence, lane, is_crossing, method)
-    assert np.array_equal(many, one_by_one(models, evidence, lane, is_crossing, method))
-
-
-def test_many_parameter_sets_of_one_frame_and_of_none(models):
-    rng = np.random.default_rng(11)
-    evidence = random_evidence(rng, 1)
-    lane, is_crossing = np.array([2]), np.array([False])
-    many = confusions_many(models, evidence, lane, is_crossing)
-    assert np.array_equal(many, one_by_one(models, evidence, lane, is_crossing, "assumed_density"))
-    with pytest.raises(InputError, match="at least one"):
-        confusions_many([], evidence, lane, is_crossing)
-
-
-def test_confusions_of_many_refuse_bad_input_by_name(models):
-    evidence = random_evidence(np.random.default_rng(12), 5)
-    lane, none = np.ones(5, dtype=np.int64), np.zeros(5, dtype=bool)
-    with pytest.raises(InputError, match=r"filter 'exakt' \(did you mean 'exact'"):
-        confusions_many(models, evidence, lane, none, "exakt")
-    with pytest.raises(InputError, match=r"'Lanes' is not a hidden one \(did you mean 'Lane'"):
-        confusions_many(models, evidence, lane, none, node="Lanes")
-    with pytest.raises(InputError, match=r"row 2 has lane 4, outside 1\.\.3"):
-        confusions_many(models, evidence, np.array([1, 1, 4, 1, 1]), none)
-    with pytest.raises(InputError, match=r"truth_lane has shape \(4,\), needs \(5,\)"):
-        confusions_many(models, evidence, lane[:4], none)
-    parameters = resolve_parameters(sensor_failure.PARAMETERS, {}, 2)
-    other = compile_network(
-        sensor_failure.build(2, parameters), sensor_failure.HIDDEN, sensor_failure.OBSERVED
-    )
-    with pytest.raises(InputError, match="differ in structure"):
-        confusions_many([models[0], other], evidence, lane, none)
-
-
-@settings(max_examples=60, deadline=None)
-@given(st.integers(0, 2**32 - 1), st.integers(1, 5))
-def test_one_pass_confusion_equals_assign_then_confusion(seed, n_lanes):
-    rng = np.random.default_rng(seed)
-    # Few distinct values, so that ties, within and just outside the tolerance, are frequent.
-    near = np.array([0.0, 0.25, 0.5, 0.5 * (1 - 1e-10), 0.5 * (1 - 1e-8)])
-    belief = rng.choice(near, (50, n_lanes))
-    lane, is_crossing = rng.integers(1, n_lanes + 1, 50), rng.uniform(size=50) < 0.2
-    counts = np.zeros((n_lanes + 1, n_lanes), dtype=np.int64)
-    count_confusion(belief, lane, is_crossing, TIE_TOLERANCE, counts)
-    expected = confusion(assigned_lane(belief), lane, is_crossing, n_lanes)
-    assert np.array_equal(counts, expected)
-
-
-@settings(max_examples=60, deadline=None)
-@given(st.integers(0, 2**32 - 1), st.integers(1, 6), st.booleans())
-def test_counting_kernel_equals_its_numpy_twin(seed, n_lanes, ignore):
-    rng = np.random.default_rng(seed)
-    shape = (30, 5)
-    on_border = rng.choice([-7.0, -3.5, 0.0, 3.5, 7.0, 10.5], shape)
-    offset = np.where(rng.uniform(size=shape) < 0.3, on_border, rng.normal(0, 6, shape))
-    valid = rng.uniform(size=shape) < 0.6
-    offset[~valid & (rng.uniform(size=shape) < 0.5)] = np.nan
-    lri = np.where(rng.uniform(size=shape) < 0.1, np.nan, rng.integers(-1, 12, shape))
-    ids = np.arange(30)
-    log = LineLog(ids, ids / 10, offset, valid, rng.uniform(size=shape) < 0.5, lri)
-    parameters = resolve_parameters(
-        counting.PARAMETERS,
-        {"bonus_value": rng.uniform(0, 9), "no_valid_line": "ignore" if ignore else "uniform"},
-        n_lanes,
-    )
-    fast = counting.evidence(log, n_lanes, parameters)
-    twin = counting.evidence(log, n_lanes, parameters, kernel=False)
-    for key in counting.PROVIDES:
-        np.testing.assert_allclose(fast.likelihoods[key], twin.likelihoods[key], rtol=0, atol=1e-12)
+    assert said == [["0", "1"] * 2, ["1", "0"] * 2]

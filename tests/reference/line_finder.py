@@ -1,4 +1,4 @@
-"""What `_kernels` computes, in plain NumPy: slower, and easier to believe."""
+"""What `detectors.simple.kernels` computes, in plain NumPy."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from egolane_pgm.types import FloatArray, IntArray
 def contour_runs(
     mask: NDArray[np.uint8], points: NDArray[np.int32], starts: IntArray, owner: IntArray
 ) -> tuple[IntArray, IntArray, IntArray, IntArray]:
-    """The runs of ones along the rows of a mask, as `_kernels.contour_runs`."""
+    """The runs of ones along the rows of a mask, as `kernels.contour_runs`."""
     border = np.full(mask.shape, -1, dtype=np.int64)
     border[points[:, 1], points[:, 0]] = np.repeat(owner, np.diff(starts))
     change = np.diff(np.pad((mask != 0).astype(np.int8), ((0, 0), (1, 1))), axis=1)
@@ -33,7 +33,7 @@ def common_scores(
     side_m: float,
     bin_m: float,
 ) -> FloatArray:
-    """(H, K, Q): how sharply pieces gather, as `_kernels.common_scores`."""
+    """(H, K, Q): how sharply pieces gather, as `kernels.common_scores`."""
     n_bins = int(np.floor(2 * side_m / bin_m)) + 1
     out = np.empty((len(headings), len(curvatures), len(squeezes)))
     for index in np.ndindex(out.shape):

@@ -1,0 +1,179 @@
+"""How evidence and joint states lie in the arrays that the kernels work on."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+from functools import lru_cache
+
+import numpy as np
+
+from egolane_pgm.inference.compile import Compiled, Group
+from egolane_pgm.inference.kernels.banded import Band, find_band
+from egolane_pgm.inference.kernels.filter import sum_marginals
+from egolane_pgm.types import BoolArray, Evidence, FloatArray, InputError, IntArray, Observed
+
+#: With more joint states than this, adding up marginals is quicker than a product of matrices.
+MAX_MATRIX_STATES = 16
+
+
+@dataclass(frozen=True)
+class PosteriorEvidence(Evidence):
+    """Evidence that is read by Jeffrey's rule (`jeffrey`). A row says how probable each value of
+    the observed node is after the frame, up to a factor; a row of nothing but ones says nothing."""
+
+    def take(self, frames: slice | IntArray | BoolArray) -> PosteriorEvidence:
+        """The evidence of some frames, in order."""
+        some = super().take(frames)
+        return PosteriorEvidence(some.likelihoods, some.inputs)
+
+
+@dataclass(frozen=True)
+class FilterState:
+    """What an online filter carries from frame to frame.
+
+    joint (S,): the belief after the last frame; under assumed density the product of its marginals.
+    """
+
+    joint: FloatArray
+
+
+@dataclass(frozen=True)
+class Layout:
+    """What the kernels need to know of a network, besides its tables and whatever the evidence.
+
+    nodes: the hidden nodes in the order of the marginals' columns, persistent nodes first.
+    column (H, S): for each node the column of the marginals that belongs to its value in each joint
+        state. persistent (P, S): the same for the persistent nodes alone.
+    indicator (S, M): joint beliefs (T, S) times this are the marginals (T, M).
+    emissions: for each group of observed nodes its emission table, transposed, (K, S).
+    only: for each group the one column that each joint state can show (S,), or None where a state
+        may show several.
+    band: the transition, if it is a banded one.
+    """
+
+    nodes: tuple[str, ...]
+    column: IntArray
+    persistent: IntArray
+    indicator: FloatArray
+    emissions: tuple[FloatArray, ...]
+    only: tuple[IntArray | None, ...]
+    band: Band | None
+
+
+@lru_cache(maxsize=16)
+def layout(compiled: Compiled) -> Layout:
+    """The layout of a network. Remembered, since an online filter asks for it in every frame."""
+    functions = [name for name in compiled.hidden if name not in compiled.state_nodes]
+    nodes = (*compiled.state_nodes, *functions)
+    columns, width = [], 0
+    for name in nodes:
+        columns.append(width + compiled.node_value[compiled.hidden.index(name)])
+        width += compiled.cardinality[name]
+    indicator = np.zeros((compiled.n_states, width))
+    column = np.array(columns, dtype=np.int64)
+    for row in column:
+        indicator[np.arange(compiled.n_states), row] = 1.0
+    return Layout(
+        nodes,
+        column,
+        column[: len(compiled.state_nodes)],
+        indicator,
+        tuple(np.ascontiguousarray(group.emission.T) for group in compiled.groups),
+        tuple(_only_column(group.emission) for group in compiled.groups),
+        find_band(compiled),
+    )
+
+
+def _only_column(emission: FloatArray) -> IntArray | None:
+    if np.isin(emission, (0.0, 1.0)).all() and (emission.sum(axis=1) == 1).all():
+        return np.asarray(emission.argmax(axis=1))
+    return None
+
+
+def marginals_of(compiled: Compiled, joint: FloatArray) -> dict[str, FloatArray]:
+    """The marginals of every hidden node, (T, cardinality) each, of joint beliefs (T, S)."""
+    arrays = layout(compiled)
+    n_states, width = arrays.indicator.shape
+    if n_states <= MAX_MATRIX_STATES:
+        marginals = joint @ arrays.indicator
+    else:
+        marginals = np.empty((len(joint), width))
+        sum_marginals(joint, arrays.column, marginals)
+    start = 0
+    nodes = {}
+    for name in arrays.nodes:
+        stop = start + compiled.cardinality[name]
+        nodes[name] = marginals[:, start:stop]
+        start = stop
+    return nodes
+
+
+def evidence_blocks(compiled: Compiled, evidence: Evidence) -> list[FloatArray]:
+    """The evidence of each group of observed nodes, (T, K).
+
+    Raises InputError naming an observed node without evidence, evidence without a node, or a
+    wrong shape; and for evidence that is read by Jeffrey's rule.
+    """
+    if isinstance(evidence, PosteriorEvidence):
+        raise InputError(
+            "evidence read by Jeffrey's rule is no likelihood: only the filters exact and"
+            " assumed_density take it; use evidence_reading soft or hard here"
+        )
+    check_keys(compiled, evidence)
+    return [
+        np.ascontiguousarray(_group_evidence(group, evidence.likelihoods), dtype=np.float64)
+        for group in compiled.groups
+    ]
+
+
+def check_keys(compiled: Compiled, evidence: Evidence) -> None:
+    """Raise InputError, naming the node, where evidence and network do not fit each other."""
+    observed, n_frames = compiled.observed, len(evidence)
+    for key in observed:
+        if key not in evidence.likelihoods:
+            raise InputError(f"observed node {key}: the evidence has nothing for it")
+    for key, values in evidence.likelihoods.items():
+        if key not in observed:
+            raise InputError(f"evidence for {key}: the graph does not observe such a node")
+        names = (key,) if isinstance(key, str) else key
+        shape = (n_frames, *[compiled.cardinality[n] for n in names])
+        if values.shape != shape:
+            raise InputError(f"evidence for {key}: shape {values.shape}, the graph needs {shape}")
+    for name in compiled.inputs:
+        if name not in evidence.inputs:
+            raise InputError(f"input node {name}: the evidence has nothing for it")
+    for name, index in evidence.inputs.items():
+        if name not in compiled.inputs:
+            raise InputError(f"input {name}: the graph has no such input node")
+        ends = index if len(index) < 2 else (index.min(), index.max())
+        if not all(0 <= end < compiled.cardinality[name] for end in ends):
+            raise InputError(f"input {name}: outside 0..{compiled.cardinality[name] - 1}")
+
+
+def _group_evidence(group: Group, likelihoods: Mapping[Observed, FloatArray]) -> FloatArray:
+    """(T, K): the product of the group's evidence over all its nodes' values."""
+    if len(group.observed) == 1:
+        values = likelihoods[group.observed[0]]
+        return values.reshape(len(values), math.prod(group.sizes))
+    n_frames = len(likelihoods[group.observed[0]])
+    product = np.ones((n_frames, *group.sizes))
+    for key, axes in zip(group.observed, group.axes, strict=True):
+        values = likelihoods[key]
+        # The evidence's axes in the order of the group's, then 1 where it says nothing.
+        ordered = values.transpose(0, *(1 + np.argsort(axes)))
+        shape = [size if k in axes else 1 for k, size in enumerate(group.sizes)]
+        product *= ordered.reshape(n_frames, *shape)
+    return product.reshape(n_frames, math.prod(group.sizes))
+
+
+def joint_input(compiled: Compiled, evidence: Evidence) -> IntArray:
+    """(T,): which joint value of the input nodes each frame has; 0 without inputs."""
+    if not compiled.inputs:
+        return np.zeros(len(evidence), dtype=np.int64)
+    if len(compiled.inputs) == 1:
+        return np.ascontiguousarray(evidence.inputs[compiled.inputs[0]], dtype=np.int64)
+    sizes = [compiled.cardinality[name] for name in compiled.inputs]
+    parts = [evidence.inputs[name] for name in compiled.inputs]
+    return np.asarray(np.ravel_multi_index(parts, sizes), dtype=np.int64)

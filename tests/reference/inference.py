@@ -1,0 +1,347 @@
+"""Filters, smoothers, the most probable path and expected counts in plain NumPy.
+
+The recursions stand here as the books write them, frame by frame on (prior, transition,
+likelihood); what `egolane_pgm.inference` computes is held to them.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+
+import numpy as np
+
+from egolane_pgm.inference.compile import Compiled
+from egolane_pgm.inference.expected_counts import FREE, Expected
+from egolane_pgm.inference.layout import (
+    FilterState,
+    PosteriorEvidence,
+    evidence_blocks,
+    joint_input,
+)
+from egolane_pgm.types import Beliefs, BoolArray, Evidence, FloatArray, IntArray
+
+
+def filter_beliefs(
+    compiled: Compiled,
+    evidence: Evidence,
+    method: str = "assumed_density",
+    *,
+    frame_id: IntArray | None = None,
+) -> Beliefs:
+    """As `egolane_pgm.inference.filtering.filter_beliefs`."""
+    return _filter(compiled, evidence, method, None, frame_id)[1]
+
+
+def step(
+    compiled: Compiled,
+    state: FilterState | None,
+    evidence: Evidence,
+    method: str = "assumed_density",
+) -> tuple[FilterState, Beliefs]:
+    """As `egolane_pgm.inference.filtering.step`."""
+    return _filter(compiled, evidence, method, state, None)
+
+
+def _filter(
+    compiled: Compiled,
+    evidence: Evidence,
+    method: str,
+    state: FilterState | None,
+    frame_id: IntArray | None,
+) -> tuple[FilterState, Beliefs]:
+    joint = None if state is None else state.joint
+    if isinstance(evidence, PosteriorEvidence):
+        filtered, log_evidence, is_impossible, last = jeffrey(compiled, evidence, method, joint)
+    else:
+        likelihood, log_scale = state_likelihood(compiled, evidence)
+        index = joint_input(compiled, evidence)
+        filtered, log_evidence, is_impossible, last = forward(
+            compiled, likelihood, log_scale, index, method, joint
+        )
+    ids = np.arange(len(evidence)) if frame_id is None else frame_id
+    marginals = marginals_of(compiled, filtered)
+    return FilterState(last), Beliefs(ids, marginals, log_evidence, is_impossible)
+
+
+def state_likelihood(compiled: Compiled, evidence: Evidence) -> tuple[FloatArray, FloatArray]:
+    """P(evidence of the frame | joint state), (T, S), over its largest entry per group, and the
+    logarithm of what it was divided by, (T,)."""
+    likelihood = np.ones((len(evidence), compiled.n_states))
+    log_scale = np.zeros(len(evidence))
+    for group, block in zip(compiled.groups, evidence_blocks(compiled, evidence), strict=True):
+        # Scaled before and after: neither the likelihoods nor their product may underflow.
+        shares, log_before = _over_largest(block)
+        factor, log_after = _over_largest(shares @ group.emission.T)
+        likelihood *= factor
+        log_scale += log_before + log_after
+    return likelihood, log_scale
+
+
+def _over_largest(rows: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Rows (T, K) over their largest entry, and its logarithm (T,); rows of zeros stay."""
+    largest = rows.max(axis=1, initial=0.0)
+    largest[~(largest > 0)] = 1.0
+    return rows / largest[:, None], np.log(largest)
+
+
+def forward(
+    compiled: Compiled,
+    likelihood: FloatArray,
+    log_scale: FloatArray,
+    index: IntArray,
+    method: str = "exact",
+    joint: FloatArray | None = None,
+) -> tuple[FloatArray, FloatArray, BoolArray, FloatArray]:
+    """The forward recursion: the joint belief after each frame (T, S), the log evidence (T,), the
+    flags (T,), and what is carried on after the last frame (S,)."""
+    filtered = np.empty_like(likelihood)
+    log_evidence = np.zeros(len(likelihood))
+    is_impossible = np.zeros(len(likelihood), dtype=bool)
+    for t, u in enumerate(index):
+        predicted = compiled.prior[u] if joint is None else joint @ compiled.transition[u]
+        weighted = predicted * likelihood[t]
+        total = weighted.sum()
+        is_impossible[t] = not total > 0
+        if total > 0:
+            log_evidence[t] = math.log(total) + log_scale[t]
+        filtered[t] = weighted / total if total > 0 else predicted / predicted.sum()
+        joint = filtered[t]
+        if method == "assumed_density":
+            joint = product_of_marginals(compiled, joint)
+    return filtered, log_evidence, is_impossible, np.zeros(0) if joint is None else joint.copy()
+
+
+def product_of_marginals(compiled: Compiled, joint: FloatArray) -> FloatArray:
+    """The product (S,) of the persistent nodes' marginals of a joint belief (S,)."""
+    marginals = marginals_of(compiled, joint[None])
+    product = np.ones(compiled.n_states)
+    for name in compiled.state_nodes:
+        product *= marginals[name][0, compiled.node_value[compiled.hidden.index(name)]]
+    return product
+
+
+def marginals_of(compiled: Compiled, joint: FloatArray) -> dict[str, FloatArray]:
+    """Per hidden node (T, cardinality), from beliefs over the joint state (T, S)."""
+    return {
+        name: joint @ (value[:, None] == np.arange(compiled.cardinality[name])).astype(np.float64)
+        for name, value in zip(compiled.hidden, compiled.node_value, strict=True)
+    }
+
+
+def jeffrey(
+    compiled: Compiled, evidence: PosteriorEvidence, method: str, joint: FloatArray | None
+) -> tuple[FloatArray, FloatArray, BoolArray, FloatArray]:
+    """As `forward`, with evidence read by Jeffrey's rule, one observed node after the other."""
+    filtered = np.empty((len(evidence), compiled.n_states))
+    log_evidence = np.zeros(len(evidence))
+    is_impossible = np.zeros(len(evidence), dtype=bool)
+    for t, u in enumerate(joint_input(compiled, evidence)):
+        predicted = compiled.prior[u] if joint is None else joint @ compiled.transition[u]
+        of_group = np.ones((len(compiled.groups), compiled.n_states))
+        log_total = 0.0
+        for g, group in enumerate(compiled.groups):
+            factor = np.ones(group.sizes)
+            others = predicted * np.delete(of_group, g, axis=0).prod(axis=0)
+            for key, axes in zip(group.observed, group.axes, strict=True):
+                q = evidence.likelihoods[key][t]
+                if is_impossible[t] or ((q == 1).all() and q.size > 1):
+                    continue
+                q = q / q.max() if q.max() > 0 else q
+                q = q / q.sum() if q.sum() > 0 else q
+                mass = (others @ group.emission).reshape(group.sizes) * factor
+                rest = tuple(k for k in range(len(group.sizes)) if k not in axes)
+                order = np.argsort(np.argsort(axes))
+                expected = mass.sum(axis=rest).transpose(order)
+                expected = expected / expected.sum()
+                agreement = float((q * expected).sum())
+                if not agreement > 0:
+                    is_impossible[t] = True
+                    continue
+                log_total += math.log(agreement)
+                possible = expected > 0
+                ratio = np.zeros(q.shape)
+                ratio[possible] = q[possible] / q[possible].sum() / expected[possible]
+                shape = [n if k in axes else 1 for k, n in enumerate(group.sizes)]
+                factor = factor * ratio.transpose(np.argsort(axes)).reshape(shape)
+            of_group[g] = group.emission @ factor.reshape(-1)
+        weighted = predicted if is_impossible[t] else predicted * of_group.prod(axis=0)
+        filtered[t] = weighted / weighted.sum()
+        log_evidence[t] = 0.0 if is_impossible[t] else log_total
+        joint = filtered[t]
+        if method == "assumed_density":
+            joint = product_of_marginals(compiled, joint)
+    return filtered, log_evidence, is_impossible, np.zeros(0) if joint is None else joint.copy()
+
+
+def smooth_beliefs(compiled: Compiled, evidence: Evidence) -> Beliefs:
+    """As `egolane_pgm.inference.smoothing.smooth_beliefs`."""
+    return fixed_lag_beliefs(compiled, evidence, max(0, len(evidence) - 1))
+
+
+def fixed_lag_beliefs(compiled: Compiled, evidence: Evidence, lag: int) -> Beliefs:
+    """As `egolane_pgm.inference.smoothing.fixed_lag_beliefs`."""
+    likelihood, log_scale = state_likelihood(compiled, evidence)
+    index = joint_input(compiled, evidence)
+    filtered, log_evidence, is_impossible, _ = forward(compiled, likelihood, log_scale, index)
+    likelihood[is_impossible] = 1.0
+    smoothed = smooth(filtered, likelihood, compiled.transition, index, lag)
+    marginals = marginals_of(compiled, smoothed)
+    return Beliefs(np.arange(len(evidence)), marginals, log_evidence, is_impossible)
+
+
+def smooth(
+    filtered: FloatArray,
+    likelihood: FloatArray,
+    transition: FloatArray,
+    index: IntArray,
+    lag: int,
+) -> FloatArray:
+    """The joint belief (T, S) about each frame given `lag` later ones, from the filter's (T, S)."""
+    n_frames, n_states = filtered.shape
+    smoothed = np.empty_like(filtered)
+    whole = lag >= n_frames - 1
+    ahead = np.ones(n_states)
+    for t in range(n_frames - 1, -1, -1):
+        if not whole:
+            ahead = np.ones(n_states)
+        last = min(t + lag, n_frames - 1)
+        for k in range(min(last, t + 1) if whole else last, t, -1):
+            ahead = np.where(
+                filtered[k - 1] > 0, transition[index[k]] @ (likelihood[k] * ahead), 0.0
+            )
+            # Zero everywhere only where floating-point numbers end: what comes later is ignored.
+            ahead = ahead / ahead.max() if ahead.max() > 0 else np.ones(n_states)
+        both = (filtered[t] > 0) & (ahead > 0)
+        log_product = np.full(n_states, -math.inf)
+        log_product[both] = np.log(filtered[t][both]) + np.log(ahead[both])
+        product = np.exp(log_product - log_product.max())
+        smoothed[t] = product / product.sum()
+    return smoothed
+
+
+def best_path(compiled: Compiled, evidence: Evidence) -> tuple[IntArray, float]:
+    """The most probable joint states (T,), and the logarithm of their probability."""
+    log_prior, log_transition, log_likelihood, index, log_scale = _logarithms(compiled, evidence)
+    score = log_prior[index[0]] + log_likelihood[0]
+    came_from = np.zeros(log_likelihood.shape, dtype=np.int64)
+    for t in range(1, len(log_likelihood)):
+        moved = score[:, None] + log_transition[index[t]]
+        came_from[t] = moved.argmax(axis=0)
+        score = moved.max(axis=0) + log_likelihood[t]
+    path = np.empty(len(log_likelihood), dtype=np.int64)
+    state = int(score.argmax())
+    total = float(score[state])
+    for t in range(len(path) - 1, -1, -1):
+        path[t] = state
+        state = int(came_from[t, state])
+    return path, total + log_scale
+
+
+def path_probability(compiled: Compiled, evidence: Evidence, states: IntArray) -> float:
+    """The logarithm of the probability of a path (T,) with the evidence."""
+    log_prior, log_transition, log_likelihood, index, log_scale = _logarithms(compiled, evidence)
+    moved = log_transition[index[1:], states[:-1], states[1:]].sum()
+    seen = log_likelihood[np.arange(len(states)), states].sum()
+    return float(log_prior[index[0], states[0]] + moved + seen + log_scale)
+
+
+def _logarithms(
+    compiled: Compiled, evidence: Evidence
+) -> tuple[FloatArray, FloatArray, FloatArray, IntArray, float]:
+    likelihood, log_scale = state_likelihood(compiled, evidence)
+    index = joint_input(compiled, evidence)
+    is_impossible = forward(compiled, likelihood, log_scale, index)[2]
+    likelihood[is_impossible], log_scale[is_impossible] = 1.0, 0.0
+    with np.errstate(divide="ignore"):
+        logs = np.log(compiled.prior), np.log(compiled.transition), np.log(likelihood)
+    return *logs, index, float(log_scale.sum())
+
+
+def expected_counts(
+    compiled: Compiled,
+    evidence: Evidence,
+    known: Mapping[str, IntArray] | None = None,
+    is_first: BoolArray | None = None,
+) -> Expected:
+    """As `egolane_pgm.inference.expected_counts.expected_counts`."""
+    likelihood, log_scale = state_likelihood(compiled, evidence)
+    for node, value in (known or {}).items():
+        in_state = compiled.node_value[compiled.hidden.index(node)]
+        likelihood *= (value[:, None] == in_state) | (value == FREE)[:, None]
+    begins = np.arange(len(evidence)) == 0
+    if is_first is not None:
+        begins |= is_first
+    smoothed, first, moves, log_evidence, is_impossible = expected_moves(
+        compiled, likelihood, joint_input(compiled, evidence), begins
+    )
+    blocks = evidence_blocks(compiled, evidence)
+    counts = {}
+    for node, place in compiled.places.items():
+        if any(parent in compiled.inputs for parent, _ in place.parents):
+            continue
+        array = {"prior": first[None], "transition": moves[None]}.get(place.kind)
+        if array is None:
+            group = compiled.groups[place.group]
+            array = np.zeros_like(group.emission)
+            for t in np.flatnonzero(~is_impossible):
+                share, _ = _over_largest(blocks[place.group][t : t + 1])
+                # P(value | state, evidence), for the states that the evidence allows.
+                of_value = group.emission * share
+                of_state = of_value.sum(axis=1, keepdims=True)
+                array += smoothed[t][:, None] * np.divide(
+                    of_value, of_state, out=np.zeros_like(of_value), where=of_state > 1e-300
+                )
+        counts[node] = np.zeros(place.shape)
+        np.add.at(
+            counts[node], tuple(np.broadcast_to(i, array.shape) for i in place.indices), array
+        )
+    kept = ~is_impossible
+    return Expected(counts, float((log_evidence + log_scale)[kept].sum()), is_impossible)
+
+
+def expected_moves(
+    compiled: Compiled, likelihood: FloatArray, index: IntArray, is_first: BoolArray
+) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray, BoolArray]:
+    """What EM counts, in logarithms: the smoothed joint belief (T, S), the states of first frames
+    (S,), the moves from state to state (S, S), the log evidence and the flags (T,)."""
+    n_frames, n_states = likelihood.shape
+    likelihood = likelihood.copy()
+    smoothed, filtered = np.empty_like(likelihood), np.empty_like(likelihood)
+    first, moves = np.zeros(n_states), np.zeros((n_states, n_states))
+    log_evidence, is_impossible = np.zeros(n_frames), np.zeros(n_frames, dtype=bool)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        log_prior, log_transition = np.log(compiled.prior), np.log(compiled.transition)
+        for t, u in enumerate(index):
+            if is_first[t]:
+                now = log_prior[u]
+            else:
+                now = _log_sum(filtered[t - 1][:, None] + log_transition[u])
+            both = now + np.log(likelihood[t])
+            total = _log_sum(both)
+            is_impossible[t] = total == -np.inf
+            log_evidence[t] = 0.0 if is_impossible[t] else total
+            if is_impossible[t]:
+                likelihood[t] = 1.0
+                both, total = now, _log_sum(now)
+            filtered[t] = both - total
+        ahead = np.zeros(n_states)
+        for t in range(n_frames - 1, -1, -1):
+            both = filtered[t] + ahead
+            smoothed[t] = np.exp(both - _log_sum(both))
+            if is_first[t]:
+                first += smoothed[t]
+                ahead = np.zeros(n_states)
+                continue
+            onward = log_transition[index[t]] + np.log(likelihood[t]) + ahead
+            pairs = filtered[t - 1][:, None] + onward
+            moves += np.exp(pairs - _log_sum(pairs.ravel()))
+            ahead = _log_sum(onward.T)
+    return smoothed, first, moves, log_evidence, is_impossible
+
+
+def _log_sum(values: FloatArray) -> FloatArray:
+    """log(sum(exp(values))) over the first axis; minus infinity for nothing but zeros."""
+    largest = values.max(axis=0)
+    safe = np.where(np.isfinite(largest), largest, 0.0)
+    return safe + np.log(np.exp(values - safe).sum(axis=0))
