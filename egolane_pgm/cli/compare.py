@@ -27,8 +27,6 @@ from egolane_pgm.files import check_not_read, check_place, write_json
 from egolane_pgm.paper import parse_runs
 from egolane_pgm.report import comparison_tables as rows_of
 from egolane_pgm.report import tables
-from egolane_pgm.report.comparison import draw_comparison
-from egolane_pgm.report.style import check_figure_path
 from egolane_pgm.types import InputError
 
 DEFAULT_GRAPHS = "sensor_failure,wor_on_lane,no_wor,lane_only"
@@ -91,6 +89,9 @@ def compare(
     if with_paper and not (experiments and runs):
         raise InputError("--with-paper: goes with experiments and --runs")
     if figure:
+        # matplotlib is imported only for a figure.
+        from egolane_pgm.report.style import check_figure_path
+
         check_figure_path(figure)
     for place in (figure, out and str(Path(out) / "recording")):
         if place:
@@ -189,6 +190,8 @@ def _held_out(
         if settings.health:
             click.echo(f"\n{rows_of.HEALTH_LEGEND}")
     if figure:
+        from egolane_pgm.report.comparison_figures import draw_comparison
+
         draw_comparison(found, figure)
     for failed in found["failed"]:
         click.echo(f"failed: {failed['title']}: {failed['error']}", err=True)

@@ -16,7 +16,6 @@ from egolane_pgm.experiment import Experiment, load_experiment
 from egolane_pgm.files import check_not_read, write_json
 from egolane_pgm.loading import as_name, with_recording
 from egolane_pgm.model import causality
-from egolane_pgm.report.draw import draw_standard
 from egolane_pgm.report.tables import TUNED_ON, confusion_table, runs_table, scores_table
 from egolane_pgm.results import SCHEMA_VERSION, check_writable
 from egolane_pgm.run import Outcome, Run, plan_runs, run_all, run_experiment, save_run, summary
@@ -218,6 +217,9 @@ def _inode(directory: Path) -> int | None:
 
 
 def _draw_all(directory: Path) -> None:
+    # matplotlib is imported only for figures.
+    from egolane_pgm.report.draw import draw_standard
+
     draw_standard(directory)
 
 

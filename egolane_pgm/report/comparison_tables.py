@@ -1,11 +1,12 @@
-"""A comparison's tables: header and rows of text from the document of `comparing.document`."""
+"""The tables of a comparison: header and rows of text, from the document of
+`compare.comparing.document`."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from egolane_pgm.report.tables import number, seen
+from egolane_pgm.report.tables import score_text, tuned_on_text, with_interval
 
 LEGEND = """\
 Held out: each block of the drive is scored with parameters fitted without it, or with fixed ones
@@ -24,13 +25,13 @@ frames, in which it is no surprise."""
 
 
 def trusted_or_all(part: Mapping[str, Any]) -> Any:
-    """What a document says per subset, without the frames of untrusted labels where there are
-    such."""
+    """Of a part of a document that is given for several subsets of frames, the one without the
+    frames of untrusted labels, if there is one."""
     return part.get("without_never_fit", part["all_frames"])
 
 
 def experiment_names(document: Mapping[str, Any]) -> list[str]:
-    """The experiments of all recordings, in the order in which they first occur."""
+    """The names of the experiments of all recordings, in order of their first occurrence."""
     entries = [e for recording in document["recordings"] for e in recording["experiments"]]
     return list(dict.fromkeys(entry["name"] for entry in entries))
 
@@ -38,8 +39,10 @@ def experiment_names(document: Mapping[str, Any]) -> list[str]:
 def accuracy_rows(
     document: Mapping[str, Any], subset: str | None = None
 ) -> tuple[list[str], list[list[str]]]:
-    """A row per recording, a column per experiment: accuracy [interval]. subset: None for the
-    frames whose labels can be trusted."""
+    """Accuracies with their intervals: a row per recording, a column per experiment.
+
+    subset: the frames that are scored; None for those whose labels can be trusted.
+    """
     names = experiment_names(document)
     rows = []
     for recording in document["recordings"]:
@@ -51,13 +54,13 @@ def accuracy_rows(
                 continue
             scores = found[name]["scores"]
             chosen = trusted_or_all(scores) if subset is None else scores[subset]
-            cells.append(_with_interval(chosen, "accuracy") + _mark(found[name]))
+            cells.append(_score(chosen, "accuracy", 3) + _mark(found[name]))
         rows.append([recording["title"], *cells])
     return ["accuracy", *names], rows
 
 
 def has_untrusted(document: Mapping[str, Any]) -> bool:
-    """Whether some frames' labels are not trusted."""
+    """Whether the labels of some frames are not trusted."""
     return any(
         "without_never_fit" in entry["scores"]
         for recording in document["recordings"]
@@ -66,7 +69,7 @@ def has_untrusted(document: Mapping[str, Any]) -> bool:
 
 
 def full_rows(document: Mapping[str, Any]) -> tuple[list[str], list[list[str]]]:
-    """A row per recording, experiment and subset of frames: every score."""
+    """All scores: a row per recording, experiment and subset of frames."""
     header = [
         "recording", "experiment", "frames", "parameters from", "accuracy", "F1", "log-loss",
         "Brier", "calibration error", "false switches/min", "delay median", "delay p90", "missed",
@@ -87,27 +90,27 @@ def _cells(entry: Mapping[str, Any], subset: str, scores: Mapping[str, Any]) -> 
     return [
         entry["name"],
         "all" if subset == "all_frames" else "trusted",
-        seen(entry),
-        _with_interval(scores, "accuracy", 4),
-        _with_interval(scores, "f1", 4),
-        number(scores["log_loss"]),
-        number(scores["brier"]),
-        number(scores["expected_calibration_error"]),
-        number(scores["false_switches_per_minute"], 2),
-        number(delay["median_frames"], 1),
-        number(delay["p90_frames"], 1),
-        number(delay["share_missed"]),
-        number(scores["coverage"]),
-        number(scores["mean_log_evidence"]),
-        number(entry["microseconds_per_frame"], 1),
+        tuned_on_text(entry),
+        _score(scores, "accuracy", 4),
+        _score(scores, "f1", 4),
+        score_text(scores["log_loss"]),
+        score_text(scores["brier"]),
+        score_text(scores["expected_calibration_error"]),
+        score_text(scores["false_switches_per_minute"], 2),
+        score_text(delay["median_frames"], 1),
+        score_text(delay["p90_frames"], 1),
+        score_text(delay["share_missed"]),
+        score_text(scores["coverage"]),
+        score_text(scores["mean_log_evidence"]),
+        score_text(entry["microseconds_per_frame"], 1),
         str(entry["free_parameters"]),
         *(_difference(difference.get(key)) for key in ("accuracy", "f1", "log_loss")),
     ]
 
 
 def chosen_rows(document: Mapping[str, Any]) -> tuple[list[str], list[list[str]]]:
-    """A row per recording and experiment with `fit: choose`, a column per block: what was chosen
-    without it."""
+    """The values that `fit: choose` chose: a row per recording and experiment, a column per block,
+    for which they were chosen without it."""
     n_blocks = document["blocks"]
     rows = []
     for recording in document["recordings"]:
@@ -126,8 +129,8 @@ def _short(value: Any) -> str:
 
 
 def health_rows(document: Mapping[str, Any]) -> tuple[list[str], list[list[str]]]:
-    """A row per recording: areas under the ROC curve for "the detector alone is wrong", over the
-    frames whose labels can be trusted."""
+    """Areas under the ROC curve for "the detector alone is wrong", over the frames whose labels can
+    be trusted: a row per recording."""
     names = experiment_names(document)
     header = ["AUC", "committed", "wrong", "Unassigned (all frames)"]
     header += [f"{name}: {what}" for name in names for what in ("doubt", "P(BAD)")]
@@ -149,20 +152,13 @@ def _auc(value: float | None) -> str:
 
 
 def _mark(entry: Mapping[str, Any]) -> str:
-    """A star where the parameters were tuned on the frames that are scored."""
+    """A star if the parameters were tuned on the frames that are scored, or if that is unknown."""
     return "*" if entry["tuned_on"] in ("same_frames", "unknown") else ""
 
 
-def _with_interval(scores: Mapping[str, Any], key: str, digits: int = 3) -> str:
-    interval: Sequence[float] | None = scores["intervals"][key]
-    shown = f"{scores[key]:.{digits}f}"
-    if interval is None:
-        return shown
-    return f"{shown} [{interval[0]:.{digits}f}, {interval[1]:.{digits}f}]"
+def _score(scores: Mapping[str, Any], key: str, digits: int) -> str:
+    return with_interval(scores[key], scores["intervals"][key], f".{digits}f")
 
 
 def _difference(found: Sequence[float] | None) -> str:
-    if found is None:
-        return "-"
-    estimate, low, high = found
-    return f"{estimate:+.3f} [{low:+.3f}, {high:+.3f}]"
+    return "-" if found is None else with_interval(found[0], found[1:], "+.3f")

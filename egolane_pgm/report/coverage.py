@@ -1,70 +1,59 @@
-"""Accuracy-coverage curves: what a user gets who answers only when the belief is sure enough."""
+"""Accuracy-coverage curves: how accurate the answers are if only sure enough beliefs give one."""
 
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import numpy as np
+from matplotlib.figure import Figure
 
 from egolane_pgm.report.style import (
     ANSWER_STYLE,
     INK,
-    answers,
     axes_at,
-    check_figure_path,
-    is_scored,
     new_figure,
-    plain_style,
     put_title,
-    save,
-    series,
+    scored_answers,
+    title_with_frames,
+    write_figure,
 )
 from egolane_pgm.results import Result
 from egolane_pgm.scoring.probabilistic import CoverageCurve, coverage_curve
 
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
-
-#: Values of `unassigned_below` that are marked on the curves.
+#: The values of `unassigned_below` that are marked on the curves.
 MARKED = (0.5, 0.9, 0.99)
 
 
 def coverage_curves(result: Result) -> dict[str, CoverageCurve]:
-    """ "Detector only" (where there is a tentative vector) and "Model".
+    """The curves of "Detector only" (if there is a tentative vector) and "Model".
 
-    Raises InputError where no frame is annotated.
+    Raises InputError if no frame is annotated.
     """
-    chosen = is_scored(result)
-    lane, crossing = result.true_lane[chosen], result.is_crossing[chosen]
     return {
-        name: coverage_curve(belief[chosen], lane, crossing)
-        for name, (belief, _) in answers(result).items()
+        name: coverage_curve(belief, lane, crossing)
+        for name, (belief, _, lane, crossing) in scored_answers(result).items()
     }
 
 
 def draw_coverage(result: Result, path: str | Path) -> Path:
-    """Draw the share of right answers against the share of frames that get one, as the probability
-    that an answer needs falls from 1; some values of `unassigned_below` are marked.
+    """Draws the share of right answers over the share of frames that get one, as the probability
+    that an answer needs falls from 1. Some values of `unassigned_below` are marked.
 
-    Raises InputError without ground truth, for an extension other than .png, .svg and .pdf, and
-    for a file that cannot be written.
+    Raises InputError without ground truth, and as `write_figure` does.
     """
-    path = check_figure_path(path)
-    with plain_style():
-        return save(coverage_figure(result), path)
+    return write_figure(lambda: coverage_figure(result), path)
 
 
 def coverage_figure(result: Result) -> Figure:
-    """The figure of `draw_coverage`; the same errors."""
+    """The figure of `draw_coverage`."""
     curves = coverage_curves(result)
     figure = new_figure(5.2, 4.3)
-    put_title(figure, series(result))
+    put_title(figure, title_with_frames(result))
     ax = axes_at(figure, 0.75, 0.75, 4.25, 2.95)
     lowest = 1.0
     for name, curve in curves.items():
         colour, marker, dashes = ANSWER_STYLE[name]
-        # A handful of answers say nothing about accuracy: the curve begins at one in a hundred.
+        # The curve begins at one answer in a hundred frames; fewer say nothing about accuracy.
         shown = curve.coverage >= 0.01
         ax.plot(
             curve.coverage[shown], curve.accuracy[shown], linestyle=dashes, color=colour,

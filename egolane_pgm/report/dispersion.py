@@ -1,7 +1,7 @@
-"""Error-dispersion charts: how far off the answers are, in lanes (the paper's Figures
+"""Error-dispersion charts: how many lanes the answers are off (the paper's Figures
 `fig:graph-all-italy`, `fig:graph-all-spain` and `fig:comparisonBV-run3`).
 
-Bars are shares of the annotated, non-crossing frames: right, off by 1, 2, ... lanes, Unassigned.
+A bar divides the annotated, non-crossing frames into right, off by 1, 2, ... lanes, and Unassigned.
 """
 
 from __future__ import annotations
@@ -9,37 +9,32 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from matplotlib.patches import Patch
 
 from egolane_pgm.report.style import (
     FAINT,
     INK,
     RIGHT_COLOUR,
     UNASSIGNED_COLOUR,
-    answers,
     axes_at,
-    check_figure_path,
-    is_scored,
     new_figure,
     off_colours,
     percent,
-    plain_style,
     put_title,
-    save,
+    scored_answers,
     text_colour,
     title_of,
+    write_figure,
 )
 from egolane_pgm.results import Result
 from egolane_pgm.scoring.confusion import check_confusion, confusion
 from egolane_pgm.types import FloatArray, InputError, IntArray
 
-if TYPE_CHECKING:
-    from matplotlib.axes import Axes
-    from matplotlib.figure import Figure
-
-# Inches; a share is labelled where its bar is wide enough for the text.
+# The layout, in inches; and the smallest share that is labelled.
 _WIDTH, _RIGHT, _EDGE, _NAMES = 9.0, 0.25, 0.12, 1.05
 _BAR, _BAR_GAP, _GROUP_GAP, _HEAD, _FOOT = 0.24, 0.04, 0.2, 0.64, 0.5
 _LABELLED = 0.04
@@ -48,20 +43,20 @@ _LEGEND_COLUMNS = 6
 
 @dataclass(frozen=True)
 class Bar:
-    """One bar. counts (n + 1,): frames that are right, off by 1..n-1 lanes, Unassigned."""
+    """One bar. counts: (n + 1,) frames that are right, off by 1 to n - 1 lanes, Unassigned."""
 
     label: str
     counts: IntArray
 
     @property
     def shares(self) -> FloatArray:
-        """(n + 1,): the counts over their sum."""
+        """The counts over their sum, (n + 1,)."""
         return np.asarray(self.counts / self.counts.sum(), dtype=np.float64)
 
 
 @dataclass(frozen=True)
 class Group:
-    """Bars that belong together, with a title and a smaller line below it, `note`."""
+    """Bars that belong together, with a title and, in smaller type, a note."""
 
     title: str
     note: str
@@ -69,8 +64,8 @@ class Group:
 
 
 def dispersion(matrix: IntArray) -> IntArray:
-    """(n + 1,): frames right, off by 1..n-1 lanes, and Unassigned, of a confusion matrix (n + 1,
-    n); InputError for another shape."""
+    """The counts of a bar, (n + 1,), from a confusion matrix (n + 1, n). Raises InputError for
+    another shape."""
     m = check_confusion(matrix)
     n = m.shape[1]
     off = np.abs(np.arange(n)[:, None] - np.arange(n))
@@ -79,31 +74,27 @@ def dispersion(matrix: IntArray) -> IntArray:
 
 
 def dispersion_bars(result: Result) -> tuple[Bar, ...]:
-    """Detector (where there is a tentative vector) and model of a result.
+    """The bars of "Detector only" (if there is a tentative vector) and "Model".
 
-    Raises InputError where no frame is annotated.
+    Raises InputError if no frame is annotated.
     """
-    chosen = is_scored(result)
-    lane, crossing = result.true_lane[chosen], result.is_crossing[chosen]
     return tuple(
-        Bar(name, dispersion(confusion(assigned[chosen], lane, crossing, result.n_lanes)))
-        for name, (_, assigned) in answers(result).items()
+        Bar(name, dispersion(confusion(assigned, lane, crossing, result.n_lanes)))
+        for name, (_, assigned, lane, crossing) in scored_answers(result).items()
     )
 
 
 def draw_dispersion(results: Sequence[Result], path: str | Path) -> Path:
-    """Draw the error dispersion of all results, detector beside model, on one sheet.
+    """Draws the error dispersion of several results in one figure, detector beside model.
 
-    Raises InputError without results, for one without ground truth (naming it), for an extension
-    other than .png, .svg and .pdf, and for a file that cannot be written.
+    Raises InputError without results, for a result without ground truth (naming it), and as
+    `write_figure` does.
     """
-    path = check_figure_path(path)
-    with plain_style():
-        return save(dispersion_figure(results), path)
+    return write_figure(lambda: dispersion_figure(results), path)
 
 
 def dispersion_figure(results: Sequence[Result]) -> Figure:
-    """The figure of `draw_dispersion`; the same errors."""
+    """The figure of `draw_dispersion`."""
     if not results:
         raise InputError("error dispersion: no result directory was given")
     groups = []
@@ -115,19 +106,17 @@ def dispersion_figure(results: Sequence[Result]) -> Figure:
 
 
 def draw_bonus_ablation(with_bonus: Result, without_bonus: Result, path: str | Path) -> Path:
-    """Draw what the bonus value is worth: one recording with it and without (the paper's Figure
+    """Draws the effect of the bonus value: one recording with it and without it (the paper's Figure
     `fig:comparisonBV-run3`).
 
-    Raises InputError as `draw_dispersion` does, and where the two do not have the same frames and
-    ground truth, or `bonus_value` is not above 0 in the first and 0 in the second.
+    Raises InputError as `draw_dispersion` does, if the two results differ in frames or ground
+    truth, and unless `bonus_value` is above 0 in the first and 0 in the second.
     """
-    path = check_figure_path(path)
-    with plain_style():
-        return save(bonus_ablation_figure(with_bonus, without_bonus), path)
+    return write_figure(lambda: bonus_ablation_figure(with_bonus, without_bonus), path)
 
 
 def bonus_ablation_figure(with_bonus: Result, without_bonus: Result) -> Figure:
-    """The figure of `draw_bonus_ablation`; the same errors."""
+    """The figure of `draw_bonus_ablation`."""
     _check_ablation(with_bonus, without_bonus)
     value = with_bonus.experiment["parameters"]["bonus_value"]
     bars_with, bars_without = dispersion_bars(with_bonus), dispersion_bars(without_bonus)
@@ -169,7 +158,7 @@ def _check_ablation(with_bonus: Result, without_bonus: Result) -> None:
 
 
 def _other_differences(a: Result, b: Result) -> list[str]:
-    """What else differs between the experiments; an honest ablation has nothing here."""
+    """The other differences between two experiments; a fair ablation has none."""
     left, right = a.experiment["parameters"], b.experiment["parameters"]
     names = [k for k in sorted({*left, *right} - {"bonus_value"}) if left.get(k) != right.get(k)]
     keys = ("evidence", "graph", "filter", "evidence_reading")
@@ -211,18 +200,18 @@ def _bar_sheet(groups: Sequence[Group], title: str, n_lanes: int) -> Figure:
 
 
 def _left_margin(groups: Sequence[Group]) -> float:
-    """Inches for the names of groups and bars; names that are longer still get smaller type."""
+    """The width for the names of groups and bars, inches; even longer names get smaller type."""
     widest = max(max(0.068 * len(g.title), 0.06 * len(g.note)) for g in groups)
     return min(_EDGE + widest + _NAMES, 4.0)
 
 
 def category_colours(n_lanes: int) -> list[str]:
-    """Colours of right, off by 1..n-1 lanes, Unassigned."""
+    """The colours of right, off by 1 to n - 1 lanes, Unassigned."""
     return [RIGHT_COLOUR, *off_colours(n_lanes - 1), UNASSIGNED_COLOUR]
 
 
 def category_names(n_lanes: int) -> list[str]:
-    """Names of right, off by 1..n-1 lanes, Unassigned."""
+    """The names of right, off by 1 to n - 1 lanes, Unassigned."""
     off = [f"off by {k} lane{'s' if k > 1 else ''}" for k in range(1, n_lanes)]
     return ["right", *off, "Unassigned"]
 
@@ -248,9 +237,7 @@ def _draw_bar(ax: Axes, bar: Bar, top: float) -> None:
 
 
 def _draw_legend(figure: Figure, n_lanes: int, left: float) -> None:
-    from matplotlib.patches import Patch
-
-    # More than four lanes need the whole width.
+    # The names for more than four lanes need the whole width.
     start = left if n_lanes <= 4 and left < 3.2 else _EDGE
     named = zip(category_names(n_lanes), category_colours(n_lanes), strict=True)
     figure.legend(

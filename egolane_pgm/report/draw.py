@@ -1,4 +1,4 @@
-"""The figures that belong to a result directory, and those of several together."""
+"""Draws the figures of a result directory, and those of several results together."""
 
 from __future__ import annotations
 
@@ -6,7 +6,6 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from egolane_pgm.files import make_directory
-from egolane_pgm.report.comparison import draw_comparison
 from egolane_pgm.report.coverage import draw_coverage
 from egolane_pgm.report.dispersion import draw_bonus_ablation, draw_dispersion
 from egolane_pgm.report.heatmaps import draw_confusion
@@ -22,11 +21,15 @@ def draw_standard(
     frames: tuple[int, int] | None = None,
     style: str = "png",
 ) -> list[Path]:
-    """The strips of a result (of `frames`, first and last frame id) and, with ground truth, its
-    confusion matrices, reliability diagram and accuracy-coverage curves. target: default
-    `figures/` in the directory.
+    """Draws the strips of a result and, with ground truth, its confusion matrices, reliability
+    diagram and accuracy-coverage curves.
 
-    style: png, pdf or svg. Returns the files written.
+    - directory: the result
+    - target: folder of the figures; `figures/` in the directory by default
+    - frames: first and last frame id of the strips; all by default
+    - style: png, pdf or svg
+
+    Returns the files written.
     """
     result = read_result(directory)
     folder = target or directory / "figures"
@@ -44,8 +47,8 @@ def draw_standard(
 
 
 def draw_together(directories: Sequence[Path], target: Path, *, style: str = "png") -> list[Path]:
-    """Several results on one sheet: how far off the detector and the model are in each, and, for
-    two results that differ in the bonus value alone, the ablation. Returns the files written."""
+    """Draws the error dispersion of several results in one figure and, for two results of which the
+    second has no bonus value, the ablation. Returns the files written."""
     results = [read_result(directory) for directory in directories]
     make_directory(target)
     files = [target / f"dispersion.{style}"]
@@ -56,14 +59,3 @@ def draw_together(directories: Sequence[Path], target: Path, *, style: str = "pn
             files.append(target / f"bonus_ablation.{style}")
             draw_bonus_ablation(results[0], results[1], files[-1])
     return files
-
-
-__all__ = [
-    "draw_bonus_ablation",
-    "draw_comparison",
-    "draw_confusion",
-    "draw_coverage",
-    "draw_dispersion",
-    "draw_reliability",
-    "draw_strips",
-]

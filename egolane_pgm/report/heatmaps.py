@@ -3,84 +3,69 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.cm import ScalarMappable
+from matplotlib.colors import Colormap, LinearSegmentedColormap, Normalize
+from matplotlib.figure import Figure
 
 from egolane_pgm.report.style import (
     FAINT,
     INK,
     PROBABILITY_COLOURS,
-    answers,
     axes_at,
-    check_figure_path,
-    is_scored,
     new_figure,
     percent,
-    plain_style,
     put_title,
-    save,
-    series,
+    scored_answers,
     text_colour,
+    title_with_frames,
+    write_figure,
 )
 from egolane_pgm.results import Result
 from egolane_pgm.scoring.confusion import accuracy, check_confusion, confusion
 from egolane_pgm.types import FloatArray, IntArray
 
-if TYPE_CHECKING:
-    from matplotlib.axes import Axes
-    from matplotlib.colors import Colormap
-    from matplotlib.figure import Figure
-
-# Inches.
+# The layout, in inches.
 _CELL_WIDTH, _CELL_HEIGHT, _LEFT, _GAP, _HEAD, _FOOT = 0.82, 0.52, 1.25, 0.3, 0.62, 0.65
 _RIGHT, _BAR = 0.85, 0.14
 
 
 def confusions(result: Result) -> dict[str, IntArray]:
-    """ "Detector only" (where there is a tentative vector) and "Model": (n + 1, n) counts.
-
-    Raises InputError where no frame is annotated.
-    """
-    chosen = is_scored(result)
-    lane, crossing = result.true_lane[chosen], result.is_crossing[chosen]
+    """The confusion matrices (n + 1, n) of "Detector only" (if there is a tentative vector) and
+    "Model". Raises InputError if no frame is annotated."""
     return {
-        name: confusion(assigned[chosen], lane, crossing, result.n_lanes)
-        for name, (_, assigned) in answers(result).items()
+        name: confusion(assigned, lane, crossing, result.n_lanes)
+        for name, (_, assigned, lane, crossing) in scored_answers(result).items()
     }
 
 
 def column_shares(matrix: IntArray) -> FloatArray:
-    """(n + 1, n): each count over its column's sum, NaN in the column of a lane never driven."""
+    """Each count over the sum of its column, (n + 1, n); NaN in the column of an unused lane."""
     m = check_confusion(matrix)
     total = m.sum(axis=0)
     return np.asarray(m / np.where(total == 0, np.nan, total), dtype=np.float64)
 
 
 def draw_confusion(result: Result, path: str | Path) -> Path:
-    """Draw the confusion matrices of detector and model into a PNG, SVG or PDF file.
+    """Draws the confusion matrices of detector and model.
 
-    Colour and upper number: percentage of the actual lane's frames; lower number: frames. Without
-    a tentative vector only the model is drawn.
-    Raises InputError without ground truth, for another extension, and for a file that cannot be
-    written.
+    The colour and the upper number of a cell are the percentage of the actual lane's frames; the
+    lower number counts frames. Without a tentative vector only the model is drawn.
+    Raises InputError without ground truth, and as `write_figure` does.
     """
-    path = check_figure_path(path)
-    with plain_style():
-        return save(confusion_figure(result), path)
+    return write_figure(lambda: confusion_figure(result), path)
 
 
 def confusion_figure(result: Result) -> Figure:
-    """The figure of `draw_confusion`; the same errors."""
-    from matplotlib.cm import ScalarMappable
-    from matplotlib.colors import LinearSegmentedColormap, Normalize
-
+    """The figure of `draw_confusion`."""
     matrices = confusions(result)
     n = result.n_lanes
     width, height = max(n * _CELL_WIDTH, 2.2), (n + 1) * _CELL_HEIGHT
     across = _LEFT + len(matrices) * (width + _GAP) - _GAP + _RIGHT
     figure = new_figure(across, _HEAD + height + _FOOT)
-    put_title(figure, series(result))
+    put_title(figure, title_with_frames(result))
     colours = LinearSegmentedColormap.from_list("share", PROBABILITY_COLOURS)
     ramp = colours.with_extremes(bad="#efefef")
     for k, (name, matrix) in enumerate(matrices.items()):
@@ -115,7 +100,7 @@ def _draw_matrix(ax: Axes, matrix: IntArray, ramp: Colormap) -> None:
             share = shares[row, column]
             known = bool(np.isfinite(share))
             colour = text_colour(image.cmap(image.norm(share))[:3]) if known else INK
-            # The larger number is the one that the colour shows.
+            # The larger number is the share, which the colour shows as well.
             for text, y, size in (
                 (f"{percent(share)} %" if known else "-", row - 0.14, 9),
                 (f"{int(matrix[row, column]):,}", row + 0.22, 7.5),

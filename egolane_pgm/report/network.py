@@ -1,4 +1,4 @@
-"""The network as it is declared: two slices of a dynamic Bayesian network, drawn."""
+"""Draws a network as it is declared: the two slices of a dynamic Bayesian network."""
 
 from __future__ import annotations
 
@@ -6,41 +6,36 @@ import re
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Protocol
+from typing import Protocol
 
 import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
+from matplotlib.patches import Circle, FancyArrowPatch, FancyBboxPatch
 
-from egolane_pgm.files import atomic
+from egolane_pgm.graphs.cpds import VE_SUFFIX
+from egolane_pgm.report.style import write_figure
 from egolane_pgm.types import InputError
-
-if TYPE_CHECKING:
-    from matplotlib.axes import Axes
-    from matplotlib.figure import Figure
-    from matplotlib.patches import Circle
 
 #: A node of one slice: its name and 0 (time t) or 1 (time t + 1).
 Node = tuple[str, int]
 
 Place = tuple[float, float]
 
-#: What ends the name of a virtual-evidence node.
-EVIDENCE_SUFFIX = "_ve"
-
-_FORMATS = (".png", ".svg", ".pdf")
-
-# Told apart by lightness and outline as well as by hue, so that colour is not needed.
+# Kinds of nodes differ in lightness and outline as well as in hue, so that colour is not needed.
 _FILL = {"hidden": "#ffffff", "observed": "#a9c1d6", "evidence": "#4d5a66"}
 _RADIUS = {"hidden": 0.52, "observed": 0.52, "evidence": 0.17}
 _INK, _TEMPORAL, _FRAME = "#222222", "#b3541e", "#f4f4f2"
 
-# Spacing in the units of the radii: between columns, between rows, down to virtual evidence.
+# Distances in the units of the radii: between columns, between rows, down to virtual evidence.
 _COLUMN, _ROW, _EVIDENCE_ROW = 1.5, 1.5, 1.2
 _SLICE_GAP, _MARGIN = 1.3, 0.75
 _INCHES = 0.82
 
 
 class TwoSliceNetwork(Protocol):
-    """What is needed of a pgmpy DynamicBayesianNetwork."""
+    """The part of a pgmpy DynamicBayesianNetwork that is drawn."""
 
     def nodes(self) -> Iterable[Node]:
         """All nodes of both slices."""
@@ -51,7 +46,7 @@ class TwoSliceNetwork(Protocol):
 
 @dataclass(frozen=True)
 class _Drawing:
-    """Where each node goes, in reading order; what kind each name is; the size of one slice."""
+    """The place of each node, the kind of each name, and the size of one slice."""
 
     place: Mapping[Node, Place]
     kind: Mapping[str, str]
@@ -64,11 +59,11 @@ class _Drawing:
 
 
 def _kinds(names: Sequence[str], edges: Sequence[tuple[str, str]]) -> dict[str, str]:
-    """Evidence (`<name>_ve`), observed (a parent of one) or hidden."""
-    observed = {parent for parent, child in edges if child.endswith(EVIDENCE_SUFFIX)}
+    """The kind of each name: evidence (`<name>_ve`), observed (a parent of one) or hidden."""
+    observed = {parent for parent, child in edges if child.endswith(VE_SUFFIX)}
     return {
         name: "evidence"
-        if name.endswith(EVIDENCE_SUFFIX)
+        if name.endswith(VE_SUFFIX)
         else "observed"
         if name in observed
         else "hidden"
@@ -77,7 +72,7 @@ def _kinds(names: Sequence[str], edges: Sequence[tuple[str, str]]) -> dict[str, 
 
 
 def _layers(names: Sequence[str], edges: Sequence[tuple[str, str]]) -> list[list[str]]:
-    """The names by the longest path to them from a root, within a slice."""
+    """The names in layers, by the longest path to them from a root within a slice."""
     depth = dict.fromkeys(names, 0)
     for _ in range(len(names) + 1):
         before = dict(depth)
@@ -89,7 +84,7 @@ def _layers(names: Sequence[str], edges: Sequence[tuple[str, str]]) -> list[list
 
 
 def _spread(wanted: Sequence[float]) -> list[float]:
-    """The positions nearest to the wanted ones, in the same order, at least a column apart."""
+    """The positions nearest to the wanted ones that keep their order and are a column apart."""
     order = np.argsort(wanted, kind="stable")
     values = np.array(wanted, dtype=float)[order]
     steps = np.arange(len(values)) * _COLUMN
@@ -101,7 +96,7 @@ def _spread(wanted: Sequence[float]) -> list[float]:
 
 
 def _columns(layers: Sequence[Sequence[str]], parents: Mapping[str, list[str]]) -> dict[str, float]:
-    """Each name's horizontal place: below the middle of its parents, as far as there is room."""
+    """The horizontal place of each name: below the middle of its parents, if there is room."""
     x: dict[str, float] = {}
     for layer in layers:
         wanted = [
@@ -116,10 +111,10 @@ def _columns(layers: Sequence[Sequence[str]], parents: Mapping[str, list[str]]) 
 def _rows(
     layers: Sequence[Sequence[str]], temporal: set[str], kind: Mapping[str, str]
 ) -> dict[str, float]:
-    """Each name's vertical place, 0 at the top.
+    """The vertical place of each name, 0 at the top.
 
-    Names that have arrows to or from the other slice get a row of their own, so that these arrows
-    run between the slices without crossing another node.
+    A name with arrows to or from the other slice gets a row of its own, so that these arrows run
+    between the slices without crossing another node.
     """
     y: dict[str, float] = {}
     at = _ROW
@@ -153,7 +148,7 @@ def _lay_out(network: TwoSliceNetwork) -> _Drawing:
 
 
 def _curvature(start: Node, end: Node, drawing: _Drawing) -> float:
-    """The smallest bend (matplotlib's arc3 `rad`) with which the arrow clears all other nodes."""
+    """The smallest bend (`rad` of matplotlib's arc3) with which an arrow clears all other nodes."""
     (x0, y0), (x1, y1) = drawing.place[start], drawing.place[end]
     s = np.linspace(0.0, 1.0, 60)
     best, widest = 0.0, -np.inf
@@ -178,14 +173,12 @@ def _curvature(start: Node, end: Node, drawing: _Drawing) -> float:
 
 
 def _wrapped(name: str) -> str:
-    """The name broken at capitals and underscores: one word a line."""
+    """A name with one word per line, split at capitals and underscores."""
     words = re.findall(r"[A-Z]+(?![a-z])|[A-Z]?[a-z0-9]+|[^A-Za-z_]+", name)
     return "\n".join(words) if words else name
 
 
 def _draw_node(ax: Axes, node: Node, drawing: _Drawing) -> Circle:
-    from matplotlib.patches import Circle
-
     (x, y), kind, radius = drawing.place[node], drawing.kind[node[0]], drawing.radius(node)
     circle = Circle((x, y), radius, facecolor=_FILL[kind], edgecolor=_INK, linewidth=1.2, zorder=3)
     circle.set_gid(f"node {node[0]} {node[1]}")
@@ -204,8 +197,6 @@ def _draw_node(ax: Axes, node: Node, drawing: _Drawing) -> Circle:
 
 
 def _draw_legend(ax: Axes, drawing: _Drawing) -> None:
-    from matplotlib.lines import Line2D
-
     def marker(kind: str, size: float, label: str) -> Line2D:
         return Line2D(
             [],
@@ -241,21 +232,20 @@ def _draw_legend(ax: Axes, drawing: _Drawing) -> None:
 
 
 def network_figure(network: TwoSliceNetwork) -> Figure:
-    """The two slices side by side, in the manner of the paper's Figure `fig:model`.
+    """The figure of `draw_network`: the two slices side by side, as in the paper's Figure
+    `fig:model`.
 
-    network: anything with the `nodes()` and `edges()` of a pgmpy DynamicBayesianNetwork, a node
-    being (name, slice). Hidden nodes are white; observed ones, those with a `<name>_ve` child,
-    blue-grey with a double outline; the virtual-evidence children small and dark.
+    network: anything with the `nodes()` and `edges()` of a pgmpy DynamicBayesianNetwork, where a
+    node is (name, slice). Hidden nodes are white. Observed nodes, those with a child `<name>_ve`,
+    are blue-grey with a double outline; these children are small and dark.
+
     Raises InputError for a network without nodes, with a cycle, or with more than two slices.
     """
-    from matplotlib.figure import Figure
-    from matplotlib.patches import FancyArrowPatch, FancyBboxPatch
-
     drawing = _lay_out(network)
     step = drawing.width + 2 * _MARGIN + _SLICE_GAP
     across = (drawing.width + step + 2 * _MARGIN + 0.1) * _INCHES
     down = (drawing.height + 2 * _MARGIN + 0.5) * _INCHES
-    # Room for the legend below, and beside a narrow network.
+    # The legend needs room below the network, and on both sides of a narrow one.
     figure = Figure(figsize=(max(across, 4.8), down + 0.65))
     ax = figure.add_axes((0.0, 0.6 / (down + 0.65), 1.0, down / (down + 0.65)))
     ax.set_xlim(-_MARGIN - 0.05, drawing.width + step + _MARGIN + 0.05)
@@ -299,13 +289,5 @@ def network_figure(network: TwoSliceNetwork) -> Figure:
 
 
 def draw_network(network: TwoSliceNetwork, path: str | Path) -> None:
-    """Draw the network (`network_figure`) into a PNG, SVG or PDF file, by its extension.
-
-    Raises InputError for another extension and for what cannot be drawn.
-    """
-    path = Path(path)
-    if path.suffix.lower() not in _FORMATS:
-        raise InputError(f"{path}: a figure ends in {', '.join(_FORMATS)}")
-    figure = network_figure(network)
-    with atomic(path) as temporary:
-        figure.savefig(temporary, format=path.suffix[1:].lower(), dpi=200, facecolor="white")
+    """Draws a network. Raises InputError as `network_figure` and `write_figure` do."""
+    write_figure(lambda: network_figure(network), path)

@@ -1,26 +1,23 @@
-"""Calibration curves: is the belief right as often as it says."""
+"""Calibration curves: how often the belief is right, against how often it says that it is."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import numpy as np
+from matplotlib.figure import Figure
 
 from egolane_pgm.report.style import (
     ANSWER_STYLE,
     FAINT,
     INK,
-    answers,
     axes_at,
-    check_figure_path,
-    is_scored,
     new_figure,
-    plain_style,
     put_title,
-    save,
-    series,
+    scored_answers,
+    title_with_frames,
+    write_figure,
 )
 from egolane_pgm.results import Result
 from egolane_pgm.scoring.probabilistic import (
@@ -30,10 +27,7 @@ from egolane_pgm.scoring.probabilistic import (
     expected_calibration_error,
 )
 
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
-
-#: A bin with fewer frames is drawn hollow: its accuracy says little.
+#: A bin with fewer frames is drawn hollow, because its accuracy says little.
 FEW_FRAMES = 30
 
 
@@ -46,39 +40,34 @@ class Reliability:
 
 
 def reliabilities(result: Result) -> dict[str, Reliability]:
-    """ "Detector only" (where there is a tentative vector) and "Model".
+    """The curves of "Detector only" (if there is a tentative vector) and "Model".
 
-    Raises InputError where no frame is annotated.
+    Raises InputError if no frame is annotated.
     """
-    chosen = is_scored(result)
-    lane, crossing = result.true_lane[chosen], result.is_crossing[chosen]
     return {
         name: Reliability(
-            calibration_curve(belief[chosen], lane, crossing),
-            expected_calibration_error(belief[chosen], lane, crossing),
+            calibration_curve(belief, lane, crossing),
+            expected_calibration_error(belief, lane, crossing),
         )
-        for name, (belief, _) in answers(result).items()
+        for name, (belief, _, lane, crossing) in scored_answers(result).items()
     }
 
 
 def draw_reliability(result: Result, path: str | Path) -> Path:
-    """Draw the calibration curves of detector and model, with the frames in each bin.
+    """Draws the calibration curves of detector and model, and the number of frames in each bin.
 
-    15 equal-width bins of the largest probability; the expected calibration error (ECE) stands in
-    the legend. Without a tentative vector only the model is drawn.
-    Raises InputError without ground truth, for an extension other than .png, .svg and .pdf, and
-    for a file that cannot be written.
+    There are 15 equal-width bins of the largest probability. The legend gives the expected
+    calibration error (ECE). Without a tentative vector only the model is drawn.
+    Raises InputError without ground truth, and as `write_figure` does.
     """
-    path = check_figure_path(path)
-    with plain_style():
-        return save(reliability_figure(result), path)
+    return write_figure(lambda: reliability_figure(result), path)
 
 
 def reliability_figure(result: Result) -> Figure:
-    """The figure of `draw_reliability`; the same errors."""
+    """The figure of `draw_reliability`."""
     found = reliabilities(result)
     figure = new_figure(5.2, 5.7)
-    put_title(figure, series(result))
+    put_title(figure, title_with_frames(result))
     upper = axes_at(figure, 0.7, 0.85, 4.3, 3.1)
     lower = axes_at(figure, 0.7, 4.07, 4.3, 1.1)
     upper.plot([0, 1], [0, 1], color=FAINT, linewidth=1.2, label="perfectly calibrated", zorder=1)
@@ -109,7 +98,7 @@ def reliability_figure(result: Result) -> Figure:
             [], [], linestyle="none", marker="o", markerfacecolor="white", markeredgecolor=INK,
             markersize=5.5, label=f"fewer than {FEW_FRAMES} frames",
         )  # fmt: skip
-    # The largest of n probabilities is at least 1 / n.
+    # The axis begins near 1 / n, as the largest of n probabilities is at least that.
     lowest = np.floor(N_BINS / result.n_lanes) / N_BINS if result.n_lanes > 1 else 0.0
     for ax in (upper, lower):
         ax.set_xlim(lowest - 0.015, 1.015)

@@ -1,7 +1,7 @@
-"""Lane-belief strips: model above, detector in the middle, ground truth below (the paper's Figure
-`fig:lanetransition01`).
+"""Lane-belief strips: the beliefs of model and detector over time, with the ground truth below (the
+paper's Figure `fig:lanetransition01`).
 
-Lane 1 is the top row and time runs to the right: the road as seen from above by somebody who
+Lane 1 is the top row and time runs to the right, as on a road seen from above on which the car
 drives from left to right.
 """
 
@@ -12,9 +12,14 @@ from dataclasses import dataclass
 from functools import partial
 from itertools import pairwise
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.cm import ScalarMappable
+from matplotlib.colors import LinearSegmentedColormap, Normalize
+from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
+from matplotlib.patches import Patch, Rectangle
 
 from egolane_pgm.report.style import (
     CROSSING,
@@ -23,28 +28,22 @@ from egolane_pgm.report.style import (
     PROBABILITY_COLOURS,
     answers,
     axes_at,
-    check_figure_path,
     lane_names,
     new_figure,
-    plain_style,
     put_title,
-    save,
     title_of,
+    write_figure,
 )
 from egolane_pgm.results import Result
 from egolane_pgm.types import UNASSIGNED, BoolArray, FloatArray, InputError, IntArray
 
-if TYPE_CHECKING:
-    from matplotlib.axes import Axes
-    from matplotlib.figure import Figure
-
-#: A row of strips holds at most this many columns: about one pixel each at 200 dpi.
+#: The most columns in a row of strips: about one pixel each at 200 dpi.
 MAX_COLUMNS = 1300
 
-#: A sheet has at most this many rows of strips; a longer range is averaged over frames.
+#: The most rows of strips in a figure. In a longer range a column is the mean over frames.
 MAX_ROWS = 8
 
-# Inches.
+# The layout, in inches.
 _WIDTH, _LEFT, _LEFT_NAME, _RIGHT = 9.0, 1.5, 0.2, 0.2
 _LANE, _STRIP_MIN, _STRIP_GAP = 0.2, 0.78, 0.07
 _TICKS, _ROW_GAP, _HEAD, _FOOT = 0.2, 0.14, 0.42, 0.72
@@ -53,13 +52,14 @@ _DASHES = (0, (3, 2))
 
 @dataclass(frozen=True)
 class Strips:
-    """What is drawn for the frame ids from `first` to `last`, both included.
+    """One row of strips, for the frame ids from `first` to `last`, both included.
 
-    edge (C + 1,): the first frame id of each of the C columns, and last + 1. beliefs: per strip
-    ("Model", then "Detector only" where there is a tentative vector) its mean belief, (n, C), lane
-    1 in row 0; NaN where no frame was recorded. truth (n, C): share of the annotated, non-crossing
-    frames in each lane, NaN where there is none; None without ground truth. is_crossing (C,):
-    the column holds a crossing frame.
+    - edge: (C + 1,) the first frame id of each of the C columns, and last + 1
+    - beliefs: the mean beliefs (n, C) of "Model" and, if there is a tentative vector, "Detector
+      only", with lane 1 in row 0; NaN where no frame was recorded
+    - truth: (n, C) share of the annotated, non-crossing frames in each lane; NaN where there are
+      none. None without ground truth.
+    - is_crossing: (C,) whether the column has a crossing frame
     """
 
     first: int
@@ -71,21 +71,21 @@ class Strips:
 
     @property
     def frames_per_column(self) -> int:
-        """The most frame ids that one column stands for."""
+        """The largest number of frame ids in a column."""
         return int(np.diff(self.edge).max())
 
     @property
     def crossings(self) -> list[tuple[int, int]]:
-        """The runs of crossing columns: first frame id, and the one after the last."""
+        """The runs of crossing columns: their first frame id, and the one after the last."""
         step = np.diff(np.concatenate([[0], self.is_crossing.astype(np.int64), [0]]))
         starts, stops = np.flatnonzero(step == 1), np.flatnonzero(step == -1)
         return [(int(self.edge[a]), int(self.edge[b])) for a, b in zip(starts, stops, strict=True)]
 
 
 def frame_range(result: Result, first: int | None, last: int | None) -> tuple[int, int]:
-    """The frame ids to draw, both included; the recording's own where not given.
+    """The first and the last frame id to draw; None stands for the recording's own.
 
-    Raises InputError, with the recording's range, for a range that has no frames.
+    Raises InputError, with the recording's range, for a range without frames.
     """
     ids = result.frame_id
     if not len(ids):
@@ -103,8 +103,8 @@ def frame_range(result: Result, first: int | None, last: int | None) -> tuple[in
 def strip_columns(result: Result, first: int, last: int, max_columns: int = MAX_COLUMNS) -> Strips:
     """The strips of the frame ids from first to last, both included.
 
-    One column per frame id while they fit into `max_columns`, otherwise a column is the mean over
-    several. Missing ids stay NaN: a gap is seen as a gap.
+    Each frame id has a column of its own if there are at most `max_columns`; otherwise a column is
+    the mean over several. Missing frames stay NaN, so that a gap shows as a gap.
     """
     span = last - first + 1
     n_columns = min(span, max_columns)
@@ -133,7 +133,8 @@ def _column_means(values: FloatArray, column: IntArray, n_columns: int) -> Float
 
 
 def split_range(first: int, last: int, max_columns: int = MAX_COLUMNS) -> list[tuple[int, int]]:
-    """The range in rows of equal length (to a frame), as few as needed, at most MAX_ROWS."""
+    """Splits a range into rows of equal length (to a frame): as few as possible, at most
+    MAX_ROWS."""
     span = last - first + 1
     rows = min(MAX_ROWS, -(-span // max_columns))
     edge = [first + k * span // rows for k in range(rows + 1)]
@@ -143,21 +144,19 @@ def split_range(first: int, last: int, max_columns: int = MAX_COLUMNS) -> list[t
 def draw_strips(
     result: Result, path: str | Path, first: int | None = None, last: int | None = None
 ) -> Path:
-    """Draw the lane-belief strips into a PNG, SVG or PDF file, by its extension.
+    """Draws the lane-belief strips.
 
-    first, last: frame ids, both included; all of the recording by default. A range too long for
-    one row goes on in the next, and beyond MAX_ROWS rows columns average over frames, which the
-    title says. Without ground truth or tentative vector their strip is left out.
-    Raises InputError for a range without frames (it prints the recording's), another extension,
-    and a file that cannot be written.
+    first, last: frame ids, both included; the whole recording by default. A range that is too long
+    for one row continues in the next. Beyond MAX_ROWS rows, columns are means over frames, and the
+    title says so. Without ground truth or tentative vector their strip is left out.
+
+    Raises InputError for a range without frames, with the recording's, and as `write_figure` does.
     """
-    path = check_figure_path(path)
-    with plain_style():
-        return save(strips_figure(result, first, last), path)
+    return write_figure(lambda: strips_figure(result, first, last), path)
 
 
 def strips_figure(result: Result, first: int | None = None, last: int | None = None) -> Figure:
-    """The figure of `draw_strips`; the same errors."""
+    """The figure of `draw_strips`."""
     low, high = frame_range(result, first, last)
     rows = [strip_columns(result, a, b) for a, b in split_range(low, high)]
     strip = max(_STRIP_MIN, _LANE * result.n_lanes)
@@ -168,7 +167,7 @@ def strips_figure(result: Result, first: int | None = None, last: int | None = N
     averaged = rows[0].frames_per_column
     note = f"; each column is the mean of up to {averaged} frames" if averaged > 1 else ""
     put_title(figure, f"{title_of(result)}: frames {low} to {high}{note}", _LEFT, 10)
-    # Rows of one sheet have one scale, though one may be a frame shorter than another.
+    # All rows have the same scale, though one may be a frame shorter than another.
     longest = max(s.last - s.first + 1 for s in rows)
     for k, strips in enumerate(rows):
         _draw_row(figure, result, strips, _HEAD + k * (block + _ROW_GAP), strip, longest)
@@ -182,8 +181,6 @@ def strips_figure(result: Result, first: int | None = None, last: int | None = N
 def _draw_row(
     figure: Figure, result: Result, strips: Strips, top: float, height: float, longest: int
 ) -> None:
-    from matplotlib.patches import Rectangle
-
     images = dict(strips.beliefs)
     if strips.truth is not None:
         images["Ground truth"] = strips.truth
@@ -221,9 +218,6 @@ def _draw_row(
 
 
 def _draw_strip(ax: Axes, image: FloatArray, strips: Strips) -> None:
-    from matplotlib.colors import LinearSegmentedColormap
-    from matplotlib.patches import Rectangle
-
     n_lanes = len(image)
     extent = (strips.first - 0.5, strips.last + 0.5, n_lanes + 0.5, 0.5)
     span = strips.last - strips.first + 1
@@ -250,11 +244,6 @@ def _draw_strip(ax: Axes, image: FloatArray, strips: Strips) -> None:
 
 
 def _draw_legend(figure: Figure, result: Result, rows: list[Strips], top: float) -> None:
-    from matplotlib.cm import ScalarMappable
-    from matplotlib.colors import LinearSegmentedColormap, Normalize
-    from matplotlib.lines import Line2D
-    from matplotlib.patches import Patch
-
     ramp = LinearSegmentedColormap.from_list("probability", PROBABILITY_COLOURS)
     bar = axes_at(figure, _LEFT, top, 1.6, 0.13)
     bar.set_label("colour bar")
@@ -285,7 +274,7 @@ def _draw_legend(figure: Figure, result: Result, rows: list[Strips], top: float)
 
 
 def blank_reasons(result: Result, first: int, last: int) -> list[str]:
-    """Why a strip is blank somewhere in the range of frame ids, for the legend."""
+    """The reasons why a strip is blank somewhere in a range of frame ids, for the legend."""
     chosen = (result.frame_id >= first) & (result.frame_id <= last)
     reasons = []
     if chosen.sum() < last - first + 1:

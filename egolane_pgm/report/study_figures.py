@@ -24,9 +24,8 @@ from egolane_pgm.report.style import (
     MODEL_COLOUR,
     axes_at,
     new_figure,
-    plain_style,
     put_title,
-    save,
+    write_figure,
 )
 from egolane_pgm.types import BoolArray, InputError
 
@@ -72,8 +71,7 @@ def draw_study(
         drawn["importances"] = lambda: importances_figure(trials, importance)
         if len(importance) > 1:
             drawn["pairs"] = lambda: pairs_figure(trials, list(importance)[:PAIRED])
-    with plain_style():
-        return [save(make(), folder / f"{name}.{style}") for name, make in drawn.items()]
+    return [write_figure(make, folder / f"{name}.{style}") for name, make in drawn.items()]
 
 
 def history_figure(trials: Trials) -> Figure:

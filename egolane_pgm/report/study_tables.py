@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from egolane_pgm.paper import SCORES, load_published
-from egolane_pgm.report.tables import number
+from egolane_pgm.report.tables import score_text, with_interval
 from egolane_pgm.scoring.confusion import scores_from_confusion
 
 COUNTRIES = {"italy": "A4, Italy", "spain": "A2, Spain"}
@@ -42,7 +42,7 @@ def parameter_rows(
                 document["name"],
                 "ours",
                 *(_value(point.get(name)) for name in names),
-                number(inside[score]) if inside else "-",
+                score_text(inside[score]) if inside else "-",
                 _with_interval(held, score),
                 _with_interval(lost, score, "+"),
             ]
@@ -119,8 +119,8 @@ def _value(value: Any) -> str:
 
 
 def _with_interval(scores: Mapping[str, Any] | None, score: str, sign: str = "") -> str:
-    if scores is None or scores.get(score) is None:
+    if scores is None:
         return "-"
-    text = f"{scores[score]:{sign}.3f}"
-    bounds = (scores.get("intervals") or {}).get(score)
-    return f"{text} [{bounds[0]:{sign}.3f}, {bounds[1]:{sign}.3f}]" if bounds else text
+    return with_interval(
+        scores.get(score), (scores.get("intervals") or {}).get(score), f"{sign}.3f"
+    )

@@ -1,35 +1,39 @@
-"""What the figures share: colours that colour-blind readers can tell apart, labels, saving."""
+"""Parts that the figures share: the answers of a result, colours that colour-blind readers can tell
+apart, labels, and saving."""
 
 from __future__ import annotations
 
-import contextlib
-from collections.abc import Iterator
+from collections.abc import Callable
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
+
+from matplotlib import rc_context
+from matplotlib import style as matplotlib_style
+from matplotlib.axes import Axes
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.colors import LinearSegmentedColormap, to_hex, to_rgb
+from matplotlib.figure import Figure
 
 from egolane_pgm.files import atomic
 from egolane_pgm.results import Result
 from egolane_pgm.types import UNASSIGNED, BoolArray, FloatArray, InputError, IntArray
 
-if TYPE_CHECKING:
-    from matplotlib.axes import Axes
-    from matplotlib.figure import Figure
-
+#: Extensions of the figures that can be written.
 FORMATS = (".png", ".svg", ".pdf")
 
 INK, FAINT, CROSSING = "#222222", "#b8b8b8", "#8c8c8c"
 
-#: Detector and model wherever they share one pair of axes: Okabe and Ito's vermillion and blue.
+#: The colours of detector and model where a figure shows both: Okabe and Ito's vermillion and blue.
 DETECTOR_COLOUR, MODEL_COLOUR = "#d55e00", "#0072b2"
 
-#: Colour, marker and line of who gives an answer.
+#: Colour, marker and line style of detector and model.
 ANSWER_STYLE = {"Detector only": (DETECTOR_COLOUR, "s", "--"), "Model": (MODEL_COLOUR, "o", "-")}
 
-#: White to dark blue: lightness falls all the way, so it survives greyscale printing.
+#: From white to dark blue. The lightness falls all the way, so that a print in grey shows it too.
 PROBABILITY_COLOURS = ("#ffffff", "#bcd7ec", "#5fa5d6", "#0072b2", "#00355c")
 
-#: Right is blue; the further off, the darker an orange-brown. Blue against orange is the contrast
-#: that all common kinds of colour blindness keep.
+#: Right answers are blue; the further off an answer, the darker its orange-brown. All common kinds
+#: of colour blindness keep the contrast between blue and orange.
 RIGHT_COLOUR, UNASSIGNED_COLOUR = "#0072b2", "#1a1a1a"
 _OFF_COLOURS = ("#fee391", "#ec8a1e", "#8c2d04")
 
@@ -41,9 +45,7 @@ _METADATA: dict[str, dict[str, Any]] = {
 
 
 def off_colours(n: int) -> list[str]:
-    """Colours for off by 1..n lanes, from pale to dark."""
-    from matplotlib.colors import LinearSegmentedColormap, to_hex
-
+    """Colours for answers that are off by 1 to n lanes, from pale to dark."""
     if n <= len(_OFF_COLOURS):
         return list(_OFF_COLOURS[:n])
     ramp = LinearSegmentedColormap.from_list("off", _OFF_COLOURS)
@@ -51,9 +53,7 @@ def off_colours(n: int) -> list[str]:
 
 
 def text_colour(background: Any) -> str:
-    """Black or white, whichever is read more easily on the colour."""
-    from matplotlib.colors import to_rgb
-
+    """Black or white, whichever is easier to read on the background."""
     linear = [
         c / 12.92 if c <= 0.04045 else ((c + 0.055) / 1.055) ** 2.4 for c in to_rgb(background)
     ]
@@ -68,16 +68,13 @@ def title_of(result: Result) -> str:
     return f"{result.run['name']}{mark}"
 
 
-def series(result: Result) -> str:
-    """A title with the number of frames that are scored, which must exist (`is_scored`)."""
+def title_with_frames(result: Result) -> str:
+    """A title with the number of scored frames. Raises InputError if there are none."""
     return f"{title_of(result)}: {int(is_scored(result).sum()):,} frames"
 
 
 def is_scored(result: Result) -> BoolArray:
-    """(T,): the annotated frames that are not crossing.
-
-    Raises InputError where there is none: whoever asks needs ground truth.
-    """
+    """Which frames, (T,), are annotated and not crossing. Raises InputError if there are none."""
     scored: BoolArray = (result.true_lane != UNASSIGNED) & ~result.is_crossing
     if not scored.any():
         raise InputError(
@@ -88,8 +85,8 @@ def is_scored(result: Result) -> BoolArray:
 
 
 def answers(result: Result) -> dict[str, tuple[FloatArray, IntArray]]:
-    """Who answers: "Detector only" (absent without a tentative vector) and "Model", each with its
-    belief (T, n) and its assigned lane (T,)."""
+    """The belief (T, n) and the assigned lane (T,) of "Detector only" and "Model". The detector is
+    absent without a tentative vector."""
     both = {}
     if result.tentative is not None and result.detector_lane is not None:
         both["Detector only"] = (result.tentative, result.detector_lane)
@@ -97,58 +94,66 @@ def answers(result: Result) -> dict[str, tuple[FloatArray, IntArray]]:
     return both
 
 
+def scored_answers(
+    result: Result,
+) -> dict[str, tuple[FloatArray, IntArray, IntArray, BoolArray]]:
+    """As `answers`, over the scored frames only: belief, assigned lane, true lane and crossing of
+    each. Raises InputError if there are none."""
+    chosen = is_scored(result)
+    truth = result.true_lane[chosen], result.is_crossing[chosen]
+    return {
+        name: (belief[chosen], assigned[chosen], *truth)
+        for name, (belief, assigned) in answers(result).items()
+    }
+
+
 def check_figure_path(path: str | Path) -> Path:
-    """The path of a figure; InputError where its extension is not one that can be drawn."""
+    """The path of a figure. Raises InputError for an extension that is not in `FORMATS`."""
     path = Path(path)
     if path.suffix.lower() not in FORMATS:
         raise InputError(f"{path}: a figure ends in {', '.join(FORMATS)}")
     return path
 
 
-@contextlib.contextmanager
-def plain_style() -> Iterator[None]:
-    """matplotlib as it comes, whatever the user's matplotlibrc says, restored afterwards."""
-    from matplotlib import rc_context, style
+def write_figure(make: Callable[[], Figure], path: str | Path) -> Path:
+    """Draws a figure and writes it; the same figure gives the same bytes.
 
-    with style.context("default", after_reset=True), rc_context({"hatch.linewidth": 0.5}):
-        yield
+    - make: makes the figure. It is called with matplotlib's default style, whatever the user's
+      matplotlibrc says.
+    - path: a PNG, SVG or PDF file, by its extension; its folder is made
 
-
-def save(figure: Figure, path: Path) -> Path:
-    """Write the figure: the whole file or none, the same bytes for the same figure.
-
-    Raises InputError where it cannot be written.
+    Raises InputError for another extension and for a file that cannot be written.
     """
-    from matplotlib import rc_context
-
+    path = check_figure_path(path)
     extension = path.suffix.lower()
-    # Type 42 is what publishers ask for; the salt fixes the ids in an SVG.
-    with (
-        atomic(path, make_folder=True) as temporary,
-        rc_context({"pdf.fonttype": 42, "svg.hashsalt": "egolane"}),
-    ):
-        figure.savefig(
-            temporary,
-            format=extension[1:],
-            dpi=200,
-            facecolor="white",
-            metadata=_METADATA[extension],
-        )
+    # Publishers ask for fonts of type 42. The salt fixes the ids in an SVG.
+    settings: dict[Any, Any] = {
+        "hatch.linewidth": 0.5,
+        "pdf.fonttype": 42,
+        "svg.hashsalt": "egolane",
+    }
+    with matplotlib_style.context("default", after_reset=True), rc_context(settings):
+        figure = make()
+        with atomic(path, make_folder=True) as temporary:
+            figure.savefig(
+                temporary,
+                format=extension[1:],
+                dpi=200,
+                facecolor="white",
+                metadata=_METADATA[extension],
+            )
     return path
 
 
 def new_figure(width: float, height: float) -> Figure:
-    """An empty figure of that size, inches, on its own canvas (no pyplot, no global state)."""
-    from matplotlib.backends.backend_agg import FigureCanvasAgg
-    from matplotlib.figure import Figure
-
+    """An empty figure of that size, inches, on its own canvas, without pyplot's global state."""
     figure = Figure(figsize=(width, height))
     FigureCanvasAgg(figure)
     return figure
 
 
 def axes_at(figure: Figure, left: float, top: float, width: float, height: float) -> Axes:
-    """Axes placed in inches from the figure's top left corner."""
+    """Adds axes, placed in inches from the top left corner of the figure."""
     across, down = (float(x) for x in figure.get_size_inches())
     ax: Axes = figure.add_axes(
         (left / across, 1 - (top + height) / down, width / across, height / down)
@@ -157,9 +162,9 @@ def axes_at(figure: Figure, left: float, top: float, width: float, height: float
 
 
 def put_title(figure: Figure, text: str, left: float = 0.12, size: float = 11) -> None:
-    """The figure's title, `left` inches from its left edge, in smaller type where it is long."""
+    """Adds a title, `left` inches from the left edge, in smaller type if it is long."""
     across, down = (float(x) for x in figure.get_size_inches())
-    # A letter of the default font is about 0.6 of the type size wide.
+    # A letter of the default font is about 0.6 times as wide as its size.
     fitting = (across - left - 0.12) * 72 / (0.6 * max(len(text), 1))
     figure.text(
         left / across, 1 - 0.1 / down, text, fontsize=min(size, fitting), va="top", color=INK
@@ -167,12 +172,12 @@ def put_title(figure: Figure, text: str, left: float = 0.12, size: float = 11) -
 
 
 def lane_names(n_lanes: int) -> list[str]:
-    """ "lane 1 (leftmost)", "lane 2", ...: for axes, so that nobody has to guess the order."""
+    """Names for axes that tell the order of the lanes: "lane 1 (leftmost)", "lane 2", ..."""
     return [f"lane {k}{' (leftmost)' if k == 1 else ''}" for k in range(1, n_lanes + 1)]
 
 
 def percent(share: float) -> str:
-    """A share as a percentage: one decimal, or none at 0 and 1."""
+    """A share as a percentage, with one decimal; without for exactly 0 and 1."""
     value = 100 * float(share)
     if 0 < value < 0.05:
         return "<0.1"

@@ -1,4 +1,5 @@
-"""Tables as text: Markdown, LaTeX and CSV from the same cells."""
+"""Tables as text: Markdown, LaTeX and CSV from the same cells, and the scores of a result in them.
+`box_text` lists the lines of one frame."""
 
 from __future__ import annotations
 
@@ -20,7 +21,7 @@ TUNED_ON = {
 }
 
 #: The same in a narrow column.
-SEEN = {way: said.split(" (")[0] for way, said in TUNED_ON.items()}
+TUNED_ON_SHORT = {way: said.split(" (")[0] for way, said in TUNED_ON.items()}
 
 _SCORES = {
     "accuracy": "accuracy",
@@ -36,7 +37,7 @@ _SCORES = {
 
 
 def markdown(header: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
-    """A Markdown table, columns aligned for reading as plain text; the first column is left."""
+    """A Markdown table, aligned to be read as plain text; the first column is aligned left."""
     width = [max(len(str(r[k])) for r in [header, *rows]) for k in range(len(header))]
 
     def line(cells: Sequence[str]) -> str:
@@ -51,7 +52,7 @@ def markdown(header: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
 
 
 def latex(header: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
-    """The same as a LaTeX tabular with booktabs rules."""
+    """A LaTeX tabular with booktabs rules."""
 
     def line(cells: Sequence[str]) -> str:
         return " & ".join(_escape(str(c)) for c in cells) + r" \\"
@@ -70,13 +71,13 @@ def latex(header: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
 
 
 def as_csv(header: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
-    """The same as CSV."""
+    """A table as comma-separated values."""
     text = io.StringIO()
     csv.writer(text, lineterminator="\n").writerows([header, *rows])
     return text.getvalue()
 
 
-#: How a table is written, by the name that `--format` has for it.
+#: The functions that write a table, by the names that `--format` has for them.
 STYLES = {"markdown": markdown, "latex": latex, "csv": as_csv}
 
 
@@ -86,21 +87,35 @@ def _escape(text: str) -> str:
     return text
 
 
-def number(value: float | None, digits: int = 3) -> str:
-    """A score for a table; a dash where it is undefined."""
+def score_text(value: float | None, digits: int = 3) -> str:
+    """A score for a table; a dash if it is undefined."""
     return "-" if value is None else f"{value:.{digits}f}"
 
 
+def with_interval(value: float | None, interval: Sequence[float] | None, form: str = ".3f") -> str:
+    """A score and its interval, e.g. ".912 [.905, .919]"; a dash if the score is undefined.
+
+    form: the format of each number.
+    """
+    if value is None:
+        return "-"
+    return f"{value:{form}}" + (
+        f" [{interval[0]:{form}}, {interval[1]:{form}}]" if interval is not None else ""
+    )
+
+
 def scores_table(scores: Mapping[str, Mapping[str, Any]]) -> str:
-    """Markdown: one row per score, detector beside model."""
+    """A Markdown table of all scores of a result: a row per score, detector beside model."""
     columns = [name for name in ("detector", "model") if name in scores]
-    rows = [[label, *(number(scores[c][key]) for c in columns)] for key, label in _SCORES.items()]
+    rows = [
+        [label, *(score_text(scores[c][key]) for c in columns)] for key, label in _SCORES.items()
+    ]
     delays = [scores[c]["delay"] for c in columns]
     rows.append(
         ["delay after a lane change, median (frames)"]
-        + [number(d["median_frames"], 1) for d in delays]
+        + [score_text(d["median_frames"], 1) for d in delays]
     )
-    rows.append(["lane changes missed", *(number(d["share_missed"]) for d in delays)])
+    rows.append(["lane changes missed", *(score_text(d["share_missed"]) for d in delays)])
     for key, label in (("accuracy", "accuracy"), ("f1", "F1 (mean)")):
         found = [scores[c]["intervals"][key] for c in columns]
         if all(found):
@@ -111,27 +126,30 @@ def scores_table(scores: Mapping[str, Mapping[str, Any]]) -> str:
 
 
 def runs_table(summaries: Sequence[Mapping[str, Any]]) -> str:
-    """Markdown: one row per run (as `run.summary`), detector beside model."""
+    """A Markdown table of several runs, each as `run.summary` gives it: a row per run."""
     header = ["run", "frames", "scored", "detector", "model", "F1", "log-loss", "parameters"]
     rows = []
     for found in summaries:
         detector, model = found.get("detector"), found.get("model")
-        scores = [number(s["accuracy"]) if s else "" for s in (detector, model)]
-        scores += [number(model[key]) if model else "" for key in ("f1", "log_loss")]
+        scores = [score_text(s["accuracy"]) if s else "" for s in (detector, model)]
+        scores += [score_text(model[key]) if model else "" for key in ("f1", "log_loss")]
         frames = [str(found["frames"]), str(found["frames_scored"])]
-        rows.append([found["name"], *frames, *scores, seen(found) if model else ""])
+        rows.append([found["name"], *frames, *scores, tuned_on_text(found) if model else ""])
     return markdown(header, rows)
 
 
-def seen(found: Mapping[str, Any]) -> str:
-    """Which frames the parameters have seen, and what looks at later frames (`model.causality`),
-    in a narrow column."""
+def tuned_on_text(found: Mapping[str, Any]) -> str:
+    """How a narrow column says on which frames the parameters were tuned, and which parts look at
+    later frames (`model.causality`)."""
     ahead = [part for part, is_causal in found["causal"].items() if not is_causal]
-    return SEEN[found["tuned_on"]] + (f", not causal ({', '.join(ahead)})" if ahead else "")
+    return TUNED_ON_SHORT[found["tuned_on"]] + (
+        f", not causal ({', '.join(ahead)})" if ahead else ""
+    )
 
 
 def confusion_table(matrix: Sequence[Sequence[int]], header: str = "predicted") -> str:
-    """Markdown: rows predicted lane (then Unassigned), columns actual lane, with totals."""
+    """A Markdown table of a confusion matrix (n + 1, n) with its totals. Rows are the predicted
+    lane, then Unassigned; columns are the actual lane."""
     n = len(matrix[0])
     names = [f"lane {k + 1}" for k in range(n)] + ["Unassigned"]
     rows = [[name, *map(str, row), str(sum(row))] for name, row in zip(names, matrix, strict=True)]
@@ -143,8 +161,12 @@ def confusion_table(matrix: Sequence[Sequence[int]], header: str = "predicted") 
 def reproduction_rows(
     document: Mapping[str, Any], published: Mapping[int, Any]
 ) -> tuple[list[str], list[list[str]]]:
-    """Header and rows of the table of `egolane reproduce`: per run and matrix ours, published and
-    the difference. document: as `reproduce_json` makes it."""
+    """Header and rows of the table of `egolane reproduce`: for each run and matrix our score, the
+    published one and the difference.
+
+    - document: as `paper.reproduce_json` makes it
+    - published: the published values of each run (`paper.load_published`)
+    """
     header = ["run", "matrix", "frames off"]
     keys = ("accuracy", "precision", "recall", "f1", "log_loss")
     for key in keys:
@@ -162,15 +184,16 @@ def reproduction_rows(
 
 
 def box_text(log: LineLog, frame_id: int) -> str:
-    """One row per line of the frame, `Line1: isValid = 1; continuous=1; LRI: 10; offset: -9.15m`;
-    an LRI that is not known is `--`, as is an offset.
+    """The lines of one frame, in the form of the paper's Box `box:box1`: a row
+    `Line1: isValid = 1; continuous=1; LRI: 10; offset: -9.15m` per line, with `--` for an unknown
+    LRI or offset.
 
-    Raises InputError, with the nearest frame that there is, where the log lacks the frame.
+    Raises InputError, with the nearest frame, if the log lacks the frame.
     """
     if not len(log):
         raise InputError(f"{log.source}: has no frames")
     first, last = int(log.frame_id[0]), int(log.frame_id[-1])
-    # Whatever number is asked for, it fits an array.
+    # Limited first, because the number may be too large for an array.
     within = min(max(frame_id, first), last)
     at = int(np.argmin(np.abs(log.frame_id - within)))
     if log.frame_id[at] != frame_id:
@@ -180,7 +203,7 @@ def box_text(log: LineLog, frame_id: int) -> str:
         )
     offset, lri = log.offset_m[at], log.lri[at]
     valid, continuous = log.is_valid[at], log.is_continuous[at]
-    # The rest is padding.
+    # Slots without any value are padding.
     is_there = np.isfinite(offset) | np.isfinite(lri) | valid | continuous
     rows = []
     for k in np.flatnonzero(is_there):

@@ -1,8 +1,8 @@
-"""A drive as a video: the picture with the lines on it, the bird's-eye view, the belief as bars
-over the lanes from left to right, the truth if it is known.
+"""Draws a drive as a video. A frame shows the picture with its lines, the bird's-eye view, and the
+belief as bars over the lanes from left to right, with the truth if it is known.
 
-Blue and solid: a line that is valid and continuous; orange and dashed: valid, not continuous; grey
-and thin: not valid. One frame is in memory at a time.
+A valid and continuous line is blue and solid, a valid one that is not continuous orange and dashed,
+one that is not valid grey and thin. Only one frame is in memory at a time.
 """
 
 from __future__ import annotations
@@ -18,6 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from egolane_pgm.camera.model import Camera, road_to_image, undistorted
+from egolane_pgm.camera.picture import Image
 from egolane_pgm.camera.writing import video_writer, write_picture
 from egolane_pgm.files import check_place, make_directory
 from egolane_pgm.types import UNASSIGNED, FloatArray, InputError
@@ -25,10 +26,9 @@ from egolane_pgm.types import UNASSIGNED, FloatArray, InputError
 if TYPE_CHECKING:
     from egolane_pgm.detectors import FrameLines
 
-Image = NDArray[np.uint8]
 Colour = tuple[int, int, int]
 
-#: Blue green red; Okabe and Ito's colours.
+#: Okabe and Ito's colours, blue green red.
 CONTINUOUS: Colour = (178, 114, 0)
 DASHED: Colour = (0, 159, 230)
 NOT_VALID: Colour = (150, 150, 150)
@@ -39,21 +39,26 @@ INK: Colour = (34, 34, 34)
 PAPER: Colour = (255, 255, 255)
 FRAME: Colour = (170, 170, 170)
 
-#: The bird's-eye view: metres ahead of the camera (first, last), and to either side.
+#: The bird's-eye view: from and to, metres ahead of the camera, and metres to either side.
 AHEAD_M, SIDE_M = (0.0, 40.0), 10.0
 
-#: How far ahead lines are drawn, and how long a dash is, metres.
+#: How far ahead lines are drawn, and the length of a dash, metres.
 DRAWN_M, DASH_M = 60.0, 3.0
 
-#: Pictures that are lower are drawn larger, so that the writing fits.
+#: Lower pictures are enlarged to this height, so that the text fits, pixels.
 LEAST_HEIGHT = 360
 
 
 @dataclass(frozen=True)
 class Scene:
-    """What is known of one frame. lines: as a detector gives them. belief (n,): over the lanes.
-    assigned: the lane that is answered, 0 for Unassigned. truth: the annotated lane, or None where
-    there is none. is_crossing: the annotation says that the car is changing lane."""
+    """The data of one frame.
+
+    - lines: as a detector gives them
+    - belief: (n,) over the lanes
+    - assigned: the lane that the model answers, 0 for Unassigned
+    - truth: the annotated lane; None without one
+    - is_crossing: whether the annotation says that the car is changing lane
+    """
 
     frame_id: int
     time_s: float
@@ -66,10 +71,15 @@ class Scene:
 
 @dataclass(frozen=True)
 class Layout:
-    """Where things are on a drawn frame, pixels. scale: of the picture. picture: width, height.
-    birdseye: width, height, right of the picture. panel: top and height, below both. size: width
-    and height of all. from_above: for each pixel of the bird's-eye view the picture's column and
-    row."""
+    """The places of the parts of a drawn frame, in pixels.
+
+    - scale: by which the picture is enlarged
+    - picture: width and height of the enlarged picture
+    - birdseye: width and height of the bird's-eye view, to the right of the picture
+    - panel: top and height of the panel below both
+    - size: width and height of the whole
+    - from_above: for each pixel of the bird's-eye view, the column and row of the picture
+    """
 
     camera: Camera
     scale: float
@@ -81,17 +91,17 @@ class Layout:
 
 
 def layout(camera: Camera) -> Layout:
-    """The places of a camera's pictures."""
+    """The layout for the pictures of a camera."""
     scale = max(1.0, LEAST_HEIGHT / camera.height)
     width, height = round(camera.width * scale), round(camera.height * scale)
     above = round(height * 2 * SIDE_M / (AHEAD_M[1] - AHEAD_M[0]))
     below = max(150, height // 4)
-    # Video codecs want even sizes.
+    # Video codecs need even sizes.
     size = (width + above + (width + above) % 2, height + below + (height + below) % 2)
     x = np.linspace(AHEAD_M[1], AHEAD_M[0], 2 * height + 1)[1::2]
     y = np.linspace(-SIDE_M, SIDE_M, 2 * above + 1)[1::2]
     u, v = _seen(camera, x[:, None], y[None, :])
-    # Points behind the camera are nowhere in the picture.
+    # Points behind the camera are far outside the picture.
     maps = (np.nan_to_num(u, nan=-1e6), np.nan_to_num(v, nan=-1e6))
     columns, rows = (np.clip(m, -1e6, 1e6).astype(np.float32) for m in maps)
     return Layout(
@@ -106,7 +116,7 @@ def layout(camera: Camera) -> Layout:
 
 
 def draw_frame(places: Layout, picture: Image, scene: Scene) -> Image:
-    """One frame, (H, W, 3), blue green red. picture: of the camera's size."""
+    """Draws one frame, (H, W, 3), blue green red. picture: one of the camera's size."""
     canvas = np.full((places.size[1], places.size[0], 3), 255, dtype=np.uint8)
     width, height = places.picture
     above = places.birdseye[0]
@@ -127,32 +137,32 @@ def draw_frame(places: Layout, picture: Image, scene: Scene) -> Image:
 
 
 def _style(lines: FrameLines, k: int) -> tuple[Colour, int, bool]:
-    """Colour, thickness, and whether it is drawn dashed."""
+    """The colour and thickness of line k, and whether it is dashed."""
     if not lines.is_valid[k]:
         return NOT_VALID, 1, not lines.is_continuous[k]
     return (CONTINUOUS, 3, False) if lines.is_continuous[k] else (DASHED, 3, True)
 
 
 def _across(shape: FloatArray, x: FloatArray) -> FloatArray:
-    """y(x) of a line, metres to the right."""
+    """The place y(x) of a line, metres to the right."""
     return np.asarray(shape[0] + x * (shape[1] + x * (shape[2] / 2 + x * shape[3] / 6)))
 
 
 def _pieces(is_dashed: bool, last: float) -> Iterator[FloatArray]:
-    """The stretches ahead that are drawn, metres."""
+    """The stretches ahead over which a line is drawn, metres."""
     step = DASH_M if is_dashed else last
     for start in np.arange(0.0, last, 2 * step if is_dashed else step):
         yield np.linspace(start, min(start + step, last), 12 if is_dashed else 80)
 
 
 def _seen(camera: Camera, x: FloatArray, y: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """The pixels of points on the road; NaN well outside of the picture, where the formula of a
-    lens folds back into it."""
+    """The pixels of points on the road. They are NaN well outside the picture, where the distortion
+    formula would fold them back into it."""
     u, v = road_to_image(camera, x, y)
     if any(camera.distortion):
         straight = road_to_image(camera, x, y, undistorted=True)
         across, down = np.linspace(0, camera.width, 33), np.linspace(0, camera.height, 33)
-        # The rim of the picture, freed of distortion.
+        # The edge of the picture, without distortion, limits where points can be.
         rim_u = np.concatenate([across, across, 0 * down, 0 * down + camera.width])
         rim_v = np.concatenate([0 * across, 0 * across + camera.height, down, down])
         for rim, place in zip(undistorted(camera, rim_u, rim_v), straight, strict=True):
@@ -174,7 +184,7 @@ def _lines_on_picture(places: Layout, picture: Image, lines: FrameLines) -> None
 
 
 def _offset_label(places: Layout, picture: Image, lines: FrameLines, k: int) -> None:
-    """The offset, where the line enters the picture from below or from its side."""
+    """Writes the offset where the line enters the picture from below or from the side."""
     x = np.linspace(0.5, 30, 200)
     u, v = _seen(places.camera, x, _across(lines.shape[k], x))
     width, height = places.picture
@@ -198,7 +208,7 @@ def _lines_from_above(places: Layout, view: Image, lines: FrameLines) -> None:
             u = (_across(lines.shape[k], x) + SIDE_M) * width / (2 * SIDE_M)
             _stroke(view, u, (AHEAD_M[1] - x) * per_metre, colour, max(1, thickness - 1))
     middle = width // 2
-    # The car: a small triangle whose tip is the camera.
+    # The car is a small triangle whose tip is the camera.
     corners = np.array([[middle, height - 12], [middle - 6, height - 1], [middle + 6, height - 1]])
     cv2.fillPoly(view, [corners.astype(np.int32)], PAPER)
     cv2.polylines(view, [corners.astype(np.int32)], True, INK, 1, cv2.LINE_AA)
@@ -209,16 +219,16 @@ def _lines_from_above(places: Layout, view: Image, lines: FrameLines) -> None:
 
 
 def _stroke(image: Image, u: FloatArray, v: FloatArray, colour: Colour, thickness: int) -> None:
-    """A curve, as far as it is in or near the image."""
+    """Draws the part of a curve that is in or near the image."""
     reach = 4.0 * max(image.shape)
     with np.errstate(invalid="ignore"):
         there = np.isfinite(u) & np.isfinite(v) & (np.abs(u) < reach) & (np.abs(v) < reach)
     if there.sum() < 2:
         return
-    # In sixteenths of a pixel, for smooth curves.
+    # Points are in sixteenths of a pixel, for smooth curves.
     points = [np.round(16 * np.stack([u[there], v[there]], axis=1)).astype(np.int32)]
     if thickness > 1:
-        # A pale edge, so that a dark line shows on dark asphalt.
+        # A pale edge makes a dark line visible on dark asphalt.
         cv2.polylines(image, points, False, PAPER, thickness + 2, cv2.LINE_AA, 4)
     cv2.polylines(image, points, False, colour, thickness, cv2.LINE_AA, 4)
 
@@ -227,8 +237,8 @@ def _stroke(image: Image, u: FloatArray, v: FloatArray, colour: Colour, thicknes
 
 
 def bar_boxes(places: Layout, n_lanes: int) -> list[tuple[int, int, int, int]]:
-    """Left, top, right, bottom of the room of each lane's bar, lanes left to right; the last one is
-    Unassigned's."""
+    """The left, top, right and bottom of the boxes of the bars: lanes from left to right, then
+    Unassigned."""
     top, height = places.panel
     width = places.picture[0]
     margin, gap = 12, 8
@@ -326,11 +336,15 @@ def _write(
 def frame_writer(
     target: str | Path, frame_rate: float, size: tuple[int, int]
 ) -> Iterator[Callable[[int, Image], None]]:
-    """A function that takes frame id and drawn frame, and puts it into a video (`.mp4`) or a folder
-    of pictures (`frame_000123.png`). What was written is kept, whatever ends the block.
+    """A context that gives a function to write a drawn frame and its frame id to a video (`.mp4`)
+    or a folder of pictures (`frame_000123.png`). Whatever ends the block, the frames written so far
+    are kept.
 
-    size: width and height. Raises InputError where the target cannot be written, and NotKeptError
-    where what was written cannot be read.
+    - frame_rate: Hz
+    - size: width and height, pixels
+
+    Raises InputError if the target cannot be written, and NotKeptError if a written video cannot be
+    read.
     """
     target = Path(target)
     if target.suffix.lower() == ".mp4":
@@ -350,8 +364,8 @@ def frame_writer(
 
     def write_frame(frame_id: int, image: Image) -> None:
         nonlocal is_made
-        # Not before there is a picture: a drive that cannot be drawn leaves no empty folder. Nor
-        # again, where it was taken away with what was in it.
+        # The folder is made with the first picture, so that a drive that cannot be drawn leaves no
+        # empty folder. It is made only once: if somebody removes it, writing fails.
         if not is_made:
             make_directory(target)
             is_made = True

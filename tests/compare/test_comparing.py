@@ -28,7 +28,7 @@ from egolane_pgm.experiment import Experiment, load_experiment, make_experiment,
 from egolane_pgm.model import Drive
 from egolane_pgm.plugins import plugin_names
 from egolane_pgm.recordings.ground_truth import write_ground_truth
-from egolane_pgm.report.comparison import comparison_figure, draw_comparison
+from egolane_pgm.report.comparison_figures import comparison_figure, draw_comparison
 from egolane_pgm.report.comparison_tables import accuracy_rows, full_rows, health_rows
 from egolane_pgm.run import run_experiment
 from egolane_pgm.scoring.assign import assigned_lane

@@ -20,16 +20,17 @@ from egolane_pgm.report.dispersion import (
     dispersion,
     dispersion_bars,
     dispersion_figure,
-)
-from egolane_pgm.report.draw import (
     draw_bonus_ablation,
-    draw_confusion,
     draw_dispersion,
-    draw_reliability,
-    draw_strips,
 )
-from egolane_pgm.report.heatmaps import column_shares, confusion_figure, confusions
-from egolane_pgm.report.reliability import reliabilities, reliability_figure
+from egolane_pgm.report.heatmaps import (
+    column_shares,
+    confusion_figure,
+    confusions,
+    draw_confusion,
+)
+from egolane_pgm.report.reliability import draw_reliability, reliabilities, reliability_figure
+from egolane_pgm.report.strips import draw_strips
 from egolane_pgm.results import Result
 from egolane_pgm.scoring.confusion import accuracy
 from egolane_pgm.types import InputError

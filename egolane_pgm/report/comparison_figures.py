@@ -1,28 +1,19 @@
-"""Several experiments on several recordings: accuracy with its intervals in one figure."""
+"""The figure of a comparison: the accuracy of several experiments on several recordings."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
-from egolane_pgm.report.style import (
-    FAINT,
-    INK,
-    axes_at,
-    check_figure_path,
-    new_figure,
-    plain_style,
-    put_title,
-    save,
-)
+from matplotlib.figure import Figure
+
+from egolane_pgm.report.comparison_tables import experiment_names, trusted_or_all
+from egolane_pgm.report.style import FAINT, INK, axes_at, new_figure, put_title, write_figure
 from egolane_pgm.types import InputError
 
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
-
-#: Okabe and Ito's colours and a marker each, so that the figure can be read without colour.
+#: Okabe and Ito's colours, and a marker each, so that the figure can be read without colour.
 SERIES = (
     ("#d55e00", "s"),
     ("#0072b2", "o"),
@@ -33,7 +24,7 @@ SERIES = (
     ("#000000", "X"),
 )
 
-#: Accuracies that the axis names, and the largest that it can tell from 1.
+#: The accuracies that the axis names, and the largest one that is drawn at its own place.
 _TICKS = (0.2, 0.4, 0.6, 0.8, 0.9, 0.95, 0.98, 0.99, 0.995, 0.998, 0.999, 0.9997)
 _LARGEST = 0.9997
 
@@ -41,24 +32,22 @@ _COLUMN, _LEFT, _RIGHT, _HEAD, _FOOT, _HEIGHT = 0.16, 0.9, 0.15, 0.4, 0.45, 3.4
 
 
 def draw_comparison(document: Mapping[str, Any], path: str | Path) -> Path:
-    """Draw the accuracy of each experiment on each recording, with 95 % block-bootstrap intervals
-    where the drive is long enough for them.
+    """Draws the accuracy of each experiment on each recording, with 95 % block-bootstrap intervals
+    if the drive is long enough for them.
 
     document: as `egolane compare --json` writes it. Frames whose labels are not trusted are left
-    out. The axis is logarithmic in the errors and ends at 0.9997, where larger ones are drawn too.
-    Filled markers are held out or not tuned, hollow ones in-sample. Raises InputError for a
-    document without experiments, an extension other than .png, .svg and .pdf, and a file that
-    cannot be written.
+    out. The axis is logarithmic in the share of errors and ends at 0.9997; larger accuracies are
+    drawn there. Filled markers are held out or not tuned, hollow ones in-sample.
+
+    Raises InputError for a document without experiments, and as `write_figure` does.
     """
-    path = check_figure_path(path)
-    with plain_style():
-        return save(comparison_figure(document), path)
+    return write_figure(lambda: comparison_figure(document), path)
 
 
 def comparison_figure(document: Mapping[str, Any]) -> Figure:
-    """The figure of `draw_comparison`; the same errors."""
+    """The figure of `draw_comparison`."""
     recordings = document["recordings"]
-    names = list(dict.fromkeys(e["name"] for r in recordings for e in r["experiments"]))
+    names = experiment_names(document)
     if not names:
         raise InputError("comparison: no experiment to draw")
     wide = max(3.2, len(recordings) * (len(names) + 1.5) * _COLUMN)
@@ -78,7 +67,7 @@ def comparison_figure(document: Mapping[str, Any]) -> Figure:
             for entry in recording["experiments"]:
                 if entry["name"] != name:
                     continue
-                scores = entry["scores"].get("without_never_fit", entry["scores"]["all_frames"])
+                scores = trusted_or_all(entry["scores"])
                 hollow = entry["tuned_on"] in ("same_frames", "unknown")
                 is_hollow |= hollow
                 x = r + (k - (len(names) - 1) / 2) * step
@@ -126,8 +115,8 @@ def comparison_figure(document: Mapping[str, Any]) -> Figure:
 
 
 def _height(accuracy: float) -> float:
-    """Where an accuracy lies: by the logarithm of the share of errors, since 0.99 and 0.999 differ
-    as much as 0.9 and 0.99 do."""
+    """The place of an accuracy on the axis: the logarithm of the share of errors, on which 0.99 and
+    0.999 differ as much as 0.9 and 0.99."""
     return -math.log10(1 - min(accuracy, _LARGEST))
 
 

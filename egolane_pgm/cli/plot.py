@@ -1,0 +1,62 @@
+"""The commands `egolane plot` and `egolane network`."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import click
+
+from egolane_pgm.parameters import resolve_parameters
+from egolane_pgm.plugins import load_plugin, plugin_errors
+from egolane_pgm.report.draw import draw_standard, draw_together
+from egolane_pgm.report.network import draw_network
+from egolane_pgm.report.study_figures import draw_study
+from egolane_pgm.report.study_trials import is_study
+from egolane_pgm.types import MAX_LANES, InputError
+
+
+@click.command()
+@click.argument("results", nargs=-1, required=True, type=click.Path(file_okay=False))
+@click.option(
+    "--frames", type=(int, int), metavar="FIRST LAST", help="Frame ids of the belief strips."
+)
+@click.option("--out", type=click.Path(file_okay=False), help="Default: figures/ in the result.")
+@click.option("--style", type=click.Choice(["png", "pdf", "svg"]), default="png", show_default=True)
+def plot(
+    results: tuple[str, ...], frames: tuple[int, int] | None, out: str | None, style: str
+) -> None:
+    """Draw the figures of result directories, and of those that `egolane tune` leaves; several
+    results together make one dispersion sheet."""
+    drives = [Path(path) for path in results if not is_study(path)]
+    if frames and len(drives) < len(results):
+        raise InputError("--frames: goes with results; the figures of a study have no frames")
+    for path in results:
+        folder = Path(path)
+        target = Path(out) / folder.name if out and len(results) > 1 else Path(out or "")
+        target = target if out else folder / "figures"
+        if folder in drives:
+            files = draw_standard(folder, target, frames=frames, style=style)
+        else:
+            files = draw_study(folder, target, style=style)
+        for file in files:
+            click.echo(file)
+    if len(drives) > 1:
+        target = Path(out) if out else drives[0].parent
+        for file in draw_together(drives, target, style=style):
+            click.echo(file)
+
+
+@click.command()
+@click.argument("graph")
+@click.argument("target", type=click.Path(dir_okay=False))
+@click.option("--n-lanes", type=click.IntRange(1), default=3, show_default=True)
+def network(graph: str, target: str, n_lanes: int) -> None:
+    """Draw a graph (a name, or a file of your own) as a figure, two slices."""
+    if n_lanes > MAX_LANES:
+        raise InputError(f"--n-lanes: {n_lanes} is more than {MAX_LANES}")
+    module = load_plugin("graphs", graph, Path.cwd(), "graph")
+    parameters = resolve_parameters(getattr(module, "PARAMETERS", ()), {}, n_lanes)
+    with plugin_errors(module, "graph"):
+        built = module.build(n_lanes, parameters)
+    draw_network(built, Path(target))
+    click.echo(target)
