@@ -15,6 +15,7 @@ import yaml
 from egolane_pgm import compare
 from egolane_pgm import paper as paper
 from egolane_pgm.run import run_experiment
+from egolane_pgm.tune import recover as recovering
 from tests.kits.drives import command, done, short_drive, write_drive
 
 #: What was "used", and what is "printed" of it.
@@ -58,12 +59,12 @@ def stand_in(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> dict[str, Any]:
 def test_the_search_finds_what_truncation_took_away(stand_in: dict[str, Any]) -> None:
     before = paper.reproduce_run(2, "published")
     assert before.detector_frames_off == 0
-    found = paper.recover(2, evaluations=2000)
+    found = recovering.recover(2, evaluations=2000)
     assert found.frames_off == 0
     assert before.model_frames_off == 4
     for name, printed in PRINTED.items():
-        assert printed <= found.parameters[name] < printed + paper.TRUNCATION
-    paper.store_recovered(2, found, "found in a test")
+        assert printed <= found.parameters[name] < printed + recovering.TRUNCATION
+    recovering.store_recovered(2, found, "found in a test")
     after = paper.reproduce_run(2, "recovered")
     assert after.model_frames_off == 0
     assert after.run.experiment.parameters == found.parameters
@@ -84,7 +85,7 @@ def test_frames_off_are_counted_against_the_published_matrix(stand_in: dict[str,
     result = paper.reproduce_run(2, "published")
     assert result.model_frames_off == 5
     assert result.detector_frames_off == 0
-    found = paper.recover(2, evaluations=1)
+    found = recovering.recover(2, evaluations=1)
     assert (found.frames_off, found.evaluations) == (5, 1)
 
 

@@ -14,6 +14,7 @@ from egolane_pgm.files import write_json
 from egolane_pgm.report import tables
 from egolane_pgm.results import SCHEMA_VERSION
 from egolane_pgm.run import save_run
+from egolane_pgm.tune import recover as recovering
 
 
 @click.command()
@@ -80,13 +81,13 @@ def recover(number: int, evaluations: int, seed: int, write: bool, json_file: Pa
             bar.update(done - bar.n)
             bar.set_postfix(frames_off=off)
 
-        found = paper.recover(number, evaluations=evaluations, seed=seed, progress=progress)
+        found = recovering.recover(number, evaluations=evaluations, seed=seed, progress=progress)
     values = ", ".join(f"{k}: {v!r}" for k, v in found.parameters.items())
     click.echo(f"run {number}: {found.frames_off} frames off after {found.evaluations} evaluations")
     click.echo(f"{{{values}}}")
     if write:
-        how = f"random search in the box of the truncated values, seed {seed}"
-        paper.store_recovered(number, found, how)
+        how = f"an Optuna study in the box of the truncated values, sampler Shade, seed {seed}"
+        recovering.store_recovered(number, found, how)
         click.echo(f"written to {options.shown(paper.published_path())}")
     if json_file:
         write_json(

@@ -157,11 +157,13 @@ class _State:
     - space: name and distribution of each of the D dimensions, in the order of the unit cube.
     - places: per trial its place in the order of proposals; a trial that was tried again shares
       its place with the one that it repeats.
+    - n_places: number of places.
     - population, children: the current generation.
     """
 
     space: Mapping[str, BaseDistribution]
     places: list[int]
+    n_places: int
     population: Population
     children: Children
 
@@ -205,7 +207,7 @@ class Shade(optuna.samplers.BaseSampler):
         state = self._state
         if state is None or dict(state.space) != search_space:
             population = empty(len(search_space))
-            state = _State(search_space, [], population, propose(population, self._seed))
+            state = _State(search_space, [], 0, population, propose(population, self._seed))
         state = self._caught_up(state, study, trial.number)
         self._state = state
         member = state.places[trial.number] - state.population.generation * MEMBERS
@@ -229,8 +231,7 @@ class Shade(optuna.samplers.BaseSampler):
     def _caught_up(self, state: _State, study: Study, number: int) -> _State:
         """The state at the generation of a trial."""
         trials = study.get_trials(deepcopy=False)
-        places = list(state.places)
-        n_places = 1 + max(places, default=-1)
+        places, n_places = list(state.places), state.n_places
         for trial in trials[len(places) :]:
             # The number of the first trial with these values, set by Optuna's retry callback.
             first = trial.system_attrs.get("failed_trial")
@@ -251,7 +252,7 @@ class Shade(optuna.samplers.BaseSampler):
             tried_children = Children(tried, children.scale, children.crossover)
             population = select(population, tried_children, scores, self._seed)
             children = propose(population, self._seed)
-        return _State(state.space, places, population, children)
+        return _State(state.space, places, n_places, population, children)
 
 
 def from_unit(distribution: BaseDistribution, unit: float) -> Any:

@@ -14,11 +14,12 @@ import pytest
 import yaml
 
 from egolane_pgm import __version__
-from egolane_pgm.paper import Recovered, experiments_folder, paper_experiment
+from egolane_pgm.paper import experiments_folder, paper_experiment
 from egolane_pgm.recordings import catalog, read_lines
 from egolane_pgm.recordings.ground_truth import read_ground_truth
 from egolane_pgm.results import read_result
 from egolane_pgm.run import run_experiment
+from egolane_pgm.tune.recover import Recovered
 from tests.conftest import needs_compiler
 from tests.kits.drives import N_FRAMES, command, contents, done, refused, short_drive, write_drive
 
@@ -279,7 +280,7 @@ def test_recover_writes_into_the_published_file_on_request_only(
     def store(number: int, found: Recovered, how: str) -> None:
         stored.append((number, found, how))
 
-    monkeypatch.setattr("egolane_pgm.paper.store_recovered", store)
+    monkeypatch.setattr("egolane_pgm.tune.recover.store_recovered", store)
     words = ("recover", "--run", "9", "--evaluations", "2", "--seed", "3")
     done(*words)
     assert stored == []
