@@ -6,6 +6,7 @@ from __future__ import annotations
 
 import hashlib
 import json
+import os
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, Literal, TypeVar
@@ -235,11 +236,40 @@ def load_experiment(path: str | Path, overrides: Sequence[str] = ()) -> Experime
 
 
 def load_yaml(path: Path, overrides: Sequence[str] = ()) -> dict[str, Any]:
-    """The keys of a YAML file, overridden; errors as `load_experiment`."""
-    content = read_yaml(path, "n_lanes: 4")
+    """The keys of a YAML file and of what it includes, overridden; errors as `load_experiment`.
+
+    `include: other.yaml`, a file beside the YAML, gives the keys that the YAML itself does not
+    have. Sections are merged key by key. Paths in the other file are taken as if they stood here.
+    """
+    content = _with_included(path, ())
     for override in overrides:
         _override(content, override)
     return content
+
+
+def _with_included(path: Path, including: tuple[str, ...]) -> dict[str, Any]:
+    """The keys of a file and of what it includes. including: the files that led to it."""
+    # Not `resolve`, which ends in an error of its own where a link leads to itself.
+    place = os.path.realpath(path)
+    if place in including:
+        raise InputError(f"{including[-1]}: include: {path.name} includes this file itself")
+    if including and not path.is_file():
+        raise InputError(f"{including[-1]}: include: no file {path}")
+    content = read_yaml(path, "n_lanes: 4")
+    if "include" not in content:
+        return content
+    name = content.pop("include")
+    if not isinstance(name, str):
+        raise InputError(f"{path}: include: {name!r} is not the name of a file")
+    return _merged(_with_included(path.parent / name, (*including, place)), content)
+
+
+def _merged(base: Mapping[str, Any], over: Mapping[str, Any]) -> dict[str, Any]:
+    merged = dict(base)
+    for key, value in over.items():
+        both = isinstance(value, dict) and isinstance(base.get(key), dict)
+        merged[key] = _merged(base[key], value) if both else value
+    return merged
 
 
 def make_experiment(content: Mapping[str, Any], folder: Path, source: str) -> Experiment:

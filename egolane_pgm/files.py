@@ -22,6 +22,10 @@ import yaml
 
 from egolane_pgm.types import InputError
 
+#: Of the YAML files that the package reads (optional there) and writes. It changes where a key gets
+#: another meaning, so that an old program refuses a new file in one line.
+YAML_VERSION = 1
+
 
 def check_name(path: object) -> None:
     """Raise InputError for the name of a file that is not text in UTF-8 (from another system, or
@@ -90,7 +94,11 @@ def write_yaml(path: Path, content: Mapping[str, Any], heading: str = "") -> Non
     """Write YAML, keys in their order, innermost lists in one line; the heading, comments, above
     it; folders that are not there are made. Raises InputError where it cannot be written."""
     text = yaml.safe_dump(
-        plain(content), sort_keys=False, allow_unicode=True, default_flow_style=None, width=100
+        {"version": YAML_VERSION, **plain(content)},
+        sort_keys=False,
+        allow_unicode=True,
+        default_flow_style=None,
+        width=100,
     )
     write_text(path, heading + text, make_folder=True)
 
@@ -220,8 +228,11 @@ def read_text(path: Path) -> str:
 
 
 def read_yaml(path: Path, example: str) -> dict[str, Any]:
-    """The keys and values of a YAML file. Raises InputError where it cannot be read or is no YAML,
-    and, with the example of a line that it might have, where it has no keys."""
+    """The keys and values of a YAML file, without its `version`.
+
+    Raises InputError where it cannot be read or is no YAML; where it has no keys, with the example
+    of a line that it might have; and for a version that this program does not know.
+    """
     text = read_text(path)
     try:
         content = yaml.safe_load(text)
@@ -229,4 +240,7 @@ def read_yaml(path: Path, example: str) -> dict[str, Any]:
         raise InputError(f"{path}: is not YAML: {' '.join(str(error).split())}") from error
     if not isinstance(content, dict):
         raise InputError(f"{path}: needs keys and values, e.g. '{example}'")
+    version = content.pop("version", YAML_VERSION)
+    if version != YAML_VERSION or isinstance(version, bool):
+        raise InputError(f"{path}: version: {version!r} is not {YAML_VERSION}, the one known here")
     return content

@@ -40,10 +40,9 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import yaml
 
 from egolane_pgm.experiment import config_hash
-from egolane_pgm.files import atomic_directory, write_parquet, write_yaml
+from egolane_pgm.files import atomic_directory, read_yaml, write_parquet, write_yaml
 from egolane_pgm.files import check_not_read as check_not_read
 from egolane_pgm.files import check_place as check_place
 from egolane_pgm.files import make_directory as make_directory
@@ -150,10 +149,10 @@ def read_result(directory: str | Path) -> Result:
     try:
         run = json.loads((directory / "run.json").read_text(encoding="utf-8"))
         scores = json.loads((directory / "scores.json").read_text(encoding="utf-8"))
-        experiment = yaml.safe_load((directory / "experiment.yaml").read_text(encoding="utf-8"))
+        experiment = read_yaml(directory / "experiment.yaml", "n_lanes: 4")
         # Given a name, pyarrow takes what is before a colon for the scheme of an address.
         table = parquet.read_table(pa.OSFile(str(directory / "beliefs.parquet")))
-    except (OSError, ValueError, yaml.YAMLError) as error:
+    except (OSError, ValueError) as error:
         raise InputError(f"{directory}: cannot be read: {' '.join(str(error).split())}") from error
     version = run.get("schema_version") if isinstance(run, dict) else None
     if version != SCHEMA_VERSION:

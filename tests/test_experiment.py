@@ -182,9 +182,73 @@ def test_every_experiment_that_comes_along_is_described_and_has_its_own_name() -
     paths = [
         p
         for p in experiments_folder().rglob("*.yaml")
-        if p.name != "published.yaml" and p.parent.name != "tuning"
+        if p.name != "published.yaml" and p.parent.name != "tuning" and p.name[0] != "_"
     ]
     experiments = [load_experiment(p) for p in paths]
     assert len(experiments) >= 11
     assert all(e.description for e in experiments)
     assert len({e.name for e in experiments}) == len(experiments)
+
+
+# --- include and version -------------------------------------------------------------------------
+
+
+def write(path: Path, **content: Any) -> Path:
+    path.parent.mkdir(parents=True, exist_ok=True)
+    path.write_text(yaml.safe_dump(content, sort_keys=False))
+    return path
+
+
+def test_keys_that_a_file_lacks_come_from_the_one_it_includes(tmp_path: Path) -> None:
+    write(tmp_path / "far" / "_base.yaml", n_lanes=3, recording={"simulate": "a4", "seed": 4})
+    write(tmp_path / "_near.yaml", include="far/_base.yaml", n_lanes=4, parameters={"p1": 0.9})
+    recording = {"seed": 7, "frames": [0, 100]}
+    given = {"name": "one", "recording": recording, "parameters": {"p2": 0.8}}
+    path = write(tmp_path / "one.yaml", include="_near.yaml", **given)
+    found = load_experiment(path, ["recording.frames=[0, 50]"])
+    assert found.n_lanes == 4
+    assert found.parameters == {"p1": 0.9, "p2": 0.8}
+    whole = {"simulate": "a4", "seed": 7, "frames": [0, 50]}
+    alone = write(tmp_path / "alone.yaml", **given | {"recording": whole, "n_lanes": 4})
+    same = load_experiment(alone, ["parameters={p1: 0.9, p2: 0.8}"])
+    assert resolved(found, found.parameters) == resolved(same, same.parameters)
+    assert found.folder == tmp_path
+    assert "include" not in resolved(found, {})
+
+
+def test_an_include_that_leads_nowhere_is_one_line(tmp_path: Path) -> None:
+    def said(path: Path) -> str:
+        with pytest.raises(InputError) as caught:
+            load_experiment(path)
+        assert "\n" not in str(caught.value)
+        return str(caught.value)
+
+    a, b = tmp_path / "a.yaml", tmp_path / "b.yaml"
+    write(a, include="b.yaml")
+    assert said(a) == f"{a}: include: no file {b}"
+    write(b, include="a.yaml")
+    assert said(a) == f"{b}: include: a.yaml includes this file itself"
+    write(a, include="a.yaml")
+    assert said(a) == f"{a}: include: a.yaml includes this file itself"
+    write(a, include=["b.yaml"])
+    assert said(a) == f"{a}: include: ['b.yaml'] is not the name of a file"
+    write(a, include="b.yaml", name="x")
+    write(b, n_lane=3, recording={"simulate": "a4"})
+    assert said(a) == f"{a}: unknown key 'n_lane' (did you mean 'n_lanes'?)"
+
+
+def test_a_file_may_say_its_version_and_a_future_one_is_refused(tmp_path: Path) -> None:
+    given = {"name": "x", "n_lanes": 3, "recording": {"simulate": "a4"}}
+    plain = load_experiment(write(tmp_path / "x.yaml", **given))
+    versioned = load_experiment(write(tmp_path / "y.yaml", version=1, **given))
+    assert plain.model_dump() == versioned.model_dump()
+    for version in (2, "1", True, None):
+        path = write(tmp_path / "z.yaml", version=version, **given)
+        with pytest.raises(InputError) as caught:
+            load_experiment(path)
+        assert str(caught.value) == f"{path}: version: {version!r} is not 1, the one known here"
+
+
+def test_every_file_that_comes_along_says_its_version() -> None:
+    for path in experiments_folder().rglob("*.yaml"):
+        assert yaml.safe_load(path.read_text())["version"] == 1, path

@@ -28,7 +28,8 @@ def ls() -> None:
     click.echo("experiments:")
     tuning = experiments_folder() / "tuning"
     for path in sorted(experiments_folder().rglob("*.yaml")):
-        if path.name != "published.yaml" and path.parent.name != "tuning":
+        is_part = path.name.startswith("_")
+        if path.name != "published.yaml" and path.parent.name != "tuning" and not is_part:
             found = load_experiment(path)
             click.echo(f"  {options.shown(path)}  {found.description}")
     click.echo("tuning files (for `egolane tune`):")
