@@ -13,28 +13,23 @@ def assigned_lane(belief: ArrayLike, unassigned_below: float = 0.0) -> IntArray:
     """The most probable lane of each frame, 1..n, or UNASSIGNED (0) where it is not unique.
 
     belief (T, n): non-negative; need not be normalised (a tentative vector will do). The maximum
-    is not unique when the runner-up is within TIE_TOLERANCE of it, relative; so a row of zeros is
-    Unassigned. One lane (n = 1) is always lane 1. A row whose maximum is less than
-    `unassigned_below` is Unassigned too (the reject option, for normalised beliefs; 0 for none).
-    Returns (T,).
+        is not unique when the runner-up is within TIE_TOLERANCE of it, relative; so a row of zeros
+        is Unassigned. One lane (n = 1) is always lane 1.
+    unassigned_below: a row whose maximum is less than this is Unassigned too (the reject option,
+        for normalised beliefs; 0 for none).
 
-    Raises InputError for a belief of another shape, or with negative or NaN values, and for an
-    unassigned_below outside 0..1.
+    Returns (T,). Raises InputError for a belief of another shape, or with negative or NaN values,
+    and for an unassigned_below outside 0..1.
     """
     if not 0 <= unassigned_below <= 1:
         raise InputError(f"unassigned_below: {unassigned_below} is not a probability (0 to 1)")
     values = as_belief(belief, normalised=False)
     n_lanes = values.shape[1]
-    if n_lanes == 1:
-        return np.where(values[:, 0] < unassigned_below, UNASSIGNED, 1).astype(np.int64)
-    lane: IntArray = values.argmax(axis=1).astype(np.int64) + 1
-    # Column by column: NumPy reduces over a short last axis one row at a time, which is slow.
-    top = values[:, 0]
-    for k in range(1, n_lanes):
-        top = np.maximum(top, values[:, k])
-    threshold = top - TIE_TOLERANCE * top
-    near_top = np.zeros(len(values), dtype=np.int64)
-    for k in range(n_lanes):
-        near_top += values[:, k] >= threshold
-    lane[(near_top > 1) | (top < unassigned_below)] = UNASSIGNED
-    return lane
+    # A row per lane: NumPy reduces over a short last axis one frame at a time, which is slow.
+    rows = np.ascontiguousarray(values.T)
+    top = rows.max(axis=0)
+    is_near_top = rows >= top - TIE_TOLERANCE * top
+    small = np.min_scalar_type(n_lanes)
+    lane = (is_near_top * np.arange(1, n_lanes + 1, dtype=small)[:, None]).max(axis=0)
+    is_unique = is_near_top.sum(axis=0, dtype=small) == 1
+    return np.where(is_unique & (top >= unassigned_below), lane, UNASSIGNED).astype(np.int64)

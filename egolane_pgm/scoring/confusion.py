@@ -12,11 +12,10 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numba import njit
 from numpy.typing import ArrayLike
 
 from egolane_pgm.scoring.checks import as_lanes, as_mask, check_range
-from egolane_pgm.types import UNASSIGNED, BoolArray, FloatArray, InputError, IntArray
+from egolane_pgm.types import UNASSIGNED, FloatArray, InputError, IntArray
 
 
 @dataclass(frozen=True)
@@ -67,8 +66,9 @@ def confusion(
 ) -> IntArray:
     """The confusion matrix (n + 1, n) of counts; arguments and errors as `confusion_cell`."""
     cell = confusion_cell(assigned, lane, is_crossing, n_lanes)
-    counts = np.bincount(cell[cell >= 0], minlength=(n_lanes + 1) * n_lanes)
-    return counts.astype(np.int64).reshape(n_lanes + 1, n_lanes)
+    # Crossing frames, -1, are counted in front of the first cell, and left out.
+    counts = np.bincount(cell + 1, minlength=1 + (n_lanes + 1) * n_lanes)[1:]
+    return counts.reshape(n_lanes + 1, n_lanes)
 
 
 def check_confusion(matrix: ArrayLike) -> IntArray:
@@ -168,35 +168,3 @@ def frames_off(a: ArrayLike, b: ArrayLike) -> int:
             " is n_lanes the same?"
         )
     return int(np.abs(first - second).sum() + 1) // 2
-
-
-@njit(cache=True)
-def count_confusion(
-    belief: FloatArray,
-    lane: IntArray,
-    is_crossing: BoolArray,
-    tolerance: float,
-    counts: IntArray,
-) -> None:
-    """Add the frames of a belief (T, n) to counts (n + 1, n).
-
-    lane (T,): the true lane, 1..n where is_crossing (T,) is False; crossing frames are left out.
-    The row is the most probable lane, or n (Unassigned) where another is within `tolerance` of
-    it, relative.
-    """
-    n_lanes = belief.shape[1]
-    for t in range(belief.shape[0]):
-        if is_crossing[t]:
-            continue
-        top = belief[t, 0]
-        row = 0
-        for k in range(1, n_lanes):
-            if belief[t, k] > top:
-                top = belief[t, k]
-                row = k
-        bound = top - tolerance * top
-        for k in range(n_lanes):
-            if k != row and belief[t, k] >= bound:
-                row = n_lanes
-                break
-        counts[row, lane[t] - 1] += 1

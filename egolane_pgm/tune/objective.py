@@ -14,7 +14,6 @@ from egolane_pgm.scoring import confusion as confusions
 from egolane_pgm.scoring import probabilistic, stability
 from egolane_pgm.scoring.assign import assigned_lane
 from egolane_pgm.types import (
-    TIE_TOLERANCE,
     BoolArray,
     FloatArray,
     InputError,
@@ -98,13 +97,8 @@ def scores_of(
 def _counted(drive: Drive, belief: FloatArray, is_used: BoolArray) -> IntArray:
     """The confusion matrix (n + 1, n) of a belief (K, n) over the frames that are used (K,)."""
     lane, is_left_out = drive.truth.lane, drive.truth.is_crossing | ~is_used
-    below = drive.experiment.unassigned_below
-    if below:
-        assigned = assigned_lane(belief, below)
-        return confusions.confusion(assigned, lane, is_left_out, drive.n_lanes)
-    counts = np.zeros((drive.n_lanes + 1, drive.n_lanes), dtype=np.int64)
-    confusions.count_confusion(belief, lane, is_left_out, TIE_TOLERANCE, counts)
-    return counts
+    assigned = assigned_lane(belief, drive.experiment.unassigned_below)
+    return confusions.confusion(assigned, lane, is_left_out, drive.n_lanes)
 
 
 def belief_score(drive: Drive, belief: FloatArray, is_used: BoolArray, name: str) -> float:

@@ -18,8 +18,8 @@ from egolane_pgm.graphs import sensor_failure
 from egolane_pgm.inference.filtering import METHODS, filter_beliefs
 from egolane_pgm.parameters import resolve_parameters
 from egolane_pgm.scoring.assign import assigned_lane
-from egolane_pgm.scoring.confusion import confusion, count_confusion
-from egolane_pgm.types import TIE_TOLERANCE, FloatArray, IntArray
+from egolane_pgm.scoring.confusion import confusion
+from egolane_pgm.types import FloatArray, IntArray
 from tests.benchmarks import bench_camera, peers
 from tests.benchmarks.bench_tune import markdown, tune_lines
 from tests.benchmarks.data import N_LANES, PARAMETERS, Data, load, parameter_sets
@@ -154,7 +154,8 @@ def many_rows(data: Data, rounds: int) -> list[Row]:
 
     def to_confusions() -> IntArray:
         beliefs = (filter_beliefs(model, data.evidence, "exact").lane for model in models)
-        return np.stack([one_pass(belief, lane, is_crossing) for belief in beliefs])
+        matrices = [confusion(assigned_lane(b), lane, is_crossing, N_LANES) for b in beliefs]
+        return np.stack(matrices)
 
     def to_beliefs() -> FloatArray:
         for model in models:
@@ -205,22 +206,10 @@ def scoring_rows(data: Data, rounds: int) -> list[Row]:
     lane, is_crossing = data.truth.lane, data.truth.is_crossing
 
     def ours() -> IntArray:
-        return one_pass(belief, lane, is_crossing)
-
-    def twin() -> IntArray:
         return confusion(assigned_lane(belief), lane, is_crossing, N_LANES)
 
-    times = take_turns({"ours": ours, "twin": twin}, rounds)
-    return [
-        Row(
-            "confusion of one belief",
-            times["ours"],
-            len(belief),
-            "the NumPy functions",
-            times["twin"],
-            largest_difference(ours(), twin()),
-        )
-    ]
+    times = take_turns({"ours": ours}, rounds)
+    return [Row("confusion of one belief", times["ours"], len(belief))]
 
 
 def together_rows(data: Data, rounds: int) -> list[Row]:
@@ -229,7 +218,7 @@ def together_rows(data: Data, rounds: int) -> list[Row]:
     def run() -> float:
         evidence = counting.evidence(data.log, N_LANES, data.counting)
         belief = filter_beliefs(data.compiled, evidence).lane
-        counts = one_pass(belief, lane, is_crossing)
+        counts = confusion(assigned_lane(belief), lane, is_crossing, belief.shape[1])
         return float(np.trace(counts) / counts.sum())
 
     times = take_turns({"ours": run}, rounds)
@@ -296,10 +285,3 @@ def process_time(words: list[str], times: int) -> float:
         subprocess.run(words, cwd=ROOT, check=True, capture_output=True)
         measured.append(time.perf_counter() - start)
     return median(measured[1:])
-
-
-def one_pass(belief: FloatArray, lane: IntArray, is_crossing: np.ndarray) -> IntArray:
-    n_lanes = belief.shape[1]
-    counts = np.zeros((n_lanes + 1, n_lanes), dtype=np.int64)
-    count_confusion(belief, lane, is_crossing, TIE_TOLERANCE, counts)
-    return counts
