@@ -9,6 +9,7 @@ import pytest
 from hypothesis import settings
 
 from tests.kits.calibration_kit import write_boards, write_stills
+from tests.kits.labelled_drive import write_labelled_drive
 from tests.kits.labelled_pictures import write_labelled
 
 # A submission's tests must not depend on luck; elsewhere each run tries new examples.
@@ -37,6 +38,12 @@ def recordings() -> Path:
 def labels(tmp_path: Path) -> Path:
     """Labels of three pictures, which are beside them, and the camera."""
     return write_labelled(tmp_path)
+
+
+@pytest.fixture
+def labelled(tmp_path: Path) -> Path:
+    """An experiment on a folder of labels of lines, its camera beside it."""
+    return write_labelled_drive(tmp_path / "drive")
 
 
 @pytest.fixture(scope="module")

@@ -168,9 +168,6 @@ def test_where_git_or_a_package_is_not_there_that_is_said(monkeypatch: pytest.Mo
     assert git_state() is None
 
 
-# --- what is no result ---------------------------------------------------------------------------
-
-
 def damaged(saved: Path, folder: Path, change: Callable[[Path], object]) -> Path:
     copy = folder / "copy"
     for name, content in contents(saved).items():
@@ -220,8 +217,6 @@ def test_plot_refuses_what_is_no_result_and_leaves_nothing_there(tmp_path: Path)
     assert "is not a result directory" in refused("plot", tmp_path / "gone")
     assert list(tmp_path.iterdir()) == []
 
-
-# --- interrupted ---------------------------------------------------------------------------------
 
 INTERRUPTIONS = [KeyboardInterrupt, OSError("disk full"), InputError("no"), ValueError, SystemExit]
 
@@ -374,3 +369,9 @@ def test_a_result_goes_into_the_current_directory_too(
     done("run", drive, "--no-figures", "--out", "here")
     assert is_result(Path("here"))
     assert sorted(os.listdir()) == ["here", "results"]
+
+
+def test_what_could_not_be_written_is_named_by_its_place(tmp_path: Path) -> None:
+    with pytest.raises(InputError) as caught, staged(tmp_path / "out") as folder:
+        raise InputError(f"{folder / 'run.json'}: cannot be written")
+    assert str(caught.value) == f"{tmp_path / 'out' / 'run.json'}: cannot be written"

@@ -16,10 +16,17 @@ from egolane_pgm.loading import check_sources, load_recording
 from egolane_pgm.model import make_evidence, prepare_model, with_parameters
 from egolane_pgm.parameters import resolve_parameters
 from egolane_pgm.recordings.table import write_table
-from egolane_pgm.run import summary
+from egolane_pgm.results import is_result, read_result
+from egolane_pgm.run import save_run, summary
 from egolane_pgm.scoring.assign import assigned_lane
 from egolane_pgm.types import InputError
-from tests.kits.drives import N_FRAMES, short_drive, write_drive, write_experiment
+from tests.kits.drives import (
+    N_FRAMES,
+    done,
+    short_drive,
+    write_drive,
+    write_experiment,
+)
 from tests.reference import counting as reference_counting
 from tests.reference import inference as reference
 
@@ -268,3 +275,38 @@ def test_sources_are_checked_without_reading_them(tmp_path: Path) -> None:
     (tmp_path / "ground_truth.txt").unlink()
     with pytest.raises(InputError, match=r"ground_truth\.path: ground_truth\.txt: no such file"):
         check_sources(load_experiment(path))
+
+
+def test_with_predict_the_papers_model_diffuses_over_missing_frames_too(tmp_path: Path) -> None:
+    drive = short_drive(40).log
+    kept = np.ones(40, dtype=bool)
+    kept[20:25] = False
+    path = write_drive(
+        tmp_path, 40, filter="exact", graph="lane_only", recording__missing_frames="predict"
+    )
+    write_table(tmp_path / "lines.csv", drive.take(kept))
+    done("run", path, "--no-figures", "--out", tmp_path / "out")
+    belief = read_result(tmp_path / "out").marginals["Lane"]
+    centres = np.arange(3)
+    move = np.exp(-0.5 * ((centres[None] - centres[:, None]) / 0.4) ** 2)
+    move /= move.sum(axis=1, keepdims=True)
+    for k in range(20, 25):
+        np.testing.assert_allclose(belief[k], belief[k - 1] @ move, atol=1e-9)
+
+
+def test_a_result_is_kept_where_its_figures_cannot_be_drawn(tmp_path: Path) -> None:
+    run = run_experiment(load_experiment(write_drive(tmp_path)))
+
+    def draw(folder: Path) -> None:
+        (folder / "figures").mkdir()
+        (folder / "figures" / "half.png").touch()
+        raise InputError(f"{folder / 'figures' / 'a.png'}: cannot be written: disk full")
+
+    out = tmp_path / "out"
+    with pytest.raises(InputError) as caught:
+        save_run(run, out, draw)
+    assert str(caught.value) == (
+        f"{out}/figures/a.png: cannot be written: disk full; the result without figures is in {out}"
+    )
+    assert is_result(out)
+    assert not (out / "figures").exists()

@@ -2,13 +2,30 @@
 
 from __future__ import annotations
 
+import hashlib
+import http.server
+import threading
+from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 
 import numpy as np
+import pytest
 
+from egolane_pgm.recordings import catalog, read_lines
+from egolane_pgm.recordings.catalog import DataFile
 from egolane_pgm.recordings.table import write_table
 from egolane_pgm.types import LineLog
-from tests.kits.drives import done, refused, short_drive, write_experiment
+from tests.kits.drives import (
+    N_FRAMES,
+    command,
+    contents,
+    done,
+    refused,
+    short_drive,
+    write_drive,
+    write_experiment,
+)
 
 
 def test_the_topic_of_a_bag_is_a_name(tmp_path: Path) -> None:
@@ -48,3 +65,121 @@ def test_the_command_prints_it_from_a_recording_and_from_an_experiment(tmp_path:
     said = refused("lines", tmp_path / "box.parquet", "--frame", 1234, "--set", "n_lanes=3")
     assert said == "--set: goes with an experiment"
     assert "no such file" in refused("lines", tmp_path / "none.csv", "--frame", 1)
+
+
+@pytest.fixture(scope="module")
+def drive(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return write_drive(tmp_path_factory.mktemp("drive"))
+
+
+def test_conversions_keep_every_line(tmp_path: Path, drive: Path) -> None:
+    source = drive.parent / "lines.csv"
+    shown = done("convert", source, tmp_path / "a.parquet").stdout
+    assert shown == f"{tmp_path / 'a.parquet'}: {N_FRAMES} frames, ids 0 to {N_FRAMES - 1}\n"
+    done("convert", tmp_path / "a.parquet", tmp_path / "b.csv")
+    assert (tmp_path / "b.csv").read_bytes() == source.read_bytes()
+    one, other = read_lines(tmp_path / "a.parquet"), short_drive().log
+    np.testing.assert_array_equal(one.offset_m, other.offset_m)
+
+
+def test_data_list_shows_the_files_where_a_run_would_find_them(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
+    monkeypatch.setenv("EGOLANE_DATA", str(tmp_path / "data"))
+    (tmp_path / "data" / "rle").mkdir(parents=True)
+    (tmp_path / "data" / "rle" / "ISIS_01.txt").write_text("1;1;0\n")
+    lines = done("data", "list").stdout.splitlines()
+    assert lines[0] == f"looked in: {tmp_path / 'data'}"
+    assert lines[1] == f"looked in: {catalog.download_folder()}"
+    assert len(lines) == 2 + 12
+    state = {line.rpartition("/")[2]: line.split()[0] for line in lines[2:]}
+    assert state.pop("ISIS_01.txt") == "bad"
+    assert set(state.values()) == {"missing"}
+
+
+def test_data_verify_names_every_file_that_is_not_good(tmp_path: Path) -> None:
+    result = command("data", "verify", "--folder", tmp_path)
+    assert result.exit_code == 2
+    assert result.stdout == "0 of 12 files are there and good\n"
+    assert len(result.stderr.splitlines()) == 12
+    assert all(
+        "no such file; `egolane data fetch` gets it" in x for x in result.stderr.split("\n")[:-1]
+    )
+
+
+def test_data_verify_knows_the_papers_files(recordings: Path) -> None:
+    assert done("data", "verify", "--folder", recordings).stdout.startswith("12 of 12 files")
+
+
+@pytest.fixture(scope="module")
+def result(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """An earlier result, which no refused command may touch."""
+    folder = tmp_path_factory.mktemp("earlier")
+    done("run", write_drive(folder), "--no-figures", "--out", folder / "result")
+    return folder / "result"
+
+
+def test_other_commands_name_what_they_cannot_write(tmp_path: Path) -> None:
+    write_drive(tmp_path, 20)
+    lines = tmp_path / "lines.csv"
+    assert "cannot be written" in refused("convert", lines, tmp_path / "no" / "a.csv")
+    assert "unknown extension '.txt'" in refused("convert", lines, tmp_path / "a.txt")
+    assert "cannot be created" in refused("simulate", "--out", lines / "below")
+    (tmp_path / "taken" / "experiment.yaml").mkdir(parents=True)
+    assert "cannot be written" in refused("simulate", "--out", tmp_path / "taken")
+
+
+@pytest.fixture
+def mirror(tmp_path: Path) -> Iterator[str]:
+    (tmp_path / "mirror").mkdir()
+    (tmp_path / "mirror" / "one.bag").write_bytes(b"not what it should be")
+
+    class Handler(http.server.SimpleHTTPRequestHandler):
+        def __init__(self, *args: Any, **kwargs: Any) -> None:
+            super().__init__(*args, directory=str(tmp_path / "mirror"), **kwargs)
+
+        def log_message(self, *args: object) -> None:
+            pass
+
+    server = http.server.ThreadingHTTPServer(("127.0.0.1", 0), Handler)
+    thread = threading.Thread(target=server.serve_forever)
+    thread.start()
+    yield f"http://127.0.0.1:{server.server_address[1]}"
+    server.shutdown()
+    server.server_close()
+    thread.join()
+
+
+def test_a_mirror_that_sends_a_wrong_checksum_is_refused_and_a_good_file_kept(
+    tmp_path: Path, mirror: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    good = b"the right content, 26 byte"
+    files = tuple(
+        DataFile(name, len(good), hashlib.sha256(good).hexdigest(), "x")
+        for name in ("one.bag", "two.bag")
+    )
+    monkeypatch.setattr(catalog, "_FILES", files)
+    folder = tmp_path / "data"
+    (folder / "rle").mkdir(parents=True)
+    (folder / "rle" / "two.bag").write_bytes(good)
+    result = command("data", "fetch", "--base-url", mirror, "--folder", folder)
+    assert result.exit_code == 2
+    assert result.stderr.startswith(f"egolane: one.bag: {mirror}/one.bag sends something else")
+    assert "wrong checksum" in result.stderr
+    assert len(result.stderr.splitlines()) == 1
+    assert "1 of 2 files are there and good" in result.stdout
+    assert contents(folder) == {"rle/two.bag": good}
+
+
+def test_an_address_that_is_none_is_refused(tmp_path: Path) -> None:
+    said = refused("data", "fetch", "--base-url", "ftp://x", "--folder", tmp_path)
+    assert "--base-url ftp://x" in said
+
+
+def test_columns_that_are_ignored_are_said_in_one_plain_line(tmp_path: Path) -> None:
+    (tmp_path / "a.csv").write_text("frame_id,line,offset_m,colour,speed\n1,1,1.5,red,3\n")
+    ran = done("convert", tmp_path / "a.csv", tmp_path / "b.csv")
+    lines = ran.stderr.splitlines()
+    assert len(lines) == 1
+    assert lines[0].startswith(f"warning: {tmp_path / 'a.csv'}: ignored column(s) colour, speed")

@@ -2,11 +2,688 @@
 
 from __future__ import annotations
 
+import json
+import os
+import signal
+import subprocess
+import textwrap
+import time
+from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 
-from tests.kits.drives import refused, write_drive
+import numpy as np
+import pytest
+import yaml
+
+from egolane_pgm.results import is_result, read_result
+from egolane_pgm.run import run_experiment
+from tests.kits.bags import GOOD, Line, line_bag, plain_message, truth_file, write_bag
+from tests.kits.drives import (
+    N_FRAMES,
+    command,
+    contents,
+    done,
+    refused,
+    short_drive,
+    write_drive,
+    write_experiment,
+)
+from tests.kits.processes import EGOLANE, needs_links
 
 
 def test_an_experiments_options_cannot_stand_for_its_other_keys(tmp_path: Path) -> None:
     experiment = write_drive(tmp_path, 30, recording__options={"format": "table"})
     assert "format table has no option 'format'" in refused("run", experiment)
+
+
+EXAMPLES = Path(__file__).parents[2] / "examples"
+
+
+@pytest.fixture(scope="module")
+def drive(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return write_drive(tmp_path_factory.mktemp("drive"))
+
+
+def run(drive: Path, folder: Path, *words: object) -> dict[str, object]:
+    """What `--json` says of `egolane run` with these words."""
+    target = folder / "run.json"
+    done("run", drive, "--no-figures", "--out", folder / "out", "--json", target, *words)
+    content = json.loads(target.read_text())
+    assert isinstance(content, dict)
+    return content
+
+
+def test_run_writes_the_documented_json_unrounded(drive: Path, tmp_path: Path) -> None:
+    said = run(drive, tmp_path)
+    assert set(said) == {
+        "schema_version",
+        "name",
+        "tuned_on",
+        "is_causal",
+        "causal",
+        "why_not_causal",
+        "n_lanes",
+        "frames",
+        "frames_scored",
+        "mean_log_evidence",
+        "impossible_frames",
+        "warnings",
+        "detector",
+        "model",
+    }
+    right = run_experiment(drive)
+    assert said["schema_version"] == 1
+    assert said["frames"] == N_FRAMES
+    assert said["mean_log_evidence"] == right.beliefs.mean_log_evidence
+    for kind in ("detector", "model"):
+        block = said[kind]
+        assert isinstance(block, dict)
+        assert {"precision", "recall", "f1", "accuracy", "log_loss", "confusion"} <= set(block)
+        assert block == right.scores[kind]
+        assert block["frames_scored"] == said["frames_scored"]
+    saved = json.loads((tmp_path / "out" / "scores.json").read_text())
+    assert saved == said
+
+
+def test_run_prints_scores_warnings_and_where_the_result_is(drive: Path, tmp_path: Path) -> None:
+    ran = done("run", drive, "--no-figures", "--out", tmp_path / "out")
+    right = run_experiment(drive)
+    assert f"drive: {N_FRAMES} frames, 3 lanes, graph sensor_failure" in ran.stdout
+    assert f"| accuracy {'':>33} | {right.scores['detector']['accuracy']:>8.3f} |" in ran.stdout
+    assert "parameters: not tuned" in ran.stdout
+    assert ran.stdout.endswith(f"result: {tmp_path / 'out'}\n")
+    assert ran.stderr.splitlines() == [f"warning: {note}" for note in right.notes]
+
+
+def test_set_overrides_keys_of_the_yaml(drive: Path, tmp_path: Path) -> None:
+    said = run(drive, tmp_path, "--set", "parameters.bonus_value=0", "--set", "filter=exact")
+    experiment = read_result(tmp_path / "out").experiment
+    assert experiment["parameters"]["bonus_value"] == 0
+    assert experiment["filter"] == "exact"
+    assert said["detector"] != run(drive, tmp_path)["detector"]
+
+
+def test_a_recording_of_ones_own_runs_without_any_ground_truth(drive: Path, tmp_path: Path) -> None:
+    recording = drive.parent / "lines.csv"
+    said = run(EXAMPLES.parent / "experiments/quickstart.yaml", tmp_path, "--recording", recording)
+    assert not {"detector", "model"} & set(said)
+    assert (said["frames"], said["frames_scored"]) == (N_FRAMES, 0)
+    assert said["name"] == "lines"
+    result = read_result(tmp_path / "out")
+    np.testing.assert_array_equal(result.frame_id, short_drive().log.frame_id)
+    assert (result.true_lane == 0).all()
+    shown = done("run", drive, "--recording", recording, "--no-figures", "--out", tmp_path / "o2")
+    assert "no ground truth: beliefs only" in shown.stdout
+    assert "score" not in shown.stderr
+
+
+def test_recording_ground_truth_and_lanes_are_taken_from_the_command_line(
+    drive: Path, tmp_path: Path
+) -> None:
+    quickstart = EXAMPLES.parent / "experiments" / "quickstart.yaml"
+    words = ("--recording", drive.parent / "lines.csv", "--n-lanes", "3")
+    said = run(quickstart, tmp_path, *words, "--ground-truth", drive.parent / "ground_truth.txt")
+    experiment = yaml.safe_load((tmp_path / "out" / "experiment.yaml").read_text())
+    assert experiment["n_lanes"] == said["n_lanes"] == 3
+    parameters = yaml.safe_load(quickstart.read_text())["parameters"]
+    sets = [word for k, v in parameters.items() for word in ("--set", f"parameters.{k}={v}")]
+    assert run(drive, tmp_path, *sets)["model"] == said["model"]
+    said = run(drive, tmp_path, "--ground-truth", "none")
+    assert "model" not in said
+    assert said["name"] == "drive"
+
+
+def test_figures_are_part_of_the_result(drive: Path, tmp_path: Path) -> None:
+    done("run", drive, "--out", tmp_path / "out")
+    names = {path.name for path in (tmp_path / "out" / "figures").iterdir()}
+    assert names == {"strips.png", "confusion.png", "reliability.png", "coverage.png"}
+    shown = done("plot", tmp_path / "out", "--frames", "10", "60", "--style", "svg").stdout
+    figures = [Path(line) for line in shown.splitlines()]
+    assert all(f.suffix == ".svg" and f.stat().st_size > 1000 for f in figures)
+    assert figures[0] == tmp_path / "out" / "figures" / "strips.svg"
+
+
+def test_the_examples_of_own_files_run(tmp_path: Path) -> None:
+    experiment = EXAMPLES / "own_files.yaml"
+    assert "ok (4 lanes, 8 joint states)" in done("validate", experiment).stdout
+    done("run", experiment, "--no-figures", "--out", tmp_path / "out")
+    result = read_result(tmp_path / "out")
+    assert result.experiment["graph"] == "./graph_my_graph.py"
+    assert (tmp_path / "out" / "graph_my_graph.py").read_bytes() == (
+        EXAMPLES / "my_graph.py"
+    ).read_bytes()
+    assert result.scores["model"]["accuracy"] > result.scores["detector"]["accuracy"]
+
+
+@pytest.fixture(scope="module")
+def result(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """An earlier result, which no refused command may touch."""
+    folder = tmp_path_factory.mktemp("earlier")
+    done("run", write_drive(folder), "--no-figures", "--out", folder / "result")
+    return folder / "result"
+
+
+@pytest.fixture
+def earlier(result: Path) -> Iterator[Path]:
+    before = contents(result.parent)
+    yield result
+    assert contents(result.parent) == before, "a refused command changed an earlier result"
+
+
+def run_on(folder: Path, recording: Path, earlier: Path, *words: object) -> str:
+    """What `egolane run` says when it refuses a recording, its result named as the earlier one."""
+    experiment = write_experiment(folder / "e.yaml", recording__path=recording.name)
+    return refused("run", experiment, "--no-figures", "--out", earlier, *words)
+
+
+def test_a_file_that_is_no_bag_is_refused(tmp_path: Path, earlier: Path) -> None:
+    (tmp_path / "a.bag").write_text("frame_id,line\n1,2\n")
+    said = run_on(tmp_path, tmp_path / "a.bag", earlier)
+    assert said == f"{tmp_path / 'a.bag'}: not a ROS 1 bag"
+
+
+def test_a_truncated_bag_is_refused(tmp_path: Path, earlier: Path) -> None:
+    whole = line_bag(tmp_path / "a.bag", [1, 2, 3]).read_bytes()
+    (tmp_path / "a.bag").write_bytes(whole[: len(whole) // 2])
+    said = run_on(tmp_path, tmp_path / "a.bag", earlier)
+    assert f"{tmp_path / 'a.bag'}: the bag is truncated or damaged" in said
+    assert "copy it again" in said
+
+
+def test_an_empty_file_and_an_empty_bag_are_refused(tmp_path: Path, earlier: Path) -> None:
+    (tmp_path / "a.bag").write_bytes(b"")
+    assert "a.bag: the file is empty" in run_on(tmp_path, tmp_path / "a.bag", earlier)
+    write_bag(tmp_path / "b.bag", [])
+    assert "b.bag: the bag holds no messages" in run_on(tmp_path, tmp_path / "b.bag", earlier)
+
+
+def test_a_bag_without_the_topic_is_refused_with_those_it_has(
+    tmp_path: Path, earlier: Path
+) -> None:
+    write_bag(tmp_path / "a.bag", [plain_message(0, GOOD[0])], topic="/front/lines")
+    said = run_on(tmp_path, tmp_path / "a.bag", earlier)
+    assert "no topic /isis_line_detector/lines" in said
+    assert "/front/lines" in said
+
+
+@pytest.mark.parametrize("offset", [float("nan"), float("inf"), float("-inf")])
+def test_an_offset_that_is_no_number_is_refused_on_a_valid_line(
+    tmp_path: Path, earlier: Path, offset: float
+) -> None:
+    bad: list[Line] = [(True, False, 9, 1.7), (True, False, 9, offset)]
+    line_bag(tmp_path / "a.bag", [4, 5], [GOOD[0], bad])
+    said = run_on(tmp_path, tmp_path / "a.bag", earlier)
+    assert f"a.bag: frame 5: line 2 is valid but its offset is {offset}" in said
+    assert "drop it or mark it not valid" in said
+
+
+@pytest.mark.parametrize("text", ["nan", "inf", "-inf", ""])
+def test_the_same_in_a_table_names_the_line_of_the_file(
+    tmp_path: Path, earlier: Path, text: str
+) -> None:
+    header = "frame_id,line,offset_m,is_valid\n"
+    (tmp_path / "a.csv").write_text(f"{header}4,1,1.5,true\n5,1,{text},true\n")
+    said = run_on(tmp_path, tmp_path / "a.csv", earlier)
+    assert "a.csv: line 3: frame 5 has a valid line without a finite offset" in said
+
+
+def test_duplicate_frame_ids_are_refused(tmp_path: Path, earlier: Path) -> None:
+    line_bag(tmp_path / "a.bag", [3, 4, 4, 5])
+    said = run_on(tmp_path, tmp_path / "a.bag", earlier)
+    assert "a.bag: frame id 4 occurs more than once (messages 2 and 3 of the file)" in said
+
+
+def test_decreasing_frame_ids_are_refused(tmp_path: Path, earlier: Path) -> None:
+    line_bag(tmp_path / "a.bag", [3, 7, 5])
+    said = run_on(tmp_path, tmp_path / "a.bag", earlier)
+    assert "a.bag: frame ids decrease, 7 is followed by 5" in said
+
+
+def test_frame_id_0_in_every_message_is_refused_and_what_is_offered_works(
+    tmp_path: Path, earlier: Path
+) -> None:
+    line_bag(tmp_path / "a.bag", [0] * 6, GOOD)
+    said = run_on(tmp_path, tmp_path / "a.bag", earlier)
+    assert "a.bag: all 6 messages have frame id 0" in said
+    assert said.endswith("use --frame-id seq")
+    out = tmp_path / "out"
+    words = ("--ground-truth", "none", "--no-figures", "--out", out)
+    done("run", tmp_path / "e.yaml", "--frame-id", "seq", *words)
+    np.testing.assert_array_equal(read_result(out).frame_id, np.arange(6))
+    shown = done("convert", tmp_path / "a.bag", tmp_path / "a.csv", "--frame-id", "seq").stdout
+    assert "6 frames, ids 0 to 5" in shown
+
+
+def test_a_recording_that_is_not_there_is_refused(tmp_path: Path, earlier: Path) -> None:
+    said = run_on(tmp_path, tmp_path / "gone.bag", earlier)
+    assert "e.yaml: recording.path: gone.bag: no such file" in said
+    assert f"looked for {tmp_path / 'gone.bag'}" in said
+    experiment = tmp_path / "e.yaml"
+    said = refused("run", experiment, "--recording", tmp_path / "gone.csv", "--out", earlier)
+    assert "gone.csv: no such file" in said
+
+
+def test_a_range_without_a_frame_is_refused_with_the_one_there_is(
+    tmp_path: Path, earlier: Path
+) -> None:
+    line_bag(tmp_path / "a.bag", [3, 4])
+    truth_file(tmp_path / "ground_truth.txt", [(3, 1, 0)])
+    said = run_on(tmp_path, tmp_path / "a.bag", earlier, "--set", "recording.frames=[10,20]")
+    assert "no frame from 10 to before 20; the recording has frames 3 to 4" in said
+
+
+def test_a_frame_id_option_that_the_format_lacks_is_refused(tmp_path: Path, earlier: Path) -> None:
+    (tmp_path / "a.csv").write_text("frame_id,line,offset_m\n1,1,1.5\n")
+    said = run_on(tmp_path, tmp_path / "a.csv", earlier, "--frame-id", "seq")
+    assert "a.csv: format table has no option 'frame_id'" in said
+
+
+@pytest.mark.parametrize("lane", [0, 4, -1])
+def test_ground_truth_outside_the_lanes_is_refused(
+    tmp_path: Path, earlier: Path, lane: int
+) -> None:
+    line_bag(tmp_path / "a.bag", [1, 2, 3])
+    truth_file(tmp_path / "ground_truth.txt", [(1, 1, 0), (2, lane, 0), (3, 1, 0)])
+    said = run_on(tmp_path, tmp_path / "a.bag", earlier)
+    assert f"ground_truth.txt: frame 2: lane {lane} is outside 1..3; is n_lanes right?" in said
+
+
+def test_no_common_frames_are_refused_with_both_ranges(tmp_path: Path, earlier: Path) -> None:
+    line_bag(tmp_path / "a.bag", [1, 2, 3])
+    truth_file(tmp_path / "ground_truth.txt", [(100, 1, 0), (105, 1, 0)])
+    said = run_on(tmp_path, tmp_path / "a.bag", earlier)
+    assert "no common frames" in said
+    assert "a.bag has frames 1 to 3" in said
+    assert "ground_truth.txt has frames 100 to 105" in said
+
+
+def test_a_file_that_is_no_ground_truth_is_refused(tmp_path: Path, earlier: Path) -> None:
+    line_bag(tmp_path / "a.bag", [1, 2, 3])
+    said = run_on(tmp_path, tmp_path / "a.bag", earlier, "--ground-truth", str(tmp_path / "a.bag"))
+    assert "a.bag: cannot be read: is not text in UTF-8" in said
+
+
+@pytest.mark.parametrize(
+    ("override", "said"),
+    [
+        ("n_lane=3", "unknown key 'n_lane' (did you mean 'n_lanes'?)"),
+        ("recording.topc=x", "recording: unknown key 'topc' (did you mean 'topic'?)"),
+        ("ground_truth.extra=1", "ground_truth: unknown key 'extra' (did you mean 'extra_rows'?)"),
+        ("parameters.sigma_1=1", "parameters: unknown key 'sigma_1' (did you mean 'sigma1'?)"),
+        ("parameters.p1=1.3", "parameters.p1: 1.3 is not a probability (0 to 1)"),
+        ("parameters.p4=-0.1", "parameters.p4: -0.1 is not a probability (0 to 1)"),
+        ("parameters.p2=.nan", "parameters.p2: nan is not a finite number"),
+        ("parameters.sigma1=0", "parameters.sigma1: 0 must be greater than 0"),
+        ("parameters.sigma2=-1", "parameters.sigma2: -1 must be greater than 0"),
+        ("parameters.sigma1=[1,2]", "parameters.sigma1: needs one number, got a list"),
+        ("parameters.lane_widths=[1,2]", "parameters.lane_widths: has 2 values for 3 lanes"),
+        ("parameters.bonus_value=two", "parameters.bonus_value: 'two' is not a number"),
+        ("parameters.normal=densty", "'densty' is not one of density, integral (did you mean"),
+        ("n_lanes=0", "n_lanes: input should be greater than or equal to 1 (got 0)"),
+        ("n_lanes=true", "n_lanes: input should be a valid integer (got True)"),
+        ("n_lanes=null", "n_lanes: input should be a valid integer"),
+        ("name=../x", "name: string should match pattern"),
+        (
+            "filter=exat",
+            "filter: 'exat' is not one of assumed_density, exact, smoothed, fixed_lag (did",
+        ),
+        ("evidence_reading=softer", "evidence_reading: 'softer' is not one of soft, hard"),
+        ("recording.missing_frames=keep", "missing_frames: 'keep' is not one of skip, hold"),
+        ("recording.lri=cut", "recording.lri: 'cut' is not one of as_recorded, clip"),
+        ("recording.frame_rate=0", "recording.frame_rate: input should be greater than 0 (got 0)"),
+        ("recording.frame_rate=.inf", "recording.frame_rate: input should be a finite number"),
+        ("recording.frames=[9,3]", "recording: frames [9, 3] is an empty range"),
+        ("recording.simulate=a4", "recording: needs either path or simulate"),
+        ("recording.path=null", "recording: needs either path or simulate"),
+        ("recording.format=rosbg", "unknown format 'rosbg' (did you mean 'rosbag'?)"),
+        ("graph=sensor_failur", "graph: unknown name 'sensor_failur' (did you mean"),
+        ("evidence=counted", "evidence: unknown name 'counted' (did you mean 'counting'?)"),
+        ("graph=./no.py", "graph: no file"),
+        ("tuned_on=mars", "tuned_on: 'mars' is not one of same_frames"),
+    ],
+)
+def test_a_key_or_value_that_does_not_fit_is_refused_by_validate_and_by_run(
+    tmp_path: Path, earlier: Path, override: str, said: str
+) -> None:
+    experiment = write_drive(tmp_path, 20)
+    by_run = refused("run", experiment, "--set", override, "--no-figures", "--out", earlier)
+    assert said in by_run
+    if not override.startswith("recording.format"):
+        assert by_run.startswith(f"{experiment}: ")
+    by_validate = refused("validate", experiment, "--set", override)
+    assert said in by_validate
+    assert by_validate.startswith(f"{experiment}: ")
+    # The same written in the file.
+    content = yaml.safe_load(experiment.read_text())
+    *above, last = override.partition("=")[0].split(".")
+    section = content
+    for key in above:
+        section = section.setdefault(key, {})
+    section[last] = yaml.safe_load(override.partition("=")[2])
+    experiment.write_text(yaml.safe_dump(content))
+    assert refused("validate", experiment) == by_validate
+
+
+def test_an_experiment_that_cannot_be_read_is_refused(tmp_path: Path) -> None:
+    assert "gone.yaml: cannot be read: No such file" in refused("run", tmp_path / "gone.yaml")
+    assert "is a directory" in refused("run", tmp_path)
+    (tmp_path / "binary.yaml").write_bytes(b"\xff\xfe\x00")
+    assert "binary.yaml: cannot be read" in refused("run", tmp_path / "binary.yaml")
+
+
+@pytest.mark.parametrize("n_lanes", ["0", "-2", "x"])
+def test_a_number_of_lanes_that_is_none_is_refused(
+    tmp_path: Path, earlier: Path, n_lanes: str
+) -> None:
+    experiment = write_drive(tmp_path, 20)
+    said = refused("run", experiment, "--n-lanes", n_lanes, "--no-figures", "--out", earlier)
+    assert "lanes" in said
+
+
+@pytest.mark.parametrize("what", ["--out", "--json"])
+def test_a_place_that_cannot_be_written_is_refused_before_anything_is_computed(
+    tmp_path: Path, earlier: Path, what: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    experiment = write_drive(tmp_path, 20)
+    before = contents(tmp_path)
+    monkeypatch.setattr(
+        "egolane_pgm.cli.run.run_experiment", lambda *a, **k: pytest.fail("computed")
+    )
+    below_a_file = experiment / "below" / "result"
+    words = ("run", experiment, "--no-figures")
+    if what == "--json":
+        words = (*words, "--out", earlier)
+    said = refused(*words, what, below_a_file)
+    assert f"{below_a_file}: cannot be written, {experiment} is not a writable directory" in said
+    said = refused(*words, what, "/proc/egolane/result")  # not even root may
+    assert said.startswith("/proc/egolane/result: cannot be written")
+    assert contents(tmp_path) == before
+
+
+def test_a_directory_of_somebody_elses_is_not_overwritten(tmp_path: Path) -> None:
+    experiment = write_drive(tmp_path, 20)
+    before = contents(tmp_path)
+    said = refused("run", experiment, "--no-figures", "--out", tmp_path)
+    assert said.startswith(f"{tmp_path}: exists and is not a result directory")
+    said = refused("run", experiment, "--no-figures", "--out", experiment)
+    assert "is a file" in said
+    assert contents(tmp_path) == before
+
+
+def test_no_file_is_counted_as_good_where_there_is_no_network(tmp_path: Path) -> None:
+    result = command("data", "fetch", "--base-url", "http://127.0.0.1:9", "--folder", tmp_path)
+    assert result.exit_code == 2
+    assert result.stdout == "0 of 12 files are there and good\n"
+    assert len(result.stderr.splitlines()) == 1
+    assert "no connection to 127.0.0.1:9 (" in result.stderr
+
+
+def test_a_valid_line_of_nan_is_refused_by_its_frame(tmp_path: Path) -> None:
+    path = write_drive(tmp_path, 20)
+    lines = (tmp_path / "lines.csv").read_text().splitlines()
+    header, first = lines[0].split(","), lines[1].split(",")
+    first[header.index("offset_m")] = "nan"
+    first[header.index("is_valid")] = "true"
+    (tmp_path / "lines.csv").write_text("\n".join([lines[0], ",".join(first), *lines[2:]]))
+    result = command("run", path, "--out", tmp_path / "out")
+    assert result.exit_code == 2
+    assert "lines.csv" in result.stderr
+    assert len(result.stderr.splitlines()) == 1
+
+
+#: An evidence rule that tells when it begins, and takes its time.
+SLOW = """
+    import time
+    from pathlib import Path
+    from egolane_pgm.evidence import counting
+    from egolane_pgm.evidence.counting import *
+    def evidence(log, *given, **named):
+        Path(log.source).with_suffix(".begun").touch()
+        if "fast" not in log.source:
+            time.sleep(60)
+        return counting.evidence(log, *given, **named)
+"""
+
+
+def started(*words: object) -> subprocess.Popen[str]:
+    return subprocess.Popen(
+        [*EGOLANE, *map(str, words)],
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+        start_new_session=True,
+    )
+
+
+def wait_for(*files: Path) -> None:
+    for _ in range(600):
+        if all(file.exists() for file in files):
+            return
+        time.sleep(0.1)
+    raise AssertionError(f"{files} did not come")
+
+
+@pytest.mark.parametrize("name", ["with space", "mit Ümläut", "new\nline", "-dash", "a;b&c'd\"e"])
+def test_any_name_of_a_folder_will_do(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, name: str
+) -> None:
+    path = write_drive(tmp_path / name)
+    out = tmp_path / "out" / name
+    said = done("run", path, "--no-figures", "--out", out, "--json", tmp_path / f"{name}.json")
+    assert f"result: {out}" in said.stdout
+    assert is_result(out)
+    kept = run_experiment(out / "experiment.yaml")
+    assert kept.scores["model"]["accuracy"] == pytest.approx(
+        json.loads((tmp_path / f"{name}.json").read_text())["model"]["accuracy"]
+    )
+
+
+def test_a_file_that_is_read_is_not_written_over(tmp_path: Path) -> None:
+    path, other = write_drive(tmp_path), write_drive(tmp_path / "other", name="other")
+    before = contents(tmp_path)
+    for name in ("experiment.yaml", "lines.csv", "ground_truth.txt"):
+        target = tmp_path / name
+        for words in (("run", path), ("run", path, other)):
+            said = refused(*words, "--json", target, "--no-figures", "--out", tmp_path / "out")
+            assert said == f"{target}: is read here; name another file"
+    assert "is read here" in refused("compare", path, "--json", path)
+    assert contents(tmp_path) == before
+
+
+def test_recordings_of_one_name_are_told_apart_by_their_folders(tmp_path: Path) -> None:
+    path, out = write_drive(tmp_path), tmp_path / "out"
+    places = [write_drive(tmp_path / day).with_name("lines.csv") for day in ("mon", "tue")]
+    several = [word for place in places for word in ("--recording", place)]
+    done("run", path, *several, "--no-figures", "--out", out)
+    assert sorted(p.name for p in out.iterdir()) == ["mon_lines", "tue_lines"]
+    again = tmp_path / "mon" / ".." / "mon" / "lines.csv"
+    said = refused("run", path, *several, "--recording", again, "--out", out)
+    assert said == f"--recording {again}: is named twice"
+    # One recording, several experiments.
+    other = write_drive(tmp_path / "other", name="other")
+    words = ["--recording", places[0], "--no-figures", "--out", tmp_path / "both"]
+    done("run", path, other, *words)
+    assert sorted(p.name for p in (tmp_path / "both").iterdir()) == ["lines_drive", "lines_other"]
+    assert refused("run", path, path, "--out", out) == f"{path}: is named twice"
+
+
+@needs_links
+def test_ctrl_c_keeps_the_finished_runs_and_begins_no_other(tmp_path: Path) -> None:
+    (tmp_path / "slow.py").write_text(textwrap.dedent(SLOW))
+    own = {"evidence": str(tmp_path / "slow.py")}
+    paths = [write_drive(tmp_path / name, name=name, **own) for name in ("fast", "b", "c", "d")]
+    out = tmp_path / "out"
+    running = started("run", *paths, "--no-figures", "--jobs", 2, "--out", out)
+    wait_for(tmp_path / "b" / "lines.begun", tmp_path / "c" / "lines.begun", out / "fast")
+    began = time.perf_counter()
+    os.killpg(running.pid, signal.SIGINT)
+    _, said = running.communicate(timeout=30)
+    assert time.perf_counter() - began < 5
+    assert running.returncode == 130
+    assert said == f"egolane: interrupted; 1 of 4 are in {out}; the same command begins anew\n"
+    assert [p.name for p in out.iterdir()] == ["fast"]
+    assert is_result(out / "fast")
+    assert not (tmp_path / "d" / "lines.begun").exists()
+
+
+@needs_links
+@pytest.mark.parametrize("several", [False, True])
+def test_a_reader_that_stops_reading_costs_nothing(tmp_path: Path, several: bool) -> None:
+    paths = [write_drive(tmp_path / "a", name="a")]
+    if several:
+        paths.append(write_drive(tmp_path / "b", name="b"))
+    target, out = tmp_path / "all.json", tmp_path / "out"
+    running = started("run", *paths, "--no-figures", "--out", out, "--json", target)
+    assert running.stdout is not None
+    running.stdout.close()
+    assert running.stderr is not None
+    assert running.stderr.read() == ""
+    running.wait()
+    assert json.loads(target.read_text())
+    assert is_result(out / "a" if several else out)
+
+
+def test_jobs_are_at_least_one_and_never_more_than_there_is_to_do(tmp_path: Path) -> None:
+    paths = [write_drive(tmp_path / name, name=name) for name in ("a", "b")]
+    for jobs in (0, -1, "many"):
+        assert "--jobs" in refused("run", *paths, "--jobs", jobs)
+    words = ["--jobs", 1000, "--no-figures", "--out", tmp_path / "out"]
+    assert command("run", *paths, *words).exit_code == 0
+
+
+def kept(folder: Path, recording: Path, *words: object, **changes: Any) -> tuple[list[str], Path]:
+    """The warnings of a run that ends well, and its result directory."""
+    experiment = write_experiment(
+        folder / "e.yaml", recording__path=recording.name, ground_truth=None, **changes
+    )
+    out = folder / "out"
+    words = ("--no-figures", "--out", out, *words)
+    ran = done("run", experiment, *words, "--json", folder / "out.json")
+    lines = ran.stderr.splitlines()
+    assert all(line.startswith("warning: ") for line in lines)
+    said = [line.removeprefix("warning: ") for line in lines]
+    assert json.loads((folder / "out.json").read_text())["warnings"] == said
+    assert read_result(out).run["warnings"] == said
+    return said, out
+
+
+def test_an_odd_reliability_is_used_as_recorded_and_clipped_on_request(tmp_path: Path) -> None:
+    odd: list[list[Line]] = [
+        [(True, False, 25, -5.0), (True, False, 10, 1.7)],
+        [(True, False, -3, -5.0), (True, False, 10, 1.7), (False, False, -1, 0.0)],
+    ]
+    line_bag(tmp_path / "a.bag", [1, 2], odd)
+    said, _ = kept(tmp_path, tmp_path / "a.bag")
+    assert len(said) == 1
+    assert "2 valid line(s) have an LRI outside 0..10, first in frame 1" in said[0]
+    assert "as recorded" in said[0]
+    as_recorded = sensor_ok(tmp_path)
+    said, _ = kept(tmp_path, tmp_path / "a.bag", recording__lri="clip")
+    assert said == []
+    clipped = sensor_ok(tmp_path)
+    # 25 + 10 of 40 against 10 + 10 of 40 in frame 1, 7 against 10 of 40 in frame 2.
+    assert clipped[0] < as_recorded[0]
+    same: list[list[Line]] = [
+        [(True, False, 10, -5.0), (True, False, 10, 1.7)],
+        [(True, False, 0, -5.0), (True, False, 10, 1.7)],
+    ]
+    line_bag(tmp_path / "b.bag", [1, 2], same)
+    kept(tmp_path, tmp_path / "b.bag")
+    np.testing.assert_array_equal(sensor_ok(tmp_path), clipped)
+
+
+def sensor_ok(folder: Path) -> np.ndarray:
+    return read_result(folder / "out").marginals["SensorState"][:, 0]
+
+
+def test_absurd_offsets_of_invalid_lines_change_nothing(tmp_path: Path) -> None:
+    absurd: list[Line] = [(False, True, 5, 3e32), (False, False, 0, float("nan"))]
+    line_bag(tmp_path / "a.bag", [1, 2], [[*GOOD[0], *absurd], [*GOOD[1], absurd[0]]])
+    said, out = kept(tmp_path, tmp_path / "a.bag")
+    assert len(said) == 1
+    assert "3 line(s) that are not valid have an offset beyond 100 m or NaN" in said[0]
+    with_absurd = read_result(out).marginals["Lane"]
+    line_bag(tmp_path / "b.bag", [1, 2], GOOD[:2])
+    said, out = kept(tmp_path, tmp_path / "b.bag")
+    assert said == []
+    np.testing.assert_array_equal(read_result(out).marginals["Lane"], with_absurd)
+
+
+def test_more_valid_lines_than_a_road_has_are_counted(tmp_path: Path) -> None:
+    many: list[Line] = [(True, False, 2, d) for d in (-9.0, -5.0, -2.0, 2.0, 5.0)]
+    line_bag(tmp_path / "a.bag", [1, 2, 3], [GOOD[0], many, GOOD[0]])
+    said, out = kept(tmp_path, tmp_path / "a.bag")
+    assert len(said) == 1
+    assert "1 frame(s) have more valid lines than the 4 of 3 lane(s), first frame 2" in said[0]
+    assert len(read_result(out).frame_id) == 3
+
+
+@pytest.mark.parametrize("is_empty", [True, False])
+def test_without_a_single_valid_line_the_belief_stays_what_the_model_says(
+    tmp_path: Path, is_empty: bool
+) -> None:
+    lines: list[Line] = [] if is_empty else [(False, True, 5, -1.0)]
+    line_bag(tmp_path / "a.bag", list(range(1, 9)), [lines] * 8)
+    # Over three lanes the lane dynamics by themselves favour the middle one.
+    wide: dict[str, Any] = {"sigma1": 2.0, "no_valid_line": "ignore"}
+    said, out = kept(tmp_path, tmp_path / "a.bag", parameters=wide)
+    assert len(said) == 1
+    assert "not a single valid line in 8 frames" in said[0]
+    result = read_result(out)
+    centres = np.arange(1, 4)
+    f = np.exp(-0.5 * ((centres[None] - centres[:, None]) / 2.0) ** 2)
+    f /= f.sum(axis=1, keepdims=True)
+    expected = np.full(3, 1 / 3)
+    for belief in result.marginals["Lane"]:
+        np.testing.assert_allclose(belief, expected, rtol=0, atol=1e-12)
+        expected = belief @ f
+    assert (result.detector_lane == 0).all()
+
+
+def test_frames_of_zero_joint_likelihood_keep_their_prediction_and_are_counted(
+    tmp_path: Path,
+) -> None:
+    # A frame that says lane 1 for certain, and one that says lane 3, where no lane ever changes
+    # and the detector is never wrong.
+    left: list[Line] = [(True, True, 10, -1.0)]
+    right: list[Line] = [(True, True, 10, 1.0)]
+    line_bag(tmp_path / "a.bag", [1, 2, 3], [left, right, left])
+    certain = {"sigma1": 1e-9, "sigma2": 1e-9, "tentative_noise": 0}
+    said, out = kept(tmp_path, tmp_path / "a.bag", graph="lane_only", parameters=certain)
+    assert len(said) == 1
+    assert "the evidence of 1 frame(s) has joint likelihood zero" in said[0]
+    result = read_result(out)
+    np.testing.assert_array_equal(result.is_impossible, [False, True, False])
+    np.testing.assert_allclose(result.marginals["Lane"], [[1, 0, 0]] * 3)
+    assert result.run["impossible_frames"] == 1
+    assert result.run["mean_log_evidence"] == pytest.approx(result.log_evidence[[0, 2]].mean())
+
+
+def test_frames_without_ground_truth_are_filtered_and_said(tmp_path: Path) -> None:
+    line_bag(tmp_path / "a.bag", [1, 2, 3, 4])
+    truth_file(tmp_path / "ground_truth.txt", [(2, 1, 0), (3, 1, 1), (9, 1, 0)])
+    experiment = write_experiment(tmp_path / "e.yaml", recording__path="a.bag")
+    ran = done("run", experiment, "--no-figures", "--out", tmp_path / "out")
+    assert ran.stderr.count("warning") == 1
+    assert "2 of 4 frames have no ground truth; filtered, not scored" in ran.stderr
+    result = read_result(tmp_path / "out")
+    np.testing.assert_array_equal(result.true_lane, [0, 1, 1, 0])
+    np.testing.assert_array_equal(result.is_crossing, [False, False, True, False])
+    assert result.run["frames"] == 4
+    assert result.run["frames_scored"] == 1
+
+
+def test_one_lane_is_allowed(tmp_path: Path) -> None:
+    line_bag(tmp_path / "a.bag", [1, 2], [[(True, True, 8, -1.7)], [(True, False, 8, 1.7)]])
+    truth_file(tmp_path / "ground_truth.txt", [(1, 1, 0), (2, 1, 0)])
+    for graph in ("sensor_failure", "wor_on_lane", "no_wor", "lane_only"):
+        experiment = write_experiment(
+            tmp_path / "e.yaml", recording__path="a.bag", n_lanes=1, graph=graph
+        )
+        ran = done("run", experiment, "--no-figures", "--out", tmp_path / "out")
+        assert ran.stderr == ""
+        result = read_result(tmp_path / "out")
+        np.testing.assert_array_equal(result.marginals["Lane"], [[1.0], [1.0]])
+        np.testing.assert_array_equal(result.assigned_lane, [1, 1])
+        assert result.scores["model"]["accuracy"] == 1

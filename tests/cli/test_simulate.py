@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+import yaml
 from click.testing import CliRunner, Result
 
 from egolane_pgm.camera.model import read_camera
@@ -17,10 +18,16 @@ from egolane_pgm.cli.main import egolane
 from egolane_pgm.experiment import load_experiment
 from egolane_pgm.recordings import read_lines
 from egolane_pgm.recordings.ground_truth import read_ground_truth
+from egolane_pgm.results import read_result
 from egolane_pgm.simulation.rendering import files, render
 from egolane_pgm.simulation.rendering import files as rendering_files
 from egolane_pgm.simulation.rendering.render import make_scene, render_frame
-from tests.kits.drives import command, done, refused
+from tests.kits.drives import (
+    command,
+    contents,
+    done,
+    refused,
+)
 from tests.kits.full_disk import Usage, full_after, left
 
 
@@ -209,3 +216,30 @@ def test_the_cost_of_a_frame_is_about_that_of_those_rendered(tmp_path: Path, vid
     place = tmp_path / ("images.mp4" if video else "images")
     files = [place] if video else list(place.iterdir())
     assert size == pytest.approx(sum(f.stat().st_size for f in files) / 26, rel=0.25)
+
+
+def test_a_simulated_drive_is_written_and_runs(tmp_path: Path) -> None:
+    words = ("simulate", "a2", "--frames", "120", "--seed", "4", "--set", "miss=0.5")
+    shown = done(*words, "--out", tmp_path / "one").stdout
+    experiment = tmp_path / "one" / "experiment.yaml"
+    assert shown == f"120 frames; try: egolane run {experiment}\n"
+    done("run", experiment, "--no-figures", "--out", tmp_path / "result")
+    assert read_result(tmp_path / "result").run["frames"] == 120
+    done(*words, "--out", tmp_path / "other")
+    assert contents(tmp_path / "one") == contents(tmp_path / "other")  # seeded
+    truth = read_ground_truth(tmp_path / "one" / "ground_truth.txt")
+    assert (truth.lane >= 1).all()
+    assert (truth.lane <= 3).all()
+    done("simulate", "--frames", "20", "--n-lanes", "2", "--out", tmp_path / "two")
+    assert yaml.safe_load((tmp_path / "two" / "experiment.yaml").read_text())["n_lanes"] == 2
+
+
+def test_what_cannot_be_simulated_is_refused(tmp_path: Path) -> None:
+    out = ("--out", tmp_path / "x")
+    assert "did you mean 'quickstart'" in refused("simulate", "quikstart", *out)
+    assert "simulation.n_lanes: 0" in refused("simulate", *out, "--n-lanes", "0")
+    assert "simulation.n_frames: 0" in refused("simulate", *out, "--frames", "0")
+    assert "did you mean 'clutter'" in refused("simulate", *out, "--set", "cluter=1")
+    assert "write it as key=value" in refused("simulate", *out, "--set", "noise_m")
+    assert "not YAML" in refused("simulate", *out, "--set", "noise_m=[1")
+    assert not (tmp_path / "x").exists()

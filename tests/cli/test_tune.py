@@ -22,7 +22,15 @@ from pyarrow import parquet
 
 from egolane_pgm.cli.main import egolane
 from egolane_pgm.experiment import load_experiment
+from egolane_pgm.files import write_yaml
+from egolane_pgm.loading import load_recording
+from egolane_pgm.model import prepare_model
+from egolane_pgm.paper import experiments_folder
 from egolane_pgm.run import run_experiment
+from egolane_pgm.tune.plan import load_plan, make_problem
+from egolane_pgm.tune.study_directory import tuned_experiment
+from tests.kits.drives import done, refused, write_drive, write_experiment
+from tests.kits.labelled_drive import N_LABELLED
 from tests.kits.tuning_kit import BLOCKS, EXPERIMENTS, QUICKSTART
 
 NEEDS_DATA = pytest.mark.skipif(
@@ -34,7 +42,7 @@ def tune(*words: object) -> Result:
     return CliRunner().invoke(egolane, ["tune", *map(str, words)])
 
 
-def refused(*words: object) -> str:
+def tune_refuses(*words: object) -> str:
     result = tune(*words)
     assert result.exit_code == 2, result.output
     lines = [line for line in result.stderr.splitlines() if not line.startswith("warning:")]
@@ -101,7 +109,7 @@ def test_several_objectives_give_a_front(tmp_path: Path) -> None:
 
 def test_bad_input_is_one_line_and_leaves_nothing(tmp_path: Path) -> None:
     def says(*words: object) -> str:
-        return refused(QUICKSTART, "--blocks", BLOCKS, "--out", tmp_path / "o", *words)
+        return tune_refuses(QUICKSTART, "--blocks", BLOCKS, "--out", tmp_path / "o", *words)
 
     assert "did you mean 'accuracy'?" in says("--objective", "acuracy")
     assert "did you mean 'sigma1'?" in says("-p", "sigma_1=[0,1]")
@@ -110,10 +118,10 @@ def test_bad_input_is_one_line_and_leaves_nothing(tmp_path: Path) -> None:
     assert "write it as" in says("-p", "sigma1")
     assert "did you mean 'tpe'?" in says("--sampler", "tpee")
     assert "take one of the two" in says("--workers", 2, "--jobs", 2)
-    assert "lane change" in refused(QUICKSTART, "--blocks", 500, "--out", tmp_path / "o")
-    assert "at least two" in refused(QUICKSTART, "--whole-recordings", "--out", tmp_path / "o")
-    assert "name experiments" in refused("--out", tmp_path / "o")
-    assert "another experiment has the name" in refused(QUICKSTART, QUICKSTART)
+    assert "lane change" in tune_refuses(QUICKSTART, "--blocks", 500, "--out", tmp_path / "o")
+    assert "at least two" in tune_refuses(QUICKSTART, "--whole-recordings", "--out", tmp_path / "o")
+    assert "name experiments" in tune_refuses("--out", tmp_path / "o")
+    assert "another experiment has the name" in tune_refuses(QUICKSTART, QUICKSTART)
     assert not (tmp_path / "o").exists()
 
 
@@ -122,7 +130,7 @@ def test_another_search_space_of_the_same_name_is_refused(tmp_path: Path) -> Non
     assert tune(*words).exit_code == 0
     folder = tmp_path / "quickstart"
     before = {p.name: p.read_bytes() for p in folder.iterdir()}
-    line = refused(*words, "-p", "p1=0.9")
+    line = tune_refuses(*words, "-p", "p1=0.9")
     assert "another study of this name" in line
     assert "p1" in line
     assert {p.name: p.read_bytes() for p in folder.iterdir()} == before
@@ -131,7 +139,7 @@ def test_another_search_space_of_the_same_name_is_refused(tmp_path: Path) -> Non
 def test_a_place_that_cannot_be_written_is_one_line(tmp_path: Path) -> None:
     (tmp_path / "file").write_text("")
     words = (QUICKSTART, "--in-sample-only", "--trials", 9)
-    assert "cannot be created" in refused(*words, "--out", tmp_path / "file")
+    assert "cannot be created" in tune_refuses(*words, "--out", tmp_path / "file")
 
 
 def test_workers_share_a_study_and_one_process_may_go_on_with_it(tmp_path: Path) -> None:
@@ -157,7 +165,7 @@ def test_a_database_keeps_the_study_and_those_without_a_block(tmp_path: Path) ->
     ]
     for key in ("in_sample", "held_out"):
         assert documents[0][key] == documents[1][key]
-    line = refused(*words, "--out", tmp_path / "there", "-p", "p1=0.9")
+    line = tune_refuses(*words, "--out", tmp_path / "there", "-p", "p1=0.9")
     assert "holds another study" in line
 
 
@@ -168,7 +176,7 @@ def studies_of(base: str) -> list[optuna.Study]:
 
 def test_the_password_of_a_storage_is_not_shown(tmp_path: Path) -> None:
     address = "nosuch://me:secret@host/base"
-    line = refused(QUICKSTART, "--in-sample-only", "--out", tmp_path, "--storage", address)
+    line = tune_refuses(QUICKSTART, "--in-sample-only", "--out", tmp_path, "--storage", address)
     assert "nosuch://me:***@host/base" in line
     assert "secret" not in line
 
@@ -196,11 +204,11 @@ def test_a_group_has_one_parameter_set_and_an_experiment_per_recording(tmp_path:
 def test_a_typo_in_a_tuning_file_is_named(tmp_path: Path) -> None:
     path = tmp_path / "g.yaml"
     path.write_text("name: g\nexperiments: [x.yaml]\ntuning: {trails: 3}\n")
-    assert "unknown key 'trails' (did you mean 'trials'?)" in refused(path)
+    assert "unknown key 'trails' (did you mean 'trials'?)" in tune_refuses(path)
     path.write_text("name: g\nexperiments: [x.yaml]\ntunning: {}\n")
-    assert "unknown key 'tunning' (did you mean 'tuning'?)" in refused(path)
+    assert "unknown key 'tunning' (did you mean 'tuning'?)" in tune_refuses(path)
     path.write_text("name: g\nexperiments: [x.yaml]\n")
-    assert "x.yaml: cannot be read" in refused(path)
+    assert "x.yaml: cannot be read" in tune_refuses(path)
 
 
 @pytest.mark.parametrize("stop", [signal.SIGKILL, signal.SIGINT])
@@ -279,3 +287,73 @@ def test_the_published_parameters_are_tried_first_and_frames_never_fitted(tmp_pa
     sizes = [document["held_out"][k]["frames_scored"] for k in ("all_frames", "without_never_fit")]
     assert sizes[0] - sizes[1] == 200
     assert "| run06_spain_ml | paper |  0.407" in result.output
+
+
+def test_a_tuned_experiment_runs_from_its_own_folder(labelled: Path, tmp_path: Path) -> None:
+    problem = make_problem(load_plan(write_own_graph(labelled)))
+    target = tmp_path / "study" / "best.yaml"
+    target.parent.mkdir()
+    (drive,) = problem.drives
+    write_yaml(target, tuned_experiment(drive.experiment, drive.model.parameters, problem))
+    tuned = load_experiment(target)
+    assert tuned.recording.path == str(labelled.parent / "labels")
+    assert tuned.recording.camera == str(labelled.parent / "cam.yaml")
+    assert len(load_recording(tuned).log) == N_LABELLED
+    assert prepare_model(tuned).compiled.n_states == 3
+
+
+def write_own_graph(experiment: Path) -> Path:
+    """The experiment with a graph of its own, YAML, that has one parameter."""
+    (experiment.parent / "g.py").write_text(
+        "from egolane_pgm.graphs.lane_only import *\nfrom egolane_pgm.graphs.lane_only import"
+        " build, HIDDEN, OBSERVED, PARAMETERS\n"
+    )
+    content = yaml.safe_load(experiment.read_text())
+    experiment.write_text(yaml.safe_dump({**content, "graph": "g.py"}))
+    return experiment
+
+
+def test_a_tuned_experiment_names_the_files_of_its_detector_in_full(tmp_path: Path) -> None:
+    path = write_experiment(
+        tmp_path / "x.yaml",
+        recording={
+            "path": "left*.png", "right": "right*.png", "camera": "cam.yaml",
+            "detector": "own.py", "detector_parameters": {"matcher": "m.py", "n": 3, "kind": "a"},
+        },
+    )  # fmt: skip
+    (tmp_path / "cam.yaml").touch()
+    problem = make_problem(load_plan(write_drive(tmp_path / "other", 60)))
+    recording = tuned_experiment(load_experiment(path), {}, problem)["recording"]
+    assert [recording[key] for key in ("path", "right", "camera", "detector")] == [
+        str(tmp_path / name) for name in ("left*.png", "right*.png", "cam.yaml", "own.py")
+    ]
+    given = {"matcher": str(tmp_path / "m.py"), "n": 3, "kind": "a"}
+    assert recording["detector_parameters"] == given
+
+
+def test_a_study_scores_the_reject_option_as_a_run_does(tmp_path: Path) -> None:
+    path = write_drive(tmp_path, unassigned_below=0.9)
+    out = ("--trials", 12, "--in-sample-only", "--jobs", 1, "--no-figures")
+    for name in ("accuracy", "false_switches_per_minute"):
+        done("tune", path, "--objective", name, *out, "--out", tmp_path / name)
+        study = json.loads((tmp_path / name / "drive" / "study.json").read_text())
+        run = run_experiment(tmp_path / name / "drive" / "best.yaml")
+        scores = run.scores["model"]
+        assert scores["coverage"] < 1
+        assert study["best"]["values"][name] == pytest.approx(scores[name])
+        assert study["in_sample"]["all_frames"]["accuracy"] == pytest.approx(scores["accuracy"])
+    said = refused("tune", path, "--set", "unassigned_below=0.5", *out, "--out", tmp_path / name)
+    assert "unassigned_below" in said
+
+
+def test_a_search_refuses_a_filter_that_looks_ahead(tmp_path: Path) -> None:
+    path = write_drive(tmp_path, 60, filter="fixed_lag", lag=3)
+    said = refused("tune", path, "--out", tmp_path / "out")
+    assert said.startswith(
+        f"{path}: filter: a search takes assumed_density or exact, not fixed_lag"
+    )
+
+
+def test_every_tuning_file_that_comes_along_can_be_read() -> None:
+    files = sorted((experiments_folder() / "tuning").glob("*.yaml"))
+    assert all(load_plan(file).experiments for file in files)

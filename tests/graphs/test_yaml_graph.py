@@ -32,6 +32,7 @@ from tests.kits.drives import done, refused, write_drive
 
 EXAMPLES = Path(__file__).parents[2] / "examples"
 
+
 #: The least that a graph has to say.
 SMALL = """
 nodes: {Lane: n_lanes, Seen: n_lanes}
@@ -315,3 +316,29 @@ def test_a_new_number_of_levels_compiles_the_network_anew() -> None:
     model = prepare_model(experiment)
     other = with_parameters(model, {**model.parameters, "wor_levels": 5})
     assert [m.compiled.groups[1].sizes for m in (model, other)] == [(3,), (5,)]
+
+
+def test_a_cycle_in_a_graph_in_yaml_is_refused_naming_two_of_its_nodes(tmp_path: Path) -> None:
+    (tmp_path / "g.yaml").write_text(
+        "nodes: {Lane: n_lanes, X: 2, Y: 2, DetectorOutput: n_lanes}\nhidden: [Lane, X, Y]\n"
+        "observed: [DetectorOutput]\nunused: [WOR]\n"
+        "edges: {within: [Lane -> DetectorOutput, X -> Y, Y -> X], across: [Lane -> Lane]}\n"
+        "tables:\n  Lane: {first: uniform, next: {identity: {of: Lane before}}}\n"
+        "  X: {identity: {of: Y}}\n  Y: {identity: {of: X}}\n"
+        "  DetectorOutput: {identity: {of: Lane}}\n"
+    )
+    said = refused("validate", write_drive(tmp_path, 20, graph="./g.yaml"))
+    assert "experiment.yaml: graph ./g.yaml: Y at t cannot depend on X at t" in said
+
+
+def test_a_table_function_that_does_not_exist_is_refused_with_a_suggestion(tmp_path: Path) -> None:
+    (tmp_path / "g.yaml").write_text(
+        "nodes: {Lane: n_lanes, DetectorOutput: n_lanes}\nhidden: [Lane]\n"
+        "observed: [DetectorOutput]\nunused: [WOR]\n"
+        "edges: {within: [Lane -> DetectorOutput], across: [Lane -> Lane]}\n"
+        "tables:\n  Lane: {first: uniform, next: {norml: {around: Lane before, sigma: 0.4}}}\n"
+        "  DetectorOutput: {identity: {of: Lane}}\n"
+    )
+    said = refused("run", write_drive(tmp_path, 20, graph="./g.yaml"), "--out", tmp_path / "out")
+    assert "graph ./g.yaml: tables.Lane.next: unknown table function 'norml'" in said
+    assert "(did you mean 'normal'?)" in said

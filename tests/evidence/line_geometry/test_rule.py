@@ -6,6 +6,7 @@ import math
 import warnings
 from dataclasses import replace
 from itertools import pairwise
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -21,11 +22,17 @@ from egolane_pgm.graphs import position_in_lane
 from egolane_pgm.inference.compile import compile_network
 from egolane_pgm.inference.filtering import filter_beliefs
 from egolane_pgm.parameters import Parameters, resolve_parameters
+from egolane_pgm.recordings.table import write_table
+from egolane_pgm.results import read_result
 from egolane_pgm.simulation import simulate
-from egolane_pgm.types import Evidence, InputError, LineLog
+from egolane_pgm.types import Evidence, FloatArray, InputError, LineLog
+from tests.conftest import needs_compiler
+from tests.kits.drives import done, short_drive
 from tests.reference import line_geometry as reference
 
 W = 3.6
+
+
 UNKNOWN = 49  # the first value of LineMotion that is no displacement
 
 
@@ -388,3 +395,94 @@ def test_a_table_may_be_nested_or_in_one_row() -> None:
     flat = [v for row in nested for v in row]
     assert resolved(rates=nested)["rates"] == resolved(rates=flat)["rates"]
     assert isinstance(line_geometry.evidence(line_log([[1.8]]), 3, resolved(rates=flat)), Evidence)
+
+
+ZERO_LABEL = Path(__file__).parents[3] / "experiments" / "zero_label.yaml"
+
+
+def log_of(offset_m: FloatArray, is_valid: bool = True) -> LineLog:
+    ids = np.arange(len(offset_m))
+    known = np.isfinite(offset_m)
+    return LineLog(
+        ids,
+        ids / 10.0,
+        offset_m,
+        known & is_valid,
+        np.zeros(offset_m.shape, dtype=bool),
+        np.full(offset_m.shape, 10.0),
+    )
+
+
+def belief_of(folder: Path, log: LineLog) -> tuple[FloatArray, str]:
+    """P(lane) of the model without labels, and what is said on standard error."""
+    write_table(folder / "lines.csv", log)
+    words = ("--recording", folder / "lines.csv", "--n-lanes", "3", "--no-figures")
+    ran = done("run", ZERO_LABEL, *words, "--out", folder / "result")
+    return read_result(folder / "result").marginals["Lane"], ran.stderr
+
+
+@needs_compiler
+def test_a_recording_in_which_no_width_can_be_told_is_run_with_the_usual_one(
+    tmp_path: Path,
+) -> None:
+    belief, said = belief_of(tmp_path, log_of(np.full((300, 1), -1.6)))
+    assert "no two lines in one frame" in said
+    assert "3.5 m is used" in said
+    np.testing.assert_allclose(belief.sum(axis=1), 1)
+    anywhere = np.random.default_rng(0).uniform(-9, 9, (600, 4))
+    belief, said = belief_of(tmp_path, log_of(anywhere))
+    assert "unsure" in said
+    assert "3.5 m is used" in said
+    np.testing.assert_allclose(belief.sum(axis=1), 1)
+
+
+@needs_compiler
+def test_lines_of_nan_or_at_exactly_zero_are_as_good_as_none(tmp_path: Path) -> None:
+    """Placeholders: a detector that has nothing to say writes them."""
+    given = np.zeros((200, 3))
+    given[::2] = np.nan
+    belief, _ = belief_of(tmp_path, log_of(given))
+    none, _ = belief_of(tmp_path, log_of(np.full((200, 3), np.nan)))
+    np.testing.assert_array_equal(belief, none)
+    assert np.isfinite(belief).all()
+
+
+@needs_compiler
+def test_placeholders_beside_lines_change_nothing(tmp_path: Path) -> None:
+    drive = short_drive(200).log
+    alone, _ = belief_of(tmp_path, drive)
+    offset = np.concatenate([drive.offset_m, np.zeros((200, 1)), np.full((200, 1), np.nan)], axis=1)
+    more = LineLog(
+        drive.frame_id,
+        drive.time_s,
+        offset,
+        np.concatenate([drive.is_valid, np.ones((200, 1), bool), np.zeros((200, 1), bool)], axis=1),
+        np.concatenate([drive.is_continuous, np.zeros((200, 2), bool)], axis=1),
+        np.concatenate([drive.lri, np.full((200, 2), 10.0)], axis=1),
+    )
+    with_them, _ = belief_of(tmp_path, more)
+    np.testing.assert_array_equal(with_them, alone)
+
+
+@needs_compiler
+def test_a_jump_of_frame_ids_diffuses_the_belief_by_the_frames_that_are_missing(
+    tmp_path: Path,
+) -> None:
+    """As if the missing frames were there and said nothing, which `predict` puts in."""
+    drive = short_drive(200).log
+    kept = np.ones(200, dtype=bool)
+    kept[100:105] = False
+    write_table(tmp_path / "lines.csv", drive.take(kept))
+    words = ("--recording", tmp_path / "lines.csv", "--n-lanes", "3", "--no-figures")
+    belief = {}
+    for missing in ("skip", "predict"):
+        out = tmp_path / missing
+        done(
+            "run", ZERO_LABEL, *words, "--set", f"recording.missing_frames={missing}", "--out", out
+        )
+        result = read_result(out)
+        belief[missing] = dict(zip(result.frame_id.tolist(), result.marginals["Lane"], strict=True))
+    ids = drive.frame_id
+    assert len(belief["predict"]) == len(belief["skip"]) + 5
+    for t in (99, 105, 106, 150):
+        np.testing.assert_allclose(belief["skip"][ids[t]], belief["predict"][ids[t]], atol=1e-6)

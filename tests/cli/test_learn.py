@@ -1,0 +1,125 @@
+"""The command `egolane learn`."""
+
+from __future__ import annotations
+
+import json
+import warnings
+from pathlib import Path
+
+import numpy as np
+import pytest
+import yaml
+
+from egolane_pgm.compare.placing import load_for_scoring, on_recording
+from egolane_pgm.experiment import load_experiment
+from egolane_pgm.learn import output
+from egolane_pgm.loading import load_recording
+from egolane_pgm.recordings.ground_truth import write_ground_truth
+from egolane_pgm.types import LaneTruth
+from tests.kits.drives import command, contents, done, refused, write_drive
+from tests.kits.synthetic_road import write_place
+
+
+def test_what_is_learned_elsewhere_reads_the_same_folder_and_camera(
+    labelled: Path, tmp_path: Path
+) -> None:
+    target = tmp_path / "new" / "folder" / "learned.yaml"
+    done("learn", labelled, "--out", target)
+    content = yaml.safe_load(target.read_text())
+    assert content["recording"]["path"] == "../../drive/labels"
+    assert content["recording"]["camera"] == "../../drive/cam.yaml"
+    assert content["ground_truth"]["path"] == "../../drive/t.txt"
+    found = load_recording(load_experiment(target)).log
+    np.testing.assert_array_equal(
+        found.offset_m, load_recording(load_experiment(labelled)).log.offset_m
+    )
+
+
+def test_learning_does_not_write_over_what_the_experiment_reads(tmp_path: Path) -> None:
+    done("learn", write_drive(tmp_path, graph="lane_only"), "--out", tmp_path / "one.yaml")
+    done("learn", tmp_path / "one.yaml", "--out", tmp_path / "two.yaml")
+    before = contents(tmp_path)
+    graph = tmp_path / "one.graph.yaml"
+    said = refused("learn", tmp_path / "one.yaml", "--out", graph)
+    assert said == f"{graph}: is read by {tmp_path / 'one.yaml'}; name another with --out"
+    graph = tmp_path / "two.graph.yaml"
+    said = refused(
+        "learn", tmp_path / "one.yaml", "--set", f"graph={graph}", "--out", tmp_path / "two.yaml"
+    )
+    assert said.startswith(f"{graph}: is read by ")
+    assert contents(tmp_path) == before
+
+
+def test_learning_no_table_at_all_is_refused(tmp_path: Path) -> None:
+    experiment = write_drive(tmp_path, 30, learning={"tables": []})
+    assert "learning.tables: names no table; leave it out to learn all of " in refused(
+        "learn", experiment
+    )
+
+
+def test_what_was_learned_is_said_where_its_files_cannot_be_written(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def full(path: Path, *_: object) -> None:
+        raise output.InputError(f"{path}: cannot be written: No space left on device")
+
+    monkeypatch.setattr(output, "write_yaml", full)
+    result = command(
+        "learn", write_drive(tmp_path, graph="lane_only"), "--out", tmp_path / "one.yaml"
+    )
+    assert result.exit_code == 2
+    assert "held out, 5 blocks" in result.stdout
+    assert "No space left on device" in result.stderr
+
+
+def test_learning_from_evidence_that_cannot_be_is_one_line(tmp_path: Path) -> None:
+    path = write_drive(tmp_path, graph="lane_only", evidence="never.py")
+    (tmp_path / "never.py").write_text(
+        "import numpy as np\nfrom egolane_pgm.types import Evidence\n"
+        "def evidence(log, n_lanes, parameters):\n"
+        "    return Evidence({'DetectorOutput': np.zeros((len(log), n_lanes))})\n"
+    )
+    with warnings.catch_warnings():
+        warnings.simplefilter("error", RuntimeWarning)
+        said = refused("learn", path, "--out", tmp_path / "new.yaml")
+    assert "frames to learn from can be under graph lane_only" in said
+    assert not (tmp_path / "new.yaml").exists()
+
+
+def test_learn_and_compare_agree_on_what_is_found_beside_a_choice(tmp_path: Path) -> None:
+    choice = {"grid": {"bonus_value": [0, 3]}}
+    path = write_drive(tmp_path, graph="lane_only", fit="choose", choice=choice)
+    said = done("learn", path, "--out", tmp_path / "new.yaml", "--json", tmp_path / "a.json").stdout
+    assert "chosen on all blocks: bonus_value" in said
+    assert "nothing else is learned" in said
+    new = load_experiment(tmp_path / "new.yaml")
+    assert new.graph == "lane_only"
+    assert new.parameters["bonus_value"] in (0, 3)
+    assert not (tmp_path / "new.graph.yaml").exists()
+    assert json.loads((tmp_path / "a.json").read_text())["held_out"] is None
+    done("run", tmp_path / "new.yaml", "--no-figures", "--out", tmp_path / "out")
+    said = done(
+        "learn", path, "--set", "learning.strength=100", "--out", tmp_path / "t.yaml"
+    ).stdout
+    assert "held out, 5 blocks" in said
+    assert (tmp_path / "t.graph.yaml").exists()
+    said = done("learn", path, "--set", "fit=learn", "--out", tmp_path / "u.yaml").stdout
+    assert "held out, 5 blocks" in said
+
+
+def test_a_videos_own_frame_rate_counts_wherever_it_is_scored(tmp_path: Path) -> None:
+    folder = write_place(tmp_path, 12)
+    lane, is_crossing = np.full(12, 2), np.zeros(12, dtype=bool)
+    write_ground_truth(folder / "t.txt", LaneTruth(np.arange(12), lane, is_crossing))
+    path = folder / "run.yaml"
+    truth = {"ground_truth": {"path": "t.txt"}, "graph": "lane_only"}
+    path.write_text(yaml.safe_dump({**yaml.safe_load(path.read_text()), **truth}))
+    own = load_experiment(path)
+    placed = on_recording(load_experiment(write_drive(tmp_path / "m", 30)), own)
+    for drive in (load_for_scoring(own), load_for_scoring(placed)):
+        assert drive.experiment.recording.frame_rate == 12.5
+        assert not any("frames per second" in note for note in drive.recorded.notes)
+    done("learn", path, "--blocks", 2, "--out", folder / "new.yaml")
+    assert load_experiment(folder / "new.yaml").recording.frame_rate == 12.5
+    told = on_recording(own, load_experiment(path, ["recording.frame_rate=25"]))
+    assert load_for_scoring(told).experiment.recording.frame_rate == 25

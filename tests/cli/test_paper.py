@@ -1,0 +1,66 @@
+"""The commands `reproduce` and `recover`."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+
+from egolane_pgm.recordings import catalog
+from egolane_pgm.tune.recover import Recovered
+from tests.conftest import needs_compiler
+from tests.kits.drives import done
+
+
+@needs_compiler
+def test_recover_writes_into_the_published_file_on_request_only(
+    recordings: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    stored: list[tuple[int, Recovered, str]] = []
+
+    def store(number: int, found: Recovered, how: str) -> None:
+        stored.append((number, found, how))
+
+    monkeypatch.setattr("egolane_pgm.tune.recover.store_recovered", store)
+    words = ("recover", "--run", "9", "--evaluations", "2", "--seed", "3")
+    done(*words)
+    assert stored == []
+    shown = done(*words, "--write").stdout
+    assert [(number, how[-6:]) for number, _, how in stored] == [(9, "seed 3")]
+    assert "published.yaml" in shown
+
+
+def answer(text: str) -> Callable[..., bool]:
+    def confirm(question: str) -> bool:
+        assert question.startswith("Download the paper's recordings (18 MB) to ")
+        return text == "y"
+
+    return confirm
+
+
+@pytest.mark.parametrize("reply", ["y", "n"])
+def test_the_download_is_offered_where_somebody_can_answer(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, reply: str
+) -> None:
+    fetched: list[bool] = []
+
+    def fetch() -> list[catalog.Outcome]:
+        fetched.append(True)
+        file = catalog.list_files()[0]
+        return [catalog.Outcome(file, tmp_path / "x", "failed", "the server is down")]
+
+    monkeypatch.delenv("EGOLANE_DATA", raising=False)
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
+    monkeypatch.setattr("egolane_pgm.cli.recordings.sys.stdin", Terminal())
+    monkeypatch.setattr("egolane_pgm.cli.recordings.click.confirm", answer(reply))
+    monkeypatch.setattr(catalog, "fetch", fetch)
+    from egolane_pgm.cli.recordings import have_recordings
+
+    assert not have_recordings()
+    assert len(fetched) == (reply == "y")
+
+
+class Terminal:
+    def isatty(self) -> bool:
+        return True

@@ -1,0 +1,144 @@
+"""The commands `ls`, `validate`, `plot` and `network`."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import pytest
+import yaml
+
+from egolane_pgm.paper import experiments_folder, paper_experiment
+from tests.kits.drives import (
+    done,
+    refused,
+    write_drive,
+    write_experiment,
+)
+from tests.kits.synthetic_road import write_place
+
+EXAMPLES = Path(__file__).parents[2] / "examples"
+
+
+@pytest.fixture(scope="module")
+def drive(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return write_drive(tmp_path_factory.mktemp("drive"))
+
+
+def run(drive: Path, folder: Path, *words: object) -> dict[str, object]:
+    """What `--json` says of `egolane run` with these words."""
+    target = folder / "run.json"
+    done("run", drive, "--no-figures", "--out", folder / "out", "--json", target, *words)
+    content = json.loads(target.read_text())
+    assert isinstance(content, dict)
+    return content
+
+
+def test_several_results_make_one_sheet(drive: Path, tmp_path: Path) -> None:
+    run(drive, tmp_path / "a")
+    run(drive, tmp_path / "b", "--set", "parameters.bonus_value=0", "--set", "name=b")
+    (tmp_path / "b" / "out").rename(tmp_path / "b" / "none")
+    shown = done("plot", tmp_path / "a/out", tmp_path / "b/none", "--out", tmp_path / "figures")
+    figures = {str(Path(line).relative_to(tmp_path / "figures")) for line in shown.stdout.split()}
+    assert {"dispersion.png", "bonus_ablation.png", "out/strips.png", "none/strips.png"} <= figures
+    assert all((tmp_path / "figures" / name).is_file() for name in figures)
+
+
+def test_every_experiment_of_the_paper_validates(recordings: Path) -> None:
+    paths = [paper_experiment(number) for number in range(1, 11)]
+    lines = done("validate", *paths).stdout.splitlines()
+    assert [line.partition(":")[0] for line in lines] == [str(path) for path in paths]
+    assert lines[0].endswith("ok (4 lanes, 8 joint states)")
+    assert lines[9].endswith("ok (3 lanes, 6 joint states)")
+
+
+def test_validate_says_which_recording_is_not_there(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.delenv("EGOLANE_DATA", raising=False)
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
+    assert "recording.path: rle/special" in refused("validate", paper_experiment(1))
+
+
+def test_ls_lists_what_there_is(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(experiments_folder().parent)
+    shown = done("ls").stdout
+    assert "sensor_failure, three_sensor_states, wor_direct, wor_levels, wor_on_lane" in shown
+    assert "simulations: a2, a4, quickstart" in shown
+    assert "experiments/quickstart.yaml  simulated drive of two minutes" in shown
+    assert len([line for line in shown.splitlines() if "paper/run" in line]) == 10
+    assert "published" not in shown
+
+
+@pytest.mark.parametrize("graph", ["wor_on_lane", str(EXAMPLES / "my_graph.py")])
+def test_a_graph_is_drawn_by_name_or_file(tmp_path: Path, graph: str) -> None:
+    target = tmp_path / "graph.svg"
+    assert done("network", graph, target, "--n-lanes", "2").stdout == f"{target}\n"
+    assert "SensorState" in target.read_text()
+
+
+def test_a_graph_that_cannot_be_built_is_refused(tmp_path: Path) -> None:
+    (tmp_path / "g.py").write_text("HIDDEN = OBSERVED = ()\ndef build(n, p):\n    return n.x\n")
+    said = refused("network", tmp_path / "g.py", tmp_path / "g.svg")
+    assert "g.py, line 3: AttributeError" in said
+    assert "a figure ends in .png, .svg, .pdf" in refused("network", "no_wor", tmp_path / "g.txt")
+
+
+def test_validate_knows_simulated_drives(tmp_path: Path) -> None:
+    experiment = write_experiment(tmp_path / "e.yaml", recording={"simulate": "quikstart"})
+    said = refused("validate", experiment)
+    assert "recording.simulate: unknown preset 'quikstart' (did you mean 'quickstart'?)" in said
+
+
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        ("a: b: c\n", "is not YAML"),
+        ("- 1\n", "needs keys and values"),
+        ("", "needs keys and values"),
+        ("recording: {simulate: a4}\nn_lanes: 3\n", "name: is missing"),
+        ("name: a\nrecording: 5\nn_lanes: 3\n", "recording: input should be"),
+    ],
+)
+def test_a_file_that_is_no_experiment_is_refused(tmp_path: Path, text: str, said: str) -> None:
+    (tmp_path / "e.yaml").write_text(text)
+    assert refused("validate", tmp_path / "e.yaml").startswith(f"{tmp_path / 'e.yaml'}: {said}")
+
+
+@pytest.mark.parametrize("override", ["n_lanes", "=3", "a..b=1", "parameters.p1=[", "n_lanes.x=1"])
+def test_an_override_that_is_none_is_refused(tmp_path: Path, override: str) -> None:
+    experiment = write_drive(tmp_path, 20)
+    assert refused("validate", experiment, "--set", override).startswith(f"--set {override}: ")
+
+
+def test_tuning_files_are_listed_and_checked(tmp_path: Path) -> None:
+    said = done("ls").stdout
+    assert "tuning files" in said
+    assert "all_italy.yaml" in said.partition("tuning files")[2]
+    assert "all_italy.yaml" not in said.partition("tuning files")[0]
+    write_drive(tmp_path, 60)
+    path = tmp_path / "tuning.yaml"
+
+    def write(**tuning: object) -> None:
+        content = {"name": "both", "experiments": ["experiment.yaml"], "tuning": tuning}
+        path.write_text(yaml.safe_dump(content))
+
+    write(parameters={"p1": 0.9})
+    assert f"{path}: ok (1 experiment(s), " in done("validate", path).stdout
+    write(parameters={"p11": 0.9})
+    assert f"{path}: tuning.parameters" in refused("validate", path)
+    write(objective="acuracy")
+    assert "did you mean 'accuracy'" in refused("validate", path)
+    write(parameters={"p1": 0.9})
+    (tmp_path / "lines.csv").unlink()
+    assert "recording.path: lines.csv: no such file" in refused("validate", path)
+
+
+def test_only_a_recording_that_is_missing_is_said_to_be_fetched(tmp_path: Path) -> None:
+    path = write_place(tmp_path, 2) / "run.yaml"
+    said = refused("validate", path, "--set", "recording.camera=none.yaml")
+    assert "recording.camera: none.yaml: no such file" in said
+    assert "data fetch" not in said
+    assert "data fetch" not in refused("validate", path, "--set", "recording.path=none.mp4")
+    bare = write_drive(tmp_path / "x", 30)
+    assert "run `egolane data fetch`" in refused("validate", bare, "--set", "recording.path=no.csv")
