@@ -28,7 +28,7 @@ from egolane_pgm.files import (
 )
 from egolane_pgm.recordings import read_lines, write_lines
 from egolane_pgm.recordings.ground_truth import read_ground_truth, write_ground_truth
-from egolane_pgm.report.style import save
+from egolane_pgm.report.style import write_figure
 from egolane_pgm.results import write_result
 from egolane_pgm.simulation import simulate
 from egolane_pgm.types import InputError
@@ -38,10 +38,6 @@ DRIVE = simulate("quickstart", frames=60)
 OTHER = simulate("quickstart", seed=1, frames=300)
 CAMERA = Camera(64, 48, 50.0, 50.0, 32.0, 24.0, height_m=1.3)
 PICTURE = np.full((48, 64, 3), 7, dtype=np.uint8)
-
-
-def write_figure(path: Path) -> None:
-    save(Figure(), path)
 
 
 #: What writes each kind of file.
@@ -54,7 +50,7 @@ WRITERS: dict[str, Callable[[Path], object]] = {
     "x.yaml": lambda path: write_yaml(path, {"a": 1}),
     "camera.yaml": lambda path: write_camera(path, CAMERA),
     "picture.png": lambda path: write_picture(path, PICTURE),
-    "figure.png": write_figure,
+    "figure.png": lambda path: write_figure(Figure, path),
 }
 
 

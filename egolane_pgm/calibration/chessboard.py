@@ -12,7 +12,7 @@ import cv2
 import numpy as np
 
 from egolane_pgm.camera.picture import Image
-from egolane_pgm.camera.pictures import readable, size_of
+from egolane_pgm.camera.pictures import read_images, size_of
 from egolane_pgm.types import FloatArray, InputError
 
 #: With fewer boards the distortion would be left to chance.
@@ -105,7 +105,7 @@ def calibrate_lens(
     paths = list(paths)
     skipped: list[str] = []
     found: list[tuple[Path, tuple[int, int], FloatArray | None, str]] = []
-    for path, image in readable(paths, skipped):
+    for path, image in read_images(paths, skipped):
         corners = find_board(image, columns, rows)
         why = "" if corners is not None else _seen_in_part(image, columns, rows)
         found.append((path, size_of(image), corners, why))
@@ -166,3 +166,14 @@ def _solve(
         rms_px=tuple(float(value) for value in rms.flat),
         skipped=tuple(skipped),
     )
+
+
+def describe_lens(lens: Lens, board: str) -> list[str]:
+    """Describes a lens in lines of text. board: its inner corners, e.g. "9x6"."""
+    n_pictures = len(lens.boards) + len(lens.skipped)
+    best, worst = min(lens.rms_px), max(lens.rms_px)
+    return [
+        f"Lens: {len(lens.boards)} chessboards ({board} inner corners) of {n_pictures} pictures,"
+        f" {lens.overall_rms_px:.2f} px RMS",
+        f"  ({best:.2f} to {worst:.2f} px from board to board).",
+    ]

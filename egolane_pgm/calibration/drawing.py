@@ -3,18 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from pathlib import Path
 
 import cv2
 import numpy as np
 
-from egolane_pgm.calibration.chessboard import Lens
 from egolane_pgm.calibration.straight_road import RoadView, from_level_to_image, to_level
-from egolane_pgm.camera import writing as picture_files
 from egolane_pgm.camera.model import image_to_road, road_to_image
 from egolane_pgm.camera.picture import Image
-from egolane_pgm.files import make_directory
-from egolane_pgm.types import FloatArray, InputError
+from egolane_pgm.types import FloatArray
 
 Colour = tuple[int, int, int]
 
@@ -23,9 +19,6 @@ _FOUND, _HORIZON, _LANE, _METRE = (167, 121, 204), (233, 180, 86), (0, 159, 230)
 
 #: The part of the road that is drawn: from and to, metres ahead, and metres to either side.
 _NEAR, _FAR, _BESIDE = 4.0, 60.0, 9
-
-#: Extensions of the pictures that can be written.
-PICTURES = (".png", ".jpg", ".jpeg")
 
 _FONT = cv2.FONT_HERSHEY_SIMPLEX
 
@@ -46,7 +39,7 @@ def draw_view(image: Image, view: RoadView, lines: Sequence[FloatArray]) -> Imag
         _draw_road(canvas, view, np.full_like(across, x), across, _METRE, 1)
         at = _to_picture(view, np.array([float(x)]), np.array([0.0]))
         if np.isfinite(at).all() and x <= 30:
-            _say(canvas, f"{x} m", at[0], _METRE)
+            _write(canvas, f"{x} m", at[0], _METRE)
     start = _left_line(view, lines)
     for k in range(-3, 4):
         y = start + k * view.lane_width_m
@@ -68,18 +61,6 @@ def _left_line(view: RoadView, lines: Sequence[FloatArray]) -> float:
         if near.any():
             offsets.append(float(np.median(y[near])))
     return max((y for y in offsets if y < 0), default=-view.lane_width_m / 2)
-
-
-def straightness(view: RoadView, lines: Sequence[FloatArray]) -> float:
-    """How far the lines of a still leave the direction of travel: the median over its lines,
-    metres; infinite with fewer than two lines."""
-    strays = []
-    for points in lines:
-        x, y = image_to_road(view.camera, points[:, 0], points[:, 1])
-        near = np.isfinite(y) & (x < 40)
-        if near.sum() >= 5:
-            strays.append(float(np.median(np.abs(y[near] - np.median(y[near])))))
-    return float(np.median(strays)) if len(strays) >= 2 else float("inf")
 
 
 def _to_picture(view: RoadView, x: FloatArray, y: FloatArray) -> FloatArray:
@@ -114,58 +95,10 @@ def _draw_horizon(canvas: Image, view: RoadView) -> None:
     at = np.stack(from_level_to_image(camera, view.ahead), axis=-1)
     place = tuple(int(value) for value in np.rint(at))
     cv2.drawMarker(canvas, place, _HORIZON, cv2.MARKER_CROSS, 25, 2)
-    _say(canvas, "horizon", at + np.array([14, -8]), _HORIZON)
+    _write(canvas, "horizon", at + np.array([14, -8]), _HORIZON)
 
 
-def _say(canvas: Image, text: str, at: FloatArray, colour: Colour) -> None:
+def _write(canvas: Image, text: str, at: FloatArray, colour: Colour) -> None:
     place = (int(at[0]) + 3, int(at[1]) - 3)
     cv2.putText(canvas, text, place, _FONT, 0.5, (0, 0, 0), 3, cv2.LINE_AA)
     cv2.putText(canvas, text, place, _FONT, 0.5, colour, 1, cv2.LINE_AA)
-
-
-def check_picture_name(path: str | Path) -> None:
-    """Raises InputError for a name without the extension of a picture that can be written."""
-    if Path(path).suffix.lower() not in PICTURES:
-        raise InputError(f"{path}: a picture's name ends in {' or '.join(PICTURES)}")
-
-
-def write_picture(path: str | Path, image: Image) -> None:
-    """Writes an image and makes its folder. Raises InputError where it cannot be written."""
-    check_picture_name(path)
-    make_directory(Path(path).parent)
-    picture_files.write_picture(Path(path), image)
-
-
-def lens_words(lens: Lens, board: str) -> list[str]:
-    """Lines about a lens from chessboards."""
-    n_pictures = len(lens.boards) + len(lens.skipped)
-    best, worst = min(lens.rms_px), max(lens.rms_px)
-    return [
-        f"Lens: {len(lens.boards)} chessboards ({board} inner corners) of {n_pictures} pictures,"
-        f" {lens.overall_rms_px:.2f} px RMS",
-        f"  ({best:.2f} to {worst:.2f} px from board to board).",
-    ]
-
-
-def assumed_words(field_of_view_deg: float) -> list[str]:
-    """Lines about a lens that nobody has measured."""
-    return [
-        f"Lens: not measured; a horizontal field of view of {field_of_view_deg:g} degrees assumed,"
-        " no distortion",
-        "  (offsets hardly depend on it, distances ahead do).",
-    ]
-
-
-def road_words(view: RoadView, what: str) -> list[str]:
-    """Lines about the view of the road; what: the lines used, e.g. '55 labelled frames'."""
-    u, v = view.vanishing_point
-    du, dv = view.spread_px
-    lanes = view.gaps_m[view.is_lane]
-    return [
-        f"Road: {what}.",
-        f"  They meet at ({u:.1f}, {v:.1f}) px of the undistorted picture, give or take"
-        f" ({du:.1f}, {dv:.1f}) px in {len(view.vanishing_points)} frames.",
-        f"Height: from a lane width of {view.lane_width_m:g} m; {len(lanes)} of"
-        f" {len(view.gaps_m)} gaps between neighbouring lines are lanes",
-        f"  (standard deviation {np.std(lanes):.2f} m; those near the car count most).",
-    ]

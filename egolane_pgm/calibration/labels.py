@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from egolane_pgm.camera.pictures import read_picture, size_of
+from egolane_pgm.camera.pictures import read_image, size_of
 from egolane_pgm.recordings.tusimple import entry_lines, read_entries
 from egolane_pgm.types import FloatArray, InputError
 
@@ -59,7 +59,7 @@ def check_size(size: tuple[int, int], frames: list[dict[str, Any]], labels: Path
     for frame in frames:
         try:
             picture = label_picture(frame, labels)
-            seen = size_of(read_picture(picture))
+            seen = size_of(read_image(picture))
         except InputError:
             continue
         if seen != size:
@@ -81,7 +81,7 @@ def size_of_pictures(frames: list[dict[str, Any]], labels: Path) -> tuple[int, i
     sizes: dict[tuple[int, int], Path] = {}
     for frame in frames:
         picture = label_picture(frame, labels)
-        sizes.setdefault(size_of(read_picture(picture)), picture)
+        sizes.setdefault(size_of(read_image(picture)), picture)
     if len(sizes) > 1:
         said = ", ".join(f"{path} {w}x{h}" for (w, h), path in list(sizes.items())[:2])
         raise InputError(f"{labels}: its pictures differ in size: {said}")

@@ -27,7 +27,7 @@ from egolane_pgm.calibration.straight_road import (
 )
 from egolane_pgm.camera.model import Camera
 from egolane_pgm.camera.picture import Image
-from egolane_pgm.camera.pictures import read_picture, readable, size_of
+from egolane_pgm.camera.pictures import read_image, read_images, size_of
 from egolane_pgm.types import BoolArray, FloatArray, InputError
 
 #: The fan: the largest offset to either side and the step, in heights of the camera; and its rows.
@@ -325,7 +325,7 @@ def find_in_stills(
     mask = seen_mask(camera)
     skipped: list[str] = []
     used, straight = [], []
-    for path, image in readable(progress(paths), skipped):
+    for path, image in read_images(progress(paths), skipped):
         width, height = size_of(image)
         if (width, height) != (camera.width, camera.height):
             skipped.append(f"{path}: {width}x{height}, needs {camera.width}x{camera.height}")
@@ -338,7 +338,7 @@ def find_in_stills(
     fits, lines = [], []
     for path, point in zip(progress(used), each, strict=True):
         about = point if np.isfinite(point).all() else ahead
-        found = find_lines(camera, read_picture(path), mask, about)
+        found = find_lines(camera, read_image(path), mask, about)
         lines.append(found)
         rays = [to_level(camera, line[:, 0], line[:, 1]) for line in found]
         fit = fit_frame(rays, float(ahead[1]))

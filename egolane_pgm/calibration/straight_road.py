@@ -338,3 +338,39 @@ def _offsets(turned: Camera, ahead: FloatArray, fit: FrameFit) -> FloatArray:
     """The offsets (L,) of a frame's lines, in heights of the camera."""
     below = np.stack([ahead[0] + fit.slope * 0.2, np.full_like(fit.slope, ahead[1] + 0.2)], axis=-1)
     return image_to_road(turned, *from_level(turned, below), undistorted=True)[1]
+
+
+def deviation_m(view: RoadView, lines: Sequence[FloatArray]) -> float:
+    """How far the lines of a still leave the direction of travel: the median over its lines,
+    metres; infinite with fewer than two lines."""
+    strays = []
+    for points in lines:
+        x, y = image_to_road(view.camera, points[:, 0], points[:, 1])
+        near = np.isfinite(y) & (x < 40)
+        if near.sum() >= 5:
+            strays.append(float(np.median(np.abs(y[near] - np.median(y[near])))))
+    return float(np.median(strays)) if len(strays) >= 2 else float("inf")
+
+
+def describe_assumed_lens(field_of_view_deg: float) -> list[str]:
+    """Describes a lens that was not measured in lines of text."""
+    return [
+        f"Lens: not measured; a horizontal field of view of {field_of_view_deg:g} degrees assumed,"
+        " no distortion",
+        "  (offsets hardly depend on it, distances ahead do).",
+    ]
+
+
+def describe_view(view: RoadView, what: str) -> list[str]:
+    """Describes a view in lines of text. what: the lines used, e.g. "55 labelled frames"."""
+    u, v = view.vanishing_point
+    du, dv = view.spread_px
+    lanes = view.gaps_m[view.is_lane]
+    return [
+        f"Road: {what}.",
+        f"  They meet at ({u:.1f}, {v:.1f}) px of the undistorted picture, give or take"
+        f" ({du:.1f}, {dv:.1f}) px in {len(view.vanishing_points)} frames.",
+        f"Height: from a lane width of {view.lane_width_m:g} m; {len(lanes)} of"
+        f" {len(view.gaps_m)} gaps between neighbouring lines are lanes",
+        f"  (standard deviation {np.std(lanes):.2f} m; those near the car count most).",
+    ]

@@ -213,9 +213,14 @@ def _file_images(source: Source, frames: tuple[int, int] | None) -> Iterator[tup
 
 
 def read_image(path: Path) -> Image:
-    """A picture file as (H, W, 3), blue green red. Raises InputError where it is none."""
+    """Reads a picture file as (H, W, 3), blue green red.
+
+    Raises InputError for a file that is missing or is no picture.
+    """
     try:
         content = np.fromfile(path, dtype=np.uint8)
+    except FileNotFoundError:
+        raise InputError(f"{path}: is missing") from None
     except OSError as error:
         raise InputError(f"{path}: cannot be read: {error.strerror}") from None
     try:
@@ -228,8 +233,11 @@ def read_image(path: Path) -> Image:
     return image  # type: ignore[return-value]
 
 
-def matching(pattern: str) -> list[Path]:
-    """The files that match a pattern such as `boards/*.jpg`, or all files of a folder, sorted."""
+def files_matching(pattern: str) -> list[Path]:
+    """The files that match a pattern such as `boards/*.jpg`, or all files of a folder, sorted.
+
+    Raises InputError if there are none.
+    """
     if Path(pattern).is_file():
         return [Path(pattern)]
     whole = str(Path(glob.escape(pattern)) / "*") if Path(pattern).is_dir() else pattern
@@ -240,22 +248,16 @@ def matching(pattern: str) -> list[Path]:
     return files
 
 
-def read_picture(path: Path) -> Image:
-    """A picture (H, W, 3), blue green red. InputError for a file that is none."""
-    if not path.exists():
-        raise InputError(f"{path}: is missing")
-    return read_image(path)
-
-
-def readable(paths: Iterable[Path], skipped: list[str]) -> Iterator[tuple[Path, Image]]:
-    """Each picture in turn; those that are none are left out and reported in `skipped`."""
+def read_images(paths: Iterable[Path], skipped: list[str]) -> Iterator[tuple[Path, Image]]:
+    """Reads picture files in turn; a file that is no picture is left out and reported in
+    `skipped`."""
     for path in paths:
         try:
-            yield path, read_picture(path)
+            yield path, read_image(path)
         except InputError as error:
             skipped.append(str(error))
 
 
 def size_of(image: Image) -> tuple[int, int]:
-    """Width, height."""
+    """Width and height of an image, pixels."""
     return image.shape[1], image.shape[0]

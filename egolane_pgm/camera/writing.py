@@ -16,6 +16,9 @@ from egolane_pgm.camera.picture import Image
 from egolane_pgm.files import check_name, temporary_name, write_bytes
 from egolane_pgm.types import InputError
 
+#: Extensions of the pictures that a user may name.
+PICTURES = (".png", ".jpg", ".jpeg")
+
 #: The codec that every build of OpenCV can write.
 CODEC = "mp4v"
 
@@ -28,11 +31,25 @@ class NotKeptError(InputError):
     """A video that was written cannot be read in full; the message says how much is left."""
 
 
-def write_picture(file: Path, image: Image, options: Sequence[int] = ()) -> None:
-    """Write a picture (H, W, 3), blue green red, in the format of its ending; the file is the whole
-    picture or not there. Raises InputError where it cannot be written."""
+def check_picture_name(path: str | Path) -> None:
+    """Raises InputError for a name without an extension in `PICTURES`."""
+    if Path(path).suffix.lower() not in PICTURES:
+        raise InputError(f"{path}: a picture's name ends in {' or '.join(PICTURES)}")
+
+
+def write_picture(
+    file: Path, image: Image, options: Sequence[int] = (), *, make_folder: bool = False
+) -> None:
+    """Writes a picture in the format of its extension, whole or not at all.
+
+    - image: (H, W, 3), blue green red
+    - options: of OpenCV's imencode
+    - make_folder: whether missing folders are made
+
+    Raises InputError where it cannot be written.
+    """
     content = cv2.imencode(file.suffix, image, list(options))[1]
-    write_bytes(file, content.tobytes())
+    write_bytes(file, content.tobytes(), make_folder=make_folder)
 
 
 @contextlib.contextmanager

@@ -9,15 +9,9 @@ from pathlib import Path
 import click
 from tqdm import tqdm
 
-from egolane_pgm.calibration.chessboard import calibrate_lens
+from egolane_pgm.calibration.chessboard import calibrate_lens, describe_lens
 from egolane_pgm.calibration.drawing import (
-    assumed_words,
-    check_picture_name,
     draw_view,
-    lens_words,
-    road_words,
-    straightness,
-    write_picture,
 )
 from egolane_pgm.calibration.labels import (
     check_size,
@@ -32,11 +26,15 @@ from egolane_pgm.calibration.straight_road import (
     RoadView,
     assumed_camera,
     check_lane_width,
+    describe_assumed_lens,
+    describe_view,
+    deviation_m,
     view_from,
     view_of_road,
 )
 from egolane_pgm.camera.model import Camera, write_camera
-from egolane_pgm.camera.pictures import matching, read_picture, readable, size_of
+from egolane_pgm.camera.pictures import files_matching, read_image, read_images, size_of
+from egolane_pgm.camera.writing import check_picture_name, write_picture
 from egolane_pgm.files import check_not_read, check_place
 from egolane_pgm.types import FloatArray, InputError
 
@@ -143,7 +141,7 @@ def calibrate(
         view, what, shown = _from_stills(camera, stills, first, lane_width, seed)
     else:
         view, what, shown = _from_labels(camera, str(lines), first, lane_width)
-    words += road_words(view, what)
+    words += describe_view(view, what)
     if roll:
         words.append(f"Roll: {roll:g} degrees, given.")
     write_camera(target, view.camera, "\n".join(["Made by `egolane calibrate`.", *words]))
@@ -194,7 +192,7 @@ def _check_not_read(place: Path, patterns: Sequence[str | None], lines: str | No
 def _matching_or_none(pattern: str) -> list[Path]:
 
     try:
-        return matching(pattern)
+        return files_matching(pattern)
     except InputError:
         return []
 
@@ -211,7 +209,7 @@ def _known_size(
         check_size(given, labels, Path(lines))
         return given
     skipped: list[str] = []
-    for _, image in readable(matching(str(stills))[:first], skipped):
+    for _, image in read_images(files_matching(str(stills))[:first], skipped):
         return size_of(image)
     raise InputError(f"{stills}: no picture among {len(skipped)} files; {skipped[0]}")
 
@@ -222,10 +220,10 @@ def _lens(
 
     if not chessboards:
         degrees = ASSUMED_FIELD_OF_VIEW if field_of_view is None else field_of_view
-        return assumed_camera(*size, degrees), assumed_words(degrees)
+        return assumed_camera(*size, degrees), describe_assumed_lens(degrees)
 
     columns, rows = _size(board, "--board")
-    lens = calibrate_lens(_progress(matching(chessboards), "chessboards"), columns, rows)
+    lens = calibrate_lens(_progress(files_matching(chessboards), "chessboards"), columns, rows)
     _say_skipped(lens.skipped)
     for name, rms in zip(lens.boards, lens.rms_px, strict=True):
         click.echo(f"{name}: {rms:.2f} px RMS")
@@ -244,7 +242,7 @@ def _lens(
         height_m=1.0,
         distortion=lens.distortion,
     )
-    return camera, lens_words(lens, board)
+    return camera, describe_lens(lens, board)
 
 
 #: A view, the words for its lines, and per picture the points of its lines.
@@ -255,7 +253,7 @@ def _from_stills(
     camera: Camera, pattern: str, first: int | None, lane_width: float, seed: int
 ) -> Found:
 
-    paths = matching(pattern)[:first]
+    paths = files_matching(pattern)[:first]
     found = find_in_stills(camera, paths, seed, lambda paths: _progress(paths, "stills"))
     _say_skipped(found.skipped)
     view = view_from(camera, found.ahead, found.each, found.fits, lane_width, "stills")
@@ -283,11 +281,11 @@ def _from_labels(camera: Camera, file: str, first: int | None, lane_width: float
 def _draw(view: RoadView, shown: list[tuple[Path | None, list[FloatArray]]], target: Path) -> None:
     """On the picture whose lines run straightest ahead."""
 
-    path, lines = min(shown, key=lambda one: (one[0] is None, straightness(view, one[1])))
+    path, lines = min(shown, key=lambda one: (one[0] is None, deviation_m(view, one[1])))
     if path is None:
         click.echo("--picture: none of the labelled pictures is there to draw on", err=True)
         return
-    write_picture(target, draw_view(read_picture(path), view, lines))
+    write_picture(target, draw_view(read_image(path), view, lines), make_folder=True)
     click.echo(f"{target}: drawn on {path.name}")
 
 

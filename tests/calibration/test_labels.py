@@ -17,7 +17,7 @@ from egolane_pgm.calibration.labels import (
     read_labels,
     size_of_pictures,
 )
-from egolane_pgm.camera.pictures import matching, read_picture
+from egolane_pgm.camera.pictures import files_matching, read_image
 from egolane_pgm.types import InputError
 
 
@@ -93,13 +93,13 @@ def test_labelled_pictures_of_two_sizes_are_refused(tmp_path: Path) -> None:
 def test_pictures_of_a_folder_or_a_pattern_are_sorted_and_folders_left_out(tmp_path: Path) -> None:
     paths = [picture(tmp_path / name) for name in ("c.png", "a.png", "b/x.png", "d.png", "b.png")]
     in_it = sorted(path for path in paths if path.parent == tmp_path)
-    assert matching(str(tmp_path)) == in_it
-    assert matching(str(tmp_path / "*")) == in_it
-    assert matching(str(tmp_path / "**" / "*.png")) == sorted(paths, key=str)
-    assert matching(str(tmp_path / "[ad].png")) == [tmp_path / "a.png", tmp_path / "d.png"]
+    assert files_matching(str(tmp_path)) == in_it
+    assert files_matching(str(tmp_path / "*")) == in_it
+    assert files_matching(str(tmp_path / "**" / "*.png")) == sorted(paths, key=str)
+    assert files_matching(str(tmp_path / "[ad].png")) == [tmp_path / "a.png", tmp_path / "d.png"]
     (tmp_path / "empty" / "inner").mkdir(parents=True)
     with pytest.raises(InputError, match=r"empty: no file matches; give a folder or a pattern"):
-        matching(str(tmp_path / "empty"))
+        files_matching(str(tmp_path / "empty"))
 
 
 def test_the_name_of_a_folder_or_picture_may_look_like_a_pattern(tmp_path: Path) -> None:
@@ -107,11 +107,11 @@ def test_the_name_of_a_folder_or_picture_may_look_like_a_pattern(tmp_path: Path)
         picture(tmp_path / "drive[1]" / "a*.png"),
         picture(tmp_path / "drive1" / "b.png"),
     )
-    assert matching(str(first.parent)) == [first]
-    assert matching(str(first)) == [first]
-    assert matching(str(tmp_path / "drive?" / "*.png")) == [second]
+    assert files_matching(str(first.parent)) == [first]
+    assert files_matching(str(first)) == [first]
+    assert files_matching(str(tmp_path / "drive?" / "*.png")) == [second]
 
 
 def test_a_picture_that_is_not_there_is_missing(tmp_path: Path) -> None:
     with pytest.raises(InputError, match=r"gone\.png: is missing"):
-        read_picture(tmp_path / "gone.png")
+        read_image(tmp_path / "gone.png")

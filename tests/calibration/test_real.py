@@ -15,7 +15,7 @@ from egolane_pgm.camera.model import (
     Camera,
     image_to_road,
 )
-from egolane_pgm.camera.pictures import matching
+from egolane_pgm.camera.pictures import files_matching
 
 
 @pytest.fixture(scope="session")
@@ -34,7 +34,7 @@ def test_the_camera_of_the_real_chessboards_and_straight_stills(pictures, tmp_pa
     folder = pictures / "carnd"
     if not folder.is_dir():
         pytest.skip("real pictures: EGOLANE_DATA has no folder camera/carnd")
-    lens = calibrate_lens(matching(str(folder / "camera_cal" / "*.jpg")))
+    lens = calibrate_lens(files_matching(str(folder / "camera_cal" / "*.jpg")))
     assert (lens.fx, lens.fy) == pytest.approx((1156, 1151), abs=8)
     assert (lens.cx, lens.cy) == pytest.approx((672, 389), abs=8)
     assert len(lens.boards) >= 15
@@ -44,7 +44,7 @@ def test_the_camera_of_the_real_chessboards_and_straight_stills(pictures, tmp_pa
         1280, 720, lens.fx, lens.fy, lens.cx, lens.cy, 1.0,
         distortion=lens.distortion, ignore=((0, 670, 1280, 720),),
     )  # fmt: skip
-    stills = matching(str(folder / "test_images" / "straight_lines*.jpg"))
+    stills = files_matching(str(folder / "test_images" / "straight_lines*.jpg"))
     found = find_in_stills(camera, stills)
     view = view_from(camera, found.ahead, found.each, found.fits, 3.7, "stills")
     assert view.vanishing_point == pytest.approx((639.5, 419.6), abs=3)
@@ -72,7 +72,7 @@ def test_the_camera_of_the_real_lane_change_from_found_lines_only(pictures):
         pytest.skip("real pictures: EGOLANE_DATA has no folder camera/lane_change_right")
     masks = ((0, 0, 692, 130), (120, 300, 400, 480), (0, 360, 692, 480))
     camera = replace(assumed_camera(692, 480), ignore=masks)
-    found = find_in_stills(camera, matching(str(folder))[::5])
+    found = find_in_stills(camera, files_matching(str(folder))[::5])
     view = view_from(camera, found.ahead, found.each, found.fits, 3.5, "stills")
     assert view.vanishing_point == pytest.approx((470, 214), abs=5)
     assert view.camera.height_m == pytest.approx(1.2, abs=0.08)

@@ -12,7 +12,7 @@ import pytest
 from egolane_pgm.camera.model import (
     read_camera,
 )
-from egolane_pgm.camera.pictures import read_picture
+from egolane_pgm.camera.pictures import read_image
 from egolane_pgm.types import InputError
 from tests.kits.calibration_kit import TRUE, calibrate, write_labels
 from tests.kits.drives import contents, done, refused
@@ -132,7 +132,7 @@ def test_calibrate_makes_the_folders_that_its_files_need(labels: Path) -> None:
     camera, picture = labels.parent / "a" / "b" / "cam.yaml", labels.parent / "c" / "grid.png"
     done(*on_labels(labels, "-o", camera, "--picture", picture))
     assert read_camera(camera).width == SMALL_CAMERA.width
-    assert read_picture(picture).shape == (SMALL_CAMERA.height, SMALL_CAMERA.width, 3)
+    assert read_image(picture).shape == (SMALL_CAMERA.height, SMALL_CAMERA.width, 3)
 
 
 @pytest.mark.parametrize(
@@ -164,7 +164,7 @@ def test_a_board_that_there_is_not_is_refused(labels: Path, board: str) -> None:
 def test_a_picture_that_is_too_large_is_left_out(tmp_path: Path) -> None:
     huge = huge_picture(tmp_path / "huge.png")
     with pytest.raises(InputError, match=r"huge\.png: cannot be read: .*PIXELS") as caught:
-        read_picture(huge)
+        read_image(huge)
     assert "\n" not in str(caught.value)
     said = refused("calibrate", "--lane-width", 3.5, "--stills", huge, "-o", tmp_path / "c.yaml")
     assert "no picture among 1 files" in said
