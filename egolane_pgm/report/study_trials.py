@@ -11,12 +11,10 @@ from typing import Any
 
 import numpy as np
 
+from egolane_pgm.scoring.confusion import is_maximised
 from egolane_pgm.types import BoolArray, FloatArray, InputError, IntArray
 
 STUDY_FILE, TRIALS_FILE, SCHEMA_VERSION = "study.json", "trials.parquet", 1
-
-#: Scores of which more is better; of all others less.
-MAXIMISED = ("accuracy", "f1", "precision", "recall", "coverage")
 
 #: As good as the best: 0.5 points of accuracy, and as much of any other score.
 TOLERANCE = 0.005
@@ -85,7 +83,7 @@ class Trials:
     @property
     def is_maximised(self) -> bool:
         """Whether a larger score is better."""
-        return self.objective in MAXIMISED
+        return is_maximised(self.objective)
 
     @property
     def gain(self) -> FloatArray:
@@ -130,7 +128,7 @@ def read_trials(directory: str | Path) -> Trials:
         np.asarray(table["number"])[chosen],
         score,
         values,
-        int(np.argmax(score if objective in MAXIMISED else -score)),
+        int(np.argmax(score if is_maximised(objective) else -score)),
         float((held_out.get("all_frames") or {}).get(objective, np.nan)),
         reference,
         named,

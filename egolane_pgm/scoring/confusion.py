@@ -9,6 +9,7 @@ support, hence in recall and accuracy, and in no lane's precision.
 
 from __future__ import annotations
 
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -129,6 +130,22 @@ def coverage(matrix: ArrayLike) -> FloatArray:
     """Share of the scored frames that get an answer: (..., n + 1, n) -> (...)."""
     m = check_confusion(matrix)
     return _ratio(m[..., :-1, :].sum(axis=(-2, -1)), m.sum(axis=(-2, -1)))
+
+
+#: The scores of confusion matrices (..., n + 1, n) -> (...) by the names that results give them.
+SCORES: Mapping[str, Callable[[IntArray], FloatArray]] = {
+    "accuracy": accuracy,
+    "f1": macro_f1,
+    "precision": lambda m: np.asarray(precision(m).mean(axis=-1)),
+    "recall": lambda m: np.asarray(recall(m).mean(axis=-1)),
+    "coverage": coverage,
+}
+
+
+def is_maximised(score: str) -> bool:
+    """Whether more of a score is better, as it is of a confusion matrix's; of all others less is
+    (`log_loss`, `brier`, `delay`, ...)."""
+    return score in SCORES
 
 
 def scores_from_confusion(matrix: ArrayLike) -> ConfusionScores:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -20,15 +20,6 @@ from egolane_pgm.types import (
     IntArray,
     suggestion,
 )
-
-#: Scores of a confusion matrix: (..., n + 1, n) -> (...).
-CONFUSION_SCORES: Mapping[str, Callable[[IntArray], FloatArray]] = {
-    "accuracy": confusions.accuracy,
-    "f1": confusions.macro_f1,
-    "precision": lambda m: np.asarray(confusions.precision(m).mean(axis=-1)),
-    "recall": lambda m: np.asarray(confusions.recall(m).mean(axis=-1)),
-    "coverage": confusions.coverage,
-}
 
 #: Scores of a belief: smaller is better.
 BELIEF_SCORES = (
@@ -48,15 +39,10 @@ UNDEFINED = 1e6
 
 def check_objective(name: str, where: str = "objective") -> str:
     """Return the score's own name. Raises InputError for an unknown one, with a suggestion."""
-    known = {*CONFUSION_SCORES, *BELIEF_SCORES, *ALIASES}
+    known = {*confusions.SCORES, *BELIEF_SCORES, *ALIASES}
     if name not in known:
         raise InputError(f"{where}: unknown score '{name}'{suggestion(name, known)}")
     return ALIASES.get(name, name)
-
-
-def is_maximised(objective: str) -> bool:
-    """Whether more of a score is better."""
-    return objective in CONFUSION_SCORES
 
 
 def check_filter(experiment: Experiment) -> None:
@@ -90,7 +76,7 @@ def scores_of(
                 continue
             if counts is None:
                 counts = _counted(drive, belief, used)
-            total[k] += CONFUSION_SCORES[name](counts)
+            total[k] += confusions.SCORES[name](counts)
     return (total / len(drives)).tolist()  # type: ignore[no-any-return]
 
 

@@ -16,7 +16,7 @@ from optuna.storages import RetryHeartbeatStaleTrialCallback
 from optuna.study import MaxTrialsCallback
 from optuna.trial import FrozenTrial, Trial, TrialState
 
-from egolane_pgm.tune.objective import is_maximised
+from egolane_pgm.scoring.confusion import is_maximised
 from egolane_pgm.tune.sampler import Shade
 from egolane_pgm.tune.space import Point, SearchSpace, distributions
 from egolane_pgm.types import InputError, suggestion

@@ -19,7 +19,7 @@ from egolane_pgm.cli.main import egolane
 from egolane_pgm.paper import load_published
 from egolane_pgm.report import study_figures as tuning
 from egolane_pgm.report import study_trials as numbers
-from egolane_pgm.tune import objective
+from egolane_pgm.scoring.confusion import is_maximised
 from egolane_pgm.types import InputError
 
 SCORES = [0.5, 0.8, 0.796, 0.7, 0.795, None, 0.8]
@@ -56,7 +56,7 @@ def write_study(folder: Path, scores: list[float | None] = SCORES, **changes: An
 
 def made(score: list[float], x: list[float], name: str = "accuracy") -> numbers.Trials:
     """Trials of one parameter between 0 and 1."""
-    gain = np.array(score) * (1 if name in numbers.MAXIMISED else -1)
+    gain = np.array(score) * (1 if is_maximised(name) else -1)
     return numbers.Trials(
         "made", name, (numbers.Searched("x", 0.0, 1.0),), np.arange(len(score)), np.array(score),
         {"x": np.array(x)}, int(gain.argmax()), math.nan, {}, "", (),
@@ -87,11 +87,6 @@ def test_the_best_so_far_follows_the_direction_of_the_score(tmp_path: Path) -> N
     assert numbers.best_so_far(trials).tolist() == [0.5, 0.8, 0.8, 0.8, 0.8, 0.8]
     losses = made([0.9, 0.4, 0.6, 0.3], [0.0, 0.1, 0.2, 0.3], "log_loss")
     assert numbers.best_so_far(losses).tolist() == [0.9, 0.4, 0.4, 0.3]
-
-
-def test_the_figures_and_the_search_agree_which_scores_are_maximised() -> None:
-    known = {*objective.CONFUSION_SCORES, *objective.BELIEF_SCORES}
-    assert {n for n in known if objective.is_maximised(n)} == set(numbers.MAXIMISED)
 
 
 def test_the_flat_range_spans_the_trials_within_half_a_point_of_the_best(tmp_path: Path) -> None:

@@ -13,16 +13,19 @@ from hypothesis import strategies as st
 
 from egolane_pgm.scoring.assign import assigned_lane
 from egolane_pgm.scoring.confusion import (
+    SCORES,
     accuracy,
     confusion,
     coverage,
     f1,
     frames_off,
+    is_maximised,
     macro_f1,
     precision,
     recall,
     scores_from_confusion,
 )
+from egolane_pgm.tune.objective import BELIEF_SCORES
 from egolane_pgm.types import TIE_TOLERANCE, InputError
 
 PUBLISHED = Path(__file__).parents[2] / "experiments" / "paper" / "published.yaml"
@@ -274,6 +277,14 @@ def test_the_published_matrices_give_the_published_scores() -> None:
                 assert _is_printed_as(value, printed), (run["run"], kind, name, value, printed)
                 compared += 1
     assert compared == 80
+
+
+def test_more_is_better_of_every_score_of_a_matrix_and_of_no_score_of_a_belief() -> None:
+    right, wrong = confusion([1, 2], [1, 2], [0, 0], 2), confusion([2, 0], [1, 2], [0, 0], 2)
+    for name, score in SCORES.items():
+        assert is_maximised(name)
+        assert score(right) > score(wrong)
+    assert not any(map(is_maximised, BELIEF_SCORES))
 
 
 @settings(max_examples=60, deadline=None)
