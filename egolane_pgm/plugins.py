@@ -90,6 +90,12 @@ def load_plugin(folder: str, name: str, base: Path, where: str) -> ModuleType:
     return module
 
 
+def source_files(module: ModuleType) -> list[Path]:
+    """The files that a plugin's code stands in: several where the plugin is a folder."""
+    file = Path(str(module.__file__))
+    return sorted(file.parent.glob("*.py")) if file.name == "__init__.py" else [file]
+
+
 def _load_file(path: Path, where: str) -> ModuleType:
     check_name(path)
     if not path.is_file():

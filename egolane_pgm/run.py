@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 import shutil
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
@@ -20,10 +21,9 @@ from egolane_pgm.inference.smoothing import infer_beliefs
 from egolane_pgm.loading import Recorded, data_entries, load_recording, with_video_rate
 from egolane_pgm.model import Model, causality, make_evidence, prepare_model, value_names
 from egolane_pgm.parallel import in_order
-from egolane_pgm.plugins import OWN_FILES
+from egolane_pgm.plugins import OWN_FILES, source_files
 from egolane_pgm.results import (
     check_writable,
-    file_sha256,
     provenance,
     staged,
     write_result,
@@ -258,13 +258,15 @@ def belief_columns(
 
 
 def plugin_files(model: Model) -> dict[str, dict[str, str]]:
-    """Name and sha256 of the files that a model's evidence rule and graph come from."""
-    files = {"evidence": model.rule.__file__, "graph": model.graph.__file__}
-    return {
-        kind: {"file": Path(f).name, "sha256": file_sha256(Path(f))}
-        for kind, f in files.items()
-        if f
-    }
+    """Of a model's evidence rule and graph, the name of the file, or of the folder with several,
+    and the sha256 of what is in it."""
+    found = {}
+    for kind, module in (("evidence", model.rule), ("graph", model.graph)):
+        files = source_files(module)
+        named = files[0].parent if len(files) > 1 else files[0]
+        content = b"".join(file.read_bytes() for file in files)
+        found[kind] = {"file": named.name, "sha256": hashlib.sha256(content).hexdigest()}
+    return found
 
 
 Draw = Callable[[Path], None]

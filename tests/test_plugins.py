@@ -8,7 +8,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from egolane_pgm.plugins import load_plugin, plugin_names
+from egolane_pgm.evidence import counting, line_geometry
+from egolane_pgm.plugins import load_plugin, plugin_names, source_files
 from egolane_pgm.results import read_result
 from egolane_pgm.types import InputError
 from tests.kits.drives import done, refused, short_drive, write_drive
@@ -210,3 +211,9 @@ def test_names_that_are_none_are_refused(tmp_path: Path) -> None:
         load_plugin("graphs", "_parameters", tmp_path, "here")
     with pytest.raises(InputError, match=r"here: no file .*none\.py"):
         load_plugin("graphs", "none.py", tmp_path, "here")
+
+
+def test_a_plugin_that_is_a_folder_stands_in_all_its_files() -> None:
+    names = {file.name for file in source_files(line_geometry)}
+    assert {"__init__.py", "rule.py", "lane_width.py"} <= names
+    assert [file.name for file in source_files(counting)] == ["counting.py"]

@@ -4,14 +4,12 @@ from __future__ import annotations
 
 import hashlib
 import json
-from pathlib import Path
-from types import ModuleType
 from typing import Any
 
-from egolane_pgm.experiment import Experiment, resolved
+from egolane_pgm.experiment import resolved
 from egolane_pgm.loading import data_entries
 from egolane_pgm.model import Drive
-from egolane_pgm.plugins import OWN_FILES
+from egolane_pgm.plugins import OWN_FILES, source_files
 from egolane_pgm.results import plain
 from egolane_pgm.tune.plan import Problem
 from egolane_pgm.tune.space import describe
@@ -55,8 +53,8 @@ def _code(drive: Drive) -> dict[str, str]:
     file of one's own."""
     experiment = drive.experiment
     files = {
-        "graph": _files(experiment, experiment.graph, drive.model.graph),
-        "evidence": _files(experiment, experiment.evidence, drive.model.rule),
+        "graph": source_files(drive.model.graph),
+        "evidence": source_files(drive.model.rule),
     }
     for kind in ("format", "detector"):
         name = getattr(experiment.recording, kind)
@@ -66,11 +64,3 @@ def _code(drive: Drive) -> dict[str, str]:
         kind: hashlib.sha256(b"".join(file.read_bytes() for file in mine)).hexdigest()[:16]
         for kind, mine in files.items()
     }
-
-
-def _files(experiment: Experiment, name: str, module: ModuleType) -> list[Path]:
-    """The file of a plugin, or all of a plugin that is a package."""
-    if name.endswith(OWN_FILES):
-        return [experiment.folder / name]
-    file = Path(str(module.__file__))
-    return sorted(file.parent.glob("*.py")) if file.name == "__init__.py" else [file]
