@@ -128,8 +128,7 @@ def bonus_ablation_figure(with_bonus: Result, without_bonus: Result) -> Figure:
     frames = f"{int(bars_with[0].counts.sum()):,} frames"
     title = f"Bonus value (BV), {title_of(with_bonus)}, {frames}"
     others = _other_differences(with_bonus, without_bonus)
-    if others:
-        title += f"; also different: {', '.join(others)}"
+    title += f"; also different: {', '.join(others)}" if others else "; all else the same"
     return _bar_sheet(groups, title, with_bonus.n_lanes)
 
 
