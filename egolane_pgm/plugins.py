@@ -1,8 +1,8 @@
-"""Graphs, evidence rules, recording formats and detectors by name, or a file of one's own named in
-the YAML.
+"""Graphs, evidence rules and detectors: by name those of the package, or a user's own file that the
+YAML names.
 
-A plugin is a module with the names that its folder's contract asks for (`build`, `evidence`, ...).
-A folder's other modules are what its plugins share.
+A plugin is a module that defines the names that its folder's contract asks for (`build`,
+`evidence`, ...). The other modules of such a folder are shared by its plugins.
 """
 
 from __future__ import annotations
@@ -34,7 +34,7 @@ CONTRACTS = {
 }
 
 
-#: How the modules of users' own files are named.
+#: The modules of users' own files have names that begin so.
 _OWN = "_egolane_plugin_"
 
 #: How the names of users' own files end.
@@ -44,8 +44,8 @@ OWN_FILES = (".py", ".yaml", ".yml")
 def plugin_names(folder: str) -> list[str]:
     """The plugins of a folder of the package, in alphabetical order.
 
-    A module is a plugin where it defines the first name that the folder's contract asks for, a
-    folder where its `__all__` has that name. Their text is searched: importing them all is slow.
+    A module is a plugin if it defines the first name of the folder's contract, a folder if its
+    `__all__` has that name. The files are searched as text, because importing them all is slow.
     """
     first = CONTRACTS[folder][0]
     path = Path(__file__).parent / folder
@@ -60,11 +60,14 @@ def _text(file: Path) -> str:
 
 
 def load_plugin(folder: str, name: str, base: Path, where: str) -> ModuleType:
-    """The module `name` of a folder, or the file `name` (ends in .py, or for a graph in .yaml;
-    relative to `base`).
+    """Import a plugin.
 
-    Raises InputError starting with `where` for an unknown name (with a suggestion), a missing
-    file, a file that cannot be imported or one that lacks what the contract asks for.
+    - folder: a key of CONTRACTS. name: a plugin of that folder, or a file (.py, for a graph also
+      .yaml), relative to `base`.
+    - where: the beginning of an error's message, e.g. the YAML file and the key.
+
+    Raises InputError for an unknown name (with a suggestion), a missing file, a file that cannot be
+    imported and one that lacks what the contract asks for.
     """
     # Not `resolve`, which ends in an error of its own where a link leads to itself.
     file = Path(os.path.realpath(base / name))
@@ -121,8 +124,9 @@ def _load_file(path: Path, where: str) -> ModuleType:
 
 @contextlib.contextmanager
 def plugin_errors(module: ModuleType, where: str) -> Iterator[None]:
-    """Around a call into a plugin: what a user's own file raises becomes an InputError that starts
-    with `where` and names the file and its line. The package's own plugins raise as they are."""
+    """Wrap a call into a plugin: an exception of a user's own file becomes an InputError that
+    starts with `where` and names the file and its line. Exceptions of the package's plugins stay
+    as they are, because they are bugs of ours."""
     try:
         yield
     except InputError:

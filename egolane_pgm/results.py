@@ -42,12 +42,14 @@ from typing import Any
 import numpy as np
 
 from egolane_pgm.experiment import config_hash
-from egolane_pgm.files import atomic_directory, read_yaml, write_parquet, write_yaml
-from egolane_pgm.files import check_not_read as check_not_read
-from egolane_pgm.files import check_place as check_place
-from egolane_pgm.files import make_directory as make_directory
-from egolane_pgm.files import plain as plain
-from egolane_pgm.files import write_json as write_json
+from egolane_pgm.files import (
+    atomic_directory,
+    check_place,
+    read_yaml,
+    write_json,
+    write_parquet,
+    write_yaml,
+)
 from egolane_pgm.types import BoolArray, FloatArray, InputError, IntArray
 
 SCHEMA_VERSION = 1

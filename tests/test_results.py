@@ -16,16 +16,15 @@ import pytest
 import yaml
 
 from egolane_pgm.experiment import config_hash, load_experiment
+from egolane_pgm.files import plain, write_json
 from egolane_pgm.results import (
     check_writable,
     file_sha256,
     git_state,
     is_result,
-    plain,
     read_result,
     staged,
     versions,
-    write_json,
 )
 from egolane_pgm.run import Run, run_experiment, save_run
 from egolane_pgm.scoring.assign import assigned_lane

@@ -7,10 +7,10 @@ import json
 from typing import Any
 
 from egolane_pgm.experiment import resolved
+from egolane_pgm.files import plain
 from egolane_pgm.loading import data_entries
 from egolane_pgm.model import Drive
 from egolane_pgm.plugins import OWN_FILES, source_files
-from egolane_pgm.results import plain
 from egolane_pgm.tune.plan import Problem
 from egolane_pgm.tune.space import describe
 

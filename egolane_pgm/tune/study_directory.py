@@ -21,11 +21,11 @@ import pyarrow as pa
 from pyarrow import csv
 
 from egolane_pgm.experiment import Experiment, resolved
-from egolane_pgm.files import atomic, write_parquet, write_yaml
+from egolane_pgm.files import atomic, plain, write_json, write_parquet, write_yaml
 from egolane_pgm.loading import data_entries
 from egolane_pgm.parameters import Value
 from egolane_pgm.plugins import OWN_FILES
-from egolane_pgm.results import plain, provenance, write_json
+from egolane_pgm.results import provenance
 from egolane_pgm.run import files_in_full
 from egolane_pgm.tune.held_out import Nested
 from egolane_pgm.tune.identity import identity_of

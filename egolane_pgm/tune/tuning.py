@@ -13,8 +13,8 @@ from typing import Any
 
 import optuna
 
+from egolane_pgm.files import make_directory, write_json
 from egolane_pgm.parallel import executor
-from egolane_pgm.results import make_directory, write_json
 from egolane_pgm.tune import study_directory as files
 from egolane_pgm.tune.held_out import (
     Nested,

@@ -10,7 +10,8 @@ from pathlib import Path
 import pytest
 
 from egolane_pgm import __version__
-from egolane_pgm.results import check_place, is_result
+from egolane_pgm.files import check_place
+from egolane_pgm.results import is_result
 from egolane_pgm.types import InputError
 from tests.kits.drives import (
     command,
