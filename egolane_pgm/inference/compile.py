@@ -46,14 +46,18 @@ class Group:
 
 @dataclass(frozen=True, eq=False)
 class Compiled:
-    """A network as arrays, S joint states, U joint values of the inputs (1 without inputs).
+    """A network as arrays: S joint states, U joint values of the inputs (1 without inputs).
 
-    hidden: every hidden node, persistent ones and functions. state_nodes: the persistent ones,
-    whose values, first slowest, number the joint states. cardinality: of every node.
+    hidden: every hidden node, persistent ones and functions of them.
+    state_nodes: the persistent nodes, the one of most values last; their values, the first node's
+        slowest, number the joint states.
+    inputs: the input nodes, the first one's values slowest in U.
+    cardinality: of every node.
     node_value (H, S): the value of each hidden node in each joint state.
-    inputs: input nodes, first slowest in U. prior (U, S): the first frame before its evidence.
-    transition (U, S, S): row is the state before. groups: the emissions. places: per table where
-    its entries go.
+    prior (U, S): the joint state in the first frame, before its evidence.
+    transition (U, S, S): row is the state before.
+    groups: the emissions.
+    places: where the entries of each table go.
     """
 
     hidden: tuple[str, ...]
@@ -252,9 +256,6 @@ def _fill(
     return prior, transition, emissions
 
 
-if TYPE_CHECKING:
-    from pgmpy.models import DynamicBayesianNetwork
-
 #: More joint states than this are refused.
 MAX_STATES = 4096
 
@@ -350,7 +351,10 @@ class Roles:
             if s == 1 and ps == 0
             for name in (parent, child)
         }
-        self.state = tuple(name for name in hidden if name in across)
+        # The node of most values last: those of its values that follow each other are then next to
+        # each other in memory.
+        persistent = [name for name in hidden if name in across]
+        self.state = tuple(sorted(persistent, key=self.cardinality.__getitem__))
         self.functions = tuple(name for name in hidden if name not in across)
         self.leaves = tuple(dict.fromkeys(n for n in listed if n not in hidden))
         self._check_leaves(across)

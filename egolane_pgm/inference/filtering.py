@@ -55,7 +55,7 @@ MAX_FIXED_COLUMNS = 24
 MIN_FIXED_FRAMES = 1000
 
 #: The filter takes frames in pieces of about so many numbers: they stay in the processor's cache.
-PIECE = 2**17
+PIECE = 2**16
 
 
 def filter_beliefs(
@@ -156,7 +156,7 @@ def _joined(parts: Sequence[Beliefs]) -> Beliefs:
 
 
 def _pieces(n_frames: int, n_states: int) -> list[slice]:
-    size = max(MIN_FIXED_FRAMES, PIECE // n_states)
+    size = max(1, PIECE // n_states)
     # A remainder is done with the piece before it.
     starts = [*range(0, max(1, n_frames - size // 2), size), n_frames]
     return [slice(a, b) for a, b in pairwise(starts)]

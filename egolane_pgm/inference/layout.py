@@ -11,10 +11,9 @@ import numpy as np
 
 from egolane_pgm.inference.compile import Compiled, Group
 from egolane_pgm.inference.kernels.banded import Band, find_band
-from egolane_pgm.inference.kernels.filter import sum_marginals
 from egolane_pgm.types import BoolArray, Evidence, FloatArray, InputError, IntArray, Observed
 
-#: With more joint states than this, adding up marginals is quicker than a product of matrices.
+#: With more joint states than this, sums along the axes are quicker than a product of matrices.
 MAX_MATRIX_STATES = 16
 
 
@@ -95,18 +94,23 @@ def _only_column(emission: FloatArray) -> IntArray | None:
 def marginals_of(compiled: Compiled, joint: FloatArray) -> dict[str, FloatArray]:
     """The marginals of every hidden node, (T, cardinality) each, of joint beliefs (T, S)."""
     arrays = layout(compiled)
-    n_states, width = arrays.indicator.shape
-    if n_states <= MAX_MATRIX_STATES:
+    is_small = compiled.n_states <= MAX_MATRIX_STATES
+    sizes = [compiled.cardinality[name] for name in arrays.nodes]
+    stops = np.cumsum(sizes).tolist()
+    if is_small:
         marginals = joint @ arrays.indicator
-    else:
-        marginals = np.empty((len(joint), width))
-        sum_marginals(joint, arrays.column, marginals)
-    start = 0
     nodes = {}
-    for name in arrays.nodes:
-        stop = start + compiled.cardinality[name]
-        nodes[name] = marginals[:, start:stop]
-        start = stop
+    for k, (name, stop) in enumerate(zip(arrays.nodes, stops, strict=True)):
+        here = slice(stop - sizes[k], stop)
+        if is_small:
+            nodes[name] = marginals[:, here]
+        elif name in compiled.state_nodes:
+            before = math.prod(sizes[:k])
+            after = compiled.n_states // (before * sizes[k])
+            by_value = joint.reshape(len(joint), before, sizes[k], after)
+            nodes[name] = by_value.sum(axis=3 if after > 1 else 1).sum(axis=1 if after > 1 else 2)
+        else:
+            nodes[name] = joint @ arrays.indicator[:, here]
     return nodes
 
 

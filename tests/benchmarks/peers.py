@@ -48,10 +48,10 @@ def state_likelihoods(
 
 
 def lanes_of(states: FloatArray, n_lanes: int) -> FloatArray:
-    """(T, S) -> (T, n): the lane varies slowest, all else is summed out."""
-    if states.shape[1] == 2 * n_lanes:
-        return states[:, ::2] + states[:, 1::2]
-    return states.reshape(len(states), n_lanes, -1).sum(axis=2)
+    """(T, S) -> (T, n): two values of the sensor, for each all lanes or all places on the road."""
+    half = states.shape[1] // 2
+    places = states[:, :half] + states[:, half:]
+    return places if half == n_lanes else places.reshape(len(states), n_lanes, -1).sum(axis=2)
 
 
 def hmmlearn_scaling(compiled: Compiled, evidence: Evidence, u: int = 0) -> Filter | None:

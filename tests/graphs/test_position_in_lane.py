@@ -100,7 +100,7 @@ def test_the_order_of_the_hidden_nodes_does_not_matter_to_the_banded_kernel() ->
         compile_network(network, hidden, graph.OBSERVED, graph.INPUTS)
         for hidden in (graph.HIDDEN, graph.HIDDEN[::-1])
     )
-    assert turned.state_nodes == ours.state_nodes[::-1]
+    assert turned.state_nodes == ours.state_nodes == ("SensorState", "RoadPosition")
     assert find_band(turned) is not None
     evidence = draw_evidence(ours, 30, np.random.default_rng(6))
     for method in METHODS:

@@ -25,16 +25,15 @@ _EQUAL = 1e-14
 
 
 class Band(NamedTuple):
-    """A banded transition, of R values of the wide node, Q of the others and U of the inputs.
+    """A banded transition, of R values of the wide node, Q of the others and U of the inputs. Joint
+    state q R + r has value r of the wide node.
 
-    state (Q, R): the number of the joint state.
     others (U, Q, Q): the transition of the other nodes, row is the value before.
     half (U,): the half-width of the band.
     floor (U,): what the wide node's transition has outside of the band; left out of the band.
     band (U, 2 max(half) + 1, R): entry [u, max(half) + d, r] is the transition to r from r - d.
     """
 
-    state: IntArray
     others: FloatArray
     half: IntArray
     floor: FloatArray
@@ -47,25 +46,18 @@ def find_band(compiled: Compiled) -> Band | None:
     if compiled.n_states < MIN_STATES:
         return None
     sizes = [compiled.cardinality[name] for name in compiled.state_nodes]
-    wide = int(np.argmax(sizes))
-    n_wide, n_others = sizes[wide], math.prod(sizes) // sizes[wide]
-    numbers = np.arange(compiled.n_states).reshape(sizes)
-    state = np.moveaxis(numbers, wide, -1).reshape(n_others, n_wide)
+    n_wide, n_others = sizes[-1], math.prod(sizes[:-1])
     n_inputs = len(compiled.transition)
     own = np.empty((n_inputs, n_wide, n_wide))
     others = np.empty((n_inputs, n_others, n_others))
-    # Both states' wide node behind the others of the same state.
-    order = [k for k in range(len(sizes)) if k != wide] + [wide]
-    axes = [*order, *(len(sizes) + k for k in order)]
     for u in range(n_inputs):
-        whole = compiled.transition[u].reshape(*sizes, *sizes).transpose(axes)
-        whole = whole.reshape(n_others, n_wide, n_others, n_wide)
+        whole = compiled.transition[u].reshape(n_others, n_wide, n_others, n_wide)
         own[u] = sum(whole[0, :, q] for q in range(n_others))
         others[u] = whole[:, 0].sum(axis=2)
         rest = others[u][:, None, :, None] * own[u][:, None, :] - whole
         if np.abs(rest).max() > _EQUAL:
             return None
-    return Band(np.ascontiguousarray(state), others, *_bands(own))
+    return Band(others, *_bands(own))
 
 
 def _bands(own: FloatArray) -> tuple[IntArray, FloatArray, FloatArray]:
@@ -104,8 +96,8 @@ def forward_banded(
 ) -> None:
     """As the recursion of `forward_kernel`, but for a `Band` in place of the transition. With
     is_factored the others are one node; `column` is not looked at."""
-    state, others, half, floor, band = transition
-    n_others, n_wide = state.shape
+    others, half, floor, band = transition
+    n_others, n_wide = others.shape[1], band.shape[2]
     widest = band.shape[1] // 2
     # Zeros on both sides, so that the band never leaves the array.
     before = np.zeros(n_wide + 2 * widest)
@@ -115,13 +107,13 @@ def forward_banded(
     of_others = np.zeros(n_others)
     for q in range(n_others):
         for r in range(n_wide):
-            belief[q, r] = joint[state[q, r]]
+            belief[q, r] = joint[q * n_wide + r]
     for t in range(begins.shape[0]):
         u = index[t]
         if begins[t]:
             for q in range(n_others):
                 for r in range(n_wide):
-                    predicted[q, r] = prior[u, state[q, r]]
+                    predicted[q, r] = prior[u, q * n_wide + r]
         else:
             for q in range(n_others):
                 mixed = before[widest : widest + n_wide]
@@ -144,9 +136,12 @@ def forward_banded(
                         target[r] += source[r] * row[r]
         mass = 0.0
         for q in range(n_others):
+            given = likelihood[t, q * n_wide : (q + 1) * n_wide]
+            source, target = predicted[q], belief[q]
             for r in range(n_wide):
-                belief[q, r] = predicted[q, r] * likelihood[t, state[q, r]]
-                mass += belief[q, r]
+                target[r] = source[r] * given[r]
+            for r in range(n_wide):
+                mass += target[r]
         is_impossible[t] = False
         if TINY < mass < HUGE:
             total[t] = mass
@@ -160,8 +155,7 @@ def forward_banded(
                 is_impossible[t] = True
                 total[t] = 1.0
         for q in range(n_others):
-            for r in range(n_wide):
-                beliefs[t, state[q, r]] = belief[q, r]
+            beliefs[t, q * n_wide : (q + 1) * n_wide] = belief[q]
         if is_factored:
             of_wide[:] = 0.0
             for q in range(n_others):
@@ -175,4 +169,4 @@ def forward_banded(
                     belief[q, r] = of_others[q] * of_wide[r]
     for q in range(n_others):
         for r in range(n_wide):
-            joint[state[q, r]] = belief[q, r]
+            joint[q * n_wide + r] = belief[q, r]

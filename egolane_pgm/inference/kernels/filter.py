@@ -198,7 +198,7 @@ def likelihood_kernel(n_states: int = 0, n_columns: int = 0) -> Any:
     return multiply_likelihood
 
 
-@njit(cache=True, fastmath={"contract"}, error_model="numpy")
+@njit(cache=True, fastmath={"contract", "nnan", "nsz"}, error_model="numpy")
 def multiply_chosen(
     block: FloatArray, only: IntArray, likelihood: FloatArray, log_scale: FloatArray
 ) -> None:
@@ -214,14 +214,3 @@ def multiply_chosen(
             log_scale[t] += math.log(largest)
             for s in range(only.shape[0]):
                 likelihood[t, s] *= block[t, only[s]] / largest
-
-
-@njit(cache=True)
-def sum_marginals(beliefs: FloatArray, column: IntArray, marginals: FloatArray) -> None:
-    """The marginals (T, M) of joint beliefs (T, S). column (H, S): as in `Layout`."""
-    for t in range(beliefs.shape[0]):
-        for c in range(marginals.shape[1]):
-            marginals[t, c] = 0.0
-        for s in range(column.shape[1]):
-            for h in range(column.shape[0]):
-                marginals[t, column[h, s]] += beliefs[t, s]
