@@ -84,6 +84,11 @@ class Tuning(_Section):
     ids (first, the one after the last or None) whose labels no held-out study looks at; in the
     YAML also `{from_frame: 9577}`."""
 
+    search: tuple[Literal["graph", "evidence", "detector"], ...] = Field(
+        default=("graph", "evidence"),
+        min_length=1,
+        description="whose parameters are searched; the detector's are named detector.NAME",
+    )
     objective: tuple[str, ...] = ("accuracy",)
     sampler: str | None = None
     trials: int | None = Field(default=None, ge=1)

@@ -179,6 +179,11 @@ def _searcher(drive: Drive, trials: int | None) -> tuple[Fit, int]:
     experiment = drive.experiment
     check_filter(experiment)
     tuning = experiment.tuning or Tuning()
+    if "detector" in tuning.search:
+        raise InputError(
+            f"{experiment.source}: tuning.search: detector: goes with `egolane tune`, not with"
+            " fit: tune"
+        )
     tuning = tuning.model_copy(update={"trials": trials or tuning.trials or TRIALS})
     searched = Plan(experiment.name, "", (experiment,), tuning, experiment.source)
     problem = problem_of(searched, [drive])

@@ -10,11 +10,12 @@ from typing import Any
 import numpy as np
 import optuna
 
-from egolane_pgm.model import Drive, belief_of
+from egolane_pgm.model import Drive
 from egolane_pgm.scoring.bootstrap import Interval, score_counts, score_intervals
 from egolane_pgm.scoring.held_out import blocks, without_block
 from egolane_pgm.scoring.stability import lane_changes
 from egolane_pgm.scoring.summary import score_all
+from egolane_pgm.tune.objective import tried_belief
 from egolane_pgm.tune.plan import Problem, parameters_at, scorer
 from egolane_pgm.tune.search import Report, Settings, best_trial, search, search_in_memory
 from egolane_pgm.tune.space import Point
@@ -151,7 +152,7 @@ def settings_without(problem: Problem, part: int) -> Settings:
 def beliefs_at(problem: Problem, point: Point) -> list[FloatArray]:
     """Per drive the belief (K, n) with the parameters of a point."""
     sets = parameters_at(problem, point)
-    return [belief_of(d, p) for d, p in zip(problem.drives, sets, strict=True)]
+    return [tried_belief(d, p) for d, p in zip(problem.drives, sets, strict=True)]
 
 
 def stitched(problem: Problem, nested: Sequence[Nested], by_recording: bool) -> list[FloatArray]:

@@ -6,11 +6,13 @@ import hashlib
 import json
 from typing import Any
 
+from egolane_pgm.detectors import simple
 from egolane_pgm.experiment import resolved
 from egolane_pgm.files import plain
 from egolane_pgm.loading import data_entries
 from egolane_pgm.model import Drive
 from egolane_pgm.plugins import OWN_FILES, source_files
+from egolane_pgm.tune.objective import detector_of
 from egolane_pgm.tune.plan import Problem
 from egolane_pgm.tune.space import describe
 
@@ -49,17 +51,21 @@ def identity_of(problem: Problem) -> dict[str, Any]:
 
 
 def _code(drive: Drive) -> dict[str, str]:
-    """The checksum of the graph and of the evidence rule, and of a reader or detector that is a
+    """The checksums of the code of graph, evidence rule and detector, and of a reader that is a
     file of one's own."""
     experiment = drive.experiment
     files = {
         "graph": source_files(drive.model.graph),
         "evidence": source_files(drive.model.rule),
     }
-    for kind in ("format", "detector"):
-        name = getattr(experiment.recording, kind)
-        if name is not None and name.endswith(OWN_FILES):
-            files[kind] = [experiment.folder / name]
+    recording = experiment.recording
+    if recording.format is not None and recording.format.endswith(OWN_FILES):
+        files["format"] = [experiment.folder / recording.format]
+    if recording.detector is not None:
+        module = detector_of(experiment).module
+        files["detector"] = source_files(module)
+        if not recording.detector.endswith(OWN_FILES):
+            files["detector"] = [*files["detector"], *source_files(simple)]
     return {
         kind: hashlib.sha256(b"".join(file.read_bytes() for file in mine)).hexdigest()[:16]
         for kind, mine in files.items()

@@ -2,12 +2,16 @@
 
 from __future__ import annotations
 
+from collections import OrderedDict
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
 
+from egolane_pgm.detectors.runner import Detector, find_detector
 from egolane_pgm.experiment import Experiment
+from egolane_pgm.loading import load_recording
 from egolane_pgm.model import Drive, belief_of, declared_parameters
 from egolane_pgm.parameters import Value
 from egolane_pgm.scoring import confusion as confusions
@@ -33,6 +37,9 @@ BELIEF_SCORES = (
 
 ALIASES = {"macro_f1": "f1", "macro-f1": "f1", "log-loss": "log_loss"}
 
+#: What the names of a detector's parameters begin with in a search.
+DETECTOR = "detector."
+
 #: What a score counts as that is not defined (no lane change was followed, say).
 UNDEFINED = 1e6
 
@@ -54,6 +61,45 @@ def check_filter(experiment: Experiment) -> None:
         )
 
 
+def detector_of(experiment: Experiment) -> Detector:
+    """Return the experiment's detector. Raises InputError for a recording without one."""
+    name = experiment.recording.detector
+    if name is None:
+        raise InputError(
+            f"{experiment.source}: tuning.search: detector: the recording has none; it goes with"
+            " pictures or a video and recording.detector"
+        )
+    where = f"{experiment.source}: recording.detector"
+    given = experiment.recording.detector_parameters
+    return find_detector(name, given, experiment.folder, where)
+
+
+def split(parameters: Mapping[str, Value]) -> tuple[dict[str, Value], dict[str, Value]]:
+    """Separate a parameter set into that of graph and evidence rule, and that of the detector."""
+    own = {k: v for k, v in parameters.items() if not k.startswith(DETECTOR)}
+    detector = {k: v for k, v in parameters.items() if k.startswith(DETECTOR)}
+    return own, {name.removeprefix(DETECTOR): v for name, v in detector.items()}
+
+
+def with_detector(experiment: Experiment, parameters: Mapping[str, Value]) -> Experiment:
+    """Return the experiment with other parameters of its detector."""
+    recording = experiment.recording.model_copy(update={"detector_parameters": dict(parameters)})
+    return experiment.model_copy(update={"recording": recording})
+
+
+def tried_belief(drive: Drive, parameters: Mapping[str, Value]) -> FloatArray:
+    """Filter a drive with the parameters of a trial: (K, n), the belief in the annotated frames.
+
+    Where the detector's parameters are among them it first looks at all pictures anew.
+    """
+    own, detector = split(parameters)
+    if detector:
+        log = load_recording(with_detector(drive.experiment, detector), own).log
+        recorded = replace(drive.recorded, log=log)
+        drive = replace(drive, recorded=recorded, evidence=OrderedDict())
+    return belief_of(drive, own)
+
+
 def scores_of(
     drives: Sequence[Drive],
     sets: Sequence[Mapping[str, Value]],
@@ -68,7 +114,7 @@ def scores_of(
     """
     total = np.zeros(len(objectives))
     for drive, parameters, used in zip(drives, sets, is_used, strict=True):
-        belief = belief_of(drive, parameters)
+        belief = tried_belief(drive, parameters)
         counts = None
         for k, name in enumerate(objectives):
             if name in BELIEF_SCORES:

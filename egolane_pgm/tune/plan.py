@@ -23,8 +23,10 @@ from egolane_pgm.model import Drive, Model, declared_parameters, load_drive, pre
 from egolane_pgm.paper import load_published, paper_experiment, parameters_for
 from egolane_pgm.parameters import Value, resolve_parameters
 from egolane_pgm.tune.objective import (
+    DETECTOR,
     check_filter,
     check_objective,
+    detector_of,
     scores_of,
     shared_specs,
 )
@@ -155,7 +157,7 @@ def make_problem(plan: Plan) -> Problem:
 
 def problem_of(plan: Plan, drives: Sequence[Drive]) -> Problem:
     """The search space of recordings that were read. Raises InputError as `make_problem` does."""
-    spaces = tuple(_space(plan, drive.model) for drive in drives)
+    spaces = tuple(_space(plan, drive.experiment, drive.model) for drive in drives)
     for drive, space in zip(drives, spaces, strict=True):
         if space.dimensions != spaces[0].dimensions:
             raise _unlike(drive.experiment, drives[0].experiment)
@@ -169,7 +171,7 @@ def check_plan(plan: Plan) -> int:
     spaces = []
     for experiment in plan.experiments:
         check_filter(experiment)
-        spaces.append(_space(plan, prepare_model(experiment)))
+        spaces.append(_space(plan, experiment, prepare_model(experiment)))
         if spaces[-1].dimensions != spaces[0].dimensions:
             raise _unlike(experiment, plan.experiments[0])
     return len(spaces[0])
@@ -182,10 +184,26 @@ def _unlike(experiment: Experiment, first: Experiment) -> InputError:
     )
 
 
-def _space(plan: Plan, model: Model) -> SearchSpace:
-    specs = declared_parameters(model.rule, model.graph)
+def _space(plan: Plan, experiment: Experiment, model: Model) -> SearchSpace:
+    searched = plan.tuning.search
     where = f"{plan.source}: tuning.parameters"
-    return make_space(specs, model.parameters, plan.tuning.parameters, model.n_lanes, where)
+    # What both declare belongs to the graph, as in `declared_parameters`.
+    of_graph = {spec.name for spec in getattr(model.graph, "PARAMETERS", ())}
+    specs = [
+        spec
+        if ("graph" if spec.name in of_graph else "evidence") in searched
+        else replace(spec, search=None)
+        for spec in declared_parameters(model.rule, model.graph)
+    ]
+    current = dict(model.parameters)
+    if "detector" in searched:
+        detector = detector_of(experiment)
+        specs += [
+            replace(spec, name=DETECTOR + spec.name)
+            for spec in getattr(detector.module, "PARAMETERS", ())
+        ]
+        current |= {DETECTOR + name: value for name, value in detector.parameters.items()}
+    return make_space(specs, current, plan.tuning.parameters, model.n_lanes, where)
 
 
 def parameters_at(problem: Problem, point: Point) -> list[dict[str, Value]]:
@@ -204,8 +222,9 @@ def scorer(problem: Problem, is_used: Sequence[BoolArray]) -> Score:
 
 
 def starting_points(problem: Problem) -> tuple[list[Point], list[str]]:
-    """What is tried first: the current values of each experiment, and for a run of the paper the
-    recovered and the published ones. And notes about those that the bounds leave out."""
+    """Return the points that are tried first: the current values of each experiment, and for a run
+    of the paper the recovered and the published ones. And notes about those that the bounds leave
+    out."""
     if problem.plan.tuning.from_scratch:
         return [], []
     named: list[tuple[str, Mapping[str, Value]]] = []
@@ -220,6 +239,11 @@ def starting_points(problem: Problem) -> tuple[list[Point], list[str]]:
                 merged = {**drive.experiment.parameters, **kept}
                 named.append((which, resolve_parameters(specs, merged, drive.n_lanes)))
         named.append(("current", drive.model.parameters))
+    if "detector" in problem.plan.tuning.search:
+        # The detector's values are those of the first recording; with one recording, its own.
+        own = detector_of(problem.drives[0].experiment).parameters
+        seen = {DETECTOR + name: value for name, value in own.items()}
+        named = [(which, {**parameters, **seen}) for which, parameters in named]
     points: list[Point] = []
     notes = []
     for which, parameters in named:

@@ -29,6 +29,7 @@ from egolane_pgm.results import provenance
 from egolane_pgm.run import files_in_full
 from egolane_pgm.tune.held_out import Nested
 from egolane_pgm.tune.identity import identity_of
+from egolane_pgm.tune.objective import split, with_detector
 from egolane_pgm.tune.plan import Problem, parameters_at
 
 SCHEMA_VERSION = 1
@@ -95,7 +96,10 @@ def tuned_experiment(
     experiment: Experiment, parameters: Mapping[str, Value], problem: Problem
 ) -> dict[str, Any]:
     """The experiment with other parameters, as the keys of a YAML file that may lie anywhere."""
-    content = plain(resolved(experiment, parameters))
+    own, detector = split(parameters)
+    if detector:
+        experiment = with_detector(experiment, detector)
+    content = plain(resolved(experiment, own))
     content["name"] = f"{experiment.name}_tuned"
     scores = ", ".join(problem.settings.objectives)
     what = f"parameters tuned for {scores}: {problem.settings.trials} trials"
