@@ -1,10 +1,10 @@
-"""The paper's rules (section "Tentative vector and reliability of the whole detection"), as its
-authors computed them: each valid line votes for the lanes that it is compatible with, continuous
-lines have a bonus, the reliability indices of all valid lines make the WOR.
+"""The paper's evidence rule (section "Tentative vector and reliability of the whole detection"), as
+its authors computed it. Each valid line votes for the lanes that it is compatible with, and a
+continuous line gives a bonus to the lane that it bounds. The sum of the reliability indices (LRI)
+of all valid lines gives the WOR.
 
-A detector without a continuous flag gives no bonus votes. A detector without a reliability index
-(LRI unknown, NaN) has every valid line counted as fully reliable, so that WOR is the share of the
-n + 1 expected lines that were found.
+A detector without a continuous flag gives no bonus. Without LRI (NaN) every valid line counts as
+fully reliable, so that the WOR is the share of the n + 1 expected lines that were found.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from egolane_pgm.types import BoolArray, Evidence, FloatArray, LineLog
 
 PROVIDES = ("DetectorOutput", "WOR")
 
-#: The evidence that is itself an answer over lanes: the "detector only" of the paper's tables.
+#: The node whose evidence is itself a belief over lanes: "detector only" in the paper's tables.
 TENTATIVE = "DetectorOutput"
 
 PARAMETERS = (
@@ -29,7 +29,9 @@ PARAMETERS = (
         search=(0, 9),
     ),
     Parameter("lane_width_m", "positive", 3.5, "lane width in the detector's metres"),
-    Parameter("tentative_noise", "non_negative", 0.001, "added to every entry of the tentative"),
+    Parameter(
+        "tentative_noise", "non_negative", 0.001, "added to every entry of the tentative vector"
+    ),
     Parameter(
         "wor_noise",
         "probability",
@@ -49,10 +51,10 @@ PARAMETERS = (
 
 
 def evidence(log: LineLog, n_lanes: int, parameters: Parameters) -> Evidence:
-    """DetectorOutput (T, n), the tentative vector, summing to one, and WOR (T, 2) = (OK, BAD).
+    """The evidence of T frames: DetectorOutput (T, n), the tentative vector, which sums to one, and
+    WOR (T, 2) with the columns OK and BAD.
 
-    - log: T frames.
-    - parameters: resolved values of PARAMETERS.
+    parameters: checked values of PARAMETERS.
     """
     tentative = np.empty((len(log), n_lanes))
     wor = np.empty((len(log), 2))
@@ -88,7 +90,7 @@ def count_lines(
     tentative: FloatArray,
     wor: FloatArray,
 ) -> None:
-    """Write tentative (T, n) and wor (T, 2) from the lines (T, L)."""
+    """Fills tentative (T, n) and wor (T, 2) from the lines, (T, L) each."""
     n_lanes = tentative.shape[1]
     for t in range(offset_m.shape[0]):
         reliability = 0.0
@@ -100,7 +102,7 @@ def count_lines(
             if not is_valid[t, line]:
                 continue
             has_line = True
-            # NaN is not equal to itself: a line without an index counts as fully reliable.
+            # NaN differs from itself; a line without LRI counts as fully reliable.
             reliability += lri[t, line] if lri[t, line] == lri[t, line] else max_lri
             d = offset_m[t, line]
             distance = abs(d)

@@ -1,9 +1,10 @@
-"""The paper's rules (`counting`) with WOR in `wor_levels` levels instead of two, the most reliable
-one first: for the graph `wor_levels`.
+"""The paper's evidence rule (`counting`) for the graph `wor_levels`, where WOR has `wor_levels`
+levels, the most reliable one first.
 
-The reliability s of `counting`, between 0 and 1, becomes evidence over the levels: `linear` gives
-it to the two levels nearest to s, where level j of k stands for s = 1 - j / (k - 1); `one_hot` all
-to the level that s is in, of k equal intervals. With two levels, `linear` is `counting`.
+`counting` gives a reliability s between 0 and 1, which becomes evidence over the levels. `linear`
+shares it between the two levels nearest to s, where level j of k stands for s = 1 - j / (k - 1).
+`one_hot` divides 0 to 1 into k equal intervals and takes the one that s is in. With two levels
+`linear` is `counting`.
 """
 
 from __future__ import annotations
@@ -23,18 +24,18 @@ PARAMETERS = (
         "level_evidence",
         "choice",
         "linear",
-        "reliability between two levels: `linear` is shared by both, `one_hot` given to the level"
-        " whose interval it is in",
+        "a reliability between two levels: `linear` is shared by both, `one_hot` is given to the"
+        " level whose interval it is in",
         choices=("linear", "one_hot"),
     ),
 )
 
 
 def evidence(log: LineLog, n_lanes: int, parameters: Parameters) -> Evidence:
-    """DetectorOutput (T, n) as `counting`, and WOR (T, k), summing to one.
+    """The evidence of T frames: DetectorOutput (T, n) as in `counting`, and WOR (T, k), which sums
+    to one.
 
-    - log: T frames.
-    - parameters: resolved values of PARAMETERS.
+    parameters: checked values of PARAMETERS.
     """
     given = counting.evidence(log, n_lanes, parameters).likelihoods
     levels = int(parameters["wor_levels"])  # type: ignore[arg-type]
@@ -45,7 +46,7 @@ def evidence(log: LineLog, n_lanes: int, parameters: Parameters) -> Evidence:
 
 
 def level_evidence(reliability: FloatArray, levels: int, how: str) -> FloatArray:
-    """(T, k) for reliabilities (T,) between 0 and 1."""
+    """Evidence over k levels, (T, k), for reliabilities (T,) between 0 and 1."""
     frames = np.arange(len(reliability))
     rows = np.zeros((len(reliability), levels))
     if how == "one_hot":

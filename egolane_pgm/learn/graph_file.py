@@ -1,4 +1,4 @@
-"""A graph written as YAML with its tables in numbers, as `graphs._yaml_graph` reads it."""
+"""A graph written as YAML with its tables in numbers, as `graphs.yaml_graph` reads it."""
 
 from __future__ import annotations
 

@@ -1,5 +1,5 @@
-"""The evidence rule `line_geometry`: likelihoods over the place on the road from where the lines
-lie. `rule` has the idea, the other modules its parts."""
+"""The evidence rule `line_geometry`: the places of the lines give likelihoods of the car's place on
+the road. `rule` explains and computes them; the other modules are its parts."""
 
 from egolane_pgm.evidence.line_geometry.parameters import PARAMETERS
 from egolane_pgm.evidence.line_geometry.rule import (

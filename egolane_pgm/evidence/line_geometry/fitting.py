@@ -1,9 +1,9 @@
-"""Expectation-maximisation for the model of `_line_model`, the lane of each frame being known.
+"""Fits the model of lines (`model`) by expectation-maximisation, to frames whose lane is known.
 
-Hidden are the place inside the lane, uniform over the cells in every frame, and which line of the
-road (or the clutter) each reported line is. The parameters are their most probable values with
-priors around a first guess that are worth `strength` frames: neighbouring frames are much alike, so
-a drive says less about the next one than its number of frames. Each iteration increases the
+Two things are hidden: the place inside the lane, which is uniform over the cells in every frame,
+and which line of the road, or clutter, each reported line is. The fit maximises the posterior with
+priors around a first guess that are worth `strength` frames. They are strong because neighbouring
+frames are alike, so that a drive says less than its number of frames. Each iteration increases the
 logarithm of the posterior.
 """
 
@@ -15,27 +15,35 @@ from typing import Any
 
 import numpy as np
 
+from egolane_pgm.evidence.line_geometry.kernels import expected_counts
 from egolane_pgm.evidence.line_geometry.model import REACH_M, LineModel, places
 from egolane_pgm.types import FloatArray, IntArray
 
 #: Frames of each lane that the first guess is worth.
 STRENGTH = 1000.0
 
-#: A line that scatters more than this is no line: it would take in everything.
+#: Limits of the standard deviation of a line. A larger one would take in everything.
 LARGEST_SIGMA_M = 0.3
 SMALLEST_SIGMA_M = 0.05
 
 ITERATIONS = 20
 
-#: Shoulder lines stay within so many lane widths of the road.
+#: The smallest and the largest distance of a shoulder line from the road, lane widths.
 _SHOULDER_RANGE = (0.4, 1.6)
 
 
 @dataclass(frozen=True)
 class Statistics:
-    """Expected counts under a model. log_likelihood of the frames. frames (n,) of each lane.
-    lines (n, n + 3): reported lines of each kind from each lane. classes (n + 3, 4). moment0,
-    moment1, moment2 (n + 3,): of their distance from their place, metres. clutter (4,)."""
+    """Expected counts under a model.
+
+    - log_likelihood: of all frames
+    - frames: (n,) number of frames of each lane
+    - lines: (n, n + 3) reports of each line of the model from each lane
+    - classes: (n + 3, 4) reports of each line in each class
+    - moment0, moment1, moment2: (n + 3,) sums of the powers of a report's distance from its place,
+      metres
+    - clutter: (4,) reports that are clutter, of each class
+    """
 
     log_likelihood: float
     frames: FloatArray
@@ -58,10 +66,13 @@ def fit_lines(
     strength: float = STRENGTH,
     iterations: int = ITERATIONS,
 ) -> tuple[LineModel, FloatArray]:
-    """The fitted model, and the log posterior (up to a constant) before each iteration.
+    """Fits a model; gives it with the log posterior (up to a constant) before each iteration.
 
-    offset_m, kind (T, L): as in `line_geometry.SeenLines`, of the frames to learn from. lane (T,):
-    counted from 0. A lane without a frame keeps the first guess.
+    - offset_m, kind: (T, L) lines of the frames to learn from, as in `reading.SeenLines`
+    - lane: (T,) counted from 0; a lane without a frame keeps the first guess
+    - first: the first guess
+    - width_m, cells: lane width, and cells per lane
+    - strength: frames of each lane that the first guess is worth
     """
     model = first
     history = np.empty(iterations)
@@ -80,9 +91,7 @@ def expect(
     width_m: float,
     cells: int,
 ) -> Statistics:
-    """The E step."""
-    from egolane_pgm.evidence.line_geometry.kernels import expected_counts
-
+    """The E step: expected counts under a model."""
     n, n_lines = model.rates.shape
     frames = np.bincount(lane, minlength=n).astype(np.float64)
     arrays: list[Any] = [np.zeros(s) for s in ((n, n_lines), (n_lines, 4), (3, n_lines), 4)]
@@ -107,10 +116,11 @@ def expect(
 def maximise(
     found: Statistics, model: LineModel, first: LineModel, strength: float, width_m: float
 ) -> LineModel:
-    """The M step: shoulders first, then the sigmas about the new places, the rest separately."""
+    """The M step. The shoulders come first, then the sigmas about their new places; all other
+    parameters are separate."""
     n = model.n_lanes
     tau2 = first.sigma_m**2
-    # Towards the road is +1 for the left shoulder, -1 for the right one.
+    # The direction away from the road: left for the left shoulder, right for the right one.
     outward = np.array([-1.0, 1.0])
     weight = found.moment0[-2:] / model.sigma_m[-2:] ** 2
     prior = strength / tau2[-2:]

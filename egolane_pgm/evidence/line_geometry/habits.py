@@ -1,13 +1,13 @@
-"""What a detector's flags and numbers mean, told from the recording itself: not every detector
-fills them as the paper's do.
+"""Estimates from a recording what a detector's flags and LRI mean, as not every detector uses them
+as the paper's detectors do.
 
-LRI: the paper's counts detections in the last ten frames. Whatever its scale, `FULL_SHARE` of the
-valid lines' LRI lies at or below what a well tracked line has; that is taken for 10. An LRI that is
-the same on all lines says nothing and is taken as unknown. Without LRI, a line that repeats its
-offset to the last digit is held, unless offsets have so few digits that they repeat by chance.
+In the paper the LRI counts detections in the last ten frames. Here the `FULL_SHARE` quantile of the
+valid lines' LRI is taken for that of a well tracked line, and scaled to 10. An LRI that is the same
+on all lines counts as unknown. Without LRI, a line that repeats its offset to the last digit counts
+as held, unless offsets have so few digits that they repeat by chance.
 
-Valid, continuous: a flag that hardly any line has, or nearly every one, says nothing; lines are
-then all valid, or none continuous.
+The flag `valid` or `continuous` is ignored if hardly any line has it, or (continuous) nearly every
+one. Then all lines are valid, or none is continuous.
 """
 
 from __future__ import annotations
@@ -25,29 +25,33 @@ from egolane_pgm.types import BoolArray, FloatArray, LineLog
 #: The LRI of a well tracked line, on the paper's scale.
 FULL_LRI = 10.0
 
-#: The LRI that so many of the valid lines do not exceed is that of a well tracked one: above it are
-#: slips of detectors that now and then report numbers from uninitialised memory.
+#: The quantile of the valid lines' LRI that counts as that of a well tracked line. Some detectors
+#: now and then report larger numbers, from uninitialised memory.
 FULL_SHARE = 0.95
 
-#: A flag means something where the share of lines that have it is between these. Of the paper's
-#: recordings' lines two thirds are valid or more, and a fifth of those are continuous, or none.
+#: The shares of lines with a flag between which the flag is used. In the paper's recordings at
+#: least two thirds of the lines are valid, and of these a fifth or none are continuous.
 LEAST_VALID, LEAST_CONTINUOUS, MOST_CONTINUOUS = 0.1, 0.01, 0.9
 
-#: Offsets nearer to 0 are placeholders of detectors that have not measured yet.
+#: An offset nearer to 0 than this is a placeholder of a detector that has not measured yet.
 PLACEHOLDER_M = 1e-6
 
-#: Of offsets that do not repeat by chance, at least this share is different.
+#: The least share of distinct values for offsets that do not repeat by chance.
 LEAST_DISTINCT = 0.5
 
-#: Lines whose LRI and offset are remembered: a detector does not change its scale.
+#: How many lines' LRI and offsets are kept; a detector does not change its scale.
 ENOUGH_LINES = 10_000
 
 
 @dataclass(frozen=True)
 class Tally:
-    """What some frames' lines look like. placed: lines that have an offset; valid: those of them;
-    continuous, of the placed; both. lri_valid, lri_other: known LRI of valid lines and others.
-    offset_m: of the placed ones."""
+    """Counts over the lines of some frames.
+
+    - placed: lines with an offset
+    - valid, continuous, both: how many of these have one flag, the other, and both
+    - lri_valid, lri_other: the known LRI of valid lines, and of the others
+    - offset_m: the offsets
+    """
 
     placed: int
     valid: int
@@ -60,9 +64,13 @@ class Tally:
 
 @dataclass(frozen=True)
 class Habits:
-    """What a detector says. full_lri: the LRI of a well tracked line; NaN where LRI says nothing.
-    says_valid, says_continuous: whether the flag does. repeats_are_held: a line that repeats its
-    offset was not measured, whatever its LRI. notes: what is odd, a line each."""
+    """How a detector uses its flags and LRI.
+
+    - full_lri: the LRI of a well tracked line; NaN if the LRI is not used
+    - says_valid, says_continuous: whether the flag is used
+    - repeats_are_held: whether a line that repeats its offset was not measured, whatever its LRI
+    - notes: what is unusual, one line each
+    """
 
     full_lri: float
     says_valid: bool
@@ -72,13 +80,13 @@ class Habits:
 
 
 def is_placed(log: LineLog) -> BoolArray:
-    """(T, L): there is a line, and its offset is no placeholder."""
+    """Whether there is a line whose offset is no placeholder, (T, L)."""
     with np.errstate(invalid="ignore"):
         return np.asarray(np.isfinite(log.offset_m) & (np.abs(log.offset_m) > PLACEHOLDER_M))
 
 
 def tally(log: LineLog) -> Tally:
-    """The tally of a log."""
+    """Counts the lines of a log."""
     placed = is_placed(log)
     valid, continuous = placed & log.is_valid, placed & log.is_continuous
     known = np.isfinite(log.lri)
@@ -94,7 +102,7 @@ def tally(log: LineLog) -> Tally:
 
 
 def total(tallies: Sequence[Tally]) -> Tally:
-    """Of all of them together, LRI and offset of the first `ENOUGH_LINES` lines."""
+    """Adds tallies; the LRI and offsets are those of the first `ENOUGH_LINES` lines."""
     remembered = [
         np.concatenate([getattr(t, name) for t in tallies])[:ENOUGH_LINES]
         for name in ("lri_valid", "lri_other", "offset_m")
@@ -106,7 +114,7 @@ def total(tallies: Sequence[Tally]) -> Tally:
 
 
 def habits(seen: Tally, source: str) -> Habits:
-    """What the detector that made these lines says."""
+    """Estimates the habits of the detector that reported these lines. source: for the notes."""
     notes = []
     says_valid = seen.valid >= LEAST_VALID * seen.placed
     if not says_valid:
@@ -138,7 +146,8 @@ def habits(seen: Tally, source: str) -> Habits:
 
 
 def _full(lri: FloatArray, every: FloatArray) -> float:
-    """NaN where there is no LRI, it is the same everywhere, or that of most lines is 0 or less."""
+    """The LRI of a well tracked line. NaN if there is no LRI, if it is the same on all lines, or if
+    it is not positive."""
     if lri.size == 0 or (every == every[0]).all():
         return math.nan
     rank = min(lri.size - 1, int(FULL_SHARE * lri.size))
@@ -147,13 +156,13 @@ def _full(lri: FloatArray, every: FloatArray) -> float:
 
 
 def as_usual(log: LineLog, detector: Habits) -> LineLog:
-    """The log as the paper's detectors would have written it: LRI 0 to 10 or unknown, flags that
-    mean what they say."""
+    """The log as the paper's detectors would have written it: an LRI of 0 to 10 or unknown, and
+    flags that are used."""
     changes: dict[str, Any] = {}
     if math.isnan(detector.full_lri):
         changes["lri"] = np.full(log.lri.shape, np.nan)
     elif detector.full_lri != FULL_LRI:
-        # Rounded: six tenths are six, whatever the scale.
+        # After rounding, six tenths of a scale are exactly 6.
         changes["lri"] = np.round(log.lri * (FULL_LRI / detector.full_lri), 9)
     if not detector.says_valid:
         changes["is_valid"] = is_placed(log)
@@ -163,8 +172,10 @@ def as_usual(log: LineLog, detector: Habits) -> LineLog:
 
 
 def usual(log: LineLog, *, say: bool = True) -> tuple[LineLog, Habits]:
-    """A whole recording as the paper's detectors would have written it, and what was found; says in
-    warnings what was odd."""
+    """A whole recording as the paper's detectors would have written it, with the habits found.
+
+    say: whether warnings tell what is unusual.
+    """
     detector = habits(tally(log), log.source)
     if say:
         for note in detector.notes:

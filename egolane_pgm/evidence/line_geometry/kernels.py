@@ -20,10 +20,11 @@ def follow_lines(
     is_held: BoolArray,
     displacement_m: FloatArray,
 ) -> None:
-    """Write is_held (T, L) and displacement_m (T,), NaN where unknown.
+    """Fills is_held (T, L) and displacement_m (T,), which is NaN where it is unknown.
 
-    kind (T, L): the line's class, -1 where there is none. follows (T,): the frame comes right
-    after the one before. reach_m (T,): lines are matched within it.
+    - kind: (T, L) the line's class, -1 where there is none
+    - follows: (T,) whether the frame comes right after the one before
+    - reach_m: (T,) largest distance between matched lines
     """
     n_frames, n_lines = offset_m.shape
     moves = np.empty(n_lines)
@@ -70,8 +71,8 @@ def follow_lines(
 
 @njit(cache=True)
 def drop_doubles(offset_m: FloatArray, kind: IntArray, near_m: FloatArray) -> None:
-    """Set kind (T, L) to -1 where a better line is nearer than near_m (T,): one of a better class,
-    or of the same and nearer to the vehicle, or else listed before."""
+    """Sets kind (T, L) to -1 where a better line is nearer than near_m (T,). A line is better if
+    its class is better; in the same class, if it is nearer to the vehicle, or else listed first."""
     n_frames, n_lines = offset_m.shape
     is_double = np.empty(n_lines, dtype=np.bool_)
     for t in range(n_frames):
@@ -106,11 +107,11 @@ def weigh_positions(
     beta: FloatArray,
     likelihood: FloatArray,
 ) -> None:
-    """Write likelihood (T, n cells, 2), each frame's maximum 1.
+    """Fills likelihood (T, n cells, 2); the maximum of each frame is 1.
 
-    kind (T, L): the line's class, -1 where it does not count. alpha, beta (T,): of each frame.
-    log_intensity (n, 4, Z), log_mean (4, Z), first_m, step_m, expected (n,), width_m: see
-    `_line_model.LineTables`.
+    - kind: (T, L) the line's class, -1 where it does not count
+    - alpha, beta: (T,) exponents of each frame
+    - log_intensity, log_mean, first_m, step_m, expected, width_m: as in `model.LineTables`
     """
     n_frames, n_lines = offset_m.shape
     n_lanes = log_intensity.shape[0]
@@ -172,8 +173,8 @@ def expected_counts(
     moments: FloatArray,
     of_clutter: FloatArray,
 ) -> float:
-    """Add to lines (n, K), classes (K, 4), moments (3, K) and of_clutter (4,); returns the log
-    likelihood without the expected numbers of lines."""
+    """Adds expected counts to lines (n, K), classes (K, 4), moments (3, K) and of_clutter (4,), as
+    in `fitting.Statistics`. Returns the log likelihood without the expected numbers of lines."""
     n_frames, n_slots = offset_m.shape
     n_lines = rates.shape[1]
     log_place = np.empty(cells)

@@ -1,15 +1,16 @@
-"""The width of a lane in the detector's metres, from the gaps between its lines; no labels.
+"""Estimates the lane width in the detector's metres from the gaps between its lines, without
+labels.
 
-Lines lie on a lattice whose step is the lane width. For every candidate width, a gap between two
-lines of a frame is a whole number of steps plus noise, or has nothing to do with the lattice, as
-the share of gaps does that fits best. Half the true width explains every gap as
-well, but twice as many places, at half the density: it is ln 2 per gap behind. The most probable
-candidate is the answer, with widths near the expected one more probable beforehand. But a width
-by which no two neighbouring lanes are ever seen at once is that of no lanes: a line half a lane
-beside the road fits half their width.
+Lines lie on a lattice whose step is the lane width. Under a candidate width, a gap between two
+lines of a frame is a whole number of steps plus noise, or is off the lattice; the share of gaps off
+the lattice is the one that fits best. Half the true width also explains every gap, but it allows
+twice as many places at half the density, and so loses ln 2 per gap. The answer is the most probable
+candidate, with a prior in favour of widths near the expected one. A width at which no two
+neighbouring lanes are ever seen at once is excluded, because a line half a lane beside the road
+would fit half the true width.
 
-All of it is relative to the gaps themselves, so that detectors that do not count in metres are
-served too.
+All of this is relative to the gaps themselves, so that it also works for detectors that do not
+report metres.
 """
 
 from __future__ import annotations
@@ -25,48 +26,48 @@ from egolane_pgm.evidence.line_geometry.habits import is_placed
 from egolane_pgm.evidence.line_geometry.model import STRONG_LRI
 from egolane_pgm.types import BoolArray, FloatArray, LineLog
 
-#: Gaps are counted in bins of one per cent, from the smallest to the largest (any unit).
+#: Gaps are counted in logarithmic bins of one per cent, from the smallest to the largest, any unit.
 _STEP = 0.01
 _SMALLEST, _LARGEST = 1e-3, 1e5
 
-#: Candidates, in medians of the largest gap between neighbours of each frame: it is a lane where
-#: all lines are seen, several where some are missed.
+#: The range of candidates, relative to the median over frames of the largest gap between
+#: neighbours. That gap is one lane if all lines are seen, and several if some are missed.
 NARROWEST, WIDEST = 0.2, 1.5
 
-#: Gaps of more than so many lanes have nothing to do with the lattice. Every other line, those
-#: between missed, is four away: with less, twice the width would explain gaps that the width does
-#: not.
+#: Gaps of more lanes than this count as off the lattice. If only every other line is seen, the
+#: second next one is four lanes away; with a smaller limit, twice the true width would explain gaps
+#: that the true width does not.
 MOST_LANES = 4
 
-#: Noise of a gap, lane widths: lines lie within .15 m or so of their place.
+#: Standard deviation of a gap, lane widths: lines lie within about .15 m of their place.
 GAP_SIGMA = 0.06
 
-#: A gap of less than this share of the frame's largest one is no lane: the line is there twice.
+#: A gap of less than this share of the frame's largest one is no lane, but a line reported twice.
 DOUBLE = 0.1
 
-#: What is tried for the share of gaps that have nothing to do with the lattice.
+#: The shares of gaps off the lattice that are tried.
 OFF_LATTICE = (0.05, 0.3, 0.6, 0.9)
 
-#: Neighbouring frames show the same lines, two seconds of them are hardly more than one look:
-#: so many gaps count as one.
+#: How many gaps count as one, because neighbouring frames show the same lines: two seconds of
+#: frames say little more than a single one.
 ALIKE = 20
 
-#: Of the gaps between every other line, at least this share is two lanes, give or take so many lane
-#: widths. Looked at where there are enough to see some three of them that are not alike (a detector
-#: may report two lines only).
+#: Two neighbouring lanes are seen at once if at least this share of the gaps between every other
+#: line is two lanes, within so many lane widths. This is checked only with enough gaps for about
+#: three independent ones, since a detector may report two lines only.
 LEAST_PAIRS, PAIR_WITHIN = 0.03, 0.15
 ENOUGH_PAIRS = 3 * ALIKE / LEAST_PAIRS
 
-#: Widths about the expected one are more probable: half as much a tenth away (of a Cauchy
-#: distribution of the logarithm, which leaves a chance to those far away).
+#: Scale of the prior, a Cauchy distribution of the logarithm of the width around the expected one.
+#: A width a tenth away is half as probable; those far away keep a chance.
 EXPECTED_WITHIN = 0.1
 
-#: Sure from these odds on, natural log, against no lattice and against a maximum elsewhere.
+#: The least log odds (natural) of a sure answer, against no lattice and against any other maximum.
 LEAST_ODDS = math.log(20)
 
 _N_BINS = math.ceil(math.log(_LARGEST / _SMALLEST) / _STEP)
 _N_CANDIDATES = math.ceil(math.log(WIDEST / NARROWEST) / _STEP) + 1
-#: The gaps that candidates are judged by, in bins from the one of the narrowest candidate.
+#: The window of bins that candidates are judged by, relative to the bin of the narrowest one.
 _BELOW = math.floor(math.log(0.5) / _STEP)
 _N_WINDOW = _N_CANDIDATES + math.ceil(math.log(MOST_LANES + 0.5) / _STEP) - _BELOW
 #: Candidates nearer than this to another are the same maximum.
@@ -75,10 +76,16 @@ _APART = math.ceil(math.log(1.15) / _STEP)
 
 @dataclass(frozen=True)
 class LaneWidth:
-    """What was found. width_m: the answer, the fallback where unsure. is_sure. found_m: the best
-    candidate, NaN without gaps. gaps: how many were seen. on_lattice: the share of them within two
-    sigma of a whole number of found widths. odds: of the best candidate against the runner-up or no
-    lattice, whichever is better, natural log. message: all of it, one line."""
+    """An estimate of the lane width.
+
+    - width_m: the answer; the fallback if it is not sure
+    - found_m: the best candidate; NaN without gaps
+    - gaps: number of gaps
+    - on_lattice: share of gaps within two sigma of a whole number of found widths
+    - odds: log odds (natural) of the best candidate against the better one of the runner-up and no
+      lattice
+    - message: all of this in one line
+    """
 
     width_m: float
     is_sure: bool
@@ -90,14 +97,16 @@ class LaneWidth:
 
 
 def lane_width(log: LineLog, fallback_m: float) -> LaneWidth:
-    """The lane width of a whole recording."""
+    """Estimates the lane width of a whole recording. fallback_m: the expected width."""
     return width_of_gaps(gap_counts(log), fallback_m, log.source)
 
 
 def gap_counts(log: LineLog) -> FloatArray:
-    """(3, B): how many gaps between neighbouring strong lines of a frame are in each bin, how many
-    between every other one, and how many frames have their largest gap between neighbours there.
-    For `width_of_gaps`, added up over the logs that count."""
+    """Counts gaps per bin, (3, B): those between neighbouring strong lines of a frame, those
+    between every other line, and the largest gap between neighbours of each frame.
+
+    Counts of several logs may be added before `width_of_gaps`.
+    """
     counts = np.zeros((3, _N_BINS))
 
     def add(kind: int, gaps: FloatArray) -> None:
@@ -124,12 +133,12 @@ def gap_counts(log: LineLog) -> FloatArray:
 
 
 def rounded(width_m: float) -> float:
-    """To centimetres; three digits of a width in another unit."""
+    """A width rounded to centimetres; in another unit, to three digits."""
     return float(f"{width_m:.3g}") if width_m < 1 or width_m >= 10 else round(width_m, 2)
 
 
 def width_of_gaps(counts: FloatArray, fallback_m: float, source: str) -> LaneWidth:
-    """The answer from the counts (3, B) of all gaps."""
+    """Estimates the lane width from the counts (3, B) of all gaps."""
     frames = counts[2].cumsum()
     middle = int(np.argmax(frames >= max(frames[-1] / 2, 0.5)))
     # The bin of the narrowest candidate.
@@ -145,7 +154,7 @@ def width_of_gaps(counts: FloatArray, fallback_m: float, source: str) -> LaneWid
 
 
 def _gaps(offsets: FloatArray, apart: int) -> FloatArray:
-    """(T, L - apart): between sorted lines so many places apart; 0 where there is no other."""
+    """The gaps between sorted lines so many places apart, (T, L - apart); 0 where there is none."""
     is_there = np.isfinite(offsets[:, apart:])
     return np.subtract(
         offsets[:, apart:], offsets[:, :-apart], out=np.zeros(is_there.shape), where=is_there
@@ -160,15 +169,20 @@ def _answer(
     fallback_m: float,
     source: str,
 ) -> LaneWidth:
-    """fit: of each candidate, the log likelihood relative to no lattice, as many gaps counted as
-    one as are alike. may_be: whether two such lanes are seen at once."""
+    """Chooses a candidate.
+
+    - counts: (B,) gaps per bin
+    - first: bin of the narrowest candidate
+    - fit: log likelihood of each candidate relative to no lattice, in independent gaps
+    - may_be: whether two lanes of the candidate's width are seen at once
+    """
     n_gaps = int(counts.sum())
     if not n_gaps:
         message = f"{source}: no two lines in one frame to tell the lane width from"
         return _unsure(fallback_m, math.nan, n_gaps, 0.0, 0.0, message)
     log_width = math.log(_SMALLEST) + _STEP * (first + np.arange(_N_CANDIDATES) + 0.5)
     away = (log_width - math.log(fallback_m)) / EXPECTED_WITHIN
-    # Those that cannot be come after all others, in their order.
+    # Excluded candidates come after all others, in their order.
     score = fit - np.log1p(away**2) - np.where(may_be, 0.0, 1e9)
     best = int(score.argmax())
     others = np.abs(np.arange(_N_CANDIDATES) - best) > _APART
@@ -203,15 +217,15 @@ def _strong(log: LineLog) -> BoolArray:
 
 @lru_cache(maxsize=1)
 def _tables() -> tuple[FloatArray, FloatArray]:
-    """(window, shares * candidates): log likelihood of a gap in each bin, relative to gaps that
-    are uniform over a lane; and (window, candidates): whether it is two lanes."""
+    """The log likelihood of a gap in each bin of the window, relative to a uniform one, (window,
+    shares * candidates); and whether the gap is two lanes, (window, candidates)."""
     gap = np.exp((np.arange(-(_N_CANDIDATES - 1), _N_WINDOW) + _BELOW) * _STEP)
     lanes = np.maximum(1, np.round(gap))
     normal = np.exp(-0.5 * ((gap - lanes) / GAP_SIGMA) ** 2) / (GAP_SIGMA * math.sqrt(2 * math.pi))
     density = np.where(lanes <= MOST_LANES, normal, 0.0)
 
     def of_candidates(values: FloatArray) -> FloatArray:
-        # Row b: candidates 0, 1, ...: the gap is b, b - 1, ... bins from theirs.
+        # In row b, the gap is b, b - 1, ... bins away from candidates 0, 1, ...
         return sliding_window_view(values, _N_CANDIDATES)[:, ::-1]
 
     tables = [of_candidates(np.log((1 - off) * density + off)) for off in OFF_LATTICE]
@@ -220,7 +234,7 @@ def _tables() -> tuple[FloatArray, FloatArray]:
 
 
 def _peak(score: FloatArray, best: int) -> float:
-    """Where between its neighbours a maximum lies, in steps: the vertex of the parabola."""
+    """The place of a maximum between its neighbours, in steps, from a parabola through them."""
     if best in (0, len(score) - 1):
         return 0.0
     left, middle, right = score[best - 1 : best + 2]

@@ -1,15 +1,15 @@
 """The geometric model of lines: which lines a detector reports from each lane, and where.
 
-From lane l (counted from 0) lines are reported as a Poisson process over the lateral offset z from
-the lane's centre, with intensity
+From lane l, counted from 0, a detector reports lines as a Poisson process over the lateral offset z
+from the lane's centre. For lines of class c its intensity is
 
     lambda_lc(z) = sum_k rates[l, k] class_shares[k, c] N(z; place[l, k], sigma_m[k]^2) + clutter[c]
 
-for lines of class c. The n + 1 lines of the road, k = 0..n, lie at (k - l - 1/2) lane widths; the
-last two are lines beside the road, `shoulders[0]` lane widths left of the leftmost line and
-`shoulders[1]` right of the rightmost. A vehicle u right of the centre sees a line at offset o for
-one at z = o + u, so that log p_l(u) = sum over lines of log lambda_lc(o + u) - Lambda_l, where
-Lambda_l is the expected number of lines.
+The n + 1 lines of the road, k = 0 to n, lie at (k - l - 1/2) lane widths. Two more lie beside the
+road: `shoulders[0]` lane widths left of the leftmost line and `shoulders[1]` right of the rightmost
+one. A vehicle at u right of the centre sees a line that lies at z = o + u at the offset o. Hence
+log p_l(u) = sum over lines of log lambda_lc(o + u) - Lambda_l, where Lambda_l is the expected
+number of lines.
 """
 
 from __future__ import annotations
@@ -24,29 +24,37 @@ import numpy as np
 from egolane_pgm.parameters import Value
 from egolane_pgm.types import FloatArray
 
-#: Valid and continuous; valid, LRI >= STRONG_LRI; valid, less; not valid, LRI >= LEAST_LRI.
+#: The classes of lines: 0 valid and continuous; 1 valid with LRI >= STRONG_LRI; 2 valid with a
+#: lower LRI; 3 not valid with LRI >= LEAST_LRI.
 N_CLASSES = 4
 STRONG_LRI, LEAST_LRI = 6.0, 3.0
 
-#: Lines are looked for within so many metres.
+#: The farthest line that counts, metres.
 REACH_M = 16.0
 
 #: Step of the tables over z, metres.
 TABLE_STEP_M = 0.02
 
-#: Generic shares of the classes among clutter, and among lines that are not continuous.
+#: Generic shares of the four classes among clutter, and of classes 1 to 3 among lines that are not
+#: continuous.
 CLUTTER_SHARES = (0.05, 0.5, 0.2, 0.25)
 PLAIN_SHARES = (0.88, 0.06, 0.06)
 
-#: No intensity is lower: nothing that a detector says is impossible.
+#: The lowest intensity, so that no report of a detector is impossible.
 LEAST_INTENSITY = 1e-9
 
 
 @dataclass(frozen=True)
 class LineModel:
-    """rates (n, n + 3): expected lines, per lane the n + 1 of the road, then left and right
-    shoulder. class_shares (n + 3, 4). sigma_m (n + 3,), metres. shoulders (2,): distance from the
-    road's outer lines, lane widths. clutter (4,): lines per metre and class."""
+    """The parameters of the model; the n + 3 lines are those of the road, then the left and the
+    right shoulder.
+
+    - rates: (n, n + 3) expected number of reports of each line, from each lane
+    - class_shares: (n + 3, 4) shares of the classes among them
+    - sigma_m: (n + 3,) standard deviation of a line about its place, metres
+    - shoulders: (2,) distances of the shoulders from the road's outer lines, lane widths
+    - clutter: (4,) false lines per metre, of each class
+    """
 
     rates: FloatArray
     class_shares: FloatArray
@@ -61,11 +69,11 @@ class LineModel:
 
     @property
     def expected(self) -> FloatArray:
-        """(n,): Lambda, the expected number of lines from each lane."""
+        """Lambda, the expected number of lines from each lane, (n,)."""
         return np.asarray(self.rates.sum(axis=1) + self.clutter.sum() * 2 * REACH_M)
 
 
-#: The parameters that a fit gives, by field of the model.
+#: The parameters that a fit gives, and the fields of the model that they fill.
 FITTED = {
     "rates": "rates",
     "class_shares": "class_shares",
@@ -76,7 +84,7 @@ FITTED = {
 
 
 def line_model(n_lanes: int, parameters: Mapping[str, Value]) -> LineModel:
-    """The model of an evidence rule's resolved parameters."""
+    """The model that checked parameters describe."""
     generic = generic_model(n_lanes, parameters)
     fields = {}
     for name, field in FITTED.items():
@@ -89,7 +97,7 @@ def line_model(n_lanes: int, parameters: Mapping[str, Value]) -> LineModel:
 
 
 def generic_model(n_lanes: int, parameters: Mapping[str, Value]) -> LineModel:
-    """A model for any detector: the nearer a line, the more often it is seen."""
+    """A model for any detector, in which near lines are reported more often than far ones."""
     p = {name: cast(float, v) for name, v in parameters.items() if not isinstance(v, (str, tuple))}
     n_lines = n_lanes + 3
     rates = np.empty((n_lanes, n_lines))
@@ -113,7 +121,7 @@ def generic_model(n_lanes: int, parameters: Mapping[str, Value]) -> LineModel:
 
 
 def without_flags(model: LineModel) -> LineModel:
-    """The model for a detector that cannot tell continuous lines: they are like any others."""
+    """The model for a detector without a continuous flag: class 0 becomes part of class 1."""
     shares, clutter = model.class_shares.copy(), model.clutter.copy()
     shares[:, 1] += shares[:, 0]
     clutter[1] += clutter[0]
@@ -122,7 +130,7 @@ def without_flags(model: LineModel) -> LineModel:
 
 
 def places(model: LineModel, width_m: float) -> FloatArray:
-    """(n, n + 3): where each line lies, metres right of the centre of each lane."""
+    """The place of each line, (n, n + 3), metres to the right of the centre of each lane."""
     n = model.n_lanes
     lane = np.arange(n)[:, None]
     road = (np.arange(n + 1) - lane - 0.5) * width_m
@@ -133,8 +141,12 @@ def places(model: LineModel, width_m: float) -> FloatArray:
 
 @dataclass(frozen=True)
 class LineTables:
-    """A model tabulated for one lane width. log_intensity (n, 4, Z) and log_mean (4, Z), of the
-    mean over lanes, at z = first_m + TABLE_STEP_M * index. expected (n,): Lambda. width_m."""
+    """A model, tabulated for one lane width at z = first_m + TABLE_STEP_M * index.
+
+    - log_intensity: (n, 4, Z) logarithm of the intensity, per lane and class
+    - log_mean: (4, Z) logarithm of the mean intensity over the lanes
+    - expected: (n,) Lambda
+    """
 
     log_intensity: FloatArray
     log_mean: FloatArray
@@ -144,7 +156,7 @@ class LineTables:
 
 
 def line_tables(model: LineModel, width_m: float) -> LineTables:
-    """The tables over every z that a line within reach can have."""
+    """Tabulates a model over every z that a line within reach can have."""
     last = REACH_M + width_m
     n_steps = math.ceil(2 * last / TABLE_STEP_M) + 2
     z = -last + TABLE_STEP_M * np.arange(n_steps)

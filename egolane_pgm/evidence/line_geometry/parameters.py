@@ -1,4 +1,4 @@
-"""What can be set of the line geometry, and what is where nothing is said."""
+"""The parameters of the evidence rule `line_geometry`, with their generic values."""
 
 from __future__ import annotations
 
@@ -20,20 +20,20 @@ PARAMETERS = (
         choices=("auto", "causal"),
     ),
     Parameter(
-        "fallback_width_m", "positive", 3.5, "lane width where the lines do not tell it, metres"
+        "fallback_width_m", "positive", 3.5, "lane width if the lines do not show it, metres"
     ),
     Parameter(
         "alpha",
         "non_negative",
         0.05,
-        "weight of what lines say of the lane in a tenth of a second",
+        "weight of the evidence on the lane in a tenth of a second",
         search=(0.01, 0.2),
     ),
     Parameter(
         "beta",
         "non_negative",
         0.15,
-        "weight of what lines say of the place inside the lane in a tenth of a second",
+        "weight of the evidence on the place inside the lane in a tenth of a second",
         search=(0.05, 1.0),
     ),
     Parameter(
@@ -73,12 +73,12 @@ PARAMETERS = (
         "clutter",
         "non_negative",
         "generic",
-        "lines that are none, per metre, of each class" + _OR_FITTED,
+        "false lines per metre, of each class" + _OR_FITTED,
         choices=("generic",),
         shape=lambda n: (N_CLASSES,),
     ),
     Parameter("seen_near", "non_negative", 0.9, "generic rate of the lines of the own lane"),
-    Parameter("fade", "non_negative", 0.2, "share of it that each lane further away takes off"),
+    Parameter("fade", "non_negative", 0.2, "share of it that is lost with each lane further away"),
     Parameter("seen_far", "non_negative", 0.15, "lowest generic rate of a line of the road"),
     Parameter("shoulder_left", "non_negative", 0.08, "generic rate of a line left of the road"),
     Parameter("shoulder_right", "non_negative", 0.13, "generic rate of a line right of the road"),
@@ -87,16 +87,16 @@ PARAMETERS = (
         "edge_continuous",
         "probability",
         0.25,
-        "generic share of continuous among what is seen of the road's outer lines",
+        "generic share of continuous reports of the road's outer lines",
     ),
-    Parameter("inner_continuous", "probability", 0.05, "the same of all other lines"),
+    Parameter("inner_continuous", "probability", 0.05, "the same for all other lines"),
     Parameter("line_sigma_m", "sigma", 0.25, "generic standard deviation of a line, metres"),
     Parameter("clutter_per_m", "non_negative", 0.05, "generic clutter, lines per metre"),
     Parameter(
         "prior_frames",
         "non_negative",
         STRENGTH,
-        "frames of each lane that the generic constants are worth where parameters are learned;"
+        "frames of each lane that the generic constants are worth when parameters are learned;"
         " `infinite`: nothing is learned",
         choices=("infinite",),
     ),

@@ -1,4 +1,4 @@
-"""What the line geometry takes from a log: which lines count, how they moved, lane widths."""
+"""Reads a log for the line geometry: which lines count, how they moved, and the lane width."""
 
 from __future__ import annotations
 
@@ -16,33 +16,36 @@ from egolane_pgm.graphs.position_in_lane import motion_index
 from egolane_pgm.parameters import Parameters, number
 from egolane_pgm.types import BoolArray, FloatArray, IntArray, LineLog
 
-#: Lanes in metres are not narrower or wider, even in those of a detector that is wrong by half.
+#: The narrowest and the widest lane in metres, even of a detector whose scale is wrong by half.
 NARROWEST_M, WIDEST_M = 1.5, 6.0
 
-#: Two lines nearer than this, lane widths, are one border between lanes: a double line, the edges
-#: of one marking, a line reported twice. Looked for where one line in so many is such.
+#: Two lines nearer than the first, in lane widths, are one border between lanes: a double line, the
+#: edges of one marking, or a line reported twice. They count once if at least the second share of
+#: the lines are such doubles.
 DOUBLE, LEAST_DOUBLES = 0.1, 0.1
 
-#: The vehicle is said to be off centre from so many lane widths on (drivers of the paper's drives
-#: keep .05 to .14 to the left), where lines do not lie just anywhere and there are enough.
+#: A warning says that the vehicle is off centre from the first on, in lane widths (drivers of the
+#: paper's drives keep .05 to .14 to the left), if the lines' places agree at least as well as the
+#: second (0 to 1) and there are enough lines.
 OFF_CENTRE, STEADY, ENOUGH_LINES = 0.2, 0.3, 1000
 
-#: Seconds between frames for which alpha and beta are meant: the paper's recordings have ten frames
-#: a second.
+#: The time between frames for which alpha and beta are meant, seconds: the paper's recordings have
+#: ten frames per second.
 FRAME_S = 0.1
 
-#: With `lane_width_m: causal`, the width and the detector's habits are told anew from all frames so
-#: far, each time that so many have passed.
-LOOK_AGAIN = 200
+#: With `lane_width_m: causal`, the lane width and the detector's habits are estimated anew, from
+#: all frames so far, after every so many frames.
+UPDATE_EVERY = 200
 
 
 @dataclass(frozen=True)
 class SeenLines:
-    """A log's lines, read for the geometry.
+    """The lines of a log, read for the geometry.
 
-    offset_m (T, L): 0 where there is no line. kind (T, L): the class of a line that counts, else
-    -1. motion (T,): the value of LineMotion. is_double (T, L): a line that counts beside a better
-    one, on the same border between lanes.
+    - offset_m: (T, L) metres; 0 where there is no line
+    - kind: (T, L) the class of a line that counts, otherwise -1
+    - motion: (T,) the value of LineMotion
+    - is_double: (T, L) whether a better line on the same border between lanes counts as well
     """
 
     offset_m: FloatArray
@@ -52,12 +55,12 @@ class SeenLines:
 
     @property
     def lines(self) -> IntArray:
-        """(T, 2): how many lines of each frame count, and how many of them are doubles."""
+        """How many lines of each frame count, and how many of them are doubles, (T, 2)."""
         return np.stack([(self.kind >= 0).sum(axis=1), self.is_double.sum(axis=1)], axis=1)
 
 
 def recording_width(log: LineLog, parameters: Parameters) -> float:
-    """The lane width of a whole recording, given or found; what was found is said in a warning."""
+    """The lane width of a whole recording, given or found; a warning says which one was found."""
     width = parameters["lane_width_m"]
     if not isinstance(width, str):
         return number(parameters, "lane_width_m")
@@ -75,9 +78,9 @@ def recording_width(log: LineLog, parameters: Parameters) -> float:
 def in_metres(
     log: LineLog, widths: FloatArray, parameters: Parameters
 ) -> tuple[LineLog, FloatArray]:
-    """The log and the lane widths (T,) of its frames; where no lane in metres is so narrow or so
-    wide, both brought to the expected width, since the model's noise, clutter and reach are in
-    metres."""
+    """Scales the log and its lane widths (T,) to metres, as the model's noise, clutter and reach
+    are in metres. Only frames with a width that no lane in metres has are scaled, to the expected
+    width."""
     expected = number(parameters, "fallback_width_m")
     is_other = (widths < NARROWEST_M) | (widths > WIDEST_M)
     if not is_other.any():
@@ -87,9 +90,9 @@ def in_metres(
     return replace(log, offset_m=offset), np.where(is_other, expected, widths)
 
 
-def say_places(log: LineLog, widths: FloatArray) -> None:
-    """Warn where the lines lie oddly: out of reach, or so that the vehicle seems to keep beside the
-    middle of its lanes all the time. log, widths (T,): in metres."""
+def warn_of_offsets(log: LineLog, widths: FloatArray) -> None:
+    """Warns if most lines are out of reach, or if the vehicle seems to be off the middle of its
+    lane all the time. log and widths (T,) are in metres."""
     placed = is_placed(log)
     n_placed, n_far = int(placed.sum()), int((np.abs(log.offset_m[placed]) >= REACH_M).sum())
     if 2 * n_far > n_placed:
@@ -100,7 +103,7 @@ def say_places(log: LineLog, widths: FloatArray) -> None:
             stacklevel=2,
         )
     near = log.is_valid & placed & (np.abs(log.offset_m) < 1.5 * widths[:, None])
-    # Where each line lies between the places it has from the middle of a lane, as an angle.
+    # A line's place modulo the lane width, as an angle: 0 for a car in the middle of its lane.
     angle = 2 * math.pi * (log.offset_m / widths[:, None] - 0.5)[near]
     if len(angle) < ENOUGH_LINES:
         return
@@ -118,8 +121,8 @@ def say_places(log: LineLog, widths: FloatArray) -> None:
 
 
 def one_width(log: LineLog, parameters: Parameters) -> float:
-    """The lane width that a recording is learned from with: the given one, else that of all its
-    lines. Says nothing."""
+    """The lane width with which a recording is learned from: the given one, or the one found. There
+    is no warning."""
     width = parameters["lane_width_m"]
     if not isinstance(width, str):
         return number(parameters, "lane_width_m")
@@ -133,12 +136,15 @@ def read_lines(
     *,
     repeats_are_held: bool = False,
 ) -> SeenLines:
-    """Which lines count, and how they moved. widths (T,): lane width of each frame, metres.
-    repeats_are_held: see `_line_detector.Habits`."""
+    """Finds which lines count and how they moved.
+
+    - widths: (T,) lane width of each frame, metres
+    - repeats_are_held: as in `habits.Habits`
+    """
     kind = line_classes(log)
     steps = np.ones(len(log), dtype=np.int64)
     steps[1:] = np.diff(log.frame_id)
-    # A frame that was put in says nothing about motion, nor does the one after it.
+    # Neither a frame that fills a gap nor the one after it shows motion.
     follows = (steps == 1) & ~log.is_missing
     follows[1:] &= ~log.is_missing[:-1]
     is_held = np.zeros(kind.shape, dtype=bool)
@@ -146,7 +152,7 @@ def read_lines(
     reach = number(parameters, "motion_range") * widths
     lri = log.lri
     if repeats_are_held:
-        # One that falls with every frame.
+        # An LRI that falls with every frame makes every repeated offset a held line.
         lri = np.repeat(-np.arange(float(len(log)))[:, None], lri.shape[1], axis=1)
     kernels.follow_lines(log.offset_m, kind, lri, follows, reach, is_held, displacement)
     kind = np.where(is_held, -1, kind)
@@ -158,14 +164,16 @@ def read_lines(
 
 
 def count_once(seen: SeenLines, lines: IntArray) -> SeenLines:
-    """Leaves the doubles out where the detector reports many. lines: numbers of lines and of
-    doubles by which it is judged, (2,) for all frames or (T, 2) for each."""
+    """Leaves out the doubles if the detector reports many.
+
+    lines: numbers of lines and of doubles that decide it, (2,) for all frames or (T, 2) for each.
+    """
     has_many = lines[..., 1] >= LEAST_DOUBLES * lines[..., 0]
     return replace(seen, kind=np.where(seen.is_double & has_many[..., None], -1, seen.kind))
 
 
-def say_doubles(lines: IntArray, source: str) -> None:
-    """Warn where `count_once` leaves lines out."""
+def warn_of_doubles(lines: IntArray, source: str) -> None:
+    """Warns if `count_once` leaves lines out."""
     if lines[1] and lines[1] >= LEAST_DOUBLES * lines[0]:
         warnings.warn(
             f"{source}: {100 * lines[1] / lines[0]:.0f} % of the lines lie within {DOUBLE:g} lane"
@@ -176,21 +184,25 @@ def say_doubles(lines: IntArray, source: str) -> None:
 
 
 def frame_weights(log: LineLog, last_s: float = -math.inf) -> tuple[FloatArray, float]:
-    """(T,): how many frames' worth of evidence each frame is, the time since the one before over
-    `FRAME_S`; and the time of the last one. Errors of a detector last for seconds, not for frames:
-    what lines say in a second weighs the same however many frames there are in it. last_s: the time
-    of the frame before the first, if any; frames that were put in do not count."""
+    """The weight of each frame's evidence, (T,): the time since the frame before over `FRAME_S`.
+    Also gives the time of the last frame.
+
+    The errors of a detector last for seconds, not for frames, so a second of lines weighs the same
+    whatever the frame rate. Frames that fill gaps do not count.
+
+    last_s: the time of the frame before the first, if there is one, seconds.
+    """
     real_s = np.maximum.accumulate([last_s, *np.where(log.is_missing, -np.inf, log.time_s)])
     with np.errstate(invalid="ignore"):
         passed = log.time_s - real_s[:-1]
         is_known = np.isfinite(passed) & (passed > 0)
-        # Rounded: times are quotients, ten frames a second are to weigh 1 exactly.
+        # Times are quotients; after rounding, ten frames per second weigh exactly 1.
         return np.where(is_known, np.round(passed / FRAME_S, 6), 1.0), float(real_s[-1])
 
 
 def line_classes(log: LineLog) -> IntArray:
-    """(T, L): the class of each line, -1 where there is none or it is out of reach. Unknown LRI:
-    a valid line counts as reliable, another as tracked."""
+    """The class of each line, (T, L); -1 where there is none or it is out of reach. With an unknown
+    LRI, a valid line counts as reliable and any other as tracked."""
     unknown = np.isnan(log.lri)
     reliable = unknown | (log.lri >= STRONG_LRI)
     tracked = unknown | (log.lri >= LEAST_LRI)

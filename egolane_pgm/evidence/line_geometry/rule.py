@@ -1,28 +1,28 @@
-"""Lines as what they are: measurements of where the road's lines lie. Evidence about the place on
-the road (`graphs.position_in_lane`) instead of votes for lanes.
+"""The evidence rule: lines are measurements of where the road's lines lie, and so give evidence
+about the car's place on the road (graph `position_in_lane`) instead of votes for lanes.
 
-Each lane predicts where lines are seen and how often (`_line_model`). With p_l(u) the likelihood of
-a frame's lines at u in lane l and pbar(u) that of their mean intensity over the lanes, the joint
-likelihood of RoadPosition and SensorState is
+Each lane predicts where lines are reported and how often (`model`). Let p_l(u) be the likelihood of
+a frame's lines for a car at u in lane l, and pbar(u) the one under their mean intensity over the
+lanes. The joint likelihood of RoadPosition and SensorState is
 
     OK:  pbar(u)^beta (p_l(u) / pbar(u))^alpha        BAD:  pbar(u)^beta
 
-alpha and beta are small because the errors of neighbouring frames are much alike: the filter would
-count each of them as news. They are those of a tenth of a second; a frame that comes later after
-the one before weighs more, up to 1, and one that comes sooner less. A working sensor tells lane and
-place inside it, a failing one only the place.
+A working sensor thus tells the lane and the place inside it, a failing one only the place. alpha
+and beta are small because the errors of neighbouring frames are alike, while the filter counts each
+frame as new information. They hold for a tenth of a second: a frame that comes later after the one
+before weighs more, up to 1, and one that comes sooner weighs less.
 
-A line that the detector could not measure and holds where it was (offset the same to the last
-digit, LRI falling or unknown) says nothing new: it is no evidence, and not followed. Offsets of
-exactly 0 are placeholders. LineMotion is the median displacement of the lines that were measured in
-this frame and the one before, matched to the nearest.
+A detector may hold a line that it could not measure where it was, with the same offset to the last
+digit and an LRI that falls or is unknown. Such a line is no evidence and is not followed. Offsets
+of exactly 0 are placeholders. LineMotion is the median displacement of the lines that were measured
+in this frame and in the one before, matched to the nearest.
 
-A detector that never says that a line is continuous is taken for one that cannot tell. What its
-other flags, its LRI and its unit mean is told from the recording (`_line_detector`,
-`_line_reading`, `_lane_width`), and said where it is not as usual.
+A detector that never reports a continuous line counts as one that cannot tell. The meaning of its
+other flags, of its LRI and of its unit is estimated from the recording (`habits`, `reading`,
+`lane_width`); a warning says so if it is unusual.
 
-No label is needed: where `rates` and the like are `generic`, they are the same for every detector,
-and the lane width is estimated from the gaps between lines.
+The rule needs no labels: `generic` constants are the same for every detector, and the lane width is
+estimated from the gaps between lines.
 """
 
 from __future__ import annotations
@@ -58,7 +58,7 @@ from egolane_pgm.evidence.line_geometry.model import (
 )
 from egolane_pgm.evidence.line_geometry.parameters import PARAMETERS
 from egolane_pgm.evidence.line_geometry.reading import (
-    LOOK_AGAIN,
+    UPDATE_EVERY,
     SeenLines,
     count_once,
     frame_weights,
@@ -66,8 +66,8 @@ from egolane_pgm.evidence.line_geometry.reading import (
     one_width,
     read_lines,
     recording_width,
-    say_doubles,
-    say_places,
+    warn_of_doubles,
+    warn_of_offsets,
 )
 from egolane_pgm.parameters import Parameters, Value, number
 from egolane_pgm.types import BoolArray, Evidence, FloatArray, IntArray, LineLog, stacked
@@ -75,15 +75,15 @@ from egolane_pgm.types import BoolArray, Evidence, FloatArray, IntArray, LineLog
 NODES = ("RoadPosition", "SensorState")
 PROVIDES = (NODES,)
 
-#: What `fit` learns.
+#: The parameters that `fit` learns.
 LEARNED = (*FITTED, "fallback_width_m")
 
-#: Parameters that `fit` does not look at: settings that differ in these only share what is learned.
+#: Parameters that `fit` ignores: settings that differ only in these share what is learned.
 FIT_IGNORES = ("alpha", "beta")
 
 
 def looks_ahead(parameters: Parameters) -> str | None:
-    """How the evidence of a frame depends on later frames, or None where it does not."""
+    """How the evidence of a frame depends on later frames; None if it does not."""
     if parameters["lane_width_m"] == "causal":
         return None
     what = "what the detector's flags and LRI mean"
@@ -93,23 +93,24 @@ def looks_ahead(parameters: Parameters) -> str | None:
 
 
 def evidence(log: LineLog, n_lanes: int, parameters: Parameters) -> Evidence:
-    """(RoadPosition, SensorState) (T, n cells, 2), each frame's largest 1, and the input
-    LineMotion (T,).
+    """The evidence of T frames: the joint likelihood of RoadPosition and SensorState, (T, n cells,
+    2), whose largest value in each frame is 1, and the input LineMotion (T,).
 
-    parameters: resolved values of PARAMETERS. What lane width was found in the whole recording,
-    and what is odd about its lines, is said in warnings. With
-    `lane_width_m: causal` nothing of the whole recording enters the evidence: each frame's is what
-    `online` gives for it.
+    parameters: checked values of PARAMETERS. With `lane_width_m: causal` the evidence of a frame is
+    what `online` gives for it; otherwise the lane width and the detector's habits come from the
+    whole recording.
+
+    Warnings say which lane width was found, and what is unusual about the lines.
     """
     recorded = log
     log, detector = usual(log)
     width = recording_width(log, parameters)
     log, widths = in_metres(log, np.full(len(log), width), parameters)
-    say_places(log, widths)
+    warn_of_offsets(log, widths)
     held = detector.repeats_are_held
     seen = read_lines(log, widths, parameters, repeats_are_held=held)
     lines = seen.lines.sum(axis=0)
-    say_doubles(lines, log.source)
+    warn_of_doubles(lines, log.source)
     if parameters["lane_width_m"] == "causal":
         return online(n_lanes, parameters)(recorded)
     seen = count_once(seen, lines)
@@ -121,12 +122,13 @@ def evidence(log: LineLog, n_lanes: int, parameters: Parameters) -> Evidence:
 
 
 def online(n_lanes: int, parameters: Parameters) -> Callable[[LineLog], Evidence]:
-    """Returns a function that gives the evidence of one frame after the other, or of some at a
-    time, each log following on the one before.
+    """A function that gives the evidence of one or several frames at a time; each log continues the
+    one before.
 
     All that it knows comes from the frames so far, however they are grouped: the lane width (unless
-    given), what the detector's flags and LRI mean, and whether it reports lines twice. From the
-    first continuous line on, the detector is one that can tell. What was found is not said.
+    given), the meaning of the detector's flags and LRI, and whether it reports lines twice. The
+    detector counts as one with a continuous flag from the first continuous line on. There are no
+    warnings.
     """
     flagged = line_model(n_lanes, parameters)
     model = flagless = without_flags(flagged)
@@ -141,7 +143,8 @@ def online(n_lanes: int, parameters: Parameters) -> Callable[[LineLog], Evidence
     tallies: list[Tally] = []
     lines = np.zeros(2, dtype=np.int64)
 
-    def look_again(source: str) -> None:
+    def update_reading(source: str) -> None:
+        """Estimates habits and lane width anew, from all frames so far."""
         nonlocal width, model, detector
         tallies[:] = [total(tallies)]
         detector = habits(tallies[0], source)
@@ -151,11 +154,11 @@ def online(n_lanes: int, parameters: Parameters) -> Callable[[LineLog], Evidence
         if isinstance(given, str) and gaps.any():
             width = rounded(width_of_gaps(gaps, fallback, source).width_m)
 
-    def give_alike(recorded: LineLog) -> Evidence:
-        """For frames that are all read in the same way."""
+    def evidence_of_part(recorded: LineLog) -> Evidence:
+        """The evidence of frames that are all read in the same way."""
         nonlocal context, n_frames, gaps, lines, model, last_s
-        if n_frames and n_frames % LOOK_AGAIN == 0:
-            look_again(recorded.source)
+        if n_frames and n_frames % UPDATE_EVERY == 0:
+            update_reading(recorded.source)
         tallies.append(tally(recorded))
         piece = as_usual(recorded, detector)
         if isinstance(given, str):
@@ -166,7 +169,7 @@ def online(n_lanes: int, parameters: Parameters) -> Callable[[LineLog], Evidence
         log = piece if context is None else context.then(piece)
         before = len(log) - len(piece)
         n_frames += len(piece)
-        # Whether a line of the frame before was held shows in the one before that.
+        # Two frames are kept: they show whether a line of the last one was held.
         context = log.take(slice(max(0, len(log) - 2), None))
         scaled, widths = in_metres(log, np.full(len(log), width), parameters)
         held = detector.repeats_are_held
@@ -184,24 +187,25 @@ def online(n_lanes: int, parameters: Parameters) -> Callable[[LineLog], Evidence
         likelihood = _likelihood(now, widths[before:], weights, model, parameters, known)
         return Evidence({NODES: likelihood}, {"LineMotion": now.motion})
 
-    def give(recorded: LineLog) -> Evidence:
-        looks = np.arange(-n_frames % LOOK_AGAIN, len(recorded), LOOK_AGAIN)
-        starts = np.unique([0, *looks])
+    def evidence_of(recorded: LineLog) -> Evidence:
+        updates = np.arange(-n_frames % UPDATE_EVERY, len(recorded), UPDATE_EVERY)
+        starts = np.unique([0, *updates])
         is_continuous = np.asarray(recorded.is_continuous.any(axis=1))
-        # The first frame with a continuous line may change how lines are read.
+        # The first frame with a continuous line may change how lines are read, so a part ends
+        # there.
         firsts = [
             a + int(np.argmax(is_continuous[a:b]))
             for a, b in pairwise([*starts, len(recorded)])
             if is_continuous[a:b].any()
         ]
         cuts = [*np.unique([*starts, *firsts]).tolist(), len(recorded)]
-        parts = [give_alike(recorded.take(slice(a, b))) for a, b in pairwise(cuts)]
+        parts = [evidence_of_part(recorded.take(slice(a, b))) for a, b in pairwise(cuts)]
         return Evidence(
             {NODES: np.concatenate([part.likelihoods[NODES] for part in parts])},
             {"LineMotion": np.concatenate([part.inputs["LineMotion"] for part in parts])},
         )
 
-    return give
+    return evidence_of
 
 
 def _likelihood(
@@ -212,7 +216,8 @@ def _likelihood(
     parameters: Parameters,
     known: dict[float, LineTables],
 ) -> FloatArray:
-    """known: the tables so far, by width."""
+    """The likelihood of each frame, (T, n cells, 2). known: the tables made so far, by lane
+    width."""
     n_positions = model.n_lanes * int(number(parameters, "cells"))
     alpha, beta = (_weighted(number(parameters, name), weights) for name in ("alpha", "beta"))
     likelihood = np.empty((len(widths), n_positions, 2))
@@ -238,12 +243,12 @@ def _likelihood(
 
 
 def _weighted(exponent: float, weights: FloatArray) -> FloatArray:
-    """(T,): the exponent of each frame; lines never count more than once."""
+    """The exponent of each frame, (T,), limited so that no line counts more than once."""
     return np.minimum(exponent * weights, max(exponent, 1.0))
 
 
 def _same(widths: FloatArray) -> Iterator[slice]:
-    """The stretches of one width."""
+    """The stretches of frames with the same width."""
     if len(widths):
         ends: BoolArray = np.diff(widths) != 0
         starts = [0, *(np.flatnonzero(ends) + 1).tolist(), len(widths)]
@@ -258,11 +263,13 @@ def fit(
     n_lanes: int,
     parameters: Parameters,
 ) -> dict[str, Value]:
-    """The model's parameters, learned from the frames is_used (T,) with the lanes (T,), 1 to n:
-    the other frames' lanes are not looked at.
+    """Learns the parameters `LEARNED` from frames whose lane is known.
 
-    The first guess is what the parameters say; it is worth `prior_frames` frames of each lane. A
-    lane without a frame keeps it, with a warning.
+    - lane: (T,) 1 to n; only those of the used frames are read
+    - is_used: (T,) the frames to learn from
+    - parameters: the first guess, which is worth `prior_frames` frames of each lane
+
+    A lane without a frame keeps the first guess, with a warning.
     """
     return fit_pooled([(log, lane, is_used)], n_lanes, parameters)
 
@@ -270,8 +277,8 @@ def fit(
 def fit_pooled(
     parts: Sequence[tuple[LineLog, IntArray, BoolArray]], n_lanes: int, parameters: Parameters
 ) -> dict[str, Value]:
-    """As `fit`, from several recordings, (log, lane, is_used) of each, whose lines are brought to
-    the lane width of the first."""
+    """As `fit`, from several recordings: log, lane and is_used of each. All lines are scaled to the
+    lane width of the first recording."""
     if parameters["prior_frames"] == "infinite":
         return {p.name: p.default for p in PARAMETERS if p.name in LEARNED}
     source = ", ".join(log.source for log, _, _ in parts)
