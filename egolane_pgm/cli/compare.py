@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -11,7 +11,7 @@ from tqdm import tqdm
 
 from egolane_pgm import compare as comparing
 from egolane_pgm.cli import options
-from egolane_pgm.compare.choose import distinct, known_losses, plan, try_all
+from egolane_pgm.compare.choose import Losses, losses_by_experiment, plan
 from egolane_pgm.compare.comparing import (
     Group,
     Options,
@@ -142,13 +142,12 @@ def _held_out(
     figure: str | None,
     json_file: Path | None,
 ) -> None:
+    def show(found: Iterator[Losses], total: int) -> Iterable[Losses]:
+        is_hidden = None if total else True
+        return tqdm(found, "choosing", total, unit="recording", leave=False, disable=is_hidden)
+
     tasks = plan([e for group in groups for e in group.experiments], settings.blocks)
-    todo = distinct(tasks)
-    tried = try_all(list(todo.values()), jobs)
-    shown = tqdm(
-        tried, "choosing", len(todo), unit="recording", leave=False, disable=None if todo else True
-    )
-    known = known_losses(tasks, dict(zip(todo, shown, strict=True)))
+    known = losses_by_experiment(tasks, jobs, show)
     done = compare_groups(groups, settings, jobs=jobs, known=known)
     bar = tqdm(done, total=len(groups), unit="recording", leave=False, disable=None)
     compared: list[Any] = []

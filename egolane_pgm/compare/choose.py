@@ -1,17 +1,22 @@
 """`fit: choose`: constants from a grid, chosen without the frames that are scored.
 
-For block b of a recording every setting of the grid is tried on all recordings of the experiment's
-`choice`, the own one included: on each stretch of road c with what is learned without c; on the
-drive that b belongs to, also without b, whose stretch is left out in every recording of it. With
-`choice.objective: accuracy` a frame's loss is 1 where another lane than the true one is assigned,
-or none (by `unassigned_below` too, as the scores count); with `log_loss` it is -ln P(true lane), at
-most -ln FLOOR: more says how sure a wrong belief was, not how often one is wrong.
+A candidate is one value for each parameter of the grid. For block b of a recording every candidate
+is tried on all recordings that the experiment's `choice` names, the own one included:
 
-The setting of least mean loss is chosen. With `choice.cautious` an earlier value of that parameter
-is kept where its best setting is worse by no more than one standard error, of the least mean loss
-(Breiman et al. 1984, the 1 SE rule) or of the paired difference (`choice.error_of`), over the
-stretches of road: recordings of one stretch share its luck. Of many settings the best looks better
-than it is, which the error of a difference does not know.
+- on each stretch of road c with what is learned without c;
+- on the drive that b belongs to, also without b. The stretch of road of b is left out in every
+  recording of that drive.
+
+With `choice.objective: accuracy` the loss of a frame is 1 where the assigned lane is not the true
+one (Unassigned included, by `unassigned_below` too), else 0. With `log_loss` it is -ln P(true
+lane), but at most -ln FLOOR: beyond that it says how sure a wrong belief was, not how often the
+belief is wrong.
+
+The candidate with the least mean loss is chosen. With `choice.cautious` an earlier value of that
+parameter is kept where its best candidate is worse by no more than one standard error: of the least
+mean loss (Breiman et al. 1984, the 1 SE rule) or of the paired difference (`choice.error_of`). The
+error is taken over the stretches of road, because recordings of one stretch share its luck. The
+best of many candidates looks better than it is, which the error of a difference does not know.
 """
 
 from __future__ import annotations
@@ -67,9 +72,13 @@ Candidate = Mapping[str, Any]
 
 @dataclass(frozen=True)
 class Task:
-    """A recording on which settings are tried. experiment: the model on it. stretches: the first
-    and last frame id of each block, over all recordings of the drive. is_target: blocks of this
-    drive are scored. is_alone: and of no other drive."""
+    """A recording on which the candidates are tried.
+
+    experiment: the model on this recording.
+    stretches: the first and last frame id of each block, over all recordings of the drive.
+    is_target: whether blocks of this drive are scored.
+    is_alone: whether blocks of no other drive are scored.
+    """
 
     experiment: Experiment
     stretches: tuple[tuple[int, int], ...]
@@ -78,7 +87,7 @@ class Task:
 
     @property
     def key(self) -> str:
-        """The same for tasks that come to the same."""
+        """The same for tasks with the same result."""
         unused: dict[str, Any] = {"name": True, "description": True}
         unused["choice"] = {"objective", "cautious", "error_of"}
         content = self.experiment.model_dump(exclude=unused)
@@ -88,16 +97,20 @@ class Task:
 
 @dataclass(frozen=True)
 class Losses:
-    """Of S settings on one recording. drive: which it is of (`drives.drive_key`). sums (S, B, B),
-    by objective: [s, b, c] is the loss, summed over the frames of stretch c that are not in b, with
-    what was learned without both (b = c: without c). frames (B, B): how many these are."""
+    """The losses of S candidates on one recording, with B blocks.
+
+    drive: which drive the recording is of (`placing.drive_key`).
+    sums (S, B, B), by objective: [s, b, c] is the loss of candidate s, summed over the frames of
+        stretch c that are not in b, with what was learned without both (b = c: without c).
+    frames (B, B): the number of these frames.
+    """
 
     drive: str
     sums: Mapping[str, FloatArray]
     frames: IntArray
 
 
-#: What each recording of an experiment's choice came to, by `experiment_key`.
+#: The losses on each recording of an experiment's choice, by `experiment_key`.
 Known = Mapping[str, Sequence[Losses]]
 
 
@@ -107,7 +120,8 @@ def experiment_key(experiment: Experiment) -> str:
 
 
 def candidates(experiment: Experiment) -> list[dict[str, Any]]:
-    """Every setting of the grid, the last parameter fastest. Raises InputError without a grid."""
+    """Every candidate of the grid; the last parameter changes fastest. Raises InputError without a
+    grid."""
     if experiment.choice is None:
         raise InputError(f"{experiment.source}: fit: choose needs choice.grid, what to choose from")
     grid = experiment.choice.grid
@@ -117,10 +131,14 @@ def candidates(experiment: Experiment) -> list[dict[str, Any]]:
 def plan(
     experiments: Iterable[Experiment], n_blocks: int, *, is_held_out: bool = True
 ) -> dict[str, list[Task]]:
-    """What is to be tried for each of the experiments that say `fit: choose`, by `experiment_key`;
-    tasks of the same `key` need to be done once only. Reads the recordings. is_held_out: False for
-    one choice with the help of every block. Raises InputError as the recordings do, and for a grid
-    that does not go with the experiment."""
+    """List the recordings on which candidates are tried, for each of the experiments that say
+    `fit: choose`, by `experiment_key`. Tasks of the same `key` need to be done only once.
+
+    is_held_out: False for one choice with the help of every block.
+
+    Reads the recordings. Raises InputError as that does, and for a grid that does not go with the
+    experiment.
+    """
     chosen = [e for e in experiments if e.fit == "choose"]
     drives: dict[str, Drive] = {}
     pools: list[list[Experiment]] = []
@@ -165,23 +183,28 @@ def _check_grid(experiment: Experiment) -> None:
         resolve_parameters(specs, candidate, model.n_lanes, f"{experiment.source}: choice.grid")
 
 
-def known_losses(tasks: Mapping[str, Sequence[Task]], done: Mapping[str, Losses]) -> Known:
-    """What was planned, done: losses by the key of a task."""
-    return {key: [done[task.key] for task in mine] for key, mine in tasks.items()}
-
-
-def distinct(tasks: Mapping[str, Sequence[Task]]) -> dict[str, Task]:
-    """The tasks that have to be done, by their keys."""
-    return {task.key: task for mine in tasks.values() for task in mine}
-
-
 def try_all(tasks: Sequence[Task], jobs: int = 1) -> Iterator[Losses]:
-    """The losses of each task, in order. jobs: processes that share them."""
+    """The losses of each task, in order. jobs: the number of processes that share them."""
     return in_order(losses_of, tasks, jobs)
 
 
+def losses_by_experiment(
+    tasks: Mapping[str, Sequence[Task]],
+    jobs: int = 1,
+    show: Callable[[Iterator[Losses], int], Iterable[Losses]] = lambda found, total: found,
+) -> Known:
+    """The losses of the tasks that were planned, each distinct one done once.
+
+    show: is given the losses as they come and how many there will be, for a progress bar.
+    """
+    todo = {task.key: task for mine in tasks.values() for task in mine}
+    found = show(try_all(list(todo.values()), jobs), len(todo))
+    done = dict(zip(todo, found, strict=True))
+    return {key: [done[task.key] for task in mine] for key, mine in tasks.items()}
+
+
 def losses_of(task: Task) -> Losses:
-    """Every setting on one recording."""
+    """The losses of every candidate on one recording."""
     drive = load_for_scoring(task.experiment)
     truth, n_stretches = drive.truth, len(task.stretches)
     inside = [on_stretch(drive, ends) for ends in task.stretches]
@@ -213,8 +236,11 @@ def losses_of(task: Task) -> Losses:
 
 
 class _Tried:
-    """The settings on one drive. Kept are the losses with what each has learned last: where nothing
-    is learned, it is always the same."""
+    """The candidates on one drive.
+
+    The losses of each candidate are kept together with what it had learned for them, because often
+    the same is learned next: always, where nothing is learned.
+    """
 
     def __init__(self, drive: Drive, tried: Sequence[Candidate]) -> None:
         self.drive = drive
@@ -223,8 +249,8 @@ class _Tried:
         self.last: dict[int, tuple[str, list[FloatArray]]] = {}
 
     def losses(self, train: IntArray) -> dict[str, FloatArray]:
-        """(S, K) by objective: of each setting in each annotated frame, learned from the frames
-        `train`."""
+        """By objective the loss (S, K) of each candidate in each annotated frame, with what is
+        learned from the frames `train`."""
         experiment = self.drive.experiment
         known: dict[str, Found] = {}
         losses: list[list[FloatArray]] = []
@@ -243,7 +269,7 @@ class _Tried:
         return {name: np.stack([each[k] for each in losses]) for k, name in enumerate(LOSSES)}
 
     def _learned(self, model: Model, train: IntArray) -> Found:
-        # Which lanes were not seen is said where what is learned is used.
+        # The warning of a lane without a frame comes again where the chosen candidate learns.
         with warnings.catch_warnings():
             warnings.simplefilter("ignore", UserWarning)
             seen = self.drive.only_labels_of(train)
@@ -257,13 +283,18 @@ class _Tried:
 
 
 def learns(model: Model, experiment: Experiment) -> bool:
-    """Whether anything is learned beside what is chosen: by an evidence rule that can be learned,
-    or, where the experiment says how (`learning`), the tables of the graph."""
+    """Whether something is learned besides what is chosen: the parameters of an evidence rule that
+    can learn, or, where the experiment has a section `learning`, the tables of the graph."""
     return hasattr(model.rule, "fit") or experiment.learning is not None
 
 
 def choose(losses: Sequence[Losses], own_drive: str, block: int, experiment: Experiment) -> int:
-    """The number of the setting that is chosen for a block of a recording of a drive."""
+    """The number of the candidate that is chosen for a block.
+
+    losses: on each recording of the choice.
+    own_drive: the drive of the recording that is scored ("" where no block is left out).
+    block: the one that is scored, from 0.
+    """
     choice = experiment.choice
     assert choice is not None
     sums, n_frames = _clusters(losses, choice.objective, own_drive, block)
@@ -283,8 +314,8 @@ def choose(losses: Sequence[Losses], own_drive: str, block: int, experiment: Exp
 
 
 def chosen_on_all(experiment: Experiment, losses: Sequence[Losses]) -> Experiment:
-    """The experiment with the constants that are best on all blocks of all recordings, to learn
-    with. losses: of the tasks that are not held out."""
+    """The experiment with the constants that are best on all blocks of all recordings, ready to
+    learn. losses: of tasks that were planned with is_held_out False."""
     chosen = candidates(experiment)[choose(losses, "", 0, experiment)]
     changes = {"fit": "learn", "parameters": {**experiment.parameters, **chosen}}
     return experiment.model_copy(update=changes)
@@ -293,8 +324,8 @@ def chosen_on_all(experiment: Experiment, losses: Sequence[Losses]) -> Experimen
 def _clusters(
     losses: Sequence[Losses], objective: str, own_drive: str, block: int
 ) -> tuple[FloatArray, int]:
-    """(C, S): the summed losses on each stretch of road that may be looked at, over the recordings
-    of it; and the number of frames."""
+    """The losses (C, S) on each of the C stretches of road that may be looked at, summed over the
+    recordings of the stretch; and the number of frames."""
     sums: dict[tuple[str, int], FloatArray] = {}
     n_frames = 0
     for one in losses:

@@ -13,14 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from egolane_pgm.compare.choose import (
-    Known,
-    distinct,
-    experiment_key,
-    known_losses,
-    plan,
-    try_all,
-)
+from egolane_pgm.compare.choose import Known, experiment_key, losses_by_experiment, plan
 from egolane_pgm.compare.detector_health import detector_answers, detector_health, model_health
 from egolane_pgm.compare.in_sample import with_graph
 from egolane_pgm.compare.placing import load_for_scoring, on_recording, recording_key
@@ -42,8 +35,13 @@ SCHEMA_VERSION = 1
 
 @dataclass(frozen=True)
 class Group:
-    """Experiments on one recording; differences are to the first. run: the paper's, or None.
-    detector: experiments that say what the detector alone answers, the first that can."""
+    """Experiments on one recording; differences are to the first.
+
+    title: names the recording in tables and directories.
+    run: the number of the paper's run, or None.
+    detector: experiments of which the first with a tentative vector says what the detector alone
+        answers.
+    """
 
     title: str
     run: int | None
@@ -53,8 +51,13 @@ class Group:
 
 @dataclass(frozen=True)
 class Options:
-    """blocks: held out in turn. trials: of each search, None for what the experiment says. health:
-    the detector's errors are looked for too. out: where result directories go, None for nowhere."""
+    """How experiments are compared.
+
+    blocks: the number of blocks, each held out in turn.
+    trials: the trials of each search; None for what the experiment says.
+    health: whether to score how well each experiment tells that the detector is wrong.
+    out: where result directories go; None for nowhere.
+    """
 
     blocks: int = N_BLOCKS
     trials: int | None = None
@@ -63,8 +66,8 @@ class Options:
 
 
 def by_recording(experiments: Sequence[Experiment]) -> list[Group]:
-    """The experiments, grouped by what they are run on. Raises InputError for a name that occurs
-    twice in a group."""
+    """Group experiments by what they are run on. Raises InputError for a name that occurs twice in
+    a group."""
     found: dict[str, list[Experiment]] = {}
     for experiment in experiments:
         found.setdefault(recording_key(experiment), []).append(experiment)
@@ -80,8 +83,8 @@ def by_recording(experiments: Sequence[Experiment]) -> list[Group]:
 
 
 def _with_own_titles(groups: Sequence[Group]) -> list[Group]:
-    """Recordings of one name (`a/lines.csv`, `b/lines.csv`) with their folder's, else numbered:
-    rows of a table and result directories go by the title."""
+    """Give recordings of one name (`a/lines.csv`, `b/lines.csv`) the name of their folder too, and
+    a number where that is not enough: rows of a table and result directories go by the title."""
     titles = [group.title for group in groups]
     found: dict[str, Group] = {}
     for group in groups:
@@ -101,9 +104,13 @@ def on_runs(
     with_paper: bool = False,
     which: str = "published",
 ) -> list[Group]:
-    """Each model (evidence, graph, filter, parameters, fit) on the recording of each of the
-    paper's runs. with_paper: the run's own experiment comes first, with its `which` parameters.
-    Raises InputError for a model that does not go with a run's number of lanes."""
+    """Put each model (evidence, graph, filter, parameters, fit) on the recording of each of the
+    paper's runs.
+
+    with_paper: whether the run's own experiment comes first, with its `which` parameters.
+
+    Raises InputError for a model that does not go with a run's number of lanes.
+    """
     groups = []
     checked: set[tuple[str, int]] = set()
     for number in numbers:
@@ -122,8 +129,8 @@ def on_runs(
 
 
 def graphs_on_runs(graphs: Sequence[str], numbers: Sequence[int], fit: str) -> list[Group]:
-    """Each graph on the recording of each of the paper's runs, with the run's evidence rule where
-    that fits it, else one that does."""
+    """Put each graph on the recording of each of the paper's runs, with the run's evidence rule
+    where that fits the graph, else with one that does."""
     groups = []
     for number in numbers:
         own = _own_experiment(number, "published")
@@ -168,15 +175,16 @@ def compare_groups(
     jobs: int = 1,
     known: Known | None = None,
 ) -> Iterator[dict[str, Any]]:
-    """Each group's part of the document (`document`), in order, or `title`, `run` and `error` of
-    one that failed, which stops no other. jobs: processes that share the groups. known: what was
-    tried for experiments that say `fit: choose`, where that is at hand (`choice.plan`)."""
+    """Yield each group's part of the document (see `document`), in order; of a group that failed,
+    which stops no other, its `title`, `run` and `error`.
+
+    jobs: the number of processes that share the groups.
+    known: the losses for experiments that say `fit: choose`, where they were computed already.
+    """
     options = options or Options()
     if known is None:
         tasks = plan([e for group in groups for e in group.experiments], options.blocks)
-        todo = distinct(tasks)
-        done = try_all(list(todo.values()), jobs)
-        known = known_losses(tasks, dict(zip(todo, done, strict=True)))
+        known = losses_by_experiment(tasks, jobs)
     work = partial(_tried, options=options, known=known)
     yield from in_order(work, groups, jobs, died=_failed)
 
@@ -193,8 +201,8 @@ def _failed(group: Group, error: str) -> dict[str, Any]:
 
 
 def compare_group(group: Group, options: Options, known: Known | None = None) -> dict[str, Any]:
-    """The experiments of one recording: see `document` for the keys. Raises InputError as the
-    experiments do."""
+    """Compare the experiments of one recording; see `document` for the keys. Raises InputError as
+    the experiments do."""
     with warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always", UserWarning)
         sides, recorded = _sides(group, options, known or {})
@@ -230,7 +238,7 @@ def compare_group(group: Group, options: Options, known: Known | None = None) ->
 
 
 def _sides(group: Group, options: Options, known: Known) -> tuple[list[Side], Recorded]:
-    """All experiments on the recording, which is read once for all that read it alike."""
+    """Believe the recording under every experiment. It is read once for all that read it alike."""
     read: dict[str, Recorded] = {}
     sides: list[Side] = []
     for experiment in group.experiments:

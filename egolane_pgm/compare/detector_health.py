@@ -15,7 +15,7 @@ from egolane_pgm.types import UNASSIGNED, BoolArray, FloatArray
 
 
 def detector_answers(candidates: Sequence[Experiment], recorded: Recorded) -> FloatArray:
-    """(K, n): the tentative vector in the annotated frames, by the first of the experiments whose
+    """The tentative vector (K, n) in the annotated frames: by the first of the experiments whose
     evidence rule gives one, else by the default rule with its default parameters."""
     default = {
         key: Experiment.model_fields[key].default
@@ -31,8 +31,8 @@ def detector_answers(candidates: Sequence[Experiment], recorded: Recorded) -> Fl
 
 
 def detector_health(errors: DetectorErrors, keep: BoolArray) -> dict[str, Any]:
-    """The baseline, over the kept frames (K,): "the detector is Unassigned" as a score for "it is
-    not right", over all non-crossing ones.
+    """The baseline that health scores are compared with: "the detector says Unassigned" as the
+    score for "the detector is not right", over all non-crossing frames among those kept (K,).
 
     Keys: `frames` (non-crossing), `committed` (those with a lane), `wrong` (committed and wrong),
     `auc_unassigned`.

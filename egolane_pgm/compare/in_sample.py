@@ -19,8 +19,12 @@ SCHEMA_VERSION = 1
 
 @dataclass(frozen=True)
 class Compared:
-    """One run under several graphs. scores: per graph (and "detector") as `score_all` gives them;
-    mean_log_evidence: per graph."""
+    """One of the paper's runs under several graphs.
+
+    number: of the run.
+    scores: per graph, and for "detector", as `score_with_intervals` gives them.
+    mean_log_evidence: per graph.
+    """
 
     number: int
     scores: Mapping[str, Mapping[str, Any]]
@@ -28,8 +32,8 @@ class Compared:
 
 
 def compare_graphs(number: int, graphs: Sequence[str], which: str = "recovered") -> Compared:
-    """One of the paper's runs under each graph, with the paper's parameters as far as the graph
-    has them: nothing is tuned for the other graphs, and the paper's values are in-sample."""
+    """Run one of the paper's runs under each graph, with the paper's parameters as far as the graph
+    has them. Nothing is tuned for the other graphs, and the paper's values are in-sample."""
     experiment = load_experiment(paper_experiment(number))
     parameters = parameters_for(load_published()[number], which)
     recorded = load_recording(experiment)
@@ -45,8 +49,11 @@ def compare_graphs(number: int, graphs: Sequence[str], which: str = "recovered")
 
 
 def with_graph(experiment: Experiment, graph: str, parameters: Mapping[str, Any]) -> Experiment:
-    """The experiment with another graph, those of the parameters that it declares, and its own
-    evidence rule where that gives what the graph observes, else the first one that does."""
+    """The experiment with another graph.
+
+    It keeps those of the parameters that the new plugins declare, and its evidence rule where that
+    gives what the graph observes; else it has the first rule that does.
+    """
     where = experiment.source
     module = load_plugin("graphs", graph, experiment.folder, f"{where}: graph")
     names = [experiment.evidence, *plugin_names("evidence")]

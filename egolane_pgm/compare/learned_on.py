@@ -1,5 +1,6 @@
-"""`learned_on`: parameters learned on other recordings than the one that is scored, one or several
-pooled, without the stretch of road that is scored where they are of the same drive."""
+"""`learned_on`: parameters are learned on other recordings than the one that is scored: on one, or
+on several pooled. Where they are of the same drive, the stretch of road that is scored is left
+out."""
 
 from __future__ import annotations
 
@@ -29,11 +30,13 @@ from egolane_pgm.types import InputError, IntArray
 def learned_elsewhere(
     models: Sequence[Experiment], sources: Sequence[str], on_runs: bool
 ) -> list[Experiment]:
-    """Each model once for each source: runs of the paper (`1-4`), or experiments, YAML files with
-    commas between them. on_runs: every model is put on every recording.
+    """Each model once for each source, to be learned there.
 
-    They are named after the source, and after the model where it shares a recording. Raises
-    InputError for a file that is not there.
+    sources: runs of the paper (`1-4`), or YAML files of experiments with commas between them.
+    on_runs: whether every model is put on every recording.
+
+    The new experiments are named after the source, and after the model where several models share
+    a recording. Raises InputError for a file that is not there.
     """
     keys = [recording_key(model) for model in models]
     is_shared = len(models) > 1 if on_runs else len(set(keys)) < len(keys)

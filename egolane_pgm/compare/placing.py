@@ -19,8 +19,8 @@ from egolane_pgm.types import BoolArray, InputError, IntArray
 
 
 def on_recording(model: Experiment, place: Experiment) -> Experiment:
-    """The model of one experiment on the recording of another: that one's frames, ground truth,
-    number of lanes and untrusted labels (`tuning.never_fit`)."""
+    """Put the model of one experiment on the recording of another, with that one's frames, ground
+    truth, number of lanes and untrusted labels (`tuning.never_fit`)."""
     content = model.model_dump()
     truth = place.ground_truth
     recording = place.recording.model_dump()
@@ -41,8 +41,13 @@ def on_recording(model: Experiment, place: Experiment) -> Experiment:
 
 
 def on_recordings(model: Experiment, names: Sequence[str], key: str) -> list[Experiment]:
-    """The model on the recordings of other experiments, files beside its YAML. Raises InputError
-    that names the key (`choice.recordings`) for one that cannot be used."""
+    """Put the model on the recordings of other experiments.
+
+    names: their YAML files, relative to the model's own.
+    key: the YAML key that lists them, for messages (`choice.recordings`).
+
+    Raises InputError for one that cannot be used.
+    """
     placed = []
     for name in names:
         try:
@@ -53,16 +58,20 @@ def on_recordings(model: Experiment, names: Sequence[str], key: str) -> list[Exp
 
 
 def recording_key(experiment: Experiment) -> str:
-    """What is driven: file or simulation, its frames, and the number of lanes."""
+    """The same for experiments on the same recording: file or simulation, frames, and number of
+    lanes."""
     recording = experiment.recording
     path = files_in_full({"path": recording.path}, experiment.folder)["path"]
     return repr((path, recording.simulate, recording.seed, recording.frames, experiment.n_lanes))
 
 
 def drive_key(experiment: Experiment) -> str:
-    """What recordings of one drive have in common: the ground truth, whose frame ids are theirs
-    too, or the simulation. The frame ids and labels of the file count, not its name: those of a
-    copy are known to whoever knows the original. Raises InputError where it cannot be read."""
+    """The same for recordings of one drive: a checksum of the frame ids and labels of its ground
+    truth, or the simulation.
+
+    The name of the file does not count: whoever knows the labels of a file knows those of its copy.
+    Raises InputError where the ground truth cannot be read.
+    """
     if experiment.ground_truth is None:
         recording = experiment.recording
         return repr((recording.simulate, recording.seed, experiment.n_lanes))
@@ -76,7 +85,8 @@ def drive_key(experiment: Experiment) -> str:
 
 @functools.lru_cache(maxsize=256)
 def _labels_key(path: Path, changed_ns: int, size: int) -> str:
-    """A checksum of the labels of a file, as it was then."""
+    """A checksum of the labels in a file. changed_ns, size: keep the checksum of an older version
+    of the file from being used."""
     truth = read_ground_truth(path)
     content = hashlib.sha256()
     for values in (truth.frame_id, truth.lane, truth.is_crossing):
