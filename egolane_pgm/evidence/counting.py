@@ -10,8 +10,8 @@ fully reliable, so that the WOR is the share of the n + 1 expected lines that we
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 
+from egolane_pgm.jit import kernel
 from egolane_pgm.parameters import Parameter, Parameters, number
 from egolane_pgm.types import BoolArray, Evidence, FloatArray, LineLog
 
@@ -75,7 +75,7 @@ def evidence(log: LineLog, n_lanes: int, parameters: Parameters) -> Evidence:
     return Evidence({"DetectorOutput": tentative, "WOR": wor})
 
 
-@njit(cache=True)
+@kernel()
 def count_lines(
     offset_m: FloatArray,
     is_valid: BoolArray,

@@ -5,13 +5,13 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
+from egolane_pgm.jit import kernel
 from egolane_pgm.types import FloatArray, IntArray
 
 
-@njit(cache=True)
+@kernel()
 def contour_runs(
     mask: NDArray[np.uint8], points: NDArray[np.int32], starts: IntArray, owner: IntArray
 ) -> tuple[IntArray, IntArray, IntArray, IntArray]:
@@ -51,7 +51,7 @@ def contour_runs(
     return row[:n], left[:n], right[:n], contour[:n]
 
 
-@njit(cache=True)
+@kernel()
 def common_scores(
     x: FloatArray,
     y: FloatArray,

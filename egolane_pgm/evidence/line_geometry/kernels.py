@@ -5,12 +5,12 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numba import njit
 
+from egolane_pgm.jit import kernel
 from egolane_pgm.types import BoolArray, FloatArray, IntArray
 
 
-@njit(cache=True)
+@kernel()
 def follow_lines(
     offset_m: FloatArray,
     kind: IntArray,
@@ -69,7 +69,7 @@ def follow_lines(
                 break
 
 
-@njit(cache=True)
+@kernel()
 def drop_doubles(offset_m: FloatArray, kind: IntArray, near_m: FloatArray) -> None:
     """Sets kind (T, L) to -1 where a better line is nearer than near_m (T,). A line is better if
     its class is better; in the same class, if it is nearer to the vehicle, or else listed first."""
@@ -93,7 +93,7 @@ def drop_doubles(offset_m: FloatArray, kind: IntArray, near_m: FloatArray) -> No
                 kind[t, i] = -1
 
 
-@njit(cache=True)
+@kernel()
 def weigh_positions(
     offset_m: FloatArray,
     kind: IntArray,
@@ -156,7 +156,7 @@ def weigh_positions(
 _FAR = 12.0
 
 
-@njit(cache=True)
+@kernel()
 def expected_counts(
     offset_m: FloatArray,
     kind: IntArray,

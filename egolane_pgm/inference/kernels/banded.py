@@ -11,10 +11,10 @@ import math
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 
 from egolane_pgm.inference.compile import Compiled
 from egolane_pgm.inference.kernels.filter import HUGE, TINY, settle
+from egolane_pgm.jit import kernel
 from egolane_pgm.types import BoolArray, FloatArray, IntArray
 
 #: Networks with fewer joint states are as quick with the plain recursion.
@@ -80,7 +80,7 @@ def _bands(own: FloatArray) -> tuple[IntArray, FloatArray, FloatArray]:
     return half, floor, np.ascontiguousarray(band)
 
 
-@njit(cache=True, fastmath={"reassoc", "contract"}, error_model="numpy")
+@kernel(fastmath={"reassoc", "contract"}, error_model="numpy")
 def forward_banded(
     joint: FloatArray,
     begins: BoolArray,

@@ -12,15 +12,15 @@ from functools import lru_cache
 from typing import Any
 
 import numpy as np
-from numba import njit
 
+from egolane_pgm.jit import kernel
 from egolane_pgm.types import BoolArray, FloatArray, IntArray
 
 #: Numbers outside of this range are not multiplied with each other before they are scaled.
 TINY, HUGE = 1e-60, 1e60
 
 
-@njit(cache=True)
+@kernel()
 def settle(joint: FloatArray, predicted: FloatArray) -> float:
     """Normalise a belief, or keep the prediction.
 
@@ -50,7 +50,7 @@ def forward_kernel(n_states: int = 0) -> Any:
 
     # Of fast arithmetic only the fusing of a multiplication with an addition: infinity and NaN
     # stay. Code that may raise ZeroDivisionError would not be vectorised.
-    @njit(cache=True, fastmath={"contract"}, error_model="numpy")
+    @kernel(fastmath={"contract"}, error_model="numpy")
     def forward(
         joint: FloatArray,
         begins: BoolArray,
@@ -147,7 +147,7 @@ def forward_kernel(n_states: int = 0) -> Any:
 def likelihood_kernel(n_states: int = 0, n_columns: int = 0) -> Any:
     """The likelihood of one group's evidence, compiled for these sizes; 0 stands for any."""
 
-    @njit(cache=True, fastmath={"contract"}, error_model="numpy")
+    @kernel(fastmath={"contract"}, error_model="numpy")
     def multiply_likelihood(
         block: FloatArray, emission: FloatArray, likelihood: FloatArray, log_scale: FloatArray
     ) -> None:
@@ -198,7 +198,7 @@ def likelihood_kernel(n_states: int = 0, n_columns: int = 0) -> Any:
     return multiply_likelihood
 
 
-@njit(cache=True, fastmath={"contract", "nnan", "nsz"}, error_model="numpy")
+@kernel(fastmath={"contract", "nnan", "nsz"}, error_model="numpy")
 def multiply_chosen(
     block: FloatArray, only: IntArray, likelihood: FloatArray, log_scale: FloatArray
 ) -> None:

@@ -6,16 +6,16 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numba import njit
 
 from egolane_pgm.inference.kernels.filter import settle
+from egolane_pgm.jit import kernel
 from egolane_pgm.types import BoolArray, FloatArray, IntArray
 
 #: Products of probabilities below this have lost digits.
 TINY = 1e-280
 
 
-@njit(cache=True, fastmath={"reassoc", "contract"})
+@kernel(fastmath={"reassoc", "contract"})
 def _look_ahead(
     filtered: FloatArray,
     transition: FloatArray,
@@ -42,7 +42,7 @@ def _look_ahead(
         ahead[r] = ahead[r] / largest if largest > 0.0 else 1.0
 
 
-@njit(cache=True)
+@kernel()
 def _combine(filtered: FloatArray, ahead: FloatArray, smoothed: FloatArray) -> None:
     """smoothed (S,): filtered times ahead, normalised."""
     n_states = filtered.shape[0]
@@ -66,7 +66,7 @@ def _combine(filtered: FloatArray, ahead: FloatArray, smoothed: FloatArray) -> N
         smoothed[s] /= total
 
 
-@njit(cache=True, fastmath={"reassoc", "contract"})
+@kernel(fastmath={"reassoc", "contract"})
 def _add_moves(
     filtered: FloatArray, transition: FloatArray, weight: FloatArray, moves: FloatArray
 ) -> None:
@@ -100,7 +100,7 @@ def _add_moves(
     moves += share / share.sum()
 
 
-@njit(cache=True)
+@kernel()
 def smooth_frames(
     filtered: FloatArray,
     likelihood: FloatArray,
@@ -134,7 +134,7 @@ def smooth_frames(
                 _add_moves(filtered[t - 1], into, weight, moves)
 
 
-@njit(cache=True)
+@kernel()
 def fixed_lag_frames(
     lag: int,
     filtered: FloatArray,
@@ -155,7 +155,7 @@ def fixed_lag_frames(
         _combine(filtered[t], ahead, smoothed[t])
 
 
-@njit(cache=True)
+@kernel()
 def best_path(
     log_prior: FloatArray,
     log_transition: FloatArray,
@@ -192,7 +192,7 @@ def best_path(
     return total
 
 
-@njit(cache=True)
+@kernel()
 def jeffrey_frames(
     joint: FloatArray,
     begins: BoolArray,
