@@ -24,7 +24,8 @@ check: .venv/.dev
 
 # The kernels as plain Python, so that their lines are seen too; then, compiled, what would take
 # minutes so.
-COMPILED := $(addprefix tests/test_,compare.py choice.py learn.py detectors.py detector_limits.py)
+COMPILED := $(addsuffix .py,$(addprefix tests/,compare/test_comparing compare/test_choose \
+	learn/test_learning detectors/test_detectors detectors/test_limits))
 coverage: .venv/.dev
 	NUMBA_DISABLE_JIT=1 $(BIN)/python -m coverage run -m pytest -q $(addprefix --ignore=,$(COMPILED))
 	$(BIN)/python -m coverage run --append -m pytest -q $(COMPILED)
