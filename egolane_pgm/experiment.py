@@ -1,5 +1,5 @@
-"""An experiment is a YAML file: what was driven, how lines become evidence, which graph, which
-parameters. Structure is checked here; keys that belong to plugins are checked by `run`.
+"""An experiment is a YAML file: it names the recording, the rule by which lines become evidence,
+the graph and the parameters. This module checks the keys; `model` checks the parameters of plugins.
 """
 
 from __future__ import annotations
@@ -34,11 +34,13 @@ Section = TypeVar("Section", bound=BaseModel)
 
 
 class Recording(_Section):
-    """Where the lines come from: a file (`path`) or a simulated drive (`simulate`).
+    """The source of the lines: a file (`path`) or a simulated drive (`simulate`).
 
-    camera: the YAML file of the camera, for pictures and for lines given in pixels. detector: by
-    name, where `path` is a video or a folder of pictures; right: those of the second camera.
-    options: further options of the format's reader, such as `valid: always` for labels."""
+    - camera: the YAML file of the camera, for pictures and for lines given in pixels.
+    - detector: the name or file of a detector, if `path` is a video or a folder of pictures.
+    - right: the pictures of the second camera of a stereo pair.
+    - options: further options of the format's reader, such as `valid: always` for labels.
+    """
 
     path: str | None = None
     format: str | None = None
@@ -77,12 +79,14 @@ class GroundTruth(_Section):
 
 
 class Tuning(_Section):
-    """How `tune` searches parameters; options of the command go first.
+    """The settings of `egolane tune`; options of the command override them.
 
-    objective: a score by name, or several. sampler, trials: None for the default. parameters: per
-    name [low, high], the names of a choice, or one value that is kept. never_fit: ranges of frame
-    ids (first, the one after the last or None) whose labels no held-out study looks at; in the
-    YAML also `{from_frame: 9577}`."""
+    - objective: a score by name, or several.
+    - sampler, trials: None for the default.
+    - parameters: per name [low, high], the names of a choice, or one value that is kept.
+    - never_fit: ranges of frame ids (first, the one after the last or None) whose labels no
+      held-out study looks at; in the YAML also `{from_frame: 9577}`.
+    """
 
     search: tuple[Literal["graph", "evidence", "detector"], ...] = Field(
         default=("graph", "evidence"),
@@ -124,10 +128,15 @@ class Tuning(_Section):
 
 
 class Choice(_Section):
-    """What `fit: choose` chooses from: per parameter its values (grid). cautious: one of these; its
-    earlier values are kept unless a later one is better by a standard error, `error_of` the best
-    setting's mean loss or of the difference. recordings: experiments, files beside the YAML, whose
-    labels help to choose; those of the stretch that is scored are not looked at."""
+    """The choices of `fit: choose`.
+
+    - grid: per parameter its values.
+    - cautious: a parameter of the grid whose earlier values are kept unless a later one is better
+      by a standard error.
+    - error_of: whether that is the error of the best setting's mean loss or of the difference.
+    - recordings: experiments, files beside the YAML, whose labels help to choose; the labels of the
+      stretch of road that is scored are not looked at.
+    """
 
     grid: dict[str, tuple[Any, ...]] = Field(min_length=1)
     objective: Literal["accuracy", "log_loss"] = "accuracy"
@@ -147,9 +156,13 @@ class Choice(_Section):
 
 
 class Learning(_Section):
-    """How the tables of a graph are learned (EM). labels: whether lanes are looked at. strength:
-    what the starting tables are worth, frames per row. tables: nodes whose tables are learned,
-    default all that can be. iterations: at most so many."""
+    """The settings of learning the tables of a graph by EM.
+
+    - labels: whether lanes are looked at.
+    - strength: the weight of the starting tables, in frames per row.
+    - tables: the nodes whose tables are learned; by default all that can be.
+    - iterations: the largest number of EM steps.
+    """
 
     labels: bool = True
     strength: float = Field(default=100.0, gt=0, allow_inf_nan=False)
@@ -232,7 +245,9 @@ class Experiment(_Section):
 
 
 def load_experiment(path: str | Path, overrides: Sequence[str] = ()) -> Experiment:
-    """Read a YAML file; `overrides` are `key.subkey=value` (values are YAML).
+    """Read an experiment from a YAML file.
+
+    - overrides: `key.subkey=value`, the value as YAML.
 
     Raises InputError, one line that names file and key, for anything that does not fit.
     """
@@ -241,10 +256,11 @@ def load_experiment(path: str | Path, overrides: Sequence[str] = ()) -> Experime
 
 
 def load_yaml(path: Path, overrides: Sequence[str] = ()) -> dict[str, Any]:
-    """The keys of a YAML file and of what it includes, overridden; errors as `load_experiment`.
+    """Read the keys of a YAML file and of the file that it includes, then override some.
 
     `include: other.yaml`, a file beside the YAML, gives the keys that the YAML itself does not
     have. Sections are merged key by key. Paths in the other file are taken as if they stood here.
+    Raises InputError as `load_experiment` does.
     """
     content = _with_included(path, ())
     for override in overrides:
@@ -253,7 +269,7 @@ def load_yaml(path: Path, overrides: Sequence[str] = ()) -> dict[str, Any]:
 
 
 def _with_included(path: Path, including: tuple[str, ...]) -> dict[str, Any]:
-    """The keys of a file and of what it includes. including: the files that led to it."""
+    """Read a file and what it includes; `including` are the files that led to it."""
     # Not `resolve`, which ends in an error of its own where a link leads to itself.
     place = os.path.realpath(path)
     if place in including:
@@ -278,7 +294,7 @@ def _merged(base: Mapping[str, Any], over: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def make_experiment(content: Mapping[str, Any], folder: Path, source: str) -> Experiment:
-    """An experiment from the keys of a YAML file; paths are relative to `folder`."""
+    """Make an experiment from the keys of a YAML file; its paths are relative to `folder`."""
     experiment = validated(Experiment, content, source)
     experiment._folder = Path(folder)
     experiment._source = source
@@ -286,19 +302,19 @@ def make_experiment(content: Mapping[str, Any], folder: Path, source: str) -> Ex
 
 
 def validated(model: type[Section], content: Mapping[str, Any], source: str) -> Section:
-    """The pydantic model of some keys; InputError, one line, for what does not fit."""
+    """Make a pydantic model from some keys. Raises InputError, one line, for what does not fit."""
     try:
         return model.model_validate(content)
     except ValidationError as error:
         raise InputError(f"{source}: {_first_problem(error, model)}") from None
 
 
-#: Keys that say how parameters are found; what they do is in the parameters.
+#: Keys that say how parameters are found. A resolved experiment has the parameters themselves.
 _FITTING = {"tuning", "fit", "learned_on", "learning", "choice"}
 
 
 def resolved(experiment: Experiment, parameters: Mapping[str, Any]) -> dict[str, Any]:
-    """Every key with its value, defaults included, ready for YAML or JSON."""
+    """All keys with their values, defaults included, as plain types for YAML or JSON."""
     content = experiment.model_dump(mode="json", exclude=_FITTING)
     content["parameters"] = {
         name: list(value) if isinstance(value, tuple) else value
@@ -308,7 +324,7 @@ def resolved(experiment: Experiment, parameters: Mapping[str, Any]) -> dict[str,
 
 
 def config_hash(content: Mapping[str, Any]) -> str:
-    """sha256 of a resolved config, whatever the order of its keys."""
+    """The sha256 of a resolved config, which does not depend on the order of its keys."""
     return hashlib.sha256(json.dumps(content, sort_keys=True).encode()).hexdigest()
 
 

@@ -19,14 +19,15 @@ FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
 BoolArray = NDArray[np.bool_]
 
-#: What an evidence array is about: one observed node, or several that are observed jointly.
+#: The key of an evidence array: one observed node, or several that are observed jointly.
 Observed = str | tuple[str, ...]
 
-#: Maxima that differ by less than this, relative to the larger one, are a tie (hence Unassigned).
+#: Maxima that differ by less than this, relative to the larger one, are a tie: then no lane is
+#: assigned.
 TIE_TOLERANCE = 1e-9
 
-#: Lanes of a road, at most: the widest there are have about half as many. Far more are a slip of
-#: the keys, and their tables fill the memory.
+#: The largest number of lanes that is accepted. The widest roads have about half as many; far more
+#: is a typing error, and the tables would fill the memory.
 MAX_LANES = 50
 
 #: The assigned lane of a frame without a unique most probable lane.
@@ -34,11 +35,12 @@ UNASSIGNED = 0
 
 
 class InputError(ValueError):
-    """Something given from outside (file, YAML key, option) that cannot be used; one clear line."""
+    """An error in what the user gave (a file, a YAML key, an option); its message is one line."""
 
 
 def suggestion(word: str, known: Iterable[str]) -> str:
-    """`" (did you mean 'x'?)"` for the known word nearest to `word`, else what is known."""
+    """The end of a message: `" (did you mean 'x'?)"` with the known word nearest to `word`, or the
+    list of the known words if none is near."""
     names = sorted(known)
     close = difflib.get_close_matches(word, names, n=1, cutoff=0.6)
     if close:
@@ -47,7 +49,8 @@ def suggestion(word: str, known: Iterable[str]) -> str:
 
 
 def stacked(parts: Sequence[NDArray[Any]], blank: float | bool) -> NDArray[Any]:
-    """Arrays (T_k, L_k) one below the other, the narrower ones filled up with `blank`."""
+    """Concatenate arrays (T_k, L_k) along the frames, after filling up the narrower ones with
+    `blank`."""
     width = max(part.shape[1] for part in parts)
     return np.concatenate(
         [
@@ -78,16 +81,17 @@ def _check_shape(name: str, array: NDArray[np.generic], shape: tuple[int, ...], 
 
 @dataclass(frozen=True)
 class LineLog:
-    """What a line detector said: T frames of at most L lines each.
+    """The output of a line detector: T frames of at most L lines each, padded.
 
-    frame_id (T,): strictly increasing; gaps are allowed and kept.
-    time_s (T,): seconds, frame id over frame rate.
-    offset_m (T, L): lateral offset of each line, metres, negative left; NaN where there is none.
-    is_valid (T, L): the detector vouches for the line (False in padding).
-    is_continuous (T, L): the line is not dashed; all False for detectors that cannot tell.
-    lri (T, L): line reliability index, as recorded; NaN where unknown.
-    is_missing (T,): no message exists for the frame, it was put in by `missing_frames: predict`.
-    source: the file, for messages.
+    - frame_id (T,): strictly increasing; gaps are allowed and kept.
+    - time_s (T,): seconds, frame id over frame rate.
+    - offset_m (T, L): lateral offset of each line, metres, negative left; NaN in padding.
+    - is_valid (T, L): marks the lines that the detector vouches for; False in padding.
+    - is_continuous (T, L): marks the lines that are not dashed; all False for detectors that cannot
+      tell.
+    - lri (T, L): line reliability index, as recorded; NaN where unknown.
+    - is_missing (T,): marks frames that were not recorded but put in (`missing_frames: predict`).
+    - source: the file, for messages.
     """
 
     frame_id: IntArray
@@ -138,15 +142,16 @@ class LineLog:
         is_missing: BoolArray | None = None,
         source: str = "line log",
     ) -> LineLog:
-        """The log of N lines that are given one after the other, frame by frame.
+        """Make a log of N lines that are given one after the other, frame by frame.
 
-        - frame_id (T,): frames without lines are there too. frame_rate: per second.
-        - row_frame (N,): which of the T frames each line is of, counted from 0, never decreasing.
-        - offset_m, is_valid, is_continuous, lri (N,): as those of a log.
-        - row_line (N,): the place of each line in its frame, counted from 0; by default the next.
-        - is_missing (T,): by default no frame is.
+        - frame_id (T,): the ids of all frames, also of those without lines.
+        - frame_rate: frames per second.
+        - row_frame (N,): the index of each line's frame, 0 to T - 1, never decreasing.
+        - offset_m, is_valid, is_continuous, lri (N,): the values of the log.
+        - row_line (N,): the column of each line in its frame, from 0; by default 0, 1, 2, ...
+        - is_missing (T,): by default False everywhere.
 
-        Raises InputError as a log does.
+        Raises InputError for frame ids that do not increase and for a valid line without an offset.
         """
         if row_line is None:
             row_line = np.arange(len(row_frame)) - np.searchsorted(row_frame, row_frame)
@@ -182,7 +187,7 @@ class LineLog:
         )
 
     def then(self, later: LineLog) -> LineLog:
-        """This log and a later one behind it, as one."""
+        """One log of the frames of this log and then those of a later one."""
         return LineLog(
             np.concatenate([self.frame_id, later.frame_id]),
             np.concatenate([self.time_s, later.time_s]),
@@ -199,8 +204,9 @@ class LineLog:
 class LaneTruth:
     """Annotated ground truth.
 
-    frame_id (T,): strictly increasing. lane (T,): 1 (leftmost) to n.
-    is_crossing (T,): the vehicle is changing lane, the label is ambiguous.
+    - frame_id (T,): strictly increasing.
+    - lane (T,): 1 (leftmost) to n.
+    - is_crossing (T,): marks frames in which the vehicle changes lane, so the label is ambiguous.
     """
 
     frame_id: IntArray
@@ -237,9 +243,9 @@ class LaneTruth:
 class Evidence:
     """Soft evidence, frame by frame.
 
-    likelihoods: per observed node (or tuple of nodes observed jointly) an array
-    (T, *cardinalities) of non-negative, finite likelihoods; they need not sum to one.
-    inputs: per input node its index in each frame (T,).
+    - likelihoods: per observed node (or tuple of nodes observed jointly) an array
+      (T, *cardinalities) of non-negative, finite likelihoods, which need not sum to one.
+    - inputs: per input node the index of its value in each frame (T,).
     """
 
     likelihoods: Mapping[Observed, FloatArray]
@@ -269,12 +275,14 @@ class Evidence:
 
 @dataclass(frozen=True)
 class Beliefs:
-    """What a filter believes after each frame, given the evidence so far.
+    """The beliefs of a filter after each frame, given the evidence so far.
 
-    frame_id (T,). marginals: per hidden node P(node | evidence so far), (T, cardinality).
-    log_evidence (T,): natural log of P(evidence of the frame | frames before), each likelihood
-    as given; 0 in frames that are flagged.
-    is_impossible (T,): the evidence had joint likelihood zero, the prediction was kept.
+    - frame_id (T,).
+    - marginals: per hidden node P(node | evidence so far), (T, cardinality).
+    - log_evidence (T,): natural log of P(evidence of the frame | frames before), the likelihoods
+      as given; 0 in impossible frames.
+    - is_impossible (T,): marks frames whose evidence had joint likelihood zero; the belief is the
+      prediction there.
     """
 
     frame_id: IntArray
@@ -301,6 +309,6 @@ class Beliefs:
 
     @property
     def mean_log_evidence(self) -> float:
-        """Mean log evidence per frame over the frames that are not flagged; NaN if none."""
+        """The mean of the log evidence over the frames that are not impossible; NaN if all are."""
         kept = ~self.is_impossible
         return float(self.log_evidence[kept].mean()) if kept.any() else float("nan")

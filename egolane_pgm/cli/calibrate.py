@@ -172,7 +172,7 @@ def _rectangle(text: str) -> Rectangle:
 
 
 def _check_masks(masks: Sequence[Rectangle], size: tuple[int, int]) -> None:
-    """InputError for a rectangle that covers nothing of the pictures."""
+    """Raise InputError for a rectangle that covers nothing of the pictures."""
 
     for mask in masks:
         if mask[0] >= size[0] or mask[1] >= size[1]:
@@ -181,7 +181,7 @@ def _check_masks(masks: Sequence[Rectangle], size: tuple[int, int]) -> None:
 
 
 def _check_not_read(place: Path, patterns: Sequence[str | None], lines: str | None) -> None:
-    """InputError where a file that is read would be written over."""
+    """Raise InputError if the output would replace a file that is read."""
 
     read = [Path(lines)] if lines else []
     for pattern in filter(None, patterns):
@@ -200,7 +200,10 @@ def _matching_or_none(pattern: str) -> list[Path]:
 def _known_size(
     given: tuple[int, int] | None, stills: str | None, lines: str | None, first: int | None
 ) -> tuple[int, int]:
-    """Width and height of the road's pictures; given: for labels whose pictures are not there."""
+    """The width and height of the road's pictures.
+
+    - given: the size that the user gave, for labels whose pictures are not there.
+    """
 
     if lines:
         labels = read_labels(lines)[:first]
@@ -279,7 +282,7 @@ def _from_labels(camera: Camera, file: str, first: int | None, lane_width: float
 
 
 def _draw(view: RoadView, shown: list[tuple[Path | None, list[FloatArray]]], target: Path) -> None:
-    """On the picture whose lines run straightest ahead."""
+    """Draw the view on the picture whose lines run straightest ahead."""
 
     path, lines = min(shown, key=lambda one: (one[0] is None, deviation_m(view, one[1])))
     if path is None:

@@ -155,7 +155,7 @@ def _held_out(
     try:
         compared.extend(bar)
     except KeyboardInterrupt:
-        # What is known of the first recordings is not lost.
+        # The recordings that were compared before the interruption are shown.
         if not compared:
             raise
         is_interrupted = True
@@ -205,8 +205,8 @@ def _held_out(
 
 
 def _write_first(json_file: Path | None, found: Mapping[str, Any]) -> InputError | None:
-    """Write the numbers before anything is printed, for whoever reads it may stop reading; what
-    keeps them from being written is told after what is printed."""
+    """Write the numbers before anything is printed, because a reader may close the pipe. An error
+    is returned, to be raised after the numbers are printed."""
 
     try:
         if json_file:

@@ -105,8 +105,8 @@ def detect(
 
 
 def _write(target: str, log: LineLog) -> None:
-    """Write the lines; where the disk is full, or the folder gone meanwhile, to another place, for
-    they may be the work of hours."""
+    """Write the lines. If the disk is full or the folder gone meanwhile, write them to another
+    place: they may be the work of hours."""
 
     try:
         write_lines(target, log)

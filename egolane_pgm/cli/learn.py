@@ -59,7 +59,7 @@ def learn(
     name = f"learned_{found.name.removeprefix('learned_')}"
     target = Path(out) if out else Path(f"{name}.yaml")
     output_files(found, target)
-    # What is written says the rate that was counted with.
+    # The written experiment names the frame rate that was used.
     given = with_video_rate(found)
     found = _chosen(given, blocks)
     if not _learns_more(given):
@@ -69,10 +69,10 @@ def learn(
         warnings.simplefilter("always", UserWarning)
         with tqdm(total=blocks + 1, unit="fit", leave=False, disable=None) as bar:
             learned = run_learn(found, n_blocks=blocks, done=bar.update)
-    # Each block may have the same to say.
+    # Several blocks may give the same warning.
     for note in dict.fromkeys(str(w.message) for w in caught):
         click.echo(f"warning: {note}", err=True)
-    # What was computed is said, whatever becomes of the files.
+    # The scores are printed even if the files cannot be written.
     _print(found.name, learned, blocks)
     files = write_learned(found, learned.model, learned.parameters, target)
     click.echo(f"\nwritten to {' and '.join(map(str, files))}")
@@ -93,7 +93,7 @@ def learn(
 
 
 def _chosen(experiment: Experiment, blocks: int) -> Experiment:
-    """With `fit: choose`, the experiment with its constants chosen."""
+    """The experiment, with its constants chosen if it says `fit: choose`."""
     if experiment.fit != "choose":
         return experiment
 
@@ -113,8 +113,8 @@ def _chosen(experiment: Experiment, blocks: int) -> Experiment:
 
 
 def _learns_more(experiment: Experiment) -> bool:
-    """Whether anything is learned beside what is chosen: with `fit: choose`, as in `compare`,
-    tables are learned only where the experiment says how (`learning`)."""
+    """Whether anything is learned beside the choice: with `fit: choose`, as in `compare`, tables
+    are learned only if the experiment has a section `learning`."""
 
     return experiment.fit != "choose" or learns(prepare_model(experiment), experiment)
 
@@ -122,7 +122,7 @@ def _learns_more(experiment: Experiment) -> bool:
 def _write_chosen(
     experiment: Experiment, target: Path, blocks: int, json_file: Path | None
 ) -> None:
-    """The experiment with its constants chosen, as a file; there is nothing to score held out."""
+    """Write an experiment whose constants were chosen; it has no held-out scores."""
 
     files = write_learned(experiment, prepare_model(experiment), {}, target)
     click.echo(f"\nwritten to {' and '.join(map(str, files))}")

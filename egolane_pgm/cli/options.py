@@ -50,7 +50,7 @@ def overrides(
 def parameters(
     help: str = "Recovered (by a search; run 5 from the authors' code), or as printed (truncated).",
 ) -> Decorator:
-    """`--parameters`: which of the two sets that are known for each of the paper's runs."""
+    """`--parameters`, for each of the paper's runs recovered or as published."""
     return click.option(
         "--parameters",
         "which",
@@ -62,7 +62,7 @@ def parameters(
 
 
 def _writable(_: click.Context, __: click.Parameter, file: str | None) -> Path | None:
-    """Refuse the file before anything is computed."""
+    """Check that the file can be written, before anything is computed."""
     if file is None:
         return None
     check_place(Path(file))

@@ -35,7 +35,7 @@ def list_data() -> None:
     data = os.environ.get("EGOLANE_DATA")
     folders = [Path(data).expanduser()] if data else []
     folders.append(catalog.download_folder())
-    # As a run finds them: the first folder that has a file counts.
+    # A run takes a file from the first folder that has it.
     state: dict[str, str] = {}
     for folder in folders:
         click.echo(f"looked in: {folder}")
@@ -66,8 +66,8 @@ def verify(folder: str | None) -> None:
 
 
 def have_recordings() -> bool:
-    """Whether the paper's recordings are at hand, after an offer to download them; if not, it has
-    been said in two lines what was looked for and how to get them."""
+    """Whether the paper's recordings are there. If not, offer to download them, or print where they
+    were looked for and how to get them."""
 
     if _all_found():
         return True
@@ -105,7 +105,7 @@ def _all_found() -> bool:
 
 
 def _say(outcomes: list[catalog.Outcome]) -> None:
-    """Print how many files are good; InputError for the last thing that is wrong."""
+    """Print how many files are good and what is wrong; the last message is raised as InputError."""
     good = sum(outcome.ok for outcome in outcomes)
     click.echo(f"{good} of {len(outcomes)} files are there and good")
     problems = catalog.problems(outcomes)

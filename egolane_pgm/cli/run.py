@@ -104,9 +104,12 @@ def run(
 def _named(
     experiments: Sequence[str], recordings: Sequence[str]
 ) -> list[tuple[str, str, str | None, str | None]]:
-    """Title, experiment, recording and name of each of several runs. None for the name that it has
-    by itself; recordings that would have the same are called after their folders too, and one that
-    several experiments are run on after these (`*`). InputError for one that is named twice."""
+    """The title, experiment, recording and name of each of several runs.
+
+    A name of None stands for the run's own. Recordings that would have the same name are named
+    after their folders too; a recording that several experiments run on is named after these
+    (`*`). Raises InputError for a recording that is given twice.
+    """
 
     places = [os.path.realpath(recording) for recording in recordings]
     for k, place in enumerate(places):
@@ -157,7 +160,7 @@ def _run_one(
         check_not_read(json_file, _read_by(chosen))
     done = run_experiment(chosen)
     save_run(done, directory, draw)
-    # Before anything is printed: whoever reads it may stop reading.
+    # The file is written before anything is printed, because a reader may close the pipe.
     if json_file:
         write_json(json_file, {"schema_version": SCHEMA_VERSION, **summary(done)})
     _print_run(done)
@@ -206,7 +209,7 @@ def _run_many(
 
 
 def _read_by(experiment: Experiment) -> list[Path]:
-    """The YAML of an experiment and the files that lie beside it, or are named in full."""
+    """The files that an experiment reads, if they are named in full or lie beside its YAML."""
     recording, truth = experiment.recording, experiment.ground_truth
     names = (recording.path, recording.right, recording.camera, truth.path if truth else None)
     return [Path(experiment.source), *(experiment.folder / name for name in names if name)]

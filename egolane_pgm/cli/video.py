@@ -137,7 +137,7 @@ def video(
 
 
 def _check_target(target: Path, sources: Sequence[Source]) -> None:
-    """InputError where drawing would write over the pictures, or among them."""
+    """Raise InputError if the output would replace the pictures, or lie among them."""
 
     for source in sources:
         taken = {os.path.realpath(file) for file in source.files}
@@ -149,7 +149,7 @@ def _check_target(target: Path, sources: Sequence[Source]) -> None:
 
 
 def _experiment(file: str | None, n_lanes: int | None, frame_rate: float | None) -> Experiment:
-    """The experiment that says how lines become a belief; its own recording is not looked at."""
+    """The experiment that turns lines into beliefs; its own recording is not used."""
 
     found = load_experiment(file or experiments_folder() / "zero_label.yaml")
     if file is None and n_lanes is None:
@@ -179,7 +179,7 @@ def _detected(
     detector = find_detector(chosen, given, base, "--detector", "recording.detector_parameters")
     check_pair(detector, camera, has_right, "--right")
     pictures.set_description(chosen)
-    # The detector is asked for one picture after the other, so that this is always its latest.
+    # The detector takes one picture at a time, so this is always the picture of its answer.
     latest: deque[Picture] = deque(maxlen=1)
 
     def remembered() -> Iterator[Picture]:
@@ -192,8 +192,8 @@ def _detected(
 
 
 def _recorded(file: str, camera: Camera, source: Source, experiment: Experiment) -> Any:
-    """A function from a frame id to the recorded lines, drawn straight ahead: a recording has
-    offsets only."""
+    """A function from a frame id to the recorded lines. They are drawn straight ahead, because a
+    recording has offsets only."""
 
     log = read_lines_with(file, camera, experiment.recording.frame_rate)
     if source.frame_id is not None and not np.isin(source.frame_id, log.frame_id).any():
@@ -206,8 +206,8 @@ def _recorded(file: str, camera: Camera, source: Source, experiment: Experiment)
     def lines(frame_id: int) -> FrameLines:
         k = at.get(frame_id, 0)
         offset = log.offset_m[k]
-        # An offset of exactly 0 is what some detectors write where there is no line; a valid one is
-        # a line under the car, which the evidence rules count too.
+        # Some detectors write an offset of exactly 0 if there is no line. A valid 0 is a line under
+        # the car, which the evidence rules count too.
         is_line = np.isfinite(offset) & ((offset != 0) | log.is_valid[k]) & (frame_id in at)
         order = np.argsort(np.where(is_line, offset, np.inf), kind="stable")[: is_line.sum()]
         shape = np.zeros((len(order), 4))
@@ -225,7 +225,8 @@ def _scenes(
     truth: LaneTruth | None,
     source: str,
 ) -> Iterator[tuple[Picture, Scene]]:
-    """Each picture with what is known of it; a filter that waits keeps so many pictures."""
+    """Each picture with its lines, belief and truth. With a fixed-lag filter as many pictures are
+    kept as it waits for."""
 
     rate = experiment.recording.frame_rate
     waiting: deque[tuple[Picture, FrameLines]] = deque()

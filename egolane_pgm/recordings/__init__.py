@@ -32,12 +32,13 @@ _WRITERS = {"rosbag": ("rosbag_writer", "write_rosbag"), "table": ("table", "wri
 
 
 def read_lines(path: str | Path, /, format: str | None = None, **options: Any) -> LineLog:
-    """The lines of a recording, T frames of at most L lines, read by the format it has.
+    """Read a recording of lines, T frames of at most L lines.
 
-    format: a name of FORMATS; None goes by the extension, or by what is in a folder. options: those
-    of the format's reader (`read_rosbag`: topic, frame_id, frame_rate; `read_table`: frame_rate;
-    `read_tusimple`, `read_culane`, `read_openlane`: camera, valid, frame_step, ahead_m, frame_rate;
-    `read_tusimple` also continuous).
+    - format: a name of FORMATS; by default the one that the extension, or what is in a folder,
+      tells.
+    - options: those of the format's reader (`read_rosbag`: topic, frame_id, frame_rate;
+      `read_table`: frame_rate; `read_tusimple`, `read_culane`, `read_openlane`: camera, valid,
+      frame_step, ahead_m, frame_rate; `read_tusimple` also continuous).
 
     Raises InputError for an unknown format, extension or option, and what the reader raises.
     """
@@ -45,7 +46,7 @@ def read_lines(path: str | Path, /, format: str | None = None, **options: Any) -
 
 
 def read_with(path: str | Path, format: str | None, options: Mapping[str, Any]) -> LineLog:
-    """As `read_lines`, with options whose names are somebody else's."""
+    """Read as `read_lines` does, with the options as a mapping (of a YAML or of `--set`)."""
     check_name(path)
     name = format_of(path) if format is None else format
     if name not in FORMATS:

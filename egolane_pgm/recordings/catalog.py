@@ -19,7 +19,8 @@ BASE_URL = f"https://raw.githubusercontent.com/trigal/rle/{COMMIT}/bag"
 
 @dataclass(frozen=True)
 class DataFile:
-    """A public file. name: also its path below the base address. size: bytes."""
+    """A public file: its name, which is also its path below the base address, its size in bytes,
+    its checksum, and which of the paper's recordings it is."""
 
     name: str
     size: int
@@ -34,10 +35,11 @@ class DataFile:
 
 @dataclass(frozen=True)
 class Outcome:
-    """What became of one file.
+    """The outcome of a download or a check of one file.
 
-    status: "downloaded", "present" (there and good), "failed", "missing" or "bad" (wrong
-    checksum). message: one line that says what is wrong, "" where nothing is.
+    - status: "downloaded", "present" (there and good), "failed", "missing" or "bad" (wrong
+      checksum).
+    - message: one line that says what is wrong, "" if nothing is.
     """
 
     file: DataFile
@@ -143,7 +145,7 @@ def _pooch() -> ModuleType:
         warnings.simplefilter("ignore")
         import pooch
 
-    # It would say on standard error what it does.
+    # pooch would report each step on standard error.
     pooch.get_logger().setLevel("ERROR")
     module: ModuleType = pooch
     return module
@@ -156,13 +158,15 @@ def find_file(
     folders: bool = False,
     is_fetched: bool = True,
 ) -> Path:
-    """The file that is meant by a path in an experiment; with `folders`, or the folder.
+    """Find the file that a path in an experiment means.
 
     An absolute path is taken as it is. Any other is looked for below `base` (the folder of the
-    YAML), then below `$EGOLANE_DATA`, then in the download folder. is_fetched: whether the public
-    data may have it, for the message.
+    YAML), then below `$EGOLANE_DATA`, then in the download folder.
 
-    Raises InputError, with every place that was looked in, where it is nowhere.
+    - folders: the path may be a folder too.
+    - is_fetched: the public data may have the file, so the message names `egolane data fetch`.
+
+    Raises InputError, with every place that was looked in, if it is nowhere.
     """
     wanted = Path(path).expanduser()
     if wanted.is_absolute():
@@ -257,7 +261,7 @@ def _download(address: str, file: DataFile, path: Path, progress: bool) -> None:
             f"{file.name}: {url}: the server says {answer.status_code} {answer.reason}"
         ) from None
     except (requests.ConnectionError, requests.Timeout) as error:
-        # What requests says of a connection is several lines long; the system's own words are last.
+        # The message of requests is several lines long; the system's own words are at its end.
         reason = getattr(error.args[0] if error.args else error, "reason", error)
         raise Unreachable(
             f"no connection to {urlsplit(address).netloc} ({str(reason).rpartition(': ')[2]}); is"
@@ -272,12 +276,12 @@ def _download(address: str, file: DataFile, path: Path, progress: bool) -> None:
         ) from None
     except OSError as error:
         raise InputError(f"{path}: cannot be written: {error.strerror or error}") from None
-    # pooch makes a file that only the user can read.
+    # The temporary file of pooch, which becomes the file, can be read by its owner only.
     umask = os.umask(0)
     os.umask(umask)
     path.chmod(0o666 & ~umask)
 
 
 def problems(outcomes: list[Outcome]) -> list[str]:
-    """One line for each thing that went wrong; a server that is down is one thing."""
+    """The different messages of what went wrong, one line each."""
     return list(dict.fromkeys(outcome.message for outcome in outcomes if not outcome.ok))

@@ -1,8 +1,8 @@
-"""CULane's label files: a folder with a text file per picture, `00030.lines.txt`. Each line of it
+"""CULane's label files: a folder with a text file per picture, `00030.lines.txt`. Each line of text
 is one lane line, its points as `x y x y ...` in pixels; they may lie outside of the picture.
 
-The frame number is the last number in the file's name. CULane says nothing about the kind of line:
-none is continuous. The folder is that of one drive (`driver_23_30frame/05151640_0419.MP4`), not the
+The frame number is the last number in the file's name. CULane does not tell continuous lines:
+none is. The folder is that of one drive (`driver_23_30frame/05151640_0419.MP4`), not the
 folder of drives.
 """
 
@@ -35,9 +35,9 @@ def read_culane(
     frame_step: int = 1,
     ahead_m: float = 0.0,
 ) -> LineLog:
-    """The lines of a folder of `.lines.txt` files, T frames of at most L lines, left to right.
+    """Read the lines of a folder of `.lines.txt` files, T frames of at most L lines, left to right.
 
-    Options as of `read_tusimple`. An empty file is a picture without lines.
+    The options are those of `read_tusimple`. An empty file is a picture without lines.
 
     Raises InputError, with file and line, for a folder without such files, an odd number of
     coordinates, what is no number, frames given twice, no camera.

@@ -16,11 +16,13 @@ _ROW = re.compile(rf"{_INTEGER}[;,]{_INTEGER}[;,]\s*([01])\s*")
 
 
 def read_ground_truth(path: str | Path, extra_rows: Iterable[Sequence[int]] = ()) -> LaneTruth:
-    """The lane of each annotated frame, and whether the vehicle is crossing into another lane.
+    """Read the lane of each annotated frame, and whether the vehicle is crossing into another lane.
 
-    A line is `frame;lane;crossing` (or with commas), crossing 0 or 1; one heading is skipped, and
-    empty lines are. extra_rows: more rows (frame, lane, crossing), put in where their frame
-    belongs; the paper counts frame 0 of the Spanish recording, which its file leaves out.
+    A line is `frame;lane;crossing` (or with commas), crossing 0 or 1. A heading and empty lines are
+    skipped.
+
+    - extra_rows: more rows (frame, lane, crossing), put in where their frame belongs; the paper
+      counts frame 0 of the Spanish recording, which its file leaves out.
 
     Raises InputError, naming the file and the line, for a line that is malformed, frames that
     repeat or decrease, a file without rows, and an extra row of a frame that the file has.

@@ -1,11 +1,11 @@
-"""What the readers of other lane detectors' output share: points in the picture become offsets at
-the car, and the persistence of a line over the frames becomes its LRI.
+"""The common part of the readers of other lane detectors' output: it turns points in the picture
+into offsets at the car, and the persistence of a line over the frames into its LRI.
 
 The points of a line are put on the road by the camera and y(x) = s0 + s1 x + s2 x^2 / 2 is fitted
-to those of at most `FARTHEST_M` ahead; s0, where the line passes the camera, is its offset (or
-y(`ahead_m`), so far ahead of it). A point is as exact as a pixel is wide where it lies, and heading
-and curvature are those of a motorway, so that a line of which only a far piece is seen is not drawn
-out wildly.
+to the points at most `FARTHEST_M` ahead. The offset is s0, where the line passes the camera, or
+y(`ahead_m`). The fit trusts a point as far as a pixel is wide on the road where it lies, and
+expects the heading and curvature of a motorway, so that a line of which only a far piece is seen
+does not get an absurd offset.
 
 A line is followed from frame to frame by the nearest offset. Its LRI is the share of the last
 `LRI_FRAMES` pictures, the frame's own included, in which it was seen, times `LRI_FRAMES` (the
@@ -34,7 +34,7 @@ RELEASE_LRI = 5.0
 #: Points further ahead are left out: a pixel is metres long there and roads are not flat.
 FARTHEST_M = 50.0
 
-#: A line whose nearest point is further ahead says too little about the offset at the car.
+#: A line whose nearest point is further ahead than this has no offset: it says too little.
 NEAREST_M = 25.0
 
 #: Standard deviations of the fit: of a point, pixels; of heading, radians; of curvature, 1/m.
@@ -43,16 +43,16 @@ POINT_PX, HEADING, CURVATURE = 3.0, 0.1, 0.002
 #: How far a line may move between two pictures: metres, and metres for each second between them.
 GATE_M, GATE_M_PER_S = 0.3, 1.5
 
-#: A line is lost, and not followed on, after so many seconds without a picture.
+#: After a gap of more seconds than this no line is followed any further.
 LONGEST_GAP_S = 1.0
 
 #: How a line becomes valid: by the paper's hysteresis, or always, where the source is trusted.
 VALID = ("hysteresis", "always")
 
-#: Lines are drawn on beyond the sides of the picture, but not by so many of its widths.
+#: Detectors extend lines beyond the sides of the picture, but not by this many widths of it.
 _MOST_WIDTHS = 20
 
-#: Names of pictures with more digits are time stamps; by their length, seconds for one.
+#: Names of pictures with so many digits are time stamps: number of digits -> seconds per unit.
 _STAMP_UNITS = {13: 1e-3, 16: 1e-6, 18: 1e-8, 19: 1e-9}
 
 
@@ -67,7 +67,7 @@ class ImageLine:
 
 @dataclass(frozen=True)
 class ImageFrame:
-    """The lines of one picture. number: as the file names it. where: for messages."""
+    """The lines of one picture: its number in the file, its lines, and its place for messages."""
 
     number: int
     lines: Sequence[ImageLine]
@@ -84,10 +84,12 @@ def line_log(
     ahead_m: float,
     source: str,
 ) -> LineLog:
-    """The frames, put in order, as a LineLog: lines left to right.
+    """Put the frames in order and make a LineLog of them, lines left to right.
 
-    frame_step: how many numbers one frame is apart; frame id is number over frame_step. valid: one
-    of VALID; with "always" every line has the highest LRI too. ahead_m: where offsets are measured.
+    - frame_step: the difference between the numbers of neighbouring frames; frame id is number over
+      frame_step.
+    - valid: one of VALID; with "always" every line has the highest LRI too.
+    - ahead_m: how far ahead of the camera offsets are measured, metres.
 
     Raises InputError for frames that occur twice, numbers that frame_step does not divide, points
     outside of what the camera takes, and where no point at all lies below the horizon.
@@ -125,8 +127,8 @@ def line_log(
 
 
 def offset_of(line: ImageLine, camera: Camera, ahead_m: float = 0.0) -> float:
-    """Where the line is, metres to the right, `ahead_m` ahead of the camera; NaN with fewer than
-    two points on the road near enough."""
+    """The offset of the line, metres to the right, `ahead_m` ahead of the camera; NaN if fewer
+    than two of its points lie on the road near enough."""
     x, y = image_to_road(camera, line.u, line.v)
     with np.errstate(invalid="ignore"):
         near = (x > 0) & (x <= FARTHEST_M) & np.isfinite(y)
@@ -152,9 +154,10 @@ class _Track:
 def persistence(
     offsets: Sequence[FloatArray], time_s: FloatArray
 ) -> tuple[list[FloatArray], list[BoolArray]]:
-    """LRI and valid flag, by the paper's hysteresis, of the lines of each frame.
+    """The LRI and the valid flag, by the paper's hysteresis, of the lines of each frame.
 
-    offsets: per frame (L,) in ascending order, metres. time_s (T,): of the frames.
+    - offsets: per frame (L,) in ascending order, metres.
+    - time_s (T,): the times of the frames.
     """
     tracks: list[_Track] = []
     lri, valid = [], []
@@ -175,7 +178,7 @@ def persistence(
                 tracks.append(own[-1])
         for track in tracks:
             seen = sum(track.history)
-            # Of a drive's first frames none was missed, but too few were seen for a verdict.
+            # In the first frames of a drive too few pictures were seen to trust a line.
             track.is_valid = seen == LRI_FRAMES or (track.is_valid and seen >= RELEASE_LRI)
         tracks = [track for track in tracks if any(track.history)]
         lri.append(np.array([float(sum(track.history)) for track in own]))
@@ -200,7 +203,7 @@ def _nearest(before: Sequence[float], now: FloatArray, gate: float) -> dict[int,
 
 
 def camera_of(camera: Camera | str | Path | None, source: Path) -> Camera:
-    """The camera given, read where it is a file; InputError where there is none."""
+    """The given camera, read if it is a file. Raises InputError if there is none."""
     if camera is None:
         raise InputError(
             f"{source}: its lines are in pixels: name the camera's YAML file (recording.camera, or"
@@ -236,8 +239,10 @@ def frame_numbers(names: Sequence[str], frame_rate: float, source: str) -> list[
 
 
 def check_one_drive(drives: Sequence[tuple[str, str]]) -> None:
-    """InputError where pictures are of several drives, whose numbers must not be mixed. drives: per
-    picture where it is named, for messages, and the folder of its drive."""
+    """Raise InputError for pictures of several drives, whose frame numbers must not be mixed.
+
+    - drives: per picture the place where it is named, for messages, and the folder of its drive.
+    """
     for where, drive in drives:
         if drive != drives[0][1]:
             raise InputError(
@@ -286,8 +291,8 @@ def _in_order(
 
 
 def _check_rows(frames: Iterable[ImageFrame], camera: Camera, source: str) -> None:
-    """InputError where the lines reach far below the camera's picture, or many times its width to
-    a side: they are of another."""
+    """Raise InputError if lines reach far below the camera's picture, or many times its width to a
+    side: then they are of another camera."""
     for frame in frames:
         lowest = max((float(line.v.max()) for line in frame.lines if len(line.v)), default=0.0)
         if lowest > 1.1 * camera.height:
@@ -306,7 +311,7 @@ def _check_rows(frames: Iterable[ImageFrame], camera: Camera, source: str) -> No
 
 
 def points(values: object, where: str, what: str) -> FloatArray:
-    """A list of numbers as an array; InputError for anything else."""
+    """A list of numbers as an array. Raises InputError for anything else."""
     try:
         array = np.array(values, dtype=np.float64)
     except (TypeError, ValueError, OverflowError):

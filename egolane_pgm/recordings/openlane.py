@@ -1,11 +1,11 @@
-"""OpenLane's JSON, the 2-D part of it: a folder with a file per picture (or one file),
+"""The 2-D part of OpenLane's JSON: a folder with a file per picture (or one file),
 
     {"file_path": "training/segment-.../1507...00.jpg", "lane_lines": [
         {"category": 1, "uv": [[u, ...], [v, ...]], "attribute": 2, "visibility": [...], ...}]}
 
-Continuous are the categories with a solid line of white or yellow, double or beside a dashed one,
-and the two kinds of curb. `attribute` (1 left-left, 2 left, 3 right, 4 right-right) says nothing
-that the offsets do not, and only has to be one of these, or 0. The frame number is the last number
+The categories with a solid white or yellow line, alone, double or beside a dashed one, and the two
+kinds of curb are continuous. `attribute` (0 unknown, 1 left-left, 2 left, 3 right, 4 right-right)
+is checked and not used: the offsets say as much. The frame number is the last number
 in the name of `file_path`; OpenLane's are time stamps, which become frames of the frame rate, the
 first one number 0.
 """
@@ -61,8 +61,8 @@ def read_openlane(
     frame_step: int = 1,
     ahead_m: float = 0.0,
 ) -> LineLog:
-    """The 2-D lines of a folder of OpenLane's JSON files, T frames of at most L lines, left to
-    right. Options as of `read_tusimple`.
+    """Read the 2-D lines of a folder of OpenLane's JSON files, T frames of at most L lines, left
+    to right. The options are those of `read_tusimple`.
 
     Raises InputError, with the file, for a folder without such files, broken JSON, missing keys,
     u and v of different lengths, an unknown category, frames given twice, no camera.

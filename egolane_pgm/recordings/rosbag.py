@@ -19,10 +19,10 @@ from numpy.typing import NDArray
 
 from egolane_pgm.types import BoolArray, FloatArray, InputError, IntArray, LineLog
 
-#: Where the line detectors of the published recordings speak.
+#: The topic of the line detectors in the published recordings.
 TOPIC = "/isis_line_detector/lines"
 
-#: A message with more lines than this is damaged, and would make the padded arrays explode.
+#: A message with more lines than this is damaged, and its padded arrays would fill the memory.
 MAX_LINES = 1000
 
 #: The fields of the published message type, in order. A type that has exactly these is parsed
@@ -55,7 +55,7 @@ _NUMBERS = _INTEGERS | {"float32", "float64"}
 
 @dataclass(frozen=True)
 class _Flat:
-    """The messages of a bag. frame_id (T,), n_lines (T,), and per line (sum of n_lines,)."""
+    """The messages of a bag: frame_id and n_lines (T,), and arrays over all lines (N,)."""
 
     frame_id: IntArray
     n_lines: IntArray
@@ -68,13 +68,14 @@ class _Flat:
 def read_rosbag(
     path: str | Path, *, topic: str = TOPIC, frame_id: str = "way_id", frame_rate: float = 10.0
 ) -> LineLog:
-    """The lines recorded in a ROS 1 bag, T messages of at most L lines.
+    """Read the lines recorded in a ROS 1 bag, T messages of at most L lines.
 
-    frame_id: "way_id" (the field of the message) or "seq" (header.seq, for recordings that leave
-    way_id empty). frame_rate: frames per second; time is frame id over frame rate.
+    - frame_id: "way_id" (the field of the message) or "seq" (header.seq, for recordings that leave
+      way_id empty).
+    - frame_rate: frames per second; time is frame id over frame rate.
 
-    Messages are taken in the order in which they stand in the file. Their stamps say when they
-    were processed, jump by minutes or are all zero, so they give neither an order nor a time.
+    Messages are taken in their order in the file. Their stamps say when they were processed, jump
+    by minutes or are all zero, so they give neither an order nor a time.
 
     Raises InputError for a file that is missing, no bag, truncated or empty; a topic that is not
     there (the ones that are get listed) or whose type lacks a field; frame ids that repeat or
@@ -94,7 +95,7 @@ def read_rosbag(
 
 def _read_flat(path: Path, topic: str, frame_id: str) -> _Flat:
     messages = _read_messages(path, topic)
-    # More than one definition: a node that was rebuilt in the middle of a recording.
+    # A topic has several definitions if its node was rebuilt in the middle of a recording.
     parts = [
         _parse(path, topic, kind, [raw for _, raw in run], frame_id)
         for kind, run in groupby(messages, key=lambda message: message[0])
@@ -125,7 +126,7 @@ def _read_messages(path: Path, topic: str) -> list[tuple[tuple[str, str], bytes]
                 counted = sum(c.connection_counts.get(connection.id, 0) for c in bag.chunk_infos)
                 if counted != len(index):
                     raise InputError(f"{path}: the index has {len(index)} of {counted} messages")
-                # rosbags goes through this list; by place in the file instead of by stamp.
+                # rosbags reads in the order of this list: by place in the file instead of by stamp.
                 index.sort(key=lambda entry: (entry.chunk_pos, entry.offset))
                 kind = (connection.msgtype, connection.msgdef.data)
                 for entry, (_, _, raw) in zip(index, bag.messages([connection]), strict=True):
@@ -135,7 +136,9 @@ def _read_messages(path: Path, topic: str) -> list[tuple[tuple[str, str], bytes]
         raise
     except PermissionError as error:
         raise InputError(f"{path}: cannot be read: {error.strerror}") from None
-    except Exception as error:  # rosbags lets struct, assertion and decompressor errors through
+    except (
+        Exception
+    ) as error:  # rosbags raises struct, assertion and decompressor errors as they come
         raise InputError(
             f"{path}: the bag is truncated or damaged ({_one_line(error)});"
             " record or copy it again, or repair it with `rosbag reindex`"
@@ -255,14 +258,14 @@ def _is_plain(types: Mapping[str, Any], msgtype: str) -> bool:
 
 
 def _gather(data: NDArray[np.uint8], at: IntArray, dtype: np.dtype[Any] | str) -> NDArray[Any]:
-    """One unaligned value of `dtype` at each byte position `at`."""
+    """The value of `dtype` at each byte position `at`, which need not be aligned."""
     kind = np.dtype(dtype)
     picked = data[at[:, None] + np.arange(kind.itemsize)]
     return np.ascontiguousarray(picked).view(kind)[:, 0]
 
 
 def _parse_plain(path: Path, raw: list[bytes], frame_id: str) -> _Flat:
-    """The messages of the published layout, all at once (little endian, no padding)."""
+    """Parse messages of the published layout all at once (little endian, no padding)."""
     data = np.frombuffer(b"".join(raw), dtype=np.uint8)
     size = np.fromiter(map(len, raw), dtype=np.int64, count=len(raw))
     start = np.cumsum(size) - size
@@ -297,7 +300,7 @@ def _check_sizes(path: Path, ok: BoolArray) -> None:
 def _parse_generic(
     path: Path, types: Mapping[str, Any], msgtype: str, raw: Iterable[bytes], frame_id: str
 ) -> _Flat:
-    """The messages of any type that has the needed fields, one by one, through rosbags."""
+    """Parse messages of any type that has the needed fields, one by one, with rosbags."""
     from rosbags.typesys import Stores, get_typestore
 
     store = get_typestore(Stores.EMPTY)
@@ -308,7 +311,9 @@ def _parse_generic(
     for k, message in enumerate(raw):
         try:
             content: Any = store.deserialize_ros1(message, msgtype)
-        except Exception as error:  # generated code: struct, rosbags' own, assertions
+        except (
+            Exception
+        ) as error:  # generated code raises struct errors, assertions and rosbags' own
             raise InputError(f"{path}: message {k + 1} is damaged ({_one_line(error)})") from None
         ids.append(content.header.seq if frame_id == "seq" else content.way_id)
         n_lines.append(len(content.lines))
@@ -329,7 +334,8 @@ def _within(counts: IntArray) -> IntArray:
 
 
 def _check_ids(path: Path, ids: IntArray, field: str) -> None:
-    """One line that helps; LineLog itself refuses such ids too, without knowing of options."""
+    """Raise InputError for ids that repeat or decrease. LineLog refuses them too, but does not know
+    which option may help."""
     other = "seq" if field == "way_id" else "way_id"
     step = np.diff(ids)
     if len(ids) > 1 and (step == 0).all():

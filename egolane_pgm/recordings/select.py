@@ -1,4 +1,5 @@
-"""Which frames are used: ranges, missing frames, the join with the ground truth, plain warnings."""
+"""Chooses the frames that are used: a range, what to do about missing ones, the join with the
+ground truth; and warns of odd recordings."""
 
 from __future__ import annotations
 
@@ -18,10 +19,10 @@ from egolane_pgm.types import (
 
 MissingFrames = Literal["skip", "hold", "predict"]
 
-#: What may be done about frame ids that the recording lacks.
+#: The policies for frame ids that the recording lacks.
 MISSING_FRAMES: tuple[str, ...] = ("skip", "hold", "predict")
 
-#: No motorway is wider: an offset beyond it (metres) is said to be absurd.
+#: A warning calls an offset beyond this (metres) absurd: no motorway is wider.
 ABSURD_OFFSET_M = 100.0
 
 #: Filling more frames than this means that the ids are not frame numbers.
@@ -29,7 +30,7 @@ MAX_FILLED = 1_000_000
 
 
 def select_frames(log: LineLog, first: int | None = None, stop: int | None = None) -> LineLog:
-    """The frames with first <= frame id < stop; None leaves that side open.
+    """Take the frames with first <= frame id < stop; None leaves that side open.
 
     Raises InputError, with the range that the recording has, where no frame is left.
     """
@@ -49,11 +50,11 @@ def select_frames(log: LineLog, first: int | None = None, stop: int | None = Non
 
 
 def fill_missing(log: LineLog, policy: str, frame_rate: float) -> LineLog:
-    """Do something about the frame ids that are missing between the first and the last.
+    """Fill in the frame ids that are missing between the first and the last.
 
-    policy: "skip" leaves them out; "hold" gives them the lines of the frame before; "predict"
-    puts in frames without any line, flagged `is_missing`, so that a filter only predicts there.
-    frame_rate: frames per second, for the times of the frames put in.
+    - policy: "skip" leaves them out; "hold" gives them the lines of the frame before; "predict"
+      puts in frames without any line, flagged `is_missing`, so that a filter only predicts there.
+    - frame_rate: frames per second, for the times of the frames that are put in.
 
     Raises InputError for an unknown policy, and where the gaps are so large that the ids cannot
     be frame numbers.
@@ -139,10 +140,10 @@ def join(log: LineLog, truth: LaneTruth) -> Join:
 
 
 def recording_warnings(log: LineLog, n_lanes: int, max_lri: float = 10) -> list[str]:
-    """What is odd about a recording that is used all the same, one line for each kind.
+    """One line for each kind of oddity in a recording; it is used all the same, unchanged.
 
-    LRI of valid lines outside 0..max_lri, absurd or NaN offsets of lines that are not valid, more
-    valid lines than the n_lanes + 1 that a road has, no valid line at all. Nothing is changed.
+    Odd are: LRI of valid lines outside 0..max_lri, absurd or NaN offsets of lines that are not
+    valid, more valid lines than the n_lanes + 1 that a road has, no valid line at all.
     """
     known_lri = ~np.isnan(log.lri)
     odd_lri = log.is_valid & known_lri & ((log.lri < 0) | (log.lri > max_lri))

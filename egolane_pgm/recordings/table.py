@@ -41,11 +41,12 @@ _WORDS = {
 
 
 def read_table(path: str | Path, *, frame_rate: float = 10.0) -> LineLog:
-    """The lines of a CSV or Parquet table (by extension), T frames of at most L lines.
+    """Read the lines of a CSV or Parquet table (by extension), T frames of at most L lines.
 
-    Columns that a detector lacks: without is_valid every line is valid, without is_continuous
-    none is continuous, without lri the LRI is unknown (NaN). Other columns are ignored, which one
-    warning says. frame_rate: frames per second; time is frame id over frame rate.
+    Without a column is_valid every line is valid, without is_continuous none is continuous, without
+    lri the LRI is unknown (NaN). Other columns are ignored with one warning.
+
+    - frame_rate: frames per second; time is frame id over frame rate.
 
     Raises InputError for a file that is missing or no such table, a missing column (the ones that
     are there get listed), no rows, a cell that does not fit its column (with its place), frames
@@ -82,7 +83,7 @@ def _to_arrow(log: LineLog) -> Any:
 
     is_there = (
         log.is_valid | log.is_continuous | ~np.isnan(log.offset_m) | ~np.isnan(log.lri)
-    )  # everything else is padding
+    )  # all other cells are padding
     n_frames, n_lines = is_there.shape
     if n_frames and n_lines and not is_there[:, -1].any():
         is_there[0, -1] = True  # an empty line says how wide the padding is
@@ -124,7 +125,8 @@ def _write_csv(path: Path, table: Any) -> None:
 
 
 def _check_columns(path: Path, names: list[str]) -> list[str]:
-    """The columns to read; InputError for a missing one, one warning for all ignored ones."""
+    """The columns to read. Raises InputError for a missing one, and warns once of all that are
+    ignored."""
     lacking = [name for name in NEEDED if name not in names]
     if lacking:
         raise InputError(
@@ -251,7 +253,7 @@ class _Rows:
     is_null: dict[str, BoolArray]
 
     def refuse(self, bad: BoolArray, why: str) -> None:
-        """InputError at the first row that is bad; `{}` in `why` is its frame id."""
+        """Raise InputError for the first row that is bad; `{}` in `why` becomes its frame id."""
         if bad.any():
             row = int(np.argmax(bad))
             raise InputError(
@@ -319,7 +321,7 @@ def _offsets(rows: _Rows, has_line: BoolArray) -> FloatArray:
 
 
 def _occurs_again(key: IntArray, which: BoolArray) -> BoolArray:
-    """True where a key, among `which`, was there in an earlier row."""
+    """Marks the rows among `which` whose key occurs in an earlier one of them."""
     again = np.zeros(len(key), dtype=bool)
     rows = np.flatnonzero(which)
     _, first = np.unique(key[rows], return_index=True)

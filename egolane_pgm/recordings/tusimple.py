@@ -4,9 +4,9 @@
      "h_samples": [240, ...]}
 
 `lanes` has, per line, its column in each of the rows `h_samples`, negative where it is absent.
-`classes`, where it is there, has the class of each line; 2 (solid white) and 4 (solid yellow) are
-continuous unless the option `continuous` says otherwise. (6, a double white line, has another lane
-beyond it and is not by default: the flag is evidence of the road's edge.)
+`classes` is optional and has the class of each line; 2 (solid white) and 4 (solid yellow) are
+continuous unless the option `continuous` says otherwise. (6, a double white line, is not by
+default: another lane lies beyond it, and the flag is evidence of the road's edge.)
 
 The frame number is the name of the picture's folder where that is a number
 (`clips/0313-1/6040/20.jpg`: 6040; every clip has a 20.jpg), else the last number in the picture's
@@ -33,7 +33,7 @@ from egolane_pgm.recordings.image_lines import (
 )
 from egolane_pgm.types import InputError, LineLog
 
-#: No set of classes in use has more.
+#: The largest class of the sets of classes that are in use.
 _LARGEST_CLASS = 20
 
 
@@ -47,14 +47,17 @@ def read_tusimple(
     ahead_m: float = 0.0,
     continuous: Collection[int] = (2, 4),
 ) -> LineLog:
-    """The lines of a TuSimple label or result file, T frames of at most L lines, left to right.
+    """Read the lines of a TuSimple label or result file, T frames of at most L lines.
 
-    camera: that of the pictures, or its YAML file. valid: "hysteresis" (a line becomes valid once
-    it is seen in ten pictures, as in the paper) or "always", for a source that is trusted, labels
-    say. frame_step: by how much the numbers of neighbouring frames differ (frame id is number over
-    frame_step); frame_rate: frames per second, after that. ahead_m: how far ahead of the camera
-    offsets are measured; a car that steers to the left is there before it is at the camera.
-    continuous: the classes that are continuous lines.
+    - frame_rate: frames per second, counted in frame ids.
+    - camera: the camera of the pictures, or its YAML file.
+    - valid: "hysteresis" (a line becomes valid once it is seen in ten pictures, as in the paper) or
+      "always", for a source that is trusted, such as labels.
+    - frame_step: the difference between the numbers of neighbouring frames; frame id is number over
+      frame_step.
+    - ahead_m: how far ahead of the camera offsets are measured, metres; a car that steers to the
+      left is there before it is at the camera.
+    - continuous: the classes that are continuous lines.
 
     Raises InputError, with the line of the file, for broken JSON, missing keys, rows and columns
     that do not match, unknown classes, frames given twice, no camera, no frame.
@@ -84,8 +87,8 @@ def read_tusimple(
 
 
 def read_entries(path: Path) -> Iterator[tuple[str, dict[str, Any]]]:
-    """Each picture's entry, and its place in the file for messages; InputError, naming the place,
-    for one that is none."""
+    """The place in the file, for messages, and the entry of each picture. Raises InputError, naming
+    the place, for a line that is no entry."""
     for number, line in enumerate(read_text(path).splitlines(), start=1):
         if not line.strip():
             continue
@@ -105,7 +108,7 @@ def read_entries(path: Path) -> Iterator[tuple[str, dict[str, Any]]]:
 
 
 def _drive_and_name(raw_file: str) -> tuple[str, str]:
-    """The folder of the drive, and what has the frame number."""
+    """The folder of the drive, and the part of the name that has the frame number."""
     picture = PurePosixPath(raw_file)
     clip = picture.parent
     return (str(clip.parent), clip.name) if clip.name.isdigit() else (str(clip), picture.stem)
@@ -114,8 +117,12 @@ def _drive_and_name(raw_file: str) -> tuple[str, str]:
 def entry_lines(
     entry: dict[str, Any], where: str, solid: frozenset[int] = frozenset()
 ) -> list[ImageLine]:
-    """The lines of a picture's entry that have a point; solid: the classes that are continuous.
-    Raises InputError as `read_tusimple`."""
+    """The lines of a picture's entry that have at least one point.
+
+    - solid: the classes that are continuous.
+
+    Raises InputError as `read_tusimple` does.
+    """
     rows = points(entry["h_samples"], where, "h_samples")
     classes = entry.get("classes")
     if classes is not None and (
