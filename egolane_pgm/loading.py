@@ -37,11 +37,13 @@ VIDEOS = (".mp4", ".avi", ".mkv", ".mov", ".mpg", ".mpeg", ".m4v", ".webm", ".wm
 
 @dataclass(frozen=True)
 class Recorded:
-    """What an experiment is run on.
+    """The recording of an experiment, with its ground truth.
 
-    log: T frames. truth: the annotated frames among them, in order, or None. scored (K,): which
-    frames of the log those are. files: what was read (a folder of pictures, or a glob, stands for
-    all of them). notes: what is odd about it, a line each.
+    log: T frames.
+    truth: the K annotated frames among them, in order, or None.
+    scored (K,): which frames of the log these are.
+    files: what was read (a folder of pictures, or a glob, stands for all of them).
+    notes: warnings, a line each.
     """
 
     log: LineLog
@@ -55,9 +57,10 @@ def load_recording(experiment: Experiment, parameters: Mapping[str, Any] | None 
     """Read and select the frames of an experiment, and join its ground truth.
 
     parameters: the model's, where they are resolved already (an evidence rule may declare its own
-    `max_lri`); default the experiment's.
+        `max_lri`); default the experiment's.
 
-    Raises InputError for files that cannot be used. What is odd but usable is in `notes`.
+    Raises InputError for files that cannot be used. Oddities that do not prevent that are in
+    `notes`.
     """
     with warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always")
@@ -112,8 +115,8 @@ def _read_sources(experiment: Experiment) -> tuple[LineLog, LaneTruth | None, li
 
 
 def check_sources(experiment: Experiment) -> None:
-    """Raise InputError, naming the YAML file and key, where the recording or its ground truth are
-    not there, or its format or simulation does not exist; nothing is read."""
+    """Raise InputError, naming the YAML file and key, for a recording or ground truth that is not
+    there, or a format or simulation that does not exist. No file is read."""
     from egolane_pgm.simulation import PRESETS
 
     recording, source = experiment.recording, experiment.source
@@ -177,7 +180,7 @@ def _read_log(path: Path, experiment: Experiment) -> LineLog:
 
 
 def with_video_rate(experiment: Experiment) -> Experiment:
-    """The experiment with the frame rate that its video tells, where the YAML says none."""
+    """The experiment with the frame rate of its video, where the YAML says none."""
     recording = experiment.recording
     if recording.detector is None or "frame_rate" in recording.model_fields_set:
         return experiment
@@ -190,9 +193,12 @@ def with_video_rate(experiment: Experiment) -> Experiment:
 
 
 def file_entry(path: Path, *, pictures: bool = True) -> dict[str, Any]:
-    """Path, sha256 and bytes of a file; of a folder of pictures, or a glob, the sha256 of the list
-    of its pictures' checksums and names, and how many `files` they are. pictures: False for a
-    folder that was read as a recording of lines."""
+    """Path, sha256 and bytes of a file.
+
+    Of a folder or a glob it is the sha256 of the list of the files' checksums and names, with the
+    number of `files`. pictures: whether a folder is one of pictures; else it is a recording of
+    lines.
+    """
     if path.is_file():
         return {"path": str(path), "sha256": file_sha256(path), "bytes": path.stat().st_size}
     if pictures:
@@ -258,8 +264,8 @@ def _detected(experiment: Experiment) -> tuple[LineLog, list[Path]]:
 
 
 def _check_detector(experiment: Experiment) -> tuple[Detector, Camera, Source, Source | None]:
-    """The detector, its camera and its pictures; InputError, naming the YAML key, for what is not
-    there or does not fit together."""
+    """The detector, its camera and its pictures (left, and right or None). Raises InputError,
+    naming the YAML key, for what is not there or does not fit together."""
     from egolane_pgm.camera.model import read_camera
     from egolane_pgm.detectors.runner import check_pair, find_detector, start
 
@@ -286,7 +292,7 @@ def _check_detector(experiment: Experiment) -> tuple[Detector, Camera, Source, S
     check_pair(detector, camera, recording.right is not None, f"{source}: recording.right")
     left = _pictures_of(experiment, "path")
     right = _pictures_of(experiment, "right") if recording.right is not None else None
-    # Made only to be refused early where the camera does not see the road.
+    # Only to refuse early a camera that does not see the road.
     start(detector, camera)
     return detector, camera, left, right
 
@@ -304,7 +310,7 @@ def _pictures_of(experiment: Experiment, key: str) -> Source:
 
 
 def _refuse_video(experiment: Experiment) -> None:
-    """A video without a detector: say what is missing rather than that its format is unknown."""
+    """Raise InputError for a video without a detector, which is clearer than an unknown format."""
     path, format_ = experiment.recording.path, experiment.recording.format
     if format_ is None and path is not None and Path(path).suffix.lower() in VIDEOS:
         raise InputError(
@@ -322,11 +328,18 @@ def with_recording(
     camera: str | None = None,
     detector: str | None = None,
 ) -> Experiment:
-    """The experiment on another recording. What belongs to the old recording (frame range, seed,
-    ground truth and its extra rows) does not carry over, nor do `format`, `topic`, `frame_id` and
-    `camera` where the extension of the file is another one; `detector`, its parameters and camera
-    do for a video and pictures (a folder, a glob, one file), and for nothing else.
-    `ground_truth` may be "none". camera, detector: for a video or pictures.
+    """The experiment on another recording.
+
+    - What belongs to the old recording (frame range, seed, ground truth and its extra rows) does
+      not carry over.
+    - `format`, `topic`, `frame_id`, `options` and `camera` carry over where the extension of the
+      file is the same.
+    - `detector`, its parameters and its camera carry over to a video and to pictures (a folder, a
+      glob, one file), and to nothing else.
+
+    recording, ground_truth, n_lanes, frame_id, camera, detector: what replaces the experiment's,
+        None for what stays. ground_truth may be "none"; camera and detector are for a video or
+        pictures.
 
     Raises InputError for a folder of recordings, and for one that has both pictures and lines where
     nothing says which are meant.
@@ -374,8 +387,8 @@ def with_recording(
 
 
 def _is_of_pictures(recording: str, old: str | None, detector: str | None) -> bool:
-    """Whether a recording is a video or pictures. detector: asked for with the recording, which
-    says that pictures are meant."""
+    """Whether a recording is a video or pictures. detector: the one that was asked for together
+    with the recording, which means that pictures are meant."""
     from egolane_pgm.camera.pictures import PICTURES, is_pattern
 
     path = Path(recording).expanduser()
@@ -417,7 +430,7 @@ def _is_folder_of_pictures(folder: Path, detector: str | None) -> bool:
 
 
 def as_name(stem: str) -> str:
-    """A name for an experiment, from that of a file."""
+    """Make a name for an experiment from the name of a file."""
     kept = (c if (c.isascii() and c.isalnum()) or c in "._-" else "_" for c in stem)
     name = "".join(kept).lstrip("._-")
     return name or "recording"

@@ -57,12 +57,18 @@ SCHEMA_VERSION = 1
 
 @dataclass(frozen=True)
 class Result:
-    """A result directory, read.
+    """The contents of a result directory.
 
-    experiment, run, scores: the contents of the files. frame_id, time_s (T,). marginals: per
-    hidden node (T, k). values: per node the names of its k values. tentative (T, n) or None.
-    assigned_lane, detector_lane (T,): 0 is Unassigned. true_lane (T,): 0 where not annotated.
-    is_crossing (T,). log_evidence (T,). is_impossible (T,).
+    experiment, run, scores: the contents of the files of these names.
+    frame_id, time_s (T,): seconds.
+    marginals: per hidden node (T, k).
+    values: per hidden node the names of its k values.
+    tentative (T, n): the detector's own answer, or None.
+    assigned_lane, detector_lane (T,): 1..n, 0 is Unassigned.
+    true_lane (T,): 1..n, 0 where not annotated.
+    is_crossing (T,): whether the car is changing lanes.
+    log_evidence (T,): natural logarithm.
+    is_impossible (T,): marks frames whose evidence the model does not allow.
     """
 
     directory: Path

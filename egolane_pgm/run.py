@@ -43,9 +43,12 @@ from egolane_pgm.types import (
 class Run:
     """An experiment that was run.
 
+    experiment: with the frame rate that was counted with.
+    evidence, beliefs: of the T frames of the log.
     tentative (T, n): the evidence rule's own answer over lanes, or None.
     scores: "model" and, with a tentative vector, "detector", as `score_with_intervals` gives them;
         empty without ground truth.
+    notes: warnings, a line each.
     """
 
     experiment: Experiment
@@ -146,8 +149,8 @@ def save_run(run: Run, directory: str | Path, draw: Callable[[Path], None] | Non
 def portable(
     experiment: Experiment, model: Model, content: Mapping[str, Any], folder: Path
 ) -> dict[str, Any]:
-    """The resolved config as it can be run from the result directory `folder`: plugin files of
-    one's own are copied into it, files that lay beside the YAML are named in full."""
+    """The resolved config in a form that can be run from the result directory `folder`: the user's
+    own plugin files are copied into it, files that lay beside the YAML are named in full."""
     portable = {**content}
     for key, module in (("evidence", model.rule), ("graph", model.graph)):
         if str(content[key]).endswith(OWN_FILES) and module.__file__:
@@ -161,8 +164,8 @@ def portable(
 
 
 def files_in_full(section: Mapping[str, Any], folder: Path) -> dict[str, Any]:
-    """The keys of a `recording` or `ground_truth`; files and folders that lie in `folder`, that of
-    the YAML, with their whole path, those that are found elsewhere as they are named."""
+    """The keys of a `recording` or `ground_truth` section, with the whole path of files and folders
+    that lie in `folder`, the YAML's own; the names of those found elsewhere stay as they are."""
     return {name: _in_full(name, value, folder) for name, value in section.items()}
 
 

@@ -50,7 +50,7 @@ class Side:
     seconds_per_frame: processor time of evidence and filter over the whole recording, the fastest
         of several.
     tuned_on: as in a YAML.
-    notes: what the evidence rule warned of.
+    notes: what the evidence rule warned of, a line each.
     """
 
     drive: Drive

@@ -1,9 +1,10 @@
-"""Parameters and tables learned from a recording, and what they are worth on frames not looked at.
+"""Parameters and tables learned from a recording, and their scores on frames that were held out.
 
 An evidence rule that can be learned defines `LEARNED`, the names of the parameters that it learns,
-and `fit(log, lane, is_used, n_lanes, parameters) -> parameters`, which may look at the lanes of the
-used frames only. With any other rule the tables of the graph are learned, by EM (`tables`).
-Everything else is the same for all.
+and `fit(log, lane, is_used, n_lanes, parameters) -> parameters`, which is given the lanes of the
+used frames only. With `fit_pooled(parts, n_lanes, parameters)`, where each part is a tuple (log,
+lane, is_used), it learns from several recordings. With any other rule the tables of the graph are
+learned, by EM (`tables`).
 """
 
 from egolane_pgm.learn.learning import (

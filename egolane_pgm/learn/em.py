@@ -1,9 +1,9 @@
-"""EM of a network's tables: as probable as can be, given the evidence, what is known of the hidden
-nodes, and a Dirichlet prior around the tables that it starts from.
+"""EM: the most probable tables of a network, given the evidence, what is known of the hidden nodes,
+and a Dirichlet prior around the tables that it starts from.
 
-The prior of each row is Dirichlet(1 + strength * row), whose mode is the row itself: it is worth
-`strength` frames. An entry that is above zero at the start stays above zero, however rarely it is
-used; one that is zero is a statement about the structure and stays zero.
+The prior of each row is Dirichlet(1 + strength * row). Its mode is the row itself, and it weighs as
+much as `strength` frames. An entry that is above zero at the start stays above zero, however rarely
+it is used; an entry that is zero is a statement about the structure and stays zero.
 """
 
 from __future__ import annotations
@@ -21,7 +21,8 @@ from egolane_pgm.types import BoolArray, Evidence, FloatArray, IntArray
 #: The iterations end where the log posterior grows by less than this, nats per frame.
 TOLERANCE = 1e-6
 
-#: Rows that are expected to be used less often than this have lost digits: they keep their start.
+#: A row that is expected to be used less often than this keeps its start: its counts have lost
+#: their digits.
 _NOTHING = 1e-280
 
 _SMALLEST = float(np.finfo(np.float64).tiny)
@@ -29,9 +30,14 @@ _SMALLEST = float(np.finfo(np.float64).tiny)
 
 @dataclass(frozen=True)
 class Fitted:
-    """tables: those of `counted_tables`, learned or left as they were. log_posterior (I,): log
-    evidence plus log prior (0 for the starting tables) before each iteration and after the last.
-    is_impossible (T,): frames whose evidence, with what is known, the tables do not allow."""
+    """What EM found.
+
+    tables: those of `counted_tables`, learned or left as they were.
+    log_posterior (I,): log evidence plus log prior (0 for the starting tables), before each
+        iteration and after the last.
+    is_impossible (T,): marks frames whose evidence, together with what is known, the tables do not
+        allow.
+    """
 
     tables: Mapping[SliceNode, Table]
     log_posterior: FloatArray
@@ -97,7 +103,8 @@ def _most_probable(counts: FloatArray, start: FloatArray, strength: float) -> Fl
 
 
 def _log_prior(start: Mapping[SliceNode, Table], now: Mapping[SliceNode, Table]) -> float:
-    """Of all tables, for one frame of strength; 0 for the starting ones, less for all others."""
+    """The log prior of all tables for a strength of one frame: 0 for the starting tables, less for
+    all others."""
     total = 0.0
     for node, table in start.items():
         old, new = table.values, now[node].values

@@ -1,4 +1,4 @@
-"""What was learned as files: a new experiment, and its graph where tables were learned."""
+"""Files of what was learned: a new experiment, and its graph where tables were learned."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from egolane_pgm.types import InputError
 
 def output_files(experiment: Experiment, target: Path) -> list[Path]:
     """The files that `write_learned` may write: the experiment, and a graph. Raises InputError
-    where that is not possible, or would write over what the experiment reads."""
+    where they cannot be written, or where the experiment reads one of them."""
     files = [target, target.with_name(f"{target.stem}.graph.yaml")]
     for file in files:
         check_place(file)

@@ -1,8 +1,8 @@
 """The tables of an experiment's graph, learned from its recording by EM (`em`).
 
 What is found is kept by name, as parameters are: `tables.Lane.first` and `tables.Lane.next` of a
-node that persists, `tables.WOR` of an observed one; the numbers of a table in one row, the axes in
-the order of `expectation.counted_tables`, the last one fastest.
+node that persists, `tables.WOR` of an observed one. The numbers of a table stand in one row, with
+the axes in the order of `expected_counts.counted_tables`, the last one fastest.
 """
 
 from __future__ import annotations
@@ -34,8 +34,8 @@ def learning_of(experiment: Experiment) -> Learning:
 
 
 def check_tables(model: Model, experiment: Experiment) -> dict[SliceNode, Table]:
-    """The tables that are learned, as they are at the start. Raises InputError for a graph that
-    has none, and for a node in `learning.tables` without one."""
+    """The tables that are learned, with the values that learning starts from. Raises InputError for
+    a graph that has none, and for a node in `learning.tables` without one."""
     source = experiment.source
     open_ = {
         node: table
@@ -69,7 +69,7 @@ def check_tables(model: Model, experiment: Experiment) -> dict[SliceNode, Table]
 
 
 def free_numbers(tables: Mapping[SliceNode, Table]) -> int:
-    """How many numbers of some tables can be chosen: zeros stay, and rows sum to one."""
+    """Count the numbers in some tables that are free: zeros stay zero, and rows sum to one."""
     return sum(
         int(np.maximum(np.count_nonzero(table.values > 0, axis=-1) - 1, 0).sum())
         for table in tables.values()
@@ -77,12 +77,13 @@ def free_numbers(tables: Mapping[SliceNode, Table]) -> int:
 
 
 def fit_graph(drive: Drive, train: IntArray) -> dict[str, Value]:
-    """The tables learned from the annotated frames `train`, and the frames between those; without
-    ground truth from the frames `train` of the log.
+    """The tables learned from the annotated frames `train` of a drive and the frames between them;
+    without ground truth from the frames `train` of the log.
 
-    With `learning.labels` Lane is what the label says, but for crossing frames, in which it is
-    free. Warns of a lane without a label, which keeps its first guess, of frames that the graph
-    does not allow, and as `seen_before` says.
+    With `learning.labels` the lane of a frame is known from its label, except in crossing frames.
+
+    Warns of a lane without a label, which keeps its first guess, of frames that the graph does not
+    allow, and of what `seen_before` lists.
     """
     model, recorded, experiment = drive.model, drive.recorded, drive.experiment
     for note in seen_before(model, experiment):
@@ -143,10 +144,12 @@ def fit_graph(drive: Drive, train: IntArray) -> dict[str, Value]:
 
 
 def training_frames(rows: IntArray, train: IntArray, n_frames: int) -> BoolArray:
-    """(T,): marks the annotated frames that are learned from, and each frame without annotation
+    """Marks (T,) the annotated frames that are learned from, and each frame without annotation
     whose annotated neighbours are both among them.
 
-    rows (K,): which of the T frames are annotated. train: indices into rows.
+    rows (K,): which of the T frames are annotated.
+    train: indices into rows.
+    n_frames: T.
     """
     is_train = np.zeros(len(rows), dtype=bool)
     is_train[train] = True
@@ -156,7 +159,7 @@ def training_frames(rows: IntArray, train: IntArray, n_frames: int) -> BoolArray
 
 
 def with_found(model: Model, found: Mapping[str, Value], experiment: Experiment) -> Model:
-    """The model with what a fit found: parameters, tables, or both."""
+    """Put what a fit found, parameters, tables or both, into a model."""
     tables = {name: value for name, value in found.items() if name.startswith(PREFIX)}
     parameters = {name: value for name, value in found.items() if name not in tables}
     if parameters:
@@ -178,7 +181,7 @@ def starting(model: Model, experiment: Experiment) -> Model:
 
 
 def found_tables(model: Model, found: Mapping[str, Value], experiment: Experiment) -> list[Table]:
-    """All tables of the graph, those that were found put in."""
+    """All tables of the graph, with those that were found in their places."""
     start = starting_tables(model, experiment)
     changed = {
         table.node: replace(table, values=np.reshape(found[name], table.values.shape))
@@ -210,9 +213,12 @@ def starting_tables(model: Model, experiment: Experiment) -> list[Table]:
 
 
 def seen_before(model: Model, experiment: Experiment) -> list[str]:
-    """What a reader of held-out scores must know where the experiment's parameters were, or may
-    have been, tuned on the frames to learn from: learning starts from the graph's defaults then,
-    but the evidence rule's parameters and tables in numbers are kept."""
+    """Notes for a reader of held-out scores, where the experiment's parameters were, or may have
+    been, tuned on the frames that are learned from.
+
+    Learning then starts from the defaults of the graph's parameters. Parameters of the evidence
+    rule, and tables that stand in the graph as numbers, are kept as they are.
+    """
     if experiment.tuned_on not in ("same_frames", "unknown"):
         return []
     where = f"{experiment.source}: tuned_on {experiment.tuned_on}"

@@ -1,10 +1,10 @@
-"""How right a belief over lanes is: one file per family of scores; `score_all` gives everything.
+"""How right a belief over lanes is: one file per family of scores; `score_all` gives them all.
 
 Scores read beliefs and ground truth, never the filter. Crossing frames are left out except where a
 score says otherwise (log-loss).
 """
 
-# `confusion.confusion` stays where it is: here it would hide the module of the same name.
+# `confusion.confusion` is not exported: its name would hide the module's.
 from egolane_pgm.scoring.assign import assigned_lane
 from egolane_pgm.scoring.confusion import (
     ConfusionScores,

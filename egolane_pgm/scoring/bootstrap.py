@@ -22,7 +22,8 @@ BLOCK_FRAMES = 300
 RESAMPLES = 2000
 LEVEL = 0.95
 
-#: Numbers held at once while resamples are summed; bounds the memory, not the result.
+#: How many numbers are held at once while resamples are summed. It bounds the memory and does not
+#: change the result.
 _CHUNK = 1 << 22
 
 
@@ -34,9 +35,10 @@ Statistic = Callable[[NDArray[np.generic]], FloatArray]
 class BlockResamples:
     """Resamples of a drive in circular blocks.
 
-    starts (R, K): first frame of each of the K blocks of a resample. Blocks are `block` frames
-    long and run on from the last frame to the first; the last one is cut so that a resample has
-    n_frames frames.
+    n_frames: of the drive, and of each resample.
+    block: frames of a block. It runs on from the last frame of the drive to the first; the last
+        block of a resample is cut.
+    starts (R, K): the first frame of each of the K blocks of each resample.
     """
 
     n_frames: int

@@ -1,4 +1,4 @@
-"""Checks that the scores share: one entry per frame, lanes in range, beliefs that sum to 1."""
+"""Checks of what the scores are given: one entry per frame, lanes in range, rows that sum to 1."""
 
 from __future__ import annotations
 

@@ -1,10 +1,14 @@
 """Confusion matrices with an Unassigned row, and the scores of the paper's tables.
 
-Everywhere: rows are the predicted lane 1..n, then Unassigned; columns are the actual lane 1..n;
-crossing frames are left out. Zero divided by zero is 0, so every score is a number: a lane that is
-never driven or never predicted scores 0 (and pulls the mean down), and without any scored frame all
-scores are 0; look at the number of scored frames. Unassigned frames count as wrong: they are in the
-support, hence in recall and accuracy, and in no lane's precision.
+Rows are the predicted lane 1..n, then Unassigned; columns are the actual lane 1..n; crossing frames
+are left out.
+
+Zero divided by zero is 0, so every score is a number. A lane that is never driven or never
+predicted scores 0 and pulls the mean down. Without any scored frame all scores are 0: look at the
+number of scored frames.
+
+Unassigned frames count as wrong: they are in the support, hence in recall and accuracy, but in no
+lane's precision.
 """
 
 from __future__ import annotations
@@ -23,9 +27,12 @@ from egolane_pgm.types import UNASSIGNED, FloatArray, InputError, IntArray
 class ConfusionScores:
     """The scores of one confusion matrix.
 
-    confusion (n + 1, n). precision, recall, f1 (n,): per lane. mean_*: plain means over the lanes
-    (mean_f1 is the macro F1: the mean of the lanes' F1, not the F1 of the means). accuracy: right
-    frames over all scored frames. coverage: share of the scored frames that get an answer.
+    confusion (n + 1, n): counts of frames.
+    precision, recall, f1 (n,): per lane.
+    mean_precision, mean_recall, mean_f1: plain means over the lanes (mean_f1 is the macro F1: the
+        mean of the lanes' F1, not the F1 of the means).
+    accuracy: right frames over all scored frames.
+    coverage: share of the scored frames that get an answer.
     frames_scored: number of non-crossing frames.
     """
 
@@ -46,9 +53,11 @@ def confusion_cell(
 ) -> IntArray:
     """The cell of the flattened confusion matrix that each frame falls into, -1 if it is crossing.
 
-    assigned (T,): 1..n or UNASSIGNED. lane (T,): 1..n. is_crossing (T,). Returns (T,): row * n +
-    column. Raises InputError, naming the row, for lanes outside 1..n (on crossing frames the label
-    is not looked at).
+    assigned (T,): 1..n or UNASSIGNED.
+    lane (T,): 1..n; not looked at in crossing frames.
+    is_crossing (T,): marks crossing frames.
+
+    Returns (T,): row * n + column. Raises InputError, naming the row, for lanes outside 1..n.
     """
     if n_lanes < 1:
         raise InputError(f"n_lanes: {n_lanes} must be at least 1")

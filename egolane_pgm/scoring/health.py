@@ -1,7 +1,7 @@
 """Is the detector wrong in this frame? How well a score says so: the area under the ROC curve.
 
-Looked at are non-crossing frames in which the detector commits to a lane (its tentative vector has
-a unique maximum): that a detector which says nothing is no help is known without a model.
+Only non-crossing frames count in which the detector commits to a lane (its tentative vector has a
+unique maximum): no model is needed to know that a detector without an answer is no help.
 """
 
 from __future__ import annotations
@@ -20,9 +20,10 @@ from egolane_pgm.types import UNASSIGNED, BoolArray, FloatArray, InputError, Int
 class DetectorErrors:
     """Where the detector alone is wrong.
 
-    assigned (T,): its lane, 0 for Unassigned. is_committed (T,): non-crossing frames with a lane.
-    is_scored (T,): non-crossing frames. is_wrong (T,): the lane is not the true one; Unassigned is
-    wrong too.
+    assigned (T,): the detector's lane, 0 for Unassigned.
+    is_committed (T,): marks the non-crossing frames with a lane.
+    is_scored (T,): marks the non-crossing frames.
+    is_wrong (T,): marks frames in which the lane is not the true one; Unassigned is wrong too.
     """
 
     assigned: IntArray
@@ -49,8 +50,8 @@ def detector_errors(
 
 
 def doubt(belief: ArrayLike, assigned: ArrayLike) -> FloatArray:
-    """(T,): 1 - P(assigned lane), a health score: what a belief (T, n) makes of the lanes that
-    somebody else assigned (T,), 1..n; 1 where nothing is assigned (0)."""
+    """A health score (T,): 1 - P(assigned lane), by a belief (T, n), for lanes that somebody else
+    assigned (T,), 1..n; 1 where no lane is assigned (0)."""
     values = as_belief(belief, normalised=True)
     lanes = as_lanes(assigned, len(values), "assigned")
     check_range(lanes, np.ones(len(lanes), dtype=bool), UNASSIGNED, values.shape[1], "assigned")

@@ -1,6 +1,6 @@
 """Scores of the belief itself: log-loss, Brier score, calibration.
 
-Without any frame to score they are NaN (None in JSON), not 0: 0 would be a perfect score.
+Without any frame to score they are NaN (None in JSON), because 0 would be a perfect score.
 """
 
 from __future__ import annotations
@@ -26,9 +26,10 @@ class CalibrationCurve:
     """How often the belief is right, by how sure it is.
 
     Bin k holds the frames whose largest probability lies in (k / n_bins, (k + 1) / n_bins].
+
     confidence (n_bins,): mean of the largest probability in the bin, NaN in an empty bin.
-    accuracy (n_bins,): share of its frames whose assigned lane is right, NaN in an empty bin.
-    count (n_bins,): its frames.
+    accuracy (n_bins,): share of the bin's frames whose assigned lane is right, NaN in an empty bin.
+    count (n_bins,): number of frames in the bin.
     """
 
     confidence: FloatArray
@@ -84,8 +85,8 @@ def calibration_curve(
 ) -> CalibrationCurve:
     """The calibration curve over the non-crossing frames, equal-width bins of the maximum.
 
-    Arguments and errors as `brier`. An Unassigned frame counts as wrong, as everywhere: a tie is
-    not broken in favour of the lane that happens to come first.
+    Arguments and errors as `brier`. An Unassigned frame counts as wrong, as everywhere: a tie does
+    not go to the lane that happens to come first.
     """
     if n_bins < 1:
         raise InputError(f"n_bins: {n_bins} must be at least 1")
@@ -138,8 +139,11 @@ def _mean(values: FloatArray) -> float:
 class CoverageCurve:
     """The accuracy-coverage curve over the non-crossing frames, one point per distinct threshold.
 
-    threshold (K,): the least probability that is answered, falling. answered (K,): frames with an
-    answer. right (K,): those of them that are right. frames_scored: all non-crossing frames.
+    threshold (K,): the least probability that is answered, decreasing.
+    answered (K,): number of frames with an answer.
+    right (K,): number of right answers.
+    frames_scored: number of non-crossing frames.
+
     Frames without a unique most probable lane are never answered.
     """
 

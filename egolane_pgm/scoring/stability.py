@@ -2,12 +2,12 @@
 
 Rows are the joined frames in order. Where the definitions leave room, this is what is done:
 
-- Consecutive means neighbouring rows, neither of them crossing. Ids that a recording lacks do not
-  separate two rows: nothing was answered in between.
-- Unassigned is an answer like a lane: going from lane 2 to Unassigned is a switch and so is coming
-  back, for whoever uses the lane loses it and gets it again. Coverage says how much of it is that.
-- The minutes are those of the row pairs in which a false switch could have been: consecutive, the
-  true lane unchanged; one frame period each.
+- Consecutive rows are neighbours, neither of them crossing. Frame ids that are missing between them
+  do not separate them: nothing was answered in between.
+- Unassigned is an answer like a lane. Going from lane 2 to Unassigned is a switch, and so is coming
+  back, because whoever uses the lane loses it and gets it again. Coverage tells how often.
+- Minutes count the pairs of rows in which a false switch is possible (consecutive, true lane
+  unchanged), one frame period each.
 - A lane change is a pair of successive non-crossing rows with different true lanes: with crossing
   rows between them (the labels of these are not looked at), or without (a change that was not
   flagged). A crossing that ends in the lane it began in was aborted and is no lane change; nor is
@@ -15,9 +15,9 @@ Rows are the joined frames in order. Where the definitions leave room, this is w
 - The delay is counted from the first row after the crossing to the first of the HELD_FRAMES rows
   that hold the new lane, in frame ids, so that missing ids count as the time that they are. Someone
   who answers the new lane throughout the first rows after the crossing has delay 0.
-- Looked for are holds from the first crossing row on (an answer before that was an error about the
-  old lane, not foresight), crossing rows included, so the delay is at least minus the length of the
-  crossing. An unflagged change has no crossing, so no negative delay.
+- A hold may begin at the first crossing row (an answer before that was an error about the old lane,
+  not foresight). So the delay is at least minus the length of the crossing, and never negative for
+  an unflagged change.
 - The hold must be complete before the next lane change begins (its first crossing row), or the
   drive, or a crossing with which the drive ends; else the change is missed. An aborted crossing
   does not end the search.

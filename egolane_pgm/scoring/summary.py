@@ -1,4 +1,4 @@
-"""Every score of one belief against one ground truth, as a plain dict."""
+"""All scores of one belief against one ground truth, as a plain dict."""
 
 from __future__ import annotations
 
