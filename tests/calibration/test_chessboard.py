@@ -1,4 +1,4 @@
-"""The camera found from chessboards and labelled lines."""
+"""Calibration of a camera from chessboards and labelled lines."""
 
 import re
 from dataclasses import replace

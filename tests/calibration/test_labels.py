@@ -1,4 +1,4 @@
-"""Labels and pictures that cameras are calibrated from."""
+"""The labels and pictures that cameras are calibrated from."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The camera found from real pictures."""
+"""Calibration of cameras from real pictures."""
 
 import os
 from dataclasses import replace

@@ -1,4 +1,4 @@
-"""How lines are found in stills: the edges that vote, and the paint in a fan of rays."""
+"""Lines found in stills: the edges that vote for a point, and the paint in a fan of rays."""
 
 from __future__ import annotations
 
@@ -9,8 +9,7 @@ import cv2
 import numpy as np
 import pytest
 
-from egolane_pgm.calibration import road_lines as found
-from egolane_pgm.calibration import road_lines as found_lines
+from egolane_pgm.calibration import road_lines
 from egolane_pgm.calibration.road_lines import find_in_stills
 from egolane_pgm.calibration.straight_road import FrameFit, to_level, view_from
 from egolane_pgm.camera.model import (
@@ -24,12 +23,12 @@ from tests.kits.calibration_kit import TRUE, draw_road, unturned
 PLAIN = replace(unturned(TRUE), distortion=(0.0,) * 5)
 
 
-WHOLE = found.seen_mask(PLAIN)
+WHOLE = road_lines.seen_mask(PLAIN)
 
 
 def test_rectangles_to_ignore_may_reach_beyond_the_picture() -> None:
     rectangles = ((-5, 0, 200, 30), (1200, 700, 9000, 9000), (-9, -9, -1, 2000))
-    mask = found.seen_mask(replace(PLAIN, ignore=rectangles))
+    mask = road_lines.seen_mask(replace(PLAIN, ignore=rectangles))
     expected = np.ones((720, 1280), dtype=bool)
     expected[:30, :200] = expected[700:, 1200:] = False
     np.testing.assert_array_equal(mask, expected)
@@ -49,7 +48,7 @@ def test_edges_that_may_be_lines_of_the_road_are_kept_upper_end_first() -> None:
         ((900, 500), (910, 512)),  # too short
         ((1100, 700), (1000, 400)),
     )
-    edges = found.edges(PLAIN, image, WHOLE)
+    edges = road_lines.edges(PLAIN, image, WHOLE)
     ends = to_level(PLAIN, np.array([600.0, 500, 1000, 1100]), np.array([400.0, 700, 400, 700]))
     for upper, lower in (ends[:2], ends[2:]):
         # Both sides of the stripe.
@@ -59,15 +58,15 @@ def test_edges_that_may_be_lines_of_the_road_are_kept_upper_end_first() -> None:
     assert (edges[:, 1] < edges[:, 3]).all()
     half = WHOLE.copy()
     half[:, 800:] = False
-    assert (found.edges(PLAIN, image, half)[:, 0] < 0).all()
-    assert found.edges(PLAIN, with_lines(), WHOLE).shape == (0, 4)
+    assert (road_lines.edges(PLAIN, image, half)[:, 0] < 0).all()
+    assert road_lines.edges(PLAIN, with_lines(), WHOLE).shape == (0, 4)
 
 
 def test_edges_vote_for_points_above_them_that_they_point_at() -> None:
     lines = np.array([[0.1, 0.1, 0.3, 0.3], [-0.3, 0.3, -0.6, 0.6]])
     lengths = np.array([0.2, 0.3]) * np.sqrt(2)
     points = np.array([[0.0, 0.0], [0.7, 0.7], [0.0, 0.1], [-0.1, 0.1]])
-    votes = found._votes(points, lines)
+    votes = road_lines._votes(points, lines)
     # Of both; below the first one and on no line; on none; of the second alone.
     np.testing.assert_allclose(votes, [lengths.sum(), 0, 0, lengths[1]], atol=1e-9)
 
@@ -84,18 +83,18 @@ def edges_to(point: tuple[float, float], seed: int, n: int = 40, stray: int = 20
 
 def test_the_winner_is_the_middle_of_what_is_near_to_the_best() -> None:
     candidates = np.array([[0.0, 0.0], [0.02, 0.0], [0.5, 0.1], [0.51, 0.1]])
-    winner = found._winner(candidates, np.array([1.0, 1.0, 0.9, 0.9]))
+    winner = road_lines._winner(candidates, np.array([1.0, 1.0, 0.9, 0.9]))
     np.testing.assert_allclose(winner, [0.01, 0.0], atol=1e-9)
 
 
 def test_the_point_where_most_edges_meet_is_found_and_is_the_same_every_time() -> None:
     points = [(0.03, -0.05), (0.05, -0.04), (0.01, -0.06)]
     stills = [edges_to(point, seed) for seed, point in enumerate(points)]
-    every, each = found.meeting_of_stills([*stills, np.zeros((0, 4))], seed=4)
+    every, each = road_lines.meeting_of_stills([*stills, np.zeros((0, 4))], seed=4)
     assert every == pytest.approx((0.03, -0.05), abs=0.01)
     np.testing.assert_allclose(each[:3], points, atol=0.01)
     assert np.isnan(each[3]).all()
-    again = found.meeting_of_stills([*stills, np.zeros((0, 4))], seed=4)
+    again = road_lines.meeting_of_stills([*stills, np.zeros((0, 4))], seed=4)
     np.testing.assert_array_equal(every, again[0])
     np.testing.assert_array_equal(each, again[1])
 
@@ -104,7 +103,7 @@ def test_a_still_full_of_other_edges_is_looked_at_near_the_common_point_only() -
     road, house = (0.0, 0.0), (0.3, 0.0)
     mixed = np.vstack([edges_to(road, 7, 15, 0), edges_to(house, 8, 40, 0)])
     stills = [*(edges_to(road, seed) for seed in range(3)), mixed, edges_to(house, 9, 20, 0)]
-    every, each = found.meeting_of_stills(stills)
+    every, each = road_lines.meeting_of_stills(stills)
     assert every == pytest.approx(road, abs=0.01)
     assert each[3] == pytest.approx(road, abs=0.01)
     assert np.isnan(each[4]).all() or np.abs(each[4] - road).max() < 0.1
@@ -112,14 +111,16 @@ def test_a_still_full_of_other_edges_is_looked_at_near_the_common_point_only() -
 
 def test_edges_in_any_direction_meet_nowhere() -> None:
     with pytest.raises(InputError, match="stills: their straight edges do not meet in one point"):
-        found.meeting_of_stills([edges_to((0.0, 0.0), seed, n=0, stray=300) for seed in (1, 2)])
+        road_lines.meeting_of_stills(
+            [edges_to((0.0, 0.0), seed, n=0, stray=300) for seed in (1, 2)]
+        )
     with pytest.raises(InputError, match="stills: no straight edges that meet"):
-        found.meeting_of_stills([edges_to((0.0, 0.0), 1, n=1, stray=0)])
+        road_lines.meeting_of_stills([edges_to((0.0, 0.0), 1, n=1, stray=0)])
 
 
 def test_white_and_yellow_paint_are_bright() -> None:
     colours = np.array([[[255, 255, 255], [60, 175, 250], [200, 90, 90]]], dtype=np.uint8)
-    assert found.grey_of(colours).tolist() == [[255, 212.5, 90]]
+    assert road_lines.grey_of(colours).tolist() == [[255, 212.5, 90]]
 
 
 SIDE = np.arange(-5, 5.0125, 0.025)
@@ -128,7 +129,7 @@ SIDE = np.arange(-5, 5.0125, 0.025)
 BELOW = np.geomspace(0.04, 0.4, 120)
 
 
-def fan_of(streaks: dict[float, FloatArray], seen: slice = slice(None)) -> found.Fan:
+def fan_of(streaks: dict[float, FloatArray], seen: slice = slice(None)) -> road_lines.Fan:
     """A fan with paint three samples wide: by its offset, where in each row it is (NaN: none)."""
     paint = np.zeros((120, len(SIDE)))
     for bright, places in streaks.items():
@@ -138,7 +139,7 @@ def fan_of(streaks: dict[float, FloatArray], seen: slice = slice(None)) -> found
                 paint[row, k - 1 : k + 2] = bright
     is_seen = np.zeros(paint.shape, dtype=bool)
     is_seen[seen] = True
-    return found.Fan(paint, is_seen, BELOW, SIDE)
+    return road_lines.Fan(paint, is_seen, BELOW, SIDE)
 
 
 def straight(offset: float, rows: slice = slice(None)) -> FloatArray:
@@ -148,18 +149,18 @@ def straight(offset: float, rows: slice = slice(None)) -> FloatArray:
 
 
 def test_paint_is_much_brighter_than_its_row_scatters() -> None:
-    assert found.is_paint(fan_of({100.0: straight(0.0)})).sum() == 3 * 120
-    assert not found.is_paint(fan_of({11.0: straight(0.0)})).any()
-    assert not found.is_paint(fan_of({100.0: straight(0.0)}, slice(0, 0))).any()
+    assert road_lines.is_paint(fan_of({100.0: straight(0.0)})).sum() == 3 * 120
+    assert not road_lines.is_paint(fan_of({11.0: straight(0.0)})).any()
+    assert not road_lines.is_paint(fan_of({100.0: straight(0.0)}, slice(0, 0))).any()
     rough = fan_of({30.0: straight(0.0)})
     rough.paint[60:] += 8.0  # 38 of 8 and more all over
-    assert found.is_paint(rough).sum(axis=1).tolist() == [3] * 120
+    assert road_lines.is_paint(rough).sum(axis=1).tolist() == [3] * 120
     rough.paint[60:] += 8.0
-    assert found.is_paint(rough).sum(axis=1).tolist() == [3] * 60 + [0] * 60
+    assert road_lines.is_paint(rough).sum(axis=1).tolist() == [3] * 60 + [0] * 60
 
 
-def streaks(fan: found.Fan) -> list[tuple[FloatArray, FloatArray]]:
-    return list(found._streaks(fan))
+def streaks(fan: road_lines.Fan) -> list[tuple[FloatArray, FloatArray]]:
+    return list(road_lines._streaks(fan))
 
 
 def test_streaks_are_the_lines_most_covered_first() -> None:
@@ -192,7 +193,7 @@ def test_both_rims_of_a_wide_marking_are_one_line() -> None:
 def test_a_fan_runs_from_far_to_near_wherever_its_point_is() -> None:
     grey = np.full((720, 1280), 100, np.float32)
     for height in (-0.1, 0.0, 0.25, 0.33, 0.5):
-        below = found.fan(PLAIN, grey, WHOLE, np.array([0.0, height])).below
+        below = road_lines.fan(PLAIN, grey, WHOLE, np.array([0.0, height])).below
         assert below[0] == pytest.approx(0.04)
         assert (np.diff(below) > 0).all()
 
@@ -201,7 +202,7 @@ def test_what_is_beside_a_masked_part_is_not_seen_in_a_fan() -> None:
     grey = np.full((720, 1280), 100, np.float32)
     mask = WHOLE.copy()
     mask[:, 650:] = False
-    half = found.fan(PLAIN, grey, mask, np.array([0.0, 0.0]))
+    half = road_lines.fan(PLAIN, grey, mask, np.array([0.0, 0.0]))
     assert half.seen[:, half.side < -0.5].any()
     # Half a marking (0.4) from the mask, which begins at offset 0.
     assert not half.seen[:, half.side > -0.35].any()
@@ -209,7 +210,7 @@ def test_what_is_beside_a_masked_part_is_not_seen_in_a_fan() -> None:
 
 def test_a_lens_that_folds_back_shows_no_part_of_the_picture_twice() -> None:
     camera = replace(PLAIN, distortion=(-0.35, 0.0, 0.0, 0.0, 0.0))
-    fan = found.fan(camera, np.full((720, 1280), 100, np.float32), WHOLE, np.zeros(2))
+    fan = road_lines.fan(camera, np.full((720, 1280), 100, np.float32), WHOLE, np.zeros(2))
     # The equation of the lens turns back where 1 - 3 * 0.35 r^2 = 0.
     reach = np.hypot(fan.side[None, :] * fan.below[:, None], fan.below[:, None])
     assert (reach > 1.5).any()
@@ -218,7 +219,7 @@ def test_a_lens_that_folds_back_shows_no_part_of_the_picture_twice() -> None:
 
 def test_rays_of_a_fan_are_the_bent_lines_of_the_road() -> None:
     point, side, below = np.array([0.02, -0.03]), np.array([-1.2, 1.3]), np.array([0.1, 0.4])
-    rays = found._rays(point, 5e-4, side, below)
+    rays = road_lines._rays(point, 5e-4, side, below)
     assert rays[:, 0] == pytest.approx([0.02 - 0.12 + 5e-3, 0.02 + 0.52 + 1.25e-3])
     assert rays[:, 1] == pytest.approx([0.07, 0.37])
 
@@ -227,7 +228,7 @@ def test_the_lines_of_a_still_are_where_they_were_painted() -> None:
     camera = replace(PLAIN, height_m=1.4)
     offsets = np.array([-5.5, -1.8, 1.9, 5.6])
     image = draw_road(camera, offsets)
-    lines = found.find_lines(camera, image, WHOLE, np.array([0.0, 0.0]))
+    lines = road_lines.find_lines(camera, image, WHOLE, np.array([0.0, 0.0]))
     # A level camera: the offset over the height is a over b.
     rays = [to_level(camera, *line.T) for line in lines]
     seen = sorted(float(np.median(r[:, 0] / r[:, 1])) * 1.4 for r in rays)
@@ -272,8 +273,8 @@ def test_lines_that_meet_far_from_where_the_edges_do_are_not_used(stills, monkey
             assert about_b0 == pytest.approx(ahead[1], abs=0.005)
             return FrameFit(ahead + away, np.array([-1.0, 1.0]), 0.0)
 
-        monkeypatch.setattr(found_lines, "find_lines", lambda *_: [])
-        monkeypatch.setattr(found_lines, "fit_frame", fit)
+        monkeypatch.setattr(road_lines, "find_lines", lambda *_: [])
+        monkeypatch.setattr(road_lines, "fit_frame", fit)
         found = find_in_stills(unturned(TRUE), sorted(stills.iterdir())[:1])
         assert len(found.fits) == n_fits, away
 
@@ -281,7 +282,7 @@ def test_lines_that_meet_far_from_where_the_edges_do_are_not_used(stills, monkey
 def test_a_still_whose_edges_do_not_meet_is_looked_at_where_those_of_all_do(stills, monkeypatch):
     ahead = to_level(TRUE, *np.reshape(distorted(TRUE, *vanishing_point(TRUE)), (2, 1)))[0]
     meeting = (ahead, np.full((1, 2), np.nan))
-    monkeypatch.setattr(found_lines, "meeting_of_stills", lambda *_: meeting)
+    monkeypatch.setattr(road_lines, "meeting_of_stills", lambda *_: meeting)
     found = find_in_stills(unturned(TRUE), sorted(stills.iterdir())[:1])
     assert len(found.lines[0]) >= 3
     assert found.each.shape == (0, 2)

@@ -1,4 +1,4 @@
-"""The steps of the calibration, each on numbers made by hand."""
+"""Each step of the calibration from parallel lines, on numbers made by hand."""
 
 from __future__ import annotations
 

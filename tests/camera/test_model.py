@@ -1,4 +1,4 @@
-"""The camera over a flat road."""
+"""The model of a camera above a flat road."""
 
 from __future__ import annotations
 

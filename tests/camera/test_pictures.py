@@ -1,4 +1,5 @@
-"""Pictures of one camera or two, and what happens to those that are none, as a user meets it."""
+"""Pictures of one or two cameras, and files that are no pictures, through the commands of a
+user."""
 
 from __future__ import annotations
 

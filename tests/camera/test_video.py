@@ -1,5 +1,5 @@
-"""Videos that lack pictures in between: good ones keep their positions and are not complained of,
-damaged ones are said to have wrong frame ids."""
+"""Videos that lack pictures. Good videos of variable rate keep their positions without a warning;
+for damaged ones a warning says that frame ids are wrong."""
 
 from __future__ import annotations
 

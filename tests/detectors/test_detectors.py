@@ -1,4 +1,4 @@
-"""Every detector of the package, and the example of an own one, on a synthetic drive and on real
+"""Every detector of the package, and the example of a user's own, on a synthetic drive and on real
 pictures."""
 
 from __future__ import annotations

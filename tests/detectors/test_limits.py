@@ -1,5 +1,5 @@
-"""Parameters of the detectors at the ends of their ranges, and own detectors that keep no promise:
-lines come out, or one line that says what is wrong."""
+"""Detectors with parameters at the ends of their ranges, and users' detectors that break the
+contract: they give lines, or one line of text that says what is wrong."""
 
 from __future__ import annotations
 

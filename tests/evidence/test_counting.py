@@ -1,4 +1,4 @@
-"""The paper's rules, against NumPy and against plain loops."""
+"""The paper's evidence rule, against the NumPy reference and plain loops."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""F, the tables and their declaration."""
+"""Tables: the discretised normal F, checks of tables, and the declaration in pgmpy."""
 
 from __future__ import annotations
 

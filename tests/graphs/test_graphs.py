@@ -1,4 +1,4 @@
-"""Every graph of the package through the same tests, found by listing the folder."""
+"""Every graph of the package goes through the same tests; they are found by listing the folder."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The graph with a hidden position inside the lane, and the kernel for what it looks like."""
+"""The graph with a hidden position inside the lane."""
 
 from __future__ import annotations
 

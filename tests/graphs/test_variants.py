@@ -1,4 +1,4 @@
-"""What each ready graph is in its special cases, and the evidence rule of the levels."""
+"""Special cases in which one graph equals another, and the evidence rule `counting_levels`."""
 
 from __future__ import annotations
 

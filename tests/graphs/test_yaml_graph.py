@@ -1,4 +1,4 @@
-"""Graphs written in YAML alone."""
+"""Graphs that are written in YAML alone."""
 
 from __future__ import annotations
 

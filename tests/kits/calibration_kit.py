@@ -1,4 +1,4 @@
-"""Chessboards and roads as a known camera sees them, drawn or labelled."""
+"""Pictures of chessboards, and labelled lines of roads, as a known camera sees them."""
 
 import json
 from dataclasses import replace

@@ -1,4 +1,4 @@
-"""A camera, lines and a belief to draw, and what is seen in what was drawn."""
+"""A camera, lines and a belief to draw, and how to read a drawn frame."""
 
 from __future__ import annotations
 

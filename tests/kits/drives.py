@@ -1,4 +1,4 @@
-"""A short simulated drive as files, and the command line run in this process, as a user has it."""
+"""Files of a short simulated drive, and the command line run in this process."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""A disk that is full after a while."""
+"""A disk that becomes full after a while."""
 
 from __future__ import annotations
 

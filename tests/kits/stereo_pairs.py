@@ -1,4 +1,4 @@
-"""Rendered pairs of pictures, and what is found in them, for the tests of stereo detectors."""
+"""Rendered pairs of pictures, and what the stereo module finds in them."""
 
 from __future__ import annotations
 

@@ -1,5 +1,5 @@
-"""Pictures of a flat road with lines on it, for the tests of detectors: drawn ray by ray, without
-anything of the detectors or of the simulation; and files of them."""
+"""Pictures of a flat road with lines, drawn ray by ray without any code of the detectors or the
+simulation, and files of them."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""A result directory of seven frames, as read, and how to look into a figure."""
+"""A result directory of seven frames, as read, and how to read a figure."""
 
 from __future__ import annotations
 

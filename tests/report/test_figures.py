@@ -1,4 +1,4 @@
-"""What is drawn equals the numbers of the result; no pixels are compared."""
+"""Figures show the numbers of the result; no pixels are compared."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The drawn network shows what was declared."""
+"""The figure of a network shows the nodes and edges that were declared."""
 
 from __future__ import annotations
 

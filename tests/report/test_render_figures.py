@@ -1,4 +1,4 @@
-"""How the figures of the rendered drives are scored, on lines that are known."""
+"""The scores in the figures of the rendered drives, on lines that are known."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The strips show the marginals of the right frames in the right rows."""
+"""The strips show the beliefs of the right frames in the right rows."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The rendered motorway: its geometry, its truth, and that any frame can be made by itself."""
+"""The rendered motorway: its geometry, its truth, and that each frame can be rendered by itself."""
 
 from __future__ import annotations
 

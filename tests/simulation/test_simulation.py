@@ -1,4 +1,4 @@
-"""The simulated drives: what is known about them must be true of them."""
+"""Simulated drives have the properties that their settings and their truth state."""
 
 from __future__ import annotations
 

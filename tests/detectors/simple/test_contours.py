@@ -1,4 +1,4 @@
-"""The contours of marking, each a shape whose area, middle and direction are known."""
+"""Contours of marking, in shapes whose area, middle and direction are known."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Lines found in single pictures of roads that are known."""
+"""Lines found in single pictures of known roads."""
 
 from __future__ import annotations
 

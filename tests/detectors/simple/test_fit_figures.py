@@ -1,4 +1,4 @@
-"""What single frames reach on real stills, with some slack, and how that is counted."""
+"""The scores of single frames on real stills, and how they are counted."""
 
 import numpy as np
 import pytest

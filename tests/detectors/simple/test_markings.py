@@ -1,4 +1,4 @@
-"""Which pixels of a road seen from above are marking, on greys made by hand."""
+"""Marking pixels in views from above, on grey levels made by hand."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""How much of a line is painted: what tells continuous from dashed."""
+"""The painted share of a line, which tells a continuous line from a dashed one."""
 
 from __future__ import annotations
 

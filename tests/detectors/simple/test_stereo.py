@@ -1,4 +1,4 @@
-"""What the second camera adds: the road's plane, and what stands on it, on rendered pairs."""
+"""The road plane from two cameras, and the objects on it, on rendered pairs."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Lines followed over time: filter, reliability, validity, votes, births and deaths."""
+"""Lines followed over time: filter, LRI, validity, votes, new lines and lost ones."""
 
 from __future__ import annotations
 

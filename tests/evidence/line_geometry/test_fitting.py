@@ -1,4 +1,4 @@
-"""The steps of expectation-maximisation, each against its formula written out."""
+"""Each step of expectation-maximisation, against its formula written out."""
 
 from __future__ import annotations
 

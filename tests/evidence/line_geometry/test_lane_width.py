@@ -1,4 +1,4 @@
-"""The lane width from the gaps between lines: found, doubted, or fallen back on."""
+"""The lane width from the gaps between lines: sure, unsure, or replaced by the fallback."""
 
 from __future__ import annotations
 

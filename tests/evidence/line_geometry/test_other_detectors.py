@@ -1,5 +1,5 @@
-"""Recordings of detectors that fill the flags, the LRI and the offsets in ways of their own, or are
-slower or faster than the paper's: what is in the lines is found all the same."""
+"""Recordings of detectors that use flags, LRI and offsets in their own ways, or have another frame
+rate: the rule finds the same in their lines."""
 
 from __future__ import annotations
 
