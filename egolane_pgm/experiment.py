@@ -188,6 +188,11 @@ class Experiment(_Section):
         validate_default=True,
         description="frames that fixed_lag waits before it answers",
     )
+    decode: Literal["marginal", "viterbi"] = Field(
+        default="marginal",
+        description="the lane that is answered: the most probable one in each frame, or that of the"
+        " most probable path through all frames (with filter smoothed)",
+    )
     evidence_reading: Literal["soft", "hard", "jeffrey"] = "soft"
     unassigned_below: float = Field(
         default=0.0,
@@ -223,6 +228,20 @@ class Experiment(_Section):
     def _reading_that_fits(cls, value: str, info: ValidationInfo) -> str:
         if value == "jeffrey" and info.data.get("filter") in ("smoothed", "fixed_lag"):
             raise ValueError("jeffrey goes with filter assumed_density or exact only")
+        return value
+
+    @field_validator("decode")
+    @classmethod
+    def _path_of_all_frames(cls, value: str, info: ValidationInfo) -> str:
+        if value == "viterbi" and info.data.get("filter", "smoothed") != "smoothed":
+            raise ValueError("viterbi knows the whole drive, as filter smoothed does; say both")
+        return value
+
+    @field_validator("unassigned_below")
+    @classmethod
+    def _path_always_answers(cls, value: float, info: ValidationInfo) -> float:
+        if value and info.data.get("decode") == "viterbi":
+            raise ValueError("a path has a lane in every frame; goes with decode marginal only")
         return value
 
     _folder: Path = Path()

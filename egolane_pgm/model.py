@@ -314,9 +314,14 @@ def load_drive(
     recorded: the recording, where it was read already.
     never_fit: ranges beside those of the experiment's own `tuning.never_fit`.
 
-    Raises InputError as `prepare_model` and `load_recording` do, and, where ground truth is needed,
-    for a recording without it or without a frame to score.
+    Raises InputError as `prepare_model` and `load_recording` do, for an experiment that decodes a
+    path, and, where ground truth is needed, for a recording without it or without a frame to score.
     """
+    if experiment.decode != "marginal":
+        raise InputError(
+            f"{experiment.source}: decode: {experiment.decode} is for `egolane run`; here beliefs"
+            " are scored (--set decode=marginal)"
+        )
     named = experiment.ground_truth is not None or experiment.recording.simulate is not None
     has_truth = named if recorded is None else recorded.truth is not None
     if needs_truth is not None and not has_truth:

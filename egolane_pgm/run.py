@@ -18,6 +18,7 @@ from egolane_pgm.experiment import (
     resolved,
 )
 from egolane_pgm.inference.smoothing import infer_beliefs
+from egolane_pgm.inference.viterbi import disagreement, viterbi_path
 from egolane_pgm.loading import Recorded, data_entries, load_recording, with_video_rate
 from egolane_pgm.model import Model, causality, make_evidence, prepare_model, value_names
 from egolane_pgm.parallel import in_order
@@ -36,6 +37,7 @@ from egolane_pgm.types import (
     Evidence,
     FloatArray,
     InputError,
+    IntArray,
 )
 
 
@@ -45,6 +47,7 @@ class Run:
 
     experiment: with the frame rate that was counted with.
     evidence, beliefs: of the T frames of the log.
+    assigned (T,): the lane that is answered, 1..n or UNASSIGNED.
     tentative (T, n): the evidence rule's own answer over lanes, or None.
     scores: "model" and, with a tentative vector, "detector", as `score_with_intervals` gives them;
         empty without ground truth.
@@ -56,6 +59,7 @@ class Run:
     recorded: Recorded
     evidence: Evidence
     beliefs: Beliefs
+    assigned: IntArray
     tentative: FloatArray | None
     scores: Mapping[str, Mapping[str, Any]]
     notes: tuple[str, ...]
@@ -91,14 +95,22 @@ def run_experiment(
             f"{recorded.log.source}: the evidence of {impossible} frame(s) has joint likelihood"
             " zero; they keep their prediction"
         )
+    assigned = assigned_lane(beliefs.lane, experiment.unassigned_below)
+    if experiment.decode == "viterbi":
+        path = viterbi_path(model.compiled, evidence.filtered, frame_id=recorded.log.frame_id)
+        assigned = path.lane
+        doubt = disagreement(path, beliefs).warning
+        notes.extend([doubt] if doubt else [])
     scores: dict[str, Any] = {}
     if recorded.truth is not None:
         named = {"detector": evidence.tentative, "model": beliefs.lane}
-        # A tentative vector is no belief: the reject option is the model's.
-        below = {"detector": 0.0, "model": experiment.unassigned_below}
+        # A tentative vector is no belief: the reject option and the path are the model's.
+        answers = {"detector": None, "model": assigned[recorded.scored]}
         rate = experiment.recording.frame_rate
         scores = {
-            name: score_with_intervals(belief[recorded.scored], recorded.truth, rate, below[name])
+            name: score_with_intervals(
+                belief[recorded.scored], recorded.truth, rate, assigned=answers[name]
+            )
             for name, belief in named.items()
             if belief is not None
         }
@@ -108,6 +120,7 @@ def run_experiment(
         recorded,
         evidence.filtered,
         beliefs,
+        assigned,
         evidence.tentative,
         scores,
         tuple(notes),
@@ -132,7 +145,7 @@ def save_run(run: Run, directory: str | Path, draw: Callable[[Path], None] | Non
             ),
             scores=summary(run),
             columns=belief_columns(
-                run.experiment, run.model, run.recorded, run.beliefs, run.tentative
+                run.experiment, run.model, run.recorded, run.beliefs, run.tentative, run.assigned
             ),
         )
         try:
@@ -234,15 +247,18 @@ def belief_columns(
     recorded: Recorded,
     beliefs: Beliefs,
     tentative: FloatArray | None,
+    assigned: IntArray | None = None,
 ) -> dict[str, np.ndarray[Any, Any]]:
-    """The columns of beliefs.parquet, (T,) each; see `results`. beliefs, tentative: of the T frames
-    of the log."""
+    """The columns of beliefs.parquet, (T,) each; see `results`. beliefs, tentative, assigned: of
+    the T frames of the log; by default the lanes that the beliefs assign."""
     log, truth = recorded.log, recorded.truth
     columns: dict[str, np.ndarray[Any, Any]] = {"frame_id": log.frame_id, "time_s": log.time_s}
     for node, names in value_names(model).items():
         for k, name in enumerate(names):
             columns[f"{node}_{name}"] = beliefs.marginals[node][:, k]
-    columns["assigned_lane"] = assigned_lane(beliefs.lane, experiment.unassigned_below)
+    if assigned is None:
+        assigned = assigned_lane(beliefs.lane, experiment.unassigned_below)
+    columns["assigned_lane"] = assigned
     if tentative is not None:
         for k in range(experiment.n_lanes):
             columns[f"detector_{k + 1}"] = tentative[:, k]

@@ -83,7 +83,9 @@ def test_unknown_keys_are_named_before_any_other_problem() -> None:
     assert str(info.value) == "x.yaml: unknown key 'filtr' (did you mean 'filter'?)"
     with pytest.raises(InputError) as info:
         made(qqqq=1)
-    assert "(known: choice, description, evidence, evidence_reading, filter," in str(info.value)
+    assert "(known: choice, decode, description, evidence, evidence_reading, filter," in str(
+        info.value
+    )
 
 
 def test_a_recording_of_ones_own_takes_nothing_from_the_old_one(tmp_path: Path) -> None:

@@ -11,9 +11,11 @@ import pytest
 from egolane_pgm.experiment import load_experiment
 from egolane_pgm.inference.filtering import filter_beliefs, read_evidence
 from egolane_pgm.inference.smoothing import fixed_lag_beliefs, smooth_beliefs
+from egolane_pgm.inference.viterbi import viterbi_path
 from egolane_pgm.recordings.table import write_table
 from egolane_pgm.results import read_result
 from egolane_pgm.run import run_experiment, summary
+from egolane_pgm.scoring.confusion import confusion
 from tests.kits.drives import done, refused, short_drive, write_drive
 from tests.reference import inference as reference
 
@@ -101,3 +103,54 @@ def test_evidence_read_by_jeffreys_rule_gives_other_beliefs_and_no_stop_at_gaps(
 
     moved = before @ f_table("sigma1", 3, run.model.parameters)
     np.testing.assert_allclose(run.beliefs.lane[missing[0]], moved, rtol=0, atol=1e-12)
+
+
+def test_a_decoded_run_answers_the_most_probable_path_beside_the_smoothed_belief(
+    tmp_path: Path,
+) -> None:
+    experiment = write_drive(tmp_path, filter="smoothed", decode="viterbi")
+    done("run", experiment, "--no-figures", "--out", tmp_path / "out")
+    run = run_experiment(experiment)
+    path = viterbi_path(run.model.compiled, run.evidence)
+    result = read_result(tmp_path / "out")
+    np.testing.assert_array_equal(result.assigned_lane, path.lane)
+    smoothed = smooth_beliefs(run.model.compiled, run.evidence)
+    np.testing.assert_allclose(result.marginals["Lane"], smoothed.lane, rtol=0, atol=1e-12)
+    truth, rows = run.recorded.truth, run.recorded.scored
+    assert truth is not None
+    counts = confusion(path.lane[rows], truth.lane, truth.is_crossing, run.model.n_lanes)
+    assert result.scores["model"]["confusion"] == counts.tolist()
+    assert load_experiment(tmp_path / "out" / "experiment.yaml").decode == "viterbi"
+
+
+def test_a_path_that_the_smoothed_belief_doubts_for_long_is_noted(tmp_path: Path) -> None:
+    """A detector that says nothing: the likeliest story holds one lane, all stories leave it."""
+    experiment = write_drive(
+        tmp_path,
+        filter="smoothed",
+        decode="viterbi",
+        graph="lane_only",
+        parameters={"sigma1": 0.8, "tentative_noise": 1e9},
+    )
+    done("run", experiment, "--no-figures", "--out", tmp_path / "out")
+    [note] = read_result(tmp_path / "out").run["warnings"]
+    assert "the most probable path holds a Lane that the smoothed belief gives less" in note
+
+
+@pytest.mark.parametrize(
+    ("changes", "said"),
+    [
+        (("decode=viterbi",), "decode: viterbi knows the whole drive"),
+        (("filter=smoothed", "decode=viterbi", "unassigned_below=0.5"), "a path has a lane"),
+    ],
+)
+def test_a_path_goes_with_the_smoother_and_without_a_reject_option(
+    tmp_path: Path, changes: tuple[str, ...], said: str
+) -> None:
+    words = [word for change in changes for word in ("--set", change)]
+    assert said in refused("run", write_drive(tmp_path), *words)
+
+
+def test_what_scores_beliefs_refuses_an_experiment_that_decodes_a_path(tmp_path: Path) -> None:
+    experiment = write_drive(tmp_path, filter="smoothed", decode="viterbi")
+    assert "decode: viterbi is for `egolane run`" in refused("compare", experiment)

@@ -205,13 +205,19 @@ def bootstrap_interval(
 
 
 def score_counts(
-    belief: ArrayLike, lane: ArrayLike, is_crossing: ArrayLike, unassigned_below: float = 0.0
+    belief: ArrayLike,
+    lane: ArrayLike,
+    is_crossing: ArrayLike,
+    unassigned_below: float = 0.0,
+    assigned: ArrayLike | None = None,
 ) -> dict[str, NDArray[np.generic]]:
     """Per score that has an interval, what it sums over in each frame; for `score_intervals`.
 
-    belief (T, n), lane (T,), is_crossing (T,). unassigned_below: see `assigned_lane`.
+    belief (T, n), lane (T,), is_crossing (T,). unassigned_below, assigned: as in
+    `score_all`.
     """
-    assigned = assigned_lane(belief, unassigned_below)
+    if assigned is None:
+        assigned = assigned_lane(belief, unassigned_below)
     cells = confusion_counts(assigned, lane, is_crossing, np.shape(belief)[1])
     losses = mean_counts(log_loss_per_frame(belief, lane))
     return {"accuracy": cells, "f1": cells, "log_loss": losses}

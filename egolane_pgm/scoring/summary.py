@@ -24,12 +24,14 @@ def score_all(
     frame_id: ArrayLike,
     frame_rate: float,
     unassigned_below: float = 0.0,
+    assigned: ArrayLike | None = None,
 ) -> dict[str, Any]:
     """All scores, ready for JSON: plain numbers and lists, None where a score is undefined.
 
     belief (T, n), rows sum to 1; truth_lane (T,), 1..n; is_crossing (T,); frame_id (T,), strictly
     increasing; frame_rate in frames per second. unassigned_below: see `assigned_lane`; it changes
-    the answers, not the scores of the belief itself (log-loss, Brier, calibration).
+    the answers, not the scores of the belief itself (log-loss, Brier, calibration). assigned (T,):
+    the answers where they are not those of the belief, 1..n or UNASSIGNED.
 
     Keys: `precision`, `recall`, `f1` (means over the lanes), `accuracy`, `log_loss` (over all
     frames), `brier`, `expected_calibration_error`, `coverage`, `false_switches_per_minute`,
@@ -43,7 +45,8 @@ def score_all(
     n_frames, n_lanes = values.shape
     lane, crossing = as_lanes(truth_lane, n_frames, "truth_lane"), as_mask(is_crossing, n_frames)
     check_frame_rate(frame_rate)
-    assigned = assigned_lane(values, unassigned_below)
+    if assigned is None:
+        assigned = assigned_lane(values, unassigned_below)
     scores = scores_from_confusion(confusion(assigned, lane, crossing, n_lanes))
     delay = delay_after_lane_change(assigned, lane, crossing, frame_id)
     return {
@@ -76,13 +79,18 @@ def score_all(
 
 
 def score_with_intervals(
-    belief: ArrayLike, truth: LaneTruth, frame_rate: float, unassigned_below: float = 0.0
+    belief: ArrayLike,
+    truth: LaneTruth,
+    frame_rate: float,
+    unassigned_below: float = 0.0,
+    assigned: ArrayLike | None = None,
 ) -> dict[str, Any]:
     """`score_all` of a belief (T, n) over the frames of the ground truth, and `intervals`: 95 %
     block-bootstrap intervals [low, high] of `accuracy` and `f1`, None for a short drive."""
     lane, is_crossing = truth.lane, truth.is_crossing
-    scores = score_all(belief, lane, is_crossing, truth.frame_id, frame_rate, unassigned_below)
-    found = score_intervals([score_counts(belief, lane, is_crossing, unassigned_below)])
+    answers = (unassigned_below, assigned)
+    scores = score_all(belief, lane, is_crossing, truth.frame_id, frame_rate, *answers)
+    found = score_intervals([score_counts(belief, lane, is_crossing, *answers)])
     intervals = {name: found[name] for name in ("accuracy", "f1")}
     return {**scores, "intervals": {k: i and [i.low, i.high] for k, i in intervals.items()}}
 
