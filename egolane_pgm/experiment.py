@@ -347,21 +347,26 @@ def config_hash(content: Mapping[str, Any]) -> str:
     return hashlib.sha256(json.dumps(content, sort_keys=True).encode()).hexdigest()
 
 
-def read_override(override: str, example: str) -> tuple[str, Any]:
-    """The key and the value, which is YAML, of `--set key=value`. Raises InputError, with an
-    example of how it is written, for anything else."""
+def read_override(override: str, example: str, option: str = "--set") -> tuple[str, Any]:
+    """The key and the value, which is YAML, of `key=value`.
+
+    - example: how one is written, for messages. option: the option that has it, for messages.
+
+    Raises InputError for anything else.
+    """
     key, equals, text = override.partition("=")
-    if not equals or not all(key.strip().split(".")):
-        raise InputError(f"--set {override}: write it as key=value, e.g. {example}")
+    key = key.strip()
+    if not equals or not all(key.split(".")):
+        raise InputError(f"{option} {override}: write it as key=value, e.g. {example}")
     try:
         return key, yaml.safe_load(text)
-    except yaml.YAMLError as error:
-        raise InputError(f"--set {override}: the value is not YAML") from error
+    except (yaml.YAMLError, ValueError) as error:
+        raise InputError(f"{option} {override}: the value is not YAML") from error
 
 
 def _override(content: dict[str, Any], override: str) -> None:
     key, value = read_override(override, "parameters.bonus_value=0")
-    parts = key.strip().split(".")
+    parts = key.split(".")
     section: Any = content
     for part in parts[:-1]:
         if section.get(part) is None:

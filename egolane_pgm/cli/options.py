@@ -87,6 +87,7 @@ def shown(path: Path) -> str:
         return str(path)
 
 
-def given(overrides: Iterable[str], example: str) -> dict[str, Any]:
-    """The keys and values of `--set`. Raises InputError, with the example, for one that is none."""
-    return dict(read_override(override, example) for override in overrides)
+def given(overrides: Iterable[str], example: str, option: str = "--set") -> dict[str, Any]:
+    """The keys and values of an option that may be given several times. Raises InputError, with
+    the example, for one that has no key or no value."""
+    return dict(read_override(override, example, option) for override in overrides)

@@ -8,7 +8,6 @@ from pathlib import Path
 from typing import Any
 
 import click
-import yaml
 from tqdm import tqdm
 
 from egolane_pgm.cli import options
@@ -115,7 +114,7 @@ def tune(
         "seed": seed,
         "blocks": blocks,
         "from_scratch": from_scratch or None,
-        "parameters": _parameters(parameters),
+        "parameters": options.given(parameters, "p1=[0.5,1] or p1=0.9", "--parameter"),
     }
     plans = [planning.with_options(p, changed) for p in _plans(experiments, runs, overrides)]
     if together:
@@ -177,19 +176,6 @@ def _check_names(plans: Sequence[planning.Plan]) -> None:
     for plan in plans:
         if names.count(plan.name) > 1:
             raise InputError(f"{plan.source}: another experiment has the name {plan.name} too")
-
-
-def _parameters(given: Sequence[str]) -> dict[str, Any]:
-    found = {}
-    for text in given:
-        name, equals, value = text.partition("=")
-        if not equals or not name.strip():
-            raise InputError(f"--parameter {text}: write it as p1=[0.5,1] or p1=0.9")
-        try:
-            found[name.strip()] = yaml.safe_load(value)
-        except yaml.YAMLError as error:
-            raise InputError(f"--parameter {text}: the value is not YAML") from error
-    return found
 
 
 def _print(documents: Sequence[Mapping[str, Any]], style: str) -> None:
