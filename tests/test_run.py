@@ -2,16 +2,23 @@
 
 from __future__ import annotations
 
+import json
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
+import yaml
+from click.testing import CliRunner
 
 from egolane_pgm import load_experiment, run_experiment
+from egolane_pgm import run as run_many
+from egolane_pgm.cli.main import egolane
 from egolane_pgm.evidence.counting import evidence as counting
 from egolane_pgm.experiment import Experiment
 from egolane_pgm.inference.filtering import filter_beliefs, read_evidence
+from egolane_pgm.inference.smoothing import fixed_lag_beliefs, smooth_beliefs
+from egolane_pgm.inference.viterbi import viterbi_path
 from egolane_pgm.loading import check_sources, load_recording
 from egolane_pgm.model import make_evidence, prepare_model, with_parameters
 from egolane_pgm.parameters import resolve_parameters
@@ -19,10 +26,12 @@ from egolane_pgm.recordings.table import write_table
 from egolane_pgm.results import is_result, read_result
 from egolane_pgm.run import save_run, summary
 from egolane_pgm.scoring.assign import assigned_lane
+from egolane_pgm.scoring.confusion import confusion
 from egolane_pgm.types import InputError
 from tests.kits.drives import (
     N_FRAMES,
     done,
+    refused,
     short_drive,
     write_drive,
     write_experiment,
@@ -310,3 +319,278 @@ def test_a_result_is_kept_where_its_figures_cannot_be_drawn(tmp_path: Path) -> N
     )
     assert is_result(out)
     assert not (out / "figures").exists()
+
+
+KILLS = """
+import os, signal
+from egolane_pgm.evidence.counting import *
+def evidence(*given, **named):
+    os.kill(os.getpid(), signal.SIGKILL)
+"""
+
+
+@pytest.fixture
+def experiments(tmp_path):
+    """Three simulated drives and one whose recording is not there."""
+    paths = []
+    for seed in range(3):
+        content = {
+            "name": f"drive{seed}",
+            "recording": {"simulate": "quickstart", "seed": seed},
+            "n_lanes": 3,
+            "tuned_on": "not_tuned",
+        }
+        paths.append(tmp_path / f"drive{seed}.yaml")
+        paths[-1].write_text(yaml.safe_dump(content))
+    content = {"name": "gone", "recording": {"path": "gone.bag"}, "n_lanes": 3}
+    paths.insert(1, tmp_path / "gone.yaml")
+    paths[1].write_text(yaml.safe_dump(content))
+    return [str(path) for path in paths]
+
+
+def invoke(*arguments):
+    return CliRunner().invoke(egolane, [str(a) for a in arguments])
+
+
+def tasks(experiments, folder):
+    sources = [(path, lambda path=path: load_experiment(path)) for path in experiments]
+    return run_many.plan_runs(sources, folder)
+
+
+@pytest.mark.parametrize("jobs", [1, 2])
+def test_each_run_has_its_own_result_and_one_that_fails_stops_no_other(experiments, tmp_path, jobs):
+    out = tmp_path / "out"
+    found = invoke(
+        "run", *experiments, "--jobs", jobs, "--no-figures", "--out", out, "--json", out / "a.json"
+    )
+    assert found.exit_code == 1
+    assert "failed: gone: " in found.output
+    assert "gone.bag: no such file" in found.output
+    assert "results: 3 of 4" in found.output
+    assert [is_result(out / f"drive{k}") for k in range(3)] == [True] * 3
+    document = json.loads((out / "a.json").read_text())
+    assert [run["name"] for run in document["runs"]] == ["drive0", "drive1", "drive2"]
+    assert [entry["experiment"] for entry in document["failed"]] == ["gone"]
+
+
+def test_several_processes_give_what_one_gives(experiments, tmp_path):
+    one, two = (
+        list(run_many.run_all(tasks(experiments, tmp_path / str(jobs)), jobs=jobs))
+        for jobs in (1, 2)
+    )
+    assert [o.summary for o in one] == [o.summary for o in two]
+
+
+def test_all_well_is_exit_code_0(experiments, tmp_path):
+    good = [experiments[0], experiments[2]]
+    found = invoke("run", *good, "--no-figures", "--out", tmp_path / "out")
+    assert found.exit_code == 0
+    assert "failed" not in found.output
+
+
+def test_a_file_that_is_no_experiment_is_listed_and_the_others_run(experiments, tmp_path):
+    bad = tmp_path / "bad.yaml"
+    bad.write_text("name: x\nn_lane: 3\n")
+    found = invoke("run", bad, experiments[0], "--no-figures", "--out", tmp_path / "out")
+    assert found.exit_code == 1
+    assert "unknown key 'n_lane' (did you mean 'n_lanes'?)" in found.output
+    assert is_result(tmp_path / "out" / "drive0")
+
+
+def test_two_runs_of_one_name_are_refused_before_anything_is_run(experiments, tmp_path):
+    out = tmp_path / "out"
+    other = tmp_path / "other.yaml"
+    other.write_text(Path(experiments[0]).read_text())
+    found = invoke("run", experiments[0], other, "--out", out)
+    assert found.exit_code == 2
+    assert "give one of them another `name`" in found.output
+    assert not out.exists()
+
+
+def test_one_experiment_on_several_recordings(experiments, tmp_path):
+    for seed in range(2):
+        invoke("simulate", "quickstart", "--seed", seed, "--out", tmp_path / f"road{seed}")
+    lines = sorted(tmp_path.glob("road*/*lines*.csv")) or sorted(tmp_path.glob("road*/*.parquet"))
+    renamed = [path.rename(tmp_path / f"drive_{k}{path.suffix}") for k, path in enumerate(lines)]
+    assert len(renamed) == 2
+    options = [o for path in renamed for o in ("--recording", path)]
+    out = tmp_path / "out"
+    found = invoke("run", experiments[0], *options, "--no-figures", "--out", out)
+    assert found.exit_code == 0, found.output
+    assert is_result(out / "drive_0")
+    assert is_result(out / "drive_1")
+
+
+def test_several_recordings_cannot_share_a_ground_truth(experiments, tmp_path):
+    found = invoke(
+        "run", experiments[0], "--recording", "a", "--recording", "b", "--ground-truth", "c"
+    )
+    assert found.exit_code == 2
+    assert "several --recording go with one experiment" in found.output
+
+
+def test_a_process_that_dies_leaves_the_results_of_the_others(experiments, tmp_path):
+    (tmp_path / "kills.py").write_text(KILLS)
+    last = Path(experiments[3])
+    last.write_text(last.read_text() + "evidence: ./kills.py\n")
+    plan = tasks([experiments[k] for k in (0, 2, 3)], tmp_path / "out")
+    done = list(run_many.run_all(plan, jobs=2))
+    assert len(done) == 3
+    assert done[2].error == "its process, or one beside it, died (killed, or out of memory?)"
+    for outcome in done:
+        assert (outcome.error is None) == (outcome.summary is not None)
+        if outcome.error is None:
+            assert is_result(outcome.directory)
+
+
+def test_what_nobody_foresaw_in_one_run_is_listed_by_its_kind(experiments, tmp_path, monkeypatch):
+    def breaks(experiment, **options):
+        raise ZeroDivisionError("no lanes\nat all")
+
+    monkeypatch.setattr(run_many, "run_experiment", breaks)
+    (outcome,) = run_many.run_all(tasks(experiments[:1], tmp_path / "out"))
+    assert outcome.error == "ZeroDivisionError: no lanes at all"
+
+
+def test_a_folder_that_is_in_the_way_is_refused_before_anything_is_run(experiments, tmp_path):
+    taken = tmp_path / "out" / "drive0"
+    taken.mkdir(parents=True)
+    (taken / "thesis.txt").write_text("mine")
+    with pytest.raises(InputError, match="exists and is not a result directory"):
+        tasks(experiments, tmp_path / "out")
+
+
+def test_a_smoothed_run_is_the_smoother_and_says_that_it_is_not_causal(tmp_path: Path) -> None:
+    experiment = write_drive(tmp_path)
+    ran = done(
+        *("run", experiment, "--set", "filter=smoothed", "--no-figures"),
+        *("--out", tmp_path / "out", "--json", tmp_path / "out.json"),
+    )
+    assert "smoothed: not causal, a frame's belief uses all later frames too" in ran.stdout
+    result = read_result(tmp_path / "out")
+    assert result.run["is_causal"] is False
+    assert result.scores["is_causal"] is False
+    assert json.loads((tmp_path / "out.json").read_text())["is_causal"] is False
+    run = run_experiment(load_experiment(experiment))
+    right = smooth_beliefs(run.model.compiled, run.evidence)
+    np.testing.assert_allclose(result.marginals["Lane"], right.lane, rtol=0, atol=1e-12)
+    assert np.abs(result.marginals["Lane"] - run.beliefs.lane).max() > 0.01
+    again = tmp_path / "out" / "experiment.yaml"
+    assert load_experiment(again).filter == "smoothed"
+
+
+def test_a_fixed_lag_run_waits_so_many_frames(tmp_path: Path) -> None:
+    experiment = write_drive(tmp_path, filter="fixed_lag", lag=4)
+    ran = done("run", experiment, "--no-figures", "--out", tmp_path / "out")
+    assert "fixed_lag: not causal, a frame's belief uses the next 4 frames too" in ran.stdout
+    run = run_experiment(experiment)
+    right = fixed_lag_beliefs(run.model.compiled, run.evidence, 4)
+    np.testing.assert_array_equal(run.beliefs.lane, right.lane)
+    plain = reference.fixed_lag_beliefs(run.model.compiled, run.evidence, 4)
+    np.testing.assert_allclose(plain.lane, right.lane, rtol=0, atol=1e-10)
+    assert load_experiment(tmp_path / "out" / "experiment.yaml").lag == 4
+
+
+@pytest.mark.parametrize("choice", ["assumed_density", "exact"])
+def test_filters_are_causal_and_say_nothing_of_it(tmp_path: Path, choice: str) -> None:
+    experiment = write_drive(tmp_path, 30, filter=choice)
+    assert summary(run_experiment(experiment))["is_causal"] is True
+    ran = done("run", experiment, "--no-figures", "--out", tmp_path / "out")
+    assert "not causal" not in ran.stdout
+
+
+@pytest.mark.parametrize(
+    ("changes", "said"),
+    [
+        ("filter=smothed", "filter: 'smothed' is not one of assumed_density, exact, smoothed"),
+        (
+            "filter=fixed_lag",
+            "lag: filter fixed_lag needs a number of frames to wait, e.g. lag: 10",
+        ),
+        ("lag=3", "lag: only filter fixed_lag waits, filter assumed_density has no lag (got 3)"),
+        ("filter=fixed_lag lag=-1", "lag: input should be greater than or equal to 0 (got -1)"),
+        ("filter=smoothed evidence_reading=jeffrey", "jeffrey goes with filter assumed_density or"),
+        ("evidence_reading=jefrey", "'jefrey' is not one of soft, hard, jeffrey (did you mean"),
+    ],
+)
+def test_keys_that_do_not_fit_together_are_refused(tmp_path: Path, changes: str, said: str) -> None:
+    experiment = write_drive(tmp_path, 20)
+    options = [word for change in changes.split() for word in ("--set", change)]
+    assert said in refused("validate", experiment, *options)
+
+
+def test_evidence_read_by_jeffreys_rule_gives_other_beliefs_and_no_stop_at_gaps(
+    tmp_path: Path,
+) -> None:
+    """A frame put in by `predict` says nothing: the belief spreads, it is not made uniform."""
+    experiment = write_drive(
+        tmp_path, evidence_reading="jeffrey", recording__missing_frames="predict"
+    )
+    log = short_drive().log
+    write_table(tmp_path / "lines.csv", log.take(~np.isin(log.frame_id, (50, 51))))
+    run = run_experiment(experiment)
+    right = filter_beliefs(run.model.compiled, read_evidence(run.evidence, "jeffrey"))
+    np.testing.assert_array_equal(run.beliefs.lane, right.lane)
+    soft = run_experiment(
+        load_experiment(experiment).model_copy(update={"evidence_reading": "soft"})
+    )
+    assert np.abs(run.beliefs.lane - soft.beliefs.lane).max() > 0.1
+    missing = np.flatnonzero(run.recorded.log.is_missing)
+    assert len(missing) == 2
+    before = run.beliefs.lane[missing[0] - 1]
+    # One step of the lane dynamics by itself.
+    from egolane_pgm.graphs.shared_parameters import f_table
+
+    moved = before @ f_table("sigma1", 3, run.model.parameters)
+    np.testing.assert_allclose(run.beliefs.lane[missing[0]], moved, rtol=0, atol=1e-12)
+
+
+def test_a_decoded_run_answers_the_most_probable_path_beside_the_smoothed_belief(
+    tmp_path: Path,
+) -> None:
+    experiment = write_drive(tmp_path, filter="smoothed", decode="viterbi")
+    done("run", experiment, "--no-figures", "--out", tmp_path / "out")
+    run = run_experiment(experiment)
+    path = viterbi_path(run.model.compiled, run.evidence)
+    result = read_result(tmp_path / "out")
+    np.testing.assert_array_equal(result.assigned_lane, path.lane)
+    smoothed = smooth_beliefs(run.model.compiled, run.evidence)
+    np.testing.assert_allclose(result.marginals["Lane"], smoothed.lane, rtol=0, atol=1e-12)
+    truth, rows = run.recorded.truth, run.recorded.scored
+    assert truth is not None
+    counts = confusion(path.lane[rows], truth.lane, truth.is_crossing, run.model.n_lanes)
+    assert result.scores["model"]["confusion"] == counts.tolist()
+    assert load_experiment(tmp_path / "out" / "experiment.yaml").decode == "viterbi"
+
+
+def test_a_path_that_the_smoothed_belief_doubts_for_long_is_noted(tmp_path: Path) -> None:
+    """A detector that says nothing: the likeliest story holds one lane, all stories leave it."""
+    experiment = write_drive(
+        tmp_path,
+        filter="smoothed",
+        decode="viterbi",
+        graph="lane_only",
+        parameters={"sigma1": 0.8, "tentative_noise": 1e9},
+    )
+    done("run", experiment, "--no-figures", "--out", tmp_path / "out")
+    [note] = read_result(tmp_path / "out").run["warnings"]
+    assert "the most probable path holds a Lane that the smoothed belief gives less" in note
+
+
+@pytest.mark.parametrize(
+    ("changes", "said"),
+    [
+        (("decode=viterbi",), "decode: viterbi knows the whole drive"),
+        (("filter=smoothed", "decode=viterbi", "unassigned_below=0.5"), "a path has a lane"),
+    ],
+)
+def test_a_path_goes_with_the_smoother_and_without_a_reject_option(
+    tmp_path: Path, changes: tuple[str, ...], said: str
+) -> None:
+    words = [word for change in changes for word in ("--set", change)]
+    assert said in refused("run", write_drive(tmp_path), *words)
+
+
+def test_what_scores_beliefs_refuses_an_experiment_that_decodes_a_path(tmp_path: Path) -> None:
+    experiment = write_drive(tmp_path, filter="smoothed", decode="viterbi")
+    assert "decode: viterbi is for `egolane run`" in refused("compare", experiment)
