@@ -4,12 +4,17 @@ from __future__ import annotations
 
 import json
 import warnings
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+import optuna
+from optuna import distributions
+from optuna.exceptions import ExperimentalWarning
+from optuna.trial import create_trial
 
 from egolane_pgm.scoring.confusion import is_maximised
 from egolane_pgm.types import BoolArray, FloatArray, InputError, IntArray
@@ -41,12 +46,11 @@ class Searched:
             return np.asarray((values - self.low + 0.5) / (self.high - self.low + 1))
         return np.asarray((values - self.low) / (self.high - self.low))
 
-    def edges(self, n: int) -> FloatArray:
-        """Edges of n equal bins; a bin per value where the values are whole and few enough."""
-        if not self.is_integer:
-            return np.linspace(self.low, self.high, n + 1)
-        count = int(self.high - self.low) + 1
-        return np.linspace(self.low - 0.5, self.high + 0.5, min(count, max(n, 12)) + 1)
+    def value(self, number: float) -> float | int | str:
+        """The parameter's own value."""
+        if self.choices:
+            return self.choices[round(number)]
+        return round(number) if self.is_integer else float(number)
 
     def label(self, value: float) -> str:
         """A value for people."""
@@ -247,6 +251,29 @@ def flat_ranges(trials: Trials, tolerance: float = TOLERANCE) -> dict[str, Flat]
     return found
 
 
+def study_of(trials: Trials) -> optuna.Study:
+    """The trials as a study in memory, for Optuna's figures and importances."""
+    ranges: dict[str, distributions.BaseDistribution] = {}
+    for s in trials.searched:
+        if s.choices:
+            ranges[s.key] = distributions.CategoricalDistribution(s.choices)
+        elif s.is_integer:
+            ranges[s.key] = distributions.IntDistribution(int(s.low), int(s.high))
+        else:
+            ranges[s.key] = distributions.FloatDistribution(s.low, s.high)
+    with quiet():
+        study = optuna.create_study(direction="maximize" if trials.is_maximised else "minimize")
+    study.add_trials(
+        create_trial(
+            params={s.key: s.value(trials.values[s.key][k]) for s in trials.searched},
+            distributions=ranges,
+            value=float(score),
+        )
+        for k, score in enumerate(trials.score)
+    )
+    return study
+
+
 def importances(trials: Trials) -> dict[str, float]:
     """Per parameter, how much of what sets the best tenth of the trials apart from the rest it
     explains (PED-ANOVA, as Optuna has it); they add up to 1, most important first.
@@ -255,68 +282,18 @@ def importances(trials: Trials) -> dict[str, float]:
     """
     if len(trials.score) < FEWEST or np.ptp(trials.score) == 0:
         return {}
-    import optuna
-    from optuna import distributions as d
-    from optuna.trial import create_trial
-
-    ranges: dict[str, d.BaseDistribution] = {}
-    for s in trials.searched:
-        if s.choices:
-            ranges[s.key] = d.CategoricalDistribution(tuple(range(len(s.choices))))
-        elif s.is_integer:
-            ranges[s.key] = d.IntDistribution(int(s.low), int(s.high))
-        else:
-            ranges[s.key] = d.FloatDistribution(s.low, s.high)
-    columns = [
-        [int(v) if s.is_integer else float(v) for v in trials.values[s.key]]
-        for s in trials.searched
-    ]
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore")
-        optuna.logging.set_verbosity(optuna.logging.ERROR)
-        study = optuna.create_study(direction="minimize")
-        study.add_trials(
-            [
-                create_trial(
-                    params=dict(zip(ranges, row, strict=True)), distributions=ranges, value=-gain
-                )
-                for *row, gain in zip(*columns, trials.gain.tolist(), strict=True)
-            ]
-        )
-        evaluator = optuna.importance.PedAnovaImportanceEvaluator()
-        found = optuna.importance.get_param_importances(study, evaluator=evaluator)
-    return {key: float(v) for key, v in sorted(found.items(), key=lambda item: -item[1])}
+    evaluator = optuna.importance.PedAnovaImportanceEvaluator()
+    return optuna.importance.get_param_importances(study_of(trials), evaluator=evaluator)
 
 
-def best_per_bin(trials: Trials, key: str, n: int = 24) -> tuple[FloatArray, FloatArray]:
-    """Edges (B + 1,) of bins over a parameter's range, and the best score in each (B,), NaN where
-    no trial lies."""
-    edges = _by_key(trials)[key].edges(n)
-    cells = _cells(edges, trials.values[key])
-    return edges, _best(trials, cells, len(edges) - 1)
-
-
-def best_per_cell(
-    trials: Trials, across: str, up: str, n: int = 18
-) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Edges (X + 1,) and (Y + 1,) of cells over two parameters' ranges, and the best score in each
-    (Y, X), NaN where no trial lies."""
-    x, y = (_by_key(trials)[key].edges(n) for key in (across, up))
-    width = len(x) - 1
-    cells = _cells(y, trials.values[up]) * width + _cells(x, trials.values[across])
-    return x, y, _best(trials, cells, width * (len(y) - 1)).reshape(-1, width)
-
-
-def _by_key(trials: Trials) -> dict[str, Searched]:
-    return {s.key: s for s in trials.searched}
-
-
-def _cells(edges: FloatArray, values: FloatArray) -> IntArray:
-    return np.clip(np.searchsorted(edges, values, side="right") - 1, 0, len(edges) - 2)
-
-
-def _best(trials: Trials, cells: IntArray, count: int) -> FloatArray:
-    best = np.full(count, -np.inf)
-    np.maximum.at(best, cells, trials.gain)
-    best[np.isinf(best)] = np.nan
-    return best if trials.is_maximised else -best
+@contextmanager
+def quiet() -> Iterator[None]:
+    """Optuna without a line per study, and without notes on what it calls experimental."""
+    before = optuna.logging.get_verbosity()
+    optuna.logging.set_verbosity(optuna.logging.ERROR)
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", ExperimentalWarning)
+            yield
+    finally:
+        optuna.logging.set_verbosity(before)

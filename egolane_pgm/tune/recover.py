@@ -16,10 +16,10 @@ from egolane_pgm.experiment import load_experiment
 from egolane_pgm.files import read_text, write_text
 from egolane_pgm.model import belief_of, load_drive
 from egolane_pgm.paper import load_published, paper_experiment, published_path
+from egolane_pgm.report.study_trials import quiet
 from egolane_pgm.scoring.assign import assigned_lane
 from egolane_pgm.scoring.confusion import confusion, frames_off
 from egolane_pgm.tune.sampler import Shade
-from egolane_pgm.tune.search import quiet
 
 #: The published parameters are truncated to three decimals: the value used was below this higher.
 TRUNCATION = 0.001

@@ -2,20 +2,18 @@
 
 from __future__ import annotations
 
-import warnings
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 import optuna
 from optuna import samplers
-from optuna.exceptions import ExperimentalWarning
 from optuna.storages import RetryHeartbeatStaleTrialCallback
 from optuna.study import MaxTrialsCallback
 from optuna.trial import FrozenTrial, Trial, TrialState
 
+from egolane_pgm.report.study_trials import quiet
 from egolane_pgm.scoring.confusion import is_maximised
 from egolane_pgm.tune.sampler import Shade
 from egolane_pgm.tune.space import Point, SearchSpace, distributions
@@ -205,16 +203,3 @@ def pareto(study: optuna.Study) -> list[Mapping[str, Any]]:
         {"number": t.number, "values": list(t.values), "point": dict(t.params)}
         for t in study.best_trials
     ]
-
-
-@contextmanager
-def quiet() -> Iterator[None]:
-    """Optuna without a line per trial, and without notes on what it calls experimental."""
-    before = optuna.logging.get_verbosity()
-    optuna.logging.set_verbosity(optuna.logging.CRITICAL)
-    try:
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore", ExperimentalWarning)
-            yield
-    finally:
-        optuna.logging.set_verbosity(before)

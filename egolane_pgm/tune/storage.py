@@ -22,7 +22,8 @@ from optuna.storages import (
 from optuna.storages.journal import JournalFileBackend, JournalFileOpenLock
 
 from egolane_pgm.files import make_directory
-from egolane_pgm.tune.search import Settings, new_study, quiet
+from egolane_pgm.report.study_trials import quiet
+from egolane_pgm.tune.search import Settings, new_study
 from egolane_pgm.tune.space import Point, differences
 from egolane_pgm.types import InputError
 

@@ -11,8 +11,6 @@ import numpy as np
 import pyarrow as pa
 import pytest
 from click.testing import CliRunner
-from hypothesis import given
-from hypothesis import strategies as st
 from pyarrow import parquet
 
 from egolane_pgm.cli.main import egolane
@@ -102,35 +100,6 @@ def test_the_flat_range_spans_the_trials_within_half_a_point_of_the_best(tmp_pat
     assert numbers.flat_ranges(trials, 0.0)["bonus_value"].share == pytest.approx(0.1)
 
 
-def test_each_bin_and_each_cell_has_its_best_score(tmp_path: Path) -> None:
-    trials = numbers.read_trials(write_study(tmp_path))
-    edges, best = numbers.best_per_bin(trials, "bonus_value")
-    assert edges.tolist() == [k - 0.5 for k in range(11)]
-    assert np.flatnonzero(~np.isnan(best)).tolist() == [0, 1, 7, 8, 9]
-    assert best[[0, 1, 7, 8, 9]].tolist() == [0.5, 0.7, 0.8, 0.795, 0.796]
-    x, y, grid = numbers.best_per_cell(trials, "bonus_value", "normal")
-    assert grid.shape == (len(y) - 1, len(x) - 1) == (3, 10)
-    assert grid[1, 7] == 0.8
-    assert grid[0, 0] == 0.5
-    assert np.isnan(grid[2]).all()
-
-
-@given(
-    st.lists(st.tuples(st.floats(0, 1), st.floats(0, 1)), min_size=1, max_size=40),
-    st.sampled_from(["accuracy", "brier"]),
-    st.integers(1, 30),
-)
-def test_bins_lose_no_trial_and_hold_the_best_one(
-    rows: list[tuple[float, float]], name: str, n: int
-) -> None:
-    trials = made([r[0] for r in rows], [r[1] for r in rows], name)
-    edges, best = numbers.best_per_bin(trials, "x", n)
-    k = min(int(np.searchsorted(edges, rows[trials.best][1], side="right")) - 1, n - 1)
-    assert best[k] == trials.score[trials.best] == numbers.best_so_far(trials)[-1]
-    in_bins = np.histogram([r[1] for r in rows], edges)[0]
-    assert (~np.isnan(best)).tolist() == (in_bins > 0).tolist()
-
-
 def test_the_parameter_that_decides_the_score_is_the_most_important_one() -> None:
     rng = np.random.default_rng(0)
     x, y = rng.random((2, 300))
@@ -152,7 +121,7 @@ def test_history_and_flatness_draw_the_numbers(tmp_path: Path) -> None:
     trials = numbers.read_trials(write_study(tmp_path))
     ax = tuning.history_figure(trials).axes[0]
     lines = {str(line.get_label()).partition(":")[0]: line for line in ax.lines}
-    best = lines["best so far (in-sample)"].get_ydata()
+    best = lines["Best Value"].get_ydata()
     assert np.asarray(best).tolist() == numbers.best_so_far(trials).tolist()
     assert np.asarray(lines["held out"].get_ydata()).tolist() == [0.61, 0.61]
     figure = tuning.flatness_figure(trials)
@@ -172,7 +141,7 @@ def test_every_title_says_in_sample(tmp_path: Path) -> None:
         tuning.slices_figure(trials),
         tuning.pairs_figure(trials, keys),
         tuning.flatness_figure(trials),
-        tuning.importances_figure(trials, dict.fromkeys(keys, 1 / 3)),
+        tuning.importances_figure(trials),
     ):
         assert "in-sample" in figure.texts[0].get_text()
 
