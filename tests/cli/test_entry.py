@@ -130,5 +130,5 @@ def test_ctrl_c_ends_the_reproduction(
 def test_ctrl_c_ends_a_search(tmp_path: Path, seconds: float, whole_group: bool) -> None:
     drives = [write_drive(tmp_path / name, name=name) for name in ("a", "b")]
     out = tmp_path / "place" / "out"
-    words = ["tune", *drives, "--trials", 1_000_000, "--jobs", 2, "--out", out]
+    words = ["tune", *drives, "--trials", 1_000_000, "--jobs", 2, "--in-sample-only", "--out", out]
     interrupt(words, seconds, out, whole_group)
