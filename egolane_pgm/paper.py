@@ -121,8 +121,3 @@ def reproduce_json(runs: Iterable[Reproduced], which: str) -> dict[str, Any]:
         "runs": rows,
         "total_frames_off": total,
     }
-
-
-def agrees(ours: float, printed: float) -> bool:
-    """Tells whether a score, truncated to two digits as the paper does it, is the printed one."""
-    return int(np.floor(ours * 100 + 1e-9)) == round(printed * 100)

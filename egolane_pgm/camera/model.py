@@ -137,16 +137,6 @@ def matrix(camera: Camera) -> FloatArray:
     )
 
 
-def road_homography(camera: Camera) -> FloatArray:
-    """The homography (3, 3) from the road, (x, y, 1), to the undistorted picture, (u w, v w, w),
-    where w > 0 for points in front of the camera."""
-    to_camera = axes(camera)
-    position = np.array([0.0, camera.lateral_m, camera.height_m])
-    columns = np.stack([to_camera[:, 0], to_camera[:, 1], -to_camera @ position], axis=1)
-    homography: FloatArray = matrix(camera) @ columns
-    return homography
-
-
 def road_to_image(
     camera: Camera, x: ArrayLike, y: ArrayLike, z: ArrayLike = 0.0, *, undistorted: bool = False
 ) -> tuple[FloatArray, FloatArray]:

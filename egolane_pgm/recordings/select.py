@@ -4,7 +4,6 @@ ground truth; and warns of odd recordings."""
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import Literal
 
 import numpy as np
 
@@ -16,8 +15,6 @@ from egolane_pgm.types import (
     LineLog,
     suggestion,
 )
-
-MissingFrames = Literal["skip", "hold", "predict"]
 
 #: The policies for frame ids that the recording lacks.
 MISSING_FRAMES: tuple[str, ...] = ("skip", "hold", "predict")

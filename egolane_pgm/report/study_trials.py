@@ -213,12 +213,6 @@ def _per_lane(parameters: Mapping[str, Any]) -> dict[str, Any]:
     return found
 
 
-def best_so_far(trials: Trials) -> FloatArray:
-    """(N,): the best score up to each trial."""
-    best = np.maximum.accumulate(trials.gain)
-    return best if trials.is_maximised else -best
-
-
 def as_good(trials: Trials, tolerance: float = TOLERANCE) -> BoolArray:
     """(N,): the trials whose score is within the tolerance of the best."""
     # Scores are ratios of counts: the bound itself counts in, whatever its last bit says.

@@ -18,7 +18,6 @@ from egolane_pgm.camera.model import (
     image_to_road,
     matrix,
     read_camera,
-    road_homography,
     road_to_image,
     undistorted,
     vanishing_point,
@@ -123,8 +122,11 @@ def test_a_road_point_comes_back_from_its_pixel(camera, x, y):
 
 
 @given(cameras, st.floats(5, 60), st.floats(-10, 10))
-def test_the_homography_is_the_undistorted_projection(camera, x, y):
-    u, v, w = road_homography(camera) @ [x, y, 1.0]
+def test_the_undistorted_projection_is_a_homography_of_the_road(camera, x, y):
+    to_camera = axes(camera)
+    position = np.array([0.0, camera.lateral_m, camera.height_m])
+    columns = np.stack([to_camera[:, 0], to_camera[:, 1], -to_camera @ position], axis=1)
+    u, v, w = matrix(camera) @ columns @ [x, y, 1.0]
     assert w > 0
     assert np.allclose((u / w, v / w), road_to_image(camera, x, y, undistorted=True))
 

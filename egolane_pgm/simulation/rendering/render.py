@@ -199,7 +199,7 @@ def _render(scene: Scene, truth: FrameTruth, shift_m: float, which: int) -> Imag
     project = _projector(camera, shift)
     image = np.empty((camera.height, camera.width, 3), dtype=np.uint8)
     horizon = camera.cy - camera.fy * to_camera[2, 2] / to_camera[1, 2]
-    first = _sky(image, scene, k, horizon)
+    first = _sky(image, scene, horizon)
 
     # The road point of every pixel. Without roll, a row has one distance along the optical axis.
     b = (np.arange(first, camera.height) - camera.cy)[:, None] / camera.fy
@@ -227,7 +227,7 @@ def _render(scene: Scene, truth: FrameTruth, shift_m: float, which: int) -> Imag
     image[first : first + far] = mixed.astype(np.uint8)
 
     turn = camera.fx * float(scene.heading[k] - scene.course.at(np.array(s0))[1])
-    roadside.draw_hills(image, horizon, turn, first, _HAZE)
+    roadside.draw_hills(image, horizon, turn, first)
     for start in scene.surface.bridge_m[::-1] - s0:
         if 3.0 < start < 300.0:
             roadside.draw_bridge(image, project, side, float(start), _HAZE)
@@ -279,7 +279,7 @@ def _edges(
     return found
 
 
-def _sky(image: Image, scene: Scene, k: int, horizon: float) -> int:
+def _sky(image: Image, scene: Scene, horizon: float) -> int:
     """Draws the sky and returns the first row below it."""
     camera = scene.camera
     first = math.ceil(horizon + camera.fy * camera.height_m / _FAR_M)

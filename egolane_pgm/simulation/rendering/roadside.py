@@ -151,7 +151,7 @@ def draw_trees(
             )
 
 
-def draw_hills(image: Image, horizon: float, turn_px: float, first: int, haze: Colour) -> None:
+def draw_hills(image: Image, horizon: float, turn_px: float, first: int) -> None:
     """Draws two ranges of hills above row `first`, moved to the left by turn_px."""
     width = image.shape[1]
     u = np.linspace(0, width - 1, 80)
