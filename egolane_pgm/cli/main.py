@@ -110,8 +110,9 @@ def _give_up_output() -> None:
 
 
 def _safe(text: str) -> str:
-    """A message without the password of an address, wherever it was given."""
-    return re.sub(r"(://[^\s:/@]*):[^\s@]*@", r"\1:***@", text)
+    """A message without the password of an address, wherever it was given (taken for the name of a
+    file, an address loses one of its slashes)."""
+    return re.sub(r"(:/{1,2}[^\s:/@]*):\S*@", r"\1:***@", text)
 
 
 def _show_warning(message: Warning | str, *_: Any, **__: Any) -> None:

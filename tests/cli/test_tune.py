@@ -51,7 +51,7 @@ def tune_refuses(*words: object) -> str:
 
 
 def test_a_study_ends_with_tables_a_directory_and_an_experiment_to_run(tmp_path: Path) -> None:
-    result = tune(QUICKSTART, "--trials", 40, "--blocks", BLOCKS, "--out", tmp_path, "--jobs", 1)
+    result = tune(QUICKSTART, "--trials", 40, "--out", tmp_path, "--jobs", 1)
     assert result.exit_code == 0, result.output
     assert "accuracy, held out" in result.output
     assert "in-sample: on the frames that the parameters were tuned on" in result.output
@@ -179,6 +179,15 @@ def test_the_password_of_a_storage_is_not_shown(tmp_path: Path) -> None:
     line = tune_refuses(QUICKSTART, "--in-sample-only", "--out", tmp_path, "--storage", address)
     assert "nosuch://me:***@host/base" in line
     assert "secret" not in line
+
+
+def test_the_password_of_an_address_in_the_wrong_place_is_not_shown(tmp_path: Path) -> None:
+    address = "postgresql://me:sec@ret@host/base"
+    for words in ([address], [QUICKSTART, "--sampler", address], [QUICKSTART, "--trials", address]):
+        line = tune_refuses(*words, "--in-sample-only", "--out", tmp_path)
+        assert "me:***@host/base" in line
+        assert "sec" not in line
+        assert "ret" not in line
 
 
 def test_a_group_has_one_parameter_set_and_an_experiment_per_recording(tmp_path: Path) -> None:
