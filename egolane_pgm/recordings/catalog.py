@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
+import functools
 import os
-import sys
 import warnings
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
 from pathlib import Path
 from types import ModuleType
 from urllib.parse import urlsplit
+
+from tqdm import tqdm
 
 from egolane_pgm.types import InputError
 
@@ -139,6 +142,7 @@ def download_folder() -> Path:
     return Path(_pooch().os_cache("egolane_pgm"))
 
 
+@functools.cache
 def _pooch() -> ModuleType:
     with warnings.catch_warnings():
         # In a notebook tqdm, which pooch imports, warns of widgets that nobody asked for.
@@ -207,36 +211,60 @@ def _verify(file: DataFile, path: Path) -> Outcome:
 
 
 def fetch(
-    base_url: str | None = None, folder: str | Path | None = None, progress: bool = True
+    base_url: str | None = None,
+    folder: str | Path | None = None,
+    jobs: int = 4,
+    progress: bool = True,
 ) -> list[Outcome]:
     """Download the files that are not there yet; one Outcome per file.
 
     - base_url: a mirror with the same file names (default: GitHub).
     - folder: where they go (default: the download folder).
-    - progress: a bar for each file on standard error, where that is a terminal.
+    - jobs: the number of files that are downloaded at a time.
+    - progress: a bar on standard error, where that is a terminal.
 
     A file that is there and good is not asked for again, and content with a wrong checksum never
     takes the place of anything. A file that fails does not keep the others, unless the server
-    cannot be reached at all. Raises InputError for an address that is not http or https.
+    cannot be reached at all. Raises InputError for an address that is not http or https, and for
+    jobs below 1.
     """
     address = (BASE_URL if base_url is None else base_url).rstrip("/")
     if urlsplit(address).scheme not in ("http", "https") or not urlsplit(address).netloc:
         raise InputError(f"--base-url {base_url}: needs an address http://... or https://...")
-    outcomes = verify(folder)
-    for k, outcome in enumerate(outcomes):
-        if outcome.ok:
-            continue
+    if jobs < 1:
+        raise InputError(f"--jobs {jobs}: needs at least 1")
+    unreachable: list[str] = []
+
+    def fetched(before: Outcome) -> Outcome:
+        if before.ok:
+            return before
+        if unreachable:
+            # This file would only wait for the same server.
+            return replace(before, status="failed", message=unreachable[0])
         try:
-            _download(address, outcome.file, outcome.path, progress and sys.stderr.isatty())
-        except Unreachable as error:
-            # The others would only wait for the same server.
-            return [
-                o if o.ok else replace(o, status="failed", message=str(error)) for o in outcomes
-            ]
+            _download(address, before.file, before.path)
         except InputError as error:
-            outcomes[k] = replace(outcome, status="failed", message=str(error))
-        else:
-            outcomes[k] = Outcome(outcome.file, outcome.path, "downloaded")
+            if isinstance(error, Unreachable):
+                unreachable.append(str(error))
+            return replace(before, status="failed", message=str(error))
+        return Outcome(before.file, before.path, "downloaded")
+
+    outcomes = verify(folder)
+    _pooch()  # Imported here, because to silence its warnings is no work for several threads.
+    pool = ThreadPoolExecutor(jobs)
+    try:
+        done = pool.map(fetched, outcomes)
+        is_hidden = None if progress else True
+        outcomes = list(tqdm(done, "files", len(outcomes), leave=False, disable=is_hidden))
+    finally:
+        # After Ctrl-C nothing more is begun, and nothing is waited for.
+        pool.shutdown(wait=False, cancel_futures=True)
+    # The temporary file of pooch, which becomes the file, can be read by its owner only.
+    umask = os.umask(0)
+    os.umask(umask)
+    for outcome in outcomes:
+        if outcome.status == "downloaded":
+            outcome.path.chmod(0o666 & ~umask)
     return outcomes
 
 
@@ -244,13 +272,13 @@ class Unreachable(InputError):
     """The server cannot be reached at all; the message names the host, not the file."""
 
 
-def _download(address: str, file: DataFile, path: Path, progress: bool) -> None:
+def _download(address: str, file: DataFile, path: Path) -> None:
     import requests
 
     pooch = _pooch()
     known = {file.name: f"sha256:{file.sha256}"}
     store = pooch.create(path.parent, f"{address}/", registry=known, retry_if_failed=1)
-    loader = pooch.HTTPDownloader(progressbar=progress, timeout=30)
+    loader = pooch.HTTPDownloader(timeout=30)
     url = f"{address}/{file.name}"
     try:
         store.fetch(file.name, downloader=loader)
@@ -276,10 +304,6 @@ def _download(address: str, file: DataFile, path: Path, progress: bool) -> None:
         ) from None
     except OSError as error:
         raise InputError(f"{path}: cannot be written: {error.strerror or error}") from None
-    # The temporary file of pooch, which becomes the file, can be read by its owner only.
-    umask = os.umask(0)
-    os.umask(umask)
-    path.chmod(0o666 & ~umask)
 
 
 def problems(outcomes: list[Outcome]) -> list[str]:

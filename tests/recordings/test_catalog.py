@@ -9,6 +9,7 @@ import re
 import socket
 import stat
 import threading
+import time
 from collections.abc import Iterator
 from pathlib import Path
 from urllib.parse import unquote
@@ -26,6 +27,7 @@ from egolane_pgm.recordings.catalog import (
     verify,
 )
 from egolane_pgm.types import InputError
+from tests.kits.drives import done
 
 CONTENT = {
     "one.bag": bytes(range(256)) * 2000,
@@ -44,6 +46,8 @@ class Mirror(http.server.ThreadingHTTPServer):
         self.content = dict(CONTENT)
         self.cut_after: dict[str, int] = {}  # bytes per answer, then the connection is closed
         self.asked: list[str] = []
+        self.seconds = 0.0  # for each answer
+        self.n_at_work = self.most_at_work = 0
 
     @property
     def url(self) -> str:
@@ -56,6 +60,10 @@ class Handler(http.server.BaseHTTPRequestHandler):
     def do_GET(self) -> None:
         name = unquote(self.path).removeprefix("/data/")
         self.server.asked.append(name)
+        self.server.n_at_work += 1
+        self.server.most_at_work = max(self.server.most_at_work, self.server.n_at_work)
+        time.sleep(self.server.seconds)
+        self.server.n_at_work -= 1
         if name not in self.server.content:
             self.send_error(404)
             return
@@ -124,6 +132,17 @@ def test_all_files_are_fetched_and_then_not_asked_for_again(mirror: Mirror, tmp_
     assert set(statuses(again).values()) == {"present"}
     assert all(outcome.ok for outcome in again)
     assert len(mirror.asked) == n_asked == 3
+
+
+@pytest.mark.parametrize("jobs", [1, 3])
+def test_as_many_files_as_are_asked_for_are_fetched_at_a_time(
+    mirror: Mirror, tmp_path: Path, jobs: int
+) -> None:
+    mirror.seconds = 0.5
+    words = ["data", "fetch", "--base-url", mirror.url, "--folder", tmp_path, "--jobs", jobs]
+    assert done(*words).output.startswith("3 of 3 files are there and good")
+    assert mirror.most_at_work == jobs
+    assert files_in(tmp_path) == CONTENT
 
 
 def test_the_download_folder_is_in_the_cache_of_the_user(
@@ -232,6 +251,8 @@ def test_bad_options_are_refused(tmp_path: Path) -> None:
     for address in ("ftp://x/y", "example.org/data", "http://"):
         with pytest.raises(InputError, match="--base-url"):
             fetch(address, tmp_path)
+    with pytest.raises(InputError, match="--jobs 0"):
+        fetch("http://127.0.0.1:9", tmp_path, jobs=0)
 
 
 def test_a_folder_that_cannot_be_written_is_said(mirror: Mirror, tmp_path: Path) -> None:
