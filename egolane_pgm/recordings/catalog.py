@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import functools
 import os
+import threading
 import warnings
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
@@ -233,6 +234,7 @@ def fetch(
         raise InputError(f"--base-url {base_url}: needs an address http://... or https://...")
     if jobs < 1:
         raise InputError(f"--jobs {jobs}: needs at least 1")
+    stop = threading.Event()
     unreachable: list[str] = []
 
     def fetched(before: Outcome) -> Outcome:
@@ -242,7 +244,7 @@ def fetch(
             # This file would only wait for the same server.
             return replace(before, status="failed", message=unreachable[0])
         try:
-            _download(address, before.file, before.path)
+            _download(address, before.file, before.path, stop)
         except InputError as error:
             if isinstance(error, Unreachable):
                 unreachable.append(str(error))
@@ -257,8 +259,9 @@ def fetch(
         is_hidden = None if progress else True
         outcomes = list(tqdm(done, "files", len(outcomes), leave=False, disable=is_hidden))
     finally:
-        # After Ctrl-C nothing more is begun, and nothing is waited for.
-        pool.shutdown(wait=False, cancel_futures=True)
+        # After Ctrl-C nothing more is begun, and what is at work removes its half-written file.
+        stop.set()
+        pool.shutdown(cancel_futures=True)
     # The temporary file of pooch, which becomes the file, can be read by its owner only.
     umask = os.umask(0)
     os.umask(umask)
@@ -272,13 +275,32 @@ class Unreachable(InputError):
     """The server cannot be reached at all; the message names the host, not the file."""
 
 
-def _download(address: str, file: DataFile, path: Path) -> None:
+class _Stop:
+    """What pooch takes for a progress bar: it ends a download once `stop` is set."""
+
+    total = 0
+
+    def __init__(self, stop: threading.Event) -> None:
+        self.stop = stop
+
+    def update(self, _: int) -> None:
+        if self.stop.is_set():
+            raise InputError("the download was interrupted")
+
+    def reset(self) -> None:
+        pass
+
+    def close(self) -> None:
+        pass
+
+
+def _download(address: str, file: DataFile, path: Path, stop: threading.Event) -> None:
     import requests
 
     pooch = _pooch()
     known = {file.name: f"sha256:{file.sha256}"}
     store = pooch.create(path.parent, f"{address}/", registry=known, retry_if_failed=1)
-    loader = pooch.HTTPDownloader(timeout=30)
+    loader = pooch.HTTPDownloader(progressbar=_Stop(stop), timeout=30)
     url = f"{address}/{file.name}"
     try:
         store.fetch(file.name, downloader=loader)

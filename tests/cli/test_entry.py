@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import http.server
 import os
 import signal
 import subprocess
 import sys
+import threading
 import time
 from pathlib import Path
 
@@ -116,6 +118,36 @@ def test_ctrl_c_ends_a_detector(tmp_path: Path, seconds: float, whole_group: boo
     out.parent.mkdir()
     words = ["detect", drive / "drive.avi", "--camera", drive / "cam.yaml", "-o", out]
     interrupt([*words, "--detector", tmp_path / "slow.py"], seconds, out, whole_group)
+
+
+class SlowMirror(http.server.BaseHTTPRequestHandler):
+    def do_GET(self) -> None:
+        self.send_response(200)
+        self.send_header("Content-Length", "1000000")
+        self.end_headers()
+        for _ in range(1000):
+            try:
+                self.wfile.write(bytes(1000))
+            except OSError:
+                return
+            time.sleep(0.1)
+
+    def log_message(self, *args: object) -> None:
+        pass
+
+
+def test_ctrl_c_ends_downloads_and_leaves_nothing_of_them(tmp_path: Path) -> None:
+    mirror = http.server.ThreadingHTTPServer(("127.0.0.1", 0), SlowMirror)
+    threading.Thread(target=mirror.serve_forever, kwargs={"poll_interval": 0.01}).start()
+    out = tmp_path / "rle" / "a.bag"
+    url = f"http://127.0.0.1:{mirror.server_address[1]}"
+    words = ["data", "fetch", "--base-url", url, "--folder", tmp_path]
+    try:
+        interrupt(words, 3.0, out, True, NO_PROXY="127.0.0.1", no_proxy="127.0.0.1")
+    finally:
+        mirror.shutdown()
+        mirror.server_close()
+    assert list(out.parent.iterdir()) == []
 
 
 @pytest.mark.parametrize(("seconds", "whole_group"), [(0.2, True), (0.9, False)])
