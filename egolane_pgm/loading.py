@@ -222,6 +222,13 @@ def data_entries(experiment: Experiment, recorded: Recorded) -> list[dict[str, A
     return [file_entry(path, pictures=has_pictures) for path in recorded.files]
 
 
+def named_files(experiment: Experiment) -> list[Path]:
+    """The YAML of an experiment, and the files that it names in full or that lie beside it."""
+    recording, truth = experiment.recording, experiment.ground_truth
+    names = (recording.path, recording.right, recording.camera, truth.path if truth else None)
+    return [Path(experiment.source), *(experiment.folder / name for name in names if name)]
+
+
 def _detected(experiment: Experiment) -> tuple[LineLog, list[Path]]:
     """The lines that the experiment's detector sees in its pictures, and the files it looked at."""
     from tqdm import tqdm

@@ -337,9 +337,11 @@ def load_drive(
     return Drive(experiment, model, recorded, (*own, *never_fit))
 
 
-def believe(drive: Drive, model: Model) -> tuple[Beliefs, tuple[str, ...]]:
-    """The beliefs of the K annotated frames under a model, by the experiment's filter from the
-    first frame of the log on; and what the evidence rule warned of."""
+def beliefs_of(drive: Drive, model: Model) -> tuple[Beliefs, tuple[str, ...]]:
+    """Filter a drive with a model, by the experiment's filter and from the first frame of the log.
+
+    Returns the beliefs of the K annotated frames, and what the evidence rule warned of.
+    """
     experiment, log = drive.experiment, drive.recorded.log
     evidence = make_evidence(model, log, experiment.evidence_reading)
     beliefs = infer_beliefs(

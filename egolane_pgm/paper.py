@@ -11,11 +11,11 @@ import numpy as np
 
 from egolane_pgm.experiment import load_experiment
 from egolane_pgm.files import read_yaml
+from egolane_pgm.results import SCHEMA_VERSION
 from egolane_pgm.run import Run, run_experiment
 from egolane_pgm.scoring.confusion import frames_off
 from egolane_pgm.types import InputError
 
-SCHEMA_VERSION = 1
 SCORES = ("precision", "recall", "f1", "accuracy", "log_loss")
 PARAMETER_SETS = ("recovered", "published")
 

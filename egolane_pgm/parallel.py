@@ -33,31 +33,13 @@ _SECONDS_TO_END = 2.0
 _DIED = "its process, or one beside it, died (killed, or out of memory?)"
 
 
-class InProcess(Executor):
-    """Does the work in this process, when it is submitted; `map` when the answer is asked for."""
-
-    def submit(self, fn: Callable[..., R], /, *args: Any, **kwargs: Any) -> Future[R]:
-        future: Future[R] = Future()
-        try:
-            future.set_result(fn(*args, **kwargs))
-        except Exception as error:
-            future.set_exception(error)
-        return future
-
-    def map(self, fn: Callable[..., R], *iterables: Any, **_: Any) -> Iterator[R]:
-        return map(fn, *iterables)
-
-
 @contextlib.contextmanager
 def executor(jobs: int) -> Iterator[Executor]:
-    """An executor: this process for one job, else a pool of processes.
+    """A pool of processes, `jobs` of them.
 
     An error inside the `with` block, Ctrl-C included, ends the pool at once: work at hand is told
     to end, work that waits is not begun.
     """
-    if jobs <= 1:
-        yield InProcess()
-        return
     others = set(multiprocessing.active_children())
     pool = _Pool(jobs)
     try:

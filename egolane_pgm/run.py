@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+import os
 import shutil
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
@@ -19,7 +20,7 @@ from egolane_pgm.experiment import (
 )
 from egolane_pgm.inference.smoothing import infer_beliefs
 from egolane_pgm.inference.viterbi import disagreement, viterbi_path
-from egolane_pgm.loading import Recorded, data_entries, load_recording, with_video_rate
+from egolane_pgm.loading import Recorded, as_name, data_entries, load_recording, with_video_rate
 from egolane_pgm.model import Model, causality, make_evidence, prepare_model, value_names
 from egolane_pgm.parallel import in_order
 from egolane_pgm.plugins import OWN_FILES, source_files
@@ -292,9 +293,13 @@ Draw = Callable[[Path], None]
 
 
 @dataclass(frozen=True)
-class Task:
-    """One of several runs. title: for messages. directory: of its result. experiment: None where
-    it could not be used, `error` says why."""
+class PlannedRun:
+    """One of several runs that are to be done.
+
+    - title: its name in messages.
+    - directory: of its result.
+    - experiment: None where it could not be used; then `error` says why.
+    """
 
     title: str
     directory: Path
@@ -303,8 +308,8 @@ class Task:
 
 
 @dataclass(frozen=True)
-class Outcome:
-    """What became of a task: the summary (as `run.summary`), or why it failed, in one line."""
+class FinishedRun:
+    """What became of a planned run: its `summary`, or else why it failed, in one line."""
 
     title: str
     directory: Path
@@ -312,19 +317,52 @@ class Outcome:
     error: str | None
 
 
-def plan_runs(sources: Sequence[tuple[str, Callable[[], Experiment]]], folder: Path) -> list[Task]:
-    """A task per source (title, loader), its result in `folder`/<name of the experiment>. What
-    cannot be loaded becomes a task that fails.
+def name_runs(
+    experiments: Sequence[str], recordings: Sequence[str]
+) -> list[tuple[str, str, str | None, str | None]]:
+    """Name each of several runs: several experiments, or one on several recordings.
+
+    Returns per run its title, the file of its experiment, its recording and its name. A recording
+    of None is the experiment's own, a name of None the one that the run has without it; `*` in a
+    name stands for the experiment's. Recordings with the same file name are named after their
+    folders too. Raises InputError for a recording that is given twice.
+    """
+    places = [os.path.realpath(recording) for recording in recordings]
+    for k, place in enumerate(places):
+        if place in places[:k]:
+            raise InputError(f"--recording {recordings[k]}: is named twice")
+    stems = [as_name(Path(recording).stem) for recording in recordings]
+    if len(experiments) > 1:
+        given, name = (recordings[0], f"{stems[0]}_*") if recordings else (None, None)
+        return [(path, path, given, name) for path in experiments]
+    folders = [Path(recording).absolute().parent.name for recording in recordings]
+    names = [
+        as_name(f"{folder}_{stem}") if stems.count(stem) > 1 else None
+        for folder, stem in zip(folders, stems, strict=True)
+    ]
+    return [
+        (given, experiments[0], given, name) for given, name in zip(recordings, names, strict=True)
+    ]
+
+
+def plan_runs(
+    sources: Sequence[tuple[str, Callable[[], Experiment]]], folder: Path
+) -> list[PlannedRun]:
+    """Plan one run per source.
+
+    - sources: title of each, and a function that loads its experiment. What cannot be loaded
+      becomes a run that fails.
+    - folder: each result is written to `folder`/<name of the experiment>.
 
     Raises InputError where two would write the same directory, or `folder` cannot be written.
     """
-    tasks: list[Task] = []
+    runs: list[PlannedRun] = []
     taken: dict[Path, str] = {}
     for title, load in sources:
         try:
             experiment = load()
         except InputError as error:
-            tasks.append(Task(title, folder, None, str(error)))
+            runs.append(PlannedRun(title, folder, None, str(error)))
             continue
         directory = folder / experiment.name
         if taken.get(directory) == title:
@@ -336,31 +374,35 @@ def plan_runs(sources: Sequence[tuple[str, Callable[[], Experiment]]], folder: P
             )
         check_writable(directory)
         taken[directory] = title
-        tasks.append(Task(experiment.name, directory, experiment))
-    return tasks
+        runs.append(PlannedRun(experiment.name, directory, experiment))
+    return runs
 
 
-def run_all(tasks: Sequence[Task], *, jobs: int = 1, draw: Draw | None = None) -> Iterator[Outcome]:
-    """Run the tasks and write their results; what became of each, in order, as soon as those
-    before it are done. jobs: processes that share them. draw: as in `save_run`."""
-    work = partial(run_task, draw=draw)
-    yield from in_order(work, tasks, jobs, died=_failed)
+def run_all(
+    runs: Sequence[PlannedRun], *, jobs: int = 1, draw: Draw | None = None
+) -> Iterator[FinishedRun]:
+    """Do several runs and write their results; yields what became of each, in order, as soon as
+    those before it are done.
+
+    - jobs: number of processes that share the runs.
+    - draw: as in `save_run`.
+    """
+    yield from in_order(partial(_finish, draw=draw), runs, jobs, died=_failed)
 
 
-def _failed(task: Task, error: str) -> Outcome:
-    return Outcome(task.title, task.directory, None, " ".join(error.split()))
+def _failed(run: PlannedRun, error: str) -> FinishedRun:
+    return FinishedRun(run.title, run.directory, None, " ".join(error.split()))
 
 
-def run_task(task: Task, draw: Draw | None = None) -> Outcome:
-    """Run one task and write its result; a failure is in the outcome."""
-    if task.experiment is None:
-        return _failed(task, task.error or "")
+def _finish(run: PlannedRun, draw: Draw | None) -> FinishedRun:
+    if run.experiment is None:
+        return _failed(run, run.error or "")
     try:
-        done = run_experiment(task.experiment)
-        save_run(done, task.directory, draw)
+        done = run_experiment(run.experiment)
+        save_run(done, run.directory, draw)
     except InputError as error:
-        return _failed(task, str(error))
+        return _failed(run, str(error))
     except Exception as error:
         # A fault of ours in one run must not cost the others what they computed.
-        return _failed(task, f"{type(error).__name__}: {error}")
-    return Outcome(task.title, task.directory, summary(done), None)
+        return _failed(run, f"{type(error).__name__}: {error}")
+    return FinishedRun(run.title, run.directory, summary(done), None)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 from collections.abc import Callable, Sequence
 from functools import partial
 from pathlib import Path
@@ -14,11 +13,20 @@ from tqdm import tqdm
 from egolane_pgm.cli import options
 from egolane_pgm.experiment import Experiment, load_experiment
 from egolane_pgm.files import check_not_read, write_json
-from egolane_pgm.loading import as_name, with_recording
+from egolane_pgm.loading import named_files, with_recording
 from egolane_pgm.model import causality
 from egolane_pgm.report.tables import TUNED_ON, confusion_table, runs_table, scores_table
 from egolane_pgm.results import SCHEMA_VERSION, check_writable
-from egolane_pgm.run import Outcome, Run, plan_runs, run_all, run_experiment, save_run, summary
+from egolane_pgm.run import (
+    FinishedRun,
+    Run,
+    name_runs,
+    plan_runs,
+    run_all,
+    run_experiment,
+    save_run,
+    summary,
+)
 from egolane_pgm.types import InputError
 
 
@@ -93,40 +101,12 @@ def run(
         chosen = _load(experiments[0], overrides, recording, *changes)
         _run_one(chosen, Path(out) if out else None, draw, json_file)
         return
-    several = _named(experiments, recordings)
+    several = name_runs(experiments, recordings)
     to_load = [
         (title, partial(_load, path, overrides, recording, *changes, name=name))
         for title, path, recording, name in several
     ]
     _run_many(to_load, Path(out or "results"), draw, jobs, json_file)
-
-
-def _named(
-    experiments: Sequence[str], recordings: Sequence[str]
-) -> list[tuple[str, str, str | None, str | None]]:
-    """The title, experiment, recording and name of each of several runs.
-
-    A name of None stands for the run's own. Recordings that would have the same name are named
-    after their folders too; a recording that several experiments run on is named after these
-    (`*`). Raises InputError for a recording that is given twice.
-    """
-
-    places = [os.path.realpath(recording) for recording in recordings]
-    for k, place in enumerate(places):
-        if place in places[:k]:
-            raise InputError(f"--recording {recordings[k]}: is named twice")
-    stems = [as_name(Path(recording).stem) for recording in recordings]
-    if len(experiments) > 1:
-        given, name = (recordings[0], f"{stems[0]}_*") if recordings else (None, None)
-        return [(path, path, given, name) for path in experiments]
-    folders = [Path(recording).absolute().parent.name for recording in recordings]
-    names = [
-        as_name(f"{folder}_{stem}") if stems.count(stem) > 1 else None
-        for folder, stem in zip(folders, stems, strict=True)
-    ]
-    return [
-        (given, experiments[0], given, name) for given, name in zip(recordings, names, strict=True)
-    ]
 
 
 def _load(
@@ -157,7 +137,7 @@ def _run_one(
     directory = out or Path("results") / chosen.name
     check_writable(directory)
     if json_file:
-        check_not_read(json_file, _read_by(chosen))
+        check_not_read(json_file, named_files(chosen))
     done = run_experiment(chosen)
     save_run(done, directory, draw)
     # The file is written before anything is printed, because a reader may close the pipe.
@@ -176,10 +156,10 @@ def _run_many(
 ) -> None:
     plan = plan_runs(to_load, folder)
     if json_file:
-        chosen = [task.experiment for task in plan if task.experiment is not None]
-        check_not_read(json_file, [file for each in chosen for file in _read_by(each)])
-    before = {task.directory: _inode(task.directory) for task in plan}
-    outcomes: list[Outcome] = []
+        chosen = [each.experiment for each in plan if each.experiment is not None]
+        check_not_read(json_file, [file for each in chosen for file in named_files(each)])
+    before = {each.directory: _inode(each.directory) for each in plan}
+    outcomes: list[FinishedRun] = []
     try:
         done = run_all(plan, jobs=jobs, draw=draw)
         outcomes.extend(tqdm(done, total=len(plan), unit="run", leave=False, disable=None))
@@ -206,13 +186,6 @@ def _run_many(
         click.echo(f"failed: {outcome.title}: {outcome.error}", err=True)
     if failed:
         raise SystemExit(1)
-
-
-def _read_by(experiment: Experiment) -> list[Path]:
-    """The files that an experiment reads, if they are named in full or lie beside its YAML."""
-    recording, truth = experiment.recording, experiment.ground_truth
-    names = (recording.path, recording.right, recording.camera, truth.path if truth else None)
-    return [Path(experiment.source), *(experiment.folder / name for name in names if name)]
 
 
 def _inode(directory: Path) -> int | None:

@@ -41,7 +41,7 @@ from egolane_pgm.compare.placing import (
 from egolane_pgm.experiment import Experiment
 from egolane_pgm.learn import Found, with_found
 from egolane_pgm.learn import fit as learn_from
-from egolane_pgm.model import Drive, Model, believe, declared_parameters, prepare_model
+from egolane_pgm.model import Drive, Model, beliefs_of, declared_parameters, prepare_model
 from egolane_pgm.parallel import in_order
 from egolane_pgm.parameters import resolve_parameters
 from egolane_pgm.scoring.assign import assigned_lane
@@ -277,7 +277,7 @@ class _Tried:
 
     def _losses(self, model: Model) -> list[FloatArray]:
         drive = self.drive
-        belief = believe(drive, model)[0].lane
+        belief = beliefs_of(drive, model)[0].lane
         below = drive.experiment.unassigned_below
         return [of(belief, drive.truth.lane, below) for of in LOSSES.values()]
 

@@ -24,13 +24,12 @@ from egolane_pgm.loading import Recorded
 from egolane_pgm.model import Drive, causality, prepare_model
 from egolane_pgm.paper import load_published, paper_experiment, parameters_for
 from egolane_pgm.parallel import in_order
+from egolane_pgm.results import SCHEMA_VERSION
 from egolane_pgm.scoring.bootstrap import score_counts, score_intervals
 from egolane_pgm.scoring.health import detector_errors
 from egolane_pgm.scoring.held_out import N_BLOCKS
 from egolane_pgm.scoring.summary import score_with_intervals
 from egolane_pgm.types import BoolArray, InputError
-
-SCHEMA_VERSION = 1
 
 
 @dataclass(frozen=True)

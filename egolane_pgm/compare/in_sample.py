@@ -12,9 +12,8 @@ from egolane_pgm.loading import load_recording
 from egolane_pgm.model import declared_parameters
 from egolane_pgm.paper import load_published, paper_experiment, parameters_for
 from egolane_pgm.plugins import load_plugin, plugin_names
+from egolane_pgm.results import SCHEMA_VERSION
 from egolane_pgm.run import run_experiment
-
-SCHEMA_VERSION = 1
 
 
 @dataclass(frozen=True)

@@ -15,11 +15,9 @@ from egolane_pgm.compare.side import Side
 from egolane_pgm.experiment import resolved
 from egolane_pgm.files import make_directory, write_json
 from egolane_pgm.model import causality
-from egolane_pgm.results import staged, write_result
+from egolane_pgm.results import SCHEMA_VERSION, staged, write_result
 from egolane_pgm.run import belief_columns, portable, provenance_of
 from egolane_pgm.types import FloatArray
-
-SCHEMA_VERSION = 1
 
 
 def folder_of(title: str) -> str:

@@ -23,7 +23,7 @@ from egolane_pgm.compare.placing import drive_key
 from egolane_pgm.experiment import Experiment, Tuning
 from egolane_pgm.learn import Found, check_learnable, n_learned, with_found
 from egolane_pgm.learn import fit as learn_from
-from egolane_pgm.model import Drive, believe, declared_parameters, value_names
+from egolane_pgm.model import Drive, beliefs_of, declared_parameters, value_names
 from egolane_pgm.scoring.held_out import N_BLOCKS, HeldOut, held_out
 from egolane_pgm.tune.held_out import nested_search
 from egolane_pgm.tune.objective import check_filter
@@ -100,23 +100,23 @@ def held_out_side(
     """
     experiment = drive.experiment
     fit, free_parameters = _fit_of(drive, n_blocks, trials, losses)
-    believed: list[Beliefs] = []
+    done: list[Beliefs] = []
     notes: list[str] = []
     seconds: list[float] = []
 
-    def believe_with(found: Found) -> Beliefs:
-        if experiment.fit == "none" and len(believed) >= _TIMED:
-            return believed[0]
+    def beliefs_with(found: Found) -> Beliefs:
+        if experiment.fit == "none" and len(done) >= _TIMED:
+            return done[0]
         begun = time.process_time()
-        beliefs, said = believe(drive, with_found(drive.model, found, experiment))
+        beliefs, warned = beliefs_of(drive, with_found(drive.model, found, experiment))
         seconds.append((time.process_time() - begun) / len(drive.recorded.log))
-        believed.append(beliefs)
-        notes.extend(said)
+        done.append(beliefs)
+        notes.extend(warned)
         return beliefs
 
     return Side(
         drive,
-        held_out(drive, fit, believe_with, n_blocks),
+        held_out(drive, fit, beliefs_with, n_blocks),
         free_parameters,
         min(seconds),
         experiment.tuned_on if experiment.fit == "none" else "other_frames",

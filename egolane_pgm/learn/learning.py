@@ -23,7 +23,7 @@ from egolane_pgm.loading import Recorded
 from egolane_pgm.model import (
     Drive,
     Model,
-    believe,
+    beliefs_of,
     declared_parameters,
     load_drive,
     make_evidence,
@@ -117,10 +117,10 @@ def held_out_belief(
         done()
         return found
 
-    def believe_with(found: Found) -> Beliefs:
-        return believe(drive, with_found(drive.model, found, drive.experiment))[0]
+    def beliefs_with(found: Found) -> Beliefs:
+        return beliefs_of(drive, with_found(drive.model, found, drive.experiment))[0]
 
-    return held_out(drive, learn_from, believe_with, n_blocks)
+    return held_out(drive, learn_from, beliefs_with, n_blocks)
 
 
 def fit(drive: Drive, train: IntArray) -> dict[str, Value]:

@@ -82,17 +82,17 @@ def without_block(drive: D, n_blocks: int, block: int) -> tuple[D, IntArray]:
 def held_out(
     drive: D,
     fit: Callable[[D, IntArray, int], P],
-    believe: Callable[[P], Beliefs],
+    beliefs_with: Callable[[P], Beliefs],
     n_blocks: int = N_BLOCKS,
 ) -> HeldOut[P]:
-    """Believe each block of a drive with parameters fitted on the other blocks.
+    """Filter each block of a drive with parameters fitted on the other blocks.
 
     drive: of K annotated frames.
     fit: called as fit(drive, train, block) -> parameters. `drive` is without the labels that must
         not be used, `train` has the indices of the frames that may be. A search that proposes
         adaptively belongs inside, so that it is run anew for each block.
-    believe: the beliefs of all K frames with some parameters, filtered from the first frame of the
-        recording on; only the block's are kept.
+    beliefs_with: gives the beliefs of all K frames with some parameters, filtered from the first
+        frame of the recording on; only the block's are kept.
     n_blocks: B, at least 2.
 
     Raises InputError for impossible numbers of blocks, a block that leaves no frame to fit on, or
@@ -103,7 +103,7 @@ def held_out(
     beliefs: list[Beliefs] = []
     for b in range(n_blocks):
         parameters.append(fit(*without_block(drive, n_blocks, b), b))
-        found = believe(parameters[-1])
+        found = beliefs_with(parameters[-1])
         if len(as_belief(found.lane, normalised=True)) != len(drive):
             raise InputError(
                 f"block {b + 1} of {n_blocks}: {len(found)} frames are believed of {len(drive)}"

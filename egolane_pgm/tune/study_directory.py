@@ -25,6 +25,7 @@ from egolane_pgm.files import atomic, plain, write_json, write_parquet, write_ya
 from egolane_pgm.loading import data_entries
 from egolane_pgm.parameters import Value
 from egolane_pgm.plugins import OWN_FILES
+from egolane_pgm.report.study_trials import SCHEMA_VERSION, TRIALS_FILE
 from egolane_pgm.results import provenance
 from egolane_pgm.run import files_in_full
 from egolane_pgm.tune.held_out import Nested
@@ -32,8 +33,6 @@ from egolane_pgm.tune.identity import identity_of
 from egolane_pgm.tune.objective import split, with_detector
 from egolane_pgm.tune.plan import Problem, parameters_at
 
-SCHEMA_VERSION = 1
-STUDY_FILE = "study.json"
 NESTED_FILE = "nested.json"
 
 
@@ -78,7 +77,7 @@ def write_trials(directory: Path, study: optuna.Study, objectives: Sequence[str]
     # A file handle of its own: paths with odd characters are URIs to pyarrow.
     with atomic(directory / "trials.csv") as path, path.open("wb") as file:
         csv.write_csv(table, file)
-    write_parquet(directory / "trials.parquet", table)
+    write_parquet(directory / TRIALS_FILE, table)
 
 
 def write_best(directory: Path, problem: Problem, point: Mapping[str, Any]) -> list[Path]:

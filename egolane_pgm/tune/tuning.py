@@ -15,6 +15,7 @@ import optuna
 
 from egolane_pgm.files import make_directory, write_json
 from egolane_pgm.parallel import executor
+from egolane_pgm.report.study_trials import STUDY_FILE
 from egolane_pgm.tune import study_directory as files
 from egolane_pgm.tune.held_out import (
     Nested,
@@ -342,7 +343,7 @@ def finish(made: Search) -> dict[str, Any]:
         }
     if made.test is not None:
         content["test"] = _tested(made.test, made.best["point"])
-    write_json(made.directory / files.STUDY_FILE, content)
+    write_json(made.directory / STUDY_FILE, content)
     return content
 
 

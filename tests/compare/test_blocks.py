@@ -14,7 +14,7 @@ from egolane_pgm.compare.placing import load_for_scoring
 from egolane_pgm.compare.side import held_out_side
 from egolane_pgm.experiment import Experiment, load_experiment
 from egolane_pgm.learn import fit, fit_pooled, n_learned, with_found
-from egolane_pgm.model import believe
+from egolane_pgm.model import beliefs_of
 from egolane_pgm.scoring.held_out import blocks
 from egolane_pgm.tune import held_out as module
 from tests.compare.test_comparing import geometry, simulated
@@ -41,7 +41,7 @@ def test_each_block_is_believed_with_its_own_parameters(experiment: Experiment) 
     assert len({repr(sorted(found.items())) for found in run.held_out.parameters}) > 1
     for found, block in zip(run.held_out.parameters, blocks(len(drive)), strict=True):
         model = with_found(drive.model, found, experiment)
-        beliefs, _ = believe(drive, model)
+        beliefs, _ = beliefs_of(drive, model)
         np.testing.assert_array_equal(run.beliefs.lane[block], beliefs.lane[block])
         np.testing.assert_array_equal(run.beliefs.log_evidence[block], beliefs.log_evidence[block])
         np.testing.assert_array_equal(
