@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass
 from typing import Any
 
@@ -110,7 +111,7 @@ def search_in_memory(
     """Run a study that nobody keeps, from scratch, and return it."""
     study = new_study(settings)
     study.sampler = make_sampler(settings, space)
-    with quiet():
+    with quiet(), _interruptions():
         study.optimize(_objective(space, score, report), n_trials=settings.trials)
     return study
 
@@ -139,11 +140,27 @@ def search(
     objective = _objective(space, score, report, at_work)
     with quiet():
         try:
-            study.optimize(objective, callbacks=[MaxTrialsCallback(settings.trials)])
+            with _interruptions():
+                study.optimize(objective, callbacks=[MaxTrialsCallback(settings.trials)])
         except (KeyboardInterrupt, SystemExit):
             if at_work:
                 _queue_again(study, at_work[0].number)
             raise
+
+
+@contextmanager
+def _interruptions() -> Iterator[None]:
+    """Let Ctrl-C come out as itself. Where it meets Optuna while a trial's result is stored, or a
+    journal is locked, Optuna raises an error of its own (UnboundLocalError, RuntimeError)."""
+    try:
+        yield
+    except Exception as error:
+        cause: BaseException | None = error
+        while cause is not None and isinstance(cause, Exception):
+            cause = cause.__context__
+        if cause is None:
+            raise
+        raise type(cause)(*cause.args) from None
 
 
 def _queue_again(study: optuna.Study, number: int) -> None:

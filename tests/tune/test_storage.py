@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import itertools
 import multiprocessing
+import os
 import resource
 import signal
 import sqlite3
@@ -57,6 +58,47 @@ def test_a_study_goes_on_to_a_larger_total_as_if_it_had_not_stopped(place: Path 
     for trials in (33, 65):
         search(study_in(place), SPACE, bowl, settings(trials))
     assert told(study_in(place).trials) == whole
+
+
+@pytest.mark.parametrize("error", [KeyboardInterrupt, SystemExit])
+@pytest.mark.parametrize("step", ["create_new_trial", "set_trial_param", "set_trial_state_values"])
+def test_an_interruption_comes_out_as_itself_wherever_it_meets_the_storage(
+    place: Path | str, step: str, error: type[BaseException], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    whole = told(search_in_memory(SPACE, bowl, settings(15)).trials)
+    study = study_in(place)
+    original = getattr(study._storage, step)
+    calls = itertools.count()
+
+    def interrupted(*given: Any, **named: Any) -> Any:
+        if next(calls) == 7:
+            raise error
+        return original(*given, **named)
+
+    monkeypatch.setattr(study._storage, step, interrupted)
+    with pytest.raises(error):
+        search(study, SPACE, bowl, settings(15))
+    again = study_in(place)
+    search(again, SPACE, bowl, settings(15))
+    assert told(again.get_trials(states=(TrialState.COMPLETE,))) == whole
+
+
+def test_an_interruption_at_the_lock_of_a_journal_comes_out_as_itself(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    study = study_in(tmp_path)
+    original = os.open
+    calls = itertools.count()
+
+    def interrupted(path: Any, *given: Any, **named: Any) -> int:
+        if str(path).endswith(".lock") and next(calls) == 50:
+            raise KeyboardInterrupt
+        return original(path, *given, **named)
+
+    monkeypatch.setattr(os, "open", interrupted)
+    with pytest.raises(KeyboardInterrupt):
+        search(study, SPACE, bowl, settings(15))
+    assert next(calls) > 50
 
 
 def test_optuna_reads_the_journal_and_copies_it_to_a_database(tmp_path: Path) -> None:
