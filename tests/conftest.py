@@ -9,8 +9,10 @@ import pytest
 from hypothesis import settings
 
 from tests.kits.calibration_kit import write_boards, write_stills
+from tests.kits.drives import write_drive
 from tests.kits.labelled_drive import write_labelled_drive
 from tests.kits.labelled_pictures import write_labelled
+from tests.kits.synthetic_road import write_place
 
 # A submission's tests must not depend on luck; elsewhere each run tries new examples.
 settings.register_profile("ci", derandomize=True, print_blob=True)
@@ -32,6 +34,27 @@ def recordings() -> Path:
     if not (folder / "rle").is_dir():
         pytest.skip(f"the paper's recordings: needs EGOLANE_DATA, {folder} has no folder rle")
     return folder
+
+
+@pytest.fixture(scope="session")
+def real_pictures() -> Path:
+    """The folder of real pictures."""
+    folder = Path(os.environ.get("EGOLANE_DATA", "")) / "camera"
+    if not os.environ.get("EGOLANE_DATA") or not folder.is_dir():
+        pytest.skip("real pictures: needs EGOLANE_DATA with a folder camera")
+    return folder
+
+
+@pytest.fixture(scope="module")
+def drive(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The experiment of a short simulated drive, its files beside it."""
+    return write_drive(tmp_path_factory.mktemp("drive"))
+
+
+@pytest.fixture(scope="module")
+def place(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A folder with drive.avi, cam.yaml and run.yaml."""
+    return write_place(tmp_path_factory.mktemp("camera"))
 
 
 @pytest.fixture

@@ -2,12 +2,11 @@ from __future__ import annotations
 
 import os
 import shutil
-import subprocess
-import sys
 from pathlib import Path
 
 import egolane_pgm
 from tests.kits.drives import write_drive
+from tests.kits.processes import ended
 
 
 def test_kernels_are_compiled_where_nothing_can_be_kept(tmp_path: Path) -> None:
@@ -24,14 +23,7 @@ def test_kernels_are_compiled_where_nothing_can_be_kept(tmp_path: Path) -> None:
     given = {k: v for k, v in os.environ.items() if k != "NUMBA_CACHE_DIR"}
     experiment = write_drive(tmp_path)
     words = ["run", experiment, "--no-figures", "--out", tmp_path / "out"]
-    ran = subprocess.run(
-        [sys.executable, "-c", "from egolane_pgm.cli.main import main; main()", *map(str, words)],
-        capture_output=True,
-        text=True,
-        check=False,
-        cwd=tmp_path,
-        env={**given, **places, "PYTHONPATH": str(copy.parent)},
-    )
+    ran = ended(*words, cwd=tmp_path, env={**given, **places, "PYTHONPATH": str(copy.parent)})
     assert ran.returncode == 0, ran.stderr
     assert ran.stderr == ""
     assert (tmp_path / "out" / "run.json").exists()

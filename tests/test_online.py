@@ -4,23 +4,21 @@ from __future__ import annotations
 
 import json
 import subprocess
-import sys
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
-from click.testing import CliRunner
 
-from egolane_pgm.cli.main import egolane
 from egolane_pgm.experiment import Experiment, load_experiment
 from egolane_pgm.online import MAX_GAP, filter_stream, parse_message
 from egolane_pgm.recordings.table import write_table
 from egolane_pgm.run import run_experiment
 from egolane_pgm.scoring.assign import assigned_lane
 from egolane_pgm.types import InputError, LineLog
-from tests.kits.drives import short_drive, write_drive
+from tests.kits.drives import command, short_drive, write_drive
+from tests.kits.processes import started
 
 GAPS = (20, 21, 22, 60)
 LINE = {"offset_m": -1.8, "is_valid": True, "is_continuous": False, "lri": 10}
@@ -111,30 +109,12 @@ def test_what_needs_the_whole_drive_is_refused_online(tmp_path: Path) -> None:
 
 
 @pytest.fixture(scope="module")
-def drive(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    return write_drive(tmp_path_factory.mktemp("drive"))
-
-
-@pytest.fixture(scope="module")
 def experiment(drive: Path) -> Experiment:
     return load_experiment(drive)
 
 
 def test_each_line_is_answered_before_the_next_is_sent(drive: Path) -> None:
-    process = subprocess.Popen(
-        [
-            sys.executable,
-            "-c",
-            "from egolane_pgm.cli.main import main; main()",
-            "online",
-            str(drive),
-        ],
-        stdin=subprocess.PIPE,
-        stdout=subprocess.PIPE,
-        stderr=subprocess.PIPE,
-        text=True,
-        bufsize=1,
-    )
+    process = started("online", drive, stdin=subprocess.PIPE, bufsize=1)
     assert process.stdin is not None
     assert process.stdout is not None
     expected = list(filter_stream(load_experiment(drive), list(messages(short_drive().log))[:5]))
@@ -152,7 +132,7 @@ def test_each_line_is_answered_before_the_next_is_sent(drive: Path) -> None:
 
 def test_a_bad_line_ends_the_stream_after_the_answers_before_it(drive: Path) -> None:
     text = "".join(list(messages(short_drive().log))[:2]) + "\n" + "oops\n"
-    ran = CliRunner().invoke(egolane, ["online", str(drive)], input=text)
+    ran = command("online", drive, given=text)
     assert ran.exit_code == 2
     assert len(ran.stdout.splitlines()) == 2
     assert ran.stderr.startswith("egolane: message 4: is not JSON")
@@ -160,20 +140,19 @@ def test_a_bad_line_ends_the_stream_after_the_answers_before_it(drive: Path) -> 
 
 
 def test_input_that_is_no_text_is_refused_in_one_line(drive: Path) -> None:
-    ran = CliRunner().invoke(egolane, ["online", str(drive)], input=b'\xff\xfe{"frame_id": 1}\n')
+    ran = command("online", drive, given=b'\xff\xfe{"frame_id": 1}\n')
     assert ran.exit_code == 2
     assert ran.stderr.startswith("egolane: message 1: is not JSON")
 
 
 def test_nothing_in_nothing_out(drive: Path) -> None:
-    ran = CliRunner().invoke(egolane, ["online", str(drive)], input="\n  \n")
+    ran = command("online", drive, given="\n  \n")
     assert (ran.exit_code, ran.output) == (0, "")
 
 
 def test_an_override_holds_online_too(drive: Path) -> None:
-    words = ["online", str(drive), "--set", "parameters.sigma1=2"]
     text = "".join(list(messages(short_drive().log))[:3])
-    ran = CliRunner().invoke(egolane, words, input=text)
+    ran = command("online", drive, "--set", "parameters.sigma1=2", given=text)
     changed = load_experiment(drive, ["parameters.sigma1=2"])
     assert [json.loads(line) for line in ran.stdout.splitlines()] == list(
         filter_stream(changed, text.splitlines())

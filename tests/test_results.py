@@ -5,8 +5,6 @@ from __future__ import annotations
 import json
 import os
 import signal
-import subprocess
-import sys
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -29,12 +27,8 @@ from egolane_pgm.results import (
 from egolane_pgm.run import Run, run_experiment, save_run
 from egolane_pgm.scoring.assign import assigned_lane
 from egolane_pgm.types import InputError
-from tests.kits.drives import contents, done, refused, write_drive
-
-
-@pytest.fixture(scope="module")
-def drive(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    return write_drive(tmp_path_factory.mktemp("drive"))
+from tests.kits.drives import contents, done, refused
+from tests.kits.processes import started
 
 
 @pytest.fixture(scope="module")
@@ -312,15 +306,12 @@ def test_check_writable_allows_new_empty_and_earlier_directories_only(tmp_path: 
 
 #: `egolane run` that stops, with everything written, right before the directory gets its name.
 STOPS = """
-import sys, time
-from pathlib import Path
-from egolane_pgm.cli.main import egolane
+import time
 import egolane_pgm.report.draw as sheet
 def draw(directory):
     print("drawing", directory, flush=True)
     time.sleep(60)
 sheet.draw_standard = draw
-egolane(sys.argv[1:], prog_name="egolane")
 """
 
 
@@ -333,12 +324,7 @@ def test_a_killed_run_leaves_no_result_and_an_earlier_one_untouched(
     if is_there:
         damaged(saved, tmp_path, lambda copy: copy.rename(result))
     before = contents(result)
-    process = subprocess.Popen(
-        [sys.executable, "-c", STOPS, "run", str(drive), "--out", str(result)],
-        stdout=subprocess.PIPE,
-        stderr=subprocess.PIPE,
-        text=True,
-    )
+    process = started("run", drive, "--out", result, first=STOPS)
     assert process.stdout is not None
     said, _, half = process.stdout.readline().strip().partition(" ")
     assert said == "drawing"

@@ -9,11 +9,9 @@ from typing import Any
 import numpy as np
 import pytest
 import yaml
-from click.testing import CliRunner
 
 from egolane_pgm import load_experiment, run_experiment
 from egolane_pgm import run as run_many
-from egolane_pgm.cli.main import egolane
 from egolane_pgm.evidence.counting import evidence as counting
 from egolane_pgm.experiment import Experiment
 from egolane_pgm.inference.filtering import filter_beliefs, read_evidence
@@ -30,6 +28,7 @@ from egolane_pgm.scoring.confusion import confusion
 from egolane_pgm.types import InputError
 from tests.kits.drives import (
     N_FRAMES,
+    command,
     done,
     refused,
     short_drive,
@@ -348,10 +347,6 @@ def experiments(tmp_path):
     return [str(path) for path in paths]
 
 
-def invoke(*arguments):
-    return CliRunner().invoke(egolane, [str(a) for a in arguments])
-
-
 def tasks(experiments, folder):
     sources = [(path, lambda path=path: load_experiment(path)) for path in experiments]
     return run_many.plan_runs(sources, folder)
@@ -360,7 +355,7 @@ def tasks(experiments, folder):
 @pytest.mark.parametrize("jobs", [1, 2])
 def test_each_run_has_its_own_result_and_one_that_fails_stops_no_other(experiments, tmp_path, jobs):
     out = tmp_path / "out"
-    found = invoke(
+    found = command(
         "run", *experiments, "--jobs", jobs, "--no-figures", "--out", out, "--json", out / "a.json"
     )
     assert found.exit_code == 1
@@ -383,7 +378,7 @@ def test_several_processes_give_what_one_gives(experiments, tmp_path):
 
 def test_all_well_is_exit_code_0(experiments, tmp_path):
     good = [experiments[0], experiments[2]]
-    found = invoke("run", *good, "--no-figures", "--out", tmp_path / "out")
+    found = command("run", *good, "--no-figures", "--out", tmp_path / "out")
     assert found.exit_code == 0
     assert "failed" not in found.output
 
@@ -391,7 +386,7 @@ def test_all_well_is_exit_code_0(experiments, tmp_path):
 def test_a_file_that_is_no_experiment_is_listed_and_the_others_run(experiments, tmp_path):
     bad = tmp_path / "bad.yaml"
     bad.write_text("name: x\nn_lane: 3\n")
-    found = invoke("run", bad, experiments[0], "--no-figures", "--out", tmp_path / "out")
+    found = command("run", bad, experiments[0], "--no-figures", "--out", tmp_path / "out")
     assert found.exit_code == 1
     assert "unknown key 'n_lane' (did you mean 'n_lanes'?)" in found.output
     assert is_result(tmp_path / "out" / "drive0")
@@ -401,7 +396,7 @@ def test_two_runs_of_one_name_are_refused_before_anything_is_run(experiments, tm
     out = tmp_path / "out"
     other = tmp_path / "other.yaml"
     other.write_text(Path(experiments[0]).read_text())
-    found = invoke("run", experiments[0], other, "--out", out)
+    found = command("run", experiments[0], other, "--out", out)
     assert found.exit_code == 2
     assert "give one of them another `name`" in found.output
     assert not out.exists()
@@ -409,20 +404,20 @@ def test_two_runs_of_one_name_are_refused_before_anything_is_run(experiments, tm
 
 def test_one_experiment_on_several_recordings(experiments, tmp_path):
     for seed in range(2):
-        invoke("simulate", "quickstart", "--seed", seed, "--out", tmp_path / f"road{seed}")
+        command("simulate", "quickstart", "--seed", seed, "--out", tmp_path / f"road{seed}")
     lines = sorted(tmp_path.glob("road*/*lines*.csv")) or sorted(tmp_path.glob("road*/*.parquet"))
     renamed = [path.rename(tmp_path / f"drive_{k}{path.suffix}") for k, path in enumerate(lines)]
     assert len(renamed) == 2
     options = [o for path in renamed for o in ("--recording", path)]
     out = tmp_path / "out"
-    found = invoke("run", experiments[0], *options, "--no-figures", "--out", out)
+    found = command("run", experiments[0], *options, "--no-figures", "--out", out)
     assert found.exit_code == 0, found.output
     assert is_result(out / "drive_0")
     assert is_result(out / "drive_1")
 
 
 def test_several_recordings_cannot_share_a_ground_truth(experiments, tmp_path):
-    found = invoke(
+    found = command(
         "run", experiments[0], "--recording", "a", "--recording", "b", "--ground-truth", "c"
     )
     assert found.exit_code == 2

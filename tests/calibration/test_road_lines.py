@@ -10,20 +10,64 @@ import numpy as np
 import pytest
 
 from egolane_pgm.calibration import road_lines
+from egolane_pgm.calibration.chessboard import calibrate_lens
 from egolane_pgm.calibration.road_lines import find_in_stills
-from egolane_pgm.calibration.straight_road import FrameFit, to_level, view_from
+from egolane_pgm.calibration.straight_road import FrameFit, assumed_camera, to_level, view_from
 from egolane_pgm.camera.model import (
+    Camera,
     distorted,
+    image_to_road,
     vanishing_point,
 )
 from egolane_pgm.camera.picture import Image
+from egolane_pgm.camera.pictures import files_matching
 from egolane_pgm.types import FloatArray, InputError
 from tests.kits.calibration_kit import TRUE, draw_road, unturned
 
 PLAIN = replace(unturned(TRUE), distortion=(0.0,) * 5)
-
-
 WHOLE = road_lines.seen_mask(PLAIN)
+SIDE = np.arange(-5, 5.0125, 0.025)
+BELOW = np.geomspace(0.04, 0.4, 120)
+
+
+def with_lines(*ends: tuple[tuple[int, int], tuple[int, int]]) -> Image:
+    image = np.full((720, 1280, 3), 60, np.uint8)
+    for one, other in ends:
+        cv2.line(image, one, other, (220, 220, 220), 5)
+    return image
+
+
+def edges_to(point: tuple[float, float], seed: int, n: int = 40, stray: int = 20) -> FloatArray:
+    """Edges that point at a point from below, and some in any direction."""
+    rng = np.random.default_rng(seed)
+    way = np.stack([rng.uniform(-1.5, 1.5, n), np.ones(n)], axis=-1)
+    near, far = (np.array(point) + way * rng.uniform(*r, (n, 1)) for r in ((0.1, 0.2), (0.3, 0.4)))
+    upper = rng.uniform((-0.5, -0.2), (0.5, 0.3), (stray, 2))
+    lower = upper + rng.uniform((-0.2, 0.02), (0.2, 0.2), (stray, 2))
+    return np.vstack([np.hstack([near, far]), np.hstack([upper, lower])])
+
+
+def fan_of(streaks: dict[float, FloatArray], seen: slice = slice(None)) -> road_lines.Fan:
+    """A fan with paint three samples wide: by its offset, where in each row it is (NaN: none)."""
+    paint = np.zeros((120, len(SIDE)))
+    for bright, places in streaks.items():
+        for row, place in enumerate(places):
+            if np.isfinite(place):
+                k = int(np.argmin(np.abs(SIDE - place)))
+                paint[row, k - 1 : k + 2] = bright
+    is_seen = np.zeros(paint.shape, dtype=bool)
+    is_seen[seen] = True
+    return road_lines.Fan(paint, is_seen, BELOW, SIDE)
+
+
+def straight(offset: float, rows: slice = slice(None)) -> FloatArray:
+    places = np.full(120, np.nan)
+    places[rows] = offset
+    return places
+
+
+def streaks(fan: road_lines.Fan) -> list[tuple[FloatArray, FloatArray]]:
+    return list(road_lines._streaks(fan))
 
 
 def test_rectangles_to_ignore_may_reach_beyond_the_picture() -> None:
@@ -32,13 +76,6 @@ def test_rectangles_to_ignore_may_reach_beyond_the_picture() -> None:
     expected = np.ones((720, 1280), dtype=bool)
     expected[:30, :200] = expected[700:, 1200:] = False
     np.testing.assert_array_equal(mask, expected)
-
-
-def with_lines(*ends: tuple[tuple[int, int], tuple[int, int]]) -> Image:
-    image = np.full((720, 1280, 3), 60, np.uint8)
-    for one, other in ends:
-        cv2.line(image, one, other, (220, 220, 220), 5)
-    return image
 
 
 def test_edges_that_may_be_lines_of_the_road_are_kept_upper_end_first() -> None:
@@ -69,16 +106,6 @@ def test_edges_vote_for_points_above_them_that_they_point_at() -> None:
     votes = road_lines._votes(points, lines)
     # Of both; below the first one and on no line; on none; of the second alone.
     np.testing.assert_allclose(votes, [lengths.sum(), 0, 0, lengths[1]], atol=1e-9)
-
-
-def edges_to(point: tuple[float, float], seed: int, n: int = 40, stray: int = 20) -> FloatArray:
-    """Edges that point at a point from below, and some in any direction."""
-    rng = np.random.default_rng(seed)
-    way = np.stack([rng.uniform(-1.5, 1.5, n), np.ones(n)], axis=-1)
-    near, far = (np.array(point) + way * rng.uniform(*r, (n, 1)) for r in ((0.1, 0.2), (0.3, 0.4)))
-    upper = rng.uniform((-0.5, -0.2), (0.5, 0.3), (stray, 2))
-    lower = upper + rng.uniform((-0.2, 0.02), (0.2, 0.2), (stray, 2))
-    return np.vstack([np.hstack([near, far]), np.hstack([upper, lower])])
 
 
 def test_the_winner_is_the_middle_of_what_is_near_to_the_best() -> None:
@@ -123,31 +150,6 @@ def test_white_and_yellow_paint_are_bright() -> None:
     assert road_lines.grey_of(colours).tolist() == [[255, 212.5, 90]]
 
 
-SIDE = np.arange(-5, 5.0125, 0.025)
-
-
-BELOW = np.geomspace(0.04, 0.4, 120)
-
-
-def fan_of(streaks: dict[float, FloatArray], seen: slice = slice(None)) -> road_lines.Fan:
-    """A fan with paint three samples wide: by its offset, where in each row it is (NaN: none)."""
-    paint = np.zeros((120, len(SIDE)))
-    for bright, places in streaks.items():
-        for row, place in enumerate(places):
-            if np.isfinite(place):
-                k = int(np.argmin(np.abs(SIDE - place)))
-                paint[row, k - 1 : k + 2] = bright
-    is_seen = np.zeros(paint.shape, dtype=bool)
-    is_seen[seen] = True
-    return road_lines.Fan(paint, is_seen, BELOW, SIDE)
-
-
-def straight(offset: float, rows: slice = slice(None)) -> FloatArray:
-    places = np.full(120, np.nan)
-    places[rows] = offset
-    return places
-
-
 def test_paint_is_much_brighter_than_its_row_scatters() -> None:
     assert road_lines.is_paint(fan_of({100.0: straight(0.0)})).sum() == 3 * 120
     assert not road_lines.is_paint(fan_of({11.0: straight(0.0)})).any()
@@ -157,10 +159,6 @@ def test_paint_is_much_brighter_than_its_row_scatters() -> None:
     assert road_lines.is_paint(rough).sum(axis=1).tolist() == [3] * 120
     rough.paint[60:] += 8.0
     assert road_lines.is_paint(rough).sum(axis=1).tolist() == [3] * 60 + [0] * 60
-
-
-def streaks(fan: road_lines.Fan) -> list[tuple[FloatArray, FloatArray]]:
-    return list(road_lines._streaks(fan))
 
 
 def test_streaks_are_the_lines_most_covered_first() -> None:
@@ -320,3 +318,40 @@ def test_edges_in_all_directions_and_blank_stills_are_refused(tmp_path):
     cv2.imwrite(str(tmp_path / "blank.png"), np.full((720, 1280, 3), 255, np.uint8))
     with pytest.raises(InputError, match="no straight edges"):
         find_in_stills(unturned(TRUE), [tmp_path / "blank.png"])
+
+
+def test_the_camera_of_the_real_chessboards_and_straight_stills(real_pictures, tmp_path):
+    folder = real_pictures / "carnd"
+    if not folder.is_dir():
+        pytest.skip("real pictures: EGOLANE_DATA has no folder camera/carnd")
+    lens = calibrate_lens(files_matching(str(folder / "camera_cal" / "*.jpg")))
+    assert (lens.fx, lens.fy) == pytest.approx((1156, 1151), abs=8)
+    assert (lens.cx, lens.cy) == pytest.approx((672, 389), abs=8)
+    assert len(lens.boards) >= 15
+    assert len(lens.boards) + len(lens.skipped) == 20
+    assert any("9x5 inner corners seen" in line for line in lens.skipped)
+    camera = Camera(
+        1280, 720, lens.fx, lens.fy, lens.cx, lens.cy, 1.0,
+        distortion=lens.distortion, ignore=((0, 670, 1280, 720),),
+    )  # fmt: skip
+    stills = files_matching(str(folder / "test_images" / "straight_lines*.jpg"))
+    found = find_in_stills(camera, stills)
+    view = view_from(camera, found.ahead, found.each, found.fits, 3.7, "stills")
+    assert view.vanishing_point == pytest.approx((639.5, 419.6), abs=3)
+    assert view.camera.height_m == pytest.approx(1.25, abs=0.03)
+    for lines in found.lines:
+        y = np.array([np.median(image_to_road(view.camera, *points.T)[1]) for points in lines])
+        width = y[y > 0].min() - y[y < 0].max()
+        assert width == pytest.approx(3.7, abs=0.1)
+
+
+def test_the_camera_of_the_real_lane_change_from_found_lines_only(real_pictures):
+    folder = real_pictures / "lane_change_right"
+    if not folder.is_dir():
+        pytest.skip("real pictures: EGOLANE_DATA has no folder camera/lane_change_right")
+    masks = ((0, 0, 692, 130), (120, 300, 400, 480), (0, 360, 692, 480))
+    camera = replace(assumed_camera(692, 480), ignore=masks)
+    found = find_in_stills(camera, files_matching(str(folder))[::5])
+    view = view_from(camera, found.ahead, found.each, found.fits, 3.5, "stills")
+    assert view.vanishing_point == pytest.approx((470, 214), abs=5)
+    assert view.camera.height_m == pytest.approx(1.2, abs=0.08)

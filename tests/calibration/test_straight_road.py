@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 
 from egolane_pgm.calibration.chessboard import Lens, _solve, calibrate_lens
+from egolane_pgm.calibration.labels import line_points, read_labels
 from egolane_pgm.calibration.straight_road import (
     FrameFit,
     RoadView,
@@ -27,14 +28,14 @@ from egolane_pgm.calibration.straight_road import (
     view_from,
     view_of_road,
 )
-from egolane_pgm.camera.model import Camera, vanishing_point
+from egolane_pgm.camera.model import (
+    Camera,
+    vanishing_point,
+)
 from egolane_pgm.types import FloatArray, InputError
 from tests.kits.calibration_kit import TRUE, lines_of, unturned
 
 PLAIN = replace(unturned(TRUE), distortion=(0.0,) * 5, lateral_m=0.25)
-
-
-# --- a camera that nobody has calibrated ---------------------------------------------------------
 
 
 @pytest.mark.parametrize("degrees", [0.0, 9.9, 150.5, 180.0, -60.0])
@@ -71,9 +72,6 @@ def test_rays_freed_of_lens_and_roll_come_back() -> None:
     across = np.array([100.0, 1200.0])
     level = to_level(only, across, only.cy + slope * (across - only.cx))
     np.testing.assert_allclose(level[:, 1], 0, atol=1e-12)
-
-
-# --- parallel lines ------------------------------------------------------------------------------
 
 
 def test_lines_meet_where_they_cross_and_parallel_ones_nowhere() -> None:
@@ -223,9 +221,6 @@ def test_the_camera_is_turned_to_where_the_lines_meet() -> None:
     assert view.camera.roll_deg == 3.0
 
 
-# --- the lens ------------------------------------------------------------------------------------
-
-
 def seen_boards(
     distortion: tuple[float, ...], noise: float, n: int = 14
 ) -> list[tuple[Path, FloatArray]]:
@@ -283,3 +278,14 @@ def test_boards_that_give_no_lens_are_refused_with_what_to_do() -> None:
 def test_boards_that_there_are_not_are_refused(board: tuple[int, int]) -> None:
     with pytest.raises(InputError, match=f"board {board[0]}x{board[1]}: needs 3x3 to 100x100"):
         calibrate_lens([], *board)
+
+
+def test_the_camera_of_the_real_labels(real_pictures):
+    if not (real_pictures / "tusimple_frames").is_dir():
+        pytest.skip("real pictures: EGOLANE_DATA has no folder camera/tusimple_frames")
+    # The last 55 stay unseen, for detectors.
+    frames = read_labels(real_pictures / "tusimple_frames" / "labels.jsonl")[:55]
+    lines = [line_points(frame) for frame in frames]
+    view = view_of_road(assumed_camera(1280, 720), lines, 3.66)
+    assert view.vanishing_point == pytest.approx((658, 236), abs=6)
+    assert view.camera.height_m == pytest.approx(1.68, abs=0.04)

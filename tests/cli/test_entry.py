@@ -14,15 +14,10 @@ from pathlib import Path
 import pytest
 
 from tests.kits.drives import write_drive
+from tests.kits.processes import started
 from tests.kits.synthetic_road import write_place
 
 pytestmark = pytest.mark.skipif(sys.platform == "win32", reason="needs signals")
-
-START = [
-    sys.executable,
-    "-c",
-    "from egolane_pgm.cli.entry import main; print('started', flush=True); main()",
-]
 
 #: An evidence rule that is never done.
 SLOW = """
@@ -56,14 +51,8 @@ def interrupt(
     words: list[object], seconds: float, out: Path, whole_group: bool, **environment: str
 ) -> None:
     """Interrupt `egolane words...` after some seconds: it ends at once, in one line, as a whole."""
-    running = subprocess.Popen(
-        [*START, *map(str, words)],
-        stdout=subprocess.PIPE,
-        stderr=subprocess.PIPE,
-        text=True,
-        start_new_session=True,
-        env={**os.environ, **environment},
-    )
+    hello = "print('started', flush=True)"
+    running = started(*words, first=hello, env={**os.environ, **environment})
     assert running.stdout is not None
     assert running.stdout.readline() == "started\n"
     time.sleep(seconds)

@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import os
-import subprocess
-import sys
 from pathlib import Path
 
 import pytest
@@ -19,13 +17,8 @@ from tests.kits.drives import (
     refused,
     write_drive,
 )
-from tests.kits.processes import EGOLANE, needs_links
+from tests.kits.processes import ended, needs_links
 from tests.kits.synthetic_road import write_place
-
-
-@pytest.fixture(scope="module")
-def drive(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    return write_drive(tmp_path_factory.mktemp("drive"))
 
 
 def test_help_names_every_command_and_version_the_version() -> None:
@@ -39,17 +32,14 @@ def test_help_names_every_command_and_version_the_version() -> None:
 
 
 def test_whoever_stops_reading_gets_no_traceback(drive: Path, tmp_path: Path) -> None:
-    program = "from egolane_pgm.cli.main import main; main()"
     reader, writer = os.pipe()
     os.close(reader)  # every write is a broken pipe
     try:
-        ran = subprocess.run(
-            [sys.executable, "-c", program, "ls"], stdout=writer, stderr=subprocess.PIPE, timeout=60
-        )
+        ran = ended("ls", stdout=writer)
     finally:
         os.close(writer)
     assert ran.returncode == 1
-    assert ran.stderr == b""
+    assert ran.stderr == ""
 
 
 def test_a_road_of_more_lanes_than_there_are_is_refused_at_once(labels: Path) -> None:
@@ -134,13 +124,7 @@ def test_output_to_a_full_disk_is_said_in_one_line(tmp_path: Path) -> None:
     path = write_drive(tmp_path)
     words = ["run", path, "--no-figures", "--out", tmp_path / "out", "--json", tmp_path / "a.json"]
     with Path("/dev/full").open("w") as full:
-        ran = subprocess.run(
-            [*EGOLANE, *map(str, words)],
-            stdout=full,
-            stderr=subprocess.PIPE,
-            text=True,
-            check=False,
-        )
+        ran = ended(*words, stdout=full)
     assert ran.returncode == 2
     assert ran.stderr == "egolane: output: No space left on device\n"
     assert is_result(tmp_path / "out")
@@ -150,12 +134,7 @@ def test_output_to_a_full_disk_is_said_in_one_line(tmp_path: Path) -> None:
 def test_environments_without_home_terminal_or_temporary_folder_will_do(tmp_path: Path) -> None:
     path = write_drive(tmp_path)
     odd = {"HOME": "/nonexistent", "TERM": "dumb", "TMPDIR": "/nonexistent", "LC_ALL": "C"}
-    ran = subprocess.run(
-        [*EGOLANE, "run", str(path), "--no-figures", "--out", str(tmp_path / "out")],
-        capture_output=True,
-        text=True,
-        check=False,
-        env={**os.environ, **odd},
-    )
+    words = ("run", path, "--no-figures", "--out", tmp_path / "out")
+    ran = ended(*words, env={**os.environ, **odd})
     assert ran.returncode == 0, ran.stderr
     assert ran.stderr == ""

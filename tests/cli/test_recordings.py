@@ -15,7 +15,7 @@ import pytest
 from egolane_pgm.recordings import catalog, read_lines
 from egolane_pgm.recordings.catalog import DataFile
 from egolane_pgm.recordings.table import write_table
-from egolane_pgm.types import LineLog
+from tests.kits.box import BOX, box_log
 from tests.kits.drives import (
     N_FRAMES,
     command,
@@ -28,30 +28,32 @@ from tests.kits.drives import (
 )
 
 
+@pytest.fixture
+def mirror(tmp_path: Path) -> Iterator[str]:
+    (tmp_path / "mirror").mkdir()
+    (tmp_path / "mirror" / "one.bag").write_bytes(b"not what it should be")
+
+    class Handler(http.server.SimpleHTTPRequestHandler):
+        def __init__(self, *args: Any, **kwargs: Any) -> None:
+            super().__init__(*args, directory=str(tmp_path / "mirror"), **kwargs)
+
+        def log_message(self, *args: object) -> None:
+            pass
+
+    server = http.server.ThreadingHTTPServer(("127.0.0.1", 0), Handler)
+    thread = threading.Thread(target=server.serve_forever)
+    thread.start()
+    yield f"http://127.0.0.1:{server.server_address[1]}"
+    server.shutdown()
+    server.server_close()
+    thread.join()
+
+
 def test_the_topic_of_a_bag_is_a_name(tmp_path: Path) -> None:
     write_table(tmp_path / "a.csv", short_drive(30).log)
     done("convert", tmp_path / "a.csv", tmp_path / "a.bag")
     said = refused("convert", tmp_path / "a.bag", tmp_path / "b.csv", "--set", "topic=5")
     assert said == f"{tmp_path / 'a.bag'}: topic: 5 is not the name of a topic"
-
-
-#: The paper's Box 1.
-BOX = """\
-Line1: isValid = 1; continuous=1; LRI: 10; offset: -9.15m
-Line2: isValid = 0; continuous=0; LRI: 09; offset: -6.47m
-Line3: isValid = 1; continuous=0; LRI: 07; offset: -2.15m
-Line4: isValid = 0; continuous=1; LRI: 00; offset: +0.99m"""
-
-
-def box_log() -> LineLog:
-    """Frame 1234 is the paper's; 1236 has no line, 1237 has two of which little is known."""
-    nan = np.nan
-    offset = np.array([[-9.15, -6.47, -2.15, 0.99, nan], [nan] * 5, [nan, 1.5, nan, nan, nan]])
-    valid = np.array([[1, 0, 1, 0, 0], [0] * 5, [0, 1, 0, 0, 0]], dtype=bool)
-    continuous = np.array([[1, 0, 0, 1, 0], [0] * 5, [0] * 5], dtype=bool)
-    lri = np.array([[10, 9, 7, 0, nan], [nan] * 5, [3, nan, nan, nan, nan]])
-    frame_id = np.array([1234, 1236, 1237])
-    return LineLog(frame_id, frame_id / 10, offset, valid, continuous, lri, source="box.csv")
 
 
 def test_the_command_prints_it_from_a_recording_and_from_an_experiment(tmp_path: Path) -> None:
@@ -65,11 +67,6 @@ def test_the_command_prints_it_from_a_recording_and_from_an_experiment(tmp_path:
     said = refused("lines", tmp_path / "box.parquet", "--frame", 1234, "--set", "n_lanes=3")
     assert said == "--set: goes with an experiment"
     assert "no such file" in refused("lines", tmp_path / "none.csv", "--frame", 1)
-
-
-@pytest.fixture(scope="module")
-def drive(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    return write_drive(tmp_path_factory.mktemp("drive"))
 
 
 def test_conversions_keep_every_line(tmp_path: Path, drive: Path) -> None:
@@ -112,14 +109,6 @@ def test_data_verify_knows_the_papers_files(recordings: Path) -> None:
     assert done("data", "verify", "--folder", recordings).stdout.startswith("12 of 12 files")
 
 
-@pytest.fixture(scope="module")
-def result(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """An earlier result, which no refused command may touch."""
-    folder = tmp_path_factory.mktemp("earlier")
-    done("run", write_drive(folder), "--no-figures", "--out", folder / "result")
-    return folder / "result"
-
-
 def test_other_commands_name_what_they_cannot_write(tmp_path: Path) -> None:
     write_drive(tmp_path, 20)
     lines = tmp_path / "lines.csv"
@@ -128,27 +117,6 @@ def test_other_commands_name_what_they_cannot_write(tmp_path: Path) -> None:
     assert "cannot be created" in refused("simulate", "--out", lines / "below")
     (tmp_path / "taken" / "experiment.yaml").mkdir(parents=True)
     assert "cannot be written" in refused("simulate", "--out", tmp_path / "taken")
-
-
-@pytest.fixture
-def mirror(tmp_path: Path) -> Iterator[str]:
-    (tmp_path / "mirror").mkdir()
-    (tmp_path / "mirror" / "one.bag").write_bytes(b"not what it should be")
-
-    class Handler(http.server.SimpleHTTPRequestHandler):
-        def __init__(self, *args: Any, **kwargs: Any) -> None:
-            super().__init__(*args, directory=str(tmp_path / "mirror"), **kwargs)
-
-        def log_message(self, *args: object) -> None:
-            pass
-
-    server = http.server.ThreadingHTTPServer(("127.0.0.1", 0), Handler)
-    thread = threading.Thread(target=server.serve_forever)
-    thread.start()
-    yield f"http://127.0.0.1:{server.server_address[1]}"
-    server.shutdown()
-    server.server_close()
-    thread.join()
 
 
 def test_a_mirror_that_sends_a_wrong_checksum_is_refused_and_a_good_file_kept(
@@ -183,3 +151,11 @@ def test_columns_that_are_ignored_are_said_in_one_plain_line(tmp_path: Path) -> 
     lines = ran.stderr.splitlines()
     assert len(lines) == 1
     assert lines[0].startswith(f"warning: {tmp_path / 'a.csv'}: ignored column(s) colour, speed")
+
+
+def test_no_file_is_counted_as_good_where_there_is_no_network(tmp_path: Path) -> None:
+    result = command("data", "fetch", "--base-url", "http://127.0.0.1:9", "--folder", tmp_path)
+    assert result.exit_code == 2
+    assert result.stdout == "0 of 12 files are there and good\n"
+    assert len(result.stderr.splitlines()) == 1
+    assert "no connection to 127.0.0.1:9 (" in result.stderr

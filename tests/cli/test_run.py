@@ -5,7 +5,6 @@ from __future__ import annotations
 import json
 import os
 import signal
-import subprocess
 import textwrap
 import time
 from collections.abc import Iterator
@@ -25,11 +24,76 @@ from tests.kits.drives import (
     contents,
     done,
     refused,
+    run_json,
     short_drive,
     write_drive,
     write_experiment,
 )
-from tests.kits.processes import EGOLANE, needs_links
+from tests.kits.processes import needs_links, started
+
+EXAMPLES = Path(__file__).parents[2] / "examples"
+
+#: An evidence rule that tells when it begins, and takes its time.
+SLOW = """
+    import time
+    from pathlib import Path
+    from egolane_pgm.evidence import counting
+    from egolane_pgm.evidence.counting import *
+    def evidence(log, *given, **named):
+        Path(log.source).with_suffix(".begun").touch()
+        if "fast" not in log.source:
+            time.sleep(60)
+        return counting.evidence(log, *given, **named)
+"""
+
+
+@pytest.fixture(scope="module")
+def result(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """An earlier result, which no refused command may touch."""
+    folder = tmp_path_factory.mktemp("earlier")
+    done("run", write_drive(folder), "--no-figures", "--out", folder / "result")
+    return folder / "result"
+
+
+@pytest.fixture
+def earlier(result: Path) -> Iterator[Path]:
+    before = contents(result.parent)
+    yield result
+    assert contents(result.parent) == before, "a refused command changed an earlier result"
+
+
+def run_on(folder: Path, recording: Path, earlier: Path, *words: object) -> str:
+    """What `egolane run` says when it refuses a recording, its result named as the earlier one."""
+    experiment = write_experiment(folder / "e.yaml", recording__path=recording.name)
+    return refused("run", experiment, "--no-figures", "--out", earlier, *words)
+
+
+def wait_for(*files: Path) -> None:
+    for _ in range(600):
+        if all(file.exists() for file in files):
+            return
+        time.sleep(0.1)
+    raise AssertionError(f"{files} did not come")
+
+
+def kept(folder: Path, recording: Path, *words: object, **changes: Any) -> tuple[list[str], Path]:
+    """The warnings of a run that ends well, and its result directory."""
+    experiment = write_experiment(
+        folder / "e.yaml", recording__path=recording.name, ground_truth=None, **changes
+    )
+    out = folder / "out"
+    words = ("--no-figures", "--out", out, *words)
+    ran = done("run", experiment, *words, "--json", folder / "out.json")
+    lines = ran.stderr.splitlines()
+    assert all(line.startswith("warning: ") for line in lines)
+    said = [line.removeprefix("warning: ") for line in lines]
+    assert json.loads((folder / "out.json").read_text())["warnings"] == said
+    assert read_result(out).run["warnings"] == said
+    return said, out
+
+
+def sensor_ok(folder: Path) -> np.ndarray:
+    return read_result(folder / "out").marginals["SensorState"][:, 0]
 
 
 def test_an_experiments_options_cannot_stand_for_its_other_keys(tmp_path: Path) -> None:
@@ -37,25 +101,8 @@ def test_an_experiments_options_cannot_stand_for_its_other_keys(tmp_path: Path) 
     assert "format table has no option 'format'" in refused("run", experiment)
 
 
-EXAMPLES = Path(__file__).parents[2] / "examples"
-
-
-@pytest.fixture(scope="module")
-def drive(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    return write_drive(tmp_path_factory.mktemp("drive"))
-
-
-def run(drive: Path, folder: Path, *words: object) -> dict[str, object]:
-    """What `--json` says of `egolane run` with these words."""
-    target = folder / "run.json"
-    done("run", drive, "--no-figures", "--out", folder / "out", "--json", target, *words)
-    content = json.loads(target.read_text())
-    assert isinstance(content, dict)
-    return content
-
-
 def test_run_writes_the_documented_json_unrounded(drive: Path, tmp_path: Path) -> None:
-    said = run(drive, tmp_path)
+    said = run_json(drive, tmp_path)
     assert set(said) == {
         "schema_version",
         "name",
@@ -97,16 +144,18 @@ def test_run_prints_scores_warnings_and_where_the_result_is(drive: Path, tmp_pat
 
 
 def test_set_overrides_keys_of_the_yaml(drive: Path, tmp_path: Path) -> None:
-    said = run(drive, tmp_path, "--set", "parameters.bonus_value=0", "--set", "filter=exact")
+    said = run_json(drive, tmp_path, "--set", "parameters.bonus_value=0", "--set", "filter=exact")
     experiment = read_result(tmp_path / "out").experiment
     assert experiment["parameters"]["bonus_value"] == 0
     assert experiment["filter"] == "exact"
-    assert said["detector"] != run(drive, tmp_path)["detector"]
+    assert said["detector"] != run_json(drive, tmp_path)["detector"]
 
 
 def test_a_recording_of_ones_own_runs_without_any_ground_truth(drive: Path, tmp_path: Path) -> None:
     recording = drive.parent / "lines.csv"
-    said = run(EXAMPLES.parent / "experiments/quickstart.yaml", tmp_path, "--recording", recording)
+    said = run_json(
+        EXAMPLES.parent / "experiments/quickstart.yaml", tmp_path, "--recording", recording
+    )
     assert not {"detector", "model"} & set(said)
     assert (said["frames"], said["frames_scored"]) == (N_FRAMES, 0)
     assert said["name"] == "lines"
@@ -123,13 +172,15 @@ def test_recording_ground_truth_and_lanes_are_taken_from_the_command_line(
 ) -> None:
     quickstart = EXAMPLES.parent / "experiments" / "quickstart.yaml"
     words = ("--recording", drive.parent / "lines.csv", "--n-lanes", "3")
-    said = run(quickstart, tmp_path, *words, "--ground-truth", drive.parent / "ground_truth.txt")
+    said = run_json(
+        quickstart, tmp_path, *words, "--ground-truth", drive.parent / "ground_truth.txt"
+    )
     experiment = yaml.safe_load((tmp_path / "out" / "experiment.yaml").read_text())
     assert experiment["n_lanes"] == said["n_lanes"] == 3
     parameters = yaml.safe_load(quickstart.read_text())["parameters"]
     sets = [word for k, v in parameters.items() for word in ("--set", f"parameters.{k}={v}")]
-    assert run(drive, tmp_path, *sets)["model"] == said["model"]
-    said = run(drive, tmp_path, "--ground-truth", "none")
+    assert run_json(drive, tmp_path, *sets)["model"] == said["model"]
+    said = run_json(drive, tmp_path, "--ground-truth", "none")
     assert "model" not in said
     assert said["name"] == "drive"
 
@@ -154,27 +205,6 @@ def test_the_examples_of_own_files_run(tmp_path: Path) -> None:
         EXAMPLES / "my_graph.py"
     ).read_bytes()
     assert result.scores["model"]["accuracy"] > result.scores["detector"]["accuracy"]
-
-
-@pytest.fixture(scope="module")
-def result(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """An earlier result, which no refused command may touch."""
-    folder = tmp_path_factory.mktemp("earlier")
-    done("run", write_drive(folder), "--no-figures", "--out", folder / "result")
-    return folder / "result"
-
-
-@pytest.fixture
-def earlier(result: Path) -> Iterator[Path]:
-    before = contents(result.parent)
-    yield result
-    assert contents(result.parent) == before, "a refused command changed an earlier result"
-
-
-def run_on(folder: Path, recording: Path, earlier: Path, *words: object) -> str:
-    """What `egolane run` says when it refuses a recording, its result named as the earlier one."""
-    experiment = write_experiment(folder / "e.yaml", recording__path=recording.name)
-    return refused("run", experiment, "--no-figures", "--out", earlier, *words)
 
 
 def test_a_file_that_is_no_bag_is_refused(tmp_path: Path, earlier: Path) -> None:
@@ -411,14 +441,6 @@ def test_a_directory_of_somebody_elses_is_not_overwritten(tmp_path: Path) -> Non
     assert contents(tmp_path) == before
 
 
-def test_no_file_is_counted_as_good_where_there_is_no_network(tmp_path: Path) -> None:
-    result = command("data", "fetch", "--base-url", "http://127.0.0.1:9", "--folder", tmp_path)
-    assert result.exit_code == 2
-    assert result.stdout == "0 of 12 files are there and good\n"
-    assert len(result.stderr.splitlines()) == 1
-    assert "no connection to 127.0.0.1:9 (" in result.stderr
-
-
 def test_a_valid_line_of_nan_is_refused_by_its_frame(tmp_path: Path) -> None:
     path = write_drive(tmp_path, 20)
     lines = (tmp_path / "lines.csv").read_text().splitlines()
@@ -430,38 +452,6 @@ def test_a_valid_line_of_nan_is_refused_by_its_frame(tmp_path: Path) -> None:
     assert result.exit_code == 2
     assert "lines.csv" in result.stderr
     assert len(result.stderr.splitlines()) == 1
-
-
-#: An evidence rule that tells when it begins, and takes its time.
-SLOW = """
-    import time
-    from pathlib import Path
-    from egolane_pgm.evidence import counting
-    from egolane_pgm.evidence.counting import *
-    def evidence(log, *given, **named):
-        Path(log.source).with_suffix(".begun").touch()
-        if "fast" not in log.source:
-            time.sleep(60)
-        return counting.evidence(log, *given, **named)
-"""
-
-
-def started(*words: object) -> subprocess.Popen[str]:
-    return subprocess.Popen(
-        [*EGOLANE, *map(str, words)],
-        stdout=subprocess.PIPE,
-        stderr=subprocess.PIPE,
-        text=True,
-        start_new_session=True,
-    )
-
-
-def wait_for(*files: Path) -> None:
-    for _ in range(600):
-        if all(file.exists() for file in files):
-            return
-        time.sleep(0.1)
-    raise AssertionError(f"{files} did not come")
 
 
 @pytest.mark.parametrize("name", ["with space", "mit Ümläut", "new\nline", "-dash", "a;b&c'd\"e"])
@@ -552,22 +542,6 @@ def test_jobs_are_at_least_one_and_never_more_than_there_is_to_do(tmp_path: Path
     assert command("run", *paths, *words).exit_code == 0
 
 
-def kept(folder: Path, recording: Path, *words: object, **changes: Any) -> tuple[list[str], Path]:
-    """The warnings of a run that ends well, and its result directory."""
-    experiment = write_experiment(
-        folder / "e.yaml", recording__path=recording.name, ground_truth=None, **changes
-    )
-    out = folder / "out"
-    words = ("--no-figures", "--out", out, *words)
-    ran = done("run", experiment, *words, "--json", folder / "out.json")
-    lines = ran.stderr.splitlines()
-    assert all(line.startswith("warning: ") for line in lines)
-    said = [line.removeprefix("warning: ") for line in lines]
-    assert json.loads((folder / "out.json").read_text())["warnings"] == said
-    assert read_result(out).run["warnings"] == said
-    return said, out
-
-
 def test_an_odd_reliability_is_used_as_recorded_and_clipped_on_request(tmp_path: Path) -> None:
     odd: list[list[Line]] = [
         [(True, False, 25, -5.0), (True, False, 10, 1.7)],
@@ -591,10 +565,6 @@ def test_an_odd_reliability_is_used_as_recorded_and_clipped_on_request(tmp_path:
     line_bag(tmp_path / "b.bag", [1, 2], same)
     kept(tmp_path, tmp_path / "b.bag")
     np.testing.assert_array_equal(sensor_ok(tmp_path), clipped)
-
-
-def sensor_ok(folder: Path) -> np.ndarray:
-    return read_result(folder / "out").marginals["SensorState"][:, 0]
 
 
 def test_absurd_offsets_of_invalid_lines_change_nothing(tmp_path: Path) -> None:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from pathlib import Path
 
 import pytest
@@ -12,6 +11,7 @@ from egolane_pgm.paper import experiments_folder, paper_experiment
 from tests.kits.drives import (
     done,
     refused,
+    run_json,
     write_drive,
     write_experiment,
 )
@@ -20,23 +20,9 @@ from tests.kits.synthetic_road import write_place
 EXAMPLES = Path(__file__).parents[2] / "examples"
 
 
-@pytest.fixture(scope="module")
-def drive(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    return write_drive(tmp_path_factory.mktemp("drive"))
-
-
-def run(drive: Path, folder: Path, *words: object) -> dict[str, object]:
-    """What `--json` says of `egolane run` with these words."""
-    target = folder / "run.json"
-    done("run", drive, "--no-figures", "--out", folder / "out", "--json", target, *words)
-    content = json.loads(target.read_text())
-    assert isinstance(content, dict)
-    return content
-
-
 def test_several_results_make_one_sheet(drive: Path, tmp_path: Path) -> None:
-    run(drive, tmp_path / "a")
-    run(drive, tmp_path / "b", "--set", "parameters.bonus_value=0", "--set", "name=b")
+    run_json(drive, tmp_path / "a")
+    run_json(drive, tmp_path / "b", "--set", "parameters.bonus_value=0", "--set", "name=b")
     (tmp_path / "b" / "out").rename(tmp_path / "b" / "none")
     shown = done("plot", tmp_path / "a/out", tmp_path / "b/none", "--out", tmp_path / "figures")
     figures = {str(Path(line).relative_to(tmp_path / "figures")) for line in shown.stdout.split()}

@@ -10,11 +10,10 @@ from typing import Any
 import numpy as np
 import pytest
 import yaml
-from click.testing import CliRunner, Result
+from click.testing import Result
 
 from egolane_pgm.camera.model import read_camera
 from egolane_pgm.camera.pictures import open_source, read_pictures
-from egolane_pgm.cli.main import egolane
 from egolane_pgm.experiment import load_experiment
 from egolane_pgm.recordings import read_lines
 from egolane_pgm.recordings.ground_truth import read_ground_truth
@@ -32,7 +31,7 @@ from tests.kits.full_disk import Usage, full_after, left
 
 
 def simulate(*words: object) -> Result:
-    return CliRunner().invoke(egolane, ["simulate", *map(str, words)])
+    return command("simulate", *words)
 
 
 @pytest.fixture(scope="module")
@@ -44,6 +43,10 @@ def drive(tmp_path_factory: pytest.TempPathFactory) -> Path:
     assert result.exit_code == 0, result.output
     assert "5 frames" in result.output
     return folder
+
+
+def rendered(*more: object) -> list[object]:
+    return ["simulate", "quickstart", "--images", *more]
 
 
 def test_pictures_of_both_cameras_are_read_back_as_rendered(drive: Path) -> None:
@@ -162,10 +165,6 @@ def test_what_has_an_option_of_its_own_is_not_set(tmp_path: Path, key: str) -> N
     said = refused("simulate", "--out", tmp_path / "drive", "--set", f"{key}=3")
     assert said == f"--set {key}: is given by an argument or option of its own"
     assert not (tmp_path / "drive").exists()
-
-
-def rendered(*more: object) -> list[object]:
-    return ["simulate", "quickstart", "--images", *more]
 
 
 def test_frames_rendered_before_the_disk_was_full_are_whole_pairs(

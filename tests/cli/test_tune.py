@@ -6,8 +6,6 @@ import csv
 import json
 import os
 import signal
-import subprocess
-import sys
 import time
 from collections import Counter
 from pathlib import Path
@@ -15,12 +13,11 @@ from pathlib import Path
 import optuna
 import pytest
 import yaml
-from click.testing import CliRunner, Result
+from click.testing import Result
 from optuna.storages import JournalStorage
 from optuna.storages.journal import JournalFileBackend
 from pyarrow import parquet
 
-from egolane_pgm.cli.main import egolane
 from egolane_pgm.experiment import load_experiment
 from egolane_pgm.files import write_yaml
 from egolane_pgm.loading import load_recording
@@ -29,8 +26,9 @@ from egolane_pgm.paper import experiments_folder
 from egolane_pgm.run import run_experiment
 from egolane_pgm.tune.plan import load_plan, make_problem
 from egolane_pgm.tune.study_directory import tuned_experiment
-from tests.kits.drives import done, refused, write_drive, write_experiment
+from tests.kits.drives import command, done, refused, write_drive, write_experiment
 from tests.kits.labelled_drive import N_LABELLED
+from tests.kits.processes import started
 from tests.kits.tuning_kit import BLOCKS, EXPERIMENTS, QUICKSTART
 
 NEEDS_DATA = pytest.mark.skipif(
@@ -39,7 +37,7 @@ NEEDS_DATA = pytest.mark.skipif(
 
 
 def tune(*words: object) -> Result:
-    return CliRunner().invoke(egolane, ["tune", *map(str, words)])
+    return command("tune", *words)
 
 
 def tune_refuses(*words: object) -> str:
@@ -48,6 +46,29 @@ def tune_refuses(*words: object) -> str:
     lines = [line for line in result.stderr.splitlines() if not line.startswith("warning:")]
     assert len(lines) == 1
     return lines[0]
+
+
+def studies_of(base: str) -> list[optuna.Study]:
+    names = optuna.get_all_study_names(base)
+    return [optuna.load_study(study_name=name, storage=base) for name in names]
+
+
+def states(journal: Path) -> Counter[str]:
+    """How many trials of a study are in each state."""
+    storage = JournalStorage(JournalFileBackend(str(journal)))
+    study = optuna.load_study(study_name="quickstart", storage=storage)
+    return Counter(t.state.name for t in study.trials)
+
+
+def write_own_graph(experiment: Path) -> Path:
+    """The experiment with a graph of its own, YAML, that has one parameter."""
+    (experiment.parent / "g.py").write_text(
+        "from egolane_pgm.graphs.lane_only import *\nfrom egolane_pgm.graphs.lane_only import"
+        " build, HIDDEN, OBSERVED, PARAMETERS\n"
+    )
+    content = yaml.safe_load(experiment.read_text())
+    experiment.write_text(yaml.safe_dump({**content, "graph": "g.py"}))
+    return experiment
 
 
 def test_a_study_ends_with_tables_a_directory_and_an_experiment_to_run(tmp_path: Path) -> None:
@@ -169,11 +190,6 @@ def test_a_database_keeps_the_study_and_those_without_a_block(tmp_path: Path) ->
     assert "holds another study" in line
 
 
-def studies_of(base: str) -> list[optuna.Study]:
-    names = optuna.get_all_study_names(base)
-    return [optuna.load_study(study_name=name, storage=base) for name in names]
-
-
 def test_the_password_of_a_storage_is_not_shown(tmp_path: Path) -> None:
     address = "nosuch://me:secret@host/base"
     line = tune_refuses(QUICKSTART, "--in-sample-only", "--out", tmp_path, "--storage", address)
@@ -225,11 +241,9 @@ def test_a_typo_in_a_tuning_file_is_named(tmp_path: Path) -> None:
 def test_the_command_itself_is_stopped_and_repeated(
     jobs: int, stop: signal.Signals, tmp_path: Path
 ) -> None:
-    words = ["tune", str(QUICKSTART), "--trials", "2500", "--blocks", str(BLOCKS), "--no-figures"]
-    words += ["--jobs", str(jobs), "--out", str(tmp_path)]
-    code = "from egolane_pgm.cli.main import main; main()"
-    command = [sys.executable, "-c", code, *words]
-    with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE) as first:
+    words = ["tune", QUICKSTART, "--trials", 2500, "--blocks", BLOCKS, "--no-figures"]
+    words += ["--jobs", jobs, "--out", tmp_path]
+    with started(*words) as first:
         journal = tmp_path / "quickstart" / "study.journal"
         deadline = time.monotonic() + 60
         while time.monotonic() < deadline:
@@ -242,7 +256,7 @@ def test_the_command_itself_is_stopped_and_repeated(
         assert time.monotonic() - begun < 5
     if stop == signal.SIGINT:
         assert first.returncode == 130
-        lines = [x for x in said.decode().splitlines() if not x.startswith("warning:")]
+        lines = [x for x in said.splitlines() if not x.startswith("warning:")]
         assert lines == [
             f"egolane: interrupted; complete trials are kept in {tmp_path / 'quickstart'};"
             " repeat the command to go on"
@@ -250,16 +264,9 @@ def test_the_command_itself_is_stopped_and_repeated(
     before = states(journal)
     assert before["COMPLETE"] > 10
     total = before["COMPLETE"] + 10
-    words = [str(QUICKSTART), "--in-sample-only", "--no-figures", "--jobs", "1"]
+    words = [QUICKSTART, "--in-sample-only", "--no-figures", "--jobs", 1]
     assert tune(*words, "--trials", total, "--out", tmp_path).exit_code == 0
     assert states(journal)["COMPLETE"] == total
-
-
-def states(journal: Path) -> Counter[str]:
-    """How many trials of a study are in each state."""
-    storage = JournalStorage(JournalFileBackend(str(journal)))
-    study = optuna.load_study(study_name="quickstart", storage=storage)
-    return Counter(t.state.name for t in study.trials)
 
 
 @pytest.mark.parametrize(
@@ -309,17 +316,6 @@ def test_a_tuned_experiment_runs_from_its_own_folder(labelled: Path, tmp_path: P
     assert tuned.recording.camera == str(labelled.parent / "cam.yaml")
     assert len(load_recording(tuned).log) == N_LABELLED
     assert prepare_model(tuned).compiled.n_states == 3
-
-
-def write_own_graph(experiment: Path) -> Path:
-    """The experiment with a graph of its own, YAML, that has one parameter."""
-    (experiment.parent / "g.py").write_text(
-        "from egolane_pgm.graphs.lane_only import *\nfrom egolane_pgm.graphs.lane_only import"
-        " build, HIDDEN, OBSERVED, PARAMETERS\n"
-    )
-    content = yaml.safe_load(experiment.read_text())
-    experiment.write_text(yaml.safe_dump({**content, "graph": "g.py"}))
-    return experiment
 
 
 def test_a_tuned_experiment_names_the_files_of_its_detector_in_full(tmp_path: Path) -> None:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import subprocess
 import sys
 import textwrap
 from collections.abc import Iterator
@@ -48,8 +47,9 @@ from tests.kits.drives import (
 )
 from tests.kits.full_disk import BLIND, Usage, drawing, full_after, left
 from tests.kits.labelled_pictures import huge_picture
+from tests.kits.processes import ended
 from tests.kits.synthetic_road import CAMERA as SMALL_CAMERA
-from tests.kits.synthetic_road import images, write_pictures, write_place
+from tests.kits.synthetic_road import images, write_pictures
 from tests.kits.synthetic_road import road as empty_road
 
 #: A detector that says the same of every picture.
@@ -76,6 +76,42 @@ def frames_of(path: Path) -> list[np.ndarray]:
         if not is_there:
             return images
         images.append(image)
+
+
+@pytest.fixture
+def drive(tmp_path: Path) -> Path:
+    """A folder with six pictures (`pictures/img_0010.png` ...), cam.yaml and fake.py."""
+    (tmp_path / "pictures").mkdir()
+    for k in range(10, 16):
+        cv2.imwrite(str(tmp_path / "pictures" / f"img_{k:04d}.png"), road())
+    write_camera(tmp_path / "cam.yaml", CAMERA)
+    write_detector(tmp_path)
+    return tmp_path
+
+
+def write_detector(folder: Path, first: str = "pass") -> None:
+    (folder / "fake.py").write_text(textwrap.dedent(DETECTOR.format(first)))
+
+
+def words(drive: Path, *more: object, n_lanes: int = 3, out: str = "out") -> list[object]:
+    given = ["--detector", drive / "fake.py", "--n-lanes", n_lanes, "-o", drive / out]
+    return ["video", drive / "pictures", "--camera", drive / "cam.yaml", *given, *more]
+
+
+def n_readable(video: Path) -> int:
+    read = cv2.VideoCapture(str(video))
+    count = 0
+    while read.grab():
+        count += 1
+    return count
+
+
+def filling(monkeypatch: pytest.MonkeyPatch, room: int) -> None:
+    """A disk that says it is full after so many questions."""
+    answers = iter([10**12] * room)
+    monkeypatch.setattr(
+        picture_files.shutil, "disk_usage", lambda _: Usage(10**12, 0, next(answers, 10**5))
+    )
 
 
 def test_a_video_has_as_many_frames_of_the_same_size(tmp_path: Path) -> None:
@@ -122,26 +158,6 @@ def test_places_that_cannot_be_written_are_refused(tmp_path: Path) -> None:
         with pytest.raises(InputError) as caught, frame_writer(target, 10, size):
             pass
         assert said in str(caught.value)
-
-
-@pytest.fixture
-def drive(tmp_path: Path) -> Path:
-    """A folder with six pictures (`pictures/img_0010.png` ...), cam.yaml and fake.py."""
-    (tmp_path / "pictures").mkdir()
-    for k in range(10, 16):
-        cv2.imwrite(str(tmp_path / "pictures" / f"img_{k:04d}.png"), road())
-    write_camera(tmp_path / "cam.yaml", CAMERA)
-    write_detector(tmp_path)
-    return tmp_path
-
-
-def write_detector(folder: Path, first: str = "pass") -> None:
-    (folder / "fake.py").write_text(textwrap.dedent(DETECTOR.format(first)))
-
-
-def words(drive: Path, *more: object, n_lanes: int = 3, out: str = "out") -> list[object]:
-    given = ["--detector", drive / "fake.py", "--n-lanes", n_lanes, "-o", drive / out]
-    return ["video", drive / "pictures", "--camera", drive / "cam.yaml", *given, *more]
 
 
 def test_the_command_draws_pictures_named_by_their_frames(drive: Path) -> None:
@@ -371,28 +387,6 @@ def test_a_picture_that_is_too_large_is_one_line_for_video_and_detect(labels: Pa
         assert not target.exists()
 
 
-def n_readable(video: Path) -> int:
-    read = cv2.VideoCapture(str(video))
-    count = 0
-    while read.grab():
-        count += 1
-    return count
-
-
-def filling(monkeypatch: pytest.MonkeyPatch, room: int) -> None:
-    """A disk that says it is full after so many questions."""
-    answers = iter([10**12] * room)
-    monkeypatch.setattr(
-        picture_files.shutil, "disk_usage", lambda _: Usage(10**12, 0, next(answers, 10**5))
-    )
-
-
-@pytest.fixture(scope="module")
-def place(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A folder with drive.avi and cam.yaml."""
-    return write_place(tmp_path_factory.mktemp("camera"), 8)
-
-
 def test_a_video_ends_well_before_the_disk_is_full(
     place: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -420,14 +414,8 @@ def test_a_video_that_cannot_be_ended_is_not_said_to_be_there(place: Path, tmp_p
     """As on a disk that another process fills, or with a quota: OpenCV says nothing, the system
     takes no more bytes and the index is missing."""
     (tmp_path / "out.mp4").write_bytes(b"an earlier one")
-    program = (
-        "import resource, sys; resource.setrlimit(resource.RLIMIT_FSIZE, (60000, 60000));"
-        "from egolane_pgm.cli.main import main; main()"
-    )
-    given = [str(word) for word in drawing(place, "video", tmp_path / "out.mp4")]
-    ran = subprocess.run(
-        [sys.executable, "-c", program, *given], capture_output=True, text=True, check=False
-    )
+    limit = "import resource; resource.setrlimit(resource.RLIMIT_FSIZE, (60000, 60000))"
+    ran = ended(*drawing(place, "video", tmp_path / "out.mp4"), first=limit)
     assert ran.returncode == 2, ran.stderr
     lines = ran.stderr.splitlines()
     assert len(lines) == 1, lines

@@ -5,9 +5,7 @@ import json
 import numpy as np
 import pytest
 import yaml
-from click.testing import CliRunner
 
-from egolane_pgm.cli.main import egolane
 from egolane_pgm.compare.saving import folder_of
 from egolane_pgm.experiment import load_experiment
 from egolane_pgm.model import prepare_model
@@ -15,6 +13,7 @@ from egolane_pgm.results import read_result
 from egolane_pgm.scoring.health import detector_errors, doubt, roc_auc
 from egolane_pgm.scoring.summary import score_with_intervals
 from egolane_pgm.types import LaneTruth
+from tests.kits.drives import command
 
 
 @pytest.fixture
@@ -33,15 +32,11 @@ def experiments(tmp_path):
     return paths
 
 
-def invoke(*arguments):
-    return CliRunner().invoke(egolane, [str(a) for a in arguments])
-
-
 def test_each_recording_has_its_own_directory_and_each_experiment_in_it_a_result(
     experiments, tmp_path
 ):
     out = tmp_path / "out"
-    found = invoke("compare", *experiments[:3], "--out", out, "--json", tmp_path / "all.json")
+    found = command("compare", *experiments[:3], "--out", out, "--json", tmp_path / "all.json")
     assert found.exit_code == 0, found.output
     folders = sorted(path.name for path in out.iterdir())
     assert folders == ["quickstart_seed_1", "quickstart_seed_2"]
@@ -61,7 +56,7 @@ def test_what_is_said_of_the_detectors_health_can_be_computed_from_the_result(
     experiments, tmp_path
 ):
     out = tmp_path / "out"
-    assert invoke("compare", *experiments[:2], "--health", "--out", out).exit_code == 0
+    assert command("compare", *experiments[:2], "--health", "--out", out).exit_code == 0
     folder = out / "quickstart_seed_1"
     entry = json.loads((folder / "comparison.json").read_text())["experiments"][0]
     result = read_result(folder / "paper")
@@ -83,7 +78,7 @@ def test_what_is_said_of_the_detectors_health_can_be_computed_from_the_result(
 
 def test_the_experiment_in_a_result_can_be_run_again(experiments, tmp_path):
     out = tmp_path / "out"
-    assert invoke("compare", experiments[0], experiments[1], "--out", out).exit_code == 0
+    assert command("compare", experiments[0], experiments[1], "--out", out).exit_code == 0
     kept = yaml.safe_load((out / "quickstart_seed_1/plain/experiment.yaml").read_text())
     assert kept["graph"] == "lane_only"
     again = load_experiment(out / "quickstart_seed_1/plain/experiment.yaml")
@@ -93,7 +88,7 @@ def test_the_experiment_in_a_result_can_be_run_again(experiments, tmp_path):
 @pytest.mark.parametrize("jobs", [1, 2])
 def test_a_recording_that_fails_is_listed_and_the_others_are_compared(experiments, tmp_path, jobs):
     file = tmp_path / "all.json"
-    found = invoke("compare", *experiments, "--jobs", jobs, "--json", file)
+    found = command("compare", *experiments, "--jobs", jobs, "--json", file)
     assert found.exit_code == 1
     assert "failed: gone: " in found.output
     assert "gone.bag: no such file" in found.output
@@ -106,7 +101,7 @@ def test_a_recording_that_fails_is_listed_and_the_others_are_compared(experiment
 
 
 def test_where_every_recording_fails_the_first_reason_is_the_one_line(experiments):
-    found = invoke("compare", experiments[3])
+    found = command("compare", experiments[3])
     assert found.exit_code == 2
     assert found.output.count("\n") == 1
     assert "gone.bag: no such file" in found.output

@@ -4,11 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
 
 from egolane_pgm.evidence import counting, counting_levels
-from egolane_pgm.evidence.counting_levels import level_evidence
 from egolane_pgm.graphs.wor_levels import binomial
 from egolane_pgm.inference.compile import Compiled, compile_network
 from egolane_pgm.inference.filtering import filter_beliefs
@@ -91,34 +88,6 @@ def test_the_level_given_the_sensor_state_is_binomial() -> None:
     np.testing.assert_allclose(binomial(0.8, 3), [0.64, 0.32, 0.04])
     np.testing.assert_array_equal(binomial(1.0, 4), [1, 0, 0, 0])
     np.testing.assert_array_equal(binomial(0.0, 4), [0, 0, 0, 1])
-
-
-@settings(max_examples=50, deadline=None)
-@given(s=st.lists(st.floats(0, 1), min_size=1, max_size=20), levels=st.integers(2, 9))
-def test_levels_of_evidence_sum_to_one_and_keep_the_reliability(
-    s: list[float], levels: int
-) -> None:
-    reliability = np.array(s)
-    linear = level_evidence(reliability, levels, "linear")
-    assert (linear >= 0).all()
-    np.testing.assert_allclose(linear.sum(axis=1), 1, atol=1e-12)
-    stands_for = 1 - np.arange(levels) / (levels - 1)
-    np.testing.assert_allclose(linear @ stands_for, reliability, atol=1e-12)
-    hot = level_evidence(reliability, levels, "one_hot")
-    assert ((hot == 0) | (hot == 1)).all()
-    centre = 1 - (np.arange(levels) + 0.5) / levels
-    assert (np.abs(hot @ centre - reliability) <= 0.5 / levels + 1e-12).all()
-    np.testing.assert_array_equal(hot.sum(axis=1), 1)
-
-
-def test_levels_of_a_frame_without_a_line_say_nothing_where_that_is_wanted() -> None:
-    log = simulate("quickstart", seed=0, frames=20).log
-    log.is_valid[3] = False
-    given = {"no_valid_line": "ignore", "wor_levels": 5, "level_evidence": "one_hot"}
-    parameters = resolve_parameters(counting_levels.PARAMETERS, given, 4)
-    wor = counting_levels.evidence(log, 4, parameters).likelihoods["WOR"]
-    np.testing.assert_array_equal(wor[3], np.full(5, 0.2))
-    assert set(np.unique(wor[:3])) == {0.0, 1.0}
 
 
 def test_an_experiment_with_levels_runs_and_one_with_the_wrong_rule_is_refused(tmp_path) -> None:  # type: ignore[no-untyped-def]

@@ -7,7 +7,6 @@ from pathlib import Path
 
 import cv2
 import numpy as np
-from click.testing import CliRunner
 from hypothesis import strategies as st
 
 from egolane_pgm.camera.model import (
@@ -16,7 +15,7 @@ from egolane_pgm.camera.model import (
     road_to_image,
     undistorted,
 )
-from egolane_pgm.cli.main import egolane
+from tests.kits.drives import command
 
 LENS = (-0.25, 0.02, -0.0006, 0.0002, 0.0)
 TRUE = Camera(
@@ -95,7 +94,7 @@ def draw_road(camera: Camera, offsets, heading=0.0, seed=0):
 
 
 def calibrate(*arguments):
-    return CliRunner().invoke(egolane, ["calibrate", *map(str, arguments)])
+    return command("calibrate", *arguments)
 
 
 def write_labels(path: Path, camera: Camera, n_frames=4, offsets=(-5.4, -1.8, 1.8, 5.4)):

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import functools
+import json
 from pathlib import Path
 from typing import Any
 
@@ -53,9 +54,9 @@ def write_experiment(path: Path, **changes: Any) -> Path:
     return path
 
 
-def command(*words: object) -> Result:
-    """`egolane words...`, which must not end in a traceback."""
-    result = CliRunner().invoke(egolane, [str(word) for word in words])
+def command(*words: object, given: str | bytes | None = None) -> Result:
+    """`egolane words...`, which must not end in a traceback. given: what it reads as input."""
+    result = CliRunner().invoke(egolane, [str(word) for word in words], input=given)
     if result.exception is not None and not isinstance(result.exception, SystemExit):
         raise result.exception
     return result
@@ -66,6 +67,15 @@ def done(*words: object) -> Result:
     result = command(*words)
     assert result.exit_code == 0, result.output
     return result
+
+
+def run_json(drive: Path, folder: Path, *words: object) -> dict[str, object]:
+    """What `--json` says of `egolane run` with these words."""
+    target = folder / "run.json"
+    done("run", drive, "--no-figures", "--out", folder / "out", "--json", target, *words)
+    content = json.loads(target.read_text())
+    assert isinstance(content, dict)
+    return content
 
 
 def refused(*words: object) -> str:

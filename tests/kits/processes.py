@@ -1,12 +1,28 @@
-"""Commands in processes of their own."""
+"""The command line in a process of its own, for signals, pipes and environments."""
 
 from __future__ import annotations
 
+import subprocess
 import sys
+from typing import Any
 
 import pytest
 
-EGOLANE = [sys.executable, "-c", "from egolane_pgm.cli.main import main; main()"]
-
-
 needs_links = pytest.mark.skipif(sys.platform == "win32", reason="needs links and signals")
+
+
+def started(*words: object, first: str = "", **options: Any) -> subprocess.Popen[str]:
+    """`egolane words...` begun. first: Python that runs before it; options: of Popen."""
+    program = f"{first}\nfrom egolane_pgm.cli.entry import main\nmain()"
+    pipes = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE}
+    return subprocess.Popen(
+        [sys.executable, "-c", program, *map(str, words)],
+        **{**pipes, "text": True, "start_new_session": True, **options},
+    )
+
+
+def ended(*words: object, **options: Any) -> subprocess.CompletedProcess[str]:
+    """`egolane words...` when it has ended; as `started`."""
+    with started(*words, **options) as process:
+        out, error = process.communicate(timeout=120)
+    return subprocess.CompletedProcess(process.args, process.returncode, out, error)

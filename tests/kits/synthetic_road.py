@@ -17,6 +17,9 @@ from egolane_pgm.camera.picture import Image, Picture
 CAMERA = Camera(480, 270, 390.0, 390.0, 239.5, 134.5, height_m=1.4, pitch_deg=-4.0)
 PAIR = replace(CAMERA, baseline_m=0.4)
 
+#: Pictures in the folder of `write_place`.
+N_FRAMES = 16
+
 
 @dataclass(frozen=True)
 class Paint:
@@ -106,7 +109,7 @@ def images(n: int) -> list[Image]:
     return [picture.image for picture in drive(n)]
 
 
-def write_place(folder: Path, n_frames: int) -> Path:
+def write_place(folder: Path, n_frames: int = N_FRAMES) -> Path:
     """drive.avi, cam.yaml and run.yaml in a folder."""
     write_video(folder / "drive.avi", images(n_frames))
     write_camera(folder / "cam.yaml", CAMERA)

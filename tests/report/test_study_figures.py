@@ -10,15 +10,14 @@ from typing import Any
 import numpy as np
 import pyarrow as pa
 import pytest
-from click.testing import CliRunner
 from pyarrow import parquet
 
-from egolane_pgm.cli.main import egolane
 from egolane_pgm.paper import load_published
 from egolane_pgm.report import study_figures as tuning
 from egolane_pgm.report import study_trials as numbers
 from egolane_pgm.scoring.confusion import is_maximised
 from egolane_pgm.types import InputError
+from tests.kits.drives import done, refused
 
 SCORES = [0.5, 0.8, 0.796, 0.7, 0.795, None, 0.8]
 COLUMNS: dict[str, list[Any]] = {
@@ -159,26 +158,21 @@ def test_few_trials_get_no_importances_and_no_pairs(tmp_path: Path) -> None:
 
 def test_tune_draws_what_plot_draws_again(tmp_path: Path) -> None:
     quickstart = Path(__file__).parents[2] / "experiments" / "quickstart.yaml"
-    words = ["tune", str(quickstart), "--in-sample-only", "--trials", "30", "--jobs", "1", "--out"]
-    invoke = CliRunner().invoke
-    assert invoke(egolane, [*words, str(tmp_path / "a")]).exit_code == 0
-    assert invoke(egolane, [*words, str(tmp_path / "b"), "--no-figures"]).exit_code == 0
+    words = ["tune", quickstart, "--in-sample-only", "--trials", 30, "--jobs", 1, "--out"]
+    done(*words, tmp_path / "a")
+    done(*words, tmp_path / "b", "--no-figures")
     study = tmp_path / "a" / "quickstart"
     names = {f"{n}.png" for n in ("history", "slices", "flatness", "importances", "pairs")}
     assert {f.name for f in (study / "figures").iterdir()} == names
     assert not (tmp_path / "b" / "quickstart" / "figures").exists()
-    result = invoke(egolane, ["plot", str(study), "--out", str(tmp_path / "c")])
-    assert result.exit_code == 0, result.output
+    done("plot", study, "--out", tmp_path / "c")
     for name in names:
         again = (tmp_path / "c" / name).read_bytes()
         assert again == (study / "figures" / name).read_bytes()
 
 
 def test_frames_cannot_be_chosen_for_a_study(tmp_path: Path) -> None:
-    study = str(write_study(tmp_path))
-    result = CliRunner().invoke(egolane, ["plot", study, "--frames", "1", "2"])
-    assert result.exit_code != 0
-    assert "--frames: " in result.output
+    assert "--frames: " in refused("plot", write_study(tmp_path), "--frames", 1, 2)
 
 
 def test_a_directory_without_a_study_is_refused(tmp_path: Path) -> None:

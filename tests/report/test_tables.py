@@ -15,12 +15,11 @@ from egolane_pgm.experiment import Experiment
 from egolane_pgm.report import tables
 from egolane_pgm.report.tables import box_text
 from egolane_pgm.scoring.summary import score_all
-from egolane_pgm.types import InputError, LineLog
+from egolane_pgm.types import InputError
+from tests.kits.box import BOX, box_log
 from tests.kits.drives import short_drive
 
 HEADER = ["run", "score & co_1"]
-
-
 ROWS = [["1", "50%"], ["two", "#{x}"]]
 
 
@@ -139,25 +138,6 @@ def test_the_nearest_frame_is_named_in_a_gap() -> None:
     with pytest.raises(InputError, match=f"the nearest is {int(log.frame_id[2])} "):
         box_text(log, int(log.frame_id[2]) - 1)
     assert box_text(log, int(log.frame_id[2])).startswith("Line1: ")
-
-
-#: The paper's Box 1.
-BOX = """\
-Line1: isValid = 1; continuous=1; LRI: 10; offset: -9.15m
-Line2: isValid = 0; continuous=0; LRI: 09; offset: -6.47m
-Line3: isValid = 1; continuous=0; LRI: 07; offset: -2.15m
-Line4: isValid = 0; continuous=1; LRI: 00; offset: +0.99m"""
-
-
-def box_log() -> LineLog:
-    """Frame 1234 is the paper's; 1236 has no line, 1237 has two of which little is known."""
-    nan = np.nan
-    offset = np.array([[-9.15, -6.47, -2.15, 0.99, nan], [nan] * 5, [nan, 1.5, nan, nan, nan]])
-    valid = np.array([[1, 0, 1, 0, 0], [0] * 5, [0, 1, 0, 0, 0]], dtype=bool)
-    continuous = np.array([[1, 0, 0, 1, 0], [0] * 5, [0] * 5], dtype=bool)
-    lri = np.array([[10, 9, 7, 0, nan], [nan] * 5, [3, nan, nan, nan, nan]])
-    frame_id = np.array([1234, 1236, 1237])
-    return LineLog(frame_id, frame_id / 10, offset, valid, continuous, lri, source="box.csv")
 
 
 def test_the_papers_box_is_printed_as_in_the_paper() -> None:

@@ -3,18 +3,13 @@
 from __future__ import annotations
 
 import itertools
-from collections.abc import Iterator
 from dataclasses import fields, replace
-from types import ModuleType
 
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from egolane_pgm.camera.model import Camera
-from egolane_pgm.detectors import FrameLines
-from egolane_pgm.detectors import runner as _drive
 from egolane_pgm.detectors.simple.parameters import TRACKING
 from egolane_pgm.detectors.simple.tracking import (
     Rules,
@@ -27,7 +22,7 @@ from egolane_pgm.detectors.simple.tracking import (
     rules,
 )
 from egolane_pgm.parameters import resolve_parameters
-from egolane_pgm.types import FloatArray, InputError
+from egolane_pgm.types import FloatArray
 
 NOTHING = np.zeros((0, 4)), np.zeros(0)
 
@@ -419,39 +414,6 @@ def test_a_line_beyond_one_that_is_seen_as_often_bounds_nothing_though_neither_i
     assert not tracks.is_valid.any()
 
 
-def lines(count: int, lri: float = 1.0) -> FrameLines:
-    flags = np.zeros(count, dtype=bool)
-    return FrameLines(at(*np.arange(count) * 3.5), flags, flags, np.full(count, lri))
-
-
-@pytest.mark.parametrize("reason", [KeyboardInterrupt(), InputError("picture 4: is torn")])
-def test_what_was_detected_before_a_drive_ends_early_is_kept(reason: BaseException) -> None:
-    def frames() -> Iterator[tuple[int, FrameLines]]:
-        for frame_id in (3, 4, 6):
-            yield frame_id, lines(2)
-        raise reason
-
-    found = _drive.collect(frames(), 10.0, "here")
-    assert found.stopped is reason
-    assert found.log is not None
-    assert found.log.frame_id.tolist() == [3, 4, 6]
-
-
-def test_a_long_drive_is_packed_in_pieces_and_whole(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(_drive, "_PACK", 4)
-    found = _drive.collect(((k, lines(1 + k % 3)) for k in range(10)), 10.0, "here")
-    assert found.stopped is None
-    assert found.log is not None
-    assert found.log.frame_id.tolist() == list(range(10))
-    assert np.isfinite(found.log.offset_m).sum(axis=1).tolist() == [1 + k % 3 for k in range(10)]
-
-
-def test_a_count_of_detections_is_not_negative() -> None:
-    _drive._check(lines(2, 0.0), "here")
-    with pytest.raises(InputError, match="here: a line's lri is not a count of detections"):
-        _drive._check(lines(2, -1.0), "here")
-
-
 def test_straight_lines_have_no_curvature_however_they_wander() -> None:
     rng = np.random.default_rng(0)
     frames = [
@@ -467,21 +429,3 @@ def test_lines_are_expected_where_the_steady_motion_takes_them() -> None:
     np.testing.assert_allclose(expected(tracks)[:, 0], np.array([-1.8, 1.8]) + 1.5, atol=0.03)
     order = np.argsort(tracks.mean[:, 0])
     np.testing.assert_array_equal(expected(tracks), tracks.mean[order] + tracks.motion)
-
-
-def test_a_stereo_detector_needs_two_cameras_and_how_far_they_are_apart() -> None:
-    one = Camera(width=640, height=360, fx=500, fy=500, cx=320, cy=180, height_m=1.5)
-    for is_stereo in (False, True):
-        module = ModuleType("mine")
-        module.STEREO = is_stereo  # type: ignore[attr-defined]
-        detector = _drive.Detector("mine", module, {}, "recording.detector")
-        if not is_stereo:
-            _drive.check_pair(detector, one, False, "here")
-            with pytest.raises(InputError, match="here: detector mine looks at one camera only"):
-                _drive.check_pair(detector, one, True, "here")
-            continue
-        with pytest.raises(InputError, match="here: detector mine needs the pictures of a second"):
-            _drive.check_pair(detector, replace(one, baseline_m=0.5), False, "here")
-        with pytest.raises(InputError, match="baseline_m of the camera"):
-            _drive.check_pair(detector, one, True, "here")
-        _drive.check_pair(detector, replace(one, baseline_m=0.5), True, "here")

@@ -3,22 +3,44 @@ contract: they give lines, or one line of text that says what is wrong."""
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
+from types import ModuleType
 from typing import Any
 
 import numpy as np
 import pytest
 
+from egolane_pgm.camera.model import Camera
 from egolane_pgm.camera.picture import Picture
-from egolane_pgm.detectors import FrameLines, ml, sl
+from egolane_pgm.detectors import FrameLines, ml, runner, sl
 from egolane_pgm.detectors.runner import detect, find_detector
 from egolane_pgm.detectors.simple.fit import find_lines, view_for
 from egolane_pgm.parameters import Parameter, resolve_parameters
 from egolane_pgm.types import InputError
 from tests.kits.drives import command, refused
-from tests.kits.synthetic_road import CAMERA, PAIR, drive, images, write_pictures, write_place
+from tests.kits.synthetic_road import CAMERA, PAIR, drive, images, write_pictures
 
 ONLY_STEREO = tuple(p for p in sl.PARAMETERS if p not in ml.PARAMETERS)
+
+GOOD: dict[str, Any] = {
+    "shape": np.zeros((1, 4)),
+    "is_valid": np.ones(1, dtype=bool),
+    "is_continuous": np.ones(1, dtype=bool),
+    "lri": np.ones(1),
+}
+
+OWN = """
+import numpy as np
+from egolane_pgm.detectors import FrameLines
+STEREO = False
+{more}
+def start(camera, parameters):
+    def step(picture):
+        return FrameLines(np.zeros((1, 4)), np.ones(1, bool), np.ones(1, bool), np.array([{lri}]))
+    return step
+"""
 
 
 def ends(spec: Parameter) -> list[Any]:
@@ -41,6 +63,12 @@ def one_line(name: str, given: dict[str, Any]) -> None:
         said = str(error)
     assert "\n" not in said
     assert len(said) < 400
+
+
+def lines(count: int, lri: float = 1.0) -> FrameLines:
+    shape, flags = np.zeros((count, 4)), np.zeros(count, dtype=bool)
+    shape[:, 0] = 3.5 * np.arange(count)
+    return FrameLines(shape, flags, flags, np.full(count, lri))
 
 
 @pytest.mark.filterwarnings("ignore")
@@ -92,16 +120,6 @@ def test_two_cameras_that_see_nothing_find_no_lines(grey: int) -> None:
     assert [len(found.lri) for _, found in detect(detector, PAIR, pictures)] == [0, 0, 0]
 
 
-# --- own detectors -------------------------------------------------------------------------------
-
-GOOD: dict[str, Any] = {
-    "shape": np.zeros((1, 4)),
-    "is_valid": np.ones(1, dtype=bool),
-    "is_continuous": np.ones(1, dtype=bool),
-    "lri": np.ones(1),
-}
-
-
 @pytest.mark.parametrize(
     ("name", "value", "said"),
     [
@@ -119,23 +137,6 @@ def test_lines_of_another_kind_are_refused(name: str, value: Any, said: str) -> 
     FrameLines(**GOOD)
     with pytest.raises(InputError, match=f"^lines: {said}"):
         FrameLines(**{**GOOD, name: value})
-
-
-OWN = """
-import numpy as np
-from egolane_pgm.detectors import FrameLines
-STEREO = False
-{more}
-def start(camera, parameters):
-    def step(picture):
-        return FrameLines(np.zeros((1, 4)), np.ones(1, bool), np.ones(1, bool), np.array([{lri}]))
-    return step
-"""
-
-
-@pytest.fixture(scope="module")
-def place(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    return write_place(tmp_path_factory.mktemp("limits"), 4)
 
 
 @pytest.mark.parametrize(
@@ -193,3 +194,49 @@ def test_a_run_that_a_picture_stops_says_how_to_keep_the_lines_before(
     (folder / "0.png").write_bytes(b"no picture")
     # Nothing came before.
     assert command(*words).stderr.rstrip().endswith("0.png: is no picture that can be read")
+
+
+@pytest.mark.parametrize("reason", [KeyboardInterrupt(), InputError("picture 4: is torn")])
+def test_what_was_detected_before_a_drive_ends_early_is_kept(reason: BaseException) -> None:
+    def frames() -> Iterator[tuple[int, FrameLines]]:
+        for frame_id in (3, 4, 6):
+            yield frame_id, lines(2)
+        raise reason
+
+    found = runner.collect(frames(), 10.0, "here")
+    assert found.stopped is reason
+    assert found.log is not None
+    assert found.log.frame_id.tolist() == [3, 4, 6]
+
+
+def test_a_long_drive_is_packed_in_pieces_and_whole(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(runner, "_PACK", 4)
+    found = runner.collect(((k, lines(1 + k % 3)) for k in range(10)), 10.0, "here")
+    assert found.stopped is None
+    assert found.log is not None
+    assert found.log.frame_id.tolist() == list(range(10))
+    assert np.isfinite(found.log.offset_m).sum(axis=1).tolist() == [1 + k % 3 for k in range(10)]
+
+
+def test_a_count_of_detections_is_not_negative() -> None:
+    runner._check(lines(2, 0.0), "here")
+    with pytest.raises(InputError, match="here: a line's lri is not a count of detections"):
+        runner._check(lines(2, -1.0), "here")
+
+
+def test_a_stereo_detector_needs_two_cameras_and_how_far_they_are_apart() -> None:
+    one = Camera(width=640, height=360, fx=500, fy=500, cx=320, cy=180, height_m=1.5)
+    for is_stereo in (False, True):
+        module = ModuleType("mine")
+        module.STEREO = is_stereo  # type: ignore[attr-defined]
+        detector = runner.Detector("mine", module, {}, "recording.detector")
+        if not is_stereo:
+            runner.check_pair(detector, one, False, "here")
+            with pytest.raises(InputError, match="here: detector mine looks at one camera only"):
+                runner.check_pair(detector, one, True, "here")
+            continue
+        with pytest.raises(InputError, match="here: detector mine needs the pictures of a second"):
+            runner.check_pair(detector, replace(one, baseline_m=0.5), False, "here")
+        with pytest.raises(InputError, match="baseline_m of the camera"):
+            runner.check_pair(detector, one, True, "here")
+        runner.check_pair(detector, replace(one, baseline_m=0.5), True, "here")
