@@ -7,14 +7,13 @@ from typing import Any
 
 import numpy as np
 import pytest
-import yaml
 
 from egolane_pgm.experiment import Experiment, load_experiment
 from egolane_pgm.loading import with_recording
 from egolane_pgm.recordings.table import write_table
 from egolane_pgm.results import read_result
 from egolane_pgm.types import InputError
-from tests.kits.drives import done, refused, short_drive
+from tests.kits.drives import done, refused, rewritten, short_drive
 from tests.kits.synthetic_road import images, write_pictures, write_place, write_video
 
 N_FRAMES = 6
@@ -29,10 +28,9 @@ def place(tmp_path: Path) -> Path:
 
 
 def seen(place: Path, **recording: Any) -> Experiment:
-    content = yaml.safe_load((place / "run.yaml").read_text())
-    content["recording"] |= {"detector_parameters": {"lri_frames": 7}, **recording}
-    (place / "seen.yaml").write_text(yaml.safe_dump(content))
-    return load_experiment(place / "seen.yaml")
+    changes = {f"recording__{key}": value for key, value in recording.items()}
+    parameters = {"recording__detector_parameters__lri_frames": 7, **changes}
+    return load_experiment(rewritten(place / "run.yaml", place / "seen.yaml", **parameters))
 
 
 def taken(experiment: Experiment, recording: object, detector: str | None = None) -> Any:

@@ -8,7 +8,6 @@ from typing import Any
 
 import numpy as np
 import pytest
-import yaml
 
 from egolane_pgm import load_experiment, run_experiment
 from egolane_pgm import run as run_many
@@ -331,20 +330,19 @@ def evidence(*given, **named):
 @pytest.fixture
 def experiments(tmp_path):
     """Three simulated drives and one whose recording is not there."""
-    paths = []
-    for seed in range(3):
-        content = {
-            "name": f"drive{seed}",
-            "recording": {"simulate": "quickstart", "seed": seed},
-            "n_lanes": 3,
-            "tuned_on": "not_tuned",
-        }
-        paths.append(tmp_path / f"drive{seed}.yaml")
-        paths[-1].write_text(yaml.safe_dump(content))
-    content = {"name": "gone", "recording": {"path": "gone.bag"}, "n_lanes": 3}
-    paths.insert(1, tmp_path / "gone.yaml")
-    paths[1].write_text(yaml.safe_dump(content))
-    return [str(path) for path in paths]
+    recordings = {f"drive{k}": {"simulate": "quickstart", "seed": k} for k in range(3)}
+    recordings["gone"] = {"path": "gone.bag"}
+    return [
+        str(
+            write_experiment(
+                tmp_path / f"{name}.yaml",
+                name=name,
+                recording=recordings[name],
+                ground_truth=None,
+            )
+        )
+        for name in ("drive0", "gone", "drive1", "drive2")
+    ]
 
 
 def tasks(experiments, folder):

@@ -23,7 +23,7 @@ from egolane_pgm.loading import check_sources, load_recording, with_recording
 from egolane_pgm.recordings import read_lines
 from egolane_pgm.run import run_experiment, save_run
 from egolane_pgm.types import InputError
-from tests.kits.drives import command, done, refused
+from tests.kits.drives import command, done, refused, rewritten, write_experiment
 from tests.kits.full_disk import BLIND, drawing
 from tests.kits.processes import started
 from tests.kits.synthetic_road import (
@@ -163,9 +163,7 @@ def test_run_takes_a_video_and_keeps_what_it_needs_to_run_again(
 
 
 def test_run_on_another_video_by_options(place: Path, tmp_path: Path) -> None:
-    (tmp_path / "x.yaml").write_text(
-        yaml.safe_dump({"name": "x", "recording": {"simulate": "quickstart"}, "n_lanes": 3})
-    )
+    write_experiment(tmp_path / "x.yaml", recording={"simulate": "quickstart"}, ground_truth=None)
     out = tmp_path / "out"
     words = ["--recording", place / "drive.avi", "--camera", place / "cam.yaml"]
     words += ["--detector", "mc", "--n-lanes", 2, "--no-figures", "--out", out]
@@ -185,14 +183,13 @@ def test_another_video_of_the_same_kind_keeps_camera_and_detector(place: Path) -
 
 def test_a_folder_of_pictures_has_one_checksum(place: Path, tmp_path: Path) -> None:
     folder = write_pictures(tmp_path / "pictures", images(3))
-    content = yaml.safe_load((place / "run.yaml").read_text())
-    content["recording"] = {
+    recording = {
         "path": "pictures",
         "camera": str(place / "cam.yaml"),
         "detector": str(Path(__file__).parents[2] / "examples/my_detector.py"),
         "frames": [1, 3],
     }
-    (tmp_path / "run.yaml").write_text(yaml.safe_dump(content))
+    rewritten(place / "run.yaml", tmp_path / "run.yaml", recording=recording)
     first = run_experiment(tmp_path / "run.yaml")
     assert first.recorded.log.frame_id.tolist() == [1, 2]
     save_run(first, tmp_path / "out")

@@ -16,7 +16,7 @@ from egolane_pgm.learn import output
 from egolane_pgm.loading import load_recording
 from egolane_pgm.recordings.ground_truth import write_ground_truth
 from egolane_pgm.types import LaneTruth
-from tests.kits.drives import command, contents, done, refused, write_drive
+from tests.kits.drives import command, contents, done, refused, rewritten, write_drive
 from tests.kits.synthetic_road import write_place
 
 
@@ -112,8 +112,7 @@ def test_a_videos_own_frame_rate_counts_wherever_it_is_scored(tmp_path: Path) ->
     lane, is_crossing = np.full(12, 2), np.zeros(12, dtype=bool)
     write_ground_truth(folder / "t.txt", LaneTruth(np.arange(12), lane, is_crossing))
     path = folder / "run.yaml"
-    truth = {"ground_truth": {"path": "t.txt"}, "graph": "lane_only"}
-    path.write_text(yaml.safe_dump({**yaml.safe_load(path.read_text()), **truth}))
+    rewritten(path, path, ground_truth__path="t.txt", graph="lane_only")
     own = load_experiment(path)
     placed = on_recording(load_experiment(write_drive(tmp_path / "m", 30)), own)
     for drive in (load_for_scoring(own), load_for_scoring(placed)):

@@ -26,7 +26,7 @@ from egolane_pgm.paper import experiments_folder
 from egolane_pgm.run import run_experiment
 from egolane_pgm.tune.plan import load_plan, make_problem
 from egolane_pgm.tune.study_directory import tuned_experiment
-from tests.kits.drives import command, done, refused, write_drive, write_experiment
+from tests.kits.drives import command, done, refused, rewritten, write_drive, write_experiment
 from tests.kits.labelled_drive import N_LABELLED
 from tests.kits.processes import started
 from tests.kits.tuning_kit import BLOCKS, EXPERIMENTS, QUICKSTART
@@ -66,9 +66,7 @@ def write_own_graph(experiment: Path) -> Path:
         "from egolane_pgm.graphs.lane_only import *\nfrom egolane_pgm.graphs.lane_only import"
         " build, HIDDEN, OBSERVED, PARAMETERS\n"
     )
-    content = yaml.safe_load(experiment.read_text())
-    experiment.write_text(yaml.safe_dump({**content, "graph": "g.py"}))
-    return experiment
+    return rewritten(experiment, experiment, graph="g.py")
 
 
 def test_a_study_ends_with_tables_a_directory_and_an_experiment_to_run(tmp_path: Path) -> None:
@@ -106,16 +104,14 @@ def test_the_same_command_gives_the_same_study_and_a_repeated_one_does_nothing_m
 
 
 def test_options_go_before_the_yaml(tmp_path: Path) -> None:
-    content = yaml.safe_load(QUICKSTART.read_text())
-    content["tuning"] = {"trials": 9, "seed": 3, "parameters": {"p1": [0.5, 0.9], "p2": 0.7}}
-    path = tmp_path / "x.yaml"
-    path.write_text(yaml.safe_dump(content))
+    tuning = {"trials": 9, "seed": 3, "parameters": {"p1": [0.5, 0.9], "p2": 0.7}}
+    path = rewritten(QUICKSTART, tmp_path / "x.yaml", tuning=tuning)
     words = (path, "--in-sample-only", "--out", tmp_path, "-p", "p1=[0.6,0.7]", "--trials", 12)
     assert tune(*words).exit_code == 0
-    document = json.loads((tmp_path / content["name"] / "study.json").read_text())
+    document = json.loads((tmp_path / "quickstart" / "study.json").read_text())
     assert document["best"]["trials"] == 12
     assert document["space"]["searched"]["p1"] == [0.6, 0.7]
-    assert document["space"]["fixed"][content["name"]]["p2"] == 0.7
+    assert document["space"]["fixed"]["quickstart"]["p2"] == 0.7
     assert document["tuning"]["seed"] == 3
 
 
@@ -207,11 +203,8 @@ def test_the_password_of_an_address_in_the_wrong_place_is_not_shown(tmp_path: Pa
 
 
 def test_a_group_has_one_parameter_set_and_an_experiment_per_recording(tmp_path: Path) -> None:
-    first = yaml.safe_load(QUICKSTART.read_text())
     for k in (1, 2):
-        content = {**first, "name": f"drive{k}"}
-        content["recording"] = {**first["recording"], "seed": k}
-        (tmp_path / f"{k}.yaml").write_text(yaml.safe_dump(content))
+        rewritten(QUICKSTART, tmp_path / f"{k}.yaml", name=f"drive{k}", recording__seed=k)
     group = {"name": "both", "experiments": ["1.yaml", "2.yaml"], "tuning": {"trials": 35}}
     (tmp_path / "group.yaml").write_text(yaml.safe_dump(group))
     words = (tmp_path / "group.yaml", "--whole-recordings", "--out", tmp_path / "o", "--jobs", 1)

@@ -14,7 +14,6 @@ from typing import Any
 
 import numpy as np
 import pytest
-import yaml
 
 from egolane_pgm.compare.choose import (
     LOSSES,
@@ -36,7 +35,7 @@ from egolane_pgm.run import run_experiment
 from egolane_pgm.types import InputError, LineLog
 from tests.compare.test_comparing import geometry, simulated
 from tests.conftest import needs_compiler
-from tests.kits.drives import done, refused, short_drive, write_drive, write_experiment
+from tests.kits.drives import done, refused, rewritten, short_drive, write_drive, write_experiment
 
 pytestmark = needs_compiler
 
@@ -86,8 +85,7 @@ def two_recordings(folder: Path, **changes: Any) -> Experiment:
         folder / "other.yaml", **{**GEOMETRY, "name": "other", "recording": {"path": "other.csv"}}
     )
     keys = {"fit": "choose", "choice": CHOICE, **changes}
-    content = {**yaml.safe_load(path.read_text()), "name": "choosing", **keys}
-    (folder / "choosing.yaml").write_text(yaml.safe_dump(content))
+    rewritten(path, folder / "choosing.yaml", name="choosing", **keys)
     return load_experiment(folder / "choosing.yaml")
 
 
@@ -389,10 +387,8 @@ def test_nothing_is_learned_where_the_prior_is_infinite(tmp_path: Path) -> None:
 
 
 def on_truth(folder: Path, name: str, truth: str, **changes: Any) -> Experiment:
-    content = yaml.safe_load((folder / "experiment.yaml").read_text())
-    content |= {"name": name, "ground_truth": {"path": truth}, **changes}
-    (folder / f"{name}.yaml").write_text(yaml.safe_dump(content))
-    return load_experiment(folder / f"{name}.yaml")
+    keys = {"name": name, "ground_truth__path": truth, **changes}
+    return load_experiment(rewritten(folder / "experiment.yaml", folder / f"{name}.yaml", **keys))
 
 
 @pytest.mark.parametrize("below", [0.0, 0.9])

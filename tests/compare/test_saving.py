@@ -13,7 +13,7 @@ from egolane_pgm.results import read_result
 from egolane_pgm.scoring.health import detector_errors, doubt, roc_auc
 from egolane_pgm.scoring.summary import score_with_intervals
 from egolane_pgm.types import LaneTruth
-from tests.kits.drives import command
+from tests.kits.drives import command, write_experiment
 
 
 @pytest.fixture
@@ -22,14 +22,17 @@ def experiments(tmp_path):
     recordings = [{"simulate": "quickstart", "seed": k} for k in (1, 1, 2)] + [{"path": "gone.bag"}]
     names = ["paper", "plain", "other", "gone"]
     graphs = ["sensor_failure", "lane_only", "sensor_failure", "sensor_failure"]
-    paths = []
-    for name, graph, recording in zip(names, graphs, recordings, strict=True):
-        content = {"name": name, "recording": recording, "n_lanes": 3, "graph": graph}
-        content["ground_truth"] = {"path": "gone.csv"} if name == "gone" else None
-        content["tuned_on"] = "not_tuned"
-        paths.append(tmp_path / f"{name}.yaml")
-        paths[-1].write_text(yaml.safe_dump(content))
-    return paths
+    truths = [None, None, None, {"path": "gone.csv"}]
+    return [
+        write_experiment(
+            tmp_path / f"{name}.yaml",
+            name=name,
+            graph=graph,
+            recording=recording,
+            ground_truth=truth,
+        )
+        for name, graph, recording, truth in zip(names, graphs, recordings, truths, strict=True)
+    ]
 
 
 def test_each_recording_has_its_own_directory_and_each_experiment_in_it_a_result(

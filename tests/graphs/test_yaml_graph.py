@@ -28,7 +28,7 @@ from tests.conformance.networks import (
     draw_parameters,
     graph,
 )
-from tests.kits.drives import done, refused, write_drive
+from tests.kits.drives import done, refused, with_changes, write_drive
 
 EXAMPLES = Path(__file__).parents[2] / "examples"
 
@@ -53,17 +53,7 @@ def load(folder: Path, text: str) -> ModuleType:
 
 def changed(**changes: Any) -> str:
     """SMALL with other keys; `tables__Seen` for a key below a section; None takes one out."""
-    content = yaml.safe_load(SMALL)
-    for key, value in changes.items():
-        *above, last = key.split("__")
-        section = content
-        for part in above:
-            section = section[part]
-        if value is None:
-            del section[last]
-        else:
-            section[last] = value
-    return str(yaml.safe_dump(content))
+    return str(yaml.safe_dump(with_changes(yaml.safe_load(SMALL), changes)))
 
 
 def compiled(module: ModuleType, n_lanes: int, parameters: Parameters) -> Compiled:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import functools
 import json
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -41,6 +42,19 @@ def write_experiment(path: Path, **changes: Any) -> Path:
         "n_lanes": 3,
         "tuned_on": "not_tuned",
     }
+    path.write_text(yaml.safe_dump(with_changes(content, changes), sort_keys=False))
+    return path
+
+
+def rewritten(source: Path, target: Path, **changes: Any) -> Path:
+    """The YAML of `source` with changes, as those of `write_drive`, at `target`."""
+    content = with_changes(yaml.safe_load(source.read_text()), changes)
+    target.write_text(yaml.safe_dump(content, sort_keys=False))
+    return target
+
+
+def with_changes(content: dict[str, Any], changes: Mapping[str, Any]) -> dict[str, Any]:
+    """`content` itself, changed: `recording__lri` is a key below a section, None takes one out."""
     for key, value in changes.items():
         *above, last = key.split("__")
         section = content
@@ -50,8 +64,7 @@ def write_experiment(path: Path, **changes: Any) -> Path:
             section.pop(last, None)
         else:
             section[last] = value
-    path.write_text(yaml.safe_dump(content, sort_keys=False))
-    return path
+    return content
 
 
 def command(*words: object, given: str | bytes | None = None) -> Result:

@@ -6,12 +6,11 @@ import json
 from pathlib import Path
 
 import pytest
-import yaml
 from pyarrow import parquet
 
 from egolane_pgm.experiment import load_experiment
 from egolane_pgm.run import run_experiment
-from tests.kits.drives import done, refused
+from tests.kits.drives import done, refused, rewritten, write_experiment
 
 FRAMES = 12
 BOUNDS = {"detector.least_rise": [2, 60], "detector.least_score": [0.1, 0.99]}
@@ -22,15 +21,13 @@ def pictures(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A rendered drive, and an experiment that looks at its pictures."""
     folder = tmp_path_factory.mktemp("rendered") / "drive"
     done("simulate", "a4", "--images", "--frames", str(FRAMES), "--out", folder)
-    content = {
-        "name": "seen",
-        "recording": {"path": "images", "camera": "camera.yaml", "detector": "ml"},
-        "ground_truth": {"path": "ground_truth.txt"},
-        "n_lanes": 4,
-        "tuning": {"search": ["detector"], "objective": "log_loss", "parameters": BOUNDS},
-    }
-    (folder / "pictures.yaml").write_text(yaml.safe_dump(content))
-    return folder / "pictures.yaml"
+    return write_experiment(
+        folder / "pictures.yaml",
+        name="seen",
+        recording={"path": "images", "camera": "camera.yaml", "detector": "ml"},
+        n_lanes=4,
+        tuning={"search": ["detector"], "objective": "log_loss", "parameters": BOUNDS},
+    )
 
 
 def test_each_trial_looks_at_the_pictures_with_its_own_values(pictures: Path) -> None:
@@ -56,11 +53,8 @@ def test_each_trial_looks_at_the_pictures_with_its_own_values(pictures: Path) ->
 
 
 def test_a_recording_without_a_detector_has_none_to_search(pictures: Path) -> None:
-    lines = pictures.parent / "lines.yaml"
-    content = yaml.safe_load(pictures.read_text())
-    content["recording"] = {"simulate": "a4"}
-    del content["ground_truth"]
-    lines.write_text(yaml.safe_dump(content))
+    changes = {"recording": {"simulate": "a4"}, "ground_truth": None}
+    lines = rewritten(pictures, pictures.with_name("lines.yaml"), **changes)
     assert "tuning.search: detector: the recording has none" in refused("tune", lines)
 
 
