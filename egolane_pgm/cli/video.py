@@ -3,29 +3,30 @@
 from __future__ import annotations
 
 import os
-from collections import deque
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
 
 import click
-import numpy as np
 from tqdm import tqdm
 
-from egolane_pgm.camera.model import Camera, read_camera
-from egolane_pgm.camera.picture import Picture
+from egolane_pgm.camera.model import read_camera
 from egolane_pgm.camera.pictures import Source, open_source, read_pictures
 from egolane_pgm.camera.writing import NotKeptError
 from egolane_pgm.cli import options
-from egolane_pgm.detectors import FrameLines, as_log
-from egolane_pgm.detectors.runner import check_pair, detect, find_detector
+from egolane_pgm.detectors.runner import Detector, check_pair, find_detector
 from egolane_pgm.experiment import Experiment, load_experiment, make_experiment
-from egolane_pgm.online import filter_logs
 from egolane_pgm.paper import experiments_folder
 from egolane_pgm.recordings import read_lines_with
 from egolane_pgm.recordings.ground_truth import read_ground_truth
-from egolane_pgm.report.video import Scene, draw_frame, frame_writer, layout
-from egolane_pgm.types import InputError, LaneTruth, LineLog
+from egolane_pgm.report.video import (
+    draw_frame,
+    frame_writer,
+    layout,
+    scenes,
+    with_detected_lines,
+    with_recorded_lines,
+)
+from egolane_pgm.types import InputError
 
 
 @click.command()
@@ -108,17 +109,19 @@ def video(
         leave=False,
         disable=None,
     )
-    pairs: Iterator[tuple[Picture, FrameLines]]
     if lines_file:
-        lines = _recorded(lines_file, camera, source, experiment)
-        pairs = ((picture, lines(picture.frame_id)) for picture in seen)
+        log = read_lines_with(lines_file, camera, experiment.recording.frame_rate)
+        pairs = with_recorded_lines(seen, log, source)
     else:
-        pairs = _detected(seen, camera, detector, right is not None, experiment)
+        chosen = _chosen_detector(detector, experiment)
+        check_pair(chosen, camera, right is not None, "--right")
+        seen.set_description(chosen.name)
+        pairs = with_detected_lines(seen, chosen, camera)
     places = layout(camera)
     n_drawn = 0
     try:
         with frame_writer(target, experiment.recording.frame_rate, places.size) as write:
-            for picture, scene in _scenes(pairs, experiment, truth, pictures):
+            for picture, scene in scenes(pairs, experiment, truth, pictures):
                 write(picture.frame_id, draw_frame(places, picture.image, scene))
                 n_drawn += 1
     except NotKeptError:
@@ -162,94 +165,11 @@ def _experiment(file: str | None, n_lanes: int | None, frame_rate: float | None)
     return make_experiment(content, found.folder, found.source)
 
 
-def _detected(
-    pictures: Any,
-    camera: Camera,
-    name: str | None,
-    has_right: bool,
-    experiment: Experiment,
-) -> Iterator[tuple[Picture, FrameLines]]:
-    """Each picture with the lines that the detector sees in it."""
-
+def _chosen_detector(name: str | None, experiment: Experiment) -> Detector:
+    """The detector that was named, or the experiment's own, or ml."""
     recording = experiment.recording
     is_own = name is None and recording.detector is not None
     chosen = name or recording.detector or "ml"
     given = recording.detector_parameters if is_own or chosen == recording.detector else {}
     base = experiment.folder if is_own else Path.cwd()
-    detector = find_detector(chosen, given, base, "--detector", "recording.detector_parameters")
-    check_pair(detector, camera, has_right, "--right")
-    pictures.set_description(chosen)
-    # The detector takes one picture at a time, so this is always the picture of its answer.
-    latest: deque[Picture] = deque(maxlen=1)
-
-    def remembered() -> Iterator[Picture]:
-        for picture in pictures:
-            latest.append(picture)
-            yield picture
-
-    for _, lines in detect(detector, camera, remembered()):
-        yield latest[0], lines
-
-
-def _recorded(file: str, camera: Camera, source: Source, experiment: Experiment) -> Any:
-    """A function from a frame id to the recorded lines. They are drawn straight ahead, because a
-    recording has offsets only."""
-
-    log = read_lines_with(file, camera, experiment.recording.frame_rate)
-    if source.frame_id is not None and not np.isin(source.frame_id, log.frame_id).any():
-        raise InputError(
-            f"{file}: no frame of it is a picture's: its frames are {log.frame_id[0]} to"
-            f" {log.frame_id[-1]}, the pictures {source.frame_id[0]} to {source.frame_id[-1]}"
-        )
-    at = {int(frame_id): k for k, frame_id in enumerate(log.frame_id)}
-
-    def lines(frame_id: int) -> FrameLines:
-        k = at.get(frame_id, 0)
-        offset = log.offset_m[k]
-        # Some detectors write an offset of exactly 0 if there is no line. A valid 0 is a line under
-        # the car, which the evidence rules count too.
-        is_line = np.isfinite(offset) & ((offset != 0) | log.is_valid[k]) & (frame_id in at)
-        order = np.argsort(np.where(is_line, offset, np.inf), kind="stable")[: is_line.sum()]
-        shape = np.zeros((len(order), 4))
-        shape[:, 0] = offset[order]
-        return FrameLines(
-            shape, log.is_valid[k][order], log.is_continuous[k][order], log.lri[k][order]
-        )
-
-    return lines
-
-
-def _scenes(
-    pairs: Iterator[tuple[Picture, FrameLines]],
-    experiment: Experiment,
-    truth: LaneTruth | None,
-    source: str,
-) -> Iterator[tuple[Picture, Scene]]:
-    """Each picture with its lines, belief and truth. With a fixed-lag filter as many pictures are
-    kept as it waits for."""
-
-    rate = experiment.recording.frame_rate
-    waiting: deque[tuple[Picture, FrameLines]] = deque()
-
-    def logs() -> Iterator[LineLog]:
-        for picture, lines in pairs:
-            waiting.append((picture, lines))
-            where = f"{source}: frame {picture.frame_id}"
-            yield as_log([(picture.frame_id, lines)], rate, where)
-
-    at = {} if truth is None else {int(f): k for k, f in enumerate(truth.frame_id)}
-    for answer in filter_logs(experiment, logs()):
-        picture, lines = waiting.popleft()
-        k = at.get(picture.frame_id)
-        yield (
-            picture,
-            Scene(
-                frame_id=picture.frame_id,
-                time_s=answer["time_s"],
-                lines=lines,
-                belief=np.array(list(answer["beliefs"]["Lane"].values())),
-                assigned=answer["assigned_lane"],
-                truth=None if truth is None or k is None else int(truth.lane[k]),
-                is_crossing=truth is not None and k is not None and bool(truth.is_crossing[k]),
-            ),
-        )
+    return find_detector(chosen, given, base, "--detector", "recording.detector_parameters")

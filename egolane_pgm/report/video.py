@@ -8,23 +8,26 @@ one that is not valid grey and thin. Only one frame is in memory at a time.
 from __future__ import annotations
 
 import contextlib
-from collections.abc import Callable, Iterator
+from collections import deque
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
 from egolane_pgm.camera.model import Camera, road_to_image, undistorted
-from egolane_pgm.camera.picture import Image
+from egolane_pgm.camera.picture import Image, Picture
+from egolane_pgm.camera.pictures import Source
 from egolane_pgm.camera.writing import video_writer, write_picture
+from egolane_pgm.detectors import FrameLines, as_log
+from egolane_pgm.detectors.runner import Detector, detect
+from egolane_pgm.experiment import Experiment
 from egolane_pgm.files import check_place, make_directory
-from egolane_pgm.types import UNASSIGNED, FloatArray, InputError
-
-if TYPE_CHECKING:
-    from egolane_pgm.detectors import FrameLines
+from egolane_pgm.online import filter_logs
+from egolane_pgm.types import UNASSIGNED, FloatArray, InputError, LaneTruth, LineLog
 
 Colour = tuple[int, int, int]
 
@@ -131,6 +134,95 @@ def draw_frame(places: Layout, picture: Image, scene: Scene) -> Image:
     _bars(places, canvas, scene)
     _legend(places, canvas, scene)
     return canvas
+
+
+# --- the frames of a drive ----------------------------------------------------------------------
+
+
+def with_detected_lines(
+    pictures: Iterable[Picture], detector: Detector, camera: Camera
+) -> Iterator[tuple[Picture, FrameLines]]:
+    """Yields each picture with the lines that a detector sees in it."""
+    # The detector takes one picture at a time, so this is always the picture of its answer.
+    latest: deque[Picture] = deque(maxlen=1)
+
+    def remembered() -> Iterator[Picture]:
+        for picture in pictures:
+            latest.append(picture)
+            yield picture
+
+    for _, lines in detect(detector, camera, remembered()):
+        yield latest[0], lines
+
+
+def with_recorded_lines(
+    pictures: Iterable[Picture], log: LineLog, source: Source
+) -> Iterator[tuple[Picture, FrameLines]]:
+    """Returns each picture with the lines of its frame in a recording. They are drawn straight
+    ahead, because a recording has offsets only.
+
+    Raises InputError if no frame of the recording is one of the source's pictures.
+    """
+    if source.frame_id is not None and not np.isin(source.frame_id, log.frame_id).any():
+        raise InputError(
+            f"{log.source}: no frame of it is a picture's: its frames are {log.frame_id[0]} to"
+            f" {log.frame_id[-1]}, the pictures {source.frame_id[0]} to {source.frame_id[-1]}"
+        )
+    at = {int(frame_id): k for k, frame_id in enumerate(log.frame_id)}
+    return ((p, _straight_lines(log, at.get(p.frame_id))) for p in pictures)
+
+
+def _straight_lines(log: LineLog, k: int | None) -> FrameLines:
+    """The lines in row k of a recording, from left to right; none where k is None."""
+    if k is None:
+        no = np.zeros(0, dtype=bool)
+        return FrameLines(np.zeros((0, 4)), no, no, np.zeros(0))
+    offset = log.offset_m[k]
+    # Some detectors write an offset of exactly 0 if there is no line. A valid 0 is a line under
+    # the car, which the evidence rules count too.
+    is_line = np.isfinite(offset) & ((offset != 0) | log.is_valid[k])
+    order = np.argsort(np.where(is_line, offset, np.inf), kind="stable")[: is_line.sum()]
+    shape = np.zeros((len(order), 4))
+    shape[:, 0] = offset[order]
+    return FrameLines(shape, log.is_valid[k][order], log.is_continuous[k][order], log.lri[k][order])
+
+
+def scenes(
+    pairs: Iterable[tuple[Picture, FrameLines]],
+    experiment: Experiment,
+    truth: LaneTruth | None,
+    source: str,
+) -> Iterator[tuple[Picture, Scene]]:
+    """Filters the lines of a drive, and yields each picture with its lines, belief and truth.
+
+    - experiment: turns lines into beliefs; its own recording is not used.
+    - source: what the pictures are called in messages.
+
+    With a fixed-lag filter as many pictures are kept in memory as it waits for.
+    """
+    rate = experiment.recording.frame_rate
+    waiting: deque[tuple[Picture, FrameLines]] = deque()
+
+    def logs() -> Iterator[LineLog]:
+        for picture, lines in pairs:
+            waiting.append((picture, lines))
+            where = f"{source}: frame {picture.frame_id}"
+            yield as_log([(picture.frame_id, lines)], rate, where)
+
+    at = {} if truth is None else {int(f): k for k, f in enumerate(truth.frame_id)}
+    for answer in filter_logs(experiment, logs()):
+        picture, lines = waiting.popleft()
+        k = at.get(picture.frame_id)
+        scene = Scene(
+            frame_id=picture.frame_id,
+            time_s=answer["time_s"],
+            lines=lines,
+            belief=np.array(list(answer["beliefs"]["Lane"].values())),
+            assigned=answer["assigned_lane"],
+            truth=None if truth is None or k is None else int(truth.lane[k]),
+            is_crossing=truth is not None and k is not None and bool(truth.is_crossing[k]),
+        )
+        yield picture, scene
 
 
 # --- lines ---------------------------------------------------------------------------------------

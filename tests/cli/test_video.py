@@ -17,14 +17,19 @@ from egolane_pgm.camera.model import road_to_image, write_camera
 from egolane_pgm.camera.picture import Picture
 from egolane_pgm.camera.pictures import open_source, read_image
 from egolane_pgm.camera.writing import NotKeptError, video_writer, write_picture
-from egolane_pgm.cli import video as _cli_video
-from egolane_pgm.cli.video import _recorded
 from egolane_pgm.detectors import FrameLines
 from egolane_pgm.experiment import load_experiment
+from egolane_pgm.recordings import read_lines
 from egolane_pgm.recordings.ground_truth import write_ground_truth
 from egolane_pgm.recordings.table import write_table
 from egolane_pgm.report import video
-from egolane_pgm.report.video import bar_boxes, frame_writer, layout
+from egolane_pgm.report.video import (
+    bar_boxes,
+    frame_writer,
+    layout,
+    scenes,
+    with_recorded_lines,
+)
 from egolane_pgm.types import InputError, LaneTruth, LineLog
 from tests.kits.drawn_frames import (
     CAMERA,
@@ -42,7 +47,6 @@ from tests.kits.drives import (
     contents,
     done,
     refused,
-    write_drive,
     write_experiment,
 )
 from tests.kits.full_disk import BLIND, Usage, drawing, full_after, left
@@ -240,7 +244,7 @@ def test_one_picture_at_a_time_is_in_memory(drive: Path) -> None:
             n_read += 1
             yield Picture(k, road()), LINES
 
-    for k, (picture, one) in enumerate(_cli_video._scenes(pairs(), experiment, None, "x")):
+    for k, (picture, one) in enumerate(scenes(pairs(), experiment, None, "x")):
         assert (picture.frame_id, one.frame_id, n_read) == (k, k, k + 1)
     assert n_read == 20
 
@@ -363,16 +367,13 @@ def test_valid_lines_are_drawn_at_offset_0_and_without_a_reliability_index(tmp_p
         "1,1,0.0,false,false\n1,2,1.8,true,true\n"
     )
     source = open_source(write_pictures(tmp_path / "pics", [empty_road()] * 2))
-    lines = _recorded(
-        str(tmp_path / "lines.csv"),
-        SMALL_CAMERA,
-        source,
-        load_experiment(write_drive(tmp_path / "x", 30)),
-    )
-    assert lines(0).offset_m.tolist() == [-1.7, 0.0, 1.8]
-    assert lines(0).is_valid.tolist() == [True, True, False]
-    assert np.isnan(lines(0).lri).all()
-    assert lines(1).offset_m.tolist() == [1.8]
+    log = read_lines(tmp_path / "lines.csv")
+    pictures = (Picture(k, empty_road()) for k in range(2))
+    first, second = (lines for _, lines in with_recorded_lines(pictures, log, source))
+    assert first.offset_m.tolist() == [-1.7, 0.0, 1.8]
+    assert first.is_valid.tolist() == [True, True, False]
+    assert np.isnan(first.lri).all()
+    assert second.offset_m.tolist() == [1.8]
 
 
 def test_a_picture_that_is_too_large_is_one_line_for_video_and_detect(labels: Path) -> None:
