@@ -11,6 +11,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 
+from egolane_pgm.camera.model import Camera
 from egolane_pgm.camera.picture import Image
 from egolane_pgm.camera.pictures import read_images, size_of
 from egolane_pgm.types import FloatArray, InputError
@@ -166,6 +167,22 @@ def _solve(
         rms_px=tuple(float(value) for value in rms.flat),
         skipped=tuple(skipped),
     )
+
+
+def camera_with(lens: Lens, size: tuple[int, int]) -> Camera:
+    """A camera with a measured lens, 1 m above the road.
+
+    - size: width and height of the road's pictures, pixels
+
+    Raises InputError if the chessboards' pictures have another size.
+    """
+    if (lens.width, lens.height) != size:
+        raise InputError(
+            f"the chessboards are {lens.width}x{lens.height}, the road's pictures {size[0]}x"
+            f"{size[1]}; both must come from one camera, uncropped"
+        )
+    pinhole = (lens.width, lens.height, lens.fx, lens.fy, lens.cx, lens.cy)
+    return Camera(*pinhole, height_m=1.0, distortion=lens.distortion)
 
 
 def describe_lens(lens: Lens, board: str) -> list[str]:

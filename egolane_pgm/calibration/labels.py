@@ -7,6 +7,8 @@ from typing import Any
 
 import numpy as np
 
+from egolane_pgm.calibration.straight_road import SeenRoad, view_of_road
+from egolane_pgm.camera.model import Camera
 from egolane_pgm.camera.pictures import read_image, size_of
 from egolane_pgm.recordings.tusimple import entry_lines, read_entries
 from egolane_pgm.types import FloatArray, InputError
@@ -47,6 +49,34 @@ def label_picture(frame: dict[str, Any], labels: Path) -> Path:
     raise InputError(
         f"{labels.parent / named}: the image of a label is missing; give --size, e.g. 1280x720"
     )
+
+
+def view_from_labels(
+    camera: Camera, path: str | Path, first: int | None, lane_width_m: float
+) -> SeenRoad:
+    """Finds how a camera looks at the road of labelled frames.
+
+    - camera: its lens, and where it is mounted
+    - path: the label file; `first`: use only so many of its frames, None for all
+
+    Raises InputError as `read_labels` and `view_of_road` do.
+    """
+    path = Path(path)
+    labels = read_labels(path)[:first]
+    frames = [line_points(frame) for frame in labels]
+    view = view_of_road(camera, frames, lane_width_m, str(path))
+    n_lines = sum(len(lines) for lines in frames)
+    which = f"the first {len(labels)}" if first else f"{len(labels)}"
+    what = f"{n_lines} lines of {which} labelled frames of {path.name}"
+    pictures = [_picture_or_none(frame, path) for frame in labels]
+    return SeenRoad(view, what, tuple(zip(pictures, frames, strict=True)))
+
+
+def _picture_or_none(frame: dict[str, Any], labels: Path) -> Path | None:
+    try:
+        return label_picture(frame, labels)
+    except InputError:
+        return None
 
 
 def check_size(size: tuple[int, int], frames: list[dict[str, Any]], labels: Path) -> None:

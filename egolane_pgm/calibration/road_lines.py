@@ -20,10 +20,12 @@ import numpy as np
 from egolane_pgm.calibration.straight_road import (
     NEAREST_TO_HORIZON,
     FrameFit,
+    SeenRoad,
     fit_frame,
     from_level,
     from_level_to_image,
     to_level,
+    view_from,
 )
 from egolane_pgm.camera.model import Camera
 from egolane_pgm.camera.picture import Image
@@ -346,3 +348,12 @@ def find_in_stills(
             fits.append(fit)
     each = each[np.isfinite(each).all(axis=1)]
     return FoundLines(ahead, each, tuple(used), tuple(lines), tuple(fits), tuple(skipped))
+
+
+def view_from_stills(camera: Camera, found: FoundLines, lane_width_m: float) -> SeenRoad:
+    """Finds how a camera looks at the road, from the lines that `find_in_stills` found with it.
+    Raises InputError as `view_from` does."""
+    view = view_from(camera, found.ahead, found.each, found.fits, lane_width_m, "stills")
+    n_lines = sum(len(lines) for lines in found.lines)
+    what = f"{n_lines} lines found in {len(found.paths)} stills"
+    return SeenRoad(view, what, tuple(zip(found.paths, found.lines, strict=True)))

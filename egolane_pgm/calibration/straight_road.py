@@ -18,6 +18,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from pathlib import Path
 
 import numpy as np
 
@@ -92,6 +93,24 @@ class RoadView:
     gaps_m: FloatArray
     is_lane: BoolArray
     lane_width_m: float
+
+
+@dataclass(frozen=True)
+class SeenRoad:
+    """A view of a road, and what it was found from.
+
+    - what: says in words which lines they were
+    - pictures: each picture's file, None where it is not there, and the points (N, 2) of each of
+      its lines, pixels
+    """
+
+    view: RoadView
+    what: str
+    pictures: tuple[tuple[Path | None, list[FloatArray]], ...]
+
+    def straightest(self) -> tuple[Path | None, list[FloatArray]]:
+        """The picture whose lines run straightest ahead, of those that are there."""
+        return min(self.pictures, key=lambda one: (one[0] is None, deviation_m(self.view, one[1])))
 
 
 def assumed_camera(

@@ -9,34 +9,28 @@ from pathlib import Path
 import click
 from tqdm import tqdm
 
-from egolane_pgm.calibration.chessboard import calibrate_lens, describe_lens
-from egolane_pgm.calibration.drawing import (
-    draw_view,
-)
+from egolane_pgm.calibration.chessboard import calibrate_lens, camera_with, describe_lens
+from egolane_pgm.calibration.drawing import draw_view
 from egolane_pgm.calibration.labels import (
     check_size,
-    label_picture,
-    line_points,
     read_labels,
     size_of_pictures,
+    view_from_labels,
 )
-from egolane_pgm.calibration.road_lines import find_in_stills
+from egolane_pgm.calibration.road_lines import find_in_stills, view_from_stills
 from egolane_pgm.calibration.straight_road import (
     ASSUMED_FIELD_OF_VIEW,
-    RoadView,
+    SeenRoad,
     assumed_camera,
     check_lane_width,
     describe_assumed_lens,
     describe_view,
-    deviation_m,
-    view_from,
-    view_of_road,
 )
 from egolane_pgm.camera.model import Camera, write_camera
 from egolane_pgm.camera.pictures import files_matching, read_image, read_images, size_of
 from egolane_pgm.camera.writing import check_picture_name, write_picture
 from egolane_pgm.files import check_not_read, check_place
-from egolane_pgm.types import FloatArray, InputError
+from egolane_pgm.types import InputError
 
 Rectangle = tuple[int, int, int, int]
 
@@ -138,18 +132,21 @@ def calibrate(
         masks = (*masks, (0, ignore_below, camera.width, camera.height))
     camera = replace(camera, roll_deg=roll, lateral_m=lateral, baseline_m=baseline, ignore=masks)
     if stills:
-        view, what, shown = _from_stills(camera, stills, first, lane_width, seed)
+        paths = files_matching(stills)[:first]
+        found = find_in_stills(camera, paths, seed, lambda paths: _progress(paths, "stills"))
+        _say_skipped(found.skipped)
+        road = view_from_stills(camera, found, lane_width)
     else:
-        view, what, shown = _from_labels(camera, str(lines), first, lane_width)
-    words += describe_view(view, what)
+        road = view_from_labels(camera, str(lines), first, lane_width)
+    words += describe_view(road.view, road.what)
     if roll:
         words.append(f"Roll: {roll:g} degrees, given.")
-    write_camera(target, view.camera, "\n".join(["Made by `egolane calibrate`.", *words]))
+    write_camera(target, road.view.camera, "\n".join(["Made by `egolane calibrate`.", *words]))
     for line in words:
         click.echo(line)
     click.echo(f"written to {target}")
     if picture:
-        _draw(view, shown, Path(picture))
+        _draw(road, Path(picture))
 
 
 def _numbers(text: str, separator: str, n: int, option: str, example: str) -> tuple[int, ...]:
@@ -230,65 +227,16 @@ def _lens(
     _say_skipped(lens.skipped)
     for name, rms in zip(lens.boards, lens.rms_px, strict=True):
         click.echo(f"{name}: {rms:.2f} px RMS")
-    if (lens.width, lens.height) != size:
-        raise InputError(
-            f"the chessboards are {lens.width}x{lens.height}, the road's pictures {size[0]}x"
-            f"{size[1]}; both must come from one camera, uncropped"
-        )
-    camera = Camera(
-        lens.width,
-        lens.height,
-        lens.fx,
-        lens.fy,
-        lens.cx,
-        lens.cy,
-        height_m=1.0,
-        distortion=lens.distortion,
-    )
-    return camera, describe_lens(lens, board)
+    return camera_with(lens, size), describe_lens(lens, board)
 
 
-#: A view, the words for its lines, and per picture the points of its lines.
-Found = tuple["RoadView", str, "list[tuple[Path | None, list[FloatArray]]]"]
-
-
-def _from_stills(
-    camera: Camera, pattern: str, first: int | None, lane_width: float, seed: int
-) -> Found:
-
-    paths = files_matching(pattern)[:first]
-    found = find_in_stills(camera, paths, seed, lambda paths: _progress(paths, "stills"))
-    _say_skipped(found.skipped)
-    view = view_from(camera, found.ahead, found.each, found.fits, lane_width, "stills")
-    n_lines = sum(len(lines) for lines in found.lines)
-    what = f"{n_lines} lines found in {len(found.paths)} stills"
-    return view, what, list(zip(found.paths, found.lines, strict=True))
-
-
-def _from_labels(camera: Camera, file: str, first: int | None, lane_width: float) -> Found:
-
-    labels = read_labels(file)[:first]
-    frames = [line_points(frame) for frame in labels]
-    view = view_of_road(camera, frames, lane_width, file)
-    shown: list[tuple[Path | None, list[FloatArray]]] = []
-    for frame, points in zip(labels, frames, strict=True):
-        try:
-            shown.append((label_picture(frame, Path(file)), points))
-        except InputError:
-            shown.append((None, points))
-    n_lines = sum(len(lines) for lines in frames)
-    which = f"the first {len(labels)}" if first else f"{len(labels)}"
-    return view, f"{n_lines} lines of {which} labelled frames of {Path(file).name}", shown
-
-
-def _draw(view: RoadView, shown: list[tuple[Path | None, list[FloatArray]]], target: Path) -> None:
+def _draw(road: SeenRoad, target: Path) -> None:
     """Draw the view on the picture whose lines run straightest ahead."""
-
-    path, lines = min(shown, key=lambda one: (one[0] is None, deviation_m(view, one[1])))
+    path, lines = road.straightest()
     if path is None:
         click.echo("--picture: none of the labelled pictures is there to draw on", err=True)
         return
-    write_picture(target, draw_view(read_image(path), view, lines), make_folder=True)
+    write_picture(target, draw_view(read_image(path), road.view, lines), make_folder=True)
     click.echo(f"{target}: drawn on {path.name}")
 
 
