@@ -10,7 +10,10 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from tqdm import tqdm
 
+from egolane_pgm.camera.model import Camera, read_camera
+from egolane_pgm.detectors.runner import Detector, check_pair, collect, detect, find_detector, start
 from egolane_pgm.experiment import Experiment, make_experiment
 from egolane_pgm.plugins import load_plugin, plugin_errors
 from egolane_pgm.recordings import FORMATS, files_of, format_of, needs_camera, read_with
@@ -27,9 +30,8 @@ from egolane_pgm.results import file_sha256
 from egolane_pgm.types import InputError, IntArray, LaneTruth, LineLog, suggestion
 
 if TYPE_CHECKING:
-    from egolane_pgm.camera.model import Camera
+    # OpenCV is imported only where there are pictures.
     from egolane_pgm.camera.pictures import Source
-    from egolane_pgm.detectors.runner import Detector
 
 #: Extensions by which a video is known where no detector is named.
 VIDEOS = (".mp4", ".avi", ".mkv", ".mov", ".mpg", ".mpeg", ".m4v", ".webm", ".wmv", ".ts")
@@ -231,10 +233,7 @@ def named_files(experiment: Experiment) -> list[Path]:
 
 def _detected(experiment: Experiment) -> tuple[LineLog, list[Path]]:
     """The lines that the experiment's detector sees in its pictures, and the files it looked at."""
-    from tqdm import tqdm
-
     from egolane_pgm.camera.pictures import read_pictures
-    from egolane_pgm.detectors.runner import collect, detect
 
     recording = experiment.recording
     detector, camera, left, right = _check_detector(experiment)
@@ -273,9 +272,6 @@ def _detected(experiment: Experiment) -> tuple[LineLog, list[Path]]:
 def _check_detector(experiment: Experiment) -> tuple[Detector, Camera, Source, Source | None]:
     """The detector, its camera and its pictures (left, and right or None). Raises InputError,
     naming the YAML key, for what is not there or does not fit together."""
-    from egolane_pgm.camera.model import read_camera
-    from egolane_pgm.detectors.runner import check_pair, find_detector, start
-
     recording, source = experiment.recording, experiment.source
     assert recording.detector is not None
     if recording.path is None or recording.format is not None:

@@ -16,6 +16,9 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from rosbags.interfaces import Nodetype
+from rosbags.rosbag1 import Reader
+from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
 from egolane_pgm.types import BoolArray, FloatArray, InputError, IntArray, LineLog
 
@@ -110,7 +113,6 @@ def _read_flat(path: Path, topic: str, frame_id: str) -> _Flat:
 
 def _read_messages(path: Path, topic: str) -> list[tuple[tuple[str, str], bytes]]:
     """Per message of the topic, in file order: (type, its definition), raw bytes."""
-    from rosbags.rosbag1 import Reader
 
     if not path.is_file():
         raise InputError(f"{path}: no such file")
@@ -174,7 +176,6 @@ def _one_line(error: Exception) -> str:
 
 
 def _parse(path: Path, topic: str, kind: tuple[str, str], raw: list[bytes], frame_id: str) -> _Flat:
-    from rosbags.typesys import get_types_from_msg
 
     msgtype, definition = kind
     try:
@@ -200,21 +201,18 @@ def _fields(types: Mapping[str, Any], name: str) -> dict[str, Any]:
 
 def _base(field: Any) -> str:
     """The primitive type of a field, "" for any other kind of field."""
-    from rosbags.interfaces import Nodetype
 
     return str(field[1][0]) if field is not None and field[0] == Nodetype.BASE else ""
 
 
 def _named(field: Any) -> str:
     """The message type of a field that is a message, "" for any other kind of field."""
-    from rosbags.interfaces import Nodetype
 
     return str(field[1]) if field is not None and field[0] == Nodetype.NAME else ""
 
 
 def _element(field: Any) -> str:
     """The message type of the elements of a field that is a list of messages, or ""."""
-    from rosbags.interfaces import Nodetype
 
     if field is None or field[0] not in (Nodetype.SEQUENCE, Nodetype.ARRAY):
         return ""
@@ -243,7 +241,6 @@ def _missing_fields(types: Mapping[str, Any], msgtype: str, frame_id: str) -> li
 
 
 def _is_plain(types: Mapping[str, Any], msgtype: str) -> bool:
-    from rosbags.interfaces import Nodetype
 
     fields = _fields(types, msgtype)
     header = _fields(types, _named(fields.get("header")))
@@ -301,7 +298,6 @@ def _parse_generic(
     path: Path, types: Mapping[str, Any], msgtype: str, raw: Iterable[bytes], frame_id: str
 ) -> _Flat:
     """Parse messages of any type that has the needed fields, one by one, with rosbags."""
-    from rosbags.typesys import Stores, get_typestore
 
     store = get_typestore(Stores.EMPTY)
     store.register(dict(types))

@@ -6,6 +6,8 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from rosbags.rosbag1 import Writer
+from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
 from egolane_pgm.files import atomic
 from egolane_pgm.recordings.rosbag import TOPIC
@@ -43,8 +45,6 @@ def write_rosbag(path: str | Path, log: LineLog, *, topic: str = TOPIC) -> None:
     Raises InputError for what the type cannot hold, naming the frame: a line whose LRI is unknown
     or no whole number; and for a file that cannot be written.
     """
-    from rosbags.rosbag1 import Writer
-    from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
     path = Path(path)
     listed = ~(np.isnan(log.offset_m) & np.isnan(log.lri))

@@ -15,7 +15,10 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import pyarrow as pa
+import pyarrow.compute as pc
 from numpy.typing import NDArray
+from pyarrow import csv, parquet
 
 from egolane_pgm.files import atomic, write_parquet
 from egolane_pgm.recordings.rosbag import MAX_LINES
@@ -79,7 +82,6 @@ def write_table(path: str | Path, log: LineLog) -> None:
 
 
 def _to_arrow(log: LineLog) -> Any:
-    import pyarrow as pa
 
     is_there = (
         log.is_valid | log.is_continuous | ~np.isnan(log.offset_m) | ~np.isnan(log.lri)
@@ -114,7 +116,6 @@ def _to_arrow(log: LineLog) -> Any:
 
 
 def _write_csv(path: Path, table: Any) -> None:
-    from pyarrow import csv
 
     with atomic(path) as temporary, temporary.open("wb") as file:
         file.write((",".join(table.column_names) + "\n").encode())
@@ -147,8 +148,6 @@ def _check_columns(path: Path, names: list[str]) -> list[str]:
 
 
 def _read_csv(path: Path) -> Any:
-    import pyarrow as pa
-    from pyarrow import csv
 
     try:
         with path.open(encoding="utf-8-sig") as file:
@@ -184,8 +183,6 @@ def _read_csv(path: Path) -> Any:
 
 
 def _read_parquet(path: Path) -> Any:
-    import pyarrow as pa
-    from pyarrow import parquet
 
     # Given a name, pyarrow takes what is before a colon for the scheme of an address.
     try:
@@ -204,8 +201,6 @@ def _read_parquet(path: Path) -> Any:
 
 def _typed(path: Path, name: str, column: Any) -> Any:
     """A column of a Parquet file, which may hold text or other numbers, in the type it needs."""
-    import pyarrow as pa
-    import pyarrow.compute as pc
 
     wanted, given = _type(name), column.type
     try:
@@ -230,7 +225,6 @@ def _typed(path: Path, name: str, column: Any) -> Any:
 
 
 def _type(name: str) -> Any:
-    import pyarrow as pa
 
     return pa.float64() if _NEEDS[name] == "a number" else pa.bool_()
 
