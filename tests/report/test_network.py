@@ -5,10 +5,12 @@ from __future__ import annotations
 from collections import Counter
 from pathlib import Path
 
+import numpy as np
 import pytest
 from matplotlib.colors import to_hex
 from matplotlib.figure import Figure
 from matplotlib.patches import Circle, FancyArrowPatch
+from matplotlib.path import Path as Curve
 
 from egolane_pgm.report.network import draw_network, network_figure
 from egolane_pgm.types import InputError
@@ -146,7 +148,9 @@ def test_no_arrow_runs_through_a_node_and_no_two_nodes_touch(network: Declared) 
             continue
         _, a, s, b, t = str(patch.get_gid()).split()
         path = patch.get_transform().transform_path(patch.get_path())
-        points = to_data.transform(path.interpolated(20).vertices)
+        parts = [Curve(part) for part in path.to_polygons(closed_only=False)]
+        drawn_at = np.concatenate([part.interpolated(20).vertices for part in parts])
+        points = to_data.transform(drawn_at)
         for node, circle in drawn.items():
             if node not in ((a, int(s)), (b, int(t))):
                 distance = ((points - circle.center) ** 2).sum(axis=1) ** 0.5
