@@ -1,5 +1,9 @@
 """An experiment is a YAML file: it names the recording, the rule by which lines become evidence,
 the graph and the parameters. This module checks the keys; `model` checks the parameters of plugins.
+
+Two keys are not the experiment's own. `include: other.yaml` takes the keys that the YAML lacks from
+a file beside it (`load_yaml`). `version: 1`, which may be left out, says which version of the keys
+the YAML is written in (`files.read_yaml`).
 """
 
 from __future__ import annotations
@@ -36,6 +40,9 @@ Section = TypeVar("Section", bound=BaseModel)
 class Recording(_Section):
     """The source of the lines: a file (`path`) or a simulated drive (`simulate`).
 
+    - missing_frames: what is put in for frame ids that the recording lacks: nothing (`skip`), the
+      frame before (`hold`), or a frame without evidence (`predict`).
+    - lri: whether a line's reliability index is used as recorded or clipped to its range.
     - camera: the YAML file of the camera, for pictures and for lines given in pixels.
     - detector: the name or file of a detector, if `path` is a video or a folder of pictures.
     - right: the pictures of the second camera of a stereo pair.

@@ -1,5 +1,5 @@
-"""An experiment's plugins, checked and compiled; the evidence they make of a recording; and the two
-together, a drive, for whatever scores or fits."""
+"""A model is an experiment's plugins, checked and compiled; it makes the evidence of a recording. A
+drive is a model together with a recording, for whatever scores or fits."""
 
 from __future__ import annotations
 
@@ -37,9 +37,11 @@ KEPT_EVIDENCE = 12
 
 @dataclass(frozen=True)
 class Model:
-    """An experiment's plugins, checked and compiled: nothing of the recording is in it.
+    """An experiment's plugins, checked and compiled. It knows nothing of the recording.
 
-    rule, graph: the plugin modules. parameters: every declared one with its value.
+    - rule, graph: the modules of the evidence rule and the graph.
+    - parameters: the value of every parameter that they declare.
+    - compiled: the graph with these values, as inference takes it.
     """
 
     rule: ModuleType
@@ -85,8 +87,12 @@ def prepare_model(experiment: Experiment) -> Model:
 
 
 def with_parameters(model: Model, parameters: Mapping[str, Value]) -> Model:
-    """The same model with other (resolved) parameters; only a graph without `tables` is declared
-    anew, or where a whole number of its own changes, which shapes the network."""
+    """The same model with other parameters, every one with its value.
+
+    A graph that defines `tables` gets new numbers in the network that is compiled already. The
+    network is declared and compiled anew for any other graph, and where a whole number that the
+    graph declares has changed, because that may change the network's shape.
+    """
     shapes = [p.name for p in getattr(model.graph, "PARAMETERS", ()) if p.kind == "integer"]
     same_shape = all(parameters[name] == model.parameters[name] for name in shapes)
     if same_shape and hasattr(model.graph, "tables"):
@@ -104,9 +110,9 @@ def with_parameters(model: Model, parameters: Mapping[str, Value]) -> Model:
 def causality(
     experiment: Experiment, model: Model, found: Sequence[Mapping[str, Value]] = ({},)
 ) -> dict[str, Any]:
-    """Whether a belief about a frame uses the frames up to it only, as results say it.
+    """Tell whether a belief about a frame uses the frames up to it only, as results say it.
 
-    found: values that replace the model's own, one mapping for each way in which it was run.
+    - found: values that replace the model's own, a mapping for each block that was run with others.
 
     Returns `is_causal`; `causal`, which says it of `filter` and `evidence` apart; and
     `why_not_causal`, a line for each of them that looks ahead. An evidence rule that looks ahead
@@ -162,8 +168,12 @@ def _check_fit(rule: ModuleType, graph: ModuleType, source: str) -> None:
 
 @dataclass(frozen=True)
 class RuleOutput:
-    """filtered: what the filter takes. tentative (T, n), rows summing to one: the rule's own
-    answer over lanes, or None. notes: what the rule warned of, a line each."""
+    """What an evidence rule made of T frames.
+
+    - filtered: the evidence as the filter takes it.
+    - tentative: (T, n) the rule's own answer over lanes, rows summing to one; or None.
+    - notes: what the rule warned of, a line each.
+    """
 
     filtered: Evidence
     tentative: FloatArray | None
@@ -171,8 +181,11 @@ class RuleOutput:
 
 
 def online_rule(model: Model) -> Callable[[LineLog], Evidence]:
-    """The evidence rule for frames that come one after the other: a rule that looks at the frames
-    before defines `online(n_lanes, parameters)`, which gives such a function."""
+    """A function that makes the evidence of frames as they come, one or a few at a time.
+
+    A rule whose evidence depends on earlier frames defines `online(n_lanes, parameters)`, which
+    returns a function that remembers them. Of any other rule it is `evidence` itself.
+    """
     rule = model.rule
     if hasattr(rule, "online"):
         with plugin_errors(rule, "evidence"):
@@ -193,8 +206,14 @@ def make_evidence(
     *,
     give: Callable[[LineLog], Evidence] | None = None,
 ) -> RuleOutput:
-    """The evidence of a log for the model's graph; frames put in by `missing_frames: predict`
-    say nothing about any node. give: an `online_rule` that has seen the frames before."""
+    """Make the evidence of a log of T frames for the model's graph.
+
+    - reading: the experiment's `evidence_reading`.
+    - give: makes the evidence in place of the rule: an `online_rule` that has seen earlier frames.
+
+    The evidence of frames that `missing_frames: predict` put in is 1 for every value of a node.
+    Raises InputError, naming the rule's file, for what is no evidence of T frames.
+    """
     rule = model.rule
     with plugin_errors(rule, "evidence"), warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always", UserWarning)
@@ -288,8 +307,11 @@ class Drive:
         return keep
 
     def only_labels_of(self, train: IntArray) -> Drive:
-        """The same drive, the labels of all annotated frames but `train` removed: there the lane is
-        1 and the frame is crossing, of which no fit and no score looks at the lane."""
+        """The same drive without the labels of all annotated frames but `train`.
+
+        The other frames are marked as crossing, in lane 1: no fit and no score looks at the lane of
+        a crossing frame.
+        """
         if self.recorded.truth is None:
             return self
         lane = np.ones_like(self.truth.lane)
@@ -351,8 +373,11 @@ def beliefs_of(drive: Drive, model: Model) -> tuple[Beliefs, tuple[str, ...]]:
 
 
 def evidence_of(drive: Drive, parameters: Mapping[str, Value]) -> Evidence:
-    """The evidence of the whole log with other parameters; it is made anew only when a parameter of
-    the evidence rule has a value that was not used lately."""
+    """The evidence of all T frames with other parameters, every one with its value.
+
+    The drive keeps the last few evidences, by the values of the evidence rule's parameters, and
+    makes one only for values that are not among them.
+    """
     names = [p.name for p in getattr(drive.model.rule, "PARAMETERS", ())]
     key = tuple(parameters[name] for name in names)
     if key in drive.evidence:
@@ -370,8 +395,10 @@ def evidence_of(drive: Drive, parameters: Mapping[str, Value]) -> Evidence:
 
 
 def belief_of(drive: Drive, parameters: Mapping[str, Value]) -> FloatArray:
-    """(K, n): the belief over lanes in the annotated frames with other parameters, filtered from
-    the first frame of the log on."""
+    """Filter a drive with other parameters, every one with its value, from its first frame on.
+
+    Returns the belief over lanes in the annotated frames, (K, n).
+    """
     compiled = with_parameters(drive.model, parameters).compiled
     beliefs = filter_beliefs(compiled, evidence_of(drive, parameters), drive.experiment.filter)
     return np.asarray(beliefs.lane[drive.rows])

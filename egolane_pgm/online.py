@@ -29,14 +29,18 @@ _LINE_KEYS = ("offset_m", "is_valid", "is_continuous", "lri")
 
 
 def filter_stream(experiment: Experiment, messages: Iterable[str]) -> Iterator[dict[str, Any]]:
-    """Per message (a JSON line, `{"frame_id": 7, "lines": [{"offset_m": -1.8, "is_valid": true,
-    "is_continuous": false, "lri": 10}, ...]}`) the belief after it.
+    """Filter messages as they come, and yield the belief after each of them.
 
-    `is_valid` defaults to true, `is_continuous` to false, `lri` to unknown. Blank lines are
-    skipped. Yields `{frame_id, time_s, assigned_lane (0: Unassigned), is_impossible, beliefs:
-    {node: {value: probability}}}`. With filter fixed_lag the belief about a frame comes `lag`
-    frames later, the last ones at the end. Raises InputError naming the message for what cannot be
-    used, and for filter smoothed, which needs the whole drive.
+    - messages: one frame each, a JSON line such as `{"frame_id": 7, "lines": [{"offset_m": -1.8,
+      "is_valid": true, "is_continuous": false, "lri": 10}, ...]}`. `is_valid` is true by default,
+      `is_continuous` false, `lri` unknown. Blank lines are skipped.
+
+    Yields `{frame_id, time_s, assigned_lane (0: Unassigned), is_impossible, beliefs: {node: {value:
+    probability}}}`. With filter fixed_lag the belief about a frame comes `lag` frames later, those
+    about the last frames at the end.
+
+    Raises InputError, naming the message, for what cannot be used, and for filter smoothed, which
+    needs the whole drive.
     """
     frame_rate = experiment.recording.frame_rate
     logs = (
@@ -48,8 +52,10 @@ def filter_stream(experiment: Experiment, messages: Iterable[str]) -> Iterator[d
 
 
 def filter_logs(experiment: Experiment, logs: Iterable[LineLog]) -> Iterator[dict[str, Any]]:
-    """The same for frames that are logs of one frame each, named by their `source`: an answer for
-    each, in order."""
+    """Filter frames as they come, and yield an answer for each, as `filter_stream` does.
+
+    - logs: one frame each; the `source` of each names it in messages.
+    """
     if experiment.filter == "smoothed":
         raise InputError(
             f"{experiment.source}: filter: smoothed needs the whole drive; online use fixed_lag,"
@@ -62,7 +68,7 @@ def filter_logs(experiment: Experiment, logs: Iterable[LineLog]) -> Iterator[dic
     max_lri = float(model.parameters.get("max_lri", 10))  # type: ignore[arg-type]
     state: FilterState | None = None
     late: LagState | None = None
-    # Frames without an answer yet; None was put in for one that is missing.
+    # Frames that wait for their answer; None stands for one that the recording lacks.
     waiting: deque[LineLog | None] = deque()
     last: LineLog | None = None
     for log in logs:
@@ -114,7 +120,8 @@ def _answer(
 
 
 def _with_gap(last: LineLog | None, log: LineLog, policy: str, frame_rate: float) -> LineLog:
-    """The frame, after those that are missing before it as `missing_frames` says."""
+    """The frame, and before it those between the last one and it that the recording lacks, put in
+    as the policy of `missing_frames` says."""
     if last is None:
         return log
     before, now = int(last.frame_id[0]), int(log.frame_id[0])

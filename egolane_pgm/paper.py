@@ -62,8 +62,12 @@ def parse_runs(text: str) -> list[int]:
 
 
 def parameters_for(entry: Mapping[str, Any], which: str) -> dict[str, Any]:
-    """A run's parameters: `published` as printed, or `recovered`, which give the published model
-    matrix. Those of run 5 stand in the authors' code, a search found the others."""
+    """The parameters of one of the paper's runs.
+
+    - entry: the run's part of published.yaml.
+    - which: `published` for the values as printed, or `recovered` for values that give the
+      published model matrix: run 5's stand in the authors' code, a search found the others.
+    """
     if which not in PARAMETER_SETS:
         raise InputError(f"--parameters {which}: is not one of {', '.join(PARAMETER_SETS)}")
     return dict(entry["parameters"] if which == "published" else entry["recovered"]["parameters"])
@@ -71,8 +75,13 @@ def parameters_for(entry: Mapping[str, Any], which: str) -> dict[str, Any]:
 
 @dataclass(frozen=True)
 class Reproduced:
-    """One run of the paper, ours beside theirs. run: number; entry: its part of published.yaml.
-    detector_frames_off, model_frames_off: see `frames_off`."""
+    """One run of the paper, ours beside theirs.
+
+    - number: 1 to 10.
+    - entry: its part of published.yaml.
+    - run: ours.
+    - detector_frames_off, model_frames_off: as `frames_off` counts them.
+    """
 
     number: int
     entry: Mapping[str, Any]

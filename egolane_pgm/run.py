@@ -71,9 +71,12 @@ def run_experiment(
     *,
     recorded: Recorded | None = None,
 ) -> Run:
-    """Run an experiment (or its YAML file). `recorded`: the recording where it is at hand.
+    """Run an experiment.
 
-    Raises InputError for whatever does not fit, in one line.
+    - experiment: an experiment, or its YAML file.
+    - recorded: its recording, where it was read already.
+
+    Raises InputError, one line, for whatever does not fit.
     """
     if not isinstance(experiment, Experiment):
         experiment = load_experiment(experiment)
@@ -129,10 +132,12 @@ def run_experiment(
 
 
 def save_run(run: Run, directory: str | Path, draw: Callable[[Path], None] | None = None) -> Path:
-    """Write a result directory (`results` says what is in it); an existing one is replaced as a
-    whole. `draw` is given the directory before it has its name, to add figures.
+    """Write a result directory; `results` says what is in it. An existing one is replaced whole.
 
-    Raises InputError where it cannot be written; without figures it is kept all the same.
+    - draw: adds figures to the directory that it is given, before that has its final name.
+
+    Raises InputError where the directory cannot be written. Where only the figures cannot be drawn
+    it raises InputError too, and the result is kept without them.
     """
     directory = Path(directory)
     undrawn: InputError | None = None
@@ -163,8 +168,12 @@ def save_run(run: Run, directory: str | Path, draw: Callable[[Path], None] | Non
 def portable(
     experiment: Experiment, model: Model, content: Mapping[str, Any], folder: Path
 ) -> dict[str, Any]:
-    """The resolved config in a form that can be run from the result directory `folder`: the user's
-    own plugin files are copied into it, files that lay beside the YAML are named in full."""
+    """The resolved config in a form that can be run from a result directory.
+
+    - content: the resolved config.
+    - folder: the result directory. The user's own plugin files are copied into it; recordings and
+      other files that lie beside the YAML are named by their whole path.
+    """
     portable = {**content}
     for key, module in (("evidence", model.rule), ("graph", model.graph)):
         if str(content[key]).endswith(OWN_FILES) and module.__file__:
@@ -178,8 +187,11 @@ def portable(
 
 
 def files_in_full(section: Mapping[str, Any], folder: Path) -> dict[str, Any]:
-    """The keys of a `recording` or `ground_truth` section, with the whole path of files and folders
-    that lie in `folder`, the YAML's own; the names of those found elsewhere stay as they are."""
+    """A `recording` or `ground_truth` section whose files are named by their whole path.
+
+    - section: its keys and values.
+    - folder: the folder of the YAML. The names of files that do not lie there stay as they are.
+    """
     return {name: _in_full(name, value, folder) for name, value in section.items()}
 
 
@@ -221,9 +233,11 @@ def provenance_of(
     content: Mapping[str, Any],
     notes: Sequence[str],
 ) -> dict[str, Any]:
-    """What run.json says of beliefs: see `results`.
+    """The content of run.json, as `results` documents it.
 
-    content: the resolved config. notes: the warnings, a line each.
+    - beliefs: of T frames.
+    - content: the resolved config.
+    - notes: the warnings, a line each.
     """
     truth = recorded.truth
     return {
@@ -250,8 +264,11 @@ def belief_columns(
     tentative: FloatArray | None,
     assigned: IntArray | None = None,
 ) -> dict[str, np.ndarray[Any, Any]]:
-    """The columns of beliefs.parquet, (T,) each; see `results`. beliefs, tentative, assigned: of
-    the T frames of the log; by default the lanes that the beliefs assign."""
+    """The columns of beliefs.parquet, (T,) each, as `results` documents them.
+
+    - beliefs, tentative: of the T frames of the log.
+    - assigned: (T,) the lanes that are answered; by default those that the beliefs assign.
+    """
     log, truth = recorded.log, recorded.truth
     columns: dict[str, np.ndarray[Any, Any]] = {"frame_id": log.frame_id, "time_s": log.time_s}
     for node, names in value_names(model).items():
@@ -278,8 +295,8 @@ def belief_columns(
 
 
 def plugin_files(model: Model) -> dict[str, dict[str, str]]:
-    """Of a model's evidence rule and graph, the name of the file, or of the folder with several,
-    and the sha256 of what is in it."""
+    """The file, or the folder of several, in which a model's evidence rule and graph stand: its
+    name and the sha256 of what is in it."""
     found = {}
     for kind, module in (("evidence", model.rule), ("graph", model.graph)):
         files = source_files(module)

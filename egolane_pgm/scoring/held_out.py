@@ -37,7 +37,7 @@ P = TypeVar("P")
 
 @dataclass(frozen=True)
 class HeldOut(Generic[P]):
-    """What is believed in each frame with parameters that were fitted without the frame's block.
+    """The belief in each frame with parameters that were fitted without the frame's block.
 
     beliefs: of the K annotated frames, each block with its own parameters; any score can be
     computed from them.

@@ -1,5 +1,5 @@
-"""What a search is worth on frames that it has not seen: the study is run anew without each block
-of the drive (or without each recording) and scored there only."""
+"""Scores a search on frames that it has not seen: the study is run anew without each block of the
+drive (or without each recording), and its result is scored there only."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ SCORES = ("accuracy", "precision", "recall", "f1", "log_loss", "brier")
 
 @dataclass(frozen=True)
 class Nested:
-    """What a study without one part of the frames came to.
+    """The result of a study without one part of the frames.
 
     - part: number of the block, or of the recording, from 0.
     - point: the best one.
@@ -143,8 +143,8 @@ def nested_search(
 
 
 def settings_without(problem: Problem, part: int) -> Settings:
-    """How the study without a part is run: with another seed, for equal studies would share their
-    luck."""
+    """The settings of the study without a part. Each such study has a seed of its own, because with
+    one seed all of them would share its luck."""
     seed = np.random.SeedSequence([problem.settings.seed, part + 1]).generate_state(1)[0]
     return replace(problem.settings, seed=int(seed))
 

@@ -90,7 +90,7 @@ def with_detector(experiment: Experiment, parameters: Mapping[str, Value]) -> Ex
 def tried_belief(drive: Drive, parameters: Mapping[str, Value]) -> FloatArray:
     """Filter a drive with the parameters of a trial: (K, n), the belief in the annotated frames.
 
-    Where the detector's parameters are among them it first looks at all pictures anew.
+    If parameters of the detector are among them, the detector first looks at all pictures anew.
     """
     own, detector = split(parameters)
     if detector:

@@ -46,7 +46,11 @@ class _TuningFile(BaseModel):
 
 @dataclass(frozen=True)
 class Plan:
-    """A study to do. source: the YAML, for messages. run: number of the paper's run, or None."""
+    """A study to do: which experiments are tuned together, and how.
+
+    - tuning: the settings of the search.
+    - source: the YAML, for messages.
+    """
 
     name: str
     description: str
@@ -72,8 +76,12 @@ class Plan:
 
 @dataclass(frozen=True)
 class Problem:
-    """A plan with its recordings read. spaces: per drive; their dimensions are the same, what is
-    kept may differ."""
+    """A plan whose recordings were read.
+
+    - drives: a recording and its model for each experiment.
+    - spaces: a search space for each drive. Their dimensions are the same; the values of the
+      parameters that are not searched may differ.
+    """
 
     plan: Plan
     settings: Settings
@@ -121,8 +129,11 @@ def together(plans: Sequence[Plan]) -> Plan:
 
 
 def with_options(plan: Plan, options: Mapping[str, Any]) -> Plan:
-    """The plan with the keys of its tuning section that are given (not None) replaced;
-    `parameters` are added one by one."""
+    """Replace settings of a plan's search.
+
+    - options: keys of the `tuning` section; those that are None stay as they are, `parameters` are
+      added to those of the plan one by one.
+    """
     content = plan.tuning.model_dump()
     for key, value in options.items():
         if key == "parameters":
@@ -165,8 +176,8 @@ def problem_of(plan: Plan, drives: Sequence[Drive]) -> Problem:
 
 
 def check_plan(plan: Plan) -> int:
-    """How many numbers are searched; no recording is read. Raises InputError, as `make_problem`
-    does, for what can be told without one."""
+    """Check a plan without reading a recording, and return how many numbers it searches. Raises
+    InputError as `make_problem` does, for all that can be told so."""
     _ = plan.settings
     spaces = []
     for experiment in plan.experiments:
@@ -222,9 +233,11 @@ def scorer(problem: Problem, is_used: Sequence[BoolArray]) -> Score:
 
 
 def starting_points(problem: Problem) -> tuple[list[Point], list[str]]:
-    """Return the points that are tried first: the current values of each experiment, and for a run
-    of the paper the recovered and the published ones. And notes about those that the bounds leave
-    out."""
+    """Return the points that a study tries first, and notes about those that lie out of bounds.
+
+    They are the current values of each experiment, and for a run of the paper the recovered and
+    the published ones before them.
+    """
     if problem.plan.tuning.from_scratch:
         return [], []
     named: list[tuple[str, Mapping[str, Value]]] = []

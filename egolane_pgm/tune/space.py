@@ -28,8 +28,11 @@ Point = Mapping[str, float | int | str]
 class Dimension:
     """One number, or choice, that is searched.
 
-    key: `sigma1`, or `p3[2]` for lane 2 of a parameter with one value per lane (lane from 1, else
-    None). low, high: inclusive. choices: names instead of numbers (low, high are their indices).
+    - key: `sigma1`, or `p3[2]` for the value of lane 2 of a parameter with one value per lane.
+    - parameter: the name that is declared: `p3`.
+    - lane: from 1; None for a parameter with one value for all lanes.
+    - low, high: the bounds, both included.
+    - choices: names instead of numbers; low and high are then the first and last index.
     """
 
     key: str
@@ -43,7 +46,7 @@ class Dimension:
 
 @dataclass(frozen=True)
 class SearchSpace:
-    """D dimensions, and the declared parameters that are kept at a value."""
+    """D dimensions that are searched, and the values of the parameters that are not."""
 
     dimensions: tuple[Dimension, ...]
     fixed: Mapping[str, Value]
@@ -64,11 +67,12 @@ def make_space(
     n_lanes: int,
     where: str,
 ) -> SearchSpace:
-    """The space of the declared parameters.
+    """Make the search space of the declared parameters.
 
-    current: every parameter's value, kept for those that are not searched. given: per name
-    [low, high], names of a choice, or one value to keep. Parameters without declared bounds are
-    searched only if bounds are given.
+    - specs: the parameters. One that declares no bounds is searched only where bounds are given.
+    - current: the value of every parameter; those that are not searched keep it.
+    - given: by name [low, high], names of a choice, or one value to keep instead.
+    - where: the beginning of a message, e.g. the YAML and the key.
 
     Raises InputError (`<where>.<name>: ...`) for unknown names, with a suggestion, empty or
     inverted bounds, bounds that the parameter's kind does not allow, and when nothing is left.
@@ -168,8 +172,8 @@ def to_parameters(space: SearchSpace, point: Point) -> dict[str, Value]:
 
 
 def to_point(space: SearchSpace, parameters: Mapping[str, Value]) -> dict[str, Any] | None:
-    """The point of a parameter set; None where a value lies outside of the space. Parameters that
-    the space keeps at another value are taken as the space has them."""
+    """The point of a parameter set, or None where a value lies outside of the space. The values of
+    parameters that are not searched are not looked at."""
     point: dict[str, Any] = {}
     for d in space.dimensions:
         value: Any = parameters[d.parameter]

@@ -1,11 +1,11 @@
-"""What a study leaves behind, in one directory:
+"""The files of a study's directory:
 
 study.json     schema_version, name, what was searched and how, data (path, sha256, bytes),
                versions, git, best, pareto, in_sample, held_out, difference
 trials.csv     number, state, a column per score (in-sample) and per parameter; also .parquet
 best.yaml      the best parameters as an experiment for `egolane run`; best_<name>.yaml for
                each of several recordings
-nested.json    what each study without one part came to, so that a repeated command goes on
+nested.json    the result of each study without one part, so that a repeated command goes on
 study.journal  the study itself, as Optuna keeps it (not with --storage)
 """
 

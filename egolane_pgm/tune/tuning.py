@@ -48,13 +48,14 @@ from egolane_pgm.tune.storage import (
 )
 from egolane_pgm.types import InputError
 
-#: Called now and then: what is being done, how many more trials are, the best score so far.
+#: Called now and then with the name of a study, the number of trials that it finished since, and
+#: its best score so far.
 Progress = Callable[[str, int, float], None]
 
 
 @dataclass
 class Search:
-    """A search to do, and how far it came.
+    """A search, and how far it has come.
 
     - directory: of its results.
     - held_out: "blocks", "recordings", or "none" for in-sample scores only.
@@ -192,9 +193,10 @@ def tune(
     """Do searches, and yield each one's study.json when it is finished, in their order.
 
     - jobs: processes that share the studies, those without a part included.
-    - workers: processes that share the trials of each study on all frames, and the other studies.
+    - workers: processes that share the trials of each study on all frames; then `jobs` is not
+      looked at, and the same processes share the studies without a part.
 
-    Nested studies that a repeated command finds done are kept.
+    Studies without a part that an earlier command finished are not run again.
     """
     for made in searches:
         make_directory(made.directory)
@@ -298,7 +300,7 @@ def finish_main(made: Search, seconds: float) -> None:
 
 
 def finish(made: Search) -> dict[str, Any]:
-    """Score a search in-sample and held out, and write made.json; returns what is in it."""
+    """Score a search in-sample and held out, write its study.json and return what is in that."""
     problem, drives = made.problem, made.problem.drives
     everything = all_used(drives)
     trusted = [d.may_fit for d in drives]
