@@ -107,7 +107,6 @@ def calibrate(
     target: str,
 ) -> None:
     """Find out how a camera sees the road: lens from chessboards, turn and height from lines."""
-
     check_lane_width(lane_width)
     if (stills is None) == (lines is None):
         raise InputError("give either --stills of a road or --lines with labels")
@@ -150,7 +149,6 @@ def calibrate(
 
 
 def _numbers(text: str, separator: str, n: int, option: str, example: str) -> tuple[int, ...]:
-
     parts = text.lower().split(separator)
     if len(parts) != n or not all(part.strip().isdecimal() for part in parts):
         raise InputError(f"{option}: '{text}' is not {example}")
@@ -170,7 +168,6 @@ def _rectangle(text: str) -> Rectangle:
 
 def _check_masks(masks: Sequence[Rectangle], size: tuple[int, int]) -> None:
     """Raise InputError for a rectangle that covers nothing of the pictures."""
-
     for mask in masks:
         if mask[0] >= size[0] or mask[1] >= size[1]:
             said = ",".join(map(str, mask))
@@ -179,7 +176,6 @@ def _check_masks(masks: Sequence[Rectangle], size: tuple[int, int]) -> None:
 
 def _check_not_read(place: Path, patterns: Sequence[str | None], lines: str | None) -> None:
     """Raise InputError if the output would replace a file that is read."""
-
     read = [Path(lines)] if lines else []
     for pattern in filter(None, patterns):
         read += [p for p in _matching_or_none(pattern) if p.name == place.name]
@@ -187,7 +183,6 @@ def _check_not_read(place: Path, patterns: Sequence[str | None], lines: str | No
 
 
 def _matching_or_none(pattern: str) -> list[Path]:
-
     try:
         return files_matching(pattern)
     except InputError:
@@ -201,7 +196,6 @@ def _known_size(
 
     - given: the size that the user gave, for labels whose pictures are not there.
     """
-
     if lines:
         labels = read_labels(lines)[:first]
         if given is None:
@@ -217,7 +211,6 @@ def _known_size(
 def _lens(
     chessboards: str | None, board: str, size: tuple[int, int], field_of_view: float | None
 ) -> tuple[Camera, list[str]]:
-
     if not chessboards:
         degrees = ASSUMED_FIELD_OF_VIEW if field_of_view is None else field_of_view
         return assumed_camera(*size, degrees), describe_assumed_lens(degrees)
@@ -241,7 +234,6 @@ def _draw(road: SeenRoad, target: Path) -> None:
 
 
 def _progress(paths: Iterable[Path], what: str) -> Iterable[Path]:
-
     bar: Iterable[Path] = tqdm(paths, desc=what, unit="picture", leave=False, disable=None)
     return bar
 

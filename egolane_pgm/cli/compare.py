@@ -81,7 +81,6 @@ def compare(
     or, with --runs, on those of the paper's runs. With --graphs and without --held-out: graphs
     with the paper's parameters, in-sample.
     """
-
     if experiments and graphs:
         raise InputError("compare: name experiments, or graphs with --graphs, not both")
     if learned_on and not experiments:
@@ -207,7 +206,6 @@ def _held_out(
 def _write_first(json_file: Path | None, found: Mapping[str, Any]) -> InputError | None:
     """Write the numbers before anything is printed, because a reader may close the pipe. An error
     is returned, to be raised after the numbers are printed."""
-
     try:
         if json_file:
             write_json(json_file, found)

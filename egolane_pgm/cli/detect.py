@@ -60,7 +60,6 @@ def detect(
     What was detected before Ctrl-C, or before a picture that cannot be used, is written too. Then
     `egolane run X.yaml --recording FILE` gives the lane.
     """
-
     if Path(target).suffix.lower() not in _TARGETS:
         raise InputError(f"--out {target}: lines are written as {', '.join(_TARGETS)}")
     check_place(Path(target))
@@ -107,7 +106,6 @@ def detect(
 def _write(target: str, log: LineLog) -> None:
     """Write the lines. If the disk is full or the folder gone meanwhile, write them to another
     place: they may be the work of hours."""
-
     try:
         write_lines(target, log)
     except InputError as error:

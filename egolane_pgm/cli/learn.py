@@ -52,7 +52,6 @@ def learn(
     With `fit: choose` constants are chosen first, and tables learned only where the experiment has
     a `learning` section, as in `egolane compare`.
     """
-
     if unlabelled:
         overrides = (*overrides, "learning.labels=false")
     found = load_experiment(experiment, overrides)
@@ -115,7 +114,6 @@ def _chosen(experiment: Experiment, blocks: int) -> Experiment:
 def _learns_more(experiment: Experiment) -> bool:
     """Whether anything is learned beside the choice: with `fit: choose`, as in `compare`, tables
     are learned only if the experiment has a section `learning`."""
-
     return experiment.fit != "choose" or learns(prepare_model(experiment), experiment)
 
 
@@ -123,7 +121,6 @@ def _write_chosen(
     experiment: Experiment, target: Path, blocks: int, json_file: Path | None
 ) -> None:
     """Write an experiment whose constants were chosen; it has no held-out scores."""
-
     files = write_learned(experiment, prepare_model(experiment), {}, target)
     click.echo(f"\nwritten to {' and '.join(map(str, files))}")
     if json_file:

@@ -31,7 +31,6 @@ def data() -> None:
 @data.command("list")
 def list_data() -> None:
     """What the data set consists of, and which files are there."""
-
     data = os.environ.get("EGOLANE_DATA")
     folders = [Path(data).expanduser()] if data else []
     folders.append(catalog.download_folder())
@@ -56,7 +55,6 @@ def list_data() -> None:
 )
 def fetch(base_url: str | None, folder: str | None, jobs: int) -> None:
     """Download what is missing; checks every sha256, keeps good files."""
-
     _say(catalog.fetch(base_url=base_url, folder=folder, jobs=jobs))
 
 
@@ -64,14 +62,12 @@ def fetch(base_url: str | None, folder: str | None, jobs: int) -> None:
 @click.option("--folder", type=click.Path(file_okay=False), help="Where they are.")
 def verify(folder: str | None) -> None:
     """Check every downloaded file against its sha256."""
-
     _say(catalog.verify(folder))
 
 
 def have_recordings() -> bool:
     """Whether the paper's recordings are there. If not, offer to download them, or print where they
     were looked for and how to get them."""
-
     if _all_found():
         return True
     size = sum(file.size for file in catalog.list_files()) / 1e6
@@ -142,7 +138,6 @@ def convert(
     SOURCE is one of these, or what another lane detector wrote, with --camera: TuSimple's JSON
     lines, a folder of CULane's .lines.txt or of OpenLane's .json.
     """
-
     given = {"topic": topic, "camera": camera, "frame_rate": frame_rate}
     chosen = options.given(overrides, "valid=always") | {
         key: value for key, value in given.items() if value is not None
@@ -165,7 +160,6 @@ def lines(recording: str, frame_id: int, camera: str | None, overrides: tuple[st
 
     RECORDING is a recording of lines, or the YAML of an experiment: then its own.
     """
-
     if Path(recording).suffix.lower() in (".yaml", ".yml"):
         if camera is not None:
             raise InputError("--camera: an experiment names its own; --set recording.camera=FILE")

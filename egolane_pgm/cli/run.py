@@ -86,7 +86,6 @@ def run(
     Several EXPERIMENTS, or one on several recordings, share --jobs processes; each has its own
     result directory, and one that fails does not stop the others.
     """
-
     if len(recordings) > 1 and (len(experiments) > 1 or ground_truth not in (None, "none")):
         raise InputError(
             "run: several --recording go with one experiment and no --ground-truth; write one"

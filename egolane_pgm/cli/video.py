@@ -86,7 +86,6 @@ def video(
 
     What was drawn before Ctrl-C, or before a picture that cannot be used, is kept.
     """
-
     if not target:
         raise InputError("--out: is empty; name a video (.mp4) or a folder")
     if frames is not None and frames[0] >= frames[1]:
@@ -141,7 +140,6 @@ def video(
 
 def _check_target(target: Path, sources: Sequence[Source]) -> None:
     """Raise InputError if the output would replace the pictures, or lie among them."""
-
     for source in sources:
         taken = {os.path.realpath(file) for file in source.files}
         if not source.is_video:
@@ -153,7 +151,6 @@ def _check_target(target: Path, sources: Sequence[Source]) -> None:
 
 def _experiment(file: str | None, n_lanes: int | None, frame_rate: float | None) -> Experiment:
     """The experiment that turns lines into beliefs; its own recording is not used."""
-
     found = load_experiment(file or experiments_folder() / "zero_label.yaml")
     if file is None and n_lanes is None:
         raise InputError("--n-lanes: say how many lanes the road has")

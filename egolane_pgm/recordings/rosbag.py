@@ -113,7 +113,6 @@ def _read_flat(path: Path, topic: str, frame_id: str) -> _Flat:
 
 def _read_messages(path: Path, topic: str) -> list[tuple[tuple[str, str], bytes]]:
     """Per message of the topic, in file order: (type, its definition), raw bytes."""
-
     if not path.is_file():
         raise InputError(f"{path}: no such file")
     _check_magic(path)
@@ -201,19 +200,16 @@ def _fields(types: Mapping[str, Any], name: str) -> dict[str, Any]:
 
 def _base(field: Any) -> str:
     """The primitive type of a field, "" for any other kind of field."""
-
     return str(field[1][0]) if field is not None and field[0] == Nodetype.BASE else ""
 
 
 def _named(field: Any) -> str:
     """The message type of a field that is a message, "" for any other kind of field."""
-
     return str(field[1]) if field is not None and field[0] == Nodetype.NAME else ""
 
 
 def _element(field: Any) -> str:
     """The message type of the elements of a field that is a list of messages, or ""."""
-
     if field is None or field[0] not in (Nodetype.SEQUENCE, Nodetype.ARRAY):
         return ""
     return _named(field[1][0])
@@ -298,7 +294,6 @@ def _parse_generic(
     path: Path, types: Mapping[str, Any], msgtype: str, raw: Iterable[bytes], frame_id: str
 ) -> _Flat:
     """Parse messages of any type that has the needed fields, one by one, with rosbags."""
-
     store = get_typestore(Stores.EMPTY)
     store.register(dict(types))
     ids: list[int] = []

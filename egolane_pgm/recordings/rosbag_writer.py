@@ -45,7 +45,6 @@ def write_rosbag(path: str | Path, log: LineLog, *, topic: str = TOPIC) -> None:
     Raises InputError for what the type cannot hold, naming the frame: a line whose LRI is unknown
     or no whole number; and for a file that cannot be written.
     """
-
     path = Path(path)
     listed = ~(np.isnan(log.offset_m) & np.isnan(log.lri))
     bad = listed & ~(np.isfinite(log.lri) & (np.abs(log.lri) < 2**31) & (log.lri % 1 == 0))

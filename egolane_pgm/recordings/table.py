@@ -201,7 +201,6 @@ def _read_parquet(path: Path) -> Any:
 
 def _typed(path: Path, name: str, column: Any) -> Any:
     """A column of a Parquet file, which may hold text or other numbers, in the type it needs."""
-
     wanted, given = _type(name), column.type
     try:
         if pa.types.is_dictionary(given):
