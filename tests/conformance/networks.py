@@ -3,6 +3,7 @@ random, and the answer by brute force, written in plain loops over every traject
 
 from __future__ import annotations
 
+import functools
 import importlib
 import itertools
 import math
@@ -11,15 +12,20 @@ from dataclasses import dataclass
 from types import ModuleType
 
 import numpy as np
+from hypothesis import settings
+from hypothesis import strategies as st
 
-from egolane_pgm.graphs.cpds import Table, dynamics, previous, prior, within
-from egolane_pgm.inference.compile import Compiled
+from egolane_pgm.graphs.cpds import Table, declare, dynamics, previous, prior, within
+from egolane_pgm.inference.compile import Compiled, compile_network, with_tables
 from egolane_pgm.inference.filtering import filter_beliefs
-from egolane_pgm.parameters import Parameter, Value, resolve_parameters
+from egolane_pgm.parameters import Parameter, Parameters, Value, resolve_parameters
 from egolane_pgm.plugins import plugin_names
 from egolane_pgm.types import Beliefs, Evidence, Observed
 
 METHODS = ("assumed_density", "exact")
+
+seeds = st.integers(0, 2**32 - 1)
+few = settings(max_examples=20, deadline=None)
 
 
 def graph_names() -> list[str]:
@@ -33,6 +39,26 @@ def graph(name: str) -> ModuleType:
 
 def graph_inputs(module: ModuleType) -> tuple[str, ...]:
     return tuple(getattr(module, "INPUTS", ()))
+
+
+def compiled_graph(module: ModuleType, n_lanes: int, parameters: Parameters) -> Compiled:
+    network = module.build(n_lanes, parameters)
+    return compile_network(network, module.HIDDEN, module.OBSERVED, graph_inputs(module))
+
+
+@functools.cache
+def template(name: str, n_lanes: int) -> Compiled:
+    """A graph of the package, small and with its default parameters."""
+    module = graph(name)
+    small = resolve_parameters(module.PARAMETERS, getattr(module, "SMALL", {}), n_lanes)
+    return compiled_graph(module, n_lanes, small)
+
+
+def small_parameters(name: str, n_lanes: int, rng: np.random.Generator) -> Parameters:
+    """Random values that fit the template."""
+    module = graph(name)
+    drawn = draw_parameters(module.PARAMETERS, n_lanes, rng)
+    return {**drawn, **getattr(module, "SMALL", {})}
 
 
 def draw_parameters(
@@ -214,6 +240,27 @@ class RandomGraph:
     hidden: tuple[str, ...]
     observed: tuple[Observed, ...]
     inputs: tuple[str, ...]
+
+    def compiled(self) -> Compiled:
+        network = declare(self.tables, self.observed)
+        return compile_network(network, self.hidden, self.observed, self.inputs)
+
+
+@functools.cache
+def random_network(seed: int) -> tuple[RandomGraph, Compiled]:
+    drawn = draw_graph(np.random.default_rng(seed))
+    return drawn, drawn.compiled()
+
+
+def any_compiled(seed: int) -> Compiled:
+    """The paper's graph with random parameters, or one of five random networks."""
+    if seed % 2:
+        return random_network(seed % 5)[1]
+    rng = np.random.default_rng(seed)
+    n_lanes = int(rng.integers(1, 6))
+    parameters = small_parameters("sensor_failure", n_lanes, rng)
+    tables = graph("sensor_failure").tables(n_lanes, parameters)
+    return with_tables(template("sensor_failure", n_lanes), tables)
 
 
 def draw_graph(rng: np.random.Generator) -> RandomGraph:

@@ -19,6 +19,7 @@ from tests.conformance.networks import (
     assert_filters_agree,
     assert_same_beliefs,
     brute_force,
+    compiled_graph,
     draw_evidence,
     draw_parameters,
     graph,
@@ -31,12 +32,6 @@ from tests.reference.oracle import oracle_assumed_density, oracle_filter
 GRAPHS = graph_names()
 every_graph = pytest.mark.parametrize("name", GRAPHS)
 every_n = pytest.mark.parametrize("n_lanes", [1, 2, 3, 4, 5])
-
-
-def compiled_graph(name: str, n_lanes: int, parameters: Parameters) -> Compiled:
-    module = graph(name)
-    network = module.build(n_lanes, parameters)
-    return compile_network(network, module.HIDDEN, module.OBSERVED, graph_inputs(module))
 
 
 def defaults(name: str, n_lanes: int, **given: object) -> Parameters:
@@ -101,7 +96,7 @@ def test_both_filters_agree_with_brute_force_on_tiny_cases(name: str, method: st
         rng = np.random.default_rng(seed)
         n_lanes = 2 if seed else 3
         parameters = draw_parameters(module.PARAMETERS, n_lanes, rng)
-        compiled = compiled_graph(name, n_lanes, parameters)
+        compiled = compiled_graph(graph(name), n_lanes, parameters)
         evidence = draw_evidence(compiled, 2, rng)
         right = brute_force(module.tables(n_lanes, parameters), module.HIDDEN, evidence, method)
         assert_filters_agree(compiled, evidence, {method: right})
@@ -133,10 +128,10 @@ def test_new_parameters_in_a_compiled_graph_equal_a_graph_built_with_them(name: 
     module = graph(name)
     for n_lanes in (1, 3, 4):
         rng = np.random.default_rng(n_lanes)
-        compiled = compiled_graph(name, n_lanes, defaults(name, n_lanes))
+        compiled = compiled_graph(graph(name), n_lanes, defaults(name, n_lanes))
         parameters = draw_parameters(module.PARAMETERS, n_lanes, rng)
         quick = with_tables(compiled, module.tables(n_lanes, parameters))
-        assert_same_arrays(quick, compiled_graph(name, n_lanes, parameters))
+        assert_same_arrays(quick, compiled_graph(graph(name), n_lanes, parameters))
 
 
 @every_graph
@@ -145,7 +140,7 @@ def test_the_order_of_a_tables_axes_does_not_matter(name: str) -> None:
     rng = np.random.default_rng(3)
     parameters = draw_parameters(module.PARAMETERS, 3, rng)
     tables = module.tables(3, parameters)
-    compiled = compiled_graph(name, 3, parameters)
+    compiled = compiled_graph(graph(name), 3, parameters)
     for _ in range(3):
         shuffled = shuffle_axes(tables, rng)
         rng.shuffle(shuffled)  # type: ignore[arg-type]
@@ -206,7 +201,7 @@ _TEMPLATES: dict[tuple[str, int], Compiled] = {}
 def compiled_template(name: str, n_lanes: int) -> Compiled:
     """Compiled once for each number of lanes; the tests put their own tables in."""
     if (name, n_lanes) not in _TEMPLATES:
-        _TEMPLATES[name, n_lanes] = compiled_graph(name, n_lanes, defaults(name, n_lanes))
+        _TEMPLATES[name, n_lanes] = compiled_graph(graph(name), n_lanes, defaults(name, n_lanes))
     return _TEMPLATES[name, n_lanes]
 
 
@@ -227,14 +222,14 @@ def mirrored_input(index: np.ndarray, parameters: Parameters) -> np.ndarray:
 def test_wor_on_lane_with_equal_numbers_for_all_lanes_is_sensor_failure(n_lanes: int) -> None:
     rng = np.random.default_rng(n_lanes)
     parameters = draw_parameters(graph("sensor_failure").PARAMETERS, n_lanes, rng)
-    plain = compiled_graph("sensor_failure", n_lanes, parameters)
+    plain = compiled_graph(graph("sensor_failure"), n_lanes, parameters)
     per_lane = {
         **parameters,
         "p3": (parameters["p3"],) * n_lanes,
         "p4": (parameters["p4"],) * n_lanes,
     }
-    one = compiled_graph("wor_on_lane", n_lanes, resolve("wor_on_lane", parameters, n_lanes))
-    many = compiled_graph("wor_on_lane", n_lanes, resolve("wor_on_lane", per_lane, n_lanes))
+    one = compiled_graph(graph("wor_on_lane"), n_lanes, resolve("wor_on_lane", parameters, n_lanes))
+    many = compiled_graph(graph("wor_on_lane"), n_lanes, resolve("wor_on_lane", per_lane, n_lanes))
     evidence = draw_evidence(plain, 30, rng)
     for method in METHODS:
         right = filter_beliefs(plain, evidence, method)
@@ -248,7 +243,7 @@ def resolve(name: str, given: Parameters, n_lanes: int) -> Parameters:
 
 def test_wor_that_differs_per_lane_moves_the_belief_over_lanes() -> None:
     parameters = defaults("wor_on_lane", 3, p3=[0.2, 0.9, 0.2], p4=[0.8, 0.1, 0.8])
-    compiled = compiled_graph("wor_on_lane", 3, parameters)
+    compiled = compiled_graph(graph("wor_on_lane"), 3, parameters)
     uniform = np.full((1, 3), 1 / 3)
     evidence = Evidence({"DetectorOutput": uniform, "WOR": np.array([[1.0, 0.0]])})
     # Both sensor states give WOR OK .2, .9, .2 in the three lanes; Bayes from a uniform prior.
@@ -261,8 +256,8 @@ def test_wor_without_information_makes_sensor_failure_equal_no_wor() -> None:
     rng = np.random.default_rng(0)
     parameters = resolve("sensor_failure", {"p3": 0.5, "p4": 0.5, "p1": 0.8, "p2": 0.7}, 3)
     short = {k: v for k, v in parameters.items() if k not in ("p3", "p4")}
-    with_wor = compiled_graph("sensor_failure", 3, parameters)
-    without = compiled_graph("no_wor", 3, short)
+    with_wor = compiled_graph(graph("sensor_failure"), 3, parameters)
+    without = compiled_graph(graph("no_wor"), 3, short)
     evidence = draw_evidence(with_wor, 30, rng, zeros=0)
     tentative = Evidence({"DetectorOutput": evidence.likelihoods["DetectorOutput"]})
     for method in METHODS:
@@ -276,8 +271,8 @@ def test_wor_without_information_makes_sensor_failure_equal_no_wor() -> None:
 
 def test_a_sensor_that_never_fails_makes_no_wor_equal_lane_only_from_a_certain_start() -> None:
     # p1 = 1 and p2 = 0: after one transition the sensor is OK for good.
-    sensor = compiled_graph("no_wor", 4, defaults("no_wor", 4, p1=1.0, p2=0.0))
-    plain = compiled_graph("lane_only", 4, defaults("lane_only", 4))
+    sensor = compiled_graph(graph("no_wor"), 4, defaults("no_wor", 4, p1=1.0, p2=0.0))
+    plain = compiled_graph(graph("lane_only"), 4, defaults("lane_only", 4))
     evidence = draw_evidence(plain, 30, np.random.default_rng(1), zeros=0)
     likelihood = evidence.likelihoods["DetectorOutput"]
     likelihood[0] = 1.0  # says nothing in the frame in which the sensor may be BAD
@@ -292,7 +287,7 @@ def test_a_sensor_that_never_fails_makes_no_wor_equal_lane_only_from_a_certain_s
 @pytest.mark.parametrize("name", ["sensor_failure", "wor_on_lane", "lane_only", "no_wor"])
 def test_a_detector_of_boundless_sigma_says_nothing_about_the_lane(name: str) -> None:
     wor_says_nothing = {"p3": 0.5, "p4": 0.5} if "WOR" in graph(name).OBSERVED else {}
-    compiled = compiled_graph(name, 4, defaults(name, 4, sigma2=1e12, **wor_says_nothing))
+    compiled = compiled_graph(graph(name), 4, defaults(name, 4, sigma2=1e12, **wor_says_nothing))
     evidence = draw_evidence(compiled, 20, np.random.default_rng(2), zeros=0)
     nothing = Evidence({k: np.ones_like(v) for k, v in evidence.likelihoods.items()})
     for method in METHODS:
@@ -304,7 +299,9 @@ def test_a_detector_of_boundless_sigma_says_nothing_about_the_lane(name: str) ->
 
 
 def test_tiny_sigmas_hold_the_lane_and_believe_the_detector() -> None:
-    compiled = compiled_graph("lane_only", 4, defaults("lane_only", 4, sigma1=1e-3, sigma2=1e-3))
+    compiled = compiled_graph(
+        graph("lane_only"), 4, defaults("lane_only", 4, sigma1=1e-3, sigma2=1e-3)
+    )
     likelihood = np.array([[0.1, 0.4, 0.3, 0.2], [0.2, 0.2, 0.5, 0.1], [1.0, 0.0, 0.0, 0.0]])
     lane = filter_beliefs(compiled, Evidence({"DetectorOutput": likelihood}), "exact").lane
     for t in range(3):
@@ -314,7 +311,7 @@ def test_tiny_sigmas_hold_the_lane_and_believe_the_detector() -> None:
 
 def test_boundless_sigma1_forgets_the_lane_in_one_frame() -> None:
     parameters = defaults("lane_only", 3, sigma1=1e9, sigma2=1e-3)
-    compiled = compiled_graph("lane_only", 3, parameters)
+    compiled = compiled_graph(graph("lane_only"), 3, parameters)
     likelihood = np.array([[0.98, 0.01, 0.01], [0.2, 0.3, 0.5]])
     lane = filter_beliefs(compiled, Evidence({"DetectorOutput": likelihood})).lane
     np.testing.assert_allclose(lane[1], likelihood[1], atol=1e-9)

@@ -19,6 +19,7 @@ from tests.conformance.networks import (
     METHODS,
     assert_same_beliefs,
     brute_force,
+    compiled_graph,
     draw_evidence,
     draw_parameters,
 )
@@ -34,8 +35,7 @@ def resolved(n_lanes: int, **given: object) -> Parameters:
 
 
 def compiled(n_lanes: int, parameters: Parameters) -> Compiled:
-    network = graph.build(n_lanes, parameters)
-    return compile_network(network, graph.HIDDEN, graph.OBSERVED, graph.INPUTS)
+    return compiled_graph(graph, n_lanes, parameters)
 
 
 def silent(network: Compiled, motion: list[int]) -> Evidence:

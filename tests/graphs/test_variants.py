@@ -16,6 +16,7 @@ from tests.conformance.networks import (
     METHODS,
     assert_filters_agree,
     assert_same_beliefs,
+    compiled_graph,
     draw_evidence,
     draw_parameters,
     graph,
@@ -29,7 +30,7 @@ def compiled(name: str, n_lanes: int, given: Parameters) -> Compiled:
     known = {spec.name for spec in module.PARAMETERS}
     own = {k: v for k, v in given.items() if k in known}
     parameters = resolve_parameters(module.PARAMETERS, own, n_lanes)
-    return compile_network(module.build(n_lanes, parameters), module.HIDDEN, module.OBSERVED)
+    return compiled_graph(module, n_lanes, parameters)
 
 
 @pytest.mark.parametrize("n_lanes", [1, 3, 4])

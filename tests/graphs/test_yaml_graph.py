@@ -13,9 +13,9 @@ import yaml
 
 from egolane_pgm.experiment import load_experiment
 from egolane_pgm.graphs.cpds import Table
-from egolane_pgm.inference.compile import Compiled, compile_network, with_tables
+from egolane_pgm.inference.compile import with_tables
 from egolane_pgm.model import prepare_model
-from egolane_pgm.parameters import Parameters, resolve_parameters
+from egolane_pgm.parameters import resolve_parameters
 from egolane_pgm.plugins import load_plugin
 from egolane_pgm.results import read_result
 from egolane_pgm.run import run_experiment
@@ -24,6 +24,7 @@ from tests.conformance.networks import (
     METHODS,
     assert_filters_agree,
     brute_force,
+    compiled_graph,
     draw_evidence,
     draw_parameters,
     graph,
@@ -56,11 +57,6 @@ def changed(**changes: Any) -> str:
     return str(yaml.safe_dump(with_changes(yaml.safe_load(SMALL), changes)))
 
 
-def compiled(module: ModuleType, n_lanes: int, parameters: Parameters) -> Compiled:
-    network = module.build(n_lanes, parameters)
-    return compile_network(network, module.HIDDEN, module.OBSERVED, module.INPUTS)
-
-
 def table(module: ModuleType, node: tuple[str, int], n_lanes: int = 3, **given: object) -> Table:
     parameters = resolve_parameters(module.PARAMETERS, given, n_lanes)
     return next(t for t in module.tables(n_lanes, parameters) if t.node == node)
@@ -76,9 +72,9 @@ def test_the_papers_graph_in_yaml_compiles_to_exactly_the_same_arrays(n_lanes: i
     assert (ours.HIDDEN, ours.OBSERVED, ours.VALUES) == (paper.HIDDEN, paper.OBSERVED, paper.VALUES)
     for seed in range(5):
         parameters = draw_parameters(paper.PARAMETERS, n_lanes, np.random.default_rng(seed))
-        right = compile_network(paper.build(n_lanes, parameters), paper.HIDDEN, paper.OBSERVED)
+        right = compiled_graph(paper, n_lanes, parameters)
         for found in (
-            compiled(ours, n_lanes, parameters),
+            compiled_graph(ours, n_lanes, parameters),
             with_tables(right, ours.tables(n_lanes, parameters)),
         ):
             np.testing.assert_array_equal(found.prior, right.prior)
@@ -163,7 +159,7 @@ def test_every_table_function_makes_the_table_that_it_says(tmp_path: Path) -> No
     assert leaf.parents == (("S", 1), ("Left", 1))
     np.testing.assert_allclose(leaf.values[1, 1], [0.25, 0.25, 0.5])
     parameters = resolve_parameters(module.PARAMETERS, given, 3)
-    network = compiled(module, 3, parameters)
+    network = compiled_graph(module, 3, parameters)
     evidence = draw_evidence(network, 2, np.random.default_rng(0))
     for method in METHODS:
         right = brute_force(module.tables(3, parameters), module.HIDDEN, evidence, method)
@@ -190,7 +186,7 @@ def test_an_input_node_needs_no_table_and_selects_the_transition(tmp_path: Path)
           Seen: {identity: {of: Lane}}
         """,
     )
-    network = compiled(module, 2, {})
+    network = compiled_graph(module, 2, {})
     assert network.inputs == ("InputSpeed",)
     np.testing.assert_allclose(network.transition, [np.eye(2), [[0.6, 0.4], [0.3, 0.7]]])
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -26,7 +27,6 @@ from tests.conformance.networks import (
     KEEP,
     METHODS,
     SEES,
-    RandomGraph,
     assert_filters_agree,
     assert_same_beliefs,
     brute_force,
@@ -44,18 +44,19 @@ def compiled_simple() -> Compiled:
     return compile_network(declare(simple_tables(), ["D"]), ["A"], ["D"])
 
 
-def compiled_random(graph: RandomGraph) -> tuple[Any, Compiled]:
-    network = declare(graph.tables, graph.observed)
-    return network, compile_network(network, graph.hidden, graph.observed, graph.inputs)
-
-
 @pytest.mark.parametrize("seed", range(40))
 def test_random_networks_agree_with_the_oracle(seed: int) -> None:
     rng = np.random.default_rng(seed)
     graph = draw_graph(rng)
-    network, compiled = compiled_random(graph)
+    compiled = graph.compiled()
     evidence = draw_evidence(compiled, 3, rng)
-    arguments = (network, graph.hidden, graph.observed, evidence, graph.inputs)
+    arguments = (
+        declare(graph.tables, graph.observed),
+        graph.hidden,
+        graph.observed,
+        evidence,
+        graph.inputs,
+    )
     right = {
         "exact": oracle_filter(*arguments),
         "assumed_density": oracle_assumed_density(*arguments),
@@ -67,7 +68,7 @@ def test_random_networks_agree_with_the_oracle(seed: int) -> None:
 def test_random_networks_agree_with_brute_force(seed: int) -> None:
     rng = np.random.default_rng(seed)
     graph = draw_graph(rng)
-    _, compiled = compiled_random(graph)
+    compiled = graph.compiled()
     evidence = draw_evidence(compiled, 2, rng)
     right = {m: brute_force(graph.tables, graph.hidden, evidence, m) for m in METHODS}
     assert_filters_agree(compiled, evidence, right)
@@ -97,9 +98,9 @@ def test_the_random_networks_contain_every_kind_of_node_and_edge() -> None:
 def test_tables_that_name_their_axes_in_another_order_compile_to_the_same(seed: int) -> None:
     rng = np.random.default_rng(seed)
     graph = draw_graph(rng)
-    _, compiled = compiled_random(graph)
+    compiled = graph.compiled()
     shuffled = shuffle_axes(graph.tables, rng)
-    _, other = compiled_random(RandomGraph(shuffled, graph.hidden, graph.observed, graph.inputs))
+    other = replace(graph, tables=shuffled).compiled()
     evidence = draw_evidence(compiled, 5, rng)
     for method in METHODS:
         right = filter_beliefs(compiled, evidence, method)

@@ -9,7 +9,6 @@ from itertools import pairwise
 import numpy as np
 import pytest
 from hypothesis import given, settings
-from hypothesis import strategies as st
 
 from egolane_pgm.graphs.cpds import SliceNode, Table, declare, dynamics, previous, prior, within
 from egolane_pgm.inference.compile import Compiled, compile_network
@@ -23,25 +22,18 @@ from egolane_pgm.inference.filtering import filter_beliefs, read_evidence
 from egolane_pgm.inference.smoothing import smooth_beliefs
 from egolane_pgm.types import Evidence, InputError, IntArray
 from tests.conformance.networks import (
-    RandomGraph,
+    compiled_graph,
     draw_evidence,
     draw_graph,
     draw_parameters,
     graph,
-    graph_inputs,
     graph_names,
+    seeds,
     shuffle_axes,
     simple_tables,
 )
 from tests.kits.trajectories import trajectories
 from tests.reference import inference as reference
-
-seeds = st.integers(0, 2**32 - 1)
-
-
-def compiled_of(drawn: RandomGraph) -> Compiled:
-    network = declare(drawn.tables, drawn.observed)
-    return compile_network(network, drawn.hidden, drawn.observed, drawn.inputs)
 
 
 def enumerated(
@@ -80,7 +72,7 @@ def enumerated(
 def test_tables_that_name_their_axes_in_another_order_are_counted_alike(seed: int) -> None:
     rng = np.random.default_rng(seed)
     drawn = draw_graph(rng)
-    compiled = compiled_of(drawn)
+    compiled = drawn.compiled()
     straight = counted_tables(compiled, drawn.tables)
     shuffled = counted_tables(compiled, shuffle_axes(drawn.tables, rng))
     assert set(shuffled) == set(straight)
@@ -150,7 +142,7 @@ def test_random_networks_agree_with_adding_up_every_trajectory(seed: int) -> Non
     """Inputs, functions, joint evidence, leaves that depend on each other, two sequences."""
     rng = np.random.default_rng(seed)
     drawn = draw_graph(rng)
-    compiled = compiled_of(drawn)
+    compiled = drawn.compiled()
     # The number of trajectories is to the power of this.
     n_frames = 3 if compiled.n_states <= 8 else 2
     evidence = draw_evidence(compiled, n_frames, rng, zeros=0.2)
@@ -164,8 +156,7 @@ def test_every_discrete_graph_agrees_with_adding_up_every_trajectory(name: str) 
     for seed in range(2):
         rng = np.random.default_rng(seed)
         parameters = draw_parameters(module.PARAMETERS, 2, rng)
-        network = module.build(2, parameters)
-        compiled = compile_network(network, module.HIDDEN, module.OBSERVED, graph_inputs(module))
+        compiled = compiled_graph(module, 2, parameters)
         evidence = draw_evidence(compiled, 2, rng)
         lane = np.array([FREE, int(rng.integers(2))])
         assert_right(compiled, module.tables(2, parameters), evidence, {"Lane": lane}, [0])
@@ -175,7 +166,7 @@ def drawn_case(seed: int, n_frames: int) -> tuple[Compiled, list[Table], Evidenc
     rng = np.random.default_rng(seed)
     module = graph("sensor_failure")
     parameters = draw_parameters(module.PARAMETERS, 3, rng)
-    compiled = compile_network(module.build(3, parameters), module.HIDDEN, module.OBSERVED)
+    compiled = compiled_graph(module, 3, parameters)
     lane = np.where(rng.random(n_frames) < 0.7, FREE, rng.integers(3, size=n_frames))
     evidence = draw_evidence(compiled, n_frames, rng)
     return compiled, module.tables(3, parameters), evidence, lane
@@ -276,8 +267,7 @@ def test_nothing_is_counted_in_no_frames() -> None:
 def test_functions_and_tables_that_an_input_selects_are_not_counted() -> None:
     module = graph("position_in_lane")
     small = {**{p.name: p.default for p in module.PARAMETERS}, "cells": 2, "motion_bins": 3}
-    network = module.build(2, small)
-    compiled = compile_network(network, module.HIDDEN, module.OBSERVED, module.INPUTS)
+    compiled = compiled_graph(module, 2, small)
     assert counted_tables(compiled, module.tables(2, small)) == {}
 
 

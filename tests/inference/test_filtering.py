@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-import functools
 from contextlib import AbstractContextManager
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from egolane_pgm.graphs.cpds import declare, dynamics, previous, prior, within
@@ -17,48 +16,19 @@ from egolane_pgm.parameters import resolve_parameters
 from egolane_pgm.types import Evidence, InputError
 from tests.conformance.networks import (
     METHODS,
-    RandomGraph,
+    any_compiled,
     assert_same_beliefs,
     brute_force,
+    compiled_graph,
     draw_evidence,
-    draw_graph,
-    draw_parameters,
+    few,
     graph,
+    seeds,
+    template,
 )
 from tests.reference import inference as reference
 
 every_method = pytest.mark.parametrize("method", METHODS)
-
-
-seeds = st.integers(0, 2**32 - 1)
-
-
-few = settings(max_examples=20, deadline=None)
-
-
-@functools.cache
-def compiled_paper(n_lanes: int = 4) -> Compiled:
-    module = graph("sensor_failure")
-    parameters = resolve_parameters(module.PARAMETERS, {}, n_lanes)
-    return compile_network(module.build(n_lanes, parameters), module.HIDDEN, module.OBSERVED)
-
-
-@functools.cache
-def compiled_random(seed: int) -> tuple[RandomGraph, Compiled]:
-    drawn = draw_graph(np.random.default_rng(seed))
-    network = declare(drawn.tables, drawn.observed)
-    return drawn, compile_network(network, drawn.hidden, drawn.observed, drawn.inputs)
-
-
-def any_compiled(seed: int) -> Compiled:
-    """The paper's graph with random parameters, or a random graph (one of five)."""
-    if seed % 2:
-        return compiled_random(seed % 5)[1]
-    rng = np.random.default_rng(seed)
-    n_lanes = int(rng.integers(1, 6))
-    module = graph("sensor_failure")
-    parameters = draw_parameters(module.PARAMETERS, n_lanes, rng)
-    return with_tables(compiled_paper(n_lanes), module.tables(n_lanes, parameters))
 
 
 def as_compiled() -> AbstractContextManager[object]:
@@ -134,7 +104,7 @@ def test_frame_by_frame_equals_the_whole_sequence(method: str, seed: int) -> Non
 
 @every_method
 def test_stepping_leaves_the_earlier_state_as_it_was(method: str) -> None:
-    compiled = compiled_paper()
+    compiled = template("sensor_failure", 4)
     evidence = draw_evidence(compiled, 3, np.random.default_rng(0), zeros=0)
     first, _ = step(compiled, None, evidence.take(slice(0, 1)), method)
     before = first.joint.copy()
@@ -167,7 +137,7 @@ def test_scaled_evidence_changes_the_log_evidence_only(
 @every_method
 @pytest.mark.parametrize("size", [1e-200, 1e-300, 1e200, 1e300])
 def test_likelihoods_of_any_size_give_the_same_belief(method: str, size: float) -> None:
-    compiled = compiled_paper()
+    compiled = template("sensor_failure", 4)
     evidence = draw_evidence(compiled, 30, np.random.default_rng(1), zeros=0)
     right = filter_beliefs(compiled, evidence, method)
     with as_compiled():
@@ -213,7 +183,7 @@ def input_index(compiled: Compiled, evidence: Evidence) -> np.ndarray:
 
 @every_method
 def test_a_frame_of_zero_joint_likelihood_keeps_its_prediction_and_is_flagged(method: str) -> None:
-    compiled = compiled_paper()
+    compiled = template("sensor_failure", 4)
     evidence = draw_evidence(compiled, 6, np.random.default_rng(2), zeros=0)
     silent = Evidence({k: v.copy() for k, v in evidence.likelihoods.items()})
     for key, frame in (("DetectorOutput", 2), ("WOR", 4)):
@@ -258,7 +228,7 @@ def test_a_sequence_of_nothing_but_impossible_frames_stays_the_models_prediction
     parameters = resolve_parameters(
         module.PARAMETERS, {"sigma1": 0.3333, "sigma2": 0.37, "p1": 0.77777}, 3
     )
-    compiled = with_tables(compiled_paper(3), module.tables(3, parameters))
+    compiled = with_tables(template("sensor_failure", 3), module.tables(3, parameters))
     detector, wor = np.zeros((300, 3)), np.zeros((300, 2))
     detector[0], wor[0] = [0.9, 0.05, 0.05], [0.7, 0.3]
     evidence = Evidence({"DetectorOutput": detector, "WOR": wor})
@@ -273,7 +243,7 @@ def test_a_sequence_of_nothing_but_impossible_frames_stays_the_models_prediction
 
 def test_a_sequence_of_only_impossible_frames_has_no_mean_log_evidence() -> None:
     evidence = Evidence({"DetectorOutput": np.zeros((3, 4)), "WOR": np.zeros((3, 2))})
-    beliefs = filter_beliefs(compiled_paper(), evidence)
+    beliefs = filter_beliefs(template("sensor_failure", 4), evidence)
     assert beliefs.is_impossible.all()
     assert np.isnan(beliefs.mean_log_evidence)
 
@@ -282,7 +252,7 @@ def test_a_sequence_of_only_impossible_frames_has_no_mean_log_evidence() -> None
 def test_nothing_underflows_over_a_thousand_frames(method: str) -> None:
     module = graph("sensor_failure")
     parameters = resolve_parameters(module.PARAMETERS, {"sigma1": 1.0}, 4)
-    compiled = with_tables(compiled_paper(), module.tables(4, parameters))
+    compiled = with_tables(template("sensor_failure", 4), module.tables(4, parameters))
     rng = np.random.default_rng(3)
     evidence = scaled(draw_evidence(compiled, 1000, rng, zeros=0), 1e-6)
     beliefs = filter_beliefs(compiled, evidence, method)
@@ -298,7 +268,7 @@ def test_the_paper_s_update_worked_by_hand() -> None:
     """Assumed density as in section "Inference": each marginal through its own table."""
     module = graph("sensor_failure")
     parameters = resolve_parameters(module.PARAMETERS, {"p1": 0.8, "p2": 0.7}, 3)
-    compiled = with_tables(compiled_paper(3), module.tables(3, parameters))
+    compiled = with_tables(template("sensor_failure", 3), module.tables(3, parameters))
     tables = {t.node: t.values for t in module.tables(3, parameters)}
     rng = np.random.default_rng(4)
     detector, wor = rng.random((5, 3)), rng.random((5, 2))
@@ -317,17 +287,15 @@ def test_the_paper_s_update_worked_by_hand() -> None:
 
 
 def test_the_two_filters_differ_once_a_transition_follows_a_correlated_belief() -> None:
-    evidence = draw_evidence(compiled_paper(), 5, np.random.default_rng(5), zeros=0)
-    exact = filter_beliefs(compiled_paper(), evidence, "exact")
-    assumed = filter_beliefs(compiled_paper(), evidence, "assumed_density")
+    evidence = draw_evidence(template("sensor_failure", 4), 5, np.random.default_rng(5), zeros=0)
+    exact = filter_beliefs(template("sensor_failure", 4), evidence, "exact")
+    assumed = filter_beliefs(template("sensor_failure", 4), evidence, "assumed_density")
     np.testing.assert_allclose(exact.lane[:1], assumed.lane[:1], atol=1e-12)
     assert np.abs(exact.lane[2:] - assumed.lane[2:]).max() > 1e-6
 
 
 def test_with_one_persistent_node_assumed_density_is_exact() -> None:
-    module = graph("lane_only")
-    parameters = resolve_parameters(module.PARAMETERS, {}, 4)
-    compiled = compile_network(module.build(4, parameters), module.HIDDEN, module.OBSERVED)
+    compiled = template("lane_only", 4)
     evidence = draw_evidence(compiled, 50, np.random.default_rng(6))
     right = filter_beliefs(compiled, evidence, "exact")
     assert_same_beliefs(filter_beliefs(compiled, evidence, "assumed_density"), right, 1e-12)
@@ -335,16 +303,16 @@ def test_with_one_persistent_node_assumed_density_is_exact() -> None:
 
 @every_method
 def test_the_frame_ids_given_are_the_beliefs_own(method: str) -> None:
-    evidence = draw_evidence(compiled_paper(), 3, np.random.default_rng(0))
+    evidence = draw_evidence(template("sensor_failure", 4), 3, np.random.default_rng(0))
     ids = np.array([5, 8, 9])
-    beliefs = filter_beliefs(compiled_paper(), evidence, method, frame_id=ids)
+    beliefs = filter_beliefs(template("sensor_failure", 4), evidence, method, frame_id=ids)
     np.testing.assert_array_equal(beliefs.frame_id, ids)
 
 
 @every_method
 def test_no_frames_give_no_beliefs(method: str) -> None:
     nothing = Evidence({"DetectorOutput": np.zeros((0, 4)), "WOR": np.zeros((0, 2))})
-    beliefs = filter_beliefs(compiled_paper(), nothing, method)
+    beliefs = filter_beliefs(template("sensor_failure", 4), nothing, method)
     assert beliefs.lane.shape == (0, 4)
     assert len(beliefs) == 0
 
@@ -359,7 +327,7 @@ def test_long_sequences_agree_with_the_twin_whatever_kernel_does_them(
     module = graph(name)
     rng = np.random.default_rng(n_lanes)
     parameters = resolve_parameters(module.PARAMETERS, {"sigma1": 1e-3, "sigma2": 0.05}, n_lanes)
-    compiled = compile_network(module.build(n_lanes, parameters), module.HIDDEN, module.OBSERVED)
+    compiled = compiled_graph(module, n_lanes, parameters)
     evidence = draw_evidence(compiled, 1500, rng)
     for values in evidence.likelihoods.values():
         size = np.where(rng.random(1500) < 0.05, 1e-200, 1.0)
@@ -401,9 +369,9 @@ def test_an_unknown_reading_of_evidence_is_refused_with_a_suggestion() -> None:
 
 
 def test_an_unknown_method_is_refused_with_a_suggestion() -> None:
-    evidence = draw_evidence(compiled_paper(), 1, np.random.default_rng(0))
+    evidence = draw_evidence(template("sensor_failure", 4), 1, np.random.default_rng(0))
     with pytest.raises(InputError, match=r"filter 'exakt' \(did you mean 'exact'\?\)"):
-        filter_beliefs(compiled_paper(), evidence, "exakt")
+        filter_beliefs(template("sensor_failure", 4), evidence, "exakt")
 
 
 @pytest.mark.parametrize(
@@ -424,7 +392,7 @@ def test_evidence_that_does_not_fit_the_network_is_refused_naming_the_node(
     likelihoods: dict[str, np.ndarray], message: str
 ) -> None:
     with pytest.raises(InputError, match=message):
-        filter_beliefs(compiled_paper(), Evidence(likelihoods))
+        filter_beliefs(template("sensor_failure", 4), Evidence(likelihoods))
 
 
 def test_an_input_that_is_missing_unknown_or_out_of_range_is_refused() -> None:
@@ -446,7 +414,7 @@ def test_an_input_that_is_missing_unknown_or_out_of_range_is_refused() -> None:
             filter_beliefs(compiled, Evidence(seen, inputs))
     with pytest.raises(InputError, match="input Speed: the graph has no such input node"):
         filter_beliefs(
-            compiled_paper(),
+            template("sensor_failure", 4),
             Evidence(
                 {"DetectorOutput": np.ones((1, 4)), "WOR": np.ones((1, 2))},
                 {"Speed": np.zeros(1, dtype=int)},

@@ -9,7 +9,6 @@ import numpy as np
 import pytest
 
 from egolane_pgm.graphs.cpds import declare, dynamics, previous, prior, quiet, within
-from egolane_pgm.inference.compile import compile_network
 from egolane_pgm.types import Evidence, InputError
 from tests.conformance.networks import (
     METHODS,
@@ -31,8 +30,7 @@ def test_the_oracle_agrees_with_brute_force_on_random_networks(method: str, seed
     rng = np.random.default_rng(seed)
     drawn = draw_graph(rng)
     network = declare(drawn.tables, drawn.observed)
-    compiled = compile_network(network, drawn.hidden, drawn.observed, drawn.inputs)
-    evidence = draw_evidence(compiled, 2, rng)
+    evidence = draw_evidence(drawn.compiled(), 2, rng)
     ours = ORACLES[method](network, drawn.hidden, drawn.observed, evidence, drawn.inputs)
     assert_same_beliefs(ours, brute_force(drawn.tables, drawn.hidden, evidence, method), 1e-12)
 

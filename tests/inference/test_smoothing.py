@@ -2,11 +2,9 @@
 
 from __future__ import annotations
 
-import functools
-
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from egolane_pgm.graphs.cpds import declare
@@ -21,56 +19,25 @@ from egolane_pgm.inference.smoothing import (
     lag_step,
     smooth_beliefs,
 )
-from egolane_pgm.parameters import Parameters, resolve_parameters
+from egolane_pgm.parameters import resolve_parameters
 from egolane_pgm.types import Beliefs, Evidence, FloatArray, InputError
 from tests.conformance.networks import (
-    RandomGraph,
+    any_compiled,
     draw_evidence,
-    draw_graph,
-    draw_parameters,
+    few,
     graph,
     graph_inputs,
     graph_names,
+    random_network,
+    seeds,
+    small_parameters,
+    template,
 )
 from tests.kits.trajectories import enumerated_smoothing
 from tests.reference import inference as reference
 from tests.reference.oracle import oracle_smooth
 
 every_graph = pytest.mark.parametrize("name", graph_names())
-seeds = st.integers(0, 2**32 - 1)
-few = settings(max_examples=20, deadline=None)
-
-
-def small_parameters(name: str, n_lanes: int, rng: np.random.Generator) -> Parameters:
-    module = graph(name)
-    drawn = draw_parameters(module.PARAMETERS, n_lanes, rng)
-    return {**drawn, **getattr(module, "SMALL", {})}
-
-
-@functools.cache
-def template(name: str, n_lanes: int) -> Compiled:
-    module = graph(name)
-    small = resolve_parameters(module.PARAMETERS, getattr(module, "SMALL", {}), n_lanes)
-    network = module.build(n_lanes, small)
-    return compile_network(network, module.HIDDEN, module.OBSERVED, graph_inputs(module))
-
-
-@functools.cache
-def random_network(seed: int) -> tuple[RandomGraph, Compiled]:
-    drawn = draw_graph(np.random.default_rng(seed))
-    network = declare(drawn.tables, drawn.observed)
-    return drawn, compile_network(network, drawn.hidden, drawn.observed, drawn.inputs)
-
-
-def any_compiled(seed: int) -> Compiled:
-    """The paper's graph with random parameters, or one of five random networks."""
-    if seed % 2:
-        return random_network(seed % 5)[1]
-    rng = np.random.default_rng(seed)
-    n_lanes = int(rng.integers(1, 6))
-    parameters = small_parameters("sensor_failure", n_lanes, rng)
-    tables = graph("sensor_failure").tables(n_lanes, parameters)
-    return with_tables(template("sensor_failure", n_lanes), tables)
 
 
 def frames_to_enumerate(compiled: Compiled) -> int:
