@@ -263,6 +263,11 @@ def any_compiled(seed: int) -> Compiled:
     return with_tables(template("sensor_failure", n_lanes), tables)
 
 
+def frames_to_enumerate(compiled: Compiled) -> int:
+    """Adding up all trajectories costs the number of states to the power of this."""
+    return 3 if compiled.n_states <= 8 else 2
+
+
 def draw_graph(rng: np.random.Generator) -> RandomGraph:
     """Two or three persistent nodes with edges across and inside the slices, perhaps an input that
     selects transitions, perhaps a function, and observed nodes: alone, one the parent of another,

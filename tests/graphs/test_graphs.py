@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 from types import ModuleType
 
 import numpy as np
@@ -195,14 +196,10 @@ def mirrored_values(module: ModuleType, node: str, marginal: np.ndarray) -> list
     return [names.index(other_side.get(name, name)) for name in names]
 
 
-_TEMPLATES: dict[tuple[str, int], Compiled] = {}
-
-
+@functools.cache
 def compiled_template(name: str, n_lanes: int) -> Compiled:
     """Compiled once for each number of lanes; the tests put their own tables in."""
-    if (name, n_lanes) not in _TEMPLATES:
-        _TEMPLATES[name, n_lanes] = compiled_graph(graph(name), n_lanes, defaults(name, n_lanes))
-    return _TEMPLATES[name, n_lanes]
+    return compiled_graph(graph(name), n_lanes, defaults(name, n_lanes))
 
 
 def mirror(key: object, values: np.ndarray) -> np.ndarray:

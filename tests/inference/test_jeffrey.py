@@ -13,14 +13,12 @@ from egolane_pgm.inference.layout import evidence_blocks
 from egolane_pgm.types import Evidence, InputError
 from tests.conformance.networks import (
     METHODS,
+    any_compiled,
     assert_same_beliefs,
     draw_evidence,
+    few,
     graph,
     graph_names,
-)
-from tests.inference.test_smoothing import (
-    any_compiled,
-    few,
     random_network,
     seeds,
     small_parameters,

@@ -8,7 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from egolane_pgm.graphs.cpds import declare
-from egolane_pgm.inference.compile import Compiled, compile_network, with_tables
+from egolane_pgm.inference.compile import compile_network, with_tables
 from egolane_pgm.inference.filtering import filter_beliefs, read_evidence
 from egolane_pgm.inference.kernels.sweeps import smooth_frames
 from egolane_pgm.inference.smoothing import (
@@ -25,6 +25,7 @@ from tests.conformance.networks import (
     any_compiled,
     draw_evidence,
     few,
+    frames_to_enumerate,
     graph,
     graph_inputs,
     graph_names,
@@ -38,11 +39,6 @@ from tests.reference import inference as reference
 from tests.reference.oracle import oracle_smooth
 
 every_graph = pytest.mark.parametrize("name", graph_names())
-
-
-def frames_to_enumerate(compiled: Compiled) -> int:
-    """Adding up all trajectories costs the number of states to the power of this."""
-    return 3 if compiled.n_states <= 8 else 2
 
 
 def assert_same_marginals(

@@ -12,10 +12,12 @@ from egolane_pgm.inference.smoothing import smooth_beliefs
 from egolane_pgm.inference.viterbi import Path, disagreement, viterbi_path
 from egolane_pgm.parameters import resolve_parameters
 from egolane_pgm.types import Beliefs, Evidence, InputError
-from tests.conformance.networks import draw_evidence, graph, graph_names
-from tests.inference.test_smoothing import (
+from tests.conformance.networks import (
     any_compiled,
+    draw_evidence,
     frames_to_enumerate,
+    graph,
+    graph_names,
     random_network,
     small_parameters,
     template,

@@ -11,8 +11,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from egolane_pgm.experiment import load_experiment
-from egolane_pgm.graphs.cpds import Table, declare
-from egolane_pgm.inference.compile import Compiled, compile_network, with_tables
+from egolane_pgm.graphs.cpds import Table
+from egolane_pgm.inference.compile import Compiled, with_tables
 from egolane_pgm.inference.expected_counts import FREE, counted_tables
 from egolane_pgm.inference.filtering import filter_beliefs
 from egolane_pgm.learn import em
@@ -24,7 +24,7 @@ from egolane_pgm.paper import paper_experiment
 from egolane_pgm.parameters import Parameters
 from egolane_pgm.run import run_experiment
 from egolane_pgm.types import Evidence, IntArray
-from tests.conformance.networks import draw_evidence, draw_graph, graph
+from tests.conformance.networks import compiled_graph, draw_evidence, draw_graph, graph
 from tests.conftest import needs_compiler
 from tests.reference import inference as reference
 
@@ -33,8 +33,7 @@ def a_case(seed: int, n_frames: int = 40) -> tuple[Compiled, list[Table], Eviden
     """A random network with evidence, some of it known, in some sequences."""
     rng = np.random.default_rng(seed)
     drawn = draw_graph(rng)
-    network = declare(drawn.tables, drawn.observed)
-    compiled = compile_network(network, drawn.hidden, drawn.observed, drawn.inputs)
+    compiled = drawn.compiled()
     evidence = draw_evidence(compiled, n_frames, rng, zeros=0.1)
     node = str(rng.choice(drawn.hidden))
     value = rng.integers(compiled.cardinality[node], size=n_frames)
@@ -84,9 +83,7 @@ def paper_case(n_lanes: int = 3, **changes: float) -> tuple[Compiled, list[Table
     module = graph("sensor_failure")
     defaults: dict[str, Any] = {p.name: p.default for p in module.PARAMETERS}
     parameters: Parameters = {**defaults, **changes}
-    network = module.build(n_lanes, parameters)
-    compiled = compile_network(network, module.HIDDEN, module.OBSERVED)
-    return compiled, module.tables(n_lanes, parameters)
+    return compiled_graph(module, n_lanes, parameters), module.tables(n_lanes, parameters)
 
 
 def a_drive_of(

@@ -14,7 +14,7 @@ import pytest
 import yaml
 
 from egolane_pgm.experiment import Experiment, load_experiment, resolved
-from egolane_pgm.graphs.cpds import declare, lane_normals
+from egolane_pgm.graphs.cpds import lane_normals
 from egolane_pgm.inference.compile import compile_network
 from egolane_pgm.inference.expected_counts import counted_tables
 from egolane_pgm.inference.filtering import filter_beliefs
@@ -425,8 +425,7 @@ def test_random_graphs_come_back_from_their_file(seed: int, tmp_path: Path) -> N
     """Inputs, functions and joint evidence too; a graph of one's own may have all of them."""
     rng = np.random.default_rng(seed)
     drawn = draw_graph(rng)
-    network = declare(drawn.tables, drawn.observed)
-    compiled = compile_network(network, drawn.hidden, drawn.observed, drawn.inputs)
+    compiled = drawn.compiled()
     own = tmp_path / "own.py"
     own.write_text("HIDDEN, OBSERVED, INPUTS, PARAMETERS = (), (), (), ()\ndef build(n, p): ...\n")
     module = load_plugin("graphs", "./own.py", tmp_path, "graph")
