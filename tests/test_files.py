@@ -39,7 +39,6 @@ OTHER = simulate("quickstart", seed=1, frames=300)
 CAMERA = Camera(64, 48, 50.0, 50.0, 32.0, 24.0, height_m=1.3)
 PICTURE = np.full((48, 64, 3), 7, dtype=np.uint8)
 
-
 #: What writes each kind of file.
 WRITERS: dict[str, Callable[[Path], object]] = {
     "lines.csv": lambda path: write_lines(path, DRIVE.log),

@@ -30,14 +30,11 @@ from tests.reference import inference as reference
 
 RUNS = range(1, 11)
 
-
 #: Frames off in the model matrices with the parameters as printed, truncated to three decimals.
 PUBLISHED_OFF = (3, 15, 16, 9, 39, 2, 1, 2, 1, 65)
 
-
 #: Scores of the model that these parameters move past a second digit, up to the printed one.
 PUBLISHED_BELOW = {(2, "precision"), (2, "log_loss"), (3, "log_loss")}
-
 
 #: With those that a search found: two ties of run 10 and one of run 1 cannot be had in double
 #: precision with the tie rule.
@@ -352,10 +349,7 @@ USED = {
     "bonus_value": 1,
 }
 
-
 N_FRAMES = 400
-
-
 PRINTED = {k: v if k == "bonus_value" else int(v * 1000) / 1000 for k, v in USED.items()}
 
 

@@ -13,12 +13,7 @@ from egolane_pgm.calibration import road_lines
 from egolane_pgm.calibration.chessboard import calibrate_lens
 from egolane_pgm.calibration.road_lines import find_in_stills
 from egolane_pgm.calibration.straight_road import FrameFit, assumed_camera, to_level, view_from
-from egolane_pgm.camera.model import (
-    Camera,
-    distorted,
-    image_to_road,
-    vanishing_point,
-)
+from egolane_pgm.camera.model import Camera, distorted, image_to_road, vanishing_point
 from egolane_pgm.camera.picture import Image
 from egolane_pgm.camera.pictures import files_matching
 from egolane_pgm.types import FloatArray, InputError

@@ -28,10 +28,7 @@ from egolane_pgm.calibration.straight_road import (
     view_from,
     view_of_road,
 )
-from egolane_pgm.camera.model import (
-    Camera,
-    vanishing_point,
-)
+from egolane_pgm.camera.model import Camera, vanishing_point
 from egolane_pgm.types import FloatArray, InputError
 from tests.kits.calibration_kit import TRUE, lines_of, unturned
 

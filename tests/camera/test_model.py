@@ -28,10 +28,7 @@ from egolane_pgm.types import InputError
 from tests.kits.drives import refused, write_drive
 
 LEVEL = Camera(1280, 720, 1000.0, 1000.0, 640.0, 360.0, height_m=1.5)
-
-
 LENS = (-0.2485, -0.0195, -0.0006, 0.0002, 0.0086)
-
 
 cameras = st.builds(
     Camera,

@@ -10,11 +10,7 @@ import numpy as np
 
 from egolane_pgm.camera.picture import Image
 from egolane_pgm.camera.pictures import open_source, read_pictures
-from tests.kits.synthetic_road import (
-    CAMERA,
-    images,
-    write_pictures,
-)
+from tests.kits.synthetic_road import CAMERA, images, write_pictures
 
 
 def test_the_order_of_pictures_is_natural_and_their_id_the_number_that_counts(

@@ -9,9 +9,7 @@ import cv2
 import numpy as np
 import pytest
 
-from egolane_pgm.camera.model import (
-    read_camera,
-)
+from egolane_pgm.camera.model import read_camera
 from egolane_pgm.camera.pictures import read_image
 from egolane_pgm.types import InputError
 from tests.kits.calibration_kit import TRUE, calibrate, write_labels

@@ -16,11 +16,7 @@ from egolane_pgm.experiment import load_experiment
 from egolane_pgm.loading import load_recording
 from egolane_pgm.types import InputError
 from tests.conftest import needs_compiler
-from tests.kits.drives import (
-    command,
-    done,
-    write_drive,
-)
+from tests.kits.drives import command, done, write_drive
 from tests.kits.labelled_drive import N_LABELLED
 
 

@@ -11,12 +11,7 @@ from egolane_pgm import __version__
 from egolane_pgm.files import check_place
 from egolane_pgm.results import is_result
 from egolane_pgm.types import InputError
-from tests.kits.drives import (
-    command,
-    done,
-    refused,
-    write_drive,
-)
+from tests.kits.drives import command, done, refused, write_drive
 from tests.kits.processes import ended, needs_links
 from tests.kits.synthetic_road import write_place
 

@@ -8,13 +8,7 @@ import pytest
 import yaml
 
 from egolane_pgm.paper import experiments_folder, paper_experiment
-from tests.kits.drives import (
-    done,
-    refused,
-    run_json,
-    write_drive,
-    write_experiment,
-)
+from tests.kits.drives import done, refused, run_json, write_drive, write_experiment
 from tests.kits.synthetic_road import write_place
 
 EXAMPLES = Path(__file__).parents[2] / "examples"

@@ -21,12 +21,7 @@ from egolane_pgm.results import read_result
 from egolane_pgm.simulation.rendering import files, render
 from egolane_pgm.simulation.rendering import files as rendering_files
 from egolane_pgm.simulation.rendering.render import make_scene, render_frame
-from tests.kits.drives import (
-    command,
-    contents,
-    done,
-    refused,
-)
+from tests.kits.drives import command, contents, done, refused
 from tests.kits.full_disk import Usage, full_after, left
 
 

@@ -42,13 +42,7 @@ from tests.kits.drawn_frames import (
     road,
     scene,
 )
-from tests.kits.drives import (
-    command,
-    contents,
-    done,
-    refused,
-    write_experiment,
-)
+from tests.kits.drives import command, contents, done, refused, write_experiment
 from tests.kits.full_disk import BLIND, Usage, drawing, full_after, left
 from tests.kits.labelled_pictures import huge_picture
 from tests.kits.processes import ended

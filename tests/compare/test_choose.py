@@ -15,15 +15,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from egolane_pgm.compare.choose import (
-    LOSSES,
-    Losses,
-    candidates,
-    choose,
-    losses_of,
-    plan,
-    try_all,
-)
+from egolane_pgm.compare.choose import LOSSES, Losses, candidates, choose, losses_of, plan, try_all
 from egolane_pgm.compare.placing import drive_key, load_for_scoring
 from egolane_pgm.compare.side import held_out_side
 from egolane_pgm.evidence import line_geometry
@@ -33,28 +25,28 @@ from egolane_pgm.recordings.ground_truth import write_ground_truth
 from egolane_pgm.recordings.table import write_table
 from egolane_pgm.run import run_experiment
 from egolane_pgm.types import InputError, LineLog
-from tests.compare.test_comparing import geometry, simulated
 from tests.conftest import needs_compiler
-from tests.kits.drives import done, refused, rewritten, short_drive, write_drive, write_experiment
+from tests.kits.drives import (
+    done,
+    geometry,
+    refused,
+    rewritten,
+    short_drive,
+    simulated,
+    write_drive,
+    write_experiment,
+)
 
 pytestmark = needs_compiler
-
-
 N_FRAMES = 700
-
-
 SMALL = {"cells": 4, "motion_bins": 9}
-
-
 GRID = {"prior_frames": ["infinite", 50], "alpha": [0.05, 0.2]}
-
 
 CHOICE = {
     "grid": GRID,
     "objective": "log_loss",
     "recordings": ["experiment.yaml", "other.yaml"],
 }
-
 
 GEOMETRY: dict[str, Any] = {
     "evidence": "line_geometry",

@@ -24,7 +24,7 @@ from egolane_pgm.compare.comparing import (
 )
 from egolane_pgm.compare.placing import load_for_scoring, on_recording, recording_key
 from egolane_pgm.compare.side import Side, held_out_side
-from egolane_pgm.experiment import Experiment, load_experiment, make_experiment, resolved
+from egolane_pgm.experiment import Experiment, load_experiment, resolved
 from egolane_pgm.model import Drive
 from egolane_pgm.plugins import plugin_names
 from egolane_pgm.recordings.ground_truth import write_ground_truth
@@ -36,7 +36,7 @@ from egolane_pgm.scoring.bootstrap import bootstrap_interval, confusion_counts
 from egolane_pgm.scoring.confusion import accuracy
 from egolane_pgm.types import InputError
 from tests.conftest import needs_compiler
-from tests.kits.drives import done, refused, short_drive, write_drive
+from tests.kits.drives import done, geometry, refused, short_drive, simulated, write_drive
 
 pytestmark = [
     pytest.mark.filterwarnings("ignore:.*no frame to learn from:UserWarning"),
@@ -45,19 +45,6 @@ pytestmark = [
 
 N_FRAMES = 700
 TRIALS = 12
-
-
-def simulated(name: str = "a", **keys: Any) -> Experiment:
-    """An experiment on the simulated drive of two minutes."""
-    content = {"name": name, "recording": {"simulate": "quickstart"}, "n_lanes": 4, **keys}
-    return make_experiment(content, Path(), f"{name}.yaml")
-
-
-def geometry(name: str = "geometry", **keys: Any) -> Experiment:
-    """Position in lane, small."""
-    parameters = {"cells": 4, "motion_bins": 9}
-    keys = {"graph": "position_in_lane", "filter": "exact", "parameters": parameters, **keys}
-    return simulated(name, evidence="line_geometry", **keys)
 
 
 def scrambled(drive: Drive, frames: np.ndarray) -> Drive:

@@ -17,9 +17,8 @@ from egolane_pgm.learn import fit, fit_pooled, n_learned, with_found
 from egolane_pgm.model import beliefs_of
 from egolane_pgm.scoring.held_out import blocks
 from egolane_pgm.tune import held_out as module
-from tests.compare.test_comparing import geometry, simulated
 from tests.conftest import needs_compiler
-from tests.kits.drives import write_drive
+from tests.kits.drives import geometry, simulated, write_drive
 
 pytestmark = [
     pytest.mark.filterwarnings("ignore:.*no frame to learn from:UserWarning"),

@@ -33,7 +33,6 @@ from tests.kits.drives import done, refused, with_changes, write_drive
 
 EXAMPLES = Path(__file__).parents[2] / "examples"
 
-
 #: The least that a graph has to say.
 SMALL = """
 nodes: {Lane: n_lanes, Seen: n_lanes}

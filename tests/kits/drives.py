@@ -12,6 +12,7 @@ import yaml
 from click.testing import CliRunner, Result
 
 from egolane_pgm.cli.main import egolane
+from egolane_pgm.experiment import Experiment, make_experiment
 from egolane_pgm.recordings.ground_truth import write_ground_truth
 from egolane_pgm.recordings.table import write_table
 from egolane_pgm.simulation import SimulatedDrive, simulate
@@ -105,3 +106,16 @@ def refused(*words: object) -> str:
 def contents(folder: Path) -> dict[str, bytes]:
     """Every file below a folder, byte by byte; hidden ones too."""
     return {str(p.relative_to(folder)): p.read_bytes() for p in folder.rglob("*") if p.is_file()}
+
+
+def simulated(name: str = "a", **keys: Any) -> Experiment:
+    """An experiment on the simulated drive of two minutes."""
+    content = {"name": name, "recording": {"simulate": "quickstart"}, "n_lanes": 4, **keys}
+    return make_experiment(content, Path(), f"{name}.yaml")
+
+
+def geometry(name: str = "geometry", **keys: Any) -> Experiment:
+    """Position in lane, small."""
+    parameters = {"cells": 4, "motion_bins": 9}
+    keys = {"graph": "position_in_lane", "filter": "exact", "parameters": parameters, **keys}
+    return simulated(name, evidence="line_geometry", **keys)

@@ -11,7 +11,6 @@ import pytest
 
 Usage = namedtuple("Usage", "total used free")
 
-
 #: A detector that does something when it sees a frame.
 BLIND = """
 import shutil

@@ -12,8 +12,6 @@ from egolane_pgm.types import LaneTruth
 from tests.kits.drives import write_experiment
 
 CAMERA = Camera(width=480, height=270, fx=390, fy=390, cx=240, cy=135, height_m=1.4, pitch_deg=-4)
-
-
 N_LABELLED = 12
 
 

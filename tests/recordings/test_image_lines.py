@@ -299,7 +299,6 @@ WRITERS: dict[str, Callable[[Path, list[int]], Path]] = {
     "openlane": lambda folder, ids: openlane(folder / "openlane", ids),
 }
 
-
 every_format = pytest.mark.parametrize("name", WRITERS)
 
 

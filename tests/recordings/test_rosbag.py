@@ -15,14 +15,7 @@ from egolane_pgm.recordings import rosbag as rosbag_module
 from egolane_pgm.recordings.rosbag import TOPIC, read_rosbag
 from egolane_pgm.recordings.select import recording_warnings
 from egolane_pgm.types import InputError, LineLog
-from tests.kits.bags import (
-    PLAIN_BODY,
-    PLAIN_LINE,
-    Line,
-    definition,
-    plain_message,
-    write_bag,
-)
+from tests.kits.bags import PLAIN_BODY, PLAIN_LINE, Line, definition, plain_message, write_bag
 
 PAPER_FILES = (
     ("special.issue.italy.mono.noClothoid.yesLines.bag", 11738, 5),

@@ -23,12 +23,7 @@ from egolane_pgm.report.dispersion import (
     draw_bonus_ablation,
     draw_dispersion,
 )
-from egolane_pgm.report.heatmaps import (
-    column_shares,
-    confusion_figure,
-    confusions,
-    draw_confusion,
-)
+from egolane_pgm.report.heatmaps import column_shares, confusion_figure, confusions, draw_confusion
 from egolane_pgm.report.reliability import draw_reliability, reliabilities, reliability_figure
 from egolane_pgm.report.strips import draw_strips
 from egolane_pgm.results import Result

@@ -10,9 +10,7 @@ import cv2
 import numpy as np
 import pytest
 
-from egolane_pgm.camera.model import (
-    road_to_image,
-)
+from egolane_pgm.camera.model import road_to_image
 from egolane_pgm.detectors import FrameLines
 from egolane_pgm.report import video
 from egolane_pgm.report.video import bar_boxes, draw_frame, layout

@@ -10,8 +10,6 @@ from egolane_pgm.detectors.simple.birdseye import look, make_view
 from egolane_pgm.types import InputError
 
 CAMERA = Camera(960, 540, 780.0, 780.0, 479.5, 269.5, height_m=1.4, pitch_deg=-4.0)
-
-
 LENS = (-0.2485, -0.0195, -0.0006, 0.0002, 0.0086)
 
 

@@ -26,20 +26,10 @@ from tests.kits.synthetic_road import Paint, road
 from tests.reference import line_finder
 
 CAMERA = Camera(960, 540, 780.0, 780.0, 479.5, 269.5, height_m=1.4, pitch_deg=-4.0)
-
-
 DEFAULTS = resolve_parameters(FINDING, {}, 1)
-
-
 VIEW = view_for(CAMERA, DEFAULTS)
-
-
 STRAIGHT = {**DEFAULTS, "curve": "line"}
-
-
 STRAIGHT_VIEW = view_for(CAMERA, STRAIGHT)
-
-
 WIDTH = 3.66
 
 
@@ -284,11 +274,7 @@ def test_every_constant_is_documented_and_its_name_is_used_once():
 
 
 ROAD = _fit.view_for(ROAD_CAMERA, DEFAULTS)
-
-
 SIDE, BIN = 9.0, 0.05
-
-
 CENTRE = -SIDE + (np.arange(360) + 0.5) * BIN
 
 

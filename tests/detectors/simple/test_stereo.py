@@ -39,11 +39,7 @@ from tests.kits.stereo_pairs import (
 )
 
 pitches = st.floats(-8, 4)
-
-
 rolls = st.floats(-4, 4)
-
-
 heights = st.floats(1.0, 2.5)
 
 

@@ -31,8 +31,6 @@ from tests.kits.drives import done, short_drive
 from tests.reference import line_geometry as reference
 
 W = 3.6
-
-
 UNKNOWN = 49  # the first value of LineMotion that is no displacement
 
 
