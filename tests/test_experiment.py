@@ -252,5 +252,7 @@ def test_a_file_may_say_its_version_and_a_future_one_is_refused(tmp_path: Path) 
 
 
 def test_every_file_that_comes_along_says_its_version() -> None:
-    for path in experiments_folder().rglob("*.yaml"):
+    paths = list(experiments_folder().rglob("*.yaml"))
+    assert len(paths) > 20
+    for path in paths:
         assert yaml.safe_load(path.read_text())["version"] == 1, path

@@ -92,9 +92,9 @@ def test_lines_that_are_behind_or_far_beside_the_camera_do_no_harm() -> None:
         *(np.ones(3, dtype=bool),) * 2,
         np.ones(3),
     )
-    drawn(scene([1, 0], 1, lines=wild))
+    assert drawn(scene([1, 0], 1, lines=wild)).shape == drawn(scene([1, 0], 1)).shape
     up = replace(CAMERA, pitch_deg=50)
-    draw_frame(layout(up), road(up), scene([1, 0], 1))
+    assert draw_frame(layout(up), road(up), scene([1, 0], 1)).dtype == np.uint8
 
 
 def test_bars_show_the_belief_over_the_lanes_from_left_to_right() -> None:
