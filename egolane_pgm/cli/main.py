@@ -13,7 +13,6 @@ from typing import Any
 import click
 
 from egolane_pgm import __version__
-from egolane_pgm.cli.entry import main as main
 
 #: The file of each command, which has a function of the command's name, and its short help. A
 #: command's file is imported only when that command is asked for: `--help` stays quick, and each
