@@ -5,7 +5,8 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import Any
 
-from numba import njit
+import numpy as np
+from numba import config, njit
 
 
 def kernel(**options: Any) -> Callable[[Callable[..., Any]], Any]:
@@ -15,9 +16,13 @@ def kernel(**options: Any) -> Callable[[Callable[..., Any]], Any]:
 
     What was compiled is kept for the next process beside the source, or else in the user's cache
     or in `NUMBA_CACHE_DIR`. Where none of them can be written, each process compiles anew.
+    With NUMBA_DISABLE_JIT the function stays plain Python, and as silent as when compiled: NumPy
+    does not warn of overflows in it.
     """
 
     def decorate(function: Callable[..., Any]) -> Any:
+        if config.DISABLE_JIT:  # type: ignore[attr-defined]
+            return np.errstate(all="ignore")(function)
         try:
             return njit(cache=True, **options)(function)
         except RuntimeError:

@@ -162,7 +162,6 @@ def _pieces(n_frames: int, n_states: int) -> list[slice]:
     return [slice(a, b) for a, b in pairwise(starts)]
 
 
-@np.errstate(all="ignore")  # with the compiler switched off NumPy would warn of what is handled
 def state_likelihood(
     compiled: Compiled, blocks: Sequence[FloatArray]
 ) -> tuple[FloatArray, FloatArray]:
@@ -185,7 +184,6 @@ def state_likelihood(
     return likelihood, log_scale
 
 
-@np.errstate(all="ignore")
 def forward(
     compiled: Compiled,
     likelihood: FloatArray,
@@ -240,4 +238,4 @@ def _forward_for(compiled: Compiled, n_frames: int, is_factored: bool) -> tuple[
     if band is not None and (not is_factored or len(compiled.state_nodes) <= 2):
         return forward_banded, band
     is_fixed = n_frames >= MIN_FIXED_FRAMES and compiled.n_states <= MAX_FIXED_STATES
-    return forward_kernel(compiled.n_states if is_fixed else 0), compiled.transition
+    return forward_kernel(layout(compiled).columns if is_fixed else ()), compiled.transition

@@ -6,6 +6,7 @@ import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import lru_cache
+from itertools import accumulate
 
 import numpy as np
 
@@ -13,8 +14,9 @@ from egolane_pgm.inference.compile import Compiled, Group
 from egolane_pgm.inference.kernels.banded import Band, find_band
 from egolane_pgm.types import BoolArray, Evidence, FloatArray, InputError, IntArray, Observed
 
-#: With more joint states than this, sums along the axes are quicker than a product of matrices.
-MAX_MATRIX_STATES = 16
+#: With more numbers than this in the belief of a frame and in all frames, sums along the axes are
+#: quicker than a product of matrices.
+MAX_MATRIX_STATES, MAX_MATRIX = 16, 2**12
 
 
 @dataclass(frozen=True)
@@ -44,17 +46,18 @@ class Layout:
 
     nodes: the hidden nodes in the order of the marginals' columns, persistent nodes first.
     column (H, S): for each node the column of the marginals that belongs to its value in each joint
-        state. persistent (P, S): the same for the persistent nodes alone.
+        state. persistent (P, S): the same for the persistent nodes alone, columns as a tuple.
     indicator (S, M): joint beliefs (T, S) times this are the marginals (T, M).
     emissions: for each group of observed nodes its emission table, transposed, (K, S).
-    only: for each group the one column that each joint state can show (S,), or None where a state
-        may show several.
+    only: for each group the one column that each joint state shows for certain (S,), or None where
+        a state may show several.
     band: the transition, if it is a banded one.
     """
 
     nodes: tuple[str, ...]
     column: IntArray
     persistent: IntArray
+    columns: tuple[tuple[int, ...], ...]
     indicator: FloatArray
     emissions: tuple[FloatArray, ...]
     only: tuple[IntArray | None, ...]
@@ -74,10 +77,12 @@ def layout(compiled: Compiled) -> Layout:
     column = np.array(columns, dtype=np.int64)
     for row in column:
         indicator[np.arange(compiled.n_states), row] = 1.0
+    persistent = column[: len(compiled.state_nodes)]
     return Layout(
         nodes,
         column,
-        column[: len(compiled.state_nodes)],
+        persistent,
+        tuple(map(tuple, persistent.tolist())),
         indicator,
         tuple(np.ascontiguousarray(group.emission.T) for group in compiled.groups),
         tuple(_only_column(group.emission) for group in compiled.groups),
@@ -86,31 +91,28 @@ def layout(compiled: Compiled) -> Layout:
 
 
 def _only_column(emission: FloatArray) -> IntArray | None:
-    if np.isin(emission, (0.0, 1.0)).all() and (emission.sum(axis=1) == 1).all():
-        return np.asarray(emission.argmax(axis=1))
+    is_one = emission == 1.0
+    if np.count_nonzero(emission) == len(emission) and is_one.any(axis=1).all():
+        return np.asarray(is_one.argmax(axis=1))
     return None
 
 
 def marginals_of(compiled: Compiled, joint: FloatArray) -> dict[str, FloatArray]:
     """The marginals of every hidden node, (T, cardinality) each, of joint beliefs (T, S)."""
     arrays = layout(compiled)
-    is_small = compiled.n_states <= MAX_MATRIX_STATES
     sizes = [compiled.cardinality[name] for name in arrays.nodes]
-    stops = np.cumsum(sizes).tolist()
-    if is_small:
+    stops = list(accumulate(sizes))
+    if compiled.n_states <= MAX_MATRIX_STATES or joint.size <= MAX_MATRIX:
         marginals = joint @ arrays.indicator
+        ends = zip(arrays.nodes, [0, *stops], stops, strict=False)
+        return {name: marginals[:, start:stop] for name, start, stop in ends}
     nodes = {}
     for k, (name, stop) in enumerate(zip(arrays.nodes, stops, strict=True)):
-        here = slice(stop - sizes[k], stop)
-        if is_small:
-            nodes[name] = marginals[:, here]
-        elif name in compiled.state_nodes:
-            before = math.prod(sizes[:k])
-            after = compiled.n_states // (before * sizes[k])
-            by_value = joint.reshape(len(joint), before, sizes[k], after)
-            nodes[name] = by_value.sum(axis=3 if after > 1 else 1).sum(axis=1 if after > 1 else 2)
+        if name in compiled.state_nodes:
+            by_value = joint.reshape(len(joint), math.prod(sizes[:k]), sizes[k], -1)
+            nodes[name] = by_value.sum(axis=(1, 3))
         else:
-            nodes[name] = joint @ arrays.indicator[:, here]
+            nodes[name] = joint @ arrays.indicator[:, stop - sizes[k] : stop]
     return nodes
 
 

@@ -1,8 +1,8 @@
-"""The forward recursion and the likelihood that it takes, compiled.
+"""The forward recursion, compiled.
 
-Both are written once and compiled for networks of any size, and again for networks of few states
-with their sizes as constants: the loops over states are then unrolled and done several states at a
-time, which is three times as fast.
+It is written once and compiled for networks of any size, and again for each network of few states
+with its sizes as constants: the compiler then writes the loops over states out, which is three
+times as fast.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ import numpy as np
 from egolane_pgm.jit import kernel
 from egolane_pgm.types import BoolArray, FloatArray, IntArray
 
-#: Numbers outside of this range are not multiplied with each other before they are scaled.
+#: Numbers outside of this range are scaled before they are multiplied with others.
 TINY, HUGE = 1e-60, 1e60
 
 
@@ -45,11 +45,17 @@ def settle(joint: FloatArray, predicted: FloatArray) -> float:
 
 
 @lru_cache(maxsize=64)
-def forward_kernel(n_states: int = 0) -> Any:
-    """The forward recursion, compiled for this number of states; 0 stands for any number."""
+def forward_kernel(columns: tuple[tuple[int, ...], ...] = ()) -> Any:
+    """The forward recursion.
+
+    columns: `Layout.persistent` of the network that it is compiled for; empty for any network.
+    """
+    known = np.array(columns, dtype=np.int64, ndmin=2)
+    n_states = known.shape[1]
+    width = int(known.max(initial=-1)) + 1
 
     # Of fast arithmetic only the fusing of a multiplication with an addition: infinity and NaN
-    # stay. Code that may raise ZeroDivisionError would not be vectorised.
+    # stay. Without the checks for a division by zero the compiler has more freedom.
     @kernel(fastmath={"contract"}, error_model="numpy")
     def forward(
         joint: FloatArray,
@@ -82,12 +88,12 @@ def forward_kernel(n_states: int = 0) -> Any:
         # One array for all that the inner loops write, and for the transition that they read: the
         # compiler then sees that the parts do not overlap.
         carried, predicted, share = n * n, n * n + n, n * n + 2 * n
-        n_columns = column.max() + 1
+        n_columns = width if n_states else column.max() + 1
         work = np.zeros(share + n_columns)
         for s in range(n):
             work[carried + s] = joint[s]
-        # What is carried is the belief only up to this factor, which enters a frame later: nothing
-        # has to wait for the division.
+        # What is carried, times this, is the belief. It is multiplied in only where numbers leave
+        # the range that is safe, so that the next frame does not wait for the division.
         scale = 1.0
         held = -1
         for t in range(begins.shape[0]):
@@ -110,14 +116,17 @@ def forward_kernel(n_states: int = 0) -> Any:
                         work[predicted + s] += weight * work[r * n + s]
             mass = 0.0
             for s in range(n):
-                work[carried + s] = work[predicted + s] * (given[t * n + s] * scale)
+                work[carried + s] = work[predicted + s] * given[t * n + s]
             for s in range(n):
                 mass += work[carried + s]
             is_impossible[t] = False
             if TINY < mass < HUGE:
-                total[t] = mass
+                total[t] = mass * scale
                 scale = 1.0 / mass
             else:
+                for s in range(n):
+                    work[predicted + s] *= scale
+                    work[carried + s] = work[predicted + s] * given[t * n + s]
                 total[t] = settle(work[carried : carried + n], work[predicted : predicted + n])
                 if total[t] == 0.0:
                     is_impossible[t] = True
@@ -130,11 +139,13 @@ def forward_kernel(n_states: int = 0) -> Any:
                     work[share + c] = 0.0
                 for p in range(column.shape[0]):
                     for s in range(n):
-                        work[share + column[p, s]] += work[carried + s]
+                        c = known[p, s] if n_states else column[p, s]
+                        work[share + c] += work[carried + s]
                 for s in range(n):
                     product = 1.0
                     for p in range(column.shape[0]):
-                        product *= work[share + column[p, s]] * scale
+                        c = known[p, s] if n_states else column[p, s]
+                        product *= work[share + c] * scale
                     work[carried + s] = product
                 scale = 1.0
         for s in range(n):
