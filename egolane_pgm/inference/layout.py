@@ -14,9 +14,8 @@ from egolane_pgm.inference.compile import Compiled, Group
 from egolane_pgm.inference.kernels.banded import Band, find_band
 from egolane_pgm.types import BoolArray, Evidence, FloatArray, InputError, IntArray, Observed
 
-#: With more numbers than this in the belief of a frame and in all frames, sums along the axes are
-#: quicker than a product of matrices.
-MAX_MATRIX_STATES, MAX_MATRIX = 16, 2**12
+#: With more joint states than this, sums along the axes are quicker than a product of matrices.
+MAX_MATRIX_STATES = 16
 
 
 @dataclass(frozen=True)
@@ -102,14 +101,16 @@ def marginals_of(compiled: Compiled, joint: FloatArray) -> dict[str, FloatArray]
     arrays = layout(compiled)
     sizes = [compiled.cardinality[name] for name in arrays.nodes]
     stops = list(accumulate(sizes))
-    if compiled.n_states <= MAX_MATRIX_STATES or joint.size <= MAX_MATRIX:
+    if compiled.n_states <= MAX_MATRIX_STATES:
         marginals = joint @ arrays.indicator
         ends = zip(arrays.nodes, [0, *stops], stops, strict=False)
         return {name: marginals[:, start:stop] for name, start, stop in ends}
     nodes = {}
     for k, (name, stop) in enumerate(zip(arrays.nodes, stops, strict=True)):
         if name in compiled.state_nodes:
-            by_value = joint.reshape(len(joint), math.prod(sizes[:k]), sizes[k], -1)
+            before = math.prod(sizes[:k])
+            after = compiled.n_states // (before * sizes[k])
+            by_value = joint.reshape(len(joint), before, sizes[k], after)
             nodes[name] = by_value.sum(axis=(1, 3))
         else:
             nodes[name] = joint @ arrays.indicator[:, stop - sizes[k] : stop]

@@ -164,9 +164,9 @@ def likelihood_kernel(n_states: int = 0, n_columns: int = 0) -> Any:
     ) -> None:
         """Multiply `likelihood` (T, S) by P(evidence of the group | joint state).
 
-        block (T, K): the group's evidence. emission (K, S). If there is a frame in which numbers might
-        not survive being multiplied, all are scaled first, and the logarithm of the factor goes
-        to log_scale (T,).
+        block (T, K): the group's evidence. emission (K, S). A frame in which numbers might not
+        survive being multiplied is scaled first, and the logarithm of the factor goes to
+        log_scale (T,).
         """
         n = n_states if n_states else emission.shape[1]
         m = n_columns if n_columns else emission.shape[0]
@@ -175,22 +175,22 @@ def likelihood_kernel(n_states: int = 0, n_columns: int = 0) -> Any:
         for k in range(m):
             for s in range(n):
                 seen[k] += table[k * n + s]
-        n_unsafe = 0
+        is_safe = np.empty(block.shape[0], dtype=np.bool_)
         for t in range(block.shape[0]):
             total = 0.0
             for k in range(m):
                 total += given[t * m + k] * seen[k]
-            n_unsafe += not TINY < total < HUGE
-        if n_unsafe == 0:
-            # Without a condition inside, the loop is done several frames at a time.
-            for t in range(block.shape[0]):
-                for s in range(n):
-                    term = 0.0
-                    for k in range(m):
-                        term += given[t * m + k] * table[k * n + s]
-                    written[t * n + s] *= term
-            return
+            is_safe[t] = TINY < total < HUGE
+        # A choice of values in place of a condition: the loop is done several frames at a time.
         for t in range(block.shape[0]):
+            for s in range(n):
+                term = 0.0
+                for k in range(m):
+                    term += given[t * m + k] * table[k * n + s]
+                written[t * n + s] *= term if is_safe[t] else 1.0
+        for t in range(block.shape[0]):
+            if is_safe[t]:
+                continue
             # First the evidence is divided by its largest entry, then what the states make of it.
             largest, likeliest = 0.0, 0.0
             for k in range(m):
