@@ -1,8 +1,8 @@
-"""The forward recursion, compiled.
+"""The forward recursion and the likelihood that it takes, compiled.
 
-It is written once and compiled for networks of any size, and again for each network of few states
-with its sizes as constants: the compiler then writes the loops over states out, which is three
-times as fast.
+Each is written once and compiled for networks of any size, and again for networks of few states
+with their sizes as constants: the compiler then writes the loops over states out, which is up to
+three times as fast.
 """
 
 from __future__ import annotations
@@ -52,7 +52,7 @@ def forward_kernel(columns: tuple[tuple[int, ...], ...] = ()) -> Any:
     """
     known = np.array(columns, dtype=np.int64, ndmin=2)
     n_states = known.shape[1]
-    width = int(known.max(initial=-1)) + 1
+    n_known, width = len(columns), int(known.max(initial=-1)) + 1
 
     # Of fast arithmetic only the fusing of a multiplication with an addition: infinity and NaN
     # stay. Without the checks for a division by zero the compiler has more freedom.
@@ -88,6 +88,7 @@ def forward_kernel(columns: tuple[tuple[int, ...], ...] = ()) -> Any:
         # One array for all that the inner loops write, and for the transition that they read: the
         # compiler then sees that the parts do not overlap.
         carried, predicted, share = n * n, n * n + n, n * n + 2 * n
+        n_nodes = n_known if n_states else column.shape[0]
         n_columns = width if n_states else column.max() + 1
         work = np.zeros(share + n_columns)
         for s in range(n):
@@ -137,13 +138,13 @@ def forward_kernel(columns: tuple[tuple[int, ...], ...] = ()) -> Any:
             if is_factored:
                 for c in range(n_columns):
                     work[share + c] = 0.0
-                for p in range(column.shape[0]):
+                for p in range(n_nodes):
                     for s in range(n):
                         c = known[p, s] if n_states else column[p, s]
                         work[share + c] += work[carried + s]
                 for s in range(n):
                     product = 1.0
-                    for p in range(column.shape[0]):
+                    for p in range(n_nodes):
                         c = known[p, s] if n_states else column[p, s]
                         product *= work[share + c] * scale
                     work[carried + s] = product
