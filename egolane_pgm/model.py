@@ -400,5 +400,5 @@ def belief_of(drive: Drive, parameters: Mapping[str, Value]) -> FloatArray:
     Returns the belief over lanes in the annotated frames, (K, n).
     """
     compiled = with_parameters(drive.model, parameters).compiled
-    beliefs = filter_beliefs(compiled, evidence_of(drive, parameters), drive.experiment.filter)
-    return np.asarray(beliefs.lane[drive.rows])
+    belief = filter_beliefs(compiled, evidence_of(drive, parameters), drive.experiment.filter).lane
+    return belief if len(drive) == len(belief) else belief[drive.rows]

@@ -136,7 +136,14 @@ def _filter(
     for piece in _pieces(n_frames, compiled.n_states):
         likelihood, log_scale = state_likelihood(compiled, [block[piece] for block in blocks])
         beliefs, log_evidence, is_impossible = forward(
-            compiled, likelihood, log_scale, index[piece], begins[piece], joint, is_factored
+            compiled,
+            likelihood,
+            log_scale,
+            index[piece],
+            begins[piece],
+            joint,
+            is_factored,
+            out=likelihood,
         )
         marginals = marginals_of(compiled, beliefs)
         done.append(Beliefs(ids[piece], marginals, log_evidence, is_impossible))
@@ -192,6 +199,7 @@ def forward(
     begins: BoolArray,
     joint: FloatArray | None = None,
     is_factored: bool = False,
+    out: FloatArray | None = None,
 ) -> tuple[FloatArray, FloatArray, BoolArray]:
     """The forward recursion: the joint belief after each frame (T, S), the log evidence of each
     frame given those before (T,), and where the evidence was impossible and left out (T,).
@@ -202,12 +210,14 @@ def forward(
     - joint (S,): the belief before the first frame, overwritten by that after the last one. None
       where a sequence begins with the first frame.
     - is_factored: True for assumed density, False for the exact recursion.
+    - out (T, S): where the beliefs are written. It may be `likelihood`, which is then lost: new
+      memory takes a search as long as the recursion.
     """
     n_frames, n_states = likelihood.shape
     arrays = layout(compiled)
     if joint is None:
         joint = np.zeros(n_states)
-    beliefs = np.empty((n_frames, n_states))
+    beliefs = np.empty((n_frames, n_states)) if out is None else out
     total = np.empty(n_frames)
     is_impossible = np.empty(n_frames, dtype=bool)
     run, transition = _forward_for(compiled, n_frames, is_factored)
