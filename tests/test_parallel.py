@@ -88,9 +88,9 @@ def test_warnings_of_the_work_are_heard(jobs: int) -> None:
 
 
 def test_what_cannot_be_pickled_is_an_error() -> None:
-    with pytest.raises(Exception, match="pickle|local object"):
+    with pytest.raises(Exception, match=r"pickle|local object"):
         list(in_order(lambda k: k, range(4), 2))
-    with pytest.raises(Exception, match="pickle|local object"):
+    with pytest.raises(Exception, match=r"pickle|local object"):
         list(in_order(a_function, range(4), 2))
 
 
