@@ -24,8 +24,8 @@ check: .venv/.dev
 
 # The kernels as plain Python, so that their lines are seen too; then, compiled, what would take
 # minutes so.
-COMPILED := $(addsuffix .py,$(addprefix tests/,compare/test_comparing compare/test_choose \
-	learn/test_learning detectors/test_detectors detectors/test_runner))
+COMPILED := $(addsuffix .py,$(addprefix tests/,comparing/test_groups comparing/test_choose \
+	learning/test_held_out detectors/test_detectors detectors/test_runner))
 coverage: .venv/.dev
 	NUMBA_DISABLE_JIT=1 $(BIN)/python -m coverage run -m pytest -q $(addprefix --ignore=,$(COMPILED))
 	$(BIN)/python -m coverage run --append -m pytest -q $(COMPILED)

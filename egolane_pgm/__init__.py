@@ -13,7 +13,7 @@ __version__ = "0.1.0"
 
 _PUBLIC = {
     "load_experiment": "egolane_pgm.experiment",
-    "run_experiment": "egolane_pgm.run",
+    "run_experiment": "egolane_pgm.running",
     "LineLog": "egolane_pgm.types",
     "LaneTruth": "egolane_pgm.types",
     "Evidence": "egolane_pgm.types",

@@ -12,7 +12,7 @@ import numpy as np
 from egolane_pgm.experiment import load_experiment
 from egolane_pgm.files import read_yaml
 from egolane_pgm.results import SCHEMA_VERSION
-from egolane_pgm.run import Run, run_experiment
+from egolane_pgm.running import Run, run_experiment
 from egolane_pgm.scoring.confusion import frames_off
 from egolane_pgm.types import InputError
 

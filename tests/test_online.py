@@ -14,7 +14,7 @@ import pytest
 from egolane_pgm.experiment import Experiment, load_experiment
 from egolane_pgm.online import MAX_GAP, filter_stream, parse_message
 from egolane_pgm.recordings.table import write_table
-from egolane_pgm.run import run_experiment
+from egolane_pgm.running import run_experiment
 from egolane_pgm.scoring.assign import assigned_lane
 from egolane_pgm.types import InputError, LineLog
 from tests.kits.drives import command, short_drive, write_drive

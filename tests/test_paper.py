@@ -12,16 +12,16 @@ import numpy as np
 import pytest
 import yaml
 
-from egolane_pgm import compare
+from egolane_pgm import comparing
 from egolane_pgm import paper as paper
 from egolane_pgm.experiment import load_experiment
 from egolane_pgm.loading import load_recording
 from egolane_pgm.paper import SCORES, Reproduced
 from egolane_pgm.recordings.ground_truth import read_ground_truth
 from egolane_pgm.recordings.rosbag import read_rosbag
-from egolane_pgm.run import run_experiment
-from egolane_pgm.tune import recover as recovering
-from egolane_pgm.tune.recover import Recovered
+from egolane_pgm.running import run_experiment
+from egolane_pgm.tuning import recover as recovering
+from egolane_pgm.tuning.recover import Recovered
 from egolane_pgm.types import InputError
 from tests.conftest import needs_compiler
 from tests.kits.drives import command, done, refused, short_drive, write_drive
@@ -445,7 +445,7 @@ def test_the_commands_print_store_and_compare(stand_in: dict[str, Any], tmp_path
 
 
 def test_a_graph_gets_those_of_the_papers_parameters_that_it_has(stand_in: dict[str, Any]) -> None:
-    compared = compare.compare_graphs(2, ["lane_only"], "published")
+    compared = comparing.compare_graphs(2, ["lane_only"], "published")
     right = {k: PRINTED[k] for k in ("sigma1", "sigma2", "bonus_value")}
     experiment = paper.load_experiment(paper.paper_experiment(2)).model_copy(
         update={"graph": "lane_only", "parameters": right}
@@ -453,7 +453,7 @@ def test_a_graph_gets_those_of_the_papers_parameters_that_it_has(stand_in: dict[
     run = run_experiment(experiment)
     assert compared.scores["lane_only"]["confusion"] == run.scores["model"]["confusion"]
     assert compared.mean_log_evidence == {"lane_only": run.beliefs.mean_log_evidence}
-    header, rows = compare.compare_rows([compared], "accuracy")
+    header, rows = comparing.compare_rows([compared], "accuracy")
     assert header == ["run", "detector", "lane_only"]
     assert rows == [["2", *(f"{compared.scores[n]['accuracy']:.3f}" for n in header[1:])]]
 

@@ -24,7 +24,7 @@ from egolane_pgm.results import (
     staged,
     versions,
 )
-from egolane_pgm.run import Run, run_experiment, save_run
+from egolane_pgm.running import Run, run_experiment, save_run
 from egolane_pgm.scoring.assign import assigned_lane
 from egolane_pgm.types import InputError
 from tests.kits.drives import contents, done, refused

@@ -9,10 +9,10 @@ from typing import Any
 import click
 from tqdm import tqdm
 
-from egolane_pgm import compare as comparing
+from egolane_pgm import comparing
 from egolane_pgm.cli import options
-from egolane_pgm.compare.choose import Losses, losses_by_experiment, plan
-from egolane_pgm.compare.comparing import (
+from egolane_pgm.comparing.choose import Losses, losses_by_experiment, plan
+from egolane_pgm.comparing.groups import (
     Group,
     Options,
     by_recording,
@@ -21,7 +21,7 @@ from egolane_pgm.compare.comparing import (
     graphs_on_runs,
     on_runs,
 )
-from egolane_pgm.compare.learned_on import learned_elsewhere
+from egolane_pgm.comparing.learned_on import learned_elsewhere
 from egolane_pgm.experiment import load_experiment
 from egolane_pgm.files import check_not_read, check_place, write_json
 from egolane_pgm.paper import parse_runs

@@ -10,11 +10,11 @@ import click
 from tqdm import tqdm
 
 from egolane_pgm.cli import options
-from egolane_pgm.compare.choose import chosen_on_all, learns, plan, try_all
+from egolane_pgm.comparing.choose import chosen_on_all, learns, plan, try_all
 from egolane_pgm.experiment import Experiment, load_experiment
 from egolane_pgm.files import write_json
-from egolane_pgm.learn import Learned, output_files, write_learned
-from egolane_pgm.learn import learn as run_learn
+from egolane_pgm.learning import Learned, output_files, write_learned
+from egolane_pgm.learning import learn as run_learn
 from egolane_pgm.loading import with_video_rate
 from egolane_pgm.model import prepare_model
 from egolane_pgm.report.tables import scores_table

@@ -13,8 +13,8 @@ from egolane_pgm.cli.recordings import have_recordings
 from egolane_pgm.files import write_json
 from egolane_pgm.report import tables
 from egolane_pgm.results import SCHEMA_VERSION
-from egolane_pgm.run import save_run
-from egolane_pgm.tune import recover as recovering
+from egolane_pgm.running import save_run
+from egolane_pgm.tuning import recover as recovering
 
 
 @click.command()

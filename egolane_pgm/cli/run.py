@@ -17,7 +17,7 @@ from egolane_pgm.loading import named_files, with_recording
 from egolane_pgm.model import causality
 from egolane_pgm.report.tables import TUNED_ON, confusion_table, runs_table, scores_table
 from egolane_pgm.results import SCHEMA_VERSION, check_writable
-from egolane_pgm.run import (
+from egolane_pgm.running import (
     FinishedRun,
     Run,
     name_runs,

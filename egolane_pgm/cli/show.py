@@ -14,7 +14,7 @@ from egolane_pgm.paper import experiments_folder
 from egolane_pgm.plugins import plugin_names
 from egolane_pgm.recordings import FORMATS
 from egolane_pgm.simulation import PRESETS
-from egolane_pgm.tune.plan import check_plan, load_plan
+from egolane_pgm.tuning.plan import check_plan, load_plan
 
 
 @click.command()

@@ -16,8 +16,8 @@ from egolane_pgm.paper import parse_runs
 from egolane_pgm.report import study_tables, tables
 from egolane_pgm.report.study_figures import draw_study
 from egolane_pgm.results import SCHEMA_VERSION
-from egolane_pgm.tune import plan as planning
-from egolane_pgm.tune import tuning
+from egolane_pgm.tuning import plan as planning
+from egolane_pgm.tuning import tuning
 from egolane_pgm.types import InputError
 
 

@@ -15,10 +15,10 @@ from typing import Any
 
 import numpy as np
 
-from egolane_pgm.tune.objective import all_used
-from egolane_pgm.tune.plan import Problem, load_plan, make_problem, scorer
-from egolane_pgm.tune.search import Settings, search, search_in_memory
-from egolane_pgm.tune.storage import open_storage, open_study
+from egolane_pgm.tuning.objective import all_used
+from egolane_pgm.tuning.plan import Problem, load_plan, make_problem, scorer
+from egolane_pgm.tuning.search import Settings, search, search_in_memory
+from egolane_pgm.tuning.storage import open_storage, open_study
 from tests.kits.tuning_kit import points_at
 
 ROOT = Path(__file__).parents[2]

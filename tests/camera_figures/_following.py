@@ -24,7 +24,7 @@ from egolane_pgm.detectors.simple.tracking import Tracks, lines_of, no_tracks
 from egolane_pgm.experiment import make_experiment
 from egolane_pgm.loading import Recorded
 from egolane_pgm.parameters import resolve_parameters
-from egolane_pgm.run import run_experiment
+from egolane_pgm.running import run_experiment
 from egolane_pgm.scoring.assign import assigned_lane
 from egolane_pgm.types import IntArray, LineLog
 

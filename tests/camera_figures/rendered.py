@@ -27,7 +27,7 @@ from egolane_pgm.recordings.ground_truth import write_ground_truth
 from egolane_pgm.recordings.table import write_table
 from egolane_pgm.report import video
 from egolane_pgm.report.tables import markdown
-from egolane_pgm.run import Run, run_experiment
+from egolane_pgm.running import Run, run_experiment
 from egolane_pgm.scoring.assign import assigned_lane
 from egolane_pgm.simulation.rendering.render import (
     FAILURES,

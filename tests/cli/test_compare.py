@@ -9,9 +9,9 @@ from typing import Any
 
 import pytest
 
-from egolane_pgm.compare import comparing
-from egolane_pgm.compare.comparing import by_recording
-from egolane_pgm.compare.placing import on_recording, recording_key
+from egolane_pgm.comparing import comparing
+from egolane_pgm.comparing.groups import by_recording
+from egolane_pgm.comparing.placing import on_recording, recording_key
 from egolane_pgm.experiment import load_experiment
 from egolane_pgm.loading import load_recording
 from egolane_pgm.types import InputError

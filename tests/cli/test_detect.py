@@ -21,7 +21,7 @@ from egolane_pgm.camera.pictures import open_source, read_pictures
 from egolane_pgm.experiment import load_experiment
 from egolane_pgm.loading import check_sources, load_recording, with_recording
 from egolane_pgm.recordings import read_lines
-from egolane_pgm.run import run_experiment, save_run
+from egolane_pgm.running import run_experiment, save_run
 from egolane_pgm.types import InputError
 from tests.kits.drives import command, done, refused, rewritten, write_experiment
 from tests.kits.full_disk import BLIND, drawing

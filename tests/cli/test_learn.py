@@ -10,9 +10,9 @@ import numpy as np
 import pytest
 import yaml
 
-from egolane_pgm.compare.placing import load_for_scoring, on_recording
+from egolane_pgm.comparing.placing import load_for_scoring, on_recording
 from egolane_pgm.experiment import load_experiment
-from egolane_pgm.learn import output
+from egolane_pgm.learning import output
 from egolane_pgm.loading import load_recording
 from egolane_pgm.recordings.ground_truth import write_ground_truth
 from egolane_pgm.types import LaneTruth

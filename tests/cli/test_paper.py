@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from egolane_pgm.recordings import catalog
-from egolane_pgm.tune.recover import Recovered
+from egolane_pgm.tuning.recover import Recovered
 from tests.conftest import needs_compiler
 from tests.kits.drives import done
 
@@ -22,7 +22,7 @@ def test_recover_writes_into_the_published_file_on_request_only(
     def store(number: int, found: Recovered, how: str) -> None:
         stored.append((number, found, how))
 
-    monkeypatch.setattr("egolane_pgm.tune.recover.store_recovered", store)
+    monkeypatch.setattr("egolane_pgm.tuning.recover.store_recovered", store)
     words = ("recover", "--run", "9", "--evaluations", "2", "--seed", "3")
     done(*words)
     assert stored == []

@@ -16,7 +16,7 @@ import pytest
 import yaml
 
 from egolane_pgm.results import is_result, read_result
-from egolane_pgm.run import run_experiment
+from egolane_pgm.running import run_experiment
 from tests.kits.bags import GOOD, Line, line_bag, plain_message, truth_file, write_bag
 from tests.kits.drives import (
     N_FRAMES,

@@ -23,9 +23,9 @@ from egolane_pgm.files import write_yaml
 from egolane_pgm.loading import load_recording
 from egolane_pgm.model import prepare_model
 from egolane_pgm.paper import experiments_folder
-from egolane_pgm.run import run_experiment
-from egolane_pgm.tune.plan import load_plan, make_problem
-from egolane_pgm.tune.study_directory import tuned_experiment
+from egolane_pgm.running import run_experiment
+from egolane_pgm.tuning.plan import load_plan, make_problem
+from egolane_pgm.tuning.study_directory import tuned_experiment
 from tests.kits.drives import command, done, refused, rewritten, write_drive, write_experiment
 from tests.kits.labelled_drive import N_LABELLED
 from tests.kits.processes import started
@@ -266,7 +266,7 @@ def test_the_command_itself_is_stopped_and_repeated(
     "path", sorted((EXPERIMENTS / "tuning").glob("*.yaml")), ids=lambda p: p.stem
 )
 def test_every_tuning_file_that_comes_along_is_sound(path: Path) -> None:
-    from egolane_pgm.tune.plan import load_plan
+    from egolane_pgm.tuning.plan import load_plan
 
     found = load_plan(path)
     assert found.name == path.stem
@@ -275,7 +275,7 @@ def test_every_tuning_file_that_comes_along_is_sound(path: Path) -> None:
 
 def test_the_runs_of_the_paper_can_be_searched_by_number() -> None:
     from egolane_pgm.experiment import Tuning
-    from egolane_pgm.tune.plan import paper_plans
+    from egolane_pgm.tuning.plan import paper_plans
 
     found = paper_plans(range(1, 11))
     assert [plan.run for plan in found] == list(range(1, 11))

@@ -18,7 +18,7 @@ from egolane_pgm.model import prepare_model
 from egolane_pgm.parameters import resolve_parameters
 from egolane_pgm.plugins import load_plugin
 from egolane_pgm.results import read_result
-from egolane_pgm.run import run_experiment
+from egolane_pgm.running import run_experiment
 from egolane_pgm.types import InputError
 from tests.conformance.networks import (
     METHODS,

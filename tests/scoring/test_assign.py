@@ -15,7 +15,7 @@ from egolane_pgm.experiment import load_experiment
 from egolane_pgm.online import filter_stream
 from egolane_pgm.report.coverage import MARKED, coverage_curves, coverage_figure
 from egolane_pgm.results import read_result
-from egolane_pgm.run import run_experiment
+from egolane_pgm.running import run_experiment
 from egolane_pgm.scoring.assign import assigned_lane
 from egolane_pgm.scoring.confusion import confusion, scores_from_confusion
 from egolane_pgm.scoring.probabilistic import coverage_curve

@@ -1,0 +1,107 @@
+"""Several graphs side by side on the paper's recordings."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from types import ModuleType
+from typing import Any
+
+from egolane_pgm.experiment import Experiment, load_experiment
+from egolane_pgm.loading import load_recording
+from egolane_pgm.model import declared_parameters
+from egolane_pgm.paper import load_published, paper_experiment, parameters_for
+from egolane_pgm.plugins import load_plugin, plugin_names
+from egolane_pgm.results import SCHEMA_VERSION
+from egolane_pgm.running import run_experiment
+
+
+@dataclass(frozen=True)
+class Compared:
+    """One of the paper's runs under several graphs.
+
+    number: of the run.
+    scores: per graph, and for "detector", as `score_with_intervals` gives them.
+    mean_log_evidence: per graph.
+    """
+
+    number: int
+    scores: Mapping[str, Mapping[str, Any]]
+    mean_log_evidence: Mapping[str, float]
+
+
+def compare_graphs(number: int, graphs: Sequence[str], which: str = "recovered") -> Compared:
+    """Run one of the paper's runs under each graph, with the paper's parameters as far as the graph
+    has them. Nothing is tuned for the other graphs, and the paper's values are in-sample."""
+    experiment = load_experiment(paper_experiment(number))
+    parameters = parameters_for(load_published()[number], which)
+    recorded = load_recording(experiment)
+    scores: dict[str, Mapping[str, Any]] = {}
+    log_evidence: dict[str, float] = {}
+    for graph in graphs:
+        run = run_experiment(with_graph(experiment, graph, parameters), recorded=recorded)
+        if "detector" in run.scores:
+            scores.setdefault("detector", run.scores["detector"])
+        scores[graph] = run.scores["model"]
+        log_evidence[graph] = run.beliefs.mean_log_evidence
+    return Compared(number, scores, log_evidence)
+
+
+def with_graph(experiment: Experiment, graph: str, parameters: Mapping[str, Any]) -> Experiment:
+    """The experiment with another graph.
+
+    It keeps those of the parameters that the new plugins declare, and its evidence rule where that
+    gives what the graph observes; else it has the first rule that does.
+    """
+    where = experiment.source
+    module = load_plugin("graphs", graph, experiment.folder, f"{where}: graph")
+    names = [experiment.evidence, *plugin_names("evidence")]
+    rules = {
+        name: load_plugin("evidence", name, experiment.folder, f"{where}: evidence")
+        for name in dict.fromkeys(names)
+    }
+    fitting = [name for name, rule in rules.items() if _fits(rule, module)]
+    evidence = experiment.evidence
+    if fitting:
+        # Whole numbers shape a graph's nodes: the rule must know of them.
+        shapes = {p.name for p in getattr(module, "PARAMETERS", ()) if p.kind == "integer"}
+        evidence = min(fitting, key=lambda name: len(shapes - _declared(rules[name])))
+    known = {spec.name for spec in declared_parameters(rules[evidence], module)}
+    kept = {name: value for name, value in parameters.items() if name in known}
+    changed = {"graph": graph, "evidence": evidence, "parameters": kept}
+    return experiment.model_copy(update=changed)
+
+
+def _declared(rule: ModuleType) -> set[str]:
+    return {p.name for p in getattr(rule, "PARAMETERS", ())}
+
+
+def _fits(rule: ModuleType, graph: ModuleType) -> bool:
+    """Whether a rule gives what a graph observes, and nothing that it does not know."""
+    provides = set(getattr(rule, "PROVIDES", graph.OBSERVED))
+    known = {*graph.OBSERVED, *getattr(graph, "UNUSED", ())}
+    return set(graph.OBSERVED) <= provides <= known
+
+
+def compare_rows(compared: Sequence[Compared], key: str) -> tuple[list[str], list[list[str]]]:
+    """Header and rows: one score, a row per run, a column per graph and one for the detector."""
+    names = list(compared[0].scores)
+    rows = [[str(c.number), *(f"{c.scores[name][key]:.3f}" for name in names)] for c in compared]
+    return ["run", *names], rows
+
+
+def compare_json(compared: Sequence[Compared], which: str) -> dict[str, Any]:
+    """What `egolane compare --json` writes."""
+    return {
+        "schema_version": SCHEMA_VERSION,
+        "parameters": which,
+        "tuned_on": "same_frames",
+        "runs": [
+            {
+                "run": c.number,
+                "scores": dict(c.scores),
+                "mean_log_evidence": dict(c.mean_log_evidence),
+            }
+            for c in compared
+        ],
+    }

@@ -1,0 +1,112 @@
+"""An experiment on a recording: put there and loaded, and which recordings are of one drive."""
+
+from __future__ import annotations
+
+import functools
+import hashlib
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+
+from egolane_pgm.experiment import Experiment, Tuning, load_experiment, make_experiment
+from egolane_pgm.loading import Recorded
+from egolane_pgm.model import Drive, load_drive
+from egolane_pgm.recordings.catalog import find_file
+from egolane_pgm.recordings.ground_truth import read_ground_truth
+from egolane_pgm.running import files_in_full
+from egolane_pgm.types import BoolArray, InputError, IntArray
+
+
+def on_recording(model: Experiment, place: Experiment) -> Experiment:
+    """Put the model of one experiment on the recording of another, with that one's frames, ground
+    truth, number of lanes and untrusted labels (`tuning.never_fit`)."""
+    content = model.model_dump()
+    truth = place.ground_truth
+    recording = place.recording.model_dump()
+    if "frame_rate" not in place.recording.model_fields_set:
+        # A video may tell its own.
+        del recording["frame_rate"]
+    never_fit = place.tuning.never_fit if place.tuning is not None else ()
+    tuning = (model.tuning or Tuning()).model_dump()
+    content |= {
+        "recording": files_in_full(recording, place.folder),
+        "ground_truth": files_in_full(truth.model_dump(), place.folder) if truth else None,
+        "n_lanes": place.n_lanes,
+        "tuning": {**tuning, "never_fit": never_fit},
+    }
+    if model.tuned_on == "same_frames" and recording_key(model) != recording_key(place):
+        content["tuned_on"] = "other_frames"
+    return make_experiment(content, model.folder, model.source)
+
+
+def on_recordings(model: Experiment, names: Sequence[str], key: str) -> list[Experiment]:
+    """Put the model on the recordings of other experiments.
+
+    names: their YAML files, relative to the model's own.
+    key: the YAML key that lists them, for messages (`choice.recordings`).
+
+    Raises InputError for one that cannot be used.
+    """
+    placed = []
+    for name in names:
+        try:
+            placed.append(on_recording(model, load_experiment(model.folder / name)))
+        except InputError as error:
+            raise InputError(f"{model.source}: {key}: {error}") from error
+    return placed
+
+
+def recording_key(experiment: Experiment) -> str:
+    """The same for experiments on the same recording: file or simulation, frames, and number of
+    lanes."""
+    recording = experiment.recording
+    path = files_in_full({"path": recording.path}, experiment.folder)["path"]
+    return repr((path, recording.simulate, recording.seed, recording.frames, experiment.n_lanes))
+
+
+def drive_key(experiment: Experiment) -> str:
+    """The same for recordings of one drive: a checksum of the frame ids and labels of its ground
+    truth, or the simulation.
+
+    The name of the file does not count: whoever knows the labels of a file knows those of its copy.
+    Raises InputError where the ground truth cannot be read.
+    """
+    if experiment.ground_truth is None:
+        recording = experiment.recording
+        return repr((recording.simulate, recording.seed, experiment.n_lanes))
+    try:
+        path = find_file(experiment.ground_truth.path, experiment.folder)
+        state = path.stat()
+        return _labels_key(path, state.st_mtime_ns, state.st_size)
+    except InputError as error:
+        raise InputError(f"{experiment.source}: ground_truth.path: {error}") from error
+
+
+@functools.lru_cache(maxsize=256)
+def _labels_key(path: Path, changed_ns: int, size: int) -> str:
+    """A checksum of the labels in a file. changed_ns, size: keep the checksum of an older version
+    of the file from being used."""
+    truth = read_ground_truth(path)
+    content = hashlib.sha256()
+    for values in (truth.frame_id, truth.lane, truth.is_crossing):
+        content.update(np.ascontiguousarray(values).tobytes())
+    return content.hexdigest()
+
+
+def load_for_scoring(experiment: Experiment, recorded: Recorded | None = None) -> Drive:
+    """The experiment's recording and model, as `load_drive` gives them."""
+    needs = "a comparison scores against it"
+    return load_drive(experiment, needs_truth=needs, recorded=recorded)
+
+
+def stretch(drive: Drive, frames: IntArray) -> tuple[int, int]:
+    """The first and last frame id of some annotated frames, for recordings of the same drive."""
+    ids = drive.truth.frame_id[frames]
+    return int(ids[0]), int(ids[-1])
+
+
+def on_stretch(drive: Drive, ends: tuple[int, int]) -> BoolArray:
+    """(K,): annotated frames with ids from the first to the last one, both included."""
+    ids = drive.truth.frame_id
+    return np.asarray((ids >= ends[0]) & (ids <= ends[1]))

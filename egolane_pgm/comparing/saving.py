@@ -1,0 +1,64 @@
+"""A result directory for each experiment of a comparison: what it was, and what it believed in each
+block with parameters that have not seen it."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from egolane_pgm.comparing.side import Side
+from egolane_pgm.experiment import resolved
+from egolane_pgm.files import make_directory, write_json
+from egolane_pgm.model import causality
+from egolane_pgm.results import SCHEMA_VERSION, staged, write_result
+from egolane_pgm.running import belief_columns, portable, provenance_of
+from egolane_pgm.types import FloatArray
+
+
+def folder_of(title: str) -> str:
+    """A recording's title as the name of a directory."""
+    return re.sub(r"[^A-Za-z0-9._-]+", "_", title).strip("._-") or "recording"
+
+
+def save_comparison(
+    out: Path, part: Mapping[str, Any], sides: Sequence[Side], tentative: FloatArray | None
+) -> Path:
+    """Write `out`/<recording>: comparison.json (the recording's part of the document) and a result
+    directory for each experiment, see `results`.
+
+    tentative (K, n): what the detector alone answers, where it was looked at.
+
+    Raises InputError where they cannot be written.
+    """
+    folder = out / folder_of(part["title"])
+    make_directory(folder)
+    for side, entry in zip(sides, part["experiments"], strict=True):
+        experiment, model, recorded = side.experiment, side.drive.model, side.drive.recorded
+        content = {**resolved(experiment, model.parameters), "fit": experiment.fit}
+        rows = np.arange(len(side.drive))
+        annotated = replace(recorded, log=recorded.log.take(recorded.scored), scored=rows)
+        notes = [*recorded.notes, *side.notes]
+        found = {
+            **provenance_of(experiment, model, annotated, side.beliefs, content, notes),
+            "fit": experiment.fit,
+            "blocks": part["blocks"],
+            "parameters_per_block": [dict(found) for found in side.held_out.parameters],
+            "tuned_on": side.tuned_on,
+            **causality(experiment, model, side.held_out.parameters),
+        }
+        columns = belief_columns(experiment, model, annotated, side.beliefs, tentative)
+        with staged(folder / experiment.name) as directory:
+            write_result(
+                directory,
+                experiment=portable(experiment, model, content, directory),
+                run=found,
+                scores={"name": experiment.name, "held_out": entry},
+                columns={**columns, "block": side.held_out.block},
+            )
+    write_json(folder / "comparison.json", {"schema_version": SCHEMA_VERSION, **part})
+    return folder

@@ -1,0 +1,196 @@
+"""One side of a comparison: an experiment on one recording, each block of the drive believed with
+parameters that have not seen it. How parameters are found is the experiment's `fit`."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from egolane_pgm.comparing.choose import (
+    Losses,
+    candidates,
+    choose,
+    experiment_key,
+    learns,
+    plan,
+    try_all,
+)
+from egolane_pgm.comparing.learned_on import learner_elsewhere
+from egolane_pgm.comparing.placing import drive_key
+from egolane_pgm.experiment import Experiment, Tuning
+from egolane_pgm.learning import Found, check_learnable, n_learned, with_found
+from egolane_pgm.learning import fit as learn_from
+from egolane_pgm.model import Drive, beliefs_of, declared_parameters, value_names
+from egolane_pgm.scoring.held_out import N_BLOCKS, HeldOut, held_out
+from egolane_pgm.tuning.held_out import nested_search
+from egolane_pgm.tuning.objective import check_filter
+from egolane_pgm.tuning.plan import Plan, parameters_at, problem_of
+from egolane_pgm.types import Beliefs, FloatArray, InputError, IntArray, LaneTruth
+
+#: Trials of each block's search where nothing else is said; a study of its own takes more.
+TRIALS = 300
+
+#: Repetitions when timing evidence and filter.
+_TIMED = 3
+
+#: Parameters from the drive without a block's labels, the frames to fit on, and the block.
+Fit = Callable[[Drive, IntArray, int], Found]
+
+
+@dataclass(frozen=True)
+class Side:
+    """What an experiment believes in the K annotated frames of its recording.
+
+    drive: the experiment with its recording, all labels included.
+    held_out: the beliefs, and per block what was fitted without it.
+    free_parameters: how many numbers were fitted to labels.
+    seconds_per_frame: processor time of evidence and filter over the whole recording, the fastest
+        of several.
+    tuned_on: as in a YAML.
+    notes: what the evidence rule warned of, a line each.
+    """
+
+    drive: Drive
+    held_out: HeldOut[Found]
+    free_parameters: int
+    seconds_per_frame: float
+    tuned_on: str
+    notes: tuple[str, ...] = ()
+
+    @property
+    def experiment(self) -> Experiment:
+        """The experiment, on its recording."""
+        return self.drive.experiment
+
+    @property
+    def truth(self) -> LaneTruth:
+        """The ground truth of the K annotated frames."""
+        return self.drive.truth
+
+    @property
+    def beliefs(self) -> Beliefs:
+        """The beliefs of the K annotated frames, each block with its own parameters."""
+        return self.held_out.beliefs
+
+    @property
+    def bad(self) -> FloatArray | None:
+        """(K,): P(SensorState = BAD); None for a graph without it."""
+        names = value_names(self.drive.model).get("SensorState", [])
+        if "BAD" not in names:
+            return None
+        return self.beliefs.marginals["SensorState"][:, names.index("BAD")]
+
+
+def held_out_side(
+    drive: Drive,
+    *,
+    n_blocks: int = N_BLOCKS,
+    trials: int | None = None,
+    losses: Sequence[Losses] | None = None,
+) -> Side:
+    """Fit without each block in turn, filter the whole recording, keep the block.
+
+    trials: of each block's search with `fit: tune`; default the experiment's, else TRIALS.
+    losses: of the candidates of `fit: choose`, where they are at hand.
+
+    Raises InputError for a fit that the experiment's plugins do not allow, or too many blocks.
+    """
+    experiment = drive.experiment
+    fit, free_parameters = _fit_of(drive, n_blocks, trials, losses)
+    done: list[Beliefs] = []
+    notes: list[str] = []
+    seconds: list[float] = []
+
+    def beliefs_with(found: Found) -> Beliefs:
+        if experiment.fit == "none" and len(done) >= _TIMED:
+            return done[0]
+        begun = time.process_time()
+        beliefs, warned = beliefs_of(drive, with_found(drive.model, found, experiment))
+        seconds.append((time.process_time() - begun) / len(drive.recorded.log))
+        done.append(beliefs)
+        notes.extend(warned)
+        return beliefs
+
+    return Side(
+        drive,
+        held_out(drive, fit, beliefs_with, n_blocks),
+        free_parameters,
+        min(seconds),
+        experiment.tuned_on if experiment.fit == "none" else "other_frames",
+        tuple(dict.fromkeys(notes)),
+    )
+
+
+def _fit_of(
+    drive: Drive, n_blocks: int, trials: int | None, losses: Sequence[Losses] | None
+) -> tuple[Fit, int]:
+    """The experiment's way to find parameters, and how many numbers it finds."""
+    experiment, model = drive.experiment, drive.model
+    if experiment.learned_on and experiment.fit != "learn":
+        raise InputError(f"{experiment.source}: learned_on: goes with fit: learn")
+    if experiment.fit == "none":
+        specs = declared_parameters(model.rule, model.graph)
+        searched = [spec.name for spec in specs if spec.search is not None]
+        numbers = sum(np.size(model.parameters[name]) for name in searched)
+        return _nothing, 0 if experiment.tuned_on == "not_tuned" else numbers
+    if experiment.fit == "learn":
+        check_learnable(model, experiment)
+        numbers = n_learned(model, experiment)
+        if experiment.learned_on:
+            return learner_elsewhere(drive, n_blocks), numbers
+        return _learn, numbers
+    if experiment.fit == "choose":
+        numbers = len(candidates(experiment)[0])
+        if learns(model, experiment):
+            numbers += n_learned(model, experiment)
+        return _chooser(experiment, n_blocks, losses), numbers
+    return _searcher(drive, trials)
+
+
+def _nothing(drive: Drive, train: IntArray, block: int) -> Found:
+    return {}
+
+
+def _learn(drive: Drive, train: IntArray, block: int) -> Found:
+    return learn_from(drive, train)
+
+
+def _chooser(experiment: Experiment, n_blocks: int, losses: Sequence[Losses] | None) -> Fit:
+    """The candidate that is best without the block, and what is learned with it."""
+    if losses is None:
+        losses = list(try_all(plan([experiment], n_blocks)[experiment_key(experiment)]))
+    known, tried = losses, candidates(experiment)
+
+    def fit(drive: Drive, train: IntArray, block: int) -> Found:
+        chosen = tried[choose(known, drive_key(experiment), block, experiment)]
+        model = with_found(drive.model, chosen, experiment)
+        if not learns(model, experiment):
+            return chosen
+        return {**chosen, **learn_from(replace(drive, model=model), train)}
+
+    return fit
+
+
+def _searcher(drive: Drive, trials: int | None) -> tuple[Fit, int]:
+    """A search from scratch: the experiment's own values may have been tuned on the block."""
+    experiment = drive.experiment
+    check_filter(experiment)
+    tuning = experiment.tuning or Tuning()
+    if "detector" in tuning.search:
+        raise InputError(
+            f"{experiment.source}: tuning.search: detector: goes with `egolane tune`, not with"
+            " fit: tune"
+        )
+    tuning = tuning.model_copy(update={"trials": trials or tuning.trials or TRIALS})
+    searched = Plan(experiment.name, "", (experiment,), tuning, experiment.source)
+    problem = problem_of(searched, [drive])
+
+    def fit(drive: Drive, train: IntArray, block: int) -> Found:
+        used = np.isin(np.arange(len(drive)), train)
+        found = nested_search(replace(problem, drives=(drive,)), [used], block)
+        return parameters_at(problem, found.point)[0]
+
+    return fit, len(problem.space)

@@ -1,0 +1,116 @@
+"""Files of what was learned: a new experiment, and its graph where tables were learned."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from egolane_pgm.experiment import Experiment, load_experiment, resolved
+from egolane_pgm.files import check_place, write_yaml
+from egolane_pgm.learning.graph_file import graph_yaml
+from egolane_pgm.learning.held_out import Found
+from egolane_pgm.learning.tables import PREFIX, found_tables, learning_of
+from egolane_pgm.model import Model, declared_parameters, prepare_model
+from egolane_pgm.plugins import OWN_FILES
+from egolane_pgm.running import files_in_full
+from egolane_pgm.types import InputError
+
+
+def output_files(experiment: Experiment, target: Path) -> list[Path]:
+    """The files that `write_learned` may write: the experiment, and a graph. Raises InputError
+    where they cannot be written, or where the experiment reads one of them."""
+    files = [target, target.with_name(f"{target.stem}.graph.yaml")]
+    for file in files:
+        check_place(file)
+    if target.resolve() == Path(experiment.source).resolve():
+        raise InputError(f"{target}: is the experiment itself; name another file with --out")
+    recording, truth = experiment.recording, experiment.ground_truth
+    named = [experiment.graph, recording.path, recording.camera, truth and truth.path]
+    read = {(experiment.folder / name).resolve() for name in named if name}
+    for file in files:
+        if file.resolve() in read:
+            raise InputError(f"{file}: is read by {experiment.source}; name another with --out")
+    return files
+
+
+def write_learned(
+    experiment: Experiment, model: Model, parameters: Found, target: Path
+) -> list[Path]:
+    """Write the experiment with what was learned to `target`, and beside it, where tables were
+    learned, the graph `<its name>.graph.yaml`; returns the files that were written.
+
+    parameters: those that were learned, tables by the names of `tables`.
+
+    What the new experiment says of its scores is that they are in-sample where it is run on the
+    same recording. Raises InputError where a file cannot be written.
+    """
+    tables = {k: v for k, v in parameters.items() if k.startswith(PREFIX)}
+    files = output_files(experiment, target)[: 2 if tables else 1]
+    content = _experiment_yaml(experiment, model, parameters, target, bool(tables))
+    source = Path(experiment.source).name
+    heading = f"# Learned by `egolane learn {source}` from all labelled frames of its recording\n"
+    left_out = "# (labels of crossing ones and the frames of tuning.never_fit left out).\n"
+    if tables:
+        how = "lines and labels" if learning_of(experiment).labels else "lines alone, no labels"
+        if not learning_of(experiment).labels:
+            heading = (
+                f"# Learned by `egolane learn {source}` from its recording, no label looked at\n"
+            )
+            left_out = "# (the frames of tuning.never_fit left out).\n"
+        say = f"tables of {experiment.graph}, learned from {how}, of {_recording(experiment)}"
+        graph = graph_yaml(model, found_tables(model, tables, experiment), say)
+        write_yaml(files[1], graph, f"# Learned by `egolane learn {source}`.\n")
+        content["graph"] = f"./{files[1].name}"
+        content["description"] = f"{experiment.description}; tables learned from {how}".lstrip("; ")
+    write_yaml(target, content, heading + left_out)
+    # It must be an experiment that can be run.
+    prepare_model(load_experiment(target))
+    return files
+
+
+def _recording(experiment: Experiment) -> str:
+    recording = experiment.recording
+    return Path(recording.path).name if recording.path else f"{recording.simulate}"
+
+
+def _experiment_yaml(
+    experiment: Experiment, model: Model, parameters: Found, target: Path, has_tables: bool
+) -> dict[str, Any]:
+    of_rule = {p.name for p in getattr(model.rule, "PARAMETERS", ())}
+    found = {k: v for k, v in parameters.items() if not k.startswith(PREFIX)}
+    given = (
+        {k: v for k, v in model.parameters.items() if k in of_rule}
+        if has_tables
+        else (experiment.parameters)
+    )
+    content = resolved(experiment, {**given, **found})
+    for section in ("recording", "ground_truth"):
+        if content[section] is not None:
+            content[section] = {k: v for k, v in content[section].items() if v not in (None, [])}
+    content["name"] = target.stem
+    content["description"] = experiment.description.replace(
+        "generic constants", "learned from its labels"
+    )
+    content["tuned_on"] = "same_frames"
+    if experiment.tuning is not None:
+        content["tuning"] = experiment.tuning.model_dump(mode="json", exclude_defaults=True)
+    for spec in declared_parameters(model.rule, model.graph):
+        value = content["parameters"].get(spec.name)
+        if spec.shape is not None and isinstance(value, list):
+            rows = np.array([float(f"{v:.4g}") for v in value])
+            content["parameters"][spec.name] = rows.reshape(spec.shape(experiment.n_lanes)).tolist()
+    old, new = experiment.folder.resolve(), target.parent.resolve()
+    if old == new:
+        return content
+    for section in ("recording", "ground_truth"):
+        named = content[section] or {}
+        for key, full in files_in_full(named, old).items():
+            if full != named[key]:
+                named[key] = os.path.relpath(full, new)
+    for key in ("evidence", "graph"):
+        if content[key].endswith(OWN_FILES):
+            content[key] = os.path.relpath((old / content[key]).resolve(), new)
+    return content

@@ -1,0 +1,273 @@
+"""The tables of an experiment's graph, learned from its recording by EM (`em`).
+
+What is found is kept by name, as parameters are: `tables.Lane.first` and `tables.Lane.next` of a
+node that persists, `tables.WOR` of an observed one. The numbers of a table stand in one row, with
+the axes in the order of `expected_counts.counted_tables`, the last one fastest.
+"""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Mapping
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+
+from egolane_pgm.experiment import Experiment, Learning
+from egolane_pgm.graphs.cpds import SliceNode, Table
+from egolane_pgm.inference.compile import Compiled, read_tables, with_tables
+from egolane_pgm.inference.expected_counts import FREE, counted_tables
+from egolane_pgm.learning.em import fit_tables, with_changed
+from egolane_pgm.model import Drive, Model, declared_parameters, make_evidence, with_parameters
+from egolane_pgm.parameters import Parameter, Value, resolve_parameters
+from egolane_pgm.plugins import plugin_errors
+from egolane_pgm.types import BoolArray, InputError, IntArray, suggestion
+
+#: What the name of a learned table begins with.
+PREFIX = "tables."
+
+
+def learning_of(experiment: Experiment) -> Learning:
+    """The experiment's `learning`, or the defaults."""
+    return experiment.learning or Learning()
+
+
+def check_tables(model: Model, experiment: Experiment) -> dict[SliceNode, Table]:
+    """The tables that are learned, with the values that learning starts from. Raises InputError for
+    a graph that has none, and for a node in `learning.tables` without one."""
+    source = experiment.source
+    open_ = {
+        node: table
+        for node, table in counted_tables(
+            model.compiled, starting_tables(model, experiment)
+        ).items()
+        if not np.isin(table.values, (0.0, 1.0)).all()
+    }
+    if not open_:
+        raise InputError(
+            f"{source}: the evidence rule {experiment.evidence} cannot be learned, nor can the"
+            f" graph {experiment.graph}: each of its tables is certain or selected by an input;"
+            " search parameters with `egolane tune`"
+        )
+    wanted = learning_of(experiment).tables
+    if wanted is None:
+        return open_
+    names = {name for name, _ in open_}
+    if not wanted:
+        raise InputError(
+            f"{source}: learning.tables: names no table; leave it out to learn all of"
+            f" {', '.join(sorted(names))}"
+        )
+    for name in wanted:
+        if name not in names:
+            raise InputError(
+                f"{source}: learning.tables: '{name}' has no table to learn"
+                f"{suggestion(name, names)}"
+            )
+    return {node: table for node, table in open_.items() if node[0] in wanted}
+
+
+def free_numbers(tables: Mapping[SliceNode, Table]) -> int:
+    """Count the numbers in some tables that are free: zeros stay zero, and rows sum to one."""
+    return sum(
+        int(np.maximum(np.count_nonzero(table.values > 0, axis=-1) - 1, 0).sum())
+        for table in tables.values()
+    )
+
+
+def fit_graph(drive: Drive, train: IntArray) -> dict[str, Value]:
+    """The tables learned from the annotated frames `train` of a drive and the frames between them;
+    without ground truth from the frames `train` of the log.
+
+    With `learning.labels` the lane of a frame is known from its label, except in crossing frames.
+
+    Warns of a lane without a label, which keeps its first guess, of frames that the graph does not
+    allow, and of what `seen_before` lists.
+    """
+    model, recorded, experiment = drive.model, drive.recorded, drive.experiment
+    for note in seen_before(model, experiment):
+        warnings.warn(note, UserWarning, stacklevel=2)
+    options = learning_of(experiment)
+    used = training_frames(drive.rows, train, len(recorded.log))
+    log = recorded.log.take(used)
+    lane = np.full(len(recorded.log), FREE, dtype=np.int64)
+    if options.labels:
+        truth = drive.truth
+        labelled = train[~truth.is_crossing[train]]
+        lane[recorded.scored[labelled]] = truth.lane[labelled] - 1
+        for k in range(1, experiment.n_lanes + 1):
+            if not (truth.lane[labelled] == k).any():
+                warnings.warn(
+                    f"{log.source}: no frame to learn from has lane {k}; it keeps its first guess",
+                    UserWarning,
+                    stacklevel=2,
+                )
+    # Of the whole log: a rule may look at the frames before.
+    evidence = make_evidence(model, recorded.log, experiment.evidence_reading).filtered.take(used)
+    tables = starting_tables(model, experiment)
+    fitted = fit_tables(
+        model.compiled,
+        tables,
+        evidence,
+        {"Lane": lane[used]},
+        np.diff(np.flatnonzero(used), prepend=-2) > 1,
+        nodes={name for name, _ in check_tables(model, experiment)},
+        strength=options.strength,
+        iterations=options.iterations,
+    )
+    impossible = int(fitted.is_impossible.sum())
+    if impossible == len(evidence):
+        raise InputError(
+            f"{experiment.source}: none of the {impossible} frames to learn from can be under graph"
+            f" {experiment.graph}, evidence and label together, so there is nothing to learn;"
+            " do the evidence rule and the graph fit together?"
+        )
+    if impossible:
+        warnings.warn(
+            f"{experiment.source}: {impossible} frame(s) to learn from cannot be under graph"
+            f" {experiment.graph}, evidence and label together; both are left out there",
+            UserWarning,
+            stacklevel=2,
+        )
+    if len(fitted.log_posterior) > options.iterations:
+        warnings.warn(
+            f"{experiment.source}: learning stopped after {options.iterations} iterations, before"
+            " it stood still; learning.iterations allows more",
+            UserWarning,
+            stacklevel=2,
+        )
+    return {
+        name: tuple(table.values.ravel().tolist())
+        for name, table in _by_name(model.compiled, fitted.tables).items()
+    }
+
+
+def training_frames(rows: IntArray, train: IntArray, n_frames: int) -> BoolArray:
+    """Marks (T,) the annotated frames that are learned from, and each frame without annotation
+    whose annotated neighbours are both among them.
+
+    rows (K,): which of the T frames are annotated.
+    train: indices into rows.
+    n_frames: T.
+    """
+    is_train = np.zeros(len(rows), dtype=bool)
+    is_train[train] = True
+    before = np.searchsorted(rows, np.arange(n_frames), side="right") - 1
+    after = np.searchsorted(rows, np.arange(n_frames), side="left")
+    return is_train[np.maximum(before, 0)] & is_train[np.minimum(after, len(rows) - 1)]
+
+
+def with_found(model: Model, found: Mapping[str, Value], experiment: Experiment) -> Model:
+    """Put what a fit found, parameters, tables or both, into a model."""
+    tables = {name: value for name, value in found.items() if name.startswith(PREFIX)}
+    parameters = {name: value for name, value in found.items() if name not in tables}
+    if parameters:
+        values = _resolved(model, parameters, experiment)
+        of_graph = {p.name for p in getattr(model.graph, "PARAMETERS", ())}
+        is_rules = not of_graph & set(parameters)
+        model = replace(model, parameters=values) if is_rules else with_parameters(model, values)
+    if tables:
+        model = replace(
+            model, compiled=with_tables(model.compiled, found_tables(model, tables, experiment))
+        )
+    return model
+
+
+def starting(model: Model, experiment: Experiment) -> Model:
+    """The model with the tables that learning starts from."""
+    tables = starting_tables(model, experiment)
+    return replace(model, compiled=with_tables(model.compiled, tables))
+
+
+def found_tables(model: Model, found: Mapping[str, Value], experiment: Experiment) -> list[Table]:
+    """All tables of the graph, with those that were found in their places."""
+    start = starting_tables(model, experiment)
+    changed = {
+        table.node: replace(table, values=np.reshape(found[name], table.values.shape))
+        for name, table in _by_name(model.compiled, counted_tables(model.compiled, start)).items()
+        if name in found
+    }
+    return with_changed(model.compiled, start, changed)
+
+
+def nested_tables(model: Model, found: Mapping[str, Value]) -> dict[str, Any]:
+    """The tables among what was found, as nested lists."""
+    nested = {}
+    for (name, s), place in model.compiled.places.items():
+        key = _name(model.compiled, (name, s))
+        if key in found:
+            nested[key] = np.reshape(found[key], place.shape).tolist()
+    return nested
+
+
+def starting_tables(model: Model, experiment: Experiment) -> list[Table]:
+    """Every table of the graph before anything is learned; see `seen_before`."""
+    reset = {p.name: p.default for p in _reset(model, experiment)}
+    parameters = _resolved(model, reset, experiment)
+    with plugin_errors(model.graph, f"{experiment.source}: graph"):
+        if hasattr(model.graph, "tables"):
+            tables: list[Table] = model.graph.tables(model.n_lanes, parameters)
+            return tables
+        return list(read_tables(model.graph.build(model.n_lanes, parameters)).values())
+
+
+def seen_before(model: Model, experiment: Experiment) -> list[str]:
+    """Notes for a reader of held-out scores, where the experiment's parameters were, or may have
+    been, tuned on the frames that are learned from.
+
+    Learning then starts from the defaults of the graph's parameters. Parameters of the evidence
+    rule, and tables that stand in the graph as numbers, are kept as they are.
+    """
+    if experiment.tuned_on not in ("same_frames", "unknown"):
+        return []
+    where = f"{experiment.source}: tuned_on {experiment.tuned_on}"
+    changed = [p.name for p in _reset(model, experiment) if model.parameters[p.name] != p.default]
+    kept = [
+        p.name
+        for p in getattr(model.rule, "PARAMETERS", ())
+        if p.search is not None and model.parameters[p.name] != p.default
+    ]
+    notes = []
+    if changed:
+        notes.append(f"{where}: learning starts from the defaults of {', '.join(changed)}")
+    if kept:
+        notes.append(
+            f"{where}: {', '.join(kept)} of the evidence rule is kept as given, so held-out scores"
+            " may have seen the frames that they are about"
+        )
+    if experiment.tuned_on == "same_frames" and not _searched(model):
+        notes.append(
+            f"{where}: graph {experiment.graph} has no parameters with defaults to start from, so"
+            " held-out scores have seen the frames that they are about"
+        )
+    return notes
+
+
+def _reset(model: Model, experiment: Experiment) -> list[Parameter]:
+    if experiment.tuned_on not in ("same_frames", "unknown"):
+        return []
+    return _searched(model)
+
+
+def _searched(model: Model) -> list[Parameter]:
+    return [p for p in getattr(model.graph, "PARAMETERS", ()) if p.search is not None]
+
+
+def _resolved(model: Model, given: Mapping[str, Value], experiment: Experiment) -> dict[str, Value]:
+    return resolve_parameters(
+        declared_parameters(model.rule, model.graph),
+        {**model.parameters, **given},
+        model.n_lanes,
+        f"{experiment.source}: parameters",
+    )
+
+
+def _by_name(compiled: Compiled, tables: Mapping[SliceNode, Table]) -> dict[str, Table]:
+    return {_name(compiled, node): table for node, table in tables.items()}
+
+
+def _name(compiled: Compiled, node: SliceNode) -> str:
+    name, s = node
+    is_observed = compiled.places[node].kind == "emission"
+    return f"{PREFIX}{name}" + ("" if is_observed else (".first", ".next")[s])

@@ -1,0 +1,222 @@
+"""Scores a search on frames that it has not seen: the study is run anew without each block of the
+drive (or without each recording), and its result is scored there only."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+import optuna
+
+from egolane_pgm.model import Drive
+from egolane_pgm.scoring.bootstrap import Interval, score_counts, score_intervals
+from egolane_pgm.scoring.held_out import blocks, without_block
+from egolane_pgm.scoring.stability import lane_changes
+from egolane_pgm.scoring.summary import score_all
+from egolane_pgm.tuning.objective import tried_belief
+from egolane_pgm.tuning.plan import Problem, parameters_at, scorer
+from egolane_pgm.tuning.search import Report, Settings, best_trial, search, search_in_memory
+from egolane_pgm.tuning.space import Point
+from egolane_pgm.types import BoolArray, FloatArray, InputError, LaneTruth
+
+#: The scores that every result shows.
+SCORES = ("accuracy", "precision", "recall", "f1", "log_loss", "brier")
+
+
+@dataclass(frozen=True)
+class Nested:
+    """The result of a study without one part of the frames.
+
+    - part: number of the block, or of the recording, from 0.
+    - point: the best one.
+    - values: its scores on the frames that the study saw (in-sample for those).
+    - trials: how many there were.
+    """
+
+    part: int
+    point: Mapping[str, Any]
+    values: tuple[float, ...]
+    trials: int
+
+
+def check_blocks(problem: Problem) -> list[str]:
+    """Raise InputError for more blocks than the drive has lane changes, and where the frames that
+    are left to fit on lack a lane that was driven. Returns notes: blocks in which a lane does not
+    occur."""
+    n_blocks = problem.plan.tuning.blocks
+    notes = []
+    for drive in problem.drives:
+        where, truth = drive.experiment.source, drive.truth
+        changes = len(lane_changes(truth.lane, truth.is_crossing))
+        if n_blocks > changes:
+            advice = f"take at most {changes}" if changes > 1 else "search with --in-sample-only"
+            raise InputError(
+                f"{where}: {n_blocks} blocks, but the drive has {changes} lane change(s): a block"
+                f" without one says nothing; {advice}"
+            )
+        lost = _lost_lane(drive, n_blocks)
+        if lost is not None:
+            fine = [n for n in range(2, min(changes, 20) + 1) if not _lost_lane(drive, n)]
+            advice = (
+                f"take {' or '.join(map(str, fine[:3]))} (--blocks)"
+                if fine
+                else ("search with --in-sample-only")
+            )
+            raise InputError(
+                f"{where}: without block {lost[0]} of {n_blocks} no frame in lane {lost[1]} is"
+                f" left to fit on; {advice}"
+            )
+        driven = _lanes(truth)
+        for b, part in enumerate(blocks(len(drive), n_blocks)):
+            absent = sorted(driven - _lanes(truth.take(part)))
+            if absent:
+                lanes = ", ".join(map(str, absent))
+                notes.append(f"{drive.experiment.name}: block {b + 1} has no frame in lane {lanes}")
+    return notes
+
+
+def _lost_lane(drive: Drive, n_blocks: int) -> tuple[int, int] | None:
+    """The first block without which a lane is not left to fit on, and that lane."""
+    driven = _lanes(drive.truth)
+    for b, part in enumerate(blocks(len(drive), n_blocks)):
+        is_train = drive.may_fit
+        is_train[part] = False
+        lost = driven - _lanes(drive.truth.take(is_train))
+        if lost:
+            return b + 1, min(lost)
+    return None
+
+
+def _lanes(truth: LaneTruth) -> set[int]:
+    """The lanes that are driven in the frames that are not crossing."""
+    return set(truth.lane[~truth.is_crossing].tolist())
+
+
+def run_nested(problem: Problem, part: int, by_recording: bool, **options: Any) -> Nested:
+    """Run the study anew without one part; options as `nested_search` takes them."""
+    return nested_search(*without_part(problem, part, by_recording), part, **options)
+
+
+def without_part(
+    problem: Problem, part: int, by_recording: bool
+) -> tuple[Problem, list[BoolArray]]:
+    """The problem without the labels of a part, and per drive the frames that may be used."""
+    if by_recording:
+        kept = [k for k in range(len(problem.drives)) if k != part]
+        drives = tuple(problem.drives[k] for k in kept)
+        spaces = tuple(problem.spaces[k] for k in kept)
+        smaller = replace(problem, drives=drives, spaces=spaces)
+        return smaller, [drive.may_fit for drive in drives]
+    n_blocks = problem.plan.tuning.blocks
+    pairs = [without_block(drive, n_blocks, part) for drive in problem.drives]
+    used = [np.isin(np.arange(len(drive)), train) for drive, train in pairs]
+    return replace(problem, drives=tuple(drive for drive, _ in pairs)), used
+
+
+def nested_search(
+    problem: Problem,
+    used: Sequence[BoolArray],
+    part: int,
+    *,
+    study: optuna.Study | None = None,
+    worker: int = 0,
+    report: Report | None = None,
+) -> Nested:
+    """Run a study from scratch: values that were tuned on the frames held out, such as the
+    published ones, would tell it about them.
+
+    - problem: without the labels of the part that is held out.
+    - used: per drive (K,), marks the frames that are scored.
+    - part: number of the part; each has a seed of its own.
+    - study: the one to go on with; by default one in memory.
+    - worker, report: as `search` takes them.
+    """
+    settings, score = settings_without(problem, part), scorer(problem, used)
+    if study is None:
+        study = search_in_memory(problem.space, score, settings, report)
+    else:
+        search(study, problem.space, score, settings, worker=worker, report=report)
+    best = best_trial(study)
+    return Nested(part, dict(best.params), tuple(best.values), settings.trials)
+
+
+def settings_without(problem: Problem, part: int) -> Settings:
+    """The settings of the study without a part. Each such study has a seed of its own, because with
+    one seed all of them would share its luck."""
+    seed = np.random.SeedSequence([problem.settings.seed, part + 1]).generate_state(1)[0]
+    return replace(problem.settings, seed=int(seed))
+
+
+def beliefs_at(problem: Problem, point: Point) -> list[FloatArray]:
+    """Per drive the belief (K, n) with the parameters of a point."""
+    sets = parameters_at(problem, point)
+    return [tried_belief(d, p) for d, p in zip(problem.drives, sets, strict=True)]
+
+
+def stitched(problem: Problem, nested: Sequence[Nested], by_recording: bool) -> list[FloatArray]:
+    """Per drive the belief (K, n), each part of it with the parameters found without it."""
+    each = [beliefs_at(problem, result.point) for result in nested]
+    if by_recording:
+        return [each[k][k] for k in range(len(problem.drives))]
+    return [
+        np.concatenate([each[b][k][part] for b, part in enumerate(blocks(len(drive), len(nested)))])
+        for k, drive in enumerate(problem.drives)
+    ]
+
+
+def assess(
+    drives: Sequence[Drive], beliefs: Sequence[FloatArray], keep: Sequence[BoolArray]
+) -> dict[str, Any]:
+    """Scores with intervals over the kept frames, per recording and their plain mean."""
+    each = []
+    for drive, belief, kept in zip(drives, beliefs, keep, strict=True):
+        truth, experiment = drive.truth.take(kept), drive.experiment
+        scores = score_all(
+            belief[kept],
+            truth.lane,
+            truth.is_crossing,
+            truth.frame_id,
+            experiment.recording.frame_rate,
+            experiment.unassigned_below,
+        )
+        shown = (*SCORES, "confusion", "frames_scored")
+        each.append({"name": experiment.name, **{name: scores[name] for name in shown}})
+    found: dict[str, Any] = {
+        name: float(np.mean([scores[name] for scores in each])) for name in SCORES
+    }
+    found["frames_scored"] = sum(scores["frames_scored"] for scores in each)
+    found["intervals"] = _bounds(score_intervals(_counts(drives, beliefs, keep)))
+    if len(each) == 1:
+        found["confusion"] = each[0]["confusion"]
+    else:
+        found["recordings"] = each
+    return found
+
+
+def difference(
+    drives: Sequence[Drive],
+    first: Sequence[FloatArray],
+    second: Sequence[FloatArray],
+    keep: Sequence[BoolArray],
+) -> dict[str, Any]:
+    """First less second with intervals, over the same resamples of the same frames."""
+    one, other = assess(drives, first, keep), assess(drives, second, keep)
+    intervals = score_intervals(_counts(drives, first, keep), _counts(drives, second, keep))
+    differences = {name: one[name] - other[name] for name in intervals}
+    return {**differences, "intervals": _bounds(intervals)}
+
+
+def _counts(
+    drives: Sequence[Drive], beliefs: Sequence[FloatArray], keep: Sequence[BoolArray]
+) -> list[dict[str, Any]]:
+    found = []
+    for drive, belief, kept in zip(drives, beliefs, keep, strict=True):
+        truth, below = drive.truth.take(kept), drive.experiment.unassigned_below
+        found.append(score_counts(belief[kept], truth.lane, truth.is_crossing, below))
+    return found
+
+
+def _bounds(intervals: Mapping[str, Interval | None]) -> dict[str, list[float] | None]:
+    return {name: None if i is None else [i.low, i.high] for name, i in intervals.items()}

@@ -1,0 +1,72 @@
+"""What makes two studies the same one, so that none goes on with trials of another."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from typing import Any
+
+from egolane_pgm.detectors import simple
+from egolane_pgm.experiment import resolved
+from egolane_pgm.files import plain
+from egolane_pgm.loading import data_entries
+from egolane_pgm.model import Drive
+from egolane_pgm.plugins import OWN_FILES, source_files
+from egolane_pgm.tuning.objective import detector_of
+from egolane_pgm.tuning.plan import Problem
+from egolane_pgm.tuning.space import describe
+
+
+def identity_of(problem: Problem) -> dict[str, Any]:
+    """Describe a study as JSON: recordings by checksum, search space, code of graph and evidence
+    rule by checksum, objective, sampler and seed. The number of trials may grow."""
+    recordings = {}
+    for drive in problem.drives:
+        content = resolved(drive.experiment, {})
+        kept = ("n_lanes", "evidence", "graph", "filter", "evidence_reading", "unassigned_below")
+        recordings[drive.experiment.name] = {
+            **{key: content[key] for key in kept},
+            "recording": {k: v for k, v in content["recording"].items() if k != "path"},
+            "data": [
+                entry["sha256"][:16] for entry in data_entries(drive.experiment, drive.recorded)
+            ],
+            "code": _code(drive),
+        }
+    identity = {
+        "name": problem.plan.name,
+        "objective": list(problem.settings.objectives),
+        "sampler": problem.settings.sampler,
+        "seed": problem.settings.seed,
+        "from_scratch": problem.plan.tuning.from_scratch,
+        "space": {
+            "searched": describe(problem.space)["searched"],
+            "fixed": {
+                drive.experiment.name: describe(space)["fixed"]
+                for drive, space in zip(problem.drives, problem.spaces, strict=True)
+            },
+        },
+        "recordings": recordings,
+    }
+    return dict(json.loads(json.dumps(plain(identity))))
+
+
+def _code(drive: Drive) -> dict[str, str]:
+    """The checksums of the code of graph, evidence rule and detector, and of a reader that is a
+    file of one's own."""
+    experiment = drive.experiment
+    files = {
+        "graph": source_files(drive.model.graph),
+        "evidence": source_files(drive.model.rule),
+    }
+    recording = experiment.recording
+    if recording.format is not None and recording.format.endswith(OWN_FILES):
+        files["format"] = [experiment.folder / recording.format]
+    if recording.detector is not None:
+        module = detector_of(experiment).module
+        files["detector"] = source_files(module)
+        if not recording.detector.endswith(OWN_FILES):
+            files["detector"] = [*files["detector"], *source_files(simple)]
+    return {
+        kind: hashlib.sha256(b"".join(file.read_bytes() for file in mine)).hexdigest()[:16]
+        for kind, mine in files.items()
+    }

@@ -1,0 +1,268 @@
+"""What is to be tuned: an experiment, or a tuning file that names one or several.
+
+    name: italy_all
+    description: one parameter set for all detectors in Italy
+    experiments: [../paper/run01_italy_ml.yaml, ../paper/run02_italy_sl.yaml]
+    tuning: {trials: 3000, parameters: {p1: 0.9}}
+
+With several experiments one parameter set is searched for all of them, each with equal weight.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+from pydantic import BaseModel, ConfigDict, Field
+
+from egolane_pgm.experiment import Experiment, Tuning, load_yaml, make_experiment, validated
+from egolane_pgm.model import Drive, Model, declared_parameters, load_drive, prepare_model
+from egolane_pgm.paper import load_published, paper_experiment, parameters_for
+from egolane_pgm.parameters import Value, resolve_parameters
+from egolane_pgm.tuning.objective import (
+    DETECTOR,
+    check_filter,
+    check_objective,
+    detector_of,
+    scores_of,
+    shared_specs,
+)
+from egolane_pgm.tuning.search import TRIALS, Score, Settings, check_sampler
+from egolane_pgm.tuning.space import Point, SearchSpace, make_space, to_parameters, to_point
+from egolane_pgm.types import BoolArray, InputError
+
+
+class _TuningFile(BaseModel):
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+    name: str = Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9._-]*$")
+    description: str = ""
+    experiments: tuple[str, ...] = Field(min_length=1)
+    tuning: Tuning = Tuning()
+
+
+@dataclass(frozen=True)
+class Plan:
+    """A study to do: which experiments are tuned together, and how.
+
+    - tuning: the settings of the search.
+    - source: the YAML, for messages.
+    """
+
+    name: str
+    description: str
+    experiments: tuple[Experiment, ...]
+    tuning: Tuning
+    source: str
+
+    @property
+    def settings(self) -> Settings:
+        """How the study is run, checked."""
+        where = f"{self.source}: tuning"
+        names = tuple(check_objective(n, f"{where}.objective") for n in self.tuning.objective)
+        if len(set(names)) < len(names):
+            raise InputError(f"{where}.objective: a score is named twice")
+        sampler = check_sampler(self.tuning.sampler, names, f"{where}.sampler")
+        return Settings(names, sampler, self.tuning.trials or TRIALS, self.tuning.seed)
+
+    @property
+    def run(self) -> int | None:
+        """The paper's run that is tuned, if it is one."""
+        return paper_run(self.experiments[0]) if len(self.experiments) == 1 else None
+
+
+@dataclass(frozen=True)
+class Problem:
+    """A plan whose recordings were read.
+
+    - drives: a recording and its model for each experiment.
+    - spaces: a search space for each drive. Their dimensions are the same; the values of the
+      parameters that are not searched may differ.
+    """
+
+    plan: Plan
+    settings: Settings
+    drives: tuple[Drive, ...]
+    spaces: tuple[SearchSpace, ...]
+
+    @property
+    def space(self) -> SearchSpace:
+        """The dimensions that are searched."""
+        return self.spaces[0]
+
+
+def load_plan(path: str | Path, overrides: Sequence[str] = ()) -> Plan:
+    """Read an experiment or a tuning file. Raises InputError, one line, as `load_experiment`."""
+    path = Path(path)
+    content = load_yaml(path, overrides)
+    if "experiments" not in content:
+        experiment = make_experiment(content, path.parent, str(path))
+        tuning = experiment.tuning or Tuning()
+        return Plan(experiment.name, experiment.description, (experiment,), tuning, str(path))
+    given = validated(_TuningFile, content, str(path))
+    found = []
+    for entry in given.experiments:
+        place = path.parent / entry
+        found.append(make_experiment(load_yaml(place), place.parent, str(place)))
+    return Plan(given.name, given.description, tuple(found), given.tuning, str(path))
+
+
+def paper_plans(numbers: Sequence[int]) -> list[Plan]:
+    """Return a plan per run of the paper, with the defaults of a search."""
+    # The frames that a run's own experiment never fits are left out with every plan.
+    return [replace(load_plan(paper_experiment(n)), tuning=Tuning()) for n in numbers]
+
+
+def together(plans: Sequence[Plan]) -> Plan:
+    """One plan for the experiments of several; the tuning section is the first one's."""
+    names = [plan.name for plan in plans]
+    return Plan(
+        "+".join(names) if len("+".join(names)) < 100 else f"{names[0]}+{len(names) - 1}",
+        f"one parameter set for {', '.join(names)}",
+        tuple(e for plan in plans for e in plan.experiments),
+        plans[0].tuning,
+        plans[0].source,
+    )
+
+
+def with_options(plan: Plan, options: Mapping[str, Any]) -> Plan:
+    """Replace settings of a plan's search.
+
+    - options: keys of the `tuning` section; those that are None stay as they are, `parameters` are
+      added to those of the plan one by one.
+    """
+    content = plan.tuning.model_dump()
+    for key, value in options.items():
+        if key == "parameters":
+            content["parameters"] = {**content["parameters"], **value}
+        elif value is not None:
+            content[key] = value
+    return replace(plan, tuning=validated(Tuning, content, plan.source))
+
+
+def paper_run(experiment: Experiment) -> int | None:
+    """The number of the paper's run that an experiment is, by its name."""
+    match = re.fullmatch(r"run(\d\d)_(italy|spain)_[a-z]+", experiment.name)
+    return int(match.group(1)) if match and 1 <= int(match.group(1)) <= 10 else None
+
+
+def make_problem(plan: Plan) -> Problem:
+    """Read the recordings and make the search space.
+
+    Raises InputError for whatever does not fit: unknown names, bounds, other parameters in one of
+    the experiments, the same recording twice.
+    """
+    _ = plan.settings  # Checked before anything is read.
+    never_fit = plan.tuning.never_fit
+    drives = []
+    for experiment in plan.experiments:
+        check_filter(experiment)
+        needs = "a search needs it"
+        drives.append(load_drive(experiment, needs_truth=needs, never_fit=never_fit))
+    shared_specs(drives)
+    return problem_of(plan, drives)
+
+
+def problem_of(plan: Plan, drives: Sequence[Drive]) -> Problem:
+    """The search space of recordings that were read. Raises InputError as `make_problem` does."""
+    spaces = tuple(_space(plan, drive.experiment, drive.model) for drive in drives)
+    for drive, space in zip(drives, spaces, strict=True):
+        if space.dimensions != spaces[0].dimensions:
+            raise _unlike(drive.experiment, drives[0].experiment)
+    return Problem(plan, plan.settings, tuple(drives), spaces)
+
+
+def check_plan(plan: Plan) -> int:
+    """Check a plan without reading a recording, and return how many numbers it searches. Raises
+    InputError as `make_problem` does, for all that can be told so."""
+    _ = plan.settings
+    spaces = []
+    for experiment in plan.experiments:
+        check_filter(experiment)
+        spaces.append(_space(plan, experiment, prepare_model(experiment)))
+        if spaces[-1].dimensions != spaces[0].dimensions:
+            raise _unlike(experiment, plan.experiments[0])
+    return len(spaces[0])
+
+
+def _unlike(experiment: Experiment, first: Experiment) -> InputError:
+    return InputError(
+        f"{experiment.source}: has other lanes than {first.source}: a parameter with one value per"
+        " lane cannot be shared; fix it, or tune them apart"
+    )
+
+
+def _space(plan: Plan, experiment: Experiment, model: Model) -> SearchSpace:
+    searched = plan.tuning.search
+    where = f"{plan.source}: tuning.parameters"
+    # What both declare belongs to the graph, as in `declared_parameters`.
+    of_graph = {spec.name for spec in getattr(model.graph, "PARAMETERS", ())}
+    specs = [
+        spec
+        if ("graph" if spec.name in of_graph else "evidence") in searched
+        else replace(spec, search=None)
+        for spec in declared_parameters(model.rule, model.graph)
+    ]
+    current = dict(model.parameters)
+    if "detector" in searched:
+        detector = detector_of(experiment)
+        specs += [
+            replace(spec, name=DETECTOR + spec.name)
+            for spec in getattr(detector.module, "PARAMETERS", ())
+        ]
+        current |= {DETECTOR + name: value for name, value in detector.parameters.items()}
+    return make_space(specs, current, plan.tuning.parameters, model.n_lanes, where)
+
+
+def parameters_at(problem: Problem, point: Point) -> list[dict[str, Value]]:
+    """Per drive, every declared parameter's value at a point."""
+    return [to_parameters(space, point) for space in problem.spaces]
+
+
+def scorer(problem: Problem, is_used: Sequence[BoolArray]) -> Score:
+    """The objective of a study: scores of a point over the frames that are used, per drive (K,)."""
+
+    def score(point: Point) -> list[float]:
+        sets = parameters_at(problem, point)
+        return scores_of(problem.drives, sets, is_used, problem.settings.objectives)
+
+    return score
+
+
+def starting_points(problem: Problem) -> tuple[list[Point], list[str]]:
+    """Return the points that a study tries first, and notes about those that lie out of bounds.
+
+    They are the current values of each experiment, and for a run of the paper the recovered and
+    the published ones before them.
+    """
+    if problem.plan.tuning.from_scratch:
+        return [], []
+    named: list[tuple[str, Mapping[str, Value]]] = []
+    for drive in problem.drives:
+        number = paper_run(drive.experiment)
+        if number is not None:
+            specs = declared_parameters(drive.model.rule, drive.model.graph)
+            known = {spec.name for spec in specs}
+            for which in ("recovered", "published"):
+                values = parameters_for(load_published()[number], which)
+                kept = {k: v for k, v in values.items() if k in known}
+                merged = {**drive.experiment.parameters, **kept}
+                named.append((which, resolve_parameters(specs, merged, drive.n_lanes)))
+        named.append(("current", drive.model.parameters))
+    if "detector" in problem.plan.tuning.search:
+        # The detector's values are those of the first recording; with one recording, its own.
+        own = detector_of(problem.drives[0].experiment).parameters
+        seen = {DETECTOR + name: value for name, value in own.items()}
+        named = [(which, {**parameters, **seen}) for which, parameters in named]
+    points: list[Point] = []
+    notes = []
+    for which, parameters in named:
+        point = to_point(problem.space, parameters)
+        if point is None:
+            notes.append(f"the {which} values lie outside of the bounds and are not tried first")
+        elif point not in points:
+            points.append(point)
+    return points, notes

@@ -1,0 +1,222 @@
+"""One study: Optuna proposes points and keeps trials, the objective scores them."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import optuna
+from optuna import samplers
+from optuna.storages import RetryHeartbeatStaleTrialCallback
+from optuna.study import MaxTrialsCallback
+from optuna.trial import FrozenTrial, Trial, TrialState
+
+from egolane_pgm.report.study_trials import quiet
+from egolane_pgm.scoring.confusion import is_maximised
+from egolane_pgm.tuning.sampler import Shade
+from egolane_pgm.tuning.space import Point, SearchSpace, distributions
+from egolane_pgm.types import InputError, suggestion
+
+SAMPLERS = ("evolution", "tpe", "cma-es", "random", "nsga2")
+
+#: Trials of a study where nothing else is said.
+TRIALS = 3000
+
+#: Scores a point: one number per objective.
+Score = Callable[[Point], Sequence[float]]
+
+#: Called after each trial of this process with its first score.
+Report = Callable[[float], None]
+
+
+@dataclass(frozen=True)
+class Settings:
+    """How a study is run.
+
+    - objectives: names of scores.
+    - sampler: one of `SAMPLERS`.
+    - trials: total of complete trials.
+    - seed: of the sampler.
+    """
+
+    objectives: tuple[str, ...] = ("accuracy",)
+    sampler: str = "evolution"
+    trials: int = TRIALS
+    seed: int = 0
+
+    @property
+    def directions(self) -> list[Any]:
+        """Optuna's direction of each objective."""
+        return ["maximize" if is_maximised(name) else "minimize" for name in self.objectives]
+
+
+def check_sampler(name: str | None, objectives: Sequence[str], where: str) -> str:
+    """Return the sampler's name; by default evolution, for several objectives NSGA-II.
+
+    Raises InputError for an unknown one, with a suggestion, and for one that searches a single
+    objective where several are given.
+    """
+    if name is None:
+        return "evolution" if len(objectives) == 1 else "nsga2"
+    if name not in SAMPLERS:
+        raise InputError(f"{where}: unknown sampler '{name}'{suggestion(name, SAMPLERS)}")
+    if len(objectives) > 1 and name in ("evolution", "cma-es"):
+        raise InputError(
+            f"{where}: {name} searches one objective; for {', '.join(objectives)} take nsga2, tpe"
+            " or random"
+        )
+    return name
+
+
+def make_sampler(
+    settings: Settings, space: SearchSpace, n_trials: int = 0, worker: int = 0
+) -> samplers.BaseSampler:
+    """Make the sampler of a study.
+
+    - n_trials: trials that the study has already. Shade goes on from them; Optuna's samplers, which
+      keep no state, are seeded anew, so that a resumed study repeats no trial.
+    - worker: which of the processes that share the study this is, for the same reason.
+    """
+    if settings.sampler == "evolution":
+        return Shade(settings.seed, distributions(space))
+    entropy = [settings.seed, n_trials, worker] if n_trials or worker else [settings.seed]
+    seed = int(np.random.SeedSequence(entropy).generate_state(1)[0])
+    with quiet():
+        if settings.sampler == "tpe":
+            return samplers.TPESampler(seed=seed)
+        if settings.sampler == "cma-es":
+            return samplers.CmaEsSampler(seed=seed, warn_independent_sampling=False)
+        if settings.sampler == "nsga2":
+            return samplers.NSGAIISampler(seed=seed)
+        return samplers.RandomSampler(seed=seed)
+
+
+def new_study(settings: Settings, **given: Any) -> optuna.Study:
+    """Create a study, in memory unless a storage and a name are given, or load that one."""
+    with quiet():
+        study = optuna.create_study(
+            directions=settings.directions, load_if_exists="storage" in given, **given
+        )
+        if not study.metric_names:
+            study.set_metric_names(list(settings.objectives))
+    return study
+
+
+def search_in_memory(
+    space: SearchSpace, score: Score, settings: Settings, report: Report | None = None
+) -> optuna.Study:
+    """Run a study that nobody keeps, from scratch, and return it."""
+    study = new_study(settings)
+    study.sampler = make_sampler(settings, space)
+    with quiet(), _interruptions():
+        study.optimize(_objective(space, score, report), n_trials=settings.trials)
+    return study
+
+
+def search(
+    study: optuna.Study,
+    space: SearchSpace,
+    score: Score,
+    settings: Settings,
+    *,
+    worker: int = 0,
+    report: Report | None = None,
+) -> None:
+    """Go on with a study until it has its number of complete trials, others at work included.
+
+    - worker: number of this process among those that share the study on this machine.
+    - report: called after each trial of this process.
+
+    A trial that Ctrl-C interrupts is queued again, so that the study goes on as if it had not been.
+    """
+    n_trials = len(study.get_trials(deepcopy=False))
+    if n_complete(study) >= settings.trials:
+        return
+    study.sampler = make_sampler(settings, space, n_trials, worker)
+    at_work: list[Trial] = []
+    objective = _objective(space, score, report, at_work)
+    with quiet():
+        try:
+            with _interruptions():
+                study.optimize(objective, callbacks=[MaxTrialsCallback(settings.trials)])
+        except (KeyboardInterrupt, SystemExit):
+            if at_work:
+                _queue_again(study, at_work[0].number)
+            raise
+
+
+@contextmanager
+def _interruptions() -> Iterator[None]:
+    """Let Ctrl-C come out as itself. Where it meets Optuna while a trial's result is stored, or a
+    journal is locked, Optuna raises an error of its own (UnboundLocalError, RuntimeError)."""
+    try:
+        yield
+    except Exception as error:
+        cause: BaseException | None = error
+        while cause is not None and isinstance(cause, Exception):
+            cause = cause.__context__
+        if cause is None:
+            raise
+        raise type(cause)(*cause.args) from None
+
+
+def _queue_again(study: optuna.Study, number: int) -> None:
+    """Have a trial that was interrupted tried once more, with the values that it has."""
+    trial = study.get_trials(deepcopy=False)[number]
+    if trial.state == TrialState.RUNNING:
+        trial = study.tell(number, state=TrialState.FAIL)
+    if trial.state == TrialState.FAIL:
+        RetryHeartbeatStaleTrialCallback()(study, trial)
+
+
+def _objective(
+    space: SearchSpace, score: Score, report: Report | None, at_work: list[Trial] | None = None
+) -> Callable[[Trial], Sequence[float]]:
+    """The objective for Optuna; `at_work` holds the trial that is being scored."""
+
+    def objective(trial: Trial) -> Sequence[float]:
+        if at_work is not None:
+            at_work[:] = [trial]
+        values = score(suggest(space, trial))
+        if report is not None:
+            report(values[0])
+        return values
+
+    return objective
+
+
+def suggest(space: SearchSpace, trial: Trial) -> dict[str, Any]:
+    """The point of a trial."""
+    point: dict[str, Any] = {}
+    for d in space.dimensions:
+        if d.choices:
+            point[d.key] = trial.suggest_categorical(d.key, d.choices)
+        elif d.is_integer:
+            point[d.key] = trial.suggest_int(d.key, int(d.low), int(d.high))
+        else:
+            point[d.key] = trial.suggest_float(d.key, d.low, d.high)
+    return point
+
+
+def n_complete(study: optuna.Study) -> int:
+    """How many trials are complete."""
+    return len(study.get_trials(deepcopy=False, states=(TrialState.COMPLETE,)))
+
+
+def best_trial(study: optuna.Study) -> FrozenTrial:
+    """The best trial, the first among equals; of a Pareto front the best in the first objective."""
+    sign = 1 if study.directions[0].name == "MAXIMIZE" else -1
+    trials = study.best_trials if len(study.directions) > 1 else study.get_trials(deepcopy=False)
+    complete = [t for t in trials if t.state == TrialState.COMPLETE]
+    return max(complete, key=lambda t: (sign * t.values[0], -t.number))
+
+
+def pareto(study: optuna.Study) -> list[Mapping[str, Any]]:
+    """The Pareto front: number, values and point of each trial on it."""
+    return [
+        {"number": t.number, "values": list(t.values), "point": dict(t.params)}
+        for t in study.best_trials
+    ]

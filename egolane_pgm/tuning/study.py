@@ -1,0 +1,368 @@
+"""Searches from end to end: search, search anew without each part, score, write."""
+
+from __future__ import annotations
+
+import functools
+import pickle
+import time
+from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import BrokenExecutor, as_completed
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import optuna
+
+from egolane_pgm.files import make_directory, write_json
+from egolane_pgm.parallel import executor
+from egolane_pgm.report.study_trials import STUDY_FILE
+from egolane_pgm.tuning import study_directory as files
+from egolane_pgm.tuning.held_out import (
+    Nested,
+    assess,
+    beliefs_at,
+    check_blocks,
+    difference,
+    run_nested,
+    settings_without,
+    stitched,
+)
+from egolane_pgm.tuning.identity import identity_of
+from egolane_pgm.tuning.objective import all_used
+from egolane_pgm.tuning.plan import (
+    Plan,
+    Problem,
+    make_problem,
+    parameters_at,
+    scorer,
+    starting_points,
+    with_options,
+)
+from egolane_pgm.tuning.search import Report, best_trial, n_complete, pareto, search
+from egolane_pgm.tuning.storage import (
+    JOURNAL_NAME,
+    check_study,
+    open_storage,
+    open_study,
+    storage_errors,
+)
+from egolane_pgm.types import InputError
+
+#: Called now and then with the name of a study, the number of trials that it finished since, and
+#: its best score so far.
+Progress = Callable[[str, int, float], None]
+
+
+@dataclass
+class Search:
+    """A search, and how far it has come.
+
+    - directory: of its results.
+    - held_out: "blocks", "recordings", or "none" for in-sample scores only.
+    - storage: URL of the storage; None for a journal in the directory.
+    - test: recordings that take no part in the search and are scored with what it finds.
+    - notes: what a user should know, a line each.
+    - best: the part of study.json on the best trial.
+    - nested: the studies without a part that are done, by part.
+    """
+
+    problem: Problem
+    directory: Path
+    held_out: str = "blocks"
+    storage: str | None = None
+    test: Problem | None = None
+    notes: list[str] = field(default_factory=list)
+    best: dict[str, Any] = field(default_factory=dict)
+    nested: dict[int, Nested] = field(default_factory=dict)
+
+    @property
+    def by_recording(self) -> bool:
+        """Whether whole recordings are held out."""
+        return self.held_out == "recordings"
+
+    @property
+    def n_parts(self) -> int:
+        """Number of studies that are run anew without a part."""
+        if self.held_out == "none":
+            return 0
+        return len(self.problem.drives) if self.by_recording else self.problem.plan.tuning.blocks
+
+    @property
+    def key(self) -> dict[str, Any]:
+        """What the nested studies depend on."""
+        return files.nested_key(self.problem, self.by_recording)
+
+
+def prepare(
+    plan: Plan,
+    directory: Path,
+    held_out: str = "blocks",
+    test: Plan | None = None,
+    storage: str | None = None,
+) -> Search:
+    """Read the recordings and check everything that can be checked before anything is computed.
+
+    Raises InputError for whatever does not fit, another study in the same place included.
+    """
+    problem = make_problem(plan)
+    made = Search(problem, directory, held_out, storage)
+    made.notes += [n for drive in problem.drives for n in drive.recorded.notes]
+    made.notes += starting_points(problem)[1]
+    if held_out == "blocks":
+        made.notes += check_blocks(problem)
+    if held_out == "recordings" and len(problem.drives) < 2:
+        raise InputError(f"{plan.source}: whole recordings as blocks need at least two of them")
+    if test is not None:
+        same = {**plan.tuning.model_dump(), "never_fit": test.tuning.never_fit}
+        made.test = make_problem(with_options(test, same))
+        if made.test.space.dimensions != problem.space.dimensions:
+            raise InputError(
+                f"{test.source}: --test-on: declares other parameters than {plan.source}"
+            )
+    if storage is not None or (directory / JOURNAL_NAME).exists():
+        check_study(open_storage(storage, directory), plan.name, identity_of(problem))
+    return made
+
+
+def open_main(made: Search) -> optuna.Study:
+    """Open, or begin, the study on all frames."""
+    problem = made.problem
+    storage = open_storage(made.storage, made.directory)
+    starts, _ = starting_points(problem)
+    return open_study(storage, problem.plan.name, problem.settings, identity_of(problem), starts)
+
+
+def _search_all(made: Search, worker: int = 0, report: Report | None = None) -> float:
+    """Run the study on all frames, or this process's share of it; returns seconds."""
+    begun = time.perf_counter()
+    problem = made.problem
+    with storage_errors(made.storage):
+        study = open_main(made)
+        score = scorer(problem, all_used(problem.drives))
+        search(study, problem.space, score, problem.settings, worker=worker, report=report)
+    return time.perf_counter() - begun
+
+
+def _search_without(
+    made: Search, part: int, worker: int = 0, report: Report | None = None
+) -> Nested:
+    """Run the study without one part: in memory, or in the storage where one is given."""
+    study = None
+    problem = made.problem
+    with storage_errors(made.storage):
+        if made.storage is not None:
+            settings = settings_without(problem, part)
+            study = open_study(
+                open_storage(made.storage, made.directory),
+                f"{problem.plan.name} without {_what(made)} {part + 1}",
+                settings,
+                {**made.key, "without": part},
+            )
+        return run_nested(
+            problem, part, made.by_recording, study=study, worker=worker, report=report
+        )
+
+
+def _what(made: Search) -> str:
+    return "recording" if made.by_recording else "block"
+
+
+@functools.lru_cache(maxsize=32)
+def _loaded(plan: bytes) -> Problem:
+    """The recordings of a plan, read once in each process."""
+    return make_problem(pickle.loads(plan))
+
+
+def _do(
+    plan: bytes, directory: Path, held_out: str, storage: str | None, part: int | None, worker: int
+) -> Any:
+    """A task of a process: one study on all frames (`part` None), or without a part."""
+    made = Search(_loaded(plan), directory, held_out, storage)
+    if part is None:
+        return _search_all(made, worker)
+    return _search_without(made, part, worker)
+
+
+def tune(
+    searches: Sequence[Search],
+    *,
+    jobs: int = 1,
+    workers: int | None = None,
+    progress: Progress | None = None,
+) -> Iterator[dict[str, Any]]:
+    """Do searches, and yield each one's study.json when it is finished, in their order.
+
+    - jobs: processes that share the studies, those without a part included.
+    - workers: processes that share the trials of each study on all frames; then `jobs` is not
+      looked at, and the same processes share the studies without a part.
+
+    Studies without a part that an earlier command finished are not run again.
+    """
+    for made in searches:
+        make_directory(made.directory)
+        made.nested = files.read_nested(made.directory, made.key)
+    n_tasks = sum(1 + made.n_parts - len(made.nested) for made in searches)
+    jobs = workers or min(jobs, n_tasks)
+    if jobs > 1:
+        _in_processes(searches, jobs, workers or 1, progress)
+        for made in searches:
+            yield finish(made)
+        return
+    for made in searches:
+        name = made.problem.plan.name
+        seconds = _search_all(made, report=_counted(progress, made, name))
+        finish_main(made, seconds)
+        for part in range(made.n_parts):
+            if part not in made.nested:
+                report = _counted(progress, made, f"{name} without {_what(made)} {part + 1}")
+                _keep(made, _search_without(made, part, report=report))
+        yield finish(made)
+
+
+def _keep(made: Search, nested: Nested) -> None:
+    made.nested[nested.part] = nested
+    files.write_nested(made.directory, made.key, made.nested)
+
+
+def _counted(progress: Progress | None, made: Search, label: str) -> Report | None:
+    """A study's report of each trial's score, as progress with the best score so far."""
+    if progress is None:
+        return None
+    better = max if made.problem.settings.directions[0] == "maximize" else min
+    best: list[float] = []
+
+    def report(score: float) -> None:
+        best[:] = [better([*best, score])]
+        progress(label, 1, best[0])
+
+    return report
+
+
+def _in_processes(
+    searches: Sequence[Search], jobs: int, workers: int, progress: Progress | None
+) -> None:
+    """Share the studies and their nested ones out to processes."""
+    tasks: list[tuple[int, int | None, int]] = []
+    for k in range(len(searches)):
+        open_main(searches[k])  # Begun once, before processes share it.
+        tasks += [(k, None, worker) for worker in range(workers)]
+    for k, made in enumerate(searches):
+        tasks += [(k, part, 0) for part in range(made.n_parts) if part not in made.nested]
+    seconds = [0.0] * len(searches)
+    at_work = [workers] * len(searches)
+    with executor(jobs) as pool:
+        waiting = {}
+        for k, part, worker in tasks:
+            made = searches[k]
+            given = (pickle.dumps(made.problem.plan), made.directory, made.held_out, made.storage)
+            waiting[pool.submit(_do, *given, part, worker)] = (k, part)
+        try:
+            for future in as_completed(waiting):
+                k, part = waiting[future]
+                made, label = searches[k], searches[k].problem.plan.name
+                if part is not None:
+                    _keep(made, future.result())
+                    best = made.nested[part].values[0]
+                else:
+                    seconds[k] = max(seconds[k], future.result())
+                    at_work[k] -= 1
+                    if at_work[k]:
+                        continue
+                    finish_main(made, seconds[k])
+                    best = next(iter(made.best["values"].values()))
+                if progress is not None:
+                    progress(label, made.problem.settings.trials, best)
+        except BrokenExecutor as error:
+            raise InputError(
+                "a process died while it worked on a study; repeat the command, what is finished"
+                " is kept"
+            ) from error
+
+
+def finish_main(made: Search, seconds: float) -> None:
+    """Write trials and best parameters of the study on all frames."""
+    problem = made.problem
+    study = open_main(made)
+    files.write_trials(made.directory, study, problem.settings.objectives)
+    best = best_trial(study)
+    files.write_best(made.directory, problem, best.params)
+    names = [drive.experiment.name for drive in problem.drives]
+    made.best = {
+        "number": best.number,
+        "values": dict(zip(problem.settings.objectives, best.values, strict=True)),
+        "point": dict(best.params),
+        "parameters": dict(zip(names, parameters_at(problem, best.params), strict=True)),
+        "trials": n_complete(study),
+        "seconds": seconds,
+    }
+    if len(problem.settings.objectives) > 1:
+        made.best["pareto"] = pareto(study)
+
+
+def finish(made: Search) -> dict[str, Any]:
+    """Score a search in-sample and held out, write its study.json and return what is in that."""
+    problem, drives = made.problem, made.problem.drives
+    everything = all_used(drives)
+    trusted = [d.may_fit for d in drives]
+    subsets = {"all_frames": everything}
+    if not all(keep.all() for keep in trusted):
+        subsets["without_never_fit"] = trusted
+    mine = beliefs_at(problem, made.best["point"])
+    content = {
+        **files.provenance_of(problem),
+        "best": made.best,
+        "in_sample": {
+            "tuned_on": "same_frames",
+            **{key: assess(drives, mine, keep) for key, keep in subsets.items()},
+        },
+        "held_out": None,
+        "difference": None,
+        "test": None,
+        "notes": made.notes,
+    }
+    if made.held_out != "none":
+        by_recording = made.by_recording
+        nested = [made.nested[b] for b in range(made.n_parts)]
+        theirs = stitched(problem, nested, by_recording)
+        content["held_out"] = {
+            "tuned_on": "other_frames",
+            "parts": made.held_out,
+            "starts": "from scratch: known values may have been tuned on the frames held out",
+            "studies": [
+                {
+                    "part": n.part + 1,
+                    "left_out": drives[n.part].experiment.name if by_recording else None,
+                    "trials": n.trials,
+                    "in_sample_values": list(n.values),
+                    "point": n.point,
+                }
+                for n in nested
+            ],
+            **{key: assess(drives, theirs, keep) for key, keep in subsets.items()},
+        }
+        content["difference"] = {
+            key: difference(drives, mine, theirs, keep) for key, keep in subsets.items()
+        }
+    if made.test is not None:
+        content["test"] = _tested(made.test, made.best["point"])
+    write_json(made.directory / STUDY_FILE, content)
+    return content
+
+
+def _tested(test: Problem, point: dict[str, Any]) -> dict[str, Any]:
+    """Scores on recordings that had no part in the search."""
+    beliefs = beliefs_at(test, point)
+    keep = {"all_frames": all_used(test.drives)}
+    trusted = [d.may_fit for d in test.drives]
+    if not all(kept.all() for kept in trusted):
+        keep["without_never_fit"] = trusted
+    return {
+        "tuned_on": "other_frames",
+        "name": test.plan.name,
+        **{key: assess(test.drives, beliefs, kept) for key, kept in keep.items()},
+    }
+
+
+def n_trials(searches: Sequence[Search]) -> int:
+    """How many trials there are to do, those of nested studies included."""
+    return sum((1 + made.n_parts) * made.problem.settings.trials for made in searches)

@@ -1,0 +1,150 @@
+"""The files of a study's directory:
+
+study.json     schema_version, name, what was searched and how, data (path, sha256, bytes),
+               versions, git, best, pareto, in_sample, held_out, difference
+trials.csv     number, state, a column per score (in-sample) and per parameter; also .parquet
+best.yaml      the best parameters as an experiment for `egolane run`; best_<name>.yaml for
+               each of several recordings
+nested.json    the result of each study without one part, so that a repeated command goes on
+study.journal  the study itself, as Optuna keeps it (not with --storage)
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import optuna
+import pyarrow as pa
+from pyarrow import csv
+
+from egolane_pgm.experiment import Experiment, resolved
+from egolane_pgm.files import atomic, plain, write_json, write_parquet, write_yaml
+from egolane_pgm.loading import data_entries
+from egolane_pgm.parameters import Value
+from egolane_pgm.plugins import OWN_FILES
+from egolane_pgm.report.study_trials import SCHEMA_VERSION, TRIALS_FILE
+from egolane_pgm.results import provenance
+from egolane_pgm.running import files_in_full
+from egolane_pgm.tuning.held_out import Nested
+from egolane_pgm.tuning.identity import identity_of
+from egolane_pgm.tuning.objective import split, with_detector
+from egolane_pgm.tuning.plan import Problem, parameters_at
+
+NESTED_FILE = "nested.json"
+
+
+def provenance_of(problem: Problem) -> dict[str, Any]:
+    """Where a study's numbers come from, and how it was done."""
+    identity = identity_of(problem)
+    data = [
+        {**entry, "path": Path(entry["path"]).name}
+        for drive in problem.drives
+        for entry in data_entries(drive.experiment, drive.recorded)
+    ]
+    return {
+        "schema_version": SCHEMA_VERSION,
+        "kind": "tuning",
+        **provenance(problem.plan.name, identity, data),
+        "description": problem.plan.description,
+        "run": problem.plan.run,
+        "tuning": {
+            **problem.plan.tuning.model_dump(mode="json"),
+            "objective": list(problem.settings.objectives),
+            "sampler": problem.settings.sampler,
+            "trials": problem.settings.trials,
+        },
+        "space": identity["space"],
+        "experiments": [resolved(d.experiment, d.model.parameters) for d in problem.drives],
+    }
+
+
+def write_trials(directory: Path, study: optuna.Study, objectives: Sequence[str]) -> None:
+    """trials.csv and trials.parquet; raises InputError where they cannot be written."""
+    trials = study.get_trials(deepcopy=False)
+    columns: dict[str, list[Any]] = {
+        "number": [t.number for t in trials],
+        "state": [t.state.name for t in trials],
+    }
+    for k, name in enumerate(objectives):
+        columns[f"{name}_in_sample"] = [None if t.values is None else t.values[k] for t in trials]
+    keys = dict.fromkeys(key for t in trials for key in t.params)
+    for key in keys:
+        columns[key] = [t.params.get(key) for t in trials]
+    table = pa.table(columns)
+    # A file handle of its own: paths with odd characters are URIs to pyarrow.
+    with atomic(directory / "trials.csv") as path, path.open("wb") as file:
+        csv.write_csv(table, file)
+    write_parquet(directory / TRIALS_FILE, table)
+
+
+def write_best(directory: Path, problem: Problem, point: Mapping[str, Any]) -> list[Path]:
+    """The best parameters as experiments that `egolane run` takes, one per recording."""
+    written = []
+    for drive, parameters in zip(problem.drives, parameters_at(problem, point), strict=True):
+        name = "best.yaml" if len(problem.drives) == 1 else f"best_{drive.experiment.name}.yaml"
+        path = directory / name
+        write_yaml(path, tuned_experiment(drive.experiment, parameters, problem))
+        written.append(path)
+    return written
+
+
+def tuned_experiment(
+    experiment: Experiment, parameters: Mapping[str, Value], problem: Problem
+) -> dict[str, Any]:
+    """The experiment with other parameters, as the keys of a YAML file that may lie anywhere."""
+    own, detector = split(parameters)
+    if detector:
+        experiment = with_detector(experiment, detector)
+    content = plain(resolved(experiment, own))
+    content["name"] = f"{experiment.name}_tuned"
+    scores = ", ".join(problem.settings.objectives)
+    what = f"parameters tuned for {scores}: {problem.settings.trials} trials"
+    if len(problem.drives) > 1:
+        what += f" on {len(problem.drives)} recordings, {problem.plan.name}"
+    content["description"] = "; ".join(part for part in (experiment.description, what) if part)
+    content["tuned_on"] = "same_frames"
+    for key in ("recording", "ground_truth"):
+        if content[key]:
+            content[key] = files_in_full(content[key], experiment.folder)
+    for key in ("evidence", "graph"):
+        if str(content[key]).endswith(OWN_FILES):
+            content[key] = str((experiment.folder / content[key]).absolute())
+    return dict(content)
+
+
+def nested_key(problem: Problem, by_recording: bool) -> dict[str, Any]:
+    """What the results of the nested studies depend on."""
+    return {
+        **identity_of(problem),
+        "trials": problem.settings.trials,
+        "blocks": "recordings" if by_recording else problem.plan.tuning.blocks,
+        "never_fit": [int((~drive.may_fit).sum()) for drive in problem.drives],
+    }
+
+
+def read_nested(directory: Path, key: Mapping[str, Any]) -> dict[int, Nested]:
+    """Nested studies that are done already, by part; none where they were others."""
+    try:
+        content = json.loads((directory / NESTED_FILE).read_text(encoding="utf-8"))
+    except (OSError, ValueError):
+        return {}
+    if content.get("key") != key:
+        return {}
+    return {
+        entry["part"]: Nested(
+            entry["part"], entry["point"], tuple(entry["values"]), entry["trials"]
+        )
+        for entry in content["parts"]
+    }
+
+
+def write_nested(directory: Path, key: Mapping[str, Any], done: Mapping[int, Nested]) -> None:
+    """Keep the nested studies that are done."""
+    parts = [
+        {"part": n.part, "point": n.point, "values": list(n.values), "trials": n.trials}
+        for _, n in sorted(done.items())
+    ]
+    write_json(directory / NESTED_FILE, {"key": key, "parts": parts})

@@ -1,0 +1,375 @@
+"""Experiments side by side: nothing of a block is known to what believes it, differences are
+paired, recordings are grouped, and tables and figure show the document's numbers."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import yaml
+
+from egolane_pgm import paper as paper
+from egolane_pgm.comparing.groups import (
+    Options,
+    by_recording,
+    compare_group,
+    compare_groups,
+    document,
+    graphs_on_runs,
+    on_runs,
+)
+from egolane_pgm.comparing.placing import load_for_scoring, on_recording, recording_key
+from egolane_pgm.comparing.side import Side, held_out_side
+from egolane_pgm.experiment import Experiment, load_experiment, resolved
+from egolane_pgm.model import Drive
+from egolane_pgm.plugins import plugin_names
+from egolane_pgm.recordings.ground_truth import write_ground_truth
+from egolane_pgm.report.comparison_figures import comparison_figure, draw_comparison
+from egolane_pgm.report.comparison_tables import accuracy_rows, full_rows, health_rows
+from egolane_pgm.running import run_experiment
+from egolane_pgm.scoring.assign import assigned_lane
+from egolane_pgm.scoring.bootstrap import bootstrap_interval, confusion_counts
+from egolane_pgm.scoring.confusion import accuracy
+from egolane_pgm.types import InputError
+from tests.conftest import needs_compiler
+from tests.kits.drives import done, geometry, refused, short_drive, simulated, write_drive
+
+pytestmark = [
+    pytest.mark.filterwarnings("ignore:.*no frame to learn from:UserWarning"),
+    needs_compiler,
+]
+
+N_FRAMES = 700
+TRIALS = 12
+
+
+def scrambled(drive: Drive, frames: np.ndarray) -> Drive:
+    """The same drive with other lanes in some annotated frames."""
+    lane = drive.truth.lane.copy()
+    lane[frames] = np.random.default_rng(0).integers(1, drive.n_lanes + 1, size=len(lane[frames]))
+    truth = replace(drive.truth, lane=lane)
+    return replace(drive, recorded=replace(drive.recorded, truth=truth))
+
+
+def run_of(drive: Drive) -> Side:
+    return held_out_side(drive, trials=TRIALS)
+
+
+@pytest.mark.parametrize(
+    "experiment", [geometry(fit="learn"), simulated(fit="tune")], ids=["learn", "tune"]
+)
+def test_the_labels_of_a_block_do_not_reach_what_is_believed_in_it(experiment: Experiment) -> None:
+    drive = load_for_scoring(experiment)
+    block = np.array_split(np.arange(len(drive)), 5)[2]
+    before, after = run_of(drive), run_of(scrambled(drive, block))
+    assert before.tuned_on == after.tuned_on == "other_frames"
+    np.testing.assert_array_equal(before.beliefs.lane[block], after.beliefs.lane[block])
+    assert dict(before.held_out.parameters[2]) == dict(after.held_out.parameters[2])
+    others = [
+        k
+        for k in range(5)
+        if dict(before.held_out.parameters[k]) != dict(after.held_out.parameters[k])
+    ]
+    assert others
+    assert 2 not in others
+
+
+def test_untrusted_labels_are_never_fitted() -> None:
+    experiment = geometry(fit="learn", tuning={"never_fit": {"from_frame": 1000}})
+    drive = load_for_scoring(experiment)
+    untrusted = np.flatnonzero(drive.truth.frame_id >= 1000)
+    assert 0 < len(untrusted) < len(drive)
+    before, after = run_of(drive), run_of(scrambled(drive, untrusted))
+    np.testing.assert_array_equal(before.beliefs.lane, after.beliefs.lane)
+    assert np.flatnonzero(~before.drive.may_fit).tolist() == untrusted.tolist()
+
+
+def test_without_a_fit_the_belief_is_that_of_a_run() -> None:
+    experiment = simulated(tuned_on="not_tuned")
+    run = run_of(load_for_scoring(experiment))
+    plain = run_experiment(experiment)
+    np.testing.assert_array_equal(run.beliefs.lane, plain.beliefs.lane[plain.recorded.scored])
+    assert run.tuned_on == "not_tuned"
+    assert run.free_parameters == 0
+    bad = plain.beliefs.marginals["SensorState"][:, 1]
+    assert run.bad is not None
+    np.testing.assert_array_equal(run.bad, bad[plain.recorded.scored])
+    assert run.beliefs.log_evidence.mean() == pytest.approx(plain.beliefs.mean_log_evidence)
+    assert 0 < run.seconds_per_frame < 0.01
+
+
+def test_free_parameters_are_the_numbers_that_were_fitted() -> None:
+    assert run_of(load_for_scoring(simulated(tuned_on="same_frames"))).free_parameters == 7
+    kept = {"p1": 0.9, "p2": 0.9}
+    tuned = simulated(fit="tune", parameters=kept, tuning={"parameters": kept})
+    assert run_of(load_for_scoring(tuned)).free_parameters == 5
+    learned = run_of(load_for_scoring(geometry(fit="learn")))
+    found = {k: v for k, v in learned.held_out.parameters[0].items() if isinstance(v, tuple)}
+    numbers = sum(len(v) for v in found.values())
+    assert numbers <= learned.free_parameters <= numbers + 1
+
+
+def test_a_difference_is_paired_and_to_the_first_experiment() -> None:
+    first, second = simulated("first"), simulated("second", graph="lane_only")
+    (group,) = by_recording([first, second])
+    entries = compare_group(group, Options())["experiments"]
+    assert entries[0]["difference"] is None
+    assert entries[1]["difference_to"] == "first"
+    counts = []
+    for experiment in (second, first):
+        run = run_experiment(experiment)
+        truth, belief = run.recorded.truth, run.beliefs.lane[run.recorded.scored]
+        assert truth is not None
+        counts.append(confusion_counts(assigned_lane(belief), truth.lane, truth.is_crossing, 4))
+    expected = bootstrap_interval(counts[:1], accuracy, minus=counts[1:])
+    found = entries[1]["difference"]["all_frames"]["accuracy"]
+    assert found == [expected.estimate, expected.low, expected.high]
+    scores = [e["scores"]["all_frames"]["accuracy"] for e in entries]
+    assert found[0] == pytest.approx(scores[1] - scores[0])
+    same = compare_group(by_recording([first, simulated("twin")])[0], Options())
+    assert same["experiments"][1]["difference"]["all_frames"]["f1"] == [0, 0, 0]
+
+
+def test_experiments_are_grouped_by_recording() -> None:
+    other = {"simulate": "quickstart", "seed": 7}
+    groups = by_recording(
+        [simulated("a"), simulated("b", recording=other), simulated("c", graph="no_wor")]
+    )
+    assert [[e.name for e in g.experiments] for g in groups] == [["a", "c"], ["b"]]
+    assert groups[0].title != groups[1].title
+    with pytest.raises(InputError, match="two experiments have the name a"):
+        by_recording([simulated("a"), simulated("a", graph="no_wor")])
+
+
+def test_without_the_frames_that_are_never_fitted_the_scores_are_shown_beside() -> None:
+    tuning = {"never_fit": {"from_frame": 900}}
+    experiments = [simulated("a"), simulated("b", graph="lane_only", tuning=tuning)]
+    found = compare_group(by_recording(experiments)[0], Options(health=True))
+    for entry in found["experiments"]:
+        assert list(entry["scores"]) == ["all_frames", "without_never_fit"]
+        every, trusted = entry["scores"].values()
+        assert trusted["frames"] < every["frames"]
+        assert list(entry["health"]) == list(entry["scores"])
+    difference = found["experiments"][1]["difference"]
+    assert difference["without_never_fit"]["accuracy"] != difference["all_frames"]["accuracy"]
+
+
+def test_health_is_asked_of_frames_in_which_the_detector_commits() -> None:
+    group = by_recording([simulated("counting"), geometry()])[0]
+    found = compare_group(group, Options(health=True))
+    detector = run_experiment(simulated("counting")).scores["detector"]
+    health = found["health"]["all_frames"]
+    matrix = np.array(detector["confusion"])
+    assert health["frames"] == matrix.sum()
+    assert health["committed"] == matrix[:-1].sum()
+    assert health["wrong"] == matrix[:-1].sum() - np.trace(matrix[:-1])
+    # Silence is never right: each silent frame beats all right ones, wrong lanes tie with these.
+    silent = matrix[-1].sum()
+    assert health["auc_unassigned"] == pytest.approx(
+        (silent + 0.5 * health["wrong"]) / (silent + health["wrong"])
+    )
+    for entry in found["experiments"]:
+        mine = entry["health"]["all_frames"]
+        assert 0.5 < mine["auc_doubt"] <= 1
+        assert 0 <= mine["auc_bad"] <= 1
+    # Without any tentative vector among the experiments the default rule's is taken.
+    alone = compare_group(by_recording([geometry()])[0], Options(health=True))
+    assert alone["health"]["all_frames"]["frames"] == health["frames"]
+
+
+def test_processes_find_the_same() -> None:
+    other = {"simulate": "quickstart", "seed": 7}
+    groups = by_recording([simulated("a"), simulated("b", recording=other)])
+    one = list(compare_groups(groups, jobs=1))
+    two = list(compare_groups(groups, jobs=2))
+    for found in (*one, *two):
+        for entry in found["experiments"]:
+            assert entry.pop("microseconds_per_frame") > 0
+    assert one == two
+
+
+@pytest.fixture
+def runs(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """Run 2 of a paper whose recording is a simulated one, three lanes."""
+    folder = tmp_path / "experiments" / "paper"
+    own = write_drive(
+        folder, N_FRAMES, tuned_on="same_frames", tuning={"never_fit": {"from_frame": 650}}
+    )
+    own.rename(folder / "run02_x.yaml")
+    (folder / "published.yaml").write_text(
+        "runs: [{run: 2, recovered: {parameters: {p1: 0.9, p2: 0.8}}}]\n"
+    )
+    monkeypatch.setattr(paper, "experiments_folder", lambda: tmp_path / "experiments")
+    return folder
+
+
+def test_a_model_is_put_on_the_recording_of_a_run(runs: Path) -> None:
+    model = simulated("model", n_lanes=4, tuned_on="same_frames", graph="lane_only")
+    (group,) = on_runs([model], [2], with_paper=True, which="recovered")
+    own, placed = group.experiments
+    assert (own.name, own.parameters) == ("paper", {"p1": 0.9, "p2": 0.8})
+    assert (placed.graph, placed.n_lanes) == ("lane_only", 3)
+    assert placed.tuned_on == "other_frames"
+    assert placed.tuning is not None
+    assert placed.tuning.never_fit == ((650, None),)
+    drive = load_for_scoring(placed)
+    assert len(drive.recorded.log) == len(short_drive(N_FRAMES).log)
+    assert on_recording(own, own).tuned_on == "same_frames"
+
+
+def test_a_frame_rate_that_nobody_gave_is_left_to_the_recording() -> None:
+    """A video tells its own."""
+    place = {"simulate": "quickstart"}
+    for given in ({}, {"frame_rate": 20.0}):
+        placed = on_recording(simulated(), simulated("place", recording={**place, **given}))
+        assert ("frame_rate" in placed.recording.model_fields_set) == bool(given)
+    assert placed.recording.frame_rate == 20
+
+
+def test_the_same_road_taken_for_another_number_of_lanes_is_another_recording(
+    tmp_path: Path,
+) -> None:
+    three = load_experiment(write_drive(tmp_path, 60))
+    assert recording_key(three) != recording_key(three.model_copy(update={"n_lanes": 4}))
+    assert recording_key(three) == recording_key(three.model_copy(update={"name": "other"}))
+
+
+def test_every_graph_gets_an_evidence_rule_that_fits_it(runs: Path) -> None:
+    graphs = plugin_names("graphs")
+    (group,) = graphs_on_runs(graphs, [2], "tune")
+    assert [e.name for e in group.experiments] == graphs
+    for experiment in group.experiments:
+        assert experiment.fit == "tune"
+        plain = experiment.model_copy(update={"fit": "none"})
+        assert held_out_side(load_for_scoring(plain)).beliefs.lane.shape[1] == 3
+    found = {e.graph: e.evidence for e in group.experiments}
+    assert found["sensor_failure"] == "counting"
+    assert found["wor_levels"] == "counting_levels"
+    assert found["position_in_lane"] == "line_geometry"
+
+
+def write(path: Path, experiment: Experiment) -> Path:
+    content = experiment.model_dump(mode="json", exclude_defaults=True)
+    path.write_text(yaml.safe_dump(content))
+    return path
+
+
+def test_the_command_shows_writes_and_draws(runs: Path, tmp_path: Path) -> None:
+    first = write(tmp_path / "zero.yaml", geometry("zero", tuned_on="not_tuned"))
+    second = write(tmp_path / "learned.yaml", geometry("learned", fit="learn"))
+    target, figure = tmp_path / "all.json", tmp_path / "all.png"
+    words = ("compare", first, second, "--runs", "2", "--with-paper", "--health")
+    shown = done(*words, "--json", target, "--figure", figure).stdout
+    found = json.loads(target.read_text())
+    assert found["held_out"] is True
+    (recording,) = found["recordings"]
+    assert (recording["title"], recording["run"]) == ("run 2", 2)
+    entries = {e["name"]: e for e in recording["experiments"]}
+    assert list(entries) == ["paper", "zero", "learned"]
+    assert [e["tuned_on"] for e in entries.values()] == ["same_frames", "not_tuned", "other_frames"]
+    for entry in entries.values():
+        for scores in entry["scores"].values():
+            assert f"{scores['accuracy']:.3f}" in shown
+        assert f"{entry['health']['without_never_fit']['auc_doubt']:.4f}" in shown
+    assert figure.read_bytes().startswith(b"\x89PNG")
+    latex = done("compare", first, "--runs", "2", "--format", "latex").stdout
+    assert latex.startswith(r"\begin{tabular}")
+    csv = done("compare", first, "--runs", "2", "--format", "csv").stdout.splitlines()
+    assert [len(line.split(",")) > 15 for line in csv] == [True, True, True]
+
+
+def test_graphs_held_out_are_tuned_without_each_block(runs: Path, tmp_path: Path) -> None:
+    target = tmp_path / "graphs.json"
+    words = ("--graphs", "lane_only,no_wor", "--runs", "2", "--held-out", "--trials", "5")
+    done("compare", *words, "--blocks", "3", "--json", target)
+    (recording,) = json.loads(target.read_text())["recordings"]
+    assert recording["blocks"] == 3
+    for entry in recording["experiments"]:
+        assert entry["tuned_on"] == "other_frames"
+        assert len(entry["parameters"]) == 3
+
+
+def test_what_cannot_be_compared_is_refused_in_one_line(runs: Path, tmp_path: Path) -> None:
+    one = write(tmp_path / "one.yaml", simulated("one"))
+    assert "not both" in refused("compare", one, "--graphs", "no_wor")
+    assert "--with-paper" in refused("compare", one, "--with-paper")
+    assert "--held-out" in refused("compare", "--health", "--runs", "2")
+    message = refused("compare", write(tmp_path / "f.yaml", simulated()), "--set", "fit=lern")
+    assert "fit: 'lern' is not one of none, learn, tune, choose (did you mean 'learn'?)" in message
+    (tmp_path / "bare").mkdir()
+    bare = write_drive(tmp_path / "bare", ground_truth=None)
+    assert "ground_truth: is missing" in refused("compare", bare)
+    crossing = write_drive(tmp_path / "crossing", 60)
+    truth = short_drive(60).truth
+    flags = np.ones(len(truth), dtype=bool)
+    write_ground_truth(crossing.parent / "ground_truth.txt", replace(truth, is_crossing=flags))
+    message = refused("compare", crossing)
+    assert message.endswith("ground_truth.txt: every frame is a crossing, nothing to score")
+    assert "a figure ends in .png" in refused("compare", one, "--figure", tmp_path / "a.gif")
+    assert "a search takes assumed_density or exact" in refused(
+        "compare", one, "--set", "fit=tune", "--set", "filter=smoothed"
+    )
+    wide = geometry("wide", parameters={"sigmas_m": [0.2] * 7})
+    message = refused("compare", write(tmp_path / "wide.yaml", wide), "--runs", "2")
+    assert message.startswith("run 2, 3 lanes: ")
+    assert "parameters.sigmas_m: has 7 numbers, needs a list of 6" in message
+    everything = ("--set", "tuning.never_fit=[[0, null]]", "--set", "fit=tune")
+    assert "no frame is left to fit on" in refused("compare", one, *everything)
+
+
+def test_differences_need_the_same_annotated_frames(tmp_path: Path) -> None:
+    write_drive(tmp_path, ground_truth__extra_rows=None)
+    text = (tmp_path / "ground_truth.txt").read_text().splitlines(keepends=True)
+    (tmp_path / "other.txt").write_text("".join(text[:100]))
+    second = write_drive(tmp_path, name="second", ground_truth__path="other.txt")
+    second.rename(tmp_path / "second.yaml")
+    first = write_drive(tmp_path, name="first")
+    assert "a difference needs the same frames" in refused(
+        "compare", first, tmp_path / "second.yaml"
+    )
+
+
+def test_how_it_is_fitted_is_no_part_of_what_is_run() -> None:
+    plain, learned = (resolved(simulated(fit=fit), {}) for fit in ("none", "learn"))
+    assert plain == learned
+
+
+def small_document() -> dict[str, Any]:
+    """Two recordings, the second without the second experiment and with untrusted labels."""
+    groups = by_recording(
+        [
+            simulated("a", tuned_on="same_frames"),
+            simulated("b", graph="lane_only", tuned_on="not_tuned"),
+            simulated("c", recording={"simulate": "quickstart", "seed": 7}),
+        ]
+    )
+    return document(list(compare_groups(groups, Options(health=True))), Options(health=True))
+
+
+def test_tables_and_figure_show_the_numbers_of_the_document(tmp_path: Path) -> None:
+    found = small_document()
+    header, rows = accuracy_rows(found)
+    assert header == ["accuracy", "a", "b", "c"]
+    assert rows[0][3] == rows[1][1] == ""
+    assert rows[0][1].endswith("*")
+    assert not rows[0][2].endswith("*")
+    header, rows = full_rows(found)
+    assert {len(row) for row in rows} == {len(header)}
+    assert [row[3] for row in rows] == ["in-sample", "not tuned", "unknown"]
+    header, rows = health_rows(found)
+    assert {len(row) for row in rows} == {len(header)}
+    (ax,) = comparison_figure(found).axes
+    points = [line for line in ax.lines if np.size(line.get_xdata()) == 1]
+    heights = [np.asarray(line.get_ydata()).item() for line in points]
+    entries = [e for r in found["recordings"] for e in r["experiments"]]
+    expected = [-np.log10(1 - e["scores"]["all_frames"]["accuracy"]) for e in entries]
+    assert heights == pytest.approx(expected)
+    hollow = [line.get_markerfacecolor() == "white" for line in points]
+    assert hollow == [True, False, True]
+    draw_comparison(found, tmp_path / "x.svg")
+    with pytest.raises(InputError, match="no experiment"):
+        comparison_figure({"recordings": []})

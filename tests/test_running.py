@@ -1,0 +1,589 @@
+"""One experiment end to end, through the API that the README shows."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from egolane_pgm import load_experiment, run_experiment
+from egolane_pgm import running as run_many
+from egolane_pgm.evidence.counting import evidence as counting
+from egolane_pgm.experiment import Experiment
+from egolane_pgm.inference.filtering import filter_beliefs, read_evidence
+from egolane_pgm.inference.smoothing import fixed_lag_beliefs, smooth_beliefs
+from egolane_pgm.inference.viterbi import viterbi_path
+from egolane_pgm.loading import check_sources, load_recording
+from egolane_pgm.model import make_evidence, prepare_model, with_parameters
+from egolane_pgm.parameters import resolve_parameters
+from egolane_pgm.recordings.table import write_table
+from egolane_pgm.results import is_result, read_result
+from egolane_pgm.running import save_run, summary
+from egolane_pgm.scoring.assign import assigned_lane
+from egolane_pgm.scoring.confusion import confusion
+from egolane_pgm.types import InputError
+from tests.kits.drives import (
+    N_FRAMES,
+    command,
+    done,
+    refused,
+    short_drive,
+    write_drive,
+    write_experiment,
+)
+from tests.reference import counting as reference_counting
+from tests.reference import inference as reference
+
+#: Frames that the recording below lacks; none of them first or last.
+GAPS = (20, 21, 22, 60)
+
+
+def with_gaps(folder: Path, **changes: Any) -> Experiment:
+    """The drive without the frames of GAPS."""
+    path = write_drive(folder, **changes)
+    log = short_drive().log
+    write_table(folder / "lines.csv", log.take(~np.isin(log.frame_id, GAPS)))
+    return load_experiment(path)
+
+
+@pytest.fixture(scope="module")
+def drive(tmp_path_factory: pytest.TempPathFactory) -> Experiment:
+    return load_experiment(write_drive(tmp_path_factory.mktemp("drive")))
+
+
+def changed(experiment: Experiment, **changes: Any) -> Experiment:
+    return experiment.model_copy(update=changes)
+
+
+def test_the_belief_is_the_filters_on_the_rules_evidence(drive: Experiment) -> None:
+    run = run_experiment(drive)
+    model, log = prepare_model(drive), short_drive().log
+    given = counting(log, 3, model.parameters)
+    beliefs = filter_beliefs(model.compiled, given, "assumed_density")
+    np.testing.assert_array_equal(run.beliefs.lane, beliefs.lane)
+    np.testing.assert_array_equal(run.beliefs.frame_id, log.frame_id)
+    assert run.tentative is not None
+    np.testing.assert_allclose(run.tentative, given.likelihoods["DetectorOutput"], atol=1e-15)
+    np.testing.assert_allclose(run.beliefs.lane.sum(axis=1), 1)
+
+
+def test_an_experiment_may_be_given_as_its_file(drive: Experiment) -> None:
+    one, other = run_experiment(drive.source), run_experiment(drive)
+    np.testing.assert_array_equal(one.beliefs.lane, other.beliefs.lane)
+
+
+def test_a_run_gives_what_plain_numpy_gives(drive: Experiment) -> None:
+    for choice in ("assumed_density", "exact"):
+        run = run_experiment(changed(drive, filter=choice))
+        model = run.model
+        seen = reference_counting.evidence(run.recorded.log, model.n_lanes, model.parameters)
+        right = reference.filter_beliefs(model.compiled, seen, choice)
+        np.testing.assert_allclose(run.beliefs.lane, right.lane, rtol=0, atol=1e-12)
+        np.testing.assert_allclose(run.beliefs.log_evidence, right.log_evidence, atol=1e-12)
+
+
+def test_the_exact_filter_is_run_on_request(drive: Experiment) -> None:
+    experiment = changed(drive, filter="exact")
+    run, model = run_experiment(experiment), prepare_model(experiment)
+    exact = filter_beliefs(model.compiled, run.evidence, "exact")
+    np.testing.assert_array_equal(run.beliefs.lane, exact.lane)
+    assert np.abs(run.beliefs.lane - run_experiment(drive).beliefs.lane).max() > 1e-3
+
+
+def test_hard_evidence_says_only_the_most_probable_value(drive: Experiment) -> None:
+    run = run_experiment(changed(drive, evidence_reading="hard"))
+    soft = run_experiment(drive)
+    assert soft.tentative is not None
+    for node, values in run.evidence.likelihoods.items():
+        best = soft.evidence.likelihoods[node].max(axis=1, keepdims=True)
+        is_best = soft.evidence.likelihoods[node] >= best * (1 - 1e-9)
+        np.testing.assert_array_equal(values, is_best)
+    model = prepare_model(drive)
+    right = filter_beliefs(model.compiled, read_evidence(soft.evidence, "hard"))
+    np.testing.assert_array_equal(run.beliefs.lane, right.lane)
+    np.testing.assert_array_equal(run.tentative, soft.tentative)  # the detector is as it was
+    assert np.abs(run.beliefs.lane - soft.beliefs.lane).max() > 0.01
+
+
+def test_missing_frames_are_skipped_by_default(tmp_path: Path) -> None:
+    run = run_experiment(with_gaps(tmp_path))
+    assert len(run.beliefs) == N_FRAMES - len(GAPS)
+    assert not set(GAPS) & set(run.beliefs.frame_id.tolist())
+    assert run.scores["model"]["frames"] == N_FRAMES - len(GAPS)
+
+
+def test_missing_frames_are_held_as_if_the_frame_before_came_again(tmp_path: Path) -> None:
+    run = run_experiment(with_gaps(tmp_path, recording__missing_frames="hold"))
+    log = short_drive().log
+    index = np.arange(len(log))
+    for gap in GAPS:  # in order, so that each holds what was held before it
+        index[log.frame_id == gap] = index[np.flatnonzero(log.frame_id == gap) - 1]
+    model = prepare_model(run.experiment)
+    right = filter_beliefs(model.compiled, counting(log, 3, model.parameters).take(index))
+    np.testing.assert_array_equal(run.beliefs.frame_id, log.frame_id)
+    np.testing.assert_array_equal(run.beliefs.lane, right.lane)
+    assert run.scores["model"]["frames"] == N_FRAMES
+
+
+@pytest.mark.parametrize("reading", ["soft", "hard"])
+def test_missing_frames_are_predicted_by_the_model_alone(tmp_path: Path, reading: str) -> None:
+    experiment = with_gaps(tmp_path, recording__missing_frames="predict", evidence_reading=reading)
+    run = run_experiment(experiment)
+    assert len(run.beliefs) == N_FRAMES
+    parameters = run.model.parameters
+    sigma1, p1, p2 = (float(parameters[k]) for k in ("sigma1", "p1", "p2"))
+    lanes = np.arange(1, 4)
+    f = np.exp(-0.5 * ((lanes[None] - lanes[:, None]) / sigma1) ** 2)
+    f /= f.sum(axis=1, keepdims=True)
+    sensor = np.array([[p1, 1 - p1], [1 - p2, p2]])
+    for t in np.flatnonzero(np.isin(run.beliefs.frame_id, GAPS)):
+        before = {node: values[t - 1] for node, values in run.beliefs.marginals.items()}
+        np.testing.assert_allclose(run.beliefs.lane[t], before["Lane"] @ f, rtol=0, atol=1e-12)
+        np.testing.assert_allclose(
+            run.beliefs.marginals["SensorState"][t],
+            before["SensorState"] @ sensor,
+            rtol=0,
+            atol=1e-12,
+        )
+        assert run.beliefs.log_evidence[t] == pytest.approx(0, abs=1e-12)
+    skipped = run_experiment(with_gaps(tmp_path, evidence_reading=reading))
+    assert np.abs(skipped.beliefs.lane[20] - run.beliefs.lane[23]).max() > 0
+
+
+def test_the_frame_rate_sets_times_and_what_is_counted_per_minute(drive: Experiment) -> None:
+    faster = drive.recording.model_copy(update={"frame_rate": 20.0})
+    one, other = run_experiment(drive), run_experiment(changed(drive, recording=faster))
+    np.testing.assert_allclose(other.recorded.log.time_s, one.recorded.log.time_s / 2)
+    for kind in ("detector", "model"):
+        a, b = one.scores[kind], other.scores[kind]
+        assert b["false_switches_per_minute"] == pytest.approx(2 * a["false_switches_per_minute"])
+        assert b["confusion"] == a["confusion"]
+    assert one.scores["detector"]["false_switches_per_minute"] > 0
+
+
+def test_a_range_of_frames_is_run_as_if_there_were_no_others(drive: Experiment) -> None:
+    section = drive.recording.model_copy(update={"frames": (30, 90)})
+    run = run_experiment(changed(drive, recording=section))
+    np.testing.assert_array_equal(run.beliefs.frame_id, np.arange(30, 90))
+    model, log = prepare_model(drive), short_drive().log
+    some = log.take((log.frame_id >= 30) & (log.frame_id < 90))
+    right = filter_beliefs(model.compiled, counting(some, 3, model.parameters))
+    np.testing.assert_array_equal(run.beliefs.lane, right.lane)
+
+
+def test_crossing_frames_are_filtered_but_not_scored(drive: Experiment) -> None:
+    run = run_experiment(drive)
+    truth = run.recorded.truth
+    assert truth is not None
+    n_crossing = int(truth.is_crossing.sum())
+    assert 0 < n_crossing < N_FRAMES
+    assert len(run.beliefs) == N_FRAMES
+    for scores in run.scores.values():
+        assert np.sum(scores["confusion"]) == scores["frames_scored"] == N_FRAMES - n_crossing
+    assigned = assigned_lane(run.beliefs.lane)[~truth.is_crossing]
+    right = (assigned == truth.lane[~truth.is_crossing]).mean()
+    assert run.scores["model"]["accuracy"] == pytest.approx(right)
+
+
+def test_without_ground_truth_there_are_beliefs_and_no_scores(drive: Experiment) -> None:
+    run = run_experiment(changed(drive, ground_truth=None))
+    assert run.scores == {}
+    assert len(run.beliefs) == N_FRAMES
+    said = summary(run)
+    assert not {"detector", "model"} & set(said)
+    assert (said["frames"], said["frames_scored"]) == (N_FRAMES, 0)
+
+
+def test_a_recording_at_hand_is_not_read_again(drive: Experiment, tmp_path: Path) -> None:
+    recorded = load_recording(drive)
+    gone = changed(drive, recording=drive.recording.model_copy(update={"path": "gone.csv"}))
+    run = run_experiment(gone, recorded=recorded)
+    np.testing.assert_array_equal(run.beliefs.lane, run_experiment(drive).beliefs.lane)
+
+
+def test_a_simulated_drive_brings_its_own_ground_truth(tmp_path: Path) -> None:
+    path = write_experiment(
+        tmp_path / "e.yaml",
+        recording={"simulate": "quickstart", "seed": 5, "frames": [0, 100]},
+        ground_truth=None,
+    )
+    one, other = run_experiment(path), run_experiment(path)
+    np.testing.assert_array_equal(one.beliefs.lane, other.beliefs.lane)
+    assert one.recorded.files == ()
+    assert "accuracy" in one.scores["model"]
+    another = run_experiment(load_experiment(path, ["recording.seed=6"]))
+    assert (another.beliefs.lane != one.beliefs.lane).any()
+
+
+def test_a_rule_with_its_own_largest_lri_clips_at_that(tmp_path: Path) -> None:
+    (tmp_path / "r.py").write_text(
+        "from egolane_pgm.evidence.counting import *\n"
+        "from egolane_pgm.evidence import counting\n"
+        "from egolane_pgm.parameters import Parameter\n"
+        "TENTATIVE = 'DetectorOutput'\n"
+        "PARAMETERS = tuple(p for p in counting.PARAMETERS if p.name != 'max_lri') + (\n"
+        "    Parameter('max_lri', 'positive', 4, 'x'),)\n"
+    )
+    path = write_drive(tmp_path, evidence="./r.py", recording__lri="clip")
+    run = run_experiment(path)
+    assert np.nanmax(short_drive().log.lri) > 4
+    assert np.nanmax(run.recorded.log.lri) == 4
+    assert not [note for note in run.notes if "LRI" in note]
+
+
+@pytest.mark.parametrize("graph", ["sensor_failure", "wor_on_lane", "no_wor", "lane_only"])
+def test_every_graph_runs_and_new_parameters_are_as_good_as_a_new_model(
+    drive: Experiment, graph: str
+) -> None:
+    experiment = changed(drive, graph=graph)
+    model = prepare_model(experiment)
+    given = {"sigma1": 0.7, "sigma2": 0.2}
+    new = prepare_model(changed(experiment, parameters=given))
+    specs = [*model.rule.PARAMETERS, *model.graph.PARAMETERS]
+    quick = with_parameters(model, resolve_parameters(specs, given, 3))
+    np.testing.assert_array_equal(quick.compiled.transition, new.compiled.transition)
+    evidence = make_evidence(model, short_drive().log).filtered
+    one = filter_beliefs(quick.compiled, evidence)
+    other = run_experiment(changed(experiment, parameters=given)).beliefs
+    np.testing.assert_array_equal(one.lane, other.lane)
+
+
+def test_a_graph_without_tables_takes_new_parameters_by_being_declared_anew(
+    drive: Experiment,
+) -> None:
+    own = Path(__file__).parents[1] / "examples" / "my_graph.py"
+    experiment = changed(drive, graph=str(own))
+    model = prepare_model(experiment)
+    changed_model = with_parameters(model, {**model.parameters, "sigma1": 0.9})
+    new = prepare_model(changed(experiment, parameters={"sigma1": 0.9}))
+    np.testing.assert_array_equal(changed_model.compiled.transition, new.compiled.transition)
+    assert (changed_model.compiled.transition != model.compiled.transition).any()
+
+
+def test_a_parameter_that_rule_and_graph_declare_differently_is_refused(
+    drive: Experiment, tmp_path: Path
+) -> None:
+    (tmp_path / "g.py").write_text(
+        "from egolane_pgm.graphs.sensor_failure import *\n"
+        "from egolane_pgm.parameters import Parameter\n"
+        "PARAMETERS = PARAMETERS + (Parameter('max_lri', 'integer', 1, 'x'),)\n"
+    )
+    with pytest.raises(InputError, match=r"parameters\.max_lri: graph and evidence rule declare"):
+        prepare_model(changed(drive, graph=str(tmp_path / "g.py")))
+
+
+def test_sources_are_checked_without_reading_them(tmp_path: Path) -> None:
+    path = write_drive(tmp_path)
+    (tmp_path / "lines.csv").write_text("no table")
+    check_sources(load_experiment(path))
+    (tmp_path / "ground_truth.txt").unlink()
+    with pytest.raises(InputError, match=r"ground_truth\.path: ground_truth\.txt: no such file"):
+        check_sources(load_experiment(path))
+
+
+def test_with_predict_the_papers_model_diffuses_over_missing_frames_too(tmp_path: Path) -> None:
+    drive = short_drive(40).log
+    kept = np.ones(40, dtype=bool)
+    kept[20:25] = False
+    path = write_drive(
+        tmp_path, 40, filter="exact", graph="lane_only", recording__missing_frames="predict"
+    )
+    write_table(tmp_path / "lines.csv", drive.take(kept))
+    done("run", path, "--no-figures", "--out", tmp_path / "out")
+    belief = read_result(tmp_path / "out").marginals["Lane"]
+    centres = np.arange(3)
+    move = np.exp(-0.5 * ((centres[None] - centres[:, None]) / 0.4) ** 2)
+    move /= move.sum(axis=1, keepdims=True)
+    for k in range(20, 25):
+        np.testing.assert_allclose(belief[k], belief[k - 1] @ move, atol=1e-9)
+
+
+def test_a_result_is_kept_where_its_figures_cannot_be_drawn(tmp_path: Path) -> None:
+    run = run_experiment(load_experiment(write_drive(tmp_path)))
+
+    def draw(folder: Path) -> None:
+        (folder / "figures").mkdir()
+        (folder / "figures" / "half.png").touch()
+        raise InputError(f"{folder / 'figures' / 'a.png'}: cannot be written: disk full")
+
+    out = tmp_path / "out"
+    with pytest.raises(InputError) as caught:
+        save_run(run, out, draw)
+    assert str(caught.value) == (
+        f"{out}/figures/a.png: cannot be written: disk full; the result without figures is in {out}"
+    )
+    assert is_result(out)
+    assert not (out / "figures").exists()
+
+
+KILLS = """
+import os, signal
+from egolane_pgm.evidence.counting import *
+def evidence(*given, **named):
+    os.kill(os.getpid(), signal.SIGKILL)
+"""
+
+
+@pytest.fixture
+def experiments(tmp_path):
+    """Three simulated drives and one whose recording is not there."""
+    recordings = {f"drive{k}": {"simulate": "quickstart", "seed": k} for k in range(3)}
+    recordings["gone"] = {"path": "gone.bag"}
+    return [
+        str(
+            write_experiment(
+                tmp_path / f"{name}.yaml",
+                name=name,
+                recording=recordings[name],
+                ground_truth=None,
+            )
+        )
+        for name in ("drive0", "gone", "drive1", "drive2")
+    ]
+
+
+def tasks(experiments, folder):
+    sources = [(path, lambda path=path: load_experiment(path)) for path in experiments]
+    return run_many.plan_runs(sources, folder)
+
+
+@pytest.mark.parametrize("jobs", [1, 2])
+def test_each_run_has_its_own_result_and_one_that_fails_stops_no_other(experiments, tmp_path, jobs):
+    out = tmp_path / "out"
+    found = command(
+        "run", *experiments, "--jobs", jobs, "--no-figures", "--out", out, "--json", out / "a.json"
+    )
+    assert found.exit_code == 1
+    assert "failed: gone: " in found.output
+    assert "gone.bag: no such file" in found.output
+    assert "results: 3 of 4" in found.output
+    assert [is_result(out / f"drive{k}") for k in range(3)] == [True] * 3
+    document = json.loads((out / "a.json").read_text())
+    assert [run["name"] for run in document["runs"]] == ["drive0", "drive1", "drive2"]
+    assert [entry["experiment"] for entry in document["failed"]] == ["gone"]
+
+
+def test_several_processes_give_what_one_gives(experiments, tmp_path):
+    one, two = (
+        list(run_many.run_all(tasks(experiments, tmp_path / str(jobs)), jobs=jobs))
+        for jobs in (1, 2)
+    )
+    assert [o.summary for o in one] == [o.summary for o in two]
+
+
+def test_all_well_is_exit_code_0(experiments, tmp_path):
+    good = [experiments[0], experiments[2]]
+    found = command("run", *good, "--no-figures", "--out", tmp_path / "out")
+    assert found.exit_code == 0
+    assert "failed" not in found.output
+
+
+def test_a_file_that_is_no_experiment_is_listed_and_the_others_run(experiments, tmp_path):
+    bad = tmp_path / "bad.yaml"
+    bad.write_text("name: x\nn_lane: 3\n")
+    found = command("run", bad, experiments[0], "--no-figures", "--out", tmp_path / "out")
+    assert found.exit_code == 1
+    assert "unknown key 'n_lane' (did you mean 'n_lanes'?)" in found.output
+    assert is_result(tmp_path / "out" / "drive0")
+
+
+def test_two_runs_of_one_name_are_refused_before_anything_is_run(experiments, tmp_path):
+    out = tmp_path / "out"
+    other = tmp_path / "other.yaml"
+    other.write_text(Path(experiments[0]).read_text())
+    found = command("run", experiments[0], other, "--out", out)
+    assert found.exit_code == 2
+    assert "give one of them another `name`" in found.output
+    assert not out.exists()
+
+
+def test_one_experiment_on_several_recordings(experiments, tmp_path):
+    for seed in range(2):
+        command("simulate", "quickstart", "--seed", seed, "--out", tmp_path / f"road{seed}")
+    lines = sorted(tmp_path.glob("road*/*lines*.csv")) or sorted(tmp_path.glob("road*/*.parquet"))
+    renamed = [path.rename(tmp_path / f"drive_{k}{path.suffix}") for k, path in enumerate(lines)]
+    assert len(renamed) == 2
+    options = [o for path in renamed for o in ("--recording", path)]
+    out = tmp_path / "out"
+    found = command("run", experiments[0], *options, "--no-figures", "--out", out)
+    assert found.exit_code == 0, found.output
+    assert is_result(out / "drive_0")
+    assert is_result(out / "drive_1")
+
+
+def test_several_recordings_cannot_share_a_ground_truth(experiments, tmp_path):
+    found = command(
+        "run", experiments[0], "--recording", "a", "--recording", "b", "--ground-truth", "c"
+    )
+    assert found.exit_code == 2
+    assert "several --recording go with one experiment" in found.output
+
+
+def test_a_process_that_dies_leaves_the_results_of_the_others(experiments, tmp_path):
+    (tmp_path / "kills.py").write_text(KILLS)
+    last = Path(experiments[3])
+    last.write_text(last.read_text() + "evidence: ./kills.py\n")
+    plan = tasks([experiments[k] for k in (0, 2, 3)], tmp_path / "out")
+    done = list(run_many.run_all(plan, jobs=2))
+    assert len(done) == 3
+    assert done[2].error == "its process, or one beside it, died (killed, or out of memory?)"
+    for outcome in done:
+        assert (outcome.error is None) == (outcome.summary is not None)
+        if outcome.error is None:
+            assert is_result(outcome.directory)
+
+
+def test_what_nobody_foresaw_in_one_run_is_listed_by_its_kind(experiments, tmp_path, monkeypatch):
+    def breaks(experiment, **options):
+        raise ZeroDivisionError("no lanes\nat all")
+
+    monkeypatch.setattr(run_many, "run_experiment", breaks)
+    (outcome,) = run_many.run_all(tasks(experiments[:1], tmp_path / "out"))
+    assert outcome.error == "ZeroDivisionError: no lanes at all"
+
+
+def test_a_folder_that_is_in_the_way_is_refused_before_anything_is_run(experiments, tmp_path):
+    taken = tmp_path / "out" / "drive0"
+    taken.mkdir(parents=True)
+    (taken / "thesis.txt").write_text("mine")
+    with pytest.raises(InputError, match="exists and is not a result directory"):
+        tasks(experiments, tmp_path / "out")
+
+
+def test_a_smoothed_run_is_the_smoother_and_says_that_it_is_not_causal(tmp_path: Path) -> None:
+    experiment = write_drive(tmp_path)
+    ran = done(
+        *("run", experiment, "--set", "filter=smoothed", "--no-figures"),
+        *("--out", tmp_path / "out", "--json", tmp_path / "out.json"),
+    )
+    assert "smoothed: not causal, a frame's belief uses all later frames too" in ran.stdout
+    result = read_result(tmp_path / "out")
+    assert result.run["is_causal"] is False
+    assert result.scores["is_causal"] is False
+    assert json.loads((tmp_path / "out.json").read_text())["is_causal"] is False
+    run = run_experiment(load_experiment(experiment))
+    right = smooth_beliefs(run.model.compiled, run.evidence)
+    np.testing.assert_allclose(result.marginals["Lane"], right.lane, rtol=0, atol=1e-12)
+    assert np.abs(result.marginals["Lane"] - run.beliefs.lane).max() > 0.01
+    again = tmp_path / "out" / "experiment.yaml"
+    assert load_experiment(again).filter == "smoothed"
+
+
+def test_a_fixed_lag_run_waits_so_many_frames(tmp_path: Path) -> None:
+    experiment = write_drive(tmp_path, filter="fixed_lag", lag=4)
+    ran = done("run", experiment, "--no-figures", "--out", tmp_path / "out")
+    assert "fixed_lag: not causal, a frame's belief uses the next 4 frames too" in ran.stdout
+    run = run_experiment(experiment)
+    right = fixed_lag_beliefs(run.model.compiled, run.evidence, 4)
+    np.testing.assert_array_equal(run.beliefs.lane, right.lane)
+    plain = reference.fixed_lag_beliefs(run.model.compiled, run.evidence, 4)
+    np.testing.assert_allclose(plain.lane, right.lane, rtol=0, atol=1e-10)
+    assert load_experiment(tmp_path / "out" / "experiment.yaml").lag == 4
+
+
+@pytest.mark.parametrize("choice", ["assumed_density", "exact"])
+def test_filters_are_causal_and_say_nothing_of_it(tmp_path: Path, choice: str) -> None:
+    experiment = write_drive(tmp_path, 30, filter=choice)
+    assert summary(run_experiment(experiment))["is_causal"] is True
+    ran = done("run", experiment, "--no-figures", "--out", tmp_path / "out")
+    assert "not causal" not in ran.stdout
+
+
+@pytest.mark.parametrize(
+    ("changes", "said"),
+    [
+        ("filter=smothed", "filter: 'smothed' is not one of assumed_density, exact, smoothed"),
+        (
+            "filter=fixed_lag",
+            "lag: filter fixed_lag needs a number of frames to wait, e.g. lag: 10",
+        ),
+        ("lag=3", "lag: only filter fixed_lag waits, filter assumed_density has no lag (got 3)"),
+        ("filter=fixed_lag lag=-1", "lag: input should be greater than or equal to 0 (got -1)"),
+        ("filter=smoothed evidence_reading=jeffrey", "jeffrey goes with filter assumed_density or"),
+        ("evidence_reading=jefrey", "'jefrey' is not one of soft, hard, jeffrey (did you mean"),
+    ],
+)
+def test_keys_that_do_not_fit_together_are_refused(tmp_path: Path, changes: str, said: str) -> None:
+    experiment = write_drive(tmp_path, 20)
+    options = [word for change in changes.split() for word in ("--set", change)]
+    assert said in refused("validate", experiment, *options)
+
+
+def test_evidence_read_by_jeffreys_rule_gives_other_beliefs_and_no_stop_at_gaps(
+    tmp_path: Path,
+) -> None:
+    """A frame put in by `predict` says nothing: the belief spreads, it is not made uniform."""
+    experiment = write_drive(
+        tmp_path, evidence_reading="jeffrey", recording__missing_frames="predict"
+    )
+    log = short_drive().log
+    write_table(tmp_path / "lines.csv", log.take(~np.isin(log.frame_id, (50, 51))))
+    run = run_experiment(experiment)
+    right = filter_beliefs(run.model.compiled, read_evidence(run.evidence, "jeffrey"))
+    np.testing.assert_array_equal(run.beliefs.lane, right.lane)
+    soft = run_experiment(
+        load_experiment(experiment).model_copy(update={"evidence_reading": "soft"})
+    )
+    assert np.abs(run.beliefs.lane - soft.beliefs.lane).max() > 0.1
+    missing = np.flatnonzero(run.recorded.log.is_missing)
+    assert len(missing) == 2
+    before = run.beliefs.lane[missing[0] - 1]
+    # One step of the lane dynamics by itself.
+    from egolane_pgm.graphs.shared_parameters import f_table
+
+    moved = before @ f_table("sigma1", 3, run.model.parameters)
+    np.testing.assert_allclose(run.beliefs.lane[missing[0]], moved, rtol=0, atol=1e-12)
+
+
+def test_a_decoded_run_answers_the_most_probable_path_beside_the_smoothed_belief(
+    tmp_path: Path,
+) -> None:
+    experiment = write_drive(tmp_path, filter="smoothed", decode="viterbi")
+    done("run", experiment, "--no-figures", "--out", tmp_path / "out")
+    run = run_experiment(experiment)
+    path = viterbi_path(run.model.compiled, run.evidence)
+    result = read_result(tmp_path / "out")
+    np.testing.assert_array_equal(result.assigned_lane, path.lane)
+    smoothed = smooth_beliefs(run.model.compiled, run.evidence)
+    np.testing.assert_allclose(result.marginals["Lane"], smoothed.lane, rtol=0, atol=1e-12)
+    truth, rows = run.recorded.truth, run.recorded.scored
+    assert truth is not None
+    counts = confusion(path.lane[rows], truth.lane, truth.is_crossing, run.model.n_lanes)
+    assert result.scores["model"]["confusion"] == counts.tolist()
+    assert load_experiment(tmp_path / "out" / "experiment.yaml").decode == "viterbi"
+
+
+def test_a_path_that_the_smoothed_belief_doubts_for_long_is_noted(tmp_path: Path) -> None:
+    """A detector that says nothing: the likeliest story holds one lane, all stories leave it."""
+    experiment = write_drive(
+        tmp_path,
+        filter="smoothed",
+        decode="viterbi",
+        graph="lane_only",
+        parameters={"sigma1": 0.8, "tentative_noise": 1e9},
+    )
+    done("run", experiment, "--no-figures", "--out", tmp_path / "out")
+    [note] = read_result(tmp_path / "out").run["warnings"]
+    assert "the most probable path holds a Lane that the smoothed belief gives less" in note
+
+
+@pytest.mark.parametrize(
+    ("changes", "said"),
+    [
+        (("decode=viterbi",), "decode: viterbi knows the whole drive"),
+        (("filter=smoothed", "decode=viterbi", "unassigned_below=0.5"), "a path has a lane"),
+    ],
+)
+def test_a_path_goes_with_the_smoother_and_without_a_reject_option(
+    tmp_path: Path, changes: tuple[str, ...], said: str
+) -> None:
+    words = [word for change in changes for word in ("--set", change)]
+    assert said in refused("run", write_drive(tmp_path), *words)
+
+
+def test_what_scores_beliefs_refuses_an_experiment_that_decodes_a_path(tmp_path: Path) -> None:
+    experiment = write_drive(tmp_path, filter="smoothed", decode="viterbi")
+    assert "decode: viterbi is for `egolane run`" in refused("compare", experiment)

@@ -1,0 +1,142 @@
+"""Scores of parameter sets: the same as a run's, evidence once per value of its parameters."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+
+from egolane_pgm import model
+from egolane_pgm.model import belief_of, load_drive
+from egolane_pgm.running import run_experiment
+from egolane_pgm.scoring.summary import score_all
+from egolane_pgm.tuning import objective
+from egolane_pgm.tuning.plan import scorer
+from egolane_pgm.tuning.space import to_parameters
+from egolane_pgm.types import InputError
+from tests.kits.tuning_kit import plan, points_at, problem
+
+NAMES = ("accuracy", "f1", "precision", "recall", "coverage")
+
+
+def some_sets(n: int = 12) -> list[dict[str, Any]]:
+    space = problem().space
+    units = np.random.default_rng(0).random((n, len(space)))
+    return [to_parameters(space, p) for p in points_at(space, units)]
+
+
+def scores(
+    drives: list[Any], sets: list[list[Any]], used: list[Any], names: tuple[str, ...]
+) -> np.ndarray:
+    """(P, O): the scores of P parameter sets, given per drive."""
+    each = zip(*sets, strict=True)
+    return np.array([objective.scores_of(drives, mine, used, names) for mine in each])
+
+
+def test_scores_are_those_of_a_run_with_the_same_parameters() -> None:
+    drive, sets = problem().drives[0], some_sets()
+    everything = objective.all_used([drive])
+    names = (*NAMES, "log_loss", "brier", "expected_calibration_error", "false_switches_per_minute")
+    found = scores([drive], [sets], everything, names)
+    for row, parameters in zip(found, sets, strict=True):
+        content = drive.experiment.model_copy(update={"parameters": parameters})
+        run = run_experiment(content, recorded=drive.recorded)
+        assert row == pytest.approx([run.scores["model"][name] for name in names], rel=1e-9)
+
+
+def test_delay_is_that_of_a_run_over_all_frames() -> None:
+    drive, sets = problem().drives[0], some_sets(4)
+    everything = objective.all_used([drive])
+    found = scores([drive], [sets], everything, ("delay", "share_missed"))
+    for row, parameters in zip(found, sets, strict=True):
+        belief = belief_of(drive, parameters)
+        truth = drive.truth
+        delay = score_all(belief, truth.lane, truth.is_crossing, truth.frame_id, 10.0)["delay"]
+        assert row[0] == (
+            objective.UNDEFINED if delay["median_frames"] is None else delay["median_frames"]
+        )
+        assert row[1] == pytest.approx(delay["share_missed"])
+
+
+def test_only_frames_that_are_used_count_and_labels_of_others_do_not_matter() -> None:
+    drive, sets = problem().drives[0], some_sets()
+    used = np.zeros(len(drive), dtype=bool)
+    used[200:700] = True
+    names = (*NAMES, *objective.BELIEF_SCORES)
+    before = scores([drive], [sets], [used], names)
+    rng = np.random.default_rng(1)
+    lane = drive.truth.lane.copy()
+    lane[~used] = rng.integers(1, drive.n_lanes + 1, size=(~used).sum())
+    truth = replace(drive.truth, lane=lane)
+    scrambled = replace(drive, recorded=replace(drive.recorded, truth=truth))
+    cut = tuple(n for n in names if n not in ("delay", "share_missed"))
+    columns = [names.index(n) for n in cut]
+    after = scores([scrambled], [sets], [used], cut)
+    np.testing.assert_array_equal(before[:, columns], after)
+    assert len(np.unique(before[:, 0])) > 3
+
+
+def test_evidence_is_made_again_only_when_its_own_parameters_change(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    made = []
+    original = model.make_evidence
+    monkeypatch.setattr(model, "make_evidence", lambda *a, **k: made.append(1) or original(*a, **k))
+    fresh = load_drive(problem().drives[0].experiment, needs_truth="a search needs it")
+    sets = [{**fresh.model.parameters, "bonus_value": k % 3, "p1": k / 40} for k in range(40)]
+    everything = objective.all_used([fresh])
+    scores([fresh], [sets], everything, ("accuracy",))
+    scores([fresh], [sets], everything, ("accuracy", "log_loss"))
+    assert len(made) == 3
+
+
+def test_several_recordings_weigh_the_same_whatever_their_length() -> None:
+    drive, sets = problem().drives[0], some_sets(5)
+    few = np.zeros(len(drive), dtype=bool)
+    few[:150] = True
+    both = scores([drive, drive], [sets, sets], [few, ~few], ("accuracy",))
+    one = scores([drive], [sets], [few], ("accuracy",))
+    other = scores([drive], [sets], [~few], ("accuracy",))
+    np.testing.assert_allclose(both, (one + other) / 2)
+
+
+def test_an_unknown_objective_is_refused_with_a_suggestion() -> None:
+    with pytest.raises(InputError, match=r"unknown score 'acuracy' \(did you mean 'accuracy'\?\)"):
+        plan(objective=("acuracy",)).settings  # noqa: B018
+    assert plan(objective=("macro_f1",)).settings.objectives == ("f1",)
+
+
+def test_an_unknown_sampler_and_one_for_one_objective_are_refused() -> None:
+    with pytest.raises(InputError, match=r"unknown sampler 'tpee' \(did you mean 'tpe'\?\)"):
+        plan(sampler="tpee").settings  # noqa: B018
+    with pytest.raises(InputError, match="evolution searches one objective"):
+        plan(sampler="evolution", objective=("accuracy", "log_loss")).settings  # noqa: B018
+    assert plan(objective=("accuracy", "log_loss")).settings.sampler == "nsga2"
+
+
+def test_never_fit_takes_frame_ids() -> None:
+    drive = problem().drives[0]
+    first = int(drive.truth.frame_id[100])
+    kept = replace(drive, never_fit=((first, first + 10), (first + 500, None))).may_fit
+    np.testing.assert_array_equal(np.flatnonzero(~kept)[:10], np.arange(100, 110))
+    assert not kept[600:].any()
+    assert kept[110:600].all()
+
+
+def test_a_point_is_scored_with_the_parameters_that_it_stands_for() -> None:
+    found = problem()
+    everything = objective.all_used(found.drives)
+    units = np.random.default_rng(3).random((9, len(found.space)))
+    for point in points_at(found.space, units):
+        parameters = to_parameters(found.space, point)
+        expected = objective.scores_of(found.drives, [parameters], everything, ("accuracy",))
+        assert scorer(found, everything)(point) == expected
+
+
+def test_a_drive_without_ground_truth_is_refused() -> None:
+    experiment = problem().drives[0].experiment
+    lines = replace(problem().drives[0].recorded, truth=None)
+    with pytest.raises(InputError, match="ground_truth: is missing, a search needs it"):
+        load_drive(experiment, needs_truth="a search needs it", recorded=lines)

@@ -1,0 +1,146 @@
+"""One study: seeds, starting points, samplers, resuming."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any
+
+import optuna
+import pytest
+from optuna.trial import TrialState
+
+from egolane_pgm.tuning.plan import starting_points
+from egolane_pgm.tuning.search import (
+    SAMPLERS,
+    Settings,
+    best_trial,
+    new_study,
+    pareto,
+    search,
+    search_in_memory,
+)
+from tests.kits.tuning_kit import bowl, plain_space, problem, told
+
+SPACE = plain_space()
+
+
+def complete(study: optuna.Study) -> list[Any]:
+    """What was tried and what came out, in order, less the trials that were interrupted."""
+    return told(study.get_trials(states=(TrialState.COMPLETE,)))
+
+
+@pytest.mark.parametrize("sampler", SAMPLERS)
+def test_the_same_seed_gives_the_same_study_and_another_one_another(sampler: str) -> None:
+    settings = Settings(("accuracy",), sampler, 40, 3)
+    first = told(search_in_memory(SPACE, bowl, settings).trials)
+    assert told(search_in_memory(SPACE, bowl, settings).trials) == first
+    assert told(search_in_memory(SPACE, bowl, replace(settings, seed=4)).trials) != first
+    assert len(first) == 40
+
+
+@pytest.mark.parametrize("error", [KeyboardInterrupt, SystemExit])
+@pytest.mark.parametrize("stops", [(0,), (29,), (30,), (7, 77, 300, 599)])
+def test_an_interrupted_study_goes_on_as_if_it_had_not_been(
+    stops: tuple[int, ...], error: type[BaseException]
+) -> None:
+    settings = Settings(("accuracy",), "evolution", 600, 0)
+    whole = told(search_in_memory(SPACE, bowl, settings).trials)
+    study = new_study(settings)
+    for stop in stops:
+
+        def interrupted(point: Any, stop: int = stop) -> list[float]:
+            if len(complete(study)) == stop:
+                raise error
+            return bowl(point)
+
+        with pytest.raises(error):
+            search(study, SPACE, interrupted, settings)
+    search(study, SPACE, bowl, settings)
+    assert complete(study) == whole
+    failed = study.get_trials(states=(TrialState.FAIL,))
+    assert len(failed) == len(stops)
+
+
+@pytest.mark.parametrize("sampler", ["tpe", "cma-es", "nsga2", "random"])
+def test_a_sampler_of_optuna_repeats_no_trial_after_an_interruption(sampler: str) -> None:
+    settings = Settings(("accuracy",), sampler, 15, 0)
+    study = new_study(settings)
+    search(study, SPACE, bowl, settings)
+    search(study, SPACE, bowl, replace(settings, trials=30))
+    points = [tuple(t.params.values()) for t in study.trials]
+    assert len(points) == len(set(points)) == 30
+
+
+def test_workers_of_one_study_draw_differently() -> None:
+    settings = Settings(("accuracy",), "random", 5, 0)
+    studies = [new_study(settings) for _ in range(2)]
+    for worker, study in enumerate(studies):
+        search(study, SPACE, bowl, settings, worker=worker)
+    assert told(studies[0].trials) != told(studies[1].trials)
+
+
+@pytest.mark.parametrize("sampler", SAMPLERS)
+def test_known_points_are_tried_first_and_in_order(sampler: str) -> None:
+    starts = [{"x0": 0.1, "x1": 0.2, "x2": 0.3}, {"x0": 0.3, "x1": 0.3, "x2": 0.3}]
+    settings = Settings(("accuracy",), sampler, 12, 0)
+    study = new_study(settings)
+    for start in starts:
+        study.enqueue_trial(start)
+    search(study, SPACE, bowl, settings)
+    assert [t.params for t in study.trials[:2]] == starts
+    assert best_trial(study).number == 1
+    assert len(study.trials) == 12
+
+
+def test_a_finished_study_is_not_run_again() -> None:
+    settings = Settings(("accuracy",), "evolution", 50, 0)
+    study = new_study(settings)
+    search(study, SPACE, bowl, settings)
+
+    def never(point: Any) -> Any:
+        raise AssertionError("no trial was asked for")
+
+    search(study, SPACE, never, settings)
+    assert len(study.trials) == 50
+
+
+def test_scores_have_their_names_and_trials_their_times() -> None:
+    study = search_in_memory(SPACE, bowl, Settings(("f1",), "evolution", 3, 0))
+    assert study.metric_names == ["f1"]
+    assert all(t.datetime_start < t.datetime_complete for t in study.trials)
+    assert study.trials[0].datetime_complete <= study.trials[1].datetime_start
+
+
+def test_evolution_beats_random_on_steps() -> None:
+    space = plain_space(7)
+
+    def best(sampler: str, seed: int) -> float:
+        settings = Settings(("accuracy",), sampler, 600, seed)
+        return float(best_trial(search_in_memory(space, bowl, settings)).values[0])
+
+    assert min(best("evolution", s) for s in range(3)) > max(best("random", s) for s in range(3))
+
+
+def test_evolution_minimises_what_is_better_small() -> None:
+    settings = Settings(("log_loss",), "evolution", 400, 0)
+    done = search_in_memory(SPACE, lambda point: [1 - bowl(point)[0]], settings)
+    assert best_trial(done).values[0] == min(t.values[0] for t in done.trials) < 0.02
+
+
+def test_several_objectives_give_a_front_that_nothing_in_it_dominates() -> None:
+    settings = Settings(("accuracy", "log_loss"), "nsga2", 60, 0)
+    done = search_in_memory(SPACE, lambda p: [float(p["x0"]), float(p["x0"]) ** 2], settings)
+    front = pareto(done)
+    assert len(front) > 5
+    for a in front:
+        assert not any(
+            b["values"][0] > a["values"][0] and b["values"][1] < a["values"][1] for b in front
+        )
+
+
+def test_the_current_values_are_tried_first_unless_from_scratch() -> None:
+    points, notes = starting_points(problem())
+    current = problem().drives[0].model.parameters
+    assert points == [{key: current[key] for key in problem().space.keys}]
+    assert not notes
+    assert starting_points(problem(from_scratch=True)) == ([], [])

@@ -1,0 +1,161 @@
+"""The search space: what is declared, narrowed, fixed; and what is refused."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from egolane_pgm.evidence import counting
+from egolane_pgm.graphs import sensor_failure, wor_on_lane
+from egolane_pgm.model import declared_parameters
+from egolane_pgm.parameters import resolve_parameters
+from egolane_pgm.tuning.sampler import to_unit
+from egolane_pgm.tuning.space import (
+    SearchSpace,
+    describe,
+    differences,
+    distributions,
+    make_space,
+    to_parameters,
+    to_point,
+)
+from egolane_pgm.types import InputError
+from tests.kits.tuning_kit import points_at
+
+SPECS = declared_parameters(counting, sensor_failure)
+CURRENT = resolve_parameters(SPECS, {}, 3)
+
+
+def space(**given: Any) -> SearchSpace:
+    return make_space(SPECS, CURRENT, given, 3, "x.yaml: tuning.parameters")
+
+
+def test_the_authors_ranges_are_the_default() -> None:
+    ranges = describe(space())["searched"]
+    assert set(ranges) == {"sigma1", "sigma2", "p1", "p2", "p3", "p4", "bonus_value"}
+    assert 0 < ranges["sigma1"][0] < 1e-4
+    assert ranges["sigma1"][1] == 3
+    assert 0 < ranges["p1"][0] < 1e-5
+    assert 1 - 1e-5 < ranges["p1"][1] < 1
+    assert ranges["bonus_value"] == [0, 9]
+    assert {d.key for d in space().dimensions if d.is_integer} == {"bonus_value"}
+
+
+def test_bounds_narrow_and_values_fix() -> None:
+    found = space(sigma1=[0.1, 1.0], p1=0.9, bonus_value=[2, 4])
+    ranges = describe(found)
+    assert ranges["searched"]["sigma1"] == [0.1, 1.0]
+    assert ranges["searched"]["bonus_value"] == [2, 4]
+    assert "p1" not in ranges["searched"]
+    assert ranges["fixed"]["p1"] == 0.9
+
+
+def test_what_declares_no_bounds_is_searched_when_given_some() -> None:
+    assert "lane_width_m" not in space().keys
+    assert "lane_width_m" in space(lane_width_m=[3.0, 4.0]).keys
+
+
+def test_a_choice_is_searched_among_the_names_given() -> None:
+    found = space(normal=["density", "integral"])
+    points = points_at(found, np.array([[0.01] * len(found), [0.99] * len(found)]))
+    assert [p["normal"] for p in points] == ["density", "integral"]
+
+
+def test_a_parameter_with_one_value_per_lane_has_a_dimension_per_lane() -> None:
+    specs = declared_parameters(counting, wor_on_lane)
+    found = make_space(specs, resolve_parameters(specs, {}, 3), {}, 3, "x")
+    assert {"p3[1]", "p3[2]", "p3[3]"} <= set(found.keys)
+    point = points_at(found, np.full((1, len(found)), 0.25))[0]
+    assert to_parameters(found, point)["p3"] == pytest.approx((0.25, 0.25, 0.25), abs=1e-5)
+
+
+def test_the_lanes_of_a_parameter_keep_their_order_there_and_back() -> None:
+    specs = declared_parameters(counting, wor_on_lane)
+    current = resolve_parameters(specs, {}, 3)
+    found = make_space(specs, current, {}, 3, "x")
+    mine = {**current, "p3": (0.2, 0.4, 0.6)}
+    point = to_point(found, mine)
+    assert point is not None
+    assert [point[f"p3[{lane}]"] for lane in (1, 2, 3)] == [0.2, 0.4, 0.6]
+    assert to_parameters(found, point)["p3"] == (0.2, 0.4, 0.6)
+    fixed = make_space(specs, current, {"p3": [0.2, 0.4, 0.6]}, 3, "x")
+    assert fixed.fixed["p3"] == (0.2, 0.4, 0.6)
+    assert not any(key.startswith("p3") for key in fixed.keys)
+    narrow = make_space(specs, current, {"p3": [0.2, 0.4]}, 3, "x")
+    assert [d.high for d in narrow.dimensions if d.parameter == "p3"] == [0.4] * 3
+
+
+def test_a_value_per_lane_that_nobody_declared_bounds_for_is_searched_as_one() -> None:
+    found = space(lane_widths=[0.9, 1.1])
+    assert [d.key for d in found.dimensions if d.parameter == "lane_widths"] == ["lane_widths"]
+
+
+def test_what_is_not_searched_keeps_the_value_of_the_experiment() -> None:
+    current = {**CURRENT, "wor_noise": 0.2}
+    assert make_space(SPECS, current, {}, 3, "x").fixed["wor_noise"] == 0.2
+
+
+def test_optuna_gets_the_same_bounds() -> None:
+    found = distributions(space(normal=["density", "integral"], sigma1=[0.1, 1.0]))
+    assert (found["sigma1"].low, found["sigma1"].high) == (0.1, 1.0)  # type: ignore[attr-defined]
+    whole = found["bonus_value"]
+    assert type(whole).__name__ == "IntDistribution"
+    assert (whole.low, whole.high) == (0, 9)  # type: ignore[attr-defined]
+    assert found["normal"].choices == ("density", "integral")  # type: ignore[attr-defined]
+
+
+@pytest.mark.parametrize(
+    ("given", "message"),
+    [
+        ({"sigma_1": [0, 1]}, "unknown parameter 'sigma_1' \\(did you mean 'sigma1'\\?\\)"),
+        ({"sigma1": [1, 1]}, "sigma1: .* is empty"),
+        ({"sigma1": [2, 1]}, "sigma1: .* is inverted"),
+        ({"p1": [0.5, 1.5]}, "p1: 1.5 is not a probability"),
+        ({"sigma1": [-1, 1]}, "sigma1: -1 must be greater than 0"),
+        ({"p1": [0.1, 0.2, 0.3]}, "p1: .* must be \\[low, high\\]"),
+        ({"p1": ["a", "b"]}, "p1: 'a' is not a number"),
+        ({"bonus_value": [0.5, 3]}, "bonus_value: .* whole numbers"),
+        ({"normal": ["density"]}, "normal: .* leaves nothing to search"),
+        ({"normal": ["density", "densty"]}, "did you mean 'density'"),
+        (dict.fromkeys(("sigma1", "sigma2", "p1", "p2", "p3", "p4", "bonus_value"), 0.5), "to"),
+    ],
+)
+def test_bounds_that_make_no_sense_are_refused_with_their_name(
+    given: dict[str, Any], message: str
+) -> None:
+    with pytest.raises(InputError, match=message) as caught:
+        space(**given)
+    assert str(caught.value).startswith("x.yaml: tuning.parameters")
+    assert "\n" not in str(caught.value)
+
+
+@given(st.lists(st.floats(0, 1), min_size=8, max_size=8))
+def test_points_and_the_unit_cube_agree(unit: list[float]) -> None:
+    found = space(lane_width_m=[3.0, 4.0])
+    point = points_at(found, np.array([unit]))[0]
+    again = [to_unit(d, point[key]) for key, d in distributions(found).items()]
+    assert points_at(found, np.array([again]))[0] == pytest.approx(point, abs=1e-12)
+    assert to_point(found, to_parameters(found, point)) == point
+
+
+def test_a_point_outside_of_the_bounds_is_none() -> None:
+    parameters = {**CURRENT, "sigma1": 2.0}
+    assert to_point(space(), parameters) is not None
+    assert to_point(space(sigma1=[0.1, 1.0]), parameters) is None
+    assert to_point(space(), {**CURRENT, "bonus_value": 2.5}) is None
+    names = space(no_valid_line=["uniform", "ignore"])
+    assert to_point(names, {**CURRENT, "no_valid_line": "ignore"}) is not None
+    assert to_point(names, {**CURRENT, "no_valid_line": "neither"}) is None
+
+
+def test_differences_name_each_key_with_both_values() -> None:
+    before, now = describe(space()), describe(space(p1=0.9, sigma1=[0.1, 1.0]))
+    text = "; ".join(differences(before, now))
+    assert "fixed.p1: nothing, now 0.9" in text
+    assert "searched.sigma1: [3e-06, 3.0], now [0.1, 1.0]" in text
+    assert "sigma2" not in text
+    assert differences({"a": {"b": 1}, "c": 2}, {"c": 2}) == ["a: {'b': 1}, now nothing"]
