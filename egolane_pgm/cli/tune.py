@@ -17,7 +17,7 @@ from egolane_pgm.report import study_tables, tables
 from egolane_pgm.report.study_figures import draw_study
 from egolane_pgm.results import SCHEMA_VERSION
 from egolane_pgm.tuning import plan as planning
-from egolane_pgm.tuning import tuning
+from egolane_pgm.tuning import study as studies
 from egolane_pgm.types import InputError
 
 
@@ -122,12 +122,12 @@ def tune(
     held_out = "none" if in_sample_only else "recordings" if whole_recordings else "blocks"
     test = None if test_on is None else planning.load_plan(test_on)
     _check_names(plans)
-    searches = [tuning.prepare(p, Path(out) / p.name, held_out, test, storage) for p in plans]
+    searches = [studies.prepare(p, Path(out) / p.name, held_out, test, storage) for p in plans]
     for note in dict.fromkeys(note for made in searches for note in made.notes):
         click.echo(f"warning: {note}", err=True)
     folders = ", ".join(str(made.directory) for made in searches[:3])
     folders += ", ..." if len(searches) > 3 else ""
-    total = tuning.n_trials(searches)
+    total = studies.n_trials(searches)
     with tqdm(total=total, unit="trial", leave=False, disable=None) as bar:
 
         def progress(label: str, more: int, best: float) -> None:
@@ -136,7 +136,7 @@ def tune(
             bar.update(more)
 
         try:
-            done = tuning.tune(searches, jobs=jobs or _cores(), workers=workers, progress=progress)
+            done = studies.tune(searches, jobs=jobs or _cores(), workers=workers, progress=progress)
             documents = list(done)
         except KeyboardInterrupt:
             place = "the storage" if storage else folders

@@ -9,8 +9,7 @@ from typing import Any
 
 import pytest
 
-from egolane_pgm.comparing import comparing
-from egolane_pgm.comparing.groups import by_recording
+from egolane_pgm.comparing.groups import Group, by_recording, compare_groups
 from egolane_pgm.comparing.placing import on_recording, recording_key
 from egolane_pgm.experiment import load_experiment
 from egolane_pgm.loading import load_recording
@@ -51,9 +50,9 @@ def test_ctrl_c_shows_the_recordings_that_were_compared(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     paths = [write_drive(tmp_path / name, name=name) for name in ("a", "b")]
-    real = comparing.compare_groups
+    real = compare_groups
 
-    def interrupted(groups: Sequence[comparing.Group], *given: Any, **named: Any) -> Iterator[Any]:
+    def interrupted(groups: Sequence[Group], *given: Any, **named: Any) -> Iterator[Any]:
         yield next(iter(real(groups[:1], *given, **named)))
         raise KeyboardInterrupt
 

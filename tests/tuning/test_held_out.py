@@ -18,7 +18,7 @@ from egolane_pgm.scoring.bootstrap import (
 )
 from egolane_pgm.scoring.confusion import accuracy, confusion
 from egolane_pgm.scoring.held_out import blocks
-from egolane_pgm.tuning import tuning
+from egolane_pgm.tuning import study as studies
 from egolane_pgm.tuning.held_out import (
     assess,
     beliefs_at,
@@ -304,8 +304,8 @@ def test_a_whole_recording_is_held_out_without_being_seen() -> None:
 
 
 def test_a_study_reports_in_sample_and_held_out_and_marks_them(tmp_path: Any) -> None:
-    study = tuning.prepare(plan(trials=35, never_fit=((1100, None),)), tmp_path / "s")
-    document = next(iter(tuning.tune([study])))
+    study = studies.prepare(plan(trials=35, never_fit=((1100, None),)), tmp_path / "s")
+    document = next(iter(studies.tune([study])))
     assert document["in_sample"]["tuned_on"] == "same_frames"
     assert document["held_out"]["tuned_on"] == "other_frames"
     for subset in ("all_frames", "without_never_fit"):
@@ -324,8 +324,8 @@ def test_a_study_reports_in_sample_and_held_out_and_marks_them(tmp_path: Any) ->
 def test_processes_find_the_same_as_one(tmp_path: Any) -> None:
     documents = []
     for jobs in (1, 2):
-        study = tuning.prepare(plan(trials=35), tmp_path / str(jobs))
-        documents.append(next(iter(tuning.tune([study], jobs=jobs))))
+        study = studies.prepare(plan(trials=35), tmp_path / str(jobs))
+        documents.append(next(iter(studies.tune([study], jobs=jobs))))
     one, two = documents
     for key in ("in_sample", "held_out", "difference"):
         assert one[key] == two[key]
@@ -336,7 +336,7 @@ def test_nested_studies_that_are_done_are_not_run_again(
     tmp_path: Any, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     ran = []
-    original = tuning.run_nested
+    original = studies.run_nested
 
     def counted(found: Problem, part: int, *rest: Any, **options: Any) -> Any:
         if part == 3 and not ran.count(3):
@@ -345,17 +345,17 @@ def test_nested_studies_that_are_done_are_not_run_again(
         ran.append(part)
         return original(found, part, *rest, **options)
 
-    monkeypatch.setattr(tuning, "run_nested", counted)
+    monkeypatch.setattr(studies, "run_nested", counted)
     with pytest.raises(KeyboardInterrupt):
-        list(tuning.tune([tuning.prepare(plan(trials=35), tmp_path / "s")]))
-    list(tuning.tune([tuning.prepare(plan(trials=35), tmp_path / "s")]))
+        list(studies.tune([studies.prepare(plan(trials=35), tmp_path / "s")]))
+    list(studies.tune([studies.prepare(plan(trials=35), tmp_path / "s")]))
     assert ran == [0, 1, 2, 3, *range(3, BLOCKS)]
 
 
 def test_a_study_is_tested_on_another_drive(tmp_path: Any) -> None:
     second = replace(two_drives(), experiments=two_drives().experiments[1:], name="second")
-    study = tuning.prepare(plan(trials=35), tmp_path / "s", "none", second)
-    document = next(iter(tuning.tune([study])))
+    study = studies.prepare(plan(trials=35), tmp_path / "s", "none", second)
+    document = next(iter(studies.tune([study])))
     assert document["held_out"] is None
     assert document["test"]["tuned_on"] == "other_frames"
     point = document["best"]["point"]
