@@ -16,7 +16,8 @@ import numpy as np
 
 from egolane_pgm.experiment import Experiment, Learning
 from egolane_pgm.graphs.cpds import SliceNode, Table
-from egolane_pgm.inference.compile import Compiled, read_tables, with_tables
+from egolane_pgm.graphs.from_pgmpy import read_tables
+from egolane_pgm.inference.compile import Compiled, with_tables
 from egolane_pgm.inference.expected_counts import FREE, counted_tables
 from egolane_pgm.learning.em import fit_tables, with_changed
 from egolane_pgm.model import Drive, Model, declared_parameters, make_evidence, with_parameters
