@@ -9,7 +9,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
 from types import ModuleType
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -31,6 +31,9 @@ from egolane_pgm.types import (
     LineLog,
 )
 
+if TYPE_CHECKING:
+    from pgmpy.models import DynamicBayesianNetwork
+
 #: How many evidences a drive keeps; `bonus_value`, which is searched, has 10 values.
 KEPT_EVIDENCE = 12
 
@@ -49,6 +52,11 @@ class Model:
     parameters: Mapping[str, Value]
     compiled: Compiled
     n_lanes: int
+
+    @property
+    def network(self) -> DynamicBayesianNetwork:
+        """The graph in pgmpy, with these values and the names of the nodes' values."""
+        return self.compiled.network
 
 
 def prepare_model(experiment: Experiment) -> Model:
@@ -72,9 +80,7 @@ def prepare_model(experiment: Experiment) -> Model:
             network = graph.build(experiment.n_lanes, parameters)
         if not hasattr(network, "get_cpds"):
             raise InputError(f"build() gave {type(network).__name__}, not a pgmpy network")
-        compiled = compile_network(
-            network, graph.HIDDEN, graph.OBSERVED, getattr(graph, "INPUTS", ())
-        )
+        compiled = _compiled(graph, network)
     except InputError as error:
         raise InputError(f"{source}: graph {experiment.graph}: {error}") from error
     lanes = compiled.cardinality.get("Lane")
@@ -98,13 +104,18 @@ def with_parameters(model: Model, parameters: Mapping[str, Value]) -> Model:
     if same_shape and hasattr(model.graph, "tables"):
         compiled = with_tables(model.compiled, model.graph.tables(model.n_lanes, parameters))
     else:
-        compiled = compile_network(
-            model.graph.build(model.n_lanes, parameters),
-            model.graph.HIDDEN,
-            model.graph.OBSERVED,
-            getattr(model.graph, "INPUTS", ()),
-        )
+        compiled = _compiled(model.graph, model.graph.build(model.n_lanes, parameters))
     return replace(model, parameters=parameters, compiled=compiled)
+
+
+def _compiled(graph: ModuleType, network: DynamicBayesianNetwork) -> Compiled:
+    return compile_network(
+        network,
+        graph.HIDDEN,
+        graph.OBSERVED,
+        getattr(graph, "INPUTS", ()),
+        getattr(graph, "VALUES", {}),
+    )
 
 
 def causality(
@@ -246,14 +257,8 @@ def _tentative(rule: ModuleType, evidence: Evidence, n_lanes: int) -> FloatArray
 
 
 def value_names(model: Model) -> dict[str, list[str]]:
-    """The names of each hidden node's values: lanes from 1, the graph's VALUES, else 0, 1, ..."""
-    named = getattr(model.graph, "VALUES", {})
-    names = {}
-    for node in model.compiled.hidden:
-        size = model.compiled.cardinality[node]
-        default = [str(k + 1 if node == "Lane" else k) for k in range(size)]
-        names[node] = [str(v) for v in named.get(node, default)]
-    return names
+    """The names of each hidden node's values."""
+    return {node: list(model.compiled.values[node]) for node in model.compiled.hidden}
 
 
 @dataclass(frozen=True)

@@ -12,7 +12,7 @@ import contextlib
 import logging
 import math
 import warnings
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
@@ -206,11 +206,18 @@ def quiet() -> Iterator[None]:
             logger.setLevel(level)
 
 
-def declare(tables: Iterable[Table], observed: Iterable[Observed]) -> DynamicBayesianNetwork:
+def declare(
+    tables: Iterable[Table],
+    observed: Iterable[Observed],
+    values: Mapping[str, Sequence[str]] | None = None,
+) -> DynamicBayesianNetwork:
     """Declares the tables as a pgmpy network with both slices in full.
 
-    Each observed node, or tuple of nodes observed jointly, gets a binary child `<name>_ve` for
-    virtual evidence, whose table is a placeholder (1/2 everywhere).
+    - observed: each of them, a node or a tuple of nodes observed jointly, gets a binary child
+      `<name>_ve` for virtual evidence, whose table is a placeholder (1/2 everywhere)
+    - values: for each node the names of its values (pgmpy's state names); a node without names has
+      pgmpy's own, the numbers from 0
+
     Raises InputError, naming the nodes, where a table is missing, is there twice or does not fit
     its parents, and where the two slices have different edges.
     """
@@ -272,6 +279,7 @@ def declare(tables: Iterable[Table], observed: Iterable[Observed]) -> DynamicBay
                 nx.DiGraph.add_node(network, DynamicNode(*table.node))
             # pgmpy wants the node's values as rows, the parents' combinations as columns.
             columns = table.values.reshape(-1, table.values.shape[-1]).T
+            axes = zip((*table.parents, table.node), table.values.shape, strict=True)
             network.add_cpds(
                 TabularCPD(
                     table.node,
@@ -279,6 +287,9 @@ def declare(tables: Iterable[Table], observed: Iterable[Observed]) -> DynamicBay
                     columns,
                     evidence=list(table.parents),
                     evidence_card=list(table.values.shape[:-1]),
+                    state_names={
+                        node: list((values or {}).get(node[0], range(size))) for node, size in axes
+                    },
                 )
             )
         return network

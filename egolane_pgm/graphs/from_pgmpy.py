@@ -53,6 +53,18 @@ def read_tables(network: DynamicBayesianNetwork) -> dict[SliceNode, Table]:
     return tables
 
 
+def read_values(network: DynamicBayesianNetwork) -> dict[str, tuple[str, ...]]:
+    """The names of the values of every node that has names other than pgmpy's own, 0, 1, ..."""
+    names: dict[str, tuple[str, ...]] = {}
+    for cpd in network.cpds:
+        node, given = _plain(cpd.variable)[0], list(cpd.state_names[cpd.variable])
+        if given != list(range(len(given))):
+            named = tuple(map(str, given))
+            if names.setdefault(node, named) != named:
+                raise InputError(f"{node}: the names of its values differ between the slices")
+    return names
+
+
 def _plain(node: Any) -> SliceNode:
     return (str(node[0]), int(node[1]))
 

@@ -13,14 +13,15 @@ persistent nodes.
 from __future__ import annotations
 
 import math
+import warnings
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
 
-from egolane_pgm.graphs.cpds import SliceNode, Table, ve_name
-from egolane_pgm.graphs.from_pgmpy import read_tables
+from egolane_pgm.graphs.cpds import SliceNode, Table, declare, ve_name
+from egolane_pgm.graphs.from_pgmpy import read_tables, read_values
 from egolane_pgm.types import FloatArray, InputError, IntArray, Observed, suggestion
 
 if TYPE_CHECKING:
@@ -59,6 +60,9 @@ class Compiled:
     transition (U, S, S): row is the state before.
     groups: the emissions.
     places: where the entries of each table go.
+    tables: the table of every node in both slices, with its present numbers; those of virtual-
+        evidence nodes are not among them.
+    values: the names of each of these nodes' values.
     """
 
     hidden: tuple[str, ...]
@@ -70,7 +74,8 @@ class Compiled:
     transition: FloatArray
     groups: tuple[Group, ...]
     places: Mapping[SliceNode, Placement]
-    _functions: Mapping[SliceNode, Table]
+    tables: Mapping[SliceNode, Table]
+    values: Mapping[str, tuple[str, ...]]
 
     @property
     def n_states(self) -> int:
@@ -78,9 +83,19 @@ class Compiled:
         return int(self.node_value.shape[1])
 
     @property
+    def functions(self) -> tuple[str, ...]:
+        """The hidden nodes that are functions of others."""
+        return tuple(name for name in self.hidden if name not in self.state_nodes)
+
+    @property
     def observed(self) -> tuple[Observed, ...]:
         """The keys that the evidence must have."""
         return tuple(key for group in self.groups for key in group.observed)
+
+    @property
+    def network(self) -> DynamicBayesianNetwork:
+        """The network in pgmpy, declared anew from the tables, with the names of the values."""
+        return declare(self.tables.values(), self.observed, self.values)
 
 
 @dataclass(frozen=True)
@@ -100,14 +115,32 @@ def compile_network(
     hidden: Sequence[str],
     observed: Sequence[Observed],
     inputs: Sequence[str] = (),
+    values: Mapping[str, Sequence[str]] | None = None,
 ) -> Compiled:
     """The arrays of a declared network.
 
-    Raises InputError, naming the node, for anything that the filters could not honour.
+    - values: names of nodes' values, in place of those that the network gives. Where neither gives
+      any, those of Lane count from 1 and those of any other node from 0.
+
+    Warns of observed nodes without a virtual-evidence child, which is added. Raises InputError,
+    naming the node, for anything that the filters could not honour.
     """
-    tables = read_tables(network)
-    roles = Roles(tables, tuple(hidden), tuple(observed), tuple(inputs))
-    return _assemble(roles, tables)
+    roles = Roles(read_tables(network), hidden, observed, inputs)
+    return _assemble(roles, _value_names(roles, {**read_values(network), **(values or {})}))
+
+
+def _value_names(roles: Roles, given: Mapping[str, Sequence[str]]) -> dict[str, tuple[str, ...]]:
+    names = {}
+    for node, size in roles.cardinality.items():
+        if node in roles.ve:
+            continue
+        first = 1 if node == "Lane" else 0
+        names[node] = tuple(map(str, given.get(node, range(first, first + size))))
+        if len(set(names[node])) != size or len(names[node]) != size:
+            raise InputError(
+                f"{node}: has {size} values, but their names are {', '.join(names[node])}"
+            )
+    return names
 
 
 def with_tables(compiled: Compiled, tables: Iterable[Table]) -> Compiled:
@@ -127,15 +160,17 @@ def with_tables(compiled: Compiled, tables: Iterable[Table]) -> Compiled:
         first = by_node.get((node[0], 0), table)
         if place.kind == "emission" and first is not table and not same_within(first, table):
             raise InputError(f"{node[0]}: its table differs between the slices")
-    for node, fixed in compiled._functions.items():
-        if node in by_node and not _is_equal(by_node[node], fixed):
+    for node in ((name, s) for name in compiled.functions for s in (0, 1)):
+        fixed = compiled.tables[node]
+        if not _is_equal(by_node.get(node, fixed), fixed):
             raise InputError(f"{node[0]}: another function needs the network compiled anew")
     prior, transition, emissions = _fill(compiled, by_node)
     groups = tuple(
         replace(group, emission=emission)
         for group, emission in zip(compiled.groups, emissions, strict=True)
     )
-    return replace(compiled, prior=prior, transition=transition, groups=groups)
+    now = {node: by_node.get(node, table) for node, table in compiled.tables.items()}
+    return replace(compiled, prior=prior, transition=transition, groups=groups, tables=now)
 
 
 def _aligned(table: Table, place: Placement) -> Table:
@@ -155,7 +190,8 @@ def _is_equal(table: Table, other: Table) -> bool:
     return table.parents == other.parents and np.array_equal(table.values, other.values)
 
 
-def _assemble(roles: Roles, tables: Mapping[SliceNode, Table]) -> Compiled:
+def _assemble(roles: Roles, values: Mapping[str, tuple[str, ...]]) -> Compiled:
+    tables = {node: table for node, table in roles.tables.items() if node[0] not in roles.ve}
     n_states = len(roles.values[roles.state[0]])
     n_inputs = math.prod(roles.cardinality[n] for n in roles.inputs)
     groups = [_group(roles, keys) for keys in _joined(roles)]
@@ -204,7 +240,8 @@ def _assemble(roles: Roles, tables: Mapping[SliceNode, Table]) -> Compiled:
         np.ones((n_inputs, n_states, n_states)),
         tuple(groups),
         plan,
-        {(name, s): tables[name, s] for name in roles.functions for s in (0, 1)},
+        tables,
+        values,
     )
     return with_tables(blank, tables.values())
 
@@ -270,14 +307,14 @@ class Roles:
     def __init__(
         self,
         tables: Mapping[SliceNode, Table],
-        hidden: tuple[str, ...],
-        observed: tuple[Observed, ...],
-        inputs: tuple[str, ...],
+        hidden: Sequence[str],
+        observed: Sequence[Observed],
+        inputs: Sequence[str],
     ) -> None:
         self.tables = tables
-        self.hidden = hidden
-        self.observed = observed
-        self.inputs = inputs
+        self.hidden = tuple(hidden)
+        self.observed = tuple(observed)
+        self.inputs = tuple(inputs)
         self.cardinality = {name: t.values.shape[-1] for (name, _), t in tables.items()}
         names = set(self.cardinality)
         self.ve = {ve_name(key): (key,) if isinstance(key, str) else key for key in observed}
@@ -290,9 +327,6 @@ class Roles:
                 raise InputError(
                     f"{name}: declared, but not a node of the network{suggestion(name, names)}"
                 )
-        for name in self.ve:
-            if name not in names:
-                raise InputError(f"{name}: an observed node needs this virtual-evidence child")
         known = {*hidden, *inputs, *listed, *self.ve}
         for name in sorted(names - known):
             raise InputError(f"{name}: neither hidden, observed, input nor virtual evidence")
@@ -312,6 +346,7 @@ class Roles:
         self._check_leaves(across)
         self._check_inputs(across)
         self._check_ve()
+        self._add_ve()
         if not self.state:
             raise InputError(
                 f"no hidden node ({', '.join(hidden) or 'none declared'}) has an edge across the"
@@ -373,6 +408,8 @@ class Roles:
 
     def _check_ve(self) -> None:
         for name, of in self.ve.items():
+            if name not in self.cardinality:
+                continue
             if self.cardinality[name] != 2:
                 raise InputError(f"{name}: a virtual-evidence node is binary")
             for s in (0, 1):
@@ -382,6 +419,18 @@ class Roles:
                     )
             if any(p == name for t in self.tables.values() for p, _ in t.parents):
                 raise InputError(f"{name}: a virtual-evidence node may not have children")
+
+    def _add_ve(self) -> None:
+        missing = [name for name in self.ve if name not in self.cardinality]
+        for name in missing:
+            self.cardinality[name] = 2
+        if missing:
+            warnings.warn(
+                f"the network has no {', '.join(missing)}: virtual-evidence nodes that are missing"
+                " are added",
+                UserWarning,
+                stacklevel=4,
+            )
 
     def _add_functions(self) -> None:
         waiting = list(self.functions)

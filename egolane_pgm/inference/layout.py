@@ -66,8 +66,7 @@ class Layout:
 @lru_cache(maxsize=16)
 def layout(compiled: Compiled) -> Layout:
     """The layout of a network. Remembered, since an online filter asks for it in every frame."""
-    functions = [name for name in compiled.hidden if name not in compiled.state_nodes]
-    nodes = (*compiled.state_nodes, *functions)
+    nodes = (*compiled.state_nodes, *compiled.functions)
     columns, width = [], 0
     for name in nodes:
         columns.append(width + compiled.node_value[compiled.hidden.index(name)])

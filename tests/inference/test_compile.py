@@ -313,11 +313,62 @@ def test_a_mistyped_name_gets_a_suggestion() -> None:
     assert message.endswith("(did you mean 'Lane'?)")
 
 
-def test_an_observed_node_without_its_virtual_evidence_child_is_refused() -> None:
-    message = refused(simple_tables(), ("A",), ("D",), declared=[])
-    assert message == "D_ve: an observed node needs this virtual-evidence child"
-    message = refused(simple_tables(), ("A",), (("A", "D"),), declared=["D"])
-    assert message.startswith("A+D_ve: ")
+def test_missing_virtual_evidence_children_are_added_and_said() -> None:
+    observed = ("D", ("A", "D"))
+    with pytest.warns(
+        UserWarning, match=r"no A\+D_ve: virtual-evidence nodes that are missing are"
+    ):
+        compiled = compile_network(declare(simple_tables(), ["D"]), ["A"], observed)
+    assert {("D_ve", 0), ("A+D_ve", 1)} <= set(compiled.network.nodes())
+    whole = compile_network(declare(simple_tables(), observed), ["A"], observed)
+    evidence = draw_evidence(whole, 3, np.random.default_rng(0))
+    right = {m: filter_beliefs(whole, evidence, m) for m in METHODS}
+    assert_filters_agree(compiled, evidence, right)
+
+
+def test_the_tables_are_those_of_every_node_and_change_with_the_numbers() -> None:
+    compiled = compiled_simple()
+    assert {node: table.values.tolist() for node, table in compiled.tables.items()} == {
+        table.node: table.values.tolist() for table in simple_tables()
+    }
+    changed = [t for t in simple_tables() if t.node != ("A", 1)]
+    changed += dynamics("A", [previous("A")], KEEP[::-1])
+    renewed = with_tables(compiled, changed)
+    np.testing.assert_array_equal(renewed.tables["A", 1].values, KEEP[::-1])
+    np.testing.assert_array_equal(compiled.tables["A", 1].values, KEEP)
+
+
+def test_values_have_the_names_of_the_network_or_those_given_and_lanes_count_from_one() -> None:
+    tables = simple_tables("Lane")
+    plain = compile_network(declare(tables, ["D"]), ["Lane"], ["D"])
+    assert plain.values == {"Lane": ("1", "2"), "D": ("0", "1")}
+    named = declare(tables, ["D"], {"D": ("left", "right")})
+    of_network = compile_network(named, ["Lane"], ["D"])
+    assert of_network.values == {"Lane": ("1", "2"), "D": ("left", "right")}
+    given = compile_network(named, ["Lane"], ["D"], values={"D": ("a", "b")})
+    assert given.values["D"] == ("a", "b")
+    for names in (("a", "b", "c"), ("a", "a")):
+        with pytest.raises(InputError, match="D: has 2 values, but their names are a, "):
+            compile_network(named, ["Lane"], ["D"], values={"D": names})
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_the_network_of_a_compiled_graph_is_the_one_that_was_compiled(seed: int) -> None:
+    graph = draw_graph(np.random.default_rng(seed))
+    compiled = graph.compiled()
+    network = compiled.network
+    right = declare(graph.tables, graph.observed)
+    assert set(network.edges()) == set(right.edges())
+    for cpd in right.cpds:
+        ours = network.get_cpds(cpd.variable)
+        assert ours.variables == cpd.variables
+        np.testing.assert_array_equal(ours.values, cpd.values)
+        name = cpd.variable[0]
+        if name in compiled.values:
+            assert ours.state_names[cpd.variable] == list(compiled.values[name])
+    again = compile_network(network, graph.hidden, graph.observed, graph.inputs)
+    assert again.values == compiled.values
+    np.testing.assert_array_equal(again.transition, compiled.transition)
 
 
 def test_a_stray_node_is_refused() -> None:
