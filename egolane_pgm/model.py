@@ -8,6 +8,7 @@ from collections import OrderedDict
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
+from pathlib import Path
 from types import ModuleType
 from typing import TYPE_CHECKING, Any
 
@@ -19,7 +20,7 @@ from egolane_pgm.inference.filtering import filter_beliefs, read_evidence
 from egolane_pgm.inference.smoothing import infer_beliefs
 from egolane_pgm.loading import Recorded, load_recording, with_video_rate
 from egolane_pgm.parameters import Parameter, Value, resolve_parameters
-from egolane_pgm.plugins import load_plugin, plugin_errors
+from egolane_pgm.plugins import load_plugin, plugin_errors, plugin_place
 from egolane_pgm.types import (
     Beliefs,
     BoolArray,
@@ -52,6 +53,16 @@ class Model:
     parameters: Mapping[str, Value]
     compiled: Compiled
     n_lanes: int
+
+    def __getstate__(self) -> dict[str, Any]:
+        # Modules cannot be pickled: a name or a file stands for each.
+        rule, graph = plugin_place(self.rule), plugin_place(self.graph)
+        return {**self.__dict__, "rule": rule, "graph": graph}
+
+    def __setstate__(self, state: Mapping[str, Any]) -> None:
+        rule = load_plugin("evidence", state["rule"], Path(), "evidence")
+        graph = load_plugin("graphs", state["graph"], Path(), "graph")
+        self.__dict__.update({**state, "rule": rule, "graph": graph})
 
     @property
     def network(self) -> DynamicBayesianNetwork:

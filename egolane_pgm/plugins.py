@@ -93,6 +93,14 @@ def load_plugin(folder: str, name: str, base: Path, where: str) -> ModuleType:
     return module
 
 
+def plugin_place(module: ModuleType) -> str:
+    """What `load_plugin` takes for a plugin that it loaded: the name of one of the package's, or
+    the whole path of a user's own file."""
+    if module.__name__.startswith(_OWN):
+        return str(module.__file__)
+    return module.__name__.rpartition(".")[2]
+
+
 def source_files(module: ModuleType) -> list[Path]:
     """The files that a plugin's code stands in: several where the plugin is a folder."""
     file = Path(str(module.__file__))

@@ -50,7 +50,7 @@ from egolane_pgm.files import (
     write_parquet,
     write_yaml,
 )
-from egolane_pgm.types import BoolArray, FloatArray, InputError, IntArray
+from egolane_pgm.types import UNASSIGNED, BoolArray, FloatArray, InputError, IntArray
 
 SCHEMA_VERSION = 1
 
@@ -69,6 +69,8 @@ class Result:
     is_crossing (T,): whether the car is changing lanes.
     log_evidence (T,): natural logarithm.
     is_impossible (T,): marks frames whose evidence the model does not allow.
+    block (T,): where a comparison believed each block with what was found without it, the frame's
+        block; else None.
     """
 
     directory: Path
@@ -86,11 +88,33 @@ class Result:
     is_crossing: BoolArray
     log_evidence: FloatArray
     is_impossible: BoolArray
+    block: IntArray | None = None
 
     @property
     def n_lanes(self) -> int:
         """Number of lanes."""
         return int(self.run["n_lanes"])
+
+    def columns(self) -> dict[str, np.ndarray[Any, Any]]:
+        """The columns of beliefs.parquet, (T,) each, in their order; masked arrays have nulls."""
+        columns: dict[str, np.ndarray[Any, Any]] = {
+            "frame_id": self.frame_id,
+            "time_s": self.time_s,
+        }
+        for node, names in self.values.items():
+            for k, name in enumerate(names):
+                columns[f"{node}_{name}"] = self.marginals[node][:, k]
+        columns["assigned_lane"] = self.assigned_lane
+        if self.tentative is not None and self.detector_lane is not None:
+            for k in range(self.n_lanes):
+                columns[f"detector_{k + 1}"] = self.tentative[:, k]
+            columns["detector_lane"] = self.detector_lane
+        columns["log_evidence"] = self.log_evidence
+        columns["is_impossible"] = self.is_impossible
+        unknown = self.true_lane == UNASSIGNED
+        columns["true_lane"] = np.ma.masked_array(self.true_lane, unknown)
+        columns["is_crossing"] = np.ma.masked_array(self.is_crossing, unknown)
+        return columns if self.block is None else {**columns, "block": self.block}
 
 
 def check_writable(directory: Path) -> None:
@@ -121,26 +145,22 @@ def staged(directory: Path) -> Iterator[Path]:
         yield temporary
 
 
-def write_result(
-    directory: Path,
-    *,
-    experiment: Mapping[str, Any],
-    run: Mapping[str, Any],
-    scores: Mapping[str, Any],
-    columns: Mapping[str, np.ndarray[Any, Any]],
-) -> None:
-    """Write the four files into `directory`. columns: those of beliefs.parquet, (T,) each;
-    masked arrays have nulls."""
+def write_result(directory: Path, result: Result, experiment: Mapping[str, Any]) -> None:
+    """Write the four files of a result into `directory`.
+
+    - experiment: what experiment.yaml says, see `running.portable`.
+    """
     import pyarrow as pa
 
     write_yaml(directory / "experiment.yaml", experiment)
     arrays = {
         name: pa.array(np.asarray(c), mask=c.mask if isinstance(c, np.ma.MaskedArray) else None)
-        for name, c in columns.items()
+        for name, c in result.columns().items()
     }
     write_parquet(directory / "beliefs.parquet", pa.table(arrays))
-    write_json(directory / "scores.json", {"schema_version": SCHEMA_VERSION, **scores})
-    write_json(directory / "run.json", {"schema_version": SCHEMA_VERSION, **run})
+    version = {"schema_version": SCHEMA_VERSION}
+    write_json(directory / "scores.json", {**version, **result.scores})
+    write_json(directory / "run.json", {**version, **result.run})
 
 
 def read_result(directory: str | Path) -> Result:
@@ -199,6 +219,7 @@ def _as_result(directory: Path, experiment: Any, run: Any, scores: Any, table: A
         column["is_crossing"].fill_null(False).to_numpy(zero_copy_only=False),
         column["log_evidence"].to_numpy(),
         column["is_impossible"].to_numpy(zero_copy_only=False),
+        column["block"].to_numpy() if "block" in column else None,
     )
 
 
@@ -264,7 +285,7 @@ def git_state() -> dict[str, Any] | None:
         return done.stdout.strip() if done.returncode == 0 else None
 
     # An installed package may lie in somebody else's checkout: that commit says nothing of ours.
-    if git("ls-files", "--error-unmatch", "run.py") is None:
+    if git("ls-files", "--error-unmatch", Path(__file__).name) is None:
         return None
     commit, status = git("rev-parse", "HEAD"), git("status", "--porcelain")
     return {"commit": commit, "dirty": bool(status)} if commit else None

@@ -18,6 +18,7 @@ from egolane_pgm.experiment import (
     load_experiment,
     resolved,
 )
+from egolane_pgm.files import plain
 from egolane_pgm.inference.smoothing import infer_beliefs
 from egolane_pgm.inference.viterbi import disagreement, viterbi_path
 from egolane_pgm.loading import Recorded, as_name, data_entries, load_recording, with_video_rate
@@ -25,6 +26,8 @@ from egolane_pgm.model import Model, causality, make_evidence, prepare_model, va
 from egolane_pgm.parallel import in_order
 from egolane_pgm.plugins import OWN_FILES, source_files
 from egolane_pgm.results import (
+    SCHEMA_VERSION,
+    Result,
     check_writable,
     provenance,
     staged,
@@ -139,21 +142,24 @@ def save_run(run: Run, directory: str | Path, draw: Callable[[Path], None] | Non
     Raises InputError where the directory cannot be written. Where only the figures cannot be drawn
     it raises InputError too, and the result is kept without them.
     """
+    return save_result(result_of(run), run.experiment, run.model, directory, draw)
+
+
+def save_result(
+    result: Result,
+    experiment: Experiment,
+    model: Model,
+    directory: str | Path,
+    draw: Callable[[Path], None] | None = None,
+) -> Path:
+    """Write the result of an experiment as `save_run` does.
+
+    - experiment: knows the folder in which the files lie that the result's config names.
+    """
     directory = Path(directory)
     undrawn: InputError | None = None
-    content = resolved(run.experiment, run.model.parameters)
     with staged(directory) as folder:
-        write_result(
-            folder,
-            experiment=portable(run.experiment, run.model, content, folder),
-            run=provenance_of(
-                run.experiment, run.model, run.recorded, run.beliefs, content, run.notes
-            ),
-            scores=summary(run),
-            columns=belief_columns(
-                run.experiment, run.model, run.recorded, run.beliefs, run.tentative, run.assigned
-            ),
-        )
+        write_result(folder, result, portable(experiment, model, result.experiment, folder))
         try:
             if draw is not None:
                 draw(folder)
@@ -163,6 +169,22 @@ def save_run(run: Run, directory: str | Path, draw: Callable[[Path], None] | Non
     if undrawn is not None:
         raise InputError(f"{undrawn}; the result without figures is in {directory}")
     return directory
+
+
+def result_of(run: Run) -> Result:
+    """What the result directory of a run says."""
+    content = resolved(run.experiment, run.model.parameters)
+    return make_result(
+        run.experiment,
+        run.model,
+        run.recorded,
+        run.beliefs,
+        run.tentative,
+        run.assigned,
+        content=content,
+        scores=summary(run),
+        notes=run.notes,
+    )
 
 
 def portable(
@@ -177,7 +199,7 @@ def portable(
     portable = {**content}
     for key, module in (("evidence", model.rule), ("graph", model.graph)):
         if str(content[key]).endswith(OWN_FILES) and module.__file__:
-            copy = f"{key}_{Path(module.__file__).name}"
+            copy = f"{key}_{Path(module.__file__).name.removeprefix(f'{key}_')}"
             shutil.copyfile(module.__file__, folder / copy)
             portable[key] = f"./{copy}"
     for key in ("recording", "ground_truth"):
@@ -256,42 +278,57 @@ def provenance_of(
     }
 
 
-def belief_columns(
+def make_result(
     experiment: Experiment,
     model: Model,
     recorded: Recorded,
     beliefs: Beliefs,
     tentative: FloatArray | None,
     assigned: IntArray | None = None,
-) -> dict[str, np.ndarray[Any, Any]]:
-    """The columns of beliefs.parquet, (T,) each, as `results` documents them.
+    *,
+    content: Mapping[str, Any],
+    scores: Mapping[str, Any],
+    notes: Sequence[str],
+    found: Mapping[str, Any] | None = None,
+    block: IntArray | None = None,
+) -> Result:
+    """What a result directory says.
 
     - beliefs, tentative: of the T frames of the log.
     - assigned: (T,) the lanes that are answered; by default those that the beliefs assign.
+    - content: the resolved config.
+    - notes: the warnings, a line each.
+    - found: keys of run.json beside those of `provenance_of`, or in their place.
+    - block: (T,) see `Result`.
     """
     log, truth = recorded.log, recorded.truth
-    columns: dict[str, np.ndarray[Any, Any]] = {"frame_id": log.frame_id, "time_s": log.time_s}
-    for node, names in value_names(model).items():
-        for k, name in enumerate(names):
-            columns[f"{node}_{name}"] = beliefs.marginals[node][:, k]
     if assigned is None:
         assigned = assigned_lane(beliefs.lane, experiment.unassigned_below)
-    columns["assigned_lane"] = assigned
-    if tentative is not None:
-        for k in range(experiment.n_lanes):
-            columns[f"detector_{k + 1}"] = tentative[:, k]
-        columns["detector_lane"] = assigned_lane(tentative)
-    columns["log_evidence"] = beliefs.log_evidence
-    columns["is_impossible"] = beliefs.is_impossible
     lane = np.full(len(log), UNASSIGNED)
     crossing = np.zeros(len(log), dtype=bool)
     if truth is not None:
         lane[recorded.scored] = truth.lane
         crossing[recorded.scored] = truth.is_crossing
-    unknown = lane == UNASSIGNED
-    columns["true_lane"] = np.ma.masked_array(lane, unknown)
-    columns["is_crossing"] = np.ma.masked_array(crossing, unknown)
-    return columns
+    values = value_names(model)
+    run = provenance_of(experiment, model, recorded, beliefs, content, notes)
+    return Result(
+        Path(experiment.source),
+        content,
+        plain({"schema_version": SCHEMA_VERSION, **run, **(found or {})}),
+        plain({"schema_version": SCHEMA_VERSION, **scores}),
+        log.frame_id,
+        log.time_s,
+        {node: beliefs.marginals[node] for node in values},
+        {node: tuple(names) for node, names in values.items()},
+        tentative,
+        assigned,
+        None if tentative is None else assigned_lane(tentative),
+        lane,
+        crossing,
+        beliefs.log_evidence,
+        beliefs.is_impossible,
+        block,
+    )
 
 
 def plugin_files(model: Model) -> dict[str, dict[str, str]]:

@@ -33,6 +33,7 @@ from egolane_pgm.results import write_result
 from egolane_pgm.simulation import simulate
 from egolane_pgm.types import InputError
 from tests.kits.drives import done
+from tests.kits.tiny_result import a_result
 
 DRIVE = simulate("quickstart", frames=60)
 OTHER = simulate("quickstart", seed=1, frames=300)
@@ -191,8 +192,7 @@ def test_a_directory_is_replaced_whole_or_not_at_all(
 
 def test_the_files_of_a_result_keep_the_umask(tmp_path: Path, umask: Callable[[int], int]) -> None:
     umask(0o077)
-    columns = {"frame_id": np.arange(3)}
-    write_result(tmp_path, experiment={"name": "x"}, run={}, scores={}, columns=columns)
+    write_result(tmp_path, a_result(), {"name": "x"})
     modes = {stat.S_IMODE(path.stat().st_mode) for path in tmp_path.iterdir()}
     assert modes == {0o600}
 

@@ -15,8 +15,8 @@ from egolane_pgm.comparing.side import Side
 from egolane_pgm.experiment import resolved
 from egolane_pgm.files import make_directory, write_json
 from egolane_pgm.model import causality
-from egolane_pgm.results import SCHEMA_VERSION, staged, write_result
-from egolane_pgm.running import belief_columns, portable, provenance_of
+from egolane_pgm.results import SCHEMA_VERSION
+from egolane_pgm.running import make_result, save_result
 from egolane_pgm.types import FloatArray
 
 
@@ -43,22 +43,24 @@ def save_comparison(
         rows = np.arange(len(side.drive))
         annotated = replace(recorded, log=recorded.log.take(recorded.scored), scored=rows)
         notes = [*recorded.notes, *side.notes]
-        found = {
-            **provenance_of(experiment, model, annotated, side.beliefs, content, notes),
-            "fit": experiment.fit,
-            "blocks": part["blocks"],
-            "parameters_per_block": [dict(found) for found in side.held_out.parameters],
-            "tuned_on": side.tuned_on,
-            **causality(experiment, model, side.held_out.parameters),
-        }
-        columns = belief_columns(experiment, model, annotated, side.beliefs, tentative)
-        with staged(folder / experiment.name) as directory:
-            write_result(
-                directory,
-                experiment=portable(experiment, model, content, directory),
-                run=found,
-                scores={"name": experiment.name, "held_out": entry},
-                columns={**columns, "block": side.held_out.block},
-            )
+        result = make_result(
+            experiment,
+            model,
+            annotated,
+            side.beliefs,
+            tentative,
+            content=content,
+            scores={"name": experiment.name, "held_out": entry},
+            notes=notes,
+            found={
+                "fit": experiment.fit,
+                "blocks": part["blocks"],
+                "parameters_per_block": [dict(found) for found in side.held_out.parameters],
+                "tuned_on": side.tuned_on,
+                **causality(experiment, model, side.held_out.parameters),
+            },
+            block=side.held_out.block,
+        )
+        save_result(result, experiment, model, folder / experiment.name)
     write_json(folder / "comparison.json", {"schema_version": SCHEMA_VERSION, **part})
     return folder
