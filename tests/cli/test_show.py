@@ -43,7 +43,7 @@ def test_validate_says_which_recording_is_not_there(
 def test_ls_lists_what_there_is(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(experiments_folder().parent)
     shown = done("ls").stdout
-    assert "sensor_failure, three_sensor_states, wor_direct, wor_levels, wor_on_lane" in shown
+    assert "wor_direct, wor_levels, wor_on_edge, wor_on_lane" in shown
     assert "simulations: a2, a4, quickstart" in shown
     assert "experiments/quickstart.yaml  simulated drive of two minutes" in shown
     assert len([line for line in shown.splitlines() if "paper/run" in line]) == 10

@@ -104,6 +104,85 @@ def test_an_experiment_with_levels_runs_and_one_with_the_wrong_rule_is_refused(t
     assert "evidence for WOR: shape (60, 2), the graph needs (60, 4)" in said
 
 
+@pytest.mark.parametrize("n_lanes", [1, 2, 3, 4, 5])
+def test_wor_on_edge_is_wor_on_lane_with_one_value_for_the_edges_and_one_between(
+    n_lanes: int,
+) -> None:
+    rng = np.random.default_rng(n_lanes)
+    parameters = draw_parameters(graph("wor_on_edge").PARAMETERS, n_lanes, rng)
+    where = ["edge" if lane in (1, n_lanes) else "middle" for lane in range(1, n_lanes + 1)]
+    per_lane = {p: [parameters[f"{p}_{w}"] for w in where] for p in ("p3", "p4")}
+    known = {k: v for k, v in parameters.items() if not k.startswith(("p3", "p4"))}
+    ours = compiled("wor_on_edge", n_lanes, parameters)
+    right = compiled("wor_on_lane", n_lanes, {**known, **per_lane})
+    evidence = draw_evidence(ours, 30, rng)
+    for method in METHODS:
+        assert_same_beliefs(
+            filter_beliefs(ours, evidence, method), filter_beliefs(right, evidence, method), 1e-12
+        )
+
+
+@pytest.mark.parametrize("n_lanes", [1, 3, 4])
+def test_a_detector_that_never_repeats_itself_is_the_papers_graph(n_lanes: int) -> None:
+    rng = np.random.default_rng(n_lanes)
+    parameters = draw_parameters(graph("sensor_failure").PARAMETERS, n_lanes, rng)
+    never = {"p_repeat_ok": 0.0, "p_repeat_bad": 0.0}
+    paper = compiled("sensor_failure", n_lanes, parameters)
+    ours = compiled("autoregressive", n_lanes, {**parameters, **never})
+    evidence = draw_evidence(paper, 30, rng)
+    right = filter_beliefs(paper, evidence, "exact")
+    found = filter_beliefs(ours, evidence, "exact")
+    np.testing.assert_array_equal(found.is_impossible, right.is_impossible)
+    np.testing.assert_allclose(found.log_evidence, right.log_evidence, rtol=0, atol=1e-12)
+    for node in ("Lane", "SensorState"):
+        np.testing.assert_allclose(found.marginals[node], right.marginals[node], rtol=0, atol=1e-12)
+
+
+def test_an_answer_that_is_repeated_says_nothing_new_of_the_lane() -> None:
+    """A sensor that is OK for good and always repeats itself says lane 1 in twenty frames."""
+    given = {"sigma1": 1e-3, "sigma2": 1.0, "p1": 1.0, "p2": 0.0}
+    said = np.eye(3)[np.zeros(20, dtype=int)]
+    evidence = Evidence({"DetectorOutput": said, "WOR": np.tile([1.0, 0.0], (20, 1))})
+    anew = filter_beliefs(compiled("sensor_failure", 3, given), evidence, "exact").lane
+    repeats = compiled("autoregressive", 3, {**given, "p_repeat_ok": 1.0})
+    repeated = filter_beliefs(repeats, evidence, "exact").lane
+    np.testing.assert_allclose(repeated[1:], np.tile(repeated[1], (19, 1)), atol=1e-12)
+    assert repeated[-1, 0] < 0.9 < 0.999 < anew[-1, 0]
+
+
+@pytest.mark.parametrize("n_lanes", [1, 3, 4])
+def test_a_failure_of_one_phase_is_the_papers_graph(n_lanes: int) -> None:
+    rng = np.random.default_rng(n_lanes)
+    parameters = draw_parameters(graph("sensor_failure").PARAMETERS, n_lanes, rng)
+    paper = compiled("sensor_failure", n_lanes, parameters)
+    ours = compiled("failure_duration", n_lanes, {**parameters, "failure_phases": 1})
+    evidence = draw_evidence(paper, 30, rng)
+    for method in METHODS:
+        right = filter_beliefs(paper, evidence, method)
+        found = filter_beliefs(ours, evidence, method)
+        for node in ("Lane", "SensorState"):
+            np.testing.assert_allclose(
+                found.marginals[node], right.marginals[node], rtol=0, atol=1e-12
+            )
+
+
+@pytest.mark.parametrize(("p2", "mean"), [(0.9, 10), (0.99, 100), (0.5, 3)])
+def test_a_failure_of_three_phases_keeps_its_mean_duration(p2: float, mean: float) -> None:
+    """A failure that begins lasts 1 / (1 - p2) frames on average, but a frame for each phase at
+    least; its variance is that of three durations of a third each."""
+    module = graph("failure_duration")
+    parameters = resolve_parameters(module.PARAMETERS, {"p2": p2}, 3)
+    moves = {t.node: t.values for t in module.tables(3, parameters)}["Phase", 1]
+    phases, longer_than = np.array([1.0, 0.0, 0.0]), []
+    for _ in range(5000):
+        longer_than.append(phases.sum())
+        phases = phases @ moves[1:, 1:]
+    first = np.sum(longer_than)
+    second = np.sum((2 * np.arange(5000) + 1) * longer_than)
+    assert first == pytest.approx(mean)
+    assert second - first**2 == pytest.approx(3 * (mean / 3) * (mean / 3 - 1), abs=1e-6)
+
+
 def test_a_worn_sensor_has_its_own_sigma_and_leaves_for_each_other_state_alike() -> None:
     module = graph("three_sensor_states")
     given = {"p1": 0.8, "p_worn": 0.6, "p2": 0.9, "p3_worn": 0.3, "sigma2_worn": 2.0}
