@@ -1,43 +1,288 @@
-"""Reads a pgmpy network into tables with named axes."""
+"""Reads a pgmpy network, or a file that pgmpy reads, into tables with named axes.
+
+Axes go by the names of the nodes, and where a CPD names the values of a node, by these names too;
+never by position. What is read is one of
+
+- a `DynamicBayesianNetwork`, before or after its `initialize_initial_state()`;
+- a `DiscreteBayesianNetwork` of two slices, whose nodes are named `Lane_0` and `Lane_1`, or
+  ("Lane", 0) and ("Lane", 1), as `get_constant_bn()` and BIF files have them;
+- a `DiscreteBayesianNetwork` of one slice, and the CPDs of the transition.
+
+A table that one slice lacks is that of the other slice, where the node has the same parents there.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Iterable
-from typing import TYPE_CHECKING, Any
+import graphlib
+import re
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from types import ModuleType
+from typing import Any
 
 import numpy as np
 
-from egolane_pgm.graphs.cpds import SliceNode, Table
-from egolane_pgm.types import InputError
+from egolane_pgm.files import read_text
+from egolane_pgm.graphs.cpds import SliceNode, Table, quiet
+from egolane_pgm.types import FloatArray, InputError, suggestion
 
-if TYPE_CHECKING:
-    from pgmpy.models import DynamicBayesianNetwork
+#: How the names of files end that pgmpy reads: BIF and XMLBIF.
+NETWORK_FILES = (".bif", ".xmlbif", ".xml")
+
+#: A row whose sum is off by no more than this was rounded, and is divided by its sum; pgmpy's own
+#: check allows as much.
+ROUNDED = 0.01
 
 
-def read_tables(network: DynamicBayesianNetwork) -> dict[SliceNode, Table]:
-    """Every CPD as a Table with named axes, checked against the network's edges."""
-    names = dict.fromkeys(_plain(n)[0] for n in network.nodes())
-    parents: dict[SliceNode, set[SliceNode]] = {(n, s): set() for n in names for s in (0, 1)}
-    for start, end in network.edges():
-        parents[_plain(end)].add(_plain(start))
+@dataclass(frozen=True)
+class Declared:
+    """What a network declares.
+
+    - tables: the table of every node in both slices
+    - values: the names of the values of each node that has other names than pgmpy's own, 0, 1, ...
+    """
+
+    tables: Mapping[SliceNode, Table]
+    values: Mapping[str, tuple[str, ...]]
+
+
+def read_network(network: Any, transition: Sequence[Any] | None = None) -> Declared:
+    """Read a pgmpy network, or a file that pgmpy reads.
+
+    - network: one of those above, or the name of a BIF or XMLBIF file.
+    - transition: for a network of one slice, pgmpy's `TabularCPD`s of (name, 1) given (name, 0) and
+      (name, 1). Every other node depends on its own slice only, as the network says.
+
+    Raises InputError, naming the node, for what is not discrete, has no tables or tables that do
+    not fit its edges or each other, and for edges that form a cycle or lead back in time.
+    """
+    if isinstance(network, (str, Path)):
+        path = Path(network)
+        read = read_file(path)
+        try:
+            return read_network(read, transition)
+        except InputError as error:
+            raise InputError(f"{path}: {error}") from error
+    parents, cpds = _structure(network, transition)
+    _check_order(parents)
+    if not cpds:
+        raise InputError("the network has no tables: give each node a TabularCPD with add_cpds")
+    cpds = [cpd for cpd in cpds if not _is_misplaced_copy(cpd, cpds, parents)]
+    values = _value_names(cpds)
+    tables = _tables(cpds, values, parents)
+    _check_sizes(tables)
+    return Declared(tables, values)
+
+
+# --- networks -----------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class _Cpd:
+    """One of pgmpy's CPDs: an axis for each node, its own first, and the names of their values."""
+
+    nodes: tuple[SliceNode, ...]
+    names: tuple[tuple[Any, ...], ...]
+    values: FloatArray
+
+
+#: The parents of each node, in pgmpy's order.
+_Parents = dict[SliceNode, list[SliceNode]]
+
+
+def _structure(network: Any, transition: Sequence[Any] | None) -> tuple[_Parents, list[_Cpd]]:
+    """The parents of every node in both slices, and the CPDs that there are."""
+    with quiet():
+        from pgmpy.models import DiscreteBayesianNetwork, DynamicBayesianNetwork
+
+    if isinstance(network, DynamicBayesianNetwork):
+        if transition is not None:
+            raise InputError("transition: goes with a network of one slice, this one has two")
+        place = _of_slice
+    elif isinstance(network, DiscreteBayesianNetwork):
+        place = _of_slice if transition is None else _of_first
+    elif hasattr(network, "get_cpds"):
+        raise InputError(
+            f"a {type(network).__name__} is not discrete: cut its continuous nodes into intervals,"
+            " so that each has a TabularCPD"
+        )
+    else:
+        raise InputError(f"{type(network).__name__} is not a pgmpy network")
+    parents: _Parents = {place(n): list(map(place, network.predecessors(n))) for n in network}
+    cpds = [_read_cpd(cpd, place) for cpd in network.cpds]
+    for cpd in transition or ():
+        read = _read_cpd(cpd, _of_transition)
+        for name, _ in read.nodes:
+            if (name, 0) not in parents:
+                known = [n for n, _ in parents]
+                raise InputError(
+                    f"transition: {name} is not a node of the network{suggestion(name, known)}"
+                )
+        if read.nodes[0][1] == 0:
+            raise InputError(
+                f"transition: has a table of {read.nodes[0][0]} in slice 0, which the network gives"
+            )
+        parents[read.nodes[0]] = list(read.nodes[1:])
+        cpds.append(read)
+    for name, s in list(parents):
+        # A node that is not declared in one slice has the parents that it has within the other.
+        parents.setdefault((name, 1 - s), [(p, 1 - s) for p, q in parents[name, s] if q == s])
+    return parents, cpds
+
+
+def _read_cpd(cpd: Any, place: Callable[[Any], SliceNode]) -> _Cpd:
+    if not hasattr(cpd, "state_names"):
+        raise InputError(
+            f"{place(cpd.variable)[0]}: has a {type(cpd).__name__}, not a TabularCPD; a continuous"
+            " node has to be cut into intervals"
+        )
+    return _Cpd(
+        tuple(map(place, cpd.variables)),
+        tuple(tuple(cpd.state_names[v]) for v in cpd.variables),
+        np.asarray(cpd.values, dtype=np.float64),
+    )
+
+
+def _of_slice(node: Any) -> SliceNode:
+    """The name and the slice of a node of two slices."""
+    match = re.fullmatch(r"(.+)_([01])", node) if isinstance(node, str) else None
+    if match is not None:
+        return match[1], int(match[2])
+    if _is_pair(node):
+        return str(node[0]), int(node[1])
+    raise InputError(
+        f"{node}: is of neither slice; name the nodes {node}_0 and {node}_1, or give a network of"
+        " one slice together with its transition"
+    )
+
+
+def _of_first(node: Any) -> SliceNode:
+    return str(node), 0
+
+
+def _of_transition(node: Any) -> SliceNode:
+    if _is_pair(node):
+        return str(node[0]), int(node[1])
+    raise InputError(
+        f"transition: a table has {node!r}; write ({node!r}, 1), and ({node!r}, 0) for the frame"
+        " before"
+    )
+
+
+def _is_pair(node: Any) -> bool:
+    """Whether a node is (name, 0) or (name, 1), as a tuple or as pgmpy's `DynamicNode`."""
+    is_pair = hasattr(node, "time_slice") or (isinstance(node, tuple) and len(node) == 2)
+    return is_pair and node[1] in (0, 1)
+
+
+def _is_misplaced_copy(cpd: _Cpd, cpds: Sequence[_Cpd], parents: _Parents) -> bool:
+    """Whether pgmpy made this CPD from that of the other slice by position.
+
+    `initialize_initial_state` copies the numbers of P(D | B, A) as they stand, but names the axes
+    in the order of the edges, which may be P(D | A, B).
+    """
+    name, s = cpd.nodes[0]
+    mirrored = tuple((n, 1 - q) for n, q in cpd.nodes)
+    for other in cpds:
+        if other.nodes[0] != mirrored[0] or sorted(other.nodes) != sorted(mirrored):
+            continue
+        if other.nodes == mirrored or not np.array_equal(other.values.ravel(), cpd.values.ravel()):
+            continue
+        by_name = other.values.transpose([other.nodes.index(n) for n in mirrored])
+        is_in_order_of_edges = list(cpd.nodes[1:]) == parents[name, s]
+        return is_in_order_of_edges and not np.array_equal(by_name, cpd.values)
+    return False
+
+
+def _check_order(parents: _Parents) -> None:
+    """Raises InputError for an edge back in time and for a cycle within a slice."""
+    for (name, s), given in parents.items():
+        for parent, before in given:
+            if before > s:
+                raise InputError(
+                    f"{name}: an edge from {parent} leads from slice 1 back to slice 0"
+                )
+    try:
+        graphlib.TopologicalSorter(parents).prepare()
+    except graphlib.CycleError as error:
+        cycle = " -> ".join(name for name, _ in error.args[1])
+        raise InputError(f"the edges within a slice form a cycle: {cycle}") from None
+
+
+# --- tables -------------------------------------------------------------------------------------
+
+
+def _value_names(cpds: Sequence[_Cpd]) -> dict[str, tuple[str, ...]]:
+    """The names of each node's values: those of its own CPD before those that a child's has."""
+    found: dict[str, tuple[str, ...]] = {}
+    own = [(cpd.nodes[0], cpd.names[0]) for cpd in cpds]
+    of_parents = [pair for cpd in cpds for pair in zip(cpd.nodes, cpd.names, strict=True)]
+    for (name, _), given in own + of_parents:
+        if not _is_numbered(given):
+            found.setdefault(name, tuple(map(str, given)))
+    return found
+
+
+def _is_numbered(names: Sequence[Any]) -> bool:
+    """Whether these are the names that pgmpy gives itself, 0, 1, ..., in any order."""
+    return set(names) == set(range(len(names))) and not any(isinstance(n, bool) for n in names)
+
+
+def _table(cpd: _Cpd, values: Mapping[str, tuple[str, ...]]) -> Table:
+    """The CPD's numbers with every axis in the order of the node's values."""
+    array = cpd.values
+    for axis, ((name, _), given) in enumerate(zip(cpd.nodes, cpd.names, strict=True)):
+        ours: list[Any] = sorted(given) if _is_numbered(given) else list(values[name])
+        given = given if _is_numbered(given) else tuple(map(str, given))
+        if len(ours) != len(given):
+            continue  # The sizes are checked later.
+        if set(ours) != set(given):
+            raise InputError(
+                f"{cpd.nodes[0][0]}: its table calls the values of {name} {', '.join(given)};"
+                f" elsewhere they are {', '.join(ours)}"
+            )
+        array = array.take([given.index(v) for v in ours], axis=axis)
+    array = np.moveaxis(array, 0, -1)
+    total = array.sum(axis=-1, keepdims=True)
+    off = np.abs(total - 1).max()
+    if 1e-9 < off <= ROUNDED:
+        array = array / total
+    return Table(cpd.nodes[0], cpd.nodes[1:], array)
+
+
+def _tables(
+    cpds: Sequence[_Cpd], values: Mapping[str, tuple[str, ...]], parents: _Parents
+) -> dict[SliceNode, Table]:
     tables: dict[SliceNode, Table] = {}
-    for cpd in network.cpds:
-        node, *given = (_plain(v) for v in cpd.variables)
+    for cpd in cpds:
+        node, given = cpd.nodes[0], cpd.nodes[1:]
         if node in tables:
             raise InputError(f"{node[0]}: two tables for slice {node[1]}")
-        if node not in parents or set(given) != parents[node]:
+        if node not in parents or set(given) != set(parents[node]):
             raise InputError(
-                f"{node[0]} in slice {node[1]}: its table is given"
-                f" {_names(given)}, its edges come from {_names(parents.get(node, set()))}"
+                f"{node[0]} in slice {node[1]}: its table is given {_names(given)}, its edges come"
+                f" from {_names(parents.get(node, ()))}"
             )
-        values = np.moveaxis(np.asarray(cpd.values, dtype=np.float64), 0, -1)
-        tables[node] = Table(node, tuple(given), values)
-    for node in parents:
-        if node not in tables:
+        tables[node] = _table(cpd, values)
+    for (name, s), edges in parents.items():
+        if (name, s) in tables:
+            continue
+        table = tables.get((name, 1 - s))
+        if table is None:
+            raise InputError(f"{name}: has no table (a TabularCPD)")
+        shifted = tuple((p, 1 - q) for p, q in table.parents)
+        if set(shifted) != set(edges):
             raise InputError(
-                f"{node[0]}: no table for slice {node[1]}; declare both slices in full"
+                f"{name}: no table for slice {s}, where its edges come from {_names(edges)}; that"
+                f" of slice {1 - s} is given {_names(table.parents)}"
             )
-    cardinality = {name: tables[name, 0].values.shape[-1] for name in names}
+        tables[name, s] = Table((name, s), shifted, table.values)
+    return tables
+
+
+def _check_sizes(tables: Mapping[SliceNode, Table]) -> None:
+    cardinality = {name: tables[name, 0].values.shape[-1] for name, _ in tables}
     for table in tables.values():
         name, size = table.node[0], table.values.shape[-1]
         if size != cardinality[name]:
@@ -50,26 +295,57 @@ def read_tables(network: DynamicBayesianNetwork) -> dict[SliceNode, Table]:
                     f"{table.node[0]}: its table has {size} rows for {parent[0]}, which has"
                     f" {cardinality[parent[0]]} values"
                 )
-    return tables
-
-
-def read_values(network: DynamicBayesianNetwork) -> dict[str, tuple[str, ...]]:
-    """The names of the values of every node that has names other than pgmpy's own, 0, 1, ..."""
-    names: dict[str, tuple[str, ...]] = {}
-    for cpd in network.cpds:
-        node, given = _plain(cpd.variable)[0], list(cpd.state_names[cpd.variable])
-        if given != list(range(len(given))):
-            named = tuple(map(str, given))
-            if names.setdefault(node, named) != named:
-                raise InputError(f"{node}: the names of its values differ between the slices")
-    return names
-
-
-def _plain(node: Any) -> SliceNode:
-    return (str(node[0]), int(node[1]))
 
 
 def _names(nodes: Iterable[SliceNode]) -> str:
     return (
         ", ".join(sorted(f"{name}[{'t' if s == 0 else 't+1'}]" for name, s in nodes)) or "nothing"
     )
+
+
+# --- files --------------------------------------------------------------------------------------
+
+
+def read_file(path: Path) -> Any:
+    """Read a BIF (.bif) or XMLBIF (.xmlbif, .xml) file as pgmpy's `DiscreteBayesianNetwork`.
+
+    Raises InputError, naming the file, where it cannot be read or is truncated.
+    """
+    if path.suffix not in NETWORK_FILES:
+        raise InputError(f"{path}: a network is read from {', '.join(NETWORK_FILES)}")
+    # pgmpy skips what it does not find: a last block without a line's end, spaces after a block.
+    text = "".join(f"{line.rstrip()}\n" for line in read_text(path).splitlines())
+    if not text.strip():
+        raise InputError(f"{path}: is empty")
+    with quiet():
+        from pgmpy.readwrite import BIFReader, XMLBIFReader
+
+        reader, kind = (BIFReader, "BIF") if path.suffix == ".bif" else (XMLBIFReader, "XMLBIF")
+        try:
+            network = reader(string=text).get_model()
+        except Exception as error:
+            # pgmpy's readers have no errors of their own: what is no network ends anyhow.
+            why = " ".join(f"{type(error).__name__}: {error}".split())
+            raise InputError(f"{path}: is no {kind} file that pgmpy can read ({why})") from error
+        without = [str(n) for n in network if network.get_cpds(n) is None]
+    if not len(network):
+        raise InputError(f"{path}: has no variable; is it a {kind} file?")
+    if without:
+        raise InputError(f"{path}: no probabilities of {', '.join(without)}; is it truncated?")
+    return network
+
+
+def load_network_file(path: Path, name: str, where: str) -> ModuleType:
+    """Make a module from a BIF or XMLBIF file of two slices, with `build` as a graph in Python.
+
+    - name: name of the new module. where: how error messages begin.
+    """
+    if not path.is_file():
+        raise InputError(f"{where}: no file {path}")
+    module = ModuleType(name)
+    try:
+        network = read_file(path)
+    except InputError as error:
+        raise InputError(f"{where}: {error}") from None
+    module.__dict__.update(__file__=str(path), build=lambda n_lanes, parameters: network)
+    return module

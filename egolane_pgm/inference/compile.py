@@ -21,7 +21,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from egolane_pgm.graphs.cpds import SliceNode, Table, declare, ve_name
-from egolane_pgm.graphs.from_pgmpy import read_tables, read_values
+from egolane_pgm.graphs.from_pgmpy import read_network
 from egolane_pgm.types import FloatArray, InputError, IntArray, Observed, suggestion
 
 if TYPE_CHECKING:
@@ -125,8 +125,9 @@ def compile_network(
     Warns of observed nodes without a virtual-evidence child, which is added. Raises InputError,
     naming the node, for anything that the filters could not honour.
     """
-    roles = Roles(read_tables(network), hidden, observed, inputs)
-    return _assemble(roles, _value_names(roles, {**read_values(network), **(values or {})}))
+    declared = read_network(network)
+    roles = Roles(declared.tables, hidden, observed, inputs)
+    return _assemble(roles, _value_names(roles, {**declared.values, **(values or {})}))
 
 
 def _value_names(roles: Roles, given: Mapping[str, Sequence[str]]) -> dict[str, tuple[str, ...]]:

@@ -16,7 +16,7 @@ import numpy as np
 
 from egolane_pgm.experiment import Experiment, Learning
 from egolane_pgm.graphs.cpds import SliceNode, Table
-from egolane_pgm.graphs.from_pgmpy import read_tables
+from egolane_pgm.graphs.from_pgmpy import read_network
 from egolane_pgm.inference.compile import Compiled, with_tables
 from egolane_pgm.inference.expected_counts import FREE, counted_tables
 from egolane_pgm.learning.em import fit_tables, with_changed
@@ -210,7 +210,7 @@ def starting_tables(model: Model, experiment: Experiment) -> list[Table]:
         if hasattr(model.graph, "tables"):
             tables: list[Table] = model.graph.tables(model.n_lanes, parameters)
             return tables
-        return list(read_tables(model.graph.build(model.n_lanes, parameters)).values())
+        return list(read_network(model.graph.build(model.n_lanes, parameters)).tables.values())
 
 
 def seen_before(model: Model, experiment: Experiment) -> list[str]:

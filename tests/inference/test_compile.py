@@ -264,7 +264,9 @@ def test_a_table_that_does_not_match_its_parents_is_refused_naming_both() -> Non
 
 def test_a_missing_table_of_the_second_slice_is_refused() -> None:
     message = edited(lambda network, _: network.cpds.remove(cpd_of(network, "A", 1)))
-    assert message == "A: no table for slice 1; declare both slices in full"
+    assert message == (
+        "A: no table for slice 1, where its edges come from A[t]; that of slice 0 is given nothing"
+    )
 
 
 def test_two_tables_for_one_node_are_refused() -> None:

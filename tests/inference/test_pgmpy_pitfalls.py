@@ -13,7 +13,7 @@ import pytest
 from egolane_pgm.graphs.cpds import Table, declare, dynamics, previous, prior, quiet, within
 from egolane_pgm.inference.compile import compile_network
 from egolane_pgm.inference.filtering import filter_beliefs
-from egolane_pgm.types import Evidence, InputError
+from egolane_pgm.types import Evidence
 from tests.conformance.networks import METHODS, assert_same_beliefs, brute_force
 
 START = np.array([0.3, 0.7])
@@ -92,7 +92,7 @@ def test_hundreds_of_improbable_frames_do_not_underflow(method: str) -> None:
     assert beliefs.log_evidence.sum() < -600 * math.log(1e8)
 
 
-def two_parents(order: tuple[str, str], both_slices: bool) -> Any:
+def two_parents(order: tuple[str, str]) -> Any:
     """A and B persist, D sees both: table P(D | B, A), the edges in `order`."""
     sees = np.array([[[0.9, 0.1], [0.6, 0.4]], [[0.3, 0.7], [0.2, 0.8]]])  # [b, a, d]
     from pgmpy.factors.discrete import TabularCPD
@@ -100,7 +100,7 @@ def two_parents(order: tuple[str, str], both_slices: bool) -> Any:
 
     network = DynamicBayesianNetwork([((n, 0), (n, 1)) for n in "AB"])
     network.add_edges_from([((n, 0), ("D", 0)) for n in order] + [(("D", 0), ("D_ve", 0))])
-    for s in (0, 1) if both_slices else (0,):
+    for s in (0, 1):
         columns = sees.reshape(-1, 2).T
         network.add_cpds(
             TabularCPD(("D", s), 2, columns, [("B", s), ("A", s)], [2, 2]),
@@ -126,26 +126,30 @@ def test_axes_keep_their_names_whatever_the_order_of_the_edges(
 ) -> None:
     soft = np.array([[0.2, 0.8], [0.9, 0.1], [0.4, 0.6]])
     with quiet():
-        network, declared = two_parents(order, both_slices=True)
+        network, declared = two_parents(order)
     compiled = compile_network(network, ["A", "B"], ["D"])
     evidence = Evidence({"D": soft})
     right = brute_force(declared, ["A", "B"], evidence, method)
     assert_same_beliefs(filter_beliefs(compiled, evidence, method), right, 1e-12)
 
 
-def test_a_slice_that_pgmpy_would_fill_in_by_position_is_refused_and_if_filled_in_so_noticed() -> (
-    None
-):
-    """`initialize_initial_state` copies P(D | B, A) to slice 1 as P(D | A, B), the edges' order,
-    without moving the axes."""
+@pytest.mark.parametrize("filled_in", [False, True], ids=["by us", "by pgmpy"])
+@pytest.mark.parametrize("given", [0, 1])
+@pytest.mark.parametrize("order", [("A", "B"), ("B", "A")])
+def test_a_table_that_one_slice_lacks_is_that_of_the_other_by_name(
+    order: tuple[str, str], given: int, filled_in: bool
+) -> None:
+    """`initialize_initial_state` copies P(D | B, A) to the other slice as P(D | A, B), the edges'
+    order, without moving the axes."""
     with quiet():
-        network, _ = two_parents(("A", "B"), both_slices=False)
-    with pytest.raises(InputError, match="D: no table for slice 1; declare both slices in full"):
-        compile_network(network, ["A", "B"], ["D"])
-    with quiet():
-        network.initialize_initial_state()
-    with pytest.raises(InputError, match="D: its table differs between the slices"):
-        compile_network(network, ["A", "B"], ["D"])
+        network, declared = two_parents(order)
+        network.remove_cpds(("D", 1 - given), ("D_ve", 1 - given))
+        if filled_in:
+            network.initialize_initial_state()
+    compiled = compile_network(network, ["A", "B"], ["D"])
+    evidence = Evidence({"D": np.array([[0.2, 0.8], [0.9, 0.1], [0.4, 0.6]])})
+    right = brute_force(declared, ["A", "B"], evidence, "exact")
+    assert_same_beliefs(filter_beliefs(compiled, evidence, "exact"), right, 1e-12)
 
 
 def test_the_network_that_is_declared_needs_nothing_filled_in_by_pgmpy() -> None:

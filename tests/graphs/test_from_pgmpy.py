@@ -1,0 +1,338 @@
+"""pgmpy networks of any form, and the files that pgmpy reads, give the same tables."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from egolane_pgm.graphs.cpds import (
+    Table,
+    binary,
+    dynamics,
+    lane_normals,
+    previous,
+    prior,
+    quiet,
+    uniform,
+    within,
+)
+from egolane_pgm.graphs.from_pgmpy import Declared, read_file, read_network
+from egolane_pgm.types import InputError
+
+with quiet():
+    from pgmpy.factors.continuous import LinearGaussianCPD
+    from pgmpy.factors.discrete import TabularCPD
+    from pgmpy.models import (
+        DiscreteBayesianNetwork,
+        DynamicBayesianNetwork,
+        LinearGaussianBayesianNetwork,
+    )
+    from pgmpy.readwrite import BIFWriter, XMLBIFWriter
+
+WITHIN = [("Lane", "Seen"), ("Sensor", "Seen"), ("Sensor", "WOR")]
+SEES = np.stack([lane_normals(0.4, 3), uniform(3, 3)])
+RIGHT = [
+    *prior("Lane", [0.2, 0.5, 0.3]),
+    *prior("Sensor", [0.9, 0.1]),
+    *dynamics("Lane", [previous("Lane")], lane_normals(0.3, 3)),
+    *dynamics("Sensor", [previous("Sensor")], binary(0.95, 0.8)),
+    *within("Seen", ["Sensor", "Lane"], SEES),
+    *within("WOR", ["Sensor"], binary(0.7, 0.6)),
+]
+NAMES = {"Lane": ["left", "middle", "right"], "Sensor": ["OK", "BAD"]}
+
+
+def cpd(table: Table, name: Callable[[tuple[str, int]], Any] = tuple, **names: list[str]) -> Any:
+    """A table as pgmpy writes it, its nodes named by `name`."""
+    nodes = (table.node, *table.parents)
+    sizes = table.values.shape
+    return TabularCPD(
+        name(table.node),
+        sizes[-1],
+        table.values.reshape(-1, sizes[-1]).T,
+        [name(p) for p in table.parents],
+        list(sizes[:-1]),
+        state_names={name(n): names[n[0]] for n in nodes} if names else {},
+    )
+
+
+def dynamic(tables: list[Table], **names: list[str]) -> Any:
+    """A network in the style of pgmpy's own examples: edges, then the CPDs."""
+    edges: list[Any] = [((n, 0), (n, 1)) for n in ("Lane", "Sensor")]
+    network = DynamicBayesianNetwork(edges + [((a, 0), (b, 0)) for a, b in WITHIN])
+    network.add_cpds(*(cpd(table, **names) for table in tables))
+    return network
+
+
+def without(*left_out: tuple[str, int]) -> list[Table]:
+    return [table for table in RIGHT if table.node not in left_out]
+
+
+def underscored(node: tuple[str, int]) -> str:
+    return f"{node[0]}_{node[1]}"
+
+
+def static(name: Callable[[tuple[str, int]], Any], tables: list[Table] = RIGHT) -> Any:
+    edges = [(name(p), name(t.node)) for t in tables for p in t.parents]
+    network = DiscreteBayesianNetwork(edges)
+    network.add_nodes_from([name(t.node) for t in tables])
+    names = {**NAMES, "Seen": ["1", "2", "3"], "WOR": ["OK", "BAD"]}
+    network.add_cpds(*(cpd(table, name, **names) for table in tables))
+    return network
+
+
+def one_slice() -> Any:
+    network = DiscreteBayesianNetwork(WITHIN)
+    network.add_cpds(*(cpd(t, lambda node: node[0]) for t in RIGHT if t.node[1] == 0))
+    return network
+
+
+def transition() -> list[Any]:
+    return [cpd(t) for t in RIGHT if t.node in (("Lane", 1), ("Sensor", 1))]
+
+
+def initialised(*left_out: tuple[str, int]) -> Any:
+    network = dynamic(without(*left_out))
+    with quiet():
+        network.initialize_initial_state()
+    return network
+
+
+def constant() -> Any:
+    with quiet():
+        return dynamic(RIGHT).get_constant_bn()
+
+
+LATER, FIRST = (("Seen", 1), ("WOR", 1)), (("Seen", 0), ("WOR", 0))
+FORMS: dict[str, Callable[[], Declared]] = {
+    "both slices in full": lambda: read_network(dynamic(RIGHT)),
+    "as in the tutorials": lambda: read_network(dynamic(without(*LATER))),
+    "given for the second slice": lambda: read_network(dynamic(without(*FIRST))),
+    "initialised": lambda: read_network(initialised(*LATER)),
+    "initialised from the second": lambda: read_network(initialised(*FIRST)),
+    "unrolled": lambda: read_network(constant()),
+    "names of two slices": lambda: read_network(static(underscored)),
+    "pairs": lambda: read_network(static(tuple)),
+    "one slice": lambda: read_network(one_slice(), transition()),
+}
+
+
+def assert_right(declared: Declared) -> None:
+    assert set(declared.tables) == {table.node for table in RIGHT}
+    for table in RIGHT:
+        ours = declared.tables[table.node]
+        assert set(ours.parents) == set(table.parents)
+        order = [ours.parents.index(p) for p in table.parents]
+        values = ours.values.transpose(*order, len(order))
+        np.testing.assert_allclose(values, table.values, rtol=0, atol=1e-15)
+
+
+@pytest.mark.parametrize("form", FORMS)
+def test_a_network_gives_its_tables_by_name_whatever_its_form(form: str) -> None:
+    assert_right(FORMS[form]())
+
+
+@pytest.mark.parametrize(("ending", "writer"), [("bif", BIFWriter), ("xmlbif", XMLBIFWriter)])
+def test_a_file_gives_the_tables_and_the_names_of_the_values(
+    tmp_path: Path, ending: str, writer: Any
+) -> None:
+    path = tmp_path / f"network.{ending}"
+    with quiet():
+        writer(static(underscored)).write(path)
+    declared = read_network(path)
+    assert_right(declared)
+    assert declared.values["Lane"] == ("left", "middle", "right")
+    # As other programs write it: no end of the last line, spaces after a brace, Windows' lines.
+    path.write_bytes(path.read_bytes().replace(b"}\n", b"} \r\n").rstrip())
+    assert_right(read_network(str(path)))
+
+
+@pytest.mark.parametrize(
+    "names",
+    [
+        {("WOR", 0): ["BAD", "OK"], ("Sensor", 0): ["BAD", "OK"]},
+        {("WOR", 0): [1, 0], ("Sensor", 0): ["BAD", "OK"]},
+    ],
+)
+def test_values_go_by_their_names_too(names: dict[tuple[str, int], list[Any]]) -> None:
+    network = dynamic(without(("WOR", 0), *LATER), **NAMES, Seen=["1", "2", "3"])
+    columns = binary(0.7, 0.6)[::-1, ::-1].T  # both the sensor's and WOR's values backwards
+    network.add_cpds(TabularCPD(("WOR", 0), 2, columns, [("Sensor", 0)], [2], names))
+    declared = read_network(network)
+    assert declared.values["Sensor"] == ("OK", "BAD")
+    is_named = names["WOR", 0] == ["BAD", "OK"]
+    wanted = binary(0.7, 0.6)[:, ::-1] if is_named else binary(0.7, 0.6)
+    for s in (0, 1):
+        np.testing.assert_array_equal(declared.tables["WOR", s].values, wanted)
+
+
+def test_rows_that_were_rounded_sum_to_one() -> None:
+    network = dynamic(without(("Lane", 0)))
+    network.add_cpds(TabularCPD(("Lane", 0), 3, [[0.333]] * 3))
+    np.testing.assert_allclose(read_network(network).tables["Lane", 0].values, uniform(3))
+    network.remove_cpds(("Lane", 0))
+    network.add_cpds(TabularCPD(("Lane", 0), 3, [[0.3]] * 3))
+    with pytest.raises(InputError, match=r"Lane at t .*: the rows of the table must sum to one"):
+        read_network(network)
+
+
+def changed(*cpds: Any) -> Any:
+    """The network with these CPDs in the place of its own, unchecked."""
+    found = dynamic(RIGHT)
+    nodes = [tuple(c.variable) for c in cpds]
+    found.cpds = [c for c in found.cpds if tuple(c.variable) not in nodes] + list(cpds)
+    return found
+
+
+def with_edge(network: Any, start: Any, end: Any) -> Any:
+    """With an edge that pgmpy would refuse to add."""
+    super(DynamicBayesianNetwork, network).add_edge(start, end)
+    return network
+
+
+def halves(*nodes: tuple[str, int], sizes: tuple[int, ...] = ()) -> Any:
+    size = {"Lane": 3, "Seen": 3}.get(nodes[0][0], 2)
+    sizes = sizes or tuple(3 if n in ("Lane", "Seen") else 2 for n, _ in nodes[1:])
+    values = np.full((size, int(np.prod(sizes))), 1 / size)
+    return TabularCPD(nodes[0], size, values, list(nodes[1:]), list(sizes))
+
+
+REFUSED: dict[str, tuple[Callable[[], Any], str]] = {
+    "no CPDs": (
+        lambda: DynamicBayesianNetwork([(("Lane", 0), ("Lane", 1))]),
+        "the network has no tables: give each node a TabularCPD with add_cpds",
+    ),
+    "one CPD missing": (lambda: dynamic(without(*FIRST, *LATER)), "Seen: has no table (a Tab"),
+    "prior missing": (
+        lambda: dynamic(without(("Lane", 0))),
+        "Lane: no table for slice 0, where its edges come from nothing; that of slice 1 is given"
+        " Lane[t]",
+    ),
+    "another parent": (
+        lambda: changed(halves(("WOR", 1), ("Lane", 1))),
+        "WOR in slice 1: its table is given Lane[t+1], its edges come from Sensor[t+1]",
+    ),
+    "too many rows": (
+        lambda: changed(halves(("WOR", 1), ("Sensor", 1), sizes=(3,))),
+        "WOR: its table has 3 rows for Sensor, which has 2 values",
+    ),
+    "other names": (
+        lambda: changed(
+            cpd(RIGHT[4], Sensor=["good", "bad"], Lane=["1", "2", "3"], Seen=["1", "2", "3"]),
+            cpd(RIGHT[1], Sensor=["OK", "BAD"]),
+        ),
+        "Seen: its table calls the values of Sensor good, bad; elsewhere they are OK, BAD",
+    ),
+    "back in time": (
+        lambda: DiscreteBayesianNetwork([("Lane_1", "Lane_0")]),
+        "Lane: an edge from Lane leads from slice 1 back to slice 0",
+    ),
+    "cycle": (
+        lambda: with_edge(dynamic(RIGHT), ("Seen", 0), ("Lane", 0)),
+        "the edges within a slice form a cycle: ",
+    ),
+    "continuous CPD": (
+        lambda: changed(LinearGaussianCPD(("Lane", 0), [0], 1)),
+        "Lane: has a LinearGaussianCPD, not a TabularCPD; a continuous node has to be cut into",
+    ),
+    "continuous network": (
+        lambda: LinearGaussianBayesianNetwork([("Lane_0", "Lane_1")]),
+        "a LinearGaussianBayesianNetwork is not discrete: cut its continuous nodes into",
+    ),
+    "no network": (lambda: {"Lane": 3}, "dict is not a pgmpy network"),
+    "one slice only": (one_slice, "Lane: is of neither slice; name the nodes Lane_0 and Lane_1"),
+}
+
+
+@pytest.mark.parametrize("fault", REFUSED)
+def test_a_network_with_a_fault_is_refused_naming_the_node(fault: str) -> None:
+    make, said = REFUSED[fault]
+    with quiet():
+        network = make()
+    with pytest.raises(InputError) as error:
+        read_network(network)
+    assert str(error.value).startswith(said)
+    assert "\n" not in str(error.value)
+
+
+@pytest.mark.parametrize(
+    ("cpds", "said"),
+    [
+        ([halves(("Lame", 1), ("Lane", 0))], "Lame is not a node of the network (did you mean 'La"),
+        ([halves(("Lane", 0))], "has a table of Lane in slice 0, which the network gives"),
+        ([TabularCPD("Lane", 3, uniform(3, 1))], "a table has 'Lane'; write ('Lane', 1), and"),
+        ([halves(("Lane", 1), ("WOR", 1)), halves(("WOR", 1), ("Lane", 1))], "WOR"),
+    ],
+)  # fmt: skip
+def test_a_transition_that_does_not_go_with_the_slice_is_refused(
+    cpds: list[Any], said: str
+) -> None:
+    with pytest.raises(InputError) as error:
+        read_network(one_slice(), cpds)
+    assert said in str(error.value)
+    if len(cpds) == 1:
+        assert str(error.value).startswith("transition: ")
+    else:
+        assert "form a cycle" in str(error.value)
+
+
+def test_a_transition_goes_with_one_slice_only() -> None:
+    with pytest.raises(InputError, match="transition: goes with a network of one slice"):
+        read_network(dynamic(RIGHT), transition())
+
+
+@pytest.fixture(scope="module")
+def bif(tmp_path_factory: pytest.TempPathFactory) -> str:
+    path = tmp_path_factory.mktemp("bif") / "network.bif"
+    with quiet():
+        BIFWriter(static(underscored)).write(path)
+    return path.read_text()
+
+
+@pytest.mark.parametrize("share", [0.1, 0.3, 0.5, 0.7, 0.9, 0.99])
+def test_a_truncated_file_is_refused_wherever_it_ends(
+    tmp_path: Path, bif: str, share: float
+) -> None:
+    path = tmp_path / "network.bif"
+    path.write_text(bif[: int(share * len(bif))])
+    with pytest.raises(InputError) as error:
+        read_network(path)
+    assert str(error.value).startswith(f"{path}: ")
+    assert "\n" not in str(error.value)
+
+
+@pytest.mark.parametrize(
+    ("name", "text", "said"),
+    [
+        ("a.bif", "", "is empty"),
+        ("a.bif", "frame,lane\n1,2\n", "has no variable; is it a BIF file?"),
+        ("a.xmlbif", "\n", "is empty"),
+        ("a.xmlbif", "<BIF", "is no XMLBIF file that pgmpy can read (ParseError"),
+        ("a.xml", "<html></html>", "is no XMLBIF file that pgmpy can read ("),
+        ("a.net", "net {}", "a network is read from .bif, .xmlbif, .xml"),
+    ],
+)
+def test_a_file_that_is_no_network_is_refused(
+    tmp_path: Path, name: str, text: str, said: str
+) -> None:
+    (tmp_path / name).write_text(text)
+    with pytest.raises(InputError) as error:
+        read_file(tmp_path / name)
+    assert str(error.value).startswith(f"{tmp_path / name}: {said}")
+    assert "\n" not in str(error.value)
+
+
+def test_a_file_of_one_slice_is_read_together_with_a_transition(tmp_path: Path) -> None:
+    path = tmp_path / "slice.bif"
+    names = {**NAMES, "Seen": ["1", "2", "3"], "WOR": ["OK", "BAD"]}
+    network = one_slice()
+    network.cpds = [cpd(t, lambda node: node[0], **names) for t in RIGHT if t.node[1] == 0]
+    with quiet():
+        BIFWriter(network).write(path)
+    assert_right(read_network(path, transition()))
+    with pytest.raises(InputError, match=r"slice\.bif: Lane: is of neither slice"):
+        read_network(path)
