@@ -17,7 +17,7 @@ import sys
 import threading
 import time
 import warnings
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Generator, Iterator, Sequence
 from concurrent.futures import BrokenExecutor, Executor, Future, ProcessPoolExecutor
 from multiprocessing.process import BaseProcess
 from typing import Any, TypeVar
@@ -57,7 +57,7 @@ def in_order(
     items: Sequence[T],
     jobs: int = 1,
     died: Callable[[T, str], R] | None = None,
-) -> Iterator[R]:
+) -> Generator[R, None, None]:
     """Yield what `work` makes of each item, in order, as soon as those before it are done.
 
     - work, items: picklable where there is more than one job.

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -11,7 +12,7 @@ from tqdm import tqdm
 
 from egolane_pgm import comparing
 from egolane_pgm.cli import options
-from egolane_pgm.comparing.choose import Losses, losses_by_experiment, plan
+from egolane_pgm.comparing.choose import losses_by_experiment, plan
 from egolane_pgm.comparing.groups import (
     Group,
     Options,
@@ -28,6 +29,9 @@ from egolane_pgm.paper import parse_runs
 from egolane_pgm.report import comparison_tables as rows_of
 from egolane_pgm.report import tables
 from egolane_pgm.types import InputError
+
+#: Writes a table: header and rows.
+Draw = Callable[[Sequence[str], Sequence[Sequence[str]]], str]
 
 DEFAULT_GRAPHS = "sensor_failure,wor_on_lane,no_wor,lane_only"
 TITLES = {"accuracy": "Accuracy", "f1": "F1 (mean over lanes)", "log_loss": "Log-loss (all frames)"}
@@ -49,6 +53,15 @@ TITLES = {"accuracy": "Accuracy", "f1": "F1 (mean over lanes)", "log_loss": "Log
 @click.option("--health", is_flag=True, help="How well each tells that the detector is wrong.")
 @click.option("--blocks", type=click.IntRange(2), default=5, show_default=True)
 @click.option("--trials", type=click.IntRange(1), help="Of each block's search (fit: tune).")
+@click.option(
+    "--trials-per-number",
+    type=click.IntRange(1),
+    metavar="K",
+    help="Instead: K for each number that a graph's search moves.",
+)
+@click.option(
+    "--seeds", metavar="N|LIST", help="Search with seeds 0 to N-1, or those of a list (3,7); means."
+)
 @options.jobs
 @options.overrides("Override the YAMLs.")
 @options.style
@@ -68,6 +81,8 @@ def compare(
     health: bool,
     blocks: int,
     trials: int | None,
+    trials_per_number: int | None,
+    seeds: str | None,
     jobs: int,
     overrides: tuple[str, ...],
     style: str,
@@ -87,6 +102,8 @@ def compare(
         raise InputError("--learned-on: goes with experiments")
     if with_paper and not (experiments and runs):
         raise InputError("--with-paper: goes with experiments and --runs")
+    if trials and trials_per_number:
+        raise InputError("--trials-per-number: goes instead of --trials, not with it")
     if figure:
         # matplotlib is imported only for a figure.
         from egolane_pgm.report.style import check_figure_path
@@ -99,17 +116,34 @@ def compare(
         check_not_read(json_file, map(Path, experiments))
     names = [n.strip() for n in (graphs or DEFAULT_GRAPHS).split(",") if n.strip()]
     if not experiments and not held_out:
-        if health or overrides or trials or figure or out or style != "markdown":
+        many = (health, overrides, trials, trials_per_number, seeds, figure, out)
+        if any(many) or style != "markdown":
             raise InputError(
-                "compare: --health, --set, --trials, --figure, --out and --format go with"
-                " experiments or with --held-out"
+                "compare: --health, --set, --trials, --trials-per-number, --seeds, --figure, --out"
+                " and --format go with experiments or with --held-out"
             )
         _in_sample(names, parse_runs(runs or "1-10"), which, json_file)
         return
     numbers = parse_runs(runs) if runs else None
     groups = _groups(experiments, names, numbers, with_paper, which, learned_on, overrides)
-    settings = Options(blocks, trials, health, Path(out) if out else None)
+    settings = Options(
+        blocks,
+        trials,
+        health,
+        Path(out) if out else None,
+        trials_per_number,
+        _seeds(seeds) if seeds else (),
+    )
     _held_out(groups, settings, jobs, style, figure, json_file)
+
+
+def _seeds(text: str) -> tuple[int, ...]:
+    """`"5"` -> (0, 1, 2, 3, 4), `"3,7"` -> (3, 7)."""
+    words = [word.strip() for word in text.split(",")]
+    if not all(word.isdecimal() for word in words if word) or not words[0] or words == ["0"]:
+        raise InputError(f"--seeds {text}: write how many, 5, or which with commas, 3,7")
+    numbers = [int(word) for word in words if word]
+    return tuple(dict.fromkeys(numbers)) if "," in text else tuple(range(numbers[0]))
 
 
 def _groups(
@@ -141,13 +175,14 @@ def _held_out(
     figure: str | None,
     json_file: Path | None,
 ) -> None:
-    def show(found: Iterator[Losses], total: int) -> Iterable[Losses]:
+    def show(found: Iterator[Any], total: int, doing: str, unit: str) -> Iterable[Any]:
         is_hidden = None if total else True
-        return tqdm(found, "choosing", total, unit="recording", leave=False, disable=is_hidden)
+        return tqdm(found, doing, total, unit=unit, leave=False, disable=is_hidden)
 
     tasks = plan([e for group in groups for e in group.experiments], settings.blocks)
-    known = losses_by_experiment(tasks, jobs, show)
-    done = compare_groups(groups, settings, jobs=jobs, known=known)
+    known = losses_by_experiment(tasks, jobs, partial(show, doing="choosing", unit="recording"))
+    searching = partial(show, doing="searching", unit="search")
+    done = compare_groups(groups, settings, jobs=jobs, known=known, show=searching)
     bar = tqdm(done, total=len(groups), unit="recording", leave=False, disable=None)
     compared: list[Any] = []
     is_interrupted = False
@@ -165,28 +200,10 @@ def _held_out(
     for recording in found["recordings"]:
         for note in recording["notes"]:
             click.echo(f"warning: {recording['title']}: {note}", err=True)
-    draw = tables.STYLES[style]
     if style == "markdown":
-        header, rows = rows_of.accuracy_rows(found)
-        click.echo(f"{tables.markdown(header, rows)}\n\n* in-sample, or not known to be held out")
-        if rows_of.has_untrusted(found):
-            header, rows = rows_of.accuracy_rows(found, "all_frames")
-            click.echo(
-                "\nAbove without the frames of tuning.never_fit, whose labels are not trusted;"
-                f" with them:\n\n{tables.markdown(header, rows)}"
-            )
-        click.echo()
-    click.echo(draw(*rows_of.full_rows(found)).rstrip("\n"))
-    header, rows = rows_of.chosen_rows(found)
-    if rows:
-        click.echo(f"\n{draw(header, rows)}".rstrip("\n"))
-    if settings.health:
-        click.echo()
-        click.echo(draw(*rows_of.health_rows(found)).rstrip("\n"))
-    if style == "markdown":
-        click.echo(f"\n{rows_of.LEGEND}")
-        if settings.health:
-            click.echo(f"\n{rows_of.HEALTH_LEGEND}")
+        _show_markdown(found, settings)
+    else:
+        _show_tables(found, settings, tables.STYLES[style])
     if figure:
         from egolane_pgm.report.comparison_figures import draw_comparison
 
@@ -201,6 +218,44 @@ def _held_out(
         )
     if found["failed"]:
         raise SystemExit(1)
+
+
+def _show_markdown(found: Mapping[str, Any], settings: Options) -> None:
+    is_repeated = rows_of.is_repeated(found)
+    taken_together = rows_of.together_tables(found)
+    for header, rows in taken_together:
+        click.echo(f"{tables.markdown(header, rows)}\n")
+    if is_repeated:
+        click.echo(tables.markdown(*rows_of.seeds_rows(found)))
+    else:
+        header, rows = rows_of.accuracy_rows(found)
+        click.echo(f"{tables.markdown(header, rows)}\n\n* in-sample, or not known to be held out")
+        if rows_of.has_untrusted(found):
+            header, rows = rows_of.accuracy_rows(found, "all_frames")
+            click.echo(
+                "\nAbove without the frames of tuning.never_fit, whose labels are not trusted;"
+                f" with them:\n\n{tables.markdown(header, rows)}"
+            )
+        click.echo()
+        _show_tables(found, settings, tables.markdown)
+    legends = [rows_of.LEGEND]
+    if is_repeated:
+        legends.append(rows_of.SEEDS_LEGEND)
+    if taken_together:
+        legends.append(rows_of.TOGETHER_LEGEND)
+    if settings.health:
+        legends.append(rows_of.HEALTH_LEGEND)
+    click.echo("\n" + "\n\n".join(legends))
+
+
+def _show_tables(found: Mapping[str, Any], settings: Options, draw: Draw) -> None:
+    click.echo(draw(*rows_of.full_rows(found)).rstrip("\n"))
+    header, rows = rows_of.chosen_rows(found)
+    if rows:
+        click.echo(f"\n{draw(header, rows)}".rstrip("\n"))
+    if settings.health:
+        click.echo()
+        click.echo(draw(*rows_of.health_rows(found)).rstrip("\n"))
 
 
 def _write_first(json_file: Path | None, found: Mapping[str, Any]) -> InputError | None:

@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
+import contextlib
 import itertools
 import re
 import warnings
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
@@ -16,20 +17,35 @@ import numpy as np
 from egolane_pgm.comparing.choose import Known, experiment_key, losses_by_experiment, plan
 from egolane_pgm.comparing.detector_health import detector_answers, detector_health, model_health
 from egolane_pgm.comparing.in_sample import with_graph
-from egolane_pgm.comparing.placing import load_for_scoring, on_recording, recording_key
+from egolane_pgm.comparing.placing import (
+    drive_key,
+    load_for_scoring,
+    on_recording,
+    recording_key,
+    timeline,
+)
 from egolane_pgm.comparing.saving import folder_of, save_comparison
-from egolane_pgm.comparing.side import Side, held_out_side
+from egolane_pgm.comparing.side import Search, Side, held_out_side, search_blocks
 from egolane_pgm.experiment import Experiment, load_experiment
+from egolane_pgm.learning import Found
 from egolane_pgm.loading import Recorded
 from egolane_pgm.model import Drive, causality, prepare_model
 from egolane_pgm.paper import load_published, paper_experiment, parameters_for
 from egolane_pgm.parallel import in_order
 from egolane_pgm.results import SCHEMA_VERSION
-from egolane_pgm.scoring.bootstrap import score_counts, score_intervals
+from egolane_pgm.scoring.bootstrap import INTERVAL_STATISTICS, score_counts
 from egolane_pgm.scoring.health import detector_errors
 from egolane_pgm.scoring.held_out import N_BLOCKS
+from egolane_pgm.scoring.seeds import (
+    mean_of,
+    on_timeline,
+    over_seeds,
+    resampled_scores,
+    spread,
+    with_bounds,
+)
 from egolane_pgm.scoring.summary import score_with_intervals
-from egolane_pgm.types import BoolArray, InputError
+from egolane_pgm.types import BoolArray, FloatArray, InputError
 
 
 @dataclass(frozen=True)
@@ -54,6 +70,9 @@ class Options:
 
     blocks: the number of blocks, each held out in turn.
     trials: the trials of each search; None for what the experiment says.
+    trials_per_number: instead, the trials for each number that is searched.
+    seeds: of the searches, each of which is done with every seed; none for what the experiment
+        says.
     health: whether to score how well each experiment tells that the detector is wrong.
     out: where result directories go; None for nowhere.
     """
@@ -62,6 +81,18 @@ class Options:
     trials: int | None = None
     health: bool = False
     out: Path | None = None
+    trials_per_number: int | None = None
+    seeds: tuple[int, ...] = ()
+
+
+#: What is said of a mean over recordings as the least and the most.
+_COUNTS = ("free_parameters", "fixed_parameters", "trials")
+
+#: Per score the values of all frames and of each resample (1 + R,); None for a short drive.
+Means = Mapping[str, FloatArray] | None
+
+#: What a search found for each block, or why it could not.
+Searched = list[Found] | InputError
 
 
 def by_recording(experiments: Sequence[Experiment]) -> list[Group]:
@@ -173,24 +204,70 @@ def compare_groups(
     *,
     jobs: int = 1,
     known: Known | None = None,
+    show: Callable[[Iterator[Searched], int], Iterable[Searched]] = lambda found, total: found,
 ) -> Iterator[dict[str, Any]]:
     """Yield each group's part of the document (see `document`), in order; of a group that failed,
     which stops no other, its `title`, `run` and `error`.
 
-    jobs: the number of processes that share the groups.
+    jobs: the number of processes that share the searches (one for each seed of an experiment), or,
+        where nothing is searched, the groups.
     known: the losses for experiments that say `fit: choose`, where they were computed already.
+    show: is given the searches as they are done and how many there will be, for a progress bar.
     """
     options = options or Options()
     if known is None:
         tasks = plan([e for group in groups for e in group.experiments], options.blocks)
         known = losses_by_experiment(tasks, jobs)
     work = partial(_tried, options=options, known=known)
-    yield from in_order(work, groups, jobs, died=_failed)
+    searches = [list(_searches(group, options)) for group in groups]
+    todo = list(itertools.chain.from_iterable(searches))
+    if not todo:
+        yield from in_order(work, groups, jobs, died=_failed)
+        return
+    search = partial(_search, options=options)
+    with contextlib.closing(in_order(search, todo, jobs, died=_search_failed)) as found:
+        shown = iter(show(found, len(todo)))
+        for group, mine in zip(groups, searches, strict=True):
+            at_hand = {(e.name, seed): next(shown) for e, seed in mine}
+            yield work(group, searched=at_hand)
 
 
-def _tried(group: Group, options: Options, known: Known) -> dict[str, Any]:
+def _searches(group: Group, options: Options) -> Iterator[tuple[Experiment, int | None]]:
+    """Each experiment of a group that is searched, with each seed; None for its own seed."""
+    for experiment in group.experiments:
+        if experiment.fit == "tune":
+            yield from ((experiment, seed) for seed in _seeds(experiment, options))
+
+
+def _seeds(experiment: Experiment, options: Options) -> tuple[int | None, ...]:
+    return options.seeds if experiment.fit == "tune" and options.seeds else (None,)
+
+
+def _search(task: tuple[Experiment, int | None], options: Options) -> Searched:
+    experiment, seed = task
     try:
-        return compare_group(group, options, known)
+        drive = load_for_scoring(experiment)
+        return search_blocks(drive, options.blocks, _how(options, seed))
+    except InputError as error:
+        return error
+
+
+def _how(options: Options, seed: int | None) -> Search:
+    return Search(options.trials, options.trials_per_number, seed)
+
+
+def _search_failed(_: tuple[Experiment, int | None], error: str) -> Searched:
+    return InputError(error)
+
+
+def _tried(
+    group: Group,
+    options: Options,
+    known: Known,
+    searched: Mapping[tuple[str, int | None], Searched] | None = None,
+) -> dict[str, Any]:
+    try:
+        return compare_group(group, options, known, searched)
     except InputError as error:
         return _failed(group, " ".join(str(error).split()))
 
@@ -199,25 +276,44 @@ def _failed(group: Group, error: str) -> dict[str, Any]:
     return {"title": group.title, "run": group.run, "error": error}
 
 
-def compare_group(group: Group, options: Options, known: Known | None = None) -> dict[str, Any]:
-    """Compare the experiments of one recording; see `document` for the keys. Raises InputError as
-    the experiments do."""
+def compare_group(
+    group: Group,
+    options: Options,
+    known: Known | None = None,
+    searched: Mapping[tuple[str, int | None], Searched] | None = None,
+) -> dict[str, Any]:
+    """Compare the experiments of one recording; see `document` for the keys, `resampled` holds what
+    that needs of the recording beside.
+
+    searched: what the searches found, by the experiment's name and the seed, where they are done.
+
+    Raises InputError as the experiments do.
+    """
     with warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always", UserWarning)
-        sides, recorded = _sides(group, options, known or {})
+        columns, recorded = _columns(group, options, known or {}, searched or {})
+        first = columns[0][0]
         errors = tentative = None
         if options.health:
             tentative = detector_answers(group.detector or group.experiments, recorded)
-            truth = sides[0].truth
-            errors = detector_errors(tentative, truth.lane, truth.is_crossing)
+            errors = detector_errors(tentative, first.truth.lane, first.truth.is_crossing)
     notes = [str(w.message) for w in caught if issubclass(w.category, UserWarning)]
-    notes += [note for side in sides for note in side.notes]
-    keep = _subsets(sides)
+    notes += [note for sides in columns for side in sides for note in side.notes]
+    keep = _subsets([sides[0] for sides in columns])
+    means = [
+        {key: _means(sides, kept, group.title) for key, kept in keep.items()} for sides in columns
+    ]
     entries = []
-    for side in sides:
-        entry = _entry(side, sides[0], keep)
+    for sides, mine in zip(columns, means, strict=True):
+        entry = _entry(sides, keep, mine)
+        if sides is not columns[0]:
+            entry["difference_to"] = first.experiment.name
+            entry["difference"] = {key: _bounds(_minus(mine[key], means[0][key])) for key in keep}
         if errors is not None:
-            entry["health"] = {k: model_health(side, errors, kept) for k, kept in keep.items()}
+            entry["health"] = {
+                key: mean_of([model_health(side, errors, kept) for side in sides])
+                for key, kept in keep.items()
+            }
         entries.append(entry)
     health = None
     if errors is not None:
@@ -225,21 +321,30 @@ def compare_group(group: Group, options: Options, known: Known | None = None) ->
     part = {
         "title": group.title,
         "run": group.run,
-        "frames": len(sides[0].truth),
+        "frames": len(first.truth),
         "blocks": options.blocks,
         "health": health,
         "experiments": entries,
         "notes": list(dict.fromkeys([*recorded.notes, *notes])),
     }
     if options.out is not None:
-        save_comparison(options.out, part, sides, tentative)
-    return part
+        save_comparison(options.out, part, columns, tentative)
+    trusted = list(keep.values())[-1]
+    drive = drive_key(first.experiment)
+    resampled = [_means(sides, trusted, group.title, drive) for sides in columns]
+    return {**part, "drive": drive, "resampled": resampled}
 
 
-def _sides(group: Group, options: Options, known: Known) -> tuple[list[Side], Recorded]:
-    """Believe the recording under every experiment. It is read once for all that read it alike."""
+def _columns(
+    group: Group,
+    options: Options,
+    known: Known,
+    searched: Mapping[tuple[str, int | None], Searched],
+) -> tuple[list[list[Side]], Recorded]:
+    """Believe the recording under every experiment, once for each seed of its search. It is read
+    once for all that read it alike."""
     read: dict[str, Recorded] = {}
-    sides: list[Side] = []
+    columns: list[list[Side]] = []
     for experiment in group.experiments:
         key = repr(
             (
@@ -251,13 +356,22 @@ def _sides(group: Group, options: Options, known: Known) -> tuple[list[Side], Re
         )
         drive = load_for_scoring(experiment, read.get(key))
         read[key] = drive.recorded
-        if sides:
-            _check_same_frames(sides[0].drive, drive)
+        if columns:
+            _check_same_frames(columns[0][0].drive, drive)
         losses = known.get(experiment_key(experiment))
-        sides.append(
-            held_out_side(drive, n_blocks=options.blocks, trials=options.trials, losses=losses)
-        )
-    return sides, next(iter(read.values()))
+        sides = []
+        for seed in _seeds(experiment, options):
+            found = searched.get((experiment.name, seed))
+            if isinstance(found, InputError):
+                raise found
+            how = _how(options, seed)
+            sides.append(
+                held_out_side(
+                    drive, n_blocks=options.blocks, search=how, losses=losses, searched=found
+                )
+            )
+        columns.append(sides)
+    return columns, next(iter(read.values()))
 
 
 def _check_same_frames(first: Drive, drive: Drive) -> None:
@@ -277,8 +391,22 @@ def _subsets(sides: Sequence[Side]) -> dict[str, BoolArray]:
     return keep if trusted.all() else {**keep, "without_never_fit": trusted}
 
 
-def _entry(side: Side, first: Side, keep: Mapping[str, BoolArray]) -> dict[str, Any]:
+def _entry(
+    sides: Sequence[Side], keep: Mapping[str, BoolArray], means: Mapping[str, Means]
+) -> dict[str, Any]:
+    """What is said of an experiment: `sides` are alike but for the seed of the search."""
+    side = sides[0]
     experiment = side.experiment
+    parameters = [found for each in sides for found in each.held_out.parameters]
+    each = [{key: _scores(one, kept) for key, kept in keep.items()} for one in sides]
+    scores = {key: mean_of([found[key] for found in each]) for key in keep}
+    if len(sides) > 1:
+        for key, found in scores.items():
+            bounds = _bounds(means[key])
+            found["intervals"] = {
+                name: (bounds[name] or [])[1:] or None for name in ("accuracy", "f1")
+            }
+    searched = experiment.fit == "tune"
     return {
         "name": experiment.name,
         "source": Path(experiment.source).name,
@@ -287,19 +415,31 @@ def _entry(side: Side, first: Side, keep: Mapping[str, BoolArray]) -> dict[str, 
         "filter": experiment.filter,
         "fit": experiment.fit,
         "tuned_on": side.tuned_on,
-        **causality(experiment, side.drive.model, side.held_out.parameters),
+        **causality(experiment, side.drive.model, parameters),
         "unassigned_below": experiment.unassigned_below,
         "free_parameters": side.free_parameters,
-        "microseconds_per_frame": 1e6 * side.seconds_per_frame,
+        "fixed_parameters": side.fixed_parameters,
+        "trials": side.trials,
+        "microseconds_per_frame": 1e6 * min(one.seconds_per_frame for one in sides),
         "chosen": list(experiment.choice.grid)
         if experiment.fit == "choose" and experiment.choice is not None
         else [],
-        "parameters": [dict(found) for found in side.held_out.parameters],
-        "scores": {key: _scores(side, kept) for key, kept in keep.items()},
-        "difference_to": None if side is first else first.experiment.name,
-        "difference": None
-        if side is first
-        else {key: _difference(side, first, kept) for key, kept in keep.items()},
+        "parameters": [dict(found) for found in side.held_out.parameters]
+        if len(sides) == 1
+        else [],
+        "scores": scores,
+        "spread": {key: _spread([found[key] for found in each]) for key in keep},
+        "seeds": [
+            {
+                "seed": one.seed,
+                "parameters": [dict(found) for found in one.held_out.parameters],
+                "scores": found,
+            }
+            for one, found in zip(sides, each, strict=True)
+            if searched
+        ],
+        "difference_to": None,
+        "difference": None,
         "health": None,
     }
 
@@ -314,19 +454,46 @@ def _scores(side: Side, kept: BoolArray) -> dict[str, Any]:
     }
 
 
-def _difference(side: Side, first: Side, kept: BoolArray) -> dict[str, Any]:
-    """The side less the first, per score [estimate, low, high]; None for a short drive."""
-    mine, theirs = (
+def _spread(scores: Sequence[Mapping[str, Any]]) -> dict[str, float | None]:
+    return {name: spread([each[name] for each in scores]) for name in INTERVAL_STATISTICS}
+
+
+def _means(sides: Sequence[Side], kept: BoolArray, title: str, drive: str | None = None) -> Means:
+    """The scores of the frames that are kept, the mean over the seeds: of all and of each resample.
+
+    title: the recording's.
+    drive: the drive's key, to draw from all its frames, so that the draws are the same ones for
+        all its recordings.
+    """
+    counts = [
         score_counts(
-            each.beliefs.lane[kept],
-            each.truth.lane[kept],
-            each.truth.is_crossing[kept],
-            each.experiment.unassigned_below,
+            side.beliefs.lane[kept],
+            side.truth.lane[kept],
+            side.truth.is_crossing[kept],
+            side.experiment.unassigned_below,
         )
-        for each in (side, first)
-    )
-    intervals = score_intervals([mine], [theirs])
-    return {name: i and [i.estimate, i.low, i.high] for name, i in intervals.items()}
+        for side in sides
+    ]
+    if drive is None:
+        values = resampled_scores(counts)
+    else:
+        frames, every = sides[0].truth.frame_id[kept], timeline(sides[0].drive)
+        values = resampled_scores(
+            [on_timeline(each, frames, every) for each in counts], [*drive.encode()]
+        )
+    chance = f"{title}: {sides[0].experiment.name}"
+    return values and {name: over_seeds(found, chance) for name, found in values.items()}
+
+
+def _minus(mine: Means, theirs: Means) -> Means:
+    if mine is None or theirs is None:
+        return None
+    return {name: values - theirs[name] for name, values in mine.items()}
+
+
+def _bounds(means: Means) -> dict[str, list[float] | None]:
+    """Per score [estimate, low, high]; None for a short drive."""
+    return {name: with_bounds(means[name]) if means else None for name in INTERVAL_STATISTICS}
 
 
 def document(groups: Sequence[Mapping[str, Any]], options: Options) -> dict[str, Any]:
@@ -337,20 +504,87 @@ def document(groups: Sequence[Mapping[str, Any]], options: Options) -> dict[str,
     `health.detector_health`; null unless asked for) and `experiments`: a list of `name`, `source`,
     `evidence`, `graph`, `filter`, `fit`, `tuned_on` (same_frames: in-sample), `is_causal`,
     `causal` and `why_not_causal` (as `model.causality`),
-    `unassigned_below`, `free_parameters` (numbers fitted to labels), `microseconds_per_frame`
-    (evidence and filter), `chosen` (the parameters that `fit: choose` chose), `parameters` (per
-    block, those that were fitted without it), `scores` (per subset, as
-    `scoring.summary.score_with_intervals` and `mean_log_evidence`),
+    `unassigned_below`, `free_parameters` (numbers fitted to labels), `fixed_parameters` and
+    `trials` (of `fit: tune`: numbers that are not searched, trials of each block's search; else
+    null), `microseconds_per_frame` (evidence and filter), `chosen` (the parameters that `fit:
+    choose` chose), `parameters` (per block, those that were fitted without it; empty for several
+    seeds), `scores` (per subset, as `scoring.summary.score_with_intervals` and
+    `mean_log_evidence`; for several seeds the mean over them), `spread` (per subset and score, the
+    standard deviation over the seeds; null for one), `seeds` (of `fit: tune`: a list of `seed`,
+    `parameters` and `scores` with that seed),
     `difference_to` (name of the first experiment, null for itself), `difference` (per subset and
-    score [estimate, low, high], paired block bootstrap, 95 %; null for short drives) and `health`
+    score [estimate, low, high], paired block bootstrap, 95 %, over frames and seeds, see
+    `scoring.seeds`; null for short drives) and `health`
     (per subset, see `health.model_health`). Subsets: `all_frames`, and, where an experiment's
     `tuning.never_fit` names frames with untrusted labels, `without_never_fit`. `failed`: a list of
-    `title`, `run` and `error` of the recordings that could not be compared.
+    `title`, `run` and `error` of the recordings that could not be compared. `together`: see there.
     """
+    done = [part for part in groups if "error" not in part]
     return {
         "schema_version": SCHEMA_VERSION,
         "held_out": True,
         "blocks": options.blocks,
-        "recordings": [part for part in groups if "error" not in part],
+        "recordings": [
+            {key: value for key, value in part.items() if key not in ("drive", "resampled")}
+            for part in done
+        ],
+        "together": together(done),
         "failed": [part for part in groups if "error" in part],
     }
+
+
+def together(groups: Sequence[Mapping[str, Any]]) -> list[dict[str, Any]]:
+    """Several recordings as one: of each experiment, the plain means over the recordings.
+
+    groups: what `compare_groups` yields of those that did not fail.
+
+    `name`, `recordings` and `drives` (how many there are), `free_parameters`, `fixed_parameters`
+    and `trials` (the least and the most over the recordings), `scores` and `difference`, to the
+    first experiment (per score [estimate, low, high], or null where a drive is short), and `spread`
+    (per score the standard deviation over the seeds of this mean).
+
+    Recordings of one drive by several detectors share its luck: their frames are resampled
+    together. Frames of untrusted labels (`tuning.never_fit`) are left out. Empty for one recording,
+    or where the recordings do not have the same experiments.
+    """
+    names = {tuple(entry["name"] for entry in part["experiments"]) for part in groups}
+    if len(groups) < 2 or len(names) > 1:
+        return []
+    found: list[dict[str, Any]] = []
+    means: list[Means] = []
+    for k, name in enumerate(next(iter(names))):
+        entries = [part["experiments"][k] for part in groups]
+        values = [part["resampled"][k] for part in groups]
+        means.append(
+            None
+            if any(each is None for each in values)
+            else {n: np.mean([each[n] for each in values], axis=0) for n in INTERVAL_STATISTICS}
+        )
+        found.append(
+            {
+                "name": name,
+                "recordings": len(groups),
+                "drives": len({part["drive"] for part in groups}),
+                **{key: _ends(entries, key) for key in _COUNTS},
+                "scores": _bounds(means[k]),
+                "spread": _spread_of_means(entries),
+                "difference": _bounds(_minus(means[k], means[0])) if k else None,
+            }
+        )
+    return found
+
+
+def _ends(entries: Sequence[Mapping[str, Any]], key: str) -> list[int] | None:
+    values = [entry[key] for entry in entries]
+    return None if None in values else [min(values), max(values)]
+
+
+def _spread_of_means(entries: Sequence[Mapping[str, Any]]) -> dict[str, float | None]:
+    """The spread over the seeds of the mean over recordings. Searches are independent: which of
+    them are taken together does not matter, and the k-th seeds are."""
+    runs = [[list(one["scores"].values())[-1] for one in entry["seeds"]] for entry in entries]
+    means = [
+        {name: float(np.mean([scores[name] for scores in each])) for name in INTERVAL_STATISTICS}
+        for each in zip(*runs, strict=True)
+    ]
+    return _spread(means) if means else dict.fromkeys(INTERVAL_STATISTICS)

@@ -94,6 +94,16 @@ def _labels_key(path: Path, changed_ns: int, size: int) -> str:
     return content.hexdigest()
 
 
+def timeline(drive: Drive) -> IntArray:
+    """The frame ids (T,) of the whole drive, in order, of which one detector's recording may lack
+    some: those of the ground truth's file, and the recording's own annotated ones."""
+    experiment, own = drive.experiment, drive.truth.frame_id
+    if experiment.ground_truth is None:
+        return own
+    path = find_file(experiment.ground_truth.path, experiment.folder)
+    return np.union1d(read_ground_truth(path).frame_id, own)
+
+
 def load_for_scoring(experiment: Experiment, recorded: Recorded | None = None) -> Drive:
     """The experiment's recording and model, as `load_drive` gives them."""
     needs = "a comparison scores against it"

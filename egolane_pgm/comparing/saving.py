@@ -26,18 +26,27 @@ def folder_of(title: str) -> str:
 
 
 def save_comparison(
-    out: Path, part: Mapping[str, Any], sides: Sequence[Side], tentative: FloatArray | None
+    out: Path,
+    part: Mapping[str, Any],
+    sides: Sequence[Sequence[Side]],
+    tentative: FloatArray | None,
 ) -> Path:
     """Write `out`/<recording>: comparison.json (the recording's part of the document) and a result
-    directory for each experiment, see `results`.
+    directory for each experiment, see `results`; for several seeds one for each, `NAME_seed3`.
 
+    sides: per experiment one, or one for each seed of its search.
     tentative (K, n): what the detector alone answers, where it was looked at.
 
     Raises InputError where they cannot be written.
     """
     folder = out / folder_of(part["title"])
     make_directory(folder)
-    for side, entry in zip(sides, part["experiments"], strict=True):
+    each = [
+        (side, entry, f"_seed{side.seed}" if len(alike) > 1 else "")
+        for alike, entry in zip(sides, part["experiments"], strict=True)
+        for side in alike
+    ]
+    for side, entry, suffix in each:
         experiment, model, recorded = side.experiment, side.drive.model, side.drive.recorded
         content = {**resolved(experiment, model.parameters), "fit": experiment.fit}
         rows = np.arange(len(side.drive))
@@ -61,6 +70,6 @@ def save_comparison(
             },
             block=side.held_out.block,
         )
-        save_result(result, experiment, model, folder / experiment.name)
+        save_result(result, experiment, model, folder / f"{experiment.name}{suffix}")
     write_json(folder / "comparison.json", {"schema_version": SCHEMA_VERSION, **part})
     return folder

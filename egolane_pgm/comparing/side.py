@@ -24,10 +24,10 @@ from egolane_pgm.experiment import Experiment, Tuning
 from egolane_pgm.learning import Found, check_learnable, n_learned, with_found
 from egolane_pgm.learning import fit as learn_from
 from egolane_pgm.model import Drive, beliefs_of, declared_parameters, value_names
-from egolane_pgm.scoring.held_out import N_BLOCKS, HeldOut, held_out
+from egolane_pgm.scoring.held_out import N_BLOCKS, HeldOut, held_out, without_block
 from egolane_pgm.tuning.held_out import nested_search
 from egolane_pgm.tuning.objective import check_filter
-from egolane_pgm.tuning.plan import Plan, parameters_at, problem_of
+from egolane_pgm.tuning.plan import Plan, Problem, parameters_at, problem_of
 from egolane_pgm.types import Beliefs, FloatArray, InputError, IntArray, LaneTruth
 
 #: Trials of each block's search where nothing else is said; a study of its own takes more.
@@ -47,6 +47,9 @@ class Side:
     drive: the experiment with its recording, all labels included.
     held_out: the beliefs, and per block what was fitted without it.
     free_parameters: how many numbers were fitted to labels.
+    fixed_parameters: how many numbers a search held fixed; None without a search.
+    trials: of each block's search; None without one.
+    seed: of the search; None without one.
     seconds_per_frame: processor time of evidence and filter over the whole recording, the fastest
         of several.
     tuned_on: as in a YAML.
@@ -59,6 +62,9 @@ class Side:
     seconds_per_frame: float
     tuned_on: str
     notes: tuple[str, ...] = ()
+    fixed_parameters: int | None = None
+    trials: int | None = None
+    seed: int | None = None
 
     @property
     def experiment(self) -> Experiment:
@@ -84,22 +90,72 @@ class Side:
         return self.beliefs.marginals["SensorState"][:, names.index("BAD")]
 
 
+@dataclass(frozen=True)
+class Search:
+    """How the search of `fit: tune` is done, as far as the experiment does not say it.
+
+    trials: of each block's search; None for the experiment's, else TRIALS.
+    trials_per_number: instead, this many for each number that is searched, so that models with more
+        numbers are searched as well.
+    seed: None for the experiment's.
+    """
+
+    trials: int | None = None
+    trials_per_number: int | None = None
+    seed: int | None = None
+
+
+def search_problem(drive: Drive, how: Search) -> Problem:
+    """What a search is to find for a drive. Raises InputError for an experiment that cannot be
+    searched."""
+    experiment = drive.experiment
+    check_filter(experiment)
+    tuning = experiment.tuning or Tuning()
+    if "detector" in tuning.search:
+        raise InputError(
+            f"{experiment.source}: tuning.search: detector: goes with `egolane tune`, not with"
+            " fit: tune"
+        )
+    seed = tuning.seed if how.seed is None else how.seed
+    trials = how.trials or tuning.trials or TRIALS
+    tuning = tuning.model_copy(update={"trials": trials, "seed": seed})
+    searched = Plan(experiment.name, "", (experiment,), tuning, experiment.source)
+    problem = problem_of(searched, [drive])
+    if how.trials_per_number is None:
+        return problem
+    trials = how.trials_per_number * len(problem.space)
+    return replace(problem, settings=replace(problem.settings, trials=trials))
+
+
+def search_blocks(drive: Drive, n_blocks: int, how: Search) -> list[Found]:
+    """What a search finds without each block in turn, for `held_out_side`. Raises InputError as
+    that does."""
+    fit = _searcher(search_problem(drive, how))
+    return [fit(*without_block(drive, n_blocks, b), b) for b in range(n_blocks)]
+
+
 def held_out_side(
     drive: Drive,
     *,
     n_blocks: int = N_BLOCKS,
-    trials: int | None = None,
+    search: Search | None = None,
     losses: Sequence[Losses] | None = None,
+    searched: Sequence[Found] | None = None,
 ) -> Side:
     """Fit without each block in turn, filter the whole recording, keep the block.
 
-    trials: of each block's search with `fit: tune`; default the experiment's, else TRIALS.
+    search: how `fit: tune` searches.
     losses: of the candidates of `fit: choose`, where they are at hand.
+    searched: what `search_blocks` found, where it is at hand.
 
     Raises InputError for a fit that the experiment's plugins do not allow, or too many blocks.
     """
     experiment = drive.experiment
-    fit, free_parameters = _fit_of(drive, n_blocks, trials, losses)
+    problem = search_problem(drive, search or Search()) if experiment.fit == "tune" else None
+    if problem is not None:
+        fit, free_parameters = _searcher(problem, searched), len(problem.space)
+    else:
+        fit, free_parameters = _fit_of(drive, n_blocks, losses)
     done: list[Beliefs] = []
     notes: list[str] = []
     seconds: list[float] = []
@@ -121,13 +177,14 @@ def held_out_side(
         min(seconds),
         experiment.tuned_on if experiment.fit == "none" else "other_frames",
         tuple(dict.fromkeys(notes)),
+        None if problem is None else problem.spaces[0].n_fixed,
+        None if problem is None else problem.settings.trials,
+        None if problem is None else problem.settings.seed,
     )
 
 
-def _fit_of(
-    drive: Drive, n_blocks: int, trials: int | None, losses: Sequence[Losses] | None
-) -> tuple[Fit, int]:
-    """The experiment's way to find parameters, and how many numbers it finds."""
+def _fit_of(drive: Drive, n_blocks: int, losses: Sequence[Losses] | None) -> tuple[Fit, int]:
+    """The experiment's way to find parameters without a search, and how many numbers it finds."""
     experiment, model = drive.experiment, drive.model
     if experiment.learned_on and experiment.fit != "learn":
         raise InputError(f"{experiment.source}: learned_on: goes with fit: learn")
@@ -142,12 +199,10 @@ def _fit_of(
         if experiment.learned_on:
             return learner_elsewhere(drive, n_blocks), numbers
         return _learn, numbers
-    if experiment.fit == "choose":
-        numbers = len(candidates(experiment)[0])
-        if learns(model, experiment):
-            numbers += n_learned(model, experiment)
-        return _chooser(experiment, n_blocks, losses), numbers
-    return _searcher(drive, trials)
+    numbers = len(candidates(experiment)[0])
+    if learns(model, experiment):
+        numbers += n_learned(model, experiment)
+    return _chooser(experiment, n_blocks, losses), numbers
 
 
 def _nothing(drive: Drive, train: IntArray, block: int) -> Found:
@@ -174,23 +229,14 @@ def _chooser(experiment: Experiment, n_blocks: int, losses: Sequence[Losses] | N
     return fit
 
 
-def _searcher(drive: Drive, trials: int | None) -> tuple[Fit, int]:
+def _searcher(problem: Problem, searched: Sequence[Found] | None = None) -> Fit:
     """A search from scratch: the experiment's own values may have been tuned on the block."""
-    experiment = drive.experiment
-    check_filter(experiment)
-    tuning = experiment.tuning or Tuning()
-    if "detector" in tuning.search:
-        raise InputError(
-            f"{experiment.source}: tuning.search: detector: goes with `egolane tune`, not with"
-            " fit: tune"
-        )
-    tuning = tuning.model_copy(update={"trials": trials or tuning.trials or TRIALS})
-    searched = Plan(experiment.name, "", (experiment,), tuning, experiment.source)
-    problem = problem_of(searched, [drive])
 
     def fit(drive: Drive, train: IntArray, block: int) -> Found:
+        if searched is not None:
+            return searched[block]
         used = np.isin(np.arange(len(drive)), train)
         found = nested_search(replace(problem, drives=(drive,)), [used], block)
         return parameters_at(problem, found.point)[0]
 
-    return fit, len(problem.space)
+    return fit

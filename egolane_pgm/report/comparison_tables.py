@@ -17,6 +17,16 @@ those of differences (to the first experiment of the recording) are paired. Log 
 compared only between experiments with the same evidence rule and parameters of it. us/frame:
 processor time of evidence and filter. Parameters: numbers that were fitted to labels."""
 
+SEEDS_LEGEND = """\
+Each search was made with every seed: scores are means over the seeds, +- is their standard
+deviation, and intervals are over frames and seeds (each resample draws blocks of frames and, for
+each experiment, seeds). Searched, fixed: numbers that the search moves, and those that it does not;
+trials: of the search without one block."""
+
+TOGETHER_LEGEND = """\
+All recordings: plain means over them. Recordings of one drive by several detectors are not
+independent: their frames are resampled together, each drive by itself."""
+
 HEALTH_LEGEND = """\
 AUC: area under the ROC curve for "the detector alone is wrong in this frame", over non-crossing
 frames in which it commits to a lane; doubt: 1 - P(the detector's lane), P(BAD): the belief that
@@ -74,7 +84,7 @@ def full_rows(document: Mapping[str, Any]) -> tuple[list[str], list[list[str]]]:
         "recording", "experiment", "frames", "parameters from", "accuracy", "F1", "log-loss",
         "Brier", "calibration error", "false switches/min", "delay median", "delay p90", "missed",
         "coverage", "log evidence", "us/frame", "parameters", "accuracy diff", "F1 diff",
-        "log-loss diff",
+        "log-loss diff", "fixed", "trials", "seeds", "accuracy +-",
     ]  # fmt: skip
     rows = []
     for recording in document["recordings"]:
@@ -105,7 +115,75 @@ def _cells(entry: Mapping[str, Any], subset: str, scores: Mapping[str, Any]) -> 
         score_text(entry["microseconds_per_frame"], 1),
         str(entry["free_parameters"]),
         *(_difference(difference.get(key)) for key in ("accuracy", "f1", "log_loss")),
+        *("-" if entry[k] is None else str(entry[k]) for k in ("fixed_parameters", "trials")),
+        str(len(entry["seeds"]) or "-"),
+        score_text(entry["spread"][subset]["accuracy"]),
     ]
+
+
+#: The scores that are compared, and how a table calls them.
+_COMPARED = {"accuracy": "accuracy", "f1": "F1", "log_loss": "log-loss"}
+
+
+def is_repeated(document: Mapping[str, Any]) -> bool:
+    """Whether a search was made with several seeds."""
+    entries = [e for recording in document["recordings"] for e in recording["experiments"]]
+    return any(len(entry["seeds"]) > 1 for entry in entries)
+
+
+def together_tables(document: Mapping[str, Any]) -> list[tuple[list[str], list[list[str]]]]:
+    """All recordings together: a table for each score, a row per experiment. Empty where there is
+    nothing to take together."""
+    found = document["together"]
+    repeated, searched = is_repeated(document), any(each["trials"] for each in found)
+    tables = []
+    for key, title in _COMPARED.items() if found else ():
+        header = [f"all {found[0]['recordings']} recordings"]
+        header += ["searched", "fixed", "trials"] if searched else []
+        header += [title, *(["+-"] if repeated else []), f"to {found[0]['name']}"]
+        rows = []
+        for each in found:
+            row = [each["name"]]
+            if searched:
+                names = ("free_parameters", "fixed_parameters", "trials")
+                row += [_least_and_most(each[name]) for name in names]
+            bounds = each["scores"][key]
+            row.append("-" if bounds is None else _short_bounds(bounds))
+            row += [score_text(each["spread"][key])] if repeated else []
+            row.append(_difference((each["difference"] or {}).get(key)))
+            rows.append(row)
+        tables.append((header, rows))
+    return tables
+
+
+def _least_and_most(ends: Sequence[int] | None) -> str:
+    return "-" if ends is None else "-".join(map(str, dict.fromkeys(ends)))
+
+
+def _short_bounds(bounds: Sequence[float]) -> str:
+    return with_interval(bounds[0], bounds[1:])
+
+
+def seeds_rows(document: Mapping[str, Any]) -> tuple[list[str], list[list[str]]]:
+    """The means over the seeds, over the frames whose labels can be trusted: a row per recording
+    and experiment."""
+    rows = []
+    for recording in document["recordings"]:
+        for entry in recording["experiments"]:
+            scores, spread = trusted_or_all(entry["scores"]), trusted_or_all(entry["spread"])
+            difference = trusted_or_all(entry["difference"]) if entry["difference"] else {}
+            rows.append(
+                [
+                    recording["title"],
+                    entry["name"],
+                    str(max(1, len(entry["seeds"]))),
+                    _score(scores, "accuracy", 3) + _mark(entry),
+                    score_text(spread["accuracy"]),
+                    _difference(difference.get("accuracy")),
+                ]
+            )
+    first = next(iter(experiment_names(document)), "the first")
+    return ["recording", "experiment", "seeds", "accuracy", "+-", f"to {first}"], rows
 
 
 def chosen_rows(document: Mapping[str, Any]) -> tuple[list[str], list[list[str]]]:

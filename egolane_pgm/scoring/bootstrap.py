@@ -67,7 +67,10 @@ class Interval:
 
 
 def circular_block_bootstrap(
-    n_frames: int, block: int = BLOCK_FRAMES, resamples: int = RESAMPLES, seed: int = 0
+    n_frames: int,
+    block: int = BLOCK_FRAMES,
+    resamples: int = RESAMPLES,
+    seed: int | Sequence[int] = 0,
 ) -> BlockResamples:
     """Draw the resamples of a circular block bootstrap (Politis & Romano 1992).
 

@@ -14,6 +14,7 @@ import yaml
 
 from egolane_pgm import paper as paper
 from egolane_pgm.comparing.groups import (
+    Group,
     Options,
     by_recording,
     compare_group,
@@ -21,15 +22,22 @@ from egolane_pgm.comparing.groups import (
     document,
     graphs_on_runs,
     on_runs,
+    together,
 )
 from egolane_pgm.comparing.placing import load_for_scoring, on_recording, recording_key
-from egolane_pgm.comparing.side import Side, held_out_side
+from egolane_pgm.comparing.side import Search, Side, held_out_side
 from egolane_pgm.experiment import Experiment, load_experiment, resolved
 from egolane_pgm.model import Drive
 from egolane_pgm.plugins import plugin_names
 from egolane_pgm.recordings.ground_truth import write_ground_truth
 from egolane_pgm.report.comparison_figures import comparison_figure, draw_comparison
-from egolane_pgm.report.comparison_tables import accuracy_rows, full_rows, health_rows
+from egolane_pgm.report.comparison_tables import (
+    accuracy_rows,
+    full_rows,
+    health_rows,
+    seeds_rows,
+    together_tables,
+)
 from egolane_pgm.running import run_experiment
 from egolane_pgm.scoring.assign import assigned_lane
 from egolane_pgm.scoring.bootstrap import bootstrap_interval, confusion_counts
@@ -56,7 +64,7 @@ def scrambled(drive: Drive, frames: np.ndarray) -> Drive:
 
 
 def run_of(drive: Drive) -> Side:
-    return held_out_side(drive, trials=TRIALS)
+    return held_out_side(drive, search=Search(TRIALS))
 
 
 @pytest.mark.parametrize(
@@ -184,12 +192,74 @@ def test_health_is_asked_of_frames_in_which_the_detector_commits() -> None:
 def test_processes_find_the_same() -> None:
     other = {"simulate": "quickstart", "seed": 7}
     groups = by_recording([simulated("a"), simulated("b", recording=other)])
-    one = list(compare_groups(groups, jobs=1))
-    two = list(compare_groups(groups, jobs=2))
-    for found in (*one, *two):
-        for entry in found["experiments"]:
-            assert entry.pop("microseconds_per_frame") > 0
+    one, two = (_compared(groups, Options(), jobs) for jobs in (1, 2))
     assert one == two
+
+
+def _compared(groups: list[Group], options: Options, jobs: int = 1) -> dict[str, Any]:
+    """The document, without the times that were measured."""
+    found = document(list(compare_groups(groups, options, jobs=jobs)), options)
+    assert not found["failed"]
+    for recording in found["recordings"]:
+        for entry in recording["experiments"]:
+            assert entry.pop("microseconds_per_frame") > 0
+    return found
+
+
+def _searched(name: str, simulation: int, **keys: Any) -> Experiment:
+    recording = {"simulate": "quickstart", "seed": simulation}
+    return simulated(name, fit="tune", recording=recording, **keys)
+
+
+def test_a_search_is_made_with_every_seed_and_scored_by_the_mean() -> None:
+    groups = by_recording(
+        [_searched(name, k, graph=name) for k in (0, 7) for name in ("lane_only", "no_wor")]
+    )
+    options = Options(blocks=2, trials_per_number=3, seeds=(0, 4))
+    found = _compared(groups, options)
+    assert found == _compared(groups, options, jobs=2)
+    for entry, numbers in zip(found["recordings"][1]["experiments"], (3, 5), strict=True):
+        assert (entry["free_parameters"], entry["trials"]) == (numbers, 3 * numbers)
+        assert [one["seed"] for one in entry["seeds"]] == [0, 4]
+        for one in entry["seeds"]:
+            # With this seed alone: the same parameters, and the same scores.
+            own = {"seed": one["seed"], "trials": 3 * numbers}
+            alone = held_out_side(
+                load_for_scoring(_searched("x", 7, graph=entry["name"], tuning=own)), n_blocks=2
+            )
+            assert [dict(p) for p in alone.held_out.parameters] == one["parameters"]
+        each = [one["scores"]["all_frames"]["accuracy"] for one in entry["seeds"]]
+        assert each[0] != each[1]
+        assert entry["scores"]["all_frames"]["accuracy"] == pytest.approx(np.mean(each))
+        assert entry["spread"]["all_frames"]["accuracy"] == pytest.approx(np.std(each, ddof=1))
+    mean = [r["experiments"][1]["scores"]["all_frames"]["f1"] for r in found["recordings"]]
+    first, second = found["together"]
+    assert (first["difference"], second["recordings"], second["drives"]) == (None, 2, 2)
+    assert (second["free_parameters"], second["trials"]) == ([5, 5], [15, 15])
+    assert second["scores"]["f1"][0] == pytest.approx(np.mean(mean))
+    low, high = second["difference"]["f1"][1:]
+    assert low < second["scores"]["f1"][0] - first["scores"]["f1"][0] < high
+    for header, rows in (seeds_rows(found), *together_tables(found)):
+        assert {len(row) for row in rows} == {len(header)}
+        assert f"{np.mean(mean):.3f}" in str(rows) or header[-3] != "F1"
+
+
+def test_recordings_of_one_drive_do_not_count_as_two(tmp_path: Path) -> None:
+    """A copy of a recording adds nothing, so the interval stays; another drive does."""
+    paths = [write_drive(tmp_path / name, N_FRAMES) for name in ("a", "b")]
+    alike = [load_experiment(path) for path in paths]
+    both = [
+        e.model_copy(update={"name": n, "graph": g})
+        for e in alike
+        for n, g in (("x", "sensor_failure"), ("y", "lane_only"))
+    ]
+    once = by_recording(both[:2])
+    twice = _compared(by_recording(both), Options())["together"][1]["difference"]["accuracy"]
+    (part,) = compare_groups(once, Options())
+    alone = together([part, part])[1]["difference"]["accuracy"]
+    assert twice == pytest.approx(alone)
+    assert twice[2] > twice[1]
+    assert together([part]) == []
 
 
 @pytest.fixture
@@ -317,6 +387,10 @@ def test_what_cannot_be_compared_is_refused_in_one_line(runs: Path, tmp_path: Pa
     message = refused("compare", write(tmp_path / "wide.yaml", wide), "--runs", "2")
     assert message.startswith("run 2, 3 lanes: ")
     assert "parameters.sigmas_m: has 7 numbers, needs a list of 6" in message
+    for text in ("0", "x", "-1", ",", "1.5"):
+        message = refused("compare", one, f"--seeds={text}")
+        assert message == f"--seeds {text}: write how many, 5, or which with commas, 3,7"
+    assert "instead of --trials" in refused("compare", one, "--trials", 4, "--trials-per-number", 4)
     everything = ("--set", "tuning.never_fit=[[0, null]]", "--set", "fit=tune")
     assert "no frame is left to fit on" in refused("compare", one, *everything)
 

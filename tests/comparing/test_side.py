@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from egolane_pgm.comparing.placing import load_for_scoring
-from egolane_pgm.comparing.side import held_out_side
+from egolane_pgm.comparing.side import Search, held_out_side
 from egolane_pgm.experiment import Experiment, load_experiment
 from egolane_pgm.learning import fit, fit_pooled, n_learned, with_found
 from egolane_pgm.model import beliefs_of
@@ -36,7 +36,7 @@ CHOOSING = geometry(fit="choose", choice={"grid": GRID, "objective": "log_loss"}
 )
 def test_each_block_is_believed_with_its_own_parameters(experiment: Experiment) -> None:
     drive = load_for_scoring(experiment)
-    run = held_out_side(drive, trials=4)
+    run = held_out_side(drive, search=Search(4))
     assert len({repr(sorted(found.items())) for found in run.held_out.parameters}) > 1
     for found, block in zip(run.held_out.parameters, blocks(len(drive)), strict=True):
         model = with_found(drive.model, found, experiment)
@@ -80,7 +80,7 @@ def test_a_search_sees_the_other_blocks_only_and_draws_by_a_seed_of_its_own(
     monkeypatch.setattr(module, "search_in_memory", study)
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
-        held_out_side(drive, trials=4)
+        held_out_side(drive, search=Search(4))
     assert [own.trials for own in settings] == [4] * 5
     assert len({own.seed for own in settings}) == 5
     for mask, block in zip(looked_at, blocks(len(drive)), strict=True):
