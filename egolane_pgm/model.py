@@ -87,11 +87,7 @@ def prepare_model(experiment: Experiment) -> Model:
     )
     _check_fit(rule, graph, source)
     try:
-        with plugin_errors(graph, f"{source}: graph"):
-            network = graph.build(experiment.n_lanes, parameters)
-        if not hasattr(network, "get_cpds"):
-            raise InputError(f"build() gave {type(network).__name__}, not a pgmpy network")
-        compiled = _compiled(graph, network)
+        compiled = compile_graph(graph, experiment.n_lanes, parameters, f"{source}: graph")
     except InputError as error:
         raise InputError(f"{source}: graph {experiment.graph}: {error}") from error
     lanes = compiled.cardinality.get("Lane")
@@ -115,11 +111,25 @@ def with_parameters(model: Model, parameters: Mapping[str, Value]) -> Model:
     if same_shape and hasattr(model.graph, "tables"):
         compiled = with_tables(model.compiled, model.graph.tables(model.n_lanes, parameters))
     else:
-        compiled = _compiled(model.graph, model.graph.build(model.n_lanes, parameters))
+        compiled = compile_graph(model.graph, model.n_lanes, parameters, "graph")
     return replace(model, parameters=parameters, compiled=compiled)
 
 
-def _compiled(graph: ModuleType, network: DynamicBayesianNetwork) -> Compiled:
+def compile_graph(
+    graph: ModuleType, n_lanes: int, parameters: Mapping[str, Value], where: str
+) -> Compiled:
+    """Declare a graph with these values and compile it.
+
+    - parameters: the value of every parameter that the graph declares.
+    - where: the beginning of a message about an error in a user's own file.
+
+    Raises InputError as `plugin_errors` and `compile_network` do, and for a `build` that gives no
+    pgmpy network.
+    """
+    with plugin_errors(graph, where):
+        network = graph.build(n_lanes, parameters)
+    if not hasattr(network, "get_cpds"):
+        raise InputError(f"build() gave {type(network).__name__}, not a pgmpy network")
     return compile_network(
         network,
         graph.HIDDEN,

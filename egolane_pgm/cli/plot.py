@@ -1,4 +1,4 @@
-"""The commands `egolane plot` and `egolane network`."""
+"""The command `egolane plot`."""
 
 from __future__ import annotations
 
@@ -6,13 +6,10 @@ from pathlib import Path
 
 import click
 
-from egolane_pgm.parameters import resolve_parameters
-from egolane_pgm.plugins import load_plugin, plugin_errors
 from egolane_pgm.report.draw import draw_standard, draw_together
-from egolane_pgm.report.network import draw_network
 from egolane_pgm.report.study_figures import draw_study
 from egolane_pgm.report.study_trials import is_study
-from egolane_pgm.types import MAX_LANES, InputError
+from egolane_pgm.types import InputError
 
 
 @click.command()
@@ -44,19 +41,3 @@ def plot(
         target = Path(out) if out else drives[0].parent
         for file in draw_together(drives, target, style=style):
             click.echo(file)
-
-
-@click.command()
-@click.argument("graph")
-@click.argument("target", type=click.Path(dir_okay=False))
-@click.option("--n-lanes", type=click.IntRange(1), default=3, show_default=True)
-def network(graph: str, target: str, n_lanes: int) -> None:
-    """Draw a graph (a name, or a file of your own) as a figure, two slices."""
-    if n_lanes > MAX_LANES:
-        raise InputError(f"--n-lanes: {n_lanes} is more than {MAX_LANES}")
-    module = load_plugin("graphs", graph, Path.cwd(), "graph")
-    parameters = resolve_parameters(getattr(module, "PARAMETERS", ()), {}, n_lanes)
-    with plugin_errors(module, "graph"):
-        built = module.build(n_lanes, parameters)
-    draw_network(built, Path(target))
-    click.echo(target)

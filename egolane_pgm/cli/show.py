@@ -1,20 +1,30 @@
-"""The commands `egolane ls` and `egolane validate`."""
+"""The commands `egolane ls`, `egolane validate` and `egolane network`."""
 
 from __future__ import annotations
 
 from pathlib import Path
+from types import ModuleType
 
 import click
 
 from egolane_pgm.cli import options
 from egolane_pgm.experiment import load_experiment, load_yaml
+from egolane_pgm.files import check_not_read
+from egolane_pgm.inference.compile import Compiled
 from egolane_pgm.loading import check_sources
-from egolane_pgm.model import prepare_model
+from egolane_pgm.model import compile_graph, prepare_model
 from egolane_pgm.paper import experiments_folder
-from egolane_pgm.plugins import plugin_names
+from egolane_pgm.parameters import resolve_parameters
+from egolane_pgm.plugins import load_plugin, plugin_names
 from egolane_pgm.recordings import FORMATS
+from egolane_pgm.report.network import check_ending, write_network
 from egolane_pgm.simulation import PRESETS
 from egolane_pgm.tuning.plan import check_plan, load_plan
+from egolane_pgm.types import MAX_LANES, InputError
+
+_n_lanes = click.option(
+    "--n-lanes", type=click.IntRange(1, MAX_LANES), default=3, show_default=True
+)
 
 
 @click.command()
@@ -58,3 +68,27 @@ def validate(experiments: tuple[str, ...], overrides: tuple[str, ...]) -> None:
         check_sources(experiment)
         states = model.compiled.n_states
         click.echo(f"{path}: ok ({experiment.n_lanes} lanes, {states} joint states)")
+
+
+@click.command()
+@click.argument("graph")
+@click.argument("target", type=click.Path(dir_okay=False))
+@_n_lanes
+def network(graph: str, target: str, n_lanes: int) -> None:
+    """Write a graph (a name, or a file of your own), two slices: a picture (.png, .svg, .pdf), text
+    for Graphviz (.dot), or its tables for other programs (.bif)."""
+    check_ending(target)
+    check_not_read(Path(target), [Path(graph)])
+    module = load_plugin("graphs", graph, Path.cwd(), "graph")
+    write_network(_compiled(graph, module, n_lanes), target)
+    click.echo(target)
+
+
+def _compiled(name: str, module: ModuleType, n_lanes: int) -> Compiled:
+    """A graph with the default values of its parameters."""
+    where = f"graph {name}"
+    try:
+        parameters = resolve_parameters(getattr(module, "PARAMETERS", ()), {}, n_lanes)
+        return compile_graph(module, n_lanes, parameters, where)
+    except InputError as error:
+        raise InputError(str(error) if where in str(error) else f"{where}: {error}") from error

@@ -1,15 +1,20 @@
 """A network over frames as an ordinary pgmpy network, in which every node of every frame is a node
-of its own: `Lane@17`."""
+of its own: `Lane@17`, or `Lane_0` and `Lane_1` of two slices in a BIF file."""
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterable, Mapping, Sequence
 from typing import TYPE_CHECKING
 
 from egolane_pgm.graphs.cpds import Table, quiet
+from egolane_pgm.types import InputError
 
 if TYPE_CHECKING:
     from pgmpy.models import DiscreteBayesianNetwork
+
+#: What pgmpy's reader of BIF files does not take for a part of a value's name.
+_BIF_SYNTAX = set(',;(){}"/\n')
 
 
 def flat_network(
@@ -39,3 +44,22 @@ def flat_network(
             shape = table.values.shape[:-1]
             network.add_cpds(TabularCPD(node, len(columns), columns, parents, shape, names))
         return network
+
+
+def bif(tables: Iterable[Table], values: Mapping[str, Sequence[str]]) -> str:
+    """The two slices of a network in the Bayesian interchange format: the nodes are `Lane_0` and
+    `Lane_1`, the numbers are exact.
+
+    Raises InputError, naming the node, for names that the format cannot hold.
+    """
+    network = flat_network(tables, values, between="_")
+    for cpd in network.cpds:
+        if not re.fullmatch(r"[\w.-]+", cpd.variable):
+            raise InputError(f"{cpd.variable}: a BIF file cannot hold this name of a node")
+        for name in map(str, cpd.state_names[cpd.variable]):
+            if not name or name != name.strip() or set(name) & _BIF_SYNTAX:
+                raise InputError(f"{cpd.variable}: a BIF file cannot hold the value name {name!r}")
+    with quiet():
+        from pgmpy.readwrite import BIFWriter
+
+        return str(BIFWriter(network))

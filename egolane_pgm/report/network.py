@@ -1,32 +1,42 @@
-"""Draws a network as it is declared: the two slices of a dynamic Bayesian network."""
+"""Writes a network as it is declared: a picture of its two slices, or text for other programs."""
 
 from __future__ import annotations
 
 import re
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Protocol
 
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
-from matplotlib.patches import Circle, FancyArrowPatch, FancyBboxPatch
+from matplotlib.patches import Circle, FancyArrowPatch, FancyBboxPatch, Patch, Rectangle
 
-from egolane_pgm.graphs.cpds import VE_SUFFIX
-from egolane_pgm.report.style import write_figure
+from egolane_pgm.files import write_text
+from egolane_pgm.graphs.cpds import SliceNode
+from egolane_pgm.graphs.flat import bif
+from egolane_pgm.inference.compile import Compiled
+from egolane_pgm.report.structure import KINDS, Structure, graphviz, structure_of
+from egolane_pgm.report.style import FORMATS, write_figure
 from egolane_pgm.types import InputError
 
-#: A node of one slice: its name and 0 (time t) or 1 (time t + 1).
-Node = tuple[str, int]
+#: How the name of a file ends that a network can be written to.
+ENDINGS = (*FORMATS, ".dot", ".bif")
 
 Place = tuple[float, float]
 
-# Kinds of nodes differ in lightness and outline as well as in hue, so that colour is not needed.
-_FILL = {"hidden": "#ffffff", "observed": "#a9c1d6", "evidence": "#4d5a66"}
-_RADIUS = {"hidden": 0.52, "observed": 0.52, "evidence": 0.17}
+# Kinds of nodes differ in lightness, outline and shape as well as in hue, so that colour is not
+# needed.
+_FILL = {
+    "hidden": "#ffffff",
+    "function": "#ffffff",
+    "observed": "#a9c1d6",
+    "input": "#f2dfb3",
+    "virtual evidence": "#4d5a66",
+}
 _INK, _TEMPORAL, _FRAME = "#222222", "#b3541e", "#f4f4f2"
+_RADIUS, _SMALL = 0.52, 0.17
 
 # Distances in the units of the radii: between columns, between rows, down to virtual evidence.
 _COLUMN, _ROW, _EVIDENCE_ROW = 1.5, 1.5, 1.2
@@ -34,53 +44,42 @@ _SLICE_GAP, _MARGIN = 1.3, 0.75
 _INCHES = 0.82
 
 
-class TwoSliceNetwork(Protocol):
-    """The part of a pgmpy DynamicBayesianNetwork that is drawn."""
-
-    def nodes(self) -> Iterable[Node]:
-        """All nodes of both slices."""
-
-    def edges(self) -> Iterable[tuple[Node, Node]]:
-        """All edges, parent first."""
-
-
 @dataclass(frozen=True)
 class _Drawing:
-    """The place of each node, the kind of each name, and the size of one slice."""
+    """The place of each node, and the size of one slice."""
 
-    place: Mapping[Node, Place]
-    kind: Mapping[str, str]
-    edges: Sequence[tuple[Node, Node]]
+    structure: Structure
+    place: Mapping[SliceNode, Place]
     width: float
     height: float
 
-    def radius(self, node: Node) -> float:
-        return _RADIUS[self.kind[node[0]]]
+    def kind(self, node: SliceNode) -> str:
+        return self.structure.kind[node[0]]
+
+    def radius(self, node: SliceNode) -> float:
+        return _SMALL if self.kind(node) == "virtual evidence" else _RADIUS
+
+    @property
+    def step(self) -> float:
+        """How far one slice is from the other."""
+        return self.width + 2 * _MARGIN + _SLICE_GAP
 
 
-def _kinds(names: Sequence[str], edges: Sequence[tuple[str, str]]) -> dict[str, str]:
-    """The kind of each name: evidence (`<name>_ve`), observed (a parent of one) or hidden."""
-    observed = {parent for parent, child in edges if child.endswith(VE_SUFFIX)}
-    return {
-        name: "evidence"
-        if name.endswith(VE_SUFFIX)
-        else "observed"
-        if name in observed
-        else "hidden"
-        for name in names
-    }
-
-
-def _layers(names: Sequence[str], edges: Sequence[tuple[str, str]]) -> list[list[str]]:
+def _layers(structure: Structure) -> list[list[str]]:
     """The names in layers, by the longest path to them from a root within a slice."""
-    depth = dict.fromkeys(names, 0)
-    for _ in range(len(names) + 1):
-        before = dict(depth)
-        for parent, child in edges:
-            depth[child] = max(depth[child], depth[parent] + 1)
-        if depth == before:
-            return [[n for n in names if depth[n] == d] for d in range(max(depth.values()) + 1)]
-    raise InputError("network: the edges within a slice form a cycle, it cannot be drawn")
+    parents = _parents(structure)
+
+    def depth(name: str, below: tuple[str, ...] = ()) -> int:
+        if name in below:
+            raise InputError("network: the edges within a slice form a cycle, it cannot be drawn")
+        return 1 + max((depth(p, (*below, name)) for p in parents[name]), default=-1)
+
+    depths = {name: depth(name) for name in structure.kind}
+    return [[n for n in depths if depths[n] == d] for d in range(max(depths.values()) + 1)]
+
+
+def _parents(structure: Structure) -> dict[str, list[str]]:
+    return {name: [a for a, b in structure.within if b == name] for name in structure.kind}
 
 
 def _spread(wanted: Sequence[float]) -> list[float]:
@@ -108,46 +107,36 @@ def _columns(layers: Sequence[Sequence[str]], parents: Mapping[str, list[str]]) 
     return {name: value - left for name, value in x.items()}
 
 
-def _rows(
-    layers: Sequence[Sequence[str]], temporal: set[str], kind: Mapping[str, str]
-) -> dict[str, float]:
+def _rows(layers: Sequence[Sequence[str]], structure: Structure) -> dict[str, float]:
     """The vertical place of each name, 0 at the top.
 
     A name with arrows to or from the other slice gets a row of its own, so that these arrows run
     between the slices without crossing another node.
     """
+    temporal = {name for edge in structure.across for name in edge}
     y: dict[str, float] = {}
     at = _ROW
     for layer in layers:
         shared = [name for name in layer if name not in temporal]
         for row in [[name] for name in layer if name in temporal] + ([shared] if shared else []):
-            at -= _EVIDENCE_ROW if all(kind[name] == "evidence" for name in row) else _ROW
+            is_small = all(structure.kind[name] == "virtual evidence" for name in row)
+            at -= _EVIDENCE_ROW if is_small else _ROW
             y.update(dict.fromkeys(row, at))
     return y
 
 
-def _lay_out(network: TwoSliceNetwork) -> _Drawing:
-    nodes = [(str(name), int(time)) for name, time in network.nodes()]
-    edges = [((str(a), int(s)), (str(b), int(t))) for (a, s), (b, t) in network.edges()]
-    if not nodes:
+def _lay_out(structure: Structure) -> _Drawing:
+    if not structure.kind:
         raise InputError("network: it has no nodes, nothing to draw")
-    for name, time in nodes:
-        if time not in (0, 1):
-            raise InputError(f"network: node {name} is in slice {time}, only 0 and 1 can be drawn")
-    names = list(dict.fromkeys(name for name, _ in nodes))
-    inside = list(dict.fromkeys((a, b) for (a, s), (b, t) in edges if s == t))
-    temporal = {name for (a, s), (b, t) in edges if s != t for name in (a, b)}
-    kind = _kinds(names, inside)
-    layers = _layers(names, inside)
-    x = _columns(layers, {name: [a for a, b in inside if b == name] for name in names})
-    y = _rows(layers, temporal, kind)
-    width, height = max(x.values()), -min(y.values())
-    step = width + 2 * _MARGIN + _SLICE_GAP
-    place = {(name, time): (x[name] + time * step, y[name]) for name, time in nodes}
-    return _Drawing(place, kind, edges, width, height)
+    layers = _layers(structure)
+    x = _columns(layers, _parents(structure))
+    y = _rows(layers, structure)
+    bare = _Drawing(structure, {}, max(x.values()), -min(y.values()))
+    place = {(name, s): (x[name] + s * bare.step, y[name]) for name in x for s in (0, 1)}
+    return _Drawing(structure, place, bare.width, bare.height)
 
 
-def _curvature(start: Node, end: Node, drawing: _Drawing) -> float:
+def _curvature(start: SliceNode, end: SliceNode, drawing: _Drawing) -> float:
     """The smallest bend (`rad` of matplotlib's arc3) with which an arrow clears all other nodes."""
     (x0, y0), (x1, y1) = drawing.place[start], drawing.place[end]
     s = np.linspace(0.0, 1.0, 60)
@@ -178,84 +167,105 @@ def _wrapped(name: str) -> str:
     return "\n".join(words) if words else name
 
 
-def _draw_node(ax: Axes, node: Node, drawing: _Drawing) -> Circle:
-    (x, y), kind, radius = drawing.place[node], drawing.kind[node[0]], drawing.radius(node)
-    circle = Circle((x, y), radius, facecolor=_FILL[kind], edgecolor=_INK, linewidth=1.2, zorder=3)
-    circle.set_gid(f"node {node[0]} {node[1]}")
-    ax.add_patch(circle)
-    if kind == "observed":
+def _draw_node(ax: Axes, node: SliceNode, drawing: _Drawing) -> Patch:
+    (x, y), kind, radius = drawing.place[node], drawing.kind(node), drawing.radius(node)
+    patch: Patch = Circle((x, y), radius)
+    if kind == "input":
+        half = 0.85 * radius
+        patch = Rectangle((x - half, y - half), 2 * half, 2 * half)
+    patch.set(facecolor=_FILL[kind], edgecolor=_INK, linewidth=1.2, zorder=3)
+    patch.set_gid(f"node {node[0]} {node[1]}")
+    ax.add_patch(patch)
+    if kind == "function":
         inner = {"fill": False, "edgecolor": _INK, "linewidth": 0.9, "zorder": 4}
         ax.add_patch(Circle((x, y), radius - 0.06, **inner))
-    if kind == "evidence":
-        ax.text(x, y - radius - 0.08, node[0], fontsize=7, color=_INK, ha="center", va="top")
-        return circle
+    if kind == "virtual evidence":
+        label = node[0].replace("+", "\n+ ")
+        ax.text(x, y - radius - 0.08, label, fontsize=7, color=_INK, ha="center", va="top")
+        return patch
     label = _wrapped(node[0])
     longest = max(len(line) for line in label.split("\n"))
     size = min(9.5, 78 / longest, 34 / (label.count("\n") + 1))
     ax.text(x, y, label, fontsize=size, color=_INK, ha="center", va="center", zorder=5)
-    return circle
+    return patch
 
 
-def _draw_legend(ax: Axes, drawing: _Drawing) -> None:
-    def marker(kind: str, size: float, label: str) -> Line2D:
-        return Line2D(
-            [],
-            [],
-            linestyle="none",
-            marker="o",
-            markerfacecolor=_FILL[kind],
-            markeredgecolor=_INK,
-            markersize=size,
-            label=label,
-        )
-
-    labels = {"hidden": "hidden", "observed": "observed", "evidence": "virtual evidence"}
-    entries = [
-        marker(kind, 6 if kind == "evidence" else 10, label)
-        for kind, label in labels.items()
-        if kind in drawing.kind.values()
-    ]
-    entries.append(Line2D([], [], color=_INK, linewidth=1.1, label="within a frame"))
-    if any(a[1] != b[1] for a, b in drawing.edges):
-        entries.append(Line2D([], [], color=_TEMPORAL, linewidth=1.9, label="to the next frame"))
-    ax.legend(
-        handles=entries,
-        loc="upper center",
-        bbox_to_anchor=(0.5, 0.0),
-        ncols=3 if drawing.width < 3 else len(entries),
-        labelspacing=0.7,
-        frameon=False,
-        fontsize=8.5,
-        handletextpad=0.6,
-        columnspacing=1.6,
+def _draw_arrow(
+    ax: Axes, start: SliceNode, end: SliceNode, drawing: _Drawing, drawn: Mapping[SliceNode, Patch]
+) -> None:
+    is_temporal = start[1] != end[1]
+    arrow = FancyArrowPatch(
+        drawing.place[start],
+        drawing.place[end],
+        connectionstyle=f"arc3,rad={_curvature(start, end, drawing)}",
+        patchA=drawn[start],
+        patchB=drawn[end],
+        shrinkA=0,
+        shrinkB=1,
+        arrowstyle="-|>,head_length=5,head_width=2.8",
+        color=_TEMPORAL if is_temporal else _INK,
+        linewidth=1.9 if is_temporal else 1.1,
+        zorder=2,
     )
+    arrow.set_gid(f"edge {start[0]} {start[1]} {end[0]} {end[1]}")
+    ax.add_patch(arrow)
 
 
-def network_figure(network: TwoSliceNetwork) -> Figure:
-    """The figure of `draw_network`: the two slices side by side, as in the paper's Figure
+def _legend(structure: Structure) -> list[tuple[Line2D, ...]]:
+    """The entries of the legend, the first line of each with its label; a function's is two
+    circles."""
+    entries: list[tuple[Line2D, ...]] = []
+    for kind in KINDS:
+        if kind not in structure.kind.values():
+            continue
+        sizes = (10, 7) if kind == "function" else (6,) if kind == "virtual evidence" else (10,)
+        outer, *inner = (
+            Line2D(
+                [],
+                [],
+                linestyle="none",
+                marker="s" if kind == "input" else "o",
+                markerfacecolor=_FILL[kind],
+                markeredgecolor=_INK,
+                markersize=size,
+            )
+            for size in sizes
+        )
+        outer.set_label("function of its parents" if kind == "function" else kind)
+        entries.append((outer, *inner))
+    entries.append((Line2D([], [], color=_INK, linewidth=1.1, label="within a frame"),))
+    if structure.across:
+        entries.append((Line2D([], [], color=_TEMPORAL, linewidth=1.9, label="to the next frame"),))
+    return entries
+
+
+def network_figure(structure: Structure) -> Figure:
+    """Draws the two slices side by side, as in the paper's Figure
     `fig:model`.
 
-    network: anything with the `nodes()` and `edges()` of a pgmpy DynamicBayesianNetwork, where a
-    node is (name, slice). Hidden nodes are white. Observed nodes, those with a child `<name>_ve`,
-    are blue-grey with a double outline; these children are small and dark.
+    Hidden nodes are white circles, functions of other nodes have a double outline, observed nodes
+    are blue-grey, inputs are squares, and virtual-evidence nodes are small and dark.
 
-    Raises InputError for a network without nodes, with a cycle, or with more than two slices.
+    Raises InputError for a network without nodes or with a cycle.
     """
-    drawing = _lay_out(network)
-    step = drawing.width + 2 * _MARGIN + _SLICE_GAP
-    across = (drawing.width + step + 2 * _MARGIN + 0.1) * _INCHES
+    drawing = _lay_out(structure)
+    entries = _legend(structure)
+    labels = [str(lines[0].get_label()) for lines in entries]
+    across = max((drawing.width + drawing.step + 2 * _MARGIN + 0.1) * _INCHES, 4.8)
     down = (drawing.height + 2 * _MARGIN + 0.5) * _INCHES
-    # The legend needs room below the network, and on both sides of a narrow one.
-    figure = Figure(figsize=(max(across, 4.8), down + 0.65))
-    ax = figure.add_axes((0.0, 0.6 / (down + 0.65), 1.0, down / (down + 0.65)))
-    ax.set_xlim(-_MARGIN - 0.05, drawing.width + step + _MARGIN + 0.05)
+    columns = min(len(entries), max(2, int(across / 1.55)))
+    # The legend's lines below the network.
+    below = 0.15 + 0.24 * -(-len(entries) // columns)
+    figure = Figure(figsize=(across, down + below))
+    ax = figure.add_axes((0.0, below / (down + below), 1.0, down / (down + below)))
+    ax.set_xlim(-_MARGIN - 0.05, drawing.width + drawing.step + _MARGIN + 0.05)
     ax.set_ylim(-drawing.height - _MARGIN - 0.05, _MARGIN + 0.45)
     ax.set_aspect("equal")
     ax.axis("off")
-    for time in sorted({node[1] for node in drawing.place}):
+    for s, title in enumerate(("frame $t$", "frame $t + 1$")):
         ax.add_patch(
             FancyBboxPatch(
-                (time * step - _MARGIN, -drawing.height - _MARGIN),
+                (s * drawing.step - _MARGIN, -drawing.height - _MARGIN),
                 drawing.width + 2 * _MARGIN,
                 drawing.height + 2 * _MARGIN,
                 boxstyle="round,pad=0,rounding_size=0.2",
@@ -264,30 +274,49 @@ def network_figure(network: TwoSliceNetwork) -> Figure:
                 zorder=0,
             )
         )
-        title = ("frame $t$", "frame $t + 1$")[time]
-        ax.text(time * step + drawing.width / 2, _MARGIN + 0.1, title, ha="center", fontsize=10)
-    circles = {node: _draw_node(ax, node, drawing) for node in drawing.place}
-    for start, end in drawing.edges:
-        is_temporal = start[1] != end[1]
-        arrow = FancyArrowPatch(
-            drawing.place[start],
-            drawing.place[end],
-            connectionstyle=f"arc3,rad={_curvature(start, end, drawing)}",
-            patchA=circles[start],
-            patchB=circles[end],
-            shrinkA=0,
-            shrinkB=1,
-            arrowstyle="-|>,head_length=5,head_width=2.8",
-            color=_TEMPORAL if is_temporal else _INK,
-            linewidth=1.9 if is_temporal else 1.1,
-            zorder=2,
-        )
-        arrow.set_gid(f"edge {start[0]} {start[1]} {end[0]} {end[1]}")
-        ax.add_patch(arrow)
-    _draw_legend(ax, drawing)
+        middle = s * drawing.step + drawing.width / 2
+        ax.text(middle, _MARGIN + 0.1, title, ha="center", fontsize=10)
+    drawn = {node: _draw_node(ax, node, drawing) for node in drawing.place}
+    for start, end in structure.edges:
+        _draw_arrow(ax, start, end, drawing, drawn)
+    ax.legend(
+        entries,
+        labels,
+        loc="upper center",
+        bbox_to_anchor=(0.5, 0.0),
+        ncols=columns,
+        labelspacing=0.7,
+        frameon=False,
+        fontsize=8.5,
+        handletextpad=0.6,
+        columnspacing=1.6,
+    )
     return figure
 
 
-def draw_network(network: TwoSliceNetwork, path: str | Path) -> None:
-    """Draws a network. Raises InputError as `network_figure` and `write_figure` do."""
-    write_figure(lambda: network_figure(network), path)
+def write_network(compiled: Compiled, path: str | Path) -> None:
+    """Writes a network in the form that the ending of the path names.
+
+    - .png, .svg, .pdf: a picture, as `network_figure` draws it.
+    - .dot: the same for Graphviz, as text.
+    - .bif: both slices with their tables, for other programs (`egolane_pgm.graphs.flat.bif`).
+      Virtual-evidence nodes, which have no numbers of their own, are left out.
+
+    Raises InputError for another ending, for what `bif` cannot hold, and for a file that cannot be
+    written.
+    """
+    ending = Path(path).suffix.lower()
+    if ending == ".dot":
+        write_text(path, graphviz(structure_of(compiled)), make_folder=True)
+    elif ending == ".bif":
+        write_text(path, bif(compiled.tables.values(), compiled.values), make_folder=True)
+    else:
+        write_figure(lambda: network_figure(structure_of(compiled)), path)
+
+
+def check_ending(path: str | Path) -> None:
+    """Raises InputError for a path that `write_network` does not know the ending of."""
+    if Path(path).suffix.lower() not in ENDINGS:
+        raise InputError(
+            f"{path}: a network is written to a file that ends in {', '.join(ENDINGS)}"
+        )

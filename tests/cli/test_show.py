@@ -61,7 +61,14 @@ def test_a_graph_that_cannot_be_built_is_refused(tmp_path: Path) -> None:
     (tmp_path / "g.py").write_text("HIDDEN = OBSERVED = ()\ndef build(n, p):\n    return n.x\n")
     said = refused("network", tmp_path / "g.py", tmp_path / "g.svg")
     assert "g.py, line 3: AttributeError" in said
-    assert "a figure ends in .png, .svg, .pdf" in refused("network", "no_wor", tmp_path / "g.txt")
+    said = refused("network", "no_wor", tmp_path / "g.txt")
+    assert said.endswith(
+        "g.txt: a network is written to a file that ends in .png, .svg, .pdf, .dot, .bif"
+    )
+    assert "(did you mean 'no_wor'?)" in refused("network", "no_wro", tmp_path / "g.svg")
+    own = tmp_path / "g.bif"
+    own.write_text("")
+    assert "g.bif: is read here" in refused("network", own, own)
 
 
 def test_validate_knows_simulated_drives(tmp_path: Path) -> None:
