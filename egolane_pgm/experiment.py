@@ -11,12 +11,13 @@ from __future__ import annotations
 import hashlib
 import json
 import os
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
-from typing import Any, Literal, TypeVar
+from typing import Annotated, Any, Literal, NoReturn, Self, TypeVar
 
-import yaml
+import numpy as np
 from pydantic import (
+    AfterValidator,
     BaseModel,
     ConfigDict,
     Field,
@@ -25,19 +26,65 @@ from pydantic import (
     field_validator,
     model_validator,
 )
+from pydantic_core import ErrorDetails
 
-from egolane_pgm.files import read_yaml
-from egolane_pgm.types import MAX_LANES, InputError, suggestion
+from egolane_pgm.files import parse_yaml, read_yaml, without_version
+from egolane_pgm.parameters import check_names, resolve_parameters
+from egolane_pgm.plugins import declared_parameters, load_rule_and_graph
+from egolane_pgm.types import MAX_LANES, InputError, all_problems, suggestion
+
+#: What replaces some of an experiment's keys, as `load_experiment` takes it.
+Overrides = Mapping[str, Any] | Sequence[str]
 
 
-class _Section(BaseModel):
+class FrozenDict(dict[str, Any]):
+    """A dict that stays as it is. It can be pickled, and hashed where its values can."""
+
+    def _refuse(self, *_: Any, **__: Any) -> NoReturn:
+        raise TypeError("an experiment stays as it is; model_copy(update={...}) makes another")
+
+    __setitem__ = __delitem__ = __ior__ = _refuse
+    clear = pop = popitem = setdefault = update = _refuse
+
+    def __hash__(self) -> int:  # type: ignore[override]
+        return hash(frozenset(self.items()))
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        return FrozenDict, (dict(self),)
+
+
+def frozen(value: Any) -> Any:
+    """The same with dicts and lists that stay as they are; numbers and arrays of NumPy become
+    Python's, and paths text."""
+    if isinstance(value, Mapping):
+        return FrozenDict({key: frozen(each) for key, each in value.items()})
+    if isinstance(value, (np.ndarray, np.generic)):
+        return frozen(value.tolist())
+    if isinstance(value, (list, tuple)):
+        return tuple(map(frozen, value))
+    if isinstance(value, set):
+        return frozenset(map(frozen, value))
+    return os.fspath(value) if isinstance(value, os.PathLike) else value
+
+
+#: A section with keys of its own, such as parameters.
+_Keys = Annotated[dict[str, Any], AfterValidator(frozen)]
+
+
+class Section(BaseModel):
+    """Some keys of a YAML file: unknown ones are refused, and nothing in it can be changed."""
+
     model_config = ConfigDict(extra="forbid", frozen=True)
 
+    def model_copy(self, *, update: Mapping[str, Any] | None = None, deep: bool = False) -> Self:
+        """The same with other values for some keys, which are not checked."""
+        return super().model_copy(update=frozen(update or {}), deep=deep)
 
-Section = TypeVar("Section", bound=BaseModel)
+
+AnySection = TypeVar("AnySection", bound=Section)
 
 
-class Recording(_Section):
+class Recording(Section):
     """The source of the lines: a file (`path`) or a simulated drive (`simulate`).
 
     - missing_frames: what is put in for frame ids that the recording lacks: nothing (`skip`), the
@@ -65,9 +112,9 @@ class Recording(_Section):
     seed: int = Field(default=0, ge=0)
     camera: str | None = None
     detector: str | None = None
-    detector_parameters: dict[str, Any] = Field(default_factory=dict)
+    detector_parameters: _Keys = Field(default_factory=FrozenDict)
     right: str | None = None
-    options: dict[str, Any] = Field(default_factory=dict)
+    options: _Keys = Field(default_factory=FrozenDict)
 
     @model_validator(mode="after")
     def _one_source(self) -> Recording:
@@ -78,14 +125,14 @@ class Recording(_Section):
         return self
 
 
-class GroundTruth(_Section):
+class GroundTruth(Section):
     """Annotated lanes; `extra_rows` are (frame, lane, crossing) that the file lacks."""
 
     path: str
     extra_rows: tuple[tuple[int, int, int], ...] = ()
 
 
-class Tuning(_Section):
+class Tuning(Section):
     """The settings of `egolane tune`; options of the command override them.
 
     - objective: a score by name, or several.
@@ -106,7 +153,7 @@ class Tuning(_Section):
     seed: int = Field(default=0, ge=0)
     blocks: int = Field(default=5, ge=2)
     from_scratch: bool = False
-    parameters: dict[str, Any] = Field(default_factory=dict)
+    parameters: _Keys = Field(default_factory=FrozenDict)
     never_fit: tuple[tuple[int, int | None], ...] = ()
 
     @field_validator("objective", mode="before")
@@ -134,7 +181,7 @@ class Tuning(_Section):
         return self
 
 
-class Choice(_Section):
+class Choice(Section):
     """The choices of `fit: choose`.
 
     - grid: per parameter its values.
@@ -145,7 +192,7 @@ class Choice(_Section):
       stretch of road that is scored are not looked at.
     """
 
-    grid: dict[str, tuple[Any, ...]] = Field(min_length=1)
+    grid: Annotated[dict[str, tuple[Any, ...]], AfterValidator(frozen)] = Field(min_length=1)
     objective: Literal["accuracy", "log_loss"] = "accuracy"
     cautious: str | None = None
     error_of: Literal["best", "difference"] = "best"
@@ -162,7 +209,7 @@ class Choice(_Section):
         return self
 
 
-class Learning(_Section):
+class Learning(Section):
     """The settings of learning the tables of a graph by EM.
 
     - labels: whether lanes are looked at.
@@ -177,7 +224,7 @@ class Learning(_Section):
     iterations: int = Field(default=200, ge=1)
 
 
-class Experiment(_Section):
+class Experiment(Section):
     """One experiment. `tuned_on` says what the parameters have seen, for the scores' honesty:
     the frames that are scored (`same_frames`: in-sample), others only, or none."""
 
@@ -216,7 +263,7 @@ class Experiment(_Section):
     )
     learning: Learning | None = None
     choice: Choice | None = None
-    parameters: dict[str, Any] = Field(default_factory=dict)
+    parameters: _Keys = Field(default_factory=FrozenDict)
     tuned_on: Literal["same_frames", "other_frames", "not_tuned", "unknown"] = "unknown"
     tuning: Tuning | None = None
 
@@ -270,28 +317,58 @@ class Experiment(_Section):
         return self._source
 
 
-def load_experiment(path: str | Path, overrides: Sequence[str] = ()) -> Experiment:
-    """Read an experiment from a YAML file.
+def load_experiment(
+    experiment: str | Path | Mapping[str, Any], overrides: Overrides = ()
+) -> Experiment:
+    """Read an experiment.
 
-    - overrides: `key.subkey=value`, the value as YAML.
+    - experiment: its YAML file, or its keys and values; then its paths are relative to where one
+      is.
+    - overrides: keys that get other values: `{"parameters": {"sigma1": 0.3}}`, which may be
+      written `{"parameters.sigma1": 0.3}`, or a list of `"parameters.sigma1=0.3"`, the value as
+      YAML. A dict adds its keys to those of a section.
 
-    Raises InputError, one line that names file and key, for anything that does not fit.
+    Raises InputError, a line that names file and key for everything that does not fit.
     """
-    path = Path(path)
+    if isinstance(experiment, Mapping):
+        content = without_version(_nested(experiment), "experiment")
+        content = _overridden(_including(content, Path(), "experiment", ("experiment",)), overrides)
+        return make_experiment(content, Path(), "experiment")
+    path = Path(experiment)
     return make_experiment(load_yaml(path, overrides), path.parent, str(path))
 
 
-def load_yaml(path: Path, overrides: Sequence[str] = ()) -> dict[str, Any]:
+def load_yaml(path: Path, overrides: Overrides = ()) -> dict[str, Any]:
     """Read the keys of a YAML file and of the file that it includes, then override some.
 
     `include: other.yaml`, a file beside the YAML, gives the keys that the YAML itself does not
     have. Sections are merged key by key. Paths in the other file are taken as if they stood here.
     Raises InputError as `load_experiment` does.
     """
-    content = _with_included(path, ())
+    return _overridden(_with_included(path, ()), overrides)
+
+
+def _overridden(content: dict[str, Any], overrides: Overrides) -> dict[str, Any]:
+    if isinstance(overrides, Mapping):
+        return _merged(content, _nested(overrides))
+    if isinstance(overrides, str):
+        raise InputError(f"overrides: {overrides!r} is text; a list or a dict is needed")
     for override in overrides:
         _override(content, override)
     return content
+
+
+def _nested(given: Mapping[str, Any]) -> dict[str, Any]:
+    """The same with a section for what stands before a dot: `{"a.b": 1}` is `{"a": {"b": 1}}`."""
+    nested: dict[str, Any] = {}
+    for key, value in given.items():
+        if not isinstance(key, str) or not all(key.split(".")):
+            raise InputError(f"{key!r} is not the name of a key, e.g. parameters.sigma1")
+        section = _nested(value) if isinstance(value, Mapping) else frozen(value)
+        for part in reversed(key.split(".")):
+            section = {part: section}
+        nested = _merged(nested, section)
+    return nested
 
 
 def _with_included(path: Path, including: tuple[str, ...]) -> dict[str, Any]:
@@ -302,13 +379,19 @@ def _with_included(path: Path, including: tuple[str, ...]) -> dict[str, Any]:
         raise InputError(f"{including[-1]}: include: {path.name} includes this file itself")
     if including and not path.is_file():
         raise InputError(f"{including[-1]}: include: no file {path}")
-    content = read_yaml(path, "n_lanes: 4")
+    return _including(read_yaml(path, "n_lanes: 4"), path.parent, str(path), (*including, place))
+
+
+def _including(
+    content: dict[str, Any], folder: Path, source: str, including: tuple[str, ...]
+) -> dict[str, Any]:
+    """Add the keys of the file that some keys include."""
     if "include" not in content:
         return content
     name = content.pop("include")
     if not isinstance(name, str):
-        raise InputError(f"{path}: include: {name!r} is not the name of a file")
-    return _merged(_with_included(path.parent / name, (*including, place)), content)
+        raise InputError(f"{source}: include: {name!r} is not the name of a file")
+    return _merged(_with_included(folder / name, including), content)
 
 
 def _merged(base: Mapping[str, Any], over: Mapping[str, Any]) -> dict[str, Any]:
@@ -320,19 +403,45 @@ def _merged(base: Mapping[str, Any], over: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def make_experiment(content: Mapping[str, Any], folder: Path, source: str) -> Experiment:
-    """Make an experiment from the keys of a YAML file; its paths are relative to `folder`."""
-    experiment = validated(Experiment, content, source)
+    """Make an experiment from the keys of a YAML file; its paths are relative to `folder`.
+
+    Raises InputError for every key that does not fit. Where there is one, plugins and parameters
+    are looked at as well, as far as the keys that name them fit.
+    """
+    experiment = None
+    with all_problems() as part:
+        with part():
+            experiment = validated(Experiment, content, source)
+        if experiment is None:
+            with part():
+                _check_plugins(content, Path(folder), source)
+    assert experiment is not None
     experiment._folder = Path(folder)
     experiment._source = source
     return experiment
 
 
-def validated(model: type[Section], content: Mapping[str, Any], source: str) -> Section:
-    """Make a pydantic model from some keys. Raises InputError, one line, for what does not fit."""
+def _check_plugins(content: Mapping[str, Any], folder: Path, source: str) -> None:
+    """Raise InputError for plugins and parameters of keys that are no whole experiment."""
+    evidence, graph = (
+        content.get(key, Experiment.model_fields[key].default) for key in ("evidence", "graph")
+    )
+    given, n_lanes = content.get("parameters", {}), content.get("n_lanes")
+    if not (isinstance(evidence, str) and isinstance(graph, str) and isinstance(given, Mapping)):
+        return
+    specs = declared_parameters(*load_rule_and_graph(evidence, graph, folder, source))
+    if type(n_lanes) is int and 1 <= n_lanes <= MAX_LANES:
+        resolve_parameters(specs, given, n_lanes, f"{source}: parameters")
+    else:
+        check_names({spec.name for spec in specs}, given, f"{source}: parameters")
+
+
+def validated(model: type[AnySection], content: Mapping[str, Any], source: str) -> AnySection:
+    """Make a section from some keys. Raises InputError for every one that does not fit."""
     try:
         return model.model_validate(content)
     except ValidationError as error:
-        raise InputError(f"{source}: {_first_problem(error, model)}") from None
+        raise InputError(*(f"{source}: {line}" for line in _problems(error, model))) from None
 
 
 #: Keys that say how parameters are found. A resolved experiment has the parameters themselves.
@@ -366,8 +475,8 @@ def read_override(override: str, example: str, option: str = "--set") -> tuple[s
     if not equals or not all(key.split(".")):
         raise InputError(f"{option} {override}: write it as key=value, e.g. {example}")
     try:
-        return key, yaml.safe_load(text)
-    except (yaml.YAMLError, ValueError) as error:
+        return key, parse_yaml(text, option)
+    except InputError as error:
         raise InputError(f"{option} {override}: the value is not YAML") from error
 
 
@@ -384,34 +493,56 @@ def _override(content: dict[str, Any], override: str) -> None:
     section[parts[-1]] = value
 
 
-def _first_problem(error: ValidationError, model: type[BaseModel]) -> str:
-    """pydantic's first complaint as one line; unknown keys come first, with a suggestion."""
+def _problems(error: ValidationError, model: type[Section]) -> list[str]:
+    """pydantic's complaints, a line each. Unknown keys come first, with a suggestion, and what they
+    seem to mean is not said to be missing."""
     problems = error.errors(include_url=False)
-    problem = next((p for p in problems if p["type"] == "extra_forbidden"), problems[0])
-    where = ".".join(str(part) for part in problem["loc"])
-    if problem["type"] == "extra_forbidden":
-        section: Any = model
-        sections: dict[str, Any] = {
-            "recording": Recording,
-            "ground_truth": GroundTruth,
-            "tuning": Tuning,
-            "choice": Choice,
-            "learning": Learning,
-        }
-        for part in problem["loc"][:-1]:
-            section = sections.get(str(part), section)
-        *above, key = (str(part) for part in problem["loc"])
-        prefix = f"{'.'.join(above)}: " if above else ""
-        return f"{prefix}unknown key '{key}'{suggestion(key, section.model_fields)}"
+    hints = {
+        problem["loc"]: suggestion(str(problem["loc"][-1]), _section_at(model, problem["loc"]))
+        for problem in problems
+        if problem["type"] == "extra_forbidden"
+    }
+    lines = []
+    for (*above, key), hint in hints.items():
+        prefix = f"{'.'.join(map(str, above))}: " if above else ""
+        lines.append(f"{prefix}unknown key '{key}'{hint}")
+    for problem in problems:
+        *above, key = problem["loc"]
+        meant = f"(did you mean '{key}'?)"
+        is_meant = any(list(loc[:-1]) == above and meant in hint for loc, hint in hints.items())
+        if problem["type"] != "extra_forbidden" and not (problem["type"] == "missing" and is_meant):
+            lines.append(_problem(problem))
+    return lines
+
+
+def _section_at(model: type[Section], loc: Sequence[int | str]) -> Iterable[str]:
+    """The keys of the section that a key is in."""
+    sections: dict[str, type[Section]] = {
+        "recording": Recording,
+        "ground_truth": GroundTruth,
+        "tuning": Tuning,
+        "choice": Choice,
+        "learning": Learning,
+    }
+    for part in loc[:-1]:
+        model = sections.get(str(part), model)
+    return model.model_fields
+
+
+def _problem(problem: ErrorDetails) -> str:
+    """One of pydantic's complaints that is not about an unknown key."""
+    where = ".".join(map(str, problem["loc"]))
     if problem["type"] == "missing":
         return f"{where}: is missing"
-    message = problem["msg"].removeprefix("Value error, ")
-    message = message[0].lower() + message[1:]
     value = problem["input"]
-    shown = "" if isinstance(value, dict) else f" (got {value!r})"
     if problem["type"] == "literal_error" and isinstance(value, str):
         choices = [
             c.strip("'") for c in problem["ctx"]["expected"].replace(" or ", ", ").split(", ")
         ]
         return f"{where}: '{value}' is not one of {', '.join(choices)}{suggestion(value, choices)}"
+    message = problem["msg"].removeprefix("Value error, ")
+    message = message[0].lower() + message[1:]
+    if problem["type"] in ("model_type", "dict_type"):
+        message = "needs keys and values"
+    shown = "" if isinstance(value, dict) else f" (got {value!r})"
     return f"{where}: {message}{shown}"

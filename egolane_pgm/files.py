@@ -233,14 +233,56 @@ def read_yaml(path: Path, example: str) -> dict[str, Any]:
     Raises InputError where it cannot be read or is no YAML; where it has no keys, with the example
     of a line that it might have; and for a version that this program does not know.
     """
-    text = read_text(path)
-    try:
-        content = yaml.safe_load(text)
-    except (yaml.YAMLError, ValueError, RecursionError) as error:
-        raise InputError(f"{path}: is not YAML: {' '.join(str(error).split())}") from error
+    content = parse_yaml(read_text(path), str(path))
     if not isinstance(content, dict):
         raise InputError(f"{path}: needs keys and values, e.g. '{example}'")
+    return without_version(content, str(path))
+
+
+def without_version(content: Mapping[str, Any], source: str) -> dict[str, Any]:
+    """The keys without `version`. Raises InputError for a version that is not known here."""
+    content = dict(content)
     version = content.pop("version", YAML_VERSION)
     if version != YAML_VERSION or isinstance(version, bool):
-        raise InputError(f"{path}: version: {version!r} is not {YAML_VERSION}, the one known here")
+        raise InputError(
+            f"{source}: version: {version!r} is not {YAML_VERSION}, the one known here"
+        )
     return content
+
+
+def parse_yaml(text: str, source: str) -> Any:
+    """What a text in YAML says. Raises InputError for what is no YAML, and for every key that a
+    mapping has twice."""
+    try:
+        loader = _Loader(text)
+        content = loader.get_single_data()
+    except yaml.MarkedYAMLError as error:
+        mark = error.problem_mark or error.context_mark
+        at = f"line {mark.line + 1}: " if mark is not None else ""
+        hint = "; indent with spaces" if "'\\t'" in str(error.problem) else ""
+        raise InputError(f"{source}: is not YAML: {at}{error.problem}{hint}") from error
+    except (yaml.YAMLError, ValueError, RecursionError) as error:
+        raise InputError(f"{source}: is not YAML: {' '.join(str(error).split())}") from error
+    if loader.twice:
+        raise InputError(*(f"{source}: {problem}" for problem in loader.twice))
+    return content
+
+
+class _Loader(yaml.SafeLoader):
+    """Notes the keys that a mapping has twice, of which YAML takes the last."""
+
+    def __init__(self, text: str) -> None:
+        super().__init__(text)
+        self.twice: list[str] = []
+
+    def compose_mapping_node(self, anchor: Any) -> Any:
+        node = super().compose_mapping_node(anchor)
+        seen: dict[tuple[str, str], int] = {}
+        for key, _ in node.value:
+            if not isinstance(key, yaml.ScalarNode) or key.tag == "tag:yaml.org,2002:merge":
+                continue
+            name, line = (key.tag, key.value), key.start_mark.line + 1
+            if name in seen:
+                self.twice.append(f"line {line}: key '{key.value}' was given in line {seen[name]}")
+            seen.setdefault(name, line)
+        return node

@@ -19,8 +19,14 @@ from egolane_pgm.inference.compile import Compiled, compile_network, with_tables
 from egolane_pgm.inference.filtering import filter_beliefs, read_evidence
 from egolane_pgm.inference.smoothing import infer_beliefs
 from egolane_pgm.loading import Recorded, load_recording, with_video_rate
-from egolane_pgm.parameters import Parameter, Value, resolve_parameters
-from egolane_pgm.plugins import load_plugin, plugin_errors, plugin_place
+from egolane_pgm.parameters import Value, resolve_parameters
+from egolane_pgm.plugins import (
+    declared_parameters,
+    load_plugin,
+    load_rule_and_graph,
+    plugin_errors,
+    plugin_place,
+)
 from egolane_pgm.types import (
     Beliefs,
     BoolArray,
@@ -30,6 +36,7 @@ from egolane_pgm.types import (
     IntArray,
     LaneTruth,
     LineLog,
+    all_problems,
 )
 
 if TYPE_CHECKING:
@@ -77,15 +84,19 @@ def prepare_model(experiment: Experiment) -> Model:
     of range, and an evidence rule that does not fit the graph.
     """
     source = experiment.source
-    rule = load_plugin("evidence", experiment.evidence, experiment.folder, f"{source}: evidence")
-    graph = load_plugin("graphs", experiment.graph, experiment.folder, f"{source}: graph")
-    parameters = resolve_parameters(
-        declared_parameters(rule, graph),
-        experiment.parameters,
-        experiment.n_lanes,
-        f"{source}: parameters",
+    rule, graph = load_rule_and_graph(
+        experiment.evidence, experiment.graph, experiment.folder, source
     )
-    _check_fit(rule, graph, source)
+    with all_problems() as part:
+        with part():
+            parameters = resolve_parameters(
+                declared_parameters(rule, graph),
+                experiment.parameters,
+                experiment.n_lanes,
+                f"{source}: parameters",
+            )
+        with part():
+            _check_names(rule, graph, source)
     try:
         compiled = compile_graph(graph, experiment.n_lanes, parameters, f"{source}: graph")
     except InputError as error:
@@ -165,21 +176,7 @@ def causality(
     }
 
 
-def declared_parameters(rule: ModuleType, graph: ModuleType) -> list[Parameter]:
-    """The parameters of an evidence rule and a graph; one that both declare is shared."""
-    for module in (rule, graph):
-        for p in getattr(module, "PARAMETERS", ()):
-            if not isinstance(p, Parameter):
-                raise InputError(f"{module.__file__}: PARAMETERS has {p!r}, which is no Parameter")
-    specs = {p.name: p for p in getattr(rule, "PARAMETERS", ())}
-    for p in getattr(graph, "PARAMETERS", ()):
-        if p.name in specs and specs[p.name].kind != p.kind:
-            raise InputError(f"parameters.{p.name}: graph and evidence rule declare it differently")
-        specs[p.name] = p
-    return list(specs.values())
-
-
-def _check_fit(rule: ModuleType, graph: ModuleType, source: str) -> None:
+def _check_names(rule: ModuleType, graph: ModuleType, source: str) -> None:
     provides = getattr(rule, "PROVIDES", None)
     if provides is None:
         return

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from egolane_pgm.types import InputError, suggestion
+from egolane_pgm.types import InputError, all_problems, suggestion
 
 #: A parameter's value: a number, a choice by name, or one number per lane.
 Value = float | int | str | tuple[float, ...]
@@ -124,14 +124,25 @@ def resolve_parameters(
 ) -> dict[str, Value]:
     """Every declared parameter with its given or default value, checked.
 
-    Raises InputError (`<where>.<name>: ...`) for an unknown name, with a suggestion, or a value
-    out of range.
+    Raises InputError (`<where>.<name>: ...`) for every unknown name, with a suggestion, and every
+    value out of range.
     """
     known = {spec.name: spec for spec in specs}
-    for name in given:
-        if name not in known:
-            raise InputError(f"{where}: unknown key '{name}'{suggestion(str(name), known)}")
-    return {
-        name: spec.check(given.get(name, spec.default), n_lanes, f"{where}.{name}")
-        for name, spec in known.items()
-    }
+    values: dict[str, Value] = {}
+    with all_problems() as part:
+        with part():
+            check_names(known, given, where)
+        for name, spec in known.items():
+            with part():
+                values[name] = spec.check(given.get(name, spec.default), n_lanes, f"{where}.{name}")
+    return values
+
+
+def check_names(known: Iterable[str], given: Iterable[str], where: str) -> None:
+    """Raise InputError for every given name that is not known, with a suggestion."""
+    names = set(known)
+    unknown = [name for name in given if name not in names]
+    if unknown:
+        raise InputError(
+            *(f"{where}: unknown key '{name}'{suggestion(str(name), names)}" for name in unknown)
+        )

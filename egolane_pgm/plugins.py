@@ -21,7 +21,7 @@ from types import ModuleType
 
 from egolane_pgm.files import check_name
 from egolane_pgm.parameters import Parameter
-from egolane_pgm.types import InputError, suggestion
+from egolane_pgm.types import InputError, all_problems, suggestion
 
 #: What a module of each folder must define.
 CONTRACTS = {
@@ -99,6 +99,33 @@ def plugin_place(module: ModuleType) -> str:
     if module.__name__.startswith(_OWN):
         return str(module.__file__)
     return module.__name__.rpartition(".")[2]
+
+
+def load_rule_and_graph(
+    evidence: str, graph: str, base: Path, source: str
+) -> tuple[ModuleType, ModuleType]:
+    """Import an experiment's evidence rule and graph. Raises InputError, naming the YAML file
+    `source` and its key, for both where both cannot be used."""
+    with all_problems() as part:
+        with part():
+            rule = load_plugin("evidence", evidence, base, f"{source}: evidence")
+        with part():
+            module = load_plugin("graphs", graph, base, f"{source}: graph")
+    return rule, module
+
+
+def declared_parameters(rule: ModuleType, graph: ModuleType) -> list[Parameter]:
+    """The parameters of an evidence rule and a graph; one that both declare is shared."""
+    for module in (rule, graph):
+        for p in getattr(module, "PARAMETERS", ()):
+            if not isinstance(p, Parameter):
+                raise InputError(f"{module.__file__}: PARAMETERS has {p!r}, which is no Parameter")
+    specs = {p.name: p for p in getattr(rule, "PARAMETERS", ())}
+    for p in getattr(graph, "PARAMETERS", ()):
+        if p.name in specs and specs[p.name].kind != p.kind:
+            raise InputError(f"parameters.{p.name}: graph and evidence rule declare it differently")
+        specs[p.name] = p
+    return list(specs.values())
 
 
 def source_files(module: ModuleType) -> list[Path]:

@@ -416,7 +416,7 @@ def plan_runs(
         try:
             experiment = load()
         except InputError as error:
-            runs.append(PlannedRun(title, folder, None, str(error)))
+            runs.append(PlannedRun(title, folder, None, "\n".join(error.lines)))
             continue
         directory = folder / experiment.name
         if taken.get(directory) == title:
@@ -445,7 +445,7 @@ def run_all(
 
 
 def _failed(run: PlannedRun, error: str) -> FinishedRun:
-    return FinishedRun(run.title, run.directory, None, " ".join(error.split()))
+    return FinishedRun(run.title, run.directory, None, error)
 
 
 def _finish(run: PlannedRun, draw: Draw | None) -> FinishedRun:
@@ -455,8 +455,8 @@ def _finish(run: PlannedRun, draw: Draw | None) -> FinishedRun:
         done = run_experiment(run.experiment)
         save_run(done, run.directory, draw)
     except InputError as error:
-        return _failed(run, str(error))
+        return _failed(run, "\n".join(error.lines))
     except Exception as error:
         # A fault of ours in one run must not cost the others what they computed.
-        return _failed(run, f"{type(error).__name__}: {error}")
+        return _failed(run, " ".join(f"{type(error).__name__}: {error}".split()))
     return FinishedRun(run.title, run.directory, summary(done), None)

@@ -7,8 +7,9 @@ In arrays over lanes, index 0 is lane 1.
 
 from __future__ import annotations
 
+import contextlib
 import difflib
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -35,7 +36,42 @@ UNASSIGNED = 0
 
 
 class InputError(ValueError):
-    """An error in what the user gave (a file, a YAML key, an option); its message is one line."""
+    """An error in what the user gave (a file, a YAML key, an option). Each argument is something
+    that is wrong, said in one line; mostly there is one."""
+
+    def __str__(self) -> str:
+        return "\n".join(map(str, self.args))
+
+    @property
+    def lines(self) -> list[str]:
+        """What is wrong, in as many lines as there are arguments."""
+        return [" ".join(str(problem).split()) for problem in self.args]
+
+
+@contextlib.contextmanager
+def all_problems() -> Iterator[Callable[[], contextlib.AbstractContextManager[None]]]:
+    """Everything that is wrong in the parts of a block, raised as one InputError at its end.
+
+    with all_problems() as part:
+        with part():
+            check(this)
+        with part():
+            check(that)
+    """
+    found: list[InputError] = []
+
+    @contextlib.contextmanager
+    def part() -> Iterator[None]:
+        try:
+            yield
+        except InputError as error:
+            found.append(error)
+
+    yield part
+    if len(found) == 1:
+        raise found[0]
+    if found:
+        raise InputError(*(problem for error in found for problem in error.args))
 
 
 def suggestion(word: str, known: Iterable[str]) -> str:

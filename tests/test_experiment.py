@@ -2,14 +2,19 @@
 
 from __future__ import annotations
 
+import copy
+import pickle
 import random
+from collections.abc import Callable, Iterable, Iterator
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 import yaml
 from hypothesis import given
 from hypothesis import strategies as st
+from pydantic import BaseModel, ValidationError
 
 from egolane_pgm.experiment import (
     Experiment,
@@ -19,8 +24,10 @@ from egolane_pgm.experiment import (
     resolved,
 )
 from egolane_pgm.loading import with_recording
+from egolane_pgm.model import prepare_model
 from egolane_pgm.paper import experiments_folder
 from egolane_pgm.types import InputError
+from tests.kits.drives import command
 
 MINIMAL: dict[str, Any] = {"name": "x", "recording": {"path": "a.bag"}, "n_lanes": 3}
 
@@ -63,7 +70,7 @@ def test_overrides_reach_every_level_and_are_read_as_yaml(tmp_path: Path) -> Non
         ],
     )
     assert experiment.n_lanes == 5
-    assert experiment.parameters == {"bonus_value": 0, "lane_widths": [1, 1, 1.2, 1]}
+    assert experiment.parameters == {"bonus_value": 0, "lane_widths": (1, 1, 1.2, 1)}
     assert experiment.recording.frames == (5, 9)
     assert experiment.recording.path == "a.bag"
     assert experiment.ground_truth is not None
@@ -77,15 +84,244 @@ def test_an_override_below_a_plain_value_is_refused(tmp_path: Path) -> None:
         load_experiment(tmp_path / "e.yaml", ["name.x=1"])
 
 
+# --- all that is wrong at once --------------------------------------------------------------------
+
+
+def wrong_in(**changes: Any) -> list[str]:
+    """What is said of the minimal experiment with these changes."""
+    with pytest.raises(InputError) as info:
+        made(**changes)
+    assert all(line.startswith("x.yaml: ") for line in info.value.lines)
+    return [line.removeprefix("x.yaml: ") for line in info.value.lines]
+
+
 def test_unknown_keys_are_named_before_any_other_problem() -> None:
+    assert wrong_in(n_lanes=0, filtr="exact") == [
+        "unknown key 'filtr' (did you mean 'filter'?)",
+        "n_lanes: input should be greater than or equal to 1 (got 0)",
+    ]
+    [line] = wrong_in(qqqq=1)
+    assert "(known: choice, decode, description, evidence, evidence_reading, filter," in line
+
+
+def test_every_key_that_does_not_fit_is_named_at_once() -> None:
+    assert wrong_in(
+        recording={"path": "a.bag", "frame_rate": -1, "missing_frames": "hol", "frame": [0, 9]},
+        n_lanes=3.5,
+        graph="sensor_failur",
+        evidence="countin",
+        filter="fixed_lag",
+        evidence_reading="jeffrey",
+        tuning={"blocks": 1, "sampling": "tpe"},
+        learning="yes",
+        parameters={"sigma1": 0.3},
+    ) == [
+        "recording: unknown key 'frame' (did you mean 'frames'?)",
+        "tuning: unknown key 'sampling' (did you mean 'sampler'?)",
+        "recording.frame_rate: input should be greater than 0 (got -1)",
+        "recording.missing_frames: 'hol' is not one of skip, hold, predict (did you mean 'hold'?)",
+        "n_lanes: input should be a valid integer (got 3.5)",
+        "lag: filter fixed_lag needs a number of frames to wait, e.g. lag: 10 (got None)",
+        "evidence_reading: jeffrey goes with filter assumed_density or exact only (got 'jeffrey')",
+        "learning: needs keys and values (got 'yes')",
+        "tuning.blocks: input should be greater than or equal to 2 (got 1)",
+        "evidence: unknown name 'countin' (did you mean 'counting'?)",
+        "graph: unknown name 'sensor_failur' (did you mean 'sensor_failure'?)",
+    ]
+
+
+def test_parameters_are_looked_at_beside_the_other_keys() -> None:
+    wrong = {"sigma1": -1, "p1": 2, "sigm2": 0.3, "lane_widths": [1, 2], "bonus_value": "much"}
+    of_parameters = [
+        "parameters: unknown key 'sigm2' (did you mean 'sigma2'?)",
+        "parameters.bonus_value: 'much' is not a number",
+        "parameters.sigma1: -1 must be greater than 0",
+        "parameters.p1: 2 is not a probability (0 to 1)",
+        "parameters.lane_widths: has 2 values for 3 lanes",
+    ]
+    unknown = "unknown key 'filtr' (did you mean 'filter'?)"
+    found = wrong_in(parameters=wrong, filtr="exact")
+    assert found[0] == unknown
+    assert sorted(found[1:]) == sorted(of_parameters)
+    # Without the number of lanes only the names can be told.
+    assert wrong_in(parameters=wrong, n_lanes="three") == [
+        "n_lanes: input should be a valid integer (got 'three')",
+        of_parameters[0],
+    ]
     with pytest.raises(InputError) as info:
-        made(n_lanes=0, filtr="exact")
-    assert str(info.value) == "x.yaml: unknown key 'filtr' (did you mean 'filter'?)"
+        prepare_model(made(parameters=wrong))
+    assert sorted(info.value.lines) == sorted(f"x.yaml: {line}" for line in of_parameters)
+    assert wrong_in(parameters=[0.3]) == ["parameters: needs keys and values (got [0.3])"]
+    assert len(wrong_in(graph=3, n_lanes=0)) == 2
+
+
+def test_a_key_that_is_meant_by_an_unknown_one_is_not_said_to_be_missing() -> None:
     with pytest.raises(InputError) as info:
-        made(qqqq=1)
-    assert "(known: choice, decode, description, evidence, evidence_reading, filter," in str(
-        info.value
+        make_experiment({"nam": "x", "recordin": {}}, Path(), "x.yaml")
+    assert info.value.lines == [
+        "x.yaml: unknown key 'nam' (did you mean 'name'?)",
+        "x.yaml: unknown key 'recordin' (did you mean 'recording'?)",
+        "x.yaml: n_lanes: is missing",
+    ]
+
+
+def test_every_command_says_all_that_is_wrong_a_line_each(tmp_path: Path) -> None:
+    write(tmp_path / "x.yaml", name="x", n_lanes=0, recording={"simulat": "a4"}, lags=3)
+    ways: list[tuple[Any, ...]] = [("validate",), ("run", "--no-figures"), ("tune",), ("compare",)]
+    for name, *words in ways:
+        ran = command(name, tmp_path / "x.yaml", *words)
+        assert ran.exit_code == 2
+        assert [line.removeprefix(f"egolane: {tmp_path}/") for line in ran.stderr.splitlines()] == [
+            "x.yaml: recording: unknown key 'simulat' (did you mean 'simulate'?)",
+            "x.yaml: unknown key 'lags' (did you mean 'lag'?)",
+            "x.yaml: n_lanes: input should be greater than or equal to 1 (got 0)",
+        ]
+    good = write(tmp_path / "y.yaml", name="y", n_lanes=3, recording={"simulate": "quickstart"})
+    ran = command("run", tmp_path / "x.yaml", good, "--out", tmp_path / "out", "--no-figures")
+    failed = [line for line in ran.stderr.splitlines() if line.startswith("failed: ")]
+    assert (ran.exit_code, len(failed)) == (1, 3)
+    assert (tmp_path / "out" / "y" / "scores.json").is_file()
+
+
+def test_files_and_parameters_that_do_not_fit_are_validated_together(tmp_path: Path) -> None:
+    path = write(
+        tmp_path / "x.yaml",
+        name="x",
+        n_lanes=3,
+        recording={"path": "nothing.csv"},
+        parameters={"p1": 2},
     )
+    ran = command("validate", path)
+    assert ran.exit_code == 2
+    parameter, file = ran.stderr.splitlines()
+    assert parameter == f"egolane: {path}: parameters.p1: 2 is not a probability (0 to 1)"
+    assert file.startswith(f"egolane: {path}: recording.path: ")
+
+
+# --- made in Python ------------------------------------------------------------------------------
+
+
+def test_overrides_are_a_dict_as_well(tmp_path: Path) -> None:
+    path = write(tmp_path / "e.yaml", **MINIMAL, parameters={"sigma1": 0.2, "p1": 0.9})
+    found = load_experiment(
+        path,
+        {
+            "parameters": {"sigma1": np.float32(0.5), "lane_widths": np.array([1, 2, 1])},
+            "parameters.p2": np.float64(0.8),
+            "recording": {"frames": (5, np.int64(9)), "path": Path("b") / "c.bag"},
+            "n_lanes": np.int64(4),
+            "ground_truth": None,
+            "tuning.parameters": {"p1": [0.5, 0.9]},
+        },
+    )
+    assert found.parameters == {"sigma1": 0.5, "p1": 0.9, "lane_widths": (1, 2, 1), "p2": 0.8}
+    assert type(found.parameters["p2"]) is float
+    assert found.recording.frames == (5, 9)
+    assert found.recording.path == str(Path("b/c.bag"))
+    assert found.n_lanes == 4
+    assert found.tuning is not None
+    assert found.tuning.parameters == {"p1": (0.5, 0.9)}
+    words = ["parameters.sigma1=0.5", "n_lanes=4"]
+    same = load_experiment(path, {"parameters": {"sigma1": 0.5}, "n_lanes": 4})
+    assert same == load_experiment(path, words)
+
+
+def test_overrides_that_do_not_fit_are_named(tmp_path: Path) -> None:
+    path = write(tmp_path / "e.yaml", **MINIMAL)
+    wrong = {"filtr": "exact", "recording.lry": "clip", "n_lanes": "four", "parameters.sigm1": 3}
+    with pytest.raises(InputError) as info:
+        load_experiment(path, wrong)
+    assert [line.removeprefix(f"{path}: ") for line in info.value.lines] == [
+        "recording: unknown key 'lry' (did you mean 'lri'?)",
+        "unknown key 'filtr' (did you mean 'filter'?)",
+        "n_lanes: input should be a valid integer (got 'four')",
+        "parameters: unknown key 'sigm1' (did you mean 'sigma1'?)",
+    ]
+    for wrong in ({1: 2}, {"": 1}, {"a..b": 1}, {"parameters": {2: 0.3}}):
+        with pytest.raises(InputError, match="is not the name of a key"):
+            load_experiment(path, wrong)  # type: ignore[arg-type]
+    with pytest.raises(InputError, match="name: input should be a valid string"):
+        load_experiment(path, {"name.x": 1})
+    with pytest.raises(InputError, match="a list or a dict is needed"):
+        load_experiment(path, "n_lanes=4")
+
+
+def test_an_experiment_can_be_made_without_a_file(tmp_path: Path) -> None:
+    content = {"name": "x", "recording": {"simulate": "a4"}, "n_lanes": 3, "version": 1}
+    found = load_experiment(content, {"recording.seed": 3})
+    path = write(tmp_path / "x.yaml", **content)
+    assert resolved(found, {}) == resolved(load_experiment(path, ["recording.seed=3"]), {})
+    assert found.folder == Path()
+    assert content["recording"] == {"simulate": "a4"}
+    with pytest.raises(InputError, match=r"^experiment: unknown key 'lanes'"):
+        load_experiment({**content, "lanes": 3})
+    with pytest.raises(InputError, match=r"^experiment: include: no file nothing\.yaml$"):
+        load_experiment({**content, "include": "nothing.yaml"})
+    with pytest.raises(InputError, match=r"^experiment: version: 3 is not 1"):
+        load_experiment({**content, "version": 3})
+
+
+def rich() -> Experiment:
+    """An experiment with something nested in every key that may have it."""
+    return made(
+        recording={"path": "a", "options": {"x": [1, {"y": [2]}]}, "detector_parameters": {"a": 1}},
+        parameters={"lane_widths": [1, 2, 1], "table": {"rows": [[1, 2], [3, 4]]}},
+        tuning={"parameters": {"p1": [0.5, 0.9]}},
+        choice={"grid": {"alpha": [0.1, [1, 2]]}},
+        learned_on=["a.yaml"],
+    )
+
+
+def test_nothing_in_an_experiment_can_be_changed() -> None:
+    def parts(value: Any) -> Iterator[Any]:
+        yield value
+        if isinstance(value, BaseModel):
+            inner: Iterable[Any] = [getattr(value, name) for name in type(value).model_fields]
+        else:
+            inner = value.values() if isinstance(value, dict) else value
+            inner = () if isinstance(value, str) or not isinstance(inner, Iterable) else inner
+        for each in inner:
+            yield from parts(each)
+
+    copied = rich().model_copy(update={"parameters": {"a": [1]}, "learned_on": ["b.yaml"]})
+    for experiment in (rich(), copied, rich().model_copy(deep=True), made()):
+        for part in parts(experiment):
+            assert not isinstance(part, (list, set)), part
+            if isinstance(part, BaseModel):
+                with pytest.raises(ValidationError, match="frozen"):
+                    part.name = "other"  # type: ignore[attr-defined]
+            if isinstance(part, dict):
+                changes: list[Callable[[Any], Any]] = [
+                    lambda d: d.__setitem__("a", 1),
+                    lambda d: d.__delitem__("a"),
+                    lambda d: d.__ior__({"a": 1}),
+                    lambda d: d.update(a=1),
+                    lambda d: d.setdefault("a", 1),
+                    lambda d: d.pop("a"),
+                    lambda d: d.popitem(),
+                    lambda d: d.clear(),
+                ]
+                for change in changes:
+                    with pytest.raises(TypeError, match="an experiment stays as it is"):
+                        change(part)
+
+
+def test_experiments_are_equal_hashed_copied_and_pickled_by_what_they_say() -> None:
+    one, same, other = rich(), rich(), rich().model_copy(update={"parameters": {}})
+    assert one == same
+    assert hash(one) == hash(same)
+    assert one != other
+    assert len({one, same, other}) == 2
+    for again in (pickle.loads(pickle.dumps(one)), copy.deepcopy(one), copy.copy(one)):
+        assert again == one
+        assert again.folder == one.folder
+        with pytest.raises(TypeError):
+            again.parameters["a"] = 1
+    # What is dumped is the user's to change.
+    content = one.model_dump()
+    content["parameters"]["table"]["rows"] = 3
+    assert one == same
+    assert make_experiment(one.model_dump(), one.folder, one.source) == one
 
 
 def test_a_recording_of_ones_own_takes_nothing_from_the_old_one(tmp_path: Path) -> None:

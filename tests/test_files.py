@@ -227,3 +227,42 @@ def test_a_file_that_is_no_yaml_is_one_line(tmp_path: Path, content: bytes, said
         read_yaml(tmp_path / "x.yaml", "n_lanes: 4")
     assert said in str(caught.value)
     assert "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    ("content", "said"),
+    [
+        ("n_lanes: 3\na: 1\nn_lanes: 4\n", ["line 3: key 'n_lanes' was given in line 1"]),
+        ("a: {x: 1, x: 1}", ["line 1: key 'x' was given in line 1"]),
+        (
+            "a:\n  x: 1\n  'x': 2\nb:\n- {y: 1}\n- y: 1\n  y: 2\nb: 3\n",
+            [
+                "line 3: key 'x' was given in line 2",
+                "line 7: key 'y' was given in line 6",
+                "line 8: key 'b' was given in line 4",
+            ],
+        ),
+        (
+            "a: 1\n\tb: 2\n",
+            [
+                "is not YAML: line 2: found character '\\t' that cannot start any"
+                " token; indent with spaces"
+            ],
+        ),
+        ("a: [1\nb: 2\n", ["is not YAML: line 2: expected ',' or ']', but got ':'"]),
+    ],
+)
+def test_what_is_wrong_with_a_yaml_is_named_by_its_line(
+    tmp_path: Path, content: str, said: list[str]
+) -> None:
+    path = tmp_path / "x.yaml"
+    path.write_text(content)
+    with pytest.raises(InputError) as caught:
+        read_yaml(path, "n_lanes: 4")
+    assert caught.value.lines == [f"{path}: {line}" for line in said]
+
+
+def test_keys_that_are_merged_may_be_given_anew(tmp_path: Path) -> None:
+    path = tmp_path / "x.yaml"
+    path.write_text("c: {d: &a {x: 1, y: 1}}\nb: &b {<<: *a, x: 2}\ne: {f: {<<: *b, x: 3}}\n")
+    assert read_yaml(path, "a: 1")["e"] == {"f": {"x": 3, "y": 1}}

@@ -76,7 +76,8 @@ class _Group(click.Group):
                 warnings.showwarning = _show_warning
                 return super().invoke(ctx)
         except InputError as error:
-            click.echo(f"egolane: {_safe(' '.join(str(error).split()))}", err=True)
+            for line in error.lines:
+                click.echo(f"egolane: {_safe(line)}", err=True)
             ctx.exit(2)
         except click.UsageError as error:
             if isinstance(error, getattr(click.exceptions, "NoArgsIsHelpError", ())):

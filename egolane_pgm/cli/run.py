@@ -182,7 +182,8 @@ def _run_many(
     click.echo(runs_table([o.summary for o in outcomes if o.summary is not None]))
     click.echo(f"\nresults: {len(outcomes) - len(failed)} of {len(outcomes)} in {folder}")
     for outcome in failed:
-        click.echo(f"failed: {outcome.title}: {outcome.error}", err=True)
+        for line in (outcome.error or "").splitlines():
+            click.echo(f"failed: {outcome.title}: {line}", err=True)
     if failed:
         raise SystemExit(1)
 

@@ -20,7 +20,7 @@ from egolane_pgm.recordings import FORMATS
 from egolane_pgm.report.network import check_ending, write_network
 from egolane_pgm.simulation import PRESETS
 from egolane_pgm.tuning.plan import check_plan, load_plan
-from egolane_pgm.types import MAX_LANES, InputError
+from egolane_pgm.types import MAX_LANES, InputError, all_problems
 
 _n_lanes = click.option(
     "--n-lanes", type=click.IntRange(1, MAX_LANES), default=3, show_default=True
@@ -56,16 +56,22 @@ def validate(experiments: tuple[str, ...], overrides: tuple[str, ...]) -> None:
     for path in experiments:
         if "experiments" in load_yaml(Path(path), overrides):
             plan = load_plan(path, overrides)
-            n_searched = check_plan(plan)
-            for each in plan.experiments:
-                check_sources(each)
+            with all_problems() as part:
+                with part():
+                    n_searched = check_plan(plan)
+                for each in plan.experiments:
+                    with part():
+                        check_sources(each)
             click.echo(
                 f"{path}: ok ({len(plan.experiments)} experiment(s), {n_searched} numbers searched)"
             )
             continue
         experiment = load_experiment(path, overrides)
-        model = prepare_model(experiment)
-        check_sources(experiment)
+        with all_problems() as part:
+            with part():
+                model = prepare_model(experiment)
+            with part():
+                check_sources(experiment)
         states = model.compiled.n_states
         click.echo(f"{path}: ok ({experiment.n_lanes} lanes, {states} joint states)")
 

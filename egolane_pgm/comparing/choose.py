@@ -41,9 +41,10 @@ from egolane_pgm.comparing.placing import (
 from egolane_pgm.experiment import Experiment
 from egolane_pgm.learning import Found, with_found
 from egolane_pgm.learning import fit as learn_from
-from egolane_pgm.model import Drive, Model, beliefs_of, declared_parameters, prepare_model
+from egolane_pgm.model import Drive, Model, beliefs_of, prepare_model
 from egolane_pgm.parallel import in_order
 from egolane_pgm.parameters import resolve_parameters
+from egolane_pgm.plugins import declared_parameters
 from egolane_pgm.scoring.assign import assigned_lane
 from egolane_pgm.scoring.held_out import blocks
 from egolane_pgm.types import FloatArray, InputError, IntArray

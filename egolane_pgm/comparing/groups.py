@@ -152,7 +152,8 @@ def on_runs(
                 try:
                     prepare_model(model)
                 except InputError as error:
-                    raise InputError(f"run {number}, {own.n_lanes} lanes: {error}") from error
+                    where = f"run {number}, {own.n_lanes} lanes"
+                    raise InputError(*(f"{where}: {line}" for line in error.lines)) from error
         first = [own.model_copy(update={"name": "paper"})] if with_paper else []
         groups.append(_checked(Group(f"run {number}", number, (*first, *placed), (own,))))
     return groups
@@ -269,7 +270,7 @@ def _tried(
     try:
         return compare_group(group, options, known, searched)
     except InputError as error:
-        return _failed(group, " ".join(str(error).split()))
+        return _failed(group, "; ".join(error.lines))
 
 
 def _failed(group: Group, error: str) -> dict[str, Any]:

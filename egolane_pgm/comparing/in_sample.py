@@ -9,9 +9,8 @@ from typing import Any
 
 from egolane_pgm.experiment import Experiment, load_experiment
 from egolane_pgm.loading import load_recording
-from egolane_pgm.model import declared_parameters
 from egolane_pgm.paper import load_published, paper_experiment, parameters_for
-from egolane_pgm.plugins import load_plugin, plugin_names
+from egolane_pgm.plugins import declared_parameters, load_plugin, plugin_names
 from egolane_pgm.results import SCHEMA_VERSION
 from egolane_pgm.running import run_experiment
 

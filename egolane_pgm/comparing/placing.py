@@ -53,7 +53,8 @@ def on_recordings(model: Experiment, names: Sequence[str], key: str) -> list[Exp
         try:
             placed.append(on_recording(model, load_experiment(model.folder / name)))
         except InputError as error:
-            raise InputError(f"{model.source}: {key}: {error}") from error
+            where = f"{model.source}: {key}"
+            raise InputError(*(f"{where}: {line}" for line in error.lines)) from error
     return placed
 
 

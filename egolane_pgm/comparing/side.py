@@ -23,7 +23,8 @@ from egolane_pgm.comparing.placing import drive_key
 from egolane_pgm.experiment import Experiment, Tuning
 from egolane_pgm.learning import Found, check_learnable, n_learned, with_found
 from egolane_pgm.learning import fit as learn_from
-from egolane_pgm.model import Drive, beliefs_of, declared_parameters, value_names
+from egolane_pgm.model import Drive, beliefs_of, value_names
+from egolane_pgm.plugins import declared_parameters
 from egolane_pgm.scoring.held_out import N_BLOCKS, HeldOut, held_out, without_block
 from egolane_pgm.tuning.held_out import nested_search
 from egolane_pgm.tuning.objective import check_filter

@@ -24,13 +24,12 @@ from egolane_pgm.model import (
     Drive,
     Model,
     beliefs_of,
-    declared_parameters,
     load_drive,
     make_evidence,
     prepare_model,
 )
 from egolane_pgm.parameters import Value, resolve_parameters
-from egolane_pgm.plugins import plugin_errors
+from egolane_pgm.plugins import declared_parameters, plugin_errors
 from egolane_pgm.scoring.held_out import N_BLOCKS, HeldOut, held_out, stitched
 from egolane_pgm.scoring.summary import score_with_intervals
 from egolane_pgm.types import Beliefs, BoolArray, InputError, IntArray, LineLog

@@ -20,9 +20,9 @@ from egolane_pgm.graphs.from_pgmpy import read_network
 from egolane_pgm.inference.compile import Compiled, with_tables
 from egolane_pgm.inference.expected_counts import FREE, counted_tables
 from egolane_pgm.learning.em import fit_tables, with_changed
-from egolane_pgm.model import Drive, Model, declared_parameters, make_evidence, with_parameters
+from egolane_pgm.model import Drive, Model, make_evidence, with_parameters
 from egolane_pgm.parameters import Parameter, Value, resolve_parameters
-from egolane_pgm.plugins import plugin_errors
+from egolane_pgm.plugins import declared_parameters, plugin_errors
 from egolane_pgm.types import BoolArray, InputError, IntArray, suggestion
 
 #: What the name of a learned table begins with.

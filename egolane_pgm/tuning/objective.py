@@ -12,8 +12,9 @@ import numpy as np
 from egolane_pgm.detectors.runner import Detector, find_detector
 from egolane_pgm.experiment import Experiment
 from egolane_pgm.loading import load_recording
-from egolane_pgm.model import Drive, belief_of, declared_parameters
+from egolane_pgm.model import Drive, belief_of
 from egolane_pgm.parameters import Value
+from egolane_pgm.plugins import declared_parameters
 from egolane_pgm.scoring import confusion as confusions
 from egolane_pgm.scoring import probabilistic, stability
 from egolane_pgm.scoring.assign import assigned_lane

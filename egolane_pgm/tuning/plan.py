@@ -16,12 +16,21 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import Field
 
-from egolane_pgm.experiment import Experiment, Tuning, load_yaml, make_experiment, validated
-from egolane_pgm.model import Drive, Model, declared_parameters, load_drive, prepare_model
+from egolane_pgm.experiment import (
+    Experiment,
+    Section,
+    Tuning,
+    load_experiment,
+    load_yaml,
+    make_experiment,
+    validated,
+)
+from egolane_pgm.model import Drive, Model, load_drive, prepare_model
 from egolane_pgm.paper import load_published, paper_experiment, parameters_for
 from egolane_pgm.parameters import Value, resolve_parameters
+from egolane_pgm.plugins import declared_parameters
 from egolane_pgm.tuning.objective import (
     DETECTOR,
     check_filter,
@@ -32,12 +41,10 @@ from egolane_pgm.tuning.objective import (
 )
 from egolane_pgm.tuning.search import TRIALS, Score, Settings, check_sampler
 from egolane_pgm.tuning.space import Point, SearchSpace, make_space, to_parameters, to_point
-from egolane_pgm.types import BoolArray, InputError
+from egolane_pgm.types import BoolArray, InputError, all_problems
 
 
-class _TuningFile(BaseModel):
-    model_config = ConfigDict(extra="forbid", frozen=True)
-
+class _TuningFile(Section):
     name: str = Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9._-]*$")
     description: str = ""
     experiments: tuple[str, ...] = Field(min_length=1)
@@ -104,9 +111,10 @@ def load_plan(path: str | Path, overrides: Sequence[str] = ()) -> Plan:
         return Plan(experiment.name, experiment.description, (experiment,), tuning, str(path))
     given = validated(_TuningFile, content, str(path))
     found = []
-    for entry in given.experiments:
-        place = path.parent / entry
-        found.append(make_experiment(load_yaml(place), place.parent, str(place)))
+    with all_problems() as part:
+        for entry in given.experiments:
+            with part():
+                found.append(load_experiment(path.parent / entry))
     return Plan(given.name, given.description, tuple(found), given.tuning, str(path))
 
 

@@ -11,8 +11,8 @@ from hypothesis import strategies as st
 
 from egolane_pgm.evidence import counting
 from egolane_pgm.graphs import sensor_failure, wor_on_lane
-from egolane_pgm.model import declared_parameters
 from egolane_pgm.parameters import resolve_parameters
+from egolane_pgm.plugins import declared_parameters
 from egolane_pgm.tuning.sampler import to_unit
 from egolane_pgm.tuning.space import (
     SearchSpace,
