@@ -1,7 +1,12 @@
 """Ego-lane estimation with sensor failure modelling.
 
-`load_experiment`, `run_experiment` and the containers of `egolane_pgm.types` do the main job;
-they are imported on first use, so that importing the package costs nothing.
+    import egolane_pgm as ego
+
+    run = ego.run("experiments/quickstart.yaml", overrides={"parameters.sigma1": 0.3})
+    frame = run.to_pandas()
+    run.plot()
+
+Everything is imported when it is used first, so that importing the package costs nothing.
 """
 
 from __future__ import annotations
@@ -11,20 +16,44 @@ from typing import Any
 
 __version__ = "0.1.0"
 
+#: The module of each public name.
 _PUBLIC = {
-    "load_experiment": "egolane_pgm.experiment",
-    "run_experiment": "egolane_pgm.running",
-    "LineLog": "egolane_pgm.types",
-    "LaneTruth": "egolane_pgm.types",
-    "Evidence": "egolane_pgm.types",
-    "Beliefs": "egolane_pgm.types",
-    "InputError": "egolane_pgm.types",
+    "experiments_folder": "paper",
+    "load_experiment": "experiment",
+    "run": "api.runs",
+    "tune": "api.studies",
+    "learn": "api.learned",
+    "reproduce": "api.reproduction",
+    "detect": "api.detections",
+    "load_result": "api.loaded",
+    "RunResult": "api.runs",
+    "RunResults": "api.runs",
+    "TuneResult": "api.studies",
+    "LearnResult": "api.learned",
+    "ReproduceResult": "api.reproduction",
+    "DetectResult": "api.detections",
+    "filter_beliefs": "inference.filtering",
+    "smooth_beliefs": "inference.smoothing",
+    "fit_tables": "learning.em",
+    "LineLog": "types",
+    "LaneTruth": "types",
+    "Evidence": "types",
+    "Beliefs": "types",
+    "InputError": "types",
 }
 
-__all__ = ["__version__", *_PUBLIC]
+__all__ = list(_PUBLIC)
+
+#: What `run` was called before.
+_OLD = {"run_experiment": "running"}
 
 
 def __getattr__(name: str) -> Any:
-    if name in _PUBLIC:
-        return getattr(import_module(_PUBLIC[name]), name)
-    raise AttributeError(f"module 'egolane_pgm' has no attribute '{name}'")
+    module = _PUBLIC.get(name) or _OLD.get(name)
+    if module is None:
+        raise AttributeError(f"module 'egolane_pgm' has no attribute '{name}'")
+    return getattr(import_module(f"egolane_pgm.{module}"), name)
+
+
+def __dir__() -> list[str]:
+    return [*__all__, "__version__"]

@@ -32,7 +32,7 @@ import hashlib
 import json
 import platform
 import subprocess
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from importlib import metadata
@@ -46,6 +46,7 @@ from egolane_pgm.files import (
     atomic_directory,
     check_place,
     read_yaml,
+    write_bytes,
     write_json,
     write_parquet,
     write_yaml,
@@ -117,15 +118,19 @@ class Result:
         return columns if self.block is None else {**columns, "block": self.block}
 
 
-def check_writable(directory: Path) -> None:
-    """Raise InputError where a result could not be put there: before anything is computed."""
+def check_writable(directory: Path, kinds: Sequence[Callable[[Path], bool]] = ()) -> None:
+    """Raise InputError where a result could not be put there: before anything is computed.
+
+    - kinds: tell of a directory whether it may be replaced; by default `is_result`.
+    """
     check_place(directory)
     if directory.is_symlink() and not directory.exists():
         raise InputError(f"{directory}: is a link to nothing; name another directory")
     if directory.exists():
         if not directory.is_dir():
             raise InputError(f"{directory}: is a file, not a directory")
-        if any(directory.iterdir()) and not is_result(directory):
+        is_ours = any(is_one(directory) for is_one in kinds or (is_result,))
+        if any(directory.iterdir()) and not is_ours:
             raise InputError(
                 f"{directory}: exists and is not a result directory; name another one with --out"
             )
@@ -136,11 +141,32 @@ def is_result(directory: Path) -> bool:
     return all((directory / name).is_file() for name in ("run.json", "scores.json"))
 
 
+def read_files(directory: Path) -> dict[str, bytes]:
+    """The content of all files in a directory but the figures, by their path in it. Raises
+    InputError where one cannot be read."""
+    found = {}
+    for file in sorted(directory.rglob("*")):
+        name = file.relative_to(directory)
+        if file.is_file() and "figures" not in name.parts:
+            try:
+                found[name.as_posix()] = file.read_bytes()
+            except OSError as error:
+                raise InputError(f"{file}: cannot be read: {error.strerror}") from error
+    return found
+
+
+def write_files(directory: Path, files: Mapping[str, bytes]) -> None:
+    """Write files, as `read_files` gives them. Raises InputError where one cannot be written."""
+    for name, content in files.items():
+        write_bytes(directory / name, content, make_folder=True)
+
+
 @contextlib.contextmanager
-def staged(directory: Path) -> Iterator[Path]:
+def staged(directory: Path, kinds: Sequence[Callable[[Path], bool]] = ()) -> Iterator[Path]:
     """A directory to fill, which takes the place of the result `directory` when the block ends
-    well. Raises InputError where that holds something else, or cannot be written."""
-    check_writable(directory)
+    well. Raises InputError where that holds something else (see `check_writable`), or cannot be
+    written."""
+    check_writable(directory, kinds)
     with atomic_directory(directory) as temporary:
         yield temporary
 

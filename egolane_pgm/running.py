@@ -313,7 +313,7 @@ def make_result(
     run = provenance_of(experiment, model, recorded, beliefs, content, notes)
     return Result(
         Path(experiment.source),
-        content,
+        plain(content),
         plain({"schema_version": SCHEMA_VERSION, **run, **(found or {})}),
         plain({"schema_version": SCHEMA_VERSION, **scores}),
         log.frame_id,
@@ -363,12 +363,14 @@ class PlannedRun:
 
 @dataclass(frozen=True)
 class FinishedRun:
-    """What became of a planned run: its `summary`, or else why it failed, in one line."""
+    """What became of a planned run: its `summary`, or else why it failed, in one line; and the run
+    itself, where it was kept instead of written."""
 
     title: str
     directory: Path
     summary: Mapping[str, Any] | None
     error: str | None
+    run: Run | None = None
 
 
 def name_runs(
@@ -386,7 +388,7 @@ def name_runs(
         if place in places[:k]:
             raise InputError(f"--recording {recordings[k]}: is named twice")
     stems = [as_name(Path(recording).stem) for recording in recordings]
-    if len(experiments) > 1:
+    if len(experiments) > 1 or not recordings:
         given, name = (recordings[0], f"{stems[0]}_*") if recordings else (None, None)
         return [(path, path, given, name) for path in experiments]
     folders = [Path(recording).absolute().parent.name for recording in recordings]
@@ -400,13 +402,13 @@ def name_runs(
 
 
 def plan_runs(
-    sources: Sequence[tuple[str, Callable[[], Experiment]]], folder: Path
+    sources: Sequence[tuple[str, Callable[[], Experiment]]], folder: Path | None = None
 ) -> list[PlannedRun]:
     """Plan one run per source.
 
     - sources: title of each, and a function that loads its experiment. What cannot be loaded
       becomes a run that fails.
-    - folder: each result is written to `folder`/<name of the experiment>.
+    - folder: each result is written to `folder`/<name of the experiment>; None where they are kept.
 
     Raises InputError where two would write the same directory, or `folder` cannot be written.
     """
@@ -416,9 +418,10 @@ def plan_runs(
         try:
             experiment = load()
         except InputError as error:
-            runs.append(PlannedRun(title, folder, None, "\n".join(error.lines)))
+            lines = "\n".join(error.lines)
+            runs.append(PlannedRun(title, folder or Path(), None, lines))
             continue
-        directory = folder / experiment.name
+        directory = (folder or Path()) / experiment.name
         if taken.get(directory) == title:
             raise InputError(f"{title}: is named twice")
         if directory in taken:
@@ -426,37 +429,40 @@ def plan_runs(
                 f"{title}: would write {directory}, as {taken[directory]} does; give one of them"
                 " another `name`"
             )
-        check_writable(directory)
+        if folder is not None:
+            check_writable(directory)
         taken[directory] = title
         runs.append(PlannedRun(experiment.name, directory, experiment))
     return runs
 
 
 def run_all(
-    runs: Sequence[PlannedRun], *, jobs: int = 1, draw: Draw | None = None
+    runs: Sequence[PlannedRun], *, jobs: int = 1, draw: Draw | None = None, keep: bool = False
 ) -> Iterator[FinishedRun]:
     """Do several runs and write their results; yields what became of each, in order, as soon as
     those before it are done.
 
     - jobs: number of processes that share the runs.
     - draw: as in `save_run`.
+    - keep: whether runs are kept instead of written.
     """
-    yield from in_order(partial(_finish, draw=draw), runs, jobs, died=_failed)
+    yield from in_order(partial(_finish, draw=draw, keep=keep), runs, jobs, died=_failed)
 
 
 def _failed(run: PlannedRun, error: str) -> FinishedRun:
     return FinishedRun(run.title, run.directory, None, error)
 
 
-def _finish(run: PlannedRun, draw: Draw | None) -> FinishedRun:
+def _finish(run: PlannedRun, draw: Draw | None, keep: bool) -> FinishedRun:
     if run.experiment is None:
         return _failed(run, run.error or "")
     try:
         done = run_experiment(run.experiment)
-        save_run(done, run.directory, draw)
+        if not keep:
+            save_run(done, run.directory, draw)
     except InputError as error:
         return _failed(run, "\n".join(error.lines))
     except Exception as error:
         # A fault of ours in one run must not cost the others what they computed.
         return _failed(run, " ".join(f"{type(error).__name__}: {error}".split()))
-    return FinishedRun(run.title, run.directory, summary(done), None)
+    return FinishedRun(run.title, run.directory, summary(done), None, done if keep else None)

@@ -3,24 +3,14 @@
 from __future__ import annotations
 
 import tempfile
-import time
 from pathlib import Path
 
 import click
-import numpy as np
-from tqdm import tqdm
 
-from egolane_pgm.camera.model import read_camera
-from egolane_pgm.camera.pictures import open_source, read_pictures
+from egolane_pgm.api.detections import check_target, detect_some
 from egolane_pgm.cli import options
-from egolane_pgm.detectors.runner import check_pair, collect, find_detector
-from egolane_pgm.detectors.runner import detect as detect_lines
-from egolane_pgm.files import check_place
 from egolane_pgm.recordings import write_lines
 from egolane_pgm.types import InputError, LineLog
-
-#: Extensions of recordings of lines that can be written.
-_TARGETS = (".parquet", ".csv", ".bag")
 
 
 @click.command()
@@ -60,42 +50,23 @@ def detect(
     What was detected before Ctrl-C, or before a picture that cannot be used, is written too. Then
     `egolane run X.yaml --recording FILE` gives the lane.
     """
-    if Path(target).suffix.lower() not in _TARGETS:
-        raise InputError(f"--out {target}: lines are written as {', '.join(_TARGETS)}")
-    check_place(Path(target))
-    if frames is not None and frames[0] >= frames[1]:
-        raise InputError(f"--frames {frames[0]} {frames[1]}: is an empty range")
-    given = options.given(overrides, "lri_frames=5").items()
-    parameters = {key.removeprefix("detector_parameters."): value for key, value in given}
-    detector = find_detector(
-        name, parameters, Path.cwd(), "--detector", "--set detector_parameters"
+    check_target(target)
+    done = detect_some(
+        pictures,
+        camera=camera_file,
+        detector=name,
+        right=right_pictures,
+        frames=frames,
+        overrides=options.given(overrides, "lri_frames=5"),
     )
-    camera = read_camera(camera_file)
-    check_pair(detector, camera, right_pictures is not None, "--right")
-    source = open_source(pictures)
-    right = open_source(right_pictures) if right_pictures else None
-    bar = tqdm(
-        read_pictures(source, camera, right, frames),
-        desc=name,
-        unit="frame",
-        total=None if frames else source.n_frames,
-        leave=False,
-        disable=None,
-    )
-    began = time.perf_counter()
-    done = collect(detect_lines(detector, camera, bar), source.frame_rate or 10.0, pictures)
-    seconds = time.perf_counter() - began
-    bar.close()
-    if done.log is None:
-        raise done.stopped or InputError(f"{pictures}: no frame")
     _write(target, done.log)
     if isinstance(done.stopped, InputError):
         raise InputError(f"{done.stopped}; the lines of the frames before are in {target}")
-    _say(target, done.log, seconds)
-    if source.frame_rate is not None:
+    click.echo(f"{target}: {done.title()}")
+    if done.frame_rate is not None:
         click.echo(
-            f"the video has {source.frame_rate:g} frames per second; a recording of lines does not"
-            f" say so: run on it with --set recording.frame_rate={source.frame_rate:g}"
+            f"the video has {done.frame_rate:g} frames per second; a recording of lines does not"
+            f" say so: run on it with --set recording.frame_rate={done.frame_rate:g}"
         )
     if done.stopped is not None:
         raise KeyboardInterrupt(
@@ -115,12 +86,3 @@ def _write(target: str, log: LineLog) -> None:
         except (OSError, InputError):
             raise error from None
         raise InputError(f"{error}; the lines are in {other} instead") from None
-
-
-def _say(target: str, log: LineLog, seconds: float) -> None:
-    lines = np.isfinite(log.offset_m).sum(axis=1).mean()
-    click.echo(
-        f"{target}: {len(log)} frames, ids {int(log.frame_id[0])} to {int(log.frame_id[-1])};"
-        f" {lines:.1f} lines per frame, {log.is_valid.sum(axis=1).mean():.1f} of them valid;"
-        f" {len(log) / max(seconds, 1e-9):.0f} frames/s"
-    )

@@ -2,21 +2,18 @@
 
 from __future__ import annotations
 
-import warnings
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
 import click
-from tqdm import tqdm
 
+from egolane_pgm.api.learned import LearnResult
+from egolane_pgm.api.learned import learn as learn_experiment
 from egolane_pgm.cli import options
-from egolane_pgm.comparing.choose import chosen_on_all, learns, plan, try_all
-from egolane_pgm.experiment import Experiment, load_experiment
+from egolane_pgm.experiment import load_experiment
 from egolane_pgm.files import write_json
-from egolane_pgm.learning import Learned, output_files, write_learned
-from egolane_pgm.learning import learn as run_learn
-from egolane_pgm.loading import with_video_rate
-from egolane_pgm.model import prepare_model
+from egolane_pgm.learning import output_files
 from egolane_pgm.report.tables import scores_table
 from egolane_pgm.results import SCHEMA_VERSION
 
@@ -55,87 +52,51 @@ def learn(
     if unlabelled:
         overrides = (*overrides, "learning.labels=false")
     found = load_experiment(experiment, overrides)
-    name = f"learned_{found.name.removeprefix('learned_')}"
-    target = Path(out) if out else Path(f"{name}.yaml")
+    target = Path(out) if out else Path(f"learned_{found.name.removeprefix('learned_')}.yaml")
     output_files(found, target)
-    # The written experiment names the frame rate that was used.
-    given = with_video_rate(found)
-    found = _chosen(given, blocks)
-    if not _learns_more(given):
-        _write_chosen(found, target, blocks, json_file)
-        return
-    with warnings.catch_warnings(record=True) as caught:
-        warnings.simplefilter("always", UserWarning)
-        with tqdm(total=blocks + 1, unit="fit", leave=False, disable=None) as bar:
-            learned = run_learn(found, n_blocks=blocks, done=bar.update)
-    # Several blocks may give the same warning.
-    for note in dict.fromkeys(str(w.message) for w in caught):
+    learned = learn_experiment(found, blocks=blocks)
+    for note in learned.notes:
         click.echo(f"warning: {note}", err=True)
     # The scores are printed even if the files cannot be written.
-    _print(found.name, learned, blocks)
-    files = write_learned(found, learned.model, learned.parameters, target)
+    _print(learned)
+    files = learned.write(target)
     click.echo(f"\nwritten to {' and '.join(map(str, files))}")
     if json_file:
-        write_json(
-            json_file,
-            {
-                "schema_version": SCHEMA_VERSION,
-                "name": found.name,
-                "blocks": blocks,
-                "held_out": _plain(learned.scores),
-                "held_out_all_frames": _plain(learned.scores_all),
-                "log_evidence_before": learned.log_evidence and learned.log_evidence[0],
-                "log_evidence_held_out": learned.log_evidence and learned.log_evidence[1],
-                "parameters": {**load_experiment(target).parameters, **learned.tables()},
-            },
+        write_json(json_file, _document(learned, load_experiment(target).parameters))
+
+
+def _document(done: LearnResult, parameters: Mapping[str, Any]) -> dict[str, Any]:
+    """What `egolane learn --json` writes."""
+    learned = done.learned
+    before, after = (learned and learned.log_evidence) or (None, None)
+    return {
+        "schema_version": SCHEMA_VERSION,
+        "name": done.name,
+        "blocks": done.blocks,
+        "held_out": learned and learned.scores,
+        "held_out_all_frames": learned and learned.scores_all,
+        "log_evidence_before": before,
+        "log_evidence_held_out": after,
+        "parameters": {**parameters, **(learned.tables() if learned else {})},
+    }
+
+
+def _print(done: LearnResult) -> None:
+    learned = done.learned
+    if done.chosen:
+        said = ", ".join(f"{name} {value}" for name, value in done.chosen.items())
+        what = "the scores below have seen that choice" if learned else "nothing else is learned"
+        click.echo(
+            f"chosen on all blocks: {said}; {what}, `egolane compare` chooses without each block"
+            " that it scores"
         )
-
-
-def _chosen(experiment: Experiment, blocks: int) -> Experiment:
-    """The experiment, with its constants chosen if it says `fit: choose`."""
-    if experiment.fit != "choose":
-        return experiment
-
-    (tasks,) = plan([experiment], blocks, is_held_out=False).values()
-    bar = tqdm(try_all(tasks), "choosing", len(tasks), unit="recording", leave=False, disable=None)
-    found = chosen_on_all(experiment, list(bar))
-    assert experiment.choice is not None
-    said = ", ".join(f"{name} {found.parameters[name]}" for name in experiment.choice.grid)
-    what = "nothing else is learned"
-    if _learns_more(experiment):
-        what = "the scores below have seen that choice"
-    click.echo(
-        f"chosen on all blocks: {said}; {what}, `egolane compare` chooses without each block that"
-        " it scores"
-    )
-    return found
-
-
-def _learns_more(experiment: Experiment) -> bool:
-    """Whether anything is learned beside the choice: with `fit: choose`, as in `compare`, tables
-    are learned only if the experiment has a section `learning`."""
-    return experiment.fit != "choose" or learns(prepare_model(experiment), experiment)
-
-
-def _write_chosen(
-    experiment: Experiment, target: Path, blocks: int, json_file: Path | None
-) -> None:
-    """Write an experiment whose constants were chosen; it has no held-out scores."""
-    files = write_learned(experiment, prepare_model(experiment), {}, target)
-    click.echo(f"\nwritten to {' and '.join(map(str, files))}")
-    if json_file:
-        content: dict[str, Any] = {"schema_version": SCHEMA_VERSION, "name": experiment.name}
-        content |= {"blocks": blocks, "parameters": dict(experiment.parameters)}
-        none = ("held_out", "held_out_all_frames", "log_evidence_before", "log_evidence_held_out")
-        write_json(json_file, {**content, **dict.fromkeys(none)})
-
-
-def _print(name: str, learned: Learned, blocks: int) -> None:
+    if learned is None:
+        return
     if learned.scores is None or learned.scores_all is None:
-        click.echo(f"{name}: no ground truth, so nothing is scored; {blocks} blocks")
+        click.echo(f"{done.name}: no ground truth, so nothing is scored; {done.blocks} blocks")
     else:
         scored, everywhere = learned.scores["frames_scored"], learned.scores_all["frames_scored"]
-        click.echo(f"{name}: held out, {blocks} blocks, {scored} frames scored")
+        click.echo(f"{done.name}: held out, {done.blocks} blocks, {scored} frames scored")
         if learned.tables():
             click.echo("each with tables for which neither its labels nor its lines were looked at")
         click.echo(scores_table({"model": learned.scores}))
@@ -148,7 +109,3 @@ def _print(name: str, learned: Learned, blocks: int) -> None:
             f"\nlog evidence per frame, exact filter: {before:.4f} with the starting tables,"
             f" {after:.4f} with the learned ones, held out"
         )
-
-
-def _plain(scores: Any) -> Any:
-    return None if scores is None else dict(scores)

@@ -8,12 +8,12 @@ import click
 from tqdm import tqdm
 
 from egolane_pgm import paper
+from egolane_pgm.api.reproduction import reproduce as reproduce_runs
 from egolane_pgm.cli import options
 from egolane_pgm.cli.recordings import have_recordings
 from egolane_pgm.files import write_json
 from egolane_pgm.report import tables
 from egolane_pgm.results import SCHEMA_VERSION
-from egolane_pgm.running import save_run
 from egolane_pgm.tuning import recover as recovering
 
 
@@ -42,25 +42,18 @@ def reproduce(
     numbers = paper.parse_runs(runs)
     if if_available and not have_recordings():
         return
-    done = []
-    for number in tqdm(numbers, desc="runs", unit="run", leave=False, disable=None):
-        result = paper.reproduce_run(number, which)
-        done.append(result)
-        if out:
-            save_run(result.run, Path(out) / result.run.experiment.name)
-    document = paper.reproduce_json(done, which)
-    header, rows = tables.reproduction_rows(document, paper.load_published())
-    click.echo(tables.STYLES[style](header, rows))
+    done = reproduce_runs(runs=numbers, parameters=which, out=out)
+    document = done.document
+    click.echo(tables.STYLES[style](*done.rows()))
     if matrices:
         for entry in document["runs"]:
             for kind in ("detector", "model"):
                 title = f"run {entry['run']}, {kind}"
                 click.echo("\n" + tables.confusion_table(entry[kind]["confusion"], title))
     if style == "markdown":
-        frames = sum(2 * entry["frames_scored"] for entry in document["runs"])
         click.echo(
-            f"\n{document['total_frames_off']} of {frames} classified frames differ from the"
-            f" published matrices (parameters: {which}; in-sample, as in the paper)"
+            f"\n{document['total_frames_off']} of {done.n_classified} classified frames differ from"
+            f" the published matrices (parameters: {which}; in-sample, as in the paper)"
         )
     if json_file:
         write_json(json_file, document)

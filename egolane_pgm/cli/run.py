@@ -3,30 +3,21 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from functools import partial
 from pathlib import Path
 from typing import Any
 
 import click
 from tqdm import tqdm
 
+from egolane_pgm.api.runs import RunResult, choose, draw_all, name_all
+from egolane_pgm.api.runs import run as run_experiment
 from egolane_pgm.cli import options
-from egolane_pgm.experiment import Experiment, load_experiment
+from egolane_pgm.experiment import Experiment
 from egolane_pgm.files import check_not_read, write_json
-from egolane_pgm.loading import named_files, with_recording
-from egolane_pgm.model import causality
+from egolane_pgm.loading import named_files
 from egolane_pgm.report.tables import TUNED_ON, confusion_table, runs_table, scores_table
 from egolane_pgm.results import SCHEMA_VERSION, check_writable
-from egolane_pgm.running import (
-    FinishedRun,
-    Run,
-    name_runs,
-    plan_runs,
-    run_all,
-    run_experiment,
-    save_run,
-    summary,
-)
+from egolane_pgm.running import FinishedRun, plan_runs, run_all
 from egolane_pgm.types import InputError
 
 
@@ -86,51 +77,23 @@ def run(
     Several EXPERIMENTS, or one on several recordings, share --jobs processes; each has its own
     result directory, and one that fails does not stop the others.
     """
-    if len(recordings) > 1 and (len(experiments) > 1 or ground_truth not in (None, "none")):
-        raise InputError(
-            "run: several --recording go with one experiment and no --ground-truth; write one"
-            " experiment per recording that has its own"
-        )
     if "" in (*recordings, ground_truth, camera, out):
         raise InputError("run: a file or folder that is named is empty (--recording, --out, ...)")
-    draw = None if no_figures else _draw_all
     changes = (ground_truth, n_lanes, frame_id, camera, detector)
     if len(experiments) == 1 and len(recordings) < 2:
         recording = recordings[0] if recordings else None
-        chosen = _load(experiments[0], overrides, recording, *changes)
-        _run_one(chosen, Path(out) if out else None, draw, json_file)
+        chosen = choose(experiments[0], overrides, recording, *changes)
+        _run_one(chosen, Path(out) if out else None, not no_figures, json_file)
         return
-    several = name_runs(experiments, recordings)
-    to_load = [
-        (title, partial(_load, path, overrides, recording, *changes, name=name))
-        for title, path, recording, name in several
-    ]
+    to_load = name_all(experiments, overrides, recordings, *changes)
+    draw = None if no_figures else draw_all
     _run_many(to_load, Path(out or "results"), draw, jobs, json_file)
-
-
-def _load(
-    path: str,
-    overrides: Sequence[str],
-    recording: str | None,
-    ground_truth: str | None,
-    n_lanes: int | None,
-    frame_id: str | None,
-    camera: str | None,
-    detector: str | None,
-    name: str | None = None,
-) -> Experiment:
-    found = load_experiment(path, overrides)
-    changes = (recording, ground_truth, n_lanes, frame_id, camera, detector)
-    chosen = found if changes == (None,) * 6 else with_recording(found, *changes)
-    if name is None:
-        return chosen
-    return chosen.model_copy(update={"name": name.replace("*", found.name)})
 
 
 def _run_one(
     chosen: Experiment,
     out: Path | None,
-    draw: Callable[[Path], None] | None,
+    figures: bool,
     json_file: Path | None,
 ) -> None:
     directory = out or Path("results") / chosen.name
@@ -138,10 +101,10 @@ def _run_one(
     if json_file:
         check_not_read(json_file, named_files(chosen))
     done = run_experiment(chosen)
-    save_run(done, directory, draw)
+    done.save(directory, figures=figures)
     # The file is written before anything is printed, because a reader may close the pipe.
     if json_file:
-        write_json(json_file, {"schema_version": SCHEMA_VERSION, **summary(done)})
+        write_json(json_file, done.scores)
     _print_run(done)
     click.echo(f"\nresult: {directory}")
 
@@ -192,28 +155,24 @@ def _inode(directory: Path) -> int | None:
     return directory.stat().st_ino if directory.is_dir() else None
 
 
-def _draw_all(directory: Path) -> None:
-    # matplotlib is imported only for figures.
-    from egolane_pgm.report.draw import draw_standard
-
-    draw_standard(directory)
-
-
-def _print_run(done: Run) -> None:
+def _print_run(done: RunResult) -> None:
     for note in done.notes:
         click.echo(f"warning: {note}", err=True)
-    experiment = done.experiment
+    experiment, said = done.experiment, done.result.run
     click.echo(
-        f"{experiment.name}: {len(done.beliefs)} frames, {experiment.n_lanes} lanes,"
+        f"{done.name}: {len(done)} frames, {experiment.n_lanes} lanes,"
         f" graph {experiment.graph}, mean log evidence {done.beliefs.mean_log_evidence:.4f}"
     )
-    for why in causality(experiment, done.model)["why_not_causal"]:
+    for why in said["why_not_causal"]:
         click.echo(why)
-    if not done.scores:
+    scores: dict[str, Any] = {
+        who: done.scores[who] for who in ("detector", "model") if who in done.scores
+    }
+    if not scores:
         click.echo("no ground truth: beliefs only, no scores (--ground-truth names a file)")
         return
-    click.echo(f"{done.scores['model']['frames_scored']} frames scored (crossing ones are not);")
-    click.echo(f"parameters: {TUNED_ON[experiment.tuned_on]}\n")
-    click.echo(scores_table(done.scores))
-    for name, scores in done.scores.items():
-        click.echo("\n" + confusion_table(scores["confusion"], name))
+    click.echo(f"{said['frames_scored']} frames scored (crossing ones are not);")
+    click.echo(f"parameters: {TUNED_ON[said['tuned_on']]}\n")
+    click.echo(scores_table(scores))
+    for name, mine in scores.items():
+        click.echo("\n" + confusion_table(mine["confusion"], name))

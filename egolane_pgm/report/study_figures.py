@@ -61,6 +61,13 @@ def draw_study(
     trials = numbers.read_trials(directory)
     folder = Path(target) if target is not None else Path(directory) / "figures"
     make_directory(folder)
+    drawn = figures_of(trials)
+    with numbers.quiet():
+        return [write_figure(make, folder / f"{name}.{style}") for name, make in drawn.items()]
+
+
+def figures_of(trials: Trials) -> dict[str, Callable[[], Figure]]:
+    """The figures that there are of a study, by name, each as a function that makes it."""
     importance = numbers.importances(trials)
     drawn: dict[str, Callable[[], Figure]] = {
         "history": lambda: history_figure(trials),
@@ -71,8 +78,7 @@ def draw_study(
         drawn["importances"] = lambda: importances_figure(trials)
         if len(importance) > 1:
             drawn["pairs"] = lambda: pairs_figure(trials, list(importance)[:PAIRED])
-    with numbers.quiet():
-        return [write_figure(make, folder / f"{name}.{style}") for name, make in drawn.items()]
+    return drawn
 
 
 def history_figure(trials: Trials) -> Figure:

@@ -106,13 +106,24 @@ def read_trials(directory: str | Path) -> Trials:
     Raises InputError for a directory without a study, files that cannot be read, columns that are
     missing, and a study without a finished trial.
     """
-    content, table = _read(Path(directory))
+    return trials_of(*_read(Path(directory)), str(directory))
+
+
+def trials_of(
+    content: Mapping[str, Any], table: Mapping[str, Sequence[Any]], directory: str
+) -> Trials:
+    """The trials of a study.
+
+    - content: of its study.json. table: the columns of its trials.parquet.
+    - directory: for messages.
+
+    Raises InputError for columns that are missing, and for a study without a finished trial.
+    """
     bounds = content["space"]["searched"]
     objective = str(content["tuning"]["objective"][0])
-    path = Path(directory) / TRIALS_FILE
     for column in ("number", f"{objective}_in_sample", *bounds):
         if column not in table:
-            raise InputError(f"{path}: has no column {column}; tune again")
+            raise InputError(f"{Path(directory) / TRIALS_FILE}: has no column {column}; tune again")
     order = np.argsort(np.asarray(table["number"]), kind="stable")
     score = np.array(table[f"{objective}_in_sample"], dtype=np.float64)[order]
     chosen = order[np.isfinite(score)]

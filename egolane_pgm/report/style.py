@@ -3,7 +3,9 @@ apart, labels, and saving."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
+import contextlib
+import sys
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
@@ -126,13 +128,7 @@ def write_figure(make: Callable[[], Figure], path: str | Path) -> Path:
     """
     path = check_figure_path(path)
     extension = path.suffix.lower()
-    # Publishers ask for fonts of type 42. The salt fixes the ids in an SVG.
-    settings: dict[Any, Any] = {
-        "hatch.linewidth": 0.5,
-        "pdf.fonttype": 42,
-        "svg.hashsalt": "egolane",
-    }
-    with matplotlib_style.context("default", after_reset=True), rc_context(settings):
+    with _own_style():
         figure = make()
         with atomic(path, make_folder=True) as temporary:
             figure.savefig(
@@ -143,6 +139,35 @@ def write_figure(make: Callable[[], Figure], path: str | Path) -> Path:
                 metadata=_METADATA[extension],
             )
     return path
+
+
+def inline_figure(make: Callable[[], Figure]) -> Figure:
+    """Draws a figure for a notebook, which shows it where it is the last value of a cell.
+
+    - make: makes the figure, as in `write_figure`. pyplot does not know the figure.
+    """
+    with _own_style():
+        figure = make()
+    # A notebook draws figures only once pyplot was used, unless it is told.
+    shell = sys.modules["IPython"].get_ipython() if "IPython" in sys.modules else None
+    if shell is not None and Figure not in shell.display_formatter.formatters["image/png"]:
+        from IPython.core.pylabtools import select_figure_formats
+
+        select_figure_formats(shell, {"png"})  # type: ignore[no-untyped-call]
+    return figure
+
+
+@contextlib.contextmanager
+def _own_style() -> Iterator[None]:
+    """Matplotlib's default style, whatever the user's matplotlibrc says."""
+    # Publishers ask for fonts of type 42. The salt fixes the ids in an SVG.
+    settings: dict[Any, Any] = {
+        "hatch.linewidth": 0.5,
+        "pdf.fonttype": 42,
+        "svg.hashsalt": "egolane",
+    }
+    with matplotlib_style.context("default", after_reset=True), rc_context(settings):
+        yield
 
 
 def new_figure(width: float, height: float) -> Figure:

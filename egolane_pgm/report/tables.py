@@ -106,6 +106,11 @@ def with_interval(value: float | None, interval: Sequence[float] | None, form: s
 
 def scores_table(scores: Mapping[str, Mapping[str, Any]]) -> str:
     """A Markdown table of all scores of a result: a row per score, detector beside model."""
+    return markdown(*score_rows(scores))
+
+
+def score_rows(scores: Mapping[str, Mapping[str, Any]]) -> tuple[list[str], list[list[str]]]:
+    """Header and rows of `scores_table`."""
     columns = [name for name in ("detector", "model") if name in scores]
     rows = [
         [label, *(score_text(scores[c][key]) for c in columns)] for key, label in _SCORES.items()
@@ -122,11 +127,16 @@ def scores_table(scores: Mapping[str, Mapping[str, Any]]) -> str:
             rows.append(
                 [f"{label}, 95 % interval", *(f"{low:.3f} .. {high:.3f}" for low, high in found)]
             )
-    return markdown(["score", *columns], rows)
+    return ["score", *columns], rows
 
 
 def runs_table(summaries: Sequence[Mapping[str, Any]]) -> str:
     """A Markdown table of several runs, each as `run.summary` gives it: a row per run."""
+    return markdown(*runs_table_rows(summaries))
+
+
+def runs_table_rows(summaries: Sequence[Mapping[str, Any]]) -> tuple[list[str], list[list[str]]]:
+    """Header and rows of `runs_table`."""
     header = ["run", "frames", "scored", "detector", "model", "F1", "log-loss", "parameters"]
     rows = []
     for found in summaries:
@@ -135,7 +145,7 @@ def runs_table(summaries: Sequence[Mapping[str, Any]]) -> str:
         scores += [score_text(model[key]) if model else "" for key in ("f1", "log_loss")]
         frames = [str(found["frames"]), str(found["frames_scored"])]
         rows.append([found["name"], *frames, *scores, tuned_on_text(found) if model else ""])
-    return markdown(header, rows)
+    return header, rows
 
 
 def tuned_on_text(found: Mapping[str, Any]) -> str:

@@ -1,0 +1,240 @@
+"""Learning an experiment from its recording: `learn` and what it returns."""
+
+from __future__ import annotations
+
+import os
+import warnings
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from egolane_pgm.api import shown
+from egolane_pgm.api.given import Given, bar, experiment_of
+from egolane_pgm.api.runs import RunResult
+from egolane_pgm.comparing.choose import chosen_on_all, learns, plan, try_all
+from egolane_pgm.experiment import Experiment, make_experiment, resolved
+from egolane_pgm.learning import Learned, write_learned
+from egolane_pgm.learning import learn as run_learn
+from egolane_pgm.learning.held_out import load_to_learn
+from egolane_pgm.learning.tables import PREFIX
+from egolane_pgm.loading import with_video_rate
+from egolane_pgm.model import Drive, Model, causality, prepare_model
+from egolane_pgm.parameters import Value
+from egolane_pgm.report.tables import score_rows, with_interval
+from egolane_pgm.running import make_result
+from egolane_pgm.types import InputError
+
+if TYPE_CHECKING:
+    import pandas as pd
+    import xarray as xr
+    from matplotlib.figure import Figure
+
+
+@dataclass(frozen=True, repr=False, eq=False)
+class LearnResult:
+    """What was learned from a recording, and what it is worth on frames that it has not seen.
+
+    - experiment: what was learned from, with the constants that were chosen (`fit: choose`).
+    - model: the experiment's, before.
+    - blocks: how many blocks were held out in turn.
+    - chosen: the constants that were chosen, by name.
+    - learned: what was learned beside these; None where nothing was.
+    - held_out: each block believed with what was learned from the others; None as `learned`.
+    - notes: warnings, a line each.
+
+    >>> import egolane_pgm as ego
+    >>> place = ego.experiments_folder() / "quickstart.yaml"
+    >>> experiment = ego.load_experiment(place, ["recording.frames=[0, 600]"])
+    >>> learned = ego.learn(experiment, unlabelled=True, blocks=2)
+    >>> learned  # doctest: +ELLIPSIS
+    LearnResult('quickstart': 2 blocks, accuracy 0.880 ... -1.548 -> -1.393; held out, causal)
+    >>> learned.held_out.to_pandas()["block"].nunique()
+    2
+    """
+
+    experiment: Experiment
+    model: Model
+    blocks: int
+    chosen: Mapping[str, Value]
+    learned: Learned | None
+    held_out: RunResult | None
+    notes: tuple[str, ...]
+
+    @property
+    def name(self) -> str:
+        """The name of the experiment."""
+        return self.experiment.name
+
+    @property
+    def parameters(self) -> dict[str, Any]:
+        """What was learned and chosen, by name; tables as nested lists."""
+        if self.learned is None:
+            return dict(self.chosen)
+        plain = {k: v for k, v in self.learned.parameters.items() if not k.startswith(PREFIX)}
+        return {**self.chosen, **plain, **self.learned.tables()}
+
+    @property
+    def scores(self) -> dict[str, Any] | None:
+        """Held out, over the frames whose labels can be trusted; None where nothing is scored."""
+        if self.learned is None or self.learned.scores is None:
+            return None
+        return dict(self.learned.scores)
+
+    def __repr__(self) -> str:
+        return f"LearnResult({self._title()})"
+
+    def _title(self) -> str:
+        if self.learned is None:
+            said = ", ".join(f"{name} {value}" for name, value in self.chosen.items())
+            return f"{self.name!r}: chosen on all {self.blocks} blocks: {said}"
+        assert self.held_out is not None
+        parts = [f"{self.name!r}: {self.blocks} blocks"]
+        if self.scores is not None:
+            interval = self.scores["intervals"]["accuracy"]
+            parts.append(f"accuracy {with_interval(self.scores['accuracy'], interval)}")
+        if self.learned.log_evidence is not None:
+            before, after = self.learned.log_evidence
+            parts.append(f"log evidence per frame {before:.3f} -> {after:.3f}")
+        return f"{', '.join(parts)}; {shown.how_tuned(self.held_out.result.run)}"
+
+    def _repr_html_(self) -> str:
+        header, rows = score_rows({} if self.scores is None else {"model": self.scores})
+        return shown.html_table(self._title(), header, rows if self.scores else [], self.notes)
+
+    def to_pandas(self) -> pd.DataFrame:
+        """The frames as they were believed held out, with their `block`; see
+        `RunResult.to_pandas`. Raises InputError where nothing was learned."""
+        return self._held_out().to_pandas()
+
+    def to_xarray(self) -> xr.Dataset:
+        """The same as a data set; see `RunResult.to_xarray`."""
+        return self._held_out().to_xarray()
+
+    def plot(self, first: int | None = None, last: int | None = None) -> Figure:
+        """Draw the beliefs held out as strips; see `RunResult.plot`. Raises InputError where
+        nothing was learned."""
+        return self._held_out().plot(first, last)
+
+    def _held_out(self) -> RunResult:
+        if self.held_out is None:
+            raise InputError(
+                f"{self.experiment.source}: constants were chosen, and nothing was learned, so that"
+                " nothing is held out here; `compare` chooses without each block that it scores"
+            )
+        return self.held_out
+
+    def save(self, target: str | os.PathLike[str]) -> Path:
+        """Write a new experiment with what was learned, and its graph where tables were learned.
+
+        - target: its YAML file, or a folder for `learned_<name>.yaml`.
+
+        Returns the YAML file. Raises InputError where it cannot be written.
+        """
+        place = Path(target)
+        if place.suffix not in (".yaml", ".yml"):
+            place = place / f"learned_{self.name.removeprefix('learned_')}.yaml"
+        return self.write(place)[0]
+
+    def write(self, target: Path) -> list[Path]:
+        """As `save`; returns all files that were written."""
+        parameters = {} if self.learned is None else self.learned.parameters
+        return write_learned(self.experiment, self.model, parameters, target)
+
+
+def learn(
+    experiment: Given,
+    *,
+    overrides: Any = (),
+    unlabelled: bool = False,
+    blocks: int = 5,
+    progress: bool | None = None,
+) -> LearnResult:
+    """Learn an experiment from its recording, and score it on frames that were held out.
+
+    - experiment: an experiment, or the path of its YAML file.
+    - overrides: keys of the YAML that get other values.
+    - unlabelled: whether no label is looked at (`learning.labels: false`); for tables.
+    - blocks: how many blocks are held out in turn.
+    - progress: whether a bar shows how far it is; None for in a terminal.
+
+    An evidence rule that can learn learns its parameters from the labels; with any other the
+    tables of the graph are learned by EM. With `fit: choose` constants are chosen first.
+    Raises InputError where nothing can be learned as the experiment says.
+
+    >>> import egolane_pgm as ego
+    >>> place = ego.experiments_folder() / "quickstart.yaml"
+    >>> experiment = ego.load_experiment(place, ["recording.frames=[0, 600]"])
+    >>> learned = ego.learn(experiment, blocks=2)
+    >>> learned.scores["frames_scored"]
+    518
+    """
+    if isinstance(experiment, (list, tuple)):
+        raise InputError("learn: takes one experiment; `learned_on` of a YAML names several")
+    found = experiment_of(experiment, overrides)
+    if unlabelled:
+        found = _unlabelled(found)
+    given = with_video_rate(found)
+    chosen, constants = _choose(given, blocks, progress)
+    if given.fit == "choose" and not learns(prepare_model(given), given):
+        # As in `compare`, tables are learned beside a choice only where a section says so.
+        return LearnResult(chosen, prepare_model(chosen), blocks, constants, None, None, ())
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("always", UserWarning)
+        drive = load_to_learn(chosen)
+        with bar(None, progress, total=blocks + 1, unit="fit") as shows:
+            learned = run_learn(chosen, recorded=drive.recorded, n_blocks=blocks, done=shows.update)
+    # Several blocks may give the same warning.
+    notes = tuple(dict.fromkeys(str(w.message) for w in caught))
+    held_out = _held_out(drive, learned, blocks, notes)
+    return LearnResult(chosen, learned.model, blocks, constants, learned, held_out, notes)
+
+
+def _unlabelled(experiment: Experiment) -> Experiment:
+    content = experiment.model_dump(exclude_unset=True)
+    content["learning"] = {**(content.get("learning") or {}), "labels": False}
+    return make_experiment(content, experiment.folder, experiment.source)
+
+
+def _choose(
+    experiment: Experiment, blocks: int, progress: bool | None
+) -> tuple[Experiment, dict[str, Value]]:
+    """The experiment with its constants chosen if it says `fit: choose`, and these."""
+    if experiment.fit != "choose":
+        return experiment, {}
+    (tasks,) = plan([experiment], blocks, is_held_out=False).values()
+    tried = bar(try_all(tasks), progress, desc="choosing", total=len(tasks), unit="recording")
+    found = chosen_on_all(experiment, list(tried))
+    assert experiment.choice is not None
+    return found, {name: found.parameters[name] for name in experiment.choice.grid}
+
+
+def _held_out(drive: Drive, learned: Learned, blocks: int, notes: tuple[str, ...]) -> RunResult:
+    """What was believed held out, as the result of a run."""
+    experiment, model, recorded = drive.experiment, drive.model, drive.recorded
+    rows = np.arange(len(drive))
+    annotated = replace(recorded, log=recorded.log.take(drive.rows), scored=rows)
+    found = {
+        "fit": "learn",
+        "blocks": blocks,
+        "tuned_on": "other_frames",
+        **causality(experiment, model, learned.held_out.parameters),
+    }
+    scores = {"name": experiment.name, **found, "frames": len(drive), "frames_scored": 0}
+    if learned.scores is not None:
+        scores |= {"model": learned.scores, "frames_scored": learned.scores["frames_scored"]}
+    result = make_result(
+        experiment,
+        model,
+        annotated,
+        learned.held_out.beliefs,
+        None,
+        content={**resolved(experiment, model.parameters), "fit": "learn"},
+        scores=scores,
+        notes=[*recorded.notes, *notes],
+        found=found,
+        block=learned.held_out.block,
+    )
+    return RunResult(experiment, model, result)

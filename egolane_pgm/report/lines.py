@@ -1,0 +1,39 @@
+"""The figure of a recording of lines: their lateral offsets over time."""
+
+from __future__ import annotations
+
+import numpy as np
+from matplotlib.figure import Figure
+
+from egolane_pgm.report.style import FAINT, MODEL_COLOUR, axes_at, new_figure, put_title
+from egolane_pgm.types import InputError, LineLog
+
+
+def lines_figure(log: LineLog, title: str) -> Figure:
+    """Draw the offset of each line in each frame; those that are not valid are grey.
+
+    Raises InputError for a log without frames.
+    """
+    if not len(log):
+        raise InputError(f"{log.source}: has no frames to draw")
+    figure = new_figure(9.0, 3.6)
+    put_title(figure, title, 0.75, 10)
+    ax = axes_at(figure, 0.75, 0.4, 8.1, 2.7)
+    time = np.broadcast_to(log.time_s[:, np.newaxis], log.offset_m.shape)
+    for chosen, colour, label in (
+        (~log.is_valid, FAINT, "not valid"),
+        (log.is_valid & ~log.is_continuous, MODEL_COLOUR, "valid"),
+        (log.is_valid & log.is_continuous, "#d55e00", "valid, continuous"),
+    ):
+        seen = chosen & np.isfinite(log.offset_m)
+        if seen.any():
+            ax.plot(time[seen], log.offset_m[seen], ".", markersize=2.5, color=colour, label=label)
+    # Left of the vehicle is above, as lane 1 is in the strips.
+    ax.invert_yaxis()
+    ax.axhline(0, color=FAINT, linewidth=0.8, zorder=0)
+    ax.set_xlabel("time [s]", fontsize=9)
+    ax.set_ylabel("offset [m], left above", fontsize=9)
+    ax.tick_params(labelsize=8)
+    if ax.lines[1:]:
+        ax.legend(fontsize=8, loc="upper right", frameon=False, ncols=3, markerscale=4)
+    return figure
