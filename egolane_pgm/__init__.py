@@ -34,6 +34,7 @@ _PUBLIC = {
     "DetectResult": "api.detections",
     "filter_beliefs": "inference.filtering",
     "smooth_beliefs": "inference.smoothing",
+    "unrolled": "inference.unrolling",
     "fit_tables": "learning.em",
     "LineLog": "types",
     "LaneTruth": "types",

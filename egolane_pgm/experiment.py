@@ -317,23 +317,47 @@ class Experiment(Section):
         return self._source
 
 
-def load_experiment(
-    experiment: str | Path | Mapping[str, Any], overrides: Overrides = ()
-) -> Experiment:
-    """Read an experiment.
+#: An experiment, its YAML file, or its keys and values.
+Given = Experiment | str | os.PathLike[str] | Mapping[str, Any]
 
-    - experiment: its YAML file, or its keys and values; then its paths are relative to where one
-      is.
+
+def load_experiment(experiment: Given, overrides: Overrides = ()) -> Experiment:
+    """Read an experiment, or change one.
+
+    - experiment: its YAML file; an experiment; or its keys and values, and then its paths are
+      relative to where one is.
     - overrides: keys that get other values: `{"parameters": {"sigma1": 0.3}}`, which may be
       written `{"parameters.sigma1": 0.3}`, or a list of `"parameters.sigma1=0.3"`, the value as
       YAML. A dict adds its keys to those of a section.
 
     Raises InputError, a line that names file and key for everything that does not fit.
+
+    >>> import egolane_pgm as ego
+    >>> place = ego.experiments_folder() / "quickstart.yaml"
+    >>> experiment = ego.load_experiment(place, {"parameters.sigma1": 0.3})
+    >>> experiment.parameters["sigma1"]
+    0.3
+    >>> ego.load_experiment(experiment, {"filter": "exact"}).filter
+    'exact'
+    >>> ego.load_experiment(place, {"filtr": "exact"})
+    Traceback (most recent call last):
+    ...
+    egolane_pgm.types.InputError: ...quickstart.yaml: unknown key 'filtr' (did you mean 'filter'?)
     """
+    if isinstance(experiment, Experiment):
+        if not overrides:
+            return experiment
+        content = _overridden(experiment.model_dump(exclude_unset=True), overrides)
+        return make_experiment(content, experiment.folder, experiment.source)
     if isinstance(experiment, Mapping):
         content = without_version(_nested(experiment), "experiment")
         content = _overridden(_including(content, Path(), "experiment", ("experiment",)), overrides)
         return make_experiment(content, Path(), "experiment")
+    if not isinstance(experiment, (str, os.PathLike)):
+        raise InputError(
+            f"a {type(experiment).__name__} is no experiment; give the path of a YAML file, its"
+            " keys and values, or what load_experiment returned"
+        )
     path = Path(experiment)
     return make_experiment(load_yaml(path, overrides), path.parent, str(path))
 

@@ -21,7 +21,12 @@ PARAMETER_SETS = ("recovered", "published")
 
 
 def experiments_folder() -> Path:
-    """The folder of the experiments that come with the package."""
+    """The folder of the experiments that come with the package.
+
+    >>> import egolane_pgm as ego
+    >>> sorted(path.name for path in (ego.experiments_folder() / "paper").glob("run0[12]*"))
+    ['run01_italy_ml.yaml', 'run02_italy_sl.yaml']
+    """
     installed = Path(__file__).parent / "_experiments"
     return installed if installed.is_dir() else Path(__file__).parent.parent / "experiments"
 

@@ -37,7 +37,15 @@ UNASSIGNED = 0
 
 class InputError(ValueError):
     """An error in what the user gave (a file, a YAML key, an option). Each argument is something
-    that is wrong, said in one line; mostly there is one."""
+    that is wrong, said in one line; mostly there is one.
+
+    >>> import egolane_pgm as ego
+    >>> try:
+    ...     ego.load_experiment("nowhere.yaml")
+    ... except ego.InputError as error:
+    ...     print(error)
+    nowhere.yaml: cannot be read: No such file or directory
+    """
 
     def __str__(self) -> str:
         return "\n".join(map(str, self.args))
@@ -96,6 +104,17 @@ def stacked(parts: Sequence[NDArray[Any]], blank: float | bool) -> NDArray[Any]:
     )
 
 
+def _span(frame_id: IntArray) -> str:
+    """How many frames there are, and from where to where."""
+    ends = f", ids {int(frame_id[0])} to {int(frame_id[-1])}" if len(frame_id) else ""
+    return f"{len(frame_id)} frames{ends}"
+
+
+def _node(key: Observed, shape: tuple[int, ...]) -> str:
+    """A node, or several observed jointly, and how many values there are."""
+    return f"{key if isinstance(key, str) else ', '.join(key)} ({' x '.join(map(str, shape))})"
+
+
 def _check_frame_ids(frame_id: IntArray, what: str) -> None:
     if frame_id.ndim != 1:
         raise InputError(f"{what}: frame_id has shape {frame_id.shape}, needs one id per frame")
@@ -128,6 +147,14 @@ class LineLog:
     - lri (T, L): line reliability index, as recorded; NaN where unknown.
     - is_missing (T,): marks frames that were not recorded but put in (`missing_frames: predict`).
     - source: the file, for messages.
+
+    >>> import numpy as np
+    >>> import egolane_pgm as ego
+    >>> yes, offset_m = np.ones(3, dtype=bool), np.array([-1.8, 1.7, -1.9])
+    >>> ego.LineLog.from_rows(
+    ...     np.array([7, 8]), 10.0, np.array([0, 0, 1]), offset_m, yes, ~yes, np.full(3, 10.0)
+    ... )
+    LineLog('line log': 2 frames, ids 7 to 8, at most 2 lines each)
     """
 
     frame_id: IntArray
@@ -138,6 +165,10 @@ class LineLog:
     lri: FloatArray
     is_missing: BoolArray = field(default_factory=lambda: np.zeros(0, dtype=bool))
     source: str = "line log"
+
+    def __repr__(self) -> str:
+        width = self.offset_m.shape[1]
+        return f"LineLog({self.source!r}: {_span(self.frame_id)}, at most {width} lines each)"
 
     def __post_init__(self) -> None:
         n_frames = len(self.frame_id)
@@ -243,12 +274,21 @@ class LaneTruth:
     - frame_id (T,): strictly increasing.
     - lane (T,): 1 (leftmost) to n.
     - is_crossing (T,): marks frames in which the vehicle changes lane, so the label is ambiguous.
+
+    >>> import numpy as np
+    >>> import egolane_pgm as ego
+    >>> ego.LaneTruth(np.array([7, 8, 9]), np.array([1, 2, 2]), np.array([False, True, False]))
+    LaneTruth('ground truth': 3 frames, ids 7 to 9, 1 crossing)
     """
 
     frame_id: IntArray
     lane: IntArray
     is_crossing: BoolArray
     source: str = "ground truth"
+
+    def __repr__(self) -> str:
+        crossing = int(np.count_nonzero(self.is_crossing))
+        return f"LaneTruth({self.source!r}: {_span(self.frame_id)}, {crossing} crossing)"
 
     def __post_init__(self) -> None:
         _check_frame_ids(self.frame_id, self.source)
@@ -282,10 +322,20 @@ class Evidence:
     - likelihoods: per observed node (or tuple of nodes observed jointly) an array
       (T, *cardinalities) of non-negative, finite likelihoods, which need not sum to one.
     - inputs: per input node the index of its value in each frame (T,).
+
+    >>> import numpy as np
+    >>> import egolane_pgm as ego
+    >>> ego.Evidence({"DetectorOutput": np.array([[0.9, 0.1, 0.0], [0.3, 0.4, 0.3]])})
+    Evidence(2 frames: DetectorOutput (3))
     """
 
     likelihoods: Mapping[Observed, FloatArray]
     inputs: Mapping[str, IntArray] = field(default_factory=dict)
+
+    def __repr__(self) -> str:
+        nodes = [_node(key, values.shape[1:]) for key, values in self.likelihoods.items()]
+        nodes += [f"{name}, an input" for name in self.inputs]
+        return f"Evidence({len(self)} frames: {', '.join(nodes)})"
 
     def __post_init__(self) -> None:
         lengths = {len(a) for a in (*self.likelihoods.values(), *self.inputs.values())}
@@ -319,12 +369,25 @@ class Beliefs:
       as given; 0 in impossible frames.
     - is_impossible (T,): marks frames whose evidence had joint likelihood zero; the belief is the
       prediction there.
+
+    >>> import numpy as np
+    >>> import egolane_pgm as ego
+    >>> lane = np.array([[0.2, 0.8], [0.1, 0.9]])
+    >>> beliefs = ego.Beliefs(np.array([7, 8]), {"Lane": lane}, np.zeros(2), np.zeros(2, bool))
+    >>> beliefs
+    Beliefs(2 frames, ids 7 to 8: Lane (2))
+    >>> beliefs.lane[-1]
+    array([0.1, 0.9])
     """
 
     frame_id: IntArray
     marginals: Mapping[str, FloatArray]
     log_evidence: FloatArray
     is_impossible: BoolArray
+
+    def __repr__(self) -> str:
+        nodes = [_node(name, values.shape[1:]) for name, values in self.marginals.items()]
+        return f"Beliefs({_span(self.frame_id)}: {', '.join(nodes)})"
 
     def __len__(self) -> int:
         return len(self.frame_id)

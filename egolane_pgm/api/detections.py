@@ -40,6 +40,15 @@ class DetectResult:
     - seconds: that it took.
     - stopped: what ended it early, a KeyboardInterrupt or an InputError; `detect` raises it, so
       that it is None there.
+
+    >>> import egolane_pgm as ego
+    >>> from egolane_pgm.simulation import simulate
+    >>> log = simulate("quickstart", frames=100).log
+    >>> found = ego.DetectResult(log, "drive.avi", "ml", 10.0, 2.0)
+    >>> found
+    DetectResult(100 frames, ids 0 to 99; 4.4 lines per frame, 4.4 of them valid; 50 frames/s)
+    >>> list(found.to_pandas().columns)
+    ['time_s', 'offset_m', 'is_valid', 'is_continuous', 'lri']
     """
 
     log: LineLog

@@ -5,40 +5,18 @@ from __future__ import annotations
 import os
 import sys
 import warnings
-from collections.abc import Iterable, Sequence
-from pathlib import Path
+from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
-from egolane_pgm.experiment import Experiment, load_experiment
+from egolane_pgm.experiment import Experiment
 from egolane_pgm.types import InputError
-
-#: An experiment, or the path of its YAML file.
-Given = Experiment | str | os.PathLike[str]
-
-
-def experiment_of(given: Given, overrides: Any = ()) -> Experiment:
-    """The experiment that is given. Raises InputError for anything else, and as `load_experiment`
-    does."""
-    if isinstance(given, Experiment):
-        if overrides:
-            raise InputError(
-                "overrides: go with the path of a YAML file; load_experiment(path, overrides) makes"
-                " an experiment with them"
-            )
-        return given
-    if isinstance(given, (str, os.PathLike)):
-        return load_experiment(Path(given), overrides)
-    kind = type(given).__name__
-    raise InputError(
-        f"a {kind} is no experiment; give the path of a YAML file, or what load_experiment returns"
-    )
 
 
 def several_of(given: Any, what: str) -> list[Any]:
     """One or several things as a list."""
     if given is None:
         return []
-    if isinstance(given, (str, os.PathLike, Experiment)):
+    if isinstance(given, (str, os.PathLike, Experiment, Mapping)):
         return [given]
     if isinstance(given, Sequence):
         return list(given)

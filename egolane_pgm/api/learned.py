@@ -12,10 +12,10 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from egolane_pgm.api import shown
-from egolane_pgm.api.given import Given, bar, experiment_of
+from egolane_pgm.api.given import bar
 from egolane_pgm.api.runs import RunResult
 from egolane_pgm.comparing.choose import chosen_on_all, learns, plan, try_all
-from egolane_pgm.experiment import Experiment, make_experiment, resolved
+from egolane_pgm.experiment import Experiment, Given, Overrides, load_experiment, resolved
 from egolane_pgm.learning import Learned, write_learned
 from egolane_pgm.learning import learn as run_learn
 from egolane_pgm.learning.held_out import load_to_learn
@@ -47,7 +47,7 @@ class LearnResult:
 
     >>> import egolane_pgm as ego
     >>> place = ego.experiments_folder() / "quickstart.yaml"
-    >>> experiment = ego.load_experiment(place, ["recording.frames=[0, 600]"])
+    >>> experiment = ego.load_experiment(place, {"recording.frames": [0, 600]})
     >>> learned = ego.learn(experiment, unlabelled=True, blocks=2)
     >>> learned  # doctest: +ELLIPSIS
     LearnResult('quickstart': 2 blocks, accuracy 0.880 ... -1.548 -> -1.393; held out, causal)
@@ -147,7 +147,7 @@ class LearnResult:
 def learn(
     experiment: Given,
     *,
-    overrides: Any = (),
+    overrides: Overrides = (),
     unlabelled: bool = False,
     blocks: int = 5,
     progress: bool | None = None,
@@ -166,16 +166,16 @@ def learn(
 
     >>> import egolane_pgm as ego
     >>> place = ego.experiments_folder() / "quickstart.yaml"
-    >>> experiment = ego.load_experiment(place, ["recording.frames=[0, 600]"])
+    >>> experiment = ego.load_experiment(place, {"recording.frames": [0, 600]})
     >>> learned = ego.learn(experiment, blocks=2)
     >>> learned.scores["frames_scored"]
     518
     """
     if isinstance(experiment, (list, tuple)):
         raise InputError("learn: takes one experiment; `learned_on` of a YAML names several")
-    found = experiment_of(experiment, overrides)
+    found = load_experiment(experiment, overrides)
     if unlabelled:
-        found = _unlabelled(found)
+        found = load_experiment(found, {"learning.labels": False})
     given = with_video_rate(found)
     chosen, constants = _choose(given, blocks, progress)
     if given.fit == "choose" and not learns(prepare_model(given), given):
@@ -190,12 +190,6 @@ def learn(
     notes = tuple(dict.fromkeys(str(w.message) for w in caught))
     held_out = _held_out(drive, learned, blocks, notes)
     return LearnResult(chosen, learned.model, blocks, constants, learned, held_out, notes)
-
-
-def _unlabelled(experiment: Experiment) -> Experiment:
-    content = experiment.model_dump(exclude_unset=True)
-    content["learning"] = {**(content.get("learning") or {}), "labels": False}
-    return make_experiment(content, experiment.folder, experiment.source)
 
 
 def _choose(

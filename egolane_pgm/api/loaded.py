@@ -26,7 +26,7 @@ def load_result(directory: str | os.PathLike[str]) -> Any:
     >>> import tempfile
     >>> import egolane_pgm as ego
     >>> place = ego.experiments_folder() / "quickstart.yaml"
-    >>> run = ego.run(place, overrides=["recording.frames=[0, 300]"])
+    >>> run = ego.run(place, overrides={"recording.frames": [0, 300]})
     >>> with tempfile.TemporaryDirectory() as folder:
     ...     saved = run.save(f"{folder}/mine", figures=False)
     ...     again = ego.load_result(saved)

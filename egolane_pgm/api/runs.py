@@ -13,8 +13,8 @@ from typing import TYPE_CHECKING, Any, overload
 import numpy as np
 
 from egolane_pgm.api import shown
-from egolane_pgm.api.given import Given, bar, experiment_of, several_of
-from egolane_pgm.experiment import Experiment
+from egolane_pgm.api.given import bar, several_of
+from egolane_pgm.experiment import Experiment, Given, Overrides, load_experiment
 from egolane_pgm.loading import with_recording
 from egolane_pgm.model import Model
 from egolane_pgm.report.comparison_tables import trusted_or_all
@@ -48,7 +48,7 @@ class RunResult:
 
     >>> import egolane_pgm as ego
     >>> place = ego.experiments_folder() / "quickstart.yaml"
-    >>> run = ego.run(place, overrides=["recording.frames=[0, 300]"])
+    >>> run = ego.run(place, overrides={"recording.frames": [0, 300]})
     >>> run
     RunResult('quickstart': 300 frames, accuracy 0.877, detector 0.558; not tuned, causal)
     >>> run.scores["model"]["frames_scored"]
@@ -204,10 +204,10 @@ class RunResults(Sequence[RunResult]):
     - failed: of each experiment that failed its title, and why.
 
     >>> import egolane_pgm as ego
-    >>> short = ["recording.frames=[0, 300]"]
+    >>> short = {"recording.frames": [0, 300]}
     >>> place = ego.experiments_folder() / "quickstart.yaml"
     >>> one = ego.load_experiment(place, short)
-    >>> other = ego.load_experiment(place, [*short, "name=hard", "evidence_reading=hard"])
+    >>> other = ego.load_experiment(one, {"name": "hard", "evidence_reading": "hard"})
     >>> runs = ego.run([one, other])
     >>> runs
     RunResults('quickstart', 'hard')
@@ -293,7 +293,7 @@ Several = list[Given] | tuple[Given, ...]
 def run(  # type: ignore[overload-overlap]
     experiment: Given,
     *,
-    overrides: Any = (),
+    overrides: Overrides = (),
     recording: str | os.PathLike[str] | None = None,
     ground_truth: str | os.PathLike[str] | None = None,
     n_lanes: int | None = None,
@@ -309,7 +309,7 @@ def run(  # type: ignore[overload-overlap]
 def run(
     experiment: Given | Several,
     *,
-    overrides: Any = (),
+    overrides: Overrides = (),
     recording: Any = None,
     ground_truth: str | os.PathLike[str] | None = None,
     n_lanes: int | None = None,
@@ -324,7 +324,7 @@ def run(
 def run(
     experiment: Given | Several,
     *,
-    overrides: Any = (),
+    overrides: Overrides = (),
     recording: Any = None,
     ground_truth: str | os.PathLike[str] | None = None,
     n_lanes: int | None = None,
@@ -351,7 +351,7 @@ def run(
 
     >>> import egolane_pgm as ego
     >>> place = ego.experiments_folder() / "quickstart.yaml"
-    >>> run = ego.run(place, overrides=["recording.frames=[0, 300]", "parameters.sigma1=0.3"])
+    >>> run = ego.run(place, overrides={"recording.frames": [0, 300], "parameters.sigma1": 0.3})
     >>> frame = run.to_pandas()
     >>> int(frame["Lane=2"].idxmax()) in frame.index
     True
@@ -376,7 +376,7 @@ def run(
 
 def choose(
     given: Given,
-    overrides: Any = (),
+    overrides: Overrides = (),
     recording: Any = None,
     ground_truth: Any = None,
     n_lanes: int | None = None,
@@ -390,7 +390,7 @@ def choose(
 
     - name: the name of the run, in which `*` stands for that of the experiment.
     """
-    found = experiment_of(given, overrides)
+    found = load_experiment(given, overrides)
     changes = (recording, ground_truth, n_lanes, frame_id, camera, detector)
     chosen = found
     if changes != (None,) * 6:
@@ -403,7 +403,7 @@ def choose(
 
 
 def name_all(
-    experiments: Sequence[Given], overrides: Any, recordings: Sequence[Any], *changes: Any
+    experiments: Sequence[Given], overrides: Overrides, recordings: Sequence[Any], *changes: Any
 ) -> list[tuple[str, Callable[[], Experiment]]]:
     """The title of each of several runs, and a function that loads its experiment.
 

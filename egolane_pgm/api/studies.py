@@ -13,8 +13,8 @@ from typing import TYPE_CHECKING, Any
 import yaml
 
 from egolane_pgm.api import shown
-from egolane_pgm.api.given import bar, experiment_of, several_of
-from egolane_pgm.experiment import Experiment, Tuning, make_experiment
+from egolane_pgm.api.given import bar, several_of
+from egolane_pgm.experiment import Experiment, Overrides, Tuning, load_experiment, make_experiment
 from egolane_pgm.paper import parse_runs
 from egolane_pgm.report.study_tables import LEGEND, parameter_rows, score_rows
 from egolane_pgm.report.study_trials import STUDY_FILE, TRIALS_FILE, Trials, is_study, trials_of
@@ -38,7 +38,7 @@ class TuneResult:
 
     >>> import egolane_pgm as ego
     >>> place = ego.experiments_folder() / "quickstart.yaml"
-    >>> experiment = ego.load_experiment(place, ["recording.frames=[0, 200]"])
+    >>> experiment = ego.load_experiment(place, {"recording.frames": [0, 200]})
     >>> tuned = ego.tune(experiment, trials=4, sampler="random", in_sample_only=True)
     >>> tuned
     TuneResult('quickstart': 4 trials, accuracy 0.969 in-sample)
@@ -222,7 +222,7 @@ def tune(
     workers: int | None = None,
     jobs: int = 1,
     storage: str | None = None,
-    overrides: Any = (),
+    overrides: Overrides = (),
     progress: bool | None = None,
 ) -> TuneResult:
     """Search parameters; tell what they are worth on frames that they have not seen.
@@ -252,7 +252,7 @@ def tune(
 
     >>> import egolane_pgm as ego
     >>> place = ego.experiments_folder() / "quickstart.yaml"
-    >>> experiment = ego.load_experiment(place, ["recording.frames=[0, 200]"])
+    >>> experiment = ego.load_experiment(place, {"recording.frames": [0, 200]})
     >>> only = {"sigma1": [0.2, 0.5], "bonus_value": 3}
     >>> tuned = ego.tune(experiment, trials=3, in_sample_only=True, parameter=only)
     >>> "bonus_value" in tuned.best
@@ -301,7 +301,7 @@ def prepare_searches(
     workers: int | None = None,
     jobs: int | None = None,
     storage: str | None = None,
-    overrides: Any = (),
+    overrides: Overrides = (),
 ) -> list[studies.Search]:
     """Read the recordings of the searches that the arguments of `tune` mean, and check everything.
 
@@ -332,7 +332,9 @@ def prepare_searches(
     return [studies.prepare(p, folder / p.name, held_out, test, storage) for p in plans]
 
 
-def _plans(experiments: Sequence[Any], runs: str | None, overrides: Any) -> list[planning.Plan]:
+def _plans(
+    experiments: Sequence[Any], runs: str | None, overrides: Overrides
+) -> list[planning.Plan]:
     if bool(experiments) == bool(runs):
         raise InputError("tune: name experiments, or runs of the paper with --runs 1-10")
     if runs:
@@ -342,10 +344,10 @@ def _plans(experiments: Sequence[Any], runs: str | None, overrides: Any) -> list
     return [_plan(given, overrides) for given in experiments]
 
 
-def _plan(given: Any, overrides: Any) -> planning.Plan:
+def _plan(given: Any, overrides: Overrides) -> planning.Plan:
     if isinstance(given, (str, os.PathLike)):
         return planning.load_plan(Path(given), overrides)
-    experiment = experiment_of(given, overrides)
+    experiment = load_experiment(given, overrides)
     tuning = experiment.tuning or Tuning()
     found = (experiment,)
     return planning.Plan(experiment.name, experiment.description, found, tuning, experiment.source)

@@ -73,6 +73,12 @@ def filter_beliefs(
 
     A frame whose joint likelihood is zero keeps its prediction and is flagged. Raises InputError
     for an unknown method and for evidence that does not fit the network (both named).
+
+    >>> import egolane_pgm as ego
+    >>> place = ego.experiments_folder() / "quickstart.yaml"
+    >>> run = ego.run(place, overrides={"recording.frames": [0, 300]})
+    >>> ego.filter_beliefs(run.model.compiled, run.evidence, "exact")
+    Beliefs(300 frames, ids 0 to 299: SensorState (2), Lane (4))
     """
     return _filter(compiled, evidence, method, None, frame_id)[1]
 

@@ -116,6 +116,12 @@ def smooth_beliefs(
     - frame_id (T,): the beliefs' frame ids, 0, 1, ... by default.
 
     Raises InputError as `pass_forward`.
+
+    >>> import egolane_pgm as ego
+    >>> place = ego.experiments_folder() / "quickstart.yaml"
+    >>> run = ego.run(place, overrides={"recording.frames": [0, 300]})
+    >>> ego.smooth_beliefs(run.model.compiled, run.evidence)
+    Beliefs(300 frames, ids 0 to 299: SensorState (2), Lane (4))
     """
     passed = pass_forward(compiled, evidence)
     return _beliefs(compiled, passed, _smoothed(compiled, passed), frame_id)

@@ -58,6 +58,13 @@ def unrolled(
 
     Raises InputError for frames that there are not, for evidence that does not fit the network, and
     for posteriors (evidence that is read by Jeffrey's rule).
+
+    >>> import egolane_pgm as ego
+    >>> place = ego.experiments_folder() / "quickstart.yaml"
+    >>> run = ego.run(place, overrides={"recording.frames": [0, 300]})
+    >>> unrolled = ego.unrolled(run.model, run.evidence, 40, 41)
+    >>> sorted(node for node in unrolled.network.nodes() if node.startswith("Lane@"))
+    ['Lane@39', 'Lane@40', 'Lane@41']
     """
     compiled = model if isinstance(model, Compiled) else model.compiled
     if isinstance(evidence, PosteriorEvidence):

@@ -59,6 +59,15 @@ def fit_tables(
 
     known, is_first: as `expected_counts`. nodes: whose tables are learned, default all that can
     be. strength: of the prior, frames per row. Raises InputError as `expected_counts`.
+
+    >>> import egolane_pgm as ego
+    >>> place = ego.experiments_folder() / "quickstart.yaml"
+    >>> run = ego.run(place, overrides={"recording.frames": [0, 300]})
+    >>> compiled = run.model.compiled
+    >>> tables = list(compiled.tables.values())
+    >>> fitted = ego.fit_tables(compiled, tables, run.evidence, iterations=3)
+    >>> bool(fitted.log_posterior[-1] > fitted.log_posterior[0])
+    True
     """
     start = counted_tables(compiled, tables)
     now = dict(start)

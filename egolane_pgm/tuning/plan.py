@@ -20,6 +20,7 @@ from pydantic import Field
 
 from egolane_pgm.experiment import (
     Experiment,
+    Overrides,
     Section,
     Tuning,
     load_experiment,
@@ -101,7 +102,7 @@ class Problem:
         return self.spaces[0]
 
 
-def load_plan(path: str | Path, overrides: Sequence[str] = ()) -> Plan:
+def load_plan(path: str | Path, overrides: Overrides = ()) -> Plan:
     """Read an experiment or a tuning file. Raises InputError, one line, as `load_experiment`."""
     path = Path(path)
     content = load_yaml(path, overrides)
