@@ -37,7 +37,7 @@ class ReproduceResult:
 
     >>> import egolane_pgm as ego
     >>> ego.reproduce(runs=[3, 4])  # doctest: +SKIP
-    ReproduceResult(runs 3, 4: 0 of 30842 classified frames off; recovered parameters, in-sample)
+    ReproduceResult(runs 3, 4: 0 of 31084 classified frames off; recovered parameters, in-sample)
     """
 
     document: Mapping[str, Any]
