@@ -138,6 +138,21 @@ def test_a_detector_that_never_repeats_itself_is_the_papers_graph(n_lanes: int) 
         np.testing.assert_allclose(found.marginals[node], right.marginals[node], rtol=0, atol=1e-12)
 
 
+@pytest.mark.parametrize("n_lanes", [1, 3, 4])
+def test_wor_that_never_repeats_itself_is_autoregressive(n_lanes: int) -> None:
+    rng = np.random.default_rng(n_lanes)
+    parameters = draw_parameters(graph("autoregressive").PARAMETERS, n_lanes, rng)
+    plain = compiled("autoregressive", n_lanes, parameters)
+    ours = compiled("autoregressive_wor", n_lanes, {**parameters, "p_repeat_wor": 0.0})
+    evidence = draw_evidence(plain, 30, rng)
+    right = filter_beliefs(plain, evidence, "exact")
+    found = filter_beliefs(ours, evidence, "exact")
+    np.testing.assert_array_equal(found.is_impossible, right.is_impossible)
+    np.testing.assert_allclose(found.log_evidence, right.log_evidence, rtol=0, atol=1e-12)
+    for node in ("Lane", "SensorState"):
+        np.testing.assert_allclose(found.marginals[node], right.marginals[node], rtol=0, atol=1e-12)
+
+
 def test_an_answer_that_is_repeated_says_nothing_new_of_the_lane() -> None:
     """A sensor that is OK for good and always repeats itself says lane 1 in twenty frames."""
     given = {"sigma1": 1e-3, "sigma2": 1.0, "p1": 1.0, "p2": 0.0}
