@@ -10,11 +10,12 @@ from dataclasses import dataclass, field, replace
 from functools import partial
 from pathlib import Path
 from types import ModuleType
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
 from egolane_pgm.experiment import Experiment
+from egolane_pgm.graphs.from_pgmpy import node_names
 from egolane_pgm.inference.compile import Compiled, compile_network, with_tables
 from egolane_pgm.inference.filtering import filter_beliefs, read_evidence
 from egolane_pgm.inference.smoothing import infer_beliefs
@@ -25,6 +26,7 @@ from egolane_pgm.plugins import (
     load_plugin,
     load_rule_and_graph,
     plugin_errors,
+    plugin_names,
     plugin_place,
 )
 from egolane_pgm.types import (
@@ -36,6 +38,7 @@ from egolane_pgm.types import (
     IntArray,
     LaneTruth,
     LineLog,
+    Observed,
     all_problems,
 )
 
@@ -46,6 +49,20 @@ if TYPE_CHECKING:
 KEPT_EVIDENCE = 12
 
 
+class Roles(NamedTuple):
+    """What the nodes of a graph are under an evidence rule.
+
+    - hidden: None for every node that is neither observed nor an input, and Lane.
+    - observed, inputs: what the graph takes of the evidence.
+    - unused: what the evidence has beside it.
+    """
+
+    hidden: tuple[str, ...] | None
+    observed: tuple[Observed, ...]
+    inputs: tuple[str, ...]
+    unused: tuple[Observed, ...]
+
+
 @dataclass(frozen=True)
 class Model:
     """An experiment's plugins, checked and compiled. It knows nothing of the recording.
@@ -53,6 +70,7 @@ class Model:
     - rule, graph: the modules of the evidence rule and the graph.
     - parameters: the value of every parameter that they declare.
     - compiled: the graph with these values, as inference takes it.
+    - roles: of its nodes.
     """
 
     rule: ModuleType
@@ -60,6 +78,7 @@ class Model:
     parameters: Mapping[str, Value]
     compiled: Compiled
     n_lanes: int
+    roles: Roles
 
     def __getstate__(self) -> dict[str, Any]:
         # Modules cannot be pickled: a name or a file stands for each.
@@ -98,7 +117,9 @@ def prepare_model(experiment: Experiment) -> Model:
         with part():
             _check_names(rule, graph, source)
     try:
-        compiled = compile_graph(graph, experiment.n_lanes, parameters, f"{source}: graph")
+        network = build_network(graph, experiment.n_lanes, parameters, f"{source}: graph")
+        roles = graph_roles(graph, rule, network)
+        compiled = compile_graph(graph, roles, network)
     except InputError as error:
         raise InputError(f"{source}: graph {experiment.graph}: {error}") from error
     lanes = compiled.cardinality.get("Lane")
@@ -107,7 +128,7 @@ def prepare_model(experiment: Experiment) -> Model:
             f"{source}: graph {experiment.graph}: needs a hidden node Lane with"
             f" {experiment.n_lanes} values, has {lanes or 'none'}"
         )
-    return Model(rule, graph, parameters, compiled, experiment.n_lanes)
+    return Model(rule, graph, parameters, compiled, experiment.n_lanes, roles)
 
 
 def with_parameters(model: Model, parameters: Mapping[str, Value]) -> Model:
@@ -122,32 +143,92 @@ def with_parameters(model: Model, parameters: Mapping[str, Value]) -> Model:
     if same_shape and hasattr(model.graph, "tables"):
         compiled = with_tables(model.compiled, model.graph.tables(model.n_lanes, parameters))
     else:
-        compiled = compile_graph(model.graph, model.n_lanes, parameters, "graph")
+        network = build_network(model.graph, model.n_lanes, parameters, "graph")
+        compiled = compile_graph(model.graph, model.roles, network)
     return replace(model, parameters=parameters, compiled=compiled)
 
 
-def compile_graph(
+def build_network(
     graph: ModuleType, n_lanes: int, parameters: Mapping[str, Value], where: str
-) -> Compiled:
-    """Declare a graph with these values and compile it.
+) -> DynamicBayesianNetwork:
+    """Declare a graph in pgmpy.
 
     - parameters: the value of every parameter that the graph declares.
     - where: the beginning of a message about an error in a user's own file.
 
-    Raises InputError as `plugin_errors` and `compile_network` do, and for a `build` that gives no
-    pgmpy network.
+    Raises InputError as `plugin_errors` does, and for a `build` that gives no pgmpy network.
     """
     with plugin_errors(graph, where):
         network = graph.build(n_lanes, parameters)
     if not hasattr(network, "get_cpds"):
         raise InputError(f"build() gave {type(network).__name__}, not a pgmpy network")
-    return compile_network(
-        network,
-        graph.HIDDEN,
-        graph.OBSERVED,
-        getattr(graph, "INPUTS", ()),
-        getattr(graph, "VALUES", {}),
-    )
+    return network
+
+
+def compile_graph(graph: ModuleType, roles: Roles, network: DynamicBayesianNetwork) -> Compiled:
+    """Compile a graph that `build_network` declared. Raises InputError as `compile_network`."""
+    with warnings.catch_warnings():
+        # A network that knows nothing of us has no virtual-evidence nodes.
+        warnings.simplefilter("ignore", UserWarning)
+        return compile_network(
+            network, roles.hidden, roles.observed, roles.inputs, getattr(graph, "VALUES", {})
+        )
+
+
+def graph_roles(graph: ModuleType, rule: ModuleType, network: DynamicBayesianNetwork) -> Roles:
+    """What the nodes of a graph are: what the graph says (HIDDEN, OBSERVED, INPUTS, UNUSED), and
+    where it does not say it, what follows from the evidence rule.
+
+    What the rule gives (PROVIDES) is then observed where the network has such nodes and else
+    unused; the rule's INPUTS are inputs. Raises InputError where nothing would be observed.
+    """
+    hidden = getattr(graph, "HIDDEN", None)
+    if hasattr(graph, "OBSERVED"):
+        roles = (getattr(graph, "INPUTS", ()), getattr(graph, "UNUSED", ()))
+        return Roles(hidden, graph.OBSERVED, *roles)
+    observed = observed_under(rule, network)
+    provides = getattr(rule, "PROVIDES", ())
+    nodes = node_names(network)
+    if not observed:
+        given = ", ".join(map(str, provides)) or "no node that it names (PROVIDES)"
+        raise InputError(
+            f"observes nothing: the evidence rule gives {given}, the graph has"
+            f" {', '.join(sorted(nodes))}"
+        )
+    inputs = tuple(name for name in getattr(rule, "INPUTS", ()) if name in nodes)
+    return Roles(hidden, observed, inputs, tuple(k for k in provides if k not in observed))
+
+
+def observed_under(rule: ModuleType, network: DynamicBayesianNetwork) -> tuple[Observed, ...]:
+    """Those of the keys of a rule's evidence whose nodes a network has."""
+    nodes = node_names(network)
+    provides = getattr(rule, "PROVIDES", ())
+    return tuple(k for k in provides if nodes.issuperset([k] if isinstance(k, str) else k))
+
+
+def fitting_rule(graph: ModuleType, n_lanes: int, first: str, folder: Path, where: str) -> str:
+    """The evidence rule that goes with a graph: one that gives all that it observes and nothing
+    that it does not know; `first` if it does, or where none does.
+
+    Whole numbers shape a graph's nodes: the rule that knows most of them goes before others. For a
+    graph that does not say what it observes it is the rule that gives evidence of most nodes.
+    """
+    names = dict.fromkeys([first, *plugin_names("evidence")])
+    rules = {name: load_plugin("evidence", name, folder, where) for name in names}
+    specs = getattr(graph, "PARAMETERS", ())
+    if not hasattr(graph, "OBSERVED"):
+        parameters = resolve_parameters(specs, {}, n_lanes)
+        network = build_network(graph, n_lanes, parameters, where)
+        return max(rules, key=lambda name: len(observed_under(rules[name], network)))
+    seen = set(graph.OBSERVED)
+    known = {*seen, *getattr(graph, "UNUSED", ())}
+    shapes = {p.name for p in specs if p.kind == "integer"}
+    missing = {
+        name: len(shapes - {p.name for p in getattr(rule, "PARAMETERS", ())})
+        for name, rule in rules.items()
+        if seen <= set(getattr(rule, "PROVIDES", seen)) <= known
+    }
+    return min(missing, key=missing.__getitem__, default=first)
 
 
 def causality(
@@ -178,7 +259,7 @@ def causality(
 
 def _check_names(rule: ModuleType, graph: ModuleType, source: str) -> None:
     provides = getattr(rule, "PROVIDES", None)
-    if provides is None:
+    if provides is None or not hasattr(graph, "OBSERVED"):
         return
     for key in graph.OBSERVED:
         if key not in provides:
@@ -254,8 +335,8 @@ def make_evidence(
             f"{rule.__file__}: evidence() gave {len(given)} frames for the {len(log)} recorded"
         )
     likelihoods = dict(given.likelihoods)
-    for key in getattr(model.graph, "UNUSED", ()):
-        if key not in model.compiled.observed:
+    for key in model.roles.unused:
+        if key not in model.roles.observed:
             likelihoods.pop(key, None)
     if log.is_missing.any():
         for key, values in likelihoods.items():

@@ -2,7 +2,11 @@
 YAML names.
 
 A plugin is a module that defines the names that its folder's contract asks for (`build`,
-`evidence`, ...). The other modules of such a folder are shared by its plugins.
+`evidence`, ...). The other modules of such a folder are shared by its plugins. A graph may also be
+a file without a line of ours: one that pgmpy reads, or Python with a pgmpy network at its top
+level, which is then what `build` gives.
+
+What a user's own file prints goes to standard error: standard output belongs to the commands.
 """
 
 from __future__ import annotations
@@ -25,7 +29,7 @@ from egolane_pgm.types import InputError, all_problems, suggestion
 
 #: What a module of each folder must define.
 CONTRACTS = {
-    "graphs": ("build", "HIDDEN", "OBSERVED"),
+    "graphs": ("build",),
     "evidence": ("evidence",),
     "recordings": ("read",),
     "detectors": ("STEREO", "start"),
@@ -38,7 +42,7 @@ CONTRACTS = {
 _OWN = "_egolane_plugin_"
 
 #: How the names of users' own files end.
-OWN_FILES = (".py", ".yaml", ".yml")
+OWN_FILES = (".py", ".yaml", ".yml", ".bif", ".xmlbif", ".xml")
 
 
 def plugin_names(folder: str) -> list[str]:
@@ -62,8 +66,8 @@ def _text(file: Path) -> str:
 def load_plugin(folder: str, name: str, base: Path, where: str) -> ModuleType:
     """Import a plugin.
 
-    - folder: a key of CONTRACTS. name: a plugin of that folder, or a file (.py, for a graph also
-      .yaml), relative to `base`.
+    - folder: a key of CONTRACTS. name: a plugin of that folder, or a file (.py, for a graph any of
+      OWN_FILES), relative to `base`.
     - where: the beginning of an error's message, e.g. the YAML file and the key.
 
     Raises InputError for an unknown name (with a suggestion), a missing file, a file that cannot be
@@ -73,10 +77,15 @@ def load_plugin(folder: str, name: str, base: Path, where: str) -> ModuleType:
     file = Path(os.path.realpath(base / name))
     if name.endswith(".py"):
         module = _load_file(file, where)
+        if folder == "graphs" and not hasattr(module, "build"):
+            _build_from_network(module, f"{where}: {name}")
     elif name.endswith(OWN_FILES) and folder == "graphs":
         # Above this module in the order of imports, as all graphs are.
-        reader = importlib.import_module("egolane_pgm.graphs.yaml_graph")
-        module = reader.load_yaml_graph(file, f"{_OWN}{Path(name).stem}", where)
+        is_yaml = name.endswith((".yaml", ".yml"))
+        reader = importlib.import_module(
+            f"egolane_pgm.graphs.{'yaml_graph' if is_yaml else 'from_pgmpy'}"
+        )
+        module = reader.load_graph_file(file, f"{_OWN}{Path(name).stem}", where)
     elif name in plugin_names(folder):
         module = importlib.import_module(f"egolane_pgm.{folder}.{name}")
     else:
@@ -128,6 +137,24 @@ def declared_parameters(rule: ModuleType, graph: ModuleType) -> list[Parameter]:
     return list(specs.values())
 
 
+def _build_from_network(module: ModuleType, where: str) -> None:
+    """Add a `build` that gives the one pgmpy network at the module's top level.
+
+    Raises InputError for a module that has none, or several.
+    """
+    found = {
+        id(value): (name, value)
+        for name, value in vars(module).items()
+        if hasattr(value, "get_cpds") and not isinstance(value, type)
+    }
+    if len(found) != 1:
+        names = ", ".join(name for name, _ in found.values())
+        has = f"and has {len(found)} pgmpy networks ({names})" if found else "nor a pgmpy network"
+        raise InputError(f"{where} does not define build, {has} at its top level")
+    [(_, network)] = found.values()
+    vars(module)["build"] = lambda n_lanes, parameters: network
+
+
 def source_files(module: ModuleType) -> list[Path]:
     """The files that a plugin's code stands in: several where the plugin is a folder."""
     file = Path(str(module.__file__))
@@ -149,27 +176,41 @@ def _load_file(path: Path, where: str) -> ModuleType:
     module = importlib.util.module_from_spec(spec)
     sys.modules[name] = module
     try:
-        spec.loader.exec_module(module)
-    except Exception as error:
+        with contextlib.redirect_stdout(sys.stderr):
+            spec.loader.exec_module(module)
+    except BaseException as error:
         del sys.modules[name]
-        line = f"{type(error).__name__}: {error}"
-        raise InputError(f"{where}: {path} cannot be imported: {line}") from error
+        if isinstance(error, KeyboardInterrupt):
+            raise
+        at = f" (line {line})" if (line := _line_in(str(path), error)) else ""
+        raise InputError(f"{where}: {path} cannot be imported: {_said(error)}{at}") from error
     return module
+
+
+def _said(error: BaseException) -> str:
+    return " ".join(f"{type(error).__name__}: {error}".split())
+
+
+def _line_in(file: str, error: BaseException) -> int | None:
+    """The line of the file that an error came from."""
+    lines = [f.lineno for f in traceback.extract_tb(error.__traceback__) if f.filename == file]
+    return lines[-1] if lines else None
 
 
 @contextlib.contextmanager
 def plugin_errors(module: ModuleType, where: str) -> Iterator[None]:
     """Wrap a call into a plugin: an exception of a user's own file becomes an InputError that
-    starts with `where` and names the file and its line. Exceptions of the package's plugins stay
-    as they are, because they are bugs of ours."""
-    try:
+    starts with `where` and names the file and its line, and what the file prints goes to standard
+    error. Exceptions of the package's plugins stay as they are, because they are bugs of ours."""
+    if not module.__name__.startswith(_OWN):
         yield
+        return
+    try:
+        with contextlib.redirect_stdout(sys.stderr):
+            yield
     except InputError:
         raise
-    except Exception as error:
-        if not module.__name__.startswith(_OWN):
-            raise
-        frames = traceback.extract_tb(error.__traceback__)
-        lines = [f.lineno for f in frames if f.filename == module.__file__]
-        at = f"{module.__file__}, line {lines[-1]}" if lines else f"{module.__file__}"
-        raise InputError(f"{where}: {at}: {type(error).__name__}: {error}") from error
+    except (Exception, SystemExit) as error:
+        line = _line_in(str(module.__file__), error)
+        at = f"{module.__file__}, line {line}" if line else f"{module.__file__}"
+        raise InputError(f"{where}: {at}: {_said(error)}") from error

@@ -112,7 +112,7 @@ def test_parameters_of_files_of_ones_own_are_checked_as_any_other(tmp_path: Path
         ("x = (", "g.py cannot be imported: SyntaxError"),
         ("import nothing_of_that_name", "g.py cannot be imported: ModuleNotFoundError"),
         ("HIDDEN = OBSERVED = ()", "g.py does not define build"),
-        (GRAPH.replace('HIDDEN = ("Lane",)', ""), "g.py does not define HIDDEN"),
+        (GRAPH.replace('OBSERVED = ("Seen",)', "").replace("OBSERVED", "()"), "observes nothing"),
         (GRAPH.replace("stay = ", "stay = 1 / 0 + "), "g.py, line 7: ZeroDivisionError"),
         (GRAPH.replace("return declare", "return 3 #"), "build() gave int, not a pgmpy network"),
         (GRAPH.replace("0.9 *", "0.8 *"), "the rows of the table must sum to one"),

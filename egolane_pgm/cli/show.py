@@ -12,7 +12,13 @@ from egolane_pgm.experiment import load_experiment, load_yaml
 from egolane_pgm.files import check_not_read
 from egolane_pgm.inference.compile import Compiled
 from egolane_pgm.loading import check_sources
-from egolane_pgm.model import compile_graph, prepare_model
+from egolane_pgm.model import (
+    build_network,
+    compile_graph,
+    fitting_rule,
+    graph_roles,
+    prepare_model,
+)
 from egolane_pgm.paper import experiments_folder
 from egolane_pgm.parameters import resolve_parameters
 from egolane_pgm.plugins import load_plugin, plugin_names
@@ -95,6 +101,9 @@ def _compiled(name: str, module: ModuleType, n_lanes: int) -> Compiled:
     where = f"graph {name}"
     try:
         parameters = resolve_parameters(getattr(module, "PARAMETERS", ()), {}, n_lanes)
-        return compile_graph(module, n_lanes, parameters, where)
+        declared = build_network(module, n_lanes, parameters, where)
+        rule = fitting_rule(module, n_lanes, "counting", Path.cwd(), where)
+        roles = graph_roles(module, load_plugin("evidence", rule, Path.cwd(), where), declared)
+        return compile_graph(module, roles, declared)
     except InputError as error:
         raise InputError(str(error) if where in str(error) else f"{where}: {error}") from error

@@ -4,13 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from types import ModuleType
 from typing import Any
 
 from egolane_pgm.experiment import Experiment, load_experiment
 from egolane_pgm.loading import load_recording
+from egolane_pgm.model import fitting_rule
 from egolane_pgm.paper import load_published, paper_experiment, parameters_for
-from egolane_pgm.plugins import declared_parameters, load_plugin, plugin_names
+from egolane_pgm.plugins import declared_parameters, load_plugin
 from egolane_pgm.results import SCHEMA_VERSION
 from egolane_pgm.running import run_experiment
 
@@ -54,32 +54,14 @@ def with_graph(experiment: Experiment, graph: str, parameters: Mapping[str, Any]
     """
     where = experiment.source
     module = load_plugin("graphs", graph, experiment.folder, f"{where}: graph")
-    names = [experiment.evidence, *plugin_names("evidence")]
-    rules = {
-        name: load_plugin("evidence", name, experiment.folder, f"{where}: evidence")
-        for name in dict.fromkeys(names)
-    }
-    fitting = [name for name, rule in rules.items() if _fits(rule, module)]
-    evidence = experiment.evidence
-    if fitting:
-        # Whole numbers shape a graph's nodes: the rule must know of them.
-        shapes = {p.name for p in getattr(module, "PARAMETERS", ()) if p.kind == "integer"}
-        evidence = min(fitting, key=lambda name: len(shapes - _declared(rules[name])))
-    known = {spec.name for spec in declared_parameters(rules[evidence], module)}
+    evidence = fitting_rule(
+        module, experiment.n_lanes, experiment.evidence, experiment.folder, where
+    )
+    rule = load_plugin("evidence", evidence, experiment.folder, f"{where}: evidence")
+    known = {spec.name for spec in declared_parameters(rule, module)}
     kept = {name: value for name, value in parameters.items() if name in known}
     changed = {"graph": graph, "evidence": evidence, "parameters": kept}
     return experiment.model_copy(update=changed)
-
-
-def _declared(rule: ModuleType) -> set[str]:
-    return {p.name for p in getattr(rule, "PARAMETERS", ())}
-
-
-def _fits(rule: ModuleType, graph: ModuleType) -> bool:
-    """Whether a rule gives what a graph observes, and nothing that it does not know."""
-    provides = set(getattr(rule, "PROVIDES", graph.OBSERVED))
-    known = {*graph.OBSERVED, *getattr(graph, "UNUSED", ())}
-    return set(graph.OBSERVED) <= provides <= known
 
 
 def compare_rows(compared: Sequence[Compared], key: str) -> tuple[list[str], list[list[str]]]:

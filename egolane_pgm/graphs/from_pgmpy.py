@@ -75,6 +75,11 @@ def read_network(network: Any, transition: Sequence[Any] | None = None) -> Decla
     return Declared(tables, values)
 
 
+def node_names(network: Any) -> set[str]:
+    """The names of the nodes of a network of two slices. Raises InputError as `read_network`."""
+    return {_of_slice(node)[0] for node in network}
+
+
 # --- networks -----------------------------------------------------------------------------------
 
 
@@ -335,7 +340,7 @@ def read_file(path: Path) -> Any:
     return network
 
 
-def load_network_file(path: Path, name: str, where: str) -> ModuleType:
+def load_graph_file(path: Path, name: str, where: str) -> ModuleType:
     """Make a module from a BIF or XMLBIF file of two slices, with `build` as a graph in Python.
 
     - name: name of the new module. where: how error messages begin.

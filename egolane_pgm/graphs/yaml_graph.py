@@ -111,7 +111,7 @@ class _Place:
 _Made = tuple[tuple[str, ...], FloatArray]
 
 
-def load_yaml_graph(path: Path, name: str, where: str) -> ModuleType:
+def load_graph_file(path: Path, name: str, where: str) -> ModuleType:
     """Makes a module from a YAML file, with the names of a graph in Python (HIDDEN, OBSERVED,
     PARAMETERS, tables, build, ...).
 

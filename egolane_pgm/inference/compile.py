@@ -16,7 +16,7 @@ import math
 import warnings
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -111,23 +111,37 @@ class Placement:
 
 
 def compile_network(
-    network: DynamicBayesianNetwork,
-    hidden: Sequence[str],
+    network: Any,
+    hidden: Sequence[str] | None,
     observed: Sequence[Observed],
     inputs: Sequence[str] = (),
     values: Mapping[str, Sequence[str]] | None = None,
+    transition: Sequence[Any] | None = None,
 ) -> Compiled:
     """The arrays of a declared network.
 
+    - network, transition: as `read_network` takes them.
+    - hidden: None for every node that is neither observed nor an input, and Lane.
     - values: names of nodes' values, in place of those that the network gives. Where neither gives
       any, those of Lane count from 1 and those of any other node from 0.
 
     Warns of observed nodes without a virtual-evidence child, which is added. Raises InputError,
     naming the node, for anything that the filters could not honour.
     """
-    declared = read_network(network)
+    declared = read_network(network, transition)
+    if hidden is None:
+        others = {*inputs, *map(ve_name, observed)}
+        others |= {n for key in observed for n in ((key,) if isinstance(key, str) else key)}
+        names = dict.fromkeys(name for name, _ in declared.tables)
+        hidden = [name for name in names if name == "Lane" or name not in others]
     roles = Roles(declared.tables, hidden, observed, inputs)
     return _assemble(roles, _value_names(roles, {**declared.values, **(values or {})}))
+
+
+def default_values(node: str, size: int) -> tuple[str, ...]:
+    """The names of the values of a node that has none: those of Lane count from 1."""
+    first = 1 if node == "Lane" else 0
+    return tuple(map(str, range(first, first + size)))
 
 
 def _value_names(roles: Roles, given: Mapping[str, Sequence[str]]) -> dict[str, tuple[str, ...]]:
@@ -135,8 +149,7 @@ def _value_names(roles: Roles, given: Mapping[str, Sequence[str]]) -> dict[str, 
     for node, size in roles.cardinality.items():
         if node in roles.ve:
             continue
-        first = 1 if node == "Lane" else 0
-        names[node] = tuple(map(str, given.get(node, range(first, first + size))))
+        names[node] = tuple(map(str, given.get(node, default_values(node, size))))
         if len(set(names[node])) != size or len(names[node]) != size:
             raise InputError(
                 f"{node}: has {size} values, but their names are {', '.join(names[node])}"

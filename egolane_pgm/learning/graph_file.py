@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 
 from egolane_pgm.graphs.cpds import SliceNode, Table, ve_name
+from egolane_pgm.inference.compile import default_values
 from egolane_pgm.model import Model
 from egolane_pgm.types import FloatArray
 
@@ -20,12 +21,10 @@ def graph_yaml(model: Model, tables: Sequence[Table], description: str) -> dict[
 
     It is for the model's number of lanes only, and has no parameters.
     """
-    graph = model.graph
-    left_out = {*map(ve_name, graph.OBSERVED)}
+    compiled, roles = model.compiled, model.roles
+    left_out = {*map(ve_name, roles.observed)}
     by_node = {table.node: table for table in tables if table.node[0] not in left_out}
     names = list(dict.fromkeys(name for name, _ in by_node))
-    inputs = tuple(getattr(graph, "INPUTS", ()))
-    values = getattr(graph, "VALUES", {})
     across: list[str] = []
     within: list[str] = []
     for name in names:
@@ -34,22 +33,20 @@ def graph_yaml(model: Model, tables: Sequence[Table], description: str) -> dict[
     content: dict[str, Any] = {
         "description": description,
         "nodes": {
-            name: [str(v) for v in values[name]]
-            if name in values
-            else int(by_node[name, 1].values.shape[-1])
+            name: list(values)
+            if (values := compiled.values[name]) != default_values(name, len(values))
+            else len(values)
             for name in names
         },
-        "hidden": list(graph.HIDDEN),
-        "observed": [list(key) if isinstance(key, tuple) else key for key in graph.OBSERVED],
-        "inputs": list(inputs),
-        "unused": [
-            list(key) if isinstance(key, tuple) else key for key in getattr(graph, "UNUSED", ())
-        ],
+        "hidden": list(compiled.hidden),
+        "observed": [list(key) if isinstance(key, tuple) else key for key in roles.observed],
+        "inputs": list(compiled.inputs),
+        "unused": [list(key) if isinstance(key, tuple) else key for key in roles.unused],
         "edges": {"within": within, "across": across},
         "tables": {
-            name: _table(by_node[name, 0], by_node[name, 1], name in model.compiled.state_nodes)
+            name: _table(by_node[name, 0], by_node[name, 1], name in compiled.state_nodes)
             for name in names
-            if name not in inputs
+            if name not in compiled.inputs
         },
     }
     return {key: value for key, value in content.items() if value not in ([], "")}

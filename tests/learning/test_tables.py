@@ -22,7 +22,7 @@ from egolane_pgm.learning import fit, held_out_belief, learn, n_learned, with_fo
 from egolane_pgm.learning.graph_file import graph_yaml
 from egolane_pgm.learning.tables import found_tables, starting, starting_tables, training_frames
 from egolane_pgm.loading import Recorded, load_recording
-from egolane_pgm.model import Drive, Model, load_drive, prepare_model
+from egolane_pgm.model import Drive, Model, Roles, load_drive, prepare_model
 from egolane_pgm.plugins import load_plugin
 from egolane_pgm.running import run_experiment
 from egolane_pgm.types import InputError, LaneTruth
@@ -426,11 +426,10 @@ def test_random_graphs_come_back_from_their_file(seed: int, tmp_path: Path) -> N
     drawn = draw_graph(rng)
     compiled = drawn.compiled()
     own = tmp_path / "own.py"
-    own.write_text("HIDDEN, OBSERVED, INPUTS, PARAMETERS = (), (), (), ()\ndef build(n, p): ...\n")
+    own.write_text("def build(n, p): ...\n")
     module = load_plugin("graphs", "./own.py", tmp_path, "graph")
-    module.HIDDEN, module.OBSERVED = drawn.hidden, drawn.observed  # type: ignore[attr-defined]
-    module.INPUTS = drawn.inputs  # type: ignore[attr-defined]
-    model = Model(module, module, {}, compiled, 3)
+    roles = Roles(drawn.hidden, drawn.observed, drawn.inputs, ())
+    model = Model(module, module, {}, compiled, 3, roles)
     (tmp_path / "g.yaml").write_text(yaml.safe_dump(graph_yaml(model, drawn.tables, "")))
     read = load_plugin("graphs", "./g.yaml", tmp_path, "graph")
     found = compile_network(read.build(3, {}), read.HIDDEN, read.OBSERVED, read.INPUTS)

@@ -4,6 +4,7 @@ the road. `rule` explains and computes them; the other modules are its parts."""
 from egolane_pgm.evidence.line_geometry.parameters import PARAMETERS
 from egolane_pgm.evidence.line_geometry.rule import (
     FIT_IGNORES,
+    INPUTS,
     LEARNED,
     NODES,
     PROVIDES,
@@ -16,6 +17,7 @@ from egolane_pgm.evidence.line_geometry.rule import (
 
 __all__ = [
     "FIT_IGNORES",
+    "INPUTS",
     "LEARNED",
     "NODES",
     "PARAMETERS",

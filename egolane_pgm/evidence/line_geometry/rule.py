@@ -74,6 +74,7 @@ from egolane_pgm.types import BoolArray, Evidence, FloatArray, IntArray, LineLog
 
 NODES = ("RoadPosition", "SensorState")
 PROVIDES = (NODES,)
+INPUTS = ("LineMotion",)
 
 #: The parameters that `fit` learns.
 LEARNED = (*FITTED, "fallback_width_m")
