@@ -18,8 +18,9 @@ from egolane_pgm.experiment import Experiment
 from egolane_pgm.graphs.from_pgmpy import node_names
 from egolane_pgm.inference.compile import Compiled, compile_network, with_tables
 from egolane_pgm.inference.filtering import filter_beliefs, read_evidence
+from egolane_pgm.inference.layout import check_keys
 from egolane_pgm.inference.smoothing import infer_beliefs
-from egolane_pgm.loading import Recorded, load_recording, with_video_rate
+from egolane_pgm.loading import Recorded, check_sources, load_recording, with_video_rate
 from egolane_pgm.parameters import Value, resolve_parameters
 from egolane_pgm.plugins import (
     declared_parameters,
@@ -121,14 +122,17 @@ def prepare_model(experiment: Experiment) -> Model:
         roles = graph_roles(graph, rule, network)
         compiled = compile_graph(graph, roles, network)
     except InputError as error:
-        raise InputError(f"{source}: graph {experiment.graph}: {error}") from error
+        where = f"{source}: graph {experiment.graph}"
+        raise InputError(*(f"{where}: {line}" for line in error.lines)) from error
     lanes = compiled.cardinality.get("Lane")
     if lanes != experiment.n_lanes:
         raise InputError(
             f"{source}: graph {experiment.graph}: needs a hidden node Lane with"
             f" {experiment.n_lanes} values, has {lanes or 'none'}"
         )
-    return Model(rule, graph, parameters, compiled, experiment.n_lanes, roles)
+    model = Model(rule, graph, parameters, compiled, experiment.n_lanes, roles)
+    _check_shapes(model, f"{source}: evidence {experiment.evidence}")
+    return model
 
 
 def with_parameters(model: Model, parameters: Mapping[str, Value]) -> Model:
@@ -274,6 +278,44 @@ def _check_names(rule: ModuleType, graph: ModuleType, source: str) -> None:
                 f"{source}: the evidence rule gives {key}, which the graph does not observe;"
                 " if that is meant, the graph file says so with UNUSED"
             )
+
+
+def model_to_run(experiment: Experiment) -> Model:
+    """The model of an experiment whose recording is about to be read. Where `prepare_model` fails,
+    what is wrong with the recording's files is said as well."""
+    model = None
+    with all_problems() as part:
+        with part():
+            model = prepare_model(experiment)
+        if model is None:
+            with part():
+                check_sources(experiment)
+    assert model is not None
+    return model
+
+
+def _check_shapes(model: Model, where: str) -> None:
+    """Raise InputError where the evidence of two frames has not the shapes that the graph needs.
+
+    The frames are made up, so a rule may be unable to answer, because it has to see more of a
+    drive. It is then asked when there is one.
+    """
+    frame = np.array([0, 0, 1, 1])
+    yes = np.ones(4, dtype=bool)
+    offset_m = np.array([-1.75, 1.75, -1.7, 1.8])
+    log = LineLog.from_rows(np.arange(2), 10.0, frame, offset_m, yes, yes, np.full(4, 10.0))
+    try:
+        given = make_evidence(model, log).filtered
+    except Exception:
+        return
+    # What is given beside, and which values inputs have, may depend on the drive.
+    compiled = model.compiled
+    likelihoods = {k: v for k, v in given.likelihoods.items() if k in compiled.observed}
+    inputs = {name: np.zeros(2, dtype=np.int64) for name in given.inputs if name in compiled.inputs}
+    try:
+        check_keys(compiled, Evidence(likelihoods, inputs))
+    except InputError as error:
+        raise InputError(f"{where}: {error} (asked with two frames)") from error
 
 
 @dataclass(frozen=True)
@@ -452,7 +494,7 @@ def load_drive(
     has_truth = named if recorded is None else recorded.truth is not None
     if needs_truth is not None and not has_truth:
         raise InputError(f"{experiment.source}: ground_truth: is missing, {needs_truth}")
-    model = prepare_model(experiment)
+    model = model_to_run(experiment) if recorded is None else prepare_model(experiment)
     experiment = with_video_rate(experiment)
     if recorded is None:
         recorded = load_recording(experiment, model.parameters)

@@ -22,7 +22,14 @@ from egolane_pgm.files import plain
 from egolane_pgm.inference.smoothing import infer_beliefs
 from egolane_pgm.inference.viterbi import disagreement, viterbi_path
 from egolane_pgm.loading import Recorded, as_name, data_entries, load_recording, with_video_rate
-from egolane_pgm.model import Model, causality, make_evidence, prepare_model, value_names
+from egolane_pgm.model import (
+    Model,
+    causality,
+    make_evidence,
+    model_to_run,
+    prepare_model,
+    value_names,
+)
 from egolane_pgm.parallel import in_order
 from egolane_pgm.plugins import OWN_FILES, source_files
 from egolane_pgm.results import (
@@ -83,7 +90,7 @@ def run_experiment(
     """
     if not isinstance(experiment, Experiment):
         experiment = load_experiment(experiment)
-    model = prepare_model(experiment)
+    model = model_to_run(experiment) if recorded is None else prepare_model(experiment)
     if recorded is None:
         experiment = with_video_rate(experiment)
         recorded = load_recording(experiment, model.parameters)
