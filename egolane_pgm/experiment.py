@@ -34,7 +34,7 @@ from egolane_pgm.plugins import declared_parameters, load_rule_and_graph
 from egolane_pgm.types import MAX_LANES, InputError, all_problems, suggestion
 
 #: What replaces some of an experiment's keys, as `load_experiment` takes it.
-Overrides = Mapping[str, Any] | Sequence[str]
+Overrides = Mapping[str, Any] | Sequence[str] | None
 
 
 class FrozenDict(dict[str, Any]):
@@ -373,10 +373,12 @@ def load_yaml(path: Path, overrides: Overrides = ()) -> dict[str, Any]:
 
 
 def _overridden(content: dict[str, Any], overrides: Overrides) -> dict[str, Any]:
+    if overrides is None:
+        return content
     if isinstance(overrides, Mapping):
         return _merged(content, _nested(overrides))
-    if isinstance(overrides, str):
-        raise InputError(f"overrides: {overrides!r} is text; a list or a dict is needed")
+    if isinstance(overrides, str) or not all(isinstance(each, str) for each in overrides):
+        raise InputError(f"overrides: {overrides!r}: needs a dict, or a list of key=value")
     for override in overrides:
         _override(content, override)
     return content
@@ -553,6 +555,14 @@ def _section_at(model: type[Section], loc: Sequence[int | str]) -> Iterable[str]
     return model.model_fields
 
 
+#: What pydantic says of a Python type, as one says it of YAML.
+_NEEDS = {
+    "model_type": "needs keys and values",
+    "dict_type": "needs keys and values",
+    "tuple_type": "needs a list",
+}
+
+
 def _problem(problem: ErrorDetails) -> str:
     """One of pydantic's complaints that is not about an unknown key."""
     where = ".".join(map(str, problem["loc"]))
@@ -566,7 +576,6 @@ def _problem(problem: ErrorDetails) -> str:
         return f"{where}: '{value}' is not one of {', '.join(choices)}{suggestion(value, choices)}"
     message = problem["msg"].removeprefix("Value error, ")
     message = message[0].lower() + message[1:]
-    if problem["type"] in ("model_type", "dict_type"):
-        message = "needs keys and values"
+    message = _NEEDS.get(problem["type"], message)
     shown = "" if isinstance(value, dict) else f" (got {value!r})"
     return f"{where}: {message}{shown}"

@@ -27,7 +27,7 @@ from egolane_pgm.loading import with_recording
 from egolane_pgm.model import prepare_model
 from egolane_pgm.paper import experiments_folder
 from egolane_pgm.types import InputError
-from tests.kits.drives import command
+from tests.kits.drives import command, problems
 
 MINIMAL: dict[str, Any] = {"name": "x", "recording": {"path": "a.bag"}, "n_lanes": 3}
 
@@ -169,9 +169,8 @@ def test_every_command_says_all_that_is_wrong_a_line_each(tmp_path: Path) -> Non
     write(tmp_path / "x.yaml", name="x", n_lanes=0, recording={"simulat": "a4"}, lags=3)
     ways: list[tuple[Any, ...]] = [("validate",), ("run", "--no-figures"), ("tune",), ("compare",)]
     for name, *words in ways:
-        ran = command(name, tmp_path / "x.yaml", *words)
-        assert ran.exit_code == 2
-        assert [line.removeprefix(f"egolane: {tmp_path}/") for line in ran.stderr.splitlines()] == [
+        said = problems(name, tmp_path / "x.yaml", *words)
+        assert [line.removeprefix(f"{tmp_path}/") for line in said] == [
             "x.yaml: recording: unknown key 'simulat' (did you mean 'simulate'?)",
             "x.yaml: unknown key 'lags' (did you mean 'lag'?)",
             "x.yaml: n_lanes: input should be greater than or equal to 1 (got 0)",
@@ -191,11 +190,10 @@ def test_files_and_parameters_that_do_not_fit_are_validated_together(tmp_path: P
         recording={"path": "nothing.csv"},
         parameters={"p1": 2},
     )
-    ran = command("validate", path)
-    assert ran.exit_code == 2
-    parameter, file = ran.stderr.splitlines()
-    assert parameter == f"egolane: {path}: parameters.p1: 2 is not a probability (0 to 1)"
-    assert file.startswith(f"egolane: {path}: recording.path: ")
+    for words in (("validate", path), ("run", path, "--out", tmp_path / "out")):
+        parameter, file = problems(*words)
+        assert parameter == f"{path}: parameters.p1: 2 is not a probability (0 to 1)"
+        assert file.startswith(f"{path}: recording.path: ")
 
 
 # --- made in Python ------------------------------------------------------------------------------
@@ -242,8 +240,10 @@ def test_overrides_that_do_not_fit_are_named(tmp_path: Path) -> None:
             load_experiment(path, wrong)  # type: ignore[arg-type]
     with pytest.raises(InputError, match="name: input should be a valid string"):
         load_experiment(path, {"name.x": 1})
-    with pytest.raises(InputError, match="a list or a dict is needed"):
-        load_experiment(path, "n_lanes=4")
+    for neither in ("n_lanes=4", [("n_lanes", 4)]):
+        with pytest.raises(InputError, match="needs a dict, or a list of key=value"):
+            load_experiment(path, neither)  # type: ignore[arg-type]
+    assert load_experiment(path, None) == load_experiment(path, {}) == load_experiment(path)
 
 
 def test_an_experiment_can_be_made_without_a_file(tmp_path: Path) -> None:

@@ -40,11 +40,11 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from types import ModuleType
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 
-from egolane_pgm.experiment import load_yaml
+from egolane_pgm.experiment import Section, load_yaml, validated
 from egolane_pgm.graphs.cpds import (
     SliceNode,
     Table,
@@ -54,8 +54,8 @@ from egolane_pgm.graphs.cpds import (
     previous,
     uniform,
 )
-from egolane_pgm.parameters import Parameter, Parameters
-from egolane_pgm.types import FloatArray, InputError, Observed, suggestion
+from egolane_pgm.parameters import Parameter, Parameters, check_names
+from egolane_pgm.types import FloatArray, InputError, Observed, all_problems, suggestion
 
 #: What the name of a parent at time t ends with.
 _BEFORE = " before"
@@ -64,8 +64,18 @@ _KEYS = (
     *("description", "nodes", "hidden", "observed", "inputs", "unused", "edges"),
     *("parameters", "tables"),
 )
-_PARAMETER_KEYS = ("kind", "default", "bounds", "doc", "choices", "per_lane", "lowest")
-_KINDS = ("sigma", "probability", "positive", "non_negative", "integer", "choice")
+
+
+class _Declared(Section):
+    """A parameter of a graph; see `Parameter`."""
+
+    kind: Literal["sigma", "probability", "positive", "non_negative", "integer", "choice"]
+    default: Any
+    bounds: tuple[float, float] | None = None
+    doc: str = "see the graph file"
+    choices: tuple[Any, ...] = ()
+    per_lane: bool = False
+    lowest: int = 0
 
 
 @dataclass(frozen=True)
@@ -126,22 +136,31 @@ def load_graph_file(path: Path, name: str, where: str) -> ModuleType:
     try:
         content = load_yaml(path)
     except InputError as error:
-        raise InputError(f"{where}: {error}") from None
+        raise InputError(*(f"{where}: {line}" for line in error.lines)) from None
     here = f"{where}: {path.name}"
-    _check_keys(content, _KEYS, here)
-    for key in ("nodes", "hidden", "observed", "tables"):
-        if not content.get(key):
-            raise InputError(f"{here}: {key}: is missing")
-    graph = _read_graph(content, here)
+    with all_problems() as part:
+        with part():
+            _check_keys(content, _KEYS, here)
+        for key in ("nodes", "hidden", "observed", "tables"):
+            with part():
+                if not content.get(key):
+                    raise InputError(f"{here}: {key}: is missing")
+        with part():
+            declared = _read_parameters(content.get("parameters") or {}, here)
+    with all_problems() as part:
+        values, names = _read_nodes(content["nodes"], here)
+        with part():
+            graph = _read_graph(content, values, names, here)
+        with part():
+            observed = _read_observed(content, here)
+            _check_nodes(_flat(observed), values, f"{here}: observed")
+        with part():
+            hidden = _read_names(content, "hidden", here)
+            _check_nodes(hidden, values, f"{here}: hidden")
+        with part():
+            inputs = _read_names(content, "inputs", here)
+            _check_nodes(inputs, values, f"{here}: inputs")
     module = ModuleType(name, content.get("description"))
-    observed = _read_observed(content, here)
-    known = set(graph.values)
-    hidden = _read_names(content, "hidden", here)
-    inputs = _read_names(content, "inputs", here)
-    for key, listed in (("hidden", hidden), ("inputs", inputs), ("observed", _flat(observed))):
-        for node in listed:
-            if node not in known:
-                raise InputError(f"{here}: {key}: no node '{node}'{suggestion(node, known)}")
 
     def tables(n_lanes: int, parameters: Parameters) -> list[Table]:
         return _tables(graph, inputs, n_lanes, parameters)
@@ -158,7 +177,7 @@ def load_graph_file(path: Path, name: str, where: str) -> ModuleType:
             tuple(u) if isinstance(u, list) else str(u) for u in content.get("unused") or ()
         ),
         "VALUES": {node: names for node, names in graph.names.items() if node in hidden},
-        "PARAMETERS": _read_parameters(content.get("parameters") or {}, here),
+        "PARAMETERS": declared,
         "tables": tables,
         "build": build,
     }
@@ -170,9 +189,13 @@ def load_graph_file(path: Path, name: str, where: str) -> ModuleType:
 def _check_keys(section: Any, known: Iterable[str], where: str) -> None:
     if not isinstance(section, Mapping):
         raise InputError(f"{where}: needs keys and values, got {section!r}")
-    for key in section:
-        if key not in known:
-            raise InputError(f"{where}: unknown key '{key}'{suggestion(str(key), known)}")
+    check_names(known, section, where)
+
+
+def _check_nodes(listed: Iterable[str], known: Iterable[str], where: str) -> None:
+    unknown = [node for node in listed if node not in known]
+    if unknown:
+        raise InputError(*(f"{where}: no node '{n}'{suggestion(n, known)}" for n in unknown))
 
 
 def _read_names(content: Mapping[str, Any], key: str, where: str) -> tuple[str, ...]:
@@ -193,8 +216,8 @@ def _flat(observed: Iterable[Observed]) -> list[str]:
     return [name for key in observed for name in ((key,) if isinstance(key, str) else key)]
 
 
-def _read_graph(content: Mapping[str, Any], where: str) -> _Graph:
-    nodes = content["nodes"]
+def _read_nodes(nodes: Any, where: str) -> tuple[dict[str, int | None], dict[str, tuple[str, ...]]]:
+    """How many values each node has, None for n_lanes; and their names, where it gives them."""
     if not isinstance(nodes, Mapping):
         raise InputError(f"{where}: nodes: needs a number of values for each name")
     values: dict[str, int | None] = {}
@@ -212,6 +235,15 @@ def _read_graph(content: Mapping[str, Any], where: str) -> _Graph:
                 f"{where}: nodes.{node}: {given!r} is not n_lanes, a number of values or a list"
                 " of their names"
             )
+    return values, names
+
+
+def _read_graph(
+    content: Mapping[str, Any],
+    values: Mapping[str, int | None],
+    names: Mapping[str, tuple[str, ...]],
+    where: str,
+) -> _Graph:
     edges = content.get("edges") or {}
     _check_keys(edges, ("within", "across"), f"{where}: edges")
     within, across = (
@@ -220,9 +252,9 @@ def _read_graph(content: Mapping[str, Any], where: str) -> _Graph:
     )
     tables = content["tables"]
     _check_keys(tables, values, f"{where}: tables")
-    for node in values:
-        if node not in tables and node not in (content.get("inputs") or ()):
-            raise InputError(f"{where}: tables.{node}: is missing")
+    missing = [n for n in values if n not in tables and n not in (content.get("inputs") or ())]
+    if missing:
+        raise InputError(*(f"{where}: tables.{node}: is missing" for node in missing))
     return _Graph(values, names, within, across, tables)
 
 
@@ -243,31 +275,30 @@ def _read_parameters(section: Any, where: str) -> tuple[Parameter, ...]:
     if not isinstance(section, Mapping):
         raise InputError(f"{where}: parameters: needs a kind and a default for each name")
     found = []
-    for name, given in section.items():
-        here = f"{where}: parameters.{name}"
-        _check_keys(given, _PARAMETER_KEYS, here)
-        kind = given.get("kind")
-        if kind not in _KINDS:
-            raise InputError(f"{here}: unknown kind '{kind}'{suggestion(str(kind), _KINDS)}")
-        if "default" not in given:
-            raise InputError(f"{here}: default: is missing")
-        bounds = given.get("bounds")
-        if bounds is not None and not (isinstance(bounds, list) and len(bounds) == 2):
-            raise InputError(f"{here}: bounds: needs [low, high], got {bounds!r}")
-        spec = Parameter(
-            str(name),
-            kind,
-            given["default"],
-            str(given.get("doc", "see the graph file")),
-            search=None if bounds is None else (float(bounds[0]), float(bounds[1])),
-            choices=tuple(map(str, given.get("choices") or ())),
-            per_lane=bool(given.get("per_lane", False)),
-            lowest=int(given.get("lowest", 0)),
-        )
-        default = given["default"]
-        spec.check(default, len(default) if isinstance(default, list) else 1, f"{here}.default")
-        found.append(spec)
+    with all_problems() as part:
+        for name, given in section.items():
+            with part():
+                found.append(_read_parameter(str(name), given, f"{where}: parameters.{name}"))
     return tuple(found)
+
+
+def _read_parameter(name: str, given: Any, where: str) -> Parameter:
+    if not isinstance(given, Mapping):
+        raise InputError(f"{where}: needs keys and values, got {given!r}")
+    read = validated(_Declared, given, where)
+    spec = Parameter(
+        name,
+        read.kind,
+        read.default,
+        read.doc,
+        search=read.bounds,
+        choices=tuple(map(str, read.choices)),
+        per_lane=read.per_lane,
+        lowest=read.lowest,
+    )
+    size = len(read.default) if isinstance(read.default, list) else 1
+    spec.check(read.default, size, f"{where}.default")
+    return spec
 
 
 # --- tables -------------------------------------------------------------------------------------
@@ -283,38 +314,55 @@ def _tables(
         )
         for node in size
     }
+    tables: list[Table] = []
+    with all_problems() as part:
+        for node in size:
+            with part():
+                tables += _tables_of(node, graph, inputs, size, names, n_lanes, parameters)
+    return tables
+
+
+def _tables_of(
+    node: str,
+    graph: _Graph,
+    inputs: Sequence[str],
+    size: Mapping[str, int],
+    names: Mapping[str, Sequence[str]],
+    n_lanes: int,
+    parameters: Parameters,
+) -> list[Table]:
+    """The tables of a node in the first slice and in the next."""
+    spec = graph.tables.get(node, "uniform")
+    by_slice = isinstance(spec, Mapping) and set(spec) & {"first", "next"}
+    if by_slice and set(spec) != {"first", "next"}:
+        raise InputError(f"tables.{node}: needs first and next, has {', '.join(spec)}")
+    if not by_slice and graph.across[node]:
+        raise InputError(
+            f"tables.{node}: has a parent in the slice before, so it needs first and next"
+        )
     tables = []
-    for node in size:
-        spec = graph.tables.get(node, "uniform")
-        by_slice = isinstance(spec, Mapping) and set(spec) & {"first", "next"}
-        if by_slice and set(spec) != {"first", "next"}:
-            raise InputError(f"tables.{node}: needs first and next, has {', '.join(spec)}")
-        if not by_slice and graph.across[node]:
+    for s in (0, 1):
+        which = ("first", "next")[s]
+        given: dict[str, SliceNode] = {p: (p, s) for p in graph.within[node]}
+        if s == 1:
+            given |= {p + _BEFORE: previous(p) for p in graph.across[node]}
+        place = _Place(
+            f"tables.{node}.{which}" if by_slice else f"tables.{node}",
+            size[node],
+            {p: size[n] for p, (n, _) in given.items()},
+            {p: names[n] for p, (n, _) in given.items()},
+            parameters,
+            n_lanes,
+            None,
+            frozenset(p for p, (n, _) in given.items() if graph.values[n] is None),
+        )
+        used, values = _evaluate(spec[which] if by_slice else spec, place)
+        if set(used) != set(given) and node not in inputs:
             raise InputError(
-                f"tables.{node}: has a parent in the slice before, so it needs first and next"
+                f"{place.where}: the table uses {', '.join(used) or 'no parent'}, its edges"
+                f" come from {', '.join(given) or 'nowhere'}"
             )
-        for s in (0, 1):
-            part = ("first", "next")[s]
-            given: dict[str, SliceNode] = {p: (p, s) for p in graph.within[node]}
-            if s == 1:
-                given |= {p + _BEFORE: previous(p) for p in graph.across[node]}
-            place = _Place(
-                f"tables.{node}.{part}" if by_slice else f"tables.{node}",
-                size[node],
-                {p: size[n] for p, (n, _) in given.items()},
-                {p: names[n] for p, (n, _) in given.items()},
-                parameters,
-                n_lanes,
-                None,
-                frozenset(p for p, (n, _) in given.items() if graph.values[n] is None),
-            )
-            used, values = _evaluate(spec[part] if by_slice else spec, place)
-            if set(used) != set(given) and node not in inputs:
-                raise InputError(
-                    f"{place.where}: the table uses {', '.join(used) or 'no parent'}, its edges"
-                    f" come from {', '.join(given) or 'nowhere'}"
-                )
-            tables.append(Table((node, s), tuple(given[p] for p in used), values))
+        tables.append(Table((node, s), tuple(given[p] for p in used), values))
     return tables
 
 

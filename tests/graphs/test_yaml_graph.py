@@ -207,8 +207,8 @@ def test_an_input_node_needs_no_table_and_selects_the_transition(tmp_path: Path)
         (changed(edges__wthin=[]), "edges: unknown key 'wthin' (did you mean 'within'?)"),
         (changed(edges__within=["Lane > Seen"]), "'Lane > Seen' is not an edge, e.g."),
         (changed(edges__within=["Lane -> Sen"]), "no node 'Sen' (did you mean 'Seen'?)"),
-        (changed(parameters={"s": {"default": 1}}), "parameters.s: unknown kind 'None'"),
-        (changed(parameters={"s": {"kind": "sigm"}}), "unknown kind 'sigm' (did you mean"),
+        (changed(parameters={"s": {"default": 1}}), "parameters.s: kind: is missing"),
+        (changed(parameters={"s": {"kind": "sigm"}}), "s: kind: 'sigm' is not one of sigma, prob"),
         (changed(parameters={"s": {"kind": "sigma"}}), "parameters.s: default: is missing"),
         (
             changed(parameters={"s": {"kind": "probability", "default": 2}}),
@@ -216,7 +216,7 @@ def test_an_input_node_needs_no_table_and_selects_the_transition(tmp_path: Path)
         ),
         (
             changed(parameters={"s": {"kind": "sigma", "default": 1, "bounds": 3}}),
-            "parameters.s: bounds: needs [low, high], got 3",
+            "parameters.s: bounds: needs a list (got 3)",
         ),
         (
             changed(parameters={"s": {"kind": "sigma", "default": 1, "bound": [0, 3]}}),
@@ -231,6 +231,34 @@ def test_a_file_that_does_not_fit_together_is_refused_by_its_name_and_key(
         load(tmp_path, text)
     assert said in str(caught.value)
     assert str(caught.value).startswith("graph: ")
+
+
+def test_all_that_is_wrong_with_a_file_is_said_at_once(tmp_path: Path) -> None:
+    def said(text: str) -> list[str]:
+        with pytest.raises(InputError) as caught:
+            load(tmp_path, text).build(3, {"sigma": 0.5})
+        return [line.removeprefix("graph: g.yaml: ") for line in caught.value.lines]
+
+    parameters = {"s": {"kind": "sigm", "low": 0}, "p": {"kind": "probability", "default": 2}}
+    assert said(changed(nods=3, hidden=None, parameters=parameters)) == [
+        "unknown key 'nods' (did you mean 'nodes'?)",
+        "hidden: is missing",
+        "parameters.p.default: 2 is not a probability (0 to 1)",
+        "parameters.s: unknown key 'low' (did you mean 'lowest'?)",
+        "parameters.s: kind: 'sigm' is not one of sigma, probability, positive, non_negative,"
+        " integer, choice (did you mean 'sigma'?)",
+        "parameters.s: default: is missing",
+    ]
+    assert said(changed(hidden=["Lan"], observed=["Sen", "Lane", "See"], tables__Sen=3)) == [
+        "tables: unknown key 'Sen' (did you mean 'Seen'?)",
+        "observed: no node 'Sen' (did you mean 'Seen'?)",
+        "observed: no node 'See' (did you mean 'Seen'?)",
+        "hidden: no node 'Lan' (did you mean 'Lane'?)",
+    ]
+    assert said(changed(tables={"Lane": "uniform", "Seen": "unifrm"})) == [
+        "tables.Lane: has a parent in the slice before, so it needs first and next",
+        "tables.Seen: unknown table function 'unifrm' (did you mean 'uniform'?)",
+    ]
 
 
 @pytest.mark.parametrize(

@@ -94,13 +94,19 @@ def run_json(drive: Path, folder: Path, *words: object) -> dict[str, object]:
 
 def refused(*words: object) -> str:
     """What `egolane words...` says on standard error: exit code 2 and one line, nothing else."""
+    lines = problems(*words)
+    assert len(lines) == 1, lines
+    return lines[0]
+
+
+def problems(*words: object) -> list[str]:
+    """All that `egolane words...` says is wrong, a line each: exit code 2, and nothing else."""
     result = command(*words)
     assert result.exit_code == 2, (result.exit_code, result.output)
     lines = result.stderr.splitlines()
-    assert len(lines) == 1, lines
-    assert lines[0].startswith("egolane: ")
+    assert all(line.startswith("egolane: ") for line in lines), lines
     assert result.stdout == ""
-    return lines[0].removeprefix("egolane: ")
+    return [line.removeprefix("egolane: ") for line in lines]
 
 
 def contents(folder: Path) -> dict[str, bytes]:

@@ -21,7 +21,7 @@ from egolane_pgm.model import Drive, Model, load_drive, prepare_model
 from egolane_pgm.parameters import Parameters, resolve_parameters
 from egolane_pgm.types import FloatArray, IntArray, LaneTruth
 from tests.conftest import needs_compiler
-from tests.kits.drives import command, done, refused, write_drive
+from tests.kits.drives import command, done, problems, refused, write_drive
 
 W = 3.6
 GEOMETRY: dict[str, Any] = {
@@ -238,10 +238,11 @@ def test_the_learned_experiment_can_be_run_and_says_what_it_has_seen(tmp_path: P
     said = done("run", out, "--no-figures", "--out", tmp_path / "result").output
     assert "in-sample" in said
     # On another road the numbers of lanes must fit.
-    said = refused(
+    said = problems(
         "run", out, "--recording", tmp_path / "lines.csv", "--n-lanes", "4", "--out", tmp_path / "r"
     )
-    assert "parameters.rates" in said
+    for name, line in zip(("rates", "class_shares", "sigmas_m"), said, strict=True):
+        assert f"parameters.{name}: " in line
 
 
 def test_learning_needs_ground_truth(tmp_path: Path) -> None:
