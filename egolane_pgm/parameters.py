@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from typing import Literal
 
 import numpy as np
 
@@ -24,7 +25,8 @@ class Parameter:
     - kind: "sigma" (> 0), "probability" (0 to 1), "positive" (> 0), "non_negative", "integer"
       (>= 0) or "choice" (one of `choices`)
     - doc: what it means and its unit
-    - search: the bounds of a parameter search, or None where it is not searched
+    - search: the bounds of a parameter search; "auto" for those that follow from the kind (see
+      `search_range`); None where a search leaves it as it is
     - choices: for another kind than "choice", names that may stand for a number (`auto`)
     - per_lane: a list of n values is allowed as well as one value
     - lowest, highest: the smallest and the largest number, both allowed
@@ -36,12 +38,48 @@ class Parameter:
     kind: str
     default: Value
     doc: str
-    search: tuple[float, float] | None = None
+    search: tuple[float, float] | Literal["auto"] | None = "auto"
     choices: tuple[str, ...] = ()
     per_lane: bool = False
     lowest: float = 0
     highest: float = math.inf
     shape: Callable[[int], tuple[int, ...]] | None = None
+
+    def __post_init__(self) -> None:
+        if self.search not in ("auto", None) and not _is_pair(self.search):
+            raise InputError(
+                f'Parameter {self.name}: search: {self.search!r} is not (low, high), "auto" or None'
+            )
+
+    @property
+    def search_range(self) -> tuple[float, float] | None:
+        """The bounds (low, high) of a search: those that are declared, or what follows from kind,
+        default, `lowest` and `highest`.
+
+        A probability goes from 0 to 1, a sigma from 0 to 3, or to ten times a larger default; any
+        other number from a tenth of its default to ten times that, and from 0 to 1 where the
+        default is 0. None for choices, for whole numbers, which shape a network, and for tables.
+        """
+        if isinstance(self.search, (tuple, list)):
+            return (self.search[0], self.search[1])
+        values = self.default if isinstance(self.default, (tuple, list)) else (self.default,)
+        is_number = all(isinstance(value, (int, float)) for value in values)
+        if self.kind in ("choice", "integer") or self.shape is not None or not is_number:
+            return None
+        least, most = float(min(values)), float(max(values))
+        if self.kind == "probability":
+            low, high = 0.0, 1.0
+        elif self.kind == "sigma":
+            low, high = 0.0, 3.0 if most <= 3 else 10 * most
+        else:
+            low, high = (least / 10, 10 * most) if least > 0 else (0.0, 10 * most or 1.0)
+        low, high = max(low, self.lowest), min(high, self.highest)
+        return (low, high) if low < high else None
+
+    @property
+    def is_searched(self) -> bool:
+        """Whether a search moves it where no bounds are given to the search."""
+        return self.search is not None and self.search_range is not None
 
     def check(self, value: object, n_lanes: int, where: str) -> Value:
         """The value, converted to its type.
@@ -104,6 +142,19 @@ class Parameter:
         if x > self.highest:
             raise InputError(f"{where}: {value} must be at most {self.highest}")
         return int(x) if self.kind == "integer" else x
+
+
+def _is_pair(given: object) -> bool:
+    return (
+        isinstance(given, (tuple, list))
+        and len(given) == 2
+        and all(isinstance(value, (int, float)) for value in given)
+    )
+
+
+def held_fixed(specs: Iterable[Parameter]) -> tuple[Parameter, ...]:
+    """The same parameters, which a search leaves as they are unless it is given bounds."""
+    return tuple(replace(spec, search=None) for spec in specs)
 
 
 def number(parameters: Parameters, name: str) -> float:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import textwrap
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -18,6 +19,7 @@ from egolane_pgm.report.study_figures import draw_study
 from egolane_pgm.results import SCHEMA_VERSION
 from egolane_pgm.tuning import plan as planning
 from egolane_pgm.tuning import study as studies
+from egolane_pgm.tuning.space import described
 from egolane_pgm.types import InputError
 
 
@@ -125,6 +127,7 @@ def tune(
     searches = [studies.prepare(p, Path(out) / p.name, held_out, test, storage) for p in plans]
     for note in dict.fromkeys(note for made in searches for note in made.notes):
         click.echo(f"warning: {note}", err=True)
+    _say_what_is_searched(searches)
     folders = ", ".join(str(made.directory) for made in searches[:3])
     folders += ", ..." if len(searches) > 3 else ""
     total = studies.n_trials(searches)
@@ -176,6 +179,25 @@ def _check_names(plans: Sequence[planning.Plan]) -> None:
     for plan in plans:
         if names.count(plan.name) > 1:
             raise InputError(f"{plan.source}: another experiment has the name {plan.name} too")
+
+
+def _say_what_is_searched(searches: Sequence[studies.Search]) -> None:
+    """Two lines or so for each search space, those of equal studies once."""
+    alike: dict[str, list[str]] = {}
+    for made in searches:
+        for drive, space in zip(made.problem.drives, made.problem.spaces, strict=True):
+            searched, fixed = described(space)
+            text = _wrapped(f"{len(space)} numbers are searched", searched)
+            text += _wrapped(f"{space.n_fixed} are held fixed", fixed)
+            alike.setdefault(text, []).append(drive.experiment.name)
+    for text, names in alike.items():
+        click.echo((f"{', '.join(names)}:\n" if len(alike) > 1 else "") + text, nl=False, err=True)
+
+
+def _wrapped(title: str, items: Sequence[str]) -> str:
+    """Lines that break between the items."""
+    text = f"{title}: " + ", ".join(item.replace(" ", "\0") for item in items)
+    return textwrap.fill(text, 100, subsequent_indent="  ").replace("\0", " ") + "\n"
 
 
 def _print(documents: Sequence[Mapping[str, Any]], style: str) -> None:

@@ -191,7 +191,7 @@ def _fit_of(drive: Drive, n_blocks: int, losses: Sequence[Losses] | None) -> tup
         raise InputError(f"{experiment.source}: learned_on: goes with fit: learn")
     if experiment.fit == "none":
         specs = declared_parameters(model.rule, model.graph)
-        searched = [spec.name for spec in specs if spec.search is not None]
+        searched = [spec.name for spec in specs if spec.is_searched]
         numbers = sum(np.size(model.parameters[name]) for name in searched)
         return _nothing, 0 if experiment.tuned_on == "not_tuned" else numbers
     if experiment.fit == "learn":

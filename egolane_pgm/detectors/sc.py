@@ -5,10 +5,10 @@ from __future__ import annotations
 from egolane_pgm.camera.model import Camera
 from egolane_pgm.detectors import Step
 from egolane_pgm.detectors.simple import finder, stereo
-from egolane_pgm.parameters import Parameters
+from egolane_pgm.parameters import Parameters, held_fixed
 
 STEREO = True
-PARAMETERS = finder.PARAMETERS + stereo.PARAMETERS
+PARAMETERS = held_fixed(finder.PARAMETERS + stereo.PARAMETERS)
 
 
 def start(camera: Camera, parameters: Parameters) -> Step:

@@ -28,17 +28,24 @@ PARAMETERS = (
         "votes of a continuous line for the lane that it bounds; BV of equation `eq:HMM`",
         search=(0, 9),
     ),
-    Parameter("lane_width_m", "positive", 3.5, "lane width in the detector's metres"),
+    Parameter("lane_width_m", "positive", 3.5, "lane width in the detector's metres", search=None),
     Parameter(
-        "tentative_noise", "non_negative", 0.001, "added to every entry of the tentative vector"
+        "tentative_noise",
+        "non_negative",
+        0.001,
+        "added to every entry of the tentative vector",
+        search=None,
     ),
     Parameter(
         "wor_noise",
         "probability",
         0.01,
         "subtracted from WOR; it is the WOR then where that is below 0, 1 less it where that is 1",
+        search=None,
     ),
-    Parameter("max_lri", "positive", 10, "largest value of a line's reliability index"),
+    Parameter(
+        "max_lri", "positive", 10, "largest value of a line's reliability index", search=None
+    ),
     Parameter(
         "no_valid_line",
         "choice",

@@ -59,6 +59,7 @@ MOTION_RANGE = Parameter(
     "positive",
     0.2,
     "largest displacement of a line from frame to frame that is followed, lane widths",
+    search=None,
 )
 
 PARAMETERS = (
@@ -70,6 +71,7 @@ PARAMETERS = (
         "non_negative",
         0.9,
         "share of the lines' displacement by which RoadPosition moves, the other way",
+        search=None,
     ),
     Parameter(
         "motion_sigma",
@@ -100,7 +102,11 @@ PARAMETERS = (
         search=(0.01, 0.9),
     ),
     Parameter(
-        "jump", "probability", 1e-4, "probability of a jump to anywhere on the road, per frame"
+        "jump",
+        "probability",
+        1e-4,
+        "probability of a jump to anywhere on the road, per frame",
+        search=None,
     ),
     replace(P1, default=0.98),
     replace(P2, default=0.85),

@@ -58,6 +58,7 @@ LANE_WIDTHS = Parameter(
     "positive",
     1.0,
     "width of each lane in units of the nominal lane (one number, or one per lane)",
+    search=None,
     per_lane=True,
 )
 

@@ -21,7 +21,8 @@
 Optional keys are `inputs`, `unused` (evidence that the graph does not use) and `description`. A
 parent at time t of a node at t+1 is written `<name> before`. A number may be replaced by the name
 of a parameter or by `1 - <name>`. A parameter with a value per lane can be used inside a `stack`
-over the lanes, where each lane takes its own value. The table functions:
+over the lanes, where each lane takes its own value. A search moves every parameter, within `bounds`
+or those that follow from its kind; `bounds: null` keeps it from that. The table functions:
 
     uniform    every value is equally likely
     normal     {around, sigma}: F of a normal around the parent's lane; optional: shift (lanes),
@@ -291,7 +292,7 @@ def _read_parameter(name: str, given: Any, where: str) -> Parameter:
         read.kind,
         read.default,
         read.doc,
-        search=read.bounds,
+        search=read.bounds if "bounds" in read.model_fields_set else "auto",
         choices=tuple(map(str, read.choices)),
         per_lane=read.per_lane,
         lowest=read.lowest,

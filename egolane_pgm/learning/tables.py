@@ -227,7 +227,7 @@ def seen_before(model: Model, experiment: Experiment) -> list[str]:
     kept = [
         p.name
         for p in getattr(model.rule, "PARAMETERS", ())
-        if p.search is not None and model.parameters[p.name] != p.default
+        if p.is_searched and model.parameters[p.name] != p.default
     ]
     notes = []
     if changed:
@@ -252,7 +252,7 @@ def _reset(model: Model, experiment: Experiment) -> list[Parameter]:
 
 
 def _searched(model: Model) -> list[Parameter]:
-    return [p for p in getattr(model.graph, "PARAMETERS", ()) if p.search is not None]
+    return [p for p in getattr(model.graph, "PARAMETERS", ()) if p.is_searched]
 
 
 def _resolved(model: Model, given: Mapping[str, Value], experiment: Experiment) -> dict[str, Value]:

@@ -197,7 +197,7 @@ def suggest(space: SearchSpace, trial: Trial) -> dict[str, Any]:
         elif d.is_integer:
             point[d.key] = trial.suggest_int(d.key, int(d.low), int(d.high))
         else:
-            point[d.key] = trial.suggest_float(d.key, d.low, d.high)
+            point[d.key] = trial.suggest_float(d.key, d.low, d.high, log=d.is_log)
     return point
 
 

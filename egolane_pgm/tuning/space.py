@@ -33,6 +33,7 @@ class Dimension:
     - lane: from 1; None for a parameter with one value for all lanes.
     - low, high: the bounds, both included.
     - choices: names instead of numbers; low and high are then the first and last index.
+    - is_log: whether the logarithm is searched, as where the bounds are a tenth and ten times.
     """
 
     key: str
@@ -42,6 +43,7 @@ class Dimension:
     high: float
     is_integer: bool = False
     choices: tuple[str, ...] = ()
+    is_log: bool = False
 
 
 @dataclass(frozen=True)
@@ -74,7 +76,8 @@ def make_space(
 ) -> SearchSpace:
     """Make the search space of the declared parameters.
 
-    - specs: the parameters. One that declares no bounds is searched only where bounds are given.
+    - specs: the parameters. One that says that it is not searched, is a choice, a whole number or
+      a table is searched only where bounds are given (`Parameter.is_searched`).
     - current: the value of every parameter; those that are not searched keep it.
     - given: by name [low, high], names of a choice, or one value to keep instead.
     - where: the beginning of a message, e.g. the YAML and the key.
@@ -90,7 +93,7 @@ def make_space(
     fixed: dict[str, Value] = {}
     for name, spec in known.items():
         here = f"{where}.{name}"
-        bounds = given.get(name, spec.search)
+        bounds = given.get(name, spec.search_range if spec.is_searched else None)
         is_list = isinstance(bounds, (list, tuple))
         if name in given and (not is_list or (spec.per_lane and len(bounds) != 2)):
             fixed[name] = spec.check(bounds, n_lanes, here)
@@ -103,13 +106,12 @@ def make_space(
             whole = _is_whole(spec)
             if whole and (low != int(low) or high != int(high)):
                 raise InputError(f"{here}: [{low}, {high}] must be whole numbers")
-            # Where the graph itself declares bounds, each lane's value is searched.
-            if spec.per_lane and spec.search is not None:
-                for lane in range(1, n_lanes + 1):
-                    key = f"{name}[{lane}]"
-                    dimensions.append(Dimension(key, name, lane, low, high, whole))
-            else:
-                dimensions.append(Dimension(name, name, None, low, high, whole))
+            is_log = name not in given and _is_log(spec) and low > 0
+            # Where the graph itself has it searched, each lane's value is.
+            lanes = range(1, n_lanes + 1) if spec.per_lane and spec.is_searched else (None,)
+            for lane in lanes:
+                key = name if lane is None else f"{name}[{lane}]"
+                dimensions.append(Dimension(key, name, lane, low, high, whole, is_log=is_log))
     if not dimensions:
         raise InputError(f"{where}: every parameter is fixed, there is nothing to search")
     return SearchSpace(tuple(dimensions), fixed)
@@ -117,8 +119,14 @@ def make_space(
 
 def _is_whole(spec: Parameter) -> bool:
     """Whole numbers are searched where kind, or default and bounds, are whole as declared."""
-    numbers = [spec.default, *(spec.search or (0.5,))]
+    declared = (0.5,) if spec.search in ("auto", None) else spec.search_range or ()
+    numbers = [spec.default, *declared]
     return spec.kind == "integer" or all(isinstance(v, int) for v in numbers)
+
+
+def _is_log(spec: Parameter) -> bool:
+    """Whether the bounds are a tenth of the default and ten times that."""
+    return spec.search == "auto" and spec.kind in ("positive", "non_negative")
 
 
 def _choice(spec: Parameter, names: Sequence[Any], n_lanes: int, where: str) -> Dimension:
@@ -158,7 +166,7 @@ def distributions(space: SearchSpace) -> dict[str, BaseDistribution]:
         elif d.is_integer:
             found[d.key] = IntDistribution(int(d.low), int(d.high))
         else:
-            found[d.key] = FloatDistribution(d.low, d.high)
+            found[d.key] = FloatDistribution(d.low, d.high, log=d.is_log)
     return found
 
 
@@ -195,6 +203,26 @@ def to_point(space: SearchSpace, parameters: Mapping[str, Value]) -> dict[str, A
             value = int(value)
         point[d.key] = value
     return point
+
+
+def described(space: SearchSpace) -> tuple[list[str], list[str]]:
+    """For a reader: what is searched, with the ranges, and what is held fixed, with the values."""
+    searched = []
+    for d in space.dimensions:
+        # The end of an open range is the number that is left out.
+        low = 0.0 if 0 < d.low <= 2 * OPEN_END * d.high else d.low
+        ends = " or ".join(d.choices) if d.choices else f"{low:.4g} to {d.high:.4g}"
+        n_lanes = sum(other.parameter == d.parameter for other in space.dimensions)
+        if d.lane in (None, 1):
+            searched.append(f"{d.parameter}{f' of {n_lanes} lanes' if d.lane else ''} {ends}")
+    fixed = [f"{name} {_short(value)}" for name, value in space.fixed.items()]
+    return searched, fixed
+
+
+def _short(value: Value) -> str:
+    if isinstance(value, tuple):
+        return f"({len(value)} numbers)" if len(value) > 4 else f"({', '.join(map(_short, value))})"
+    return value if isinstance(value, str) else f"{value:.6g}"
 
 
 def describe(space: SearchSpace) -> dict[str, Any]:

@@ -65,8 +65,8 @@ def test_parameters_have_a_default_that_passes_their_own_check_and_a_meaning(nam
     for spec in specs:
         assert spec.check(spec.default, 3, spec.name) == spec.default
         assert len(spec.doc) > 10
-        if spec.search is not None:
-            low, high = spec.search
+        if spec.is_searched:
+            low, high = spec.search_range
             assert low <= spec.default <= high  # type: ignore[operator]
 
 

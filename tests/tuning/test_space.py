@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -11,12 +12,13 @@ from hypothesis import strategies as st
 
 from egolane_pgm.evidence import counting
 from egolane_pgm.graphs import sensor_failure, wor_on_lane
-from egolane_pgm.parameters import resolve_parameters
-from egolane_pgm.plugins import declared_parameters
+from egolane_pgm.parameters import Parameter, held_fixed, resolve_parameters
+from egolane_pgm.plugins import declared_parameters, load_plugin, plugin_names
 from egolane_pgm.tuning.sampler import to_unit
 from egolane_pgm.tuning.space import (
     SearchSpace,
     describe,
+    described,
     differences,
     distributions,
     make_space,
@@ -43,6 +45,105 @@ def test_the_authors_ranges_are_the_default() -> None:
     assert 1 - 1e-5 < ranges["p1"][1] < 1
     assert ranges["bonus_value"] == [0, 9]
     assert {d.key for d in space().dimensions if d.is_integer} == {"bonus_value"}
+
+
+PAPER = {"sigma1", "sigma2", "p1", "p2", "p3", "p4"}
+
+#: What a search of the package's plugins moves; studies and results were made with it.
+SEARCHED: dict[str, set[str]] = {
+    "biased_sensor": PAPER | {"p_biased", "shift"},
+    "lane_only": {"sigma1", "sigma2"},
+    "no_wor": PAPER - {"p3", "p4"},
+    "position_in_lane": {"motion_sigma", "motion_sigma_wide", "wide_share", "wide_share_unknown"}
+    | {"p1", "p2"},
+    "sensor_dynamics": PAPER | {"sigma1_bad"},
+    "sensor_failure": PAPER,
+    "three_sensor_states": PAPER | {"sigma2_worn", "p_worn", "p3_worn"},
+    "wor_direct": {"sigma1", "sigma2", "p_wor"},
+    "wor_levels": PAPER,
+    "wor_on_lane": PAPER,
+    "counting": {"bonus_value"},
+    "counting_levels": {"bonus_value"},
+    "line_geometry": {"alpha", "beta"},
+    **{key: set() for key in ("ml", "mc", "sl", "sc")},
+}
+
+
+@pytest.mark.parametrize("name", SEARCHED)
+def test_what_is_searched_in_the_packages_plugins_stays_as_it_was(name: str) -> None:
+    folders = [f for f in ("graphs", "evidence", "detectors") if name in plugin_names(f)]
+    (module,) = [load_plugin(folder, name, Path(), "x") for folder in folders]
+    assert {spec.name for spec in module.PARAMETERS if spec.is_searched} == SEARCHED[name]
+    # By declared bounds: what follows from a kind is for graphs of one's own.
+    assert all(spec.search != "auto" for spec in module.PARAMETERS if spec.is_searched)
+
+
+@pytest.mark.parametrize(
+    ("kind", "default", "keys", "expected"),
+    [
+        ("probability", 0.95, {}, (0, 1)),
+        ("probability", 0.95, {"lowest": 0.5}, (0.5, 1)),
+        ("sigma", 0.35, {}, (0, 3)),
+        ("sigma", 20.0, {}, (0, 200)),
+        ("positive", 3.5, {}, (0.35, 35)),
+        ("positive", 3.5, {"highest": 10}, (0.35, 10)),
+        ("non_negative", 0, {}, (0, 1)),
+        ("positive", (1.0, 2.0, 4.0), {"per_lane": True}, (0.1, 40)),
+        ("integer", 3, {}, None),
+        ("integer", 3, {"search": (1, 5)}, (1, 5)),
+        ("choice", "a", {"choices": ("a", "b")}, None),
+        ("positive", "auto", {"choices": ("auto",)}, None),
+        ("probability", (0.5, 0.5), {"shape": lambda n: (2,)}, None),
+    ],
+)
+def test_without_declared_bounds_a_parameter_is_searched_within_those_of_its_kind(
+    kind: str, default: Any, keys: dict[str, Any], expected: tuple[float, float] | None
+) -> None:
+    spec = Parameter("x", kind, default, "a number", **keys)
+    assert spec.search_range == (expected and pytest.approx(expected))
+    assert spec.is_searched == (expected is not None)
+    (kept,) = held_fixed([spec])
+    assert not kept.is_searched
+    assert kept.search_range == spec.search_range or spec.search != "auto"
+
+
+def test_a_graph_of_ones_own_is_searched_without_saying_so() -> None:
+    specs = [
+        Parameter("stay", "probability", 0.95, "a probability"),
+        Parameter("width", "positive", 2, "a width"),
+        Parameter("p3", "probability", 0.6, "by lane", per_lane=True),
+        Parameter("kept", "positive", 2.0, "not searched", search=None),
+    ]
+    found = make_space(specs, resolve_parameters(specs, {}, 3), {}, 3, "x")
+    assert found.keys == ("stay", "width", "p3[1]", "p3[2]", "p3[3]")
+    assert found.fixed == {"kept": 2.0}
+    width = distributions(found)["width"]
+    assert (width.low, width.high, width.log) == (0.2, 20, True)  # type: ignore[attr-defined]
+    middle = points_at(found, np.full((1, 5), 0.5))[0]
+    assert middle["width"] == pytest.approx(2)
+    given = make_space(specs, resolve_parameters(specs, {}, 3), {"width": [1, 3]}, 3, "x")
+    assert not distributions(given)["width"].log  # type: ignore[attr-defined]
+
+
+@pytest.mark.parametrize("search", ["log", True, (0,), [0, "a"], 3])
+def test_a_search_that_is_no_range_is_refused_where_it_is_declared(search: Any) -> None:
+    with pytest.raises(InputError, match=r"Parameter x: search: .* is not \(low, high\)"):
+        Parameter("x", "positive", 1.0, "a number", search=search)
+
+
+def test_a_reader_is_told_what_is_searched_and_what_is_held_fixed() -> None:
+    specs = declared_parameters(counting, wor_on_lane)
+    current = resolve_parameters(specs, {"lane_widths": [1, 1.05, 0.95]}, 3)
+    given = {"p1": 0.25, "normal": ["density", "integral"], "sigma1": [0.1, 0.5]}
+    found = make_space(specs, current, given, 3, "x")
+    searched, fixed = map(", ".join, described(found))
+    assert (searched, fixed) == (
+        "bonus_value 0 to 9, sigma1 0.1 to 0.5, sigma2 0 to 3, p2 0 to 1, p3 of 3 lanes 0 to 1,"
+        " p4 of 3 lanes 0 to 1, normal density or integral",
+        "lane_width_m 3.5, tentative_noise 0.001, wor_noise 0.01, max_lri 10, no_valid_line"
+        " uniform, p1 0.25, lane_widths (1, 1.05, 0.95)",
+    )
+    assert (len(found), found.n_fixed) == (11, 9)
 
 
 def test_bounds_narrow_and_values_fix() -> None:

@@ -20,7 +20,11 @@ PARAMETERS = (
         choices=("auto", "causal"),
     ),
     Parameter(
-        "fallback_width_m", "positive", 3.5, "lane width if the lines do not show it, metres"
+        "fallback_width_m",
+        "positive",
+        3.5,
+        "lane width if the lines do not show it, metres",
+        search=None,
     ),
     Parameter(
         "alpha",
@@ -77,21 +81,50 @@ PARAMETERS = (
         choices=("generic",),
         shape=lambda n: (N_CLASSES,),
     ),
-    Parameter("seen_near", "non_negative", 0.9, "generic rate of the lines of the own lane"),
-    Parameter("fade", "non_negative", 0.2, "share of it that is lost with each lane further away"),
-    Parameter("seen_far", "non_negative", 0.15, "lowest generic rate of a line of the road"),
-    Parameter("shoulder_left", "non_negative", 0.08, "generic rate of a line left of the road"),
-    Parameter("shoulder_right", "non_negative", 0.13, "generic rate of a line right of the road"),
-    Parameter("shoulder_distance", "positive", 0.9, "generic distance of those, lane widths"),
+    Parameter(
+        "seen_near", "non_negative", 0.9, "generic rate of the lines of the own lane", search=None
+    ),
+    Parameter(
+        "fade",
+        "non_negative",
+        0.2,
+        "share of it that is lost with each lane further away",
+        search=None,
+    ),
+    Parameter(
+        "seen_far", "non_negative", 0.15, "lowest generic rate of a line of the road", search=None
+    ),
+    Parameter(
+        "shoulder_left",
+        "non_negative",
+        0.08,
+        "generic rate of a line left of the road",
+        search=None,
+    ),
+    Parameter(
+        "shoulder_right",
+        "non_negative",
+        0.13,
+        "generic rate of a line right of the road",
+        search=None,
+    ),
+    Parameter(
+        "shoulder_distance", "positive", 0.9, "generic distance of those, lane widths", search=None
+    ),
     Parameter(
         "edge_continuous",
         "probability",
         0.25,
         "generic share of continuous reports of the road's outer lines",
+        search=None,
     ),
-    Parameter("inner_continuous", "probability", 0.05, "the same for all other lines"),
-    Parameter("line_sigma_m", "sigma", 0.25, "generic standard deviation of a line, metres"),
-    Parameter("clutter_per_m", "non_negative", 0.05, "generic clutter, lines per metre"),
+    Parameter("inner_continuous", "probability", 0.05, "the same for all other lines", search=None),
+    Parameter(
+        "line_sigma_m", "sigma", 0.25, "generic standard deviation of a line, metres", search=None
+    ),
+    Parameter(
+        "clutter_per_m", "non_negative", 0.05, "generic clutter, lines per metre", search=None
+    ),
     Parameter(
         "prior_frames",
         "non_negative",
@@ -99,6 +132,7 @@ PARAMETERS = (
         "frames of each lane that the generic constants are worth when parameters are learned;"
         " `infinite`: nothing is learned",
         choices=("infinite",),
+        search=None,
     ),
     CELLS,
     MOTION_BINS,
