@@ -14,7 +14,7 @@ if TYPE_CHECKING:
 HIDDEN = sensor_failure.HIDDEN
 OBSERVED = ("DetectorOutput",)
 UNUSED = ("WOR",)
-VALUES = sensor_failure.VALUES
+VALUES = {"SensorState": ("OK", "BAD")}
 PARAMETERS = tuple(p for p in sensor_failure.PARAMETERS if p.name not in ("p3", "p4"))
 
 

@@ -38,7 +38,7 @@ if TYPE_CHECKING:
 
 HIDDEN = ("Lane", "SensorState")
 OBSERVED = ("DetectorOutput", "WOR")
-VALUES = {"SensorState": ("OK", "BAD")}
+VALUES = {"SensorState": ("OK", "BAD"), "WOR": ("OK", "BAD")}
 PARAMETERS = (SIGMA1, SIGMA2, P1, P2, P3, P4, NORMAL, LANE_WIDTHS)
 
 

@@ -30,7 +30,7 @@ if TYPE_CHECKING:
 
 HIDDEN = sensor_failure.HIDDEN
 OBSERVED = sensor_failure.OBSERVED
-VALUES = {"SensorState": ("OK", "WORN", "BAD")}
+VALUES = {"SensorState": ("OK", "WORN", "BAD"), "WOR": ("OK", "BAD")}
 PARAMETERS = (
     *sensor_failure.PARAMETERS,
     Parameter(

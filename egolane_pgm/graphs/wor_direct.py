@@ -19,6 +19,7 @@ if TYPE_CHECKING:
 
 HIDDEN = ("Lane",)
 OBSERVED = ("DetectorOutput", "WOR")
+VALUES = {"WOR": ("OK", "BAD")}
 PARAMETERS = (
     SIGMA1,
     SIGMA2,

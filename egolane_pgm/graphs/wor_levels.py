@@ -24,7 +24,7 @@ if TYPE_CHECKING:
 
 HIDDEN = sensor_failure.HIDDEN
 OBSERVED = sensor_failure.OBSERVED
-VALUES = sensor_failure.VALUES
+VALUES = {"SensorState": ("OK", "BAD")}
 PARAMETERS = (*sensor_failure.PARAMETERS, WOR_LEVELS)
 
 

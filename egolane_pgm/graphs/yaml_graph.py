@@ -177,7 +177,7 @@ def load_graph_file(path: Path, name: str, where: str) -> ModuleType:
         "UNUSED": tuple(
             tuple(u) if isinstance(u, list) else str(u) for u in content.get("unused") or ()
         ),
-        "VALUES": {node: names for node, names in graph.names.items() if node in hidden},
+        "VALUES": graph.names,
         "PARAMETERS": declared,
         "tables": tables,
         "build": build,

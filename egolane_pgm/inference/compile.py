@@ -123,7 +123,7 @@ def compile_network(
     - network, transition: as `read_network` takes them.
     - hidden: None for every node that is neither observed nor an input, and Lane.
     - values: names of nodes' values, in place of those that the network gives. Where neither gives
-      any, those of Lane count from 1 and those of any other node from 0.
+      any, those of LANES count from 1 and those of any other node from 0.
 
     Warns of observed nodes without a virtual-evidence child, which is added. Raises InputError,
     naming the node, for anything that the filters could not honour.
@@ -139,8 +139,8 @@ def compile_network(
 
 
 def default_values(node: str, size: int) -> tuple[str, ...]:
-    """The names of the values of a node that has none: those of Lane count from 1."""
-    first = 1 if node == "Lane" else 0
+    """The names of the values of a node that has none: those of LANES count from 1."""
+    first = 1 if node in LANES else 0
     return tuple(map(str, range(first, first + size)))
 
 
@@ -307,6 +307,9 @@ def _fill(
         array *= tables[node].values[place.indices]
     return prior, transition, emissions
 
+
+#: The nodes whose values are lanes.
+LANES = ("Lane", "DetectorOutput")
 
 #: More joint states than this are refused.
 MAX_STATES = 4096
