@@ -19,7 +19,7 @@ import os
 import re
 import sys
 import traceback
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 from types import ModuleType
 
@@ -53,14 +53,46 @@ def plugin_names(folder: str) -> list[str]:
     """
     first = CONTRACTS[folder][0]
     path = Path(__file__).parent / folder
-    defined = re.compile(rf"^(def )?{first}\b", re.MULTILINE)
-    found = [f.stem for f in path.glob("*.py") if defined.search(_text(f))]
+    found = [f.stem for f in path.glob("*.py") if _defines(_text(f), first)]
     found += [f.parent.name for f in path.glob("*/__init__.py") if f'"{first}"' in _text(f)]
     return sorted(found)
 
 
 def _text(file: Path) -> str:
     return file.read_text(encoding="utf-8")
+
+
+def _defines(text: str, name: str) -> bool:
+    return re.search(rf"^(def )?{name}\b", text, re.MULTILINE) is not None
+
+
+def find_plugin(name: str, kinds: Mapping[str, str], base: Path) -> tuple[str, str]:
+    """What kind of plugin a name or a file is, and the name without the kind.
+
+    - name: as for `load_plugin`, perhaps with the kind before it: `graph:./mine.py`.
+    - kinds: the folders that are looked in, by what each kind is called.
+
+    Raises InputError for an unknown name, with a suggestion, and for one of several kinds.
+    """
+    kind, _, rest = name.partition(":")
+    if rest and kind in kinds:
+        return kind, rest
+    file = base / name
+    if name.endswith(".py") and file.is_file():
+        text = file.read_text(encoding="utf-8", errors="replace")
+        found = [kind for kind in kinds if _defines(text, CONTRACTS[kinds[kind]][0])]
+        found = found or ["graph"]
+    elif name.endswith(OWN_FILES):
+        found = ["graph"]
+    else:
+        found = [kind for kind in kinds if name in plugin_names(kinds[kind])]
+    if not found:
+        known = [known for folder in kinds.values() for known in plugin_names(folder)]
+        raise InputError(f"unknown name '{name}'{suggestion(name, known)}")
+    if len(found) > 1:
+        several = " or ".join(f"{kind}:{name}" for kind in found)
+        raise InputError(f"{name} is of several kinds; write {several}")
+    return found[0], name
 
 
 def load_plugin(folder: str, name: str, base: Path, where: str) -> ModuleType:

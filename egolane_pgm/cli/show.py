@@ -1,15 +1,16 @@
-"""The commands `egolane ls`, `egolane validate` and `egolane network`."""
+"""The commands `egolane ls`, `egolane show`, `egolane network` and `egolane validate`."""
 
 from __future__ import annotations
 
 from pathlib import Path
 from types import ModuleType
+from typing import Any
 
 import click
 
 from egolane_pgm.cli import options
 from egolane_pgm.experiment import load_experiment, load_yaml
-from egolane_pgm.files import check_not_read
+from egolane_pgm.files import check_not_read, write_json
 from egolane_pgm.inference.compile import Compiled
 from egolane_pgm.loading import check_sources
 from egolane_pgm.model import (
@@ -20,10 +21,17 @@ from egolane_pgm.model import (
     prepare_model,
 )
 from egolane_pgm.paper import experiments_folder
-from egolane_pgm.parameters import resolve_parameters
-from egolane_pgm.plugins import load_plugin, plugin_names
+from egolane_pgm.parameters import Parameters, resolve_parameters
+from egolane_pgm.plugins import find_plugin, load_plugin, plugin_names
 from egolane_pgm.recordings import FORMATS
+from egolane_pgm.report.description import (
+    describe_detector,
+    describe_graph,
+    describe_rule,
+    description_text,
+)
 from egolane_pgm.report.network import check_ending, write_network
+from egolane_pgm.results import SCHEMA_VERSION
 from egolane_pgm.simulation import PRESETS
 from egolane_pgm.tuning.plan import check_plan, load_plan
 from egolane_pgm.types import MAX_LANES, InputError, all_problems
@@ -82,6 +90,39 @@ def validate(experiments: tuple[str, ...], overrides: tuple[str, ...]) -> None:
         click.echo(f"{path}: ok ({experiment.n_lanes} lanes, {states} joint states)")
 
 
+#: What `egolane show` knows, and the folder of each.
+_KINDS = {"graph": "graphs", "evidence": "evidence", "detector": "detectors"}
+
+
+@click.command()
+@click.argument("name", metavar="GRAPH|EVIDENCE|DETECTOR")
+@_n_lanes
+@click.option("--tables", is_flag=True, help="Print a graph's tables in numbers.")
+@options.json_file
+def show(name: str, n_lanes: int, tables: bool, json_file: Path | None) -> None:
+    """Show what a graph, an evidence rule or a detector is: nodes, edges, tables, parameters.
+
+    A name of `egolane ls`, or a file of your own; `graph:NAME`, `evidence:NAME` or `detector:NAME`
+    says which where it is not clear.
+    """
+    kind, bare = find_plugin(name, _KINDS, Path.cwd())
+    if json_file:
+        check_not_read(json_file, [Path(bare)])
+    module = load_plugin(_KINDS[kind], bare, Path.cwd(), kind)
+    found: dict[str, Any] = {"schema_version": SCHEMA_VERSION, "name": bare}
+    if kind == "graph":
+        compiled = _compiled(bare, module, n_lanes)
+        found |= describe_graph(module, compiled, numbers=tables)
+    elif kind == "evidence":
+        found |= describe_rule(module, _defaults(module, n_lanes))
+    else:
+        found |= describe_detector(module)
+    # The file is written before anything is printed, because a reader may close the pipe.
+    if json_file:
+        write_json(json_file, found)
+    click.echo(description_text({**found, "file": options.shown(Path(found["file"]))}))
+
+
 @click.command()
 @click.argument("graph")
 @click.argument("target", type=click.Path(dir_okay=False))
@@ -100,10 +141,13 @@ def _compiled(name: str, module: ModuleType, n_lanes: int) -> Compiled:
     """A graph with the default values of its parameters."""
     where = f"graph {name}"
     try:
-        parameters = resolve_parameters(getattr(module, "PARAMETERS", ()), {}, n_lanes)
-        declared = build_network(module, n_lanes, parameters, where)
+        declared = build_network(module, n_lanes, _defaults(module, n_lanes), where)
         rule = fitting_rule(module, n_lanes, "counting", Path.cwd(), where)
         roles = graph_roles(module, load_plugin("evidence", rule, Path.cwd(), where), declared)
         return compile_graph(module, roles, declared)
     except InputError as error:
         raise InputError(str(error) if where in str(error) else f"{where}: {error}") from error
+
+
+def _defaults(module: ModuleType, n_lanes: int) -> Parameters:
+    return resolve_parameters(getattr(module, "PARAMETERS", ()), {}, n_lanes)

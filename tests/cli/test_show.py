@@ -1,9 +1,11 @@
-"""The commands `ls`, `validate`, `plot` and `network`."""
+"""The commands `ls`, `show`, `validate`, `plot` and `network`."""
 
 from __future__ import annotations
 
+import json
 from pathlib import Path
 
+import numpy as np
 import pytest
 import yaml
 
@@ -69,6 +71,69 @@ def test_a_graph_that_cannot_be_built_is_refused(tmp_path: Path) -> None:
     own = tmp_path / "g.bif"
     own.write_text("")
     assert "g.bif: is read here" in refused("network", own, own)
+
+
+@pytest.mark.parametrize(
+    ("name", "kind"),
+    [
+        ("sensor_failure", "graph"),
+        ("graph:lane_only", "graph"),
+        ("counting", "evidence rule"),
+        ("sl", "detector"),
+        (str(EXAMPLES / "my_graph.py"), "graph"),
+        (str(EXAMPLES / "sensor_failure.yaml"), "graph"),
+        (str(EXAMPLES / "my_evidence.py"), "evidence rule"),
+        (str(EXAMPLES / "my_detector.py"), "detector"),
+    ],
+)
+def test_whatever_ls_lists_or_one_writes_is_shown(name: str, kind: str) -> None:
+    shown = done("show", name).stdout
+    assert shown.splitlines()[0] == f"{kind} {name.removeprefix('graph:')}"
+    assert "\nparameters " in shown
+
+
+def test_a_graph_s_tables_are_printed_and_written(tmp_path: Path) -> None:
+    target = tmp_path / "graph.json"
+    assert "OK, 4" not in done("show", "sensor_failure", "--n-lanes", 4).stdout
+    shown = done("show", "sensor_failure", "--n-lanes", 4, "--tables", "--json", target).stdout
+    assert "OK, 4" in shown
+    content = json.loads(target.read_text())
+    assert (content["schema_version"], content["kind"], content["n_lanes"]) == (1, "graph", 4)
+    assert np.shape(content["tables"][1]["values"]) == (4, 4)
+    assert content["parameters"][0]["range"] == [0.0, 3.0]
+
+
+def test_a_file_is_found_from_where_one_stands(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (tmp_path / "mine.py").write_text((EXAMPLES / "my_graph.py").read_text())
+    monkeypatch.chdir(tmp_path)
+    assert done("show", "mine.py").stdout.startswith("graph mine.py\n\nAn own graph")
+    assert done("show", "./mine.py").stdout.startswith("graph ./mine.py\nmine.py\n")
+
+
+def test_what_cannot_be_shown_is_refused_in_a_line(tmp_path: Path) -> None:
+    assert refused("show", "sensor_failur").endswith("(did you mean 'sensor_failure'?)")
+    assert "(known: autoregressive, biased_sensor, counting" in refused("show", "zzz")
+    assert refused("show", "evidence:sensor_failure").startswith("evidence: unknown name")
+    assert refused("show", "none.py").startswith("graph: no file ")
+    both = tmp_path / "both.py"
+    both.write_text("def build(n, p): ...\ndef evidence(log, n, p): ...\n")
+    said = refused("show", both)
+    assert said == f"{both} is of several kinds; write graph:{both} or evidence:{both}"
+    assert "does not define" in refused("show", f"detector:{both}")
+    (tmp_path / "none").write_text("")
+    target = tmp_path / "none" / "x.json"
+    assert "cannot be written" in refused("show", "lane_only", "--json", target)
+    said = refused("show", EXAMPLES / "my_graph.py", "--json", EXAMPLES / "my_graph.py")
+    assert said.endswith("is read here; name another file")
+
+
+def test_a_network_that_cannot_be_written_is_refused_in_a_line(tmp_path: Path) -> None:
+    (tmp_path / "file").write_text("")
+    for ending in (".png", ".dot", ".bif"):
+        said = refused("network", "lane_only", tmp_path / "file" / f"x{ending}")
+        assert f"x{ending}: cannot be written" in said
 
 
 def test_validate_knows_simulated_drives(tmp_path: Path) -> None:
