@@ -114,7 +114,7 @@ def test_a_file_is_found_from_where_one_stands(
 
 def test_what_cannot_be_shown_is_refused_in_a_line(tmp_path: Path) -> None:
     assert refused("show", "sensor_failur").endswith("(did you mean 'sensor_failure'?)")
-    assert "(known: autoregressive, biased_sensor, counting" in refused("show", "zzz")
+    assert "(known: autoregressive, " in refused("show", "zzz")
     assert refused("show", "evidence:sensor_failure").startswith("evidence: unknown name")
     assert refused("show", "none.py").startswith("graph: no file ")
     both = tmp_path / "both.py"
@@ -149,7 +149,7 @@ def test_validate_knows_simulated_drives(tmp_path: Path) -> None:
         ("- 1\n", "needs keys and values"),
         ("", "needs keys and values"),
         ("recording: {simulate: a4}\nn_lanes: 3\n", "name: is missing"),
-        ("name: a\nrecording: 5\nn_lanes: 3\n", "recording: input should be"),
+        ("name: a\nrecording: 5\nn_lanes: 3\n", "recording: needs keys and values"),
     ],
 )
 def test_a_file_that_is_no_experiment_is_refused(tmp_path: Path, text: str, said: str) -> None:
