@@ -145,7 +145,9 @@ def with_parameters(model: Model, parameters: Mapping[str, Value]) -> Model:
     shapes = [p.name for p in getattr(model.graph, "PARAMETERS", ()) if p.kind == "integer"]
     same_shape = all(parameters[name] == model.parameters[name] for name in shapes)
     if same_shape and hasattr(model.graph, "tables"):
-        compiled = with_tables(model.compiled, model.graph.tables(model.n_lanes, parameters))
+        with plugin_errors(model.graph, "graph"):
+            tables = model.graph.tables(model.n_lanes, parameters)
+            compiled = with_tables(model.compiled, tables)
     else:
         network = build_network(model.graph, model.n_lanes, parameters, "graph")
         compiled = compile_graph(model.graph, model.roles, network)
@@ -190,17 +192,20 @@ def graph_roles(graph: ModuleType, rule: ModuleType, network: DynamicBayesianNet
     if hasattr(graph, "OBSERVED"):
         roles = (getattr(graph, "INPUTS", ()), getattr(graph, "UNUSED", ()))
         return Roles(hidden, graph.OBSERVED, *roles)
+    if not hasattr(rule, "PROVIDES"):
+        raise InputError(
+            "the graph does not say what it observes (OBSERVED), nor the evidence rule what it"
+            " gives (PROVIDES)"
+        )
     observed = observed_under(rule, network)
-    provides = getattr(rule, "PROVIDES", ())
     nodes = node_names(network)
     if not observed:
-        given = ", ".join(map(str, provides)) or "no node that it names (PROVIDES)"
         raise InputError(
-            f"observes nothing: the evidence rule gives {given}, the graph has"
-            f" {', '.join(sorted(nodes))}"
+            f"observes nothing: the evidence rule gives {', '.join(map(str, rule.PROVIDES))}, the"
+            f" graph has {', '.join(sorted(nodes))}"
         )
     inputs = tuple(name for name in getattr(rule, "INPUTS", ()) if name in nodes)
-    return Roles(hidden, observed, inputs, tuple(k for k in provides if k not in observed))
+    return Roles(hidden, observed, inputs, tuple(k for k in rule.PROVIDES if k not in observed))
 
 
 def observed_under(rule: ModuleType, network: DynamicBayesianNetwork) -> tuple[Observed, ...]:

@@ -9,10 +9,15 @@ import numpy as np
 import pytest
 
 from egolane_pgm.evidence import counting, line_geometry
+from egolane_pgm.graphs.cpds import quiet
+from egolane_pgm.graphs.from_pgmpy import read_file
 from egolane_pgm.plugins import load_plugin, plugin_names, source_files
 from egolane_pgm.results import read_result
 from egolane_pgm.types import InputError
 from tests.kits.drives import done, refused, short_drive, write_drive
+
+with quiet():
+    from pgmpy.readwrite import XMLBIFWriter
 
 #: The least that a graph and a rule have to say.
 GRAPH = """
@@ -37,6 +42,21 @@ RULE = """
         seen[:, 0] += log.is_valid.sum(axis=1)
         return Evidence({"Seen": seen})
 """
+#: The same graph in pgmpy alone.
+PLAIN = """
+    from pgmpy.factors.discrete import TabularCPD
+    from pgmpy.models import DynamicBayesianNetwork
+
+    network = DynamicBayesianNetwork([(("Lane", 0), ("Lane", 1)), (("Lane", 0), ("Seen", 0))])
+    stay = [[0.9 * (i == j) + 0.1 / 3 for i in range(3)] for j in range(3)]
+    same = [[float(i == j) for i in range(3)] for j in range(3)]
+    network.add_cpds(
+        TabularCPD(("Lane", 0), 3, [[1 / 3]] * 3),
+        TabularCPD(("Lane", 1), 3, stay, [("Lane", 0)], [3]),
+        TabularCPD(("Seen", 0), 3, same, [("Lane", 0)], [3]),
+    )
+"""
+GIVES_SEEN = 'PROVIDES = ("Seen", "Other")\n'
 
 
 def write(path: Path, text: str) -> Path:
@@ -111,8 +131,14 @@ def test_parameters_of_files_of_ones_own_are_checked_as_any_other(tmp_path: Path
     [
         ("x = (", "g.py cannot be imported: SyntaxError"),
         ("import nothing_of_that_name", "g.py cannot be imported: ModuleNotFoundError"),
-        ("HIDDEN = OBSERVED = ()", "g.py does not define build"),
-        (GRAPH.replace('OBSERVED = ("Seen",)', "").replace("OBSERVED", "()"), "observes nothing"),
+        ("HIDDEN = OBSERVED = ()", "g.py does not define build, nor a pgmpy network at its top"),
+        (PLAIN + "    b = network.copy()", "and has 2 pgmpy networks (network, b) at its top"),
+        (PLAIN.replace("network.add", "'no'.add"), "g.py cannot be imported: AttributeError: "),
+        (PLAIN, "the graph does not say what it observes (OBSERVED), nor the evidence rule what"),
+        ("raise ValueError('on', 'two\\nlines')", "cannot be imported: ValueError: ('on', 'two"),
+        ("x = 1\nimport sys; sys.exit('end')", "cannot be imported: SystemExit: end (line 2)"),
+        (GRAPH.replace("stay = ", "exit(3); stay = "), "g.py, line 7: SystemExit: 3"),
+        (GRAPH.replace("return declare", "declare"), "build() gave NoneType, not a pgmpy network"),
         (GRAPH.replace("stay = ", "stay = 1 / 0 + "), "g.py, line 7: ZeroDivisionError"),
         (GRAPH.replace("return declare", "return 3 #"), "build() gave int, not a pgmpy network"),
         (GRAPH.replace("0.9 *", "0.8 *"), "the rows of the table must sum to one"),
@@ -128,6 +154,83 @@ def test_a_graph_file_with_a_fault_is_refused_by_its_name_and_line(
     write(tmp_path / "r.py", RULE)
     experiment = write_drive(tmp_path, 20, graph="./g.py", evidence="./r.py")
     assert said in refused("validate", experiment)
+
+
+def test_plain_pgmpy_is_a_graph_whose_roles_follow_from_the_evidence_rule(tmp_path: Path) -> None:
+    write(tmp_path / "r.py", GIVES_SEEN + textwrap.dedent(RULE))
+    said_so = GRAPH.replace("OBSERVED = (", 'UNUSED, OBSERVED = ("Other",), (')
+    silent = GRAPH.replace("OBSERVED)", "())").replace("    OBSERVED", "    # OBSERVED")
+    for name, text in (("own", said_so), ("plain", PLAIN), ("silent", silent)):
+        write(tmp_path / f"{name}.py", text)
+    done("network", tmp_path / "plain.py", tmp_path / "g.bif")
+    with quiet():
+        XMLBIFWriter(read_file(tmp_path / "g.bif")).write(tmp_path / "g.xml")
+    beliefs = []
+    for graph in ("own.py", "plain.py", "silent.py", "g.bif", "g.xml"):
+        experiment = write_drive(tmp_path, graph=graph, evidence="./r.py")
+        done("run", experiment, "--no-figures", "--out", tmp_path / "out" / graph)
+        result = read_result(tmp_path / "out" / graph)
+        assert list(result.marginals) == ["Lane"]
+        beliefs.append(result.marginals["Lane"])
+    for other in beliefs[1:]:
+        np.testing.assert_allclose(other, beliefs[0], rtol=0, atol=1e-12)
+    # A copy of the network is beside the result, which runs again from there.
+    again = tmp_path / "out" / "g.bif" / "experiment.yaml"
+    done("run", again, "--no-figures", "--out", tmp_path / "again")
+    np.testing.assert_array_equal(read_result(tmp_path / "again").marginals["Lane"], beliefs[3])
+
+
+@pytest.mark.parametrize(
+    ("graph", "said"),
+    [
+        (PLAIN + "    network.cpds.clear()", "g.py: the network has no tables: give each node a"),
+        (PLAIN + "    network.remove_cpds(('Seen', 0))", "g.py: Seen: has no table (a TabularCPD)"),
+        (PLAIN.replace('"Seen"', '"Saw"'), "the evidence rule gives Seen, Other, the graph has"),
+        (PLAIN.replace("(3)", "(2)"), "g.py cannot be imported: "),
+    ],
+)
+def test_a_plain_network_with_a_fault_is_refused_naming_the_node(
+    tmp_path: Path, graph: str, said: str
+) -> None:
+    write(tmp_path / "g.py", graph)
+    write(tmp_path / "r.py", GIVES_SEEN + textwrap.dedent(RULE))
+    experiment = write_drive(tmp_path, 20, graph="./g.py", evidence="./r.py")
+    assert said in refused("validate", experiment)
+
+
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        ("", "g.bif: is empty"),
+        ("{'a': 1}", "g.bif: has no variable; is it a BIF file?"),
+        ("variable Lane_0 {\n type discrete [ 2 ] { a, b };\n}\n", "no probabilities of Lane_0"),
+        (
+            "variable Lane {\n type discrete [ 2 ] { a, b };\n}\n"
+            "probability ( Lane ) {\n table 0.5, 0.5;\n}\n",
+            "Lane: is of neither slice; name the nodes Lane_0 and Lane_1, or",
+        ),
+    ],
+)  # fmt: skip
+def test_a_bif_file_with_a_fault_is_refused_by_its_name(
+    tmp_path: Path, text: str, said: str
+) -> None:
+    (tmp_path / "g.bif").write_text(text)
+    experiment = write_drive(tmp_path, 20, graph="./g.bif")
+    assert said in refused("validate", experiment)
+    assert said in refused("network", tmp_path / "g.bif", tmp_path / "g.dot")
+
+
+def test_what_a_file_of_ones_own_prints_goes_to_standard_error(tmp_path: Path) -> None:
+    say = "print('{}')\n"
+    write(tmp_path / "g.py", say.format("graph read") + textwrap.dedent(GRAPH))
+    write(tmp_path / "r.py", RULE.replace("    seen =", "    print('rule asked')\n        seen ="))
+    text = (tmp_path / "g.py").read_text().replace("    stay", "    print('built')\n    stay")
+    (tmp_path / "g.py").write_text(text)
+    experiment = write_drive(tmp_path, 20, graph="./g.py", evidence="./r.py")
+    ran = done("run", experiment, "--no-figures", "--out", tmp_path / "out")
+    for said in ("graph read\n", "built\n", "rule asked\n"):
+        assert said in ran.stderr
+        assert said not in ran.stdout
 
 
 @pytest.mark.parametrize(

@@ -14,6 +14,7 @@ from egolane_pgm.files import check_not_read, write_json
 from egolane_pgm.inference.compile import Compiled
 from egolane_pgm.loading import check_sources
 from egolane_pgm.model import (
+    Roles,
     build_network,
     compile_graph,
     fitting_rule,
@@ -143,7 +144,11 @@ def _compiled(name: str, module: ModuleType, n_lanes: int) -> Compiled:
     try:
         declared = build_network(module, n_lanes, _defaults(module, n_lanes), where)
         rule = fitting_rule(module, n_lanes, "counting", Path.cwd(), where)
-        roles = graph_roles(module, load_plugin("evidence", rule, Path.cwd(), where), declared)
+        try:
+            roles = graph_roles(module, load_plugin("evidence", rule, Path.cwd(), where), declared)
+        except InputError:
+            # A rule of one's own may give what none of the package gives.
+            roles = Roles(None, (), (), ())
         return compile_graph(module, roles, declared)
     except InputError as error:
         raise InputError(str(error) if where in str(error) else f"{where}: {error}") from error
