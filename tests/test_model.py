@@ -4,9 +4,11 @@ from __future__ import annotations
 
 from pathlib import Path
 
+import numpy as np
 import pytest
 
-from tests.kits.drives import refused, write_drive
+from egolane_pgm.results import read_result
+from tests.kits.drives import done, refused, write_drive
 
 GRAPH = """
 import numpy as np
@@ -69,9 +71,20 @@ def test_a_cycle_in_a_slice_is_refused_naming_two_of_its_nodes(tmp_path: Path) -
     assert "X at t cannot depend on X at t" in said
 
 
-def test_a_hidden_leaf_that_is_no_function_of_its_parents_is_refused(tmp_path: Path) -> None:
-    said = graph_said(tmp_path, '*within("X", ["Lane"], uniform(n, 2))')
-    assert "X: a hidden node without an edge across the slices must be a deterministic" in said
+def test_hidden_nodes_that_pass_and_a_detector_whose_errors_persist_run(tmp_path: Path) -> None:
+    text = GRAPH.format(more='*within("X", ["Lane"], [[0.2, 0.8]] * n)', hidden='("Lane", "X")')
+    keeps = (
+        '*prior("DetectorOutput", np.eye(n), ["Lane"]),'
+        ' *dynamics("DetectorOutput", ["Lane", previous("DetectorOutput")], uniform(n, n, n))'
+    )
+    (tmp_path / "g.py").write_text(
+        text.replace('*within("DetectorOutput", ["Lane"], np.eye(n))', keeps)
+    )
+    write_drive(tmp_path, 20, graph="./g.py", filter="exact")
+    done("run", tmp_path / "experiment.yaml", "--out", tmp_path / "out")
+    marginals = read_result(tmp_path / "out").marginals
+    assert set(marginals) == {"Lane", "X"}
+    np.testing.assert_allclose(marginals["X"], [[0.2, 0.8]] * len(marginals["X"]), atol=1e-12)
 
 
 def test_nodes_that_are_neither_hidden_nor_observed_are_refused(tmp_path: Path) -> None:
@@ -92,4 +105,4 @@ def test_observed_nodes_and_evidence_that_miss_each_other_are_refused(tmp_path: 
 def test_a_joint_state_over_the_limit_is_refused_with_its_size_and_nodes(tmp_path: Path) -> None:
     more = '*prior("X", uniform(2000)), *dynamics("X", [previous("X")], np.eye(2000))'
     said = graph_said(tmp_path, more)
-    assert "the joint hidden state has 6000 values (Lane 3 x X 2000), more than 4096" in said
+    assert "the joint state has 6000 values (Lane 3 x X 2000), more than 4096" in said

@@ -1,13 +1,22 @@
-"""A declared two-slice network, turned into arrays over the joint hidden state.
+"""A declared two-slice network, turned into arrays over its joint state.
 
 All validation of a graph is here: what the filters get is known to be well formed. pgmpy's CPDs
 are aligned by node name, never by position.
 
-What is accepted: hidden nodes that persist (have an edge across the slices) and hidden nodes that
-are deterministic functions of others in the same slice; observed nodes, each with a virtual-
-evidence child, or tuples of nodes with one virtual-evidence child; input nodes, roots whose value
-is given in every frame and selects the transition. The joint state is the product of the
-persistent nodes.
+Each node of a network has one of these parts:
+
+- An input is a root whose value is given in every frame. It selects the tables of its children.
+- A function is a hidden node whose value follows for certain from other nodes of its frame.
+- A plain emission is an observed node that depends on nodes of its own frame alone, inputs not
+  among them, by the same table in every frame, and on which nothing depends but plain emissions.
+- Every other node, hidden or observed, is in the joint state: one that has an edge across the
+  slices, a hidden one that is random in every frame anew, an observed one that an input selects the
+  table of, or on which a hidden one depends.
+
+The joint state is the product of the nodes of the last kind, and the filters carry a belief over
+it from frame to frame. What later frames do not depend on is summed out there by the transition,
+whose rows are the same for all its values. The evidence of an observed node is a likelihood of its
+values; where the node is in the joint state, it is a likelihood of the states that have them.
 """
 
 from __future__ import annotations
@@ -16,6 +25,7 @@ import math
 import warnings
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from graphlib import TopologicalSorter
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -27,6 +37,15 @@ from egolane_pgm.types import FloatArray, InputError, IntArray, Observed, sugges
 if TYPE_CHECKING:
     from pgmpy.models import DynamicBayesianNetwork
 
+#: The nodes whose values are lanes.
+LANES = ("Lane", "DetectorOutput")
+
+#: More joint states than this are refused.
+MAX_STATES = 4096
+
+#: A transition or emission array with more entries than this (512 MiB) is refused.
+MAX_ENTRIES = 2**26
+
 
 @dataclass(frozen=True)
 class Group:
@@ -34,8 +53,8 @@ class Group:
 
     observed: the keys of the evidence, in order. nodes: the network nodes that index the columns.
     sizes: their cardinalities; K is their product. axes: per observed key the positions of its
-    nodes in `nodes`. emission (S, K): P(nodes | joint state). mask (S, K): 0 where a hidden node
-    is observed directly and the column is not the state's own value, else 1.
+    nodes in `nodes`. emission (S, K): P(nodes | joint state). mask (S, K): 0 where the joint state
+    has another value of an observed node than the column, else 1.
     """
 
     observed: tuple[Observed, ...]
@@ -46,16 +65,27 @@ class Group:
     mask: FloatArray
 
 
+@dataclass(frozen=True)
+class Placement:
+    """Where a table goes: `indices` (one broadcastable array per axis of the table) select its
+    entries for the array that `kind` names: "prior", "transition" or "emission" (of `group`)."""
+
+    kind: str
+    group: int
+    indices: tuple[IntArray, ...]
+
+
 @dataclass(frozen=True, eq=False)
 class Compiled:
     """A network as arrays: S joint states, U joint values of the inputs (1 without inputs).
 
-    hidden: every hidden node, persistent ones and functions of them.
-    state_nodes: the persistent nodes, the one of most values last; their values, the first node's
-        slowest, number the joint states.
+    hidden: the nodes that beliefs are about.
+    state_nodes: the nodes of the joint state, the one of most values last; their values, the first
+        node's slowest, number the joint states.
     inputs: the input nodes, the first one's values slowest in U.
     cardinality: of every node.
-    node_value (H, S): the value of each hidden node in each joint state.
+    node_value: the value (S,) that each hidden node, and each other one of the joint state, has in
+        each joint state.
     prior (U, S): the joint state in the first frame, before its evidence.
     transition (U, S, S): row is the state before.
     groups: the emissions.
@@ -69,7 +99,7 @@ class Compiled:
     state_nodes: tuple[str, ...]
     inputs: tuple[str, ...]
     cardinality: Mapping[str, int]
-    node_value: IntArray
+    node_value: Mapping[str, IntArray]
     prior: FloatArray
     transition: FloatArray
     groups: tuple[Group, ...]
@@ -80,7 +110,7 @@ class Compiled:
     @property
     def n_states(self) -> int:
         """Number of joint states."""
-        return int(self.node_value.shape[1])
+        return int(self.prior.shape[1])
 
     @property
     def functions(self) -> tuple[str, ...]:
@@ -97,17 +127,9 @@ class Compiled:
         """The network in pgmpy, declared anew from the tables, with the names of the values."""
         return declare(self.tables.values(), self.observed, self.values)
 
-
-@dataclass(frozen=True)
-class Placement:
-    """Where a conditional table goes: `indices` (one broadcastable array per axis of the table,
-    parents first, node last) select its entries for the array that `kind` names."""
-
-    kind: str
-    group: int
-    parents: tuple[SliceNode, ...]
-    shape: tuple[int, ...]
-    indices: tuple[IntArray, ...]
+    def has_one_table(self, name: str) -> bool:
+        """Whether a node has the same table in the first frame and in all later ones."""
+        return _is_same(self.tables[name, 0], self.tables[name, 1])
 
 
 def compile_network(
@@ -131,11 +153,20 @@ def compile_network(
     declared = read_network(network, transition)
     if hidden is None:
         others = {*inputs, *map(ve_name, observed)}
-        others |= {n for key in observed for n in ((key,) if isinstance(key, str) else key)}
-        names = dict.fromkeys(name for name, _ in declared.tables)
-        hidden = [name for name in names if name == "Lane" or name not in others]
-    roles = Roles(declared.tables, hidden, observed, inputs)
-    return _assemble(roles, _value_names(roles, {**declared.values, **(values or {})}))
+        others |= {n for key in observed for n in _names(key)}
+        nodes = dict.fromkeys(name for name, _ in declared.tables)
+        hidden = [name for name in nodes if name == "Lane" or name not in others]
+    tables, missing = _without_virtual_evidence(declared.tables, observed)
+    names = {**declared.values, **(values or {})}
+    compiled = _compile(tables, tuple(hidden), tuple(observed), tuple(inputs), names)
+    if missing:
+        warnings.warn(
+            f"the network has no {', '.join(missing)}: virtual-evidence nodes that are missing"
+            " are added",
+            UserWarning,
+            stacklevel=2,
+        )
+    return compiled
 
 
 def default_values(node: str, size: int) -> tuple[str, ...]:
@@ -144,155 +175,66 @@ def default_values(node: str, size: int) -> tuple[str, ...]:
     return tuple(map(str, range(first, first + size)))
 
 
-def _value_names(roles: Roles, given: Mapping[str, Sequence[str]]) -> dict[str, tuple[str, ...]]:
-    names = {}
-    for node, size in roles.cardinality.items():
-        if node in roles.ve:
-            continue
-        names[node] = tuple(map(str, given.get(node, default_values(node, size))))
-        if len(set(names[node])) != size or len(names[node]) != size:
-            raise InputError(
-                f"{node}: has {size} values, but their names are {', '.join(names[node])}"
-            )
-    return names
-
-
 def with_tables(compiled: Compiled, tables: Iterable[Table]) -> Compiled:
-    """The same structure with new tables, without touching pgmpy.
+    """The same network with new numbers in some of its tables, without touching pgmpy.
 
-    Raises InputError naming the node whose table is missing, has other parents or another shape,
-    or belongs to the structure: a hidden node that is a function keeps its function.
+    Numbers may change which part a node has: a function may become uncertain, the table of an
+    emission may come to differ between the slices. The arrays are then laid out anew.
+
+    Raises InputError naming the node whose table has other parents or another shape.
     """
-    by_node = {table.node: table for table in tables}
-    for name, s in by_node:
+    now = dict(compiled.tables)
+    for table in tables:
+        name, s = table.node
         if name not in compiled.cardinality:
             raise InputError(f"{name}: the compiled network has no such node (slice {s})")
-    for node, place in compiled.places.items():
-        if node not in by_node:
-            raise InputError(f"{node[0]}: no table for slice {node[1]}")
-        by_node[node] = table = _aligned(by_node[node], place)
-        first = by_node.get((node[0], 0), table)
-        if place.kind == "emission" and first is not table and not same_within(first, table):
-            raise InputError(f"{node[0]}: its table differs between the slices")
-    for node in ((name, s) for name in compiled.functions for s in (0, 1)):
-        fixed = compiled.tables[node]
-        if not _is_equal(by_node.get(node, fixed), fixed):
-            raise InputError(f"{node[0]}: another function needs the network compiled anew")
-    prior, transition, emissions = _fill(compiled, by_node)
+        if table.node in now:  # the others are those of virtual evidence
+            now[table.node] = _like(table, now[table.node])
+    if not _keeps_layout(compiled, now):
+        return _compile(now, compiled.hidden, compiled.observed, compiled.inputs, compiled.values)
+    prior, transition, emissions = _fill(compiled, now)
     groups = tuple(
         replace(group, emission=emission)
         for group, emission in zip(compiled.groups, emissions, strict=True)
     )
-    now = {node: by_node.get(node, table) for node, table in compiled.tables.items()}
     return replace(compiled, prior=prior, transition=transition, groups=groups, tables=now)
 
 
-def _aligned(table: Table, place: Placement) -> Table:
-    """The table with its parents in the order of the compiled one."""
-    if table.parents != place.parents and set(table.parents) == set(place.parents):
-        order = [table.parents.index(p) for p in place.parents]
-        values = table.values.transpose(*order, len(order))
-        table = Table(table.node, place.parents, values)
-    if table.parents != place.parents or table.values.shape != place.shape:
+def _like(table: Table, old: Table) -> Table:
+    """The table with its parents in the order of the old one."""
+    table = _in_order(table, old.parents)
+    if table.parents != old.parents or table.values.shape != old.values.shape:
         raise InputError(
             f"{table.node[0]}: the table has other parents or another shape than before"
         )
     return table
 
 
-def _is_equal(table: Table, other: Table) -> bool:
-    return table.parents == other.parents and np.array_equal(table.values, other.values)
+def _in_order(table: Table, parents: tuple[SliceNode, ...]) -> Table:
+    """The table with its parents in this order, if they are its parents."""
+    if table.parents == parents or sorted(table.parents) != sorted(parents):
+        return table
+    order = [table.parents.index(p) for p in parents]
+    return Table(table.node, parents, table.values.transpose(*order, len(order)))
 
 
-def _assemble(roles: Roles, values: Mapping[str, tuple[str, ...]]) -> Compiled:
-    tables = {node: table for node, table in roles.tables.items() if node[0] not in roles.ve}
-    n_states = len(roles.values[roles.state[0]])
-    n_inputs = math.prod(roles.cardinality[n] for n in roles.inputs)
-    groups = [_group(roles, keys) for keys in _joined(roles)]
-    input_value: dict[str, IntArray] = {}
-    if roles.inputs:
-        sizes = [roles.cardinality[n] for n in roles.inputs]
-        digits = np.indices(sizes).reshape(len(sizes), -1)
-        input_value = dict(zip(roles.inputs, digits, strict=True))
-
-    plan: dict[SliceNode, Placement] = {}
-    for name in roles.state:
-        for s, kind in ((0, "prior"), (1, "transition")):
-            table = tables[name, s]
-            indices = []
-            for node, node_slice in (*table.parents, (name, s)):
-                if node in input_value:
-                    shape = (-1, 1) if s == 0 else (-1, 1, 1)
-                    indices.append(input_value[node].reshape(shape))
-                else:
-                    before = s == 1 and node_slice == 0
-                    shape = (1, -1) if s == 0 else (1, -1, 1) if before else (1, 1, -1)
-                    indices.append(roles.values[node].reshape(shape))
-            plan[name, s] = Placement(kind, -1, table.parents, table.values.shape, tuple(indices))
-    for g, group in enumerate(groups):
-        column = dict(
-            zip(group.nodes, np.indices(group.sizes).reshape(len(group.sizes), -1), strict=True)
-        )
-        for name in group.nodes:
-            if name in roles.values:
-                continue
-            table = tables[name, 1]
-            indices = [
-                column[node][None, :] if node in column else roles.values[node][:, None]
-                for node, _ in (*table.parents, (name, 1))
-            ]
-            plan[name, 1] = Placement(
-                "emission", g, table.parents, table.values.shape, tuple(indices)
-            )
-    blank = Compiled(
-        roles.hidden,
-        roles.state,
-        roles.inputs,
-        roles.cardinality,
-        np.stack([roles.values[name] for name in roles.hidden]),
-        np.ones((n_inputs, n_states)),
-        np.ones((n_inputs, n_states, n_states)),
-        tuple(groups),
-        plan,
-        tables,
-        values,
+def _keeps_layout(compiled: Compiled, now: Mapping[SliceNode, Table]) -> bool:
+    for (name, s), place in compiled.places.items():
+        if place.kind == "emission" and not _is_same(now[name, 0], now[name, s]):
+            return False
+    return all(
+        np.array_equal(now[name, s].values, compiled.tables[name, s].values)
+        for name in compiled.functions
+        for s in (0, 1)
     )
-    return with_tables(blank, tables.values())
 
 
-def _joined(roles: Roles) -> list[list[Observed]]:
-    """Evidence keys that must share one emission table: those whose unobserved variables are
-    linked by an edge or by a common virtual-evidence node. In the order declared: Jeffrey's rule
-    does not commute."""
-    clusters: list[tuple[set[str], list[Observed]]] = []
-    for key in roles.observed:
-        leaves = {n for n in roles.ve[ve_name(key)] if n in roles.leaves}
-        linked = leaves | {
-            p for n in leaves for p, _ in roles.tables[n, 1].parents if p in roles.leaves
-        }
-        keys: list[Observed] = [key]
-        apart = []
-        for nodes, others in clusters:
-            if nodes & linked:
-                linked |= nodes
-                keys = others + keys
-            else:
-                apart.append((nodes, others))
-        clusters = [*apart, (linked, keys)]
-    joined = [sorted(keys, key=roles.observed.index) for _, keys in clusters]
-    return sorted(joined, key=lambda keys: roles.observed.index(keys[0]))
-
-
-def _group(roles: Roles, keys: list[Observed]) -> Group:
-    nodes = tuple(dict.fromkeys(n for key in keys for n in roles.ve[ve_name(key)]))
-    sizes = tuple(roles.cardinality[n] for n in nodes)
-    axes = tuple(tuple(nodes.index(n) for n in roles.ve[ve_name(key)]) for key in keys)
-    mask = np.ones((len(roles.values[roles.state[0]]), math.prod(sizes)))
-    columns = np.indices(sizes).reshape(len(sizes), -1)
-    for k, name in enumerate(nodes):
-        if name in roles.values:
-            mask *= roles.values[name][:, None] == columns[k][None, :]
-    return Group(tuple(keys), nodes, sizes, axes, mask, mask)
+def _is_same(first: Table, later: Table) -> bool:
+    """Whether two tables of one node, with their parents in the same order, say the same of their
+    own slices."""
+    return later.parents == tuple((p, 1) for p, _ in first.parents) and (
+        first.values is later.values or np.allclose(first.values, later.values, rtol=0, atol=1e-12)
+    )
 
 
 def _fill(
@@ -308,173 +250,116 @@ def _fill(
     return prior, transition, emissions
 
 
-#: The nodes whose values are lanes.
-LANES = ("Lane", "DetectorOutput")
-
-#: More joint states than this are refused.
-MAX_STATES = 4096
-
-#: A transition or emission array with more entries than this (512 MiB) is refused.
-MAX_ENTRIES = 2**26
+# --- which node has which part --------------------------------------------------------------------
 
 
-class Roles:
-    """Which node is what; raises InputError where the declaration and the tables disagree."""
+def _without_virtual_evidence(
+    tables: Mapping[SliceNode, Table], observed: Sequence[Observed]
+) -> tuple[dict[SliceNode, Table], list[str]]:
+    """The tables of all other nodes, and the virtual-evidence nodes that the network lacks."""
+    ve = {ve_name(key): _names(key) for key in observed}
+    kept = {node: table for node, table in tables.items() if node[0] not in ve}
+    for table in kept.values():
+        for parent, _ in table.parents:
+            if parent in ve:
+                raise InputError(f"{parent}: a virtual-evidence node may not have children")
+    for (name, s), table in tables.items():
+        if name not in ve:
+            continue
+        if table.values.shape[-1] != 2:
+            raise InputError(f"{name}: a virtual-evidence node is binary")
+        if set(table.parents) != {(n, s) for n in ve[name]}:
+            raise InputError(f"{name}: its parents must be {', '.join(ve[name])} in the same slice")
+    return kept, [name for name in ve if (name, 0) not in tables]
 
-    def __init__(
-        self,
-        tables: Mapping[SliceNode, Table],
-        hidden: Sequence[str],
-        observed: Sequence[Observed],
-        inputs: Sequence[str],
-    ) -> None:
-        self.tables = tables
-        self.hidden = tuple(hidden)
-        self.observed = tuple(observed)
-        self.inputs = tuple(inputs)
-        self.cardinality = {name: t.values.shape[-1] for (name, _), t in tables.items()}
-        names = set(self.cardinality)
-        self.ve = {ve_name(key): (key,) if isinstance(key, str) else key for key in observed}
-        listed = [n for key in self.ve.values() for n in key]
-        repeats = [*_repeats(hidden), *_repeats(inputs), *_repeats(map(ve_name, observed))]
-        for name in (*repeats, *(n for key in self.ve.values() for n in _repeats(key))):
-            raise InputError(f"{name}: declared more than once")
-        for name in (*hidden, *inputs, *listed):
-            if name not in names:
-                raise InputError(
-                    f"{name}: declared, but not a node of the network{suggestion(name, names)}"
-                )
-        known = {*hidden, *inputs, *listed, *self.ve}
-        for name in sorted(names - known):
-            raise InputError(f"{name}: neither hidden, observed, input nor virtual evidence")
-        across = {
-            name
-            for (child, s), table in tables.items()
-            for parent, ps in table.parents
-            if s == 1 and ps == 0
-            for name in (parent, child)
-        }
-        # The node of most values last: those of its values that follow each other are then next to
-        # each other in memory.
-        persistent = [name for name in hidden if name in across]
-        self.state = tuple(sorted(persistent, key=self.cardinality.__getitem__))
-        self.functions = tuple(name for name in hidden if name not in across)
-        self.leaves = tuple(dict.fromkeys(n for n in listed if n not in hidden))
-        self._check_leaves(across)
-        self._check_inputs(across)
-        self._check_ve()
-        self._add_ve()
-        if not self.state:
+
+def _names(key: Observed) -> tuple[str, ...]:
+    return (key,) if isinstance(key, str) else key
+
+
+@dataclass(frozen=True)
+class _Parts:
+    """Which node has which part. functions: each one behind those that it is a function of.
+    tables: with the parents in the same order in both slices, where the node has one table."""
+
+    tables: Mapping[SliceNode, Table]
+    hidden: tuple[str, ...]
+    observed: tuple[Observed, ...]
+    inputs: tuple[str, ...]
+    functions: tuple[str, ...]
+    emissions: frozenset[str]
+    state: tuple[str, ...]
+
+    @property
+    def cardinality(self) -> dict[str, int]:
+        """How many values each node has."""
+        return {name: t.values.shape[-1] for (name, s), t in self.tables.items() if s == 0}
+
+
+def _parts(
+    tables: Mapping[SliceNode, Table],
+    hidden: tuple[str, ...],
+    observed: tuple[Observed, ...],
+    inputs: tuple[str, ...],
+) -> _Parts:
+    """The parts of the nodes. Raises InputError where the declaration and the tables disagree."""
+    nodes = tuple(dict.fromkeys(n for key in observed for n in _names(key)))
+    _check_names({name for name, _ in tables}, hidden, observed, nodes, inputs)
+    order = _order_within(tables)
+    _check_inputs(tables, hidden, nodes, inputs)
+    aligned = {}
+    for (name, s), table in tables.items():
+        later = tuple((p, s) for p, _ in tables[name, 1].parents)
+        aligned[name, s] = _in_order(table, later)
+    plain = {
+        name
+        for name in order
+        if _is_same(aligned[name, 0], aligned[name, 1])
+        and not any(p in inputs for p, _ in aligned[name, 1].parents)
+    }
+    emissions = {name for name in nodes if name in plain and name not in hidden}
+    while given := {
+        parent
+        for (child, _), table in tables.items()
+        for parent, _ in table.parents
+        if child not in emissions and parent in emissions
+    }:
+        emissions -= given
+    looked_back_at = {p for (_, s), t in tables.items() for p, ps in t.parents if ps < s}
+    functions = tuple(
+        name
+        for name in order
+        if name in hidden
+        and name in plain
+        and name not in looked_back_at
+        and np.isin(tables[name, 1].values, (0.0, 1.0)).all()
+    )
+    others = [n for n in dict.fromkeys((*hidden, *nodes)) if n not in {*functions, *emissions}]
+    # The node of most values last: those of its values that follow each other are then next to
+    # each other in memory.
+    state = tuple(sorted(others, key=lambda name: tables[name, 0].values.shape[-1]))
+    return _Parts(aligned, hidden, observed, inputs, functions, frozenset(emissions), state)
+
+
+def _check_names(
+    names: set[str],
+    hidden: Sequence[str],
+    observed: Sequence[Observed],
+    nodes: Sequence[str],
+    inputs: Sequence[str],
+) -> None:
+    repeats = [*_repeats(hidden), *_repeats(inputs), *_repeats(map(ve_name, observed))]
+    for name in (*repeats, *(n for key in observed for n in _repeats(_names(key)))):
+        raise InputError(f"{name}: declared more than once")
+    for name in (*hidden, *inputs, *nodes):
+        if name not in names:
             raise InputError(
-                f"no hidden node ({', '.join(hidden) or 'none declared'}) has an edge across the"
-                " slices, so there is nothing to filter"
+                f"{name}: declared, but not a node of the network{suggestion(name, names)}"
             )
-        self._check_size()
-        digits = np.indices([self.cardinality[n] for n in self.state]).reshape(len(self.state), -1)
-        self.values: dict[str, IntArray] = dict(zip(self.state, digits, strict=True))
-        self._add_functions()
-
-    def _check_size(self) -> None:
-        n_states = math.prod(self.cardinality[n] for n in self.state)
-        if n_states > MAX_STATES:
-            raise InputError(
-                f"the joint hidden state has {n_states} values ({self._sizes(self.state)}), more"
-                f" than {MAX_STATES}"
-            )
-        n_inputs = math.prod(self.cardinality[n] for n in self.inputs)
-        if n_inputs * n_states**2 > MAX_ENTRIES:
-            raise InputError(
-                f"the transition has {n_inputs} x {n_states} x {n_states} entries"
-                f" ({self._sizes((*self.inputs, *self.state))}), more than {MAX_ENTRIES}"
-            )
-        for of in self.ve.values():
-            if n_states * math.prod(self.cardinality[n] for n in of) > MAX_ENTRIES:
-                raise InputError(
-                    f"{', '.join(of)}: {self._sizes(of)} values for {n_states} joint states are"
-                    f" more than {MAX_ENTRIES} entries"
-                )
-
-    def _sizes(self, names: Iterable[str]) -> str:
-        return " x ".join(f"{n} {self.cardinality[n]}" for n in names)
-
-    def _check_leaves(self, across: set[str]) -> None:
-        for name in self.leaves:
-            if name in across:
-                raise InputError(f"{name}: observed nodes may not have edges across the slices")
-            if name in self.inputs:
-                raise InputError(f"{name}: is declared both observed and input")
-            first, later = self.tables[name, 0], self.tables[name, 1]
-            if not same_within(first, later):
-                raise InputError(f"{name}: its table differs between the slices")
-            for parent, _ in first.parents:
-                if parent in self.inputs:
-                    raise InputError(f"{name}: an observed node may not depend on input {parent}")
-        for (child, _), table in self.tables.items():
-            for parent, _ in table.parents:
-                if parent in self.leaves and child in self.hidden:
-                    raise InputError(f"{child}: a hidden node may not depend on observed {parent}")
-
-    def _check_inputs(self, across: set[str]) -> None:
-        for name in self.inputs:
-            if name in self.hidden:
-                raise InputError(f"{name}: is declared both hidden and input")
-            if self.tables[name, 0].parents or self.tables[name, 1].parents:
-                raise InputError(f"{name}: an input node may not have parents")
-            if name in across:
-                raise InputError(f"{name}: an input acts within its slice only")
-
-    def _check_ve(self) -> None:
-        for name, of in self.ve.items():
-            if name not in self.cardinality:
-                continue
-            if self.cardinality[name] != 2:
-                raise InputError(f"{name}: a virtual-evidence node is binary")
-            for s in (0, 1):
-                if set(self.tables[name, s].parents) != {(n, s) for n in of}:
-                    raise InputError(
-                        f"{name}: its parents must be {', '.join(of)} in the same slice"
-                    )
-            if any(p == name for t in self.tables.values() for p, _ in t.parents):
-                raise InputError(f"{name}: a virtual-evidence node may not have children")
-
-    def _add_ve(self) -> None:
-        missing = [name for name in self.ve if name not in self.cardinality]
-        for name in missing:
-            self.cardinality[name] = 2
-        if missing:
-            warnings.warn(
-                f"the network has no {', '.join(missing)}: virtual-evidence nodes that are missing"
-                " are added",
-                UserWarning,
-                stacklevel=4,
-            )
-
-    def _add_functions(self) -> None:
-        waiting = list(self.functions)
-        while waiting:
-            ready = [
-                name
-                for name in waiting
-                if all(p in self.values for p, _ in self.tables[name, 1].parents)
-            ]
-            if not ready:
-                raise InputError(
-                    f"{waiting[0]}: a hidden node without an edge across the slices must be a"
-                    " function of other hidden nodes in its slice"
-                )
-            for name in ready:
-                table = self.tables[name, 1]
-                if not same_within(self.tables[name, 0], table):
-                    raise InputError(f"{name}: its table differs between the slices")
-                if not np.isin(table.values, (0.0, 1.0)).all():
-                    raise InputError(
-                        f"{name}: a hidden node without an edge across the slices must be a"
-                        " deterministic function of its parents (a table of zeros and ones)"
-                    )
-                index = tuple(self.values[p] for p, _ in table.parents)
-                value = np.asarray(table.values.argmax(axis=-1))[index]
-                self.values[name] = np.broadcast_to(value, self.values[self.state[0]].shape)
-                waiting.remove(name)
+    for name in sorted(names - {*hidden, *inputs, *nodes}):
+        raise InputError(f"{name}: neither hidden, observed, input nor virtual evidence")
+    if not hidden:
+        raise InputError("no hidden node is declared, so there is nothing to filter")
 
 
 def _repeats(names: Iterable[str]) -> list[str]:
@@ -483,15 +368,191 @@ def _repeats(names: Iterable[str]) -> list[str]:
     return [n for n in names if n in seen or seen.add(n)]  # type: ignore[func-returns-value]
 
 
-def same_within(first: Table, later: Table) -> bool:
-    """Whether two tables of one node say the same of their own slices, whatever the axis order."""
-    names = [p for p, _ in first.parents]
-    others = [p for p, _ in later.parents]
-    if set(names) != set(others) or any(s != 1 for _, s in later.parents):
-        return False
-    if names == others and first.values is later.values:
-        return True
-    aligned = later.values.transpose(*(others.index(n) for n in names), len(names))
-    return first.values.shape == aligned.shape and bool(
-        np.allclose(first.values, aligned, rtol=0, atol=1e-12)
+def _order_within(tables: Mapping[SliceNode, Table]) -> list[str]:
+    """The nodes, each one behind its parents in the slice of later frames."""
+    parents = {
+        name: [p for p, ps in table.parents if ps == 1]
+        for (name, s), table in tables.items()
+        if s == 1
+    }
+    return list(TopologicalSorter(parents).static_order())
+
+
+def _check_inputs(
+    tables: Mapping[SliceNode, Table],
+    hidden: Sequence[str],
+    nodes: Sequence[str],
+    inputs: Sequence[str],
+) -> None:
+    for name in inputs:
+        for declared, what in ((hidden, "hidden"), (nodes, "observed")):
+            if name in declared:
+                raise InputError(f"{name}: is declared both {what} and input")
+        if tables[name, 0].parents or tables[name, 1].parents:
+            raise InputError(f"{name}: an input node may not have parents")
+        if any((name, 0) in t.parents for (_, s), t in tables.items() if s == 1):
+            raise InputError(f"{name}: an input acts within its slice only")
+
+
+# --- arrays ---------------------------------------------------------------------------------------
+
+
+def _compile(
+    tables: Mapping[SliceNode, Table],
+    hidden: tuple[str, ...],
+    observed: tuple[Observed, ...],
+    inputs: tuple[str, ...],
+    names: Mapping[str, Sequence[str]],
+) -> Compiled:
+    parts = _parts(tables, hidden, observed, inputs)
+    cardinality = parts.cardinality
+    _check_size(parts, cardinality)
+    values = _value_names(cardinality, names)
+    node_value = _node_values(parts, cardinality)
+    n_states = math.prod(cardinality[n] for n in parts.state)
+    groups = tuple(_group(keys, cardinality, node_value, n_states) for keys in _joined(parts))
+    sizes = [cardinality[n] for n in inputs]
+    n_inputs = math.prod(sizes)
+    input_value = dict(zip(inputs, np.indices(sizes).reshape(len(sizes), n_inputs), strict=True))
+    blank = Compiled(
+        hidden,
+        parts.state,
+        inputs,
+        {**cardinality, **{ve_name(key): 2 for key in observed}},
+        node_value,
+        np.ones((n_inputs, n_states)),
+        np.ones((n_inputs, n_states, n_states)),
+        groups,
+        _places(parts, groups, node_value, input_value),
+        parts.tables,
+        values,
     )
+    return with_tables(blank, ())
+
+
+def _check_size(parts: _Parts, cardinality: Mapping[str, int]) -> None:
+    def sizes(names: Iterable[str]) -> str:
+        return " x ".join(f"{n} {cardinality[n]}" for n in names)
+
+    if not parts.state:
+        raise InputError(
+            f"every hidden node ({', '.join(parts.hidden)}) is a constant, so there is nothing to"
+            " filter"
+        )
+    n_states = math.prod(cardinality[n] for n in parts.state)
+    if n_states > MAX_STATES:
+        seen = [n for n in parts.state if n not in parts.hidden]
+        why = f"; {', '.join(seen)}: observed, but no plain emission" if seen else ""
+        raise InputError(
+            f"the joint state has {n_states} values ({sizes(parts.state)}), more than"
+            f" {MAX_STATES}{why}"
+        )
+    n_inputs = math.prod(cardinality[n] for n in parts.inputs)
+    if n_inputs * n_states**2 > MAX_ENTRIES:
+        raise InputError(
+            f"the transition has {n_inputs} x {n_states} x {n_states} entries"
+            f" ({sizes((*parts.inputs, *parts.state))}), more than {MAX_ENTRIES}"
+        )
+    for key in parts.observed:
+        of = _names(key)
+        if n_states * math.prod(cardinality[n] for n in of) > MAX_ENTRIES:
+            raise InputError(
+                f"{', '.join(of)}: {sizes(of)} values for {n_states} joint states are more than"
+                f" {MAX_ENTRIES} entries"
+            )
+
+
+def _value_names(
+    cardinality: Mapping[str, int], given: Mapping[str, Sequence[str]]
+) -> dict[str, tuple[str, ...]]:
+    names = {}
+    for node, size in cardinality.items():
+        names[node] = tuple(map(str, given.get(node, default_values(node, size))))
+        if len(set(names[node])) != size or len(names[node]) != size:
+            raise InputError(
+                f"{node}: has {size} values, but their names are {', '.join(names[node])}"
+            )
+    return names
+
+
+def _node_values(parts: _Parts, cardinality: Mapping[str, int]) -> dict[str, IntArray]:
+    sizes = [cardinality[n] for n in parts.state]
+    digits = np.indices(sizes).reshape(len(sizes), -1)
+    values: dict[str, IntArray] = dict(zip(parts.state, digits, strict=True))
+    for name in parts.functions:
+        table = parts.tables[name, 1]
+        index = tuple(values[p] for p, _ in table.parents)
+        value = np.asarray(table.values.argmax(axis=-1))[index]
+        values[name] = np.broadcast_to(value, digits.shape[1:])
+    return values
+
+
+def _joined(parts: _Parts) -> list[list[Observed]]:
+    """Evidence keys that must share one emission table: those whose plain emissions are linked by
+    an edge or by a common virtual-evidence node. In the order declared: Jeffrey's rule does not
+    commute."""
+    clusters: list[tuple[set[str], list[Observed]]] = []
+    for key in parts.observed:
+        leaves = {n for n in _names(key) if n in parts.emissions}
+        linked = leaves | {
+            p for n in leaves for p, _ in parts.tables[n, 1].parents if p in parts.emissions
+        }
+        keys: list[Observed] = [key]
+        apart = []
+        for nodes, others in clusters:
+            if nodes & linked:
+                linked |= nodes
+                keys = others + keys
+            else:
+                apart.append((nodes, others))
+        clusters = [*apart, (linked, keys)]
+    joined = [sorted(keys, key=parts.observed.index) for _, keys in clusters]
+    return sorted(joined, key=lambda keys: parts.observed.index(keys[0]))
+
+
+def _group(
+    keys: list[Observed],
+    cardinality: Mapping[str, int],
+    node_value: Mapping[str, IntArray],
+    n_states: int,
+) -> Group:
+    nodes = tuple(dict.fromkeys(n for key in keys for n in _names(key)))
+    sizes = tuple(cardinality[n] for n in nodes)
+    axes = tuple(tuple(nodes.index(n) for n in _names(key)) for key in keys)
+    mask = np.ones((n_states, math.prod(sizes)))
+    columns = np.indices(sizes).reshape(len(sizes), -1)
+    for name, column in zip(nodes, columns, strict=True):
+        if name in node_value:
+            mask *= node_value[name][:, None] == column
+    return Group(tuple(keys), nodes, sizes, axes, mask, mask)
+
+
+def _places(
+    parts: _Parts,
+    groups: Sequence[Group],
+    node_value: Mapping[str, IntArray],
+    input_value: Mapping[str, IntArray],
+) -> dict[SliceNode, Placement]:
+    places: dict[SliceNode, Placement] = {}
+    for name in parts.state:
+        for s, kind in ((0, "prior"), (1, "transition")):
+            indices = []
+            for node, of in (*parts.tables[name, s].parents, (name, s)):
+                if node in input_value:
+                    shape = (-1, 1) if s == 0 else (-1, 1, 1)
+                    indices.append(input_value[node].reshape(shape))
+                else:
+                    shape = (1, -1) if s == 0 else (1, -1, 1) if of == 0 else (1, 1, -1)
+                    indices.append(node_value[node].reshape(shape))
+            places[name, s] = Placement(kind, -1, tuple(indices))
+    for g, group in enumerate(groups):
+        columns = np.indices(group.sizes).reshape(len(group.sizes), -1)
+        column = dict(zip(group.nodes, columns, strict=True))
+        for name in group.nodes:
+            if name in parts.emissions:
+                index = tuple(
+                    column[node][None, :] if node in column else node_value[node][:, None]
+                    for node, _ in (*parts.tables[name, 1].parents, (name, 1))
+                )
+                places[name, 1] = Placement("emission", g, index)
+    return places

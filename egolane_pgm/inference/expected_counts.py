@@ -8,8 +8,9 @@ before it is flagged; both are left out there, as the filters leave out evidence
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 
@@ -39,19 +40,20 @@ class Expected:
     is_impossible: BoolArray
 
 
-def counted_tables(compiled: Compiled, tables: Iterable[Table]) -> dict[SliceNode, Table]:
-    """The tables that can be counted, with their axes in the compiled order: those of the first
-    frame (slice 0) and of later ones (slice 1) of the nodes that persist, and those of observed
-    nodes, once (slice 1). Functions and tables that an input selects are not among them."""
-    by_node = {table.node: table for table in tables}
-    found = {}
-    for node, place in compiled.places.items():
-        if not any(parent in compiled.inputs for parent, _ in place.parents):
-            table = by_node[node]
-            order = [table.parents.index(p) for p in place.parents]
-            values = table.values.transpose(*order, len(order))
-            found[node] = Table(node, place.parents, np.ascontiguousarray(values))
-    return found
+def counted_tables(compiled: Compiled) -> dict[SliceNode, Table]:
+    """The tables that can be counted: that of the first frame (slice 0) and that of later ones
+    (slice 1) of a node that has two, else the one (slice 1). Functions and tables that an input
+    selects are not among them."""
+    return {
+        node: compiled.tables[node]
+        for node in map(partial(_counted, compiled), compiled.places)
+        if not any(parent in compiled.inputs for parent, _ in compiled.tables[node].parents)
+    }
+
+
+def _counted(compiled: Compiled, node: SliceNode) -> SliceNode:
+    """The table that a use of this node's table counts for."""
+    return (node[0], 1) if compiled.has_one_table(node[0]) else node
 
 
 def expected_counts(
@@ -73,8 +75,7 @@ def expected_counts(
     n_frames, n_states = len(evidence), compiled.n_states
     likelihood, log_scale = state_likelihood(compiled, blocks)
     for node, value in (known or {}).items():
-        in_state = compiled.node_value[compiled.hidden.index(node)]
-        likelihood *= (value[:, None] == in_state) | (value == FREE)[:, None]
+        likelihood *= (value[:, None] == compiled.node_value[node]) | (value == FREE)[:, None]
     begins = np.zeros(n_frames, dtype=bool) if is_first is None else is_first.copy()
     begins[:1] = True
     filtered, log_evidence, is_impossible = forward(compiled, likelihood, log_scale, index, begins)
@@ -89,14 +90,14 @@ def expected_counts(
     seen = [
         _seen(group, block, smoothed) for group, block in zip(compiled.groups, blocks, strict=True)
     ]
-    counts: dict[SliceNode, FloatArray] = {}
-    for counted, place in compiled.places.items():
-        if any(parent in compiled.inputs for parent, _ in place.parents):
-            continue
-        array = seen[place.group] if place.kind == "emission" else array_of[place.kind]
-        counts[counted] = count = np.zeros(place.shape)
-        indices = tuple(np.broadcast_to(index, array.shape) for index in place.indices)
-        np.add.at(count, indices, array)
+    tables = counted_tables(compiled)
+    counts = {of: np.zeros(table.values.shape) for of, table in tables.items()}
+    for used, place in compiled.places.items():
+        counted = _counted(compiled, used)
+        if counted in counts:
+            array = seen[place.group] if place.kind == "emission" else array_of[place.kind]
+            indices = tuple(np.broadcast_to(index, array.shape) for index in place.indices)
+            np.add.at(counts[counted], indices, array)
     return Expected(counts, float(log_evidence.sum()), is_impossible)
 
 

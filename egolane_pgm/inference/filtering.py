@@ -235,7 +235,7 @@ def forward(
         transition,
         index,
         likelihood,
-        arrays.persistent,
+        arrays.column,
         beliefs,
         total,
         is_impossible,

@@ -58,7 +58,7 @@ def run_jeffrey(
         start,
         group,
         value,
-        layout(compiled).persistent,
+        layout(compiled).column,
         beliefs,
         log_evidence,
         is_impossible,

@@ -6,7 +6,7 @@ import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import lru_cache
-from itertools import accumulate
+from itertools import accumulate, pairwise
 
 import numpy as np
 
@@ -43,10 +43,11 @@ class FilterState:
 class Layout:
     """What the kernels need to know of a network, besides its tables and whatever the evidence.
 
-    nodes: the hidden nodes in the order of the marginals' columns, persistent nodes first.
-    column (H, S): for each node the column of the marginals that belongs to its value in each joint
-        state. persistent (P, S): the same for the persistent nodes alone, columns as a tuple.
-    indicator (S, M): joint beliefs (T, S) times this are the marginals (T, M).
+    nodes: the hidden nodes, those of the joint state first.
+    indicator (S, M): joint beliefs (T, S) times this are the marginals of these nodes, one behind
+        the other (T, M).
+    column (N, S): the values of all nodes of the joint state are numbered through; this is the
+        number of each node's value in each joint state. columns: the same as a tuple.
     emissions: for each group of observed nodes its emission table, transposed, (K, S).
     only: for each group the one column that each joint state shows for certain (S,), or None where
         a state may show several.
@@ -54,10 +55,9 @@ class Layout:
     """
 
     nodes: tuple[str, ...]
-    column: IntArray
-    persistent: IntArray
-    columns: tuple[tuple[int, ...], ...]
     indicator: FloatArray
+    column: IntArray
+    columns: tuple[tuple[int, ...], ...]
     emissions: tuple[FloatArray, ...]
     only: tuple[IntArray | None, ...]
     band: Band | None
@@ -66,22 +66,18 @@ class Layout:
 @lru_cache(maxsize=16)
 def layout(compiled: Compiled) -> Layout:
     """The layout of a network. Remembered, since an online filter asks for it in every frame."""
-    nodes = (*compiled.state_nodes, *compiled.functions)
-    columns, width = [], 0
-    for name in nodes:
-        columns.append(width + compiled.node_value[compiled.hidden.index(name)])
-        width += compiled.cardinality[name]
-    indicator = np.zeros((compiled.n_states, width))
-    column = np.array(columns, dtype=np.int64)
-    for row in column:
-        indicator[np.arange(compiled.n_states), row] = 1.0
-    persistent = column[: len(compiled.state_nodes)]
+    in_state = [name for name in compiled.state_nodes if name in compiled.hidden]
+    nodes = (*in_state, *compiled.functions)
+    size = compiled.cardinality
+    is_value = [compiled.node_value[name][:, None] == np.arange(size[name]) for name in nodes]
+    starts = accumulate((size[name] for name in compiled.state_nodes), initial=0)
+    numbers = zip(compiled.state_nodes, starts, strict=False)
+    column = np.array([start + compiled.node_value[n] for n, start in numbers], dtype=np.int64)
     return Layout(
         nodes,
+        np.concatenate(is_value, axis=1, dtype=np.float64),
         column,
-        persistent,
-        tuple(map(tuple, persistent.tolist())),
-        indicator,
+        tuple(map(tuple, column.tolist())),
         tuple(np.ascontiguousarray(group.emission.T) for group in compiled.groups),
         tuple(_only_column(group.emission) for group in compiled.groups),
         find_band(compiled),
@@ -97,22 +93,22 @@ def _only_column(emission: FloatArray) -> IntArray | None:
 
 def marginals_of(compiled: Compiled, joint: FloatArray) -> dict[str, FloatArray]:
     """The marginals of every hidden node, (T, cardinality) each, of joint beliefs (T, S)."""
-    arrays = layout(compiled)
-    sizes = [compiled.cardinality[name] for name in arrays.nodes]
-    stops = list(accumulate(sizes))
+    arrays, size = layout(compiled), compiled.cardinality
+    stops = accumulate((size[name] for name in arrays.nodes), initial=0)
+    parts = {name: slice(*ends) for name, ends in zip(arrays.nodes, pairwise(stops), strict=True)}
     if compiled.n_states <= MAX_MATRIX_STATES:
         marginals = joint @ arrays.indicator
-        ends = zip(arrays.nodes, [0, *stops], stops, strict=False)
-        return {name: marginals[:, start:stop] for name, start, stop in ends}
+        return {name: marginals[:, part] for name, part in parts.items()}
     nodes = {}
-    for k, (name, stop) in enumerate(zip(arrays.nodes, stops, strict=True)):
+    for name, part in parts.items():
         if name in compiled.state_nodes:
-            before = math.prod(sizes[:k])
-            after = compiled.n_states // (before * sizes[k])
-            by_value = joint.reshape(len(joint), before, sizes[k], after)
+            k = compiled.state_nodes.index(name)
+            before = math.prod(size[n] for n in compiled.state_nodes[:k])
+            after = compiled.n_states // (before * size[name])
+            by_value = joint.reshape(len(joint), before, size[name], after)
             nodes[name] = by_value.sum(axis=(1, 3))
         else:
-            nodes[name] = joint @ arrays.indicator[:, stop - sizes[k] : stop]
+            nodes[name] = joint @ arrays.indicator[:, part]
     return nodes
 
 

@@ -79,10 +79,7 @@ def viterbi_path(
             log_likelihood = np.log(passed.likelihood)
             log_prior, log_transition = np.log(compiled.prior), np.log(compiled.transition)
         total = best_path(log_prior, log_transition, log_likelihood, passed.index, states)
-    values = {
-        name: np.asarray(value[states])
-        for name, value in zip(compiled.hidden, compiled.node_value, strict=True)
-    }
+    values = {name: compiled.node_value[name][states] for name in compiled.hidden}
     return Path(ids, values, float(total + passed.log_scale.sum()), passed.is_impossible)
 
 

@@ -8,7 +8,7 @@ it is used; an entry that is zero is a statement about the structure and stays z
 
 from __future__ import annotations
 
-from collections.abc import Container, Mapping, Sequence
+from collections.abc import Container, Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -33,6 +33,7 @@ class Fitted:
     """What EM found.
 
     tables: those of `counted_tables`, learned or left as they were.
+    compiled: the network with these tables.
     log_posterior (I,): log evidence plus log prior (0 for the starting tables), before each
         iteration and after the last.
     is_impossible (T,): marks frames whose evidence, together with what is known, the tables do not
@@ -40,13 +41,13 @@ class Fitted:
     """
 
     tables: Mapping[SliceNode, Table]
+    compiled: Compiled
     log_posterior: FloatArray
     is_impossible: BoolArray
 
 
 def fit_tables(
     compiled: Compiled,
-    tables: Sequence[Table],
     evidence: Evidence,
     known: Mapping[str, IntArray] | None = None,
     is_first: BoolArray | None = None,
@@ -55,51 +56,48 @@ def fit_tables(
     strength: float = 100.0,
     iterations: int = 200,
 ) -> Fitted:
-    """The most probable tables, by EM from `tables`.
+    """The most probable tables, by EM from those of the compiled network.
 
-    known, is_first: as `expected_counts`. nodes: whose tables are learned, default all that can
-    be. strength: of the prior, frames per row. Raises InputError as `expected_counts`.
+    - known, is_first: as `expected_counts`.
+    - nodes: whose tables are learned, by default all that can be.
+    - strength: of the prior, frames per row.
+
+    A node that has the same table in the first frame and later keeps one table. Raises InputError
+    as `expected_counts`.
 
     >>> import egolane_pgm as ego
     >>> place = ego.experiments_folder() / "quickstart.yaml"
     >>> run = ego.run(place, overrides={"recording.frames": [0, 300]})
-    >>> compiled = run.model.compiled
-    >>> tables = list(compiled.tables.values())
-    >>> fitted = ego.fit_tables(compiled, tables, run.evidence, iterations=3)
+    >>> fitted = ego.fit_tables(run.model.compiled, run.evidence, iterations=3)
     >>> bool(fitted.log_posterior[-1] > fitted.log_posterior[0])
     True
     """
-    start = counted_tables(compiled, tables)
+    start = counted_tables(compiled)
     now = dict(start)
     history: list[float] = []
     enough = TOLERANCE * max(1, len(evidence))
     while True:
-        changed = with_tables(compiled, with_changed(compiled, tables, now))
-        expected = expected_counts(changed, evidence, known, is_first)
+        learned = with_learned(compiled, now)
+        expected = expected_counts(learned, evidence, known, is_first)
         history.append(expected.log_evidence + strength * _log_prior(start, now))
         is_still = len(history) > 1 and history[-1] - history[-2] <= enough
         if is_still or len(history) > iterations:
-            return Fitted(now, np.array(history), expected.is_impossible)
+            return Fitted(now, learned, np.array(history), expected.is_impossible)
         for node, table in start.items():
             if nodes is None or node[0] in nodes:
                 rows = _most_probable(expected.counts[node], table.values, strength)
                 now[node] = Table(node, table.parents, rows)
 
 
-def with_changed(
-    compiled: Compiled, tables: Sequence[Table], changed: Mapping[SliceNode, Table]
-) -> list[Table]:
-    """All tables, some of them changed; that of an observed node changes in both slices."""
-    every = []
-    for table in tables:
-        name, s = table.node
-        new = changed.get(table.node)
-        place = compiled.places.get((name, 1))
-        if s == 0 and (name, 1) in changed and place is not None and place.kind == "emission":
-            later = changed[name, 1]
-            new = Table(table.node, tuple((p, 0) for p, _ in later.parents), later.values)
-        every.append(table if new is None else new)
-    return every
+def with_learned(compiled: Compiled, learned: Mapping[SliceNode, Table]) -> Compiled:
+    """The network with some of its `counted_tables` changed; of a node that has one table, that of
+    the first frame as well."""
+    first = [
+        Table((name, 0), tuple((parent, 0) for parent, _ in table.parents), table.values)
+        for (name, s), table in learned.items()
+        if s == 1 and compiled.has_one_table(name)
+    ]
+    return with_tables(compiled, [*first, *learned.values()])
 
 
 def _most_probable(counts: FloatArray, start: FloatArray, strength: float) -> FloatArray:

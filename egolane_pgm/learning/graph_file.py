@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
 
-from egolane_pgm.graphs.cpds import SliceNode, Table, ve_name
+from egolane_pgm.graphs.cpds import SliceNode, Table
 from egolane_pgm.inference.compile import default_values
 from egolane_pgm.model import Model
 from egolane_pgm.types import FloatArray
@@ -16,14 +15,13 @@ from egolane_pgm.types import FloatArray
 _DIGITS = 12
 
 
-def graph_yaml(model: Model, tables: Sequence[Table], description: str) -> dict[str, Any]:
-    """The keys of a YAML graph with the nodes and edges of the model's graph and these tables.
+def graph_yaml(model: Model, description: str) -> dict[str, Any]:
+    """The keys of a YAML graph with the nodes and edges of the model's graph and its tables.
 
     It is for the model's number of lanes only, and has no parameters.
     """
     compiled, roles = model.compiled, model.roles
-    left_out = {*map(ve_name, roles.observed)}
-    by_node = {table.node: table for table in tables if table.node[0] not in left_out}
+    by_node = compiled.tables
     names = list(dict.fromkeys(name for name, _ in by_node))
     across: list[str] = []
     within: list[str] = []
@@ -44,18 +42,14 @@ def graph_yaml(model: Model, tables: Sequence[Table], description: str) -> dict[
         "unused": [list(key) if isinstance(key, tuple) else key for key in roles.unused],
         "edges": {"within": within, "across": across},
         "tables": {
-            name: _table(by_node[name, 0], by_node[name, 1], name in compiled.state_nodes)
+            name: _rows(by_node[name, 1])
+            if compiled.has_one_table(name)
+            else {"first": _rows(by_node[name, 0]), "next": _rows(by_node[name, 1])}
             for name in names
             if name not in compiled.inputs
         },
     }
     return {key: value for key, value in content.items() if value not in ([], "")}
-
-
-def _table(first: Table, later: Table, persists: bool) -> dict[str, Any]:
-    if persists:
-        return {"first": _rows(first), "next": _rows(later)}
-    return _rows(later)
 
 
 def _rows(table: Table) -> dict[str, Any]:

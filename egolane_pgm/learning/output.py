@@ -12,7 +12,7 @@ from egolane_pgm.experiment import Experiment, load_experiment, resolved
 from egolane_pgm.files import check_place, write_yaml
 from egolane_pgm.learning.graph_file import graph_yaml
 from egolane_pgm.learning.held_out import Found
-from egolane_pgm.learning.tables import PREFIX, found_tables, learning_of
+from egolane_pgm.learning.tables import PREFIX, learning_of, with_found
 from egolane_pgm.model import Model, prepare_model
 from egolane_pgm.plugins import OWN_FILES, declared_parameters
 from egolane_pgm.running import files_in_full
@@ -61,7 +61,7 @@ def write_learned(
             )
             left_out = "# (the frames of tuning.never_fit left out).\n"
         say = f"tables of {experiment.graph}, learned from {how}, of {_recording(experiment)}"
-        graph = graph_yaml(model, found_tables(model, tables, experiment), say)
+        graph = graph_yaml(with_found(model, tables, experiment), say)
         write_yaml(files[1], graph, f"# Learned by `egolane learn {source}`.\n")
         content["graph"] = f"./{files[1].name}"
         content["description"] = f"{experiment.description}; tables learned from {how}".lstrip("; ")

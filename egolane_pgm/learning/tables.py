@@ -1,8 +1,9 @@
 """The tables of an experiment's graph, learned from its recording by EM (`em`).
 
 What is found is kept by name, as parameters are: `tables.Lane.first` and `tables.Lane.next` of a
-node that persists, `tables.WOR` of an observed one. The numbers of a table stand in one row, with
-the axes in the order of `expected_counts.counted_tables`, the last one fastest.
+node with another table in the first frame than later, `tables.WOR` of a node with one table. The
+numbers of a table stand in one row, with the axes in the order of
+`expected_counts.counted_tables`, the last one fastest.
 """
 
 from __future__ import annotations
@@ -16,10 +17,9 @@ import numpy as np
 
 from egolane_pgm.experiment import Experiment, Learning
 from egolane_pgm.graphs.cpds import SliceNode, Table
-from egolane_pgm.graphs.from_pgmpy import read_network
-from egolane_pgm.inference.compile import Compiled, with_tables
+from egolane_pgm.inference.compile import Compiled
 from egolane_pgm.inference.expected_counts import FREE, counted_tables
-from egolane_pgm.learning.em import fit_tables, with_changed
+from egolane_pgm.learning.em import fit_tables, with_learned
 from egolane_pgm.model import Drive, Model, make_evidence, with_parameters
 from egolane_pgm.parameters import Parameter, Value, resolve_parameters
 from egolane_pgm.plugins import declared_parameters, plugin_errors
@@ -27,6 +27,9 @@ from egolane_pgm.types import BoolArray, InputError, IntArray, suggestion
 
 #: What the name of a learned table begins with.
 PREFIX = "tables."
+
+#: What it ends with where the node has two tables, by slice.
+_SUFFIXES = (".first", ".next")
 
 
 def learning_of(experiment: Experiment) -> Learning:
@@ -40,9 +43,7 @@ def check_tables(model: Model, experiment: Experiment) -> dict[SliceNode, Table]
     source = experiment.source
     open_ = {
         node: table
-        for node, table in counted_tables(
-            model.compiled, starting_tables(model, experiment)
-        ).items()
+        for node, table in counted_tables(starting(model, experiment).compiled).items()
         if not np.isin(table.values, (0.0, 1.0)).all()
     }
     if not open_:
@@ -106,10 +107,9 @@ def fit_graph(drive: Drive, train: IntArray) -> dict[str, Value]:
                 )
     # Of the whole log: a rule may look at the frames before.
     evidence = make_evidence(model, recorded.log, experiment.evidence_reading).filtered.take(used)
-    tables = starting_tables(model, experiment)
+    start = starting(model, experiment).compiled
     fitted = fit_tables(
-        model.compiled,
-        tables,
+        start,
         evidence,
         {"Lane": lane[used]},
         np.diff(np.flatnonzero(used), prepend=-2) > 1,
@@ -140,7 +140,7 @@ def fit_graph(drive: Drive, train: IntArray) -> dict[str, Value]:
         )
     return {
         name: tuple(table.values.ravel().tolist())
-        for name, table in _by_name(model.compiled, fitted.tables).items()
+        for name, table in _by_name(start, fitted.tables).items()
     }
 
 
@@ -169,48 +169,32 @@ def with_found(model: Model, found: Mapping[str, Value], experiment: Experiment)
         is_rules = not of_graph & set(parameters)
         model = replace(model, parameters=values) if is_rules else with_parameters(model, values)
     if tables:
-        model = replace(
-            model, compiled=with_tables(model.compiled, found_tables(model, tables, experiment))
-        )
+        start = starting(model, experiment).compiled
+        learned = {
+            table.node: replace(table, values=np.reshape(tables[name], table.values.shape))
+            for name, table in _by_name(start, counted_tables(start)).items()
+            if name in tables
+        }
+        model = replace(model, compiled=with_learned(start, learned))
     return model
 
 
 def starting(model: Model, experiment: Experiment) -> Model:
-    """The model with the tables that learning starts from."""
-    tables = starting_tables(model, experiment)
-    return replace(model, compiled=with_tables(model.compiled, tables))
-
-
-def found_tables(model: Model, found: Mapping[str, Value], experiment: Experiment) -> list[Table]:
-    """All tables of the graph, with those that were found in their places."""
-    start = starting_tables(model, experiment)
-    changed = {
-        table.node: replace(table, values=np.reshape(found[name], table.values.shape))
-        for name, table in _by_name(model.compiled, counted_tables(model.compiled, start)).items()
-        if name in found
-    }
-    return with_changed(model.compiled, start, changed)
+    """The model with the tables that learning starts from; see `seen_before`."""
+    reset = {p.name: p.default for p in _reset(model, experiment)}
+    parameters = _resolved(model, reset, experiment)
+    with plugin_errors(model.graph, f"{experiment.source}: graph"):
+        return replace(with_parameters(model, parameters), parameters=model.parameters)
 
 
 def nested_tables(model: Model, found: Mapping[str, Value]) -> dict[str, Any]:
     """The tables among what was found, as nested lists."""
     nested = {}
-    for (name, s), place in model.compiled.places.items():
-        key = _name(model.compiled, (name, s))
-        if key in found:
-            nested[key] = np.reshape(found[key], place.shape).tolist()
+    for (name, s), table in model.compiled.tables.items():
+        for key in (f"{PREFIX}{name}", f"{PREFIX}{name}{_SUFFIXES[s]}"):
+            if key in found:
+                nested[key] = np.reshape(found[key], table.values.shape).tolist()
     return nested
-
-
-def starting_tables(model: Model, experiment: Experiment) -> list[Table]:
-    """Every table of the graph before anything is learned; see `seen_before`."""
-    reset = {p.name: p.default for p in _reset(model, experiment)}
-    parameters = _resolved(model, reset, experiment)
-    with plugin_errors(model.graph, f"{experiment.source}: graph"):
-        if hasattr(model.graph, "tables"):
-            tables: list[Table] = model.graph.tables(model.n_lanes, parameters)
-            return tables
-        return list(read_network(model.graph.build(model.n_lanes, parameters)).tables.values())
 
 
 def seen_before(model: Model, experiment: Experiment) -> list[str]:
@@ -270,5 +254,4 @@ def _by_name(compiled: Compiled, tables: Mapping[SliceNode, Table]) -> dict[str,
 
 def _name(compiled: Compiled, node: SliceNode) -> str:
     name, s = node
-    is_observed = compiled.places[node].kind == "emission"
-    return f"{PREFIX}{name}" + ("" if is_observed else (".first", ".next")[s])
+    return f"{PREFIX}{name}" + ("" if compiled.has_one_table(name) else _SUFFIXES[s])

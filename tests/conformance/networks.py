@@ -122,12 +122,12 @@ def assert_same_beliefs(ours: Beliefs, right: Beliefs, tolerance: float = 1e-9) 
 
 
 def assert_filters_agree(
-    compiled: Compiled, evidence: Evidence, right: Mapping[str, Beliefs]
+    compiled: Compiled, evidence: Evidence, right: Mapping[str, Beliefs], tolerance: float = 1e-9
 ) -> None:
     """The filters give the right beliefs, for each method in `right`."""
     for method, beliefs in right.items():
         ours = filter_beliefs(compiled, evidence, method)
-        assert_same_beliefs(ours, beliefs)
+        assert_same_beliefs(ours, beliefs, tolerance)
 
 
 # --- the answer by brute force -------------------------------------------------------------------
@@ -145,13 +145,7 @@ def brute_force(
     exact: over whole trajectories. assumed_density: over two slices, slice 0 being the product of
     the marginals before.
     """
-    persistent = {
-        name
-        for table in tables
-        for parent in table.parents
-        if parent[1] != table.node[1]
-        for name in (parent[0], table.node[0])
-    }
+    persistent = nodes_across(tables)
     slices = [[t for t in tables if t.node[1] == s] for s in (0, 1)]
     marginals: dict[str, list[np.ndarray]] = {name: [] for name in hidden}
     log_evidence, is_impossible = [], []
@@ -171,22 +165,36 @@ def brute_force(
         is_impossible.append(not total > 0)
         log_evidence.append(math.log(total / before) if total > 0 else 0.0)
         paths = scaled if total > 0 else extended
-        now = {name: _marginal(paths, name, _size(tables, name)) for name in hidden}
+        now = {n: _marginal(paths, n, _size(tables, n)) for n in {*hidden, *persistent}}
         for name in hidden:
             marginals[name].append(now[name])
         if method == "assumed_density":
-            names = sorted(persistent)
-            paths = [
-                ((dict(zip(names, values, strict=True)),), float(weight))
-                for values in itertools.product(*(range(len(now[n])) for n in names))
-                if (weight := math.prod(now[n][v] for n, v in zip(names, values, strict=True))) > 0
-            ]
+            paths = product_of({name: now[name] for name in persistent})
     return Beliefs(
         np.arange(len(evidence)),
         {name: np.stack(values) for name, values in marginals.items()},
         np.array(log_evidence),
         np.array(is_impossible),
     )
+
+
+def nodes_across(tables: Iterable[Table]) -> list[str]:
+    """The nodes with an edge across the slices."""
+    edges = [(parent, table.node) for table in tables for parent in table.parents]
+    return sorted({name for edge in edges if edge[0][1] != edge[1][1] for name, _ in edge})
+
+
+def product_of(
+    marginals: Mapping[str, np.ndarray],
+) -> list[tuple[tuple[dict[str, int], ...], float]]:
+    """Paths of one frame whose weights are the product of these marginals."""
+    paths = []
+    for values in itertools.product(*(range(len(rows)) for rows in marginals.values())):
+        at = dict(zip(marginals, values, strict=True))
+        weight = math.prod(marginals[name][value] for name, value in at.items())
+        if weight > 0:
+            paths.append(((at,), float(weight)))
+    return paths
 
 
 def _size(tables: Sequence[Table], name: str) -> int:
@@ -253,9 +261,9 @@ def random_network(seed: int) -> tuple[RandomGraph, Compiled]:
 
 
 def any_compiled(seed: int) -> Compiled:
-    """The paper's graph with random parameters, or one of five random networks."""
-    if seed % 2:
-        return random_network(seed % 5)[1]
+    """The paper's graph with random parameters, or one of thirteen random networks."""
+    if seed % 3:
+        return random_network(seed % 13)[1]
     rng = np.random.default_rng(seed)
     n_lanes = int(rng.integers(1, 6))
     parameters = small_parameters("sensor_failure", n_lanes, rng)
@@ -268,74 +276,75 @@ def frames_to_enumerate(compiled: Compiled) -> int:
     return 3 if compiled.n_states <= 8 else 2
 
 
+#: Random networks have at most so many values of all nodes together, so that adding up every
+#: trajectory stays quick.
+MOST_VALUES = 48
+
+
 def draw_graph(rng: np.random.Generator) -> RandomGraph:
-    """Two or three persistent nodes with edges across and inside the slices, perhaps an input that
-    selects transitions, perhaps a function, and observed nodes: alone, one the parent of another,
-    two jointly, hidden ones directly."""
-    size = {f"P{i}": int(rng.integers(2, 4)) for i in range(rng.integers(2, 4))}
-    persistent = list(size)
-    inputs = ("Input",) if rng.random() < 0.5 else ()
+    """Any network that compiles, of four to six nodes: hidden ones, observed ones and perhaps an
+    input in any order, with edges from any of them to any later one inside a frame, and from any
+    but the input to any across the slices.
+
+    What this makes: nodes that persist and nodes that do not, functions, tables that differ in the
+    first frame or hold in every one; observed nodes that persist, that hidden ones depend on, that
+    an input selects; evidence about several nodes jointly and about hidden ones directly.
+    """
+    hidden = [f"H{k}" for k in range(rng.integers(2, 4))]
+    seen = ["D", "E"][: rng.integers(1, 3)]
+    inputs = ("Input",) if rng.random() < 0.4 else ()
+    order = [*inputs, *map(str, rng.permutation([*hidden, *seen]))]
+    if rng.random() < 0.5:  # the usual case: detections of hidden nodes
+        order.sort(key=lambda name: name in seen)
+    size: dict[str, int] = {}
+    for name in order:
+        room = MOST_VALUES // 2 ** (len(order) - len(size) - 1)
+        size[name] = 3 if 3 * math.prod(size.values()) <= room and rng.random() < 0.5 else 2
     tables: list[Table] = []
-    if inputs:
-        size["Input"] = int(rng.integers(2, 4))
-        for s in (0, 1):
-            tables.append(Table(("Input", s), (), draw_rows(rng, (), size["Input"])))
-    functions: list[str] = []
-
-    def add_function(name: str, of: Sequence[str]) -> None:
-        size[name] = int(rng.integers(2, 4))
-        shape = [size[n] for n in of]
-        values = np.eye(size[name])[rng.integers(size[name], size=shape)]
-        tables.extend(within(name, list(of), values))
-        functions.append(name)
-
-    across = _draw_edges_across(persistent, rng)
-    for i, name in enumerate(persistent):
-        inside = [p for p in (*persistent[:i], *functions) if rng.random() < 0.4]
-        inside += [n for n in inputs if rng.random() < 0.6 or i == 0]
-        tables += prior(name, draw_rows(rng, [size[p] for p in inside], size[name]), inside)
-        given = [*(previous(p) for p in across[name]), *inside]
-        shape = [size[p] for p in (*across[name], *inside)]
-        tables += dynamics(name, given, draw_rows(rng, shape, size[name]))
-        if i == 0 and rng.random() < 0.4:
-            add_function("F0", [name])
-    if rng.random() < 0.5:
-        add_function("F1", persistent[: rng.integers(1, len(persistent) + 1)])
-    hidden = [*persistent, *functions]
-    rng.shuffle(hidden)
-
-    observed: list[Observed] = []
-    leaves: list[str] = []
-    for name in ("D", "E"):
-        size[name] = int(rng.integers(2, 4))
-        parents = [h for h in hidden if rng.random() < 0.5] or [hidden[0]]
-        parents += [leaf for leaf in leaves if rng.random() < 0.5]
-        tables += within(name, parents, draw_rows(rng, [size[p] for p in parents], size[name]))
-        leaves.append(name)
-    style = rng.integers(4)
+    carried = False
+    for k, name in enumerate(order):
+        before = [n for n in order if n not in inputs and rng.random() < 0.25]
+        persists = name not in inputs and rng.random() < (0.4 if name in seen else 0.6)
+        across = list(dict.fromkeys([*before, name])) if persists else []
+        if name == order[-1] and not carried and not across:
+            across = [name]
+        carried = carried or bool(across)
+        inside = [] if name in inputs else [n for n in order[:k] if rng.random() < 0.45]
+        tables += _draw_tables(rng, name, size, across[:2], inside[:2])
+    observed: list[Observed] = list(seen)
+    style = rng.integers(5)
     if style == 0:
-        observed = ["D", "E"]
+        observed = [tuple(reversed(seen))] if len(seen) > 1 else ["D"]
     elif style == 1:
-        observed = [("E", "D")]
+        observed = [(hidden[0], seen[0]), *seen[1:]]
     elif style == 2:
-        observed = [(hidden[0], "E"), "D"]
-    else:
-        observed = ["E", ("D", "E")]
-    if rng.random() < 0.3:
+        observed.append((seen[-1], hidden[-1]))
+    elif style == 3:
         observed.append(hidden[-1])
+    rng.shuffle(observed)  # type: ignore[arg-type]
+    rng.shuffle(hidden)
     rng.shuffle(tables)  # type: ignore[arg-type]
     return RandomGraph(tables, tuple(hidden), tuple(observed), inputs)
 
 
-def _draw_edges_across(persistent: Sequence[str], rng: np.random.Generator) -> dict[str, list[str]]:
-    across = {
-        name: [p for p in persistent if rng.random() < (0.8 if p == name else 0.4)]
-        for name in persistent
-    }
-    for name in persistent:
-        if not any(name in given or (given and name == child) for child, given in across.items()):
-            across[name] = [name]
-    return across
+def _draw_tables(
+    rng: np.random.Generator,
+    name: str,
+    size: Mapping[str, int],
+    across: Sequence[str],
+    inside: Sequence[str],
+) -> list[Table]:
+    shape = [size[p] for p in inside]
+    if not across and rng.random() < 0.7:
+        values = draw_rows(rng, shape, size[name])
+        if rng.random() < 0.4:
+            values = np.eye(size[name])[values.argmax(axis=-1)]
+        return within(name, inside, values)
+    later = draw_rows(rng, [size[p] for p in (*across, *inside)], size[name])
+    return [
+        *prior(name, draw_rows(rng, shape, size[name]), inside),
+        *dynamics(name, [*map(previous, across), *inside], later),
+    ]
 
 
 def draw_rows(rng: np.random.Generator, shape: Sequence[int], size: int) -> np.ndarray:

@@ -167,9 +167,9 @@ def test_uniform_evidence_changes_nothing_but_the_prediction(
     )
     state, _ = step(compiled, None, evidence.take(slice(0, 4)), method)
     for t, predicted in ((0, start[u[0]]), (4, state.joint @ compiled.transition[u[4]])):
-        for h, name in enumerate(compiled.hidden):
+        for name in compiled.hidden:
             expected = np.bincount(
-                compiled.node_value[h], predicted, minlength=compiled.cardinality[name]
+                compiled.node_value[name], predicted, minlength=compiled.cardinality[name]
             )
             np.testing.assert_allclose(beliefs.marginals[name][t], expected, atol=1e-9)
 

@@ -281,7 +281,7 @@ def test_an_impossible_frame_is_flagged_and_its_evidence_ignored() -> None:
         values[3] = 0
         without[key][3] = 1
     ours = smooth_beliefs(compiled, evidence)
-    right = smooth_beliefs(compiled, Evidence(without))
+    right = smooth_beliefs(compiled, Evidence(without, evidence.inputs))
     assert ours.is_impossible.tolist() == [False, False, False, True, False, False]
     assert_same_marginals(ours, dict(right.marginals), 1e-12)
 

@@ -11,7 +11,15 @@ import numpy as np
 
 from egolane_pgm.graphs.cpds import Table
 from egolane_pgm.types import Beliefs, Evidence
-from tests.conformance.networks import _assignments, _likelihood, _marginal, _size, _weight
+from tests.conformance.networks import (
+    _assignments,
+    _likelihood,
+    _marginal,
+    _size,
+    _weight,
+    nodes_across,
+    product_of,
+)
 
 #: The assignment of every node in every frame, and its probability with the evidence.
 Weighted = tuple[tuple[dict[str, int], ...], float]
@@ -82,15 +90,7 @@ def enumerated_jeffrey(
 ) -> Beliefs:
     """The filters with the evidence read by Jeffrey's rule: for each observed node in `order`,
     every trajectory is weighted by q(o) / P(o), o being the node's value in it."""
-    persistent = sorted(
-        {
-            name
-            for table in tables
-            for parent in table.parents
-            if parent[1] != table.node[1]
-            for name in (parent[0], table.node[0])
-        }
-    )
+    persistent = nodes_across(tables)
     slices = [[t for t in tables if t.node[1] == s] for s in (0, 1)]
     paths: list[Weighted] = [((), 1.0)]
     marginals: dict[str, list[np.ndarray]] = {name: [] for name in hidden}
@@ -123,17 +123,11 @@ def enumerated_jeffrey(
             paths, log_total = predicted, 0.0
         flags.append(is_impossible)
         log_evidence.append(log_total)
-        now = {name: _marginal(paths, name, _size(tables, name)) for name in hidden}
+        now = {n: _marginal(paths, n, _size(tables, n)) for n in {*hidden, *persistent}}
         for name in hidden:
             marginals[name].append(now[name])
         if method == "assumed_density":
-            sizes = [len(now[n]) for n in persistent]
-            paths = [
-                ((dict(zip(persistent, map(int, values), strict=True)),), float(weight))
-                for values in np.ndindex(*sizes)
-                if (weight := math.prod(now[n][v] for n, v in zip(persistent, values, strict=True)))
-                > 0
-            ]
+            paths = product_of({name: now[name] for name in persistent})
     return Beliefs(
         np.arange(len(evidence)),
         {name: np.stack(rows) for name, rows in marginals.items()},

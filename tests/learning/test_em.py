@@ -11,13 +11,12 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from egolane_pgm.experiment import load_experiment
-from egolane_pgm.graphs.cpds import Table
-from egolane_pgm.inference.compile import Compiled, with_tables
+from egolane_pgm.inference.compile import Compiled
 from egolane_pgm.inference.expected_counts import FREE, counted_tables
 from egolane_pgm.inference.filtering import filter_beliefs
 from egolane_pgm.learning import em
-from egolane_pgm.learning.em import fit_tables, with_changed
-from egolane_pgm.learning.tables import starting_tables
+from egolane_pgm.learning.em import fit_tables
+from egolane_pgm.learning.tables import starting
 from egolane_pgm.loading import load_recording
 from egolane_pgm.model import prepare_model
 from egolane_pgm.paper import paper_experiment
@@ -29,7 +28,7 @@ from tests.conftest import needs_compiler
 from tests.reference import inference as reference
 
 
-def a_case(seed: int, n_frames: int = 40) -> tuple[Compiled, list[Table], Evidence, Any, Any]:
+def a_case(seed: int, n_frames: int = 40) -> tuple[Compiled, Evidence, Any, Any]:
     """A random network with evidence, some of it known, in some sequences."""
     rng = np.random.default_rng(seed)
     drawn = draw_graph(rng)
@@ -38,16 +37,14 @@ def a_case(seed: int, n_frames: int = 40) -> tuple[Compiled, list[Table], Eviden
     node = str(rng.choice(drawn.hidden))
     value = rng.integers(compiled.cardinality[node], size=n_frames)
     known = {node: np.where(rng.random(n_frames) < 0.7, FREE, value)}
-    return compiled, list(drawn.tables), evidence, known, rng.random(n_frames) < 0.1
+    return compiled, evidence, known, rng.random(n_frames) < 0.1
 
 
 @given(seed=st.integers(0, 2**32 - 1), strength=st.sampled_from([0.0, 0.5, 20.0, 1000.0]))
 @settings(max_examples=40, deadline=None)
 def test_no_iteration_lowers_the_log_posterior(seed: int, strength: float) -> None:
-    compiled, tables, evidence, known, is_first = a_case(seed)
-    fitted = fit_tables(
-        compiled, tables, evidence, known, is_first, strength=strength, iterations=12
-    )
+    compiled, evidence, known, is_first = a_case(seed)
+    fitted = fit_tables(compiled, evidence, known, is_first, strength=strength, iterations=12)
     history = fitted.log_posterior
     assert (np.diff(history) >= -1e-9 * np.abs(history[:-1]) - 1e-9).all()
 
@@ -56,10 +53,10 @@ def test_no_iteration_lowers_the_log_posterior(seed: int, strength: float) -> No
 def test_the_counts_in_plain_numpy_teach_the_same(
     seed: int, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    compiled, tables, evidence, known, is_first = a_case(seed)
-    one = fit_tables(compiled, tables, evidence, known, is_first, iterations=4)
+    compiled, evidence, known, is_first = a_case(seed)
+    one = fit_tables(compiled, evidence, known, is_first, iterations=4)
     monkeypatch.setattr(em, "expected_counts", reference.expected_counts)
-    other = fit_tables(compiled, tables, evidence, known, is_first, iterations=4)
+    other = fit_tables(compiled, evidence, known, is_first, iterations=4)
     np.testing.assert_allclose(one.log_posterior, other.log_posterior, atol=1e-7)
     for node in one.tables:
         np.testing.assert_allclose(one.tables[node].values, other.tables[node].values, atol=1e-7)
@@ -68,32 +65,29 @@ def test_the_counts_in_plain_numpy_teach_the_same(
 @given(seed=st.integers(0, 2**32 - 1))
 @settings(max_examples=20, deadline=None)
 def test_what_was_possible_stays_so_and_nothing_else_becomes_so(seed: int) -> None:
-    compiled, tables, evidence, known, is_first = a_case(seed)
-    start = counted_tables(compiled, tables)
-    fitted = fit_tables(compiled, tables, evidence, known, is_first, strength=1e-3, iterations=30)
+    compiled, evidence, known, is_first = a_case(seed)
+    start = counted_tables(compiled)
+    fitted = fit_tables(compiled, evidence, known, is_first, strength=1e-3, iterations=30)
     for node, table in start.items():
         np.testing.assert_array_equal(fitted.tables[node].values > 0, table.values > 0)
-    after = {table.node: table for table in with_changed(compiled, tables, fitted.tables)}
-    for table in tables:
-        if (table.node[0], 1) not in start and table.node not in start:
-            assert after[table.node] is table
+    after = fitted.compiled
+    for node, table in compiled.tables.items():
+        if (node[0], 1) not in start and node not in start:
+            assert after.tables[node] is table
 
 
-def paper_case(n_lanes: int = 3, **changes: float) -> tuple[Compiled, list[Table]]:
+def paper_case(n_lanes: int = 3, **changes: float) -> Compiled:
     module = graph("sensor_failure")
     defaults: dict[str, Any] = {p.name: p.default for p in module.PARAMETERS}
     parameters: Parameters = {**defaults, **changes}
-    return compiled_graph(module, n_lanes, parameters), module.tables(n_lanes, parameters)
+    return compiled_graph(module, n_lanes, parameters)
 
 
-def a_drive_of(
-    compiled: Compiled, tables: list[Table], n_frames: int, seed: int
-) -> tuple[Evidence, IntArray]:
+def a_drive_of(compiled: Compiled, n_frames: int, seed: int) -> tuple[Evidence, IntArray]:
     """Evidence that is certain about what was observed, and the lanes, drawn from the network."""
     rng = np.random.default_rng(seed)
     move, sensor, output, wor = (
-        next(t.values for t in tables if t.node == (name, 1))
-        for name in ("Lane", "SensorState", "DetectorOutput", "WOR")
+        compiled.tables[name, 1].values for name in ("Lane", "SensorState", "DetectorOutput", "WOR")
     )
     lane, state = 0, 0
     lanes, outputs, wors = [], [], []
@@ -110,12 +104,12 @@ def a_drive_of(
 @needs_compiler
 @pytest.mark.parametrize("labelled", [True, False])
 def test_em_finds_the_tables_that_the_drive_was_drawn_from(labelled: bool) -> None:
-    compiled, truth = paper_case(sigma1=0.45, sigma2=0.3, p1=0.97, p2=0.9, p3=0.9, p4=0.8)
-    evidence, lane = a_drive_of(compiled, truth, 20_000, seed=1)
-    _, start = paper_case(sigma1=0.6, sigma2=0.5, p1=0.9, p2=0.8, p3=0.7, p4=0.7)
+    compiled = paper_case(sigma1=0.45, sigma2=0.3, p1=0.97, p2=0.9, p3=0.9, p4=0.8)
+    evidence, lane = a_drive_of(compiled, 20_000, seed=1)
+    start = paper_case(sigma1=0.6, sigma2=0.5, p1=0.9, p2=0.8, p3=0.7, p4=0.7)
     known = {"Lane": lane} if labelled else None
-    fitted = fit_tables(compiled, start, evidence, known, strength=1.0, iterations=400)
-    right = counted_tables(compiled, truth)
+    fitted = fit_tables(start, evidence, known, strength=1.0, iterations=400)
+    right = counted_tables(compiled)
     for node in (("Lane", 1), ("SensorState", 1), ("WOR", 1)):
         np.testing.assert_allclose(fitted.tables[node].values, right[node].values, atol=0.05)
     output = fitted.tables["DetectorOutput", 1].values
@@ -124,25 +118,25 @@ def test_em_finds_the_tables_that_the_drive_was_drawn_from(labelled: bool) -> No
 
 def test_the_prior_is_worth_as_many_frames_as_it_says() -> None:
     """Every label known: the counts are whole numbers, and a row is their mean with the prior."""
-    compiled, tables = paper_case()
+    compiled = paper_case()
     lane = np.array([0, 0, 1, 1, 1, 0, 0, 0])
     evidence = Evidence({"DetectorOutput": np.ones((8, 3)), "WOR": np.ones((8, 2))})
-    fitted = fit_tables(compiled, tables, evidence, {"Lane": lane}, strength=10, iterations=1)
-    start = counted_tables(compiled, tables)["Lane", 1].values
+    fitted = fit_tables(compiled, evidence, {"Lane": lane}, strength=10, iterations=1)
+    start = counted_tables(compiled)["Lane", 1].values
     counts = np.array([[3, 1, 0], [1, 2, 0], [0, 0, 0]])
     right = (counts + 10 * start) / (counts + 10 * start).sum(axis=1, keepdims=True)
     np.testing.assert_allclose(fitted.tables["Lane", 1].values, right, atol=1e-12)
-    strong = fit_tables(compiled, tables, evidence, {"Lane": lane}, strength=1e9)
+    strong = fit_tables(compiled, evidence, {"Lane": lane}, strength=1e9)
     np.testing.assert_allclose(strong.tables["Lane", 1].values, start, atol=1e-7)
 
 
 def test_the_log_posterior_is_the_log_evidence_and_the_prior_of_the_tables_at_hand() -> None:
-    compiled, tables = paper_case()
-    evidence, _ = a_drive_of(compiled, tables, 50, seed=3)
-    fitted = fit_tables(compiled, tables, evidence, strength=7.0, iterations=2)
-    after = with_tables(compiled, with_changed(compiled, tables, fitted.tables))
+    compiled = paper_case()
+    evidence, _ = a_drive_of(compiled, 50, seed=3)
+    fitted = fit_tables(compiled, evidence, strength=7.0, iterations=2)
+    after = fitted.compiled
     log_prior = 0.0
-    for node, table in counted_tables(compiled, tables).items():
+    for node, table in counted_tables(compiled).items():
         some = table.values > 0
         ratio = fitted.tables[node].values[some] / table.values[some]
         log_prior += 7.0 * float((table.values[some] * np.log(ratio)).sum())
@@ -156,33 +150,33 @@ def test_the_log_posterior_is_the_log_evidence_and_the_prior_of_the_tables_at_ha
 
 
 def test_what_is_never_used_stays_possible_without_any_prior() -> None:
-    compiled, tables = paper_case()
+    compiled = paper_case()
     evidence = Evidence({"DetectorOutput": np.ones((8, 3)), "WOR": np.ones((8, 2))})
     held = {"Lane": np.zeros(8, dtype=np.int64)}
-    fitted = fit_tables(compiled, tables, evidence, held, strength=0.0)
+    fitted = fit_tables(compiled, evidence, held, strength=0.0)
     lane = fitted.tables["Lane", 1].values
-    start = counted_tables(compiled, tables)["Lane", 1].values
+    start = counted_tables(compiled)["Lane", 1].values
     np.testing.assert_allclose(lane[0], [1, 0, 0], atol=1e-300)
     np.testing.assert_array_equal(lane > 0, start > 0)
     np.testing.assert_array_equal(lane[1:], start[1:])  # rows that were not used
 
 
 def test_only_the_tables_that_are_asked_for_are_learned() -> None:
-    compiled, tables, evidence, known, is_first = a_case(3)
-    start = counted_tables(compiled, tables)
+    compiled, evidence, known, is_first = a_case(3)
+    start = counted_tables(compiled)
     (name, _), *_ = start
-    fitted = fit_tables(compiled, tables, evidence, known, is_first, nodes={name})
+    fitted = fit_tables(compiled, evidence, known, is_first, nodes={name})
     for node, table in start.items():
         is_same = np.array_equal(fitted.tables[node].values, table.values)
         assert is_same == (node[0] != name) or np.isin(table.values, (0, 1)).all()
 
 
 def test_without_a_frame_the_tables_stay_what_they_were() -> None:
-    compiled, tables = paper_case()
+    compiled = paper_case()
     blank = Evidence({"DetectorOutput": np.empty((0, 3)), "WOR": np.empty((0, 2))})
-    fitted = fit_tables(compiled, tables, blank)
+    fitted = fit_tables(compiled, blank)
     assert len(fitted.log_posterior) == 2
-    for node, table in counted_tables(compiled, tables).items():
+    for node, table in counted_tables(compiled).items():
         np.testing.assert_allclose(fitted.tables[node].values, table.values)
 
 
@@ -201,11 +195,11 @@ def test_no_iteration_lowers_the_log_posterior_of_the_papers_recordings(
         known = ~recorded.truth.is_crossing
         lane[recorded.scored[known]] = recorded.truth.lane[known] - 1
     evidence = run_experiment(experiment, recorded=recorded).evidence
-    tables = starting_tables(model, experiment)
-    fitted = fit_tables(model.compiled, tables, evidence, {"Lane": lane}, iterations=40)
+    start = starting(model, experiment).compiled
+    fitted = fit_tables(start, evidence, {"Lane": lane}, iterations=40)
     history = fitted.log_posterior
     assert (np.diff(history) >= -1e-9 * np.abs(history[:-1])).all()
     assert history[-1] > history[0] + 100
     assert not fitted.is_impossible.any()
-    for node, table in counted_tables(model.compiled, tables).items():
+    for node, table in counted_tables(start).items():
         np.testing.assert_array_equal(fitted.tables[node].values > 0, table.values > 0)

@@ -16,11 +16,10 @@ import yaml
 from egolane_pgm.experiment import Experiment, load_experiment, resolved
 from egolane_pgm.graphs.cpds import lane_normals
 from egolane_pgm.inference.compile import compile_network
-from egolane_pgm.inference.expected_counts import counted_tables
 from egolane_pgm.inference.filtering import filter_beliefs
 from egolane_pgm.learning import fit, held_out_belief, learn, n_learned, with_found
 from egolane_pgm.learning.graph_file import graph_yaml
-from egolane_pgm.learning.tables import found_tables, starting, starting_tables, training_frames
+from egolane_pgm.learning.tables import starting, training_frames
 from egolane_pgm.loading import Recorded, load_recording
 from egolane_pgm.model import Drive, Model, Roles, load_drive, prepare_model
 from egolane_pgm.plugins import load_plugin
@@ -103,17 +102,11 @@ def test_a_lane_without_a_label_keeps_its_first_guess_and_is_said(folder: Path) 
     with pytest.warns(UserWarning, match="no frame to learn from has lane 3; it keeps its first"):
         found = fit(Drive(experiment, model, recorded), some)
     changed = with_found(model, found, experiment)
-    (before, after) = (
-        counted_tables(m.compiled, t)["Lane", 1].values
-        for m, t in (
-            (model, starting_tables(model, experiment)),
-            (changed, found_tables(model, found, experiment)),
-        )
-    )
+    start = starting(model, experiment).compiled.tables
+    before, after = (tables["Lane", 1].values for tables in (start, changed.compiled.tables))
     np.testing.assert_allclose(after[2], before[2], atol=1e-9)
     assert np.abs(after[:2] - before[:2]).max() > 0.01
     output = np.reshape(found["tables.DetectorOutput"], (2, 3, 3))
-    start = counted_tables(model.compiled, starting_tables(model, experiment))
     np.testing.assert_allclose(output[:, 2], start["DetectorOutput", 1].values[:, 2], atol=1e-9)
 
 
@@ -164,7 +157,7 @@ def test_a_block_that_is_left_out_is_no_step_from_what_is_before_to_what_is_afte
     )
     train = np.flatnonzero(np.abs(np.arange(n_frames) - n_frames // 2) > 50)
     found = fit(Drive(experiment, model, replace(recorded, truth=truth)), train)
-    start = counted_tables(model.compiled, starting_tables(model, experiment))
+    start = starting(model, experiment).compiled.tables
     move, first = np.reshape(found["tables.Lane.next"], (3, 3)), start["Lane", 1].values
     assert move[0, 2] <= first[0, 2]
     assert move[2, 0] <= first[2, 0]
@@ -197,7 +190,7 @@ def test_the_prior_is_as_strong_as_the_experiment_says(folder: Path) -> None:
         experiment, model, recorded = prepared(folder, f"{{strength: {strength}}}")
         assert recorded.truth is not None
         found = fit(Drive(experiment, model, recorded), np.arange(len(recorded.truth)))
-        start = counted_tables(model.compiled, starting_tables(model, experiment))["Lane", 1].values
+        start = starting(model, experiment).compiled.tables["Lane", 1].values
         away[strength] = np.abs(np.reshape(found["tables.Lane.next"], (3, 3)) - start).max()
     assert away[1_000_000] < 1e-3 < 0.02 < away[1]
 
@@ -355,8 +348,7 @@ def test_tables_that_have_seen_the_frames_are_not_started_from(tmp_path: Path) -
     for tuned_on in ("same_frames", "not_tuned"):
         experiment = load_experiment(write_drive(tmp_path, 60, tuned_on=tuned_on, **given))
         model = prepare_model(experiment)
-        tables = {t.node: t.values for t in starting_tables(model, experiment)}
-        start[tuned_on] = tables["Lane", 1]
+        start[tuned_on] = starting(model, experiment).compiled.tables["Lane", 1].values
     sigma1 = next(p.default for p in model.graph.PARAMETERS if p.name == "sigma1")
     assert isinstance(sigma1, float)
     np.testing.assert_array_equal(start["same_frames"], lane_normals(sigma1, 3))
@@ -405,7 +397,7 @@ def test_every_discrete_graph_can_be_learned_and_written(name: str, tmp_path: Pa
     found = fit(Drive(experiment, model, recorded), np.arange(len(recorded.truth)))
     assert n_learned(model, experiment) > 0
     learned = with_found(model, found, experiment)
-    content = graph_yaml(model, found_tables(model, found, experiment), "learned")
+    content = graph_yaml(learned, "learned")
     (tmp_path / "g.yaml").write_text(yaml.safe_dump(content, sort_keys=False))
     module = load_plugin("graphs", "./g.yaml", tmp_path, "graph")
     assert (module.HIDDEN, module.OBSERVED) == (model.graph.HIDDEN, model.graph.OBSERVED)
@@ -430,7 +422,7 @@ def test_random_graphs_come_back_from_their_file(seed: int, tmp_path: Path) -> N
     module = load_plugin("graphs", "./own.py", tmp_path, "graph")
     roles = Roles(drawn.hidden, drawn.observed, drawn.inputs, ())
     model = Model(module, module, {}, compiled, 3, roles)
-    (tmp_path / "g.yaml").write_text(yaml.safe_dump(graph_yaml(model, drawn.tables, "")))
+    (tmp_path / "g.yaml").write_text(yaml.safe_dump(graph_yaml(model, "")))
     read = load_plugin("graphs", "./g.yaml", tmp_path, "graph")
     found = compile_network(read.build(3, {}), read.HIDDEN, read.OBSERVED, read.INPUTS)
     np.testing.assert_allclose(found.transition, compiled.transition, rtol=1e-9)

@@ -113,19 +113,19 @@ def forward(
 
 
 def product_of_marginals(compiled: Compiled, joint: FloatArray) -> FloatArray:
-    """The product (S,) of the persistent nodes' marginals of a joint belief (S,)."""
-    marginals = marginals_of(compiled, joint[None])
+    """The product (S,) of the marginals of the joint state's nodes, of a joint belief (S,)."""
     product = np.ones(compiled.n_states)
     for name in compiled.state_nodes:
-        product *= marginals[name][0, compiled.node_value[compiled.hidden.index(name)]]
+        value = compiled.node_value[name]
+        product *= np.bincount(value, joint, compiled.cardinality[name])[value]
     return product
 
 
 def marginals_of(compiled: Compiled, joint: FloatArray) -> dict[str, FloatArray]:
     """Per hidden node (T, cardinality), from beliefs over the joint state (T, S)."""
     return {
-        name: joint @ (value[:, None] == np.arange(compiled.cardinality[name])).astype(np.float64)
-        for name, value in zip(compiled.hidden, compiled.node_value, strict=True)
+        name: joint @ np.eye(compiled.cardinality[name])[compiled.node_value[name]]
+        for name in compiled.hidden
     }
 
 
@@ -267,8 +267,7 @@ def expected_counts(
     """As `egolane_pgm.inference.expected_counts.expected_counts`."""
     likelihood, log_scale = state_likelihood(compiled, evidence)
     for node, value in (known or {}).items():
-        in_state = compiled.node_value[compiled.hidden.index(node)]
-        likelihood *= (value[:, None] == in_state) | (value == FREE)[:, None]
+        likelihood *= (value[:, None] == compiled.node_value[node]) | (value == FREE)[:, None]
     begins = np.arange(len(evidence)) == 0
     if is_first is not None:
         begins |= is_first
@@ -278,7 +277,8 @@ def expected_counts(
     blocks = evidence_blocks(compiled, evidence)
     counts = {}
     for node, place in compiled.places.items():
-        if any(parent in compiled.inputs for parent, _ in place.parents):
+        table = compiled.tables[node]
+        if any(parent in compiled.inputs for parent, _ in table.parents):
             continue
         array = {"prior": first[None], "transition": moves[None]}.get(place.kind)
         if array is None:
@@ -292,10 +292,11 @@ def expected_counts(
                 array += smoothed[t][:, None] * np.divide(
                     of_value, of_state, out=np.zeros_like(of_value), where=of_state > 1e-300
                 )
-        counts[node] = np.zeros(place.shape)
-        np.add.at(
-            counts[node], tuple(np.broadcast_to(i, array.shape) for i in place.indices), array
-        )
+        used = np.zeros(table.values.shape)
+        np.add.at(used, tuple(np.broadcast_to(i, array.shape) for i in place.indices), array)
+        # A table that holds in the first frame and later is counted once.
+        counted = (node[0], 1) if compiled.has_one_table(node[0]) else node
+        counts[counted] = counts.get(counted, 0.0) + used
     kept = ~is_impossible
     return Expected(counts, float((log_evidence + log_scale)[kept].sum()), is_impossible)
 

@@ -87,8 +87,8 @@ def oracle_assumed_density(
         probability = _probability(model, found, seen)
         if probability > 0:
             seen |= found
-        marginals = {name: _marginal(model, f"{name}@{now}", seen) for name in hidden}
-        before = {name: values for name, values in marginals.items() if name in persistent}
+        marginals = {n: _marginal(model, f"{n}@{now}", seen) for n in {*hidden, *persistent}}
+        before = {name: marginals[name] for name in persistent}
         answers.append((probability, scale, marginals))
     return _beliefs(hidden, answers)
 

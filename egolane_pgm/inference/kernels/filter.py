@@ -48,7 +48,7 @@ def settle(joint: FloatArray, predicted: FloatArray) -> float:
 def forward_kernel(columns: tuple[tuple[int, ...], ...] = ()) -> Any:
     """The forward recursion.
 
-    columns: `Layout.persistent` of the network that it is compiled for; empty for any network.
+    columns: `Layout.columns` of the network that it is compiled for; empty for any network.
     """
     known = np.array(columns, dtype=np.int64, ndmin=2)
     n_states = known.shape[1]
@@ -75,8 +75,8 @@ def forward_kernel(columns: tuple[tuple[int, ...], ...] = ()) -> Any:
         joint (S,): the belief after the frame before; overwritten by that after the last frame.
         begins (T,): True where a sequence begins: the frame takes `prior` (U, S) and what was
             before it does not matter.
-        is_factored: the product of the persistent nodes' marginals is carried on, not the joint
-            belief. column (P, S): as in `Layout`; it says which states share a node's value.
+        is_factored: the product of the marginals of the state's nodes is carried on, not the joint
+            belief. column (N, S): as in `Layout`; it says which states share a node's value.
         transition (U, S, S), row is the state before; index (T,): which of the U holds in a frame.
         likelihood (T, S): of each frame's evidence given the joint state, any scale.
         beliefs (T, S): written, the joint belief after each frame.
