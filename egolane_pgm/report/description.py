@@ -11,7 +11,7 @@ from types import ModuleType
 from typing import Any
 
 from egolane_pgm.graphs.cpds import Table
-from egolane_pgm.inference.compile import Compiled, same_within
+from egolane_pgm.inference.compile import Compiled
 from egolane_pgm.parameters import Parameter, Parameters
 from egolane_pgm.plugins import plugin_errors
 from egolane_pgm.report.structure import structure_of
@@ -47,7 +47,7 @@ def describe_graph(module: ModuleType, compiled: Compiled, *, numbers: bool) -> 
         first, later = compiled.tables[name, 0], compiled.tables[name, 1]
         if name in compiled.inputs:
             continue
-        if same_within(first, later):
+        if compiled.has_one_table(name):
             tables.append(_table("every frame", first, numbers))
         else:
             tables.append(_table("first frame", first, numbers))
