@@ -26,6 +26,8 @@ _PUBLIC = {
     "reproduce": "api.reproduction",
     "detect": "api.detections",
     "load_result": "api.loaded",
+    "compile": "api.networks",
+    "draw_network": "api.networks",
     "RunResult": "api.runs",
     "RunResults": "api.runs",
     "TuneResult": "api.studies",

@@ -75,7 +75,7 @@ class Placement:
     indices: tuple[IntArray, ...]
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class Compiled:
     """A network as arrays: S joint states, U joint values of the inputs (1 without inputs).
 
@@ -106,6 +106,11 @@ class Compiled:
     places: Mapping[SliceNode, Placement]
     tables: Mapping[SliceNode, Table]
     values: Mapping[str, tuple[str, ...]]
+
+    def __repr__(self) -> str:
+        nodes = " x ".join(f"{name} ({self.cardinality[name]})" for name in self.state_nodes)
+        seen = ", ".join(key if isinstance(key, str) else "+".join(key) for key in self.observed)
+        return f"Compiled({nodes}: {self.n_states} joint states; observes {seen})"
 
     @property
     def n_states(self) -> int:
