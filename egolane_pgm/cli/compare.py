@@ -13,6 +13,7 @@ from tqdm import tqdm
 from egolane_pgm import comparing
 from egolane_pgm.cli import options
 from egolane_pgm.comparing.choose import losses_by_experiment, plan
+from egolane_pgm.comparing.graphs import with_graphs
 from egolane_pgm.comparing.groups import (
     Group,
     Options,
@@ -23,6 +24,7 @@ from egolane_pgm.comparing.groups import (
     on_runs,
 )
 from egolane_pgm.comparing.learned_on import learned_elsewhere
+from egolane_pgm.comparing.placing import recording_key
 from egolane_pgm.experiment import load_experiment
 from egolane_pgm.files import check_not_read, check_place, write_json
 from egolane_pgm.paper import parse_runs
@@ -93,11 +95,10 @@ def compare(
     """Experiments side by side on frames that their parameters have not seen.
 
     Each of EXPERIMENTS (a YAML whose `fit` says how parameters are found) on its own recording,
-    or, with --runs, on those of the paper's runs. With --graphs and without --held-out: graphs
-    with the paper's parameters, in-sample.
+    or, with --runs, on those of the paper's runs; with --graphs each of them once with each graph.
+    Without experiments the graphs are put on the paper's runs, and without --held-out with the
+    paper's parameters, in-sample.
     """
-    if experiments and graphs:
-        raise InputError("compare: name experiments, or graphs with --graphs, not both")
     if learned_on and not experiments:
         raise InputError("--learned-on: goes with experiments")
     if with_paper and not (experiments and runs):
@@ -114,7 +115,9 @@ def compare(
             check_place(Path(place))
     if json_file:
         check_not_read(json_file, map(Path, experiments))
-    names = [n.strip() for n in (graphs or DEFAULT_GRAPHS).split(",") if n.strip()]
+    names = [n.strip() for n in (graphs or "").split(",") if n.strip()]
+    if not experiments:
+        names = names or DEFAULT_GRAPHS.split(",")
     if not experiments and not held_out:
         many = (health, overrides, trials, trials_per_number, seeds, figure, out)
         if any(many) or style != "markdown":
@@ -125,7 +128,8 @@ def compare(
         _in_sample(names, parse_runs(runs or "1-10"), which, json_file)
         return
     numbers = parse_runs(runs) if runs else None
-    groups = _groups(experiments, names, numbers, with_paper, which, learned_on, overrides)
+    fit = "tune" if held_out else None
+    groups = _groups(experiments, names, fit, numbers, with_paper, which, learned_on, overrides)
     settings = Options(
         blocks,
         trials,
@@ -149,6 +153,7 @@ def _seeds(text: str) -> tuple[int, ...]:
 def _groups(
     experiments: Sequence[str],
     graphs: Sequence[str],
+    fit: str | None,
     numbers: Sequence[int] | None,
     with_paper: bool,
     which: str,
@@ -156,10 +161,12 @@ def _groups(
     overrides: Sequence[str],
 ) -> list[Group]:
     if not experiments:
-        if overrides:
-            raise InputError("--set: goes with experiments, not with --graphs")
-        return graphs_on_runs(graphs, numbers or range(1, 11), "tune")
+        return graphs_on_runs(graphs, numbers or range(1, 11), "tune", overrides)
     models = [load_experiment(path, overrides) for path in experiments]
+    if graphs:
+        places = len({recording_key(model) for model in models}) if numbers is None else 1
+        is_shared = places < len(models)
+        models = with_graphs(models, graphs, fit=fit, is_shared=is_shared)
     if learned_on:
         models = learned_elsewhere(models, learned_on, numbers is not None)
     if numbers is None:
@@ -223,6 +230,9 @@ def _held_out(
 def _show_markdown(found: Mapping[str, Any], settings: Options) -> None:
     is_repeated = rows_of.is_repeated(found)
     taken_together = rows_of.together_tables(found)
+    header, rows = rows_of.search_rows(found)
+    if rows:
+        click.echo(f"{tables.markdown(header, rows)}\n")
     for header, rows in taken_together:
         click.echo(f"{tables.markdown(header, rows)}\n")
     if is_repeated:

@@ -16,7 +16,7 @@ import numpy as np
 
 from egolane_pgm.comparing.choose import Known, experiment_key, losses_by_experiment, plan
 from egolane_pgm.comparing.detector_health import detector_answers, detector_health, model_health
-from egolane_pgm.comparing.in_sample import with_graph
+from egolane_pgm.comparing.graphs import with_graphs
 from egolane_pgm.comparing.placing import (
     drive_key,
     load_for_scoring,
@@ -45,7 +45,7 @@ from egolane_pgm.scoring.seeds import (
     with_bounds,
 )
 from egolane_pgm.scoring.summary import score_with_intervals
-from egolane_pgm.types import BoolArray, FloatArray, InputError
+from egolane_pgm.types import BoolArray, FloatArray, InputError, all_problems
 
 
 @dataclass(frozen=True)
@@ -85,9 +85,6 @@ class Options:
     seeds: tuple[int, ...] = ()
 
 
-#: What is said of a mean over recordings as the least and the most.
-_COUNTS = ("free_parameters", "fixed_parameters", "trials")
-
 #: Per score the values of all frames and of each resample (1 + R,); None for a short drive.
 Means = Mapping[str, FloatArray] | None
 
@@ -97,7 +94,7 @@ Searched = list[Found] | InputError
 
 def by_recording(experiments: Sequence[Experiment]) -> list[Group]:
     """Group experiments by what they are run on. Raises InputError for a name that occurs twice in
-    a group."""
+    a group, and for models that `prepare_model` refuses."""
     found: dict[str, list[Experiment]] = {}
     for experiment in experiments:
         found.setdefault(recording_key(experiment), []).append(experiment)
@@ -108,8 +105,8 @@ def by_recording(experiments: Sequence[Experiment]) -> list[Group]:
         if recording.simulate:
             title += f", seed {recording.seed}"
         run = next((n for n in map(_paper_run, mine) if n is not None), None)
-        groups.append(_checked(Group(title, run, tuple(mine), tuple(mine))))
-    return _with_own_titles(groups)
+        groups.append(Group(title, run, tuple(mine), tuple(mine)))
+    return _with_own_titles(_checked(groups))
 
 
 def _with_own_titles(groups: Sequence[Group]) -> list[Group]:
@@ -142,37 +139,31 @@ def on_runs(
     Raises InputError for a model that does not go with a run's number of lanes.
     """
     groups = []
-    checked: set[tuple[str, int]] = set()
     for number in numbers:
         own = _own_experiment(number, which)
         placed = [on_recording(model, own) for model in models]
-        for model in placed:
-            if (model.source, own.n_lanes) not in checked:
-                checked.add((model.source, own.n_lanes))
-                try:
-                    prepare_model(model)
-                except InputError as error:
-                    where = f"run {number}, {own.n_lanes} lanes"
-                    raise InputError(*(f"{where}: {line}" for line in error.lines)) from error
         first = [own.model_copy(update={"name": "paper"})] if with_paper else []
-        groups.append(_checked(Group(f"run {number}", number, (*first, *placed), (own,))))
-    return groups
+        groups.append(Group(f"run {number}", number, (*first, *placed), (own,)))
+    return _checked(groups, on_runs=True)
 
 
-def graphs_on_runs(graphs: Sequence[str], numbers: Sequence[int], fit: str) -> list[Group]:
+def graphs_on_runs(
+    graphs: Sequence[str], numbers: Sequence[int], fit: str, overrides: Sequence[str] = ()
+) -> list[Group]:
     """Put each graph on the recording of each of the paper's runs, with the run's evidence rule
-    where that fits the graph, else with one that does."""
+    where that fits the graph, else with one that does.
+
+    graphs: as `graphs.named_graphs` takes them.
+    overrides: of the runs' experiments.
+
+    Raises InputError for graphs that cannot be used.
+    """
     groups = []
     for number in numbers:
-        own = _own_experiment(number, "published")
-        placed = [
-            with_graph(own, graph, own.parameters).model_copy(
-                update={"name": Path(graph).stem, "fit": fit}
-            )
-            for graph in graphs
-        ]
-        groups.append(_checked(Group(f"run {number}", number, tuple(placed), (own,))))
-    return groups
+        own = load_experiment(paper_experiment(number), overrides)
+        placed = with_graphs([own], graphs, fit=fit)
+        groups.append(Group(f"run {number}", number, tuple(placed), (own,)))
+    return _checked(groups, on_runs=True)
 
 
 def _own_experiment(number: int, which: str) -> Experiment:
@@ -188,15 +179,40 @@ def _paper_run(experiment: Experiment) -> int | None:
     return int(match.group(1)) if match else None
 
 
-def _checked(group: Group) -> Group:
-    names = [experiment.name for experiment in group.experiments]
-    for experiment in group.experiments:
-        if names.count(experiment.name) > 1:
-            raise InputError(
-                f"{experiment.source}: {group.title}: two experiments have the name"
-                f" {experiment.name}; give one another `name`"
-            )
-    return group
+def _checked(groups: list[Group], on_runs: bool = False) -> list[Group]:
+    """The same groups. Raises InputError for a name that occurs twice in one, and for all models
+    that cannot be used, so that it is known before a recording is read.
+
+    on_runs: whether to say on which of the paper's runs a model cannot be used.
+    """
+    seen: set[str] = set()
+    with all_problems() as part:
+        for group in groups:
+            names = [experiment.name for experiment in group.experiments]
+            for experiment in group.experiments:
+                if names.count(experiment.name) > 1:
+                    raise InputError(
+                        f"{experiment.source}: {group.title}: two experiments have the name"
+                        f" {experiment.name}; give one another `name`"
+                    )
+                model = (experiment.source, experiment.evidence, experiment.graph)
+                key = repr((*model, experiment.parameters, experiment.n_lanes))
+                if key in seen:
+                    continue
+                seen.add(key)
+                with part():
+                    _prepare(experiment, group.title if on_runs else None)
+    return groups
+
+
+def _prepare(experiment: Experiment, title: str | None) -> None:
+    try:
+        prepare_model(experiment)
+    except InputError as error:
+        if title is None:
+            raise
+        where = f"{title}, {experiment.n_lanes} lanes"
+        raise InputError(*(f"{where}: {line}" for line in error.lines)) from error
 
 
 def compare_groups(
@@ -412,7 +428,7 @@ def _entry(
         "name": experiment.name,
         "source": Path(experiment.source).name,
         "evidence": experiment.evidence,
-        "graph": experiment.graph,
+        "graph": _short(experiment.graph),
         "filter": experiment.filter,
         "fit": experiment.fit,
         "tuned_on": side.tuned_on,
@@ -443,6 +459,11 @@ def _entry(
         "difference": None,
         "health": None,
     }
+
+
+def _short(graph: str) -> str:
+    """A graph as it was named; of a file that is given in full, its name."""
+    return Path(graph).name if Path(graph).is_absolute() else graph
 
 
 def _scores(side: Side, kept: BoolArray) -> dict[str, Any]:
@@ -539,10 +560,9 @@ def together(groups: Sequence[Mapping[str, Any]]) -> list[dict[str, Any]]:
 
     groups: what `compare_groups` yields of those that did not fail.
 
-    `name`, `recordings` and `drives` (how many there are), `free_parameters`, `fixed_parameters`
-    and `trials` (the least and the most over the recordings), `scores` and `difference`, to the
-    first experiment (per score [estimate, low, high], or null where a drive is short), and `spread`
-    (per score the standard deviation over the seeds of this mean).
+    `name`, `recordings` and `drives` (how many there are), `scores` and `difference`, to the first
+    experiment (per score [estimate, low, high], or null where a drive is short), and `spread` (per
+    score the standard deviation over the seeds of this mean).
 
     Recordings of one drive by several detectors share its luck: their frames are resampled
     together. Frames of untrusted labels (`tuning.never_fit`) are left out. Empty for one recording,
@@ -566,18 +586,12 @@ def together(groups: Sequence[Mapping[str, Any]]) -> list[dict[str, Any]]:
                 "name": name,
                 "recordings": len(groups),
                 "drives": len({part["drive"] for part in groups}),
-                **{key: _ends(entries, key) for key in _COUNTS},
                 "scores": _bounds(means[k]),
                 "spread": _spread_of_means(entries),
                 "difference": _bounds(_minus(means[k], means[0])) if k else None,
             }
         )
     return found
-
-
-def _ends(entries: Sequence[Mapping[str, Any]], key: str) -> list[int] | None:
-    values = [entry[key] for entry in entries]
-    return None if None in values else [min(values), max(values)]
 
 
 def _spread_of_means(entries: Sequence[Mapping[str, Any]]) -> dict[str, float | None]:

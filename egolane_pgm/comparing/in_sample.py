@@ -6,13 +6,14 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
-from egolane_pgm.experiment import Experiment, load_experiment
+from egolane_pgm.comparing.graphs import named_graphs, with_graph
+from egolane_pgm.experiment import load_experiment
 from egolane_pgm.loading import load_recording
-from egolane_pgm.model import fitting_rule
+from egolane_pgm.model import prepare_model
 from egolane_pgm.paper import load_published, paper_experiment, parameters_for
-from egolane_pgm.plugins import declared_parameters, load_plugin
 from egolane_pgm.results import SCHEMA_VERSION
 from egolane_pgm.running import run_experiment
+from egolane_pgm.types import all_problems
 
 
 @dataclass(frozen=True)
@@ -31,37 +32,30 @@ class Compared:
 
 def compare_graphs(number: int, graphs: Sequence[str], which: str = "recovered") -> Compared:
     """Run one of the paper's runs under each graph, with the paper's parameters as far as the graph
-    has them. Nothing is tuned for the other graphs, and the paper's values are in-sample."""
+    has them. Nothing is tuned for the other graphs, and the paper's values are in-sample.
+
+    graphs: as `graphs.named_graphs` takes them.
+
+    Raises InputError for all graphs that cannot be used, before anything is read.
+    """
     experiment = load_experiment(paper_experiment(number))
     parameters = parameters_for(load_published()[number], which)
+    named = named_graphs(graphs)
+    models = {name: with_graph(experiment, graph, parameters) for name, graph in named.items()}
+    with all_problems() as part:
+        for model in models.values():
+            with part():
+                prepare_model(model)
     recorded = load_recording(experiment)
     scores: dict[str, Mapping[str, Any]] = {}
     log_evidence: dict[str, float] = {}
-    for graph in graphs:
-        run = run_experiment(with_graph(experiment, graph, parameters), recorded=recorded)
+    for name, model in models.items():
+        run = run_experiment(model, recorded=recorded)
         if "detector" in run.scores:
             scores.setdefault("detector", run.scores["detector"])
-        scores[graph] = run.scores["model"]
-        log_evidence[graph] = run.beliefs.mean_log_evidence
+        scores[name] = run.scores["model"]
+        log_evidence[name] = run.beliefs.mean_log_evidence
     return Compared(number, scores, log_evidence)
-
-
-def with_graph(experiment: Experiment, graph: str, parameters: Mapping[str, Any]) -> Experiment:
-    """The experiment with another graph.
-
-    It keeps those of the parameters that the new plugins declare, and its evidence rule where that
-    gives what the graph observes; else it has the first rule that does.
-    """
-    where = experiment.source
-    module = load_plugin("graphs", graph, experiment.folder, f"{where}: graph")
-    evidence = fitting_rule(
-        module, experiment.n_lanes, experiment.evidence, experiment.folder, where
-    )
-    rule = load_plugin("evidence", evidence, experiment.folder, f"{where}: evidence")
-    known = {spec.name for spec in declared_parameters(rule, module)}
-    kept = {name: value for name, value in parameters.items() if name in known}
-    changed = {"graph": graph, "evidence": evidence, "parameters": kept}
-    return experiment.model_copy(update=changed)
 
 
 def compare_rows(compared: Sequence[Compared], key: str) -> tuple[list[str], list[list[str]]]:

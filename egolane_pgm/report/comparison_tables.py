@@ -15,13 +15,13 @@ used; in-sample: tuned on the frames that are scored; not causal: the filter or 
 later frames too, as a lane width from the whole recording does. Intervals: 95 %, block bootstrap;
 those of differences (to the first experiment of the recording) are paired. Log evidence can be
 compared only between experiments with the same evidence rule and parameters of it. us/frame:
-processor time of evidence and filter. Parameters: numbers that were fitted to labels."""
+processor time of evidence and filter. Parameters: numbers that were fitted to labels. Trials: of
+the search without one block."""
 
 SEEDS_LEGEND = """\
 Each search was made with every seed: scores are means over the seeds, +- is their standard
 deviation, and intervals are over frames and seeds (each resample draws blocks of frames and, for
-each experiment, seeds). Searched, fixed: numbers that the search moves, and those that it does not;
-trials: of the search without one block."""
+each experiment, seeds)."""
 
 TOGETHER_LEGEND = """\
 All recordings: plain means over them. Recordings of one drive by several detectors are not
@@ -131,33 +131,37 @@ def is_repeated(document: Mapping[str, Any]) -> bool:
     return any(len(entry["seeds"]) > 1 for entry in entries)
 
 
+def search_rows(document: Mapping[str, Any]) -> tuple[list[str], list[list[str]]]:
+    """What was searched: a row for each experiment that was, the least and the most where it is not
+    the same on all recordings."""
+    rows = []
+    for name in experiment_names(document):
+        entries = [e for r in document["recordings"] for e in r["experiments"]]
+        mine = [e for e in entries if e["name"] == name and e["trials"] is not None]
+        keys = ("free_parameters", "fixed_parameters", "trials")
+        found = [{e[key] for e in mine} for key in keys] + [{len(e["seeds"]) for e in mine}]
+        if mine:
+            rows.append([name, *("-".join(map(str, sorted({min(f), max(f)}))) for f in found)])
+    return ["search", "numbers searched", "held fixed", "trials", "seeds"], rows
+
+
 def together_tables(document: Mapping[str, Any]) -> list[tuple[list[str], list[list[str]]]]:
     """All recordings together: a table for each score, a row per experiment. Empty where there is
     nothing to take together."""
-    found = document["together"]
-    repeated, searched = is_repeated(document), any(each["trials"] for each in found)
+    found, repeated = document["together"], is_repeated(document)
     tables = []
     for key, title in _COMPARED.items() if found else ():
-        header = [f"all {found[0]['recordings']} recordings"]
-        header += ["searched", "fixed", "trials"] if searched else []
-        header += [title, *(["+-"] if repeated else []), f"to {found[0]['name']}"]
+        header = [f"all {found[0]['recordings']} recordings", title]
+        header += [*(["+-"] if repeated else []), f"to {found[0]['name']}"]
         rows = []
         for each in found:
-            row = [each["name"]]
-            if searched:
-                names = ("free_parameters", "fixed_parameters", "trials")
-                row += [_least_and_most(each[name]) for name in names]
             bounds = each["scores"][key]
-            row.append("-" if bounds is None else _short_bounds(bounds))
+            row = [each["name"], "-" if bounds is None else _short_bounds(bounds)]
             row += [score_text(each["spread"][key])] if repeated else []
             row.append(_difference((each["difference"] or {}).get(key)))
             rows.append(row)
         tables.append((header, rows))
     return tables
-
-
-def _least_and_most(ends: Sequence[int] | None) -> str:
-    return "-" if ends is None else "-".join(map(str, dict.fromkeys(ends)))
 
 
 def _short_bounds(bounds: Sequence[float]) -> str:

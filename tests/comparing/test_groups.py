@@ -35,6 +35,7 @@ from egolane_pgm.report.comparison_tables import (
     accuracy_rows,
     full_rows,
     health_rows,
+    search_rows,
     seeds_rows,
     together_tables,
 )
@@ -44,7 +45,16 @@ from egolane_pgm.scoring.bootstrap import bootstrap_interval, confusion_counts
 from egolane_pgm.scoring.confusion import accuracy
 from egolane_pgm.types import InputError
 from tests.conftest import needs_compiler
-from tests.kits.drives import done, geometry, refused, short_drive, simulated, write_drive
+from tests.kits.drives import (
+    command,
+    done,
+    geometry,
+    refused,
+    rewritten,
+    short_drive,
+    simulated,
+    write_drive,
+)
 
 pytestmark = [
     pytest.mark.filterwarnings("ignore:.*no frame to learn from:UserWarning"),
@@ -235,10 +245,13 @@ def test_a_search_is_made_with_every_seed_and_scored_by_the_mean() -> None:
     mean = [r["experiments"][1]["scores"]["all_frames"]["f1"] for r in found["recordings"]]
     first, second = found["together"]
     assert (first["difference"], second["recordings"], second["drives"]) == (None, 2, 2)
-    assert (second["free_parameters"], second["trials"]) == ([5, 5], [15, 15])
     assert second["scores"]["f1"][0] == pytest.approx(np.mean(mean))
     low, high = second["difference"]["f1"][1:]
     assert low < second["scores"]["f1"][0] - first["scores"]["f1"][0] < high
+    assert search_rows(found)[1] == [
+        ["lane_only", "3", "7", "9", "2"],
+        ["no_wor", "5", "7", "15", "2"],
+    ]
     for header, rows in (seeds_rows(found), *together_tables(found)):
         assert {len(row) for row in rows} == {len(header)}
         assert f"{np.mean(mean):.3f}" in str(rows) or header[-3] != "F1"
@@ -363,9 +376,79 @@ def test_graphs_held_out_are_tuned_without_each_block(runs: Path, tmp_path: Path
         assert len(entry["parameters"]) == 3
 
 
+GRAPH = """
+from egolane_pgm.graphs.lane_only import HIDDEN, OBSERVED, UNUSED, build
+from egolane_pgm.parameters import Parameter
+
+PARAMETERS = (
+    Parameter("sigma1", "sigma", 0.4, "standard deviation of the lane dynamics, lanes"),
+    Parameter("sigma2", "sigma", 0.5, "standard deviation of the detector output, lanes"),
+    Parameter("normal", "choice", "density", "how F is made", choices=("density",)),
+    Parameter("lane_widths", "positive", 1.0, "widths", search=None),
+)
+"""
+
+
+def _entries(target: Path) -> list[list[tuple[str, str, int, str]]]:
+    """Per recording name, graph, numbers fitted and fit of each experiment."""
+    keys = ("name", "graph", "free_parameters", "fit")
+    recordings = json.loads(target.read_text())["recordings"]
+    return [[tuple(e[k] for k in keys) for e in r["experiments"]] for r in recordings]
+
+
+def test_a_graph_is_found_from_where_one_stands(
+    runs: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """And is searched as the package's are, without saying so."""
+    for folder in ("mine", "theirs"):
+        (tmp_path / folder).mkdir()
+        (tmp_path / folder / "worn.py").write_text(GRAPH)
+    experiment = write_drive(tmp_path / "elsewhere", tuned_on="not_tuned")
+    monkeypatch.chdir(tmp_path / "mine")
+    target = tmp_path / "found.json"
+    few = ("--held-out", "--trials", 2, "--blocks", 2, "--json", target)
+    done("compare", "--graphs", "lane_only,./worn.py,../theirs/worn.py", "--runs", 2, *few)
+    expected = [("lane_only", "lane_only", 3, "tune")]
+    assert _entries(target) == [
+        [*expected, ("mine_worn", "worn.py", 3, "tune"), ("theirs_worn", "worn.py", 3, "tune")]
+    ]
+    other = write_drive(tmp_path / "other", name="other")
+    done("compare", experiment, other, "--graphs", "lane_only,worn.py", *few)
+    assert _entries(target) == [[*expected, ("worn", "worn.py", 3, "tune")]] * 2
+    again = rewritten(experiment, tmp_path / "elsewhere" / "again.yaml", name="again")
+    words = (experiment, again, "--graphs", "worn.py,lane_only")
+    done("compare", *words, "--set", "unassigned_below=0.3", "--json", target)
+    (found,) = _entries(target)
+    names = ["drive_worn", "drive_lane_only", "again_worn", "again_lane_only"]
+    assert [name for name, *_ in found] == names
+    assert {fit for *_, fit in found} == {"none"}
+    done("compare", experiment, "--graphs", "worn.py", "--runs", 2, "--json", target)
+    assert [r["title"] for r in json.loads(target.read_text())["recordings"]] == ["run 2"]
+
+
+def test_graphs_that_cannot_be_used_are_all_named_before_a_recording_is_read(
+    runs: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    (runs / "lines.csv").unlink()
+    (tmp_path / "bad.py").write_text(GRAPH.replace("OBSERVED,", "") + "OBSERVED = ('Lanes',)\n")
+    on_run = ("--runs", 2)
+    for words in ((*on_run, "--held-out"), on_run):
+        result = command("compare", "--graphs", "lane_olny,./absent.py", *words)
+        assert result.exit_code == 2
+        if "--held-out" in words:
+            assert "--graphs: unknown name 'lane_olny' (did you mean 'lane_only'?)" in result.stderr
+            assert f"--graphs: no file {tmp_path / 'absent.py'}" in result.stderr
+        message = refused("compare", "--graphs", "lane_only,bad.py", *words)
+        assert "Lanes" in message
+        assert "lines.csv" not in message
+    assert "lines.csv: no such file" in refused("compare", "--graphs", "lane_only", "--runs", 2)
+    message = refused("compare", "--graphs", "lane_only,lane_only", "--held-out", *on_run)
+    assert message == "--graphs: lane_only is named twice"
+
+
 def test_what_cannot_be_compared_is_refused_in_one_line(runs: Path, tmp_path: Path) -> None:
     one = write(tmp_path / "one.yaml", simulated("one"))
-    assert "not both" in refused("compare", one, "--graphs", "no_wor")
     assert "--with-paper" in refused("compare", one, "--with-paper")
     assert "--held-out" in refused("compare", "--health", "--runs", "2")
     message = refused("compare", write(tmp_path / "f.yaml", simulated()), "--set", "fit=lern")
