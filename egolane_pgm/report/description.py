@@ -123,8 +123,8 @@ def _parameter(spec: Parameter) -> dict[str, Any]:
         "default": spec.default,
         "choices": list(spec.choices),
         "per_lane": spec.per_lane,
-        "range": spec.search_range,
-        "is_searched": spec.is_searched,
+        "range": spec.search,
+        "is_searched": spec.search is not None,
         "meaning": spec.doc[: source.start()] if source else spec.doc,
         "source": source[1] if source else None,
     }
@@ -233,13 +233,12 @@ def _rule_lines(found: Mapping[str, Any]) -> list[str]:
 def _parameter_lines(parameters: Sequence[Mapping[str, Any]]) -> list[str]:
     if not parameters:
         return ["parameters: none"]
-    rows = [["parameters", "kind", "default", "range", "in a search"]]
+    rows = [["parameters", "kind", "default", "in a search"]]
     for each in parameters:
         kind = each["kind"] + (", or per lane" if each["per_lane"] else "")
-        bounds = _short(each["range"]) if each["range"] else "-"
-        moved = "moved" if each["is_searched"] else "held fixed"
-        rows.append([f"  {each['name']}", kind, _short(each["default"]), bounds, moved])
-    widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
+        search = _short(each["range"]) if each["is_searched"] else "held fixed"
+        rows.append([f"  {each['name']}", kind, _short(each["default"]), search])
+    widths = [max(len(row[k]) for row in rows) for k in range(4)]
     lines = []
     for row in rows:
         lines.append("  ".join(f"{text:{w}}" for text, w in zip(row, widths, strict=True)).rstrip())
