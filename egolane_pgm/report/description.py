@@ -123,8 +123,8 @@ def _parameter(spec: Parameter) -> dict[str, Any]:
         "default": spec.default,
         "choices": list(spec.choices),
         "per_lane": spec.per_lane,
-        "range": spec.search,
-        "is_searched": spec.search is not None,
+        "range": spec.search_range if spec.is_searched else None,
+        "is_searched": spec.is_searched,
         "meaning": spec.doc[: source.start()] if source else spec.doc,
         "source": source[1] if source else None,
     }
