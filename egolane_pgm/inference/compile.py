@@ -1,22 +1,23 @@
 """A declared two-slice network, turned into arrays over its joint state.
 
-All validation of a graph is here: what the filters get is known to be well formed. pgmpy's CPDs
-are aligned by node name, never by position.
+`graphs.from_pgmpy` reads the tables, their axes by the names of nodes; what the parts below do not
+allow is refused here, naming the node. What the filters get is therefore known to be well formed.
 
 Each node of a network has one of these parts:
 
-- An input is a root whose value is given in every frame. It selects the tables of its children.
+- An input is a root whose value is given in every frame. It selects among its children's tables.
 - A function is a hidden node whose value follows for certain from other nodes of its frame.
-- A plain emission is an observed node that depends on nodes of its own frame alone, inputs not
-  among them, by the same table in every frame, and on which nothing depends but plain emissions.
-- Every other node, hidden or observed, is in the joint state: one that has an edge across the
-  slices, a hidden one that is random in every frame anew, an observed one that an input selects the
-  table of, or on which a hidden one depends.
+- A plain emission is an observed node that depends on its own frame alone, inputs left out, by the
+  same table in every frame, and on which nothing depends but other plain emissions.
+- Every other node is in the joint state, whether it is hidden or observed: a node with an edge
+  across the slices, a hidden one that is drawn anew in every frame, an observed one that depends on
+  an input or that a hidden one depends on.
 
-The joint state is the product of the nodes of the last kind, and the filters carry a belief over
-it from frame to frame. What later frames do not depend on is summed out there by the transition,
-whose rows are the same for all its values. The evidence of an observed node is a likelihood of its
-values; where the node is in the joint state, it is a likelihood of the states that have them.
+A joint state is one value for each node of the last kind, and the filters carry a belief over the
+joint states from frame to frame. Where later frames do not depend on a node, the rows of the
+transition are the same for all its values, and so the step to the next frame sums it out. Evidence
+is a likelihood of an observed node's values. If the node is in the joint state, that is the
+likelihood of the states with these values, as for a hidden node that is observed directly.
 """
 
 from __future__ import annotations
@@ -435,6 +436,10 @@ def _compile(
     return with_tables(blank, ())
 
 
+#: What makes an observed node a part of the joint state.
+_NOT_PLAIN = "an edge across the slices, an input, a carried child or another first table"
+
+
 def _check_size(parts: _Parts, cardinality: Mapping[str, int]) -> None:
     def sizes(names: Iterable[str]) -> str:
         return " x ".join(f"{n} {cardinality[n]}" for n in names)
@@ -447,7 +452,7 @@ def _check_size(parts: _Parts, cardinality: Mapping[str, int]) -> None:
     n_states = math.prod(cardinality[n] for n in parts.state)
     if n_states > MAX_STATES:
         seen = [n for n in parts.state if n not in parts.hidden]
-        why = f"; {', '.join(seen)}: observed, but no plain emission" if seen else ""
+        why = f"; {', '.join(seen)}: observed, but no plain emission ({_NOT_PLAIN})" if seen else ""
         raise InputError(
             f"the joint state has {n_states} values ({sizes(parts.state)}), more than"
             f" {MAX_STATES}{why}"

@@ -4,9 +4,9 @@ The evidence of a frame becomes, once, its likelihood given each joint state (`s
 All that follows stands on one recursion over that (`forward`): filters, online steps, smoothers,
 the most probable path and the expected counts of learning.
 
-`exact` carries the joint hidden state from frame to frame. `assumed_density` carries the product
-of the persistent nodes' marginals (Boyen and Koller 1998), which is what the paper's equations in
-section "Inference" do: each marginal is propagated by its own table.
+`exact` carries the belief over the joint state from frame to frame. `assumed_density` carries the
+product of the marginals of the nodes in it (Boyen and Koller 1998), which is what the paper's
+equations in section "Inference" do: each marginal is propagated by its own table.
 """
 
 from __future__ import annotations

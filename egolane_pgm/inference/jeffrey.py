@@ -1,18 +1,23 @@
-"""Soft evidence read by Jeffrey's rule: the *posterior* of the observed node, not a likelihood.
+"""Soft evidence read by Jeffrey's rule (Jeffrey 1965): how probable each value of an observed node
+is *after* the frame, not how likely the frame is given each value.
 
-For evidence q over the values o of an observed node and a belief P from before,
-P'(x) = sum_o q(o) P(x | o) (Jeffrey 1965): afterwards the node is distributed as q says, whatever
-was believed before. That is virtual evidence with the likelihood q(o) / P(o), P(o) the predicted
-marginal of the node, so every frame needs its prediction.
+Let P(x) be the belief over the joint state that is predicted for a frame, and q(o) what the frame
+says of the values o of an observed node. The belief after the frame is
+
+    P'(x) = sum over o of q(o) P(x | o)
+
+so that the node is then distributed as q says, whatever was believed before. A likelihood of
+q(o) / P(o) would give the same belief. It depends on the prediction P(o), which is why this reading
+has a recursion of its own.
 
 Several observed nodes are taken one after the other, in the order of `Compiled.observed`: as
-declared, those with a common table next to each other. Jeffrey's rule does not commute: the last
-node is distributed as its evidence says, the earlier ones only nearly so.
+declared, those with a common table next to each other. The order matters: the last node is
+distributed as its evidence says, the earlier ones only nearly so.
 
-Values that were impossible before (P(o) = 0) stay so, and q is shared out among the others in
-proportion; where q gives the others nothing the frame is flagged and keeps its prediction. The log
-evidence is the sum over the observed nodes of log sum_o q(o) P(o), which for hard evidence is that
-of the other readings.
+A value that the prediction rules out (P(o) = 0) stays impossible, and the others share its q(o) in
+proportion to their own. Where the others have nothing the frame is flagged and keeps its
+prediction. The log evidence of a frame is the sum over the observed nodes of the logarithm of
+(sum over o of q(o) P(o)), which for hard evidence is that of the other readings.
 """
 
 from __future__ import annotations

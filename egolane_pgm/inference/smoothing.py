@@ -111,7 +111,7 @@ def smooth_beliefs(
     compiled: Compiled, evidence: Evidence, *, frame_id: IntArray | None = None
 ) -> Beliefs:
     """P(node | evidence of all frames) for every hidden node and frame (Rabiner 1989, section
-    III.B, on the joint hidden state).
+    III.B, on the joint state).
 
     - frame_id (T,): the beliefs' frame ids, 0, 1, ... by default.
 

@@ -1,7 +1,12 @@
-"""The most probable path of the joint hidden state, and where it is not to be trusted.
+"""The most probable path of the joint state, and where it is not to be trusted.
 
-The path is the best single story of the whole drive; where several stories share the probability
-it may be far from what each frame's smoothed belief says. `disagreement` finds such stretches.
+The path is the best single story of a whole drive: in every frame one value for each node of the
+joint state (`compile`). The values of plain emissions are no part of the story, it is as probable
+as all of them together. An observed node that is in the joint state is a part of it, so that the
+story is about one of its values, however soft the evidence.
+
+Many stories may share the probability, and the best of them may then be far from what each frame's
+smoothed belief says. `disagreement` finds such stretches.
 """
 
 from __future__ import annotations
@@ -29,9 +34,14 @@ LIMIT = 50
 
 @dataclass(frozen=True)
 class Path:
-    """frame_id (T,). values: per hidden node the index of its value in each frame (T,); lanes
-    count from 0. log_probability: natural logarithm of P(path, evidence), each likelihood as
-    given. is_impossible (T,): the frame's evidence has joint likelihood zero and was ignored."""
+    """The most probable path of T frames.
+
+    - frame_id (T,).
+    - values: per hidden node the index of its value in each frame (T,); lanes count from 0.
+    - log_probability: natural logarithm of P(path of the joint state, evidence), each likelihood
+      as given.
+    - is_impossible (T,): the frame's evidence has joint likelihood zero and was ignored.
+    """
 
     frame_id: IntArray
     values: Mapping[str, IntArray]
@@ -50,8 +60,12 @@ class Path:
 @dataclass(frozen=True)
 class Disagreement:
     """The longest stretch of frames in which the path's value has a smoothed probability below
-    1/2. frames: its length, 0 if there is none. first, last: its frame ids, or None. warning: one
-    line where it is longer than the limit, else None."""
+    1/2.
+
+    - frames: its length, 0 if there is none.
+    - first, last: its frame ids, or None.
+    - warning: one line where it is longer than the limit, else None.
+    """
 
     frames: int
     first: int | None
@@ -62,8 +76,9 @@ class Disagreement:
 def viterbi_path(
     compiled: Compiled, evidence: Evidence, *, frame_id: IntArray | None = None
 ) -> Path:
-    """The joint hidden states of highest probability given all evidence, in log space; of equally
-    probable ones the state with the lowest number, from the last frame backwards.
+    """The joint states of highest probability given all evidence (Rabiner 1989, section III.B, in
+    logarithms). Of equally probable paths it is the one with the lowest-numbered state in the last
+    frame, then in the one before, and so on.
 
     - frame_id (T,): the path's frame ids, 0, 1, ... by default.
 

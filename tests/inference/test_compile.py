@@ -495,7 +495,7 @@ def test_a_joint_state_too_large_is_refused_with_its_size_and_its_nodes() -> Non
     tables += dynamics("D", ["A", previous("D")], uniform(n, n, n))
     assert refused(tables) == (
         "the joint state has 4225 values (A 65 x D 65), more than 4096; D: observed, but no plain"
-        " emission"
+        " emission (an edge across the slices, an input, a carried child or another first table)"
     )
 
 
