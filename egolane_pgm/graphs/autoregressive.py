@@ -23,7 +23,7 @@ from egolane_pgm.parameters import Parameter, Parameters, number
 if TYPE_CHECKING:
     from pgmpy.models import DynamicBayesianNetwork
 
-HIDDEN = (*sensor_failure.HIDDEN, "DetectorOutput")
+HIDDEN = sensor_failure.HIDDEN
 OBSERVED = sensor_failure.OBSERVED
 VALUES = sensor_failure.VALUES
 PARAMETERS = (

@@ -20,9 +20,9 @@ from egolane_pgm.parameters import Parameter, Parameters, number
 if TYPE_CHECKING:
     from pgmpy.models import DynamicBayesianNetwork
 
-HIDDEN = (*autoregressive.HIDDEN, "WOR")
+HIDDEN = autoregressive.HIDDEN
 OBSERVED = autoregressive.OBSERVED
-VALUES = {**autoregressive.VALUES, "WOR": ("OK", "BAD")}
+VALUES = autoregressive.VALUES
 PARAMETERS = (
     *autoregressive.PARAMETERS,
     Parameter(

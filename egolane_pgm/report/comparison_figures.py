@@ -1,4 +1,5 @@
-"""The figure of a comparison: the accuracy of several experiments on several recordings."""
+"""The figures of a comparison: the accuracy of several experiments on several recordings, and how
+that differs from the first one's."""
 
 from __future__ import annotations
 
@@ -10,7 +11,15 @@ from typing import Any
 from matplotlib.figure import Figure
 
 from egolane_pgm.report.comparison_tables import experiment_names, trusted_or_all
-from egolane_pgm.report.style import FAINT, INK, axes_at, new_figure, put_title, write_figure
+from egolane_pgm.report.style import (
+    FAINT,
+    INK,
+    MODEL_COLOUR,
+    axes_at,
+    new_figure,
+    put_title,
+    write_figure,
+)
 from egolane_pgm.types import InputError
 
 #: Okabe and Ito's colours, and a marker each, so that the figure can be read without colour.
@@ -112,6 +121,85 @@ def comparison_figure(document: Mapping[str, Any]) -> Figure:
         ncols=columns, fontsize=8.5, frameon=False,
     )  # fmt: skip
     return figure
+
+
+#: Panels beside each other; inches: their width, a row's height, the space between two panels, that
+#: above a panel and that below it.
+_PANELS, _PANEL, _ROW, _GAP, _ABOVE, _BELOW = 4, 1.7, 0.19, 0.22, 0.3, 0.3
+
+
+def draw_differences(document: Mapping[str, Any], path: str | Path) -> Path:
+    """Draws the accuracy of each experiment but the first less that of the first, on each recording
+    and on all together, with paired 95 % intervals.
+
+    document: as `egolane compare --json` writes it. Frames whose labels are not trusted are left
+    out. A marker is filled where zero is outside of the interval; there is no interval for a short
+    drive.
+
+    Raises InputError for a document with fewer than two experiments, and as `write_figure` does.
+    """
+    return write_figure(lambda: differences_figure(document), path)
+
+
+def differences_figure(document: Mapping[str, Any]) -> Figure:
+    """The figure of `draw_differences`."""
+    names = experiment_names(document)
+    if len(names) < 2:
+        raise InputError("comparison: a difference needs two experiments")
+    found = {name: _differences(document, name) for name in names[1:]}
+    titles, recordings = list(found[names[1]]), document["recordings"]
+    values = [v for each in found.values() for bounds in each.values() for v in bounds or ()]
+    reach = 1.05 * max(map(abs, values), default=1.0)
+    rows, columns = -(-len(found) // _PANELS), min(_PANELS, len(found))
+    margin = 0.3 + 0.07 * max(map(len, titles))
+    height = _ROW * len(titles) + 0.1
+    step = _ABOVE + height + _BELOW
+    figure = new_figure(margin + columns * (_PANEL + _GAP) + 0.1, 0.3 + rows * step + 0.2)
+    put_title(figure, f"Accuracy less that of {names[0]}, with paired 95 % intervals", size=10)
+    for k, (name, differences) in enumerate(found.items()):
+        row, column = divmod(k, _PANELS)
+        left, top = margin + column * (_PANEL + _GAP), 0.3 + row * step + _ABOVE
+        ax = axes_at(figure, left, top, _PANEL, height)
+        ax.axvline(0, color=INK, linewidth=0.8, zorder=1)
+        for y, found_here in enumerate(differences.values()):
+            if found_here is None:
+                continue
+            value, low, high = found_here
+            is_mean = y == len(recordings)
+            ax.plot([low, high], [y, y], color=MODEL_COLOUR, linewidth=1.4, zorder=2)
+            ax.plot(
+                [value], [y], marker="D" if is_mean else "o", markersize=4.5,
+                markeredgecolor=MODEL_COLOUR, zorder=3,
+                markerfacecolor="white" if low <= 0 <= high else MODEL_COLOUR,
+            )  # fmt: skip
+        if len(titles) > len(recordings):
+            ax.axhline(len(recordings) - 0.5, color=FAINT, linewidth=0.6, zorder=0)
+        ax.set_title(name, fontsize=9, loc="left", color=INK)
+        ax.set_ylim(len(titles) - 0.5, -0.5)
+        ax.set_xlim(-reach, reach)
+        ax.locator_params(axis="x", nbins=4)
+        ax.set_yticks(range(len(titles)), titles if column == 0 else [""] * len(titles))
+        ax.tick_params(labelsize=8, length=2)
+        ax.grid(axis="x", color="#ececec", linewidth=0.6)
+        ax.set_axisbelow(True)
+        if k + _PANELS >= len(found):
+            ax.set_xlabel("accuracy difference", fontsize=8.5)
+    return figure
+
+
+def _differences(document: Mapping[str, Any], name: str) -> dict[str, tuple[float, ...] | None]:
+    """By recording, and for all of them, the difference of the accuracy with its interval."""
+    found: dict[str, tuple[float, ...] | None] = {}
+    for recording in document["recordings"]:
+        for entry in recording["experiments"]:
+            if entry["name"] == name and entry["difference"] is not None:
+                bounds = trusted_or_all(entry["difference"])["accuracy"]
+                found[_short(recording["title"])] = bounds and tuple(bounds)
+    for entry in document["together"]:
+        if entry["name"] == name and entry["difference"] is not None:
+            bounds = entry["difference"]["accuracy"]
+            found[f"all {entry['recordings']}"] = bounds and tuple(bounds)
+    return found
 
 
 def _height(accuracy: float) -> float:

@@ -30,7 +30,12 @@ from egolane_pgm.experiment import Experiment, load_experiment, resolved
 from egolane_pgm.model import Drive
 from egolane_pgm.plugins import plugin_names
 from egolane_pgm.recordings.ground_truth import write_ground_truth
-from egolane_pgm.report.comparison_figures import comparison_figure, draw_comparison
+from egolane_pgm.report.comparison_figures import (
+    comparison_figure,
+    differences_figure,
+    draw_comparison,
+    draw_differences,
+)
 from egolane_pgm.report.comparison_tables import (
     accuracy_rows,
     full_rows,
@@ -505,6 +510,42 @@ def small_document() -> dict[str, Any]:
         ]
     )
     return document(list(compare_groups(groups, Options(health=True))), Options(health=True))
+
+
+def test_the_figure_of_differences_has_a_panel_for_each_experiment_but_the_first(
+    tmp_path: Path,
+) -> None:
+    def entry(name: str, found: list[float] | None) -> dict[str, Any]:
+        return {"name": name, "difference": found and {"all_frames": {"accuracy": found}}}
+
+    recordings = [
+        {
+            "title": f"run {k}",
+            "experiments": [
+                entry("a", None),
+                entry("b", [0.02 * k, 0.01, 0.05]),
+                entry("c", [-0.01, -0.03, 0.02]),
+            ],
+        }
+        for k in (1, 2)
+    ]
+    means = [
+        {"name": name, "recordings": 2, "difference": found and {"accuracy": found}}
+        for name, found in (("a", None), ("b", [0.03, 0.02, 0.04]), ("c", [0.0, -0.01, 0.01]))
+    ]
+    found = {"recordings": recordings, "together": means}
+    axes = differences_figure(found).axes
+    assert [ax.get_title("left") for ax in axes] == ["b", "c"]
+    assert [label.get_text() for label in axes[0].get_yticklabels()] == ["run 1", "run 2", "all 2"]
+    for ax, values, is_clear in zip(
+        axes, ([0.02, 0.04, 0.03], [-0.01, -0.01, 0.0]), (True, False), strict=True
+    ):
+        points = [line for line in ax.lines if line.get_marker() in ("o", "D")]
+        assert [np.asarray(p.get_xdata()).item() for p in points] == pytest.approx(values)
+        assert [p.get_markerfacecolor() != "white" for p in points] == [is_clear] * 3
+    draw_differences(found, tmp_path / "x.png")
+    with pytest.raises(InputError, match="needs two experiments"):
+        draw_differences({"recordings": []}, tmp_path / "y.png")
 
 
 def test_tables_and_figure_show_the_numbers_of_the_document(tmp_path: Path) -> None:

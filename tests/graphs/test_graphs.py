@@ -189,7 +189,7 @@ def test_the_mirrored_road_gives_the_mirrored_belief(name: str, seed: int, n_lan
 
 def mirrored_values(module: ModuleType, node: str, marginal: np.ndarray) -> list[int]:
     """The values of a node as seen in a mirror: LEFT is RIGHT."""
-    if node in ("RoadPosition", "DetectorOutput"):
+    if node == "RoadPosition":
         return list(range(marginal.shape[1]))[::-1]
     names = getattr(module, "VALUES", {}).get(node, range(marginal.shape[1]))
     other_side = {"LEFT": "RIGHT", "RIGHT": "LEFT"}
