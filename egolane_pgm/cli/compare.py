@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import click
 from tqdm import tqdm
@@ -36,7 +36,15 @@ from egolane_pgm.types import InputError
 Draw = Callable[[Sequence[str], Sequence[Sequence[str]]], str]
 
 DEFAULT_GRAPHS = "sensor_failure,wor_on_lane,no_wor,lane_only"
+
 TITLES = {"accuracy": "Accuracy", "f1": "F1 (mean over lanes)", "log_loss": "Log-loss (all frames)"}
+
+
+class Figures(NamedTuple):
+    """Where the figures go; None for one that is not drawn."""
+
+    accuracy: str | None
+    differences: str | None
 
 
 @click.command()
@@ -71,6 +79,12 @@ TITLES = {"accuracy": "Accuracy", "f1": "F1 (mean over lanes)", "log_loss": "Log
     "--out", type=click.Path(file_okay=False), help="Keep a result directory for each recording."
 )
 @click.option("--figure", type=click.Path(dir_okay=False), metavar="FILE", help="Draw accuracy.")
+@click.option(
+    "--differences",
+    type=click.Path(dir_okay=False),
+    metavar="FILE",
+    help="Draw how accuracy differs from the first one's.",
+)
 @options.json_file
 def compare(
     experiments: tuple[str, ...],
@@ -90,6 +104,7 @@ def compare(
     style: str,
     out: str | None,
     figure: str | None,
+    differences: str | None,
     json_file: Path | None,
 ) -> None:
     """Experiments side by side on frames that their parameters have not seen.
@@ -105,12 +120,14 @@ def compare(
         raise InputError("--with-paper: goes with experiments and --runs")
     if trials and trials_per_number:
         raise InputError("--trials-per-number: goes instead of --trials, not with it")
-    if figure:
+    figures = Figures(figure, differences)
+    if any(figures):
         # matplotlib is imported only for a figure.
         from egolane_pgm.report.style import check_figure_path
 
-        check_figure_path(figure)
-    for place in (figure, out and str(Path(out) / "recording")):
+        for path in filter(None, figures):
+            check_figure_path(path)
+    for place in (*figures, out and str(Path(out) / "recording")):
         if place:
             check_place(Path(place))
     if json_file:
@@ -119,17 +136,19 @@ def compare(
     if not experiments:
         names = names or DEFAULT_GRAPHS.split(",")
     if not experiments and not held_out:
-        many = (health, overrides, trials, trials_per_number, seeds, figure, out)
+        many = (health, overrides, trials, trials_per_number, seeds, *figures, out)
         if any(many) or style != "markdown":
             raise InputError(
-                "compare: --health, --set, --trials, --trials-per-number, --seeds, --figure, --out"
-                " and --format go with experiments or with --held-out"
+                "compare: --health, --set, --trials, --trials-per-number, --seeds, --figure,"
+                " --differences, --out and --format go with experiments or with --held-out"
             )
         _in_sample(names, parse_runs(runs or "1-10"), which, json_file)
         return
     numbers = parse_runs(runs) if runs else None
     fit = "tune" if held_out else None
     groups = _groups(experiments, names, fit, numbers, with_paper, which, learned_on, overrides)
+    if differences and all(len(group.experiments) < 2 for group in groups):
+        raise InputError("--differences: needs two experiments or graphs on one recording")
     settings = Options(
         blocks,
         trials,
@@ -138,7 +157,7 @@ def compare(
         trials_per_number,
         _seeds(seeds) if seeds else (),
     )
-    _held_out(groups, settings, jobs, style, figure, json_file)
+    _held_out(groups, settings, jobs, style, figures, json_file)
 
 
 def _seeds(text: str) -> tuple[int, ...]:
@@ -179,7 +198,7 @@ def _held_out(
     settings: Options,
     jobs: int,
     style: str,
-    figure: str | None,
+    figures: Figures,
     json_file: Path | None,
 ) -> None:
     def show(found: Iterator[Any], total: int, doing: str, unit: str) -> Iterable[Any]:
@@ -211,10 +230,12 @@ def _held_out(
         _show_markdown(found, settings)
     else:
         _show_tables(found, settings, tables.STYLES[style])
-    if figure:
-        from egolane_pgm.report.comparison_figures import draw_comparison
+    if any(figures):
+        from egolane_pgm.report.comparison_figures import draw_comparison, draw_differences
 
-        draw_comparison(found, figure)
+        for draw, path in zip((draw_comparison, draw_differences), figures, strict=True):
+            if path:
+                draw(found, path)
     for failed in found["failed"]:
         click.echo(f"failed: {failed['title']}: {failed['error']}", err=True)
     if unwritten is not None:

@@ -350,8 +350,9 @@ def test_the_command_shows_writes_and_draws(runs: Path, tmp_path: Path) -> None:
     first = write(tmp_path / "zero.yaml", geometry("zero", tuned_on="not_tuned"))
     second = write(tmp_path / "learned.yaml", geometry("learned", fit="learn"))
     target, figure = tmp_path / "all.json", tmp_path / "all.png"
+    differences = tmp_path / "differences.png"
     words = ("compare", first, second, "--runs", "2", "--with-paper", "--health")
-    shown = done(*words, "--json", target, "--figure", figure).stdout
+    shown = done(*words, "--json", target, "--figure", figure, "--differences", differences).stdout
     found = json.loads(target.read_text())
     assert found["held_out"] is True
     (recording,) = found["recordings"]
@@ -364,6 +365,7 @@ def test_the_command_shows_writes_and_draws(runs: Path, tmp_path: Path) -> None:
             assert f"{scores['accuracy']:.3f}" in shown
         assert f"{entry['health']['without_never_fit']['auc_doubt']:.4f}" in shown
     assert figure.read_bytes().startswith(b"\x89PNG")
+    assert differences.read_bytes().startswith(b"\x89PNG")
     latex = done("compare", first, "--runs", "2", "--format", "latex").stdout
     assert latex.startswith(r"\begin{tabular}")
     csv = done("compare", first, "--runs", "2", "--format", "csv").stdout.splitlines()
@@ -468,6 +470,7 @@ def test_what_cannot_be_compared_is_refused_in_one_line(runs: Path, tmp_path: Pa
     message = refused("compare", crossing)
     assert message.endswith("ground_truth.txt: every frame is a crossing, nothing to score")
     assert "a figure ends in .png" in refused("compare", one, "--figure", tmp_path / "a.gif")
+    assert "needs two experiments" in refused("compare", one, "--differences", tmp_path / "a.png")
     assert "a search takes assumed_density or exact" in refused(
         "compare", one, "--set", "fit=tune", "--set", "filter=smoothed"
     )
