@@ -26,7 +26,7 @@ _PUBLIC = {
     "reproduce": "api.reproduction",
     "detect": "api.detections",
     "load_result": "api.loaded",
-    "compile": "api.networks",
+    "compile": "inference.compile",
     "draw_network": "api.networks",
     "RunResult": "api.runs",
     "RunResults": "api.runs",

@@ -16,7 +16,7 @@ import numpy as np
 
 from egolane_pgm.experiment import Experiment
 from egolane_pgm.graphs.from_pgmpy import node_names
-from egolane_pgm.inference.compile import Compiled, compile_network, with_tables
+from egolane_pgm.inference.compile import Compiled, compile, with_tables
 from egolane_pgm.inference.filtering import filter_beliefs, read_evidence
 from egolane_pgm.inference.layout import check_keys
 from egolane_pgm.inference.smoothing import infer_beliefs
@@ -172,12 +172,16 @@ def build_network(
 
 
 def compile_graph(graph: ModuleType, roles: Roles, network: DynamicBayesianNetwork) -> Compiled:
-    """Compile a graph that `build_network` declared. Raises InputError as `compile_network`."""
+    """Compile a graph that `build_network` declared. Raises InputError as `compile`."""
     with warnings.catch_warnings():
         # A network that knows nothing of us has no virtual-evidence nodes.
         warnings.simplefilter("ignore", UserWarning)
-        return compile_network(
-            network, roles.hidden, roles.observed, roles.inputs, getattr(graph, "VALUES", {})
+        return compile(
+            network,
+            hidden=roles.hidden,
+            observed=roles.observed,
+            inputs=roles.inputs,
+            values=getattr(graph, "VALUES", {}),
         )
 
 

@@ -138,23 +138,51 @@ class Compiled:
         return _is_same(self.tables[name, 0], self.tables[name, 1])
 
 
-def compile_network(
+def compile(
     network: Any,
-    hidden: Sequence[str] | None,
+    *,
     observed: Sequence[Observed],
+    hidden: Sequence[str] | None = None,
     inputs: Sequence[str] = (),
-    values: Mapping[str, Sequence[str]] | None = None,
     transition: Sequence[Any] | None = None,
+    values: Mapping[str, Sequence[str]] | None = None,
 ) -> Compiled:
-    """The arrays of a declared network.
+    """Turn a pgmpy network into the arrays that the filters take.
 
-    - network, transition: as `read_network` takes them.
-    - hidden: None for every node that is neither observed nor an input, and Lane.
+    - network: a `DynamicBayesianNetwork`, before or after `initialize_initial_state()`; a
+      `DiscreteBayesianNetwork` of two slices, with nodes named `Lane_0` and `Lane_1`, or of one
+      slice; or the name of a BIF or XMLBIF file of either.
+    - observed: the nodes, or tuples of nodes, that there is evidence of.
+    - hidden: the nodes that beliefs are about, by default all that are neither observed nor inputs,
+      and Lane in any case.
+    - inputs: nodes without parents whose value is known in every frame.
+    - transition: for a network of one slice, pgmpy's `TabularCPD`s of (name, 1) given (name, 0) and
+      (name, 1).
     - values: names of nodes' values, in place of those that the network gives. Where neither gives
       any, those of LANES count from 1 and those of any other node from 0.
 
     Warns of observed nodes without a virtual-evidence child, which is added. Raises InputError,
-    naming the node, for anything that the filters could not honour.
+    naming the node or the file, for anything that the filters could not honour.
+
+    >>> import warnings
+    >>> import numpy as np
+    >>> import egolane_pgm as ego
+    >>> from pgmpy.factors.discrete import TabularCPD
+    >>> from pgmpy.models import DynamicBayesianNetwork
+    >>> network = DynamicBayesianNetwork([(("Lane", 0), ("Lane", 1)), (("Lane", 0), ("Line", 0))])
+    >>> network.add_cpds(
+    ...     TabularCPD(("Lane", 0), 2, [[0.5], [0.5]]),
+    ...     TabularCPD(("Lane", 1), 2, [[0.9, 0.1], [0.1, 0.9]], [("Lane", 0)], [2]),
+    ...     TabularCPD(("Line", 0), 2, [[0.8, 0.2], [0.2, 0.8]], [("Lane", 0)], [2]),
+    ... )
+    >>> with warnings.catch_warnings():
+    ...     warnings.simplefilter("ignore")  # Line has no virtual-evidence node
+    ...     compiled = ego.compile(network, observed=["Line"])
+    >>> compiled
+    Compiled(Lane (2): 2 joint states; observes Line)
+    >>> seen = ego.Evidence({"Line": np.array([[1.0, 0.0], [1.0, 0.0]])})
+    >>> ego.filter_beliefs(compiled, seen, "exact").lane.round(3).tolist()
+    [[0.8, 0.2], [0.919, 0.081]]
     """
     declared = read_network(network, transition)
     if hidden is None:

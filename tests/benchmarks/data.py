@@ -11,7 +11,7 @@ import numpy as np
 
 from egolane_pgm.evidence import counting
 from egolane_pgm.graphs import sensor_failure
-from egolane_pgm.inference.compile import Compiled, compile_network, with_tables
+from egolane_pgm.inference.compile import Compiled, compile, with_tables
 from egolane_pgm.parameters import Parameters, resolve_parameters
 from egolane_pgm.types import Evidence, LaneTruth, LineLog
 
@@ -60,7 +60,7 @@ def load() -> Data:
     evidence = counting.evidence(log, N_LANES, rule)
     given = resolve_parameters(sensor_failure.PARAMETERS, PARAMETERS, N_LANES)
     network = sensor_failure.build(N_LANES, given)
-    compiled = compile_network(network, sensor_failure.HIDDEN, sensor_failure.OBSERVED)
+    compiled = compile(network, hidden=sensor_failure.HIDDEN, observed=sensor_failure.OBSERVED)
     return Data(log, truth, rule, evidence, compiled, f"{source}, {len(log)} frames", read)
 
 

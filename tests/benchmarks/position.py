@@ -11,7 +11,7 @@ import numpy as np
 
 from egolane_pgm.evidence.line_geometry import rule as line_geometry
 from egolane_pgm.graphs import position_in_lane
-from egolane_pgm.inference.compile import Compiled, compile_network
+from egolane_pgm.inference.compile import Compiled, compile
 from egolane_pgm.inference.filtering import filter_beliefs, step
 from egolane_pgm.parameters import Parameters, resolve_parameters
 from egolane_pgm.types import Evidence, FloatArray
@@ -42,11 +42,11 @@ def prepared(data: Data) -> Position:
     specs = {p.name: p for p in (*line_geometry.PARAMETERS, *position_in_lane.PARAMETERS)}
     parameters = resolve_parameters(specs.values(), {}, N_LANES)
     network = position_in_lane.build(N_LANES, parameters)
-    compiled = compile_network(
+    compiled = compile(
         network,
-        position_in_lane.HIDDEN,
-        position_in_lane.OBSERVED,
-        position_in_lane.INPUTS,
+        hidden=position_in_lane.HIDDEN,
+        observed=position_in_lane.OBSERVED,
+        inputs=position_in_lane.INPUTS,
     )
     evidence = made(data, parameters)
     u = int(parameters["motion_bins"]) // 2  # type: ignore[arg-type]

@@ -16,7 +16,7 @@ from hypothesis import settings
 from hypothesis import strategies as st
 
 from egolane_pgm.graphs.cpds import Table, declare, dynamics, previous, prior, within
-from egolane_pgm.inference.compile import Compiled, compile_network, with_tables
+from egolane_pgm.inference.compile import Compiled, compile, with_tables
 from egolane_pgm.inference.filtering import filter_beliefs
 from egolane_pgm.parameters import Parameter, Parameters, Value, resolve_parameters
 from egolane_pgm.plugins import plugin_names
@@ -43,7 +43,9 @@ def graph_inputs(module: ModuleType) -> tuple[str, ...]:
 
 def compiled_graph(module: ModuleType, n_lanes: int, parameters: Parameters) -> Compiled:
     network = module.build(n_lanes, parameters)
-    return compile_network(network, module.HIDDEN, module.OBSERVED, graph_inputs(module))
+    return compile(
+        network, hidden=module.HIDDEN, observed=module.OBSERVED, inputs=graph_inputs(module)
+    )
 
 
 @functools.cache
@@ -251,7 +253,7 @@ class RandomGraph:
 
     def compiled(self) -> Compiled:
         network = declare(self.tables, self.observed)
-        return compile_network(network, self.hidden, self.observed, self.inputs)
+        return compile(network, hidden=self.hidden, observed=self.observed, inputs=self.inputs)
 
 
 @functools.cache

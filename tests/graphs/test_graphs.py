@@ -11,7 +11,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from egolane_pgm.graphs.cpds import declare, ve_name
-from egolane_pgm.inference.compile import Compiled, compile_network, with_tables
+from egolane_pgm.inference.compile import Compiled, compile, with_tables
 from egolane_pgm.inference.filtering import filter_beliefs
 from egolane_pgm.parameters import Parameters, resolve_parameters
 from egolane_pgm.types import Evidence
@@ -80,7 +80,7 @@ def test_both_filters_agree_with_the_oracle(name: str, n_lanes: int, seed: int) 
     network = module.build(n_lanes, parameters)
     roles = (module.HIDDEN, module.OBSERVED)
     inputs = graph_inputs(module)
-    compiled = compile_network(network, *roles, inputs)
+    compiled = compile(network, hidden=module.HIDDEN, observed=module.OBSERVED, inputs=inputs)
     evidence = draw_evidence(compiled, 4, rng)
     right = {
         "exact": oracle_filter(network, *roles, evidence, inputs),
@@ -112,7 +112,7 @@ def test_a_frame_of_zero_joint_likelihood_is_kept_as_predicted_by_the_oracle_too
     network = module.build(3, defaults(name, 3))
     roles = (module.HIDDEN, module.OBSERVED)
     inputs = graph_inputs(module)
-    compiled = compile_network(network, *roles, inputs)
+    compiled = compile(network, hidden=module.HIDDEN, observed=module.OBSERVED, inputs=inputs)
     evidence = draw_evidence(compiled, 4, np.random.default_rng(5), zeros=0)
     for key in module.OBSERVED[: 1 if zeroed == "one" else None]:
         evidence.likelihoods[key][[0, 2]] = 0
@@ -146,7 +146,9 @@ def test_the_order_of_a_tables_axes_does_not_matter(name: str) -> None:
         shuffled = shuffle_axes(tables, rng)
         rng.shuffle(shuffled)  # type: ignore[arg-type]
         network = declare(shuffled, module.OBSERVED)
-        other = compile_network(network, module.HIDDEN, module.OBSERVED, graph_inputs(module))
+        other = compile(
+            network, hidden=module.HIDDEN, observed=module.OBSERVED, inputs=graph_inputs(module)
+        )
         assert_same_arrays(other, compiled)
         assert_same_arrays(with_tables(compiled, shuffled), compiled)
 

@@ -10,7 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from egolane_pgm.graphs import position_in_lane as graph
-from egolane_pgm.inference.compile import Compiled, compile_network
+from egolane_pgm.inference.compile import Compiled, compile
 from egolane_pgm.inference.filtering import filter_beliefs, step
 from egolane_pgm.inference.kernels.banded import find_band
 from egolane_pgm.parameters import Parameters, resolve_parameters
@@ -97,7 +97,7 @@ def test_the_order_of_the_hidden_nodes_does_not_matter_to_the_banded_kernel() ->
     parameters = resolved(3, cells=8, motion_bins=7)
     network = graph.build(3, parameters)
     ours, turned = (
-        compile_network(network, hidden, graph.OBSERVED, graph.INPUTS)
+        compile(network, hidden=hidden, observed=graph.OBSERVED, inputs=graph.INPUTS)
         for hidden in (graph.HIDDEN, graph.HIDDEN[::-1])
     )
     assert turned.state_nodes == ours.state_nodes == ("SensorState", "RoadPosition")

@@ -7,7 +7,7 @@ import pytest
 
 from egolane_pgm.evidence import counting, counting_levels
 from egolane_pgm.graphs.wor_levels import binomial
-from egolane_pgm.inference.compile import Compiled, compile_network
+from egolane_pgm.inference.compile import Compiled, compile
 from egolane_pgm.inference.filtering import filter_beliefs
 from egolane_pgm.parameters import Parameters, resolve_parameters
 from egolane_pgm.simulation import simulate
@@ -75,7 +75,7 @@ def test_any_number_of_levels_agrees_with_the_oracle(levels: int) -> None:
     parameters = resolve_parameters(module.PARAMETERS, {"wor_levels": levels, "p3": 0.8}, 3)
     network = module.build(3, parameters)
     roles = (module.HIDDEN, module.OBSERVED)
-    found = compile_network(network, *roles)
+    found = compile(network, hidden=module.HIDDEN, observed=module.OBSERVED)
     evidence = draw_evidence(found, 3, np.random.default_rng(levels))
     assert evidence.likelihoods["WOR"].shape == (3, levels)
     right = {

@@ -21,7 +21,7 @@ from egolane_pgm.graphs.cpds import (
     within,
 )
 from egolane_pgm.inference import compile as _roles
-from egolane_pgm.inference.compile import Compiled, compile_network, with_tables
+from egolane_pgm.inference.compile import Compiled, compile, with_tables
 from egolane_pgm.inference.filtering import filter_beliefs
 from egolane_pgm.types import Evidence, InputError, Observed
 from tests.conformance.networks import (
@@ -43,7 +43,7 @@ OF_TWO = np.array([[[0.7, 0.3], [0.4, 0.6]], [[0.1, 0.9], [0.5, 0.5]]])
 
 
 def compiled_simple() -> Compiled:
-    return compile_network(declare(simple_tables(), ["D"]), ["A"], ["D"])
+    return compile(declare(simple_tables(), ["D"]), hidden=["A"], observed=["D"])
 
 
 @pytest.mark.parametrize("tens", range(50))
@@ -53,7 +53,9 @@ def test_random_networks_agree_with_the_oracle(tens: int) -> None:
         rng = np.random.default_rng(seed)
         graph = draw_graph(rng)
         network = declare(graph.tables, graph.observed)
-        compiled = compile_network(network, graph.hidden, graph.observed, graph.inputs)
+        compiled = compile(
+            network, hidden=graph.hidden, observed=graph.observed, inputs=graph.inputs
+        )
         evidence = draw_evidence(compiled, 2, rng)
         arguments = (network, graph.hidden, graph.observed, evidence, graph.inputs)
         right = {"exact": oracle_filter(*arguments)}
@@ -139,7 +141,7 @@ def test_a_network_written_in_plain_pgmpy_compiles_whatever_the_order_of_its_edg
             network.add_cpds(
                 TabularCPD((n, 0), 2, [[0.5], [0.5]]), TabularCPD((n, 1), 2, KEEP.T, [(n, 0)], [2])
             )
-    compiled = compile_network(network, ("A", "B"), ("D",))
+    compiled = compile(network, hidden=("A", "B"), observed=("D",))
     emission = compiled.groups[0].emission.reshape(2, 2, 2)
     np.testing.assert_allclose(emission, sees.transpose(1, 0, 2))  # [a, b, d]
 
@@ -165,7 +167,7 @@ def test_leaves_that_hang_together_in_a_chain_are_one_group_in_the_order_declare
         *within("G", ["D"], SEES[::-1]),
     ]
     observed = tuple("DEFG"[k] for k in order)
-    compiled = compile_network(declare(tables, observed), ["A"], observed)
+    compiled = compile(declare(tables, observed), hidden=["A"], observed=observed)
     assert compiled.observed == observed
     assert len(compiled.groups) == 1
     evidence = draw_evidence(compiled, 2, rng)
@@ -180,7 +182,7 @@ def test_an_input_selects_the_transition_and_the_prior() -> None:
         *dynamics("A", ["Speed", previous("A")], OF_TWO),
         *within("D", ["A"], np.eye(2)),
     ]
-    compiled = compile_network(declare(tables, ["D"]), ["A"], ["D"], ["Speed"])
+    compiled = compile(declare(tables, ["D"]), hidden=["A"], observed=["D"], inputs=["Speed"])
     evidence = Evidence({"D": np.ones((2, 2))}, {"Speed": np.array([1, 0])})
     belief = filter_beliefs(compiled, evidence, "exact").marginals["A"]
     np.testing.assert_allclose(belief[0], KEEP[1])
@@ -219,7 +221,7 @@ def test_new_tables_must_be_of_this_network_and_those_not_given_are_kept() -> No
 def test_new_numbers_may_change_the_part_that_a_node_has(changed: list[Table]) -> None:
     """An emission may come to differ between the slices, a function to be another or uncertain."""
     tables = [*simple_tables(), *within("F", ["A"], np.eye(2))]
-    compiled = compile_network(declare(tables, ["D"]), ["A", "F"], ["D"])
+    compiled = compile(declare(tables, ["D"]), hidden=["A", "F"], observed=["D"])
     assert compiled.n_states == 2
     nodes = {table.node for table in changed}
     now = [*changed, *(table for table in tables if table.node not in nodes)]
@@ -246,7 +248,7 @@ def refused(
 ) -> str:
     network = declare(tables, observed if declared is None else declared)
     with pytest.raises(InputError) as error:
-        compile_network(network, hidden, observed, inputs)
+        compile(network, hidden=hidden, observed=observed, inputs=inputs)
     message = str(error.value)
     assert "\n" not in message
     return message
@@ -260,7 +262,7 @@ def edited(edit: Callable[[Any, Callable[..., Any]], None]) -> str:
         network = declare(simple_tables(), ["D"])
         edit(network, TabularCPD)
     with pytest.raises(InputError) as error:
-        compile_network(network, ["A"], ["D"])
+        compile(network, hidden=["A"], observed=["D"])
     return str(error.value)
 
 
@@ -335,9 +337,9 @@ def test_missing_virtual_evidence_children_are_added_and_said() -> None:
     with pytest.warns(
         UserWarning, match=r"no A\+D_ve: virtual-evidence nodes that are missing are"
     ):
-        compiled = compile_network(declare(simple_tables(), ["D"]), ["A"], observed)
+        compiled = compile(declare(simple_tables(), ["D"]), hidden=["A"], observed=observed)
     assert {("D_ve", 0), ("A+D_ve", 1)} <= set(compiled.network.nodes())
-    whole = compile_network(declare(simple_tables(), observed), ["A"], observed)
+    whole = compile(declare(simple_tables(), observed), hidden=["A"], observed=observed)
     evidence = draw_evidence(whole, 3, np.random.default_rng(0))
     right = {m: filter_beliefs(whole, evidence, m) for m in METHODS}
     assert_filters_agree(compiled, evidence, right)
@@ -357,16 +359,16 @@ def test_the_tables_are_those_of_every_node_and_change_with_the_numbers() -> Non
 
 def test_values_have_the_names_of_the_network_or_those_given_and_lanes_count_from_one() -> None:
     tables = simple_tables("Lane")
-    plain = compile_network(declare(tables, ["D"]), ["Lane"], ["D"])
+    plain = compile(declare(tables, ["D"]), hidden=["Lane"], observed=["D"])
     assert plain.values == {"Lane": ("1", "2"), "D": ("0", "1")}
     named = declare(tables, ["D"], {"D": ("left", "right")})
-    of_network = compile_network(named, ["Lane"], ["D"])
+    of_network = compile(named, hidden=["Lane"], observed=["D"])
     assert of_network.values == {"Lane": ("1", "2"), "D": ("left", "right")}
-    given = compile_network(named, ["Lane"], ["D"], values={"D": ("a", "b")})
+    given = compile(named, hidden=["Lane"], observed=["D"], values={"D": ("a", "b")})
     assert given.values["D"] == ("a", "b")
     for names in (("a", "b", "c"), ("a", "a")):
         with pytest.raises(InputError, match="D: has 2 values, but their names are a, "):
-            compile_network(named, ["Lane"], ["D"], values={"D": names})
+            compile(named, hidden=["Lane"], observed=["D"], values={"D": names})
 
 
 @pytest.mark.parametrize("seed", range(4))
@@ -383,7 +385,7 @@ def test_the_network_of_a_compiled_graph_is_the_one_that_was_compiled(seed: int)
         name = cpd.variable[0]
         if name in compiled.values:
             assert ours.state_names[cpd.variable] == list(compiled.values[name])
-    again = compile_network(network, graph.hidden, graph.observed, graph.inputs)
+    again = compile(network, hidden=graph.hidden, observed=graph.observed, inputs=graph.inputs)
     assert again.values == compiled.values
     np.testing.assert_array_equal(again.transition, compiled.transition)
 
@@ -412,7 +414,7 @@ def test_a_node_that_is_declared_twice_is_refused(
 def test_a_hidden_node_may_be_a_constant() -> None:
     tables = [*simple_tables(), *within("F", [], [0.0, 1.0]), *within("E", ["F"], SEES)]
     network = declare(tables, ["D", "E"])
-    compiled = compile_network(network, ["A", "F"], ["D", "E"])
+    compiled = compile(network, hidden=["A", "F"], observed=["D", "E"])
     evidence = draw_evidence(compiled, 3, np.random.default_rng(0), zeros=0)
     right = oracle_filter(network, ["A", "F"], ["D", "E"], evidence)
     np.testing.assert_allclose(right.marginals["F"], [[0, 1]] * 3)
@@ -431,7 +433,7 @@ def sensor_bias(inside: Sequence[str] = ("A",)) -> list[Table]:
 @pytest.mark.parametrize("n_frames", [1, 2, 5])
 def test_an_observed_node_whose_errors_persist_agrees_with_brute_force(n_frames: int) -> None:
     rng = np.random.default_rng(n_frames)
-    compiled = compile_network(declare(sensor_bias(), ["D"]), ["A"], ["D"])
+    compiled = compile(declare(sensor_bias(), ["D"]), hidden=["A"], observed=["D"])
     assert compiled.state_nodes == ("A", "D")
     for _ in range(5):
         evidence = draw_evidence(compiled, n_frames, rng)
@@ -474,7 +476,7 @@ def test_only_what_must_be_carried_or_is_no_plain_emission_is_in_the_state(
     inputs: list[str],
     state: list[str],
 ) -> None:
-    compiled = compile_network(declare(tables, observed), hidden, observed, inputs)
+    compiled = compile(declare(tables, observed), hidden=hidden, observed=observed, inputs=inputs)
     assert list(compiled.state_nodes) == state
     evidence = draw_evidence(compiled, 3, np.random.default_rng(0))
     right = {m: brute_force(tables, hidden, evidence, m) for m in METHODS}
@@ -502,10 +504,10 @@ def test_a_joint_state_too_large_is_refused_with_its_size_and_its_nodes() -> Non
 def test_a_joint_state_of_just_the_largest_size_is_taken(monkeypatch: pytest.MonkeyPatch) -> None:
     network = declare(simple_tables(), ["D"])
     monkeypatch.setattr(_roles, "MAX_STATES", 2)
-    assert compile_network(network, ["A"], ["D"]).n_states == 2
+    assert compile(network, hidden=["A"], observed=["D"]).n_states == 2
     monkeypatch.setattr(_roles, "MAX_STATES", 1)
     with pytest.raises(InputError, match=r"2 values \(A 2\), more than 1"):
-        compile_network(network, ["A"], ["D"])
+        compile(network, hidden=["A"], observed=["D"])
 
 
 def test_a_transition_or_emission_too_large_is_refused_with_its_nodes(

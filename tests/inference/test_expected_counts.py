@@ -11,7 +11,7 @@ import pytest
 from hypothesis import given, settings
 
 from egolane_pgm.graphs.cpds import SliceNode, Table, declare, dynamics, previous, prior, within
-from egolane_pgm.inference.compile import Compiled, compile_network, with_tables
+from egolane_pgm.inference.compile import Compiled, compile, with_tables
 from egolane_pgm.inference.expected_counts import FREE, Expected, counted_tables, expected_counts
 from egolane_pgm.inference.filtering import filter_beliefs, read_evidence
 from egolane_pgm.inference.smoothing import smooth_beliefs
@@ -85,7 +85,7 @@ def test_three_parents_are_put_in_the_compiled_order() -> None:
     tables = [t for n, k in names.items() for t in prior(n, np.full(k, 1 / k))]
     tables += [t for n, k in names.items() for t in dynamics(n, [previous(n)], np.eye(k))]
     tables += within("D", list(names), values)
-    compiled = compile_network(declare(tables, ["D"]), list(names), ["D"])
+    compiled = compile(declare(tables, ["D"]), hidden=list(names), observed=["D"])
     turned = [*tables[:-2], *within("D", ["R", "P", "Q"], values.transpose(2, 0, 1, 3))]
     found = counted_tables(with_tables(compiled, turned))["D", 1]
     assert [name for name, _ in found.parents] == list(names)
@@ -213,7 +213,7 @@ def test_it_agrees_with_the_filter_and_the_smoother() -> None:
 
 
 def test_a_long_recording_of_tiny_likelihoods_does_not_underflow() -> None:
-    compiled = compile_network(declare(simple_tables(), ["D"]), ["A"], ["D"])
+    compiled = compile(declare(simple_tables(), ["D"]), hidden=["A"], observed=["D"])
     evidence = Evidence({"D": np.tile([1e-300, 3e-300], (2000, 1))})
     found = expected_counts(compiled, evidence)
     beliefs = filter_beliefs(compiled, evidence, "exact")
@@ -224,7 +224,7 @@ def test_a_long_recording_of_tiny_likelihoods_does_not_underflow() -> None:
 def test_a_known_value_that_cannot_be_is_left_out_and_flagged() -> None:
     tables = [*simple_tables()]
     tables[1] = Table(("A", 1), (("A", 0),), np.eye(2))
-    compiled = compile_network(declare(tables, ["D"]), ["A"], ["D"])
+    compiled = compile(declare(tables, ["D"]), hidden=["A"], observed=["D"])
     evidence = Evidence({"D": np.ones((4, 2))})
     known = np.array([0, 1, FREE, 0])
     found = expected_counts(compiled, evidence, {"A": known})
@@ -237,7 +237,7 @@ def test_a_step_between_states_of_hardly_a_number_is_counted_as_one() -> None:
     tables = [*simple_tables()]
     tables[1] = Table(("A", 1), (("A", 0),), np.array([[1.0, 0.0], [0.67, 0.33]]))
     tables[2:] = within("D", ["A"], np.eye(2))
-    compiled = compile_network(declare(tables, ["D"]), ["A"], ["D"])
+    compiled = compile(declare(tables, ["D"]), hidden=["A"], observed=["D"])
     evidence = Evidence({"D": np.array([[1.0, 2e-322], [0.0, 1.0]])})
     found = expected_counts(compiled, evidence)
     np.testing.assert_allclose(found.counts["A", 1], [[0, 0], [0, 1]], atol=1e-12)
@@ -256,7 +256,7 @@ def test_what_is_given_is_left_as_it_is() -> None:
 
 
 def test_nothing_is_counted_in_no_frames() -> None:
-    compiled = compile_network(declare(simple_tables(), ["D"]), ["A"], ["D"])
+    compiled = compile(declare(simple_tables(), ["D"]), hidden=["A"], observed=["D"])
     found = expected_counts(compiled, Evidence({"D": np.empty((0, 2))}))
     assert totals(found) == {("A", 0): 0, ("A", 1): 0, ("D", 1): 0}
     assert found.log_evidence == 0

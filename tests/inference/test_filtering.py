@@ -10,7 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from egolane_pgm.graphs.cpds import declare, dynamics, previous, prior, within
-from egolane_pgm.inference.compile import Compiled, compile_network, with_tables
+from egolane_pgm.inference.compile import Compiled, compile, with_tables
 from egolane_pgm.inference.filtering import filter_beliefs, read_evidence, step
 from egolane_pgm.parameters import resolve_parameters
 from egolane_pgm.types import Evidence, InputError
@@ -211,7 +211,7 @@ def test_evidence_that_the_model_rules_out_is_flagged_though_no_likelihood_is_al
         *dynamics("Lane", [previous("Lane")], np.eye(2)),
         *within("D", ["Lane"], np.eye(2)),
     ]
-    compiled = compile_network(declare(tables, ["D"]), ["Lane"], ["D"])
+    compiled = compile(declare(tables, ["D"]), hidden=["Lane"], observed=["D"])
     evidence = Evidence({"D": np.array([[0.5, 0.5], [0.0, 1.0], [0.2, 0.8]])})
     beliefs = filter_beliefs(compiled, evidence, method)
     assert beliefs.is_impossible.tolist() == [False, True, False]
@@ -402,7 +402,7 @@ def test_an_input_that_is_missing_unknown_or_out_of_range_is_refused() -> None:
         *dynamics("Lane", ["Speed", previous("Lane")], np.stack([np.eye(2), np.full((2, 2), 0.5)])),
         *within("D", ["Lane"], np.eye(2)),
     ]
-    compiled = compile_network(declare(tables, ["D"]), ["Lane"], ["D"], ["Speed"])
+    compiled = compile(declare(tables, ["D"]), hidden=["Lane"], observed=["D"], inputs=["Speed"])
     seen = {"D": np.ones((2, 2))}
     for inputs, message in [
         ({}, "input node Speed: the evidence has nothing for it"),
@@ -437,7 +437,7 @@ def test_evidence_on_three_nodes_has_its_axes_in_the_order_of_its_key(
     for name, size in sizes.items():
         tables += within(name, ["Lane"], rng.dirichlet(np.ones(size), 2))
     observed = ("X", "Y", "Z", key)
-    compiled = compile_network(declare(tables, observed), ["Lane"], observed)
+    compiled = compile(declare(tables, observed), hidden=["Lane"], observed=observed)
     evidence = draw_evidence(compiled, 2, rng, zeros=0)
     right = brute_force(tables, ["Lane"], evidence, method)
     ours = filter_beliefs(compiled, evidence, method)
@@ -456,7 +456,9 @@ def test_two_inputs_select_the_transition_by_their_names(method: str) -> None:
         ),
         *within("D", ["Lane"], rng.dirichlet(np.ones(2), 2)),
     ]
-    compiled = compile_network(declare(tables, ["D"]), ["Lane"], ["D"], ["InputA", "InputB"])
+    compiled = compile(
+        declare(tables, ["D"]), hidden=["Lane"], observed=["D"], inputs=["InputA", "InputB"]
+    )
     evidence = draw_evidence(compiled, 4, rng)
     right = brute_force(tables, ["Lane"], evidence, method)
     assert_same_beliefs(filter_beliefs(compiled, evidence, method), right)

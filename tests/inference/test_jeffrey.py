@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given
 
 from egolane_pgm.graphs.cpds import declare, dynamics, previous, prior, within
-from egolane_pgm.inference.compile import compile_network, with_tables
+from egolane_pgm.inference.compile import compile, with_tables
 from egolane_pgm.inference.filtering import filter_beliefs, read_evidence, step
 from egolane_pgm.inference.layout import evidence_blocks
 from egolane_pgm.types import Evidence, InputError
@@ -94,7 +94,7 @@ def test_the_observed_node_is_afterwards_distributed_as_the_evidence_says() -> N
         *within("Seen", ["Lane"], stay),
     ]
     network = declare(tables, ["Lane", "Seen"])
-    compiled = compile_network(network, ["Lane"], ["Lane", "Seen"])
+    compiled = compile(network, hidden=["Lane"], observed=["Lane", "Seen"])
     rows = _rng(1).dirichlet(np.ones(3), 10)
     said_of_seen = np.ones((10, 3))  # nothing
     posterior = read_evidence(Evidence({"Lane": rows, "Seen": said_of_seen}), "jeffrey")
@@ -143,7 +143,7 @@ def test_values_that_were_impossible_stay_so_and_are_shared_out(method: str) -> 
         *dynamics("Lane", [previous("Lane")], np.eye(3)),
         *within("Seen", ["Lane"], np.eye(3)),
     ]
-    compiled = compile_network(declare(tables, ["Seen"]), ["Lane"], ["Seen"])
+    compiled = compile(declare(tables, ["Seen"]), hidden=["Lane"], observed=["Seen"])
     rows = np.array([[0.3, 0.1, 0.6]])
     posterior = read_evidence(Evidence({"Seen": rows}), "jeffrey")
     belief = filter_beliefs(compiled, posterior, method)

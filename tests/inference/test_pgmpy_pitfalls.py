@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from egolane_pgm.graphs.cpds import Table, declare, dynamics, previous, prior, quiet, within
-from egolane_pgm.inference.compile import compile_network
+from egolane_pgm.inference.compile import compile
 from egolane_pgm.inference.filtering import filter_beliefs
 from egolane_pgm.types import Evidence
 from tests.conformance.networks import METHODS, assert_same_beliefs, brute_force
@@ -31,7 +31,7 @@ def tables() -> list[Table]:
 
 def filtered(likelihood: np.ndarray) -> np.ndarray:
     network = declare(tables(), ["D"])
-    compiled = compile_network(network, ["Lane"], ["D"])
+    compiled = compile(network, hidden=["Lane"], observed=["D"])
     return filter_beliefs(compiled, Evidence({"D": likelihood}), "exact").lane
 
 
@@ -85,7 +85,7 @@ def test_hundreds_of_improbable_frames_do_not_underflow(method: str) -> None:
     rng = np.random.default_rng(0)
     soft = rng.random((600, 2)) * 1e-8
     network = declare(tables(), ["D"])
-    compiled = compile_network(network, ["Lane"], ["D"])
+    compiled = compile(network, hidden=["Lane"], observed=["D"])
     beliefs = filter_beliefs(compiled, Evidence({"D": soft}), method)
     assert not beliefs.is_impossible.any()
     np.testing.assert_allclose(beliefs.lane, forward(soft), atol=1e-10)
@@ -127,7 +127,7 @@ def test_axes_keep_their_names_whatever_the_order_of_the_edges(
     soft = np.array([[0.2, 0.8], [0.9, 0.1], [0.4, 0.6]])
     with quiet():
         network, declared = two_parents(order)
-    compiled = compile_network(network, ["A", "B"], ["D"])
+    compiled = compile(network, hidden=["A", "B"], observed=["D"])
     evidence = Evidence({"D": soft})
     right = brute_force(declared, ["A", "B"], evidence, method)
     assert_same_beliefs(filter_beliefs(compiled, evidence, method), right, 1e-12)
@@ -146,7 +146,7 @@ def test_a_table_that_one_slice_lacks_is_that_of_the_other_by_name(
         network.remove_cpds(("D", 1 - given), ("D_ve", 1 - given))
         if filled_in:
             network.initialize_initial_state()
-    compiled = compile_network(network, ["A", "B"], ["D"])
+    compiled = compile(network, hidden=["A", "B"], observed=["D"])
     evidence = Evidence({"D": np.array([[0.2, 0.8], [0.9, 0.1], [0.4, 0.6]])})
     right = brute_force(declared, ["A", "B"], evidence, "exact")
     assert_same_beliefs(filter_beliefs(compiled, evidence, "exact"), right, 1e-12)

@@ -8,7 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from egolane_pgm.graphs.cpds import declare
-from egolane_pgm.inference.compile import compile_network, with_tables
+from egolane_pgm.inference.compile import compile, with_tables
 from egolane_pgm.inference.filtering import filter_beliefs, read_evidence
 from egolane_pgm.inference.kernels.sweeps import smooth_frames
 from egolane_pgm.inference.smoothing import (
@@ -78,7 +78,9 @@ def test_every_graph_agrees_with_the_oracle(name: str, n_lanes: int) -> None:
     parameters = small_parameters(name, n_lanes, rng)
     network = module.build(n_lanes, parameters)
     roles = (module.HIDDEN, module.OBSERVED)
-    compiled = compile_network(network, *roles, graph_inputs(module))
+    compiled = compile(
+        network, hidden=module.HIDDEN, observed=module.OBSERVED, inputs=graph_inputs(module)
+    )
     evidence = draw_evidence(compiled, 4, rng)
     right = oracle_smooth(network, *roles, evidence, graph_inputs(module))
     lagged = oracle_smooth(network, *roles, evidence, graph_inputs(module), lag=1)

@@ -15,7 +15,7 @@ import yaml
 
 from egolane_pgm.experiment import Experiment, load_experiment, resolved
 from egolane_pgm.graphs.cpds import lane_normals
-from egolane_pgm.inference.compile import compile_network
+from egolane_pgm.inference.compile import compile
 from egolane_pgm.inference.filtering import filter_beliefs
 from egolane_pgm.learning import fit, held_out_belief, learn, n_learned, with_found
 from egolane_pgm.learning.graph_file import graph_yaml
@@ -403,7 +403,9 @@ def test_every_discrete_graph_can_be_learned_and_written(name: str, tmp_path: Pa
     assert (module.HIDDEN, module.OBSERVED) == (model.graph.HIDDEN, model.graph.OBSERVED)
     for optional, default in (("VALUES", {}), ("UNUSED", ())):
         assert getattr(module, optional) == getattr(model.graph, optional, default)
-    read = compile_network(module.build(3, {}), module.HIDDEN, module.OBSERVED, module.INPUTS)
+    read = compile(
+        module.build(3, {}), hidden=module.HIDDEN, observed=module.OBSERVED, inputs=module.INPUTS
+    )
     np.testing.assert_allclose(read.prior, learned.compiled.prior, rtol=1e-9, atol=0)
     np.testing.assert_allclose(read.transition, learned.compiled.transition, rtol=1e-9, atol=0)
     for mine, right in zip(read.groups, learned.compiled.groups, strict=True):
@@ -424,7 +426,9 @@ def test_random_graphs_come_back_from_their_file(seed: int, tmp_path: Path) -> N
     model = Model(module, module, {}, compiled, 3, roles)
     (tmp_path / "g.yaml").write_text(yaml.safe_dump(graph_yaml(model, "")))
     read = load_plugin("graphs", "./g.yaml", tmp_path, "graph")
-    found = compile_network(read.build(3, {}), read.HIDDEN, read.OBSERVED, read.INPUTS)
+    found = compile(
+        read.build(3, {}), hidden=read.HIDDEN, observed=read.OBSERVED, inputs=read.INPUTS
+    )
     np.testing.assert_allclose(found.transition, compiled.transition, rtol=1e-9)
     np.testing.assert_allclose(found.prior, compiled.prior, rtol=1e-9)
     for mine, right in zip(found.groups, compiled.groups, strict=True):

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from egolane_pgm.files import plain
-from egolane_pgm.inference.compile import compile_network
+from egolane_pgm.inference.compile import compile
 from egolane_pgm.parameters import Parameter, resolve_parameters
 from egolane_pgm.plugins import load_plugin, plugin_names
 from egolane_pgm.report.description import (
@@ -29,12 +29,12 @@ EXAMPLES = Path(__file__).parents[2] / "examples"
 def described(name: str, *, numbers: bool = False, n_lanes: int = 3) -> dict[str, Any]:
     module = graph(name)
     parameters = resolve_parameters(module.PARAMETERS, {}, n_lanes)
-    compiled = compile_network(
+    compiled = compile(
         module.build(n_lanes, parameters),
-        module.HIDDEN,
-        module.OBSERVED,
-        graph_inputs(module),
-        module.VALUES if hasattr(module, "VALUES") else {},
+        hidden=module.HIDDEN,
+        observed=module.OBSERVED,
+        inputs=graph_inputs(module),
+        values=module.VALUES if hasattr(module, "VALUES") else {},
     )
     return {"name": name, **describe_graph(module, compiled, numbers=numbers)}
 

@@ -19,7 +19,7 @@ from egolane_pgm.evidence.line_geometry.model import line_model, places
 from egolane_pgm.evidence.line_geometry.reading import line_classes, read_lines
 from egolane_pgm.evidence.line_geometry.rule import NODES
 from egolane_pgm.graphs import position_in_lane
-from egolane_pgm.inference.compile import compile_network
+from egolane_pgm.inference.compile import compile
 from egolane_pgm.inference.filtering import filter_beliefs
 from egolane_pgm.parameters import Parameters, resolve_parameters
 from egolane_pgm.recordings.table import write_table
@@ -354,8 +354,11 @@ def test_without_labels_it_beats_the_votes_on_a_simulated_drive(seed: int) -> No
     drive = simulate("quickstart", seed=seed, frames=800)
     parameters = resolved(lane_width_m="auto")
     graph = position_in_lane
-    network = compile_network(
-        graph.build(3, parameters), graph.HIDDEN, graph.OBSERVED, graph.INPUTS
+    network = compile(
+        graph.build(3, parameters),
+        hidden=graph.HIDDEN,
+        observed=graph.OBSERVED,
+        inputs=graph.INPUTS,
     )
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")

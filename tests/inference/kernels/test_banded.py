@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from egolane_pgm.graphs.cpds import declare, dynamics, previous, prior, within
-from egolane_pgm.inference.compile import Compiled, compile_network
+from egolane_pgm.inference.compile import Compiled, compile
 from egolane_pgm.inference.filtering import filter_beliefs, step
 from egolane_pgm.inference.kernels.banded import find_band
 from egolane_pgm.types import Evidence, FloatArray, InputError
@@ -56,7 +56,7 @@ def network(n_others: int = 1, noise: float = 0.0) -> Compiled:
         tables += dynamics(name, [previous(name)], rng.dirichlet(np.ones(2), 2))
     observed = ("Part", ("Q0", "Wide"), "Leaf", tuple(others) if n_others > 1 else "Q0")
     hidden = (others[0], "Wide", *others[1:], "Part")
-    return compile_network(declare(tables, observed), hidden, observed, ("Speed",))
+    return compile(declare(tables, observed), hidden=hidden, observed=observed, inputs=("Speed",))
 
 
 def random_evidence(compiled: Compiled, seed: int) -> Evidence:

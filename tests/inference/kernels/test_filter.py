@@ -13,7 +13,7 @@ import pytest
 
 from egolane_pgm.graphs.cpds import declare, dynamics, previous, prior, within
 from egolane_pgm.inference import filtering
-from egolane_pgm.inference.compile import Compiled, compile_network
+from egolane_pgm.inference.compile import Compiled, compile
 from egolane_pgm.inference.filtering import METHODS, filter_beliefs, state_likelihood, step
 from egolane_pgm.inference.layout import evidence_blocks
 from egolane_pgm.types import Beliefs, Evidence
@@ -62,8 +62,12 @@ def random_network(
     observed = [f"D{k}" for k in range(len(columns))]
     for name, size in zip(observed, columns, strict=True):
         tables += within(name, names, random_rows(rng, *nodes, size))
-    roles = (["Input"],) if inputs > 1 else ()
-    return compile_network(declare(tables, observed), names, observed, *roles)
+    return compile(
+        declare(tables, observed),
+        hidden=names,
+        observed=observed,
+        inputs=["Input"] if inputs > 1 else [],
+    )
 
 
 def random_evidence(
@@ -132,7 +136,7 @@ def test_hardly_possible_states_survive_small_likelihoods(method: str) -> None:
         *dynamics("Lane", *keep),
         *within("D", ["Lane"], np.eye(4) * (1 - 4e-12) + 1e-12),
     ]
-    compiled = compile_network(declare(tables, ["D"]), ["Lane"], ["D"])
+    compiled = compile(declare(tables, ["D"]), hidden=["Lane"], observed=["D"])
     lanes = np.random.default_rng(14).uniform(0.5, 1.0, (40, 4))
     lanes[5] = [1.0, 1.0, 1.0, 1e-150]
     lanes[6:12] *= 1e-120
