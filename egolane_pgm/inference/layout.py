@@ -15,7 +15,7 @@ from egolane_pgm.inference.kernels.banded import Band, find_band
 from egolane_pgm.types import BoolArray, Evidence, FloatArray, InputError, IntArray, Observed
 
 #: With more joint states than this, sums along the axes are quicker than a product of matrices.
-MAX_MATRIX_STATES = 16
+MAX_MATRIX_STATES = 256
 
 
 @dataclass(frozen=True)
