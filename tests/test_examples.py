@@ -2,15 +2,23 @@
 
 from __future__ import annotations
 
+import json
 import re
+import runpy
 from pathlib import Path
 
 import numpy as np
 import pytest
+import yaml
 
+import egolane_pgm as ego
 from egolane_pgm import load_experiment, run_experiment
+from egolane_pgm.graphs.cpds import quiet
+from tests.kits.drives import done, simulated
 
 ROOT = Path(__file__).parents[1]
+TUTORIAL = ROOT / "examples" / "tutorial_network.py"
+QUICKSTART = ROOT / "experiments" / "quickstart.yaml"
 
 
 def test_the_python_code_of_the_readme_runs_and_does_the_main_job(
@@ -31,6 +39,50 @@ def test_own_graph_and_evidence_files_run_without_touching_the_package() -> None
     assert run.model.parameters["recovery"] == 0.3
     np.testing.assert_allclose(run.beliefs.lane.sum(axis=1), 1, atol=1e-12)
     assert run.scores["model"]["accuracy"] > run.scores["detector"]["accuracy"]
+
+
+def test_a_network_in_pgmpys_own_style_is_compiled_filtered_and_learned() -> None:
+    assert "egolane" not in TUTORIAL.read_text()
+    with quiet():
+        network = runpy.run_path(str(TUTORIAL))["network"]
+    with pytest.warns(UserWarning, match="DetectorOutput_ve, WOR_ve: virtual-evidence nodes that"):
+        compiled = ego.compile(network, observed=["DetectorOutput", "WOR"])
+    assert compiled.hidden == ("Lane", "Sensor")
+    run = ego.run(simulated(graph=str(TUTORIAL)))
+    beliefs = ego.filter_beliefs(compiled, run.evidence, "assumed_density")
+    np.testing.assert_array_equal(beliefs.lane, run.beliefs.lane)
+    assert run.scores["model"]["accuracy"] > run.scores["detector"]["accuracy"]
+    # pgmpy's own answer to the first frame, the tables multiplied by name.
+    given = run.evidence.likelihoods
+    with quiet():
+        first = network.get_cpds(("DetectorOutput", 0))
+        values = {tuple(name): k for k, name in enumerate(first.variables)}
+        order = [values[name, 0] for name in ("Sensor", "Lane", "DetectorOutput")]
+        wor = network.get_cpds(("WOR", 0)).values.T @ given["WOR"][0]
+    seen = first.values.transpose(order) @ given["DetectorOutput"][0]
+    right = (seen * wor[:, None]).sum(axis=0)
+    lane = ego.filter_beliefs(compiled, run.evidence, "exact").lane[0]
+    np.testing.assert_allclose(lane, right / right.sum(), atol=1e-12)
+    fitted = ego.fit_tables(compiled, run.evidence, iterations=5)
+    assert np.all(np.diff(fitted.log_posterior) > 0)
+
+
+def test_a_network_in_pgmpys_own_style_goes_through_the_commands(tmp_path: Path) -> None:
+    words = [QUICKSTART, "--set", "recording.frames=[0, 600]", "--set", "tuning.blocks=2"]
+    own = ["--set", f"graph={TUTORIAL}", "--set", "parameters={}"]
+    done("learn", *words, *own, "--out", tmp_path / "learned.yaml")
+    learned = yaml.safe_load((tmp_path / "learned.graph.yaml").read_text())
+    assert learned["hidden"] == ["Lane", "Sensor"]
+    done("network", TUTORIAL, tmp_path / "network.bif")
+    graphs = f"sensor_failure,{TUTORIAL},{tmp_path / 'network.bif'}"
+    options = ["--set", "fit=learn", "--blocks", 2, "--json", tmp_path / "compared.json"]
+    done("compare", *words, *options, "--graphs", graphs)
+    compared = json.loads((tmp_path / "compared.json").read_text())["recordings"][0]["experiments"]
+    names = [experiment["name"] for experiment in compared]
+    assert names == ["sensor_failure", "tutorial_network", "network"]
+    _, declared, from_file = compared
+    assert declared["free_parameters"] == from_file["free_parameters"] == 38
+    assert declared["scores"] == from_file["scores"]
 
 
 def test_every_file_that_the_readme_links_to_exists() -> None:
