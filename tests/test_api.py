@@ -1,0 +1,548 @@
+"""The verbs as functions, and the objects that they return."""
+
+from __future__ import annotations
+
+import io
+import json
+import pickle
+import pydoc
+import subprocess
+import sys
+import warnings
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from matplotlib import pyplot
+from matplotlib.figure import Figure
+
+import egolane_pgm as ego
+from egolane_pgm.cli.main import COMMANDS
+from egolane_pgm.results import read_result
+from egolane_pgm.running import plan_runs, run_all, run_experiment
+from tests.kits.drives import contents, done, refused, write_drive, write_experiment
+
+SHORT = {"recording.frames": [0, 300]}
+QUICKSTART = ego.experiments_folder() / "quickstart.yaml"
+
+
+@pytest.fixture(scope="module")
+def run(drive: Path) -> ego.RunResult:
+    return ego.run(drive)
+
+
+@pytest.fixture(scope="module")
+def hostile(tmp_path_factory: pytest.TempPathFactory) -> ego.RunResult:
+    """A run whose notes have letters of HTML in them."""
+    folder = tmp_path_factory.mktemp("a<b>&c")
+    write_drive(folder, ground_truth=None)
+    found = ego.run(folder / "experiment.yaml")
+    object.__setattr__(found, "result", _with_warning(found.result, "<script>alert(1)</script>"))
+    return found
+
+
+def _with_warning(result: Any, note: str) -> Any:
+    from dataclasses import replace
+
+    return replace(result, run={**result.run, "warnings": [note]})
+
+
+# --- what is public ------------------------------------------------------------------------------
+
+
+def test_the_public_names_are_those_that_dir_and_help_show() -> None:
+    assert set(dir(ego)) == {*ego.__all__, "__version__"}
+    shown = pydoc.render_doc(ego, renderer=pydoc.plaintext)
+    for name in ego.__all__:
+        assert f"class {name}(" in shown or f"\n    {name}(" in shown, name
+    assert "Filter a recording, and score it" in shown
+
+
+def test_every_verb_of_the_commands_is_a_function() -> None:
+    for verb in ("run", "tune", "learn", "compare", "reproduce", "detect"):
+        assert verb in COMMANDS
+        assert callable(getattr(ego, verb))
+
+
+def test_a_name_that_is_not_public_is_not_there() -> None:
+    with pytest.raises(AttributeError, match="'egolane_pgm' has no attribute 'runn'"):
+        ego.runn  # noqa: B018
+
+
+def test_importing_the_package_imports_nothing_heavy_until_a_name_is_used() -> None:
+    code = (
+        "import sys, egolane_pgm as ego; dir(ego); assert 'numpy' not in sys.modules;"
+        "ego.InputError; assert 'pandas' not in sys.modules and 'pgmpy' not in sys.modules"
+    )
+    subprocess.run([sys.executable, "-c", code], check=True, timeout=60)
+
+
+# --- run -----------------------------------------------------------------------------------------
+
+
+def test_run_gives_what_the_engine_gives(run: ego.RunResult, drive: Path) -> None:
+    plain = run_experiment(drive)
+    np.testing.assert_array_equal(run.beliefs.lane, plain.beliefs.lane)
+    np.testing.assert_array_equal(run.assigned, plain.assigned)
+    assert run.scores["model"]["accuracy"] == plain.scores["model"]["accuracy"]
+    assert run.evidence is not None
+    assert len(run) == len(run.evidence) == len(plain.evidence)
+
+
+def test_four_lines_give_a_frame_and_a_figure() -> None:
+    run = ego.run(QUICKSTART, overrides={**SHORT, "parameters.sigma1": 0.3})
+    frame = run.to_pandas()
+    assert frame.index.name == "frame_id"
+    figure = run.plot()
+    assert run.experiment.parameters["sigma1"] == 0.3
+    assert isinstance(figure, Figure)
+
+
+def test_the_frame_of_a_run_has_a_column_per_value_and_what_there_is_besides(
+    run: ego.RunResult,
+) -> None:
+    frame = run.to_pandas()
+    assert list(frame.index) == list(run.result.frame_id)
+    beliefs = frame[["Lane=1", "Lane=2", "Lane=3"]].to_numpy()
+    np.testing.assert_array_equal(beliefs, run.beliefs.lane)
+    np.testing.assert_allclose(frame[["SensorState=OK", "SensorState=BAD"]].sum(axis=1), 1)
+    np.testing.assert_array_equal(frame["assigned_lane"], run.assigned)
+    assert {"time_s", "detector=1", "detector_lane", "log_evidence", "is_impossible"} <= {*frame}
+    scored = frame[~frame["is_crossing"]]
+    accuracy = float((scored["assigned_lane"] == scored["true_lane"]).mean())
+    assert accuracy == pytest.approx(run.scores["model"]["accuracy"])
+
+
+def test_frames_that_nobody_annotated_are_missing_in_the_frame(drive: Path) -> None:
+    frame = ego.run(drive, overrides={"ground_truth": None}).to_pandas()
+    assert frame["true_lane"].isna().all()
+    assert frame["is_crossing"].isna().all()
+    assert str(frame["true_lane"].dtype) == "Int64"
+
+
+def test_a_run_as_a_data_set_has_an_axis_for_each_hidden_node(run: ego.RunResult) -> None:
+    pytest.importorskip("xarray")
+    found = run.to_xarray()
+    assert found["belief_Lane"].dims == ("frame_id", "Lane")
+    assert list(found["Lane"].values) == [1, 2, 3]
+    assert list(found["SensorState"].values) == ["OK", "BAD"]
+    lane = found["belief_Lane"].sel(Lane=2).values
+    np.testing.assert_array_equal(lane, run.beliefs.lane[:, 1])
+    np.testing.assert_array_equal(found["detector"].values, run.result.tentative)
+
+
+def test_without_xarray_one_line_says_what_to_install(
+    run: ego.RunResult, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setitem(sys.modules, "xarray", None)
+    with pytest.raises(ego.InputError, match=r"^to_xarray: needs xarray, `pip install xarray`$"):
+        run.to_xarray()
+
+
+def test_a_representation_is_one_line_that_says_how_much_the_scores_are_worth(
+    run: ego.RunResult, drive: Path
+) -> None:
+    assert repr(run) == (
+        f"RunResult('drive': 150 frames, accuracy {run.scores['model']['accuracy']:.3f},"
+        f" detector {run.scores['detector']['accuracy']:.3f}; not tuned, causal)"
+    )
+    tuned = ego.run(drive, overrides={"tuned_on": "same_frames", "filter": "smoothed"})
+    assert repr(tuned).endswith("; in-sample, not causal (filter))")
+    blind = ego.run(drive, overrides={"ground_truth": None})
+    assert repr(blind) == "RunResult('drive': 150 frames, no ground truth; not tuned, causal)"
+
+
+def test_no_representation_prints_arrays(run: ego.RunResult) -> None:
+    assert run.evidence is not None
+    for shown in (run, run.beliefs, run.evidence, run_experiment(QUICKSTART).recorded.log):
+        assert "\n" not in repr(shown)
+        assert len(repr(shown)) < 120
+        assert "array" not in repr(shown)
+
+
+def test_a_table_for_a_notebook_escapes_what_it_is_given(
+    run: ego.RunResult, hostile: ego.RunResult
+) -> None:
+    shown = run._repr_html_()
+    assert "<th>detector</th><th>model</th>" in shown
+    assert f"<td>{run.scores['model']['accuracy']:.3f}</td>" in shown
+    assert "<script>" not in hostile._repr_html_()
+    assert "&lt;script&gt;" in hostile._repr_html_()
+
+
+def test_pyplot_knows_no_figure_that_was_plotted(run: ego.RunResult) -> None:
+    before = pyplot.get_fignums()
+    figure = run.plot(20, 60)
+    assert pyplot.get_fignums() == before
+    figure.savefig(io.BytesIO(), format="png")
+    assert "frames 20 to 60" in figure.texts[0].get_text()
+    with pytest.raises(ego.InputError, match="the range 900 to 901 has no frames"):
+        run.plot(900, 901)
+
+
+def test_what_is_saved_is_what_the_command_writes(
+    run: ego.RunResult, drive: Path, tmp_path: Path
+) -> None:
+    done("run", drive, "--out", tmp_path / "theirs")
+    assert run.save(tmp_path / "ours") == tmp_path / "ours"
+    ours, theirs = contents(tmp_path / "ours"), contents(tmp_path / "theirs")
+    assert ours.keys() == theirs.keys()
+    for name in ours.keys() - {"run.json"}:
+        assert ours[name] == theirs[name], name
+    said = [json.loads(each["run.json"]) for each in (ours, theirs)]
+    for each in said:
+        del each["created"]
+    assert said[0] == said[1]
+
+
+def test_a_saved_run_is_read_back_as_the_same_object(run: ego.RunResult, tmp_path: Path) -> None:
+    again = ego.load_result(run.save(tmp_path / "run", figures=False))
+    assert type(again) is type(run)
+    assert repr(again) == repr(run)
+    assert again.to_pandas().equals(run.to_pandas())
+    assert again.scores == run.scores
+    assert again.evidence is None
+    np.testing.assert_array_equal(again.model.compiled.transition, run.model.compiled.transition)
+    copy = again.save(tmp_path / "copy", figures=False)
+    assert contents(copy) == contents(tmp_path / "run")
+
+
+def test_a_run_of_a_graph_of_ones_own_is_saved_and_read_with_it(tmp_path: Path) -> None:
+    own = QUICKSTART.parent.parent / "examples" / "own_files.yaml"
+    run = ego.run(own, overrides=SHORT)
+    first = ego.load_result(run.save(tmp_path / "one", figures=False))
+    again = ego.load_result(first.save(tmp_path / "two", figures=False))
+    assert Path(str(again.model.graph.__file__)).parent == tmp_path / "two"
+    assert contents(tmp_path / "one").keys() == contents(tmp_path / "two").keys()
+    assert pickle.loads(pickle.dumps(run)).model.parameters == run.model.parameters
+
+
+def test_results_can_be_pickled(run: ego.RunResult) -> None:
+    again = pickle.loads(pickle.dumps(run))
+    assert repr(again) == repr(run)
+    assert again.to_pandas().equals(run.to_pandas())
+    assert again.model.graph is run.model.graph
+
+
+def test_a_directory_that_holds_something_else_is_not_replaced(
+    run: ego.RunResult, tmp_path: Path
+) -> None:
+    (tmp_path / "mine.txt").write_text("mine")
+    with pytest.raises(ego.InputError, match="exists and is not a result directory"):
+        run.save(tmp_path)
+    assert (tmp_path / "mine.txt").read_text() == "mine"
+
+
+# --- several runs --------------------------------------------------------------------------------
+
+
+def test_several_runs_are_found_by_name_and_stand_below_each_other(drive: Path) -> None:
+    other = ego.load_experiment(drive, {"name": "hard", "evidence_reading": "hard"})
+    runs = ego.run([drive, other])
+    assert repr(runs) == "RunResults('drive', 'hard')"
+    assert runs["hard"].experiment == other
+    assert [each.name for each in runs] == ["drive", "hard"]
+    frame = runs.to_pandas()
+    assert frame.loc["hard"].equals(runs["hard"].to_pandas())
+    assert isinstance(runs.plot(), Figure)
+    assert "<th>hard</th>" in runs._repr_html_()
+    with pytest.raises(ego.InputError, match=r"no run has the name 'soft' \(there are: drive, har"):
+        runs["soft"]
+
+
+def test_several_runs_are_saved_and_read_together(drive: Path, tmp_path: Path) -> None:
+    several = [drive, ego.load_experiment(drive, {"name": "exact", "filter": "exact"})]
+    runs = ego.run(several)
+    saved = ego.load_result(runs.save(tmp_path / "several", figures=False))
+    assert repr(saved) == "RunResults('drive', 'exact')"
+    assert saved.to_pandas().equals(runs.to_pandas())
+
+
+def test_a_run_that_another_process_did_comes_back_whole(drive: Path) -> None:
+    plan = plan_runs([("drive", lambda: ego.load_experiment(drive))])
+    (outcome,) = run_all(plan, keep=True)
+    again = pickle.loads(pickle.dumps(outcome)).run
+    assert ego.RunResult.of(again).to_pandas().equals(ego.run(drive).to_pandas())
+
+
+def test_one_run_that_fails_does_not_stop_the_others(drive: Path, tmp_path: Path) -> None:
+    bad = write_experiment(tmp_path / "bad.yaml", name="bad", recording={"path": "none.csv"})
+    with pytest.warns(UserWarning, match=r"bad: .*none\.csv"):
+        runs = ego.run([bad, drive])
+    assert [each.name for each in runs] == ["drive"]
+    assert runs.failed[0][0] == "bad"
+    assert "failed: bad" in runs._repr_html_()
+    with pytest.raises(ego.InputError, match=r"none\.csv"):
+        ego.run([bad])
+
+
+def test_a_run_on_other_recordings_is_that_of_the_command(drive: Path, tmp_path: Path) -> None:
+    lines, truth = drive.parent / "lines.csv", drive.parent / "ground_truth.txt"
+    found = ego.run(drive, recording=lines, ground_truth=truth, n_lanes=3)
+    assert found.name == "lines"
+    assert found.scores["frames_scored"] > 0
+    done("run", drive, "--recording", lines, "--ground-truth", truth, "--out", tmp_path / "out")
+    assert found.scores["model"] == read_result(tmp_path / "out").scores["model"]
+    runs = ego.run(drive, recording=[lines])
+    assert [each.name for each in runs] == ["lines"]
+
+
+@pytest.mark.parametrize(
+    ("given", "said"),
+    [
+        (3, "a int is no experiment; give the path of a YAML file"),
+        (None, "a NoneType is no experiment"),
+        ("nowhere.yaml", "nowhere.yaml: cannot be read"),
+        ([], "run: no experiment"),
+        ([3], "a int is no experiment"),
+        ({"n_lanes": 3}, "experiment: name: is missing"),
+    ],
+)
+def test_what_is_no_experiment_is_said_in_one_line(given: Any, said: str) -> None:
+    with pytest.raises(ego.InputError, match=said):
+        ego.run(given)
+
+
+def test_an_argument_that_there_is_not_is_a_type_error(drive: Path) -> None:
+    with pytest.raises(TypeError, match="sigma1"):
+        ego.run(drive, sigma1=0.3)  # type: ignore[call-overload]
+
+
+# --- learn ---------------------------------------------------------------------------------------
+
+
+@pytest.fixture(scope="module")
+def learned() -> ego.LearnResult:
+    return ego.learn(ego.load_experiment(QUICKSTART, SHORT), unlabelled=True, blocks=2)
+
+
+def test_what_is_learned_is_scored_held_out_and_saved_as_the_command_does(
+    learned: ego.LearnResult, tmp_path: Path
+) -> None:
+    words = ("--set", "recording.frames=[0, 300]", "--unlabelled", "--blocks", 2)
+    theirs, numbers = tmp_path / "theirs.yaml", tmp_path / "numbers.json"
+    done("learn", QUICKSTART, *words, "--out", theirs, "--json", numbers)
+    ours = learned.save(tmp_path / "ours.yaml")
+    text = theirs.read_text().replace("theirs", "ours")
+    assert ours.read_text() == text
+    assert (tmp_path / "ours.graph.yaml").read_text() == (
+        tmp_path / "theirs.graph.yaml"
+    ).read_text()
+    said = json.loads(numbers.read_text())
+    assert learned.scores is not None
+    assert said["held_out"]["accuracy"] == learned.scores["accuracy"]
+    assert learned.save(tmp_path).name == "learned_quickstart.yaml"
+
+
+def test_the_frames_that_were_held_out_can_be_looked_at(learned: ego.LearnResult) -> None:
+    assert learned.scores is not None
+    frame = learned.to_pandas()
+    scored = frame[~frame["is_crossing"]]
+    accuracy = float((scored["assigned_lane"] == scored["true_lane"]).mean())
+    assert accuracy == pytest.approx(learned.scores["accuracy"])
+    assert list(frame["block"].unique()) == [0, 1]
+    assert isinstance(learned.plot(), Figure)
+    assert repr(learned).endswith("; held out, causal)")
+    assert "<td>" in learned._repr_html_()
+    assert repr(pickle.loads(pickle.dumps(learned))) == repr(learned)
+
+
+def test_learning_takes_one_experiment() -> None:
+    with pytest.raises(ego.InputError, match="learn: takes one experiment"):
+        ego.learn([QUICKSTART])  # type: ignore[arg-type]
+
+
+def test_constants_that_are_chosen_hold_nothing_out(tmp_path: Path) -> None:
+    grid = {"fit": "choose", "choice": {"grid": {"p1": [0.9, 0.95]}}}
+    chosen = ego.learn(ego.load_experiment(QUICKSTART, {**SHORT, **grid}), blocks=2)
+    assert set(chosen.parameters) == {"p1"}
+    assert "chosen on all 2 blocks: p1" in repr(chosen)
+    assert chosen.scores is None
+    with pytest.raises(ego.InputError, match="nothing is held out here"):
+        chosen.to_pandas()
+    assert ego.load_experiment(chosen.save(tmp_path)).parameters["p1"] == chosen.chosen["p1"]
+
+
+# --- tune ----------------------------------------------------------------------------------------
+
+
+@pytest.fixture(scope="module")
+def tuned() -> ego.TuneResult:
+    return ego.tune(QUICKSTART, trials=25, sampler="random")
+
+
+def test_a_search_gives_its_trials_and_an_experiment_with_the_best(tuned: ego.TuneResult) -> None:
+    frame = tuned.to_pandas()
+    assert frame.index.names == ["study", "number"]
+    assert len(frame) == 25
+    best = frame["accuracy_in_sample"].max()
+    (experiment,) = tuned.experiments.values()
+    assert ego.run(experiment).scores["model"]["accuracy"] == pytest.approx(best)
+    assert repr(tuned).startswith(f"TuneResult('quickstart': 25 trials, accuracy {best:.3f} in-sa")
+    assert "held out" in repr(tuned)
+    assert "<table>" in tuned._repr_html_()
+
+
+def test_a_search_is_the_one_of_the_command(tuned: ego.TuneResult, tmp_path: Path) -> None:
+    words = ("--trials", 25, "--sampler", "random", "--jobs", 1, "--no-figures", "--out", tmp_path)
+    done("tune", QUICKSTART, *words)
+    theirs = ego.load_result(tmp_path / "quickstart")
+    assert theirs.to_pandas().equals(tuned.to_pandas())
+    assert theirs.documents[0]["held_out"] == tuned.documents[0]["held_out"]
+
+
+def test_a_saved_study_is_read_back(tuned: ego.TuneResult, tmp_path: Path) -> None:
+    saved = tuned.save(tmp_path / "study")
+    assert (saved / "figures" / "history.png").is_file()
+    again = ego.load_result(saved)
+    assert repr(again) == repr(tuned)
+    assert again.to_pandas().equals(tuned.to_pandas())
+    assert repr(pickle.loads(pickle.dumps(tuned))) == repr(tuned)
+    tuned.save(tmp_path / "study", figures=False)
+    (tmp_path / "other").mkdir()
+    (tmp_path / "other" / "x").write_text("x")
+    with pytest.raises(ego.InputError, match="is not a result directory"):
+        tuned.save(tmp_path / "other")
+
+
+@pytest.mark.parametrize("figure", ["history", "slices", "flatness", "importances"])
+def test_the_figures_of_a_study_are_drawn_outside_of_pyplot(
+    tuned: ego.TuneResult, figure: str
+) -> None:
+    before = pyplot.get_fignums()
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        assert isinstance(tuned.plot(figure), Figure)
+    assert pyplot.get_fignums() == before
+
+
+def test_a_figure_that_there_is_not_is_refused_by_name(tuned: ego.TuneResult) -> None:
+    with pytest.raises(ego.InputError, match="figure: 'hystory' is not one of history, slices"):
+        tuned.plot("hystory")
+
+
+def test_several_studies_are_found_by_name_and_go_on_where_they_were(tmp_path: Path) -> None:
+    one = ego.load_experiment(QUICKSTART, SHORT)
+    other = ego.load_experiment(one, {"name": "exact", "filter": "exact"})
+    how: dict[str, Any] = {"sampler": "random", "in_sample_only": True, "out": tmp_path}
+    first = ego.tune([one, other], trials=2, **how)
+    assert first.names == ["quickstart", "exact"]
+    with pytest.raises(ego.InputError, match="there are 2 studies, take one"):
+        first.best  # noqa: B018
+    assert "p1" in first["exact"].best
+    more = ego.tune([one, other], trials=3, **how)
+    trials = more.to_pandas()
+    assert trials.groupby("study").size().to_dict() == {"exact": 3, "quickstart": 3}
+    before = first.to_pandas().sort_index()
+    assert trials.sort_index().loc[before.index].equals(before)
+    assert repr(ego.load_result(tmp_path)) == "TuneResult('exact', 'quickstart')"
+
+
+def test_parameters_are_narrowed_and_fixed_by_a_dict() -> None:
+    experiment = ego.load_experiment(QUICKSTART, SHORT)
+    only = {"p1": [0.6, 0.7], "bonus_value": 3}
+    found = ego.tune(experiment, trials=5, from_scratch=True, parameter=only, in_sample_only=True)
+    assert found.to_pandas()["p1"].between(0.6, 0.7).all()
+    assert "bonus_value" not in found.to_pandas()
+
+
+# --- reading -------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("name", "said"),
+    [
+        ("nothing", "is not there"),
+        ("empty", "is not a result directory of run, tune or compare"),
+        ("file", "is not a result directory"),
+    ],
+)
+def test_a_directory_that_is_no_result_is_refused_by_name(
+    tmp_path: Path, name: str, said: str
+) -> None:
+    (tmp_path / "empty").mkdir()
+    (tmp_path / "file").write_text("x")
+    with pytest.raises(ego.InputError, match=f"{name}: {said}"):
+        ego.load_result(tmp_path / name)
+
+
+def test_a_damaged_study_and_what_is_no_name_are_refused(
+    tuned: ego.TuneResult, tmp_path: Path
+) -> None:
+    saved = tuned.save(tmp_path / "study", figures=False)
+    (saved / "trials.parquet").write_bytes(b"PAR1")
+    with pytest.raises(ego.InputError, match="is a damaged study"):
+        ego.load_result(saved)
+    with pytest.raises(ego.InputError, match="a list is no name of a directory"):
+        ego.load_result([saved])  # type: ignore[arg-type]
+
+
+# --- detect --------------------------------------------------------------------------------------
+
+
+def test_lines_that_were_detected_are_those_of_the_command(place: Path, tmp_path: Path) -> None:
+    pictures, camera = place / "drive.avi", place / "cam.yaml"
+    found = ego.detect(pictures, camera=camera, frames=(0, 12))
+    done(
+        "detect", pictures, "--camera", camera, "--frames", 0, 12, "-o", tmp_path / "theirs.parquet"
+    )
+    theirs = ego.run(
+        {
+            "name": "x",
+            "n_lanes": 3,
+            "recording": {"path": str(tmp_path / "theirs.parquet")},
+        }
+    )
+    saved = found.save(tmp_path / "ours")
+    assert saved == tmp_path / "ours" / "lines.parquet"
+    ours = ego.run({"name": "x", "n_lanes": 3, "recording": {"path": str(saved)}})
+    np.testing.assert_array_equal(ours.beliefs.lane, theirs.beliefs.lane)
+    frame = found.to_pandas()
+    assert frame.index.names == ["frame_id", "line"]
+    assert len(frame) == int(np.isfinite(found.log.offset_m).sum())
+    assert isinstance(found.plot(), Figure)
+    assert "12 frames, ids 0 to 11" in repr(found)
+    assert "<table>" in found._repr_html_()
+    assert repr(pickle.loads(pickle.dumps(found))) == repr(found)
+
+
+def test_lines_are_not_written_to_a_file_of_another_kind(tmp_path: Path) -> None:
+    found = ego.DetectResult(run_experiment(QUICKSTART).recorded.log, "x", "ml", None, 1.0)
+    with pytest.raises(ego.InputError, match=r"written as \.parquet, \.csv, \.bag"):
+        found.save(tmp_path / "lines.txt")
+
+
+# --- reproduce -----------------------------------------------------------------------------------
+
+
+def test_a_run_of_the_paper_is_repeated_beside_its_table(recordings: Path, tmp_path: Path) -> None:
+    found = ego.reproduce(runs=3, out=tmp_path)
+    assert found.document["total_frames_off"] == 0
+    frame = found.to_pandas()
+    assert frame.index.names == ["run", "matrix", "score"]
+    assert (frame["difference"].abs() < 0.01).all()
+    assert (frame["frames_off"] == 0).all()
+    assert isinstance(found.plot(), Figure)
+    assert repr(ego.load_result(tmp_path / "run03_italy_mc")) == repr(found.runs[3])
+    assert "<th>3</th>" in found._repr_html_()
+
+
+@pytest.mark.parametrize(
+    ("given", "said"),
+    [
+        (11, "run 11: the paper has runs 1 to 10"),
+        ("1-99", "run 99"),
+        (["one"], "'one' is no number"),
+    ],
+)
+def test_a_run_that_the_paper_does_not_have_is_refused(given: Any, said: str) -> None:
+    with pytest.raises(ego.InputError, match=said):
+        ego.reproduce(runs=given)
+
+
+def test_an_error_of_the_command_and_of_the_function_is_the_same(tmp_path: Path) -> None:
+    bad = write_experiment(tmp_path / "bad.yaml", sigma=3)
+    with pytest.raises(ego.InputError) as caught:
+        ego.run(bad)
+    assert str(caught.value) in refused("run", bad)
