@@ -546,3 +546,100 @@ def test_an_error_of_the_command_and_of_the_function_is_the_same(tmp_path: Path)
     with pytest.raises(ego.InputError) as caught:
         ego.run(bad)
     assert str(caught.value) in refused("run", bad)
+
+
+# --- compare -------------------------------------------------------------------------------------
+
+
+@pytest.fixture(scope="module")
+def compared() -> ego.CompareResult:
+    one = ego.load_experiment(QUICKSTART, SHORT)
+    two = {"name": "learned", "fit": "learn", "learning": {"labels": False}}
+    return ego.compare([one, ego.load_experiment(one, two)], blocks=2)
+
+
+def test_a_comparison_has_a_row_for_each_recording_experiment_and_score(
+    compared: ego.CompareResult,
+) -> None:
+    frame = compared.to_pandas()
+    assert frame.index.names == ["recording", "experiment", "subset", "score"]
+    assert compared.names == ["quickstart", "learned"]
+    (entry, other) = compared.document["recordings"][0]["experiments"]
+    at = ("quickstart, seed 0", "quickstart", "all_frames")
+    assert frame.loc[(*at, "accuracy"), "value"] == entry["scores"]["all_frames"]["accuracy"]
+    assert frame.loc[(*at, "delay_share_missed"), "value"] >= 0
+    assert frame.loc[(*at, "accuracy"), "tuned_on"] == "not_tuned"
+    assert frame["tuned_on"].xs("learned", level="experiment").unique() == [other["tuned_on"]]
+    assert not frame.index.duplicated().any()
+    assert isinstance(compared.plot(), Figure)
+    assert repr(compared) == (
+        "CompareResult(quickstart, learned on quickstart, seed 0; not tuned, causal or held out,"
+        " causal)"
+    )
+    assert "<td>" in compared._repr_html_()
+
+
+def test_a_comparison_keeps_what_was_believed_in_each_frame(compared: ego.CompareResult) -> None:
+    run = compared["quickstart, seed 0", "learned"]
+    frame = run.to_pandas()
+    scored = frame[~frame["is_crossing"]]
+    accuracy = float((scored["assigned_lane"] == scored["true_lane"]).mean())
+    entry = compared.document["recordings"][0]["experiments"][1]
+    assert accuracy == pytest.approx(entry["scores"]["all_frames"]["accuracy"])
+    assert "held out" in repr(run)
+    assert "<td>" in run._repr_html_()
+    with pytest.raises(ego.InputError, match="was not held out here; there are quickstart, seed 0"):
+        compared["quickstart", "learned"]
+
+
+def test_a_saved_comparison_is_read_back_as_that_of_the_command_is(
+    compared: ego.CompareResult, tmp_path: Path
+) -> None:
+    saved = compared.save(tmp_path / "ours")
+    assert (saved / "figures" / "accuracy.png").is_file()
+    again = ego.load_result(saved)
+    assert repr(again) == repr(compared)
+    assert again.to_pandas().equals(compared.to_pandas())
+    assert repr(pickle.loads(pickle.dumps(compared))) == repr(compared)
+    part = ego.load_result(saved / "quickstart_seed_0")
+    assert part.to_pandas().equals(compared.to_pandas())
+    assert len(part["quickstart, seed 0", "learned"]) == 300
+    experiment = ego.load_experiment(QUICKSTART, SHORT)
+    copy = tmp_path / "x.yaml"
+    copy.write_text("include: " + json.dumps(str(QUICKSTART)) + "\nrecording: {frames: [0, 300]}\n")
+    done("compare", copy, "--blocks", 2, "--out", tmp_path / "theirs")
+    theirs = ego.load_result(tmp_path / "theirs")
+    score = ("quickstart, seed 0", experiment.name, "all_frames", "f1")
+    assert theirs.to_pandas().loc[score, "value"] == compared.to_pandas().loc[score, "value"]
+
+
+def test_graphs_on_a_run_of_the_paper_are_in_sample(recordings: Path, tmp_path: Path) -> None:
+    found = ego.compare(graphs=["sensor_failure", "lane_only"], runs="3")
+    assert not found.is_held_out
+    assert repr(found).endswith("on run 3; the paper's parameters, in-sample)")
+    frame = found.to_pandas()
+    assert set(frame.index.levels[1]) == {"detector", "sensor_failure", "lane_only"}
+    assert isinstance(found.plot(), Figure)
+    assert repr(ego.load_result(found.save(tmp_path / "graphs"))) == repr(found)
+
+
+@pytest.mark.parametrize(
+    ("given", "said"),
+    [
+        ({"experiments": QUICKSTART, "graphs": "no_wor"}, "name experiments, or graphs"),
+        ({"learned_on": "1"}, "goes with experiments"),
+        ({"experiments": QUICKSTART, "with_paper": True}, "goes with experiments and --runs"),
+        ({"experiments": QUICKSTART, "trials": 3, "trials_per_number": 3}, "instead of --trials"),
+        ({"experiments": 3}, "compare: a int is neither one nor a list"),
+    ],
+)
+def test_arguments_of_compare_that_do_not_go_together_are_refused(given: Any, said: str) -> None:
+    with pytest.raises(ego.InputError, match=said):
+        ego.compare(**given)
+
+
+def test_a_damaged_comparison_is_refused(compared: ego.CompareResult, tmp_path: Path) -> None:
+    saved = compared.save(tmp_path / "ours", figures=False)
+    (saved / "comparison.json").write_text("{}")
+    with pytest.raises(ego.InputError, match="is a damaged comparison"):
+        ego.load_result(saved)

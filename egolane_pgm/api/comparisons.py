@@ -4,18 +4,32 @@ from __future__ import annotations
 
 import json
 import os
+import tempfile
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from egolane_pgm.api import shown
-from egolane_pgm.api.given import bar
+from egolane_pgm.api.given import bar, several_of
+from egolane_pgm.api.runs import RunResult, read_run
 from egolane_pgm.comparing import compare_graphs, compare_json
 from egolane_pgm.comparing.choose import losses_by_experiment, plan
-from egolane_pgm.comparing.groups import Group, Options, compare_groups, document
+from egolane_pgm.comparing.groups import (
+    Group,
+    Options,
+    by_recording,
+    compare_groups,
+    document,
+    graphs_on_runs,
+    on_runs,
+)
+from egolane_pgm.comparing.learned_on import learned_elsewhere
+from egolane_pgm.comparing.saving import folder_of
+from egolane_pgm.experiment import Given, Overrides, load_experiment
 from egolane_pgm.files import write_json
+from egolane_pgm.paper import parse_runs
 from egolane_pgm.report.comparison_tables import accuracy_rows, experiment_names
 from egolane_pgm.results import SCHEMA_VERSION, read_files, staged, write_files
 from egolane_pgm.types import InputError
@@ -28,6 +42,9 @@ if TYPE_CHECKING:
 #: The file of a comparison's directory that has the numbers: of all recordings, and of each one.
 DOCUMENT = "comparison.json"
 
+#: The graphs that are compared where none is named.
+DEFAULT_GRAPHS = ("sensor_failure", "wor_on_lane", "no_wor", "lane_only")
+
 
 @dataclass(frozen=True, repr=False, eq=False)
 class CompareResult:
@@ -36,7 +53,17 @@ class CompareResult:
     - document: what `egolane compare --json` writes.
     - files: a result directory for each recording and experiment, by the names of their files;
       empty for graphs with the paper's parameters.
-    - is_whole: whether all recordings were compared; Ctrl-C keeps those before it.
+    - is_whole: whether all recordings were compared; the command shows those before Ctrl-C.
+
+    >>> import egolane_pgm as ego
+    >>> place = ego.experiments_folder() / "quickstart.yaml"
+    >>> one = ego.load_experiment(place, {"recording.frames": [0, 400]})
+    >>> other = ego.load_experiment(one, {"name": "exact", "filter": "exact"})
+    >>> compared = ego.compare([one, other], blocks=2)
+    >>> compared
+    CompareResult(quickstart, exact on quickstart, seed 0; not tuned, causal)
+    >>> compared["quickstart, seed 0", "exact"].to_pandas().shape[0]
+    400
     """
 
     document: Mapping[str, Any]
@@ -58,6 +85,23 @@ class CompareResult:
     def recordings(self) -> list[str]:
         """The titles of the recordings."""
         return [str(recording["title"]) for recording in self._as_held_out()["recordings"]]
+
+    def __getitem__(self, key: tuple[str, str]) -> RunResult:
+        """What was believed held out: of a recording, by its title, under an experiment.
+
+        Raises InputError where there is none.
+        """
+        title, name = key
+        prefix = f"{folder_of(title)}/{name}/"
+        files = {k.removeprefix(prefix): v for k, v in self.files.items() if k.startswith(prefix)}
+        if not files:
+            raise InputError(
+                f"{title}, {name}: was not held out here; there are {', '.join(self.recordings)}"
+                f" with {', '.join(self.names)}"
+            )
+        with tempfile.TemporaryDirectory(prefix="egolane-") as folder:
+            write_files(Path(folder), files)
+            return read_run(Path(folder))
 
     def _as_held_out(self) -> Mapping[str, Any]:
         """The document in the form of those that hold something out."""
@@ -177,28 +221,32 @@ def is_comparison(directory: Path) -> bool:
 def read_comparison(directory: Path) -> CompareResult:
     """Read the directory of a comparison. Raises InputError where it is damaged."""
     files = read_files(directory)
-    whole = files.pop(DOCUMENT, None)
     try:
-        if whole is not None and "title" not in json.loads(whole):
-            return CompareResult(json.loads(whole), files)
-        if whole is not None:
-            files = {f"{directory.name}/{name}": content for name, content in files.items()}
-            files[f"{directory.name}/{DOCUMENT}"] = whole
-        parts = [json.loads(files[name]) for name in files if name.endswith(f"/{DOCUMENT}")]
-        parts = [{k: v for k, v in part.items() if k != "schema_version"} for part in parts]
-        found = {
-            "schema_version": SCHEMA_VERSION,
-            "held_out": True,
-            "blocks": parts[0]["blocks"],
-            "recordings": parts,
-            "together": [],
-            "failed": [],
-        }
-        result = CompareResult(found, files)
+        result = _read(directory.name, files)
         result.to_pandas()
-    except (KeyError, ValueError, TypeError, AttributeError) as error:
+    except (KeyError, IndexError, ValueError, TypeError, AttributeError) as error:
         raise InputError(f"{directory}: is a damaged comparison; compare again") from error
     return result
+
+
+def _read(name: str, files: dict[str, bytes]) -> CompareResult:
+    """The comparison in the files of a directory of that name: of several recordings, or of one."""
+    if DOCUMENT in files:
+        found = json.loads(files[DOCUMENT])
+        if "title" not in found:
+            del files[DOCUMENT]
+            return CompareResult(found, files)
+        files = {f"{name}/{file}": content for file, content in files.items()}
+    parts = [json.loads(files[file]) for file in files if file.endswith(f"/{DOCUMENT}")]
+    found = {
+        "schema_version": SCHEMA_VERSION,
+        "held_out": True,
+        "blocks": parts[0]["blocks"],
+        "recordings": [{k: v for k, v in p.items() if k != "schema_version"} for p in parts],
+        "together": [],
+        "failed": [],
+    }
+    return CompareResult(found, files)
 
 
 def compare_recordings(
@@ -242,3 +290,126 @@ def compare_on_runs(
     shows = bar(numbers, progress, desc="runs", unit="run")
     compared = [compare_graphs(number, graphs, which) for number in shows]
     return CompareResult(compare_json(compared, which))
+
+
+def compare(
+    experiments: Any = (),
+    *,
+    graphs: str | os.PathLike[str] | Sequence[str | os.PathLike[str]] | None = None,
+    runs: str | None = None,
+    held_out: bool = False,
+    with_paper: bool = False,
+    parameters: str = "recovered",
+    learned_on: str | Sequence[str] = (),
+    health: bool = False,
+    blocks: int = 5,
+    trials: int | None = None,
+    trials_per_number: int | None = None,
+    seeds: int | Sequence[int] = (),
+    jobs: int = 1,
+    overrides: Overrides = (),
+    out: str | os.PathLike[str] | None = None,
+    progress: bool | None = None,
+) -> CompareResult:
+    """Put experiments side by side on frames that their parameters have not seen.
+
+    - experiments: one, or a list; the `fit` of each says how its parameters are found. Each is on
+      its own recording, or, with `runs`, on those of the paper's runs.
+    - graphs: instead, names or files of graphs, in a list or with commas: with the paper's
+      parameters, in-sample, unless `held_out`.
+    - runs: runs of the paper, e.g. "1-5,7".
+    - held_out: whether each graph is tuned without the block that is scored.
+    - with_paper: whether the paper's model comes first, with `runs`.
+    - parameters: of the paper's model, "recovered" or "published".
+    - learned_on: recordings to learn from instead, runs or files with commas between; a column for
+      each of a list.
+    - health: whether to score how well each tells that the detector is wrong.
+    - blocks: how many blocks are held out in turn.
+    - trials: of each block's search (`fit: tune`).
+    - trials_per_number: instead, trials for each number that is searched.
+    - seeds: how many seeds each search has, or which.
+    - jobs: processes that share the work.
+    - overrides: keys of the YAMLs that get other values.
+    - out: a folder in which the result directories are written as soon as they are done.
+    - progress: whether a bar shows how far it is; None for in a terminal.
+
+    Raises InputError for whatever does not fit. A recording that fails does not stop the others;
+    it is in `document["failed"]`.
+
+    >>> import egolane_pgm as ego
+    >>> place = ego.experiments_folder() / "quickstart.yaml"
+    >>> one = ego.load_experiment(place, {"recording.frames": [0, 400]})
+    >>> other = ego.load_experiment(one, {"name": "exact", "filter": "exact"})
+    >>> compared = ego.compare([one, other], blocks=2)
+    >>> compared.to_pandas()["value"].xs("f1", level="score").round(3).to_list()
+    [0.728, 0.727]
+    """
+    given, names = several_of(experiments, "compare"), _names(graphs)
+    learned = [os.fspath(each) for each in several_of(learned_on, "learned_on")]
+    check_question(bool(given), graphs is not None, runs, with_paper, bool(learned))
+    if trials and trials_per_number:
+        raise InputError("--trials-per-number: goes instead of --trials, not with it")
+    if not given and not held_out:
+        return compare_on_runs(names, parse_runs(runs or "1-10"), parameters, progress=progress)
+    numbers = parse_runs(runs) if runs else None
+    groups = groups_of(given, names, numbers, with_paper, parameters, learned, overrides)
+    with tempfile.TemporaryDirectory(prefix="egolane-") as temporary:
+        folder = Path(temporary if out is None else out)
+        chosen = tuple(range(seeds)) if isinstance(seeds, int) else tuple(seeds)
+        settings = Options(blocks, trials, health, folder, trials_per_number, chosen)
+        found = compare_recordings(groups, settings, jobs=jobs, progress=progress)
+        if not found.is_whole:
+            raise KeyboardInterrupt
+        files = {
+            f"{place}/{name}": content
+            for place in map(folder_of, found.recordings)
+            for name, content in read_files(folder / place).items()
+        }
+        return replace(found, files=files)
+
+
+def _names(graphs: Any) -> list[str]:
+    if graphs is None:
+        return list(DEFAULT_GRAPHS)
+    if isinstance(graphs, str):
+        return [name.strip() for name in graphs.split(",") if name.strip()]
+    return [os.fspath(graph) for graph in several_of(graphs, "graphs")]
+
+
+def check_question(
+    has_experiments: bool, has_graphs: bool, runs: str | None, with_paper: bool, has_learned: bool
+) -> None:
+    """Raise InputError for arguments of `compare` that do not go together."""
+    if has_experiments and has_graphs:
+        raise InputError("compare: name experiments, or graphs with --graphs, not both")
+    if has_learned and not has_experiments:
+        raise InputError("--learned-on: goes with experiments")
+    if with_paper and not (has_experiments and runs):
+        raise InputError("--with-paper: goes with experiments and --runs")
+
+
+def groups_of(
+    experiments: Sequence[Given],
+    graphs: Sequence[str],
+    numbers: Sequence[int] | None,
+    with_paper: bool,
+    which: str,
+    learned_on: Sequence[str],
+    overrides: Overrides,
+) -> list[Group]:
+    """The experiments that `compare` compares, by recording.
+
+    - graphs: without experiments; each is tuned.
+    - numbers: of the paper's runs; None for the experiments' own recordings.
+    - which: the parameters of the paper's model.
+    """
+    if not experiments:
+        if overrides:
+            raise InputError("--set: goes with experiments, not with --graphs")
+        return graphs_on_runs(graphs, numbers or range(1, 11), "tune")
+    models = [load_experiment(given, overrides) for given in experiments]
+    if learned_on:
+        models = learned_elsewhere(models, learned_on, numbers is not None)
+    if numbers is None:
+        return by_recording(models)
+    return on_runs(models, numbers, with_paper=with_paper, which=which)

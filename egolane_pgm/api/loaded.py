@@ -6,12 +6,11 @@ import os
 from pathlib import Path
 from typing import Any
 
-from egolane_pgm.api.runs import RunResult, RunResults
+from egolane_pgm.api.comparisons import is_comparison, read_comparison
+from egolane_pgm.api.runs import RunResults, read_run
 from egolane_pgm.api.studies import TuneResult, read_study
-from egolane_pgm.experiment import load_experiment
-from egolane_pgm.model import prepare_model
 from egolane_pgm.report.study_trials import is_study
-from egolane_pgm.results import is_result, read_result
+from egolane_pgm.results import is_result
 from egolane_pgm.types import InputError
 
 
@@ -42,6 +41,8 @@ def load_result(directory: str | os.PathLike[str]) -> Any:
         return read_run(place)
     if is_study(place):
         return read_study(place)
+    if is_comparison(place):
+        return read_comparison(place)
     children = sorted(place.iterdir()) if place.is_dir() else []
     runs = [child for child in children if is_result(child)]
     if runs:
@@ -53,10 +54,3 @@ def load_result(directory: str | os.PathLike[str]) -> Any:
     if not place.exists():
         raise InputError(f"{directory}: is not there")
     raise InputError(f"{directory}: is not a result directory of run, tune or compare")
-
-
-def read_run(directory: Path) -> RunResult:
-    """Read the result directory of a run. Raises InputError where it is damaged."""
-    result = read_result(directory)
-    experiment = load_experiment(directory / "experiment.yaml")
-    return RunResult(experiment, prepare_model(experiment), result)

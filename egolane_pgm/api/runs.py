@@ -16,10 +16,10 @@ from egolane_pgm.api import shown
 from egolane_pgm.api.given import bar, several_of
 from egolane_pgm.experiment import Experiment, Given, Overrides, load_experiment
 from egolane_pgm.loading import with_recording
-from egolane_pgm.model import Model
+from egolane_pgm.model import Model, prepare_model
 from egolane_pgm.report.comparison_tables import trusted_or_all
 from egolane_pgm.report.tables import runs_table_rows, score_rows, with_interval
-from egolane_pgm.results import Result
+from egolane_pgm.results import Result, read_result
 from egolane_pgm.running import (
     Run,
     name_runs,
@@ -276,6 +276,13 @@ class RunResults(Sequence[RunResult]):
         for run in self.runs:
             run.save(Path(directory) / run.name, figures=figures)
         return Path(directory)
+
+
+def read_run(directory: Path) -> RunResult:
+    """Read the result directory of a run. Raises InputError where it is damaged."""
+    result = read_result(directory)
+    experiment = load_experiment(directory / "experiment.yaml")
+    return RunResult(experiment, prepare_model(experiment), result)
 
 
 def draw_all(directory: Path) -> None:

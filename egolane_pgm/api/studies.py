@@ -279,7 +279,9 @@ def tune(
             storage=storage,
             overrides=overrides,
         )
-        return search_all(searches, jobs=jobs, workers=workers, progress=progress)
+        documents = search_all(searches, jobs=jobs, workers=workers, progress=progress)
+        files = {made.directory.name: read_files(made.directory) for made in searches}
+        return TuneResult(tuple(documents), files)
 
 
 def prepare_searches(
@@ -366,8 +368,8 @@ def search_all(
     jobs: int = 1,
     workers: int | None = None,
     progress: bool | None = None,
-) -> TuneResult:
-    """Do searches that were prepared, and read what they wrote."""
+) -> list[dict[str, Any]]:
+    """Do searches that were prepared. Returns what is in the study.json of each."""
     with bar(None, progress, total=studies.n_trials(searches), unit="trial") as shows:
 
         def advance(label: str, more: int, best: float) -> None:
@@ -375,9 +377,4 @@ def search_all(
             shows.set_postfix(best=f"{best:.4f}", refresh=False)
             shows.update(more)
 
-        documents = list(studies.tune(searches, jobs=jobs, workers=workers, progress=advance))
-    files = {
-        str(document["name"]): read_files(made.directory)
-        for document, made in zip(documents, searches, strict=True)
-    }
-    return TuneResult(tuple(documents), files)
+        return list(studies.tune(searches, jobs=jobs, workers=workers, progress=advance))

@@ -9,18 +9,15 @@ from pathlib import Path
 from typing import Any
 
 import click
-from tqdm import tqdm
 
+from egolane_pgm.api.studies import prepare_searches, search_all
 from egolane_pgm.cli import options
 from egolane_pgm.files import write_json
-from egolane_pgm.paper import parse_runs
 from egolane_pgm.report import study_tables, tables
 from egolane_pgm.report.study_figures import draw_study
 from egolane_pgm.results import SCHEMA_VERSION
-from egolane_pgm.tuning import plan as planning
 from egolane_pgm.tuning import study as studies
 from egolane_pgm.tuning.space import described
-from egolane_pgm.types import InputError
 
 
 @click.command()
@@ -103,49 +100,38 @@ def tune(
     Every study is Optuna's, kept in study.journal of its directory or in --storage. Other machines,
     or terminals, join in it by giving the same command.
     """
-    if in_sample_only and (whole_recordings or blocks is not None):
-        raise InputError("--in-sample-only: goes with neither --blocks nor --whole-recordings")
-    if whole_recordings and blocks is not None:
-        raise InputError("--whole-recordings: a recording is the block, leave --blocks away")
-    if workers is not None and jobs is not None:
-        raise InputError("--workers: shares one study, --jobs several; take one of the two")
-    changed = {
-        "trials": trials,
-        "objective": objectives or None,
-        "sampler": sampler,
-        "seed": seed,
-        "blocks": blocks,
-        "from_scratch": from_scratch or None,
-        "parameters": options.given(parameters, "p1=[0.5,1] or p1=0.9", "--parameter"),
-    }
-    plans = [planning.with_options(p, changed) for p in _plans(experiments, runs, overrides)]
-    if together:
-        plans = [planning.together(plans)]
-    held_out = "none" if in_sample_only else "recordings" if whole_recordings else "blocks"
-    test = None if test_on is None else planning.load_plan(test_on)
-    _check_names(plans)
-    searches = [studies.prepare(p, Path(out) / p.name, held_out, test, storage) for p in plans]
+    searches = prepare_searches(
+        experiments,
+        folder=Path(out),
+        runs=runs,
+        trials=trials,
+        objective=objectives,
+        sampler=sampler,
+        seed=seed,
+        from_scratch=from_scratch,
+        parameter=options.given(parameters, "p1=[0.5,1] or p1=0.9", "--parameter"),
+        blocks=blocks,
+        whole_recordings=whole_recordings,
+        test_on=test_on,
+        in_sample_only=in_sample_only,
+        together=together,
+        workers=workers,
+        jobs=jobs,
+        storage=storage,
+        overrides=overrides,
+    )
     for note in dict.fromkeys(note for made in searches for note in made.notes):
         click.echo(f"warning: {note}", err=True)
     _say_what_is_searched(searches)
     folders = ", ".join(str(made.directory) for made in searches[:3])
     folders += ", ..." if len(searches) > 3 else ""
-    total = studies.n_trials(searches)
-    with tqdm(total=total, unit="trial", leave=False, disable=None) as bar:
-
-        def progress(label: str, more: int, best: float) -> None:
-            bar.set_description(label, refresh=False)
-            bar.set_postfix(best=f"{best:.4f}", refresh=False)
-            bar.update(more)
-
-        try:
-            done = studies.tune(searches, jobs=jobs or _cores(), workers=workers, progress=progress)
-            documents = list(done)
-        except KeyboardInterrupt:
-            place = "the storage" if storage else folders
-            raise KeyboardInterrupt(
-                f"complete trials are kept in {place}; repeat the command to go on"
-            ) from None
+    try:
+        documents = search_all(searches, jobs=jobs or _cores(), workers=workers)
+    except KeyboardInterrupt:
+        place = "the storage" if storage else folders
+        raise KeyboardInterrupt(
+            f"complete trials are kept in {place}; repeat the command to go on"
+        ) from None
     _print(documents, style)
     if style == "markdown":
         click.echo(f"\nstudies: {folders}; best.yaml: run it")
@@ -160,25 +146,6 @@ def _cores() -> int:
     if hasattr(os, "sched_getaffinity"):
         return len(os.sched_getaffinity(0))
     return os.cpu_count() or 1
-
-
-def _plans(
-    experiments: Sequence[str], runs: str | None, overrides: Sequence[str]
-) -> list[planning.Plan]:
-    if bool(experiments) == bool(runs):
-        raise InputError("tune: name experiments, or runs of the paper with --runs 1-10")
-    if runs:
-        if overrides:
-            raise InputError("--set: goes with an experiment's YAML, not with --runs")
-        return planning.paper_plans(parse_runs(runs))
-    return [planning.load_plan(path, overrides) for path in experiments]
-
-
-def _check_names(plans: Sequence[planning.Plan]) -> None:
-    names = [plan.name for plan in plans]
-    for plan in plans:
-        if names.count(plan.name) > 1:
-            raise InputError(f"{plan.source}: another experiment has the name {plan.name} too")
 
 
 def _say_what_is_searched(searches: Sequence[studies.Search]) -> None:
