@@ -626,7 +626,6 @@ def test_graphs_on_a_run_of_the_paper_are_in_sample(recordings: Path, tmp_path: 
 @pytest.mark.parametrize(
     ("given", "said"),
     [
-        ({"experiments": QUICKSTART, "graphs": "no_wor"}, "name experiments, or graphs"),
         ({"learned_on": "1"}, "goes with experiments"),
         ({"experiments": QUICKSTART, "with_paper": True}, "goes with experiments and --runs"),
         ({"experiments": QUICKSTART, "trials": 3, "trials_per_number": 3}, "instead of --trials"),

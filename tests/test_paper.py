@@ -453,7 +453,8 @@ def test_a_graph_gets_those_of_the_papers_parameters_that_it_has(stand_in: dict[
     run = run_experiment(experiment)
     assert compared.scores["lane_only"]["confusion"] == run.scores["model"]["confusion"]
     assert compared.mean_log_evidence == {"lane_only": run.beliefs.mean_log_evidence}
-    header, rows = comparing.compare_rows([compared], "accuracy")
+    document = comparing.compare_json([compared], "published")
+    header, rows = comparing.compare_rows(document, "accuracy")
     assert header == ["run", "detector", "lane_only"]
     assert rows == [["2", *(f"{compared.scores[n]['accuracy']:.3f}" for n in header[1:])]]
 
@@ -464,7 +465,7 @@ def test_an_interrupted_command_says_so(
     def interrupted(*words: object, **options: object) -> None:
         raise KeyboardInterrupt
 
-    monkeypatch.setattr(paper, "reproduce_run", interrupted)
+    monkeypatch.setattr("egolane_pgm.api.reproduction.reproduce_run", interrupted)
     result = command("reproduce", "--runs", "2")
     assert result.exit_code == 130
     assert result.stderr == (

@@ -16,6 +16,7 @@ from egolane_pgm.api.given import bar, several_of
 from egolane_pgm.api.runs import RunResult, read_run
 from egolane_pgm.comparing import compare_graphs, compare_json
 from egolane_pgm.comparing.choose import losses_by_experiment, plan
+from egolane_pgm.comparing.graphs import with_graphs
 from egolane_pgm.comparing.groups import (
     Group,
     Options,
@@ -26,6 +27,7 @@ from egolane_pgm.comparing.groups import (
     on_runs,
 )
 from egolane_pgm.comparing.learned_on import learned_elsewhere
+from egolane_pgm.comparing.placing import recording_key
 from egolane_pgm.comparing.saving import folder_of
 from egolane_pgm.experiment import Given, Overrides, load_experiment
 from egolane_pgm.files import write_json
@@ -315,8 +317,9 @@ def compare(
 
     - experiments: one, or a list; the `fit` of each says how its parameters are found. Each is on
       its own recording, or, with `runs`, on those of the paper's runs.
-    - graphs: instead, names or files of graphs, in a list or with commas: with the paper's
-      parameters, in-sample, unless `held_out`.
+    - graphs: names or files of graphs, in a list or with commas: each experiment once with each of
+      them. Without experiments: on the paper's runs, and with its parameters, in-sample, unless
+      `held_out`.
     - runs: runs of the paper, e.g. "1-5,7".
     - held_out: whether each graph is tuned without the block that is scored.
     - with_paper: whether the paper's model comes first, with `runs`.
@@ -344,15 +347,15 @@ def compare(
     >>> compared.to_pandas()["value"].xs("f1", level="score").round(3).to_list()
     [0.728, 0.727]
     """
-    given, names = several_of(experiments, "compare"), _names(graphs)
+    given = several_of(experiments, "compare")
+    names = graph_names(graphs, bool(given))
     learned = [os.fspath(each) for each in several_of(learned_on, "learned_on")]
-    check_question(bool(given), graphs is not None, runs, with_paper, bool(learned))
-    if trials and trials_per_number:
-        raise InputError("--trials-per-number: goes instead of --trials, not with it")
+    check_options(bool(given), runs, with_paper, bool(learned), trials, trials_per_number)
     if not given and not held_out:
         return compare_on_runs(names, parse_runs(runs or "1-10"), parameters, progress=progress)
+    fit = "tune" if held_out else None
     numbers = parse_runs(runs) if runs else None
-    groups = groups_of(given, names, numbers, with_paper, parameters, learned, overrides)
+    groups = groups_of(given, names, fit, numbers, with_paper, parameters, learned, overrides)
     with tempfile.TemporaryDirectory(prefix="egolane-") as temporary:
         folder = Path(temporary if out is None else out)
         chosen = tuple(range(seeds)) if isinstance(seeds, int) else tuple(seeds)
@@ -368,29 +371,36 @@ def compare(
         return replace(found, files=files)
 
 
-def _names(graphs: Any) -> list[str]:
-    if graphs is None:
-        return list(DEFAULT_GRAPHS)
+def graph_names(graphs: Any, has_experiments: bool) -> list[str]:
+    """The graphs that are named, in a list or with commas; without experiments by default some."""
     if isinstance(graphs, str):
-        return [name.strip() for name in graphs.split(",") if name.strip()]
-    return [os.fspath(graph) for graph in several_of(graphs, "graphs")]
+        names = [name.strip() for name in graphs.split(",") if name.strip()]
+    else:
+        names = [os.fspath(graph) for graph in several_of(graphs, "graphs")]
+    return names if names or has_experiments else list(DEFAULT_GRAPHS)
 
 
-def check_question(
-    has_experiments: bool, has_graphs: bool, runs: str | None, with_paper: bool, has_learned: bool
+def check_options(
+    has_experiments: bool,
+    runs: str | None,
+    with_paper: bool,
+    has_learned: bool,
+    trials: int | None,
+    trials_per_number: int | None,
 ) -> None:
     """Raise InputError for arguments of `compare` that do not go together."""
-    if has_experiments and has_graphs:
-        raise InputError("compare: name experiments, or graphs with --graphs, not both")
     if has_learned and not has_experiments:
         raise InputError("--learned-on: goes with experiments")
     if with_paper and not (has_experiments and runs):
         raise InputError("--with-paper: goes with experiments and --runs")
+    if trials and trials_per_number:
+        raise InputError("--trials-per-number: goes instead of --trials, not with it")
 
 
 def groups_of(
     experiments: Sequence[Given],
     graphs: Sequence[str],
+    fit: str | None,
     numbers: Sequence[int] | None,
     with_paper: bool,
     which: str,
@@ -399,15 +409,17 @@ def groups_of(
 ) -> list[Group]:
     """The experiments that `compare` compares, by recording.
 
-    - graphs: without experiments; each is tuned.
+    - graphs: each experiment once with each of them; without experiments, on the paper's runs.
+    - fit: of the experiments with these graphs, None for their own.
     - numbers: of the paper's runs; None for the experiments' own recordings.
     - which: the parameters of the paper's model.
     """
     if not experiments:
-        if overrides:
-            raise InputError("--set: goes with experiments, not with --graphs")
-        return graphs_on_runs(graphs, numbers or range(1, 11), "tune")
+        return graphs_on_runs(graphs, numbers or range(1, 11), "tune", overrides)
     models = [load_experiment(given, overrides) for given in experiments]
+    if graphs:
+        places = len({recording_key(model) for model in models}) if numbers is None else 1
+        models = with_graphs(models, graphs, fit=fit, is_shared=places < len(models))
     if learned_on:
         models = learned_elsewhere(models, learned_on, numbers is not None)
     if numbers is None:

@@ -2,30 +2,23 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from functools import partial
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import click
-from tqdm import tqdm
 
-from egolane_pgm import comparing
-from egolane_pgm.cli import options
-from egolane_pgm.comparing.choose import losses_by_experiment, plan
-from egolane_pgm.comparing.graphs import with_graphs
-from egolane_pgm.comparing.groups import (
-    Group,
-    Options,
-    by_recording,
-    compare_groups,
-    document,
-    graphs_on_runs,
-    on_runs,
+from egolane_pgm.api.comparisons import (
+    DEFAULT_GRAPHS,
+    check_options,
+    compare_on_runs,
+    compare_recordings,
+    graph_names,
+    groups_of,
 )
-from egolane_pgm.comparing.learned_on import learned_elsewhere
-from egolane_pgm.comparing.placing import recording_key
-from egolane_pgm.experiment import load_experiment
+from egolane_pgm.cli import options
+from egolane_pgm.comparing import compare_rows
+from egolane_pgm.comparing.groups import Group, Options
 from egolane_pgm.files import check_not_read, check_place, write_json
 from egolane_pgm.paper import parse_runs
 from egolane_pgm.report import comparison_tables as rows_of
@@ -34,8 +27,6 @@ from egolane_pgm.types import InputError
 
 #: Writes a table: header and rows.
 Draw = Callable[[Sequence[str], Sequence[Sequence[str]]], str]
-
-DEFAULT_GRAPHS = "sensor_failure,wor_on_lane,no_wor,lane_only"
 
 TITLES = {"accuracy": "Accuracy", "f1": "F1 (mean over lanes)", "log_loss": "Log-loss (all frames)"}
 
@@ -49,7 +40,7 @@ class Figures(NamedTuple):
 
 @click.command()
 @click.argument("experiments", nargs=-1, type=click.Path(dir_okay=False))
-@click.option("--graphs", help=f"Graphs, names or files.  [default: {DEFAULT_GRAPHS}]")
+@click.option("--graphs", help=f"Graphs, names or files.  [default: {','.join(DEFAULT_GRAPHS)}]")
 @click.option("--runs", help="Runs of the paper, e.g. 1-5,7.  [default with --graphs: 1-10]")
 @click.option("--held-out", is_flag=True, help="Tune each graph without the block that is scored.")
 @click.option("--with-paper", is_flag=True, help="With --runs: the paper's model first.")
@@ -114,12 +105,7 @@ def compare(
     Without experiments the graphs are put on the paper's runs, and without --held-out with the
     paper's parameters, in-sample.
     """
-    if learned_on and not experiments:
-        raise InputError("--learned-on: goes with experiments")
-    if with_paper and not (experiments and runs):
-        raise InputError("--with-paper: goes with experiments and --runs")
-    if trials and trials_per_number:
-        raise InputError("--trials-per-number: goes instead of --trials, not with it")
+    check_options(bool(experiments), runs, with_paper, bool(learned_on), trials, trials_per_number)
     figures = Figures(figure, differences)
     if any(figures):
         # matplotlib is imported only for a figure.
@@ -132,9 +118,7 @@ def compare(
             check_place(Path(place))
     if json_file:
         check_not_read(json_file, map(Path, experiments))
-    names = [n.strip() for n in (graphs or "").split(",") if n.strip()]
-    if not experiments:
-        names = names or DEFAULT_GRAPHS.split(",")
+    names = graph_names(graphs, bool(experiments))
     if not experiments and not held_out:
         many = (health, overrides, trials, trials_per_number, seeds, *figures, out)
         if any(many) or style != "markdown":
@@ -146,7 +130,7 @@ def compare(
         return
     numbers = parse_runs(runs) if runs else None
     fit = "tune" if held_out else None
-    groups = _groups(experiments, names, fit, numbers, with_paper, which, learned_on, overrides)
+    groups = groups_of(experiments, names, fit, numbers, with_paper, which, learned_on, overrides)
     if differences and all(len(group.experiments) < 2 for group in groups):
         raise InputError("--differences: needs two experiments or graphs on one recording")
     settings = Options(
@@ -169,30 +153,6 @@ def _seeds(text: str) -> tuple[int, ...]:
     return tuple(dict.fromkeys(numbers)) if "," in text else tuple(range(numbers[0]))
 
 
-def _groups(
-    experiments: Sequence[str],
-    graphs: Sequence[str],
-    fit: str | None,
-    numbers: Sequence[int] | None,
-    with_paper: bool,
-    which: str,
-    learned_on: Sequence[str],
-    overrides: Sequence[str],
-) -> list[Group]:
-    if not experiments:
-        return graphs_on_runs(graphs, numbers or range(1, 11), "tune", overrides)
-    models = [load_experiment(path, overrides) for path in experiments]
-    if graphs:
-        places = len({recording_key(model) for model in models}) if numbers is None else 1
-        is_shared = places < len(models)
-        models = with_graphs(models, graphs, fit=fit, is_shared=is_shared)
-    if learned_on:
-        models = learned_elsewhere(models, learned_on, numbers is not None)
-    if numbers is None:
-        return by_recording(models)
-    return on_runs(models, numbers, with_paper=with_paper, which=which)
-
-
 def _held_out(
     groups: Sequence[Group],
     settings: Options,
@@ -201,27 +161,8 @@ def _held_out(
     figures: Figures,
     json_file: Path | None,
 ) -> None:
-    def show(found: Iterator[Any], total: int, doing: str, unit: str) -> Iterable[Any]:
-        is_hidden = None if total else True
-        return tqdm(found, doing, total, unit=unit, leave=False, disable=is_hidden)
-
-    tasks = plan([e for group in groups for e in group.experiments], settings.blocks)
-    known = losses_by_experiment(tasks, jobs, partial(show, doing="choosing", unit="recording"))
-    searching = partial(show, doing="searching", unit="search")
-    done = compare_groups(groups, settings, jobs=jobs, known=known, show=searching)
-    bar = tqdm(done, total=len(groups), unit="recording", leave=False, disable=None)
-    compared: list[Any] = []
-    is_interrupted = False
-    try:
-        compared.extend(bar)
-    except KeyboardInterrupt:
-        # The recordings that were compared before the interruption are shown.
-        if not compared:
-            raise
-        is_interrupted = True
-    found = document(compared, settings)
-    if not found["recordings"]:
-        raise InputError(found["failed"][0]["error"])
+    done = compare_recordings(groups, settings, jobs=jobs)
+    found = done.document
     unwritten = _write_first(json_file, found)
     for recording in found["recordings"]:
         for note in recording["notes"]:
@@ -240,9 +181,10 @@ def _held_out(
         click.echo(f"failed: {failed['title']}: {failed['error']}", err=True)
     if unwritten is not None:
         raise unwritten
-    if is_interrupted:
+    if not done.is_whole:
+        n_done = len(found["recordings"]) + len(found["failed"])
         raise KeyboardInterrupt(
-            f"this is {len(compared)} of {len(groups)} recordings; the same command begins anew"
+            f"this is {n_done} of {len(groups)} recordings; the same command begins anew"
         )
     if found["failed"]:
         raise SystemExit(1)
@@ -303,11 +245,10 @@ def _write_first(json_file: Path | None, found: Mapping[str, Any]) -> InputError
 def _in_sample(
     names: Sequence[str], numbers: Sequence[int], which: str, json_file: Path | None
 ) -> None:
-    bar = tqdm(numbers, desc="runs", unit="run", leave=False, disable=None)
-    compared = [comparing.compare_graphs(number, names, which) for number in bar]
-    unwritten = _write_first(json_file, comparing.compare_json(compared, which))
+    found = compare_on_runs(names, numbers, which).document
+    unwritten = _write_first(json_file, found)
     for key, title in TITLES.items():
-        header, rows = comparing.compare_rows(compared, key)
+        header, rows = compare_rows(found, key)
         click.echo(f"{title}\n\n{tables.markdown(header, rows)}\n")
     click.echo(
         f"Parameters: the paper's ({which}), as far as a graph has them; in-sample: the authors"

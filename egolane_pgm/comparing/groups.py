@@ -26,7 +26,7 @@ from egolane_pgm.comparing.placing import (
 )
 from egolane_pgm.comparing.saving import folder_of, save_comparison
 from egolane_pgm.comparing.side import Search, Side, held_out_side, search_blocks
-from egolane_pgm.experiment import Experiment, load_experiment
+from egolane_pgm.experiment import Experiment, Overrides, load_experiment
 from egolane_pgm.learning import Found
 from egolane_pgm.loading import Recorded
 from egolane_pgm.model import Drive, causality, prepare_model
@@ -148,7 +148,7 @@ def on_runs(
 
 
 def graphs_on_runs(
-    graphs: Sequence[str], numbers: Sequence[int], fit: str, overrides: Sequence[str] = ()
+    graphs: Sequence[str], numbers: Sequence[int], fit: str, overrides: Overrides = ()
 ) -> list[Group]:
     """Put each graph on the recording of each of the paper's runs, with the run's evidence rule
     where that fits the graph, else with one that does.

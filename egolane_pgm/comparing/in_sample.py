@@ -58,10 +58,14 @@ def compare_graphs(number: int, graphs: Sequence[str], which: str = "recovered")
     return Compared(number, scores, log_evidence)
 
 
-def compare_rows(compared: Sequence[Compared], key: str) -> tuple[list[str], list[list[str]]]:
-    """Header and rows: one score, a row per run, a column per graph and one for the detector."""
-    names = list(compared[0].scores)
-    rows = [[str(c.number), *(f"{c.scores[name][key]:.3f}" for name in names)] for c in compared]
+def compare_rows(document: Mapping[str, Any], key: str) -> tuple[list[str], list[list[str]]]:
+    """Header and rows: one score, a row per run, a column per graph and one for the detector.
+
+    document: as `compare_json` makes it.
+    """
+    runs = document["runs"]
+    names = list(runs[0]["scores"])
+    rows = [[str(r["run"]), *(f"{r['scores'][name][key]:.3f}" for name in names)] for r in runs]
     return ["run", *names], rows
 
 

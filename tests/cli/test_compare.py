@@ -56,7 +56,7 @@ def test_ctrl_c_shows_the_recordings_that_were_compared(
         yield next(iter(real(groups[:1], *given, **named)))
         raise KeyboardInterrupt
 
-    monkeypatch.setattr("egolane_pgm.cli.compare.compare_groups", interrupted)
+    monkeypatch.setattr("egolane_pgm.api.comparisons.compare_groups", interrupted)
     result = command("compare", *paths, "--json", tmp_path / "x.json")
     assert result.exit_code == 130
     assert (
