@@ -572,6 +572,9 @@ def test_a_comparison_has_a_row_for_each_recording_experiment_and_score(
     assert frame["tuned_on"].xs("learned", level="experiment").unique() == [other["tuned_on"]]
     assert not frame.index.duplicated().any()
     assert isinstance(compared.plot(), Figure)
+    assert isinstance(compared.plot("differences"), Figure)
+    with pytest.raises(ego.InputError, match="figure: 'f1' is not one of accuracy, differences"):
+        compared.plot("f1")
     assert repr(compared) == (
         "CompareResult(quickstart, learned on quickstart, seed 0; not tuned, causal or held out,"
         " causal)"
@@ -621,6 +624,8 @@ def test_graphs_on_a_run_of_the_paper_are_in_sample(recordings: Path, tmp_path: 
     assert set(frame.index.levels[1]) == {"detector", "sensor_failure", "lane_only"}
     assert isinstance(found.plot(), Figure)
     assert repr(ego.load_result(found.save(tmp_path / "graphs"))) == repr(found)
+    with pytest.raises(ego.InputError, match="of comparisons that hold something out"):
+        found.plot("differences")
 
 
 @pytest.mark.parametrize(

@@ -170,12 +170,22 @@ class CompareResult:
         """`to_pandas` as a data set. Raises InputError where xarray is not installed."""
         return shown.as_dataset(self.to_pandas())
 
-    def plot(self) -> Figure:
-        """Draw the accuracy of each experiment on each recording, with its interval."""
-        from egolane_pgm.report.comparison_figures import comparison_figure
+    def plot(self, figure: str = "accuracy") -> Figure:
+        """Draw the experiments on each recording, with their intervals.
+
+        - figure: "accuracy", or "differences" for how it differs from the first experiment's.
+
+        Raises InputError for another figure, and for differences that there are not.
+        """
+        from egolane_pgm.report import comparison_figures as figures
         from egolane_pgm.report.style import inline_figure
 
-        return inline_figure(lambda: comparison_figure(self._as_held_out()))
+        makes = {"accuracy": figures.comparison_figure, "differences": figures.differences_figure}
+        if figure not in makes:
+            raise InputError(f"figure: {figure!r} is not one of {', '.join(makes)}")
+        if figure == "differences" and not self.is_held_out:
+            raise InputError("figure: 'differences' are of comparisons that hold something out")
+        return inline_figure(lambda: makes[figure](self._as_held_out()))
 
     def save(self, directory: str | os.PathLike[str], *, figures: bool = True) -> Path:
         """Write the numbers, and a result directory for each recording and experiment, as
