@@ -10,6 +10,7 @@ import click
 
 from egolane_pgm.experiment import read_override
 from egolane_pgm.files import check_place
+from egolane_pgm.types import MAX_LANES
 
 Decorator = Callable[[Callable[..., Any]], Callable[..., Any]]
 
@@ -68,6 +69,8 @@ def _writable(_: click.Context, __: click.Parameter, file: str | None) -> Path |
     check_place(Path(file))
     return Path(file)
 
+
+n_lanes = click.option("--n-lanes", type=click.IntRange(1, MAX_LANES), default=3, show_default=True)
 
 json_file = click.option(
     "--json",

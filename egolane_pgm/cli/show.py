@@ -1,4 +1,4 @@
-"""The commands `egolane ls`, `egolane show`, `egolane network` and `egolane validate`."""
+"""The commands `egolane ls`, `egolane show` and `egolane validate`."""
 
 from __future__ import annotations
 
@@ -31,15 +31,10 @@ from egolane_pgm.report.description import (
     describe_rule,
     description_text,
 )
-from egolane_pgm.report.network import check_ending, write_network
 from egolane_pgm.results import SCHEMA_VERSION
 from egolane_pgm.simulation import PRESETS
 from egolane_pgm.tuning.plan import check_plan, load_plan
-from egolane_pgm.types import MAX_LANES, InputError, all_problems
-
-_n_lanes = click.option(
-    "--n-lanes", type=click.IntRange(1, MAX_LANES), default=3, show_default=True
-)
+from egolane_pgm.types import InputError, all_problems
 
 
 @click.command()
@@ -97,7 +92,7 @@ _KINDS = {"graph": "graphs", "evidence": "evidence", "detector": "detectors"}
 
 @click.command()
 @click.argument("name", metavar="GRAPH|EVIDENCE|DETECTOR")
-@_n_lanes
+@options.n_lanes
 @click.option("--tables", is_flag=True, help="Print a graph's tables in numbers.")
 @options.json_file
 def show(name: str, n_lanes: int, tables: bool, json_file: Path | None) -> None:
@@ -112,7 +107,7 @@ def show(name: str, n_lanes: int, tables: bool, json_file: Path | None) -> None:
     module = load_plugin(_KINDS[kind], bare, Path.cwd(), kind)
     found: dict[str, Any] = {"schema_version": SCHEMA_VERSION, "name": bare}
     if kind == "graph":
-        compiled = _compiled(bare, module, n_lanes)
+        compiled = compile_defaults(bare, module, n_lanes)
         found |= describe_graph(module, compiled, numbers=tables)
     elif kind == "evidence":
         found |= describe_rule(module, _defaults(module, n_lanes))
@@ -124,21 +119,7 @@ def show(name: str, n_lanes: int, tables: bool, json_file: Path | None) -> None:
     click.echo(description_text({**found, "file": options.shown(Path(found["file"]))}))
 
 
-@click.command()
-@click.argument("graph")
-@click.argument("target", type=click.Path(dir_okay=False))
-@_n_lanes
-def network(graph: str, target: str, n_lanes: int) -> None:
-    """Write a graph (a name, or a file of your own), two slices: a picture (.png, .svg, .pdf), text
-    for Graphviz (.dot), or its tables for other programs (.bif)."""
-    check_ending(target)
-    check_not_read(Path(target), [Path(graph)])
-    module = load_plugin("graphs", graph, Path.cwd(), "graph")
-    write_network(_compiled(graph, module, n_lanes), target)
-    click.echo(target)
-
-
-def _compiled(name: str, module: ModuleType, n_lanes: int) -> Compiled:
+def compile_defaults(name: str, module: ModuleType, n_lanes: int) -> Compiled:
     """A graph with the default values of its parameters."""
     where = f"graph {name}"
     try:

@@ -138,8 +138,8 @@ def description_text(found: Mapping[str, Any]) -> str:
     names that are."""
     lines = [f"{found['kind']} {found['name']}"]
     lines += [found["file"]] if found["file"] != found["name"] else []
-    first_paragraph = found["about"].split("\n\n")[0]
-    lines += ["", *_wrapped(first_paragraph, 0)]
+    if found["about"]:
+        lines += ["", *_wrapped(found["about"].split("\n\n")[0], 0)]
     if found["kind"] == "graph":
         lines += _graph_lines(found)
     elif found["kind"] == "evidence rule":

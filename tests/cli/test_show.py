@@ -9,8 +9,11 @@ import numpy as np
 import pytest
 import yaml
 
+from egolane_pgm.inference.filtering import filter_beliefs
+from egolane_pgm.model import prepare_model
 from egolane_pgm.paper import experiments_folder, paper_experiment
-from tests.kits.drives import done, refused, run_json, write_drive, write_experiment
+from egolane_pgm.types import Evidence
+from tests.kits.drives import done, refused, run_json, simulated, write_drive, write_experiment
 from tests.kits.synthetic_road import write_place
 
 EXAMPLES = Path(__file__).parents[2] / "examples"
@@ -127,6 +130,19 @@ def test_what_cannot_be_shown_is_refused_in_a_line(tmp_path: Path) -> None:
     assert "cannot be written" in refused("show", "lane_only", "--json", target)
     said = refused("show", EXAMPLES / "my_graph.py", "--json", EXAMPLES / "my_graph.py")
     assert said.endswith("is read here; name another file")
+
+
+def test_a_graph_written_as_bif_is_a_graph(tmp_path: Path) -> None:
+    done("network", "sensor_failure", tmp_path / "g.bif", "--n-lanes", 4)
+    assert "SensorState        hidden            OK, BAD" in done("show", tmp_path / "g.bif").stdout
+    ours, read = (
+        prepare_model(simulated(graph=g)) for g in ("sensor_failure", f"{tmp_path}/g.bif")
+    )
+    rng = np.random.default_rng(0)
+    evidence = Evidence({"DetectorOutput": rng.random((20, 4)), "WOR": rng.random((20, 2))})
+    right = filter_beliefs(ours.compiled, evidence, "exact").marginals
+    for node, found in filter_beliefs(read.compiled, evidence, "exact").marginals.items():
+        np.testing.assert_allclose(found, right[node], rtol=0, atol=1e-14)
 
 
 def test_a_network_that_cannot_be_written_is_refused_in_a_line(tmp_path: Path) -> None:
