@@ -133,6 +133,10 @@ def compare(
     groups = groups_of(experiments, names, fit, numbers, with_paper, which, learned_on, overrides)
     if differences and all(len(group.experiments) < 2 for group in groups):
         raise InputError("--differences: needs two experiments or graphs on one recording")
+    is_searched = any(e.fit == "tune" for group in groups for e in group.experiments)
+    for option, given in (("--seeds", seeds), ("--trials-per-number", trials_per_number)):
+        if given and not is_searched:
+            raise InputError(f"{option}: nothing is searched; take --held-out, or fit: tune")
     settings = Options(
         blocks,
         trials,

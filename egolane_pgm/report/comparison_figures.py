@@ -46,7 +46,8 @@ def draw_comparison(document: Mapping[str, Any], path: str | Path) -> Path:
 
     document: as `egolane compare --json` writes it. Frames whose labels are not trusted are left
     out. The axis is logarithmic in the share of errors and ends at 0.9997; larger accuracies are
-    drawn there. Filled markers are held out or not tuned, hollow ones in-sample.
+    drawn there. Filled markers are held out or not tuned, hollow ones in-sample; the small dots
+    beside a mean over seeds are the seeds.
 
     Raises InputError for a document without experiments, and as `write_figure` does.
     """
@@ -71,7 +72,9 @@ def comparison_figure(document: Mapping[str, Any]) -> Figure:
     step = 1 / (len(names) + 1.5)
     is_hollow = False
     for k, name in enumerate(names):
-        colour, marker = SERIES[k % len(SERIES)]
+        colour, _ = SERIES[k % len(SERIES)]
+        # The eighth has the first one's colour and the second one's marker.
+        _, marker = SERIES[(k + k // len(SERIES)) % len(SERIES)]
         for r, recording in enumerate(recordings):
             for entry in recording["experiments"]:
                 if entry["name"] != name:
@@ -89,6 +92,13 @@ def comparison_figure(document: Mapping[str, Any]) -> Figure:
                         linewidth=1.6,
                         zorder=2,
                     )
+                seeds = entry.get("seeds", ())
+                if len(seeds) > 1:
+                    each = [trusted_or_all(one["scores"])["accuracy"] for one in seeds]
+                    ax.plot(
+                        [x + step / 3] * len(each), [_height(v) for v in each],
+                        linestyle="none", marker=".", markersize=3, color=colour, zorder=2,
+                    )  # fmt: skip
                 height = _height(scores["accuracy"])
                 ax.plot(
                     [x], [height], linestyle="none", marker=marker, markersize=5,

@@ -257,6 +257,9 @@ def test_a_search_is_made_with_every_seed_and_scored_by_the_mean() -> None:
         ["lane_only", "3", "7", "9", "2"],
         ["no_wor", "5", "7", "15", "2"],
     ]
+    (ax,) = comparison_figure(found).axes
+    dots = [line for line in ax.lines if line.get_marker() == "."]
+    assert [len(line.get_xdata()) for line in dots] == [2] * 4  # type: ignore[arg-type]
     for header, rows in (seeds_rows(found), *together_tables(found)):
         assert {len(row) for row in rows} == {len(header)}
         assert f"{np.mean(mean):.3f}" in str(rows) or header[-3] != "F1"
@@ -481,6 +484,7 @@ def test_what_cannot_be_compared_is_refused_in_one_line(runs: Path, tmp_path: Pa
     for text in ("0", "x", "-1", ",", "1.5"):
         message = refused("compare", one, f"--seeds={text}")
         assert message == f"--seeds {text}: write how many, 5, or which with commas, 3,7"
+    assert "--seeds: nothing is searched" in refused("compare", one, "--seeds", 2)
     assert "instead of --trials" in refused("compare", one, "--trials", 4, "--trials-per-number", 4)
     everything = ("--set", "tuning.never_fit=[[0, null]]", "--set", "fit=tune")
     assert "no frame is left to fit on" in refused("compare", one, *everything)
