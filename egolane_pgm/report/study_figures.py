@@ -133,7 +133,8 @@ def _titled(ax: Axes, title: str, size: tuple[float, float]) -> Figure:
         ax.set_title("")
     figure.suptitle(title)
     figure.set_size_inches(*size)
-    figure.set_layout_engine("constrained")
+    # Matplotlib cannot constrain a single plot with a bar of colours beside it.
+    figure.set_layout_engine("tight" if len(figure.axes) == 2 else "constrained")
     # Optuna draws with pyplot, which would keep the figure.
     plt.close(figure)
     return figure

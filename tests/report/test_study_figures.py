@@ -4,17 +4,21 @@ from __future__ import annotations
 
 import json
 import math
+from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pyarrow as pa
 import pytest
+from matplotlib.figure import Figure
 from pyarrow import parquet
 
 from egolane_pgm.paper import load_published
 from egolane_pgm.report import study_figures as tuning
 from egolane_pgm.report import study_trials as numbers
+from egolane_pgm.report.style import write_figure
 from egolane_pgm.scoring.confusion import is_maximised
 from egolane_pgm.types import InputError
 from tests.kits.drives import done, refused
@@ -154,6 +158,23 @@ def test_few_trials_get_no_importances_and_no_pairs(tmp_path: Path) -> None:
     files = tuning.draw_study(write_study(tmp_path), style="svg")
     assert [f.name for f in files] == ["history.svg", "slices.svg", "flatness.svg"]
     assert all(f.parent == tmp_path / "figures" and f.stat().st_size > 1000 for f in files)
+
+
+def test_a_study_of_one_or_two_parameters_is_drawn(tmp_path: Path) -> None:
+    rng = np.random.default_rng(0)
+    x, y = rng.random((2, 30))
+    one = made(x.tolist(), x.tolist())
+    searched = (numbers.Searched("y", 0.0, 1.0), numbers.Searched("x", 0.0, 1.0))
+    two = replace(one, searched=searched, values={"x": x, "y": y}, score=x + y)
+    drawn: list[Callable[[], Figure]] = [
+        lambda: tuning.slices_figure(one),
+        lambda: tuning.importances_figure(one),
+        lambda: tuning.slices_figure(two),
+        lambda: tuning.pairs_figure(two, ["x", "y"]),
+    ]
+    for make in drawn:
+        with numbers.quiet():
+            assert write_figure(make, tmp_path / "a.png").stat().st_size > 1000
 
 
 def test_tune_draws_what_plot_draws_again(tmp_path: Path) -> None:
