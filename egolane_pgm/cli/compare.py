@@ -106,6 +106,7 @@ def compare(
     paper's parameters, in-sample.
     """
     check_options(bool(experiments), runs, with_paper, bool(learned_on), trials, trials_per_number)
+    drawn = _seeds(seeds) if seeds is not None else ()
     figures = Figures(figure, differences)
     if any(figures):
         # matplotlib is imported only for a figure.
@@ -143,7 +144,7 @@ def compare(
         health,
         Path(out) if out else None,
         trials_per_number,
-        _seeds(seeds) if seeds else (),
+        drawn,
     )
     _held_out(groups, settings, jobs, style, figures, json_file)
 
