@@ -6,7 +6,7 @@ ifneq ($(wildcard ../shared/data/rle),)
 export EGOLANE_DATA ?= $(abspath ../shared/data)
 endif
 
-.PHONY: run test check bench coverage paper camera rendered clean
+.PHONY: run test check bench coverage paper graphs camera rendered clean
 
 run: .venv/.run
 	$(BIN)/egolane run experiments/quickstart.yaml
@@ -48,6 +48,18 @@ paper: .venv/.run
 	$(BIN)/egolane plot $(RUNS)/run03_bonus $(RUNS)/run03_no_bonus --out $(RUNS)/ablation
 	cp $(RUNS)/ablation/bonus_ablation.png results/paper/
 	$(BIN)/egolane network sensor_failure results/paper/network.png
+
+# What results/graphs/ holds: other graphs and learned tables on frames that they have not seen (an
+# hour of two cores).
+GRAPHS := sensor_failure,wor_on_lane,wor_on_edge,autoregressive,failure_duration,no_wor,lane_only,sensor_dynamics
+SEARCH := --seeds 5 --trials-per-number 60 --jobs 2
+EM := $(addprefix experiments/graphs/,em.yaml em_autoregressive.yaml em_autoregressive_wor.yaml)
+OTHERS := experiments/graphs/start.yaml $(EM)
+graphs: .venv/.run
+	mkdir -p results/graphs
+	$(BIN)/egolane compare --graphs $(GRAPHS) --held-out --set filter=exact $(SEARCH) --differences results/graphs/graphs.png > results/graphs/graphs.md
+	$(BIN)/egolane compare $(EM) experiments/graphs/start.yaml --runs 1-10 --jobs 2 > results/graphs/learned.md
+	$(BIN)/egolane compare experiments/graphs/searched.yaml $(OTHERS) --runs 1-10 $(SEARCH) > results/graphs/learned_or_searched.md
 
 # What results/camera/ holds of real pictures, made from those in EGOLANE_DATA.
 camera: .venv/.dev

@@ -262,7 +262,7 @@ def _in_sample(
     if "wor_on_lane" in names and "sensor_failure" in names:
         click.echo(
             "wor_on_lane is sensor_failure until its p3 and p4 differ from lane to lane; the paper"
-            " has one value of each."
+            " has one value of each. With --held-out they are searched."
         )
     if unwritten is not None:
         raise unwritten
