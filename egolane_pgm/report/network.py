@@ -163,7 +163,7 @@ def _curvature(start: SliceNode, end: SliceNode, drawing: _Drawing) -> float:
 
 def _wrapped(name: str) -> str:
     """A name with one word per line, split at capitals and underscores."""
-    words = re.findall(r"[A-Z]+(?![a-z])|[A-Z]?[a-z0-9]+|[^A-Za-z_]+", name)
+    words = re.findall(r"[A-Z]+(?![a-z])\d*|[A-Z]?[a-z0-9]+|[^A-Za-z_]+", name)
     return "\n".join(words) if words else name
 
 

@@ -18,7 +18,7 @@ from egolane_pgm.graphs.flat import bif
 from egolane_pgm.report.network import ENDINGS, check_ending, network_figure, write_network
 from egolane_pgm.report.structure import Structure, graphviz, structure_of
 from egolane_pgm.types import InputError
-from tests.conformance.networks import template
+from tests.conformance.networks import random_network, template
 
 PAPER = [("Lane", "DetectorOutput"), ("SensorState", "DetectorOutput"), ("SensorState", "WOR")]
 PAPER_EVIDENCE = [("DetectorOutput", "DetectorOutput_ve"), ("WOR", "WOR_ve")]
@@ -128,6 +128,12 @@ def test_each_kind_of_node_looks_different() -> None:
     ]
 
 
+def test_names_are_split_into_words() -> None:
+    names = {"DetectorOutput": "Detector\nOutput", "WOR": "WOR", "H1": "H1", "my_node": "my\nnode"}
+    figure = network_figure(declared([("DetectorOutput", "WOR"), ("H1", "my_node")], []))
+    assert set(names.values()) <= {text.get_text() for text in figure.axes[0].texts}
+
+
 def test_the_legend_explains_only_what_is_drawn() -> None:
     legend = network_figure(declared([("A", "B")], [])).axes[0].get_legend()
     assert legend is not None
@@ -163,7 +169,11 @@ def test_children_are_below_their_parents_and_the_next_frame_to_the_right(
         assert drawn[name, time].center[1] == drawn[name, 0].center[1]
 
 
-@pytest.mark.parametrize("network", [paper(), WIDE], ids=["paper", "wide"])
+@pytest.mark.parametrize(
+    "network",
+    [paper(), WIDE, *(structure_of(random_network(seed)[1]) for seed in (1, 5, 14))],
+    ids=["paper", "wide", "random 1", "random 5", "random 14"],
+)
 def test_no_arrow_runs_through_a_node_and_no_two_nodes_touch(network: Structure) -> None:
     figure = network_figure(network)
     figure.draw_without_rendering()
