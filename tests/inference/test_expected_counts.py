@@ -199,6 +199,23 @@ def test_every_frame_is_counted_once(seed: int) -> None:
     assert totals(found) == pytest.approx(expected)
 
 
+def test_a_table_that_holds_in_every_frame_is_counted_over_all_of_them() -> None:
+    """F is drawn anew in each frame, D keeps its own value: one table, and two."""
+    rng = np.random.default_rng(0)
+    tables = [
+        *simple_tables()[:2],
+        *within("F", ["A"], rng.dirichlet(np.ones(3), 2)),
+        *prior("D", rng.dirichlet(np.ones(2), 3), ["F"]),
+        *dynamics("D", ["F", previous("D")], rng.dirichlet(np.ones(2), (3, 2))),
+    ]
+    compiled = compile_network(declare(tables, ["D"]), ["A", "F"], ["D"])
+    evidence = draw_evidence(compiled, 4, rng, zeros=0)
+    found = expected_counts(compiled, evidence, is_first=np.array([True, False, False, True]))
+    expected = {("A", 0): 2, ("A", 1): 2, ("F", 1): 4, ("D", 0): 2, ("D", 1): 2}
+    assert totals(found) == pytest.approx(expected)
+    assert_right(compiled, tables, evidence, {}, [0, 3])
+
+
 def test_it_agrees_with_the_filter_and_the_smoother() -> None:
     compiled, _, evidence, _ = drawn_case(4, 50)
     found = expected_counts(compiled, evidence)

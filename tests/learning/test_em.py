@@ -11,7 +11,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from egolane_pgm.experiment import load_experiment
-from egolane_pgm.inference.compile import Compiled
+from egolane_pgm.graphs.cpds import declare, dynamics, previous, prior, within
+from egolane_pgm.inference.compile import Compiled, compile_network
 from egolane_pgm.inference.expected_counts import FREE, counted_tables
 from egolane_pgm.inference.filtering import filter_beliefs
 from egolane_pgm.learning import em
@@ -114,6 +115,46 @@ def test_em_finds_the_tables_that_the_drive_was_drawn_from(labelled: bool) -> No
         np.testing.assert_allclose(fitted.tables[node].values, right[node].values, atol=0.05)
     output = fitted.tables["DetectorOutput", 1].values
     np.testing.assert_allclose(output[0], right["DetectorOutput", 1].values[0], atol=0.05)
+
+
+@needs_compiler
+def test_em_finds_how_long_the_errors_of_a_detector_last() -> None:
+    """Seen keeps its own value for a while, whatever the lane; the light changes every frame."""
+    rng = np.random.default_rng(5)
+
+    def compiled(stay: float, keeps: float, dark: float) -> Compiled:
+        fresh = np.array([[[0.9, 0.1], [0.1, 0.9]], [[0.5, 0.5], [0.5, 0.5]]])  # light, lane, seen
+        tables = [
+            *prior("Lane", [0.5, 0.5]),
+            *dynamics("Lane", [previous("Lane")], [[stay, 1 - stay], [1 - stay, stay]]),
+            *within("Light", [], [1 - dark, dark]),
+            *prior("Seen", fresh, ["Light", "Lane"]),
+            *dynamics(
+                "Seen",
+                ["Light", "Lane", previous("Seen")],
+                keeps * np.eye(2) + (1 - keeps) * fresh[:, :, None, :],
+            ),
+        ]
+        return compile_network(declare(tables, ["Seen"]), ["Lane", "Light"], ["Seen"])
+
+    truth = compiled(stay=0.95, keeps=0.7, dark=0.3)
+    lane, seen, lanes, light_of, seen_of = 0, 0, [], [], []
+    for _ in range(6_000):
+        lane = int(rng.choice(2, p=truth.tables["Lane", 1].values[lane]))
+        light = int(rng.choice(2, p=truth.tables["Light", 1].values))
+        seen = int(rng.choice(2, p=truth.tables["Seen", 1].values[light, lane, seen]))
+        lanes.append(lane)
+        light_of.append(light)
+        seen_of.append(seen)
+    known = {"Lane": np.array(lanes), "Light": np.where(rng.random(6_000) < 0.5, FREE, light_of)}
+    evidence = Evidence({"Seen": np.eye(2)[seen_of]})
+    start = compiled(stay=0.8, keeps=0.2, dark=0.5)
+    fitted = fit_tables(start, evidence, known, strength=1.0, iterations=60)
+    for node in (("Lane", 1), ("Light", 1), ("Seen", 1)):
+        learned = fitted.tables[node].values
+        np.testing.assert_allclose(learned, truth.tables[node].values, atol=0.06)
+    assert fitted.compiled.has_one_table("Light")
+    assert ("Light", 0) not in fitted.tables
 
 
 def test_the_prior_is_worth_as_many_frames_as_it_says() -> None:

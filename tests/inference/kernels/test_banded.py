@@ -94,6 +94,29 @@ def test_with_three_nodes_that_persist_the_product_of_marginals_is_of_all_three(
     assert_same_beliefs(filter_beliefs(compiled, evidence, method), right, 1e-9)
 
 
+@every_method
+def test_a_node_that_passes_and_an_observed_one_that_is_carried_may_stand_beside_the_wide_one(
+    method: str,
+) -> None:
+    rng = np.random.default_rng(8)
+    tables = [
+        *prior("Wide", rng.dirichlet(np.ones(N_WIDE))),
+        *dynamics("Wide", [previous("Wide")], near(2, 1e-3)),
+        *within("Passes", [], [0.3, 0.7]),
+        *prior("Kept", rng.dirichlet(np.ones(2), 2), ["Passes"]),
+        *dynamics("Kept", ["Passes", previous("Kept")], rng.dirichlet(np.ones(2), (2, 2))),
+        *within("Sees", ["Wide", "Passes"], rng.dirichlet(np.ones(3), (N_WIDE, 2))),
+    ]
+    observed = ["Kept", "Sees"]
+    compiled = compile_network(declare(tables, observed), ["Passes", "Wide"], observed)
+    assert set(compiled.state_nodes) == {"Wide", "Passes", "Kept"}
+    assert find_band(compiled) is not None
+    evidence = random_evidence(compiled, 0)
+    right = reference.filter_beliefs(compiled, evidence, method)
+    assert set(right.marginals) == {"Passes", "Wide"}
+    assert_same_beliefs(filter_beliefs(compiled, evidence, method), right, 1e-9)
+
+
 def test_evidence_that_only_just_allows_what_is_left_is_not_lost() -> None:
     """One over the likelihood of the frame would be infinite."""
     compiled = network()
