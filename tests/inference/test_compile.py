@@ -461,13 +461,17 @@ INPUT = within("Input", [], [0.5, 0.5])
         ([*simple_tables(), *prior("F", KEEP, ["A"]), *dynamics("F", ["A"], np.eye(2))],
          ["A", "F"], ["D"], [], ["A", "F"]),
         ([*within("A", [], [0.3, 0.7]), *within("D", ["A"], SEES)], ["A"], ["D"], [], ["A"]),
-        # E is a parent of D, which is carried; without that edge it is a plain emission.
+        # E is a parent of D, which is carried; as its child it is a plain emission.
         ([*sensor_bias(["E"]), *within("E", ["A"], SEES)], ["A"], ["D", "E"], [], ["A", "D", "E"]),
         ([*sensor_bias(), *within("E", ["A", "D"], OF_TWO)], ["A"], ["D", "E"], [], ["A", "D"]),
+        ([*prior("A", [0.3, 0.7]), *dynamics("A", [previous("A"), previous("F")], OF_TWO),
+          *within("F", ["A"], np.eye(2)), *within("D", ["A"], SEES)], ["A", "F"], ["D"], [],
+         ["A", "F"]),
     ],
     ids=["edge into observed", "passing hidden", "hidden of observed", "function of observed",
          "input of observed", "function of input", "first emission differs",
-         "first function differs", "nothing persists", "parent of a carried one", "its child"],
+         "first function differs", "nothing persists", "parent of a carried one", "its child",
+         "function that later frames depend on"],
 )  # fmt: skip
 def test_only_what_must_be_carried_or_is_no_plain_emission_is_in_the_state(
     tables: list[Table],

@@ -208,7 +208,7 @@ def test_a_table_that_holds_in_every_frame_is_counted_over_all_of_them() -> None
         *prior("D", rng.dirichlet(np.ones(2), 3), ["F"]),
         *dynamics("D", ["F", previous("D")], rng.dirichlet(np.ones(2), (3, 2))),
     ]
-    compiled = compile_network(declare(tables, ["D"]), ["A", "F"], ["D"])
+    compiled = compile(declare(tables, ["D"]), hidden=["A", "F"], observed=["D"])
     evidence = draw_evidence(compiled, 4, rng, zeros=0)
     found = expected_counts(compiled, evidence, is_first=np.array([True, False, False, True]))
     expected = {("A", 0): 2, ("A", 1): 2, ("F", 1): 4, ("D", 0): 2, ("D", 1): 2}

@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 
 from egolane_pgm.experiment import load_experiment
 from egolane_pgm.graphs.cpds import declare, dynamics, previous, prior, within
-from egolane_pgm.inference.compile import Compiled, compile_network
+from egolane_pgm.inference.compile import Compiled, compile
 from egolane_pgm.inference.expected_counts import FREE, counted_tables
 from egolane_pgm.inference.filtering import filter_beliefs
 from egolane_pgm.learning import em
@@ -135,7 +135,7 @@ def test_em_finds_how_long_the_errors_of_a_detector_last() -> None:
                 keeps * np.eye(2) + (1 - keeps) * fresh[:, :, None, :],
             ),
         ]
-        return compile_network(declare(tables, ["Seen"]), ["Lane", "Light"], ["Seen"])
+        return compile(declare(tables, ["Seen"]), hidden=["Lane", "Light"], observed=["Seen"])
 
     truth = compiled(stay=0.95, keeps=0.7, dark=0.3)
     lane, seen, lanes, light_of, seen_of = 0, 0, [], [], []

@@ -108,7 +108,7 @@ def test_a_node_that_passes_and_an_observed_one_that_is_carried_may_stand_beside
         *within("Sees", ["Wide", "Passes"], rng.dirichlet(np.ones(3), (N_WIDE, 2))),
     ]
     observed = ["Kept", "Sees"]
-    compiled = compile_network(declare(tables, observed), ["Passes", "Wide"], observed)
+    compiled = compile(declare(tables, observed), hidden=["Passes", "Wide"], observed=observed)
     assert set(compiled.state_nodes) == {"Wide", "Passes", "Kept"}
     assert find_band(compiled) is not None
     evidence = random_evidence(compiled, 0)
