@@ -355,8 +355,8 @@ def load_experiment(experiment: Given, overrides: Overrides = ()) -> Experiment:
         return make_experiment(content, Path(), "experiment")
     if not isinstance(experiment, (str, os.PathLike)):
         raise InputError(
-            f"a {type(experiment).__name__} is no experiment; give the path of a YAML file, its"
-            " keys and values, or what load_experiment returned"
+            f"{experiment!r} is no experiment; give the path of a YAML file, its keys and values,"
+            " or what load_experiment returned"
         )
     path = Path(experiment)
     return make_experiment(load_yaml(path, overrides), path.parent, str(path))

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -50,18 +50,29 @@ def paper_experiment(run: int) -> Path:
     return found[0]
 
 
-def parse_runs(text: str) -> list[int]:
-    """`"1-3,7"` -> [1, 2, 3, 7]. Raises InputError for anything else."""
+#: Runs of the paper: `"1-3,7"`, a number, or several.
+Runs = str | int | Sequence[int]
+
+
+def parse_runs(given: Runs) -> list[int]:
+    """`"1-3,7"` -> [1, 2, 3, 7]; numbers as they are. Raises InputError for anything else."""
     runs: list[int] = []
-    for part in text.split(","):
+    if not isinstance(given, str):
+        for number in given if isinstance(given, Sequence) else [given]:
+            if not isinstance(number, int):
+                raise InputError(f"runs: {number!r} is no number; the paper has runs 1 to 10")
+            paper_experiment(number)
+            runs.append(number)
+        return list(dict.fromkeys(runs))
+    for part in given.split(","):
         first, dash, last = part.strip().partition("-")
         if not first.isdecimal() or (dash and not last.isdecimal()):
-            raise InputError(f"--runs {text}: write numbers and ranges, e.g. 1-5,7")
+            raise InputError(f"--runs {given}: write numbers and ranges, e.g. 1-5,7")
         low, high = int(first), int(last or first)
         for run in (low, high):
             paper_experiment(run)
         if low > high:
-            raise InputError(f"--runs {text}: {low}-{high} is an empty range")
+            raise InputError(f"--runs {given}: {low}-{high} is an empty range")
         runs += range(low, high + 1)
     return list(dict.fromkeys(runs))
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import base64
 import io
 import json
 import pickle
@@ -11,7 +12,9 @@ import sys
 import warnings
 from pathlib import Path
 from typing import Any
+from unittest.mock import MagicMock
 
+import IPython.core.formatters
 import numpy as np
 import pytest
 from matplotlib import pyplot
@@ -181,6 +184,25 @@ def test_pyplot_knows_no_figure_that_was_plotted(run: ego.RunResult) -> None:
         run.plot(900, 901)
 
 
+def test_a_notebook_draws_a_figure_though_nobody_used_pyplot(
+    run: ego.RunResult, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    formatter = IPython.core.formatters.DisplayFormatter()
+    monkeypatch.setattr(IPython, "get_ipython", lambda: MagicMock(display_formatter=formatter))
+    data, _ = formatter.format(run.plot())
+    assert base64.b64decode(data["image/png"]).startswith(b"\x89PNG")
+    data, _ = formatter.format(run)
+    assert data == {"text/plain": repr(run), "text/html": run._repr_html_()}
+
+
+@pytest.mark.parametrize(("progress", "is_shown"), [(None, False), (False, False), (True, True)])
+def test_a_bar_is_shown_where_it_is_wanted(
+    drive: Path, capsys: pytest.CaptureFixture[str], progress: bool | None, is_shown: bool
+) -> None:
+    ego.run([drive], progress=progress)
+    assert ("run/s]" in capsys.readouterr().err) is is_shown
+
+
 def test_what_is_saved_is_what_the_command_writes(
     run: ego.RunResult, drive: Path, tmp_path: Path
 ) -> None:
@@ -291,11 +313,11 @@ def test_a_run_on_other_recordings_is_that_of_the_command(drive: Path, tmp_path:
 @pytest.mark.parametrize(
     ("given", "said"),
     [
-        (3, "a int is no experiment; give the path of a YAML file"),
-        (None, "a NoneType is no experiment"),
+        (3, "3 is no experiment; give the path of a YAML file"),
+        (None, "None is no experiment"),
         ("nowhere.yaml", "nowhere.yaml: cannot be read"),
         ([], "run: no experiment"),
-        ([3], "a int is no experiment"),
+        ([3], "3 is no experiment"),
         ({"n_lanes": 3}, "experiment: name: is missing"),
     ],
 )
@@ -393,8 +415,7 @@ def test_a_search_is_the_one_of_the_command(tuned: ego.TuneResult, tmp_path: Pat
 
 
 def test_a_saved_study_is_read_back(tuned: ego.TuneResult, tmp_path: Path) -> None:
-    saved = tuned.save(tmp_path / "study")
-    assert (saved / "figures" / "history.png").is_file()
+    saved = tuned.save(tmp_path / "study", figures=False)
     again = ego.load_result(saved)
     assert repr(again) == repr(tuned)
     assert again.to_pandas().equals(tuned.to_pandas())
@@ -439,10 +460,11 @@ def test_several_studies_are_found_by_name_and_go_on_where_they_were(tmp_path: P
     assert repr(ego.load_result(tmp_path)) == "TuneResult('exact', 'quickstart')"
 
 
-def test_parameters_are_narrowed_and_fixed_by_a_dict() -> None:
+def test_parameters_are_narrowed_and_fixed_by_a_dict(tmp_path: Path) -> None:
     experiment = ego.load_experiment(QUICKSTART, SHORT)
     only = {"p1": [0.6, 0.7], "bonus_value": 3}
     found = ego.tune(experiment, trials=5, from_scratch=True, parameter=only, in_sample_only=True)
+    assert (found.save(tmp_path / "study") / "figures" / "history.png").is_file()
     assert found.to_pandas()["p1"].between(0.6, 0.7).all()
     assert "bonus_value" not in found.to_pandas()
 
@@ -474,7 +496,7 @@ def test_a_damaged_study_and_what_is_no_name_are_refused(
     (saved / "trials.parquet").write_bytes(b"PAR1")
     with pytest.raises(ego.InputError, match="is a damaged study"):
         ego.load_result(saved)
-    with pytest.raises(ego.InputError, match="a list is no name of a directory"):
+    with pytest.raises(ego.InputError, match="is not the name of a file or a folder"):
         ego.load_result([saved])  # type: ignore[arg-type]
 
 
@@ -539,6 +561,28 @@ def test_a_run_of_the_paper_is_repeated_beside_its_table(recordings: Path, tmp_p
 def test_a_run_that_the_paper_does_not_have_is_refused(given: Any, said: str) -> None:
     with pytest.raises(ego.InputError, match=said):
         ego.reproduce(runs=given)
+
+
+@pytest.mark.parametrize(
+    ("verb", "given", "said"),
+    [
+        (ego.run, {"experiment": QUICKSTART, "recording": 3}, "recording: 3 is neither one nor"),
+        (ego.run, {"experiment": QUICKSTART, "camera": 3}, "camera: 3 is not the name of a file"),
+        (ego.run, {"experiment": QUICKSTART, "overrides": {"filtr": 3}}, "unknown key 'filtr'"),
+        (ego.tune, {"experiments": 3}, "tune: 3 is neither one nor a list of several"),
+        (ego.tune, {"experiments": QUICKSTART, "parameter": ["p1=1"]}, "parameter: .* is no dict"),
+        (ego.tune, {}, "name experiments, or runs of the paper"),
+        (ego.compare, {"experiments": QUICKSTART, "seeds": "5"}, "seeds: '5' is neither how many"),
+        (ego.detect, {"pictures": 3, "camera": "x.yaml"}, "pictures: 3 is not the name of a file"),
+        (ego.detect, {"pictures": "x", "camera": "x", "overrides": ["a"]}, "overrides: .* no dict"),
+    ],
+)
+def test_an_argument_of_another_kind_is_said_in_one_line(
+    verb: Any, given: dict[str, Any], said: str
+) -> None:
+    with pytest.raises(ego.InputError, match=said) as caught:
+        verb(**given)
+    assert "\n" not in str(caught.value)
 
 
 def test_an_error_of_the_command_and_of_the_function_is_the_same(tmp_path: Path) -> None:
@@ -634,7 +678,7 @@ def test_graphs_on_a_run_of_the_paper_are_in_sample(recordings: Path, tmp_path: 
         ({"learned_on": "1"}, "goes with experiments"),
         ({"experiments": QUICKSTART, "with_paper": True}, "goes with experiments and --runs"),
         ({"experiments": QUICKSTART, "trials": 3, "trials_per_number": 3}, "instead of --trials"),
-        ({"experiments": 3}, "compare: a int is neither one nor a list"),
+        ({"experiments": 3}, "compare: 3 is neither one nor a list"),
     ],
 )
 def test_arguments_of_compare_that_do_not_go_together_are_refused(given: Any, said: str) -> None:

@@ -31,7 +31,7 @@ from egolane_pgm.comparing.placing import recording_key
 from egolane_pgm.comparing.saving import folder_of
 from egolane_pgm.experiment import Given, Overrides, load_experiment
 from egolane_pgm.files import write_json
-from egolane_pgm.paper import parse_runs
+from egolane_pgm.paper import Runs, parse_runs
 from egolane_pgm.report.comparison_tables import accuracy_rows, experiment_names
 from egolane_pgm.results import SCHEMA_VERSION, read_files, staged, write_files
 from egolane_pgm.types import InputError
@@ -308,7 +308,7 @@ def compare(
     experiments: Any = (),
     *,
     graphs: str | os.PathLike[str] | Sequence[str | os.PathLike[str]] | None = None,
-    runs: str | None = None,
+    runs: Runs | None = None,
     held_out: bool = False,
     with_paper: bool = False,
     parameters: str = "recovered",
@@ -330,7 +330,7 @@ def compare(
     - graphs: names or files of graphs, in a list or with commas: each experiment once with each of
       them. Without experiments: on the paper's runs, and with its parameters, in-sample, unless
       `held_out`.
-    - runs: runs of the paper, e.g. "1-5,7".
+    - runs: runs of the paper, e.g. "1-5,7", or numbers.
     - held_out: whether each graph is tuned without the block that is scored.
     - with_paper: whether the paper's model comes first, with `runs`.
     - parameters: of the paper's model, "recovered" or "published".
@@ -368,8 +368,7 @@ def compare(
     groups = groups_of(given, names, fit, numbers, with_paper, parameters, learned, overrides)
     with tempfile.TemporaryDirectory(prefix="egolane-") as temporary:
         folder = Path(temporary if out is None else out)
-        chosen = tuple(range(seeds)) if isinstance(seeds, int) else tuple(seeds)
-        settings = Options(blocks, trials, health, folder, trials_per_number, chosen)
+        settings = Options(blocks, trials, health, folder, trials_per_number, _seeds(seeds))
         found = compare_recordings(groups, settings, jobs=jobs, progress=progress)
         if not found.is_whole:
             raise KeyboardInterrupt
@@ -379,6 +378,14 @@ def compare(
             for name, content in read_files(folder / place).items()
         }
         return replace(found, files=files)
+
+
+def _seeds(given: Any) -> tuple[int, ...]:
+    if isinstance(given, int) and given > 0:
+        return tuple(range(given))
+    if isinstance(given, Sequence) and all(isinstance(seed, int) for seed in given):
+        return tuple(dict.fromkeys(given))
+    raise InputError(f"seeds: {given!r} is neither how many, 5, nor a list of which, [3, 7]")
 
 
 def graph_names(graphs: Any, has_experiments: bool) -> list[str]:
@@ -392,7 +399,7 @@ def graph_names(graphs: Any, has_experiments: bool) -> list[str]:
 
 def check_options(
     has_experiments: bool,
-    runs: str | None,
+    runs: Runs | None,
     with_paper: bool,
     has_learned: bool,
     trials: int | None,

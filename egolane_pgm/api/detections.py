@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from egolane_pgm.api import shown
-from egolane_pgm.api.given import bar
+from egolane_pgm.api.given import bar, keys_of, path_of
 from egolane_pgm.camera.model import read_camera
 from egolane_pgm.camera.pictures import open_source, read_pictures
 from egolane_pgm.detectors.runner import check_pair, collect, find_detector
@@ -191,30 +191,30 @@ def detect_some(
     """As `detect`, but what ends it early is in `stopped`, beside the lines before it."""
     if frames is not None and frames[0] >= frames[1]:
         raise InputError(f"--frames {frames[0]} {frames[1]}: is an empty range")
+    pictures, camera = path_of(pictures, "pictures"), path_of(camera, "camera")
+    given = keys_of(overrides, "overrides", "{'lri_frames': 5}")
     found = find_detector(
-        os.fspath(detector),
-        {key.removeprefix("detector_parameters."): v for key, v in (overrides or {}).items()},
+        path_of(detector, "detector"),
+        {key.removeprefix("detector_parameters."): value for key, value in given.items()},
         Path.cwd(),
         "--detector",
         "--set detector_parameters",
     )
     of_camera = read_camera(Path(camera))
     check_pair(found, of_camera, right is not None, "--right")
-    left = open_source(os.fspath(pictures))
-    second = open_source(os.fspath(right)) if right is not None else None
+    left = open_source(pictures)
+    second = open_source(path_of(right, "right")) if right is not None else None
     began = time.perf_counter()
     with bar(
         read_pictures(left, of_camera, second, frames),
         progress,
-        desc=os.fspath(detector),
+        desc=found.name,
         unit="frame",
         total=None if frames else left.n_frames,
     ) as shows:
-        done = collect(
-            detect_lines(found, of_camera, shows), left.frame_rate or 10.0, os.fspath(pictures)
-        )
+        done = collect(detect_lines(found, of_camera, shows), left.frame_rate or 10.0, pictures)
     if done.log is None:
-        raise done.stopped or InputError(f"{os.fspath(pictures)}: no frame")
+        raise done.stopped or InputError(f"{pictures}: no frame")
     seconds = time.perf_counter() - began
     rate = left.frame_rate
-    return DetectResult(done.log, os.fspath(pictures), found.name, rate, seconds, done.stopped)
+    return DetectResult(done.log, pictures, found.name, rate, seconds, done.stopped)

@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from egolane_pgm.api.comparisons import is_comparison, read_comparison
+from egolane_pgm.api.given import path_of
 from egolane_pgm.api.runs import RunResults, read_run
 from egolane_pgm.api.studies import TuneResult, read_study
 from egolane_pgm.report.study_trials import is_study
@@ -34,9 +35,7 @@ def load_result(directory: str | os.PathLike[str]) -> Any:
     >>> again.to_pandas().equals(run.to_pandas())
     True
     """
-    if not isinstance(directory, (str, os.PathLike)):
-        raise InputError(f"load_result: a {type(directory).__name__} is no name of a directory")
-    place = Path(directory)
+    place = Path(path_of(directory, "load_result"))
     if is_result(place):
         return read_run(place)
     if is_study(place):

@@ -13,14 +13,13 @@ from egolane_pgm.api.given import bar
 from egolane_pgm.api.runs import RunResult
 from egolane_pgm.paper import (
     SCORES,
+    Runs,
     load_published,
-    paper_experiment,
     parse_runs,
     reproduce_json,
     reproduce_run,
 )
 from egolane_pgm.report.tables import reproduction_rows
-from egolane_pgm.types import InputError
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -105,14 +104,14 @@ class ReproduceResult:
 
 def reproduce(
     *,
-    runs: str | int | list[int] | tuple[int, ...] | range = "1-10",
+    runs: Runs = "1-10",
     parameters: str = "recovered",
     out: str | os.PathLike[str] | None = None,
     progress: bool | None = None,
 ) -> ReproduceResult:
     """Repeat runs of the paper, beside its published tables. The recordings are needed.
 
-    - runs: numbers from 1 to 10, or text such as "1-5,7".
+    - runs: a number from 1 to 10, several, or text such as "1-5,7".
     - parameters: "recovered" (by a search inside the truncation; run 5 from the authors' code), or
       "published" (as printed, truncated).
     - out: a folder in which the result directory of each run is written as soon as it is done.
@@ -128,21 +127,10 @@ def reproduce(
     """
     found: dict[int, RunResult] = {}
     done = []
-    for number in bar(_numbers(runs), progress, desc="runs", unit="run"):
+    for number in bar(parse_runs(runs), progress, desc="runs", unit="run"):
         result = reproduce_run(number, parameters)
         done.append(result)
         found[number] = RunResult.of(result.run)
         if out is not None:
             found[number].save(Path(out) / found[number].name, figures=False)
     return ReproduceResult(reproduce_json(done, parameters), found)
-
-
-def _numbers(runs: Any) -> list[int]:
-    if isinstance(runs, str):
-        return parse_runs(runs)
-    numbers = [runs] if isinstance(runs, int) else list(runs)
-    for number in numbers:
-        if not isinstance(number, int):
-            raise InputError(f"runs: {number!r} is no number of a run; the paper has runs 1 to 10")
-        paper_experiment(number)
-    return list(dict.fromkeys(numbers))

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any, overload
 import numpy as np
 
 from egolane_pgm.api import shown
-from egolane_pgm.api.given import bar, several_of
+from egolane_pgm.api.given import bar, path_of, several_of
 from egolane_pgm.experiment import Experiment, Given, Overrides, load_experiment
 from egolane_pgm.loading import with_recording
 from egolane_pgm.model import Model, prepare_model
@@ -402,7 +402,11 @@ def choose(
     chosen = found
     if changes != (None,) * 6:
         files = (recording, ground_truth, camera, detector)
-        recording, ground_truth, camera, detector = (f and os.fspath(f) for f in files)
+        names = ("recording", "ground_truth", "camera", "detector")
+        recording, ground_truth, camera, detector = (
+            None if file is None else path_of(file, name)
+            for name, file in zip(names, files, strict=True)
+        )
         chosen = with_recording(found, recording, ground_truth, n_lanes, frame_id, camera, detector)
     if name is None:
         return chosen

@@ -13,9 +13,9 @@ from typing import TYPE_CHECKING, Any
 import yaml
 
 from egolane_pgm.api import shown
-from egolane_pgm.api.given import bar, several_of
+from egolane_pgm.api.given import bar, keys_of, several_of
 from egolane_pgm.experiment import Experiment, Overrides, Tuning, load_experiment, make_experiment
-from egolane_pgm.paper import parse_runs
+from egolane_pgm.paper import Runs, parse_runs
 from egolane_pgm.report.study_tables import LEGEND, parameter_rows, score_rows
 from egolane_pgm.report.study_trials import STUDY_FILE, TRIALS_FILE, Trials, is_study, trials_of
 from egolane_pgm.results import read_files, staged, write_files
@@ -206,7 +206,7 @@ def _draw(directory: Path) -> None:
 def tune(
     experiments: Any = (),
     *,
-    runs: str | None = None,
+    runs: Runs | None = None,
     trials: int | None = None,
     objective: str | Sequence[str] = (),
     sampler: str | None = None,
@@ -228,7 +228,7 @@ def tune(
     """Search parameters; tell what they are worth on frames that they have not seen.
 
     - experiments: one, or a list: experiments, or paths of experiments and of tuning files.
-    - runs: instead, runs of the paper, e.g. "1-10".
+    - runs: instead, runs of the paper, e.g. "1-10", or numbers.
     - trials: the total of a study.
     - objective: a score by name; several for a Pareto front.
     - sampler: "evolution", "tpe", "cma-es", "random"; "nsga2" for several objectives.
@@ -288,7 +288,7 @@ def prepare_searches(
     experiments: Any,
     *,
     folder: Path,
-    runs: str | None = None,
+    runs: Runs | None = None,
     trials: int | None = None,
     objective: str | Sequence[str] = (),
     sampler: str | None = None,
@@ -322,7 +322,7 @@ def prepare_searches(
         "seed": seed,
         "blocks": blocks,
         "from_scratch": from_scratch or None,
-        "parameters": dict(parameter or {}),
+        "parameters": keys_of(parameter, "parameter", "{'p1': [0.5, 1], 'p2': 0.9}"),
     }
     given = several_of(experiments, "tune")
     plans = [planning.with_options(p, changed) for p in _plans(given, runs, overrides)]
@@ -335,7 +335,7 @@ def prepare_searches(
 
 
 def _plans(
-    experiments: Sequence[Any], runs: str | None, overrides: Overrides
+    experiments: Sequence[Any], runs: Runs | None, overrides: Overrides
 ) -> list[planning.Plan]:
     if bool(experiments) == bool(runs):
         raise InputError("tune: name experiments, or runs of the paper with --runs 1-10")
