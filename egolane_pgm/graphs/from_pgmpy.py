@@ -101,6 +101,9 @@ def _structure(network: Any, transition: Sequence[Any] | None) -> tuple[_Parents
     with quiet():
         from pgmpy.models import DiscreteBayesianNetwork, DynamicBayesianNetwork
 
+    is_list = isinstance(transition, (list, tuple))
+    if transition is not None and not (is_list and all(hasattr(c, "variable") for c in transition)):
+        raise InputError("transition: needs a list of pgmpy's TabularCPDs")
     if isinstance(network, DynamicBayesianNetwork):
         if transition is not None:
             raise InputError("transition: goes with a network of one slice, this one has two")
@@ -113,7 +116,7 @@ def _structure(network: Any, transition: Sequence[Any] | None) -> tuple[_Parents
             " so that each has a TabularCPD"
         )
     else:
-        raise InputError(f"{type(network).__name__} is not a pgmpy network")
+        raise InputError(f"{type(network).__name__} is no Bayesian network of pgmpy")
     parents: _Parents = {place(n): list(map(place, network.predecessors(n))) for n in network}
     cpds = [_read_cpd(cpd, place) for cpd in network.cpds]
     for cpd in transition or ():

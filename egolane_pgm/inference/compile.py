@@ -184,6 +184,10 @@ def compile(
     >>> ego.filter_beliefs(compiled, seen, "exact").lane.round(3).tolist()
     [[0.8, 0.2], [0.919, 0.081]]
     """
+    for what, given in (("observed", observed), ("hidden", hidden), ("inputs", inputs)):
+        if isinstance(given, str):
+            raise InputError(f"{what}: needs a list of nodes, e.g. [{given!r}]")
+    observed = [key if isinstance(key, str) else tuple(key) for key in observed]
     declared = read_network(network, transition)
     if hidden is None:
         others = {*inputs, *map(ve_name, observed)}

@@ -243,7 +243,7 @@ REFUSED: dict[str, tuple[Callable[[], Any], str]] = {
         lambda: LinearGaussianBayesianNetwork([("Lane_0", "Lane_1")]),
         "a LinearGaussianBayesianNetwork is not discrete: cut its continuous nodes into",
     ),
-    "no network": (lambda: {"Lane": 3}, "dict is not a pgmpy network"),
+    "no network": (lambda: {"Lane": 3}, "dict is no Bayesian network of pgmpy"),
     "one slice only": (one_slice, "Lane: is of neither slice; name the nodes Lane_0 and Lane_1"),
 }
 
@@ -278,6 +278,12 @@ def test_a_transition_that_does_not_go_with_the_slice_is_refused(
         assert str(error.value).startswith("transition: ")
     else:
         assert "form a cycle" in str(error.value)
+
+
+@pytest.mark.parametrize("given", ["Lane", [3], halves(("Lane", 1), ("Lane", 0))])
+def test_a_transition_is_a_list_of_cpds(given: Any) -> None:
+    with pytest.raises(InputError, match="transition: needs a list of pgmpy's TabularCPDs"):
+        read_network(one_slice(), given)
 
 
 def test_a_transition_goes_with_one_slice_only() -> None:

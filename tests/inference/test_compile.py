@@ -327,6 +327,23 @@ def test_a_name_that_is_no_node_is_refused(
     assert message.startswith(f"{named}: declared, but not a node of the network")
 
 
+@pytest.mark.parametrize("what", ["hidden", "observed", "inputs"])
+def test_a_name_instead_of_a_list_of_names_is_refused(what: str) -> None:
+    names: dict[str, Any] = {"observed": ["D"], what: "AD"}
+    with pytest.raises(InputError, match=rf"^{what}: needs a list of nodes, e\.g\. \['AD'\]$"):
+        compile(declare(simple_tables(), ["D"]), **names)
+
+
+def test_all_nodes_that_are_not_observed_are_hidden_and_lane_in_any_case() -> None:
+    tables = [*simple_tables("Lane"), *within("E", ["Lane"], SEES)]
+    assert compile(declare(tables, ["D"]), observed=["D"]).hidden == ("Lane", "E")
+    assert compile(declare(tables, ["D", "E"]), observed=["D", "E"]).hidden == ("Lane",)
+    seen = [["Lane", "E"], "D"]  # a list of nodes is one of nodes observed jointly
+    joint = compile(declare(tables, [("Lane", "E"), "D"]), observed=seen)  # type: ignore[arg-type]
+    assert joint.hidden == ("Lane",)
+    assert set(joint.observed) == {("Lane", "E"), "D"}
+
+
 def test_a_mistyped_name_gets_a_suggestion() -> None:
     message = refused(simple_tables("Lane"), ["Lain"], ["D"])
     assert message.endswith("(did you mean 'Lane'?)")
