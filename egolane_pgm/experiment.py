@@ -468,6 +468,8 @@ def validated(model: type[AnySection], content: Mapping[str, Any], source: str) 
         return model.model_validate(content)
     except ValidationError as error:
         raise InputError(*(f"{source}: {line}" for line in _problems(error, model))) from None
+    except RecursionError:
+        raise InputError(f"{source}: a section contains itself (&name ... *name)") from None
 
 
 #: Keys that say how parameters are found. A resolved experiment has the parameters themselves.

@@ -155,6 +155,36 @@ def test_parameters_are_looked_at_beside_the_other_keys() -> None:
     assert len(wrong_in(graph=3, n_lanes=0)) == 2
 
 
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        ("parameters: &p {x: [*p]}", ["a section contains itself (&name ... *name)"]),
+        ("1: 2", ["1: keys should be strings (got 1)"]),
+        ("parameters: {1: 2}", ["parameters.1.[key]: input should be a valid string (got 1)"]),
+        (
+            "ground_truth: {extra_rows: [[1, 2], 3]}",
+            [
+                "ground_truth.path: is missing",
+                "ground_truth.extra_rows.0.2: is missing",
+                "ground_truth.extra_rows.1: needs a list (got 3)",
+            ],
+        ),
+        ("graph: [a]\nlearning: {tables: Lane, labels: 3}", [
+            "graph: input should be a valid string (got ['a'])",
+            "learning.labels: input should be a valid boolean, unable to interpret input (got 3)",
+            "learning.tables: needs a list (got 'Lane')",
+        ]),
+    ],
+)  # fmt: skip
+def test_values_of_other_types_are_named_wherever_they_stand(
+    tmp_path: Path, text: str, said: list[str]
+) -> None:
+    path = tmp_path / "x.yaml"
+    path.write_text(yaml.safe_dump(MINIMAL) + text)
+    found = problems("validate", path)
+    assert [line.removeprefix(f"{path}: ") for line in found][: len(said)] == said
+
+
 def test_a_key_that_is_meant_by_an_unknown_one_is_not_said_to_be_missing() -> None:
     with pytest.raises(InputError) as info:
         make_experiment({"nam": "x", "recordin": {}}, Path(), "x.yaml")
