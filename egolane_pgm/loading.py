@@ -27,7 +27,7 @@ from egolane_pgm.recordings.select import (
     select_frames,
 )
 from egolane_pgm.results import file_sha256
-from egolane_pgm.types import InputError, IntArray, LaneTruth, LineLog, suggestion
+from egolane_pgm.types import InputError, IntArray, LaneTruth, LineLog, all_problems, suggestion
 
 if TYPE_CHECKING:
     # OpenCV is imported only where there are pictures.
@@ -119,6 +119,25 @@ def _read_sources(experiment: Experiment) -> tuple[LineLog, LaneTruth | None, li
 def check_sources(experiment: Experiment) -> None:
     """Raise InputError, naming the YAML file and key, for a recording or ground truth that is not
     there, or a format or simulation that does not exist. No file is read."""
+    with all_problems() as part:
+        with part():
+            _check_format(experiment)
+        with part():
+            _check_recording(experiment)
+        if experiment.ground_truth is not None:
+            with part():
+                _find(experiment.ground_truth.path, experiment, "ground_truth.path")
+
+
+def _check_format(experiment: Experiment) -> None:
+    format_, where = experiment.recording.format, f"{experiment.source}: recording.format"
+    if format_ is not None and format_.endswith(".py"):
+        load_plugin("recordings", format_, experiment.folder, where)
+    elif format_ is not None and format_ not in FORMATS:
+        raise InputError(f"{where}: unknown format '{format_}'{suggestion(format_, FORMATS)}")
+
+
+def _check_recording(experiment: Experiment) -> None:
     from egolane_pgm.simulation import PRESETS
 
     recording, source = experiment.recording, experiment.source
@@ -127,14 +146,6 @@ def check_sources(experiment: Experiment) -> None:
             f"{source}: recording.simulate: unknown preset '{recording.simulate}'"
             f"{suggestion(recording.simulate, PRESETS)}"
         )
-    if recording.format is not None and recording.format.endswith(".py"):
-        where = f"{source}: recording.format"
-        load_plugin("recordings", recording.format, experiment.folder, where)
-    elif recording.format is not None and recording.format not in FORMATS:
-        raise InputError(
-            f"{source}: recording.format: unknown format '{recording.format}'"
-            f"{suggestion(recording.format, FORMATS)}"
-        )
     if recording.detector is not None:
         _check_detector(experiment)
     elif recording.path is not None:
@@ -142,14 +153,12 @@ def check_sources(experiment: Experiment) -> None:
         path = _find(recording.path, experiment, "recording.path", folders=True)
         if recording.camera is not None:
             _find(recording.camera, experiment, "recording.camera")
-        elif not (recording.format or "").endswith(".py") and needs_camera(
+        elif recording.format in (None, *FORMATS) and needs_camera(
             recording.format or format_of(path)
         ):
             raise InputError(
                 f"{source}: recording.camera: is missing; the lines of {path.name} are in pixels"
             )
-    if experiment.ground_truth is not None:
-        _find(experiment.ground_truth.path, experiment, "ground_truth.path")
 
 
 def _find(path: str, experiment: Experiment, key: str, *, folders: bool = False) -> Path:

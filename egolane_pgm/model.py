@@ -494,16 +494,20 @@ def load_drive(
     Raises InputError as `prepare_model` and `load_recording` do, for an experiment that decodes a
     path, and, where ground truth is needed, for a recording without it or without a frame to score.
     """
-    if experiment.decode != "marginal":
-        raise InputError(
-            f"{experiment.source}: decode: {experiment.decode} is for `egolane run`; here beliefs"
-            " are scored (--set decode=marginal)"
-        )
     named = experiment.ground_truth is not None or experiment.recording.simulate is not None
     has_truth = named if recorded is None else recorded.truth is not None
-    if needs_truth is not None and not has_truth:
-        raise InputError(f"{experiment.source}: ground_truth: is missing, {needs_truth}")
-    model = model_to_run(experiment) if recorded is None else prepare_model(experiment)
+    with all_problems() as part:
+        with part():
+            if experiment.decode != "marginal":
+                raise InputError(
+                    f"{experiment.source}: decode: {experiment.decode} is for `egolane run`; here"
+                    " beliefs are scored (--set decode=marginal)"
+                )
+        with part():
+            if needs_truth is not None and not has_truth:
+                raise InputError(f"{experiment.source}: ground_truth: is missing, {needs_truth}")
+        with part():
+            model = model_to_run(experiment) if recorded is None else prepare_model(experiment)
     experiment = with_video_rate(experiment)
     if recorded is None:
         recorded = load_recording(experiment, model.parameters)

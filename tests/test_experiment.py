@@ -24,7 +24,7 @@ from egolane_pgm.experiment import (
     resolved,
 )
 from egolane_pgm.loading import with_recording
-from egolane_pgm.model import prepare_model
+from egolane_pgm.model import load_drive, prepare_model
 from egolane_pgm.paper import experiments_folder
 from egolane_pgm.types import InputError
 from tests.kits.drives import command, problems
@@ -217,13 +217,20 @@ def test_files_and_parameters_that_do_not_fit_are_validated_together(tmp_path: P
         tmp_path / "x.yaml",
         name="x",
         n_lanes=3,
-        recording={"path": "nothing.csv"},
+        recording={"path": "nothing.csv", "format": "tabel"},
+        ground_truth={"path": "no.txt"},
+        decode="viterbi",
+        filter="smoothed",
         parameters={"p1": 2},
     )
+    keys = ("parameters.p1", "recording.format", "recording.path", "ground_truth.path")
     for words in (("validate", path), ("run", path, "--out", tmp_path / "out")):
-        parameter, file = problems(*words)
-        assert parameter == f"{path}: parameters.p1: 2 is not a probability (0 to 1)"
-        assert file.startswith(f"{path}: recording.path: ")
+        for line, key in zip(problems(*words), keys, strict=True):
+            assert line.startswith(f"{path}: {key}: ")
+    with pytest.raises(InputError) as info:
+        load_drive(load_experiment(path), needs_truth="it is scored")
+    for line, key in zip(info.value.lines, ("decode", *keys), strict=True):
+        assert line.startswith(f"{path}: {key}: ")
 
 
 # --- made in Python ------------------------------------------------------------------------------
