@@ -79,7 +79,8 @@ def all_problems() -> Iterator[Callable[[], contextlib.AbstractContextManager[No
     if len(found) == 1:
         raise found[0]
     if found:
-        raise InputError(*(problem for error in found for problem in error.args))
+        # What several parts say is said once.
+        raise InputError(*dict.fromkeys(problem for error in found for problem in error.args))
 
 
 def suggestion(word: str, known: Iterable[str]) -> str:

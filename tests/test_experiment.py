@@ -155,6 +155,34 @@ def test_parameters_are_looked_at_beside_the_other_keys() -> None:
     assert len(wrong_in(graph=3, n_lanes=0)) == 2
 
 
+def test_validate_looks_at_every_file_and_at_the_settings_of_a_search(tmp_path: Path) -> None:
+    tuning = {
+        "objective": "acuracy",
+        "parameters": {"sigm1": 3, "p1": [0.9, 0.1], "p2": [2, 3], "normal": ["density"]},
+    }
+    drive = {"n_lanes": 3, "recording": {"simulate": "quickstart"}}
+    one = write(tmp_path / "one.yaml", name="one", tuning=tuning, **drive)
+    two = write(tmp_path / "two.yaml", name="two", **drive)
+    both = write(tmp_path / "b.yaml", name="b", experiments=["one.yaml", "two.yaml"], tuning=tuning)
+    bad = write(tmp_path / "bad.yaml", name="bad", experiments=["one.yml", "two.yml"], tunin={})
+    ran = command("validate", one, two, both, bad)
+    assert ran.exit_code == 2
+    assert ran.stdout == f"{two}: ok (3 lanes, 6 joint states)\n"
+    of_search = [
+        "tuning.objective: unknown score 'acuracy' (did you mean 'accuracy'?)",
+        "tuning.parameters: unknown parameter 'sigm1' (did you mean 'sigma1'?)",
+        "tuning.parameters.p1: [0.9, 0.1] is inverted, the lower bound comes first",
+        "tuning.parameters.p2: 2 is not a probability (0 to 1)",
+        "tuning.parameters.normal: ['density'] leaves nothing to search; give one name to fix it",
+    ]
+    said = [line.removeprefix(f"egolane: {tmp_path}/") for line in ran.stderr.splitlines()]
+    assert said == [
+        *(f"one.yaml: {line}" for line in of_search),
+        *(f"b.yaml: {line}" for line in of_search),
+        "bad.yaml: unknown key 'tunin' (did you mean 'tuning'?)",
+    ]
+
+
 @pytest.mark.parametrize(
     ("text", "said"),
     [

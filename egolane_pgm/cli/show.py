@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
 from types import ModuleType
 from typing import Any
@@ -33,7 +34,7 @@ from egolane_pgm.report.description import (
 )
 from egolane_pgm.results import SCHEMA_VERSION
 from egolane_pgm.simulation import PRESETS
-from egolane_pgm.tuning.plan import check_plan, load_plan
+from egolane_pgm.tuning.plan import check_plan, check_tuning, load_plan
 from egolane_pgm.types import InputError, all_problems
 
 
@@ -63,27 +64,32 @@ def ls() -> None:
 def validate(experiments: tuple[str, ...], overrides: tuple[str, ...]) -> None:
     """Check experiments, and tuning files with theirs, without computing anything: keys, plugins,
     parameters, files."""
-    for path in experiments:
-        if "experiments" in load_yaml(Path(path), overrides):
-            plan = load_plan(path, overrides)
-            with all_problems() as part:
-                with part():
-                    n_searched = check_plan(plan)
-                for each in plan.experiments:
-                    with part():
-                        check_sources(each)
-            click.echo(
-                f"{path}: ok ({len(plan.experiments)} experiment(s), {n_searched} numbers searched)"
-            )
-            continue
-        experiment = load_experiment(path, overrides)
+    with all_problems() as part:
+        for path in experiments:
+            with part():
+                click.echo(f"{path}: ok ({_validated(path, overrides)})")
+
+
+def _validated(path: str, overrides: Sequence[str]) -> str:
+    """What an experiment or a tuning file has, in a few words. Raises InputError for all that is
+    wrong with it."""
+    if "experiments" in load_yaml(Path(path), overrides):
+        plan = load_plan(path, overrides)
         with all_problems() as part:
             with part():
-                model = prepare_model(experiment)
-            with part():
-                check_sources(experiment)
-        states = model.compiled.n_states
-        click.echo(f"{path}: ok ({experiment.n_lanes} lanes, {states} joint states)")
+                n_searched = check_plan(plan)
+            for each in plan.experiments:
+                with part():
+                    check_sources(each)
+        return f"{len(plan.experiments)} experiment(s), {n_searched} numbers searched"
+    experiment = load_experiment(path, overrides)
+    with all_problems() as part:
+        with part():
+            model = prepare_model(experiment)
+            check_tuning(experiment, model)
+        with part():
+            check_sources(experiment)
+    return f"{experiment.n_lanes} lanes, {model.compiled.n_states} joint states"
 
 
 #: What `egolane show` knows, and the folder of each.

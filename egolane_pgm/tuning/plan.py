@@ -187,14 +187,33 @@ def problem_of(plan: Plan, drives: Sequence[Drive]) -> Problem:
 def check_plan(plan: Plan) -> int:
     """Check a plan without reading a recording, and return how many numbers it searches. Raises
     InputError as `make_problem` does, for all that can be told so."""
-    _ = plan.settings
     spaces = []
-    for experiment in plan.experiments:
-        check_filter(experiment)
-        spaces.append(_space(plan, experiment, prepare_model(experiment)))
-        if spaces[-1].dimensions != spaces[0].dimensions:
+    with all_problems() as part:
+        with part():
+            _ = plan.settings
+        for experiment in plan.experiments:
+            with part():
+                check_filter(experiment)
+                spaces.append(_space(plan, experiment, prepare_model(experiment)))
+    for experiment, space in zip(plan.experiments, spaces, strict=True):
+        if space.dimensions != spaces[0].dimensions:
             raise _unlike(experiment, plan.experiments[0])
     return len(spaces[0])
+
+
+def check_tuning(experiment: Experiment, model: Model) -> None:
+    """Check the settings of a search that an experiment has of its own. Raises InputError for names
+    of scores, samplers and parameters that there are not, and for bounds that do not fit."""
+    tuning = experiment.tuning
+    if tuning is None:
+        return
+    plan = Plan(experiment.name, "", (experiment,), tuning, experiment.source)
+    with all_problems() as part:
+        with part():
+            _ = plan.settings
+        with part():
+            if tuning.parameters:
+                _space(plan, experiment, model)
 
 
 def _unlike(experiment: Experiment, first: Experiment) -> InputError:

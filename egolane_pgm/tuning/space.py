@@ -15,7 +15,7 @@ from optuna.distributions import (
 )
 
 from egolane_pgm.parameters import Parameter, Value
-from egolane_pgm.types import InputError, suggestion
+from egolane_pgm.types import InputError, all_problems, suggestion
 
 #: An open end of a range, (0, 3] or (0, 1), begins this far inside, as a share of the range.
 OPEN_END = 1e-6
@@ -86,35 +86,48 @@ def make_space(
     inverted bounds, bounds that the parameter's kind does not allow, and when nothing is left.
     """
     known = {spec.name: spec for spec in specs}
-    for name in given:
-        if name not in known:
-            raise InputError(f"{where}: unknown parameter '{name}'{suggestion(str(name), known)}")
     dimensions: list[Dimension] = []
     fixed: dict[str, Value] = {}
-    for name, spec in known.items():
-        here = f"{where}.{name}"
-        bounds = given.get(name, spec.search_range if spec.is_searched else None)
-        is_list = isinstance(bounds, (list, tuple))
-        if name in given and (not is_list or (spec.per_lane and len(bounds) != 2)):
-            fixed[name] = spec.check(bounds, n_lanes, here)
-        elif bounds is None:
-            fixed[name] = current[name]
-        elif spec.kind == "choice":
-            dimensions.append(_choice(spec, bounds, n_lanes, here))
-        else:
-            low, high = _bounds(spec, bounds, n_lanes, here)
-            whole = _is_whole(spec)
-            if whole and (low != int(low) or high != int(high)):
-                raise InputError(f"{here}: [{low}, {high}] must be whole numbers")
-            is_log = name not in given and _is_log(spec) and low > 0
-            # Where the graph itself has it searched, each lane's value is.
-            lanes = range(1, n_lanes + 1) if spec.per_lane and spec.is_searched else (None,)
-            for lane in lanes:
-                key = name if lane is None else f"{name}[{lane}]"
-                dimensions.append(Dimension(key, name, lane, low, high, whole, is_log=is_log))
+    with all_problems() as part:
+        for name in given:
+            with part():
+                if name not in known:
+                    hint = suggestion(str(name), known)
+                    raise InputError(f"{where}: unknown parameter '{name}'{hint}")
+        for name, spec in known.items():
+            here = f"{where}.{name}"
+            bounds = given.get(name, spec.search_range if spec.is_searched else None)
+            is_list = isinstance(bounds, (list, tuple))
+            with part():
+                if name in given and (not is_list or (spec.per_lane and len(bounds) != 2)):
+                    fixed[name] = spec.check(bounds, n_lanes, here)
+                elif bounds is None:
+                    fixed[name] = current[name]
+                else:
+                    dimensions += _dimensions(spec, bounds, name in given, n_lanes, here)
     if not dimensions:
         raise InputError(f"{where}: every parameter is fixed, there is nothing to search")
     return SearchSpace(tuple(dimensions), fixed)
+
+
+def _dimensions(
+    spec: Parameter, bounds: Sequence[Any], is_given: bool, n_lanes: int, where: str
+) -> list[Dimension]:
+    """The dimensions of a parameter that is searched. is_given: whether the YAML has the bounds."""
+    if spec.kind == "choice":
+        return [_choice(spec, bounds, n_lanes, where)]
+    low, high = _bounds(spec, bounds, n_lanes, where)
+    whole = _is_whole(spec)
+    if whole and (low != int(low) or high != int(high)):
+        raise InputError(f"{where}: [{low}, {high}] must be whole numbers")
+    is_log = not is_given and _is_log(spec) and low > 0
+    # Where the graph itself has it searched, each lane's value is.
+    lanes = range(1, n_lanes + 1) if spec.per_lane and spec.is_searched else (None,)
+    keys = {lane: spec.name if lane is None else f"{spec.name}[{lane}]" for lane in lanes}
+    return [
+        Dimension(key, spec.name, lane, low, high, whole, is_log=is_log)
+        for lane, key in keys.items()
+    ]
 
 
 def _is_whole(spec: Parameter) -> bool:
