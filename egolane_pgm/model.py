@@ -312,7 +312,9 @@ def _check_shapes(model: Model, where: str) -> None:
     frame = np.array([0, 0, 1, 1])
     yes = np.ones(4, dtype=bool)
     offset_m = np.array([-1.75, 1.75, -1.7, 1.8])
-    log = LineLog.from_rows(np.arange(2), 10.0, frame, offset_m, yes, yes, np.full(4, 10.0))
+    log = LineLog.from_rows(
+        np.arange(2), 10.0, frame, offset_m, yes, yes, np.full(4, 10.0), source="two made-up frames"
+    )
     try:
         given = make_evidence(model, log).filtered
     except Exception:
