@@ -212,11 +212,18 @@ def _load_file(path: Path, where: str) -> ModuleType:
             spec.loader.exec_module(module)
     except BaseException as error:
         del sys.modules[name]
-        if isinstance(error, KeyboardInterrupt):
+        if _ends_process(error):
             raise
         at = f" (line {line})" if (line := _line_in(str(path), error)) else ""
         raise InputError(f"{where}: {path} cannot be imported: {_said(error)}{at}") from error
     return module
+
+
+def _ends_process(error: BaseException) -> bool:
+    """Whether the process is told to end: by Ctrl-C, or with a SystemExit of `parallel`. A file
+    that calls `sys.exit` raises SystemExit itself."""
+    is_told = isinstance(error, SystemExit) and type(error) is not SystemExit
+    return is_told or isinstance(error, KeyboardInterrupt)
 
 
 def _said(error: BaseException) -> str:
@@ -240,9 +247,9 @@ def plugin_errors(module: ModuleType, where: str) -> Iterator[None]:
     try:
         with contextlib.redirect_stdout(sys.stderr):
             yield
-    except InputError:
-        raise
     except (Exception, SystemExit) as error:
+        if isinstance(error, InputError) or _ends_process(error):
+            raise
         line = _line_in(str(module.__file__), error)
         at = f"{module.__file__}, line {line}" if line else f"{module.__file__}"
         raise InputError(f"{where}: {at}: {_said(error)}") from error
