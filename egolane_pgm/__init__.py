@@ -12,7 +12,37 @@ Everything is imported when it is used first, so that importing the package cost
 from __future__ import annotations
 
 from importlib import import_module
-from typing import Any
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    # What editors and type checkers see of the names below.
+    from egolane_pgm.api.comparisons import CompareResult as CompareResult
+    from egolane_pgm.api.comparisons import compare as compare
+    from egolane_pgm.api.detections import DetectResult as DetectResult
+    from egolane_pgm.api.detections import detect as detect
+    from egolane_pgm.api.learned import LearnResult as LearnResult
+    from egolane_pgm.api.learned import learn as learn
+    from egolane_pgm.api.loaded import load_result as load_result
+    from egolane_pgm.api.networks import draw_network as draw_network
+    from egolane_pgm.api.reproduction import ReproduceResult as ReproduceResult
+    from egolane_pgm.api.reproduction import reproduce as reproduce
+    from egolane_pgm.api.runs import RunResult as RunResult
+    from egolane_pgm.api.runs import RunResults as RunResults
+    from egolane_pgm.api.runs import run as run
+    from egolane_pgm.api.studies import TuneResult as TuneResult
+    from egolane_pgm.api.studies import tune as tune
+    from egolane_pgm.experiment import load_experiment as load_experiment
+    from egolane_pgm.inference.compile import compile as compile
+    from egolane_pgm.inference.filtering import filter_beliefs as filter_beliefs
+    from egolane_pgm.inference.smoothing import smooth_beliefs as smooth_beliefs
+    from egolane_pgm.inference.unrolling import unrolled as unrolled
+    from egolane_pgm.learning.em import fit_tables as fit_tables
+    from egolane_pgm.paper import experiments_folder as experiments_folder
+    from egolane_pgm.types import Beliefs as Beliefs
+    from egolane_pgm.types import Evidence as Evidence
+    from egolane_pgm.types import InputError as InputError
+    from egolane_pgm.types import LaneTruth as LaneTruth
+    from egolane_pgm.types import LineLog as LineLog
 
 __version__ = "0.1.0"
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import ast
 import base64
 import io
 import json
@@ -10,6 +11,7 @@ import pydoc
 import subprocess
 import sys
 import warnings
+from importlib import import_module
 from pathlib import Path
 from typing import Any
 from unittest.mock import MagicMock
@@ -62,6 +64,21 @@ def test_the_public_names_are_those_that_dir_and_help_show() -> None:
     assert "Filter a recording, and score it" in shown
 
 
+def test_editors_and_type_checkers_see_the_public_names_too() -> None:
+    (block,) = (
+        node
+        for node in ast.parse(Path(str(ego.__file__)).read_text()).body
+        if isinstance(node, ast.If)
+    )
+    seen = {
+        name.asname: getattr(import_module(str(node.module)), name.name)
+        for node in block.body
+        if isinstance(node, ast.ImportFrom)
+        for name in node.names
+    }
+    assert seen == {name: getattr(ego, name) for name in ego.__all__}
+
+
 def test_every_verb_of_the_commands_is_a_function() -> None:
     for verb in ("run", "tune", "learn", "compare", "reproduce", "detect"):
         assert verb in COMMANDS
@@ -90,6 +107,8 @@ def test_run_gives_what_the_engine_gives(run: ego.RunResult, drive: Path) -> Non
     np.testing.assert_array_equal(run.assigned, plain.assigned)
     assert run.scores["model"]["accuracy"] == plain.scores["model"]["accuracy"]
     assert run.evidence is not None
+    assert run.recorded is not None
+    assert run.recorded.truth is not None
     assert len(run) == len(run.evidence) == len(plain.evidence)
 
 
@@ -224,7 +243,7 @@ def test_a_saved_run_is_read_back_as_the_same_object(run: ego.RunResult, tmp_pat
     assert repr(again) == repr(run)
     assert again.to_pandas().equals(run.to_pandas())
     assert again.scores == run.scores
-    assert again.evidence is None
+    assert again.evidence is again.recorded is None
     np.testing.assert_array_equal(again.model.compiled.transition, run.model.compiled.transition)
     copy = again.save(tmp_path / "copy", figures=False)
     assert contents(copy) == contents(tmp_path / "run")

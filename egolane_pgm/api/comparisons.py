@@ -305,7 +305,7 @@ def compare_on_runs(
 
 
 def compare(
-    experiments: Any = (),
+    experiments: Given | Sequence[Given] = (),
     *,
     graphs: str | os.PathLike[str] | Sequence[str | os.PathLike[str]] | None = None,
     runs: Runs | None = None,

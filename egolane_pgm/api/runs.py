@@ -15,7 +15,7 @@ import numpy as np
 from egolane_pgm.api import shown
 from egolane_pgm.api.given import bar, path_of, several_of
 from egolane_pgm.experiment import Experiment, Given, Overrides, load_experiment
-from egolane_pgm.loading import with_recording
+from egolane_pgm.loading import Recorded, with_recording
 from egolane_pgm.model import Model, prepare_model
 from egolane_pgm.report.comparison_tables import trusted_or_all
 from egolane_pgm.report.tables import runs_table_rows, score_rows, with_interval
@@ -45,6 +45,7 @@ class RunResult:
     - model: its graph and its evidence rule, compiled.
     - result: everything that its result directory says.
     - evidence: what was filtered, of T frames; None where the result was read from a directory.
+    - recorded: the lines of T frames, and the ground truth of some; None likewise.
 
     >>> import egolane_pgm as ego
     >>> place = ego.experiments_folder() / "quickstart.yaml"
@@ -61,11 +62,12 @@ class RunResult:
     model: Model
     result: Result
     evidence: Evidence | None = None
+    recorded: Recorded | None = None
 
     @classmethod
     def of(cls, run: Run) -> RunResult:
         """The result of a run."""
-        return cls(run.experiment, run.model, result_of(run), run.evidence)
+        return cls(run.experiment, run.model, result_of(run), run.evidence, run.recorded)
 
     @property
     def name(self) -> str:

@@ -14,7 +14,14 @@ import yaml
 
 from egolane_pgm.api import shown
 from egolane_pgm.api.given import bar, keys_of, several_of
-from egolane_pgm.experiment import Experiment, Overrides, Tuning, load_experiment, make_experiment
+from egolane_pgm.experiment import (
+    Experiment,
+    Given,
+    Overrides,
+    Tuning,
+    load_experiment,
+    make_experiment,
+)
 from egolane_pgm.paper import Runs, parse_runs
 from egolane_pgm.report.study_tables import LEGEND, parameter_rows, score_rows
 from egolane_pgm.report.study_trials import STUDY_FILE, TRIALS_FILE, Trials, is_study, trials_of
@@ -204,7 +211,7 @@ def _draw(directory: Path) -> None:
 
 
 def tune(
-    experiments: Any = (),
+    experiments: Given | Sequence[Given] = (),
     *,
     runs: Runs | None = None,
     trials: int | None = None,
@@ -215,7 +222,7 @@ def tune(
     parameter: Mapping[str, Any] | None = None,
     blocks: int | None = None,
     whole_recordings: bool = False,
-    test_on: Any = None,
+    test_on: Given | None = None,
     in_sample_only: bool = False,
     together: bool = False,
     out: str | os.PathLike[str] | None = None,
@@ -285,7 +292,7 @@ def tune(
 
 
 def prepare_searches(
-    experiments: Any,
+    experiments: Given | Sequence[Given],
     *,
     folder: Path,
     runs: Runs | None = None,
@@ -297,7 +304,7 @@ def prepare_searches(
     parameter: Mapping[str, Any] | None = None,
     blocks: int | None = None,
     whole_recordings: bool = False,
-    test_on: Any = None,
+    test_on: Given | None = None,
     in_sample_only: bool = False,
     together: bool = False,
     workers: int | None = None,
