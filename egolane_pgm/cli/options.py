@@ -10,7 +10,7 @@ import click
 
 from egolane_pgm.experiment import read_override
 from egolane_pgm.files import check_place
-from egolane_pgm.types import MAX_LANES
+from egolane_pgm.types import MAX_LANES, InputError
 
 Decorator = Callable[[Callable[..., Any]], Callable[..., Any]]
 
@@ -70,7 +70,15 @@ def _writable(_: click.Context, __: click.Parameter, file: str | None) -> Path |
     return Path(file)
 
 
-n_lanes = click.option("--n-lanes", type=click.IntRange(1, MAX_LANES), default=3, show_default=True)
+def _a_road(_: click.Context, __: click.Parameter, n_lanes: int) -> int:
+    if n_lanes > MAX_LANES:
+        raise InputError(f"--n-lanes: {n_lanes} is more than {MAX_LANES}")
+    return n_lanes
+
+
+n_lanes = click.option(
+    "--n-lanes", type=click.IntRange(1), default=3, show_default=True, callback=_a_road
+)
 
 json_file = click.option(
     "--json",
