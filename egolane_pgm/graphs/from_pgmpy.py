@@ -68,7 +68,7 @@ def read_network(network: Any, transition: Sequence[Any] | None = None) -> Decla
     _check_order(parents)
     if not cpds:
         raise InputError("the network has no tables: give each node a TabularCPD with add_cpds")
-    cpds = [cpd for cpd in cpds if not _is_misplaced_copy(cpd, cpds, parents)]
+    cpds = _without_copies(cpds)
     values = _value_names(cpds)
     tables = _tables(cpds, values, parents)
     _check_sizes(tables)
@@ -85,14 +85,18 @@ def node_names(network: Any) -> set[str]:
 
 @dataclass(frozen=True)
 class _Cpd:
-    """One of pgmpy's CPDs: an axis for each node, its own first, and the names of their values."""
+    """One of pgmpy's CPDs: an axis for each node, its own first, and the names of their values.
+
+    - is_filled_in: whether pgmpy itself may have made it; its nodes are not the user's pairs then.
+    """
 
     nodes: tuple[SliceNode, ...]
     names: tuple[tuple[Any, ...], ...]
     values: FloatArray
+    is_filled_in: bool
 
 
-#: The parents of each node, in pgmpy's order.
+#: The parents of each node.
 _Parents = dict[SliceNode, list[SliceNode]]
 
 
@@ -149,6 +153,7 @@ def _read_cpd(cpd: Any, place: Callable[[Any], SliceNode]) -> _Cpd:
         tuple(map(place, cpd.variables)),
         tuple(tuple(cpd.state_names[v]) for v in cpd.variables),
         np.asarray(cpd.values, dtype=np.float64),
+        hasattr(cpd.variable, "time_slice"),
     )
 
 
@@ -184,23 +189,26 @@ def _is_pair(node: Any) -> bool:
     return is_pair and node[1] in (0, 1)
 
 
-def _is_misplaced_copy(cpd: _Cpd, cpds: Sequence[_Cpd], parents: _Parents) -> bool:
-    """Whether pgmpy made this CPD from that of the other slice by position.
+def _without_copies(cpds: Sequence[_Cpd]) -> list[_Cpd]:
+    """The CPDs without those that `initialize_initial_state` copied from the other slice.
 
-    `initialize_initial_state` copies the numbers of P(D | B, A) as they stand, but names the axes
-    in the order of the edges, which may be P(D | A, B).
+    It copies the numbers of P(D | B, A) as they stand, but names the axes in the order of the
+    edges, which may be P(D | A, B). What is left out here is filled in by name.
     """
-    name, s = cpd.nodes[0]
-    mirrored = tuple((n, 1 - q) for n, q in cpd.nodes)
-    for other in cpds:
-        if other.nodes[0] != mirrored[0] or sorted(other.nodes) != sorted(mirrored):
-            continue
-        if other.nodes == mirrored or not np.array_equal(other.values.ravel(), cpd.values.ravel()):
-            continue
-        by_name = other.values.transpose([other.nodes.index(n) for n in mirrored])
-        is_in_order_of_edges = list(cpd.nodes[1:]) == parents[name, s]
-        return is_in_order_of_edges and not np.array_equal(by_name, cpd.values)
-    return False
+    given = {cpd.nodes[0]: cpd for cpd in cpds if not cpd.is_filled_in}
+    kept = []
+    for cpd in cpds:
+        name, s = cpd.nodes[0]
+        other = given.get((name, 1 - s))
+        is_copy = (
+            cpd.is_filled_in
+            and other is not None
+            and {(n, 1 - q) for n, q in other.nodes} == set(cpd.nodes)
+            and np.array_equal(other.values.ravel(), cpd.values.ravel())
+        )
+        if not is_copy:
+            kept.append(cpd)
+    return kept
 
 
 def _check_order(parents: _Parents) -> None:

@@ -12,6 +12,7 @@ import pytest
 from egolane_pgm.graphs.cpds import (
     Table,
     binary,
+    declare,
     dynamics,
     lane_normals,
     previous,
@@ -22,6 +23,7 @@ from egolane_pgm.graphs.cpds import (
 )
 from egolane_pgm.graphs.from_pgmpy import Declared, read_file, read_network
 from egolane_pgm.types import InputError
+from tests.conformance.networks import draw_graph
 
 with quiet():
     from pgmpy.factors.continuous import LinearGaussianCPD
@@ -168,6 +170,50 @@ def test_values_go_by_their_names_too(names: dict[tuple[str, int], list[Any]]) -
     wanted = binary(0.7, 0.6)[:, ::-1] if is_named else binary(0.7, 0.6)
     for s in (0, 1):
         np.testing.assert_array_equal(declared.tables["WOR", s].values, wanted)
+
+
+def rewritten(table: Table, rng: np.random.Generator, named: bool) -> Any:
+    """A CPD that says the same, its parents and, where they have names, all values in any order."""
+    order = rng.permutation(len(table.parents))
+    nodes = [*(table.parents[k] for k in order), table.node]
+    values = table.values.transpose(*order, len(order))
+    names = {}
+    for axis, (node, size) in enumerate(zip(nodes, values.shape, strict=True)):
+        numbers = rng.permutation(size) if named else np.arange(size)
+        values = values.take(numbers, axis=axis)
+        names[node] = [f"{node[0]} {k}" for k in numbers] if named else list(range(size))
+    columns = values.reshape(-1, values.shape[-1]).T
+    return TabularCPD(nodes[-1], len(columns), columns, nodes[:-1], list(values.shape[:-1]), names)
+
+
+@pytest.mark.parametrize("seed", range(30))
+def test_any_network_is_read_the_same_however_it_was_written(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    right = {table.node: table for table in draw_graph(rng).tables}
+    network = declare(right.values(), ())
+    network.cpds = []
+    is_named, is_initialised = seed % 3 == 0, seed % 3 == 1
+    for name in dict.fromkeys(name for name, _ in right):
+        first, later = right[name, 0], right[name, 1]
+        is_one = first.parents and later.parents == tuple((p, 1) for p, _ in first.parents)
+        if is_one and np.array_equal(first.values, later.values):
+            slices = [(0,), (1,), (0, 1)][rng.integers(3)]
+        else:
+            slices = (0, 1)
+        network.add_cpds(*(rewritten(right[name, s], rng, is_named) for s in slices))
+    if is_initialised:
+        with quiet():
+            network.initialize_initial_state()
+    declared = read_network(network)
+    assert set(declared.tables) == set(right)
+    for node, ours in declared.tables.items():
+        assert set(ours.parents) == set(right[node].parents)
+        order = [ours.parents.index(p) for p in right[node].parents]
+        values = ours.values.transpose(*order, len(order))
+        for axis, (name, _) in enumerate((*right[node].parents, node)):
+            if is_named:
+                values = values.take(np.argsort(declared.values[name]), axis=axis)
+        np.testing.assert_array_equal(values, right[node].values)
 
 
 def test_rows_that_were_rounded_sum_to_one() -> None:

@@ -152,6 +152,21 @@ def test_a_table_that_one_slice_lacks_is_that_of_the_other_by_name(
     assert_same_beliefs(filter_beliefs(compiled, evidence, "exact"), right, 1e-12)
 
 
+def test_what_was_written_for_both_slices_is_kept_whatever_its_numbers() -> None:
+    """P(D | B, A) in the first frame and P(D | A, B) later, with the same numbers on purpose."""
+    with quiet():
+        network, _ = two_parents(("A", "B"))
+        from pgmpy.factors.discrete import TabularCPD
+
+        columns = network.get_cpds(("D", 0)).get_values()
+        network.remove_cpds(("D", 1))
+        network.add_cpds(TabularCPD(("D", 1), 2, columns, [("A", 1), ("B", 1)], [2, 2]))
+    compiled = compile(network, hidden=["A", "B"], observed=["D"])
+    first, later = compiled.tables["D", 0], compiled.tables["D", 1]
+    assert [p[0] for p in first.parents] == [p[0] for p in later.parents]
+    np.testing.assert_array_equal(first.values, later.values.swapaxes(0, 1))
+
+
 def test_the_network_that_is_declared_needs_nothing_filled_in_by_pgmpy() -> None:
     """declare() gives both slices in full: `initialize_initial_state` finds nothing to do."""
     network = declare(tables(), ["D"])
