@@ -19,7 +19,7 @@ from egolane_pgm.inference.compile import Compiled, Group
 from egolane_pgm.inference.filtering import forward, state_likelihood
 from egolane_pgm.inference.kernels.sweeps import smooth_frames
 from egolane_pgm.inference.layout import evidence_blocks, joint_input
-from egolane_pgm.types import BoolArray, Evidence, FloatArray, IntArray
+from egolane_pgm.types import BoolArray, Evidence, FloatArray, InputError, IntArray, suggestion
 
 #: Marks a frame in which the node's value is unknown.
 FREE = -1
@@ -68,13 +68,17 @@ def expected_counts(
     - known: per hidden node its value in each frame (T,), FREE where it is not known.
     - is_first (T,): True where a sequence begins; by default the first frame only.
 
-    Raises InputError for evidence that does not fit the network, or is read by Jeffrey's rule.
+    Raises InputError for evidence that does not fit the network, or is read by Jeffrey's rule, and
+    for known values of a node that is not hidden.
     """
     blocks = evidence_blocks(compiled, evidence)
     index = joint_input(compiled, evidence)
     n_frames, n_states = len(evidence), compiled.n_states
     likelihood, log_scale = state_likelihood(compiled, blocks)
     for node, value in (known or {}).items():
+        if node not in compiled.hidden:
+            meant = suggestion(node, compiled.hidden)
+            raise InputError(f"known values of {node}, which is no hidden node{meant}")
         likelihood *= (value[:, None] == compiled.node_value[node]) | (value == FREE)[:, None]
     begins = np.zeros(n_frames, dtype=bool) if is_first is None else is_first.copy()
     begins[:1] = True

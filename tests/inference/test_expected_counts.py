@@ -290,3 +290,10 @@ def test_evidence_read_by_jeffreys_rule_is_no_likelihood_to_learn_from() -> None
     compiled, _, evidence, _ = drawn_case(1, 5)
     with pytest.raises(InputError, match="Jeffrey's rule"):
         expected_counts(compiled, read_evidence(evidence, "jeffrey"))
+
+
+def test_known_values_of_a_node_that_is_not_hidden_are_refused() -> None:
+    compiled, _, evidence, lane = drawn_case(1, 5)
+    said = r"known values of Lain, which is no hidden node \(did you mean 'Lane'\?\)"
+    with pytest.raises(InputError, match=said):
+        expected_counts(compiled, evidence, {"Lain": lane})
