@@ -30,7 +30,7 @@ from pydantic_core import ErrorDetails
 
 from egolane_pgm.files import parse_yaml, read_yaml, without_version
 from egolane_pgm.parameters import check_names, resolve_parameters
-from egolane_pgm.plugins import declared_parameters, load_rule_and_graph
+from egolane_pgm.plugins import OWN_FILES, declared_parameters, load_rule_and_graph
 from egolane_pgm.types import MAX_LANES, InputError, all_problems, suggestion
 
 #: What replaces some of an experiment's keys, as `load_experiment` takes it.
@@ -508,6 +508,13 @@ def read_override(override: str, example: str, option: str = "--set") -> tuple[s
         raise InputError(f"{option} {override}: the value is not YAML") from error
 
 
+#: The keys whose values are files.
+_FILES = ("recording.path", "recording.camera", "recording.right", "ground_truth.path")
+
+#: The keys whose values are plugins, by name or file.
+_PLUGIN_FILES = ("graph", "evidence", "recording.format", "recording.detector")
+
+
 def _override(content: dict[str, Any], override: str) -> None:
     key, value = read_override(override, "parameters.bonus_value=0")
     parts = key.split(".")
@@ -518,7 +525,15 @@ def _override(content: dict[str, Any], override: str) -> None:
         section = section[part]
         if not isinstance(section, dict):
             raise InputError(f"--set {override}: {part} has no keys below it")
-    section[parts[-1]] = value
+    section[parts[-1]] = _found_from_here(key, value)
+
+
+def _found_from_here(key: str, value: Any) -> Any:
+    """The value of an override. A file that is there from where one stands is named in full, since
+    those of the YAML are looked for beside it."""
+    is_plugin = key in _PLUGIN_FILES and str(value).endswith(OWN_FILES)
+    is_named = isinstance(value, str) and (is_plugin or key in _FILES)
+    return str(Path(value).absolute()) if is_named and os.path.exists(value) else value
 
 
 def _problems(error: ValidationError, model: type[Section]) -> list[str]:

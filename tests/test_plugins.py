@@ -220,6 +220,23 @@ def test_a_bif_file_with_a_fault_is_refused_by_its_name(
     assert said in refused("network", tmp_path / "g.bif", tmp_path / "g.dot")
 
 
+def test_a_file_that_an_override_names_is_found_from_where_one_stands(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (tmp_path / "here").mkdir()
+    write(tmp_path / "here" / "g.py", GRAPH)
+    write(tmp_path / "r.py", RULE)
+    experiment = write_drive(tmp_path, 20)
+    words = ["--set", "graph=./g.py", "--set", "evidence=r.py", "--set", "recording.path=lines.csv"]
+    monkeypatch.chdir(tmp_path / "here")
+    assert "ok" in done("validate", experiment, *words).stdout
+    # A folder that is called as a plugin of the package is none.
+    (tmp_path / "here" / "no_wor").mkdir()
+    assert "ok" in done("validate", experiment, "--set", "graph=no_wor").stdout
+    monkeypatch.chdir(tmp_path)
+    assert "graph: no file" in refused("validate", experiment, *words)
+
+
 def test_what_a_file_of_ones_own_prints_goes_to_standard_error(tmp_path: Path) -> None:
     say = "print('{}')\n"
     write(tmp_path / "g.py", say.format("graph read") + textwrap.dedent(GRAPH))

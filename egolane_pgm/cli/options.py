@@ -44,7 +44,8 @@ frames = click.option(
 def overrides(
     help: str = "Override a key of the YAML, e.g. parameters.bonus_value=0.",
 ) -> Decorator:
-    """`--set KEY=VALUE`, which may be given several times."""
+    """`--set KEY=VALUE`, which may be given several times. A file is found from where one stands,
+    or else beside the YAML."""
     return click.option("--set", "overrides", multiple=True, metavar="KEY=VALUE", help=help)
 
 
