@@ -174,7 +174,7 @@ def test_what_a_killed_worker_was_at_is_tried_again_by_another(
     place = f"sqlite:///{tmp_path}/study.db"
     code = (
         "import time\n"
-        "from tests.tune.test_storage import *\n"
+        "from tests.tuning.test_storage import *\n"
         "module.HEARTBEAT_S = 1\n"
         "search(study_in({!r}), SPACE, lambda p: time.sleep(60) or [0.0], settings(9))\n"
     )
@@ -260,7 +260,7 @@ def test_a_full_disk_is_one_clear_line_and_what_was_finished_stays(tmp_path: Pat
 
 def test_a_killed_process_leaves_a_journal_to_go_on_with(tmp_path: Path) -> None:
     code = (
-        "from tests.tune.test_storage import *\n"
+        "from tests.tuning.test_storage import *\n"
         "search(study_in(Path({!r})), SPACE, bowl, settings(100000))\n"
     )
     with subprocess.Popen([sys.executable, "-c", code.format(str(tmp_path))]) as first:
