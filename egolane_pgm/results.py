@@ -28,6 +28,7 @@ A directory is written beside its place and renamed at the end: one that has the
 from __future__ import annotations
 
 import contextlib
+import functools
 import hashlib
 import json
 import platform
@@ -288,17 +289,23 @@ def versions(
     ),
 ) -> dict[str, str]:
     """Versions of Python and of the packages that numbers depend on."""
-    found = {"python": platform.python_version()}
-    for name in packages:
-        try:
-            found[name] = metadata.version(name)
-        except metadata.PackageNotFoundError:
-            found[name] = "not installed"
-    return found
+    return {"python": platform.python_version(), **{name: _version(name) for name in packages}}
 
 
+@functools.cache
+def _version(package: str) -> str:
+    try:
+        return metadata.version(package)
+    except metadata.PackageNotFoundError:
+        return "not installed"
+
+
+@functools.cache
 def git_state() -> dict[str, Any] | None:
-    """Commit and whether the package's own checkout is dirty; None where it is no checkout."""
+    """Commit and whether the package's own checkout is dirty; None where it is no checkout.
+
+    It is looked up once in a process, which runs the code that it found first.
+    """
     folder = Path(__file__).parent
 
     def git(*words: str) -> str | None:

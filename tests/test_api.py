@@ -11,6 +11,7 @@ import pydoc
 import subprocess
 import sys
 import warnings
+from dataclasses import replace
 from importlib import import_module
 from pathlib import Path
 from typing import Any
@@ -43,14 +44,8 @@ def hostile(tmp_path_factory: pytest.TempPathFactory) -> ego.RunResult:
     folder = tmp_path_factory.mktemp("a<b>&c")
     write_drive(folder, ground_truth=None)
     found = ego.run(folder / "experiment.yaml")
-    object.__setattr__(found, "result", _with_warning(found.result, "<script>alert(1)</script>"))
-    return found
-
-
-def _with_warning(result: Any, note: str) -> Any:
-    from dataclasses import replace
-
-    return replace(result, run={**result.run, "warnings": [note]})
+    run = {**found.result.run, "warnings": ["<script>alert(1)</script>"]}
+    return replace(found, result=replace(found.result, run=run))
 
 
 # --- what is public ------------------------------------------------------------------------------
@@ -305,6 +300,13 @@ def test_a_run_that_another_process_did_comes_back_whole(drive: Path) -> None:
     (outcome,) = run_all(plan, keep=True)
     again = pickle.loads(pickle.dumps(outcome)).run
     assert ego.RunResult.of(again).to_pandas().equals(ego.run(drive).to_pandas())
+
+
+def test_experiments_may_be_given_as_their_keys() -> None:
+    keys = {"n_lanes": 4, "recording": {"simulate": "quickstart", "frames": [0, 100]}}
+    runs = ego.run([{**keys, "name": "one"}, {**keys, "name": "two", "filter": "exact"}])
+    assert [len(run) for run in runs] == [100, 100]
+    assert runs["two"].experiment.filter == "exact"
 
 
 def test_one_run_that_fails_does_not_stop_the_others(drive: Path, tmp_path: Path) -> None:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import os
 import signal
+import subprocess
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -156,9 +157,21 @@ def test_json_that_cannot_be_written_leaves_the_old_file_and_nothing_else(tmp_pa
 def test_where_git_or_a_package_is_not_there_that_is_said(monkeypatch: pytest.MonkeyPatch) -> None:
     assert versions(["numpy", "no-such-package"])["no-such-package"] == "not installed"
     monkeypatch.setenv("GIT_DIR", "/nonexistent")
-    assert git_state() is None
+    assert git_state.__wrapped__() is None
     monkeypatch.setenv("PATH", "/nonexistent")
-    assert git_state() is None
+    assert git_state.__wrapped__() is None
+
+
+def test_the_commit_of_a_checkout_is_found() -> None:
+    root = Path(__file__).parents[1]
+    head = subprocess.run(
+        ["git", "-C", str(root), "rev-parse", "HEAD"], capture_output=True, text=True
+    )
+    if head.returncode:
+        pytest.skip("the package is no checkout here")
+    found = git_state.__wrapped__()
+    assert found is not None
+    assert found["commit"] == head.stdout.strip()
 
 
 def damaged(saved: Path, folder: Path, change: Callable[[Path], object]) -> Path:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 import warnings
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -439,6 +439,11 @@ def name_all(
 def _named(
     experiments: Sequence[Given], recordings: Sequence[Any]
 ) -> Iterator[tuple[str, Given, str | None, str | None]]:
-    titles = [e.source if isinstance(e, Experiment) else str(e) for e in experiments]
+    titles = [
+        given.source
+        if isinstance(given, Experiment)
+        else str(given.get("name", "experiment") if isinstance(given, Mapping) else given)
+        for given in experiments
+    ]
     for k, (title, _, recording, name) in enumerate(name_runs(titles, recordings)):
         yield title, experiments[k if len(experiments) > 1 else 0], recording, name
