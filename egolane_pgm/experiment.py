@@ -328,7 +328,7 @@ def load_experiment(experiment: Given, overrides: Overrides = ()) -> Experiment:
       relative to where one is.
     - overrides: keys that get other values: `{"parameters": {"sigma1": 0.3}}`, which may be
       written `{"parameters.sigma1": 0.3}`, or a list of `"parameters.sigma1=0.3"`, the value as
-      YAML. A dict adds its keys to those of a section.
+      YAML. A dict adds its keys to those of a section; None takes a key, or a section, away.
 
     Raises InputError, a line that names file and key for everything that does not fit.
 
@@ -376,7 +376,7 @@ def _overridden(content: dict[str, Any], overrides: Overrides) -> dict[str, Any]
     if overrides is None:
         return content
     if isinstance(overrides, Mapping):
-        return _merged(content, _nested(overrides))
+        return _merged(content, _nested(overrides), removes=True)
     if isinstance(overrides, str) or not all(isinstance(each, str) for each in overrides):
         raise InputError(f"overrides: {overrides!r}: needs a dict, or a list of key=value")
     for override in overrides:
@@ -420,11 +420,21 @@ def _including(
     return _merged(_with_included(folder / name, including), content)
 
 
-def _merged(base: Mapping[str, Any], over: Mapping[str, Any]) -> dict[str, Any]:
+def _merged(
+    base: Mapping[str, Any], over: Mapping[str, Any], *, removes: bool = False
+) -> dict[str, Any]:
+    """The keys of both, those of `over` before the others.
+
+    - removes: whether None takes a key of `base` away.
+    """
     merged = dict(base)
     for key, value in over.items():
-        both = isinstance(value, dict) and isinstance(base.get(key), dict)
-        merged[key] = _merged(base[key], value) if both else value
+        if removes and value is None and key in base:
+            del merged[key]
+        elif isinstance(value, dict) and isinstance(base.get(key), dict):
+            merged[key] = _merged(base[key], value, removes=removes)
+        else:
+            merged[key] = value
     return merged
 
 
