@@ -11,6 +11,12 @@ from typing import Any
 from egolane_pgm.experiment import Experiment
 from egolane_pgm.types import InputError
 
+if "IPython" in sys.modules:
+    with warnings.catch_warnings():
+        # Without ipywidgets tqdm asks for them when it is imported first, by Optuna if not here.
+        warnings.simplefilter("ignore")
+        import tqdm.auto  # noqa: F401
+
 
 def several_of(given: Any, what: str) -> list[Any]:
     """One or several things as a list."""
@@ -47,10 +53,9 @@ def bar(items: Iterable[Any] | None, progress: bool | None, **settings: Any) -> 
 
     hidden = None if progress is None else not progress
     if "IPython" in sys.modules:
-        with warnings.catch_warnings():
-            # Without ipywidgets tqdm asks for them, and draws plain text.
-            warnings.simplefilter("ignore")
-            from tqdm.autonotebook import tqdm as in_notebook
+        from tqdm.autonotebook import tqdm as in_notebook
+
+        # Without ipywidgets this is the bar of plain text.
         if in_notebook is not tqdm:
             return in_notebook(items, leave=False, disable=bool(hidden), **settings)
     return tqdm(items, leave=False, disable=hidden, **settings)
