@@ -37,6 +37,9 @@ SERIES = (
 _TICKS = (0.2, 0.4, 0.6, 0.8, 0.9, 0.95, 0.98, 0.99, 0.995, 0.998, 0.999, 0.9997)
 _LARGEST = 0.9997
 
+#: Where fewer than three of these are on the axis, it names every twentieth, or every hundredth.
+_FINER = tuple(tuple(k / n for k in range(1, n)) for n in (20, 100))
+
 _COLUMN, _LEFT, _RIGHT, _HEAD, _FOOT, _HEIGHT = 0.16, 0.9, 0.15, 0.4, 0.45, 3.4
 
 
@@ -121,7 +124,8 @@ def comparison_figure(document: Mapping[str, Any]) -> Figure:
     ax.tick_params(axis="y", labelsize=8.5)
     low, high = ax.get_ylim()
     ax.set_ylim(low, high)
-    named = [v for v in _TICKS if low <= _height(v) <= high]
+    seen = [[v for v in some if low <= _height(v) <= high] for some in (_TICKS, *_FINER)]
+    named = next((some for some in seen if len(some) > 2), seen[0])
     ax.set_yticks([_height(v) for v in named], [_tick(v) for v in named])
     ax.set_ylabel("accuracy (errors on a log scale)", fontsize=9)
     ax.grid(axis="y", color="#ececec", linewidth=0.6)
