@@ -6,7 +6,7 @@ ifneq ($(wildcard ../shared/data/rle),)
 export EGOLANE_DATA ?= $(abspath ../shared/data)
 endif
 
-.PHONY: run test check bench coverage paper graphs camera rendered clean
+.PHONY: run test check bench coverage notebooks paper graphs camera rendered clean
 
 run: .venv/.run
 	$(BIN)/egolane run experiments/quickstart.yaml
@@ -33,6 +33,10 @@ coverage: .venv/.dev
 
 bench: .venv/.bench
 	$(BIN)/python -m tests.benchmarks
+
+# Executes the notebooks and stores them with what they put out; needs the paper's recordings.
+notebooks: .venv/.dev
+	$(BIN)/python -m tests.kits.notebooks
 
 # What results/paper/ holds: tables and figures of the paper's runs, made from the recordings.
 RUNS := results/runs

@@ -1,31 +1,103 @@
-"""The notebooks run from top to bottom in a fresh kernel."""
+"""The notebooks run from top to bottom in a fresh kernel, and are kept with what they put out."""
 
 from __future__ import annotations
 
+import os
+import re
 from pathlib import Path
 
 import nbformat
 import pytest
-from nbclient import NotebookClient
+from click.testing import CliRunner
+from nbformat import NotebookNode
 
-NOTEBOOKS = sorted((Path(__file__).parents[1] / "notebooks").glob("*.ipynb"))
+from egolane_pgm.cli.main import egolane
+from tests.kits.notebooks import NOTEBOOKS, execute
 
-
-@pytest.mark.parametrize("path", NOTEBOOKS, ids=lambda path: path.stem)
-def test_a_notebook_runs_from_top_to_bottom(path: Path) -> None:
-    notebook = nbformat.read(path, as_version=4)
-    NotebookClient(
-        notebook, timeout=300, resources={"metadata": {"path": str(path.parent)}}
-    ).execute()
-    cells = [cell for cell in notebook.cells if cell.cell_type == "code"]
-    assert cells
-    assert all(cell.execution_count for cell in cells)
-    assert any(output.get("data", {}).get("image/png") for c in cells for output in c.outputs)
+#: Those that take a simulated drive where the recordings are missing.
+ON_RECORDINGS = [path for path in NOTEBOOKS if "try:" in path.read_text()]
 
 
-@pytest.mark.parametrize("path", NOTEBOOKS, ids=lambda path: path.stem)
-def test_a_notebook_is_committed_without_outputs_and_defines_no_algorithm(path: Path) -> None:
-    for cell in nbformat.read(path, as_version=4).cells:
-        if cell.cell_type == "code":
-            assert not cell.outputs
-            assert "class " not in cell.source
+def of_each(paths: list[Path]) -> pytest.MarkDecorator:
+    return pytest.mark.parametrize("path", paths, ids=lambda path: path.stem)
+
+
+def code(path: Path) -> list[NotebookNode]:
+    """The code cells that a notebook is kept with."""
+    return [c for c in nbformat.read(path, as_version=4).cells if c.cell_type == "code"]
+
+
+def has_picture(cell: NotebookNode) -> bool:
+    return any("image/png" in output.get("data", {}) for output in cell.outputs)
+
+
+@of_each(NOTEBOOKS)
+def test_a_notebook_runs_from_top_to_bottom(path: Path, tmp_path: Path) -> None:
+    data = os.environ.get("EGOLANE_DATA") if path in ON_RECORDINGS else None
+    found = execute(path, tmp_path, EGOLANE_DATA=os.path.abspath(data) if data else "")
+    kept, cells = code(path), [cell for cell in found.cells if cell.cell_type == "code"]
+    assert list(map(has_picture, cells)) == list(map(has_picture, kept))
+    assert not [o.text for cell in cells for o in cell.outputs if o.get("name") == "stderr"]
+
+
+@of_each(ON_RECORDINGS)
+def test_a_notebook_runs_without_the_recordings(
+    path: Path,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    monkeypatch.setenv("EGOLANE_DATA", "")
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
+    lines = "\n".join(cell.source for cell in code(path))
+    exec(compile(lines.replace('"trials": 150', '"trials": 15'), path.name, "exec"), {})
+    assert "SIMULATED" in capsys.readouterr().out
+
+
+@of_each(NOTEBOOKS)
+def test_a_notebook_is_kept_as_it_was_executed_once_from_top_to_bottom(path: Path) -> None:
+    cells = code(path)
+    assert [cell.execution_count for cell in cells] == list(range(1, len(cells) + 1))
+    kinds = {output.output_type for cell in cells for output in cell.outputs}
+    assert kinds <= {"stream", "display_data", "execute_result"}
+    for cell in cells:
+        last = cell.source.rstrip().splitlines()[-1]
+        if re.search(r"\bplot\(|draw_network\(", last):
+            assert has_picture(cell), last
+    assert any(map(has_picture, cells))
+    assert path.stat().st_size < 400_000
+
+
+@of_each(NOTEBOOKS)
+def test_a_kept_notebook_says_nothing_of_the_machine_and_has_no_warnings(path: Path) -> None:
+    for cell in code(path):
+        assert not cell.metadata
+        for output in cell.outputs:
+            assert output.get("name") != "stderr"
+            shown = [v for k, v in output.get("data", {}).items() if k.startswith("text/")]
+            said = "".join([output.get("text", ""), *shown])
+            paths = re.findall(r"(?<![\w.<])/\w\S*", said)
+            assert not paths
+
+
+@of_each(NOTEBOOKS)
+def test_a_notebook_defines_no_algorithm(path: Path) -> None:
+    for cell in code(path):
+        if not cell.source.startswith("%%writefile"):
+            assert not re.search(r"^(class|def) ", cell.source, flags=re.M)
+
+
+def test_the_last_command_of_the_notebook_on_ones_own_graph_works_from_any_folder(
+    recordings: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    path = next(path for path in NOTEBOOKS if path.stem == "03_a_graph_of_your_own")
+    (graph,) = (c.source for c in code(path) if "%%writefile worn_sensor.py" in c.source)
+    (tmp_path / "worn_sensor.py").write_text(graph.partition("\n")[2])
+    last = nbformat.read(path, as_version=4).cells[-1].source
+    command = next(line for line in last.splitlines() if line.startswith("egolane"))
+    monkeypatch.chdir(tmp_path)
+    quicker = ["--runs", "2", "--blocks", "2", "--trials", "2"]
+    ran = CliRunner().invoke(egolane, [*command.split()[1:], *quicker])
+    assert ran.exit_code == 0, ran.output
+    assert re.search(r"\| run 2 +\|", ran.output)
+    assert "worn_sensor" in ran.output
