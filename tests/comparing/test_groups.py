@@ -265,6 +265,20 @@ def test_a_search_is_made_with_every_seed_and_scored_by_the_mean() -> None:
         assert f"{np.mean(mean):.3f}" in str(rows) or header[-3] != "F1"
 
 
+@pytest.mark.parametrize("accuracies", [(0.75, 0.82), (0.81, 0.83), (0.5, 0.999)])
+def test_the_axis_of_accuracies_names_three_at_least(accuracies: tuple[float, float]) -> None:
+    entries = [
+        {
+            "name": str(accuracy),
+            "tuned_on": "other_frames",
+            "scores": {"all_frames": {"accuracy": accuracy, "intervals": {"accuracy": None}}},
+        }
+        for accuracy in accuracies
+    ]
+    (ax,) = comparison_figure({"recordings": [{"title": "x", "experiments": entries}]}).axes
+    assert 3 <= len(ax.get_yticks()) <= 12
+
+
 def test_recordings_of_one_drive_do_not_count_as_two(tmp_path: Path) -> None:
     """A copy of a recording adds nothing, so the interval stays; another drive does."""
     paths = [write_drive(tmp_path / name, N_FRAMES) for name in ("a", "b")]
