@@ -356,13 +356,14 @@ def _parts(
         and not any(p in inputs for p, _ in aligned[name, 1].parents)
     }
     emissions = {name for name in nodes if name in plain and name not in hidden}
-    while given := {
+    # Until each one that is left has no other children.
+    while others := {
         parent
         for (child, _), table in tables.items()
         for parent, _ in table.parents
         if child not in emissions and parent in emissions
     }:
-        emissions -= given
+        emissions -= others
     looked_back_at = {p for (_, s), t in tables.items() for p, ps in t.parents if ps < s}
     functions = tuple(
         name
@@ -372,10 +373,10 @@ def _parts(
         and name not in looked_back_at
         and np.isin(tables[name, 1].values, (0.0, 1.0)).all()
     )
-    others = [n for n in dict.fromkeys((*hidden, *nodes)) if n not in {*functions, *emissions}]
+    carried = [n for n in dict.fromkeys((*hidden, *nodes)) if n not in {*functions, *emissions}]
     # The node of most values last: those of its values that follow each other are then next to
     # each other in memory.
-    state = tuple(sorted(others, key=lambda name: tables[name, 0].values.shape[-1]))
+    state = tuple(sorted(carried, key=lambda name: tables[name, 0].values.shape[-1]))
     return _Parts(aligned, hidden, observed, inputs, functions, frozenset(emissions), state)
 
 
