@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import itertools
+import os
 import re
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -22,7 +23,7 @@ def named_graphs(graphs: Sequence[str]) -> dict[str, str]:
     A file is called by its stem, with the name of its folder where two have the same one, and is
     given in full. Raises InputError for a graph that is named twice.
     """
-    full = [str(Path(graph).absolute()) if graph.endswith(OWN_FILES) else graph for graph in graphs]
+    full = [os.path.abspath(graph) if graph.endswith(OWN_FILES) else graph for graph in graphs]
     stems = [Path(graph).stem if graph.endswith(OWN_FILES) else graph for graph in full]
     found: dict[str, str] = {}
     for graph, stem in zip(full, stems, strict=True):

@@ -1,5 +1,5 @@
 """The tables of a comparison: header and rows of text, from the document of
-`compare.comparing.document`."""
+`comparing.groups.document`."""
 
 from __future__ import annotations
 
