@@ -6,13 +6,16 @@ import json
 import re
 import runpy
 from pathlib import Path
+from typing import Any
 
+import click
 import numpy as np
 import pytest
 import yaml
 
 import egolane_pgm as ego
 from egolane_pgm import load_experiment, run_experiment
+from egolane_pgm.cli.main import egolane
 from egolane_pgm.graphs.cpds import quiet
 from tests.kits.drives import done, simulated
 
@@ -21,16 +24,46 @@ TUTORIAL = ROOT / "examples" / "tutorial_network.py"
 QUICKSTART = ROOT / "experiments" / "quickstart.yaml"
 
 
+def blocks_of(language: str) -> list[str]:
+    text = (ROOT / "README.md").read_text()
+    return re.findall(rf"```{language}\n(.*?)```", text, flags=re.S)
+
+
+@pytest.mark.filterwarnings("ignore:the network has no Line_ve")
 def test_the_python_code_of_the_readme_runs_and_does_the_main_job(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    blocks = re.findall(r"```python\n(.*?)```", (ROOT / "README.md").read_text(), flags=re.S)
-    block = next(b for b in blocks if "run_experiment" in b)
-    assert len(block.strip().splitlines()) <= 10
     monkeypatch.chdir(ROOT)
-    exec(compile(block, "README.md", "exec"), {})
-    detector, model = map(float, capsys.readouterr().out.splitlines()[0].split())
-    assert model > detector + 0.1
+    first, *others = blocks_of("python")
+    assert len(first.split("\n\n")[1].strip().splitlines()) == 3, "four lines with the import"
+    names: dict[str, Any] = {}
+    exec(compile(first, "README.md", "exec"), names)
+    scores, beliefs = names["run"].scores, names["beliefs"]
+    assert scores["model"]["accuracy"] > scores["detector"]["accuracy"] + 0.1
+    np.testing.assert_allclose(beliefs.filter(like="Lane=").sum(axis=1), 1, atol=1e-9)
+    for block in others:
+        if "\n        ...\n" not in block:
+            exec(compile(block, "README.md", "exec"), names)
+    assert "Lane@203(4)" in capsys.readouterr().out
+
+
+def test_the_readme_shows_a_part_of_the_graph_that_it_names() -> None:
+    (shown,) = (block for block in blocks_of("python") if "def build" in block)
+    squeezed = "".join((ROOT / "examples" / "my_graph.py").read_text().split())
+    for line in shown.splitlines():
+        if line.startswith(("HIDDEN", "OBSERVED", "def ")) or "uniform(" in line:
+            assert "".join(line.split()) in squeezed, line
+
+
+def test_every_command_of_the_readme_is_there_with_its_options() -> None:
+    text = (ROOT / "README.md").read_text()
+    found = re.findall(r"(?:^|`)egolane (\w+)([^`#\n]*)", text, flags=re.M)
+    assert len(found) > 30
+    for name, rest in found:
+        command = egolane.get_command(click.Context(egolane), name)
+        assert command is not None, name
+        known = {option for parameter in command.params for option in parameter.opts}
+        assert known.issuperset(re.findall(r"--[a-z][a-z-]*", rest)), (name, rest)
 
 
 def test_own_graph_and_evidence_files_run_without_touching_the_package() -> None:
