@@ -187,6 +187,10 @@ def test_plain_pgmpy_is_a_graph_whose_roles_follow_from_the_evidence_rule(tmp_pa
         (PLAIN + "    network.remove_cpds(('Seen', 0))", "g.py: Seen: has no table (a TabularCPD)"),
         (PLAIN.replace('"Seen"', '"Saw"'), "the evidence rule gives Seen, Other, the graph has"),
         (PLAIN.replace("(3)", "(2)"), "g.py cannot be imported: "),
+        (
+            "from pgmpy.models import LinearGaussianBayesianNetwork as LG\nn = LG([('a', 'b')])",
+            "a LinearGaussianBayesianNetwork is not discrete: cut its continuous nodes into",
+        ),
     ],
 )
 def test_a_plain_network_with_a_fault_is_refused_naming_the_node(

@@ -77,6 +77,7 @@ def read_network(network: Any, transition: Sequence[Any] | None = None) -> Decla
 
 def node_names(network: Any) -> set[str]:
     """The names of the nodes of a network of two slices. Raises InputError as `read_network`."""
+    _is_dynamic(network)
     return {_of_slice(node)[0] for node in network}
 
 
@@ -100,27 +101,30 @@ class _Cpd:
 _Parents = dict[SliceNode, list[SliceNode]]
 
 
-def _structure(network: Any, transition: Sequence[Any] | None) -> tuple[_Parents, list[_Cpd]]:
-    """The parents of every node in both slices, and the CPDs that there are."""
+def _is_dynamic(network: Any) -> bool:
+    """Whether it is a `DynamicBayesianNetwork`, not a `DiscreteBayesianNetwork`. Raises InputError
+    for anything else."""
     with quiet():
         from pgmpy.models import DiscreteBayesianNetwork, DynamicBayesianNetwork
 
-    is_list = isinstance(transition, (list, tuple))
-    if transition is not None and not (is_list and all(hasattr(c, "variable") for c in transition)):
-        raise InputError("transition: needs a list of pgmpy's TabularCPDs")
-    if isinstance(network, DynamicBayesianNetwork):
-        if transition is not None:
-            raise InputError("transition: goes with a network of one slice, this one has two")
-        place = _of_slice
-    elif isinstance(network, DiscreteBayesianNetwork):
-        place = _of_slice if transition is None else _of_first
-    elif hasattr(network, "get_cpds"):
+    if isinstance(network, (DynamicBayesianNetwork, DiscreteBayesianNetwork)):
+        return isinstance(network, DynamicBayesianNetwork)
+    if hasattr(network, "get_cpds"):
         raise InputError(
             f"a {type(network).__name__} is not discrete: cut its continuous nodes into intervals,"
             " so that each has a TabularCPD"
         )
-    else:
-        raise InputError(f"{type(network).__name__} is no Bayesian network of pgmpy")
+    raise InputError(f"{type(network).__name__} is no Bayesian network of pgmpy")
+
+
+def _structure(network: Any, transition: Sequence[Any] | None) -> tuple[_Parents, list[_Cpd]]:
+    """The parents of every node in both slices, and the CPDs that there are."""
+    is_list = isinstance(transition, (list, tuple))
+    if transition is not None and not (is_list and all(hasattr(c, "variable") for c in transition)):
+        raise InputError("transition: needs a list of pgmpy's TabularCPDs")
+    if _is_dynamic(network) and transition is not None:
+        raise InputError("transition: goes with a network of one slice, this one has two")
+    place = _of_slice if transition is None else _of_first
     parents: _Parents = {place(n): list(map(place, network.predecessors(n))) for n in network}
     cpds = [_read_cpd(cpd, place) for cpd in network.cpds]
     for cpd in transition or ():
@@ -249,16 +253,17 @@ def _table(cpd: _Cpd, values: Mapping[str, tuple[str, ...]]) -> Table:
     """The CPD's numbers with every axis in the order of the node's values."""
     array = cpd.values
     for axis, ((name, _), given) in enumerate(zip(cpd.nodes, cpd.names, strict=True)):
-        ours: list[Any] = sorted(given) if _is_numbered(given) else list(values[name])
-        given = given if _is_numbered(given) else tuple(map(str, given))
-        if len(ours) != len(given):
+        is_numbered = _is_numbered(given)
+        here: list[Any] = list(given if is_numbered else map(str, given))
+        ours: list[Any] = sorted(here) if is_numbered else list(values[name])
+        if here == ours or len(here) != len(ours):
             continue  # The sizes are checked later.
-        if set(ours) != set(given):
+        if set(here) != set(ours):
             raise InputError(
-                f"{cpd.nodes[0][0]}: its table calls the values of {name} {', '.join(given)};"
+                f"{cpd.nodes[0][0]}: its table calls the values of {name} {', '.join(here)};"
                 f" elsewhere they are {', '.join(ours)}"
             )
-        array = array.take([given.index(v) for v in ours], axis=axis)
+        array = array.take([here.index(v) for v in ours], axis=axis)
     array = np.moveaxis(array, 0, -1)
     total = array.sum(axis=-1, keepdims=True)
     off = np.abs(total - 1).max()
