@@ -1,5 +1,6 @@
 """An experiment is a YAML file: it names the recording, the rule by which lines become evidence,
 the graph and the parameters. This module checks the keys; `model` checks the parameters of plugins.
+All that is wrong is said at once, a line each.
 
 Two keys are not the experiment's own. `include: other.yaml` takes the keys that the YAML lacks from
 a file beside it (`load_yaml`). `version: 1`, which may be left out, says which version of the keys
@@ -328,7 +329,8 @@ def load_experiment(experiment: Given, overrides: Overrides = ()) -> Experiment:
       relative to where one is.
     - overrides: keys that get other values: `{"parameters": {"sigma1": 0.3}}`, which may be
       written `{"parameters.sigma1": 0.3}`, or a list of `"parameters.sigma1=0.3"`, the value as
-      YAML. A dict adds its keys to those of a section; None takes a key, or a section, away.
+      YAML. A dict adds its keys to those of a section; None takes a key, or a section, away. Its
+      values may be NumPy's, tuples or paths.
 
     Raises InputError, a line that names file and key for everything that does not fit.
 
