@@ -13,7 +13,15 @@ from egolane_pgm.inference.filtering import filter_beliefs
 from egolane_pgm.model import prepare_model
 from egolane_pgm.paper import experiments_folder, paper_experiment
 from egolane_pgm.types import Evidence
-from tests.kits.drives import done, refused, run_json, simulated, write_drive, write_experiment
+from tests.kits.drives import (
+    done,
+    problems,
+    refused,
+    run_json,
+    simulated,
+    write_drive,
+    write_experiment,
+)
 from tests.kits.synthetic_road import write_place
 
 EXAMPLES = Path(__file__).parents[2] / "examples"
@@ -42,7 +50,9 @@ def test_validate_says_which_recording_is_not_there(
 ) -> None:
     monkeypatch.delenv("EGOLANE_DATA", raising=False)
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
-    assert "recording.path: rle/special" in refused("validate", paper_experiment(1))
+    recording, truth = problems("validate", paper_experiment(1))
+    assert "recording.path: rle/special" in recording
+    assert "ground_truth.path: rle/" in truth
 
 
 def test_ls_lists_what_there_is(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -154,7 +164,7 @@ def test_a_network_that_cannot_be_written_is_refused_in_a_line(tmp_path: Path) -
 
 def test_validate_knows_simulated_drives(tmp_path: Path) -> None:
     experiment = write_experiment(tmp_path / "e.yaml", recording={"simulate": "quikstart"})
-    said = refused("validate", experiment)
+    said, _ = problems("validate", experiment)
     assert "recording.simulate: unknown preset 'quikstart' (did you mean 'quickstart'?)" in said
 
 
