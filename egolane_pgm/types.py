@@ -116,6 +116,13 @@ def _node(key: Observed, shape: tuple[int, ...]) -> str:
     return f"{key if isinstance(key, str) else ', '.join(key)} ({' x '.join(map(str, shape))})"
 
 
+def _as_array(node: Observed, values: Any) -> FloatArray:
+    try:
+        return np.array(values, dtype=np.float64, ndmin=1)
+    except (TypeError, ValueError) as error:
+        raise InputError(f"evidence for {node}: is no array of numbers") from error
+
+
 def _check_frame_ids(frame_id: IntArray, what: str) -> None:
     if frame_id.ndim != 1:
         raise InputError(f"{what}: frame_id has shape {frame_id.shape}, needs one id per frame")
@@ -320,13 +327,12 @@ class LaneTruth:
 class Evidence:
     """Soft evidence, frame by frame.
 
-    - likelihoods: per observed node (or tuple of nodes observed jointly) an array
+    - likelihoods: per observed node (or tuple of nodes observed jointly) an array, or lists,
       (T, *cardinalities) of non-negative, finite likelihoods, which need not sum to one.
     - inputs: per input node the index of its value in each frame (T,).
 
-    >>> import numpy as np
     >>> import egolane_pgm as ego
-    >>> ego.Evidence({"DetectorOutput": np.array([[0.9, 0.1, 0.0], [0.3, 0.4, 0.3]])})
+    >>> ego.Evidence({"DetectorOutput": [[0.9, 0.1, 0.0], [0.3, 0.4, 0.3]]})
     Evidence(2 frames: DetectorOutput (3))
     """
 
@@ -339,6 +345,9 @@ class Evidence:
         return f"Evidence({len(self)} frames: {', '.join(nodes)})"
 
     def __post_init__(self) -> None:
+        if not all(isinstance(values, np.ndarray) for values in self.likelihoods.values()):
+            made = {node: _as_array(node, values) for node, values in self.likelihoods.items()}
+            object.__setattr__(self, "likelihoods", made)
         lengths = {len(a) for a in (*self.likelihoods.values(), *self.inputs.values())}
         if len(lengths) > 1:
             raise InputError(f"evidence: the arrays have different lengths {sorted(lengths)}")

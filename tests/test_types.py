@@ -190,6 +190,14 @@ def test_evidence_that_is_negative_or_no_number_is_refused_naming_node_and_frame
         Evidence({"WOR": values})
 
 
+def test_evidence_may_be_given_in_lists() -> None:
+    found = Evidence({"DetectorOutput": [[1, 0], [0.5, 0.5]]})  # type: ignore[dict-item]
+    np.testing.assert_array_equal(found.likelihoods["DetectorOutput"], [[1, 0], [0.5, 0.5]])
+    for wrong in ([[1, 0], [1]], [["a", "b"]], None):
+        with pytest.raises(InputError, match="evidence for DetectorOutput: "):
+            Evidence({"DetectorOutput": wrong})  # type: ignore[dict-item]
+
+
 def test_evidence_may_be_zero_and_need_not_sum_to_one() -> None:
     evidence = Evidence({"A": np.array([[0.0, 0.0], [5.0, 3.0]])}, {"I": np.array([0, 1])})
     assert len(evidence) == 2
