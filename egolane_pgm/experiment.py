@@ -379,7 +379,8 @@ def _overridden(content: dict[str, Any], overrides: Overrides) -> dict[str, Any]
         return content
     if isinstance(overrides, Mapping):
         return _merged(content, _nested(overrides), removes=True)
-    if isinstance(overrides, str) or not all(isinstance(each, str) for each in overrides):
+    is_list = isinstance(overrides, Iterable) and not isinstance(overrides, str)
+    if not is_list or not all(isinstance(each, str) for each in overrides):
         raise InputError(f"overrides: {overrides!r}: needs a dict, or a list of key=value")
     for override in overrides:
         _override(content, override)

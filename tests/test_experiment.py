@@ -314,7 +314,7 @@ def test_overrides_that_do_not_fit_are_named(tmp_path: Path) -> None:
             load_experiment(path, wrong)  # type: ignore[arg-type]
     with pytest.raises(InputError, match="name: input should be a valid string"):
         load_experiment(path, {"name.x": 1})
-    for neither in ("n_lanes=4", [("n_lanes", 4)]):
+    for neither in ("n_lanes=4", [("n_lanes", 4)], 4):
         with pytest.raises(InputError, match="needs a dict, or a list of key=value"):
             load_experiment(path, neither)  # type: ignore[arg-type]
     assert load_experiment(path, None) == load_experiment(path, {}) == load_experiment(path)
