@@ -163,7 +163,7 @@ def differences_figure(document: Mapping[str, Any]) -> Figure:
     found = {name: _differences(document, name) for name in names[1:]}
     titles, recordings = list(found[names[1]]), document["recordings"]
     values = [v for each in found.values() for bounds in each.values() for v in bounds or ()]
-    reach = 1.05 * max(map(abs, values), default=1.0)
+    reach = 1.15 * max(map(abs, values), default=1.0)
     rows, columns = -(-len(found) // _PANELS), min(_PANELS, len(found))
     margin = 0.3 + 0.07 * max(map(len, titles))
     height = _ROW * len(titles) + 0.1
