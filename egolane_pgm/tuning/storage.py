@@ -6,6 +6,8 @@ Optuna's own commands, its dashboard and `optuna.load_study` read all of them.
 from __future__ import annotations
 
 import json
+import signal
+import threading
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
@@ -51,17 +53,40 @@ class _Journal(JournalFileBackend):
     def append_logs(self, logs: list[dict[str, Any]]) -> None:
         lines = "".join(json.dumps(log, separators=(",", ":")) + "\n" for log in logs)
         try:
-            self.lock.acquire()
-            try:
-                with self.path.open("ab", buffering=0) as file:
-                    size = file.tell()
-                    if file.write(lines.encode()) < len(lines.encode()):
-                        file.truncate(size)
-                        raise OSError(28, "No space left on device")
-            finally:
-                self.lock.release()
+            # A lock that an interruption left behind would be waited for.
+            with _interrupted_later():
+                self.lock.acquire()
+                try:
+                    with self.path.open("ab", buffering=0) as file:
+                        size = file.tell()
+                        if file.write(lines.encode()) < len(lines.encode()):
+                            file.truncate(size)
+                            raise OSError(28, "No space left on device")
+                finally:
+                    self.lock.release()
         except OSError as error:
             raise InputError(f"{self.path}: cannot be written: {error.strerror}") from error
+
+
+@contextmanager
+def _interrupted_later() -> Iterator[None]:
+    """Let a signal that comes while the block runs take effect once it has ended."""
+    if threading.current_thread() is not threading.main_thread():
+        # Signals are handled in the main thread only.
+        yield
+        return
+    came: list[int] = []
+    before = {
+        which: signal.signal(which, lambda number, _: came.append(number))
+        for which in (signal.SIGINT, signal.SIGTERM)
+    }
+    try:
+        yield
+    finally:
+        for which, handler in before.items():
+            signal.signal(which, handler)
+        for number in came:
+            signal.raise_signal(number)
 
 
 def open_storage(url: str | None, directory: Path) -> BaseStorage:

@@ -19,7 +19,7 @@ from typing import Any
 import optuna
 import pytest
 from optuna.storages import JournalStorage
-from optuna.storages.journal import JournalFileBackend
+from optuna.storages.journal import JournalFileBackend, JournalFileOpenLock
 from optuna.trial import TrialState
 
 from egolane_pgm.tuning import storage as module
@@ -99,6 +99,32 @@ def test_an_interruption_at_the_lock_of_a_journal_comes_out_as_itself(
     with pytest.raises(KeyboardInterrupt):
         search(study, SPACE, bowl, settings(15))
     assert next(calls) > 50
+
+
+@pytest.mark.parametrize("step", ["acquire", "release"])
+def test_ctrl_c_at_the_lock_of_a_journal_leaves_no_lock_behind(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, step: str
+) -> None:
+    monkeypatch.setattr(module, "LOCK_GRACE_S", 60)
+    study = study_in(tmp_path)
+    original = getattr(JournalFileOpenLock, step)
+    calls = itertools.count()
+
+    def interrupted(lock: JournalFileOpenLock) -> Any:
+        if step == "release" and next(calls) == 50:
+            signal.raise_signal(signal.SIGINT)
+        found = original(lock)
+        if step == "acquire" and next(calls) == 50:
+            signal.raise_signal(signal.SIGINT)
+        return found
+
+    monkeypatch.setattr(JournalFileOpenLock, step, interrupted)
+    begun = time.monotonic()
+    with pytest.raises(KeyboardInterrupt):
+        search(study, SPACE, bowl, settings(15))
+    assert time.monotonic() - begun < 5
+    assert next(calls) > 50
+    assert sorted(path.name for path in tmp_path.iterdir()) == [JOURNAL_NAME]
 
 
 def test_optuna_reads_the_journal_and_copies_it_to_a_database(tmp_path: Path) -> None:
