@@ -6,7 +6,7 @@ ifneq ($(wildcard ../shared/data/rle),)
 export EGOLANE_DATA ?= $(abspath ../shared/data)
 endif
 
-.PHONY: run test check bench coverage notebooks paper graphs camera rendered clean
+.PHONY: run test check bench coverage notebooks paper graphs beyond camera rendered clean
 
 run: .venv/.run
 	$(BIN)/egolane run experiments/quickstart.yaml
@@ -65,6 +65,10 @@ graphs: .venv/.run
 	$(BIN)/egolane compare --graphs $(GRAPHS) --held-out --set filter=exact $(SEARCH) --differences results/graphs/graphs.png > results/graphs/graphs.md
 	$(BIN)/egolane compare $(EM) experiments/graphs/start.yaml --runs 1-10 --jobs 2 > results/graphs/learned.md
 	$(BIN)/egolane compare experiments/graphs/searched.yaml $(OTHERS) --runs 1-10 $(SEARCH) > results/graphs/learned_or_searched.md
+
+# What results/beyond/ holds of recordings by other detectors (a quarter of an hour of one core).
+beyond: .venv/.dev
+	$(BIN)/python -m tests.beyond_figures strangers > results/beyond/strangers.md
 
 # What results/camera/ holds of real pictures, made from those in EGOLANE_DATA.
 camera: .venv/.dev
