@@ -20,6 +20,8 @@ if TYPE_CHECKING:
     from egolane_pgm.api.comparisons import compare as compare
     from egolane_pgm.api.detections import DetectResult as DetectResult
     from egolane_pgm.api.detections import detect as detect
+    from egolane_pgm.api.labels import LabelResult as LabelResult
+    from egolane_pgm.api.labels import label as label
     from egolane_pgm.api.learned import LearnResult as LearnResult
     from egolane_pgm.api.learned import learn as learn
     from egolane_pgm.api.loaded import load_result as load_result
@@ -56,6 +58,7 @@ _PUBLIC = {
     "compare": "api.comparisons",
     "reproduce": "api.reproduction",
     "detect": "api.detections",
+    "label": "api.labels",
     "load_result": "api.loaded",
     "compile": "inference.compile",
     "draw_network": "api.networks",
@@ -66,6 +69,7 @@ _PUBLIC = {
     "CompareResult": "api.comparisons",
     "ReproduceResult": "api.reproduction",
     "DetectResult": "api.detections",
+    "LabelResult": "api.labels",
     "filter_beliefs": "inference.filtering",
     "smooth_beliefs": "inference.smoothing",
     "unrolled": "inference.unrolling",

@@ -75,7 +75,7 @@ def test_editors_and_type_checkers_see_the_public_names_too() -> None:
 
 
 def test_every_verb_of_the_commands_is_a_function() -> None:
-    for verb in ("run", "tune", "learn", "compare", "reproduce", "detect"):
+    for verb in ("run", "tune", "learn", "compare", "reproduce", "detect", "label"):
         assert verb in COMMANDS
         assert callable(getattr(ego, verb))
 

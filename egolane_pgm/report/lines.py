@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
+from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from egolane_pgm.report.style import FAINT, MODEL_COLOUR, axes_at, new_figure, put_title
@@ -19,6 +20,13 @@ def lines_figure(log: LineLog, title: str) -> Figure:
     figure = new_figure(9.0, 3.6)
     put_title(figure, title, 0.75, 10)
     ax = axes_at(figure, 0.75, 0.4, 8.1, 2.7)
+    draw_lines(ax, log)
+    ax.set_xlabel("time [s]", fontsize=9)
+    return figure
+
+
+def draw_lines(ax: Axes, log: LineLog) -> None:
+    """Draw the offsets of the lines over time, in metres, left above."""
     time = np.broadcast_to(log.time_s[:, np.newaxis], log.offset_m.shape)
     for chosen, colour, label in (
         (~log.is_valid, FAINT, "not valid"),
@@ -31,9 +39,10 @@ def lines_figure(log: LineLog, title: str) -> Figure:
     # Left of the vehicle is above, as lane 1 is in the strips.
     ax.invert_yaxis()
     ax.axhline(0, color=FAINT, linewidth=0.8, zorder=0)
-    ax.set_xlabel("time [s]", fontsize=9)
     ax.set_ylabel("offset [m], left above", fontsize=9)
     ax.tick_params(labelsize=8)
     if ax.lines[1:]:
-        ax.legend(fontsize=8, loc="upper right", frameon=False, ncols=3, markerscale=4)
-    return figure
+        ax.legend(
+            fontsize=8, loc="lower right", bbox_to_anchor=(1, 1), frameon=False, ncols=3,
+            markerscale=4, borderaxespad=0.2,
+        )  # fmt: skip

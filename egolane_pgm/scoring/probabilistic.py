@@ -170,6 +170,12 @@ class CoverageCurve:
             return 0.0, float("nan")
         return float(self.coverage[k]), float(self.accuracy[k])
 
+    def accuracy_of_surest(self, share: float) -> float:
+        """The accuracy of the surest answers, as few as make up that share of the frames; NaN where
+        fewer are answered."""
+        enough = np.flatnonzero(self.answered >= share * self.frames_scored)
+        return float(self.accuracy[enough[0]]) if len(enough) else float("nan")
+
 
 def coverage_curve(belief: ArrayLike, lane: ArrayLike, is_crossing: ArrayLike) -> CoverageCurve:
     """The curve of a belief (T, n), rows summing to 1, against lane (T,) and is_crossing (T,).
@@ -185,14 +191,23 @@ def coverage_curve(belief: ArrayLike, lane: ArrayLike, is_crossing: ArrayLike) -
     assigned = assigned_lane(values)
     is_answered = is_scored & (assigned != UNASSIGNED)
     largest = values[is_answered].max(axis=1) if is_answered.any() else np.zeros(0)
-    is_right = (assigned == actual)[is_answered]
-    order = np.argsort(-largest, kind="stable")
-    largest, right = largest[order], np.cumsum(is_right[order])
+    return answers_curve(largest, (assigned == actual)[is_answered], int(is_scored.sum()))
+
+
+def answers_curve(
+    confidence: FloatArray, is_right: BoolArray, frames_scored: int | None = None
+) -> CoverageCurve:
+    """The curve of A answers: how sure each is (A,), and whether it is right (A,).
+
+    - frames_scored: number of frames that could have been answered, A by default.
+    """
+    order = np.argsort(-confidence, kind="stable")
+    sorted_, right = confidence[order], np.cumsum(is_right[order])
     # The last of equal probabilities: they are answered together or not at all.
-    last = np.flatnonzero(np.append(largest[1:] != largest[:-1], largest.size > 0))
+    last = np.flatnonzero(np.append(sorted_[1:] != sorted_[:-1], sorted_.size > 0))
     return CoverageCurve(
-        threshold=largest[last],
+        threshold=sorted_[last],
         answered=(last + 1).astype(np.int64),
         right=right[last].astype(np.int64),
-        frames_scored=int(is_scored.sum()),
+        frames_scored=len(confidence) if frames_scored is None else frames_scored,
     )

@@ -1,0 +1,147 @@
+"""The command `egolane label`: lane labels of a recording, and what a human should look at."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import click
+
+from egolane_pgm.api.labels import EXPERIMENT, LabelResult, review_rows
+from egolane_pgm.api.labels import label as label_recording
+from egolane_pgm.cli import options
+from egolane_pgm.experiment import load_experiment
+from egolane_pgm.files import check_not_read, write_json
+from egolane_pgm.labelling import BELOW
+from egolane_pgm.loading import as_name, named_files
+from egolane_pgm.report.tables import markdown, score_text
+from egolane_pgm.results import SCHEMA_VERSION, check_writable
+from egolane_pgm.types import InputError
+
+#: How many stretches of the review list are printed.
+SHOWN = 10
+
+
+@click.command()
+@click.argument("recording", required=False)
+@click.option("--n-lanes", type=int, help="Number of lanes of the road.")
+@click.option(
+    "--experiment",
+    type=click.Path(dir_okay=False),
+    help=f"What labels it.  [default: experiments/{EXPERIMENT}]",
+)
+@options.overrides("Override a key of the experiment, e.g. recording.frame_rate=25.")
+@click.option(
+    "--below",
+    type=click.FloatRange(0, 1),
+    default=BELOW,
+    show_default=True,
+    help="Frames whose label has a smaller probability are looked at.",
+)
+@click.option("--ground-truth", metavar="FILE", help="Annotation to score the labels with.")
+@click.option("--camera", metavar="FILE", help="Its camera, for a video or pictures.")
+@click.option("--detector", metavar="NAME|FILE.py", help="What looks at the video.")
+@click.option("--out", type=click.Path(file_okay=False), help="Folder of the labels.")
+@click.option("--no-figures", is_flag=True, help="Draw nothing.")
+@options.json_file
+def label(
+    recording: str | None,
+    n_lanes: int | None,
+    experiment: str | None,
+    overrides: tuple[str, ...],
+    below: float,
+    ground_truth: str | None,
+    camera: str | None,
+    detector: str | None,
+    out: str | None,
+    no_figures: bool,
+    json_file: Path | None,
+) -> None:
+    """Label the lanes of a RECORDING, and list the frames that a human should look at.
+
+    The whole recording is known (smoothed beliefs, lane width of all frames), and no label is
+    needed. labels.txt in the output folder is a ground-truth file as `egolane run --ground-truth`
+    reads it, review.csv and figures/ are for whoever checks it. Without RECORDING the
+    --experiment's own is labelled.
+    """
+    if "" in (recording, ground_truth, camera, out, experiment):
+        raise InputError("label: a file or folder that is named is empty")
+    name = as_name(Path(recording or experiment or "recording").stem)
+    directory = Path(out or Path("results") / f"{name}_labels")
+    check_writable(directory)
+    if json_file:
+        files = [Path(f) for f in (recording, ground_truth, camera) if f and f != "none"]
+        named = [] if experiment is None else named_files(load_experiment(experiment, overrides))
+        check_not_read(json_file, [*files, *named])
+    found = label_recording(
+        recording,
+        n_lanes=n_lanes,
+        experiment=experiment,
+        overrides=overrides,
+        ground_truth=ground_truth,
+        below=below,
+        camera=camera,
+        detector=detector,
+    )
+    found.save(directory, figures=not no_figures)
+    # The file is written before anything is printed, because a reader may close the pipe.
+    if json_file:
+        write_json(json_file, _document(found))
+    _print(found, directory)
+
+
+def _document(found: LabelResult) -> dict[str, object]:
+    return {
+        "schema_version": SCHEMA_VERSION,
+        "name": found.name,
+        "n_lanes": found.labels.run.experiment.n_lanes,
+        "frames": len(found),
+        "below": found.labels.below,
+        "reviewed": float(found.labels.is_reviewed.mean()),
+        "review": found.review.to_dict("records"),
+        "doubted": found.doubted.to_dict("records"),
+        "warnings": found.notes,
+        "scores": found.scores,
+    }
+
+
+def _print(found: LabelResult, directory: Path) -> None:
+    for note in found.notes:
+        click.echo(f"warning: {note}", err=True)
+    click.echo(found.title())
+    click.echo("labels know the whole recording: for the frames themselves, not for a causal score")
+    worst = found.labels.worst[:SHOWN]
+    if worst:
+        click.echo(f"\nto review, those first in which most frames may be wrong ({len(worst)} of"
+                   f" {len(found.labels.review)}):\n")  # fmt: skip
+        click.echo(markdown(*review_rows(worst)))
+    if found.scores:
+        click.echo("\n" + scores_text(found))
+    click.echo(f"\nlabels: {directory / 'labels.txt'}")
+
+
+def scores_text(found: LabelResult) -> str:
+    """What the ground truth says about the labels."""
+    scores = found.scores
+    which = "trusted, " if scores["trusted_only"] else ""
+    shares = [f"{float(share):.0%}" for share in scores["surest"]]
+    table = markdown(
+        ["surest frames", *shares],
+        [["right", *(score_text(right, 4) for right in scores["surest"].values())]],
+    )
+    reviewed = score_text(scores["reviewed"])
+    right = score_text(scores["unreviewed"], 4)
+    lines = [
+        f"{scores['frames_scored']} {which}annotated frames (crossing ones are not scored):",
+        "",
+        table,
+        "",
+        f"share on the review list: {reviewed}",
+        f"right of those that are neither on it nor labelled as crossing: {right}"
+        f" ({scores['wrong_unreviewed']} wrong)",
+        f"crossing frames: precision {score_text(scores['crossing_precision'])},"
+        f" recall {score_text(scores['crossing_recall'])}",
+    ]
+    n_doubted = len(found.doubted)
+    if n_doubted:
+        lines.append(f"{n_doubted} stretch(es) in which a sure label contradicts it: doubted.csv")
+    return "\n".join(lines)

@@ -1,0 +1,415 @@
+"""Lane labels of a recording that nobody annotated, and which of them a human should look at.
+
+A labeller is not in a hurry, so it knows the whole recording: the beliefs are smoothed, and where
+the evidence rule estimates a lane width, it does so from all frames.
+
+The labels are the most probable path through the smoothed beliefs over lanes (Viterbi's recursion
+on posterior probabilities: Fariselli, Martelli and Casadio 2005). It differs from the most probable
+lane of each frame in that a lane change happens once, also where the car stays on the line for
+seconds and the belief hovers about a half. The most probable path of the joint state
+(`inference.viterbi`) is the second opinion: one story out of many, it may hold a lane for minutes
+that the belief hardly gives a chance. Where it says another lane, the review list tells.
+
+The confidence of a frame is the smoothed probability of its label.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+
+from egolane_pgm.experiment import Experiment, load_experiment
+from egolane_pgm.files import plain
+from egolane_pgm.inference.kernels.sweeps import best_path
+from egolane_pgm.inference.viterbi import viterbi_path
+from egolane_pgm.model import Drive
+from egolane_pgm.plugins import declared_parameters, load_rule_and_graph
+from egolane_pgm.running import Run, run_experiment
+from egolane_pgm.scoring.probabilistic import answers_curve
+from egolane_pgm.scoring.summary import score_with_intervals
+from egolane_pgm.types import BoolArray, FloatArray, InputError, IntArray, LaneTruth
+
+#: Frames whose label has a smaller probability are looked at.
+BELOW = 0.99
+
+#: The weight of a path that changes lane once more, per frame in which it could. Between .1 and
+#: .001 the labels of the paper's recordings hardly differ.
+CHANGE_WEIGHT = 0.01
+
+#: A car is half a lane wide. While its middle is closer to a line than this, it is on the line.
+ON_LINE = 0.25
+
+#: Without a position in the lane, frames within this time of a lane change are crossing, seconds.
+BESIDE_S = 1.0
+
+#: Stretches that are closer to each other are looked at together, seconds.
+JOIN_S = 1.0
+
+#: What holds in this share of a stretch's frames is said of it.
+SOME = 0.25
+
+#: A lane that reaches this probability in a stretch is in question there.
+QUESTIONED = 0.05
+
+#: Shares of the frames, the surest ones, of which the accuracy is told.
+SHARES = (1.0, 0.98, 0.95, 0.9)
+
+
+@dataclass(frozen=True)
+class Stretch:
+    """Frames in a row that a human should look at.
+
+    - start, stop: the row of its first frame, and the one after its last.
+    - first, last: frame ids. first_s, last_s: seconds.
+    - lanes: those that are in question.
+    - lowest: the lowest confidence.
+    - expected_wrong: the sum of what the confidences lack to one: how many of the frames are wrong
+      if the model is right.
+    - why: what makes them hard, where that can be said.
+    """
+
+    start: int
+    stop: int
+    first: int
+    last: int
+    first_s: float
+    last_s: float
+    lanes: tuple[int, ...]
+    lowest: float
+    expected_wrong: float
+    why: str
+
+    def __len__(self) -> int:
+        return self.stop - self.start
+
+
+@dataclass(frozen=True)
+class Labels:
+    """The labels of T frames.
+
+    - run: the experiment, smoothed.
+    - lane (T,): 1 (leftmost) to n.
+    - possible (T, n): marks the label's lane and, while the car crosses a line, the lane on the
+      line's other side.
+    - story (T,): the lane on the most probable path of the joint state.
+    - below: frames with less confidence are reviewed.
+    """
+
+    run: Run
+    lane: IntArray
+    possible: BoolArray
+    story: IntArray
+    below: float
+
+    def __len__(self) -> int:
+        return len(self.lane)
+
+    @property
+    def frame_id(self) -> IntArray:
+        """(T,)."""
+        return self.run.recorded.log.frame_id
+
+    @property
+    def is_crossing(self) -> BoolArray:
+        """(T,): marks frames in which the car crosses a line on its way to another lane."""
+        return np.asarray(self.possible.sum(axis=1) > 1)
+
+    @property
+    def confidence(self) -> FloatArray:
+        """(T,): the smoothed probability of the label."""
+        return self.run.beliefs.lane[np.arange(len(self)), self.lane - 1]
+
+    @property
+    def is_doubtful(self) -> BoolArray:
+        """(T,): marks frames whose confidence is too low. While the car crosses a line both lanes
+        are right, so that their probabilities count together."""
+        return np.asarray((self.run.beliefs.lane * self.possible).sum(axis=1) < self.below)
+
+    @property
+    def truth(self) -> LaneTruth:
+        """The labels as what a ground-truth file says."""
+        return LaneTruth(self.frame_id, self.lane, self.is_crossing, "labels")
+
+    @cached_property
+    def review(self) -> tuple[Stretch, ...]:
+        """The stretches that a human should look at, in their order."""
+        time_s = self.run.recorded.log.time_s
+        return tuple(self.stretch(a, b) for a, b in joined(self.is_doubtful, time_s))
+
+    @property
+    def is_reviewed(self) -> BoolArray:
+        """(T,): marks the frames of these stretches."""
+        found = np.zeros(len(self), dtype=bool)
+        for each in self.review:
+            found[each.start : each.stop] = True
+        return found
+
+    @property
+    def worst(self) -> list[Stretch]:
+        """The stretches, those first in which most frames are expected to be wrong."""
+        return sorted(self.review, key=lambda each: -each.expected_wrong)
+
+    def stretch(self, start: int, stop: int) -> Stretch:
+        """What there is to say about the frames in some rows."""
+        log, rows = self.run.recorded.log, slice(start, stop)
+        belief, confidence = self.run.beliefs.lane[rows], self.confidence[rows]
+        questioned = belief.max(axis=0) >= QUESTIONED
+        questioned[self.lane[rows] - 1] = True
+        questioned[np.argsort(belief[np.argmin(confidence)])[-2:]] = True
+        return Stretch(
+            start,
+            stop,
+            int(log.frame_id[start]),
+            int(log.frame_id[stop - 1]),
+            float(log.time_s[start]),
+            float(log.time_s[stop - 1]),
+            tuple(int(k) + 1 for k in np.flatnonzero(questioned)),
+            float(confidence.min()),
+            float((1 - confidence).sum()),
+            "; ".join(_reasons(self, rows)),
+        )
+
+    def stretches(self, marked: BoolArray) -> list[Stretch]:
+        """The runs of marked frames, (T,)."""
+        return [self.stretch(a, b) for a, b in runs_of(marked)]
+
+
+def label_experiment(experiment: Experiment, below: float = BELOW) -> Labels:
+    """Label the recording of an experiment, which is run smoothed.
+
+    - below: frames with less confidence are put on the review list.
+
+    Raises InputError as `run_experiment` does, and for a threshold that is no probability.
+    """
+    if not 0 <= below <= 1:
+        raise InputError(f"below: {below} is not a probability (0 to 1)")
+    run = run_experiment(_looking_back(experiment))
+    if not len(run.beliefs):
+        raise InputError(f"{run.recorded.log.source}: has no frames to label")
+    beliefs, log = run.beliefs, run.recorded.log
+    lane = lane_path(beliefs.lane)
+    possible = crossed_lanes(lane, log.time_s, beliefs.marginals)
+    story = viterbi_path(run.model.compiled, run.evidence, frame_id=log.frame_id).lane
+    scores = dict(run.scores)
+    if run.recorded.truth is not None:
+        k = run.recorded.scored
+        rate = run.experiment.recording.frame_rate
+        scores["model"] = score_with_intervals(
+            beliefs.lane[k], run.recorded.truth, rate, assigned=lane[k]
+        )
+    return Labels(replace(run, assigned=lane, scores=scores), lane, possible, story, below)
+
+
+def _looking_back(experiment: Experiment) -> Experiment:
+    """The experiment with all that a labeller may know."""
+    keys: dict[str, Any] = {
+        "filter": "smoothed",
+        "lag": None,
+        "decode": "marginal",
+        "unassigned_below": 0.0,
+    }
+    parts = (experiment.evidence, experiment.graph, experiment.folder, experiment.source)
+    for each in declared_parameters(*load_rule_and_graph(*parts)):
+        # What is estimated from the frames so far is, if it can be, from all of them.
+        given = experiment.parameters.get(each.name, each.default)
+        if given == "causal" and "auto" in each.choices:
+            keys[f"parameters.{each.name}"] = "auto"
+    return load_experiment(experiment, keys)
+
+
+def lane_path(belief: FloatArray) -> IntArray:
+    """(T,): the lanes, from 1, of the path with the largest product of beliefs (T, n), in which
+    each step of k lanes weighs CHANGE_WEIGHT ** k."""
+    n_frames, n_lanes = belief.shape
+    lanes = np.arange(n_lanes)
+    step = np.log(CHANGE_WEIGHT) * np.abs(lanes[:, None] - lanes)
+    path = np.zeros(n_frames, dtype=np.int64)
+    if n_frames:
+        with np.errstate(divide="ignore"):
+            log_belief = np.log(belief)
+        index = np.zeros(n_frames, dtype=np.int64)
+        best_path(np.zeros((1, n_lanes)), step[None], log_belief, index, path)
+    return path + 1
+
+
+def crossed_lanes(
+    lane: IntArray, time_s: FloatArray, marginals: Mapping[str, FloatArray]
+) -> BoolArray:
+    """(T, n): the lanes that the car is in: one, or two in the frames in which it crosses the line
+    between them on a lane change (more where it jumps over lanes).
+
+    - lane, time_s (T,): the labels, and seconds.
+    - marginals: the beliefs over Lane (T, n) and, where the graph has it, RoadPosition (T, n times
+      cells).
+
+    These are the frames in a row around a change of the label in which the car's middle is more
+    probably than not within ON_LINE of the line; without a position in the lane, those within
+    BESIDE_S. The two frames between which the label changes belong to them in any case. A change
+    while nothing was recorded has none.
+    """
+    n_frames, n_lanes = marginals["Lane"].shape
+    position = _positions(marginals)
+    possible = lane[:, None] == np.arange(1, n_lanes + 1)
+    is_next = np.append(np.diff(time_s) <= BESIDE_S, False)
+    for t in np.flatnonzero(np.diff(lane) != 0):
+        if not is_next[t]:
+            continue
+        before, after = int(lane[t]), int(lane[t + 1])
+        near = np.abs(time_s - (time_s[t] + time_s[t + 1]) / 2) <= BESIDE_S
+        if position is not None:
+            # Lane k reaches from k - 1 to k, so that this is the line between two neighbours.
+            line, reach = (before + after - 1) / 2, ON_LINE + (abs(before - after) - 1) / 2
+            near = position.within(line - reach, line + reach) > 0.5
+        start, stop = t, t + 1
+        while start > 0 and near[start - 1] and lane[start - 1] == before and is_next[start - 1]:
+            start -= 1
+        while stop + 1 < n_frames and near[stop + 1] and lane[stop + 1] == after and is_next[stop]:
+            stop += 1
+        possible[start : stop + 1, min(before, after) - 1 : max(before, after)] = True
+    return np.asarray(possible)
+
+
+@dataclass(frozen=True)
+class _Positions:
+    """The belief over the car's place across the road: cell (T, n cells), and the middle of each
+    cell (n cells,), lane widths from the road's left edge."""
+
+    cell: FloatArray
+    middle: FloatArray
+
+    def within(self, low: float, high: float) -> FloatArray:
+        """(T,): the probability of a place between the two."""
+        return np.asarray(self.cell[:, (self.middle > low) & (self.middle < high)].sum(axis=1))
+
+
+def _positions(marginals: Mapping[str, FloatArray]) -> _Positions | None:
+    """The belief over places, where the graph has it: RoadPosition, an equal number of cells per
+    lane."""
+    cell, n_lanes = marginals.get("RoadPosition"), marginals["Lane"].shape[1]
+    if cell is None or cell.shape[1] % n_lanes:
+        return None
+    n_cells = cell.shape[1]
+    return _Positions(cell, (np.arange(n_cells) + 0.5) * n_lanes / n_cells)
+
+
+def _on_a_line(marginals: Mapping[str, FloatArray]) -> FloatArray:
+    """(T,): the probability that the car is on a line between two lanes; 0 where it is unknown."""
+    lane, position = marginals["Lane"], _positions(marginals)
+    if position is None:
+        return np.zeros(len(lane))
+    lines = range(1, lane.shape[1])
+    near = [position.within(line - ON_LINE, line + ON_LINE) for line in lines]
+    return np.asarray(np.sum([np.zeros(len(lane)), *near], axis=0))
+
+
+def runs_of(marked: BoolArray) -> list[tuple[int, int]]:
+    """The runs of marked rows, (T,): the first row of each, and the one after its last."""
+    edge = np.diff(np.concatenate([[0], marked.astype(np.int64), [0]]))
+    starts, stops = np.flatnonzero(edge == 1), np.flatnonzero(edge == -1)
+    return [(int(a), int(b)) for a, b in zip(starts, stops, strict=True)]
+
+
+def joined(marked: BoolArray, time_s: FloatArray) -> list[tuple[int, int]]:
+    """As `runs_of`, those that lie within JOIN_S of each other together."""
+    found: list[tuple[int, int]] = []
+    for start, stop in runs_of(marked):
+        if found and time_s[start] - time_s[found[-1][1] - 1] <= JOIN_S:
+            found[-1] = (found[-1][0], stop)
+        else:
+            found.append((start, stop))
+    return found
+
+
+def _reasons(labels: Labels, rows: slice) -> list[str]:
+    """What makes some frames hard, a few words each."""
+    run, log = labels.run, labels.run.recorded.log
+    marginals, n_frames = run.beliefs.marginals, len(labels)
+    found = []
+    if rows.start == 0:
+        found.append("the recording begins")
+    if rows.stop == n_frames:
+        found.append("the recording ends")
+    # From the frame before to the one after.
+    gaps = np.diff(log.frame_id[max(rows.start - 1, 0) : rows.stop + 1]) - 1
+    missing = int(gaps.sum() + log.is_missing[rows].sum())
+    if missing >= SOME * (rows.stop - rows.start):
+        found.append(f"{missing} frames were not recorded")
+    blind = float((~log.is_valid[rows].any(axis=1)).mean())
+    if blind >= SOME:
+        found.append(f"no valid line in {blind:.0%} of the frames")
+    sensor = run.model.compiled.values.get("SensorState", ())
+    if "OK" in sensor:
+        is_ok = float(marginals["SensorState"][rows, list(sensor).index("OK")].mean())
+        if is_ok < 0.5:
+            found.append(f"the sensor is believed to work with probability {is_ok:.2f} only")
+    if run.beliefs.is_impossible[rows].any():
+        found.append("the model holds the evidence of some frames for impossible")
+    on_line = float(_on_a_line(marginals)[rows].mean())
+    if on_line >= 0.5:
+        found.append("the car is on a line")
+    other = labels.story[rows] != labels.lane[rows]
+    if other.mean() >= SOME:
+        lanes = " and ".join(map(str, np.unique(labels.story[rows][other])))
+        found.append(f"the most probable single story is in lane {lanes} for {other.sum()} frames")
+    return found
+
+
+def label_scores(labels: Labels) -> dict[str, Any]:
+    """How good the labels are, where there is ground truth; empty without.
+
+    - frames_scored: annotated frames that are not crossing; frames whose annotation an experiment
+      does not trust (`tuning.never_fit`) do not count.
+    - surest: the accuracy of each of SHARES of them, those with the highest confidence.
+    - reviewed: the share of them on the review list.
+    - unreviewed: the accuracy of those that are neither on it nor labelled as crossing.
+    - wrong_unreviewed: how many of these are wrong.
+    - crossing_precision, crossing_recall: of the labelled crossing frames against the annotated.
+
+    A score without a frame is None.
+    """
+    run = labels.run
+    truth, rows = run.recorded.truth, run.recorded.scored
+    if truth is None:
+        return {}
+    tuning = run.experiment.tuning
+    trusted = Drive(
+        run.experiment, run.model, run.recorded, () if tuning is None else tuning.never_fit
+    ).may_fit
+    keep = trusted & ~truth.is_crossing
+    is_right, crossing = labels.lane[rows] == truth.lane, labels.is_crossing[rows]
+    curve = answers_curve(labels.confidence[rows][keep], is_right[keep])
+    reviewed = labels.is_reviewed[rows]
+    alone = keep & ~reviewed & ~crossing
+    both = (crossing & truth.is_crossing & trusted).sum()
+    return {
+        "frames_scored": int(keep.sum()),
+        "trusted_only": not bool(trusted.all()),
+        "surest": {f"{share:g}": plain(curve.accuracy_of_surest(share)) for share in SHARES},
+        "reviewed": _share((reviewed & keep).sum(), keep.sum()),
+        "unreviewed": _share((is_right & alone).sum(), alone.sum()),
+        "wrong_unreviewed": int(np.count_nonzero(~is_right & alone)),
+        "crossing_precision": _share(both, (crossing & trusted).sum()),
+        "crossing_recall": _share(both, (truth.is_crossing & trusted).sum()),
+    }
+
+
+def _share(part: Any, whole: Any) -> float | None:
+    return float(part / whole) if whole else None
+
+
+def doubted(labels: Labels, sure: float | None = None) -> BoolArray:
+    """(T,): marks frames in which a sure label contradicts the annotation, and neither says that
+    the car is crossing a line.
+
+    - sure: the confidence that is needed, the labels' threshold by default.
+    """
+    found = np.zeros(len(labels), dtype=bool)
+    truth, rows = labels.run.recorded.truth, labels.run.recorded.scored
+    if truth is not None:
+        found[rows] = (labels.lane[rows] != truth.lane) & ~truth.is_crossing
+    is_sure = labels.confidence >= (labels.below if sure is None else sure)
+    return found & is_sure & ~labels.is_crossing
