@@ -35,6 +35,7 @@ if TYPE_CHECKING:
     from egolane_pgm.api.studies import tune as tune
     from egolane_pgm.experiment import load_experiment as load_experiment
     from egolane_pgm.inference.compile import compile as compile
+    from egolane_pgm.inference.events import lane_events as lane_events
     from egolane_pgm.inference.filtering import filter_beliefs as filter_beliefs
     from egolane_pgm.inference.smoothing import smooth_beliefs as smooth_beliefs
     from egolane_pgm.inference.unrolling import unrolled as unrolled
@@ -43,6 +44,7 @@ if TYPE_CHECKING:
     from egolane_pgm.types import Beliefs as Beliefs
     from egolane_pgm.types import Evidence as Evidence
     from egolane_pgm.types import InputError as InputError
+    from egolane_pgm.types import LaneEvents as LaneEvents
     from egolane_pgm.types import LaneTruth as LaneTruth
     from egolane_pgm.types import LineLog as LineLog
 
@@ -72,12 +74,14 @@ _PUBLIC = {
     "LabelResult": "api.labels",
     "filter_beliefs": "inference.filtering",
     "smooth_beliefs": "inference.smoothing",
+    "lane_events": "inference.events",
     "unrolled": "inference.unrolling",
     "fit_tables": "learning.em",
     "LineLog": "types",
     "LaneTruth": "types",
     "Evidence": "types",
     "Beliefs": "types",
+    "LaneEvents": "types",
     "InputError": "types",
 }
 

@@ -9,13 +9,23 @@
                       rule may take a lane width from the whole recording), why_not_causal (a line
                       for each that is not)
     beliefs.parquet   one row per frame: frame_id, time_s, Lane_1..n and the other hidden nodes'
-                      marginals (SensorState_OK, ...), assigned_lane (0: Unassigned, by a tie
+                      marginals (SensorState_OK, ...), crossing (the probability that a change is
+                      under way: that the car is on a line between two lanes; of graphs with
+                      RoadPosition, see `inference.events`), assigned_lane (0: Unassigned, by a tie
                       or by unassigned_below), log_evidence, is_impossible; detector_1..n and
                       detector_lane where the evidence rule gives a tentative vector; true_lane
                       (null: not annotated) and is_crossing
+    events.csv        one row per lane change that the beliefs tell of (see `inference.events`):
+                      frame_id and time_s (since when the new lane was more probable than the old
+                      one), from_lane, to_lane, probability (of the new lane, when told),
+                      told_frame_id and told_time_s (when it was first believed; with filter
+                      fixed_lag, when that belief was known), late_s (from time_s to told_time_s),
+                      and with ground truth delay_s (from the end of the true crossing to the
+                      telling; empty where there was none within 2 s, see `scoring.events`)
     scores.json       schema_version, name, tuned_on, is_causal, causal, why_not_causal, n_lanes,
                       frames, frames_scored, mean_log_evidence, impossible_frames, warnings,
-                      detector, model
+                      detector, model, events (told, and with ground truth the keys of
+                      `scoring.events.event_scores`)
     figures/          what `plot` drew
 
 `egolane compare --out` writes the same for what was believed held out: beliefs.parquet has the
@@ -28,13 +38,15 @@ A directory is written beside its place and renamed at the end: one that has the
 from __future__ import annotations
 
 import contextlib
+import csv
 import functools
 import hashlib
+import io
 import json
 import platform
 import subprocess
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from datetime import UTC, datetime
 from importlib import metadata
 from pathlib import Path
@@ -50,9 +62,21 @@ from egolane_pgm.files import (
     write_bytes,
     write_json,
     write_parquet,
+    write_text,
     write_yaml,
 )
-from egolane_pgm.types import UNASSIGNED, BoolArray, FloatArray, InputError, IntArray
+from egolane_pgm.inference.events import crossing_probability, lane_events
+from egolane_pgm.scoring.events import event_delays
+from egolane_pgm.types import (
+    UNASSIGNED,
+    Beliefs,
+    BoolArray,
+    FloatArray,
+    InputError,
+    IntArray,
+    LaneEvents,
+    LaneTruth,
+)
 
 SCHEMA_VERSION = 1
 
@@ -97,6 +121,34 @@ class Result:
         """Number of lanes."""
         return int(self.run["n_lanes"])
 
+    @property
+    def beliefs(self) -> Beliefs:
+        """The belief over the values of each hidden node, of T frames."""
+        return Beliefs(self.frame_id, self.marginals, self.log_evidence, self.is_impossible)
+
+    @property
+    def truth(self) -> LaneTruth | None:
+        """The ground truth of the annotated frames, or None."""
+        known = self.true_lane != UNASSIGNED
+        if not known.any():
+            return None
+        return LaneTruth(self.frame_id[known], self.true_lane[known], self.is_crossing[known])
+
+    @property
+    def events(self) -> LaneEvents:
+        """The lane changes that the beliefs tell of."""
+        rate, truth = float(self.run["frame_rate"]), self.truth
+        events = lane_events(self.beliefs, rate, lag=self.experiment.get("lag"))
+        if truth is None:
+            return events
+        return replace(events, delay_s=event_delays(events, truth, rate))
+
+    @property
+    def crossing(self) -> FloatArray | None:
+        """(T,): the probability that the car is on a line between two lanes; None for a graph
+        without RoadPosition."""
+        return crossing_probability(self.marginals)
+
     def columns(self) -> dict[str, np.ndarray[Any, Any]]:
         """The columns of beliefs.parquet, (T,) each, in their order; masked arrays have nulls."""
         columns: dict[str, np.ndarray[Any, Any]] = {
@@ -106,6 +158,9 @@ class Result:
         for node, names in self.values.items():
             for k, name in enumerate(names):
                 columns[f"{node}_{name}"] = self.marginals[node][:, k]
+        crossing = self.crossing
+        if crossing is not None:
+            columns["crossing"] = crossing
         columns["assigned_lane"] = self.assigned_lane
         if self.tentative is not None and self.detector_lane is not None:
             for k in range(self.n_lanes):
@@ -173,7 +228,7 @@ def staged(directory: Path, kinds: Sequence[Callable[[Path], bool]] = ()) -> Ite
 
 
 def write_result(directory: Path, result: Result, experiment: Mapping[str, Any]) -> None:
-    """Write the four files of a result into `directory`.
+    """Write the five files of a result into `directory`.
 
     - experiment: what experiment.yaml says, see `running.portable`.
     """
@@ -185,9 +240,20 @@ def write_result(directory: Path, result: Result, experiment: Mapping[str, Any])
         for name, c in result.columns().items()
     }
     write_parquet(directory / "beliefs.parquet", pa.table(arrays))
+    write_text(directory / "events.csv", _as_csv(result.events.columns()))
     version = {"schema_version": SCHEMA_VERSION}
     write_json(directory / "scores.json", {**version, **result.scores})
     write_json(directory / "run.json", {**version, **result.run})
+
+
+def _as_csv(columns: Mapping[str, np.ndarray[Any, Any]]) -> str:
+    """Columns as comma-separated values, to six decimals; NaN is empty."""
+    text = io.StringIO()
+    writer = csv.writer(text, lineterminator="\n")
+    writer.writerow(columns)
+    for row in zip(*(column.tolist() for column in columns.values()), strict=True):
+        writer.writerow("" if cell != cell else round(cell, 6) for cell in row)
+    return text.getvalue()
 
 
 def read_result(directory: str | Path) -> Result:

@@ -19,6 +19,7 @@ from egolane_pgm.experiment import (
     resolved,
 )
 from egolane_pgm.files import plain
+from egolane_pgm.inference.events import crossing_probability, lane_events
 from egolane_pgm.inference.smoothing import infer_beliefs
 from egolane_pgm.inference.viterbi import disagreement, viterbi_path
 from egolane_pgm.loading import Recorded, as_name, data_entries, load_recording, with_video_rate
@@ -41,6 +42,7 @@ from egolane_pgm.results import (
     write_result,
 )
 from egolane_pgm.scoring.assign import assigned_lane
+from egolane_pgm.scoring.events import event_scores
 from egolane_pgm.scoring.summary import score_with_intervals
 from egolane_pgm.types import (
     UNASSIGNED,
@@ -62,6 +64,8 @@ class Run:
     tentative (T, n): the evidence rule's own answer over lanes, or None.
     scores: "model" and, with a tentative vector, "detector", as `score_with_intervals` gives them;
         empty without ground truth.
+    events: `told`, how many lane changes the beliefs tell of, and with ground truth the scores of
+        `event_scores`.
     notes: warnings, a line each.
     """
 
@@ -73,6 +77,7 @@ class Run:
     assigned: IntArray
     tentative: FloatArray | None
     scores: Mapping[str, Mapping[str, Any]]
+    events: Mapping[str, Any]
     notes: tuple[str, ...]
 
 
@@ -115,12 +120,16 @@ def run_experiment(
         assigned = path.lane
         doubt = disagreement(path, beliefs).warning
         notes.extend([doubt] if doubt else [])
+    rate = experiment.recording.frame_rate
+    changes = lane_events(beliefs, rate, lag=experiment.lag)
     scores: dict[str, Any] = {}
+    events: dict[str, Any] = {"told": len(changes)}
     if recorded.truth is not None:
+        crossing = crossing_probability(beliefs.take(recorded.scored).marginals)
+        events = event_scores(changes, crossing, recorded.truth, rate)
         named = {"detector": evidence.tentative, "model": beliefs.lane}
         # A tentative vector is no belief: the reject option and the path are the model's.
         answers = {"detector": None, "model": assigned[recorded.scored]}
-        rate = experiment.recording.frame_rate
         scores = {
             name: score_with_intervals(
                 belief[recorded.scored], recorded.truth, rate, assigned=answers[name]
@@ -137,6 +146,7 @@ def run_experiment(
         assigned,
         evidence.tentative,
         scores,
+        events,
         tuple(notes),
     )
 
@@ -248,6 +258,7 @@ def summary(run: Run) -> dict[str, Any]:
         "impossible_frames": int(run.beliefs.is_impossible.sum()),
         "warnings": list(run.notes),
         **run.scores,
+        "events": dict(run.events),
     }
     if run.scores:
         content["frames_scored"] = run.scores["model"]["frames_scored"]

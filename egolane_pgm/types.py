@@ -11,10 +11,13 @@ import contextlib
 import difflib
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
+
+if TYPE_CHECKING:
+    import pandas as pd
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
@@ -421,3 +424,71 @@ class Beliefs:
         """The mean of the log evidence over the frames that are not impossible; NaN if all are."""
         kept = ~self.is_impossible
         return float(self.log_evidence[kept].mean()) if kept.any() else float("nan")
+
+
+@dataclass(frozen=True)
+class LaneEvents:
+    """Lane changes that beliefs tell of, E of them, in the order in which they are told.
+
+    - told_frame_id, told_time_s (E,): when the change was first believed; seconds.
+    - frame_id, time_s (E,): since when, up to there, the new lane was more probable than the old
+      one without a break.
+    - from_lane, to_lane (E,): 1 (leftmost) to n.
+    - probability (E,): of the new lane, in the belief that told the change.
+    - delay_s (E,): how long after the end of the true crossing the change was told, negative where
+      it was told before; NaN where the car made no such change. None without ground truth.
+
+    >>> import numpy as np
+    >>> import egolane_pgm as ego
+    >>> lane = np.array([[0.9, 0.1], [0.4, 0.6], [0.2, 0.8]])
+    >>> beliefs = ego.Beliefs(np.array([7, 8, 9]), {"Lane": lane}, np.zeros(3), np.zeros(3, bool))
+    >>> ego.lane_events(beliefs, frame_rate=10)
+    LaneEvents(1 lane change: lane 1 to 2 at 0.8 s)
+    """
+
+    told_frame_id: IntArray
+    told_time_s: FloatArray
+    frame_id: IntArray
+    time_s: FloatArray
+    from_lane: IntArray
+    to_lane: IntArray
+    probability: FloatArray
+    delay_s: FloatArray | None = None
+
+    def __len__(self) -> int:
+        return len(self.frame_id)
+
+    def __repr__(self) -> str:
+        said = [
+            f"lane {a} to {b} at {t:.1f} s"
+            for a, b, t in zip(self.from_lane, self.to_lane, self.time_s, strict=True)
+        ]
+        several = "" if len(self) == 1 else "s"
+        shown = ", ".join(said[:3] + ["..."] * (len(said) > 3))
+        return f"LaneEvents({len(self)} lane change{several}{': ' * bool(said)}{shown})"
+
+    @property
+    def late_s(self) -> FloatArray:
+        """(E,): how long the new lane was the more probable one before the change was told."""
+        return np.asarray(self.told_time_s - self.time_s)
+
+    def columns(self) -> dict[str, NDArray[Any]]:
+        """The columns of events.csv, (E,) each; `delay_s` only with ground truth."""
+        columns: dict[str, NDArray[Any]] = {
+            "frame_id": self.frame_id,
+            "time_s": self.time_s,
+            "from_lane": self.from_lane,
+            "to_lane": self.to_lane,
+            "probability": self.probability,
+            "told_frame_id": self.told_frame_id,
+            "told_time_s": self.told_time_s,
+            "late_s": self.late_s,
+        }
+        return columns if self.delay_s is None else {**columns, "delay_s": self.delay_s}
+
+    def to_pandas(self) -> pd.DataFrame:
+        """A row per lane change, with the columns of `columns`."""
+        # pandas is imported only for a table.
+        import pandas as pd
+
+        return pd.DataFrame(self.columns())

@@ -16,6 +16,7 @@ import yaml
 
 from egolane_pgm.experiment import config_hash, load_experiment
 from egolane_pgm.files import plain, write_json
+from egolane_pgm.inference.events import crossing_probability, lane_events
 from egolane_pgm.results import (
     check_writable,
     file_sha256,
@@ -28,7 +29,7 @@ from egolane_pgm.results import (
 from egolane_pgm.running import Run, run_experiment, save_run
 from egolane_pgm.scoring.assign import assigned_lane
 from egolane_pgm.types import InputError
-from tests.kits.drives import contents, done, refused
+from tests.kits.drives import contents, done, geometry, refused, simulated
 from tests.kits.processes import started
 
 
@@ -128,6 +129,30 @@ def test_frames_without_annotation_are_null_in_the_table(drive: Path, tmp_path: 
     assert not result.is_crossing.any()
     assert "model" not in result.scores
     assert result.scores["frames_scored"] == 0
+
+
+def test_the_lane_changes_of_a_result_are_a_table_of_it(tmp_path: Path) -> None:
+    import pandas as pd
+    from pyarrow import parquet
+
+    run = run_experiment(geometry())
+    saved = save_run(run, tmp_path / "result")
+    result = read_result(saved)
+    table = pd.read_csv(saved / "events.csv")
+    assert len(table) == run.events["told"] > 0
+    assert table["delay_s"].notna().sum() == run.events["within"]["2"]["right"]
+    pd.testing.assert_frame_equal(table, result.events.to_pandas().round(6))
+    crossing = parquet.read_table(saved / "beliefs.parquet").column("crossing").to_numpy()
+    np.testing.assert_array_equal(crossing, crossing_probability(run.beliefs.marginals))
+    assert result.scores["events"] == plain(run.events)
+
+
+def test_beliefs_that_come_late_tell_late(tmp_path: Path) -> None:
+    lagged = run_experiment(simulated(filter="fixed_lag", lag=7, evidence_reading="soft"))
+    saved = save_run(lagged, tmp_path / "result")
+    at_once = lane_events(lagged.beliefs, 10.0)
+    assert len(at_once)
+    np.testing.assert_allclose(read_result(saved).events.late_s, at_once.late_s + 0.7)
 
 
 def test_json_has_plain_numbers_and_null_for_what_is_no_number(tmp_path: Path) -> None:

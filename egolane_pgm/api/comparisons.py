@@ -314,6 +314,7 @@ def compare(
     parameters: str = "recovered",
     learned_on: str | Sequence[str] = (),
     health: bool = False,
+    events: bool = False,
     blocks: int = 5,
     trials: int | None = None,
     trials_per_number: int | None = None,
@@ -337,6 +338,7 @@ def compare(
     - learned_on: recordings to learn from instead, runs or files with commas between; a column for
       each of a list.
     - health: whether to score how well each tells that the detector is wrong.
+    - events: whether to score the lane changes that each tells of.
     - blocks: how many blocks are held out in turn.
     - trials: of each block's search (`fit: tune`).
     - trials_per_number: instead, trials for each number that is searched.
@@ -368,7 +370,7 @@ def compare(
     groups = groups_of(given, names, fit, numbers, with_paper, parameters, learned, overrides)
     with tempfile.TemporaryDirectory(prefix="egolane-") as temporary:
         folder = Path(temporary if out is None else out)
-        settings = Options(blocks, trials, health, folder, trials_per_number, _seeds(seeds))
+        settings = Options(blocks, trials, health, folder, trials_per_number, _seeds(seeds), events)
         found = compare_recordings(groups, settings, jobs=jobs, progress=progress)
         if not found.is_whole:
             raise KeyboardInterrupt

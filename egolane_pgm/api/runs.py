@@ -29,7 +29,7 @@ from egolane_pgm.running import (
     run_experiment,
     save_result,
 )
-from egolane_pgm.types import Beliefs, Evidence, InputError, IntArray
+from egolane_pgm.types import Beliefs, Evidence, InputError, IntArray, LaneEvents
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -54,6 +54,12 @@ class RunResult:
     RunResult('quickstart': 300 frames, accuracy 0.877, detector 0.558; not tuned, causal)
     >>> run.scores["model"]["frames_scored"]
     260
+    >>> run.events.to_pandas()[["time_s", "from_lane", "to_lane", "delay_s"]].round(1)
+       time_s  from_lane  to_lane  delay_s
+    0     3.7          4        3     -0.4
+    1    10.5          3        2     -0.6
+    2    18.5          2        1      NaN
+    3    20.7          1        2      NaN
     >>> run.to_pandas()[["time_s", "Lane=1", "SensorState=OK", "true_lane"]].shape
     (300, 4)
     """
@@ -88,8 +94,13 @@ class RunResult:
     @property
     def beliefs(self) -> Beliefs:
         """The belief over the values of each hidden node, of T frames."""
-        result = self.result
-        return Beliefs(result.frame_id, result.marginals, result.log_evidence, result.is_impossible)
+        return self.result.beliefs
+
+    @property
+    def events(self) -> LaneEvents:
+        """The lane changes that the beliefs tell of, see `egolane_pgm.inference.events`; with
+        ground truth, how late each was told."""
+        return self.result.events
 
     @property
     def assigned(self) -> IntArray:
@@ -128,9 +139,10 @@ class RunResult:
         """A row per frame; the index is `frame_id`.
 
         Columns: `time_s`, the belief in each value of a hidden node (`Lane=1`, `SensorState=OK`,
-        ...), `assigned_lane` (0: no answer), the evidence rule's own answer (`detector=1`, ...,
-        `detector_lane`) where it has one, `log_evidence`, `is_impossible`, and `true_lane` and
-        `is_crossing`, missing where nobody annotated the frame.
+        ...), `crossing` (the probability that the car is on a line between two lanes, of graphs
+        that have a RoadPosition), `assigned_lane` (0: no answer), the evidence rule's own answer
+        (`detector=1`, ..., `detector_lane`) where it has one, `log_evidence`, `is_impossible`, and
+        `true_lane` and `is_crossing`, missing where nobody annotated the frame.
         """
         import pandas as pd
 

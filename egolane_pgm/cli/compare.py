@@ -22,6 +22,7 @@ from egolane_pgm.comparing.groups import Group, Options
 from egolane_pgm.files import check_not_read, check_place, write_json
 from egolane_pgm.paper import parse_runs
 from egolane_pgm.report import comparison_tables as rows_of
+from egolane_pgm.report import events as lane_changes
 from egolane_pgm.report import tables
 from egolane_pgm.types import InputError
 
@@ -52,6 +53,7 @@ class Figures(NamedTuple):
     help="Learn from these recordings instead, several pooled; a column for each time it is given.",
 )
 @click.option("--health", is_flag=True, help="How well each tells that the detector is wrong.")
+@click.option("--events", is_flag=True, help="How right each tells the lane changes.")
 @click.option("--blocks", type=click.IntRange(2), default=5, show_default=True)
 @click.option("--trials", type=click.IntRange(1), help="Of each block's search (fit: tune).")
 @click.option(
@@ -86,6 +88,7 @@ def compare(
     which: str,
     learned_on: tuple[str, ...],
     health: bool,
+    events: bool,
     blocks: int,
     trials: int | None,
     trials_per_number: int | None,
@@ -121,11 +124,11 @@ def compare(
         check_not_read(json_file, map(Path, experiments))
     names = graph_names(graphs, bool(experiments))
     if not experiments and not held_out:
-        many = (health, overrides, trials, trials_per_number, seeds, *figures, out)
+        many = (health, events, overrides, trials, trials_per_number, seeds, *figures, out)
         if any(many) or style != "markdown":
             raise InputError(
-                "compare: --health, --set, --trials, --trials-per-number, --seeds, --figure,"
-                " --differences, --out and --format go with experiments or with --held-out"
+                "compare: --health, --events, --set, --trials, --trials-per-number, --seeds,"
+                " --figure, --differences, --out and --format go with experiments or --held-out"
             )
         _in_sample(names, parse_runs(runs or "1-10"), which, json_file)
         return
@@ -145,6 +148,7 @@ def compare(
         Path(out) if out else None,
         trials_per_number,
         drawn,
+        events,
     )
     _held_out(groups, settings, jobs, style, figures, json_file)
 
@@ -223,6 +227,8 @@ def _show_markdown(found: Mapping[str, Any], settings: Options) -> None:
         legends.append(rows_of.TOGETHER_LEGEND)
     if settings.health:
         legends.append(rows_of.HEALTH_LEGEND)
+    if settings.events:
+        legends.append(lane_changes.LEGEND)
     click.echo("\n" + "\n\n".join(legends))
 
 
@@ -234,6 +240,9 @@ def _show_tables(found: Mapping[str, Any], settings: Options, draw: Draw) -> Non
     if settings.health:
         click.echo()
         click.echo(draw(*rows_of.health_rows(found)).rstrip("\n"))
+    if settings.events:
+        click.echo()
+        click.echo(draw(*lane_changes.event_comparison_rows(found)).rstrip("\n"))
 
 
 def _write_first(json_file: Path | None, found: Mapping[str, Any]) -> InputError | None:

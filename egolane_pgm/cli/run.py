@@ -15,7 +15,14 @@ from egolane_pgm.cli import options
 from egolane_pgm.experiment import Experiment
 from egolane_pgm.files import check_not_read, write_json
 from egolane_pgm.loading import named_files
-from egolane_pgm.report.tables import TUNED_ON, confusion_table, runs_table, scores_table
+from egolane_pgm.report.events import event_lines, event_rows, event_runs_rows
+from egolane_pgm.report.tables import (
+    TUNED_ON,
+    confusion_table,
+    markdown,
+    runs_table,
+    scores_table,
+)
 from egolane_pgm.results import SCHEMA_VERSION, check_writable
 from egolane_pgm.running import FinishedRun, plan_runs, run_all
 from egolane_pgm.types import InputError
@@ -142,7 +149,8 @@ def _run_many(
     for outcome in outcomes:
         for note in (outcome.summary or {}).get("warnings", ()):
             click.echo(f"warning: {outcome.title}: {note}", err=True)
-    click.echo(runs_table([o.summary for o in outcomes if o.summary is not None]))
+    summaries = [o.summary for o in outcomes if o.summary is not None]
+    click.echo(f"{runs_table(summaries)}\n\n{markdown(*event_runs_rows(summaries))}")
     click.echo(f"\nresults: {len(outcomes) - len(failed)} of {len(outcomes)} in {folder}")
     for outcome in failed:
         for line in (outcome.error or "").splitlines():
@@ -170,9 +178,20 @@ def _print_run(done: RunResult) -> None:
     }
     if not scores:
         click.echo("no ground truth: beliefs only, no scores (--ground-truth names a file)")
-        return
-    click.echo(f"{said['frames_scored']} frames scored (crossing ones are not);")
-    click.echo(f"parameters: {TUNED_ON[said['tuned_on']]}\n")
-    click.echo(scores_table(scores))
+    else:
+        click.echo(f"{said['frames_scored']} frames scored (crossing ones are not);")
+        click.echo(f"parameters: {TUNED_ON[said['tuned_on']]}\n")
+        click.echo(scores_table(scores))
     for name, mine in scores.items():
         click.echo("\n" + confusion_table(mine["confusion"], name))
+    _print_events(done)
+
+
+def _print_events(done: RunResult) -> None:
+    events, scores = done.events, done.scores["events"]
+    header, rows = event_rows(events)
+    click.echo(f"\n{markdown(header, rows)}" if rows else "\nno lane change was believed")
+    if len(events) > len(rows):
+        click.echo(f"and {len(events) - len(rows)} more in events.csv")
+    if "within" in scores:
+        click.echo("\n" + "\n".join(event_lines(scores)))

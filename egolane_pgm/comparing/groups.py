@@ -16,6 +16,7 @@ import numpy as np
 
 from egolane_pgm.comparing.choose import Known, experiment_key, losses_by_experiment, plan
 from egolane_pgm.comparing.detector_health import detector_answers, detector_health, model_health
+from egolane_pgm.comparing.events import side_events
 from egolane_pgm.comparing.graphs import with_graphs
 from egolane_pgm.comparing.placing import (
     drive_key,
@@ -74,6 +75,7 @@ class Options:
     seeds: of the searches, each of which is done with every seed; none for what the experiment
         says.
     health: whether to score how well each experiment tells that the detector is wrong.
+    events: whether to score the lane changes that each experiment tells of.
     out: where result directories go; None for nowhere.
     """
 
@@ -83,6 +85,7 @@ class Options:
     out: Path | None = None
     trials_per_number: int | None = None
     seeds: tuple[int, ...] = ()
+    events: bool = False
 
 
 #: Per score the values of all frames and of each resample (1 + R,); None for a short drive.
@@ -331,6 +334,11 @@ def compare_group(
                 key: mean_of([model_health(side, errors, kept) for side in sides])
                 for key, kept in keep.items()
             }
+        if options.events:
+            entry["events"] = {
+                key: mean_of([side_events(side, kept) for side in sides])
+                for key, kept in keep.items()
+            }
         entries.append(entry)
     health = None
     if errors is not None:
@@ -458,6 +466,7 @@ def _entry(
         "difference_to": None,
         "difference": None,
         "health": None,
+        "events": None,
     }
 
 
@@ -536,10 +545,12 @@ def document(groups: Sequence[Mapping[str, Any]], options: Options) -> dict[str,
     `parameters` and `scores` with that seed),
     `difference_to` (name of the first experiment, null for itself), `difference` (per subset and
     score [estimate, low, high], paired block bootstrap, 95 %, over frames and seeds, see
-    `scoring.seeds`; null for short drives) and `health`
-    (per subset, see `health.model_health`). Subsets: `all_frames`, and, where an experiment's
-    `tuning.never_fit` names frames with untrusted labels, `without_never_fit`. `failed`: a list of
-    `title`, `run` and `error` of the recordings that could not be compared. `together`: see there.
+    `scoring.seeds`; null for short drives), `health`
+    (per subset, see `health.model_health`) and `events` (per subset, see
+    `scoring.events.event_scores`; null unless asked for). Subsets: `all_frames`, and, where an
+    experiment's `tuning.never_fit` names frames with untrusted labels, `without_never_fit`.
+    `failed`: a list of `title`, `run` and `error` of the recordings that could not be compared.
+    `together`: see there.
     """
     done = [part for part in groups if "error" not in part]
     return {

@@ -119,6 +119,7 @@ def test_run_writes_the_documented_json_unrounded(drive: Path, tmp_path: Path) -
         "warnings",
         "detector",
         "model",
+        "events",
     }
     right = run_experiment(drive)
     assert said["schema_version"] == 1
@@ -658,3 +659,32 @@ def test_one_lane_is_allowed(tmp_path: Path) -> None:
         np.testing.assert_array_equal(result.marginals["Lane"], [[1.0], [1.0]])
         np.testing.assert_array_equal(result.assigned_lane, [1, 1])
         assert result.scores["model"]["accuracy"] == 1
+
+
+def test_run_prints_the_lane_changes_and_their_scores(tmp_path: Path) -> None:
+    path, out = write_drive(tmp_path, 900), tmp_path / "out"
+    shown = done("run", path, "--no-figures", "--out", out).stdout
+    events = (out / "events.csv").read_text().splitlines()[1:]
+    assert len(events) > 10
+    assert f"and {len(events) - 10} more in events.csv" in shown
+    scores = run_experiment(path).events
+    assert f"{scores['changes']} true lane changes, {scores['told']} told:" in shown
+    blind = done("run", path, "--ground-truth", "none", "--no-figures", "--out", out).stdout
+    assert "| time, s |" in blind
+    assert "true lane changes" not in blind
+    assert len((out / "events.csv").read_text().splitlines()) == len(events) + 1
+    other = write_drive(tmp_path / "other", 30, name="other", ground_truth=None)
+    shown = done("run", path, other, "--no-figures", "--out", tmp_path / "both").stdout
+    rows = [line.split() for line in shown.splitlines() if "told" in line or "| drive" in line]
+    # The second table is that of the lane changes.
+    assert (rows[-2][5], rows[-1][5]) == ("told", str(scores["told"]))
+
+
+def test_a_drive_in_one_lane_says_that_no_change_was_believed(tmp_path: Path) -> None:
+    path = write_drive(tmp_path, 20)
+    shown = done("run", path, "--no-figures", "--out", tmp_path / "out").stdout
+    assert "no lane change was believed" in shown
+    header = (
+        "frame_id,time_s,from_lane,to_lane,probability,told_frame_id,told_time_s,late_s,delay_s\n"
+    )
+    assert (tmp_path / "out" / "events.csv").read_text() == header

@@ -1,0 +1,205 @@
+"""How right the told lane changes are, and how early the car is seen to cross a line.
+
+The true changes are those of `stability.lane_changes`: between two successive non-crossing rows
+with different lanes. The truth knows each of them as an interval: from `begin`, its first crossing
+frame, to `end`, the first frame in the new lane. Where in the interval the label changes is a habit
+of the annotator (at the end in the Italian recordings, after two thirds in the Spanish ones).
+
+- **Right**: an event is right within a tolerance if it is told at most that long before `begin` or
+  after `end`. Anywhere inside is exact: that is as well as the truth knows it. Lanes must be the
+  true ones, both of them. Each event is matched with at most one true change and each change with
+  at most one event, as many as can be.
+- **Delay**: from `end`, when the car is in the new lane by anybody's reckoning, to the telling;
+  negative for a change that is told before it is over. It is that of the events that are right
+  within the largest tolerance.
+- **False**: an event that is not matched. It can only be false where the truth speaks: in annotated
+  frames, from the first non-crossing one to the last (what came before and after is unknown).
+- **Warning**: the probability that the car is on a line is at least WARNED. A warning lasts for
+  successive rows. A change is warned of if a warning lasts in one of its rows, from `begin` to
+  before `end`; its **lead** is the time from the first row of the first such warning to the row in
+  which the label changes. A warning is false if no crossing row is less than the largest tolerance
+  from it.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from egolane_pgm.scoring.checks import as_lanes, as_mask, check_frame_rate
+from egolane_pgm.scoring.health import roc_auc
+from egolane_pgm.scoring.stability import LaneChanges, lane_changes
+from egolane_pgm.types import BoolArray, FloatArray, IntArray, LaneEvents, LaneTruth
+
+#: Seconds before and after a true crossing in which an event may be told.
+TOLERANCES_S = (0.5, 1.0, 2.0)
+
+#: The probability of being on a line from which the car is warned.
+WARNED = 0.5
+
+
+def event_scores(
+    events: LaneEvents, crossing: FloatArray | None, truth: LaneTruth, frame_rate: float
+) -> dict[str, Any]:
+    """What scores.json says of lane changes: `score_events`, and under `crossing` what
+    `score_crossing` gives, or None.
+
+    - crossing: (K,) of the annotated frames, see `inference.events.crossing_probability`.
+    """
+    warning = None if crossing is None else score_crossing(crossing, truth, frame_rate)
+    return {**score_events(events, truth, frame_rate), "crossing": warning}
+
+
+def match_events(
+    events: LaneEvents, truth: LaneTruth, frame_rate: float, tolerance_s: float
+) -> IntArray:
+    """(E,): the true change that each event tells, an index into `lane_changes`; -1 for none.
+
+    - truth: K annotated frames, those that count.
+    - frame_rate: frames per second.
+    """
+    check_frame_rate(frame_rate)
+    changes = lane_changes(truth.lane, truth.is_crossing)
+    reach = tolerance_s * frame_rate
+    first = truth.frame_id[changes.start] - reach
+    last = truth.frame_id[changes.end] + reach
+    found = np.full(len(events), -1, dtype=np.int64)
+    is_open = np.ones(len(changes), dtype=bool)
+    # Events in order, each taking the open change that closes first: no matching has more pairs
+    # (Glover 1967, points and intervals).
+    for e in np.argsort(events.told_frame_id, kind="stable"):
+        told = events.told_frame_id[e]
+        fits = is_open & (first <= told) & (told <= last)
+        fits &= changes.from_lane == events.from_lane[e]
+        fits &= changes.to_lane == events.to_lane[e]
+        if fits.any():
+            found[e] = np.flatnonzero(fits)[np.argmin(last[fits])]
+            is_open[found[e]] = False
+    return found
+
+
+def event_delays(events: LaneEvents, truth: LaneTruth, frame_rate: float) -> FloatArray:
+    """(E,): seconds from the end of the true crossing to the telling; NaN for an event that is not
+    right within the largest tolerance."""
+    matched = match_events(events, truth, frame_rate, max(TOLERANCES_S))
+    ends = truth.frame_id[lane_changes(truth.lane, truth.is_crossing).end]
+    delay = np.full(len(events), np.nan)
+    is_right = matched >= 0
+    delay[is_right] = (events.told_frame_id[is_right] - ends[matched[is_right]]) / frame_rate
+    return delay
+
+
+def score_events(events: LaneEvents, truth: LaneTruth, frame_rate: float) -> dict[str, Any]:
+    """The scores of lane-change events, ready for JSON; None where a score is undefined.
+
+    - truth: K annotated frames, those that count.
+    - frame_rate: frames per second.
+
+    Keys: `changes` (true ones), `told` (events that can be right or false), `hours` (of annotated
+    frames), `within` (for each tolerance, by its seconds, "0.5": `right`, `false`, `missed`,
+    `precision`, `recall`, `false_per_hour`), `delay_s` {`median`, `p90`}.
+    """
+    check_frame_rate(frame_rate)
+    changes = lane_changes(truth.lane, truth.is_crossing)
+    hours = len(truth) / frame_rate / 3600
+    within: dict[str, dict[str, Any]] = {}
+    for tolerance in TOLERANCES_S:
+        is_right = match_events(events, truth, frame_rate, tolerance) >= 0
+        right = int(is_right.sum())
+        false = int((_is_judged(events, truth) & ~is_right).sum())
+        within[f"{tolerance:g}"] = {
+            "right": right,
+            "false": false,
+            "missed": len(changes) - right,
+            "precision": _ratio(right, right + false),
+            "recall": _ratio(right, len(changes)),
+            "false_per_hour": _ratio(false, hours),
+        }
+    delay = event_delays(events, truth, frame_rate)
+    delay = delay[~np.isnan(delay)]
+    return {
+        "changes": len(changes),
+        "told": right + false,
+        "hours": hours,
+        "within": within,
+        "delay_s": {"median": _percentile(delay, 50), "p90": _percentile(delay, 90)},
+    }
+
+
+def score_crossing(crossing: ArrayLike, truth: LaneTruth, frame_rate: float) -> dict[str, Any]:
+    """The scores of the probability that the car is on a line, (K,), as early warning; ready for
+    JSON, None where a score is undefined.
+
+    Keys: `auc` (area under the ROC curve for "this frame is crossing"), `precision`, `recall` (of
+    the crossing frames, with a warning from WARNED), `changes` (true ones), `warned` (how many of
+    them), `lead_s` {`median`, `p10`}, `warnings`, `false_per_hour`.
+    """
+    check_frame_rate(frame_rate)
+    values = np.asarray(crossing, dtype=np.float64)
+    is_crossing = as_mask(truth.is_crossing, len(values))
+    is_warned = values >= WARNED
+    both = int((is_warned & is_crossing).sum())
+    ids = truth.frame_id
+    begin, end = _stretches(is_warned)
+    changes = lane_changes(truth.lane, truth.is_crossing)
+    lead = _leads(begin, end, changes, truth) / frame_rate
+    found = lead[~np.isnan(lead)]
+    crossing_id = ids[is_crossing]
+    reach = max(TOLERANCES_S) * frame_rate
+    # The nearest crossing frame at or after the warning's first row, and the last before it.
+    after = np.searchsorted(crossing_id, ids[begin])
+    padded = np.concatenate([[-math.inf], crossing_id, [math.inf]])
+    is_false = (padded[after + 1] - ids[end] >= reach) & (ids[begin] - padded[after] >= reach)
+    auc = roc_auc(values, is_crossing)
+    return {
+        "auc": None if math.isnan(auc) else auc,
+        "precision": _ratio(both, int(is_warned.sum())),
+        "recall": _ratio(both, int(is_crossing.sum())),
+        "changes": len(changes),
+        "warned": len(found),
+        "lead_s": {"median": _percentile(found, 50), "p10": _percentile(found, 10)},
+        "warnings": len(begin),
+        "false_per_hour": _ratio(int(is_false.sum()), len(truth) / frame_rate / 3600),
+    }
+
+
+def _is_judged(events: LaneEvents, truth: LaneTruth) -> BoolArray:
+    """(E,): whether the truth tells, where the event is told, in which lane the car is and was."""
+    known = truth.frame_id[~truth.is_crossing]
+    if not len(known):
+        return np.zeros(len(events), dtype=bool)
+    told = events.told_frame_id
+    return np.asarray(np.isin(told, truth.frame_id) & (known[0] <= told) & (told <= known[-1]))
+
+
+def _stretches(mask: BoolArray) -> tuple[IntArray, IntArray]:
+    """The first and the last rows of the stretches of successive rows that are marked."""
+    edge = np.diff(np.concatenate([[0], mask.astype(np.int64), [0]]))
+    return np.flatnonzero(edge == 1), np.flatnonzero(edge == -1) - 1
+
+
+def _leads(begin: IntArray, end: IntArray, changes: LaneChanges, truth: LaneTruth) -> FloatArray:
+    """(C,): frames from the first warning of each change to its label; NaN without a warning.
+
+    - begin, end: the first and the last rows of the warnings, in order.
+    """
+    lane = as_lanes(truth.lane, len(truth))
+    lead = np.full(len(changes), np.nan)
+    for c in range(len(changes)):
+        start, stop = changes.start[c], changes.end[c]
+        label = start + int(np.argmax(lane[start : stop + 1] == changes.to_lane[c]))
+        first = int(np.searchsorted(end, start))
+        if first < len(begin) and begin[first] < max(stop, start + 1):
+            lead[c] = truth.frame_id[label] - truth.frame_id[begin[first]]
+    return lead
+
+
+def _ratio(count: float, of: float) -> float | None:
+    return count / of if of else None
+
+
+def _percentile(values: FloatArray, share: float) -> float | None:
+    return float(np.percentile(values, share)) if values.size else None

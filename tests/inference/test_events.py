@@ -1,0 +1,206 @@
+"""Lane changes told from beliefs, and the probability of being on a line."""
+
+from __future__ import annotations
+
+from itertools import pairwise
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from egolane_pgm.inference.events import (
+    BELIEVED,
+    FLICKER_S,
+    HALF_CAR,
+    SURELY_BACK,
+    crossing_probability,
+    lane_events,
+)
+from egolane_pgm.types import Beliefs, InputError, LaneEvents
+
+
+def believed(lane: np.ndarray, frame_id: np.ndarray | None = None) -> Beliefs:
+    n = len(lane)
+    ids = np.arange(n) if frame_id is None else frame_id
+    return Beliefs(ids, {"Lane": np.asarray(lane)}, np.zeros(n), np.zeros(n, bool))
+
+
+def between(*stretches: tuple[float, int]) -> Beliefs:
+    """Two lanes: P(lane 2), for a number of frames each."""
+    right = np.repeat([p for p, _ in stretches], [n for _, n in stretches])
+    return believed(np.stack([1 - right, right], axis=1))
+
+
+def told(events: LaneEvents) -> list[tuple[int, int, int, int]]:
+    columns = (events.frame_id, events.told_frame_id, events.from_lane, events.to_lane)
+    return list(zip(*(column.tolist() for column in columns), strict=True))
+
+
+@st.composite
+def drives(draw: st.DrawFn) -> Beliefs:
+    """Beliefs that are held for a while, more or less sure, over one to four lanes."""
+    n_lanes = draw(st.integers(1, 4))
+    rng = np.random.default_rng(draw(st.integers(0, 2**32 - 1)))
+    n_frames = draw(st.integers(0, 120))
+    rows = np.zeros((0, n_lanes))
+    while len(rows) < n_frames:
+        sure = rng.dirichlet(np.full(n_lanes, rng.choice([0.05, 0.3, 1.0])))
+        rows = np.concatenate([rows, np.tile(sure, (int(rng.integers(1, 25)), 1))])
+    frame_id = np.cumsum(rng.integers(1, 4, n_frames))
+    return believed(rows[:n_frames], frame_id)
+
+
+def plain(lane: np.ndarray, time_s: np.ndarray) -> list[tuple[int, int, int, int]]:
+    """The definition, word by word: (row since when, row told, lane left, lane entered)."""
+    found: list[tuple[int, int, int, int]] = []
+    here = None
+    for t in range(len(lane)):
+        for k in range(lane.shape[1]):
+            if lane[t, k] < BELIEVED or k == here:
+                continue
+            if here is None:
+                here = k
+                continue
+            if found:
+                _, last, left, _ = found[-1]
+                is_soon = time_s[t] < time_s[last] + FLICKER_S
+                if k == left - 1 and is_soon and lane[t, k] < SURELY_BACK:
+                    continue
+            since = t
+            while since > 0 and lane[since - 1, k] > lane[since - 1, here]:
+                since -= 1
+            found.append((since, t, here + 1, k + 1))
+            here = k
+    return found
+
+
+@given(drives(), st.sampled_from([5.0, 10.0, 25.0]))
+def test_events_are_those_of_the_definition(beliefs: Beliefs, rate: float) -> None:
+    ids = beliefs.frame_id
+    events = lane_events(beliefs, rate)
+    right = plain(beliefs.lane, ids / rate)
+    assert told(events) == [(ids[s], ids[t], a, b) for s, t, a, b in right]
+    np.testing.assert_array_equal(events.time_s, events.frame_id / rate)
+    np.testing.assert_array_equal(events.told_time_s, events.told_frame_id / rate)
+    rows = [t for _, t, _, _ in right]
+    np.testing.assert_array_equal(
+        events.probability, beliefs.lane[rows, events.to_lane - 1] if rows else []
+    )
+    assert (events.late_s >= 0).all()
+
+
+@given(drives(), st.data())
+def test_later_frames_never_change_an_event_that_was_told(
+    beliefs: Beliefs, data: st.DataObject
+) -> None:
+    n = data.draw(st.integers(0, len(beliefs)))
+    whole, early = lane_events(beliefs, 10.0), lane_events(beliefs.take(slice(0, n)), 10.0)
+    is_told = np.isin(whole.told_frame_id, beliefs.frame_id[:n])
+    for name, column in early.columns().items():
+        np.testing.assert_array_equal(column, whole.columns()[name][is_told])
+
+
+@given(drives())
+def test_a_mirrored_road_has_mirrored_events(beliefs: Beliefs) -> None:
+    n_lanes = beliefs.lane.shape[1]
+    events = lane_events(beliefs, 10.0)
+    other = lane_events(believed(beliefs.lane[:, ::-1], beliefs.frame_id), 10.0)
+    np.testing.assert_array_equal(other.from_lane, n_lanes + 1 - events.from_lane)
+    np.testing.assert_array_equal(other.to_lane, n_lanes + 1 - events.to_lane)
+    for name in ("frame_id", "told_frame_id", "probability"):
+        np.testing.assert_array_equal(getattr(other, name), getattr(events, name))
+
+
+@given(drives())
+def test_each_event_is_a_change_of_what_is_believed_and_begins_where_the_last_one_ended(
+    beliefs: Beliefs,
+) -> None:
+    events = lane_events(beliefs, 10.0)
+    sure = beliefs.lane.max(axis=1) >= BELIEVED
+    changes = sum(a != b for a, b in pairwise(beliefs.lane[sure].argmax(axis=1)))
+    assert len(events) <= changes
+    assert (events.from_lane != events.to_lane).all()
+    assert (events.from_lane[1:] == events.to_lane[:-1]).all()
+    assert (events.probability >= BELIEVED).all()
+    assert (events.told_frame_id[:-1] < events.frame_id[1:]).all()
+
+
+def test_a_change_is_told_once_believed_and_dated_from_where_the_new_lane_leads() -> None:
+    drive = between((0.1, 10), (0.5, 2), (0.6, 3), (0.7, 10))
+    assert told(lane_events(drive, 10.0)) == [(12, 15, 1, 2)]
+    assert lane_events(drive, 10.0).late_s == pytest.approx([0.3])
+    assert lane_events(drive, 10.0).probability == pytest.approx([0.7])
+
+
+def test_a_lane_that_only_leads_is_not_believed() -> None:
+    assert len(lane_events(between((0.1, 10), (0.66, 50), (0.1, 10)), 10.0)) == 0
+
+
+def test_the_first_believed_lane_is_no_change() -> None:
+    assert len(lane_events(between((0.45, 10), (0.9, 10)), 10.0)) == 0
+
+
+def test_a_flicker_is_told_back_only_if_it_is_surely_back() -> None:
+    away = ((0.05, 10), (0.9, 5))
+    weak, sure = between(*away, (0.1, 10), (0.9, 40)), between(*away, (0.04, 10), (0.9, 40))
+    assert told(lane_events(weak, 10.0)) == [(10, 10, 1, 2)]
+    assert told(lane_events(sure, 10.0)) == [(10, 10, 1, 2), (15, 15, 2, 1), (25, 40 + 5, 1, 2)]
+
+
+def test_a_car_that_is_still_believed_back_is_told_when_the_time_of_a_flicker_is_over() -> None:
+    events = lane_events(between((0.05, 10), (0.9, 5), (0.1, 60)), 10.0)
+    assert told(events) == [(10, 10, 1, 2), (15, 40, 2, 1)]
+
+
+def test_a_belief_that_comes_with_a_lag_is_told_when_it_is_known() -> None:
+    drive = between((0.1, 10), (0.9, 10))
+    assert told(lane_events(drive, 10.0, lag=4)) == [(10, 14, 1, 2)]
+    # The last beliefs come when the drive is over.
+    assert told(lane_events(drive, 10.0, lag=15)) == [(10, 19, 1, 2)]
+
+
+def test_a_drive_without_frames_has_no_events_and_prints() -> None:
+    events = lane_events(between(), 10.0)
+    assert (len(events), repr(events)) == (0, "LaneEvents(0 lane changes)")
+    assert len(events.to_pandas()) == 0
+
+
+def test_a_frame_rate_of_nothing_is_refused() -> None:
+    with pytest.raises(InputError, match="frame_rate: 0"):
+        lane_events(between((0.1, 3)), 0)
+
+
+# --- on a line -----------------------------------------------------------------------------------
+
+
+def marginals(position: np.ndarray, n_lanes: int) -> dict[str, np.ndarray]:
+    cells = position.shape[1] // n_lanes
+    lane = position.reshape(len(position), n_lanes, cells).sum(axis=2)
+    return {"Lane": lane, "RoadPosition": position}
+
+
+@given(st.integers(1, 5), st.integers(1, 20), st.integers(0, 2**32 - 1))
+def test_being_on_a_line_is_the_share_of_places_near_one(
+    n_lanes: int, cells: int, seed: int
+) -> None:
+    rng = np.random.default_rng(seed)
+    position = rng.dirichlet(np.full(n_lanes * cells, 0.2), 3)
+    # Within a cell every place is as probable as the others: many places in each.
+    place = (np.arange(n_lanes * cells * 400) + 0.5) / (cells * 400)
+    line = np.round(place)
+    is_near = (np.abs(place - line) < HALF_CAR) & (line > 0) & (line < n_lanes)
+    share = is_near.reshape(-1, 400).mean(axis=1)
+    found = crossing_probability(marginals(position, n_lanes))
+    np.testing.assert_allclose(found, position @ share, atol=0.01)
+    mirrored = crossing_probability(marginals(position[:, ::-1], n_lanes))
+    np.testing.assert_allclose(mirrored, found, atol=1e-12)
+
+
+def test_a_graph_without_places_does_not_say_whether_the_car_is_on_a_line() -> None:
+    lane = np.array([[0.5, 0.5]])
+    assert crossing_probability({"Lane": lane}) is None
+    # A node of that name that is something else is not taken for the place on the road.
+    assert crossing_probability({"Lane": lane, "RoadPosition": np.ones((1, 3)) / 3}) is None
+    other = np.array([[0.7, 0.1, 0.1, 0.1]])
+    assert crossing_probability({"Lane": lane, "RoadPosition": other}) is None

@@ -1,0 +1,234 @@
+"""How right lane changes are told: against every possible matching, and by hand."""
+
+from __future__ import annotations
+
+import json
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from egolane_pgm.scoring.events import (
+    TOLERANCES_S,
+    event_delays,
+    event_scores,
+    match_events,
+    score_crossing,
+    score_events,
+)
+from egolane_pgm.scoring.stability import lane_changes
+from egolane_pgm.types import InputError, LaneEvents, LaneTruth
+
+
+def events_at(*told: tuple[int, int, int]) -> LaneEvents:
+    """Events (frame told, lane left, lane entered)."""
+    frame, left, entered = np.array(told, dtype=np.int64).reshape(-1, 3).T
+    return LaneEvents(frame, frame / 10, frame, frame / 10, left, entered, np.ones(len(frame)))
+
+
+def truth_of(lanes: str, crossing: str, first: int = 0) -> LaneTruth:
+    """A character per frame: the lane, and x where it is crossing."""
+    frame_id = np.arange(first, first + len(lanes))
+    lane, flag = np.array([int(c) for c in lanes]), np.array([c == "x" for c in crossing])
+    return LaneTruth(frame_id, lane, flag)
+
+
+#: Crossing in frames 100 to 119, the label changes in frame 110; lane 2 from frame 120 on.
+ONE = truth_of("1" * 110 + "2" * 90, "." * 100 + "x" * 20 + "." * 80)
+
+
+@pytest.mark.parametrize(
+    ("frame", "right"),
+    [
+        (79, (0, 0, 0)),
+        (80, (0, 0, 1)),
+        (89, (0, 0, 1)),
+        (90, (0, 1, 1)),
+        (95, (1, 1, 1)),
+        (100, (1, 1, 1)),
+        (120, (1, 1, 1)),
+        (125, (1, 1, 1)),
+        (126, (0, 1, 1)),
+        (140, (0, 0, 1)),
+        (141, (0, 0, 0)),
+    ],
+)
+def test_an_event_is_right_inside_the_crossing_and_a_tolerance_around_it(
+    frame: int, right: tuple[int, ...]
+) -> None:
+    scores = score_events(events_at((frame, 1, 2)), ONE, 10.0)
+    assert tuple(found["right"] for found in scores["within"].values()) == right
+    assert list(scores["within"]) == ["0.5", "1", "2"]
+    for found in scores["within"].values():
+        assert found["right"] + found["missed"] == scores["changes"] == 1
+        assert found["right"] + found["false"] == scores["told"] == 1
+
+
+def test_the_delay_is_counted_from_the_end_of_the_crossing() -> None:
+    assert event_delays(events_at((110, 1, 2)), ONE, 10.0).tolist() == [-1.0]
+    assert event_delays(events_at((123, 1, 2)), ONE, 10.0).tolist() == [0.3]
+    assert np.isnan(event_delays(events_at((150, 1, 2)), ONE, 10.0)).all()
+
+
+@pytest.mark.parametrize("event", [(110, 2, 1), (110, 1, 3), (110, 3, 2)])
+def test_both_lanes_must_be_the_true_ones(event: tuple[int, int, int]) -> None:
+    found = score_events(events_at(event), ONE, 10.0)["within"]["2"]
+    assert (found["right"], found["false"], found["missed"]) == (0, 1, 1)
+
+
+def test_a_change_there_and_back_that_the_car_does_not_make_is_two_false_ones() -> None:
+    scores = score_events(events_at((30, 1, 2), (50, 2, 1), (118, 1, 2)), ONE, 10.0)
+    found = scores["within"]["2"]
+    assert (found["right"], found["false"], found["missed"]) == (1, 2, 0)
+    assert found["precision"] == pytest.approx(1 / 3)
+    assert found["recall"] == 1.0
+    assert found["false_per_hour"] == pytest.approx(2 / (200 / 10 / 3600))
+    assert scores["delay_s"] == {"median": pytest.approx(-0.2), "p90": pytest.approx(-0.2)}
+
+
+def test_an_aborted_crossing_is_no_change_and_what_is_told_there_is_false() -> None:
+    truth = truth_of("1" * 50, "." * 20 + "x" * 5 + "." * 25)
+    scores = score_events(events_at((22, 1, 2), (24, 2, 1)), truth, 10.0)
+    assert scores["changes"] == 0
+    assert scores["within"]["2"]["false"] == 2
+    assert scores["within"]["2"]["recall"] is None
+
+
+def test_nothing_is_false_where_the_truth_does_not_speak() -> None:
+    # Frames before 1000 are not annotated; the truth begins and ends in a crossing.
+    truth = truth_of("1" * 40, "x" * 10 + "." * 20 + "x" * 10, first=1000)
+    told = events_at((5, 1, 2), (1004, 2, 1), (1035, 1, 2))
+    assert score_events(told, truth, 10.0)["told"] == 0
+    assert score_events(events_at((1015, 1, 2)), truth, 10.0)["within"]["2"]["false"] == 1
+    nothing = truth_of("111", "xxx")
+    assert score_events(events_at((1, 1, 2)), nothing, 10.0)["told"] == 0
+
+
+def test_of_two_events_for_one_change_one_is_false() -> None:
+    scores = score_events(events_at((105, 1, 2), (115, 1, 2)), ONE, 10.0)
+    assert (scores["within"]["2"]["right"], scores["within"]["2"]["false"]) == (1, 1)
+
+
+@st.composite
+def drives(draw: st.DrawFn) -> tuple[LaneEvents, LaneTruth]:
+    """A truth of a few changes, flagged or not, and a few events near them."""
+    rng = np.random.default_rng(draw(st.integers(0, 2**32 - 1)))
+    n_lanes = draw(st.integers(1, 3))
+    size = draw(st.integers(0, 60))
+    lane = np.repeat(rng.integers(1, n_lanes + 1, 60), rng.integers(3, 20, 60))[:size]
+    crossing = np.repeat(rng.random(60) < 0.4, rng.integers(1, 6, 60))[:size]
+    frame_id = np.cumsum(rng.integers(1, 3, size))
+    told = np.sort(rng.choice(130, draw(st.integers(0, 6)), replace=False))
+    lanes = [(int(f), *map(int, rng.integers(1, n_lanes + 1, 2))) for f in told]
+    return events_at(*lanes), LaneTruth(frame_id, lane, crossing)
+
+
+def most_pairs(fits: list[list[bool]]) -> int:
+    """The most pairs of any matching: each row with one column or none."""
+    if not fits:
+        return 0
+    first, *others = fits
+    ways = [most_pairs(others)]
+    for j in np.flatnonzero(first):
+        rest = [[fit and k != j for k, fit in enumerate(row)] for row in others]
+        ways.append(1 + most_pairs(rest))
+    return max(ways)
+
+
+@settings(deadline=None)
+@given(drives(), st.sampled_from([*TOLERANCES_S, 0.0]), st.sampled_from([5.0, 10.0]))
+def test_no_other_matching_has_more_pairs(
+    drive: tuple[LaneEvents, LaneTruth], tolerance: float, rate: float
+) -> None:
+    events, truth = drive
+    changes = lane_changes(truth.lane, truth.is_crossing)
+    fits = [
+        [
+            bool(
+                truth.frame_id[changes.start[c]] - tolerance * rate
+                <= events.told_frame_id[e]
+                <= truth.frame_id[changes.end[c]] + tolerance * rate
+                and events.from_lane[e] == changes.from_lane[c]
+                and events.to_lane[e] == changes.to_lane[c]
+            )
+            for c in range(len(changes))
+        ]
+        for e in range(len(events))
+    ]
+    found = match_events(events, truth, rate, tolerance)
+    pairs = [(e, c) for e, c in enumerate(found.tolist()) if c >= 0]
+    assert all(fits[e][c] for e, c in pairs)
+    assert len({c for _, c in pairs}) == len(pairs) == most_pairs(fits)
+
+
+@settings(deadline=None)
+@given(drives())
+def test_scores_are_plain_numbers_and_a_wider_tolerance_is_kinder(
+    drive: tuple[LaneEvents, LaneTruth],
+) -> None:
+    events, truth = drive
+    scores = event_scores(events, np.linspace(0, 1, len(truth)), truth, 10.0)
+    json.dumps(scores, allow_nan=False)
+    right = [found["right"] for found in scores["within"].values()]
+    false = [found["false"] for found in scores["within"].values()]
+    assert right == sorted(right)
+    assert false == sorted(false, reverse=True)
+    assert scores["within"]["2"]["right"] == np.isfinite(event_delays(events, truth, 10.0)).sum()
+
+
+# --- early warning -------------------------------------------------------------------------------
+
+
+def warned(truth: LaneTruth, *frames: int) -> dict[str, Any]:
+    crossing = np.zeros(len(truth))
+    crossing[list(frames)] = 0.5
+    return score_crossing(crossing, truth, 10.0)
+
+
+def test_the_lead_is_from_the_beginning_of_the_warning_to_the_change_of_the_label() -> None:
+    found = warned(ONE, *range(96, 118))
+    assert found["lead_s"] == {"median": pytest.approx(1.4), "p10": pytest.approx(1.4)}
+    assert (found["changes"], found["warned"], found["warnings"]) == (1, 1, 1)
+    assert found["precision"] == pytest.approx(18 / 22)
+    assert found["recall"] == pytest.approx(18 / 20)
+    assert found["false_per_hour"] == 0
+    # The first of two warnings counts, and one that comes after the label has a lead below zero.
+    assert warned(ONE, 104, 108)["lead_s"]["median"] == pytest.approx(0.6)
+    assert warned(ONE, 115)["lead_s"]["median"] == pytest.approx(-0.5)
+
+
+def test_a_change_that_is_not_warned_of_has_no_lead() -> None:
+    found = warned(ONE, 90, 99, 120)
+    assert (found["warned"], found["lead_s"]["median"]) == (0, None)
+    # All of them are near the crossing, and none of them is false.
+    assert found["false_per_hour"] == 0
+
+
+@pytest.mark.parametrize(
+    ("frames", "false"),
+    [([80], 1), ([81], 0), ([138], 0), ([139], 1), (range(60, 140), 0), ([10, 11, 20], 2)],
+)
+def test_a_warning_is_false_where_no_crossing_is_near(frames: Any, false: int) -> None:
+    hours = len(ONE) / 10 / 3600
+    assert warned(ONE, *frames)["false_per_hour"] == pytest.approx(false / hours)
+
+
+def test_a_change_without_crossing_frames_is_warned_of_in_its_first_row() -> None:
+    truth = truth_of("1" * 10 + "2" * 10, "." * 20)
+    assert warned(truth, 10)["warned"] == 1
+    assert warned(truth, 9)["warned"] == warned(truth, 11)["warned"] == 0
+    assert warned(truth, 8, 9, 10)["lead_s"]["median"] == pytest.approx(0.2)
+
+
+def test_a_probability_that_is_the_flag_has_no_error() -> None:
+    found = score_crossing(ONE.is_crossing.astype(float), ONE, 10.0)
+    assert (found["auc"], found["precision"], found["recall"]) == (1.0, 1.0, 1.0)
+    assert score_crossing(np.zeros(200), ONE, 10.0)["precision"] is None
+    assert event_scores(events_at(), None, ONE, 10.0)["crossing"] is None
+
+
+def test_a_frame_rate_of_nothing_is_refused() -> None:
+    with pytest.raises(InputError, match="frame_rate"):
+        score_events(events_at((1, 1, 2)), ONE, 0.0)
