@@ -32,7 +32,7 @@ from pydantic_core import ErrorDetails
 from egolane_pgm.files import parse_yaml, read_yaml, without_version
 from egolane_pgm.parameters import check_names, resolve_parameters
 from egolane_pgm.plugins import OWN_FILES, declared_parameters, load_rule_and_graph
-from egolane_pgm.types import MAX_LANES, InputError, all_problems, suggestion
+from egolane_pgm.types import MAX_LANES, InputError, all_problems, not_one_of, suggestion
 
 #: What replaces some of an experiment's keys, as `load_experiment` takes it.
 Overrides = Mapping[str, Any] | Sequence[str] | None
@@ -603,7 +603,7 @@ def _problem(problem: ErrorDetails) -> str:
         choices = [
             c.strip("'") for c in problem["ctx"]["expected"].replace(" or ", ", ").split(", ")
         ]
-        return f"{where}: '{value}' is not one of {', '.join(choices)}{suggestion(value, choices)}"
+        return f"{where}: {not_one_of(value, choices)}"
     message = problem["msg"].removeprefix("Value error, ")
     message = message[0].lower() + message[1:]
     message = _NEEDS.get(problem["type"], message)

@@ -9,7 +9,7 @@ from typing import Literal
 
 import numpy as np
 
-from egolane_pgm.types import InputError, all_problems, suggestion
+from egolane_pgm.types import InputError, all_problems, not_one_of, suggestion
 
 #: A parameter's value: a number, a choice by name, or one number per lane.
 Value = float | int | str | tuple[float, ...]
@@ -88,10 +88,7 @@ class Parameter:
         """
         if self.kind == "choice":
             if not isinstance(value, str) or value not in self.choices:
-                raise InputError(
-                    f"{where}: {value!r} is not one of {', '.join(self.choices)}"
-                    + (suggestion(str(value), self.choices) if isinstance(value, str) else "")
-                )
+                raise InputError(f"{where}: {not_one_of(value, self.choices)}")
             return value
         if isinstance(value, str) and self.choices:
             if value not in self.choices:

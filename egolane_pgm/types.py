@@ -90,10 +90,18 @@ def suggestion(word: str, known: Iterable[str]) -> str:
     """The end of a message: `" (did you mean 'x'?)"` with the known word nearest to `word`, or the
     list of the known words if none is near."""
     names = sorted(known)
-    close = difflib.get_close_matches(word, names, n=1, cutoff=0.6)
-    if close:
-        return f" (did you mean '{close[0]}'?)"
-    return f" (known: {', '.join(names)})" if names else ""
+    return _meant(word, names) or (f" (known: {', '.join(names)})" if names else "")
+
+
+def not_one_of(value: object, choices: Sequence[str]) -> str:
+    """`"'x' is not one of a, b"`, with the choice that a word is near to."""
+    meant = _meant(value, choices) if isinstance(value, str) else ""
+    return f"{value!r} is not one of {', '.join(choices)}{meant}"
+
+
+def _meant(word: str, known: Sequence[str]) -> str:
+    close = difflib.get_close_matches(word, known, n=1, cutoff=0.6)
+    return f" (did you mean '{close[0]}'?)" if close else ""
 
 
 def stacked(parts: Sequence[NDArray[Any]], blank: float | bool) -> NDArray[Any]:

@@ -9,7 +9,15 @@ import numpy as np
 import pytest
 
 from egolane_pgm.parameters import Parameter, resolve_parameters
-from egolane_pgm.types import Beliefs, Evidence, InputError, LaneTruth, LineLog, suggestion
+from egolane_pgm.types import (
+    Beliefs,
+    Evidence,
+    InputError,
+    LaneTruth,
+    LineLog,
+    not_one_of,
+    suggestion,
+)
 
 
 def a_log(n_frames: int = 3, n_lines: int = 2) -> LineLog:
@@ -293,3 +301,12 @@ def test_suggestions_name_the_nearest_word_else_all_that_are_known() -> None:
     assert suggestion("lane_width", ["lane_width_m", "p1"]) == " (did you mean 'lane_width_m'?)"
     assert suggestion("x", ["b", "a"]) == " (known: a, b)"
     assert suggestion("x", []) == ""
+
+
+def test_choices_are_listed_once_with_the_nearest() -> None:
+    assert not_one_of("x", ("b", "a")) == "'x' is not one of b, a"
+    assert not_one_of("bt", ("but", "a")) == "'bt' is not one of but, a (did you mean 'but'?)"
+    assert not_one_of(3, ("b", "a")) == "3 is not one of b, a"
+    choice = Parameter("c", "choice", "a", "which", choices=("a", "b"))
+    with pytest.raises(InputError, match=r"^c: 'x' is not one of a, b$"):
+        choice.check("x", 3, "c")

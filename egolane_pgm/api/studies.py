@@ -28,7 +28,7 @@ from egolane_pgm.report.study_trials import STUDY_FILE, TRIALS_FILE, Trials, is_
 from egolane_pgm.results import read_files, staged, write_files
 from egolane_pgm.tuning import plan as planning
 from egolane_pgm.tuning import study as studies
-from egolane_pgm.types import InputError
+from egolane_pgm.types import InputError, not_one_of
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -167,7 +167,7 @@ class TuneResult:
 
         makes = figures_of(self.trials())
         if figure not in makes:
-            raise InputError(f"figure: {figure!r} is not one of {', '.join(makes)}")
+            raise InputError(f"figure: {not_one_of(figure, list(makes))}")
         with quiet():
             return inline_figure(makes[figure])
 

@@ -23,7 +23,7 @@ from pathlib import Path
 import numpy as np
 
 from egolane_pgm.camera.model import Camera, image_to_road, read_camera
-from egolane_pgm.types import BoolArray, FloatArray, InputError, LineLog, suggestion
+from egolane_pgm.types import BoolArray, FloatArray, InputError, LineLog, not_one_of
 
 #: The paper's k.
 LRI_FRAMES = 10
@@ -257,10 +257,7 @@ def _check_options(
     if not (np.isfinite(frame_rate) and frame_rate > 0):
         raise InputError(f"{source}: frame_rate {frame_rate} must be greater than 0")
     if valid not in VALID:
-        raise InputError(
-            f"{source}: valid: '{valid}' is not one of {', '.join(VALID)}"
-            f"{suggestion(str(valid), VALID)}"
-        )
+        raise InputError(f"{source}: valid: {not_one_of(valid, VALID)}")
     if isinstance(frame_step, bool) or not isinstance(frame_step, int) or frame_step < 1:
         raise InputError(f"{source}: frame_step: {frame_step!r} is not a whole number from 1 up")
     if isinstance(ahead_m, bool) or not isinstance(ahead_m, (int, float)):

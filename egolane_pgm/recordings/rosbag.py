@@ -20,7 +20,7 @@ from rosbags.interfaces import Nodetype
 from rosbags.rosbag1 import Reader
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
-from egolane_pgm.types import BoolArray, FloatArray, InputError, IntArray, LineLog
+from egolane_pgm.types import BoolArray, FloatArray, InputError, IntArray, LineLog, not_one_of
 
 #: The topic of the line detectors in the published recordings.
 TOPIC = "/isis_line_detector/lines"
@@ -86,7 +86,7 @@ def read_rosbag(
     """
     path = Path(path)
     if frame_id not in ("way_id", "seq"):
-        raise InputError(f"{path}: frame_id '{frame_id}' is not one of way_id, seq")
+        raise InputError(f"{path}: frame_id {not_one_of(frame_id, ('way_id', 'seq'))}")
     if not isinstance(topic, str):
         raise InputError(f"{path}: topic: {topic!r} is not the name of a topic")
     if not (np.isfinite(frame_rate) and frame_rate > 0):

@@ -13,7 +13,7 @@ from egolane_pgm.types import (
     IntArray,
     LaneTruth,
     LineLog,
-    suggestion,
+    not_one_of,
 )
 
 #: The policies for frame ids that the recording lacks.
@@ -57,10 +57,7 @@ def fill_missing(log: LineLog, policy: str, frame_rate: float) -> LineLog:
     be frame numbers.
     """
     if policy not in MISSING_FRAMES:
-        raise InputError(
-            f"missing_frames: '{policy}' is not one of {', '.join(MISSING_FRAMES)}"
-            + suggestion(policy, MISSING_FRAMES)
-        )
+        raise InputError(f"missing_frames: {not_one_of(policy, MISSING_FRAMES)}")
     if policy == "skip" or len(log) == 0:
         return log
     first, last = int(log.frame_id[0]), int(log.frame_id[-1])
