@@ -110,8 +110,10 @@ def test_a_comparison_says_which_side_looks_ahead(tmp_path: Path) -> None:
     third = write_drive(tmp_path / "c", N_FRAMES, name="smoothed", filter="smoothed")
     target = tmp_path / "all.json"
     said = done("compare", path, other, third, "--json", target, "--out", tmp_path / "out").stdout
-    assert "not tuned, not causal (evidence)" in said
-    assert "not tuned, not causal (filter)" in said
+    below = said.splitlines()
+    assert "causal: causal" in below
+    assert "not causal (evidence): drive" in below
+    assert "not causal (filter): smoothed" in below
     entries = [r["experiments"][0] for r in json.loads(target.read_text())["recordings"]]
     assert [e["is_causal"] for e in entries] == [False, True, False]
     assert [e["causal"]["evidence"] for e in entries] == [False, True, True]

@@ -11,6 +11,8 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from numpy.typing import ArrayLike
+
 from egolane_pgm.api import shown
 from egolane_pgm.api.given import bar, several_of
 from egolane_pgm.api.runs import RunResult, read_run
@@ -26,15 +28,22 @@ from egolane_pgm.comparing.groups import (
     graphs_on_runs,
     on_runs,
 )
+from egolane_pgm.comparing.lags import check_lags
 from egolane_pgm.comparing.learned_on import learned_elsewhere
 from egolane_pgm.comparing.placing import recording_key
 from egolane_pgm.comparing.saving import folder_of
 from egolane_pgm.experiment import Given, Overrides, load_experiment
 from egolane_pgm.files import write_json
 from egolane_pgm.paper import Runs, parse_runs
-from egolane_pgm.report.comparison_tables import accuracy_rows, experiment_names
+from egolane_pgm.report.comparison_tables import (
+    accuracy_rows,
+    experiment_names,
+    lag_curves,
+    lag_rows,
+    marks_text,
+)
 from egolane_pgm.results import SCHEMA_VERSION, read_files, staged, write_files
-from egolane_pgm.types import InputError
+from egolane_pgm.types import InputError, not_one_of
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -140,21 +149,32 @@ class CompareResult:
         return " or ".join(said)
 
     def _repr_html_(self) -> str:
-        header, rows = accuracy_rows(self._as_held_out())
+        document = self._as_held_out()
+        header, rows = (lag_rows if lag_curves(document) else accuracy_rows)(document)
         found = self.document.get("failed", [])
         notes = [f"failed: {each['title']}: {each['error']}" for each in found]
         return shown.html_table(
-            self._title(), header, rows, [*notes, "* in-sample, or not known to be held out"]
+            self._title(), header, rows, [*notes, *marks_text(document).splitlines()]
         )
 
-    def to_pandas(self) -> pd.DataFrame:
+    def to_pandas(self, table: str = "scores") -> pd.DataFrame:
         """A row per recording, experiment, subset of frames and score.
 
         Columns: `value`; `low` and `high` of its 95 % interval; `difference` to the first
         experiment of the recording, `difference_low`, `difference_high`; `tuned_on`.
+
+        - table: "scores", or "lags" for how right beliefs are that wait: a row per recording,
+          experiment, subset of frames and lag in seconds, with the columns `frames` waited for,
+          `accuracy`, its `low` and `high`, `f1`, `log_loss` and `tuned_on`.
+
+        Raises InputError for another table, and for lags where none was asked for.
         """
         import pandas as pd
 
+        if table == "lags":
+            return self._lags()
+        if table != "scores":
+            raise InputError(f"table: {not_one_of(table, ('scores', 'lags'))}")
         rows = [
             (recording["title"], entry["name"], subset, *row, entry["tuned_on"])
             for recording in self._as_held_out()["recordings"]
@@ -166,23 +186,50 @@ class CompareResult:
         values = ["value", "low", "high", "difference", "difference_low", "difference_high"]
         return pd.DataFrame(rows, columns=[*index, *values, "tuned_on"]).set_index(index)
 
-    def to_xarray(self) -> xr.Dataset:
+    def _lags(self) -> pd.DataFrame:
+        import pandas as pd
+
+        rows = []
+        for recording in self._as_held_out()["recordings"]:
+            for entry in recording["experiments"]:
+                for subset, found in (entry.get("lags") or {}).items():
+                    intervals = (found["intervals"] or {}).get("accuracy")
+                    for k, lag in enumerate(found["lag_s"]):
+                        low, high = (intervals and intervals[k]) or (None, None)
+                        scores = (found[name][k] for name in ("f1", "log_loss"))
+                        row = (found["frames"][k], found["accuracy"][k], low, high, *scores)
+                        place = (recording["title"], entry["name"], subset, lag)
+                        rows.append((*place, *row, entry["tuned_on"]))
+        if not rows:
+            raise InputError(
+                "table: 'lags' are of comparisons with lags, compare(..., lags=[0, 1])"
+            )
+        index = ["recording", "experiment", "subset", "lag_s"]
+        columns = ["frames", "accuracy", "low", "high", "f1", "log_loss", "tuned_on"]
+        return pd.DataFrame(rows, columns=[*index, *columns]).set_index(index)
+
+    def to_xarray(self, table: str = "scores") -> xr.Dataset:
         """`to_pandas` as a data set. Raises InputError where xarray is not installed."""
-        return shown.as_dataset(self.to_pandas())
+        return shown.as_dataset(self.to_pandas(table))
 
     def plot(self, figure: str = "accuracy") -> Figure:
         """Draw the experiments on each recording, with their intervals.
 
-        - figure: "accuracy", or "differences" for how it differs from the first experiment's.
+        - figure: "accuracy"; "differences" for how it differs from the first experiment's; or
+          "lags" for how it grows with the delay.
 
-        Raises InputError for another figure, and for differences that there are not.
+        Raises InputError for another figure, and for differences or lags that there are not.
         """
         from egolane_pgm.report import comparison_figures as figures
         from egolane_pgm.report.style import inline_figure
 
-        makes = {"accuracy": figures.comparison_figure, "differences": figures.differences_figure}
+        makes = {
+            "accuracy": figures.comparison_figure,
+            "differences": figures.differences_figure,
+            "lags": figures.lags_figure,
+        }
         if figure not in makes:
-            raise InputError(f"figure: {figure!r} is not one of {', '.join(makes)}")
+            raise InputError(f"figure: {not_one_of(figure, list(makes))}")
         if figure == "differences" and not self.is_held_out:
             raise InputError("figure: 'differences' are of comparisons that hold something out")
         return inline_figure(lambda: makes[figure](self._as_held_out()))
@@ -315,6 +362,7 @@ def compare(
     learned_on: str | Sequence[str] = (),
     health: bool = False,
     events: bool = False,
+    lags: ArrayLike = (),
     blocks: int = 5,
     trials: int | None = None,
     trials_per_number: int | None = None,
@@ -339,6 +387,8 @@ def compare(
       each of a list.
     - health: whether to score how well each tells that the detector is wrong.
     - events: whether to score the lane changes that each tells of.
+    - lags: seconds; how right beliefs are that wait for later frames, for each of them. See
+      `CompareResult.to_pandas("lags")`.
     - blocks: how many blocks are held out in turn.
     - trials: of each block's search (`fit: tune`).
     - trials_per_number: instead, trials for each number that is searched.
@@ -358,19 +408,26 @@ def compare(
     >>> compared = ego.compare([one, other], blocks=2)
     >>> compared.to_pandas()["value"].xs("f1", level="score").round(3).to_list()
     [0.728, 0.727]
+    >>> late = ego.compare(one, blocks=2, lags=[0, 1]).to_pandas("lags")
+    >>> late["accuracy"].round(3).to_list()
+    [0.902, 0.911]
     """
     given = several_of(experiments, "compare")
     names = graph_names(graphs, bool(given))
     learned = [os.fspath(each) for each in several_of(learned_on, "learned_on")]
     check_options(bool(given), runs, with_paper, bool(learned), trials, trials_per_number)
+    waits = check_lags(lags)
     if not given and not held_out:
+        if waits:
+            raise InputError("lags: go with experiments or with held_out")
         return compare_on_runs(names, parse_runs(runs or "1-10"), parameters, progress=progress)
     fit = "tune" if held_out else None
     numbers = parse_runs(runs) if runs else None
     groups = groups_of(given, names, fit, numbers, with_paper, parameters, learned, overrides)
     with tempfile.TemporaryDirectory(prefix="egolane-") as temporary:
         folder = Path(temporary if out is None else out)
-        settings = Options(blocks, trials, health, folder, trials_per_number, _seeds(seeds), events)
+        searched = (trials_per_number, _seeds(seeds))
+        settings = Options(blocks, trials, health, folder, *searched, events, waits)
         found = compare_recordings(groups, settings, jobs=jobs, progress=progress)
         if not found.is_whole:
             raise KeyboardInterrupt

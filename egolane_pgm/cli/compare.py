@@ -19,6 +19,7 @@ from egolane_pgm.api.comparisons import (
 from egolane_pgm.cli import options
 from egolane_pgm.comparing import compare_rows
 from egolane_pgm.comparing.groups import Group, Options
+from egolane_pgm.comparing.lags import check_lags
 from egolane_pgm.files import check_not_read, check_place, write_json
 from egolane_pgm.paper import parse_runs
 from egolane_pgm.report import comparison_tables as rows_of
@@ -54,6 +55,11 @@ class Figures(NamedTuple):
 )
 @click.option("--health", is_flag=True, help="How well each tells that the detector is wrong.")
 @click.option("--events", is_flag=True, help="How right each tells the lane changes.")
+@click.option(
+    "--lags",
+    metavar="SECONDS,...",
+    help="How right beliefs are that wait, e.g. 0,0.5,1,2,5; --figure draws that.",
+)
 @click.option("--blocks", type=click.IntRange(2), default=5, show_default=True)
 @click.option("--trials", type=click.IntRange(1), help="Of each block's search (fit: tune).")
 @click.option(
@@ -89,6 +95,7 @@ def compare(
     learned_on: tuple[str, ...],
     health: bool,
     events: bool,
+    lags: str | None,
     blocks: int,
     trials: int | None,
     trials_per_number: int | None,
@@ -110,6 +117,7 @@ def compare(
     """
     check_options(bool(experiments), runs, with_paper, bool(learned_on), trials, trials_per_number)
     drawn = _seeds(seeds) if seeds is not None else ()
+    waits = check_lags(lags.split(",")) if lags is not None else ()
     figures = Figures(figure, differences)
     if any(figures):
         # matplotlib is imported only for a figure.
@@ -124,11 +132,12 @@ def compare(
         check_not_read(json_file, map(Path, experiments))
     names = graph_names(graphs, bool(experiments))
     if not experiments and not held_out:
-        many = (health, events, overrides, trials, trials_per_number, seeds, *figures, out)
+        many = (health, events, lags, overrides, trials, trials_per_number, seeds, *figures, out)
         if any(many) or style != "markdown":
             raise InputError(
-                "compare: --health, --events, --set, --trials, --trials-per-number, --seeds,"
-                " --figure, --differences, --out and --format go with experiments or --held-out"
+                "compare: --health, --events, --lags, --set, --trials, --trials-per-number,"
+                " --seeds, --figure, --differences, --out and --format go with experiments or with"
+                " --held-out"
             )
         _in_sample(names, parse_runs(runs or "1-10"), which, json_file)
         return
@@ -149,6 +158,7 @@ def compare(
         trials_per_number,
         drawn,
         events,
+        waits,
     )
     _held_out(groups, settings, jobs, style, figures, json_file)
 
@@ -181,9 +191,10 @@ def _held_out(
     else:
         _show_tables(found, settings, tables.STYLES[style])
     if any(figures):
-        from egolane_pgm.report.comparison_figures import draw_comparison, draw_differences
+        from egolane_pgm.report import comparison_figures as draws
 
-        for draw, path in zip((draw_comparison, draw_differences), figures, strict=True):
+        accuracy = draws.draw_lags if settings.lags else draws.draw_comparison
+        for draw, path in zip((accuracy, draws.draw_differences), figures, strict=True):
             if path:
                 draw(found, path)
     for failed in found["failed"]:
@@ -201,26 +212,29 @@ def _held_out(
 
 def _show_markdown(found: Mapping[str, Any], settings: Options) -> None:
     is_repeated = rows_of.is_repeated(found)
-    taken_together = rows_of.together_tables(found)
+    taken_together = [] if settings.lags else rows_of.together_tables(found)
     header, rows = rows_of.search_rows(found)
     if rows:
         click.echo(f"{tables.markdown(header, rows)}\n")
     for header, rows in taken_together:
         click.echo(f"{tables.markdown(header, rows)}\n")
-    if is_repeated:
-        click.echo(tables.markdown(*rows_of.seeds_rows(found)))
+    if settings.lags:
+        click.echo(f"{tables.markdown(*rows_of.lag_rows(found))}\n\n{rows_of.marks_text(found)}")
+    elif is_repeated:
+        click.echo(f"{tables.markdown(*rows_of.seeds_rows(found))}\n\n{rows_of.marks_text(found)}")
     else:
         header, rows = rows_of.accuracy_rows(found)
-        click.echo(f"{tables.markdown(header, rows)}\n\n* in-sample, or not known to be held out")
+        click.echo(f"{tables.markdown(header, rows)}\n\n{rows_of.marks_text(found)}")
         if rows_of.has_untrusted(found):
             header, rows = rows_of.accuracy_rows(found, "all_frames")
             click.echo(
                 "\nAbove without the frames of tuning.never_fit, whose labels are not trusted;"
                 f" with them:\n\n{tables.markdown(header, rows)}"
             )
-        click.echo()
-        _show_tables(found, settings, tables.markdown)
-    legends = [rows_of.LEGEND]
+        for header, rows in rows_of.full_tables(found):
+            click.echo(f"\n{tables.markdown(header, rows)}")
+    _show_rest(found, settings, tables.markdown)
+    legends = [rows_of.LAGS_LEGEND if settings.lags else rows_of.LEGEND]
     if is_repeated:
         legends.append(rows_of.SEEDS_LEGEND)
     if taken_together:
@@ -233,7 +247,13 @@ def _show_markdown(found: Mapping[str, Any], settings: Options) -> None:
 
 
 def _show_tables(found: Mapping[str, Any], settings: Options, draw: Draw) -> None:
-    click.echo(draw(*rows_of.full_rows(found)).rstrip("\n"))
+    rows = rows_of.lag_rows(found) if settings.lags else rows_of.full_rows(found)
+    click.echo(draw(*rows).rstrip("\n"))
+    _show_rest(found, settings, draw)
+
+
+def _show_rest(found: Mapping[str, Any], settings: Options, draw: Draw) -> None:
+    """The tables that stand below any others."""
     header, rows = rows_of.chosen_rows(found)
     if rows:
         click.echo(f"\n{draw(header, rows)}".rstrip("\n"))

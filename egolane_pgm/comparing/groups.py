@@ -18,6 +18,7 @@ from egolane_pgm.comparing.choose import Known, experiment_key, losses_by_experi
 from egolane_pgm.comparing.detector_health import detector_answers, detector_health, model_health
 from egolane_pgm.comparing.events import side_events
 from egolane_pgm.comparing.graphs import with_graphs
+from egolane_pgm.comparing.lags import lag_scores
 from egolane_pgm.comparing.placing import (
     drive_key,
     load_for_scoring,
@@ -77,6 +78,8 @@ class Options:
     health: whether to score how well each experiment tells that the detector is wrong.
     events: whether to score the lane changes that each experiment tells of.
     out: where result directories go; None for nowhere.
+    lags: seconds, increasing, that beliefs wait, each of which is scored; none for the experiments'
+        own filters only.
     """
 
     blocks: int = N_BLOCKS
@@ -86,6 +89,7 @@ class Options:
     trials_per_number: int | None = None
     seeds: tuple[int, ...] = ()
     events: bool = False
+    lags: tuple[float, ...] = ()
 
 
 #: Per score the values of all frames and of each resample (1 + R,); None for a short drive.
@@ -392,7 +396,12 @@ def _columns(
             how = _how(options, seed)
             sides.append(
                 held_out_side(
-                    drive, n_blocks=options.blocks, search=how, losses=losses, searched=found
+                    drive,
+                    n_blocks=options.blocks,
+                    search=how,
+                    losses=losses,
+                    searched=found,
+                    lags=options.lags,
                 )
             )
         columns.append(sides)
@@ -463,11 +472,20 @@ def _entry(
             for one, found in zip(sides, each, strict=True)
             if searched
         ],
+        "lags": {key: _lag_scores(sides, kept) for key, kept in keep.items()}
+        if side.lagged
+        else None,
         "difference_to": None,
         "difference": None,
         "health": None,
         "events": None,
     }
+
+
+def _lag_scores(sides: Sequence[Side], kept: BoolArray) -> dict[str, Any]:
+    found = mean_of([lag_scores(side.drive, side.lagged, kept) for side in sides])
+    # The mean of the seeds' intervals is none of the mean.
+    return found if len(sides) == 1 else {**found, "intervals": None}
 
 
 def _short(graph: str) -> str:
@@ -542,7 +560,9 @@ def document(groups: Sequence[Mapping[str, Any]], options: Options) -> dict[str,
     seeds), `scores` (per subset, as `scoring.summary.score_with_intervals` and
     `mean_log_evidence`; for several seeds the mean over them), `spread` (per subset and score, the
     standard deviation over the seeds; null for one), `seeds` (of `fit: tune`: a list of `seed`,
-    `parameters` and `scores` with that seed),
+    `parameters` and `scores` with that seed), `lags` (null unless asked for; per subset as
+    `lags.lag_scores`, the exact recursion with the evidence of that many later frames, whatever
+    the filter; for several seeds the mean over them, without `intervals`),
     `difference_to` (name of the first experiment, null for itself), `difference` (per subset and
     score [estimate, low, high], paired block bootstrap, 95 %, over frames and seeds, see
     `scoring.seeds`; null for short drives), `health`

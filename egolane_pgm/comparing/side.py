@@ -18,6 +18,7 @@ from egolane_pgm.comparing.choose import (
     plan,
     try_all,
 )
+from egolane_pgm.comparing.lags import Lagged, lag_notes, lagged_beliefs
 from egolane_pgm.comparing.learned_on import learner_elsewhere
 from egolane_pgm.comparing.placing import drive_key
 from egolane_pgm.experiment import Experiment, Tuning
@@ -55,6 +56,7 @@ class Side:
         of several.
     tuned_on: as in a YAML.
     notes: what the evidence rule warned of, a line each.
+    lagged: the beliefs that wait, for each lag that was asked for.
     """
 
     drive: Drive
@@ -66,6 +68,7 @@ class Side:
     fixed_parameters: int | None = None
     trials: int | None = None
     seed: int | None = None
+    lagged: tuple[Lagged, ...] = ()
 
     @property
     def experiment(self) -> Experiment:
@@ -142,14 +145,18 @@ def held_out_side(
     search: Search | None = None,
     losses: Sequence[Losses] | None = None,
     searched: Sequence[Found] | None = None,
+    lags: Sequence[float] = (),
 ) -> Side:
     """Fit without each block in turn, filter the whole recording, keep the block.
 
     search: how `fit: tune` searches.
     losses: of the candidates of `fit: choose`, where they are at hand.
     searched: what `search_blocks` found, where it is at hand.
+    lags: seconds, increasing, that beliefs wait for later frames, beside those of the experiment's
+        own filter.
 
-    Raises InputError for a fit that the experiment's plugins do not allow, or too many blocks.
+    Raises InputError for a fit that the experiment's plugins do not allow, too many blocks, or
+    lags where the evidence allows none.
     """
     experiment = drive.experiment
     problem = search_problem(drive, search or Search()) if experiment.fit == "tune" else None
@@ -171,9 +178,12 @@ def held_out_side(
         notes.extend(warned)
         return beliefs
 
+    believed = held_out(drive, fit, beliefs_with, n_blocks)
+    lagged = lagged_beliefs(drive, believed, lags) if lags else []
+    notes += lag_notes(drive, lags) if lags else []
     return Side(
         drive,
-        held_out(drive, fit, beliefs_with, n_blocks),
+        believed,
         free_parameters,
         min(seconds),
         experiment.tuned_on if experiment.fit == "none" else "other_frames",
@@ -181,6 +191,7 @@ def held_out_side(
         None if problem is None else problem.spaces[0].n_fixed,
         None if problem is None else problem.settings.trials,
         None if problem is None else problem.settings.seed,
+        tuple(lagged),
     )
 
 

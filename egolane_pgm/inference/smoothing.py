@@ -138,7 +138,7 @@ def fixed_lag_beliefs(
 
     Raises InputError as `pass_forward`, and for a negative lag.
     """
-    _check_lag(lag)
+    check_lag(lag)
     passed = pass_forward(compiled, evidence)
     smoothed = np.empty_like(passed.filtered)
     fixed_lag_frames(
@@ -174,7 +174,7 @@ def lag_step(
     The `frame_id` of a belief counts from 0, the first frame. `lag_rest` has the last frames at the
     end. Raises InputError as `fixed_lag_beliefs`, and for more frames than one.
     """
-    _check_lag(lag)
+    check_lag(lag)
     if len(evidence) != 1:
         raise InputError(f"lag_step takes one frame at a time, got {len(evidence)}")
     if state is None:
@@ -227,6 +227,7 @@ def _beliefs(
     return Beliefs(ids, marginals, passed.log_evidence, passed.is_impossible)
 
 
-def _check_lag(lag: int) -> None:
+def check_lag(lag: int) -> None:
+    """Raise InputError for a negative lag."""
     if lag < 0:
         raise InputError(f"lag {lag}: must not be negative")

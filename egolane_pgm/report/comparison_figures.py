@@ -8,9 +8,15 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
+from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from egolane_pgm.report.comparison_tables import experiment_names, trusted_or_all
+from egolane_pgm.report.comparison_tables import (
+    experiment_names,
+    lag_curves,
+    lag_means,
+    trusted_or_all,
+)
 from egolane_pgm.report.style import (
     FAINT,
     INK,
@@ -124,9 +130,7 @@ def comparison_figure(document: Mapping[str, Any]) -> Figure:
     ax.tick_params(axis="y", labelsize=8.5)
     low, high = ax.get_ylim()
     ax.set_ylim(low, high)
-    seen = [[v for v in some if low <= _height(v) <= high] for some in (_TICKS, *_FINER)]
-    named = next((some for some in seen if len(some) > 2), seen[0])
-    ax.set_yticks([_height(v) for v in named], [_tick(v) for v in named])
+    _name_accuracies(ax, low, high)
     ax.set_ylabel("accuracy (errors on a log scale)", fontsize=9)
     ax.grid(axis="y", color="#ececec", linewidth=0.6)
     ax.set_axisbelow(True)
@@ -214,6 +218,93 @@ def _differences(document: Mapping[str, Any], name: str) -> dict[str, tuple[floa
             bounds = entry["difference"]["accuracy"]
             found[f"all {entry['recordings']}"] = bounds and tuple(bounds)
     return found
+
+
+#: What a study of another kind reports, and where (Towards Accurate Ego-lane Identification with
+#: Early Time Series Classification, 2024): the average time until a series is answered, seconds,
+#: and the share of right answers.
+STUDY = (0.84, 0.996)
+STUDY_SOURCE = """\
+Star: another study (arXiv:2405.17270) reports 99.6 % at an average prediction time of 0.84 s, for
+114 h of driving in five countries with camera and map. It answers a series of frames once, when it
+is sure, and on other roads: a mark to look at, no like-for-like comparison."""
+
+_LAG_PANEL, _LAG_GAP, _LAG_HEIGHT, _LAG_LEGEND, _LAG_FOOT = 5.0, 0.3, 3.8, 1.2, 1.1
+
+
+def draw_lags(document: Mapping[str, Any], path: str | Path) -> Path:
+    """Draws how the accuracy of each experiment on each recording grows with the time that its
+    beliefs wait, the mean over the recordings, and what a study of another kind reports.
+
+    document: as `egolane compare --lags ... --json` writes it. Axis and frames are those of
+    `draw_comparison`; a panel per experiment.
+
+    Raises InputError for a document without lags, and as `write_figure` does.
+    """
+    return write_figure(lambda: lags_figure(document), path)
+
+
+def lags_figure(document: Mapping[str, Any]) -> Figure:
+    """The figure of `draw_lags`."""
+    curves = lag_curves(document)
+    if not curves:
+        raise InputError("comparison: no lags to draw; compare with lags, seconds")
+    titles = [str(recording["title"]) for recording in document["recordings"]]
+    wide, head = len(curves) * (_LAG_PANEL + _LAG_GAP), _HEAD + 0.2 * (len(curves) > 1)
+    figure = new_figure(_LEFT + wide + _LAG_LEGEND, head + _LAG_HEIGHT + _LAG_FOOT)
+    put_title(
+        figure, "Accuracy on frames that are not crossing, by how late the answer is", size=10
+    )
+    axes = []
+    for p, (name, curve) in enumerate(curves.items()):
+        ax = axes_at(figure, _LEFT + p * (_LAG_PANEL + _LAG_GAP), head, _LAG_PANEL, _LAG_HEIGHT)
+        axes.append(ax)
+        for k, title in enumerate(titles):
+            if title not in curve:
+                continue
+            colour, _ = SERIES[k % len(SERIES)]
+            _, marker = SERIES[(k + k // len(SERIES)) % len(SERIES)]
+            found = curve[title]
+            ax.plot(
+                found["lag_s"], [_height(v) for v in found["accuracy"]], label=_short(title),
+                color=colour, marker=marker, markersize=4, linewidth=1.1,
+                linestyle=("-", "--", ":")[k // len(SERIES) % 3],
+            )  # fmt: skip
+        if len(curve) > 1:
+            lags = next(iter(curve.values()))["lag_s"]
+            ax.plot(
+                lags, [_height(v) for v in lag_means(curve)], label=f"mean of {len(curve)}",
+                color=INK, linewidth=2.6, alpha=0.75, zorder=4,
+            )  # fmt: skip
+        ax.plot(
+            [STUDY[0]], [_height(STUDY[1])], label="another study", linestyle="none", marker="*",
+            markersize=13, markerfacecolor="#f0e442", markeredgecolor=INK, zorder=5,
+        )  # fmt: skip
+        if len(curves) > 1:
+            ax.set_title(name, fontsize=9, loc="left", color=INK)
+        ax.set_xlabel("delay of the answer, seconds", fontsize=9)
+        ax.tick_params(labelsize=8.5)
+        ax.grid(color="#ececec", linewidth=0.6)
+        ax.set_axisbelow(True)
+    low = min(ax.get_ylim()[0] for ax in axes)
+    high = max(ax.get_ylim()[1] for ax in axes)
+    for p, ax in enumerate(axes):
+        ax.set_ylim(low, high)
+        _name_accuracies(ax, low, high)
+        if p:
+            ax.set_yticklabels([])
+    axes[0].set_ylabel("accuracy (errors on a log scale)", fontsize=9)
+    axes[-1].legend(loc="center left", bbox_to_anchor=(1.02, 0.5), fontsize=8.5, frameon=False)
+    across, down = (float(x) for x in figure.get_size_inches())
+    figure.text(0.12 / across, 0.1 / down, STUDY_SOURCE, fontsize=7, va="bottom", color=INK)
+    return figure
+
+
+def _name_accuracies(ax: Axes, low: float, high: float) -> None:
+    """Ticks at accuracies within these heights."""
+    seen = [[v for v in some if low <= _height(v) <= high] for some in (_TICKS, *_FINER)]
+    named = next((some for some in seen if len(some) > 2), seen[0])
+    ax.set_yticks([_height(v) for v in named], [_tick(v) for v in named])
 
 
 def _height(accuracy: float) -> float:

@@ -6,7 +6,9 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from egolane_pgm.report.tables import score_text, tuned_on_text, with_interval
+import numpy as np
+
+from egolane_pgm.report.tables import TUNED_ON_SHORT, score_text, with_interval
 
 LEGEND = """\
 Held out: each block of the drive is scored with parameters fitted without it, or with fixed ones
@@ -26,6 +28,13 @@ each experiment, seeds)."""
 TOGETHER_LEGEND = """\
 All recordings: plain means over them. Recordings of one drive by several detectors are not
 independent: their frames are resampled together, each drive by itself."""
+
+LAGS_LEGEND = """\
+Over non-crossing frames, those of untrusted labels (tuning.never_fit) left out. The belief about a
+frame is given so many seconds late: it knows the lines of the frames recorded until then. Lag 0 is
+the exact filter, whatever the experiment's own; where frames are missing a lag lasts longer.
+Evidence that is causal is made of a frame when it comes and not read anew later. All scores and
+95 % intervals: --json."""
 
 HEALTH_LEGEND = """\
 AUC: area under the ROC curve for "the detector alone is wrong in this frame", over non-crossing
@@ -69,6 +78,62 @@ def accuracy_rows(
     return ["accuracy", *names], rows
 
 
+def marks_text(document: Mapping[str, Any]) -> str:
+    """What stands below a table of accuracies: what a star in it means, and which experiments look
+    at later frames, and by what."""
+    entries = [e for recording in document["recordings"] for e in recording["experiments"]]
+    said = ["* in-sample, or not known to be held out"] if any(map(_mark, entries)) else []
+    known = [(causal_text(entry), entry["name"]) for entry in entries if "causal" in entry]
+    for text in sorted({text for text, _ in known}):
+        names = dict.fromkeys(name for found, name in known if found == text)
+        said.append(f"{text}: {', '.join(names)}")
+    return "\n".join(said)
+
+
+def causal_text(entry: Mapping[str, Any]) -> str:
+    """Whether an experiment's beliefs know the frames so far only, or what looks ahead."""
+    ahead = [part for part, is_causal in entry["causal"].items() if not is_causal]
+    return f"not causal ({', '.join(ahead)})" if ahead else "causal"
+
+
+def lag_curves(document: Mapping[str, Any]) -> dict[str, dict[str, Mapping[str, Any]]]:
+    """By experiment and recording how right beliefs are that wait (`lags` of the document), over
+    the frames whose labels can be trusted. Empty where no lag was asked for."""
+    curves: dict[str, dict[str, Mapping[str, Any]]] = {}
+    for recording in document["recordings"]:
+        for entry in recording["experiments"]:
+            if entry.get("lags"):
+                found = trusted_or_all(entry["lags"])
+                curves.setdefault(entry["name"], {})[str(recording["title"])] = found
+    return curves
+
+
+def lag_means(curve: Mapping[str, Mapping[str, Any]]) -> list[float]:
+    """The plain means over recordings of the accuracies, one for each lag."""
+    means: list[float] = np.mean([found["accuracy"] for found in curve.values()], axis=0).tolist()
+    return means
+
+
+def lag_rows(document: Mapping[str, Any]) -> tuple[list[str], list[list[str]]]:
+    """Accuracies of the beliefs that wait: a row per recording and experiment, a column per lag;
+    the means below."""
+    curves = lag_curves(document)
+    several = len(curves) > 1
+    lags = next(found["lag_s"] for curve in curves.values() for found in curve.values())
+    header = ["accuracy", *["experiment"] * several, *(f"{lag:g} s" for lag in lags)]
+    rows = []
+    for recording in document["recordings"]:
+        for entry in recording["experiments"]:
+            values = curves[entry["name"]][recording["title"]]["accuracy"]
+            cells = [score_text(value, 4) + _mark(entry) for value in values]
+            rows.append([recording["title"], *[entry["name"]] * several, *cells])
+    for name, curve in curves.items():
+        if len(curve) > 1:
+            cells = [score_text(value, 4) for value in lag_means(curve)]
+            rows.append([f"mean of {len(curve)}", *[name] * several, *cells])
+    return header, rows
+
+
 def has_untrusted(document: Mapping[str, Any]) -> bool:
     """Whether the labels of some frames are not trusted."""
     return any(
@@ -81,10 +146,10 @@ def has_untrusted(document: Mapping[str, Any]) -> bool:
 def full_rows(document: Mapping[str, Any]) -> tuple[list[str], list[list[str]]]:
     """All scores: a row per recording, experiment and subset of frames."""
     header = [
-        "recording", "experiment", "frames", "parameters from", "accuracy", "F1", "log-loss",
-        "Brier", "calibration error", "false switches/min", "delay median", "delay p90", "missed",
-        "coverage", "log evidence", "us/frame", "parameters", "accuracy diff", "F1 diff",
-        "log-loss diff", "fixed", "trials", "seeds", "accuracy +-",
+        "recording", "experiment", "frames", "parameters from", "causality", "accuracy", "F1",
+        "log-loss", "Brier", "calibration error", "false switches/min", "delay median",
+        "delay p90", "missed", "coverage", "log evidence", "us/frame", "parameters",
+        "accuracy diff", "F1 diff", "log-loss diff", "fixed", "trials", "seeds", "accuracy +-",
     ]  # fmt: skip
     rows = []
     for recording in document["recordings"]:
@@ -94,13 +159,40 @@ def full_rows(document: Mapping[str, Any]) -> tuple[list[str], list[list[str]]]:
     return header, rows
 
 
+def full_tables(
+    document: Mapping[str, Any], width: int = 100
+) -> list[tuple[list[str], list[list[str]]]]:
+    """All scores, to be read as plain text: of several recordings the table of `full_rows`; of one
+    upright, a column per experiment, as many as fit into lines of that width, and without scores
+    that nobody has. The frames whose labels can be trusted come first."""
+    header, rows = full_rows(document)
+    if len(document["recordings"]) > 1:
+        return [(header, rows)]
+    tables = []
+    for subset in sorted({row[2] for row in rows}, reverse=True):
+        mine = [row for row in rows if row[2] == subset]
+        title = mine[0][0] + f", {subset} frames" * has_untrusted(document)
+        kept = [k for k in range(3, len(header)) if any(row[k] != "-" for row in mine)]
+        labels = [title, *(header[k] for k in kept)]
+        columns = [labels]
+        for row in mine:
+            columns.append([row[1], *(row[k] for k in kept)])
+            if len(columns) > 2 and sum(max(map(len, c)) + 3 for c in columns) >= width:
+                tables.append(columns[:-1])
+                columns = [labels, columns[-1]]
+        tables.append(columns)
+    upright = [[list(line) for line in zip(*columns, strict=True)] for columns in tables]
+    return [(head, cells) for head, *cells in upright]
+
+
 def _cells(entry: Mapping[str, Any], subset: str, scores: Mapping[str, Any]) -> list[str]:
     delay = scores["delay"]
     difference = (entry["difference"] or {}).get(subset) or {}
     return [
         entry["name"],
         "all" if subset == "all_frames" else "trusted",
-        tuned_on_text(entry),
+        TUNED_ON_SHORT[entry["tuned_on"]],
+        causal_text(entry),
         _score(scores, "accuracy", 4),
         _score(scores, "f1", 4),
         score_text(scores["log_loss"]),

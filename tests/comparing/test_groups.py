@@ -39,11 +39,14 @@ from egolane_pgm.report.comparison_figures import (
 from egolane_pgm.report.comparison_tables import (
     accuracy_rows,
     full_rows,
+    full_tables,
     health_rows,
+    marks_text,
     search_rows,
     seeds_rows,
     together_tables,
 )
+from egolane_pgm.report.tables import markdown
 from egolane_pgm.running import run_experiment
 from egolane_pgm.scoring.assign import assigned_lane
 from egolane_pgm.scoring.bootstrap import bootstrap_interval, confusion_counts
@@ -471,6 +474,44 @@ def test_graphs_that_cannot_be_used_are_all_named_before_a_recording_is_read(
     assert message == "--graphs: lane_only is named twice"
 
 
+def test_the_scores_of_one_recording_stand_upright_within_a_hundred_letters() -> None:
+    tuning = {"never_fit": {"from_frame": 900}}
+    ahead = {"filter": "smoothed", "tuned_on": "not_tuned"}
+    experiments = [
+        simulated("a", tuning=tuning), geometry("b"), simulated("c", graph="no_wor", **ahead),
+        simulated("d", graph="lane_only"), geometry("e_whose_name_is_longer_than_its_scores"),
+    ]  # fmt: skip
+    found = document(list(compare_groups(by_recording(experiments))), Options())
+    upright = full_tables(found)
+    assert max(len(line) for table in upright for line in markdown(*table).splitlines()) <= 100
+    header, rows = full_rows(found)
+    for subset in ("trusted", "all"):
+        mine = [t for t in upright if t[0][0] == f"quickstart, seed 0, {subset} frames"]
+        assert 1 < len(mine) < len(experiments)
+        cells = {
+            (name, line[0]): value
+            for head, lines in mine
+            for line in lines
+            for name, value in zip(head[1:], line[1:], strict=True)
+        }
+        expected = {
+            (row[1], label): value
+            for row in rows
+            for label, value in zip(header[3:], row[3:], strict=True)
+            if row[2] == subset
+        }
+        assert {k: v for k, v in cells.items() if v != "-"} == {
+            k: v for k, v in expected.items() if v != "-"
+        }
+    assert upright[0][0][0].endswith("trusted frames")
+    assert marks_text(found).splitlines() == [
+        "* in-sample, or not known to be held out",
+        "causal: a, d",
+        "not causal (evidence): b, e_whose_name_is_longer_than_its_scores",
+        "not causal (filter): c",
+    ]
+
+
 def test_what_cannot_be_compared_is_refused_in_one_line(runs: Path, tmp_path: Path) -> None:
     one = write(tmp_path / "one.yaml", simulated("one"))
     assert "--with-paper" in refused("compare", one, "--with-paper")
@@ -579,6 +620,8 @@ def test_tables_and_figure_show_the_numbers_of_the_document(tmp_path: Path) -> N
     header, rows = full_rows(found)
     assert {len(row) for row in rows} == {len(header)}
     assert [row[3] for row in rows] == ["in-sample", "not tuned", "unknown"]
+    assert [row[4] for row in rows] == ["causal"] * 3
+    assert full_tables(found) == [(header, rows)]
     header, rows = health_rows(found)
     assert {len(row) for row in rows} == {len(header)}
     (ax,) = comparison_figure(found).axes
