@@ -238,7 +238,7 @@ class CompareResult:
         """Write the numbers, and a result directory for each recording and experiment, as
         `egolane compare --out` does; `load_result` reads them.
 
-        - figures: whether accuracy is drawn beside them.
+        - figures: whether accuracy, and that over lags, is drawn beside them.
 
         An older comparison of that name is replaced. Raises InputError where the directory holds
         anything else, or cannot be written.
@@ -249,9 +249,12 @@ class CompareResult:
             write_json(folder / DOCUMENT, self.document)
             if figures:
                 # matplotlib is imported only for figures.
-                from egolane_pgm.report.comparison_figures import draw_comparison
+                from egolane_pgm.report.comparison_figures import draw_comparison, draw_lags
 
-                draw_comparison(self._as_held_out(), folder / "figures" / "accuracy.png")
+                document = self._as_held_out()
+                draw_comparison(document, folder / "figures" / "accuracy.png")
+                if lag_curves(document):
+                    draw_lags(document, folder / "figures" / "lags.png")
         return place
 
 

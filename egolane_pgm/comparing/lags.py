@@ -95,7 +95,7 @@ def lag_notes(drive: Drive, lags: Sequence[float]) -> list[str]:
             )
     gaps = int(np.count_nonzero(np.diff(ids) > 1))
     if gaps and lags[-1] > 0:
-        notes.append(f"lags: frame ids jump {gaps} times; there as many frames take longer")
+        notes.append(f"lags: frame ids jump {gaps} times; a lag across a jump lasts longer")
     return notes
 
 

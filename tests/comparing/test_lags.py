@@ -174,7 +174,7 @@ def test_what_has_no_lags_is_refused_in_one_line(tmp_path: Path) -> None:
     assert "experiment.yaml: lags: evidence read by Jeffrey's rule is no likelihood" in said
 
 
-def test_the_function_has_the_table_and_the_figure() -> None:
+def test_the_function_has_the_table_and_the_figure(tmp_path: Path) -> None:
     experiments = [simulated("a", tuned_on="same_frames"), geometry("b", tuned_on="not_tuned")]
     found = ego.compare(experiments, blocks=2, lags=np.array([0, 1]))
     frame = found.to_pandas("lags")
@@ -193,6 +193,9 @@ def test_the_function_has_the_table_and_the_figure() -> None:
     assert header == ["accuracy", "experiment", "0 s", "1 s"]
     assert [row[1] for row in rows] == ["a", "b"]
     assert [row[2].endswith("*") for row in rows] == [True, False]
+    again = ego.load_result(found.save(tmp_path / "kept"))
+    assert again.to_pandas("lags").equals(frame)
+    assert (tmp_path / "kept" / "figures" / "lags.png").is_file()
     none = ego.compare(experiments[0], blocks=2)
     for ask in (lambda: none.to_pandas("lags"), lambda: none.plot("lags")):
         with pytest.raises(InputError, match="lags"):
