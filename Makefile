@@ -6,7 +6,7 @@ ifneq ($(wildcard ../shared/data/rle),)
 export EGOLANE_DATA ?= $(abspath ../shared/data)
 endif
 
-.PHONY: run test check bench coverage notebooks paper graphs beyond delay camera rendered clean
+.PHONY: run test check bench coverage notebooks paper graphs beyond delay events camera rendered clean
 
 run: .venv/.run
 	$(BIN)/egolane run experiments/quickstart.yaml
@@ -90,6 +90,12 @@ export DELAY_HEAD
 delay: .venv/.run
 	echo "$$DELAY_HEAD" > results/beyond/delay.md
 	$(BIN)/$(DELAY) >> results/beyond/delay.md
+
+# The table in results/beyond/events.md: how right lane changes are told (half a minute).
+EVENTS := egolane compare experiments/beyond/zero_label_causal.yaml --runs 1-10 --with-paper --events
+events: .venv/.run
+	sed -i '/^<!-- the table/q' results/beyond/events.md
+	$(BIN)/$(EVENTS) >> results/beyond/events.md
 
 # What results/camera/ holds of real pictures, made from those in EGOLANE_DATA.
 camera: .venv/.dev

@@ -423,6 +423,8 @@ def compare(
     if not given and not held_out:
         if waits:
             raise InputError("lags: go with experiments or with held_out")
+        if events:
+            raise InputError("events: go with experiments or with held_out")
         return compare_on_runs(names, parse_runs(runs or "1-10"), parameters, progress=progress)
     fit = "tune" if held_out else None
     numbers = parse_runs(runs) if runs else None

@@ -54,7 +54,7 @@ class Figures(NamedTuple):
     help="Learn from these recordings instead, several pooled; a column for each time it is given.",
 )
 @click.option("--health", is_flag=True, help="How well each tells that the detector is wrong.")
-@click.option("--events", is_flag=True, help="How right each tells the lane changes.")
+@click.option("--events", is_flag=True, help="Instead: how right each tells lane changes.")
 @click.option(
     "--lags",
     metavar="SECONDS,...",
@@ -212,14 +212,17 @@ def _held_out(
 
 def _show_markdown(found: Mapping[str, Any], settings: Options) -> None:
     is_repeated = rows_of.is_repeated(found)
-    taken_together = [] if settings.lags else rows_of.together_tables(found)
+    instead = _instead(found, settings)
+    taken_together = [] if instead else rows_of.together_tables(found)
     header, rows = rows_of.search_rows(found)
     if rows:
         click.echo(f"{tables.markdown(header, rows)}\n")
     for header, rows in taken_together:
         click.echo(f"{tables.markdown(header, rows)}\n")
-    if settings.lags:
-        click.echo(f"{tables.markdown(*rows_of.lag_rows(found))}\n\n{rows_of.marks_text(found)}")
+    for header, rows in instead:
+        click.echo(f"{tables.markdown(header, rows)}\n")
+    if instead:
+        click.echo(rows_of.marks_text(found))
     elif is_repeated:
         click.echo(f"{tables.markdown(*rows_of.seeds_rows(found))}\n\n{rows_of.marks_text(found)}")
     else:
@@ -234,22 +237,32 @@ def _show_markdown(found: Mapping[str, Any], settings: Options) -> None:
         for header, rows in rows_of.full_tables(found):
             click.echo(f"\n{tables.markdown(header, rows)}")
     _show_rest(found, settings, tables.markdown)
-    legends = [rows_of.LAGS_LEGEND if settings.lags else rows_of.LEGEND]
+    legends = [] if instead else [rows_of.LEGEND]
+    if settings.lags:
+        legends.append(rows_of.LAGS_LEGEND)
+    if settings.events:
+        legends.append(lane_changes.LEGEND)
     if is_repeated:
         legends.append(rows_of.SEEDS_LEGEND)
     if taken_together:
         legends.append(rows_of.TOGETHER_LEGEND)
     if settings.health:
         legends.append(rows_of.HEALTH_LEGEND)
-    if settings.events:
-        legends.append(lane_changes.LEGEND)
     click.echo("\n" + "\n\n".join(legends))
 
 
 def _show_tables(found: Mapping[str, Any], settings: Options, draw: Draw) -> None:
-    rows = rows_of.lag_rows(found) if settings.lags else rows_of.full_rows(found)
-    click.echo(draw(*rows).rstrip("\n"))
+    shown = _instead(found, settings) or [rows_of.full_rows(found)]
+    click.echo("\n\n".join(draw(*rows).rstrip("\n") for rows in shown))
     _show_rest(found, settings, draw)
+
+
+def _instead(
+    found: Mapping[str, Any], settings: Options
+) -> list[tuple[list[str], list[list[str]]]]:
+    """Header and rows of the tables that were asked for instead of those of all scores."""
+    asked = [rows_of.lag_rows(found)] if settings.lags else []
+    return asked + ([lane_changes.event_comparison_rows(found)] if settings.events else [])
 
 
 def _show_rest(found: Mapping[str, Any], settings: Options, draw: Draw) -> None:
@@ -260,9 +273,6 @@ def _show_rest(found: Mapping[str, Any], settings: Options, draw: Draw) -> None:
     if settings.health:
         click.echo()
         click.echo(draw(*rows_of.health_rows(found)).rstrip("\n"))
-    if settings.events:
-        click.echo()
-        click.echo(draw(*lane_changes.event_comparison_rows(found)).rstrip("\n"))
 
 
 def _write_first(json_file: Path | None, found: Mapping[str, Any]) -> InputError | None:

@@ -17,8 +17,9 @@ Lane changes, told in the frame in which the new lane is first believed. Right: 
 (0.5 s) before the true crossing begins or after it ends, from and to the true lanes. Delay: from
 the end of the true crossing to the telling, seconds, negative where it was told before. Crossing:
 the probability that the car is on a line between two lanes; its AUC for "this frame is crossing",
-how many changes have a warning (from .5 on) while they last, and how many seconds before the
-label's change it begins."""
+how many changes have a warning (from .5 on) while they last, how many seconds before the label's
+change it begins, and how many warnings an hour have no crossing within 2 s. Frames of untrusted
+labels (tuning.never_fit) are left out. More: --json."""
 
 
 def event_rows(events: LaneEvents, at_most: int = LISTED) -> tuple[list[str], list[list[str]]]:
@@ -54,8 +55,8 @@ def event_lines(scores: Mapping[str, Any]) -> list[str]:
         )
     delay = scores["delay_s"]
     lines.append(
-        f"  delay from the end of the crossing: {score_text(delay['median'], 1)} s (median),"
-        f" {score_text(delay['p90'], 1)} s (90 %)"
+        f"  delay from the end of the crossing: {_signed(delay['median'])} s (median),"
+        f" {_signed(delay['p90'])} s (90 %)"
     )
     warning = scores["crossing"]
     if warning is not None:
@@ -69,10 +70,15 @@ def event_lines(scores: Mapping[str, Any]) -> list[str]:
     return lines
 
 
+def _signed(seconds: float | None) -> str:
+    # Adding 0 takes the sign from a rounded -0.0.
+    return "-" if seconds is None else f"{round(seconds, 1) + 0.0:+.1f}"
+
+
 #: The columns of the scores of several runs.
 _SCORED = ["changes", "told", "right", "precision", "recall", "false/h"]
 _SCORED += ["precision .5 s", "recall .5 s", "delay median", "delay 90 %"]
-_SCORED += ["crossing AUC", "warned", "lead median"]
+_SCORED += ["crossing AUC", "warned", "lead median", "false warnings/h"]
 
 
 def _scored(scores: Mapping[str, Any]) -> list[str]:
@@ -84,11 +90,12 @@ def _scored(scores: Mapping[str, Any]) -> list[str]:
     row += [score_text(wide["precision"]), score_text(wide["recall"])]
     row.append(score_text(wide["false_per_hour"], 1))
     row += [score_text(narrow["precision"]), score_text(narrow["recall"])]
-    row += [score_text(scores["delay_s"][key], 1) for key in ("median", "p90")]
+    row += [_signed(scores["delay_s"][key]) for key in ("median", "p90")]
     if warning is None:
-        return [*row, "-", "-", "-"]
-    lead = score_text(warning["lead_s"]["median"], 1)
-    return [*row, score_text(warning["auc"]), f"{warning['warned']:g}", lead]
+        return [*row, *["-"] * 4]
+    row += [score_text(warning["auc"]), f"{warning['warned']:g}"]
+    row.append(score_text(warning["lead_s"]["median"], 1))
+    return [*row, score_text(warning["false_per_hour"], 1)]
 
 
 def _pooled(scores: Sequence[Mapping[str, Any]]) -> list[str]:
