@@ -69,6 +69,7 @@ graphs: .venv/.run
 # What results/beyond/ holds of recordings by other detectors (a quarter of an hour of one core).
 beyond: .venv/.dev
 	$(BIN)/python -m tests.beyond_figures strangers > results/beyond/strangers.md
+	$(BIN)/python -m tests.beyond_figures labels --out results/beyond > results/beyond/labels.md
 
 # results/beyond/delay.md and its figure: how right an answer is that waits (a minute).
 DELAY := egolane compare experiments/beyond/zero_label_causal.yaml --runs 1-10 \

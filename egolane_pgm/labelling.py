@@ -24,8 +24,10 @@ import numpy as np
 
 from egolane_pgm.experiment import Experiment, load_experiment
 from egolane_pgm.files import plain
+from egolane_pgm.inference.events import crossing_probability
 from egolane_pgm.inference.kernels.sweeps import best_path
 from egolane_pgm.inference.viterbi import viterbi_path
+from egolane_pgm.loading import Recorded
 from egolane_pgm.model import Drive
 from egolane_pgm.plugins import declared_parameters, load_rule_and_graph
 from egolane_pgm.running import Run, run_experiment
@@ -39,9 +41,6 @@ BELOW = 0.99
 #: The weight of a path that changes lane once more, per frame in which it could. Between .1 and
 #: .001 the labels of the paper's recordings hardly differ.
 CHANGE_WEIGHT = 0.01
-
-#: A car is half a lane wide. While its middle is closer to a line than this, it is on the line.
-ON_LINE = 0.25
 
 #: Without a position in the lane, frames within this time of a lane change are crossing, seconds.
 BESIDE_S = 1.0
@@ -178,16 +177,19 @@ class Labels:
         return [self.stretch(a, b) for a, b in runs_of(marked)]
 
 
-def label_experiment(experiment: Experiment, below: float = BELOW) -> Labels:
+def label_experiment(
+    experiment: Experiment, below: float = BELOW, *, recorded: Recorded | None = None
+) -> Labels:
     """Label the recording of an experiment, which is run smoothed.
 
     - below: frames with less confidence are put on the review list.
+    - recorded: its recording, where it was read already.
 
     Raises InputError as `run_experiment` does, and for a threshold that is no probability.
     """
     if not 0 <= below <= 1:
         raise InputError(f"below: {below} is not a probability (0 to 1)")
-    run = run_experiment(_looking_back(experiment))
+    run = run_experiment(_looking_back(experiment), recorded=recorded)
     if not len(run.beliefs):
         raise InputError(f"{run.recorded.log.source}: has no frames to label")
     beliefs, log = run.beliefs, run.recorded.log
@@ -246,24 +248,23 @@ def crossed_lanes(
     - marginals: the beliefs over Lane (T, n) and, where the graph has it, RoadPosition (T, n times
       cells).
 
-    These are the frames in a row around a change of the label in which the car's middle is more
-    probably than not within ON_LINE of the line; without a position in the lane, those within
-    BESIDE_S. The two frames between which the label changes belong to them in any case. A change
-    while nothing was recorded has none.
+    These are the frames in a row around a change of the label in which the car is more probably
+    than not on a line (`inference.events.crossing_probability`); where the graph has no place in
+    the lane, those within BESIDE_S. The two frames between which the label changes belong to them
+    in any case. A change while nothing was recorded has none.
     """
     n_frames, n_lanes = marginals["Lane"].shape
-    position = _positions(marginals)
+    on_line = crossing_probability(marginals)
     possible = lane[:, None] == np.arange(1, n_lanes + 1)
-    is_next = np.append(np.diff(time_s) <= BESIDE_S, False)
+    step = np.diff(time_s)
+    is_next = np.append((step >= 0) & (step <= BESIDE_S), False)
     for t in np.flatnonzero(np.diff(lane) != 0):
         if not is_next[t]:
             continue
         before, after = int(lane[t]), int(lane[t + 1])
         near = np.abs(time_s - (time_s[t] + time_s[t + 1]) / 2) <= BESIDE_S
-        if position is not None:
-            # Lane k reaches from k - 1 to k, so that this is the line between two neighbours.
-            line, reach = (before + after - 1) / 2, ON_LINE + (abs(before - after) - 1) / 2
-            near = position.within(line - reach, line + reach) > 0.5
+        if on_line is not None:
+            near = on_line > 0.5
         start, stop = t, t + 1
         while start > 0 and near[start - 1] and lane[start - 1] == before and is_next[start - 1]:
             start -= 1
@@ -271,39 +272,6 @@ def crossed_lanes(
             stop += 1
         possible[start : stop + 1, min(before, after) - 1 : max(before, after)] = True
     return np.asarray(possible)
-
-
-@dataclass(frozen=True)
-class _Positions:
-    """The belief over the car's place across the road: cell (T, n cells), and the middle of each
-    cell (n cells,), lane widths from the road's left edge."""
-
-    cell: FloatArray
-    middle: FloatArray
-
-    def within(self, low: float, high: float) -> FloatArray:
-        """(T,): the probability of a place between the two."""
-        return np.asarray(self.cell[:, (self.middle > low) & (self.middle < high)].sum(axis=1))
-
-
-def _positions(marginals: Mapping[str, FloatArray]) -> _Positions | None:
-    """The belief over places, where the graph has it: RoadPosition, an equal number of cells per
-    lane."""
-    cell, n_lanes = marginals.get("RoadPosition"), marginals["Lane"].shape[1]
-    if cell is None or cell.shape[1] % n_lanes:
-        return None
-    n_cells = cell.shape[1]
-    return _Positions(cell, (np.arange(n_cells) + 0.5) * n_lanes / n_cells)
-
-
-def _on_a_line(marginals: Mapping[str, FloatArray]) -> FloatArray:
-    """(T,): the probability that the car is on a line between two lanes; 0 where it is unknown."""
-    lane, position = marginals["Lane"], _positions(marginals)
-    if position is None:
-        return np.zeros(len(lane))
-    lines = range(1, lane.shape[1])
-    near = [position.within(line - ON_LINE, line + ON_LINE) for line in lines]
-    return np.asarray(np.sum([np.zeros(len(lane)), *near], axis=0))
 
 
 def runs_of(marked: BoolArray) -> list[tuple[int, int]]:
@@ -317,7 +285,8 @@ def joined(marked: BoolArray, time_s: FloatArray) -> list[tuple[int, int]]:
     """As `runs_of`, those that lie within JOIN_S of each other together."""
     found: list[tuple[int, int]] = []
     for start, stop in runs_of(marked):
-        if found and time_s[start] - time_s[found[-1][1] - 1] <= JOIN_S:
+        # A clock that jumps back does not bring stretches together.
+        if found and 0 <= time_s[start] - time_s[found[-1][1] - 1] <= JOIN_S:
             found[-1] = (found[-1][0], stop)
         else:
             found.append((start, stop))
@@ -348,8 +317,8 @@ def _reasons(labels: Labels, rows: slice) -> list[str]:
             found.append(f"the sensor is believed to work with probability {is_ok:.2f} only")
     if run.beliefs.is_impossible[rows].any():
         found.append("the model holds the evidence of some frames for impossible")
-    on_line = float(_on_a_line(marginals)[rows].mean())
-    if on_line >= 0.5:
+    on_line = crossing_probability(marginals)
+    if on_line is not None and on_line[rows].mean() >= 0.5:
         found.append("the car is on a line")
     other = labels.story[rows] != labels.lane[rows]
     if other.mean() >= SOME:

@@ -2,7 +2,8 @@
 
 `strangers` prints how often the model without labels is right on the ten recordings as other
 detectors might have written them (about ten minutes of one core; --only and --runs take less),
-`failures` where it fails on run 5 and why, and draws it. Needs EGOLANE_DATA.
+`failures` where it fails on run 5 and why, and draws it, `labels` how good the labels are that
+`egolane label` makes. Needs EGOLANE_DATA.
 """
 
 from __future__ import annotations
@@ -13,7 +14,7 @@ from pathlib import Path
 
 from egolane_pgm.paper import parse_runs
 
-MODULES = ("failures", "strangers")
+MODULES = ("failures", "labels", "strangers")
 
 
 def main() -> None:

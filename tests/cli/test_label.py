@@ -17,6 +17,7 @@ from tests.kits.drives import contents, done, refused, write_drive
 
 LABELS = {
     "beliefs.parquet",
+    "events.csv",
     "experiment.yaml",
     "labels.csv",
     "labels.txt",
