@@ -162,17 +162,18 @@ def full_rows(document: Mapping[str, Any]) -> tuple[list[str], list[list[str]]]:
 def full_tables(
     document: Mapping[str, Any], width: int = 100
 ) -> list[tuple[list[str], list[list[str]]]]:
-    """All scores, to be read as plain text: of several recordings the table of `full_rows`; of one
-    upright, a column per experiment, as many as fit into lines of that width, and without scores
-    that nobody has. The frames whose labels can be trusted come first."""
+    """All scores that somebody has, to be read as plain text: of several recordings a row each, as
+    in `full_rows`; of one upright, a column per experiment, as many as fit into lines of that
+    width. The frames whose labels can be trusted come first there."""
     header, rows = full_rows(document)
     if len(document["recordings"]) > 1:
-        return [(header, rows)]
+        kept = _said(rows)
+        return [([header[k] for k in kept], [[row[k] for k in kept] for row in rows])]
     tables = []
     for subset in sorted({row[2] for row in rows}, reverse=True):
         mine = [row for row in rows if row[2] == subset]
         title = mine[0][0] + f", {subset} frames" * has_untrusted(document)
-        kept = [k for k in range(3, len(header)) if any(row[k] != "-" for row in mine)]
+        kept = [k for k in _said(mine) if k > 2]
         labels = [title, *(header[k] for k in kept)]
         columns = [labels]
         for row in mine:
@@ -183,6 +184,11 @@ def full_tables(
         tables.append(columns)
     upright = [[list(line) for line in zip(*columns, strict=True)] for columns in tables]
     return [(head, cells) for head, *cells in upright]
+
+
+def _said(rows: Sequence[Sequence[str]]) -> list[int]:
+    """The columns that say something in some row."""
+    return [k for k, cells in enumerate(zip(*rows, strict=True)) if any(c != "-" for c in cells)]
 
 
 def _cells(entry: Mapping[str, Any], subset: str, scores: Mapping[str, Any]) -> list[str]:
