@@ -14,7 +14,7 @@ from pathlib import Path
 
 from egolane_pgm.paper import parse_runs
 
-MODULES = ("failures", "labels", "strangers")
+MODULES = ("failures", "labels", "lanes", "strangers")
 
 
 def main() -> None:

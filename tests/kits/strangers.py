@@ -294,6 +294,16 @@ def _spells(n_frames: int, n: int, share: float, seconds: float, seed: int) -> B
     return inside
 
 
+def _restarts(position: FloatArray, share: float, n_frames: int, seed: int) -> BoolArray:
+    """(T,) the frames from two before a line is crossed on, in a share of the crossings."""
+    crossings = np.flatnonzero(np.diff(np.floor(position)))
+    chosen = crossings[_rng(seed).random(len(crossings)) < share]
+    frames = np.zeros(len(position), dtype=bool)
+    for first in np.maximum(chosen - 2, 1):
+        frames[first : first + n_frames] = True
+    return frames
+
+
 def _rng(seed: int) -> np.random.Generator:
     return np.random.default_rng(seed)
 
@@ -332,6 +342,11 @@ class Drive:
         """As `replayed`."""
         log = replayed(self.log, source, frame_rate)
         return replace(self, log=log, lane=self.lane[source], position=self.position[source])
+
+    def kept(self, frames: BoolArray | IntArray) -> Drive:
+        """Some of the frames, with the ids that they have."""
+        log = self.log.take(frames)
+        return replace(self, log=log, lane=self.lane[frames], position=self.position[frames])
 
 
 @functools.cache
@@ -386,12 +401,7 @@ def _every(step: int) -> Callable[[Drive], IntArray]:
 
 
 def _every_id(step: int) -> Change:
-    def change(drive: Drive) -> list[Drive]:
-        source = np.arange(0, len(drive.log), step)
-        thin = replace(drive, lane=drive.lane[source], position=drive.position[source])
-        return [replace(thin, log=drive.log.take(source))]
-
-    return change
+    return lambda drive: [drive.kept(_every(step)(drive))]
 
 
 def _mirrored(drive: Drive) -> list[Drive]:
@@ -461,6 +471,7 @@ def like_multi_lane(drive: Drive, scale: float = 0.05, seconds: float = 1.5) -> 
       between lanes for half of it, most often for seconds and now and then for half a minute.
     - The line of the emergency lane and a barrier left of the road are seen, too.
     - Slots slip by a lane in 4 % of the time, a tenth of the lines are held. There are no flags.
+    - The tracker starts anew in every tenth lane change, and reports nothing for .7 s.
     """
     n, position, seed = drive.n_lanes, drive.position, 100 * drive.run
     log = without(drive.log, np.ones_like(drive.log.is_valid))
@@ -479,7 +490,8 @@ def like_multi_lane(drive: Drive, scale: float = 0.05, seconds: float = 1.5) -> 
     log = scaled(log, np.exp(0.02 * _rng(seed + 24).standard_normal(len(log))))
     log = held(log, 0.1, 0.3, seed + 25)
     width_m = 0.52 * drive.width_m
-    return replace(drive, log=scaled(log, width_m), width_m=width_m)
+    made = replace(drive, log=scaled(log, width_m), width_m=width_m)
+    return made.kept(~_restarts(position, 0.1, 7, seed + 26))
 
 
 #: Detectors that nobody has seen, by name.
