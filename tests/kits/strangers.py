@@ -24,6 +24,7 @@ from egolane_pgm.inference.smoothing import smooth_beliefs
 from egolane_pgm.loading import load_recording
 from egolane_pgm.model import make_evidence, prepare_model
 from egolane_pgm.paper import experiments_folder, paper_experiment
+from egolane_pgm.simulation import simulate
 from egolane_pgm.types import BoolArray, Evidence, FloatArray, IntArray, LineLog
 
 FRAME_RATE = 10.0
@@ -328,7 +329,7 @@ class Drive:
     - lane: (T,) true lane, 1 (leftmost) to n; 0 where it is not scored
     - position: (T,) place of the vehicle, lanes from the left edge of the road
     - width_m: of a lane, in the unit of the log
-    - run: the paper's
+    - run: the paper's; a number that chance depends on
     """
 
     run: int
@@ -377,6 +378,14 @@ def paper_drive(run: int) -> Drive:
     position = places @ ((np.arange(n_places) + 0.5) * experiment.n_lanes / n_places)
     width_m = lane_width(log, 3.5).width_m
     return Drive(run, log, lane, position, experiment.n_lanes, width_m)
+
+
+def simulated_drive(preset: str, seed: int, n_frames: int) -> Drive:
+    """A drive that does not exist."""
+    drive = simulate(preset, seed=seed, frames=n_frames)
+    lane = np.where(drive.truth.is_crossing, 0, drive.truth.lane)
+    width_m = lane_width(drive.log, 3.5).width_m
+    return Drive(seed, drive.log, lane, drive.position_m / width_m, drive.n_lanes, width_m)
 
 
 Change = Callable[[Drive], Sequence[Drive]]
@@ -447,12 +456,12 @@ def _stands(drive: Drive) -> list[Drive]:
 
 
 def in_lane_change(drive: Drive) -> int:
-    """A frame in which the vehicle is on a line between two lanes, with a minute to come."""
-    away = np.abs(drive.position - np.round(drive.position))
-    inside = (np.round(drive.position) > 0) & (np.round(drive.position) < drive.n_lanes)
-    on_line = np.flatnonzero((away < 0.05) & inside & (drive.lane == 0))
-    on_line = on_line[on_line < len(drive.log) - 600]
-    return int(on_line[len(on_line) // 2])
+    """A frame in the middle of a lane change, near the middle of the recording."""
+    labelled = np.flatnonzero(drive.lane > 0)
+    before, after = labelled[:-1], labelled[1:]
+    is_change = (drive.lane[before] != drive.lane[after]) & (after - before > 1)
+    middles = (before[is_change] + after[is_change]) // 2
+    return int(middles[len(middles) // 2])
 
 
 def _begins_in_change(drive: Drive) -> list[Drive]:
