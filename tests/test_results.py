@@ -139,6 +139,7 @@ def test_the_lane_changes_of_a_result_are_a_table_of_it(tmp_path: Path) -> None:
     saved = save_run(run, tmp_path / "result")
     result = read_result(saved)
     table = pd.read_csv(saved / "events.csv")
+    assert "nan" not in (saved / "events.csv").read_text()
     assert len(table) == run.events["told"] > 0
     assert table["delay_s"].notna().sum() == run.events["within"]["2"]["right"]
     pd.testing.assert_frame_equal(table, result.events.to_pandas().round(6))
@@ -152,7 +153,10 @@ def test_beliefs_that_come_late_tell_late(tmp_path: Path) -> None:
     saved = save_run(lagged, tmp_path / "result")
     at_once = lane_events(lagged.beliefs, 10.0)
     assert len(at_once)
-    np.testing.assert_allclose(read_result(saved).events.late_s, at_once.late_s + 0.7)
+    found = read_result(saved).events
+    np.testing.assert_allclose(found.late_s, at_once.late_s + 0.7)
+    assert found.delay_s is not None
+    assert lagged.events["delay_s"]["median"] == np.nanmedian(found.delay_s)
 
 
 def test_json_has_plain_numbers_and_null_for_what_is_no_number(tmp_path: Path) -> None:

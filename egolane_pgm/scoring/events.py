@@ -70,8 +70,7 @@ def match_events(
     is_open = np.ones(len(changes), dtype=bool)
     # Events in order, each taking the open change that closes first: no matching has more pairs
     # (Glover 1967, points and intervals).
-    for e in np.argsort(events.told_frame_id, kind="stable"):
-        told = events.told_frame_id[e]
+    for e, told in enumerate(events.told_frame_id):
         fits = is_open & (first <= told) & (told <= last)
         fits &= changes.from_lane == events.from_lane[e]
         fits &= changes.to_lane == events.to_lane[e]

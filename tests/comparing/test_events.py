@@ -18,14 +18,25 @@ from tests.kits.drives import done, geometry, refused, simulated, write_drive
 
 
 def test_the_events_of_a_comparison_are_those_of_the_runs() -> None:
-    experiments = [simulated("counting"), geometry()]
+    experiments = [simulated("counting"), geometry(), simulated("late", filter="fixed_lag", lag=9)]
     found = compare_group(by_recording(experiments)[0], Options(events=True))
     for experiment, entry in zip(experiments, found["experiments"], strict=True):
         assert entry["events"]["all_frames"] == run_experiment(experiment).events
-    first, second = (entry["events"]["all_frames"] for entry in found["experiments"])
+    first, second, _ = (entry["events"]["all_frames"] for entry in found["experiments"])
     assert first["crossing"] is None
     assert second["crossing"]["warned"] > 0
     assert first["changes"] == second["changes"] > 0
+
+
+def test_frames_without_annotation_are_neither_right_nor_false(tmp_path: Path) -> None:
+    model = {"evidence": "line_geometry", "graph": "position_in_lane", "filter": "exact"}
+    path = write_drive(tmp_path, 300, **model)
+    whole = run_experiment(path).events
+    truth = path.with_name("ground_truth.txt")
+    truth.write_text("".join(line + "\n" for line in truth.read_text().splitlines()[50:]))
+    found = run_experiment(path).events
+    assert found["hours"] == pytest.approx(whole["hours"] * 250 / 300)
+    assert found["crossing"]["auc"] != whole["crossing"]["auc"]
 
 
 def test_nothing_is_said_of_events_unless_asked() -> None:

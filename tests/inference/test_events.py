@@ -137,6 +137,15 @@ def test_a_lane_that_only_leads_is_not_believed() -> None:
     assert len(lane_events(between((0.1, 10), (0.66, 50), (0.1, 10)), 10.0)) == 0
 
 
+@pytest.mark.parametrize(("short", "n_told"), [(0.0, 3), (1e-9, 1)])
+def test_a_probability_that_just_reaches_is_enough(short: float, n_told: int) -> None:
+    back = 1 - (SURELY_BACK - short)
+    drive = between((0.05, 10), (0.9, 5), (back, 5), (0.9, 40))
+    assert len(lane_events(drive, 10.0)) == n_told
+    first = between((0.05, 10), (BELIEVED - short, 5))
+    assert len(lane_events(first, 10.0)) == (short == 0)
+
+
 def test_the_first_believed_lane_is_no_change() -> None:
     assert len(lane_events(between((0.45, 10), (0.9, 10)), 10.0)) == 0
 

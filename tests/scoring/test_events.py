@@ -102,6 +102,9 @@ def test_nothing_is_false_where_the_truth_does_not_speak() -> None:
     told = events_at((5, 1, 2), (1004, 2, 1), (1035, 1, 2))
     assert score_events(told, truth, 10.0)["told"] == 0
     assert score_events(events_at((1015, 1, 2)), truth, 10.0)["within"]["2"]["false"] == 1
+    # Nor between them, where rows are missing.
+    holed = ONE.take(np.r_[0:20, 60:200])
+    assert score_events(events_at((40, 1, 2), (70, 1, 2)), holed, 10.0)["told"] == 1
     nothing = truth_of("111", "xxx")
     assert score_events(events_at((1, 1, 2)), nothing, 10.0)["told"] == 0
 
@@ -111,17 +114,25 @@ def test_of_two_events_for_one_change_one_is_false() -> None:
     assert (scores["within"]["2"]["right"], scores["within"]["2"]["false"]) == (1, 1)
 
 
+def test_an_event_takes_the_change_that_leaves_the_other_to_the_next_event() -> None:
+    # 1 to 2 in frames 10 and 20: the first event could be either, the second the later one only.
+    truth = truth_of("1" * 10 + "2" * 5 + "1" * 5 + "2" * 40, "." * 60)
+    found = match_events(events_at((15, 1, 2), (36, 1, 2)), truth, 10.0, 2.0)
+    assert found.tolist() == [0, 2]
+
+
 @st.composite
 def drives(draw: st.DrawFn) -> tuple[LaneEvents, LaneTruth]:
     """A truth of a few changes, flagged or not, and a few events near them."""
     rng = np.random.default_rng(draw(st.integers(0, 2**32 - 1)))
     n_lanes = draw(st.integers(1, 3))
     size = draw(st.integers(0, 60))
-    lane = np.repeat(rng.integers(1, n_lanes + 1, 60), rng.integers(3, 20, 60))[:size]
+    longest = draw(st.integers(3, 20))
+    lane = np.repeat(rng.integers(1, n_lanes + 1, 60), rng.integers(2, longest, 60))[:size]
     crossing = np.repeat(rng.random(60) < 0.4, rng.integers(1, 6, 60))[:size]
     frame_id = np.cumsum(rng.integers(1, 3, size))
     told = np.sort(rng.choice(130, draw(st.integers(0, 6)), replace=False))
-    lanes = [(int(f), *map(int, rng.integers(1, n_lanes + 1, 2))) for f in told]
+    lanes = [(int(f), *map(int, rng.permutation(max(n_lanes, 2))[:2] + 1)) for f in told]
     return events_at(*lanes), LaneTruth(frame_id, lane, crossing)
 
 
