@@ -475,6 +475,9 @@ class LaneEvents:
         shown = ", ".join(said[:3] + ["..."] * (len(said) > 3))
         return f"LaneEvents({len(self)} lane change{several}{': ' * bool(said)}{shown})"
 
+    def _repr_html_(self) -> str:
+        return str(self.to_pandas().to_html())
+
     @property
     def late_s(self) -> FloatArray:
         """(E,): how long the new lane was the more probable one before the change was told."""

@@ -129,6 +129,7 @@ def test_each_event_is_a_change_of_what_is_believed_and_begins_where_the_last_on
 def test_a_change_is_told_once_believed_and_dated_from_where_the_new_lane_leads() -> None:
     drive = between((0.1, 10), (0.5, 2), (0.6, 3), (0.7, 10))
     assert told(lane_events(drive, 10.0)) == [(12, 15, 1, 2)]
+    assert "<td>12</td>" in lane_events(drive, 10.0)._repr_html_()
     assert lane_events(drive, 10.0).late_s == pytest.approx([0.3])
     assert lane_events(drive, 10.0).probability == pytest.approx([0.7])
 
