@@ -7,7 +7,6 @@ import warnings
 from collections import OrderedDict
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from functools import partial
 from pathlib import Path
 from types import ModuleType
 from typing import TYPE_CHECKING, Any, NamedTuple
@@ -343,36 +342,35 @@ class RuleOutput:
     notes: tuple[str, ...] = ()
 
 
-def online_rule(model: Model) -> Callable[[LineLog], Evidence]:
-    """A function that makes the evidence of frames as they come, one or a few at a time.
+def online_evidence(model: Model, reading: str = "soft") -> Callable[[LineLog], Evidence]:
+    """A function that makes the evidence of frames as they come, one or a few at a time, as the
+    filter takes it.
+
+    - reading: the experiment's `evidence_reading`.
 
     A rule whose evidence depends on earlier frames defines `online(n_lanes, parameters)`, which
-    returns a function that remembers them. Of any other rule it is `evidence` itself.
+    returns a function that remembers them. Of any other rule its `evidence` is asked. What a rule
+    warns of is not said. The function raises InputError as `make_evidence`.
     """
     rule = model.rule
+    online = None
     if hasattr(rule, "online"):
         with plugin_errors(rule, "evidence"):
-            found: Callable[[LineLog], Evidence] = rule.online(model.n_lanes, model.parameters)
-            return found
-    return partial(_evidence, rule, model)
+            online = rule.online(model.n_lanes, model.parameters)
+
+    def evidence_of(log: LineLog) -> Evidence:
+        with plugin_errors(rule, "evidence"), warnings.catch_warnings():
+            warnings.simplefilter("ignore")
+            given = online(log) if online else rule.evidence(log, model.n_lanes, model.parameters)
+        return _filtered(model, log, given, reading)
+
+    return evidence_of
 
 
-def _evidence(rule: ModuleType, model: Model, log: LineLog) -> Evidence:
-    given: Evidence = rule.evidence(log, model.n_lanes, model.parameters)
-    return given
-
-
-def make_evidence(
-    model: Model,
-    log: LineLog,
-    reading: str = "soft",
-    *,
-    give: Callable[[LineLog], Evidence] | None = None,
-) -> RuleOutput:
+def make_evidence(model: Model, log: LineLog, reading: str = "soft") -> RuleOutput:
     """Make the evidence of a log of T frames for the model's graph.
 
     - reading: the experiment's `evidence_reading`.
-    - give: makes the evidence in place of the rule: an `online_rule` that has seen earlier frames.
 
     The evidence of frames that `missing_frames: predict` put in is 1 for every value of a node.
     Raises InputError, naming the rule's file, for what is no evidence of T frames.
@@ -380,24 +378,32 @@ def make_evidence(
     rule = model.rule
     with plugin_errors(rule, "evidence"), warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always", UserWarning)
-        given = _evidence(rule, model, log) if give is None else give(log)
+        given = rule.evidence(log, model.n_lanes, model.parameters)
+    filtered = _filtered(model, log, given, reading)
+    notes = tuple(str(w.message) for w in caught if issubclass(w.category, UserWarning))
+    return RuleOutput(filtered, _tentative(rule, given, model.n_lanes), notes)
+
+
+def _filtered(model: Model, log: LineLog, given: Evidence, reading: str) -> Evidence:
+    """What a rule gave for a log, checked, as the filter takes it."""
+    rule = model.rule
     if not isinstance(given, Evidence):
         raise InputError(f"{rule.__file__}: evidence() gave {type(given).__name__}, not Evidence")
     if len(given) != len(log):
         raise InputError(
             f"{rule.__file__}: evidence() gave {len(given)} frames for the {len(log)} recorded"
         )
-    likelihoods = dict(given.likelihoods)
-    for key in model.roles.unused:
-        if key not in model.roles.observed:
-            likelihoods.pop(key, None)
+    unused = set(model.roles.unused).difference(model.roles.observed)
+    if not unused.isdisjoint(given.likelihoods):
+        used = {key: values for key, values in given.likelihoods.items() if key not in unused}
+        given = Evidence(used, given.inputs)
     if log.is_missing.any():
-        for key, values in likelihoods.items():
-            blank = log.is_missing.reshape(-1, *[1] * (values.ndim - 1))
-            likelihoods[key] = np.where(blank, 1.0, values)
-    filtered = read_evidence(Evidence(likelihoods, given.inputs), reading)
-    notes = tuple(str(w.message) for w in caught if issubclass(w.category, UserWarning))
-    return RuleOutput(filtered, _tentative(rule, given, model.n_lanes), notes)
+        blank = {
+            key: np.where(log.is_missing.reshape(-1, *[1] * (values.ndim - 1)), 1.0, values)
+            for key, values in given.likelihoods.items()
+        }
+        given = Evidence(blank, given.inputs)
+    return read_evidence(given, reading)
 
 
 def _tentative(rule: ModuleType, evidence: Evidence, n_lanes: int) -> FloatArray | None:

@@ -8,13 +8,11 @@ from collections import deque
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from typing import Any
 
-import numpy as np
-
 from egolane_pgm.experiment import Experiment
 from egolane_pgm.inference.filtering import step
 from egolane_pgm.inference.layout import FilterState
 from egolane_pgm.inference.smoothing import LagState, lag_rest, lag_step
-from egolane_pgm.model import make_evidence, online_rule, prepare_model, value_names
+from egolane_pgm.model import online_evidence, prepare_model, value_names
 from egolane_pgm.recordings.select import clip_lri, fill_missing
 from egolane_pgm.scoring.assign import assigned_lane
 from egolane_pgm.types import Beliefs, InputError, LineLog, suggestion
@@ -25,7 +23,8 @@ MAX_GAP = 100_000
 #: Whole numbers up to here are exact as floating-point times.
 MAX_FRAME_ID = 2**53
 
-_LINE_KEYS = ("offset_m", "is_valid", "is_continuous", "lri")
+_KEYS = {"frame_id", "lines"}
+_LINE_KEYS = {"offset_m", "is_valid", "is_continuous", "lri"}
 
 
 def filter_stream(experiment: Experiment, messages: Iterable[str]) -> Iterator[dict[str, Any]]:
@@ -63,7 +62,7 @@ def filter_logs(experiment: Experiment, logs: Iterable[LineLog]) -> Iterator[dic
         )
     model = prepare_model(experiment)
     names = value_names(model)
-    give = online_rule(model)
+    evidence_of = online_evidence(model, experiment.evidence_reading)
     recording, below = experiment.recording, experiment.unassigned_below
     max_lri = float(model.parameters.get("max_lri", 10))  # type: ignore[arg-type]
     state: FilterState | None = None
@@ -75,11 +74,11 @@ def filter_logs(experiment: Experiment, logs: Iterable[LineLog]) -> Iterator[dic
         if recording.lri == "clip":
             log = clip_lri(log, max_lri)
         due = _with_gap(last, log, recording.missing_frames, recording.frame_rate)
-        evidence = make_evidence(model, due, experiment.evidence_reading, give=give).filtered
+        evidence = evidence_of(due)
         last = log
         if experiment.lag is None:
             state, beliefs = step(model.compiled, state, evidence, experiment.filter)
-            yield _answer(log, beliefs, -1, names, below)
+            yield _answer(log, beliefs, len(due) - 1, names, below)
             continue
         waiting.extend([*[None] * (len(due) - 1), log])
         for t in range(len(due)):
@@ -110,7 +109,7 @@ def _answer(
     return {
         "frame_id": int(log.frame_id[0]),
         "time_s": float(log.time_s[0]),
-        "assigned_lane": int(assigned_lane(beliefs.lane[[t]], below)[0]),
+        "assigned_lane": int(assigned_lane(beliefs.lane[t : t + 1], below)[0]),
         "is_impossible": bool(beliefs.is_impossible[t]),
         "beliefs": {
             node: dict(zip(names[node], values[t].tolist(), strict=True))
@@ -143,11 +142,7 @@ def parse_message(text: str, where: str, frame_rate: float) -> LineLog:
         raise InputError(f"{where}: is not JSON: {error}") from error
     if not isinstance(content, dict):
         raise InputError(f"{where}: needs an object with frame_id and lines")
-    for key in content:
-        if key not in ("frame_id", "lines"):
-            raise InputError(
-                f"{where}: unknown key '{key}'{suggestion(key, ('frame_id', 'lines'))}"
-            )
+    _check_keys(content, _KEYS, where)
     frame_id, lines = content.get("frame_id"), content.get("lines")
     if isinstance(frame_id, bool) or not isinstance(frame_id, int):
         raise InputError(f"{where}: frame_id {frame_id!r} is not a whole number")
@@ -155,34 +150,34 @@ def parse_message(text: str, where: str, frame_rate: float) -> LineLog:
         raise InputError(f"{where}: frame_id {str(frame_id)[:30]} is too large for a frame count")
     if not isinstance(lines, list) or not all(isinstance(line, dict) for line in lines):
         raise InputError(f"{where}: lines must be a list of objects")
-    rows = [_line(line, f"{where}: line {k + 1}") for k, line in enumerate(lines)]
-    columns = np.array(rows, dtype=np.float64).reshape(-1, 4).T
-    return LineLog.from_rows(
-        np.array([frame_id], dtype=np.int64),
-        frame_rate,
-        np.zeros(len(rows), dtype=np.int64),
-        *columns,
-        source=where,
-    )
+    rows = [_line(line, f"{where}: line {k}") for k, line in enumerate(lines, start=1)]
+    columns = zip(*rows, strict=True) if rows else [()] * 4
+    return LineLog.of_frame(frame_id, frame_rate, *columns, source=where)
+
+
+def _check_keys(content: dict[str, Any], known: set[str], where: str) -> None:
+    if not content.keys() <= known:
+        key = next(key for key in content if key not in known)
+        raise InputError(f"{where}: unknown key '{key}'{suggestion(key, known)}")
 
 
 def _line(line: dict[str, Any], where: str) -> tuple[float, bool, bool, float]:
-    for key in line:
-        if key not in _LINE_KEYS:
-            raise InputError(f"{where}: unknown key '{key}'{suggestion(key, _LINE_KEYS)}")
+    """The offset, both flags and the LRI of a line; NaN for a number that it lacks."""
+    _check_keys(line, _LINE_KEYS, where)
     valid, continuous = line.get("is_valid", True), line.get("is_continuous", False)
     for key, flag in (("is_valid", valid), ("is_continuous", continuous)):
         if not isinstance(flag, bool):
             raise InputError(f"{where}: {key} {flag!r} is not true or false")
-    numbers = []
-    for key in ("offset_m", "lri"):
-        value = line.get(key)
-        if value is None:
-            value = math.nan
-        if isinstance(value, bool) or not isinstance(value, (int, float)):
-            raise InputError(f"{where}: {key} {value!r} is not a number")
-        try:
-            numbers.append(float(value))
-        except OverflowError:
-            raise InputError(f"{where}: {key} is too large a number") from None
-    return numbers[0], valid, continuous, numbers[1]
+    return _number(line, "offset_m", where), valid, continuous, _number(line, "lri", where)
+
+
+def _number(line: dict[str, Any], key: str, where: str) -> float:
+    value = line.get(key)
+    if value is None:
+        return math.nan
+    if isinstance(value, bool) or not isinstance(value, (int, float)):
+        raise InputError(f"{where}: {key} {value!r} is not a number")
+    try:
+        return float(value)
+    except OverflowError:
+        raise InputError(f"{where}: {key} is too large a number") from None

@@ -14,7 +14,7 @@ from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -137,6 +137,8 @@ def _as_array(node: Observed, values: Any) -> FloatArray:
 def _check_frame_ids(frame_id: IntArray, what: str) -> None:
     if frame_id.ndim != 1:
         raise InputError(f"{what}: frame_id has shape {frame_id.shape}, needs one id per frame")
+    if len(frame_id) < 2 or (frame_id[1:] > frame_id[:-1]).all():
+        return
     step = np.diff(frame_id)
     if (step == 0).any():
         at = int(frame_id[np.argmax(step == 0)])
@@ -202,9 +204,8 @@ class LineLog:
             )
         for name in ("is_valid", "is_continuous", "lri"):
             _check_shape(name, getattr(self, name), self.offset_m.shape, self.source)
-        bad = self.is_valid & ~np.isfinite(self.offset_m)
-        if bad.any():
-            frame, line = np.argwhere(bad)[0]
+        if not np.isfinite(self.offset_m[self.is_valid]).all():
+            frame, line = np.argwhere(self.is_valid & ~np.isfinite(self.offset_m))[0]
             raise InputError(
                 f"{self.source}: frame {int(self.frame_id[frame])}: line {int(line) + 1} is valid"
                 f" but its offset is {self.offset_m[frame, line]}; drop it or mark it not valid"
@@ -212,6 +213,35 @@ class LineLog:
 
     def __len__(self) -> int:
         return len(self.frame_id)
+
+    @classmethod
+    def of_frame(
+        cls,
+        frame_id: int,
+        frame_rate: float,
+        offset_m: ArrayLike,
+        is_valid: ArrayLike,
+        is_continuous: ArrayLike,
+        lri: ArrayLike,
+        *,
+        source: str = "line log",
+    ) -> LineLog:
+        """Make a log of one frame with L lines.
+
+        - frame_rate: frames per second.
+        - offset_m, is_valid, is_continuous, lri (L,): the values of the log, as arrays or lists.
+
+        Raises InputError for a valid line without an offset.
+        """
+        return cls(
+            np.array([frame_id], dtype=np.int64),
+            np.array([frame_id / frame_rate]),
+            np.array([offset_m], dtype=np.float64),
+            np.array([is_valid], dtype=np.bool_),
+            np.array([is_continuous], dtype=np.bool_),
+            np.array([lri], dtype=np.float64),
+            source=source,
+        )
 
     @classmethod
     def from_rows(
@@ -363,9 +393,10 @@ class Evidence:
         if len(lengths) > 1:
             raise InputError(f"evidence: the arrays have different lengths {sorted(lengths)}")
         for node, values in self.likelihoods.items():
-            bad = ~np.isfinite(values) | (values < 0)
-            if bad.any():
-                frame = int(np.argwhere(bad)[0][0])
+            # NaN is neither.
+            is_fine = (values >= 0) & (values < np.inf)
+            if not is_fine.all():
+                frame = int(np.argwhere(~is_fine)[0][0])
                 raise InputError(f"evidence for {node}: frame {frame} has a negative or NaN value")
 
     def __len__(self) -> int:

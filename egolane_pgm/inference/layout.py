@@ -43,7 +43,7 @@ class FilterState:
 class Layout:
     """What the kernels need to know of a network, besides its tables and whatever the evidence.
 
-    nodes: the hidden nodes, those of the joint state first.
+    parts: the hidden nodes, those of the joint state first, and the columns of each in `indicator`.
     indicator (S, M): joint beliefs (T, S) times this are the marginals of these nodes, one behind
         the other (T, M).
     column (N, S): the values of all nodes of the joint state are numbered through; this is the
@@ -51,15 +51,17 @@ class Layout:
     emissions: for each group of observed nodes its emission table, transposed, (K, S).
     only: for each group the one column that each joint state shows for certain (S,), or None where
         a state may show several.
+    shapes: the cardinalities of each observed key.
     band: the transition, if it is a banded one.
     """
 
-    nodes: tuple[str, ...]
+    parts: Mapping[str, slice]
     indicator: FloatArray
     column: IntArray
     columns: tuple[tuple[int, ...], ...]
     emissions: tuple[FloatArray, ...]
     only: tuple[IntArray | None, ...]
+    shapes: Mapping[Observed, tuple[int, ...]]
     band: Band | None
 
 
@@ -73,13 +75,18 @@ def layout(compiled: Compiled) -> Layout:
     starts = accumulate((size[name] for name in compiled.state_nodes), initial=0)
     numbers = zip(compiled.state_nodes, starts, strict=False)
     column = np.array([start + compiled.node_value[n] for n, start in numbers], dtype=np.int64)
+    ends = pairwise(accumulate((size[name] for name in nodes), initial=0))
     return Layout(
-        nodes,
+        {name: slice(*each) for name, each in zip(nodes, ends, strict=True)},
         np.concatenate(is_value, axis=1, dtype=np.float64),
         column,
         tuple(map(tuple, column.tolist())),
         tuple(np.ascontiguousarray(group.emission.T) for group in compiled.groups),
         tuple(_only_column(group.emission) for group in compiled.groups),
+        {
+            key: tuple(size[name] for name in ((key,) if isinstance(key, str) else key))
+            for key in compiled.observed
+        },
         find_band(compiled),
     )
 
@@ -94,13 +101,11 @@ def _only_column(emission: FloatArray) -> IntArray | None:
 def marginals_of(compiled: Compiled, joint: FloatArray) -> dict[str, FloatArray]:
     """The marginals of every hidden node, (T, cardinality) each, of joint beliefs (T, S)."""
     arrays, size = layout(compiled), compiled.cardinality
-    stops = accumulate((size[name] for name in arrays.nodes), initial=0)
-    parts = {name: slice(*ends) for name, ends in zip(arrays.nodes, pairwise(stops), strict=True)}
     if compiled.n_states <= MAX_MATRIX_STATES:
         marginals = joint @ arrays.indicator
-        return {name: marginals[:, part] for name, part in parts.items()}
+        return {name: marginals[:, part] for name, part in arrays.parts.items()}
     nodes = {}
-    for name, part in parts.items():
+    for name, part in arrays.parts.items():
         if name in compiled.state_nodes:
             k = compiled.state_nodes.index(name)
             before = math.prod(size[n] for n in compiled.state_nodes[:k])
@@ -132,17 +137,16 @@ def evidence_blocks(compiled: Compiled, evidence: Evidence) -> list[FloatArray]:
 
 def check_keys(compiled: Compiled, evidence: Evidence) -> None:
     """Raise InputError, naming the node, where evidence and network do not fit each other."""
-    observed, n_frames = compiled.observed, len(evidence)
-    for key in observed:
+    shapes = layout(compiled).shapes
+    for key in shapes:
         if key not in evidence.likelihoods:
             raise InputError(f"observed node {key}: the evidence has nothing for it")
     for key, values in evidence.likelihoods.items():
-        if key not in observed:
+        if key not in shapes:
             raise InputError(f"evidence for {key}: the graph does not observe such a node")
-        names = (key,) if isinstance(key, str) else key
-        shape = (n_frames, *[compiled.cardinality[n] for n in names])
-        if values.shape != shape:
-            raise InputError(f"evidence for {key}: shape {values.shape}, the graph needs {shape}")
+        if values.shape[1:] != shapes[key]:
+            needs = (len(evidence), *shapes[key])
+            raise InputError(f"evidence for {key}: shape {values.shape}, the graph needs {needs}")
     for name in compiled.inputs:
         if name not in evidence.inputs:
             raise InputError(f"input node {name}: the evidence has nothing for it")

@@ -27,9 +27,10 @@ def assigned_lane(belief: ArrayLike, unassigned_below: float = 0.0) -> IntArray:
     n_lanes = values.shape[1]
     # A row per lane: NumPy reduces over a short last axis one frame at a time, which is slow.
     rows = np.ascontiguousarray(values.T)
-    top = rows.max(axis=0)
+    top = np.maximum.reduce(rows)
     is_near_top = rows >= top - TIE_TOLERANCE * top
+    is_near_top &= top >= unassigned_below
     small = np.min_scalar_type(n_lanes)
-    lane = (is_near_top * np.arange(1, n_lanes + 1, dtype=small)[:, None]).max(axis=0)
-    is_unique = is_near_top.sum(axis=0, dtype=small) == 1
-    return np.where(is_unique & (top >= unassigned_below), lane, UNASSIGNED).astype(np.int64)
+    lane = np.maximum.reduce(is_near_top * np.arange(1, n_lanes + 1, dtype=small)[:, None])
+    is_unique = np.add.reduce(is_near_top, dtype=small) == 1
+    return np.where(is_unique, lane, UNASSIGNED).astype(np.int64)
