@@ -16,30 +16,13 @@ from egolane_pgm.online import MAX_GAP, filter_stream, parse_message
 from egolane_pgm.recordings.table import write_table
 from egolane_pgm.running import run_experiment
 from egolane_pgm.scoring.assign import assigned_lane
-from egolane_pgm.types import InputError, LineLog
+from egolane_pgm.types import InputError
 from tests.kits.drives import command, short_drive, write_drive
 from tests.kits.processes import started
+from tests.kits.streams import messages
 
 GAPS = (20, 21, 22, 60)
 LINE = {"offset_m": -1.8, "is_valid": True, "is_continuous": False, "lri": 10}
-
-
-def messages(log: LineLog) -> Iterator[str]:
-    """The frames of a log as a detector would send them: padding left out."""
-    for t in range(len(log)):
-        lines: list[dict[str, Any]] = []
-        for k in range(log.offset_m.shape[1]):
-            if np.isnan(log.offset_m[t, k]) and np.isnan(log.lri[t, k]):
-                continue
-            line = {
-                "offset_m": None if np.isnan(log.offset_m[t, k]) else float(log.offset_m[t, k]),
-                "is_valid": bool(log.is_valid[t, k]),
-                "is_continuous": bool(log.is_continuous[t, k]),
-            }
-            if not np.isnan(log.lri[t, k]):
-                line["lri"] = float(log.lri[t, k])
-            lines.append(line)
-        yield json.dumps({"frame_id": int(log.frame_id[t]), "lines": lines}) + "\n"
 
 
 @pytest.mark.parametrize("policy", ["skip", "hold", "predict"])

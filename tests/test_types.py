@@ -133,6 +133,24 @@ def test_lines_given_one_after_the_other_are_padded_frame_by_frame() -> None:
             at += count
 
 
+def test_one_frame_is_the_log_that_its_rows_are() -> None:
+    rng = np.random.default_rng(0)
+    for n_lines in range(4):
+        offset, lri = rng.normal(size=(2, n_lines))
+        valid, continuous = rng.random((2, n_lines)) < 0.5
+        rows = np.zeros(n_lines, dtype=np.int64)
+        several = LineLog.from_rows(np.array([7]), 3.0, rows, offset, valid, continuous, lri)
+        for given in (
+            (offset, valid, continuous, lri),
+            (list(offset), list(valid), list(continuous), list(lri)),
+        ):
+            one = LineLog.of_frame(7, 3.0, *given)
+            for name, array in vars(several).items():
+                np.testing.assert_array_equal(getattr(one, name), array, strict=name != "source")
+    with pytest.raises(InputError, match=r"here: frame 7: line 1 is valid but its offset is nan"):
+        LineLog.of_frame(7, 3.0, [math.nan], [True], [False], [1.0], source="here")
+
+
 def test_a_line_may_say_its_place_in_the_frame() -> None:
     log = LineLog.from_rows(
         np.array([3, 8]),

@@ -25,5 +25,4 @@ def online(experiment: str, overrides: tuple[str, ...]) -> None:
     sys.stdin.reconfigure(encoding="utf-8", errors="replace")  # type: ignore[union-attr]
     messages = iter(sys.stdin.readline, "")
     for belief in filter_stream(load_experiment(experiment, overrides), messages):
-        click.echo(json.dumps(belief))
-        sys.stdout.flush()
+        print(json.dumps(belief), flush=True)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from pathlib import Path
 
 import numpy as np
@@ -21,6 +20,7 @@ from egolane_pgm.scoring.confusion import confusion, scores_from_confusion
 from egolane_pgm.scoring.probabilistic import coverage_curve
 from egolane_pgm.types import InputError
 from tests.kits.drives import command, done, refused, short_drive, write_drive
+from tests.kits.streams import messages
 from tests.kits.tiny_result import a_result, without_truth
 
 BELIEF = np.array([[0.6, 0.4], [0.95, 0.05], [0.5, 0.5], [0.2, 0.8], [0.9, 0.1]])
@@ -116,19 +116,10 @@ def test_result_and_online_filter_say_unassigned_where_the_run_does(tmp_path: Pa
     assert (lane > 0).any()
     assert (tmp_path / "out" / "figures" / "coverage.png").stat().st_size > 1000
     log = short_drive().log
-    messages = []
-    for t in range(40):
-        lines = [
-            {
-                "offset_m": float(log.offset_m[t, k]),
-                "is_valid": bool(log.is_valid[t, k]),
-                "is_continuous": bool(log.is_continuous[t, k]),
-                "lri": float(log.lri[t, k]),
-            }
-            for k in np.flatnonzero(np.isfinite(log.offset_m[t]))
-        ]
-        messages.append(json.dumps({"frame_id": int(log.frame_id[t]), "lines": lines}))
-    online = [a["assigned_lane"] for a in filter_stream(load_experiment(path), messages)]
+    online = [
+        a["assigned_lane"]
+        for a in filter_stream(load_experiment(path), messages(log.take(slice(0, 40))))
+    ]
     assert online == lane[:40].tolist()
 
 
