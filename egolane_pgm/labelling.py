@@ -27,6 +27,7 @@ from egolane_pgm.files import plain
 from egolane_pgm.inference.events import crossing_probability
 from egolane_pgm.inference.kernels.sweeps import best_path
 from egolane_pgm.inference.viterbi import viterbi_path
+from egolane_pgm.lane_count import doubt_of_lanes
 from egolane_pgm.loading import Recorded
 from egolane_pgm.model import Drive
 from egolane_pgm.plugins import declared_parameters, load_rule_and_graph
@@ -117,10 +118,15 @@ class Labels:
         """(T,): marks frames in which the car crosses a line on its way to another lane."""
         return np.asarray(self.possible.sum(axis=1) > 1)
 
-    @property
+    @cached_property
     def confidence(self) -> FloatArray:
         """(T,): the smoothed probability of the label."""
         return self.run.beliefs.lane[np.arange(len(self)), self.lane - 1]
+
+    @cached_property
+    def on_line(self) -> FloatArray | None:
+        """(T,): the probability that the car is on a line; None where the graph cannot tell."""
+        return crossing_probability(self.run.beliefs.marginals)
 
     @property
     def is_doubtful(self) -> BoolArray:
@@ -203,7 +209,10 @@ def label_experiment(
         scores["model"] = score_with_intervals(
             beliefs.lane[k], run.recorded.truth, rate, assigned=lane[k]
         )
-    return Labels(replace(run, assigned=lane, scores=scores), lane, possible, story, below)
+    doubt = doubt_of_lanes(run.experiment, run.recorded)
+    notes = (*run.notes, *([doubt] if doubt else []))
+    labelled = replace(run, assigned=lane, scores=scores, notes=notes)
+    return Labels(labelled, lane, possible, story, below)
 
 
 def _looking_back(experiment: Experiment) -> Experiment:
@@ -317,7 +326,7 @@ def _reasons(labels: Labels, rows: slice) -> list[str]:
             found.append(f"the sensor is believed to work with probability {is_ok:.2f} only")
     if run.beliefs.is_impossible[rows].any():
         found.append("the model holds the evidence of some frames for impossible")
-    on_line = crossing_probability(marginals)
+    on_line = labels.on_line
     if on_line is not None and on_line[rows].mean() >= 0.5:
         found.append("the car is on a line")
     other = labels.story[rows] != labels.lane[rows]
