@@ -40,6 +40,11 @@ SHOWN = 10
 @click.option("--ground-truth", metavar="FILE", help="Annotation to score the labels with.")
 @click.option("--camera", metavar="FILE", help="Its camera, for a video or pictures.")
 @click.option("--detector", metavar="NAME|FILE.py", help="What looks at the video.")
+@click.option(
+    "--frame-id",
+    type=click.Choice(["way_id", "seq"]),
+    help="Which number of a bag's messages is the frame id.",
+)
 @click.option("--out", type=click.Path(file_okay=False), help="Folder of the labels.")
 @click.option("--no-figures", is_flag=True, help="Draw nothing.")
 @options.json_file
@@ -52,6 +57,7 @@ def label(
     ground_truth: str | None,
     camera: str | None,
     detector: str | None,
+    frame_id: str | None,
     out: str | None,
     no_figures: bool,
     json_file: Path | None,
@@ -81,6 +87,7 @@ def label(
         below=below,
         camera=camera,
         detector=detector,
+        frame_id=frame_id,
     )
     found.save(directory, figures=not no_figures)
     # The file is written before anything is printed, because a reader may close the pipe.

@@ -13,6 +13,9 @@ import pytest
 
 import egolane_pgm as ego
 from egolane_pgm.recordings.ground_truth import read_ground_truth, write_ground_truth
+from egolane_pgm.recordings.table import write_table
+from egolane_pgm.simulation import simulate
+from tests.kits.bags import line_bag
 from tests.kits.drives import contents, done, refused, write_drive
 
 LABELS = {
@@ -156,3 +159,19 @@ def test_a_json_file_that_is_read_is_not_written_over(lines: Path, tmp_path: Pat
     words = ("--n-lanes", 3, "--out", tmp_path / "x", "--json", lines)
     assert str(lines) in refused("label", lines, *words)
     assert lines.read_bytes() == before
+
+
+def test_the_number_of_lanes_is_doubted_where_the_lines_say_otherwise(tmp_path: Path) -> None:
+    write_table(tmp_path / "lines.csv", simulate("quickstart", n_lanes=3).log)
+    for said, is_doubted in ((3, False), (4, True)):
+        words = ("--n-lanes", said, "--no-figures", "--out", tmp_path / "x")
+        error = done("label", tmp_path / "lines.csv", *words).stderr
+        assert ("the lines fit a road of 3 lanes better than one of 4" in error) == is_doubted
+
+
+def test_a_bag_s_frames_may_be_numbered_by_seq(tmp_path: Path) -> None:
+    bag = line_bag(tmp_path / "x.bag", list(range(100, 108)))
+    for frame_id, first in (("way_id", 100), ("seq", 0)):
+        words = ("--n-lanes", 2, "--frame-id", frame_id, "--no-figures")
+        done("label", bag, *words, "--out", tmp_path / frame_id)
+        assert read_ground_truth(tmp_path / frame_id / "labels.txt").frame_id[0] == first
