@@ -55,7 +55,8 @@ neither in one nor labelled as crossing.
 TRIED = """\
 ## What was tried
 
-With these ten annotations in sight, in this order; nothing was fitted to them.
+With these ten annotations in sight, in this order; nothing was fitted to them. The numbers are
+those of the model of that day.
 
 1. Confidence, on the most probable lane of each frame: (a) its smoothed probability, (b) the
    smallest of these within half a second, (c) and (d) the same with 0 where the most probable path
@@ -93,7 +94,8 @@ def measure(runs: Sequence[int], only: str, overrides: Sequence[str]) -> Iterato
     yield "\n## Where the labels contradict the annotation\n"
     yield SUSPECTS
     rows = [row for road, of in SIMPLE.items() if {*of} <= {*runs} for row in suspects(road, given)]
-    yield markdown(["road", "frames", "annotated", "labelled", "confidence", "lane change"], rows)
+    header = ["road", "frames", "annotated", "labelled", "all sure of it", "labelled as a change"]
+    yield markdown(header, rows)
     yield "\n" + VERDICT
     yield "![The end of the Spanish drive](labels_spain_9577.png)\n"
     yield LANES
@@ -110,9 +112,9 @@ def measure(runs: Sequence[int], only: str, overrides: Sequence[str]) -> Iterato
 
 SUSPECTS = """\
 Frames that no annotator marked as crossing, in which the labels of all four simple detectors of a
-road agree with each other and not with the annotation; beside them the lowest and the highest of
-their confidences. Nowhere are all four surer than .999. Nor are they four witnesses: one model
-reads them all, and the lines of runs 1 and 2, 3 and 4, 6 and 7 are nearly the same.
+road agree with each other and not with the annotation. *All sure of it*: the lowest of the four
+confidences, in the frame in which it is highest. They are no four witnesses: one model reads them
+all, and the lines of runs 1 and 2, 3 and 4, 6 and 7 are nearly the same.
 """
 
 VERDICT = """\
@@ -121,12 +123,11 @@ VERDICT = """\
   under it in the next frames: the annotation is three or four frames early. In 9698 the line is
   under the car's middle: either lane will do.
 - Spain, 9577 to the end: the annotation jumps from lane 3 to lane 1 without a crossing. Between 955
-  and 961 s all lines move to the left by a lane's width; after that three or
-  four are to the left of the car and hardly any to its right (below, run 6). So the car seems to
-  have left the three lanes for an exit on the right, whose lanes the annotation counts anew, from
-  1. The labels know three lanes and stay in the rightmost; in lane 1 of three the car is not. The
-  multi-lane detector (run 10) draws a lane around the car all the time: its labels are in lane 3
-  there with a probability of .7, and on the review list.
+  and 961 s all lines move to the left by a lane's width; after that three or four are to the left
+  of the car and hardly any to its right (below, run 6). So the car seems to have left the three
+  lanes for an exit on the right, whose lanes the annotation counts anew, from 1. The labels know
+  three lanes and stay in the rightmost; in lane 1 of three the car is not. The multi-lane detector
+  (run 10) draws a lane around the car all the time: its labels are not sure there.
 """
 
 LANES = """\
@@ -215,7 +216,7 @@ def suspects(road: str, overrides: tuple[str, ...]) -> list[list[str]]:
                 f"{ids[start]} to {ids[stop - 1]} ({stop - start})",
                 str(annotated[start]),
                 str(lane[0, start]),
-                f"{confidence[:, part].min():.3f} to {confidence[:, part].max():.3f}",
+                f"{confidence[:, part].min(axis=0).max():.3f}",
                 "in all four" if all(changing) else f"in {sum(changing)} of four",
             ]
         )
