@@ -63,10 +63,10 @@ those of the model of that day.
    of the joint state is in another lane, (e) the smaller of smoothed and filtered probability, (f)
    their product. Of the surest 98 % of each of the eight simple runs, each gets .999 right. (b) and
    (d) leave 1.4 to 4.5 times as many frames below .99, (e) and (f) 4 to 17 times as many; with (c)
-   246 right frames of run 8 are the least sure ones. The plainest, (a), is as good as any.
+   some 240 right frames of run 8 are the least sure ones. The plainest, (a), is as good as any.
 2. Decoding: the most probable lane of each frame (.9987 to 1 right on the simple runs, with up to
    62 changes where there are 35); the most probable path of the joint state (.9675 in run 8: for
-   246 frames it tells one story that the belief hardly believes); the path through the smoothed
+   249 frames it tells one story that the belief hardly believes); the path through the smoothed
    beliefs (in each run as right as the first, or more so, and mostly with as many changes as there
    are). With a weight of a change of .1 or .001 one scored frame of all runs changes.
 3. Crossing: the car's middle within 3, 4, 5, 6 of a lane's 16 cells of the line that it changes
