@@ -7,6 +7,7 @@ import warnings
 from collections import OrderedDict
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from functools import partial
 from pathlib import Path
 from types import ModuleType
 from typing import TYPE_CHECKING, Any, NamedTuple
@@ -349,22 +350,28 @@ def online_evidence(model: Model, reading: str = "soft") -> Callable[[LineLog], 
     - reading: the experiment's `evidence_reading`.
 
     A rule whose evidence depends on earlier frames defines `online(n_lanes, parameters)`, which
-    returns a function that remembers them. Of any other rule its `evidence` is asked. What a rule
-    warns of is not said. The function raises InputError as `make_evidence`.
+    returns a function that remembers them. Any other rule is asked for its `evidence`, and what it
+    warns of, seeing a frame alone, is not said. The function raises InputError as `make_evidence`.
     """
     rule = model.rule
-    online = None
-    if hasattr(rule, "online"):
-        with plugin_errors(rule, "evidence"):
-            online = rule.online(model.n_lanes, model.parameters)
+    with plugin_errors(rule, "evidence"):
+        if hasattr(rule, "online"):
+            give = rule.online(model.n_lanes, model.parameters)
+        else:
+            give = partial(_evidence_alone, rule, model)
 
     def evidence_of(log: LineLog) -> Evidence:
-        with plugin_errors(rule, "evidence"), warnings.catch_warnings():
-            warnings.simplefilter("ignore")
-            given = online(log) if online else rule.evidence(log, model.n_lanes, model.parameters)
+        with plugin_errors(rule, "evidence"):
+            given = give(log)
         return _filtered(model, log, given, reading)
 
     return evidence_of
+
+
+def _evidence_alone(rule: ModuleType, model: Model, log: LineLog) -> Any:
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        return rule.evidence(log, model.n_lanes, model.parameters)
 
 
 def make_evidence(model: Model, log: LineLog, reading: str = "soft") -> RuleOutput:
