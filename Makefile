@@ -71,7 +71,7 @@ beyond: .venv/.dev
 	$(BIN)/python -m tests.beyond_figures strangers > results/beyond/strangers.md
 	$(BIN)/python -m tests.beyond_figures labels --out results/beyond > results/beyond/labels.md
 	$(BIN)/python -m tests.beyond_figures failures --out results/beyond > /dev/null
-	$(BIN)/python -m tests.beyond_figures lanes > results/beyond/lanes.md
+	$(BIN)/python -m tests.beyond_figures lanes --runs 1,5,8,10 > results/beyond/lanes.md
 
 # results/beyond/delay.md and its figure: how right an answer is that waits (a minute).
 DELAY := egolane compare experiments/beyond/zero_label_causal.yaml --runs 1-10 \
