@@ -11,20 +11,199 @@ from egolane_pgm.types import BoolArray, FloatArray, IntArray
 
 
 @kernel()
+def classify(
+    offset_m: FloatArray,
+    is_valid: BoolArray,
+    is_continuous: BoolArray,
+    lri: FloatArray,
+    strong_lri: float,
+    least_lri: float,
+    placeholder_m: float,
+    kind: IntArray,
+    is_strong: BoolArray,
+) -> None:
+    """Fills kind (T, L) as `model` defines the classes, -1 where there is no line, and is_strong
+    (T, L): whether a line's place is reliable. An unknown LRI counts as the highest."""
+    n_frames, n_lines = offset_m.shape
+    for t in range(n_frames):
+        for i in range(n_lines):
+            kind[t, i] = -1
+            is_strong[t, i] = False
+            if not placeholder_m < abs(offset_m[t, i]) < math.inf:
+                continue
+            is_reliable = not lri[t, i] < strong_lri
+            if is_valid[t, i]:
+                is_strong[t, i] = is_reliable
+                kind[t, i] = 0 if is_continuous[t, i] else 1 if is_reliable else 2
+            elif not lri[t, i] < least_lri:
+                kind[t, i] = 3
+
+
+@kernel()
+def follow_width(
+    offset_m: FloatArray,
+    is_strong: BoolArray,
+    steady: FloatArray,
+    wandering: FloatArray,
+    pairs: FloatArray,
+    counts: FloatArray,
+    prior: FloatArray,
+    log_likelihood: FloatArray,
+    is_two_lanes: FloatArray,
+    first: int,
+    spread: FloatArray,
+    rates: FloatArray,
+    least_double: float,
+    enough_pairs: float,
+    least_pairs: float,
+    log_narrowest: float,
+    step: float,
+    width_m: FloatArray,
+) -> None:
+    """Fills width_m (T, K) with quantiles of the lane width before each frame; the belief `steady`,
+    `wandering`, `pairs`, `counts` becomes that after the last one.
+
+    Belief and prior are those of `scale.WidthBelief`, the tables those of `scale.GapTables`, rates
+    those of `scale.RATES`. least_double: a gap of less than this share of the frame's largest one
+    is a line reported twice.
+    """
+    moves, moves_wandering, another, returns, may_wander, changes = rates[:6]
+    kept, alike, alike_wandering = rates[6:9]
+    n_frames, n_lines = offset_m.shape
+    n_widths, n_table, n_quantiles = len(prior), len(log_likelihood), width_m.shape[1]
+    half = len(spread) // 2
+    lines = np.empty(n_lines)
+    moved = np.empty(n_widths)
+    around = np.empty(n_widths)
+    says = np.empty(n_widths)
+    off_table = log_likelihood[0]
+    for t in range(n_frames):
+        # Predict.
+        moved[0], moved[-1] = steady[0], steady[-1]
+        for j in range(1, n_widths - 1):
+            moved[j] = steady[j] + moves * (steady[j - 1] - 2 * steady[j] + steady[j + 1])
+        for j in range(n_widths):
+            steady[j] = moved[j] + another * (prior[j] - moved[j])
+        # A width by which no two neighbouring lanes are ever seen at once is none.
+        total = 0.0
+        for j in range(n_widths):
+            moved[j] = steady[j]
+            if counts[1] >= enough_pairs and pairs[j] < least_pairs * counts[1]:
+                moved[j] *= 1e-13
+            total += moved[j]
+        around[:] = 0.0
+        for j in range(n_widths):
+            moved[j] /= total
+            if moved[j] > 1e-6:
+                for d in range(max(-half, -j), min(half, n_widths - 1 - j) + 1):
+                    around[j + d] += moved[j] * spread[d + half]
+        left = wandering[0]
+        total = 0.0
+        for j in range(n_widths):
+            here = wandering[j]
+            right = wandering[j + 1] if j + 1 < n_widths else here
+            new = here + moves_wandering * (left - 2 * here + right)
+            wandering[j] = new + returns * (around[j] - new)
+            total += wandering[j]
+            left = here
+        for j in range(n_widths):
+            wandering[j] /= total
+        counts[0] += changes * (may_wander - counts[0])
+        # The quantiles of the mixture.
+        below = 0.0
+        k = 0
+        for j in range(n_widths):
+            below += counts[0] * wandering[j] + (1 - counts[0]) * moved[j]
+            while k < n_quantiles and below * n_quantiles >= k + 0.5:
+                width_m[t, k] = math.exp(log_narrowest + step * j)
+                k += 1
+        # The gaps of this frame.
+        n = 0
+        for i in range(n_lines):
+            if is_strong[t, i]:
+                lines[n] = offset_m[t, i]
+                n += 1
+        if n < 2:
+            continue
+        lines[:n].sort()
+        largest = 0.0
+        for i in range(n - 1):
+            largest = max(largest, lines[i + 1] - lines[i])
+        single = 1
+        for i in range(1, n):
+            if lines[i] - lines[single - 1] > least_double * largest:
+                lines[single] = lines[i]
+                single += 1
+        for j in range(n_widths):
+            pairs[j] *= kept
+            says[j] = 0.0
+        counts[1] *= kept
+        n_gaps = 0
+        for apart in (1, 2):
+            for i in range(single - apart):
+                gap = lines[i + apart] - lines[i]
+                n_gaps += 1
+                if apart == 2:
+                    counts[1] += 1
+                start = round((math.log(gap) - log_narrowest) / step) - first
+                # Widths so far away that the gap is off the table are alike.
+                for j in range(max(0, start - n_table + 1), min(n_widths, start + 1)):
+                    says[j] += log_likelihood[start - j] - off_table
+                    if apart == 2:
+                        pairs[j] += is_two_lanes[start - j]
+        if n_gaps == 0:
+            continue
+        most = 0.0
+        for j in range(n_widths):
+            most = max(most, says[j])
+        of_steady = 0.0
+        of_wandering = 0.0
+        total = 0.0
+        total_wandering = 0.0
+        for j in range(n_widths):
+            likelihood = math.exp((says[j] - most) / alike)
+            quick = math.exp((says[j] - most) / alike_wandering)
+            of_steady += moved[j] * quick
+            of_wandering += wandering[j] * quick
+            steady[j] *= likelihood
+            total += steady[j]
+            wandering[j] *= quick
+            total_wandering += wandering[j]
+        for j in range(n_widths):
+            steady[j] /= total
+            wandering[j] /= total_wandering
+        of_wandering *= counts[0]
+        counts[0] = of_wandering / (of_wandering + (1 - counts[0]) * of_steady)
+
+
+@kernel()
 def follow_lines(
     offset_m: FloatArray,
     kind: IntArray,
     lri: FloatArray,
-    follows: BoolArray,
+    frame_id: IntArray,
+    is_missing: BoolArray,
+    repeats_are_held: bool,
+    farthest_m: FloatArray,
     reach_m: FloatArray,
+    last_offset_m: FloatArray,
+    last_kind: IntArray,
+    last_lri: FloatArray,
+    last_is_held: BoolArray,
+    last_frame: IntArray,
     is_held: BoolArray,
     displacement_m: FloatArray,
+    steps: IntArray,
 ) -> None:
-    """Fills is_held (T, L) and displacement_m (T,), which is NaN where it is unknown.
+    """Fills is_held (T, L), displacement_m (T,), NaN where it is unknown, and steps (T,): frames
+    since the frame before.
 
-    - kind: (T, L) the line's class, -1 where there is none
-    - follows: (T,) whether the frame comes right after the one before
+    - kind: (T, L) the line's class, -1 where there is none; becomes -1 where a line is too far away
+    - repeats_are_held: whether a line that repeats its offset is held whatever its LRI
+    - farthest_m: (T,) lines as far as that do not count
     - reach_m: (T,) largest distance between matched lines
+    - last_...: (K,) the same of the frame before the first
+    - last_frame: (2,) its frame id, and 1, or 0 if it fills a gap, or -1 if there is none
     """
     n_frames, n_lines = offset_m.shape
     moves = np.empty(n_lines)
@@ -32,11 +211,27 @@ def follow_lines(
         displacement_m[t] = np.nan
         for i in range(n_lines):
             is_held[t, i] = False
-        if t == 0 or not follows[t]:
+            if not abs(offset_m[t, i]) < farthest_m[t]:
+                kind[t, i] = -1
+        if t == 0:
+            before_m, before_kind, before_lri = last_offset_m, last_kind, last_lri
+            before_held = last_is_held
+            steps[t] = frame_id[t] - last_frame[0] if last_frame[1] >= 0 else 1
+            follows = last_frame[1] == 1
+        else:
+            before_m, before_kind, before_lri = offset_m[t - 1], kind[t - 1], lri[t - 1]
+            before_held = is_held[t - 1]
+            steps[t] = frame_id[t] - frame_id[t - 1]
+            follows = not is_missing[t - 1]
+        # Neither a frame that fills a gap nor the one after it shows motion.
+        if not follows or is_missing[t] or steps[t] != 1:
             continue
+        n_before = len(before_m)
         for i in range(n_lines):
-            for j in range(n_lines):
-                if offset_m[t, i] == offset_m[t - 1, j] and lri[t, i] < lri[t - 1, j]:
+            for j in range(n_before):
+                if offset_m[t, i] == before_m[j] and (
+                    repeats_are_held or lri[t, i] < before_lri[j]
+                ):
                     is_held[t, i] = True
         # Lines measured in both frames; without any, a new measurement of a line that was held.
         for take_held in (False, True):
@@ -46,10 +241,10 @@ def follow_lines(
                     continue
                 nearest = reach_m[t]
                 match = -1
-                for j in range(n_lines):
-                    if kind[t - 1, j] < 0 or (is_held[t - 1, j] and not take_held):
+                for j in range(n_before):
+                    if before_kind[j] < 0 or (before_held[j] and not take_held):
                         continue
-                    distance = abs(offset_m[t, i] - offset_m[t - 1, j])
+                    distance = abs(offset_m[t, i] - before_m[j])
                     if distance < nearest:
                         nearest = distance
                         match = j
@@ -59,10 +254,10 @@ def follow_lines(
                 for other in range(n_lines):
                     if other == i or kind[t, other] < 0 or is_held[t, other]:
                         continue
-                    if abs(offset_m[t, other] - offset_m[t - 1, match]) < nearest:
+                    if abs(offset_m[t, other] - before_m[match]) < nearest:
                         is_mutual = False
                 if is_mutual:
-                    moves[n_moves] = offset_m[t, i] - offset_m[t - 1, match]
+                    moves[n_moves] = offset_m[t, i] - before_m[match]
                     n_moves += 1
             if n_moves:
                 displacement_m[t] = np.median(moves[:n_moves])
@@ -97,12 +292,13 @@ def drop_doubles(offset_m: FloatArray, kind: IntArray, near_m: FloatArray) -> No
 def weigh_positions(
     offset_m: FloatArray,
     kind: IntArray,
+    width_m: FloatArray,
     log_intensity: FloatArray,
     log_mean: FloatArray,
     first_m: float,
     step_m: float,
     expected: FloatArray,
-    width_m: float,
+    model_width_m: float,
     alpha: FloatArray,
     beta: FloatArray,
     likelihood: FloatArray,
@@ -110,46 +306,81 @@ def weigh_positions(
     """Fills likelihood (T, n cells, 2); the maximum of each frame is 1.
 
     - kind: (T, L) the line's class, -1 where it does not count
+    - width_m: (T, K) equally probable lane widths, in rising order
     - alpha, beta: (T,) exponents of each frame
-    - log_intensity, log_mean, first_m, step_m, expected, width_m: as in `model.LineTables`
+    - log_intensity, log_mean, first_m, step_m, expected, model_width_m: as in `model.LineTables`;
+      lines are scaled to its width
     """
     n_frames, n_lines = offset_m.shape
-    n_lanes = log_intensity.shape[0]
+    n_lanes, n_widths = log_intensity.shape[0], width_m.shape[1]
     cells = likelihood.shape[1] // n_lanes
-    of_lane = np.empty((n_lanes, cells))
-    mean = np.empty(cells)
+    of_lane = np.empty((n_widths, n_lanes, cells))
+    mean = np.empty((n_widths, cells))
+    weight = np.empty(n_widths)
     expected_mean = expected.mean()
-    cell_m = width_m / cells
+    cell = model_width_m / cells / step_m
+    last = log_mean.shape[1] - 2
     for t in range(n_frames):
-        of_lane[:] = 0.0
-        mean[:] = 0.0
-        for i in range(n_lines):
-            c = kind[t, i]
-            if c < 0:
-                continue
-            # z of the leftmost cell's centre, in steps of the tables.
-            start = (offset_m[t, i] + (0.5 * cell_m - 0.5 * width_m) - first_m) / step_m
-            for u in range(cells):
-                at = start + u * (cell_m / step_m)
-                z = int(at)
-                right = at - z
-                for lane in range(n_lanes):
-                    below = log_intensity[lane, c, z]
-                    of_lane[lane, u] += below + right * (log_intensity[lane, c, z + 1] - below)
-                below = log_mean[c, z]
-                mean[u] += below + right * (log_mean[c, z + 1] - below)
+        # Equal widths are one.
+        n = 0
+        k = 0
+        while k < n_widths:
+            same = 1
+            while k + same < n_widths and width_m[t, k + same] == width_m[t, k]:
+                same += 1
+            weight[n] = same / n_widths
+            scale = model_width_m / width_m[t, k]
+            of_lane[n] = 0.0
+            mean[n] = 0.0
+            for i in range(n_lines):
+                c = kind[t, i]
+                if c < 0:
+                    continue
+                # z of the leftmost cell's centre, in steps of the tables.
+                start = (offset_m[t, i] * scale - 0.5 * model_width_m - first_m) / step_m
+                start += 0.5 * cell
+                for u in range(cells):
+                    at = min(max(start + u * cell, 0.0), last)
+                    z = int(at)
+                    right = at - z
+                    for lane in range(n_lanes):
+                        below = log_intensity[lane, c, z]
+                        above = log_intensity[lane, c, z + 1]
+                        of_lane[n, lane, u] += below + right * (above - below)
+                    below = log_mean[c, z]
+                    mean[n, u] += below + right * (log_mean[c, z + 1] - below)
+            n += 1
+            k += same
+        if n > 1:
+            _mix(weight, mean, n)
+            for lane in range(n_lanes):
+                _mix(weight, of_lane[:, lane], n)
         largest = -np.inf
         for u in range(cells):
-            largest = max(largest, beta[t] * mean[u])
+            largest = max(largest, beta[t] * mean[0, u])
             for lane in range(n_lanes):
-                known = of_lane[lane, u] - expected[lane] - mean[u] + expected_mean
-                of_lane[lane, u] = beta[t] * mean[u] + alpha[t] * known
-                largest = max(largest, of_lane[lane, u])
+                known = of_lane[0, lane, u] - expected[lane] - mean[0, u] + expected_mean
+                of_lane[0, lane, u] = beta[t] * mean[0, u] + alpha[t] * known
+                largest = max(largest, of_lane[0, lane, u])
         for u in range(cells):
-            phase_only = math.exp(beta[t] * mean[u] - largest)
+            phase_only = math.exp(beta[t] * mean[0, u] - largest)
             for lane in range(n_lanes):
-                likelihood[t, lane * cells + u, 0] = math.exp(of_lane[lane, u] - largest)
+                likelihood[t, lane * cells + u, 0] = math.exp(of_lane[0, lane, u] - largest)
                 likelihood[t, lane * cells + u, 1] = phase_only
+
+
+@kernel()
+def _mix(weight: FloatArray, log_value: FloatArray, n: int) -> None:
+    """Writes the logarithm of the weighted mean of the first n rows of log_value (K, C) into its
+    first row."""
+    for u in range(log_value.shape[1]):
+        largest = log_value[0, u]
+        for k in range(1, n):
+            largest = max(largest, log_value[k, u])
+        total = 0.0
+        for k in range(n):
+            total += weight[k] * math.exp(log_value[k, u] - largest)
+        log_value[0, u] = largest + math.log(total)
 
 
 #: Beyond so many standard deviations a normal is nothing.

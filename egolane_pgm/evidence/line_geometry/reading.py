@@ -5,12 +5,13 @@ from __future__ import annotations
 import math
 import warnings
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
 
 from egolane_pgm.evidence.line_geometry import kernels
-from egolane_pgm.evidence.line_geometry.habits import is_placed
-from egolane_pgm.evidence.line_geometry.lane_width import lane_width, rounded
+from egolane_pgm.evidence.line_geometry.habits import PLACEHOLDER_M, is_placed
+from egolane_pgm.evidence.line_geometry.lane_width import lane_width
 from egolane_pgm.evidence.line_geometry.model import LEAST_LRI, REACH_M, STRONG_LRI
 from egolane_pgm.graphs.position_in_lane import motion_index
 from egolane_pgm.parameters import Parameters, number
@@ -42,7 +43,7 @@ UPDATE_EVERY = 200
 class SeenLines:
     """The lines of a log, read for the geometry.
 
-    - offset_m: (T, L) metres; 0 where there is no line
+    - offset_m: (T, L) in the detector's unit
     - kind: (T, L) the class of a line that counts, otherwise -1
     - motion: (T,) the value of LineMotion
     - is_double: (T, L) whether a better line on the same border between lanes counts as well
@@ -68,50 +69,33 @@ def recording_width(log: LineLog, parameters: Parameters) -> float:
     whole = lane_width(log, fallback)
     message = whole.message
     if whole.is_sure and not NARROWEST_M <= whole.width_m <= WIDEST_M:
-        message += (
-            f"; no lane has that in metres, offsets are scaled to lanes of {rounded(fallback):g} m"
-        )
+        message += "; no lane has that in metres, offsets are taken to be in another unit"
     warnings.warn(message, UserWarning, stacklevel=2)
     return whole.width_m
 
 
-def in_metres(
-    log: LineLog, widths: FloatArray, parameters: Parameters
-) -> tuple[LineLog, FloatArray]:
-    """Scales the log and its lane widths (T,) to metres, as the model's noise, clutter and reach
-    are in metres. Only frames with a width that no lane in metres has are scaled, to the expected
-    width."""
-    expected = number(parameters, "fallback_width_m")
-    is_other = (widths < NARROWEST_M) | (widths > WIDEST_M)
-    if not is_other.any():
-        return log, widths
-    scale = np.where(is_other, expected / widths, 1.0)
-    offset = log.offset_m * scale[:, None]
-    return replace(log, offset_m=offset), np.where(is_other, expected, widths)
-
-
-def warn_of_offsets(log: LineLog, widths: FloatArray) -> None:
+def warn_of_offsets(log: LineLog, width_m: float, reach_m: float) -> None:
     """Warns if most lines are out of reach, or if the vehicle seems to be off the middle of its
-    lane all the time. log and widths (T,) are in metres."""
+    lane all the time."""
     placed = is_placed(log)
-    n_placed, n_far = int(placed.sum()), int((np.abs(log.offset_m[placed]) >= REACH_M).sum())
+    n_placed, n_far = int(placed.sum()), int((np.abs(log.offset_m[placed]) >= reach_m).sum())
     if 2 * n_far > n_placed:
         warnings.warn(
-            f"{log.source}: {n_far} of {n_placed} lines are {REACH_M:g} m away or more and are not"
-            " used; are offsets in metres from the vehicle?",
+            f"{log.source}: {n_far} of {n_placed} lines are {reach_m:g} m away or more and are not"
+            f" used, with lanes of {width_m:g} m; are offsets in metres from the vehicle?",
             UserWarning,
             stacklevel=2,
         )
-    near = log.is_valid & placed & (np.abs(log.offset_m) < 1.5 * widths[:, None])
+    near = log.is_valid & placed & (np.abs(log.offset_m) < 1.5 * width_m)
     # A line's place modulo the lane width, as an angle: 0 for a car in the middle of its lane.
-    angle = 2 * math.pi * (log.offset_m / widths[:, None] - 0.5)[near]
+    angle = 2 * math.pi * (log.offset_m / width_m - 0.5)[near]
     if len(angle) < ENOUGH_LINES:
         return
     mean = np.exp(1j * angle).mean()
     off = float(np.angle(mean)) / (2 * math.pi)
     if abs(off) >= OFF_CENTRE and abs(mean) >= STEADY:
         warnings.warn(
-            f"{log.source}: the lines lie {abs(off) * float(np.median(widths)):.1f} m"
+            f"{log.source}: the lines lie {abs(off) * width_m:.1f} m"
             f" {'right' if off > 0 else 'left'} of where a vehicle in the middle of its lane has"
             " them, on average: is offset 0 the vehicle's middle? Lane changes are told early or"
             " late otherwise",
@@ -129,38 +113,96 @@ def one_width(log: LineLog, parameters: Parameters) -> float:
     return lane_width(log, number(parameters, "fallback_width_m")).width_m
 
 
+def as_metres(width_m: float, parameters: Parameters) -> float:
+    """The lane width, or the expected one if no lane has that in metres."""
+    is_metres = NARROWEST_M <= width_m <= WIDEST_M
+    return width_m if is_metres else number(parameters, "fallback_width_m")
+
+
+class LastFrame(NamedTuple):
+    """What is kept of a frame to read the next one.
+
+    - offset_m, kind, lri, is_held: (L,) its lines
+    - frame: (2,) its frame id, and 1, or 0 if it fills a gap, or -1 if there was none
+    """
+
+    offset_m: FloatArray
+    kind: IntArray
+    lri: FloatArray
+    is_held: BoolArray
+    frame: IntArray
+
+
+#: Before the first frame.
+NO_FRAME = LastFrame(
+    np.empty(0),
+    np.empty(0, dtype=np.int64),
+    np.empty(0),
+    np.empty(0, dtype=bool),
+    np.array([0, -1]),
+)
+
+
+def line_classes(log: LineLog) -> tuple[IntArray, BoolArray]:
+    """The class of each line, (T, L), -1 where there is none; and whether its place is reliable,
+    (T, L). With an unknown LRI, a valid line counts as reliable and any other as tracked."""
+    kind = np.empty(log.offset_m.shape, dtype=np.int64)
+    is_strong = np.empty(kind.shape, dtype=bool)
+    kernels.classify(
+        log.offset_m,
+        log.is_valid,
+        log.is_continuous,
+        log.lri,
+        STRONG_LRI,
+        LEAST_LRI,
+        PLACEHOLDER_M,
+        kind,
+        is_strong,
+    )
+    return kind, is_strong
+
+
 def read_lines(
     log: LineLog,
+    kind: IntArray,
     widths: FloatArray,
     parameters: Parameters,
     *,
     repeats_are_held: bool = False,
-) -> SeenLines:
-    """Finds which lines count and how they moved.
+    last: LastFrame = NO_FRAME,
+) -> tuple[SeenLines, LastFrame]:
+    """Finds which lines count and how they moved; also gives what the next frame needs.
 
-    - widths: (T,) lane width of each frame, metres
+    - kind: (T, L) the class of each line, which becomes -1 where a line is out of reach
+    - widths: (T,) lane width before each frame
     - repeats_are_held: as in `habits.Habits`
+    - last: of the frame before the first
     """
-    kind = line_classes(log)
-    steps = np.ones(len(log), dtype=np.int64)
-    steps[1:] = np.diff(log.frame_id)
-    # Neither a frame that fills a gap nor the one after it shows motion.
-    follows = (steps == 1) & ~log.is_missing
-    follows[1:] &= ~log.is_missing[:-1]
-    is_held = np.zeros(kind.shape, dtype=bool)
-    displacement = np.empty(len(log))
-    reach = number(parameters, "motion_range") * widths
-    lri = log.lri
-    if repeats_are_held:
-        # An LRI that falls with every frame makes every repeated offset a held line.
-        lri = np.repeat(-np.arange(float(len(log)))[:, None], lri.shape[1], axis=1)
-    kernels.follow_lines(log.offset_m, kind, lri, follows, reach, is_held, displacement)
-    kind = np.where(is_held, -1, kind)
+    n_frames = len(log)
+    is_held = np.empty(kind.shape, dtype=bool)
+    displacement, steps = np.empty(n_frames), np.empty(n_frames, dtype=np.int64)
+    kernels.follow_lines(
+        log.offset_m,
+        kind,
+        log.lri,
+        log.frame_id,
+        log.is_missing,
+        repeats_are_held,
+        widths * (REACH_M / number(parameters, "fallback_width_m")),
+        widths * number(parameters, "motion_range"),
+        *last,
+        is_held,
+        displacement,
+        steps,
+    )
+    if n_frames:
+        frame = np.array([log.frame_id[-1], 0 if log.is_missing[-1] else 1])
+        last = LastFrame(log.offset_m[-1], kind[-1].copy(), log.lri[-1], is_held[-1], frame)
+    kind[is_held] = -1
     single = kind.copy()
     kernels.drop_doubles(log.offset_m, single, DOUBLE * widths)
-    offset = np.where(kind >= 0, log.offset_m, 0.0)
     motion = motion_index(displacement / widths, steps, parameters)
-    return SeenLines(offset, kind, motion, kind != single)
+    return SeenLines(log.offset_m, kind, motion, kind != single), last
 
 
 def count_once(seen: SeenLines, lines: IntArray) -> SeenLines:
@@ -198,17 +240,3 @@ def frame_weights(log: LineLog, last_s: float = -math.inf) -> tuple[FloatArray, 
         is_known = np.isfinite(passed) & (passed > 0)
         # Times are quotients; after rounding, ten frames per second weigh exactly 1.
         return np.where(is_known, np.round(passed / FRAME_S, 6), 1.0), float(real_s[-1])
-
-
-def line_classes(log: LineLog) -> IntArray:
-    """The class of each line, (T, L); -1 where there is none or it is out of reach. With an unknown
-    LRI, a valid line counts as reliable and any other as tracked."""
-    unknown = np.isnan(log.lri)
-    reliable = unknown | (log.lri >= STRONG_LRI)
-    tracked = unknown | (log.lri >= LEAST_LRI)
-    kind = np.where(log.is_valid, np.where(reliable, 1, 2), np.where(tracked, 3, -1))
-    kind[log.is_valid & log.is_continuous] = 0
-    with np.errstate(invalid="ignore"):
-        is_near = np.abs(log.offset_m) < REACH_M
-    kind[~(is_placed(log) & is_near)] = -1
-    return kind.astype(np.int64)

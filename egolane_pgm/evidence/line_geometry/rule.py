@@ -29,7 +29,7 @@ from __future__ import annotations
 
 import math
 import warnings
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from itertools import pairwise
 
 import numpy as np
@@ -46,11 +46,10 @@ from egolane_pgm.evidence.line_geometry.habits import (
     total,
     usual,
 )
-from egolane_pgm.evidence.line_geometry.lane_width import gap_counts, rounded, width_of_gaps
 from egolane_pgm.evidence.line_geometry.model import (
     FITTED,
+    REACH_M,
     TABLE_STEP_M,
-    LineModel,
     LineTables,
     line_model,
     line_tables,
@@ -58,17 +57,20 @@ from egolane_pgm.evidence.line_geometry.model import (
 )
 from egolane_pgm.evidence.line_geometry.parameters import PARAMETERS
 from egolane_pgm.evidence.line_geometry.reading import (
+    NO_FRAME,
     UPDATE_EVERY,
     SeenLines,
+    as_metres,
     count_once,
     frame_weights,
-    in_metres,
+    line_classes,
     one_width,
     read_lines,
     recording_width,
     warn_of_doubles,
     warn_of_offsets,
 )
+from egolane_pgm.evidence.line_geometry.scale import follow, new_belief
 from egolane_pgm.parameters import Parameters, Value, number
 from egolane_pgm.types import BoolArray, Evidence, FloatArray, IntArray, LineLog, stacked
 
@@ -106,20 +108,21 @@ def evidence(log: LineLog, n_lanes: int, parameters: Parameters) -> Evidence:
     recorded = log
     log, detector = usual(log)
     width = recording_width(log, parameters)
-    log, widths = in_metres(log, np.full(len(log), width), parameters)
-    warn_of_offsets(log, widths)
+    warn_of_offsets(log, width, width * REACH_M / number(parameters, "fallback_width_m"))
+    widths = np.full((len(log), 1), width)
+    kind, _ = line_classes(log)
     held = detector.repeats_are_held
-    seen = read_lines(log, widths, parameters, repeats_are_held=held)
+    seen, _ = read_lines(log, kind, widths[:, 0], parameters, repeats_are_held=held)
     lines = seen.lines.sum(axis=0)
     warn_of_doubles(lines, log.source)
     if parameters["lane_width_m"] == "causal":
         return online(n_lanes, parameters)(recorded)
-    seen = count_once(seen, lines)
     model = line_model(n_lanes, parameters)
     if not log.is_continuous.any():
         model = without_flags(model)
-    likelihood = _likelihood(seen, widths, frame_weights(log)[0], model, parameters, {})
-    return Evidence({NODES: likelihood}, {"LineMotion": seen.motion})
+    tables = line_tables(model, number(parameters, "fallback_width_m"))
+    weights, _ = frame_weights(log)
+    return _evidence(count_once(seen, lines), widths, weights, tables, parameters)
 
 
 def online(n_lanes: int, parameters: Parameters) -> Callable[[LineLog], Evidence]:
@@ -131,62 +134,42 @@ def online(n_lanes: int, parameters: Parameters) -> Callable[[LineLog], Evidence
     detector counts as one with a continuous flag from the first continuous line on. There are no
     warnings.
     """
-    flagged = line_model(n_lanes, parameters)
-    model = flagless = without_flags(flagged)
-    known: dict[float, LineTables] = {}
+    expected_m = number(parameters, "fallback_width_m")
+    model = line_model(n_lanes, parameters)
+    tables = {True: line_tables(model, expected_m)}
+    tables[False] = line_tables(without_flags(model), expected_m)
     given = parameters["lane_width_m"]
-    fallback = number(parameters, "fallback_width_m")
-    width = fallback if isinstance(given, str) else number(parameters, "lane_width_m")
-    context: LineLog | None = None
-    n_frames, last_s = 0, -math.inf
-    gaps: FloatArray = np.zeros(1)
+    width = new_belief(expected_m)
     detector = Habits(FULL_LRI, says_valid=True, says_continuous=True)
     tallies: list[Tally] = []
+    has_flags = False
+    n_frames, last, last_s = 0, NO_FRAME, -math.inf
     lines = np.zeros(2, dtype=np.int64)
-
-    def update_reading(source: str) -> None:
-        """Estimates habits and lane width anew, from all frames so far."""
-        nonlocal width, model, detector
-        tallies[:] = [total(tallies)]
-        detector = habits(tallies[0], source)
-        if not detector.says_continuous:
-            model = flagless
-            known.clear()
-        if isinstance(given, str) and gaps.any():
-            width = rounded(width_of_gaps(gaps, fallback, source).width_m)
 
     def evidence_of_part(recorded: LineLog) -> Evidence:
         """The evidence of frames that are all read in the same way."""
-        nonlocal context, n_frames, gaps, lines, model, last_s
+        nonlocal detector, has_flags, n_frames, last, last_s, lines
         if n_frames and n_frames % UPDATE_EVERY == 0:
-            update_reading(recorded.source)
+            tallies[:] = [total(tallies)]
+            detector = habits(tallies[0], recorded.source)
+            has_flags &= detector.says_continuous
         tallies.append(tally(recorded))
-        piece = as_usual(recorded, detector)
+        log = as_usual(recorded, detector)
+        has_flags |= bool(log.is_continuous.any())
+        n_frames += len(log)
+        kind, is_strong = line_classes(log)
         if isinstance(given, str):
-            gaps = gaps + gap_counts(piece)
-        if model is not flagged and piece.is_continuous.any():
-            model = flagged
-            known.clear()
-        log = piece if context is None else context.then(piece)
-        before = len(log) - len(piece)
-        n_frames += len(piece)
-        # Two frames are kept: they show whether a line of the last one was held.
-        context = log.take(slice(max(0, len(log) - 2), None))
-        scaled, widths = in_metres(log, np.full(len(log), width), parameters)
+            widths = follow(width, log.offset_m, is_strong)
+        else:
+            widths = np.full((len(log), 1), given)
+        middle = np.ascontiguousarray(widths[:, widths.shape[1] // 2])
         held = detector.repeats_are_held
-        seen = read_lines(scaled, widths, parameters, repeats_are_held=held)
-        now = SeenLines(
-            seen.offset_m[before:],
-            seen.kind[before:],
-            seen.motion[before:],
-            seen.is_double[before:],
-        )
-        of_frame = now.lines
-        now = count_once(now, lines + of_frame.cumsum(axis=0))
+        seen, last = read_lines(log, kind, middle, parameters, repeats_are_held=held, last=last)
+        of_frame = seen.lines
+        seen = count_once(seen, lines + of_frame.cumsum(axis=0))
         lines = lines + of_frame.sum(axis=0)
         weights, last_s = frame_weights(recorded, last_s)
-        likelihood = _likelihood(now, widths[before:], weights, model, parameters, known)
-        return Evidence({NODES: likelihood}, {"LineMotion": now.motion})
+        return _evidence(seen, widths, weights, tables[has_flags], parameters)
 
     def evidence_of(recorded: LineLog) -> Evidence:
         updates = np.arange(-n_frames % UPDATE_EVERY, len(recorded), UPDATE_EVERY)
@@ -200,6 +183,8 @@ def online(n_lanes: int, parameters: Parameters) -> Callable[[LineLog], Evidence
             if is_continuous[a:b].any()
         ]
         cuts = [*np.unique([*starts, *firsts]).tolist(), len(recorded)]
+        if len(cuts) == 2:
+            return evidence_of_part(recorded)
         parts = [evidence_of_part(recorded.take(slice(a, b))) for a, b in pairwise(cuts)]
         return Evidence(
             {NODES: np.concatenate([part.likelihoods[NODES] for part in parts])},
@@ -209,52 +194,37 @@ def online(n_lanes: int, parameters: Parameters) -> Callable[[LineLog], Evidence
     return evidence_of
 
 
-def _likelihood(
+def _evidence(
     seen: SeenLines,
     widths: FloatArray,
     weights: FloatArray,
-    model: LineModel,
+    tables: LineTables,
     parameters: Parameters,
-    known: dict[float, LineTables],
-) -> FloatArray:
-    """The likelihood of each frame, (T, n cells, 2). known: the tables made so far, by lane
-    width."""
-    n_positions = model.n_lanes * int(number(parameters, "cells"))
+) -> Evidence:
+    """The evidence of T frames. widths: (T, K) equally probable lane widths; weights: (T,)."""
     alpha, beta = (_weighted(number(parameters, name), weights) for name in ("alpha", "beta"))
+    n_positions = len(tables.expected) * int(number(parameters, "cells"))
     likelihood = np.empty((len(widths), n_positions, 2))
-    for part in _same(widths):
-        width = float(widths[part.start])
-        if width not in known:
-            known[width] = line_tables(model, width)
-        tables = known[width]
-        kernels.weigh_positions(
-            seen.offset_m[part],
-            seen.kind[part],
-            tables.log_intensity,
-            tables.log_mean,
-            tables.first_m,
-            TABLE_STEP_M,
-            tables.expected,
-            tables.width_m,
-            alpha[part],
-            beta[part],
-            likelihood[part],
-        )
-    return likelihood
+    kernels.weigh_positions(
+        seen.offset_m,
+        seen.kind,
+        widths,
+        tables.log_intensity,
+        tables.log_mean,
+        tables.first_m,
+        TABLE_STEP_M,
+        tables.expected,
+        tables.width_m,
+        alpha,
+        beta,
+        likelihood,
+    )
+    return Evidence({NODES: likelihood}, {"LineMotion": seen.motion})
 
 
 def _weighted(exponent: float, weights: FloatArray) -> FloatArray:
     """The exponent of each frame, (T,), limited so that no line counts more than once."""
     return np.minimum(exponent * weights, max(exponent, 1.0))
-
-
-def _same(widths: FloatArray) -> Iterator[slice]:
-    """The stretches of frames with the same width."""
-    if len(widths):
-        ends: BoolArray = np.diff(widths) != 0
-        starts = [0, *(np.flatnonzero(ends) + 1).tolist(), len(widths)]
-        for a, b in pairwise(starts):
-            yield slice(a, b)
 
 
 def fit(
@@ -287,11 +257,11 @@ def fit_pooled(
     first_width = 0.0
     for recorded, lane, is_used in parts:
         log, detector = usual(recorded, say=False)
-        log, widths = in_metres(log, np.full(len(log), one_width(log, parameters)), parameters)
-        width = float(widths[0]) if len(widths) else number(parameters, "fallback_width_m")
-        first_width = first_width or width
-        held = detector.repeats_are_held
-        seen = read_lines(log, widths, parameters, repeats_are_held=held)
+        width = one_width(log, parameters)
+        first_width = first_width or as_metres(width, parameters)
+        kind, _ = line_classes(log)
+        held, widths = detector.repeats_are_held, np.full(len(log), width)
+        seen, _ = read_lines(log, kind, widths, parameters, repeats_are_held=held)
         seen = count_once(seen, seen.lines.sum(axis=0))
         used = np.flatnonzero(is_used & ~log.is_missing)
         offsets.append(seen.offset_m[used] * (first_width / width))

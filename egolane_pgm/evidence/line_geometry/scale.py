@@ -1,0 +1,175 @@
+"""The lane width in the detector's unit, from the frames so far, as a distribution.
+
+A detector of the picture may have any lateral scale, and one that wanders: its lane width is a
+nuisance that is filtered beside the lane. Two filters over a logarithmic grid of widths read the
+gaps between neighbouring strong lines, which are whole numbers of lanes (`lane_width`): for the
+first the width hardly ever changes, for the second it wanders around that of the first. Each
+predicts the next frame's gaps, and so the share of belief that each has follows by Bayes' rule.
+
+Neighbouring frames show the same lines, so a gap counts as a fraction of one. A new scale needs
+minutes to be believed, as do stretches in which every other line is missing.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from functools import lru_cache
+
+import numpy as np
+
+from egolane_pgm.evidence.line_geometry import kernels
+from egolane_pgm.evidence.line_geometry.lane_width import (
+    ALIKE,
+    DOUBLE,
+    ENOUGH_PAIRS,
+    EXPECTED_WITHIN,
+    GAP_SIGMA,
+    LEAST_PAIRS,
+    MOST_LANES,
+    PAIR_WITHIN,
+)
+from egolane_pgm.types import BoolArray, FloatArray
+
+#: The grid: logarithmic steps from the narrowest to the widest width, in any unit.
+_STEP = 0.02
+_NARROWEST, _WIDEST = 0.1, 1e4
+_N_WIDTHS = math.ceil(math.log(_WIDEST / _NARROWEST) / _STEP)
+
+#: The widths that stand for the distribution are its quantiles, this many.
+N_QUANTILES = 7
+
+#: The share of gaps that are no whole number of lanes.
+OFF_LATTICE = 0.6
+
+#: How many gaps count as one for the width that wanders. It has to follow quickly.
+ALIKE_WANDERING = 10.0
+
+#: How much of the belief in a width moves to either neighbour in a frame, if the scale is steady
+#: and if it wanders.
+STEADY_MOVES, WANDERING_MOVES = 0.0005, 0.025
+
+#: Probability that the scale of a detector is another one from this frame on. It is as small as
+#: that so that no stretch of misleading gaps, however long, is taken for it in less than a minute.
+ANOTHER_SCALE = 1e-40
+
+#: A scale that wanders begins anew with this probability in each frame, around the steady one with
+#: this standard deviation of its logarithm.
+RETURNS, WANDERS = 0.03, 0.1
+
+#: Probability that the scale of an unknown detector wanders, and how quickly that may change.
+MAY_WANDER, CHANGES = 0.2, 1e-3
+
+#: How much of the count of neighbouring lanes that are seen at once is kept from frame to frame.
+KEPT_PAIRS = 0.9995
+
+
+#: What `kernels.follow_width` needs to know beside arrays.
+RATES = np.array(
+    [
+        STEADY_MOVES,
+        WANDERING_MOVES,
+        ANOTHER_SCALE,
+        RETURNS,
+        MAY_WANDER,
+        CHANGES,
+        KEPT_PAIRS,
+        ALIKE,
+        ALIKE_WANDERING,
+    ]
+)
+
+
+@dataclass(frozen=True)
+class WidthBelief:
+    """What is believed of the lane width; the arrays change with every frame.
+
+    - steady, wandering: (_N_WIDTHS,) probabilities of the widths, if the scale is steady and if it
+      wanders
+    - pairs: (_N_WIDTHS,) how many gaps between every other line were two lanes of that width
+    - counts: (2,) probability that the scale wanders, and number of gaps between every other line
+    - prior: (_N_WIDTHS,) the belief before the first frame
+    """
+
+    steady: FloatArray
+    wandering: FloatArray
+    pairs: FloatArray
+    counts: FloatArray
+    prior: FloatArray
+
+
+@dataclass(frozen=True)
+class _GapTables:
+    """What a gap says of a width, by their logarithmic distance in steps.
+
+    - log_likelihood: (D,) relative to a gap anywhere
+    - is_two_lanes: (D,) 1 where the gap is two lanes
+    - first: steps of the first entry
+    - spread: (2 h + 1,) a width that wanders, around the steady one
+    """
+
+    log_likelihood: FloatArray
+    is_two_lanes: FloatArray
+    first: int
+    spread: FloatArray
+
+
+def new_belief(expected_m: float) -> WidthBelief:
+    """The belief before the first frame. expected_m: the expected width."""
+    away = (np.log(grid()) - math.log(expected_m)) / EXPECTED_WITHIN
+    prior = 1 / (1 + away**2)
+    prior /= prior.sum()
+    counts = np.array([MAY_WANDER, 0.0])
+    return WidthBelief(prior.copy(), prior.copy(), np.zeros(_N_WIDTHS), counts, prior)
+
+
+def follow(belief: WidthBelief, offset_m: FloatArray, is_strong: BoolArray) -> FloatArray:
+    """The lane width before each of T frames, (T, N_QUANTILES): equally probable values in rising
+    order, in the unit of the offsets. The belief becomes that after the last frame.
+
+    offset_m, is_strong: (T, L) the lines, and whether their places are reliable.
+    """
+    tables = _tables()
+    widths = np.empty((len(offset_m), N_QUANTILES))
+    kernels.follow_width(
+        offset_m,
+        is_strong,
+        belief.steady,
+        belief.wandering,
+        belief.pairs,
+        belief.counts,
+        belief.prior,
+        tables.log_likelihood,
+        tables.is_two_lanes,
+        tables.first,
+        tables.spread,
+        RATES,
+        DOUBLE,
+        ENOUGH_PAIRS,
+        LEAST_PAIRS,
+        math.log(_NARROWEST),
+        _STEP,
+        widths,
+    )
+    return widths
+
+
+def grid() -> FloatArray:
+    """The widths of the grid, (_N_WIDTHS,)."""
+    return np.asarray(_NARROWEST * np.exp(_STEP * np.arange(_N_WIDTHS)))
+
+
+@lru_cache(maxsize=1)
+def _tables() -> _GapTables:
+    """The tables for this grid."""
+    first = math.floor(math.log(0.02) / _STEP)
+    last = math.ceil(math.log(MOST_LANES + 1.5) / _STEP)
+    gap = np.exp(_STEP * np.arange(first, last + 1))
+    lanes = np.maximum(1, np.round(gap))
+    normal = np.exp(-0.5 * ((gap - lanes) / GAP_SIGMA) ** 2) / (GAP_SIGMA * math.sqrt(2 * math.pi))
+    density = np.where(lanes <= MOST_LANES, normal, 0.0)
+    log_likelihood = np.log((1 - OFF_LATTICE) * density + OFF_LATTICE)
+    half = round(3 * WANDERS / _STEP)
+    spread = np.exp(-0.5 * (np.arange(-half, half + 1) * _STEP / WANDERS) ** 2)
+    is_two = np.where(np.abs(gap - 2) < PAIR_WITHIN, 1.0, 0.0)
+    return _GapTables(log_likelihood, is_two, first, spread / spread.sum())
