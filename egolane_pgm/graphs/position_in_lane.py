@@ -9,8 +9,9 @@ it; when it is BAD, they tell only the place inside the lane.
 
 The first cell of RoadPosition is the leftmost one of lane 1. SensorState has the values OK (0) and
 BAD (1). The first `motion_bins` values of LineMotion are intervals of the displacement, from
--motion_range to motion_range, in lane widths. One value for each entry of `STEPS` follows; it says
-that the displacement is unknown and how many frames have passed.
+-motion_range to motion_range, in lane widths. One value for each entry of `STEPS` and of `COASTING`
+follows; it says how many frames have passed since the frame before, and how the lines moved then. A
+vehicle that loses its lines in a lane change goes on with the change.
 """
 
 from __future__ import annotations
@@ -45,9 +46,12 @@ OBSERVED = (("RoadPosition", "SensorState"),)
 INPUTS = ("LineMotion",)
 VALUES = {"SensorState": ("OK", "BAD")}
 
-#: How many frames have passed, for the values of LineMotion without a displacement. A gap between
-#: two entries counts as the larger one; a gap beyond the last entry counts as the last.
-STEPS = (1, 2, 3, 4, 6, 8, 16, 64, 256)
+#: How many frames have passed, for the values of LineMotion after a gap. A gap between two entries
+#: counts as the larger one; a gap beyond the last entry counts as the last.
+STEPS = (2, 3, 4, 6, 8, 16, 64, 256)
+
+#: How the lines moved before a gap, lane widths per frame. A quick lane change is 0.06.
+COASTING = (-0.06, -0.04, -0.02, 0.0, 0.02, 0.04, 0.06)
 
 #: The geometry of the cells and of LineMotion. The evidence rule declares these parameters too.
 CELLS = Parameter("cells", "integer", 16, "cells of RoadPosition in each lane", lowest=1)
@@ -122,34 +126,41 @@ _WIDEST = 100.0
 
 def motion_values(parameters: Mapping[str, Value]) -> int:
     """How many values LineMotion has."""
-    return int(number(parameters, "motion_bins")) + len(STEPS)
+    return int(number(parameters, "motion_bins")) + len(STEPS) * len(COASTING)
 
 
 def motion_index(
-    displacement: FloatArray, steps: IntArray, parameters: Mapping[str, Value]
+    displacement: FloatArray,
+    steps: IntArray,
+    velocity: FloatArray,
+    parameters: Mapping[str, Value],
 ) -> IntArray:
     """The value of LineMotion in each frame, (T,).
 
     - displacement: (T,) of the lines since the frame before, lane widths; NaN where unknown
     - steps: (T,) frames that have passed since the frame before, at least 1
+    - velocity: (T,) of the lines before, lane widths per frame
 
-    A displacement that is out of range or spans several frames counts as unknown.
+    An unknown displacement, or one that is out of range, counts as the velocity. One that spans
+    several frames counts as unknown.
     """
     n_bins, reach = int(number(parameters, "motion_bins")), number(parameters, "motion_range")
-    known = (np.abs(displacement) < reach) & (steps == 1)
-    share = (np.where(known, displacement, 0.0) / reach + 1) / 2
-    index = np.minimum((share * n_bins).astype(np.int64), n_bins - 1)
-    unknown = n_bins + np.minimum(np.searchsorted(STEPS, steps), len(STEPS) - 1)
-    return np.where(known, index, unknown)
+    moved = np.where(np.abs(displacement) < reach, displacement, velocity)
+    index = ((np.clip(moved, -reach, reach) / reach + 1) / 2 * n_bins).astype(np.int64)
+    passed = np.minimum(np.searchsorted(STEPS, steps), len(STEPS) - 1)
+    middle, most = len(COASTING) // 2, COASTING[-1]
+    coasting = np.rint(np.clip(velocity / most, -1, 1) * middle).astype(np.int64) + middle
+    after_gap = n_bins + passed * len(COASTING) + coasting
+    return np.where(steps == 1, np.minimum(index, n_bins - 1), after_gap)
 
 
 def tables(n_lanes: int, parameters: Parameters) -> list[Table]:
     """RoadPosition moves with LineMotion, SensorState persists, and Lane is the cell's lane."""
     cells = int(number(parameters, "cells"))
     n_positions, n_values = n_lanes * cells, motion_values(parameters)
-    n_bins = n_values - len(STEPS)
+    n_bins = int(number(parameters, "motion_bins"))
     sensor = binary(number(parameters, "p1"), number(parameters, "p2"))
-    sensors = [sensor] * n_bins + [_power(sensor, k) for k in STEPS]
+    sensors = [sensor] * n_bins + [_power(sensor, k) for k in STEPS for _ in COASTING]
     lane = np.repeat(np.eye(n_lanes), cells, axis=0)
     motion = uniform(n_values)
     return [
@@ -181,18 +192,18 @@ def _motions(n_positions: int, cells: int, parameters: Mapping[str, Value]) -> l
     narrow = number(parameters, "motion_sigma") * cells
     wide = number(parameters, "motion_sigma_wide") * cells
     half = max(1, math.ceil(_BAND * cells))
-    moves = []
-    centres = ((np.arange(n_bins) + 0.5) / n_bins * 2 - 1) * reach
-    shares = [number(parameters, "wide_share")] * n_bins
-    shares.append(number(parameters, "wide_share_unknown"))
-    for centre, share in zip([*centres, 0.0], shares, strict=True):
-        shift = -gain * centre * cells
-        move = (1 - share) * _cell_moves(shift, narrow, half)
-        move += share * _cell_moves(shift, wide, half)
-        kept = (1 - jump) * _banded(move, n_positions)
-        moves.append(kept + jump / n_positions)
-    unknown = moves.pop()
-    return moves + [_power(unknown, k) for k in STEPS]
+    known = ((np.arange(n_bins) + 0.5) / n_bins * 2 - 1) * reach
+
+    def transition(displacement: float, wide_share: float) -> FloatArray:
+        shift = -gain * displacement * cells
+        move = (1 - wide_share) * _cell_moves(shift, narrow, half)
+        move += wide_share * _cell_moves(shift, wide, half)
+        return (1 - jump) * _banded(move, n_positions) + jump / n_positions
+
+    share, share_unknown = (number(parameters, f"wide_share{end}") for end in ("", "_unknown"))
+    unknown = [transition(velocity, share_unknown) for velocity in COASTING]
+    powers = [_power(of_frame, k) for k in STEPS for of_frame in unknown]
+    return [transition(displacement, share) for displacement in known] + powers
 
 
 def _power(transition: FloatArray, steps: int) -> FloatArray:

@@ -265,6 +265,33 @@ def follow_lines(
 
 
 @kernel()
+def coast(
+    displacement: FloatArray,
+    steps: IntArray,
+    farthest: float,
+    inertia: float,
+    kept: float,
+    velocity: FloatArray,
+) -> None:
+    """Fills velocity (T + 1,) with that of the lines before each frame and after the last one: the
+    mean displacement of late, in which each frame counts 1 / inertia.
+
+    - displacement: (T,) since the frame before, NaN where it is unknown
+    - steps: (T,) frames since the frame before
+    - farthest: a larger displacement is none
+    - kept: the share of the velocity that is left after a frame without displacement
+    - velocity: its first value is that before the first frame
+    """
+    now = velocity[0]
+    for t in range(len(displacement)):
+        if steps[t] == 1 and abs(displacement[t]) < farthest:
+            now += (displacement[t] - now) / inertia
+        else:
+            now *= kept ** steps[t]
+        velocity[t + 1] = now
+
+
+@kernel()
 def drop_doubles(offset_m: FloatArray, kind: IntArray, near_m: FloatArray) -> None:
     """Sets kind (T, L) to -1 where a better line is nearer than near_m (T,). A line is better if
     its class is better; in the same class, if it is nearer to the vehicle, or else listed first."""

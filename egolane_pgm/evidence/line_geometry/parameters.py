@@ -13,23 +13,24 @@ PARAMETERS = (
     Parameter(
         "lane_width_m",
         "positive",
-        "auto",
-        "lane width in the detector's metres: a number, `auto` (from the lines of the whole"
-        " recording) or `causal` (that, and what the detector's flags and LRI mean, from the frames"
-        " so far)",
+        "causal",
+        "lane width in the detector's metres: a number, `causal` (that, and what the detector's"
+        " flags and LRI mean, from the frames so far) or `auto` (from the lines of the whole"
+        " recording)",
         choices=("auto", "causal"),
     ),
     Parameter(
         "fallback_width_m",
         "positive",
         3.5,
-        "lane width if the lines do not show it, metres",
+        "lane width that is expected before the lines show it, metres; lines are scaled to it, and"
+        " sigmas, clutter and reach are in its metres",
         search=None,
     ),
     Parameter(
         "alpha",
         "non_negative",
-        0.05,
+        0.035,
         "weight of the evidence on the lane in a tenth of a second",
         search=(0.01, 0.2),
     ),

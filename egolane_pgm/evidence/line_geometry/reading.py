@@ -34,6 +34,10 @@ OFF_CENTRE, STEADY, ENOUGH_LINES = 0.2, 0.3, 1000
 #: ten frames per second.
 FRAME_S = 0.1
 
+#: The velocity of the lines is their mean displacement over about so many frames, and of it this
+#: share is left after a frame that shows none: a lane change takes two seconds or more.
+INERTIA, COASTED = 10.0, 0.98
+
 #: With `lane_width_m: causal`, the lane width and the detector's habits are estimated anew, from
 #: all frames so far, after every so many frames.
 UPDATE_EVERY = 200
@@ -124,6 +128,7 @@ class LastFrame(NamedTuple):
 
     - offset_m, kind, lri, is_held: (L,) its lines
     - frame: (2,) its frame id, and 1, or 0 if it fills a gap, or -1 if there was none
+    - velocity: of the lines, lane widths per frame
     """
 
     offset_m: FloatArray
@@ -131,6 +136,7 @@ class LastFrame(NamedTuple):
     lri: FloatArray
     is_held: BoolArray
     frame: IntArray
+    velocity: float
 
 
 #: Before the first frame.
@@ -140,6 +146,7 @@ NO_FRAME = LastFrame(
     np.empty(0),
     np.empty(0, dtype=bool),
     np.array([0, -1]),
+    0.0,
 )
 
 
@@ -190,18 +197,24 @@ def read_lines(
         repeats_are_held,
         widths * (REACH_M / number(parameters, "fallback_width_m")),
         widths * number(parameters, "motion_range"),
-        *last,
+        *last[:-1],
         is_held,
         displacement,
         steps,
     )
+    displacement /= widths
+    velocity = np.full(n_frames + 1, last.velocity)
+    farthest = number(parameters, "motion_range")
+    kernels.coast(displacement, steps, farthest, INERTIA, COASTED, velocity)
     if n_frames:
         frame = np.array([log.frame_id[-1], 0 if log.is_missing[-1] else 1])
-        last = LastFrame(log.offset_m[-1], kind[-1].copy(), log.lri[-1], is_held[-1], frame)
+        last = LastFrame(
+            log.offset_m[-1], kind[-1].copy(), log.lri[-1], is_held[-1], frame, velocity[-1]
+        )
     kind[is_held] = -1
     single = kind.copy()
     kernels.drop_doubles(log.offset_m, single, DOUBLE * widths)
-    motion = motion_index(displacement / widths, steps, parameters)
+    motion = motion_index(displacement, steps, velocity[:-1], parameters)
     return SeenLines(log.offset_m, kind, motion, kind != single), last
 
 

@@ -55,10 +55,10 @@ ANOTHER_SCALE = 1e-40
 
 #: A scale that wanders begins anew with this probability in each frame, around the steady one with
 #: this standard deviation of its logarithm.
-RETURNS, WANDERS = 0.03, 0.1
+RETURNS, WANDERS = 0.05, 0.1
 
 #: Probability that the scale of an unknown detector wanders, and how quickly that may change.
-MAY_WANDER, CHANGES = 0.2, 1e-3
+MAY_WANDER, CHANGES = 0.05, 1e-4
 
 #: How much of the count of neighbouring lanes that are seen at once is kept from frame to frame.
 KEPT_PAIRS = 0.9995
