@@ -74,7 +74,7 @@ beyond: .venv/.dev
 	$(BIN)/python -m tests.beyond_figures lanes --runs 1,5,8,10 > results/beyond/lanes.md
 
 # results/beyond/delay.md and its figure: how right an answer is that waits (a minute).
-DELAY := egolane compare experiments/beyond/zero_label_causal.yaml --runs 1-10 \
+DELAY := egolane compare experiments/zero_label.yaml --runs 1-10 \
 	--lags 0,0.2,0.5,1,1.5,2,3,4,5 --figure results/beyond/delay.png
 define DELAY_HEAD
 # How right an answer is that waits
@@ -95,7 +95,7 @@ delay: .venv/.run
 	$(BIN)/$(DELAY) >> results/beyond/delay.md
 
 # The table in results/beyond/events.md: how right lane changes are told (half a minute).
-EVENTS := egolane compare experiments/beyond/zero_label_causal.yaml --runs 1-10 --with-paper --events
+EVENTS := egolane compare experiments/zero_label.yaml --runs 1-10 --with-paper --events
 events: .venv/.run
 	sed -i '/^<!-- the table/q' results/beyond/events.md
 	$(BIN)/$(EVENTS) >> results/beyond/events.md

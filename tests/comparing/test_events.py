@@ -82,7 +82,7 @@ def total_of(found: dict[str, Any], key: str) -> int:
 @needs_compiler
 def test_the_causal_model_tells_the_lane_changes_of_the_paper_s_runs(recordings: Path) -> None:
     """Runs 5 and 10 are those of a multi-lane detector; Spain counts before frame 9577."""
-    place = experiments_folder() / "beyond" / "zero_label_causal.yaml"
+    place = experiments_folder() / "zero_label.yaml"
     found = dict(compare(place, runs="1-4,6-9", events=True, progress=False).document)
     right, false, missed = (total_of(found, key) for key in ("right", "false", "missed"))
     assert right + missed == 4 * 109 + 4 * 34
