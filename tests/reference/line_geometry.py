@@ -11,7 +11,7 @@ import numpy as np
 
 from egolane_pgm.evidence.line_geometry import kernels, rule
 from egolane_pgm.parameters import Parameters
-from egolane_pgm.types import BoolArray, Evidence, FloatArray, IntArray, LineLog
+from egolane_pgm.types import BoolArray, Evidence, FloatArray, IntArray, LineLog, stacked
 
 
 def evidence(log: LineLog, n_lanes: int, parameters: Parameters) -> Evidence:
@@ -23,43 +23,156 @@ def evidence(log: LineLog, n_lanes: int, parameters: Parameters) -> Evidence:
 @contextmanager
 def plain() -> Iterator[None]:
     """While this lasts, the rule computes with what is here."""
-    ours = {f.__name__: f for f in (follow_lines, drop_doubles, weigh_positions)}
+    twins = (classify, follow_width, follow_lines, drop_doubles, weigh_positions)
+    ours = {f.__name__: f for f in twins}
     with patch.multiple(kernels, **ours):
         yield
+
+
+def classify(
+    offset_m: FloatArray,
+    is_valid: BoolArray,
+    is_continuous: BoolArray,
+    lri: FloatArray,
+    strong_lri: float,
+    least_lri: float,
+    placeholder_m: float,
+    kind: IntArray,
+    is_strong: BoolArray,
+) -> None:
+    """Write kind (T, L) and is_strong (T, L)."""
+    is_line = np.isfinite(offset_m) & (np.abs(offset_m) > placeholder_m)
+    known = np.where(np.isnan(lri), np.inf, lri)
+    is_strong[:] = is_line & is_valid & (known >= strong_lri)
+    classes = [is_valid & is_continuous, is_strong, is_valid, known >= least_lri]
+    kind[:] = np.select([is_line & each for each in classes], [0, 1, 2, 3], -1)
+
+
+def follow_width(
+    offset_m: FloatArray,
+    is_strong: BoolArray,
+    steady: FloatArray,
+    wandering: FloatArray,
+    pairs: FloatArray,
+    counts: FloatArray,
+    prior: FloatArray,
+    log_likelihood: FloatArray,
+    is_two_lanes: FloatArray,
+    first: int,
+    spread: FloatArray,
+    rates: FloatArray,
+    least_double: float,
+    enough_pairs: float,
+    least_pairs: float,
+    log_narrowest: float,
+    step: float,
+    width_m: FloatArray,
+) -> None:
+    """Write width_m (T, K), and the belief after the last frame."""
+    moves, moves_wandering, another, returns, may_wander, changes = rates[:6]
+    kept, alike, alike_wandering = rates[6:]
+    n, n_quantiles = len(prior), width_m.shape[1]
+    quantiles = (np.arange(n_quantiles) + 0.5) / n_quantiles
+
+    def read(table: FloatArray, gap: float) -> FloatArray:
+        """What the table says of each width for this gap; 0 beyond the table."""
+        index = round((np.log(gap) - log_narrowest) / step) - first - np.arange(n)
+        inside = (index >= 0) & (index < len(table))
+        return np.where(inside, table[np.clip(index, 0, len(table) - 1)], 0.0)
+
+    for offsets, strong, widths in zip(offset_m, is_strong, width_m, strict=True):
+        steady[1:-1] += moves * np.diff(steady, 2)
+        steady[:] = (1 - another) * steady + another * prior
+        is_seen = (counts[1] < enough_pairs) | (pairs >= least_pairs * counts[1])
+        now = steady * np.where(is_seen, 1, 1e-13)
+        now /= now.sum()
+        around = np.convolve(np.where(now > 1e-6, now, 0), spread, mode="same")
+        wandering += moves_wandering * np.diff(np.pad(wandering, 1, mode="edge"), 2)
+        wandering[:] = (1 - returns) * wandering + returns * around
+        wandering /= wandering.sum()
+        counts[0] = (1 - changes) * counts[0] + changes * may_wander
+        below = np.cumsum(counts[0] * wandering + (1 - counts[0]) * now)
+        widths[:] = np.exp(log_narrowest + step * np.searchsorted(below, quantiles))
+
+        lines = np.sort(offsets[strong])
+        if len(lines) < 2:
+            continue
+        single = [lines[0]]
+        for line in lines[1:]:
+            if line - single[-1] > least_double * np.diff(lines).max():
+                single.append(line)
+        neighbours, others = np.diff(single), np.subtract(single[2:], single[:-2])
+        pairs *= kept
+        pairs += sum((read(is_two_lanes, gap) for gap in others), np.zeros(n))
+        counts[1] = kept * counts[1] + len(others)
+        relative = log_likelihood - log_likelihood[0]
+        says = sum((read(relative, gap) for gap in (*neighbours, *others)), np.zeros(n))
+        quick = np.exp(says / alike_wandering)
+        of_steady, of_wandering = now @ quick, wandering @ quick
+        counts[0] *= of_wandering / (counts[0] * of_wandering + (1 - counts[0]) * of_steady)
+        if len(neighbours):
+            steady *= np.exp(says / alike)
+            steady /= steady.sum()
+        wandering *= quick
+        wandering /= wandering.sum()
 
 
 def follow_lines(
     offset_m: FloatArray,
     kind: IntArray,
     lri: FloatArray,
-    follows: BoolArray,
+    frame_id: IntArray,
+    is_missing: BoolArray,
+    repeats_are_held: bool,
+    farthest_m: FloatArray,
     reach_m: FloatArray,
+    last_offset_m: FloatArray,
+    last_kind: IntArray,
+    last_lri: FloatArray,
+    last_is_held: BoolArray,
+    last_frame: IntArray,
     is_held: BoolArray,
     displacement_m: FloatArray,
+    steps: IntArray,
 ) -> None:
-    """Write is_held (T, L) and displacement_m (T,), NaN where unknown."""
+    """Write is_held (T, L), displacement_m (T,), NaN where unknown, and steps (T,); and kind (T, L)
+    -1 where a line is too far away."""
     displacement_m[:] = np.nan
     is_held[:] = False
-    if len(offset_m) < 2 or offset_m.shape[1] == 0:
+    kind[~(np.abs(offset_m) < farthest_m[:, None])] = -1
+    if len(offset_m) == 0:
         return
+    last_id, last_state = last_frame
+    steps[:] = np.diff(frame_id, prepend=last_id if last_state >= 0 else frame_id[0] - 1)
+    is_real = np.concatenate([[last_state == 1], ~is_missing])
+    follows = is_real[1:] & is_real[:-1] & (steps == 1)
+    if offset_m.shape[1] == 0:
+        return
+    # The lines of the frame before each, (T, K); frames may have different numbers of lines.
+    before_m = stacked([last_offset_m[None], offset_m[:-1]], np.nan)
+    before_kind = stacked([last_kind[None], kind[:-1]], -1)
+    before_lri = stacked([last_lri[None], lri[:-1]], np.nan)
+    if before_m.shape[1] == 0:
+        return
+    same = offset_m[:, :, None] == before_m[:, None, :]
+    falls = lri[:, :, None] < before_lri[:, None, :]
+    is_held[:] = (same & (falls | repeats_are_held)).any(axis=2) & follows[:, None]
+    before_held = stacked([last_is_held[None], is_held[:-1]], False)
     with np.errstate(invalid="ignore"):
-        same = offset_m[1:, :, None] == offset_m[:-1, None, :]
-        falls = lri[1:, :, None] < lri[:-1, None, :]
-        distance = np.abs(offset_m[1:, :, None] - offset_m[:-1, None, :])
-    is_held[1:] = (same & falls).any(axis=2) & follows[1:, None]
-    now = (kind[1:] >= 0) & ~is_held[1:] & follows[1:, None]
+        distance = np.abs(offset_m[:, :, None] - before_m[:, None, :])
+    now = (kind >= 0) & ~is_held & follows[:, None]
     for take_held in (False, True):
-        before = (kind[:-1] >= 0) & (take_held | ~is_held[:-1])
+        before = (before_kind >= 0) & (take_held | ~before_held)
         apart = np.where(now[:, :, None] & before[:, None, :], distance, np.inf)
         match = apart.argmin(axis=2)
         nearest = np.take_along_axis(apart, match[:, :, None], axis=2)[:, :, 0]
         rival = np.take_along_axis(apart.min(axis=1), match, axis=1)
-        is_match = (nearest < reach_m[1:, None]) & (nearest <= rival)
+        is_match = (nearest < reach_m[:, None]) & (nearest <= rival)
         with np.errstate(invalid="ignore"):
-            moves = offset_m[1:] - np.take_along_axis(offset_m[:-1], match, axis=1)
+            moves = offset_m - np.take_along_axis(before_m, match, axis=1)
         moves = np.where(is_match, moves, np.nan)
-        found = is_match.any(axis=1) & np.isnan(displacement_m[1:])
-        displacement_m[1:][found] = np.nanmedian(moves[found], axis=1)
+        found = is_match.any(axis=1) & np.isnan(displacement_m)
+        displacement_m[found] = np.nanmedian(moves[found], axis=1)
 
 
 def drop_doubles(offset_m: FloatArray, kind: IntArray, near_m: FloatArray) -> None:
@@ -79,35 +192,42 @@ def drop_doubles(offset_m: FloatArray, kind: IntArray, near_m: FloatArray) -> No
 def weigh_positions(
     offset_m: FloatArray,
     kind: IntArray,
+    width_m: FloatArray,
     log_intensity: FloatArray,
     log_mean: FloatArray,
     first_m: float,
     step_m: float,
     expected: FloatArray,
-    width_m: float,
+    model_width_m: float,
     alpha: FloatArray,
     beta: FloatArray,
     likelihood: FloatArray,
 ) -> None:
     """Write likelihood (T, n cells, 2), each frame's maximum 1."""
-    n_lanes = len(log_intensity)
-    cells = likelihood.shape[1] // n_lanes
-    of_lane = np.zeros((len(offset_m), n_lanes, cells))
-    mean = np.zeros((len(offset_m), cells))
-    centre_m = (np.arange(cells) + 0.5) / cells * width_m - width_m / 2
-    for i in range(offset_m.shape[1]):
+    n_lanes, n_points = len(log_intensity), log_mean.shape[1]
+    cells, n_widths = likelihood.shape[1] // n_lanes, width_m.shape[1]
+    of_lane = np.zeros((n_widths, len(offset_m), n_lanes, cells))
+    mean = np.zeros((n_widths, len(offset_m), cells))
+    centre_m = (np.arange(cells) + 0.5) / cells * model_width_m - model_width_m / 2
+    for w, i in np.ndindex(n_widths, offset_m.shape[1]):
         frames = np.flatnonzero(kind[:, i] >= 0)
         c = kind[frames, i][:, None]
-        at = (offset_m[frames, i][:, None] + centre_m - first_m) / step_m
+        scaled = offset_m[frames, i] / width_m[frames, w] * model_width_m
+        at = (scaled[:, None] + centre_m - first_m) / step_m
+        # Beyond the tables, everything is as at their ends.
+        at = np.clip(at, 0, n_points - 2)
         z = at.astype(np.int64)
         right = at - z
         for lane in range(n_lanes):
             table = log_intensity[lane]
-            of_lane[frames, lane] += (1 - right) * table[c, z] + right * table[c, z + 1]
-        mean[frames] += (1 - right) * log_mean[c, z] + right * log_mean[c, z + 1]
-    known = of_lane - expected[:, None] - mean[:, None] + expected.mean()
-    log_likelihood = np.empty((*of_lane.shape, 2))
-    log_likelihood[..., 1] = (beta[:, None] * mean)[:, None]
+            of_lane[w, frames, lane] += (1 - right) * table[c, z] + right * table[c, z + 1]
+        mean[w, frames] += (1 - right) * log_mean[c, z] + right * log_mean[c, z + 1]
+    # The likelihood of the lines is its mean over the widths.
+    log_p = np.logaddexp.reduce(of_lane) - np.log(n_widths) - expected[:, None]
+    log_mean_p = np.logaddexp.reduce(mean) - np.log(n_widths) - expected.mean()
+    known = log_p - log_mean_p[:, None]
+    log_likelihood = np.empty((*log_p.shape, 2))
+    log_likelihood[..., 1] = (beta[:, None] * log_mean_p)[:, None]
     log_likelihood[..., 0] = log_likelihood[..., 1] + alpha[:, None, None] * known
     log_likelihood -= log_likelihood.max(axis=(1, 2, 3), keepdims=True)
     likelihood[:] = np.exp(log_likelihood).reshape(likelihood.shape)

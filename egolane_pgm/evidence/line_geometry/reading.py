@@ -85,8 +85,8 @@ def warn_of_offsets(log: LineLog, width_m: float, reach_m: float) -> None:
     n_placed, n_far = int(placed.sum()), int((np.abs(log.offset_m[placed]) >= reach_m).sum())
     if 2 * n_far > n_placed:
         warnings.warn(
-            f"{log.source}: {n_far} of {n_placed} lines are {reach_m:g} m away or more and are not"
-            f" used, with lanes of {width_m:g} m; are offsets in metres from the vehicle?",
+            f"{log.source}: {n_far} of {n_placed} lines are {reach_m:.4g} m away or more and are not"
+            f" used, with lanes of {width_m:.4g} m; are offsets in metres from the vehicle?",
             UserWarning,
             stacklevel=2,
         )
@@ -186,12 +186,14 @@ def read_lines(
     - last: of the frame before the first
     """
     n_frames = len(log)
+    # The numbers of a log need not be floats, those of the last frame are.
+    offset_m, lri = (np.asarray(each, dtype=np.float64) for each in (log.offset_m, log.lri))
     is_held = np.empty(kind.shape, dtype=bool)
     displacement, steps = np.empty(n_frames), np.empty(n_frames, dtype=np.int64)
     kernels.follow_lines(
-        log.offset_m,
+        offset_m,
         kind,
-        log.lri,
+        lri,
         log.frame_id,
         log.is_missing,
         repeats_are_held,
@@ -208,14 +210,15 @@ def read_lines(
     kernels.coast(displacement, steps, farthest, INERTIA, COASTED, velocity)
     if n_frames:
         frame = np.array([log.frame_id[-1], 0 if log.is_missing[-1] else 1])
+        # Copies: a caller may use its arrays again for the next frame.
         last = LastFrame(
-            log.offset_m[-1], kind[-1].copy(), log.lri[-1], is_held[-1], frame, velocity[-1]
+            offset_m[-1].copy(), kind[-1].copy(), lri[-1].copy(), is_held[-1], frame, velocity[-1]
         )
     kind[is_held] = -1
     single = kind.copy()
-    kernels.drop_doubles(log.offset_m, single, DOUBLE * widths)
+    kernels.drop_doubles(offset_m, single, DOUBLE * widths)
     motion = motion_index(displacement, steps, velocity[:-1], parameters)
-    return SeenLines(log.offset_m, kind, motion, kind != single), last
+    return SeenLines(offset_m, kind, motion, kind != single), last
 
 
 def count_once(seen: SeenLines, lines: IntArray) -> SeenLines:

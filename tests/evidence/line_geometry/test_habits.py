@@ -20,7 +20,7 @@ from hypothesis import strategies as st
 from egolane_pgm.evidence.line_geometry import kernels as _line_geometry_kernel
 from egolane_pgm.evidence.line_geometry import rule as line_geometry
 from egolane_pgm.evidence.line_geometry.habits import Habits, habits, is_placed, tally, total
-from egolane_pgm.evidence.line_geometry.reading import frame_weights, read_lines
+from egolane_pgm.evidence.line_geometry.reading import frame_weights, line_classes, read_lines
 from egolane_pgm.evidence.line_geometry.rule import NODES
 from egolane_pgm.experiment import load_experiment
 from egolane_pgm.graphs import position_in_lane
@@ -117,7 +117,8 @@ def test_without_an_lri_a_line_that_repeats_its_offset_is_held() -> None:
     )
     parameters, widths = resolved(lane_width_m=3.75), np.full(len(log), 3.75)
     ours, theirs = (
-        read_lines(each, widths, parameters, repeats_are_held=True).kind for each in (held, gone)
+        read_lines(each, line_classes(each)[0], widths, parameters, repeats_are_held=True)[0].kind
+        for each in (held, gone)
     )
     np.testing.assert_array_equal(ours >= 0, theirs >= 0)
 
@@ -183,7 +184,7 @@ def test_offsets_in_another_unit_are_brought_to_the_expected_lane_width(unit: fl
     np.testing.assert_allclose(there, here, atol=1e-6)
     # Found, not given: to a per cent.
     found, said = read(replace(log, offset_m=log.offset_m * unit))
-    assert "no lane has that in metres, offsets are scaled to lanes of 3.5 m" in said[0]
+    assert "no lane has that in metres, offsets are taken to be in another unit" in said[0]
     assert np.abs(found - here).mean() < 0.03
 
 
@@ -191,7 +192,8 @@ def test_lines_that_are_too_far_to_be_used_are_said() -> None:
     log = drive().log
     _, said = read(replace(log, offset_m=log.offset_m * 100), lane_width_m=3.75)
     assert len(said) == 1
-    assert "16 m away or more and are not used; are offsets in metres from the vehicle?" in said[0]
+    assert "are 17.14 m away or more and are not used, with lanes of 3.75 m;" in said[0]
+    assert "are offsets in metres from the vehicle?" in said[0]
 
 
 @pytest.mark.parametrize(("shift", "side"), [(1.2, "right"), (-1.2, "left")])
@@ -394,4 +396,4 @@ def test_a_strangers_recording_on_the_command_line(tmp_path: Path) -> None:
     zero_label = ROOT / "experiments/zero_label.yaml"
     result = done("run", zero_label, "--recording", tmp_path / "feet.csv", *words)
     assert re.search(r"lane width 12\.[23]\d m from", result.stderr)
-    assert "offsets are scaled to lanes of 3.5 m" in result.stderr
+    assert "offsets are taken to be in another unit" in result.stderr

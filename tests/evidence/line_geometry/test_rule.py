@@ -16,7 +16,7 @@ from hypothesis import strategies as st
 
 from egolane_pgm.evidence.line_geometry import rule as line_geometry
 from egolane_pgm.evidence.line_geometry.model import line_model, places
-from egolane_pgm.evidence.line_geometry.reading import line_classes, read_lines
+from egolane_pgm.evidence.line_geometry.reading import SeenLines, line_classes, read_lines
 from egolane_pgm.evidence.line_geometry.rule import NODES
 from egolane_pgm.graphs import position_in_lane
 from egolane_pgm.inference.compile import compile
@@ -88,14 +88,16 @@ def random_log(seed: int, n_frames: int = 40) -> LineLog:
 
 
 def by_the_formula(lines: list[tuple[float, int]], n: int, parameters: Parameters) -> np.ndarray:
-    """One frame, (n cells, 2), from the intensities themselves."""
+    """One frame, (n cells, 2), from the intensities themselves. Offsets are relative to lanes of
+    the expected width."""
     model = line_model(n, parameters)
-    place = places(model, W)
+    width = float(parameters["fallback_width_m"])  # type: ignore[arg-type]
+    place = places(model, width)
     cells = int(parameters["cells"])  # type: ignore[call-overload]
     alpha, beta = float(parameters["alpha"]), float(parameters["beta"])  # type: ignore[arg-type]
     result = np.empty((n * cells, 2))
     for u in range(cells):
-        in_lane = ((u + 0.5) / cells - 0.5) * W
+        in_lane = ((u + 0.5) / cells - 0.5) * width
         log_p, log_mean = np.zeros(n), 0.0
         for offset, c in lines:
             intensity = np.empty(n)
@@ -124,7 +126,8 @@ def test_the_likelihood_is_the_formula() -> None:
         lri=[[9.0, 6.0, 5.0, 3.0]],
     )
     parameters = resolved(alpha=0.3, beta=0.7)
-    right = by_the_formula(list(zip(offsets, [0, 1, 2, 3], strict=True)), 3, parameters)
+    scaled = [offset / W * 3.5 for offset in offsets]
+    right = by_the_formula(list(zip(scaled, [0, 1, 2, 3], strict=True)), 3, parameters)
     for evidence in (line_geometry.evidence, reference.evidence):
         ours = evidence(log, 3, parameters).likelihoods[NODES][0]
         # The tables are interpolated between points 2 cm apart.
@@ -190,7 +193,8 @@ def test_the_mirrored_lines_give_the_mirrored_evidence(seed: int) -> None:
         (1.8, False, False, math.nan, 3),
         (0.0, True, False, 10, -1),
         (-5e-7, True, False, 10, -1),
-        (16.1, True, False, 10, -1),
+        (16.4, True, False, 10, 1),
+        (16.5, True, False, 10, -1),
         (3e32, False, False, 10, -1),
         (math.nan, False, False, 10, -1),
     ],
@@ -199,12 +203,21 @@ def test_the_class_of_a_line(
     offset: float, valid: bool, continuous: bool, lri: float, kind: int
 ) -> None:
     log = line_log([[offset]], is_valid=[[valid]], is_continuous=[[continuous]], lri=[[lri]])
-    assert line_classes(log).tolist() == [[kind]]
+    assert seen_lines(log).kind.tolist() == [[kind]]
+    _, is_strong = line_classes(log)
+    # How far is too far depends on the lane width, which the strong lines tell.
+    is_too_far = abs(offset) > 16
+    assert is_strong.tolist() == [[valid and not lri < 6 and (kind >= 0 or is_too_far)]]
+
+
+def seen_lines(log: LineLog, **given: object) -> SeenLines:
+    kind, _ = line_classes(log)
+    seen, _ = read_lines(log, kind, np.full(len(log), W), resolved(**given))
+    return seen
 
 
 def motion_of(log: LineLog, **given: object) -> list[int]:
-    parameters = resolved(**given)
-    return read_lines(log, np.full(len(log), W), parameters).motion.tolist()
+    return seen_lines(log, **given).motion.tolist()
 
 
 def value_of(displacement_m: float) -> int:
@@ -223,9 +236,7 @@ def test_a_held_line_is_no_evidence_and_is_not_followed() -> None:
     offsets = [[-1.8, 1.8], [-1.7, 1.8], [-1.6, 1.8]]
     log = line_log(offsets, lri=[[10, 10], [10, 9], [10, 8]])
     assert motion_of(log) == [UNKNOWN, value_of(0.1), value_of(0.1)]
-    parameters = resolved()
-    kind = read_lines(log, np.full(len(log), W), parameters).kind
-    assert kind.tolist() == [[1, 1], [1, -1], [1, -1]]
+    assert seen_lines(log).kind.tolist() == [[1, 1], [1, -1], [1, -1]]
 
 
 def test_a_line_that_stands_still_with_a_steady_index_is_measured() -> None:
@@ -310,7 +321,73 @@ def test_one_frame_after_the_other_is_the_same_as_the_causal_whole(kind: str) ->
         motion = np.concatenate([p.inputs["LineMotion"] for p in parts])
         np.testing.assert_array_equal(motion, whole.inputs["LineMotion"])
         ours = np.concatenate([p.likelihoods[NODES] for p in parts])
-        np.testing.assert_allclose(ours, whole.likelihoods[NODES], rtol=0, atol=1e-12)
+        np.testing.assert_array_equal(ours, whole.likelihoods[NODES])
+
+
+def narrow(log: LineLog) -> LineLog:
+    """Without the empty slots that are last in all frames."""
+    is_used = (np.isfinite(log.offset_m) | log.is_valid).any(axis=0)
+    n = len(is_used) - int(np.argmax(is_used[::-1])) if is_used.any() else 0
+    names = ("offset_m", "is_valid", "is_continuous", "lri")
+    return replace(log, **{name: getattr(log, name)[:, :n] for name in names})
+
+
+@settings(max_examples=15, deadline=None)
+@given(seed=st.integers(0, 2**32 - 1), width=st.sampled_from([3.6, "causal"]))
+def test_each_log_may_have_its_own_number_of_line_slots(seed: int, width: object) -> None:
+    """Frames with up to five lines, gaps of frame ids, frames that were put in."""
+    rng = np.random.default_rng(seed)
+    log = random_log(seed, 430)
+    is_none = np.arange(5) >= rng.integers(0, 6, (430, 1))
+    is_none |= log.is_missing[:, None]
+    log = replace(
+        log,
+        offset_m=np.where(is_none, np.nan, log.offset_m),
+        is_valid=log.is_valid & ~is_none,
+        is_continuous=log.is_continuous & ~is_none,
+        lri=np.where(is_none, np.nan, log.lri),
+    )
+    parameters = resolved(lane_width_m=width)
+    whole = line_geometry.online(3, parameters)(log)
+    cuts = np.unique([0, *rng.integers(0, 431, 200), 430])
+    for edges in (range(431), cuts.tolist()):
+        give = line_geometry.online(3, parameters)
+        parts = [give(narrow(log.take(slice(a, b)))) for a, b in pairwise(edges)]
+        motion = np.concatenate([p.inputs["LineMotion"] for p in parts])
+        np.testing.assert_array_equal(motion, whole.inputs["LineMotion"])
+        ours = np.concatenate([p.likelihoods[NODES] for p in parts])
+        np.testing.assert_array_equal(ours, whole.likelihoods[NODES])
+
+
+def test_the_arrays_of_a_frame_may_be_used_again_for_the_next_one() -> None:
+    log = causal_drive("plain").take(slice(0, 60))
+    parameters = resolved(lane_width_m="causal")
+    give, fresh = (line_geometry.online(3, parameters) for _ in range(2))
+    used = log.take(slice(0, 1)).take(np.array([0]))
+    for t in range(60):
+        frame = log.take(slice(t, t + 1))
+        for name in ("frame_id", "time_s", "offset_m", "is_valid", "is_continuous", "lri"):
+            getattr(used, name)[:] = getattr(frame, name)
+        again, new = give(used), fresh(frame)
+        np.testing.assert_array_equal(again.inputs["LineMotion"], new.inputs["LineMotion"])
+        np.testing.assert_array_equal(again.likelihoods[NODES], new.likelihoods[NODES])
+
+
+@pytest.mark.parametrize("width", [3.6, "causal"])
+@pytest.mark.parametrize("kind", [np.int64, np.float32])
+def test_numbers_need_not_be_of_double_precision(kind: type, width: object) -> None:
+    log = random_log(5)
+    is_whole = (np.abs(log.offset_m) < 100) & np.isfinite(log.lri)
+    log = replace(
+        log,
+        offset_m=np.where(is_whole, np.rint(log.offset_m), 0.0),
+        is_valid=log.is_valid & is_whole,
+        lri=np.where(is_whole, log.lri, 0.0),
+    )
+    other = replace(log, offset_m=log.offset_m.astype(kind), lri=log.lri.astype(kind))
+    parameters = resolved(lane_width_m=width)
+    ours, theirs = (line_geometry.online(3, parameters)(each) for each in (log, other))
+    np.testing.assert_array_equal(theirs.likelihoods[NODES], ours.likelihoods[NODES])
 
 
 @pytest.mark.parametrize("kind", ["plain", "doubled", "hardly a flag"])
