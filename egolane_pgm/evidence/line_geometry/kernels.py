@@ -142,6 +142,8 @@ def follow_width(
         for apart in (1, 2):
             for i in range(single - apart):
                 gap = lines[i + apart] - lines[i]
+                if gap == math.inf:
+                    continue
                 n_gaps += 1
                 if apart == 2:
                     counts[1] += 1

@@ -85,8 +85,8 @@ def warn_of_offsets(log: LineLog, width_m: float, reach_m: float) -> None:
     n_placed, n_far = int(placed.sum()), int((np.abs(log.offset_m[placed]) >= reach_m).sum())
     if 2 * n_far > n_placed:
         warnings.warn(
-            f"{log.source}: {n_far} of {n_placed} lines are {reach_m:.4g} m away or more and are not"
-            f" used, with lanes of {width_m:.4g} m; are offsets in metres from the vehicle?",
+            f"{log.source}: {n_far} of {n_placed} lines are {reach_m:.4g} m away or more and are"
+            f" not used, with lanes of {width_m:.4g} m; are offsets in metres from the vehicle?",
             UserWarning,
             stacklevel=2,
         )
