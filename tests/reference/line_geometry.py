@@ -23,7 +23,7 @@ def evidence(log: LineLog, n_lanes: int, parameters: Parameters) -> Evidence:
 @contextmanager
 def plain() -> Iterator[None]:
     """While this lasts, the rule computes with what is here."""
-    twins = (classify, follow_width, follow_lines, drop_doubles, weigh_positions)
+    twins = (classify, follow_width, follow_lines, coast, drop_doubles, weigh_positions)
     ours = {f.__name__: f for f in twins}
     with patch.multiple(kernels, **ours):
         yield
@@ -173,6 +173,23 @@ def follow_lines(
         moves = np.where(is_match, moves, np.nan)
         found = is_match.any(axis=1) & np.isnan(displacement_m)
         displacement_m[found] = np.nanmedian(moves[found], axis=1)
+
+
+def coast(
+    displacement: FloatArray,
+    steps: IntArray,
+    farthest: float,
+    inertia: float,
+    kept: float,
+    velocity: FloatArray,
+) -> None:
+    """Write velocity (T + 1,), whose first value is given."""
+    is_known = (np.abs(displacement) < farthest) & (steps == 1)
+    # Each value is a share of the one before and a part of its own.
+    share = np.where(is_known, 1 - 1 / inertia, kept**steps)
+    part = np.where(is_known, displacement / inertia, 0.0)
+    for t in range(len(steps)):
+        velocity[t + 1] = share[t] * velocity[t] + part[t]
 
 
 def drop_doubles(offset_m: FloatArray, kind: IntArray, near_m: FloatArray) -> None:

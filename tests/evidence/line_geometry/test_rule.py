@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import warnings
+from collections.abc import Sequence
 from dataclasses import replace
 from itertools import pairwise
 from pathlib import Path
@@ -14,8 +15,14 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from egolane_pgm.evidence.line_geometry import kernels
 from egolane_pgm.evidence.line_geometry import rule as line_geometry
-from egolane_pgm.evidence.line_geometry.model import line_model, places
+from egolane_pgm.evidence.line_geometry.model import (
+    TABLE_STEP_M,
+    line_model,
+    line_tables,
+    places,
+)
 from egolane_pgm.evidence.line_geometry.reading import SeenLines, line_classes, read_lines
 from egolane_pgm.evidence.line_geometry.rule import NODES
 from egolane_pgm.graphs import position_in_lane
@@ -31,7 +38,8 @@ from tests.kits.drives import done, short_drive
 from tests.reference import line_geometry as reference
 
 W = 3.6
-UNKNOWN = 49  # the first value of LineMotion that is no displacement
+#: The values of LineMotion: lines that stand still, and the first one after a gap.
+STILL, AFTER_GAP = 24, 49
 
 
 def resolved(n_lanes: int = 3, **given: object) -> Parameters:
@@ -87,9 +95,11 @@ def random_log(seed: int, n_frames: int = 40) -> LineLog:
     )
 
 
-def by_the_formula(lines: list[tuple[float, int]], n: int, parameters: Parameters) -> np.ndarray:
-    """One frame, (n cells, 2), from the intensities themselves. Offsets are relative to lanes of
-    the expected width."""
+def by_the_formula(
+    lines: list[tuple[float, int]], n: int, parameters: Parameters, widths: Sequence[float] = (W,)
+) -> np.ndarray:
+    """One frame, (n cells, 2), from the intensities themselves: their mean over the lane widths, to
+    which offsets are relative."""
     model = line_model(n, parameters)
     width = float(parameters["fallback_width_m"])  # type: ignore[arg-type]
     place = places(model, width)
@@ -98,17 +108,23 @@ def by_the_formula(lines: list[tuple[float, int]], n: int, parameters: Parameter
     result = np.empty((n * cells, 2))
     for u in range(cells):
         in_lane = ((u + 0.5) / cells - 0.5) * width
-        log_p, log_mean = np.zeros(n), 0.0
-        for offset, c in lines:
-            intensity = np.empty(n)
-            for lane in range(n):
-                intensity[lane] = model.clutter[c]
-                for k in range(n + 3):
-                    z = (offset + in_lane - place[lane, k]) / model.sigma_m[k]
-                    normal = math.exp(-0.5 * z * z) / (model.sigma_m[k] * math.sqrt(2 * math.pi))
-                    intensity[lane] += model.rates[lane, k] * model.class_shares[k, c] * normal
-            log_p += np.log(intensity)
-            log_mean += math.log(intensity.mean())
+        p, mean = np.zeros(n), 0.0
+        for of_width in widths:
+            product, of_mean = np.ones(n), 1.0
+            for offset, c in lines:
+                intensity = np.empty(n)
+                for lane in range(n):
+                    intensity[lane] = model.clutter[c]
+                    for k in range(n + 3):
+                        z = offset * width / of_width + in_lane - place[lane, k]
+                        z /= model.sigma_m[k]
+                        normal = math.exp(-0.5 * z**2) / (model.sigma_m[k] * math.sqrt(2 * math.pi))
+                        intensity[lane] += model.rates[lane, k] * model.class_shares[k, c] * normal
+                product *= intensity
+                of_mean *= intensity.mean()
+            p += product / len(widths)
+            mean += of_mean / len(widths)
+        log_p, log_mean = np.log(p), math.log(mean)
         log_p -= model.expected
         log_mean -= model.expected.mean()
         for lane in range(n):
@@ -126,13 +142,31 @@ def test_the_likelihood_is_the_formula() -> None:
         lri=[[9.0, 6.0, 5.0, 3.0]],
     )
     parameters = resolved(alpha=0.3, beta=0.7)
-    scaled = [offset / W * 3.5 for offset in offsets]
-    right = by_the_formula(list(zip(scaled, [0, 1, 2, 3], strict=True)), 3, parameters)
+    right = by_the_formula(list(zip(offsets, [0, 1, 2, 3], strict=True)), 3, parameters)
     for evidence in (line_geometry.evidence, reference.evidence):
         ours = evidence(log, 3, parameters).likelihoods[NODES][0]
         # The tables are interpolated between points 2 cm apart.
         np.testing.assert_allclose(np.log(ours), np.log(right), atol=5e-3)
         assert ours.max() == 1
+
+
+@pytest.mark.parametrize(
+    "widths", [(3.0, 3.3, 4.2), (3.6, 3.6, 3.6), (3.3, 3.3, 4.2), (3.3, 4.2, 4.2), (0.01, 2.0, 1e4)]
+)
+def test_over_several_widths_the_likelihood_is_the_mean(widths: tuple[float, ...]) -> None:
+    offsets, kinds = [-1.9, 1.6, 5.3, -5.2, 9.9], [0, 1, 2, 3, -1]
+    parameters = resolved(alpha=0.3, beta=0.7)
+    lines = list(zip(offsets[:4], kinds[:4], strict=True))
+    right = by_the_formula(lines, 3, parameters, widths)
+    tables = line_tables(line_model(3, parameters), 3.5)
+    for module in (kernels, reference):
+        likelihood = np.empty((1, 48, 2))
+        module.weigh_positions(
+            *(np.array([offsets]), np.array([kinds]), np.array([widths])),
+            *(tables.log_intensity, tables.log_mean, tables.first_m, TABLE_STEP_M, tables.expected),
+            *(tables.width_m, np.array([0.3]), np.array([0.7]), likelihood),
+        )
+        np.testing.assert_allclose(np.log(likelihood[0]), np.log(right), atol=5e-3)
 
 
 @settings(max_examples=25, deadline=None)
@@ -176,9 +210,17 @@ def test_the_mirrored_lines_give_the_mirrored_evidence(seed: int) -> None:
         there.likelihoods[NODES][:, ::-1], here.likelihoods[NODES], atol=2e-3
     )
     motion, mirrored = here.inputs["LineMotion"], there.inputs["LineMotion"]
-    known = motion < UNKNOWN
-    np.testing.assert_array_equal(mirrored[~known], motion[~known])
-    np.testing.assert_allclose(mirrored[known], UNKNOWN - 1 - motion[known], atol=1)
+    gap = motion >= AFTER_GAP
+    assert gap.any()
+    np.testing.assert_array_equal(mirrored >= AFTER_GAP, gap)
+    np.testing.assert_allclose(mirrored[~gap], 2 * STILL - motion[~gap], atol=1)
+    n = len(position_in_lane.COASTING)
+    (passed, there_passed), (coasting, there_coasting) = (
+        (f(motion[gap] - AFTER_GAP, n), f(mirrored[gap] - AFTER_GAP, n))
+        for f in (np.floor_divide, np.mod)
+    )
+    np.testing.assert_array_equal(there_passed, passed)
+    np.testing.assert_array_equal(there_coasting, n - 1 - coasting)
 
 
 @pytest.mark.parametrize(
@@ -220,41 +262,63 @@ def motion_of(log: LineLog, **given: object) -> list[int]:
     return seen_lines(log, **given).motion.tolist()
 
 
-def value_of(displacement_m: float) -> int:
-    parameters = resolved()
-    index = position_in_lane.motion_index(np.array([displacement_m / W]), np.array([1]), parameters)
+def value_of(displacement_m: float, steps: int = 1, velocity_m: float = 0.0) -> int:
+    index = position_in_lane.motion_index(
+        np.array([displacement_m / W]), np.array([steps]), np.array([velocity_m / W]), resolved()
+    )
     return int(index[0])
 
 
 def test_the_motion_is_the_median_of_the_matched_lines() -> None:
     log = line_log([[-1.8, 1.8, 5.4], [-1.7, 1.92, 5.8]])
-    assert motion_of(log) == [UNKNOWN, value_of(0.12)]
+    assert motion_of(log) == [STILL, value_of(0.12)]
 
 
 def test_a_held_line_is_no_evidence_and_is_not_followed() -> None:
     """The left line moves; the right one is held: same offset, its LRI falls."""
     offsets = [[-1.8, 1.8], [-1.7, 1.8], [-1.6, 1.8]]
     log = line_log(offsets, lri=[[10, 10], [10, 9], [10, 8]])
-    assert motion_of(log) == [UNKNOWN, value_of(0.1), value_of(0.1)]
+    assert motion_of(log) == [STILL, value_of(0.1), value_of(0.1)]
     assert seen_lines(log).kind.tolist() == [[1, 1], [1, -1], [1, -1]]
 
 
 def test_a_line_that_stands_still_with_a_steady_index_is_measured() -> None:
-    assert motion_of(line_log([[-1.8, 1.8]] * 3)) == [UNKNOWN, value_of(0), value_of(0)]
+    assert motion_of(line_log([[-1.8, 1.8]] * 3)) == [STILL, value_of(0), value_of(0)]
 
 
 def test_a_line_that_was_held_tells_the_motion_when_no_other_does() -> None:
     log = line_log([[1.8], [1.8], [1.4]], lri=[[10], [9], [10]])
-    assert motion_of(log) == [UNKNOWN, UNKNOWN, value_of(-0.4)]
+    assert motion_of(log) == [STILL, STILL, value_of(-0.4)]
 
 
 def test_nothing_is_matched_beyond_reach_or_across_a_gap() -> None:
-    assert motion_of(line_log([[1.0], [2.0]])) == [UNKNOWN, UNKNOWN]
-    steps = position_in_lane.STEPS
-    gap = motion_of(line_log([[1.8], [1.8]], frame_id=[10, 13]))
-    assert gap == [UNKNOWN, UNKNOWN + steps.index(3)]
+    assert motion_of(line_log([[1.0], [2.0]])) == [STILL, STILL]
+    gap = motion_of(line_log([[1.8], [1.7]], frame_id=[10, 13]))
+    assert gap == [STILL, value_of(math.nan, 3)]
+    assert gap[1] >= AFTER_GAP
     put_in = line_log([[1.8], [math.nan], [1.8]], is_missing=[False, True, False])
-    assert motion_of(put_in) == [UNKNOWN] * 3
+    assert motion_of(put_in) == [STILL] * 3
+
+
+def test_lines_that_are_lost_go_on_as_they_moved_of_late() -> None:
+    """One frame counts a tenth of the velocity, which fades by a fiftieth in each frame."""
+    offset = np.array([1.7 - 0.2 * t for t in range(20)] + [math.nan] * 5)[:, None]
+    moving = value_of(-0.2)
+    velocity = -0.2 * (1 - 0.9**19)
+    lost = [value_of(velocity * 0.98**k) for k in range(5)]
+    assert motion_of(line_log(offset)) == [STILL] + [moving] * 19 + lost
+    assert lost[0] < STILL - 4
+    # A displacement that is out of range is none.
+    leaping = np.where(np.arange(25) % 2, 9.0, -9.0)[:, None]
+    assert motion_of(line_log(np.where(np.isnan(offset), leaping, offset)))[20:] == lost
+    ids = np.arange(25)
+    ids[20:] += 7
+    after_gap = motion_of(line_log(offset, frame_id=ids))[20:]
+    assert after_gap[0] == value_of(math.nan, 8, velocity) >= AFTER_GAP
+    assert after_gap[1:] == [value_of(velocity * 0.98 ** (8 + k)) for k in range(4)]
+    # Frames that were put in are frames without lines.
+    missing = np.arange(25) >= 20
+    assert motion_of(line_log(offset, is_missing=missing))[20:] == lost
 
 
 @pytest.mark.parametrize("n_slots", [0, 2])
@@ -265,7 +329,7 @@ def test_frames_without_lines_tell_no_place_inside_the_lane(n_slots: int) -> Non
         )
     by_cell = given.likelihoods[NODES].reshape(3, 3, 16, 2)
     np.testing.assert_allclose(by_cell.std(axis=2), 0, atol=1e-12)
-    assert given.inputs["LineMotion"].tolist() == [UNKNOWN] * 3
+    assert given.inputs["LineMotion"].tolist() == [STILL] * 3
 
 
 def test_no_frames_at_all() -> None:
