@@ -17,7 +17,7 @@ vehicle that loses its lines in a lane change goes on with the change.
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import replace
 from typing import TYPE_CHECKING
 
@@ -48,10 +48,14 @@ VALUES = {"SensorState": ("OK", "BAD")}
 
 #: How many frames have passed, for the values of LineMotion after a gap. A gap between two entries
 #: counts as the larger one; a gap beyond the last entry counts as the last.
-STEPS = (2, 3, 4, 6, 8, 16, 64, 256)
+STEPS = (2, 3, 4, 6, 8, 10, 12, 16, 24, 64, 256)
 
 #: How the lines moved before a gap, lane widths per frame. A quick lane change is 0.06.
 COASTING = (-0.06, -0.04, -0.02, 0.0, 0.02, 0.04, 0.06)
+
+#: The share of that velocity which is left after a frame without lines: a lane change takes two
+#: seconds or more.
+KEPT_VELOCITY = 0.98
 
 #: The geometry of the cells and of LineMotion. The evidence rule declares these parameters too.
 CELLS = Parameter("cells", "integer", 16, "cells of RoadPosition in each lane", lowest=1)
@@ -95,15 +99,8 @@ PARAMETERS = (
         "wide_share",
         "probability",
         0.1,
-        "weight of the wide normal where a displacement is known",
+        "weight of the wide normal",
         search=(0.01, 0.3),
-    ),
-    Parameter(
-        "wide_share_unknown",
-        "probability",
-        0.2,
-        "weight of the wide normal where no displacement is known",
-        search=(0.01, 0.9),
     ),
     Parameter(
         "jump",
@@ -192,18 +189,34 @@ def _motions(n_positions: int, cells: int, parameters: Mapping[str, Value]) -> l
     narrow = number(parameters, "motion_sigma") * cells
     wide = number(parameters, "motion_sigma_wide") * cells
     half = max(1, math.ceil(_BAND * cells))
-    known = ((np.arange(n_bins) + 0.5) / n_bins * 2 - 1) * reach
+    share = number(parameters, "wide_share")
 
-    def transition(displacement: float, wide_share: float) -> FloatArray:
+    def transition(displacement: float) -> FloatArray:
         shift = -gain * displacement * cells
-        move = (1 - wide_share) * _cell_moves(shift, narrow, half)
-        move += wide_share * _cell_moves(shift, wide, half)
+        move = (1 - share) * _cell_moves(shift, narrow, half)
+        move += share * _cell_moves(shift, wide, half)
         return (1 - jump) * _banded(move, n_positions) + jump / n_positions
 
-    share, share_unknown = (number(parameters, f"wide_share{end}") for end in ("", "_unknown"))
-    unknown = [transition(velocity, share_unknown) for velocity in COASTING]
-    powers = [_power(of_frame, k) for k in STEPS for of_frame in unknown]
-    return [transition(displacement, share) for displacement in known] + powers
+    known = ((np.arange(n_bins) + 0.5) / n_bins * 2 - 1) * reach
+    after_gap = [_coast(transition, velocity) for velocity in COASTING]
+    moves = [after[k] for k in range(len(STEPS)) for after in after_gap]
+    return [transition(displacement) for displacement in known] + moves
+
+
+def _coast(transition: Callable[[float], FloatArray], velocity: float) -> list[FloatArray]:
+    """The transition over a gap of each of `STEPS`, of lines that had a velocity before it."""
+    found = {}
+    over = transition(velocity)
+    for k in range(1, STEPS[-1]):
+        # What is left of the velocity is nothing by then: squares are quicker.
+        if k >= STEPS[-3]:
+            break
+        over = over @ transition(velocity * KEPT_VELOCITY**k)
+        found[k + 1] = over
+    at_rest = transition(0.0)
+    for k in STEPS[-2:]:
+        found[k] = over @ np.linalg.matrix_power(at_rest, k - STEPS[-3])
+    return [found[k] / found[k].sum(axis=1, keepdims=True) for k in STEPS]
 
 
 def _power(transition: FloatArray, steps: int) -> FloatArray:

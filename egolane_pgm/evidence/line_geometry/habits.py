@@ -81,23 +81,31 @@ class Habits:
 
 def is_placed(log: LineLog) -> BoolArray:
     """Whether there is a line whose offset is no placeholder, (T, L)."""
+    return _is_placed(log.offset_m)
+
+
+def _is_placed(offset_m: FloatArray) -> BoolArray:
     with np.errstate(invalid="ignore"):
-        return np.asarray(np.isfinite(log.offset_m) & (np.abs(log.offset_m) > PLACEHOLDER_M))
+        return np.asarray(np.isfinite(offset_m) & (np.abs(offset_m) > PLACEHOLDER_M))
 
 
-def tally(log: LineLog) -> Tally:
-    """Counts the lines of a log."""
-    placed = is_placed(log)
-    valid, continuous = placed & log.is_valid, placed & log.is_continuous
-    known = np.isfinite(log.lri)
+def tally(*logs: LineLog) -> Tally:
+    """Counts the lines of one or several logs."""
+    names = ("offset_m", "is_valid", "is_continuous", "lri")
+    offset_m, is_valid, is_continuous, lri = (
+        np.concatenate([getattr(log, name).ravel() for log in logs]) for name in names
+    )
+    placed = _is_placed(offset_m)
+    valid, continuous = placed & is_valid, placed & is_continuous
+    known = np.isfinite(lri)
     return Tally(
         int(placed.sum()),
         int(valid.sum()),
         int(continuous.sum()),
         int((valid & continuous).sum()),
-        log.lri[valid & known],
-        log.lri[placed & ~valid & known],
-        log.offset_m[placed][:ENOUGH_LINES],
+        lri[valid & known],
+        lri[placed & ~valid & known],
+        offset_m[placed][:ENOUGH_LINES],
     )
 
 

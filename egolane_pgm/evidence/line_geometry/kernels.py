@@ -84,12 +84,13 @@ def follow_width(
             moved[j] = steady[j] + moves * (steady[j - 1] - 2 * steady[j] + steady[j + 1])
         for j in range(n_widths):
             steady[j] = moved[j] + another * (prior[j] - moved[j])
-        # A width by which no two neighbouring lanes are ever seen at once is none.
+        # A width by which no two neighbouring lanes are ever seen at once is none. The factor is
+        # so small because other widths may have sunk to `another`.
         total = 0.0
         for j in range(n_widths):
-            moved[j] = steady[j]
             if counts[1] >= enough_pairs and pairs[j] < least_pairs * counts[1]:
-                moved[j] *= 1e-13
+                steady[j] *= 1e-60
+            moved[j] = steady[j]
             total += moved[j]
         around[:] = 0.0
         for j in range(n_widths):
@@ -104,6 +105,8 @@ def follow_width(
             right = wandering[j + 1] if j + 1 < n_widths else here
             new = here + moves_wandering * (left - 2 * here + right)
             wandering[j] = new + returns * (around[j] - new)
+            if counts[1] >= enough_pairs and pairs[j] < least_pairs * counts[1]:
+                wandering[j] *= 1e-60
             total += wandering[j]
             left = here
         for j in range(n_widths):

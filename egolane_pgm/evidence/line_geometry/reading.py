@@ -13,7 +13,7 @@ from egolane_pgm.evidence.line_geometry import kernels
 from egolane_pgm.evidence.line_geometry.habits import PLACEHOLDER_M, is_placed
 from egolane_pgm.evidence.line_geometry.lane_width import lane_width
 from egolane_pgm.evidence.line_geometry.model import LEAST_LRI, REACH_M, STRONG_LRI
-from egolane_pgm.graphs.position_in_lane import motion_index
+from egolane_pgm.graphs.position_in_lane import KEPT_VELOCITY, motion_index
 from egolane_pgm.parameters import Parameters, number
 from egolane_pgm.types import BoolArray, FloatArray, IntArray, LineLog
 
@@ -34,9 +34,8 @@ OFF_CENTRE, STEADY, ENOUGH_LINES = 0.2, 0.3, 1000
 #: ten frames per second.
 FRAME_S = 0.1
 
-#: The velocity of the lines is their mean displacement over about so many frames, and of it this
-#: share is left after a frame that shows none: a lane change takes two seconds or more.
-INERTIA, COASTED = 10.0, 0.98
+#: The velocity of the lines is their mean displacement over about so many frames.
+INERTIA = 10.0
 
 #: With `lane_width_m: causal`, the lane width and the detector's habits are estimated anew, from
 #: all frames so far, after every so many frames.
@@ -207,7 +206,7 @@ def read_lines(
     displacement /= widths
     velocity = np.full(n_frames + 1, last.velocity)
     farthest = number(parameters, "motion_range")
-    kernels.coast(displacement, steps, farthest, INERTIA, COASTED, velocity)
+    kernels.coast(displacement, steps, farthest, INERTIA, KEPT_VELOCITY, velocity)
     if n_frames:
         frame = np.array([log.frame_id[-1], 0 if log.is_missing[-1] else 1])
         # Copies: a caller may use its arrays again for the next frame.

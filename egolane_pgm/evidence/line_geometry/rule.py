@@ -141,7 +141,8 @@ def online(n_lanes: int, parameters: Parameters) -> Callable[[LineLog], Evidence
     given = parameters["lane_width_m"]
     width = new_belief(expected_m)
     detector = Habits(FULL_LRI, says_valid=True, says_continuous=True)
-    tallies: list[Tally] = []
+    seen_before: list[Tally] = []
+    recent: list[LineLog] = []
     has_flags = False
     n_frames, last, last_s = 0, NO_FRAME, -math.inf
     lines = np.zeros(2, dtype=np.int64)
@@ -150,10 +151,11 @@ def online(n_lanes: int, parameters: Parameters) -> Callable[[LineLog], Evidence
         """The evidence of frames that are all read in the same way."""
         nonlocal detector, has_flags, n_frames, last, last_s, lines
         if n_frames and n_frames % UPDATE_EVERY == 0:
-            tallies[:] = [total(tallies)]
-            detector = habits(tallies[0], recorded.source)
+            seen_before[:] = [total([*seen_before, tally(*recent)])]
+            recent.clear()
+            detector = habits(seen_before[0], recorded.source)
             has_flags &= detector.says_continuous
-        tallies.append(tally(recorded))
+        recent.append(recorded)
         log = as_usual(recorded, detector)
         has_flags |= bool(log.is_continuous.any())
         n_frames += len(log)
@@ -172,6 +174,8 @@ def online(n_lanes: int, parameters: Parameters) -> Callable[[LineLog], Evidence
         return _evidence(seen, widths, weights, tables[has_flags], parameters)
 
     def evidence_of(recorded: LineLog) -> Evidence:
+        if len(recorded) == 1:
+            return evidence_of_part(recorded)
         updates = np.arange(-n_frames % UPDATE_EVERY, len(recorded), UPDATE_EVERY)
         starts = np.unique([0, *updates])
         is_continuous = np.asarray(recorded.is_continuous.any(axis=1))
@@ -183,8 +187,6 @@ def online(n_lanes: int, parameters: Parameters) -> Callable[[LineLog], Evidence
             if is_continuous[a:b].any()
         ]
         cuts = [*np.unique([*starts, *firsts]).tolist(), len(recorded)]
-        if len(cuts) == 2:
-            return evidence_of_part(recorded)
         parts = [evidence_of_part(recorded.take(slice(a, b))) for a, b in pairwise(cuts)]
         return Evidence(
             {NODES: np.concatenate([part.likelihoods[NODES] for part in parts])},
@@ -261,7 +263,8 @@ def fit_pooled(
         first_width = first_width or as_metres(width, parameters)
         kind, _ = line_classes(log)
         held, widths = detector.repeats_are_held, np.full(len(log), width)
-        seen, _ = read_lines(log, kind, widths, parameters, repeats_are_held=held)
+        scaled = {**parameters, "fallback_width_m": first_width}
+        seen, _ = read_lines(log, kind, widths, scaled, repeats_are_held=held)
         seen = count_once(seen, seen.lines.sum(axis=0))
         used = np.flatnonzero(is_used & ~log.is_missing)
         offsets.append(seen.offset_m[used] * (first_width / width))

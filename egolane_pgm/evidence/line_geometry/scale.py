@@ -61,7 +61,7 @@ RETURNS, WANDERS = 0.05, 0.1
 MAY_WANDER, CHANGES = 0.05, 1e-4
 
 #: How much of the count of neighbouring lanes that are seen at once is kept from frame to frame.
-KEPT_PAIRS = 0.9995
+KEPT_PAIRS = 0.9998
 
 
 #: What `kernels.follow_width` needs to know beside arrays.
