@@ -42,8 +42,9 @@ def drive() -> SimulatedDrive:
 
 
 def resolved(n_lanes: int = 3, **given: object) -> Parameters:
+    """By default, what is unusual is found in the whole recording."""
     specs = {p.name: p for p in (*line_geometry.PARAMETERS, *position_in_lane.PARAMETERS)}
-    return resolve_parameters(specs.values(), given, n_lanes)
+    return resolve_parameters(specs.values(), {"lane_width_m": "auto", **given}, n_lanes)
 
 
 def read(log: LineLog, **given: object) -> tuple[FloatArray, list[str]]:
@@ -335,9 +336,10 @@ def test_what_is_learned_does_not_depend_on_how_the_detector_fills_its_columns()
 
 
 @cache
-def zero_label(n_lanes: int) -> Model:
+def zero_label(n_lanes: int, width: str = "auto") -> Model:
     file = ROOT / "experiments/zero_label.yaml"
-    return prepare_model(load_experiment(file, [f"n_lanes={n_lanes}"]))
+    words = [f"n_lanes={n_lanes}", f"parameters.lane_width_m={width}"]
+    return prepare_model(load_experiment(file, words))
 
 
 def accuracy(log: LineLog, model: Model, truth: Any = None) -> float:
@@ -373,13 +375,17 @@ def paper_drive(run: int) -> Recorded:
 @needs_compiler
 @pytest.mark.parametrize("run", [1, 5])
 @pytest.mark.parametrize("how", STRANGERS)
-def test_a_strangers_recording_of_the_papers_drives(recordings: object, run: int, how: str) -> None:
-    """Without a label. Lines filled in another way cost less than five points; each of these cost
-    up to 65 on one of the drives before."""
-    recorded = paper_drive(run)
-    usual = accuracy(recorded.log, zero_label(4), recorded.truth)
+@pytest.mark.parametrize(("width", "lost"), [("auto", 0.05), ("causal", 0.07)])
+def test_a_strangers_recording_of_the_papers_drives(
+    recordings: object, run: int, how: str, width: str, lost: float
+) -> None:
+    """Without a label. Lines filled in another way cost less than five points, and seven if what is
+    unusual has to be found out on the way; each of these cost up to 65 on one of the drives
+    before."""
+    recorded, model = paper_drive(run), zero_label(4, width)
     strange = STRANGERS[how](recorded.log)
-    assert accuracy(strange, zero_label(4), recorded.truth) > usual - 0.05
+    usual = accuracy(recorded.log, model, recorded.truth)
+    assert accuracy(strange, model, recorded.truth) > usual - lost
 
 
 def test_a_strangers_recording_on_the_command_line(tmp_path: Path) -> None:
