@@ -424,11 +424,13 @@ def test_each_log_may_have_its_own_number_of_line_slots(seed: int, width: object
 
 
 def test_the_arrays_of_a_frame_may_be_used_again_for_the_next_one() -> None:
-    log = causal_drive("plain").take(slice(0, 60))
+    # Habits are found after 200 frames: an LRI of 0 to 1, and no line valid.
+    log = causal_drive("plain").take(slice(0, 250))
+    log = replace(log, lri=log.lri / 10, is_valid=np.zeros_like(log.is_valid))
     parameters = resolved(lane_width_m="causal")
     give, fresh = (line_geometry.online(3, parameters) for _ in range(2))
     used = log.take(slice(0, 1)).take(np.array([0]))
-    for t in range(60):
+    for t in range(250):
         frame = log.take(slice(t, t + 1))
         for name in ("frame_id", "time_s", "offset_m", "is_valid", "is_continuous", "lri"):
             getattr(used, name)[:] = getattr(frame, name)
