@@ -134,9 +134,9 @@ def test_lines_that_drift_to_the_left_carry_the_vehicle_into_the_lane_to_the_rig
     start[0, 8] = 1.0  # the middle of lane 1
     bins = int(parameters["motion_bins"])  # type: ignore[arg-type]
     displacement = np.full(10, -0.11)  # lane widths per frame; gain .9: one lane in ten frames
-    motion = graph.motion_index(displacement, np.ones(10, dtype=int), parameters)
+    motion = graph.motion_index(displacement, np.ones(10, dtype=int), np.zeros(10), parameters)
     assert (motion < bins // 2).all()
-    evidence = silent(network, [bins, *motion.tolist()])
+    evidence = silent(network, [bins // 2, *motion.tolist()])
     evidence.likelihoods[JOINT][0] = start
     lane = filter_beliefs(network, evidence, "exact").lane
     assert lane[0].argmax() == 0
@@ -144,11 +144,12 @@ def test_lines_that_drift_to_the_left_carry_the_vehicle_into_the_lane_to_the_rig
     assert lane[-1, 1] > 0.9
 
 
-def test_unknown_motion_spreads_but_does_not_drift() -> None:
+@pytest.mark.parametrize("steps", [1, 2])
+def test_unknown_motion_of_lines_that_stood_still_spreads_but_does_not_drift(steps: int) -> None:
     parameters = resolved(3, jump=0)
     network = compiled(3, parameters)
-    bins = int(parameters["motion_bins"])  # type: ignore[arg-type]
-    evidence = silent(network, [bins] * 4)
+    motion = graph.motion_index(np.full(4, np.nan), np.full(4, steps), np.zeros(4), parameters)
+    evidence = silent(network, motion.tolist())
     evidence.likelihoods[JOINT][0] = 0
     evidence.likelihoods[JOINT][0, 24] = 1
     position = filter_beliefs(network, evidence, "exact").marginals["RoadPosition"]
@@ -156,6 +157,38 @@ def test_unknown_motion_spreads_but_does_not_drift() -> None:
     spread = (position * (np.arange(48) - mean[:, None]) ** 2).sum(axis=1)
     np.testing.assert_allclose(mean, 24, atol=1e-9)
     assert (np.diff(spread) > 0).all()
+
+
+def gap_and_frames(
+    network: Compiled, missing: int, velocity: float, parameters: Parameters
+) -> tuple[Evidence, Evidence]:
+    """Two frames with a gap between them, and the same with the frames of the gap, in which the
+    lines go on."""
+    steps = np.array([1, missing + 1])
+    before = np.array([0.0, velocity])
+    gap = graph.motion_index(np.array([np.nan, 0.05]), steps, before, parameters)
+    left = velocity * 0.98 ** np.arange(missing + 1)
+    unknown = np.full(missing + 2, np.nan)
+    ones = np.ones(missing + 2, dtype=int)
+    frames = graph.motion_index(unknown, ones, np.array([0.0, *left]), parameters)
+    return silent(network, gap.tolist()), silent(network, frames.tolist())
+
+
+@pytest.mark.parametrize("velocity", [-0.06, -0.04, -0.02, 0.02, 0.04, 0.06])
+@pytest.mark.parametrize("missing", [1, 2, 5, 7, 9, 11, 15, 23])
+def test_a_vehicle_goes_on_over_a_gap_as_it_does_over_frames_without_lines(
+    missing: int, velocity: float
+) -> None:
+    """Up to the width of the intervals of LineMotion."""
+    parameters = resolved(5)
+    network = compiled(5, parameters)
+    start = np.zeros((80, 2))
+    start[8 if velocity < 0 else 72] = 1
+    lanes = []
+    for evidence in gap_and_frames(network, missing, velocity, parameters):
+        evidence.likelihoods[JOINT][0] = start
+        lanes.append(filter_beliefs(network, evidence, "exact").lane[-1])
+    np.testing.assert_allclose(lanes[0], lanes[1], atol=0.06)
 
 
 @pytest.mark.parametrize("method", METHODS)
@@ -166,11 +199,7 @@ def test_a_gap_diffuses_the_belief_by_as_many_steps_as_frames_are_missing(
     """One frame after a gap is the same as the missing frames with lines that say nothing."""
     parameters = resolved(3)
     network = compiled(3, parameters)
-    bins = int(parameters["motion_bins"])  # type: ignore[arg-type]
-    steps = np.array([1, missing + 1])
-    gap = graph.motion_index(np.array([np.nan, 0.05]), steps, parameters)
-    jumping = silent(network, gap.tolist())
-    filled = silent(network, [bins] * (missing + 2))
+    jumping, filled = gap_and_frames(network, missing, 0.0, parameters)
     start = np.zeros((48, 2))
     start[20] = 1, 0.5
     for evidence in (jumping, filled):
@@ -185,11 +214,32 @@ def test_a_gap_diffuses_the_belief_by_as_many_steps_as_frames_are_missing(
 
 def test_the_value_of_line_motion() -> None:
     parameters = resolved(3, motion_bins=4, motion_range=0.2)
-    displacement = np.array([-0.19, -0.01, 0.01, 0.19, 0.2, np.nan, 0.01, np.nan, np.nan])
-    steps = np.array([1, 1, 1, 1, 1, 1, 2, 5, 10_000])
-    index = graph.motion_index(displacement, steps, parameters)
-    last = 4 + len(graph.STEPS) - 1
-    assert index.tolist() == [0, 1, 2, 3, 4, 4, 5, 4 + graph.STEPS.index(6), last]
+    values = [
+        # Displacement, steps, velocity and value.
+        (-0.19, 1, 0.0, 0),
+        (-0.01, 1, 0.19, 1),
+        (0.01, 1, -0.19, 2),
+        (0.19, 1, 0.0, 3),
+        # Out of range or unknown: as of late.
+        (0.2, 1, -0.01, 1),
+        (np.nan, 1, 0.01, 2),
+        (np.nan, 1, -0.15, 0),
+        (np.nan, 1, 0.9, 3),
+        # After a gap: how many frames, and how the lines moved.
+        (0.01, 2, 0.0, 4 + 3),
+        (np.nan, 2, -0.06, 4),
+        (np.nan, 2, -9.0, 4),
+        (np.nan, 2, 0.06, 4 + 6),
+        (np.nan, 3, -0.021, 4 + 7 + 2),
+        (np.nan, 5, 0.0, 4 + 7 * graph.STEPS.index(6) + 3),
+        (np.nan, 10_000, 0.039, 4 + 7 * (len(graph.STEPS) - 1) + 5),
+    ]
+    displacement, steps, velocity, value = (
+        np.array(column) for column in zip(*values, strict=True)
+    )
+    index = graph.motion_index(displacement, steps, velocity, parameters)
+    assert index.tolist() == value.tolist()
+    assert graph.motion_values(parameters) == 4 + 7 * len(graph.STEPS)
 
 
 def test_no_cells_at_all_are_refused() -> None:
