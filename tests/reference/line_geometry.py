@@ -84,11 +84,12 @@ def follow_width(
         steady[1:-1] += moves * np.diff(steady, 2)
         steady[:] = (1 - another) * steady + another * prior
         is_seen = (counts[1] < enough_pairs) | (pairs >= least_pairs * counts[1])
-        now = steady * np.where(is_seen, 1, 1e-13)
-        now /= now.sum()
+        steady[~is_seen] *= 1e-60
+        now = steady / steady.sum()
         around = np.convolve(np.where(now > 1e-6, now, 0), spread, mode="same")
         wandering += moves_wandering * np.diff(np.pad(wandering, 1, mode="edge"), 2)
         wandering[:] = (1 - returns) * wandering + returns * around
+        wandering[~is_seen] *= 1e-60
         wandering /= wandering.sum()
         counts[0] = (1 - changes) * counts[0] + changes * may_wander
         below = np.cumsum(counts[0] * wandering + (1 - counts[0]) * now)

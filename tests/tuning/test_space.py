@@ -54,8 +54,7 @@ SEARCHED: dict[str, set[str]] = {
     "biased_sensor": PAPER | {"p_biased", "shift"},
     "lane_only": {"sigma1", "sigma2"},
     "no_wor": PAPER - {"p3", "p4"},
-    "position_in_lane": {"motion_sigma", "motion_sigma_wide", "wide_share"}
-    | {"p1", "p2"},
+    "position_in_lane": {"motion_sigma", "motion_sigma_wide", "wide_share"} | {"p1", "p2"},
     "sensor_dynamics": PAPER | {"sigma1_bad"},
     "sensor_failure": PAPER,
     "three_sensor_states": PAPER | {"sigma2_worn", "p_worn", "p3_worn"},

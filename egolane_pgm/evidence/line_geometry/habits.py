@@ -43,6 +43,9 @@ LEAST_DISTINCT = 0.5
 ENOUGH_LINES = 10_000
 
 
+Columns = tuple[FloatArray, BoolArray, BoolArray, FloatArray]
+
+
 @dataclass(frozen=True)
 class Tally:
     """Counts over the lines of some frames.
@@ -89,11 +92,26 @@ def _is_placed(offset_m: FloatArray) -> BoolArray:
         return np.asarray(np.isfinite(offset_m) & (np.abs(offset_m) > PLACEHOLDER_M))
 
 
-def tally(*logs: LineLog) -> Tally:
+def columns(log: LineLog) -> Columns:
+    """What is counted of a log, (N,) each: offsets, whether valid, whether continuous, and LRI.
+    These are copies: a caller may use its arrays again for the next frame."""
+    return (
+        log.offset_m.flatten(),
+        log.is_valid.flatten(),
+        log.is_continuous.flatten(),
+        log.lri.flatten(),
+    )
+
+
+def tally(log: LineLog) -> Tally:
+    """Counts the lines of a log."""
+    return tally_columns([columns(log)])
+
+
+def tally_columns(logs: Sequence[Columns]) -> Tally:
     """Counts the lines of one or several logs."""
-    names = ("offset_m", "is_valid", "is_continuous", "lri")
     offset_m, is_valid, is_continuous, lri = (
-        np.concatenate([getattr(log, name).ravel() for log in logs]) for name in names
+        np.concatenate([log[k] for log in logs]) for k in range(4)
     )
     placed = _is_placed(offset_m)
     valid, continuous = placed & is_valid, placed & is_continuous

@@ -38,11 +38,13 @@ from egolane_pgm.evidence.line_geometry import kernels
 from egolane_pgm.evidence.line_geometry.fitting import fit_lines
 from egolane_pgm.evidence.line_geometry.habits import (
     FULL_LRI,
+    Columns,
     Habits,
     Tally,
     as_usual,
+    columns,
     habits,
-    tally,
+    tally_columns,
     total,
     usual,
 )
@@ -142,7 +144,7 @@ def online(n_lanes: int, parameters: Parameters) -> Callable[[LineLog], Evidence
     width = new_belief(expected_m)
     detector = Habits(FULL_LRI, says_valid=True, says_continuous=True)
     seen_before: list[Tally] = []
-    recent: list[LineLog] = []
+    recent: list[Columns] = []
     has_flags = False
     n_frames, last, last_s = 0, NO_FRAME, -math.inf
     lines = np.zeros(2, dtype=np.int64)
@@ -151,11 +153,11 @@ def online(n_lanes: int, parameters: Parameters) -> Callable[[LineLog], Evidence
         """The evidence of frames that are all read in the same way."""
         nonlocal detector, has_flags, n_frames, last, last_s, lines
         if n_frames and n_frames % UPDATE_EVERY == 0:
-            seen_before[:] = [total([*seen_before, tally(*recent)])]
+            seen_before[:] = [total([*seen_before, tally_columns(recent)])]
             recent.clear()
             detector = habits(seen_before[0], recorded.source)
             has_flags &= detector.says_continuous
-        recent.append(recorded)
+        recent.append(columns(recorded))
         log = as_usual(recorded, detector)
         has_flags |= bool(log.is_continuous.any())
         n_frames += len(log)
