@@ -11,7 +11,7 @@ import pytest
 
 from egolane_pgm.files import plain
 from egolane_pgm.inference.compile import compile
-from egolane_pgm.parameters import Parameter, resolve_parameters
+from egolane_pgm.parameters import Parameter, Value, resolve_parameters
 from egolane_pgm.plugins import load_plugin, plugin_names
 from egolane_pgm.report.description import (
     WIDTH,
@@ -106,10 +106,10 @@ def test_what_is_said_of_a_graph_fits_a_terminal(name: str) -> None:
         assert f"\n  {spec.name} " in text
 
 
-def rule(name: str) -> dict[str, Any]:
+def rule(name: str, **given: Value) -> dict[str, Any]:
     module = load_plugin("evidence", name, EXAMPLES, "evidence")
     defaults = {spec.name: spec.default for spec in module.PARAMETERS}
-    return {"name": name, **describe_rule(module, defaults)}
+    return {"name": name, **describe_rule(module, {**defaults, **given})}
 
 
 @pytest.mark.parametrize("name", plugin_names("evidence"))
@@ -126,7 +126,10 @@ def test_an_evidence_rule_says_what_it_gives() -> None:
     assert found["can_learn"]
     text = description_text(found)
     assert "the likelihood of RoadPosition and SensorState, jointly" in text
-    assert "it is not causal: the lane width" in text
+    assert found["looks_ahead"] is None
+    assert "not causal" not in text
+    whole = description_text(rule("line_geometry", lane_width_m="auto"))
+    assert "it is not causal: the lane width" in whole
 
 
 def test_a_rule_that_does_not_say_what_it_gives_is_shown_all_the_same() -> None:
