@@ -35,6 +35,7 @@ from egolane_pgm.graphs.cpds import (
     within,
 )
 from egolane_pgm.graphs.shared_parameters import P1, P2
+from egolane_pgm.jit import kernel
 from egolane_pgm.parameters import Parameter, Parameters, Value, number
 from egolane_pgm.types import FloatArray, IntArray
 
@@ -142,13 +143,33 @@ def motion_index(
     several frames counts as unknown.
     """
     n_bins, reach = int(number(parameters, "motion_bins")), number(parameters, "motion_range")
-    moved = np.where(np.abs(displacement) < reach, displacement, velocity)
-    index = ((np.clip(moved, -reach, reach) / reach + 1) / 2 * n_bins).astype(np.int64)
-    passed = np.minimum(np.searchsorted(STEPS, steps), len(STEPS) - 1)
+    index = np.empty(len(steps), dtype=np.int64)
+    _index_motion(displacement, steps, velocity, n_bins, reach, index)
+    return index
+
+
+@kernel()
+def _index_motion(
+    displacement: FloatArray,
+    steps: IntArray,
+    velocity: FloatArray,
+    n_bins: int,
+    reach: float,
+    index: IntArray,
+) -> None:
+    """Fills index (T,) as `motion_index` says it."""
     middle, most = len(COASTING) // 2, COASTING[-1]
-    coasting = np.rint(np.clip(velocity / most, -1, 1) * middle).astype(np.int64) + middle
-    after_gap = n_bins + passed * len(COASTING) + coasting
-    return np.where(steps == 1, np.minimum(index, n_bins - 1), after_gap)
+    for t in range(len(index)):
+        if steps[t] == 1:
+            moved = displacement[t] if abs(displacement[t]) < reach else velocity[t]
+            share = (min(max(moved, -reach), reach) / reach + 1) / 2
+            index[t] = min(int(share * n_bins), n_bins - 1)
+        else:
+            passed = 0
+            while passed < len(STEPS) - 1 and STEPS[passed] < steps[t]:
+                passed += 1
+            coasting = int(np.rint(min(max(velocity[t] / most, -1.0), 1.0) * middle)) + middle
+            index[t] = n_bins + passed * len(COASTING) + coasting
 
 
 def tables(n_lanes: int, parameters: Parameters) -> list[Table]:

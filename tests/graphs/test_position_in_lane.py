@@ -245,3 +245,23 @@ def test_the_value_of_line_motion() -> None:
 def test_no_cells_at_all_are_refused() -> None:
     with pytest.raises(InputError, match=r"parameters\.cells: 0 must be at least 1"):
         resolved(3, cells=0)
+
+
+@given(seed=st.integers(0, 2**32 - 1))
+def test_the_value_of_the_motion_is_that_of_its_formula(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    parameters = resolve_parameters(graph.PARAMETERS, {}, 3)
+    n_bins, reach = int(parameters["motion_bins"]), float(parameters["motion_range"])
+    displacement = rng.normal(0, reach, 40)
+    displacement[rng.random(40) < 0.2] = np.nan
+    velocity = rng.choice([0.05, 0.01, -0.03, 0.09, -1.0], 40) * rng.choice([1, rng.random()], 40)
+    steps = rng.choice([1, 1, 1, 2, 5, 11, 64, 300], 40)
+    moved = np.where(np.abs(displacement) < reach, displacement, velocity)
+    index = ((np.clip(moved, -reach, reach) / reach + 1) / 2 * n_bins).astype(np.int64)
+    passed = np.minimum(np.searchsorted(graph.STEPS, steps), len(graph.STEPS) - 1)
+    middle, most = len(graph.COASTING) // 2, graph.COASTING[-1]
+    coasting = np.rint(np.clip(velocity / most, -1, 1) * middle).astype(np.int64) + middle
+    after_gap = n_bins + passed * len(graph.COASTING) + coasting
+    expected = np.where(steps == 1, np.minimum(index, n_bins - 1), after_gap)
+    found = graph.motion_index(displacement, steps, velocity, parameters)
+    np.testing.assert_array_equal(found, expected)
