@@ -360,7 +360,7 @@ def _figure(drive: Drive, beliefs: Mapping[str, FloatArray], first: int, last: i
     upper, *lower = figure.subplots(
         1 + len(beliefs), 1, sharex=True, gridspec_kw={"height_ratios": [3] + [1] * len(beliefs)}
     )
-    figure.subplots_adjust(left=0.11, right=0.98, top=0.9, bottom=0.09, hspace=0.12)
+    figure.subplots_adjust(left=0.13, right=0.98, top=0.9, bottom=0.09, hspace=0.12)
     _draw_lines(upper, drive, frames, ids)
     for ax, (name, belief) in zip(lower, beliefs.items(), strict=True):
         _draw_belief(ax, drive, belief[frames], ids, frames)
