@@ -60,7 +60,10 @@ class SeenLines:
     @property
     def lines(self) -> IntArray:
         """How many lines of each frame count, and how many of them are doubles, (T, 2)."""
-        return np.stack([(self.kind >= 0).sum(axis=1), self.is_double.sum(axis=1)], axis=1)
+        lines = np.empty((len(self.kind), 2), dtype=np.int64)
+        np.sum(self.kind >= 0, axis=1, out=lines[:, 0])
+        np.sum(self.is_double, axis=1, out=lines[:, 1])
+        return lines
 
 
 def recording_width(log: LineLog, parameters: Parameters) -> float:
