@@ -27,7 +27,6 @@ from egolane_pgm.files import plain
 from egolane_pgm.inference.events import crossing_probability
 from egolane_pgm.inference.kernels.sweeps import best_path
 from egolane_pgm.inference.viterbi import viterbi_path
-from egolane_pgm.lane_count import doubt_of_lanes
 from egolane_pgm.loading import Recorded
 from egolane_pgm.model import Drive
 from egolane_pgm.plugins import declared_parameters, load_rule_and_graph
@@ -209,10 +208,7 @@ def label_experiment(
         scores["model"] = score_with_intervals(
             beliefs.lane[k], run.recorded.truth, rate, assigned=lane[k]
         )
-    doubt = doubt_of_lanes(run.experiment, run.recorded)
-    notes = (*run.notes, *([doubt] if doubt else []))
-    labelled = replace(run, assigned=lane, scores=scores, notes=notes)
-    return Labels(labelled, lane, possible, story, below)
+    return Labels(replace(run, assigned=lane, scores=scores), lane, possible, story, below)
 
 
 def _looking_back(experiment: Experiment) -> Experiment:

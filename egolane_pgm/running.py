@@ -22,6 +22,7 @@ from egolane_pgm.files import plain
 from egolane_pgm.inference.events import crossing_probability, lane_events
 from egolane_pgm.inference.smoothing import infer_beliefs
 from egolane_pgm.inference.viterbi import disagreement, viterbi_path
+from egolane_pgm.lane_count import doubt_of_lanes
 from egolane_pgm.loading import Recorded, as_name, data_entries, load_recording, with_video_rate
 from egolane_pgm.model import (
     Model,
@@ -114,6 +115,8 @@ def run_experiment(
             f"{recorded.log.source}: the evidence of {impossible} frame(s) has joint likelihood"
             " zero; they keep their prediction"
         )
+    doubt = doubt_of_lanes(experiment, model, recorded.log, evidence.filtered)
+    notes.extend([doubt] if doubt else [])
     assigned = assigned_lane(beliefs.lane, experiment.unassigned_below)
     if experiment.decode == "viterbi":
         path = viterbi_path(model.compiled, evidence.filtered, frame_id=recorded.log.frame_id)

@@ -15,7 +15,6 @@ from matplotlib.figure import Figure
 from egolane_pgm.comparing.placing import on_recording
 from egolane_pgm.experiment import load_experiment
 from egolane_pgm.labelling import SHARES, Labels, label_experiment, label_scores, runs_of
-from egolane_pgm.lane_count import log_evidence_by_lanes
 from egolane_pgm.loading import Recorded
 from egolane_pgm.paper import experiments_folder, paper_experiment
 from egolane_pgm.report.review import review_figure
@@ -98,9 +97,7 @@ def measure(runs: Sequence[int], only: str, overrides: Sequence[str]) -> Iterato
     yield markdown(header, rows)
     yield "\n" + VERDICT
     yield "![The end of the Spanish drive](labels_spain_9577.png)\n"
-    yield LANES
-    yield markdown(*lanes_rows(runs, given))
-    yield "\n" + TRIED
+    yield TRIED
     yield STRANGE
     yield "| what is done to the recording | right | surest 98 % | review | unreviewed |"
     yield "|---|--:|--:|--:|--:|"
@@ -128,13 +125,6 @@ VERDICT = """\
   lanes for an exit on the right, whose lanes the annotation counts anew, from 1. The labels know
   three lanes and stay in the rightmost; in lane 1 of three the car is not. The multi-lane detector
   (run 10) draws a lane around the car all the time: its labels are not sure there.
-"""
-
-LANES = """\
-## A wrong number of lanes
-
-`egolane label` warns where the lines fit a road with one lane less or more better than the one that
-was said (`lane_count`). By how much the log evidence of the right road is higher:
 """
 
 STRANGE = """\
@@ -175,20 +165,6 @@ def run_rows(found: dict[int, Labels]) -> tuple[list[str], list[list[str]]]:
             ]
         )
     return header, rows
-
-
-def lanes_rows(
-    runs: Sequence[int], overrides: tuple[str, ...]
-) -> tuple[list[str], list[list[str]]]:
-    """The table of how well a road with one lane less and with one more fits each run."""
-    less, more = ["one less"], ["one more"]
-    for run in runs:
-        done = labels_of(run, overrides).run
-        found = log_evidence_by_lanes(done.experiment, done.recorded)
-        right = done.experiment.n_lanes
-        for column, n_lanes in ((less, right - 1), (more, right + 1)):
-            column.append(f"{found[right] - found[n_lanes]:.0f}")
-    return ["run", *map(str, runs)], [less, more]
 
 
 def suspects(road: str, overrides: tuple[str, ...]) -> list[list[str]]:

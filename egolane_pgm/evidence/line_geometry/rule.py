@@ -71,6 +71,7 @@ from egolane_pgm.evidence.line_geometry.reading import (
     recording_width,
     warn_of_doubles,
     warn_of_offsets,
+    warn_of_scale,
 )
 from egolane_pgm.evidence.line_geometry.scale import follow, new_belief
 from egolane_pgm.parameters import Parameters, Value, number
@@ -110,6 +111,7 @@ def evidence(log: LineLog, n_lanes: int, parameters: Parameters) -> Evidence:
     recorded = log
     log, detector = usual(log)
     width = recording_width(log, parameters)
+    warn_of_scale(log, parameters)
     warn_of_offsets(log, width, width * REACH_M / number(parameters, "fallback_width_m"))
     widths = np.full((len(log), 1), width)
     kind, _ = line_classes(log)

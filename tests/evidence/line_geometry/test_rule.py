@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 import warnings
 from collections.abc import Sequence
 from dataclasses import replace
@@ -35,6 +36,7 @@ from egolane_pgm.simulation import simulate
 from egolane_pgm.types import Evidence, FloatArray, InputError, LineLog
 from tests.conftest import needs_compiler
 from tests.kits.drives import done, short_drive
+from tests.kits.strangers import scale_changes, scaled
 from tests.reference import line_geometry as reference
 
 W = 3.6
@@ -488,6 +490,21 @@ def test_the_width_that_was_found_is_said_once() -> None:
     with warnings.catch_warnings():
         warnings.simplefilter("error")
         line_geometry.evidence(log, 3, resolved(lane_width_m=3.7))
+
+
+@pytest.mark.parametrize("width", ["causal", "auto", 3.7])
+def test_a_scale_that_changes_in_the_middle_is_said(width: object) -> None:
+    log = simulate("quickstart", seed=1, frames=3000).log
+    for changed, n_warnings in ((log, 0), (scale_changes(log, 0.6), 1), (scaled(log, 0.6), 0)):
+        with warnings.catch_warnings(record=True) as caught:
+            warnings.simplefilter("always")
+            line_geometry.evidence(changed, 3, resolved(lane_width_m=width))
+        said = [str(w.message) for w in caught if "first half" in str(w.message)]
+        assert len(said) == n_warnings
+        for line in said:
+            assert re.search(
+                r"3\.\d+ m in the first half of the recording, 2\.\d+ m in the second: does", line
+            )
 
 
 @pytest.mark.parametrize("seed", range(2))

@@ -17,7 +17,6 @@ from egolane_pgm.inference.smoothing import infer_beliefs
 from egolane_pgm.model import make_evidence, online_evidence
 from egolane_pgm.scoring.assign import assigned_lane
 from egolane_pgm.types import Beliefs, FloatArray, LineLog
-from tests.beyond_figures.lanes import SURE, odds_of_more
 from tests.beyond_figures.strangers import accuracies, zero_label
 from tests.conftest import needs_compiler
 from tests.kits.strangers import (
@@ -133,35 +132,6 @@ def test_half_mirrored_lines_leave_the_belief_unsure(recordings: Path) -> None:
         for name, d in (("mirrored", drive), ("as recorded", paper_drive(1)))
     }
     assert surest["mirrored"] < 0.8 < 0.95 < surest["as recorded"]
-
-
-# A number of lanes that is wrong by one -----------------------------------------------------------
-
-
-@needs_compiler
-@pytest.mark.parametrize("run", [1, 5, 8, 10])
-def test_a_lane_more_than_told_is_seen_where_the_vehicle_was_in_it(
-    run: int, recordings: Path
-) -> None:
-    drive = paper_drive(run)
-    assert odds_of_more(drive, drive.n_lanes - 1) > 2 * SURE
-    assert odds_of_more(drive, drive.n_lanes) < SURE
-
-
-@needs_compiler
-@pytest.mark.parametrize("seed", [1, 2])
-def test_a_lane_more_than_told_is_seen_on_a_simulated_drive(seed: int) -> None:
-    drive = simulated_drive("a4", seed, 6000)
-    assert set(drive.lane) == {0, 1, 2, 3, 4}
-    assert odds_of_more(drive, 3) > SURE
-    assert odds_of_more(drive, 4) < SURE
-
-
-@needs_compiler
-def test_a_lane_in_which_the_vehicle_never_was_is_not_seen() -> None:
-    drive = simulated_drive("a4", 2, 6000)
-    stays = drive.kept(np.flatnonzero((drive.position > 2) & (drive.position < 3))[:300])
-    assert abs(odds_of_more(stays, 3)) < SURE
 
 
 # The kit itself -----------------------------------------------------------------------------------
