@@ -52,7 +52,7 @@ the road (`position_in_lane`) and the whole recording shows another number of la
   the ten recordings the lines have 35 to 87 if one too many was told; motion has 41 to 103 for the
   right number.
 
-Five minutes of a drive tell less: motion has 8 to 33 for a lane that was left out, the lines have 1
+Five minutes of a drive tell less: motion has 8 to 33 for a lane that was left out, the lines have 5
 to 27 against one that is not there. On simulated drives of ten minutes on a road with a lane that
 the car is never in, which motion does not miss, the lines have up to 11 against it.
 
