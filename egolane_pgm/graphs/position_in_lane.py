@@ -219,25 +219,20 @@ def _motions(n_positions: int, cells: int, parameters: Mapping[str, Value]) -> l
         return (1 - jump) * _banded(move, n_positions) + jump / n_positions
 
     known = ((np.arange(n_bins) + 0.5) / n_bins * 2 - 1) * reach
-    after_gap = [_coast(transition, velocity) for velocity in COASTING]
+    after_gap = [_coasted(transition, velocity) for velocity in COASTING]
     moves = [after[k] for k in range(len(STEPS)) for after in after_gap]
     return [transition(displacement) for displacement in known] + moves
 
 
-def _coast(transition: Callable[[float], FloatArray], velocity: float) -> list[FloatArray]:
+def _coasted(transition: Callable[[float], FloatArray], velocity: float) -> list[FloatArray]:
     """The transition over a gap of each of `STEPS`, of lines that had a velocity before it."""
-    found = {}
-    over = transition(velocity)
-    for k in range(1, STEPS[-1]):
-        # What is left of the velocity is nothing by then: squares are quicker.
-        if k >= STEPS[-3]:
-            break
-        over = over @ transition(velocity * KEPT_VELOCITY**k)
-        found[k + 1] = over
-    at_rest = transition(0.0)
-    for k in STEPS[-2:]:
-        found[k] = over @ np.linalg.matrix_power(at_rest, k - STEPS[-3])
-    return [found[k] / found[k].sum(axis=1, keepdims=True) for k in STEPS]
+    over, passed, found = transition(velocity), 1, []
+    for steps in STEPS:
+        left = float(np.mean(KEPT_VELOCITY ** np.arange(passed, steps)))
+        over = over @ _power(transition(velocity * left), steps - passed)
+        passed = steps
+        found.append(over / over.sum(axis=1, keepdims=True))
+    return found
 
 
 def _power(transition: FloatArray, steps: int) -> FloatArray:
