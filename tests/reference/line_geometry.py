@@ -23,7 +23,15 @@ def evidence(log: LineLog, n_lanes: int, parameters: Parameters) -> Evidence:
 @contextmanager
 def plain() -> Iterator[None]:
     """While this lasts, the rule computes with what is here."""
-    twins = (classify, follow_width, follow_lines, coast, drop_doubles, weigh_positions)
+    twins = (
+        classify,
+        follow_width,
+        follow_lines,
+        coast,
+        weigh_frames,
+        drop_doubles,
+        weigh_positions,
+    )
     ours = {f.__name__: f for f in twins}
     with patch.multiple(kernels, **ours):
         yield
@@ -116,6 +124,18 @@ def follow_width(
             steady /= steady.sum()
         wandering *= quick
         wandering /= wandering.sum()
+
+
+def weigh_frames(
+    time_s: FloatArray, is_missing: BoolArray, usual_s: float, last_s: float, weights: FloatArray
+) -> float:
+    """Write weights (T,)."""
+    real_s = np.maximum.accumulate([last_s, *np.where(is_missing, -np.inf, time_s)])
+    with np.errstate(invalid="ignore"):
+        passed = time_s - real_s[:-1]
+        is_known = np.isfinite(passed) & (passed > 0)
+        weights[:] = np.where(is_known, np.round(passed / usual_s, 6), 1.0)
+    return float(real_s[-1])
 
 
 def follow_lines(

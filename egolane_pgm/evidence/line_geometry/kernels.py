@@ -297,6 +297,26 @@ def coast(
 
 
 @kernel()
+def weigh_frames(
+    time_s: FloatArray, is_missing: BoolArray, usual_s: float, last_s: float, weights: FloatArray
+) -> float:
+    """Fills weights (T,) with the time since the last frame that is not missing, over usual_s; 1
+    where it is unknown. Returns the time of the last such frame.
+
+    - time_s, is_missing: (T,)
+    - last_s: the time of the last such frame before the first, or -infinity
+    """
+    for t in range(len(weights)):
+        passed = time_s[t] - last_s
+        # Times are quotients; after rounding, ten frames per second weigh exactly 1.
+        is_known = 0 < passed < math.inf
+        weights[t] = np.rint(passed / usual_s * 1e6) / 1e6 if is_known else 1.0
+        if not is_missing[t] and time_s[t] > last_s:
+            last_s = time_s[t]
+    return last_s
+
+
+@kernel()
 def drop_doubles(offset_m: FloatArray, kind: IntArray, near_m: FloatArray) -> None:
     """Sets kind (T, L) to -1 where a better line is nearer than near_m (T,). A line is better if
     its class is better; in the same class, if it is nearer to the vehicle, or else listed first."""

@@ -273,9 +273,5 @@ def frame_weights(log: LineLog, last_s: float = -math.inf) -> tuple[FloatArray, 
 
     last_s: the time of the frame before the first, if there is one, seconds.
     """
-    real_s = np.maximum.accumulate([last_s, *np.where(log.is_missing, -np.inf, log.time_s)])
-    with np.errstate(invalid="ignore"):
-        passed = log.time_s - real_s[:-1]
-        is_known = np.isfinite(passed) & (passed > 0)
-        # Times are quotients; after rounding, ten frames per second weigh exactly 1.
-        return np.where(is_known, np.round(passed / FRAME_S, 6), 1.0), float(real_s[-1])
+    weights = np.empty(len(log))
+    return weights, kernels.weigh_frames(log.time_s, log.is_missing, FRAME_S, last_s, weights)
