@@ -206,7 +206,7 @@ def _answer(
 def _unsure(
     fallback_m: float, found_m: float, gaps: int, share: float, odds: float, message: str
 ) -> LaneWidth:
-    message += f"; {fallback_m:g} m is used"
+    message += f"; {fallback_m:g} m is assumed"
     return LaneWidth(fallback_m, False, found_m, gaps, share, odds, message)
 
 

@@ -42,8 +42,8 @@ FRAME_S = 0.1
 #: The velocity of the lines is their mean displacement over about so many frames.
 INERTIA = 10.0
 
-#: With `lane_width_m: causal`, the lane width and the detector's habits are estimated anew, from
-#: all frames so far, after every so many frames.
+#: With `lane_width_m: causal`, the detector's habits are estimated anew, from all frames so far,
+#: after every so many frames.
 UPDATE_EVERY = 200
 
 

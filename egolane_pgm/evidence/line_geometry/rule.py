@@ -15,14 +15,18 @@ before weighs more, up to 1, and one that comes sooner weighs less.
 A detector may hold a line that it could not measure where it was, with the same offset to the last
 digit and an LRI that falls or is unknown. Such a line is no evidence and is not followed. Offsets
 of exactly 0 are placeholders. LineMotion is the median displacement of the lines that were measured
-in this frame and in the one before, matched to the nearest.
+in this frame and in the one before, matched to the nearest; where there is none, the lines go on as
+they moved before.
+
+Lines are scaled to lanes of `fallback_width_m`, so that noise, clutter and reach are relative to
+the lane width. The width is not known but a distribution (`scale`), some quantiles of which stand
+for it: the likelihoods are their means over these.
 
 A detector that never reports a continuous line counts as one that cannot tell. The meaning of its
-other flags, of its LRI and of its unit is estimated from the recording (`habits`, `reading`,
-`lane_width`); a warning says so if it is unusual.
+other flags and of its LRI is estimated from the recording (`habits`); a warning says so if it is
+unusual.
 
-The rule needs no labels: `generic` constants are the same for every detector, and the lane width is
-estimated from the gaps between lines.
+The rule needs no labels: `generic` constants are the same for every detector.
 """
 
 from __future__ import annotations

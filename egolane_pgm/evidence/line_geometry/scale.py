@@ -63,7 +63,6 @@ MAY_WANDER, CHANGES = 0.05, 1e-4
 #: How much of the count of neighbouring lanes that are seen at once is kept from frame to frame.
 KEPT_PAIRS = 0.9998
 
-
 #: What `kernels.follow_width` needs to know beside arrays.
 RATES = np.array(
     [

@@ -60,7 +60,7 @@ def test_lines_anywhere_tell_no_width(seed: int) -> None:
     assert not found.is_sure
     assert found.width_m == FALLBACK
     assert "unsure" in found.message
-    assert "3.5 m is used" in found.message
+    assert "3.5 m is assumed" in found.message
 
 
 @pytest.mark.parametrize("n_frames", [1, 49, 50, 330])
@@ -154,7 +154,7 @@ def test_without_two_lines_in_a_frame_the_fallback_is_used_and_it_says_so(
     assert (found.width_m, found.is_sure, found.gaps) == (3.2, False, 0)
     assert np.isnan(found.found_m)
     assert "no two lines" in found.message
-    assert "3.2 m is used" in found.message
+    assert "3.2 m is assumed" in found.message
 
 
 def test_weak_lines_do_not_count_and_unknown_reliability_does() -> None:

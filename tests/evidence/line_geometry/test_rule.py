@@ -588,12 +588,12 @@ def test_a_recording_in_which_no_width_can_be_told_is_run_with_the_usual_one(
 ) -> None:
     belief, said = belief_of(tmp_path, log_of(np.full((300, 1), -1.6)))
     assert "no two lines in one frame" in said
-    assert "3.5 m is used" in said
+    assert "3.5 m is assumed" in said
     np.testing.assert_allclose(belief.sum(axis=1), 1)
     anywhere = np.random.default_rng(0).uniform(-9, 9, (600, 4))
     belief, said = belief_of(tmp_path, log_of(anywhere))
     assert "unsure" in said
-    assert "3.5 m is used" in said
+    assert "3.5 m is assumed" in said
     np.testing.assert_allclose(belief.sum(axis=1), 1)
 
 
