@@ -53,14 +53,22 @@ class Figures(NamedTuple):
     metavar="RUNS|YAML,...",
     help="Learn from these recordings instead, several pooled; a column for each time it is given.",
 )
-@click.option("--health", is_flag=True, help="How well each tells that the detector is wrong.")
-@click.option("--events", is_flag=True, help="Instead: how right each tells lane changes.")
+@click.option(
+    "--health", is_flag=True, help="As well: how well each tells that the detector is wrong."
+)
+@click.option("--events", is_flag=True, help="Instead: how well each tells lane changes.")
 @click.option(
     "--lags",
     metavar="SECONDS,...",
-    help="How right beliefs are that wait, e.g. 0,0.5,1,2,5; --figure draws that.",
+    help="Instead: accuracy of beliefs that wait, e.g. 0,0.5,1,2,5; --figure draws that.",
 )
-@click.option("--blocks", type=click.IntRange(2), default=5, show_default=True)
+@click.option(
+    "--blocks",
+    type=click.IntRange(2),
+    default=5,
+    show_default=True,
+    help="Blocks held out in turn.",
+)
 @click.option("--trials", type=click.IntRange(1), help="Of each block's search (fit: tune).")
 @click.option(
     "--trials-per-number",

@@ -23,7 +23,9 @@ SHOWN = 10
 
 @click.command()
 @click.argument("recording", required=False)
-@click.option("--n-lanes", type=int, help="Number of lanes of the road.")
+@click.option(
+    "--n-lanes", type=int, help="Number of lanes of the road; needed without --experiment."
+)
 @click.option(
     "--experiment",
     type=click.Path(dir_okay=False),
@@ -64,10 +66,10 @@ def label(
 ) -> None:
     """Label the lanes of a RECORDING, and list the frames that a human should look at.
 
-    The whole recording is known (smoothed beliefs, lane width of all frames), and no label is
-    needed. labels.txt in the output folder is a ground-truth file as `egolane run --ground-truth`
-    reads it, review.csv and figures/ are for whoever checks it. Without RECORDING the
-    --experiment's own is labelled.
+    The labels are made from the whole recording (smoothed beliefs, lane width of all frames), and
+    no label is needed for that. labels.txt in the output folder is a ground-truth file as `egolane
+    run --ground-truth` reads it; review.csv and figures/ are for whoever checks it. Without
+    RECORDING the --experiment's own is labelled.
     """
     if "" in (recording, ground_truth, camera, out, experiment):
         raise InputError("label: a file or folder that is named is empty")

@@ -19,7 +19,8 @@ def online(experiment: str, overrides: tuple[str, ...]) -> None:
     """Filter frame by frame: a JSON line in, the belief for it out at once.
 
     Reads `{"frame_id": 7, "lines": [{"offset_m": -1.8, "is_valid": true, "is_continuous": false,
-    "lri": 10}]}` per line on standard input.
+    "lri": 10}]}` per line on standard input; of a line of the road only `offset_m` is needed. With
+    `filter: fixed_lag` the belief comes `lag` frames later.
     """
     # Standard input as an iterator would be read ahead in blocks.
     sys.stdin.reconfigure(encoding="utf-8", errors="replace")  # type: ignore[union-attr]

@@ -29,7 +29,7 @@ from egolane_pgm.types import InputError
 
 
 def _recording_options(command: Callable[..., Any]) -> Callable[..., Any]:
-    for option in (
+    options_in_order = (
         click.option(
             "--recording",
             "recordings",
@@ -48,7 +48,9 @@ def _recording_options(command: Callable[..., Any]) -> Callable[..., Any]:
             type=click.Choice(["way_id", "seq"]),
             help="Which number of a bag's messages is the frame id.",
         ),
-    ):
+    )
+    # Help lists the option that is added last first.
+    for option in reversed(options_in_order):
         command = option(command)
     return command
 
@@ -79,7 +81,8 @@ def run(
     jobs: int,
     json_file: Path | None,
 ) -> None:
-    """Run experiments: filter the recording, score it, write a result directory.
+    """Run experiments: filter the recording, score it, tell its lane changes, write a result
+    directory.
 
     Several EXPERIMENTS, or one on several recordings, share --jobs processes; each has its own
     result directory, and one that fails does not stop the others.
