@@ -34,8 +34,7 @@ Line = tuple[str, FloatArray, FloatArray]
 
 def zero_label() -> Experiment:
     """Position in lane with generic constants, from the frames so far."""
-    changes = [f"n_lanes={N_LANES}", "parameters.lane_width_m=causal"]
-    return load_experiment(ROOT / "experiments" / "zero_label.yaml", changes)
+    return load_experiment(ROOT / "experiments" / "zero_label.yaml", [f"n_lanes={N_LANES}"])
 
 
 def paper() -> Experiment:

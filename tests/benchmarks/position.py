@@ -28,7 +28,7 @@ WHAT = "position in lane, 128 joint states"
 
 @dataclass(frozen=True)
 class Position:
-    """compiled: the network. evidence: of the whole recording. still: the same as if no line ever
+    """compiled: the network. evidence: of all frames, causal. still: the same as if no line ever
     moved; u: the value of the input in it."""
 
     parameters: Parameters
@@ -72,7 +72,7 @@ def position_rows(data: Data, rounds: int) -> list[Row]:
 
 def evidence_rows(data: Data, position: Position, rounds: int) -> list[Row]:
     rows = []
-    for width in ("auto", "causal"):
+    for width in ("causal", "auto"):
         given = {**position.parameters, "lane_width_m": width}
 
         def ours(given: Parameters = given) -> Evidence:

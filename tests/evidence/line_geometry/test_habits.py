@@ -42,7 +42,7 @@ def drive() -> SimulatedDrive:
 
 
 def resolved(n_lanes: int = 3, **given: object) -> Parameters:
-    """By default, what is unusual is found in the whole recording."""
+    """Unless `lane_width_m` is given, what is unusual is found in the whole recording."""
     specs = {p.name: p for p in (*line_geometry.PARAMETERS, *position_in_lane.PARAMETERS)}
     return resolve_parameters(specs.values(), {"lane_width_m": "auto", **given}, n_lanes)
 
