@@ -18,6 +18,17 @@ from tests.kits.strangers import STRANGERS, Drive, paper_drive
 #: From the frames so far; with all frames.
 FILTERS = ("exact", "smoothed")
 
+TEXT = """\
+# Recordings as other detectors might have written them
+
+Made by `make beyond`, which runs `python -m tests.beyond_figures strangers`. The share of frames
+whose lane is right, without labels: the mean over the paper's ten recordings (the worst of them),
+then each of runs 1 to 10. Crossing frames are not scored, and Spain (6 to 10) is scored before
+frame 9577. `tests/kits/strangers.py` says what is done to a recording. The constants are one set
+for all, chosen with these ten recordings and these changes in sight. *From the frames so far* is
+causal, lane width and flags included; *smoothed* knows all frames, but reads them in the same way.
+"""
+
 
 @functools.cache
 def zero_label(n_lanes: int, overrides: tuple[str, ...] = ()) -> Model:
@@ -45,7 +56,8 @@ def accuracies(drives: Sequence[Drive], overrides: tuple[str, ...] = ()) -> list
 
 
 def measure(runs: Sequence[int], only: str, overrides: Sequence[str]) -> Iterator[str]:
-    """The table, a line at a time: mean over the runs and the worst run, then each run."""
+    """The page, a line at a time: mean over the runs and the worst run, then each run."""
+    yield TEXT
     yield "| what is done to the recording | from the frames so far | smoothed | each run, causal |"
     yield "|---|---|---|---|"
     for name, change in STRANGERS.items():
