@@ -8,12 +8,12 @@ from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
-from matplotlib.colors import LinearSegmentedColormap
 from matplotlib.figure import Figure
 from matplotlib.patches import Patch
 
 from egolane_pgm.labelling import Labels, runs_of
 from egolane_pgm.report.lines import draw_lines
+from egolane_pgm.report.strips import show_belief
 from egolane_pgm.report.style import (
     CROSSING,
     DETECTOR_COLOUR,
@@ -104,15 +104,8 @@ def _draw_belief(ax: Axes, labels: Labels, rows: IntArray) -> None:
     column = ids - ids[0]
     image = np.full((n_lanes, int(column[-1]) + 1), np.nan)
     image[:, column] = run.beliefs.lane[rows].T
-    ax.imshow(
-        np.ma.masked_invalid(image),
-        cmap=LinearSegmentedColormap.from_list("probability", PROBABILITY_COLOURS),
-        vmin=0,
-        vmax=1,
-        aspect="auto",
-        interpolation="nearest",
-        extent=((ids[0] - 0.5) / rate, (ids[-1] + 0.5) / rate, n_lanes + 0.5, 0.5),
-    )
+    extent = ((ids[0] - 0.5) / rate, (ids[-1] + 0.5) / rate, n_lanes + 0.5, 0.5)
+    show_belief(ax, image, extent)
     # White edges set the marks off from a dark belief.
     marks: dict[str, Any] = {"linestyle": "none", "markeredgecolor": "white"}
     ax.plot(

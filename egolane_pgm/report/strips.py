@@ -217,16 +217,8 @@ def _draw_row(
     seconds.tick_params(axis="x", labelsize=8, pad=1.5)
 
 
-def _draw_strip(ax: Axes, image: FloatArray, strips: Strips) -> None:
-    n_lanes = len(image)
-    extent = (strips.first - 0.5, strips.last + 0.5, n_lanes + 0.5, 0.5)
-    span = strips.last - strips.first + 1
-    ax.add_patch(
-        Rectangle(
-            (strips.first - 0.5, 0.5), span, n_lanes,
-            facecolor="white", edgecolor=FAINT, hatch="//////", linewidth=0, zorder=0,
-        )
-    )  # fmt: skip
+def show_belief(ax: Axes, image: FloatArray, extent: tuple[float, float, float, float]) -> None:
+    """Draw probabilities (lanes, frames) as an image; where they are NaN it stays empty."""
     ax.imshow(
         np.ma.masked_invalid(image),
         cmap=LinearSegmentedColormap.from_list("probability", PROBABILITY_COLOURS),
@@ -237,6 +229,19 @@ def _draw_strip(ax: Axes, image: FloatArray, strips: Strips) -> None:
         extent=extent,
         zorder=1,
     )
+
+
+def _draw_strip(ax: Axes, image: FloatArray, strips: Strips) -> None:
+    n_lanes = len(image)
+    extent = (strips.first - 0.5, strips.last + 0.5, n_lanes + 0.5, 0.5)
+    span = strips.last - strips.first + 1
+    ax.add_patch(
+        Rectangle(
+            (strips.first - 0.5, 0.5), span, n_lanes,
+            facecolor="white", edgecolor=FAINT, hatch="//////", linewidth=0, zorder=0,
+        )
+    )  # fmt: skip
+    show_belief(ax, image, extent)
     for k in range(1, n_lanes):
         ax.axhline(k + 0.5, color=FAINT, linewidth=0.6)
     ax.set_xlim(extent[0], extent[1])
