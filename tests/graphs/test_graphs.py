@@ -10,6 +10,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from egolane_pgm.graphs import position_in_lane
 from egolane_pgm.graphs.cpds import declare, ve_name
 from egolane_pgm.inference.compile import Compiled, compile, with_tables
 from egolane_pgm.inference.filtering import filter_beliefs
@@ -212,9 +213,10 @@ def mirror(key: object, values: np.ndarray) -> np.ndarray:
 
 
 def mirrored_input(index: np.ndarray, parameters: Parameters) -> np.ndarray:
-    """LineMotion as seen in a mirror; where it is unknown it stays so."""
-    bins = int(parameters["motion_bins"])  # type: ignore[arg-type]
-    return np.where(index < bins, bins - 1 - index, index)
+    """LineMotion as seen in a mirror; after a gap the lines coasted to the other side."""
+    bins, n = int(parameters["motion_bins"]), len(position_in_lane.COASTING)  # type: ignore[arg-type]
+    gap, coasted = np.divmod(index - bins, n)
+    return np.where(index < bins, bins - 1 - index, bins + gap * n + n - 1 - coasted)
 
 
 @pytest.mark.parametrize("n_lanes", [1, 2, 3, 4])

@@ -29,6 +29,10 @@ from egolane_pgm.types import FloatArray
 N_CLASSES = 4
 STRONG_LRI, LEAST_LRI = 6.0, 3.0
 
+#: The lane width that lines are scaled to, whatever the detector's: all metres here are those of a
+#: road with such lanes.
+LANE_M = 3.5
+
 #: The farthest line that counts, metres.
 REACH_M = 16.0
 

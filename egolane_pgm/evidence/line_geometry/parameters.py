@@ -23,8 +23,7 @@ PARAMETERS = (
         "fallback_width_m",
         "positive",
         3.5,
-        "lane width that is expected before the lines show it, metres; lines are scaled to it, and"
-        " sigmas, clutter and reach are in its metres",
+        "lane width that is expected before the lines show it, in the detector's metres",
         search=None,
     ),
     Parameter(
@@ -62,7 +61,7 @@ PARAMETERS = (
         "sigmas_m",
         "sigma",
         "generic",
-        "standard deviation of each line about its place, metres" + _OR_FITTED,
+        "standard deviation of each line about its place, metres of a lane of 3.5 m" + _OR_FITTED,
         choices=("generic",),
         shape=lambda n: (n + 3,),
     ),

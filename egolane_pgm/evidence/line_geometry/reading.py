@@ -12,7 +12,7 @@ import numpy as np
 from egolane_pgm.evidence.line_geometry import kernels
 from egolane_pgm.evidence.line_geometry.habits import PLACEHOLDER_M, is_placed
 from egolane_pgm.evidence.line_geometry.lane_width import lane_width, rounded
-from egolane_pgm.evidence.line_geometry.model import LEAST_LRI, REACH_M, STRONG_LRI
+from egolane_pgm.evidence.line_geometry.model import LANE_M, LEAST_LRI, REACH_M, STRONG_LRI
 from egolane_pgm.graphs.position_in_lane import KEPT_VELOCITY, motion_index
 from egolane_pgm.parameters import Parameters, number
 from egolane_pgm.types import BoolArray, FloatArray, IntArray, LineLog
@@ -220,7 +220,7 @@ def read_lines(
         log.frame_id,
         log.is_missing,
         repeats_are_held,
-        widths * (REACH_M / number(parameters, "fallback_width_m")),
+        widths * (REACH_M / LANE_M),
         widths * number(parameters, "motion_range"),
         *last[:-1],
         is_held,

@@ -18,8 +18,8 @@ of exactly 0 are placeholders. LineMotion is the median displacement of the line
 in this frame and in the one before, matched to the nearest; where there is none, the lines go on as
 they moved before.
 
-Lines are scaled to lanes of `fallback_width_m`, so that noise, clutter and reach are relative to
-the lane width. The width is not known but a distribution (`scale`), some quantiles of which stand
+Lines are scaled to lanes of LANE_M metres, so that noise, clutter and reach are relative to the
+lane width. The width is not known but a distribution (`scale`), some quantiles of which stand
 for it: the likelihoods are their means over these.
 
 A detector that never reports a continuous line counts as one that cannot tell. The meaning of its
@@ -54,6 +54,7 @@ from egolane_pgm.evidence.line_geometry.habits import (
 )
 from egolane_pgm.evidence.line_geometry.model import (
     FITTED,
+    LANE_M,
     REACH_M,
     TABLE_STEP_M,
     LineTables,
@@ -116,7 +117,7 @@ def evidence(log: LineLog, n_lanes: int, parameters: Parameters) -> Evidence:
     log, detector = usual(log)
     width = recording_width(log, parameters)
     warn_of_scale(log, parameters)
-    warn_of_offsets(log, width, width * REACH_M / number(parameters, "fallback_width_m"))
+    warn_of_offsets(log, width, width * REACH_M / LANE_M)
     widths = np.full((len(log), 1), width)
     kind, _ = line_classes(log)
     held = detector.repeats_are_held
@@ -128,7 +129,7 @@ def evidence(log: LineLog, n_lanes: int, parameters: Parameters) -> Evidence:
     model = line_model(n_lanes, parameters)
     if not log.is_continuous.any():
         model = without_flags(model)
-    tables = line_tables(model, number(parameters, "fallback_width_m"))
+    tables = line_tables(model, LANE_M)
     weights, _ = frame_weights(log)
     return _evidence(count_once(seen, lines), widths, weights, tables, parameters)
 
@@ -142,12 +143,10 @@ def online(n_lanes: int, parameters: Parameters) -> Callable[[LineLog], Evidence
     detector counts as one with a continuous flag from the first continuous line on. There are no
     warnings.
     """
-    expected_m = number(parameters, "fallback_width_m")
     model = line_model(n_lanes, parameters)
-    tables = {True: line_tables(model, expected_m)}
-    tables[False] = line_tables(without_flags(model), expected_m)
+    tables = {True: line_tables(model, LANE_M), False: line_tables(without_flags(model), LANE_M)}
     given = parameters["lane_width_m"]
-    width = new_belief(expected_m)
+    width = new_belief(number(parameters, "fallback_width_m"))
     detector = Habits(FULL_LRI, says_valid=True, says_continuous=True)
     seen_before: list[Tally] = []
     recent: list[Columns] = []
@@ -258,8 +257,8 @@ def fit(
 def fit_pooled(
     parts: Sequence[tuple[LineLog, IntArray, BoolArray]], n_lanes: int, parameters: Parameters
 ) -> dict[str, Value]:
-    """As `fit`, from several recordings: log, lane and is_used of each. All lines are scaled to the
-    lane width of the first recording."""
+    """As `fit`, from several recordings: log, lane and is_used of each. The expected lane width
+    is that of the first recording."""
     if parameters["prior_frames"] == "infinite":
         return {p.name: p.default for p in PARAMETERS if p.name in LEARNED}
     source = ", ".join(log.source for log, _, _ in parts)
@@ -271,11 +270,10 @@ def fit_pooled(
         first_width = first_width or as_metres(width, parameters)
         kind, _ = line_classes(log)
         held, widths = detector.repeats_are_held, np.full(len(log), width)
-        scaled = {**parameters, "fallback_width_m": first_width}
-        seen, _ = read_lines(log, kind, widths, scaled, repeats_are_held=held)
+        seen, _ = read_lines(log, kind, widths, parameters, repeats_are_held=held)
         seen = count_once(seen, seen.lines.sum(axis=0))
         used = np.flatnonzero(is_used & ~log.is_missing)
-        offsets.append(seen.offset_m[used] * (first_width / width))
+        offsets.append(seen.offset_m[used] * (LANE_M / width))
         kinds.append(seen.kind[used])
         lanes.append(lane[used] - 1)
     known = np.concatenate(lanes)
@@ -293,7 +291,7 @@ def fit_pooled(
         stacked(kinds, -1),
         known,
         line_model(n_lanes, parameters),
-        first_width,
+        LANE_M,
         int(number(parameters, "cells")),
         strength=number(parameters, "prior_frames"),
     )

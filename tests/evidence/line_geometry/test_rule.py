@@ -19,6 +19,7 @@ from hypothesis import strategies as st
 from egolane_pgm.evidence.line_geometry import kernels
 from egolane_pgm.evidence.line_geometry import rule as line_geometry
 from egolane_pgm.evidence.line_geometry.model import (
+    LANE_M,
     TABLE_STEP_M,
     line_model,
     line_tables,
@@ -103,7 +104,7 @@ def by_the_formula(
     """One frame, (n cells, 2), from the intensities themselves: their mean over the lane widths, to
     which offsets are relative."""
     model = line_model(n, parameters)
-    width = float(parameters["fallback_width_m"])  # type: ignore[arg-type]
+    width = LANE_M
     place = places(model, width)
     cells = int(parameters["cells"])  # type: ignore[call-overload]
     alpha, beta = float(parameters["alpha"]), float(parameters["beta"])  # type: ignore[arg-type]
