@@ -63,9 +63,9 @@ def follow_width(
     """Fills width_m (T, K) with quantiles of the lane width before each frame; the belief `steady`,
     `wandering`, `pairs`, `counts` becomes that after the last one.
 
-    Belief and prior are those of `scale.WidthBelief`, the tables those of `scale.GapTables`, rates
-    those of `scale.RATES`. least_double: a gap of less than this share of the frame's largest one
-    is a line reported twice.
+    Belief and prior are those of `scale.WidthBelief`, the tables those of `scale._GapTables`,
+    rates those of `scale.RATES`. least_double: a gap of less than this share of the frame's largest
+    one is a line reported twice.
     """
     moves, moves_wandering, another, returns, may_wander, changes = rates[:6]
     kept, alike, alike_wandering = rates[6:9]
@@ -76,6 +76,7 @@ def follow_width(
     moved = np.empty(n_widths)
     around = np.empty(n_widths)
     says = np.empty(n_widths)
+    kept_by_pairs = np.empty(n_widths)
     off_table = log_likelihood[0]
     for t in range(n_frames):
         # Predict.
@@ -88,8 +89,9 @@ def follow_width(
         # so small because other widths may have sunk to `another`.
         total = 0.0
         for j in range(n_widths):
-            if counts[1] >= enough_pairs and pairs[j] < least_pairs * counts[1]:
-                steady[j] *= 1e-60
+            is_never = counts[1] >= enough_pairs and pairs[j] < least_pairs * counts[1]
+            kept_by_pairs[j] = 1e-60 if is_never else 1.0
+            steady[j] *= kept_by_pairs[j]
             moved[j] = steady[j]
             total += moved[j]
         around[:] = 0.0
@@ -104,9 +106,7 @@ def follow_width(
             here = wandering[j]
             right = wandering[j + 1] if j + 1 < n_widths else here
             new = here + moves_wandering * (left - 2 * here + right)
-            wandering[j] = new + returns * (around[j] - new)
-            if counts[1] >= enough_pairs and pairs[j] < least_pairs * counts[1]:
-                wandering[j] *= 1e-60
+            wandering[j] = (new + returns * (around[j] - new)) * kept_by_pairs[j]
             total += wandering[j]
             left = here
         for j in range(n_widths):

@@ -22,8 +22,7 @@ from functools import lru_cache
 import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
 
-from egolane_pgm.evidence.line_geometry.habits import is_placed
-from egolane_pgm.evidence.line_geometry.model import STRONG_LRI
+from egolane_pgm.evidence.line_geometry.model import line_classes
 from egolane_pgm.types import BoolArray, FloatArray, LineLog
 
 #: Gaps are counted in logarithmic bins of one per cent, from the smallest to the largest, any unit.
@@ -114,7 +113,8 @@ def gap_counts(log: LineLog) -> FloatArray:
         where = (np.log(inside / _SMALLEST) / _STEP).astype(np.int64)
         counts[kind] += np.bincount(np.minimum(where, _N_BINS - 1), minlength=_N_BINS)
 
-    offsets = np.sort(np.where(_strong(log), log.offset_m, np.inf), axis=1)
+    _, is_strong = line_classes(log)
+    offsets = np.sort(np.where(is_strong, log.offset_m, np.inf), axis=1)
     if offsets.shape[1] < 2:
         return counts
     offsets = offsets[np.isfinite(offsets[:, 1])]
@@ -208,11 +208,6 @@ def _unsure(
 ) -> LaneWidth:
     message += f"; {fallback_m:g} m is assumed"
     return LaneWidth(fallback_m, False, found_m, gaps, share, odds, message)
-
-
-def _strong(log: LineLog) -> BoolArray:
-    reliable = np.isnan(log.lri) | (log.lri >= STRONG_LRI)
-    return log.is_valid & reliable & is_placed(log)
 
 
 @lru_cache(maxsize=1)

@@ -21,8 +21,10 @@ from typing import cast
 
 import numpy as np
 
+from egolane_pgm.evidence.line_geometry import kernels
+from egolane_pgm.evidence.line_geometry.habits import PLACEHOLDER_M
 from egolane_pgm.parameters import Value
-from egolane_pgm.types import FloatArray
+from egolane_pgm.types import BoolArray, FloatArray, IntArray, LineLog
 
 #: The classes of lines: 0 valid and continuous; 1 valid with LRI >= STRONG_LRI; 2 valid with a
 #: lower LRI; 3 not valid with LRI >= LEAST_LRI.
@@ -46,6 +48,25 @@ PLAIN_SHARES = (0.88, 0.06, 0.06)
 
 #: The lowest intensity, so that no report of a detector is impossible.
 LEAST_INTENSITY = 1e-9
+
+
+def line_classes(log: LineLog) -> tuple[IntArray, BoolArray]:
+    """The class of each line, (T, L), -1 where there is none; and whether its place is reliable,
+    (T, L). With an unknown LRI, a valid line counts as reliable and any other as tracked."""
+    kind = np.empty(log.offset_m.shape, dtype=np.int64)
+    is_strong = np.empty(kind.shape, dtype=bool)
+    kernels.classify(
+        log.offset_m,
+        log.is_valid,
+        log.is_continuous,
+        log.lri,
+        STRONG_LRI,
+        LEAST_LRI,
+        PLACEHOLDER_M,
+        kind,
+        is_strong,
+    )
+    return kind, is_strong
 
 
 @dataclass(frozen=True)

@@ -10,9 +10,14 @@ from typing import NamedTuple
 import numpy as np
 
 from egolane_pgm.evidence.line_geometry import kernels
-from egolane_pgm.evidence.line_geometry.habits import PLACEHOLDER_M, is_placed
-from egolane_pgm.evidence.line_geometry.lane_width import lane_width, rounded
-from egolane_pgm.evidence.line_geometry.model import LANE_M, LEAST_LRI, REACH_M, STRONG_LRI
+from egolane_pgm.evidence.line_geometry.habits import is_placed
+from egolane_pgm.evidence.line_geometry.lane_width import (
+    gap_counts,
+    lane_width,
+    rounded,
+    width_of_gaps,
+)
+from egolane_pgm.evidence.line_geometry.model import LANE_M, REACH_M
 from egolane_pgm.graphs.position_in_lane import KEPT_VELOCITY, motion_index
 from egolane_pgm.parameters import Parameters, number
 from egolane_pgm.types import BoolArray, FloatArray, IntArray, LineLog
@@ -72,24 +77,20 @@ class SeenLines:
 
 
 def recording_width(log: LineLog, parameters: Parameters) -> float:
-    """The lane width of a whole recording, given or found; a warning says which one was found."""
-    width = parameters["lane_width_m"]
-    if not isinstance(width, str):
-        return number(parameters, "lane_width_m")
-    fallback = number(parameters, "fallback_width_m")
-    whole = lane_width(log, fallback)
-    message = whole.message
-    if whole.is_sure and not NARROWEST_M <= whole.width_m <= WIDEST_M:
-        message += "; no lane has that in metres, offsets are taken to be in another unit"
-    warnings.warn(message, UserWarning, stacklevel=2)
-    return whole.width_m
-
-
-def warn_of_scale(log: LineLog, parameters: Parameters) -> None:
-    """Warns if the lane width of the first half of a recording is not that of the second half."""
-    fallback, middle = number(parameters, "fallback_width_m"), len(log) // 2
-    halves = log.take(slice(0, middle)), log.take(slice(middle, None))
-    first, second = (lane_width(half, fallback) for half in halves)
+    """The lane width of a whole recording, given or found. Warnings say which one was found, and
+    where that of the first half is not that of the second."""
+    given, fallback = parameters["lane_width_m"], number(parameters, "fallback_width_m")
+    middle = len(log) // 2
+    halves = [gap_counts(log.take(part)) for part in (slice(0, middle), slice(middle, None))]
+    if not isinstance(given, str):
+        width_m = number(parameters, "lane_width_m")
+    else:
+        whole = width_of_gaps(halves[0] + halves[1], fallback, log.source)
+        message, width_m = whole.message, whole.width_m
+        if whole.is_sure and not NARROWEST_M <= width_m <= WIDEST_M:
+            message += "; no lane has that in metres, offsets are taken to be in another unit"
+        warnings.warn(message, UserWarning, stacklevel=2)
+    first, second = (width_of_gaps(gaps, fallback, log.source) for gaps in halves)
     change = abs(math.log(second.width_m / first.width_m))
     is_sure = first.is_sure and second.is_sure and min(first.odds, second.odds) >= SURE_OF_HALF
     if is_sure and change > math.log1p(ANOTHER_SCALE):
@@ -99,6 +100,7 @@ def warn_of_scale(log: LineLog, parameters: Parameters) -> None:
             UserWarning,
             stacklevel=2,
         )
+    return width_m
 
 
 def warn_of_offsets(log: LineLog, width_m: float, reach_m: float) -> None:
@@ -171,25 +173,6 @@ NO_FRAME = LastFrame(
     np.array([0, -1]),
     0.0,
 )
-
-
-def line_classes(log: LineLog) -> tuple[IntArray, BoolArray]:
-    """The class of each line, (T, L), -1 where there is none; and whether its place is reliable,
-    (T, L). With an unknown LRI, a valid line counts as reliable and any other as tracked."""
-    kind = np.empty(log.offset_m.shape, dtype=np.int64)
-    is_strong = np.empty(kind.shape, dtype=bool)
-    kernels.classify(
-        log.offset_m,
-        log.is_valid,
-        log.is_continuous,
-        log.lri,
-        STRONG_LRI,
-        LEAST_LRI,
-        PLACEHOLDER_M,
-        kind,
-        is_strong,
-    )
-    return kind, is_strong
 
 
 def read_lines(

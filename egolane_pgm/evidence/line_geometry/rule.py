@@ -58,6 +58,7 @@ from egolane_pgm.evidence.line_geometry.model import (
     REACH_M,
     TABLE_STEP_M,
     LineTables,
+    line_classes,
     line_model,
     line_tables,
     without_flags,
@@ -70,13 +71,11 @@ from egolane_pgm.evidence.line_geometry.reading import (
     as_metres,
     count_once,
     frame_weights,
-    line_classes,
     one_width,
     read_lines,
     recording_width,
     warn_of_doubles,
     warn_of_offsets,
-    warn_of_scale,
 )
 from egolane_pgm.evidence.line_geometry.scale import follow, new_belief
 from egolane_pgm.parameters import Parameters, Value, number
@@ -116,7 +115,6 @@ def evidence(log: LineLog, n_lanes: int, parameters: Parameters) -> Evidence:
     recorded = log
     log, detector = usual(log)
     width = recording_width(log, parameters)
-    warn_of_scale(log, parameters)
     warn_of_offsets(log, width, width * REACH_M / LANE_M)
     widths = np.full((len(log), 1), width)
     kind, _ = line_classes(log)

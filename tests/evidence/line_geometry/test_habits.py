@@ -20,7 +20,8 @@ from hypothesis import strategies as st
 from egolane_pgm.evidence.line_geometry import kernels as _line_geometry_kernel
 from egolane_pgm.evidence.line_geometry import rule as line_geometry
 from egolane_pgm.evidence.line_geometry.habits import Habits, habits, is_placed, tally, total
-from egolane_pgm.evidence.line_geometry.reading import frame_weights, line_classes, read_lines
+from egolane_pgm.evidence.line_geometry.model import line_classes
+from egolane_pgm.evidence.line_geometry.reading import frame_weights, read_lines
 from egolane_pgm.evidence.line_geometry.rule import NODES
 from egolane_pgm.experiment import load_experiment
 from egolane_pgm.graphs import position_in_lane

@@ -21,11 +21,12 @@ from egolane_pgm.evidence.line_geometry import rule as line_geometry
 from egolane_pgm.evidence.line_geometry.model import (
     LANE_M,
     TABLE_STEP_M,
+    line_classes,
     line_model,
     line_tables,
     places,
 )
-from egolane_pgm.evidence.line_geometry.reading import SeenLines, line_classes, read_lines
+from egolane_pgm.evidence.line_geometry.reading import SeenLines, read_lines
 from egolane_pgm.evidence.line_geometry.rule import NODES
 from egolane_pgm.graphs import position_in_lane
 from egolane_pgm.inference.compile import compile
