@@ -33,7 +33,7 @@ from egolane_pgm.plugins import declared_parameters, load_rule_and_graph
 from egolane_pgm.running import Run, run_experiment
 from egolane_pgm.scoring.probabilistic import answers_curve
 from egolane_pgm.scoring.summary import score_with_intervals
-from egolane_pgm.types import BoolArray, FloatArray, InputError, IntArray, LaneTruth
+from egolane_pgm.types import BoolArray, FloatArray, InputError, IntArray, LaneTruth, runs_of
 
 #: Frames whose label has a smaller probability are looked at.
 BELOW = 0.99
@@ -279,15 +279,9 @@ def crossed_lanes(
     return np.asarray(possible)
 
 
-def runs_of(marked: BoolArray) -> list[tuple[int, int]]:
-    """The runs of marked rows, (T,): the first row of each, and the one after its last."""
-    edge = np.diff(np.concatenate([[0], marked.astype(np.int64), [0]]))
-    starts, stops = np.flatnonzero(edge == 1), np.flatnonzero(edge == -1)
-    return [(int(a), int(b)) for a, b in zip(starts, stops, strict=True)]
-
-
 def joined(marked: BoolArray, time_s: FloatArray) -> list[tuple[int, int]]:
-    """As `runs_of`, those that lie within JOIN_S of each other together."""
+    """The runs of marked rows, (T,), those within JOIN_S of each other together: the first row of
+    each, and the one after its last."""
     found: list[tuple[int, int]] = []
     for start, stop in runs_of(marked):
         # A clock that jumps back does not bring stretches together.

@@ -104,6 +104,13 @@ def _meant(word: str, known: Sequence[str]) -> str:
     return f" (did you mean '{close[0]}'?)" if close else ""
 
 
+def runs_of(marked: BoolArray) -> list[tuple[int, int]]:
+    """The runs of marked rows, (T,): the first row of each, and the one after its last."""
+    edge = np.diff(np.concatenate([[0], marked.astype(np.int64), [0]]))
+    starts, stops = np.flatnonzero(edge == 1), np.flatnonzero(edge == -1)
+    return [(int(a), int(b)) for a, b in zip(starts, stops, strict=True)]
+
+
 def stacked(parts: Sequence[NDArray[Any]], blank: float | bool) -> NDArray[Any]:
     """Concatenate arrays (T_k, L_k) along the frames, after filling up the narrower ones with
     `blank`."""

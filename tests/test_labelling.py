@@ -26,10 +26,9 @@ from egolane_pgm.labelling import (
     label_experiment,
     label_scores,
     lane_path,
-    runs_of,
 )
 from egolane_pgm.recordings.ground_truth import read_ground_truth, write_ground_truth
-from egolane_pgm.types import BoolArray, FloatArray, InputError
+from egolane_pgm.types import BoolArray, FloatArray, InputError, runs_of
 from tests.conftest import needs_compiler
 from tests.kits.drives import write_drive
 

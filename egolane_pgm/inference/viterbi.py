@@ -25,6 +25,7 @@ from egolane_pgm.types import (
     Evidence,
     InputError,
     IntArray,
+    runs_of,
     suggestion,
 )
 
@@ -112,14 +113,12 @@ def disagreement(
         raise InputError("the path and the smoothed beliefs are about different frames")
     chosen = path.values[node]
     doubted = smoothed.marginals[node][np.arange(len(path)), chosen] < 0.5
-    # +1 where a stretch begins, -1 after its end.
-    edge = np.diff(np.concatenate([[0], doubted.astype(np.int64), [0]]))
-    start, stop = np.flatnonzero(edge == 1), np.flatnonzero(edge == -1)
-    if not len(start):
+    runs = runs_of(doubted)
+    if not runs:
         return Disagreement(0, None, None, None)
-    k = int(np.argmax(stop - start))
-    frames = int(stop[k] - start[k])
-    first, last = int(path.frame_id[start[k]]), int(path.frame_id[stop[k] - 1])
+    start, stop = max(runs, key=lambda run: run[1] - run[0])
+    frames = stop - start
+    first, last = int(path.frame_id[start]), int(path.frame_id[stop - 1])
     warning = None
     if frames > limit:
         warning = (

@@ -11,7 +11,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.patches import Patch
 
-from egolane_pgm.labelling import Labels, runs_of
+from egolane_pgm.labelling import Labels
 from egolane_pgm.report.lines import draw_lines
 from egolane_pgm.report.strips import show_belief
 from egolane_pgm.report.style import (
@@ -27,7 +27,7 @@ from egolane_pgm.report.style import (
     put_title,
     write_figure,
 )
-from egolane_pgm.types import InputError, IntArray
+from egolane_pgm.types import InputError, IntArray, runs_of
 
 #: What is shown before and after the frames that are asked about, seconds.
 BESIDE_S = 4.0

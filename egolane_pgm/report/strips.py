@@ -35,7 +35,7 @@ from egolane_pgm.report.style import (
     write_figure,
 )
 from egolane_pgm.results import Result
-from egolane_pgm.types import UNASSIGNED, BoolArray, FloatArray, InputError, IntArray
+from egolane_pgm.types import UNASSIGNED, BoolArray, FloatArray, InputError, IntArray, runs_of
 
 #: The most columns in a row of strips: about one pixel each at 200 dpi.
 MAX_COLUMNS = 1300
@@ -77,9 +77,7 @@ class Strips:
     @property
     def crossings(self) -> list[tuple[int, int]]:
         """The runs of crossing columns: their first frame id, and the one after the last."""
-        step = np.diff(np.concatenate([[0], self.is_crossing.astype(np.int64), [0]]))
-        starts, stops = np.flatnonzero(step == 1), np.flatnonzero(step == -1)
-        return [(int(self.edge[a]), int(self.edge[b])) for a, b in zip(starts, stops, strict=True)]
+        return [(int(self.edge[a]), int(self.edge[b])) for a, b in runs_of(self.is_crossing)]
 
 
 def frame_range(result: Result, first: int | None, last: int | None) -> tuple[int, int]:

@@ -32,7 +32,7 @@ from numpy.typing import ArrayLike
 from egolane_pgm.scoring.checks import as_lanes, as_mask, check_frame_rate
 from egolane_pgm.scoring.health import roc_auc
 from egolane_pgm.scoring.stability import LaneChanges, lane_changes
-from egolane_pgm.types import BoolArray, FloatArray, IntArray, LaneEvents, LaneTruth
+from egolane_pgm.types import BoolArray, FloatArray, IntArray, LaneEvents, LaneTruth, runs_of
 
 #: Seconds before and after a true crossing in which an event may be told.
 TOLERANCES_S = (0.5, 1.0, 2.0)
@@ -142,7 +142,8 @@ def score_crossing(crossing: ArrayLike, truth: LaneTruth, frame_rate: float) -> 
     is_warned = values >= WARNED
     both = int((is_warned & is_crossing).sum())
     ids = truth.frame_id
-    begin, end = _stretches(is_warned)
+    begin, end = np.array(runs_of(is_warned), dtype=np.int64).reshape(-1, 2).T
+    end = end - 1
     changes = lane_changes(truth.lane, truth.is_crossing)
     lead = _leads(begin, end, changes, truth) / frame_rate
     found = lead[~np.isnan(lead)]
@@ -172,12 +173,6 @@ def _is_judged(events: LaneEvents, truth: LaneTruth) -> BoolArray:
         return np.zeros(len(events), dtype=bool)
     told = events.told_frame_id
     return np.asarray(np.isin(told, truth.frame_id) & (known[0] <= told) & (told <= known[-1]))
-
-
-def _stretches(mask: BoolArray) -> tuple[IntArray, IntArray]:
-    """The first and the last rows of the stretches of successive rows that are marked."""
-    edge = np.diff(np.concatenate([[0], mask.astype(np.int64), [0]]))
-    return np.flatnonzero(edge == 1), np.flatnonzero(edge == -1) - 1
 
 
 def _leads(begin: IntArray, end: IntArray, changes: LaneChanges, truth: LaneTruth) -> FloatArray:

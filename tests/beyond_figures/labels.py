@@ -14,7 +14,7 @@ from matplotlib.figure import Figure
 
 from egolane_pgm.comparing.placing import on_recording
 from egolane_pgm.experiment import load_experiment
-from egolane_pgm.labelling import SHARES, Labels, label_experiment, label_scores, runs_of
+from egolane_pgm.labelling import SHARES, Labels, label_experiment, label_scores
 from egolane_pgm.loading import Recorded
 from egolane_pgm.paper import experiments_folder, paper_experiment
 from egolane_pgm.report.review import review_figure
@@ -28,7 +28,7 @@ from egolane_pgm.report.style import (
 )
 from egolane_pgm.report.tables import markdown
 from egolane_pgm.scoring.probabilistic import answers_curve
-from egolane_pgm.types import LaneTruth
+from egolane_pgm.types import LaneTruth, runs_of
 from tests.kits.strangers import LAST_TRUSTED, STRANGERS, Drive, paper_drive
 
 ZERO_LABEL = experiments_folder() / "zero_label.yaml"
