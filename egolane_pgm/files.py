@@ -8,12 +8,14 @@ that write the same file do not damage it. The user's umask decides who may read
 from __future__ import annotations
 
 import contextlib
+import csv
+import io
 import json
 import math
 import secrets
 import shutil
 import tempfile
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -77,6 +79,13 @@ def write_bytes(path: str | Path, content: bytes, *, make_folder: bool = False) 
     """Write a whole file. Raises InputError where it cannot be written."""
     with atomic(path, make_folder=make_folder) as temporary:
         temporary.write_bytes(content)
+
+
+def as_csv(header: Sequence[str], rows: Iterable[Sequence[Any]]) -> str:
+    """A table as comma-separated values."""
+    text = io.StringIO()
+    csv.writer(text, lineterminator="\n").writerows([header, *rows])
+    return text.getvalue()
 
 
 def write_text(path: str | Path, text: str, *, make_folder: bool = False) -> None:

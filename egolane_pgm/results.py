@@ -38,10 +38,8 @@ A directory is written beside its place and renamed at the end: one that has the
 from __future__ import annotations
 
 import contextlib
-import csv
 import functools
 import hashlib
-import io
 import json
 import platform
 import subprocess
@@ -56,6 +54,7 @@ import numpy as np
 
 from egolane_pgm.experiment import config_hash
 from egolane_pgm.files import (
+    as_csv,
     atomic_directory,
     check_place,
     read_yaml,
@@ -134,7 +133,7 @@ class Result:
             return None
         return LaneTruth(self.frame_id[known], self.true_lane[known], self.is_crossing[known])
 
-    @property
+    @functools.cached_property
     def events(self) -> LaneEvents:
         """The lane changes that the beliefs tell of."""
         rate, truth = float(self.run["frame_rate"]), self.truth
@@ -240,20 +239,14 @@ def write_result(directory: Path, result: Result, experiment: Mapping[str, Any])
         for name, c in result.columns().items()
     }
     write_parquet(directory / "beliefs.parquet", pa.table(arrays))
-    write_text(directory / "events.csv", _as_csv(result.events.columns()))
+    # To six decimals; NaN is empty.
+    events = result.events.columns()
+    rows = zip(*(column.tolist() for column in events.values()), strict=True)
+    cells = [["" if cell != cell else round(cell, 6) for cell in row] for row in rows]
+    write_text(directory / "events.csv", as_csv(list(events), cells))
     version = {"schema_version": SCHEMA_VERSION}
     write_json(directory / "scores.json", {**version, **result.scores})
     write_json(directory / "run.json", {**version, **result.run})
-
-
-def _as_csv(columns: Mapping[str, np.ndarray[Any, Any]]) -> str:
-    """Columns as comma-separated values, to six decimals; NaN is empty."""
-    text = io.StringIO()
-    writer = csv.writer(text, lineterminator="\n")
-    writer.writerow(columns)
-    for row in zip(*(column.tolist() for column in columns.values()), strict=True):
-        writer.writerow("" if cell != cell else round(cell, 6) for cell in row)
-    return text.getvalue()
 
 
 def read_result(directory: str | Path) -> Result:

@@ -40,13 +40,7 @@ SHOWN = 10
     help="Frames whose label has a smaller probability are looked at.",
 )
 @click.option("--ground-truth", metavar="FILE", help="Annotation to score the labels with.")
-@click.option("--camera", metavar="FILE", help="Its camera, for a video or pictures.")
-@click.option("--detector", metavar="NAME|FILE.py", help="What looks at the video.")
-@click.option(
-    "--frame-id",
-    type=click.Choice(["way_id", "seq"]),
-    help="Which number of a bag's messages is the frame id.",
-)
+@options.of_recording
 @click.option("--out", type=click.Path(file_okay=False), help="Folder of the labels.")
 @click.option("--no-figures", is_flag=True, help="Draw nothing.")
 @options.json_file

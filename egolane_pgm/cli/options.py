@@ -32,6 +32,24 @@ camera = click.option(
     "--camera", "camera_file", required=True, metavar="FILE", help="The camera's YAML."
 )
 
+
+def of_recording(command: Callable[..., Any]) -> Callable[..., Any]:
+    """The options of a recording that is named on the command line, in this order."""
+    in_order = (
+        click.option("--camera", metavar="FILE", help="Its camera, for a video or pictures."),
+        click.option("--detector", metavar="NAME|FILE.py", help="What looks at the video."),
+        click.option(
+            "--frame-id",
+            type=click.Choice(["way_id", "seq"]),
+            help="Which number of a bag's messages is the frame id.",
+        ),
+    )
+    # Help lists the option that is added last first.
+    for option in reversed(in_order):
+        command = option(command)
+    return command
+
+
 right = click.option(
     "--right", "right_pictures", metavar="PICTURES", help="Those of the second camera."
 )

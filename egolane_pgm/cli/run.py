@@ -28,37 +28,19 @@ from egolane_pgm.running import FinishedRun, plan_runs, run_all
 from egolane_pgm.types import InputError
 
 
-def _recording_options(command: Callable[..., Any]) -> Callable[..., Any]:
-    options_in_order = (
-        click.option(
-            "--recording",
-            "recordings",
-            multiple=True,
-            metavar="FILE",
-            help="Run on this recording instead; several times: on each of them.",
-        ),
-        click.option(
-            "--ground-truth", metavar="FILE|none", help="Annotation of the recording, if any."
-        ),
-        click.option("--n-lanes", type=int, help="Number of lanes of the road."),
-        click.option("--camera", metavar="FILE", help="Its camera, for a video or pictures."),
-        click.option("--detector", metavar="NAME|FILE.py", help="What looks at the video."),
-        click.option(
-            "--frame-id",
-            type=click.Choice(["way_id", "seq"]),
-            help="Which number of a bag's messages is the frame id.",
-        ),
-    )
-    # Help lists the option that is added last first.
-    for option in reversed(options_in_order):
-        command = option(command)
-    return command
-
-
 @click.command()
 @click.argument("experiments", nargs=-1, required=True, type=click.Path(dir_okay=False))
 @options.overrides()
-@_recording_options
+@click.option(
+    "--recording",
+    "recordings",
+    multiple=True,
+    metavar="FILE",
+    help="Run on this recording instead; several times: on each of them.",
+)
+@click.option("--ground-truth", metavar="FILE|none", help="Annotation of the recording, if any.")
+@click.option("--n-lanes", type=int, help="Number of lanes of the road.")
+@options.of_recording
 @click.option(
     "--out",
     type=click.Path(file_okay=False),

@@ -3,13 +3,12 @@
 
 from __future__ import annotations
 
-import csv
-import io
 from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
 
+from egolane_pgm.files import as_csv
 from egolane_pgm.types import InputError, LineLog
 
 #: How `tuned_on` is said beside a score.
@@ -68,13 +67,6 @@ def latex(header: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
             r"\end{tabular}",
         ]
     )
-
-
-def as_csv(header: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
-    """A table as comma-separated values."""
-    text = io.StringIO()
-    csv.writer(text, lineterminator="\n").writerows([header, *rows])
-    return text.getvalue()
 
 
 #: The functions that write a table, by the names that `--format` has for them.
