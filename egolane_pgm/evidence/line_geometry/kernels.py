@@ -76,7 +76,6 @@ def follow_width(
     moved = np.empty(n_widths)
     around = np.empty(n_widths)
     says = np.empty(n_widths)
-    kept_by_pairs = np.empty(n_widths)
     off_table = log_likelihood[0]
     for t in range(n_frames):
         # Predict.
@@ -89,9 +88,8 @@ def follow_width(
         # so small because other widths may have sunk to `another`.
         total = 0.0
         for j in range(n_widths):
-            is_never = counts[1] >= enough_pairs and pairs[j] < least_pairs * counts[1]
-            kept_by_pairs[j] = 1e-60 if is_never else 1.0
-            steady[j] *= kept_by_pairs[j]
+            if counts[1] >= enough_pairs and pairs[j] < least_pairs * counts[1]:
+                steady[j] *= 1e-60
             moved[j] = steady[j]
             total += moved[j]
         around[:] = 0.0
@@ -106,7 +104,9 @@ def follow_width(
             here = wandering[j]
             right = wandering[j + 1] if j + 1 < n_widths else here
             new = here + moves_wandering * (left - 2 * here + right)
-            wandering[j] = (new + returns * (around[j] - new)) * kept_by_pairs[j]
+            wandering[j] = new + returns * (around[j] - new)
+            if counts[1] >= enough_pairs and pairs[j] < least_pairs * counts[1]:
+                wandering[j] *= 1e-60
             total += wandering[j]
             left = here
         for j in range(n_widths):
