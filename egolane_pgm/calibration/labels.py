@@ -8,10 +8,13 @@ from typing import Any
 import numpy as np
 
 from egolane_pgm.calibration.straight_road import SeenRoad, view_of_road
-from egolane_pgm.camera.model import Camera
+from egolane_pgm.camera.model import Camera, image_to_road
 from egolane_pgm.camera.pictures import read_image, size_of
 from egolane_pgm.recordings.tusimple import entry_lines, read_entries
 from egolane_pgm.types import FloatArray, InputError
+
+#: Labels reach to the horizon, where a pixel is many metres.
+_FARTHEST_M = 40.0
 
 
 def read_labels(path: str | Path) -> list[dict[str, Any]]:
@@ -32,6 +35,31 @@ def read_labels(path: str | Path) -> list[dict[str, Any]]:
 def line_points(frame: dict[str, Any]) -> list[FloatArray]:
     """The points (N, 2) of each line of a frame, pixels."""
     return [np.stack([line.u, line.v], axis=-1) for line in entry_lines(frame, "labels")]
+
+
+def label_places(camera: Camera, frame: dict[str, Any], ahead_m: float) -> FloatArray:
+    """Where the labelled lines of a frame lie on the road, (A,), metres to the right.
+
+    A label's points are brought onto the road and joined by straight lines. One that does not
+    reach so far is continued by the straight line through the six nearest points; one with fewer
+    than three points on the nearer 40 m of the road is left out.
+
+    - ahead_m: the distance ahead at which they are looked at
+    """
+    places = []
+    for points in line_points(frame):
+        x, y = image_to_road(camera, points[:, 0], points[:, 1])
+        seen = np.isfinite(x) & (x < _FARTHEST_M)
+        x, y = x[seen], y[seen]
+        if len(x) < 3:
+            continue
+        order = np.argsort(x)
+        if x.min() <= ahead_m <= x.max():
+            places.append(np.interp(ahead_m, x[order], y[order]))
+        else:
+            nearest = np.argsort(np.abs(x - ahead_m))[:6]
+            places.append(np.polyval(np.polyfit(x[nearest], y[nearest], 1), ahead_m))
+    return np.array(places, dtype=np.float64)
 
 
 def label_picture(frame: dict[str, Any], labels: Path) -> Path:

@@ -20,6 +20,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from egolane_pgm.scoring.checks import as_lanes, as_mask, check_range
+from egolane_pgm.scoring.line_places import LINE_SCORES
 from egolane_pgm.types import UNASSIGNED, FloatArray, InputError, IntArray
 
 
@@ -152,9 +153,9 @@ SCORES: Mapping[str, Callable[[IntArray], FloatArray]] = {
 
 
 def is_maximised(score: str) -> bool:
-    """Whether more of a score is better, as it is of a confusion matrix's; of all others less is
-    (`log_loss`, `brier`, `delay`, ...)."""
-    return score in SCORES
+    """Whether more of a score is better, as it is of a confusion matrix's and of lines; of all
+    others less is (`log_loss`, `brier`, `delay`, ...)."""
+    return score in SCORES or score in LINE_SCORES
 
 
 def scores_from_confusion(matrix: ArrayLike) -> ConfusionScores:

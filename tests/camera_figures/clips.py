@@ -19,7 +19,7 @@ from typing import Any
 
 import numpy as np
 
-from egolane_pgm.calibration.labels import read_labels
+from egolane_pgm.calibration.labels import label_places, read_labels
 from egolane_pgm.camera.model import Camera
 from egolane_pgm.camera.pictures import open_source, read_pictures
 from egolane_pgm.detectors.runner import find_detector
@@ -95,7 +95,7 @@ def _look(
     ways: tuple[str, ...],
 ) -> Clip:
     name = _name(frame)
-    label_m = tusimple.label_places(camera, frame)
+    label_m = label_places(camera, frame, tusimple.AHEAD_M)
     source = open_source(folder / name)
     pictures = list(read_pictures(source, camera))
     stills = {}
@@ -109,7 +109,7 @@ def _look(
     settings = {**detector.parameters, "curve": curve}
     alone = find_lines(view_for(camera, settings), pictures[-1].image, settings)
     stills["single"] = _still(label_m, alone.shape)
-    places = tusimple.label_places(camera, theirs)
+    places = label_places(camera, theirs, tusimple.AHEAD_M)
     stills["mld"] = tusimple.Still(label_m, places, np.ones(len(places)))
     return Clip(name, stills, kept)
 

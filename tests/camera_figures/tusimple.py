@@ -19,12 +19,13 @@ from typing import Any
 import cv2
 import numpy as np
 
-from egolane_pgm.calibration.labels import label_picture, line_points, read_labels
+from egolane_pgm.calibration.labels import label_picture, label_places, line_points, read_labels
 from egolane_pgm.calibration.straight_road import assumed_camera, view_of_road
-from egolane_pgm.camera.model import Camera, image_to_road
+from egolane_pgm.camera.model import Camera
 from egolane_pgm.detectors.simple.fit import find_lines, view_for
 from egolane_pgm.detectors.simple.parameters import FINDING
 from egolane_pgm.parameters import resolve_parameters
+from egolane_pgm.scoring.line_places import line_counts, line_precision, line_recall, matched
 from egolane_pgm.types import BoolArray, FloatArray
 
 FILE = "camera/tusimple_frames/labels.jsonl"
@@ -33,9 +34,6 @@ LANE_WIDTH_M = 3.66
 AHEAD_M = 10.0
 TOLERANCE_M = 0.35
 SIDE_M = 6.0
-
-#: Labels reach to the horizon, where a pixel is many metres.
-_FARTHEST_M = 40.0
 
 
 @dataclass(frozen=True)
@@ -49,31 +47,15 @@ class Still:
 
     def matched(self, least_score: float = 0.0) -> tuple[BoolArray, BoolArray]:
         """Which labels (A,) and which lines (B,) are matched, lines below a score left out."""
-        kept = np.flatnonzero(self.score >= least_score)
+        kept = self.score >= least_score
         label, line = np.zeros(len(self.label_m), bool), np.zeros(len(self.line_m), bool)
-        away = np.abs(self.label_m[:, None] - self.line_m[kept])
-        for flat in np.argsort(away, axis=None, kind="stable"):
-            a, b = np.unravel_index(flat, away.shape)
-            if away[a, b] > TOLERANCE_M:
-                break
-            if not (label[a] or line[kept[b]]):
-                label[a] = line[kept[b]] = True
+        label[:], line[kept] = matched(self.label_m, self.line_m[kept], TOLERANCE_M)
         return label, line
 
     def counts(self, least_score: float = 0.0) -> FloatArray:
         """(4,): labels found, labels, lines that are labelled, lines."""
-        label, line = self.matched(least_score)
-        near_label = np.abs(self.label_m) <= SIDE_M
-        near_line = (np.abs(self.line_m) <= SIDE_M) & (self.score >= least_score)
-        return np.array(
-            [
-                (label & near_label).sum(),
-                near_label.sum(),
-                (line & near_line).sum(),
-                near_line.sum(),
-            ],
-            dtype=np.float64,
-        )
+        kept = self.line_m[self.score >= least_score]
+        return line_counts(self.label_m, kept, SIDE_M, TOLERANCE_M).astype(np.float64)
 
 
 def data_file() -> Path | None:
@@ -89,24 +71,6 @@ def calibrated(labels: Path) -> Camera:
     return view_of_road(assumed_camera(1280, 720), frames, LANE_WIDTH_M, str(labels)).camera
 
 
-def label_places(camera: Camera, frame: dict[str, Any]) -> FloatArray:
-    """(A,): metres to the right of the labelled lines of a frame, 10 m ahead."""
-    places = []
-    for points in line_points(frame):
-        x, y = image_to_road(camera, points[:, 0], points[:, 1])
-        seen = np.isfinite(x) & (x < _FARTHEST_M)
-        x, y = x[seen], y[seen]
-        if len(x) < 3:
-            continue
-        order = np.argsort(x)
-        if x.min() <= AHEAD_M <= x.max():
-            places.append(np.interp(AHEAD_M, x[order], y[order]))
-        else:
-            nearest = np.argsort(np.abs(x - AHEAD_M))[:6]
-            places.append(np.polyval(np.polyfit(x[nearest], y[nearest], 1), AHEAD_M))
-    return np.array(places)
-
-
 def look_at(labels: Path, which: slice, **parameters: Any) -> list[Still]:
     """Lines and labels of some of the stills, single frames, lines of any score."""
     camera = calibrated(labels)
@@ -116,18 +80,14 @@ def look_at(labels: Path, which: slice, **parameters: Any) -> list[Still]:
     stills = []
     for frame in read_labels(labels)[which]:
         found = find_lines(view, cv2.imread(str(label_picture(frame, labels))), settings)
-        stills.append(Still(label_places(camera, frame), found.shape @ ahead, found.score))
+        stills.append(Still(label_places(camera, frame, AHEAD_M), found.shape @ ahead, found.score))
     return stills
 
 
 def recall_precision(stills: list[Still], least_score: float) -> tuple[float, float]:
     """Shares of labels found and of lines that are labelled."""
-    return _shares(np.sum([still.counts(least_score) for still in stills], axis=0))
-
-
-def _shares(counts: FloatArray) -> tuple[float, float]:
-    found, labels, right, lines = counts
-    return float(found / max(labels, 1)), float(right / lines if lines else 1.0)
+    counts = np.sum([still.counts(least_score) for still in stills], axis=0)
+    return float(line_recall(counts)), float(line_precision(counts))
 
 
 def interval(stills: list[Still], least_score: float) -> FloatArray:
@@ -135,8 +95,9 @@ def interval(stills: list[Still], least_score: float) -> FloatArray:
     counts = np.array([still.counts(least_score) for still in stills])
     rng = np.random.default_rng(0)
     draws = rng.integers(len(counts), size=(2000, len(counts)))
-    shares = np.array([_shares(counts[draw].sum(axis=0)) for draw in draws])
-    return np.percentile(shares, [2.5, 97.5], axis=0).T
+    sums = counts[draws].sum(axis=1)
+    shares = np.stack([line_recall(sums), line_precision(sums)])
+    return np.percentile(shares, [2.5, 97.5], axis=1).T
 
 
 def curve(stills: list[Still]) -> FloatArray:
