@@ -55,10 +55,11 @@ def label_places(camera: Camera, frame: dict[str, Any], ahead_m: float) -> Float
             continue
         order = np.argsort(x)
         if x.min() <= ahead_m <= x.max():
-            places.append(np.interp(ahead_m, x[order], y[order]))
+            places.append(float(np.interp(ahead_m, x[order], y[order])))
         else:
             nearest = np.argsort(np.abs(x - ahead_m))[:6]
-            places.append(np.polyval(np.polyfit(x[nearest], y[nearest], 1), ahead_m))
+            fitted = np.polyfit(x[nearest], y[nearest], 1)
+            places.append(float(np.polyval(fitted, ahead_m)))
     return np.array(places, dtype=np.float64)
 
 
