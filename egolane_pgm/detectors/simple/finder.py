@@ -3,17 +3,17 @@ four variants share it: with one or two cameras, for straight lines or clothoids
 
 from __future__ import annotations
 
-import warnings
 from collections.abc import Callable
 
 import numpy as np
-from numpy.typing import NDArray
 
 from egolane_pgm.camera.model import Camera
 from egolane_pgm.camera.picture import Picture
 from egolane_pgm.detectors import FrameLines, Step
 from egolane_pgm.detectors.simple.birdseye import BirdsEye
 from egolane_pgm.detectors.simple.fit import Found, find_lines, view_for
+from egolane_pgm.detectors.simple.frozen import PARAMETERS as _FROZEN
+from egolane_pgm.detectors.simple.frozen import repeat_counter
 from egolane_pgm.detectors.simple.paint import PARAMETERS as _PAINT
 from egolane_pgm.detectors.simple.paint import painted_share
 from egolane_pgm.detectors.simple.parameters import FINDING, TRACKING
@@ -26,7 +26,7 @@ from egolane_pgm.detectors.simple.tracking import (
     no_tracks,
     rules,
 )
-from egolane_pgm.parameters import Parameter, Parameters
+from egolane_pgm.parameters import Parameters, number
 from egolane_pgm.types import BoolArray
 
 PARAMETERS = (
@@ -34,24 +34,8 @@ PARAMETERS = (
     *(p for p in FINDING if p.name != "curve"),
     *_PAINT,
     *TRACKING,
-    Parameter(
-        "frozen_below",
-        "non_negative",
-        0.05,
-        "a picture that differs from the one before by no more than this, grey levels on the"
-        " average, is that picture again: the lines stay as they are",
-    ),
-    Parameter(
-        "frozen_after",
-        "integer",
-        3,
-        "but after so many repeated pictures running the camera is frozen: nothing is detected",
-        lowest=1,
-    ),
+    *_FROZEN,
 )
-
-#: The step in pixels at which a picture is compared with the one before.
-_EVERY = 8
 
 #: Takes a picture of both cameras; gives the bird's-eye view with the camera's pitch in this frame,
 #: and which of its pixels (R, C) lie on the plane of the road.
@@ -96,11 +80,11 @@ def follower(
     rule = rules(parameters, curved=curve == "clothoid")
     view = view_for(camera, parameters)
     road = None if on_road is None else on_road(view)
-    count_repeats = _repeat_counter(rule)
+    count_repeats = repeat_counter(parameters)
 
     def follow(tracks: Tracks, picture: Picture) -> Tracks:
         repeated = count_repeats(picture)
-        if 0 < repeated < rule["frozen_after"]:
+        if 0 < repeated < number(parameters, "frozen_after"):
             return tracks
         if repeated:
             return advance(tracks, rule, np.zeros((0, 4)), np.zeros(0))
@@ -117,33 +101,3 @@ def follower(
         return advance(tracks, rule, found.shape, painted)
 
     return follow, rule
-
-
-def _repeat_counter(rule: Rules) -> Callable[[Picture], int]:
-    """Makes a function that counts how often in a row a picture has repeated the one before. It
-    warns once if the camera is frozen."""
-    before: NDArray[np.int16] | None = None
-    repeated, has_warned = 0, False
-
-    def count_repeats(picture: Picture) -> int:
-        nonlocal before, repeated, has_warned
-        sample = picture.image[::_EVERY, ::_EVERY].astype(np.int16)
-        is_same = (
-            before is not None
-            and before.shape == sample.shape
-            and float(np.abs(sample - before).mean()) <= rule["frozen_below"]
-        )
-        repeated = repeated + 1 if is_same else 0
-        before = sample
-        if repeated == rule["frozen_after"] and not has_warned:
-            has_warned = True
-            warnings.warn(
-                f"frame {picture.frame_id}: the picture has not changed for"
-                f" {repeated} frames (a frozen camera, or a car at rest); nothing counts as"
-                " detected until it does",
-                UserWarning,
-                stacklevel=2,
-            )
-        return repeated
-
-    return count_repeats
