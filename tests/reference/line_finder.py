@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
+import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from egolane_pgm.types import FloatArray, IntArray
+from egolane_pgm.types import BoolArray, FloatArray, IntArray
 
 
 def contour_runs(
@@ -49,3 +50,53 @@ def common_scores(
         histogram += np.bincount(b + 1, weight * part, n_bins)
         out[index] = (histogram**2).sum()
     return out
+
+
+def rows_in_view(
+    x: FloatArray,
+    left_m: float,
+    across_m: float,
+    valid: BoolArray,
+    line: FloatArray,
+    aside: int,
+    length_m: float,
+) -> tuple[IntArray, IntArray]:
+    """Rows and columns of a line's first metres in view, as `kernels.rows_in_view`."""
+    y = line[0] + x * (line[1] + x * (line[2] / 2 + x * line[3] / 6))
+    columns = np.floor((y - left_m) / across_m + 0.5).astype(np.int64)
+    rows = np.flatnonzero((columns >= aside) & (columns < valid.shape[1] - aside))
+    rows = rows[valid[rows, columns[rows] - aside] & valid[rows, columns[rows] + aside]]
+    if len(rows):
+        rows = rows[x[rows] <= x[rows[-1]] + length_m]
+    return rows[::-1], columns[rows[::-1]]
+
+
+def paint_contrasts(
+    image: NDArray[np.uint8],
+    map_uv: NDArray[np.int16],
+    rows: IntArray,
+    columns: IntArray,
+    aside: int,
+    half: int,
+    near: int,
+    far: int,
+    dark: float,
+) -> tuple[FloatArray, FloatArray]:
+    """Contrast of a line and of what is beside it, as `kernels.paint_contrasts`."""
+    across = np.arange(-aside, aside + 1)
+    uv = map_uv[rows[:, None], columns[:, None] + across]
+    seen = image[uv[..., 1], uv[..., 0]].max(axis=2)
+    strip = np.ones((1, 2 * half + 1), dtype=np.uint8)
+    narrow = cv2.morphologyEx(seen, cv2.MORPH_TOPHAT, strip)
+    narrow = narrow / (seen.mean(axis=1, keepdims=True) + dark)
+    own = narrow[:, np.abs(across) <= near].max(axis=1)
+    beside = [narrow[:, is_side].max(axis=1) for is_side in (across <= -far, across >= far)]
+    return own, np.minimum(*beside)
+
+
+def share_above(
+    own: FloatArray, other: FloatArray, least: float, of_brightest: float, over_other: float
+) -> float:
+    """The share of a line that is painted, as `kernels.share_above`."""
+    brightest = np.percentile(own, 90)
+    return float((own > max(least, of_brightest * brightest, over_other * np.median(other))).mean())

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from egolane_pgm.jit import kernel
-from egolane_pgm.types import FloatArray, IntArray
+from egolane_pgm.types import BoolArray, FloatArray, IntArray
 
 
 @kernel()
@@ -68,41 +68,157 @@ def common_scores(
     """How sharply N pieces of marking gather at a few offsets, (H, K, Q), for lines
     y = o (1 + q x) + h x + k x^2 / 2 with offset o and common heading h, curvature k and squeeze q.
 
-    - x, y: (N,) place of each piece, metres ahead and to the right
+    - x, y: (N,) place of each piece, metres ahead (more than 0) and to the right
     - area: (N,) its area, square metres
     - middle: (N,) metres ahead of the middle of the piece's contour
     - slope: (N,) direction of that contour, m/m
     - tolerance: (N,) difference of slope from the line's at which the piece stops counting
-    - headings (H,), curvatures (K,), squeezes (Q,): the values to try
+    - headings (H,), rising in equal steps, curvatures (K,), squeezes (Q,): the values to try
     - side_m, bin_m: largest offset, and size of the bins of offset, metres
 
     The score is the sum of squares of the area per bin. Each piece is shared between the two
-    nearest bins.
+    nearest bins. Its bin and its difference of slope are linear in the heading, so a piece is
+    brought into these terms once, and then only the headings at which it counts are visited.
     """
+    n_headings, n_pieces = len(headings), len(x)
     n_bins = math.floor(2 * side_m / bin_m) + 1
-    out = np.empty((len(headings), len(curvatures), len(squeezes)))
-    histogram = np.empty(n_bins)
-    n_pieces = len(x)
+    out = np.empty((n_headings, len(curvatures), len(squeezes)))
+    # One more than the bins, because rounding may take a piece over the edge.
+    histograms = np.empty((n_bins + 1, n_headings))
+    first_heading = headings[0]
+    step = max((headings[-1] - first_heading) / max(n_headings - 1, 1), 1e-12)
     for iq in range(len(squeezes)):
         q = squeezes[iq]
+        scale = 1.0 / (1.0 + q * x)
+        # By how much a step of the heading changes a piece's bin, and its difference of slope as a
+        # share of the tolerance.
+        bin_step = step * x * scale / bin_m
+        off_step = step * scale / tolerance
+        per_bin_step, per_off_step = 1.0 / bin_step, 1.0 / off_step
         for ik in range(len(curvatures)):
             k = curvatures[ik]
-            for ih in range(len(headings)):
-                h = headings[ih]
-                histogram[:] = 0.0
-                for i in range(n_pieces):
-                    o = (y[i] - x[i] * (h + 0.5 * k * x[i])) / (1.0 + q * x[i])
-                    off = (slope[i] - h - k * middle[i] - q * o) / tolerance[i]
-                    share = 1.0 - off * off
-                    at = (o + side_m) / bin_m
-                    if share <= 0.0 or at < 0.0 or at >= n_bins - 1:
-                        continue
+            histograms[:] = 0.0
+            for i in range(n_pieces):
+                o = (y[i] - x[i] * (first_heading + 0.5 * k * x[i])) * scale[i]
+                at_first = (o + side_m) / bin_m
+                off_first = (slope[i] - first_heading - k * middle[i] - q * o) / tolerance[i]
+                # The headings at which the piece counts, and is not too far to the side.
+                low = max(
+                    (off_first - 1.0) * per_off_step[i], (at_first - n_bins + 1) * per_bin_step[i]
+                )
+                high = min((off_first + 1.0) * per_off_step[i], at_first * per_bin_step[i])
+                for ih in range(max(math.ceil(low), 0), min(math.floor(high) + 1, n_headings)):
+                    off = off_first - ih * off_step[i]
+                    at = at_first - ih * bin_step[i]
                     b = int(at)
-                    part = at - b
-                    histogram[b] += area[i] * share * (1.0 - part)
-                    histogram[b + 1] += area[i] * share * part
-                total = 0.0
-                for b in range(n_bins):
-                    total += histogram[b] * histogram[b]
-                out[ih, ik, iq] = total
+                    share = area[i] * (1.0 - off * off)
+                    part = share * (at - b)
+                    histograms[b, ih] += share - part
+                    histograms[b + 1, ih] += part
+            total = np.zeros(n_headings)
+            for b in range(n_bins):
+                for ih in range(n_headings):
+                    total[ih] += histograms[b, ih] * histograms[b, ih]
+            out[:, ik, iq] = total
     return out
+
+
+@kernel()
+def rows_in_view(
+    x: FloatArray,
+    left_m: float,
+    across_m: float,
+    valid: BoolArray,
+    line: FloatArray,
+    aside: int,
+    length_m: float,
+) -> tuple[IntArray, IntArray]:
+    """The rows of a bird's-eye view that show the first metres of a line, and the line's columns in
+    these rows, (N,) each, from near to far.
+
+    - x: (R,) metres ahead of the rows, decreasing
+    - left_m, across_m: place of the first column and size of the columns, metres
+    - valid: (R, C) what the picture shows
+    - line: (4,) the line, as in FrameLines
+    - aside: so many columns on either side must be in the picture as well
+    - length_m: length of these first metres
+    """
+    n_rows, n_columns = valid.shape
+    rows = np.empty(n_rows, dtype=np.int64)
+    columns = np.empty(n_rows, dtype=np.int64)
+    n = 0
+    for r in range(n_rows - 1, -1, -1):
+        if n > 0 and x[r] > x[rows[0]] + length_m:
+            break
+        y = line[0] + x[r] * (line[1] + x[r] * (line[2] / 2 + x[r] * line[3] / 6))
+        c = math.floor((y - left_m) / across_m + 0.5)
+        # Outside of the picture is not dark road.
+        if c < aside or c >= n_columns - aside:
+            continue
+        if valid[r, c - aside] and valid[r, c + aside]:
+            rows[n], columns[n] = r, c
+            n += 1
+    return rows[:n], columns[:n]
+
+
+@kernel()
+def paint_contrasts(
+    image: NDArray[np.uint8],
+    map_uv: NDArray[np.int16],
+    rows: IntArray,
+    columns: IntArray,
+    aside: int,
+    half: int,
+    near: int,
+    far: int,
+    dark: float,
+) -> tuple[FloatArray, FloatArray]:
+    """How much brighter than the road around it the paint of a line is, and what seems to be paint
+    beside the line (on the side with less), (N,) each, as shares of the local brightness.
+
+    - image: (H, W, 3) the brightest of the three counts
+    - map_uv: (R, C, 2) pixel of the picture that each pixel of the view shows
+    - rows, columns: (N,) where the line is in the view
+    - aside: so many columns on either side are looked at
+    - half: strips of up to 2 half + 1 columns are paint (a top-hat)
+    - near: so many columns from the line paint is its own
+    - far: and from so many on (at most aside), it is beside the line
+    - dark: added to the local brightness
+    """
+    n_across = 2 * aside + 1
+    own = np.empty(len(rows))
+    other = np.empty(len(rows))
+    # What lies beyond the ends neither erodes nor dilates.
+    seen = np.full(n_across + 2 * half, 255, dtype=np.uint8)
+    eroded = np.zeros(n_across + 2 * half, dtype=np.uint8)
+    opened = np.empty(n_across, dtype=np.uint8)
+    for i in range(len(rows)):
+        total = 0.0
+        for j in range(n_across):
+            u, v = map_uv[rows[i], columns[i] - aside + j]
+            seen[half + j] = max(image[v, u, 0], image[v, u, 1], image[v, u, 2])
+            total += seen[half + j]
+        eroded[half : half + n_across] = 255
+        opened[:] = 0
+        for k in range(2 * half + 1):
+            for j in range(n_across):
+                eroded[half + j] = min(eroded[half + j], seen[k + j])
+        for k in range(2 * half + 1):
+            for j in range(n_across):
+                opened[j] = max(opened[j], eroded[k + j])
+        paint = seen[half : half + n_across] - opened
+        local = total / n_across + dark
+        own[i] = paint[aside - near : aside + near + 1].max() / local
+        beside = min(paint[: aside - far + 1].max(), paint[aside + far :].max())
+        other[i] = beside / local
+    return own, other
+
+
+@kernel()
+def share_above(
+    own: FloatArray, other: FloatArray, least: float, of_brightest: float, over_other: float
+) -> float:
+    """The share of contrasts `own` (N,) above `least`, above `of_brightest` times their brightest
+    tenth, and above `over_other` times the median of `other` (N,)."""
+    threshold = max(least, of_brightest * np.percentile(own, 90), over_other * np.median(other))
+    return (own > threshold).mean()  # type: ignore[no-any-return]

@@ -247,8 +247,8 @@ def test_runs_of_contours_are_the_same_as_in_numpy_and_cover_the_mask(seed):
     assert len(set(component.values())) == len(component) == label.max()
 
 
-@pytest.mark.parametrize("seed", range(5))
-def test_scores_of_what_lines_share_are_the_same_as_in_numpy(seed):
+@pytest.mark.parametrize(("seed", "n_headings"), [(0, 5), (1, 41), (2, 41), (3, 2), (4, 1)])
+def test_scores_of_what_lines_share_are_the_same_as_in_numpy(seed, n_headings):
     rng = np.random.default_rng(seed)
     n = 60
     pieces = (
@@ -259,7 +259,8 @@ def test_scores_of_what_lines_share_are_the_same_as_in_numpy(seed):
         rng.normal(0, 0.05, n),
         rng.uniform(0.04, 0.3, n),
     )
-    grid = (np.linspace(-0.1, 0.1, 5), np.linspace(-0.002, 0.002, 3), np.linspace(-0.01, 0.01, 3))
+    headings = np.linspace(-0.1, 0.12, n_headings)
+    grid = (headings, np.linspace(-0.002, 0.002, 3), np.linspace(-0.01, 0.01, 3))
     ours = _kernels.common_scores(*pieces, *grid, 9.0, 0.1)
     twin = line_finder.common_scores(*pieces, *grid, 9.0, 0.1)
     np.testing.assert_allclose(ours, twin, rtol=1e-9)

@@ -6,13 +6,17 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 
 from egolane_pgm.camera.picture import Image
+from egolane_pgm.detectors.simple import kernels as _kernels
 from egolane_pgm.detectors.simple.birdseye import make_view
-from egolane_pgm.detectors.simple.paint import PARAMETERS, _in_view, painted_share
+from egolane_pgm.detectors.simple.paint import PARAMETERS, painted_share
 from egolane_pgm.parameters import resolve_parameters
 from egolane_pgm.types import FloatArray
 from tests.kits.synthetic_road import CAMERA, Paint, road
+from tests.reference import line_finder
 
 VIEW = make_view(CAMERA, 4.5, 35.0, -9.0, 9.0, 0.1, 0.05)
 
@@ -87,7 +91,8 @@ def test_masked_parts_of_the_picture_are_not_looked_at() -> None:
 
 def test_a_line_is_looked_at_where_its_clothoid_lies_over_its_first_metres() -> None:
     line = np.array([0.5, -0.05, 0.012, -0.0009])
-    rows, columns = _in_view(VIEW, line, 10, 10.0)
+    edge, step = VIEW.y_m[0], VIEW.across_m
+    rows, columns = _kernels.rows_in_view(VIEW.x_m, edge, step, VIEW.valid, line, 10, 10.0)
     x = VIEW.x_m[rows]
     y = 0.5 - 0.05 * x + 0.012 * x**2 / 2 - 0.0009 * x**3 / 6
     assert np.abs(VIEW.y_m[columns] - y).max() <= 0.05 / 2 + 1e-9
@@ -122,3 +127,39 @@ def test_paint_in_deep_shade_is_paint() -> None:
     image = road([line], noise=0)
     image[190:] = (image[190:] * 0.12).astype(np.uint8)
     assert share(image, line)[0] > 0.95
+
+
+@given(
+    st.tuples(
+        st.floats(-9, 9), st.floats(-0.1, 0.1), st.floats(-5e-3, 5e-3), st.floats(-1e-4, 1e-4)
+    ),
+    st.integers(1, 30),
+    st.floats(1, 40),
+)
+def test_the_rows_that_show_a_line_are_the_same_as_in_numpy(line, aside, length_m):
+    # Parts of the picture are covered, also in the middle.
+    valid = VIEW.valid.copy()
+    valid[:40, 100:140] = valid[200:, 250:] = False
+    where = (VIEW.x_m, float(VIEW.y_m[0]), VIEW.across_m, valid, np.array(line), aside, length_m)
+    for ours, twin in zip(
+        _kernels.rows_in_view(*where), line_finder.rows_in_view(*where), strict=True
+    ):
+        np.testing.assert_array_equal(ours, twin)
+
+
+@given(st.integers(0, 2**31), st.integers(1, 12), st.integers(1, 5), st.data())
+def test_contrast_and_painted_share_are_the_same_as_in_numpy(seed, aside, half, data):
+    rng = np.random.default_rng(seed)
+    near = data.draw(st.integers(0, aside))
+    far = data.draw(st.integers(1, aside))
+    image = rng.integers(0, rng.integers(2, 257), (40, 60, 3), dtype=np.uint8)
+    map_uv = np.stack([rng.integers(0, 60, (20, 50)), rng.integers(0, 40, (20, 50))], axis=-1)
+    rows, columns = rng.integers(0, 20, 9), rng.integers(aside, 50 - aside, 9)
+    where = (image, map_uv.astype(np.int16), rows, columns, aside, half, near, far, 10.0)
+    ours = _kernels.paint_contrasts(*where)
+    twin = line_finder.paint_contrasts(*where)
+    np.testing.assert_allclose(ours, twin, rtol=1e-12)
+    rule = rng.uniform(0, 0.5), rng.uniform(0, 1.5), rng.uniform(0, 2)
+    assert _kernels.share_above(*ours, *rule) == pytest.approx(
+        line_finder.share_above(*ours, *rule)
+    )
