@@ -14,7 +14,7 @@ import json
 import os
 from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
-from typing import Annotated, Any, Literal, NoReturn, Self, TypeVar
+from typing import Annotated, Any, Literal, NoReturn, Self, TypeVar, get_args
 
 import numpy as np
 from pydantic import (
@@ -573,15 +573,11 @@ def _problems(error: ValidationError, model: type[Section]) -> list[str]:
 
 def _section_at(model: type[Section], loc: Sequence[int | str]) -> Iterable[str]:
     """The keys of the section that a key is in."""
-    sections: dict[str, type[Section]] = {
-        "recording": Recording,
-        "ground_truth": GroundTruth,
-        "tuning": Tuning,
-        "choice": Choice,
-        "learning": Learning,
-    }
     for part in loc[:-1]:
-        model = sections.get(str(part), model)
+        given = model.model_fields[part].annotation if part in model.model_fields else None
+        for kind in (given, *get_args(given)):
+            if isinstance(kind, type) and issubclass(kind, Section):
+                model = kind
     return model.model_fields
 
 

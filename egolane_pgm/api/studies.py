@@ -8,7 +8,7 @@ import tempfile
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, TypeVar
 
 import yaml
 
@@ -26,9 +26,16 @@ from egolane_pgm.paper import Runs, parse_runs
 from egolane_pgm.report.study_tables import LEGEND, parameter_rows, score_rows
 from egolane_pgm.report.study_trials import STUDY_FILE, TRIALS_FILE, Trials, is_study, trials_of
 from egolane_pgm.results import read_files, staged, write_files
+from egolane_pgm.tuning import pictures as on_pictures
 from egolane_pgm.tuning import plan as planning
 from egolane_pgm.tuning import study as studies
 from egolane_pgm.types import InputError, not_one_of
+
+T = TypeVar("T")
+
+#: What is searched on: recordings, or labelled pictures.
+AnyPlan = planning.Plan | planning.PicturePlan
+Search = studies.Search | on_pictures.PictureSearch
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -311,7 +318,7 @@ def prepare_searches(
     jobs: int | None = None,
     storage: str | None = None,
     overrides: Overrides = (),
-) -> list[studies.Search]:
+) -> list[Search]:
     """Read the recordings of the searches that the arguments of `tune` mean, and check everything.
 
     - folder: of the studies' directories.
@@ -334,35 +341,61 @@ def prepare_searches(
     given = several_of(experiments, "tune")
     plans = [planning.with_options(p, changed) for p in _plans(given, runs, overrides)]
     if together:
-        plans = [planning.together(plans)]
+        plans = [planning.together(_of_recordings(plans, "--together"))]
     held_out = "none" if in_sample_only else "recordings" if whole_recordings else "blocks"
     test = None if test_on is None else _plan(test_on, ())
     _check_names(plans)
-    return [studies.prepare(p, folder / p.name, held_out, test, storage) for p in plans]
+    if workers is not None:
+        _of_recordings(plans, "--workers")
+    made: list[Search] = []
+    for plan in plans:
+        place = folder / plan.name
+        if isinstance(plan, planning.PicturePlan):
+            seen = _alike(test, planning.PicturePlan)
+            made.append(on_pictures.prepare(plan, place, held_out, seen, storage))
+        else:
+            driven = _alike(test, planning.Plan)
+            made.append(studies.prepare(plan, place, held_out, driven, storage))
+    return made
 
 
-def _plans(
-    experiments: Sequence[Any], runs: Runs | None, overrides: Overrides
-) -> list[planning.Plan]:
+def _of_recordings(plans: Sequence[AnyPlan], option: str) -> list[planning.Plan]:
+    """The plans, which must all be of recordings."""
+    for plan in plans:
+        if isinstance(plan, planning.PicturePlan):
+            raise InputError(f"{plan.source}: {option}: does not go with labelled pictures")
+    return [plan for plan in plans if isinstance(plan, planning.Plan)]
+
+
+def _alike(test: AnyPlan | None, kind: type[T]) -> T | None:
+    if test is None or isinstance(test, kind):
+        return test
+    raise InputError(
+        f"{test.source}: --test-on: labelled pictures test a search on labelled pictures, and"
+        " recordings one on recordings"
+    )
+
+
+def _plans(experiments: Sequence[Any], runs: Runs | None, overrides: Overrides) -> list[AnyPlan]:
     if bool(experiments) == bool(runs):
         raise InputError("tune: name experiments, or runs of the paper with --runs 1-10")
     if runs:
         if overrides:
             raise InputError("--set: goes with an experiment's YAML, not with --runs")
-        return planning.paper_plans(parse_runs(runs))
+        return list(planning.paper_plans(parse_runs(runs)))
     return [_plan(given, overrides) for given in experiments]
 
 
-def _plan(given: Any, overrides: Overrides) -> planning.Plan:
+def _plan(given: Any, overrides: Overrides) -> AnyPlan:
     if isinstance(given, (str, os.PathLike)):
-        return planning.load_plan(Path(given), overrides)
+        return planning.read_plan(Path(given), overrides)
     experiment = load_experiment(given, overrides)
     tuning = experiment.tuning or Tuning()
     found = (experiment,)
     return planning.Plan(experiment.name, experiment.description, found, tuning, experiment.source)
 
 
-def _check_names(plans: Sequence[planning.Plan]) -> None:
+def _check_names(plans: Sequence[AnyPlan]) -> None:
     names = [plan.name for plan in plans]
     for plan in plans:
         if names.count(plan.name) > 1:
@@ -370,13 +403,16 @@ def _check_names(plans: Sequence[planning.Plan]) -> None:
 
 
 def search_all(
-    searches: Sequence[studies.Search],
+    searches: Sequence[Search],
     *,
     jobs: int = 1,
     workers: int | None = None,
     progress: bool | None = None,
 ) -> list[dict[str, Any]]:
-    """Do searches that were prepared. Returns what is in the study.json of each."""
+    """Do searches that were prepared. Returns what is in the study.json of each, those on
+    labelled pictures last."""
+    driven = [made for made in searches if isinstance(made, studies.Search)]
+    seen = [made for made in searches if isinstance(made, on_pictures.PictureSearch)]
     with bar(None, progress, total=studies.n_trials(searches), unit="trial") as shows:
 
         def advance(label: str, more: int, best: float) -> None:
@@ -384,4 +420,5 @@ def search_all(
             shows.set_postfix(best=f"{best:.4f}", refresh=False)
             shows.update(more)
 
-        return list(studies.tune(searches, jobs=jobs, workers=workers, progress=advance))
+        done = list(studies.tune(driven, jobs=jobs, workers=workers, progress=advance))
+        return done + [on_pictures.tune(made, jobs=jobs, progress=advance) for made in seen]

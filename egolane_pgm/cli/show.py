@@ -34,7 +34,8 @@ from egolane_pgm.report.description import (
 )
 from egolane_pgm.results import SCHEMA_VERSION
 from egolane_pgm.simulation import PRESETS
-from egolane_pgm.tuning.plan import check_plan, check_tuning, load_plan
+from egolane_pgm.tuning.pictures import make_problem
+from egolane_pgm.tuning.plan import PicturePlan, check_plan, check_tuning, load_plan, read_plan
 from egolane_pgm.types import InputError, all_problems
 
 
@@ -73,7 +74,13 @@ def validate(experiments: tuple[str, ...], overrides: tuple[str, ...]) -> None:
 def _validated(path: str, overrides: Sequence[str]) -> str:
     """What an experiment or a tuning file has, in a few words. Raises InputError for all that is
     wrong with it."""
-    if "experiments" in load_yaml(Path(path), overrides):
+    keys = load_yaml(Path(path), overrides)
+    if "pictures" in keys:
+        seen = read_plan(path, overrides)
+        assert isinstance(seen, PicturePlan)
+        problem = make_problem(seen)
+        return f"{len(problem.clips)} labelled pictures, {len(problem.space)} numbers searched"
+    if "experiments" in keys:
         plan = load_plan(path, overrides)
         with all_problems() as part:
             with part():

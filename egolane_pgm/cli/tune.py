@@ -10,13 +10,13 @@ from typing import Any
 
 import click
 
-from egolane_pgm.api.studies import prepare_searches, search_all
+from egolane_pgm.api.studies import Search, prepare_searches, search_all
 from egolane_pgm.cli import options
 from egolane_pgm.files import write_json
 from egolane_pgm.report import study_tables, tables
 from egolane_pgm.report.study_figures import draw_study
+from egolane_pgm.report.study_trials import read_trials
 from egolane_pgm.results import SCHEMA_VERSION
-from egolane_pgm.tuning import study as studies
 from egolane_pgm.tuning.space import described
 
 
@@ -134,7 +134,11 @@ def tune(
         ) from None
     _print(documents, style)
     if style == "markdown":
-        click.echo(f"\nstudies: {folders}; best.yaml: run it")
+        for made in searches:
+            matters = study_tables.importance_line(read_trials(made.directory))
+            if matters:
+                click.echo(f"\n{matters}")
+        click.echo(f"\nstudies: {folders}; best.yaml: run it, or `include:` it")
     if not no_figures:
         for made in searches:
             draw_study(made.directory)
@@ -148,15 +152,15 @@ def _cores() -> int:
     return os.cpu_count() or 1
 
 
-def _say_what_is_searched(searches: Sequence[studies.Search]) -> None:
+def _say_what_is_searched(searches: Sequence[Search]) -> None:
     """Two lines or so for each search space, those of equal studies once."""
     alike: dict[str, list[str]] = {}
     for made in searches:
-        for drive, space in zip(made.problem.drives, made.problem.spaces, strict=True):
+        for name, space in made.spaces:
             searched, fixed = described(space)
             text = _wrapped(f"{len(space)} numbers are searched", searched)
             text += _wrapped(f"{space.n_fixed} are held fixed", fixed)
-            alike.setdefault(text, []).append(drive.experiment.name)
+            alike.setdefault(text, []).append(name)
     for text, names in alike.items():
         click.echo((f"{', '.join(names)}:\n" if len(alike) > 1 else "") + text, nl=False, err=True)
 
@@ -173,7 +177,7 @@ def _print(documents: Sequence[Mapping[str, Any]], style: str) -> None:
         if style == "markdown":
             click.echo(f"{title}\n")
         score = next(iter(mine[0]["best"]["values"]))
-        shown = score if score in ("accuracy", "f1", "log_loss") else "accuracy"
+        shown = score if score in study_tables.scores_of(mine[0]) else "accuracy"
         header, rows = study_tables.parameter_rows(mine, shown)
         click.echo(draw(header, rows) + ("\n" if style == "markdown" else ""))
     if style != "markdown":

@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 
 from egolane_pgm.paper import SCORES, load_published
+from egolane_pgm.report.study_trials import Trials, importances
 from egolane_pgm.report.tables import score_text, with_interval
 from egolane_pgm.scoring.confusion import scores_from_confusion
 
@@ -73,7 +74,7 @@ def score_rows(document: Mapping[str, Any]) -> tuple[list[str], list[list[str]]]
     for subset, suffix in (("all_frames", ""), ("without_never_fit", ", without never_fit")):
         if subset not in document["in_sample"]:
             continue
-        for score in ("accuracy", "f1", "log_loss"):
+        for score in scores_of(document):
             row = [
                 f"{score}{suffix}",
                 _with_interval(_of(document["in_sample"], subset), score),
@@ -84,6 +85,25 @@ def score_rows(document: Mapping[str, Any]) -> tuple[list[str], list[list[str]]]
                 row.append(_with_interval(_of(document["test"], subset), score))
             rows.append(row)
     return header, rows
+
+
+def importance_line(trials: Trials, most: int = 3) -> str | None:
+    """Which parameters matter most, in words; None where there are too few trials to tell."""
+    found = importances(trials)
+    if not found:
+        return None
+    first = ", ".join(f"{key} {share:.0%}" for key, share in list(found.items())[:most])
+    rest = sum(list(found.values())[most:])
+    others = f", the other {len(found) - most} {rest:.0%}" if len(found) > most else ""
+    return (
+        f"{trials.name}: what sets the best tenth of the trials apart (PED-ANOVA, in-sample):"
+        f" {first}{others}"
+    )
+
+
+def scores_of(document: Mapping[str, Any]) -> tuple[str, ...]:
+    """The scores that a study's tables show."""
+    return tuple(document.get("scores", ("accuracy", "f1", "log_loss")))
 
 
 def _searched(document: Mapping[str, Any]) -> list[str]:

@@ -143,10 +143,15 @@ def nested_search(
 
 
 def settings_without(problem: Problem, part: int) -> Settings:
-    """The settings of the study without a part. Each such study has a seed of its own, because with
+    """The settings of the study without a part."""
+    return settings_of_part(problem.settings, part)
+
+
+def settings_of_part(settings: Settings, part: int) -> Settings:
+    """The settings of a study without a part. Each such study has a seed of its own, because with
     one seed all of them would share its luck."""
-    seed = np.random.SeedSequence([problem.settings.seed, part + 1]).generate_state(1)[0]
-    return replace(problem.settings, seed=int(seed))
+    seed = np.random.SeedSequence([settings.seed, part + 1]).generate_state(1)[0]
+    return replace(settings, seed=int(seed))
 
 
 def beliefs_at(problem: Problem, point: Point) -> list[FloatArray]:

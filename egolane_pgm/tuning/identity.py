@@ -4,9 +4,12 @@ from __future__ import annotations
 
 import hashlib
 import json
+from collections.abc import Sequence
+from pathlib import Path
 from typing import Any
 
 from egolane_pgm.detectors import simple
+from egolane_pgm.detectors.runner import Detector
 from egolane_pgm.experiment import resolved
 from egolane_pgm.files import plain
 from egolane_pgm.loading import data_entries
@@ -62,11 +65,21 @@ def _code(drive: Drive) -> dict[str, str]:
     if recording.format is not None and recording.format.endswith(OWN_FILES):
         files["format"] = [experiment.folder / recording.format]
     if recording.detector is not None:
-        module = detector_of(experiment).module
-        files["detector"] = source_files(module)
-        if not recording.detector.endswith(OWN_FILES):
-            files["detector"] = [*files["detector"], *source_files(simple)]
-    return {
-        kind: hashlib.sha256(b"".join(file.read_bytes() for file in mine)).hexdigest()[:16]
-        for kind, mine in files.items()
-    }
+        files["detector"] = _files_of(detector_of(experiment))
+    return {kind: _checksum(mine) for kind, mine in files.items()}
+
+
+def code_of_detector(detector: Detector) -> str:
+    """The checksum of a detector's code."""
+    return _checksum(_files_of(detector))
+
+
+def _files_of(detector: Detector) -> list[Path]:
+    files = source_files(detector.module)
+    if not detector.name.endswith(OWN_FILES):
+        files = [*files, *source_files(simple)]
+    return files
+
+
+def _checksum(files: Sequence[Path]) -> str:
+    return hashlib.sha256(b"".join(file.read_bytes() for file in files)).hexdigest()[:16]

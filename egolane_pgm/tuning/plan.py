@@ -6,6 +6,7 @@
     tuning: {trials: 3000, parameters: {p1: 0.9}}
 
 With several experiments one parameter set is searched for all of them, each with equal weight.
+A tuning file with `pictures:` searches a detector's parameters on labelled pictures (`pictures`).
 """
 
 from __future__ import annotations
@@ -14,9 +15,9 @@ import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
-from pydantic import Field
+from pydantic import Field, field_validator
 
 from egolane_pgm.experiment import (
     Experiment,
@@ -32,6 +33,7 @@ from egolane_pgm.model import Drive, Model, load_drive, prepare_model
 from egolane_pgm.paper import load_published, paper_experiment, parameters_for
 from egolane_pgm.parameters import Value, resolve_parameters
 from egolane_pgm.plugins import declared_parameters
+from egolane_pgm.scoring.line_places import LINE_SCORES
 from egolane_pgm.tuning.objective import (
     DETECTOR,
     check_filter,
@@ -42,14 +44,55 @@ from egolane_pgm.tuning.objective import (
 )
 from egolane_pgm.tuning.search import TRIALS, Score, Settings, check_sampler
 from egolane_pgm.tuning.space import Point, SearchSpace, make_space, to_parameters, to_point
-from egolane_pgm.types import BoolArray, InputError, all_problems
+from egolane_pgm.types import BoolArray, InputError, all_problems, not_one_of
+
+#: Trials of a study on labelled pictures: each looks at all of them.
+PICTURE_TRIALS = 200
+
+AnyPlan = TypeVar("AnyPlan", bound="Plan | PicturePlan")
 
 
-class _TuningFile(Section):
+class _File(Section):
     name: str = Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9._-]*$")
     description: str = ""
-    experiments: tuple[str, ...] = Field(min_length=1)
     tuning: Tuning = Tuning()
+
+
+class _TuningFile(_File):
+    experiments: tuple[str, ...] = Field(min_length=1)
+
+
+class Pictures(Section):
+    """Pictures with labelled lines, and the detector that looks at them.
+
+    - labels: the file, in TuSimple's format, that names the pictures.
+    - camera: the YAML file of the camera.
+    - detector: its name or file; detector_parameters: its values before the search.
+    - frames: the first labelled picture, from 0, and the one after the last.
+    - ahead_m: where lines and labels are compared, metres ahead of the camera.
+    - side_m: how far to either side of the camera they count, metres.
+    - tolerance_m: largest distance of a line from its label.
+    """
+
+    labels: str
+    camera: str
+    detector: str
+    detector_parameters: dict[str, Any] = Field(default_factory=dict)
+    frames: tuple[int, int] | None = None
+    ahead_m: float = Field(default=10.0, gt=0, allow_inf_nan=False)
+    side_m: float = Field(default=6.0, gt=0, allow_inf_nan=False)
+    tolerance_m: float = Field(default=0.35, gt=0, allow_inf_nan=False)
+
+    @field_validator("frames")
+    @classmethod
+    def _a_range(cls, value: tuple[int, int] | None) -> tuple[int, int] | None:
+        if value is not None and not 0 <= value[0] < value[1]:
+            raise ValueError(f"{list(value)} is an empty range")
+        return value
+
+
+class _PictureFile(_File):
+    pictures: Pictures
 
 
 @dataclass(frozen=True)
@@ -83,6 +126,36 @@ class Plan:
 
 
 @dataclass(frozen=True)
+class PicturePlan:
+    """A search of a detector's parameters on labelled pictures to do; as `Plan`.
+
+    - folder: the folder of the YAML, where relative paths start.
+    """
+
+    name: str
+    description: str
+    pictures: Pictures
+    tuning: Tuning
+    folder: Path
+    source: str
+
+    @property
+    def settings(self) -> Settings:
+        """How the study is run, checked."""
+        where = f"{self.source}: tuning"
+        given = self.tuning.objective
+        names = ("line_f1",) if given == Tuning().objective else given
+        for name in names:
+            if name not in LINE_SCORES:
+                raise InputError(f"{where}.objective: {not_one_of(name, list(LINE_SCORES))}")
+        if len(set(names)) < len(names):
+            raise InputError(f"{where}.objective: a score is named twice")
+        sampler = check_sampler(self.tuning.sampler, names, f"{where}.sampler")
+        trials = self.tuning.trials or PICTURE_TRIALS
+        return Settings(names, sampler, trials, self.tuning.seed)
+
+
+@dataclass(frozen=True)
 class Problem:
     """A plan whose recordings were read.
 
@@ -102,8 +175,20 @@ class Problem:
         return self.spaces[0]
 
 
+def read_plan(path: str | Path, overrides: Overrides = ()) -> Plan | PicturePlan:
+    """Read an experiment, or a tuning file of either kind. Raises InputError as `load_plan`."""
+    path = Path(path)
+    content = load_yaml(path, overrides)
+    if "pictures" not in content:
+        return load_plan(path, overrides)
+    found = validated(_PictureFile, content, str(path))
+    given = found.name, found.description, found.pictures, found.tuning
+    return PicturePlan(*given, path.parent, str(path))
+
+
 def load_plan(path: str | Path, overrides: Overrides = ()) -> Plan:
-    """Read an experiment or a tuning file. Raises InputError, one line, as `load_experiment`."""
+    """Read an experiment or a tuning file of experiments. Raises InputError, one line, as
+    `load_experiment`."""
     path = Path(path)
     content = load_yaml(path, overrides)
     if "experiments" not in content:
@@ -137,7 +222,7 @@ def together(plans: Sequence[Plan]) -> Plan:
     )
 
 
-def with_options(plan: Plan, options: Mapping[str, Any]) -> Plan:
+def with_options(plan: AnyPlan, options: Mapping[str, Any]) -> AnyPlan:
     """Replace settings of a plan's search.
 
     - options: keys of the `tuning` section; those that are None stay as they are, `parameters` are

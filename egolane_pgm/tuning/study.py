@@ -39,6 +39,7 @@ from egolane_pgm.tuning.plan import (
     with_options,
 )
 from egolane_pgm.tuning.search import Report, best_trial, n_complete, pareto, search
+from egolane_pgm.tuning.space import SearchSpace
 from egolane_pgm.tuning.storage import (
     JOURNAL_NAME,
     check_study,
@@ -86,6 +87,12 @@ class Search:
         if self.held_out == "none":
             return 0
         return len(self.problem.drives) if self.by_recording else self.problem.plan.tuning.blocks
+
+    @property
+    def spaces(self) -> list[tuple[str, SearchSpace]]:
+        """The names of what is searched on, each with its search space."""
+        names = [drive.experiment.name for drive in self.problem.drives]
+        return list(zip(names, self.problem.spaces, strict=True))
 
     @property
     def key(self) -> dict[str, Any]:
@@ -363,6 +370,6 @@ def _tested(test: Problem, point: dict[str, Any]) -> dict[str, Any]:
     }
 
 
-def n_trials(searches: Sequence[Search]) -> int:
+def n_trials(searches: Sequence[Any]) -> int:
     """How many trials there are to do, those of nested studies included."""
     return sum((1 + made.n_parts) * made.problem.settings.trials for made in searches)
