@@ -36,7 +36,16 @@ PARAMETERS = (
         "match_scale",
         "integer",
         2,
-        "factor by which pictures are made smaller to match",
+        "factor by which pictures are made narrower to match",
+        lowest=1,
+        highest=100,
+    ),
+    Parameter(
+        "match_rows",
+        "integer",
+        4,
+        "how many rows of the pictures become one to match; several make the matches of plain"
+        " surfaces surer, and they cost less",
         lowest=1,
         highest=100,
     ),
@@ -100,7 +109,7 @@ _SWAP_TRIALS = 5
 class Pair:
     """How the pairs of pictures of one camera are matched: as H x W pixels.
 
-    - scale: factor by which the pictures are made smaller
+    - scale, rows: a small pixel is so many columns wide and so many rows high
     - top: first row of the full picture that is used
     - road: (3,) the calibrated plane
     - u, v: (H, W) pixel of the full picture at the middle of each small pixel
@@ -114,6 +123,7 @@ class Pair:
 
     camera: Camera
     scale: int
+    rows: int
     top: int
     road: FloatArray
     u: FloatArray
@@ -176,18 +186,18 @@ def make_pair(camera: Camera, parameters: Parameters) -> Pair:
 
     Raises InputError if the pictures would become too small, or `nearest_m` too near for them.
     """
-    scale = int(number(parameters, "match_scale"))
+    scale, rows = int(number(parameters, "match_scale")), int(number(parameters, "match_rows"))
     road = planes.ground_plane(camera)
     top = _first_row(camera, parameters)
     edge = scale * int(number(parameters, "edge_px"))
-    height, width = (camera.height - top) // scale, camera.width // scale
+    height, width = (camera.height - top) // rows, camera.width // scale
     if height < 16 or width < 64:
         raise InputError(
-            f"match_scale: {scale} leaves {width}x{height} pixels of the road to match; make it"
-            " smaller"
+            f"match_scale: {scale} and match_rows: {rows} leave {width}x{height} pixels of the road"
+            " to match; make them smaller"
         )
-    half = (scale - 1) / 2
-    u, v = np.meshgrid(np.arange(width) * scale + half, np.arange(height) * scale + half + top)
+    half, half_row = (scale - 1) / 2, (rows - 1) / 2
+    u, v = np.meshgrid(np.arange(width) * scale + half, np.arange(height) * rows + half_row + top)
     flat = planes.disparity_at(road, u, v)
     looked = _is_road(camera, u, v, parameters) & (u >= flat + edge)
     for left, above, right, bottom in camera.ignore:
@@ -208,9 +218,12 @@ def make_pair(camera: Camera, parameters: Parameters) -> Pair:
             f" {camera.width} wide; look less near (or is baseline_m wrong?)"
         )
     a, b, c = road
-    warp = np.array([[1 - a, -b, below - (c + a * half + b * (half + top)) / scale], [0, 1, 0]])
+    first = c + a * half + b * (half_row + top)
+    warp = np.array([[1 - a, -b * rows / scale, below - first / scale], [0, 1, 0]])
     points = np.flatnonzero(looked & grid)
-    return Pair(camera, scale, top, road, u, v, looked, points, below, n_disparities, edge, warp)
+    return Pair(
+        camera, scale, rows, top, road, u, v, looked, points, below, n_disparities, edge, warp
+    )
 
 
 def _is_road(camera: Camera, u: FloatArray, v: FloatArray, parameters: Parameters) -> BoolArray:
@@ -250,7 +263,7 @@ def reduced(pair: Pair, picture: Picture) -> tuple[Image, Image]:
 
 def _small(pair: Pair, image: Image) -> Image:
     height, width = pair.u.shape
-    cut = image[pair.top : pair.top + height * pair.scale, : width * pair.scale]
+    cut = image[pair.top : pair.top + height * pair.rows, : width * pair.scale]
     grey = cut if cut.ndim == 2 else cv2.cvtColor(cut, cv2.COLOR_BGR2GRAY)
     small = cv2.resize(grey, (width, height), interpolation=cv2.INTER_AREA)
     return small.astype(np.uint8, copy=False)
@@ -359,6 +372,6 @@ def _pixels(pair: Pair, view: BirdsEye) -> NDArray[np.int64]:
     """For each pixel of the view, (R, C), the flat index of the small picture's pixel there."""
     height, width = pair.u.shape
     column = np.clip(view.map_uv[0][..., 0] // pair.scale, 0, width - 1).astype(np.int64)
-    row = np.clip((view.map_uv[0][..., 1] - pair.top) // pair.scale, 0, height - 1)
+    row = np.clip((view.map_uv[0][..., 1] - pair.top) // pair.rows, 0, height - 1)
     flat: NDArray[np.int64] = row.astype(np.int64) * width + column
     return flat

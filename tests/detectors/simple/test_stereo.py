@@ -114,12 +114,14 @@ def test_an_unsure_fit_says_so_and_keeps_the_calibrated_plane(kind: str) -> None
     assert np.array_equal(plane.abc, _plane.ground_plane(PAIR))
 
 
-@pytest.mark.parametrize(("matcher", "scale"), [("sgbm", 2), ("sgbm", 4), ("bm", 2)])
-def test_the_plane_of_an_empty_road_is_the_cameras(matcher: str, scale: int) -> None:
+@pytest.mark.parametrize(
+    ("matcher", "scale", "rows"), [("sgbm", 2, 4), ("sgbm", 2, 1), ("sgbm", 4, 4), ("bm", 2, 2)]
+)
+def test_the_plane_of_an_empty_road_is_the_cameras(matcher: str, scale: int, rows: int) -> None:
     block = 9 if matcher == "bm" else 5
     camera = empty().truth.camera
     pair, plane, disparity = plane_of(
-        empty(), camera, matcher=matcher, match_scale=scale, block_px=block
+        empty(), camera, matcher=matcher, match_scale=scale, match_rows=rows, block_px=block
     )
     assert plane.is_sure
     height, pitch, roll = _plane.pose(camera, plane.abc)
@@ -323,7 +325,8 @@ def test_elas_that_is_not_installed_says_what_to_install(monkeypatch: pytest.Mon
         ({"matcher": "./none.py"}, "matcher: no file .*none.py"),
         ({"block_px": 4}, "block_px: 4 must be odd"),
         ({"block_px": 3, "matcher": "bm"}, "block_px: 3 must be odd; bm needs an odd side of 5"),
-        ({"match_scale": 40}, "match_scale: 40 leaves"),
+        ({"match_scale": 40}, "match_scale: 40 and match_rows: 4 leave 32x84 pixels"),
+        ({"match_rows": 30}, "match_scale: 2 and match_rows: 30 leave 656x11 pixels"),
         ({"nearest_m": 0.1}, "nearest_m: what is 0.1 m away is .* pixels apart"),
         ({"pitch_from": "plan"}, r"pitch_from: 'plan' is not one of .* \(did you mean 'plane'"),
         ({"off_plan_m": 1.0}, r"unknown key 'off_plan_m' \(did you mean 'off_plane_m'\?\)"),
