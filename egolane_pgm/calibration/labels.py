@@ -64,14 +64,17 @@ def label_places(camera: Camera, frame: dict[str, Any], ahead_m: float) -> Float
 
 
 def label_picture(frame: dict[str, Any], labels: Path) -> Path:
-    """The picture of a labelled frame, in the folder of the label file.
+    """The picture of a labelled frame, in the folder of the label file. TuSimple's label files name
+    pictures in `clips/`; the file may also lie in that folder itself.
 
     Raises InputError if the frame names no picture, or the picture is not there.
     """
     for key in ("image", "raw_file"):
         name = frame.get(key)
-        if isinstance(name, str) and (labels.parent / name).is_file():
-            return labels.parent / name
+        if isinstance(name, str):
+            for place in (labels.parent / name, labels.parent / name.removeprefix("clips/")):
+                if place.is_file():
+                    return place
     named = frame.get("image", frame.get("raw_file"))
     if not isinstance(named, str):
         raise InputError(f"{labels}: a frame names no image; give --size, e.g. 1280x720")
