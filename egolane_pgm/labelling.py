@@ -27,9 +27,10 @@ from egolane_pgm.files import plain
 from egolane_pgm.inference.events import crossing_probability
 from egolane_pgm.inference.kernels.sweeps import best_path
 from egolane_pgm.inference.viterbi import viterbi_path
-from egolane_pgm.loading import Recorded
+from egolane_pgm.loading import ONE_DRIVE, Recorded
 from egolane_pgm.model import Drive
 from egolane_pgm.plugins import declared_parameters, load_rule_and_graph
+from egolane_pgm.recordings import check_one_drive
 from egolane_pgm.running import Run, run_experiment
 from egolane_pgm.scoring.probabilistic import answers_curve
 from egolane_pgm.scoring.summary import score_with_intervals
@@ -195,6 +196,7 @@ def label_experiment(
     if not 0 <= below <= 1:
         raise InputError(f"below: {below} is not a probability (0 to 1)")
     run = run_experiment(_looking_back(experiment), recorded=recorded)
+    check_one_drive(run.recorded.log, ONE_DRIVE)
     if not len(run.beliefs):
         raise InputError(f"{run.recorded.log.source}: has no frames to label")
     beliefs, log = run.beliefs, run.recorded.log

@@ -16,7 +16,14 @@ from egolane_pgm.camera.model import Camera, read_camera
 from egolane_pgm.detectors.runner import Detector, check_pair, collect, detect, find_detector, start
 from egolane_pgm.experiment import Experiment, make_experiment
 from egolane_pgm.plugins import load_plugin, plugin_errors
-from egolane_pgm.recordings import FORMATS, files_of, format_of, needs_camera, read_with
+from egolane_pgm.recordings import (
+    FORMATS,
+    IN_PIXELS,
+    check_one_drive,
+    files_of,
+    format_of,
+    read_with,
+)
 from egolane_pgm.recordings.catalog import find_file
 from egolane_pgm.recordings.ground_truth import read_ground_truth
 from egolane_pgm.recordings.select import (
@@ -37,6 +44,10 @@ if TYPE_CHECKING:
 VIDEOS = (".mp4", ".avi", ".mkv", ".mov", ".mpg", ".mpeg", ".m4v", ".webm", ".wmv", ".ts")
 
 
+#: What a message about clips says where they are not taken.
+ONE_DRIVE = "only `egolane run` takes clips; here name the lines of one"
+
+
 @dataclass(frozen=True)
 class Recorded:
     """The recording of an experiment, with its ground truth.
@@ -55,11 +66,17 @@ class Recorded:
     notes: tuple[str, ...]
 
 
-def load_recording(experiment: Experiment, parameters: Mapping[str, Any] | None = None) -> Recorded:
+def load_recording(
+    experiment: Experiment,
+    parameters: Mapping[str, Any] | None = None,
+    *,
+    clips: bool = False,
+) -> Recorded:
     """Read and select the frames of an experiment, and join its ground truth.
 
     parameters: the model's, where they are resolved already (an evidence rule may declare its own
         `max_lri`); default the experiment's.
+    clips: whether the recording may be of several clips.
 
     Raises InputError for files that cannot be used. Oddities that do not prevent that are in
     `notes`.
@@ -68,6 +85,8 @@ def load_recording(experiment: Experiment, parameters: Mapping[str, Any] | None 
         warnings.simplefilter("always")
         log, truth, files = _read_sources(experiment)
     notes = [str(w.message) for w in caught if issubclass(w.category, UserWarning)]
+    if not clips:
+        check_one_drive(log, ONE_DRIVE)
     recording = experiment.recording
     first, stop = recording.frames or (None, None)
     log = select_frames(log, first, stop)
@@ -78,6 +97,7 @@ def load_recording(experiment: Experiment, parameters: Mapping[str, Any] | None 
     notes += recording_warnings(log, experiment.n_lanes, max_lri)
     if truth is None:
         return Recorded(log, None, np.zeros(0, dtype=np.int64), tuple(files), tuple(notes))
+    check_one_drive(log, "clips are run without ground truth (--ground-truth none)")
     truth.check_lanes(experiment.n_lanes)
     both = join(log, truth)
     if both.log_dropped:
@@ -153,9 +173,7 @@ def _check_recording(experiment: Experiment) -> None:
         path = _find(recording.path, experiment, "recording.path", folders=True)
         if recording.camera is not None:
             _find(recording.camera, experiment, "recording.camera")
-        elif recording.format in (None, *FORMATS) and needs_camera(
-            recording.format or format_of(path)
-        ):
+        elif (recording.format or format_of(path)) in IN_PIXELS:
             raise InputError(
                 f"{source}: recording.camera: is missing; the lines of {path.name} are in pixels"
             )
@@ -345,7 +363,7 @@ def with_recording(
     - What belongs to the old recording (frame range, seed, ground truth and its extra rows) does
       not carry over.
     - `format`, `topic`, `frame_id`, `options` and `camera` carry over where the extension of the
-      file is the same.
+      file is the same; `options` from a simulated drive as well, which has no use for them.
     - `detector`, its parameters and its camera carry over to a video and to pictures (a folder, a
       glob, one file), and to nothing else.
 
@@ -370,7 +388,10 @@ def with_recording(
         old = experiment.recording
         if old.detector is not None and _is_of_pictures(recording, old.path, detector):
             kept |= {"camera", "detector", "detector_parameters"}
-        elif old.detector is None and Path(recording).suffix == Path(old.path or "").suffix:
+        elif old.path is None:
+            # A simulated drive has no reader: options are meant for the recording that is named.
+            kept |= {"options"}
+        elif old.detector is None and Path(recording).suffix == Path(old.path).suffix:
             kept |= {"format", "topic", "frame_id", "options", "camera"}
         content["recording"] = {k: v for k, v in content["recording"].items() if k in kept}
         content["recording"]["path"] = str(Path(recording).absolute())

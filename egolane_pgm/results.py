@@ -14,7 +14,8 @@
                       RoadPosition, see `inference.events`), assigned_lane (0: Unassigned, by a tie
                       or by unassigned_below), log_evidence, is_impossible; detector_1..n and
                       detector_lane where the evidence rule gives a tentative vector; true_lane
-                      (null: not annotated) and is_crossing
+                      (null: not annotated) and is_crossing; clip (its name) where the recording
+                      is of several clips, each filtered from the prior on
     events.csv        one row per lane change that the beliefs tell of (see `inference.events`):
                       frame_id and time_s (since when the new lane was more probable than the old
                       one), from_lane, to_lane, probability (of the new lane, when told),
@@ -22,9 +23,14 @@
                       fixed_lag, when that belief was known), late_s (from time_s to told_time_s),
                       and with ground truth delay_s (from the end of the true crossing to the
                       telling; empty where there was none within 2 s, see `scoring.events`)
+    clips.csv         of a recording of several clips one row for each: clip, first_frame_id,
+                      frames, assigned_lane and probability (of the most probable lane) in its last
+                      frame, changes (how many are told in it), log_evidence (mean)
     scores.json       schema_version, name, tuned_on, is_causal, causal, why_not_causal, n_lanes,
                       frames, frames_scored, mean_log_evidence, impossible_frames, warnings,
-                      detector, model, events (told, and with ground truth the keys of
+                      detector, model, events (told, sure: the share of frames whose lane has a
+                      belief of at least .9, lanes: the lane over time, [lane, from_s, to_s] each,
+                      of several clips none; and with ground truth the keys of
                       `scoring.events.event_scores`)
     figures/          what `plot` drew
 
@@ -51,6 +57,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from egolane_pgm.experiment import config_hash
 from egolane_pgm.files import (
@@ -75,6 +82,7 @@ from egolane_pgm.types import (
     IntArray,
     LaneEvents,
     LaneTruth,
+    pieces_of,
 )
 
 SCHEMA_VERSION = 1
@@ -96,6 +104,7 @@ class Result:
     is_impossible (T,): marks frames whose evidence the model does not allow.
     block (T,): where a comparison believed each block with what was found without it, the frame's
         block; else None.
+    clip (T,): of a recording of several clips the name of each frame's, as in `LineLog`.
     """
 
     directory: Path
@@ -114,6 +123,7 @@ class Result:
     log_evidence: FloatArray
     is_impossible: BoolArray
     block: IntArray | None = None
+    clip: NDArray[np.str_] | None = None
 
     @property
     def n_lanes(self) -> int:
@@ -137,7 +147,9 @@ class Result:
     def events(self) -> LaneEvents:
         """The lane changes that the beliefs tell of."""
         rate, truth = float(self.run["frame_rate"]), self.truth
-        events = lane_events(self.beliefs, rate, lag=self.experiment.get("lag"))
+        lag, pieces = self.experiment.get("lag"), pieces_of(self.clip, len(self.frame_id))
+        found = [lane_events(self.beliefs.take(piece), rate, lag=lag) for piece in pieces]
+        events = LaneEvents.joined(found)
         if truth is None:
             return events
         return replace(events, delay_s=event_delays(events, truth, rate))
@@ -147,6 +159,25 @@ class Result:
         """(T,): the probability that the car is on a line between two lanes; None for a graph
         without RoadPosition."""
         return crossing_probability(self.marginals)
+
+    def clip_columns(self) -> dict[str, NDArray[Any]]:
+        """The columns of clips.csv, one value for each clip; empty where the recording is one
+        drive."""
+        if self.clip is None:
+            return {}
+        pieces = pieces_of(self.clip, len(self.frame_id))
+        first = np.array([piece.start for piece in pieces])
+        last = np.array([piece.stop - 1 for piece in pieces])
+        told = np.searchsorted(self.frame_id[first], self.events.frame_id, side="right") - 1
+        return {
+            "clip": self.clip[first],
+            "first_frame_id": self.frame_id[first],
+            "frames": last - first + 1,
+            "assigned_lane": self.assigned_lane[last],
+            "probability": self.marginals["Lane"][last].max(axis=1),
+            "changes": np.bincount(told, minlength=len(pieces)),
+            "log_evidence": np.array([self.log_evidence[piece].mean() for piece in pieces]),
+        }
 
     def columns(self) -> dict[str, np.ndarray[Any, Any]]:
         """The columns of beliefs.parquet, (T,) each, in their order; masked arrays have nulls."""
@@ -170,6 +201,8 @@ class Result:
         unknown = self.true_lane == UNASSIGNED
         columns["true_lane"] = np.ma.masked_array(self.true_lane, unknown)
         columns["is_crossing"] = np.ma.masked_array(self.is_crossing, unknown)
+        if self.clip is not None:
+            columns["clip"] = self.clip
         return columns if self.block is None else {**columns, "block": self.block}
 
 
@@ -239,14 +272,25 @@ def write_result(directory: Path, result: Result, experiment: Mapping[str, Any])
         for name, c in result.columns().items()
     }
     write_parquet(directory / "beliefs.parquet", pa.table(arrays))
-    # To six decimals; NaN is empty.
-    events = result.events.columns()
-    rows = zip(*(column.tolist() for column in events.values()), strict=True)
-    cells = [["" if cell != cell else round(cell, 6) for cell in row] for row in rows]
-    write_text(directory / "events.csv", as_csv(list(events), cells))
+    _write_columns(directory / "events.csv", result.events.columns())
+    if result.clip is not None:
+        _write_columns(directory / "clips.csv", result.clip_columns())
     version = {"schema_version": SCHEMA_VERSION}
     write_json(directory / "scores.json", {**version, **result.scores})
     write_json(directory / "run.json", {**version, **result.run})
+
+
+def _write_columns(file: Path, columns: Mapping[str, NDArray[Any]]) -> None:
+    """Write a table, numbers to six decimals; NaN is empty."""
+    rows = zip(*(column.tolist() for column in columns.values()), strict=True)
+    cells = [[_cell(value) for value in row] for row in rows]
+    write_text(file, as_csv(list(columns), cells))
+
+
+def _cell(value: Any) -> Any:
+    if isinstance(value, str):
+        return value
+    return "" if value != value else round(value, 6)
 
 
 def read_result(directory: str | Path) -> Result:
@@ -306,6 +350,7 @@ def _as_result(directory: Path, experiment: Any, run: Any, scores: Any, table: A
         column["log_evidence"].to_numpy(),
         column["is_impossible"].to_numpy(zero_copy_only=False),
         column["block"].to_numpy() if "block" in column else None,
+        column["clip"].to_numpy().astype(np.str_) if "clip" in column else None,
     )
 
 

@@ -19,13 +19,19 @@ from egolane_pgm.experiment import (
     resolved,
 )
 from egolane_pgm.files import plain
-from egolane_pgm.inference.events import crossing_probability, lane_events
+from egolane_pgm.inference.events import (
+    SURE,
+    crossing_probability,
+    lane_events,
+    lane_stretches,
+)
 from egolane_pgm.inference.smoothing import infer_beliefs
 from egolane_pgm.inference.viterbi import disagreement, viterbi_path
 from egolane_pgm.lane_count import doubt_of_lanes
 from egolane_pgm.loading import Recorded, as_name, data_entries, load_recording, with_video_rate
 from egolane_pgm.model import (
     Model,
+    RuleOutput,
     causality,
     make_evidence,
     model_to_run,
@@ -52,6 +58,7 @@ from egolane_pgm.types import (
     FloatArray,
     InputError,
     IntArray,
+    LaneEvents,
 )
 
 
@@ -65,8 +72,9 @@ class Run:
     tentative (T, n): the evidence rule's own answer over lanes, or None.
     scores: "model" and, with a tentative vector, "detector", as `score_with_intervals` gives them;
         empty without ground truth.
-    events: `told`, how many lane changes the beliefs tell of, and with ground truth the scores of
-        `event_scores`.
+    events: `told`, how many lane changes the beliefs tell of; `sure`, the share of frames whose
+        lane has a probability of at least SURE; `lanes`, the lane over time (`lane_stretches`); and
+        with ground truth the scores of `event_scores`.
     notes: warnings, a line each.
     """
 
@@ -99,15 +107,21 @@ def run_experiment(
     model = model_to_run(experiment) if recorded is None else prepare_model(experiment)
     if recorded is None:
         experiment = with_video_rate(experiment)
-        recorded = load_recording(experiment, model.parameters)
-    evidence = make_evidence(model, recorded.log, experiment.evidence_reading)
-    beliefs = infer_beliefs(
-        model.compiled,
-        evidence.filtered,
-        experiment.filter,
-        experiment.lag,
-        frame_id=recorded.log.frame_id,
-    )
+        recorded = load_recording(experiment, model.parameters, clips=True)
+    # Each clip of a recording is filtered from the prior on, as a drive of its own.
+    logs = [recorded.log.take(piece) for piece in recorded.log.pieces()]
+    made = [make_evidence(model, log, experiment.evidence_reading) for log in logs]
+    found = [
+        infer_beliefs(
+            model.compiled,
+            each.filtered,
+            experiment.filter,
+            experiment.lag,
+            frame_id=log.frame_id,
+        )
+        for log, each in zip(logs, made, strict=True)
+    ]
+    evidence, beliefs = joined_outputs(made), Beliefs.joined(found)
     notes = [*recorded.notes, *evidence.notes]
     impossible = int(beliefs.is_impossible.sum())
     if impossible:
@@ -115,21 +129,28 @@ def run_experiment(
             f"{recorded.log.source}: the evidence of {impossible} frame(s) has joint likelihood"
             " zero; they keep their prediction"
         )
-    doubt = doubt_of_lanes(experiment, model, recorded.log, evidence.filtered)
-    notes.extend([doubt] if doubt else [])
+    if recorded.log.clip is None:
+        doubt = doubt_of_lanes(experiment, model, recorded.log, evidence.filtered)
+        notes.extend([doubt] if doubt else [])
     assigned = assigned_lane(beliefs.lane, experiment.unassigned_below)
     if experiment.decode == "viterbi":
-        path = viterbi_path(model.compiled, evidence.filtered, frame_id=recorded.log.frame_id)
-        assigned = path.lane
-        doubt = disagreement(path, beliefs).warning
-        notes.extend([doubt] if doubt else [])
+        assigned = np.zeros(0, dtype=np.int64)
+        for log, each, belief in zip(logs, made, found, strict=True):
+            path = viterbi_path(model.compiled, each.filtered, frame_id=log.frame_id)
+            assigned = np.concatenate([assigned, path.lane])
+            doubt = disagreement(path, belief).warning
+            notes.extend([doubt] if doubt else [])
     rate = experiment.recording.frame_rate
-    changes = lane_events(beliefs, rate, lag=experiment.lag)
+    changes = LaneEvents.joined([lane_events(each, rate, lag=experiment.lag) for each in found])
     scores: dict[str, Any] = {}
-    events: dict[str, Any] = {"told": len(changes)}
+    events: dict[str, Any] = {
+        "told": len(changes),
+        "sure": float((beliefs.lane.max(axis=1) >= SURE).mean()) if len(beliefs) else None,
+        "lanes": [] if len(found) > 1 else lane_stretches(beliefs, changes, rate),
+    }
     if recorded.truth is not None:
         crossing = crossing_probability(beliefs.take(recorded.scored).marginals)
-        events = event_scores(changes, crossing, recorded.truth, rate)
+        events |= event_scores(changes, crossing, recorded.truth, rate)
         named = {"detector": evidence.tentative, "model": beliefs.lane}
         # A tentative vector is no belief: the reject option and the path are the model's.
         answers = {"detector": None, "model": assigned[recorded.scored]}
@@ -150,6 +171,23 @@ def run_experiment(
         evidence.tentative,
         scores,
         events,
+        tuple(notes),
+    )
+
+
+def joined_outputs(outputs: Sequence[RuleOutput]) -> RuleOutput:
+    """What an evidence rule made of several clips, one after the other. Of notes that differ the
+    first is kept."""
+    first = outputs[0]
+    if len(outputs) == 1:
+        return first
+    vectors = [each.tentative for each in outputs if each.tentative is not None]
+    notes = list(dict.fromkeys(note for each in outputs for note in each.notes))
+    if len(notes) > 1:
+        notes = [f"{notes[0]}; and {len(notes) - 1} more of the like in other clips"]
+    return RuleOutput(
+        Evidence.joined([each.filtered for each in outputs]),
+        np.concatenate(vectors) if len(vectors) == len(outputs) else None,
         tuple(notes),
     )
 
@@ -349,6 +387,7 @@ def make_result(
         beliefs.log_evidence,
         beliefs.is_impossible,
         block,
+        log.clip,
     )
 
 

@@ -11,6 +11,7 @@ import contextlib
 import difflib
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
+from itertools import pairwise
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -111,6 +112,14 @@ def runs_of(marked: BoolArray) -> list[tuple[int, int]]:
     return [(int(a), int(b)) for a, b in zip(starts, stops, strict=True)]
 
 
+def pieces_of(clip: NDArray[np.str_] | None, n_frames: int) -> list[slice]:
+    """The frames of each clip. clip: the name of each frame's, (T,), or None: all are one drive."""
+    if clip is None:
+        return [slice(0, n_frames)]
+    starts = [0, *(np.flatnonzero(clip[1:] != clip[:-1]) + 1).tolist(), n_frames]
+    return [slice(a, b) for a, b in pairwise(starts)]
+
+
 def stacked(parts: Sequence[NDArray[Any]], blank: float | bool) -> NDArray[Any]:
     """Concatenate arrays (T_k, L_k) along the frames, after filling up the narrower ones with
     `blank`."""
@@ -175,6 +184,8 @@ class LineLog:
     - lri (T, L): line reliability index, as recorded; NaN where unknown.
     - is_missing (T,): marks frames that were not recorded but put in (`missing_frames: predict`).
     - source: the file, for messages.
+    - clip (T,): of a recording of several clips the name of each frame's; the frames of a clip
+      stand together. None where the recording is one drive.
 
     >>> import numpy as np
     >>> import egolane_pgm as ego
@@ -193,6 +204,7 @@ class LineLog:
     lri: FloatArray
     is_missing: BoolArray = field(default_factory=lambda: np.zeros(0, dtype=bool))
     source: str = "line log"
+    clip: NDArray[np.str_] | None = None
 
     def __repr__(self) -> str:
         width = self.offset_m.shape[1]
@@ -205,6 +217,8 @@ class LineLog:
         _check_frame_ids(self.frame_id, self.source)
         _check_shape("time_s", self.time_s, (n_frames,), self.source)
         _check_shape("is_missing", self.is_missing, (n_frames,), self.source)
+        if self.clip is not None:
+            _check_shape("clip", self.clip, (n_frames,), self.source)
         if self.offset_m.ndim != 2 or len(self.offset_m) != n_frames:
             raise InputError(
                 f"{self.source}: offset_m has shape {self.offset_m.shape}, needs ({n_frames}, L)"
@@ -307,7 +321,12 @@ class LineLog:
             self.lri[frames],
             self.is_missing[frames],
             self.source,
+            None if self.clip is None else self.clip[frames],
         )
+
+    def pieces(self) -> list[slice]:
+        """The frames of each clip, in order; of a recording that is one drive, all T frames."""
+        return pieces_of(self.clip, len(self))
 
     def then(self, later: LineLog) -> LineLog:
         """One log of the frames of this log and then those of a later one."""
@@ -320,6 +339,9 @@ class LineLog:
             stacked([self.lri, later.lri], np.nan),
             np.concatenate([self.is_missing, later.is_missing]),
             later.source,
+            None
+            if self.clip is None or later.clip is None
+            else np.concatenate([self.clip, later.clip]),
         )
 
 
@@ -410,6 +432,17 @@ class Evidence:
         arrays = (*self.likelihoods.values(), *self.inputs.values())
         return len(arrays[0]) if arrays else 0
 
+    @classmethod
+    def joined(cls, parts: Sequence[Evidence]) -> Evidence:
+        """The evidence of some frames and then that of others, of the same kind."""
+        if len(parts) == 1:
+            return parts[0]
+        first = parts[0]
+        return type(first)(
+            {k: np.concatenate([p.likelihoods[k] for p in parts]) for k in first.likelihoods},
+            {k: np.concatenate([p.inputs[k] for p in parts]) for k in first.inputs},
+        )
+
     def take(self, frames: slice | IntArray | BoolArray) -> Evidence:
         """The evidence of some frames, in order."""
         return Evidence(
@@ -450,6 +483,18 @@ class Beliefs:
 
     def __len__(self) -> int:
         return len(self.frame_id)
+
+    @classmethod
+    def joined(cls, parts: Sequence[Beliefs]) -> Beliefs:
+        """The beliefs about some frames and then those about others, of the same nodes."""
+        if len(parts) == 1:
+            return parts[0]
+        return cls(
+            np.concatenate([part.frame_id for part in parts]),
+            {k: np.concatenate([part.marginals[k] for part in parts]) for k in parts[0].marginals},
+            np.concatenate([part.log_evidence for part in parts]),
+            np.concatenate([part.is_impossible for part in parts]),
+        )
 
     def take(self, frames: slice | IntArray | BoolArray) -> Beliefs:
         """The beliefs of some frames, in order."""
@@ -500,6 +545,15 @@ class LaneEvents:
     to_lane: IntArray
     probability: FloatArray
     delay_s: FloatArray | None = None
+
+    @classmethod
+    def joined(cls, parts: Sequence[LaneEvents]) -> LaneEvents:
+        """The changes of several clips, one after the other, without ground truth."""
+        if len(parts) == 1:
+            return parts[0]
+        columns = [part.columns() for part in parts]
+        kept = [name for name in columns[0] if name != "late_s"]
+        return cls(**{name: np.concatenate([c[name] for c in columns]) for name in kept})
 
     def __len__(self) -> int:
         return len(self.frame_id)

@@ -445,6 +445,12 @@ def test_a_simulated_drive_cannot_be_without_its_ground_truth() -> None:
         with_recording(made(recording={"simulate": "a4"}), None, "none", None)
 
 
+def test_options_for_a_simulated_drive_are_meant_for_the_recording_that_is_named() -> None:
+    old = made(recording={"simulate": "a4", "options": {"valid": "always"}}, ground_truth=None)
+    new = with_recording(old, "labels.json", None, None)
+    assert new.recording.options == {"valid": "always"}
+
+
 @given(st.text(min_size=1).filter(lambda s: "/" not in s and "\0" not in s and s.strip(".")))
 def test_any_file_name_gives_a_name_for_the_experiment(stem: str) -> None:
     new = with_recording(made(), f"/data/{stem}.bag", None, None)

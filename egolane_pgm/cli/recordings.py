@@ -14,9 +14,9 @@ from egolane_pgm.loading import load_recording
 from egolane_pgm.recordings import (
     catalog,
     format_of,
-    needs_camera,
     read_lines_with,
     read_with,
+    takes_camera,
     write_lines,
 )
 from egolane_pgm.report.tables import box_text
@@ -166,7 +166,7 @@ def lines(recording: str, frame_id: int, camera: str | None, overrides: tuple[st
         log = load_recording(load_experiment(recording, overrides)).log
     elif overrides:
         raise InputError("--set: goes with an experiment")
-    elif camera is not None and not needs_camera(format_of(recording)):
+    elif camera is not None and not takes_camera(format_of(recording)):
         raise InputError(f"--camera: the lines of {recording} are in metres, they need no camera")
     else:
         log = read_lines_with(recording, camera)

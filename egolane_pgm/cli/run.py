@@ -15,7 +15,14 @@ from egolane_pgm.cli import options
 from egolane_pgm.experiment import Experiment
 from egolane_pgm.files import check_not_read, write_json
 from egolane_pgm.loading import named_files
-from egolane_pgm.report.events import event_lines, event_rows, event_runs_rows
+from egolane_pgm.report.clips import clip_lines
+from egolane_pgm.report.events import (
+    event_lines,
+    event_rows,
+    event_runs_rows,
+    lane_lines,
+    sure_line,
+)
 from egolane_pgm.report.tables import (
     TUNED_ON,
     confusion_table,
@@ -163,13 +170,24 @@ def _print_run(done: RunResult) -> None:
     }
     if not scores:
         click.echo("no ground truth: beliefs only, no scores (--ground-truth names a file)")
+        _print_lanes(done)
     else:
         click.echo(f"{said['frames_scored']} frames scored (crossing ones are not);")
         click.echo(f"parameters: {TUNED_ON[said['tuned_on']]}\n")
         click.echo(scores_table(scores))
     for name, mine in scores.items():
         click.echo("\n" + confusion_table(mine["confusion"], name))
-    _print_events(done)
+    if done.result.clip is None:
+        _print_events(done)
+
+
+def _print_lanes(done: RunResult) -> None:
+    events = done.scores["events"]
+    if done.result.clip is None:
+        click.echo("\n" + "\n".join(lane_lines(events)))
+        return
+    click.echo("\n".join(["", *clip_lines(done.result), sure_line(events)]))
+    click.echo("a row for each clip: clips.csv; its frames: beliefs.parquet")
 
 
 def _print_events(done: RunResult) -> None:

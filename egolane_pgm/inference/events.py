@@ -39,6 +39,9 @@ FLICKER_S = 3.0
 #: The probability that is sure enough for the way back.
 SURELY_BACK = 20 / 21
 
+#: The probability from which reports call a frame's lane sure.
+SURE = 0.9
+
 #: Half the width of a car, in lane widths: about .9 m of 3.6 m.
 HALF_CAR = 0.25
 
@@ -73,6 +76,25 @@ def lane_events(beliefs: Beliefs, frame_rate: float, *, lag: int | None = None) 
         to_lane=entered + 1,
         probability=lane[told, entered],
     )
+
+
+def lane_stretches(
+    beliefs: Beliefs, events: LaneEvents, frame_rate: float
+) -> list[tuple[int, float, float]]:
+    """The lane over time: lane (from 1), and from when to when it was the car's, seconds.
+
+    - events: of these beliefs. A stretch ends where the next lane became the more probable one.
+
+    The first stretch begins where a lane is first believed; without such a frame there is none.
+    """
+    believed = np.flatnonzero(beliefs.lane.max(axis=1, initial=0) >= BELIEVED)
+    if not len(believed):
+        return []
+    first = int(believed[0])
+    lanes = [int(beliefs.lane[first].argmax()) + 1, *events.to_lane.tolist()]
+    borders = [beliefs.frame_id[first] / frame_rate, *events.time_s.tolist()]
+    borders.append(beliefs.frame_id[-1] / frame_rate)
+    return [(n, float(a), float(b)) for n, a, b in zip(lanes, borders, borders[1:], strict=False)]
 
 
 def _told(lane: FloatArray, time_s: FloatArray) -> tuple[IntArray, IntArray, IntArray]:

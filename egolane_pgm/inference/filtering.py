@@ -153,19 +153,7 @@ def _filter(
         )
         marginals = marginals_of(compiled, beliefs)
         done.append(Beliefs(ids[piece], marginals, log_evidence, is_impossible))
-    return FilterState(joint), done[0] if len(done) == 1 else _joined(done)
-
-
-def _joined(parts: Sequence[Beliefs]) -> Beliefs:
-    return Beliefs(
-        np.concatenate([part.frame_id for part in parts]),
-        {
-            name: np.concatenate([part.marginals[name] for part in parts])
-            for name in parts[0].marginals
-        },
-        np.concatenate([part.log_evidence for part in parts]),
-        np.concatenate([part.is_impossible for part in parts]),
-    )
+    return FilterState(joint), Beliefs.joined(done)
 
 
 def _pieces(n_frames: int, n_states: int) -> list[slice]:

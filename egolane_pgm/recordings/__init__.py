@@ -28,6 +28,10 @@ FORMATS: dict[str, tuple[tuple[str, ...], str, str]] = {
 #: Folders: the format of one that holds files with this ending.
 _FOLDERS = {".lines.txt": "culane", ".json": "openlane"}
 
+#: The formats whose lines are in pixels, so that a camera has to say where they are. OpenLane's may
+#: be in metres; its reader asks for a camera if they are not.
+IN_PIXELS = ("tusimple", "culane")
+
 _WRITERS = {"rosbag": ("rosbag_writer", "write_rosbag"), "table": ("table", "write_table")}
 
 
@@ -69,7 +73,7 @@ def read_lines_with(path: str, camera: object, frame_rate: float | None = None) 
     """The lines of a recording of any format; the camera (or its YAML file) is used by those
     formats whose lines are in pixels. Raises InputError as `read_lines`."""
     options: dict[str, Any] = {} if frame_rate is None else {"frame_rate": frame_rate}
-    if needs_camera(format_of(path)):
+    if takes_camera(format_of(path)):
         options["camera"] = camera
     return read_with(path, None, options)
 
@@ -84,27 +88,46 @@ def _check_frame_rate(value: object, path: str | Path) -> None:
 def write_lines(path: str | Path, log: LineLog) -> None:
     """Write a log in the format of the file's extension.
 
-    Raises InputError for an unknown extension, and what the writer raises.
+    Raises InputError for an unknown extension, for a log of several clips, whose borders no format
+    keeps, and what the writer raises.
     """
     check_name(path)
     name = format_of(path)
     if name not in _WRITERS:
         raise InputError(f"{path}: a recording is written as .csv, .parquet or .bag")
+    check_one_drive(log, "a file that is written holds one drive")
     module, function = _WRITERS[name]
     getattr(import_module(f"{__name__}.{module}"), function)(path, log)
+
+
+def check_one_drive(log: LineLog, why: str) -> None:
+    """Raise InputError, which ends with `why`, for a log of several clips."""
+    if log.clip is not None:
+        raise InputError(
+            f"{log.source}: has {len(log.pieces())} clips, the first {log.clip[0]}; {why}"
+        )
 
 
 def files_of(folder: Path) -> list[Path]:
     """The files of a folder that is a recording: those with the ending of its format."""
     for ending in _FOLDERS:
-        files = sorted(folder.glob(f"*{ending}"))
+        files = files_with(folder, ending)
         if files:
             return files
     return sorted(path for path in folder.iterdir() if path.is_file())
 
 
-def needs_camera(name: str) -> bool:
-    """Whether the lines of a format are in pixels, so that its reader needs a camera."""
+def files_with(folder: Path, ending: str) -> list[Path]:
+    """The files with an ending in a folder, or, of one that has folders only (and lists, *.txt), in
+    those below it."""
+    own = sorted(folder.glob(f"*{ending}"))
+    if own or any(path.is_file() and path.suffix.lower() != ".txt" for path in folder.iterdir()):
+        return own
+    return sorted(folder.rglob(f"*{ending}"))
+
+
+def takes_camera(name: str) -> bool:
+    """Whether the lines of a format are, or may be, in pixels: its reader takes a camera."""
     _, module, function = FORMATS[name]
     reader = getattr(import_module(f"{__name__}.{module}"), function)
     return "camera" in reader.__kwdefaults__
@@ -119,7 +142,7 @@ def format_of(path: str | Path) -> str:
             return name
     if path.is_dir():
         for ending, name in _FOLDERS.items():
-            if next(path.glob(f"*{ending}"), None) is not None:
+            if files_with(path, ending):
                 return name
         raise InputError(
             f"{path}: a folder without lines ({', '.join(f'*{e}' for e in _FOLDERS)}); pictures"

@@ -2,8 +2,9 @@
 is one lane line, its points as `x y x y ...` in pixels; they may lie outside of the picture.
 
 The frame number is the last number in the file's name. CULane does not tell continuous lines:
-none is. The folder is that of one drive (`driver_23_30frame/05151640_0419.MP4`), not the
-folder of drives.
+none is. The folder is that of one clip (`driver_23_30frame/05151640_0419.MP4`), with its pictures
+or without, or one with folders of clips (`driver_23_30frame`), which are run clip by clip. Its
+pictures are 30 or 90 frames apart, as the driver's folder says: frame_step.
 """
 
 from __future__ import annotations
@@ -14,11 +15,11 @@ import numpy as np
 
 from egolane_pgm.camera.model import Camera
 from egolane_pgm.files import read_text
+from egolane_pgm.recordings import files_with
 from egolane_pgm.recordings.image_lines import (
     ImageFrame,
     ImageLine,
     camera_of,
-    frame_numbers,
     line_log,
 )
 from egolane_pgm.types import InputError, LineLog
@@ -31,11 +32,12 @@ def read_culane(
     *,
     frame_rate: float = 10.0,
     camera: Camera | str | Path | None = None,
-    valid: str = "hysteresis",
+    valid: str | None = None,
     frame_step: int = 1,
     ahead_m: float = 0.0,
 ) -> LineLog:
-    """Read the lines of a folder of `.lines.txt` files, T frames of at most L lines, left to right.
+    """Read the lines of a folder of `.lines.txt` files, or of the folders below it, T frames of at
+    most L lines, left to right.
 
     The options are those of `read_tusimple`. An empty file is a picture without lines.
 
@@ -46,15 +48,17 @@ def read_culane(
     seen_by = camera_of(camera, path)
     if not path.is_dir():
         raise InputError(f"{path}: no such folder; CULane's format is a folder of *{ENDING}")
-    files = sorted(path.glob(f"*{ENDING}"))
+    files = files_with(path, ENDING)
     if not files:
-        below = next(path.rglob(f"*{ENDING}"), None)
-        hint = f"; name one drive's folder, e.g. {below.parent}" if below else ""
-        raise InputError(f"{path}: no file *{ENDING} in it{hint}")
-    names = [file.name.removesuffix(ENDING) for file in files]
+        raise InputError(f"{path}: no file *{ENDING} in it")
     frames = [
-        ImageFrame(number, _lines(file), str(file))
-        for number, file in zip(frame_numbers(names, frame_rate, str(path)), files, strict=True)
+        ImageFrame(
+            file.name.removesuffix(ENDING),
+            _lines(file),
+            str(file),
+            file.parent.relative_to(path).as_posix(),
+        )
+        for file in files
     ]
     return line_log(
         frames,

@@ -11,19 +11,33 @@ A line is followed from frame to frame by the nearest offset. Its LRI is the sha
 `LRI_FRAMES` pictures, the frame's own included, in which it was seen, times `LRI_FRAMES` (the
 paper's count, section `section:simple-line-detector`). Frames whose number is missing are neither
 seen nor missed; after a gap longer than `LONGEST_GAP_S` every line begins anew.
+
+Data sets mostly are many short clips. Those of one file or folder become one recording, clip after
+clip: the frame ids of a clip go on after those of the clip before, and no line is followed from one
+into the next.
 """
 
 from __future__ import annotations
 
 import re
+import warnings
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
+from numpy.typing import NDArray
 
 from egolane_pgm.camera.model import Camera, image_to_road, read_camera
-from egolane_pgm.types import BoolArray, FloatArray, InputError, LineLog, not_one_of
+from egolane_pgm.types import (
+    BoolArray,
+    FloatArray,
+    InputError,
+    IntArray,
+    LineLog,
+    not_one_of,
+    pieces_of,
+)
 
 #: The paper's k.
 LRI_FRAMES = 10
@@ -39,6 +53,9 @@ NEAREST_M = 25.0
 
 #: Standard deviations of the fit: of a point, pixels; of heading, radians; of curvature, 1/m.
 POINT_PX, HEADING, CURVATURE = 3.0, 0.1, 0.002
+
+#: The focal length that is assumed where points are given in metres and no camera is, pixels.
+FOCAL_PX = 1000.0
 
 #: How far a line may move between two pictures: metres, and metres for each second between them.
 GATE_M, GATE_M_PER_S = 0.3, 1.5
@@ -66,55 +83,93 @@ class ImageLine:
 
 
 @dataclass(frozen=True)
-class ImageFrame:
-    """The lines of one picture: its number in the file, its lines, and its place for messages."""
+class RoadLine:
+    """One line whose place on the road is known: its points x, y (P,), metres ahead and to the
+    right of the camera; and what an `ImageLine` says."""
 
-    number: int
-    lines: Sequence[ImageLine]
+    x: FloatArray
+    y: FloatArray
+    is_continuous: bool = False
+
+
+@dataclass(frozen=True)
+class ImageFrame:
+    """The lines of one picture.
+
+    - name: what its frame number stands in.
+    - where: its place in the file, for messages.
+    - clip: the clip, or drive, that it is of.
+    """
+
+    name: str
+    lines: Sequence[ImageLine | RoadLine]
     where: str
+    clip: str = ""
 
 
 def line_log(
     frames: Sequence[ImageFrame],
     *,
-    camera: Camera,
+    camera: Camera | None,
     frame_rate: float,
-    valid: str,
+    valid: str | None,
     frame_step: int,
     ahead_m: float,
     source: str,
 ) -> LineLog:
-    """Put the frames in order and make a LineLog of them, lines left to right.
+    """Put the frames in order, clip after clip, and make a LineLog of them, lines left to right.
 
+    - camera: may be None where all lines are `RoadLine`s.
     - frame_step: the difference between the numbers of neighbouring frames; frame id is number over
-      frame_step.
-    - valid: one of VALID; with "always" every line has the highest LRI too.
+      frame_step. Of several clips the ids start at 0 and go on from clip to clip.
+    - valid: one of VALID; with "always" every line has the highest LRI too. None is "hysteresis",
+      but for clips that are all too short for it.
     - ahead_m: how far ahead of the camera offsets are measured, metres.
 
-    Raises InputError for frames that occur twice, numbers that frame_step does not divide, points
-    outside of what the camera takes, and where no point at all lies below the horizon.
+    Warns of clips that are too short, and pictures too far apart, to follow a line. Raises
+    InputError for frames that occur twice in a clip, numbers that frame_step does not divide,
+    points outside of what the camera takes, and where no point at all lies below the horizon.
     """
     _check_options(frame_rate, valid, frame_step, ahead_m, source)
-    ordered = _in_order(frames, frame_step, source)
-    _check_rows([f for _, f in ordered], camera, source)
-    ids = np.array([k for k, _ in ordered], dtype=np.int64)
+    ids, ordered, clip = _in_order(frames, frame_rate, frame_step, source)
+    if camera is not None:
+        _check_rows(ordered, camera, source)
     offsets, flags = [], []
-    for _, frame in ordered:
+    for frame in ordered:
         offset = np.array([offset_of(line, camera, ahead_m) for line in frame.lines])
         continuous = np.array([line.is_continuous for line in frame.lines], dtype=bool)
         order = np.argsort(offset[np.isfinite(offset)], kind="stable")
         offsets.append(offset[np.isfinite(offset)][order])
         flags.append(continuous[np.isfinite(offset)][order])
-    if not any(map(len, offsets)) and any(len(frame.lines) for _, frame in ordered):
+    if not any(map(len, offsets)) and any(len(frame.lines) for frame in ordered):
         raise InputError(
             f"{source}: no line has two points on the road within {NEAREST_M:.0f} m ahead of this"
             " camera; is it the camera of these pictures?"
         )
-    lri, is_valid = persistence(offsets, ids / frame_rate)
+    lri, is_valid = [], []
+    pieces = pieces_of(clip, len(ids))
+    for piece in pieces:
+        counts, flag = persistence(offsets[piece], ids[piece] / frame_rate)
+        lri += counts
+        is_valid += flag
     all_lri, all_valid = np.concatenate(lri), np.concatenate(is_valid)
+    if valid is None and len(pieces) > 1 and max(p.stop - p.start for p in pieces) < LRI_FRAMES:
+        valid = "always"
+        _warn(
+            f"{source}: its {len(pieces)} clips have fewer than {LRI_FRAMES} pictures, too few to"
+            " follow a line: every line counts as valid (recording.options.valid: hysteresis says"
+            " otherwise)"
+        )
     if valid == "always":
         all_lri, all_valid = np.full(len(all_lri), float(LRI_FRAMES)), np.ones_like(all_valid)
-    return LineLog.from_rows(
+    apart = float(np.median(np.diff(ids))) / frame_rate if len(ids) > 1 else 0.0
+    if valid != "always" and apart > LONGEST_GAP_S:
+        _warn(
+            f"{source}: the pictures are {apart:.1f} s apart, too far to follow a line: none"
+            " becomes valid (are recording.frame_rate and recording.options.frame_step right?"
+            " options.valid: always trusts every line)"
+        )
+    log = LineLog.from_rows(
         ids,
         frame_rate,
         np.repeat(np.arange(len(ids)), [len(row) for row in offsets]),
@@ -124,18 +179,30 @@ def line_log(
         all_lri,
         source=source,
     )
+    return replace(log, clip=clip)
 
 
-def offset_of(line: ImageLine, camera: Camera, ahead_m: float = 0.0) -> float:
+def _warn(message: str) -> None:
+    warnings.warn(message, UserWarning, stacklevel=4)
+
+
+def offset_of(line: ImageLine | RoadLine, camera: Camera | None, ahead_m: float = 0.0) -> float:
     """The offset of the line, metres to the right, `ahead_m` ahead of the camera; NaN if fewer
-    than two of its points lie on the road near enough."""
-    x, y = image_to_road(camera, line.u, line.v)
+    than two of its points lie on the road near enough.
+
+    - camera: whose pixels the points are; of a `RoadLine` only its focal length counts.
+    """
+    if isinstance(line, RoadLine):
+        x, y = line.x, line.y
+    else:
+        assert camera is not None
+        x, y = image_to_road(camera, line.u, line.v)
     with np.errstate(invalid="ignore"):
         near = (x > 0) & (x <= FARTHEST_M) & np.isfinite(y)
     x, y = x[near], y[near]
     if len(np.unique(x)) < 2 or x.min() > NEAREST_M:
         return float("nan")
-    weight = camera.fx / (POINT_PX * x)
+    weight = (FOCAL_PX if camera is None else camera.fx) / (POINT_PX * x)
     rows = np.stack([np.ones_like(x), x, x * x / 2], axis=1) * weight[:, None]
     prior = np.diag([0.0, 1 / HEADING, 1 / CURVATURE])[1:]
     design = np.concatenate([rows, prior])
@@ -238,25 +305,12 @@ def frame_numbers(names: Sequence[str], frame_rate: float, source: str) -> list[
     return [int(d) for d in last]
 
 
-def check_one_drive(drives: Sequence[tuple[str, str]]) -> None:
-    """Raise InputError for pictures of several drives, whose frame numbers must not be mixed.
-
-    - drives: per picture the place where it is named, for messages, and the folder of its drive.
-    """
-    for where, drive in drives:
-        if drive != drives[0][1]:
-            raise InputError(
-                f"{where}: is of another drive ({drive}) than {drives[0][0]} ({drives[0][1]}); keep"
-                " the frames of one drive"
-            )
-
-
 def _check_options(
-    frame_rate: float, valid: str, frame_step: int, ahead_m: float, source: str
+    frame_rate: float, valid: str | None, frame_step: int, ahead_m: float, source: str
 ) -> None:
     if not (np.isfinite(frame_rate) and frame_rate > 0):
         raise InputError(f"{source}: frame_rate {frame_rate} must be greater than 0")
-    if valid not in VALID:
+    if valid is not None and valid not in VALID:
         raise InputError(f"{source}: valid: {not_one_of(valid, VALID)}")
     if isinstance(frame_step, bool) or not isinstance(frame_step, int) or frame_step < 1:
         raise InputError(f"{source}: frame_step: {frame_step!r} is not a whole number from 1 up")
@@ -267,39 +321,59 @@ def _check_options(
 
 
 def _in_order(
-    frames: Iterable[ImageFrame], frame_step: int, source: str
-) -> list[tuple[int, ImageFrame]]:
-    by_id: dict[int, ImageFrame] = {}
+    frames: Sequence[ImageFrame], frame_rate: float, frame_step: int, source: str
+) -> tuple[IntArray, list[ImageFrame], NDArray[np.str_] | None]:
+    """The frame ids, (T,), and the frames; and of several clips the name of each frame's, (T,)."""
+    clips: dict[str, list[ImageFrame]] = {}
     for frame in frames:
-        if frame.number % frame_step:
+        clips.setdefault(frame.clip, []).append(frame)
+    if not clips:
+        raise InputError(f"{source}: no frame in it")
+    ids: list[int] = []
+    ordered: list[ImageFrame] = []
+    for members in clips.values():
+        by_id = _numbered(members, frame_rate, frame_step, source)
+        after = ids[-1] + 1 if ids else 0
+        shift = after - min(by_id) if len(clips) > 1 else 0
+        ids += [k + shift for k in sorted(by_id)]
+        ordered += [by_id[k] for k in sorted(by_id)]
+    names = np.array([frame.clip for frame in ordered]) if len(clips) > 1 else None
+    return np.array(ids, dtype=np.int64), ordered, names
+
+
+def _numbered(
+    frames: Sequence[ImageFrame], frame_rate: float, frame_step: int, source: str
+) -> dict[int, ImageFrame]:
+    """The frames of one clip by their numbers over frame_step."""
+    by_id: dict[int, ImageFrame] = {}
+    numbers = frame_numbers([frame.name for frame in frames], frame_rate, source)
+    for number, frame in zip(numbers, frames, strict=True):
+        if number % frame_step:
             raise InputError(
-                f"{frame.where}: frame {frame.number} is no multiple of frame_step {frame_step}"
+                f"{frame.where}: frame {number} is no multiple of frame_step {frame_step}"
             )
-        k = frame.number // frame_step
+        k = number // frame_step
         if k in by_id:
             raise InputError(
-                f"{frame.where}: frame {frame.number} is there twice (also {by_id[k].where}); keep"
+                f"{frame.where}: frame {number} is there twice (also {by_id[k].where}); keep"
                 " one of them, or, of time stamps, give the frame_rate of the pictures"
             )
         by_id[k] = frame
-    if not by_id:
-        raise InputError(f"{source}: no frame in it")
-    return sorted(by_id.items())
+    return by_id
 
 
 def _check_rows(frames: Iterable[ImageFrame], camera: Camera, source: str) -> None:
     """Raise InputError if lines reach far below the camera's picture, or many times its width to a
     side: then they are of another camera."""
     for frame in frames:
-        lowest = max((float(line.v.max()) for line in frame.lines if len(line.v)), default=0.0)
+        drawn = [ln for ln in frame.lines if isinstance(ln, ImageLine) and len(ln.u)]
+        lowest = max((float(line.v.max()) for line in drawn), default=0.0)
         if lowest > 1.1 * camera.height:
             raise InputError(
                 f"{frame.where}: a line reaches down to row {lowest:.0f}, the camera's pictures"
                 f" have {camera.height}; is it the camera of these pictures?"
             )
-        widest = max(
-            (float(np.abs(line.u).max()) for line in frame.lines if len(line.u)), default=0
-        )
+        widest = max((float(np.abs(line.u).max()) for line in drawn), default=0)
         if widest > _MOST_WIDTHS * camera.width:
             raise InputError(
                 f"{frame.where}: a line reaches column {widest:g}, the camera's pictures have"

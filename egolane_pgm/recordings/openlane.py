@@ -1,13 +1,22 @@
-"""The 2-D part of OpenLane's JSON: a folder with a file per picture (or one file),
+"""OpenLane's JSON: a folder with a file per picture (or folders of them, or one file),
 
-    {"file_path": "training/segment-.../1507...00.jpg", "lane_lines": [
-        {"category": 1, "uv": [[u, ...], [v, ...]], "attribute": 2, "visibility": [...], ...}]}
+    {"file_path": "training/segment-.../1507...00.jpg", "extrinsic": [4 x 4], "lane_lines": [
+        {"category": 1, "uv": [[u, ...], [v, ...]], "xyz": [[x, ...], [y, ...], [z, ...]],
+         "visibility": [...], "attribute": 2, "track_id": 3}]}
+
+Lines that have `xyz` are taken from these, and need no camera; else `uv`, in pixels, with one.
+
+- Labels have `xyz` as three lists, x forward, y left and z up in the camera's frame, which
+  `extrinsic` takes to the car's (OpenLane's `docs` and `eval/LANE_evaluation/README.md`, and how
+  its `eval_3D_lane.py` turns them). Points whose `visibility` is 0 are left out.
+- Results of detectors, as `eval_3D_lane.py` reads them, have a list of points [x, y, z], x to the
+  right, y forward and z up, on the road below the camera.
 
 The categories with a solid white or yellow line, alone, double or beside a dashed one, and the two
 kinds of curb are continuous. `attribute` (0 unknown, 1 left-left, 2 left, 3 right, 4 right-right)
-is checked and not used: the offsets say as much. The frame number is the last number
-in the name of `file_path`; OpenLane's are time stamps, which become frames of the frame rate, the
-first one number 0.
+is checked and not used: the offsets say as much. The frame number is the last number in the name of
+`file_path`; OpenLane's are time stamps, which become frames of the frame rate, the first one number
+0. Each segment (the folder of `file_path`) is a clip of its own.
 """
 
 from __future__ import annotations
@@ -16,18 +25,20 @@ import json
 from pathlib import Path, PurePosixPath
 from typing import Any
 
+import numpy as np
+
 from egolane_pgm.camera.model import Camera
 from egolane_pgm.files import read_text
+from egolane_pgm.recordings import files_with
 from egolane_pgm.recordings.image_lines import (
     ImageFrame,
     ImageLine,
+    RoadLine,
     camera_of,
-    check_one_drive,
-    frame_numbers,
     line_log,
     points,
 )
-from egolane_pgm.types import InputError, LineLog
+from egolane_pgm.types import FloatArray, InputError, LineLog
 
 #: Category: (its name, whether it is continuous).
 CATEGORIES = {
@@ -57,32 +68,31 @@ def read_openlane(
     *,
     frame_rate: float = 10.0,
     camera: Camera | str | Path | None = None,
-    valid: str = "hysteresis",
+    valid: str | None = None,
     frame_step: int = 1,
     ahead_m: float = 0.0,
 ) -> LineLog:
-    """Read the 2-D lines of a folder of OpenLane's JSON files, T frames of at most L lines, left
-    to right. The options are those of `read_tusimple`.
+    """Read the lines of a folder of OpenLane's JSON files, T frames of at most L lines, left to
+    right. The options are those of `read_tusimple`.
+
+    - camera: for lines in pixels; lines in metres need none.
 
     Raises InputError, with the file, for a folder without such files, broken JSON, missing keys,
-    u and v of different lengths, an unknown category, frames given twice, no camera.
+    u and v of different lengths, an unknown category, frames given twice, and lines in pixels
+    without a camera.
     """
     path = Path(path)
-    seen_by = camera_of(camera, path)
-    files = [path] if path.is_file() else sorted(path.glob("*.json"))
+    files = [path] if path.is_file() else files_with(path, ".json")
     if not files:
         raise InputError(f"{path}: no file *.json in it; OpenLane's format is a file per picture")
     entries = [_entry(file) for file in files]
-    pictures = [
-        PurePosixPath(entry.get("file_path") or file.name)
-        for file, entry in zip(files, entries, strict=True)
-    ]
-    check_one_drive([(str(file), str(p.parent)) for file, p in zip(files, pictures, strict=True)])
-    numbers = frame_numbers([picture.stem for picture in pictures], frame_rate, str(path))
-    frames = [
-        ImageFrame(number, _lines(entry, str(file)), str(file))
-        for number, file, entry in zip(numbers, files, entries, strict=True)
-    ]
+    is_flat = not all("xyz" in lane for entry in entries for lane in entry["lane_lines"])
+    seen_by = camera_of(camera, path) if is_flat or camera is not None else None
+    frames = []
+    for file, entry in zip(files, entries, strict=True):
+        picture = PurePosixPath(entry.get("file_path") or file)
+        lines = _lines(entry, str(file))
+        frames.append(ImageFrame(picture.stem, lines, str(file), str(picture.parent)))
     return line_log(
         frames,
         camera=seen_by,
@@ -102,27 +112,83 @@ def _entry(file: Path) -> dict[str, Any]:
         raise InputError(f"{file}: is not JSON: {error}") from None
     if not isinstance(entry, dict) or not isinstance(entry.get("lane_lines"), list):
         raise InputError(f"{file}: has no list lane_lines, which OpenLane's format needs")
+    if not all(isinstance(lane, dict) for lane in entry["lane_lines"]):
+        raise InputError(f"{file}: lane_lines: each line needs to be an object with uv or xyz")
     if not isinstance(entry.get("file_path", ""), str):
         raise InputError(f"{file}: file_path is not a text")
     return entry
 
 
-def _lines(entry: dict[str, Any], source: str) -> list[ImageLine]:
-    lines = []
+def _lines(entry: dict[str, Any], source: str) -> list[ImageLine | RoadLine]:
+    lines: list[ImageLine | RoadLine] = []
     for k, lane in enumerate(entry["lane_lines"]):
         where = f"{source}: lane_lines {k + 1}"
-        uv = lane.get("uv") if isinstance(lane, dict) else None
-        if not isinstance(uv, list) or len(uv) != 2:
-            raise InputError(f"{where}: uv needs a list of u and a list of v")
-        u, v = points(uv[0], where, "u"), points(uv[1], where, "v")
-        if len(u) != len(v):
-            raise InputError(f"{where}: {len(u)} u for {len(v)} v")
         category = lane.get("category", 0)
         if type(category) is not int or category not in CATEGORIES:
             known = ", ".join(map(str, CATEGORIES))
             raise InputError(f"{where}: unknown category {category!r} (known: {known})")
         if lane.get("attribute", 0) not in range(_N_ATTRIBUTES):
             raise InputError(f"{where}: unknown attribute {lane['attribute']!r} (known: 0 to 4)")
+        is_continuous = CATEGORIES[category][1]
+        if "xyz" in lane:
+            x, y = _on_road(lane, entry.get("extrinsic"), where)
+            lines.append(RoadLine(x, y, is_continuous))
+            continue
+        uv = lane.get("uv")
+        if not isinstance(uv, list) or len(uv) != 2:
+            raise InputError(f"{where}: uv needs a list of u and a list of v")
+        u, v = points(uv[0], where, "u"), points(uv[1], where, "v")
+        if len(u) != len(v):
+            raise InputError(f"{where}: {len(u)} u for {len(v)} v")
         if len(u):
-            lines.append(ImageLine(u, v, CATEGORIES[category][1]))
+            lines.append(ImageLine(u, v, is_continuous))
     return lines
+
+
+def _on_road(lane: dict[str, Any], extrinsic: object, where: str) -> tuple[FloatArray, FloatArray]:
+    """The points of a line in metres ahead of the camera and to the right of the car's middle.
+
+    - extrinsic: (4, 4), from the camera's frame to the car's (x forward, y left, z up); None where
+      the file has none.
+
+    Raises InputError, beginning with `where`, for points of neither of the two layouts.
+    """
+    given = lane["xyz"]
+    rows = [points(row, where, "xyz") for row in given] if isinstance(given, list) else []
+    if given == [] or (rows and not any(map(len, rows))):
+        return np.zeros(0), np.zeros(0)
+    turn = np.eye(4) if extrinsic is None else _extrinsic(extrinsic, where)
+    # Three lists of three are points or coordinates; a label is known by what it has beside.
+    is_label = len(rows) == 3 and (len(rows[0]) != 3 or "uv" in lane or "visibility" in lane)
+    if len({len(row) for row in rows}) != 1 or not (is_label or len(rows[0]) == 3):
+        raise InputError(
+            f"{where}: xyz is neither lists of x, y and z of the same length nor a list of points"
+            " [x, y, z]"
+        )
+    values = np.array(rows)
+    if not is_label:
+        return values[:, 1], values[:, 0] - turn[1, 3]
+    if extrinsic is None:
+        raise InputError(
+            f"{where}: xyz are in the camera's frame, and the file has no extrinsic, which says how"
+            " the camera is turned"
+        )
+    seen = lane.get("visibility") or [1] * values.shape[1]
+    kept = points(seen, where, "visibility") > 0
+    if len(kept) != values.shape[1]:
+        raise InputError(f"{where}: {len(kept)} visibility for {values.shape[1]} points")
+    ahead, left, _ = turn[:3, :3] @ values[:, kept]
+    return ahead, -(left + turn[1, 3])
+
+
+def _extrinsic(given: object, where: str) -> FloatArray:
+    try:
+        matrix = np.array(given, dtype=np.float64)
+    except (TypeError, ValueError):
+        matrix = np.zeros(0)
+    # Rows of a rotation have length 1 and are at right angles.
+    if matrix.shape != (4, 4) or not np.allclose(
+        matrix[:3, :3] @ matrix[:3, :3].T, np.eye(3), atol=1e-2
+    ):
+        raise InputError(f"{where}: extrinsic is no 4 x 4 matrix of a turn and a shift")
+    return matrix

@@ -8,14 +8,18 @@
 continuous unless the option `continuous` says otherwise. (6, a double white line, is not by
 default: another lane lies beyond it, and the flag is evidence of the road's edge.)
 
-The frame number is the name of the picture's folder where that is a number
-(`clips/0313-1/6040/20.jpg`: 6040; every clip has a 20.jpg), else the last number in the picture's
-name (`frame_00042.jpg`: 42). All pictures are of one drive; they may come in any order.
+What is a drive follows from the folders. `clips/0313-1/6040/20.jpg` and others whose folder is a
+count and has one picture of the file are frames of one drive: frame 6040 of 0313-1. Any other
+folder is a clip of its own, as `clips/0530/1492626047222176976_0` of the official test labels,
+which have one picture (20.jpg) of each of 2,782 clips; results may have all twenty. The frame
+number is then the last number in the picture's name (`frame_00042.jpg`: 42). Pictures may come in
+any order.
 """
 
 from __future__ import annotations
 
 import json
+from collections import Counter
 from collections.abc import Collection, Iterator
 from pathlib import Path, PurePosixPath
 from typing import Any
@@ -26,12 +30,13 @@ from egolane_pgm.recordings.image_lines import (
     ImageFrame,
     ImageLine,
     camera_of,
-    check_one_drive,
-    frame_numbers,
     line_log,
     points,
 )
 from egolane_pgm.types import InputError, LineLog
+
+#: A folder with more digits is named by a time stamp, which counts nothing.
+_COUNT_DIGITS = 12
 
 #: The largest class of the sets of classes that are in use.
 _LARGEST_CLASS = 20
@@ -42,7 +47,7 @@ def read_tusimple(
     *,
     frame_rate: float = 10.0,
     camera: Camera | str | Path | None = None,
-    valid: str = "hysteresis",
+    valid: str | None = None,
     frame_step: int = 1,
     ahead_m: float = 0.0,
     continuous: Collection[int] = (2, 4),
@@ -52,7 +57,8 @@ def read_tusimple(
     - frame_rate: frames per second, counted in frame ids.
     - camera: the camera of the pictures, or its YAML file.
     - valid: "hysteresis" (a line becomes valid once it is seen in ten pictures, as in the paper) or
-      "always", for a source that is trusted, such as labels.
+      "always", for a source that is trusted, such as labels. By default it is hysteresis, and
+      always for clips of which none has ten pictures.
     - frame_step: the difference between the numbers of neighbouring frames; frame id is number over
       frame_step.
     - ahead_m: how far ahead of the camera offsets are measured, metres; a car that steers to the
@@ -66,14 +72,10 @@ def read_tusimple(
     seen_by = camera_of(camera, path)
     solid = _classes(continuous, path)
     entries = list(read_entries(path))
-    drives = [_drive_and_name(entry["raw_file"]) for _, entry in entries]
-    check_one_drive(
-        [(where, drive) for (where, _), (drive, _) in zip(entries, drives, strict=True)]
-    )
-    numbers = frame_numbers([name for _, name in drives], frame_rate, str(path))
+    drives = _drives_and_names([entry["raw_file"] for _, entry in entries])
     frames = [
-        ImageFrame(number, entry_lines(entry, where, solid), where)
-        for number, (where, entry) in zip(numbers, entries, strict=True)
+        ImageFrame(name, entry_lines(entry, where, solid), where, drive)
+        for (drive, name), (where, entry) in zip(drives, entries, strict=True)
     ]
     return line_log(
         frames,
@@ -107,11 +109,16 @@ def read_entries(path: Path) -> Iterator[tuple[str, dict[str, Any]]]:
         yield where, entry
 
 
-def _drive_and_name(raw_file: str) -> tuple[str, str]:
-    """The folder of the drive, and the part of the name that has the frame number."""
-    picture = PurePosixPath(raw_file)
-    clip = picture.parent
-    return (str(clip.parent), clip.name) if clip.name.isdigit() else (str(clip), picture.stem)
+def _drives_and_names(raw_files: list[str]) -> list[tuple[str, str]]:
+    """Of each picture the folder of its drive, and the part of the name with the frame number."""
+    pictures = [PurePosixPath(raw_file) for raw_file in raw_files]
+    held = Counter(picture.parent for picture in set(pictures))
+    return [
+        (str(folder.parent), folder.name)
+        if folder.name.isdecimal() and len(folder.name) <= _COUNT_DIGITS and held[folder] == 1
+        else (str(folder), picture.stem)
+        for picture, folder in ((picture, picture.parent) for picture in pictures)
+    ]
 
 
 def entry_lines(

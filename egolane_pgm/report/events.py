@@ -5,12 +5,16 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import Any
 
+from egolane_pgm.inference.events import BELIEVED, SURE
 from egolane_pgm.report.comparison_tables import trusted_or_all
 from egolane_pgm.report.tables import score_text
 from egolane_pgm.types import LaneEvents
 
 #: How many lane changes a table lists.
 LISTED = 10
+
+#: The times of a shorter drive are told to a tenth of a second.
+SHORT_S = 60.0
 
 LEGEND = """\
 Lane changes, told in the frame in which the new lane is first believed. Right: told at most 2 s
@@ -42,6 +46,38 @@ def event_rows(events: LaneEvents, at_most: int = LISTED) -> tuple[list[str], li
             row.append("no such change" if delay != delay else f"{delay:+.1f}")
         rows.append(row)
     return header, rows
+
+
+def lane_lines(events: Mapping[str, Any]) -> list[str]:
+    """The lane over time in words, and in how many frames it is sure.
+
+    - events: `told`, `sure` and `lanes`, as in scores.json.
+    """
+    stretches = events["lanes"]
+    if not stretches:
+        return [f"no lane is believed ({BELIEVED:.2f}) in any frame"]
+    digits = 1 if stretches[-1][2] - stretches[0][1] < SHORT_S else 0
+    said = [
+        f"lane {lane} from {clock(start, digits)} to {clock(end, digits)}"
+        for lane, start, end in stretches[:LISTED]
+    ]
+    if len(stretches) > LISTED:
+        said.append(f"and {len(stretches) - LISTED} more in events.csv")
+    return [", ".join(said), sure_line(events)]
+
+
+def sure_line(events: Mapping[str, Any]) -> str:
+    """In how many frames the lane is sure, and what that means."""
+    return f"sure (a belief of at least {SURE:g}) in {100 * events['sure']:.1f} % of the frames"
+
+
+def clock(seconds: float, digits: int = 0) -> str:
+    """A time as 1:02 or 1:00:02, with so many decimals."""
+    minutes, rest = divmod(round(seconds, digits), 60)
+    width = 3 + digits if digits else 2
+    hours, minutes = divmod(int(minutes), 60)
+    text = f"{minutes:02d}" if hours else str(minutes)
+    return f"{hours}:" * bool(hours) + f"{text}:{rest:0{width}.{digits}f}"
 
 
 def event_lines(scores: Mapping[str, Any]) -> list[str]:

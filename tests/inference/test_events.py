@@ -16,6 +16,7 @@ from egolane_pgm.inference.events import (
     SURELY_BACK,
     crossing_probability,
     lane_events,
+    lane_stretches,
 )
 from egolane_pgm.types import Beliefs, InputError, LaneEvents
 
@@ -49,6 +50,25 @@ def drives(draw: st.DrawFn) -> Beliefs:
         rows = np.concatenate([rows, np.tile(sure, (int(rng.integers(1, 25)), 1))])
     frame_id = np.cumsum(rng.integers(1, 4, n_frames))
     return believed(rows[:n_frames], frame_id)
+
+
+@given(drives())
+def test_the_stretches_of_a_drive_follow_each_other_as_its_changes_do(beliefs: Beliefs) -> None:
+    events = lane_events(beliefs, 10.0)
+    stretches = lane_stretches(beliefs, events, 10.0)
+    sure = beliefs.lane.max(axis=1, initial=0) >= BELIEVED
+    assert len(stretches) == (len(events) + 1 if sure.any() else 0)
+    for (lane, start, end), (later, begin, _) in pairwise(stretches):
+        assert lane != later
+        assert start <= end == begin
+    if stretches:
+        assert stretches[0][:2] == (
+            beliefs.lane[sure][0].argmax() + 1,
+            beliefs.frame_id[sure][0] / 10,
+        )
+        assert stretches[-1][2] == beliefs.frame_id[-1] / 10
+        assert [lane for lane, _, _ in stretches[1:]] == events.to_lane.tolist()
+        assert [start for _, start, _ in stretches[1:]] == events.time_s.tolist()
 
 
 def plain(lane: np.ndarray, time_s: np.ndarray) -> list[tuple[int, int, int, int]]:

@@ -1,0 +1,54 @@
+"""The result of a recording of many clips in a few lines of text: how it is over all of them, and
+which are the least sure. clips.csv has a row for each."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from egolane_pgm.report.tables import markdown
+from egolane_pgm.results import Result
+from egolane_pgm.types import UNASSIGNED, FloatArray
+
+#: How many of the least sure clips are named.
+WORST = 5
+
+_SHARES = (0, 10, 50, 90, 100)
+
+
+def clip_lines(result: Result) -> list[str]:
+    """The tables of the clips of a result, and the clips whose last belief is the least sure."""
+    columns = result.clip_columns()
+    clip, probability = columns["clip"], columns["probability"]
+    lane, log_evidence = columns["assigned_lane"], columns["log_evidence"]
+    counted = [int((lane == k).sum()) for k in range(1, result.n_lanes + 1)]
+    counted.append(int((lane == UNASSIGNED).sum()))
+    names = [*(f"lane {k}" for k in range(1, result.n_lanes + 1)), "Unassigned"]
+    lanes = [
+        [n, str(k), f"{100 * k / len(clip):.1f} %"] for n, k in zip(names, counted, strict=True)
+    ]
+    header = ["over the clips", "least", "10 %", "median", "90 %", "most"]
+    rows = [
+        ["frames", *_quantiles(columns["frames"], ".0f")],
+        ["belief in the lane at its end", *_quantiles(probability, ".3f")],
+        ["log evidence of a frame", *_quantiles(log_evidence, ".2f")],
+    ]
+    worst = np.argsort(probability, kind="stable")[:WORST]
+    return [
+        f"{len(clip)} clips, each from the prior on; {int(columns['changes'].sum())} lane changes"
+        f" in {int((columns['changes'] > 0).sum())} of them",
+        "",
+        markdown(["at the end of a clip", "clips", "share"], lanes),
+        "",
+        markdown(header, rows),
+        "",
+        "least sure: "
+        + ", ".join(f"{clip[k]} ({probability[k]:.2f} for lane {_lane(lane[k])})" for k in worst),
+    ]
+
+
+def _lane(lane: int) -> str:
+    return "?" if lane == UNASSIGNED else str(lane)
+
+
+def _quantiles(values: FloatArray, form: str) -> list[str]:
+    return [f"{value:{form}}" for value in np.percentile(values, _SHARES)]
