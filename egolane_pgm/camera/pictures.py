@@ -21,6 +21,7 @@ import numpy as np
 from egolane_pgm.camera.model import Camera
 from egolane_pgm.camera.picture import Image, Picture
 from egolane_pgm.camera.video import open_video, video_images
+from egolane_pgm.camera.writing import silent
 from egolane_pgm.types import InputError
 
 #: Extensions of picture files; any other file is read as a video.
@@ -103,20 +104,29 @@ def read_pictures(
     """
     if right is not None:
         _check_pair(source, right)
-    left_images = _images(source, camera, frames)
+    left_images = _images(source, frames)
     if right is None:
-        for frame_id, image in left_images:
+        for frame_id, file, image in left_images:
+            _check_size(file, frame_id, image, camera)
             yield Picture(frame_id, image)
         return
-    right_images = _images(right, camera, _same_frames(source, right, frames))
-    for frame_id, image in left_images:
+    right_images = _images(right, _same_frames(source, right, frames))
+    for frame_id, file, image in left_images:
         other = next(right_images, None)
         if other is None:
             raise InputError(
                 f"{right.path}: ends before frame {frame_id} of {source.path}; the pictures of the"
                 " two cameras must be equally many"
             )
-        yield Picture(frame_id, image, other[1])
+        _, right_file, right_image = other
+        if image.shape != right_image.shape:
+            raise InputError(
+                f"{right_file}: frame {frame_id}: the picture has {_size(right_image)} pixels, that"
+                f" of the left camera ({file}) has {_size(image)}; the pictures of a pair must have"
+                f" one size, the camera's ({camera.width}x{camera.height})"
+            )
+        _check_size(file, frame_id, image, camera)
+        yield Picture(frame_id, image, right_image)
     if next(right_images, None) is not None:
         raise InputError(
             f"{source.path}: ends before {right.path}; the pictures of the two cameras must be"
@@ -147,26 +157,35 @@ def _same_frames(
     return right_id[chosen[0]], right_id[chosen[-1]] + 1
 
 
-def _images(
-    source: Source, camera: Camera, frames: tuple[int, int] | None
-) -> Iterator[tuple[int, Image]]:
+def _check_size(file: str, frame_id: int, image: Image, camera: Camera) -> None:
+    if size_of(image) != (camera.width, camera.height):
+        raise InputError(
+            f"{file}: frame {frame_id}: the picture has {_size(image)} pixels, the camera was"
+            f" calibrated for {camera.width}x{camera.height}; calibrate with pictures of this size"
+        )
+
+
+def _size(image: Image) -> str:
+    return "x".join(map(str, size_of(image)))
+
+
+def _images(source: Source, frames: tuple[int, int] | None) -> Iterator[tuple[int, str, Image]]:
+    """The frame id, file and image of each picture."""
     if source.is_video:
         rate = source.frame_rate
-        images = video_images(source.path, source.files[0], source.n_frames, rate, frames)
+        images = (
+            (frame_id, source.path, image)
+            for frame_id, image in video_images(
+                source.path, source.files[0], source.n_frames, rate, frames
+            )
+        )
     else:
         images = _file_images(source, frames)
-    n_read = 0
-    for frame_id, image in images:
-        height, width = image.shape[:2]
-        if (width, height) != (camera.width, camera.height):
-            raise InputError(
-                f"{source.path}: frame {frame_id}: the picture has {width}x{height} pixels, the"
-                f" camera was calibrated for {camera.width}x{camera.height}; calibrate with"
-                " pictures of this size"
-            )
-        n_read += 1
-        yield frame_id, image
-    if n_read == 0:
+    is_empty = True
+    for each in images:
+        is_empty = False
+        yield each
+    if is_empty:
         asked = "" if frames is None else f" from {frames[0]} to before {frames[1]}"
         raise InputError(f"{source.path}: no frame{asked}; {_described(source)}")
 
@@ -203,19 +222,24 @@ def _frame_ids(files: list[Path]) -> list[int]:
     return list(range(len(files)))
 
 
-def _file_images(source: Source, frames: tuple[int, int] | None) -> Iterator[tuple[int, Image]]:
+def _file_images(
+    source: Source, frames: tuple[int, int] | None
+) -> Iterator[tuple[int, str, Image]]:
     assert source.frame_id is not None
     first, stop = frames or (None, None)
     for frame_id, path in zip(source.frame_id, source.files, strict=True):
         if (first is not None and frame_id < first) or (stop is not None and frame_id >= stop):
             continue
-        yield frame_id, read_image(path)
+        yield frame_id, str(path), read_image(path)
 
 
 def read_image(path: Path) -> Image:
-    """Reads a picture file as (H, W, 3), blue green red.
+    """Reads a picture file as (H, W, 3), blue green red, 8 bits each.
 
-    Raises InputError for a file that is missing or is no picture.
+    Grey, palette and CMYK become colours, transparency is left out, 16 bits are scaled to 8, and a
+    picture that its camera marked as rotated (EXIF) is turned upright: all by OpenCV.
+
+    Raises InputError for a file that is missing, empty, cut off or no picture.
     """
     try:
         content = np.fromfile(path, dtype=np.uint8)
@@ -223,13 +247,18 @@ def read_image(path: Path) -> Image:
         raise InputError(f"{path}: is missing") from None
     except OSError as error:
         raise InputError(f"{path}: cannot be read: {error.strerror}") from None
+    if not content.size:
+        raise InputError(f"{path}: the file is empty")
     try:
-        image = cv2.imdecode(content, cv2.IMREAD_COLOR) if content.size else None
+        with silent():
+            image = cv2.imdecode(content, cv2.IMREAD_COLOR)
     except cv2.error as error:
         # For example a picture with more pixels than OpenCV accepts.
         raise InputError(f"{path}: cannot be read: {' '.join(error.err.split())}") from None
     if image is None:
-        raise InputError(f"{path}: is no picture that can be read")
+        raise InputError(
+            f"{path}: is no picture that can be read (another kind of file, or cut off)"
+        )
     return image  # type: ignore[return-value]
 
 

@@ -1,5 +1,8 @@
 """Reads the pictures of a video, with their positions from 0.
 
+OpenCV gives all pictures in the size of the first one. Where a video changes its size, what comes
+after is scaled to it, which fits the camera as long as the proportions stay the same.
+
 A picture that cannot be decoded, because the video is damaged, is left out. The pictures after it
 keep their positions if the container gives each picture's time (AVI does not: it counts the
 pictures that it finds) and the frame rate has been constant. OpenCV also skips lost pictures

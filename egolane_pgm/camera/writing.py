@@ -72,7 +72,7 @@ def video_writer(
         raise InputError(f"{target}: cannot be written: no such folder")
     # FFmpeg takes what is before a colon for a protocol, unless the path is absolute.
     part = temporary_name(target.absolute())
-    with _silent():
+    with silent():
         video = cv2.VideoWriter(str(part), cv2.VideoWriter.fourcc(*CODEC), frame_rate, size)
     if not video.isOpened():
         part.unlink(missing_ok=True)
@@ -83,7 +83,7 @@ def video_writer(
         nonlocal n_written
         # On a full disk OpenCV would end the video without its index, which makes it unreadable.
         _check_room(target, part, _SPARE + image.nbytes + _INDEX * n_written)
-        with _silent():
+        with silent():
             # None in versions of OpenCV that do not report failure.
             is_written = video.write(image)
         if is_written is False:
@@ -93,7 +93,7 @@ def video_writer(
     try:
         yield write
     finally:
-        with _silent():
+        with silent():
             video.release()
         if n_written:
             _put(part, target, n_written)
@@ -144,7 +144,7 @@ def _count(video: Path) -> int:
     if not video.is_file():
         return 0
     os.environ.setdefault("OPENCV_FFMPEG_LOGLEVEL", "-8")
-    with _silent():
+    with silent():
         read = cv2.VideoCapture(str(video))
         is_readable = read.isOpened() and read.grab()
         count = int(read.get(cv2.CAP_PROP_FRAME_COUNT)) if is_readable else 0
@@ -153,7 +153,7 @@ def _count(video: Path) -> int:
 
 
 @contextlib.contextmanager
-def _silent() -> Iterator[None]:
+def silent() -> Iterator[None]:
     """Silences OpenCV's own messages, for which we raise a one-line error."""
     # The function's place differs between OpenCV's major versions.
     set_level: Any = getattr(cv2, "setLogLevel", None) or cv2.utils.logging.setLogLevel
