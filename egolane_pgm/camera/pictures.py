@@ -171,6 +171,7 @@ def _size(image: Image) -> str:
 
 def _images(source: Source, frames: tuple[int, int] | None) -> Iterator[tuple[int, str, Image]]:
     """The frame id, file and image of each picture."""
+    images: Iterator[tuple[int, str, Image]]
     if source.is_video:
         rate = source.frame_rate
         images = (
