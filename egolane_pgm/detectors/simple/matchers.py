@@ -5,6 +5,11 @@ A matcher is a function `match(left, right, n_disparities) -> disparity`. It tak
 one: 0 to n_disparities - 1, and NaN or a negative number where it cannot tell. The right picture
 has been moved by the disparities of the calibrated road. A flat road therefore has the same
 disparity everywhere, and objects on it have a larger one.
+
+ELAS (Geiger, Roser and Urtasun 2010) is in the package pyelas (GPL), which has to be compiled. Its
+build does not say where NumPy's headers are, so the compiler is told:
+
+    CPLUS_INCLUDE_PATH=$(python -c "import numpy; print(numpy.get_include())") pip install pyelas
 """
 
 from __future__ import annotations
@@ -39,6 +44,10 @@ class MatcherName(Parameter):
             raise InputError(f"{where}: unknown matcher '{value}'{suggestion(value, NAMES)}")
         return value
 
+
+_INSTALL_ELAS = (
+    'CPLUS_INCLUDE_PATH=$(python -c "import numpy; print(numpy.get_include())") pip install pyelas'
+)
 
 PARAMETERS = (
     MatcherName(
@@ -189,13 +198,19 @@ def _elas(where: str) -> Match:
         from elas import Elas  # type: ignore[import-not-found]
     except ImportError:
         raise InputError(
-            f"{where}: elas is not installed: `pip install pyelas` (GPL), or choose sgbm or bm"
+            f"{where}: elas is not installed: `{_INSTALL_ELAS}` (GPL, needs a C++ compiler), or"
+            " choose sgbm or bm"
         ) from None
+    kept: list[Image] = []
 
     def match(left: Image, right: Image, n_disparities: int) -> NDArray[np.float32]:
+        # pyelas never lets go of an array that it was given, so it gets the same two each time.
+        if not kept or kept[0].shape != left.shape:
+            kept[:] = np.empty_like(left, order="C"), np.empty_like(right, order="C")
+        kept[0][:], kept[1][:] = left, right
         matcher = Elas()
         matcher.disp_max = n_disparities - 1
-        found, _ = matcher.process(np.ascontiguousarray(left), np.ascontiguousarray(right))
+        found, _ = matcher.process(*kept)
         return np.asarray(found, dtype=np.float32)
 
     return match

@@ -301,19 +301,42 @@ def test_elas_is_used_where_it_is_installed(monkeypatch: pytest.MonkeyPatch) -> 
 
         def process(self, left: Any, right: Any) -> tuple[FloatArray, FloatArray]:
             assert left.shape == right.shape
+            given_to.update((id(left), id(right)))
             found = cv2.StereoBM.create(self.disp_max + 1, 9).compute(left, right) / 16
             return found, found
 
     module = ModuleType("elas")
     module.Elas = Elas  # type: ignore[attr-defined]
     monkeypatch.setitem(sys.modules, "elas", module)
-    _, plane, _ = plane_of(empty(), scene().camera, matcher="elas")
+    given_to: set[int] = set()
+    step = sl.start(scene().camera, resolve_parameters(sl.PARAMETERS, {"matcher": "elas"}, 1))
+    for k in (K, K + 1):
+        assert len(step(picture(render_frame(scene(), k))).lri) >= 3
+    # It never lets go of an array, so more than these two would fill the memory.
+    assert len(given_to) == 2
+
+
+def test_the_real_elas_finds_the_plane_and_the_vehicle() -> None:
+    pytest.importorskip("elas", reason="ELAS: needs pyelas, see detectors/simple/matchers.py")
+    where = with_vehicle(6.0, 1, lorry=False)
+    frame = render_frame(where, K)
+    pair, plane, disparity = plane_of(frame, where.camera, matcher="elas")
     assert plane.is_sure
+    flat = _plane.disparity_at(_plane.ground_plane(frame.truth.camera), pair.u, pair.v)
+    x, y = image_to_road(frame.truth.camera, pair.u, pair.v)
+    with np.errstate(invalid="ignore"):
+        own_lane = (np.abs(y) < 1.5) & (x < 30) & pair.looked
+    away = np.abs(disparity - flat)[own_lane]
+    assert np.isfinite(away).mean() > 0.5
+    assert np.nanmedian(away) < 0.5
+    off = _stereo.off_plane(pair, disparity, plane, settled())
+    car = _flank(frame, where, pair, 0.55) & pair.looked
+    assert off[car].mean() > 0.3 > 10 * off[own_lane].mean()
 
 
 def test_elas_that_is_not_installed_says_what_to_install(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "elas", None)
-    with pytest.raises(InputError, match="pip install pyelas"):
+    with pytest.raises(InputError, match=r"get_include.* pip install pyelas"):
         sl.start(scene().camera, resolve_parameters(sl.PARAMETERS, {"matcher": "elas"}, 1))
 
 
