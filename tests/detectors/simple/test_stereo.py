@@ -18,7 +18,7 @@ from hypothesis import strategies as st
 from egolane_pgm.camera.model import Camera, axes, image_to_road, road_to_image
 from egolane_pgm.camera.picture import Picture
 from egolane_pgm.detectors import ml, sc, sl
-from egolane_pgm.detectors.runner import detect, find_detector, start
+from egolane_pgm.detectors.runner import collect, detect, find_detector, start
 from egolane_pgm.detectors.simple import fit as _fit
 from egolane_pgm.detectors.simple import plane as _plane
 from egolane_pgm.detectors.simple import stereo as _stereo
@@ -416,6 +416,48 @@ def test_pairs_without_a_plane_are_told_of_once_and_lines_go_on(kind: str) -> No
     told = [str(w.message) for w in said if "no road plane" in str(w.message)]
     assert len(told) == 1
     assert told[0].startswith("frame 2: ")
+
+
+@pytest.mark.parametrize("kind", ["black", "the same picture twice", "another place"])
+def test_a_second_camera_that_fails_in_mid_drive_is_told_of_once_and_the_lines_stay(
+    kind: str,
+) -> None:
+    two = sl.start(scene().camera, resolve_parameters(sl.PARAMETERS, {"unsure_after": 3}, 1))
+    one = ml.start(scene().camera, resolve_parameters(ml.PARAMETERS, {}, 1))
+    with warnings.catch_warnings(record=True) as said:
+        warnings.simplefilter("always")
+        for k in range(K, K + 8):
+            frame = render_frame(scene(), k)
+            right = frame.right
+            assert right is not None
+            bad = {
+                "black": np.zeros_like(right),
+                "the same picture twice": frame.image,
+                "another place": np.ascontiguousarray(right[:, ::-1]),
+            }
+            right = bad[kind] if k >= K + 3 else right
+            seen, alone = two(Picture(k, frame.image, right)), one(picture(frame))
+    assert [str(w.message)[:36] for w in said] == ["frame 25: no road plane found in 3 f"]
+    near, near_alone = (lines.offset_m[np.abs(lines.offset_m) < 5.5] for lines in (seen, alone))
+    assert len(near) == 3
+    assert near == pytest.approx(near_alone, abs=0.05)
+
+
+@pytest.mark.parametrize(
+    ("missing", "message"),
+    [(True, "the picture of the second camera is missing"), (False, "the right picture has 656x")],
+)
+def test_a_drive_whose_second_picture_is_lost_in_the_middle_keeps_the_frames_before(
+    missing: bool, message: str
+) -> None:
+    pair, frame = picture(empty()), render_frame(scene(), K + 1)
+    assert frame.right is not None
+    lost = Picture(K + 1, frame.image, None if missing else frame.right[:, ::2])
+    detector = find_detector("sl", {}, Path.cwd(), "detector")
+    kept = collect(detect(detector, scene().camera, [pair, lost, pair]), 10.0, "x")
+    assert kept.log is not None
+    assert len(kept.log) == 1
+    assert str(kept.stopped).startswith(f"detector: sl: frame 21: {message}")
 
 
 def test_values_that_opencv_refuses_are_one_line() -> None:
