@@ -1,109 +1,107 @@
-"""The detectors on a rendered drive at 1312x540: frames per second, and where the time goes.
+"""The detectors on a rendered drive at 1280x720: frames per second, and where the time goes.
 
 `python -m tests.benchmarks.bench_camera` prints these rows alone. CPU time on one thread, pictures
-already decoded, medians over the frames of a drive in traffic.
+already decoded. A detector's own row is the median over the frames of a drive in traffic, with
+tracking. Below it stand its functions, with all that they call, that take a twentieth of its time
+or more: means per frame as Python's profiler tells them, which makes short functions look slower.
+Where the first 55 of the labelled stills are at hand (EGOLANE_DATA), detectors for one camera run
+over them as well.
 """
 
 from __future__ import annotations
 
+import cProfile
+import pstats
 import time
-from collections.abc import Callable
-from importlib import import_module
+from collections.abc import Sequence
 from pathlib import Path
 from statistics import median
-from typing import Any
 
 import cv2
 
 from egolane_pgm import detectors
+from egolane_pgm.calibration.labels import label_picture, read_labels
+from egolane_pgm.camera.model import Camera
 from egolane_pgm.camera.picture import Picture
-from egolane_pgm.detectors.simple import fit as _fit
-from egolane_pgm.detectors.simple import matchers as _matchers
-from egolane_pgm.detectors.simple import stereo as _stereo
-from egolane_pgm.detectors.simple.contours import find_strips
-from egolane_pgm.detectors.simple.markings import marking_mask
-from egolane_pgm.parameters import Parameters, resolve_parameters
-from egolane_pgm.simulation.rendering.render import Scene, make_scene, render_frame
+from egolane_pgm.detectors.runner import Detector, find_detector, start
+from egolane_pgm.plugins import plugin_names
+from egolane_pgm.simulation.rendering.render import make_scene, render_frame
+from egolane_pgm.types import InputError
+from tests.camera_figures import tusimple
 
-HEADER = ("camera picture, 1312x540", "per frame", "frames per second")
-NAMES = ("ml", "mc", "sl", "sc")
+HEADER = ("camera picture, 1280x720", "per frame", "frames per second")
 FRAMES = 40
+CAMERA = Camera(1280, 720, 1000.0, 1000.0, 639.5, 300.0, 1.5, pitch_deg=-1.0)
+
+#: The least share of a detector's time at which a function is listed.
+_LEAST_SHARE = 0.05
 
 Line = tuple[str, float]
 
 
 def camera_lines(frames: int = FRAMES) -> list[Line]:
-    """(what, seconds per frame) of the stages of ml, of what sl does more, then of whole
-    detectors."""
+    """(what, seconds per frame) of every detector of the package that starts without further
+    parameters, and of its functions."""
     threads = cv2.getNumThreads()
     cv2.setNumThreads(1)
     try:
-        scene = make_scene("a4", seed=0, frames=frames + 1, stereo=True)
+        scene = make_scene("a4", seed=0, frames=frames + 1, stereo=True, camera=CAMERA)
         rendered = [render_frame(scene, k) for k in range(frames + 1)]
-        pictures = [Picture(k, f.image, f.right) for k, f in enumerate(rendered)]
-        stages = _stages(scene, pictures) + _stereo_stages(scene, pictures)
-        return stages + _whole(scene, pictures)
+        pictures = [Picture(f.frame_id, f.image, f.right) for f in rendered]
+        lines = []
+        for name in plugin_names("detectors"):
+            detector = find_detector(name, {}, Path.cwd(), "detector")
+            try:
+                start(detector, scene.camera)
+            except InputError:
+                continue
+            lines.append((f"**{name}**", _seconds(detector, scene.camera, pictures)))
+            if not detector.is_stereo and tusimple.data_file():
+                lines.append((f"**{name}**, real stills", _seconds(detector, *_stills())))
+            lines += _functions(detector, scene.camera, pictures)
+        return lines
     finally:
         cv2.setNumThreads(threads)
 
 
-def _stopwatch() -> tuple[Callable[[str, Callable[[], Any]], Any], dict[str, list[float]]]:
-    """What makes a call under a name, and the seconds that each name took."""
-    taken: dict[str, list[float]] = {}
+def _stills() -> tuple[Camera, list[Picture]]:
+    labels = tusimple.data_file()
+    assert labels is not None
+    files = [label_picture(frame, labels) for frame in read_labels(labels)[: tusimple.HALF]]
+    pictures = [Picture(k, cv2.imread(str(file))) for k, file in enumerate(files)]
+    return tusimple.calibrated(labels), pictures
 
-    def timed(what: str, call: Callable[[], Any]) -> Any:
+
+def _seconds(detector: Detector, camera: Camera, pictures: Sequence[Picture]) -> float:
+    """The median CPU time of a frame; the first one, which may compile, does not count."""
+    step, times = start(detector, camera), []
+    for picture in pictures:
         begun = time.process_time()
-        made = call()
-        taken.setdefault(what, []).append(time.process_time() - begun)
-        return made
-
-    return timed, taken
+        step(picture)
+        times.append(time.process_time() - begun)
+    return median(times[1:])
 
 
-def _stages(scene: Scene, pictures: list[Picture]) -> list[Line]:
-    parameters: Parameters = {**_defaults("ml"), "curve": "line"}
-    view = _fit.view_for(scene.camera, parameters)
-    timed, taken = _stopwatch()
-    for picture in pictures:
-        above = timed("from above", lambda p=picture: _fit.from_above(view, p.image))
-        mask = timed("marking mask", lambda a=above: marking_mask(view, a, parameters))
-        strips = timed("contours", lambda m=mask: find_strips(view, m, parameters))
-        timed("fit", lambda s=strips: _fit.fit_lines(view, s, parameters))
-    # The first frame compiled.
-    return [(f"ml: {what}", median(times[1:])) for what, times in taken.items()]
-
-
-def _stereo_stages(scene: Scene, pictures: list[Picture]) -> list[Line]:
-    parameters = _defaults("sl")
-    pair = _stereo.make_pair(scene.camera, parameters)
-    match = _matchers.find_matcher(parameters, "matcher")
-    timed, taken = _stopwatch()
-    for picture in pictures:
-        small = timed("made smaller", lambda p=picture: _stereo.reduced(pair, p))
-        found = timed("disparity", lambda s=small: _stereo.disparities(pair, match, *s))
-        plane = timed("plane", lambda d=found: _stereo.find_plane(pair, d, parameters))
-        timed("off the plane", lambda d=found, p=plane: _stereo.off_plane(pair, d, p, parameters))
-    return [(f"sl: {what}", median(times[1:])) for what, times in taken.items()]
-
-
-def _whole(scene: Scene, pictures: list[Picture]) -> list[Line]:
-    lines = []
+def _functions(detector: Detector, camera: Camera, pictures: Sequence[Picture]) -> list[Line]:
+    """The functions of the package that take most of a detector's time, longest first."""
+    step = start(detector, camera)
+    step(pictures[0])
+    profile = cProfile.Profile(time.process_time)
+    for picture in pictures[1:]:
+        profile.runcall(step, picture)
     folder = Path(detectors.__file__).parent
-    for name in (n for n in NAMES if (folder / f"{n}.py").is_file()):
-        module = import_module(f"{detectors.__name__}.{name}")
-        step = module.start(scene.camera, _defaults(name))
-        times = []
-        for picture in pictures:
-            begun = time.process_time()
-            step(picture)
-            times.append(time.process_time() - begun)
-        lines.append((f"**{name}**, with tracking", median(times[1:])))
-    return lines
-
-
-def _defaults(name: str) -> Parameters:
-    module = import_module(f"{detectors.__name__}.{name}")
-    return resolve_parameters(module.PARAMETERS, {}, 1)
+    taken = {
+        f"{Path(file).stem}.{function}": seconds / (len(pictures) - 1)
+        for (file, _, function), (_, _, _, seconds, _) in pstats.Stats(profile).stats.items()  # type: ignore[attr-defined]
+        if Path(file).is_relative_to(folder)
+    }
+    whole = max(taken.values())
+    longest = sorted(taken.items(), key=lambda one: -one[1])
+    return [
+        (f"{detector.name}: {function}", seconds)
+        for function, seconds in longest
+        if _LEAST_SHARE * whole <= seconds < 0.95 * whole
+    ]
 
 
 def markdown(lines: list[Line]) -> str:
