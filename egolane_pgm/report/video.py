@@ -1,8 +1,10 @@
-"""Draws a drive as a video. A frame shows the picture with its lines, the bird's-eye view, and the
-belief as bars over the lanes from left to right, with the truth if it is known.
+"""Draws a drive as a video. A frame shows the picture with its lines, their offsets below it, the
+bird's-eye view, and the belief as bars over the lanes from left to right, with the truth if it is
+known.
 
 A valid and continuous line is blue and solid, a valid one that is not continuous orange and dashed,
-one that is not valid grey and thin. Only one frame is in memory at a time.
+one that is not valid grey and thin. Where the detector says which line is which from frame to frame
+(`FrameLines.slot`), a colour stays with its line instead. Only one frame is in memory at a time.
 """
 
 from __future__ import annotations
@@ -42,6 +44,24 @@ INK: Colour = (34, 34, 34)
 PAPER: Colour = (255, 255, 255)
 FRAME: Colour = (170, 170, 170)
 
+#: The colours of slots 0, 1, ..., of the same palette; a further slot begins anew.
+SLOTS: tuple[Colour, ...] = (
+    (178, 114, 0),  # blue
+    (0, 159, 230),  # orange
+    (115, 158, 0),  # bluish green
+    (167, 121, 204),  # reddish purple
+    (233, 180, 86),  # sky blue
+    (66, 228, 240),  # yellow
+)
+
+#: The strip below the picture that has the labels of the lines: its height, and the least gap
+#: between two labels, pixels.
+STRIP, GAP = 26, 8
+_LABEL_SCALE = 0.45
+
+#: The margin beside the bird's-eye view that has its distances: width, pixels.
+MARGIN = 44
+
 #: The bird's-eye view: from and to, metres ahead of the camera, and metres to either side.
 AHEAD_M, SIDE_M = (0.0, 40.0), 10.0
 
@@ -79,7 +99,7 @@ class Layout:
     - scale: by which the picture is enlarged
     - picture: width and height of the enlarged picture
     - birdseye: width and height of the bird's-eye view, to the right of the picture
-    - panel: top and height of the panel below both
+    - panel: top and height of the panel below both and below the strip of labels
     - size: width and height of the whole
     - from_above: for each pixel of the bird's-eye view, the column and row of the picture
     """
@@ -100,7 +120,8 @@ def layout(camera: Camera) -> Layout:
     above = round(height * 2 * SIDE_M / (AHEAD_M[1] - AHEAD_M[0]))
     below = max(150, height // 4)
     # Video codecs need even sizes.
-    size = (width + above + (width + above) % 2, height + below + (height + below) % 2)
+    top, size_x = height + STRIP, width + above + MARGIN
+    size = (size_x + size_x % 2, top + below + (top + below) % 2)
     x = np.linspace(AHEAD_M[1], AHEAD_M[0], 2 * height + 1)[1::2]
     y = np.linspace(-SIDE_M, SIDE_M, 2 * above + 1)[1::2]
     u, v = _seen(camera, x[:, None], y[None, :])
@@ -112,7 +133,7 @@ def layout(camera: Camera) -> Layout:
         scale,
         (width, height),
         (above, height),
-        (height, size[1] - height),
+        (top, size[1] - top),
         size,
         (columns, rows),
     )
@@ -131,6 +152,8 @@ def draw_frame(places: Layout, picture: Image, scene: Scene) -> Image:
     _lines_from_above(places, from_above, scene.lines)
     canvas[:height, :width] = shown
     canvas[:height, width : width + above] = from_above
+    _distances(places, canvas)
+    _labels(places, canvas, scene.lines)
     _bars(places, canvas, scene)
     _legend(places, canvas, scene)
     return canvas
@@ -230,9 +253,15 @@ def scenes(
 
 def _style(lines: FrameLines, k: int) -> tuple[Colour, int, bool]:
     """The colour and thickness of line k, and whether it is dashed."""
-    if not lines.is_valid[k]:
-        return NOT_VALID, 1, not lines.is_continuous[k]
-    return (CONTINUOUS, 3, False) if lines.is_continuous[k] else (DASHED, 3, True)
+    slot = getattr(lines, "slot", None)
+    is_valid, is_dashed = bool(lines.is_valid[k]), not lines.is_continuous[k]
+    if slot is not None and slot[k] >= 0:
+        colour = SLOTS[int(slot[k]) % len(SLOTS)]
+    elif not is_valid:
+        colour = NOT_VALID
+    else:
+        colour = DASHED if is_dashed else CONTINUOUS
+    return colour, 3 if is_valid else 1, is_dashed
 
 
 def _across(shape: FloatArray, x: FloatArray) -> FloatArray:
@@ -271,24 +300,55 @@ def _lines_on_picture(places: Layout, picture: Image, lines: FrameLines) -> None
         for x in _pieces(is_dashed, DRAWN_M):
             u, v = _seen(places.camera, x, _across(lines.shape[k], x))
             _stroke(picture, u * places.scale, v * places.scale, colour, thickness)
-    for k in range(len(lines.is_valid)):
-        _offset_label(places, picture, lines, k)
 
 
-def _offset_label(places: Layout, picture: Image, lines: FrameLines, k: int) -> None:
-    """Writes the offset where the line enters the picture from below or from the side."""
+def _foot(places: Layout, lines: FrameLines, k: int) -> float | None:
+    """The column where line k enters the picture from below or from the side, or None where it is
+    not in the picture."""
     x = np.linspace(0.5, 30, 200)
     u, v = _seen(places.camera, x, _across(lines.shape[k], x))
     width, height = places.picture
     u, v = u * places.scale, v * places.scale
-    inside = (u >= 0) & (u < width) & (v >= 0) & (v < height - 4)
-    if not inside.any():
-        return
-    at = int(np.argmax(inside))
-    text = f"{lines.offset_m[k]:+.2f} m"
-    across = _text_width(text, 0.5)
-    left = int(np.clip(u[at] - across / 2, 2, width - across - 2))
-    _write(picture, text, (left, int(np.clip(v[at] - 6, 14, height - 8))), 0.5, PAPER, halo=True)
+    inside = (u >= 0) & (u < width) & (v >= 0) & (v < height)
+    return float(u[int(np.argmax(inside))]) if inside.any() else None
+
+
+def label_boxes(places: Layout, lines: FrameLines) -> dict[int, tuple[int, int, int, int]]:
+    """The left, top, right and bottom of the label of each line that is in the picture, in the
+    strip below it: side by side in the order of the lines, as near to their feet as there is
+    room."""
+    feet = {k: foot for k in range(len(lines.lri)) if (foot := _foot(places, lines, k)) is not None}
+    room = places.picture[0]
+    width = {k: _text_width(_label(lines, k), _LABEL_SCALE) + 4 for k in feet}
+    needed = sum(width.values()) + GAP * max(0, len(feet) - 1)
+    # Many labels in a narrow picture are written smaller.
+    shrink = min(1.0, room / max(1, needed))
+    gap = GAP * shrink
+    left: dict[int, float] = {}
+    edge = 0.0
+    for k, foot in feet.items():
+        left[k] = max(edge, foot - shrink * width[k] / 2)
+        edge = left[k] + shrink * width[k] + gap
+    edge = float(room)
+    for k in reversed(left):
+        left[k] = min(left[k], edge - shrink * width[k])
+        edge = left[k] - gap
+    top = places.picture[1]
+    return {
+        k: (int(at), top, int(at + shrink * width[k]), top + STRIP - 2) for k, at in left.items()
+    }
+
+
+def _label(lines: FrameLines, k: int) -> str:
+    return f"{lines.offset_m[k]:+.2f} m"
+
+
+def _labels(places: Layout, canvas: Image, lines: FrameLines) -> None:
+    """Writes the offset of each line below its foot, under a bar in the line's colour."""
+    for k, (left, top, right, bottom) in label_boxes(places, lines).items():
+        colour, thickness, _ = _style(lines, k)
+        cv2.rectangle(canvas, (left, top), (right - 1, top + thickness), colour, -1)
+        _centred(canvas, _label(lines, k), (left + right) // 2, bottom - 4, right - left, INK)
 
 
 def _lines_from_above(places: Layout, view: Image, lines: FrameLines) -> None:
@@ -304,10 +364,16 @@ def _lines_from_above(places: Layout, view: Image, lines: FrameLines) -> None:
     corners = np.array([[middle, height - 12], [middle - 6, height - 1], [middle + 6, height - 1]])
     cv2.fillPoly(view, [corners.astype(np.int32)], PAPER)
     cv2.polylines(view, [corners.astype(np.int32)], True, INK, 1, cv2.LINE_AA)
+
+
+def _distances(places: Layout, canvas: Image) -> None:
+    """Writes beside the bird's-eye view how far ahead its rows are."""
+    left = places.picture[0] + places.birdseye[0]
+    per_metre = places.birdseye[1] / (AHEAD_M[1] - AHEAD_M[0])
     for ahead in (10, 20, 30):
         row = round((AHEAD_M[1] - ahead) * per_metre)
-        cv2.line(view, (0, row), (5, row), PAPER, 1)
-        _write(view, f"{ahead} m", (8, row + 4), 0.35, PAPER, halo=True)
+        cv2.line(canvas, (left, row), (left + 4, row), INK, 1)
+        _write(canvas, f"{ahead} m", (left + 7, row + 4), 0.4, INK)
 
 
 def _stroke(image: Image, u: FloatArray, v: FloatArray, colour: Colour, thickness: int) -> None:
@@ -378,13 +444,17 @@ def _legend(places: Layout, canvas: Image, scene: Scene) -> None:
     room = canvas.shape[1] - left - 6
     top, height = places.panel
     answer = f"lane {scene.assigned}" if scene.assigned != UNASSIGNED else "Unassigned"
+    has_slots = getattr(scene.lines, "slot", None) is not None
+    first, second, third = [INK] * 3 if has_slots else [CONTINUOUS, DASHED, NOT_VALID]
     rows: list[tuple[str, tuple[Colour, int, bool] | None]] = [
         (f"frame {scene.frame_id}, {scene.time_s:.1f} s", None),
         (f"answer: {answer}", None),
-        ("valid, continuous", (CONTINUOUS, 3, False)),
-        ("valid, dashed", (DASHED, 3, True)),
-        ("not valid", (NOT_VALID, 1, False)),
+        ("valid, continuous", (first, 3, False)),
+        ("valid, dashed", (second, 3, True)),
+        ("not valid", (third, 1, False)),
     ]
+    if has_slots:
+        rows.append(("a colour stays with its line", None))
     step = (height - 16) // len(rows)
     for k, (text, style) in enumerate(rows):
         baseline = top + 22 + k * step
@@ -412,12 +482,8 @@ def _centred(canvas: Image, text: str, middle: int, row: int, room: int, colour:
     _write(canvas, text, (middle - _text_width(text, scale) // 2, row), scale, colour)
 
 
-def _write(
-    image: Image, text: str, at: tuple[int, int], scale: float, colour: Colour, halo: bool = False
-) -> None:
+def _write(image: Image, text: str, at: tuple[int, int], scale: float, colour: Colour) -> None:
     font: Any = cv2.FONT_HERSHEY_SIMPLEX
-    if halo:
-        cv2.putText(image, text, at, font, scale, INK, 3, cv2.LINE_AA)
     cv2.putText(image, text, at, font, scale, colour, 1, cv2.LINE_AA)
 
 

@@ -3,18 +3,31 @@ belief."""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
-from itertools import pairwise
+from itertools import combinations, pairwise
 
 import cv2
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 
-from egolane_pgm.camera.model import road_to_image
+from egolane_pgm.camera.model import image_to_road, road_to_image
 from egolane_pgm.detectors import FrameLines
 from egolane_pgm.report import video
-from egolane_pgm.report.video import bar_boxes, draw_frame, layout
-from tests.kits.drawn_frames import CAMERA, OFFSETS, around, drawn, filled, is_colour, road, scene
+from egolane_pgm.report.video import bar_boxes, draw_frame, label_boxes, layout
+from tests.kits.drawn_frames import (
+    CAMERA,
+    LINES,
+    OFFSETS,
+    around,
+    drawn,
+    filled,
+    is_colour,
+    road,
+    scene,
+)
 
 
 def test_a_frame_has_the_picture_the_birds_eye_view_and_a_panel() -> None:
@@ -78,7 +91,6 @@ def test_the_birds_eye_view_shows_lines_and_road_to_scale() -> None:
     view = image[:400, 640:840]
     row = round(400 * (40 - 20) / 40)
     bright = np.flatnonzero(view[row - 6 : row + 7].max(axis=(0, 2)) > 180)
-    bright = bright[bright > 50]  # right of the scale, whose figures OpenCV 4 draws wider
     metres = (bright[[0, -1]] + 0.5) * 20 / 200 - 10
     np.testing.assert_allclose(metres, [-3, 3], atol=0.5)
     view = drawn(scene([1, 0], 1))[:400, 640:840]
@@ -95,6 +107,90 @@ def test_lines_that_are_behind_or_far_beside_the_camera_do_no_harm() -> None:
     assert drawn(scene([1, 0], 1, lines=wild)).shape == drawn(scene([1, 0], 1)).shape
     up = replace(CAMERA, pitch_deg=50)
     assert draw_frame(layout(up), road(up), scene([1, 0], 1)).dtype == np.uint8
+
+
+def some_lines(offsets: Sequence[float], heading: float = 0.0) -> FrameLines:
+    shape = np.array([[offset, heading, 0.0, 0.0] for offset in sorted(offsets)]).reshape(-1, 4)
+    yes = np.ones(len(shape), dtype=bool)
+    return FrameLines(shape, yes, yes, np.full(len(shape), 10.0))
+
+
+@given(
+    st.lists(st.floats(-25, 25), max_size=14),
+    st.floats(-0.15, 0.15),
+    st.sampled_from([(640, 400), (64, 40), (1280, 720), (270, 480)]),
+)
+def test_labels_are_below_the_picture_side_by_side_and_in_the_frame(
+    offsets: list[float], heading: float, size: tuple[int, int]
+) -> None:
+    camera = replace(CAMERA, width=size[0], height=size[1], cx=size[0] / 2, cy=size[1] / 2)
+    places = layout(camera)
+    lines = some_lines(offsets, heading)
+    boxes = label_boxes(places, lines)
+    assert list(boxes) == sorted(boxes)
+    for left, top, right, bottom in boxes.values():
+        assert 0 <= left < right <= places.picture[0]
+        assert places.picture[1] <= top < bottom <= places.panel[0]
+    for one, other in pairwise(boxes.values()):
+        assert one[2] <= other[0]
+    draw_frame(places, road(camera), scene([1, 0], 1, lines=lines))
+
+
+def test_a_label_is_at_the_foot_of_its_line_in_its_colour() -> None:
+    """-1.9 m and 1.6 m leave the picture below, 5.2 m at the side; 200 m is not in it."""
+    image = drawn(scene([1, 0], 1))
+    boxes = label_boxes(layout(CAMERA), LINES)
+    for k, colour in enumerate((video.CONTINUOUS, video.DASHED, video.NOT_VALID)):
+        left, top, right, _ = boxes[k]
+        bar = image[top + 1, left : right - 1]
+        assert all(is_colour(pixel, colour, 3) for pixel in bar)
+        if k != 2:
+            _, y = image_to_road(CAMERA, (left + right) / 2, 399.0)
+            assert float(y) == pytest.approx(OFFSETS[k], abs=0.15)
+        else:  # it leaves the picture at the side
+            assert right == 640
+    assert list(label_boxes(layout(CAMERA), some_lines([1.6, 200.0]))) == [0]
+
+
+def test_nothing_is_written_on_the_picture_or_the_view(monkeypatch: pytest.MonkeyPatch) -> None:
+    many = some_lines([-9.5, -9.0, -5.4, -1.9, 1.6, 5.2, 9.5])
+    whole = drawn(scene([1, 0], 1, lines=many))
+    monkeypatch.setattr(video, "_write", lambda *given: None)
+    silent = drawn(scene([1, 0], 1, lines=many))
+    np.testing.assert_array_equal(whole[:400, :840], silent[:400, :840])
+    assert (whole[:400, 840:] != silent[:400, 840:]).any()
+
+
+def in_slots(offsets: Sequence[float], slots: Sequence[int]) -> FrameLines:
+    lines = some_lines(offsets)
+    object.__setattr__(lines, "slot", np.array(slots))
+    return lines
+
+
+def far_apart(colours: Sequence[tuple[int, int, int]]) -> float:
+    """The least difference of two colours as people see it who cannot tell red from green: red and
+    green become one."""
+    seen = [(blue, (green + red) / 2) for blue, green, red in colours]
+    return min(np.hypot(a[0] - b[0], a[1] - b[1]) for a, b in combinations(seen, 2))
+
+
+def test_slots_have_colours_that_stay_with_their_lines() -> None:
+    assert len(set(video.SLOTS)) == 6
+    assert video.TRUTH not in video.SLOTS
+    assert far_apart(video.SLOTS) > 25
+    for offsets, slots in (((-1.9, 1.6, 5.2), [2, 0, 5]), ((-5.5, -1.9, 1.6), [4, 2, 0])):
+        lines = in_slots(offsets, slots)
+        image = drawn(scene([1, 0], 1, lines=lines))
+        for slot, (left, top, right, _) in zip(
+            slots, label_boxes(layout(CAMERA), lines).values(), strict=True
+        ):
+            bar = image[top + 1, (left + right) // 2]
+            assert is_colour(bar, video.SLOTS[slot], 3)
+    # A line without a slot is drawn as where there are none.
+    lines = in_slots([-1.9, 1.6], [-1, 7])
+    image, boxes = drawn(scene([1, 0], 1, lines=lines)), label_boxes(layout(CAMERA), lines)
+    assert is_colour(image[boxes[0][1] + 1, boxes[0][0] + 5], video.CONTINUOUS, 3)
+    assert is_colour(image[boxes[1][1] + 1, boxes[1][0] + 5], video.SLOTS[1], 3)
 
 
 def test_bars_show_the_belief_over_the_lanes_from_left_to_right() -> None:
