@@ -23,7 +23,8 @@ N_FRAMES = 16
 
 @dataclass(frozen=True)
 class Paint:
-    """A line y(x) = offset + heading x + curvature x^2 / 2, dashed where period > dash."""
+    """A line y(x) = offset + heading x + curvature x^2 / 2 + rate x^3 / 6, dashed where period >
+    dash."""
 
     offset_m: float
     dash_m: float = 1.0
@@ -32,6 +33,7 @@ class Paint:
     curvature: float = 0.0
     width_m: float = 0.15
     grey: float = 225.0
+    rate: float = 0.0
 
 
 THREE = (Paint(-5.2), Paint(-1.7, 4.0, 12.0), Paint(1.8))
@@ -51,7 +53,7 @@ def road(
     rng = np.random.default_rng(seed)
     grey = np.where(np.isnan(x), 180.0, 95.0)
     for line in lines:
-        middle = line.offset_m + x * (line.heading + x * line.curvature / 2)
+        middle = line.offset_m + x * (line.heading + x * (line.curvature / 2 + x * line.rate / 6))
         with np.errstate(invalid="ignore"):
             is_paint = np.abs(y - middle) < line.width_m / 2
             is_paint &= np.mod(x + travelled_m, line.period_m) < line.dash_m

@@ -51,7 +51,7 @@ def start(
 ) -> Step:
     """The `start` of a detector.
 
-    - curve: "line" or "clothoid"
+    - curve: "line", "parabola" or "clothoid"
     - on_road: makes, for a view, the function that separates the road from the objects on it; None
       if all pixels count as road
 
@@ -77,7 +77,7 @@ def follower(
 ) -> tuple[Callable[[Tracks, Picture], Tracks], Rules]:
     """As `start`, but the step takes the tracks and gives the new ones. Also gives its rules."""
     parameters = {**parameters, "curve": curve}
-    rule = rules(parameters, curved=curve == "clothoid")
+    rule = rules(parameters, curve=curve)
     view = view_for(camera, parameters)
     road = None if on_road is None else on_road(view)
     count_repeats = repeat_counter(parameters)

@@ -5,7 +5,8 @@ All lines of a road share heading and curvature. These are found first: the righ
 with which the contours gather most sharply at a few offsets. The offsets follow. The lines also
 share a third value, the squeeze q. When the car pitches, distances to the side appear to grow or
 shrink with the distance ahead, y = o (1 + q x), where q is the change of pitch over the height of
-the camera.
+the camera. A clothoid's fourth value, the rate of its curvature, moves a line by centimetres only,
+so the search leaves it where it is expected and least squares find it.
 """
 
 from __future__ import annotations
@@ -24,8 +25,15 @@ from egolane_pgm.detectors.simple.markings import marking_mask
 from egolane_pgm.parameters import Parameters, number
 from egolane_pgm.types import BoolArray, FloatArray, IntArray
 
-#: The values that all lines of a frame share.
-_SHARED = ("heading", "curvature", "squeeze")
+#: The values that all lines of a frame share. The last one is not searched for.
+_SHARED = ("heading", "curvature", "squeeze", "rate")
+
+#: Which of them each curve has.
+_HAS = {
+    "line": np.array([True, False, True, False]),
+    "parabola": np.array([True, True, True, False]),
+    "clothoid": np.array([True, True, True, True]),
+}
 
 #: Grid sizes for heading, curvature and squeeze: of the coarse search, and of the fine one around
 #: the best point.
@@ -44,9 +52,9 @@ _BIN_M = 0.05
 #: For each round of least squares, how near a run must be to a line to count, in `reach_m`.
 _REFINE = (2.5, 2.0, 1.5)
 
-#: Standard deviation, from its line, of a run one metre wide. It is large because runs are far from
-#: independent.
-_RUN_SD_M = 0.07
+#: Standard deviation, from its line, of a run one metre wide. It is larger than the scatter of
+#: runs, because neighbouring runs are far from independent.
+_RUN_SD_M = 0.02
 
 #: Weight of an offset's previous value (1/m^2), which keeps the equations solvable for a line
 #: without runs near it.
@@ -77,15 +85,17 @@ class Found:
 
 @dataclass(frozen=True)
 class _Common:
-    """The values that all lines of a frame share: heading (m/m), curvature and squeeze (1/m)."""
+    """The values that all lines of a frame share: heading (m/m), curvature and squeeze (1/m), and
+    the curvature's rate (1/m^2)."""
 
     heading: float
     curvature: float
     squeeze: float
+    rate: float = 0.0
 
     def offset(self, x: FloatArray, y: FloatArray) -> FloatArray:
         """The offset of the line through each point x, y."""
-        straight = y - x * (self.heading + 0.5 * self.curvature * x)
+        straight = y - x * (self.heading + x * (self.curvature / 2 + x * self.rate / 6))
         return straight / (1 + self.squeeze * x)
 
     def shape(self, offset: FloatArray) -> FloatArray:
@@ -94,6 +104,7 @@ class _Common:
         out[:, 0] = offset
         out[:, 1] = self.heading + self.squeeze * offset
         out[:, 2] = self.curvature
+        out[:, 3] = self.rate
         return out
 
 
@@ -124,8 +135,8 @@ def find_lines(
     """Finds the lines in a picture.
 
     - image: (H, W, 3), blue green red
-    - prior_shape: (P, 4) lines expected from the frames before; heading, curvature and squeeze are
-      searched near theirs
+    - prior_shape: (P, 4) lines expected from the frames before; what all lines share is searched
+      near theirs
     - on_road: (R, C) pixels of the view on the plane of the road; marking elsewhere is dropped
 
     Raises InputError for a picture of another size than the calibration.
@@ -169,37 +180,44 @@ def _select(
 
 
 def _prior(parameters: Parameters, prior_shape: FloatArray | None) -> tuple[FloatArray, FloatArray]:
-    """Mean and standard deviation, (3,) each, of the prior on heading, curvature and squeeze."""
+    """Mean and standard deviation, (4,) each, of the prior on what the lines share."""
     sd = np.array([number(parameters, f"{name}_sd") for name in _SHARED])
     if prior_shape is None or not len(prior_shape):
-        return np.zeros(3), sd
+        return np.zeros(4), sd
     heading, squeeze = float(np.median(prior_shape[:, 1])), 0.0
     if len(prior_shape) > 1 and np.ptp(prior_shape[:, 0]) > 1:
         squeeze, heading = np.polyfit(prior_shape[:, 0], prior_shape[:, 1], 1)
-    centre = np.array([heading, np.median(prior_shape[:, 2]), squeeze])
-    return centre, sd * number(parameters, "prior_share")
+    curvature, rate = np.median(prior_shape[:, 2:], axis=0)
+    centre = np.array([heading, curvature, squeeze, rate])
+    # A clothoid begins and ends at a point: the rate of the frame before does not bind this one's.
+    share = number(parameters, "prior_share")
+    return centre, sd * [share, share, share, 1.0]
 
 
 def _find_common(
     view: BirdsEye, strips: Strips, parameters: Parameters, prior: tuple[FloatArray, FloatArray]
 ) -> _Common:
     """Searches for the values that the lines share, on a coarse grid, then on a fine one around the
-    best point."""
-    is_curved = parameters["curve"] == "clothoid"
-    most = np.array([number(parameters, f"most_{name}") for name in _SHARED])
+    best point. The rate is the expected one."""
+    has = _HAS[str(parameters["curve"])]
+    most = np.array([number(parameters, f"most_{name}") for name in _SHARED[:3]])
+    rate = float(prior[0][3]) if has[3] else 0.0
     x, y, area, contour = _pieces(view, strips)
+    y = y - rate * x**3 / 6
     tolerance = np.hypot(number(parameters, "slope_sd"), strips.slope_sd)[contour]
-    middle, slope = strips.middle_m[contour], strips.slope[contour]
+    middle = strips.middle_m[contour]
+    slope = strips.slope[contour] - rate * middle**2 / 2
     side = number(parameters, "side_m")
 
     def best(grid: list[FloatArray], bin_m: float) -> FloatArray:
-        if not is_curved:
+        if not has[1]:
             grid[1] = np.zeros(1)
         scores = common_scores(
             x, y, area, middle, slope, tolerance, grid[0], grid[1], grid[2], side, bin_m
         )
         away = np.meshgrid(
-            *((values - c) / s for values, c, s in zip(grid, *prior, strict=True)),
+            # `strict=False`: the rate is not searched for.
+            *((values - c) / s for values, c, s in zip(grid, *prior, strict=False)),
             indexing="ij",
         )
         # The prior has heavy tails: a ramp is unusual, but enough contours can show one.
@@ -212,7 +230,8 @@ def _find_common(
     )
     step = 2 * most / (np.array(_COARSE) - 1) * np.array([1.0, 0.75, 0.75])
     around = [at + s * np.linspace(-1, 1, n) for at, s, n in zip(first, step, _FINE, strict=True)]
-    return _Common(*map(float, best(around, _FINE_BIN_M)))
+    heading, curvature, squeeze = map(float, best(around, _FINE_BIN_M))
+    return _Common(heading, curvature, squeeze, rate)
 
 
 def _pieces(view: BirdsEye, strips: Strips) -> tuple[FloatArray, FloatArray, FloatArray, IntArray]:
@@ -234,7 +253,8 @@ def _along(
     offset = common.offset(strips.x_m, strips.y_m)
     slope = strips.slope[strips.contour]
     tolerance = np.hypot(number(parameters, "slope_sd"), strips.slope_sd)[strips.contour]
-    expected = common.heading + common.curvature * strips.middle_m[strips.contour]
+    middle = strips.middle_m[strips.contour]
+    expected = common.heading + middle * (common.curvature + middle * common.rate / 2)
     expected += common.squeeze * offset
     return offset, np.maximum(1 - ((slope - expected) / tolerance) ** 2, 0)
 
@@ -281,7 +301,7 @@ def _support(own: FloatArray, parameters: Parameters) -> FloatArray:
 def _visible(view: BirdsEye, shape: FloatArray) -> FloatArray:
     """How much of each line (M, 4) the view shows, (M,), metres, from every fourth row."""
     x = view.x_m[::4]
-    y = shape[:, :1] + x * (shape[:, 1:2] + 0.5 * x * shape[:, 2:3])
+    y = shape[:, :1] + x * (shape[:, 1:2] + x * (shape[:, 2:3] / 2 + x * shape[:, 3:] / 6))
     column = np.floor((y - view.y_m[0]) / view.across_m + 0.5).astype(int)
     inside = (column >= 0) & (column < len(view.y_m))
     rows = np.arange(0, len(view.x_m), 4)
@@ -314,7 +334,7 @@ def _refine(
     """Refines the shared values and the offsets (M,) by least squares over the runs near the
     lines."""
     reach = number(parameters, "reach_m")
-    is_curved = parameters["curve"] == "clothoid"
+    has = _HAS[str(parameters["curve"])]
     for times in _REFINE:
         if not len(found):
             break
@@ -323,22 +343,20 @@ def _refine(
         near = np.flatnonzero((np.abs(offset - found[line]) <= times * reach) & (agreement > 0))
         line, x = line[near], strips.x_m[near]
         weight = strips.width_m[near] * agreement[near] / _RUN_SD_M**2
-        # Unknowns: heading, curvature, squeeze, then each line's offset.
-        now = np.array([common.heading, common.curvature, common.squeeze, *found])
-        design = np.zeros((len(near), len(now)))
-        design[:, 0], design[:, 2] = x, found[line] * x
-        if is_curved:
-            design[:, 1] = 0.5 * x * x
-        design[np.arange(len(near)), 3 + line] = 1 + common.squeeze * x
+        # Unknowns: heading, curvature, squeeze, rate, then each line's offset.
+        design = np.zeros((len(near), 4 + len(found)))
+        shared = np.stack([x, x**2 / 2, found[line] * x, x**3 / 6], axis=1)
+        design[:, :4] = np.where(has, shared, 0.0)
+        design[np.arange(len(near)), 4 + line] = 1 + common.squeeze * x
         # The design counts squeeze times offset twice, so one of them is added to the target.
         value = strips.y_m[near] + common.squeeze * found[line] * x
         normal = design.T @ (weight[:, None] * design)
         right = design.T @ (weight * value)
         strength = np.array([*prior[1] ** -2.0, *np.full(len(found), _WEAK)])
-        normal[np.diag_indices(len(now))] += strength
+        normal[np.diag_indices(len(strength))] += strength
         right += strength * np.array([*prior[0], *found])
         now = np.linalg.solve(normal, right)
-        common, found = _Common(*map(float, now[:3] * [1, is_curved, 1])), now[3:]
+        common, found = _Common(*map(float, now[:4] * has)), now[4:]
     return common, found
 
 

@@ -75,8 +75,9 @@ _FIT = (
         "curve",
         "choice",
         "clothoid",
-        "what is fitted: straight lines or clothoids",
-        choices=("line", "clothoid"),
+        "what is fitted: straight lines, parabolas (one curvature), or clothoids (a curvature that"
+        " changes at a constant rate)",
+        choices=("line", "parabola", "clothoid"),
     ),
     Parameter("most_heading", "positive", 0.15, "largest heading of the road, m/m"),
     Parameter(
@@ -85,6 +86,17 @@ _FIT = (
     Parameter("most_curvature", "positive", 0.003, "largest curvature of the road, 1/m"),
     Parameter(
         "curvature_sd", "sigma", 0.001, "usual curvature of the road, 1/m", lowest=1e-9, highest=10
+    ),
+    Parameter(
+        "rate_sd",
+        "sigma",
+        4e-5,
+        "usual rate of a clothoid's curvature, 1/m^2: what a car at 110 km/h meets on the shortest"
+        " transition curve that AASHTO's Green Book allows (section 3.3.8: lateral acceleration"
+        " grows by 1.2 m/s^3 at most, so 1.2 over the cube of the speed: a clothoid parameter of"
+        " 155 m)",
+        lowest=1e-12,
+        highest=10,
     ),
     Parameter("most_squeeze", "positive", 0.008, "largest effect of a wrong pitch on widths, 1/m"),
     Parameter(
@@ -99,7 +111,7 @@ _FIT = (
         "prior_share",
         "positive",
         0.3,
-        "factor on these three standard deviations once the frame before is known",
+        "factor on these standard deviations (but the rate's) once the frame before is known",
         lowest=1e-3,
         highest=1000,
     ),
@@ -188,6 +200,14 @@ TRACKING = (
         highest=100,
     ),
     Parameter(
+        "measure_sigma_rate",
+        "positive",
+        2e-5,
+        "standard deviation of the rate of a found clothoid's curvature, 1/m^2",
+        lowest=1e-9,
+        highest=1,
+    ),
+    Parameter(
         "offset_walk_m",
         "positive",
         0.06,
@@ -210,6 +230,13 @@ TRACKING = (
         "probability",
         0.4,
         "share of it that enters the steady motion, with which lines are predicted",
+    ),
+    Parameter(
+        "curvature_gain",
+        "probability",
+        0.3,
+        "share of the matched lines' common change of curvature that counts as common motion (the"
+        " road's)",
     ),
     Parameter(
         "vote_frames",

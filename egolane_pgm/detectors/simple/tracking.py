@@ -4,8 +4,10 @@ detections.
 
 A line is y(x) = s0 + s1 x + s2 x^2 / 2 + s3 x^3 / 6. The measurement is where it lies at some
 distances ahead, because there it was seen; its offset at the car is an extrapolation. The car's own
-motion moves all lines alike, so one shift per frame is estimated for all of them together. This
-module works on arrays alone and sees no picture.
+motion moves all lines alike, so one shift per frame is estimated for all of them together. On a
+clothoid the curvature grows by its rate times the distance driven. That distance is not known here,
+so this growth is part of the same shift, and the rate is predicted to stay. This module works on
+arrays alone and sees no picture.
 """
 
 from __future__ import annotations
@@ -21,6 +23,9 @@ from egolane_pgm.types import BoolArray, FloatArray, IntArray
 
 #: How many distances ahead a line is compared at: four parameters need four.
 _PLACES = 4
+
+#: How many of a shape's four values each curve has.
+_VALUES = {"line": 2, "parabola": 3, "clothoid": 4}
 
 #: Limit on a new line's standard deviations, in steps of the walk.
 _OPEN_STEPS = 50
@@ -66,7 +71,7 @@ class Rules:
     """The parameters of tracking and the matrices that follow from them.
 
     - values: the parameters
-    - curved: whether lines have curvature (clothoids) or are straight
+    - n_values: how many of a shape's four values the lines have: 2 if they are straight
     - at: (J, 4) takes a line's parameters to its places at J distances ahead
     - noise: (J, J) covariance of a measurement
     - walk: (4, 4) covariance of the change from frame to frame
@@ -74,7 +79,7 @@ class Rules:
     """
 
     values: Parameters
-    curved: bool
+    n_values: int
     at: FloatArray
     noise: FloatArray
     walk: FloatArray
@@ -84,8 +89,12 @@ class Rules:
         return float(self.values[name])  # type: ignore[arg-type]
 
 
-def rules(parameters: Parameters, *, curved: bool) -> Rules:
-    """The rules of tracking, from checked values of the parameters."""
+def rules(parameters: Parameters, *, curve: str) -> Rules:
+    """The rules of tracking, from checked values of the parameters.
+
+    curve: "line", "parabola" or "clothoid".
+    """
+    n_values = _VALUES[curve]
 
     def value(name: str) -> float:
         return float(parameters[name])  # type: ignore[arg-type]
@@ -95,15 +104,28 @@ def rules(parameters: Parameters, *, curved: bool) -> Rules:
     at = np.stack([np.ones_like(x), x, x**2 / 2, x**3 / 6], axis=1)
     sigma = np.linspace(value("measure_sigma_m"), value("measure_sigma_far_m"), _PLACES)
     noise = np.diag(sigma**2)
+    if n_values == 4:
+        noise = _noise_of_clothoids(at, sigma, value("measure_sigma_rate"))
     names = ("offset_walk_m", "heading_walk", "curvature_walk", "rate_walk")
     walk = np.array([value(name) for name in names])
-    if not curved:
-        walk[2:] = 0.0
+    walk[n_values:] = 0.0
     inverse = np.linalg.pinv(at)
     first = inverse @ noise @ inverse.T
     narrower = np.minimum(1.0, _OPEN_STEPS * walk / np.sqrt(np.diag(first)))
     first *= narrower[:, None] * narrower
-    return Rules(parameters, curved, at, noise, np.diag(walk**2), first)
+    return Rules(parameters, n_values, at, noise, np.diag(walk**2), first)
+
+
+def _noise_of_clothoids(at: FloatArray, sigma: FloatArray, sigma_rate: float) -> FloatArray:
+    """The covariance (J, J) of a clothoid's places: that of the parabola through places with
+    independent errors (J,), and that of the rate, which the fit to all contours tells far better
+    than four such places would."""
+    parabola = at[:, :3]
+    covariance = np.linalg.inv((parabola / sigma[:, None] ** 2).T @ parabola)
+    # What a parabola cannot follow of a unit of rate.
+    rest = at[:, 3] - parabola @ covariance @ (parabola.T @ (at[:, 3] / sigma**2))
+    noise: FloatArray = parabola @ covariance @ parabola.T
+    return noise + sigma_rate**2 * np.outer(rest, rest)
 
 
 def no_tracks(rule: Rules) -> Tracks:
@@ -135,8 +157,7 @@ def advance(tracks: Tracks, rule: Rules, shape: FloatArray, coverage: FloatArray
     - shape: (M, 4) the lines found in it
     - coverage: (M,) the share of each line that is painted; NaN where that is unknown
     """
-    if not rule.curved:
-        shape = np.concatenate([shape[:, :2], np.zeros((len(shape), 2))], axis=1)
+    shape = np.where(np.arange(4) < rule.n_values, shape, 0.0)
     tracks = replace(
         tracks, mean=tracks.mean + tracks.motion, covariance=tracks.covariance + rule.walk
     )
@@ -247,14 +268,19 @@ def _update(
 
 
 def _common_shift(moved: FloatArray, rule: Rules) -> FloatArray:
-    """The change of offset and heading, as (4,), that most of the K matched lines show.
+    """The change of offset and heading, and of curvature where lines have one, as (4,), that most
+    of the K matched lines show.
 
     moved: (K, J) measured minus predicted places, metres.
     """
     shift = np.zeros(4)
     weight = 1 / np.sqrt(np.diag(rule.noise))
-    design, middle = rule.at[:, :2] * weight[:, None], np.median(moved, axis=0)
-    shift[:2] = np.linalg.lstsq(design, middle * weight)[0]
+    design, middle = rule.at * weight[:, None], np.median(moved, axis=0) * weight
+    if rule.n_values > 2:
+        curvature = np.linalg.lstsq(design[:, :3], middle)[0][2]
+        shift[2] = rule["curvature_gain"] * curvature
+        middle = middle - design[:, 2] * shift[2]
+    shift[:2] = np.linalg.lstsq(design[:, :2], middle)[0]
     return shift
 
 

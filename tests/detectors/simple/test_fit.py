@@ -291,26 +291,35 @@ def strips_along(
     contour = np.repeat(np.arange(len(rows)), [len(view.x_m[r]) for r in rows])
     x = view.x_m[row]
     shape = common.shape(np.array(offsets))[contour]
-    y = shape[:, 0] + x * (shape[:, 1] + x * shape[:, 2] / 2)
+    y = shape[:, 0] + x * (shape[:, 1] + x * (shape[:, 2] / 2 + x * shape[:, 3] / 6))
     middle = np.array([view.x_m[r].mean() for r in rows])
-    slope = common.shape(np.array(offsets))[:, 1] + common.curvature * middle
+    slope = common.shape(np.array(offsets))[:, 1]
+    slope = slope + middle * (common.curvature + middle * common.rate / 2)
     return Strips(
         row, x, y, np.full(len(x), 0.15), contour, middle, slope, np.full(len(rows), 0.02)
     )
 
 
-@given(st.floats(-0.1, 0.1), st.floats(-0.003, 0.003), st.floats(-0.008, 0.008), st.floats(-8, 8))
+@given(
+    st.floats(-0.1, 0.1),
+    st.floats(-0.003, 0.003),
+    st.floats(-0.008, 0.008),
+    st.floats(-1e-4, 1e-4),
+    st.floats(-8, 8),
+)
 def test_every_point_of_a_line_has_the_lines_offset(
-    heading: float, curvature: float, squeeze: float, offset: float
+    heading: float, curvature: float, squeeze: float, rate: float, offset: float
 ) -> None:
-    common = _fit._Common(heading, curvature, squeeze)
+    common = _fit._Common(heading, curvature, squeeze, rate)
     x = np.linspace(4, 35, 9)
     (line,) = common.shape(np.array([offset]))
     y = line @ np.stack([np.ones_like(x), x, x**2 / 2, x**3 / 6])
     np.testing.assert_allclose(common.offset(x, y), offset, atol=1e-9)
     # Pitching makes distances to the side grow with the distance ahead.
     np.testing.assert_allclose(
-        y, offset * (1 + squeeze * x) + heading * x + curvature * x**2 / 2, atol=1e-9
+        y,
+        offset * (1 + squeeze * x) + heading * x + curvature * x**2 / 2 + rate * x**3 / 6,
+        atol=1e-9,
     )
 
 
@@ -322,30 +331,31 @@ def test_the_red_of_a_picture_is_looked_at_and_a_grey_one_as_it_is() -> None:
 
 
 def expected(*lines: tuple[float, float, float], **more: object) -> tuple[FloatArray, FloatArray]:
-    shape = np.array([[*line, 0.0] for line in lines]).reshape(-1, 4)
+    shape = np.array([[*line, 2e-5] for line in lines]).reshape(-1, 4)
     return _fit._prior(given_(**more), shape)
 
 
 def test_without_lines_from_before_a_road_is_straight_ahead_give_or_take_the_usual() -> None:
-    usual = {"heading_sd": 0.03, "curvature_sd": 0.001, "squeeze_sd": 0.004}
+    usual = {"heading_sd": 0.03, "curvature_sd": 0.001, "squeeze_sd": 0.004, "rate_sd": 4e-5}
     for centre, sd in (_fit._prior(given_(**usual), None), expected(**usual)):
-        assert centre.tolist() == [0, 0, 0]
-        assert sd.tolist() == [0.03, 0.001, 0.004]
+        assert centre.tolist() == [0, 0, 0, 0]
+        assert sd.tolist() == [0.03, 0.001, 0.004, 4e-5]
 
 
 def test_lines_from_before_say_heading_curvature_and_squeeze_more_surely() -> None:
     lines = [(o, 0.02 + 0.003 * o, 0.0007) for o in (-5.4, -1.8, 1.9)]
     centre, sd = expected(*lines, prior_share=0.25)
-    np.testing.assert_allclose(centre, [0.02, 0.0007, 0.003])
-    np.testing.assert_allclose(sd, 0.25 * expected()[1])
+    np.testing.assert_allclose(centre, [0.02, 0.0007, 0.003, 2e-5])
+    # A clothoid may begin or end between two frames, so the rate is as open as before.
+    np.testing.assert_allclose(sd, [0.25, 0.25, 0.25, 1] * expected()[1])
 
 
 def test_lines_near_to_each_other_say_nothing_of_the_squeeze() -> None:
     centre, _ = expected((1.8, 0.02, 0.001))
-    np.testing.assert_allclose(centre, [0.02, 0.001, 0.0])
+    np.testing.assert_allclose(centre, [0.02, 0.001, 0.0, 2e-5])
     # 20 cm apart: a squeeze of 0.05 would be noise.
     centre, _ = expected((1.8, 0.02, 0.001), (2.0, 0.03, 0.001))
-    np.testing.assert_allclose(centre, [0.025, 0.001, 0.0])
+    np.testing.assert_allclose(centre, [0.025, 0.001, 0.0, 2e-5])
 
 
 def scored(**at: float) -> FloatArray:
@@ -449,7 +459,7 @@ def test_contours_weigh_as_much_as_they_agree() -> None:
     ahead = _fit._Common(0.0, 0.0, 0.0)
     strips = strips_along(ahead, [0.0, 0.1], [slice(100, 150), slice(200, 250)])
     strips = replace(strips, slope=np.array([0.0, 0.5 * np.hypot(0.05, 0.02)]))
-    surely = np.zeros(3), np.full(3, 1e-7)
+    surely = np.zeros(4), np.array([1e-7, 1e-7, 1e-7, 1e-11])
     parameters = given_(slope_sd=0.05, reach_m=0.125)
     common, found = _fit._refine(strips, ahead, np.array([0.0, 3.6]), parameters, surely)
     assert found == pytest.approx([0.1 * 0.75 / 1.75, 3.6], abs=1e-4)

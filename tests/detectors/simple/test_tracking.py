@@ -27,8 +27,8 @@ from egolane_pgm.types import FloatArray
 NOTHING = np.zeros((0, 4)), np.zeros(0)
 
 
-def made(curved: bool = True, **given: object) -> Rules:
-    return rules(resolve_parameters(TRACKING, given, 1), curved=curved)
+def made(curve: str = "clothoid", **given: object) -> Rules:
+    return rules(resolve_parameters(TRACKING, given, 1), curve=curve)
 
 
 def at(*offsets: float, heading: float = 0.0, curvature: float = 0.0) -> FloatArray:
@@ -99,8 +99,10 @@ def test_the_filter_has_less_noise_than_single_frames_and_no_bias() -> None:
     noise = np.linspace(0.12, 0.35, 4)
     frames = []
     for _ in range(300):
-        measured = np.linalg.solve(columns, columns @ true + noise * rng.normal(size=4))
-        frames.append(seen(measured[None]))
+        # A parabola through places that are off, and a rate of its own.
+        places = columns @ true + noise * rng.normal(size=4)
+        parabola = np.linalg.lstsq(columns[:, :3] / noise[:, None], places / noise)[0]
+        frames.append(seen(np.append(parabola, true[3] + 2e-5 * rng.normal())[None]))
     history = followed(rule, frames)[50:]
     for distance in (6.0, 15.0, 30.0):
         row = np.array([1, distance, distance**2 / 2, distance**3 / 6])
@@ -125,7 +127,7 @@ def test_the_covariance_stays_symmetric_and_positive() -> None:
 
 
 def test_straight_lines_stay_straight_whatever_is_found() -> None:
-    rule = made(curved=False)
+    rule = made(curve="line")
     history = followed(rule, [seen(at(-1.8, 1.8, curvature=1e-3))] * 20)
     assert not np.any(history[-1].mean[:, 2:])
 
@@ -288,14 +290,14 @@ _LINE = st.tuples(
 @settings(max_examples=60, deadline=None)
 @given(
     st.lists(st.lists(_LINE, max_size=6), min_size=1, max_size=30),
-    st.booleans(),
+    st.sampled_from(["line", "parabola", "clothoid"]),
     st.integers(0, 2**32 - 1),
 )
 def test_whatever_is_found_the_tracks_stay_sound(
-    frames: list[list[tuple[float, float, float, float]]], curved: bool, seed: int
+    frames: list[list[tuple[float, float, float, float]]], curve: str, seed: int
 ) -> None:
     rng = np.random.default_rng(seed)
-    rule = made(curved=curved)
+    rule = made(curve=curve)
     tracks = no_tracks(rule)
     for found in frames:
         cover = np.where(rng.random(len(found)) < 0.3, np.nan, rng.random(len(found)))
@@ -419,7 +421,7 @@ def test_straight_lines_have_no_curvature_however_they_wander() -> None:
     frames = [
         seen(np.array([[-1.8 + rng.normal(0, 0.2), rng.normal(0, 0.02), 0, 0]])) for _ in range(40)
     ]
-    for tracks in followed(made(curved=False), frames):
+    for tracks in followed(made(curve="line"), frames):
         assert (tracks.mean[:, 2:] == 0).all()
 
 
