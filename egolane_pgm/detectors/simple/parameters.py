@@ -79,7 +79,7 @@ _FIT = (
         " changes at a constant rate)",
         choices=("line", "parabola", "clothoid"),
     ),
-    Parameter("most_heading", "positive", 0.15, "largest heading of the road, m/m"),
+    Parameter("most_heading", "positive", 0.15, "largest heading of the road, m/m", highest=10),
     Parameter(
         "heading_sd", "sigma", 0.03, "usual heading of the road, m/m", lowest=1e-6, highest=10
     ),
