@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, field, fields, replace
 from pathlib import Path
 from typing import Any
 
@@ -54,6 +54,7 @@ class Camera:
       one; None for a single camera
     - ignore: rectangles of the picture that never show road (bonnet, mirror), each left, top,
       right, bottom in pixels, the last two exclusive
+    - name: how messages name it, the YAML file that it was read from; not part of that file
 
     Raises InputError, naming the key, for a value that no camera in a car has.
     """
@@ -72,6 +73,7 @@ class Camera:
     distortion: tuple[float, float, float, float, float] = (0.0, 0.0, 0.0, 0.0, 0.0)
     baseline_m: float | None = None
     ignore: tuple[tuple[int, int, int, int], ...] = ()
+    name: str = field(default="", compare=False)
 
     def __post_init__(self) -> None:
         for name, (low, high, unit) in _RANGES.items():
@@ -92,6 +94,10 @@ class Camera:
             raise InputError("ignore: needs a list of rectangles, each left, top, right, bottom")
         for rectangle in self.ignore:
             _check_rectangle(rectangle)
+
+
+#: The keys of a camera's YAML file.
+_KEYS = [f.name for f in fields(Camera) if f.name != "name"]
 
 
 def _check_number(name: str, value: object) -> None:
@@ -232,7 +238,7 @@ def _undistort(camera: Camera, a: FloatArray, b: FloatArray) -> tuple[FloatArray
 
 def camera_content(camera: Camera) -> dict[str, Any]:
     """The camera as the keys of a YAML file."""
-    content = {f.name: getattr(camera, f.name) for f in fields(camera)}
+    content = {name: getattr(camera, name) for name in _KEYS}
     content["distortion"] = list(camera.distortion)
     if camera.baseline_m is None:
         del content["baseline_m"]
@@ -248,10 +254,9 @@ def camera_from(content: Mapping[str, Any], where: str) -> Camera:
     Raises InputError, starting with `where` and naming the key, for a key that is missing, unknown
     or has a wrong value.
     """
-    known = [f.name for f in fields(Camera)]
     for key in content:
-        if key not in known:
-            raise InputError(f"{where}: unknown key '{key}'{suggestion(str(key), known)}")
+        if key not in _KEYS:
+            raise InputError(f"{where}: unknown key '{key}'{suggestion(str(key), _KEYS)}")
     for key in ("width", "height", "fx", "fy", "cx", "cy", "height_m"):
         if key not in content:
             raise InputError(f"{where}: {key}: is missing")
@@ -264,7 +269,7 @@ def camera_from(content: Mapping[str, Any], where: str) -> Camera:
             for rectangle in values["ignore"]
         )
     try:
-        return Camera(**values)
+        return Camera(**values, name=where)
     except InputError as error:
         raise InputError(f"{where}: {error}") from None
 

@@ -7,7 +7,9 @@ across it, because the camera resolves the road finely to the side and coarsely 
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from functools import lru_cache
 
 import cv2
 import numpy as np
@@ -22,6 +24,9 @@ _MOST_PIXELS = 8000
 
 #: The smallest share of a view that must be in the picture.
 _LEAST_SHARE = 0.1
+
+#: How many views for other pitches are kept.
+_VIEWS = 24
 
 #: The largest error, in pixels, of distorting a point and removing the distortion again. If it is
 #: larger, the distortion formula has folded over and would show the picture a second time.
@@ -95,6 +100,29 @@ def make_view(
     )
     maps = (map_uv.astype(np.int16, copy=False), fractions.astype(np.uint16, copy=False))
     return BirdsEye(camera, x_m, y_m, along_m, across_m, valid, maps)
+
+
+def turned_up(view: BirdsEye) -> Callable[[float], BirdsEye]:
+    """Makes a function that gives the same view for a camera whose pitch is larger by so many
+    degrees. The last views are kept, because a new one takes longer than a picture: ask for few
+    different pitches. It raises InputError as `make_view` does."""
+    half_x, half_y = view.along_m / 2, view.across_m / 2
+
+    @lru_cache(maxsize=_VIEWS)
+    def turned(more_deg: float) -> BirdsEye:
+        if not more_deg:
+            return view
+        return make_view(
+            replace(view.camera, pitch_deg=view.camera.pitch_deg + more_deg),
+            float(view.x_m[-1] - half_x),
+            float(view.x_m[0] + half_x),
+            float(view.y_m[0] - half_y),
+            float(view.y_m[-1] + half_y),
+            view.along_m,
+            view.across_m,
+        )
+
+    return turned
 
 
 def _unfolded(

@@ -3,14 +3,17 @@ four variants share it: with one or two cameras, for straight lines or clothoids
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
+from dataclasses import replace
 
 import numpy as np
 
 from egolane_pgm.camera.model import Camera
 from egolane_pgm.camera.picture import Picture
 from egolane_pgm.detectors import FrameLines, Step
-from egolane_pgm.detectors.simple.birdseye import BirdsEye
+from egolane_pgm.detectors.simple import drift
+from egolane_pgm.detectors.simple.birdseye import BirdsEye, turned_up
 from egolane_pgm.detectors.simple.fit import Found, find_lines, view_for
 from egolane_pgm.detectors.simple.frozen import PARAMETERS as _FROZEN
 from egolane_pgm.detectors.simple.frozen import repeat_counter
@@ -34,6 +37,7 @@ PARAMETERS = (
     *(p for p in FINDING if p.name != "curve"),
     *_PAINT,
     *TRACKING,
+    *drift.PARAMETERS,
     *_FROZEN,
 )
 
@@ -81,6 +85,9 @@ def follower(
     view = view_for(camera, parameters)
     road = None if on_road is None else on_road(view)
     count_repeats = repeat_counter(parameters)
+    watch = None if parameters["camera_drift"] == "ignore" else drift.watch(view, parameters)
+    corrects = parameters["camera_drift"] == "correct" and road is None
+    turned, corrected_deg = turned_up(view), 0.0
 
     def follow(tracks: Tracks, picture: Picture) -> Tracks:
         repeated = count_repeats(picture)
@@ -88,8 +95,15 @@ def follower(
             return tracks
         if repeated:
             return advance(tracks, rule, np.zeros((0, 4)), np.zeros(0))
-        prior = expected(tracks)
+        nonlocal corrected_deg
+        # A stereo pair is checked first, so that its own errors name the picture that is wrong.
         seen, is_road = (view, None) if road is None else road(picture)
+        believed = None if watch is None else watch(picture)
+        if believed is not None and corrects:
+            before, corrected_deg = corrected_deg, drift.correction_deg(believed)
+            tracks = _turned(tracks, corrected_deg - before, camera)
+            seen = turned(corrected_deg)
+        prior = expected(tracks)
         found: Found = find_lines(
             seen,
             picture.image,
@@ -101,3 +115,13 @@ def follower(
         return advance(tracks, rule, found.shape, painted)
 
     return follow, rule
+
+
+def _turned(tracks: Tracks, more_deg: float, camera: Camera) -> Tracks:
+    """The tracks as seen by a camera that is known to be pitched up by so much more: lines beside
+    the car turn outwards (the squeeze of `fit`)."""
+    if not more_deg:
+        return tracks
+    mean = tracks.mean.copy()
+    mean[:, 1] += math.radians(more_deg) / camera.height_m * mean[:, 0]
+    return replace(tracks, mean=mean)

@@ -23,7 +23,7 @@ from egolane_pgm.camera.model import Camera, image_to_road
 from egolane_pgm.camera.picture import Image, Picture
 from egolane_pgm.detectors.simple import matchers
 from egolane_pgm.detectors.simple import plane as planes
-from egolane_pgm.detectors.simple.birdseye import BirdsEye, make_view
+from egolane_pgm.detectors.simple.birdseye import BirdsEye, turned_up
 from egolane_pgm.detectors.simple.finder import OnRoad
 from egolane_pgm.detectors.simple.matchers import Match
 from egolane_pgm.detectors.simple.plane import Plane
@@ -157,9 +157,11 @@ def on_road(camera: Camera, parameters: Parameters) -> Callable[[BirdsEye], OnRo
     pair = make_pair(camera, parameters)
 
     def for_view(view: BirdsEye) -> OnRoad:
+        turned = turned_up(view)
+
         @lru_cache(maxsize=_VIEWS)
         def pitched(steps: int) -> tuple[BirdsEye, NDArray[np.int64]]:
-            seen = _pitched(view, steps * number(parameters, "pitch_step_deg"))
+            seen = turned(steps * number(parameters, "pitch_step_deg"))
             return seen, _pixels(pair, seen)
 
         watch = _watch(pair, match, parameters)
@@ -350,22 +352,6 @@ def _watch(
             )
 
     return watch
-
-
-def _pitched(view: BirdsEye, more_deg: float) -> BirdsEye:
-    """The same view for a camera whose pitch is larger by `more_deg`."""
-    if not more_deg:
-        return view
-    half_x, half_y = view.along_m / 2, view.across_m / 2
-    return make_view(
-        replace(view.camera, pitch_deg=view.camera.pitch_deg + more_deg),
-        float(view.x_m[-1] - half_x),
-        float(view.x_m[0] + half_x),
-        float(view.y_m[0] - half_y),
-        float(view.y_m[-1] + half_y),
-        view.along_m,
-        view.across_m,
-    )
 
 
 def _pixels(pair: Pair, view: BirdsEye) -> NDArray[np.int64]:
