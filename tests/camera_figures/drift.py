@@ -104,4 +104,3 @@ def measure() -> list[str]:
             row = (name, f"{away:+.1f}", f"{recall:.1%}", f"{precision:.1%}", off, said)
             lines.append(f"| {' | '.join(row)} |")
     return lines
-
