@@ -1,4 +1,4 @@
-"""The numba kernels of the line finder."""
+"""The numba kernels of the line finder and of stereo."""
 
 from __future__ import annotations
 
@@ -222,3 +222,70 @@ def share_above(
     tenth, and above `over_other` times the median of `other` (N,)."""
     threshold = max(least, of_brightest * np.percentile(own, 90), over_other * np.median(other))
     return (own > threshold).mean()  # type: ignore[no-any-return]
+
+
+@kernel()
+def full_disparity(
+    found: NDArray[np.float32],
+    flat: FloatArray,
+    u: FloatArray,
+    below_px: int,
+    n_disparities: int,
+    scale: int,
+    edge_px: int,
+) -> FloatArray:
+    """The disparities (H, W) of the full pictures from what a matcher found in the small ones; NaN
+    where that is none of its values, or where the right picture does not show the point. For
+    pixels and the other arguments see `stereo.Pair`."""
+    out = np.empty(found.shape)
+    for i in range(found.shape[0]):
+        for j in range(found.shape[1]):
+            d = scale * (np.float64(found[i, j]) - below_px) + flat[i, j]
+            is_shown = u[i, j] - max(d, flat[i, j]) >= edge_px
+            is_valid = found[i, j] >= 0 and found[i, j] < n_disparities
+            out[i, j] = d if is_valid and is_shown else np.nan
+    return out
+
+
+@kernel()
+def off_the_plane(
+    disparity: FloatArray,
+    plane: FloatArray,
+    u: FloatArray,
+    v: FloatArray,
+    least_share: float,
+    least_px: float,
+) -> NDArray[np.uint8]:
+    """1 where disparities (H, W) differ from those of a plane (3,) by more than `least_px` pixels
+    and by more than `least_share` of themselves, else 0.
+
+    A point with disparity d is above the plane by the share (d - plane's) / d of the camera's
+    height.
+    """
+    out = np.empty(disparity.shape, dtype=np.uint8)
+    for i in range(disparity.shape[0]):
+        for j in range(disparity.shape[1]):
+            d = disparity[i, j]
+            away = abs(d - (plane[0] * u[i, j] + plane[1] * v[i, j] + plane[2]))
+            out[i, j] = away > least_px and away > least_share * abs(d)
+    return out
+
+
+@kernel()
+def count_near(
+    tilts: FloatArray, points: FloatArray, values: FloatArray, tolerance: float
+) -> IntArray:
+    """How many of N values lie within a tolerance of each of K planes, (K,).
+
+    - tilts: (K, 3) the planes' coefficients
+    - points: (2, N) where the values are
+    - values: (N,)
+    """
+    out = np.empty(len(tilts), dtype=np.int64)
+    for k in range(len(tilts)):
+        a, b, c = tilts[k]
+        count = 0
+        for i in range(len(values)):
+            count += abs(a * points[0, i] + b * points[1, i] + c - values[i]) <= tolerance
+        out[k] = count
+    return out

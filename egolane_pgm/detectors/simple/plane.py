@@ -13,6 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from egolane_pgm.camera.model import Camera, axes
+from egolane_pgm.detectors.simple.kernels import count_near
 from egolane_pgm.parameters import Parameter, Parameters, number
 from egolane_pgm.types import BoolArray, FloatArray
 
@@ -129,7 +130,7 @@ def fit_plane(
         return Plane(calibrated, 0.0, False)
     # Points are centred and scaled so that the three equations are well conditioned.
     centre, scale = np.array([u.mean(), v.mean()]), max(float(np.ptp(u)), float(np.ptp(v)), 1.0)
-    points = np.stack([(u - centre[0]) / scale, (v - centre[1]) / scale, np.ones_like(u)], axis=1)
+    points = np.stack([(u - centre[0]) / scale, (v - centre[1]) / scale, np.ones_like(u)])
 
     def whole(tilt: FloatArray) -> FloatArray:
         """The planes (..., 3), in pixels, that differ from the calibrated one by `tilt` (..., 3),
@@ -139,19 +140,19 @@ def fit_plane(
         planes: FloatArray = calibrated + np.concatenate([slope, shift[..., None]], axis=-1)
         return planes
 
-    tilts = _candidates(points, off, parameters)
+    tilts = _candidates(points.T, off, parameters)
     is_possible = _possible(camera, whole(tilts), parameters)
     # The calibrated plane stays a candidate whatever rounding says.
     is_possible[0] = True
     tilts = tilts[is_possible]
-    away = np.abs(tilts @ points.T - off)
-    best = tilts[int(np.argmax((away <= tolerance_px).sum(axis=1)))]
+    best = tilts[int(np.argmax(count_near(tilts, points[:2], off, tolerance_px)))]
     for times in _ROUNDS:
-        near = np.abs(points @ best - off) <= times * tolerance_px
+        near = np.abs(best @ points - off) <= times * tolerance_px
         if near.sum() < int(number(parameters, "plane_points")):
             return Plane(calibrated, float(near.mean()), False)
-        best = np.linalg.lstsq(points[near], off[near])[0]
-    share = float((np.abs(points @ best - off) <= tolerance_px).mean())
+        design = points * near
+        best = np.linalg.lstsq(design @ points.T, design @ off)[0]
+    share = float((np.abs(best @ points - off) <= tolerance_px).mean())
     found = whole(best)
     is_sure = share >= number(parameters, "plane_share")
     is_sure &= bool(_possible(camera, found[None], parameters)[0])

@@ -25,6 +25,7 @@ from egolane_pgm.detectors.simple import matchers
 from egolane_pgm.detectors.simple import plane as planes
 from egolane_pgm.detectors.simple.birdseye import BirdsEye, turned_up
 from egolane_pgm.detectors.simple.finder import OnRoad
+from egolane_pgm.detectors.simple.kernels import full_disparity, off_the_plane
 from egolane_pgm.detectors.simple.matchers import Match
 from egolane_pgm.detectors.simple.plane import Plane
 from egolane_pgm.parameters import Parameter, Parameters, number
@@ -50,7 +51,7 @@ PARAMETERS = (
         highest=100,
     ),
     Parameter(
-        "nearest_m", "positive", 3.2, "smallest distance that is matched, metres", lowest=0.1
+        "nearest_m", "positive", 4.0, "smallest distance that is matched, metres", lowest=0.1
     ),
     Parameter(
         "edge_px",
@@ -112,6 +113,7 @@ class Pair:
     - scale, rows: a small pixel is so many columns wide and so many rows high
     - top: first row of the full picture that is used
     - road: (3,) the calibrated plane
+    - flat: (H, W) its disparities
     - u, v: (H, W) pixel of the full picture at the middle of each small pixel
     - looked: (H, W) whether a pixel shows road, and the right picture shows it as well
     - points: (N,) flat indices of the small pixels that the plane is fitted to
@@ -126,6 +128,7 @@ class Pair:
     rows: int
     top: int
     road: FloatArray
+    flat: FloatArray
     u: FloatArray
     v: FloatArray
     looked: BoolArray
@@ -190,9 +193,9 @@ def make_pair(camera: Camera, parameters: Parameters) -> Pair:
     """
     scale, rows = int(number(parameters, "match_scale")), int(number(parameters, "match_rows"))
     road = planes.ground_plane(camera)
-    top = _first_row(camera, parameters)
+    top, bottom = _rows(camera, parameters)
     edge = scale * int(number(parameters, "edge_px"))
-    height, width = (camera.height - top) // rows, camera.width // scale
+    height, width = (bottom - top) // rows, camera.width // scale
     if height < 16 or width < 64:
         raise InputError(
             f"match_scale: {scale} and match_rows: {rows} leave {width}x{height} pixels of the road"
@@ -224,7 +227,7 @@ def make_pair(camera: Camera, parameters: Parameters) -> Pair:
     warp = np.array([[1 - a, -b * rows / scale, below - first / scale], [0, 1, 0]])
     points = np.flatnonzero(looked & grid)
     return Pair(
-        camera, scale, rows, top, road, u, v, looked, points, below, n_disparities, edge, warp
+        camera, scale, rows, top, road, flat, u, v, looked, points, below, n_disparities, edge, warp
     )
 
 
@@ -238,12 +241,19 @@ def _is_road(camera: Camera, u: FloatArray, v: FloatArray, parameters: Parameter
     return is_road
 
 
-def _first_row(camera: Camera, parameters: Parameters) -> int:
-    """The first row that may show that region at the largest allowed pitch."""
+def _rows(camera: Camera, parameters: Parameters) -> tuple[int, int]:
+    """The first row that may show that region at the largest allowed pitch, and one more than the
+    last row that may show its part in view."""
     u, v = np.meshgrid(np.arange(float(camera.width)), np.arange(0.0, camera.height, 4.0))
-    rows = np.flatnonzero(_is_road(camera, u, v, parameters).any(axis=1)) * 4
+    x, _ = image_to_road(camera, u, v)
+    is_road = _is_road(camera, u, v, parameters)
+    rows = np.flatnonzero(is_road.any(axis=1)) * 4
+    with np.errstate(invalid="ignore"):
+        in_view = np.flatnonzero((is_road & (x >= number(parameters, "x_min_m"))).any(axis=1)) * 4
     slack = math.tan(math.radians(number(parameters, "most_pitch_deg"))) * camera.fy
-    return max(int((rows[0] if len(rows) else 0) - slack), 0)
+    top = max(int((rows[0] if len(rows) else 0) - slack), 0)
+    last = in_view[-1] + 4 + slack if len(in_view) else camera.height
+    return top, min(int(last), camera.height)
 
 
 def reduced(pair: Pair, picture: Picture) -> tuple[Image, Image]:
@@ -287,14 +297,14 @@ def disparities(pair: Pair, match: Match, left: Image, right: Image) -> FloatArr
     ).astype(np.uint8, copy=False)
     # Matchers leave out the first columns. These have a match here, so both pictures are padded.
     more = pair.n_disparities
-    wide = [np.pad(image, ((0, 0), (more, 0)), mode="edge") for image in (left, moved)]
+    wide = [
+        cv2.copyMakeBorder(image, 0, 0, more, 0, cv2.BORDER_REPLICATE).astype(np.uint8, copy=False)
+        for image in (left, moved)
+    ]
     found = match(wide[0], wide[1], more)[:, more:]
-    with np.errstate(invalid="ignore"):
-        found = np.where((found >= 0) & (found < pair.n_disparities), found, np.nan)
-    flat = planes.disparity_at(pair.road, pair.u, pair.v)
-    disparity: FloatArray = pair.scale * (found.astype(np.float64) - pair.below_px) + flat
-    with np.errstate(invalid="ignore"):
-        disparity[pair.u - np.maximum(disparity, flat) < pair.edge_px] = np.nan
+    disparity: FloatArray = full_disparity(
+        found, pair.flat, pair.u, pair.below_px, pair.n_disparities, pair.scale, pair.edge_px
+    )
     return disparity
 
 
@@ -311,14 +321,11 @@ def find_plane(pair: Pair, disparity: FloatArray, parameters: Parameters) -> Pla
 def off_plane(pair: Pair, disparity: FloatArray, plane: Plane, parameters: Parameters) -> BoolArray:
     """The pixels, (H, W), that are not on the plane. A pixel without disparity counts as on it. If
     the plane is not sure, so does a pixel that would be on it at the largest allowed pitch."""
-    flat = planes.disparity_at(plane.abc, pair.u, pair.v)
     least_px = number(parameters, "off_plane_px") + (0 if plane.is_sure else pair.below_px)
-    with np.errstate(invalid="ignore", divide="ignore"):
-        height = pair.camera.height_m * (1 - flat / disparity)
-        off = np.abs(height) > number(parameters, "off_plane_m")
-        off &= np.abs(disparity - flat) > pair.scale * least_px
+    least_share = number(parameters, "off_plane_m") / pair.camera.height_m
+    off = off_the_plane(disparity, plane.abc, pair.u, pair.v, least_share, pair.scale * least_px)
     grow = 2 * int(number(parameters, "off_plane_grow")) + 1
-    grown = cv2.dilate(off.astype(np.uint8), np.ones((grow, grow), dtype=np.uint8))
+    grown = cv2.dilate(off, np.ones((grow, grow), dtype=np.uint8))
     is_off: BoolArray = grown > 0
     return is_off
 

@@ -20,6 +20,7 @@ from egolane_pgm.camera.picture import Picture
 from egolane_pgm.detectors import ml, sc, sl
 from egolane_pgm.detectors.runner import collect, detect, find_detector, start
 from egolane_pgm.detectors.simple import fit as _fit
+from egolane_pgm.detectors.simple import kernels as _kernels
 from egolane_pgm.detectors.simple import plane as _plane
 from egolane_pgm.detectors.simple import stereo as _stereo
 from egolane_pgm.parameters import resolve_parameters
@@ -37,6 +38,7 @@ from tests.kits.stereo_pairs import (
     settled,
     with_vehicle,
 )
+from tests.reference import stereo as reference
 
 pitches = st.floats(-8, 4)
 rolls = st.floats(-4, 4)
@@ -112,6 +114,42 @@ def test_an_unsure_fit_says_so_and_keeps_the_calibrated_plane(kind: str) -> None
     plane = _plane.fit_plane(PAIR, u, v, disparity[kind], 1.0, settled())
     assert not plane.is_sure
     assert np.array_equal(plane.abc, _plane.ground_plane(PAIR))
+
+
+@given(st.integers(0, 2**31), st.integers(1, 4), st.booleans())
+def test_disparities_and_what_is_off_the_plane_are_the_same_as_in_numpy(
+    seed: int, scale: int, is_sure: bool
+) -> None:
+    rng = np.random.default_rng(seed)
+    shape = 6, 50
+    u, v = np.meshgrid(np.arange(shape[1]) * scale + 0.5, np.arange(shape[0]) * 4 + 100.0)
+    plane = np.array([rng.normal(0, 0.01), 0.3, -25.0])
+    flat = _plane.disparity_at(plane, u, v)
+    found = rng.uniform(-2, 34, shape).astype(np.float32)
+    found[rng.random(shape) < 0.1] = np.nan
+    where = (found, flat, u, 5, 32, scale, 8)
+    disparity = _kernels.full_disparity(*where)
+    np.testing.assert_allclose(disparity, reference.full_disparity(*where), rtol=1e-12)
+    assert 0 < np.isfinite(disparity).sum() < disparity.size
+    least = 0.2, scale * (1.0 if is_sure else 6.0)
+    tilted = plane + np.array([0.0, 0.01, 0.5])
+    off = _kernels.off_the_plane(disparity, tilted, u, v, *least)
+    np.testing.assert_array_equal(off, reference.off_the_plane(disparity, tilted, u, v, *least))
+    tilts, points = rng.normal(0, 3, (20, 3)), rng.uniform(-0.5, 0.5, (2, 300))
+    near = tilts, points, rng.normal(0, 3, 300), 0.7
+    counts = _kernels.count_near(*near)
+    np.testing.assert_array_equal(counts, reference.count_near(*near))
+    assert counts.max() > 0
+
+
+def test_rows_nearer_than_the_view_are_not_matched() -> None:
+    camera = replace(PAIR, height=400)
+    pair = _stereo.make_pair(camera, settled())
+    after = pair.v[-1, 0] + 1.5 * pair.rows
+    assert after < camera.height - 40
+    for more_deg in (-2.5, 0, 2.5):
+        nodding = replace(camera, pitch_deg=camera.pitch_deg + more_deg)
+        assert image_to_road(nodding, camera.cx, after)[0] < settled()["x_min_m"]
 
 
 @pytest.mark.parametrize(
@@ -348,8 +386,8 @@ def test_elas_that_is_not_installed_says_what_to_install(monkeypatch: pytest.Mon
         ({"matcher": "./none.py"}, "matcher: no file .*none.py"),
         ({"block_px": 4}, "block_px: 4 must be odd"),
         ({"block_px": 3, "matcher": "bm"}, "block_px: 3 must be odd; bm needs an odd side of 5"),
-        ({"match_scale": 40}, "match_scale: 40 and match_rows: 4 leave 32x84 pixels"),
-        ({"match_rows": 30}, "match_scale: 2 and match_rows: 30 leave 656x11 pixels"),
+        ({"match_scale": 40}, "match_scale: 40 and match_rows: 4 leave 32x71 pixels"),
+        ({"match_rows": 30}, "match_scale: 2 and match_rows: 30 leave 656x9 pixels"),
         ({"nearest_m": 0.1}, "nearest_m: what is 0.1 m away is .* pixels apart"),
         ({"pitch_from": "plan"}, r"pitch_from: 'plan' is not one of .* \(did you mean 'plane'"),
         ({"off_plan_m": 1.0}, r"unknown key 'off_plan_m' \(did you mean 'off_plane_m'\?\)"),
