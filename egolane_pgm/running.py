@@ -301,6 +301,8 @@ def summary(run: Run) -> dict[str, Any]:
         **run.scores,
         "events": dict(run.events),
     }
+    if run.recorded.log.clip is not None:
+        content["clips"] = len(run.recorded.log.pieces())
     if run.scores:
         content["frames_scored"] = run.scores["model"]["frames_scored"]
     return content

@@ -20,8 +20,8 @@ from egolane_pgm.report.events import (
     event_lines,
     event_rows,
     event_runs_rows,
-    lane_lines,
-    sure_line,
+    lane_words,
+    sure_words,
 )
 from egolane_pgm.report.tables import (
     TUNED_ON,
@@ -143,6 +143,14 @@ def _run_many(
             click.echo(f"warning: {outcome.title}: {note}", err=True)
     summaries = [o.summary for o in outcomes if o.summary is not None]
     click.echo(f"{runs_table(summaries)}\n\n{markdown(*event_runs_rows(summaries))}")
+    for found in summaries:
+        if "model" not in found:
+            lanes = (
+                f"{found['clips']} clips, a row for each in clips.csv"
+                if "clips" in found
+                else lane_words(found["events"])
+            )
+            click.echo(f"\n{found['name']}: {lanes}; {sure_words(found['events'])}")
     click.echo(f"\nresults: {len(outcomes) - len(failed)} of {len(outcomes)} in {folder}")
     for outcome in failed:
         for line in (outcome.error or "").splitlines():
@@ -184,9 +192,12 @@ def _print_run(done: RunResult) -> None:
 def _print_lanes(done: RunResult) -> None:
     events = done.scores["events"]
     if done.result.clip is None:
-        click.echo("\n" + "\n".join(lane_lines(events)))
+        last = done.beliefs.lane[-1]
+        best = int(last.argmax())
+        at_the_end = f"at the end lane {best + 1} is the most probable ({last[best]:.2f})"
+        click.echo(f"\n{lane_words(events)}; {at_the_end}\n{sure_words(events)}")
         return
-    click.echo("\n".join(["", *clip_lines(done.result), sure_line(events)]))
+    click.echo("\n".join(["", *clip_lines(done.result), sure_words(events)]))
     click.echo("a row for each clip: clips.csv; its frames: beliefs.parquet")
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from egolane_pgm.inference.events import BELIEVED
 from egolane_pgm.report.tables import markdown
 from egolane_pgm.results import Result
 from egolane_pgm.types import UNASSIGNED, FloatArray
@@ -20,9 +21,10 @@ def clip_lines(result: Result) -> list[str]:
     columns = result.clip_columns()
     clip, probability = columns["clip"], columns["probability"]
     lane, log_evidence = columns["assigned_lane"], columns["log_evidence"]
-    counted = [int((lane == k).sum()) for k in range(1, result.n_lanes + 1)]
-    counted.append(int((lane == UNASSIGNED).sum()))
-    names = [*(f"lane {k}" for k in range(1, result.n_lanes + 1)), "Unassigned"]
+    believed = np.where(probability >= BELIEVED, lane, UNASSIGNED)
+    counted = [int((believed == k).sum()) for k in range(1, result.n_lanes + 1)]
+    counted.append(int((believed == UNASSIGNED).sum()))
+    names = [*(f"lane {k}" for k in range(1, result.n_lanes + 1)), "no lane"]
     lanes = [
         [n, str(k), f"{100 * k / len(clip):.1f} %"] for n, k in zip(names, counted, strict=True)
     ]
@@ -37,17 +39,12 @@ def clip_lines(result: Result) -> list[str]:
         f"{len(clip)} clips, each from the prior on; {int(columns['changes'].sum())} lane changes"
         f" in {int((columns['changes'] > 0).sum())} of them",
         "",
-        markdown(["at the end of a clip", "clips", "share"], lanes),
+        markdown([f"believed ({BELIEVED:.2f}) at its end", "clips", "share"], lanes),
         "",
         markdown(header, rows),
         "",
-        "least sure: "
-        + ", ".join(f"{clip[k]} ({probability[k]:.2f} for lane {_lane(lane[k])})" for k in worst),
+        "least sure: " + ", ".join(f"{clip[k]} ({probability[k]:.2f})" for k in worst),
     ]
-
-
-def _lane(lane: int) -> str:
-    return "?" if lane == UNASSIGNED else str(lane)
 
 
 def _quantiles(values: FloatArray, form: str) -> list[str]:

@@ -48,14 +48,14 @@ def event_rows(events: LaneEvents, at_most: int = LISTED) -> tuple[list[str], li
     return header, rows
 
 
-def lane_lines(events: Mapping[str, Any]) -> list[str]:
-    """The lane over time in words, and in how many frames it is sure.
+def lane_words(events: Mapping[str, Any]) -> str:
+    """The lane over time in words.
 
-    - events: `told`, `sure` and `lanes`, as in scores.json.
+    - events: `lanes`, as in scores.json.
     """
     stretches = events["lanes"]
     if not stretches:
-        return [f"no lane is believed ({BELIEVED:.2f}) in any frame"]
+        return f"no lane is believed (at least {BELIEVED:.2f}) in any frame"
     digits = 1 if stretches[-1][2] - stretches[0][1] < SHORT_S else 0
     said = [
         f"lane {lane} from {clock(start, digits)} to {clock(end, digits)}"
@@ -63,11 +63,14 @@ def lane_lines(events: Mapping[str, Any]) -> list[str]:
     ]
     if len(stretches) > LISTED:
         said.append(f"and {len(stretches) - LISTED} more in events.csv")
-    return [", ".join(said), sure_line(events)]
+    return ", ".join(said)
 
 
-def sure_line(events: Mapping[str, Any]) -> str:
-    """In how many frames the lane is sure, and what that means."""
+def sure_words(events: Mapping[str, Any]) -> str:
+    """In how many frames the lane is sure, and what that means.
+
+    - events: `sure`, as in scores.json.
+    """
     return f"sure (a belief of at least {SURE:g}) in {100 * events['sure']:.1f} % of the frames"
 
 

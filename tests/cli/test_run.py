@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import shutil
 import signal
 import textwrap
 import time
@@ -15,6 +16,7 @@ import numpy as np
 import pytest
 import yaml
 
+from egolane_pgm.report.events import clock
 from egolane_pgm.results import is_result, read_result
 from egolane_pgm.running import run_experiment
 from tests.kits.bags import GOOD, Line, line_bag, plain_message, truth_file, write_bag
@@ -166,6 +168,20 @@ def test_a_recording_of_ones_own_runs_without_any_ground_truth(drive: Path, tmp_
     assert (result.true_lane == 0).all()
     shown = done("run", drive, "--recording", recording, "--no-figures", "--out", tmp_path / "o2")
     assert "no ground truth: beliefs only" in shown.stdout
+    events = json.loads((tmp_path / "o2" / "scores.json").read_text())["events"]
+    assert len(events["lanes"]) == events["told"] + 1
+    lane, start, end = events["lanes"][0]
+    assert f"\nlane {lane} from {clock(start, 1)} to {clock(end, 1)}" in shown.stdout
+    belief = read_result(tmp_path / "o2").marginals["Lane"]
+    assert events["sure"] == np.mean(belief.max(axis=1) >= 0.9)
+    assert f"in {100 * events['sure']:.1f} % of the frames" in shown.stdout
+    last = f"at the end lane {belief[-1].argmax() + 1} is the most probable"
+    assert last in shown.stdout
+    other = shutil.copy(recording, tmp_path / "other.csv")
+    words = ["--recording", recording, "--recording", other, "--no-figures"]
+    both = done("run", drive, *words, "--out", tmp_path / "o3").stdout
+    for name in ("lines", "other"):
+        assert f"\n{name}: lane {lane} from {clock(start, 1)}" in both
     assert "score" not in shown.stderr
 
 

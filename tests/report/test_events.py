@@ -10,7 +10,8 @@ from egolane_pgm.report.events import (
     event_lines,
     event_rows,
     event_runs_rows,
-    lane_lines,
+    lane_words,
+    sure_words,
 )
 from egolane_pgm.scoring.events import event_scores
 from egolane_pgm.types import LaneEvents, LaneTruth
@@ -38,16 +39,14 @@ def test_with_truth_a_row_says_how_late_it_was_or_that_there_was_no_such_change(
 
 def test_the_lane_over_time_is_said_in_words_and_long_drives_are_cut() -> None:
     lanes = [(3, 0.0, 71.6), (2, 71.6, 3700.2)]
-    assert lane_lines({"lanes": lanes, "sure": 0.9312}) == [
-        "lane 3 from 0:00 to 1:12, lane 2 from 1:12 to 1:01:40",
-        "sure (a belief of at least 0.9) in 93.1 % of the frames",
-    ]
-    short = lane_lines({"lanes": [(1, 0.04, 59.98)], "sure": 1.0})
-    assert short[0] == "lane 1 from 0:00.0 to 1:00.0"
-    many = lane_lines({"lanes": [(1, k, k + 1.0) for k in range(30)], "sure": 1.0})
-    assert many[0].count("lane 1") == LISTED
-    assert many[0].endswith(", and 20 more in events.csv")
-    assert lane_lines({"lanes": [], "sure": 0.0}) == ["no lane is believed (0.67) in any frame"]
+    said = {"lanes": lanes, "sure": 0.9312}
+    assert lane_words(said) == "lane 3 from 0:00 to 1:12, lane 2 from 1:12 to 1:01:40"
+    assert sure_words(said) == "sure (a belief of at least 0.9) in 93.1 % of the frames"
+    assert lane_words({"lanes": [(1, 0.04, 59.98)]}) == "lane 1 from 0:00.0 to 1:00.0"
+    many = lane_words({"lanes": [(1, k, k + 1.0) for k in range(30)]})
+    assert many.count("lane 1") == LISTED
+    assert many.endswith(", and 20 more in events.csv")
+    assert lane_words({"lanes": []}) == "no lane is believed (at least 0.67) in any frame"
 
 
 def test_scores_are_said_in_words_and_a_row() -> None:
