@@ -161,11 +161,16 @@ def look(view: BirdsEye, image: Image) -> Image:
 
     Raises InputError for a picture of another size than the calibration.
     """
-    height, width = image.shape[:2]
-    if (width, height) != (view.camera.width, view.camera.height):
-        raise InputError(
-            f"a picture of {width}x{height} pixels, but the camera was calibrated for"
-            f" {view.camera.width}x{view.camera.height}; calibrate with pictures of this size"
-        )
+    check_size(view.camera, image)
     above = cv2.remap(image, *view.map_uv, cv2.INTER_LINEAR, borderMode=cv2.BORDER_CONSTANT)
     return above.astype(np.uint8, copy=False)
+
+
+def check_size(camera: Camera, image: Image) -> None:
+    """Raises InputError for a picture of another size than the calibration."""
+    height, width = image.shape[:2]
+    if (width, height) != (camera.width, camera.height):
+        raise InputError(
+            f"a picture of {width}x{height} pixels, but the camera was calibrated for"
+            f" {camera.width}x{camera.height}; calibrate with pictures of this size"
+        )

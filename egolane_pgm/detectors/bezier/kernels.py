@@ -1,0 +1,250 @@
+"""The numba kernels of Aly's detector. Points are (column, row) of a view or picture, pixels."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from egolane_pgm.jit import kernel
+from egolane_pgm.types import FloatArray, IntArray
+
+
+@kernel()
+def hough_votes(
+    column: FloatArray,
+    row: FloatArray,
+    value: FloatArray,
+    theta: FloatArray,
+    r_min: float,
+    r_step: float,
+    n_r: int,
+) -> FloatArray:
+    """The votes (n_r, T) of N points for the lines r = column cos(theta) + row sin(theta).
+
+    - column, row, value: (N,) places of the points, and what their votes count
+    - theta: (T,) angles, radians
+    - r_min, r_step, n_r: the first distance, the step and the number of distances
+    """
+    votes = np.zeros((n_r, len(theta)))
+    for t in range(len(theta)):
+        across, along = math.cos(theta[t]), math.sin(theta[t])
+        for i in range(len(column)):
+            k = math.floor((column[i] * across + row[i] * along - r_min) / r_step + 0.5)
+            if 0 <= k < n_r:
+                votes[k, t] += value[i]
+    return votes
+
+
+@kernel()
+def ransac_line(
+    point: FloatArray,
+    value: FloatArray,
+    sample: IntArray,
+    most_away: float,
+    least_points: int,
+    most_turn: float,
+) -> tuple[FloatArray, float]:
+    """The line with the largest sum of values on it, as (4,): column and row of a point and of the
+    direction (towards larger rows), and that sum; -1 if there is no line.
+
+    - point, value: (N, 2) and (N,)
+    - sample: (I, S) the points of each sample
+    - most_away: how far a point may be from the line
+    - least_points: the fewest points on a line
+    - most_turn: the largest tangent of its angle with the columns
+    """
+    best, line = -1.0, np.zeros(4)
+    near = np.empty(len(point), dtype=np.bool_)
+    for i in range(len(sample)):
+        near[:] = False
+        for k in sample[i]:
+            near[k] = True
+        for again in range(2):
+            # The line of least squared distances through the chosen points.
+            n, c, r = 0, 0.0, 0.0
+            for k in range(len(point)):
+                if near[k]:
+                    n += 1
+                    c += point[k, 0]
+                    r += point[k, 1]
+            c, r = c / n, r / n
+            cc, cr, rr = 0.0, 0.0, 0.0
+            for k in range(len(point)):
+                if near[k]:
+                    cc += (point[k, 0] - c) ** 2
+                    cr += (point[k, 0] - c) * (point[k, 1] - r)
+                    rr += (point[k, 1] - r) ** 2
+            turn = 0.5 * math.atan2(2 * cr, rr - cc)
+            across, along = math.sin(turn), math.cos(turn)
+            if along <= 0 or abs(across) > most_turn * along or cc + rr == 0:
+                break
+            n, score = 0, 0.0
+            for k in range(len(point)):
+                away = (point[k, 0] - c) * along - (point[k, 1] - r) * across
+                near[k] = abs(away) <= most_away
+                if near[k]:
+                    n += 1
+                    score += value[k]
+            if n < max(least_points, 2):
+                break
+            if again == 1 and score > best:
+                best = score
+                line[:] = (c, r, across, along)
+    return line, best
+
+
+@kernel()
+def bezier(control: FloatArray, t: float) -> tuple[float, float]:
+    """Column and row of a cubic Bezier spline, control points (4, 2), at the parameter t."""
+    s = 1.0 - t
+    a, b, c, d = s * s * s, 3 * s * s * t, 3 * s * t * t, t * t * t
+    return (
+        a * control[0, 0] + b * control[1, 0] + c * control[2, 0] + d * control[3, 0],
+        a * control[0, 1] + b * control[1, 1] + c * control[2, 1] + d * control[3, 1],
+    )
+
+
+@kernel()
+def straightness(control: FloatArray) -> float:
+    """The mean cosine of the two angles between the three legs of the control points (4, 2)."""
+    total = 0.0
+    for k in range(2):
+        ac, ar = control[k + 1, 0] - control[k, 0], control[k + 1, 1] - control[k, 1]
+        bc, br = control[k + 2, 0] - control[k + 1, 0], control[k + 2, 1] - control[k + 1, 1]
+        size = math.sqrt((ac * ac + ar * ar) * (bc * bc + br * br))
+        total += (ac * bc + ar * br) / size if size > 0 else 1.0
+    return total / 2
+
+
+@kernel()
+def spline_score(
+    ridge: FloatArray,
+    control: FloatArray,
+    jitter: int,
+    step: float,
+    angle_ratio: float,
+    length_ratio: float,
+) -> float:
+    """The score S (1 + (a (theta - 1) + b (l - 1)) / 2) of a spline: S is the sum of the ridges
+    (R, C) that it covers, theta its straightness, l its length over R (Aly 2008, section II E). A
+    spline longer than the view is as good as one of its length, as it may be no more than a loop.
+
+    - control: (4, 2)
+    - jitter: pixels to either side that it covers
+    - step: of the parameter
+    - angle_ratio, length_ratio: a, b
+    """
+    n_rows, n_columns = ridge.shape
+    total, length = 0.0, 0.0
+    before_c, before_r = control[0, 0], control[0, 1]
+    last_c, last_r = -1, -1
+    n = math.floor(1 / step + 0.5)
+    for i in range(n + 1):
+        c, r = bezier(control, i / n)
+        length += math.hypot(c - before_c, r - before_r)
+        before_c, before_r = c, r
+        at_c, at_r = math.floor(c + 0.5), math.floor(r + 0.5)
+        if (at_c == last_c and at_r == last_r) or not 0 <= at_r < n_rows:
+            continue
+        last_c, last_r = at_c, at_r
+        for beside in range(max(at_c - jitter, 0), min(at_c + jitter + 1, n_columns)):
+            total += ridge[at_r, beside]
+    less = angle_ratio * (straightness(control) - 1)
+    less += length_ratio * (min(length / n_rows, 1.0) - 1)
+    return float(total * (1 + less / 2))
+
+
+@kernel()
+def bezier_through(point: FloatArray) -> FloatArray:
+    """The control points (4, 2) of the Bezier spline that starts and ends with the first and the
+    last of N points (N, 2), and is nearest to the others by least squares. The points' parameters
+    are their shares of the chord length."""
+    n = len(point)
+    t = np.zeros(n)
+    for i in range(1, n):
+        t[i] = t[i - 1] + math.hypot(point[i, 0] - point[i - 1, 0], point[i, 1] - point[i - 1, 1])
+    control = np.empty((4, 2))
+    control[0], control[3] = point[0], point[n - 1]
+    bb, bc, cc = 0.0, 0.0, 0.0
+    right = np.zeros((2, 2))
+    for i in range(1, n - 1):
+        u = t[i] / t[n - 1] if t[n - 1] > 0 else 0.0
+        s = 1.0 - u
+        b, c = 3 * s * s * u, 3 * s * u * u
+        bb += b * b
+        bc += b * c
+        cc += c * c
+        for axis in range(2):
+            rest = point[i, axis] - s**3 * point[0, axis] - u**3 * point[n - 1, axis]
+            right[0, axis] += b * rest
+            right[1, axis] += c * rest
+    size = bb * cc - bc * bc
+    for axis in range(2):
+        if size > 1e-9:
+            control[1, axis] = (cc * right[0, axis] - bc * right[1, axis]) / size
+            control[2, axis] = (bb * right[1, axis] - bc * right[0, axis]) / size
+        else:
+            # Too few different points: straight.
+            step = (point[n - 1, axis] - point[0, axis]) / 3
+            control[1, axis] = point[0, axis] + step
+            control[2, axis] = point[0, axis] + 2 * step
+    return control
+
+
+@kernel()
+def ransac_spline(
+    point: FloatArray,
+    sample: IntArray,
+    least_straight: float,
+    ridge: FloatArray,
+    jitter: int,
+    step: float,
+    angle_ratio: float,
+    length_ratio: float,
+) -> tuple[FloatArray, float]:
+    """The best of the splines through samples of points: control points (4, 2), and its score,
+    which is minus infinity if there is none.
+
+    - point: (N, 2), sorted by row
+    - sample: (I, S) the points of each sample, ascending
+    - least_straight: the least straightness of a spline
+    - ridge, jitter, step, angle_ratio, length_ratio: as in `spline_score`
+    """
+    best, control = -np.inf, np.zeros((4, 2))
+    chosen = np.empty((sample.shape[1], 2))
+    for i in range(len(sample)):
+        for k in range(sample.shape[1]):
+            chosen[k] = point[sample[i, k]]
+        one = bezier_through(chosen)
+        if straightness(one) < least_straight:
+            continue
+        score = spline_score(ridge, one, jitter, step, angle_ratio, length_ratio)
+        if score > best:
+            best = score
+            control[:] = one
+    return control, best
+
+
+@kernel()
+def profiles(grey: FloatArray, point: FloatArray, normal: FloatArray, half: int) -> FloatArray:
+    """The grey levels (N, 2 half + 1) along the normals of N points, a pixel apart, interpolated
+    bilinearly; NaN outside of the picture.
+
+    - grey: (H, W)
+    - point, normal: (N, 2)
+    """
+    height, width = grey.shape
+    out = np.full((len(point), 2 * half + 1), np.nan)
+    for i in range(len(point)):
+        for k in range(2 * half + 1):
+            c = point[i, 0] + (k - half) * normal[i, 0]
+            r = point[i, 1] + (k - half) * normal[i, 1]
+            if not (0 <= c <= width - 1 and 0 <= r <= height - 1):
+                continue
+            c0, r0 = min(int(c), width - 2), min(int(r), height - 2)
+            u, v = c - c0, r - r0
+            out[i, k] = (1 - v) * ((1 - u) * grey[r0, c0] + u * grey[r0, c0 + 1]) + v * (
+                (1 - u) * grey[r0 + 1, c0] + u * grey[r0 + 1, c0 + 1]
+            )
+    return out

@@ -1,0 +1,95 @@
+"""The view from above and the narrow bright strips in it (Aly 2008, sections II A and II B)."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import cv2
+import numpy as np
+
+from egolane_pgm.camera.model import Camera
+from egolane_pgm.camera.picture import Image
+from egolane_pgm.detectors.simple.birdseye import BirdsEye, make_view
+from egolane_pgm.parameters import Parameters, number
+from egolane_pgm.types import FloatArray
+
+
+def smaller(camera: Camera, focal_px: float) -> Camera:
+    """The camera whose pictures are this one's, made smaller to a focal length; one with a shorter
+    focal length stays as it is."""
+    factor = camera.fx / focal_px
+    if factor <= 1:
+        return camera
+    width, height = max(round(camera.width / factor), 16), max(round(camera.height / factor), 16)
+    across, along = width / camera.width, height / camera.height
+    return replace(
+        camera,
+        width=width,
+        height=height,
+        fx=camera.fx * across,
+        fy=camera.fy * along,
+        cx=(camera.cx + 0.5) * across - 0.5,
+        cy=(camera.cy + 0.5) * along - 0.5,
+        ignore=tuple(
+            (
+                int(np.floor(left * across)),
+                int(np.floor(top * along)),
+                int(np.ceil(right * across)),
+                int(np.ceil(bottom * along)),
+            )
+            for left, top, right, bottom in camera.ignore
+        ),
+    )
+
+
+def view_for(camera: Camera, parameters: Parameters) -> BirdsEye:
+    """The view that the parameters ask for. Raises InputError as `make_view` does."""
+    near, far = number(parameters, "near_m"), number(parameters, "far_m")
+    side = number(parameters, "side_m")
+    return make_view(
+        camera,
+        near,
+        far,
+        -side,
+        side,
+        (far - near) / number(parameters, "ipm_height"),
+        2 * side / number(parameters, "ipm_width"),
+    )
+
+
+def ridges(view: BirdsEye, above: Image, parameters: Parameters) -> FloatArray:
+    """How much of a narrow bright strip along the road each pixel of a view of one colour, (R, C),
+    is; 0 where the answer is below a quantile, and where the filter sees the edge of the picture.
+
+    Grey levels count from 0 to 1, less their mean; the ridge filter's weights have the sum 0 and
+    their sizes the sum 2, so that the largest answer is 1.
+    """
+    ridge = _ridge(int(number(parameters, "ridge_taps")), number(parameters, "ridge_sigma"))
+    # The edge of a black part of the picture (a covered lens) is no strip either.
+    wide = np.ones((len(ridge), len(ridge)), dtype=np.uint8)
+    lit = cv2.morphologyEx((above > 0).astype(np.uint8), cv2.MORPH_CLOSE, wide)
+    lit[~view.valid] = 0
+    seen = cv2.erode(
+        lit, np.ones((1, len(ridge) + 2), np.uint8), borderType=cv2.BORDER_CONSTANT, borderValue=0
+    ).astype(bool)
+    if not seen.any():
+        return np.zeros(above.shape)
+    level = above.astype(np.float32) / 255
+    level -= level[seen].mean()
+    level[lit == 0] = 0
+    along = cv2.getGaussianKernel(
+        int(number(parameters, "smooth_taps")) | 1, number(parameters, "smooth_sigma")
+    )
+    response = cv2.sepFilter2D(level, cv2.CV_32F, ridge, along).astype(np.float64)
+    response[~seen | (response < 0)] = 0
+    response[response < np.quantile(response[seen], number(parameters, "lower_quantile"))] = 0
+    return response
+
+
+def _ridge(taps: int, sigma: float) -> FloatArray:
+    """The negative second derivative of a Gaussian, (taps,), with the sum 0."""
+    x = np.arange(-(taps // 2), taps // 2 + 1) / sigma
+    weight = np.exp(-(x**2) / 2) * (1 - x**2)
+    weight -= weight.mean()
+    scaled: FloatArray = 2 * weight / np.abs(weight).sum()
+    return scaled
