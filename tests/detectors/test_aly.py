@@ -257,5 +257,5 @@ def test_a_frozen_camera_loses_its_lines() -> None:
 
 def test_a_drive_over_four_lanes_gives_four_lines_in_each_frame() -> None:
     step = aly.start(SMALL, {**DEFAULTS, "beyond_edge": "keep"})
-    five = [Paint(3.6 * k) for k in (-2, -1, 0, 1, 2)]
+    five = [Paint(3.2 * k) for k in (-2, -1, 0, 1, 2)]
     assert {len(step(picture).lri) for picture in drive(3, five)} == {4}
