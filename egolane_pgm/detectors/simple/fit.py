@@ -184,9 +184,13 @@ def _prior(parameters: Parameters, prior_shape: FloatArray | None) -> tuple[Floa
     sd = np.array([number(parameters, f"{name}_sd") for name in _SHARED])
     if prior_shape is None or not len(prior_shape):
         return np.zeros(4), sd
-    heading, squeeze = float(np.median(prior_shape[:, 1])), 0.0
-    if len(prior_shape) > 1 and np.ptp(prior_shape[:, 0]) > 1:
-        squeeze, heading = np.polyfit(prior_shape[:, 0], prior_shape[:, 1], 1)
+    offset, slope = prior_shape[:, 0], prior_shape[:, 1]
+    heading, squeeze = float(np.median(slope)), 0.0
+    if len(prior_shape) > 1 and np.ptp(offset) > 1:
+        # The straight line through the slopes over the offsets.
+        away = offset - offset.mean()
+        squeeze = float(away @ slope / (away @ away))
+        heading = float(slope.mean() - squeeze * offset.mean())
     curvature, rate = np.median(prior_shape[:, 2:], axis=0)
     centre = np.array([heading, curvature, squeeze, rate])
     # A clothoid begins and ends at a point: the rate of the frame before does not bind this one's.
@@ -237,12 +241,13 @@ def _find_common(
 def _pieces(view: BirdsEye, strips: Strips) -> tuple[FloatArray, FloatArray, FloatArray, IntArray]:
     """Cuts the contours into short pieces along the road; gives x, y, area and contour of each."""
     rows = max(round(_PIECE_M / view.along_m), 1)
-    key = strips.contour * (len(view.x_m) // rows + 1) + strips.row // rows
-    piece, index = np.unique(key, return_inverse=True)
-    width: FloatArray = np.bincount(index, strips.width_m).astype(np.float64)
-    x: FloatArray = np.bincount(index, strips.width_m * strips.x_m) / width
-    y: FloatArray = np.bincount(index, strips.width_m * strips.y_m) / width
-    return x, y, width * view.along_m, piece // (len(view.x_m) // rows + 1)
+    per_contour = len(view.x_m) // rows + 1
+    key = strips.contour * per_contour + strips.row // rows
+    width: FloatArray = np.bincount(key, strips.width_m).astype(np.float64)
+    piece: IntArray = np.flatnonzero(width).astype(np.int64)
+    x: FloatArray = np.bincount(key, strips.width_m * strips.x_m)[piece] / width[piece]
+    y: FloatArray = np.bincount(key, strips.width_m * strips.y_m)[piece] / width[piece]
+    return x, y, width[piece] * view.along_m, piece // per_contour
 
 
 def _along(
@@ -367,5 +372,8 @@ def _coverage(
     offset, agreement = _along(strips, common, parameters)
     near = np.abs(offset - found[:, None]) <= number(parameters, "reach_m")
     near &= agreement > 0
-    rows = [len(np.unique(strips.row[covers])) for covers in near]
-    return np.array(rows, dtype=np.float64) * view.along_m
+    line, run = np.nonzero(near)
+    covers = np.zeros((len(found), len(view.x_m)), dtype=bool)
+    covers[line, strips.row[run]] = True
+    length: FloatArray = covers.sum(axis=1) * view.along_m
+    return length

@@ -168,7 +168,7 @@ def advance(tracks: Tracks, rule: Rules, shape: FloatArray, coverage: FloatArray
     for found in np.flatnonzero(is_new):
         new = _new_track(tracks, rule, shape[found], coverage[found])
         is_apart = _gaps(tracks.mean, shape[found], rule) >= rule["tracks_apart_m"]
-        if is_apart.all() and not _is_just_beyond(tracks, new, rule):
+        if is_apart.all() and not _are_just_beyond(tracks, new, rule)[0]:
             tracks = _joined(tracks, new)
     return _without_lost(_with_validity(tracks, rule), rule)
 
@@ -319,32 +319,32 @@ def _without_lost(tracks: Tracks, rule: Rules) -> Tracks:
     patience = np.where(tracks.was_valid, rule["die_after"], rule["new_die_after"])
     is_good = (tracks.missed < patience) & (np.abs(tracks.mean[:, 0]) <= rule["farthest_m"])
     tracks = _chosen(tracks, np.flatnonzero(is_good))
-    best_first = np.lexsort((tracks.number, -tracks.lri, ~tracks.is_valid))
+    is_close = _gaps(tracks.mean[:, None], tracks.mean, rule) < rule["tracks_apart_m"]
+    is_beyond = _are_just_beyond(tracks, tracks, rule)
     kept: list[int] = []
-    for k in best_first:
-        one = _chosen(tracks, np.array([k]))
-        is_apart = _gaps(tracks.mean[kept], tracks.mean[k], rule) >= rule["tracks_apart_m"]
-        if is_apart.all() and not _is_just_beyond(tracks, one, rule):
+    for k in np.lexsort((tracks.number, -tracks.lri, ~tracks.is_valid)):
+        if not is_beyond[k] and not is_close[k, kept].any():
             kept.append(int(k))
     return _chosen(tracks, np.sort(np.array(kept, dtype=np.int64)))
 
 
-def _is_just_beyond(tracks: Tracks, one: Tracks, rule: Rules) -> bool:
-    """Whether a line lies beyond another, seen from the car, too close for a lane between them. The
-    other one is valid, or is detected in this frame and has at least the same LRI."""
+def _are_just_beyond(tracks: Tracks, some: Tracks, rule: Rules) -> BoolArray:
+    """Which of N lines, (N,), lie beyond one of the tracks, seen from the car, too close for a lane
+    between them. That one is valid, or is detected in this frame and has at least the same LRI."""
     near = rule.at[: _PLACES // 2].mean(axis=0)
-    place, places = float(one.mean[0] @ near), tracks.mean @ near
+    place, places = (some.mean @ near)[:, None], tracks.mean @ near
     is_between = (np.sign(places) == np.sign(place)) & (np.abs(places) < np.abs(place))
-    is_between &= tracks.number != one.number
-    is_close = _gaps(tracks.mean, one.mean[0], rule) < rule["least_lane_m"]
-    is_good = tracks.is_valid | ((tracks.lri >= one.lri) & (tracks.missed == 0))
-    return bool((is_between & is_close & is_good).any())
+    is_between &= tracks.number != some.number[:, None]
+    is_close = _gaps(some.mean[:, None], tracks.mean, rule) < rule["least_lane_m"]
+    is_good = tracks.is_valid | ((tracks.lri >= some.lri[:, None]) & (tracks.missed == 0))
+    beyond: BoolArray = (is_between & is_close & is_good).any(axis=1)
+    return beyond
 
 
-def _gaps(means: FloatArray, shape: FloatArray, rule: Rules) -> FloatArray:
-    """The distance (L,), metres, of lines (L, 4) from one line (4,), over the nearer half of the
-    distances ahead."""
-    gaps: FloatArray = np.abs((means - shape) @ rule.at[: _PLACES // 2].T).mean(axis=1)
+def _gaps(means: FloatArray, others: FloatArray, rule: Rules) -> FloatArray:
+    """The distance (...), metres, of lines (..., 4) from others (..., 4), over the nearer half of
+    the distances ahead."""
+    gaps: FloatArray = np.abs((means - others) @ rule.at[: _PLACES // 2].T).mean(axis=-1)
     return gaps
 
 
