@@ -73,6 +73,9 @@ def run(
     """Run experiments: filter the recording, score it, tell its lane changes, write a result
     directory.
 
+    Without ground truth it says the lane over time. A recording of many clips (TuSimple's test
+    labels, folders of CULane or OpenLane) is run clip by clip, with one table.
+
     Several EXPERIMENTS, or one on several recordings, share --jobs processes; each has its own
     result directory, and one that fails does not stop the others.
     """

@@ -3,7 +3,7 @@ bird's-eye view, and the belief as bars over the lanes from left to right, with 
 known.
 
 A valid and continuous line is blue and solid, a valid one that is not continuous orange and dashed,
-one that is not valid grey and thin. Where the detector says which line is which from frame to frame
+one that is not valid light grey and thin. Where the detector says which line is which from frame to frame
 (`FrameLines.slot`), a colour stays with its line instead. Only one frame is in memory at a time.
 """
 
@@ -36,7 +36,7 @@ Colour = tuple[int, int, int]
 #: Okabe and Ito's colours, blue green red.
 CONTINUOUS: Colour = (178, 114, 0)
 DASHED: Colour = (0, 159, 230)
-NOT_VALID: Colour = (150, 150, 150)
+NOT_VALID: Colour = (205, 205, 205)
 ASSIGNED: Colour = (178, 114, 0)
 OTHER: Colour = (236, 215, 188)
 TRUTH: Colour = (0, 94, 213)
@@ -264,6 +264,11 @@ def _style(lines: FrameLines, k: int) -> tuple[Colour, int, bool]:
     return colour, 3 if is_valid else 1, is_dashed
 
 
+def _edge(thickness: int) -> Colour:
+    """The colour beside a line."""
+    return PAPER if thickness > 1 else INK
+
+
 def _across(shape: FloatArray, x: FloatArray) -> FloatArray:
     """The place y(x) of a line, metres to the right."""
     return np.asarray(shape[0] + x * (shape[1] + x * (shape[2] / 2 + x * shape[3] / 6)))
@@ -347,6 +352,7 @@ def _labels(places: Layout, canvas: Image, lines: FrameLines) -> None:
     """Writes the offset of each line below its foot, under a bar in the line's colour."""
     for k, (left, top, right, bottom) in label_boxes(places, lines).items():
         colour, thickness, _ = _style(lines, k)
+        cv2.rectangle(canvas, (left, top), (right - 1, top + 3), _edge(thickness), -1)
         cv2.rectangle(canvas, (left, top), (right - 1, top + thickness), colour, -1)
         _centred(canvas, _label(lines, k), (left + right) // 2, bottom - 4, right - left, INK)
 
@@ -385,9 +391,8 @@ def _stroke(image: Image, u: FloatArray, v: FloatArray, colour: Colour, thicknes
         return
     # Points are in sixteenths of a pixel, for smooth curves.
     points = [np.round(16 * np.stack([u[there], v[there]], axis=1)).astype(np.int32)]
-    if thickness > 1:
-        # A pale edge makes a dark line visible on dark asphalt.
-        cv2.polylines(image, points, False, PAPER, thickness + 2, cv2.LINE_AA, 4)
+    # A pale edge makes a dark line visible on dark asphalt, a dark one a thin line on paint.
+    cv2.polylines(image, points, False, _edge(thickness), thickness + 2, cv2.LINE_AA, 4)
     cv2.polylines(image, points, False, colour, thickness, cv2.LINE_AA, 4)
 
 
@@ -435,7 +440,10 @@ def _bars(places: Layout, canvas: Image, scene: Scene) -> None:
             if scene.truth == k + 1:
                 cv2.rectangle(canvas, (left - 3, upper - 1), (right + 3, lower + 2), TRUTH, 2)
                 mark = "truth (crossing)" if scene.is_crossing else "truth"
-                _centred(canvas, mark, (left + right) // 2, lower + 32, right - left + 6, TRUTH)
+                # Nothing else is in its row, so that it may be wider than the bar.
+                wide = _text_width(mark, 0.45)
+                middle = min(max((left + right) // 2, wide // 2), places.picture[0] - wide // 2)
+                _centred(canvas, mark, middle, lower + 32, places.picture[0], TRUTH)
     cv2.line(canvas, (0, top), (canvas.shape[1], top), FRAME, 1)
 
 
@@ -464,6 +472,7 @@ def _legend(places: Layout, canvas: Image, scene: Scene) -> None:
             colour, thickness, is_dashed = style
             for a, b in ((0, 14), (20, 34)) if is_dashed else ((0, 34),):
                 ends = (left + a, baseline - 4), (left + b, baseline - 4)
+                cv2.line(canvas, *ends, _edge(thickness), thickness + 2, cv2.LINE_AA)
                 cv2.line(canvas, *ends, colour, thickness, cv2.LINE_AA)
         scale = min(0.45, 0.45 * (room - (start - left)) / max(1, _text_width(text, 0.45)))
         _write(canvas, text, (start, baseline), scale, INK)

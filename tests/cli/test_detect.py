@@ -167,7 +167,11 @@ def test_run_on_another_video_by_options(place: Path, tmp_path: Path) -> None:
     out = tmp_path / "out"
     words = ["--recording", place / "drive.avi", "--camera", place / "cam.yaml"]
     words += ["--detector", "mc", "--n-lanes", 2, "--no-figures", "--out", out]
-    assert "drive: 16 frames, 2 lanes" in done("run", tmp_path / "x.yaml", *words).stdout
+    said = done("run", tmp_path / "x.yaml", *words).stdout
+    assert "drive: 16 frames, 2 lanes" in said
+    # A video has no truth: the lane is told.
+    assert "at the end lane " in said
+    assert "sure (a belief of at least 0.9) in" in said
     kept = yaml.safe_load((out / "experiment.yaml").read_text())["recording"]
     assert (kept["detector"], kept["frame_rate"]) == ("mc", 12.5)
 

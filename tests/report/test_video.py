@@ -227,6 +227,16 @@ def test_the_true_lane_is_outlined_where_it_is_known() -> None:
     assert (plain != drawn(scene([0, 1, 0], 2, truth=1, is_crossing=True))).any()
 
 
+@pytest.mark.parametrize("truth", [1, 8])
+def test_the_mark_of_the_truth_is_as_large_as_other_text_and_in_the_frame(truth: int) -> None:
+    image = drawn(scene([1 / 8] * 8, 0, truth=truth, is_crossing=True))
+    lower = bar_boxes(layout(CAMERA), 8)[0][3]
+    seen = np.abs(image[lower + 18 :].astype(int) - video.TRUTH).max(axis=2) < 60
+    columns = np.flatnonzero(seen.any(axis=0))
+    assert columns[-1] - columns[0] > 80  # the bars are 60 wide
+    assert columns[-1] < 640
+
+
 def test_eight_lanes_fit() -> None:
     boxes = bar_boxes(layout(CAMERA), 8)
     assert len(boxes) == 9
