@@ -3,8 +3,9 @@ bird's-eye view, and the belief as bars over the lanes from left to right, with 
 known.
 
 A valid and continuous line is blue and solid, a valid one that is not continuous orange and dashed,
-one that is not valid light grey and thin. Where the detector says which line is which from frame to frame
-(`FrameLines.slot`), a colour stays with its line instead. Only one frame is in memory at a time.
+one that is not valid light grey and thin. Where the detector says which line is which from frame to
+frame (`FrameLines.slot`), a colour stays with its line instead. Only one frame is in memory at a
+time.
 """
 
 from __future__ import annotations
