@@ -127,7 +127,7 @@ def test_a_file_is_found_from_where_one_stands(
 
 def test_what_cannot_be_shown_is_refused_in_a_line(tmp_path: Path) -> None:
     assert refused("show", "sensor_failur").endswith("(did you mean 'sensor_failure'?)")
-    assert "(known: autoregressive, " in refused("show", "zzz")
+    assert "(known: aly, autoregressive, " in refused("show", "zzz")
     assert refused("show", "evidence:sensor_failure").startswith("evidence: unknown name")
     assert refused("show", "none.py").startswith("graph: no file ")
     both = tmp_path / "both.py"
