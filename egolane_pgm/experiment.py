@@ -544,7 +544,8 @@ def _override(content: dict[str, Any], override: str) -> None:
 def _found_from_here(key: str, value: Any) -> Any:
     """The value of an override. A file that is there from where one stands is named in full, since
     those of the YAML are looked for beside it."""
-    is_plugin = key in _PLUGIN_FILES and str(value).endswith(OWN_FILES)
+    may_be = key in _PLUGIN_FILES or key.startswith("recording.detector_parameters.")
+    is_plugin = may_be and str(value).endswith(OWN_FILES)
     is_named = isinstance(value, str) and (is_plugin or key in _FILES)
     return str(Path(value).absolute()) if is_named and os.path.exists(value) else value
 
@@ -563,7 +564,8 @@ def _problems(error: ValidationError, model: type[Section]) -> list[str]:
         prefix = f"{'.'.join(map(str, above))}: " if above else ""
         lines.append(f"{prefix}unknown key '{key}'{hint}")
     for problem in problems:
-        *above, key = problem["loc"]
+        # A section as a whole has no key.
+        *above, key = problem["loc"] or ("",)
         meant = f"(did you mean '{key}'?)"
         is_meant = any(list(loc[:-1]) == above and meant in hint for loc, hint in hints.items())
         if problem["type"] != "extra_forbidden" and not (problem["type"] == "missing" and is_meant):
@@ -604,4 +606,4 @@ def _problem(problem: ErrorDetails) -> str:
     message = message[0].lower() + message[1:]
     message = _NEEDS.get(problem["type"], message)
     shown = "" if isinstance(value, dict) else f" (got {value!r})"
-    return f"{where}: {message}{shown}"
+    return f"{where}: {message}{shown}" if where else f"{message}{shown}"

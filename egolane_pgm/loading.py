@@ -13,7 +13,15 @@ import numpy as np
 from tqdm import tqdm
 
 from egolane_pgm.camera.model import Camera, read_camera
-from egolane_pgm.detectors.runner import Detector, check_pair, collect, detect, find_detector, start
+from egolane_pgm.detectors.runner import (
+    Detector,
+    check_pair,
+    collect,
+    detect,
+    find_detector,
+    own_files,
+    start,
+)
 from egolane_pgm.experiment import Experiment, make_experiment
 from egolane_pgm.plugins import load_plugin, plugin_errors
 from egolane_pgm.recordings import (
@@ -272,7 +280,10 @@ def _detected(experiment: Experiment) -> tuple[LineLog, list[Path]]:
         leave=False,
         disable=None,
     )
-    done = collect(detect(detector, camera, pictures), recording.frame_rate, left.path)
+    is_told = "frame_rate" in recording.model_fields_set
+    rate = recording.frame_rate if is_told else left.frame_rate
+    found = detect(detector, camera, pictures, rate)
+    done = collect(found, recording.frame_rate, left.path)
     if isinstance(done.stopped, InputError) and done.log is not None:
         raise InputError(f"{done.stopped}; `egolane detect` writes the lines of the frames before")
     if done.stopped is not None:
@@ -291,9 +302,7 @@ def _detected(experiment: Experiment) -> tuple[LineLog, list[Path]]:
     files.append(_find(recording.camera, experiment, "recording.camera"))
     if detector.name.endswith(".py"):
         files.append((experiment.folder / detector.name).resolve())
-    values = detector.parameters.values()
-    files += [Path(v) for v in values if isinstance(v, str) and v.endswith(".py")]
-    return done.log, files
+    return done.log, files + own_files(detector)
 
 
 def _check_detector(experiment: Experiment) -> tuple[Detector, Camera, Source, Source | None]:

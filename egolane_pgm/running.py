@@ -280,7 +280,7 @@ def _in_full(key: str, value: Any, folder: Path) -> Any:
         return {k: _in_full("detector", v, folder) for k, v in value.items()}
     if not isinstance(value, str):
         return value
-    is_plugin = key in ("format", "detector") and value.endswith(".py")
+    is_plugin = key in ("format", "detector") and value.endswith(OWN_FILES)
     is_path = key in ("path", "camera", "right")
     is_there = any(c in value for c in "*?[") or (folder / value).exists()
     return str((folder / value).absolute()) if is_plugin or (is_path and is_there) else value

@@ -13,6 +13,7 @@ from tests.kits.drives import write_drive
 from tests.kits.labelled_drive import write_labelled_drive
 from tests.kits.labelled_pictures import write_labelled
 from tests.kits.synthetic_road import write_place
+from tests.kits.tiny_network import write_trained
 
 # A submission's tests must not depend on luck; elsewhere each run tries new examples.
 settings.register_profile("ci", derandomize=True, print_blob=True)
@@ -79,6 +80,13 @@ def boards(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def stills(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A folder of pictures of a straight road."""
     return write_stills(tmp_path_factory.mktemp("stills"))
+
+
+@pytest.fixture(scope="session")
+def tiny_network(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A folder with a lane network that was trained on rendered pictures: lanes.yaml and
+    drivable.yaml."""
+    return write_trained(tmp_path_factory.mktemp("network"))
 
 
 def pytest_terminal_summary(terminalreporter: pytest.TerminalReporter) -> None:

@@ -212,7 +212,8 @@ def detect_some(
         unit="frame",
         total=None if frames else left.n_frames,
     ) as shows:
-        done = collect(detect_lines(found, of_camera, shows), left.frame_rate or 10.0, pictures)
+        lines = detect_lines(found, of_camera, shows, left.frame_rate)
+        done = collect(lines, left.frame_rate or 10.0, pictures)
     if done.log is None:
         raise done.stopped or InputError(f"{pictures}: no frame")
     seconds = time.perf_counter() - began

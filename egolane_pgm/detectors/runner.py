@@ -4,6 +4,8 @@ its lines."""
 from __future__ import annotations
 
 import os
+import time
+import warnings
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -15,12 +17,16 @@ import numpy as np
 from egolane_pgm.camera.model import Camera
 from egolane_pgm.camera.picture import Picture
 from egolane_pgm.detectors import FrameLines, Step, as_log
+from egolane_pgm.detectors.networks.description import YAML, network_files
 from egolane_pgm.parameters import Value, resolve_parameters
 from egolane_pgm.plugins import load_plugin, plugin_errors
 from egolane_pgm.types import InputError, LineLog
 
 #: How many frames are collected before they are packed into arrays.
 _PACK = 1000
+
+#: How many frames are timed, and how many before them are not.
+_TIMED, _WARM_UP = 30, 5
 
 
 @dataclass(frozen=True)
@@ -53,10 +59,18 @@ def find_detector(
     specs = getattr(module, "PARAMETERS", ())
     values = resolve_parameters(specs, given, 1, given_by or f"{where}_parameters")
     for key, value in values.items():
-        # A parameter may name a user's own file (a stereo matcher), relative to `base` as well.
-        if isinstance(value, str) and value.endswith(".py"):
+        # A parameter may name a user's own file (a stereo matcher, a network), relative to `base`
+        # as well.
+        if isinstance(value, str) and value.endswith((".py", *YAML)):
             values[key] = os.path.realpath(base / value)
     return Detector(name, module, values, where)
+
+
+def own_files(detector: Detector) -> list[Path]:
+    """The user's own files that the parameters name: stereo matchers, networks."""
+    values = detector.parameters.values()
+    matchers = [Path(v) for v in values if isinstance(v, str) and v.endswith(".py")]
+    return matchers + network_files(detector.parameters)
 
 
 def check_pair(detector: Detector, camera: Camera, has_right: bool, where: str) -> None:
@@ -82,13 +96,20 @@ def start(detector: Detector, camera: Camera) -> Step:
 
 
 def detect(
-    detector: Detector, camera: Camera, pictures: Iterable[Picture]
+    detector: Detector,
+    camera: Camera,
+    pictures: Iterable[Picture],
+    frame_rate: float | None = None,
 ) -> Iterator[tuple[int, FrameLines]]:
     """Runs a detector over pictures; gives the frame id and the checked lines of each.
+
+    frame_rate: Hz, where it is known. A detector with a network that is slower warns once.
 
     Raises InputError, naming detector and frame, for lines that break the detectors' contract.
     """
     step = start(detector, camera)
+    if frame_rate is not None and network_files(detector.parameters):
+        step = _timed(step, detector, frame_rate)
     for picture in pictures:
         where = f"{detector.where}: {detector.name}: frame {picture.frame_id}"
         try:
@@ -99,6 +120,31 @@ def detect(
             raise InputError(said if said.startswith(where) else f"{where}: {said}") from error
         _check(lines, where)
         yield picture.frame_id, lines
+
+
+def _timed(step: Step, detector: Detector, frame_rate: float) -> Step:
+    """The same step, which warns if its frames take longer than they come. The first ones, in which
+    code is compiled and memory taken, are left out."""
+    count, spent = 0, 0.0
+
+    def timed(picture: Picture) -> FrameLines:
+        nonlocal count, spent
+        began = time.perf_counter()
+        lines = step(picture)
+        count += 1
+        spent += time.perf_counter() - began if count > _WARM_UP else 0.0
+        if count == _WARM_UP + _TIMED and spent / _TIMED > 1 / frame_rate:
+            warnings.warn(
+                f"{detector.name} takes {1000 * spent / _TIMED:.0f} ms per frame here, but"
+                f" {frame_rate:g} frames come per second, one in {1000 / frame_rate:.0f} ms; to"
+                " keep up with a camera, let the network look at every n-th frame only"
+                " (`every: n` in its YAML)",
+                UserWarning,
+                stacklevel=2,
+            )
+        return lines
+
+    return timed
 
 
 def _check(lines: FrameLines, where: str) -> None:

@@ -8,8 +8,8 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-from egolane_pgm.detectors import simple
-from egolane_pgm.detectors.runner import Detector
+from egolane_pgm.detectors import networks, simple
+from egolane_pgm.detectors.runner import Detector, own_files
 from egolane_pgm.experiment import resolved
 from egolane_pgm.files import plain
 from egolane_pgm.loading import data_entries
@@ -70,15 +70,15 @@ def _code(drive: Drive) -> dict[str, str]:
 
 
 def code_of_detector(detector: Detector) -> str:
-    """The checksum of a detector's code."""
+    """The checksum of a detector's code, and of a network that it looks through."""
     return _checksum(_files_of(detector))
 
 
 def _files_of(detector: Detector) -> list[Path]:
     files = source_files(detector.module)
     if not detector.name.endswith(OWN_FILES):
-        files = [*files, *source_files(simple)]
-    return files
+        files = [*files, *source_files(simple), *source_files(networks)]
+    return files + own_files(detector)
 
 
 def _checksum(files: Sequence[Path]) -> str:

@@ -20,6 +20,7 @@ from egolane_pgm.plugins import plugin_names
 from egolane_pgm.types import InputError
 from tests.camera_figures import carnd, clips, lane_change
 from tests.kits.synthetic_road import CAMERA, PAIR, THREE, Paint, drive
+from tests.kits.tiny_network import top_hat_file
 
 OWN = str(Path(__file__).parents[2] / "examples" / "my_detector.py")
 NAMES = [*plugin_names("detectors"), OWN]
@@ -30,7 +31,10 @@ MOST, UNTIL = 10, 0.5
 
 
 def load(name: str) -> Detector:
-    return find_detector(name, {}, Path.cwd(), "detector")
+    given = {}
+    if name == "network":
+        given["network"] = str(top_hat_file(CAMERA.width, CAMERA.height))
+    return find_detector(name, given, Path.cwd(), "detector")
 
 
 def begin(name: str) -> Step:

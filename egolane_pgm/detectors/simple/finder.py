@@ -8,10 +8,12 @@ from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
+from numpy.typing import NDArray
 
 from egolane_pgm.camera.model import Camera
 from egolane_pgm.camera.picture import Picture
 from egolane_pgm.detectors import FrameLines, Step
+from egolane_pgm.detectors.networks import looking
 from egolane_pgm.detectors.simple import drift
 from egolane_pgm.detectors.simple.birdseye import BirdsEye, turned_up
 from egolane_pgm.detectors.simple.fit import Found, find_lines, view_for
@@ -27,6 +29,7 @@ from egolane_pgm.detectors.simple.tracking import (
     expected,
     lines_of,
     no_tracks,
+    predicted,
     rules,
 )
 from egolane_pgm.parameters import Parameters, number
@@ -38,12 +41,17 @@ PARAMETERS = (
     *_PAINT,
     *TRACKING,
     *drift.PARAMETERS,
+    *looking.PARAMETERS,
     *_FROZEN,
 )
 
 #: Takes a picture of both cameras; gives the bird's-eye view with the camera's pitch in this frame,
 #: and which of its pixels (R, C) lie on the plane of the road.
 OnRoad = Callable[[Picture], tuple[BirdsEye, BoolArray]]
+
+#: Takes the bird's-eye view of a frame and its picture; gives the pixels of the view that show
+#: marking, (R, C), or None for a picture that is not looked at.
+Marks = Callable[[BirdsEye, Picture], NDArray[np.uint8] | None]
 
 
 def start(
@@ -52,16 +60,18 @@ def start(
     *,
     curve: str,
     on_road: Callable[[BirdsEye], OnRoad] | None = None,
+    marks: Marks | None = None,
 ) -> Step:
     """The `start` of a detector.
 
     - curve: "line", "parabola" or "clothoid"
     - on_road: makes, for a view, the function that separates the road from the objects on it; None
       if all pixels count as road
+    - marks: what finds the markings; None for the top-hat filter
 
     Raises InputError if the camera does not see the region that the parameters ask for.
     """
-    follow, rule = follower(camera, parameters, curve=curve, on_road=on_road)
+    follow, rule = follower(camera, parameters, curve=curve, on_road=on_road, marks=marks)
     tracks = no_tracks(rule)
 
     def step(picture: Picture) -> FrameLines:
@@ -78,12 +88,14 @@ def follower(
     *,
     curve: str,
     on_road: Callable[[BirdsEye], OnRoad] | None = None,
+    marks: Marks | None = None,
 ) -> tuple[Callable[[Tracks, Picture], Tracks], Rules]:
     """As `start`, but the step takes the tracks and gives the new ones. Also gives its rules."""
     parameters = {**parameters, "curve": curve}
     rule = rules(parameters, curve=curve)
     view = view_for(camera, parameters)
     road = None if on_road is None else on_road(view)
+    keep = looking.keep(camera, parameters)
     count_repeats = repeat_counter(parameters)
     watch = None if parameters["camera_drift"] == "ignore" else drift.watch(view, parameters)
     corrects = parameters["camera_drift"] == "correct" and road is None
@@ -103,6 +115,12 @@ def follower(
             before, corrected_deg = corrected_deg, drift.correction_deg(believed)
             tracks = _turned(tracks, corrected_deg - before, camera)
             seen = turned(corrected_deg)
+        if keep is not None:
+            kept = keep(seen, picture)
+            is_road = kept if is_road is None else is_road & kept
+        mask = None if marks is None else marks(seen, picture)
+        if marks is not None and mask is None:
+            return predicted(tracks, rule)
         prior = expected(tracks)
         found: Found = find_lines(
             seen,
@@ -110,6 +128,7 @@ def follower(
             parameters,
             prior_shape=prior if len(prior) else None,
             on_road=is_road,
+            mask=mask,
         )
         painted = painted_share(seen, picture.image, found.shape, parameters)
         return advance(tracks, rule, found.shape, painted)

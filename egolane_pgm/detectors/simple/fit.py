@@ -11,10 +11,11 @@ so the search leaves it where it is expected and least squares find it.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import cv2
 import numpy as np
+from numpy.typing import NDArray
 
 from egolane_pgm.camera.model import Camera
 from egolane_pgm.camera.picture import Image
@@ -131,6 +132,7 @@ def find_lines(
     *,
     prior_shape: FloatArray | None = None,
     on_road: BoolArray | None = None,
+    mask: NDArray[np.uint8] | None = None,
 ) -> Found:
     """Finds the lines in a picture.
 
@@ -138,13 +140,20 @@ def find_lines(
     - prior_shape: (P, 4) lines expected from the frames before; what all lines share is searched
       near theirs
     - on_road: (R, C) pixels of the view on the plane of the road; marking elsewhere is dropped
+    - mask: (R, C) the marking, where it is known (of a network, which draws it wider than it is)
 
     Raises InputError for a picture of another size than the calibration.
     """
-    mask = marking_mask(view, from_above(view, image), parameters)
+    is_given = mask is not None
+    if mask is None:
+        mask = marking_mask(view, from_above(view, image), parameters)
     if on_road is not None:
         mask[~on_road] = 0
-    return fit_lines(view, find_strips(view, mask, parameters), parameters, prior_shape)
+    strips = find_strips(view, mask, parameters)
+    if is_given:
+        usual = np.full_like(strips.width_m, number(parameters, "stripe_m"))
+        strips = replace(strips, width_m=usual)
+    return fit_lines(view, strips, parameters, prior_shape)
 
 
 def from_above(view: BirdsEye, image: Image) -> Image:

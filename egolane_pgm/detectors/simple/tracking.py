@@ -158,9 +158,7 @@ def advance(tracks: Tracks, rule: Rules, shape: FloatArray, coverage: FloatArray
     - coverage: (M,) the share of each line that is painted; NaN where that is unknown
     """
     shape = np.where(np.arange(4) < rule.n_values, shape, 0.0)
-    tracks = replace(
-        tracks, mean=tracks.mean + tracks.motion, covariance=tracks.covariance + rule.walk
-    )
+    tracks = predicted(tracks, rule)
     matched = _match(tracks, rule, shape)
     tracks = _update(tracks, rule, matched, shape, coverage)
     is_new = np.ones(len(shape), dtype=bool)
@@ -171,6 +169,13 @@ def advance(tracks: Tracks, rule: Rules, shape: FloatArray, coverage: FloatArray
         if is_apart.all() and not _are_just_beyond(tracks, new, rule)[0]:
             tracks = _joined(tracks, new)
     return _without_lost(_with_validity(tracks, rule), rule)
+
+
+def predicted(tracks: Tracks, rule: Rules) -> Tracks:
+    """The tracks one frame later, in which nobody looked for lines."""
+    return replace(
+        tracks, mean=tracks.mean + tracks.motion, covariance=tracks.covariance + rule.walk
+    )
 
 
 def lines_of(tracks: Tracks, rule: Rules) -> FrameLines:

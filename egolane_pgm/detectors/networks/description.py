@@ -1,0 +1,188 @@
+"""The YAML file that describes a network, which lies beside its ONNX file.
+
+model: twinlitenet.onnx
+size: [640, 360]
+output: ll
+layout: lanes
+classes: 2
+activation: softmax
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated, Literal, Self
+
+from pydantic import AfterValidator, Field, model_validator
+
+from egolane_pgm.experiment import Section, validated
+from egolane_pgm.files import read_yaml
+from egolane_pgm.parameters import Parameter, Parameters, Value
+from egolane_pgm.types import InputError
+
+#: How the file of a network may end.
+YAML = (".yaml", ".yml")
+
+#: The value of a parameter that names no network.
+NO_NETWORK = "none"
+
+#: The keys that only some layouts have. What they mean is said in `Network`.
+_OF_LAYOUTS = {
+    "classes": ("drivable", "lanes", "instances", "row_anchors"),
+    "channels": ("drivable", "lanes", "instances"),
+    "activation": ("drivable", "lanes", "instances"),
+    "threshold": ("drivable", "lanes", "instances", "polylines"),
+    "rows": ("row_anchors",),
+    "first_x": ("polylines",),
+    "start": ("polylines",),
+    "length": ("polylines",),
+    "in_pixels": ("polylines",),
+}
+
+#: Those without a default.
+_NEEDED = ("classes", "rows", "first_x", "start", "length")
+
+
+def _finite(value: float) -> float:
+    if not abs(value) < float("inf"):
+        raise ValueError("is not a finite number")
+    return value
+
+
+_Number = Annotated[float, AfterValidator(_finite)]
+_Three = _Number | tuple[_Number, _Number, _Number]
+
+
+class Network(Section):
+    """What a network takes and gives.
+
+    It takes the picture without its topmost part, resized, each value as (value - mean) * scale:
+
+    - model: the ONNX file, relative to the YAML.
+    - size: width and height of its input, pixels.
+    - mean, scale: one number, or one for each of the three colours in the network's order; of
+      values from 0 to 255.
+    - swap_rb: whether its order is red, green, blue, as usual; OpenCV's own is the other one.
+    - cut_top: the share of the picture's height that is cut off above (sky).
+    - letterbox: the grey of the bars that keep the picture's proportions; None where it is
+      stretched to `size`.
+
+    It gives one output that is looked at:
+
+    - output: the name of this output in the file; may be left out where there is one only.
+    - layout: how the output is read, one of the following. It begins with an axis of length 1.
+
+      `drivable`, `lanes`: (1, classes, h, w), masks of the road's free area or of all its markings.
+      `instances`: the same with a channel for each line.
+      `row_anchors`: (1, classes, rows, lines), for each row of the picture and each line the column
+      in `classes - 1` columns, the last class saying that there is no line.
+      `polylines`: (1, candidates, numbers), each with the logits of "no line" and "line" first, and
+      from `first_x` on its x in rows that are evenly spaced from the bottom to the top.
+
+    - classes: how many there are; checked.
+    - channels: those that are looked at; by default all but the first, which is the background.
+    - activation: what makes probabilities of the output.
+    - threshold: the least probability.
+    - rows: the rows of `row_anchors`, pixels of the input.
+    - first_x, start, length: places in a polyline's numbers: its first x, the share of the height
+      at which it starts (from the bottom), its length.
+    - in_pixels: whether x is in pixels of the input and the length in rows; else both are shares.
+
+    - every: the network looks at every n-th frame only.
+    """
+
+    model: str
+    size: tuple[Annotated[int, Field(ge=8, le=8192)], Annotated[int, Field(ge=8, le=8192)]]
+    mean: _Three = 0.0
+    scale: _Three = 1 / 255
+    swap_rb: bool = True
+    cut_top: float = Field(default=0.0, ge=0, lt=1)
+    letterbox: int | None = Field(default=None, ge=0, le=255)
+    output: str | None = None
+    layout: Literal["drivable", "lanes", "instances", "row_anchors", "polylines"]
+    classes: int | None = Field(default=None, ge=1)
+    channels: tuple[Annotated[int, Field(ge=0)], ...] | None = Field(default=None, min_length=1)
+    activation: Literal["none", "sigmoid", "softmax"] = "none"
+    threshold: float = Field(default=0.5, gt=0, lt=1)
+    rows: tuple[_Number, ...] | None = Field(default=None, min_length=2)
+    first_x: int | None = Field(default=None, ge=2)
+    start: int | None = Field(default=None, ge=2)
+    length: int | None = Field(default=None, ge=2)
+    in_pixels: bool = False
+    every: int = Field(default=1, ge=1)
+
+    @model_validator(mode="after")
+    def _fits_its_layout(self) -> Self:
+        for key, layouts in _OF_LAYOUTS.items():
+            if self.layout in layouts and key in _NEEDED and getattr(self, key) is None:
+                raise ValueError(f"layout {self.layout} needs {key}")
+            if self.layout not in layouts and key in self.model_fields_set:
+                raise ValueError(f"{key}: goes with layout {' or '.join(layouts)} only")
+        if self.classes is not None and max(self.looked_at, default=0) >= self.classes:
+            raise ValueError(
+                f"channels: {max(self.looked_at)} is not one of {self.classes} classes,"
+                " which are counted from 0"
+            )
+        if self.classes == 1 and self.activation == "softmax":
+            raise ValueError("activation: softmax needs several classes; for one take sigmoid")
+        if self.layout == "row_anchors" and self.classes is not None and self.classes < 3:
+            raise ValueError("classes: needs two columns and 'no line' at least")
+        return self
+
+    @property
+    def looked_at(self) -> tuple[int, ...]:
+        """The channels of a mask that are looked at."""
+        if self.layout not in _OF_LAYOUTS["channels"] or self.classes is None:
+            return ()
+        return self.channels or tuple(range(min(1, self.classes - 1), self.classes))
+
+    _file: Path = Path()
+
+    @property
+    def file(self) -> Path:
+        """The YAML file."""
+        return self._file
+
+    @property
+    def onnx(self) -> Path:
+        """The ONNX file."""
+        return self._file.parent / self.model
+
+
+def read_network(path: str | Path) -> Network:
+    """The network that a YAML file describes.
+
+    Raises InputError, a line for every key that does not fit; also where the ONNX file is absent.
+    """
+    path = Path(path)
+    if not path.is_file():
+        raise InputError(f"{path}: no such file; it describes a network (docs/networks.md)")
+    network = validated(Network, read_yaml(path, "model: lanes.onnx"), str(path))
+    network._file = path
+    if not network.onnx.is_file():
+        raise InputError(f"{path}: model: no file {network.onnx}")
+    return network
+
+
+class NetworkFile(Parameter):
+    """A parameter whose value is the YAML file of a network, or `none` where that is its
+    default."""
+
+    def check(self, value: object, n_lanes: int, where: str) -> Value:
+        """The value. Raises InputError for a name that is no YAML file's."""
+        if value == NO_NETWORK and self.default == NO_NETWORK:
+            return NO_NETWORK
+        if value == "":
+            raise InputError(
+                f"{where}: is missing; it names the YAML file of a network, e.g. {self.name}="
+                "lanes.yaml (docs/networks.md shows how to write one)"
+            )
+        if not isinstance(value, str) or not value.endswith(YAML):
+            raise InputError(f"{where}: {value!r} is not the name of a network's .yaml file")
+        return value
+
+
+def network_files(parameters: Parameters) -> list[Path]:
+    """The files of the networks that some parameters name: each YAML and its ONNX."""
+    named = [v for v in parameters.values() if isinstance(v, str) and v.endswith(YAML)]
+    return [file for name in named for file in (Path(name), read_network(name).onnx)]
