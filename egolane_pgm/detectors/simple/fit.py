@@ -159,8 +159,10 @@ def find_lines(
 def from_above(view: BirdsEye, image: Image) -> Image:
     """The red channel of a picture (H, W, 3) from above, (R, C). In red, yellow paint is as bright
     as white paint and brighter than concrete. A grey picture (H, W) is taken as it is."""
-    red = image if image.ndim == 2 else cv2.extractChannel(image, 2).astype(np.uint8, copy=False)
-    return look(view, red)
+    above = look(view, image)
+    # The view has fewer pixels than the picture, so the channel is taken last.
+    red = above if above.ndim == 2 else cv2.extractChannel(above, 2)
+    return red.astype(np.uint8, copy=False)
 
 
 def fit_lines(
