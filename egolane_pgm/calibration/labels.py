@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -19,12 +20,14 @@ _FARTHEST_M = 40.0
 
 def read_labels(path: str | Path) -> list[dict[str, Any]]:
     """Reads a file of TuSimple labels (`recordings.tusimple`): one mapping per frame, checked.
+    Only places of lines are needed here, so their classes are left out, right or wrong.
 
     Raises InputError for a file without frames, and one that names the line of a bad entry.
     """
     path = Path(path)
     frames = []
     for where, entry in read_entries(path):
+        entry.pop("classes", None)
         entry_lines(entry, where)
         frames.append(entry)
     if not frames:
@@ -84,19 +87,24 @@ def label_picture(frame: dict[str, Any], labels: Path) -> Path:
 
 
 def view_from_labels(
-    camera: Camera, path: str | Path, first: int | None, lane_width_m: float
+    camera: Camera,
+    path: str | Path,
+    first: int | None,
+    lane_width_m: float,
+    progress: Callable[[Sequence[Sequence[FloatArray]]], Iterable[Sequence[FloatArray]]] = iter,
 ) -> SeenRoad:
     """Finds how a camera looks at the road of labelled frames.
 
     - camera: its lens, and where it is mounted
     - path: the label file; `first`: use only so many of its frames, None for all
+    - progress: wraps the frames while they are fitted, e.g. tqdm
 
     Raises InputError as `read_labels` and `view_of_road` do.
     """
     path = Path(path)
     labels = read_labels(path)[:first]
     frames = [line_points(frame) for frame in labels]
-    view = view_of_road(camera, frames, lane_width_m, str(path))
+    view = view_of_road(camera, frames, lane_width_m, str(path), progress)
     n_lines = sum(len(lines) for lines in frames)
     which = f"the first {len(labels)}" if first else f"{len(labels)}"
     what = f"{n_lines} lines of {which} labelled frames of {path.name}"

@@ -189,6 +189,16 @@ def meeting_of_stills(
     return every, each
 
 
+def clearness(lines: FloatArray, seed: int = 0, tries: int = 200) -> float:
+    """How clearly the edges (M, 4) of a still meet in one point: the length of those that point at
+    it, times their share of the length of all edges. seed, tries: of the random pairs."""
+    if len(lines) < 2:
+        return 0.0
+    votes = _votes(_crossings(lines, tries, np.random.default_rng(seed)), lines)
+    length = np.hypot(lines[:, 2] - lines[:, 0], lines[:, 3] - lines[:, 1]).sum()
+    return float(votes.max(initial=0.0) ** 2 / length)
+
+
 def fan(
     camera: Camera, grey: FloatArray, mask: BoolArray, point: FloatArray, bend: float = 0.0
 ) -> Fan:
@@ -315,12 +325,15 @@ def find_in_stills(
     paths: Iterable[Path],
     seed: int = 0,
     progress: Callable[[Iterable[Path]], Iterable[Path]] = iter,
+    most: int | None = None,
 ) -> FoundLines:
     """Finds the lines in stills that one camera took of a road.
 
     - paths: the stills; `camera.ignore` says which parts never show road
     - seed: of the random pairs of edges
     - progress: wraps the stills while they are read, e.g. tqdm
+    - most: use only so many of them, those whose edges meet most clearly in one point, as they do
+      where the road is straight and free; None for all
 
     Raises InputError if no still can be used, or if the edges do not meet in one point.
     """
@@ -336,6 +349,9 @@ def find_in_stills(
         straight.append(edges(camera, image, mask))
     if not used:
         raise InputError(f"stills: none of them can be used; {skipped[0]}")
+    if most is not None and len(used) > most:
+        clear = np.argsort([-clearness(lines, seed) for lines in straight], kind="stable")[:most]
+        used, straight = ([given[k] for k in sorted(clear)] for given in (used, straight))
     ahead, each = meeting_of_stills(straight, seed)
     fits, lines = [], []
     for path, point in zip(progress(used), each, strict=True):

@@ -16,7 +16,7 @@ curvature times the height; it is the same for all lines, so that a bend does no
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -56,6 +56,9 @@ _MOST_SPREAD = (0.15, 0.05)
 _NOISE, _BEND = 0.001, 0.0015
 
 _MIN_POINTS = 5
+
+#: So many frames tell the horizon well enough to fit all of them about it.
+_ENOUGH_FRAMES = 200
 
 
 @dataclass(frozen=True)
@@ -254,15 +257,33 @@ def one_lane(gaps: FloatArray, weights: FloatArray) -> BoolArray:
     """Which of the gaps (G,) are near the most common one, counted by their weights (G,)."""
     if not gaps.size:
         return np.zeros(0, dtype=bool)
-    near = np.maximum(0.0, 1 - np.abs(gaps[None, :] / gaps[:, None] - 1) / _SAME_GAP)
-    common = gaps[np.argmax(near @ weights)]
+    order = np.argsort(gaps)
+    common = gaps[order][np.argmax(_alike(gaps[order], weights[order]))]
     common = np.median(gaps[np.abs(gaps / common - 1) < _SAME_GAP])
     chosen: BoolArray = np.abs(gaps / common - 1) < _SAME_GAP
     return chosen
 
 
+def _alike(gaps: FloatArray, weights: FloatArray) -> FloatArray:
+    """For each of the ascending gaps g (G,), the sum over all gaps h of their weights times
+    1 - |h / g - 1| / _SAME_GAP, as far as that is above 0. Running sums make it as long as the gaps
+    are many, where a table of all pairs would fill the memory."""
+    low = np.searchsorted(gaps, gaps * (1 - _SAME_GAP), "left")
+    middle = np.searchsorted(gaps, gaps, "right")
+    high = np.searchsorted(gaps, gaps * (1 + _SAME_GAP), "right")
+    total, moment = (np.concatenate([[0.0], np.cumsum(a)]) for a in (weights, weights * gaps))
+    below, above = total[middle] - total[low], total[high] - total[middle]
+    tilt = (moment[middle] - moment[low]) - (moment[high] - moment[middle])
+    alike: FloatArray = below + above + (tilt / gaps - below + above) / _SAME_GAP
+    return alike
+
+
 def view_of_road(
-    camera: Camera, frames: Sequence[Sequence[FloatArray]], lane_width_m: float, what: str = "lines"
+    camera: Camera,
+    frames: Sequence[Sequence[FloatArray]],
+    lane_width_m: float,
+    what: str = "lines",
+    progress: Callable[[Sequence[Sequence[FloatArray]]], Iterable[Sequence[FloatArray]]] = iter,
 ) -> RoadView:
     """Finds the pitch, yaw and height of a camera from lines of the road.
 
@@ -270,6 +291,7 @@ def view_of_road(
     - frames: for each frame the points (N, 2) of its lines, pixels
     - lane_width_m: the width of the road's lanes
     - what: how error messages name the lines
+    - progress: wraps the frames while they are fitted, e.g. tqdm
 
     Raises InputError if the lines do not meet or do not give a height.
     """
@@ -284,8 +306,10 @@ def view_of_road(
     if horizon is None:
         raise InputError(f"{what}: the lines do not meet; needs parallel lines of the road ahead")
     fits: list[FrameFit] = []
-    for _ in range(2):
-        fits = [fit for lines in with_lines if (fit := fit_frame(lines, horizon)) is not None]
+    # Some frames, spread over all of them, tell the horizon well enough to begin with.
+    some = with_lines[:: math.ceil(len(with_lines) / _ENOUGH_FRAMES)]
+    for lines_of_frames in (some, progress(with_lines)):
+        fits = [fit for lines in lines_of_frames if (fit := fit_frame(lines, horizon)) is not None]
         if not fits:
             raise InputError(
                 f"{what}: no frame has two lines that meet; needs parallel lines of the road ahead"

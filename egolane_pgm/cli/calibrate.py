@@ -5,6 +5,8 @@ from __future__ import annotations
 from collections.abc import Iterable, Sequence
 from dataclasses import replace
 from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import TypeVar
 
 import click
 from tqdm import tqdm
@@ -26,13 +28,26 @@ from egolane_pgm.calibration.straight_road import (
     describe_assumed_lens,
     describe_view,
 )
+from egolane_pgm.calibration.video_stills import take_stills
 from egolane_pgm.camera.model import Camera, write_camera
-from egolane_pgm.camera.pictures import files_matching, read_image, read_images, size_of
+from egolane_pgm.camera.pictures import (
+    PICTURES,
+    files_matching,
+    open_source,
+    read_image,
+    read_images,
+    size_of,
+)
 from egolane_pgm.camera.writing import check_picture_name, write_picture
 from egolane_pgm.files import check_not_read, check_place
 from egolane_pgm.types import InputError
 
 Rectangle = tuple[int, int, int, int]
+
+_Given = TypeVar("_Given")
+
+#: How many of the frames taken from a video are used.
+CHOSEN = 30
 
 
 @click.command()
@@ -44,7 +59,11 @@ Rectangle = tuple[int, int, int, int]
     metavar="COLUMNSxROWS",
     help="Inner corners of the chessboard.",
 )
-@click.option("--stills", metavar="GLOB", help="Pictures of a straight road: its lines are found.")
+@click.option(
+    "--stills",
+    metavar="GLOB|VIDEO",
+    help="Pictures of a straight road, or a video: its lines are found.",
+)
 @click.option("--lines", metavar="FILE", help="Labelled lines instead: TuSimple JSON lines.")
 @click.option(
     "--lane-width", type=float, required=True, metavar="M", help="Of that road's lanes, metres."
@@ -120,6 +139,15 @@ def calibrate(
         _check_not_read(Path(place), [chessboards, stills], lines)
         check_place(Path(place))
     masks = tuple(_rectangle(text) for text in rectangles)
+    video, most = stills, None
+    if stills and is_video(stills):
+        if first is not None:
+            raise InputError("--first: goes with pictures or labels; of a video frames are chosen")
+        folder = click.get_current_context().with_resource(TemporaryDirectory())
+        taken = take_stills(
+            open_source(stills), Path(folder), lambda places: _progress(places, "frames")
+        )
+        stills, most = folder, CHOSEN
     known = _known_size(_size(size, "--size") if size else None, stills, lines, first)
     _check_masks(masks, known)
     camera, words = _lens(chessboards, board, known, field_of_view)
@@ -132,11 +160,16 @@ def calibrate(
     camera = replace(camera, roll_deg=roll, lateral_m=lateral, baseline_m=baseline, ignore=masks)
     if stills:
         paths = files_matching(stills)[:first]
-        found = find_in_stills(camera, paths, seed, lambda paths: _progress(paths, "stills"))
+        found = find_in_stills(camera, paths, seed, lambda paths: _progress(paths, "stills"), most)
         _say_skipped(found.skipped)
+        if most is not None:
+            what = f"{len(found.paths)} of {len(taken)} frames taken from {video}"
+            words.append(f"Stills: {what}, those with the clearest straight lines.")
         road = view_from_stills(camera, found, lane_width)
     else:
-        road = view_from_labels(camera, str(lines), first, lane_width)
+        road = view_from_labels(
+            camera, str(lines), first, lane_width, lambda frames: _progress(frames, "labels")
+        )
     words += describe_view(road.view, road.what)
     if roll:
         words.append(f"Roll: {roll:g} degrees, given.")
@@ -146,6 +179,11 @@ def calibrate(
     click.echo(f"written to {target}")
     if picture:
         _draw(road, Path(picture))
+
+
+def is_video(path: str) -> bool:
+    """Whether a path is a file that is read as a video."""
+    return Path(path).is_file() and Path(path).suffix.lower() not in PICTURES
 
 
 def _numbers(text: str, separator: str, n: int, option: str, example: str) -> tuple[int, ...]:
@@ -233,8 +271,8 @@ def _draw(road: SeenRoad, target: Path) -> None:
     click.echo(f"{target}: drawn on {path.name}")
 
 
-def _progress(paths: Iterable[Path], what: str) -> Iterable[Path]:
-    bar: Iterable[Path] = tqdm(paths, desc=what, unit="picture", leave=False, disable=None)
+def _progress(given: Iterable[_Given], what: str) -> Iterable[_Given]:
+    bar: Iterable[_Given] = tqdm(given, desc=what, unit="picture", leave=False, disable=None)
     return bar
 
 
