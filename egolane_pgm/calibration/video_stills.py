@@ -18,7 +18,7 @@ TAKEN = 100
 
 #: A frame that differs from the one taken before it by no more than this, grey levels on the
 #: average, shows a car at rest, which says nothing new.
-_AT_REST = 1.5
+_AT_REST = 0.3
 
 #: The side of the small grey pictures that are compared.
 _SMALL = 64

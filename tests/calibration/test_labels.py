@@ -48,6 +48,13 @@ def test_every_label_is_checked_when_it_is_read(tmp_path: Path) -> None:
         read_labels(path)
 
 
+def test_classes_are_not_needed_and_may_be_any(tmp_path: Path) -> None:
+    path = tmp_path / "labels.jsonl"
+    path.write_text(json.dumps(label(raw_file="a.png", classes=[99])) + "\n")
+    (frame,) = read_labels(path)
+    assert [points.tolist() for points in line_points(frame)] == [[[10, 20], [11, 30]]]
+
+
 def test_the_picture_of_a_label_is_the_one_that_is_there(tmp_path: Path) -> None:
     labels = tmp_path / "labels.jsonl"
     own, raw = picture(tmp_path / "own.png"), picture(tmp_path / "clips" / "raw.png")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shutil
 from dataclasses import replace
 from itertools import pairwise
 
@@ -281,6 +282,23 @@ def test_a_still_whose_edges_do_not_meet_is_looked_at_where_those_of_all_do(stil
     assert found.each.shape == (0, 2)
 
 
+def test_of_many_stills_those_with_the_clearest_lines_are_used(stills, tmp_path):
+    rng = np.random.default_rng(0)
+    for k, path in enumerate(sorted(stills.glob("*.png"))):
+        shutil.copy(path, tmp_path / f"{k}_road.png")
+        crossing = np.full((720, 1280, 3), 90, np.uint8)
+        for u, v in rng.integers(0, (1280, 720), (60, 2)).tolist():
+            du, dv = rng.integers(-120, 120, 2).tolist()
+            cv2.line(crossing, (u, v), (u + du, v + dv), (200, 200, 200), 3)
+        cv2.imwrite(str(tmp_path / f"{k}_crossing.png"), crossing)
+    found = find_in_stills(TRUE, sorted(tmp_path.glob("*.png")), most=3)
+    assert [path.name for path in found.paths] == ["0_road.png", "1_road.png", "2_road.png"]
+
+
+def test_a_still_without_edges_is_not_clear_at_all() -> None:
+    assert road_lines.clearness(np.zeros((0, 4))) == road_lines.clearness(np.ones((1, 4))) == 0.0
+
+
 def test_stills_of_another_size_and_no_pictures_are_left_out_with_a_line_each(stills, tmp_path):
     small = tmp_path / "small.png"
     cv2.imwrite(str(small), np.zeros((100, 100, 3), np.uint8))
@@ -293,7 +311,7 @@ def test_stills_of_another_size_and_no_pictures_are_left_out_with_a_line_each(st
     assert found.skipped == (
         f"{small}: 100x100, needs 1280x720",
         f"{low}: 1280x600, needs 1280x720",
-        f"{text}: is no picture that can be read",
+        f"{text}: is no picture that can be read (another kind of file, or cut off)",
     )
     with pytest.raises(InputError, match=r"none of them can be used.*100x100"):
         find_in_stills(unturned(TRUE), [small])

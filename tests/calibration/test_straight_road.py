@@ -10,7 +10,10 @@ from typing import Any
 import cv2
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 
+from egolane_pgm.calibration import straight_road
 from egolane_pgm.calibration.chessboard import Lens, _solve, calibrate_lens
 from egolane_pgm.calibration.labels import line_points, read_labels
 from egolane_pgm.calibration.straight_road import (
@@ -130,6 +133,21 @@ def test_lines_that_do_not_spread_or_have_hardly_a_point_fit_nothing() -> None:
     one, other = rays_of(0.0, 0.0, [-1.0, 1.2])
     assert fit_frame([one, other[-4:]], 0.0) is None
     assert fit_frame([one, other[-5:]], 0.0) is not None
+
+
+@given(
+    st.lists(st.tuples(st.floats(0.5, 8), st.floats(0.05, 1)), min_size=1, max_size=30),
+)
+def test_gaps_are_compared_as_in_a_table_of_all_pairs(pairs: list[tuple[float, float]]) -> None:
+    gaps, weights = np.array(sorted(pairs)).T
+    table = np.maximum(0.0, 1 - np.abs(gaps[None, :] / gaps[:, None] - 1) / 0.15)
+    np.testing.assert_allclose(straight_road._alike(gaps, weights), table @ weights, atol=1e-6)
+
+
+def test_a_hundred_thousand_gaps_are_compared_at_once() -> None:
+    # A table of all pairs would have 80 GB.
+    gaps = np.random.default_rng(0).normal(2.2, 0.1, 100_000)
+    assert one_lane(gaps, np.ones(len(gaps))).mean() > 0.99
 
 
 def test_the_most_common_gap_is_the_lane() -> None:

@@ -16,6 +16,7 @@ from tests.kits.calibration_kit import TRUE, calibrate, write_labels
 from tests.kits.drives import contents, done, refused
 from tests.kits.labelled_pictures import huge_picture
 from tests.kits.synthetic_road import CAMERA as SMALL_CAMERA
+from tests.kits.synthetic_road import road, write_video
 
 
 def test_the_command_calibrates_from_chessboards_and_stills(boards, stills, tmp_path):
@@ -92,6 +93,29 @@ def test_boards_and_road_of_different_sizes_are_refused(boards, tmp_path):
     )  # fmt: skip
     assert done.exit_code == 2
     assert "the chessboards are 1280x720, the road's pictures 640x480" in done.output
+
+
+def test_the_command_calibrates_from_a_video(tmp_path: Path) -> None:
+    frames = [road(travelled_m=2.3 * k, seed=k) for k in range(12)]
+    video = write_video(tmp_path / "drive.avi", [frames[0]] * 3 + frames)
+    out, picture = tmp_path / "cam.yaml", tmp_path / "look.png"
+    options = ("--lane-width", 3.5, "--field-of-view", 63.2, "-o", out)
+    told = done("calibrate", "--stills", video, *options, "--picture", picture).output
+    assert "12 of 12 frames taken from" in told
+    assert "12 of 12 frames taken from" in out.read_text()
+    camera = read_camera(out)
+    assert camera.height_m == pytest.approx(SMALL_CAMERA.height_m, rel=0.04)
+    assert camera.pitch_deg == pytest.approx(SMALL_CAMERA.pitch_deg, abs=0.25)
+    assert picture.exists()
+    told = refused("calibrate", "--stills", video, *options, "--first", 3)
+    assert "of a video frames are chosen" in told
+
+
+def test_what_is_no_video_is_refused(tmp_path: Path) -> None:
+    (tmp_path / "drive.mp4").write_text("not a video")
+    options = ("--lane-width", 3.5, "-o", tmp_path / "cam.yaml")
+    told = refused("calibrate", "--stills", tmp_path / "drive.mp4", *options)
+    assert "drive.mp4: is no video that can be read" in told
 
 
 def on_labels(labels: Path, *words: object) -> tuple[object, ...]:
