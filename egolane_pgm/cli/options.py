@@ -36,7 +36,7 @@ camera = click.option(
 def of_recording(command: Callable[..., Any]) -> Callable[..., Any]:
     """The options of a recording that is named on the command line, in this order."""
     in_order = (
-        click.option("--camera", metavar="FILE", help="Its camera, of pictures or of pixels."),
+        click.option("--camera", metavar="FILE", help="Its camera: for pictures, lines in pixels."),
         click.option("--detector", metavar="NAME|FILE.py", help="What looks at the video."),
         click.option(
             "--frame-id",
