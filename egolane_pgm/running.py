@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from tqdm import tqdm
 
 from egolane_pgm.experiment import (
     Experiment,
@@ -110,17 +111,12 @@ def run_experiment(
         recorded = load_recording(experiment, model.parameters, clips=True)
     # Each clip of a recording is filtered from the prior on, as a drive of its own.
     logs = [recorded.log.take(piece) for piece in recorded.log.pieces()]
-    made = [make_evidence(model, log, experiment.evidence_reading) for log in logs]
-    found = [
-        infer_beliefs(
-            model.compiled,
-            each.filtered,
-            experiment.filter,
-            experiment.lag,
-            frame_id=log.frame_id,
-        )
-        for log, each in zip(logs, made, strict=True)
-    ]
+    made: list[RuleOutput] = []
+    found: list[Beliefs] = []
+    for log in tqdm(logs, unit="clip", leave=False, disable=None if len(logs) > 1 else True):
+        made.append(make_evidence(model, log, experiment.evidence_reading))
+        filtered, method, lag = made[-1].filtered, experiment.filter, experiment.lag
+        found.append(infer_beliefs(model.compiled, filtered, method, lag, frame_id=log.frame_id))
     evidence, beliefs = joined_outputs(made), Beliefs.joined(found)
     notes = [*recorded.notes, *evidence.notes]
     impossible = int(beliefs.is_impossible.sum())

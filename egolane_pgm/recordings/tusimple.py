@@ -3,7 +3,9 @@
     {"raw_file": "clips/0313-1/6040/20.jpg", "lanes": [[-2, 632, ...], ...],
      "h_samples": [240, ...]}
 
-`lanes` has, per line, its column in each of the rows `h_samples`, negative where it is absent.
+`lanes` has, per line, its column in each of the rows `h_samples`, negative where it is absent. In
+results as the benchmark takes them, with `run_time` but no `h_samples`, these are its own 48 or 56
+rows.
 `classes` is optional and has the class of each line; 2 (solid white) and 4 (solid yellow) are
 continuous unless the option `continuous` says otherwise. (6, a double white line, is not by
 default: another lane lies beyond it, and the flag is evidence of the road's edge.)
@@ -34,6 +36,9 @@ from egolane_pgm.recordings.image_lines import (
     points,
 )
 from egolane_pgm.types import InputError, LineLog
+
+#: The rows of the benchmark's pictures (1280 x 720), by their number; its results lack h_samples.
+_ROWS = {48: list(range(240, 720, 10)), 56: list(range(160, 720, 10))}
 
 #: A folder with more digits is named by a time stamp, which counts nothing.
 _COUNT_DIGITS = 12
@@ -101,12 +106,25 @@ def read_entries(path: Path) -> Iterator[tuple[str, dict[str, Any]]]:
             raise InputError(f"{where}: is not JSON: {error}") from None
         if isinstance(entry, dict) and "lane_lines" in entry:
             raise InputError(f"{where}: has lane_lines: that is OpenLane's, format: openlane")
-        for key in ("raw_file", "lanes", "h_samples"):
+        for key in ("raw_file", "lanes"):
             if not isinstance(entry, dict) or key not in entry:
                 raise InputError(f"{where}: has no {key}, which TuSimple's format needs")
         if not isinstance(entry["raw_file"], str) or not isinstance(entry["lanes"], list):
             raise InputError(f"{where}: raw_file must be a text and lanes a list of lists")
+        if "h_samples" not in entry:
+            entry["h_samples"] = _rows_of(entry["lanes"], where)
         yield where, entry
+
+
+def _rows_of(lanes: list[Any], where: str) -> list[int]:
+    """The rows of a result that does not say them: the benchmark's, by how many there are."""
+    counts = {len(lane) if isinstance(lane, list) else -1 for lane in lanes}
+    if not counts <= set(_ROWS) or len(counts) > 1:
+        raise InputError(
+            f"{where}: has no h_samples, which TuSimple's format needs unless each lane has"
+            f" {' or '.join(map(str, _ROWS))} values"
+        )
+    return _ROWS[counts.pop()] if counts else []
 
 
 def _drives_and_names(raw_files: list[str]) -> list[tuple[str, str]]:

@@ -18,6 +18,8 @@ from tests.kits.drives import done, refused, write_experiment
 from tests.kits.image_line_files import (
     CAMERA,
     OFFSETS,
+    ROWS,
+    columns,
     culane,
     entry,
     openlane,
@@ -59,6 +61,22 @@ def test_results_for_whole_clips_keep_the_pictures_of_a_clip_together(tmp_path: 
     # A line begins anew in each clip.
     assert log.lri[:, 0].reshape(3, 20)[:, [0, 9, 19]].tolist() == [[1, 10, 10]] * 3
     assert log.is_valid[:, 0].reshape(3, 20).sum(axis=1).tolist() == [11] * 3
+
+
+@pytest.mark.parametrize("first", [240, 160])
+def test_results_as_the_benchmark_takes_them_have_its_rows(tmp_path: Path, first: int) -> None:
+    """Without h_samples; the last row is 710."""
+    rows = list(range(first, 720, 10))
+    lanes = [np.interp(rows, ROWS, columns(o), left=-2).tolist() for o in OFFSETS]
+    said = {"raw_file": f"{OFFICIAL[0]}/20.jpg", "lanes": lanes, "run_time": 10}
+    nothing = {"raw_file": f"{OFFICIAL[1]}/20.jpg", "lanes": [], "run_time": 10}
+    with pytest.warns(UserWarning, match="its 2 clips"):
+        log = read(tusimple(tmp_path / "a.json", [said, nothing]))
+    np.testing.assert_allclose(log.offset_m[0], OFFSETS, atol=0.02)
+    assert np.isnan(log.offset_m[1]).all()
+    for lane in ([1.0] * 47, [1.0] * 57, 5):
+        with pytest.raises(InputError, match="line 1: has no h_samples, which TuSimple's format"):
+            read(tusimple(tmp_path / "b.json", [{**said, "lanes": [*lanes, lane]}]))
 
 
 def test_two_drives_are_two_clips_and_their_folders_still_count_frames(tmp_path: Path) -> None:
