@@ -85,14 +85,14 @@ def read_openlane(
     files = [path] if path.is_file() else files_with(path, ".json")
     if not files:
         raise InputError(f"{path}: no file *.json in it; OpenLane's format is a file per picture")
-    entries = [_entry(file) for file in files]
-    is_flat = not all("xyz" in lane for entry in entries for lane in entry["lane_lines"])
-    seen_by = camera_of(camera, path) if is_flat or camera is not None else None
     frames = []
-    for file, entry in zip(files, entries, strict=True):
+    for file in files:
+        entry = _entry(file)
         picture = PurePosixPath(entry.get("file_path") or file)
         lines = _lines(entry, str(file))
         frames.append(ImageFrame(picture.stem, lines, str(file), str(picture.parent)))
+    is_in_pixels = any(isinstance(line, ImageLine) for frame in frames for line in frame.lines)
+    seen_by = camera_of(camera, path) if is_in_pixels or camera is not None else None
     return line_log(
         frames,
         camera=seen_by,
