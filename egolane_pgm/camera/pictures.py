@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import glob
 import re
+import warnings
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from itertools import pairwise
@@ -98,12 +99,21 @@ def read_pictures(
     - right: the pictures of the second camera of a stereo pair
     - frames: the first frame id to read and the one after the last; None for all
 
-    Warns of a video that ends too early or lacks pictures. Raises InputError, naming file and
-    frame, for a picture that cannot be read or has another size than the calibration, and for two
-    cameras with different numbers of pictures.
+    Warns of a video that ends too early or lacks pictures, and of folders that look like clips.
+    Raises InputError, naming file and frame, for a picture that cannot be read or has another size
+    than the calibration or the other camera's, and for two cameras with different numbers of
+    pictures.
     """
     if right is not None:
         _check_pair(source, right)
+    folders = {file.parent for file in source.files}
+    if len(folders) > 1 and len({file.name for file in source.files}) < len(source.files):
+        warnings.warn(
+            f"{source.path}: {len(folders)} folders have pictures of the same names: they are taken"
+            " for one drive, folder after folder; if each is a clip, name them one by one",
+            UserWarning,
+            stacklevel=2,
+        )
     left_images = _images(source, frames)
     if right is None:
         for frame_id, file, image in left_images:

@@ -126,6 +126,18 @@ def test_pairs_of_different_sizes_are_refused_with_both_files(tmp_path: Path) ->
         list(read_pictures(open_source(left), CAMERA, open_source(right)))
 
 
+def test_clips_that_are_taken_for_one_drive_are_warned_of(tmp_path: Path) -> None:
+    for clip in "ab":
+        write_pictures(tmp_path / clip, images(2))
+    with pytest.warns(UserWarning, match="2 folders have pictures of the same names: they are"):
+        assert read_all(tmp_path / "*" / "*.png") == 4
+    for k in range(2):
+        (tmp_path / "b" / f"{k}.png").rename(tmp_path / "b" / f"{k + 2}.png")
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        assert read_all(tmp_path / "*" / "*.png") == 4
+
+
 # --- videos --------------------------------------------------------------------------------------
 
 
