@@ -10,8 +10,8 @@ from dataclasses import dataclass
 
 import cv2
 import numpy as np
+import scipy
 from numpy.typing import NDArray
-from scipy.special import expit, softmax
 
 from egolane_pgm.camera.model import image_to_road
 from egolane_pgm.camera.picture import Image
@@ -75,9 +75,9 @@ def from_above(view: BirdsEye, seen: Answer) -> NDArray[np.uint8]:
 def probabilities(network: Network, output: Output) -> NDArray[np.float32]:
     """The probabilities (K, h, w) of the channels that are looked at."""
     if network.activation == "softmax":
-        output = softmax(output, axis=0)
+        output = scipy.special.softmax(output, axis=0)
     elif network.activation == "sigmoid":
-        output = expit(output)
+        output = scipy.special.expit(output)
     return output[list(network.looked_at)]
 
 
@@ -114,7 +114,7 @@ def _lines_of_row_anchors(network: Network, output: Output) -> list[_Points]:
     """The expected column in each row where the likeliest class is not "no line" (Ultra-Fast-Lane-
     Detection, equation 5 of its paper). A column is as wide as the input over columns - 1."""
     n_columns = output.shape[0] - 1
-    share = softmax(output[:-1].astype(np.float64), axis=0)
+    share = scipy.special.softmax(output[:-1].astype(np.float64), axis=0)
     column = np.tensordot(np.arange(n_columns), share, axes=1)
     u = (column + 0.5) * (network.size[0] - 1) / (n_columns - 1)
     is_there = output.argmax(axis=0) < n_columns
@@ -129,7 +129,7 @@ def _lines_of_polylines(network: Network, output: Output) -> list[_Points]:
     assert network.length is not None
     width, height = network.size
     values = output.astype(np.float64)
-    likely = softmax(values[:, :2], axis=1)[:, 1] >= network.threshold
+    likely = scipy.special.softmax(values[:, :2], axis=1)[:, 1] >= network.threshold
     x_scale = 1.0 if network.in_pixels else width - 1
     steps = values.shape[1] - network.first_x - 1
     v = np.linspace(1, 0, steps + 1) * (height - 1)
