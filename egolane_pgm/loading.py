@@ -268,10 +268,11 @@ def named_files(experiment: Experiment) -> list[Path]:
 
 def _detected(experiment: Experiment) -> tuple[LineLog, list[Path]]:
     """The lines that the experiment's detector sees in its pictures, and the files it looked at."""
-    from egolane_pgm.camera.pictures import read_pictures
+    from egolane_pgm.camera.pictures import camera_of_pictures, read_pictures
 
     recording = experiment.recording
     detector, camera, left, right = _check_detector(experiment)
+    camera = camera_of_pictures(camera, left)
     pictures = tqdm(
         read_pictures(left, camera, right, recording.frames),
         desc=detector.name,

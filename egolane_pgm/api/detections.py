@@ -14,7 +14,7 @@ import numpy as np
 from egolane_pgm.api import shown
 from egolane_pgm.api.given import bar, keys_of, path_of
 from egolane_pgm.camera.model import read_camera
-from egolane_pgm.camera.pictures import open_source, read_pictures
+from egolane_pgm.camera.pictures import camera_of_pictures, open_source, read_pictures
 from egolane_pgm.detectors.runner import check_pair, collect, find_detector
 from egolane_pgm.detectors.runner import detect as detect_lines
 from egolane_pgm.files import check_place
@@ -203,6 +203,7 @@ def detect_some(
     of_camera = read_camera(Path(camera))
     check_pair(found, of_camera, right is not None, "--right")
     left = open_source(pictures)
+    of_camera = camera_of_pictures(of_camera, left)
     second = open_source(path_of(right, "right")) if right is not None else None
     began = time.perf_counter()
     with bar(

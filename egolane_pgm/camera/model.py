@@ -198,6 +198,42 @@ def with_vanishing_point(camera: Camera, u: float, v: float) -> Camera:
     return replace(camera, pitch_deg=math.degrees(pitch), yaw_deg=math.degrees(yaw))
 
 
+def scaled(camera: Camera, width: int, height: int) -> Camera:
+    """The same camera with its pictures made larger or smaller: lens, place and turn stay, pixels
+    change. Rectangles to ignore cover at least the same part of the picture.
+
+    Raises InputError for a size of another aspect ratio (by more than a pixel): such a picture was
+    cut or stretched, and nobody knows how.
+    """
+    across, along = width / camera.width, height / camera.height
+    if abs(across - along) * min(camera.width, camera.height) > 1:
+        raise InputError(
+            f"pictures of {width}x{height} pixels have another aspect ratio than the"
+            f" {camera.width}x{camera.height} that the camera was calibrated for; calibrate with"
+            " pictures of this size"
+        )
+    ignore = tuple(
+        (
+            left * width // camera.width,
+            top * height // camera.height,
+            -(-right * width // camera.width),
+            -(-bottom * height // camera.height),
+        )
+        for left, top, right, bottom in camera.ignore
+    )
+    # The middle of the first pixel is 0, so that the picture's corner is at -1/2.
+    return replace(
+        camera,
+        width=width,
+        height=height,
+        fx=camera.fx * across,
+        fy=camera.fy * along,
+        cx=(camera.cx + 0.5) * across - 0.5,
+        cy=(camera.cy + 0.5) * along - 0.5,
+        ignore=ignore,
+    )
+
+
 def undistorted(camera: Camera, u: ArrayLike, v: ArrayLike) -> tuple[FloatArray, FloatArray]:
     """Takes pixels u, v of the picture to the picture without lens distortion."""
     u, v = np.broadcast_arrays(np.asarray(u, dtype=np.float64), np.asarray(v, dtype=np.float64))

@@ -19,7 +19,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 
-from egolane_pgm.camera.model import Camera
+from egolane_pgm.camera.model import Camera, scaled
 from egolane_pgm.camera.picture import Image, Picture
 from egolane_pgm.camera.video import open_video, video_images
 from egolane_pgm.camera.writing import silent
@@ -85,6 +85,32 @@ def open_source(path: str | Path) -> Source:
     video.release()
     known_rate = float(rate) if _RATES[0] <= rate <= _RATES[1] else None
     return Source(path, (place,), None, int(count) if count > 0 else None, known_rate)
+
+
+def camera_of_pictures(camera: Camera, source: Source) -> Camera:
+    """The camera as it takes the pictures of a source. If these have another size than it was
+    calibrated for, and the same aspect ratio, it is scaled, and a warning says so.
+
+    Raises InputError, naming the source, for pictures of another aspect ratio.
+    """
+    try:
+        _, _, first = next(_images(source, None))
+    except InputError:
+        return camera  # `read_pictures` says what is wrong, in its order
+    if size_of(first) == (camera.width, camera.height):
+        return camera
+    try:
+        resized = scaled(camera, *size_of(first))
+    except InputError as error:
+        raise InputError(f"{source.path}: {error}") from None
+    warnings.warn(
+        f"{source.path}: its pictures have {_size(first)} pixels, {camera.name or 'the camera'} was"
+        f" calibrated for {camera.width}x{camera.height}: it is scaled to them; if they were cut"
+        " instead of resized, calibrate anew",
+        UserWarning,
+        stacklevel=2,
+    )
+    return resized
 
 
 def read_pictures(

@@ -10,7 +10,7 @@ import click
 from tqdm import tqdm
 
 from egolane_pgm.camera.model import read_camera
-from egolane_pgm.camera.pictures import Source, open_source, read_pictures
+from egolane_pgm.camera.pictures import Source, camera_of_pictures, open_source, read_pictures
 from egolane_pgm.camera.writing import NotKeptError
 from egolane_pgm.cli import options
 from egolane_pgm.detectors.runner import Detector, check_pair, find_detector
@@ -95,6 +95,7 @@ def video(
         raise InputError(f"{wrong}: does not go with --lines, whose lines are drawn as they are")
     camera = read_camera(camera_file)
     source = open_source(pictures)
+    camera = camera_of_pictures(camera, source)
     right = open_source(right_pictures) if right_pictures else None
     _check_target(Path(target), [source, *([right] if right else [])])
     experiment = _experiment(experiment_file, n_lanes, frame_rate or source.frame_rate)

@@ -20,6 +20,7 @@ from egolane_pgm.camera.model import (
     matrix,
     read_camera,
     road_to_image,
+    scaled,
     undistorted,
     vanishing_point,
     with_vanishing_point,
@@ -226,3 +227,45 @@ def test_a_camera_that_nothing_would_look_through_is_refused(tmp_path: Path) -> 
     assert said == f"--camera: the lines of {table} are in metres, they need no camera"
     said = refused("lines", experiment, "--frame", 0, "--camera", "cam.yaml")
     assert said == "--camera: an experiment names its own; --set recording.camera=FILE"
+
+
+@given(st.floats(0.3, 3.0), st.floats(5, 60), st.floats(-8, 8), st.floats(-5, 5), st.floats(-3, 3))
+def test_a_scaled_camera_shows_the_same_in_a_picture_of_another_size(
+    times: float, x: float, y: float, pitch: float, yaw: float
+) -> None:
+    camera = Camera(
+        1280, 720, 1100.0, 1090.0, 650.0, 350.0, 1.4, pitch, yaw,
+        distortion=(-0.2, 0.01, 0.001, 0.0, 0.0), baseline_m=0.4, ignore=((0, 601, 1279, 720),),
+    )  # fmt: skip
+    resized = scaled(camera, round(1280 * times), round(720 * times))
+    u, v = road_to_image(camera, x, y)
+    other_u, other_v = road_to_image(resized, x, y)
+    # A pixel's middle is a whole number, its edges are at halves.
+    assert (other_u + 0.5) / resized.width == pytest.approx((u + 0.5) / camera.width, abs=1e-9)
+    assert (other_v + 0.5) / resized.height == pytest.approx((v + 0.5) / camera.height, abs=1e-9)
+    assert resized.baseline_m == camera.baseline_m
+    assert resized.height_m == camera.height_m
+    ((left, top, right, bottom),) = resized.ignore
+    assert left == 0
+    assert top <= 601 * resized.height / 720 < top + 1
+    assert right - 1 < 1279 * resized.width / 1280 <= right
+    assert bottom == resized.height
+
+
+@pytest.mark.parametrize("size", [(1280, 700), (640, 480), (720, 1280), (1260, 720)])
+def test_a_camera_is_not_scaled_to_another_aspect_ratio(size: tuple[int, int]) -> None:
+    camera = Camera(1280, 720, 1100.0, 1090.0, 650.0, 350.0, 1.4)
+    with pytest.raises(InputError, match="another aspect ratio than the 1280x720"):
+        scaled(camera, *size)
+    assert scaled(camera, 1280, 720) == camera
+    # 360p as it is stored: 640 x 360, and 854 x 480 for 480p.
+    assert scaled(camera, 854, 480).fx == pytest.approx(1100 * 854 / 1280)
+
+
+def test_a_camera_is_named_by_its_file_and_equal_to_one_of_another_name(tmp_path: Path) -> None:
+    camera = Camera(1280, 720, 1100.0, 1090.0, 650.0, 350.0, 1.4)
+    write_camera(tmp_path / "cam.yaml", camera)
+    read = read_camera(tmp_path / "cam.yaml")
+    assert read.name == str(tmp_path / "cam.yaml")
+    assert read == camera
+    assert "name" not in (tmp_path / "cam.yaml").read_text()

@@ -315,8 +315,25 @@ def test_pictures_of_another_size_are_refused_with_both_sizes(place: Path, tmp_p
     small = write_video(tmp_path / "small.avi", [image[:200] for image in images(3)])
     words = ("detect", small, "--camera", place / "cam.yaml", "-o", tmp_path / "l.csv")
     said = refused(*words)
-    assert "frame 0: the picture has 480x200 pixels" in said
-    assert "calibrated for 480x270" in said
+    assert (
+        "small.avi: pictures of 480x200 pixels have another aspect ratio than the 480x270" in said
+    )
+
+
+def test_pictures_of_the_same_aspect_ratio_scale_the_camera_and_it_is_said_once(
+    place: Path, tmp_path: Path
+) -> None:
+    larger = [cv2.resize(image, (960, 540)) for image in images(12)]
+    video = write_video(tmp_path / "large.avi", larger)
+    target = tmp_path / "l.csv"
+    words = ("--camera", place / "cam.yaml", "-o", target)
+    told = done("detect", video, *words)
+    (said,) = [line for line in told.stderr.splitlines() if "960x540" in line]
+    assert "cam.yaml was calibrated for 480x270: it is scaled to them" in said
+    seen = read_lines(target).offset_m[-1]
+    done("detect", write_video(tmp_path / "as_is.avi", images(12)), *words)
+    calibrated = read_lines(target).offset_m[-1]
+    assert seen[:3] == pytest.approx(calibrated[:3], abs=0.08)
 
 
 def test_a_picture_that_cannot_be_used_keeps_the_lines_of_those_before(

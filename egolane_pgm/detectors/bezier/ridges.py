@@ -2,12 +2,10 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import cv2
 import numpy as np
 
-from egolane_pgm.camera.model import Camera
+from egolane_pgm.camera.model import Camera, scaled
 from egolane_pgm.camera.picture import Image
 from egolane_pgm.detectors.simple.birdseye import BirdsEye, make_view
 from egolane_pgm.parameters import Parameters, number
@@ -20,26 +18,7 @@ def smaller(camera: Camera, focal_px: float) -> Camera:
     factor = camera.fx / focal_px
     if factor <= 1:
         return camera
-    width, height = max(round(camera.width / factor), 16), max(round(camera.height / factor), 16)
-    across, along = width / camera.width, height / camera.height
-    return replace(
-        camera,
-        width=width,
-        height=height,
-        fx=camera.fx * across,
-        fy=camera.fy * along,
-        cx=(camera.cx + 0.5) * across - 0.5,
-        cy=(camera.cy + 0.5) * along - 0.5,
-        ignore=tuple(
-            (
-                int(np.floor(left * across)),
-                int(np.floor(top * along)),
-                int(np.ceil(right * across)),
-                int(np.ceil(bottom * along)),
-            )
-            for left, top, right, bottom in camera.ignore
-        ),
-    )
+    return scaled(camera, round(camera.width / factor), round(camera.height / factor))
 
 
 def view_for(camera: Camera, parameters: Parameters) -> BirdsEye:
