@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 
 from egolane_pgm.camera.picture import Image as Image
 from egolane_pgm.camera.picture import Picture
-from egolane_pgm.types import BoolArray, FloatArray, InputError, LineLog
+from egolane_pgm.types import BoolArray, FloatArray, InputError, IntArray, LineLog
 
 
 @dataclass(frozen=True)
@@ -34,6 +34,8 @@ class FrameLines:
       s2 = s3 = 0.
     - is_valid, is_continuous: (L,) bool
     - lri: (L,) the line reliability index, how often the line was detected in the last frames
+    - slot: (L,) a whole number that stays with a line from frame to frame, another one for each
+      line of a frame; None for a detector that follows nothing
 
     Raises InputError for arrays of other shapes or types.
     """
@@ -42,14 +44,18 @@ class FrameLines:
     is_valid: BoolArray
     is_continuous: BoolArray
     lri: FloatArray
+    slot: IntArray | None = None
 
     def __post_init__(self) -> None:
-        for name, kinds, needed in (
+        kinds_of = [
             ("shape", "iuf", "numbers"),
             ("is_valid", "b", "True or False"),
             ("is_continuous", "b", "True or False"),
             ("lri", "iuf", "numbers"),
-        ):
+        ]
+        if self.slot is not None:
+            kinds_of.append(("slot", "iu", "whole numbers"))
+        for name, kinds, needed in kinds_of:
             value = getattr(self, name)
             if not isinstance(value, np.ndarray) or value.dtype.kind not in kinds:
                 found = value.dtype if isinstance(value, np.ndarray) else type(value).__name__
@@ -57,9 +63,11 @@ class FrameLines:
         n_lines = len(self.shape) if self.shape.ndim else 0
         if self.shape.shape != (n_lines, 4):
             raise InputError(f"lines: shape is {self.shape.shape}, needs (L, 4)")
-        for name in ("is_valid", "is_continuous", "lri"):
+        for name, _, _ in kinds_of[1:]:
             if getattr(self, name).shape != (n_lines,):
                 raise InputError(f"lines: {name} needs one value for each of {n_lines} lines")
+        if self.slot is not None and len(np.unique(self.slot)) < n_lines:
+            raise InputError(f"lines: slot {self.slot.tolist()} has a number twice")
 
     @property
     def offset_m(self) -> FloatArray:

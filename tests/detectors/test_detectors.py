@@ -64,7 +64,7 @@ def said(pictures: list[Picture]) -> dict[str, list[FrameLines]]:
 
 
 def same(one: FrameLines, other: FrameLines) -> bool:
-    names = ("shape", "is_valid", "is_continuous", "lri")
+    names = ("shape", "is_valid", "is_continuous", "lri", "slot")
     return all(np.array_equal(getattr(one, n), getattr(other, n)) for n in names)
 
 
@@ -81,7 +81,19 @@ def test_lines_are_what_the_contract_says(name: str, said: dict[str, list[FrameL
         assert ((lines.lri >= 0) & (lines.lri <= MOST) & (lines.lri % 1 == 0)).all()
 
 
-@pytest.mark.parametrize("name", NAMES)
+@pytest.mark.parametrize("name", [n for n in NAMES if n != OWN])
+def test_a_slot_stays_with_its_line(name: str, said: dict[str, list[FrameLines]]) -> None:
+    before: dict[int, float] = {}
+    for lines in said[name][:N_FRAMES]:
+        assert lines.slot is not None
+        now = dict(zip(lines.slot.tolist(), lines.offset_m.tolist(), strict=True))
+        for slot in now.keys() & before.keys():
+            assert abs(now[slot] - before[slot]) < 1
+        before = now
+    assert len(before) >= 2
+
+
+@pytest.mark.parametrize("name", [n for n in NAMES if n != "mld"])
 def test_a_line_is_valid_by_hysteresis(name: str, said: dict[str, list[FrameLines]]) -> None:
     before: FrameLines | None = None
     for lines in said[name]:
@@ -108,7 +120,13 @@ def test_the_lines_next_to_the_car_are_found_and_then_lost(
     assert not said[name][-1].is_valid.any()
 
 
-@pytest.mark.parametrize("name", [n for n in NAMES if n != OWN])
+def test_a_line_of_mld_is_valid_above_three_detections(said: dict[str, list[FrameLines]]) -> None:
+    for lines in said["mld"]:
+        assert (lines.is_valid == (lines.lri > 3)).all()
+        assert not lines.is_continuous.any()
+
+
+@pytest.mark.parametrize("name", [n for n in NAMES if n not in (OWN, "mld")])
 def test_dashed_and_continuous_lines_are_told_apart(
     name: str, said: dict[str, list[FrameLines]]
 ) -> None:

@@ -188,6 +188,7 @@ def lines_of(tracks: Tracks, rule: Rules) -> FrameLines:
         tracks.is_valid[order],
         is_continuous[order],
         tracks.lri[order].astype(np.float64),
+        tracks.number[order],
     )
 
 
