@@ -131,12 +131,22 @@ def test_two_cameras_that_see_nothing_find_no_lines(grey: int) -> None:
         ("is_valid", np.array(["no"]), "is_valid is <U2"),
         ("is_continuous", None, "is_continuous is NoneType"),
         ("lri", np.array(["a"]), "lri is <U1, needs a NumPy array of numbers"),
+        ("slot", np.array([1.0]), "slot is float64, needs a NumPy array of whole numbers"),
+        ("slot", np.array([1, 2]), "slot needs one value for each of 1 lines"),
     ],
 )
 def test_lines_of_another_kind_are_refused(name: str, value: Any, said: str) -> None:
     FrameLines(**GOOD)
     with pytest.raises(InputError, match=f"^lines: {said}"):
         FrameLines(**{**GOOD, name: value})
+
+
+def test_two_lines_have_two_slots() -> None:
+    many = {name: np.repeat(value, 2, axis=0) for name, value in GOOD.items()}
+    assert FrameLines(**many).slot is None
+    FrameLines(**many, slot=np.array([4, 1]))
+    with pytest.raises(InputError, match=r"^lines: slot \[4, 4\] has a number twice$"):
+        FrameLines(**many, slot=np.array([4, 4]))
 
 
 @pytest.mark.parametrize(
