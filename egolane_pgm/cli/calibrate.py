@@ -40,6 +40,7 @@ from egolane_pgm.camera.pictures import (
 )
 from egolane_pgm.camera.writing import check_picture_name, write_picture
 from egolane_pgm.files import check_not_read, check_place
+from egolane_pgm.recordings.openlane import PICTURE_SIZE, read_own_camera
 from egolane_pgm.types import InputError
 
 Rectangle = tuple[int, int, int, int]
@@ -66,8 +67,11 @@ CHOSEN = 30
 )
 @click.option("--lines", metavar="FILE", help="Labelled lines instead: TuSimple JSON lines.")
 @click.option(
-    "--lane-width", type=float, required=True, metavar="M", help="Of that road's lanes, metres."
+    "--openlane",
+    metavar="FILE",
+    help="OpenLane's JSON of a picture instead: the camera that it names.",
 )
+@click.option("--lane-width", type=float, metavar="M", help="Of that road's lanes, metres.")
 @click.option(
     "--first", type=click.IntRange(1), metavar="N", help="Only the first N stills or labels."
 )
@@ -112,7 +116,8 @@ def calibrate(
     board: str,
     stills: str | None,
     lines: str | None,
-    lane_width: float,
+    openlane: str | None,
+    lane_width: float | None,
     first: int | None,
     size: str | None,
     field_of_view: float | None,
@@ -126,6 +131,13 @@ def calibrate(
     target: str,
 ) -> None:
     """Find out how a camera sees the road: lens from chessboards, turn and height from lines."""
+    if openlane is not None:
+        if any(given is not None for given in (chessboards, stills, lines, lane_width, picture)):
+            raise InputError("--openlane: goes alone, with --size; it names the whole camera")
+        _write_openlane(openlane, size, rectangles, Path(target))
+        return
+    if lane_width is None:
+        raise InputError("--lane-width: is missing; the lanes of the road are so many metres wide")
     check_lane_width(lane_width)
     if (stills is None) == (lines is None):
         raise InputError("give either --stills of a road or --lines with labels")
@@ -179,6 +191,20 @@ def calibrate(
     click.echo(f"written to {target}")
     if picture:
         _draw(road, Path(picture))
+
+
+def _write_openlane(file: str, size: str | None, rectangles: Sequence[str], target: Path) -> None:
+    """Write the camera that a file of OpenLane's names."""
+    check_not_read(target, [Path(file)])
+    check_place(target)
+    known = _size(size, "--size") if size else PICTURE_SIZE
+    masks = tuple(_rectangle(text) for text in rectangles)
+    _check_masks(masks, known)
+    camera = replace(read_own_camera(file, known), ignore=masks)
+    words = [f"Camera: as {file} says, pictures of {known[0]}x{known[1]}."]
+    write_camera(target, camera, "\n".join(["Made by `egolane calibrate`.", *words]))
+    for line in (*words, f"written to {target}"):
+        click.echo(line)
 
 
 def is_video(path: str) -> bool:

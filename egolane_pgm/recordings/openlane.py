@@ -1,10 +1,12 @@
 """OpenLane's JSON: a folder with a file per picture (or folders of them, or one file),
 
-    {"file_path": "training/segment-.../1507...00.jpg", "extrinsic": [4 x 4], "lane_lines": [
+    {"file_path": "training/segment-.../1507...00.jpg",
+     "intrinsic": [3 x 3], "extrinsic": [4 x 4], "lane_lines": [
         {"category": 1, "uv": [[u, ...], [v, ...]], "xyz": [[x, ...], [y, ...], [z, ...]],
          "visibility": [...], "attribute": 2, "track_id": 3}]}
 
-Lines that have `xyz` are taken from these, and need no camera; else `uv`, in pixels, with one.
+Lines that have `xyz` are taken from these, and need no camera. Else `uv`, in pixels, is taken with
+the camera that is given, or, if none is, with the file's own `intrinsic` and `extrinsic`.
 
 - Labels have `xyz` as three lists, x forward, y left and z up in the camera's frame, which
   `extrinsic` takes to the car's (OpenLane's `docs` and `eval/LANE_evaluation/README.md`, and how
@@ -27,7 +29,7 @@ from typing import Any
 
 import numpy as np
 
-from egolane_pgm.camera.model import Camera
+from egolane_pgm.camera.model import Camera, camera_from_matrices, image_to_road
 from egolane_pgm.files import read_text
 from egolane_pgm.recordings import files_with
 from egolane_pgm.recordings.image_lines import (
@@ -59,6 +61,9 @@ CATEGORIES = {
     21: ("right curb", True),
 }
 
+#: Width and height of the pictures, which the files do not say (the front camera of Waymo's cars).
+PICTURE_SIZE = (1920, 1280)
+
 #: Unknown, left-left, left, right, right-right.
 _N_ATTRIBUTES = 5
 
@@ -75,7 +80,7 @@ def read_openlane(
     """Read the lines of a folder of OpenLane's JSON files, T frames of at most L lines, left to
     right. The options are those of `read_tusimple`.
 
-    - camera: for lines in pixels; lines in metres need none.
+    - camera: for lines in pixels, where the files do not say their own; lines in metres need none.
 
     Raises InputError, with the file, for a folder without such files, broken JSON, missing keys,
     u and v of different lengths, an unknown category, frames given twice, and lines in pixels
@@ -89,7 +94,9 @@ def read_openlane(
     for file in files:
         entry = _entry(file)
         picture = PurePosixPath(entry.get("file_path") or file)
-        lines = _lines(entry, str(file))
+        lines = _lines(
+            entry, str(file), None if camera is not None else own_camera(entry, str(file))
+        )
         frames.append(ImageFrame(picture.stem, lines, str(file), str(picture.parent)))
     is_in_pixels = any(isinstance(line, ImageLine) for frame in frames for line in frame.lines)
     seen_by = camera_of(camera, path) if is_in_pixels or camera is not None else None
@@ -119,7 +126,47 @@ def _entry(file: Path) -> dict[str, Any]:
     return entry
 
 
-def _lines(entry: dict[str, Any], source: str) -> list[ImageLine | RoadLine]:
+def read_own_camera(file: str | Path, size: tuple[int, int] = PICTURE_SIZE) -> Camera:
+    """The camera that a file of OpenLane's says its picture is from.
+
+    - size: width and height of the picture, pixels
+
+    Raises InputError, with the file, for one that does not say it.
+    """
+    camera = own_camera(_entry(Path(file)), str(file), size)
+    if camera is None:
+        raise InputError(f"{file}: has no intrinsic and extrinsic, which say what its camera is")
+    return camera
+
+
+def own_camera(
+    entry: dict[str, Any], source: str, size: tuple[int, int] = PICTURE_SIZE
+) -> Camera | None:
+    """The camera of an entry; None if it does not say both matrices.
+
+    OpenLane's `intrinsic` is the pinhole matrix of a camera with x to the right and y down, its
+    `extrinsic` takes a camera frame with x forward, y left and z up to the car's (OpenLane's
+    `data/Coordinate_Sys.md`).
+
+    Raises InputError, beginning with `source`, for matrices that are no camera's.
+    """
+    if entry.get("intrinsic") is None or entry.get("extrinsic") is None:
+        return None
+    turn = _extrinsic(entry["extrinsic"], source)
+    try:
+        lens = np.array(entry["intrinsic"], dtype=np.float64)
+    except (TypeError, ValueError):
+        lens = np.zeros(0)
+    if lens.shape != (3, 3) or not np.isfinite(lens).all():
+        raise InputError(f"{source}: intrinsic is no 3 x 3 matrix of numbers")
+    try:
+        return camera_from_matrices(lens, turn, *size)
+    except InputError as error:
+        raise InputError(f"{source}: intrinsic and extrinsic: {error}") from None
+
+
+def _lines(entry: dict[str, Any], source: str, camera: Camera | None) -> list[ImageLine | RoadLine]:
+    """The lines of an entry. camera: where it is known, brings those in pixels onto the road."""
     lines: list[ImageLine | RoadLine] = []
     for k, lane in enumerate(entry["lane_lines"]):
         where = f"{source}: lane_lines {k + 1}"
@@ -140,7 +187,9 @@ def _lines(entry: dict[str, Any], source: str) -> list[ImageLine | RoadLine]:
         u, v = points(uv[0], where, "u"), points(uv[1], where, "v")
         if len(u) != len(v):
             raise InputError(f"{where}: {len(u)} u for {len(v)} v")
-        if len(u):
+        if camera is not None:
+            lines.append(RoadLine(*image_to_road(camera, u, v), is_continuous))
+        elif len(u):
             lines.append(ImageLine(u, v, is_continuous))
     return lines
 
@@ -187,8 +236,10 @@ def _extrinsic(given: object, where: str) -> FloatArray:
     except (TypeError, ValueError):
         matrix = np.zeros(0)
     # Rows of a rotation have length 1 and are at right angles.
-    if matrix.shape != (4, 4) or not np.allclose(
-        matrix[:3, :3] @ matrix[:3, :3].T, np.eye(3), atol=1e-2
+    if (
+        matrix.shape != (4, 4)
+        or not np.isfinite(matrix).all()
+        or not np.allclose(matrix[:3, :3] @ matrix[:3, :3].T, np.eye(3), atol=1e-2)
     ):
         raise InputError(f"{where}: extrinsic is no 4 x 4 matrix of a turn and a shift")
     return matrix
