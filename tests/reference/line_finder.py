@@ -92,11 +92,3 @@ def paint_contrasts(
     own = narrow[:, np.abs(across) <= near].max(axis=1)
     beside = [narrow[:, is_side].max(axis=1) for is_side in (across <= -far, across >= far)]
     return own, np.minimum(*beside)
-
-
-def share_above(
-    own: FloatArray, other: FloatArray, least: float, of_brightest: float, over_other: float
-) -> float:
-    """The share of a line that is painted, as `kernels.share_above`."""
-    brightest = np.percentile(own, 90)
-    return float((own > max(least, of_brightest * brightest, over_other * np.median(other))).mean())

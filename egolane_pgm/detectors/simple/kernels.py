@@ -87,14 +87,16 @@ def common_scores(
     histograms = np.empty((n_bins + 1, n_headings))
     first_heading = headings[0]
     step = max((headings[-1] - first_heading) / max(n_headings - 1, 1), 1e-12)
+    # By how much a step of the heading changes a piece's bin, and its difference of slope as a
+    # share of the tolerance.
+    scale, bin_step, off_step = np.empty(n_pieces), np.empty(n_pieces), np.empty(n_pieces)
+    total = np.empty(n_headings)
     for iq in range(len(squeezes)):
         q = squeezes[iq]
-        scale = 1.0 / (1.0 + q * x)
-        # By how much a step of the heading changes a piece's bin, and its difference of slope as a
-        # share of the tolerance.
-        bin_step = step * x * scale / bin_m
-        off_step = step * scale / tolerance
-        per_bin_step, per_off_step = 1.0 / bin_step, 1.0 / off_step
+        for i in range(n_pieces):
+            scale[i] = 1.0 / (1.0 + q * x[i])
+            bin_step[i] = step * x[i] * scale[i] / bin_m
+            off_step[i] = step * scale[i] / tolerance[i]
         for ik in range(len(curvatures)):
             k = curvatures[ik]
             histograms[:] = 0.0
@@ -103,10 +105,8 @@ def common_scores(
                 at_first = (o + side_m) / bin_m
                 off_first = (slope[i] - first_heading - k * middle[i] - q * o) / tolerance[i]
                 # The headings at which the piece counts, and is not too far to the side.
-                low = max(
-                    (off_first - 1.0) * per_off_step[i], (at_first - n_bins + 1) * per_bin_step[i]
-                )
-                high = min((off_first + 1.0) * per_off_step[i], at_first * per_bin_step[i])
+                low = max((off_first - 1.0) / off_step[i], (at_first - n_bins + 1) / bin_step[i])
+                high = min((off_first + 1.0) / off_step[i], at_first / bin_step[i])
                 for ih in range(max(math.ceil(low), 0), min(math.floor(high) + 1, n_headings)):
                     off = off_first - ih * off_step[i]
                     at = at_first - ih * bin_step[i]
@@ -115,11 +115,12 @@ def common_scores(
                     part = share * (at - b)
                     histograms[b, ih] += share - part
                     histograms[b + 1, ih] += part
-            total = np.zeros(n_headings)
+            total[:] = 0.0
             for b in range(n_bins):
                 for ih in range(n_headings):
                     total[ih] += histograms[b, ih] * histograms[b, ih]
-            out[:, ik, iq] = total
+            for ih in range(n_headings):
+                out[ih, ik, iq] = total[ih]
     return out
 
 
@@ -212,16 +213,6 @@ def paint_contrasts(
         beside = min(paint[: aside - far + 1].max(), paint[aside + far :].max())
         other[i] = beside / local
     return own, other
-
-
-@kernel()
-def share_above(
-    own: FloatArray, other: FloatArray, least: float, of_brightest: float, over_other: float
-) -> float:
-    """The share of contrasts `own` (N,) above `least`, above `of_brightest` times their brightest
-    tenth, and above `over_other` times the median of `other` (N,)."""
-    threshold = max(least, of_brightest * np.percentile(own, 90), over_other * np.median(other))
-    return (own > threshold).mean()  # type: ignore[no-any-return]
 
 
 @kernel()

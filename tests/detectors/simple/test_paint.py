@@ -11,6 +11,7 @@ from hypothesis import strategies as st
 
 from egolane_pgm.camera.picture import Image
 from egolane_pgm.detectors.simple import kernels as _kernels
+from egolane_pgm.detectors.simple import paint as _paint
 from egolane_pgm.detectors.simple.birdseye import make_view
 from egolane_pgm.detectors.simple.paint import PARAMETERS, painted_share
 from egolane_pgm.parameters import resolve_parameters
@@ -148,7 +149,7 @@ def test_the_rows_that_show_a_line_are_the_same_as_in_numpy(line, aside, length_
 
 
 @given(st.integers(0, 2**31), st.integers(1, 12), st.integers(1, 5), st.data())
-def test_contrast_and_painted_share_are_the_same_as_in_numpy(seed, aside, half, data):
+def test_the_contrast_of_paint_is_the_same_as_in_numpy(seed, aside, half, data):
     rng = np.random.default_rng(seed)
     near = data.draw(st.integers(0, aside))
     far = data.draw(st.integers(1, aside))
@@ -159,7 +160,9 @@ def test_contrast_and_painted_share_are_the_same_as_in_numpy(seed, aside, half, 
     ours = _kernels.paint_contrasts(*where)
     twin = line_finder.paint_contrasts(*where)
     np.testing.assert_allclose(ours, twin, rtol=1e-12)
-    rule = rng.uniform(0, 0.5), rng.uniform(0, 1.5), rng.uniform(0, 2)
-    assert _kernels.share_above(*ours, *rule) == pytest.approx(
-        line_finder.share_above(*ours, *rule)
-    )
+
+
+@given(st.lists(st.floats(0, 3), min_size=1, max_size=40), st.sampled_from([0.5, 0.9]))
+def test_a_quantile_is_that_of_numpy(values, share):
+    ours = _paint._quantile(np.array(values), share)
+    assert ours == pytest.approx(np.quantile(values, share), rel=1e-12, abs=1e-300)
