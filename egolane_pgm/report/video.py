@@ -254,10 +254,9 @@ def scenes(
 
 def _style(lines: FrameLines, k: int) -> tuple[Colour, int, bool]:
     """The colour and thickness of line k, and whether it is dashed."""
-    slot = getattr(lines, "slot", None)
     is_valid, is_dashed = bool(lines.is_valid[k]), not lines.is_continuous[k]
-    if slot is not None and slot[k] >= 0:
-        colour = SLOTS[int(slot[k]) % len(SLOTS)]
+    if lines.slot is not None:
+        colour = SLOTS[int(lines.slot[k]) % len(SLOTS)]
     elif not is_valid:
         colour = NOT_VALID
     else:
@@ -453,14 +452,14 @@ def _legend(places: Layout, canvas: Image, scene: Scene) -> None:
     room = canvas.shape[1] - left - 6
     top, height = places.panel
     answer = f"lane {scene.assigned}" if scene.assigned != UNASSIGNED else "Unassigned"
-    has_slots = getattr(scene.lines, "slot", None) is not None
-    first, second, third = [INK] * 3 if has_slots else [CONTINUOUS, DASHED, NOT_VALID]
+    has_slots = scene.lines.slot is not None
+    first, second = (INK, INK) if has_slots else (CONTINUOUS, DASHED)
     rows: list[tuple[str, tuple[Colour, int, bool] | None]] = [
         (f"frame {scene.frame_id}, {scene.time_s:.1f} s", None),
         (f"answer: {answer}", None),
         ("valid, continuous", (first, 3, False)),
         ("valid, dashed", (second, 3, True)),
-        ("not valid", (third, 1, False)),
+        ("not valid", (NOT_VALID, 1, False)),
     ]
     if has_slots:
         rows.append(("a colour stays with its line", None))
