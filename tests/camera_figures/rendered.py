@@ -69,7 +69,7 @@ VISIBLE, SIDE_M, NEAR_M = 0.5, 8.0, 1.0
 
 @dataclass(frozen=True)
 class Followed:
-    """What a detector made of a drive. log: its lines. ms: processor time per frame."""
+    """What a detector made of a drive. log: its lines. ms: processor time per frame, median."""
 
     log: LineLog
     ms: float
@@ -86,23 +86,31 @@ class Seen:
     detectors: Mapping[str, Followed]
 
 
-def follow(scene: Scene, names: Sequence[str]) -> Seen:
-    """Render a drive frame by frame, each detector looking at every frame."""
-    found = {name: find_detector(name, {}, Path.cwd(), "rendered") for name in names}
+def follow(
+    scene: Scene, names: Sequence[str], given: Mapping[str, Mapping[str, Any]] | None = None
+) -> Seen:
+    """Render a drive frame by frame, each detector looking at every frame.
+
+    given: by detector, the parameters that are not its defaults
+    """
+    given = given or {}
+    found = {
+        name: find_detector(name, given.get(name, {}), Path.cwd(), "rendered") for name in names
+    }
     steps = {name: start(detector, scene.camera) for name, detector in found.items()}
     lines: dict[str, list[tuple[int, FrameLines]]] = {name: [] for name in names}
-    spent = dict.fromkeys((*names, "render"), 0.0)
+    spent: dict[str, list[float]] = {name: [] for name in (*names, "render")}
     truths: list[FrameTruth] = []
     for k in tqdm(range(len(scene)), unit="frame", disable=None):
         clock = time.process_time()
         frame: Any = render_frame(scene, k)
         truths.append(frame.truth)
-        spent["render"] += time.process_time() - clock
+        spent["render"].append(time.process_time() - clock)
         for name, step in steps.items():
             clock = time.process_time()
             lines[name].append((k, step(frame)))
-            spent[name] += time.process_time() - clock
-    per_frame = {name: 1000 * seconds / len(scene) for name, seconds in spent.items()}
+            spent[name].append(time.process_time() - clock)
+    per_frame = {name: 1000 * float(np.median(seconds)) for name, seconds in spent.items()}
     return Seen(
         scene,
         np.stack([truth.offset_m for truth in truths]),
