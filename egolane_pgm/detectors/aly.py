@@ -6,9 +6,10 @@ What differs from the paper and its public configuration:
 - The view is a region of the road in metres (theirs: of the picture, in pixels), so that it suits
   any calibrated camera. Pictures are first made smaller until their focal length is twice that of
   their camera, so that lengths in pixels keep their meaning.
-- Their tracker is not public. Ours takes its place (`simple.tracking`), with its own gates; as in
-  their configuration, a new line is dropped after three frames without detection, and one that is
-  seen in five of ten frames stays valid.
+- Their tracker is not public. Ours takes its place (`simple.tracking`) with what the configuration
+  says of theirs: a line's place may change by 15 pixels of theirs, 1.7 m, from frame to frame (the
+  0.3 rad by which it may turn are more than any line turns); a new line is dropped after three
+  frames without detection; and one that is seen in five of ten frames stays valid.
 - A spline becomes a line on the road by least squares, and paint tells whether it is dashed, as
   for the simple detectors (`simple.paint`).
 - A spline's score counts no more than the length of the view, and a bent spline is refused before
@@ -45,7 +46,18 @@ from egolane_pgm.parameters import Parameters, held_fixed, number
 from egolane_pgm.types import FloatArray
 
 STEREO = False
-PARAMETERS = held_fixed(_FINDING + _PAINT + TRACKING + _FROZEN)
+
+#: How far a line may be from its prediction, metres.
+_GATE_M = 1.7
+
+PARAMETERS = held_fixed(
+    (
+        *_FINDING,
+        *_PAINT,
+        *(replace(p, default=_GATE_M) if p.name == "gate_m" else p for p in TRACKING),
+        *_FROZEN,
+    )
+)
 
 #: From where to where paint is looked at, metres ahead.
 _PAINT_M = (4.5, 25.0)

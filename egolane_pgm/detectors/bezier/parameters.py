@@ -40,7 +40,12 @@ _RIDGES = (
     Parameter("smooth_sigma", "sigma", 8.0, "its standard deviation, rows", highest=100),
     Parameter("ridge_taps", "integer", 9, "length of the ridge filter across the road", lowest=3),
     Parameter("ridge_sigma", "sigma", 0.8, "its standard deviation, columns", highest=100),
-    Parameter("lower_quantile", "probability", 0.975, "weaker ridges than this quantile are 0"),
+    Parameter(
+        "lower_quantile",
+        "probability",
+        0.975,
+        "weaker ridges than this quantile are 0 (.985 for the two lines of the own lane only)",
+    ),
     _switch("binarize", "no", "all ridges count alike when lines are looked for"),
 )
 
