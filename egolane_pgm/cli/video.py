@@ -169,5 +169,6 @@ def _chosen_detector(name: str | None, experiment: Experiment) -> Detector:
     is_own = name is None and recording.detector is not None
     chosen = name or recording.detector or "ml"
     given = recording.detector_parameters if is_own or chosen == recording.detector else {}
-    base = experiment.folder if is_own else Path.cwd()
+    # Files that parameters name lie beside the experiment too.
+    base = experiment.folder if is_own or not chosen.endswith(".py") else Path.cwd()
     return find_detector(chosen, given, base, "--detector", "recording.detector_parameters")

@@ -28,7 +28,8 @@ PARAMETERS = (
         "on_road",
         "choice",
         NO_NETWORK,
-        "the YAML file of a network: marking where it sees neither road nor lines is dropped",
+        "no network, or the YAML file of one: marking where it sees neither road nor lines is"
+        " dropped (docs/networks.md)",
         choices=(NO_NETWORK,),
     ),
     Parameter(
