@@ -58,6 +58,7 @@ PARAMETERS = (
         "integer",
         8,
         "width of the right picture's edge where nothing is matched well, pixels as matched",
+        highest=1000,
     ),
     *planes.PARAMETERS,
     Parameter(
