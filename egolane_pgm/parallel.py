@@ -22,6 +22,8 @@ from concurrent.futures import BrokenExecutor, Executor, Future, ProcessPoolExec
 from multiprocessing.process import BaseProcess
 from typing import Any, TypeVar
 
+from tqdm import tqdm
+
 from egolane_pgm.types import InputError
 
 T = TypeVar("T")
@@ -138,6 +140,9 @@ def _begin() -> None:
     """What a process does first."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     signal.signal(signal.SIGTERM, _raise_ended)
+    # The lock that progress bars share by default is the system's: a process that is ended would
+    # leave it behind, and Python warns of that.
+    tqdm.set_lock(threading.RLock())
     threading.Thread(target=_end_with_parent, daemon=True).start()
 
 

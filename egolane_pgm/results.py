@@ -28,10 +28,10 @@
                       frame, changes (how many are told in it), log_evidence (mean)
     scores.json       schema_version, name, tuned_on, is_causal, causal, why_not_causal, n_lanes,
                       frames, frames_scored, mean_log_evidence, impossible_frames, warnings,
-                      clips (their number, if any), detector, model, events (told, sure: the share
-                      of frames whose lane has a belief of at least .9, lanes: the lane over time,
-                      [lane, from_s, to_s] each, of several clips none; and with ground truth the
-                      keys of `scoring.events.event_scores`)
+                      clips (their number, if any), detector, model, sure (the share of frames
+                      whose lane has a belief of at least .9), lanes (the lane over time, [lane,
+                      from_s, to_s] each; of several clips none), events (told, or with ground
+                      truth the keys of `scoring.events.event_scores`)
     figures/          what `plot` drew
 
 `egolane compare --out` writes the same for what was believed held out: beliefs.parquet has the

@@ -73,9 +73,10 @@ class Run:
     tentative (T, n): the evidence rule's own answer over lanes, or None.
     scores: "model" and, with a tentative vector, "detector", as `score_with_intervals` gives them;
         empty without ground truth.
-    events: `told`, how many lane changes the beliefs tell of; `sure`, the share of frames whose
-        lane has a probability of at least SURE; `lanes`, the lane over time (`lane_stretches`); and
-        with ground truth the scores of `event_scores`.
+    sure: the share of frames whose lane has a probability of at least SURE; None of no frames.
+    lanes: the lane over time (`lane_stretches`); none of several clips.
+    events: `told`, how many lane changes the beliefs tell of; with ground truth the scores of
+        `event_scores`.
     notes: warnings, a line each.
     """
 
@@ -87,6 +88,8 @@ class Run:
     assigned: IntArray
     tentative: FloatArray | None
     scores: Mapping[str, Mapping[str, Any]]
+    sure: float | None
+    lanes: Sequence[tuple[int, float, float]]
     events: Mapping[str, Any]
     notes: tuple[str, ...]
 
@@ -139,14 +142,10 @@ def run_experiment(
     rate = experiment.recording.frame_rate
     changes = LaneEvents.joined([lane_events(each, rate, lag=experiment.lag) for each in found])
     scores: dict[str, Any] = {}
-    events: dict[str, Any] = {
-        "told": len(changes),
-        "sure": float((beliefs.lane.max(axis=1) >= SURE).mean()) if len(beliefs) else None,
-        "lanes": [] if len(found) > 1 else lane_stretches(beliefs, changes, rate),
-    }
+    events: dict[str, Any] = {"told": len(changes)}
     if recorded.truth is not None:
         crossing = crossing_probability(beliefs.take(recorded.scored).marginals)
-        events |= event_scores(changes, crossing, recorded.truth, rate)
+        events = event_scores(changes, crossing, recorded.truth, rate)
         named = {"detector": evidence.tentative, "model": beliefs.lane}
         # A tentative vector is no belief: the reject option and the path are the model's.
         answers = {"detector": None, "model": assigned[recorded.scored]}
@@ -166,6 +165,8 @@ def run_experiment(
         assigned,
         evidence.tentative,
         scores,
+        float((beliefs.lane.max(axis=1) >= SURE).mean()) if len(beliefs) else None,
+        [] if len(found) > 1 else lane_stretches(beliefs, changes, rate),
         events,
         tuple(notes),
     )
@@ -295,6 +296,8 @@ def summary(run: Run) -> dict[str, Any]:
         "impossible_frames": int(run.beliefs.is_impossible.sum()),
         "warnings": list(run.notes),
         **run.scores,
+        "sure": run.sure,
+        "lanes": list(run.lanes),
         "events": dict(run.events),
     }
     if run.recorded.log.clip is not None:

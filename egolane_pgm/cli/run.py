@@ -151,9 +151,9 @@ def _run_many(
             lanes = (
                 f"{found['clips']} clips, a row for each in clips.csv"
                 if "clips" in found
-                else lane_words(found["events"])
+                else lane_words(found)
             )
-            click.echo(f"\n{found['name']}: {lanes}; {sure_words(found['events'])}")
+            click.echo(f"\n{found['name']}: {lanes}; {sure_words(found)}")
     click.echo(f"\nresults: {len(outcomes) - len(failed)} of {len(outcomes)} in {folder}")
     for outcome in failed:
         for line in (outcome.error or "").splitlines():
@@ -193,14 +193,13 @@ def _print_run(done: RunResult) -> None:
 
 
 def _print_lanes(done: RunResult) -> None:
-    events = done.scores["events"]
     if done.result.clip is None:
         last = done.beliefs.lane[-1]
         best = int(last.argmax())
         at_the_end = f"at the end lane {best + 1} is the most probable ({last[best]:.2f})"
-        click.echo(f"\n{lane_words(events)}; {at_the_end}\n{sure_words(events)}")
+        click.echo(f"\n{lane_words(done.scores)}; {at_the_end}\n{sure_words(done.scores)}")
         return
-    click.echo("\n".join(["", *clip_lines(done.result), sure_words(events)]))
+    click.echo("\n".join(["", *clip_lines(done.result), sure_words(done.scores)]))
     click.echo("a row for each clip: clips.csv; its frames: beliefs.parquet")
 
 

@@ -48,12 +48,12 @@ def event_rows(events: LaneEvents, at_most: int = LISTED) -> tuple[list[str], li
     return header, rows
 
 
-def lane_words(events: Mapping[str, Any]) -> str:
+def lane_words(summary: Mapping[str, Any]) -> str:
     """The lane over time in words.
 
-    - events: `lanes`, as in scores.json.
+    - summary: `lanes`, as in scores.json.
     """
-    stretches = events["lanes"]
+    stretches = summary["lanes"]
     if not stretches:
         return f"no lane is believed (at least {BELIEVED:.2f}) in any frame"
     digits = 1 if stretches[-1][2] - stretches[0][1] < SHORT_S else 0
@@ -66,12 +66,12 @@ def lane_words(events: Mapping[str, Any]) -> str:
     return ", ".join(said)
 
 
-def sure_words(events: Mapping[str, Any]) -> str:
+def sure_words(summary: Mapping[str, Any]) -> str:
     """In how many frames the lane is sure, and what that means.
 
-    - events: `sure`, as in scores.json.
+    - summary: `sure`, as in scores.json.
     """
-    return f"sure (a belief of at least {SURE:g}) in {100 * events['sure']:.1f} % of the frames"
+    return f"sure (a belief of at least {SURE:g}) in {100 * summary['sure']:.1f} % of the frames"
 
 
 def clock(seconds: float, digits: int = 0) -> str:

@@ -121,6 +121,8 @@ def test_run_writes_the_documented_json_unrounded(drive: Path, tmp_path: Path) -
         "warnings",
         "detector",
         "model",
+        "sure",
+        "lanes",
         "events",
     }
     right = run_experiment(drive)
@@ -168,13 +170,13 @@ def test_a_recording_of_ones_own_runs_without_any_ground_truth(drive: Path, tmp_
     assert (result.true_lane == 0).all()
     shown = done("run", drive, "--recording", recording, "--no-figures", "--out", tmp_path / "o2")
     assert "no ground truth: beliefs only" in shown.stdout
-    events = json.loads((tmp_path / "o2" / "scores.json").read_text())["events"]
-    assert len(events["lanes"]) == events["told"] + 1
-    lane, start, end = events["lanes"][0]
+    scores = json.loads((tmp_path / "o2" / "scores.json").read_text())
+    assert len(scores["lanes"]) == scores["events"]["told"] + 1
+    lane, start, end = scores["lanes"][0]
     assert f"\nlane {lane} from {clock(start, 1)} to {clock(end, 1)}" in shown.stdout
     belief = read_result(tmp_path / "o2").marginals["Lane"]
-    assert events["sure"] == np.mean(belief.max(axis=1) >= 0.9)
-    assert f"in {100 * events['sure']:.1f} % of the frames" in shown.stdout
+    assert scores["sure"] == np.mean(belief.max(axis=1) >= 0.9)
+    assert f"in {100 * scores['sure']:.1f} % of the frames" in shown.stdout
     last = f"at the end lane {belief[-1].argmax() + 1} is the most probable"
     assert last in shown.stdout
     other = shutil.copy(recording, tmp_path / "other.csv")

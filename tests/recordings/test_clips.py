@@ -166,7 +166,7 @@ def test_every_clip_is_run_as_if_it_were_alone(tmp_path: Path) -> None:
     # No change is told from one clip to the next.
     assert len(result.events) == 0
     scores = json.loads((tmp_path / "all" / "scores.json").read_text())
-    assert (scores["clips"], scores["events"]["lanes"]) == (3, [])
+    assert (scores["clips"], scores["lanes"]) == (3, [])
 
 
 def test_clips_are_refused_where_one_drive_is_needed(tmp_path: Path) -> None:
