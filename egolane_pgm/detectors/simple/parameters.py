@@ -145,10 +145,29 @@ TRACKING = (
         highest=10_000,
     ),
     Parameter(
+        "valid_when",
+        "choice",
+        "share",
+        "when a line becomes valid: `paper`, at LRI k, which is k detections in a row; `share`, once"
+        " as many of its detections go beyond `valid_share`. Both take k frames if no detection is"
+        " missed. If every fifth is, `paper` never comes to it and `share` takes 17 frames; if every"
+        " third is, 35. A line that is seen in half of the frames or fewer does not become valid"
+        " but by chance",
+        choices=("share", "paper"),
+    ),
+    Parameter(
+        "valid_share",
+        "probability",
+        0.55,
+        "the share of frames that `share` is about: a detection counts one, a miss takes away share"
+        " / (1 - share), though never more than there is, and k are needed (Page's test of 1954"
+        " for a rate above this one)",
+    ),
+    Parameter(
         "valid_until",
         "probability",
         0.5,
-        "a line becomes valid at LRI k and stays so until its LRI is below this share of k",
+        "a valid line stays so until its LRI is below this share of k",
     ),
     Parameter(
         "die_after",

@@ -38,6 +38,7 @@ class Tracks:
     - number: (L,) identifies a line for as long as it is followed
     - mean, covariance: (L, 4) and (L, 4, 4), of the line's parameters
     - hits: (L, k) whether it was detected in the last k frames, the newest last
+    - excess: (L,) how many detections it has beyond the share that makes it valid, 0 to k
     - votes: (L, v) of its last v detections: 1 for continuous, 0 for dashed, NaN for no vote
     - missed: (L,) frames since it was last detected
     - is_valid, was_valid: (L,) whether it is valid, and whether it ever was
@@ -49,6 +50,7 @@ class Tracks:
     mean: FloatArray
     covariance: FloatArray
     hits: BoolArray
+    excess: FloatArray
     votes: FloatArray
     missed: IntArray
     is_valid: BoolArray
@@ -74,6 +76,7 @@ class Rules:
     - n_values: how many of a shape's four values the lines have: 2 if they are straight
     - at: (J, 4) takes a line's parameters to its places at J distances ahead
     - noise: (J, J) covariance of a measurement
+    - miss_cost: how many detections make up for a miss before a line is valid
     - walk: (4, 4) covariance of the change from frame to frame
     - first: (4, 4) covariance of a line that was detected once
     """
@@ -82,6 +85,7 @@ class Rules:
     n_values: int
     at: FloatArray
     noise: FloatArray
+    miss_cost: float
     walk: FloatArray
     first: FloatArray
 
@@ -113,7 +117,9 @@ def rules(parameters: Parameters, *, curve: str) -> Rules:
     first = inverse @ noise @ inverse.T
     narrower = np.minimum(1.0, _OPEN_STEPS * walk / np.sqrt(np.diag(first)))
     first *= narrower[:, None] * narrower
-    return Rules(parameters, n_values, at, noise, np.diag(walk**2), first)
+    share = 1.0 if parameters["valid_when"] == "paper" else value("valid_share")
+    miss_cost = share / (1 - share) if share < 1 else np.inf
+    return Rules(parameters, n_values, at, noise, miss_cost, np.diag(walk**2), first)
 
 
 def _noise_of_clothoids(at: FloatArray, sigma: FloatArray, sigma_rate: float) -> FloatArray:
@@ -136,6 +142,7 @@ def no_tracks(rule: Rules) -> Tracks:
         mean=np.zeros((0, 4)),
         covariance=np.zeros((0, 4, 4)),
         hits=np.zeros((0, n_hits), dtype=bool),
+        excess=np.zeros(0),
         votes=np.zeros((0, n_votes)),
         missed=np.zeros(0, dtype=np.int64),
         is_valid=np.zeros(0, dtype=bool),
@@ -263,6 +270,9 @@ def _update(
         covariance=covariance,
         votes=votes,
         hits=np.concatenate([tracks.hits[:, 1:], is_hit[:, None]], axis=1),
+        excess=np.clip(
+            tracks.excess + np.where(is_hit, 1.0, -rule.miss_cost), 0.0, tracks.hits.shape[1]
+        ),
         missed=np.where(is_hit, 0, tracks.missed + 1),
         # Without matched lines the common motion decays.
         motion=(
@@ -302,6 +312,7 @@ def _new_track(tracks: Tracks, rule: Rules, shape: FloatArray, coverage: float) 
         mean=shape[None].astype(np.float64),
         covariance=rule.first[None],
         hits=hits,
+        excess=np.ones(1),
         votes=votes,
         missed=np.zeros(1, dtype=np.int64),
         is_valid=np.zeros(1, dtype=bool),
@@ -312,10 +323,10 @@ def _new_track(tracks: Tracks, rule: Rules, shape: FloatArray, coverage: float) 
 
 
 def _with_validity(tracks: Tracks, rule: Rules) -> Tracks:
-    """Sets `is_valid`: a line becomes valid at the largest LRI and stays so until its LRI falls
-    below a share of that."""
+    """Sets `is_valid`: a line becomes valid with k detections in excess, which without a miss is the
+    largest LRI (the paper's rule), and stays so until its LRI falls below a share of k."""
     k = tracks.hits.shape[1]
-    is_valid = (tracks.lri == k) | (tracks.is_valid & (tracks.lri >= rule["valid_until"] * k))
+    is_valid = (tracks.excess >= k) | (tracks.is_valid & (tracks.lri >= rule["valid_until"] * k))
     return replace(tracks, is_valid=is_valid, was_valid=tracks.was_valid | is_valid)
 
 

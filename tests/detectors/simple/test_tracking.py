@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import itertools
+from collections.abc import Iterable
 from dataclasses import fields, replace
 
 import numpy as np
@@ -22,7 +23,7 @@ from egolane_pgm.detectors.simple.tracking import (
     rules,
 )
 from egolane_pgm.parameters import resolve_parameters
-from egolane_pgm.types import FloatArray
+from egolane_pgm.types import BoolArray, FloatArray
 
 NOTHING = np.zeros((0, 4)), np.zeros(0)
 
@@ -57,8 +58,8 @@ def test_the_lri_counts_detections_in_the_last_ten_frames() -> None:
         assert tracks.lri[0] == hits[max(0, t - 9) : t + 1].sum()
 
 
-def test_valid_at_the_largest_lri_and_until_below_a_share_of_it() -> None:
-    rule = made(valid_until=0.5, die_after=100)
+def test_the_papers_lines_are_valid_at_the_largest_lri_and_until_below_a_share_of_it() -> None:
+    rule = made(valid_when="paper", valid_until=0.5, die_after=100)
     frames = [seen(at(-1.8))] * 12 + [NOTHING] * 8 + [seen(at(-1.8))] * 11
     history = followed(rule, frames)
     lri = [int(t.lri[0]) for t in history]
@@ -78,16 +79,54 @@ def test_valid_at_the_largest_lri_and_until_below_a_share_of_it() -> None:
     st.integers(1, 12),
     st.floats(0, 1),
 )
-def test_validity_is_always_the_hysteresis_of_the_lri(
+def test_the_papers_validity_is_always_the_hysteresis_of_the_lri(
     hits: list[bool], k: int, until: float
 ) -> None:
-    rule = made(lri_frames=k, valid_until=until)
+    rule = made(valid_when="paper", lri_frames=k, valid_until=until)
     was: dict[int, bool] = {}
     for tracks in followed(rule, [seen(at(2.0)) if hit else NOTHING for hit in hits]):
         for number, lri, valid in zip(tracks.number, tracks.lri, tracks.is_valid, strict=True):
             assert 0 <= lri <= k
             assert valid == (lri == k or (was.get(int(number), False) and lri >= until * k))
         was = dict(zip(tracks.number.tolist(), tracks.is_valid.tolist(), strict=True))
+
+
+def validity(hits: Iterable[bool], **given: object) -> BoolArray:
+    """Whether a line that is detected in these frames is valid, frame by frame."""
+    history = followed(made(**given), [seen(at(-1.8)) if hit else NOTHING for hit in hits])
+    return np.array([bool(tracks.is_valid.any()) for tracks in history])
+
+
+@pytest.mark.parametrize(("every", "from_frame"), [(1000, 9), (5, 16), (3, 34)])
+def test_a_line_that_is_missed_now_and_then_becomes_valid_in_proportion(
+    every: int, from_frame: int
+) -> None:
+    hits = np.arange(200) % every != every - 1
+    valid = validity(hits)
+    assert not valid[:from_frame].any()
+    assert valid[from_frame:].all()
+    assert validity(hits, valid_when="paper").any() == (every == 1000)
+
+
+def test_a_line_that_is_missed_by_chance_becomes_valid_and_a_flickering_one_hardly_ever() -> None:
+    rng = np.random.default_rng(6)
+    assert validity(rng.random(1000) < 0.8)[30:].mean() > 0.95
+    assert validity(rng.random(1000) < 0.5).mean() < 0.1
+    for hits in (1, 2, 3):
+        assert not validity(np.arange(300) % (2 * hits) < hits).any()
+
+
+@settings(max_examples=60, deadline=None)
+@given(
+    st.lists(st.booleans(), max_size=60), st.integers(1, 12), st.floats(0, 1), st.floats(0, 0.99)
+)
+def test_no_share_makes_a_line_valid_later_than_the_paper_does(
+    hits: list[bool], k: int, until: float, share: float
+) -> None:
+    given = {"lri_frames": k, "valid_until": until, "valid_share": share}
+    paper = validity([True, *hits], **given, valid_when="paper")
+    assert not np.any(paper & ~validity([True, *hits], **given))
+    np.testing.assert_array_equal(paper, validity([True, *hits], **{**given, "valid_share": 1.0}))
 
 
 def test_the_filter_has_less_noise_than_single_frames_and_no_bias() -> None:
