@@ -99,6 +99,17 @@ def test_a_road_is_seen_after_black_and_white_pictures(name: str, of_a_road: lis
 
 
 @every_detector
+def test_a_road_is_seen_though_every_fifth_picture_is_black(name: str) -> None:
+    black = flat(0)
+    pictures = [
+        replace(picture, image=black, right=black) if picture.frame_id % 5 == 4 else picture
+        for picture in drive(22, stereo=True)
+    ]
+    valid = valid_lines(name, CAMERA, pictures)
+    assert min(valid[18:]) >= 2
+
+
+@every_detector
 @pytest.mark.parametrize(
     ("width", "height"), [(270, 480), (481, 271), (64, 36), (16, 16), (1280, 40)]
 )

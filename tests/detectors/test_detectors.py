@@ -251,9 +251,12 @@ def test_clips_of_a_crowded_motorway_are_followed_as_well_as_by_another_detector
     assert clips.lane_at_the_end(found)[-1] == clips.N_LANES
 
 
-def test_a_lane_change_to_the_right_is_one_line_that_crosses_and_one_change_of_lane() -> None:
+@pytest.mark.parametrize("curve", ["line", "clothoid"])
+def test_a_lane_change_to_the_right_is_one_line_that_crosses_and_one_change_of_lane(
+    curve: str,
+) -> None:
     folder = folder_of(lane_change, "lane_change_right")
-    followed = lane_change.follow_pictures(folder, first=20)
+    followed = lane_change.follow_pictures(folder, curve, first=20)
     (crossed,) = lane_change.crossings(followed)
     assert crossed.first_m > 1
     assert crossed.last_m < -1
