@@ -280,3 +280,70 @@ def count_near(
             count += abs(a * points[0, i] + b * points[1, i] + c - values[i]) <= tolerance
         out[k] = count
     return out
+
+
+@kernel()
+def feet_on_rays(
+    above: NDArray[np.uint8],
+    valid: BoolArray,
+    far_m: float,
+    left_m: float,
+    along_m: float,
+    across_m: float,
+    rays: FloatArray,
+    x: FloatArray,
+    share: float,
+    n_dark: int,
+    n_edge: int,
+    n_road: int,
+) -> NDArray[np.uint8]:
+    """Where rays from the camera meet the dark foot of a vehicle, (K, A): 1 at a sample at which
+    the mean of the next `n_dark` samples is below `share` of the mean of `n_road` samples of road
+    that come `n_edge` samples before, else 0.
+
+    - above, valid: (R, C) the bird's-eye view and what of it the picture shows
+    - far_m, left_m, along_m, across_m: place of its first row and column, and size of its pixels
+    - rays: (A,) metres to the right per metre ahead
+    - x: (K,) metres ahead of the samples of each ray, rising
+    """
+    n_rows, n_columns = above.shape
+    n = len(x)
+    out = np.zeros((n, len(rays)), dtype=np.uint8)
+    total = np.zeros(n + 1)
+    shown = np.zeros(n + 1, dtype=np.int64)
+    before = n_road + n_edge
+    for a in range(len(rays)):
+        for k in range(n):
+            r = int((far_m - x[k]) / along_m + 0.5)
+            c = math.floor((x[k] * rays[a] - left_m) / across_m + 0.5)
+            value, seen = 0.0, 0
+            if 0 <= r < n_rows and 0 <= c < n_columns and valid[r, c]:
+                value, seen = float(above[r, c]), 1
+            total[k + 1] = total[k] + value
+            shown[k + 1] = shown[k] + seen
+        for k in range(before, n - n_dark + 1):
+            if shown[k + n_dark] - shown[k - before] < n_dark + before:
+                continue
+            road = (total[k - n_edge] - total[k - before]) / n_road
+            dark = (total[k + n_dark] - total[k]) / n_dark
+            out[k, a] = dark < share * road
+    return out
+
+
+@kernel()
+def in_front(
+    ends: FloatArray, x: FloatArray, y: FloatArray, first: float, step: float
+) -> BoolArray:
+    """Which pixels of a view are nearer than the end of the ray through them, (R, C).
+
+    - ends: (A,) metres ahead at which each ray ends; rays that are not among them do not end
+    - x, y: (R,) and (C,) metres ahead of the rows and to the right of the columns
+    - first, step: the first ray and the distance of the rays, metres to the right per metre ahead
+    """
+    out = np.ones((len(x), len(y)), dtype=np.bool_)
+    for r in range(len(x)):
+        for c in range(len(y)):
+            a = math.floor((y[c] / x[r] - first) / step + 0.5)
+            if 0 <= a < len(ends) and x[r] >= ends[a]:
+                out[r, c] = False
+    return out

@@ -62,6 +62,16 @@ _MARKINGS = (
     Parameter("least_rise", "non_negative", 4.0, "the same over the mean contrast around"),
 )
 
+_UPRIGHT = (
+    Parameter(
+        "shadow_share",
+        "probability",
+        0.5,
+        "brightness under a vehicle, at most, over that of the road before it; nothing is looked"
+        " for behind a shadow as dark and as wide as a vehicle's (0: vehicles are not looked for)",
+    ),
+)
+
 _CONTOURS = (
     Parameter(
         "least_area_m2", "non_negative", 0.04, "area of the smallest contour kept, square metres"
@@ -132,7 +142,7 @@ _FIT = (
 )
 
 #: The parameters of the line finder, which sees one picture.
-FINDING = _VIEW + _MARKINGS + _CONTOURS + _FIT
+FINDING = _VIEW + _UPRIGHT + _MARKINGS + _CONTOURS + _FIT
 
 #: The parameters of the tracking.
 TRACKING = (
