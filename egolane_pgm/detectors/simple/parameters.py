@@ -66,7 +66,7 @@ _UPRIGHT = (
     Parameter(
         "shadow_share",
         "probability",
-        0.5,
+        0.4,
         "brightness under a vehicle, at most, over that of the road before it; nothing is looked"
         " for behind a shadow as dark and as wide as a vehicle's (0: vehicles are not looked for)",
     ),

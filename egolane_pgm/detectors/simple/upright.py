@@ -40,7 +40,7 @@ _NARROWEST_M, _WIDEST_M = 0.8, 4.0
 def free_road(view: BirdsEye, above: Image, parameters: Parameters) -> BoolArray:
     """Where a bird's-eye view of one colour (R, C) shows no vehicle and nothing behind one; (R, C).
 
-    Without `shadow_share` (0) everything is free.
+    With a `shadow_share` of 0 everything is free.
     """
     free = np.ones(above.shape, dtype=bool)
     share = number(parameters, "shadow_share")
@@ -50,7 +50,9 @@ def free_road(view: BirdsEye, above: Image, parameters: Parameters) -> BoolArray
         return free
     x = near * (1 + _FARTHER) ** np.arange(count)
     rays = np.arange(-_RAY_MOST, _RAY_MOST + _RAY_STEP / 2, _RAY_STEP)
-    geometry = (float(view.x_m[0]), float(view.y_m[0]), view.along_m, view.across_m)
+    # Rays begin at the camera, which may be beside the vehicle's middle.
+    y = view.y_m - view.camera.lateral_m
+    geometry = (float(view.x_m[0]), float(y[0]), view.along_m, view.across_m)
     feet = feet_on_rays(above, view.valid, *geometry, rays, x, share, _DARK, _EDGE, _ROAD)
     _, _, boxes, _ = cv2.connectedComponentsWithStats(feet, connectivity=8)
     ends = np.full(len(rays), np.inf)
@@ -60,5 +62,5 @@ def free_road(view: BirdsEye, above: Image, parameters: Parameters) -> BoolArray
             behind = ends[first : first + width]
             np.minimum(behind, at, out=behind)
     if np.isfinite(ends).any():
-        free = in_front(ends, view.x_m, view.y_m, -_RAY_MOST, _RAY_STEP)
+        free = in_front(ends, view.x_m, y, -_RAY_MOST, _RAY_STEP)
     return free
