@@ -158,11 +158,11 @@ TRACKING = (
         "valid_when",
         "choice",
         "share",
-        "when a line becomes valid: `paper`, at LRI k, which is k detections in a row; `share`, once"
-        " as many of its detections go beyond `valid_share`. Both take k frames if no detection is"
-        " missed. If every fifth is, `paper` never comes to it and `share` takes 17 frames; if every"
-        " third is, 35. A line that is seen in half of the frames or fewer does not become valid"
-        " but by chance",
+        "when a line becomes valid: `paper`, at LRI k, which is k detections in a row; `share`,"
+        " once as many of its detections go beyond `valid_share`. Both take k frames if no"
+        " detection is missed. If every fifth is, `paper` never comes to it and `share` takes 17"
+        " frames; if every third is, 35. A line that is seen in half of the frames or fewer does"
+        " not become valid but by chance",
         choices=("share", "paper"),
     ),
     Parameter(

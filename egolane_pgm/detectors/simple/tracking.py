@@ -323,8 +323,8 @@ def _new_track(tracks: Tracks, rule: Rules, shape: FloatArray, coverage: float) 
 
 
 def _with_validity(tracks: Tracks, rule: Rules) -> Tracks:
-    """Sets `is_valid`: a line becomes valid with k detections in excess, which without a miss is the
-    largest LRI (the paper's rule), and stays so until its LRI falls below a share of k."""
+    """Sets `is_valid`: a line becomes valid with k detections in excess, which without a miss is
+    the largest LRI (the paper's rule), and stays so until its LRI falls below a share of k."""
     k = tracks.hits.shape[1]
     is_valid = (tracks.excess >= k) | (tracks.is_valid & (tracks.lri >= rule["valid_until"] * k))
     return replace(tracks, is_valid=is_valid, was_valid=tracks.was_valid | is_valid)
