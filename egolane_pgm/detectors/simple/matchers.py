@@ -10,6 +10,8 @@ ELAS (Geiger, Roser and Urtasun 2010) is in the package pyelas (GPL), which has 
 build does not say where NumPy's headers are, so the compiler is told:
 
     CPLUS_INCLUDE_PATH=$(python -c "import numpy; print(numpy.get_include())") pip install pyelas
+
+In a copy of this repository, `pip install -e ".[elas]"` with the same variable does so too.
 """
 
 from __future__ import annotations
