@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import pytest
 
 from egolane_pgm.calibration.labels import read_labels
@@ -25,6 +27,18 @@ def test_a_camera_turned_by_a_degree_corrects_itself_on_real_stills(name: str, a
     assert "corrected from here on" in line
     # The road itself rises and falls by half a degree for dozens of these stills.
     assert (abs(turned.pitch_deg[5:]) < 0.6).all()
+
+
+@needs_compiler
+@pytest.mark.parametrize("away", [-1.0, 1.0])
+def test_a_camera_turned_by_a_degree_is_warned_of_unasked(away: float) -> None:
+    labels = tusimple.data_file()
+    if labels is None:
+        pytest.skip(f"stills: needs EGOLANE_DATA with {tusimple.FILE}")
+    camera = tusimple.calibrated(labels)
+    turned = replace(camera, pitch_deg=camera.pitch_deg + away)
+    (line,) = drift.warned_of(drift.stills_of(labels)[:30], turned, "mc")
+    assert f"calibrated with pitch_deg {turned.pitch_deg:.2f}; calibrate it again" in line
 
 
 @needs_compiler

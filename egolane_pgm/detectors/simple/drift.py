@@ -86,9 +86,9 @@ _SQUEEZE_DEG, _MOST_SDS = 0.5, 2.0
 #: The least distance, metres, of the outer lines for the squeeze to be told from them.
 _LEAST_SPREAD_M = 2.0
 
-#: Each of the first pictures is looked at. To correct the pitch, the frames between two looks then
-#: become more by this factor with each look.
-_FIRST, _SLOWER = 10, 1.1
+#: Each of the first pictures is looked at. The frames between two looks then become more by this
+#: factor with each look: to warn there is more time than to correct.
+_FIRST, _SLOWER = 10, {"correct": 1.1, "warn": 1.5}
 
 #: The fewest looks before anything is said of the camera.
 _LEAST_LOOKS = 6
@@ -247,9 +247,7 @@ def _gap(n_looks: int, parameters: Parameters) -> float:
     """How many frames may pass before the next look."""
     if n_looks < _FIRST:
         return 1.0
-    if parameters["camera_drift"] == "correct":
-        return _SLOWER ** min(n_looks - _FIRST, 200)
-    return math.inf
+    return _SLOWER[str(parameters["camera_drift"])] ** min(n_looks - _FIRST, 200)
 
 
 def correction_deg(drift: Drift) -> float:
