@@ -37,8 +37,9 @@ DRAWS, NOISE = 200, 20.0
 #: A fit needs so many markings, and this share of those near the line before.
 FEWEST, HELD = 10, 0.5
 
-#: A line is clear by itself if it has so many markings, and they span so much of t.
-LONG, SPAN = 60, 0.6
+#: A line is clear by itself if it has so many markings, and they span so much of t. With half as
+#: many the edges of a car beside the line pull it away.
+LONG, SPAN = 120, 0.6
 
 #: How much a line that is not clear is taken to be parallel to the nearest clear one, and not to
 #: what it was.
