@@ -4,9 +4,13 @@ driving environments using conditional random fields*, IEEE Intelligent Vehicles
 Written anew from a description of the published program and its constants. What differs: widths of
 markings and the rows that are looked at follow from the camera, constants in pixels are scaled by
 the picture's width (1280) or by the rows looked at (454); the gaps between lines are metres; only a
-common motion sideways and a common turn are taken over from clear lines to the others; and each
-link of the CRF is merged by its own label (see `multilane.crf`). MLD tells no continuous lines from
-dashed ones.
+common motion sideways and a common turn are taken over from clear lines to the others; a line is
+clear by itself from 120 markings on, not from 60; and each link of the CRF is merged by its own
+label (see `multilane.crf`).
+
+MLD tells no continuous lines from dashed ones. A line is a parabola of the picture, as published,
+which is none of the road: in a bend, what is more than 20 m ahead is drawn too straight, and the
+curvature that it tells is too small.
 """
 
 from __future__ import annotations
