@@ -6,7 +6,7 @@ ifneq ($(wildcard ../shared/data/rle),)
 export EGOLANE_DATA ?= $(abspath ../shared/data)
 endif
 
-.PHONY: run test check bench coverage notebooks paper graphs beyond delay events camera rendered clean
+.PHONY: run test check bench coverage notebooks paper graphs beyond delay events camera rendered compared clean
 
 run: .venv/.run
 	$(BIN)/egolane run experiments/quickstart.yaml
@@ -102,12 +102,17 @@ events: .venv/.run
 
 # What results/camera/ holds of real pictures, made from those in EGOLANE_DATA.
 camera: .venv/.dev
-	$(BIN)/python -m tests.camera_figures carnd tusimple clips lane_change labels --out results/camera > results/camera/pictures.md
+	$(BIN)/python -m tests.camera_figures carnd tusimple clips aly lane_change labels --out results/camera > results/camera/pictures.md
 
 # What results/camera/ holds of rendered motorways: tables (20 minutes of one core), a frame.
 rendered: .venv/.dev
 	mkdir -p results/camera
 	$(BIN)/python -m tests.camera_figures rendered --out results/camera > results/camera/rendered.md
+
+# All detectors on one rendered drive through the paper's graph: a table and a figure (7 minutes).
+compared: .venv/.dev
+	mkdir -p results/camera
+	$(BIN)/python -m tests.camera_figures compared --out results/camera > results/camera/detectors.md
 
 .venv/.venv:
 	$(PYTHON) -m venv .venv

@@ -46,7 +46,7 @@ def test_two_sentences_say_what_agrees_and_what_does_not() -> None:
 def test_the_figure_is_drawn(tmp_path: Path) -> None:
     draw_rows(MADE_UP, tmp_path / "detectors.png")
     picture = cv2.imread(str(tmp_path / "detectors.png"))
-    assert picture.shape[1] == pytest.approx(1350, abs=5)
+    assert picture.shape[1] == pytest.approx(1500, abs=5)
     assert picture.std() > 10
 
 
