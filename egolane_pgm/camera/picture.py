@@ -1,4 +1,5 @@
-"""The types of a picture: an image, and one frame of a drive with one or two images."""
+"""The types of a picture: an image, and one frame of a drive with one or two images; and the
+check of its size."""
 
 from __future__ import annotations
 
@@ -6,6 +7,8 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
+
+from egolane_pgm.types import InputError
 
 #: (H, W, 3), blue green red, as OpenCV has it.
 Image = NDArray[np.uint8]
@@ -18,3 +21,12 @@ class Picture:
     frame_id: int
     image: Image
     right: Image | None = None
+
+
+def check_size(image: Image, width: int, height: int) -> None:
+    """Raises InputError for a picture of another size than the camera was calibrated for."""
+    if image.shape[:2] != (height, width):
+        raise InputError(
+            f"a picture of {image.shape[1]}x{image.shape[0]} pixels, but the camera was calibrated"
+            f" for {width}x{height}; calibrate with pictures of this size"
+        )

@@ -28,14 +28,14 @@ import cv2
 import numpy as np
 
 from egolane_pgm.camera.model import Camera, image_to_road, road_to_image
-from egolane_pgm.camera.picture import Image, Picture
+from egolane_pgm.camera.picture import Image, Picture, check_size
 from egolane_pgm.detectors import FrameLines, Step
 from egolane_pgm.detectors.bezier.parameters import PARAMETERS as _FINDING
 from egolane_pgm.detectors.bezier.picture import refined
 from egolane_pgm.detectors.bezier.ridges import ridges, smaller, view_for
 from egolane_pgm.detectors.bezier.road import shape_of
 from egolane_pgm.detectors.bezier.splines import points_on, spline_finder
-from egolane_pgm.detectors.simple.birdseye import check_size, look, make_view
+from egolane_pgm.detectors.simple.birdseye import look, make_view
 from egolane_pgm.detectors.simple.frozen import PARAMETERS as _FROZEN
 from egolane_pgm.detectors.simple.frozen import repeat_counter
 from egolane_pgm.detectors.simple.paint import PARAMETERS as _PAINT
@@ -85,7 +85,7 @@ def line_finder(camera: Camera, parameters: Parameters) -> Callable[[Image], Fou
     find_splines = spline_finder(parameters)
 
     def find(image: Image) -> Found:
-        check_size(camera, image)
+        check_size(image, camera.width, camera.height)
         red = image[:, :, 2] if image.ndim == 3 else image
         if small is not camera:
             size = small.width, small.height

@@ -22,7 +22,7 @@ import cv2
 import numpy as np
 
 from egolane_pgm.camera.model import Camera
-from egolane_pgm.camera.picture import Picture
+from egolane_pgm.camera.picture import Picture, check_size
 from egolane_pgm.detectors import FrameLines, Step
 from egolane_pgm.detectors.multilane import curves
 from egolane_pgm.detectors.multilane.crf import join_seeds
@@ -131,6 +131,7 @@ def follower(
     rng = np.random.default_rng(0)
 
     def follow(slots: Slots, picture: Picture) -> Slots:
+        check_size(picture.image, camera.width, camera.height)
         grey = cv2.cvtColor(picture.image, cv2.COLOR_BGR2GRAY)
         markings = find_markings(grey.astype(np.uint8, copy=False), road)
         t, u = markings.points(road)

@@ -111,7 +111,7 @@ def test_a_road_is_seen_though_every_fifth_picture_is_black(name: str) -> None:
 
 @every_detector
 @pytest.mark.parametrize(
-    ("width", "height"), [(270, 480), (481, 271), (64, 36), (16, 16), (1280, 40)]
+    ("width", "height"), [(270, 480), (481, 271), (64, 36), (16, 16), (1280, 40), (480, 16)]
 )
 def test_portrait_odd_and_tiny_pictures_do_no_harm(name: str, width: int, height: int) -> None:
     """A detector may refuse a camera in one line; it must not fall over."""
@@ -124,3 +124,14 @@ def test_portrait_odd_and_tiny_pictures_do_no_harm(name: str, width: int, height
     except InputError as error:
         said.extend(error.lines)
     assert len(said) == (1 if isinstance(said[0], str) else 3)
+
+
+@every_detector
+@pytest.mark.parametrize("size", [(135, 240), (540, 960), (270, 481), (1, 480)])
+def test_a_picture_of_another_size_ends_a_drive_in_one_line_that_names_the_frame(
+    name: str, size: tuple[int, int]
+) -> None:
+    changed = np.zeros((*size, 3), dtype=np.uint8)
+    with pytest.raises(InputError, match=r"frame 2: .*pixels") as caught:
+        valid_lines(name, CAMERA, pairs([road(), road(seed=1), changed]))
+    assert len(caught.value.lines) == 1

@@ -10,7 +10,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from egolane_pgm.camera.picture import Image
+from egolane_pgm.camera.picture import Image, check_size
 from egolane_pgm.camera.writing import silent
 from egolane_pgm.detectors.networks.description import Network
 from egolane_pgm.detectors.networks.onnx_file import Ports, read_ports
@@ -64,11 +64,7 @@ def as_input(network: Network, fit: Fit, image: Image) -> NDArray[np.float32]:
 
     Raises InputError for a picture of another size than the camera's.
     """
-    if image.shape[:2] != (fit.height, fit.width):
-        raise InputError(
-            f"a picture of {image.shape[1]}x{image.shape[0]} pixels, but the camera was calibrated"
-            f" for {fit.width}x{fit.height}; calibrate with pictures of this size"
-        )
+    check_size(image, fit.width, fit.height)
     seen = cv2.resize(image[fit.top :], (fit.wide, fit.high), interpolation=cv2.INTER_LINEAR)
     if network.letterbox is not None:
         width, height = network.size

@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from egolane_pgm.camera.model import Camera, image_to_road, road_to_image, vanishing_point
-from egolane_pgm.camera.picture import Image
+from egolane_pgm.camera.picture import Image, check_size
 from egolane_pgm.types import BoolArray, FloatArray, InputError
 
 #: The largest side of a view, pixels. A larger one has a wrong unit, and OpenCV cannot make it.
@@ -161,16 +161,6 @@ def look(view: BirdsEye, image: Image) -> Image:
 
     Raises InputError for a picture of another size than the calibration.
     """
-    check_size(view.camera, image)
+    check_size(image, view.camera.width, view.camera.height)
     above = cv2.remap(image, *view.map_uv, cv2.INTER_LINEAR, borderMode=cv2.BORDER_CONSTANT)
     return above.astype(np.uint8, copy=False)
-
-
-def check_size(camera: Camera, image: Image) -> None:
-    """Raises InputError for a picture of another size than the calibration."""
-    height, width = image.shape[:2]
-    if (width, height) != (camera.width, camera.height):
-        raise InputError(
-            f"a picture of {width}x{height} pixels, but the camera was calibrated for"
-            f" {camera.width}x{camera.height}; calibrate with pictures of this size"
-        )
