@@ -238,10 +238,15 @@ def scaled(camera: Camera, width: int, height: int) -> Camera:
     """
     across, along = width / camera.width, height / camera.height
     if abs(across - along) * min(camera.width, camera.height) > 1:
+        is_turned = abs(width * camera.width - height * camera.height) <= max(width, height)
         raise InputError(
             f"pictures of {width}x{height} pixels have another aspect ratio than the"
-            f" {camera.width}x{camera.height} that the camera was calibrated for; calibrate with"
-            " pictures of this size"
+            f" {camera.width}x{camera.height} that the camera was calibrated for; "
+            + (
+                "are they, or the orientation that their files say, turned by a quarter?"
+                if is_turned
+                else "calibrate with pictures of this size"
+            )
         )
     ignore = tuple(
         (
