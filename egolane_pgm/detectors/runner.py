@@ -17,7 +17,7 @@ import numpy as np
 from egolane_pgm.camera.model import Camera
 from egolane_pgm.camera.picture import Picture
 from egolane_pgm.detectors import FrameLines, Step, as_log
-from egolane_pgm.detectors.networks.description import YAML, network_files
+from egolane_pgm.detectors.networks.description import YAML, network_files, networks_of
 from egolane_pgm.parameters import Value, resolve_parameters
 from egolane_pgm.plugins import load_plugin, plugin_errors
 from egolane_pgm.types import InputError, LineLog
@@ -108,7 +108,7 @@ def detect(
     Raises InputError, naming detector and frame, for lines that break the detectors' contract.
     """
     step = start(detector, camera)
-    if frame_rate is not None and network_files(detector.parameters):
+    if frame_rate is not None and networks_of(detector.parameters):
         step = _timed(step, detector, frame_rate)
     for picture in pictures:
         where = f"{detector.where}: {detector.name}: frame {picture.frame_id}"

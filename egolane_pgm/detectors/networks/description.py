@@ -15,6 +15,7 @@ from typing import Annotated, Literal, Self
 
 from pydantic import AfterValidator, Field, model_validator
 
+from egolane_pgm.detectors.networks.onnx_file import weight_files
 from egolane_pgm.experiment import Section, validated
 from egolane_pgm.files import read_yaml
 from egolane_pgm.parameters import Parameter, Parameters, Value
@@ -182,7 +183,16 @@ class NetworkFile(Parameter):
         return value
 
 
+def networks_of(parameters: Parameters) -> list[Path]:
+    """The YAML files of the networks that some parameters name."""
+    return [Path(v) for v in parameters.values() if isinstance(v, str) and v.endswith(YAML)]
+
+
 def network_files(parameters: Parameters) -> list[Path]:
-    """The files of the networks that some parameters name: each YAML and its ONNX."""
-    named = [v for v in parameters.values() if isinstance(v, str) and v.endswith(YAML)]
-    return [file for name in named for file in (Path(name), read_network(name).onnx)]
+    """The files of the networks that some parameters name: of each its YAML, its ONNX and what this
+    keeps elsewhere. Raises InputError for a network that cannot be read."""
+    files = []
+    for path in networks_of(parameters):
+        onnx = read_network(path).onnx
+        files += [path, onnx, *weight_files(onnx, f"{path}: model")]
+    return files

@@ -1,89 +1,88 @@
-"""The inputs and outputs that an ONNX file declares.
+"""What an ONNX file declares, read by the package onnx.
 
 OpenCV 5 does not compare a picture with the declared input: a network for grey pictures runs on
-coloured ones and gives nonsense. It also has no function that tells the inputs. They are therefore
-read here, from the few fields of the file (Protocol Buffers' wire format; field numbers from
-onnx.proto) that name them.
+coloured ones and gives nonsense. It also has no function that tells the inputs.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from egolane_pgm.types import InputError
+
+if TYPE_CHECKING:
+    from onnx import ModelProto, ValueInfoProto
 
 #: A size that is not fixed is None. Shape None: none is declared.
 Shape = tuple[int | None, ...] | None
 
-# Field numbers of onnx.proto.
-_GRAPH = 7  # of ModelProto
-_INITIALIZER, _INPUT, _OUTPUT = 5, 11, 12  # of GraphProto
-_INITIALIZER_NAME = 8  # of TensorProto
-_NAME, _TYPE = 1, 2  # of ValueInfoProto
-_TENSOR, _SHAPE, _DIM, _DIM_VALUE = 1, 2, 1, 1  # of TypeProto, its Tensor, TensorShapeProto, ...
-
 
 @dataclass(frozen=True)
-class Ports:
-    """The inputs and outputs of a network, in their order: names and shapes."""
+class Declared:
+    """A network as its file has it.
+
+    - inputs, outputs: their names and shapes, in their order
+    - content: the file, with the weights that it keeps in others
+    """
 
     inputs: dict[str, Shape]
     outputs: dict[str, Shape]
+    content: bytes
 
 
-def read_ports(content: bytes) -> Ports:
-    """The inputs and outputs of an ONNX file. Raises ValueError for what is none."""
+def read_onnx(path: Path, where: str) -> Declared:
+    """Reads a network with its weights. Raises InputError, starting with `where`, for a file that
+    is no ONNX, and where weights are missing."""
+    model = _model(path, where)
+    import onnx
+
     try:
-        (graph,) = _messages(memoryview(content), _GRAPH)
-        weights = {_name(w, _INITIALIZER_NAME) for w in _messages(graph, _INITIALIZER)}
-        inputs = {_name(v, _NAME): _shape(v) for v in _messages(graph, _INPUT)}
-        outputs = {_name(v, _NAME): _shape(v) for v in _messages(graph, _OUTPUT)}
-    except (IndexError, UnicodeDecodeError) as error:
-        raise ValueError(str(error)) from None
+        onnx.load_external_data_for_model(model, str(path.parent))
+    except (ValueError, OSError, onnx.checker.ValidationError) as error:
+        said = " ".join(str(error).split())
+        raise InputError(f"{where}: the weights of {path} cannot be read: {said[:240]}") from None
     # Older files list the weights among the inputs.
-    return Ports({k: v for k, v in inputs.items() if k not in weights}, outputs)
+    weights = {tensor.name for tensor in model.graph.initializer}
+    return Declared(
+        {port.name: _shape(port) for port in model.graph.input if port.name not in weights},
+        {port.name: _shape(port) for port in model.graph.output},
+        model.SerializeToString(),
+    )
 
 
-def _fields(message: memoryview) -> Iterator[tuple[int, int | memoryview]]:
-    """The fields of a message: number, and value (an integer, or bytes)."""
-    at = 0
-    while at < len(message):
-        tag, at = _varint(message, at)
-        kind = tag & 7
-        if kind == 0:
-            value, at = _varint(message, at)
-            yield tag >> 3, value
-            continue
-        length, at = (8 if kind == 1 else 4, at) if kind in (1, 5) else _varint(message, at)
-        if kind not in (1, 2, 5) or at + length > len(message):
-            raise ValueError("a field is cut off")
-        yield tag >> 3, message[at : at + length]
-        at += length
+def weight_files(path: Path, where: str) -> list[Path]:
+    """The files beside an ONNX file that hold its weights; none where it holds them itself. Raises
+    InputError, starting with `where`, for a file that is no ONNX."""
+    tensors = _model(path, where).graph.initializer
+    entries = (entry for tensor in tensors for entry in tensor.external_data)
+    names = {entry.value for entry in entries if entry.key == "location"}
+    return [path.parent / name for name in sorted(names)]
 
 
-def _varint(message: memoryview, at: int) -> tuple[int, int]:
-    value, shift = 0, 0
-    while message[at] & 128:
-        value |= (message[at] & 127) << shift
-        at, shift = at + 1, shift + 7
-    return value | message[at] << shift, at + 1
+def _model(path: Path, where: str) -> ModelProto:
+    """The file, without weights that are elsewhere."""
+    try:
+        import onnx
+        from google.protobuf.message import DecodeError
+    except ImportError:
+        raise InputError(
+            f"{where}: to read {path} the package onnx is needed: pip install"
+            " 'egolane-pgm[network]'"
+        ) from None
+    try:
+        # The format is told: by itself onnx takes a file that ends in .json or .txt for text.
+        model = onnx.load(str(path), format="protobuf", load_external_data=False)
+    except DecodeError:
+        model = onnx.ModelProto()
+    if not model.graph.output:
+        raise InputError(f"{where}: {path} is no ONNX file")
+    return model
 
 
-def _messages(message: memoryview, field: int) -> list[memoryview]:
-    return [v for k, v in _fields(message) if k == field and isinstance(v, memoryview)]
-
-
-def _name(message: memoryview, field: int) -> str:
-    return "".join(bytes(name).decode() for name in _messages(message, field))
-
-
-def _shape(value: memoryview) -> Shape:
-    for kind in _messages(value, _TYPE):
-        for tensor in _messages(kind, _TENSOR):
-            for shape in _messages(tensor, _SHAPE):
-                return tuple(_size(dim) for dim in _messages(shape, _DIM))
-    return None
-
-
-def _size(dim: memoryview) -> int | None:
-    sizes = [v for k, v in _fields(dim) if k == _DIM_VALUE and isinstance(v, int) and v > 0]
-    return sizes[0] if sizes else None
+def _shape(port: ValueInfoProto) -> Shape:
+    tensor = port.type.tensor_type
+    if not tensor.HasField("shape"):
+        return None
+    return tuple(size.dim_value if size.dim_value > 0 else None for size in tensor.shape.dim)

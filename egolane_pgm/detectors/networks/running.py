@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from egolane_pgm.camera.picture import Image, check_size
 from egolane_pgm.camera.writing import silent
 from egolane_pgm.detectors.networks.description import Network
-from egolane_pgm.detectors.networks.onnx_file import Ports, read_ports
+from egolane_pgm.detectors.networks.onnx_file import Declared, read_onnx
 from egolane_pgm.types import FloatArray, InputError, suggestion
 
 #: What a network gives for one picture, without the first axis.
@@ -87,15 +87,11 @@ def load(network: Network, fit: Fit) -> Run:
     finite.
     """
     where, onnx = str(network.file), network.onnx
-    content = onnx.read_bytes()
-    try:
-        ports = read_ports(content)
-    except ValueError:
-        raise InputError(f"{where}: model: {onnx} is no ONNX file") from None
-    _check_input(network, ports)
-    name = _output_name(network, ports)
+    declared = read_onnx(onnx, f"{where}: model")
+    _check_input(network, declared)
+    name = _output_name(network, declared)
     with _opencv_errors(f"{where}: model: OpenCV {cv2.__version__} cannot load {onnx}"):
-        net = cv2.dnn.readNetFromONNX(np.frombuffer(content, dtype=np.uint8))
+        net = cv2.dnn.readNetFromONNX(np.frombuffer(declared.content, dtype=np.uint8))
 
     def run(image: Image) -> Output:
         values = as_input(network, fit, image)
@@ -122,12 +118,12 @@ def _opencv_errors(message: str) -> Iterator[None]:
         raise InputError(f"{message}: {said[:160]}") from None
 
 
-def _check_input(network: Network, ports: Ports) -> None:
+def _check_input(network: Network, declared: Declared) -> None:
     where = f"{network.file}: model: {network.onnx.name}"
-    if len(ports.inputs) != 1:
-        names = ", ".join(ports.inputs) or "none"
-        raise InputError(f"{where} takes {len(ports.inputs)} inputs ({names}), not one picture")
-    ((name, shape),) = ports.inputs.items()
+    if len(declared.inputs) != 1:
+        names = ", ".join(declared.inputs) or "none"
+        raise InputError(f"{where} takes {len(declared.inputs)} inputs ({names}), not one picture")
+    ((name, shape),) = declared.inputs.items()
     if shape is None:
         return
     needed = (1, 3, network.size[1], network.size[0])
@@ -143,8 +139,8 @@ def _check_input(network: Network, ports: Ports) -> None:
         )
 
 
-def _output_name(network: Network, ports: Ports) -> str:
-    where, names = str(network.file), list(ports.outputs)
+def _output_name(network: Network, declared: Declared) -> str:
+    where, names = str(network.file), list(declared.outputs)
     if network.output is None:
         if len(names) != 1:
             raise InputError(

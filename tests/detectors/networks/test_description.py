@@ -6,20 +6,22 @@ import re
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 import yaml
 
 from egolane_pgm.detectors.networks.description import Network, network_files, read_network
 from egolane_pgm.detectors.runner import find_detector
 from egolane_pgm.types import InputError
-from tests.kits.tiny_network import write_network
+from tests.kits.tiny_network import write_answer, write_network
 
 GOOD: dict[str, Any] = {"model": "x.onnx", "size": [640, 360], "layout": "lanes", "classes": 2}
 
 
 @pytest.fixture
 def folder(tmp_path: Path) -> Path:
-    (tmp_path / "x.onnx").write_bytes(b"")
+    write_answer(tmp_path, np.zeros((1, 2, 4, 8)))
+    (tmp_path / "known.onnx").rename(tmp_path / "x.onnx")
     return tmp_path
 
 
