@@ -236,17 +236,24 @@ def top_hat_file(width: int, height: int) -> Path:
 def write_answer(folder: Path, output: NDArray[np.float32], **keys: Any) -> Path:
     """A network that gives this output whatever the picture, for inputs of 80 x 40 pixels, and its
     YAML with these keys."""
+    write_known(folder / "known.onnx", {"answer": output}, (80, 40))
+    return write_network(folder / "known.yaml", **{"model": "known.onnx", "size": [80, 40], **keys})
+
+
+def write_known(path: Path, outputs: dict[str, NDArray[Any]], size: tuple[int, int]) -> Path:
+    """A network that gives these outputs whatever the picture, for inputs of this width and
+    height."""
     from onnx import helper
 
     nodes = [
         helper.make_node("ReduceMean", ["picture"], ["mean"], axes=[1, 2, 3], keepdims=0),
         helper.make_node("Mul", ["mean", "zero"], ["nothing"]),
-        helper.make_node("Add", ["known", "nothing"], ["answer"]),
+        *(helper.make_node("Add", [f"known {name}", "nothing"], [name]) for name in outputs),
     ]
-    weights = [("zero", np.float32(0)), ("known", output.astype(np.float32))]
-    ports = {"answer": output.shape}, {"picture": (1, 3, 40, 80)}
-    write_onnx(folder / "known.onnx", nodes, weights, *ports)
-    return write_network(folder / "known.yaml", **{"model": "known.onnx", "size": [80, 40], **keys})
+    known = [(f"known {name}", output.astype(np.float32)) for name, output in outputs.items()]
+    ports = {name: output.shape for name, output in outputs.items()}
+    weights = [("zero", np.float32(0)), *known]
+    return write_onnx(path, nodes, weights, ports, {"picture": (1, 3, size[1], size[0])})
 
 
 # --- files ----------------------------------------------------------------------------------------

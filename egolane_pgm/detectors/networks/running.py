@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -114,8 +115,9 @@ def _opencv_errors(message: str) -> Iterator[None]:
         with silent():
             yield
     except cv2.error as error:
-        said = " ".join(str(error).split()).partition("error: ")[2]
-        raise InputError(f"{message}: {said[:160]}") from None
+        # What it says last is the cause: OpenCV(5.0.0) FILE: error: (-2:Unspecified error) CAUSE >
+        said = re.split(r"error: \(-\d+:[^)]*\) ", " ".join(str(error).split()))[-1]
+        raise InputError(f"{message}: {said.removesuffix(' >')[:240]}") from None
 
 
 def _check_input(network: Network, declared: Declared) -> None:

@@ -2,15 +2,13 @@
 
 from __future__ import annotations
 
-import re
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
-import yaml
 
-from egolane_pgm.detectors.networks.description import Network, network_files, read_network
+from egolane_pgm.detectors.networks.description import network_files, read_network
 from egolane_pgm.detectors.runner import find_detector
 from egolane_pgm.types import InputError
 from tests.kits.tiny_network import write_answer, write_network
@@ -60,22 +58,6 @@ def test_several_mistakes_are_said_at_once(folder: Path) -> None:
     with pytest.raises(InputError) as caught:
         read_network(path)
     assert len(caught.value.args) == 3
-
-
-def test_the_networks_of_the_page_are_what_the_package_reads(tmp_path: Path) -> None:
-    page = (Path(__file__).parents[3] / "docs" / "networks.md").read_text()
-    described = [
-        text for text in re.findall(r"```yaml\n(.*?)```", page, re.DOTALL) if "model:" in text
-    ]
-    layouts = set()
-    for k, text in enumerate(described):
-        path = tmp_path / f"{k}.yaml"
-        path.write_text(text)
-        (tmp_path / yaml.safe_load(text)["model"]).touch()
-        layouts.add(read_network(path).layout)
-    assert layouts == {"drivable", "lanes", "instances", "row_anchors", "polylines"}
-    for key in Network.model_fields:
-        assert f"`{key}`" in page
 
 
 def test_all_channels_but_the_background_are_looked_at(folder: Path) -> None:

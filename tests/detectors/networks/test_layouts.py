@@ -13,9 +13,8 @@ from egolane_pgm.camera.picture import Picture
 from egolane_pgm.detectors.networks.description import read_network
 from egolane_pgm.detectors.networks.layouts import Answer, from_above
 from egolane_pgm.detectors.networks.looking import looker
-from egolane_pgm.detectors.runner import detect, find_detector
 from egolane_pgm.detectors.simple.birdseye import make_view
-from tests.kits.synthetic_road import CAMERA, Paint, drive, road
+from tests.kits.synthetic_road import CAMERA, road
 from tests.kits.tiny_network import write_answer
 
 #: Offsets of the lines that the outputs show, metres.
@@ -153,33 +152,3 @@ def test_points_above_the_horizon_are_no_place_on_the_road() -> None:
     view = make_view(CAMERA, 6.0, 12.0, -9.0, 9.0)
     sky = np.array([[100.0, 0.0], [200.0, 20.0], [240.0, 106.0]])
     assert not from_above(view, Answer(None, (sky,))).any()
-
-
-@pytest.mark.parametrize("layout", ["row_anchors", "polylines", "instances"])
-@pytest.mark.parametrize("curve", ["line", "clothoid"])
-def test_lines_of_every_layout_are_followed(tmp_path: Path, layout: str, curve: str) -> None:
-    """A network that always says the same: the lines become valid, where it says."""
-    if layout == "row_anchors":
-        output = np.zeros((1, 101, len(ROWS), 3))
-        for k, line in enumerate(columns()):
-            away = np.abs(np.arange(100) - (line * 99 / 79 - 0.5)[:, None])
-            output[0, :100, :, k] = 12 - away.T**2
-        keys: dict[str, Any] = {"classes": 101, "rows": ROWS.tolist()}
-    elif layout == "polylines":
-        rows = np.arange(39, -1, -1)
-        lines = [[0, 3, 8 / 39, 0, 0, 11 / 39, *(np.interp(rows, ROWS, c) / 79)] for c in columns()]
-        output = np.array([lines])
-        keys = {"start": 2, "length": 5, "first_x": 6}
-    else:
-        output = np.full((1, 4, 40, 80), 0.01)
-        for k, line in enumerate(columns()):
-            away = np.abs(np.arange(80) - line[:, None])
-            output[0, 1 + k, ROWS] = np.maximum(0.99 - away / 5, 0.01)
-        keys = {"classes": 4, "threshold": 0.3}
-    path = write_answer(tmp_path, output, layout=layout, **keys)
-    given = {"network": str(path), "curve": curve}
-    detector = find_detector("network", given, Path.cwd(), "detector")
-    grey = [Paint(-1.7, grey=95)]
-    *_, (_, last) = detect(detector, CAMERA, drive(12, grey))
-    assert last.is_valid.all()
-    np.testing.assert_allclose(last.offset_m, OFFSETS, atol=0.15)
