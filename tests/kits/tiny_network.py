@@ -271,6 +271,7 @@ def write_onnx(
     weights: Sequence[tuple[str, Any]],
     outputs: dict[str, tuple[int, ...]],
     inputs: dict[str, tuple[Any, ...]] | None = None,
+    opset: int = 13,
 ) -> Path:
     """An ONNX file of some nodes."""
     import onnx
@@ -289,7 +290,7 @@ def write_onnx(
         ports(outputs),
         [numpy_helper.from_array(np.asarray(value), name) for name, value in weights],
     )
-    model = helper.make_model(graph, opset_imports=[helper.make_opsetid("", 13)], ir_version=8)
+    model = helper.make_model(graph, opset_imports=[helper.make_opsetid("", opset)], ir_version=8)
     onnx.checker.check_model(model)
     onnx.save(model, str(path))
     return path

@@ -58,22 +58,26 @@ def lines_of(name: str, given: dict[str, Any], pictures: list[Picture]) -> list[
 # --- a detector of its own --------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("curve", ["line", "clothoid"])
-def test_a_trained_network_finds_the_lines_of_the_own_lane(tiny_network: Path, curve: str) -> None:
-    """On a drive that it was not trained on, in most frames."""
-    scene = make_scene("a4", seed=11, frames=40)
-    given = {"network": str(tiny_network / "lanes.yaml"), "curve": curve}
-    step = start(find_detector("network", given, Path.cwd(), "detector"), scene.camera)
+@pytest.mark.parametrize(
+    ("name", "given"),
+    [("network", {"network": "lanes.yaml"}), ("mc", {"on_road": "drivable.yaml"})],
+)
+def test_with_a_trained_network_the_lines_of_the_own_lane_are_found(
+    tiny_network: Path, name: str, given: dict[str, str]
+) -> None:
+    """On drives that it was not trained on, in most frames."""
     found = []
-    for k in range(24):
-        frame = render_frame(scene, k)
-        lines = step(Picture(k, frame.image))
-        true = frame.truth.offset_m
-        own = [true[true < 0].max(), true[true > 0].min()]
-        away = np.abs(lines.offset_m[:, None] - own).min(axis=0, initial=np.inf)
-        found.append((away < 0.35).all())
-    assert np.mean(found[1:]) >= 0.85
-    assert lines.is_valid.sum() >= 2
+    for seed in (11, 12, 13, 14):
+        scene = make_scene("a4", seed=seed, frames=40)
+        step = start(find_detector(name, given, tiny_network, "detector"), scene.camera)
+        for k in range(8):
+            frame = render_frame(scene, k)
+            lines = step(Picture(k, frame.image))
+            true = frame.truth.offset_m
+            own = [true[true < 0].max(), true[true > 0].min()]
+            away = np.abs(lines.offset_m[:, None] - own).min(axis=0, initial=np.inf)
+            found.append((away < 0.35).all())
+    assert np.mean(found) >= 0.85
 
 
 def test_between_two_looks_lines_are_predicted(top_hat: Path, tmp_path: Path) -> None:

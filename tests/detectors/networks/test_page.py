@@ -185,7 +185,8 @@ def test_each_yaml_of_the_page_reads_what_its_network_writes(tmp_path: Path, tex
 @pytest.mark.parametrize("text", [text for text in DESCRIBED if "layout: drivable" not in text])
 def test_each_network_of_the_page_with_lines_is_a_detector(tmp_path: Path, text: str) -> None:
     path = written(tmp_path, text)
-    detector = find_detector("network", {"network": str(path)}, Path.cwd(), "detector")
+    given = {"network": str(path), "curve": "line"}
+    detector = find_detector("network", given, Path.cwd(), "detector")
     *_, (_, last) = detect(detector, CAMERA, drive(11, [Paint(-1.7, grey=95)]))
     assert last.is_valid.all()
     np.testing.assert_allclose(last.offset_m, OFFSETS, atol=0.15)

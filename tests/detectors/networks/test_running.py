@@ -16,6 +16,7 @@ from onnx import helper
 
 from egolane_pgm.camera.picture import Image
 from egolane_pgm.detectors.networks.description import Network, network_files, read_network
+from egolane_pgm.detectors.networks.layouts import probabilities
 from egolane_pgm.detectors.networks.onnx_file import Declared, read_onnx
 from egolane_pgm.detectors.networks.running import Run, as_input, fit_of, load
 from egolane_pgm.simulation.rendering.render import render_frame
@@ -38,7 +39,6 @@ def refused(path: Path) -> str:
     said = str(caught.value)
     assert "\n" not in said
     assert len(said) < 500
-    print(said)
     assert str(path) in said
     return said
 
@@ -56,7 +56,79 @@ def test_opencv_computes_what_onnxruntime_computes(tiny_network: Path, name: str
     for k in (0, 50):
         image = render_frame(scene, k).image
         (wanted,) = session.run([name], {"picture": as_input(network, fit, image)})
-        assert np.abs(run(image) - wanted[0]).max() < 1e-4 * max(1, np.abs(wanted).max())
+        found = run(image)
+        np.testing.assert_allclose(found, wanted[0], rtol=1e-4, atol=1e-4)
+        share, same = probabilities(network, found), probabilities(network, wanted[0])
+        assert np.abs(share - same).max() < 1e-4
+
+
+def test_opencv_computes_the_layers_of_lane_networks_as_onnxruntime_does(tmp_path: Path) -> None:
+    """Encoder and decoder with a skip, a mask by a transposed convolution and one by resizing, row
+    anchors by a dense layer, samples along lines: random weights."""
+    rng = np.random.default_rng(1)
+
+    def weight(*shape: int) -> np.ndarray:
+        return (rng.normal(size=shape) / np.sqrt(np.prod(shape[1:]))).astype(np.float32)
+
+    weights = [
+        ("w1", weight(16, 3, 3, 3)),
+        ("w2", weight(32, 8, 3, 3)),
+        ("w3", weight(32, 2, 2, 2)),
+        ("w4", weight(2, 32, 1, 1)),
+        ("w5", weight(51 * 6 * 2, 8 * 10 * 20)),
+        ("slim", weight(8, 32, 1, 1)),
+        ("b5", weight(51 * 6 * 2)),
+        *((name, np.abs(weight(16)) + 0.5) for name in ("gamma", "beta", "mean", "var")),
+        ("slope", weight(16, 1, 1)),
+        ("flat", np.array([1, -1], dtype=np.int64)),
+        ("cells", np.array([1, 51, 6, 2], dtype=np.int64)),
+        ("twice", np.array([1, 1, 2, 2], dtype=np.float32)),
+        ("at", rng.uniform(-1, 1, (1, 6, 7, 2)).astype(np.float32)),
+    ]
+    three = {"kernel_shape": [3, 3], "pads": [1, 1, 1, 1]}
+    node = helper.make_node
+    linear = {"mode": "linear", "coordinate_transformation_mode": "pytorch_half_pixel"}
+    layers = [
+        node("Conv", ["picture", "w1"], ["a"], strides=[2, 2], **three),
+        node("BatchNormalization", ["a", "gamma", "beta", "mean", "var"], ["b"]),
+        node("PRelu", ["b", "slope"], ["c"]),
+        node("Conv", ["c", "w2"], ["d"], strides=[2, 2], group=2, **three),
+        node("GlobalAveragePool", ["d"], ["squeezed"]),
+        node("HardSigmoid", ["squeezed"], ["excited"]),
+        node("Mul", ["d", "excited"], ["e"]),
+        node("ConvTranspose", ["e", "w3"], ["f"], strides=[2, 2], kernel_shape=[2, 2], group=1),
+        node("Sigmoid", ["f"], ["masks"]),
+        node("Resize", ["e", "", "twice"], ["g"], **linear),
+        node("MaxPool", ["c"], ["h"], **three),
+        node("Concat", ["h", "c"], ["i"], axis=1),
+        node("Add", ["g", "i"], ["j"]),
+        node("Conv", ["j", "w4"], ["k"], kernel_shape=[1, 1]),
+        node("Softmax", ["k"], ["classes"], axis=1),
+        node("Conv", ["e", "slim"], ["l"], kernel_shape=[1, 1]),
+        node("Reshape", ["l", "flat"], ["m"]),
+        node("Gemm", ["m", "w5", "b5"], ["n"], transB=1),
+        node("Reshape", ["n", "cells"], ["anchors"]),
+        node("GridSample", ["e", "at"], ["samples"], mode="bilinear", align_corners=1),
+    ]
+    outputs: dict[str, tuple[int, ...]] = {
+        "masks": (1, 2, 20, 40),
+        "classes": (1, 2, 20, 40),
+        "anchors": (1, 51, 6, 2),
+        "samples": (1, 32, 6, 7),
+    }
+    file = write_onnx(
+        tmp_path / "x.onnx", layers, weights, outputs, {"picture": (1, 3, 40, 80)}, opset=16
+    )
+    session = onnxruntime.InferenceSession(str(file))
+    image = noise(80, 40)
+    for name, shape in outputs.items():
+        keys: dict[str, Any] = {"layout": "lanes", "classes": shape[1], "output": name}
+        path = write_network(tmp_path / "x.yaml", model="x.onnx", size=[80, 40], **keys)
+        network = read_network(path)
+        fit = fit_of(network, 80, 40)
+        (wanted,) = session.run([name], {"picture": as_input(network, fit, image)})
+        assert np.ptp(wanted) > 1e-2
+        np.testing.assert_allclose(load(network, fit)(image), wanted[0], rtol=1e-4, atol=1e-4)
 
 
 def test_colours_are_scaled_in_the_order_of_the_network() -> None:
