@@ -7,6 +7,7 @@ import numpy as np
 
 from egolane_pgm.camera.model import Camera, image_to_road, road_to_image
 from egolane_pgm.detectors.bezier import kernels
+from egolane_pgm.detectors.bezier.ridges import ridge_weights
 from egolane_pgm.parameters import Parameters, number
 from egolane_pgm.types import FloatArray
 
@@ -74,10 +75,7 @@ def _strip(
     level, sigma = profile[usable], sigma[usable, None, None]
     level = np.where(seen[usable], level, np.nanmedian(level, axis=1)[:, None])
     step = np.arange(-half, half + 1)
-    away = ((step[:, None] - step) / sigma) ** 2
-    ridge = np.exp(-away / 2) * (1 - away)
-    ridge -= ridge.mean(axis=2, keepdims=True)
-    ridge *= 2 / np.abs(ridge).sum(axis=2, keepdims=True)
+    ridge = ridge_weights((step[:, None] - step) / sigma)
     answer = (ridge @ level[:, :, None])[:, :, 0]
     best = np.argmax(answer[:, 1:-1], axis=1) + 1
     rows = np.arange(len(best))

@@ -40,10 +40,10 @@ def ridges(view: BirdsEye, above: Image, parameters: Parameters) -> FloatArray:
     """How much of a narrow bright strip along the road each pixel of a view of one colour, (R, C),
     is; 0 where the answer is below a quantile, and where the filter sees the edge of the picture.
 
-    Grey levels count from 0 to 1, less their mean; the ridge filter's weights have the sum 0 and
-    their sizes the sum 2, so that the largest answer is 1.
+    Grey levels count from 0 to 1, less their mean; `ridge_weights` make 1 the largest answer.
     """
-    ridge = _ridge(int(number(parameters, "ridge_taps")), number(parameters, "ridge_sigma"))
+    half = int(number(parameters, "ridge_taps")) // 2
+    ridge = ridge_weights(np.arange(-half, half + 1) / number(parameters, "ridge_sigma"))
     # The edge of a black part of the picture (a covered lens) is no strip either.
     wide = np.ones((len(ridge), len(ridge)), dtype=np.uint8)
     lit = cv2.morphologyEx((above > 0).astype(np.uint8), cv2.MORPH_CLOSE, wide)
@@ -65,10 +65,10 @@ def ridges(view: BirdsEye, above: Image, parameters: Parameters) -> FloatArray:
     return response
 
 
-def _ridge(taps: int, sigma: float) -> FloatArray:
-    """The negative second derivative of a Gaussian, (taps,), with the sum 0."""
-    x = np.arange(-(taps // 2), taps // 2 + 1) / sigma
+def ridge_weights(x: FloatArray) -> FloatArray:
+    """The negative second derivative of a Gaussian at places (..., N), in standard deviations; the
+    weights have the sum 0 and their sizes the sum 2."""
     weight = np.exp(-(x**2) / 2) * (1 - x**2)
-    weight -= weight.mean()
-    scaled: FloatArray = 2 * weight / np.abs(weight).sum()
-    return scaled
+    weight -= weight.mean(axis=-1, keepdims=True)
+    weights: FloatArray = 2 * weight / np.abs(weight).sum(axis=-1, keepdims=True)
+    return weights
