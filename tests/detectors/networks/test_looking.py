@@ -12,9 +12,13 @@ from typing import Any
 
 import cv2
 import numpy as np
+import pandas as pd
+import PIL.Image
 import pytest
 import yaml
+from numpy.typing import NDArray
 
+from egolane_pgm.camera.model import write_camera
 from egolane_pgm.camera.picture import Picture
 from egolane_pgm.detectors import FrameLines, runner
 from egolane_pgm.detectors.networks.looking import grown, keep
@@ -27,7 +31,7 @@ from egolane_pgm.parameters import resolve_parameters
 from egolane_pgm.simulation.rendering.render import make_scene, render_frame
 from egolane_pgm.types import InputError
 from tests.kits.drives import command, refused
-from tests.kits.synthetic_road import CAMERA, drive
+from tests.kits.synthetic_road import CAMERA, drive, images, write_pictures
 from tests.kits.tiny_network import (
     heavy_traffic,
     labels,
@@ -306,6 +310,43 @@ def test_a_network_of_the_command_line_is_found_from_where_one_stands(
     assert "absent.yaml: no such file" in refused(
         *words, "--detector", "ml", "--set", "on_road=absent.yaml"
     )
+
+
+def test_pictures_of_every_kind_go_through_a_network(top_hat: Path, tmp_path: Path) -> None:
+    """The same drive in 8 bits, in 16 and in CMYK has the same lines; a picture of one row and an
+    upright one are refused by name."""
+    write_camera(tmp_path / "cam.yaml", CAMERA)
+    seen = images(11)
+    kinds: dict[str, list[NDArray[Any]]] = {
+        "eight": [*seen],
+        "sixteen": [image.astype(np.uint16) * 257 for image in seen],
+        "row": [*seen[:2], seen[2][:1]],
+        "upright": [*seen[:2], np.ascontiguousarray(np.rot90(seen[2]))],
+    }
+    for kind, of_it in kinds.items():
+        write_pictures(tmp_path / kind, of_it)
+    (tmp_path / "cmyk").mkdir()
+    for k, image in enumerate(seen):
+        picture = PIL.Image.fromarray(np.ascontiguousarray(image[:, :, ::-1])).convert("CMYK")
+        picture.save(tmp_path / "cmyk" / f"{k}.jpg", quality=98)
+
+    def words(kind: str) -> list[object]:
+        out = tmp_path / f"{kind}.csv"
+        network = ["--detector", "network", "--set", f"network={top_hat}"]
+        return ["detect", tmp_path / kind, "--camera", tmp_path / "cam.yaml", "-o", out, *network]
+
+    for kind in ("eight", "sixteen", "cmyk"):
+        assert "11 frames" in command(*words(kind)).stdout
+    eight, sixteen, cmyk = (
+        pd.read_csv(tmp_path / f"{kind}.csv") for kind in ("eight", "sixteen", "cmyk")
+    )
+    pd.testing.assert_frame_equal(eight, sixteen)
+    assert len(cmyk) == len(eight)
+    np.testing.assert_allclose(cmyk["offset_m"], eight["offset_m"], atol=0.05)
+    for kind, size in (("row", "480x1"), ("upright", "270x480")):
+        said = command(*words(kind)).stderr
+        assert "2.png" in said
+        assert size in said
 
 
 def test_a_network_is_listed_and_shown() -> None:
