@@ -312,6 +312,18 @@ def test_a_network_of_the_command_line_is_found_from_where_one_stands(
     )
 
 
+def test_validate_finds_what_is_wrong_with_a_network(seen: Path, tmp_path: Path) -> None:
+    assert "ok" in command("validate", seen / "seen.yaml").stdout
+    for keys, said in (
+        ({"layout": "lane"}, "layout: 'lane' is not one of"),
+        ({"size": [64, 64]}, "but size [64, 64] makes 1 x 3 x 64 x 64"),
+        ({"classes": 2}, "has 1 classes"),
+    ):
+        path = with_keys(seen / "nets" / "top_hat.yaml", tmp_path / "wrong.yaml", **keys)
+        chosen = f"recording.detector_parameters.network={path}"
+        assert said in refused("validate", seen / "seen.yaml", "--set", chosen)
+
+
 def test_pictures_of_every_kind_go_through_a_network(top_hat: Path, tmp_path: Path) -> None:
     """The same drive in 8 bits, in 16 and in CMYK has the same lines; a picture of one row and an
     upright one are refused by name."""
