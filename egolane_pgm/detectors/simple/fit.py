@@ -23,6 +23,7 @@ from egolane_pgm.detectors.simple.birdseye import BirdsEye, look, make_view
 from egolane_pgm.detectors.simple.contours import Strips, find_strips
 from egolane_pgm.detectors.simple.kernels import common_scores
 from egolane_pgm.detectors.simple.markings import marking_mask
+from egolane_pgm.detectors.simple.streaks import is_streaky, without_streaks
 from egolane_pgm.detectors.simple.upright import free_road
 from egolane_pgm.parameters import Parameters, number
 from egolane_pgm.types import BoolArray, FloatArray, IntArray
@@ -147,6 +148,9 @@ def find_lines(
     """
     is_given = mask is not None
     if mask is None:
+        if is_streaky(image, parameters):
+            image = without_streaks(image, parameters)
+            parameters = {**parameters, "least_rise": parameters["streaky_rise"]}
         above = from_above(view, image)
         view = replace(view, valid=view.valid & free_road(view, above, parameters))
         mask = marking_mask(view, above, parameters)

@@ -3,7 +3,8 @@
 A marking is a narrow strip that is brighter than the road on both sides of it; a top-hat filter
 across the road keeps such strips (paper, section `section:simple-line-detector`). The threshold
 rises with the brightness around a pixel, so that worn dots in the shade of a bridge are kept. It
-also rises with the contrast around it, so that rough concrete in the sun is not.
+also rises with the contrast around it, so that rough concrete in the sun is not. Where the whole
+picture has little contrast, it is lower.
 """
 
 from __future__ import annotations
@@ -21,6 +22,10 @@ from egolane_pgm.parameters import Parameters, number
 #: The largest contrast that enters the mean, so that one bright line does not hide its neighbours.
 _MOST_CONTRAST = 0.2
 
+#: The least contrast of marking over the mean contrast of the whole view, in pictures in which that
+#: is low. Blur and dim light lower the contrast of the road's texture as they do that of paint.
+_OVER_MEAN = 3.0
+
 
 def marking_mask(view: BirdsEye, above: Image, parameters: Parameters) -> NDArray[np.uint8]:
     """1 where a bird's-eye view of one colour, (R, C), may show marking, else 0; (R, C)."""
@@ -32,9 +37,15 @@ def marking_mask(view: BirdsEye, above: Image, parameters: Parameters) -> NDArra
     local = _blur(above, view, parameters) / count
     share /= local + np.float32(number(parameters, "brightness_floor") + 1e-3)
     share *= seen
-    usual = _blur(np.minimum(share, np.float32(_MOST_CONTRAST)), view, parameters) / count
+    limited = np.minimum(share, np.float32(_MOST_CONTRAST))
+    usual = _blur(limited, view, parameters) / count
     usual *= np.float32(number(parameters, "least_rise"))
-    np.maximum(usual, np.float32(number(parameters, "least_contrast")), out=usual)
+    everywhere = float(limited.sum()) / max(np.count_nonzero(seen), 1)
+    least = min(
+        max(_OVER_MEAN * everywhere, number(parameters, "blurred_contrast")),
+        number(parameters, "least_contrast"),
+    )
+    np.maximum(usual, np.float32(least), out=usual)
     return (share > usual).astype(np.uint8)
 
 

@@ -37,6 +37,14 @@ _VIEW = (
 
 _MARKINGS = (
     Parameter(
+        "streak_width",
+        "probability",
+        0.0025,
+        "width of the widest streak of rain, as a share of the picture's; in a picture full of"
+        " them, all that is as thin is taken out (0: rain is not looked for)",
+        highest=0.1,
+    ),
+    Parameter(
         "marking_width_m",
         "positive",
         0.25,
@@ -59,7 +67,19 @@ _MARKINGS = (
     ),
     Parameter("brightness_floor", "non_negative", 40.0, "added to the local brightness (0 to 255)"),
     Parameter("least_contrast", "positive", 0.02, "least contrast of marking over brightness"),
+    Parameter(
+        "blurred_contrast",
+        "positive",
+        0.0125,
+        "the same where the whole picture has little contrast, as when it is blurred or dim",
+    ),
     Parameter("least_rise", "non_negative", 4.0, "the same over the mean contrast around"),
+    Parameter(
+        "streaky_rise",
+        "non_negative",
+        3.0,
+        "the same in a picture full of streaks: what is left of these adds to the contrast around",
+    ),
 )
 
 _UPRIGHT = (

@@ -1,0 +1,58 @@
+"""Finds pictures full of thin bright streaks, such as rain leaves, and takes the streaks out.
+
+A streak is a few pixels wide whatever its distance, and streaks are everywhere in a picture; paint
+is as thin only far ahead, and is in few places. Where most parts of the lower half of a picture
+show thin bright strips, all strips as thin are taken out (a morphological opening along the rows),
+faint markings far ahead with them.
+"""
+
+from __future__ import annotations
+
+import cv2
+import numpy as np
+
+from egolane_pgm.camera.picture import Image
+from egolane_pgm.parameters import Parameters, number
+
+#: Every so manyth row is looked at.
+_ROW_STEP = 4
+
+#: The parts of the lower half that are looked at one by one: so many from top to bottom and from
+#: left to right.
+_PARTS = (12, 20)
+
+#: A pixel is of a streak if it is brighter than its surroundings by this share and so many grey
+#: levels, the noise of a camera.
+_BRIGHTER, _NOISE = 0.1, 4.0
+
+#: The picture is full of streaks if they cover this share of each of three parts out of four.
+_COVERED, _QUARTILE = 0.01, 0.25
+
+
+def is_streaky(image: Image, parameters: Parameters) -> bool:
+    """Whether a picture, (H, W, 3) or (H, W), is full of streaks; not if `streak_width` is 0."""
+    rows = image[image.shape[0] // 2 :: _ROW_STEP]
+    if not _width(image, parameters) or rows.shape[0] < _PARTS[0] or rows.shape[1] < _PARTS[1]:
+        return False
+    rows = np.ascontiguousarray(rows if rows.ndim == 2 else rows[:, :, 2])
+    thin = cv2.morphologyEx(rows, cv2.MORPH_TOPHAT, _strip(image, parameters))
+    least = cv2.addWeighted(rows, _BRIGHTER, rows, 0.0, _NOISE)
+    is_streak = cv2.compare(thin, least, cv2.CMP_GT)
+    # The mean over each part; the parts need not have the same number of pixels.
+    covered = cv2.resize(is_streak, _PARTS[::-1], interpolation=cv2.INTER_AREA)
+    return bool(np.quantile(covered, _QUARTILE) > 255 * _COVERED)
+
+
+def without_streaks(image: Image, parameters: Parameters) -> Image:
+    """The picture without the strips that are as thin as streaks."""
+    opened = cv2.morphologyEx(image, cv2.MORPH_OPEN, _strip(image, parameters))
+    return opened.astype(np.uint8, copy=False)
+
+
+def _width(image: Image, parameters: Parameters) -> int:
+    """How many pixels wide a streak is at most."""
+    return round(number(parameters, "streak_width") * image.shape[1])
+
+
+def _strip(image: Image, parameters: Parameters) -> Image:
+    return np.ones((1, _width(image, parameters) + 1), dtype=np.uint8)
