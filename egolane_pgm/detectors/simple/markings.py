@@ -40,7 +40,7 @@ def marking_mask(view: BirdsEye, above: Image, parameters: Parameters) -> NDArra
     limited = np.minimum(share, np.float32(_MOST_CONTRAST))
     usual = _blur(limited, view, parameters) / count
     usual *= np.float32(number(parameters, "least_rise"))
-    everywhere = float(limited.sum()) / max(np.count_nonzero(seen), 1)
+    everywhere = float(limited.sum()) / max(int(np.count_nonzero(seen)), 1)
     least = min(
         max(_OVER_MEAN * everywhere, number(parameters, "blurred_contrast")),
         number(parameters, "least_contrast"),

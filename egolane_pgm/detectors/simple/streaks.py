@@ -15,11 +15,11 @@ from egolane_pgm.camera.picture import Image
 from egolane_pgm.parameters import Parameters, number
 
 #: Every so manyth row is looked at.
-_ROW_STEP = 4
+_ROW_STEP = 8
 
 #: The parts of the lower half that are looked at one by one: so many from top to bottom and from
 #: left to right.
-_PARTS = (12, 20)
+_PARTS = (6, 20)
 
 #: A pixel is of a streak if it is brighter than its surroundings by this share and so many grey
 #: levels, the noise of a camera.
@@ -34,7 +34,9 @@ def is_streaky(image: Image, parameters: Parameters) -> bool:
     rows = image[image.shape[0] // 2 :: _ROW_STEP]
     if not _width(image, parameters) or rows.shape[0] < _PARTS[0] or rows.shape[1] < _PARTS[1]:
         return False
-    rows = np.ascontiguousarray(rows if rows.ndim == 2 else rows[:, :, 2])
+    # OpenCV copies a channel faster than NumPy does.
+    rows = np.ascontiguousarray(rows)
+    rows = rows if rows.ndim == 2 else cv2.extractChannel(rows, 2).astype(np.uint8, copy=False)
     thin = cv2.morphologyEx(rows, cv2.MORPH_TOPHAT, _strip(image, parameters))
     least = cv2.addWeighted(rows, _BRIGHTER, rows, 0.0, _NOISE)
     is_streak = cv2.compare(thin, least, cv2.CMP_GT)
@@ -51,7 +53,8 @@ def without_streaks(image: Image, parameters: Parameters) -> Image:
 
 def _width(image: Image, parameters: Parameters) -> int:
     """How many pixels wide a streak is at most."""
-    return round(number(parameters, "streak_width") * image.shape[1])
+    pixels: int = round(number(parameters, "streak_width") * image.shape[1])
+    return pixels
 
 
 def _strip(image: Image, parameters: Parameters) -> Image:
