@@ -62,7 +62,18 @@ def test_a_marking_adds_its_share_of_the_brightness_around() -> None:
     for rise, is_marking in ((2, False), (4, True)):
         above = grey()
         above[:, 90:93] += rise
-        assert mask_of(above, brightness_floor=40.0, least_contrast=0.02).any() == is_marking
+        given = {"brightness_floor": 40.0, "least_contrast": 0.02, "blurred_contrast": 0.02}
+        assert mask_of(above, **given).any() == is_marking
+
+
+def test_less_contrast_is_needed_where_the_whole_picture_has_little() -> None:
+    plain, textured = grey(), grey()
+    plain[:, 90:93] += 2
+    textured[:, 90:93] += 2
+    textured[:, 140::6] += 30
+    assert columns(mask_of(plain, blurred_contrast=0.0125)) == [90, 91, 92]
+    assert not mask_of(plain, blurred_contrast=0.02).any()
+    assert not mask_of(textured, blurred_contrast=0.0125)[:, 60:120].any()
     shade = grey(20)
     shade[:, 90:93] += 2
     assert columns(mask_of(shade)) == [90, 91, 92]
@@ -100,7 +111,8 @@ def test_a_marking_at_the_rim_of_the_picture_is_as_clear_as_elsewhere() -> None:
     above = grey()
     above[:, 12:15] = above[:, 90:93] = 105
     above[:, 30:32] = above[:, 120:122] = 102  # too little, of 100 + 40
-    assert columns(mask_of(above)) == [12, 13, 14, 90, 91, 92]
+    found = mask_of(above, blurred_contrast=0.02)
+    assert columns(found) == [12, 13, 14, 90, 91, 92]
     rough = grey()
     rough[:, ::3] = 108
     assert not mask_of(rough).any()
