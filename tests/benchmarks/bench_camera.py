@@ -53,8 +53,8 @@ def camera_lines(frames: int = FRAMES) -> list[Line]:
         pictures = [Picture(f.frame_id, f.image, f.right) for f in rendered]
         lines = []
         for name in plugin_names("detectors"):
-            detector = find_detector(name, {}, Path.cwd(), "detector")
             try:
+                detector = find_detector(name, {}, Path.cwd(), "detector")
                 start(detector, scene.camera)
             except InputError:
                 continue
