@@ -64,6 +64,10 @@ def test_a_marking_adds_its_share_of_the_brightness_around() -> None:
         above[:, 90:93] += rise
         given = {"brightness_floor": 40.0, "least_contrast": 0.02, "blurred_contrast": 0.02}
         assert mask_of(above, **given).any() == is_marking
+    shade = grey(20)
+    shade[:, 90:93] += 2
+    assert columns(mask_of(shade)) == [90, 91, 92]
+    assert not mask_of(shade, brightness_floor=90.0, blurred_contrast=0.02).any()
 
 
 def test_less_contrast_is_needed_where_the_whole_picture_has_little() -> None:
@@ -74,10 +78,6 @@ def test_less_contrast_is_needed_where_the_whole_picture_has_little() -> None:
     assert columns(mask_of(plain, blurred_contrast=0.0125)) == [90, 91, 92]
     assert not mask_of(plain, blurred_contrast=0.02).any()
     assert not mask_of(textured, blurred_contrast=0.0125)[:, 60:120].any()
-    shade = grey(20)
-    shade[:, 90:93] += 2
-    assert columns(mask_of(shade)) == [90, 91, 92]
-    assert not mask_of(shade, brightness_floor=90.0).any()
 
 
 def test_what_is_as_rough_as_all_around_is_no_marking() -> None:
