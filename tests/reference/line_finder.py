@@ -52,6 +52,83 @@ def common_scores(
     return out
 
 
+def along_common(
+    x: FloatArray,
+    y: FloatArray,
+    contour: IntArray,
+    middle: FloatArray,
+    slope: FloatArray,
+    tolerance: FloatArray,
+    common: FloatArray,
+) -> tuple[FloatArray, FloatArray]:
+    """Offsets and agreement of runs, as `kernels.along_common`."""
+    heading, curvature, squeeze, rate = common
+    offset = (y - heading * x - curvature * x**2 / 2 - rate * x**3 / 6) / (1 + squeeze * x)
+    expected = heading + curvature * middle + rate * middle**2 / 2
+    off = slope[contour] - expected[contour] - squeeze * offset
+    return offset, np.maximum(1 - (off / tolerance[contour]) ** 2, 0)
+
+
+def line_equations(
+    x: FloatArray,
+    y: FloatArray,
+    width: FloatArray,
+    offset: FloatArray,
+    agreement: FloatArray,
+    found: FloatArray,
+    squeeze: float,
+    has: BoolArray,
+    reach_m: float,
+) -> tuple[FloatArray, FloatArray]:
+    """The normal equations of least squares, as `kernels.line_equations`."""
+    line = np.argmin(np.abs(offset[:, None] - found), axis=1)
+    near = np.flatnonzero((np.abs(offset - found[line]) <= reach_m) & (agreement > 0))
+    line, x = line[near], x[near]
+    design = np.zeros((len(near), 4 + len(found)))
+    shared = np.stack([x, x**2 / 2, found[line] * x, x**3 / 6], axis=1)
+    design[:, :4] = np.where(has, shared, 0.0)
+    design[np.arange(len(near)), 4 + line] = 1 + squeeze * x
+    weighted = (width * agreement)[near, None] * design
+    return design.T @ weighted, weighted.T @ (y[near] + squeeze * found[line] * x)
+
+
+def rows_covered(
+    row: IntArray,
+    offset: FloatArray,
+    agreement: FloatArray,
+    found: FloatArray,
+    reach_m: float,
+    n_rows: int,
+) -> IntArray:
+    """In how many rows runs cover each line, as `kernels.rows_covered`."""
+    near = (np.abs(offset - found[:, None]) <= reach_m) & (agreement > 0)
+    return np.array([len(np.unique(row[covers])) for covers in near])
+
+
+def rows_shown(
+    x: FloatArray,
+    left_m: float,
+    across_m: float,
+    valid: BoolArray,
+    shape: FloatArray,
+    step: int,
+) -> IntArray:
+    """In how many rows the picture shows each line, as `kernels.rows_shown`."""
+    x, valid = x[::step], valid[::step]
+    y = shape @ np.stack([np.ones_like(x), x, x**2 / 2, x**3 / 6])
+    column = np.floor((y - left_m) / across_m + 0.5).astype(np.int64)
+    inside = (column >= 0) & (column < valid.shape[1])
+    return (inside & valid[np.arange(len(x)), np.where(inside, column, 0)]).sum(axis=1)
+
+
+def best_beside(score: FloatArray, first: int, likely: FloatArray) -> FloatArray:
+    """The best of the scores on either side, as `kernels.best_beside`."""
+    lag = first + np.arange(len(likely))
+    padded = np.pad(score, lag[-1])
+    at = np.arange(len(score))[:, None] + lag[-1]
+    return (np.maximum(padded[at - lag], padded[at + lag]) * likely).max(axis=1)
+
+
 def rows_in_view(
     x: FloatArray,
     left_m: float,

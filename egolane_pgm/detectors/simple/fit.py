@@ -21,7 +21,14 @@ from egolane_pgm.camera.model import Camera
 from egolane_pgm.camera.picture import Image
 from egolane_pgm.detectors.simple.birdseye import BirdsEye, look, make_view
 from egolane_pgm.detectors.simple.contours import Strips, find_strips
-from egolane_pgm.detectors.simple.kernels import common_scores
+from egolane_pgm.detectors.simple.kernels import (
+    along_common,
+    best_beside,
+    common_scores,
+    line_equations,
+    rows_covered,
+    rows_shown,
+)
 from egolane_pgm.detectors.simple.markings import marking_mask
 from egolane_pgm.detectors.simple.streaks import is_streaky, without_streaks
 from egolane_pgm.detectors.simple.upright import free_road
@@ -95,11 +102,6 @@ class _Common:
     curvature: float
     squeeze: float
     rate: float = 0.0
-
-    def offset(self, x: FloatArray, y: FloatArray) -> FloatArray:
-        """The offset of the line through each point x, y."""
-        straight = y - x * (self.heading + x * (self.curvature / 2 + x * self.rate / 6))
-        return straight / (1 + self.squeeze * x)
 
     def shape(self, offset: FloatArray) -> FloatArray:
         """The shapes (M, 4) of the lines with offsets (M,)."""
@@ -273,13 +275,12 @@ def _along(
 ) -> tuple[FloatArray, FloatArray]:
     """For each run, (N,): the offset of the line through it, and how well its contour's direction
     agrees with that line's, from 1 down to 0."""
-    offset = common.offset(strips.x_m, strips.y_m)
-    slope = strips.slope[strips.contour]
-    tolerance = np.hypot(number(parameters, "slope_sd"), strips.slope_sd)[strips.contour]
-    middle = strips.middle_m[strips.contour]
-    expected = common.heading + middle * (common.curvature + middle * common.rate / 2)
-    expected += common.squeeze * offset
-    return offset, np.maximum(1 - ((slope - expected) / tolerance) ** 2, 0)
+    tolerance = np.hypot(number(parameters, "slope_sd"), strips.slope_sd)
+    shared = np.array([common.heading, common.curvature, common.squeeze, common.rate])
+    offset, agreement = along_common(
+        strips.x_m, strips.y_m, strips.contour, strips.middle_m, strips.slope, tolerance, shared
+    )
+    return offset, agreement
 
 
 def _scores(
@@ -315,21 +316,14 @@ def _support(own: FloatArray, parameters: Parameters) -> FloatArray:
     if not len(lag):
         return np.zeros(len(own))
     likely = np.exp(-0.5 * ((lag * _BIN_M - width) / sd) ** 2)
-    limited = np.pad(np.minimum(own, _MOST_SUPPORT), lag[-1])
-    at = np.arange(len(own))[:, None] + lag[-1]
-    support: FloatArray = (np.maximum(limited[at - lag], limited[at + lag]) * likely).max(axis=1)
+    support: FloatArray = best_beside(np.minimum(own, _MOST_SUPPORT), int(lag[0]), likely)
     return support
 
 
 def _visible(view: BirdsEye, shape: FloatArray) -> FloatArray:
     """How much of each line (M, 4) the view shows, (M,), metres, from every fourth row."""
-    x = view.x_m[::4]
-    y = shape[:, :1] + x * (shape[:, 1:2] + x * (shape[:, 2:3] / 2 + x * shape[:, 3:] / 6))
-    column = np.floor((y - view.y_m[0]) / view.across_m + 0.5).astype(int)
-    inside = (column >= 0) & (column < len(view.y_m))
-    rows = np.arange(0, len(view.x_m), 4)
-    shown = inside & view.valid[rows, np.where(inside, column, 0)]
-    visible: FloatArray = shown.sum(axis=1) * 4 * view.along_m
+    shown = rows_shown(view.x_m, view.y_m[0], view.across_m, view.valid, shape, 4)
+    visible: FloatArray = shown * 4 * view.along_m
     return visible
 
 
@@ -362,19 +356,17 @@ def _refine(
         if not len(found):
             break
         offset, agreement = _along(strips, common, parameters)
-        line = np.argmin(np.abs(offset[:, None] - found), axis=1)
-        near = np.flatnonzero((np.abs(offset - found[line]) <= times * reach) & (agreement > 0))
-        line, x = line[near], strips.x_m[near]
-        weight = strips.width_m[near] * agreement[near] / _RUN_SD_M**2
-        # Unknowns: heading, curvature, squeeze, rate, then each line's offset.
-        design = np.zeros((len(near), 4 + len(found)))
-        shared = np.stack([x, x**2 / 2, found[line] * x, x**3 / 6], axis=1)
-        design[:, :4] = np.where(has, shared, 0.0)
-        design[np.arange(len(near)), 4 + line] = 1 + common.squeeze * x
-        # The design counts squeeze times offset twice, so one of them is added to the target.
-        value = strips.y_m[near] + common.squeeze * found[line] * x
-        normal = design.T @ (weight[:, None] * design)
-        right = design.T @ (weight * value)
+        normal, right = line_equations(
+            strips.x_m,
+            strips.y_m,
+            strips.width_m / _RUN_SD_M**2,
+            offset,
+            agreement,
+            found,
+            common.squeeze,
+            has,
+            times * reach,
+        )
         strength = np.array([*prior[1] ** -2.0, *np.full(len(found), _WEAK)])
         normal[np.diag_indices(len(strength))] += strength
         right += strength * np.array([*prior[0], *found])
@@ -388,10 +380,7 @@ def _coverage(
 ) -> FloatArray:
     """The length (M,), metres, over which contours cover the lines with offsets `found` (M,)."""
     offset, agreement = _along(strips, common, parameters)
-    near = np.abs(offset - found[:, None]) <= number(parameters, "reach_m")
-    near &= agreement > 0
-    line, run = np.nonzero(near)
-    covers = np.zeros((len(found), len(view.x_m)), dtype=bool)
-    covers[line, strips.row[run]] = True
-    length: FloatArray = covers.sum(axis=1) * view.along_m
+    reach = number(parameters, "reach_m")
+    covered = rows_covered(strips.row, offset, agreement, found, reach, len(view.x_m))
+    length: FloatArray = covered * view.along_m
     return length

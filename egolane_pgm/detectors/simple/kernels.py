@@ -125,6 +125,168 @@ def common_scores(
 
 
 @kernel()
+def along_common(
+    x: FloatArray,
+    y: FloatArray,
+    contour: IntArray,
+    middle: FloatArray,
+    slope: FloatArray,
+    tolerance: FloatArray,
+    common: FloatArray,
+) -> tuple[FloatArray, FloatArray]:
+    """For each of N runs, (N,): the offset of the line through it, and how well its contour's
+    direction agrees with that line's, from 1 down to 0.
+
+    - x, y: (N,) place of each run, metres
+    - contour: (N,) its contour, 0 to K - 1
+    - middle, slope, tolerance: (K,) as in `common_scores`, of each contour
+    - common: (4,) heading, curvature, squeeze and rate that all lines share
+    """
+    heading, curvature, squeeze, rate = common
+    offset, agreement = np.empty(len(x)), np.empty(len(x))
+    for i in range(len(x)):
+        k = contour[i]
+        straight = y[i] - x[i] * (heading + x[i] * (curvature / 2 + x[i] * rate / 6))
+        offset[i] = straight / (1 + squeeze * x[i])
+        expected = heading + middle[k] * (curvature + middle[k] * rate / 2) + squeeze * offset[i]
+        off = (slope[k] - expected) / tolerance[k]
+        agreement[i] = max(1 - off * off, 0.0)
+    return offset, agreement
+
+
+@kernel()
+def line_equations(
+    x: FloatArray,
+    y: FloatArray,
+    width: FloatArray,
+    offset: FloatArray,
+    agreement: FloatArray,
+    found: FloatArray,
+    squeeze: float,
+    has: BoolArray,
+    reach_m: float,
+) -> tuple[FloatArray, FloatArray]:
+    """The normal equations of least squares for what lines share and for their offsets, without
+    the prior: (4 + M, 4 + M) and (4 + M,).
+
+    Unknown are heading, curvature, squeeze and rate, then each line's offset. A run at x, y on a
+    line with offset o and squeeze q says, linearly: h x + k x^2 / 2 + q' o x + r x^3 / 6 +
+    o' (1 + q x) = y + q o x. (The left side counts squeeze times offset twice, so one of them is
+    on the right.) It belongs to the nearest line.
+
+    - x, y, width, offset, agreement: (N,) the runs; the last two as `along_common` gives them
+    - found: (M,) the offsets of the lines so far
+    - squeeze: the squeeze so far
+    - has: (4,) whether the lines have each of the shared values
+    - reach_m: largest distance of a run from its line
+    """
+    n_lines = len(found)
+    normal = np.zeros((4 + n_lines, 4 + n_lines))
+    right = np.zeros(4 + n_lines)
+    row = np.zeros(4)
+    for i in range(len(x)):
+        if agreement[i] <= 0:
+            continue
+        line = 0
+        for m in range(1, n_lines):
+            if abs(offset[i] - found[m]) < abs(offset[i] - found[line]):
+                line = m
+        if abs(offset[i] - found[line]) > reach_m:
+            continue
+        o, weight = found[line], width[i] * agreement[i]
+        row[0] = x[i]
+        row[1] = x[i] * x[i] / 2
+        row[2] = o * x[i]
+        row[3] = x[i] * x[i] * x[i] / 6
+        own = 1 + squeeze * x[i]
+        value = y[i] + squeeze * o * x[i]
+        for a in range(4):
+            if not has[a]:
+                continue
+            weighted = weight * row[a]
+            for b in range(a + 1):
+                if has[b]:
+                    normal[a, b] += weighted * row[b]
+            normal[4 + line, a] += weighted * own
+            right[a] += weighted * value
+        normal[4 + line, 4 + line] += weight * own * own
+        right[4 + line] += weight * own * value
+    for a in range(4 + n_lines):
+        for b in range(a):
+            normal[b, a] = normal[a, b]
+    return normal, right
+
+
+@kernel()
+def rows_covered(
+    row: IntArray,
+    offset: FloatArray,
+    agreement: FloatArray,
+    found: FloatArray,
+    reach_m: float,
+    n_rows: int,
+) -> IntArray:
+    """In how many rows of a view runs cover each line, (M,).
+
+    - row, offset, agreement: (N,) the runs; the last two as `along_common` gives them
+    - found: (M,) the offsets of the lines
+    - reach_m: largest distance of a run from a line
+    - n_rows: the number of rows
+    """
+    covers = np.zeros((len(found), n_rows), dtype=np.bool_)
+    for i in range(len(row)):
+        if agreement[i] > 0:
+            for m in range(len(found)):
+                if abs(offset[i] - found[m]) <= reach_m:
+                    covers[m, row[i]] = True
+    count: IntArray = covers.sum(axis=1)
+    return count
+
+
+@kernel()
+def rows_shown(
+    x: FloatArray,
+    left_m: float,
+    across_m: float,
+    valid: BoolArray,
+    shape: FloatArray,
+    step: int,
+) -> IntArray:
+    """In how many of every `step`-th row of a view the picture shows each line, (M,).
+
+    - x, left_m, across_m, valid: as in `rows_in_view`
+    - shape: (M, 4) the lines, as in FrameLines
+    """
+    n_rows, n_columns = valid.shape
+    shown = np.zeros(len(shape), dtype=np.int64)
+    for r in range(0, n_rows, step):
+        for m in range(len(shape)):
+            y = shape[m, 0] + x[r] * (
+                shape[m, 1] + x[r] * (shape[m, 2] / 2 + x[r] * shape[m, 3] / 6)
+            )
+            c = (y - left_m) / across_m + 0.5
+            if 0 <= c < n_columns and valid[r, int(c)]:
+                shown[m] += 1
+    return shown
+
+
+@kernel()
+def best_beside(score: FloatArray, first: int, likely: FloatArray) -> FloatArray:
+    """The best of the scores (B,) on either side of each, (B,), each times how likely its distance
+    is; beyond the ends the score is 0.
+
+    likely: (L,) for the distances first, first + 1, ...
+    """
+    out = np.zeros(len(score))
+    for j in range(len(likely)):
+        lag = first + j
+        for b in range(len(score) - lag):
+            out[b] = max(out[b], score[b + lag] * likely[j])
+            out[b + lag] = max(out[b + lag], score[b] * likely[j])
+    return out
+
+
+@kernel()
 def rows_in_view(
     x: FloatArray,
     left_m: float,
