@@ -79,6 +79,8 @@ class Rules:
     - miss_cost: how many detections make up for a miss before a line is valid
     - walk: (4, 4) covariance of the change from frame to frame
     - first: (4, 4) covariance of a line that was detected once
+    - to_shift: (2, J) takes places to the offset and heading that fit them best
+    - to_curvature: (J,) takes places to the curvature of the parabola that fits them best
     """
 
     values: Parameters
@@ -88,6 +90,8 @@ class Rules:
     miss_cost: float
     walk: FloatArray
     first: FloatArray
+    to_shift: FloatArray
+    to_curvature: FloatArray
 
     def __getitem__(self, name: str) -> float:
         return float(self.values[name])  # type: ignore[arg-type]
@@ -119,7 +123,21 @@ def rules(parameters: Parameters, *, curve: str) -> Rules:
     first *= narrower[:, None] * narrower
     share = 1.0 if parameters["valid_when"] == "paper" else value("valid_share")
     miss_cost = share / (1 - share) if share < 1 else np.inf
-    return Rules(parameters, n_values, at, noise, miss_cost, np.diag(walk**2), first)
+    weight = 1 / np.sqrt(np.diag(noise))
+    design = at * weight[:, None]
+    to_shift: FloatArray = np.linalg.pinv(design[:, :2]) * weight
+    to_curvature: FloatArray = np.linalg.pinv(design[:, :3])[2] * weight
+    return Rules(
+        parameters,
+        n_values,
+        at,
+        noise,
+        miss_cost,
+        np.diag(walk**2),
+        first,
+        to_shift,
+        to_curvature,
+    )
 
 
 def _noise_of_clothoids(at: FloatArray, sigma: FloatArray, sigma_rate: float) -> FloatArray:
@@ -290,13 +308,11 @@ def _common_shift(moved: FloatArray, rule: Rules) -> FloatArray:
     moved: (K, J) measured minus predicted places, metres.
     """
     shift = np.zeros(4)
-    weight = 1 / np.sqrt(np.diag(rule.noise))
-    design, middle = rule.at * weight[:, None], np.median(moved, axis=0) * weight
+    middle = np.median(moved, axis=0)
     if rule.n_values > 2:
-        curvature = np.linalg.lstsq(design[:, :3], middle)[0][2]
-        shift[2] = rule["curvature_gain"] * curvature
-        middle = middle - design[:, 2] * shift[2]
-    shift[:2] = np.linalg.lstsq(design[:, :2], middle)[0]
+        shift[2] = rule["curvature_gain"] * (rule.to_curvature @ middle)
+        middle = middle - rule.at[:, 2] * shift[2]
+    shift[:2] = rule.to_shift @ middle
     return shift
 
 
@@ -371,6 +387,8 @@ def _per_line(tracks: Tracks) -> dict[str, Any]:
 
 
 def _chosen(tracks: Tracks, which: IntArray) -> Tracks:
+    if len(which) == len(tracks):
+        return tracks
     few = {name: a[which] for name, a in _per_line(tracks).items()}
     return replace(tracks, **few)
 
