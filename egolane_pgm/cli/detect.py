@@ -35,7 +35,9 @@ from egolane_pgm.types import InputError, LineLog
 )
 @options.right
 @options.frames
-@options.overrides("A parameter of the detector, e.g. lri_frames=5.")
+@options.overrides(
+    "A parameter of the detector, e.g. lri_frames=5; `egolane show NAME` lists them."
+)
 def detect(
     pictures: str,
     camera_file: str,

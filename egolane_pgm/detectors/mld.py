@@ -29,6 +29,8 @@ from egolane_pgm.detectors.multilane.crf import join_seeds
 from egolane_pgm.detectors.multilane.markings import Markings, find_markings
 from egolane_pgm.detectors.multilane.road import Road, road_of, shapes_of
 from egolane_pgm.detectors.multilane.slots import SPAN, Slots, advance, no_slots
+from egolane_pgm.detectors.simple.frozen import PARAMETERS as _FROZEN
+from egolane_pgm.detectors.simple.frozen import repeat_counter
 from egolane_pgm.parameters import Parameter, Parameters, held_fixed, number
 from egolane_pgm.types import FloatArray
 
@@ -91,6 +93,7 @@ PARAMETERS = held_fixed(
             " each link on in turn, as published; 0: all of them",
             highest=12,
         ),
+        *_FROZEN,
     )
 )
 
@@ -129,9 +132,16 @@ def follower(
     road = road_of(camera, reach_m, narrowest_m, widest_m)
     exact_up_to, most = int(number(parameters, "exact_up_to")), int(number(parameters, "lines"))
     rng = np.random.default_rng(0)
+    count_repeats = repeat_counter(parameters)
+    nothing = np.zeros(0)
 
     def follow(slots: Slots, picture: Picture) -> Slots:
         check_size(picture.image, camera.width, camera.height)
+        repeated = count_repeats(picture)
+        if 0 < repeated < number(parameters, "frozen_after"):
+            return slots
+        if repeated:
+            return advance(slots, road, nothing, nothing, np.zeros((0, 3)), most, rng)
         grey = cv2.cvtColor(picture.image, cv2.COLOR_BGR2GRAY)
         markings = find_markings(grey.astype(np.uint8, copy=False), road)
         t, u = markings.points(road)

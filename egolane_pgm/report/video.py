@@ -2,10 +2,10 @@
 bird's-eye view, and the belief as bars over the lanes from left to right, with the truth if it is
 known.
 
-A valid and continuous line is blue and solid, a valid one that is not continuous orange and dashed,
-one that is not valid light grey and thin. Where the detector says which line is which from frame to
-frame (`FrameLines.slot`), a colour stays with its line instead. Only one frame is in memory at a
-time.
+A valid and continuous line is blue and solid, a valid one that is not orange and dashed, also where
+the detector cannot tell (MLD); one that is not valid is light grey and thin. Where the detector
+says which line is which from frame to frame (`FrameLines.slot`), a colour stays with its line
+instead. Only one frame is in memory at a time.
 """
 
 from __future__ import annotations
@@ -458,7 +458,7 @@ def _legend(places: Layout, canvas: Image, scene: Scene) -> None:
         (f"frame {scene.frame_id}, {scene.time_s:.1f} s", None),
         (f"answer: {answer}", None),
         ("valid, continuous", (first, 3, False)),
-        ("valid, dashed", (second, 3, True)),
+        ("valid, dashed or not told", (second, 3, True)),
         ("not valid", (NOT_VALID, 1, False)),
     ]
     if has_slots:

@@ -12,7 +12,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from egolane_pgm.camera.model import Camera, image_to_road, road_to_image
-from egolane_pgm.camera.picture import Image, Picture
+from egolane_pgm.camera.picture import Image
 from egolane_pgm.detectors import FrameLines, aly
 from egolane_pgm.detectors.aly import Found, line_finder, nearest
 from egolane_pgm.detectors.bezier.parameters import LEFT_OUT
@@ -241,18 +241,6 @@ def test_points_beside_a_marking_are_moved_onto_it_and_continued() -> None:
     longer = refined(image, CAMERA, beside, DEFAULTS)
     assert len(longer) > len(only)
     assert longer[0, 1] < only[0, 1] < only[-1, 1] < longer[-1, 1]
-
-
-def test_a_frozen_camera_loses_its_lines() -> None:
-    step = aly.start(SMALL, DEFAULTS)
-    pictures = drive(12)
-    for picture in pictures:
-        lines = step(picture)
-    assert lines.is_valid.any()
-    frozen = pictures[-1].image
-    with pytest.warns(UserWarning, match="has not changed"):
-        lines = [step(Picture(k, frozen)) for k in range(12, 30)][-1]
-    assert not lines.is_valid.any()
 
 
 def test_a_drive_over_four_lanes_gives_four_lines_in_each_frame() -> None:

@@ -110,6 +110,17 @@ def test_a_road_is_seen_though_every_fifth_picture_is_black(name: str) -> None:
 
 
 @every_detector
+def test_a_frozen_camera_keeps_its_lines_for_two_pictures_and_then_loses_them(
+    name: str, of_a_road: list[Picture]
+) -> None:
+    frozen = [replace(of_a_road[-1], frame_id=k) for k in range(20, 36)]
+    with pytest.warns(UserWarning, match="frame 22: the picture has not changed for 3 frames"):
+        valid = valid_lines(name, CAMERA, [*of_a_road, *frozen])
+    assert valid[13] == valid[14] == valid[15] > 0
+    assert valid[-1] == 0
+
+
+@every_detector
 @pytest.mark.parametrize(
     ("width", "height"), [(270, 480), (481, 271), (64, 36), (16, 16), (1280, 40), (480, 16)]
 )
