@@ -26,7 +26,7 @@ class Strips:
 
     - row: (N,) the run's row in the view
     - x_m, y_m: (N,) middle of the run, metres
-    - width_m: (N,) width of the run
+    - width_m: (N,) width of the run, weighted by the values of its pixels over the mean of all
     - contour: (N,) the contour that the run belongs to, 0 to K - 1
     - middle_m: (K,) middle of the contour, metres ahead
     - slope: (K,) direction of the contour, metres to the right per metre ahead
@@ -44,7 +44,8 @@ class Strips:
 
 
 def find_strips(view: BirdsEye, mask: NDArray[np.uint8], parameters: Parameters) -> Strips:
-    """Finds the contours of a mask (R, C) that may be marking."""
+    """Finds the contours of a mask (R, C) that may be marking. The mask is 0 where there is none;
+    where it is larger, a pixel weighs more."""
     borders, tree = cv2.findContours(mask, cv2.RETR_CCOMP, cv2.CHAIN_APPROX_NONE)
     if not borders:
         nothing, none = np.zeros(0), np.zeros(0, dtype=np.int64)
@@ -53,11 +54,13 @@ def find_strips(view: BirdsEye, mask: NDArray[np.uint8], parameters: Parameters)
     points = np.concatenate(borders)[:, 0].astype(np.int32)
     around = tree[0, :, 3]
     owner = np.where(around < 0, np.arange(len(borders)), around)
-    row, left, right, contour = contour_runs(mask, points, starts, owner)
-    width = (right - left + 1).astype(np.float64) * view.across_m
+    row, left, right, contour, total = contour_runs(mask, points, starts, owner)
+    pixels = right - left + 1
+    width = total * (view.across_m * pixels.sum() / total.sum())
+    area = np.bincount(contour, pixels, len(borders)) * (view.across_m * view.along_m)
     x = view.x_m[row]
     y: FloatArray = view.y_m[0] + 0.5 * (left + right) * view.across_m
-    area, middle, slope, slope_sd = _directions(view, x, y, width, contour, len(borders))
+    middle, slope, slope_sd = _directions(view, x, y, width, contour, len(borders))
     keep = (area >= number(parameters, "least_area_m2")) & (
         np.abs(slope) <= number(parameters, "most_slope")
     )
@@ -77,10 +80,9 @@ def find_strips(view: BirdsEye, mask: NDArray[np.uint8], parameters: Parameters)
 
 def _directions(
     view: BirdsEye, x: FloatArray, y: FloatArray, width: FloatArray, contour: IntArray, count: int
-) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
+) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Fits a line through the middles of each contour's runs, weighted by their width. Gives the
-    area (square metres), middle (metres ahead), slope and slope's standard deviation, (count,)
-    each."""
+    middle (metres ahead), slope and slope's standard deviation, (count,) each."""
 
     def total(values: FloatArray) -> FloatArray:
         return np.bincount(contour, values, count).astype(np.float64)
@@ -95,4 +97,4 @@ def _directions(
     across = total(width * (y * y + width * width / 12)) / weight
     slope = total(width * x * y) / weight / along
     spread = np.maximum(across - slope * slope * along, 0.0)
-    return weight * view.along_m, middle, slope, np.sqrt(spread / along)
+    return middle, slope, np.sqrt(spread / along)

@@ -14,9 +14,9 @@ from egolane_pgm.types import BoolArray, FloatArray, IntArray
 @kernel()
 def contour_runs(
     mask: NDArray[np.uint8], points: NDArray[np.int32], starts: IntArray, owner: IntArray
-) -> tuple[IntArray, IntArray, IntArray, IntArray]:
-    """The N runs of ones along the rows of a mask: row, first and last column, and contour, (N,)
-    each.
+) -> tuple[IntArray, IntArray, IntArray, IntArray, IntArray]:
+    """The N runs along the rows of a mask's pixels that are not 0: row, first and last column,
+    contour, and the sum of the pixels, (N,) each.
 
     - mask: (R, C)
     - points: (P, 2) column and row of the points of all borders, one border after the other
@@ -34,6 +34,7 @@ def contour_runs(
     left = np.empty(most, dtype=np.int64)
     right = np.empty(most, dtype=np.int64)
     contour = np.empty(most, dtype=np.int64)
+    total = np.zeros(most, dtype=np.int64)
     n = 0
     for r in range(n_rows):
         c = 0
@@ -45,10 +46,11 @@ def contour_runs(
             left[n] = c
             contour[n] = border[r, c]
             while c < n_columns and mask[r, c] != 0:
+                total[n] += mask[r, c]
                 c += 1
             right[n] = c - 1
             n += 1
-    return row[:n], left[:n], right[:n], contour[:n]
+    return row[:n], left[:n], right[:n], contour[:n], total[:n]
 
 
 @kernel()

@@ -4,7 +4,8 @@ A marking is a narrow strip that is brighter than the road on both sides of it; 
 across the road keeps such strips (paper, section `section:simple-line-detector`). The threshold
 rises with the brightness around a pixel, so that worn dots in the shade of a bridge are kept. It
 also rises with the contrast around it, so that rough concrete in the sun is not. Where the whole
-picture has little contrast, it is lower.
+picture has little contrast, it is lower. Dots and paint stand out by a multiple of the threshold,
+tracks of tyres by little, so what is kept is weighted by how far it is above.
 """
 
 from __future__ import annotations
@@ -26,9 +27,14 @@ _MOST_CONTRAST = 0.2
 #: is low. Blur and dim light lower the contrast of the road's texture as they do that of paint.
 _OVER_MEAN = 3.0
 
+#: The multiple of the threshold from which on a pixel weighs in full, so that one bright line does
+#: not outweigh several worn ones.
+_IN_FULL = 3
+
 
 def marking_mask(view: BirdsEye, above: Image, parameters: Parameters) -> NDArray[np.uint8]:
-    """1 where a bird's-eye view of one colour, (R, C), may show marking, else 0; (R, C)."""
+    """Where a bird's-eye view of one colour, (R, C), may show marking, (R, C): 255 where it stands
+    out clearly, less where it is fainter, a third of that at the threshold, and 0 below it."""
     wide = _odd(number(parameters, "marking_width_m") / view.across_m)
     seen = _seen(view, above, wide)
     count = _blur(seen, view, parameters)
@@ -46,7 +52,11 @@ def marking_mask(view: BirdsEye, above: Image, parameters: Parameters) -> NDArra
         number(parameters, "least_contrast"),
     )
     np.maximum(usual, np.float32(least), out=usual)
-    return (share > usual).astype(np.uint8)
+    share /= usual
+    full = 255
+    strength = cv2.convertScaleAbs(share, alpha=full / _IN_FULL)
+    strength = cv2.threshold(strength, full // _IN_FULL, 0, cv2.THRESH_TOZERO)[1]
+    return strength.astype(np.uint8, copy=False)
 
 
 def _seen(view: BirdsEye, above: Image, wide: int) -> NDArray[np.uint8]:

@@ -57,6 +57,16 @@ def test_a_strip_wider_than_a_marking_is_none() -> None:
     assert not mask_of(dark).any()
 
 
+def test_a_clear_strip_weighs_in_full_and_a_faint_one_less() -> None:
+    above = grey()
+    above[:, 60:63], above[:, 140:143] = 130, 104
+    mask = marking_mask(VIEW, above, resolve_parameters(FINDING, {"least_rise": 0.0}, 1))
+    clear, faint = np.unique(mask[:, 60:63]), np.unique(mask[:, 140:143])
+    # 4 of 100 + 40 grey levels, over three times the threshold of a picture of little contrast.
+    assert clear.tolist() == [255]
+    assert faint.tolist() == pytest.approx([255 * 4 / 140 / 0.0125 / 3], rel=0.05)
+
+
 def test_a_marking_adds_its_share_of_the_brightness_around() -> None:
     # 2 of 100 + 40 are less than 2 %, 4 are more.
     for rise, is_marking in ((2, False), (4, True)):
