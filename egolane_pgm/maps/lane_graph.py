@@ -1,0 +1,229 @@
+"""A road map as a graph of lanes: segments of so many lanes, and joins that say where they lead.
+
+Lane 1 is the leftmost in the direction of travel. The graph is stored as one Parquet table, so that
+a map is read from OpenStreetMap once.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pyarrow as pa
+from numpy.typing import NDArray
+from pyarrow import parquet
+
+from egolane_pgm.files import check_name, write_parquet
+from egolane_pgm.types import FloatArray, InputError, IntArray
+
+#: What a join can be. An exit is a place where a link leaves the road, an entry one where a link
+#: comes to it; at a fork and a merge both roads are of one kind.
+JOINS = ("same", "exit", "fork", "merge", "entry")
+
+#: Of the stored table. It changes where a column gets another meaning.
+VERSION = "1"
+
+
+@dataclass(frozen=True)
+class LaneGraph:
+    """S segments and J joins.
+
+    A segment is a directed carriageway with constant tags: ways of the map are joined across splits
+    that change nothing. A road for both directions is two segments.
+
+    - way (S,): OpenStreetMap's id of the first way.
+    - kind (S,): its tag `highway`, such as "motorway" or "motorway_link".
+    - name (S,): the road's number (tag `ref`) or name; "" where it has none. Python strings.
+    - n_lanes (S,): 0 where unknown.
+    - placement (S, 2): how many lanes lie between the left edge and the way's line, at the
+      segment's start and end; NaN unknown.
+    - point (P, 2): latitude and longitude, degrees, in the direction of travel.
+    - first (S + 1,): where each segment's points begin; those of segment k are
+      `point[first[k]:first[k + 1]]`, at least two.
+    - length_m (S,): along the points.
+    - turn, change, width (S,): the tags `turn:lanes`, `change:lanes` and `width:lanes` of the
+      direction of travel, lane by lane from the left; "" without. Python strings.
+    - before, after (J,): the segments that a join leads from and to, sorted by before, then after.
+    - shift (J,): lane i continues as lane i + shift; lanes that would be outside of 1..n end, or go
+      to the other road. NaN unknown.
+    - join (J,): one of JOINS. It says what kind of place this is: at an exit both the join onto the
+      link and the one that stays on the road say "exit" (the kind of `after` tells which is
+      which); at an entry both the join from the link and the one along the road say "entry".
+    - side (J,): -1 left, 1 right, 0 unknown or none. For "same" where lanes begin or end, for
+      "exit" and "entry" where the link is, for "fork" and "merge" which of the roads is this
+      join's.
+    - source (J,): what the shift was taken from: "placement", "turn:lanes", "lane count" (the lanes
+      of the roads that meet add up) or "driving side" (lanes are taken to begin and end at the
+      side of the slow traffic); "" unknown.
+    """
+
+    way: IntArray
+    kind: NDArray[np.str_]
+    name: NDArray[np.object_]
+    n_lanes: IntArray
+    placement: FloatArray
+    point: FloatArray
+    first: IntArray
+    length_m: FloatArray
+    turn: NDArray[np.object_]
+    change: NDArray[np.object_]
+    width: NDArray[np.object_]
+    before: IntArray
+    after: IntArray
+    shift: FloatArray
+    join: NDArray[np.str_]
+    side: IntArray
+    source: NDArray[np.str_]
+
+    def __len__(self) -> int:
+        return len(self.way)
+
+    def __repr__(self) -> str:
+        return (
+            f"LaneGraph({len(self)} segments, {self.length_m.sum() / 1000:.1f} km,"
+            f" {len(self.before)} joins)"
+        )
+
+    def line(self, segment: int) -> FloatArray:
+        """The points (K, 2) of a segment: latitude and longitude, degrees."""
+        return self.point[self.first[segment] : self.first[segment + 1]]
+
+
+def joins_from(graph: LaneGraph) -> IntArray:
+    """Where the joins that leave each segment begin, (S + 1,): those of segment k are the rows
+    `start[k]:start[k + 1]` of `before`, `after`, `shift`, ..."""
+    return np.searchsorted(graph.before, np.arange(len(graph) + 1)).astype(np.int64)
+
+
+def joins_to(graph: LaneGraph) -> tuple[IntArray, IntArray]:
+    """The joins that arrive at each segment: `start` (S + 1,) and `row` (J,); those of segment k
+    are the rows `row[start[k]:start[k + 1]]` of `before`, `after`, `shift`, ..."""
+    row = np.argsort(graph.after, kind="stable").astype(np.int64)
+    start = np.searchsorted(graph.after[row], np.arange(len(graph) + 1)).astype(np.int64)
+    return start, row
+
+
+# --- a file ------------------------------------------------------------------------------------
+
+_OF_SEGMENT = (
+    ("way", pa.int64()),
+    ("kind", pa.string()),
+    ("name", pa.string()),
+    ("n_lanes", pa.int64()),
+    ("placement_start", pa.float64()),
+    ("placement_end", pa.float64()),
+    ("length_m", pa.float64()),
+    ("turn", pa.string()),
+    ("change", pa.string()),
+    ("width", pa.string()),
+)
+_OF_POINT = (("latitude", pa.float64()), ("longitude", pa.float64()))
+_OF_JOIN = (
+    ("after", pa.int64()),
+    ("shift", pa.float64()),
+    ("join", pa.string()),
+    ("side", pa.int64()),
+    ("source", pa.string()),
+)
+_SCHEMA = pa.schema(
+    [
+        *_OF_SEGMENT,
+        *((name, pa.list_(kind)) for name, kind in (*_OF_POINT, *_OF_JOIN)),
+    ],
+    metadata={"egolane_lane_graph": VERSION, "attribution": "© OpenStreetMap contributors, ODbL"},
+)
+
+
+def save(graph: LaneGraph, path: str | Path) -> None:
+    """Write a graph as one Parquet table with a row per segment, which holds lists of its points
+    (`latitude`, `longitude`) and of the joins that leave it (`after`: the row of the next segment,
+    from 0; `shift`, `join`, `side`, `source`).
+
+    Raises InputError for a name that does not end in .parquet, and where it cannot be written.
+    """
+    if Path(path).suffix.lower() != ".parquet":
+        raise InputError(f"{path}: a lane graph is a .parquet file")
+    given = {name: getattr(graph, name, None) for name, _ in (*_OF_SEGMENT, *_OF_JOIN)}
+    given["placement_start"], given["placement_end"] = graph.placement.T
+    given["latitude"], given["longitude"] = graph.point.T
+    start = joins_from(graph)
+
+    def column(name: str, kind: Any) -> Any:
+        return pa.array(given[name], kind)
+
+    def lists(name: str, kind: Any, first: IntArray) -> Any:
+        return pa.ListArray.from_arrays(pa.array(first, pa.int32()), column(name, kind))
+
+    columns = [
+        *(column(name, kind) for name, kind in _OF_SEGMENT),
+        *(lists(name, kind, graph.first) for name, kind in _OF_POINT),
+        *(lists(name, kind, start) for name, kind in _OF_JOIN),
+    ]
+    write_parquet(Path(path), pa.table(columns, schema=_SCHEMA))
+
+
+def load(path: str | Path) -> LaneGraph:
+    """Read a graph that `save` wrote; it comes back as it was.
+
+    Raises InputError for a file that cannot be read, that is no lane graph, or one of another
+    version, and for a graph without segments or whose lists do not fit together.
+    """
+    check_name(path)
+    try:
+        # Given a name, pyarrow takes what is before a colon for the scheme of an address.
+        with Path(path).open("rb") as file:
+            table = parquet.read_table(file)
+    except (pa.ArrowException, OSError) as error:
+        text = getattr(error, "strerror", None) or " ".join(str(error).split())[:120]
+        raise InputError(f"{path}: cannot be read as a lane graph: {text}") from None
+    version = (table.schema.metadata or {}).get(b"egolane_lane_graph", b"").decode()
+    if version != VERSION:
+        what = f"version {version}, not {VERSION}" if version else "no lane graph"
+        raise InputError(f"{path}: {what}; `egolane map FILE.osm -o {path}` writes one")
+    if not table.schema.equals(_SCHEMA) or table.num_rows == 0:
+        raise InputError(f"{path}: the lane graph is damaged; make it anew with `egolane map`")
+    whole = {name: table[name].combine_chunks() for name in table.column_names}
+
+    def values(name: str) -> Any:
+        array = whole[name].flatten() if pa.types.is_list(whole[name].type) else whole[name]
+        return array.to_numpy(zero_copy_only=False)
+
+    def words(name: str) -> Any:
+        # Equal words are one object, so that a million names are not a million strings.
+        array = whole[name].dictionary_encode()
+        known = np.array(array.dictionary.to_pylist(), dtype=object)
+        return known[array.indices.to_numpy(zero_copy_only=False)]
+
+    def codes(name: str) -> Any:
+        found = values(name)
+        return found.astype(np.str_) if len(found) else np.zeros(0, dtype="<U1")
+
+    def starts(name: str) -> IntArray:
+        size = whole[name].value_lengths().to_numpy(zero_copy_only=False)
+        return np.concatenate([[0], np.cumsum(size)]).astype(np.int64)
+
+    sizes = starts("after")
+    graph = LaneGraph(
+        way=values("way"),
+        kind=codes("kind"),
+        name=words("name"),
+        n_lanes=values("n_lanes"),
+        placement=np.stack([values("placement_start"), values("placement_end")], axis=1),
+        point=np.stack([values("latitude"), values("longitude")], axis=1),
+        first=starts("latitude"),
+        length_m=values("length_m"),
+        turn=words("turn"),
+        change=words("change"),
+        width=words("width"),
+        before=np.repeat(np.arange(table.num_rows, dtype=np.int64), np.diff(sizes)),
+        after=values("after"),
+        shift=values("shift"),
+        join=codes("join"),
+        side=values("side"),
+        source=codes("source"),
+    )
+    if (graph.after >= len(graph)).any() or (graph.after < 0).any():
+        raise InputError(f"{path}: the lane graph is damaged; make it anew with `egolane map`")
+    return graph
