@@ -97,7 +97,7 @@ def read_rosbag(
 
 
 def _read_flat(path: Path, topic: str, frame_id: str) -> _Flat:
-    messages = _read_messages(path, topic)
+    messages = read_messages(path, topic)
     # A topic has several definitions if its node was rebuilt in the middle of a recording.
     parts = [
         _parse(path, topic, kind, [raw for _, raw in run], frame_id)
@@ -111,8 +111,12 @@ def _read_flat(path: Path, topic: str, frame_id: str) -> _Flat:
     )
 
 
-def _read_messages(path: Path, topic: str) -> list[tuple[tuple[str, str], bytes]]:
-    """Per message of the topic, in file order: (type, its definition), raw bytes."""
+def read_messages(path: Path, topic: str) -> list[tuple[tuple[str, str], bytes]]:
+    """Per message of the topic, in file order: (type, its definition), raw bytes.
+
+    Raises InputError for a file that is missing, no bag, truncated or empty, and for a topic that
+    is not there or has no messages.
+    """
     if not path.is_file():
         raise InputError(f"{path}: no such file")
     _check_magic(path)
@@ -140,10 +144,7 @@ def _read_messages(path: Path, topic: str) -> list[tuple[tuple[str, str], bytes]
     except (
         Exception
     ) as error:  # rosbags raises struct, assertion and decompressor errors as they come
-        raise InputError(
-            f"{path}: the bag is truncated or damaged ({_one_line(error)});"
-            " record or copy it again, or repair it with `rosbag reindex`"
-        ) from None
+        raise _damaged(path, error) from None
     if not topics:
         raise InputError(f"{path}: the bag is empty, it holds no messages")
     if wanted not in topics:
@@ -169,20 +170,16 @@ def _check_magic(path: Path) -> None:
         raise InputError(f"{path}: not a ROS 1 bag of version 2.0")
 
 
-def _one_line(error: Exception) -> str:
+def one_line(error: Exception) -> str:
+    """What an error of a library says, for the middle of a message."""
     text = " ".join(str(error).split())
     return text[:120].rstrip(".") if text else type(error).__name__
 
 
 def _parse(path: Path, topic: str, kind: tuple[str, str], raw: list[bytes], frame_id: str) -> _Flat:
 
-    msgtype, definition = kind
-    try:
-        types = get_types_from_msg(definition, msgtype)
-    except Exception as error:
-        raise InputError(
-            f"{path}: the definition of {msgtype} in the bag cannot be parsed ({_one_line(error)})"
-        ) from None
+    msgtype = kind[0]
+    types = message_types(path, kind)
     missing = _missing_fields(types, msgtype, frame_id)
     if missing:
         raise InputError(
@@ -192,6 +189,38 @@ def _parse(path: Path, topic: str, kind: tuple[str, str], raw: list[bytes], fram
     if _is_plain(types, msgtype):
         return _parse_plain(path, raw, frame_id)
     return _parse_generic(path, types, msgtype, raw, frame_id)
+
+
+def message_types(path: Path, kind: tuple[str, str]) -> Mapping[str, Any]:
+    """The message types that the definition of (type, its definition) has. Raises InputError where
+    it cannot be parsed."""
+    msgtype, definition = kind
+    try:
+        return get_types_from_msg(definition, msgtype)
+    except Exception as error:
+        raise InputError(
+            f"{path}: the definition of {msgtype} in the bag cannot be parsed ({one_line(error)})"
+        ) from None
+
+
+def topics_of(path: Path, name: str) -> list[str]:
+    """The topics of a bag whose message type has a name, whatever its package. Raises InputError
+    for what is no whole bag."""
+    if not path.is_file():
+        raise InputError(f"{path}: no such file")
+    _check_magic(path)
+    try:
+        with Reader(path) as bag:
+            return sorted({c.topic for c in bag.connections if c.msgtype.split("/")[-1] == name})
+    except Exception as error:
+        raise _damaged(path, error) from None
+
+
+def _damaged(path: Path, error: Exception) -> InputError:
+    return InputError(
+        f"{path}: the bag is truncated or damaged ({one_line(error)});"
+        " record or copy it again, or repair it with `rosbag reindex`"
+    )
 
 
 def _fields(types: Mapping[str, Any], name: str) -> dict[str, Any]:
@@ -305,7 +334,7 @@ def _parse_generic(
         except (
             Exception
         ) as error:  # generated code raises struct errors, assertions and rosbags' own
-            raise InputError(f"{path}: message {k + 1} is damaged ({_one_line(error)})") from None
+            raise InputError(f"{path}: message {k + 1} is damaged ({one_line(error)})") from None
         ids.append(content.header.seq if frame_id == "seq" else content.way_id)
         n_lines.append(len(content.lines))
         lines.extend(content.lines)

@@ -1,0 +1,162 @@
+"""Positions of a GNSS receiver, from every format."""
+
+from __future__ import annotations
+
+import struct
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+import pytest
+
+from egolane_pgm.maps.positions import Positions, read_positions
+from egolane_pgm.types import InputError
+from tests.kits.bags import HEADER, SEPARATOR, write_bag
+
+GPX = """<?xml version="1.0"?>
+<gpx version="1.1" xmlns="http://www.topografix.com/GPX/1/1"><trk><trkseg>
+<trkpt lat="49.9" lon="11.5"><time>2024-05-01T10:00:00Z</time></trkpt>
+<trkpt lat="49.9002" lon="11.5"><time>2024-05-01T10:00:01.5Z</time></trkpt>
+</trkseg></trk></gpx>
+"""
+#: 2024-05-01 10:00:00 UTC.
+TEN = 1714557600.0
+
+FIX_MESSAGE = (
+    "Header header\nNavSatStatus status\nfloat64 latitude\nfloat64 longitude\nfloat64 altitude\n"
+    f"float64[9] position_covariance\nuint8 position_covariance_type\n\n{HEADER}\n{SEPARATOR}\n"
+    "MSG: sensor_msgs/NavSatStatus\nint8 status\nuint16 service\n"
+)
+
+
+def sentence(body: str) -> str:
+    check = 0
+    for letter in body:
+        check ^= ord(letter)
+    return f"${body}*{check:02X}\r\n"
+
+
+def fix(seconds: int, latitude: float, longitude: float, status: int = 0) -> bytes:
+    raw = struct.pack("<IIII", 0, seconds, 500_000_000, 3) + b"gps" + struct.pack("<bH", status, 1)
+    covariance = [4.0, 0, 0, 0, 4.0, 0, 0, 0, 9.0]
+    return raw + struct.pack("<3d9dB", latitude, longitude, 100.0, *covariance, 2)
+
+
+def fix_bag(path: Path, fixes: list[bytes]) -> Path:
+    kind = "sensor_msgs/msg/NavSatFix"
+    return write_bag(path, fixes, topic="/gps/fix", text=FIX_MESSAGE, msgtype=kind)
+
+
+def write(path: Path, text: str) -> Path:
+    path.write_text(text)
+    return path
+
+
+def test_a_table_is_read_by_the_usual_names_of_its_columns(tmp_path: Path) -> None:
+    table = write(tmp_path / "a.csv", "t,lat,lon,speed_mps\n0,52,4.4,30\n1,52.001,4.4,\n")
+    found = read_positions(table)
+    assert found.t_s.tolist() == [0, 1]
+    assert found.latitude.tolist() == [52, 52.001]
+    np.testing.assert_array_equal(found.speed_mps, [30, np.nan])
+    assert np.isnan(found.heading_deg).all()
+
+
+def test_columns_of_other_names_are_named(tmp_path: Path) -> None:
+    table = tmp_path / "a.parquet"
+    pd.DataFrame({"when": ["2024-05-01 10:00:00", "2024-05-01T10:00:01.5Z"], "lat_gps": [52, 52.1],
+                  "lon_gps": [4, 4.1]}).to_parquet(table)  # fmt: skip
+    names = {"t_s": "when", "latitude": "lat_gps", "longitude": "lon_gps"}
+    assert read_positions(table, columns=names).t_s.tolist() == [TEN, TEN + 1.5]
+
+
+def test_gpx_is_read(tmp_path: Path) -> None:
+    pytest.importorskip("gpxpy")
+    found = read_positions(write(tmp_path / "a.gpx", GPX))
+    assert found.t_s.tolist() == [TEN, TEN + 1.5]
+    assert found.latitude.tolist() == [49.9, 49.9002]
+
+
+def test_nmea_is_read_across_midnight(tmp_path: Path) -> None:
+    pytest.importorskip("pynmea2")
+    text = (
+        sentence("GPGGA,235959.00,4954.000,N,01130.000,E,1,08,1.5,300,M,,M,,")
+        + sentence("GPRMC,235959.00,A,4954.000,N,01130.000,E,60.0,45.0,010524,,,A")
+        + sentence("GPGGA,000000.00,4954.010,N,01130.000,E,1,08,1.0,300,M,,M,,")
+        + sentence("GPRMC,000000.00,A,4954.010,N,01130.000,E,60.0,45.0,020524,,,A")
+        + "$GPRMC,000001.00,A,4954.020,N,01130.000,E,60.0,45.0,020524,,,A*00\n"
+    )
+    with pytest.warns(UserWarning, match="left out 1 of 5 sentences that are damaged"):
+        found = read_positions(write(tmp_path / "a.nmea", text))
+    assert np.diff(found.t_s).tolist() == [1.0]
+    np.testing.assert_allclose(found.speed_mps, 60 * 1852 / 3600)
+    np.testing.assert_allclose(found.sigma_m, [4.5, 3.0])
+    np.testing.assert_allclose(found.latitude, [49.9, 49.9 + 0.01 / 60])
+
+
+def test_nmea_without_a_date_is_refused(tmp_path: Path) -> None:
+    pytest.importorskip("pynmea2")
+    text = sentence("GPGGA,235959.00,4954.000,N,01130.000,E,1,08,1.5,300,M,,M,,")
+    with pytest.raises(InputError, match="has no date"):
+        read_positions(write(tmp_path / "a.nmea", text))
+
+
+def test_a_bag_is_read_and_fixes_without_status_are_left_out(tmp_path: Path) -> None:
+    fixes = [fix(10, 49.9, 11.5), fix(11, 0.0, 0.0, status=-1), fix(12, 49.91, 11.5)]
+    with pytest.warns(UserWarning, match="left out 1 of 3 positions without a fix"):
+        found = read_positions(fix_bag(tmp_path / "a.bag", fixes))
+    assert found.t_s.tolist() == [10.5, 12.5]
+    assert found.sigma_m.tolist() == [2.0, 2.0]
+
+
+def test_a_bag_without_positions_says_so(tmp_path: Path) -> None:
+    from tests.kits.bags import line_bag
+
+    bag = line_bag(tmp_path / "a.bag", [1, 2])
+    with pytest.raises(InputError, match="0 topics of type NavSatFix"):
+        read_positions(bag)
+    with pytest.raises(InputError, match="which is not a position: it lacks status"):
+        read_positions(bag, topic="/isis_line_detector/lines")
+
+
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        ("t,lat\n0,52\n", "no column longitude; the table has t, lat"),
+        ("t,lat,lon\n0,52,4\n1,x,4\n", "row 2: lat is 'x', not a number"),
+        ("t,lat,lon\nnow,52,4\n", "row 1: t is 'now', not a number or a date"),
+        ("t,lat,lon\n,52,4\n", "position 1 has no time"),
+        ("t,lat,lon\n1,52,4\n0,52,4\n", "position 2 is earlier than the one before"),
+        ("t,lat,lon\n1,92,4\n", "position 1 has a latitude beyond 90"),
+        ("t,lat,lon\n1,52,184\n", "position 1 has a longitude beyond 180"),
+        ("t,lat,lon,sigma_m\n1,52,4,0\n", "position 1 has a sigma_m that is not greater than 0"),
+        ("t,lat,lon\n", "has no position"),
+        ("", "cannot be read as a table"),
+    ],
+)
+def test_bad_tables_are_refused_in_one_line(tmp_path: Path, text: str, said: str) -> None:
+    with pytest.raises(InputError, match=said) as error:
+        read_positions(write(tmp_path / "a.csv", text))
+    assert "\n" not in str(error.value)
+
+
+def test_other_files_and_options_are_refused(tmp_path: Path) -> None:
+    with pytest.raises(InputError, match=r"unknown extension '\.kml' of positions"):
+        read_positions(tmp_path / "a.kml")
+    with pytest.raises(InputError, match="no such file"):
+        read_positions(tmp_path / "a.csv")
+    with pytest.raises(InputError, match="a topic is named for a bag"):
+        read_positions(tmp_path / "a.csv", topic="/fix")
+    with pytest.raises(InputError, match="columns are named for a table"):
+        read_positions(tmp_path / "a.bag", columns={"latitude": "x"})
+    table = write(tmp_path / "b.csv", "t,lat,lon\n0,52,4\n")
+    with pytest.raises(InputError, match=r"unknown column 'latitud' \(did you mean 'latitude'"):
+        read_positions(table, columns={"latitud": "lat"})
+    with pytest.raises(InputError, match="no column 'lta'"):
+        read_positions(table, columns={"latitude": "lta"})
+
+
+def test_times_that_repeat_are_left_out() -> None:
+    at = np.array([0.0, 1.0, 1.0, 2.0])
+    with pytest.warns(UserWarning, match="left out 1 of 4 positions with the time of the one"):
+        found = Positions.make(at, 52 + at, 4 + at)
+    assert found.latitude.tolist() == [52, 53, 54]
