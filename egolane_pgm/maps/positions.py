@@ -7,7 +7,7 @@ number stays what it is; a date becomes seconds since 1970, UTC.
 from __future__ import annotations
 
 import warnings
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from datetime import UTC, datetime, timedelta
 from importlib import import_module
@@ -99,7 +99,8 @@ class Positions:
         kept = np.flatnonzero(has_fix)[first]
         if not len(kept):
             raise InputError(f"{source}: has no position")
-        return cls(*(values[kept] for values in columns), source=source)
+        time, north, east, speed, heading, sigma = (values[kept] for values in columns)
+        return cls(time, north, east, speed, heading, sigma, source)
 
 
 def _refuse(source: str, bad: BoolArray, why: str) -> None:
@@ -204,7 +205,9 @@ def _numbers(path: Path, column: pd.Series) -> FloatArray:
     """The numbers of a column, (T,); an empty cell is NaN."""
     import pandas as pd
 
-    number = pd.to_numeric(column, errors="coerce").to_numpy(dtype=np.float64, na_value=np.nan)
+    number: FloatArray = pd.to_numeric(column, errors="coerce").to_numpy(
+        dtype=np.float64, na_value=np.nan
+    )
     _check_cells(path, column, np.isnan(number), "a number")
     return number
 
@@ -338,7 +341,7 @@ def _or_nan(value: float | None) -> float:
     return np.nan if value is None else float(value)
 
 
-def _from_rows(path: Path, rows: list[tuple[float, ...]]) -> Positions:
+def _from_rows(path: Path, rows: Sequence[tuple[float, ...]]) -> Positions:
     """Positions of rows (time, latitude, longitude, speed, heading and perhaps sigma)."""
     if not rows:
         raise InputError(f"{path}: has no position")

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from rosbags.typesys import Stores, get_typestore
@@ -45,7 +46,7 @@ def read_fixes(path: str | Path, *, topic: str | None = None) -> Fixes:
     topic = _only_topic(path) if topic is None else topic
     messages = read_messages(path, topic)
     rows = []
-    stores = {}
+    stores: dict[tuple[str, str], Any] = {}
     for k, (kind, raw) in enumerate(messages):
         if kind not in stores:
             types = message_types(path, kind)
@@ -59,7 +60,7 @@ def read_fixes(path: str | Path, *, topic: str | None = None) -> Fixes:
                     f" it lacks {', '.join(lacking)}"
                 )
         try:
-            fix = stores[kind].deserialize_ros1(raw, kind[0])
+            fix: Any = stores[kind].deserialize_ros1(raw, kind[0])
         except Exception as error:
             raise InputError(f"{path}: message {k + 1} is damaged ({one_line(error)})") from None
         stamp = fix.header.stamp
