@@ -139,10 +139,11 @@ def with_parameters(model: Model, parameters: Mapping[str, Value]) -> Model:
     """The same model with other parameters, every one with its value.
 
     A graph that defines `tables` gets new numbers in the network that is compiled already. The
-    network is declared and compiled anew for any other graph, and where a whole number that the
-    graph declares has changed, because that may change the network's shape.
+    network is declared and compiled anew for any other graph, and where a whole number or a
+    text that the graph declares has changed, because that may change the network's shape.
     """
-    shapes = [p.name for p in getattr(model.graph, "PARAMETERS", ()) if p.kind == "integer"]
+    specs = getattr(model.graph, "PARAMETERS", ())
+    shapes = [p.name for p in specs if p.kind in ("integer", "text")]
     same_shape = all(parameters[name] == model.parameters[name] for name in shapes)
     if same_shape and hasattr(model.graph, "tables"):
         with plugin_errors(model.graph, "graph"):

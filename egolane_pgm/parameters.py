@@ -23,7 +23,7 @@ class Parameter:
     """A parameter that a graph, an evidence rule or a detector declares.
 
     - kind: "sigma" (> 0), "probability" (0 to 1), "positive" (> 0), "non_negative", "integer"
-      (>= 0) or "choice" (one of `choices`)
+      (>= 0), "choice" (one of `choices`) or "text", which the plugin itself reads
     - doc: what it means and its unit
     - search: the bounds of a parameter search; "auto" for those that follow from the kind (see
       `search_range`); None where a search leaves it as it is
@@ -64,7 +64,7 @@ class Parameter:
             return (self.search[0], self.search[1])
         values = self.default if isinstance(self.default, (tuple, list)) else (self.default,)
         is_number = all(isinstance(value, (int, float)) for value in values)
-        if self.kind in ("choice", "integer") or self.shape is not None or not is_number:
+        if self.kind in ("choice", "integer", "text") or self.shape is not None or not is_number:
             return None
         least, most = float(min(values)), float(max(values))
         if self.kind == "probability":
@@ -86,6 +86,10 @@ class Parameter:
 
         Raises InputError, starting with `where`, for a value of another type or out of range.
         """
+        if self.kind == "text":
+            if not isinstance(value, str):
+                raise InputError(f"{where}: {value!r} is no text")
+            return value
         if self.kind == "choice":
             if not isinstance(value, str) or value not in self.choices:
                 raise InputError(f"{where}: {not_one_of(value, self.choices)}")

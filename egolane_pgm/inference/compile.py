@@ -38,8 +38,8 @@ from egolane_pgm.types import FloatArray, InputError, IntArray, Observed, sugges
 if TYPE_CHECKING:
     from pgmpy.models import DynamicBayesianNetwork
 
-#: The nodes whose values are lanes.
-LANES = ("Lane", "DetectorOutput")
+#: The nodes whose values are lanes, or numbers of lanes.
+LANES = ("Lane", "DetectorOutput", "Lanes")
 
 #: More joint states than this are refused.
 MAX_STATES = 4096

@@ -81,6 +81,8 @@ def _draw_value(spec: Parameter, rng: np.random.Generator) -> object:
     is_extreme = rng.random() < 1 / 3
     if spec.kind == "choice":
         return str(rng.choice(spec.choices))
+    if spec.kind == "text":
+        return spec.default
     if spec.kind == "probability":
         return float(rng.integers(2)) if is_extreme else rng.random()
     if spec.kind == "sigma":

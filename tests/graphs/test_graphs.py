@@ -169,6 +169,9 @@ def test_the_mirrored_road_gives_the_mirrored_belief(name: str, seed: int, n_lan
     module = graph(name)
     rng = np.random.default_rng(seed)
     parameters = draw_parameters(module.PARAMETERS, n_lanes, rng)
+    if "map_wrong" in parameters:
+        # With fewer lanes than values of Lane the mirrored belief is no reversed array.
+        parameters["map_wrong"] = 0.0
     mirrored_parameters = {
         k: tuple(reversed(v)) if isinstance(v, tuple) else v for k, v in parameters.items()
     }
@@ -178,7 +181,7 @@ def test_the_mirrored_road_gives_the_mirrored_belief(name: str, seed: int, n_lan
     evidence = draw_evidence(compiled, 6, rng)
     mirrored = Evidence(
         {k: mirror(k, v) for k, v in evidence.likelihoods.items()},
-        {k: mirrored_input(v, parameters) for k, v in evidence.inputs.items()},
+        {k: mirrored_input(k, v, parameters) for k, v in evidence.inputs.items()},
     )
     for method in METHODS:
         belief = filter_beliefs(here, evidence, method)
@@ -212,8 +215,11 @@ def mirror(key: object, values: np.ndarray) -> np.ndarray:
     return np.flip(values, axes)
 
 
-def mirrored_input(index: np.ndarray, parameters: Parameters) -> np.ndarray:
-    """LineMotion as seen in a mirror; after a gap the lines coasted to the other side."""
+def mirrored_input(name: str, index: np.ndarray, parameters: Parameters) -> np.ndarray:
+    """LineMotion as seen in a mirror; after a gap the lines coasted to the other side. A road that
+    does not change is the same in a mirror."""
+    if name == "Step":
+        return index
     bins, n = int(parameters["motion_bins"]), len(position_in_lane.COASTING)  # type: ignore[arg-type]
     gap, coasted = np.divmod(index - bins, n)
     return np.where(index < bins, bins - 1 - index, bins + gap * n + n - 1 - coasted)

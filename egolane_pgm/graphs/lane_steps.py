@@ -1,0 +1,111 @@
+"""What happens to the lanes of a road from one frame to the next, as the values of an input node.
+
+A road of n lanes goes on as one of n' lanes; lane i continues as lane i + shift. What is told of it
+in a frame is a step, and the steps of a drive are written as one text, with blanks between them:
+
+    3          n is 3, and nothing changes
+    3>4+0      from 3 lanes to 4, lane i goes on as lane i (the new lane is at the right)
+    3>4+1      the same, but lane 1 goes on as lane 2 (the new lane is at the left)
+    3>4?       it is not known at which side the new lane is
+    3>4+0@7    the change may be here: at the seventh of the PLACES around the join of the map
+    hold       between two of these places
+"""
+
+from __future__ import annotations
+
+import re
+from dataclasses import dataclass
+
+import numpy as np
+
+from egolane_pgm.types import MAX_LANES, FloatArray, InputError
+
+#: How far before (negative) or behind the join of the map a change of lanes may be, in standard
+#: deviations of the map's error along the road.
+PLACES = tuple(np.arange(-2.0, 2.01, 0.5).tolist())
+
+_STEP = re.compile(r"(\d+)(?:>(\d+)(?:([+-]\d+)|\?)(?:@(\d+))?)?")
+
+
+@dataclass(frozen=True)
+class Step:
+    """One step.
+
+    - before, after: lanes of the road before and after; 0 and 0 between two places of a change.
+    - shift: lane i goes on as lane i + shift; None unknown.
+    - place: at which of PLACES (from 1) this is; None for a step that is known to happen in its
+      frame.
+    """
+
+    before: int
+    after: int
+    shift: int | None = 0
+    place: int | None = None
+
+    def __str__(self) -> str:
+        if not self.before:
+            return "hold"
+        if self == Step(self.before, self.before):
+            return str(self.before)
+        shift = "?" if self.shift is None else f"{self.shift:+d}"
+        place = "" if self.place is None else f"@{self.place}"
+        return f"{self.before}>{self.after}{shift}{place}"
+
+
+HOLD = Step(0, 0)
+
+
+def read_steps(text: str, n_lanes: int) -> tuple[Step, ...]:
+    """The steps of a text; of an empty one the step of a road of n lanes on which nothing changes.
+
+    Raises InputError for what is no step, for one that is there twice and for lanes outside of
+    1..n_lanes.
+    """
+    steps = tuple(_read(word, n_lanes) for word in text.split()) or (Step(n_lanes, n_lanes),)
+    for step in steps:
+        if steps.count(step) > 1:
+            raise InputError(f"steps: '{step}' is there twice")
+    return steps
+
+
+def _read(word: str, n_lanes: int) -> Step:
+    if word == str(HOLD):
+        return HOLD
+    found = _STEP.fullmatch(word)
+    if found is None:
+        raise InputError(f"steps: '{word}' is no step such as 3, 3>4+0, 3>4? or 3>4+0@5")
+    before, after, shift, place = found.groups()
+    if after is None:
+        step = Step(int(before), int(before))
+    else:
+        # A change of unknown shift has a question mark in its place.
+        step = Step(
+            int(before),
+            int(after),
+            None if shift is None else int(shift),
+            None if place is None else int(place),
+        )
+    if not 1 <= min(step.before, step.after) <= max(step.before, step.after) <= n_lanes:
+        raise InputError(f"steps: '{word}': lanes are outside 1..{n_lanes}")
+    if step.place is not None and not 1 <= step.place <= len(PLACES):
+        raise InputError(f"steps: '{word}': places are 1 to {len(PLACES)}")
+    if step.shift is not None and abs(step.shift) > MAX_LANES:
+        raise InputError(f"steps: '{word}': no road has so many lanes")
+    return step
+
+
+def passing() -> FloatArray:
+    """(K,): for each of PLACES the probability that the lanes change there, if they did not at the
+    places before: a normal around the join of the map, cut off at the ends."""
+    mass = np.exp(-0.5 * np.square(PLACES))
+    left = mass[::-1].cumsum()[::-1]
+    return np.asarray(mass / left)
+
+
+def survivors(before: int, after: int, shift: int) -> FloatArray:
+    """Where the lanes of a road go: (before, after), each row with one 1.
+
+    Lane i goes on as lane i + shift; a lane that ends goes to the nearest that goes on.
+    """
+    onto = np.clip(np.arange(before) + shift, 0, after - 1)
+    return np.asarray(np.eye(after)[onto])
