@@ -1,0 +1,114 @@
+"""A road table: where on the map a car was, row by row in time, and what is ahead of it.
+
+It is one Parquet table with the columns of `RoadTable`. Matching writes it, and an experiment with
+`n_lanes: map` reads it.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, fields
+from pathlib import Path
+
+import numpy as np
+import pyarrow as pa
+from numpy.typing import NDArray
+from pyarrow import parquet
+
+from egolane_pgm.files import check_name, write_parquet
+from egolane_pgm.types import FloatArray, InputError, IntArray
+
+#: Of the stored table. It changes where a column gets another meaning.
+VERSION = "1"
+
+_WHOLE = ("segment", "n_lanes", "next_n_lanes", "next_side")
+
+
+@dataclass(frozen=True)
+class RoadTable:
+    """T rows, in the order of time.
+
+    - t_s (T,): seconds, strictly increasing, by the clock of the positions.
+    - segment (T,): the row of the lane graph; -1 off the map.
+    - along_m (T,): metres from the segment's start; NaN off the map.
+    - offset_m (T,): metres from the way's line, negative to its left; NaN off the map.
+    - sure (T,): the probability of the segment, 0 to 1.
+    - n_lanes (T,): lanes of the segment; 0 unknown.
+    - next_in_m (T,): metres to the next join at which lanes begin, end or get other numbers, or the
+      road splits or merges; NaN where there is none within 2 km.
+    - next_n_lanes, next_shift, next_join, next_side (T,): of that join, as in `LaneGraph`, towards
+      the segment that the car takes. 0, NaN, "" and 0 where there is none.
+
+    Raises InputError for columns of different lengths and for times that do not increase.
+    """
+
+    t_s: FloatArray
+    segment: IntArray
+    along_m: FloatArray
+    offset_m: FloatArray
+    sure: FloatArray
+    n_lanes: IntArray
+    next_n_lanes: IntArray
+    next_in_m: FloatArray
+    next_shift: FloatArray
+    next_join: NDArray[np.str_]
+    next_side: IntArray
+    source: str = "road table"
+
+    def __post_init__(self) -> None:
+        for name in COLUMNS:
+            rows = len(getattr(self, name))
+            if rows != len(self):
+                raise InputError(f"{self.source}: {name} has {rows} rows, t_s has {len(self)}")
+        if not np.isfinite(self.t_s).all() or (np.diff(self.t_s) <= 0).any():
+            row = int(np.argmax(~np.isfinite(self.t_s) | (np.diff(self.t_s, prepend=-np.inf) <= 0)))
+            raise InputError(f"{self.source}: row {row}: t_s does not increase")
+
+    def __len__(self) -> int:
+        return len(self.t_s)
+
+
+COLUMNS = tuple(f.name for f in fields(RoadTable) if f.name != "source")
+
+
+def save(table: RoadTable, path: str | Path) -> None:
+    """Write a road table. Raises InputError for a name that does not end in .parquet, and where it
+    cannot be written."""
+    if Path(path).suffix.lower() != ".parquet":
+        raise InputError(f"{path}: a road table is a .parquet file")
+    columns = {name: pa.array(getattr(table, name)) for name in COLUMNS}
+    attribution = "© OpenStreetMap contributors, ODbL"
+    made = pa.table(columns).replace_schema_metadata(
+        {"egolane_road_table": VERSION, "attribution": attribution}
+    )
+    write_parquet(Path(path), made)
+
+
+def load(path: str | Path) -> RoadTable:
+    """Read a road table.
+
+    Raises InputError for a file that cannot be read, that is no road table or one of another
+    version, and as `RoadTable` does.
+    """
+    check_name(path)
+    try:
+        # Given a name, pyarrow takes what is before a colon for the scheme of an address.
+        with Path(path).open("rb") as file:
+            table = parquet.read_table(file)
+    except (pa.ArrowException, OSError) as error:
+        text = getattr(error, "strerror", None) or " ".join(str(error).split())[:120]
+        raise InputError(f"{path}: cannot be read as a road table: {text}") from None
+    version = (table.schema.metadata or {}).get(b"egolane_road_table", b"").decode()
+    if version != VERSION:
+        what = f"version {version}, not {VERSION}" if version else "no road table"
+        raise InputError(f"{path}: {what}; `egolane locate MAP POSITIONS -o {path}` writes one")
+    missing = [name for name in COLUMNS if name not in table.column_names]
+    if missing:
+        raise InputError(f"{path}: lacks the column {', '.join(missing)}")
+    columns = {name: table[name].to_numpy() for name in COLUMNS}
+    for name, values in columns.items():
+        kind = np.str_ if name == "next_join" else np.int64 if name in _WHOLE else np.float64
+        try:
+            columns[name] = values.astype(kind)
+        except (TypeError, ValueError):
+            raise InputError(f"{path}: {name}: has values that are no {kind.__name__}") from None
+    return RoadTable(**columns, source=str(path))
