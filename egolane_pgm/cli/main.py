@@ -27,6 +27,7 @@ COMMANDS = {
     "learn": ("learn", "Learn an experiment from its recording."),
     "lines": ("recordings", "Print the lines of one frame as in the paper's Box 1."),
     "ls": ("show", "List graphs, evidence rules, detectors and experiments."),
+    "map": ("map", "Read the lanes of motorways from an extract of OpenStreetMap."),
     "network": ("network", "Write a graph: a picture, or text for other programs."),
     "online": ("online", "Filter frame by frame: a JSON line in, its belief out at once."),
     "plot": ("plot", "Draw the figures of result directories and studies."),

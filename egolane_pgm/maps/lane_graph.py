@@ -136,6 +136,12 @@ _SCHEMA = pa.schema(
 )
 
 
+def check_lanes_path(path: str | Path) -> None:
+    """Raise InputError for the name of a file that is not one of a lane graph."""
+    if Path(path).suffix.lower() != ".parquet":
+        raise InputError(f"{path}: a lane graph is a .parquet file")
+
+
 def save(graph: LaneGraph, path: str | Path) -> None:
     """Write a graph as one Parquet table with a row per segment, which holds lists of its points
     (`latitude`, `longitude`) and of the joins that leave it (`after`: the row of the next segment,
@@ -143,8 +149,7 @@ def save(graph: LaneGraph, path: str | Path) -> None:
 
     Raises InputError for a name that does not end in .parquet, and where it cannot be written.
     """
-    if Path(path).suffix.lower() != ".parquet":
-        raise InputError(f"{path}: a lane graph is a .parquet file")
+    check_lanes_path(path)
     given = {name: getattr(graph, name, None) for name, _ in (*_OF_SEGMENT, *_OF_JOIN)}
     given["placement_start"], given["placement_end"] = graph.placement.T
     given["latitude"], given["longitude"] = graph.point.T
@@ -227,3 +232,31 @@ def load(path: str | Path) -> LaneGraph:
     if (graph.after >= len(graph)).any() or (graph.after < 0).any():
         raise InputError(f"{path}: the lane graph is damaged; make it anew with `egolane map`")
     return graph
+
+
+# --- geometry ----------------------------------------------------------------------------------
+
+
+def metres_per_degree(latitude: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Metres to the north and to the east of one degree, on the ellipsoid WGS 84, at latitudes in
+    degrees; good to a millionth over the length of a street."""
+    radius_m, flattening = 6_378_137.0, 1 / 298.257223563
+    squared = flattening * (2 - flattening)
+    phi = np.radians(latitude)
+    w = np.sqrt(1 - squared * np.sin(phi) ** 2)
+    degree = np.pi / 180
+    return degree * radius_m * (1 - squared) / w**3, degree * radius_m * np.cos(phi) / w
+
+
+def along_points(point: FloatArray, first: IntArray) -> FloatArray:
+    """Metres from the start of its segment to each point, (P,).
+
+    - point (P, 2), first (S + 1,): as in LaneGraph.
+    """
+    step = np.diff(point, axis=0, prepend=point[:1])
+    north, east = metres_per_degree(point[:, 0] - step[:, 0] / 2)
+    metres = np.hypot(step[:, 0] * north, step[:, 1] * east)
+    metres[first[:-1]] = 0.0
+    total = np.cumsum(metres)
+    along: FloatArray = total - np.repeat(total[first[:-1]], np.diff(first))
+    return along

@@ -1,0 +1,57 @@
+"""The command `egolane map`."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import click
+import numpy as np
+
+from egolane_pgm.files import check_not_read, check_place
+from egolane_pgm.maps import load_map
+from egolane_pgm.maps.lane_graph import LaneGraph, check_lanes_path, save
+
+
+@click.command()
+@click.argument("file", type=click.Path(dir_okay=False), metavar="FILE")
+@click.option("-o", "--out", metavar="FILE", help="Write the lanes, a .parquet file.")
+@click.option("--drives-left", is_flag=True, help="Traffic keeps to the left.")
+def map(file: str, out: str | None, drives_left: bool) -> None:
+    """The lanes of the motorways and trunk roads of an extract of OpenStreetMap (.osm, .osm.pbf),
+    and how they continue from one segment of a road to the next.
+
+    Take the roads out of a large extract first:
+    osmium tags-filter FILE w/highway=motorway,motorway_link,trunk,trunk_link -o ROADS.osm.pbf
+    """
+    if out is not None:
+        check_lanes_path(out)
+        check_place(Path(out))
+        check_not_read(Path(out), [Path(file)])
+    graph = load_map(file, drives_left=drives_left)
+    click.echo(described(graph))
+    if out is not None:
+        save(graph, out)
+        click.echo(out)
+
+
+def described(graph: LaneGraph) -> str:
+    """What is on a map, in a few lines."""
+    n_lanes = graph.n_lanes
+    km = [
+        f"{graph.length_m[n_lanes == n].sum() / 1000:.1f} km with {n or 'an unknown number of'}"
+        for n in np.unique(n_lanes)
+    ]
+    kinds = [f"{(graph.join == join).sum()} {join}" for join in np.unique(graph.join)]
+    sources = [
+        f"{(graph.source == source).sum()} {source or 'unknown'}"
+        for source in np.unique(graph.source)
+    ]
+    return "\n".join(
+        [
+            f"{len(graph)} segments, {graph.length_m.sum() / 1000:.1f} km of carriageway"
+            " (© OpenStreetMap contributors, ODbL)",
+            f"lanes: {', '.join(km)}",
+            f"joins: {len(graph.join)} ({', '.join(kinds)})",
+            f"shifts of lanes, by source: {', '.join(sources)}",
+        ]
+    )
