@@ -26,6 +26,7 @@ COMMANDS = {
     "label": ("label", "Label a recording's lanes, and list what a human should look at."),
     "learn": ("learn", "Learn an experiment from its recording."),
     "lines": ("recordings", "Print the lines of one frame as in the paper's Box 1."),
+    "locate": ("locate", "Find the road of a car on a map, and what is ahead of it."),
     "ls": ("show", "List graphs, evidence rules, detectors and experiments."),
     "map": ("map", "Read the lanes of motorways from an extract of OpenStreetMap."),
     "network": ("network", "Write a graph: a picture, or text for other programs."),

@@ -1,0 +1,385 @@
+"""Which road a car is on: map matching by a hidden Markov model (Newson and Krumm, 2009, "Hidden
+Markov map matching through noise and sparseness").
+
+The states of a time are the segments near its position, and one more: off the map. A position is
+the more likely the nearer it is to the segment, and the better its heading agrees. From one time to
+the next a pair of segments is the more likely the better the way between them along the joins
+agrees with the distance of the two positions. Directions count: a segment is a carriageway.
+
+A pair without a way between them, because the map is cut there or the receiver leapt, has the
+probability of a jump, so that no track is impossible. A position that no car could have reached is
+an outlier: it takes no part, and neither do its like until they agree among themselves.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from egolane_pgm.jit import kernel
+from egolane_pgm.maps.index import Near, RoadIndex, near
+from egolane_pgm.maps.lane_graph import LaneGraph, joins_from
+from egolane_pgm.maps.positions import Positions
+from egolane_pgm.types import BoolArray, FloatArray, IntArray
+
+OFF = -1
+
+
+@dataclass(frozen=True)
+class MatchSettings:
+    """What the model takes for granted. The defaults were chosen on simulated trips.
+
+    - sigma_m: of a position across the road, the lane's offset to the way's line included, metres
+    - beta_m: scale of the difference between way and straight distance, metres
+    - beta_share: the same for long gaps, per metre of distance: curves make the way longer
+    - heading_sigma: of the direction of travel, radians
+    - radius_m: how far a segment may be from a position
+    - off_m: positions are as likely off the map as this far from a segment, metres
+    - leave, come: probability of leaving the map, and of coming back, per position
+    - jump: probability of a change to a segment that no way leads to, per position
+    - top_speed_mps: what is faster is an outlier
+    """
+
+    sigma_m: float = 6.0
+    beta_m: float = 6.0
+    beta_share: float = 0.05
+    heading_sigma: float = 0.35
+    radius_m: float = 60.0
+    off_m: float = 25.0
+    leave: float = 1e-3
+    come: float = 0.05
+    jump: float = 1e-6
+    top_speed_mps: float = 80.0
+
+
+DEFAULTS = MatchSettings()
+
+#: Below this speed, m/s, or this way between two positions, m, a heading says nothing.
+_MOVES_MPS, _MOVES_M = 3.0, 8.0
+
+#: A heading is taken to be right with all but this probability.
+_HEADING_WRONG = 0.05
+
+#: So many outliers in a row that agree among themselves are where the car is.
+_OUTLIERS_AGREE = 5
+
+
+@dataclass(frozen=True)
+class Matched:
+    """The road of a car at T positions.
+
+    - segment (T,): row of the lane graph; OFF off the map, and for outliers
+    - along_m (T,): metres from the segment's start; NaN off the map
+    - offset_m (T,): metres to the right of the way's line; NaN off the map
+    - sure (T,): probability of the segment, or of being off the map; 0 for outliers
+    - is_outlier (T,): the position took no part
+    """
+
+    segment: IntArray
+    along_m: FloatArray
+    offset_m: FloatArray
+    sure: FloatArray
+    is_outlier: BoolArray
+
+
+def no_match(n: int, is_outlier: BoolArray) -> Matched:
+    """The road of n positions, to be filled in: all are off the map."""
+    blank = np.full(n, np.nan)
+    return Matched(np.full(n, OFF), blank, blank.copy(), np.zeros(n), is_outlier)
+
+
+def match(
+    graph: LaneGraph,
+    index: RoadIndex,
+    positions: Positions,
+    *,
+    online: bool = False,
+    settings: MatchSettings = DEFAULTS,
+) -> Matched:
+    """The road at each of T positions.
+
+    - online: each answer knows the positions up to its own only (the filter's most probable
+      segment). By default the answer is the most probable path of the whole drive (Viterbi), and
+      how sure it is comes from all positions (forward and backward).
+    """
+    place = index.plane.metres(positions.latitude, positions.longitude)
+    outlier = np.empty(len(positions), dtype=np.bool_)
+    _find_outliers(positions.t_s, place, settings.top_speed_mps, outlier)
+    used = np.flatnonzero(~outlier)
+    found = near(index, place[used], settings.radius_m)
+    said = _emissions(positions, place, used, found, settings)
+    block, transition = _transitions(graph, place[used], found, settings)
+    first = found.start + np.arange(len(found.start))
+    choice, sure = _choose(first, said, block, transition, online)
+    on = choice < np.diff(found.start)
+    row = found.start[:-1] + choice
+    matched = no_match(len(positions), outlier)
+    matched.sure[used] = sure
+    matched.segment[used[on]] = found.segment[row[on]]
+    matched.along_m[used[on]] = found.along_m[row[on]]
+    matched.offset_m[used[on]] = found.offset_m[row[on]]
+    return matched
+
+
+# --- the model's terms -----------------------------------------------------------------------
+
+
+@kernel()
+def _find_outliers(t_s: FloatArray, place: FloatArray, top_speed: float, out: BoolArray) -> None:
+    """Fills out (T,): positions that cannot be reached from the last one that is none, knowing the
+    past only. After several in a row that can be reached from each other, the car is there."""
+    last, agree = 0, 0
+    for t in range(len(t_s)):
+        if t == 0:
+            out[t] = False
+            continue
+        if _reached(t_s, place, last, t, top_speed):
+            out[t], agree, last = False, 0, t
+            continue
+        agree = agree + 1 if agree > 0 and _reached(t_s, place, t - 1, t, top_speed) else 1
+        out[t] = agree < _OUTLIERS_AGREE
+        if not out[t]:
+            agree, last = 0, t
+
+
+@kernel()
+def _reached(t_s: FloatArray, place: FloatArray, a: int, b: int, top_speed: float) -> bool:
+    dx, dy = place[b, 0] - place[a, 0], place[b, 1] - place[a, 1]
+    # A standing car's positions scatter too.
+    return bool(np.sqrt(dx * dx + dy * dy) <= 20.0 + top_speed * (t_s[b] - t_s[a]))
+
+
+def _emissions(
+    positions: Positions, place: FloatArray, used: IntArray, found: Near, settings: MatchSettings
+) -> FloatArray:
+    """Log-likelihood of each time's states, (N + T,), relative to a place on the way's line: of the
+    near segments and, as the last, of being off the map."""
+    given = positions.sigma_m[used]
+    sigma = np.fmax(np.hypot(np.where(np.isnan(given), 0.0, given), 4.0), settings.sigma_m)
+    heading, moved_m = headings(positions, place, used)
+    # A heading that is the way from the position before is as good as that way is long.
+    noise = np.where(np.isnan(moved_m), 0.0, np.sqrt(2) * settings.sigma_m / moved_m)
+    spread = np.hypot(settings.heading_sigma, noise)
+    count = np.diff(found.start)
+    z = found.offset_m / np.repeat(sigma, count)
+    turn = (found.heading - np.repeat(heading, count) + np.pi) % (2 * np.pi) - np.pi
+    agrees = np.exp(-0.5 * (turn / np.repeat(spread, count)) ** 2)
+    said = np.log((1 - _HEADING_WRONG) * agrees + _HEADING_WRONG)
+    near_ones = -0.5 * z**2 + np.where(np.isnan(said), 0.0, said)
+    return np.insert(near_ones, found.start[1:], -0.5 * (settings.off_m / settings.sigma_m) ** 2)
+
+
+def headings(
+    positions: Positions, place: FloatArray, used: IntArray | None = None
+) -> tuple[FloatArray, FloatArray]:
+    """Direction of travel of U used positions (all by default), radians counter-clockwise from
+    east, NaN unknown; and the metres from the used position before where it is taken from those,
+    because the receiver does not tell it, NaN elsewhere.
+
+    - place (T, 2): metres east and north
+    """
+    used = np.arange(len(place)) if used is None else used
+    step = np.diff(place[used], axis=0, prepend=place[used[:1]])
+    far = np.hypot(*step.T)
+    told = np.pi / 2 - np.radians(positions.heading_deg[used])
+    told = np.where(positions.speed_mps[used] < _MOVES_MPS, np.nan, told)
+    moved = np.isnan(told) & (far >= _MOVES_M)
+    return np.where(moved, np.arctan2(step[:, 1], step[:, 0]), told), np.where(moved, far, np.nan)
+
+
+def _transitions(
+    graph: LaneGraph, place: FloatArray, found: Near, settings: MatchSettings
+) -> tuple[IntArray, FloatArray]:
+    """Log-probabilities from each time's states to the next one's. States are the near segments
+    and, as the last, off the map.
+
+    Returns the start of each time's block (T + 1,), the block of t leading from t - 1 to t, and the
+    blocks, row by row.
+    """
+    count = np.diff(found.start) + 1
+    size = np.concatenate([[0], count[:-1] * count[1:]])
+    block = np.concatenate([[0], np.cumsum(size)]).astype(np.int64)
+    transition = np.empty(block[-1])
+    _fill_transitions(
+        found.start, found.segment, found.along_m, place, joins_from(graph), graph.after,
+        graph.length_m, settings.beta_m, settings.beta_share, settings.sigma_m,
+        np.log(settings.leave), np.log(settings.come), np.log(settings.jump), block, transition,
+    )  # fmt: skip
+    return block, transition
+
+
+@kernel()
+def _fill_transitions(
+    start: IntArray,
+    segment: IntArray,
+    along: FloatArray,
+    place: FloatArray,
+    join_start: IntArray,
+    after: IntArray,
+    length: FloatArray,
+    beta: float,
+    beta_share: float,
+    sigma: float,
+    leave: float,
+    come: float,
+    jump: float,
+    block: IntArray,
+    transition: FloatArray,
+) -> None:
+    """Fills transition as `_transitions` says it."""
+    reached_in = np.full(len(length), -1, dtype=np.int64)
+    way_to = np.empty(len(length))
+    is_done = np.empty(len(length), dtype=np.bool_)
+    open_ = np.empty(len(length), dtype=np.int64)
+    search = 0
+    for t in range(1, len(start) - 1):
+        a0, a1, b0, b1 = start[t - 1], start[t], start[t], start[t + 1]
+        width = b1 - b0 + 1
+        dx, dy = place[t, 0] - place[t - 1, 0], place[t, 1] - place[t - 1, 1]
+        straight = np.sqrt(dx * dx + dy * dy)
+        scale = beta + beta_share * straight
+        limit = straight + 15.0 * scale
+        for a in range(a0, a1):
+            at = block[t] + (a - a0) * width
+            # Distances to the starts of the segments that are ahead, nearest first (Dijkstra).
+            n_open = 0
+            here = segment[a]
+            rest = length[here] - along[a]
+            if rest <= limit:
+                for j in range(join_start[here], join_start[here + 1]):
+                    reached_in[after[j]] = search
+                    way_to[after[j]] = rest
+                    is_done[after[j]] = False
+                    open_[n_open] = after[j]
+                    n_open += 1
+            while n_open > 0:
+                k = 0
+                for i in range(1, n_open):
+                    if way_to[open_[i]] < way_to[open_[k]]:
+                        k = i
+                s = open_[k]
+                n_open -= 1
+                open_[k] = open_[n_open]
+                is_done[s] = True
+                further = way_to[s] + length[s]
+                if further > limit:
+                    continue
+                for j in range(join_start[s], join_start[s + 1]):
+                    n = after[j]
+                    if reached_in[n] != search:
+                        reached_in[n] = search
+                        is_done[n] = False
+                        way_to[n] = further
+                        open_[n_open] = n
+                        n_open += 1
+                    elif not is_done[n] and further < way_to[n]:
+                        way_to[n] = further
+            for b in range(b0, b1):
+                s = segment[b]
+                way = np.inf
+                if s == here and along[b] - along[a] > -4.0 * sigma:
+                    way = along[b] - along[a]
+                elif reached_in[s] == search:
+                    way = way_to[s] + along[b]
+                transition[at + b - b0] = max(-abs(way - straight) / scale, jump)
+            transition[at + width - 1] = leave
+            search += 1
+        at = block[t] + (a1 - a0) * width
+        for b in range(b0, b1):
+            transition[at + b - b0] = come
+        transition[at + width - 1] = 0.0
+
+
+# --- the recursions --------------------------------------------------------------------------
+#
+# `first` (T + 1,) says where each time's states begin among all M; `said` (M,) is their
+# log-likelihood; `block` (T + 1,) says where the transitions from t - 1 to t begin.
+
+
+def _choose(
+    first: IntArray, said: FloatArray, block: IntArray, transition: FloatArray, online: bool
+) -> tuple[IntArray, FloatArray]:
+    """The state of each time, (T,), counted among its own, and how sure it is, (T,)."""
+    belief = np.empty(len(said))
+    choice = np.empty(len(first) - 1, dtype=np.int64)
+    filter_states(first, said, block, transition, belief)
+    if online:
+        best_states(first, belief, choice)
+    else:
+        smooth_states(first, block, transition, belief)
+        best_path(first, said, block, transition, choice)
+    return choice, belief[first[:-1] + choice]
+
+
+@kernel()
+def filter_states(
+    first: IntArray, said: FloatArray, block: IntArray, transition: FloatArray, out: FloatArray
+) -> None:
+    """Fills out (M,) with P(state at t | positions up to t)."""
+    for t in range(len(first) - 1):
+        here, size = first[t], first[t + 1] - first[t]
+        top = said[here : first[t + 1]].max()
+        total = 0.0
+        for b in range(size):
+            weight = 1.0
+            if t > 0:
+                weight = 0.0
+                for a in range(here - first[t - 1]):
+                    weight += out[first[t - 1] + a] * np.exp(transition[block[t] + a * size + b])
+            out[here + b] = weight * np.exp(said[here + b] - top)
+            total += out[here + b]
+        out[here : here + size] /= total
+
+
+@kernel()
+def smooth_states(
+    first: IntArray, block: IntArray, transition: FloatArray, belief: FloatArray
+) -> None:
+    """Turns the filter's belief (M,) into P(state at t | all positions), in place."""
+    for t in range(len(first) - 3, -1, -1):
+        here, there = first[t], first[t + 1]
+        rows, size = there - here, first[t + 2] - there
+        weight = np.zeros(rows)
+        for b in range(size):
+            predicted = 0.0
+            for a in range(rows):
+                predicted += belief[here + a] * np.exp(transition[block[t + 1] + a * size + b])
+            if predicted > 0.0:
+                for a in range(rows):
+                    moved = np.exp(transition[block[t + 1] + a * size + b])
+                    weight[a] += moved * belief[there + b] / predicted
+        belief[here:there] *= weight
+        belief[here:there] /= belief[here:there].sum()
+
+
+@kernel()
+def best_path(
+    first: IntArray, said: FloatArray, block: IntArray, transition: FloatArray, out: IntArray
+) -> None:
+    """Fills out (T,) with the states of the most probable path (Viterbi), counted among those of
+    their time."""
+    n_times = len(first) - 1
+    score = said.copy()
+    origin = np.zeros(len(said), dtype=np.int64)
+    for t in range(1, n_times):
+        size = first[t + 1] - first[t]
+        for b in range(size):
+            best = -np.inf
+            for a in range(first[t] - first[t - 1]):
+                value = score[first[t - 1] + a] + transition[block[t] + a * size + b]
+                if value > best:
+                    best = value
+                    origin[first[t] + b] = a
+            score[first[t] + b] += best
+    state = np.argmax(score[first[n_times - 1] : first[n_times]])
+    for t in range(n_times - 1, -1, -1):
+        out[t] = state
+        state = origin[first[t] + state]
+
+
+@kernel()
+def best_states(first: IntArray, belief: FloatArray, out: IntArray) -> None:
+    """Fills out (T,) with the most probable state of each time, counted among its own."""
+    for t in range(len(first) - 1):
+        out[t] = np.argmax(belief[first[t] : first[t + 1]])

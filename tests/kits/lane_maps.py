@@ -1,0 +1,126 @@
+"""Small lane graphs for the tests, drawn in metres, and trips over any graph."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from egolane_pgm.maps.index import RoadIndex
+from egolane_pgm.maps.lane_graph import LaneGraph, joins_from
+from egolane_pgm.maps.local import Plane
+from egolane_pgm.maps.positions import Positions
+from egolane_pgm.types import FloatArray, IntArray
+
+#: Where the drawn roads are.
+PLANE = Plane(50.0, 11.5)
+
+#: A join: before, after, shift, what it is, side.
+Join = tuple[int, int, float, str, int]
+
+
+def lane_map(
+    lines: Sequence[Sequence[tuple[float, float]]], n_lanes: Sequence[int], joins: Sequence[Join]
+) -> LaneGraph:
+    """A graph of segments along lines in metres, east and north of PLANE's centre."""
+    points = [np.array(line, dtype=float) for line in lines]
+    n = len(lines)
+    nothing = np.full(n, "", dtype=object)
+    joins = sorted(joins)
+    before, after, shift, join, side = zip(*joins, strict=True) if joins else ((),) * 5
+    return LaneGraph(
+        way=np.arange(n) + 100,
+        kind=np.full(n, "motorway"),
+        name=np.array([f"A {k}" for k in range(n)], dtype=object),
+        n_lanes=np.array(n_lanes),
+        placement=np.stack([np.array(n_lanes) / 2] * 2, axis=1),
+        point=PLANE.degrees(np.concatenate(points)),
+        first=np.concatenate([[0], np.cumsum([len(p) for p in points])]),
+        length_m=np.array([np.hypot(*np.diff(p, axis=0).T).sum() for p in points]),
+        turn=nothing,
+        change=nothing,
+        width=nothing,
+        before=np.array(before, dtype=np.int64),
+        after=np.array(after, dtype=np.int64),
+        shift=np.array(shift, dtype=float),
+        join=np.array(join, dtype=np.str_),
+        side=np.array(side, dtype=np.int64),
+        source=np.full(len(joins), "placement"),
+    )
+
+
+def interchange() -> LaneGraph:
+    """Two carriageways of 6 km, 15 m apart. On the eastward one a third lane begins after 2 km (at
+    the right), an exit leaves after 3 km and comes back after 5 km."""
+    return lane_map(
+        [
+            [(0, 0), (2000, 0)],
+            [(2000, 0), (3000, 0)],
+            [(3000, 0), (5000, 0)],
+            [(5000, 0), (6000, 0)],
+            [(3000, 0), (3200, -20), (3500, -60), (4500, -60), (4800, -20), (5000, 0)],
+            [(6000, 15), (0, 15)],
+        ],
+        [2, 3, 2, 2, 1, 2],
+        [
+            (0, 1, 0, "same", 1),
+            (1, 2, 0, "exit", 1),
+            (1, 4, -2, "exit", 1),
+            (2, 3, 0, "entry", 1),
+            (4, 3, 1, "entry", 1),
+        ],
+    )
+
+
+def random_trip(
+    graph: LaneGraph,
+    index: RoadIndex,
+    rng: np.random.Generator,
+    *,
+    speed: float = 30.0,
+    noise_m: float = 3.0,
+    lane_m: float = 3.0,
+    longest_m: float = 30_000.0,
+) -> tuple[Positions, IntArray]:
+    """Positions once a second on a random way along the joins, and the segment of each.
+
+    The noise is half white and half slow, as a receiver's; lane_m is the standard deviation of the
+    lane's offset from the way's line.
+    """  # fmt: skip
+    joins = joins_from(graph)
+    way = [int(rng.choice(len(graph), p=graph.length_m / graph.length_m.sum()))]
+    while graph.length_m[way].sum() < longest_m and joins[way[-1]] < joins[way[-1] + 1]:
+        row = rng.integers(joins[way[-1]], joins[way[-1] + 1])
+        way.append(int(graph.after[row]))
+    start = np.concatenate([[0.0], np.cumsum(graph.length_m[way])])
+    driven = np.arange(0.0, start[-1], speed)
+    at = np.minimum(np.searchsorted(start, driven, side="right") - 1, len(way) - 1)
+    segment = np.array(way)[at]
+    place = np.stack(
+        [_place(index, s, d) for s, d in zip(segment, driven - start[at], strict=True)]
+    )
+    heading = np.gradient(place, axis=0) if len(place) > 1 else np.ones_like(place)
+    right = np.stack([heading[:, 1], -heading[:, 0]], axis=1)
+    right /= np.linalg.norm(right, axis=1, keepdims=True) + 1e-9
+    place += right * _slow(rng, len(place), 60)[:, None] * lane_m
+    drift = np.stack([_slow(rng, len(place), 30) for _ in range(2)], axis=1)
+    place += noise_m * np.sqrt(0.5) * (drift + rng.normal(size=place.shape))
+    latitude, longitude = index.plane.degrees(place).T
+    return Positions.make(np.arange(len(place)) * 1.0, latitude, longitude), segment
+
+
+def _place(index: RoadIndex, segment: int, along: float) -> FloatArray:
+    rows = slice(index.first[segment], index.first[segment + 1])
+    return np.array(
+        [np.interp(along, index.along_m[rows], index.point[rows, axis]) for axis in (0, 1)]
+    )
+
+
+def _slow(rng: np.random.Generator, n: int, seconds: float) -> FloatArray:
+    """A Gauss-Markov process of standard deviation 1, (n,), with this correlation time."""
+    kept = np.exp(-1 / seconds)
+    value, values = rng.normal(), []
+    for step in rng.normal(size=n):
+        values.append(value)
+        value = kept * value + np.sqrt(1 - kept**2) * step
+    return np.array(values)
