@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import partial
 from pathlib import Path
 
 import click
@@ -10,13 +11,29 @@ import numpy as np
 from egolane_pgm.files import check_not_read, check_place
 from egolane_pgm.maps import load_map
 from egolane_pgm.maps.lane_graph import LaneGraph, check_lanes_path, save
+from egolane_pgm.report.lane_map import lane_map_figure
+from egolane_pgm.report.style import check_figure_path, write_figure
+from egolane_pgm.types import InputError
 
 
 @click.command()
 @click.argument("file", type=click.Path(dir_okay=False), metavar="FILE")
 @click.option("-o", "--out", metavar="FILE", help="Write the lanes, a .parquet file.")
+@click.option("--plot", metavar="FILE", help="Draw the lanes (.png, .svg, .pdf).")
+@click.option(
+    "--around",
+    type=(float, float, float),
+    metavar="LAT LON METRES",
+    help="With --plot: only what lies so near, to scale, lanes numbered.",
+)
 @click.option("--drives-left", is_flag=True, help="Traffic keeps to the left.")
-def map(file: str, out: str | None, drives_left: bool) -> None:
+def map(
+    file: str,
+    out: str | None,
+    plot: str | None,
+    around: tuple[float, float, float] | None,
+    drives_left: bool,
+) -> None:
     """The lanes of the motorways and trunk roads of an extract of OpenStreetMap (.osm, .osm.pbf),
     and how they continue from one segment of a road to the next.
 
@@ -27,11 +44,19 @@ def map(file: str, out: str | None, drives_left: bool) -> None:
         check_lanes_path(out)
         check_place(Path(out))
         check_not_read(Path(out), [Path(file)])
+    if plot is not None:
+        check_figure_path(plot)
+        check_place(Path(plot))
+    elif around is not None:
+        raise InputError("--around: needs --plot")
     graph = load_map(file, drives_left=drives_left)
     click.echo(described(graph))
     if out is not None:
         save(graph, out)
         click.echo(out)
+    if plot is not None:
+        write_figure(partial(lane_map_figure, graph, around), plot)
+        click.echo(plot)
 
 
 def described(graph: LaneGraph) -> str:
