@@ -34,6 +34,12 @@ from egolane_pgm.parameters import check_names, resolve_parameters
 from egolane_pgm.plugins import OWN_FILES, declared_parameters, load_rule_and_graph
 from egolane_pgm.types import MAX_LANES, InputError, all_problems, not_one_of, suggestion
 
+#: What an experiment keeps for `n_lanes: map`, until the map was looked at.
+FROM_MAP = 0
+
+#: The simulated drive that brings a road table of its own.
+INTERCHANGE = "interchange"
+
 #: What replaces some of an experiment's keys, as `load_experiment` takes it.
 Overrides = Mapping[str, Any] | Sequence[str] | None
 
@@ -233,7 +239,13 @@ class Experiment(Section):
     description: str = ""
     recording: Recording
     ground_truth: GroundTruth | None = None
-    n_lanes: int = Field(ge=1, le=MAX_LANES, strict=True)
+    road: str | None = Field(
+        default=None,
+        description="the road table of the drive (`egolane locate` writes it), for n_lanes: map",
+    )
+    n_lanes: int = Field(
+        le=MAX_LANES, strict=True, description="lanes of the road, or `map`: as the road table says"
+    )
     evidence: str = "counting"
     graph: str = "sensor_failure"
     filter: Literal["assumed_density", "exact", "smoothed", "fixed_lag"] = "assumed_density"
@@ -267,6 +279,20 @@ class Experiment(Section):
     parameters: _Keys = Field(default_factory=FrozenDict)
     tuned_on: Literal["same_frames", "other_frames", "not_tuned", "unknown"] = "unknown"
     tuning: Tuning | None = None
+
+    @field_validator("n_lanes", mode="before")
+    @classmethod
+    def _number_or_map(cls, value: Any, info: ValidationInfo) -> Any:
+        recording = info.data.get("recording")
+        is_simulated = recording is not None and recording.simulate == INTERCHANGE
+        has_road = is_simulated or info.data.get("road") is not None
+        if value == "map":
+            if not has_road:
+                raise ValueError("map needs a road table (road: FILE, `egolane locate` writes it)")
+            return FROM_MAP
+        if type(value) is int and value < 1 and not (has_road and value == FROM_MAP):
+            raise ValueError("input should be greater than or equal to 1")
+        return value
 
     @field_validator("lag")
     @classmethod
@@ -306,6 +332,14 @@ class Experiment(Section):
     def folder(self) -> Path:
         """The folder of the YAML file: its relative paths start here."""
         return self._folder
+
+    @property
+    def follows_map(self) -> bool:
+        """Whether the lanes of the road change along the drive, as a map says."""
+        if self.road is not None:
+            return True
+        asks = self.n_lanes == FROM_MAP or "steps" in self.parameters
+        return self.recording.simulate == INTERCHANGE and asks
 
     @property
     def has_causal_filter(self) -> bool:
@@ -492,6 +526,9 @@ _FITTING = {"tuning", "fit", "learned_on", "learning", "choice"}
 def resolved(experiment: Experiment, parameters: Mapping[str, Any]) -> dict[str, Any]:
     """All keys with their values, defaults included, as plain types for YAML or JSON."""
     content = experiment.model_dump(mode="json", exclude=_FITTING)
+    if content["road"] is None:
+        # A config without a road is the same config as ever, and so is its hash.
+        del content["road"]
     content["parameters"] = {
         name: list(value) if isinstance(value, tuple) else value
         for name, value in sorted(parameters.items())
@@ -522,7 +559,10 @@ def read_override(override: str, example: str, option: str = "--set") -> tuple[s
 
 
 #: The keys whose values are files.
-_FILES = ("recording.path", "recording.camera", "recording.right", "ground_truth.path")
+_FILES = (
+    *("recording.path", "recording.camera", "recording.right"),
+    *("ground_truth.path", "road"),
+)
 
 #: The keys whose values are plugins, by name or file.
 _PLUGIN_FILES = ("graph", "evidence", "recording.format", "recording.detector")

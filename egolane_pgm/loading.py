@@ -5,7 +5,7 @@ from __future__ import annotations
 import hashlib
 import warnings
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -22,7 +22,10 @@ from egolane_pgm.detectors.runner import (
     own_files,
     start,
 )
-from egolane_pgm.experiment import Experiment, make_experiment
+from egolane_pgm.experiment import INTERCHANGE, Experiment, make_experiment
+from egolane_pgm.maps.road_table import RoadTable
+from egolane_pgm.maps.road_table import load as load_road
+from egolane_pgm.maps.steps import LanesAlong, lanes_along
 from egolane_pgm.plugins import load_plugin, plugin_errors
 from egolane_pgm.recordings import (
     FORMATS,
@@ -47,6 +50,7 @@ from egolane_pgm.types import InputError, IntArray, LaneTruth, LineLog, all_prob
 if TYPE_CHECKING:
     # OpenCV is imported only where there are pictures.
     from egolane_pgm.camera.pictures import Source
+    from egolane_pgm.simulation.interchange import InterchangeDrive
 
 #: Extensions by which a video is known where no detector is named.
 VIDEOS = (".mp4", ".avi", ".mkv", ".mov", ".mpg", ".mpeg", ".m4v", ".webm", ".wmv", ".ts")
@@ -65,6 +69,7 @@ class Recorded:
     scored (K,): which frames of the log these are.
     files: what was read (a folder of pictures, or a glob, stands for all of them).
     notes: warnings, a line each.
+    road: the lanes of the road in each frame of the log, where a map tells them.
     """
 
     log: LineLog
@@ -72,6 +77,7 @@ class Recorded:
     scored: IntArray
     files: tuple[Path, ...]
     notes: tuple[str, ...]
+    road: LanesAlong | None = None
 
 
 def load_recording(
@@ -103,8 +109,15 @@ def load_recording(
     if recording.lri == "clip":
         log = clip_lri(log, max_lri)
     notes += recording_warnings(log, experiment.n_lanes, max_lri)
+    road = None
+    if experiment.follows_map:
+        check_one_drive(log, "clips are run with a fixed n_lanes")
+        if experiment.road is not None:
+            files.append(_road_file(experiment.road, experiment))
+        road = _road(experiment, parameters or experiment.parameters, log)
     if truth is None:
-        return Recorded(log, None, np.zeros(0, dtype=np.int64), tuple(files), tuple(notes))
+        none = np.zeros(0, dtype=np.int64)
+        return Recorded(log, None, none, tuple(files), tuple(notes), road)
     check_one_drive(log, "clips are run without ground truth (--ground-truth none)")
     truth.check_lanes(experiment.n_lanes)
     both = join(log, truth)
@@ -113,14 +126,54 @@ def load_recording(
             f"{log.source}: {both.log_dropped} of {len(log)} frames have no ground truth;"
             " filtered, not scored"
         )
-    return Recorded(log, truth.take(both.truth), both.log, tuple(files), tuple(notes))
+    return Recorded(log, truth.take(both.truth), both.log, tuple(files), tuple(notes), road)
+
+
+def road_of(experiment: Experiment) -> RoadTable:
+    """The road table of an experiment that follows a map. Raises InputError for a file that cannot
+    be used."""
+    if experiment.road is None:
+        return _simulated_interchange(experiment).road
+    return load_road(_road_file(experiment.road, experiment))
+
+
+def _road_file(name: str, experiment: Experiment) -> Path:
+    return _find(name, experiment, "road")
+
+
+def _simulated_interchange(experiment: Experiment) -> InterchangeDrive:
+    from egolane_pgm.simulation.interchange import Journey, simulate_interchange
+
+    recording = experiment.recording
+    known = {f.name for f in fields(Journey)}
+    for key in recording.options:
+        if key not in known:
+            raise InputError(
+                f"{experiment.source}: recording.options: unknown key '{key}'"
+                f"{suggestion(key, known)}"
+            )
+    return simulate_interchange(recording.seed, None, Journey(**recording.options))
+
+
+def _road(experiment: Experiment, parameters: Mapping[str, Any], log: LineLog) -> LanesAlong:
+    return lanes_along(
+        road_of(experiment),
+        log.time_s,
+        steps=str(parameters["steps"]),
+        n_lanes=experiment.n_lanes,
+        place_sigma_m=float(parameters["place_sigma_m"]),
+        source=log.source,
+    )
 
 
 def _read_sources(experiment: Experiment) -> tuple[LineLog, LaneTruth | None, list[Path]]:
     recording = experiment.recording
     files: list[Path] = []
     truth = None
-    if recording.simulate is not None:
+    if recording.simulate == INTERCHANGE:
+        trip = _simulated_interchange(experiment)
+        log, truth = trip.log, trip.truth
+    elif recording.simulate is not None:
         from egolane_pgm.simulation import simulate
 
         drive = simulate(recording.simulate, seed=recording.seed, n_lanes=experiment.n_lanes)
@@ -155,6 +208,9 @@ def check_sources(experiment: Experiment) -> None:
         if experiment.ground_truth is not None:
             with part():
                 _find(experiment.ground_truth.path, experiment, "ground_truth.path")
+        if experiment.road is not None:
+            with part():
+                _road_file(experiment.road, experiment)
 
 
 def _check_format(experiment: Experiment) -> None:
@@ -169,10 +225,11 @@ def _check_recording(experiment: Experiment) -> None:
     from egolane_pgm.simulation import PRESETS
 
     recording, source = experiment.recording, experiment.source
-    if recording.simulate is not None and recording.simulate not in PRESETS:
+    presets = (*PRESETS, INTERCHANGE)
+    if recording.simulate is not None and recording.simulate not in presets:
         raise InputError(
             f"{source}: recording.simulate: unknown preset '{recording.simulate}'"
-            f"{suggestion(recording.simulate, PRESETS)}"
+            f"{suggestion(recording.simulate, presets)}"
         )
     if recording.detector is not None:
         _check_detector(experiment)
@@ -262,7 +319,8 @@ def data_entries(experiment: Experiment, recorded: Recorded) -> list[dict[str, A
 def named_files(experiment: Experiment) -> list[Path]:
     """The YAML of an experiment, and the files that it names in full or that lie beside it."""
     recording, truth = experiment.recording, experiment.ground_truth
-    names = (recording.path, recording.right, recording.camera, truth.path if truth else None)
+    of_truth = truth.path if truth else None
+    names = (recording.path, recording.right, recording.camera, of_truth, experiment.road)
     return [Path(experiment.source), *(experiment.folder / name for name in names if name)]
 
 
@@ -406,6 +464,7 @@ def with_recording(
         content["recording"] = {k: v for k, v in content["recording"].items() if k in kept}
         content["recording"]["path"] = str(Path(recording).absolute())
         content["ground_truth"] = None
+        content["road"] = None
         content["tuning"] = None
         content["name"] = as_name(Path(recording).stem)
         content["tuned_on"] = (

@@ -14,13 +14,20 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
-from egolane_pgm.experiment import Experiment
+from egolane_pgm.experiment import FROM_MAP, Experiment, load_experiment
 from egolane_pgm.graphs.from_pgmpy import node_names
 from egolane_pgm.inference.compile import Compiled, compile, with_tables
 from egolane_pgm.inference.filtering import filter_beliefs, read_evidence
 from egolane_pgm.inference.layout import check_keys
 from egolane_pgm.inference.smoothing import infer_beliefs
-from egolane_pgm.loading import Recorded, check_sources, load_recording, with_video_rate
+from egolane_pgm.loading import (
+    Recorded,
+    check_sources,
+    load_recording,
+    road_of,
+    with_video_rate,
+)
+from egolane_pgm.maps.steps import LanesAlong, on_constant_road, road_changes
 from egolane_pgm.parameters import Value, resolve_parameters
 from egolane_pgm.plugins import (
     declared_parameters,
@@ -103,6 +110,7 @@ def prepare_model(experiment: Experiment) -> Model:
     Raises InputError naming the YAML file and key for unknown plugins and parameters, values out
     of range, and an evidence rule that does not fit the graph.
     """
+    experiment = with_map(experiment)
     source = experiment.source
     rule, graph = load_rule_and_graph(
         experiment.evidence, experiment.graph, experiment.folder, source
@@ -133,6 +141,48 @@ def prepare_model(experiment: Experiment) -> Model:
     model = Model(rule, graph, parameters, compiled, experiment.n_lanes, roles)
     _check_shapes(model, f"{source}: evidence {experiment.evidence}")
     return model
+
+
+def with_map(experiment: Experiment) -> Experiment:
+    """The experiment with the lanes and the steps of its road, where it has a road table.
+
+    Raises InputError for a road table that cannot be used, and for a graph or a reading of the
+    evidence that knows no changing road.
+    """
+    if not experiment.follows_map:
+        return experiment
+    source = experiment.source
+    graph = load_plugin("graphs", experiment.graph, experiment.folder, f"{source}: graph")
+    if not _is_of_changing_roads(graph):
+        raise InputError(
+            f"{source}: graph: {experiment.graph} is of a road with a fixed number of lanes; a road"
+            " table needs graph: changing_lanes"
+        )
+    if experiment.evidence_reading != "soft":
+        raise InputError(
+            f"{source}: evidence_reading: {experiment.evidence_reading} does not go with a road"
+            " table; soft does"
+        )
+    if experiment.n_lanes != FROM_MAP and "steps" in experiment.parameters:
+        return experiment
+    found = road_changes(road_of(experiment))
+    steps = found.vocabulary()
+    on_map = max([int(found.n_lanes.max()), *(step.after for step in found.steps)])
+    n_lanes = experiment.n_lanes
+    if n_lanes == FROM_MAP:
+        given = {**experiment.parameters, "steps": steps}
+        named = {p.name for p in graph.PARAMETERS}
+        known = {name: value for name, value in given.items() if name in named}
+        where = f"{source}: parameters"
+        n_lanes = graph.most_lanes(
+            on_map, resolve_parameters(graph.PARAMETERS, known, on_map, where)
+        )
+    return load_experiment(experiment, {"n_lanes": n_lanes, "parameters": {"steps": steps}})
+
+
+def _is_of_changing_roads(graph: ModuleType) -> bool:
+    """Whether a graph is told the lanes of the road in each frame."""
+    return "Step" in getattr(graph, "INPUTS", ()) and hasattr(graph, "most_lanes")
 
 
 def with_parameters(model: Model, parameters: Mapping[str, Value]) -> Model:
@@ -213,6 +263,13 @@ def graph_roles(graph: ModuleType, rule: ModuleType, network: DynamicBayesianNet
     return Roles(hidden, observed, inputs, tuple(k for k in rule.PROVIDES if k not in observed))
 
 
+def taken_of_rule(graph: ModuleType) -> tuple[Observed, ...]:
+    """What a graph that says what it observes takes of the evidence rule: that, or less where the
+    model adds what the map tells."""
+    taken: tuple[Observed, ...] = getattr(graph, "TAKES", graph.OBSERVED)
+    return taken
+
+
 def observed_under(rule: ModuleType, network: DynamicBayesianNetwork) -> tuple[Observed, ...]:
     """Those of the keys of a rule's evidence whose nodes a network has."""
     nodes = node_names(network)
@@ -234,7 +291,7 @@ def fitting_rule(graph: ModuleType, n_lanes: int, first: str, folder: Path, wher
         parameters = resolve_parameters(specs, {}, n_lanes)
         network = build_network(graph, n_lanes, parameters, where)
         return max(rules, key=lambda name: len(observed_under(rules[name], network)))
-    seen = set(graph.OBSERVED)
+    seen = set(taken_of_rule(graph))
     known = {*seen, *getattr(graph, "UNUSED", ())}
     shapes = {p.name for p in specs if p.kind == "integer"}
     missing = {
@@ -275,13 +332,14 @@ def _check_names(rule: ModuleType, graph: ModuleType, source: str) -> None:
     provides = getattr(rule, "PROVIDES", None)
     if provides is None or not hasattr(graph, "OBSERVED"):
         return
-    for key in graph.OBSERVED:
+    taken = taken_of_rule(graph)
+    for key in taken:
         if key not in provides:
             raise InputError(
                 f"{source}: the graph observes {key}, the evidence rule gives only"
                 f" {', '.join(map(str, provides))}"
             )
-    known = {*graph.OBSERVED, *getattr(graph, "UNUSED", ())}
+    known = {*taken, *getattr(graph, "UNUSED", ())}
     for key in provides:
         if key not in known:
             raise InputError(
@@ -375,21 +433,56 @@ def _evidence_alone(rule: ModuleType, model: Model, log: LineLog) -> Any:
         return rule.evidence(log, model.n_lanes, model.parameters)
 
 
-def make_evidence(model: Model, log: LineLog, reading: str = "soft") -> RuleOutput:
+def make_evidence(
+    model: Model, log: LineLog, reading: str = "soft", road: LanesAlong | None = None
+) -> RuleOutput:
     """Make the evidence of a log of T frames for the model's graph.
 
     - reading: the experiment's `evidence_reading`.
+    - road: the lanes of the road in each frame; None for a road on which they do not change.
 
     The evidence of frames that `missing_frames: predict` put in is 1 for every value of a node.
     Raises InputError, naming the rule's file, for what is no evidence of T frames.
     """
     rule = model.rule
+    tentative = None
     with plugin_errors(rule, "evidence"), warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always", UserWarning)
-        given = rule.evidence(log, model.n_lanes, model.parameters)
+        if _is_of_changing_roads(model.graph):
+            road = road or on_constant_road(len(log), model.n_lanes)
+            given, tentative = _evidence_along(model, log, road)
+        else:
+            given = rule.evidence(log, model.n_lanes, model.parameters)
     filtered = _filtered(model, log, given, reading)
-    notes = tuple(str(w.message) for w in caught if issubclass(w.category, UserWarning))
-    return RuleOutput(filtered, _tentative(rule, given, model.n_lanes), notes)
+    notes = [str(w.message) for w in caught if issubclass(w.category, UserWarning)]
+    if tentative is None:
+        tentative = _tentative(rule, given, model.n_lanes)
+    return RuleOutput(filtered, tentative, tuple(dict.fromkeys(notes)))
+
+
+def _evidence_along(model: Model, log: LineLog, road: LanesAlong) -> tuple[Evidence, FloatArray]:
+    """The evidence of a log of T frames on a road whose lanes change, and the tentative vector
+    (T, n) of a road with the lanes of the map.
+
+    The rule is asked what it makes of the lines on roads of as many lanes as the map has, one less
+    and one more; each is evidence of the lane on a road of so many lanes.
+    """
+    rule, n_frames, most = model.rule, len(log), model.n_lanes
+    asked = {n + k for n in np.unique(road.n_lanes).tolist() for k in (-1, 0, 1)}
+    joint = np.zeros((n_frames, most, most))
+    wor = np.ones((n_frames, 2))
+    tentative = np.zeros((n_frames, most))
+    for n in sorted(asked.intersection(range(1, most + 1))):
+        given = rule.evidence(log, n, model.parameters)
+        output = given.likelihoods["DetectorOutput"]
+        joint[:, :n, n - 1] = output
+        here = road.n_lanes == n
+        wor[here] = given.likelihoods["WOR"][here]
+        tentative[here, :n] = output[here]
+    found = Evidence(
+        {("DetectorOutput", "Lanes"): joint, "WOR": wor, "Lane": road.served}, {"Step": road.step}
+    )
+    return found, tentative / tentative.sum(axis=1, keepdims=True)
 
 
 def _filtered(model: Model, log: LineLog, given: Evidence, reading: str) -> Evidence:
@@ -513,6 +606,12 @@ def load_drive(
     named = experiment.ground_truth is not None or experiment.recording.simulate is not None
     has_truth = named if recorded is None else recorded.truth is not None
     with all_problems() as part:
+        with part():
+            if experiment.follows_map:
+                raise InputError(
+                    f"{experiment.source}: n_lanes: a road from a map is for `egolane run`; here"
+                    " give n_lanes as a number"
+                )
         with part():
             if experiment.decode != "marginal":
                 raise InputError(

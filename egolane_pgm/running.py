@@ -38,6 +38,7 @@ from egolane_pgm.model import (
     model_to_run,
     prepare_model,
     value_names,
+    with_map,
 )
 from egolane_pgm.parallel import in_order
 from egolane_pgm.plugins import OWN_FILES, source_files
@@ -108,6 +109,7 @@ def run_experiment(
     """
     if not isinstance(experiment, Experiment):
         experiment = load_experiment(experiment)
+    experiment = with_map(experiment)
     model = model_to_run(experiment) if recorded is None else prepare_model(experiment)
     if recorded is None:
         experiment = with_video_rate(experiment)
@@ -117,7 +119,7 @@ def run_experiment(
     made: list[RuleOutput] = []
     found: list[Beliefs] = []
     for log in tqdm(logs, unit="clip", leave=False, disable=None if len(logs) > 1 else True):
-        made.append(make_evidence(model, log, experiment.evidence_reading))
+        made.append(make_evidence(model, log, experiment.evidence_reading, recorded.road))
         filtered, method, lag = made[-1].filtered, experiment.filter, experiment.lag
         found.append(infer_beliefs(model.compiled, filtered, method, lag, frame_id=log.frame_id))
     evidence, beliefs = joined_outputs(made), Beliefs.joined(found)
@@ -128,7 +130,7 @@ def run_experiment(
             f"{recorded.log.source}: the evidence of {impossible} frame(s) has joint likelihood"
             " zero; they keep their prediction"
         )
-    if recorded.log.clip is None:
+    if recorded.log.clip is None and recorded.road is None:
         doubt = doubt_of_lanes(experiment, model, recorded.log, evidence.filtered)
         notes.extend([doubt] if doubt else [])
     assigned = assigned_lane(beliefs.lane, experiment.unassigned_below)
@@ -260,6 +262,8 @@ def portable(
     for key in ("recording", "ground_truth"):
         if content[key]:
             portable[key] = files_in_full(content[key], experiment.folder)
+    if content.get("road"):
+        portable["road"] = str((experiment.folder / content["road"]).absolute())
     return portable
 
 

@@ -39,6 +39,9 @@ if TYPE_CHECKING:
 HIDDEN = ("Lane", "SensorState", "Lanes", "Passed")
 OBSERVED = (("DetectorOutput", "Lanes"), "WOR", "Lane")
 INPUTS = ("Step",)
+
+#: What the evidence rule gives. The model makes the evidence of OBSERVED from it and the map.
+TAKES = ("DetectorOutput", "WOR")
 VALUES = {"SensorState": ("OK", "BAD"), "WOR": ("OK", "BAD")}
 PARAMETERS = (
     SIGMA1,
@@ -59,7 +62,7 @@ PARAMETERS = (
     Parameter(
         "map_wrong",
         "probability",
-        0.1,
+        0.0,
         "P(the map has a lane too few or too many), both equally likely",
         search=None,
     ),

@@ -10,9 +10,7 @@ from dataclasses import dataclass, fields
 from pathlib import Path
 
 import numpy as np
-import pyarrow as pa
 from numpy.typing import NDArray
-from pyarrow import parquet
 
 from egolane_pgm.files import check_name, write_parquet
 from egolane_pgm.types import FloatArray, InputError, IntArray
@@ -73,6 +71,8 @@ COLUMNS = tuple(f.name for f in fields(RoadTable) if f.name != "source")
 def save(table: RoadTable, path: str | Path) -> None:
     """Write a road table. Raises InputError for a name that does not end in .parquet, and where it
     cannot be written."""
+    import pyarrow as pa
+
     if Path(path).suffix.lower() != ".parquet":
         raise InputError(f"{path}: a road table is a .parquet file")
     columns = {name: pa.array(getattr(table, name)) for name in COLUMNS}
@@ -89,6 +89,9 @@ def load(path: str | Path) -> RoadTable:
     Raises InputError for a file that cannot be read, that is no road table or one of another
     version, and as `RoadTable` does.
     """
+    import pyarrow as pa
+    from pyarrow import parquet
+
     check_name(path)
     try:
         # Given a name, pyarrow takes what is before a colon for the scheme of an address.

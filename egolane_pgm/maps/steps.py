@@ -62,8 +62,8 @@ class LanesAlong:
     - step (T,): which of the words of `steps` is told.
     - steps: the values of the input node, with blanks between them.
     - served (T, N): evidence of Lane, 1 where nothing is known.
-    - origin (T,): lane k of a frame is lane k - origin of the first one, if it was there then; lanes
-      that come and go at the left move the numbers.
+    - origin (T,): lane k of a frame is lane k - origin of the first one, if it was there then.
+      Lanes that come and go at the left move the numbers.
     - changes (C,): the frames in which the lanes of the map change.
     """
 
@@ -109,12 +109,12 @@ def road_changes(table: RoadTable) -> RoadChanges:
     at_m: list[float] = []
     steps: list[Step] = []
     is_branch: list[bool] = []
-    for row in np.flatnonzero(passes | (np.diff(n_lanes) != 0)):
+    for row in map(int, np.flatnonzero(passes | (np.diff(n_lanes) != 0))):
         before, after = int(n_lanes[row]), int(n_lanes[row + 1])
         # What the row says of the next join is about this one if the lanes are those that it says.
         is_told = bool(passes[row]) and int(table.next_n_lanes[row]) == after
         shift = table.next_shift[row] if is_told else np.nan
-        step = Step(before, after, _shift(before, after, shift, table, int(row), is_told))
+        step = Step(before, after, _shift(before, after, shift, table, row, is_told))
         branch = is_told and table.next_join[row] in ("exit", "fork") and step.shift is not None
         ahead = table.next_in_m[row] if passes[row] else driven[row] / 2
         if _is_change(step) or branch:

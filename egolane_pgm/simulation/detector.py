@@ -170,12 +170,16 @@ def _road_tracks(
     true_m = np.column_stack([road.line_offset_m, road.shoulder_offset_m])
     exists = np.isfinite(true_m)
     true_m = np.where(exists, true_m, 0.0)
-    inner = road.n_lanes - 1
+    n_frames, n_tracks = true_m.shape
+    # Lanes may begin and end along the road: its first and its last line are those that are there.
+    number, of_road = np.arange(n_tracks), exists[:, :-1]
+    first = of_road.argmax(axis=1)[:, None]
+    last = (n_tracks - 2 - of_road[:, ::-1].argmax(axis=1))[:, None]
 
     def per_line(left: float, middle: float, right: float, shoulder: float) -> FloatArray:
-        return np.array([left, *[middle] * inner, right, shoulder])
+        of_line = np.where(number == first, left, np.where(number == last, right, middle))
+        return np.where(number == n_tracks - 1, shoulder, of_line)
 
-    n_frames, n_tracks = true_m.shape
     fps = road.frame_rate
     seen = per_line(
         detector.seen_left, detector.seen_inner, detector.seen_right, detector.seen_shoulder
@@ -189,7 +193,7 @@ def _road_tracks(
         detector.continuous_right,
         detector.continuous_shoulder,
     )
-    is_continuous = _slow_events(rng, np.broadcast_to(flag, true_m.shape), detector.flag_s * fps)
+    is_continuous = _slow_events(rng, flag, detector.flag_s * fps)
     noise = detector.noise_m * slow_noise(rng, n_frames, n_tracks, detector.noise_s * fps)
 
     stretch = np.cumsum(np.diff(is_failing, prepend=is_failing[:1]))
