@@ -101,7 +101,7 @@ def _read(path: str | Path) -> _Raw:
             # Asking osmium for a whole line is several times as quick as asking for its nodes.
             try:
                 line = bytes.fromhex(as_bytes(road))[9:]
-            except (RuntimeError, ValueError):
+            except (osmium.InvalidLocationError, RuntimeError, ValueError):
                 line, n_without = _line_of_known(road)
                 lacking += n_without
                 if not line:
@@ -112,7 +112,7 @@ def _read(path: str | Path) -> _Raw:
             points += line
             tag_set.append(sets.setdefault(tuple([get(key) for key in KEYS]), len(sets)))
             name.append(names.setdefault(get("ref") or get("name") or "", len(names)))
-    except (RuntimeError, ValueError) as error:
+    except (osmium.InvalidLocationError, RuntimeError, ValueError) as error:
         raise InputError(f"{path}: cannot be read as a map: {error}") from None
     if lacking:
         warnings.warn(

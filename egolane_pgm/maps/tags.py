@@ -85,8 +85,10 @@ def directions(
         )
     )
     if is_oneway:
-        return (_oneway(tags, oneway in ("-1", "reverse"), problems),), tuple(problems)
-    return _both_ways(tags, drives_left, problems), tuple(problems)
+        ways: tuple[Direction, ...] = (_oneway(tags, oneway in ("-1", "reverse"), problems),)
+    else:
+        ways = _both_ways(tags, drives_left, problems)
+    return ways, tuple(dict.fromkeys(problems))
 
 
 def _oneway(tags: dict[str, str], is_backward: bool, problems: list[str]) -> Direction:

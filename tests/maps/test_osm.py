@@ -1,0 +1,161 @@
+"""Extracts of OpenStreetMap as they come, whole and broken."""
+
+from __future__ import annotations
+
+import sys
+import warnings
+from pathlib import Path
+
+import numpy as np
+import pyproj
+import pytest
+from click.testing import CliRunner
+
+from egolane_pgm.cli.main import egolane
+from egolane_pgm.maps import load_map
+from egolane_pgm.maps.lane_graph import LaneGraph, along_points
+from egolane_pgm.maps.osm import read_osm
+from egolane_pgm.types import InputError
+from tests.kits.osm_files import write_osm
+
+NODES = {1: (0.0, 0.0), 2: (500.0, 0.0), 3: (1000.0, 10.0), 4: (1500.0, 0.0)}
+ROAD = {"highway": "motorway", "lanes": 2, "ref": "A 1"}
+
+
+def test_ways_become_one_segment_where_nothing_changes(tmp_path: Path) -> None:
+    ways = [(10, [1, 2], ROAD), (11, [2, 3], ROAD), (12, [3, 4], {**ROAD, "lanes": 3})]
+    graph = read_osm(write_osm(tmp_path / "a.osm", NODES, ways))
+    assert graph.way.tolist() == [10, 12]
+    assert graph.n_lanes.tolist() == [2, 3]
+    assert graph.name.tolist() == ["A 1", "A 1"]
+    assert len(graph.line(0)) == 3
+    assert graph.length_m[0] == pytest.approx(1000, rel=0.001)
+    assert (graph.before.tolist(), graph.after.tolist()) == ([0], [1])
+
+
+def test_a_oneway_drawn_backwards_is_the_road_that_it_is(tmp_path: Path) -> None:
+    way = (11, [2, 3], {**ROAD, "placement": "right_of:1"})
+    turned = (11, [3, 2], {**ROAD, "placement": "right_of:1", "oneway": "-1"})
+    there, here = (
+        read_osm(write_osm(tmp_path / "a.osm", NODES, [(10, [1, 2], ROAD), middle]))
+        for middle in (way, turned)
+    )
+    for name in LaneGraph.__dataclass_fields__:
+        np.testing.assert_array_equal(getattr(there, name), getattr(here, name), err_msg=name)
+
+
+def test_a_way_is_cut_where_another_leaves_from_its_middle(tmp_path: Path) -> None:
+    nodes = {**NODES, 5: (1300.0, -80.0)}
+    ways = [(10, [1, 2, 3, 4], ROAD), (11, [3, 5], {"highway": "motorway_link", "lanes": 1})]
+    graph = read_osm(write_osm(tmp_path / "a.osm", nodes, ways))
+    assert graph.way.tolist() == [10, 10, 11]
+    assert graph.join.tolist() == ["exit", "exit"]
+    assert graph.side.tolist() == [1, 1]
+
+
+def test_nodes_without_coordinates_are_left_out_and_counted(tmp_path: Path) -> None:
+    ways = [(10, [1, 7, 2, 3], ROAD), (11, [3, 8], ROAD)]
+    path = write_osm(tmp_path / "a.osm", {**NODES, 7: None}, ways)
+    with pytest.warns(UserWarning, match=r"a\.osm: 2 nodes of .* have no coordinates"):
+        graph = read_osm(path)
+    assert graph.way.tolist() == [10]
+    assert len(graph.line(0)) == 3
+
+
+def test_a_map_that_is_cut_has_a_segment_before_and_one_after_the_gap(tmp_path: Path) -> None:
+    graph = read_osm(write_osm(tmp_path / "a.osm", NODES, [(10, [1, 2], ROAD), (12, [3, 4], ROAD)]))
+    assert len(graph) == 2
+    assert len(graph.before) == 0
+
+
+def test_what_is_wrong_with_tags_is_said_once_with_a_way(tmp_path: Path) -> None:
+    ways = [
+        (10, [1, 2], {**ROAD, "lanes": "two"}),
+        (11, [2, 3], {**ROAD, "lanes": "two"}),
+        (12, [3, 4], {**ROAD, "placement": "right_of:3"}),
+    ]
+    path = write_osm(tmp_path / "a.osm", NODES, ways)
+    with pytest.warns(UserWarning, match="lanes=two|right_of:3") as said:
+        graph = read_osm(path)
+    assert "way 10 and 1 more: lanes=two is no number" in str(said[0].message)
+    assert "way 12: placement=right_of:3 of 2 lanes is no place" in str(said[1].message)
+    assert graph.n_lanes.tolist() == [0, 2]
+    assert np.isnan(graph.placement).all()
+
+
+def test_many_things_that_are_wrong_are_some_lines(tmp_path: Path) -> None:
+    ways = [(k, [1, 2], {**ROAD, "lanes": f"x{k}"}) for k in range(20)]
+    with pytest.warns(UserWarning, match="lanes=x|wrong with tags") as said:
+        read_osm(write_osm(tmp_path / "a.osm", NODES, ways))
+    assert len(said) == 9
+    assert "12 more things are wrong with tags" in str(said[-1].message)
+
+
+@pytest.mark.parametrize(
+    ("name", "content", "message"),
+    [
+        ("a.osm", "<osm version='0.6'><node id='1' lat='1' lon='2'/></osm>", "no motorway and no"),
+        ("a.osm", "<osm version='0.6'><node id='1'", "cannot be read as a map"),
+        ("a.osm", "<osm version='0.6'><node id='1' lat='north' lon='2'/></osm>", "cannot be read"),
+        ("a.osm.pbf", "not at all", "cannot be read as a map"),
+        ("a.txt", "not at all", "cannot be read as a map: Could not detect file format"),
+        ("a.parquet", "not at all", "cannot be read as a lane graph"),
+    ],
+)
+def test_a_file_without_a_road_is_refused_in_one_line(
+    tmp_path: Path, name: str, content: str, message: str
+) -> None:
+    (tmp_path / name).write_text(content)
+    with pytest.raises(InputError, match=message) as error:
+        load_map(tmp_path / name)
+    assert str(tmp_path / name) in str(error.value)
+    assert len(error.value.lines) == 1
+
+
+def test_a_map_that_is_not_there_and_a_library_that_is_not_there_are_said(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    with pytest.raises(InputError, match=r"nowhere\.osm: no such file"):
+        load_map(tmp_path / "nowhere.osm")
+    path = write_osm(tmp_path / "a.osm", NODES, [(10, [1, 2], ROAD)])
+    monkeypatch.setitem(sys.modules, "osmium", None)
+    with pytest.raises(InputError, match=r"pip install 'egolane-pgm\[maps\]'"):
+        load_map(path)
+
+
+def test_lengths_are_those_of_a_geodesic() -> None:
+    rng = np.random.default_rng(0)
+    point = np.array([[50.0, 11.0]]) + np.cumsum(rng.normal(0, 0.002, (200, 2)), axis=0)
+    first = np.array([0, 80, 200])
+    along = along_points(point, first)
+    exact = pyproj.Geod(ellps="WGS84").line_length(point[80:, 1], point[80:, 0])
+    assert along[80] == 0
+    assert along[199] == pytest.approx(exact, rel=1e-6)
+
+
+def test_the_command_writes_lanes_and_draws_them(tmp_path: Path) -> None:
+    ways = [(10, [1, 2], ROAD), (12, [2, 4], {**ROAD, "lanes": 3})]
+    path = write_osm(tmp_path / "a.osm", NODES, ways)
+    lanes, plot = tmp_path / "lanes.parquet", tmp_path / "lanes.png"
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        ran = CliRunner().invoke(egolane, ["map", str(path), "-o", str(lanes), "--plot", str(plot)])
+    assert ran.exit_code == 0, ran.output
+    assert "2 segments, 1.5 km of carriageway (© OpenStreetMap contributors, ODbL)" in ran.output
+    assert "lanes: 0.5 km with 2, 1.0 km with 3" in ran.output
+    assert plot.stat().st_size > 10_000
+    assert len(load_map(lanes)) == 2
+    near = ["--around", "51.0", "14.007", "150"]
+    ran = CliRunner().invoke(egolane, ["map", str(lanes), "--plot", str(plot), *near])
+    assert ran.exit_code == 0, ran.output
+    for words, message in (
+        (["--around", "20", "14", "150", "--plot", str(plot)], "no road lies there"),
+        (near, "--around: needs --plot"),
+        (["-o", str(tmp_path / "lanes.csv")], "a lane graph is a .parquet file"),
+        (["--plot", str(tmp_path / "lanes.jpg")], "a figure ends in"),
+        (["--drives-left"], "a lane graph knows the side of traffic"),
+        (["-o", str(lanes)], "is read here"),
+    ):
+        ran = CliRunner().invoke(egolane, ["map", str(lanes), *words])
+        assert ran.exit_code == 2
+        assert message in ran.output
