@@ -11,9 +11,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import pyarrow as pa
 from numpy.typing import NDArray
-from pyarrow import parquet
 
 from egolane_pgm.files import check_name, write_parquet
 from egolane_pgm.types import FloatArray, InputError, IntArray
@@ -108,32 +106,36 @@ def joins_to(graph: LaneGraph) -> tuple[IntArray, IntArray]:
 # --- a file ------------------------------------------------------------------------------------
 
 _OF_SEGMENT = (
-    ("way", pa.int64()),
-    ("kind", pa.string()),
-    ("name", pa.string()),
-    ("n_lanes", pa.int64()),
-    ("placement_start", pa.float64()),
-    ("placement_end", pa.float64()),
-    ("length_m", pa.float64()),
-    ("turn", pa.string()),
-    ("change", pa.string()),
-    ("width", pa.string()),
+    ("way", "int64"),
+    ("kind", "string"),
+    ("name", "string"),
+    ("n_lanes", "int64"),
+    ("placement_start", "float64"),
+    ("placement_end", "float64"),
+    ("length_m", "float64"),
+    ("turn", "string"),
+    ("change", "string"),
+    ("width", "string"),
 )
-_OF_POINT = (("latitude", pa.float64()), ("longitude", pa.float64()))
+_OF_POINT = (("latitude", "float64"), ("longitude", "float64"))
 _OF_JOIN = (
-    ("after", pa.int64()),
-    ("shift", pa.float64()),
-    ("join", pa.string()),
-    ("side", pa.int64()),
-    ("source", pa.string()),
+    ("after", "int64"),
+    ("shift", "float64"),
+    ("join", "string"),
+    ("side", "int64"),
+    ("source", "string"),
 )
-_SCHEMA = pa.schema(
-    [
-        *_OF_SEGMENT,
-        *((name, pa.list_(kind)) for name, kind in (*_OF_POINT, *_OF_JOIN)),
-    ],
-    metadata={"egolane_lane_graph": VERSION, "attribution": "© OpenStreetMap contributors, ODbL"},
-)
+
+
+def _schema() -> Any:
+    # pyarrow is imported only for a file.
+    import pyarrow as pa
+
+    kinds = {name: pa.type_for_alias(kind) for name, kind in (*_OF_SEGMENT, *_OF_POINT, *_OF_JOIN)}
+    columns = [(name, kinds[name]) for name, _ in _OF_SEGMENT]
+    columns += [(name, pa.list_(kinds[name])) for name, _ in (*_OF_POINT, *_OF_JOIN)]
+    attribution = "© OpenStreetMap contributors, ODbL"
+    return pa.schema(columns, metadata={"egolane_lane_graph": VERSION, "attribution": attribution})
 
 
 def check_lanes_path(path: str | Path) -> None:
@@ -149,6 +151,8 @@ def save(graph: LaneGraph, path: str | Path) -> None:
 
     Raises InputError for a name that does not end in .parquet, and where it cannot be written.
     """
+    import pyarrow as pa
+
     check_lanes_path(path)
     given = {name: getattr(graph, name, None) for name, _ in (*_OF_SEGMENT, *_OF_JOIN)}
     given["placement_start"], given["placement_end"] = graph.placement.T
@@ -156,7 +160,7 @@ def save(graph: LaneGraph, path: str | Path) -> None:
     start = joins_from(graph)
 
     def column(name: str, kind: Any) -> Any:
-        return pa.array(given[name], kind)
+        return pa.array(given[name], pa.type_for_alias(kind))
 
     def lists(name: str, kind: Any, first: IntArray) -> Any:
         return pa.ListArray.from_arrays(pa.array(first, pa.int32()), column(name, kind))
@@ -166,7 +170,7 @@ def save(graph: LaneGraph, path: str | Path) -> None:
         *(lists(name, kind, graph.first) for name, kind in _OF_POINT),
         *(lists(name, kind, start) for name, kind in _OF_JOIN),
     ]
-    write_parquet(Path(path), pa.table(columns, schema=_SCHEMA))
+    write_parquet(Path(path), pa.table(columns, schema=_schema()))
 
 
 def load(path: str | Path) -> LaneGraph:
@@ -175,6 +179,9 @@ def load(path: str | Path) -> LaneGraph:
     Raises InputError for a file that cannot be read, that is no lane graph, or one of another
     version, and for a graph without segments or whose lists do not fit together.
     """
+    import pyarrow as pa
+    from pyarrow import parquet
+
     check_name(path)
     try:
         # Given a name, pyarrow takes what is before a colon for the scheme of an address.
@@ -187,7 +194,7 @@ def load(path: str | Path) -> LaneGraph:
     if version != VERSION:
         what = f"version {version}, not {VERSION}" if version else "no lane graph"
         raise InputError(f"{path}: {what}; `egolane map FILE.osm -o {path}` writes one")
-    if not table.schema.equals(_SCHEMA) or table.num_rows == 0:
+    if not table.schema.equals(_schema()) or table.num_rows == 0:
         raise InputError(f"{path}: the lane graph is damaged; make it anew with `egolane map`")
     whole = {name: table[name].combine_chunks() for name in table.column_names}
 
