@@ -30,6 +30,12 @@ MOST_ROADS = 8
 #: this length.
 _BLEND_M = 120.0
 
+#: Narrower pictures, metres, number the lanes; and tell how many there are where that changes.
+_PLACE_M, _SMALL_M = 700.0, 3_000.0
+
+#: The arrows that say where a road leads, metres.
+_ARROW_M = 18.0
+
 _UNKNOWN = "#d9d9d9"
 _COLOURS = ("#fbe3b0", "#cfe1f0", "#8fc1e3", "#3f8fc4", "#0b5a94", "#00294a")
 _ROAD_INCHES, _MAP_INCHES, _WIDTH = 0.95, 6.2, 9.0
@@ -143,6 +149,7 @@ def _draw_map(
         edges += [sides[0], sides[-1]]
         if to_scale:
             _number_lanes(ax, sides, along, n, fill)
+            _draw_direction(ax, sides, along)
     ax.add_collection(PolyCollection(polygons, facecolors=colours, edgecolors="white", lw=0.4))
     ax.add_collection(LineCollection(edges, colors=INK, lw=0.5 if to_scale else 0.25))
     _mark_changes(ax, graph, point, shown)
@@ -192,7 +199,7 @@ def _extra(graph: LaneGraph) -> FloatArray:
 
 def _number_lanes(ax: Axes, sides: list[FloatArray], along: FloatArray, n: int, fill: str) -> None:
     """The lanes' numbers, every 80 metres and at least once, where there is room for them."""
-    if ax.get_xlim()[1] - ax.get_xlim()[0] > 700:
+    if np.ptp(ax.get_xlim()) >= _PLACE_M:
         return
     (left, right), (bottom, top) = ax.get_xlim(), ax.get_ylim()
     for at in np.arange(min(40.0, along[-1] / 2), along[-1], 80.0):
@@ -206,15 +213,38 @@ def _number_lanes(ax: Axes, sides: list[FloatArray], along: FloatArray, n: int, 
                 )  # fmt: skip
 
 
+def _draw_direction(ax: Axes, sides: list[FloatArray], along: FloatArray) -> None:
+    """A small arrow along the left edge of what is seen of a segment: it leads there."""
+    if np.ptp(ax.get_xlim()) >= _PLACE_M:
+        return
+    edge = sides[0]
+    (left, right), (bottom, top) = ax.get_xlim(), ax.get_ylim()
+    low, high = np.array([left, bottom]) + _ARROW_M, np.array([right, top]) - _ARROW_M
+    inside = ((edge > low) & (edge < high)).all(axis=1)
+    if not inside.any() or np.ptp(along[inside]) < 2 * _ARROW_M:
+        return
+    at = along[inside].mean() + np.array([-0.5, 0.5]) * _ARROW_M
+    middle = np.stack([np.interp(at, along, edge[:, k]) for k in (0, 1)], axis=1)
+    ax.annotate(
+        "",
+        tuple(middle[1]),
+        xytext=tuple(middle[0]),
+        arrowprops={"arrowstyle": "-|>", "lw": 1.0, "color": INK, "mutation_scale": 9},
+        zorder=4,
+    )
+
+
 def _mark_changes(ax: Axes, graph: LaneGraph, point: FloatArray, shown: BoolArray) -> None:
-    """Where the number of lanes of a road changes; on a small map from how many to how many."""
+    """Where the number of lanes of a road changes: on a small map from how many to how many, on one
+    of a place also for links, and with the shift s of the lanes."""
     before, after = graph.before, graph.after
     n, n_next = graph.n_lanes[before], graph.n_lanes[after]
     is_link = np.char.endswith(graph.kind, "_link")
+    of_link = is_link[before] | is_link[after]
     marked = (n != n_next) & (n > 0) & (n_next > 0) & shown[before] & shown[after]
-    is_small = float(np.ptp(ax.get_xlim())) < 3_000
-    marked &= ~(is_link[before] | is_link[after])
     (left, right), (bottom, top) = ax.get_xlim(), ax.get_ylim()
+    is_place, is_small = right - left < _PLACE_M, right - left < _SMALL_M
+    marked &= ~of_link | is_place
     for k in np.flatnonzero(marked):
         last = graph.first[before[k] + 1] - 1
         x, y = point[last]
@@ -225,16 +255,21 @@ def _mark_changes(ax: Axes, graph: LaneGraph, point: FloatArray, shown: BoolArra
         ax.plot(x, y, "o", ms=4, mfc="white", mec=INK, mew=0.8, zorder=5)
         if not is_small:
             continue
+        shift = "?" if np.isnan(graph.shift[k]) else f"{graph.shift[k]:.0f}"
         ax.annotate(
-            f"{n[k]}→{n_next[k]}",
+            f"{n[k]}→{n_next[k]}" + (f", s = {shift}" if is_place else ""),
             (x, y),
-            xytext=tuple(22 * to_right),
+            # Of two roads at one point the link's label is at the right.
+            xytext=tuple(
+                (-40 if is_place and not of_link[k] else 40 if is_place else 22) * to_right
+            ),
             textcoords="offset points",
-            fontsize=7,
+            fontsize=8 if is_place else 7,
             ha="center",
             va="center",
             color=INK,
             arrowprops={"arrowstyle": "-", "lw": 0.5, "color": INK},
+            bbox={"boxstyle": "round,pad=0.15", "fc": "white", "ec": "none", "alpha": 0.85},
             zorder=6,
         )
 
