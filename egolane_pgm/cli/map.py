@@ -26,13 +26,17 @@ from egolane_pgm.types import InputError
     metavar="LAT LON METRES",
     help="With --plot: only what lies so near, to scale, lanes numbered.",
 )
-@click.option("--drives-left", is_flag=True, help="Traffic keeps to the left.")
+@click.option(
+    "--drives-left/--drives-right",
+    default=None,
+    help="The side of traffic; by default as the carriageways of the motorways lie.",
+)
 def map(
     file: str,
     out: str | None,
     plot: str | None,
     around: tuple[float, float, float] | None,
-    drives_left: bool,
+    drives_left: bool | None,
 ) -> None:
     """The lanes of the motorways and trunk roads of an extract of OpenStreetMap (.osm, .osm.pbf),
     and how they continue from one segment of a road to the next.

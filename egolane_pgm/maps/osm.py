@@ -13,7 +13,7 @@ import numpy as np
 
 from egolane_pgm.files import check_name
 from egolane_pgm.maps.joins import with_joins
-from egolane_pgm.maps.lane_graph import LaneGraph, along_points
+from egolane_pgm.maps.lane_graph import LaneGraph, along_points, metres_per_degree
 from egolane_pgm.maps.tags import KEYS, KINDS, Direction, directions
 from egolane_pgm.types import BoolArray, FloatArray, InputError, IntArray
 
@@ -21,11 +21,12 @@ from egolane_pgm.types import BoolArray, FloatArray, InputError, IntArray
 MOST_WARNINGS = 8
 
 
-def read_osm(path: str | Path, *, drives_left: bool = False) -> LaneGraph:
+def read_osm(path: str | Path, *, drives_left: bool | None = None) -> LaneGraph:
     """The lanes of the motorways and trunk roads of an `.osm` or `.osm.pbf` extract, and how they
     continue. Needs the extra `maps`.
 
-    - drives_left: traffic keeps to the left.
+    - drives_left: traffic keeps to the left. By default the carriageways of the motorways tell:
+      where it keeps to the right, the opposite one lies at the left.
 
     The places of all nodes of the file are kept in memory while it is read (16 bytes each): take
     the roads out of a large extract first (`osmium tags-filter`).
@@ -34,21 +35,33 @@ def read_osm(path: str | Path, *, drives_left: bool = False) -> LaneGraph:
     coordinates, which are left out. Raises InputError for a file that cannot be read as a map, one
     without such a road, and where osmium is not installed.
     """
-    ways, is_placed = read_ways(path, drives_left=drives_left)
-    return joined(with_joins(ways, is_placed, drives_left=drives_left))
+    return joined(of_ways(path, drives_left=drives_left))
 
 
-def read_ways(path: str | Path, *, drives_left: bool = False) -> tuple[LaneGraph, BoolArray]:
-    """The ways of an extract as segments without joins, S of them, and which of them, (S,), have a
-    tag for their placement. A way is cut where another shares a point with it. Raises and warns as
-    `read_osm` does."""
+def of_ways(path: str | Path, *, drives_left: bool | None = None) -> LaneGraph:
+    """As `read_osm`, before ways are joined: each is a segment, or several where another shares a
+    point with it."""
     raw = _read(path)
+    if drives_left is None:
+        drives_left = _seems_to_drive_left(raw)
+        if drives_left:
+            warnings.warn(
+                f"{path}: opposite carriageways lie at the right, so traffic is taken to keep to"
+                " the left",
+                UserWarning,
+                stacklevel=3,
+            )
     tags = [directions(values, drives_left) for values in raw.tags]
     _warn(path, raw, [problems for _, problems in tags])
-    return _segments(raw, [ways for ways, _ in tags])
+    ways, is_placed = _segments(raw, [ways for ways, _ in tags])
+    return with_joins(ways, is_placed, drives_left=drives_left)
 
 
 # --- the file ----------------------------------------------------------------------------------
+
+
+#: The side of traffic is looked at in so many places, for carriageways no farther than this.
+SIDE_PLACES, SIDE_M = 100, 80.0
 
 
 @dataclass(frozen=True)
@@ -158,6 +171,36 @@ def _warn(path: str | Path, raw: _Raw, problems: list[tuple[str, ...]]) -> None:
         warnings.warn(f"{path}: {text}", UserWarning, stacklevel=4)
         if k == MOST_WARNINGS:
             break
+
+
+def _seems_to_drive_left(raw: _Raw) -> bool:
+    """Whether more of the motorways have their opposite carriageway at the right than at the left,
+    at places all over the map."""
+    get = KEYS.index
+    drawn_as_driven = [
+        values[get("highway")] == "motorway" and values[get("oneway")] in (None, "yes", "true", "1")
+        for values in raw.tags
+    ]
+    chosen = np.repeat(np.array(drawn_as_driven)[raw.tag_set], np.diff(raw.first))
+    chosen[raw.first[1:] - 1] = False
+    start = np.flatnonzero(chosen)
+    if not len(start):
+        return False
+    middle = (raw.point[start] + raw.point[start + 1]) / 2
+    ahead = raw.point[start + 1] - raw.point[start]
+    right = left = 0
+    for k in np.unique(np.linspace(0, len(start) - 1, SIDE_PLACES).astype(np.int64)):
+        metres = np.stack(metres_per_degree(middle[k, 0]))
+        near = np.flatnonzero((np.abs(middle - middle[k]) * metres < SIDE_M).all(axis=1))
+        north, east = ((middle[near] - middle[k]) * metres).T
+        a, b = ahead[k] * metres, ahead[near] * metres
+        size = np.hypot(*a) * np.hypot(*b.T)
+        to_left = (a[1] * north - a[0] * east) / np.hypot(*a)
+        opposite = (b @ a < -0.95 * size) & (np.abs(to_left) > 3.0)
+        if opposite.any():
+            nearest = to_left[opposite][np.argmin(np.abs(to_left[opposite]))]
+            left, right = left + int(nearest > 0), right + int(nearest < 0)
+    return right > left
 
 
 # --- segments ----------------------------------------------------------------------------------

@@ -9,9 +9,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from egolane_pgm.maps.joins import with_joins
 from egolane_pgm.maps.lane_graph import LaneGraph, joins_from
-from egolane_pgm.maps.osm import joined, read_osm, read_ways
+from egolane_pgm.maps.osm import joined, of_ways, read_osm
 from tests.kits.osm_files import write_mirrored, write_osm
 
 MOTORWAY = {"highway": "motorway"}
@@ -24,12 +23,6 @@ def extract(request: pytest.FixtureRequest) -> Path:
     if not path.is_file():
         pytest.skip("maps of motorways: needs EGOLANE_DATA with a folder maps")
     return path
-
-
-def of_ways(path: Path, *, drives_left: bool = False) -> LaneGraph:
-    """The joins of a map between its ways, before ways are joined."""
-    ways, is_placed = read_ways(path, drives_left=drives_left)
-    return with_joins(ways, is_placed, drives_left=drives_left)
 
 
 def between_motorways(graph: LaneGraph) -> np.ndarray:
@@ -52,7 +45,9 @@ def test_the_mirror_image_of_a_map_has_the_mirror_images_of_its_joins(
     extract: Path, tmp_path: Path
 ) -> None:
     graph = of_ways(extract)
-    mirrored = of_ways(write_mirrored(extract, tmp_path / "mirrored.osm"), drives_left=True)
+    path = write_mirrored(extract, tmp_path / "mirrored.osm")
+    with pytest.warns(UserWarning, match="traffic is taken to keep to the left"):
+        mirrored = of_ways(path)
     np.testing.assert_array_equal(mirrored.way, graph.way)
     for name in ("before", "after", "join", "source", "n_lanes"):
         np.testing.assert_array_equal(getattr(mirrored, name), getattr(graph, name), err_msg=name)

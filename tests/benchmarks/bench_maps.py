@@ -1,0 +1,79 @@
+"""The map of a country: what reading and storing its motorways takes.
+
+`python -m tests.benchmarks.bench_maps [WAYS]` draws a map of so many ways (a million by default,
+which takes a few minutes) with eight nodes each, reads it by `egolane map`, loads what that stored,
+and prints time and memory of these two.
+"""
+
+from __future__ import annotations
+
+import resource
+import subprocess
+import sys
+import tempfile
+import time
+from pathlib import Path
+
+import numpy as np
+import osmium
+
+RUN = "from egolane_pgm.cli.entry import main; main()"
+
+#: Ways of one road, one behind the other, and nodes of a way.
+ROAD, NODES = 200, 8
+
+#: Numbers of lanes along a road, and the tags that go with three of them.
+LANES = (4, 3, 3, 4, 3, 2, 4, 2)
+THREE = {"placement": "right_of:1", "turn:lanes": "none|none|merge_to_left"}
+
+
+def write_country(path: Path, n_ways: int) -> None:
+    """Write an extract of winding roads, whose node ids are spread as widely as real ones."""
+    rng = np.random.default_rng(0)
+    n_roads = n_ways // ROAD
+    size = ROAD * NODES + 1
+    node = np.cumsum(rng.integers(1, 3000, (n_roads, size))).reshape(n_roads, size).tolist()
+    with osmium.SimpleWriter(str(path), overwrite=True) as file:
+        for ids in node:
+            heading = rng.uniform(0, 2 * np.pi) + np.cumsum(rng.normal(0, 0.03, size))
+            east = 6 + 9 * rng.random() + np.cumsum(np.cos(heading)) * 50 / 70_000
+            north = 47 + 8 * rng.random() + np.cumsum(np.sin(heading)) * 50 / 111_000
+            for one, place in zip(
+                ids, zip(east.tolist(), north.tolist(), strict=True), strict=True
+            ):
+                file.add_node(osmium.osm.mutable.Node(id=one, location=place))
+        for k in range(n_roads * ROAD):
+            road, nth = divmod(k, ROAD)
+            n_lanes = LANES[nth % len(LANES)]
+            tags = {"highway": "motorway", "lanes": str(n_lanes), "ref": f"A {road % 900}"}
+            tags |= {"oneway": "yes", "maxspeed": "130", "lit": "no", "surface": "asphalt"}
+            line = node[road][nth * NODES : (nth + 1) * NODES + 1]
+            tags |= THREE if n_lanes == 3 else {}
+            file.add_way(osmium.osm.mutable.Way(id=k + 1, nodes=line, tags=tags))
+
+
+def measured(what: str, *words: str) -> str:
+    """A line of Markdown: time of the clock and of the processor, and the largest memory so far."""
+    begun, before = time.perf_counter(), resource.getrusage(resource.RUSAGE_CHILDREN)
+    subprocess.run([sys.executable, "-c", RUN, *words], check=True)
+    after = resource.getrusage(resource.RUSAGE_CHILDREN)
+    own = after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime
+    clock = time.perf_counter() - begun
+    return f"| {what} | {clock:.1f} s | {own:.1f} s | {after.ru_maxrss / 2**20:.2f} GiB |"
+
+
+def main(n_ways: int) -> None:
+    with tempfile.TemporaryDirectory() as folder:
+        roads, lanes = Path(folder) / "roads.osm.pbf", Path(folder) / "lanes.parquet"
+        write_country(roads, n_ways)
+        rows = [
+            measured("read and stored", "map", str(roads), "-o", str(lanes)),
+            measured("loaded again", "map", str(lanes)),
+        ]
+    print(f"| {n_ways:,} ways | time | of the processor | largest memory so far |")
+    print("|---|---:|---:|---:|")
+    print("\n".join(rows))
+
+
+if __name__ == "__main__":
+    main(int(sys.argv[1]) if sys.argv[1:] else 1_000_000)
