@@ -14,7 +14,9 @@
                       RoadPosition, see `inference.events`), assigned_lane (0: Unassigned, by a tie
                       or by unassigned_below), log_evidence, is_impossible; detector_1..n and
                       detector_lane where the evidence rule gives a tentative vector; true_lane
-                      (null: not annotated) and is_crossing; clip (its name) where the recording
+                      (null: not annotated) and is_crossing; with n_lanes: map road_lanes (lanes of
+                      the road, as the map says) and origin (lane k of a frame is lane k - origin of
+                      the first one); clip (its name) where the recording
                       is of several clips, each filtered from the prior on
     events.csv        one row per lane change that the beliefs tell of (see `inference.events`):
                       frame_id and time_s (since when the new lane was more probable than the old
@@ -71,7 +73,13 @@ from egolane_pgm.files import (
     write_text,
     write_yaml,
 )
-from egolane_pgm.inference.events import crossing_probability, lane_events
+from egolane_pgm.inference.events import (
+    crossing_probability,
+    in_tracks,
+    lane_events,
+    numbered,
+    tracks_of,
+)
 from egolane_pgm.scoring.events import event_delays
 from egolane_pgm.types import (
     UNASSIGNED,
@@ -105,6 +113,8 @@ class Result:
     block (T,): where a comparison believed each block with what was found without it, the frame's
         block; else None.
     clip (T,): of a recording of several clips the name of each frame's, as in `LineLog`.
+    road_lanes, origin (T,): lanes of the road as the map says, and where their numbers begin, see
+        `maps.steps.LanesAlong`; None for a road on which lanes do not change.
     """
 
     directory: Path
@@ -124,6 +134,8 @@ class Result:
     is_impossible: BoolArray
     block: IntArray | None = None
     clip: NDArray[np.str_] | None = None
+    road_lanes: IntArray | None = None
+    origin: IntArray | None = None
 
     @property
     def n_lanes(self) -> int:
@@ -148,11 +160,17 @@ class Result:
         """The lane changes that the beliefs tell of."""
         rate, truth = float(self.run["frame_rate"]), self.truth
         lag, pieces = self.experiment.get("lag"), pieces_of(self.clip, len(self.frame_id))
-        found = [lane_events(self.beliefs.take(piece), rate, lag=lag) for piece in pieces]
+        beliefs, origin = self.beliefs, self.origin
+        if origin is not None:
+            beliefs = in_tracks(beliefs, origin)
+        found = [lane_events(beliefs.take(piece), rate, lag=lag) for piece in pieces]
         events = LaneEvents.joined(found)
-        if truth is None:
-            return events
-        return replace(events, delay_s=event_delays(events, truth, rate))
+        if truth is not None:
+            if origin is not None:
+                known = self.true_lane != UNASSIGNED
+                truth = replace(truth, lane=truth.lane + tracks_of(origin)[known])
+            events = replace(events, delay_s=event_delays(events, truth, rate))
+        return events if origin is None else numbered(events, self.frame_id, origin)
 
     @property
     def crossing(self) -> FloatArray | None:
@@ -203,6 +221,9 @@ class Result:
         columns["is_crossing"] = np.ma.masked_array(self.is_crossing, unknown)
         if self.clip is not None:
             columns["clip"] = self.clip
+        if self.road_lanes is not None and self.origin is not None:
+            columns["road_lanes"] = self.road_lanes
+            columns["origin"] = self.origin
         return columns if self.block is None else {**columns, "block": self.block}
 
 
@@ -351,6 +372,8 @@ def _as_result(directory: Path, experiment: Any, run: Any, scores: Any, table: A
         column["is_impossible"].to_numpy(zero_copy_only=False),
         column["block"].to_numpy() if "block" in column else None,
         column["clip"].to_numpy().astype(np.str_) if "clip" in column else None,
+        column["road_lanes"].to_numpy() if "road_lanes" in column else None,
+        column["origin"].to_numpy() if "origin" in column else None,
     )
 
 

@@ -6,7 +6,7 @@ import hashlib
 import os
 import shutil
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -23,13 +23,16 @@ from egolane_pgm.files import plain
 from egolane_pgm.inference.events import (
     SURE,
     crossing_probability,
+    in_tracks,
     lane_events,
     lane_stretches,
+    tracks_of,
 )
 from egolane_pgm.inference.smoothing import infer_beliefs
 from egolane_pgm.inference.viterbi import disagreement, viterbi_path
 from egolane_pgm.lane_count import doubt_of_lanes
 from egolane_pgm.loading import Recorded, as_name, data_entries, load_recording, with_video_rate
+from egolane_pgm.maps.steps import LanesAlong
 from egolane_pgm.model import (
     Model,
     RuleOutput,
@@ -52,7 +55,8 @@ from egolane_pgm.results import (
 )
 from egolane_pgm.scoring.assign import assigned_lane
 from egolane_pgm.scoring.events import event_scores
-from egolane_pgm.scoring.summary import score_with_intervals
+from egolane_pgm.scoring.road import road_scores
+from egolane_pgm.scoring.summary import score_with_intervals, stability_scores
 from egolane_pgm.types import (
     UNASSIGNED,
     Beliefs,
@@ -142,12 +146,22 @@ def run_experiment(
             doubt = disagreement(path, belief).warning
             notes.extend([doubt] if doubt else [])
     rate = experiment.recording.frame_rate
+    road, truth, answered = recorded.road, recorded.truth, assigned
+    if road is not None:
+        # Lanes that begin and end at the left change numbers, and that is no change of lane.
+        found = [in_tracks(beliefs, road.origin)]
+        tracks = tracks_of(road.origin)
+        answered = np.where(assigned == UNASSIGNED, UNASSIGNED, assigned + tracks)
+        if truth is not None:
+            rows = recorded.scored
+            unsure = truth.is_crossing | road.is_renumbering[rows]
+            truth = replace(truth, lane=truth.lane + tracks[rows], is_crossing=unsure)
     changes = LaneEvents.joined([lane_events(each, rate, lag=experiment.lag) for each in found])
     scores: dict[str, Any] = {}
     events: dict[str, Any] = {"told": len(changes)}
-    if recorded.truth is not None:
+    if recorded.truth is not None and truth is not None:
         crossing = crossing_probability(beliefs.take(recorded.scored).marginals)
-        events = event_scores(changes, crossing, recorded.truth, rate)
+        events = event_scores(changes, crossing, truth, rate)
         named = {"detector": evidence.tentative, "model": beliefs.lane}
         # A tentative vector is no belief: the reject option and the path are the model's.
         answers = {"detector": None, "model": assigned[recorded.scored]}
@@ -158,6 +172,19 @@ def run_experiment(
             for name, belief in named.items()
             if belief is not None
         }
+        if road is not None:
+            over_time = stability_scores(
+                answered[rows], truth.lane, truth.is_crossing, truth.frame_id, rate
+            )
+            scores["model"] |= over_time
+            scores["model"]["road"] = road_scores(
+                assigned[rows],
+                recorded.truth,
+                road.n_lanes[rows],
+                road.changes,
+                log_frames=rows,
+                frame_rate=rate,
+            )
     return Run(
         experiment,
         model,
@@ -168,10 +195,25 @@ def run_experiment(
         evidence.tentative,
         scores,
         float((beliefs.lane.max(axis=1) >= SURE).mean()) if len(beliefs) else None,
-        [] if len(found) > 1 else lane_stretches(beliefs, changes, rate),
+        [] if len(found) > 1 else _stretches(found[0], changes, rate, road),
         events,
         tuple(notes),
     )
+
+
+def _stretches(
+    beliefs: Beliefs, changes: LaneEvents, rate: float, road: LanesAlong | None
+) -> list[tuple[int, float, float]]:
+    """The lane over time; on a road whose lanes change by its number when the stretch begins."""
+    found = lane_stretches(beliefs, changes, rate)
+    if road is None:
+        return found
+    tracks = tracks_of(road.origin)
+    frames = np.searchsorted(beliefs.frame_id, [round(begin * rate) for _, begin, _ in found])
+    return [
+        (lane - int(tracks[k]), begin, end)
+        for k, (lane, begin, end) in zip(frames, found, strict=True)
+    ]
 
 
 def joined_outputs(outputs: Sequence[RuleOutput]) -> RuleOutput:
@@ -393,6 +435,8 @@ def make_result(
         beliefs.is_impossible,
         block,
         log.clip,
+        None if recorded.road is None else recorded.road.n_lanes,
+        None if recorded.road is None else recorded.road.origin,
     )
 
 

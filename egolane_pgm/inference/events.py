@@ -25,6 +25,7 @@ No constant counts frames, and none was searched:
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import replace
 
 import numpy as np
 
@@ -76,6 +77,32 @@ def lane_events(beliefs: Beliefs, frame_rate: float, *, lag: int | None = None) 
         to_lane=entered + 1,
         probability=lane[told, entered],
     )
+
+
+def tracks_of(origin: IntArray) -> IntArray:
+    """(T,): what is added to a lane's number for one that it keeps all along a drive.
+
+    - origin (T,): lane k of a frame is lane k - origin of the first one (`maps.steps.LanesAlong`).
+    """
+    return np.asarray(origin.max(initial=0) - origin)
+
+
+def in_tracks(beliefs: Beliefs, origin: IntArray) -> Beliefs:
+    """Beliefs whose lanes keep their numbers all along a drive: where lanes begin and end at the
+    left, lanes get other numbers without any car changing lane."""
+    added, lane = tracks_of(origin), beliefs.lane
+    tracks = np.zeros((len(lane), lane.shape[1] + int(added.max(initial=0))))
+    np.put_along_axis(tracks, added[:, None] + np.arange(lane.shape[1]), lane, axis=1)
+    return replace(beliefs, marginals={**beliefs.marginals, "Lane": tracks})
+
+
+def numbered(events: LaneEvents, frame_id: IntArray, origin: IntArray) -> LaneEvents:
+    """Events of beliefs `in_tracks`, with the lanes' numbers in the frame in which they are told.
+
+    - frame_id, origin (T,): of the beliefs.
+    """
+    added = tracks_of(origin)[np.searchsorted(frame_id, events.told_frame_id)]
+    return replace(events, from_lane=events.from_lane - added, to_lane=events.to_lane - added)
 
 
 def lane_stretches(

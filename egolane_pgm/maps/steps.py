@@ -65,6 +65,8 @@ class LanesAlong:
     - origin (T,): lane k of a frame is lane k - origin of the first one, if it was there then.
       Lanes that come and go at the left move the numbers.
     - changes (C,): the frames in which the lanes of the map change.
+    - is_renumbering (T,): marks frames near a change at the left whose place is uncertain: their
+      lanes may still have, or already have, other numbers.
     """
 
     n_lanes: IntArray
@@ -73,6 +75,7 @@ class LanesAlong:
     served: FloatArray
     origin: IntArray
     changes: IntArray
+    is_renumbering: BoolArray
 
     def __len__(self) -> int:
         return len(self.n_lanes)
@@ -212,6 +215,7 @@ def lanes_along(
     n_map = np.full(len(time_s), first_n, dtype=np.int64)
     origin = np.zeros(len(time_s), dtype=np.int64)
     served = np.ones((len(time_s), n_lanes))
+    is_renumbering = np.zeros(len(time_s), dtype=bool)
     for c, frame in frames.items():
         step = found.steps[c]
         n_map[frame:] = step.after
@@ -238,6 +242,7 @@ def lanes_along(
             continue
         # Two changes that are near each other do not share their places.
         taken.update(range(places[0], places[-1] + 1))
+        is_renumbering[places[0] : places[-1] + 1] = step.shift != 0
         words[places[0] : places[-1] + 1] = [str(HOLD)] * (places[-1] + 1 - places[0])
         for k, place in enumerate(places):
             words[place] = str(_at(step, k + 1))
@@ -255,7 +260,7 @@ def lanes_along(
     changes = np.array(
         [frame for c, frame in frames.items() if _is_change(found.steps[c])], dtype=np.int64
     )
-    return LanesAlong(n_map, told, steps, served, origin, changes)
+    return LanesAlong(n_map, told, steps, served, origin, changes, is_renumbering)
 
 
 def _lanes_at(found: RoadChanges, metres: float) -> int:
@@ -276,4 +281,5 @@ def on_constant_road(n_frames: int, n_lanes: int) -> LanesAlong:
     """A road of n lanes on which nothing changes, for T frames."""
     zeros = np.zeros(n_frames, dtype=np.int64)
     ones = np.ones((n_frames, n_lanes))
-    return LanesAlong(zeros + n_lanes, zeros, str(n_lanes), ones, zeros, zeros[:0])
+    none = zeros.astype(bool)
+    return LanesAlong(zeros + n_lanes, zeros, str(n_lanes), ones, zeros, zeros[:0], none)

@@ -49,6 +49,9 @@ _LANE, _STRIP_MIN, _STRIP_GAP = 0.2, 0.78, 0.07
 _TICKS, _ROW_GAP, _HEAD, _FOOT = 0.2, 0.14, 0.42, 0.72
 _DASHES = (0, (3, 2))
 
+#: What is believed of a lane that the map does not have is shown from this probability.
+_UNSEEN = 0.02
+
 
 @dataclass(frozen=True)
 class Strips:
@@ -60,6 +63,8 @@ class Strips:
     - truth: (n, C) share of the annotated, non-crossing frames in each lane; NaN where there are
       none. None without ground truth.
     - is_crossing: (C,) whether the column has a crossing frame
+    - road_lanes: (C,) lanes of the road, as the map says, the most of the column's frames; None for
+      a road on which they do not change
     """
 
     first: int
@@ -68,6 +73,7 @@ class Strips:
     beliefs: Mapping[str, FloatArray]
     truth: FloatArray | None
     is_crossing: BoolArray
+    road_lanes: IntArray | None = None
 
     @property
     def frames_per_column(self) -> int:
@@ -120,7 +126,15 @@ def strip_columns(result: Result, first: int, last: int, max_columns: int = MAX_
         one_hot = np.eye(result.n_lanes)[lane[is_known] - 1]
         truth = _column_means(one_hot, column[is_known], n_columns)
     is_crossing = np.bincount(column[crossing], minlength=n_columns) > 0
-    return Strips(first, last, edge.astype(np.int64), beliefs, truth, is_crossing)
+    road = None
+    if result.road_lanes is not None:
+        road = np.zeros(n_columns, dtype=np.int64)
+        np.maximum.at(road, column, result.road_lanes[chosen])
+        no_lane = np.arange(result.n_lanes)[:, None] >= road
+        for image in (*beliefs.values(), *([] if truth is None else [truth])):
+            # The map may be wrong by a lane: what is believed there is shown.
+            image[no_lane & (np.nan_to_num(image) < _UNSEEN)] = np.nan
+    return Strips(first, last, edge.astype(np.int64), beliefs, truth, is_crossing, road)
 
 
 def _column_means(values: FloatArray, column: IntArray, n_columns: int) -> FloatArray:
@@ -242,6 +256,9 @@ def _draw_strip(ax: Axes, image: FloatArray, strips: Strips) -> None:
     show_belief(ax, image, extent)
     for k in range(1, n_lanes):
         ax.axhline(k + 0.5, color=FAINT, linewidth=0.6)
+    if strips.road_lanes is not None:
+        right_edge = np.where(strips.road_lanes > 0, strips.road_lanes + 0.5, np.nan)
+        ax.stairs(right_edge, strips.edge - 0.5, baseline=None, color=INK, linewidth=0.9)
     ax.set_xlim(extent[0], extent[1])
     ax.set_ylim(extent[2], extent[3])
 
@@ -282,6 +299,8 @@ def blank_reasons(result: Result, first: int, last: int) -> list[str]:
     reasons = []
     if chosen.sum() < last - first + 1:
         reasons.append("no frame recorded")
+    if result.road_lanes is not None and (result.road_lanes[chosen] < result.n_lanes).any():
+        reasons.append("no lane on the map")
     unknown = result.true_lane == UNASSIGNED
     if unknown[chosen].any() and not unknown.all():
         reasons.append("not annotated")

@@ -48,7 +48,6 @@ def score_all(
     if assigned is None:
         assigned = assigned_lane(values, unassigned_below)
     scores = scores_from_confusion(confusion(assigned, lane, crossing, n_lanes))
-    delay = delay_after_lane_change(assigned, lane, crossing, frame_id)
     return {
         "precision": scores.mean_precision,
         "recall": scores.mean_recall,
@@ -58,15 +57,7 @@ def score_all(
         "brier": _or_none(brier(values, lane, crossing)),
         "expected_calibration_error": _or_none(expected_calibration_error(values, lane, crossing)),
         "coverage": scores.coverage,
-        "false_switches_per_minute": _or_none(
-            false_switches_per_minute(assigned, lane, crossing, frame_rate)
-        ),
-        "delay": {
-            "median_frames": _or_none(delay.median_frames),
-            "p90_frames": _or_none(delay.p90_frames),
-            "share_missed": _or_none(delay.share_missed),
-            "changes": delay.changes,
-        },
+        **stability_scores(assigned, lane, crossing, frame_id, frame_rate),
         "per_lane": {
             "precision": scores.precision.tolist(),
             "recall": scores.recall.tolist(),
@@ -75,6 +66,28 @@ def score_all(
         "confusion": scores.confusion.tolist(),
         "frames": n_frames,
         "frames_scored": int(np.count_nonzero(~crossing)),
+    }
+
+
+def stability_scores(
+    assigned: ArrayLike,
+    truth_lane: ArrayLike,
+    is_crossing: ArrayLike,
+    frame_id: ArrayLike,
+    frame_rate: float,
+) -> dict[str, Any]:
+    """The scores of `score_all` that look from frame to frame: `false_switches_per_minute` and
+    `delay`. Parameters and errors as there."""
+    delay = delay_after_lane_change(assigned, truth_lane, is_crossing, frame_id)
+    switches = false_switches_per_minute(assigned, truth_lane, is_crossing, frame_rate)
+    return {
+        "false_switches_per_minute": _or_none(switches),
+        "delay": {
+            "median_frames": _or_none(delay.median_frames),
+            "p90_frames": _or_none(delay.p90_frames),
+            "share_missed": _or_none(delay.share_missed),
+            "changes": delay.changes,
+        },
     }
 
 
