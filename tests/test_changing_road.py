@@ -1,0 +1,93 @@
+"""Experiments whose number of lanes comes from a map."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+import egolane_pgm as ego
+from egolane_pgm.inference.events import in_tracks, numbered
+from egolane_pgm.types import Beliefs, InputError, LaneEvents
+
+PLACE = ego.experiments_folder() / "maps" / "interchange.yaml"
+SHORT = {"recording.options": {"n_frames": 1200}}
+
+
+def run(**overrides: Any) -> Any:
+    return ego.run(PLACE, overrides={**SHORT, **overrides})
+
+
+def test_lanes_beyond_those_of_the_map_have_no_probability() -> None:
+    done = run()
+    result = done.result
+    assert len(np.unique(result.road_lanes)) > 1
+    beyond = np.arange(1, result.n_lanes + 1) > result.road_lanes[:, None]
+    # Around the map's place a lane may be there already, or still.
+    near = np.zeros(len(beyond), dtype=bool)
+    for change in np.flatnonzero(np.diff(result.road_lanes)) + 1:
+        near[max(0, change - 30) : change + 30] = True
+    assert result.marginals["Lane"][beyond & ~near[:, None]].max() < 1e-12
+    assert (result.assigned_lane <= result.n_lanes).all()
+
+
+def test_scores_say_how_well_lanes_are_known_behind_a_change() -> None:
+    scores = run().scores["model"]
+    road = scores["road"]
+    both = road["behind"]["frames"] + road["elsewhere"]["frames"]
+    assert (
+        both == scores["frames_scored"] == sum(each["frames"] for each in road["by_lanes"].values())
+    )
+    weighted = sum(road[key]["frames"] * road[key]["accuracy"] for key in ("behind", "elsewhere"))
+    assert weighted / both == pytest.approx(scores["accuracy"])
+
+
+def test_a_graph_of_a_fixed_road_is_refused() -> None:
+    with pytest.raises(InputError, match="graph: sensor_failure is of a road with a fixed number"):
+        run(graph="sensor_failure")
+
+
+def test_evidence_that_is_not_soft_is_refused() -> None:
+    with pytest.raises(InputError, match="evidence_reading: hard does not go with a road table"):
+        run(evidence_reading="hard")
+
+
+def test_n_lanes_map_needs_a_road(tmp_path: Path) -> None:
+    content = {"name": "x", "recording": {"path": "lines.csv"}, "n_lanes": "map"}
+    with pytest.raises(InputError, match="n_lanes: map needs a road table"):
+        ego.load_experiment(content)
+    with pytest.raises(InputError, match="road: "):
+        ego.run({**content, "road": "nowhere.parquet", "graph": "changing_lanes"})
+
+
+def test_other_commands_say_that_they_do_not_follow_a_map() -> None:
+    with pytest.raises(InputError, match="a road from a map is for `egolane run`"):
+        ego.tune(PLACE, trials=2)
+
+
+def test_options_of_the_simulation_that_do_not_exist_are_refused() -> None:
+    with pytest.raises(InputError, match="unknown key 'frames'"):
+        ego.run(PLACE, overrides={"recording.options": {"frames": 3}})
+
+
+def test_changing_lanes_on_a_road_that_does_not_change_is_the_paper_s_model() -> None:
+    base = {"name": "x", "recording": {"simulate": "quickstart"}, "n_lanes": 4, "filter": "exact"}
+    paper = ego.run(base)
+    ours = ego.run({**base, "graph": "changing_lanes"})
+    np.testing.assert_allclose(ours.beliefs.lane, paper.beliefs.lane, rtol=0, atol=1e-12)
+
+
+def test_a_lane_that_gets_another_number_is_no_change_of_lane() -> None:
+    """From the second frame on a lane begins at the left: lane 1 is lane 2 then."""
+    origin = np.array([0, 1, 1, 1])
+    lane = np.array([[0.9, 0.1, 0], [0, 0.9, 0.1], [0, 0.1, 0.9], [0, 0, 1.0]])
+    frame_id = np.arange(4)
+    beliefs = Beliefs(frame_id, {"Lane": lane}, np.zeros(4), np.zeros(4, dtype=bool))
+    tracks = in_tracks(beliefs, origin)
+    np.testing.assert_allclose(tracks.lane[:2].argmax(axis=1), [1, 1])
+    events: LaneEvents = ego.lane_events(tracks, 10)
+    assert len(events) == 1
+    told = numbered(events, frame_id, origin)
+    assert (told.from_lane.tolist(), told.to_lane.tolist()) == ([2], [3])
