@@ -186,14 +186,20 @@ def _seems_to_drive_left(raw: _Raw) -> bool:
     start = np.flatnonzero(chosen)
     if not len(start):
         return False
-    middle = (raw.point[start] + raw.point[start + 1]) / 2
-    ahead = raw.point[start + 1] - raw.point[start]
+    # From south to north, so that what is near is found by two searches.
+    start = start[np.argsort(raw.point[start, 0])]
+    south = raw.point[start, 0]
     right = left = 0
     for k in np.unique(np.linspace(0, len(start) - 1, SIDE_PLACES).astype(np.int64)):
-        metres = np.stack(metres_per_degree(middle[k, 0]))
-        near = np.flatnonzero((np.abs(middle - middle[k]) * metres < SIDE_M).all(axis=1))
-        north, east = ((middle[near] - middle[k]) * metres).T
-        a, b = ahead[k] * metres, ahead[near] * metres
+        metres = np.stack(metres_per_degree(south[k]))
+        # A piece whose middle is near begins at most this far away, unless it is very long.
+        reach = 5 * SIDE_M / metres[0]
+        low, high = np.searchsorted(south, [south[k] - reach, south[k] + reach])
+        line = np.stack([raw.point[start[low:high]], raw.point[start[low:high] + 1]])
+        middle, ahead = line.mean(axis=0) * metres, (line[1] - line[0]) * metres
+        off = middle - middle[k - low]
+        near = (np.abs(off) < SIDE_M).all(axis=1)
+        (north, east), a, b = off[near].T, ahead[k - low], ahead[near]
         size = np.hypot(*a) * np.hypot(*b.T)
         to_left = (a[1] * north - a[0] * east) / np.hypot(*a)
         opposite = (b @ a < -0.95 * size) & (np.abs(to_left) > 3.0)

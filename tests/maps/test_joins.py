@@ -4,13 +4,19 @@ from __future__ import annotations
 
 import math
 import os
+from dataclasses import replace
+from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 
+from egolane_pgm.maps.joins import with_joins
 from egolane_pgm.maps.lane_graph import LaneGraph, joins_from
 from egolane_pgm.maps.osm import joined, of_ways, read_osm
+from tests.kits.lane_maps import lane_map
 from tests.kits.osm_files import write_mirrored, write_osm
 
 MOTORWAY = {"highway": "motorway"}
@@ -231,3 +237,72 @@ def test_a_ring_is_one_segment_that_leads_to_itself(tmp_path: Path) -> None:
     assert (graph.before.tolist(), graph.after.tolist()) == ([0], [0])
     np.testing.assert_array_equal(graph.line(0)[0], graph.line(0)[-1])
     assert joins_from(graph).tolist() == [0, 1]
+
+
+# --- any road ----------------------------------------------------------------------------------
+
+#: Numbers of lanes of ways that follow one another, each with the lane that its line is right of.
+ROADS = st.lists(
+    st.integers(1, 5).flatmap(lambda n: st.tuples(st.just(n), st.integers(0, n), st.booleans())),
+    min_size=2,
+    max_size=8,
+)
+
+
+def road(ways: list[tuple[int, int, bool]], sign: int = 1) -> tuple[LaneGraph, np.ndarray]:
+    """Ways of 100 m to the east (or, mirrored, to the west), and which have a placement."""
+    lines = [[(sign * 100.0 * k, 0.0), (sign * 100.0 * (k + 1), 0.0)] for k in range(len(ways))]
+    n_lanes = np.array([n for n, _, _ in ways])
+    is_placed = np.array([said for *_, said in ways])
+    place = np.where(is_placed, [k for _, k, _ in ways], n_lanes / 2)
+    place = place if sign > 0 else n_lanes - place
+    graph = lane_map(lines, n_lanes.tolist(), [])
+    return replace(graph, placement=np.stack([place, place], axis=1)), is_placed
+
+
+@given(ROADS)
+def test_lanes_keep_to_the_line_and_at_least_one_goes_on(ways: list[tuple[int, int, bool]]) -> None:
+    graph = with_joins(*road(ways))
+    assert graph.before.tolist() == list(range(len(ways) - 1))
+    n, n_next = graph.n_lanes[:-1], graph.n_lanes[1:]
+    moved = graph.placement[1:, 0] - graph.placement[:-1, 1]
+    by_line = graph.source == "placement"
+    np.testing.assert_array_equal(graph.shift[by_line], moved[by_line])
+    assert ((graph.shift > -n) & (graph.shift < n_next)).all()
+    both = np.array([one[2] and other[2] for one, other in pairwise(ways)])
+    goes_on = (moved > -n) & (moved < n_next)
+    np.testing.assert_array_equal(by_line[both], goes_on[both])
+
+
+@given(ROADS)
+def test_a_mirrored_road_has_mirrored_shifts(ways: list[tuple[int, int, bool]]) -> None:
+    graph = with_joins(*road(ways))
+    mirrored = with_joins(*road(ways, -1), drives_left=True)
+    np.testing.assert_array_equal(
+        mirrored.shift, graph.n_lanes[1:] - graph.n_lanes[:-1] - graph.shift
+    )
+    np.testing.assert_array_equal(mirrored.side, -graph.side)
+    np.testing.assert_array_equal(mirrored.source, graph.source)
+
+
+@given(ROADS, st.integers(0, 1_000_000))
+def test_joining_ways_keeps_the_road_as_it_is(ways: list[tuple[int, int, bool]], seed: int) -> None:
+    graph, is_placed = road(ways)
+    order = np.random.default_rng(seed).permutation(len(graph))
+    mixed = replace(
+        graph,
+        name=np.full(len(graph), "A 1", dtype=object),
+        **{name: getattr(graph, name)[order] for name in ("way", "n_lanes", "placement")},
+        point=graph.point.reshape(-1, 2, 2)[order].reshape(-1, 2),
+    )
+    short = joined(with_joins(mixed, is_placed[order]))
+    changes = sum(
+        (one[0], graph.placement[k, 0]) != (other[0], graph.placement[k + 1, 0])
+        for k, (one, other) in enumerate(pairwise(ways))
+    )
+    assert len(short) == changes + 1
+    assert len(short.before) == changes
+    assert len(short.point) == len(ways) + len(short)
+    assert short.length_m.sum() == pytest.approx(graph.length_m.sum())
+    ends = short.point[short.first[1:] - 1]
+    np.testing.assert_array_equal(ends[short.before], short.point[short.first[short.after]])
