@@ -40,8 +40,10 @@ def test_lanes_are_drawn_to_width_and_continue_one_another(graph: LaneGraph) -> 
     for before, after in zip(boxes[1:3], boxes[4:6], strict=True):
         assert (before.y0, before.y1) == pytest.approx((after.y0, after.y1), abs=0.1)
     # The link's lane begins as the road's third, though its line begins at the road's.
-    at_exit = [p.vertices[np.abs(p.vertices[:, 0]) < 2.0] for p in lanes.get_paths()[:1]]
-    assert at_exit[0][:, 1].min() == pytest.approx(-2 * LANE_M, abs=0.4)
+    outline = lanes.get_paths()[0].vertices
+    left, right = outline[0], outline[-2]
+    np.testing.assert_allclose((left + right) / 2, [0, -1.5 * LANE_M], atol=1.3)
+    assert np.hypot(*(left - right)) == pytest.approx(LANE_M)
     said = [text.get_text() for text in ax.texts]
     assert "3→2, s = 0" in said
     assert "3→1, s = -2" in said
