@@ -93,7 +93,7 @@ def random_trip(
         row = rng.integers(joins[way[-1]], joins[way[-1] + 1])
         way.append(int(graph.after[row]))
     start = np.concatenate([[0.0], np.cumsum(graph.length_m[way])])
-    driven = np.arange(0.0, start[-1], speed)
+    driven = np.arange(rng.uniform(0.0, start[1]), start[-1], speed)
     at = np.minimum(np.searchsorted(start, driven, side="right") - 1, len(way) - 1)
     segment = np.array(way)[at]
     place = np.stack(
@@ -102,8 +102,8 @@ def random_trip(
     heading = np.gradient(place, axis=0) if len(place) > 1 else np.ones_like(place)
     right = np.stack([heading[:, 1], -heading[:, 0]], axis=1)
     right /= np.linalg.norm(right, axis=1, keepdims=True) + 1e-9
-    place += right * _slow(rng, len(place), 60)[:, None] * lane_m
-    drift = np.stack([_slow(rng, len(place), 30) for _ in range(2)], axis=1)
+    place += right * slow(rng, len(place), 60)[:, None] * lane_m
+    drift = np.stack([slow(rng, len(place), 30) for _ in range(2)], axis=1)
     place += noise_m * np.sqrt(0.5) * (drift + rng.normal(size=place.shape))
     latitude, longitude = index.plane.degrees(place).T
     return Positions.make(np.arange(len(place)) * 1.0, latitude, longitude), segment
@@ -116,7 +116,7 @@ def _place(index: RoadIndex, segment: int, along: float) -> FloatArray:
     )
 
 
-def _slow(rng: np.random.Generator, n: int, seconds: float) -> FloatArray:
+def slow(rng: np.random.Generator, n: int, seconds: float) -> FloatArray:
     """A Gauss-Markov process of standard deviation 1, (n,), with this correlation time."""
     kept = np.exp(-1 / seconds)
     value, values = rng.normal(), []
