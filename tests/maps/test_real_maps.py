@@ -1,0 +1,91 @@
+"""Trips over the two real maps: how often the road is right, what another library says, how fast.
+
+The maps are those of OpenStreetMap (© OpenStreetMap contributors, ODbL).
+"""
+
+from __future__ import annotations
+
+import os
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+pytest.importorskip("osmium")
+pytest.importorskip("shapely")
+pytest.importorskip("pyproj")
+
+from egolane_pgm.maps.index import RoadIndex, index_of
+from egolane_pgm.maps.lane_graph import LaneGraph
+from egolane_pgm.maps.locating import locate
+from egolane_pgm.maps.lock_on_road import lock_on_road
+from egolane_pgm.maps.matching import match
+from egolane_pgm.maps.osm import read_osm
+from egolane_pgm.maps.positions import Positions
+from tests.conftest import needs_compiler
+from tests.kits.lane_maps import random_trip
+
+A9, A4 = "north-bayreuth_A9_A70", "bautzen_A4"
+
+
+@pytest.fixture(scope="module")
+def maps() -> dict[str, tuple[LaneGraph, RoadIndex]]:
+    folder = Path(os.environ.get("EGOLANE_DATA", "")) / "maps"
+    if not os.environ.get("EGOLANE_DATA") or not folder.is_dir():
+        pytest.skip("real maps: needs EGOLANE_DATA with a folder maps")
+    graphs = {name: read_osm(folder / f"{name}.osm") for name in (A9, A4)}
+    return {name: (graph, index_of(graph)) for name, graph in graphs.items()}
+
+
+@needs_compiler
+def test_simulated_trips_are_on_the_right_way_99_percent_of_the_time(
+    maps: dict[str, tuple[LaneGraph, RoadIndex]],
+) -> None:
+    rng = np.random.default_rng(0)
+    counts = dict.fromkeys(("offline", "online", "baseline", "all"), 0)
+    for graph, index in maps.values():
+        for _ in range(40):
+            positions, segment = random_trip(graph, index, rng)
+            counts["all"] += len(segment)
+            for online in (False, True):
+                table = locate(graph, index, positions, online=online)
+                assert len(table) == len(segment)
+                counts["online" if online else "offline"] += (table.segment == segment).sum()
+            counts["baseline"] += (lock_on_road(index, positions).segment == segment).sum()
+    assert counts["offline"] >= 0.99 * counts["all"]
+    assert counts["online"] >= 0.98 * counts["all"]
+    assert counts["baseline"] < counts["online"]
+
+
+def test_leuven_map_matching_agrees(maps: dict[str, tuple[LaneGraph, RoadIndex]]) -> None:
+    pytest.importorskip("leuvenmapmatching")
+    from tests.reference.leuven import Leuven
+
+    graph, index = maps[A9]
+    leuven = Leuven(graph, index)
+    rng = np.random.default_rng(0)
+    same = n = 0
+    for _ in range(8):
+        positions, _ = random_trip(graph, index, rng, longest_m=5000)
+        theirs = leuven.match(positions)
+        same += (theirs == match(graph, index, positions).segment).sum()
+        n += len(theirs)
+    assert n > 300
+    assert same >= 0.98 * n
+
+
+@needs_compiler
+@pytest.mark.parametrize("online", [False, True])
+def test_20_000_positions_are_located_in_less_than_a_second(
+    maps: dict[str, tuple[LaneGraph, RoadIndex]], online: bool
+) -> None:
+    graph, index = maps[A9]
+    rng = np.random.default_rng(1)
+    trips = [random_trip(graph, index, rng)[0] for _ in range(100)]
+    place = [np.concatenate([getattr(t, k) for t in trips]) for k in ("latitude", "longitude")]
+    positions = Positions.make(np.arange(len(place[0])) * 1.0, *place)
+    locate(graph, index, positions, online=online)  # compiles
+    begin = time.thread_time()
+    locate(graph, index, positions, online=online)
+    assert len(positions) / (time.thread_time() - begin) > 20_000
