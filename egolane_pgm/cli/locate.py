@@ -10,7 +10,7 @@ import numpy as np
 
 from egolane_pgm.cli import options
 from egolane_pgm.files import check_not_read, check_place
-from egolane_pgm.maps import lane_graph, road_table
+from egolane_pgm.maps import load_map, road_table
 from egolane_pgm.maps.index import index_of
 from egolane_pgm.maps.locating import locate as locate_on
 from egolane_pgm.maps.lock_on_road import lock_on_road
@@ -59,7 +59,7 @@ def locate(
 ) -> None:
     """Find the road of a car: segment, place on it, lanes, what is ahead, and how sure that is.
 
-    MAP is what `egolane map` writes. POSITIONS is a .csv, .parquet, .gpx, .nmea or .bag of a GNSS
+    MAP is what `egolane map` writes, or an extract itself. POSITIONS is a .csv, .parquet, .gpx, .nmea or .bag of a GNSS
     receiver. Experiments with `n_lanes: map` read the road table.
     """
     if Path(out).suffix.lower() != ".parquet":
@@ -67,7 +67,7 @@ def locate(
     check_place(Path(out))
     check_not_read(Path(out), [Path(map_file), Path(positions_file)])
     named = {k: str(v) for k, v in options.given(columns, "latitude=lat_gps", "--column").items()}
-    graph = lane_graph.load(map_file)
+    graph = load_map(map_file)
     positions = read_positions(positions_file, columns=named, topic=topic)
     positions = replace(positions, t_s=positions.t_s + shift_s)
     index = index_of(graph)

@@ -50,7 +50,7 @@ def test_a_road_table_is_written(files: tuple[str, str, str], more: tuple[str, .
     [
         ({2: "road.csv"}, "a road table is a .parquet file"),
         ({2: "lanes.parquet"}, "is read here; name another file"),
-        ({0: "drive.csv"}, "cannot be read as a lane graph"),
+        ({0: "drive.csv"}, "cannot be read as a map"),
         ({1: "lanes.parquet"}, "no column t_s"),
         ({1: "nowhere.csv"}, "no such file"),
     ],
