@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
+from egolane_pgm.evidence.lines_beside import fit_of_counts
 from egolane_pgm.experiment import FROM_MAP, Experiment, load_experiment
 from egolane_pgm.graphs.from_pgmpy import node_names
 from egolane_pgm.inference.compile import Compiled, compile, with_tables
@@ -28,7 +29,7 @@ from egolane_pgm.loading import (
     with_video_rate,
 )
 from egolane_pgm.maps.steps import LanesAlong, on_constant_road, road_changes
-from egolane_pgm.parameters import Value, resolve_parameters
+from egolane_pgm.parameters import Value, number, resolve_parameters
 from egolane_pgm.plugins import (
     declared_parameters,
     load_plugin,
@@ -470,12 +471,15 @@ def _evidence_along(model: Model, log: LineLog, road: LanesAlong) -> tuple[Evide
     rule, n_frames, most = model.rule, len(log), model.n_lanes
     asked = {n + k for n in np.unique(road.n_lanes).tolist() for k in (-1, 0, 1)}
     joint = np.zeros((n_frames, most, most))
+    # On a road whose number of lanes is certain, this scales a frame's evidence and no more.
+    fit = fit_of_counts(log, most, number(model.parameters, "lane_width_m"))
     wor = np.ones((n_frames, 2))
     tentative = np.zeros((n_frames, most))
     for n in sorted(asked.intersection(range(1, most + 1))):
         given = rule.evidence(log, n, model.parameters)
         output = given.likelihoods["DetectorOutput"]
-        joint[:, :n, n - 1] = output
+        largest = output.max(axis=1, keepdims=True)
+        joint[:, :n, n - 1] = fit[:, n - 1 : n] * output / np.where(largest > 0, largest, 1.0)
         here = road.n_lanes == n
         wor[here] = given.likelihoods["WOR"][here]
         tentative[here, :n] = output[here]

@@ -63,13 +63,14 @@ PARAMETERS = (
         "map_wrong",
         "probability",
         0.0,
-        "P(the map has a lane too few or too many), both equally likely",
+        "P(the map has a lane too few or too many), both equally likely; 0 for a map that is"
+        " believed, 0.1 for one that is not",
         search=None,
     ),
     Parameter(
         "map_stays",
         "probability",
-        0.999,
+        0.9999,
         "P(the map stays as right or wrong as it is) from frame to frame",
         search=None,
     ),
