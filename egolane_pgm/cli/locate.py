@@ -59,8 +59,8 @@ def locate(
 ) -> None:
     """Find the road of a car: segment, place on it, lanes, what is ahead, and how sure that is.
 
-    MAP is what `egolane map` writes, or an extract itself. POSITIONS is a .csv, .parquet, .gpx, .nmea or .bag of a GNSS
-    receiver. Experiments with `n_lanes: map` read the road table.
+    MAP is what `egolane map` writes, or an extract itself. POSITIONS is a .csv, .parquet, .gpx,
+    .nmea or .bag of a GNSS receiver. Experiments with `n_lanes: map` read the road table.
     """
     if Path(out).suffix.lower() != ".parquet":
         raise InputError(f"{out}: a road table is a .parquet file")
