@@ -28,7 +28,7 @@ OFF = -1
 
 @dataclass(frozen=True)
 class MatchSettings:
-    """What the model takes for granted. The defaults were chosen on simulated trips.
+    """What the model takes for granted. The defaults were chosen by hand and not searched.
 
     - sigma_m: of a position across the road, the lane's offset to the way's line included, metres
     - beta_m: scale of the difference between way and straight distance, metres
