@@ -10,6 +10,7 @@ import pytest
 
 import egolane_pgm as ego
 from egolane_pgm.inference.events import in_tracks, numbered
+from egolane_pgm.report.strips import strip_columns
 from egolane_pgm.types import Beliefs, InputError, LaneEvents
 
 PLACE = ego.experiments_folder() / "maps" / "interchange.yaml"
@@ -42,6 +43,18 @@ def test_scores_say_how_well_lanes_are_known_behind_a_change() -> None:
     )
     weighted = sum(road[key]["frames"] * road[key]["accuracy"] for key in ("behind", "elsewhere"))
     assert weighted / both == pytest.approx(scores["accuracy"])
+
+
+def test_a_strip_is_blank_where_the_map_has_no_lane() -> None:
+    result = run().result
+    strips = strip_columns(result, 0, 1199)
+    assert strips.road_lanes is not None
+    np.testing.assert_array_equal(strips.road_lanes, result.road_lanes)
+    assert strips.truth is not None
+    blank = np.isnan(strips.truth[:, ~strips.is_crossing]).sum(axis=0)
+    missing = (result.n_lanes - result.road_lanes)[~strips.is_crossing]
+    # A truth beside the map's place of a change is shown all the same.
+    assert (blank == missing).mean() > 0.95
 
 
 def test_a_graph_of_a_fixed_road_is_refused() -> None:

@@ -187,6 +187,9 @@ def strips_figure(result: Result, first: int | None = None, last: int | None = N
     figure.text(middle, 1 - _HEAD / down, "frame id", fontsize=9, ha="center", va="bottom")
     figure.text(middle, 1 - end / down, "time [s]", fontsize=9, ha="center", va="top")
     _draw_legend(figure, result, rows, end + 0.26)
+    if result.experiment.get("road"):
+        said = "lanes of the map: © OpenStreetMap contributors, ODbL"
+        figure.text(1 - _RIGHT / _WIDTH, 0.06 / down, said, fontsize=7, ha="right", va="bottom")
     return figure
 
 
