@@ -413,6 +413,10 @@ def online_evidence(model: Model, reading: str = "soft") -> Callable[[LineLog], 
     returns a function that remembers them. Any other rule is asked for its `evidence`, and what it
     warns of, seeing a frame alone, is not said. The function raises InputError as `make_evidence`.
     """
+    if _is_of_changing_roads(model.graph):
+        raise InputError(
+            "a graph of a road whose lanes change is for `egolane run`, which has the whole drive"
+        )
     rule = model.rule
     with plugin_errors(rule, "evidence"):
         if hasattr(rule, "online"):

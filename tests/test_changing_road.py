@@ -10,6 +10,7 @@ import pytest
 
 import egolane_pgm as ego
 from egolane_pgm.inference.events import in_tracks, numbered
+from egolane_pgm.online import filter_stream
 from egolane_pgm.report.strips import strip_columns
 from egolane_pgm.types import Beliefs, InputError, LaneEvents
 
@@ -78,6 +79,8 @@ def test_n_lanes_map_needs_a_road(tmp_path: Path) -> None:
 def test_other_commands_say_that_they_do_not_follow_a_map() -> None:
     with pytest.raises(InputError, match="a road from a map is for `egolane run`"):
         ego.tune(PLACE, trials=2)
+    with pytest.raises(InputError, match="is for `egolane run`, which has the whole drive"):
+        list(filter_stream(ego.load_experiment(PLACE), ["{}"]))
 
 
 def test_options_of_the_simulation_that_do_not_exist_are_refused() -> None:

@@ -96,7 +96,7 @@ def _validated(path: str, overrides: Sequence[str]) -> str:
             check_tuning(experiment, model)
         with part():
             check_sources(experiment)
-    return f"{experiment.n_lanes} lanes, {model.compiled.n_states} joint states"
+    return f"{model.n_lanes} lanes, {model.compiled.n_states} joint states"
 
 
 #: What `egolane show` knows, and the folder of each.
