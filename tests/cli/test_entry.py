@@ -52,7 +52,8 @@ def interrupt(
     words: list[object], seconds: float, out: Path, whole_group: bool, **environment: str
 ) -> None:
     """Interrupt `egolane words...` after some seconds: it ends at once, in one line, as a whole."""
-    hello = "print('started', flush=True)"
+    # Python's own start is not the command's: until it is imported, nothing can answer Ctrl-C.
+    hello = "import egolane_pgm.cli.entry; print('started', flush=True)"
     running = started(*words, first=hello, env={**os.environ, **environment})
     assert running.stdout is not None
     assert running.stdout.readline() == "started\n"
