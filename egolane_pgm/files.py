@@ -121,6 +121,18 @@ def write_parquet(path: Path, table: Any) -> None:
         parquet.write_table(table, file)
 
 
+def read_parquet(path: Path) -> Any:
+    """Read a pyarrow table. Raises OSError or pyarrow's ArrowException where it cannot be read."""
+    from pyarrow import OSFile, parquet
+
+    # Its error says in plain words what is wrong with the place.
+    path.stat()
+    # Given a name, pyarrow takes what is before a colon for the scheme of an address. Of a Python
+    # file its threads would still read while Python ends, which then aborts.
+    with OSFile(str(path)) as file:
+        return parquet.read_table(file)
+
+
 def plain(value: Any) -> Any:
     """The same in plain Python types, for JSON and YAML; NaN and infinity become None."""
     if isinstance(value, Mapping):

@@ -66,6 +66,7 @@ from egolane_pgm.files import (
     as_csv,
     atomic_directory,
     check_place,
+    read_parquet,
     read_yaml,
     write_bytes,
     write_json,
@@ -319,8 +320,6 @@ def read_result(directory: str | Path) -> Result:
 
     Raises InputError naming the directory where it is not one, or not whole.
     """
-    import pyarrow as pa
-    from pyarrow import parquet
 
     directory = Path(directory)
     if not is_result(directory):
@@ -329,8 +328,7 @@ def read_result(directory: str | Path) -> Result:
         run = json.loads((directory / "run.json").read_text(encoding="utf-8"))
         scores = json.loads((directory / "scores.json").read_text(encoding="utf-8"))
         experiment = read_yaml(directory / "experiment.yaml", "n_lanes: 4")
-        # Given a name, pyarrow takes what is before a colon for the scheme of an address.
-        table = parquet.read_table(pa.OSFile(str(directory / "beliefs.parquet")))
+        table = read_parquet(directory / "beliefs.parquet")
     except (OSError, ValueError) as error:
         raise InputError(f"{directory}: cannot be read: {' '.join(str(error).split())}") from error
     version = run.get("schema_version") if isinstance(run, dict) else None

@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from egolane_pgm.files import check_name, write_parquet
+from egolane_pgm.files import check_name, read_parquet, write_parquet
 from egolane_pgm.types import FloatArray, InputError, IntArray
 
 #: What a join can be. An exit is a place where a link leaves the road, an entry one where a link
@@ -180,13 +180,10 @@ def load(path: str | Path) -> LaneGraph:
     version, and for a graph without segments or whose lists do not fit together.
     """
     import pyarrow as pa
-    from pyarrow import parquet
 
     check_name(path)
     try:
-        # Given a name, pyarrow takes what is before a colon for the scheme of an address.
-        with Path(path).open("rb") as file:
-            table = parquet.read_table(file)
+        table = read_parquet(Path(path))
     except (pa.ArrowException, OSError) as error:
         text = getattr(error, "strerror", None) or " ".join(str(error).split())[:120]
         raise InputError(f"{path}: cannot be read as a lane graph: {text}") from None

@@ -12,7 +12,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from egolane_pgm.files import check_name, write_parquet
+from egolane_pgm.files import check_name, read_parquet, write_parquet
 from egolane_pgm.types import FloatArray, InputError, IntArray
 
 #: Of the stored table. It changes where a column gets another meaning.
@@ -90,13 +90,10 @@ def load(path: str | Path) -> RoadTable:
     version, and as `RoadTable` does.
     """
     import pyarrow as pa
-    from pyarrow import parquet
 
     check_name(path)
     try:
-        # Given a name, pyarrow takes what is before a colon for the scheme of an address.
-        with Path(path).open("rb") as file:
-            table = parquet.read_table(file)
+        table = read_parquet(Path(path))
     except (pa.ArrowException, OSError) as error:
         text = getattr(error, "strerror", None) or " ".join(str(error).split())[:120]
         raise InputError(f"{path}: cannot be read as a road table: {text}") from None

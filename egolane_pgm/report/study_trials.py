@@ -16,6 +16,7 @@ from optuna import distributions
 from optuna.exceptions import ExperimentalWarning
 from optuna.trial import create_trial
 
+from egolane_pgm.files import read_parquet
 from egolane_pgm.scoring.confusion import is_maximised
 from egolane_pgm.types import BoolArray, FloatArray, InputError, IntArray
 
@@ -152,7 +153,7 @@ def trials_of(
 
 
 def _read(directory: Path) -> tuple[Mapping[str, Any], Mapping[str, Sequence[Any]]]:
-    from pyarrow import ArrowException, parquet
+    from pyarrow import ArrowException
 
     path = directory / STUDY_FILE
     try:
@@ -166,9 +167,7 @@ def _read(directory: Path) -> tuple[Mapping[str, Any], Mapping[str, Sequence[Any
         raise InputError(f"{path}: is not of schema version {SCHEMA_VERSION}; tune again")
     trials = directory / TRIALS_FILE
     try:
-        # A file handle of its own: paths with odd characters are URIs to pyarrow.
-        with trials.open("rb") as file:
-            table = parquet.read_table(file).to_pydict()
+        table = read_parquet(trials).to_pydict()
     except (OSError, ArrowException) as error:
         raise InputError(f"{trials}: cannot be read; repeat the `egolane tune` command") from error
     return content, table
