@@ -30,7 +30,7 @@ from egolane_pgm.detectors.simple.kernels import (
     rows_shown,
 )
 from egolane_pgm.detectors.simple.markings import marking_mask
-from egolane_pgm.detectors.simple.streaks import is_streaky, without_streaks
+from egolane_pgm.detectors.simple.streaks import NOISE, RAIN, streak_cover, without_streaks
 from egolane_pgm.detectors.simple.upright import free_road
 from egolane_pgm.parameters import Parameters, number
 from egolane_pgm.types import BoolArray, FloatArray, IntArray
@@ -150,7 +150,10 @@ def find_lines(
     """
     is_given = mask is not None
     if mask is None:
-        if is_streaky(image, parameters):
+        cover = streak_cover(image, parameters)
+        if cover > NOISE:
+            return _nothing()
+        if cover > RAIN:
             image = without_streaks(image, parameters)
             parameters = {**parameters, "least_rise": parameters["streaky_rise"]}
         above = from_above(view, image)
@@ -179,7 +182,7 @@ def fit_lines(
 ) -> Found:
     """Finds the lines that cover most of the contours; `prior_shape` as in `find_lines`."""
     if len(strips.row) == 0:
-        return _select(np.zeros((0, 4)), np.zeros(0), np.zeros(0), np.zeros(0))
+        return _nothing()
     prior = _prior(parameters, prior_shape)
     common = _find_common(view, strips, parameters, prior)
     offset, agreement = _along(strips, common, parameters)
@@ -190,6 +193,10 @@ def fit_lines(
     visible = _visible(view, shape)
     coverage = _coverage(view, strips, found, common, parameters) / np.maximum(visible, 1e-9)
     return _select(shape, score[peaks], np.minimum(coverage, 1.0), visible)
+
+
+def _nothing() -> Found:
+    return Found(np.zeros((0, 4)), np.zeros(0), np.zeros(0), np.zeros(0))
 
 
 def _select(

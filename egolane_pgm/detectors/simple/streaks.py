@@ -3,7 +3,8 @@
 A streak is a few pixels wide whatever its distance, and streaks are everywhere in a picture; paint
 is as thin only far ahead, and is in few places. Where most parts of the lower half of a picture
 show thin bright strips, all strips as thin are taken out (a morphological opening along the rows),
-faint markings far ahead with them.
+faint markings far ahead with them. Where they cover nearly half of a picture, it is noise and shows
+nothing.
 """
 
 from __future__ import annotations
@@ -25,15 +26,19 @@ _PARTS = (6, 20)
 #: levels, the noise of a camera.
 _BRIGHTER, _NOISE = 0.1, 4.0
 
-#: The picture is full of streaks if they cover this share of each of three parts out of four.
-_COVERED, _QUARTILE = 0.01, 0.25
+#: Three parts out of four are at least so much covered.
+_QUARTILE = 0.25
+
+#: A picture is full of streaks from this cover on, and nothing but noise from that one on.
+RAIN, NOISE = 0.01, 0.4
 
 
-def is_streaky(image: Image, parameters: Parameters) -> bool:
-    """Whether a picture, (H, W, 3) or (H, W), is full of streaks; not if `streak_width` is 0."""
+def streak_cover(image: Image, parameters: Parameters) -> float:
+    """The share of a picture, (H, W, 3) or (H, W), that thin bright strips cover, in each of three
+    parts out of four of its lower half; 0 if `streak_width` is 0."""
     rows = image[image.shape[0] // 2 :: _ROW_STEP]
     if not _width(image, parameters) or rows.shape[0] < _PARTS[0] or rows.shape[1] < _PARTS[1]:
-        return False
+        return 0.0
     # OpenCV copies a channel faster than NumPy does.
     rows = np.ascontiguousarray(rows)
     rows = rows if rows.ndim == 2 else cv2.extractChannel(rows, 2).astype(np.uint8, copy=False)
@@ -42,7 +47,7 @@ def is_streaky(image: Image, parameters: Parameters) -> bool:
     is_streak = cv2.compare(thin, least, cv2.CMP_GT)
     # The mean over each part; the parts need not have the same number of pixels.
     covered = cv2.resize(is_streak, _PARTS[::-1], interpolation=cv2.INTER_AREA)
-    return bool(np.quantile(covered, _QUARTILE) > 255 * _COVERED)
+    return float(np.quantile(covered, _QUARTILE)) / 255
 
 
 def without_streaks(image: Image, parameters: Parameters) -> Image:

@@ -9,7 +9,7 @@ import pytest
 from egolane_pgm.camera.picture import Image
 from egolane_pgm.detectors.simple.fit import find_lines, view_for
 from egolane_pgm.detectors.simple.parameters import FINDING
-from egolane_pgm.detectors.simple.streaks import is_streaky, without_streaks
+from egolane_pgm.detectors.simple.streaks import NOISE, RAIN, streak_cover, without_streaks
 from egolane_pgm.parameters import resolve_parameters
 from tests.detectors.simple.test_upright import CAMERA
 from tests.kits.synthetic_road import Paint, road
@@ -33,20 +33,20 @@ def rain(image: Image, streaks: int, seed: int = 0) -> Image:
 @pytest.mark.parametrize("blank", [0, 255, None])
 def test_a_road_without_rain_is_not_streaky(noise: float, blank: int | None) -> None:
     image = road(camera=CAMERA, noise=noise)
-    assert not is_streaky(image if blank is None else np.full_like(image, blank), DEFAULTS)
+    assert streak_cover(image if blank is None else np.full_like(image, blank), DEFAULTS) <= RAIN
 
 
 def test_rain_is_streaky_in_colour_and_in_grey_unless_it_is_not_looked_for() -> None:
     image = rain(road(camera=CAMERA), 900)
-    assert is_streaky(image, DEFAULTS)
-    assert is_streaky(image[:, :, 2], DEFAULTS)
-    assert not is_streaky(image, resolve_parameters(FINDING, {"streak_width": 0}, 1))
+    assert RAIN < streak_cover(image, DEFAULTS) <= NOISE
+    assert RAIN < streak_cover(image[:, :, 2], DEFAULTS) <= NOISE
+    assert streak_cover(image, resolve_parameters(FINDING, {"streak_width": 0}, 1)) <= RAIN
 
 
 def test_streaks_in_one_corner_are_not_rain() -> None:
     image = road(camera=CAMERA)
     image[:, :300] = rain(image, 2000)[:, :300]
-    assert not is_streaky(image, DEFAULTS)
+    assert streak_cover(image, DEFAULTS) <= RAIN
 
 
 def test_paint_nearby_stays_when_streaks_are_taken_out() -> None:
@@ -58,6 +58,14 @@ def test_paint_nearby_stays_when_streaks_are_taken_out() -> None:
 
 
 @pytest.mark.parametrize("seed", range(3))
+def test_noise_is_no_rain_and_shows_no_lines(seed: int) -> None:
+    size = (CAMERA.height, CAMERA.width, 3)
+    noise = np.random.default_rng(seed).integers(0, 256, size, dtype=np.uint8)
+    assert streak_cover(noise, DEFAULTS) > NOISE
+    assert len(find_lines(view_for(CAMERA, DEFAULTS), noise, DEFAULTS).score) == 0
+
+
+@pytest.mark.parametrize("seed", range(3))
 def test_lines_are_found_in_rain(seed: int) -> None:
     image = rain(road(LINES, camera=CAMERA, seed=seed), 900, seed)
     found = find_lines(view_for(CAMERA, DEFAULTS), image, DEFAULTS)
@@ -66,4 +74,4 @@ def test_lines_are_found_in_rain(seed: int) -> None:
 
 
 def test_a_picture_of_one_row_is_not_streaky() -> None:
-    assert not is_streaky(np.zeros((1, 300, 3), dtype=np.uint8), DEFAULTS)
+    assert streak_cover(np.zeros((1, 300, 3), dtype=np.uint8), DEFAULTS) <= RAIN
