@@ -104,7 +104,7 @@ events: .venv/.run
 camera: .venv/.dev
 	$(BIN)/python -m tests.camera_figures carnd tusimple phantom clips aly lane_change labels --out results/camera > results/camera/pictures.md
 
-# What a search of the detectors' parameters gains on labelled stills (20 minutes of two cores).
+# What a search of the detectors' parameters gains on labelled stills (ten minutes of two cores).
 searched: .venv/.dev
 	$(BIN)/python -m tests.camera_figures searched > results/camera/searched.md
 

@@ -24,7 +24,7 @@ from egolane_pgm.tuning.plan import PicturePlan, read_plan
 from tests.camera_figures import tusimple
 from tests.camera_figures._following import data_folder
 
-TRIALS, DETECTORS = 150, ("ml", "mc")
+TRIALS, DETECTORS = 60, ("ml", "mc")
 
 #: What is searched of the finder, wide around the defaults.
 RANGES: dict[str, list[float]] = {
