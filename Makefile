@@ -108,7 +108,7 @@ camera: .venv/.dev
 searched: .venv/.dev
 	$(BIN)/python -m tests.camera_figures searched > results/camera/searched.md
 
-# What results/camera/ holds of rendered motorways: tables (20 minutes of one core), a frame.
+# What results/camera/ holds of rendered motorways: tables (25 minutes of one core), a frame.
 rendered: .venv/.dev
 	mkdir -p results/camera
 	$(BIN)/python -m tests.camera_figures rendered --out results/camera > results/camera/rendered.md
