@@ -15,7 +15,7 @@ from egolane_pgm.maps.index import index_of
 from egolane_pgm.maps.locating import locate as locate_on
 from egolane_pgm.maps.lock_on_road import lock_on_road
 from egolane_pgm.maps.positions import read_positions
-from egolane_pgm.types import InputError
+from egolane_pgm.maps.stored import check_path
 
 
 @click.command()
@@ -62,8 +62,7 @@ def locate(
     MAP is what `egolane map` writes, or an extract itself. POSITIONS is a .csv, .parquet, .gpx,
     .nmea or .bag of a GNSS receiver. Experiments with `n_lanes: map` read the road table.
     """
-    if Path(out).suffix.lower() != ".parquet":
-        raise InputError(f"{out}: a road table is a .parquet file")
+    check_path(out, "road table")
     check_place(Path(out))
     check_not_read(Path(out), [Path(map_file), Path(positions_file)])
     named = {k: str(v) for k, v in options.given(columns, "latitude=lat_gps", "--column").items()}

@@ -13,7 +13,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from egolane_pgm.files import check_name, read_parquet, write_parquet
+from egolane_pgm.files import write_parquet
+from egolane_pgm.maps.stored import check_path, marks, read_stored
 from egolane_pgm.types import FloatArray, InputError, IntArray
 
 #: What a join can be. An exit is a place where a link leaves the road, an entry one where a link
@@ -134,14 +135,12 @@ def _schema() -> Any:
     kinds = {name: pa.type_for_alias(kind) for name, kind in (*_OF_SEGMENT, *_OF_POINT, *_OF_JOIN)}
     columns = [(name, kinds[name]) for name, _ in _OF_SEGMENT]
     columns += [(name, pa.list_(kinds[name])) for name, _ in (*_OF_POINT, *_OF_JOIN)]
-    attribution = "© OpenStreetMap contributors, ODbL"
-    return pa.schema(columns, metadata={"egolane_lane_graph": VERSION, "attribution": attribution})
+    return pa.schema(columns, metadata=marks("lane graph", VERSION))
 
 
 def check_lanes_path(path: str | Path) -> None:
     """Raise InputError for the name of a file that is not one of a lane graph."""
-    if Path(path).suffix.lower() != ".parquet":
-        raise InputError(f"{path}: a lane graph is a .parquet file")
+    check_path(path, "lane graph")
 
 
 def save(graph: LaneGraph, path: str | Path) -> None:
@@ -181,16 +180,7 @@ def load(path: str | Path) -> LaneGraph:
     """
     import pyarrow as pa
 
-    check_name(path)
-    try:
-        table = read_parquet(Path(path))
-    except (pa.ArrowException, OSError) as error:
-        text = getattr(error, "strerror", None) or " ".join(str(error).split())[:120]
-        raise InputError(f"{path}: cannot be read as a lane graph: {text}") from None
-    version = (table.schema.metadata or {}).get(b"egolane_lane_graph", b"").decode()
-    if version != VERSION:
-        what = f"version {version}, not {VERSION}" if version else "no lane graph"
-        raise InputError(f"{path}: {what}; `egolane map FILE.osm -o {path}` writes one")
+    table = read_stored(path, "lane graph", VERSION, "egolane map FILE.osm")
     if not table.schema.equals(_schema()) or table.num_rows == 0:
         raise InputError(f"{path}: the lane graph is damaged; make it anew with `egolane map`")
     whole = {name: table[name].combine_chunks() for name in table.column_names}

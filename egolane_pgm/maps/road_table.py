@@ -12,7 +12,8 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from egolane_pgm.files import check_name, read_parquet, write_parquet
+from egolane_pgm.files import write_parquet
+from egolane_pgm.maps.stored import check_path, marks, read_stored
 from egolane_pgm.types import FloatArray, InputError, IntArray
 
 #: Of the stored table. It changes where a column gets another meaning.
@@ -73,13 +74,9 @@ def save(table: RoadTable, path: str | Path) -> None:
     cannot be written."""
     import pyarrow as pa
 
-    if Path(path).suffix.lower() != ".parquet":
-        raise InputError(f"{path}: a road table is a .parquet file")
+    check_path(path, "road table")
     columns = {name: pa.array(getattr(table, name)) for name in COLUMNS}
-    attribution = "© OpenStreetMap contributors, ODbL"
-    made = pa.table(columns).replace_schema_metadata(
-        {"egolane_road_table": VERSION, "attribution": attribution}
-    )
+    made = pa.table(columns).replace_schema_metadata(marks("road table", VERSION))
     write_parquet(Path(path), made)
 
 
@@ -89,18 +86,8 @@ def load(path: str | Path) -> RoadTable:
     Raises InputError for a file that cannot be read, that is no road table or one of another
     version, and as `RoadTable` does.
     """
-    import pyarrow as pa
 
-    check_name(path)
-    try:
-        table = read_parquet(Path(path))
-    except (pa.ArrowException, OSError) as error:
-        text = getattr(error, "strerror", None) or " ".join(str(error).split())[:120]
-        raise InputError(f"{path}: cannot be read as a road table: {text}") from None
-    version = (table.schema.metadata or {}).get(b"egolane_road_table", b"").decode()
-    if version != VERSION:
-        what = f"version {version}, not {VERSION}" if version else "no road table"
-        raise InputError(f"{path}: {what}; `egolane locate MAP POSITIONS -o {path}` writes one")
+    table = read_stored(path, "road table", VERSION, "egolane locate MAP POSITIONS")
     missing = [name for name in COLUMNS if name not in table.column_names]
     if missing:
         raise InputError(f"{path}: lacks the column {', '.join(missing)}")

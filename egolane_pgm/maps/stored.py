@@ -1,0 +1,48 @@
+"""The Parquet files of maps, lane graphs and road tables: each says what it is, and whose data."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+from egolane_pgm.files import check_name, read_parquet
+from egolane_pgm.types import InputError
+
+ATTRIBUTION = "© OpenStreetMap contributors, ODbL"
+
+
+def check_path(path: str | Path, what: str) -> None:
+    """Raise InputError for the name of a file that is none for `what`, such as "lane graph"."""
+    if Path(path).suffix.lower() != ".parquet":
+        raise InputError(f"{path}: a {what} is a .parquet file")
+
+
+def marks(what: str, version: str) -> dict[str, str]:
+    """The metadata of a file."""
+    return {_key(what): version, "attribution": ATTRIBUTION}
+
+
+def read_stored(path: str | Path, what: str, version: str, command: str) -> Any:
+    """Read a pyarrow table with the marks of `what` and `version`.
+
+    - command: writes such a file.
+
+    Raises InputError for a file that cannot be read, that is something else, or of another version.
+    """
+    import pyarrow as pa
+
+    check_name(path)
+    try:
+        table = read_parquet(Path(path))
+    except (pa.ArrowException, OSError) as error:
+        text = getattr(error, "strerror", None) or " ".join(str(error).split())[:120]
+        raise InputError(f"{path}: cannot be read as a {what}: {text}") from None
+    found = (table.schema.metadata or {}).get(_key(what).encode(), b"").decode()
+    if found != version:
+        wrong = f"version {found}, not {version}" if found else f"no {what}"
+        raise InputError(f"{path}: {wrong}; `{command} -o {path}` writes one")
+    return table
+
+
+def _key(what: str) -> str:
+    return f"egolane_{what.replace(' ', '_')}"
