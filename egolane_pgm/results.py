@@ -18,6 +18,8 @@
                       the road, as the map says) and origin (lane k of a frame is lane k - origin of
                       the first one); clip (its name) where the recording
                       is of several clips, each filtered from the prior on
+    lines.parquet     the lines that were believed, a row each, as `recordings.table` says;
+                      selected, and with missing frames put in as the experiment says
     events.csv        one row per lane change that the beliefs tell of (see `inference.events`):
                       frame_id and time_s (since when the new lane was more probable than the old
                       one), from_lane, to_lane, probability (of the new lane, when told),
@@ -91,10 +93,14 @@ from egolane_pgm.types import (
     IntArray,
     LaneEvents,
     LaneTruth,
+    LineLog,
     pieces_of,
 )
 
 SCHEMA_VERSION = 1
+
+#: The file of the lines.
+LINES = "lines.parquet"
 
 
 @dataclass(frozen=True)
@@ -116,6 +122,7 @@ class Result:
     clip (T,): of a recording of several clips the name of each frame's, as in `LineLog`.
     road_lanes, origin (T,): lanes of the road as the map says, and where their numbers begin, see
         `maps.steps.LanesAlong`; None for a road on which lanes do not change.
+    lines: of the T frames; None in a directory that was written before lines were kept.
     """
 
     directory: Path
@@ -137,6 +144,7 @@ class Result:
     clip: NDArray[np.str_] | None = None
     road_lanes: IntArray | None = None
     origin: IntArray | None = None
+    lines: LineLog | None = None
 
     @property
     def n_lanes(self) -> int:
@@ -282,11 +290,13 @@ def staged(directory: Path, kinds: Sequence[Callable[[Path], bool]] = ()) -> Ite
 
 
 def write_result(directory: Path, result: Result, experiment: Mapping[str, Any]) -> None:
-    """Write the five files of a result into `directory`.
+    """Write the files of a result into `directory`.
 
     - experiment: what experiment.yaml says, see `running.portable`.
     """
     import pyarrow as pa
+
+    from egolane_pgm.recordings.table import write_table
 
     write_yaml(directory / "experiment.yaml", experiment)
     arrays = {
@@ -294,6 +304,8 @@ def write_result(directory: Path, result: Result, experiment: Mapping[str, Any])
         for name, c in result.columns().items()
     }
     write_parquet(directory / "beliefs.parquet", pa.table(arrays))
+    if result.lines is not None and len(result.lines):
+        write_table(directory / LINES, result.lines)
     _write_columns(directory / "events.csv", result.events.columns())
     if result.clip is not None:
         _write_columns(directory / "clips.csv", result.clip_columns())
@@ -338,9 +350,23 @@ def read_result(directory: str | Path) -> Result:
             f" {SCHEMA_VERSION}; run the experiment again"
         )
     try:
-        return _as_result(directory, experiment, run, scores, table)
+        result = _as_result(directory, experiment, run, scores, table)
     except KeyError as error:
         raise InputError(f"{directory}: is damaged, it lacks {error}; run it again") from error
+    return replace(result, lines=_read_lines(result))
+
+
+def _read_lines(result: Result) -> LineLog | None:
+    """The lines of a result's directory, None where there are none."""
+    from egolane_pgm.recordings.table import read_table
+
+    file = result.directory / LINES
+    if not file.exists():
+        return None
+    log = read_table(file)
+    if not np.array_equal(log.frame_id, result.frame_id):
+        raise InputError(f"{file}: has other frames than beliefs.parquet; run it again")
+    return replace(log, time_s=result.time_s, clip=result.clip)
 
 
 def _as_result(directory: Path, experiment: Any, run: Any, scores: Any, table: Any) -> Result:

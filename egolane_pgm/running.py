@@ -437,6 +437,7 @@ def make_result(
         log.clip,
         None if recorded.road is None else recorded.road.n_lanes,
         None if recorded.road is None else recorded.road.origin,
+        log,
     )
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import re
 import signal
 import subprocess
 from collections.abc import Callable
@@ -17,6 +18,7 @@ import yaml
 from egolane_pgm.experiment import config_hash, load_experiment
 from egolane_pgm.files import plain, write_json
 from egolane_pgm.inference.events import crossing_probability, lane_events
+from egolane_pgm.recordings.table import read_table, write_table
 from egolane_pgm.results import (
     check_writable,
     file_sha256,
@@ -29,7 +31,7 @@ from egolane_pgm.results import (
 from egolane_pgm.running import Run, run_experiment, save_run
 from egolane_pgm.scoring.assign import assigned_lane
 from egolane_pgm.types import InputError
-from tests.kits.drives import contents, done, geometry, refused, simulated
+from tests.kits.drives import contents, done, geometry, refused, simulated, write_drive
 from tests.kits.processes import started
 
 
@@ -64,6 +66,34 @@ def test_everything_read_from_a_result_directory_equals_the_run(run: Run, saved:
     for kind in ("detector", "model"):
         assert result.scores[kind] == plain(run.scores[kind])
     assert result.n_lanes == 3
+
+
+def test_the_lines_of_a_result_are_those_that_were_believed(
+    drive: Path, run: Run, saved: Path, tmp_path: Path
+) -> None:
+    lines, log = read_result(saved).lines, run.recorded.log
+    assert lines is not None
+    for name in ("frame_id", "time_s", "offset_m", "is_valid", "is_continuous", "lri"):
+        np.testing.assert_array_equal(getattr(lines, name), getattr(log, name))
+    # They are a recording that can be run.
+    done("run", drive, "--recording", saved / "lines.parquet", "--out", tmp_path / "again")
+    again = read_result(tmp_path / "again")
+    np.testing.assert_array_equal(again.marginals["Lane"], run.beliefs.lane)
+    # Older results have none.
+    copy = damaged(saved, tmp_path, lambda copy: (copy / "lines.parquet").unlink())
+    assert read_result(copy).lines is None
+
+
+def test_frames_that_were_put_in_are_marked_in_the_lines_of_a_result(tmp_path: Path) -> None:
+    place = write_drive(tmp_path / "drive", recording__missing_frames="predict")
+    table = tmp_path / "drive" / "lines.csv"
+    rows = table.read_text().splitlines(keepends=True)
+    table.write_text("".join(row for row in rows if not row.startswith("20,")))
+    run = run_experiment(place)
+    assert run.recorded.log.is_missing.sum() == 1
+    lines = read_result(save_run(run, tmp_path / "result")).lines
+    assert lines is not None
+    np.testing.assert_array_equal(lines.is_missing, run.recorded.log.is_missing)
 
 
 def test_a_result_says_where_its_numbers_come_from(drive: Path, run: Run, saved: Path) -> None:
@@ -223,6 +253,10 @@ def rewrite(name: str, **changes: object) -> Callable[[Path], object]:
     return change
 
 
+def with_lines_of_fewer_frames(folder: Path) -> None:
+    write_table(folder / "lines.parquet", read_table(folder / "lines.parquet").take(slice(5)))
+
+
 @pytest.mark.parametrize(
     ("change", "said"),
     [
@@ -235,6 +269,8 @@ def rewrite(name: str, **changes: object) -> Callable[[Path], object]:
         (rewrite("run.json", schema_version=99), "has schema version 99, this program reads 1"),
         (rewrite("run.json", values=None), "is damaged, it lacks 'values'"),
         (rewrite("run.json", values={"Lane": ["1", "9"]}), "is damaged, it lacks 'Lane_9'"),
+        (with_lines_of_fewer_frames, "lines.parquet: has other frames than beliefs.parquet"),
+        (lambda d: (d / "lines.parquet").write_bytes(b"PAR1"), "lines.parquet: not a whole"),
     ],
 )
 def test_a_damaged_result_is_refused_by_name(
@@ -243,7 +279,7 @@ def test_a_damaged_result_is_refused_by_name(
     copy = damaged(saved, tmp_path, change)
     with pytest.raises(InputError) as info:
         read_result(copy)
-    assert str(info.value).startswith(f"{copy}: {said}")
+    assert re.match(rf"{copy}[:/] ?{said}", str(info.value))
     assert "\n" not in str(info.value)
 
 

@@ -24,6 +24,7 @@ LABELS = {
     "experiment.yaml",
     "labels.csv",
     "labels.txt",
+    "lines.parquet",
     "review.csv",
     "run.json",
     "scores.json",
