@@ -6,7 +6,7 @@ ifneq ($(wildcard ../shared/data/rle),)
 export EGOLANE_DATA ?= $(abspath ../shared/data)
 endif
 
-.PHONY: run test check bench coverage notebooks paper graphs beyond delay events camera searched rendered compared clean
+.PHONY: run test check docs bench coverage notebooks paper graphs beyond delay events camera searched rendered compared clean
 
 run: .venv/.run
 	$(BIN)/egolane run experiments/quickstart.yaml
@@ -33,6 +33,10 @@ coverage: .venv/.dev
 
 bench: .venv/.bench
 	$(BIN)/python -m tests.benchmarks
+
+# The documentation site, in site/: its pages load nothing from a network.
+docs: .venv/.dev
+	NO_MKDOCS_2_WARNING=1 $(BIN)/python -m mkdocs build --strict --quiet
 
 # Executes the notebooks and stores them with what they put out; needs the paper's recordings.
 notebooks: .venv/.dev
