@@ -6,7 +6,7 @@ ifneq ($(wildcard ../shared/data/rle),)
 export EGOLANE_DATA ?= $(abspath ../shared/data)
 endif
 
-.PHONY: run test check docs bench coverage notebooks paper graphs beyond delay events camera searched rendered compared clean
+.PHONY: run test check docs bench coverage dist notebooks paper graphs beyond delay events camera searched rendered compared clean
 
 run: .venv/.run
 	$(BIN)/egolane run experiments/quickstart.yaml
@@ -37,6 +37,12 @@ bench: .venv/.bench
 # The documentation site, in site/: its pages load nothing from a network.
 docs: .venv/.dev
 	NO_MKDOCS_2_WARNING=1 $(BIN)/python -m mkdocs build --strict --quiet
+
+# The source archive and the wheel from it, tried in an empty environment (needs a package index).
+dist: .venv/.dev
+	rm -rf dist
+	$(BIN)/python -m build
+	PYTHON=$(PYTHON) .ci/installed dist/*.whl
 
 # Executes the notebooks and stores them with what they put out; needs the paper's recordings.
 notebooks: .venv/.dev

@@ -33,6 +33,7 @@ if TYPE_CHECKING:
     from egolane_pgm.api.runs import run as run
     from egolane_pgm.api.studies import TuneResult as TuneResult
     from egolane_pgm.api.studies import tune as tune
+    from egolane_pgm.experiment import experiments_folder as experiments_folder
     from egolane_pgm.experiment import load_experiment as load_experiment
     from egolane_pgm.inference.compile import compile as compile
     from egolane_pgm.inference.events import lane_events as lane_events
@@ -40,7 +41,6 @@ if TYPE_CHECKING:
     from egolane_pgm.inference.smoothing import smooth_beliefs as smooth_beliefs
     from egolane_pgm.inference.unrolling import unrolled as unrolled
     from egolane_pgm.learning.em import fit_tables as fit_tables
-    from egolane_pgm.paper import experiments_folder as experiments_folder
     from egolane_pgm.types import Beliefs as Beliefs
     from egolane_pgm.types import Evidence as Evidence
     from egolane_pgm.types import InputError as InputError
@@ -52,7 +52,7 @@ __version__ = "0.1.0"
 
 #: The module of each public name.
 _PUBLIC = {
-    "experiments_folder": "paper",
+    "experiments_folder": "experiment",
     "load_experiment": "experiment",
     "run": "api.runs",
     "tune": "api.studies",

@@ -356,11 +356,32 @@ class Experiment(Section):
 Given = Experiment | str | os.PathLike[str] | Mapping[str, Any]
 
 
+def experiments_folder() -> Path:
+    """The folder of the experiments that come with the package.
+
+    >>> import egolane_pgm as ego
+    >>> sorted(path.name for path in (ego.experiments_folder() / "paper").glob("run0[12]*"))
+    ['run01_italy_ml.yaml', 'run02_italy_sl.yaml']
+    """
+    installed = Path(__file__).parent / "_experiments"
+    return installed if installed.is_dir() else Path(__file__).parent.parent / "experiments"
+
+
+def experiment_path(given: str | os.PathLike[str]) -> Path:
+    """The file of an experiment. One that comes with the package is found under its name,
+    `experiments/zero_label.yaml`, from every folder that has no such file of its own."""
+    path = Path(given)
+    if path.parts[:1] == ("experiments",) and not path.exists():
+        shipped = experiments_folder().joinpath(*path.parts[1:])
+        return shipped if shipped.is_file() else path
+    return path
+
+
 def load_experiment(experiment: Given, overrides: Overrides = ()) -> Experiment:
     """Read an experiment, or change one.
 
-    - experiment: its YAML file; an experiment; or its keys and values, and then its paths are
-      relative to where one is.
+    - experiment: its YAML file, also one that comes with the package (`experiment_path`); an
+      experiment; or its keys and values, and then its paths are relative to where one is.
     - overrides: keys that get other values: `{"parameters": {"sigma1": 0.3}}`, which may be
       written `{"parameters.sigma1": 0.3}`, or a list of `"parameters.sigma1=0.3"`, the value as
       YAML. A dict adds its keys to those of a section; None takes a key, or a section, away. Its
@@ -394,7 +415,7 @@ def load_experiment(experiment: Given, overrides: Overrides = ()) -> Experiment:
             f"{experiment!r} is no experiment; give the path of a YAML file, its keys and values,"
             " or what load_experiment returned"
         )
-    path = Path(experiment)
+    path = experiment_path(experiment)
     return make_experiment(load_yaml(path, overrides), path.parent, str(path))
 
 

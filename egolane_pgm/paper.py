@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from egolane_pgm.experiment import load_experiment
+from egolane_pgm.experiment import experiments_folder, load_experiment
 from egolane_pgm.files import read_yaml
 from egolane_pgm.results import SCHEMA_VERSION
 from egolane_pgm.running import Run, run_experiment
@@ -18,17 +18,6 @@ from egolane_pgm.types import InputError
 
 SCORES = ("precision", "recall", "f1", "accuracy", "log_loss")
 PARAMETER_SETS = ("recovered", "published")
-
-
-def experiments_folder() -> Path:
-    """The folder of the experiments that come with the package.
-
-    >>> import egolane_pgm as ego
-    >>> sorted(path.name for path in (ego.experiments_folder() / "paper").glob("run0[12]*"))
-    ['run01_italy_ml.yaml', 'run02_italy_sl.yaml']
-    """
-    installed = Path(__file__).parent / "_experiments"
-    return installed if installed.is_dir() else Path(__file__).parent.parent / "experiments"
 
 
 def published_path() -> Path:

@@ -19,13 +19,14 @@ from pydantic import BaseModel, ValidationError
 from egolane_pgm.experiment import (
     Experiment,
     config_hash,
+    experiments_folder,
     load_experiment,
     make_experiment,
     resolved,
 )
 from egolane_pgm.loading import with_recording
 from egolane_pgm.model import load_drive, prepare_model
-from egolane_pgm.paper import experiments_folder
+from egolane_pgm.tuning.plan import load_plan
 from egolane_pgm.types import InputError
 from tests.kits.drives import command, problems
 
@@ -53,6 +54,20 @@ def test_paths_are_relative_to_the_folder_of_the_yaml(tmp_path: Path) -> None:
     experiment = load_experiment(tmp_path / "e.yaml")
     assert experiment.folder == tmp_path
     assert experiment.source == str(tmp_path / "e.yaml")
+
+
+def test_an_experiment_that_comes_with_the_package_is_found_from_every_folder(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    assert load_experiment("experiments/quickstart.yaml").name == "quickstart"
+    assert load_plan("experiments/tuning/all_spain.yaml").name == "all_spain"
+    with pytest.raises(InputError, match=r"^experiments/none\.yaml: cannot be read"):
+        load_experiment("experiments/none.yaml")
+    own = tmp_path / "experiments" / "quickstart.yaml"
+    own.parent.mkdir()
+    own.write_text("{name: mine, recording: {simulate: quickstart}, n_lanes: 4}")
+    assert load_experiment("experiments/quickstart.yaml").name == "mine"
 
 
 def test_overrides_reach_every_level_and_are_read_as_yaml(tmp_path: Path) -> None:

@@ -12,7 +12,7 @@ import numpy as np
 
 from egolane_pgm.api import shown
 from egolane_pgm.api.runs import RunResult, choose
-from egolane_pgm.experiment import Given, Overrides
+from egolane_pgm.experiment import Given, Overrides, experiments_folder
 from egolane_pgm.files import as_csv, write_text
 from egolane_pgm.labelling import (
     BELOW,
@@ -22,7 +22,6 @@ from egolane_pgm.labelling import (
     label_experiment,
     label_scores,
 )
-from egolane_pgm.paper import experiments_folder
 from egolane_pgm.recordings.ground_truth import write_ground_truth
 from egolane_pgm.report.tables import score_text
 from egolane_pgm.results import staged, write_result

@@ -10,7 +10,7 @@ from typing import Any
 import click
 
 from egolane_pgm.cli import options
-from egolane_pgm.experiment import load_experiment, load_yaml
+from egolane_pgm.experiment import experiment_path, experiments_folder, load_experiment, load_yaml
 from egolane_pgm.files import check_not_read, write_json
 from egolane_pgm.inference.compile import Compiled
 from egolane_pgm.loading import check_sources
@@ -22,7 +22,6 @@ from egolane_pgm.model import (
     graph_roles,
     prepare_model,
 )
-from egolane_pgm.paper import experiments_folder
 from egolane_pgm.parameters import Parameters, resolve_parameters
 from egolane_pgm.plugins import find_plugin, load_plugin, plugin_names
 from egolane_pgm.recordings import FORMATS
@@ -74,7 +73,7 @@ def validate(experiments: tuple[str, ...], overrides: tuple[str, ...]) -> None:
 def _validated(path: str, overrides: Sequence[str]) -> str:
     """What an experiment or a tuning file has, in a few words. Raises InputError for all that is
     wrong with it."""
-    keys = load_yaml(Path(path), overrides)
+    keys = load_yaml(experiment_path(path), overrides)
     if "pictures" in keys:
         seen = read_plan(path, overrides)
         assert isinstance(seen, PicturePlan)

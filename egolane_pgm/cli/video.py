@@ -14,8 +14,7 @@ from egolane_pgm.camera.pictures import Source, camera_of_pictures, open_source,
 from egolane_pgm.camera.writing import NotKeptError
 from egolane_pgm.cli import options
 from egolane_pgm.detectors.runner import Detector, check_pair, find_detector
-from egolane_pgm.experiment import Experiment, load_experiment, make_experiment
-from egolane_pgm.paper import experiments_folder
+from egolane_pgm.experiment import Experiment, experiments_folder, load_experiment, make_experiment
 from egolane_pgm.recordings import read_lines_with
 from egolane_pgm.recordings.ground_truth import read_ground_truth
 from egolane_pgm.report.video import (

@@ -24,6 +24,7 @@ from egolane_pgm.experiment import (
     Overrides,
     Section,
     Tuning,
+    experiment_path,
     load_experiment,
     load_yaml,
     make_experiment,
@@ -177,7 +178,7 @@ class Problem:
 
 def read_plan(path: str | Path, overrides: Overrides = ()) -> Plan | PicturePlan:
     """Read an experiment, or a tuning file of either kind. Raises InputError as `load_plan`."""
-    path = Path(path)
+    path = experiment_path(path)
     content = load_yaml(path, overrides)
     if "pictures" not in content:
         return load_plan(path, overrides)
@@ -189,7 +190,7 @@ def read_plan(path: str | Path, overrides: Overrides = ()) -> Plan | PicturePlan
 def load_plan(path: str | Path, overrides: Overrides = ()) -> Plan:
     """Read an experiment or a tuning file of experiments. Raises InputError, one line, as
     `load_experiment`."""
-    path = Path(path)
+    path = experiment_path(path)
     content = load_yaml(path, overrides)
     if "experiments" not in content:
         experiment = make_experiment(content, path.parent, str(path))

@@ -13,10 +13,10 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from egolane_pgm.comparing.placing import on_recording
-from egolane_pgm.experiment import load_experiment
+from egolane_pgm.experiment import experiments_folder, load_experiment
 from egolane_pgm.labelling import SHARES, Labels, label_experiment, label_scores
 from egolane_pgm.loading import Recorded
-from egolane_pgm.paper import experiments_folder, paper_experiment
+from egolane_pgm.paper import paper_experiment
 from egolane_pgm.report.review import review_figure
 from egolane_pgm.report.style import (
     DETECTOR_COLOUR,

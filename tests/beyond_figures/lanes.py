@@ -5,10 +5,9 @@ from __future__ import annotations
 import warnings
 from collections.abc import Iterator, Sequence
 
-from egolane_pgm.experiment import load_experiment
+from egolane_pgm.experiment import experiments_folder, load_experiment
 from egolane_pgm.lane_count import doubt_of_lanes
 from egolane_pgm.model import make_evidence
-from egolane_pgm.paper import experiments_folder
 from tests.beyond_figures.strangers import zero_label
 from tests.kits.strangers import STRANGERS, Drive, paper_drive
 

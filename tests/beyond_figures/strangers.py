@@ -8,10 +8,9 @@ from collections.abc import Iterator, Sequence
 
 import numpy as np
 
-from egolane_pgm.experiment import load_experiment
+from egolane_pgm.experiment import experiments_folder, load_experiment
 from egolane_pgm.inference.smoothing import infer_beliefs
 from egolane_pgm.model import Model, make_evidence, prepare_model
-from egolane_pgm.paper import experiments_folder
 from egolane_pgm.scoring.assign import assigned_lane
 from tests.kits.strangers import STRANGERS, Drive, paper_drive
 

@@ -9,9 +9,10 @@ import numpy as np
 import pytest
 import yaml
 
+from egolane_pgm.experiment import experiments_folder
 from egolane_pgm.inference.filtering import filter_beliefs
 from egolane_pgm.model import prepare_model
-from egolane_pgm.paper import experiments_folder, paper_experiment
+from egolane_pgm.paper import paper_experiment
 from egolane_pgm.types import Evidence
 from tests.kits.drives import (
     done,

@@ -10,7 +10,7 @@ import pytest
 
 from egolane_pgm.api.comparisons import compare
 from egolane_pgm.comparing.groups import Options, by_recording, compare_group
-from egolane_pgm.paper import experiments_folder
+from egolane_pgm.experiment import experiments_folder
 from egolane_pgm.report.events import event_comparison_rows
 from egolane_pgm.running import run_experiment
 from tests.conftest import needs_compiler
