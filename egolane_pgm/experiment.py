@@ -652,6 +652,15 @@ _NEEDS = {
 }
 
 
+def _shown(value: object) -> str:
+    """A value that does not fit, in as much of a line as it may take."""
+    try:
+        text = repr(value)
+    except ValueError:
+        return "a number of thousands of digits"
+    return text if len(text) <= 100 else f"{text[:97]}..."
+
+
 def _problem(problem: ErrorDetails) -> str:
     """One of pydantic's complaints that is not about an unknown key."""
     where = ".".join(map(str, problem["loc"]))
@@ -666,5 +675,5 @@ def _problem(problem: ErrorDetails) -> str:
     message = problem["msg"].removeprefix("Value error, ")
     message = message[0].lower() + message[1:]
     message = _NEEDS.get(problem["type"], message)
-    shown = "" if isinstance(value, dict) else f" (got {value!r})"
+    shown = "" if isinstance(value, dict) else f" (got {_shown(value)})"
     return f"{where}: {message}{shown}" if where else f"{message}{shown}"

@@ -50,7 +50,6 @@ from __future__ import annotations
 import contextlib
 import functools
 import hashlib
-import json
 import platform
 import subprocess
 from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -63,12 +62,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from egolane_pgm.experiment import config_hash
+from egolane_pgm.experiment import Experiment, config_hash
 from egolane_pgm.files import (
     as_csv,
     atomic_directory,
     check_place,
-    read_parquet,
     read_yaml,
     write_bytes,
     write_json,
@@ -83,6 +81,15 @@ from egolane_pgm.inference.events import (
     numbered,
     tracks_of,
 )
+from egolane_pgm.result_schema import SCHEMA_VERSION as SCHEMA_VERSION
+from egolane_pgm.result_schema import (
+    belief_columns,
+    read_beliefs,
+    read_run,
+    read_scores,
+    tentative_columns,
+    validated_in_one_line,
+)
 from egolane_pgm.scoring.events import event_delays
 from egolane_pgm.types import (
     UNASSIGNED,
@@ -96,8 +103,6 @@ from egolane_pgm.types import (
     LineLog,
     pieces_of,
 )
-
-SCHEMA_VERSION = 1
 
 #: The file of the lines.
 LINES = "lines.parquet"
@@ -330,29 +335,44 @@ def _cell(value: Any) -> Any:
 def read_result(directory: str | Path) -> Result:
     """Read a result directory.
 
-    Raises InputError naming the directory where it is not one, or not whole.
+    Raises InputError in one line, naming the directory where it is not one, or the file and what
+    is wrong in it (see `result_schema`).
     """
-
     directory = Path(directory)
     if not is_result(directory):
         raise InputError(f"{directory}: is not a result directory (no run.json and scores.json)")
-    try:
-        run = json.loads((directory / "run.json").read_text(encoding="utf-8"))
-        scores = json.loads((directory / "scores.json").read_text(encoding="utf-8"))
-        experiment = read_yaml(directory / "experiment.yaml", "n_lanes: 4")
-        table = read_parquet(directory / "beliefs.parquet")
-    except (OSError, ValueError) as error:
-        raise InputError(f"{directory}: cannot be read: {' '.join(str(error).split())}") from error
-    version = run.get("schema_version") if isinstance(run, dict) else None
-    if version != SCHEMA_VERSION:
-        raise InputError(
-            f"{directory}: has schema version {version}, this program reads"
-            f" {SCHEMA_VERSION}; run the experiment again"
-        )
-    try:
-        result = _as_result(directory, experiment, run, scores, table)
-    except KeyError as error:
-        raise InputError(f"{directory}: is damaged, it lacks {error}; run it again") from error
+    run, scores = read_run(directory), read_scores(directory)
+    experiment = read_yaml(directory / "experiment.yaml", "n_lanes: 4")
+    validated_in_one_line(Experiment, experiment, directory / "experiment.yaml")
+    column = read_beliefs(directory / "beliefs.parquet", run)
+    marginals = {
+        node: np.stack([column[name] for name in names], axis=1)
+        for node, names in belief_columns(run).items()
+    }
+    tentative = None
+    if "detector_lane" in column:
+        tentative = np.stack([column[name] for name in tentative_columns(run)], axis=1)
+    result = Result(
+        directory,
+        experiment,
+        run,
+        scores,
+        column["frame_id"],
+        column["time_s"],
+        marginals,
+        {node: tuple(names) for node, names in run["values"].items()},
+        tentative,
+        column["assigned_lane"],
+        column.get("detector_lane"),
+        column["true_lane"],
+        column["is_crossing"],
+        column["log_evidence"],
+        column["is_impossible"],
+        column.get("block"),
+        column.get("clip"),
+        column.get("road_lanes"),
+        column.get("origin"),
+    )
     return replace(result, lines=_read_lines(result))
 
 
@@ -367,38 +387,6 @@ def _read_lines(result: Result) -> LineLog | None:
     if not np.array_equal(log.frame_id, result.frame_id):
         raise InputError(f"{file}: has other frames than beliefs.parquet; run it again")
     return replace(log, time_s=result.time_s, clip=result.clip)
-
-
-def _as_result(directory: Path, experiment: Any, run: Any, scores: Any, table: Any) -> Result:
-    column = {name: table.column(name) for name in table.column_names}
-
-    def stack(names: list[str]) -> FloatArray:
-        return np.stack([column[name].to_numpy() for name in names], axis=1)
-
-    values = {node: tuple(names) for node, names in run["values"].items()}
-    n_lanes = int(run["n_lanes"])
-    has_detector = "detector_lane" in column
-    return Result(
-        directory,
-        experiment,
-        run,
-        scores,
-        column["frame_id"].to_numpy(),
-        column["time_s"].to_numpy(),
-        {node: stack([f"{node}_{v}" for v in names]) for node, names in values.items()},
-        values,
-        stack([f"detector_{k + 1}" for k in range(n_lanes)]) if has_detector else None,
-        column["assigned_lane"].to_numpy(),
-        column["detector_lane"].to_numpy() if has_detector else None,
-        column["true_lane"].fill_null(0).to_numpy(),
-        column["is_crossing"].fill_null(False).to_numpy(zero_copy_only=False),
-        column["log_evidence"].to_numpy(),
-        column["is_impossible"].to_numpy(zero_copy_only=False),
-        column["block"].to_numpy() if "block" in column else None,
-        column["clip"].to_numpy().astype(np.str_) if "clip" in column else None,
-        column["road_lanes"].to_numpy() if "road_lanes" in column else None,
-        column["origin"].to_numpy() if "origin" in column else None,
-    )
 
 
 def provenance(
