@@ -74,6 +74,28 @@ def frozen(value: Any) -> Any:
     return os.fspath(value) if isinstance(value, os.PathLike) else value
 
 
+def _or_map(schema: dict[str, Any]) -> None:
+    """A number of lanes may be left to the map."""
+    number = {"type": schema.pop("type"), "minimum": 1, "maximum": schema.pop("maximum")}
+    schema["anyOf"] = [number, {"const": "map"}]
+
+
+def _or_one(schema: dict[str, Any]) -> None:
+    """A list of one may be written without the brackets."""
+    several = {key: schema.pop(key) for key in ("type", "items")}
+    schema["anyOf"] = [several["items"], several]
+
+
+def _or_from_frame(schema: dict[str, Any]) -> None:
+    """Ranges of frames may be all from one on."""
+    ranges = {key: schema.pop(key) for key in ("type", "items")}
+    from_frame = {"from_frame": {"type": "integer"}}
+    schema["anyOf"] = [
+        ranges,
+        {"type": "object", "properties": from_frame, "additionalProperties": False},
+    ]
+
+
 #: A section with keys of its own, such as parameters.
 _Keys = Annotated[dict[str, Any], AfterValidator(frozen)]
 
@@ -92,36 +114,79 @@ AnySection = TypeVar("AnySection", bound=Section)
 
 
 class Recording(Section):
-    """The source of the lines: a file (`path`) or a simulated drive (`simulate`).
+    """The source of the lines: a file (`path`) or a simulated drive (`simulate`)."""
 
-    - missing_frames: what is put in for frame ids that the recording lacks: nothing (`skip`), the
-      frame before (`hold`), or a frame without evidence (`predict`).
-    - lri: whether a line's reliability index is used as recorded or clipped to its range.
-    - camera: the YAML file of the camera, for pictures and for lines given in pixels.
-    - detector: the name or file of a detector, if `path` is a video or a folder of pictures.
-    - right: the pictures of the second camera of a stereo pair.
-    - options: further options of the format's reader, such as `valid: always` for labels.
-    """
-
-    path: str | None = None
-    format: str | None = None
-    topic: str | None = None
-    frame_id: Literal["way_id", "seq"] = "way_id"
+    path: str | None = Field(
+        default=None,
+        description="the file of the lines, or a folder of such; with `detector` a video, a folder"
+        " of pictures or a pattern; relative to the YAML",
+        examples=["drive.csv", "drive.bag", "frames/*.png"],
+    )
+    format: str | None = Field(
+        default=None,
+        description="name of the format, where the ending of `path` does not tell it, or a file of"
+        " your own with `read(path, **options)`",
+        examples=["tusimple", "./my_format.py"],
+    )
+    topic: str | None = Field(
+        default=None,
+        description="topic of a bag; left out, that of the paper's line detectors",
+        examples=["/isis_line_detector/lines"],
+    )
+    frame_id: Literal["way_id", "seq"] = Field(
+        default="way_id",
+        description="which number of a bag's messages is the frame id: the message's field way_id,"
+        " or seq of its header",
+    )
     frames: tuple[int, int] | None = Field(
-        default=None, description="first frame id and the one after the last"
+        default=None,
+        description="first frame id and the one after the last",
+        examples=[[238, 10190]],
     )
     frame_rate: float = Field(
         default=10.0, gt=0, allow_inf_nan=False, description="frames per second"
     )
-    missing_frames: Literal["skip", "hold", "predict"] = "skip"
-    lri: Literal["as_recorded", "clip"] = "as_recorded"
-    simulate: str | None = None
-    seed: int = Field(default=0, ge=0)
-    camera: str | None = None
-    detector: str | None = None
-    detector_parameters: _Keys = Field(default_factory=FrozenDict)
-    right: str | None = None
-    options: _Keys = Field(default_factory=FrozenDict)
+    missing_frames: Literal["skip", "hold", "predict"] = Field(
+        default="skip",
+        description="what is put in for frame ids that the recording lacks: nothing (`skip`), the"
+        " frame before (`hold`), or a frame without evidence (`predict`)",
+    )
+    lri: Literal["as_recorded", "clip"] = Field(
+        default="as_recorded",
+        description="whether a line's reliability index is used as recorded or clipped to its"
+        " range",
+    )
+    simulate: str | None = Field(
+        default=None,
+        description="name of a simulated drive (`egolane ls`)",
+        examples=["quickstart"],
+    )
+    seed: int = Field(default=0, ge=0, description="random seed of the simulated drive")
+    camera: str | None = Field(
+        default=None,
+        description="YAML file of the camera, for pictures and for lines given in pixels",
+        examples=["cam.yaml"],
+    )
+    detector: str | None = Field(
+        default=None,
+        description="name or file of the detector that looks at the video or pictures of `path`",
+        examples=["ml", "./my_detector.py"],
+    )
+    detector_parameters: _Keys = Field(
+        default_factory=FrozenDict,
+        description="values of the detector's parameters (`egolane show DETECTOR`)",
+        examples=[{"every": 2}],
+    )
+    right: str | None = Field(
+        default=None,
+        description="the pictures of the second camera of a stereo pair, as `path`",
+        examples=["right/*.png"],
+    )
+    options: _Keys = Field(
+        default_factory=FrozenDict,
+        description="further options of the format's reader, or of the simulated interchange",
+        examples=[{"valid": "always"}],
+    )
 
     @model_validator(mode="after")
     def _one_source(self) -> Recording:
@@ -133,35 +198,62 @@ class Recording(Section):
 
 
 class GroundTruth(Section):
-    """Annotated lanes; `extra_rows` are (frame, lane, crossing) that the file lacks."""
+    """Annotated lanes, which are needed for scores only."""
 
-    path: str
-    extra_rows: tuple[tuple[int, int, int], ...] = ()
+    path: str = Field(
+        description="text file with `frame;lane;crossing` in each line; relative to the YAML",
+        examples=["ground_truth.txt"],
+    )
+    extra_rows: tuple[tuple[int, int, int], ...] = Field(
+        default=(),
+        description="rows that the file lacks: frame, lane, crossing (0 or 1)",
+        examples=[[[0, 2, 0]]],
+    )
 
 
 class Tuning(Section):
-    """The settings of `egolane tune`; options of the command override them.
-
-    - objective: a score by name, or several.
-    - sampler, trials: None for the default.
-    - parameters: per name [low, high], the names of a choice, or one value that is kept.
-    - never_fit: ranges of frame ids (first, the one after the last or None) whose labels no
-      held-out study looks at; in the YAML also `{from_frame: 9577}`.
-    """
+    """The settings of `egolane tune`; options of the command override them."""
 
     search: tuple[Literal["graph", "evidence", "detector"], ...] = Field(
         default=("graph", "evidence"),
         min_length=1,
         description="whose parameters are searched; the detector's are named detector.NAME",
     )
-    objective: tuple[str, ...] = ("accuracy",)
-    sampler: str | None = None
-    trials: int | None = Field(default=None, ge=1)
-    seed: int = Field(default=0, ge=0)
-    blocks: int = Field(default=5, ge=2)
-    from_scratch: bool = False
-    parameters: _Keys = Field(default_factory=FrozenDict)
-    never_fit: tuple[tuple[int, int | None], ...] = ()
+    objective: tuple[str, ...] = Field(
+        default=("accuracy",),
+        description="the score that is to be best, or several of them",
+        examples=["accuracy", ["accuracy", "log_loss"]],
+        json_schema_extra=_or_one,
+    )
+    sampler: str | None = Field(
+        default=None,
+        description="what proposes the trials; left out, the one that suits the number of scores",
+        examples=["evolution", "tpe", "cma-es", "random", "nsga2"],
+    )
+    trials: int | None = Field(
+        default=None, ge=1, description="number of trials in all", examples=[3000]
+    )
+    seed: int = Field(default=0, ge=0, description="random seed of the sampler")
+    blocks: int = Field(
+        default=5,
+        ge=2,
+        description="parts of the drive; each is scored with parameters found without it",
+    )
+    from_scratch: bool = Field(
+        default=False, description="whether values that are known are not tried first"
+    )
+    parameters: _Keys = Field(
+        default_factory=FrozenDict,
+        description="per name [low, high], the names of a choice, or one value that is kept",
+        examples=[{"sigma1": [0.1, 1], "p1": 0.9}],
+    )
+    never_fit: tuple[tuple[int, int | None], ...] = Field(
+        default=(),
+        description="ranges of frame ids (first, the one after the last or null) whose labels no"
+        " held-out study looks at; or `{from_frame: 9577}`",
+        examples=[[[0, 100]], {"from_frame": 9577}],
+        json_schema_extra=_or_from_frame,
+    )
 
     @field_validator("objective", mode="before")
     @classmethod
@@ -189,21 +281,33 @@ class Tuning(Section):
 
 
 class Choice(Section):
-    """The choices of `fit: choose`.
+    """The choices of `fit: choose`."""
 
-    - grid: per parameter its values.
-    - cautious: a parameter of the grid whose earlier values are kept unless a later one is better
-      by a standard error.
-    - error_of: whether that is the error of the best setting's mean loss or of the difference.
-    - recordings: experiments, files beside the YAML, whose labels help to choose; the labels of the
-      stretch of road that is scored are not looked at.
-    """
-
-    grid: Annotated[dict[str, tuple[Any, ...]], AfterValidator(frozen)] = Field(min_length=1)
-    objective: Literal["accuracy", "log_loss"] = "accuracy"
-    cautious: str | None = None
-    error_of: Literal["best", "difference"] = "best"
-    recordings: tuple[str, ...] = ()
+    grid: Annotated[dict[str, tuple[Any, ...]], AfterValidator(frozen)] = Field(
+        min_length=1,
+        description="per parameter the values that are tried, each with each",
+        examples=[{"alpha": [0.5, 1], "beta": [1, 2]}],
+    )
+    objective: Literal["accuracy", "log_loss"] = Field(
+        default="accuracy", description="the score by which is chosen"
+    )
+    cautious: str | None = Field(
+        default=None,
+        description="a parameter of the grid whose earlier values are kept unless a later one is"
+        " better by a standard error",
+        examples=["beta"],
+    )
+    error_of: Literal["best", "difference"] = Field(
+        default="best",
+        description="whether that is the error of the best setting's mean loss or of the"
+        " difference",
+    )
+    recordings: tuple[str, ...] = Field(
+        default=(),
+        description="experiments, files beside the YAML, whose labels help to choose; the labels"
+        " of the stretch of road that is scored are not looked at",
+        examples=[["other_drive.yaml"]],
+    )
 
     @model_validator(mode="after")
     def _fits_together(self) -> Choice:
@@ -217,50 +321,85 @@ class Choice(Section):
 
 
 class Learning(Section):
-    """The settings of learning the tables of a graph by EM.
+    """The settings of learning the tables of a graph by EM."""
 
-    - labels: whether lanes are looked at.
-    - strength: the weight of the starting tables, in frames per row.
-    - tables: the nodes whose tables are learned; by default all that can be.
-    - iterations: the largest number of EM steps.
-    """
-
-    labels: bool = True
-    strength: float = Field(default=100.0, gt=0, allow_inf_nan=False)
-    tables: tuple[str, ...] | None = None
-    iterations: int = Field(default=200, ge=1)
+    labels: bool = Field(default=True, description="whether the annotated lanes are looked at")
+    strength: float = Field(
+        default=100.0,
+        gt=0,
+        allow_inf_nan=False,
+        description="weight of the starting tables, in frames per row",
+    )
+    tables: tuple[str, ...] | None = Field(
+        default=None,
+        description="nodes whose tables are learned; left out, all that can be",
+        examples=[["Lane", "SensorState"]],
+    )
+    iterations: int = Field(default=200, ge=1, description="largest number of EM steps")
 
 
 class Experiment(Section):
-    """One experiment. `tuned_on` says what the parameters have seen, for the scores' honesty:
-    the frames that are scored (`same_frames`: in-sample), others only, or none."""
+    """One experiment: a recording, how its lines become evidence, the graph, the parameters."""
 
-    name: str = Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9._-]*$")
-    description: str = ""
-    recording: Recording
-    ground_truth: GroundTruth | None = None
+    name: str = Field(
+        pattern=r"^[A-Za-z0-9][A-Za-z0-9._-]*$",
+        description="short name; the result is written to results/NAME",
+        examples=["my_drive"],
+    )
+    description: str = Field(
+        default="", description="what it is, in a line", examples=["commute, light rain"]
+    )
+    recording: Recording = Field(description="where the lines come from")
+    ground_truth: GroundTruth | None = Field(
+        default=None, description="annotated lanes; left out, nothing is scored"
+    )
     road: str | None = Field(
         default=None,
         description="the road table of the drive (`egolane locate` writes it), for n_lanes: map",
+        examples=["road.parquet"],
     )
     n_lanes: int = Field(
-        le=MAX_LANES, strict=True, description="lanes of the road, or `map`: as the road table says"
+        le=MAX_LANES,
+        strict=True,
+        description="lanes of the road, or `map`: as the road table says",
+        examples=[4],
+        json_schema_extra=_or_map,
     )
-    evidence: str = "counting"
-    graph: str = "sensor_failure"
-    filter: Literal["assumed_density", "exact", "smoothed", "fixed_lag"] = "assumed_density"
+    evidence: str = Field(
+        default="counting",
+        description="rule by which lines become evidence: a name (`egolane ls`) or a file of your"
+        " own",
+        examples=["line_geometry", "./my_evidence.py"],
+    )
+    graph: str = Field(
+        default="sensor_failure",
+        description="the network: a name (`egolane ls`) or a file of your own",
+        examples=["position_in_lane", "./my_graph.py"],
+    )
+    filter: Literal["assumed_density", "exact", "smoothed", "fixed_lag"] = Field(
+        default="assumed_density",
+        description="how beliefs are carried on: as in the paper, each node for itself"
+        " (`assumed_density`); jointly (`exact`); with all frames, later ones too (`smoothed`); or"
+        " with the frames up to `lag` later (`fixed_lag`)",
+    )
     lag: int | None = Field(
         default=None,
         ge=0,
         validate_default=True,
         description="frames that fixed_lag waits before it answers",
+        examples=[10],
     )
     decode: Literal["marginal", "viterbi"] = Field(
         default="marginal",
         description="the lane that is answered: the most probable one in each frame, or that of the"
         " most probable path through all frames (with filter smoothed)",
     )
-    evidence_reading: Literal["soft", "hard", "jeffrey"] = "soft"
+    evidence_reading: Literal["soft", "hard", "jeffrey"] = Field(
+        default="soft",
+        description="how the evidence of a frame is read: as a likelihood (`soft`), by its most"
+        " probable value alone (`hard`), or as what the observed node is believed to be after the"
+        " frame (`jeffrey`: Jeffrey's rule)",
+    )
     unassigned_below: float = Field(
         default=0.0,
         ge=0,
@@ -272,13 +411,26 @@ class Experiment(Section):
         default="none", description="how `compare` finds parameters without the block it scores"
     )
     learned_on: tuple[str, ...] = Field(
-        default=(), description="with fit: learn, experiments whose recordings are learned from"
+        default=(),
+        description="with fit: learn, experiments whose recordings are learned from",
+        examples=[["other_drive.yaml"]],
     )
-    learning: Learning | None = None
-    choice: Choice | None = None
-    parameters: _Keys = Field(default_factory=FrozenDict)
-    tuned_on: Literal["same_frames", "other_frames", "not_tuned", "unknown"] = "unknown"
-    tuning: Tuning | None = None
+    learning: Learning | None = Field(
+        default=None, description="settings of `egolane learn` and of fit: learn"
+    )
+    choice: Choice | None = Field(default=None, description="settings of fit: choose")
+    parameters: _Keys = Field(
+        default_factory=FrozenDict,
+        description="values of the parameters of graph and evidence rule (`egolane show GRAPH`);"
+        " those that are left out keep their defaults",
+        examples=[{"sigma1": 0.35, "bonus_value": 9}],
+    )
+    tuned_on: Literal["same_frames", "other_frames", "not_tuned", "unknown"] = Field(
+        default="unknown",
+        description="what the parameters have seen, which is said beside every score: the frames"
+        " that are scored (`same_frames`: in-sample), others only, or none",
+    )
+    tuning: Tuning | None = Field(default=None, description="settings of `egolane tune`")
 
     @field_validator("n_lanes", mode="before")
     @classmethod

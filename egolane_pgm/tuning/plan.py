@@ -54,35 +54,62 @@ AnyPlan = TypeVar("AnyPlan", bound="Plan | PicturePlan")
 
 
 class _File(Section):
-    name: str = Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9._-]*$")
-    description: str = ""
-    tuning: Tuning = Tuning()
+    name: str = Field(
+        pattern=r"^[A-Za-z0-9][A-Za-z0-9._-]*$",
+        description="short name; the study is written to results/tuning/NAME",
+        examples=["all_italy"],
+    )
+    description: str = Field(default="", description="what it is, in a line")
+    tuning: Tuning = Field(default=Tuning(), description="settings of the search")
 
 
-class _TuningFile(_File):
-    experiments: tuple[str, ...] = Field(min_length=1)
+class TuningFile(_File):
+    """A tuning file: one parameter set is searched for several experiments, each with equal
+    weight."""
+
+    experiments: tuple[str, ...] = Field(
+        min_length=1,
+        description="YAML files of experiments, relative to this one",
+        examples=[["../paper/run01_italy_ml.yaml", "../paper/run02_italy_sl.yaml"]],
+    )
 
 
 class Pictures(Section):
-    """Pictures with labelled lines, and the detector that looks at them.
+    """Pictures with labelled lines, and the detector that looks at them."""
 
-    - labels: the file, in TuSimple's format, that names the pictures.
-    - camera: the YAML file of the camera.
-    - detector: its name or file; detector_parameters: its values before the search.
-    - frames: the first labelled picture, from 0, and the one after the last.
-    - ahead_m: where lines and labels are compared, metres ahead of the camera.
-    - side_m: how far to either side of the camera they count, metres.
-    - tolerance_m: largest distance of a line from its label.
-    """
-
-    labels: str
-    camera: str
-    detector: str
-    detector_parameters: dict[str, Any] = Field(default_factory=dict)
-    frames: tuple[int, int] | None = None
-    ahead_m: float = Field(default=10.0, gt=0, allow_inf_nan=False)
-    side_m: float = Field(default=6.0, gt=0, allow_inf_nan=False)
-    tolerance_m: float = Field(default=0.35, gt=0, allow_inf_nan=False)
+    labels: str = Field(
+        description="file, in TuSimple's format, that names the pictures", examples=["labels.json"]
+    )
+    camera: str = Field(description="YAML file of the camera", examples=["cam.yaml"])
+    detector: str = Field(description="name of the detector, or its file", examples=["ml"])
+    detector_parameters: dict[str, Any] = Field(
+        default_factory=dict,
+        description="values of its parameters before the search",
+        examples=[{"road": 0.5}],
+    )
+    frames: tuple[int, int] | None = Field(
+        default=None,
+        description="first labelled picture, from 0, and the one after the last",
+        examples=[[0, 100]],
+    )
+    ahead_m: float = Field(
+        default=10.0,
+        gt=0,
+        allow_inf_nan=False,
+        description="where lines and labels are compared, metres ahead of the camera",
+    )
+    side_m: float = Field(
+        default=6.0,
+        gt=0,
+        allow_inf_nan=False,
+        description="how far to either side of the camera they count, metres",
+    )
+    tolerance_m: float = Field(
+        default=0.35,
+        gt=0,
+        allow_inf_nan=False,
+        description="largest distance of a line from its label, metres",
+    )
 
     @field_validator("frames")
     @classmethod
@@ -92,8 +119,10 @@ class Pictures(Section):
         return value
 
 
-class _PictureFile(_File):
-    pictures: Pictures
+class PictureTuningFile(_File):
+    """A tuning file for a detector: its parameters are searched on labelled pictures."""
+
+    pictures: Pictures = Field(description="what is looked at")
 
 
 @dataclass(frozen=True)
@@ -182,7 +211,7 @@ def read_plan(path: str | Path, overrides: Overrides = ()) -> Plan | PicturePlan
     content = load_yaml(path, overrides)
     if "pictures" not in content:
         return load_plan(path, overrides)
-    found = validated(_PictureFile, content, str(path))
+    found = validated(PictureTuningFile, content, str(path))
     given = found.name, found.description, found.pictures, found.tuning
     return PicturePlan(*given, path.parent, str(path))
 
@@ -196,7 +225,7 @@ def load_plan(path: str | Path, overrides: Overrides = ()) -> Plan:
         experiment = make_experiment(content, path.parent, str(path))
         tuning = experiment.tuning or Tuning()
         return Plan(experiment.name, experiment.description, (experiment,), tuning, str(path))
-    given = validated(_TuningFile, content, str(path))
+    given = validated(TuningFile, content, str(path))
     found = []
     with all_problems() as part:
         for entry in given.experiments:

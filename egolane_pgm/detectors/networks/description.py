@@ -27,7 +27,7 @@ YAML = (".yaml", ".yml")
 #: The value of a parameter that names no network.
 NO_NETWORK = "none"
 
-#: The keys that only some layouts have. What they mean is said in `Network`.
+#: The keys that only some layouts have.
 _OF_LAYOUTS = {
     "classes": ("drivable", "lanes", "instances", "row_anchors"),
     "channels": ("drivable", "lanes", "instances"),
@@ -57,60 +57,101 @@ _Three = _Number | tuple[_Number, _Number, _Number]
 class Network(Section):
     """What a network takes and gives.
 
-    It takes the picture without its topmost part, resized, each value as (value - mean) * scale:
+    It takes the picture without its topmost part, resized, each value as (value - mean) * scale.
+    It gives one output that is looked at, in one of these layouts; each begins with an axis of
+    length 1.
 
-    - model: the ONNX file, relative to the YAML.
-    - size: width and height of its input, pixels.
-    - mean, scale: one number, or one for each of the three colours in the network's order; of
-      values from 0 to 255.
-    - swap_rb: whether its order is red, green, blue, as usual; OpenCV's own is the other one.
-    - cut_top: the share of the picture's height that is cut off above (sky).
-    - letterbox: the grey of the bars that keep the picture's proportions; None where it is
-      stretched to `size`.
-
-    It gives one output that is looked at:
-
-    - output: the name of this output in the file; may be left out where there is one only.
-    - layout: how the output is read, one of the following. It begins with an axis of length 1.
-
-      `drivable`, `lanes`: (1, classes, h, w), masks of the road's free area or of all its markings.
-      `instances`: the same with a channel for each line.
-      `row_anchors`: (1, classes, rows, lines), for each row of the picture and each line the column
+    - `drivable`, `lanes`: (1, classes, h, w), masks of the road's free area or of all its markings.
+    - `instances`: the same with a channel for each line.
+    - `row_anchors`: (1, classes, rows, lines), for each row of the picture and each line the column
       in `classes - 1` columns, the last class saying that there is no line.
-      `polylines`: (1, candidates, numbers), each with the logits of "no line" and "line" first, and
+    - `polylines`: (1, candidates, numbers), each with the logits of "no line" and "line" first, and
       from `first_x` on its x in rows that are evenly spaced from the bottom to the top.
-
-    - classes: how many there are; checked.
-    - channels: those that are looked at; by default all but the first, which is the background.
-    - activation: what makes probabilities of the output.
-    - threshold: the least probability.
-    - rows: the rows of `row_anchors`, pixels of the input.
-    - first_x, start, length: places in a polyline's numbers: its first x, the share of the height
-      at which it starts (from the bottom), its length.
-    - in_pixels: whether x is in pixels of the input and the length in rows; else both are shares.
-
-    - every: the network looks at every n-th frame only.
     """
 
-    model: str
-    size: tuple[Annotated[int, Field(ge=8, le=8192)], Annotated[int, Field(ge=8, le=8192)]]
-    mean: _Three = 0.0
-    scale: _Three = 1 / 255
-    swap_rb: bool = True
-    cut_top: float = Field(default=0.0, ge=0, lt=1)
-    letterbox: int | None = Field(default=None, ge=0, le=255)
-    output: str | None = None
-    layout: Literal["drivable", "lanes", "instances", "row_anchors", "polylines"]
-    classes: int | None = Field(default=None, ge=1)
-    channels: tuple[Annotated[int, Field(ge=0)], ...] | None = Field(default=None, min_length=1)
-    activation: Literal["none", "sigmoid", "softmax"] = "none"
-    threshold: float = Field(default=0.5, gt=0, lt=1)
-    rows: tuple[_Number, ...] | None = Field(default=None, min_length=2)
-    first_x: int | None = Field(default=None, ge=2)
-    start: int | None = Field(default=None, ge=2)
-    length: int | None = Field(default=None, ge=2)
-    in_pixels: bool = False
-    every: int = Field(default=1, ge=1)
+    model: str = Field(description="the ONNX file, relative to the YAML", examples=["net.onnx"])
+    size: tuple[Annotated[int, Field(ge=8, le=8192)], Annotated[int, Field(ge=8, le=8192)]] = Field(
+        description="width and height of its input, pixels", examples=[[640, 360]]
+    )
+    mean: _Three = Field(
+        default=0.0,
+        description="subtracted from values of 0 to 255: one number, or one for each of the three"
+        " colours in the network's order",
+        examples=[[123.7, 116.3, 103.5]],
+    )
+    scale: _Three = Field(
+        default=1 / 255,
+        description="what the values are then multiplied with, one number or three",
+        examples=[[0.0171, 0.0175, 0.0174]],
+    )
+    swap_rb: bool = Field(
+        default=True,
+        description="whether its order of colours is red, green, blue, as usual; OpenCV's own is"
+        " the other one",
+    )
+    cut_top: float = Field(
+        default=0.0,
+        ge=0,
+        lt=1,
+        description="share of the picture's height that is cut off above (sky)",
+    )
+    letterbox: int | None = Field(
+        default=None,
+        ge=0,
+        le=255,
+        description="grey of the bars that keep the picture's proportions; left out, it is"
+        " stretched to `size`",
+        examples=[114],
+    )
+    output: str | None = Field(
+        default=None,
+        description="name of the output in the file; may be left out where there is one only",
+        examples=["ll"],
+    )
+    layout: Literal["drivable", "lanes", "instances", "row_anchors", "polylines"] = Field(
+        description="how the output is read", examples=["lanes"]
+    )
+    classes: int | None = Field(
+        default=None, ge=1, description="how many classes there are; checked", examples=[2]
+    )
+    channels: tuple[Annotated[int, Field(ge=0)], ...] | None = Field(
+        default=None,
+        min_length=1,
+        description="those that are looked at; left out, all but the first, which is the"
+        " background",
+        examples=[[1]],
+    )
+    activation: Literal["none", "sigmoid", "softmax"] = Field(
+        default="none", description="what makes probabilities of the output"
+    )
+    threshold: float = Field(default=0.5, gt=0, lt=1, description="the least probability")
+    rows: tuple[_Number, ...] | None = Field(
+        default=None,
+        min_length=2,
+        description="rows of `row_anchors`, pixels of the input",
+        examples=[[121, 131, 141]],
+    )
+    first_x: int | None = Field(
+        default=None,
+        ge=2,
+        description="place of the first x in a polyline's numbers",
+        examples=[6],
+    )
+    start: int | None = Field(
+        default=None,
+        ge=2,
+        description="place of the share of the height at which the line starts, from the bottom",
+        examples=[2],
+    )
+    length: int | None = Field(
+        default=None, ge=2, description="place of the line's length", examples=[5]
+    )
+    in_pixels: bool = Field(
+        default=False,
+        description="whether a polyline's x is in pixels of the input and its length in rows; else"
+        " both are shares",
+    )
+    every: int = Field(default=1, ge=1, description="the network looks at every n-th frame only")
 
     @model_validator(mode="after")
     def _fits_its_layout(self) -> Self:
