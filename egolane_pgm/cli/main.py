@@ -35,6 +35,7 @@ COMMANDS = {
     "recover": ("paper", "Search the values behind the published, truncated parameters."),
     "reproduce": ("paper", "Repeat the paper's ten runs, beside the published tables."),
     "run": ("run", "Filter a recording, score it, write a result directory."),
+    "schema": ("schema", "Print the JSON Schema of experiments, for editors."),
     "show": ("show", "Show a graph, an evidence rule or a detector, and its parameters."),
     "simulate": ("simulate", "Simulate a drive, as lines or as pictures."),
     "tune": ("tune", "Search parameters, and score them on frames they have not seen."),

@@ -1,0 +1,103 @@
+"""JSON Schemas (draft 2020-12) of the YAML files: editors complete and check keys by them, and the
+documentation's reference is made from them."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from typing import Any
+
+from pydantic import TypeAdapter
+from pydantic.json_schema import GenerateJsonSchema
+
+from egolane_pgm.detectors.networks.description import Network
+from egolane_pgm.experiment import INTERCHANGE, Experiment
+from egolane_pgm.files import YAML_VERSION
+from egolane_pgm.plugins import OWN_FILES, plugin_names
+from egolane_pgm.recordings import FORMATS
+from egolane_pgm.simulation import PRESETS
+from egolane_pgm.tuning.plan import PictureTuningFile, TuningFile
+
+#: The files that have a schema: what is in them.
+KINDS: dict[str, Any] = {
+    "experiment": Experiment,
+    "tuning": TuningFile | PictureTuningFile,
+    "network": Network,
+}
+
+#: The keys of every YAML file, and of those that may lack keys; neither is the experiment's own.
+_VERSION = {
+    "const": YAML_VERSION,
+    "default": YAML_VERSION,
+    "description": "version of the keys that the file is written in",
+}
+_INCLUDE = {
+    "type": "string",
+    "description": "YAML file beside this one, whose keys are taken where this one has none",
+    "examples": ["_shared.yaml"],
+}
+
+
+class _Untitled(GenerateJsonSchema):
+    """A key's title would be its own name again."""
+
+    def field_title_should_be_set(self, schema: Any) -> bool:
+        return False
+
+
+def json_schema(kind: str = "experiment") -> dict[str, Any]:
+    """The JSON Schema of a YAML file. Unknown keys are refused; what a plugin of the package is
+    called is checked, files of one's own are not looked at.
+
+    - kind: a name of `KINDS`.
+
+    A file with `include` need not have all keys, and neither a file without `name`, which others
+    include.
+    """
+    schema = TypeAdapter(KINDS[kind]).json_schema(schema_generator=_Untitled)
+    definitions = schema.get("$defs", {})
+    if "anyOf" in schema:
+        names = [each["$ref"].removeprefix("#/$defs/") for each in schema["anyOf"]]
+        roots = [definitions[name] for name in names]
+    else:
+        roots = [schema]
+    for root in roots:
+        root["properties"] = {"version": _VERSION, **root["properties"]}
+        if "name" in root["required"]:
+            root["properties"] = {"include": _INCLUDE, **root["properties"]}
+            needed = [key for key in root.pop("required") if key != "name"]
+            root["if"] = {"required": ["name"]}
+            root["then"] = {"anyOf": [{"required": needed}, {"required": ["include"]}]}
+    _name_plugins(schema["properties"] if kind == "experiment" else {})
+    _name_sources(definitions["Recording"]["properties"] if "Recording" in definitions else {})
+    title = f"egolane_pgm: {'an' if kind == 'experiment' else 'a'} {kind} file"
+    return {
+        "$schema": GenerateJsonSchema.schema_dialect,
+        "$id": f"urn:egolane-pgm:{kind}:{YAML_VERSION}",
+        **schema,
+        "title": title,
+    }
+
+
+def _name_plugins(keys: dict[str, Any]) -> None:
+    for key, folder, endings in (
+        ("graph", "graphs", OWN_FILES),
+        ("evidence", "evidence", (".py",)),
+    ):
+        if key in keys:
+            _one_of(keys[key], plugin_names(folder), endings)
+
+
+def _name_sources(keys: dict[str, Any]) -> None:
+    if keys:
+        _one_of(keys["simulate"], [*PRESETS, INTERCHANGE])
+        _one_of(keys["format"], FORMATS, (".py",))
+        _one_of(keys["detector"], plugin_names("detectors"), (".py",))
+
+
+def _one_of(key: dict[str, Any], names: Iterable[str], endings: Iterable[str] = ()) -> None:
+    """Let a key have one of some names, or that of a file with one of some endings."""
+    other = [each for each in key.pop("anyOf", []) if each.get("type") == "null"]
+    key.pop("type", None)
+    files = "|".join(ending.lstrip(".") for ending in endings)
+    own = [{"type": "string", "pattern": rf"\.({files})$"}] if files else []
+    key["anyOf"] = [{"enum": sorted(names)}, *own, *other]

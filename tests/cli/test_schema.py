@@ -1,0 +1,116 @@
+"""The JSON Schemas of the YAML files: editors check by them what the program checks."""
+
+from __future__ import annotations
+
+import copy
+import json
+import os
+from pathlib import Path
+from typing import Any
+
+import pytest
+import yaml
+from jsonschema import Draft202012Validator
+
+from egolane_pgm.api.schemas import KINDS, json_schema
+from egolane_pgm.experiment import experiments_folder
+from tests.kits.drives import done
+
+ROOT = Path(__file__).parents[2]
+
+#: Not data sets of parameters, and not graphs.
+SHIPPED = [
+    path
+    for folder in (ROOT / "experiments", ROOT / "examples")
+    for path in sorted(folder.rglob("*.yaml"))
+    if path.name not in ("published.yaml", "sensor_failure.yaml")
+]
+
+
+def problems(content: Any, kind: str = "experiment") -> list[str]:
+    validator = Draft202012Validator(json_schema(kind))
+    return [error.message for error in validator.iter_errors(content)]
+
+
+def plain(content: Any) -> Any:
+    return json.loads(json.dumps(content))
+
+
+def kind_of(path: Path) -> str:
+    return "tuning" if path.parent.name == "tuning" else "experiment"
+
+
+@pytest.mark.parametrize("path", SHIPPED, ids=lambda path: path.stem)
+def test_a_shipped_file_names_its_schema_and_fits_it(path: Path) -> None:
+    kind, first = kind_of(path), path.read_text().splitlines()[0]
+    named = experiments_folder() / f"{kind}.schema.json"
+    relative = os.path.relpath(named, path.parent)
+    assert first == f"# yaml-language-server: $schema={relative}"
+    content = plain(yaml.safe_load(path.read_text()))
+    assert not problems(content, kind)
+    assert problems({**content, "nmae": "x"}, kind)
+
+
+@pytest.mark.parametrize("kind", ["experiment", "tuning"])
+def test_the_kept_schemas_are_what_the_command_prints(kind: str) -> None:
+    kept = (experiments_folder() / f"{kind}.schema.json").read_text()
+    assert done("schema", kind).stdout == kept, f"make it anew: egolane schema {kind}"
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_a_schema_is_one_and_says_what_each_key_means(kind: str) -> None:
+    schema = json_schema(kind)
+    Draft202012Validator.check_schema(schema)
+    for section in [schema, *schema.get("$defs", {}).values()]:
+        for name, key in section.get("properties", {}).items():
+            assert key.get("description"), name
+
+
+GOOD = {
+    "name": "mine",
+    "recording": {"path": "drive.csv"},
+    "n_lanes": 3,
+}
+
+
+@pytest.mark.parametrize(
+    ("key", "value"),
+    [
+        ("n_lanes", "map"),
+        ("graph", "./my_graph.py"),
+        ("graph", "position_in_lane"),
+        ("evidence", "my_evidence.py"),
+        ("tuning", {"objective": "accuracy", "never_fit": {"from_frame": 9}}),
+        ("tuning", {"objective": ["accuracy", "log_loss"], "never_fit": [[0, 9], [20, None]]}),
+        ("recording", {"simulate": "interchange"}),
+        ("ground_truth", None),
+    ],
+)
+def test_what_the_program_takes_the_schema_takes(key: str, value: Any) -> None:
+    assert not problems({**GOOD, key: value})
+
+
+@pytest.mark.parametrize(
+    ("key", "value"),
+    [
+        ("n_lanes", 0),
+        ("n_lanes", "maps"),
+        ("graph", "sensor_failur"),
+        ("filter", "exakt"),
+        ("recording", {"path": "drive.csv", "frame_rat": 10}),
+        ("recording", {"simulate": "quickstar"}),
+        ("tuning", {"never_fit": {"from": 9}}),
+        ("unassigned_below", 1.5),
+    ],
+)
+def test_what_the_program_refuses_the_schema_refuses(key: str, value: Any) -> None:
+    assert problems({**GOOD, key: value})
+
+
+def test_keys_may_be_missing_only_where_a_file_includes_another_or_is_included() -> None:
+    lacking = copy.deepcopy(GOOD)
+    del lacking["n_lanes"]
+    assert problems(lacking)
+    assert not problems({**lacking, "include": "other.yaml"})
+    del lacking["name"]
+    assert not problems(lacking)
