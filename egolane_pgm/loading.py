@@ -161,7 +161,7 @@ def _road(experiment: Experiment, parameters: Mapping[str, Any], log: LineLog) -
         log.time_s,
         steps=str(parameters["steps"]),
         n_lanes=experiment.n_lanes,
-        place_sigma_m=float(parameters["place_sigma_m"]),
+        place_sigma_m=float(parameters.get("place_sigma_m", 0.0)),
         source=log.source,
     )
 

@@ -54,6 +54,9 @@ from egolane_pgm.types import (
 if TYPE_CHECKING:
     from pgmpy.models import DynamicBayesianNetwork
 
+#: What a graph of positions inside the lane observes.
+_POSITIONS = ("RoadPosition", "SensorState")
+
 #: How many evidences a drive keeps; `bonus_value`, which is searched, has 10 values.
 KEPT_EVIDENCE = 12
 
@@ -157,7 +160,7 @@ def with_map(experiment: Experiment) -> Experiment:
     if not _is_of_changing_roads(graph):
         raise InputError(
             f"{source}: graph: {experiment.graph} is of a road with a fixed number of lanes; a road"
-            " table needs graph: changing_lanes"
+            " table needs graph: changing_lanes or position_in_changing_lanes"
         )
     if experiment.evidence_reading != "soft":
         raise InputError(
@@ -167,17 +170,14 @@ def with_map(experiment: Experiment) -> Experiment:
     if experiment.n_lanes != FROM_MAP and "steps" in experiment.parameters:
         return experiment
     found = road_changes(road_of(experiment))
-    steps = found.vocabulary()
     on_map = max([int(found.n_lanes.max()), *(step.after for step in found.steps)])
+    named = {p.name for p in graph.PARAMETERS}
+    known = {name: value for name, value in experiment.parameters.items() if name in named}
+    parameters = resolve_parameters(graph.PARAMETERS, known, on_map, f"{source}: parameters")
+    steps = found.vocabulary(is_exact=not parameters.get("place_sigma_m"))
     n_lanes = experiment.n_lanes
     if n_lanes == FROM_MAP:
-        given = {**experiment.parameters, "steps": steps}
-        named = {p.name for p in graph.PARAMETERS}
-        known = {name: value for name, value in given.items() if name in named}
-        where = f"{source}: parameters"
-        n_lanes = graph.most_lanes(
-            on_map, resolve_parameters(graph.PARAMETERS, known, on_map, where)
-        )
+        n_lanes = graph.most_lanes(on_map, parameters)
     return load_experiment(experiment, {"n_lanes": n_lanes, "parameters": {"steps": steps}})
 
 
@@ -465,13 +465,17 @@ def make_evidence(
     return RuleOutput(filtered, tentative, tuple(dict.fromkeys(notes)))
 
 
-def _evidence_along(model: Model, log: LineLog, road: LanesAlong) -> tuple[Evidence, FloatArray]:
+def _evidence_along(
+    model: Model, log: LineLog, road: LanesAlong
+) -> tuple[Evidence, FloatArray | None]:
     """The evidence of a log of T frames on a road whose lanes change, and the tentative vector
     (T, n) of a road with the lanes of the map.
 
     The rule is asked what it makes of the lines on roads of as many lanes as the map has, one less
     and one more; each is evidence of the lane on a road of so many lanes.
     """
+    if _POSITIONS in model.roles.observed:
+        return _positions_along(model, log, road), None
     rule, n_frames, most = model.rule, len(log), model.n_lanes
     asked = {n + k for n in np.unique(road.n_lanes).tolist() for k in (-1, 0, 1)}
     joint = np.zeros((n_frames, most, most))
@@ -491,6 +495,22 @@ def _evidence_along(model: Model, log: LineLog, road: LanesAlong) -> tuple[Evide
         {("DetectorOutput", "Lanes"): joint, "WOR": wor, "Lane": road.served}, {"Step": road.step}
     )
     return found, tentative / tentative.sum(axis=1, keepdims=True)
+
+
+def _positions_along(model: Model, log: LineLog, road: LanesAlong) -> Evidence:
+    """The evidence of positions on a road with the lanes of the map: in each frame what the rule
+    makes of the lines on a road of so many lanes."""
+    cells = int(number(model.parameters, "cells"))
+    joint = np.zeros((len(log), model.n_lanes * cells, 2))
+    motion = np.zeros(len(log), dtype=np.int64)
+    for n in np.unique(road.n_lanes).tolist():
+        given = model.rule.evidence(log, n, model.parameters)
+        here = road.n_lanes == n
+        joint[here, : n * cells] = given.likelihoods[_POSITIONS][here]
+        motion = given.inputs["LineMotion"]
+    joint *= np.repeat(road.served, cells, axis=1)[:, :, None]
+    step = model.graph.step_index(road.step, motion, model.n_lanes, model.parameters)
+    return Evidence({_POSITIONS: joint}, {"Step": step})
 
 
 def _filtered(model: Model, log: LineLog, given: Evidence, reading: str) -> Evidence:

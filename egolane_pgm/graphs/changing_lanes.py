@@ -28,7 +28,14 @@ from egolane_pgm.graphs.cpds import (
     uniform,
     within,
 )
-from egolane_pgm.graphs.lane_steps import Step, passing, read_steps, survivors
+from egolane_pgm.graphs.lane_steps import (
+    CHANGE_AT_RIGHT,
+    TOLD_STEPS,
+    Step,
+    passing,
+    read_steps,
+    survivors,
+)
 from egolane_pgm.graphs.shared_parameters import NORMAL, P1, P2, P3, P4, SIGMA1, SIGMA2
 from egolane_pgm.parameters import Parameter, Parameters, number
 from egolane_pgm.types import FloatArray
@@ -51,14 +58,7 @@ PARAMETERS = (
     P3,
     P4,
     NORMAL,
-    Parameter(
-        "steps",
-        "text",
-        "",
-        "the values of Step, with blanks between them, such as `3 3>4+0 4`; empty for a road that"
-        " does not change. With `n_lanes: map` they are those of the drive",
-        search=None,
-    ),
+    TOLD_STEPS,
     Parameter(
         "map_wrong",
         "probability",
@@ -74,13 +74,7 @@ PARAMETERS = (
         "P(the map stays as right or wrong as it is) from frame to frame",
         search=None,
     ),
-    Parameter(
-        "change_at_right",
-        "probability",
-        0.95,
-        "P(lanes begin and end at the right), where the map does not tell the side",
-        search=None,
-    ),
+    CHANGE_AT_RIGHT,
     Parameter(
         "place_sigma_m",
         "non_negative",
@@ -231,13 +225,7 @@ def _lane(steps: tuple[Step, ...], n_lanes: int, parameters: Parameters) -> Floa
     def moved(before: int, after: int, shift: int | None) -> FloatArray:
         key = (before, after, shift)
         if key not in known:
-            onto = (
-                right * survivors(before, after, 0)
-                + (1 - right) * survivors(before, after, after - before)
-                if shift is None
-                else survivors(before, after, shift)
-            )
-            rows = onto @ moves[after - 1]
+            rows = survivors(before, after, shift, right) @ moves[after - 1]
             # A lane beyond the last one is the last one.
             known[key] = rows[np.minimum(np.arange(n_lanes), before - 1)]
         return known[key]

@@ -18,7 +18,25 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from egolane_pgm.parameters import Parameter
 from egolane_pgm.types import MAX_LANES, FloatArray, InputError
+
+#: What graphs of roads whose lanes change declare.
+TOLD_STEPS = Parameter(
+    "steps",
+    "text",
+    "",
+    "the values of Step, with blanks between them, such as `3 3>4+0 4`; empty for a road that"
+    " does not change. With `n_lanes: map` they are those of the drive",
+    search=None,
+)
+CHANGE_AT_RIGHT = Parameter(
+    "change_at_right",
+    "probability",
+    0.95,
+    "P(lanes begin and end at the right), where the map does not tell the side",
+    search=None,
+)
 
 #: How far before (negative) or behind the join of the map a change of lanes may be, in standard
 #: deviations of the map's error along the road.
@@ -102,10 +120,19 @@ def passing() -> FloatArray:
     return np.asarray(mass / left)
 
 
-def survivors(before: int, after: int, shift: int) -> FloatArray:
-    """Where the lanes of a road go: (before, after), each row with one 1.
+def survivors(
+    before: int, after: int, shift: int | None, change_at_right: float = 1.0
+) -> FloatArray:
+    """Where the lanes of a road go: (before, after), each row sums to 1.
 
     Lane i goes on as lane i + shift; a lane that ends goes to the nearest that goes on.
+
+    - shift: None where it is not known at which side lanes begin or end.
+    - change_at_right: P(at the right) then.
     """
+    if shift is None:
+        at_right = survivors(before, after, 0)
+        at_left = survivors(before, after, after - before)
+        return change_at_right * at_right + (1 - change_at_right) * at_left
     onto = np.clip(np.arange(before) + shift, 0, after - 1)
     return np.asarray(np.eye(after)[onto])

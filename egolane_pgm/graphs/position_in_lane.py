@@ -19,6 +19,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Mapping
 from dataclasses import replace
+from functools import partial
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -176,9 +177,7 @@ def tables(n_lanes: int, parameters: Parameters) -> list[Table]:
     """RoadPosition moves with LineMotion, SensorState persists, and Lane is the cell's lane."""
     cells = int(number(parameters, "cells"))
     n_positions, n_values = n_lanes * cells, motion_values(parameters)
-    n_bins = int(number(parameters, "motion_bins"))
     sensor = binary(number(parameters, "p1"), number(parameters, "p2"))
-    sensors = [sensor] * n_bins + [_power(sensor, k) for k in STEPS for _ in COASTING]
     lane = np.repeat(np.eye(n_lanes), cells, axis=0)
     motion = uniform(n_values)
     return [
@@ -189,10 +188,12 @@ def tables(n_lanes: int, parameters: Parameters) -> list[Table]:
         *dynamics(
             "RoadPosition",
             [previous("RoadPosition"), "LineMotion"],
-            np.stack(_motions(n_positions, cells, parameters), axis=1),
+            np.stack(motions(n_positions, cells, parameters), axis=1),
         ),
         *dynamics(
-            "SensorState", [previous("SensorState"), "LineMotion"], np.stack(sensors, axis=1)
+            "SensorState",
+            [previous("SensorState"), "LineMotion"],
+            np.stack(sensors(sensor, parameters), axis=1),
         ),
         *within("Lane", ["RoadPosition"], lane),
     ]
@@ -203,25 +204,39 @@ def build(n_lanes: int, parameters: Parameters) -> DynamicBayesianNetwork:
     return declare(tables(n_lanes, parameters), OBSERVED)
 
 
-def _motions(n_positions: int, cells: int, parameters: Mapping[str, Value]) -> list[FloatArray]:
+def motions(n_positions: int, cells: int, parameters: Mapping[str, Value]) -> list[FloatArray]:
     """The transition of RoadPosition, (R, R), for each value of LineMotion."""
+    transition = partial(moved, n_positions=n_positions, cells=cells, parameters=parameters)
+    after_gap = [_coasted(transition, velocity) for velocity in COASTING]
+    moves = [after[k] for k in range(len(STEPS)) for after in after_gap]
+    return [transition(displacement) for displacement in known_displacements(parameters)] + moves
+
+
+def sensors(sensor: FloatArray, parameters: Mapping[str, Value]) -> list[FloatArray]:
+    """The transition of SensorState for each value of LineMotion; sensor (2, 2): in a frame."""
+    n_bins = int(number(parameters, "motion_bins"))
+    return [sensor] * n_bins + [_power(sensor, k) for k in STEPS for _ in COASTING]
+
+
+def known_displacements(parameters: Mapping[str, Value]) -> FloatArray:
+    """The displacement that each of the first values of LineMotion stands for, lane widths."""
     n_bins, reach = int(number(parameters, "motion_bins")), number(parameters, "motion_range")
+    return ((np.arange(n_bins) + 0.5) / n_bins * 2 - 1) * reach
+
+
+def moved(
+    displacement: float, n_positions: int, cells: int, parameters: Mapping[str, Value]
+) -> FloatArray:
+    """The transition of RoadPosition, (R, R), where the lines moved by so many lane widths."""
     gain, jump = number(parameters, "motion_gain"), number(parameters, "jump")
     narrow = number(parameters, "motion_sigma") * cells
     wide = number(parameters, "motion_sigma_wide") * cells
     half = max(1, math.ceil(_BAND * cells))
     share = number(parameters, "wide_share")
-
-    def transition(displacement: float) -> FloatArray:
-        shift = -gain * displacement * cells
-        move = (1 - share) * _cell_moves(shift, narrow, half)
-        move += share * _cell_moves(shift, wide, half)
-        return (1 - jump) * _banded(move, n_positions) + jump / n_positions
-
-    known = ((np.arange(n_bins) + 0.5) / n_bins * 2 - 1) * reach
-    after_gap = [_coasted(transition, velocity) for velocity in COASTING]
-    moves = [after[k] for k in range(len(STEPS)) for after in after_gap]
-    return [transition(displacement) for displacement in known] + moves
+    shift = -gain * displacement * cells
+    move = (1 - share) * _cell_moves(shift, narrow, half)
+    move += share * _cell_moves(shift, wide, half)
+    return (1 - jump) * _banded(move, n_positions) + jump / n_positions
 
 
 def _coasted(transition: Callable[[float], FloatArray], velocity: float) -> list[FloatArray]:

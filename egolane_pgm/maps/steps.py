@@ -44,14 +44,18 @@ class RoadChanges:
     row_m: FloatArray
     n_lanes: IntArray
 
-    def vocabulary(self) -> str:
-        """The values of the input node for this road, as `lane_steps` writes them."""
+    def vocabulary(self, *, is_exact: bool = False) -> str:
+        """The values of the input node for this road, as `lane_steps` writes them.
+
+        - is_exact: whether each change is where the map has it, without places around it.
+        """
         here = sorted({*self.n_lanes.tolist(), *(s.after for s in self.steps)})
         words = [str(n) for n in here]
         for step in dict.fromkeys(self.steps):
-            places = [_at(step, k + 1) for k in range(len(PLACES))]
-            words += [str(step), *(map(str, places) if _is_change(step) else ())]
-        return " ".join([*dict.fromkeys(words), str(HOLD)])
+            words.append(str(step))
+            if _is_change(step) and not is_exact:
+                words += [str(_at(step, k + 1)) for k in range(len(PLACES))]
+        return " ".join([*dict.fromkeys(words), *([] if is_exact else [str(HOLD)])])
 
 
 @dataclass(frozen=True)

@@ -1,8 +1,9 @@
 """The forward recursion for networks in which one node moves only to values near its own.
 
 The joint transition of such a network is, for each value of the inputs, the product of the wide
-node's table (a band around the diagonal, and one small number everywhere outside of it) and the
-other nodes' table. The cost of a frame is then the number of states times the width of the band.
+node's table (a band around the diagonal, and outside of it one small number for each value that is
+moved to) and the other nodes' table. The cost of a frame is then the number of states times the
+width of the band.
 """
 
 from __future__ import annotations
@@ -23,6 +24,9 @@ MIN_STATES = 32
 #: Entries that differ by less than this are equal: products of tables are rounded.
 _EQUAL = 1e-14
 
+#: A probability that is as good as none.
+_NOTHING = 1e-17
+
 
 class Band(NamedTuple):
     """A banded transition, of R values of the wide node, Q of the others and U of the inputs. Joint
@@ -30,7 +34,8 @@ class Band(NamedTuple):
 
     others (U, Q, Q): the transition of the other nodes, row is the value before.
     half (U,): the half-width of the band.
-    floor (U,): what the wide node's transition has outside of the band; left out of the band.
+    floor (U, R): what the wide node's transition to r has outside of the band; left out of the
+        band.
     band (U, 2 max(half) + 1, R): entry [u, max(half) + d, r] is the transition to r from r - d.
     """
 
@@ -63,9 +68,11 @@ def find_band(compiled: Compiled) -> Band | None:
 def _bands(own: FloatArray) -> tuple[IntArray, FloatArray, FloatArray]:
     n_inputs, size, _ = own.shape
     distance = np.abs(np.arange(size)[:, None] - np.arange(size))
-    floor = own.min(axis=(1, 2))
+    floor = own.min(axis=1)
+    # A share of what is moved there: nothing but the floor may be in the frame's evidence.
+    equal = np.maximum(_EQUAL * floor, _NOTHING)
     half = np.array(
-        [distance[np.abs(w - f) > _EQUAL].max(initial=0) for w, f in zip(own, floor, strict=True)],
+        [distance[own[u] - floor[u] > equal[u]].max(initial=0) for u in range(n_inputs)],
         dtype=np.int64,
     )
     widest = int(half.max())
@@ -74,7 +81,7 @@ def _bands(own: FloatArray) -> tuple[IntArray, FloatArray, FloatArray]:
     inside = (source >= 0) & (source < size)
     entry = np.where(inside, source, 0) * size + to
     band = own.reshape(n_inputs, -1)[:, entry.ravel()].reshape(n_inputs, *entry.shape)
-    band -= floor[:, None, None]
+    band -= floor[:, None, :]
     band *= inside
     # Indexing leaves the axes in another order in memory, which costs the kernel half its speed.
     return half, floor, np.ascontiguousarray(band)
@@ -127,7 +134,8 @@ def forward_banded(
                 for r in range(n_wide):
                     mass += mixed[r]
                 target = predicted[q]
-                target[:] = mass * floor[u]
+                for r in range(n_wide):
+                    target[r] = mass * floor[u, r]
                 # Slices, so that the compiler sees that it may do several r at once.
                 for d in range(-half[u], half[u] + 1):
                     source = before[widest - d : widest - d + n_wide]

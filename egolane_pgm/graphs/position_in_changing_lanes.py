@@ -1,0 +1,144 @@
+"""The position inside the lane on a road whose lanes begin, end, merge and split.
+
+It is `position_in_lane` with RoadPosition of as many lanes as the road has at its widest. An input,
+Step, says in each frame what the map tells of the road (`lane_steps`) and how the lines moved.
+RoadPosition moves in two parts: first to where its lane goes on, at the same place inside it, then
+with the lines, on a road with the lanes that there are now. On a road that does not change this is
+`position_in_lane`.
+
+The map is believed, about the number of lanes and the place of a change. In the frame of a change
+the motion of the lines is rounded to one of COASTING, and frames that are missing before it are not
+counted: each value of Step takes a transition of its own.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from egolane_pgm.graphs import position_in_lane as fixed
+from egolane_pgm.graphs.cpds import (
+    Table,
+    binary,
+    declare,
+    dynamics,
+    previous,
+    prior,
+    uniform,
+    within,
+)
+from egolane_pgm.graphs.lane_steps import CHANGE_AT_RIGHT, TOLD_STEPS, Step, read_steps, survivors
+from egolane_pgm.graphs.position_in_lane import COASTING
+from egolane_pgm.parameters import Parameters, number
+from egolane_pgm.types import FloatArray, InputError, IntArray
+
+if TYPE_CHECKING:
+    from pgmpy.models import DynamicBayesianNetwork
+
+HIDDEN = fixed.HIDDEN
+OBSERVED = fixed.OBSERVED
+INPUTS = ("Step",)
+VALUES = fixed.VALUES
+PARAMETERS = (*fixed.PARAMETERS, TOLD_STEPS, CHANGE_AT_RIGHT)
+
+
+def tables(n_lanes: int, parameters: Parameters) -> list[Table]:
+    """The tables of `position_in_lane`, with those of RoadPosition for each value of Step."""
+    steps = _steps(n_lanes, parameters)
+    cells = int(number(parameters, "cells"))
+    sensor = binary(number(parameters, "p1"), number(parameters, "p2"))
+    first: list[FloatArray] = []
+    positions: list[FloatArray] = []
+    sensors: list[FloatArray] = []
+    on_road: dict[int, list[FloatArray]] = {}
+    for step in steps:
+        n = step.after
+        if _is_change(step):
+            moves = [_carried(step, velocity, n_lanes, cells, parameters) for velocity in COASTING]
+            positions += moves
+            sensors += [sensor] * len(moves)
+        else:
+            if n not in on_road:
+                road = fixed.motions(n * cells, cells, parameters)
+                on_road[n] = [_widened(move, n_lanes * cells, parameters) for move in road]
+            moves = on_road[n]
+            positions += moves
+            sensors += fixed.sensors(sensor, parameters)
+        there = np.arange(n_lanes * cells) < n * cells
+        first += [there / there.sum()] * len(moves)
+    motion = uniform(len(positions))
+    return [
+        *prior("Step", motion),
+        *dynamics("Step", [], motion),
+        *prior("RoadPosition", np.stack(first), ["Step"]),
+        *prior("SensorState", uniform(len(positions), 2), ["Step"]),
+        *dynamics("RoadPosition", [previous("RoadPosition"), "Step"], np.stack(positions, axis=1)),
+        *dynamics("SensorState", [previous("SensorState"), "Step"], np.stack(sensors, axis=1)),
+        *within("Lane", ["RoadPosition"], np.repeat(np.eye(n_lanes), cells, axis=0)),
+    ]
+
+
+def build(n_lanes: int, parameters: Parameters) -> DynamicBayesianNetwork:
+    """Declares the network in pgmpy."""
+    return declare(tables(n_lanes, parameters), OBSERVED)
+
+
+def most_lanes(on_map: int, parameters: Parameters) -> int:
+    """How many values Lane needs on a road that has so many lanes on the map at its widest."""
+    return on_map
+
+
+def step_index(told: IntArray, motion: IntArray, n_lanes: int, parameters: Parameters) -> IntArray:
+    """The value of Step in each frame, (T,).
+
+    - told: (T,) which word of the parameter `steps` is told
+    - motion: (T,) the value of LineMotion, as the evidence rule gives it
+    """
+    is_change = np.array([_is_change(step) for step in _steps(n_lanes, parameters)])
+    sizes = np.where(is_change, len(COASTING), fixed.motion_values(parameters))
+    begins = np.cumsum(sizes) - sizes
+    known = fixed.known_displacements(parameters)
+    middle, most = len(COASTING) // 2, COASTING[-1]
+    coasting = np.rint(np.clip(known / most, -1, 1) * middle).astype(np.int64) + middle
+    after_gap = np.arange(fixed.motion_values(parameters) - len(known)) % len(COASTING)
+    velocity = np.concatenate([coasting, after_gap])
+    return np.asarray(begins[told] + np.where(is_change[told], velocity[motion], motion))
+
+
+def _steps(n_lanes: int, parameters: Parameters) -> tuple[Step, ...]:
+    steps = read_steps(str(parameters["steps"]), n_lanes)
+    for step in steps:
+        if step.place is not None or not step.before:
+            raise InputError(f"steps: '{step}': this graph takes the map's places for exact")
+    return steps
+
+
+def _is_change(step: Step) -> bool:
+    return step != Step(step.after, step.after)
+
+
+def _widened(move: FloatArray, n_positions: int, parameters: Parameters) -> FloatArray:
+    """A transition (R', R') of a road with fewer lanes, for all positions (R, R). The car is never
+    where it has no lane, and from there, as from everywhere, jumps onto the road."""
+    n_here, jump = len(move), number(parameters, "jump")
+    wide = (1 - jump) * np.eye(n_positions)
+    wide[:, :n_here] += jump / n_here
+    wide[:n_here] = 0.0
+    wide[:n_here, :n_here] = move
+    return wide
+
+
+def _carried(
+    step: Step, velocity: float, n_lanes: int, cells: int, parameters: Parameters
+) -> FloatArray:
+    """The transition (R, R) in the frame of a change."""
+    right = number(parameters, "change_at_right")
+    onto = np.kron(survivors(step.before, step.after, step.shift, right), np.eye(cells))
+    move = onto @ fixed.moved(velocity, step.after * cells, cells, parameters)
+    carried = np.zeros((n_lanes * cells, n_lanes * cells))
+    carried[: len(move), : move.shape[1]] = move
+    # A lane beyond the last one is the last one.
+    beyond = n_lanes - step.before
+    carried[len(move) :, : move.shape[1]] = np.tile(move[len(move) - cells :], (beyond, 1))
+    return carried
