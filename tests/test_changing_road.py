@@ -35,6 +35,16 @@ def test_lanes_beyond_those_of_the_map_have_no_probability() -> None:
     assert (result.assigned_lane <= result.n_lanes).all()
 
 
+def test_position_in_lane_follows_lanes_that_begin_and_end() -> None:
+    done = ego.run(PLACE.parent / "position.yaml", overrides=SHORT)
+    result = done.result
+    assert len(np.unique(result.road_lanes)) > 1
+    beyond = np.arange(1, result.n_lanes + 1) > result.road_lanes[:, None]
+    assert result.marginals["Lane"][beyond].max() < 1e-12
+    road = done.scores["model"]["road"]
+    assert min(road[key]["accuracy"] for key in ("behind", "elsewhere")) > 0.9
+
+
 def test_scores_say_how_well_lanes_are_known_behind_a_change() -> None:
     scores = run().scores["model"]
     road = scores["road"]
