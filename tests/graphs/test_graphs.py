@@ -217,8 +217,8 @@ def mirror(key: object, values: np.ndarray) -> np.ndarray:
 
 def mirrored_input(name: str, index: np.ndarray, parameters: Parameters) -> np.ndarray:
     """LineMotion as seen in a mirror; after a gap the lines coasted to the other side. A road that
-    does not change is the same in a mirror."""
-    if name == "Step":
+    does not change is the same in a mirror; where Step has the motion too, that is mirrored."""
+    if name == "Step" and "motion_bins" not in parameters:
         return index
     bins, n = int(parameters["motion_bins"]), len(position_in_lane.COASTING)  # type: ignore[arg-type]
     gap, coasted = np.divmod(index - bins, n)
