@@ -338,6 +338,37 @@ class Learning(Section):
     iterations: int = Field(default=200, ge=1, description="largest number of EM steps")
 
 
+class Gnss(Section):
+    """The noise of positions that are evidence of the lane beside the lines. The defaults are as
+    four receivers had it on a recorded drive."""
+
+    lane_width_m: float = Field(
+        default=3.75, gt=0, allow_inf_nan=False, description="width of a lane, metres"
+    )
+    sigma_m: float = Field(
+        default=0.5,
+        gt=0,
+        allow_inf_nan=False,
+        description="standard deviation from one position to the next, metres, the car's wandering"
+        " in its lane included",
+    )
+    drift_sigma_m: float = Field(
+        default=2.1,
+        ge=0,
+        allow_inf_nan=False,
+        description="standard deviation of the drift, metres, the map's own errors included",
+    )
+    drift_s: float = Field(
+        default=26.0,
+        gt=0,
+        allow_inf_nan=False,
+        description="correlation time of the drift, seconds",
+    )
+    off_share: float = Field(
+        default=0.05, gt=0, lt=1, description="share of positions that say nothing of the lane"
+    )
+
+
 class Experiment(Section):
     """One experiment: a recording, how its lines become evidence, the graph, the parameters."""
 
@@ -355,8 +386,15 @@ class Experiment(Section):
     )
     road: str | None = Field(
         default=None,
-        description="the road table of the drive (`egolane locate` writes it), for n_lanes: map",
+        description="the road table of the drive (`egolane locate` writes it), for n_lanes: map and"
+        " for gnss",
         examples=["road.parquet"],
+    )
+    gnss: Gnss | None = Field(
+        default=None,
+        description="take the positions of the road table as evidence of the lane too; {} for the"
+        " usual receiver",
+        examples=[{}],
     )
     n_lanes: int = Field(
         le=MAX_LANES,
@@ -432,6 +470,15 @@ class Experiment(Section):
     )
     tuning: Tuning | None = Field(default=None, description="settings of `egolane tune`")
 
+    @model_validator(mode="after")
+    def _road_where_needed(self) -> Experiment:
+        has_road = self.road is not None or self.recording.simulate == INTERCHANGE
+        if self.gnss is not None and not has_road:
+            raise ValueError("gnss needs a road table (road: FILE, `egolane locate` writes it)")
+        if self.road is not None and self.gnss is None and not self.follows_map:
+            raise ValueError("road goes with n_lanes: map, or with gnss")
+        return self
+
     @field_validator("n_lanes", mode="before")
     @classmethod
     def _number_or_map(cls, value: Any, info: ValidationInfo) -> Any:
@@ -488,10 +535,8 @@ class Experiment(Section):
     @property
     def follows_map(self) -> bool:
         """Whether the lanes of the road change along the drive, as a map says."""
-        if self.road is not None:
-            return True
-        asks = self.n_lanes == FROM_MAP or "steps" in self.parameters
-        return self.recording.simulate == INTERCHANGE and asks
+        has_road = self.road is not None or self.recording.simulate == INTERCHANGE
+        return has_road and (self.n_lanes == FROM_MAP or "steps" in self.parameters)
 
     @property
     def has_causal_filter(self) -> bool:
@@ -699,9 +744,10 @@ _FITTING = {"tuning", "fit", "learned_on", "learning", "choice"}
 def resolved(experiment: Experiment, parameters: Mapping[str, Any]) -> dict[str, Any]:
     """All keys with their values, defaults included, as plain types for YAML or JSON."""
     content = experiment.model_dump(mode="json", exclude=_FITTING)
-    if content["road"] is None:
-        # A config without a road is the same config as ever, and so is its hash.
-        del content["road"]
+    for key in ("road", "gnss"):
+        if content[key] is None:
+            # A config without it is the same config as ever, and so is its hash.
+            del content[key]
     content["parameters"] = {
         name: list(value) if isinstance(value, tuple) else value
         for name, value in sorted(parameters.items())

@@ -23,9 +23,10 @@ from egolane_pgm.detectors.runner import (
     start,
 )
 from egolane_pgm.experiment import INTERCHANGE, Experiment, make_experiment
+from egolane_pgm.maps.across import Across, across
 from egolane_pgm.maps.road_table import RoadTable
 from egolane_pgm.maps.road_table import load as load_road
-from egolane_pgm.maps.steps import LanesAlong, lanes_along
+from egolane_pgm.maps.steps import LanesAlong, check_overlap, lanes_along
 from egolane_pgm.plugins import load_plugin, plugin_errors
 from egolane_pgm.recordings import (
     FORMATS,
@@ -70,6 +71,7 @@ class Recorded:
     files: what was read (a folder of pictures, or a glob, stands for all of them).
     notes: warnings, a line each.
     road: the lanes of the road in each frame of the log, where a map tells them.
+    across: where positions put the car in each frame of the log, where they count (`gnss`).
     """
 
     log: LineLog
@@ -78,6 +80,7 @@ class Recorded:
     files: tuple[Path, ...]
     notes: tuple[str, ...]
     road: LanesAlong | None = None
+    across: Across | None = None
 
 
 def load_recording(
@@ -109,15 +112,21 @@ def load_recording(
     if recording.lri == "clip":
         log = clip_lri(log, max_lri)
     notes += recording_warnings(log, experiment.n_lanes, max_lri)
-    road = None
-    if experiment.follows_map:
-        check_one_drive(log, "clips are run with a fixed n_lanes")
+    road = seen = None
+    if experiment.follows_map or experiment.gnss is not None:
+        check_one_drive(log, "clips are run without a road table")
         if experiment.road is not None:
             files.append(_road_file(experiment.road, experiment))
-        road = _road(experiment, parameters or experiment.parameters, log)
+        table = road_of(experiment)
+        if experiment.follows_map:
+            road = _road(experiment, table, parameters or experiment.parameters, log)
+        if experiment.gnss is not None:
+            check_overlap(table, log.time_s, log.source)
+            lanes = np.full(len(log), experiment.n_lanes) if road is None else road.n_lanes
+            seen = across(table, log.time_s, lanes, experiment.gnss.lane_width_m)
     if truth is None:
         none = np.zeros(0, dtype=np.int64)
-        return Recorded(log, None, none, tuple(files), tuple(notes), road)
+        return Recorded(log, None, none, tuple(files), tuple(notes), road, seen)
     check_one_drive(log, "clips are run without ground truth (--ground-truth none)")
     truth.check_lanes(experiment.n_lanes)
     both = join(log, truth)
@@ -126,11 +135,11 @@ def load_recording(
             f"{log.source}: {both.log_dropped} of {len(log)} frames have no ground truth;"
             " filtered, not scored"
         )
-    return Recorded(log, truth.take(both.truth), both.log, tuple(files), tuple(notes), road)
+    return Recorded(log, truth.take(both.truth), both.log, tuple(files), tuple(notes), road, seen)
 
 
 def road_of(experiment: Experiment) -> RoadTable:
-    """The road table of an experiment that follows a map. Raises InputError for a file that cannot
+    """The road table of an experiment that has one. Raises InputError for a file that cannot
     be used."""
     if experiment.road is None:
         return _simulated_interchange(experiment).road
@@ -155,9 +164,11 @@ def _simulated_interchange(experiment: Experiment) -> InterchangeDrive:
     return simulate_interchange(recording.seed, None, Journey(**recording.options))
 
 
-def _road(experiment: Experiment, parameters: Mapping[str, Any], log: LineLog) -> LanesAlong:
+def _road(
+    experiment: Experiment, table: RoadTable, parameters: Mapping[str, Any], log: LineLog
+) -> LanesAlong:
     return lanes_along(
-        road_of(experiment),
+        table,
         log.time_s,
         steps=str(parameters["steps"]),
         n_lanes=experiment.n_lanes,
@@ -464,7 +475,7 @@ def with_recording(
         content["recording"] = {k: v for k, v in content["recording"].items() if k in kept}
         content["recording"]["path"] = str(Path(recording).absolute())
         content["ground_truth"] = None
-        content["road"] = None
+        content["road"] = content["gnss"] = None
         content["tuning"] = None
         content["name"] = as_name(Path(recording).stem)
         content["tuned_on"] = (

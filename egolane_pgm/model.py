@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 
 from egolane_pgm.evidence.lines_beside import fit_of_counts
-from egolane_pgm.experiment import FROM_MAP, Experiment, load_experiment
+from egolane_pgm.experiment import FROM_MAP, Experiment, Gnss, load_experiment
 from egolane_pgm.graphs.from_pgmpy import node_names
 from egolane_pgm.inference.compile import Compiled, compile, with_tables
 from egolane_pgm.inference.filtering import filter_beliefs, read_evidence
@@ -28,6 +28,8 @@ from egolane_pgm.loading import (
     road_of,
     with_video_rate,
 )
+from egolane_pgm.maps.across import Across
+from egolane_pgm.maps.lanes_from_gnss import GnssNoise, beside_lines
 from egolane_pgm.maps.steps import LanesAlong, on_constant_road, road_changes
 from egolane_pgm.parameters import Value, number, resolve_parameters
 from egolane_pgm.plugins import (
@@ -153,7 +155,7 @@ def with_map(experiment: Experiment) -> Experiment:
     Raises InputError for a road table that cannot be used, and for a graph or a reading of the
     evidence that knows no changing road.
     """
-    if not experiment.follows_map:
+    if not experiment.follows_map and experiment.gnss is None:
         return experiment
     source = experiment.source
     graph = load_plugin("graphs", experiment.graph, experiment.folder, f"{source}: graph")
@@ -167,7 +169,7 @@ def with_map(experiment: Experiment) -> Experiment:
             f"{source}: evidence_reading: {experiment.evidence_reading} does not go with a road"
             " table; soft does"
         )
-    if experiment.n_lanes != FROM_MAP and "steps" in experiment.parameters:
+    if experiment.n_lanes != FROM_MAP:
         return experiment
     found = road_changes(road_of(experiment))
     on_map = max([int(found.n_lanes.max()), *(step.after for step in found.steps)])
@@ -175,9 +177,7 @@ def with_map(experiment: Experiment) -> Experiment:
     known = {name: value for name, value in experiment.parameters.items() if name in named}
     parameters = resolve_parameters(graph.PARAMETERS, known, on_map, f"{source}: parameters")
     steps = found.vocabulary(is_exact=not parameters.get("place_sigma_m"))
-    n_lanes = experiment.n_lanes
-    if n_lanes == FROM_MAP:
-        n_lanes = graph.most_lanes(on_map, parameters)
+    n_lanes = graph.most_lanes(on_map, parameters)
     return load_experiment(experiment, {"n_lanes": n_lanes, "parameters": {"steps": steps}})
 
 
@@ -513,6 +513,27 @@ def _positions_along(model: Model, log: LineLog, road: LanesAlong) -> Evidence:
     return Evidence({_POSITIONS: joint}, {"Step": step})
 
 
+def with_positions(
+    model: Model, log: LineLog, lines: Evidence, seen: Across, gnss: Gnss
+) -> Evidence:
+    """The evidence of T frames with what positions say of the lane, or of the place across the road
+    for a graph that knows it.
+
+    - lines: the evidence of the T frames of the log without them.
+    """
+    beliefs = filter_beliefs(model.compiled, lines, "exact")
+    of_places = _POSITIONS in lines.likelihoods
+    key = _POSITIONS if of_places else "Lane"
+    believed = beliefs.marginals[_POSITIONS[0]] if of_places else beliefs.lane
+    # A frame without lines tells nothing of the drift, however sure the belief still is.
+    has_lines = log.is_valid.any(axis=1, keepdims=True)
+    believed = np.where(has_lines, believed, 1 / believed.shape[1])
+    noise, cells = GnssNoise(**gnss.model_dump()), believed.shape[1] // model.n_lanes
+    said = beside_lines(seen, log.time_s, believed, noise, cells)
+    joint = lines.likelihoods[key] * (said[:, :, None] if of_places else said)
+    return replace(lines, likelihoods={**lines.likelihoods, key: joint})
+
+
 def _filtered(model: Model, log: LineLog, given: Evidence, reading: str) -> Evidence:
     """What a rule gave for a log, checked, as the filter takes it."""
     rule = model.rule
@@ -635,10 +656,11 @@ def load_drive(
     has_truth = named if recorded is None else recorded.truth is not None
     with all_problems() as part:
         with part():
-            if experiment.follows_map:
+            if experiment.follows_map or experiment.gnss is not None:
+                key = "n_lanes" if experiment.follows_map else "gnss"
                 raise InputError(
-                    f"{experiment.source}: n_lanes: a road from a map is for `egolane run`; here"
-                    " give n_lanes as a number"
+                    f"{experiment.source}: {key}: a road from a map is for `egolane run`; here"
+                    " give n_lanes as a number, and no gnss"
                 )
         with part():
             if experiment.decode != "marginal":

@@ -42,6 +42,7 @@ from egolane_pgm.model import (
     prepare_model,
     value_names,
     with_map,
+    with_positions,
 )
 from egolane_pgm.parallel import in_order
 from egolane_pgm.plugins import OWN_FILES, source_files
@@ -124,6 +125,10 @@ def run_experiment(
     found: list[Beliefs] = []
     for log in tqdm(logs, unit="clip", leave=False, disable=None if len(logs) > 1 else True):
         made.append(make_evidence(model, log, experiment.evidence_reading, recorded.road))
+        of_lines = made[-1].filtered
+        if experiment.gnss is not None and recorded.across is not None:
+            joint = with_positions(model, log, of_lines, recorded.across, experiment.gnss)
+            made[-1] = replace(made[-1], filtered=joint)
         filtered, method, lag = made[-1].filtered, experiment.filter, experiment.lag
         found.append(infer_beliefs(model.compiled, filtered, method, lag, frame_id=log.frame_id))
     evidence, beliefs = joined_outputs(made), Beliefs.joined(found)
@@ -135,7 +140,7 @@ def run_experiment(
             " zero; they keep their prediction"
         )
     if recorded.log.clip is None and recorded.road is None:
-        doubt = doubt_of_lanes(experiment, model, recorded.log, evidence.filtered)
+        doubt = doubt_of_lanes(experiment, model, recorded.log, of_lines)
         notes.extend([doubt] if doubt else [])
     assigned = assigned_lane(beliefs.lane, experiment.unassigned_below)
     if experiment.decode == "viterbi":

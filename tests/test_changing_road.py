@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -10,9 +11,14 @@ import pytest
 
 import egolane_pgm as ego
 from egolane_pgm.inference.events import in_tracks, numbered
+from egolane_pgm.maps.road_table import save
 from egolane_pgm.online import filter_stream
+from egolane_pgm.recordings.ground_truth import write_ground_truth
+from egolane_pgm.recordings.table import write_table
 from egolane_pgm.report.strips import strip_columns
+from egolane_pgm.simulation.interchange import Journey, simulate_interchange
 from egolane_pgm.types import Beliefs, InputError, LaneEvents
+from tests.kits.lane_maps import without_lines
 
 PLACE = ego.experiments_folder() / "maps" / "interchange.yaml"
 SHORT = {"recording.options": {"n_frames": 1200}}
@@ -117,3 +123,69 @@ def test_a_lane_that_gets_another_number_is_no_change_of_lane() -> None:
     assert len(events) == 1
     told = numbered(events, frame_id, origin)
     assert (told.from_lane.tolist(), told.to_lane.tolist()) == ([2], [3])
+
+
+def hidden_lines(drive: Any, folder: Path, begin_s: float, stop_s: float) -> dict[str, Any]:
+    """An experiment on a drive whose lines are missing for some seconds."""
+    behind = (drive.log.time_s >= begin_s) & (drive.log.time_s < stop_s)
+    log = without_lines(drive.log, behind)
+    write_table(folder / "lines.csv", log)
+    write_ground_truth(folder / "truth.txt", drive.truth)
+    save(drive.road, folder / "road.parquet")
+    return {
+        "name": "hidden",
+        "recording": {"path": str(folder / "lines.csv")},
+        "ground_truth": {"path": str(folder / "truth.txt")},
+        "road": str(folder / "road.parquet"),
+        "n_lanes": "map",
+        "graph": "changing_lanes",
+        "filter": "exact",
+    }
+
+
+@pytest.mark.parametrize(
+    ("graph", "rule"),
+    [("changing_lanes", "counting"), ("position_in_changing_lanes", "line_geometry")],
+)
+def test_positions_tell_the_lane_where_lines_are_missing(
+    tmp_path: Path, graph: str, rule: str
+) -> None:
+    drive = simulate_interchange(6, None, Journey(n_frames=800))
+    content = hidden_lines(drive, tmp_path, 40.0, 70.0)
+    behind = slice(400, 700)
+    found = {}
+    for name, gnss in (("lines", None), ("both", {})):
+        done = ego.run({**content, "gnss": gnss, "graph": graph, "evidence": rule})
+        right = done.result.assigned_lane == drive.truth.lane
+        found[name] = right[behind][~drive.truth.is_crossing[behind]].mean()
+    assert found["both"] > found["lines"] + 0.3
+
+
+def test_positions_go_with_a_constant_number_of_lanes_too(tmp_path: Path) -> None:
+    """The table knows no lanes; the number of the experiment counts."""
+    drive = simulate_interchange(6, None, Journey(n_frames=800))
+    content = hidden_lines(drive, tmp_path, 40.0, 70.0)
+    blank = replace(
+        drive.road, n_lanes=0 * drive.road.n_lanes, way_line=np.full(len(drive.road), np.nan)
+    )
+    save(blank, tmp_path / "road.parquet")
+    done = ego.run({**content, "n_lanes": 5, "gnss": {"drift_s": 60}})
+    assert done.result.n_lanes == 5
+    assert done.result.road_lanes is None
+    without = {key: value for key, value in content.items() if key != "road"}
+    lines = ego.run({**without, "n_lanes": 5})
+    assert np.abs(done.beliefs.lane - lines.beliefs.lane).max() > 0.1
+
+
+def test_positions_without_a_road_and_a_road_without_a_use_are_refused() -> None:
+    content = {"name": "x", "recording": {"path": "lines.csv"}, "n_lanes": 3}
+    with pytest.raises(InputError, match="gnss needs a road table"):
+        ego.load_experiment({**content, "gnss": {}})
+    with pytest.raises(InputError, match="road goes with n_lanes: map, or with gnss"):
+        ego.load_experiment({**content, "road": "road.parquet"})
+    with pytest.raises(InputError, match="gnss: unknown key 'sigma'"):
+        ego.load_experiment({**content, "road": "road.parquet", "gnss": {"sigma": 1.0}})
+    with pytest.raises(InputError, match="graph: sensor_failure is of a road with a fixed number"):
+        run(graph="sensor_failure", gnss={})
+    with pytest.raises(InputError, match="gnss: a road from a map is for `egolane run`"):
+        ego.tune({**content, "recording": {"simulate": "interchange"}, "gnss": {}}, trials=2)

@@ -90,6 +90,14 @@ class LaneGraph:
         return self.point[self.first[segment] : self.first[segment + 1]]
 
 
+def way_line(graph: LaneGraph, segment: IntArray, along_m: FloatArray) -> FloatArray:
+    """How many lanes lie between the left edge and the way's line, (T,), at places so many metres
+    along segments; NaN unknown."""
+    start, end = graph.placement[segment].T
+    share = along_m / np.maximum(graph.length_m[segment], 1e-9)
+    return np.asarray(start + share * (end - start))
+
+
 def joins_from(graph: LaneGraph) -> IntArray:
     """Where the joins that leave each segment begin, (S + 1,): those of segment k are the rows
     `start[k]:start[k + 1]` of `before`, `after`, `shift`, ..."""

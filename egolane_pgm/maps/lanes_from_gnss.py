@@ -1,9 +1,13 @@
-"""The lane from GNSS alone: how far the car is from the middle of its road.
+"""The lane from GNSS: how far the car is from the edge or the middle of its road.
 
-A receiver's error across the road is a metre of noise and a drift of metres that lasts for
-minutes, to which the map adds its own. The drift is therefore hidden beside the lane, and so is
-whether the map has the right number of lanes. What tells the lane is then the car's way across the
-road: there is no lane beyond the last one.
+A receiver's error across the road is a metre of noise and a drift of metres that lasts, to which
+the map adds its own. Positions that follow each other err alike, so the drift is hidden beside the
+lane.
+
+- Alone (`lanes_from_offsets`) the car's way across the road tells the lane: there is no lane beyond
+  the last one. Whether the map has the right number of lanes is hidden too.
+- Beside the lines (`beside_lines`) they tell the drift while they are seen, and where they are not,
+  the position less the drift tells the lane.
 """
 
 from __future__ import annotations
@@ -11,11 +15,13 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.linalg import expm
 
 from egolane_pgm.graphs.cpds import declare, dynamics, previous, prior
 from egolane_pgm.inference.compile import Compiled, compile
 from egolane_pgm.inference.filtering import filter_beliefs
 from egolane_pgm.inference.smoothing import smooth_beliefs
+from egolane_pgm.maps.across import Across
 from egolane_pgm.types import Evidence, FloatArray, InputError
 
 
@@ -41,9 +47,6 @@ class GnssNoise:
     count_wrong: float = 0.1
     count_stays: float = 0.999
 
-
-#: The drift's cells: so many, of this width in metres, around 0.
-_CELLS, _CELL_M = 33, 0.5
 
 #: Positions that say nothing are anywhere in this width, metres.
 _ANYWHERE_M = 50.0
@@ -83,16 +86,37 @@ def lanes_from_offsets(
     return GnssLanes(beliefs.lane, count[:, 0], count[:, 2])
 
 
-def _drifts() -> FloatArray:
-    return np.asarray((np.arange(_CELLS) - _CELLS // 2) * _CELL_M, dtype=np.float64)
+def _drifts(noise: GnssNoise) -> FloatArray:
+    """The cells of the drift (D,), metres: half as wide as the noise, to four standard deviations
+    on either side."""
+    width = noise.sigma_m / 2
+    half = int(np.ceil(4 * noise.drift_sigma_m / width))
+    return np.asarray(np.arange(-half, half + 1) * width)
+
+
+def _wander(noise: GnssNoise) -> tuple[FloatArray, FloatArray]:
+    """The drift's first distribution (D,), which it keeps, and its rates (D, D) of going from cell
+    to cell in a second: to the neighbours only, with the steps of a Gauss-Markov process
+    (Metropolis). Wider steps would let the drift follow a lane change."""
+    drift = _drifts(noise)
+    start = np.exp(-0.5 * (drift / max(noise.drift_sigma_m, 1e-9)) ** 2)
+    rate = 4 * (noise.drift_sigma_m / noise.sigma_m) ** 2 / noise.drift_s
+    rates = np.diag(rate * np.minimum(1.0, start[1:] / start[:-1]), 1)
+    rates += np.diag(rate * np.minimum(1.0, start[:-1] / start[1:]), -1)
+    return start / start.sum(), rates - np.diag(rates.sum(axis=1))
+
+
+def _density(off_m: FloatArray, sigma_m: float, noise: GnssNoise) -> FloatArray:
+    """Of a position that is so far from where it should be; some say nothing."""
+    density = np.exp(-0.5 * (off_m / sigma_m) ** 2) / (np.sqrt(2 * np.pi) * sigma_m)
+    return np.asarray((1 - noise.off_share) * density + noise.off_share / _ANYWHERE_M)
 
 
 def _likelihood(offset_m: FloatArray, n_lanes: int, noise: GnssNoise) -> FloatArray:
-    """P(offset | lane, drift), (T, n + 1, cells)."""
+    """P(offset | lane, drift), (T, n + 1, D)."""
     centre = (np.arange(n_lanes + 1) - (n_lanes - 1) / 2) * noise.lane_width_m
-    z = (offset_m[:, None, None] - centre[:, None] - _drifts()) / noise.sigma_m
-    density = np.exp(-0.5 * z**2) / (np.sqrt(2 * np.pi) * noise.sigma_m)
-    said = (1 - noise.off_share) * density + noise.off_share / _ANYWHERE_M
+    off = offset_m[:, None, None] - centre[:, None] - _drifts(noise)
+    said = _density(off, noise.sigma_m, noise)
     return np.where(np.isnan(said), 1.0, said)
 
 
@@ -117,24 +141,59 @@ def _network(n_lanes: int, noise: GnssNoise) -> Compiled:
                 if 0 <= there < n:
                     lane[here, count, there] = noise.change
             lane[here, count, at] = 1 - lane[here, count].sum()
-    drift = _drifts()
-    start = np.exp(-0.5 * (drift / noise.drift_sigma_m) ** 2)
-    # Steps to the neighbouring cells whose size is the drift's, and which leave `start` as it is
-    # (Metropolis). Wider steps would let the drift follow a lane change.
-    step = min(noise.drift_sigma_m**2 / noise.drift_s / _CELL_M**2, 0.5)
-    up = step * np.minimum(1.0, start[1:] / start[:-1])
-    down = step * np.minimum(1.0, start[:-1] / start[1:])
-    wander = np.diag(up, 1) + np.diag(down, -1)
-    wander += np.diag(1 - wander.sum(axis=1))
+    start, rates = _wander(noise)
     network = declare(
         [
             *prior("Count", [fewer, 1 - fewer - wrong, wrong]),
             *dynamics("Count", [previous("Count")], counts),
             *prior("Lane", first, ["Count"]),
             *dynamics("Lane", [previous("Lane"), "Count"], lane),
-            *prior("Drift", start / start.sum()),
-            *dynamics("Drift", [previous("Drift")], wander),
+            *prior("Drift", start),
+            *dynamics("Drift", [previous("Drift")], expm(rates)),
         ],
         [("Lane", "Drift")],
     )
     return compile(network, hidden=("Lane", "Drift", "Count"), observed=[("Lane", "Drift")])
+
+
+# --- beside the lines --------------------------------------------------------------------------
+
+
+def beside_lines(
+    seen: Across, time_s: FloatArray, believed: FloatArray, noise: GnssNoise, cells: int = 1
+) -> FloatArray:
+    """What positions say of the place across the road beside the lines: a likelihood (T, K), its
+    largest 1; 1 everywhere in frames without a position.
+
+    - time_s (T,)
+    - believed (T, K): the belief over the places by the lines alone, from the frames so far
+    - cells: of each lane; with one the places are the lanes
+
+    What a position says is a normal about each place, as wide as the noise and what is uncertain of
+    the drift by the positions before it. Then it says of the drift what the belief over the places
+    leaves open. That drift and place are apart given the past is approximate; it is exact where the
+    lines are sure.
+    """
+    drift = _drifts(noise)
+    chance, rates = _wander(noise)
+    centre = (np.arange(believed.shape[1]) + 0.5) * noise.lane_width_m / cells
+    said = np.ones(believed.shape)
+    usual = np.hypot(noise.sigma_m, noise.drift_sigma_m)
+    # A receiver that says so is less sure than usual.
+    worse = np.maximum(np.nan_to_num(seen.sigma_m) ** 2 - usual**2, 0.0)
+    sigma = np.sqrt(noise.sigma_m**2 + worse)
+    moves: dict[float, FloatArray] = {}
+    last: float | None = None
+    for t in np.flatnonzero(np.isfinite(seen.metres)):
+        if last is not None:
+            seconds = round(float(time_s[t]) - last, 1)
+            if seconds not in moves:
+                moves[seconds] = expm(rates * seconds)
+            chance = chance @ moves[seconds]
+        last = float(time_s[t])
+        density = _density(seen.metres[t] - centre[:, None] - drift, float(sigma[t]), noise)
+        by_place = density @ chance
+        said[t] = by_place / by_place.max()
+        chance = chance * (believed[t] @ density)
+        chance /= chance.sum()
+    return said

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from egolane_pgm.jit import kernel
 from egolane_pgm.maps.index import RoadIndex
-from egolane_pgm.maps.lane_graph import LaneGraph, joins_from
+from egolane_pgm.maps.lane_graph import LaneGraph, joins_from, way_line
 from egolane_pgm.maps.matching import Matched, match
 from egolane_pgm.maps.positions import Positions
 from egolane_pgm.maps.road_table import RoadTable
@@ -113,7 +113,8 @@ def locate(
         _go_on(ahead, segment, along, sure, on)
     return _table(
         graph, ahead, route, time, place, segment, along, sure,
-        _offsets(matched, is_position), online, positions.source,
+        _of_positions(matched.offset_m, is_position), _of_positions(positions.sigma_m, is_position),
+        online, positions.source,
     )  # fmt: skip
 
 
@@ -124,8 +125,9 @@ def _span(latitude: FloatArray, longitude: FloatArray) -> str:
     )
 
 
-def _offsets(matched: Matched, is_position: IntArray) -> FloatArray:
-    return np.where(is_position >= 0, matched.offset_m[np.maximum(is_position, 0)], np.nan)
+def _of_positions(values: FloatArray, is_position: IntArray) -> FloatArray:
+    """The values of each row's position; NaN in rows without one."""
+    return np.where(is_position >= 0, values[np.maximum(is_position, 0)], np.nan)
 
 
 # --- the route -------------------------------------------------------------------------------
@@ -377,6 +379,7 @@ def _table(
     along: FloatArray,
     sure: FloatArray,
     offset: FloatArray,
+    sigma: FloatArray,
     online: bool,
     source: str,
 ) -> RoadTable:
@@ -403,6 +406,8 @@ def _table(
         segment=segment,
         along_m=along,
         offset_m=np.where(on, offset, np.nan),
+        sigma_m=sigma,
+        way_line=np.where(on, way_line(graph, here, along), np.nan),
         sure=sure,
         n_lanes=np.where(on, graph.n_lanes[here], 0),
         next_n_lanes=np.where(is_near, graph.n_lanes[after], 0),

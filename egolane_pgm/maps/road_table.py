@@ -17,7 +17,7 @@ from egolane_pgm.maps.stored import check_path, marks, read_stored
 from egolane_pgm.types import FloatArray, InputError, IntArray
 
 #: Of the stored table. It changes where a column gets another meaning.
-VERSION = "1"
+VERSION = "2"
 
 _WHOLE = ("segment", "n_lanes", "next_n_lanes", "next_side")
 
@@ -29,7 +29,11 @@ class RoadTable:
     - t_s (T,): seconds, strictly increasing, by the clock of the positions.
     - segment (T,): the row of the lane graph; -1 off the map.
     - along_m (T,): metres from the segment's start; NaN off the map.
-    - offset_m (T,): metres from the way's line, negative to its left; NaN off the map.
+    - offset_m (T,): metres of the position from the way's line, negative to its left; NaN off the
+      map and in rows without a position.
+    - sigma_m (T,): how uncertain the receiver says its position is, standard deviation in metres;
+      NaN where it does not say it.
+    - way_line (T,): how many lanes lie between the left edge and the way's line; NaN unknown.
     - sure (T,): the probability of the segment, 0 to 1.
     - n_lanes (T,): lanes of the segment; 0 unknown.
     - next_in_m (T,): metres to the next join at which lanes begin, end or get other numbers, or the
@@ -44,6 +48,8 @@ class RoadTable:
     segment: IntArray
     along_m: FloatArray
     offset_m: FloatArray
+    sigma_m: FloatArray
+    way_line: FloatArray
     sure: FloatArray
     n_lanes: IntArray
     next_n_lanes: IntArray

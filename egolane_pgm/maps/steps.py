@@ -192,12 +192,7 @@ def lanes_along(
     Frames before the first row and behind the last one have its lanes. Raises InputError, with both
     ranges, where the clocks do not overlap, and for lanes or steps that the graph does not have.
     """
-    if not len(time_s) or time_s[-1] < table.t_s[0] or time_s[0] > table.t_s[-1]:
-        span = f"{time_s[0]:g} to {time_s[-1]:g} s" if len(time_s) else "no frames"
-        raise InputError(
-            f"{table.source}: has the times {table.t_s[0]:g} to {table.t_s[-1]:g} s, and {source}"
-            f" has {span}: they do not overlap"
-        )
+    check_overlap(table, time_s, source)
     found = road_changes(table)
     number = {word: k for k, word in enumerate(steps.split())}
     driven = np.interp(time_s, table.t_s, found.row_m)
@@ -265,6 +260,17 @@ def lanes_along(
         [frame for c, frame in frames.items() if _is_change(found.steps[c])], dtype=np.int64
     )
     return LanesAlong(n_map, told, steps, served, origin, changes, is_renumbering)
+
+
+def check_overlap(table: RoadTable, time_s: FloatArray, source: str) -> None:
+    """Raise InputError, with both ranges, where the clocks of a road table and of the frames of a
+    source do not overlap."""
+    if not len(time_s) or time_s[-1] < table.t_s[0] or time_s[0] > table.t_s[-1]:
+        span = f"{time_s[0]:g} to {time_s[-1]:g} s" if len(time_s) else "no frames"
+        raise InputError(
+            f"{table.source}: has the times {table.t_s[0]:g} to {table.t_s[-1]:g} s, and {source}"
+            f" has {span}: they do not overlap"
+        )
 
 
 def _lanes_at(found: RoadChanges, metres: float) -> int:

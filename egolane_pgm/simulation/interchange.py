@@ -17,7 +17,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from egolane_pgm.maps.lane_graph import LaneGraph, joins_from
+from egolane_pgm.maps.lane_graph import LaneGraph, joins_from, way_line
 from egolane_pgm.maps.road_table import RoadTable
 from egolane_pgm.simulation._common import check_fields, check_seed, slow_noise
 from egolane_pgm.simulation.detector import DetectorModel, detect_lines, sensor_failures
@@ -55,7 +55,8 @@ class Journey:
       than the map; each is `wrong_m` long.
     - wrong_m: see there.
     - gnss_m, gnss_s: standard deviation and correlation time of the error of a position, in either
-      direction; one position a second.
+      direction; one position a second. The defaults are those of four receivers on a recorded
+      drive, the errors of its map included.
 
     Raises InputError, naming the key, for a value out of range.
     """
@@ -73,8 +74,8 @@ class Journey:
     place_sigma_m: float = 20.0
     wrong_per_km: float = 0.0
     wrong_m: float = 800.0
-    gnss_m: float = 2.5
-    gnss_s: float = 30.0
+    gnss_m: float = 2.1
+    gnss_s: float = 26.0
 
     def __post_init__(self) -> None:
         positive = ("frame_rate", "lane_width_m", "speed_m_s", "change_s", "wrong_m")
@@ -95,7 +96,8 @@ class InterchangeDrive:
     - log: the detected lines. truth: the annotated lane.
     - n_lanes (T,): lanes that there really are; on_map (T,): those that the map has.
     - is_failing (T,): whether the sensor is in its BAD state.
-    - road: where the car was on the map, without error, a row a second.
+    - road: where the car was on the map, a row a second, without error but for offset_m, which is
+      the receiver's.
     - position (R, 2): latitude and longitude that the receiver gave for these rows.
     """
 
@@ -155,9 +157,10 @@ def simulate_interchange(
     table, places = _table(graph, route, at_m[rows], rows / journey.frame_rate)
     # The receiver is where the car is, beside the way's line.
     across = (centre - left - 0.5)[rows] * journey.lane_width_m
-    across -= _way_line(graph, table, on_map[0][rows]) * journey.lane_width_m
-    table = replace(table, offset_m=across)
-    position = _received(places, across, journey, rng)
+    line = np.where(np.isfinite(table.way_line), table.way_line, on_map[0][rows] / 2)
+    across -= line * journey.lane_width_m
+    position, off_m = _received(places, across, journey, rng)
+    table = replace(table, offset_m=across + off_m)
     return InterchangeDrive(log, road.truth, lanes, on_map[0], is_failing, table, position)
 
 
@@ -352,6 +355,8 @@ def _table(
         segment=segment,
         along_m=along,
         offset_m=np.zeros(len(at_m)),
+        sigma_m=np.full(len(at_m), np.nan),
+        way_line=way_line(graph, segment, along),
         sure=np.ones(len(at_m)),
         n_lanes=graph.n_lanes[segment],
         next_n_lanes=np.where(is_known, graph.n_lanes[graph.after[join]], 0),
@@ -382,19 +387,12 @@ def _place(graph: LaneGraph, segment: int, along_m: float) -> tuple[float, float
     return float(latitude), float(longitude), float(np.arctan2(east[k], north[k]))
 
 
-def _way_line(graph: LaneGraph, table: RoadTable, on_map: IntArray) -> FloatArray:
-    """How many lanes are left of the way's line at each row; the middle where the map does not say
-    it."""
-    at = graph.placement[table.segment]
-    share = table.along_m / np.maximum(graph.length_m[table.segment], 1e-9)
-    told = at[:, 0] + share * (at[:, 1] - at[:, 0])
-    return np.where(np.isfinite(told), told, on_map / 2)
-
-
 def _received(
     places: FloatArray, across_m: FloatArray, journey: Journey, rng: np.random.Generator
-) -> FloatArray:
-    """Latitude and longitude that a receiver gives, (R, 2); across_m: right of the way's line."""
+) -> tuple[FloatArray, FloatArray]:
+    """Latitude and longitude that a receiver gives, (R, 2), and how far to the right it errs, (R,).
+
+    - across_m (R,): where the car is, metres right of the way's line."""
     error = journey.gnss_m * slow_noise(rng, len(places), 2, journey.gnss_s)
     latitude, _, heading = places.T
     north = -np.sin(heading) * across_m + error[:, 0]
@@ -402,7 +400,8 @@ def _received(
     degrees = np.stack(
         [north / _DEGREE_M, east / (_DEGREE_M * np.cos(np.radians(latitude)))], axis=1
     )
-    return np.asarray(places[:, :2] + degrees)
+    off_m = np.cos(heading) * error[:, 1] - np.sin(heading) * error[:, 0]
+    return np.asarray(places[:, :2] + degrees), np.asarray(off_m)
 
 
 # --- maps --------------------------------------------------------------------------------------

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 
@@ -10,7 +11,7 @@ from egolane_pgm.maps.index import RoadIndex
 from egolane_pgm.maps.lane_graph import LaneGraph, joins_from
 from egolane_pgm.maps.local import Plane
 from egolane_pgm.maps.positions import Positions
-from egolane_pgm.types import FloatArray, IntArray
+from egolane_pgm.types import BoolArray, FloatArray, IntArray, LineLog
 
 #: Where the drawn roads are.
 PLANE = Plane(50.0, 11.5)
@@ -124,3 +125,12 @@ def slow(rng: np.random.Generator, n: int, seconds: float) -> FloatArray:
         values.append(value)
         value = kept * value + np.sqrt(1 - kept**2) * step
     return np.array(values)
+
+
+def without_lines(log: LineLog, hidden: BoolArray) -> LineLog:
+    """The log (T,) with no lines in some frames."""
+    return replace(
+        log,
+        offset_m=np.where(hidden[:, None], np.nan, log.offset_m),
+        is_valid=log.is_valid & ~hidden[:, None],
+    )

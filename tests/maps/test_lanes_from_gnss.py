@@ -1,11 +1,22 @@
-"""The lane from the offset to the middle of the road alone."""
+"""The lane from the offset to the middle of the road, alone and beside the lines."""
 
 from __future__ import annotations
 
+from itertools import product
+
 import numpy as np
 import pytest
+from scipy.linalg import expm
 
-from egolane_pgm.maps.lanes_from_gnss import GnssNoise, lanes_from_offsets
+from egolane_pgm.maps.across import Across, across
+from egolane_pgm.maps.lanes_from_gnss import (
+    GnssNoise,
+    _drifts,
+    _wander,
+    beside_lines,
+    lanes_from_offsets,
+)
+from egolane_pgm.maps.road_table import RoadTable
 from egolane_pgm.types import FloatArray, InputError
 from tests.kits.lane_maps import slow
 
@@ -73,3 +84,119 @@ def test_the_smoothed_answer_of_the_last_second_is_the_filtered_one() -> None:
 def test_a_road_without_lanes_is_refused() -> None:
     with pytest.raises(InputError, match="n_lanes: 0 is less than 1"):
         lanes_from_offsets(np.zeros(3), 0)
+
+
+# --- beside the lines --------------------------------------------------------------------------
+
+NOISE = GnssNoise(lane_width_m=3.5, sigma_m=1.0, drift_sigma_m=1.0, drift_s=20.0)
+
+
+def seen(metres: list[float], sigma: float = np.nan) -> Across:
+    return Across(np.array(metres), np.full(len(metres), sigma))
+
+
+def enumerated(metres: FloatArray, lanes: list[int], noise: GnssNoise) -> FloatArray:
+    """P(position at t | lane at t, positions and lanes before) by every path of the drift."""
+    drift, (first, rates) = _drifts(noise), _wander(noise)
+    moves = expm(rates)
+    found = np.empty((len(metres), 3))
+
+    def density(t: int, lane: int, cell: int) -> float:
+        off = metres[t] - (lane + 0.5) * noise.lane_width_m - drift[cell]
+        said = np.exp(-0.5 * (off / noise.sigma_m) ** 2) / np.sqrt(2 * np.pi) / noise.sigma_m
+        return float((1 - noise.off_share) * said + noise.off_share / 50.0)
+
+    for t in range(len(metres)):
+        for lane in range(3):
+            total = 0.0
+            for path in product(range(len(drift)), repeat=t + 1):
+                chance = first[path[0]]
+                for k in range(t):
+                    chance *= density(k, lanes[k], path[k]) * moves[path[k], path[k + 1]]
+                total += chance * density(t, lane, path[t])
+            found[t, lane] = total
+    return found / found.max(axis=1, keepdims=True)
+
+
+def test_where_the_lines_are_sure_the_likelihood_is_that_of_all_paths_of_the_drift() -> None:
+    noise = GnssNoise(lane_width_m=3.5, sigma_m=1.5, drift_sigma_m=1.5, drift_s=4.0)
+    metres, lanes = np.array([6.5, 9.9, 8.8]), [1, 2, 2]
+    said = beside_lines(seen(list(metres)), np.arange(3.0), np.eye(3)[lanes], noise)
+    np.testing.assert_allclose(said, enumerated(metres, lanes, noise), rtol=1e-9)
+
+
+def test_without_drift_a_position_is_worth_its_noise() -> None:
+    noise = GnssNoise(lane_width_m=3.5, sigma_m=1.0, drift_sigma_m=0.0)
+    said = beside_lines(seen([5.0]), np.zeros(1), np.full((1, 3), 1 / 3), noise)
+    off = 5.0 - np.array([1.75, 5.25, 8.75])
+    normal = 0.95 * np.exp(-0.5 * off**2) / np.sqrt(2 * np.pi) + 0.05 / 50
+    np.testing.assert_allclose(said[0], normal / normal.max())
+
+
+def test_in_a_mirror_the_lanes_are_mirrored() -> None:
+    rng = np.random.default_rng(3)
+    metres, believed = rng.uniform(0, 10.5, 20), rng.dirichlet(np.ones(3), 20)
+    metres[[4, 11]] = np.nan
+    time_s = np.arange(20.0)
+    said = beside_lines(Across(metres, np.full(20, np.nan)), time_s, believed, NOISE)
+    other = Across(10.5 - metres, np.full(20, np.nan))
+    np.testing.assert_allclose(
+        beside_lines(other, time_s, believed[:, ::-1], NOISE), said[:, ::-1], rtol=1e-6
+    )
+    assert (said[[4, 11]] == 1).all()
+
+
+def test_no_position_is_told_of_before_it_is_there() -> None:
+    rng = np.random.default_rng(4)
+    metres, believed = rng.uniform(0, 10.5, 20), rng.dirichlet(np.ones(3), 20)
+    whole = beside_lines(seen(list(metres)), np.arange(20.0), believed, NOISE)
+    half = beside_lines(seen(list(metres[:10])), np.arange(10.0), believed[:10], NOISE)
+    np.testing.assert_array_equal(whole[:10], half)
+
+
+def test_the_drift_that_the_lines_tell_is_taken_off_where_they_are_missing() -> None:
+    """The receiver errs by a lane; by itself it would be believed."""
+    known, unknown = np.tile([0, 1.0, 0], (10, 1)), np.full((5, 3), 1 / 3)
+    metres = [5.25 + 3.5] * 15
+    said = beside_lines(seen(metres), np.arange(15.0), np.concatenate([known, unknown]), NOISE)
+    assert said[0].argmax() == 2
+    assert (said[10:].argmax(axis=1) == 1).all()
+
+
+def test_a_receiver_that_says_it_is_unsure_says_little() -> None:
+    usual = beside_lines(seen([1.75]), np.zeros(1), np.full((1, 3), 1 / 3), NOISE)
+    unsure = beside_lines(seen([1.75], 20.0), np.zeros(1), np.full((1, 3), 1 / 3), NOISE)
+    assert usual[0, 2] < 0.1
+    assert unsure[0, 2] > 0.9
+
+
+def test_a_position_far_off_the_road_says_nothing() -> None:
+    said = beside_lines(seen([400.0]), np.zeros(1), np.full((1, 3), 1 / 3), NOISE)
+    np.testing.assert_allclose(said, 1.0)
+
+
+def table(t_s: list[float], offset_m: list[float], n: int, way_line: float) -> RoadTable:
+    rows = len(t_s)
+    nothing, whole = np.full(rows, np.nan), np.zeros(rows, dtype=np.int64)
+    return RoadTable(
+        t_s=np.array(t_s), segment=whole, along_m=np.arange(rows) * 30.0,
+        offset_m=np.array(offset_m), sigma_m=nothing, way_line=np.full(rows, way_line),
+        sure=np.ones(rows), n_lanes=whole + n, next_n_lanes=whole, next_in_m=nothing,
+        next_shift=nothing, next_join=np.full(rows, ""), next_side=whole,
+    )  # fmt: skip
+
+
+def test_a_position_counts_once_in_the_first_frame_behind_it() -> None:
+    time_s = np.arange(0, 3, 0.1)
+    said = across(
+        table([0.0, 1.05, 2.0, 9.0], [0, 1, np.nan, 5], 3, 1.0), time_s, np.full(30, 3), 3.5
+    )
+    assert np.flatnonzero(np.isfinite(said.metres)).tolist() == [0, 11]
+    np.testing.assert_allclose(said.metres[[0, 11]], [3.5, 4.5])
+
+
+def test_where_the_map_has_another_number_of_lanes_its_line_is_the_middle() -> None:
+    time_s = np.arange(0, 1, 0.1)
+    for lanes, way_line, left in ((3, 1.0, 3.5), (4, 1.0, 7.0), (3, np.nan, 5.25)):
+        said = across(table([0.0], [0.0], 3, way_line), time_s, np.full(10, lanes), 3.5)
+        assert said.metres[0] == pytest.approx(left)

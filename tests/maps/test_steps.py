@@ -37,6 +37,8 @@ def drive(
         segment=segment,
         along_m=at - np.concatenate([[0], ends])[segment],
         offset_m=np.zeros(len(at)),
+        sigma_m=np.full(len(at), np.nan),
+        way_line=lanes[segment] / 2,
         sure=np.ones(len(at)),
         n_lanes=lanes[segment],
         next_n_lanes=np.where(last, 0, lanes[following]),
@@ -202,7 +204,7 @@ def test_what_is_no_road_table_is_refused(tmp_path: Path) -> None:
     parquet.write_table(pa.table({"t_s": [1.0]}), other)
     with pytest.raises(InputError, match=r"no road table; `egolane locate"):
         load(other)
-    version = {"egolane_road_table": "1"}
+    version = {"egolane_road_table": "2"}
     parquet.write_table(pa.table({"t_s": [1.0]}).replace_schema_metadata(version), other)
     with pytest.raises(InputError, match="lacks the column segment"):
         load(other)

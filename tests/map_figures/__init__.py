@@ -1,0 +1,1 @@
+"""Figures about maps, positions and lanes: what docs/maps.md says of them."""
