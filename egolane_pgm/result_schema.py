@@ -10,6 +10,7 @@ known here are left alone.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any, Literal, Self
 
@@ -44,46 +45,71 @@ class Stored(Section):
 class Causal(Stored):
     """Whether a belief about a frame knows that frame and earlier ones only."""
 
-    filter: bool
-    evidence: bool
+    filter: bool = Field(description="whether the filter looks at the frame and earlier ones only")
+    evidence: bool = Field(
+        description="the same of the evidence rule, which may take a lane width from the whole"
+        " recording"
+    )
 
 
 class Data(Stored):
     """A file that was read."""
 
-    path: str
-    sha256: str
-    bytes: Count
+    path: str = Field(description="where it was")
+    sha256: str = Field(
+        description="its checksum; of a folder, that of the list of its files' checksums"
+    )
+    bytes: Count = Field(description="its size")
 
 
 class Summary(Stored):
     """What run.json and scores.json both say."""
 
-    schema_version: int
-    name: str
-    tuned_on: Literal["same_frames", "other_frames", "not_tuned", "unknown"]
-    is_causal: bool
-    causal: Causal
-    why_not_causal: list[str]
-    n_lanes: int = Field(ge=1, le=MAX_LANES)
-    frames: Count
-    frames_scored: Count
-    mean_log_evidence: Finite | None
-    impossible_frames: Count
-    warnings: list[str]
+    schema_version: int = Field(
+        description="version of these keys; another program may refuse another one"
+    )
+    name: str = Field(description="name of the experiment")
+    tuned_on: Literal["same_frames", "other_frames", "not_tuned", "unknown"] = Field(
+        description="what the parameters have seen, as in the experiment"
+    )
+    is_causal: bool = Field(description="false: a belief about a frame uses later frames too")
+    causal: Causal = Field(description="the same of filter and evidence apart")
+    why_not_causal: list[str] = Field(description="a line for each that is not")
+    n_lanes: int = Field(
+        ge=1, le=MAX_LANES, description="lanes of the road; the most of them where they change"
+    )
+    frames: Count = Field(description="frames that were filtered")
+    frames_scored: Count = Field(
+        description="annotated frames that are not crossing; 0 without ground truth"
+    )
+    mean_log_evidence: Finite | None = Field(description="natural logarithm, mean over the frames")
+    impossible_frames: Count = Field(
+        description="frames whose evidence the model does not allow; they keep their prediction"
+    )
+    warnings: list[str] = Field(description="what was odd, a line each")
 
 
 class Run(Summary):
     """run.json: where the numbers come from."""
 
-    config_hash: str
-    data: list[Data]
-    versions: dict[str, str]
-    git: dict[str, Any] | None
-    created: str
-    plugins: dict[str, dict[str, str]]
-    frame_rate: float = Field(gt=0, allow_inf_nan=False)
-    values: dict[str, Annotated[list[str], Field(min_length=1)]]
+    config_hash: str = Field(
+        description="sha256 of the resolved experiment, whatever the order of its keys"
+    )
+    data: list[Data] = Field(description="the files that were read")
+    versions: dict[str, str] = Field(
+        description="of Python and of the packages that numbers depend on"
+    )
+    git: dict[str, Any] | None = Field(
+        description="commit, and whether the checkout is dirty; null where the package is installed"
+    )
+    created: str = Field(description="time, UTC")
+    plugins: dict[str, dict[str, str]] = Field(
+        description="file and sha256 of graph and evidence rule"
+    )
+    frame_rate: float = Field(gt=0, allow_inf_nan=False, description="frames per second")
+    values: dict[str, Annotated[list[str], Field(min_length=1)]] = Field(
+        description="names of each hidden node's values"
+    )
 
     @model_validator(mode="after")
     def _has_lanes(self) -> Self:
@@ -96,25 +122,25 @@ class Run(Summary):
 class Delay(Stored):
     """How late lane changes are held, in frames; see `scoring.stability`."""
 
-    median_frames: Finite | None
-    p90_frames: Finite | None
-    share_missed: Share | None
-    changes: MeanCount
+    median_frames: Finite | None = Field(description="median over the changes that were not missed")
+    p90_frames: Finite | None = Field(description="90th percentile of the same")
+    share_missed: Share | None = Field(description="share of the changes that were never held")
+    changes: MeanCount = Field(description="true lane changes")
 
 
 class PerLane(Stored):
     """Scores of each lane, from lane 1."""
 
-    precision: list[Share]
-    recall: list[Share]
-    f1: list[Share]
+    precision: list[Share] = Field(description="right over predicted as that lane")
+    recall: list[Share] = Field(description="right over actual")
+    f1: list[Share] = Field(description="harmonic mean of the two")
 
 
 class Intervals(Stored):
     """95 % intervals [low, high]; null for a short drive."""
 
-    accuracy: Bounds | None
-    f1: Bounds | None
+    accuracy: Bounds | None = Field(description="[low, high]")
+    f1: Bounds | None = Field(description="[low, high]")
 
 
 class Scores(Stored):
@@ -122,21 +148,23 @@ class Scores(Stored):
     not defined. Row k of `confusion` counts the frames that were answered k + 1, the last row those
     without an answer; column k those whose true lane is k + 1."""
 
-    precision: Share
-    recall: Share
-    f1: Share
-    accuracy: Share
-    log_loss: Finite | None
-    brier: Finite | None
-    expected_calibration_error: Finite | None
-    coverage: Share
-    false_switches_per_minute: Finite | None
-    delay: Delay
-    per_lane: PerLane
-    confusion: list[list[MeanCount]]
-    frames: MeanCount
-    frames_scored: MeanCount
-    intervals: Intervals
+    precision: Share = Field(description="mean over the lanes")
+    recall: Share = Field(description="mean over the lanes")
+    f1: Share = Field(description="mean over the lanes of their F1 (macro F1)")
+    accuracy: Share = Field(description="right over scored frames")
+    log_loss: Finite | None = Field(description="over all annotated frames, crossing ones too")
+    brier: Finite | None = Field(description="0 to 2, 0 is perfect")
+    expected_calibration_error: Finite | None = Field(description="0 to 1, 15 bins")
+    coverage: Share = Field(description="share of scored frames that get an answer")
+    false_switches_per_minute: Finite | None = Field(
+        description="of the assigned lane, while the true one stays"
+    )
+    delay: Delay = Field(description="how late lane changes are held")
+    per_lane: PerLane = Field(description="scores of each lane")
+    confusion: list[list[MeanCount]] = Field(description="n + 1 rows of n counts")
+    frames: MeanCount = Field(description="annotated frames")
+    frames_scored: MeanCount = Field(description="those that are not crossing")
+    intervals: Intervals = Field(description="95 % block-bootstrap intervals")
 
     @model_validator(mode="after")
     def _is_of_one_road(self) -> Self:
@@ -149,51 +177,60 @@ class Scores(Stored):
 class Told(Stored):
     """How many told lane changes are right within some seconds."""
 
-    right: MeanCount
-    false: MeanCount
-    missed: MeanCount
-    precision: Share | None
-    recall: Share | None
-    false_per_hour: Finite | None
+    right: MeanCount = Field(description="events that tell a true change")
+    false: MeanCount = Field(description="events that tell none, where the truth speaks")
+    missed: MeanCount = Field(description="true changes that are not told")
+    precision: Share | None = Field(description="right / (right + false)")
+    recall: Share | None = Field(description="right / (right + missed)")
+    false_per_hour: Finite | None = Field(description="false events per hour of annotated frames")
 
 
 class EventDelay(Stored):
     """Seconds from the end of a true crossing to the telling."""
 
-    median: Finite | None
-    p90: Finite | None
+    median: Finite | None = Field(description="seconds, negative where told before the end")
+    p90: Finite | None = Field(description="90th percentile, seconds")
 
 
 class Lead(Stored):
     """Seconds from a warning to the lane change."""
 
-    median: Finite | None
-    p10: Finite | None
+    median: Finite | None = Field(description="seconds")
+    p10: Finite | None = Field(description="10th percentile, seconds")
 
 
 class Warned(Stored):
     """How early the car is seen to cross a line, see `scoring.events.score_crossing`."""
 
-    auc: Share | None
-    precision: Share | None
-    recall: Share | None
-    changes: MeanCount
-    warned: MeanCount
-    lead_s: Lead
-    warnings: MeanCount
-    false_per_hour: Finite | None
+    auc: Share | None = Field(description="area under the ROC curve for `this frame is crossing`")
+    precision: Share | None = Field(description="share of warned frames that are crossing")
+    recall: Share | None = Field(description="share of crossing frames that are warned of")
+    changes: MeanCount = Field(description="true lane changes")
+    warned: MeanCount = Field(description="how many of them a warning precedes or meets")
+    lead_s: Lead = Field(description="from the warning to the change of the label")
+    warnings: MeanCount = Field(description="how many there are")
+    false_per_hour: Finite | None = Field(description="warnings far from any crossing, per hour")
 
 
 class Events(Stored):
     """The lane changes that are told: how many, and, with ground truth, how right they are; see
     `scoring.events.event_scores`."""
 
-    told: MeanCount
-    changes: MeanCount | None = None
-    hours: Finite | None = None
-    within: dict[str, Told] | None = None
-    delay_s: EventDelay | None = None
-    crossing: Warned | None = None
+    told: MeanCount = Field(
+        description="told lane changes; with ground truth those that can be right or false"
+    )
+    changes: MeanCount | None = Field(default=None, description="true lane changes")
+    hours: Finite | None = Field(default=None, description="of annotated frames")
+    within: dict[str, Told] | None = Field(
+        default=None, description="per tolerance in seconds, `0.5`, `1` and `2`"
+    )
+    delay_s: EventDelay | None = Field(
+        default=None, description="from the end of the true crossing to the telling"
+    )
+    crossing: Warned | None = Field(
+        default=None,
+        description="the probability of being on a line as a warning, of graphs with RoadPosition",
+    )
 
     @model_validator(mode="after")
     def _is_whole(self) -> Self:
@@ -208,8 +245,10 @@ class Events(Stored):
 class HeldOut(Stored):
     """An experiment's part of a comparison, see `comparing.groups.document`."""
 
-    name: str
-    scores: dict[str, Scores]
+    name: str = Field(description="name of the experiment")
+    scores: dict[str, Scores] = Field(
+        description="by which frames: `all_frames`, and others that the comparison names"
+    )
 
     @model_validator(mode="after")
     def _has_all_frames(self) -> Self:
@@ -221,19 +260,25 @@ class HeldOut(Stored):
 class RunScores(Summary):
     """scores.json of a run. `model` and `detector` are there with ground truth."""
 
-    model: Scores | None = None
-    detector: Scores | None = None
-    sure: Share | None
-    lanes: list[Annotated[list[Finite], Field(min_length=3, max_length=3)]]
-    events: Events
+    model: Scores | None = Field(default=None, description="scores of the belief")
+    detector: Scores | None = Field(
+        default=None, description="scores of the evidence rule's own answer"
+    )
+    sure: Share | None = Field(
+        description="share of frames whose lane has a belief of at least .9; null without frames"
+    )
+    lanes: list[Annotated[list[Finite], Field(min_length=3, max_length=3)]] = Field(
+        description="the lane over time: [lane, from second, to second]; of several clips none"
+    )
+    events: Events = Field(description="the lane changes")
 
 
 class HeldOutScores(Stored):
     """scores.json of an experiment that was compared."""
 
-    schema_version: int
-    name: str
-    held_out: HeldOut
+    schema_version: int = Field(description="version of these keys")
+    name: str = Field(description="name of the experiment")
+    held_out: HeldOut = Field(description="its part of the comparison")
 
 
 def read_run(directory: Path) -> Any:
@@ -335,24 +380,56 @@ def tentative_columns(run: Mapping[str, Any]) -> list[str]:
 _EMPTY: dict[str, int | bool] = {"true_lane": 0, "is_crossing": False}
 
 
+@dataclass(frozen=True)
+class Column:
+    """A column of beliefs.parquet.
+
+    - name: with NODE_VALUE for each value of each hidden node, detector_LANE for each lane.
+    - needed: whether it has to be there: "always"; "sometimes"; or the name of another column,
+      which it goes with.
+    """
+
+    name: str
+    kind: str
+    needed: str
+    meaning: str
+
+
+#: The columns of beliefs.parquet in their order.
+COLUMNS = (
+    Column("frame_id", "int64", "always", "increases from row to row"),
+    Column("time_s", "float64", "always", "seconds"),
+    Column("NODE_VALUE", "float64", "always", "belief: Lane_1, ..., SensorState_OK, ..."),
+    Column(
+        "crossing",
+        "float64",
+        "sometimes",
+        "probability that the car is on a line between two lanes, of graphs with RoadPosition",
+    ),
+    Column("assigned_lane", "int64", "always", "the answer; 0 for none (a tie, unassigned_below)"),
+    Column("detector_LANE", "float64", "detector_lane", "the evidence rule's own answer"),
+    Column("detector_lane", "int64", "sometimes", "its most probable lane; 0 for none"),
+    Column("log_evidence", "float64", "always", "natural logarithm"),
+    Column("is_impossible", "bool", "always", "the model does not allow the frame's evidence"),
+    Column("true_lane", "int64", "always", "null where not annotated"),
+    Column("is_crossing", "bool", "always", "the car is changing lanes; null where not annotated"),
+    Column("clip", "string", "sometimes", "name of the clip, where there are several"),
+    Column("road_lanes", "int64", "sometimes", "lanes of the road, with n_lanes: map"),
+    Column("origin", "int64", "road_lanes", "lane k is lane k - origin of the first frame"),
+    Column("block", "int64", "sometimes", "of a comparison: the block that was left out"),
+)
+
+
 def _columns(run: Mapping[str, Any], there: set[str]) -> Iterator[tuple[str, str, bool]]:
     """The name of each column, its type, and whether it has to be there."""
-    yield "frame_id", "int64", True
-    yield "time_s", "float64", True
-    for names in belief_columns(run).values():
-        yield from ((name, "float64", True) for name in names)
-    yield "assigned_lane", "int64", True
-    has_detector = "detector_lane" in there
-    yield from ((name, "float64", has_detector) for name in tentative_columns(run))
-    yield "detector_lane", "int64", False
-    yield "log_evidence", "float64", True
-    yield "is_impossible", "bool", True
-    yield "true_lane", "int64", True
-    yield "is_crossing", "bool", True
-    yield "clip", "string", False
-    yield "road_lanes", "int64", False
-    yield "origin", "int64", "road_lanes" in there
-    yield "block", "int64", False
+    several = {
+        "NODE_VALUE": [name for names in belief_columns(run).values() for name in names],
+        "detector_LANE": tentative_columns(run),
+    }
+    for column in COLUMNS:
+        is_needed = column.needed == "always" or column.needed in there
+        for name in several.get(column.name, [column.name]):
+            yield name, column.kind, is_needed
 
 
 def _column(table: Any, name: str, kind: str) -> np.ndarray[Any, Any]:

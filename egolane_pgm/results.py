@@ -1,42 +1,17 @@
 """The layout of a result directory: complete, so that a report can be made from it alone.
 
-    experiment.yaml   the resolved config, every default spelled out
-    run.json          schema_version, name, config_hash, data (path, sha256, bytes), versions, git,
-                      created, plugins, n_lanes, frame_rate, frames, frames_scored, tuned_on,
-                      mean_log_evidence, impossible_frames, warnings, values (the names of each
-                      hidden node's values), is_causal (false: a belief about a frame uses later
-                      frames too), causal (the same of `filter` and `evidence` apart: an evidence
-                      rule may take a lane width from the whole recording), why_not_causal (a line
-                      for each that is not)
-    beliefs.parquet   one row per frame: frame_id, time_s, Lane_1..n and the other hidden nodes'
-                      marginals (SensorState_OK, ...), crossing (the probability that a change is
-                      under way: that the car is on a line between two lanes; of graphs with
-                      RoadPosition, see `inference.events`), assigned_lane (0: Unassigned, by a tie
-                      or by unassigned_below), log_evidence, is_impossible; detector_1..n and
-                      detector_lane where the evidence rule gives a tentative vector; true_lane
-                      (null: not annotated) and is_crossing; with n_lanes: map road_lanes (lanes of
-                      the road, as the map says) and origin (lane k of a frame is lane k - origin of
-                      the first one); clip (its name) where the recording
-                      is of several clips, each filtered from the prior on
-    lines.parquet     the lines that were believed, a row each, as `recordings.table` says;
-                      selected, and with missing frames put in as the experiment says
-    events.csv        one row per lane change that the beliefs tell of (see `inference.events`):
-                      frame_id and time_s (since when the new lane was more probable than the old
-                      one), from_lane, to_lane, probability (of the new lane, when told),
-                      told_frame_id and told_time_s (when it was first believed; with filter
-                      fixed_lag, when that belief was known), late_s (from time_s to told_time_s),
-                      and with ground truth delay_s (from the end of the true crossing to the
-                      telling; empty where there was none within 2 s, see `scoring.events`)
-    clips.csv         of a recording of several clips one row for each: clip, first_frame_id,
-                      frames, assigned_lane and probability (of the most probable lane) in its last
-                      frame, changes (how many are told in it), log_evidence (mean)
-    scores.json       schema_version, name, tuned_on, is_causal, causal, why_not_causal, n_lanes,
-                      frames, frames_scored, mean_log_evidence, impossible_frames, warnings,
-                      clips (their number, if any), detector, model, sure (the share of frames
-                      whose lane has a belief of at least .9), lanes (the lane over time, [lane,
-                      from_s, to_s] each; of several clips none), events (told, or with ground
-                      truth the keys of `scoring.events.event_scores`)
-    figures/          what `plot` drew
+- experiment.yaml: the resolved experiment, every default spelled out; `egolane run` takes it.
+- run.json: where the numbers come from (`result_schema.Run`).
+- scores.json: the scores (`result_schema.RunScores`).
+- beliefs.parquet: one row per frame (`result_schema.COLUMNS`).
+- lines.parquet: the lines that were believed, a row each, a recording as `recordings.table` reads
+  them; selected, and with missing frames put in as the experiment says.
+- events.csv: one row per lane change that the beliefs tell of (`LaneEvents`), and `late_s`, from
+  time_s to told_time_s.
+- clips.csv: of a recording of several clips one row for each: clip, first_frame_id, frames,
+  assigned_lane and probability (of the most probable lane) in its last frame, changes (how many are
+  told in it), log_evidence (mean).
+- figures/: what `plot` drew.
 
 `egolane compare --out` writes the same for what was believed held out: beliefs.parquet has the
 annotated frames, and the `block` of each; run.json has `fit`, `blocks` and `parameters_per_block`

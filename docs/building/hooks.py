@@ -14,6 +14,7 @@ from pathlib import Path
 from typing import Any
 
 import nbformat
+import reference
 from mkdocs.config.defaults import MkDocsConfig
 from mkdocs.structure.files import File, Files
 from mkdocs.structure.pages import Page
@@ -25,8 +26,10 @@ LINK = re.compile(r"(\]\()([^)\s#:]+)(#[^)\s]*)?(\))")
 
 
 def on_files(files: Files, config: MkDocsConfig) -> Files:
-    """Add what the pages and the navigation name outside docs/."""
-    waiting = [ROOT / "docs" / f.src_uri for f in files.documentation_pages()]
+    """Add the reference, and what the pages and the navigation name outside docs/."""
+    for name, content in reference.pages().items():
+        files.append(File.generated(config, name, content=content))
+    waiting = [path for f in files.documentation_pages() if (path := origin(f.src_uri)).is_file()]
     waiting += [ROOT / name for name in named(config.nav) if (ROOT / name).is_file()]
     waiting += sorted((ROOT / "notebooks").glob("*.ipynb"))
     while waiting:

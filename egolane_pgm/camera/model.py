@@ -23,7 +23,7 @@ from egolane_pgm.types import FloatArray, InputError, suggestion
 _ROUNDS = 20
 
 #: The range of each value for a camera in a car, and its unit; a value outside has a wrong unit.
-_RANGES = {
+RANGES = {
     "width": (16, 20_000, "pixels"),
     "height": (16, 20_000, "pixels"),
     "fx": (10, 100_000, "pixels"),
@@ -76,7 +76,7 @@ class Camera:
     name: str = field(default="", compare=False)
 
     def __post_init__(self) -> None:
-        for name, (low, high, unit) in _RANGES.items():
+        for name, (low, high, unit) in RANGES.items():
             value = getattr(self, name)
             if value is None and name == "baseline_m":
                 continue

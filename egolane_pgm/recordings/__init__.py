@@ -55,8 +55,7 @@ def read_with(path: str | Path, format: str | None, options: Mapping[str, Any]) 
     name = format_of(path) if format is None else format
     if name not in FORMATS:
         raise InputError(f"{path}: unknown format '{name}'{suggestion(name, FORMATS)}")
-    _, module, function = FORMATS[name]
-    read = getattr(import_module(f"{__name__}.{module}"), function)
+    read = reader_of(name)
     allowed = set(read.__kwdefaults__)
     for option in options:
         if option not in allowed:
@@ -128,9 +127,13 @@ def files_with(folder: Path, ending: str) -> list[Path]:
 
 def takes_camera(name: str) -> bool:
     """Whether the lines of a format are, or may be, in pixels: its reader takes a camera."""
+    return "camera" in reader_of(name).__kwdefaults__
+
+
+def reader_of(name: str) -> Any:
+    """The function that reads a format; its keyword arguments are the format's options."""
     _, module, function = FORMATS[name]
-    reader = getattr(import_module(f"{__name__}.{module}"), function)
-    return "camera" in reader.__kwdefaults__
+    return getattr(import_module(f"{__name__}.{module}"), function)
 
 
 def format_of(path: str | Path) -> str:

@@ -1,8 +1,7 @@
 """Recordings of lines as tables, CSV or Parquet: one row per line.
 
-Columns: frame_id, line (1, 2, ... within the frame, in the detector's order), offset_m,
-is_valid, is_continuous, lri. A frame without lines is one row with an empty line and offset.
-Frames that `missing_frames: predict` put in are marked in a further column, is_missing.
+A frame without lines is one row with an empty line and offset. `COLUMNS` says what the columns
+mean.
 """
 
 from __future__ import annotations
@@ -26,10 +25,20 @@ from egolane_pgm.types import BoolArray, FloatArray, InputError, IntArray, LineL
 
 NEEDED = ("frame_id", "line", "offset_m")
 OPTIONAL = ("is_valid", "is_continuous", "lri", "is_missing")
-COLUMNS = (*NEEDED, *OPTIONAL)
+
+#: What each column means.
+COLUMNS = {
+    "frame_id": "number of the frame; increases, the rows of a frame stand together",
+    "line": "1, 2, ... within the frame, in the detector's order",
+    "offset_m": "where the line passes the car, metres, negative to the left",
+    "is_valid": "whether the detector trusts the line; left out, it does",
+    "is_continuous": "whether the line is not dashed; left out, none is",
+    "lri": "line reliability index: in how many of the last frames it was seen; left out, unknown",
+    "is_missing": "marks frames that `missing_frames: predict` put in",
+}
 
 #: What a cell of each column must be.
-_NEEDS = dict.fromkeys(("frame_id", "line", "offset_m", "lri"), "a number") | dict.fromkeys(
+CELLS = dict.fromkeys(("frame_id", "line", "offset_m", "lri"), "a number") | dict.fromkeys(
     ("is_valid", "is_continuous", "is_missing"), "true, false, 1 or 0"
 )
 
@@ -179,7 +188,7 @@ def _read_csv(path: Path) -> Any:
             raise InputError(f"{path}: cannot be read as CSV ({text[:160]})") from None
         name = names[int(cell[1])]
         place = _place(path, int(cell[2]) - 2)
-        raise InputError(f"{place}: {name} is {cell[3][:40]!r}, not {_NEEDS[name]}") from None
+        raise InputError(f"{place}: {name} is {cell[3][:40]!r}, not {CELLS[name]}") from None
 
 
 def _read_parquet(path: Path) -> Any:
@@ -218,14 +227,14 @@ def _typed(path: Path, name: str, column: Any) -> Any:
     except pa.ArrowException as error:
         text = " ".join(str(error).split())[:120]
         raise InputError(
-            f"{path}: column {name} has type {given}, which is not {_NEEDS[name]}"
+            f"{path}: column {name} has type {given}, which is not {CELLS[name]}"
             + (f" ({text})" if text else "")
         ) from None
 
 
 def _type(name: str) -> Any:
 
-    return pa.float64() if _NEEDS[name] == "a number" else pa.bool_()
+    return pa.float64() if CELLS[name] == "a number" else pa.bool_()
 
 
 def _place(path: Path, row: int) -> str:
@@ -328,7 +337,7 @@ def _convert(path: Path, table: Any) -> _Rows:
     values, is_null = {}, {}
     for name in table.column_names:
         column = table[name].combine_chunks()
-        blank = np.nan if _NEEDS[name] == "a number" else False
+        blank = np.nan if CELLS[name] == "a number" else False
         values[name] = column.fill_null(blank).to_numpy(zero_copy_only=False)
         is_null[name] = column.is_null().to_numpy(zero_copy_only=False)
     rows = _Rows(path, values, is_null)

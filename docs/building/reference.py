@@ -1,0 +1,574 @@
+"""The pages of the reference, made from the code when the site is built: nothing of them is kept.
+
+The text stands where a thing is declared: a key's in its `Field`, a parameter's in its
+`Parameter`, a command's in its docstring and options, a column's beside its reader.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import inspect
+import json
+import re
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from pathlib import Path
+from types import ModuleType
+from typing import Any
+
+import click
+import yaml
+from docstrings import as_markdown
+
+import egolane_pgm
+from egolane_pgm import result_schema, results
+from egolane_pgm.api.schemas import json_schema
+from egolane_pgm.camera import model as camera
+from egolane_pgm.cli.main import COMMANDS, egolane
+from egolane_pgm.cli.show import compile_defaults
+from egolane_pgm.graphs import yaml_graph
+from egolane_pgm.maps import positions, road_table
+from egolane_pgm.parameters import resolve_parameters
+from egolane_pgm.plugins import load_plugin, plugin_names
+from egolane_pgm.recordings import FORMATS, ground_truth, reader_of, table
+from egolane_pgm.report.description import describe_detector, describe_graph, describe_rule
+from egolane_pgm.types import LaneEvents
+
+#: The functions that compute scores, by module, in the order of the page.
+METRICS = (
+    "confusion",
+    "assign",
+    "probabilistic",
+    "stability",
+    "events",
+    "road",
+    "line_places",
+    "health",
+    "bootstrap",
+)
+
+
+def pages() -> dict[str, str]:
+    """The Markdown of each page by its place on the site."""
+    return {
+        "reference/experiment.md": experiment_page(),
+        "reference/yaml.md": yaml_page(),
+        "reference/recordings.md": recordings_page(),
+        "reference/commands.md": commands_page(),
+        "reference/graphs.md": plugins_page("graphs"),
+        "reference/evidence.md": plugins_page("evidence"),
+        "reference/detectors.md": plugins_page("detectors"),
+        "reference/metrics.md": metrics_page(),
+        "reference/results.md": results_page(),
+        "reference/python.md": python_page(),
+    }
+
+
+# --- YAML files ----------------------------------------------------------------------------------
+
+
+def experiment_page() -> str:
+    """Every key of an experiment, section by section."""
+    return "\n\n".join(
+        [
+            "# Keys of an experiment",
+            "An experiment is a YAML file. Unknown keys are refused, with a suggestion; `egolane"
+            " validate FILE` says all that is wrong with one, a line each. Any key can be changed"
+            " on the command line, `--set parameters.sigma1=0.3`. Paths are relative to the YAML.",
+            "An editor with YAML's language server (VS Code with its YAML extension, Neovim,"
+            " JetBrains, ...) completes and checks the keys of a file whose first line names the"
+            " schema:",
+            "```\negolane schema > experiment.schema.json\n```",
+            "```yaml\n# yaml-language-server: $schema=experiment.schema.json\nname: my_drive\n"
+            "recording: {path: drive.csv}\nn_lanes: 3\n```",
+            *schema_tables(json_schema("experiment"), "The file"),
+        ]
+    )
+
+
+def yaml_page() -> str:
+    """Every key of the other YAML files."""
+    tuning, network = json_schema("tuning"), json_schema("network")
+    said = listed(inspect.getdoc(camera.Camera) or "")
+    rows = []
+    for field in dataclasses.fields(camera.Camera):
+        if field.name != "name":
+            low_high = camera.RANGES.get(field.name)
+            unit = (
+                f"{low_high[0]} to {low_high[1]}, {low_high[2]}" if low_high else "list of numbers"
+            )
+            needed = field.default is dataclasses.MISSING
+            rows.append(
+                [
+                    f"`{field.name}`",
+                    unit,
+                    "needed" if needed else as_code(field.default),
+                    said[field.name],
+                ]
+            )
+    return "\n\n".join(
+        [
+            "# Keys of the other YAML files",
+            "## A tuning file",
+            "What `egolane tune FILE` takes: several experiments, or labelled pictures. Its schema"
+            " is printed by `egolane schema tuning`; the section `tuning` is that of"
+            " [an experiment](experiment.md#tuning).",
+            *schema_tables(
+                {"$defs": {k: v for k, v in tuning["$defs"].items() if k != "Tuning"}}, "", 3
+            ),
+            "## A camera",
+            "What `camera:` and `--camera` name; `egolane calibrate` writes one.",
+            markdown(["key", "range", "default", "meaning"], rows),
+            "## A graph in YAML",
+            "What `graph: ./my_graph.yaml` names; `egolane learn` writes one.",
+            as_markdown(inspect.getdoc(yaml_graph) or ""),
+            "## A lane network",
+            "What the detector `network` takes (`--set model=net.yaml`); `egolane schema network`"
+            " prints its schema.",
+            as_markdown(network["description"]),
+            keys_table(network, {}),
+        ]
+    )
+
+
+def schema_tables(schema: Mapping[str, Any], title: str, level: int = 2) -> Iterator[str]:
+    """A heading and a table of keys for each section of a JSON schema."""
+    definitions = schema.get("$defs", {})
+    if "properties" in schema:
+        yield f"{'#' * level} {title}"
+        yield as_markdown(schema.get("description", ""))
+        yield keys_table(schema, definitions)
+    order = [key for key in order_of(schema, definitions) if key in definitions]
+    for name in order + [each for each in definitions if each not in order]:
+        section = definitions[name]
+        yield f"{'#' * level} {section_title(name)}"
+        yield as_markdown(section.get("description", ""))
+        yield keys_table(section, definitions)
+
+
+def order_of(schema: Mapping[str, Any], definitions: Mapping[str, Any]) -> list[str]:
+    """The sections in the order in which keys name them."""
+    found = re.findall(r'"#/\$defs/(\w+)"', json.dumps(schema.get("properties", {})))
+    for name in list(found):
+        found += order_of(definitions[name], definitions)
+    return list(dict.fromkeys(found))
+
+
+def section_title(name: str) -> str:
+    """`PictureTuningFile` -> `Picture tuning file`."""
+    return re.sub(r"(?<!^)(?=[A-Z])", " ", name).capitalize()
+
+
+def keys_table(section: Mapping[str, Any], definitions: Mapping[str, Any]) -> str:
+    """Key, type, default, meaning and example of each key of a section."""
+    rows = []
+    has_examples = False
+    for name, key in section.get("properties", {}).items():
+        examples = [f"`{name}: {flow(each)}`" for each in key.get("examples", ())]
+        has_examples = has_examples or bool(examples)
+        default = "needed" if name in needed_keys(section) else as_default(key)
+        rows.append(
+            [
+                f"`{name}`",
+                kind_of(key, definitions),
+                default,
+                key.get("description", ""),
+                "<br>".join(examples),
+            ]
+        )
+    header = ["key", "type", "default", "meaning", "example"]
+    if not has_examples:
+        header, rows = header[:4], [row[:4] for row in rows]
+    return markdown(header, rows)
+
+
+def needed_keys(section: Mapping[str, Any]) -> list[str]:
+    """The keys without which a section is not whole."""
+    if "then" in section:
+        return [*section["if"]["required"], *section["then"]["anyOf"][0]["required"]]
+    return list(section.get("required", ()))
+
+
+def as_default(key: Mapping[str, Any]) -> str:
+    """The default of a key; nothing where it is simply left out."""
+    default = key.get("default")
+    return "" if default in (None, [], "") else as_code(default)
+
+
+def kind_of(key: Mapping[str, Any], definitions: Mapping[str, Any]) -> str:
+    """The type of a key in words."""
+    if "$ref" in key:
+        name = key["$ref"].rpartition("/")[2]
+        title = section_title(name)
+        if name not in definitions:
+            return "keys and values"
+        return f"section [{title}](#{title.lower().replace(' ', '-')})"
+    if "enum" in key:
+        return " or ".join(f"`{each}`" for each in key["enum"])
+    if "const" in key:
+        return f"`{key['const']}`"
+    for several in ("anyOf", "oneOf", "allOf"):
+        if several in key:
+            words = [kind_of(each, definitions) for each in key[several]]
+            return " or ".join(dict.fromkeys(word for word in words if word != "nothing"))
+    kind = key.get("type")
+    if kind == "array":
+        if "prefixItems" in key:
+            parts = [kind_of(each, definitions) for each in key["prefixItems"]]
+            return f"[{', '.join(parts)}]"
+        return f"list of {kind_of(key.get('items', {}), definitions)}"
+    words = {
+        "integer": "whole number",
+        "number": "number",
+        "string": "text",
+        "boolean": "true or false",
+        "object": "keys and values",
+        "null": "nothing",
+    }
+    if "pattern" in key and key["pattern"].startswith(r"\.("):
+        return "file " + key["pattern"].removeprefix(r"\.(").removesuffix(")$").replace("|", ", ")
+    return words.get(str(kind), "any value") + bounds_of(key)
+
+
+def bounds_of(key: Mapping[str, Any]) -> str:
+    """The bounds of a number."""
+    signs = {
+        "minimum": "at least",
+        "exclusiveMinimum": "above",
+        "maximum": "at most",
+        "exclusiveMaximum": "below",
+    }
+    found = [f"{sign} {key[name]:g}" for name, sign in signs.items() if name in key]
+    return f", {', '.join(found)}" if found else ""
+
+
+# --- recordings ----------------------------------------------------------------------------------
+
+
+def recordings_page() -> str:
+    """The formats of lines, ground truth, positions and roads."""
+    parts = ["# Recordings, ground truth, positions"]
+    for name, (endings, module, _) in FORMATS.items():
+        reader = reader_of(name)
+        ends = ", ".join(f"`{ending}`" for ending in endings) or "a folder"
+        options = ", ".join(f"`{option}`" for option in reader.__kwdefaults__ or ())
+        parts += [
+            f"## {name} ({ends})",
+            as_markdown(about(inspect.getmodule(reader))),
+        ]
+        if module == "table":
+            rows = [
+                [f"`{each}`", "yes" if each in table.NEEDED else "", table.CELLS[each], said]
+                for each, said in table.COLUMNS.items()
+            ]
+            parts.append(markdown(["column", "needed", "cells", "meaning"], rows))
+        parts += [as_markdown(inspect.getdoc(reader) or ""), f"Options: {options}."]
+    parts += [
+        "## Ground truth",
+        as_markdown(about(ground_truth)),
+        as_markdown(inspect.getdoc(ground_truth.read_ground_truth) or ""),
+        "## Positions",
+        as_markdown(about(positions)),
+        columns_of(positions.Positions, {k: v[1:] for k, v in positions.COLUMNS.items()}),
+        "## Road table",
+        as_markdown(about(road_table)),
+        columns_of(road_table.RoadTable, {}),
+    ]
+    return "\n\n".join(parts)
+
+
+def columns_of(kind: type, other_names: Mapping[str, Sequence[str]]) -> str:
+    """The columns of a table that is read into a dataclass."""
+    said = listed(inspect.getdoc(kind) or "")
+    rows = []
+    for field in dataclasses.fields(kind):
+        if field.name != "source":
+            others = ", ".join(f"`{name}`" for name in other_names.get(field.name, ()))
+            rows.append([f"`{field.name}`", others, said[field.name]])
+    if not other_names:
+        return markdown(["column", "meaning"], [[row[0], row[2]] for row in rows])
+    return markdown(["column", "also called", "meaning"], rows)
+
+
+# --- commands ------------------------------------------------------------------------------------
+
+
+def commands_page() -> str:
+    """Every command with its arguments and options, as `--help` has them."""
+    parts = [
+        "# Commands",
+        "`egolane COMMAND --help` says the same. What a user can mend is said in a line, and the"
+        " exit code is 2.",
+    ]
+    for name in COMMANDS:
+        context = click.Context(egolane, info_name="egolane")
+        command = egolane.get_command(context, name)
+        assert command is not None
+        parts += list(command_parts(command, context, name, 2))
+    return "\n\n".join(parts)
+
+
+def command_parts(
+    command: click.Command, parent: click.Context, name: str, level: int
+) -> Iterator[str]:
+    context = click.Context(command, info_name=name, parent=parent)
+    yield f"{'#' * level} {context.command_path}"
+    yield f"```text\n{command.get_usage(context).removeprefix('Usage: ')}\n```"
+    for text in (command.help, command.epilog):
+        if text:
+            yield help_text(text)
+    rows = []
+    for parameter in command.get_params(context):
+        record = parameter.get_help_record(context)
+        if record is not None and "--help" not in record[0]:
+            rows.append([f"`{record[0]}`", record[1]])
+    if rows:
+        yield markdown(["option", "meaning"], rows)
+    if isinstance(command, click.Group):
+        for each in command.list_commands(context):
+            below = command.get_command(context, each)
+            assert below is not None
+            yield from command_parts(below, context, each, level + 1)
+
+
+def help_text(text: str) -> str:
+    """A help text as Markdown: what click leaves as it is (after a line of `\\b`) is code."""
+    paragraphs = []
+    for paragraph in inspect.cleandoc(text).split("\n\n"):
+        if paragraph.startswith("\b\n"):
+            paragraphs.append(f"```text\n{paragraph[2:]}\n```")
+        else:
+            paragraphs.append(escaped(paragraph))
+    return "\n\n".join(paragraphs)
+
+
+# --- graphs, evidence rules, detectors -----------------------------------------------------------
+
+_INTRODUCTIONS = {
+    "graphs": (
+        "# Graphs",
+        "What `graph:` names. Tables and sizes are those of three lanes and of the default values;"
+        " `egolane show GRAPH --tables` prints the numbers. A search moves a parameter within its"
+        " range; `tuning.parameters` gives it another one.",
+    ),
+    "evidence": (
+        "# Evidence rules",
+        "What `evidence:` names: how the lines of a frame become likelihoods of the graph's"
+        " observed nodes.",
+    ),
+    "detectors": (
+        "# Detectors",
+        "What `recording.detector` and `--detector` name: how lines are found in pictures.",
+    ),
+}
+
+
+def plugins_page(folder: str) -> str:
+    """What `egolane show` knows of each plugin of a folder."""
+    parts = list(_INTRODUCTIONS[folder])
+    for name in plugin_names(folder):
+        module = load_plugin(folder, name, Path.cwd(), folder)
+        parts.append(f"## {name}")
+        if folder == "graphs":
+            compiled = compile_defaults(name, module, 3)
+            found = describe_graph(module, compiled, numbers=False)
+            parts += [as_markdown(found["about"]), *graph_parts(found)]
+        elif folder == "evidence":
+            defaults = resolve_parameters(getattr(module, "PARAMETERS", ()), {}, 3)
+            found = describe_rule(module, defaults)
+            parts += [as_markdown(found["about"]), *rule_parts(found)]
+        else:
+            found = describe_detector(module)
+            cameras = "two, as a stereo pair" if found["stereo"] else "one"
+            parts += [as_markdown(found["about"]), f"Cameras: {cameras}."]
+        parts.append(parameters_table(found["parameters"]))
+    return "\n\n".join(parts)
+
+
+def graph_parts(found: Mapping[str, Any]) -> Iterator[str]:
+    nodes = [
+        [f"`{node['name']}`", node["role"], shortened(node["values"])]
+        for node in found["nodes"]
+        if node["role"] != "virtual evidence"
+    ]
+    yield markdown(["node", "role", "values"], nodes)
+    tables = []
+    for each in found["tables"]:
+        *given, node = each["axes"]
+        bar = f" given {', '.join(given)}" if given else ""
+        tables.append([f"P({node}{bar})", each["frames"], " x ".join(map(str, each["shape"]))])
+    yield markdown(["table", "frames", "size"], tables)
+
+
+def rule_parts(found: Mapping[str, Any]) -> Iterator[str]:
+    gives = [key if isinstance(key, str) else " and ".join(key) for key in found["gives"]]
+    lines = [f"Likelihoods of: {', '.join(f'`{each}`' for each in gives)}."] if gives else []
+    if found["inputs"]:
+        lines.append(f"Inputs: {', '.join(f'`{each}`' for each in found['inputs'])}.")
+    if found["looks_ahead"]:
+        lines.append(f"Not causal: {found['looks_ahead']}.")
+    if found["can_learn"]:
+        lines.append("It learns from a recording (`egolane learn`).")
+    yield " ".join(lines)
+
+
+def parameters_table(parameters: Sequence[Mapping[str, Any]]) -> str:
+    """Kind, default, range of a search, meaning with unit, and source of each parameter."""
+    if not parameters:
+        return "It has no parameters."
+    rows = []
+    for each in parameters:
+        kind = each["kind"] + (", or one per lane" if each["per_lane"] else "")
+        if each["choices"]:
+            choices = " or ".join(f"`{choice}`" for choice in each["choices"])
+            kind = choices if each["kind"] == "choice" else f"{kind}, or {choices}"
+        low_high = each["range"]
+        searched = f"{low_high[0]:g} to {low_high[1]:g}" if low_high else "held fixed"
+        default = each["default"]
+        if isinstance(default, tuple) and len(default) > 8:
+            default = f"{len(default)} numbers"
+        meaning = escaped(each["meaning"])
+        rows.append(
+            [f"`{each['name']}`", kind, as_code(default), searched, meaning, each["source"] or ""]
+        )
+    header = ["parameter", "kind", "default", "in a search", "meaning", "source"]
+    if not any(row[5] for row in rows):
+        header, rows = header[:5], [row[:5] for row in rows]
+    return markdown(header, rows)
+
+
+def shortened(values: Sequence[str]) -> str:
+    """The values of a node; of many the first and the last."""
+    return f"{values[0]} to {values[-1]}" if len(values) > 8 else ", ".join(values)
+
+
+# --- scores, results, Python ---------------------------------------------------------------------
+
+
+def metrics_page() -> str:
+    """Every score, from the docstrings of the functions that compute it."""
+    parts = [
+        "# Metrics",
+        "Scores read beliefs and ground truth, never the filter. Where n lanes and T frames are"
+        " meant, arrays have the shapes that are named. What a result says is under these names in"
+        " [scores.json](results.md#scoresjson).",
+    ]
+    options = {
+        "heading_level": 2,
+        "show_root_heading": False,
+        "show_root_toc_entry": False,
+        "members_order": "source",
+        "filters": ["!^_", "!^[A-Z_]+$"],
+        "show_docstring_attributes": False,
+    }
+    for name in METRICS:
+        parts += [
+            f"## {name}",
+            identifier(f"egolane_pgm.scoring.{name}", {**options, "heading_level": 3}),
+        ]
+    return "\n\n".join(parts)
+
+
+def python_page() -> str:
+    """The public names of the package."""
+    parts = [
+        "# Python",
+        "`import egolane_pgm as ego` loads nothing heavy; each name is imported when it is used"
+        " first. What is wrong with files and values that are given raises `InputError`, whose text"
+        " names the file and the key.",
+    ]
+    options = {"heading_level": 2, "members": False, "inherited_members": False}
+    for name in egolane_pgm.__all__:
+        public = getattr(egolane_pgm, name)
+        known = {"members": public_members(public)} if inspect.isclass(public) else {}
+        parts.append(identifier(f"{public.__module__}.{public.__qualname__}", {**options, **known}))
+    return "\n\n".join(parts)
+
+
+def public_members(kind: type) -> list[str]:
+    """The methods and properties of a class that have a docstring."""
+    return [
+        name
+        for name, value in vars(kind).items()
+        if not name.startswith("_")
+        and (inspect.isfunction(value) or isinstance(value, property | classmethod | staticmethod))
+    ]
+
+
+def identifier(path: str, options: Mapping[str, Any]) -> str:
+    """What mkdocstrings makes of an object."""
+    lines = yaml.safe_dump({"options": dict(options)}, sort_keys=False).splitlines()
+    return "\n".join([f"::: {path}", *(f"    {line}" for line in lines)])
+
+
+def results_page() -> str:
+    """The files of a result directory, from the code that writes and checks them."""
+    parts = ["# Result directories", as_markdown(about(results))]
+    parts += [
+        "## beliefs.parquet",
+        "One row for each frame.",
+        markdown(
+            ["column", "type", "there", "meaning"],
+            [[f"`{c.name}`", c.kind, escaped(c.needed), c.meaning] for c in result_schema.COLUMNS],
+        ),
+    ]
+    parts += ["## events.csv", columns_of(LaneEvents, {})]
+    for file, model in (("run.json", result_schema.Run), ("scores.json", result_schema.RunScores)):
+        schema = model.model_json_schema()
+        parts += [f"## {file}", *schema_tables_of_file(schema)]
+    return "\n\n".join(parts)
+
+
+def schema_tables_of_file(schema: Mapping[str, Any]) -> Iterator[str]:
+    definitions = schema.get("$defs", {})
+    yield as_markdown(schema.get("description", ""))
+    yield keys_table({**schema, "required": ()}, definitions)
+    for name in order_of(schema, definitions):
+        yield f"### {section_title(name)}"
+        yield as_markdown(definitions[name].get("description", ""))
+        yield keys_table({**definitions[name], "required": ()}, definitions)
+
+
+# --- text ----------------------------------------------------------------------------------------
+
+
+def about(module: ModuleType | None) -> str:
+    """What a module says of itself."""
+    return inspect.getdoc(module) or ""
+
+
+def listed(docstring: str) -> dict[str, str]:
+    """The list of a docstring, `- name, other (T,): meaning`, by name."""
+    found = {}
+    for item in re.findall(r"^- (.*?)(?=\n\S|\n\n|\Z)", docstring, flags=re.M | re.S):
+        names, _, meaning = re.sub(r"\s+", " ", item).partition(": ")
+        for name in re.sub(r"\([^)]*\)", "", names).split(","):
+            found[name.strip()] = meaning
+    return found
+
+
+def escaped(text: str) -> str:
+    """Text in which `<` and `*` are what they are, outside of code."""
+    parts = re.split(r"(`[^`]*`)", text)
+    return "".join(
+        part if part.startswith("`") else re.sub(r"([<*_\[\]|])", r"\\\1", part) for part in parts
+    )
+
+
+def as_code(value: Any) -> str:
+    """A value as one writes it in YAML."""
+    return f"`{flow(value)}`"
+
+
+def flow(value: Any) -> str:
+    """A value in one line of YAML."""
+    if isinstance(value, float):
+        return f"{value:.6g}"
+    plain = json.loads(json.dumps(value))
+    return yaml.safe_dump(plain, default_flow_style=True, width=1000).removesuffix("...\n").strip()
+
+
+def markdown(header: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
+    """A table."""
+    lines = [header, ["---"] * len(header), *rows]
+    cells = [[" ".join(str(cell).split()).replace("|", "\\|") for cell in line] for line in lines]
+    return "\n".join(f"| {' | '.join(line)} |" for line in cells)
