@@ -159,26 +159,14 @@ def section_title(name: str) -> str:
 
 
 def keys_table(section: Mapping[str, Any], definitions: Mapping[str, Any]) -> str:
-    """Key, type, default, meaning and example of each key of a section."""
+    """Key, type, default, and meaning with examples of each key of a section."""
     rows = []
-    has_examples = False
     for name, key in section.get("properties", {}).items():
-        examples = [f"`{name}: {flow(each)}`" for each in key.get("examples", ())]
-        has_examples = has_examples or bool(examples)
+        examples = [f"<br>`{name}: {flow(each)}`" for each in key.get("examples", ())]
         default = "needed" if name in needed_keys(section) else as_default(key)
-        rows.append(
-            [
-                f"`{name}`",
-                kind_of(key, definitions),
-                default,
-                key.get("description", ""),
-                "<br>".join(examples),
-            ]
-        )
-    header = ["key", "type", "default", "meaning", "example"]
-    if not has_examples:
-        header, rows = header[:4], [row[:4] for row in rows]
-    return markdown(header, rows)
+        meaning = escaped(key.get("description", "")) + "".join(examples)
+        rows.append([f"`{name}`", kind_of(key, definitions), default, meaning])
+    return markdown(["key", "type", "default", "meaning, and example"], rows)
 
 
 def needed_keys(section: Mapping[str, Any]) -> list[str]:
@@ -320,7 +308,7 @@ def command_parts(
     for parameter in command.get_params(context):
         record = parameter.get_help_record(context)
         if record is not None and "--help" not in record[0]:
-            rows.append([f"`{record[0]}`", record[1]])
+            rows.append([f"`{record[0]}`", escaped(record[1])])
     if rows:
         yield markdown(["option", "meaning"], rows)
     if isinstance(command, click.Group):
@@ -570,5 +558,5 @@ def flow(value: Any) -> str:
 def markdown(header: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
     """A table."""
     lines = [header, ["---"] * len(header), *rows]
-    cells = [[" ".join(str(cell).split()).replace("|", "\\|") for cell in line] for line in lines]
+    cells = [[" ".join(str(cell).split()) for cell in line] for line in lines]
     return "\n".join(f"| {' | '.join(line)} |" for line in cells)
