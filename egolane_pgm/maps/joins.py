@@ -214,13 +214,62 @@ def _by_arrows(ways: LaneGraph, meeting: _Meeting) -> FloatArray:
     return shift
 
 
+def optional_lanes(graph: LaneGraph, joins: IntArray) -> NDArray[np.str_]:
+    """The optional lanes of some joins, (K,): those of the road before, with blanks between, that
+    lead to this road and to another; "" where there is none, and where no road parts.
+
+    They are those whose arrows (`turn:lanes`) lead to two sides; without arrows the lanes that
+    continue on both roads.
+
+    - joins (K,): rows of the graph's joins.
+    """
+    known, place = np.unique(joins, return_inverse=True)
+    return np.array([_optional(graph, int(join)) for join in known], dtype=np.str_)[place]
+
+
+def _optional(graph: LaneGraph, join: int) -> str:
+    before = graph.before[join]
+    first, stop = np.searchsorted(graph.before, [before, before + 1])
+    others = [_leading(graph, j) for j in range(first, stop) if j != join]
+    if not others:
+        return ""
+    turn = str(graph.turn[before])
+    arrows = _arrows(turn)
+    if turn and len(arrows) == graph.n_lanes[before]:
+        both = {lane for lane, each in enumerate(arrows, start=1) if _sides_of(each) > 1}
+    else:
+        both = set().union(*others)
+    return " ".join(map(str, sorted(_leading(graph, join) & both)))
+
+
+def _leading(graph: LaneGraph, join: int) -> set[int]:
+    """The lanes of the road before that continue on the road behind a join."""
+    shift, n_next = graph.shift[join], graph.n_lanes[graph.after[join]]
+    if np.isnan(shift):
+        return set()
+    lanes = np.arange(1, graph.n_lanes[graph.before[join]] + 1)
+    return set(lanes[(lanes + shift >= 1) & (lanes + shift <= n_next)].tolist())
+
+
+def _arrows(turn: str) -> list[set[str]]:
+    return [{arrow.strip() for arrow in lane.split(";")} for lane in turn.split("|")]
+
+
+def _sides_of(arrows: set[str]) -> int:
+    """To how many of left, ahead and right the arrows of a lane lead."""
+    leading = {arrow for arrow in arrows if not arrow.startswith("merge")}
+    return len({arrow.rpartition("_")[2] for arrow in leading} & {"left", "right"}) + bool(
+        leading & {"", "none", "through"}
+    )
+
+
 @cache
 def _first_lane(turn: str, n_next: int, other: int, join: str) -> int:
     """The first of the lanes that lead on to a road of n_next lanes; 0 where arrows do not tell.
 
     - other: 1 where another road parts to the right, -1 to the left, 0 where there is none.
     """
-    listed = [{arrow.strip() for arrow in lane.split(";")} for lane in turn.split("|")]
+    listed = _arrows(turn)
 
     def lanes(fits: Callable[[str], bool]) -> set[int]:
         return {k for k, arrows in enumerate(listed, start=1) if any(map(fits, arrows))}

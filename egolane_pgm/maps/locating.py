@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 
 from egolane_pgm.jit import kernel
 from egolane_pgm.maps.index import RoadIndex
+from egolane_pgm.maps.joins import optional_lanes
 from egolane_pgm.maps.lane_graph import LaneGraph, joins_from, way_line
 from egolane_pgm.maps.matching import Matched, match
 from egolane_pgm.maps.positions import Positions
@@ -398,6 +399,8 @@ def _table(
     # A map whose roads do not meet has no join at all.
     after = graph.after[row] if is_near.any() else here
 
+    none = np.full(len(time), "")
+
     def told(values: NDArray[Any], blank: Any) -> NDArray[Any]:
         return np.where(is_near, values[row], blank) if is_near.any() else np.full(len(time), blank)
 
@@ -415,6 +418,7 @@ def _table(
         next_shift=told(graph.shift, np.nan),
         next_join=told(graph.join, ""),
         next_side=told(graph.side, 0),
+        next_optional=np.where(is_near, optional_lanes(graph, row), "") if is_near.any() else none,
         source=source,
     )
 

@@ -19,6 +19,7 @@ from egolane_pgm.types import FloatArray, InputError, IntArray
 #: Of the stored table. It changes where a column gets another meaning.
 VERSION = "2"
 
+_WORDS = ("next_join", "next_optional")
 _WHOLE = ("segment", "n_lanes", "next_n_lanes", "next_side")
 
 
@@ -40,6 +41,8 @@ class RoadTable:
       road splits or merges; NaN where there is none within 2 km.
     - next_n_lanes, next_shift, next_join, next_side (T,): of that join, as in `LaneGraph`, towards
       the segment that the car takes. 0, NaN, "" and 0 where there is none.
+    - next_optional (T,): the lanes before that join, with blanks between, that lead to the segment
+      that the car takes and to another; "" none.
 
     Raises InputError for columns of different lengths and for times that do not increase.
     """
@@ -57,6 +60,7 @@ class RoadTable:
     next_shift: FloatArray
     next_join: NDArray[np.str_]
     next_side: IntArray
+    next_optional: NDArray[np.str_]
     source: str = "road table"
 
     def __post_init__(self) -> None:
@@ -99,7 +103,7 @@ def load(path: str | Path) -> RoadTable:
         raise InputError(f"{path}: lacks the column {', '.join(missing)}")
     columns = {name: table[name].to_numpy() for name in COLUMNS}
     for name, values in columns.items():
-        kind = np.str_ if name == "next_join" else np.int64 if name in _WHOLE else np.float64
+        kind = np.str_ if name in _WORDS else np.int64 if name in _WHOLE else np.float64
         try:
             columns[name] = values.astype(kind)
         except (TypeError, ValueError):

@@ -6,7 +6,7 @@ frame behind the join. Where the map may be wrong about the place (`place_sigma_
 nine places around the join, with the chance of each.
 
 At an exit or a fork it is known which road the car took. What that says of its lane is evidence in
-the frame before: SERVED for a lane that leads there.
+the frame before: SERVED for a lane that leads there, OPTIONAL for one that also leads elsewhere.
 """
 
 from __future__ import annotations
@@ -23,6 +23,9 @@ from egolane_pgm.types import MAX_LANES, BoolArray, FloatArray, InputError, IntA
 #: lane which does not serve it: .98 to .02.
 SERVED = 0.98
 
+#: The same for a lane that serves this branch and another.
+OPTIONAL = 0.5
+
 #: The speed that is counted on where no rows tell it, metres per second.
 _USUAL_SPEED = 25.0
 
@@ -34,6 +37,7 @@ class RoadChanges:
     - at_m (C,): where, metres driven since the first row.
     - steps: what changes.
     - is_branch (C,): whether the road splits there.
+    - optional (C,): the lanes before it that lead to another road too.
     - row_m (T,): metres driven at each row of the road table.
     - n_lanes (T,): lanes at each row; where the table does not know, those of the row before.
     """
@@ -41,6 +45,7 @@ class RoadChanges:
     at_m: FloatArray
     steps: tuple[Step, ...]
     is_branch: tuple[bool, ...]
+    optional: tuple[tuple[int, ...], ...]
     row_m: FloatArray
     n_lanes: IntArray
 
@@ -116,6 +121,7 @@ def road_changes(table: RoadTable) -> RoadChanges:
     at_m: list[float] = []
     steps: list[Step] = []
     is_branch: list[bool] = []
+    optional: list[tuple[int, ...]] = []
     for row in map(int, np.flatnonzero(passes | (np.diff(n_lanes) != 0))):
         before, after = int(n_lanes[row]), int(n_lanes[row + 1])
         # What the row says of the next join is about this one if the lanes are those that it says.
@@ -128,7 +134,20 @@ def road_changes(table: RoadTable) -> RoadChanges:
             at_m.append(float(row_m[row] + min(ahead, driven[row])))
             steps.append(step)
             is_branch.append(bool(branch))
-    return RoadChanges(np.array(at_m), tuple(steps), tuple(is_branch), row_m, n_lanes)
+            optional.append(_optional(table, row) if branch else ())
+    return RoadChanges(
+        np.array(at_m), tuple(steps), tuple(is_branch), tuple(optional), row_m, n_lanes
+    )
+
+
+def _optional(table: RoadTable, row: int) -> tuple[int, ...]:
+    words = str(table.next_optional[row]).split()
+    if not all(word.isdigit() and 1 <= int(word) <= MAX_LANES for word in words):
+        raise InputError(
+            f"{table.source}: row {row}: next_optional: '{table.next_optional[row]}' are no lanes"
+            " such as '2' or '2 3'"
+        )
+    return tuple(map(int, words))
 
 
 def _shift(
@@ -224,7 +243,7 @@ def lanes_along(
     for c, frame in frames.items():
         step = found.steps[c]
         if found.is_branch[c]:
-            served[frame - 1] = _served(step, n_lanes)
+            served[frame - 1] = _served(step, n_lanes, found.optional[c])
         places = [frame_at(found.at_m[c] + z * place_sigma_m) for z in PLACES]
         is_clear = (
             place_sigma_m > 0
@@ -279,12 +298,14 @@ def _lanes_at(found: RoadChanges, metres: float) -> int:
     return int(found.steps[behind[-1]].after if len(behind) else found.n_lanes[0])
 
 
-def _served(step: Step, n_lanes: int) -> FloatArray:
+def _served(step: Step, n_lanes: int, optional: tuple[int, ...]) -> FloatArray:
     """(N,): evidence of Lane before a split whose branch is known."""
     onto = np.arange(1, n_lanes + 1) + (step.shift or 0)
     # A lane that the map does not have is beside its last one.
     onto[step.before :] = onto[step.before - 1]
-    return np.where((onto >= 1) & (onto <= step.after), SERVED, 1 - SERVED)
+    leads = (onto >= 1) & (onto <= step.after)
+    elsewhere = np.isin(np.arange(1, n_lanes + 1), optional)
+    return np.where(leads, np.where(elsewhere, OPTIONAL, SERVED), 1 - SERVED)
 
 
 def on_constant_road(n_frames: int, n_lanes: int) -> LanesAlong:

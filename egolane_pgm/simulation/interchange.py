@@ -17,6 +17,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from egolane_pgm.maps.joins import optional_lanes
 from egolane_pgm.maps.lane_graph import LaneGraph, joins_from, way_line
 from egolane_pgm.maps.road_table import RoadTable
 from egolane_pgm.simulation._common import check_fields, check_seed, slow_noise
@@ -364,6 +365,9 @@ def _table(
         next_shift=np.where(is_known, graph.shift[join], np.nan),
         next_join=np.where(is_known, graph.join[join], ""),
         next_side=np.where(is_known, graph.side[join], 0),
+        next_optional=np.where(is_known, optional_lanes(graph, join), "")
+        if len(route.joins)
+        else np.full(len(at_m), ""),
         source="simulated drive",
     )
     places = np.array(

@@ -11,7 +11,7 @@ import pytest
 from pyarrow import parquet
 
 from egolane_pgm.maps.road_table import RoadTable, load, save
-from egolane_pgm.maps.steps import SERVED, lanes_along, on_constant_road, road_changes
+from egolane_pgm.maps.steps import OPTIONAL, SERVED, lanes_along, on_constant_road, road_changes
 from egolane_pgm.types import InputError
 
 SPEED = 25.0
@@ -22,6 +22,7 @@ def drive(
     every_s: float = 1.0,
     side: int = 0,
     start_s: float = 0.0,
+    optional: str = "",
 ) -> RoadTable:
     """A car at 25 m/s over segments: length, lanes, and the shift and the kind of the join at its
     end."""
@@ -46,6 +47,7 @@ def drive(
         next_shift=np.where(last, np.nan, np.array([s for *_, s, _ in segments])[segment]),
         next_join=np.where(last, "", np.array([j for *_, j in segments])[segment]),
         next_side=np.where(last, 0, side),
+        next_optional=np.where(last, "", optional),
     )
 
 
@@ -113,6 +115,22 @@ def test_at_a_split_the_lanes_that_serve_the_branch_are_evidence_in_the_frame_be
     np.testing.assert_allclose(along.served[frame - 1], [other, other, SERVED, SERVED])
     assert (np.delete(along.served, frame - 1, axis=0) == 1).all()
     assert along.steps.split()[along.step[frame]] == "4>2-2"
+
+
+def test_a_lane_that_also_leads_elsewhere_is_half_of_one_that_leads_to_the_branch_only() -> None:
+    table = drive((260, 3, -1, "fork"), (400, 2, 0, ""), optional="2")
+    found = road_changes(table)
+    assert found.optional == ((2,),)
+    along = lanes_along(table, np.arange(0, 20, 0.1), steps=found.vocabulary(), n_lanes=4)
+    frame = int(along.changes[0])
+    # The fourth lane, which the map does not have, is as the last one.
+    np.testing.assert_allclose(along.served[frame - 1], [1 - SERVED, OPTIONAL, SERVED, SERVED])
+
+
+def test_optional_lanes_that_are_none_are_refused() -> None:
+    table = drive((260, 3, -1, "fork"), (400, 2, 0, ""), optional="middle")
+    with pytest.raises(InputError, match="row 10: next_optional: 'middle' are no lanes such as"):
+        road_changes(table)
 
 
 def test_staying_on_the_road_at_an_exit_without_lanes_of_its_own_says_nothing() -> None:
