@@ -1,9 +1,10 @@
 """`python -m tests.map_figures MODULE ...`: prints tables about positions, matching and lanes.
 
-`outages` is how right the lane is where lines are missing, with and without positions; `located`
-what it costs that the road is found from positions; `matched` how often the right segment is found;
-`recorded` what two recorded drives tell. All but `outages` need EGOLANE_DATA, which it too takes
-recorded noise from.
+`changes` is how right the lane is where lanes begin and end, `wrong_counts` how often a map that is
+wrong by a lane is found; `outages` how right the lane is where lines are missing, with and without
+positions; `located` what it costs that the road is found from positions; `matched` how often the
+right segment is found; `recorded` what two recorded drives tell. All but `wrong_counts` need
+EGOLANE_DATA: maps, or recorded noise.
 """
 
 from __future__ import annotations
@@ -11,7 +12,7 @@ from __future__ import annotations
 import argparse
 import importlib
 
-MODULES = ("outages", "located", "matched", "recorded")
+MODULES = ("changes", "wrong_counts", "outages", "located", "matched", "recorded")
 
 
 def main() -> None:
