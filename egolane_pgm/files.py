@@ -20,9 +20,9 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import yaml
 
 from egolane_pgm.types import InputError
+from egolane_pgm.yaml_text import dump_yaml, parse_yaml
 
 #: Of the YAML files that the package reads (optional there) and writes. It changes where a key gets
 #: another meaning, so that an old program refuses a new file in one line.
@@ -31,11 +31,24 @@ YAML_VERSION = 1
 
 def check_name(path: object) -> None:
     """Raise InputError for the name of a file that is not text in UTF-8 (from another system, or
-    under a locale that lacks its letters): libraries refuse it, and OpenCV crashes on it."""
+    under a locale that lacks its letters): libraries refuse it, and OpenCV crashes on it. Also for
+    one with a NUL, which no file can have."""
+    if "\0" in str(path):
+        raise InputError(f"{str(path)!a}: no file can have this name")
     try:
         str(path).encode()
     except UnicodeEncodeError:
         raise InputError(f"{str(path)!a}: the name is not text in UTF-8; rename it") from None
+
+
+def in_home(path: str | Path) -> Path:
+    """The path, with the home folder for `~`. Raises InputError where there is none, and for a name
+    that no file can have."""
+    check_name(path)
+    try:
+        return Path(path).expanduser()
+    except RuntimeError:
+        raise InputError(f"{path}: there is no home folder of that user") from None
 
 
 # --- writing ---------------------------------------------------------------------------------
@@ -102,13 +115,7 @@ def write_json(path: Path, content: Mapping[str, Any]) -> None:
 def write_yaml(path: Path, content: Mapping[str, Any], heading: str = "") -> None:
     """Write YAML, keys in their order, innermost lists in one line; the heading, comments, above
     it; folders that are not there are made. Raises InputError where it cannot be written."""
-    text = yaml.safe_dump(
-        {"version": YAML_VERSION, **plain(content)},
-        sort_keys=False,
-        allow_unicode=True,
-        default_flow_style=None,
-        width=100,
-    )
+    text = dump_yaml({"version": YAML_VERSION, **plain(content)})
     write_text(path, heading + text, make_folder=True)
 
 
@@ -269,41 +276,3 @@ def without_version(content: Mapping[str, Any], source: str) -> dict[str, Any]:
             f"{source}: version: {version!r} is not {YAML_VERSION}, the one known here"
         )
     return content
-
-
-def parse_yaml(text: str, source: str) -> Any:
-    """What a text in YAML says. Raises InputError for what is no YAML, and for every key that a
-    mapping has twice."""
-    try:
-        loader = _Loader(text)
-        content = loader.get_single_data()
-    except yaml.MarkedYAMLError as error:
-        mark = error.problem_mark or error.context_mark
-        at = f"line {mark.line + 1}: " if mark is not None else ""
-        hint = "; indent with spaces" if "'\\t'" in str(error.problem) else ""
-        raise InputError(f"{source}: is not YAML: {at}{error.problem}{hint}") from error
-    except (yaml.YAMLError, ValueError, RecursionError) as error:
-        raise InputError(f"{source}: is not YAML: {' '.join(str(error).split())}") from error
-    if loader.twice:
-        raise InputError(*(f"{source}: {problem}" for problem in loader.twice))
-    return content
-
-
-class _Loader(yaml.SafeLoader):
-    """Notes the keys that a mapping has twice, of which YAML takes the last."""
-
-    def __init__(self, text: str) -> None:
-        super().__init__(text)
-        self.twice: list[str] = []
-
-    def compose_mapping_node(self, anchor: Any) -> Any:
-        node = super().compose_mapping_node(anchor)
-        seen: dict[tuple[str, str], int] = {}
-        for key, _ in node.value:
-            if not isinstance(key, yaml.ScalarNode) or key.tag == "tag:yaml.org,2002:merge":
-                continue
-            name, line = (key.tag, key.value), key.start_mark.line + 1
-            if name in seen:
-                self.twice.append(f"line {line}: key '{key.value}' was given in line {seen[name]}")
-            seen.setdefault(name, line)
-        return node

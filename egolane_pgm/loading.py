@@ -23,6 +23,7 @@ from egolane_pgm.detectors.runner import (
     start,
 )
 from egolane_pgm.experiment import INTERCHANGE, Experiment, make_experiment
+from egolane_pgm.files import in_home
 from egolane_pgm.maps.across import Across, across
 from egolane_pgm.maps.road_table import RoadTable
 from egolane_pgm.maps.road_table import load as load_road
@@ -413,7 +414,7 @@ def _pictures_of(experiment: Experiment, key: str) -> Source:
     if not is_pattern(path):
         return open_source(_find(path, experiment, f"recording.{key}", folders=True))
     try:
-        return open_source(str(experiment.folder / Path(path).expanduser()))
+        return open_source(str(experiment.folder / in_home(path)))
     except InputError as error:
         raise InputError(f"{experiment.source}: recording.{key}: {error}") from error
 
@@ -504,7 +505,7 @@ def _is_of_pictures(recording: str, old: str | None, detector: str | None) -> bo
     with the recording, which means that pictures are meant."""
     from egolane_pgm.camera.pictures import PICTURES, is_pattern
 
-    path = Path(recording).expanduser()
+    path = in_home(recording)
     if path.is_dir():
         return _is_folder_of_pictures(path, detector)
     ending = path.suffix.lower()

@@ -214,8 +214,7 @@ def test_a_text_is_read_without_the_mark_before_it(tmp_path: Path) -> None:
     ("content", "said"),
     [
         (b"a: [1", "is not YAML: "),
-        (b"a: 2020-99-99", "is not YAML: month must be in 1..12"),
-        (b"[" * 3000, "is not YAML: "),
+        (b"[" * 3000, "is not YAML: line 1: nested more than 50 deep"),
         (b"- 1", "needs keys and values, e.g. 'n_lanes: 4'"),
         (b"", "needs keys and values, e.g. 'n_lanes: 4'"),
         (b"\xff\xfe\x00", "cannot be read: is not text in UTF-8"),

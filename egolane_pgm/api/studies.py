@@ -10,8 +10,6 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar
 
-import yaml
-
 from egolane_pgm.api import shown
 from egolane_pgm.api.given import bar, keys_of, several_of
 from egolane_pgm.experiment import (
@@ -22,6 +20,7 @@ from egolane_pgm.experiment import (
     load_experiment,
     make_experiment,
 )
+from egolane_pgm.files import without_version
 from egolane_pgm.paper import Runs, parse_runs
 from egolane_pgm.report.study_tables import LEGEND, parameter_rows, score_rows
 from egolane_pgm.report.study_trials import STUDY_FILE, TRIALS_FILE, Trials, is_study, trials_of
@@ -30,6 +29,7 @@ from egolane_pgm.tuning import pictures as on_pictures
 from egolane_pgm.tuning import plan as planning
 from egolane_pgm.tuning import study as studies
 from egolane_pgm.types import InputError, not_one_of
+from egolane_pgm.yaml_text import parse_yaml
 
 T = TypeVar("T")
 
@@ -103,9 +103,9 @@ class TuneResult:
         for name, files in self.files.items():
             for file, content in files.items():
                 if file.startswith("best") and file.endswith(".yaml"):
-                    keys = yaml.safe_load(content)
-                    keys.pop("version", None)
-                    experiment = make_experiment(keys, Path.cwd(), f"{name}/{file}")
+                    source = f"{name}/{file}"
+                    keys = without_version(parse_yaml(content.decode(), source), source)
+                    experiment = make_experiment(keys, Path.cwd(), source)
                     found[experiment.name] = experiment
         return found
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 import sys
 from pathlib import Path
 
@@ -31,19 +30,12 @@ def data() -> None:
 @data.command("list")
 def list_data() -> None:
     """What the data set consists of, and which files are there."""
-    data = os.environ.get("EGOLANE_DATA")
-    folders = [Path(data).expanduser()] if data else []
-    folders.append(catalog.download_folder())
-    # A run takes a file from the first folder that has it.
-    state: dict[str, str] = {}
-    for folder in folders:
+    for folder in catalog.data_folders():
         click.echo(f"looked in: {folder}")
-        for outcome in catalog.verify(folder):
-            if state.get(outcome.file.name, "missing") == "missing":
-                state[outcome.file.name] = outcome.status
-    for file in catalog.list_files():
+    for outcome in catalog.verify():
+        file = outcome.file
         click.echo(
-            f"{state[file.name]:>10}  {file.size / 1e6:6.2f} MB  {catalog.BASE_URL}/{file.name}"
+            f"{outcome.status:>10}  {file.size / 1e6:6.2f} MB  {catalog.BASE_URL}/{file.name}"
         )
 
 
@@ -59,9 +51,13 @@ def fetch(base_url: str | None, folder: str | None, jobs: int) -> None:
 
 
 @data.command()
-@click.option("--folder", type=click.Path(file_okay=False), help="Where they are.")
+@click.option(
+    "--folder",
+    type=click.Path(file_okay=False),
+    help="Where they are; by default as a run finds them.",
+)
 def verify(folder: str | None) -> None:
-    """Check every downloaded file against its sha256."""
+    """Check every file against its sha256: those in $EGOLANE_DATA, else the downloaded ones."""
     _say(catalog.verify(folder))
 
 
@@ -82,11 +78,8 @@ def have_recordings() -> bool:
             click.echo(f"egolane: {line}", err=True)
         if _all_found():
             return True
-    places = [os.environ.get("EGOLANE_DATA", ""), str(catalog.download_folder())]
-    click.echo(
-        "The paper's recordings (rle/*.bag) are not there; looked in"
-        f" {' and '.join(place for place in places if place)}."
-    )
+    places = " and ".join(map(str, catalog.data_folders()))
+    click.echo(f"The paper's recordings (rle/*.bag) are not there; looked in {places}.")
     click.echo(
         f"To get them: `egolane data fetch` ({size:.0f} MB), or set EGOLANE_DATA to the folder that"
         " has rle/."

@@ -14,6 +14,7 @@ from urllib.parse import urlsplit
 
 from tqdm import tqdm
 
+from egolane_pgm.files import in_home
 from egolane_pgm.types import InputError
 
 #: The folder `bag/` of github trigal/rle at tag SpecialIssueTIV.submission.1 (BSD licence).
@@ -173,14 +174,11 @@ def find_file(
 
     Raises InputError, with every place that was looked in, if it is nowhere.
     """
-    wanted = Path(path).expanduser()
+    wanted = in_home(path)
     if wanted.is_absolute():
         places = [wanted]
     else:
-        data = os.environ.get("EGOLANE_DATA", "")
-        bases = [Path.cwd() if base is None else Path(base)]
-        bases += [Path(data).expanduser()] if data else []
-        bases += [download_folder()]
+        bases = [Path.cwd() if base is None else Path(base), *data_folders()]
         places = [folder / wanted for folder in bases]
     for place in places:
         if place.is_file() or (folders and place.is_dir()):
@@ -193,10 +191,24 @@ def find_file(
     )
 
 
+def data_folders() -> list[Path]:
+    """The folders that are looked in for the data set, the first one that has a file first:
+    `$EGOLANE_DATA`, then the download folder."""
+    data = os.environ.get("EGOLANE_DATA", "")
+    return [in_home(data), download_folder()] if data else [download_folder()]
+
+
 def verify(folder: str | Path | None = None) -> list[Outcome]:
-    """Check every file of the data set in a folder (default: the download folder)."""
-    root = download_folder() if folder is None else Path(folder)
-    return [_verify(file, root / file.target) for file in _FILES]
+    """Check every file of the data set.
+
+    - folder: where they are; by default where a run takes each of them from (`data_folders`). A
+      file that is nowhere is missing in the download folder.
+    """
+    if folder is not None:
+        return [_verify(file, in_home(folder) / file.target) for file in _FILES]
+    places = [[place / file.target for place in data_folders()] for file in _FILES]
+    found = [next((p for p in paths if p.is_file()), paths[-1]) for paths in places]
+    return [_verify(file, path) for file, path in zip(_FILES, found, strict=True)]
 
 
 def _verify(file: DataFile, path: Path) -> Outcome:
@@ -251,7 +263,7 @@ def fetch(
             return replace(before, status="failed", message=str(error))
         return Outcome(before.file, before.path, "downloaded")
 
-    outcomes = verify(folder)
+    outcomes = verify(download_folder() if folder is None else folder)
     _pooch()  # Imported here, because to silence its warnings is no work for several threads.
     pool = ThreadPoolExecutor(jobs)
     try:

@@ -30,7 +30,7 @@ from egolane_pgm.camera.model import Camera, read_camera
 from egolane_pgm.camera.picture import Picture
 from egolane_pgm.camera.pictures import open_source, read_image
 from egolane_pgm.detectors.runner import Detector, check_pair, detect, find_detector, start
-from egolane_pgm.files import make_directory, plain, write_json, write_yaml
+from egolane_pgm.files import in_home, make_directory, plain, write_json, write_yaml
 from egolane_pgm.loading import file_entry
 from egolane_pgm.parallel import in_order
 from egolane_pgm.parameters import Value
@@ -164,7 +164,7 @@ def make_problem(plan: PicturePlan) -> PictureProblem:
 
 
 def _place(plan: PicturePlan, key: str) -> Path:
-    path = plan.folder / Path(getattr(plan.pictures, key)).expanduser()
+    path = plan.folder / in_home(getattr(plan.pictures, key))
     if not path.is_file():
         raise InputError(f"{plan.source}: pictures.{key}: no file {path}")
     return path

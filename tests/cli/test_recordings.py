@@ -105,6 +105,25 @@ def test_data_verify_names_every_file_that_is_not_good(tmp_path: Path) -> None:
     )
 
 
+def test_data_verify_looks_where_a_run_would_look(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
+    monkeypatch.setenv("EGOLANE_DATA", str(tmp_path / "data"))
+    name = catalog.list_files()[0].target
+    for folder in (tmp_path / "data", catalog.download_folder()):
+        (folder / "rle").mkdir(parents=True)
+        (folder / name).write_text("something else")
+    assert f"{tmp_path / 'data' / name}: wrong checksum" in command("data", "verify").stderr
+    # A file that is not in the first folder is looked for in the second.
+    (tmp_path / "data" / name).unlink()
+    said = command("data", "verify").stderr
+    assert f"{catalog.download_folder() / name}: wrong checksum" in said
+    assert said.count("no such file") == 11
+    said = command("data", "verify", "--folder", tmp_path / "data").stderr
+    assert said.count("no such file") == 12
+
+
 def test_data_verify_knows_the_papers_files(recordings: Path) -> None:
     assert done("data", "verify", "--folder", recordings).stdout.startswith("12 of 12 files")
 
