@@ -7,6 +7,9 @@ from egolane_pgm.evidence.line_geometry.model import N_CLASSES
 from egolane_pgm.graphs.position_in_lane import CELLS, MOTION_BINS, MOTION_RANGE
 from egolane_pgm.parameters import Parameter
 
+#: Lane widths that are taken: a detector's metres may be others than ours, but not by this much.
+_WIDTHS = {"lowest": 0.01, "highest": 1000.0}
+
 _OR_FITTED = "; `generic`, or a list that `egolane learn` writes"
 
 PARAMETERS = (
@@ -18,6 +21,7 @@ PARAMETERS = (
         " flags and LRI mean, from the frames so far) or `auto` (from the lines of the whole"
         " recording)",
         choices=("auto", "causal"),
+        **_WIDTHS,
     ),
     Parameter(
         "fallback_width_m",
@@ -25,6 +29,7 @@ PARAMETERS = (
         3.5,
         "lane width that is expected before the lines show it, in the detector's metres",
         search=None,
+        **_WIDTHS,
     ),
     Parameter(
         "alpha",

@@ -1,0 +1,127 @@
+"""YAML that somebody damaged, or wrote to do damage: refused in one line, and at once."""
+
+from __future__ import annotations
+
+import time
+from pathlib import Path
+
+import pytest
+
+import egolane_pgm as ego
+from egolane_pgm.files import read_yaml, write_yaml
+from egolane_pgm.types import InputError
+from egolane_pgm.yaml_text import dump_yaml, parse_yaml
+from tests.kits.drives import refused
+
+#: What is nine times what the line above it is, ten times over.
+BOMB = "a0: &a0 [x, x, x, x, x, x, x, x, x]\n" + "".join(
+    f"a{k}: &a{k} [{', '.join([f'*a{k - 1}'] * 9)}]\n" for k in range(1, 10)
+)
+MERGED = "a0: &a0 {x: 1}\n" + "".join(
+    f"a{k}: &a{k} {{<<: [{', '.join([f'*a{k - 1}'] * 9)}]}}\n" for k in range(1, 10)
+)
+
+
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        ("a: !!int x", "line 1: 'x' is no int"),
+        ("a: !!int ''", "line 1: '' is no int"),
+        ("a: !!bool x", "line 1: 'x' is no bool"),
+        ("a: !!map x", "line 1: 'x' is no map"),
+        ("!!str {a: 1}", "line 1: is no str"),
+        ("a: !!timestamp x", "line 1: !!timestamp is not taken here"),
+        ("a: !!set {x}", "line 1: !!set is not taken here"),
+        ("a: !!python/object:os.system x", "line 1: !!python/object:os.system is not taken here"),
+        ("x: 1\na: " + "9" * 5000, "line 2: 99999999999999999999... has more than 18 digits"),
+        ("a: 0x" + "f" * 5000, "line 1: 0xffffffffffffffffff... has more than 18 digits"),
+        ("a: 9223372036854775808", "line 1: 9223372036854775808... has more than 18 digits"),
+        ('a: "x\\0y"', "line 1: 'x\\x00y' has a character that is no text"),
+        ('a: "\\ud800"', "line 1: '\\ud800' has a character that is no text"),
+        ("[" * 900, "line 1: nested more than 50 deep"),
+        ("a: " + "[" * 60 + "]" * 60, "line 1: nested more than 50 deep"),
+        ("a: 1\nb: &b {c: *b}", "line 2: a section contains itself (&name ... *name)"),
+        ("? [1]\n: 2", "line 1: a key is a list or has keys itself"),
+        (BOMB, "line 5: aliases (*name) repeat more than 10,000 values"),
+        (MERGED, "line 5: aliases (*name) repeat more than 10,000 values"),
+        ("<<: 3", "line 1: expected a mapping or list of mappings for merging, but found scalar"),
+        ("a: *b", "line 1: found undefined alias 'b'"),
+    ],
+)
+def test_damaged_yaml_is_refused_with_its_line(tmp_path: Path, text: str, said: str) -> None:
+    path = tmp_path / "x.yaml"
+    path.write_text(text)
+    begun = time.thread_time()
+    with pytest.raises(InputError) as caught:
+        read_yaml(path, "n_lanes: 4")
+    assert time.thread_time() - begun < 1
+    assert caught.value.lines == [f"{path}: is not YAML: {said}"]
+
+
+@pytest.mark.parametrize(
+    ("text", "means"),
+    [
+        ("010", 10),
+        ("0o10", 8),
+        ("0x1F", 31),
+        ("1e3", 1000.0),
+        (".5", 0.5),
+        ("-.inf", float("-inf")),
+        ("1:30", "1:30"),
+        ("1_000", "1_000"),
+        ("2020-01-01", "2020-01-01"),
+        ("2020-99-99", "2020-99-99"),
+        ("yes", True),
+        ("~", None),
+        ("!!str 010", "010"),
+        ("!!float 1", 1.0),
+        ("{1: 2, no: 3, ~: 4}", {"1": 2, "no": 3, "~": 4}),
+        ("[&x [1, 2], *x]", [[1, 2], [1, 2]]),
+    ],
+)
+def test_yaml_is_read_as_version_1_2_means_it_and_written_so_that_it_stays(
+    text: str, means: object
+) -> None:
+    assert parse_yaml(f"a: {text}", "x.yaml") == {"a": means}
+    assert parse_yaml(dump_yaml({"a": means}), "x.yaml") == {"a": means}
+    # A text with these letters stays a text.
+    assert parse_yaml(dump_yaml({"a": text, text: 1}), "x.yaml") == {"a": text, text: 1}
+
+
+def test_an_experiment_is_written_as_it_is_read(tmp_path: Path) -> None:
+    content = {"name": "1e3", "path": "0o7", "x": [1e-5, 1e300, -0.0, 10**17], "y": {"no": None}}
+    write_yaml(tmp_path / "x.yaml", content)
+    assert read_yaml(tmp_path / "x.yaml", "n_lanes: 4") == content
+
+
+DRIVE = "name: x\nn_lanes: 4\nrecording: {simulate: quickstart, frames: [0, 50]}\n"
+
+
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        ("name: 2020-01-01\nn_lanes: 4\nrecording: {path: ~no_such_user/x.bag}\n", "~no_such_user/x.bag: there"),
+        ("name: x\nn_lanes: 4\nrecording: {path: x.csv}\nground_truth: {path: ~no_such_user/x}\n", "x.csv"),
+        (
+            DRIVE + "evidence: line_geometry\ngraph: position_in_lane\n"
+            "parameters: {fallback_width_m: 1e300}\n",
+            "parameters.fallback_width_m: 1e+300 must be at most 1000.0",
+        ),
+        (DRIVE + "parameters: {sigma1: 1e400}\n", "parameters.sigma1: inf is not a finite number"),
+        (DRIVE + "n_lanes: 3\n", "line 4: key 'n_lanes' was given in line 2"),
+        (DRIVE + "learned_on: 7\n", "learned_on: needs a list"),
+    ],
+)
+def test_a_run_of_a_damaged_experiment_is_refused_in_one_line(
+    tmp_path: Path, text: str, said: str
+) -> None:
+    (tmp_path / "x.yaml").write_text(text)
+    assert said in refused("run", tmp_path / "x.yaml", "--out", tmp_path / "out")
+    assert not (tmp_path / "out").exists()
+
+
+@pytest.mark.parametrize("path", ["a\0b.csv", "a\ud800b.csv"])
+def test_a_name_that_no_file_can_have_is_refused_wherever_it_comes_from(path: str) -> None:
+    experiment = {"name": "x", "n_lanes": 4, "recording": {"path": path}}
+    with pytest.raises(InputError):
+        ego.run(experiment)
