@@ -17,7 +17,8 @@
 annotated frames, and the `block` of each; run.json has `fit`, `blocks` and `parameters_per_block`
 besides; scores.json has the experiment's part of the comparison under `held_out`.
 
-A directory is written beside its place and renamed at the end: one that has the name is whole.
+A directory is written beside its place and renamed at the end: one that has the name is whole. A
+new result takes the place of an old one file by file: what else lies there stays (see `OURS`).
 """
 
 from __future__ import annotations
@@ -25,11 +26,14 @@ from __future__ import annotations
 import contextlib
 import functools
 import hashlib
+import os
 import platform
+import shutil
 import subprocess
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from datetime import UTC, datetime
+from fnmatch import fnmatch
 from importlib import metadata
 from pathlib import Path
 from typing import Any
@@ -262,11 +266,47 @@ def write_files(directory: Path, files: Mapping[str, bytes]) -> None:
 @contextlib.contextmanager
 def staged(directory: Path, kinds: Sequence[Callable[[Path], bool]] = ()) -> Iterator[Path]:
     """A directory to fill, which takes the place of the result `directory` when the block ends
-    well. Raises InputError where that holds something else (see `check_writable`), or cannot be
-    written."""
+    well; what is not ours in there stays (see `OURS`).
+
+    Raises InputError where that holds something else (see `check_writable`), or cannot be written.
+    """
     check_writable(directory, kinds)
     with atomic_directory(directory) as temporary:
         yield temporary
+        if directory.is_dir():
+            _keep_others(directory, temporary)
+
+
+#: The files of a result: a new one replaces them, or removes those that it has not got. All others
+#: in the directory, such as notes, are not ours and stay.
+OURS = (
+    *("experiment.yaml", "run.json", "scores.json", "beliefs.parquet", LINES, "events.csv"),
+    *("clips.csv", "labels.txt", "labels.csv", "review.csv", "doubted.csv"),
+    *(
+        f"figures/{name}.{style}"
+        for name in ("strips", "confusion", "reliability", "coverage", "review_*")
+        for style in ("png", "pdf", "svg")
+    ),
+)
+
+
+def _keep_others(old: Path, new: Path) -> None:
+    """Put what is in `old` but not ours into `new` too, as a second name of the same file."""
+    for file in sorted(old.rglob("*")):
+        name = file.relative_to(old)
+        kept = new / name
+        if file.is_dir() and not file.is_symlink():
+            if not any(file.iterdir()):
+                kept.mkdir(parents=True, exist_ok=True)
+        elif kept.is_dir():
+            raise InputError(f"{file}: is in the way of a folder of the result; move it")
+        elif not kept.exists() and not any(fnmatch(name.as_posix(), ours) for ours in OURS):
+            kept.parent.mkdir(parents=True, exist_ok=True)
+            try:
+                os.link(file, kept, follow_symlinks=False)
+            except OSError:
+                # Not every file system has second names.
+                shutil.copy2(file, kept, follow_symlinks=False)
 
 
 def write_result(directory: Path, result: Result, experiment: Mapping[str, Any]) -> None:

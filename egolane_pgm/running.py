@@ -239,7 +239,8 @@ def joined_outputs(outputs: Sequence[RuleOutput]) -> RuleOutput:
 
 
 def save_run(run: Run, directory: str | Path, draw: Callable[[Path], None] | None = None) -> Path:
-    """Write a result directory; `results` says what is in it. An existing one is replaced whole.
+    """Write a result directory; `results` says what is in it. An older one is replaced;
+    files of others in it stay.
 
     - draw: adds figures to the directory that it is given, before that has its final name.
 

@@ -473,14 +473,62 @@ def test_an_interruption_around_the_renaming_leaves_one_whole_result(
     assert contents(tmp_path) == {f"result/{n}.json": which.encode() for n in ("run", "scores")}
 
 
-def test_a_result_takes_the_place_of_an_earlier_one_as_a_whole(tmp_path: Path) -> None:
+def test_a_result_takes_the_place_of_an_earlier_one_and_nothing_else(tmp_path: Path) -> None:
     result = earlier_result(tmp_path)
-    (result / "figures").mkdir()
-    (result / "figures" / "old.png").write_text("old")
+    mine = {"notes.md", "figures/mine.png", "backup/run.json", "events.csv.old", "graph_mine.py"}
+    ours = {"clips.csv", "labels.txt", "figures/strips.png", "figures/review_1.pdf"}
+    for name in mine | ours:
+        (result / name).parent.mkdir(exist_ok=True)
+        (result / name).write_text("old")
+    (result / "link").symlink_to("nowhere")
+    (result / "empty").mkdir()
     with staged(result) as folder:
         fill(folder)
-    assert contents(tmp_path) == {f"result/{n}.json": b"new" for n in ("run", "scores")}
+        (folder / "events.csv").write_text("new")
+    new = {f"result/{name}": b"new" for name in ("run.json", "scores.json", "events.csv")}
+    assert contents(tmp_path) == new | {f"result/{name}": b"old" for name in mine}
+    assert (result / "link").is_symlink()
+    assert (result / "empty").is_dir()
     assert result.stat().st_mode & 0o777 == 0o755
+    assert [p.name for p in tmp_path.iterdir()] == ["result"]
+
+
+def test_a_file_where_a_result_has_a_folder_is_not_deleted(tmp_path: Path) -> None:
+    result = earlier_result(tmp_path)
+    (result / "figures").write_text("mine")
+    before = contents(tmp_path)
+
+    def write() -> None:
+        with staged(result) as folder:
+            fill(folder)
+            (folder / "figures").mkdir()
+
+    with pytest.raises(InputError, match="figures: is in the way of a folder of the result"):
+        write()
+    assert contents(tmp_path) == before
+    (result / "figures").unlink()
+    (result / "figures").mkdir()
+    (result / "clips.csv").mkdir()
+    (result / "clips.csv" / "mine").write_text("mine")
+    before = contents(tmp_path)
+
+    def write_clips() -> None:
+        with staged(result) as folder:
+            fill(folder)
+            (folder / "clips.csv").write_text("new")
+
+    with pytest.raises(InputError, match="result: cannot be written"):
+        write_clips()
+    assert contents(tmp_path) == before
+
+
+def test_a_second_run_keeps_the_notes_in_its_result_directory(drive: Path, tmp_path: Path) -> None:
+    done("run", drive, "--out", tmp_path / "result")
+    (tmp_path / "result" / "notes.md").write_text("what I saw")
+    done("run", drive, "--no-figures", "--out", tmp_path / "result")
+    assert (tmp_path / "result" / "notes.md").read_text() == "what I saw"
+    assert not (tmp_path / "result" / "figures").exists()
+    read_result(tmp_path / "result")
 
 
 def test_check_writable_allows_new_empty_and_earlier_directories_only(tmp_path: Path) -> None:

@@ -240,8 +240,8 @@ class CompareResult:
 
         - figures: whether accuracy, and that over lags, is drawn beside them.
 
-        An older comparison of that name is replaced. Raises InputError where the directory holds
-        anything else, or cannot be written.
+        An older comparison of that name is replaced; files of your own in it stay. Raises
+        InputError where the directory holds anything else, or cannot be written.
         """
         place = Path(directory)
         with staged(place, [is_comparison]) as folder:

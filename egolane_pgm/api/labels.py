@@ -175,8 +175,8 @@ class LabelResult:
 
         - figures: whether pictures are drawn.
 
-        An older result of that name is replaced. Raises InputError where the directory holds
-        anything else, or cannot be written.
+        An older result of that name is replaced; files of your own in it stay. Raises
+        InputError where the directory holds anything else, or cannot be written.
         """
         labels, place = self.labels, Path(directory)
         run = labels.run

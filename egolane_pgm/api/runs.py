@@ -203,8 +203,8 @@ class RunResult:
 
         - figures: whether figures are drawn in it.
 
-        An older result of that name is replaced. Raises InputError where the directory holds
-        anything else, or cannot be written.
+        An older result of that name is replaced; files of your own in it stay. Raises
+        InputError where the directory holds anything else, or cannot be written.
         """
         draw = draw_all if figures else None
         return save_result(self.result, self.experiment, self.model, Path(directory), draw)

@@ -183,8 +183,8 @@ class TuneResult:
 
         - figures: whether figures are drawn in it.
 
-        An older study of that name is replaced. Raises InputError where the directory holds
-        anything else, or cannot be written.
+        An older study of that name is replaced; files of your own in it stay. Raises
+        InputError where the directory holds anything else, or cannot be written.
         """
         place = Path(directory)
         for name in self.names:

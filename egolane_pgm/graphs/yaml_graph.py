@@ -44,6 +44,7 @@ from types import ModuleType
 from typing import Any, Literal
 
 import numpy as np
+from pydantic import FiniteFloat
 
 from egolane_pgm.experiment import Section, load_yaml, validated
 from egolane_pgm.graphs.cpds import (
@@ -72,7 +73,7 @@ class _Declared(Section):
 
     kind: Literal["sigma", "probability", "positive", "non_negative", "integer", "choice"]
     default: Any
-    bounds: tuple[float, float] | None = None
+    bounds: tuple[FiniteFloat, FiniteFloat] | None = None
     doc: str = "see the graph file"
     choices: tuple[Any, ...] = ()
     per_lane: bool = False

@@ -100,8 +100,10 @@ DRIVE = "name: x\nn_lanes: 4\nrecording: {simulate: quickstart, frames: [0, 50]}
 @pytest.mark.parametrize(
     ("text", "said"),
     [
-        ("name: 2020-01-01\nn_lanes: 4\nrecording: {path: ~no_such_user/x.bag}\n", "~no_such_user/x.bag: there"),
-        ("name: x\nn_lanes: 4\nrecording: {path: x.csv}\nground_truth: {path: ~no_such_user/x}\n", "x.csv"),
+        (
+            "name: 2020-01-01\nn_lanes: 4\nrecording: {path: ~no_such_user/x.bag}\n",
+            "~no_such_user/x.bag: there",
+        ),
         (
             DRIVE + "evidence: line_geometry\ngraph: position_in_lane\n"
             "parameters: {fallback_width_m: 1e300}\n",

@@ -8,7 +8,7 @@ from egolane_pgm.graphs.position_in_lane import CELLS, MOTION_BINS, MOTION_RANGE
 from egolane_pgm.parameters import Parameter
 
 #: Lane widths that are taken: a detector's metres may be others than ours, but not by this much.
-_WIDTHS = {"lowest": 0.01, "highest": 1000.0}
+_NARROWEST_M, _WIDEST_M = 0.01, 1000.0
 
 _OR_FITTED = "; `generic`, or a list that `egolane learn` writes"
 
@@ -21,7 +21,8 @@ PARAMETERS = (
         " flags and LRI mean, from the frames so far) or `auto` (from the lines of the whole"
         " recording)",
         choices=("auto", "causal"),
-        **_WIDTHS,
+        lowest=_NARROWEST_M,
+        highest=_WIDEST_M,
     ),
     Parameter(
         "fallback_width_m",
@@ -29,7 +30,8 @@ PARAMETERS = (
         3.5,
         "lane width that is expected before the lines show it, in the detector's metres",
         search=None,
-        **_WIDTHS,
+        lowest=_NARROWEST_M,
+        highest=_WIDEST_M,
     ),
     Parameter(
         "alpha",
