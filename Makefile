@@ -52,8 +52,8 @@ notebooks: .venv/.dev
 RUNS := results/runs
 NO_BONUS := --set parameters.bonus_value=0 --set name=run03_no_bonus
 paper: .venv/.run
-	$(BIN)/egolane reproduce --out $(RUNS) > results/paper/reproduction.md
-	$(BIN)/egolane compare > results/paper/graphs.md
+	$(BIN)/egolane reproduce --wide --out $(RUNS) > results/paper/reproduction.md
+	$(BIN)/egolane compare --wide > results/paper/graphs.md
 	$(BIN)/egolane run experiments/paper/run03_italy_mc.yaml --no-figures --out $(RUNS)/run03_bonus
 	$(BIN)/egolane run experiments/paper/run03_italy_mc.yaml --no-figures $(NO_BONUS) --out $(RUNS)/run03_no_bonus
 	$(BIN)/egolane plot $(RUNS)/run01_italy_ml --frames 1880 2700 --out results/paper
@@ -72,9 +72,9 @@ EM := $(addprefix experiments/graphs/,em.yaml em_autoregressive.yaml em_autoregr
 OTHERS := experiments/graphs/start.yaml $(EM)
 graphs: .venv/.run
 	mkdir -p results/graphs
-	$(BIN)/egolane compare --graphs $(GRAPHS) --held-out --set filter=exact $(SEARCH) --differences results/graphs/graphs.png > results/graphs/graphs.md
-	$(BIN)/egolane compare $(EM) experiments/graphs/start.yaml --runs 1-10 --jobs 2 > results/graphs/learned.md
-	$(BIN)/egolane compare experiments/graphs/searched.yaml $(OTHERS) --runs 1-10 $(SEARCH) > results/graphs/learned_or_searched.md
+	$(BIN)/egolane compare --graphs $(GRAPHS) --held-out --wide --set filter=exact $(SEARCH) --differences results/graphs/graphs.png > results/graphs/graphs.md
+	$(BIN)/egolane compare $(EM) experiments/graphs/start.yaml --runs 1-10 --jobs 2 --wide > results/graphs/learned.md
+	$(BIN)/egolane compare experiments/graphs/searched.yaml $(OTHERS) --runs 1-10 --wide $(SEARCH) > results/graphs/learned_or_searched.md
 
 # What results/beyond/ holds of recordings by other detectors (a quarter of an hour of one core).
 beyond: .venv/.dev
@@ -85,7 +85,7 @@ beyond: .venv/.dev
 
 # results/beyond/delay.md and its figure: how right an answer is that waits (a minute).
 DELAY := egolane compare experiments/zero_label.yaml --runs 1-10 \
-	--lags 0,0.2,0.5,1,1.5,2,3,4,5 --figure results/beyond/delay.png
+	--lags 0,0.2,0.5,1,1.5,2,3,4,5 --wide --figure results/beyond/delay.png
 define DELAY_HEAD
 # How right an answer is that waits
 
@@ -105,7 +105,7 @@ delay: .venv/.run
 	$(BIN)/$(DELAY) >> results/beyond/delay.md
 
 # The table in results/beyond/events.md: how right lane changes are told (half a minute).
-EVENTS := egolane compare experiments/zero_label.yaml --runs 1-10 --with-paper --events
+EVENTS := egolane compare experiments/zero_label.yaml --runs 1-10 --with-paper --events --wide
 events: .venv/.run
 	sed -i '/^<!-- the table/q' results/beyond/events.md
 	$(BIN)/$(EVENTS) >> results/beyond/events.md

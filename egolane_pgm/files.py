@@ -109,7 +109,12 @@ def write_text(path: str | Path, text: str, *, make_folder: bool = False) -> Non
 def write_json(path: Path, content: Mapping[str, Any]) -> None:
     """Write JSON; folders that are not there are made. Raises InputError where it cannot be
     written."""
-    write_text(path, json.dumps(plain(content), indent=1) + "\n", make_folder=True)
+    write_text(path, json_text(content), make_folder=True)
+
+
+def json_text(content: Mapping[str, Any]) -> str:
+    """The text of a JSON file."""
+    return json.dumps(plain(content), indent=1) + "\n"
 
 
 def write_yaml(path: Path, content: Mapping[str, Any], heading: str = "") -> None:

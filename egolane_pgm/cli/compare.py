@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -17,18 +17,16 @@ from egolane_pgm.api.comparisons import (
     groups_of,
 )
 from egolane_pgm.cli import options
+from egolane_pgm.cli.options import write_json
 from egolane_pgm.comparing import compare_rows
 from egolane_pgm.comparing.groups import Group, Options
 from egolane_pgm.comparing.lags import check_lags
-from egolane_pgm.files import check_not_read, check_place, write_json
+from egolane_pgm.files import check_not_read, check_place
 from egolane_pgm.paper import parse_runs
 from egolane_pgm.report import comparison_tables as rows_of
 from egolane_pgm.report import events as lane_changes
-from egolane_pgm.report import tables
+from egolane_pgm.report.tables import Table, page
 from egolane_pgm.types import InputError
-
-#: Writes a table: header and rows.
-Draw = Callable[[Sequence[str], Sequence[Sequence[str]]], str]
 
 TITLES = {"accuracy": "Accuracy", "f1": "F1 (mean over lanes)", "log_loss": "Log-loss (all frames)"}
 
@@ -81,7 +79,7 @@ class Figures(NamedTuple):
 )
 @options.jobs
 @options.overrides("Override the YAMLs.")
-@options.style
+@options.tables
 @click.option(
     "--out", type=click.Path(file_okay=False), help="Keep a result directory for each recording."
 )
@@ -111,6 +109,7 @@ def compare(
     jobs: int,
     overrides: tuple[str, ...],
     style: str,
+    wide: bool,
     out: str | None,
     figure: str | None,
     differences: str | None,
@@ -141,13 +140,12 @@ def compare(
     names = graph_names(graphs, bool(experiments))
     if not experiments and not held_out:
         many = (health, events, lags, overrides, trials, trials_per_number, seeds, *figures, out)
-        if any(many) or style != "markdown":
+        if any(many):
             raise InputError(
                 "compare: --health, --events, --lags, --set, --trials, --trials-per-number,"
-                " --seeds, --figure, --differences, --out and --format go with experiments or with"
-                " --held-out"
+                " --seeds, --figure, --differences and --out go with experiments or with --held-out"
             )
-        _in_sample(names, parse_runs(runs or "1-10"), which, json_file)
+        _in_sample(names, parse_runs(runs or "1-10"), which, style, wide, json_file)
         return
     numbers = parse_runs(runs) if runs else None
     fit = "tune" if held_out else None
@@ -168,7 +166,7 @@ def compare(
         events,
         waits,
     )
-    _held_out(groups, settings, jobs, style, figures, json_file)
+    _held_out(groups, settings, jobs, style, wide, figures, json_file)
 
 
 def _seeds(text: str) -> tuple[int, ...]:
@@ -185,6 +183,7 @@ def _held_out(
     settings: Options,
     jobs: int,
     style: str,
+    wide: bool,
     figures: Figures,
     json_file: Path | None,
 ) -> None:
@@ -194,10 +193,10 @@ def _held_out(
     for recording in found["recordings"]:
         for note in recording["notes"]:
             click.echo(f"warning: {recording['title']}: {note}", err=True)
-    if style == "markdown":
-        _show_markdown(found, settings)
-    else:
-        _show_tables(found, settings, tables.STYLES[style])
+    parts = _parts(found, settings)
+    if style != "markdown" and not _instead(found, settings):
+        parts.insert(0, Table(*rows_of.full_rows(found)))
+    click.echo(page(parts, style, wide))
     if any(figures):
         from egolane_pgm.report import comparison_figures as draws
 
@@ -218,69 +217,50 @@ def _held_out(
         raise SystemExit(1)
 
 
-def _show_markdown(found: Mapping[str, Any], settings: Options) -> None:
-    is_repeated = rows_of.is_repeated(found)
+def _parts(found: Mapping[str, Any], settings: Options) -> list[str | Table]:
+    parts: list[str | Table] = []
     instead = _instead(found, settings)
-    taken_together = [] if instead else rows_of.together_tables(found)
-    header, rows = rows_of.search_rows(found)
-    if rows:
-        click.echo(f"{tables.markdown(header, rows)}\n")
-    for header, rows in taken_together:
-        click.echo(f"{tables.markdown(header, rows)}\n")
-    for header, rows in instead:
-        click.echo(f"{tables.markdown(header, rows)}\n")
+    together = [] if instead else rows_of.together_tables(found)
+    searched = rows_of.search_rows(found)
+    parts += [Table(*searched)] if searched[1] else []
+    parts += [Table(*each) for each in together]
+    legends = []
     if instead:
-        click.echo(rows_of.marks_text(found))
-    elif is_repeated:
-        click.echo(f"{tables.markdown(*rows_of.seeds_rows(found))}\n\n{rows_of.marks_text(found)}")
+        parts += [*instead, rows_of.marks_text(found)]
+        legends += [rows_of.LAGS_LEGEND] if settings.lags else []
+        legends += [lane_changes.LEGEND] if settings.events else []
+    elif rows_of.is_repeated(found):
+        parts += [Table(*rows_of.seeds_rows(found), labels=2), rows_of.marks_text(found)]
+        legends += [rows_of.LEGEND, rows_of.SEEDS_LEGEND]
     else:
-        header, rows = rows_of.accuracy_rows(found)
-        click.echo(f"{tables.markdown(header, rows)}\n\n{rows_of.marks_text(found)}")
+        parts += [Table(*rows_of.accuracy_rows(found)), rows_of.marks_text(found)]
         if rows_of.has_untrusted(found):
-            header, rows = rows_of.accuracy_rows(found, "all_frames")
-            click.echo(
-                "\nAbove without the frames of tuning.never_fit, whose labels are not trusted;"
-                f" with them:\n\n{tables.markdown(header, rows)}"
+            parts.append(
+                "Above without the frames of tuning.never_fit, whose labels are not trusted;"
+                " with them:"
             )
-        for header, rows in rows_of.full_tables(found):
-            click.echo(f"\n{tables.markdown(header, rows)}")
-    _show_rest(found, settings, tables.markdown)
-    legends = [] if instead else [rows_of.LEGEND]
-    if settings.lags:
-        legends.append(rows_of.LAGS_LEGEND)
-    if settings.events:
-        legends.append(lane_changes.LEGEND)
-    if is_repeated:
-        legends.append(rows_of.SEEDS_LEGEND)
-    if taken_together:
-        legends.append(rows_of.TOGETHER_LEGEND)
+            parts.append(Table(*rows_of.accuracy_rows(found, "all_frames")))
+        parts += rows_of.full_tables(found)
+        legends.append(rows_of.LEGEND)
+    legends += [rows_of.TOGETHER_LEGEND] if together else []
+    chosen = rows_of.chosen_rows(found)
+    parts += [Table(*chosen, labels=2)] if chosen[1] else []
     if settings.health:
+        parts.append(Table(*rows_of.health_rows(found)))
         legends.append(rows_of.HEALTH_LEGEND)
-    click.echo("\n" + "\n\n".join(legends))
+    # They are wrapped as wide as the terminal is.
+    return parts + [" ".join(legend.split()) for legend in legends]
 
 
-def _show_tables(found: Mapping[str, Any], settings: Options, draw: Draw) -> None:
-    shown = _instead(found, settings) or [rows_of.full_rows(found)]
-    click.echo("\n\n".join(draw(*rows).rstrip("\n") for rows in shown))
-    _show_rest(found, settings, draw)
-
-
-def _instead(
-    found: Mapping[str, Any], settings: Options
-) -> list[tuple[list[str], list[list[str]]]]:
-    """Header and rows of the tables that were asked for instead of those of all scores."""
-    asked = [rows_of.lag_rows(found)] if settings.lags else []
-    return asked + ([lane_changes.event_comparison_rows(found)] if settings.events else [])
-
-
-def _show_rest(found: Mapping[str, Any], settings: Options, draw: Draw) -> None:
-    """The tables that stand below any others."""
-    header, rows = rows_of.chosen_rows(found)
-    if rows:
-        click.echo(f"\n{draw(header, rows)}".rstrip("\n"))
-    if settings.health:
-        click.echo()
-        click.echo(draw(*rows_of.health_rows(found)).rstrip("\n"))
+def _instead(found: Mapping[str, Any], settings: Options) -> list[Table]:
+    """The tables that were asked for instead of those of all scores."""
+    asked = []
+    if settings.lags:
+        header, rows = rows_of.lag_rows(found)
+        asked.append(Table(header, rows, labels=1 + ("experiment" in header)))
+    if settings.events:
+        asked.append(Table(*lane_changes.event_comparison_rows(found), labels=2, leaves_out=True))
+    return asked
 
 
 def _write_first(json_file: Path | None, found: Mapping[str, Any]) -> InputError | None:
@@ -295,21 +275,28 @@ def _write_first(json_file: Path | None, found: Mapping[str, Any]) -> InputError
 
 
 def _in_sample(
-    names: Sequence[str], numbers: Sequence[int], which: str, json_file: Path | None
+    names: Sequence[str],
+    numbers: Sequence[int],
+    which: str,
+    style: str,
+    wide: bool,
+    json_file: Path | None,
 ) -> None:
     found = compare_on_runs(names, numbers, which).document
     unwritten = _write_first(json_file, found)
+    parts: list[str | Table] = []
     for key, title in TITLES.items():
         header, rows = compare_rows(found, key)
-        click.echo(f"{title}\n\n{tables.markdown(header, rows)}\n")
-    click.echo(
+        parts += [title, Table(header, rows)]
+    parts.append(
         f"Parameters: the paper's ({which}), as far as a graph has them; in-sample: the authors"
         " tuned them for sensor_failure on these very frames."
     )
     if "wor_on_lane" in names and "sensor_failure" in names:
-        click.echo(
+        parts.append(
             "wor_on_lane is sensor_failure until its p3 and p4 differ from lane to lane; the paper"
             " has one value of each. With --held-out they are searched."
         )
+    click.echo(page(parts, style, wide))
     if unwritten is not None:
         raise unwritten

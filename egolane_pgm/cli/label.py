@@ -9,11 +9,12 @@ import click
 from egolane_pgm.api.labels import EXPERIMENT, LabelResult, review_rows
 from egolane_pgm.api.labels import label as label_recording
 from egolane_pgm.cli import options
+from egolane_pgm.cli.options import write_json
 from egolane_pgm.experiment import load_experiment
-from egolane_pgm.files import check_not_read, write_json
+from egolane_pgm.files import check_not_read
 from egolane_pgm.labelling import BELOW
 from egolane_pgm.loading import as_name, named_files
-from egolane_pgm.report.tables import markdown, score_text
+from egolane_pgm.report.tables import Table, page, score_text
 from egolane_pgm.results import SCHEMA_VERSION, check_writable
 from egolane_pgm.types import InputError
 
@@ -43,6 +44,7 @@ SHOWN = 10
 @options.of_recording
 @click.option("--out", type=click.Path(file_okay=False), help="Folder of the labels.")
 @click.option("--no-figures", is_flag=True, help="Draw nothing.")
+@options.tables
 @options.json_file
 def label(
     recording: str | None,
@@ -56,6 +58,8 @@ def label(
     frame_id: str | None,
     out: str | None,
     no_figures: bool,
+    style: str,
+    wide: bool,
     json_file: Path | None,
 ) -> None:
     """Label the lanes of a RECORDING, and list the frames that a human should look at.
@@ -89,7 +93,8 @@ def label(
     # The file is written before anything is printed, because a reader may close the pipe.
     if json_file:
         write_json(json_file, _document(found))
-    _print(found, directory)
+    click.echo(page(_parts(found), style, wide))
+    click.echo(f"\nlabels: {directory / 'labels.txt'}", err=style != "markdown")
 
 
 def _document(found: LabelResult) -> dict[str, object]:
@@ -107,44 +112,38 @@ def _document(found: LabelResult) -> dict[str, object]:
     }
 
 
-def _print(found: LabelResult, directory: Path) -> None:
+def _parts(found: LabelResult) -> list[str | Table]:
     for note in found.notes:
         click.echo(f"warning: {note}", err=True)
-    click.echo(found.title())
-    click.echo("labels know the whole recording: for the frames themselves, not for a causal score")
+    known = "labels know the whole recording: for the frames themselves, not for a causal score"
+    parts: list[str | Table] = [f"{found.title()}\n{known}"]
     worst = found.labels.worst[:SHOWN]
     if worst:
-        click.echo(f"\nto review, those first in which most frames may be wrong ({len(worst)} of"
-                   f" {len(found.labels.review)}):\n")  # fmt: skip
-        click.echo(markdown(*review_rows(worst)))
-    if found.scores:
-        click.echo("\n" + scores_text(found))
-    click.echo(f"\nlabels: {directory / 'labels.txt'}")
+        parts.append(f"to review, those first in which most frames may be wrong ({len(worst)} of"
+                     f" {len(found.labels.review)}):")  # fmt: skip
+        parts.append(Table(*review_rows(worst)))
+    return parts + (score_parts(found) if found.scores else [])
 
 
-def scores_text(found: LabelResult) -> str:
+def score_parts(found: LabelResult) -> list[str | Table]:
     """What the ground truth says about the labels."""
     scores = found.scores
     which = "trusted, " if scores["trusted_only"] else ""
-    shares = [f"{float(share):.0%}" for share in scores["surest"]]
-    table = markdown(
-        ["surest frames", *shares],
-        [["right", *(score_text(right, 4) for right in scores["surest"].values())]],
-    )
-    reviewed = score_text(scores["reviewed"])
-    right = score_text(scores["unreviewed"], 4)
+    rows = [
+        [f"{float(share):.0%}", score_text(right, 4)] for share, right in scores["surest"].items()
+    ]
     lines = [
-        f"{scores['frames_scored']} {which}annotated frames (crossing ones are not scored):",
-        "",
-        table,
-        "",
-        f"share on the review list: {reviewed}",
-        f"right of those that are neither on it nor labelled as crossing: {right}"
-        f" ({scores['wrong_unreviewed']} wrong)",
+        f"share on the review list: {score_text(scores['reviewed'])}",
+        "right of those that are neither on it nor labelled as crossing:"
+        f" {score_text(scores['unreviewed'], 4)} ({scores['wrong_unreviewed']} wrong)",
         f"crossing frames: precision {score_text(scores['crossing_precision'])},"
         f" recall {score_text(scores['crossing_recall'])}",
     ]
     n_doubted = len(found.doubted)
     if n_doubted:
         lines.append(f"{n_doubted} stretch(es) in which a sure label contradicts it: doubted.csv")
-    return "\n".join(lines)
+    return [
+        f"{scores['frames_scored']} {which}annotated frames (crossing ones are not scored):",
+        Table(["surest frames", "right"], rows),
+        "\n".join(lines),
+    ]

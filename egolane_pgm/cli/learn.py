@@ -11,10 +11,10 @@ import click
 from egolane_pgm.api.learned import LearnResult
 from egolane_pgm.api.learned import learn as learn_experiment
 from egolane_pgm.cli import options
+from egolane_pgm.cli.options import write_json
 from egolane_pgm.experiment import load_experiment
-from egolane_pgm.files import write_json
 from egolane_pgm.learning import output_files
-from egolane_pgm.report.tables import scores_table
+from egolane_pgm.report.tables import Table, page, score_rows
 from egolane_pgm.results import SCHEMA_VERSION
 
 
@@ -30,6 +30,7 @@ from egolane_pgm.results import SCHEMA_VERSION
     help="The new experiment; default learned_<name>.yaml here.",
 )
 @click.option("--blocks", type=click.IntRange(2), default=5, show_default=True)
+@options.tables
 @options.json_file
 def learn(
     experiment: str,
@@ -37,6 +38,8 @@ def learn(
     unlabelled: bool,
     out: str | None,
     blocks: int,
+    style: str,
+    wide: bool,
     json_file: Path | None,
 ) -> None:
     """Learn an experiment from its recording: a new experiment, and what it is worth held out.
@@ -58,9 +61,9 @@ def learn(
     for note in learned.notes:
         click.echo(f"warning: {note}", err=True)
     # The scores are printed even if the files cannot be written.
-    _print(learned)
+    click.echo(page(_parts(learned), style, wide))
     files = learned.write(target)
-    click.echo(f"\nwritten to {' and '.join(map(str, files))}")
+    click.echo(f"\nwritten to {' and '.join(map(str, files))}", err=style != "markdown")
     if json_file:
         write_json(json_file, _document(learned, load_experiment(target).parameters))
 
@@ -81,31 +84,33 @@ def _document(done: LearnResult, parameters: Mapping[str, Any]) -> dict[str, Any
     }
 
 
-def _print(done: LearnResult) -> None:
+def _parts(done: LearnResult) -> list[str | Table]:
     learned = done.learned
+    parts: list[str | Table] = []
     if done.chosen:
         said = ", ".join(f"{name} {value}" for name, value in done.chosen.items())
         what = "the scores below have seen that choice" if learned else "nothing else is learned"
-        click.echo(
+        parts.append(
             f"chosen on all blocks: {said}; {what}, `egolane compare` chooses without each block"
             " that it scores"
         )
     if learned is None:
-        return
+        return parts
     if learned.scores is None or learned.scores_all is None:
-        click.echo(f"{done.name}: no ground truth, so nothing is scored; {done.blocks} blocks")
+        parts.append(f"{done.name}: no ground truth, so nothing is scored; {done.blocks} blocks")
     else:
         scored, everywhere = learned.scores["frames_scored"], learned.scores_all["frames_scored"]
-        click.echo(f"{done.name}: held out, {done.blocks} blocks, {scored} frames scored")
+        said = f"{done.name}: held out, {done.blocks} blocks, {scored} frames scored"
         if learned.tables():
-            click.echo("each with tables for which neither its labels nor its lines were looked at")
-        click.echo(scores_table({"model": learned.scores}))
+            said += "\neach with tables for which neither its labels nor its lines were looked at"
+        parts += [said, Table(*score_rows({"model": learned.scores}))]
         if everywhere != scored:
-            click.echo(f"\nthe same over all {everywhere} frames, those of tuning.never_fit too")
-            click.echo(scores_table({"model": learned.scores_all}))
+            parts.append(f"the same over all {everywhere} frames, those of tuning.never_fit too")
+            parts.append(Table(*score_rows({"model": learned.scores_all})))
     if learned.log_evidence is not None:
         before, after = learned.log_evidence
-        click.echo(
-            f"\nlog evidence per frame, exact filter: {before:.4f} with the starting tables,"
+        parts.append(
+            f"log evidence per frame, exact filter: {before:.4f} with the starting tables,"
             f" {after:.4f} with the learned ones, held out"
         )
+    return parts

@@ -2,27 +2,43 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
+import contextlib
+import io
+import sys
+from collections.abc import Callable, Iterable, Mapping
 from pathlib import Path
 from typing import Any
 
 import click
 
+from egolane_pgm import files
 from egolane_pgm.experiment import read_override
-from egolane_pgm.files import check_place
+from egolane_pgm.files import check_place, json_text
+from egolane_pgm.report.tables import STYLES
 from egolane_pgm.types import MAX_LANES, InputError
 
 Decorator = Callable[[Callable[..., Any]], Callable[..., Any]]
 
 experiment = click.argument("experiment", type=click.Path(dir_okay=False))
 
-style = click.option(
-    "--format",
-    "style",
-    type=click.Choice(["markdown", "latex", "csv"]),
-    default="markdown",
-    show_default=True,
-)
+
+def tables(command: Callable[..., Any]) -> Callable[..., Any]:
+    """The options of a command that prints tables."""
+    wide = click.option(
+        "--wide",
+        is_flag=True,
+        help="Whole tables, for a file, not only what fits the terminal (or COLUMNS, or 80).",
+    )
+    style = click.option(
+        "--format",
+        "style",
+        type=click.Choice(list(STYLES)),
+        default="markdown",
+        show_default=True,
+        help="Of the tables; csv is the first one alone, one number in a cell.",
+    )
+    return style(wide(command))
+
 
 jobs = click.option(
     "--jobs", type=click.IntRange(1), default=1, show_default=True, help="Processes."
@@ -82,11 +98,25 @@ def parameters(
 
 
 def _writable(_: click.Context, __: click.Parameter, file: str | None) -> Path | None:
-    """Check that the file can be written, before anything is computed."""
+    """Check that the file can be written, before anything is computed. With `-` nothing but the
+    JSON comes to standard output from here on."""
     if file is None:
         return None
-    check_place(Path(file))
+    if file == "-":
+        context = click.get_current_context()
+        context.meta[__name__] = sys.stdout
+        context.with_resource(contextlib.redirect_stdout(io.StringIO()))
+    else:
+        check_place(Path(file))
     return Path(file)
+
+
+def write_json(file: Path, content: Mapping[str, Any]) -> None:
+    """Write what `--json` is about. Raises InputError where it cannot be written."""
+    if str(file) == "-":
+        click.echo(json_text(content), file=click.get_current_context().meta[__name__], nl=False)
+    else:
+        files.write_json(file, content)
 
 
 def _a_road(_: click.Context, __: click.Parameter, n_lanes: int) -> int:
@@ -105,7 +135,7 @@ json_file = click.option(
     type=click.Path(dir_okay=False),
     metavar="FILE",
     callback=_writable,
-    help="Write the unrounded numbers as JSON.",
+    help="Write the unrounded numbers as JSON; - prints them, and nothing else.",
 )
 
 

@@ -10,9 +10,9 @@ from tqdm import tqdm
 from egolane_pgm import paper
 from egolane_pgm.api.reproduction import reproduce as reproduce_runs
 from egolane_pgm.cli import options
+from egolane_pgm.cli.options import write_json
 from egolane_pgm.cli.recordings import have_recordings
-from egolane_pgm.files import write_json
-from egolane_pgm.report import tables
+from egolane_pgm.report.tables import Table, confusion_table, page
 from egolane_pgm.results import SCHEMA_VERSION
 from egolane_pgm.tuning import recover as recovering
 
@@ -20,7 +20,7 @@ from egolane_pgm.tuning import recover as recovering
 @click.command()
 @click.option("--runs", default="1-10", show_default=True, help="E.g. 1-5,7.")
 @options.parameters()
-@options.style
+@options.tables
 @click.option("--matrices", is_flag=True, help="Print every confusion matrix too.")
 @click.option(
     "--if-available",
@@ -33,6 +33,7 @@ def reproduce(
     runs: str,
     which: str,
     style: str,
+    wide: bool,
     matrices: bool,
     if_available: bool,
     out: str | None,
@@ -44,17 +45,18 @@ def reproduce(
         return
     done = reproduce_runs(runs=numbers, parameters=which, out=out)
     document = done.document
-    click.echo(tables.STYLES[style](*done.rows()))
+    parts: list[str | Table] = [Table(*done.rows(), labels=2, leaves_out=True)]
     if matrices:
-        for entry in document["runs"]:
-            for kind in ("detector", "model"):
-                title = f"run {entry['run']}, {kind}"
-                click.echo("\n" + tables.confusion_table(entry[kind]["confusion"], title))
-    if style == "markdown":
-        click.echo(
-            f"\n{document['total_frames_off']} of {done.n_classified} classified frames differ from"
-            f" the published matrices (parameters: {which}; in-sample, as in the paper)"
-        )
+        parts += [
+            confusion_table(entry[kind]["confusion"], f"run {entry['run']}, {kind}")
+            for entry in document["runs"]
+            for kind in ("detector", "model")
+        ]
+    parts.append(
+        f"{document['total_frames_off']} of {done.n_classified} classified frames differ from"
+        f" the published matrices (parameters: {which}; in-sample, as in the paper)"
+    )
+    click.echo(page(parts, style, wide))
     if json_file:
         write_json(json_file, document)
 

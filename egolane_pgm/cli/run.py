@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -12,10 +13,11 @@ from tqdm import tqdm
 from egolane_pgm.api.runs import RunResult, choose, draw_all, name_all
 from egolane_pgm.api.runs import run as run_experiment
 from egolane_pgm.cli import options
+from egolane_pgm.cli.options import write_json
 from egolane_pgm.experiment import Experiment
-from egolane_pgm.files import check_not_read, write_json
+from egolane_pgm.files import check_not_read
 from egolane_pgm.loading import named_files
-from egolane_pgm.report.clips import clip_lines
+from egolane_pgm.report.clips import clip_parts
 from egolane_pgm.report.events import (
     event_lines,
     event_rows,
@@ -25,14 +27,18 @@ from egolane_pgm.report.events import (
 )
 from egolane_pgm.report.tables import (
     TUNED_ON,
+    Table,
     confusion_table,
-    markdown,
-    runs_table,
-    scores_table,
+    page,
+    runs_table_rows,
+    score_rows,
 )
 from egolane_pgm.results import SCHEMA_VERSION, check_writable
 from egolane_pgm.running import FinishedRun, plan_runs, run_all
 from egolane_pgm.types import InputError
+
+#: Makes the text of what is printed.
+Show = Callable[[Sequence[str | Table]], str]
 
 
 @click.command()
@@ -55,6 +61,7 @@ from egolane_pgm.types import InputError
 )
 @click.option("--no-figures", is_flag=True, help="Draw nothing.")
 @options.jobs
+@options.tables
 @options.json_file
 def run(
     experiments: tuple[str, ...],
@@ -68,6 +75,8 @@ def run(
     out: str | None,
     no_figures: bool,
     jobs: int,
+    style: str,
+    wide: bool,
     json_file: Path | None,
 ) -> None:
     """Run experiments: filter the recording, score it, tell its lane changes, write a result
@@ -82,23 +91,26 @@ def run(
     if "" in (*recordings, ground_truth, camera, out):
         raise InputError("run: a file or folder that is named is empty (--recording, --out, ...)")
     changes = (ground_truth, n_lanes, frame_id, camera, detector)
+    show = partial(page, style=style, wide=wide)
     if len(experiments) == 1 and len(recordings) < 2:
         recording = recordings[0] if recordings else None
         chosen = choose(experiments[0], overrides, recording, *changes)
-        _run_one(chosen, Path(out) if out else None, not no_figures, json_file)
+        directory = Path(out or Path("results") / chosen.name)
+        _run_one(chosen, directory, show, not no_figures, json_file)
+        click.echo(f"\nresult: {directory}", err=style != "markdown")
         return
     to_load = name_all(experiments, overrides, recordings, *changes)
     draw = None if no_figures else draw_all
-    _run_many(to_load, Path(out or "results"), draw, jobs, json_file)
+    _run_many(to_load, Path(out or "results"), draw, show, jobs, json_file)
 
 
 def _run_one(
     chosen: Experiment,
-    out: Path | None,
+    directory: Path,
+    show: Show,
     figures: bool,
     json_file: Path | None,
 ) -> None:
-    directory = out or Path("results") / chosen.name
     check_writable(directory)
     if json_file:
         check_not_read(json_file, named_files(chosen))
@@ -107,14 +119,16 @@ def _run_one(
     # The file is written before anything is printed, because a reader may close the pipe.
     if json_file:
         write_json(json_file, done.scores)
-    _print_run(done)
-    click.echo(f"\nresult: {directory}")
+    for note in done.notes:
+        click.echo(f"warning: {note}", err=True)
+    click.echo(show(_parts(done)))
 
 
 def _run_many(
     to_load: Sequence[tuple[str, Callable[[], Experiment]]],
     folder: Path,
     draw: Callable[[Path], None] | None,
+    show: Show,
     jobs: int,
     json_file: Path | None,
 ) -> None:
@@ -145,7 +159,10 @@ def _run_many(
         for note in (outcome.summary or {}).get("warnings", ()):
             click.echo(f"warning: {outcome.title}: {note}", err=True)
     summaries = [o.summary for o in outcomes if o.summary is not None]
-    click.echo(f"{runs_table(summaries)}\n\n{markdown(*event_runs_rows(summaries))}")
+    parts: list[str | Table] = [
+        Table(*runs_table_rows(summaries)),
+        Table(*event_runs_rows(summaries), leaves_out=True),
+    ]
     for found in summaries:
         if "model" not in found:
             lanes = (
@@ -153,8 +170,9 @@ def _run_many(
                 if "clips" in found
                 else lane_words(found)
             )
-            click.echo(f"\n{found['name']}: {lanes}; {sure_words(found)}")
-    click.echo(f"\nresults: {len(outcomes) - len(failed)} of {len(outcomes)} in {folder}")
+            parts.append(f"{found['name']}: {lanes}; {sure_words(found)}")
+    parts.append(f"results: {len(outcomes) - len(failed)} of {len(outcomes)} in {folder}")
+    click.echo(show(parts))
     for outcome in failed:
         for line in (outcome.error or "").splitlines():
             click.echo(f"failed: {outcome.title}: {line}", err=True)
@@ -166,48 +184,46 @@ def _inode(directory: Path) -> int | None:
     return directory.stat().st_ino if directory.is_dir() else None
 
 
-def _print_run(done: RunResult) -> None:
-    for note in done.notes:
-        click.echo(f"warning: {note}", err=True)
+def _parts(done: RunResult) -> list[str | Table]:
     experiment, said = done.experiment, done.result.run
-    click.echo(
+    first = [
         f"{done.name}: {len(done)} frames, {experiment.n_lanes} lanes,"
-        f" graph {experiment.graph}, mean log evidence {done.beliefs.mean_log_evidence:.4f}"
-    )
-    for why in said["why_not_causal"]:
-        click.echo(why)
+        f" graph {experiment.graph}, mean log evidence {done.beliefs.mean_log_evidence:.4f}",
+        *said["why_not_causal"],
+    ]
     scores: dict[str, Any] = {
         who: done.scores[who] for who in ("detector", "model") if who in done.scores
     }
-    if not scores:
-        click.echo("no ground truth: beliefs only, no scores (--ground-truth names a file)")
-        _print_lanes(done)
+    if scores:
+        first.append(f"{said['frames_scored']} frames scored (crossing ones are not);")
+        first.append(f"parameters: {TUNED_ON[said['tuned_on']]}")
     else:
-        click.echo(f"{said['frames_scored']} frames scored (crossing ones are not);")
-        click.echo(f"parameters: {TUNED_ON[said['tuned_on']]}\n")
-        click.echo(scores_table(scores))
-    for name, mine in scores.items():
-        click.echo("\n" + confusion_table(mine["confusion"], name))
-    if done.result.clip is None:
-        _print_events(done)
+        first.append("no ground truth: beliefs only, no scores (--ground-truth names a file)")
+    parts: list[str | Table] = ["\n".join(first)]
+    if scores:
+        parts.append(Table(*score_rows(scores)))
+    else:
+        parts += _lane_parts(done)
+    parts += [confusion_table(mine["confusion"], name) for name, mine in scores.items()]
+    return parts + (_event_parts(done) if done.result.clip is None else [])
 
 
-def _print_lanes(done: RunResult) -> None:
+def _lane_parts(done: RunResult) -> list[str | Table]:
     if done.result.clip is None:
         last = done.beliefs.lane[-1]
         best = int(last.argmax())
         at_the_end = f"at the end lane {best + 1} is the most probable ({last[best]:.2f})"
-        click.echo(f"\n{lane_words(done.scores)}; {at_the_end}\n{sure_words(done.scores)}")
-        return
-    click.echo("\n".join(["", *clip_lines(done.result), sure_words(done.scores)]))
-    click.echo("a row for each clip: clips.csv; its frames: beliefs.parquet")
+        return [f"{lane_words(done.scores)}; {at_the_end}\n{sure_words(done.scores)}"]
+    where = "a row for each clip: clips.csv; its frames: beliefs.parquet"
+    return [*clip_parts(done.result), f"{sure_words(done.scores)}\n{where}"]
 
 
-def _print_events(done: RunResult) -> None:
+def _event_parts(done: RunResult) -> list[str | Table]:
     events, scores = done.events, done.scores["events"]
     header, rows = event_rows(events)
-    click.echo(f"\n{markdown(header, rows)}" if rows else "\nno lane change was believed")
+    parts: list[str | Table] = [Table(header, rows) if rows else "no lane change was believed"]
     if len(events) > len(rows):
-        click.echo(f"and {len(events) - len(rows)} more in events.csv")
+        parts.append(f"and {len(events) - len(rows)} more in events.csv")
     if "within" in scores:
-        click.echo("\n" + "\n".join(event_lines(scores)))
+        parts.append("\n".join(event_lines(scores)))
+    return parts

@@ -10,8 +10,9 @@ from typing import Any
 import click
 
 from egolane_pgm.cli import options
+from egolane_pgm.cli.options import write_json
 from egolane_pgm.experiment import experiment_path, experiments_folder, load_experiment, load_yaml
-from egolane_pgm.files import check_not_read, write_json
+from egolane_pgm.files import check_not_read
 from egolane_pgm.inference.compile import Compiled
 from egolane_pgm.loading import check_sources
 from egolane_pgm.model import (
@@ -31,6 +32,7 @@ from egolane_pgm.report.description import (
     describe_rule,
     description_text,
 )
+from egolane_pgm.report.tables import line_width
 from egolane_pgm.results import SCHEMA_VERSION
 from egolane_pgm.simulation import PRESETS
 from egolane_pgm.tuning.pictures import make_problem
@@ -41,21 +43,37 @@ from egolane_pgm.types import InputError, all_problems
 @click.command()
 def ls() -> None:
     """List graphs, evidence rules, detectors, simulated drives and experiments that come along."""
-    click.echo(f"graphs:      {', '.join(plugin_names('graphs'))}")
-    click.echo(f"evidence:    {', '.join(plugin_names('evidence'))}")
-    click.echo(f"detectors:   {', '.join(plugin_names('detectors'))}")
-    click.echo(f"recordings:  {', '.join(FORMATS)}")
-    click.echo(f"simulations: {', '.join(sorted(PRESETS))}")
-    click.echo("experiments:")
+    formatter = click.HelpFormatter(width=line_width())
+    formatter.write_dl(
+        [
+            ("graphs:", ", ".join(plugin_names("graphs"))),
+            ("evidence:", ", ".join(plugin_names("evidence"))),
+            ("detectors:", ", ".join(plugin_names("detectors"))),
+            ("recordings:", ", ".join(FORMATS)),
+            ("simulations:", ", ".join(sorted(PRESETS))),
+        ]
+    )
     tuning = experiments_folder() / "tuning"
-    for path in sorted(experiments_folder().rglob("*.yaml")):
-        is_part = path.name.startswith("_")
-        if path.name != "published.yaml" and path.parent.name != "tuning" and not is_part:
-            found = load_experiment(path)
-            click.echo(f"  {options.shown(path)}  {found.description}")
-    click.echo("tuning files (for `egolane tune`):")
-    for path in sorted(tuning.glob("*.yaml")):
-        click.echo(f"  {options.shown(path)}  {load_yaml(path).get('description', '')}")
+    with formatter.section("experiments"):
+        formatter.write_dl(
+            [
+                (options.shown(path), load_experiment(path).description)
+                for path in sorted(experiments_folder().rglob("*.yaml"))
+                if path.name != "published.yaml"
+                and path.parent.name != "tuning"
+                and not path.name.startswith("_")
+            ],
+            col_max=4,
+        )
+    with formatter.section("tuning files (for `egolane tune`)"):
+        formatter.write_dl(
+            [
+                (options.shown(path), load_yaml(path).get("description", ""))
+                for path in sorted(tuning.glob("*.yaml"))
+            ],
+            col_max=4,
+        )
+    click.echo(formatter.getvalue(), nl=False)
 
 
 @click.command()

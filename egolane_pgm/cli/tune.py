@@ -12,10 +12,11 @@ import click
 
 from egolane_pgm.api.studies import Search, prepare_searches, search_all
 from egolane_pgm.cli import options
-from egolane_pgm.files import write_json
-from egolane_pgm.report import study_tables, tables
+from egolane_pgm.cli.options import write_json
+from egolane_pgm.report import study_tables
 from egolane_pgm.report.study_figures import draw_study
 from egolane_pgm.report.study_trials import read_trials
+from egolane_pgm.report.tables import Table, line_width, page
 from egolane_pgm.results import SCHEMA_VERSION
 from egolane_pgm.tuning.space import described
 
@@ -67,7 +68,7 @@ from egolane_pgm.tuning.space import described
     help="A database that machines share, as Optuna names it; also EGOLANE_STORAGE."
     "  [default: study.journal in the study's directory]",
 )
-@options.style
+@options.tables
 @options.overrides()
 @options.json_file
 def tune(
@@ -90,6 +91,7 @@ def tune(
     jobs: int | None,
     storage: str | None,
     style: str,
+    wide: bool,
     overrides: tuple[str, ...],
     json_file: Path | None,
 ) -> None:
@@ -132,13 +134,10 @@ def tune(
         raise KeyboardInterrupt(
             f"complete trials are kept in {place}; repeat the command to go on"
         ) from None
-    _print(documents, style)
-    if style == "markdown":
-        for made in searches:
-            matters = study_tables.importance_line(read_trials(made.directory))
-            if matters:
-                click.echo(f"\n{matters}")
-        click.echo(f"\nstudies: {folders}; best.yaml: run it, or `include:` it")
+    parts = _parts(documents, in_one_table=style == "csv")
+    said = (study_tables.importance_line(read_trials(made.directory)) for made in searches)
+    parts += [*filter(None, said), f"studies: {folders}; best.yaml: run it, or `include:` it"]
+    click.echo(page(parts, style, wide))
     if not no_figures:
         for made in searches:
             draw_study(made.directory)
@@ -168,21 +167,16 @@ def _say_what_is_searched(searches: Sequence[Search]) -> None:
 def _wrapped(title: str, items: Sequence[str]) -> str:
     """Lines that break between the items."""
     text = f"{title}: " + ", ".join(item.replace(" ", "\0") for item in items)
-    return textwrap.fill(text, 100, subsequent_indent="  ").replace("\0", " ") + "\n"
+    return textwrap.fill(text, line_width(), subsequent_indent="  ").replace("\0", " ") + "\n"
 
 
-def _print(documents: Sequence[Mapping[str, Any]], style: str) -> None:
-    draw = tables.STYLES[style]
-    for title, mine in study_tables.by_country(documents).items():
-        if style == "markdown":
-            click.echo(f"{title}\n")
+def _parts(documents: Sequence[Mapping[str, Any]], in_one_table: bool) -> list[str | Table]:
+    parts: list[str | Table] = []
+    by_title = {"": documents} if in_one_table else study_tables.by_country(documents)
+    for title, mine in by_title.items():
         score = next(iter(mine[0]["best"]["values"]))
         shown = score if score in study_tables.scores_of(mine[0]) else "accuracy"
-        header, rows = study_tables.parameter_rows(mine, shown)
-        click.echo(draw(header, rows) + ("\n" if style == "markdown" else ""))
-    if style != "markdown":
-        return
+        parts += [title, Table(*study_tables.parameter_rows(mine, shown), labels=2)]
     if len(documents) == 1:
-        header, rows = study_tables.score_rows(documents[0])
-        click.echo(f"{tables.markdown(header, rows)}\n")
-    click.echo(study_tables.LEGEND)
+        parts.append(Table(*study_tables.score_rows(documents[0])))
+    return [*parts, study_tables.LEGEND]

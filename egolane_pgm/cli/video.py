@@ -51,7 +51,9 @@ from egolane_pgm.types import InputError
     help="Evidence, graph, filter and parameters.  [default: position in lane, no labels needed]",
 )
 @click.option("--n-lanes", type=click.IntRange(1), help="Number of lanes of the road.")
-@click.option("--truth", "truth_file", metavar="FILE", help="The annotated lanes, where known.")
+@click.option(
+    "--ground-truth", "truth_file", metavar="FILE", help="The annotated lanes, where known."
+)
 @options.frames
 @click.option(
     "--frame-rate",

@@ -6,7 +6,7 @@ from __future__ import annotations
 import numpy as np
 
 from egolane_pgm.inference.events import BELIEVED
-from egolane_pgm.report.tables import markdown
+from egolane_pgm.report.tables import Table
 from egolane_pgm.results import Result
 from egolane_pgm.types import UNASSIGNED, FloatArray
 
@@ -16,7 +16,7 @@ WORST = 5
 _SHARES = (0, 10, 50, 90, 100)
 
 
-def clip_lines(result: Result) -> list[str]:
+def clip_parts(result: Result) -> list[str | Table]:
     """The tables of the clips of a result, and the clips whose last belief is the least sure."""
     columns = result.clip_columns()
     clip, probability = columns["clip"], columns["probability"]
@@ -25,9 +25,7 @@ def clip_lines(result: Result) -> list[str]:
     counted = [int((believed == k).sum()) for k in range(1, result.n_lanes + 1)]
     counted.append(int((believed == UNASSIGNED).sum()))
     names = [*(f"lane {k}" for k in range(1, result.n_lanes + 1)), "no lane"]
-    lanes = [
-        [n, str(k), f"{100 * k / len(clip):.1f} %"] for n, k in zip(names, counted, strict=True)
-    ]
+    lanes = [[n, str(k), f"{100 * k / len(clip):.1f}"] for n, k in zip(names, counted, strict=True)]
     header = ["over the clips", "least", "10 %", "median", "90 %", "most"]
     rows = [
         ["frames", *_quantiles(columns["frames"], ".0f")],
@@ -38,11 +36,8 @@ def clip_lines(result: Result) -> list[str]:
     return [
         f"{len(clip)} clips, each from the prior on; {int(columns['changes'].sum())} lane changes"
         f" in {int((columns['changes'] > 0).sum())} of them",
-        "",
-        markdown([f"believed ({BELIEVED:.2f}) at its end", "clips", "share"], lanes),
-        "",
-        markdown(header, rows),
-        "",
+        Table([f"believed ({BELIEVED:.2f}) at its end", "clips", "share, %"], lanes),
+        Table(header, rows),
         "least sure: " + ", ".join(f"{clip[k]} ({probability[k]:.2f})" for k in worst),
     ]
 

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from egolane_pgm.report.tables import TUNED_ON_SHORT, score_text, with_interval
+from egolane_pgm.report.tables import TUNED_ON_SHORT, Table, score_text, with_interval
 
 LEGEND = """\
 Held out: each block of the drive is scored with parameters fitted without it, or with fixed ones
@@ -146,10 +146,11 @@ def has_untrusted(document: Mapping[str, Any]) -> bool:
 def full_rows(document: Mapping[str, Any]) -> tuple[list[str], list[list[str]]]:
     """All scores: a row per recording, experiment and subset of frames."""
     header = [
-        "recording", "experiment", "frames", "parameters from", "causality", "accuracy", "F1",
-        "log-loss", "Brier", "calibration error", "false switches/min", "delay median",
+        "recording", "experiment", "frames", "accuracy", "F1", "log-loss", "parameters from",
+        "causality", "Brier", "calibration error", "false switches/min", "delay median",
         "delay p90", "missed", "coverage", "log evidence", "us/frame", "parameters",
         "accuracy diff", "F1 diff", "log-loss diff", "fixed", "trials", "seeds", "accuracy +-",
+        "doubt AUC", "P(BAD) AUC",
     ]  # fmt: skip
     rows = []
     for recording in document["recordings"]:
@@ -159,31 +160,23 @@ def full_rows(document: Mapping[str, Any]) -> tuple[list[str], list[list[str]]]:
     return header, rows
 
 
-def full_tables(
-    document: Mapping[str, Any], width: int = 100
-) -> list[tuple[list[str], list[list[str]]]]:
+def full_tables(document: Mapping[str, Any]) -> list[Table]:
     """All scores that somebody has, to be read as plain text: of several recordings a row each, as
-    in `full_rows`; of one upright, a column per experiment, as many as fit into lines of that
-    width. The frames whose labels can be trusted come first there."""
+    in `full_rows`; of one upright, a column per experiment. The frames whose labels can be trusted
+    come first there."""
     header, rows = full_rows(document)
     if len(document["recordings"]) > 1:
         kept = _said(rows)
-        return [([header[k] for k in kept], [[row[k] for k in kept] for row in rows])]
+        cells = [[row[k] for k in kept] for row in rows]
+        return [Table([header[k] for k in kept], cells, labels=3, leaves_out=True)]
     tables = []
     for subset in sorted({row[2] for row in rows}, reverse=True):
         mine = [row for row in rows if row[2] == subset]
         title = mine[0][0] + f", {subset} frames" * has_untrusted(document)
         kept = [k for k in _said(mine) if k > 2]
-        labels = [title, *(header[k] for k in kept)]
-        columns = [labels]
-        for row in mine:
-            columns.append([row[1], *(row[k] for k in kept)])
-            if len(columns) > 2 and sum(max(map(len, c)) + 3 for c in columns) >= width:
-                tables.append(columns[:-1])
-                columns = [labels, columns[-1]]
-        tables.append(columns)
-    upright = [[list(line) for line in zip(*columns, strict=True)] for columns in tables]
-    return [(head, cells) for head, *cells in upright]
+        lines = [[header[k], *(row[k] for row in mine)] for k in kept]
+        tables.append(Table([title, *(row[1] for row in mine)], lines))
+    return tables
 
 
 def _said(rows: Sequence[Sequence[str]]) -> list[int]:
@@ -194,14 +187,15 @@ def _said(rows: Sequence[Sequence[str]]) -> list[int]:
 def _cells(entry: Mapping[str, Any], subset: str, scores: Mapping[str, Any]) -> list[str]:
     delay = scores["delay"]
     difference = (entry["difference"] or {}).get(subset) or {}
+    health = (entry.get("health") or {}).get(subset) or {}
     return [
         entry["name"],
         "all" if subset == "all_frames" else "trusted",
-        TUNED_ON_SHORT[entry["tuned_on"]],
-        causal_text(entry),
         _score(scores, "accuracy", 4),
         _score(scores, "f1", 4),
         score_text(scores["log_loss"]),
+        TUNED_ON_SHORT[entry["tuned_on"]],
+        causal_text(entry),
         score_text(scores["brier"]),
         score_text(scores["expected_calibration_error"]),
         score_text(scores["false_switches_per_minute"], 2),
@@ -216,6 +210,7 @@ def _cells(entry: Mapping[str, Any], subset: str, scores: Mapping[str, Any]) -> 
         *("-" if entry[k] is None else str(entry[k]) for k in ("fixed_parameters", "trials")),
         str(len(entry["seeds"]) or "-"),
         score_text(entry["spread"][subset]["accuracy"]),
+        *(_auc(health.get(key)) for key in ("auc_doubt", "auc_bad")),
     ]
 
 

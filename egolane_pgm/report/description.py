@@ -15,9 +15,7 @@ from egolane_pgm.inference.compile import Compiled
 from egolane_pgm.parameters import Parameter, Parameters
 from egolane_pgm.plugins import plugin_errors
 from egolane_pgm.report.structure import structure_of
-
-#: Columns of a terminal that the text fits in.
-WIDTH = 100
+from egolane_pgm.report.tables import line_width
 
 #: A table of more numbers is not printed: nobody reads them, and they are in the JSON.
 MAX_PRINTED = 1000
@@ -197,7 +195,7 @@ def _numbers(table: Mapping[str, Any], names: Mapping[str, Sequence[str]]) -> li
     *given, node = table["axes"]
     labels = ["", *map(", ".join, itertools.product(*(names[_bare(axis)] for axis in given)))]
     margin = max(map(len, labels))
-    per_line = max(1, (WIDTH - margin - 4) // 10)
+    per_line = max(1, (line_width() - margin - 4) // 10)
     rows = values.reshape(len(labels) - 1, -1)
     cells = [
         [f"{name:>10}" for name in names[node]],
@@ -261,7 +259,7 @@ def _wrapped(text: str, indent: int) -> list[str]:
     first = len(text) - len(text.lstrip())
     return textwrap.wrap(
         text.strip(),
-        WIDTH,
+        line_width(),
         initial_indent=" " * first,
         subsequent_indent=" " * indent,
         break_long_words=False,

@@ -28,22 +28,23 @@ labels (tuning.never_fit) are left out. More: --json."""
 
 def event_rows(events: LaneEvents, at_most: int = LISTED) -> tuple[list[str], list[list[str]]]:
     """Header and rows of the first lane changes, one each."""
-    header = ["time, s", "frame", "lanes", "probability", "believed, s", "late, s"]
+    header = ["time, s", "frame", "from", "to", "probability", "told, s", "late, s"]
     if events.delay_s is not None:
-        header.append("delay from its end, s")
+        header.append("delay, s")
     rows = []
     for e in range(min(at_most, len(events))):
         row = [
             f"{events.time_s[e]:.1f}",
             str(events.frame_id[e]),
-            f"{events.from_lane[e]} -> {events.to_lane[e]}",
+            str(events.from_lane[e]),
+            str(events.to_lane[e]),
             f"{events.probability[e]:.3f}",
             f"{events.told_time_s[e]:.1f}",
             f"{events.late_s[e]:.1f}",
         ]
         if events.delay_s is not None:
             delay = events.delay_s[e]
-            row.append("no such change" if delay != delay else f"{delay:+.1f}")
+            row.append("no change" if delay != delay else f"{delay:+.1f}")
         rows.append(row)
     return header, rows
 

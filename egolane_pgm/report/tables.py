@@ -1,10 +1,14 @@
 """Tables as text: Markdown, LaTeX and CSV from the same cells, and the scores of a result in them.
-`box_text` lists the lines of one frame."""
+What a command prints fits the terminal: `page` is the one place that decides how. `box_text` lists
+the lines of one frame."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from typing import Any
+import re
+import shutil
+import textwrap
+from collections.abc import Iterable, Mapping, Sequence
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -35,26 +39,145 @@ _SCORES = {
 }
 
 
+class Table(NamedTuple):
+    """A table of text.
+
+    - header, rows: a cell of the header for each of a row
+    - labels: how many columns at the left say what a row is about
+    - leaves_out: whether the columns that do not fit are left out, and named below; else they
+      follow in a further table
+    """
+
+    header: Sequence[str]
+    rows: Sequence[Sequence[str]]
+    labels: int = 1
+    leaves_out: bool = False
+
+
+def page(parts: Iterable[str | Table], style: str = "markdown", wide: bool = False) -> str:
+    """What a command prints, text and tables, with an empty line between them.
+
+    - style: one of STYLES; as LaTeX there are tables only, and as CSV the first table only.
+    - wide: whether tables of Markdown are printed whole; else none is wider than the terminal.
+    """
+    shown = list(parts)
+    if style != "markdown":
+        found = [part for part in shown if isinstance(part, Table)]
+        drawn = [STYLES[style](part.header, part.rows) for part in found]
+        return "".join(drawn[:1]).rstrip("\n") if style == "csv" else "\n\n".join(drawn)
+    texts = [wrapped(p) if isinstance(p, str) else _drawn(p, wide) for p in shown]
+    return "\n\n".join(filter(None, texts))
+
+
+def terminal_width() -> int:
+    """How many characters a line of the terminal has: COLUMNS, or what it says itself, or 80."""
+    return max(40, shutil.get_terminal_size().columns)
+
+
+def line_width() -> int:
+    """How long a line of text is: no longer than the terminal, nor than is easy to read."""
+    return min(100, terminal_width())
+
+
+def wrapped(text: str) -> str:
+    """Text in lines that are no longer than `line_width`; what follows a break is indented as its
+    line is."""
+    lines = []
+    for line in text.splitlines():
+        indent = " " * (len(line) - len(line.lstrip()))
+        lines.append(
+            textwrap.fill(
+                line.strip(),
+                line_width(),
+                initial_indent=indent,
+                subsequent_indent=indent,
+                break_long_words=False,
+                break_on_hyphens=False,
+            )
+        )
+    return "\n".join(lines)
+
+
+def _drawn(table: Table, wide: bool) -> str:
+    """A table of Markdown; where it is to fit the terminal in pieces that do."""
+    cells = [[_escaped(str(c)) for c in row] for row in (table.header, *table.rows)]
+    if wide or not table.rows:
+        return _lines(cells)
+    room, n = terminal_width(), table.labels
+    columns = [list(column) for column in zip(*cells, strict=True)]
+    if 1 + sum(map(_width, columns)) <= room:
+        return _lines(cells)
+    # The labels leave room for a column beside them.
+    for_labels = room - 1 - min(max(map(_width, columns[n:]), default=0), room // 2)
+    if sum(map(_width, columns[:n])) > for_labels:
+        columns[:n] = [_cut(column, for_labels // n - 3) for column in columns[:n]]
+    start = used = 1 + sum(map(_width, columns[:n]))
+    pieces = [columns[:n]]
+    for column in (_cut(column, room - start - 3) for column in columns[n:]):
+        if used > start and used + _width(column) > room:
+            pieces.append(columns[:n])
+            used = start
+        pieces[-1].append(column)
+        used += _width(column)
+    drawn = [_lines(list(zip(*piece, strict=True))) for piece in pieces]
+    rest = ", ".join(dict.fromkeys(column[0] for piece in pieces[1:] for column in piece[n:]))
+    if table.leaves_out and rest:
+        return drawn[0] + "\n\n" + wrapped(f"With --wide: {rest}.")
+    return "\n\n".join(drawn)
+
+
+def _width(column: Sequence[str]) -> int:
+    """How much a column takes with what is between two."""
+    return 3 + max(1, *map(len, column))
+
+
+def _cut(column: Sequence[str], most: int) -> list[str]:
+    return [cell if len(cell) <= most else cell[: most - 1] + "\u2026" for cell in column]
+
+
 def markdown(header: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
     """A Markdown table, aligned to be read as plain text; the first column is aligned left."""
-    width = [max(len(str(r[k])) for r in [header, *rows]) for k in range(len(header))]
+    return _lines([[_escaped(str(c)) for c in row] for row in (header, *rows)])
 
-    def line(cells: Sequence[str]) -> str:
+
+def _escaped(text: str) -> str:
+    """A cell in which Markdown sees nothing but text; an underscore inside a word is that."""
+    return re.sub(r"[\\|<`]|(?<!\w)_|_(?!\w)", r"\\\g<0>", " ".join(text.split()))
+
+
+def _lines(cells: Sequence[Sequence[str]]) -> str:
+    """A Markdown table of cells that are escaped, the header first."""
+    width = [max(1, *map(len, column)) for column in zip(*cells, strict=True)]
+
+    def line(row: Sequence[str]) -> str:
         padded = [
-            str(c).ljust(w) if k == 0 else str(c).rjust(w)
-            for k, (c, w) in enumerate(zip(cells, width, strict=True))
+            c.ljust(w) if k == 0 else c.rjust(w)
+            for k, (c, w) in enumerate(zip(row, width, strict=True))
         ]
         return f"| {' | '.join(padded)} |"
 
-    rule = [("-" * w if k == 0 else "-" * (w - 1) + ":") for k, w in enumerate(width)]
-    return "\n".join([line(header), f"| {' | '.join(rule)} |", *map(line, rows)])
+    rule = ["-" * w if k == 0 else "-" * (w - 1) + ":" for k, w in enumerate(width)]
+    return "\n".join([line(cells[0]), f"| {' | '.join(rule)} |", *map(line, cells[1:])])
+
+
+_LATEX = str.maketrans(
+    {character: "\\" + character for character in "&%$#_{}"}
+    | {
+        "\\": r"\textbackslash{}",
+        "~": r"\textasciitilde{}",
+        "^": r"\textasciicircum{}",
+        "|": r"\textbar{}",
+        "<": r"\textless{}",
+        ">": r"\textgreater{}",
+    }
+)
 
 
 def latex(header: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
     """A LaTeX tabular with booktabs rules."""
 
     def line(cells: Sequence[str]) -> str:
-        return " & ".join(_escape(str(c)) for c in cells) + r" \\"
+        return " & ".join(str(c).translate(_LATEX) for c in cells) + r" \\"
 
     return "\n".join(
         [
@@ -69,14 +192,33 @@ def latex(header: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
     )
 
 
+#: What `with_interval` writes, and the star of parameters that are not held out.
+_NUMBER = re.compile(r"([-+.\d]+)(?: \[([-+.\d]+), ([-+.\d]+)\])?(\*?)")
+
+
+def tidy_csv(header: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
+    """Comma-separated values with one number in a cell: the bounds of an interval, and the star of
+    what is not held out, have columns of their own; what is undefined is empty. A name that
+    several columns have follows that of the column before them."""
+    names = [
+        name
+        if header.count(name) == 1
+        else next((f"{own} {name}" for own in header[k::-1] if header.count(own) == 1), name)
+        for k, name in enumerate(header)
+    ]
+    tidy = []
+    for name, cells in zip(names, zip(*rows, strict=True), strict=False):
+        found = [_NUMBER.fullmatch(cell) or (None, cell, *[None] * 3) for cell in map(str, cells)]
+        for k, more in enumerate(("", " low", " high", " in-sample"), start=1):
+            column = ["" if each[k] in (None, "-") else each[k] for each in found]
+            if k == 1 or any(column):
+                tidy.append([name + more, *column])
+    first, *others = zip(*tidy, strict=True) if tidy else [names]
+    return as_csv(first, others)
+
+
 #: The functions that write a table, by the names that `--format` has for them.
-STYLES = {"markdown": markdown, "latex": latex, "csv": as_csv}
-
-
-def _escape(text: str) -> str:
-    for character in "&%$#_{}":
-        text = text.replace(character, "\\" + character)
-    return text
+STYLES = {"markdown": markdown, "latex": latex, "csv": tidy_csv}
 
 
 def score_text(value: float | None, digits: int = 3) -> str:
@@ -96,39 +238,27 @@ def with_interval(value: float | None, interval: Sequence[float] | None, form: s
     )
 
 
-def scores_table(scores: Mapping[str, Mapping[str, Any]]) -> str:
-    """A Markdown table of all scores of a result: a row per score, detector beside model."""
-    return markdown(*score_rows(scores))
-
-
 def score_rows(scores: Mapping[str, Mapping[str, Any]]) -> tuple[list[str], list[list[str]]]:
-    """Header and rows of `scores_table`."""
+    """All scores of a result: a row per score, with its 95 % interval, detector beside model."""
     columns = [name for name in ("detector", "model") if name in scores]
     rows = [
-        [label, *(score_text(scores[c][key]) for c in columns)] for key, label in _SCORES.items()
+        [label, *(with_interval(scores[c][key], _interval(scores[c], key)) for c in columns)]
+        for key, label in _SCORES.items()
     ]
     delays = [scores[c]["delay"] for c in columns]
-    rows.append(
-        ["delay after a lane change, median (frames)"]
-        + [score_text(d["median_frames"], 1) for d in delays]
-    )
+    rows.append(["delay, median (frames)"] + [score_text(d["median_frames"], 1) for d in delays])
     rows.append(["lane changes missed", *(score_text(d["share_missed"]) for d in delays)])
-    for key, label in (("accuracy", "accuracy"), ("f1", "F1 (mean)")):
-        found = [scores[c]["intervals"][key] for c in columns]
-        if all(found):
-            rows.append(
-                [f"{label}, 95 % interval", *(f"{low:.3f} .. {high:.3f}" for low, high in found)]
-            )
-    return ["score", *columns], rows
+    has_intervals = any(scores[c]["intervals"]["accuracy"] for c in columns)
+    return ["score [95 % interval]" if has_intervals else "score", *columns], rows
 
 
-def runs_table(summaries: Sequence[Mapping[str, Any]]) -> str:
-    """A Markdown table of several runs, each as `run.summary` gives it: a row per run."""
-    return markdown(*runs_table_rows(summaries))
+def _interval(scores: Mapping[str, Any], key: str) -> Sequence[float] | None:
+    found: Sequence[float] | None = scores["intervals"].get(key)
+    return found
 
 
 def runs_table_rows(summaries: Sequence[Mapping[str, Any]]) -> tuple[list[str], list[list[str]]]:
-    """Header and rows of `runs_table`."""
+    """Several runs, each as `run.summary` gives it: a row per run."""
     header = ["run", "frames", "scored", "detector", "model", "F1", "log-loss", "parameters"]
     rows = []
     for found in summaries:
@@ -149,15 +279,15 @@ def tuned_on_text(found: Mapping[str, Any]) -> str:
     )
 
 
-def confusion_table(matrix: Sequence[Sequence[int]], header: str = "predicted") -> str:
-    """A Markdown table of a confusion matrix (n + 1, n) with its totals. Rows are the predicted
+def confusion_table(matrix: Sequence[Sequence[int]], header: str = "predicted") -> Table:
+    """The table of a confusion matrix (n + 1, n) with its totals. Rows are the predicted
     lane, then Unassigned; columns are the actual lane."""
     n = len(matrix[0])
     names = [f"lane {k + 1}" for k in range(n)] + ["Unassigned"]
     rows = [[name, *map(str, row), str(sum(row))] for name, row in zip(names, matrix, strict=True)]
     support = [sum(row[k] for row in matrix) for k in range(n)]
     rows.append(["support", *map(str, support), str(sum(support))])
-    return markdown([header, *(f"actual {k + 1}" for k in range(n)), "total"], rows)
+    return Table([header, *(f"actual {k + 1}" for k in range(n)), "total"], rows)
 
 
 def reproduction_rows(

@@ -92,7 +92,7 @@ def test_with_ground_truth_it_says_how_good_the_labels_are(lines: Path, tmp_path
     scores = {name: found["scores"] for name, found in out.items()}
     assert set(scores["mine"]["surest"].values()) == {1.0}
     assert set(scores["other"]["surest"].values()) == {0.0}
-    assert "| right         | 1.0000 | 1.0000 |" in said["mine"]
+    assert "| 98%           | 1.0000 |" in said["mine"]
     assert f"{np.count_nonzero(~truth.is_crossing)} annotated frames" in said["mine"]
     assert "contradicts" not in said["mine"]
     assert "in which a sure label contradicts it: doubted.csv" in said["other"]
@@ -105,7 +105,7 @@ def test_scores_without_a_frame_are_dashes(lines: Path, tmp_path: Path) -> None:
     words = ("--n-lanes", 3, "--ground-truth", tmp_path / "t.txt", "--no-figures")
     said = done("label", lines, *words, "--out", tmp_path / "x").stdout
     assert "0 annotated frames" in said
-    assert "| right         |    - |   - |   - |   - |" in said
+    assert "| 98%           |     - |" in said
 
 
 def test_a_lower_threshold_leaves_less_to_review(lines: Path, tmp_path: Path) -> None:

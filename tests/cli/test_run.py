@@ -143,7 +143,7 @@ def test_run_prints_scores_warnings_and_where_the_result_is(drive: Path, tmp_pat
     ran = done("run", drive, "--no-figures", "--out", tmp_path / "out")
     right = run_experiment(drive)
     assert f"drive: {N_FRAMES} frames, 3 lanes, graph sensor_failure" in ran.stdout
-    assert f"| accuracy {'':>33} | {right.scores['detector']['accuracy']:>8.3f} |" in ran.stdout
+    assert f"| accuracy {'':>13} | {right.scores['detector']['accuracy']:>8.3f} |" in ran.stdout
     assert "parameters: not tuned" in ran.stdout
     assert ran.stdout.endswith(f"result: {tmp_path / 'out'}\n")
     assert ran.stderr.splitlines() == [f"warning: {note}" for note in right.notes]

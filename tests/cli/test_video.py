@@ -177,7 +177,7 @@ def test_the_command_draws_a_video_of_a_video_with_the_truth(drive: Path) -> Non
             write(k, road())
     truth = LaneTruth(np.arange(5), np.full(5, 2), np.zeros(5, dtype=bool))
     write_ground_truth(drive / "truth.txt", truth)
-    line = words(drive, "--truth", drive / "truth.txt", out="out.mp4")
+    line = words(drive, "--ground-truth", drive / "truth.txt", out="out.mp4")
     line[1] = drive / "in.mp4"
     done(*line)
     found = frames_of(drive / "out.mp4")
@@ -269,7 +269,7 @@ def test_what_is_missing_or_wrong_is_said_in_one_line(drive: Path) -> None:
     assert "--frames 5 2: is an empty range" in refused(*words(drive, "--frames", 5, 2))
     assert "no frame from 90 to before 95" in refused(*words(drive, "--frames", 90, 95))
     (drive / "truth.txt").write_text("10;5;0\n")
-    said = refused(*words(drive, "--truth", drive / "truth.txt"))
+    said = refused(*words(drive, "--ground-truth", drive / "truth.txt"))
     assert "frame 10: lane 5 is outside 1..3" in said
     line = ["video", drive / "pictures", "--camera", drive / "cam.yaml", "-o", drive / "o"]
     assert refused(*line) == "--n-lanes: say how many lanes the road has"

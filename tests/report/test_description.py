@@ -14,12 +14,12 @@ from egolane_pgm.inference.compile import compile
 from egolane_pgm.parameters import Parameter, Value, resolve_parameters
 from egolane_pgm.plugins import load_plugin, plugin_names
 from egolane_pgm.report.description import (
-    WIDTH,
     describe_detector,
     describe_graph,
     describe_rule,
     description_text,
 )
+from egolane_pgm.report.tables import line_width
 from egolane_pgm.types import InputError
 from tests.conformance.networks import graph, graph_inputs, graph_names, template
 
@@ -76,7 +76,8 @@ def test_an_input_is_given_and_has_no_table() -> None:
     roles = {node["name"]: node["role"] for node in found["nodes"]}
     assert (roles["LineMotion"], roles["Lane"]) == ("input", "function")
     assert "LineMotion" not in [table["node"] for table in found["tables"]]
-    assert "the likelihood of RoadPosition, SensorState" in description_text(found)
+    said = " ".join(description_text(found).split())
+    assert "the likelihood of RoadPosition, SensorState" in said
 
 
 def test_numbers_are_the_tables_in_json_and_in_the_text() -> None:
@@ -93,7 +94,7 @@ def test_a_long_table_is_not_printed_and_a_wide_one_is_wrapped() -> None:
     text = description_text(described("position_in_lane", numbers=True, n_lanes=4))
     assert "numbers, which `--tables --json FILE` writes" in text
     text = description_text(described("lane_only", numbers=True, n_lanes=20))
-    assert max(map(len, text.splitlines())) <= WIDTH
+    assert max(map(len, text.splitlines())) <= line_width()
     assert sum(line.count("0.05 ") + line.endswith("0.05") for line in text.splitlines()) >= 20
 
 
@@ -101,7 +102,7 @@ def test_a_long_table_is_not_printed_and_a_wide_one_is_wrapped() -> None:
 def test_what_is_said_of_a_graph_fits_a_terminal(name: str) -> None:
     for numbers in (False, True):
         text = description_text(described(name, numbers=numbers))
-        assert max(map(len, text.splitlines())) <= WIDTH
+        assert max(map(len, text.splitlines())) <= line_width()
     for spec in graph(name).PARAMETERS:
         assert f"\n  {spec.name} " in text
 
@@ -114,7 +115,7 @@ def rule(name: str, **given: Value) -> dict[str, Any]:
 
 @pytest.mark.parametrize("name", plugin_names("evidence"))
 def test_what_is_said_of_an_evidence_rule_fits_a_terminal(name: str) -> None:
-    assert max(map(len, description_text(rule(name)).splitlines())) <= WIDTH
+    assert max(map(len, description_text(rule(name)).splitlines())) <= line_width()
 
 
 def test_an_evidence_rule_says_what_it_gives() -> None:
@@ -147,7 +148,7 @@ def test_a_detector_says_how_many_cameras_it_needs(name: str) -> None:
     text = description_text(found)
     assert f"cameras: {'two, as a stereo pair' if name.startswith('s') else 'one'}" in text
     assert found["stereo"] == name.startswith("s")
-    assert max(map(len, text.splitlines())) <= WIDTH
+    assert max(map(len, text.splitlines())) <= line_width()
 
 
 @pytest.mark.parametrize(

@@ -26,15 +26,15 @@ def some(n: int, delay_s: np.ndarray | None = None) -> LaneEvents:
 
 def test_a_change_is_a_row_and_long_drives_are_cut() -> None:
     header, rows = event_rows(some(2))
-    assert header == ["time, s", "frame", "lanes", "probability", "believed, s", "late, s"]
-    assert rows[1] == ["15.0", "150", "2 -> 1", "0.750", "15.3", "0.3"]
+    assert header == ["time, s", "frame", "from", "to", "probability", "told, s", "late, s"]
+    assert rows[1] == ["15.0", "150", "2", "1", "0.750", "15.3", "0.3"]
     assert len(event_rows(some(30))[1]) == LISTED
 
 
 def test_with_truth_a_row_says_how_late_it_was_or_that_there_was_no_such_change() -> None:
     header, rows = event_rows(some(2, np.array([-0.4, np.nan])))
-    assert header[-1] == "delay from its end, s"
-    assert [row[-1] for row in rows] == ["-0.4", "no such change"]
+    assert header[-1] == "delay, s"
+    assert [row[-1] for row in rows] == ["-0.4", "no change"]
 
 
 def test_the_lane_over_time_is_said_in_words_and_long_drives_are_cut() -> None:

@@ -8,7 +8,7 @@ from typing import get_args
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from egolane_pgm.experiment import Experiment
@@ -45,6 +45,77 @@ def test_a_latex_table_escapes_what_latex_would_take() -> None:
     ]
 
 
+def test_names_are_text_in_every_format() -> None:
+    name = r"a|b\c_d & <i> _e_"
+    assert tables.markdown([name], [["x"]]).splitlines()[0] == r"| a\|b\\c_d & \<i> \_e\_ |"
+    shown = tables.latex([name], [["x"]])
+    assert r"a\textbar{}b\textbackslash{}c\_d \& \textless{}i\textgreater{} \_e\_" in shown
+    assert next(csv.reader(io.StringIO(tables.tidy_csv([name], [["x"]])))) == [name]
+
+
+def test_csv_has_one_number_in_a_cell_and_one_column_of_a_name() -> None:
+    header = ["run", "accuracy", "diff", "F1", "diff"]
+    rows = [
+        ["1", "0.852 [0.813, 0.892]*", "-", "-0.1", "+0.001 [-0.010, +0.020]"],
+        ["2", "0.9", "not causal", "-", "-"],
+    ]
+    text = tables.tidy_csv(header, rows)
+    assert next(csv.DictReader(io.StringIO(text))) == {
+        "run": "1",
+        "accuracy": "0.852",
+        "accuracy low": "0.813",
+        "accuracy high": "0.892",
+        "accuracy in-sample": "*",
+        "accuracy diff": "",
+        "F1": "-0.1",
+        "F1 diff": "+0.001",
+        "F1 diff low": "-0.010",
+        "F1 diff high": "+0.020",
+    }
+    assert text.splitlines()[2] == "2,0.9,,,,not causal,,,,"
+    assert tables.tidy_csv(header, []).count("\n") == 1
+
+
+words = st.text("ab_| \\", max_size=30)
+
+
+@settings(max_examples=40)
+@given(st.data(), st.integers(1, 3), st.sampled_from([60, 80, 120]), st.booleans())
+def test_a_printed_table_is_never_wider_than_the_terminal(
+    data: st.DataObject, labels: int, width: int, leaves_out: bool
+) -> None:
+    row = st.lists(words, min_size=labels + 8, max_size=labels + 8)
+    header, *rows = data.draw(st.lists(row, min_size=2, max_size=4))
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setenv("COLUMNS", str(width))
+        shown = tables.page([tables.Table(header, rows, labels, leaves_out)])
+    assert max(map(len, shown.splitlines())) <= width
+
+
+def test_a_table_goes_on_below_or_says_what_is_left_out(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("COLUMNS", "40")
+    header = ["run", *(f"long column {k}" for k in range(4))]
+    table = tables.Table(header, [["a", "1", "2", "3", "4"]])
+    assert tables.page([table]).splitlines() == [
+        "| run | long column 0 | long column 1 |",
+        "| --- | ------------: | ------------: |",
+        "| a   |             1 |             2 |",
+        "",
+        "| run | long column 2 | long column 3 |",
+        "| --- | ------------: | ------------: |",
+        "| a   |             3 |             4 |",
+    ]
+    said = tables.page([table._replace(leaves_out=True), "and text " * 7]).splitlines()
+    assert said[4:] == [
+        "With --wide: long column 2, long column",
+        "3.",
+        "",
+        "and text and text and text and text and",
+        "text and text and text",
+    ]
+    assert tables.page([table], wide=True) == tables.markdown(*table[:2])
+
+
 cells = st.text(st.characters(codec="utf-8", exclude_characters="\r\0"), max_size=8)
 
 
@@ -55,10 +126,9 @@ def test_csv_is_read_back_as_it_was(rows: list[list[str]]) -> None:
 
 
 def test_a_confusion_table_has_the_totals() -> None:
-    shown = tables.confusion_table([[5, 1], [0, 7], [2, 3]], "model").splitlines()
-    cells = [[cell.strip() for cell in line.strip("|").split("|")] for line in shown]
-    assert cells[0] == ["model", "actual 1", "actual 2", "total"]
-    assert cells[2:] == [
+    shown = tables.confusion_table([[5, 1], [0, 7], [2, 3]], "model")
+    assert shown.header == ["model", "actual 1", "actual 2", "total"]
+    assert shown.rows == [
         ["lane 1", "5", "1", "6"],
         ["lane 2", "0", "7", "7"],
         ["Unassigned", "2", "3", "5"],
@@ -79,20 +149,20 @@ def row(table: str, label: str) -> list[str]:
 
 
 def test_the_scores_of_detector_and_model_stand_side_by_side() -> None:
-    shown = tables.scores_table({"detector": scored(False), "model": scored(True)})
+    shown = tables.markdown(*tables.score_rows({"detector": scored(False), "model": scored(True)}))
     assert row(shown, "score") == ["detector", "model"]
     assert row(shown, "accuracy") == ["0.000", "1.000"]
     assert row(shown, "coverage") == ["1.000", "1.000"]
-    assert "95 %" not in shown  # too short a drive
+    assert "[" not in shown  # too short a drive
 
 
 def test_without_a_detectors_answer_the_model_stands_alone_and_undefined_is_a_dash() -> None:
     belief = scored(True) | {"brier": None}
     belief["intervals"] = {"accuracy": [0.5, 1.0], "f1": [0.25, 1.0]}
-    shown = tables.scores_table({"model": belief})
-    assert row(shown, "score") == ["model"]
+    shown = tables.markdown(*tables.score_rows({"model": belief}))
+    assert row(shown, "score [95 % interval]") == ["model"]
     assert row(shown, "Brier score") == ["-"]
-    assert row(shown, "accuracy, 95 % interval") == ["0.500 .. 1.000"]
+    assert row(shown, "F1 (mean)") == [f"{belief['f1']:.3f} [0.250, 1.000]"]
 
 
 def test_the_reproduction_table_shows_ours_theirs_and_the_difference() -> None:

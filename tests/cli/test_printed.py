@@ -1,0 +1,122 @@
+"""What commands print: tables that fit the terminal, CSV and JSON that other programs read."""
+
+from __future__ import annotations
+
+import csv
+import io
+import json
+from pathlib import Path
+
+import pytest
+
+from tests.kits.drives import done, write_drive
+
+#: Commands that print tables, on {one} and {two}, two short drives.
+PRINTING = {
+    "run": "run {one} --no-figures --out {out}",
+    "run of several": "run {one} {two} --no-figures --out {out}",
+    "compare": "compare {one} {two} --blocks 2 --health",
+    "compare on one recording": "compare {one} --graphs sensor_failure,lane_only --blocks 2",
+    "compare of lane changes": "compare {one} {two} --blocks 2 --events",
+    "compare of lags": "compare {one} {two} --blocks 2 --lags 0,0.5,1,2",
+    "learn": "learn {one} --blocks 2 --out {out}/learned.yaml",
+    "label": "label {lines} --n-lanes 3 --ground-truth {truth} --no-figures --out {out}",
+    "tune": "tune {one} --trials 2 --in-sample-only --no-figures --jobs 1 --out {out}",
+}
+
+
+@pytest.fixture(scope="module")
+def words(tmp_path_factory: pytest.TempPathFactory) -> dict[str, list[str]]:
+    """The words of each command."""
+    folder = tmp_path_factory.mktemp("printed")
+    place = {
+        "one": write_drive(folder / "a", name="a_drive_of_a_rather_long_name"),
+        "two": write_drive(folder / "b", name="another_drive", filter="exact"),
+        "lines": folder / "a" / "lines.csv",
+        "truth": folder / "a" / "ground_truth.txt",
+    }
+    return {
+        name: text.format(**place, out=folder / name.replace(" ", "_")).split()
+        for name, text in PRINTING.items()
+    }
+
+
+def lines_of(name: str, words: dict[str, list[str]], *more: str) -> list[str]:
+    return done(*words[name], *more).stdout.splitlines()
+
+
+@pytest.mark.parametrize("name", PRINTING)
+def test_no_line_is_wider_than_the_terminal(
+    name: str, words: dict[str, list[str]], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("COLUMNS", "80")
+    found = [line for line in lines_of(name, words) if str(words[name][-1]) not in line]
+    assert any(line.startswith("| ") for line in found)
+    assert max(map(len, found)) <= 80
+
+
+@pytest.mark.parametrize("name", ["run of several", "compare"])
+def test_more_columns_are_shown_where_there_is_room(
+    name: str, words: dict[str, list[str]], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("COLUMNS", "120")
+    found = lines_of(name, words)
+    assert 80 < max(map(len, found)) <= 120
+    whole = lines_of(name, words, "--wide")
+    assert max(map(len, whole)) > 120
+    assert any("With --wide: " in line for line in found)
+    assert not any("With --wide: " in line for line in whole)
+
+
+@pytest.mark.parametrize("name", PRINTING)
+def test_csv_is_one_table_with_one_number_in_a_cell(name: str, words: dict[str, list[str]]) -> None:
+    text = done(*words[name], "--format", "csv").stdout
+    header, *rows = csv.reader(io.StringIO(text))
+    assert len(set(header)) == len(header)
+    assert rows
+    for row in rows:
+        assert len(row) == len(header)
+        assert not [cell for cell in row if "[" in cell or ".." in cell or cell == "-"]
+
+
+@pytest.mark.parametrize("name", PRINTING)
+def test_json_alone_is_printed(name: str, words: dict[str, list[str]]) -> None:
+    found = json.loads(done(*words[name], "--json", "-").stdout)
+    assert found["schema_version"] >= 1
+
+
+def test_a_graph_is_described_in_json_alone() -> None:
+    assert json.loads(done("show", "lane_only", "--json", "-").stdout)["name"] == "lane_only"
+
+
+def test_latex_is_tables_alone(words: dict[str, list[str]]) -> None:
+    text = "\n".join(lines_of("run of several", words, "--format", "latex"))
+    assert r"another\_drive &" in text
+    for table in text.split("\n\n"):
+        assert table.startswith(r"\begin{tabular}")
+        assert table.endswith(r"\end{tabular}")
+
+
+@pytest.mark.usefixtures("recordings")
+@pytest.mark.parametrize("width", [80, 120])
+@pytest.mark.parametrize("words", ["reproduce --runs 1 --matrices", "compare --runs 1"])
+def test_the_papers_tables_fit_the_terminal(
+    words: str, width: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("COLUMNS", str(width))
+    found = done(*words.split()).stdout.splitlines()
+    assert max(map(len, found)) <= width
+
+
+def test_lists_fit_the_terminal(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("COLUMNS", "80")
+    for words in (("ls",), ("show", "position_in_lane"), ("show", "ml"), ("show", "counting")):
+        found = [line for line in done(*words).stdout.splitlines() if "/" not in line]
+        assert max(map(len, found)) <= 80
+
+
+def test_a_result_keeps_its_place_when_only_json_is_printed(
+    words: dict[str, list[str]], tmp_path: Path
+) -> None:
+    done(*words["run"], "--out", str(tmp_path / "kept"), "--json", "-")
+    assert (tmp_path / "kept" / "scores.json").is_file()
