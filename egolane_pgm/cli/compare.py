@@ -17,6 +17,7 @@ from egolane_pgm.api.comparisons import (
     groups_of,
 )
 from egolane_pgm.cli import options
+from egolane_pgm.cli.completion import plugins
 from egolane_pgm.cli.options import write_json
 from egolane_pgm.comparing import compare_rows
 from egolane_pgm.comparing.groups import Group, Options
@@ -39,8 +40,12 @@ class Figures(NamedTuple):
 
 
 @click.command()
-@click.argument("experiments", nargs=-1, type=click.Path(dir_okay=False))
-@click.option("--graphs", help=f"Graphs, names or files.  [default: {','.join(DEFAULT_GRAPHS)}]")
+@options.experiments(required=False)
+@click.option(
+    "--graphs",
+    shell_complete=plugins("graphs"),
+    help=f"Graphs, names or files.  [default: {','.join(DEFAULT_GRAPHS)}]",
+)
 @click.option("--runs", help="Runs of the paper, e.g. 1-5,7.  [default with --graphs: 1-10]")
 @click.option("--held-out", is_flag=True, help="Tune each graph without the block that is scored.")
 @click.option("--with-paper", is_flag=True, help="With --runs: the paper's model first.")

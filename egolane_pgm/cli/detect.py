@@ -22,6 +22,7 @@ from egolane_pgm.types import InputError, LineLog
     default="ml",
     show_default=True,
     metavar="NAME|FILE.py",
+    shell_complete=options.detectors,
     help="`egolane ls` lists them.",
 )
 @click.option(

@@ -19,6 +19,11 @@ _NOT_IN_TIME = "egolane: interrupted; what was at work did not end in time and w
 
 def main() -> None:
     """Run the command `egolane`."""
+    if "_EGOLANE_COMPLETE" in os.environ:
+        # The shell asks what could follow.
+        from egolane_pgm.cli.completion import import_lightly
+
+        import_lightly()
     interruption = _Interruption()
     try:
         from egolane_pgm.cli.main import egolane

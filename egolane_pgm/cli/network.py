@@ -7,6 +7,7 @@ from pathlib import Path
 import click
 
 from egolane_pgm.cli import options
+from egolane_pgm.cli.completion import plugins
 from egolane_pgm.cli.show import compile_defaults
 from egolane_pgm.files import check_not_read
 from egolane_pgm.plugins import load_plugin
@@ -14,7 +15,7 @@ from egolane_pgm.report.network import check_ending, write_network
 
 
 @click.command()
-@click.argument("graph")
+@click.argument("graph", shell_complete=plugins("graphs"))
 @click.argument("target", type=click.Path(dir_okay=False))
 @options.n_lanes
 def network(graph: str, target: str, n_lanes: int) -> None:

@@ -12,14 +12,31 @@ from typing import Any
 import click
 
 from egolane_pgm import files
+from egolane_pgm.cli import completion
 from egolane_pgm.experiment import read_override
 from egolane_pgm.files import check_place, json_text
-from egolane_pgm.report.tables import STYLES
 from egolane_pgm.types import MAX_LANES, InputError
 
 Decorator = Callable[[Callable[..., Any]], Callable[..., Any]]
 
-experiment = click.argument("experiment", type=click.Path(dir_okay=False))
+experiment = click.argument(
+    "experiment", type=click.Path(dir_okay=False), shell_complete=completion.yaml_files
+)
+
+
+def experiments(*, required: bool) -> Decorator:
+    """Several experiments."""
+    return click.argument(
+        "experiments",
+        nargs=-1,
+        required=required,
+        type=click.Path(dir_okay=False),
+        shell_complete=completion.yaml_files,
+    )
+
+
+#: What completes the name of a detector.
+detectors = completion.plugins("detectors")
 
 
 def tables(command: Callable[..., Any]) -> Callable[..., Any]:
@@ -32,7 +49,7 @@ def tables(command: Callable[..., Any]) -> Callable[..., Any]:
     style = click.option(
         "--format",
         "style",
-        type=click.Choice(list(STYLES)),
+        type=click.Choice(["markdown", "latex", "csv"]),
         default="markdown",
         show_default=True,
         help="Of the tables; csv is the first one alone, one number in a cell.",
@@ -53,7 +70,12 @@ def of_recording(command: Callable[..., Any]) -> Callable[..., Any]:
     """The options of a recording that is named on the command line, in this order."""
     in_order = (
         click.option("--camera", metavar="FILE", help="Its camera: for pictures, lines in pixels."),
-        click.option("--detector", metavar="NAME|FILE.py", help="What looks at the video."),
+        click.option(
+            "--detector",
+            metavar="NAME|FILE.py",
+            shell_complete=detectors,
+            help="What looks at the video.",
+        ),
         click.option(
             "--frame-id",
             type=click.Choice(["way_id", "seq"]),

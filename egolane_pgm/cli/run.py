@@ -42,7 +42,7 @@ Show = Callable[[Sequence[str | Table]], str]
 
 
 @click.command()
-@click.argument("experiments", nargs=-1, required=True, type=click.Path(dir_okay=False))
+@options.experiments(required=True)
 @options.overrides()
 @click.option(
     "--recording",

@@ -10,6 +10,7 @@ from typing import Any
 import click
 
 from egolane_pgm.cli import options
+from egolane_pgm.cli.completion import plugins
 from egolane_pgm.cli.options import write_json
 from egolane_pgm.experiment import experiment_path, experiments_folder, load_experiment, load_yaml
 from egolane_pgm.files import check_not_read
@@ -77,7 +78,7 @@ def ls() -> None:
 
 
 @click.command()
-@click.argument("experiments", nargs=-1, required=True, type=click.Path(dir_okay=False))
+@options.experiments(required=True)
 @options.overrides()
 def validate(experiments: tuple[str, ...], overrides: tuple[str, ...]) -> None:
     """Check experiments, and tuning files with theirs, without computing anything: keys, plugins,
@@ -121,7 +122,11 @@ _KINDS = {"graph": "graphs", "evidence": "evidence", "detector": "detectors"}
 
 
 @click.command()
-@click.argument("name", metavar="GRAPH|EVIDENCE|DETECTOR")
+@click.argument(
+    "name",
+    metavar="GRAPH|EVIDENCE|DETECTOR",
+    shell_complete=plugins("graphs", "evidence", "detectors"),
+)
 @options.n_lanes
 @click.option("--tables", is_flag=True, help="Print a graph's tables in numbers.")
 @options.json_file

@@ -12,6 +12,7 @@ import click
 
 from egolane_pgm.api.studies import Search, prepare_searches, search_all
 from egolane_pgm.cli import options
+from egolane_pgm.cli.completion import samplers
 from egolane_pgm.cli.options import write_json
 from egolane_pgm.report import study_tables
 from egolane_pgm.report.study_figures import draw_study
@@ -22,7 +23,7 @@ from egolane_pgm.tuning.space import described
 
 
 @click.command()
-@click.argument("experiments", nargs=-1, type=click.Path(dir_okay=False))
+@options.experiments(required=False)
 @click.option("--runs", help="Runs of the paper, e.g. 1-10.")
 @click.option("--trials", type=click.IntRange(1), help="Total of a study.  [default: 3000]")
 @click.option(
@@ -32,7 +33,9 @@ from egolane_pgm.tuning.space import described
     help="A score by name; several times for a Pareto front.  [default: accuracy]",
 )
 @click.option(
-    "--sampler", help="evolution (default), tpe, cma-es, random; nsga2 for several objectives."
+    "--sampler",
+    shell_complete=samplers,
+    help="evolution (default), tpe, cma-es, random; nsga2 for several objectives.",
 )
 @click.option("--seed", type=click.IntRange(0), help="[default: 0]")
 @click.option("--from-scratch", is_flag=True, help="Do not try the known values first.")

@@ -56,7 +56,7 @@ def test_changes_in_frames_of_untrusted_labels_are_not_counted() -> None:
 def test_the_command_has_a_row_per_recording_and_one_for_all(tmp_path: Path) -> None:
     paths = [write_drive(tmp_path / name, name="one", n_frames=400) for name in ("a", "b")]
     target = tmp_path / "all.json"
-    shown = done("compare", *paths, "--events", "--json", target).stdout
+    shown = done("compare", *paths, "--events", "--wide", "--json", target).stdout
     found = json.loads(target.read_text())
     header, rows = event_comparison_rows(found)
     assert {len(row) for row in rows} == {len(header)}
