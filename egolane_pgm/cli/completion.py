@@ -72,12 +72,19 @@ def files(_: click.Context, __: click.Parameter, incomplete: str) -> list[Comple
 def yaml_files(_: click.Context, __: click.Parameter, incomplete: str) -> list[CompletionItem]:
     """Completes names of experiments and tuning files, and the folders on the way to them."""
     place = os.path.split(incomplete)[0]
-    found = sorted(Path(place).iterdir()) if Path(place).is_dir() else []
+    folder = Path(place)
+    if folder.parts[:1] == ("experiments",) and not folder.exists():
+        # Those that come with the package have such names everywhere.
+        package = Path(__file__).parents[1]
+        shipped = (package / "_experiments", package.parent / "experiments")
+        folder = next(filter(Path.is_dir, shipped), folder).joinpath(*folder.parts[1:])
     names = [
         os.path.join(place, path.name) + "/" * path.is_dir()
-        for path in found
+        for path in (sorted(folder.iterdir()) if folder.is_dir() else [])
         if path.is_dir() or path.suffix in (".yaml", ".yml")
     ]
+    if not place and "experiments/" not in names:
+        names.append("experiments/")
     return [CompletionItem(name) for name in names if name.startswith(incomplete)]
 
 

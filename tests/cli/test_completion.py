@@ -44,7 +44,7 @@ def completed(*words: str, folder: Path | None = None) -> list[str]:
         check=True,
     )
     assert ran.stderr == ""
-    return [line.partition(",")[2] for line in ran.stdout.splitlines()]
+    return [line.partition(",")[2] for line in ran.stdout.split()]
 
 
 def test_every_command_is_completed_without_what_it_needs_to_run() -> None:
@@ -80,8 +80,9 @@ def test_experiments_are_completed_and_other_files_are_not(tmp_path: Path) -> No
     (tmp_path / "more").mkdir()
     for name in ("a.yaml", "a.csv", "more/b.yml"):
         (tmp_path / name).write_text("")
-    assert completed("run", "", folder=tmp_path) == ["a.yaml", "more/"]
+    assert completed("run", "", folder=tmp_path) == ["a.yaml", "more/", "experiments/"]
     assert completed("run", "./a", folder=tmp_path) == ["./a.yaml"]
+    assert completed("run", "experiments/qu", folder=tmp_path) == ["experiments/quickstart.yaml"]
     assert completed("validate", "more/", folder=tmp_path) == ["more/b.yml"]
     assert completed("tune", f"{tmp_path}/mo") == [f"{tmp_path}/more/"]
     assert completed("learn", "absent/x", folder=tmp_path) == []
