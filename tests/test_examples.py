@@ -1,4 +1,4 @@
-"""What the README shows works as it stands there."""
+"""What the README and the documentation show works as it stands there."""
 
 from __future__ import annotations
 
@@ -21,20 +21,23 @@ from tests.kits.drives import done, simulated
 
 ROOT = Path(__file__).parents[1]
 TUTORIAL = ROOT / "examples" / "tutorial_network.py"
+MY_GRAPH = ROOT / "docs" / "howto" / "graph.md"
 QUICKSTART = ROOT / "experiments" / "quickstart.yaml"
 
 
-def blocks_of(language: str) -> list[str]:
-    text = (ROOT / "README.md").read_text()
-    return re.findall(rf"```{language}\n(.*?)```", text, flags=re.S)
+PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").rglob("*.md"))]
+
+
+def blocks_of(language: str, page: Path) -> list[str]:
+    return re.findall(rf"```{language}\n(.*?)```", page.read_text(), flags=re.S)
 
 
 @pytest.mark.filterwarnings("ignore:the network has no Line_ve")
-def test_the_python_code_of_the_readme_runs_and_does_the_main_job(
+def test_the_python_code_of_the_readme_and_of_the_page_on_graphs_runs_and_does_the_main_job(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     monkeypatch.chdir(ROOT)
-    first, *others = blocks_of("python")
+    first, *others = [b for page in (PAGES[0], MY_GRAPH) for b in blocks_of("python", page)]
     assert len(first.split("\n\n")[1].strip().splitlines()) == 3, "four lines with the import"
     names: dict[str, Any] = {}
     exec(compile(first, "README.md", "exec"), names)
@@ -47,16 +50,16 @@ def test_the_python_code_of_the_readme_runs_and_does_the_main_job(
     assert "Lane@203(4)" in capsys.readouterr().out
 
 
-def test_the_readme_shows_a_part_of_the_graph_that_it_names() -> None:
-    (shown,) = (block for block in blocks_of("python") if "def build" in block)
+def test_the_page_on_graphs_shows_a_part_of_the_graph_that_it_names() -> None:
+    (shown,) = (block for block in blocks_of("python", MY_GRAPH) if "def build" in block)
     squeezed = "".join((ROOT / "examples" / "my_graph.py").read_text().split())
     for line in shown.splitlines():
         if line.startswith(("HIDDEN", "OBSERVED", "def ")) or "uniform(" in line:
             assert "".join(line.split()) in squeezed, line
 
 
-def test_every_command_of_the_readme_is_there_with_its_options() -> None:
-    text = (ROOT / "README.md").read_text()
+def test_every_command_of_the_documentation_is_there_with_its_options() -> None:
+    text = "\n".join(page.read_text() for page in PAGES).replace("\\\n", " ")
     found = re.findall(r"(?:^|`)egolane (\w+)([^`#\n]*)", text, flags=re.M)
     assert len(found) > 30
     for name, rest in found:
@@ -118,8 +121,9 @@ def test_a_network_in_pgmpys_own_style_goes_through_the_commands(tmp_path: Path)
     assert declared["scores"] == from_file["scores"]
 
 
-def test_every_file_that_the_readme_links_to_exists() -> None:
-    links = re.findall(r"\]\(([^)#]+)\)", (ROOT / "README.md").read_text())
+@pytest.mark.parametrize("name", ["README.md", "CONTRIBUTING.md", "CHANGELOG.md"])
+def test_every_file_that_a_page_links_to_exists(name: str) -> None:
+    links = re.findall(r"\]\(([^)#]+)\)", (ROOT / name).read_text())
     assert links
     missing = [link for link in links if "://" not in link and not (ROOT / link).exists()]
     assert not missing

@@ -29,7 +29,8 @@ def on_files(files: Files, config: MkDocsConfig) -> Files:
     """Add the reference, and what the pages and the navigation name outside docs/."""
     for name, content in reference.pages().items():
         files.append(File.generated(config, name, content=content))
-    waiting = [path for f in files.documentation_pages() if (path := origin(f.src_uri)).is_file()]
+    waiting = [ROOT / "README.md"]
+    waiting += [path for f in files.documentation_pages() if (path := origin(f.src_uri)).is_file()]
     waiting += [ROOT / name for name in named(config.nav) if (ROOT / name).is_file()]
     waiting += sorted((ROOT / "notebooks").glob("*.ipynb"))
     while waiting:
@@ -84,7 +85,7 @@ def place(path: Path) -> str:
 def origin(uri: str) -> Path:
     """The file of the repository from which a page was made."""
     inside = ROOT / "docs" / uri
-    return inside if inside.exists() else ROOT / uri
+    return inside if inside.exists() else ROOT / uri.replace("index.md", "README.md")
 
 
 def target_of(path: Path, link: str) -> Path | None:
