@@ -188,6 +188,11 @@ class Recording(Section):
         description="further options of the format's reader, or of the simulated interchange",
         examples=[{"valid": "always"}],
     )
+    columns: Annotated[dict[str, str], AfterValidator(frozen)] = Field(
+        default_factory=FrozenDict,
+        description="what the columns of a CSV or Parquet table are called, where not as ours",
+        examples=[{"frame_id": "frame", "offset_m": "lateral"}],
+    )
 
     @model_validator(mode="after")
     def _one_source(self) -> Recording:
@@ -749,6 +754,8 @@ def resolved(experiment: Experiment, parameters: Mapping[str, Any]) -> dict[str,
         if content[key] is None:
             # A config without it is the same config as ever, and so is its hash.
             del content[key]
+    if not content["recording"]["columns"]:
+        del content["recording"]["columns"]
     content["parameters"] = {
         name: list(value) if isinstance(value, tuple) else value
         for name, value in sorted(parameters.items())

@@ -273,6 +273,8 @@ def _read_log(path: Path, experiment: Experiment) -> LineLog:
         options["topic"] = recording.topic
     if recording.frame_id != "way_id":
         options["frame_id"] = recording.frame_id
+    if recording.columns:
+        options["columns"] = recording.columns
     if recording.format is not None and recording.format.endswith(".py"):
         where = f"{experiment.source}: recording.format"
         reader = load_plugin("recordings", recording.format, experiment.folder, where)
@@ -442,8 +444,9 @@ def with_recording(
 
     - What belongs to the old recording (frame range, seed, ground truth and its extra rows) does
       not carry over.
-    - `format`, `topic`, `frame_id`, `options` and `camera` carry over where the extension of the
-      file is the same; `options` from a simulated drive as well, which has no use for them.
+    - `format`, `topic`, `frame_id`, `options`, `columns` and `camera` carry over where the
+      extension of the file is the same; `options` and `columns` from a simulated drive as well,
+      which has no use for them.
     - `detector`, its parameters and its camera carry over to a video and to pictures (a folder, a
       glob, one file), and to nothing else.
 
@@ -470,9 +473,9 @@ def with_recording(
             kept |= {"camera", "detector", "detector_parameters"}
         elif old.path is None:
             # A simulated drive has no reader: options are meant for the recording that is named.
-            kept |= {"options"}
+            kept |= {"options", "columns"}
         elif old.detector is None and Path(recording).suffix == Path(old.path).suffix:
-            kept |= {"format", "topic", "frame_id", "options", "camera"}
+            kept |= {"format", "topic", "frame_id", "options", "columns", "camera"}
         content["recording"] = {k: v for k, v in content["recording"].items() if k in kept}
         content["recording"]["path"] = str(Path(recording).absolute())
         content["ground_truth"] = None

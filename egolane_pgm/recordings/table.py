@@ -1,13 +1,18 @@
-"""Recordings of lines as tables, CSV or Parquet: one row per line.
+"""Recordings of lines as tables, CSV or Parquet, in one of two forms. `COLUMNS` says what the
+columns mean.
 
-A frame without lines is one row with an empty line and offset. `COLUMNS` says what the columns
-mean.
+- One row per line, which is also how they are written: frame_id, line, offset_m and others. A frame
+  without lines is one row with an empty line and offset.
+- One row per frame: frame_id, offset_1, offset_2, ... and, where they are known, is_valid_1,
+  is_continuous_1, lri_1, ... (also offset_m_1, valid_1, continuous_1). An empty offset is a line
+  that is not there.
 """
 
 from __future__ import annotations
 
 import re
 import warnings
+from collections.abc import Iterable, Mapping
 from csv import reader as csv_rows
 from dataclasses import dataclass
 from pathlib import Path
@@ -52,13 +57,21 @@ _WORDS = {
 }
 
 
-def read_table(path: str | Path, *, frame_rate: float = 10.0) -> LineLog:
+#: A column of a table with one row per frame: what it is, and of which line.
+_OF_LINE = re.compile(r"(offset|is_valid|valid|is_continuous|continuous|lri|offset_m)_([1-9]\d?)")
+_MEANT = {"offset": "offset_m", "valid": "is_valid", "continuous": "is_continuous"}
+
+
+def read_table(
+    path: str | Path, *, frame_rate: float = 10.0, columns: Mapping[str, str] | None = None
+) -> LineLog:
     """Read the lines of a CSV or Parquet table (by extension), T frames of at most L lines.
 
     Without a column is_valid every line is valid, without is_continuous none is continuous, without
     lri the LRI is unknown (NaN). Other columns are ignored with one warning.
 
     - frame_rate: frames per second; time is frame id over frame rate.
+    - columns: for a column of ours the name that it has in the table, `{"offset_m": "lateral"}`.
 
     Raises InputError for a file that is missing or no such table, a missing column (the ones that
     are there get listed), no rows, a cell that does not fit its column (with its place), frames
@@ -72,7 +85,7 @@ def read_table(path: str | Path, *, frame_rate: float = 10.0) -> LineLog:
     read = {".csv": _read_csv, ".parquet": _read_parquet}.get(path.suffix.lower())
     if read is None:
         raise InputError(f"{path}: unknown extension '{path.suffix}' of a table (.csv, .parquet)")
-    return _assemble(path, read(path), frame_rate)
+    return _assemble(path, read(path, columns or {}), frame_rate)
 
 
 def write_table(path: str | Path, log: LineLog) -> None:
@@ -134,29 +147,62 @@ def _write_csv(path: Path, table: Any) -> None:
 # --- reading -----------------------------------------------------------------------------------
 
 
+def _renamed(path: Path, names: list[str], columns: Mapping[str, str]) -> list[str]:
+    """The table's columns by our names for them. Raises InputError for a name of ours that there
+    is not, or a column that the table has not got."""
+    ours: dict[str, str] = {}
+    for name, given in columns.items():
+        if name not in COLUMNS and _OF_LINE.fullmatch(name) is None:
+            hint = suggestion(name, [*COLUMNS, "offset_1"])
+            raise InputError(f"{path}: columns: there is no column '{name}'{hint}")
+        if given not in names:
+            hint = suggestion(str(given), names)
+            raise InputError(f"{path}: columns: {name}: the table has no '{given}'{hint}")
+        ours[given] = name
+    found = []
+    for name in names:
+        name = ours.get(name, name)
+        match = _OF_LINE.fullmatch(name)
+        found.append(f"{_MEANT.get(match[1], match[1])}_{match[2]}" if match else name)
+    return found
+
+
+def _is_per_frame(names: Iterable[str]) -> bool:
+    return "line" not in names and any(name.startswith("offset_m_") for name in names)
+
+
 def _check_columns(path: Path, names: list[str]) -> list[str]:
     """The columns to read. Raises InputError for a missing one, and warns once of all that are
     ignored."""
-    lacking = [name for name in NEEDED if name not in names]
+    known: set[str] = set(COLUMNS)
+    needed: tuple[str, ...] = NEEDED
+    if _is_per_frame(names):
+        numbers = [n.removeprefix("offset_m_") for n in names if n.startswith("offset_m_")]
+        needed = ("frame_id",)
+        kinds = ("offset_m", "is_valid", "is_continuous", "lri")
+        known = {"frame_id", "is_missing", *(f"{kind}_{k}" for kind in kinds for k in numbers)}
+    lacking = [name for name in needed if name not in names]
     if lacking:
         raise InputError(
-            f"{path}: no column {', '.join(lacking)}; the table has {', '.join(names) or 'none'}"
+            f"{path}: no column {', '.join(lacking)}; the table has {', '.join(names) or 'none'};"
+            " it needs a row per line (frame_id, line, offset_m) or per frame (frame_id, offset_1,"
+            " offset_2, ...); `columns: {offset_m: NAME}` says what yours are called"
         )
     twice = sorted({name for name in names if names.count(name) > 1})
     if twice:
         raise InputError(f"{path}: column {', '.join(twice)} occurs more than once")
-    extra = [name for name in names if name not in COLUMNS]
+    extra = [name for name in names if name not in known]
     if extra:
-        unused = [name for name in OPTIONAL if name not in names]
+        unused = [name for name in known if name not in (*names, *NEEDED)]
         said = []
         for name in extra:
             hint = suggestion(name, unused)
             said.append(name + (hint if "did you mean" in hint else ""))
         warnings.warn(f"{path}: ignored column(s) {', '.join(said)}", UserWarning, stacklevel=3)
-    return [name for name in names if name in COLUMNS]
+    return [name for name in names if name in known]
 
 
-def _read_csv(path: Path) -> Any:
+def _read_csv(path: Path, columns: Mapping[str, str]) -> Any:
 
     try:
         with path.open(encoding="utf-8-sig") as file:
@@ -165,6 +211,7 @@ def _read_csv(path: Path) -> Any:
         raise InputError(f"{path}: cannot be read as CSV ({error})") from None
     if not names:
         raise InputError(f"{path}: the file is empty")
+    names = _renamed(path, names, columns)
     keep = _check_columns(path, names)
     try:
         return csv.read_csv(
@@ -188,24 +235,26 @@ def _read_csv(path: Path) -> Any:
             raise InputError(f"{path}: cannot be read as CSV ({text[:160]})") from None
         name = names[int(cell[1])]
         place = _place(path, int(cell[2]) - 2)
-        raise InputError(f"{place}: {name} is {cell[3][:40]!r}, not {CELLS[name]}") from None
+        raise InputError(f"{place}: {name} is {cell[3][:40]!r}, not {_needs(name)}") from None
 
 
-def _read_parquet(path: Path) -> Any:
+def _read_parquet(path: Path, columns: Mapping[str, str]) -> Any:
 
     # Given a name, pyarrow takes what is before a colon for the scheme of an address.
     try:
         file = parquet.ParquetFile(pa.OSFile(str(path)))
-    except (pa.ArrowException, OSError) as error:
+        given = list(file.schema_arrow.names)
+    except (pa.ArrowException, OSError, UnicodeDecodeError) as error:
         text = " ".join(str(error).split())[:120]
         raise InputError(f"{path}: not a whole Parquet file ({text})") from None
-    keep = _check_columns(path, list(file.schema_arrow.names))
+    names = _renamed(path, given, columns)
+    there = {name: given[names.index(name)] for name in _check_columns(path, names)}
     try:
-        table = file.read(columns=keep)
+        table = file.read(columns=list(there.values()))
     except (pa.ArrowException, OSError) as error:
         text = " ".join(str(error).split())[:120]
         raise InputError(f"{path}: the Parquet file is damaged ({text})") from None
-    return pa.table({name: _typed(path, name, table[name]) for name in keep})
+    return pa.table({name: _typed(path, name, table[place]) for name, place in there.items()})
 
 
 def _typed(path: Path, name: str, column: Any) -> Any:
@@ -227,14 +276,18 @@ def _typed(path: Path, name: str, column: Any) -> Any:
     except pa.ArrowException as error:
         text = " ".join(str(error).split())[:120]
         raise InputError(
-            f"{path}: column {name} has type {given}, which is not {CELLS[name]}"
+            f"{path}: column {name} has type {given}, which is not {_needs(name)}"
             + (f" ({text})" if text else "")
         ) from None
 
 
-def _type(name: str) -> Any:
+def _needs(name: str) -> str:
+    """What a cell of a column must be."""
+    return CELLS[re.sub(r"_\d+$", "", name)]
 
-    return pa.float64() if CELLS[name] == "a number" else pa.bool_()
+
+def _type(name: str) -> Any:
+    return pa.float64() if _needs(name) == "a number" else pa.bool_()
 
 
 def _place(path: Path, row: int) -> str:
@@ -248,23 +301,26 @@ def _place(path: Path, row: int) -> str:
 
 @dataclass(frozen=True)
 class _Rows:
-    """The cells of a table as arrays (N,); `is_null` says which cells are empty."""
+    """The cells of a table as arrays (N,); `is_null` says which cells are empty, `place` in which
+    row of the file each stands, where that is not its own number."""
 
     path: Path
     values: dict[str, NDArray[Any]]
     is_null: dict[str, BoolArray]
+    place: IntArray | None = None
 
     def refuse(self, bad: BoolArray, why: str) -> None:
         """Raise InputError for the first row that is bad; `{}` in `why` becomes its frame id."""
         if bad.any():
             row = int(np.argmax(bad))
-            raise InputError(
-                f"{_place(self.path, row)}: " + why.format(self.values["frame_id"][row])
-            )
+            place = _place(self.path, row if self.place is None else int(self.place[row]))
+            raise InputError(f"{place}: " + why.format(self.values["frame_id"][row]))
 
 
 def _assemble(path: Path, table: Any, frame_rate: float) -> LineLog:
     rows = _convert(path, table)
+    if _is_per_frame(table.column_names):
+        rows = _per_line(rows)
     n_rows = len(rows.values["frame_id"])
     if n_rows == 0:
         raise InputError(f"{path}: the table has no rows")
@@ -337,11 +393,13 @@ def _convert(path: Path, table: Any) -> _Rows:
     values, is_null = {}, {}
     for name in table.column_names:
         column = table[name].combine_chunks()
-        blank = np.nan if CELLS[name] == "a number" else False
+        blank = np.nan if _needs(name) == "a number" else False
         values[name] = column.fill_null(blank).to_numpy(zero_copy_only=False)
         is_null[name] = column.is_null().to_numpy(zero_copy_only=False)
     rows = _Rows(path, values, is_null)
     for name in ("frame_id", "line"):
+        if name not in values:
+            continue
         number = values[name]
         # pandas writes whole numbers beside empty cells as 12.0, and empty ones may be NaN.
         is_null[name] |= np.isnan(number)
@@ -353,3 +411,34 @@ def _convert(path: Path, table: Any) -> _Rows:
             raise InputError(f"{_place(path, row)}: {name} is {number[row]}, not a whole number")
         values[name] = np.where(is_null[name], 0, number).astype(np.int64)
     return rows
+
+
+def _per_line(rows: _Rows) -> _Rows:
+    """The rows of a table that has one for each frame, as those of one that has one for each
+    line."""
+    offsets = [name for name in rows.values if name.startswith("offset_m_")]
+    number = np.array([int(name.removeprefix("offset_m_")) for name in offsets])
+    kinds = {re.sub(r"_\d+$", "", name) for name in rows.values} - {"frame_id", "is_missing"}
+    there = np.stack([~np.isnan(rows.values[name]) for name in offsets], axis=1)
+    for k, name in enumerate(offsets):
+        # A line that is said to be valid is there, and without an offset it is a mistake.
+        valid = rows.values.get(name.replace("offset_m", "is_valid"))
+        if valid is not None:
+            there[:, k] |= valid
+    n_frames = len(there)
+    blank = np.asarray(~there.any(axis=1))
+    at, slot = np.nonzero(np.column_stack([there, blank]))
+    has_line = slot < len(offsets)
+    of_frame: list[str] = [name for name in ("frame_id", "is_missing") if name in rows.values]
+    values = {name: rows.values[name][at] for name in of_frame}
+    is_null = {name: rows.is_null[name][at] for name in of_frame}
+    for kind in kinds:
+        otherwise = {"offset_m": np.nan, "lri": np.nan, "is_valid": True}.get(kind, False)
+        absent = np.full(n_frames, otherwise)
+        cells = [rows.values.get(f"{kind}_{k}", absent) for k in number]
+        empty = [rows.is_null.get(f"{kind}_{k}", np.zeros_like(blank)) for k in number]
+        values[kind] = np.stack([*cells, absent], axis=1)[at, slot]
+        is_null[kind] = np.stack([*empty, blank], axis=1)[at, slot]
+    values["line"] = np.where(has_line, np.append(number, 0)[slot], 0)
+    is_null["line"] = ~has_line
+    return _Rows(rows.path, values, is_null, place=at)

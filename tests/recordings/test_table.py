@@ -203,7 +203,11 @@ def test_the_own_columns_give_no_warning(tmp_path: Path) -> None:
 
 def test_a_missing_column_is_refused_with_those_that_are_there(tmp_path: Path) -> None:
     text = refused(csv(tmp_path, "frame_id,offset\n1,2.0\n"))
-    assert text == "no column line, offset_m; the table has frame_id, offset"
+    assert text == (
+        "no column line, offset_m; the table has frame_id, offset; it needs a row per line"
+        " (frame_id, line, offset_m) or per frame (frame_id, offset_1, offset_2, ...);"
+        " `columns: {offset_m: NAME}` says what yours are called"
+    )
     assert "no column line" in refused(parquet(tmp_path, frame_id=[1], offset_m=[2.0]))
     assert "occurs more than once" in refused(csv(tmp_path, "frame_id,line,offset_m,line\n"))
 
@@ -298,3 +302,48 @@ def test_a_table_that_cannot_be_written_is_one_line_and_leaves_nothing(tmp_path:
     with pytest.raises(InputError, match="unknown extension"):
         write_table(tmp_path / "b.xlsx", log)
     assert sorted(p.name for p in tmp_path.iterdir()) == ["a.csv"]
+
+
+WIDE = "frame_id,offset_1,offset_2,offset_3,lri_1,valid_1\n7,-1.8,1.9,,3,true\n9,,,,,\n"
+
+
+def test_a_row_per_frame_is_the_same_as_a_row_per_line(tmp_path: Path) -> None:
+    wide = read_table(csv(tmp_path, WIDE))
+    long = read_table(
+        csv(
+            tmp_path,
+            "frame_id,line,offset_m,lri\n7,1,-1.8,3\n7,2,1.9,\n9,,,\n",
+        )
+    )
+    for name in ("frame_id", "offset_m", "is_valid", "is_continuous", "lri"):
+        np.testing.assert_array_equal(getattr(wide, name), getattr(long, name))
+    again = parquet(tmp_path, frame_id=[7, 9], offset_m_1=[-1.8, None], offset_m_2=[1.9, None])
+    np.testing.assert_array_equal(read_table(again).offset_m, long.offset_m)
+
+
+@pytest.mark.parametrize(
+    ("rows", "said"),
+    [
+        ("7,,,,,true", "line 2: frame 7 has a valid line without a finite offset"),
+        ("7,x,,,,true", "line 2: offset_m_1 is 'x', not a number"),
+        ("7,1,,,,true\n7,1,,,,true", "line 3: frame 7 has this line twice"),
+        ("7,1,,,,true\n6,1,,,,true", "line 3: frame 6 comes after a later one"),
+        ("7,1,2,3,,", "line 2: frame 7 has a line with empty is_valid"),
+        ("7.5,1,2,3,,", "line 2: frame_id is 7.5, not a whole number"),
+    ],
+)
+def test_a_bad_row_of_a_frame_is_named_by_its_line(tmp_path: Path, rows: str, said: str) -> None:
+    assert said in refused(csv(tmp_path, WIDE.splitlines()[0] + "\n" + rows + "\n"))
+
+
+def test_columns_of_other_names_are_read_as_they_are_said_to_mean(tmp_path: Path) -> None:
+    path = csv(tmp_path, "t,id,lateral\n7,1,-1.8\n7,2,1.9\n")
+    columns = {"frame_id": "t", "line": "id", "offset_m": "lateral"}
+    np.testing.assert_array_equal(read_table(path, columns=columns).offset_m, [[-1.8, 1.9]])
+    path = parquet(tmp_path, t=[7], left=[-1.8], right=[1.9])
+    columns = {"frame_id": "t", "offset_1": "left", "offset_2": "right"}
+    np.testing.assert_array_equal(read_table(path, columns=columns).offset_m, [[-1.8, 1.9]])
+    with pytest.raises(InputError, match=r"columns: offset_1: the table has no 'lft' \(did you m"):
+        read_table(path, columns={"offset_1": "lft"})
+    with pytest.raises(InputError, match=r"there is no column 'ofset_m' \(did you mean 'offset_m'"):
+        read_table(path, columns={"ofset_m": "left"})
