@@ -120,7 +120,7 @@ def load_recording(
             files.append(_road_file(experiment.road, experiment))
         table = road_of(experiment)
         if experiment.follows_map:
-            road = _road(experiment, table, parameters or experiment.parameters, log)
+            road = road_along(experiment, table, parameters or experiment.parameters, log)
         if experiment.gnss is not None:
             check_overlap(table, log.time_s, log.source)
             lanes = np.full(len(log), experiment.n_lanes) if road is None else road.n_lanes
@@ -165,9 +165,13 @@ def _simulated_interchange(experiment: Experiment) -> InterchangeDrive:
     return simulate_interchange(recording.seed, None, Journey(**recording.options))
 
 
-def _road(
+def road_along(
     experiment: Experiment, table: RoadTable, parameters: Mapping[str, Any], log: LineLog
 ) -> LanesAlong:
+    """The lanes of the road in each frame of a log, as the experiment's graph is told them.
+
+    - parameters: the model's. Raises InputError as `lanes_along`.
+    """
     return lanes_along(
         table,
         log.time_s,

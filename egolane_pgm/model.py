@@ -25,6 +25,7 @@ from egolane_pgm.loading import (
     Recorded,
     check_sources,
     load_recording,
+    road_along,
     road_of,
     with_video_rate,
 )
@@ -415,7 +416,8 @@ def online_evidence(model: Model, reading: str = "soft") -> Callable[[LineLog], 
     """
     if _is_of_changing_roads(model.graph):
         raise InputError(
-            "a graph of a road whose lanes change is for `egolane run`, which has the whole drive"
+            "a graph of a road whose lanes change is not run online; run the drive with `egolane"
+            " run`, or take a graph of a fixed number of lanes (graph: sensor_failure, n_lanes: 3)"
         )
     rule = model.rule
     with plugin_errors(rule, "evidence"):
@@ -656,12 +658,13 @@ def load_drive(
     has_truth = named if recorded is None else recorded.truth is not None
     with all_problems() as part:
         with part():
-            if experiment.follows_map or experiment.gnss is not None:
-                key = "n_lanes" if experiment.follows_map else "gnss"
+            if experiment.gnss is not None:
                 raise InputError(
-                    f"{experiment.source}: {key}: a road from a map is for `egolane run`; here"
-                    " give n_lanes as a number, and no gnss"
+                    f"{experiment.source}: gnss: positions are for `egolane run`; here leave them"
+                    " out (--set gnss=null)"
                 )
+        with part():
+            experiment = with_map(experiment)
         with part():
             if experiment.decode != "marginal":
                 raise InputError(
@@ -676,11 +679,21 @@ def load_drive(
     experiment = with_video_rate(experiment)
     if recorded is None:
         recorded = load_recording(experiment, model.parameters)
+    elif experiment.follows_map:
+        # Another graph may be told the same road in other words.
+        road = road_along(experiment, road_of(experiment), model.parameters, recorded.log)
+        recorded = replace(recorded, road=road)
     truth = recorded.truth
     if needs_truth is not None and truth is not None and truth.is_crossing.all():
         raise InputError(f"{truth.source}: every frame is a crossing, nothing to score")
     own = experiment.tuning.never_fit if experiment.tuning is not None else ()
     return Drive(experiment, model, recorded, (*own, *never_fit))
+
+
+def evidence_on(drive: Drive, model: Model) -> RuleOutput:
+    """The evidence of all T frames of a drive for a model, on the lanes of its road."""
+    reading = drive.experiment.evidence_reading
+    return make_evidence(model, drive.recorded.log, reading, drive.recorded.road)
 
 
 def beliefs_of(drive: Drive, model: Model) -> tuple[Beliefs, tuple[str, ...]]:
@@ -689,7 +702,7 @@ def beliefs_of(drive: Drive, model: Model) -> tuple[Beliefs, tuple[str, ...]]:
     Returns the beliefs of the K annotated frames, and what the evidence rule warned of.
     """
     experiment, log = drive.experiment, drive.recorded.log
-    evidence = make_evidence(model, log, experiment.evidence_reading)
+    evidence = evidence_on(drive, model)
     beliefs = infer_beliefs(
         model.compiled, evidence.filtered, experiment.filter, experiment.lag, frame_id=log.frame_id
     )
@@ -707,11 +720,7 @@ def evidence_of(drive: Drive, parameters: Mapping[str, Value]) -> Evidence:
     if key in drive.evidence:
         drive.evidence.move_to_end(key)
         return drive.evidence[key]
-    made = make_evidence(
-        replace(drive.model, parameters=parameters),
-        drive.recorded.log,
-        drive.experiment.evidence_reading,
-    ).filtered
+    made = evidence_on(drive, replace(drive.model, parameters=parameters)).filtered
     drive.evidence[key] = made
     if len(drive.evidence) > KEPT_EVIDENCE:
         drive.evidence.popitem(last=False)

@@ -92,10 +92,24 @@ def test_n_lanes_map_needs_a_road(tmp_path: Path) -> None:
         ego.run({**content, "road": "nowhere.parquet", "graph": "changing_lanes"})
 
 
-def test_other_commands_say_that_they_do_not_follow_a_map() -> None:
-    with pytest.raises(InputError, match="a road from a map is for `egolane run`"):
-        ego.tune(PLACE, trials=2)
-    with pytest.raises(InputError, match="is for `egolane run`, which has the whole drive"):
+def test_graphs_are_compared_on_a_road_from_a_map() -> None:
+    """With what `run` believes, though one graph is told places around a change and one is not."""
+    compared = [PLACE, PLACE.parent / "position.yaml"]
+    found = ego.compare(compared, overrides=SHORT)
+    for place, name in zip(compared, ("interchange", "position_interchange"), strict=True):
+        alone = ego.run(place, overrides=SHORT).result
+        together = found["interchange, seed 1", name].result
+        lane = together.marginals["Lane"]
+        np.testing.assert_allclose(lane, alone.marginals["Lane"], rtol=0, atol=1e-12)
+
+
+def test_parameters_are_searched_on_a_road_from_a_map(tmp_path: Path) -> None:
+    found = ego.tune(PLACE, trials=2, in_sample_only=True, overrides=SHORT, out=tmp_path / "study")
+    assert found is not None
+
+
+def test_online_says_that_it_does_not_follow_a_map() -> None:
+    with pytest.raises(InputError, match="not run online; run the drive with `egolane run`"):
         list(filter_stream(ego.load_experiment(PLACE), ["{}"]))
 
 
@@ -187,5 +201,5 @@ def test_positions_without_a_road_and_a_road_without_a_use_are_refused() -> None
         ego.load_experiment({**content, "road": "road.parquet", "gnss": {"sigma": 1.0}})
     with pytest.raises(InputError, match="graph: sensor_failure is of a road with a fixed number"):
         run(graph="sensor_failure", gnss={})
-    with pytest.raises(InputError, match="gnss: a road from a map is for `egolane run`"):
+    with pytest.raises(InputError, match="gnss: positions are for `egolane run`; here leave"):
         ego.tune({**content, "recording": {"simulate": "interchange"}, "gnss": {}}, trials=2)

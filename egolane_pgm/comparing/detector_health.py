@@ -9,7 +9,7 @@ from egolane_pgm.comparing.placing import load_for_scoring
 from egolane_pgm.comparing.side import Side
 from egolane_pgm.experiment import Experiment
 from egolane_pgm.loading import Recorded
-from egolane_pgm.model import make_evidence
+from egolane_pgm.model import evidence_on
 from egolane_pgm.scoring.health import DetectorErrors, doubt, roc_auc
 from egolane_pgm.types import UNASSIGNED, BoolArray, FloatArray
 
@@ -21,10 +21,12 @@ def detector_answers(candidates: Sequence[Experiment], recorded: Recorded) -> Fl
         key: Experiment.model_fields[key].default
         for key in ("evidence", "graph", "filter", "evidence_reading", "lag", "fit", "learned_on")
     }
+    if candidates[0].follows_map:
+        default["graph"] = "changing_lanes"
     fallback = candidates[0].model_copy(update={**default, "parameters": {}})
     for experiment in (*candidates, fallback):
         drive = load_for_scoring(experiment, recorded)
-        tentative = make_evidence(drive.model, recorded.log).tentative
+        tentative = evidence_on(drive, drive.model).tentative
         if tentative is not None:
             return tentative[recorded.scored]
     raise AssertionError("the default evidence rule gives a tentative vector")

@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike
 
 from egolane_pgm.inference.lags import beliefs_by_lag
 from egolane_pgm.learning import Found, with_found
-from egolane_pgm.model import Drive, make_evidence
+from egolane_pgm.model import Drive, evidence_on
 from egolane_pgm.scoring.held_out import HeldOut
 from egolane_pgm.scoring.summary import score_with_intervals
 from egolane_pgm.types import BoolArray, FloatArray, InputError
@@ -63,14 +63,14 @@ def lagged_beliefs(drive: Drive, held_out: HeldOut[Found], lags: Sequence[float]
 
     Raises InputError where the evidence is not a likelihood (`evidence_reading: jeffrey`).
     """
-    experiment, log = drive.experiment, drive.recorded.log
+    experiment = drive.experiment
     frames = [whole_frames(lag, experiment.recording.frame_rate) for lag in lags]
     # Without a fit all blocks have the same parameters.
     founds = held_out.parameters[:1] if experiment.fit == "none" else held_out.parameters
     lanes: dict[int, FloatArray] = {}
     for b, found in enumerate(founds):
         model = with_found(drive.model, found, experiment)
-        evidence = make_evidence(model, log, experiment.evidence_reading).filtered
+        evidence = evidence_on(drive, model).filtered
         mine = held_out.block == b if len(founds) > 1 else slice(None)
         try:
             for lag, beliefs in beliefs_by_lag(model.compiled, evidence, frames):

@@ -24,8 +24,8 @@ from egolane_pgm.model import (
     Drive,
     Model,
     beliefs_of,
+    evidence_on,
     load_drive,
-    make_evidence,
     prepare_model,
 )
 from egolane_pgm.parameters import Value, resolve_parameters
@@ -234,7 +234,7 @@ def _log_evidence(drive: Drive, result: HeldOut[Found]) -> tuple[float, float] |
     """Mean log evidence per frame in which the evidence is possible, before learning and held out;
     None where there is no such frame."""
     model, experiment = drive.model, drive.experiment
-    evidence = make_evidence(model, drive.recorded.log, experiment.evidence_reading).filtered
+    evidence = evidence_on(drive, model).filtered
 
     def exact(changed: Model) -> Beliefs:
         return filter_beliefs(changed.compiled, evidence, "exact").take(drive.rows)

@@ -20,7 +20,7 @@ from egolane_pgm.graphs.cpds import SliceNode, Table
 from egolane_pgm.inference.compile import Compiled
 from egolane_pgm.inference.expected_counts import FREE, counted_tables
 from egolane_pgm.learning.em import fit_tables, with_learned
-from egolane_pgm.model import Drive, Model, make_evidence, with_parameters
+from egolane_pgm.model import Drive, Model, evidence_on, with_parameters
 from egolane_pgm.parameters import Parameter, Value, resolve_parameters
 from egolane_pgm.plugins import declared_parameters, plugin_errors
 from egolane_pgm.types import BoolArray, InputError, IntArray, suggestion
@@ -106,7 +106,7 @@ def fit_graph(drive: Drive, train: IntArray) -> dict[str, Value]:
                     stacklevel=2,
                 )
     # Of the whole log: a rule may look at the frames before.
-    evidence = make_evidence(model, recorded.log, experiment.evidence_reading).filtered.take(used)
+    evidence = evidence_on(drive, model).filtered.take(used)
     start = starting(model, experiment).compiled
     fitted = fit_tables(
         start,

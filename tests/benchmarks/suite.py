@@ -22,6 +22,7 @@ from egolane_pgm.scoring.confusion import confusion
 from egolane_pgm.types import FloatArray, IntArray
 from tests.benchmarks import bench_camera, peers
 from tests.benchmarks.bench_tune import markdown, tune_lines
+from tests.benchmarks.changing import changing_rows
 from tests.benchmarks.data import N_LANES, PARAMETERS, Data, load, parameter_sets
 from tests.benchmarks.position import position_rows
 from tests.benchmarks.timing import Row, largest_difference, machine, table, take_turns
@@ -55,6 +56,7 @@ def run_all(rounds: int) -> str:
         scoring_rows,
         together_rows,
         position_rows,
+        changing_rows,
         pgmpy_rows,
         reading_rows,
         command_rows,

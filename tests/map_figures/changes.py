@@ -24,7 +24,7 @@ from tests.map_figures._drives import MAPS, data
 from tests.map_figures._experiments import COUNTING, POSITIONS, prepared, simulated
 
 #: Over each map, each mirrored map, and made-up ones.
-N_DRIVES = 25
+N_DRIVES = 6
 
 
 def measure() -> Iterator[str]:
