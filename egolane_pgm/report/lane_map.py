@@ -17,8 +17,11 @@ from egolane_pgm.types import BoolArray, FloatArray, InputError
 #: Under every picture that shows their data.
 ATTRIBUTION = "© OpenStreetMap contributors, ODbL"
 
-#: A lane's width, metres, where a map is drawn to scale.
+#: A lane's width, metres, where a map is drawn to scale and does not tell it (`width:lanes`).
 LANE_M = 3.6
+
+#: Widths of lanes that may be right, metres.
+_WIDTHS_M = (1.5, 10.0)
 
 #: More segments than this are no picture that one can read.
 MOST_SEGMENTS = 5_000
@@ -141,9 +144,11 @@ def _draw_map(
     for k in sorted(np.flatnonzero(shown), key=lambda k: (not is_link[k], k)):
         line, along = _resampled(point[graph.first[k] : graph.first[k + 1]], lane_m)
         n, fill = max(int(graph.n_lanes[k]), 1), _colour(int(graph.n_lanes[k]))
-        left = _left_edge(graph, int(k), along, extra[k], n) if to_scale else 0 * along
+        width = _widths(graph, int(k), n) if to_scale else np.full(n, lane_m)
+        across = np.concatenate([[0.0], np.cumsum(width)])
+        left = _left_edge(graph, int(k), along, extra[k], across) if to_scale else 0 * along
         normal = _normals(line)
-        sides = [line + ((left + lane) * lane_m)[:, None] * normal for lane in range(n + 1)]
+        sides = [line + (left + at)[:, None] * normal for at in across]
         polygons += [np.concatenate([a, b[::-1]]) for a, b in pairwise(sides)]
         colours += [fill] * n
         edges += [sides[0], sides[-1]]
@@ -166,16 +171,35 @@ def _draw_map(
     )
 
 
+def _widths(graph: LaneGraph, k: int, n: int) -> FloatArray:
+    """The widths of a segment's n lanes, metres, as far as its tag tells them."""
+    words = str(graph.width[k]).split("|") if graph.width[k] else []
+    width = np.full(n, LANE_M)
+    for lane, word in enumerate(words[:n]):
+        try:
+            metres = float(word)
+        except ValueError:
+            continue
+        if _WIDTHS_M[0] <= metres <= _WIDTHS_M[1]:
+            width[lane] = metres
+    return width
+
+
 def _left_edge(
-    graph: LaneGraph, k: int, along: FloatArray, extra: FloatArray, n: int
+    graph: LaneGraph, k: int, along: FloatArray, extra: FloatArray, across: FloatArray
 ) -> FloatArray:
-    """How far the left edge lies to the right of the way's line, lanes, at each place along it."""
-    start, end = np.nan_to_num(graph.placement[k], nan=n / 2)
+    """How far the left edge lies to the right of the way's line, metres, at each place along it.
+
+    - across (n + 1,): the lines of the lanes, metres from the left edge.
+    """
+    lanes = np.arange(len(across))
+    start, end = np.nan_to_num(graph.placement[k], nan=lanes[-1] / 2)
     total = max(float(along[-1]), 1e-6)
     reach = min(_BLEND_M, total)
     from_start = extra[0] * np.clip(1 - along / reach, 0, 1)
     to_end = extra[1] * np.clip(1 - (total - along) / reach, 0, 1)
-    edge: FloatArray = -(start + (end - start) * along / total) + from_start + to_end
+    line = np.interp(start + (end - start) * along / total, lanes, across)
+    edge: FloatArray = (from_start + to_end) * LANE_M - line
     return edge
 
 

@@ -50,6 +50,20 @@ def test_lanes_are_drawn_to_width_and_continue_one_another(graph: LaneGraph) -> 
     assert {"1", "2", "3"} <= set(said)
 
 
+def test_lanes_are_as_wide_as_the_map_says(tmp_path: Path) -> None:
+    """The way's line lies right of lane 1; a width that is none is the usual one."""
+    nodes = {1: (-300.0, 0.0), 2: (300.0, 0.0)}
+    tags = {"lanes": 4, "placement": "right_of:1", "width:lanes": "2.8|5|x|0.1"}
+    ways = [(10, [1, 2], {"highway": "motorway", **tags})]
+    graph = read_osm(write_osm(tmp_path / "a.osm", nodes, ways))
+    ax = lane_map_figure(graph, (LATITUDE, LONGITUDE, 100.0)).axes[0]
+    lanes = next(c for c in ax.collections if isinstance(c, PolyCollection))
+    boxes = [path.get_extents() for path in lanes.get_paths()]
+    edges = [2.8, 0.0, -5.0, -5.0 - LANE_M, -5.0 - 2 * LANE_M]
+    for box, left, right in zip(boxes, edges[:-1], edges[1:], strict=True):
+        assert (box.y1, box.y0) == pytest.approx((left, right), abs=0.1)
+
+
 def test_a_whole_map_has_its_roads_drawn_out_and_names_who_made_it(graph: LaneGraph) -> None:
     figure = lane_map_figure(graph)
     assert len(figure.axes) == 2
