@@ -7,7 +7,7 @@ Rotterdam: github tomdries/gps-lane-changes (BSD-2). Munich: github lilManta/Lan
 from __future__ import annotations
 
 import itertools
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -56,13 +56,23 @@ class ChangeAnswers:
     lane: np.ndarray
 
 
-def rotterdam_lanes(data: Path, graph: LaneGraph, index: RoadIndex, drove: Positions,
-                    seconds: int = 20) -> ChangeAnswers:  # fmt: skip
+def rotterdam_lanes(
+    data: Path,
+    graph: LaneGraph,
+    index: RoadIndex,
+    drove: Positions,
+    noise: GnssNoise | None = None,
+    *,
+    seconds: int = 20,
+    every: int = 1,
+) -> ChangeAnswers:
     """Which lane a car is in 5 s after each change (or half way to the next), from its offsets
-    alone, those of `seconds` before. The map has no lanes: their number is the annotated one."""
+    alone, those of `seconds` before, one in `every` seconds. The map has no lanes: their number is
+    the annotated one."""
     changes = pd.read_csv(data / ROTTERDAM / "lane change annotations with sections trip 1.csv")
     offset = match(graph, index, drove).offset_m
-    noise = GnssNoise(count_wrong=0.0, count_stays=1.0)
+    noise = noise or GnssNoise(count_wrong=0.0, count_stays=1.0)
+    thinned = replace(noise, drift_s=noise.drift_s / every, change=noise.change * every)
     found = []
     after = np.append(changes.t_lc.to_numpy()[1:], np.inf)
     for row, later in zip(changes.itertuples(), after, strict=True):
@@ -71,7 +81,7 @@ def rotterdam_lanes(data: Path, graph: LaneGraph, index: RoadIndex, drove: Posit
             continue
         at = row.t_lc + min(5.0, (later - row.t_lc) / 2)
         seen = offset_each_second(drove.t_s, offset, at - seconds, at)
-        belief = lanes_from_offsets(seen, int(n), noise).lane[-1]
+        belief = lanes_from_offsets(seen[::-1][::every][::-1], int(n), thinned).lane[-1]
         known = seen[~np.isnan(seen)]
         nearest = np.clip(np.rint(known[-1] / 3.5 + (n + 1) / 2), 1, n) if len(known) else 0
         found.append((belief.argmax() + 1 == lane, belief[lane - 1], nearest == lane, lane))
