@@ -6,7 +6,7 @@ ifneq ($(wildcard ../shared/data/rle),)
 export EGOLANE_DATA ?= $(abspath ../shared/data)
 endif
 
-.PHONY: run test check docs bench coverage dist notebooks paper graphs beyond delay events camera searched rendered compared clean
+.PHONY: run test check docs bench coverage dist notebooks paper graphs beyond delay events camera searched rendered compared maps clean
 
 run: .venv/.run
 	$(BIN)/egolane run experiments/quickstart.yaml
@@ -127,6 +127,10 @@ rendered: .venv/.dev
 compared: .venv/.dev
 	mkdir -p results/camera
 	$(BIN)/python -m tests.camera_figures compared --out results/camera > results/camera/detectors.md
+
+# The tables of docs/maps.md about positions, matching and lanes (a quarter of an hour of one core).
+maps: .venv/.dev
+	$(BIN)/python -m tests.map_figures matched located outages recorded
 
 .venv/.venv:
 	$(PYTHON) -m venv .venv

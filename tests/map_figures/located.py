@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from itertools import pairwise
 
 import numpy as np
 
@@ -12,7 +13,7 @@ from egolane_pgm.maps.locating import locate
 from egolane_pgm.maps.positions import Positions
 from egolane_pgm.maps.road_table import RoadTable
 from egolane_pgm.simulation.interchange import InterchangeDrive, Journey, simulate_interchange
-from egolane_pgm.types import BoolArray, IntArray
+from egolane_pgm.types import BoolArray, FloatArray
 from tests.map_figures._drives import lane_belief, real_maps, share, text
 
 #: Drives over each map, and over each mirror image.
@@ -20,6 +21,9 @@ N_DRIVES = 10
 
 #: Seconds behind a change of lanes that are scored apart.
 BEHIND_S = 10.0
+
+#: What is behind a change, in parts.
+SECONDS = (0.0, 1.0, 2.0, 10.0)
 
 TABLES = ("true", "offline", "online")
 
@@ -30,6 +34,7 @@ def measure() -> Iterator[str]:
     frames: dict[str, list[int]] = {"behind": [], "elsewhere": []}
     rows_right: dict[str, list[int]] = {name: [] for name in TABLES}
     rows: list[int] = []
+    by_second = np.zeros((len(SECONDS) - 1, 2))
     for graph in real_maps().values():
         index = index_of(graph)
         for seed in range(N_DRIVES):
@@ -40,11 +45,14 @@ def measure() -> Iterator[str]:
                 "offline": locate(graph, index, seen),
                 "online": locate(graph, index, seen, online=True),
             }
-            behind = None
+            since_s = _since_change(drive)
+            behind = since_s < BEHIND_S
             for name, table in found.items():
-                hits, n_lanes = _right(drive, table)
-                if behind is None:
-                    behind = _behind(n_lanes, drive)
+                hits = _right(drive, table)
+                if name == "true":
+                    for k, (low, high) in enumerate(pairwise(SECONDS)):
+                        here = (since_s >= low) & (since_s < high) & ~drive.truth.is_crossing
+                        by_second[k] += [(hits["lines"] & here).sum(), here.sum()]
                 for place, here in (("behind", behind), ("elsewhere", ~behind)):
                     counted = here & ~drive.truth.is_crossing
                     if name == "true":
@@ -65,6 +73,11 @@ def measure() -> Iterator[str]:
     yield ""
     total = np.array(frames["behind"]) + np.array(frames["elsewhere"])
     yield f"{len(rows)} drives, {total.sum()} frames, {sum(frames['behind'])} behind a change."
+    said = [
+        f"{a:.0f} to {b:.0f} s {r / n:.3f}"
+        for (a, b), (r, n) in zip(pairwise(SECONDS), by_second, strict=True)
+    ]
+    yield f"Seconds behind a change (true table, lines): {', '.join(said)}."
     for name in TABLES[1:]:
         for lines in ("lines", "lines and positions"):
             lost = [
@@ -76,23 +89,23 @@ def measure() -> Iterator[str]:
             yield f"{name}, {lines}: {said} points fewer than with the true table."
 
 
-def _right(drive: InterchangeDrive, table: RoadTable) -> tuple[dict[str, BoolArray], IntArray]:
-    """Whether the most probable lane is right (T,), with lines and with positions too; and the
-    lanes of the map."""
+def _right(drive: InterchangeDrive, table: RoadTable) -> dict[str, BoolArray]:
+    """Whether the most probable lane is right (T,), with lines and with positions too."""
     none = np.zeros(len(drive), dtype=bool)
-    beliefs, lanes = lane_belief(drive, table, none, [None, Gnss()])
+    beliefs, _ = lane_belief(drive, table, none, [None, Gnss()])
     hits = [belief.argmax(axis=1) + 1 == drive.truth.lane for belief in beliefs]
-    return {"lines": hits[0], "lines and positions": hits[1]}, lanes.n_lanes
+    return {"lines": hits[0], "lines and positions": hits[1]}
 
 
-def _behind(n_lanes: IntArray, drive: InterchangeDrive) -> BoolArray:
-    """The frames (T,) soon behind a change of the lanes of the map."""
-    changes = np.flatnonzero(np.diff(n_lanes)) + 1
-    frame = np.arange(len(n_lanes))
-    before = np.searchsorted(changes, frame, side="right") - 1
-    last = changes[np.maximum(before, 0)] if len(changes) else frame
-    since_s = drive.log.time_s - drive.log.time_s[last]
-    return (before >= 0) & (since_s < BEHIND_S)
+def _since_change(drive: InterchangeDrive) -> FloatArray:
+    """Seconds since the lanes of the map last changed (T,), infinite before that."""
+    changes = np.flatnonzero(np.diff(drive.on_map)) + 1
+    frame = np.arange(len(drive))
+    last = np.searchsorted(changes, frame, side="right") - 1
+    time_s = drive.log.time_s
+    return np.array(
+        [time_s[t] - time_s[changes[k]] if k >= 0 else np.inf for t, k in enumerate(last)]
+    )
 
 
 def _rows_right(true: RoadTable, found: RoadTable) -> int:

@@ -10,26 +10,33 @@ from egolane_pgm.maps.index import index_of
 from egolane_pgm.maps.lane_graph import LaneGraph
 from egolane_pgm.maps.locating import locate
 from egolane_pgm.maps.lock_on_road import lock_on_road
+from egolane_pgm.maps.road_table import RoadTable
 from egolane_pgm.types import IntArray
 from tests.kits.lane_maps import random_trip
 from tests.map_figures._drives import real_maps, share, text
 
-N_TRIPS = 40
+#: Trips are made up to so many positions on each map.
+N_POSITIONS = 4000
 
-#: A wrong second is near a join of both segments if it is at most so far from it, metres.
-NEAR_M = 10.0
+#: A wrong second is near a join of both segments if it is at most so far from it, metres; and the
+#: answer is unsure if it has at most this probability.
+NEAR_M, UNSURE = 10.0, 0.6
 
 
 def measure() -> Iterator[str]:
     """Lines of a table."""
-    yield "| map | positions | offline | online | nearest road | wrong offline, no join near |"
-    yield "|---|---:|---:|---:|---:|---:|"
+    yield (
+        "| map | positions | offline | online | nearest road | wrong offline | no join near"
+        " | and sure |"
+    )
+    yield "|---|---:|---:|---:|---:|---:|---:|---:|"
     for name, graph in real_maps().items():
         index = index_of(graph)
         rng = np.random.default_rng(0)
         right: dict[str, list[int]] = {"offline": [], "online": [], "nearest": []}
-        frames, far = [], 0
-        for _ in range(N_TRIPS):
+        frames: list[int] = []
+        kinds = np.zeros(3, dtype=int)
+        while sum(frames) < N_POSITIONS:
             positions, segment = random_trip(graph, index, rng)
             offline = locate(graph, index, positions)
             online = locate(graph, index, positions, online=True).segment
@@ -37,19 +44,20 @@ def measure() -> Iterator[str]:
             for key, found in zip(right, (offline.segment, online, nearest), strict=True):
                 right[key].append(int((found == segment).sum()))
             frames.append(len(segment))
-            far += _far(graph, offline.segment, offline.along_m, segment)
+            kinds += _wrong(graph, offline, segment)
         cells = " | ".join(text(share(hits, frames)) for hits in right.values())
-        yield f"| {name} | {sum(frames)} | {cells} | {far} |"
+        yield f"| {name} | {sum(frames)} | {cells} | {' | '.join(map(str, kinds))} |"
 
 
-def _far(graph: LaneGraph, found: IntArray, along_m: np.ndarray, segment: IntArray) -> int:
-    """Wrong seconds that are no matter of some metres along one road: the right segment neither
-    ends nor begins near the place that was found."""
+def _wrong(graph: LaneGraph, found: RoadTable, segment: IntArray) -> tuple[int, int, int]:
+    """How many rows are wrong; how many of them have no join to the right segment near the place
+    that was found; and how many of those are sure."""
     joins = set(zip(graph.before.tolist(), graph.after.tolist(), strict=True))
-    wrong = np.flatnonzero(found != segment)
-    near = 0
+    wrong = np.flatnonzero(found.segment != segment)
+    far = []
     for k in wrong:
-        here, there, along = int(found[k]), int(segment[k]), float(along_m[k])
+        here, there, along = int(found.segment[k]), int(segment[k]), float(found.along_m[k])
         ahead = (here, there) in joins and graph.length_m[here] - along < NEAR_M
-        near += ahead or ((there, here) in joins and along < NEAR_M)
-    return len(wrong) - near
+        if not ahead and not ((there, here) in joins and along < NEAR_M):
+            far.append(float(found.sure[k]))
+    return len(wrong), len(far), sum(sure > UNSURE for sure in far)
