@@ -6,7 +6,7 @@ ifneq ($(wildcard ../shared/data/rle),)
 export EGOLANE_DATA ?= $(abspath ../shared/data)
 endif
 
-.PHONY: run test check docs bench coverage dist notebooks paper graphs beyond delay events camera searched rendered compared maps clean
+.PHONY: run test check docs bench coverage dist notebooks paper graphs beyond delay events camera searched rendered compared maps cluster-demo clean
 
 run: .venv/.run
 	$(BIN)/egolane run experiments/quickstart.yaml
@@ -109,6 +109,11 @@ EVENTS := egolane compare experiments/zero_label.yaml --runs 1-10 --with-paper -
 events: .venv/.run
 	sed -i '/^<!-- the table/q' results/beyond/events.md
 	$(BIN)/$(EVENTS) >> results/beyond/events.md
+
+# A Dask cluster on this machine: 400 simulated drives, one of four workers killed and one added;
+# their summary is that of one process (a few minutes).
+cluster-demo: .venv/.dev
+	$(BIN)/python -m tests.cluster_demo
 
 # What results/camera/ holds of real pictures, made from those in EGOLANE_DATA.
 camera: .venv/.dev

@@ -20,6 +20,8 @@ if TYPE_CHECKING:
     from egolane_pgm.api.comparisons import compare as compare
     from egolane_pgm.api.detections import DetectResult as DetectResult
     from egolane_pgm.api.detections import detect as detect
+    from egolane_pgm.api.fleets import FleetResult as FleetResult
+    from egolane_pgm.api.fleets import run_fleet as run_fleet
     from egolane_pgm.api.labels import LabelResult as LabelResult
     from egolane_pgm.api.labels import label as label
     from egolane_pgm.api.learned import LearnResult as LearnResult
@@ -55,6 +57,7 @@ _PUBLIC = {
     "experiments_folder": "experiment",
     "load_experiment": "experiment",
     "run": "api.runs",
+    "run_fleet": "api.fleets",
     "tune": "api.studies",
     "learn": "api.learned",
     "compare": "api.comparisons",
@@ -66,6 +69,7 @@ _PUBLIC = {
     "draw_network": "api.networks",
     "RunResult": "api.runs",
     "RunResults": "api.runs",
+    "FleetResult": "api.fleets",
     "TuneResult": "api.studies",
     "LearnResult": "api.learned",
     "CompareResult": "api.comparisons",

@@ -1,4 +1,5 @@
-"""Work shared out to processes, through one `concurrent.futures.Executor`.
+"""Work shared out to processes, through one `concurrent.futures.Executor`: a pool of this machine,
+or a Dask cluster's.
 
 Processes are started anew ("spawn", which every system has): what they are given is pickled, so
 functions are named at the top of a module, and a script that shares out work does so below
@@ -17,8 +18,9 @@ import sys
 import threading
 import time
 import warnings
+from collections import deque
 from collections.abc import Callable, Generator, Iterator, Sequence
-from concurrent.futures import BrokenExecutor, Executor, Future, ProcessPoolExecutor
+from concurrent.futures import BrokenExecutor, CancelledError, Executor, Future, ProcessPoolExecutor
 from multiprocessing.process import BaseProcess
 from typing import Any, TypeVar
 
@@ -35,13 +37,27 @@ _SECONDS_TO_END = 2.0
 _DIED = "its process, or one beside it, died (killed, or out of memory?)"
 
 
+#: Where work is shared out to: so many processes of this machine, or a Dask cluster: the address
+#: of its scheduler, or `local:N` for one of N processes that is started here.
+Jobs = int | str
+
+#: Items that are begun ahead of the one whose answer is due. It bounds the answers that wait.
+_AHEAD = 256
+
+
 @contextlib.contextmanager
-def executor(jobs: int) -> Iterator[Executor]:
-    """A pool of processes, `jobs` of them.
+def executor(jobs: Jobs) -> Iterator[Executor]:
+    """A pool of `jobs` processes, or the executor of a Dask cluster.
 
     An error inside the `with` block, Ctrl-C included, ends the pool at once: work at hand is told
-    to end, work that waits is not begun.
+    to end, work that waits is not begun. Raises InputError for a cluster that does not answer.
     """
+    if isinstance(jobs, str):
+        from egolane_pgm.cluster import cluster_executor
+
+        with cluster_executor(jobs) as pool:
+            yield pool
+        return
     others = set(multiprocessing.active_children())
     pool = _Pool(jobs)
     try:
@@ -57,46 +73,55 @@ def executor(jobs: int) -> Iterator[Executor]:
 def in_order(
     work: Callable[[T], R],
     items: Sequence[T],
-    jobs: int = 1,
+    jobs: Jobs = 1,
     died: Callable[[T, str], R] | None = None,
 ) -> Generator[R, None, None]:
     """Yield what `work` makes of each item, in order, as soon as those before it are done.
 
     - work, items: picklable where there is more than one job.
-    - jobs: number of processes that share the items; 1 for this process.
+    - jobs: number of processes that share the items, 1 for this process; or a cluster.
     - died: makes the answer for an item that was at work when a process died, given the reason.
 
-    Raises InputError where a process died and `died` is None, and whatever `work` raises.
+    Few items are begun ahead, so that few answers wait to be taken. Raises InputError where a
+    process died and `died` is None, and whatever `work` raises.
     """
-    if jobs <= 1 or len(items) <= 1:
+    if isinstance(jobs, int) and (jobs <= 1 or len(items) <= 1):
         yield from map(work, items)
         return
-    answers: list[Future[tuple[R, list[Warning]]]] = []
     k = 0
+    # The answers of items k, k + 1, ...
+    answers: deque[Future[tuple[R, list[Warning]]]] = deque()
     while k < len(items):
-        with executor(min(jobs, len(items) - k)) as pool:
-            for j in range(k, len(items)):
-                if j >= len(answers):
-                    answers.append(pool.submit(_with_warnings, work, items[j]))
-                elif not _is_done(answers[j]):
-                    answers[j] = pool.submit(_with_warnings, work, items[j])
+        with executor(jobs if isinstance(jobs, str) else min(jobs, len(items) - k)) as pool:
+            for j, answer in enumerate(answers):
+                if not _is_done(answer):
+                    answers[j] = pool.submit(_with_warnings, work, items[k + j])
             with contextlib.suppress(BrokenExecutor):
                 while k < len(items):
-                    answer, caught = answers[k].result()
+                    for item in items[k + len(answers) : k + _AHEAD]:
+                        answers.append(pool.submit(_with_warnings, work, item))
+                    made, caught = answers[0].result()
                     for warning in caught:
                         warnings.warn(warning, stacklevel=2)
-                    yield answer
+                    yield made
+                    answers.popleft()
                     k += 1
-        # Items are begun in order, so the first ones without an answer were at work.
-        for j in [j for j in range(k, len(items)) if not _is_done(answers[j])][:jobs]:
+        # Items are begun in order, so the first ones without an answer were at work. A cluster
+        # says of which item it gives up.
+        at_work = 1 if isinstance(jobs, str) else jobs
+        for j in [j for j, answer in enumerate(answers) if not _is_done(answer)][:at_work]:
             if died is None:
                 raise InputError("a process died; try again with fewer --jobs")
             answers[j] = Future()
-            answers[j].set_result((died(items[j], _DIED), []))
+            answers[j].set_result((died(items[k + j], _DIED), []))
 
 
 def _is_done(answer: Future[Any]) -> bool:
-    return answer.done() and not isinstance(answer.exception(), BrokenExecutor)
+    return (
+        answer.done()
+        and not answer.cancelled()
+        and not isinstance(answer.exception(), BrokenExecutor | CancelledError)
+    )
 
 
 def _with_warnings(work: Callable[[T], R], item: T) -> tuple[R, list[Warning]]:

@@ -106,6 +106,10 @@ class Run(Summary):
     plugins: dict[str, dict[str, str]] = Field(
         description="file and sha256 of graph and evidence rule"
     )
+    code: str | None = Field(default=None, description="a checksum of this package's code")
+    seconds: Finite | None = Field(
+        default=None, description="that reading, filtering and scoring took"
+    )
     frame_rate: float = Field(gt=0, allow_inf_nan=False, description="frames per second")
     values: dict[str, Annotated[list[str], Field(min_length=1)]] = Field(
         description="names of each hidden node's values"

@@ -46,6 +46,7 @@ from egolane_pgm.files import (
     as_csv,
     atomic_directory,
     check_place,
+    code_checksum,
     read_yaml,
     write_bytes,
     write_json,
@@ -417,6 +418,7 @@ def provenance(
         "config_hash": config_hash(content),
         "data": list(data),
         "versions": versions(),
+        "code": code_checksum(),
         "git": git_state(),
         "created": datetime.now(UTC).isoformat(timespec="seconds"),
     }

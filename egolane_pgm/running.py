@@ -5,6 +5,7 @@ from __future__ import annotations
 import hashlib
 import os
 import shutil
+import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
@@ -16,10 +17,11 @@ from tqdm import tqdm
 
 from egolane_pgm.experiment import (
     Experiment,
+    config_hash,
     load_experiment,
     resolved,
 )
-from egolane_pgm.files import plain
+from egolane_pgm.files import code_checksum, plain
 from egolane_pgm.inference.events import (
     SURE,
     crossing_probability,
@@ -31,7 +33,14 @@ from egolane_pgm.inference.events import (
 from egolane_pgm.inference.smoothing import infer_beliefs
 from egolane_pgm.inference.viterbi import disagreement, viterbi_path
 from egolane_pgm.lane_count import doubt_of_lanes
-from egolane_pgm.loading import Recorded, as_name, data_entries, load_recording, with_video_rate
+from egolane_pgm.loading import (
+    Recorded,
+    as_name,
+    data_entries,
+    file_entry,
+    load_recording,
+    with_video_rate,
+)
 from egolane_pgm.maps.steps import LanesAlong
 from egolane_pgm.model import (
     Model,
@@ -44,14 +53,16 @@ from egolane_pgm.model import (
     with_map,
     with_positions,
 )
-from egolane_pgm.parallel import in_order
+from egolane_pgm.parallel import Jobs, in_order
 from egolane_pgm.plugins import OWN_FILES, source_files
 from egolane_pgm.results import (
     SCHEMA_VERSION,
     Result,
     check_writable,
     provenance,
+    read_result,
     staged,
+    versions,
     write_result,
 )
 from egolane_pgm.scoring.assign import assigned_lane
@@ -84,6 +95,7 @@ class Run:
     events: `told`, how many lane changes the beliefs tell of; with ground truth the scores of
         `event_scores`.
     notes: warnings, a line each.
+    seconds: that reading, filtering and scoring took.
     """
 
     experiment: Experiment
@@ -98,6 +110,7 @@ class Run:
     lanes: Sequence[tuple[int, float, float]]
     events: Mapping[str, Any]
     notes: tuple[str, ...]
+    seconds: float
 
 
 def run_experiment(
@@ -112,6 +125,7 @@ def run_experiment(
 
     Raises InputError, one line, for whatever does not fit.
     """
+    begun = time.perf_counter()
     if not isinstance(experiment, Experiment):
         experiment = load_experiment(experiment)
     experiment = with_map(experiment)
@@ -203,6 +217,7 @@ def run_experiment(
         [] if len(found) > 1 else _stretches(found[0], changes, rate, road),
         events,
         tuple(notes),
+        time.perf_counter() - begun,
     )
 
 
@@ -289,6 +304,7 @@ def result_of(run: Run) -> Result:
         content=content,
         scores=summary(run),
         notes=run.notes,
+        found={"seconds": round(run.seconds, 3)},
     )
 
 
@@ -479,14 +495,17 @@ class PlannedRun:
 
 @dataclass(frozen=True)
 class FinishedRun:
-    """What became of a planned run: its `summary`, or else why it failed, in one line; and the run
-    itself, where it was kept instead of written."""
+    """What became of a planned run: its `summary`, or else why it failed, in one line; the run
+    itself, where it was kept instead of written; the seconds that it took; and whether its result
+    was there already."""
 
     title: str
     directory: Path
     summary: Mapping[str, Any] | None
     error: str | None
     run: Run | None = None
+    seconds: float | None = None
+    was_there: bool = False
 
 
 def name_runs(
@@ -553,26 +572,39 @@ def plan_runs(
 
 
 def run_all(
-    runs: Sequence[PlannedRun], *, jobs: int = 1, draw: Draw | None = None, keep: bool = False
+    runs: Sequence[PlannedRun],
+    *,
+    jobs: Jobs = 1,
+    draw: Draw | None = None,
+    keep: bool = False,
+    resume: bool = False,
 ) -> Iterator[FinishedRun]:
     """Do several runs and write their results; yields what became of each, in order, as soon as
     those before it are done.
 
-    - jobs: number of processes that share the runs.
+    - jobs: number of processes that share the runs, or a cluster.
     - draw: as in `save_run`.
     - keep: whether runs are kept instead of written.
+    - resume: whether a result that is there already is taken, where it was made from the same
+      files, with the same config and the same code.
     """
-    yield from in_order(partial(_finish, draw=draw, keep=keep), runs, jobs, died=_failed)
+    work = partial(_finish, draw=draw, keep=keep, resume=resume)
+    yield from in_order(work, runs, jobs, died=_failed)
 
 
 def _failed(run: PlannedRun, error: str) -> FinishedRun:
     return FinishedRun(run.title, run.directory, None, error)
 
 
-def _finish(run: PlannedRun, draw: Draw | None, keep: bool) -> FinishedRun:
+def _finish(run: PlannedRun, draw: Draw | None, keep: bool, resume: bool) -> FinishedRun:
     if run.experiment is None:
         return _failed(run, run.error or "")
     try:
+        stored = stored_result(run.experiment, run.directory) if resume else None
+        if stored is not None:
+            scores, seconds = dict(stored.scores), stored.run.get("seconds")
+            del scores["schema_version"]
+            return FinishedRun(run.title, run.directory, scores, None, None, seconds, True)
         done = run_experiment(run.experiment)
         if not keep:
             save_run(done, run.directory, draw)
@@ -581,4 +613,28 @@ def _finish(run: PlannedRun, draw: Draw | None, keep: bool) -> FinishedRun:
     except Exception as error:
         # A fault of ours in one run must not cost the others what they computed.
         return _failed(run, " ".join(f"{type(error).__name__}: {error}".split()))
-    return FinishedRun(run.title, run.directory, summary(done), None, done if keep else None)
+    kept = done if keep else None
+    found = plain(summary(done))
+    return FinishedRun(run.title, run.directory, found, None, kept, round(done.seconds, 3))
+
+
+def stored_result(experiment: Experiment, directory: Path) -> Result | None:
+    """The result in a directory, where it was made with this config, from these files as they are
+    now, and with this code; else None."""
+    try:
+        found = read_result(directory)
+        model = model_to_run(with_map(experiment))
+        content = resolved(with_video_rate(with_map(experiment)), model.parameters)
+        made_by: dict[str, Any] = {
+            "config_hash": config_hash(content),
+            "code": code_checksum(),
+            "plugins": plugin_files(model),
+            "versions": versions(),
+        }
+        is_same = all(found.run.get(key) == value for key, value in made_by.items())
+        has_pictures = experiment.recording.detector is not None
+        for entry in found.run["data"] if is_same else ():
+            is_same = is_same and file_entry(Path(entry["path"]), pictures=has_pictures) == entry
+    except (InputError, OSError):
+        return None
+    return found if is_same else None

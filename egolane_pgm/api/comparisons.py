@@ -26,6 +26,7 @@ from egolane_pgm.comparing.groups import (
     compare_groups,
     document,
     graphs_on_runs,
+    on_fleet,
     on_runs,
 )
 from egolane_pgm.comparing.lags import check_lags
@@ -34,7 +35,9 @@ from egolane_pgm.comparing.placing import recording_key
 from egolane_pgm.comparing.saving import folder_of
 from egolane_pgm.experiment import Given, Overrides, load_experiment
 from egolane_pgm.files import write_json
+from egolane_pgm.fleet import FleetDrive, read_fleet
 from egolane_pgm.paper import Runs, parse_runs
+from egolane_pgm.parallel import Jobs
 from egolane_pgm.report.comparison_tables import (
     accuracy_rows,
     experiment_names,
@@ -312,7 +315,7 @@ def _read(name: str, files: dict[str, bytes]) -> CompareResult:
 
 
 def compare_recordings(
-    groups: Sequence[Group], settings: Options, *, jobs: int = 1, progress: bool | None = None
+    groups: Sequence[Group], settings: Options, *, jobs: Jobs = 1, progress: bool | None = None
 ) -> CompareResult:
     """Compare the experiments of each recording held out.
 
@@ -370,7 +373,8 @@ def compare(
     trials: int | None = None,
     trials_per_number: int | None = None,
     seeds: int | Sequence[int] = (),
-    jobs: int = 1,
+    fleet: str | os.PathLike[str] | None = None,
+    jobs: Jobs = 1,
     overrides: Overrides = (),
     out: str | os.PathLike[str] | None = None,
     progress: bool | None = None,
@@ -396,7 +400,8 @@ def compare(
     - trials: of each block's search (`fit: tune`).
     - trials_per_number: instead, trials for each number that is searched.
     - seeds: how many seeds each search has, or which.
-    - jobs: processes that share the work.
+    - fleet: a table of drives, on each of which the experiments are put, see `egolane_pgm.fleet`.
+    - jobs: processes that share the work; or a Dask cluster, as `run_fleet` takes it.
     - overrides: keys of the YAMLs that get other values.
     - out: a folder in which the result directories are written as soon as they are done.
     - progress: whether a bar shows how far it is; None for in a terminal.
@@ -428,7 +433,10 @@ def compare(
         return compare_on_runs(names, parse_runs(runs or "1-10"), parameters, progress=progress)
     fit = "tune" if held_out else None
     numbers = parse_runs(runs) if runs else None
-    groups = groups_of(given, names, fit, numbers, with_paper, parameters, learned, overrides)
+    drives = fleet_of(fleet, bool(given), runs, bool(learned))
+    groups = groups_of(
+        given, names, fit, numbers, with_paper, parameters, learned, overrides, drives
+    )
     with tempfile.TemporaryDirectory(prefix="egolane-") as temporary:
         folder = Path(temporary if out is None else out)
         searched = (trials_per_number, _seeds(seeds))
@@ -442,6 +450,17 @@ def compare(
             for name, content in read_files(folder / place).items()
         }
         return replace(found, files=files)
+
+
+def fleet_of(
+    fleet: str | os.PathLike[str] | None, has_experiments: bool, runs: Any, has_learned: bool
+) -> tuple[FleetDrive, ...]:
+    """The drives of `fleet`. Raises InputError for what does not go with one."""
+    if fleet is None:
+        return ()
+    if not has_experiments or runs or has_learned:
+        raise InputError("--fleet: goes with experiments, without --runs and --learned-on")
+    return read_fleet(os.fspath(fleet))
 
 
 def _seeds(given: Any) -> tuple[int, ...]:
@@ -487,6 +506,7 @@ def groups_of(
     which: str,
     learned_on: Sequence[str],
     overrides: Overrides,
+    drives: Sequence[FleetDrive] = (),
 ) -> list[Group]:
     """The experiments that `compare` compares, by recording.
 
@@ -494,15 +514,19 @@ def groups_of(
     - fit: of the experiments with these graphs, None for their own.
     - numbers: of the paper's runs; None for the experiments' own recordings.
     - which: the parameters of the paper's model.
+    - drives: of a fleet, on each of which the experiments are put.
     """
     if not experiments:
         return graphs_on_runs(graphs, numbers or range(1, 11), "tune", overrides)
     models = [load_experiment(given, overrides) for given in experiments]
     if graphs:
-        places = len({recording_key(model) for model in models}) if numbers is None else 1
+        is_placed = numbers is not None or bool(drives)
+        places = 1 if is_placed else len({recording_key(model) for model in models})
         models = with_graphs(models, graphs, fit=fit, is_shared=places < len(models))
     if learned_on:
         models = learned_elsewhere(models, learned_on, numbers is not None)
+    if drives:
+        return on_fleet(models, drives)
     if numbers is None:
         return by_recording(models)
     return on_runs(models, numbers, with_paper=with_paper, which=which)

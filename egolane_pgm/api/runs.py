@@ -17,6 +17,7 @@ from egolane_pgm.api.given import bar, path_of, several_of
 from egolane_pgm.experiment import Experiment, Given, Overrides, load_experiment
 from egolane_pgm.loading import Recorded, with_recording
 from egolane_pgm.model import Model, prepare_model
+from egolane_pgm.parallel import Jobs
 from egolane_pgm.report.comparison_tables import trusted_or_all
 from egolane_pgm.report.tables import runs_table_rows, score_rows, with_interval
 from egolane_pgm.results import Result, read_result
@@ -321,7 +322,7 @@ def run(  # type: ignore[overload-overlap]
     camera: str | os.PathLike[str] | None = None,
     detector: str | os.PathLike[str] | None = None,
     frame_id: str | None = None,
-    jobs: int = 1,
+    jobs: Jobs = 1,
     progress: bool | None = None,
 ) -> RunResult: ...
 
@@ -337,7 +338,7 @@ def run(
     camera: str | os.PathLike[str] | None = None,
     detector: str | os.PathLike[str] | None = None,
     frame_id: str | None = None,
-    jobs: int = 1,
+    jobs: Jobs = 1,
     progress: bool | None = None,
 ) -> RunResults: ...
 
@@ -352,7 +353,7 @@ def run(
     camera: str | os.PathLike[str] | None = None,
     detector: str | os.PathLike[str] | None = None,
     frame_id: str | None = None,
-    jobs: int = 1,
+    jobs: Jobs = 1,
     progress: bool | None = None,
 ) -> RunResult | RunResults:
     """Filter a recording, and score it where there is ground truth.

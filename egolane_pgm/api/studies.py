@@ -22,6 +22,7 @@ from egolane_pgm.experiment import (
 )
 from egolane_pgm.files import without_version
 from egolane_pgm.paper import Runs, parse_runs
+from egolane_pgm.parallel import Jobs
 from egolane_pgm.report.study_tables import LEGEND, parameter_rows, score_rows
 from egolane_pgm.report.study_trials import STUDY_FILE, TRIALS_FILE, Trials, is_study, trials_of
 from egolane_pgm.results import read_files, staged, write_files
@@ -234,7 +235,7 @@ def tune(
     together: bool = False,
     out: str | os.PathLike[str] | None = None,
     workers: int | None = None,
-    jobs: int = 1,
+    jobs: Jobs = 1,
     storage: str | None = None,
     overrides: Overrides = (),
     progress: bool | None = None,
@@ -315,7 +316,7 @@ def prepare_searches(
     in_sample_only: bool = False,
     together: bool = False,
     workers: int | None = None,
-    jobs: int | None = None,
+    jobs: Jobs | None = None,
     storage: str | None = None,
     overrides: Overrides = (),
 ) -> list[Search]:
@@ -405,7 +406,7 @@ def _check_names(plans: Sequence[AnyPlan]) -> None:
 def search_all(
     searches: Sequence[Search],
     *,
-    jobs: int = 1,
+    jobs: Jobs = 1,
     workers: int | None = None,
     progress: bool | None = None,
 ) -> list[dict[str, Any]]:

@@ -13,6 +13,7 @@ from egolane_pgm.api.comparisons import (
     check_options,
     compare_on_runs,
     compare_recordings,
+    fleet_of,
     graph_names,
     groups_of,
 )
@@ -23,9 +24,12 @@ from egolane_pgm.comparing import compare_rows
 from egolane_pgm.comparing.groups import Group, Options
 from egolane_pgm.comparing.lags import check_lags
 from egolane_pgm.files import check_not_read, check_place
+from egolane_pgm.fleet import FleetDrive
 from egolane_pgm.paper import parse_runs
+from egolane_pgm.parallel import Jobs
 from egolane_pgm.report import comparison_tables as rows_of
 from egolane_pgm.report import events as lane_changes
+from egolane_pgm.report.fleet_table import FLEET_LEGEND, fleet_comparison_rows
 from egolane_pgm.report.tables import Table, page
 from egolane_pgm.types import InputError
 
@@ -82,6 +86,7 @@ class Figures(NamedTuple):
 @click.option(
     "--seeds", metavar="N|LIST", help="Search with seeds 0 to N-1, or those of a list (3,7); means."
 )
+@options.fleet
 @options.jobs
 @options.overrides("Override the YAMLs.")
 @options.tables
@@ -111,7 +116,8 @@ def compare(
     trials: int | None,
     trials_per_number: int | None,
     seeds: str | None,
-    jobs: int,
+    fleet: str | None,
+    jobs: Jobs,
     overrides: tuple[str, ...],
     style: str,
     wide: bool,
@@ -123,7 +129,8 @@ def compare(
     """Experiments side by side on frames that their parameters have not seen.
 
     Each of EXPERIMENTS (a YAML whose `fit` says how parameters are found) on its own recording,
-    or, with --runs, on those of the paper's runs; with --graphs each of them once with each graph.
+    or, with --runs, on those of the paper's runs, or, with --fleet, on every drive of a table; with
+    --graphs each of them once with each graph.
     Without experiments the graphs are put on the paper's runs, and without --held-out with the
     paper's parameters, in-sample.
     """
@@ -143,6 +150,8 @@ def compare(
     if json_file:
         check_not_read(json_file, map(Path, experiments))
     names = graph_names(graphs, bool(experiments))
+    if not experiments and fleet:
+        raise InputError("--fleet: goes with experiments")
     if not experiments and not held_out:
         many = (health, events, lags, overrides, trials, trials_per_number, seeds, *figures, out)
         if any(many):
@@ -154,7 +163,10 @@ def compare(
         return
     numbers = parse_runs(runs) if runs else None
     fit = "tune" if held_out else None
-    groups = groups_of(experiments, names, fit, numbers, with_paper, which, learned_on, overrides)
+    drives = fleet_of(fleet, bool(experiments), runs, bool(learned_on))
+    groups = groups_of(
+        experiments, names, fit, numbers, with_paper, which, learned_on, overrides, drives
+    )
     if differences and all(len(group.experiments) < 2 for group in groups):
         raise InputError("--differences: needs two experiments or graphs on one recording")
     is_searched = any(e.fit == "tune" for group in groups for e in group.experiments)
@@ -171,7 +183,7 @@ def compare(
         events,
         waits,
     )
-    _held_out(groups, settings, jobs, style, wide, figures, json_file)
+    _held_out(groups, settings, jobs, style, wide, figures, json_file, drives)
 
 
 def _seeds(text: str) -> tuple[int, ...]:
@@ -186,11 +198,12 @@ def _seeds(text: str) -> tuple[int, ...]:
 def _held_out(
     groups: Sequence[Group],
     settings: Options,
-    jobs: int,
+    jobs: Jobs,
     style: str,
     wide: bool,
     figures: Figures,
     json_file: Path | None,
+    drives: Sequence[FleetDrive],
 ) -> None:
     done = compare_recordings(groups, settings, jobs=jobs)
     found = done.document
@@ -198,9 +211,12 @@ def _held_out(
     for recording in found["recordings"]:
         for note in recording["notes"]:
             click.echo(f"warning: {recording['title']}: {note}", err=True)
-    parts = _parts(found, settings)
-    if style != "markdown" and not _instead(found, settings):
-        parts.insert(0, Table(*rows_of.full_rows(found)))
+    if drives:
+        parts: list[str | Table] = [Table(*fleet_comparison_rows(found, drives)), FLEET_LEGEND]
+    else:
+        parts = _parts(found, settings)
+        if style != "markdown" and not _instead(found, settings):
+            parts.insert(0, Table(*rows_of.full_rows(found)))
     click.echo(page(parts, style, wide))
     if any(figures):
         from egolane_pgm.report import comparison_figures as draws

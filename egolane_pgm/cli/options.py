@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import functools
 import io
 import sys
 from collections.abc import Callable, Iterable, Mapping
@@ -57,8 +58,27 @@ def tables(command: Callable[..., Any]) -> Callable[..., Any]:
     return style(wide(command))
 
 
-jobs = click.option(
-    "--jobs", type=click.IntRange(1), default=1, show_default=True, help="Processes."
+def jobs(command: Callable[..., Any]) -> Callable[..., Any]:
+    """`--jobs N`, or `--cluster ADDRESS` instead: where work is shared out to, as `jobs`."""
+
+    @functools.wraps(command)
+    def with_jobs(*args: Any, jobs: int, cluster: str | None, **kwargs: Any) -> Any:
+        return command(*args, jobs=jobs if cluster is None else cluster, **kwargs)
+
+    with_cluster = click.option(
+        "--cluster",
+        metavar="ADDRESS|local:N",
+        help="Instead of --jobs: the scheduler of a Dask cluster, or one of N processes here.",
+    )(with_jobs)
+    return click.option(
+        "--jobs", type=click.IntRange(1), default=1, show_default=True, help="Processes."
+    )(with_cluster)
+
+
+fleet = click.option(
+    "--fleet",
+    metavar="FILE",
+    help="A table with a row per drive (.csv, .parquet, .yaml): recording, n_lanes, tag.X, ...",
 )
 
 camera = click.option(

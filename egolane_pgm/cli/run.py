@@ -10,6 +10,7 @@ from typing import Any
 import click
 from tqdm import tqdm
 
+from egolane_pgm.api.fleets import SUMMARY, run_fleet
 from egolane_pgm.api.runs import RunResult, choose, draw_all, name_all
 from egolane_pgm.api.runs import run as run_experiment
 from egolane_pgm.cli import options
@@ -17,6 +18,7 @@ from egolane_pgm.cli.options import write_json
 from egolane_pgm.experiment import Experiment
 from egolane_pgm.files import check_not_read
 from egolane_pgm.loading import named_files
+from egolane_pgm.parallel import Jobs
 from egolane_pgm.report.clips import clip_parts
 from egolane_pgm.report.events import (
     event_lines,
@@ -25,6 +27,7 @@ from egolane_pgm.report.events import (
     lane_words,
     sure_words,
 )
+from egolane_pgm.report.fleet_table import fleet_table_rows
 from egolane_pgm.report.tables import (
     TUNED_ON,
     Table,
@@ -40,6 +43,9 @@ from egolane_pgm.types import InputError
 #: Makes the text of what is printed.
 Show = Callable[[Sequence[str | Table]], str]
 
+#: So many drives that failed are named.
+_MANY = 20
+
 
 @click.command()
 @options.experiments(required=True)
@@ -54,6 +60,7 @@ Show = Callable[[Sequence[str | Table]], str]
 @click.option("--ground-truth", metavar="FILE|none", help="Annotation of the recording, if any.")
 @click.option("--n-lanes", type=int, help="Number of lanes of the road.")
 @options.of_recording
+@options.fleet
 @click.option(
     "--out",
     type=click.Path(file_okay=False),
@@ -72,9 +79,10 @@ def run(
     frame_id: str | None,
     camera: str | None,
     detector: str | None,
+    fleet: str | None,
     out: str | None,
     no_figures: bool,
-    jobs: int,
+    jobs: Jobs,
     style: str,
     wide: bool,
     json_file: Path | None,
@@ -87,11 +95,19 @@ def run(
 
     Several EXPERIMENTS, or one on several recordings, share --jobs processes; each has its own
     result directory, and one that fails does not stop the others.
+
+    With --fleet one experiment runs on every drive of a table: a result directory for each, without
+    figures, and summary.parquet. Drives whose result is there already are not run again.
     """
     if "" in (*recordings, ground_truth, camera, out):
         raise InputError("run: a file or folder that is named is empty (--recording, --out, ...)")
     changes = (ground_truth, n_lanes, frame_id, camera, detector)
     show = partial(page, style=style, wide=wide)
+    if fleet is not None:
+        if len(experiments) > 1 or recordings or any(change is not None for change in changes):
+            raise InputError("--fleet: goes with one experiment; the table names the recordings")
+        _run_fleet(experiments[0], overrides, fleet, Path(out or "results"), show, jobs, json_file)
+        return
     if len(experiments) == 1 and len(recordings) < 2:
         recording = recordings[0] if recordings else None
         chosen = choose(experiments[0], overrides, recording, *changes)
@@ -129,7 +145,7 @@ def _run_many(
     folder: Path,
     draw: Callable[[Path], None] | None,
     show: Show,
-    jobs: int,
+    jobs: Jobs,
     json_file: Path | None,
 ) -> None:
     plan = plan_runs(to_load, folder)
@@ -177,6 +193,31 @@ def _run_many(
         for line in (outcome.error or "").splitlines():
             click.echo(f"failed: {outcome.title}: {line}", err=True)
     if failed:
+        raise SystemExit(1)
+
+
+def _run_fleet(
+    experiment: str,
+    overrides: tuple[str, ...],
+    fleet: str,
+    folder: Path,
+    show: Show,
+    jobs: Jobs,
+    json_file: Path | None,
+) -> None:
+    if json_file:
+        check_not_read(json_file, [Path(experiment), Path(fleet)])
+    done = run_fleet(experiment, fleet, folder, overrides=overrides, jobs=jobs)
+    if json_file:
+        write_json(json_file, {"schema_version": SCHEMA_VERSION, "drives": done.rows})
+    click.echo(show([Table(*fleet_table_rows(done.rows))]))
+    there = f", {done.were_there} of them were there" if done.were_there else ""
+    click.echo(f"\n{len(done)} drives in {folder}{there}; a row for each in {folder / SUMMARY}")
+    for name, error in done.failed[:_MANY]:
+        click.echo(f"failed: {name}: {error}", err=True)
+    if len(done.failed) > _MANY:
+        click.echo(f"failed: {len(done.failed) - _MANY} more, see the column `error`", err=True)
+    if done.failed:
         raise SystemExit(1)
 
 

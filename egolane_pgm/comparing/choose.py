@@ -42,7 +42,7 @@ from egolane_pgm.experiment import Experiment
 from egolane_pgm.learning import Found, with_found
 from egolane_pgm.learning import fit as learn_from
 from egolane_pgm.model import Drive, Model, beliefs_of, prepare_model
-from egolane_pgm.parallel import in_order
+from egolane_pgm.parallel import Jobs, in_order
 from egolane_pgm.parameters import resolve_parameters
 from egolane_pgm.plugins import declared_parameters
 from egolane_pgm.scoring.assign import assigned_lane
@@ -184,14 +184,14 @@ def _check_grid(experiment: Experiment) -> None:
         resolve_parameters(specs, candidate, model.n_lanes, f"{experiment.source}: choice.grid")
 
 
-def try_all(tasks: Sequence[Task], jobs: int = 1) -> Iterator[Losses]:
+def try_all(tasks: Sequence[Task], jobs: Jobs = 1) -> Iterator[Losses]:
     """The losses of each task, in order. jobs: the number of processes that share them."""
     return in_order(losses_of, tasks, jobs)
 
 
 def losses_by_experiment(
     tasks: Mapping[str, Sequence[Task]],
-    jobs: int = 1,
+    jobs: Jobs = 1,
     show: Callable[[Iterator[Losses], int], Iterable[Losses]] = lambda found, total: found,
 ) -> Known:
     """The losses of the tasks that were planned, each distinct one done once.

@@ -29,11 +29,12 @@ from egolane_pgm.comparing.placing import (
 from egolane_pgm.comparing.saving import folder_of, save_comparison
 from egolane_pgm.comparing.side import Search, Side, held_out_side, search_blocks
 from egolane_pgm.experiment import Experiment, Overrides, load_experiment
+from egolane_pgm.fleet import FleetDrive, drive_experiment
 from egolane_pgm.learning import Found
 from egolane_pgm.loading import Recorded
 from egolane_pgm.model import Drive, causality, prepare_model
 from egolane_pgm.paper import load_published, paper_experiment, parameters_for
-from egolane_pgm.parallel import in_order
+from egolane_pgm.parallel import Jobs, in_order
 from egolane_pgm.results import SCHEMA_VERSION
 from egolane_pgm.scoring.bootstrap import INTERVAL_STATISTICS, score_counts
 from egolane_pgm.scoring.health import detector_errors
@@ -154,6 +155,21 @@ def on_runs(
     return _checked(groups, on_runs=True)
 
 
+def on_fleet(models: Sequence[Experiment], drives: Sequence[FleetDrive]) -> list[Group]:
+    """Put each model on every drive of a fleet; the groups are named as the drives.
+
+    Raises InputError for a drive that does not fit.
+    """
+    groups = []
+    for drive in drives:
+        placed = [
+            drive_experiment(model, drive).model_copy(update={"name": model.name})
+            for model in models
+        ]
+        groups.append(Group(drive.name, None, tuple(placed), tuple(placed)))
+    return _checked(groups)
+
+
 def graphs_on_runs(
     graphs: Sequence[str], numbers: Sequence[int], fit: str, overrides: Overrides = ()
 ) -> list[Group]:
@@ -226,7 +242,7 @@ def compare_groups(
     groups: Sequence[Group],
     options: Options | None = None,
     *,
-    jobs: int = 1,
+    jobs: Jobs = 1,
     known: Known | None = None,
     show: Callable[[Iterator[Searched], int], Iterable[Searched]] = lambda found, total: found,
 ) -> Iterator[dict[str, Any]]:

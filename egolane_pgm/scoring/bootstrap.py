@@ -261,3 +261,24 @@ def _percentiles(values: FloatArray, level: float) -> tuple[float, float]:
         return float("nan"), float("nan")
     low, high = np.quantile(defined, [(1 - level) / 2, (1 + level) / 2])
     return float(low), float(high)
+
+
+def share_over_drives(
+    right: FloatArray, frames: FloatArray, seed: int = 0
+) -> tuple[float, float | None, float | None]:
+    """The share sum(right) / sum(frames) of D drives, with its interval over drives.
+
+    - right, frames (D,): of each drive. `right` may be a difference of two sides on the same
+      frames: the interval is then that of the paired difference.
+
+    Whole drives are drawn (cluster bootstrap, percentiles of RESAMPLES), because the frames of a
+    drive are alike. The interval of fewer than two drives is None, None.
+    """
+    share, n = float(right.sum() / frames.sum()), len(frames)
+    if n < 2:
+        return share, None, None
+    rng = np.random.default_rng(seed)
+    drawn = (rng.integers(0, n, n) for _ in range(RESAMPLES))
+    shares = [right[drives].sum() / frames[drives].sum() for drives in drawn]
+    low, high = np.quantile(shares, [(1 - LEVEL) / 2, (1 + LEVEL) / 2])
+    return share, float(low), float(high)

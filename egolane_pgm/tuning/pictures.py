@@ -32,7 +32,7 @@ from egolane_pgm.camera.pictures import open_source, read_image
 from egolane_pgm.detectors.runner import Detector, check_pair, detect, find_detector, start
 from egolane_pgm.files import in_home, make_directory, plain, write_json, write_yaml
 from egolane_pgm.loading import file_entry
-from egolane_pgm.parallel import in_order
+from egolane_pgm.parallel import Jobs, in_order
 from egolane_pgm.parameters import Value
 from egolane_pgm.report.study_trials import SCHEMA_VERSION, STUDY_FILE
 from egolane_pgm.results import provenance
@@ -307,7 +307,7 @@ def _data(problem: PictureProblem) -> list[dict[str, Any]]:
 def tune(
     made: PictureSearch,
     *,
-    jobs: int = 1,
+    jobs: Jobs = 1,
     progress: Callable[[str, int, float], None] | None = None,
 ) -> dict[str, Any]:
     """Do a search; return what is in its study.json, which it writes.

@@ -14,7 +14,7 @@ from typing import Any
 import optuna
 
 from egolane_pgm.files import make_directory, write_json
-from egolane_pgm.parallel import executor
+from egolane_pgm.parallel import Jobs, executor
 from egolane_pgm.report.study_trials import STUDY_FILE
 from egolane_pgm.tuning import study_directory as files
 from egolane_pgm.tuning.held_out import (
@@ -193,15 +193,15 @@ def _do(
 def tune(
     searches: Sequence[Search],
     *,
-    jobs: int = 1,
+    jobs: Jobs = 1,
     workers: int | None = None,
     progress: Progress | None = None,
 ) -> Iterator[dict[str, Any]]:
     """Do searches, and yield each one's study.json when it is finished, in their order.
 
-    - jobs: processes that share the studies, those without a part included.
-    - workers: processes that share the trials of each study on all frames; then `jobs` is not
-      looked at, and the same processes share the studies without a part.
+    - jobs: processes that share the studies, those without a part included; or a cluster.
+    - workers: processes that share the trials of each study on all frames, and the studies without
+      a part: those of the cluster, or else as many of this machine.
 
     Studies without a part that an earlier command finished are not run again.
     """
@@ -209,8 +209,9 @@ def tune(
         make_directory(made.directory)
         made.nested = files.read_nested(made.directory, made.key)
     n_tasks = sum(1 + made.n_parts - len(made.nested) for made in searches)
-    jobs = workers or min(jobs, n_tasks)
-    if jobs > 1:
+    if isinstance(jobs, int):
+        jobs = workers or min(jobs, n_tasks)
+    if jobs != 1:
         _in_processes(searches, jobs, workers or 1, progress)
         for made in searches:
             yield finish(made)
@@ -246,7 +247,7 @@ def _counted(progress: Progress | None, made: Search, label: str) -> Report | No
 
 
 def _in_processes(
-    searches: Sequence[Search], jobs: int, workers: int, progress: Progress | None
+    searches: Sequence[Search], jobs: Jobs, workers: int, progress: Progress | None
 ) -> None:
     """Share the studies and their nested ones out to processes."""
     tasks: list[tuple[int, int | None, int]] = []

@@ -1,0 +1,304 @@
+"""A fleet: a table with a row for each drive, and one experiment that is run on all of them.
+
+The table is a CSV or Parquet file, or a YAML with a list `drives`. Its columns, all of which may be
+left out or left empty in a row:
+
+- recording, ground_truth, camera: files, relative to the table. ground_truth `none`, or empty: the
+  drive is not annotated.
+- n_lanes, detector: as on the command line.
+- name: of the drive's result directory; by default that of its recording.
+- tag.NAME: what drives are grouped by, such as `tag.weather`.
+- any other key of the experiment's YAML, such as `recording.seed` or `parameters.sigma1`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from egolane_pgm.experiment import Experiment, load_experiment
+from egolane_pgm.files import read_parquet, read_text, read_yaml, write_parquet
+from egolane_pgm.loading import as_name, with_recording
+from egolane_pgm.running import FinishedRun, PlannedRun, plan_runs
+from egolane_pgm.scoring.bootstrap import share_over_drives
+from egolane_pgm.types import InputError, suggestion
+from egolane_pgm.yaml_text import parse_yaml
+
+#: The columns that are no keys of an experiment.
+_OWN = ("name", "recording", "ground_truth", "camera", "detector", "n_lanes")
+
+_FILES = ("recording", "ground_truth", "camera")
+
+TAG = "tag."
+
+
+@dataclass(frozen=True)
+class FleetDrive:
+    """A row of a fleet's table.
+
+    - source: names the table and the row in messages.
+    - name: of the drive's result directory.
+    - cells: what the row says, by column, tags left out.
+    - tags: its tags, by name without `tag.`.
+    - folder: of the table.
+    """
+
+    source: str
+    name: str
+    cells: Mapping[str, Any]
+    tags: Mapping[str, str]
+    folder: Path
+
+
+def read_fleet(path: str | Path) -> tuple[FleetDrive, ...]:
+    """The drives of a table, in its order.
+
+    Raises InputError for a file that cannot be read, a table without drives, a column that is
+    nothing of an experiment, and for two drives of one name.
+    """
+    path = Path(path)
+    rows = _rows(path)
+    if not rows:
+        raise InputError(f"{path}: has no drives; give it a row for each")
+    for column in dict.fromkeys(column for row in rows for column in row):
+        _check_column(path, column)
+    drives = []
+    for number, row in enumerate(rows, 1):
+        cells = {k: v for k, v in row.items() if v is not None and v != ""}
+        tags = {k.removeprefix(TAG): str(v) for k, v in cells.items() if k.startswith(TAG)}
+        kept = {k: v for k, v in cells.items() if not k.startswith(TAG)}
+        drives.append(FleetDrive(f"{path}: drive {number}", "", kept, tags, path.parent))
+    return _named(drives)
+
+
+def _rows(path: Path) -> list[dict[str, Any]]:
+    ending = path.suffix.lower()
+    if ending in (".yaml", ".yml"):
+        content = read_yaml(path, "drives: [{recording: a.csv, n_lanes: 4}]")
+        drives = content.pop("drives", None)
+        if content:
+            raise InputError(f"{path}: unknown key '{next(iter(content))}'; a fleet has `drives`")
+        if not isinstance(drives, list) or not all(isinstance(row, dict) for row in drives):
+            raise InputError(f"{path}: drives: needs a list, e.g. - {{recording: a.csv}}")
+        return drives
+    if ending == ".parquet":
+        try:
+            return list(read_parquet(path).to_pylist())
+        except (OSError, ValueError) as error:
+            why = " ".join(str(error).split())
+            raise InputError(f"{path}: cannot be read: {why}") from error
+    if ending != ".csv":
+        raise InputError(f"{path}: a fleet is a .csv, .parquet or .yaml file")
+    return _csv_rows(path)
+
+
+def _csv_rows(path: Path) -> list[dict[str, Any]]:
+    import csv
+
+    lines = csv.reader(read_text(path).splitlines())
+    header = next(lines, [])
+    rows = []
+    for cells in lines:
+        if not any(cells):
+            continue
+        if len(cells) != len(header):
+            raise InputError(
+                f"{path}: line {lines.line_num}: has {len(cells)} cells, the first line has"
+                f" {len(header)}"
+            )
+        # A cell is YAML, but for what is text: a name may be 007, a tag `no`.
+        rows.append(
+            {
+                column: cell
+                if column in (*_FILES, "name", "detector") or column.startswith(TAG) or not cell
+                else parse_yaml(cell, f"{path}: line {lines.line_num}: {column}")
+                for column, cell in zip(header, cells, strict=True)
+            }
+        )
+    return rows
+
+
+def _check_column(path: Path, column: Any) -> None:
+    known = (*_OWN, *Experiment.model_fields)
+    if not isinstance(column, str) or not column:
+        raise InputError(f"{path}: column {column!r} has no name")
+    if column.startswith(TAG) or column in _OWN or column.split(".")[0] in Experiment.model_fields:
+        return
+    raise InputError(
+        f"{path}: unknown column '{column}'{suggestion(column, known)}; what drives are grouped by"
+        f" is a tag: {TAG}{column}"
+    )
+
+
+def _named(drives: Sequence[FleetDrive]) -> tuple[FleetDrive, ...]:
+    """The drives with a name each. Raises InputError for two of one name."""
+    stems = [as_name(Path(str(d.cells.get("recording", ""))).stem) for d in drives]
+    named: dict[str, FleetDrive] = {}
+    for number, (drive, stem) in enumerate(zip(drives, stems, strict=True), 1):
+        cells = dict(drive.cells)
+        given = cells.pop("name", None)
+        name = as_name(str(given)) if given is not None else stem
+        if given is None and "recording" not in cells:
+            name = f"drive_{number:0{len(str(len(drives)))}d}"
+        elif given is None and stems.count(stem) > 1:
+            folder = Path(str(cells["recording"])).absolute().parent.name
+            name = as_name(f"{folder}_{stem}")
+        if name in named:
+            raise InputError(
+                f"{drive.source}: has the name '{name}', as {named[name].source.split(': ')[-1]};"
+                " give them a column `name`"
+            )
+        named[name] = FleetDrive(drive.source, name, cells, drive.tags, drive.folder)
+    return tuple(named.values())
+
+
+def drive_experiment(base: Experiment, drive: FleetDrive) -> Experiment:
+    """The experiment on a drive of a fleet.
+
+    Raises InputError, naming table and row, for what does not fit.
+    """
+    cells = dict(drive.cells)
+    given = {column: cells.pop(column, None) for column in _OWN[1:]}
+    for column in _FILES:
+        if given[column] is not None and (column, given[column]) != ("ground_truth", "none"):
+            given[column] = str(drive.folder / str(given[column]))
+    try:
+        if any(value is not None for value in given.values()):
+            base = with_recording(
+                base,
+                given["recording"],
+                given["ground_truth"],
+                given["n_lanes"],
+                None,
+                given["camera"],
+                given["detector"],
+            )
+        found = load_experiment(base, cells)
+    except InputError as error:
+        raise InputError(*(f"{drive.source}: {line}" for line in error.lines)) from error
+    return found.model_copy(update={"name": drive.name})
+
+
+def plan_fleet(base: Experiment, drives: Sequence[FleetDrive], folder: Path) -> list[PlannedRun]:
+    """Plan a run for each drive, as `running.plan_runs` does; a drive that does not fit becomes a
+    run that fails."""
+    return plan_runs(
+        [(drive.name, partial(drive_experiment, base, drive)) for drive in drives], folder
+    )
+
+
+# --- the summary -------------------------------------------------------------------------------
+
+
+def summary_rows(drives: Sequence[FleetDrive], done: Sequence[FinishedRun]) -> list[dict[str, Any]]:
+    """A row for each drive: its tags, whether it failed and why, the seconds that it took, and
+    every number of scores.json by its keys with dots between them, such as `model.accuracy`.
+
+    Matrices and the lanes over time stay in the result directory; of an interval the ends are
+    `.low` and `.high`; `warnings` is how many there are.
+    """
+    rows = []
+    for drive, run in zip(drives, done, strict=True):
+        row: dict[str, Any] = {"name": drive.name}
+        row |= {f"{TAG}{name}": value for name, value in drive.tags.items()}
+        row |= {"error": run.error, "seconds": run.seconds}
+        if run.summary is not None:
+            row |= {"result": str(run.directory)}
+            for key, value in _numbers("", run.summary):
+                row.setdefault(key, value)
+        rows.append(row)
+    return rows
+
+
+def _numbers(prefix: str, content: Mapping[str, Any]) -> list[tuple[str, Any]]:
+    found: list[tuple[str, Any]] = []
+    for key, value in content.items():
+        name = f"{prefix}{key}"
+        if isinstance(value, Mapping):
+            found += _numbers(f"{name}.", value)
+        elif name == "warnings":
+            found.append((name, len(value)))
+        elif prefix.endswith("intervals.") and value is not None:
+            found += [(f"{name}.low", value[0]), (f"{name}.high", value[1])]
+        elif not isinstance(value, (list, tuple)):
+            found.append((name, value))
+    return found
+
+
+def write_summary(path: Path, rows: Sequence[Mapping[str, Any]]) -> None:
+    """Write summary.parquet: a row per drive, columns of all. Raises InputError where it cannot be
+    written."""
+    import pyarrow as pa
+
+    columns = dict.fromkeys(column for row in rows for column in row)
+    arrays = {column: pa.array(_column([row.get(column) for row in rows])) for column in columns}
+    write_parquet(path, pa.table(arrays))
+
+
+def _column(values: list[Any]) -> list[Any]:
+    """Whole and other numbers in one column are other numbers."""
+    kinds = {type(value) for value in values if value is not None}
+    return [None if v is None else float(v) for v in values] if kinds == {int, float} else values
+
+
+@dataclass(frozen=True)
+class Pooled:
+    """The accuracy of several drives together.
+
+    - tag, value: which drives, "" for all of them.
+    - drives, failed, scored: how many there are, how many failed, and how many have scores.
+    - frames: that are scored.
+    - accuracy, low, high: of all scored frames together, with the interval of a bootstrap that
+      draws whole drives; None without scores, and without an interval for fewer than two drives.
+    - detector: the accuracy of the detector alone, or None.
+    """
+
+    tag: str
+    value: str
+    drives: int
+    failed: int
+    scored: int
+    frames: int
+    accuracy: float | None
+    low: float | None
+    high: float | None
+    detector: float | None
+
+
+def pooled(rows: Sequence[Mapping[str, Any]]) -> list[Pooled]:
+    """The accuracy of all drives of a summary, and of those with each value of each tag."""
+    tags = dict.fromkeys(key for row in rows for key in row if key.startswith(TAG))
+    found = [_pool("", "", rows)]
+    for tag in tags:
+        for value in sorted({row[tag] for row in rows if row.get(tag) is not None}):
+            mine = [row for row in rows if row.get(tag) == value]
+            found.append(_pool(tag.removeprefix(TAG), str(value), mine))
+    return found
+
+
+def _pool(tag: str, value: str, rows: Sequence[Mapping[str, Any]]) -> Pooled:
+    scored = [row for row in rows if row.get("model.accuracy") is not None]
+    frames = np.array([row["frames_scored"] for row in scored], dtype=float)
+    right = frames * np.array([row["model.accuracy"] for row in scored], dtype=float)
+    accuracy, low, high = share_over_drives(right, frames) if scored else (None, None, None)
+    of_detector = [row.get("detector.accuracy") for row in scored]
+    detector = None
+    if scored and None not in of_detector:
+        detector = float(np.dot(frames, np.array(of_detector, dtype=float)) / frames.sum())
+    return Pooled(
+        tag,
+        value,
+        len(rows),
+        sum(row["error"] is not None for row in rows),
+        len(scored),
+        int(frames.sum()),
+        accuracy,
+        low,
+        high,
+        detector,
+    )

@@ -1,0 +1,75 @@
+"""The table of a fleet: accuracy by tag."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+
+from egolane_pgm.fleet import FleetDrive, pooled
+from egolane_pgm.report.tables import with_interval
+from egolane_pgm.scoring.bootstrap import share_over_drives
+from egolane_pgm.types import FloatArray
+
+
+def fleet_table_rows(rows: Sequence[Mapping[str, Any]]) -> tuple[list[str], list[list[str]]]:
+    """Header and rows: all drives, then those with each value of each tag.
+
+    - rows: of summary.parquet, see `fleet.summary_rows`.
+    """
+    header = ["drives", "number", "failed", "frames scored", "accuracy (95 %)", "detector"]
+    table = []
+    for each in pooled(rows):
+        accuracy = ""
+        if each.accuracy is not None:
+            interval = None if each.low is None or each.high is None else (each.low, each.high)
+            accuracy = with_interval(each.accuracy, interval)
+        detector = "" if each.detector is None else f"{each.detector:.3f}"
+        name = f"{each.tag} {each.value}".strip() or "all"
+        numbers = [str(each.drives), str(each.failed), str(each.frames)]
+        table.append([name, *numbers, accuracy, detector])
+    return header, table
+
+
+FLEET_LEGEND = (
+    "Accuracy of all scored frames of the drives, without those of tuning.never_fit; intervals and"
+    " paired differences, 95 %, whole drives drawn."
+)
+
+
+def fleet_comparison_rows(
+    document: Mapping[str, Any], drives: Sequence[FleetDrive]
+) -> tuple[list[str], list[list[str]]]:
+    """Header and rows: each experiment on all drives, then on those with each value of each tag;
+    the difference is to the first.
+
+    - document: of `egolane compare`, whose recordings are drives. Those that failed are left out.
+    """
+    tags = {drive.name: drive.tags for drive in drives}
+    parts = [(tags[part["title"]], part["experiments"]) for part in document["recordings"]]
+    chosen = [("all", parts)]
+    for tag in dict.fromkeys(tag for mine, _ in parts for tag in mine):
+        for value in sorted({mine[tag] for mine, _ in parts if tag in mine}):
+            with_value = [part for part in parts if part[0].get(tag) == value]
+            chosen.append((f"{tag} {value}", with_value))
+    rows = []
+    for name, some in chosen:
+        first: FloatArray | None = None
+        for k in range(len(some[0][1])):
+            # The last subset leaves out what is not trusted.
+            scores = [list(experiments[k]["scores"].values())[-1] for _, experiments in some]
+            frames = np.array([each["frames_scored"] for each in scores], dtype=np.float64)
+            right = frames * np.array([each["accuracy"] for each in scores])
+            difference = "" if first is None else _share(right - first, frames, "+.3f")
+            first = right if first is None else first
+            title = some[0][1][k]["name"]
+            size = [str(len(some)), str(int(frames.sum()))]
+            rows.append([name, title, *size, _share(right, frames, ".3f"), difference])
+    header = ["drives", "experiment", "number", "frames scored", "accuracy", "difference"]
+    return header, rows
+
+
+def _share(right: FloatArray, frames: FloatArray, form: str) -> str:
+    share, low, high = share_over_drives(right, frames)
+    return with_interval(share, None if low is None or high is None else (low, high), form)

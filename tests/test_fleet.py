@@ -1,0 +1,238 @@
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+import pytest
+
+import egolane_pgm as ego
+from egolane_pgm.experiment import load_experiment
+from egolane_pgm.fleet import FleetDrive, drive_experiment, pooled, read_fleet, summary_rows
+from egolane_pgm.running import FinishedRun
+from egolane_pgm.scoring.bootstrap import RESAMPLES, share_over_drives
+from egolane_pgm.types import InputError
+from tests.kits.drives import command, done, refused, write_drive
+
+QUICKSTART = ego.experiments_folder() / "quickstart.yaml"
+
+
+def table(folder: Path, text: str, name: str = "drives.csv") -> Path:
+    path = folder / name
+    path.write_text(text)
+    return path
+
+
+def fleet_of(folder: Path, n: int = 4) -> Path:
+    rows = [f'd{k},{k},"[0, 150]",{"rain" if k % 2 else "sun"}' for k in range(n)]
+    head = "name,recording.seed,recording.frames,tag.weather"
+    return table(folder, "\n".join([head, *rows]))
+
+
+def without_times(folder: Path) -> pd.DataFrame:
+    return pd.read_parquet(folder / "summary.parquet").drop(columns=["seconds", "result"])
+
+
+def test_a_fleet_is_the_same_as_csv_parquet_and_yaml(tmp_path: Path) -> None:
+    as_csv = table(tmp_path, "recording,n_lanes,tag.road\na.csv,3,A4\nb.csv,,A2\n")
+    as_yaml = table(
+        tmp_path,
+        "drives:\n- {recording: a.csv, n_lanes: 3, tag.road: A4}\n"
+        "- {recording: b.csv, tag.road: A2}\n",
+        "drives.yaml",
+    )
+    as_parquet = tmp_path / "drives.parquet"
+    rows = {"recording": ["a.csv", "b.csv"], "n_lanes": [3, None], "tag.road": ["A4", "A2"]}
+    pd.DataFrame(rows).astype({"n_lanes": "Int64"}).to_parquet(as_parquet)
+    read = [
+        [(d.name, dict(d.cells), dict(d.tags)) for d in read_fleet(path)]
+        for path in (as_csv, as_yaml, as_parquet)
+    ]
+    assert read[0] == [
+        ("a", {"recording": "a.csv", "n_lanes": 3}, {"road": "A4"}),
+        ("b", {"recording": "b.csv"}, {"road": "A2"}),
+    ]
+    assert read[1] == read[0]
+    assert read[2] == read[0]
+
+
+def test_a_row_changes_the_keys_that_it_names(tmp_path: Path) -> None:
+    path = table(tmp_path, "recording.seed,n_lanes,parameters.sigma1\n7,3,0.2\n8,,\n")
+    base = load_experiment(QUICKSTART)
+    first, second = (drive_experiment(base, drive) for drive in read_fleet(path))
+    assert (first.name, first.recording.seed, first.n_lanes) == ("drive_1", 7, 3)
+    assert first.parameters["sigma1"] == 0.2
+    assert (second.name, second.recording.seed, second.n_lanes) == ("drive_2", 8, base.n_lanes)
+    assert second.parameters == base.parameters
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("recording,n_lane\na.csv,3\n", "unknown column 'n_lane' (did you mean 'n_lanes'?)"),
+        ("recording,weather\na.csv,rain\n", "is a tag: tag.weather"),
+        ("recording\n", "has no drives"),
+        ("", "has no drives"),
+        ("recording,n_lanes\na.csv\n", "line 2: has 1 cells, the first line has 2"),
+        ("recording\nx/a.csv\nx/a.csv\n", "drive 2: has the name 'x_a', as drive 1"),
+        ("recording,n_lanes\na.csv,[\n", "line 2: n_lanes: is not YAML"),
+        ("recording,\na.csv,3\n", "column '' has no name"),
+    ],
+)
+def test_a_table_that_does_not_fit_is_refused_in_one_line(
+    tmp_path: Path, text: str, message: str
+) -> None:
+    with pytest.raises(InputError) as refused:
+        read_fleet(table(tmp_path, text))
+    assert message in str(refused.value)
+    assert str(tmp_path / "drives.csv") in str(refused.value)
+    assert len(refused.value.lines) == 1
+
+
+@pytest.mark.parametrize(
+    ("name", "content", "message"),
+    [
+        ("a.txt", "x", "a fleet is a .csv, .parquet or .yaml file"),
+        ("a.yaml", "drive: []", "unknown key 'drive'"),
+        ("a.yaml", "drives: 3", "drives: needs a list"),
+        ("a.parquet", "nothing", "cannot be read"),
+    ],
+)
+def test_other_files_are_refused_in_one_line(
+    tmp_path: Path, name: str, content: str, message: str
+) -> None:
+    with pytest.raises(InputError, match=message):
+        read_fleet(table(tmp_path, content, name))
+    with pytest.raises(InputError, match="cannot be read"):
+        read_fleet(tmp_path / "absent.csv")
+
+
+def test_processes_write_the_same_summary_as_one(tmp_path: Path) -> None:
+    fleet = fleet_of(tmp_path)
+    ego.run_fleet(QUICKSTART, fleet, tmp_path / "one")
+    ego.run_fleet(QUICKSTART, fleet, tmp_path / "two", jobs=2)
+    pd.testing.assert_frame_equal(
+        without_times(tmp_path / "one"), without_times(tmp_path / "two"), check_exact=True
+    )
+
+
+def test_drives_that_are_there_are_not_run_again(tmp_path: Path) -> None:
+    fleet = fleet_of(tmp_path)
+    first = ego.run_fleet(QUICKSTART, fleet, tmp_path / "out")
+    before = without_times(tmp_path / "out")
+    again = ego.run_fleet(QUICKSTART, fleet, tmp_path / "out")
+    assert (first.were_there, again.were_there) == (0, 4)
+    pd.testing.assert_frame_equal(before, without_times(tmp_path / "out"), check_exact=True)
+    fleet.write_text(fleet.read_text().replace("d3,3,", "d3,33,"))
+    assert ego.run_fleet(QUICKSTART, fleet, tmp_path / "out").were_there == 3
+    changed = ego.run_fleet(
+        QUICKSTART, fleet, tmp_path / "out", overrides={"parameters.sigma1": 0.3}
+    )
+    assert changed.were_there == 0
+
+
+def test_a_recording_that_changed_is_run_again(tmp_path: Path) -> None:
+    write_drive(tmp_path / "drive")
+    lines = tmp_path / "drive" / "lines.csv"
+    fleet = table(tmp_path, "recording,n_lanes\ndrive/lines.csv,3\n")
+    ego.run_fleet(QUICKSTART, fleet, tmp_path / "out")
+    assert ego.run_fleet(QUICKSTART, fleet, tmp_path / "out").were_there == 1
+    kept = lines.read_text().splitlines()
+    lines.write_text("\n".join(kept[:-40]) + "\n")
+    assert ego.run_fleet(QUICKSTART, fleet, tmp_path / "out").were_there == 0
+
+
+def test_a_drive_that_fails_does_not_stop_the_others(tmp_path: Path) -> None:
+    head = "name,recording,recording.seed,recording.frames,n_lanes"
+    fleet = table(
+        tmp_path, f'{head}\ngood,,1,"[0, 150]",\nabsent,nowhere.csv,,,\nodd,,1,,nine hundred\n'
+    )
+    out = command("run", QUICKSTART, "--fleet", fleet, "--out", tmp_path / "out")
+    assert out.exit_code == 1
+    assert "failed: absent:" in out.stderr
+    assert "nowhere.csv" in out.stderr
+    assert "drive 3" in out.stderr
+    summary = pd.read_parquet(tmp_path / "out" / "summary.parquet").set_index("name")
+    assert summary["error"].isna().to_list() == [True, False, False]
+    assert summary.loc["good", "frames"] == 150
+
+
+def test_a_fleet_goes_with_one_experiment(tmp_path: Path) -> None:
+    fleet = fleet_of(tmp_path)
+    for extra in ([QUICKSTART], ["--recording", "a.csv"], ["--n-lanes", "3"]):
+        said = refused("run", QUICKSTART, *extra, "--fleet", fleet)
+        assert said.startswith("--fleet: goes with one experiment")
+    assert "--fleet: goes with" in refused("compare", "--fleet", fleet)
+
+
+def test_compare_pairs_the_drives_of_a_fleet(tmp_path: Path) -> None:
+    text = fleet_of(tmp_path).read_text().replace("[0, 150]", "[0, 300]")
+    fleet = table(tmp_path, text)
+    other = tmp_path / "exact.yaml"
+    other.write_text(f"include: {QUICKSTART}\nname: exact\nfilter: exact\n")
+    out = done("compare", QUICKSTART, other, "--fleet", fleet)
+    rows = [line.split("|") for line in out.stdout.splitlines() if line.startswith("|")][2:]
+    said = [[cell.strip() for cell in row[1:4]] for row in rows]
+    assert said == [
+        [f"{who}", name, n]
+        for who, n in (("all", "4"), ("weather rain", "2"), ("weather sun", "2"))
+        for name in ("quickstart", "exact")
+    ]
+
+
+def test_the_share_over_drives_is_that_of_all_frames() -> None:
+    rng = np.random.default_rng(0)
+    frames = rng.integers(50, 500, 30).astype(float)
+    right = np.round(frames * rng.uniform(0.5, 1.0, 30))
+    share, low, high = share_over_drives(right, frames)
+    assert share == right.sum() / frames.sum()
+    assert low is not None
+    assert high is not None
+    assert low < share < high
+    # The spread of a ratio, by the delta method.
+    spread = np.sqrt(30 * np.var(right - share * frames)) / frames.sum()
+    assert high - low == pytest.approx(2 * 1.96 * spread, rel=3 / np.sqrt(RESAMPLES) + 0.1)
+    assert share_over_drives(right[:1], frames[:1]) == (right[0] / frames[0], None, None)
+    assert share_over_drives(right, frames) == share_over_drives(right, frames)
+
+
+def test_the_share_of_alike_frames_is_less_sure_by_drive() -> None:
+    frames = np.full(20, 1000.0)
+    right = np.where(np.arange(20) % 2 == 0, 1000.0, 500.0)
+    _, low, high = share_over_drives(right, frames)
+    assert low is not None
+    assert high is not None
+    # Of single frames the interval would be +-.006.
+    assert high - low > 0.15
+
+
+def test_a_summary_has_each_number_once() -> None:
+    scores = {
+        "frames_scored": 10,
+        "warnings": ["a", "b"],
+        "lanes": [[1, 0, 2]],
+        "model": {"accuracy": 0.5, "intervals": {"accuracy": [0.4, 0.6]}, "confusion": [[1]]},
+    }
+    drives = [FleetDrive(f"drive {name}", name, {}, {"road": "A4"}, Path()) for name in "ab"]
+    finished = [
+        FinishedRun("a", Path("out/a"), scores, None, None, 1.0),
+        FinishedRun("b", Path("out/b"), None, "why", None, None),
+    ]
+    good, bad = summary_rows(drives, finished)
+    assert good == {
+        "name": "a",
+        "tag.road": "A4",
+        "error": None,
+        "seconds": 1.0,
+        "result": "out/a",
+        "frames_scored": 10,
+        "warnings": 2,
+        "model.accuracy": 0.5,
+        "model.intervals.accuracy.low": 0.4,
+        "model.intervals.accuracy.high": 0.6,
+    }
+    assert bad == {"name": "b", "tag.road": "A4", "error": "why", "seconds": None}
+    everything, by_road = pooled([good, bad])
+    assert (everything.drives, everything.failed, everything.frames) == (2, 1, 10)
+    assert (by_road.tag, by_road.value, by_road.accuracy) == ("road", "A4", 0.5)
+    assert everything.low is None
