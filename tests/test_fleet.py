@@ -170,7 +170,7 @@ def test_compare_pairs_the_drives_of_a_fleet(tmp_path: Path) -> None:
     fleet = table(tmp_path, text)
     other = tmp_path / "exact.yaml"
     other.write_text(f"include: {QUICKSTART}\nname: exact\nfilter: exact\n")
-    out = done("compare", QUICKSTART, other, "--fleet", fleet)
+    out = done("compare", QUICKSTART, other, "--fleet", fleet, "--wide")
     rows = [line.split("|") for line in out.stdout.splitlines() if line.startswith("|")][2:]
     said = [[cell.strip() for cell in row[1:4]] for row in rows]
     assert said == [

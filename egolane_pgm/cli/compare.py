@@ -212,7 +212,10 @@ def _held_out(
         for note in recording["notes"]:
             click.echo(f"warning: {recording['title']}: {note}", err=True)
     if drives:
-        parts: list[str | Table] = [Table(*fleet_comparison_rows(found, drives)), FLEET_LEGEND]
+        parts: list[str | Table] = [
+            Table(*fleet_comparison_rows(found, drives), labels=2),
+            FLEET_LEGEND,
+        ]
     else:
         parts = _parts(found, settings)
         if style != "markdown" and not _instead(found, settings):
