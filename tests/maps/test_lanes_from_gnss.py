@@ -182,7 +182,8 @@ def table(t_s: list[float], offset_m: list[float], n: int, way_line: float) -> R
         t_s=np.array(t_s), segment=whole, along_m=np.arange(rows) * 30.0,
         offset_m=np.array(offset_m), sigma_m=nothing, way_line=np.full(rows, way_line),
         sure=np.ones(rows), n_lanes=whole + n, next_n_lanes=whole, next_in_m=nothing,
-        next_shift=nothing, next_join=np.full(rows, ""), next_side=whole, next_optional=whole,
+        next_shift=nothing, next_join=np.full(rows, ""), next_side=whole,
+        next_optional=np.full(rows, ""),
     )  # fmt: skip
 
 
