@@ -23,6 +23,7 @@ from egolane_pgm.cli.options import write_json
 from egolane_pgm.comparing import compare_rows
 from egolane_pgm.comparing.groups import Group, Options
 from egolane_pgm.comparing.lags import check_lags
+from egolane_pgm.comparing.stored import compare_results, stored_rows
 from egolane_pgm.files import check_not_read, check_place
 from egolane_pgm.fleet import FleetDrive
 from egolane_pgm.paper import parse_runs
@@ -31,6 +32,7 @@ from egolane_pgm.report import comparison_tables as rows_of
 from egolane_pgm.report import events as lane_changes
 from egolane_pgm.report.fleet_table import FLEET_LEGEND, fleet_comparison_rows
 from egolane_pgm.report.tables import Table, page
+from egolane_pgm.results import read_result
 from egolane_pgm.types import InputError
 
 TITLES = {"accuracy": "Accuracy", "f1": "F1 (mean over lanes)", "log_loss": "Log-loss (all frames)"}
@@ -44,7 +46,7 @@ class Figures(NamedTuple):
 
 
 @click.command()
-@options.experiments(required=False)
+@options.experiments(required=False, folders=True)
 @click.option(
     "--graphs",
     shell_complete=plugins("graphs"),
@@ -132,8 +134,15 @@ def compare(
     or, with --runs, on those of the paper's runs, or, with --fleet, on every drive of a table; with
     --graphs each of them once with each graph.
     Without experiments the graphs are put on the paper's runs, and without --held-out with the
-    paper's parameters, in-sample.
+    paper's parameters, in-sample. Result directories, two or more, are compared as they are stored,
+    on the annotated frames that they share.
     """
+    if any(Path(each).is_dir() for each in experiments):
+        context = click.get_current_context()
+        free = ("experiments", "style", "wide", "json_file", "which", "blocks", "jobs")
+        asked = [name for name, value in context.params.items() if value and name not in free]
+        _stored(experiments, asked, style, wide, json_file)
+        return
     check_options(bool(experiments), runs, with_paper, bool(learned_on), trials, trials_per_number)
     drawn = _seeds(seeds) if seeds is not None else ()
     waits = check_lags(lags.split(",")) if lags is not None else ()
@@ -184,6 +193,23 @@ def compare(
         waits,
     )
     _held_out(groups, settings, jobs, style, wide, figures, json_file, drives)
+
+
+def _stored(
+    directories: Sequence[str], given: Sequence[str], style: str, wide: bool, json_file: Path | None
+) -> None:
+    if given:
+        option = given[0].replace("_", "-")
+        raise InputError(f"--{option}: goes with experiments, not with stored results")
+    found = compare_results([read_result(each) for each in directories])
+    unwritten = _write_first(json_file, found)
+    note = (
+        f"{found['frames']} annotated frames; crossing ones count in the log-loss only. Intervals"
+        " are 95 %, those of the differences paired. * in-sample, or not known to be held out"
+    )
+    click.echo(page([Table(*stored_rows(found)), note], style, wide))
+    if unwritten is not None:
+        raise unwritten
 
 
 def _seeds(text: str) -> tuple[int, ...]:

@@ -25,13 +25,13 @@ experiment = click.argument(
 )
 
 
-def experiments(*, required: bool) -> Decorator:
-    """Several experiments."""
+def experiments(*, required: bool, folders: bool = False) -> Decorator:
+    """Several experiments; with `folders` they may be result directories too."""
     return click.argument(
         "experiments",
         nargs=-1,
         required=required,
-        type=click.Path(dir_okay=False),
+        type=click.Path(dir_okay=folders),
         shell_complete=completion.yaml_files,
     )
 
