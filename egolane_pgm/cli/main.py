@@ -13,6 +13,7 @@ from typing import Any
 import click
 
 from egolane_pgm import __version__
+from egolane_pgm.cli.examples import EXAMPLES
 
 #: The file of each command, which has a function of the command's name, and its short help. A
 #: command's file is imported only when that command is asked for: `--help` stays quick, and each
@@ -56,6 +57,8 @@ class _Group(click.Group):
             return None
         command = getattr(import_module(f"egolane_pgm.cli.{COMMANDS[name][0]}"), name)
         assert isinstance(command, click.Command)
+        lines = (f"  {example}" for example in EXAMPLES[name])
+        command.epilog = "\n".join(["\b", "Examples:", *lines])
         return command
 
     def format_commands(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:

@@ -1,0 +1,68 @@
+"""The examples that `--help` shows are command lines that exist, and those that need no pictures,
+no map and no recordings of the paper are run."""
+
+from __future__ import annotations
+
+import shlex
+from pathlib import Path
+
+import click
+import pytest
+
+from egolane_pgm.cli.examples import EXAMPLES
+from egolane_pgm.cli.main import COMMANDS, egolane
+from tests.kits.drives import done
+
+#: In an order in which each finds what it needs, on a shorter drive.
+RUN = {
+    "egolane simulate a4 --out drive --frames 600": [],
+    "egolane ls": [],
+    "egolane schema": [],
+    "egolane validate drive/experiment.yaml experiments/zero_label.yaml": [],
+    "egolane lines drive/lines.csv --frame 7": [],
+    "egolane convert drive/lines.csv lines.parquet": [],
+    "egolane network sensor_failure graph.svg": [],
+    "egolane show sensor_failure --tables": [],
+    "egolane show detector:ml --json -": [],
+    "egolane run experiments/quickstart.yaml --set parameters.sigma1=0.3": ["--no-figures"],
+    "egolane plot results/quickstart --frames 0 400 --style pdf": [],
+    "egolane run experiments/zero_label.yaml --recording drive/lines.csv --n-lanes 4 --out mine": [
+        "--no-figures"
+    ],
+    "egolane label drive/lines.csv --n-lanes 4 --out labels": ["--no-figures"],
+    "egolane learn drive/experiment.yaml --out learned.yaml": ["--blocks", "2"],
+    "egolane tune drive/experiment.yaml --trials 300": [
+        *("--trials", "3", "--in-sample-only", "--no-figures", "--jobs", "1")
+    ],
+    "egolane compare experiments/quickstart.yaml --graphs sensor_failure,lane_only": [
+        *("--blocks", "2")
+    ],
+}
+
+
+def test_every_command_has_an_example_that_its_help_shows() -> None:
+    assert set(EXAMPLES) == set(COMMANDS)
+    for name, examples in EXAMPLES.items():
+        shown = done(name, "--help").stdout
+        for example in examples:
+            assert f"  {example}\n" in shown
+            assert example.startswith(f"egolane {name}")
+    assert set(RUN) <= {example for examples in EXAMPLES.values() for example in examples}
+
+
+@pytest.mark.parametrize("example", [e for examples in EXAMPLES.values() for e in examples])
+def test_an_example_is_a_command_line_that_exists(
+    example: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    _, name, *words = shlex.split(example.partition(" > ")[0].partition(" < ")[0])
+    command = egolane.get_command(click.Context(egolane), name)
+    assert command is not None
+    with command.make_context(name, words):
+        pass
+
+
+def test_examples_run_one_after_the_other(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    for example, quicker in RUN.items():
+        done(*shlex.split(example)[1:], *quicker)
