@@ -39,6 +39,10 @@ MAX_LANES = 50
 UNASSIGNED = 0
 
 
+#: What a warning begins with that only says what was found or done: nobody needs to act on it.
+NOTE = "note: "
+
+
 class InputError(ValueError):
     """An error in what the user gave (a file, a YAML key, an option). Each argument is something
     that is wrong, said in one line; mostly there is one.

@@ -236,7 +236,7 @@ def _held_out(
     unwritten = _write_first(json_file, found)
     for recording in found["recordings"]:
         for note in recording["notes"]:
-            click.echo(f"warning: {recording['title']}: {note}", err=True)
+            options.warn(note, recording["title"])
     if drives:
         parts: list[str | Table] = [
             Table(*fleet_comparison_rows(found, drives), labels=2),

@@ -116,7 +116,7 @@ def _document(found: LabelResult) -> dict[str, object]:
 
 def _parts(found: LabelResult) -> list[str | Table]:
     for note in found.notes:
-        click.echo(f"warning: {note}", err=True)
+        options.warn(note)
     known = "labels know the whole recording: for the frames themselves, not for a causal score"
     parts: list[str | Table] = [f"{found.title()}\n{known}"]
     worst = found.labels.worst[:SHOWN]

@@ -59,7 +59,7 @@ def learn(
     output_files(found, target)
     learned = learn_experiment(found, blocks=blocks)
     for note in learned.notes:
-        click.echo(f"warning: {note}", err=True)
+        options.warn(note)
     # The scores are printed even if the files cannot be written.
     click.echo(page(_parts(learned), style, wide))
     files = learned.write(target)

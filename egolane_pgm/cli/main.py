@@ -124,7 +124,9 @@ def _safe(text: str) -> str:
 
 
 def _show_warning(message: Warning | str, *_: Any, **__: Any) -> None:
-    click.echo(f"warning: {message}", err=True)
+    from egolane_pgm.cli.options import warn
+
+    warn(str(message))
 
 
 @click.group(cls=_Group, context_settings={"help_option_names": ["-h", "--help"]})

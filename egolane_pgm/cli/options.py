@@ -16,7 +16,7 @@ from egolane_pgm import files
 from egolane_pgm.cli import completion
 from egolane_pgm.experiment import read_override
 from egolane_pgm.files import check_place, json_text
-from egolane_pgm.types import MAX_LANES, InputError
+from egolane_pgm.types import MAX_LANES, NOTE, InputError
 
 Decorator = Callable[[Callable[..., Any]], Callable[..., Any]]
 
@@ -179,6 +179,12 @@ json_file = click.option(
     callback=_writable,
     help="Write the unrounded numbers as JSON; - prints them, and nothing else.",
 )
+
+
+def warn(text: str, title: str = "") -> None:
+    """Print a warning, or a note, on standard error: what is about something that has a title."""
+    kind, said = (NOTE, text.removeprefix(NOTE)) if text.startswith(NOTE) else ("warning: ", text)
+    click.echo(f"{kind}{title and title + ': '}{said}", err=True)
 
 
 def shown(path: Path) -> str:

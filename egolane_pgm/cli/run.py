@@ -136,7 +136,7 @@ def _run_one(
     if json_file:
         write_json(json_file, done.scores)
     for note in done.notes:
-        click.echo(f"warning: {note}", err=True)
+        options.warn(note)
     click.echo(show(_parts(done)))
 
 
@@ -173,7 +173,7 @@ def _run_many(
         write_json(json_file, document)
     for outcome in outcomes:
         for note in (outcome.summary or {}).get("warnings", ()):
-            click.echo(f"warning: {outcome.title}: {note}", err=True)
+            options.warn(note, outcome.title)
     summaries = [o.summary for o in outcomes if o.summary is not None]
     parts: list[str | Table] = [
         Table(*runs_table_rows(summaries)),

@@ -126,7 +126,7 @@ def tune(
         overrides=overrides,
     )
     for note in dict.fromkeys(note for made in searches for note in made.notes):
-        click.echo(f"warning: {note}", err=True)
+        options.warn(note)
     _say_what_is_searched(searches)
     folders = ", ".join(str(made.directory) for made in searches[:3])
     folders += ", ..." if len(searches) > 3 else ""

@@ -33,7 +33,7 @@ import numpy as np
 
 from egolane_pgm.graphs.cpds import SliceNode, Table, declare, ve_name
 from egolane_pgm.graphs.from_pgmpy import read_network
-from egolane_pgm.types import FloatArray, InputError, IntArray, Observed, suggestion
+from egolane_pgm.types import NOTE, FloatArray, InputError, IntArray, Observed, suggestion
 
 if TYPE_CHECKING:
     from pgmpy.models import DynamicBayesianNetwork
@@ -199,8 +199,8 @@ def compile(
     compiled = _compile(tables, tuple(hidden), tuple(observed), tuple(inputs), names)
     if missing:
         warnings.warn(
-            f"the network has no {', '.join(missing)}: virtual-evidence nodes that are missing"
-            " are added",
+            f"{NOTE}the network has no {', '.join(missing)}: virtual-evidence nodes that are"
+            " missing are added",
             UserWarning,
             stacklevel=2,
         )

@@ -15,7 +15,7 @@ from egolane_pgm.files import check_name
 from egolane_pgm.maps.joins import with_joins
 from egolane_pgm.maps.lane_graph import LaneGraph, along_points, metres_per_degree
 from egolane_pgm.maps.tags import KEYS, KINDS, Direction, directions
-from egolane_pgm.types import BoolArray, FloatArray, InputError, IntArray
+from egolane_pgm.types import NOTE, BoolArray, FloatArray, InputError, IntArray
 
 #: So many lines at most say what is wrong with the tags of a map.
 MOST_WARNINGS = 8
@@ -46,8 +46,8 @@ def of_ways(path: str | Path, *, drives_left: bool | None = None) -> LaneGraph:
         drives_left = _seems_to_drive_left(raw)
         if drives_left:
             warnings.warn(
-                f"{path}: opposite carriageways lie at the right, so traffic is taken to keep to"
-                " the left",
+                f"{NOTE}{path}: opposite carriageways lie at the right, so traffic is taken to keep"
+                " to the left",
                 UserWarning,
                 stacklevel=3,
             )

@@ -8,6 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from egolane_pgm.types import (
+    NOTE,
     BoolArray,
     InputError,
     IntArray,
@@ -155,8 +156,9 @@ def recording_warnings(log: LineLog, n_lanes: int, max_lri: float = 10) -> list[
         )
     if odd_offset.any():
         lines.append(
-            f"{log.source}: {_count(odd_offset)} line(s) that are not valid have an offset beyond"
-            f" {ABSURD_OFFSET_M:g} m or NaN, first in frame {_first(log, odd_offset)}; not used"
+            f"{NOTE}{log.source}: {_count(odd_offset)} line(s) that are not valid have an offset"
+            f" beyond {ABSURD_OFFSET_M:g} m or NaN, first in frame {_first(log, odd_offset)};"
+            " not used"
         )
     if absurd_valid.any():
         lines.append(

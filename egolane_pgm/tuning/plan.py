@@ -45,7 +45,7 @@ from egolane_pgm.tuning.objective import (
 )
 from egolane_pgm.tuning.search import TRIALS, Score, Settings, check_sampler
 from egolane_pgm.tuning.space import Point, SearchSpace, make_space, to_parameters, to_point
-from egolane_pgm.types import BoolArray, InputError, all_problems, not_one_of
+from egolane_pgm.types import NOTE, BoolArray, InputError, all_problems, not_one_of
 
 #: Trials of a study on labelled pictures: each looks at all of them.
 PICTURE_TRIALS = 200
@@ -405,7 +405,9 @@ def starting_points(problem: Problem) -> tuple[list[Point], list[str]]:
     for which, parameters in named:
         point = to_point(problem.space, parameters)
         if point is None:
-            notes.append(f"the {which} values lie outside of the bounds and are not tried first")
+            notes.append(
+                f"{NOTE}the {which} values lie outside of the bounds and are not tried first"
+            )
         elif point not in points:
             points.append(point)
     return points, notes

@@ -88,7 +88,7 @@ def kept(folder: Path, recording: Path, *words: object, **changes: Any) -> tuple
     words = ("--no-figures", "--out", out, *words)
     ran = done("run", experiment, *words, "--json", folder / "out.json")
     lines = ran.stderr.splitlines()
-    assert all(line.startswith("warning: ") for line in lines)
+    assert all(line.startswith(("warning: ", "note: ")) for line in lines)
     said = [line.removeprefix("warning: ") for line in lines]
     assert json.loads((folder / "out.json").read_text())["warnings"] == said
     assert read_result(out).run["warnings"] == said
@@ -592,6 +592,7 @@ def test_absurd_offsets_of_invalid_lines_change_nothing(tmp_path: Path) -> None:
     line_bag(tmp_path / "a.bag", [1, 2], [[*GOOD[0], *absurd], [*GOOD[1], absurd[0]]])
     said, out = kept(tmp_path, tmp_path / "a.bag")
     assert len(said) == 1
+    assert said[0].startswith("note: ")
     assert "3 line(s) that are not valid have an offset beyond 100 m or NaN" in said[0]
     with_absurd = read_result(out).marginals["Lane"]
     line_bag(tmp_path / "b.bag", [1, 2], GOOD[:2])

@@ -20,7 +20,7 @@ from egolane_pgm.evidence.line_geometry.lane_width import (
 from egolane_pgm.evidence.line_geometry.model import LANE_M, REACH_M
 from egolane_pgm.graphs.position_in_lane import KEPT_VELOCITY, motion_index
 from egolane_pgm.parameters import Parameters, number
-from egolane_pgm.types import BoolArray, FloatArray, IntArray, LineLog
+from egolane_pgm.types import NOTE, BoolArray, FloatArray, IntArray, LineLog
 
 #: The narrowest and the widest lane in metres, even of a detector whose scale is wrong by half.
 NARROWEST_M, WIDEST_M = 1.5, 6.0
@@ -87,8 +87,11 @@ def recording_width(log: LineLog, parameters: Parameters) -> float:
     else:
         whole = width_of_gaps(halves[0] + halves[1], fallback, log.source)
         message, width_m = whole.message, whole.width_m
-        if whole.is_sure and not NARROWEST_M <= width_m <= WIDEST_M:
-            message += "; no lane has that in metres, offsets are taken to be in another unit"
+        if whole.is_sure:
+            if NARROWEST_M <= width_m <= WIDEST_M:
+                message = NOTE + message
+            else:
+                message += "; no lane has that in metres, offsets are taken to be in another unit"
         warnings.warn(message, UserWarning, stacklevel=2)
     first, second = (width_of_gaps(gaps, fallback, log.source) for gaps in halves)
     change = abs(math.log(second.width_m / first.width_m))
