@@ -34,7 +34,15 @@ from egolane_pgm.recordings import check_one_drive
 from egolane_pgm.running import Run, run_experiment
 from egolane_pgm.scoring.probabilistic import answers_curve
 from egolane_pgm.scoring.summary import score_with_intervals
-from egolane_pgm.types import BoolArray, FloatArray, InputError, IntArray, LaneTruth, runs_of
+from egolane_pgm.types import (
+    BoolArray,
+    FloatArray,
+    InputError,
+    IntArray,
+    LaneTruth,
+    joined,
+    runs_of,
+)
 
 #: Frames whose label has a smaller probability are looked at.
 BELOW = 0.99
@@ -143,7 +151,7 @@ class Labels:
     def review(self) -> tuple[Stretch, ...]:
         """The stretches that a human should look at, in their order."""
         time_s = self.run.recorded.log.time_s
-        return tuple(self.stretch(a, b) for a, b in joined(self.is_doubtful, time_s))
+        return tuple(self.stretch(a, b) for a, b in joined(self.is_doubtful, time_s, JOIN_S))
 
     @property
     def is_reviewed(self) -> BoolArray:
@@ -279,19 +287,6 @@ def crossed_lanes(
             stop += 1
         possible[start : stop + 1, min(before, after) - 1 : max(before, after)] = True
     return np.asarray(possible)
-
-
-def joined(marked: BoolArray, time_s: FloatArray) -> list[tuple[int, int]]:
-    """The runs of marked rows, (T,), those within JOIN_S of each other together: the first row of
-    each, and the one after its last."""
-    found: list[tuple[int, int]] = []
-    for start, stop in runs_of(marked):
-        # A clock that jumps back does not bring stretches together.
-        if found and 0 <= time_s[start] - time_s[found[-1][1] - 1] <= JOIN_S:
-            found[-1] = (found[-1][0], stop)
-        else:
-            found.append((start, stop))
-    return found
 
 
 def _reasons(labels: Labels, rows: slice) -> list[str]:

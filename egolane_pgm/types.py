@@ -116,6 +116,19 @@ def runs_of(marked: BoolArray) -> list[tuple[int, int]]:
     return [(int(a), int(b)) for a, b in zip(starts, stops, strict=True)]
 
 
+def joined(marked: BoolArray, time_s: FloatArray, within_s: float) -> list[tuple[int, int]]:
+    """The runs of marked rows, (T,), those within so many seconds of each other together: the first
+    row of each, and the one after its last."""
+    found: list[tuple[int, int]] = []
+    for start, stop in runs_of(marked):
+        # A clock that jumps back does not bring stretches together.
+        if found and 0 <= time_s[start] - time_s[found[-1][1] - 1] <= within_s:
+            found[-1] = (found[-1][0], stop)
+        else:
+            found.append((start, stop))
+    return found
+
+
 def pieces_of(clip: NDArray[np.str_] | None, n_frames: int) -> list[slice]:
     """The frames of each clip. clip: the name of each frame's, (T,), or None: all are one drive."""
     if clip is None:

@@ -22,13 +22,12 @@ from egolane_pgm.labelling import (
     Labels,
     crossed_lanes,
     doubted,
-    joined,
     label_experiment,
     label_scores,
     lane_path,
 )
 from egolane_pgm.recordings.ground_truth import read_ground_truth, write_ground_truth
-from egolane_pgm.types import BoolArray, FloatArray, InputError, runs_of
+from egolane_pgm.types import BoolArray, FloatArray, InputError, joined, runs_of
 from tests.conftest import needs_compiler
 from tests.kits.drives import write_drive
 
@@ -141,7 +140,7 @@ def stretches_by_brute_force(marked: BoolArray, time_s: FloatArray) -> list[tupl
 def test_stretches_are_those_that_brute_force_finds(frames: list[tuple[bool, float]]) -> None:
     marked = np.array([is_marked for is_marked, _ in frames], dtype=bool)
     time_s = np.cumsum([step for _, step in frames])
-    assert joined(marked, time_s) == stretches_by_brute_force(marked, time_s)
+    assert joined(marked, time_s, JOIN_S) == stretches_by_brute_force(marked, time_s)
 
 
 def with_belief(labels: Labels, belief: FloatArray) -> Labels:

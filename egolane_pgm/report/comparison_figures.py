@@ -11,21 +11,14 @@ from typing import Any
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
+from egolane_pgm.report.answers import FAINT, INK, MODEL_COLOUR
 from egolane_pgm.report.comparison_tables import (
     experiment_names,
     lag_curves,
     lag_means,
     trusted_or_all,
 )
-from egolane_pgm.report.style import (
-    FAINT,
-    INK,
-    MODEL_COLOUR,
-    axes_at,
-    new_figure,
-    put_title,
-    write_figure,
-)
+from egolane_pgm.report.style import axes_at, new_figure, put_title, write_figure
 from egolane_pgm.types import InputError
 
 #: Okabe and Ito's colours, and a marker each, so that the figure can be read without colour.

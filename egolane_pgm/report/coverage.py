@@ -7,16 +7,8 @@ from pathlib import Path
 import numpy as np
 from matplotlib.figure import Figure
 
-from egolane_pgm.report.style import (
-    ANSWER_STYLE,
-    INK,
-    axes_at,
-    new_figure,
-    put_title,
-    scored_answers,
-    title_with_frames,
-    write_figure,
-)
+from egolane_pgm.report.answers import INK, scored_answers, title_with_frames
+from egolane_pgm.report.style import ANSWER_STYLE, axes_at, new_figure, put_title, write_figure
 from egolane_pgm.results import Result
 from egolane_pgm.scoring.probabilistic import CoverageCurve, coverage_curve
 

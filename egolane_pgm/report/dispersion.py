@@ -15,19 +15,21 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.patches import Patch
 
-from egolane_pgm.report.style import (
+from egolane_pgm.report.answers import (
     FAINT,
     INK,
     RIGHT_COLOUR,
     UNASSIGNED_COLOUR,
+    percent,
+    scored_answers,
+    title_of,
+)
+from egolane_pgm.report.style import (
     axes_at,
     new_figure,
     off_colours,
-    percent,
     put_title,
-    scored_answers,
     text_colour,
-    title_of,
     write_figure,
 )
 from egolane_pgm.results import Result

@@ -10,19 +10,15 @@ from matplotlib.cm import ScalarMappable
 from matplotlib.colors import Colormap, LinearSegmentedColormap, Normalize
 from matplotlib.figure import Figure
 
-from egolane_pgm.report.style import (
+from egolane_pgm.report.answers import (
     FAINT,
     INK,
     PROBABILITY_COLOURS,
-    axes_at,
-    new_figure,
     percent,
-    put_title,
     scored_answers,
-    text_colour,
     title_with_frames,
-    write_figure,
 )
+from egolane_pgm.report.style import axes_at, new_figure, put_title, text_colour, write_figure
 from egolane_pgm.results import Result
 from egolane_pgm.scoring.confusion import accuracy, check_confusion, confusion
 from egolane_pgm.types import FloatArray, IntArray

@@ -11,7 +11,8 @@ from matplotlib.figure import Figure
 from matplotlib.patches import Patch
 
 from egolane_pgm.maps.lane_graph import LaneGraph, joins_from, metres_per_degree
-from egolane_pgm.report.style import INK, axes_at, new_figure, put_title, text_colour
+from egolane_pgm.report.answers import INK
+from egolane_pgm.report.style import axes_at, new_figure, put_title, text_colour
 from egolane_pgm.types import BoolArray, FloatArray, InputError
 
 #: Under every picture that shows their data.

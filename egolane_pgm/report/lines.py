@@ -6,7 +6,8 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from egolane_pgm.report.style import FAINT, MODEL_COLOUR, axes_at, new_figure, put_title
+from egolane_pgm.report.answers import FAINT, MODEL_COLOUR
+from egolane_pgm.report.style import axes_at, new_figure, put_title
 from egolane_pgm.types import InputError, LineLog
 
 

@@ -2,55 +2,18 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 from matplotlib.figure import Figure
 
-from egolane_pgm.report.style import (
-    ANSWER_STYLE,
-    FAINT,
-    INK,
-    axes_at,
-    new_figure,
-    put_title,
-    scored_answers,
-    title_with_frames,
-    write_figure,
-)
+from egolane_pgm.report.answers import FAINT, INK, reliabilities, title_with_frames
+from egolane_pgm.report.style import ANSWER_STYLE, axes_at, new_figure, put_title, write_figure
 from egolane_pgm.results import Result
-from egolane_pgm.scoring.probabilistic import (
-    N_BINS,
-    CalibrationCurve,
-    calibration_curve,
-    expected_calibration_error,
-)
+from egolane_pgm.scoring.probabilistic import N_BINS
 
 #: A bin with fewer frames is drawn hollow, because its accuracy says little.
 FEW_FRAMES = 30
-
-
-@dataclass(frozen=True)
-class Reliability:
-    """The calibration curve of one belief, and its expected calibration error (0 to 1)."""
-
-    curve: CalibrationCurve
-    error: float
-
-
-def reliabilities(result: Result) -> dict[str, Reliability]:
-    """The curves of "Detector only" (if there is a tentative vector) and "Model".
-
-    Raises InputError if no frame is annotated.
-    """
-    return {
-        name: Reliability(
-            calibration_curve(belief, lane, crossing),
-            expected_calibration_error(belief, lane, crossing),
-        )
-        for name, (belief, _, lane, crossing) in scored_answers(result).items()
-    }
 
 
 def draw_reliability(result: Result, path: str | Path) -> Path:

@@ -12,21 +12,18 @@ from matplotlib.figure import Figure
 from matplotlib.patches import Patch
 
 from egolane_pgm.labelling import Labels
-from egolane_pgm.report.lines import draw_lines
-from egolane_pgm.report.strips import show_belief
-from egolane_pgm.report.style import (
+from egolane_pgm.report.answers import (
     CROSSING,
     DETECTOR_COLOUR,
     FAINT,
     INK,
     MODEL_COLOUR,
     PROBABILITY_COLOURS,
-    axes_at,
     lane_names,
-    new_figure,
-    put_title,
-    write_figure,
 )
+from egolane_pgm.report.lines import draw_lines
+from egolane_pgm.report.strips import show_belief
+from egolane_pgm.report.style import axes_at, new_figure, put_title, write_figure
 from egolane_pgm.types import InputError, IntArray, runs_of
 
 #: What is shown before and after the frames that are asked about, seconds.

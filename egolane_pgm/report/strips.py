@@ -21,19 +21,16 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.patches import Patch, Rectangle
 
-from egolane_pgm.report.style import (
+from egolane_pgm.report.answers import (
     CROSSING,
     FAINT,
     INK,
     PROBABILITY_COLOURS,
     answers,
-    axes_at,
     lane_names,
-    new_figure,
-    put_title,
     title_of,
-    write_figure,
 )
+from egolane_pgm.report.style import axes_at, new_figure, put_title, write_figure
 from egolane_pgm.results import Result
 from egolane_pgm.types import UNASSIGNED, BoolArray, FloatArray, InputError, IntArray, runs_of
 

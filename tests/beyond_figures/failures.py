@@ -21,15 +21,14 @@ from matplotlib.figure import Figure
 from egolane_pgm.inference.smoothing import infer_beliefs
 from egolane_pgm.model import make_evidence
 from egolane_pgm.parameters import number
-from egolane_pgm.report.style import (
+from egolane_pgm.report.answers import (
     DETECTOR_COLOUR,
     FAINT,
     INK,
     MODEL_COLOUR,
     PROBABILITY_COLOURS,
-    new_figure,
-    write_figure,
 )
+from egolane_pgm.report.style import new_figure, write_figure
 from egolane_pgm.scoring.assign import assigned_lane
 from egolane_pgm.types import BoolArray, Evidence, FloatArray, IntArray, LineLog
 from tests.beyond_figures.strangers import zero_label

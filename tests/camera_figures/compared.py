@@ -21,7 +21,7 @@ import cv2
 
 from egolane_pgm.paper import load_published
 from egolane_pgm.plugins import plugin_names
-from egolane_pgm.report.style import DETECTOR_COLOUR, INK, MODEL_COLOUR
+from egolane_pgm.report.answers import DETECTOR_COLOUR, INK, MODEL_COLOUR
 from egolane_pgm.report.tables import markdown
 from egolane_pgm.simulation.rendering.render import make_scene
 from tests.camera_figures import rendered

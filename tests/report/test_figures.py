@@ -13,6 +13,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from egolane_pgm.report import reliability, style
+from egolane_pgm.report.answers import PROBABILITY_COLOURS, percent, reliabilities
 from egolane_pgm.report.dispersion import (
     bonus_ablation_figure,
     category_colours,
@@ -24,7 +25,7 @@ from egolane_pgm.report.dispersion import (
     draw_dispersion,
 )
 from egolane_pgm.report.heatmaps import column_shares, confusion_figure, confusions, draw_confusion
-from egolane_pgm.report.reliability import draw_reliability, reliabilities, reliability_figure
+from egolane_pgm.report.reliability import draw_reliability, reliability_figure
 from egolane_pgm.report.strips import draw_strips
 from egolane_pgm.results import Result
 from egolane_pgm.scoring.confusion import accuracy
@@ -286,7 +287,7 @@ def test_text_keeps_a_readable_contrast_on_every_colour_it_stands_on() -> None:
         linear = np.where(c <= 0.04045, c / 12.92, ((c + 0.055) / 1.055) ** 2.4)
         return float(linear @ [0.2126, 0.7152, 0.0722])
 
-    ramp = LinearSegmentedColormap.from_list("", style.PROBABILITY_COLOURS)
+    ramp = LinearSegmentedColormap.from_list("", PROBABILITY_COLOURS)
     for colour in [*category_colours(6), *ramp(np.linspace(0, 1, 50))[:, :3]]:
         pair = sorted([luminance(colour), luminance(style.text_colour(colour))])
         assert (pair[1] + 0.05) / (pair[0] + 0.05) >= 4.5
@@ -294,7 +295,7 @@ def test_text_keeps_a_readable_contrast_on_every_colour_it_stands_on() -> None:
 
 @given(share=st.floats(0, 1))
 def test_a_percentage_never_hides_that_something_is_there(share: float) -> None:
-    text = style.percent(share)
+    text = percent(share)
     assert (text == "0") == (share == 0)
     assert (text == "100") == (share == 1)
 
