@@ -282,7 +282,7 @@ def staged(directory: Path, kinds: Sequence[Callable[[Path], bool]] = ()) -> Ite
 #: in the directory, such as notes, are not ours and stay.
 OURS = (
     *("experiment.yaml", "run.json", "scores.json", "beliefs.parquet", LINES, "events.csv"),
-    *("clips.csv", "labels.txt", "labels.csv", "review.csv", "doubted.csv"),
+    *("clips.csv", "labels.txt", "labels.csv", "review.csv", "doubted.csv", "report.html"),
     *(
         f"figures/{name}.{style}"
         for name in ("strips", "confusion", "reliability", "coverage", "review_*")

@@ -25,6 +25,8 @@ HEAVY = {
     "scipy",
     "pandas",
     "optuna",
+    "bokeh",
+    "jinja2",
 }
 
 

@@ -35,6 +35,7 @@ COMMANDS = {
     "plot": ("plot", "Draw the figures of result directories and studies."),
     "recover": ("paper", "Search the values behind the published, truncated parameters."),
     "reproduce": ("paper", "Repeat the paper's ten runs, beside the published tables."),
+    "report": ("report", "Show results as one interactive HTML page."),
     "run": ("run", "Filter a recording, score it, write a result directory."),
     "schema": ("schema", "Print the JSON Schema of experiments, for editors."),
     "show": ("show", "Show a graph, an evidence rule or a detector, and its parameters."),

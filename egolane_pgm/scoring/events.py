@@ -108,7 +108,7 @@ def score_events(events: LaneEvents, truth: LaneTruth, frame_rate: float) -> dic
     for tolerance in TOLERANCES_S:
         is_right = match_events(events, truth, frame_rate, tolerance) >= 0
         right = int(is_right.sum())
-        false = int((_is_judged(events, truth) & ~is_right).sum())
+        false = int((is_judged(events, truth) & ~is_right).sum())
         within[f"{tolerance:g}"] = {
             "right": right,
             "false": false,
@@ -166,7 +166,7 @@ def score_crossing(crossing: ArrayLike, truth: LaneTruth, frame_rate: float) -> 
     }
 
 
-def _is_judged(events: LaneEvents, truth: LaneTruth) -> BoolArray:
+def is_judged(events: LaneEvents, truth: LaneTruth) -> BoolArray:
     """(E,): whether the truth tells, where the event is told, in which lane the car is and was."""
     known = truth.frame_id[~truth.is_crossing]
     if not len(known):
