@@ -199,6 +199,27 @@ class RunResult:
 
         return inline_figure(lambda: strips_figure(self.result, first, last))
 
+    def report(self, file: str | os.PathLike[str]) -> Path:
+        """Write the page that `egolane report` writes: one HTML file with an interactive timeline.
+
+        - file: its name; its folder is made.
+
+        Raises InputError where it cannot be written. What the page lacks is warned of.
+
+        >>> import tempfile
+        >>> import egolane_pgm as ego
+        >>> place = ego.experiments_folder() / "quickstart.yaml"
+        >>> run = ego.run(place, overrides={"recording.frames": [0, 300]})
+        >>> with tempfile.TemporaryDirectory() as folder:
+        ...     run.report(f"{folder}/page.html").name
+        'page.html'
+        """
+        from egolane_pgm.report.page.document import write_page
+
+        for line in write_page([self.result], Path(file)):
+            warnings.warn(line, UserWarning, stacklevel=2)
+        return Path(file)
+
     def save(self, directory: str | os.PathLike[str], *, figures: bool = True) -> Path:
         """Write the result directory that `egolane run --out` writes; `load_result` reads it.
 

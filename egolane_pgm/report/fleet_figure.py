@@ -9,15 +9,8 @@ from typing import Any
 from matplotlib.figure import Figure
 
 from egolane_pgm.fleet import pooled
-from egolane_pgm.report.style import (
-    ANSWER_STYLE,
-    FAINT,
-    MODEL_COLOUR,
-    axes_at,
-    new_figure,
-    put_title,
-    write_figure,
-)
+from egolane_pgm.report.answers import FAINT, MODEL_COLOUR
+from egolane_pgm.report.style import ANSWER_STYLE, axes_at, new_figure, put_title, write_figure
 from egolane_pgm.types import InputError
 
 
