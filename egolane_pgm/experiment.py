@@ -121,7 +121,7 @@ class Recording(Section):
         default=None,
         description="the file of the lines, or a folder of such; with `detector` a video, a folder"
         " of pictures or a pattern; relative to the YAML",
-        examples=["drive.csv", "drive.bag", "frames/*.png"],
+        examples=["drive.csv", "drive.bag", "drive.mcap", "frames/*.png"],
     )
     format: str | None = Field(
         default=None,
@@ -134,10 +134,10 @@ class Recording(Section):
         description="topic of a bag; left out, that of the paper's line detectors",
         examples=["/isis_line_detector/lines"],
     )
-    frame_id: Literal["way_id", "seq"] = Field(
+    frame_id: Literal["way_id", "seq", "count"] = Field(
         default="way_id",
-        description="which number of a bag's messages is the frame id: the message's field way_id,"
-        " or seq of its header",
+        description="what of a bag's messages is the frame id: the message's field way_id, seq of"
+        " its header (ROS 1), or their count",
     )
     frames: tuple[int, int] | None = Field(
         default=None,

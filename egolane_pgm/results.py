@@ -157,7 +157,10 @@ class Result:
         beliefs, origin = self.beliefs, self.origin
         if origin is not None:
             beliefs = in_tracks(beliefs, origin)
-        found = [lane_events(beliefs.take(piece), rate, lag=lag) for piece in pieces]
+        found = [
+            lane_events(beliefs.take(piece), rate, lag=lag, time_s=self.time_s[piece])
+            for piece in pieces
+        ]
         events = LaneEvents.joined(found)
         if truth is not None:
             if origin is not None:

@@ -175,7 +175,12 @@ def run_experiment(
             rows = recorded.scored
             unsure = truth.is_crossing | road.is_renumbering[rows]
             truth = replace(truth, lane=truth.lane + tracks[rows], is_crossing=unsure)
-    changes = LaneEvents.joined([lane_events(each, rate, lag=experiment.lag) for each in found])
+    changes = LaneEvents.joined(
+        [
+            lane_events(each, rate, lag=experiment.lag, time_s=log.time_s)
+            for each, log in zip(found, logs, strict=True)
+        ]
+    )
     scores: dict[str, Any] = {}
     events: dict[str, Any] = {"told": len(changes)}
     if recorded.truth is not None and truth is not None:
@@ -214,7 +219,7 @@ def run_experiment(
         evidence.tentative,
         scores,
         float((beliefs.lane.max(axis=1) >= SURE).mean()) if len(beliefs) else None,
-        [] if len(found) > 1 else _stretches(found[0], changes, rate, road),
+        [] if len(found) > 1 else _stretches(found[0], changes, recorded.log.time_s, road),
         events,
         tuple(notes),
         time.perf_counter() - begun,
@@ -222,14 +227,14 @@ def run_experiment(
 
 
 def _stretches(
-    beliefs: Beliefs, changes: LaneEvents, rate: float, road: LanesAlong | None
+    beliefs: Beliefs, changes: LaneEvents, time_s: FloatArray, road: LanesAlong | None
 ) -> list[tuple[int, float, float]]:
     """The lane over time; on a road whose lanes change by its number when the stretch begins."""
-    found = lane_stretches(beliefs, changes, rate)
+    found = lane_stretches(beliefs, changes, time_s)
     if road is None:
         return found
     tracks = tracks_of(road.origin)
-    frames = np.searchsorted(beliefs.frame_id, [round(begin * rate) for _, begin, _ in found])
+    frames = np.searchsorted(time_s, [begin for _, begin, _ in found])
     return [
         (lane - int(tracks[k]), begin, end)
         for k, (lane, begin, end) in zip(frames, found, strict=True)

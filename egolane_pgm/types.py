@@ -1,7 +1,8 @@
 """The containers that pass between the parts, and the conventions that hold everywhere.
 
 Lane 1 is the leftmost lane. Offsets are metres, negative to the left of the vehicle. Frames are
-counted by their recorded frame id, which strictly increases; time is frame id over frame rate.
+counted by their recorded frame id, which strictly increases; time is frame id over frame rate, or,
+of a recording that has true ones, its time stamps (seconds since 1970).
 In arrays over lanes, index 0 is lane 1.
 """
 
@@ -193,7 +194,7 @@ class LineLog:
     """The output of a line detector: T frames of at most L lines each, padded.
 
     - frame_id (T,): strictly increasing; gaps are allowed and kept.
-    - time_s (T,): seconds, frame id over frame rate.
+    - time_s (T,): seconds: frame id over frame rate, or the recording's own time stamps.
     - offset_m (T, L): lateral offset of each line, metres, negative left; NaN in padding.
     - is_valid (T, L): marks the lines that the detector vouches for; False in padding.
     - is_continuous (T, L): marks the lines that are not dashed; all False for detectors that cannot

@@ -220,7 +220,8 @@ def label(
     - ground_truth: an annotation to score the labels with, a file or "none".
     - below: frames whose label has a smaller probability are looked at.
     - camera, detector: of a video or of pictures.
-    - frame_id: which number of a bag's messages is the frame id, "way_id" or "seq".
+    - frame_id: which number of a bag's messages is the frame id, "way_id" or "seq"; or "count",
+      their order.
 
     Raises InputError, one line, for whatever does not fit.
 

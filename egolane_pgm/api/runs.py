@@ -385,7 +385,8 @@ def run(
     - ground_truth: the annotation of the recording, a file or "none".
     - n_lanes: lanes of its road.
     - camera, detector: of a video or of pictures.
-    - frame_id: which number of a bag's messages is the frame id, "way_id" or "seq".
+    - frame_id: which number of a bag's messages is the frame id, "way_id" or "seq"; or "count",
+      their order.
     - jobs: processes that share several runs.
     - progress: whether a bar shows how far several runs are; None for in a terminal.
 

@@ -98,8 +98,8 @@ def of_recording(command: Callable[..., Any]) -> Callable[..., Any]:
         ),
         click.option(
             "--frame-id",
-            type=click.Choice(["way_id", "seq"]),
-            help="Which number of a bag's messages is the frame id.",
+            type=click.Choice(["way_id", "seq", "count"]),
+            help="What of a bag's messages is the frame id; count: their order.",
         ),
     )
     # Help lists the option that is added last first.

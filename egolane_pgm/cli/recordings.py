@@ -111,7 +111,7 @@ def _say(outcomes: list[catalog.Outcome]) -> None:
 @click.argument("source", type=click.Path())
 @click.argument("target", type=click.Path(dir_okay=False))
 @click.option("--topic", help="Topic of a bag.")
-@click.option("--frame-id", type=click.Choice(["way_id", "seq"]), default="way_id")
+@click.option("--frame-id", type=click.Choice(["way_id", "seq", "count"]), default="way_id")
 @click.option("--format", "format_", metavar="NAME", help="Where the extension does not tell it.")
 @click.option("--camera", metavar="FILE", help="The camera's YAML, for lines given in pixels.")
 @click.option("--frame-rate", type=float, help="Frames per second.")
@@ -126,10 +126,10 @@ def convert(
     frame_rate: float | None,
     overrides: tuple[str, ...],
 ) -> None:
-    """Convert a recording of lines to .bag, .csv or .parquet.
+    """Convert a recording of lines to .csv, .parquet, .bag or .mcap (ROS 2).
 
-    SOURCE is one of these, or what another lane detector wrote, with --camera: TuSimple's JSON
-    lines, a folder of CULane's .lines.txt or of OpenLane's .json.
+    SOURCE is one of these, a ROS 2 bag, or what another lane detector wrote, with --camera:
+    TuSimple's JSON lines, a folder of CULane's .lines.txt or of OpenLane's .json.
     """
     given = {"topic": topic, "camera": camera, "frame_rate": frame_rate}
     chosen = options.given(overrides, "valid=always") | {

@@ -47,12 +47,19 @@ SURE = 0.9
 HALF_CAR = 0.25
 
 
-def lane_events(beliefs: Beliefs, frame_rate: float, *, lag: int | None = None) -> LaneEvents:
+def lane_events(
+    beliefs: Beliefs,
+    frame_rate: float,
+    *,
+    lag: int | None = None,
+    time_s: FloatArray | None = None,
+) -> LaneEvents:
     """Tell the lane changes of a drive.
 
     - beliefs: of T frames.
     - frame_rate: frames per second.
     - lag: how many frames later than its frame each belief is known (filter `fixed_lag`).
+    - time_s: (T,) when the frames were, seconds; by default frame id over frame rate.
 
     Raises InputError for a frame rate that is not positive.
 
@@ -65,14 +72,15 @@ def lane_events(beliefs: Beliefs, frame_rate: float, *, lag: int | None = None) 
     if not frame_rate > 0:
         raise InputError(f"frame_rate: {frame_rate} must be greater than 0 (frames per second)")
     lane, frame_id = beliefs.lane, beliefs.frame_id
-    told, left, entered = _told(lane, frame_id / frame_rate)
+    when = frame_id / frame_rate if time_s is None else time_s
+    told, left, entered = _told(lane, when)
     known = np.minimum(told + (lag or 0), max(len(lane) - 1, 0))
     began = _began(lane, told, left, entered)
     return LaneEvents(
         told_frame_id=frame_id[known],
-        told_time_s=frame_id[known] / frame_rate,
+        told_time_s=when[known],
         frame_id=frame_id[began],
-        time_s=frame_id[began] / frame_rate,
+        time_s=when[began],
         from_lane=left + 1,
         to_lane=entered + 1,
         probability=lane[told, entered],
@@ -106,10 +114,11 @@ def numbered(events: LaneEvents, frame_id: IntArray, origin: IntArray) -> LaneEv
 
 
 def lane_stretches(
-    beliefs: Beliefs, events: LaneEvents, frame_rate: float
+    beliefs: Beliefs, events: LaneEvents, time_s: FloatArray
 ) -> list[tuple[int, float, float]]:
     """The lane over time: lane (from 1), and from when to when it was the car's, seconds.
 
+    - time_s: (T,) when the frames were, seconds.
     - events: of these beliefs. A stretch ends where the next lane became the more probable one.
 
     The first stretch begins where a lane is first believed; without such a frame there is none.
@@ -119,8 +128,7 @@ def lane_stretches(
         return []
     first = int(believed[0])
     lanes = [int(beliefs.lane[first].argmax()) + 1, *events.to_lane.tolist()]
-    borders = [beliefs.frame_id[first] / frame_rate, *events.time_s.tolist()]
-    borders.append(beliefs.frame_id[-1] / frame_rate)
+    borders = [time_s[first], *events.time_s.tolist(), time_s[-1]]
     return [(n, float(a), float(b)) for n, a, b in zip(lanes, borders, borders[1:], strict=False)]
 
 

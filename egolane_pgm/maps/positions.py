@@ -1,4 +1,4 @@
-"""Where a car was, by its GNSS receiver: tables, GPX, NMEA and ROS bags.
+"""Where a car was, by its GNSS receiver: tables, GPX, NMEA, and bags of ROS 1 and ROS 2.
 
 One reader per format; `read_positions` picks it by the file's extension. Times are seconds. A
 number stays what it is; a date becomes seconds since 1970, UTC.
@@ -120,8 +120,8 @@ def _warn(source: str, marked: BoolArray, what: str) -> None:
 def read_positions(
     path: str | Path, *, columns: Mapping[str, str] | None = None, topic: str | None = None
 ) -> Positions:
-    """Read the positions of a drive: .csv, .parquet, .gpx, .nmea (or .nma), or a ROS 1 bag with
-    sensor_msgs/NavSatFix.
+    """Read the positions of a drive: .csv, .parquet, .gpx, .nmea (or .nma), or of a bag those in
+    sensor_msgs/NavSatFix: .bag, .mcap, .db3 or the folder of a ROS 2 bag.
 
     - columns: of a table, which of its columns is which of COLUMNS, as {"latitude": "lat_gps"};
       by default those with a usual name
@@ -140,17 +140,19 @@ def read_positions(
         ".nmea": _read_nmea,
         ".nma": _read_nmea,
         ".bag": _read_bag,
-    }.get(kind)
+        ".mcap": _read_bag,
+        ".db3": _read_bag,
+    }.get(kind, _read_bag if path.is_dir() else None)
     if read is None:
         raise InputError(
             f"{path}: unknown extension '{path.suffix}' of positions"
-            " (.csv, .parquet, .gpx, .nmea, .bag)"
+            " (.csv, .parquet, .gpx, .nmea, .bag, .mcap, .db3)"
         )
     if columns and read is not _read_table:
         raise InputError(f"{path}: columns are named for a table, .csv or .parquet")
     if topic is not None and read is not _read_bag:
         raise InputError(f"{path}: a topic is named for a bag")
-    if not path.is_file():
+    if not (path.is_file() or path.is_dir()):
         raise InputError(f"{path}: no such file")
     given = {_read_table: columns, _read_bag: topic}.get(read)
     positions: Positions = read(path, given) if read in (_read_table, _read_bag) else read(path)

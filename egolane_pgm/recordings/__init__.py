@@ -18,7 +18,7 @@ from egolane_pgm.types import InputError, LineLog, suggestion
 
 #: Format: (extensions, module of this folder, function that reads a file into a LineLog).
 FORMATS: dict[str, tuple[tuple[str, ...], str, str]] = {
-    "rosbag": ((".bag",), "rosbag", "read_rosbag"),
+    "rosbag": ((".bag", ".mcap", ".db3"), "rosbag", "read_rosbag"),
     "table": ((".csv", ".parquet"), "table", "read_table"),
     "tusimple": ((".jsonl", ".json"), "tusimple", "read_tusimple"),
     "culane": ((), "culane", "read_culane"),
@@ -26,7 +26,13 @@ FORMATS: dict[str, tuple[tuple[str, ...], str, str]] = {
 }
 
 #: Folders: the format of one that holds files with this ending.
-_FOLDERS = {".lines.txt": "culane", ".json": "openlane"}
+_FOLDERS = {
+    ".mcap": "rosbag",
+    ".db3": "rosbag",
+    ".zstd": "rosbag",
+    ".lines.txt": "culane",
+    ".json": "openlane",
+}
 
 #: The formats whose lines are in pixels, so that a camera has to say where they are. OpenLane's may
 #: be in metres; its reader asks for a camera if they are not.
@@ -40,7 +46,8 @@ def read_lines(path: str | Path, /, format: str | None = None, **options: Any) -
 
     - format: a name of FORMATS; by default the one that the extension, or what is in a folder,
       tells.
-    - options: those of the format's reader (`read_rosbag`: topic, frame_id, frame_rate;
+    - options: those of the format's reader (`read_rosbag`: topic, frame_id, frame_rate,
+      stamps;
       `read_table`: frame_rate; `read_tusimple`, `read_culane`, `read_openlane`: camera, valid,
       frame_step, ahead_m, frame_rate; `read_tusimple` also continuous).
 
@@ -92,8 +99,8 @@ def write_lines(path: str | Path, log: LineLog) -> None:
     """
     check_name(path)
     name = format_of(path)
-    if name not in _WRITERS:
-        raise InputError(f"{path}: a recording is written as .csv, .parquet or .bag")
+    if name not in _WRITERS or Path(path).suffix.lower() == ".db3":
+        raise InputError(f"{path}: a recording is written as .csv, .parquet, .bag or .mcap")
     check_one_drive(log, "a file that is written holds one drive")
     module, function = _WRITERS[name]
     getattr(import_module(f"{__name__}.{module}"), function)(path, log)

@@ -1,15 +1,21 @@
-"""The fixes of a GNSS receiver in ROS 1 bags: `sensor_msgs/NavSatFix`, read without ROS."""
+"""The fixes of a GNSS receiver in bags of ROS 1 and ROS 2: `sensor_msgs/NavSatFix`, read without
+ROS."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from itertools import groupby
 from pathlib import Path
-from typing import Any
 
 import numpy as np
-from rosbags.typesys import Stores, get_typestore
 
-from egolane_pgm.recordings.rosbag import message_types, one_line, read_messages, topics_of
+from egolane_pgm.recordings.rosbag import (
+    contents,
+    lacking,
+    message_types,
+    read_messages,
+    topics_of,
+)
 from egolane_pgm.types import FloatArray, InputError
 
 #: The name of the message type, whatever its package.
@@ -34,7 +40,7 @@ class Fixes:
 
 
 def read_fixes(path: str | Path, *, topic: str | None = None) -> Fixes:
-    """Read the positions recorded in a ROS 1 bag.
+    """Read the positions recorded in a bag of ROS 1 or ROS 2, or an MCAP file.
 
     - topic: by default the only one whose type is NavSatFix
 
@@ -46,29 +52,19 @@ def read_fixes(path: str | Path, *, topic: str | None = None) -> Fixes:
     topic = _only_topic(path) if topic is None else topic
     messages = read_messages(path, topic)
     rows = []
-    stores: dict[tuple[str, str], Any] = {}
-    for k, (kind, raw) in enumerate(messages):
-        if kind not in stores:
-            types = message_types(path, kind)
-            stores[kind] = get_typestore(Stores.EMPTY)
-            stores[kind].register(dict(types))
-            fields = {name for name, _ in types[kind[0]][1]}
-            lacking = [name for name in _FIELDS if name not in fields]
-            if lacking:
-                raise InputError(
-                    f"{path}: topic {topic} has type {kind[0]}, which is not a position:"
-                    f" it lacks {', '.join(lacking)}"
-                )
-        try:
-            fix: Any = stores[kind].deserialize_ros1(raw, kind[0])
-        except Exception as error:
-            raise InputError(f"{path}: message {k + 1} is damaged ({one_line(error)})") from None
-        stamp = fix.header.stamp
-        place = (fix.latitude, fix.longitude) if fix.status.status >= 0 else (np.nan, np.nan)
-        # East and north; a covariance of zeros says that it is not known.
-        variance = (fix.position_covariance[0] + fix.position_covariance[4]) / 2
-        sigma = np.sqrt(variance) if variance > 0 else np.nan
-        rows.append((stamp.sec + stamp.nanosec * 1e-9, *place, sigma))
+    for kind, run in groupby(messages, key=lambda message: message.kind):
+        types = message_types(path, kind)
+        fields = {name for name, _ in types[kind.type][1]}
+        missing = [name for name in _FIELDS if name not in fields]
+        if missing:
+            raise lacking(path, topic, kind, "a position", missing)
+        for fix in contents(path, kind, types, run):
+            stamp = fix.header.stamp
+            place = (fix.latitude, fix.longitude) if fix.status.status >= 0 else (np.nan, np.nan)
+            # East and north; a covariance of zeros says that it is not known.
+            variance = (fix.position_covariance[0] + fix.position_covariance[4]) / 2
+            sigma = np.sqrt(variance) if variance > 0 else np.nan
+            rows.append((stamp.sec + stamp.nanosec * 1e-9, *place, sigma))
     values = np.array(rows, dtype=np.float64).T
     if not values[0].any():
         raise InputError(f"{path}: the positions have no time, all stamps are zero")

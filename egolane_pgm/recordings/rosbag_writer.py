@@ -1,8 +1,11 @@
-"""ROS 1 bags of line messages, written without ROS, of the published type: ROS can read them."""
+"""Bags of line messages, written without ROS, of the published type: ROS can read them."""
 
 from __future__ import annotations
 
+import contextlib
+from collections.abc import Iterator
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import Any
 
 import numpy as np
@@ -10,34 +13,21 @@ from rosbags.rosbag1 import Writer
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
 from egolane_pgm.files import atomic
-from egolane_pgm.recordings.rosbag import TOPIC
+from egolane_pgm.recordings.rosbag import (
+    DEFINITIONS,
+    DEFINITIONS_2,
+    LINE_TYPE,
+    LINE_TYPE_2,
+    LINES_TYPE,
+    LINES_TYPE_2,
+    TOPIC,
+)
 from egolane_pgm.types import BoolArray, InputError, LineLog
-
-MESSAGE_TYPE = "road_layout_estimation/msg/msg_lines"
-_LINE_TYPE = "road_layout_estimation/msg/msg_lineInfo"
-
-#: The published definitions. ROS tells types apart by a checksum of these.
-_DEFINITIONS = {
-    MESSAGE_TYPE: """\
-Header header
-float64 number_of_lines
-float64 goodLines
-float64 width
-float64 naive_width
-int64 way_id
-msg_lineInfo[] lines
-""",
-    _LINE_TYPE: """\
-bool isValid
-bool continuous
-int32 counter
-float32 offset
-""",
-}
 
 
 def write_rosbag(path: str | Path, log: LineLog, *, topic: str = TOPIC) -> None:
-    """Write a log as a bag of the published message type, stamped with the log's times.
+    """Write a log as a ROS 1 bag of the published message type, or (.mcap) as an MCAP file of the
+    same type in ROS 2, stamped with the log's times.
 
     Offsets are stored in single precision, as the type has them. Frames put in by
     `missing_frames: predict` are left out.
@@ -54,23 +44,46 @@ def write_rosbag(path: str | Path, log: LineLog, *, topic: str = TOPIC) -> None:
             f"{path}: frame {int(log.frame_id[frame])}: line {int(line) + 1} has the LRI"
             f" {log.lri[frame, line]}, a bag holds whole numbers; write a .csv or .parquet"
         )
-    store = get_typestore(Stores.ROS1_NOETIC)
-    for name, definition in _DEFINITIONS.items():
+    is_ros2 = path.suffix.lower() == ".mcap"
+    store = get_typestore(Stores.ROS2_HUMBLE if is_ros2 else Stores.ROS1_NOETIC)
+    for name, definition in (DEFINITIONS_2 if is_ros2 else DEFINITIONS).items():
         store.register(get_types_from_msg(definition, name))
-    with atomic(path) as temporary, Writer(temporary) as bag:
-        connection = bag.add_connection(topic, MESSAGE_TYPE, typestore=store)
+    lines_type, serialised = LINES_TYPE, store.serialize_ros1
+    if is_ros2:
+        lines_type, serialised = LINES_TYPE_2, store.serialize_cdr
+    with atomic(path) as temporary, (_mcap if is_ros2 else Writer)(temporary) as bag:
+        connection = bag.add_connection(topic, lines_type, typestore=store)
         for t in np.flatnonzero(~log.is_missing):
+            # Nanoseconds since 1970 have more digits than a float.
+            seconds = np.floor(max(0.0, log.time_s[t]))
+            stamp_ns = int(seconds) * 10**9 + round(max(0.0, log.time_s[t] - seconds) * 1e9)
+            message = _message(store.types, log, int(t), listed[t], stamp_ns, is_ros2)
             # The stamp of a message in a bag must be greater than zero.
-            stamp = max(1, round(float(log.time_s[t]) * 1e9))
-            message = _message(store.types, log, int(t), listed[t])
-            bag.write(connection, stamp, bytes(store.serialize_ros1(message, MESSAGE_TYPE)))
+            bag.write(connection, max(1, stamp_ns), bytes(serialised(message, lines_type)))
 
 
-def _message(types: Any, log: LineLog, t: int, listed: BoolArray) -> Any:
-    seconds = max(0.0, float(log.time_s[t]))
-    time = types["builtin_interfaces/msg/Time"](int(seconds) % 2**31, int(seconds % 1 * 1e9))
+@contextlib.contextmanager
+def _mcap(file: Path) -> Iterator[Any]:
+    """A writer of an MCAP file alone, which rosbags writes into the folder of a bag."""
+    # Databases and YAML are loaded only where there is such a bag.
+    from rosbags.rosbag2 import StoragePlugin
+    from rosbags.rosbag2 import Writer as Writer2
+
+    with TemporaryDirectory(dir=file.absolute().parent) as folder:
+        bag = Path(folder) / "lines"
+        with Writer2(bag, version=9, storage_plugin=StoragePlugin.MCAP) as writer:
+            yield writer
+        (bag / "lines.mcap").replace(file)
+
+
+def _message(
+    types: Any, log: LineLog, t: int, listed: BoolArray, stamp_ns: int, is_ros2: bool
+) -> Any:
+    seconds, ns = divmod(stamp_ns, 10**9)
+    stamp = types["builtin_interfaces/msg/Time"](seconds % 2**31, ns)
+    header = types["std_msgs/msg/Header"](*([] if is_ros2 else [t]), stamp, "")
     lines = [
-        types[_LINE_TYPE](
+        types[LINE_TYPE_2 if is_ros2 else LINE_TYPE](
             bool(log.is_valid[t, k]),
             bool(log.is_continuous[t, k]),
             int(log.lri[t, k]),
@@ -78,12 +91,7 @@ def _message(types: Any, log: LineLog, t: int, listed: BoolArray) -> Any:
         )
         for k in np.flatnonzero(listed)
     ]
-    return types[MESSAGE_TYPE](
-        header=types["std_msgs/msg/Header"](seq=t, stamp=time, frame_id=""),
-        number_of_lines=float(len(lines)),
-        goodLines=float(log.is_valid[t].sum()),
-        width=0.0,
-        naive_width=0.0,
-        way_id=int(log.frame_id[t]),
-        lines=lines,
+    n_valid, unknown = float(log.is_valid[t].sum()), 0.0
+    return types[LINES_TYPE_2 if is_ros2 else LINES_TYPE](
+        header, float(len(lines)), n_valid, unknown, unknown, int(log.frame_id[t]), lines
     )

@@ -72,7 +72,11 @@ def fill_missing(log: LineLog, policy: str, frame_rate: float) -> LineLog:
     frame_id = np.arange(first, last + 1, dtype=np.int64)
     before = np.searchsorted(log.frame_id, frame_id, side="right") - 1
     is_new = log.frame_id[before] != frame_id
-    time_s = np.where(is_new, frame_id / frame_rate, log.time_s[before])
+    # A recording's own time stamps go on from the frame before.
+    since = (frame_id - log.frame_id[before]) / frame_rate
+    has_stamps = not np.array_equal(log.time_s, log.frame_id / frame_rate)
+    new_s = log.time_s[before] + since if has_stamps else frame_id / frame_rate
+    time_s = np.where(is_new, new_s, log.time_s[before])
     empty = is_new[:, None] & (policy == "predict")
     return replace(
         log,

@@ -55,7 +55,7 @@ def drives(draw: st.DrawFn) -> Beliefs:
 @given(drives())
 def test_the_stretches_of_a_drive_follow_each_other_as_its_changes_do(beliefs: Beliefs) -> None:
     events = lane_events(beliefs, 10.0)
-    stretches = lane_stretches(beliefs, events, 10.0)
+    stretches = lane_stretches(beliefs, events, beliefs.frame_id / 10)
     sure = beliefs.lane.max(axis=1, initial=0) >= BELIEVED
     assert len(stretches) == (len(events) + 1 if sure.any() else 0)
     for (lane, start, end), (later, begin, _) in pairwise(stretches):

@@ -1,11 +1,15 @@
-"""Small ROS 1 bags for the tests, of the published message type."""
+"""Small bags for the tests, of the published message type."""
 
 from __future__ import annotations
 
 import struct
 from pathlib import Path
 
-from egolane_pgm.recordings.rosbag import TOPIC
+import numpy as np
+
+from egolane_pgm.recordings.rosbag import LINES_TYPE_2, TOPIC
+from egolane_pgm.recordings.rosbag_writer import write_rosbag
+from egolane_pgm.types import LineLog
 
 SEPARATOR = "=" * 80
 HEADER = f"{SEPARATOR}\nMSG: std_msgs/Header\nuint32 seq\ntime stamp\nstring frame_id\n"
@@ -65,3 +69,54 @@ def line_bag(path: Path, ids: list[int], lines: list[list[Line]] | None = None) 
 def truth_file(path: Path, rows: list[tuple[int, int, int]]) -> Path:
     path.write_text("".join(f"{f};{lane};{c}\n" for f, lane, c in rows))
     return path
+
+
+def write_bag2(
+    folder: Path,
+    log: LineLog,
+    *,
+    storage: str = "SQLITE3",
+    topic: str = TOPIC,
+    stamps: list[int] | None = None,
+    text: str | None = None,
+    msgtype: str = LINES_TYPE_2,
+) -> Path:
+    """A ROS 2 bag of lines, of the messages of an MCAP file that `write_rosbag` made; stamps: when
+    they were recorded, ns; text: another definition, which the messages need not fit."""
+    from rosbags.rosbag2 import Reader, StoragePlugin, Writer
+
+    file = folder.with_name(f"{folder.name}-first.mcap")
+    write_rosbag(file, log)
+    with Reader(file) as made:
+        messages = [(ns, raw) for _, ns, raw in made.messages(made.connections)]
+        definition = made.connections[0].msgdef.data if text is None else text
+    file.unlink()
+    with Writer(folder, version=9, storage_plugin=StoragePlugin[storage]) as bag:
+        connection = bag.add_connection(topic, msgtype, msgdef=definition, rihs01="RIHS01_0")
+        for k, (ns, raw) in enumerate(messages):
+            bag.write(connection, ns if stamps is None else stamps[k], raw)
+    return folder
+
+
+def write_fixes2(folder: Path, rows: list[tuple[float, float, float]], status: int = 0) -> Path:
+    """A ROS 2 bag of sensor_msgs/NavSatFix. rows: seconds, latitude, longitude."""
+    from rosbags.rosbag2 import StoragePlugin, Writer
+    from rosbags.typesys import Stores, get_typestore
+
+    store = get_typestore(Stores.ROS2_HUMBLE)
+    types, name = store.types, "sensor_msgs/msg/NavSatFix"
+    with Writer(folder, version=9, storage_plugin=StoragePlugin.MCAP) as bag:
+        connection = bag.add_connection("/gps/fix", name, typestore=store)
+        for seconds, latitude, longitude in rows:
+            stamp = types["builtin_interfaces/msg/Time"](int(seconds), int(seconds % 1 * 1e9))
+            fix = types[name](
+                types["std_msgs/msg/Header"](stamp, "gps"),
+                types["sensor_msgs/msg/NavSatStatus"](status, 1),
+                latitude,
+                longitude,
+                0.0,
+                np.array([4.0, 0, 0, 0, 4.0, 0, 0, 0, 9.0]),
+                2,
+            )
+            bag.write(connection, 1, store.serialize_cdr(fix, name))
+    return folder

@@ -546,7 +546,9 @@ def test_files_with_nothing_in_them_are_refused(tmp_path: Path) -> None:
     assert said.endswith("no file *.lines.txt in it")
     assert "no file *.json in it" in whats_wrong(tmp_path / "d", format="openlane")
     said = whats_wrong(tmp_path / "d")
-    assert "a folder without lines (*.lines.txt, *.json); pictures need a detector" in said
+    assert (
+        "a folder without lines (*.mcap, *.db3, *.zstd, *.lines.txt, *.json); pictures need" in said
+    )
 
 
 def test_odd_culane_files_are_refused(tmp_path: Path) -> None:

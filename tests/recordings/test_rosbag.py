@@ -201,7 +201,7 @@ def test_what_is_not_a_bag_is_refused(tmp_path: Path) -> None:
     (tmp_path / "empty.bag").write_bytes(b"")
     assert refused(tmp_path / "empty.bag") == ": the file is empty"
     (tmp_path / "text.bag").write_text("frame_id,line\n")
-    assert refused(tmp_path / "text.bag") == ": not a ROS 1 bag"
+    assert refused(tmp_path / "text.bag") == ": not a ROS bag nor an MCAP file"
     (tmp_path / "old.bag").write_bytes(b"#ROSBAG V1.2\n")
     assert "version 2.0" in refused(tmp_path / "old.bag")
 

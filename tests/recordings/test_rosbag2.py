@@ -1,0 +1,357 @@
+"""ROS 2 bags and MCAP files: the same lines as in ROS 1, with their times; and what is refused."""
+
+from __future__ import annotations
+
+import io
+import sqlite3
+import warnings
+from collections.abc import Iterator
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from mcap.reader import SeekingReader
+from mcap.writer import IndexType, Writer
+
+from egolane_pgm.maps.positions import read_positions
+from egolane_pgm.recordings import files_of, format_of, read_lines, write_lines
+from egolane_pgm.recordings.rosbag import TOPIC, read_rosbag
+from egolane_pgm.recordings.select import fill_missing
+from egolane_pgm.simulation import simulate
+from egolane_pgm.types import InputError, LineLog
+from tests.kits.bags import write_bag2, write_fixes2
+
+ARRAYS = ("frame_id", "time_s", "offset_m", "is_valid", "is_continuous", "lri")
+
+#: When the drive began, seconds since 1970; between two multiples of 2^-22 as few are.
+START_S = 1_515_801_391.25
+
+
+@pytest.fixture(scope="module")
+def log() -> LineLog:
+    made = simulate("quickstart", frames=60).log
+    return replace(
+        made,
+        offset_m=made.offset_m.astype(np.float32).astype(np.float64),
+        time_s=START_S + made.frame_id / 10,
+    )
+
+
+@pytest.fixture(scope="module")
+def mcap(log: LineLog, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    file = tmp_path_factory.mktemp("mcap") / "drive.mcap"
+    write_lines(file, log)
+    return file
+
+
+def assert_same(one: LineLog, other: LineLog) -> None:
+    for name in ARRAYS:
+        np.testing.assert_array_equal(getattr(one, name), getattr(other, name), err_msg=name)
+
+
+def refused(path: Path, **options: Any) -> str:
+    with pytest.raises(InputError) as info:
+        read_rosbag(path, **options)
+    text = str(info.value)
+    assert "\n" not in text
+    assert text.startswith(str(path))
+    return text.removeprefix(str(path))
+
+
+def warned(path: Path, **options: Any) -> tuple[LineLog, str]:
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("always")
+        log = read_rosbag(path, **options)
+    (said,) = [str(w.message) for w in caught if issubclass(w.category, UserWarning)]
+    return log, said
+
+
+def test_an_mcap_file_gives_back_the_lines_and_the_times_that_were_written(
+    log: LineLog, mcap: Path
+) -> None:
+    assert_same(read_lines(mcap), log)
+
+
+@pytest.mark.parametrize("storage", ["SQLITE3", "MCAP"])
+def test_a_ros2_bag_is_read_as_folder_and_as_file(
+    log: LineLog, tmp_path: Path, storage: str
+) -> None:
+    bag = write_bag2(tmp_path / "bag", log, storage=storage)
+    assert format_of(bag) == "rosbag"
+    assert_same(read_lines(bag), log)
+    (file,) = files_of(bag)
+    assert file.suffix == {"SQLITE3": ".db3", "MCAP": ".mcap"}[storage]
+    assert_same(read_lines(file), log)
+
+
+def test_a_published_recording_is_the_same_in_ros1_and_in_ros2(
+    recordings: Path, tmp_path: Path
+) -> None:
+    name = "special.issue.spain.mono.yesClothoid.noLines.left._2018-01-14-11-59-09.bag"
+    first = read_lines(recordings / "rle" / name)
+    write_lines(tmp_path / "x.mcap", first)
+    assert_same(read_lines(tmp_path / "x.mcap"), first)
+
+
+def test_ros1_keeps_frame_id_over_frame_rate_and_its_stamps_where_they_are_asked_for(
+    log: LineLog, tmp_path: Path
+) -> None:
+    write_lines(tmp_path / "a.bag", log)
+    np.testing.assert_array_equal(read_lines(tmp_path / "a.bag").time_s, log.frame_id / 10)
+    np.testing.assert_array_equal(read_lines(tmp_path / "a.bag", stamps=True).time_s, log.time_s)
+    np.testing.assert_array_equal(
+        read_lines(tmp_path / "a.bag", stamps=False).time_s, log.frame_id / 10
+    )
+
+
+def test_without_a_stamp_in_the_header_the_time_is_that_of_recording(
+    log: LineLog, tmp_path: Path
+) -> None:
+    stamps = [10**18 + k * 10**8 for k in range(len(log))]
+    blank = replace(log, time_s=np.zeros(len(log)))
+    found = read_lines(write_bag2(tmp_path / "bag", blank, stamps=stamps))
+    np.testing.assert_array_equal(found.time_s, np.array(stamps) / 1e9)
+
+
+def test_stamps_that_do_not_increase_are_left_out_with_a_warning_or_refused(
+    log: LineLog, tmp_path: Path
+) -> None:
+    time_s = log.time_s.copy()
+    time_s[7] = time_s[6]
+    write_lines(tmp_path / "a.mcap", replace(log, time_s=time_s))
+    found, said = warned(tmp_path / "a.mcap")
+    assert f"frames {log.frame_id[6]} and {log.frame_id[7]} do not increase" in said
+    np.testing.assert_array_equal(found.time_s, log.frame_id / 10)
+    assert "do not increase; leave out stamps=true" in refused(tmp_path / "a.mcap", stamps=True)
+    assert "neither true nor false" in refused(tmp_path / "a.mcap", stamps="yes")
+
+
+def test_a_frame_rate_that_the_stamps_contradict_is_said(log: LineLog, tmp_path: Path) -> None:
+    write_lines(tmp_path / "a.mcap", replace(log, time_s=START_S + log.frame_id / 25))
+    _, said = warned(tmp_path / "a.mcap")
+    assert "25 frames per second" in said
+    assert len(read_rosbag(tmp_path / "a.mcap", frame_rate=25.0)) == len(log)
+
+
+def test_frames_put_in_have_times_between_those_of_their_neighbours(
+    log: LineLog, tmp_path: Path
+) -> None:
+    keep = np.ones(len(log), dtype=bool)
+    keep[20:25] = False
+    write_lines(tmp_path / "a.mcap", log.take(keep))
+    filled = fill_missing(read_lines(tmp_path / "a.mcap"), "predict", 10.0)
+    np.testing.assert_allclose(filled.time_s, log.time_s, atol=1e-6)
+    assert filled.is_missing.sum() == 5
+
+
+def test_messages_can_be_counted_where_they_have_no_frame_id(log: LineLog, tmp_path: Path) -> None:
+    bag = write_bag2(tmp_path / "bag", replace(log, frame_id=np.arange(60) - 30))
+    np.testing.assert_array_equal(read_lines(bag, frame_id="count").frame_id, np.arange(60))
+    assert "header.seq (integer)" in refused(bag, frame_id="seq")
+
+
+def test_a_definition_in_idl_is_read(log: LineLog, tmp_path: Path) -> None:
+    rule = "=" * 80 + "\n"
+    line = (
+        f"{rule}IDL: road_layout_estimation/msg/MsgLineInfo\n"
+        "module road_layout_estimation { module msg { struct MsgLineInfo {"
+        " boolean is_valid; boolean continuous; int32 counter; float offset; }; }; };\n"
+    )
+    time = (
+        f"{rule}IDL: builtin_interfaces/msg/Time\nmodule builtin_interfaces {{ module msg {{"
+        " struct Time { int32 sec; uint32 nanosec; }; }; };\n"
+    )
+    header = (
+        f"{rule}IDL: std_msgs/msg/Header\nmodule std_msgs {{ module msg {{ struct Header {{"
+        " builtin_interfaces::msg::Time stamp; string frame_id; }; }; };\n"
+    )
+    lines = (
+        f"{rule}IDL: road_layout_estimation/msg/MsgLines\nmodule road_layout_estimation {{"
+        " module msg { struct MsgLines { std_msgs::msg::Header header; double number_of_lines;"
+        " double good_lines; double width; double naive_width; int64 way_id;"
+        " sequence<road_layout_estimation::msg::MsgLineInfo> lines; }; }; };\n"
+    )
+    for storage in ("SQLITE3", "MCAP"):
+        text = lines + line + header + time
+        bag = write_bag2(tmp_path / storage, log, storage=storage, text=text)
+        assert_same(read_lines(bag), log)
+        assert_same(read_lines(files_of(bag)[0]), log)
+
+
+@pytest.mark.parametrize("name", ["road_layout_estimation/msg/MsgLines", "other/msg/msg_lines"])
+def test_a_bag_without_definitions_is_read_by_the_published_ones_and_says_so(
+    log: LineLog, tmp_path: Path, name: str
+) -> None:
+    bag = write_bag2(tmp_path / "bag", log, msgtype=name)
+    forget_definitions(bag)
+    found, said = warned(bag)
+    assert_same(found, log)
+    assert f"has no definition of {name}; taken for the usual one" in said
+
+
+def test_a_bag_without_definitions_of_an_unknown_type_is_refused(
+    log: LineLog, tmp_path: Path
+) -> None:
+    bag = write_bag2(tmp_path / "bag", log, msgtype="my_msgs/msg/Lanes")
+    forget_definitions(bag)
+    assert "has no definition of my_msgs/msg/Lanes; convert it" in refused(bag)
+
+
+def forget_definitions(bag: Path) -> None:
+    with sqlite3.connect(files_of(bag)[0]) as base:
+        base.execute("DELETE FROM message_definitions")
+
+
+def test_a_topic_that_is_not_there_is_refused_with_those_that_are(
+    log: LineLog, mcap: Path, tmp_path: Path
+) -> None:
+    bag = write_bag2(tmp_path / "bag", log, topic="/my/lines")
+    for path in (bag, files_of(bag)[0]):
+        assert f"no topic {TOPIC}; the bag has /my/lines (road_layout_estim" in refused(path)
+        assert len(read_rosbag(path, topic="my/lines")) == len(log)
+    assert f"no topic /x; the bag has {TOPIC} (" in refused(mcap, topic="/x")
+
+
+def test_a_type_that_is_not_of_lines_is_shown_with_what_it_lacks(
+    log: LineLog, tmp_path: Path
+) -> None:
+    text = "int64 id  # of the frame\nfloat32[] offsets\n"
+    for storage in ("SQLITE3", "MCAP"):
+        bag = write_bag2(
+            tmp_path / storage, log, storage=storage, text=text, msgtype="my_msgs/msg/Lanes"
+        )
+        for path in (bag, files_of(bag)[0]):
+            said = refused(path)
+            assert (
+                "type my_msgs/msg/Lanes, which is not a message of lines: it lacks way_id" in said
+            )
+            assert "lines[].isValid or is_valid, lines[].continuous, lines[].counter" in said
+            assert "its definition is: int64 id; float32[] offsets" in said
+
+
+# --- MCAP files that are not whole, or not of ROS ------------------------------------------------
+
+
+def messages_of(mcap: Path) -> Iterator[tuple[Any, Any, Any]]:
+    with mcap.open("rb") as file:
+        yield from SeekingReader(file).iter_messages(log_time_order=False)
+
+
+def rewritten(mcap: Path, encoding: str = "cdr", **options: Any) -> bytes:
+    """The file as another program could have written it."""
+    out = io.BytesIO()
+    writer = Writer(out, **options)
+    writer.start(profile="", library="test")
+    ids: tuple[int, int] | None = None
+    for schema, channel, message in messages_of(mcap):
+        if ids is None:
+            schema_id = writer.register_schema(schema.name, schema.encoding, schema.data)
+            ids = schema_id, writer.register_channel(channel.topic, encoding, schema_id)
+        writer.add_message(ids[1], message.log_time, message.data, message.publish_time)
+    writer.finish()
+    return out.getvalue()
+
+
+def test_an_mcap_file_without_an_index_is_read(log: LineLog, mcap: Path, tmp_path: Path) -> None:
+    nothing: dict[str, Any] = {
+        "index_types": IndexType.NONE,
+        "repeat_channels": False,
+        "repeat_schemas": False,
+        "use_statistics": False,
+        "use_summary_offsets": False,
+    }
+    for k, chunks in enumerate((True, False)):
+        file = tmp_path / f"{k}.mcap"
+        file.write_bytes(rewritten(mcap, use_chunking=chunks, **nothing))
+        assert_same(read_lines(file), log)
+
+
+def test_what_is_whole_of_an_mcap_file_that_is_cut_off_is_read_and_said(
+    log: LineLog, mcap: Path, tmp_path: Path
+) -> None:
+    whole = rewritten(mcap, chunk_size=1000)
+    cut = tmp_path / "cut.mcap"
+    first = end_of_first_chunk(whole)
+    seen = set()
+    for n in range(60, len(whole) - 8, 611):
+        cut.write_bytes(whole[:n])
+        if n < first:
+            said = refused(cut)
+            assert "truncated or damaged" in said, n
+            assert "mcap recover" in said, n
+            continue
+        found, said = warned(cut)
+        seen.add(len(found))
+        assert_same(found, log.take(slice(0, len(found))))
+        assert "is cut off or damaged (" in said, n
+        assert f"; read the {len(found)} messages before that" in said, n
+    assert len(seen) > 5
+
+
+def end_of_first_chunk(whole: bytes) -> int:
+    summary = SeekingReader(io.BytesIO(whole)).get_summary()
+    assert summary is not None
+    assert len(summary.chunk_indexes) > 5
+    first = min(summary.chunk_indexes, key=lambda chunk: chunk.chunk_start_offset)
+    return int(first.chunk_start_offset + first.chunk_length)
+
+
+def test_a_chunk_whose_checksum_is_wrong_ends_what_is_read(
+    log: LineLog, mcap: Path, tmp_path: Path
+) -> None:
+    from mcap.writer import CompressionType
+
+    whole = bytearray(rewritten(mcap, chunk_size=1000, compression=CompressionType.NONE))
+    whole[len(whole) // 2] ^= 255
+    (tmp_path / "a.mcap").write_bytes(whole)
+    found, said = warned(tmp_path / "a.mcap")
+    assert 0 < len(found) < len(log)
+    assert "crc validation failed" in said
+
+
+def test_an_mcap_file_of_another_encoding_is_refused(mcap: Path, tmp_path: Path) -> None:
+    (tmp_path / "a.mcap").write_bytes(rewritten(mcap, encoding="json"))
+    assert "are in json; only those of ROS 1 and ROS 2 (cdr) are read" in refused(
+        tmp_path / "a.mcap"
+    )
+
+
+def test_what_is_no_ros2_bag_is_refused(log: LineLog, tmp_path: Path) -> None:
+    (tmp_path / "empty.mcap").touch()
+    assert refused(tmp_path / "empty.mcap") == ": the file is empty"
+    (tmp_path / "text.mcap").write_text("frame_id,line\n")
+    assert refused(tmp_path / "text.mcap") == ": not a ROS bag nor an MCAP file"
+    (tmp_path / "text.db3").write_bytes(b"SQLite format 3\0" + b"?" * 200)
+    assert "truncated or damaged" in refused(tmp_path / "text.db3")
+    bag = write_bag2(tmp_path / "bag", log)
+    (bag / "metadata.yaml").rename(bag / "metadata.txt")
+    assert "no metadata.yaml" in refused(bag)
+    (bag / "metadata.yaml").write_text("what: this is\n")
+    assert "truncated or damaged" in refused(bag)
+
+
+# --- positions -----------------------------------------------------------------------------------
+
+
+def test_positions_of_a_ros2_bag_are_read_as_those_of_ros1(tmp_path: Path) -> None:
+    rows = [(START_S + k, 51.1 + k * 1e-4, 14.4) for k in range(3)]
+    bag = write_fixes2(tmp_path / "bag", rows)
+    for path in (bag, files_of(bag)[0]):
+        found = read_positions(path)
+        np.testing.assert_array_equal(found.t_s, [row[0] for row in rows])
+        np.testing.assert_array_equal(found.latitude, [row[1] for row in rows])
+        np.testing.assert_array_equal(found.sigma_m, [2.0, 2.0, 2.0])
+    with pytest.raises(InputError, match=r"no topic /x; the bag has /gps/fix \(sensor_msgs/msg/"):
+        read_positions(bag, topic="/x")
+    said = refused(bag, topic="/gps/fix")
+    assert "sensor_msgs/msg/NavSatFix, which is not a message of lines" in said
+    (tmp_path / "folder").mkdir()
+    with pytest.raises(InputError, match=r"no metadata\.yaml"):
+        read_positions(tmp_path / "folder")
+
+
+def test_a_bag_of_lines_has_no_positions(mcap: Path) -> None:
+    with pytest.raises(InputError, match="0 topics of type NavSatFix"):
+        read_positions(mcap)
