@@ -296,7 +296,7 @@ def with_video_rate(experiment: Experiment) -> Experiment:
     recording = experiment.recording
     if recording.detector is None or "frame_rate" in recording.model_fields_set:
         return experiment
-    rate = _pictures_of(experiment, "path").frame_rate
+    rate = pictures_of(experiment, "path").frame_rate
     if rate is None:
         return experiment
     content = experiment.model_dump()
@@ -406,14 +406,16 @@ def _check_detector(experiment: Experiment) -> tuple[Detector, Camera, Source, S
         )
     camera = read_camera(_find(recording.camera, experiment, "recording.camera"))
     check_pair(detector, camera, recording.right is not None, f"{source}: recording.right")
-    left = _pictures_of(experiment, "path")
-    right = _pictures_of(experiment, "right") if recording.right is not None else None
+    left = pictures_of(experiment, "path")
+    right = pictures_of(experiment, "right") if recording.right is not None else None
     # Only to refuse early a camera that does not see the road.
     start(detector, camera)
     return detector, camera, left, right
 
 
-def _pictures_of(experiment: Experiment, key: str) -> Source:
+def pictures_of(experiment: Experiment, key: str) -> Source:
+    """The pictures at recording.path, or those of the second camera (key: "right"). Raises
+    InputError, naming the key, where there are none."""
     from egolane_pgm.camera.pictures import is_pattern, open_source
 
     path = getattr(experiment.recording, key)

@@ -94,7 +94,7 @@ def camera_of_pictures(camera: Camera, source: Source) -> Camera:
     Raises InputError, naming the source, for pictures of another aspect ratio.
     """
     try:
-        _, _, first = next(_images(source, None))
+        _, _, first = next(images_of(source, None))
     except InputError:
         return camera  # `read_pictures` says what is wrong, in its order
     if size_of(first) == (camera.width, camera.height):
@@ -140,13 +140,13 @@ def read_pictures(
             UserWarning,
             stacklevel=2,
         )
-    left_images = _images(source, frames)
+    left_images = images_of(source, frames)
     if right is None:
         for frame_id, file, image in left_images:
             _check_size(file, frame_id, image, camera)
             yield Picture(frame_id, image)
         return
-    right_images = _images(right, _same_frames(source, right, frames))
+    right_images = images_of(right, _same_frames(source, right, frames))
     for frame_id, file, image in left_images:
         other = next(right_images, None)
         if other is None:
@@ -205,8 +205,12 @@ def _size(image: Image) -> str:
     return "x".join(map(str, size_of(image)))
 
 
-def _images(source: Source, frames: tuple[int, int] | None) -> Iterator[tuple[int, str, Image]]:
-    """The frame id, file and image of each picture."""
+def images_of(source: Source, frames: tuple[int, int] | None) -> Iterator[tuple[int, str, Image]]:
+    """The frame id, file and image of each picture of one camera, of any size, one at a time.
+
+    frames: as for `read_pictures`. Raises InputError, naming the file, for a picture that cannot be
+    read, and where there is none.
+    """
     images: Iterator[tuple[int, str, Image]]
     if source.is_video:
         rate = source.frame_rate

@@ -52,6 +52,14 @@ def write_picture(
     write_bytes(file, content.tobytes(), make_folder=make_folder)
 
 
+def as_jpeg(image: Image, height: int, quality: int = 80) -> bytes:
+    """A picture as a JPEG file, not higher than `height` pixels; quality: per cent."""
+    if image.shape[0] > height:
+        size = max(1, round(image.shape[1] * height / image.shape[0])), height
+        image = cv2.resize(image, size, interpolation=cv2.INTER_AREA).astype(image.dtype)
+    return bytes(cv2.imencode(".jpg", image, [cv2.IMWRITE_JPEG_QUALITY, quality])[1].tobytes())
+
+
 @contextlib.contextmanager
 def video_writer(
     target: Path, frame_rate: float, size: tuple[int, int]

@@ -24,6 +24,7 @@ COMMANDS = {
     "convert": ("recordings", "Convert a recording of lines to .bag, .csv or .parquet."),
     "data": ("recordings", "List, download and check the paper's recordings."),
     "detect": ("detect", "Detect and follow lines in pictures of a camera."),
+    "export": ("export", "Write a result for a viewer: Foxglove, PlotJuggler, rerun."),
     "label": ("label", "Label a recording's lanes, and list what a human should look at."),
     "learn": ("learn", "Learn an experiment from its recording."),
     "lines": ("recordings", "Print the lines of one frame as in the paper's Box 1."),

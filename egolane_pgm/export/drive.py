@@ -1,0 +1,231 @@
+"""What viewers show of a result, on one clock: beliefs, answers, lines, truth and pictures."""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Iterator
+from dataclasses import dataclass, fields, replace
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from egolane_pgm.camera.pictures import Source, images_of, open_source
+from egolane_pgm.camera.writing import as_jpeg
+from egolane_pgm.experiment import load_experiment
+from egolane_pgm.loading import load_recording, pictures_of
+from egolane_pgm.results import Result, read_result
+from egolane_pgm.types import (
+    UNASSIGNED,
+    BoolArray,
+    FloatArray,
+    InputError,
+    IntArray,
+    LaneEvents,
+    LineLog,
+)
+
+#: The place of a node's values in a viewer is a curve each; a node with more of them (the cells of
+#: RoadPosition) is left out.
+MOST_VALUES = 16
+
+#: How far ahead the lines of the bird's-eye view reach: a recording has their offsets only, metres.
+AHEAD_M = 40.0
+
+#: Pictures are not higher, pixels.
+PICTURE_HEIGHT = 540
+
+#: The beliefs over lanes as bars, in the bird's-eye view behind the car: where they stand, how far
+#: apart and how high certainty is, metres.
+BARS_M, BAR_GAP_M, BAR_HEIGHT_M = -8.0, 2.0, 6.0
+
+# Okabe and Ito's colours, red green blue, as in the videos.
+CONTINUOUS, DASHED, NOT_VALID = (0, 114, 178), (230, 159, 0), (150, 150, 150)
+ASSIGNED, OTHER, TRUTH = (0, 114, 178), (188, 215, 236), (213, 94, 0)
+
+
+#: Red, green, blue.
+Colour = tuple[int, int, int]
+
+
+@dataclass(frozen=True)
+class Drive:
+    """A result as viewers show it, T frames.
+
+    - log: its lines, of the same frames; None where there are none.
+    - events: the lane changes that the beliefs of the whole drive tell of.
+    - time_ns (T,): when the frames were; strictly increasing.
+    - is_dated: whether the times are since 1970, instead of since some moment of the drive.
+    - pictures: those of its camera; None where there are none.
+    """
+
+    result: Result
+    log: LineLog | None
+    events: LaneEvents
+    time_ns: IntArray
+    is_dated: bool
+    pictures: Source | None
+
+    def __len__(self) -> int:
+        return len(self.time_ns)
+
+    @property
+    def name(self) -> str:
+        """The name of the result."""
+        return str(self.result.run["name"])
+
+    def beliefs(self) -> dict[str, tuple[tuple[str, ...], FloatArray]]:
+        """Per hidden node the names of its values, and the belief in each, (T, k)."""
+        return {
+            node: (names, self.result.marginals[node])
+            for node, names in self.result.values.items()
+            if len(names) <= MOST_VALUES
+        }
+
+    def lane_curves(self) -> dict[str, tuple[NDArray[np.int64], BoolArray]]:
+        """The lanes over time by name, (T,), 0 for Unassigned, and in which frames they are
+        known."""
+        result, always = self.result, np.ones(len(self), dtype=bool)
+        curves = {"model": (result.assigned_lane, always)}
+        if result.detector_lane is not None:
+            curves["detector"] = (result.detector_lane, always)
+        known = result.true_lane != UNASSIGNED
+        if known.any():
+            curves["truth"] = (result.true_lane, known)
+        return curves
+
+    def lines_at(self, t: int) -> list[tuple[float, Colour, bool, bool]]:
+        """The lines of frame t from left to right: offset, colour, whether it is valid, and whether
+        it is continuous."""
+        if self.log is None:
+            return []
+        offset, is_valid = self.log.offset_m[t], self.log.is_valid[t]
+        # Some detectors write an offset of exactly 0, or of kilometres, where there is no line.
+        is_line = np.isfinite(offset) & (np.abs(offset) < 100) & ((offset != 0) | is_valid)
+        found = []
+        for k in np.flatnonzero(is_line)[np.argsort(offset[is_line], kind="stable")]:
+            is_good, is_solid = bool(is_valid[k]), bool(self.log.is_continuous[t, k])
+            seen = CONTINUOUS if is_solid else DASHED
+            found.append((float(offset[k]), seen if is_good else NOT_VALID, is_good, is_solid))
+        return found
+
+    def bars_at(self, t: int) -> list[tuple[float, float, Colour, bool]]:
+        """The bars of the belief over the lanes in frame t, lane 1 on the left: how far right a
+        bar stands, metres, the belief, its colour, whether it is the true lane."""
+        belief, n = self.result.marginals["Lane"][t], self.result.n_lanes
+        answer, truth = int(self.result.assigned_lane[t]), int(self.result.true_lane[t])
+        return [
+            (
+                (k - (n - 1) / 2) * BAR_GAP_M,
+                float(belief[k]),
+                ASSIGNED if k + 1 == answer else OTHER,
+                k + 1 == truth,
+            )
+            for k in range(n)
+        ]
+
+    def event_texts(self) -> list[tuple[int, str]]:
+        """Per lane change that is told: the row of the frame in which it is, and a line of
+        text."""
+        events, ids = self.events, self.result.frame_id
+        told = events.told_frame_id
+        changes = zip(told, events.from_lane, events.to_lane, events.probability, strict=True)
+        return [
+            (int(np.searchsorted(ids, at)), f"lane {a} to {b}, probability {p:.2f}")
+            for at, a, b, p in changes
+            if ids[0] <= at <= ids[-1]
+        ]
+
+    def jpegs(self) -> Iterator[tuple[int, bytes]]:
+        """The row of each frame that has a picture, and its JPEG file, one at a time."""
+        if self.pictures is None:
+            return
+        ids = self.result.frame_id
+        for frame_id, _, image in images_of(self.pictures, (int(ids[0]), int(ids[-1]) + 1)):
+            row = int(np.searchsorted(ids, frame_id))
+            if row < len(ids) and ids[row] == frame_id:
+                yield row, as_jpeg(image, PICTURE_HEIGHT)
+
+
+def open_drive(
+    directory: str | Path,
+    *,
+    pictures: str | None = None,
+    frames: tuple[int, int] | None = None,
+) -> Drive:
+    """Gather what a result directory, and the recording that it names, have to show.
+
+    - pictures: a video, a folder or a glob; by default those that the result's detector looked at.
+    - frames: the first frame id and the one after the last; by default all.
+
+    Lines or pictures that are not there any more are left out with a warning. Raises InputError for
+    what is no result directory, pictures that were asked for and are not there, frames of which the
+    result has none, and times that do not increase.
+    """
+    result = read_result(directory)
+    events = result.events
+    if frames is not None:
+        chosen = (result.frame_id >= frames[0]) & (result.frame_id < frames[1])
+        if not chosen.any():
+            first, last = (int(result.frame_id[k]) for k in (0, -1))
+            raise InputError(
+                f"{result.directory}: has no frame from {frames[0]} to before {frames[1]}; its"
+                f" frames are {first} to {last}"
+            )
+        result = _take(result, chosen)
+    log = _lines(result)
+    source = open_source(pictures) if pictures is not None else _pictures(result)
+    return Drive(result, log, events, *_clock(result), source)
+
+
+def _take(result: Result, chosen: BoolArray) -> Result:
+    """The result of some frames."""
+    parts = {f.name: getattr(result, f.name) for f in fields(result)}
+    rows = {name: part[chosen] for name, part in parts.items() if isinstance(part, np.ndarray)}
+    marginals = {node: belief[chosen] for node, belief in result.marginals.items()}
+    return replace(result, marginals=marginals, **rows)
+
+
+def _clock(result: Result) -> tuple[IntArray, bool]:
+    whole = np.floor(result.time_s)
+    time_ns = whole.astype(np.int64) * 10**9 + np.round((result.time_s - whole) * 1e9).astype(int)
+    bad = (np.diff(time_ns, prepend=-1) <= 0) | (time_ns < 0)
+    if bad.any():
+        k = int(np.argmax(bad))
+        raise InputError(
+            f"{result.directory}: frame {int(result.frame_id[k])} is at {result.time_s[k]:g} s,"
+            " which is before 0 or not after the frame before; a viewer needs times that increase"
+        )
+    # The third of March 1973 is 1e8 seconds after 1970; no drive takes three years.
+    return time_ns, bool(len(time_ns)) and float(result.time_s[0]) > 1e8
+
+
+def _lines(result: Result) -> LineLog | None:
+    """The lines of a result's frames, as its recording has them."""
+    try:
+        log = load_recording(load_experiment(result.directory / "experiment.yaml"), clips=True).log
+    except InputError as error:
+        warnings.warn(f"shown without lines: {error}", UserWarning, stacklevel=3)
+        return None
+    row = np.searchsorted(log.frame_id, result.frame_id)
+    row = np.minimum(row, len(log) - 1)
+    if not len(log) or not np.array_equal(log.frame_id[row], result.frame_id):
+        warnings.warn(
+            f"shown without lines: {log.source} has other frames than {result.directory};"
+            " run the experiment again",
+            UserWarning,
+            stacklevel=3,
+        )
+        return None
+    return log.take(row)
+
+
+def _pictures(result: Result) -> Source | None:
+    """The pictures that the result's detector looked at."""
+    if (result.experiment.get("recording") or {}).get("detector") is None:
+        return None
+    try:
+        return pictures_of(load_experiment(result.directory / "experiment.yaml"), "path")
+    except InputError as error:
+        warnings.warn(f"shown without pictures: {error}", UserWarning, stacklevel=3)
+        return None
