@@ -187,8 +187,10 @@ def _take(result: Result, chosen: BoolArray) -> Result:
 
 
 def _clock(result: Result) -> tuple[IntArray, bool]:
+    # Seconds since 1970 in a float are good to a microsecond.
     whole = np.floor(result.time_s)
-    time_ns = whole.astype(np.int64) * 10**9 + np.round((result.time_s - whole) * 1e9).astype(int)
+    part = np.round((result.time_s - whole) * 1e6).astype(np.int64) * 1000
+    time_ns = whole.astype(np.int64) * 10**9 + part
     bad = (np.diff(time_ns, prepend=-1) <= 0) | (time_ns < 0)
     if bad.any():
         k = int(np.argmax(bad))

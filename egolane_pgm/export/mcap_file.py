@@ -234,9 +234,8 @@ def _time(now: int) -> Content:
 
 def _log(now: int, text: str) -> Content:
     # Level 2 is what is worth knowing.
-    return {
-        "timestamp": _time(now), "level": 2, "message": text, "name": "egolane", "file": "", "line": 0,
-    }  # fmt: skip
+    said = {"timestamp": _time(now), "level": 2, "message": text, "name": "egolane"}
+    return {**said, "file": "", "line": 0}
 
 
 def _picture(now: int, jpeg: bytes) -> Content:

@@ -1,0 +1,282 @@
+"""Results as files of viewers, read again by each format's own reader."""
+
+from __future__ import annotations
+
+import base64
+import json
+import subprocess
+import sys
+from pathlib import Path
+from typing import Any
+from xml.etree import ElementTree
+
+import cv2
+import jsonschema
+import numpy as np
+import pytest
+from click.testing import CliRunner, Result
+from mcap.reader import SeekingReader
+
+import egolane_pgm as ego
+from egolane_pgm.cli.main import egolane
+from egolane_pgm.export.drive import Drive, open_drive
+from egolane_pgm.export.layouts import foxglove_layout, plotjuggler_layout
+from egolane_pgm.export.mcap_file import schema_of, write_mcap
+from egolane_pgm.recordings import write_lines
+from egolane_pgm.simulation import simulate
+from egolane_pgm.types import InputError
+
+#: When the drive began, seconds since 1970.
+START_S = 1_515_801_391
+
+
+@pytest.fixture(scope="module")
+def result(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The result of a drive with true time stamps, in a folder beside its recording and its
+    pictures."""
+    folder = tmp_path_factory.mktemp("export")
+    drive = simulate("quickstart", frames=80)
+    log = drive.log
+    object.__setattr__(log, "time_s", START_S + log.frame_id / 10)
+    write_lines(folder / "lines.mcap", log)
+    rows = zip(drive.truth.frame_id, drive.truth.lane, drive.truth.is_crossing, strict=True)
+    text = "".join(f"{f};{lane};{int(c)}\n" for f, lane, c in rows if f != 7)
+    (folder / "truth.txt").write_text(text)
+    (folder / "x.yaml").write_text(
+        "name: drive\nrecording: {path: lines.mcap}\nground_truth: {path: truth.txt}\n"
+        "n_lanes: 4\ntuned_on: not_tuned\n"
+    )
+    (folder / "pictures").mkdir()
+    for k in (10, 11, 40):
+        image = np.full((60, 80, 3), k, dtype=np.uint8)
+        cv2.imwrite(str(folder / "pictures" / f"{k:04d}.png"), image)
+    ego.run(folder / "x.yaml").save(folder / "result", figures=False)
+    return folder / "result"
+
+
+@pytest.fixture(scope="module")
+def drive(result: Path) -> Drive:
+    return open_drive(result, pictures=str(result.parent / "pictures"))
+
+
+#: Per topic the times and contents of its messages.
+Messages = dict[str, list[tuple[int, dict[str, Any]]]]
+
+
+def messages(mcap: Path) -> Messages:
+    """The messages of a file, of which every eighth is held against its schema."""
+    found: Messages = {}
+    checks: dict[str, Any] = {}
+    with mcap.open("rb") as file:
+        for schema, channel, message in SeekingReader(file, validate_crcs=True).iter_messages():
+            assert schema is not None
+            assert (schema.encoding, channel.message_encoding) == ("jsonschema", "json")
+            if channel.topic not in checks:
+                described = json.loads(schema.data)
+                jsonschema.Draft202012Validator.check_schema(described)
+                checks[channel.topic] = jsonschema.Draft202012Validator(described)
+                assert described["title"] == schema.name
+            content = json.loads(message.data)
+            known = found.setdefault(channel.topic, [])
+            if len(known) % 8 == 0:
+                checks[channel.topic].validate(content)
+            known.append((message.log_time, content))
+    return found
+
+
+@pytest.fixture(scope="module")
+def written(drive: Drive, tmp_path_factory: pytest.TempPathFactory) -> Messages:
+    """The messages of the drive, each as many as `write_mcap` says."""
+    file = tmp_path_factory.mktemp("written") / "out.mcap"
+    counts = write_mcap(file, drive)
+    found = messages(file)
+    assert {topic: len(each) for topic, each in found.items()} == counts
+    return found
+
+
+def test_an_mcap_file_has_every_frame_on_the_clock_of_the_recording(
+    drive: Drive, written: Messages
+) -> None:
+    found = written
+    times = [START_S * 10**9 + int(k) * 10**8 for k in drive.result.frame_id]
+    for topic in ("/belief", "/lanes", "/frame", "/lines", "/birdseye", "/detector"):
+        assert [now for now, _ in found[topic]] == times, topic
+    result = drive.result
+    for t, (_, belief) in enumerate(found["/belief"]):
+        lanes = [belief[f"Lane_{k + 1}"] for k in range(4)]
+        np.testing.assert_array_equal(lanes, result.marginals["Lane"][t])
+    assert [m["model"] for _, m in found["/lanes"]] == result.assigned_lane.tolist()
+    assert [m["truth"] for _, m in found["/lanes"]] == result.true_lane.tolist()
+    assert [m["truth"] for _, m in found["/lanes"]][7] == 0
+    assert len(found["/changes"]) == len(result.events)
+
+
+def test_the_lines_and_the_view_from_above_are_those_of_the_recording(
+    drive: Drive, written: Messages
+) -> None:
+    found = written
+    assert drive.log is not None
+    for t, ((_, lines), (_, scene)) in enumerate(
+        zip(found["/lines"], found["/birdseye"], strict=True)
+    ):
+        offset = drive.log.offset_m[t]
+        there = ~np.isnan(offset)
+        assert [line["offset_m"] for line in lines["lines"]] == offset[there].tolist()
+        (entity,) = scene["entities"]
+        left = [line["points"][0]["y"] for line in entity["lines"]]
+        assert sorted(left, reverse=True) == left
+        assert [-y for y in left] == sorted(offset[there & (offset != 0)].tolist())
+        high = [cube["size"]["z"] for cube in entity["cubes"] if cube["size"]["x"] == 0.8]
+        np.testing.assert_allclose(
+            high, np.maximum(6 * drive.result.marginals["Lane"][t], 0.02), atol=1e-9
+        )
+        marked = [text["text"] for text in entity["texts"] if "true" in text["text"]]
+        truth = int(drive.result.true_lane[t])
+        assert [text.startswith(f"lane {truth}:") for text in marked] == [True] * (truth > 0)
+
+
+def test_pictures_stand_at_the_time_of_their_frame(written: Messages) -> None:
+    shown = written["/picture"]
+    assert [(now - START_S * 10**9) // 10**8 for now, _ in shown] == [10, 11, 40]
+    for (_, picture), grey in zip(shown, (10, 11, 40), strict=True):
+        jpeg = np.frombuffer(base64.b64decode(picture["data"]), dtype=np.uint8)
+        image = cv2.imdecode(jpeg, cv2.IMREAD_COLOR)
+        assert image is not None
+        assert image.shape == (60, 80, 3)
+        assert abs(float(image.mean()) - grey) < 2
+
+
+def test_a_schema_is_made_from_an_example() -> None:
+    schema = schema_of({"a": [{"b": None}], "c": b"", "d": True, "e": 1.0})
+    jsonschema.validate({"a": [{"b": None}, {"b": 2}], "c": "", "d": False, "e": 1}, schema)
+    for wrong in ({"a": [{"b": "x"}], "c": "", "d": True, "e": 1}, {"a": [], "c": "", "d": True}):
+        with pytest.raises(jsonschema.ValidationError):
+            jsonschema.validate(wrong, schema)
+
+
+def test_layouts_name_topics_and_keys_that_the_file_has(drive: Drive, written: Messages) -> None:
+    found = written
+    layout = json.loads(foxglove_layout(drive))
+    curves = [
+        path["value"] for panel in layout["configById"].values() for path in panel.get("paths", ())
+    ]
+    root = ElementTree.fromstring(plotjuggler_layout(drive).split("\n", 1)[1])
+    names = [curve.attrib["name"] for curve in root.iter("curve")]
+    assert [curve.replace(".", "/") for curve in curves] == names
+    for name in names:
+        _, topic, key = name.split("/")
+        assert key in found[f"/{topic}"][0][1]
+    placed: list[str] = []
+
+    def walk(part: Any) -> None:
+        if isinstance(part, str):
+            placed.append(part)
+        else:
+            walk(part["first"])
+            walk(part["second"])
+
+    walk(layout["layout"])
+    assert sorted(placed) == sorted(layout["configById"])
+    assert layout["configById"]["Image!picture"]["imageMode"]["imageTopic"] in found
+
+
+def test_some_frames_alone_are_shown_as_in_the_whole_drive(result: Path, drive: Drive) -> None:
+    some = open_drive(result, frames=(20, 30))
+    assert some.result.frame_id.tolist() == list(range(20, 30))
+    assert drive.log is not None
+    assert some.log is not None
+    np.testing.assert_array_equal(some.log.frame_id, some.result.frame_id)
+    assert some.lines_at(3) == drive.lines_at(23)
+    assert some.bars_at(3) == drive.bars_at(23)
+    whole = [(row - 20, text) for row, text in drive.event_texts() if 20 <= row < 30]
+    assert some.event_texts() == whole
+    with pytest.raises(InputError, match="no frame from 500 to before 600; its frames are 0 to 79"):
+        open_drive(result, frames=(500, 600))
+
+
+# --- rerun ---------------------------------------------------------------------------------------
+
+
+def test_a_rerun_file_is_whole_and_has_what_was_believed(drive: Drive, tmp_path: Path) -> None:
+    pytest.importorskip("rerun", reason="rerun, the extra [rerun]")
+    from egolane_pgm.export.rerun_file import write_rrd
+
+    file = tmp_path / "out.rrd"
+    counts = write_rrd(file, drive)
+    assert counts["picture"] == 3
+    assert counts["lanes/truth"] == 79
+    program = Path(sys.executable).with_name("rerun")
+    told = subprocess.run(
+        [program, "rrd", "verify", file], capture_output=True, text=True, timeout=120
+    )
+    assert told.returncode == 0, told.stderr
+    told = subprocess.run(
+        [program, "rrd", "print", "-vv", file], capture_output=True, text=True, timeout=120
+    )
+    for entity in counts:
+        assert f"/{entity}" in told.stdout, entity
+
+
+def test_without_rerun_the_extra_is_named(
+    drive: Drive, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    from egolane_pgm.export import rerun_file
+
+    monkeypatch.setattr(rerun_file, "rr", None)
+    with pytest.raises(InputError, match=r"out\.rrd: needs rerun: pip install 'egolane-pgm\[rer"):
+        rerun_file.write_rrd(tmp_path / "out.rrd", drive)
+    assert not list(tmp_path.iterdir())
+
+
+# --- the command ---------------------------------------------------------------------------------
+
+
+def export(*words: object) -> Result:
+    return CliRunner().invoke(egolane, ["export", *map(str, words)])
+
+
+def refused(*words: object) -> str:
+    done = export(*words)
+    assert done.exit_code == 2, done.output
+    (line,) = done.stderr.strip().splitlines()
+    return line
+
+
+def test_the_command_writes_file_and_layouts(result: Path, tmp_path: Path) -> None:
+    layouts = tmp_path / "a.json", tmp_path / "a.xml"
+    done = export(
+        result, tmp_path / "out.mcap", "--layout", layouts[0], "--layout", layouts[1],
+        "--frames", 10, 20,
+    )  # fmt: skip
+    assert done.exit_code == 0, done.output
+    assert "10 frames (/belief 10, /birdseye 10" in done.output
+    assert all(file.stat().st_size > 500 for file in layouts)
+    assert not done.stderr
+
+
+def test_a_result_whose_lines_are_gone_is_shown_without_them(result: Path, tmp_path: Path) -> None:
+    import shutil
+
+    copy = shutil.copytree(result, tmp_path / "result")
+    content = (copy / "experiment.yaml").read_text()
+    (copy / "experiment.yaml").write_text(content.replace("lines.mcap", "gone.mcap"))
+    done = export(copy, tmp_path / "out.mcap")
+    assert done.exit_code == 0, done.output
+    (warning,) = done.stderr.strip().splitlines()
+    assert warning.startswith("warning: shown without lines: ")
+    found = messages(tmp_path / "out.mcap")
+    assert "/lines" not in found
+    assert found["/birdseye"][0][1]["entities"][0]["lines"] == []
+
+
+def test_what_cannot_be_exported_is_said_in_a_line(result: Path, tmp_path: Path) -> None:
+    assert "unknown extension; take .mcap" in refused(result, tmp_path / "out.bag")
+    assert "is not a result directory" in refused(tmp_path, tmp_path / "out.mcap")
+    out = tmp_path / "out.mcap"
+    assert "take .json (Foxglove), .xml (PlotJuggler)" in refused(result, out, "--layout", "a.yaml")
+    assert "is an empty range" in refused(result, out, "--frames", 5, 5)
+    assert "no such video" in refused(result, out, "--pictures", tmp_path / "gone")
+    if sys.modules.get("rerun"):
+        said = refused(result, tmp_path / "out.rrd", "--layout", "a.json")
+        assert "an .rrd has its layout in it" in said
+    assert not list(tmp_path.iterdir())
