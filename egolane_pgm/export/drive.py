@@ -6,6 +6,7 @@ import warnings
 from collections.abc import Iterator
 from dataclasses import dataclass, fields, replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,8 +14,8 @@ from numpy.typing import NDArray
 from egolane_pgm.camera.pictures import Source, images_of, open_source
 from egolane_pgm.camera.writing import as_jpeg
 from egolane_pgm.experiment import load_experiment
-from egolane_pgm.loading import load_recording, pictures_of
-from egolane_pgm.results import Result, read_result
+from egolane_pgm.loading import pictures_of
+from egolane_pgm.results import LINES, Result, read_result
 from egolane_pgm.types import (
     UNASSIGNED,
     BoolArray,
@@ -22,7 +23,6 @@ from egolane_pgm.types import (
     InputError,
     IntArray,
     LaneEvents,
-    LineLog,
 )
 
 #: The place of a node's values in a viewer is a curve each; a node with more of them (the cells of
@@ -52,7 +52,6 @@ Colour = tuple[int, int, int]
 class Drive:
     """A result as viewers show it, T frames.
 
-    - log: its lines, of the same frames; None where there are none.
     - events: the lane changes that the beliefs of the whole drive tell of.
     - time_ns (T,): when the frames were; strictly increasing.
     - is_dated: whether the times are since 1970, instead of since some moment of the drive.
@@ -60,7 +59,6 @@ class Drive:
     """
 
     result: Result
-    log: LineLog | None
     events: LaneEvents
     time_ns: IntArray
     is_dated: bool
@@ -97,14 +95,14 @@ class Drive:
     def lines_at(self, t: int) -> list[tuple[float, Colour, bool, bool]]:
         """The lines of frame t from left to right: offset, colour, whether it is valid, and whether
         it is continuous."""
-        if self.log is None:
+        if self.result.lines is None:
             return []
-        offset, is_valid = self.log.offset_m[t], self.log.is_valid[t]
+        offset, is_valid = self.result.lines.offset_m[t], self.result.lines.is_valid[t]
         # Some detectors write an offset of exactly 0, or of kilometres, where there is no line.
         is_line = np.isfinite(offset) & (np.abs(offset) < 100) & ((offset != 0) | is_valid)
         found = []
         for k in np.flatnonzero(is_line)[np.argsort(offset[is_line], kind="stable")]:
-            is_good, is_solid = bool(is_valid[k]), bool(self.log.is_continuous[t, k])
+            is_good, is_solid = bool(is_valid[k]), bool(self.result.lines.is_continuous[t, k])
             seen = CONTINUOUS if is_solid else DASHED
             found.append((float(offset[k]), seen if is_good else NOT_VALID, is_good, is_solid))
         return found
@@ -173,17 +171,26 @@ def open_drive(
                 f" frames are {first} to {last}"
             )
         result = _take(result, chosen)
-    log = _lines(result)
+    if result.lines is None:
+        warnings.warn(
+            f"{result.directory}: has no lines ({LINES}), shown without them; run the experiment"
+            " again to have them",
+            UserWarning,
+            stacklevel=2,
+        )
     source = open_source(pictures) if pictures is not None else _pictures(result)
-    return Drive(result, log, events, *_clock(result), source)
+    return Drive(result, events, *_clock(result), source)
 
 
 def _take(result: Result, chosen: BoolArray) -> Result:
     """The result of some frames."""
     parts = {f.name: getattr(result, f.name) for f in fields(result)}
-    rows = {name: part[chosen] for name, part in parts.items() if isinstance(part, np.ndarray)}
-    marginals = {node: belief[chosen] for node, belief in result.marginals.items()}
-    return replace(result, marginals=marginals, **rows)
+    rows: dict[str, Any] = {
+        name: part[chosen] for name, part in parts.items() if isinstance(part, np.ndarray)
+    }
+    rows["marginals"] = {node: belief[chosen] for node, belief in result.marginals.items()}
+    rows["lines"] = None if result.lines is None else result.lines.take(chosen)
+    return replace(result, **rows)
 
 
 def _clock(result: Result) -> tuple[IntArray, bool]:
@@ -200,26 +207,6 @@ def _clock(result: Result) -> tuple[IntArray, bool]:
         )
     # The third of March 1973 is 1e8 seconds after 1970; no drive takes three years.
     return time_ns, bool(len(time_ns)) and float(result.time_s[0]) > 1e8
-
-
-def _lines(result: Result) -> LineLog | None:
-    """The lines of a result's frames, as its recording has them."""
-    try:
-        log = load_recording(load_experiment(result.directory / "experiment.yaml"), clips=True).log
-    except InputError as error:
-        warnings.warn(f"shown without lines: {error}", UserWarning, stacklevel=3)
-        return None
-    row = np.searchsorted(log.frame_id, result.frame_id)
-    row = np.minimum(row, len(log) - 1)
-    if not len(log) or not np.array_equal(log.frame_id[row], result.frame_id):
-        warnings.warn(
-            f"shown without lines: {log.source} has other frames than {result.directory};"
-            " run the experiment again",
-            UserWarning,
-            stacklevel=3,
-        )
-        return None
-    return log.take(row)
 
 
 def _pictures(result: Result) -> Source | None:

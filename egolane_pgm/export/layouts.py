@@ -107,7 +107,7 @@ def plotjuggler_layout(drive: Drive) -> str:
     """The XML of a layout: a plot below the other."""
     plots = _plots(drive)
     root = xml.Element("root")
-    tabs = xml.SubElement(root, "tabbed_widget", parent="main_window", name="Main Window")
+    tabs = xml.SubElement(root, "tabbed_widget", {"parent": "main_window", "name": "Main Window"})
     tab = xml.SubElement(tabs, "Tab", tab_name="drive", containers="1")
     share = ";".join([f"{1 / len(plots):.4f}"] * len(plots))
     split = xml.SubElement(

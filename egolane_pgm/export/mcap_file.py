@@ -57,7 +57,7 @@ def write_mcap(path: Path, drive: Drive) -> dict[str, int]:
     pictures = drive.jpegs()
     upcoming = next(pictures, None)
     with atomic(path) as temporary, temporary.open("wb") as file:
-        writer = Writer(file)
+        writer: Any = Writer(file)
         writer.start(profile="", library="egolane-pgm")
         writer.add_metadata(
             "egolane", {"name": drive.name, "directory": str(drive.result.directory)}
@@ -129,8 +129,8 @@ def _messages(drive: Drive, t: int, now: int) -> Iterator[tuple[str, Content]]:
     if result.crossing is not None:
         frame["crossing"] = float(result.crossing[t])
     yield "/frame", frame
-    if drive.log is not None:
-        yield "/lines", {"lines": _recorded(drive.log, t)}
+    if drive.result.lines is not None:
+        yield "/lines", {"lines": _recorded(drive.result.lines, t)}
     yield "/birdseye", _scene(drive, t, now)
 
 

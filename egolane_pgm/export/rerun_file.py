@@ -13,6 +13,7 @@ Two timelines: `time` (since 1970, or since the drive's beginning of time) and `
 
 from __future__ import annotations
 
+import contextlib
 from collections.abc import Iterator, Sequence
 from itertools import islice
 from pathlib import Path
@@ -24,11 +25,11 @@ from egolane_pgm.export.drive import AHEAD_M, BAR_GAP_M, BAR_HEIGHT_M, TRUTH, Dr
 from egolane_pgm.files import atomic
 from egolane_pgm.types import FloatArray, InputError, IntArray
 
-try:
+rr: Any = None
+rrb: Any = None
+with contextlib.suppress(ImportError):
     import rerun as rr
     import rerun.blueprint as rrb
-except ImportError:
-    rr = None
 
 #: Pictures in memory at a time.
 _BATCH = 50
@@ -84,10 +85,10 @@ def _entities(drive: Drive) -> Iterator[tuple[str, IntArray, Any]]:
     for name, (lane, is_known) in drive.lane_curves().items():
         yield f"lanes/{name}", every[is_known], _curves(lane[is_known, None].astype(float))
     yield "bars", every, _bars(drive)
-    if drive.log is not None:
+    if drive.result.lines is not None:
         yield "birdseye/lines", every, _lines(drive)
-        if drive.log.offset_m.shape[1]:
-            offset = np.where(drive.log.is_valid, drive.log.offset_m, np.nan)
+        if drive.result.lines.offset_m.shape[1]:
+            offset = np.where(drive.result.lines.is_valid, drive.result.lines.offset_m, np.nan)
             yield "offsets", every, _curves(offset)
     texts = drive.event_texts()
     if texts:
@@ -146,12 +147,12 @@ def _lines(drive: Drive) -> Any:
 
 def _lasting(drive: Drive) -> Iterator[tuple[str, Any]]:
     """What does not change: the names and colours of curves, and the car."""
-    for node, (names, _) in drive.beliefs().items():
-        called = [f"lane {name}" if node == "Lane" else name for name in names]
-        yield f"belief/{node}", rr.SeriesLines(names=called, colors=_colours(len(names)))
+    for node, (values, _) in drive.beliefs().items():
+        names = [f"lane {value}" if node == "Lane" else value for value in values]
+        yield f"belief/{node}", rr.SeriesLines(names=names, colors=_colours(len(names)))
     for name in drive.lane_curves():
         yield f"lanes/{name}", rr.SeriesLines(names=[name], colors=[_LANE_COLOURS[name]])
-    n_lines = 0 if drive.log is None else drive.log.offset_m.shape[1]
+    n_lines = 0 if drive.result.lines is None else drive.result.lines.offset_m.shape[1]
     if n_lines:
         names = [f"line {k + 1}" for k in range(n_lines)]
         yield "offsets", rr.SeriesPoints(names=names, colors=_colours(n_lines), marker_sizes=[1.5])
@@ -171,18 +172,18 @@ def _blueprint(drive: Drive) -> Any:
     half = drive.result.n_lanes / 2 * BAR_GAP_M
     around = rrb.VisualBounds2D(x_range=(-half, half), y_range=(-BAR_HEIGHT_M - 0.5, 2.0))
     seen = [rrb.Spatial2DView(origin="bars", name="belief over the lanes", visual_bounds=around)]
-    if drive.log is not None:
+    if drive.result.lines is not None:
         around = rrb.VisualBounds2D(x_range=(-16.0, 16.0), y_range=(-AHEAD_M, 6.0))
         view = rrb.Spatial2DView(origin="birdseye", name="from above", visual_bounds=around)
         seen.insert(0, view)
     if drive.pictures is not None:
         seen.insert(0, rrb.Spatial2DView(origin="picture", name="picture"))
-    believed = [
+    believed: list[Any] = [
         rrb.TimeSeriesView(origin=f"belief/{node}", name=f"belief: {node}")
         for node in drive.beliefs()
     ]
     believed.append(rrb.TimeSeriesView(origin="lanes", name="lanes; 0: none"))
-    if drive.log is not None:
+    if drive.result.lines is not None:
         believed.append(
             rrb.TimeSeriesView(origin="offsets", name="valid lines, metres to the right")
         )

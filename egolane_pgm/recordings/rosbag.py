@@ -565,7 +565,7 @@ def _is_plain(types: Mapping[str, Any], msgtype: str) -> bool:
 
 def _gather(data: NDArray[np.uint8], at: IntArray, dtype: Any) -> NDArray[Any]:
     """The value of `dtype` at each byte position `at`, which need not be aligned."""
-    kind = np.dtype(dtype)
+    kind: np.dtype[Any] = np.dtype(dtype)
     picked = data[at[:, None] + np.arange(kind.itemsize)]
     return np.ascontiguousarray(picked).view(kind)[:, 0]
 
@@ -635,7 +635,9 @@ def stamps_ns(read: list[Any], messages: list[Message]) -> IntArray:
     """(T,): the times in the headers, or, where none or all are zero, of recording; ns since
     1970."""
     found = [getattr(getattr(content, "header", None), "stamp", None) for content in read]
-    stamp = np.array([s.sec * 10**9 + s.nanosec if s else 0 for s in found], dtype=np.int64)
+    stamp: IntArray = np.array(
+        [s.sec * 10**9 + s.nanosec if s else 0 for s in found], dtype=np.int64
+    )
     return stamp if stamp.any() else np.array([m.logged_ns for m in messages], dtype=np.int64)
 
 

@@ -115,11 +115,11 @@ def test_the_lines_and_the_view_from_above_are_those_of_the_recording(
     drive: Drive, written: Messages
 ) -> None:
     found = written
-    assert drive.log is not None
+    assert drive.result.lines is not None
     for t, ((_, lines), (_, scene)) in enumerate(
         zip(found["/lines"], found["/birdseye"], strict=True)
     ):
-        offset = drive.log.offset_m[t]
+        offset = drive.result.lines.offset_m[t]
         there = ~np.isnan(offset)
         assert [line["offset_m"] for line in lines["lines"]] == offset[there].tolist()
         (entity,) = scene["entities"]
@@ -183,9 +183,9 @@ def test_layouts_name_topics_and_keys_that_the_file_has(drive: Drive, written: M
 def test_some_frames_alone_are_shown_as_in_the_whole_drive(result: Path, drive: Drive) -> None:
     some = open_drive(result, frames=(20, 30))
     assert some.result.frame_id.tolist() == list(range(20, 30))
-    assert drive.log is not None
-    assert some.log is not None
-    np.testing.assert_array_equal(some.log.frame_id, some.result.frame_id)
+    assert drive.result.lines is not None
+    assert some.result.lines is not None
+    np.testing.assert_array_equal(some.result.lines.frame_id, some.result.frame_id)
     assert some.lines_at(3) == drive.lines_at(23)
     assert some.bars_at(3) == drive.bars_at(23)
     whole = [(row - 20, text) for row, text in drive.event_texts() if 20 <= row < 30]
@@ -254,16 +254,15 @@ def test_the_command_writes_file_and_layouts(result: Path, tmp_path: Path) -> No
     assert not done.stderr
 
 
-def test_a_result_whose_lines_are_gone_is_shown_without_them(result: Path, tmp_path: Path) -> None:
+def test_a_result_without_lines_is_shown_without_them(result: Path, tmp_path: Path) -> None:
     import shutil
 
     copy = shutil.copytree(result, tmp_path / "result")
-    content = (copy / "experiment.yaml").read_text()
-    (copy / "experiment.yaml").write_text(content.replace("lines.mcap", "gone.mcap"))
+    (copy / "lines.parquet").unlink()
     done = export(copy, tmp_path / "out.mcap")
     assert done.exit_code == 0, done.output
     (warning,) = done.stderr.strip().splitlines()
-    assert warning.startswith("warning: shown without lines: ")
+    assert "has no lines (lines.parquet), shown without them; run the experiment again" in warning
     found = messages(tmp_path / "out.mcap")
     assert "/lines" not in found
     assert found["/birdseye"][0][1]["entities"][0]["lines"] == []
