@@ -451,8 +451,8 @@ def with_recording(
     - What belongs to the old recording (frame range, seed, ground truth and its extra rows) does
       not carry over.
     - `format`, `topic`, `frame_id`, `options`, `columns` and `camera` carry over where the
-      extension of the file is the same; `options` and `columns` from a simulated drive as well,
-      which has no use for them.
+      extension of the file is the same; all but the camera from a simulated drive too, which has no
+      use for them.
     - `detector`, its parameters and its camera carry over to a video and to pictures (a folder, a
       glob, one file), and to nothing else.
 
@@ -478,8 +478,8 @@ def with_recording(
         if old.detector is not None and _is_of_pictures(recording, old.path, detector):
             kept |= {"camera", "detector", "detector_parameters"}
         elif old.path is None:
-            # A simulated drive has no reader: options are meant for the recording that is named.
-            kept |= {"options", "columns"}
+            # A simulated drive has no reader: these are meant for the recording that is named.
+            kept |= {"format", "topic", "frame_id", "options", "columns"}
         elif old.detector is None and Path(recording).suffix == Path(old.path).suffix:
             kept |= {"format", "topic", "frame_id", "options", "columns", "camera"}
         content["recording"] = {k: v for k, v in content["recording"].items() if k in kept}

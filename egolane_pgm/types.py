@@ -36,6 +36,9 @@ TIE_TOLERANCE = 1e-9
 #: is a typing error, and the tables would fill the memory.
 MAX_LANES = 50
 
+#: Times from here on, seconds, are since 1970: it is in March 1973, and no drive takes three years.
+DATED_S = 1e8
+
 #: The assigned lane of a frame without a unique most probable lane.
 UNASSIGNED = 0
 

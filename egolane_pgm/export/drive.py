@@ -17,6 +17,7 @@ from egolane_pgm.experiment import load_experiment
 from egolane_pgm.loading import pictures_of
 from egolane_pgm.results import LINES, Result, read_result
 from egolane_pgm.types import (
+    DATED_S,
     UNASSIGNED,
     BoolArray,
     FloatArray,
@@ -205,8 +206,7 @@ def _clock(result: Result) -> tuple[IntArray, bool]:
             f"{result.directory}: frame {int(result.frame_id[k])} is at {result.time_s[k]:g} s,"
             " which is before 0 or not after the frame before; a viewer needs times that increase"
         )
-    # The third of March 1973 is 1e8 seconds after 1970; no drive takes three years.
-    return time_ns, bool(len(time_ns)) and float(result.time_s[0]) > 1e8
+    return time_ns, bool(len(time_ns)) and float(result.time_s[0]) >= DATED_S
 
 
 def _pictures(result: Result) -> Source | None:

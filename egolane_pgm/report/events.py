@@ -8,7 +8,7 @@ from typing import Any
 from egolane_pgm.inference.events import BELIEVED, SURE
 from egolane_pgm.report.comparison_tables import trusted_or_all
 from egolane_pgm.report.tables import score_text
-from egolane_pgm.types import LaneEvents
+from egolane_pgm.types import DATED_S, LaneEvents
 
 #: How many lane changes a table lists.
 LISTED = 10
@@ -76,8 +76,9 @@ def sure_words(summary: Mapping[str, Any]) -> str:
 
 
 def clock(seconds: float, digits: int = 0) -> str:
-    """A time as 1:02 or 1:00:02, with so many decimals."""
-    minutes, rest = divmod(round(seconds, digits), 60)
+    """A time as 1:02 or 1:00:02, with so many decimals; of one since 1970 the time of day, UTC."""
+    seconds = round(seconds, digits)
+    minutes, rest = divmod(seconds % 86400 if seconds >= DATED_S else seconds, 60)
     width = 3 + digits if digits else 2
     hours, minutes = divmod(int(minutes), 60)
     text = f"{minutes:02d}" if hours else str(minutes)

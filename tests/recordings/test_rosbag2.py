@@ -15,10 +15,13 @@ import pytest
 from mcap.reader import SeekingReader
 from mcap.writer import IndexType, Writer
 
+from egolane_pgm.experiment import experiments_folder, load_experiment
+from egolane_pgm.loading import with_recording
 from egolane_pgm.maps.positions import read_positions
 from egolane_pgm.recordings import files_of, format_of, read_lines, write_lines
 from egolane_pgm.recordings.rosbag import TOPIC, read_rosbag
 from egolane_pgm.recordings.select import fill_missing
+from egolane_pgm.report.events import clock
 from egolane_pgm.simulation import simulate
 from egolane_pgm.types import InputError, LineLog
 from tests.kits.bags import write_bag2, write_fixes2
@@ -355,3 +358,18 @@ def test_positions_of_a_ros2_bag_are_read_as_those_of_ros1(tmp_path: Path) -> No
 def test_a_bag_of_lines_has_no_positions(mcap: Path) -> None:
     with pytest.raises(InputError, match="0 topics of type NavSatFix"):
         read_positions(mcap)
+
+
+def test_a_topic_named_beside_a_recording_is_the_recordings(mcap: Path) -> None:
+    place = experiments_folder() / "zero_label.yaml"
+    chosen = load_experiment(place, ["recording.topic=/x", "recording.options={stamps: false}"])
+    recording = with_recording(chosen, str(mcap), None, 4, "count").recording
+    assert recording.topic == "/x"
+    assert recording.options == {"stamps": False}
+    assert recording.frame_id == "count"
+
+
+def test_a_time_since_1970_is_printed_as_the_time_of_day() -> None:
+    assert clock(START_S) == "23:56:31"
+    assert clock(86399.6) == "24:00:00"
+    assert clock(START_S + 208.9) == "0:00"
