@@ -33,6 +33,10 @@ EXAMPLES = {
         "egolane reproduce --runs 1-5",
         "egolane reproduce --format latex > table.tex",
     ),
+    "report": (
+        "egolane report results/quickstart",
+        "egolane report results/quickstart results/hard -o both.html",
+    ),
     "run": (
         "egolane run experiments/quickstart.yaml --set parameters.sigma1=0.3",
         "egolane run experiments/zero_label.yaml --recording drive/lines.csv --n-lanes 4"
