@@ -19,6 +19,7 @@ EXAMPLES = {
         "egolane detect 'left/*.jpg' --right 'right/*.jpg' --camera cam.yaml --detector sl"
         " -o lines.csv",
     ),
+    "export": ("egolane export results/quickstart drive.mcap",),
     "label": ("egolane label drive/lines.csv --n-lanes 4 --out labels",),
     "learn": ("egolane learn drive/experiment.yaml --out learned.yaml",),
     "lines": ("egolane lines drive/lines.csv --frame 7",),
@@ -29,6 +30,7 @@ EXAMPLES = {
     "online": ("egolane online experiments/quickstart.yaml < lines.jsonl",),
     "plot": ("egolane plot results/quickstart --frames 0 400 --style pdf",),
     "recover": ("egolane recover --run 7",),
+    "report": ("egolane report results/quickstart",),
     "reproduce": (
         "egolane reproduce --runs 1-5",
         "egolane reproduce --format latex > table.tex",
