@@ -30,7 +30,6 @@ EXAMPLES = {
     "online": ("egolane online experiments/quickstart.yaml < lines.jsonl",),
     "plot": ("egolane plot results/quickstart --frames 0 400 --style pdf",),
     "recover": ("egolane recover --run 7",),
-    "report": ("egolane report results/quickstart",),
     "reproduce": (
         "egolane reproduce --runs 1-5",
         "egolane reproduce --format latex > table.tex",
