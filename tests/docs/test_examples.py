@@ -1,0 +1,111 @@
+"""Every example of README.md and docs/ runs: Python, command lines, YAML."""
+
+from __future__ import annotations
+
+import json
+import os
+import re
+import shutil
+from pathlib import Path
+from typing import Any
+
+import pytest
+import yaml
+from jsonschema import Draft202012Validator
+
+from egolane_pgm.api.schemas import json_schema
+from tests.kits.doc_examples import (
+    NOT_RUN,
+    PAGES,
+    ROOT,
+    Block,
+    blocks_of,
+    commands_of,
+    is_run,
+    quicker,
+    run_line,
+    write_world,
+    yaml_kind,
+)
+
+#: What a page needs that not everybody has.
+_RECORDINGS = re.compile(r"--runs|reproduce|experiments/paper/|egolane (recover|data)")
+_MAPS = re.compile(r"roads\.osm|drive\.gpx")
+
+
+@pytest.fixture(scope="module")
+def world(boards: Path, tiny_network: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("world")
+    write_world(folder, boards, tiny_network)
+    return folder
+
+
+def of_pages(pages: list[Path]) -> pytest.MarkDecorator:
+    return pytest.mark.parametrize("page", pages, ids=lambda page: str(page.relative_to(ROOT)))
+
+
+def needed(page: Path) -> list[str]:
+    """What the examples of a page need that is not there."""
+    data = Path(os.environ.get("EGOLANE_DATA") or "nowhere")
+    text = "\n".join(block.text for block in blocks_of(page))
+    folders = [("rle", _RECORDINGS), ("maps", _MAPS)]
+    return [
+        name for name, pattern in folders if pattern.search(text) and not (data / name).is_dir()
+    ]
+
+
+@of_pages([page for page in PAGES if any(b.language in ("", "python") for b in blocks_of(page))])
+@pytest.mark.filterwarnings("ignore::UserWarning")
+def test_the_examples_of_a_page_run_in_their_order(
+    page: Path, world: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    lacking = needed(page)
+    if lacking:
+        pytest.skip(f"needs EGOLANE_DATA with {', '.join(lacking)}")
+    monkeypatch.setenv("MPLBACKEND", "Agg")
+    monkeypatch.setenv("BROWSER", "true")
+    folder = tmp_path / "world"
+    shutil.copytree(world, folder, symlinks=True)
+    monkeypatch.chdir(folder)
+    names: dict[str, Any] = {}
+    for block in blocks_of(page):
+        for line in filter(is_run, commands_of(block)):
+            run_line(line)
+        if block.language == "python":
+            code = compile(block.text, f"{page}:{block.line}", "exec")
+            if not is_outline(block):
+                exec(code, names)
+
+
+def is_outline(block: Block) -> bool:
+    """Whether Python leaves parts out, as `...` among the arguments of a call."""
+    return bool(re.search(r"^\s+\.\.\.$", block.text, flags=re.M))
+
+
+@of_pages([page for page in PAGES if any(block.language == "yaml" for block in blocks_of(page))])
+def test_the_yaml_of_a_page_fits_its_schema(page: Path) -> None:
+    for block in blocks_of(page):
+        if block.language == "yaml":
+            content = json.loads(json.dumps(yaml.safe_load(block.text)))
+            validator = Draft202012Validator(json_schema(yaml_kind(content)))
+            problems = [error.message for error in validator.iter_errors(content)]
+            assert not problems, f"{page}:{block.line}"
+
+
+def test_what_is_not_run_is_somewhere_and_has_a_reason() -> None:
+    lines = [line for page in PAGES for block in blocks_of(page) for line in commands_of(block)]
+    assert sum(map(is_run, lines)) > 10
+    assert all(NOT_RUN.values())
+
+
+def test_commands_are_told_from_what_a_page_shows() -> None:
+    def lines(text: str, language: str = "") -> list[str]:
+        return commands_of(Block(language, text, 1))
+
+    assert lines("egolane ls   # all of them\n") == ["egolane ls"]
+    assert lines("egolane run a \\\n  --out b\n") == ["egolane run a --out b"]
+    assert lines("echo '{}' |\n  egolane online x\n") == ["echo '{}' | egolane online x"]
+    assert lines("frame_id,line\n0,1\n") == []
+    assert lines("egolane ls\n", "text") == []
+    assert not is_run("make run")
+    assert quicker("egolane reproduce --runs 1-10") == "egolane reproduce --runs 2"

@@ -1,0 +1,212 @@
+"""The examples of README.md and docs/: what stands in a page's fences, and the files that they
+name."""
+
+from __future__ import annotations
+
+import os
+import re
+import shlex
+import shutil
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+
+from egolane_pgm.camera.model import write_camera
+from egolane_pgm.recordings.rosbag import TOPIC
+from egolane_pgm.simulation import simulate
+from tests.kits.bags import definition, plain_message
+from tests.kits.calibration_kit import TRUE, draw_road
+from tests.kits.drives import command, rewritten, write_drive
+from tests.kits.image_line_files import entry, tusimple
+from tests.kits.synthetic_road import write_video
+
+ROOT = Path(__file__).parents[2]
+PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").rglob("*.md"))]
+
+#: How the lines begin that are shown and not run, and why.
+NOT_RUN = {
+    "make ": "installs, or takes hours; `make test` is what runs this",
+    "pip ": "installs",
+    "python3 -m venv": "installs",
+    "git clone": "needs a network",
+    "osmium ": "another program",
+    "optuna": "another program",
+    "egolane data fetch": "needs a network",
+    "egolane tune X.yaml --storage postgresql": "needs a server",
+}
+
+#: What is run in place of what would take minutes: a pattern, and its replacement.
+QUICKER = (
+    (r"^egolane compare (.*)", r"egolane compare \1 --blocks 2"),
+    (r"(.*paper_tuned.*)--runs 1\b", r"\1--runs 2 --trials 2"),
+    (r"--runs 1-10\b", "--runs 2"),
+    (r"--jobs \d+", "--jobs 1"),
+    (r"--workers \d+", "--workers 1"),
+    (r"--trials 3000\b", "--trials 6"),
+    (r"--trials (300|40|20)\b", "--trials 3"),
+    (r"--seeds \d+", "--seeds 1"),
+    (r"^egolane reproduce(?! --runs)", "egolane reproduce --runs 5"),
+    (r"^egolane recover(?! --runs)", "egolane recover --runs 5 --trials 2"),
+)
+
+#: Options without which a search would take its time, where a command has none of its own.
+_TUNE = " --trials 3"
+
+
+@dataclass(frozen=True)
+class Block:
+    """What stands between two fences.
+
+    - language: after the first fence; "" for none, which may be commands.
+    - line: of the page, where it begins.
+    """
+
+    language: str
+    text: str
+    line: int
+
+
+def blocks_of(page: Path) -> list[Block]:
+    """The fenced blocks of a page, in their order."""
+    text = page.read_text()
+    return [
+        Block(found[1], found[2], text[: found.start()].count("\n") + 2)
+        for found in re.finditer(r"^```(\w*)\n(.*?)^```", text, flags=re.M | re.S)
+    ]
+
+
+def commands_of(block: Block) -> list[str]:
+    """The command lines of a block; none of one that shows something else."""
+    if block.language not in ("", "sh", "bash"):
+        return []
+    whole = re.sub(r"\\\n\s*", "", re.sub(r"\|\n\s*", "| ", block.text))
+    lines = [re.split(r"\s+#", line)[0].strip() for line in whole.splitlines()]
+    known = ("egolane ", "echo ", *NOT_RUN)
+    return [line for line in lines if line.startswith(known)]
+
+
+def is_run(line: str) -> bool:
+    """Whether a command line is run."""
+    return not line.startswith(tuple(NOT_RUN))
+
+
+def quicker(line: str) -> str:
+    """The command line with smaller numbers."""
+    for pattern, replacement in QUICKER:
+        line = re.sub(pattern, replacement, line)
+    if line.startswith("egolane tune") and "--trials" not in line:
+        line += _TUNE
+    return line
+
+
+def run_line(line: str) -> None:
+    """Run a command line of `egolane`, in this process: what an `echo` gives is its input, and what
+    it prints may go into a file. It must end well."""
+    given = None
+    piped = re.fullmatch(r"echo '(.*)' \| (.*)", line)
+    if piped:
+        given, line = piped[1] + "\n", piped[2]
+    line, _, target = line.partition(" > ")
+    words = shlex.split(quicker(line))
+    result = command(*words[1:], given=given)
+    assert result.exit_code == 0, f"{line}\n{result.output}"
+    if target:
+        Path(target.strip()).write_text(result.stdout)
+
+
+def yaml_kind(content: dict[str, Any]) -> str:
+    """Which schema a YAML of the documentation is held against."""
+    if "model" in content and "size" in content:
+        return "network"
+    return "tuning" if "pictures" in content or "experiments" in content else "experiment"
+
+
+def write_world(folder: Path, boards: Path, network: Path) -> None:
+    """The files that the documentation names.
+
+    - boards: pictures of a chessboard. network: lanes.yaml and drivable.yaml with their weights.
+    """
+    (folder / "experiments").symlink_to(ROOT / "experiments")
+    shutil.copytree(ROOT / "examples", folder / "examples")
+    for name in ("my_graph.py", "my_evidence.py", "my_detector.py"):
+        shutil.copy(ROOT / "examples" / name, folder)
+    write_drive(folder, 600)
+    shutil.copy(folder / "lines.csv", folder / "drive.csv")
+    head, rows = (folder / "lines.csv").read_text().split("\n", 1)
+    assert head.startswith("frame_id,line,offset_m,")
+    others = head.replace("frame_id,line,offset_m", "frame,id,lateral")
+    (folder / "other.csv").write_text(f"{others}\n{rows}")
+    for name in "ABCX":
+        kind = "quickstart" if name == "X" else "zero_label"
+        rewritten(ROOT / "experiments" / f"{kind}.yaml", folder / f"{name}.yaml", name=name)
+    _write_bag(folder / "drive.bag")
+    offsets = np.array([-5.55, -1.85, 1.85, 5.55])
+    seen = [draw_road(TRUE, offsets + 0.02 * k, 0.0, k) for k in range(16)]
+    write_video(folder / "drive.avi", seen)
+    (folder / "drive.avi").rename(folder / "drive.mp4")
+    write_camera(folder / "cam.yaml", TRUE)
+    for file in network.iterdir():
+        shutil.copy(file, folder)
+    (folder / "drivable.yaml").rename(folder / "road.yaml")
+    (folder / "boards").mkdir()
+    for file in boards.glob("*.png"):
+        cv2.imwrite(str(folder / "boards" / f"{file.stem}.jpg"), cv2.imread(str(file)))
+    tusimple(folder / "tusimple_labels.json", [entry(k) for k in range(12)])
+    write_positions(folder)
+
+
+def _write_bag(path: Path) -> None:
+    """A bag with the paper's topic and one of another name."""
+    from rosbags.rosbag1 import Writer
+
+    log = simulate("quickstart", seed=3, frames=300, n_lanes=4).log
+    with Writer(path) as bag:
+        for topic in (TOPIC, "/lanes"):
+            connection = bag.add_connection(
+                topic, "pkg/msg/msg_lines", msgdef=definition(), md5sum="0" * 32
+            )
+            for k in range(len(log)):
+                there = np.flatnonzero(log.is_valid[k])
+                lines = [
+                    (True, bool(log.is_continuous[k, j]), 9, float(log.offset_m[k, j]))
+                    for j in there
+                ]
+                raw = plain_message(int(log.frame_id[k]), lines, seq=k)
+                bag.write(connection, k, raw)
+
+
+def write_positions(folder: Path) -> None:
+    """roads.osm.pbf, and a drive over its longest motorway: drive.gpx, positions.csv.
+    Without the real map nothing."""
+    source = Path(os.environ.get("EGOLANE_DATA", "")) / "maps" / "bautzen_A4.osm"
+    if not os.environ.get("EGOLANE_DATA") or not source.is_file():
+        return
+    import osmium
+
+    writer = osmium.SimpleWriter(str(folder / "roads.osm.pbf"))
+    longest: list[tuple[float, float]] = []
+    for each in osmium.FileProcessor(str(source)).with_locations():
+        writer.add(each)
+        if each.is_way() and each.tags.get("highway") == "motorway":
+            nodes = [(n.lat, n.lon) for n in each.nodes if n.location.valid()]
+            longest = max(longest, nodes, key=len)
+    writer.close()
+    points = np.array(longest)
+    step = np.hypot(*(np.diff(points, axis=0) * [111_200, 69_700]).T)
+    along = np.concatenate([[0], np.cumsum(step)])
+    at = np.arange(0, along[-1], 30.0)
+    places = np.stack([np.interp(at, along, points[:, k]) for k in (0, 1)], axis=1)
+    rows = [f"{t},{lat:.7f},{lon:.7f}" for t, (lat, lon) in enumerate(places)]
+    (folder / "positions.csv").write_text("t_s,lat_gps,longitude\n" + "\n".join(rows) + "\n")
+    stamps = "".join(
+        f'<trkpt lat="{lat:.7f}" lon="{lon:.7f}">'
+        f"<time>2024-01-01T00:{t // 60:02d}:{t % 60:02d}Z</time></trkpt>"
+        for t, (lat, lon) in enumerate(places)
+    )
+    (folder / "drive.gpx").write_text(
+        '<gpx version="1.1" xmlns="http://www.topografix.com/GPX/1/1"><trk><trkseg>'
+        f"{stamps}</trkseg></trk></gpx>"
+    )
