@@ -17,7 +17,7 @@ import numpy as np
 from egolane_pgm.evidence.lines_beside import fit_of_counts
 from egolane_pgm.experiment import FROM_MAP, Experiment, Gnss, load_experiment
 from egolane_pgm.graphs.from_pgmpy import node_names
-from egolane_pgm.inference.compile import Compiled, compile, with_tables
+from egolane_pgm.inference.compile import Compiled, compile, compile_tables, with_tables
 from egolane_pgm.inference.filtering import filter_beliefs, read_evidence
 from egolane_pgm.inference.layout import check_keys
 from egolane_pgm.inference.smoothing import infer_beliefs
@@ -133,9 +133,9 @@ def prepare_model(experiment: Experiment) -> Model:
         with part():
             _check_names(rule, graph, source)
     try:
-        network = build_network(graph, experiment.n_lanes, parameters, f"{source}: graph")
-        roles = graph_roles(graph, rule, network)
-        compiled = compile_graph(graph, roles, network)
+        roles, compiled = _compiled(
+            graph, rule, experiment.n_lanes, parameters, f"{source}: graph"
+        )
     except InputError as error:
         where = f"{source}: graph {experiment.graph}"
         raise InputError(*(f"{where}: {line}" for line in error.lines)) from error
@@ -148,6 +148,31 @@ def prepare_model(experiment: Experiment) -> Model:
     model = Model(rule, graph, parameters, compiled, experiment.n_lanes, roles)
     _check_shapes(model, f"{source}: evidence {experiment.evidence}")
     return model
+
+
+def _compiled(
+    graph: ModuleType,
+    rule: ModuleType,
+    n_lanes: int,
+    parameters: Mapping[str, Value],
+    where: str,
+) -> tuple[Roles, Compiled]:
+    """What the nodes of a graph are, and the graph compiled: from its tables where it gives them
+    and says what they are about, else from its network."""
+    if not all(hasattr(graph, name) for name in ("tables", "HIDDEN", "OBSERVED")):
+        network = build_network(graph, n_lanes, parameters, where)
+        roles = graph_roles(graph, rule, network)
+        return roles, compile_graph(graph, roles, network)
+    with plugin_errors(graph, where):
+        tables = graph.tables(n_lanes, parameters)
+    roles = graph_roles(graph, rule, None)
+    return roles, compile_tables(
+        tables,
+        observed=roles.observed,
+        hidden=graph.HIDDEN,
+        inputs=roles.inputs,
+        values=getattr(graph, "VALUES", {}),
+    )
 
 
 def with_map(experiment: Experiment) -> Experiment:

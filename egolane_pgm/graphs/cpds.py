@@ -221,58 +221,26 @@ def declare(
     Raises InputError, naming the nodes, where a table is missing, is there twice or does not fit
     its parents, and where the two slices have different edges.
     """
+    tables = list(tables)
+    check_tables(tables, observed)
+    cardinality = {table.node: table.values.shape[-1] for table in tables}
+    for target in observed:
+        names = (target,) if isinstance(target, str) else target
+        sizes = [cardinality[name, 0] for name in names]
+        tables += within(ve_name(target), names, np.full((*sizes, 2), 0.5))
     with quiet():
         import networkx as nx
         from pgmpy.factors.discrete import TabularCPD
         from pgmpy.models import DynamicBayesianNetwork
         from pgmpy.models.DynamicBayesianNetwork import DynamicNode
 
-        tables = list(tables)
-        cardinality: dict[SliceNode, int] = {}
-        for table in tables:
-            if table.node in cardinality:
-                raise InputError(f"{_spell(table.node)}: there are two tables for it")
-            cardinality[table.node] = table.values.shape[-1]
-        for table in tables:
-            for parent, size in zip(table.parents, table.values.shape, strict=False):
-                if parent not in cardinality:
-                    raise InputError(
-                        f"{_spell(table.node)} has the parent {_spell(parent)},"
-                        " for which there is no table"
-                    )
-                if cardinality[parent] != size:
-                    raise InputError(
-                        f"{_spell(table.node)}: its table has {size} rows for"
-                        f" {_spell(parent)}, which has {cardinality[parent]} values"
-                    )
-        for target in observed:
-            names = (target,) if isinstance(target, str) else target
-            for name in names:
-                if (name, 0) not in cardinality:
-                    raise InputError(f"observed node {name}: there is no table for it")
-            sizes = [cardinality[name, 0] for name in names]
-            tables += within(ve_name(target), names, np.full((*sizes, 2), 0.5))
         network = DynamicBayesianNetwork()
         network.add_nodes_from(dict.fromkeys(t.node[0] for t in tables))
-        edges = {(parent, table.node) for table in tables for parent in table.parents}
         for table in tables:
             for parent in table.parents:
-                if parent[1] == table.node[1] == 1:
-                    # pgmpy copies an edge inside slice 0 into slice 1, so both must have it.
-                    if ((parent[0], 0), (table.node[0], 0)) not in edges:
-                        raise InputError(
-                            f"{_spell(table.node)} depends on {_spell(parent)}, but"
-                            f" {table.node[0]} in the first frame does not: give its prior the"
-                            " same parent"
-                        )
-                else:
+                # pgmpy copies an edge inside slice 0 into slice 1.
+                if not parent[1] == table.node[1] == 1:
                     _add_edge(network, parent, table.node)
-        for parent, child in sorted(edges):
-            if parent[1] == child[1] == 0 and ((parent[0], 1), (child[0], 1)) not in edges:
-                raise InputError(
-                    f"{_spell(child)} depends on {_spell(parent)}, but {child[0]} at t+1 does not"
-                    f" depend on {parent[0]} at t+1: give its dynamics the same parent"
-                )
         for table in tables:
             if table.node[1] == 1:
                 # pgmpy adds a node to the second slice only together with an edge.
@@ -293,6 +261,44 @@ def declare(
                 )
             )
         return network
+
+
+def check_tables(tables: Sequence[Table], observed: Iterable[Observed]) -> None:
+    """Raise InputError, naming the nodes, where a table is missing, is there twice or does not fit
+    its parents, and where the two slices have different edges."""
+    cardinality: dict[SliceNode, int] = {}
+    for table in tables:
+        if table.node in cardinality:
+            raise InputError(f"{_spell(table.node)}: there are two tables for it")
+        cardinality[table.node] = table.values.shape[-1]
+    for table in tables:
+        for parent, size in zip(table.parents, table.values.shape, strict=False):
+            if parent not in cardinality:
+                raise InputError(
+                    f"{_spell(table.node)} has the parent {_spell(parent)},"
+                    " for which there is no table"
+                )
+            if cardinality[parent] != size:
+                raise InputError(
+                    f"{_spell(table.node)}: its table has {size} rows for"
+                    f" {_spell(parent)}, which has {cardinality[parent]} values"
+                )
+    for target in observed:
+        for name in (target,) if isinstance(target, str) else target:
+            if (name, 0) not in cardinality:
+                raise InputError(f"observed node {name}: there is no table for it")
+    edges = {(parent, table.node) for table in tables for parent in table.parents}
+    for parent, child in sorted(edges):
+        if parent[1] == child[1] == 1 and ((parent[0], 0), (child[0], 0)) not in edges:
+            raise InputError(
+                f"{_spell(child)} depends on {_spell(parent)}, but {child[0]} in the first frame"
+                " does not: give its prior the same parent"
+            )
+        if parent[1] == child[1] == 0 and ((parent[0], 1), (child[0], 1)) not in edges:
+            raise InputError(
+                f"{_spell(child)} depends on {_spell(parent)}, but {child[0]} at t+1 does not"
+                f" depend on {parent[0]} at t+1: give its dynamics the same parent"
+            )
 
 
 def _add_edge(network: DynamicBayesianNetwork, parent: SliceNode, child: SliceNode) -> None:

@@ -31,7 +31,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from egolane_pgm.graphs.cpds import SliceNode, Table, declare, ve_name
+from egolane_pgm.graphs.cpds import SliceNode, Table, check_tables, declare, ve_name
 from egolane_pgm.graphs.from_pgmpy import read_network
 from egolane_pgm.types import NOTE, FloatArray, InputError, IntArray, Observed, suggestion
 
@@ -205,6 +205,26 @@ def compile(
             stacklevel=2,
         )
     return compiled
+
+
+def compile_tables(
+    tables: Sequence[Table],
+    *,
+    observed: tuple[Observed, ...],
+    hidden: tuple[str, ...],
+    inputs: tuple[str, ...] = (),
+    values: Mapping[str, Sequence[str]] | None = None,
+) -> Compiled:
+    """What `compile` makes of the network that `cpds.declare` makes of these tables, without
+    importing pgmpy, which takes a second.
+
+    - tables: of all nodes but the virtual-evidence ones, in both slices.
+    - observed, hidden, inputs, values: as in `compile`.
+
+    Raises InputError, naming the node, for tables that do not fit each other.
+    """
+    check_tables(tables, observed)
+    return _compile({t.node: t for t in tables}, hidden, observed, inputs, values or {})
 
 
 def default_values(node: str, size: int) -> tuple[str, ...]:
