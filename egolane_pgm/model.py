@@ -133,9 +133,7 @@ def prepare_model(experiment: Experiment) -> Model:
         with part():
             _check_names(rule, graph, source)
     try:
-        roles, compiled = _compiled(
-            graph, rule, experiment.n_lanes, parameters, f"{source}: graph"
-        )
+        roles, compiled = _compiled(graph, rule, experiment.n_lanes, parameters, f"{source}: graph")
     except InputError as error:
         where = f"{source}: graph {experiment.graph}"
         raise InputError(*(f"{where}: {line}" for line in error.lines)) from error

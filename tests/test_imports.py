@@ -89,3 +89,14 @@ def test_imports_go_downwards_only() -> None:
     )
     assert ran.returncode == 0, ran.stdout
     assert "0 broken" in ran.stdout
+
+
+def test_a_run_does_not_import_pgmpy(tmp_path: Path) -> None:
+    words = ["run", str(ROOT / "experiments" / "quickstart.yaml"), "--no-figures"]
+    loaded = modules_after(
+        "from egolane_pgm.cli.main import egolane\n"
+        f"try: egolane({[*words, '--out', str(tmp_path / 'out')]!r})\n"
+        "except SystemExit as end: assert end.code == 0"
+    )
+    assert "numba" in loaded
+    assert not loaded & {"pgmpy", "sklearn", "matplotlib", "optuna", "bokeh"}

@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 
 from egolane_pgm.graphs import position_in_lane
 from egolane_pgm.graphs.cpds import declare, ve_name
-from egolane_pgm.inference.compile import Compiled, compile, with_tables
+from egolane_pgm.inference.compile import Compiled, compile, compile_tables, with_tables
 from egolane_pgm.inference.filtering import filter_beliefs
 from egolane_pgm.parameters import Parameters, resolve_parameters
 from egolane_pgm.types import Evidence
@@ -42,6 +42,28 @@ def defaults(name: str, n_lanes: int, **given: object) -> Parameters:
 
 def test_the_papers_graph_and_its_variants_are_found() -> None:
     assert {"sensor_failure", "wor_on_lane", "lane_only", "no_wor"} <= set(GRAPHS)
+
+
+@every_graph
+@pytest.mark.parametrize("n_lanes", [2, 4])
+def test_a_graph_compiles_to_the_same_from_its_tables_as_from_its_network(
+    name: str, n_lanes: int
+) -> None:
+    module, parameters = graph(name), defaults(name, n_lanes)
+    roles = {
+        "hidden": module.HIDDEN,
+        "observed": module.OBSERVED,
+        "inputs": graph_inputs(module),
+        "values": getattr(module, "VALUES", {}),
+    }
+    of_network = compile(module.build(n_lanes, parameters), **roles)
+    of_tables = compile_tables(module.tables(n_lanes, parameters), **roles)
+    for part in ("state_nodes", "inputs", "cardinality", "values", "observed"):
+        assert getattr(of_tables, part) == getattr(of_network, part), part
+    np.testing.assert_array_equal(of_tables.prior, of_network.prior)
+    np.testing.assert_array_equal(of_tables.transition, of_network.transition)
+    for ours, theirs in zip(of_tables.groups, of_network.groups, strict=True):
+        np.testing.assert_array_equal(ours.emission, theirs.emission)
 
 
 @every_graph
