@@ -139,8 +139,11 @@ def write_world(folder: Path, boards: Path, network: Path) -> None:
     assert head.startswith("frame_id,line,offset_m,")
     others = head.replace("frame_id,line,offset_m", "frame,id,lateral")
     (folder / "other.csv").write_text(f"{others}\n{rows}")
-    for name in "ABCX":
-        kind = "quickstart" if name == "X" else "zero_label"
+    rows = ['monday,1,"[0, 600]",sun', 'tuesday,2,"[0, 600]",rain']
+    table = ["name,recording.seed,recording.frames,tag.weather", *rows]
+    (folder / "drives.csv").write_text("\n".join(table) + "\n")
+    for name in ("A", "B", "C", "X", "other"):
+        kind = "quickstart" if name in ("X", "other") else "zero_label"
         rewritten(ROOT / "experiments" / f"{kind}.yaml", folder / f"{name}.yaml", name=name)
     _write_bag(folder / "drive.bag")
     offsets = np.array([-5.55, -1.85, 1.85, 5.55])
