@@ -261,8 +261,9 @@ def test_lines_in_pixels_without_a_camera_are_refused(tmp_path: Path) -> None:
     )
     said = refused("validate", experiment)
     assert said == f"{experiment}: recording.camera: is missing; the lines of a.jsonl are in pixels"
-    said = refused("convert", labels, tmp_path / "b.jsonl", "--camera", saved_camera(tmp_path))
-    assert said == f"{tmp_path / 'b.jsonl'}: a recording is written as .csv, .parquet, .bag or .mcap"
+    target = tmp_path / "b.jsonl"
+    said = refused("convert", labels, target, "--camera", saved_camera(tmp_path))
+    assert said == f"{target}: a recording is written as .csv, .parquet, .bag or .mcap"
 
 
 @pytest.mark.parametrize(
