@@ -9,6 +9,9 @@ number of scored frames.
 
 Unassigned frames count as wrong: they are in the support, hence in recall and accuracy, but in no
 lane's precision.
+
+In the formulas C[i, k] is the number of frames in which lane i is answered (n + 1: Unassigned) and
+the car is in lane k, and N is their sum.
 """
 
 from __future__ import annotations
@@ -105,13 +108,19 @@ def _right(matrix: IntArray) -> IntArray:
 
 
 def precision(matrix: ArrayLike) -> FloatArray:
-    """Per lane, right over predicted as that lane: (..., n + 1, n) -> (..., n)."""
+    """Per lane, right over predicted as that lane: (..., n + 1, n) -> (..., n).
+
+    `precision[k] = C[k, k] / sum_j C[k, j]`
+    """
     m = check_confusion(matrix)
     return _ratio(_right(m), m[..., :-1, :].sum(axis=-1))
 
 
 def recall(matrix: ArrayLike) -> FloatArray:
-    """Per lane, right over actual, Unassigned included: (..., n + 1, n) -> (..., n)."""
+    """Per lane, right over actual, Unassigned included: (..., n + 1, n) -> (..., n).
+
+    `recall[k] = C[k, k] / sum_i C[i, k]`, i from 1 to n + 1
+    """
     m = check_confusion(matrix)
     return _ratio(_right(m), m.sum(axis=-2))
 
@@ -119,25 +128,34 @@ def recall(matrix: ArrayLike) -> FloatArray:
 def f1(matrix: ArrayLike) -> FloatArray:
     """Per lane, the harmonic mean of precision and recall: (..., n + 1, n) -> (..., n).
 
-    Computed as 2 right / (predicted + actual), which is the same and needs one division.
+    `f1[k] = 2 C[k, k] / (sum_j C[k, j] + sum_i C[i, k])`
     """
     m = check_confusion(matrix)
     return _ratio(2 * _right(m), m[..., :-1, :].sum(axis=-1) + m.sum(axis=-2))
 
 
 def macro_f1(matrix: ArrayLike) -> FloatArray:
-    """The plain mean of F1 over the lanes: (..., n + 1, n) -> (...)."""
+    """The plain mean of F1 over the lanes: (..., n + 1, n) -> (...).
+
+    `macro_f1 = sum_k f1[k] / n`
+    """
     return np.asarray(f1(matrix).mean(axis=-1))
 
 
 def accuracy(matrix: ArrayLike) -> FloatArray:
-    """Right over all scored frames, Unassigned included: (..., n + 1, n) -> (...)."""
+    """Right over all scored frames, Unassigned included: (..., n + 1, n) -> (...).
+
+    `accuracy = sum_k C[k, k] / N`
+    """
     m = check_confusion(matrix)
     return _ratio(_right(m).sum(axis=-1), m.sum(axis=(-2, -1)))
 
 
 def coverage(matrix: ArrayLike) -> FloatArray:
-    """Share of the scored frames that get an answer: (..., n + 1, n) -> (...)."""
+    """Share of the scored frames that get an answer: (..., n + 1, n) -> (...).
+
+    `coverage = 1 - sum_k C[n + 1, k] / N`
+    """
     m = check_confusion(matrix)
     return _ratio(m[..., :-1, :].sum(axis=(-2, -1)), m.sum(axis=(-2, -1)))
 

@@ -40,6 +40,8 @@ class CalibrationCurve:
 def log_loss_per_frame(belief: ArrayLike, lane: ArrayLike) -> FloatArray:
     """(T,): minus the natural log of the probability given to the annotated lane.
 
+    `-ln belief[t, lane[t]]`
+
     Probabilities are clipped below at SMALLEST_PROBABILITY (1e-15). belief (T, n), lane (T,).
     Raises InputError for a belief that does not sum to 1, or lanes outside 1..n.
     """
@@ -54,13 +56,18 @@ def log_loss_per_frame(belief: ArrayLike, lane: ArrayLike) -> FloatArray:
 def log_loss(belief: ArrayLike, lane: ArrayLike) -> float:
     """Mean of `log_loss_per_frame` over ALL frames, crossing ones included (the paper's tables).
 
+    `log_loss = -(1 / T) sum_t ln belief[t, lane[t]]`
+
     NaN without frames.
     """
     return _mean(log_loss_per_frame(belief, lane))
 
 
 def brier_per_frame(belief: ArrayLike, lane: ArrayLike) -> FloatArray:
-    """(T,): sum over the lanes of the squared difference between belief and truth, 0 to 2."""
+    """(T,): sum over the lanes of the squared difference between belief and truth, 0 to 2.
+
+    `sum_k (belief[t, k] - [k = lane[t]])^2`
+    """
     values = as_belief(belief, normalised=True)
     n_frames, n_lanes = values.shape
     actual = as_lanes(lane, n_frames)
@@ -71,6 +78,8 @@ def brier_per_frame(belief: ArrayLike, lane: ArrayLike) -> FloatArray:
 
 def brier(belief: ArrayLike, lane: ArrayLike, is_crossing: ArrayLike) -> float:
     """Multi-class Brier score: mean of `brier_per_frame` over the non-crossing frames.
+
+    `brier = (1 / N) sum_t sum_k (belief[t, k] - [k = lane[t]])^2`, over N frames
 
     0 is perfect, 2 the worst. belief (T, n), lane (T,), is_crossing (T,). NaN without a
     non-crossing frame. Raises InputError for a belief that does not sum to 1, or lanes outside 1..n
@@ -108,6 +117,8 @@ def expected_calibration_error(
     belief: ArrayLike, lane: ArrayLike, is_crossing: ArrayLike, n_bins: int = N_BINS
 ) -> float:
     """Mean over the non-crossing frames of |confidence - accuracy| of their bin, 0 to 1.
+
+    `ece = sum_b (N_b / N) |accuracy_b - confidence_b|`, over bins b of N_b frames
 
     Arguments, errors and the treatment of ties as `calibration_curve`. NaN without a non-crossing
     frame.
