@@ -31,6 +31,18 @@ class FleetResult:
     - folder: with a result directory for each drive, and summary.parquet.
     - rows: of summary.parquet, see `egolane_pgm.fleet.summary_rows`.
     - were_there: how many drives had their result already.
+
+    >>> import tempfile
+    >>> from pathlib import Path
+    >>> import egolane_pgm as ego
+    >>> place = ego.experiments_folder() / "quickstart.yaml"
+    >>> with tempfile.TemporaryDirectory() as folder:
+    ...     drives = Path(folder, "drives.csv")
+    ...     rows = ["recording.seed,recording.frames,tag.road", '1,"[0, 90]",A4', '2,"[0, 90]",A2']
+    ...     _ = drives.write_text("\\n".join(rows))
+    ...     fleet = ego.run_fleet(place, drives, Path(folder, "out"))
+    >>> fleet.to_pandas()[["tag.road", "frames"]].to_dict("index")["drive_1"]
+    {'tag.road': 'A4', 'frames': 90}
     """
 
     folder: Path
@@ -94,6 +106,18 @@ def run_fleet(
 
     A drive that fails does not stop the others; its row says why. Raises InputError for a table
     that does not fit, and where `out` cannot be written.
+
+    >>> import tempfile
+    >>> from pathlib import Path
+    >>> import egolane_pgm as ego
+    >>> place = ego.experiments_folder() / "quickstart.yaml"
+    >>> with tempfile.TemporaryDirectory() as folder:
+    ...     drives = Path(folder, "drives.yaml")
+    ...     _ = drives.write_text("drives: [{recording.seed: 3, recording.frames: [0, 90]}]")
+    ...     first = ego.run_fleet(place, drives, Path(folder, "out"))
+    ...     again = ego.run_fleet(place, drives, Path(folder, "out"))
+    >>> len(first), first.were_there, again.were_there
+    (1, 0, 1)
     """
     drives = read_fleet(os.fspath(fleet))
     folder = Path(out)

@@ -9,6 +9,7 @@ slice 0 is time t, slice 1 is time t + 1.
 from __future__ import annotations
 
 import contextlib
+import graphlib
 import logging
 import math
 import warnings
@@ -287,6 +288,7 @@ def check_tables(tables: Sequence[Table], observed: Iterable[Observed]) -> None:
         for name in (target,) if isinstance(target, str) else target:
             if (name, 0) not in cardinality:
                 raise InputError(f"observed node {name}: there is no table for it")
+    check_order({table.node: table.parents for table in tables})
     edges = {(parent, table.node) for table in tables for parent in table.parents}
     for parent, child in sorted(edges):
         if parent[1] == child[1] == 1 and ((parent[0], 0), (child[0], 0)) not in edges:
@@ -299,6 +301,21 @@ def check_tables(tables: Sequence[Table], observed: Iterable[Observed]) -> None:
                 f"{_spell(child)} depends on {_spell(parent)}, but {child[0]} at t+1 does not"
                 f" depend on {parent[0]} at t+1: give its dynamics the same parent"
             )
+
+
+def check_order(parents: Mapping[SliceNode, Iterable[SliceNode]]) -> None:
+    """Raises InputError for an edge back in time and for a cycle within a slice."""
+    for (name, s), given in parents.items():
+        for parent, before in given:
+            if before > s:
+                raise InputError(
+                    f"{name}: an edge from {parent} leads from slice 1 back to slice 0"
+                )
+    try:
+        graphlib.TopologicalSorter(parents).prepare()
+    except graphlib.CycleError as error:
+        cycle = " -> ".join(name for name, _ in error.args[1])
+        raise InputError(f"the edges within a slice form a cycle: {cycle}") from None
 
 
 def _add_edge(network: DynamicBayesianNetwork, parent: SliceNode, child: SliceNode) -> None:

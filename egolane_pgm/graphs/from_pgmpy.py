@@ -13,7 +13,6 @@ A table that one slice lacks is that of the other slice, where the node has the 
 
 from __future__ import annotations
 
-import graphlib
 import re
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
@@ -24,7 +23,7 @@ from typing import Any
 import numpy as np
 
 from egolane_pgm.files import read_text
-from egolane_pgm.graphs.cpds import SliceNode, Table, quiet
+from egolane_pgm.graphs.cpds import SliceNode, Table, check_order, quiet
 from egolane_pgm.types import FloatArray, InputError, suggestion
 
 #: How the names of files end that pgmpy reads: BIF and XMLBIF.
@@ -65,7 +64,7 @@ def read_network(network: Any, transition: Sequence[Any] | None = None) -> Decla
         except InputError as error:
             raise InputError(f"{path}: {error}") from error
     parents, cpds = _structure(network, transition)
-    _check_order(parents)
+    check_order(parents)
     if not cpds:
         raise InputError("the network has no tables: give each node a TabularCPD with add_cpds")
     cpds = _without_copies(cpds)
@@ -213,21 +212,6 @@ def _without_copies(cpds: Sequence[_Cpd]) -> list[_Cpd]:
         if not is_copy:
             kept.append(cpd)
     return kept
-
-
-def _check_order(parents: _Parents) -> None:
-    """Raises InputError for an edge back in time and for a cycle within a slice."""
-    for (name, s), given in parents.items():
-        for parent, before in given:
-            if before > s:
-                raise InputError(
-                    f"{name}: an edge from {parent} leads from slice 1 back to slice 0"
-                )
-    try:
-        graphlib.TopologicalSorter(parents).prepare()
-    except graphlib.CycleError as error:
-        cycle = " -> ".join(name for name, _ in error.args[1])
-        raise InputError(f"the edges within a slice form a cycle: {cycle}") from None
 
 
 # --- tables -------------------------------------------------------------------------------------

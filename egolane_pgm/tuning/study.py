@@ -211,7 +211,7 @@ def tune(
     n_tasks = sum(1 + made.n_parts - len(made.nested) for made in searches)
     if isinstance(jobs, int):
         jobs = workers or min(jobs, n_tasks)
-    if jobs != 1:
+    if isinstance(jobs, str) or jobs > 1:
         _in_processes(searches, jobs, workers or 1, progress)
         for made in searches:
             yield finish(made)

@@ -230,7 +230,7 @@ def test_the_examples_of_own_files_run(tmp_path: Path) -> None:
 def test_a_file_that_is_no_bag_is_refused(tmp_path: Path, earlier: Path) -> None:
     (tmp_path / "a.bag").write_text("frame_id,line\n1,2\n")
     said = run_on(tmp_path, tmp_path / "a.bag", earlier)
-    assert said == f"{tmp_path / 'a.bag'}: not a ROS 1 bag"
+    assert said == f"{tmp_path / 'a.bag'}: not a ROS bag nor an MCAP file"
 
 
 def test_a_truncated_bag_is_refused(tmp_path: Path, earlier: Path) -> None:
@@ -296,7 +296,7 @@ def test_frame_id_0_in_every_message_is_refused_and_what_is_offered_works(
     line_bag(tmp_path / "a.bag", [0] * 6, GOOD)
     said = run_on(tmp_path, tmp_path / "a.bag", earlier)
     assert "a.bag: all 6 messages have frame id 0" in said
-    assert said.endswith("use --frame-id seq")
+    assert said.endswith("use --frame-id seq (ROS 1) or count")
     out = tmp_path / "out"
     words = ("--ground-truth", "none", "--no-figures", "--out", out)
     done("run", tmp_path / "e.yaml", "--frame-id", "seq", *words)

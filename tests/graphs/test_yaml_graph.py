@@ -331,7 +331,7 @@ def test_a_new_number_of_levels_compiles_the_network_anew() -> None:
     assert [m.compiled.groups[1].sizes for m in (model, other)] == [(3,), (5,)]
 
 
-def test_a_cycle_in_a_graph_in_yaml_is_refused_naming_two_of_its_nodes(tmp_path: Path) -> None:
+def test_a_cycle_in_a_graph_in_yaml_is_refused_naming_its_nodes(tmp_path: Path) -> None:
     (tmp_path / "g.yaml").write_text(
         "nodes: {Lane: n_lanes, X: 2, Y: 2, DetectorOutput: n_lanes}\nhidden: [Lane, X, Y]\n"
         "observed: [DetectorOutput]\nunused: [WOR]\n"
@@ -341,7 +341,8 @@ def test_a_cycle_in_a_graph_in_yaml_is_refused_naming_two_of_its_nodes(tmp_path:
         "  DetectorOutput: {identity: {of: Lane}}\n"
     )
     said = refused("validate", write_drive(tmp_path, 20, graph="./g.yaml"))
-    assert "experiment.yaml: graph ./g.yaml: Y at t cannot depend on X at t" in said
+    cycle = "graph ./g.yaml: the edges within a slice form a cycle: X -> Y -> X"
+    assert f"experiment.yaml: {cycle}" in said
 
 
 def test_a_table_function_that_does_not_exist_is_refused_with_a_suggestion(tmp_path: Path) -> None:

@@ -6,7 +6,6 @@ The maps are those of OpenStreetMap (© OpenStreetMap contributors, ODbL).
 from __future__ import annotations
 
 import os
-import time
 from dataclasses import replace
 from pathlib import Path
 
@@ -118,19 +117,3 @@ def test_leuven_map_matching_agrees(maps: dict[str, tuple[LaneGraph, RoadIndex]]
         n += len(theirs)
     assert n > 300
     assert same >= 0.98 * n
-
-
-@needs_compiler
-@pytest.mark.parametrize("online", [False, True])
-def test_20_000_positions_are_located_in_less_than_a_second(
-    maps: dict[str, tuple[LaneGraph, RoadIndex]], online: bool
-) -> None:
-    graph, index = maps[A9]
-    rng = np.random.default_rng(1)
-    trips = [random_trip(graph, index, rng)[0] for _ in range(100)]
-    place = [np.concatenate([getattr(t, k) for t in trips]) for k in ("latitude", "longitude")]
-    positions = Positions.make(np.arange(len(place[0])) * 1.0, *place)
-    locate(graph, index, positions, online=online)  # compiles
-    begin = time.thread_time()
-    locate(graph, index, positions, online=online)
-    assert len(positions) / (time.thread_time() - begin) > 20_000
