@@ -13,6 +13,7 @@ left out or left empty in a row:
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
@@ -67,13 +68,19 @@ def read_fleet(path: str | Path) -> tuple[FleetDrive, ...]:
         raise InputError(f"{path}: has no drives; give it a row for each")
     for column in dict.fromkeys(column for row in rows for column in row):
         _check_column(path, column)
-    drives = []
-    for number, row in enumerate(rows, 1):
-        cells = {k: v for k, v in row.items() if v is not None and v != ""}
-        tags = {k.removeprefix(TAG): str(v) for k, v in cells.items() if k.startswith(TAG)}
-        kept = {k: v for k, v in cells.items() if not k.startswith(TAG)}
-        drives.append(FleetDrive(f"{path}: drive {number}", "", kept, tags, path.parent))
-    return _named(drives)
+    given = [{k: v for k, v in row.items() if v is not None and v != ""} for row in rows]
+    drives: dict[str, FleetDrive] = {}
+    for number, (name, row) in enumerate(zip(_names(given), given, strict=True), 1):
+        source = f"{path}: drive {number}"
+        if name in drives:
+            raise InputError(
+                f"{source}: has the name '{name}', as {drives[name].source.split(': ')[-1]};"
+                " give them a column `name`"
+            )
+        tags = {k.removeprefix(TAG): str(v) for k, v in row.items() if k.startswith(TAG)}
+        cells = {k: v for k, v in row.items() if k != "name" and not k.startswith(TAG)}
+        drives[name] = FleetDrive(source, name, cells, tags, path.parent)
+    return tuple(drives.values())
 
 
 def _rows(path: Path) -> list[dict[str, Any]]:
@@ -135,26 +142,23 @@ def _check_column(path: Path, column: Any) -> None:
     )
 
 
-def _named(drives: Sequence[FleetDrive]) -> tuple[FleetDrive, ...]:
-    """The drives with a name each. Raises InputError for two of one name."""
-    stems = [as_name(Path(str(d.cells.get("recording", ""))).stem) for d in drives]
-    named: dict[str, FleetDrive] = {}
-    for number, (drive, stem) in enumerate(zip(drives, stems, strict=True), 1):
-        cells = dict(drive.cells)
-        given = cells.pop("name", None)
-        name = as_name(str(given)) if given is not None else stem
-        if given is None and "recording" not in cells:
-            name = f"drive_{number:0{len(str(len(drives)))}d}"
-        elif given is None and stems.count(stem) > 1:
-            folder = Path(str(cells["recording"])).absolute().parent.name
-            name = as_name(f"{folder}_{stem}")
-        if name in named:
-            raise InputError(
-                f"{drive.source}: has the name '{name}', as {named[name].source.split(': ')[-1]};"
-                " give them a column `name`"
-            )
-        named[name] = FleetDrive(drive.source, name, cells, drive.tags, drive.folder)
-    return tuple(named.values())
+def _names(rows: Sequence[Mapping[str, Any]]) -> list[str]:
+    """The name of each drive: its own, else that of its recording, with that of the folder where
+    several recordings are called so; without a recording its number."""
+    stems = [as_name(Path(str(row.get("recording", ""))).stem) for row in rows]
+    count = Counter(stems)
+    names = []
+    for number, (row, stem) in enumerate(zip(rows, stems, strict=True), 1):
+        if "name" in row:
+            names.append(as_name(str(row["name"])))
+        elif "recording" not in row:
+            names.append(f"drive_{number:0{len(str(len(rows)))}d}")
+        elif count[stem] > 1:
+            folder = Path(str(row["recording"])).absolute().parent.name
+            names.append(as_name(f"{folder}_{stem}"))
+        else:
+            names.append(stem)
+    return names
 
 
 def drive_experiment(base: Experiment, drive: FleetDrive) -> Experiment:
@@ -272,12 +276,20 @@ class Pooled:
 
 def pooled(rows: Sequence[Mapping[str, Any]]) -> list[Pooled]:
     """The accuracy of all drives of a summary, and of those with each value of each tag."""
-    tags = dict.fromkeys(key for row in rows for key in row if key.startswith(TAG))
-    found = [_pool("", "", rows)]
-    for tag in tags:
-        for value in sorted({row[tag] for row in rows if row.get(tag) is not None}):
-            mine = [row for row in rows if row.get(tag) == value]
-            found.append(_pool(tag.removeprefix(TAG), str(value), mine))
+    tags = [{key.removeprefix(TAG): row[key] for key in row if key.startswith(TAG)} for row in rows]
+    return [_pool(tag, value, [rows[k] for k in which]) for tag, value, which in by_tag(tags)]
+
+
+def by_tag(tags: Sequence[Mapping[str, str]]) -> list[tuple[str, str, list[int]]]:
+    """Which of several drives are looked at together: all, under "" and "", then those with each
+    value of each tag.
+
+    - tags: of each drive.
+    """
+    found = [("", "", list(range(len(tags))))]
+    for tag in dict.fromkeys(tag for mine in tags for tag in mine):
+        for value in sorted({mine[tag] for mine in tags if tag in mine}):
+            found.append((tag, value, [k for k, mine in enumerate(tags) if mine.get(tag) == value]))
     return found
 
 

@@ -26,6 +26,7 @@ from typing import Any, TypeVar
 
 from tqdm import tqdm
 
+from egolane_pgm.cluster import cluster_executor
 from egolane_pgm.types import InputError
 
 T = TypeVar("T")
@@ -53,8 +54,6 @@ def executor(jobs: Jobs) -> Iterator[Executor]:
     to end, work that waits is not begun. Raises InputError for a cluster that does not answer.
     """
     if isinstance(jobs, str):
-        from egolane_pgm.cluster import cluster_executor
-
         with cluster_executor(jobs) as pool:
             yield pool
         return

@@ -628,8 +628,9 @@ def stored_result(experiment: Experiment, directory: Path) -> Result | None:
     now, and with this code; else None."""
     try:
         found = read_result(directory)
-        model = model_to_run(with_map(experiment))
-        content = resolved(with_video_rate(with_map(experiment)), model.parameters)
+        experiment = with_map(experiment)
+        model = model_to_run(experiment)
+        content = resolved(with_video_rate(experiment), model.parameters)
         made_by: dict[str, Any] = {
             "config_hash": config_hash(content),
             "code": code_checksum(),

@@ -424,6 +424,7 @@ def compare(
     names = graph_names(graphs, bool(given))
     learned = [os.fspath(each) for each in several_of(learned_on, "learned_on")]
     check_options(bool(given), runs, with_paper, bool(learned), trials, trials_per_number)
+    drives = fleet_of(fleet, bool(given), runs, bool(learned))
     waits = check_lags(lags)
     if not given and not held_out:
         if waits:
@@ -433,7 +434,6 @@ def compare(
         return compare_on_runs(names, parse_runs(runs or "1-10"), parameters, progress=progress)
     fit = "tune" if held_out else None
     numbers = parse_runs(runs) if runs else None
-    drives = fleet_of(fleet, bool(given), runs, bool(learned))
     groups = groups_of(
         given, names, fit, numbers, with_paper, parameters, learned, overrides, drives
     )

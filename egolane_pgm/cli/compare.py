@@ -159,8 +159,7 @@ def compare(
     if json_file:
         check_not_read(json_file, map(Path, experiments))
     names = graph_names(graphs, bool(experiments))
-    if not experiments and fleet:
-        raise InputError("--fleet: goes with experiments")
+    drives = fleet_of(fleet, bool(experiments), runs, bool(learned_on))
     if not experiments and not held_out:
         many = (health, events, lags, overrides, trials, trials_per_number, seeds, *figures, out)
         if any(many):
@@ -172,7 +171,6 @@ def compare(
         return
     numbers = parse_runs(runs) if runs else None
     fit = "tune" if held_out else None
-    drives = fleet_of(fleet, bool(experiments), runs, bool(learned_on))
     groups = groups_of(
         experiments, names, fit, numbers, with_paper, which, learned_on, overrides, drives
     )

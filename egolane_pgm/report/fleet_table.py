@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from egolane_pgm.fleet import FleetDrive, pooled
+from egolane_pgm.fleet import FleetDrive, by_tag, pooled
 from egolane_pgm.report.tables import with_interval
 from egolane_pgm.scoring.bootstrap import share_over_drives
 from egolane_pgm.types import FloatArray
@@ -47,25 +47,20 @@ def fleet_comparison_rows(
     - document: of `egolane compare`, whose recordings are drives. Those that failed are left out.
     """
     tags = {drive.name: drive.tags for drive in drives}
-    parts = [(tags[part["title"]], part["experiments"]) for part in document["recordings"]]
-    chosen = [("all", parts)]
-    for tag in dict.fromkeys(tag for mine, _ in parts for tag in mine):
-        for value in sorted({mine[tag] for mine, _ in parts if tag in mine}):
-            with_value = [part for part in parts if part[0].get(tag) == value]
-            chosen.append((f"{tag} {value}", with_value))
+    parts = document["recordings"]
     rows = []
-    for name, some in chosen:
+    for tag, value, which in by_tag([tags[part["title"]] for part in parts]):
+        some = [parts[k]["experiments"] for k in which]
         first: FloatArray | None = None
-        for k in range(len(some[0][1])):
+        for k in range(len(some[0])):
             # The last subset leaves out what is not trusted.
-            scores = [list(experiments[k]["scores"].values())[-1] for _, experiments in some]
+            scores = [list(experiments[k]["scores"].values())[-1] for experiments in some]
             frames = np.array([each["frames_scored"] for each in scores], dtype=np.float64)
             right = frames * np.array([each["accuracy"] for each in scores])
             difference = "" if first is None else _share(right - first, frames, "+.3f")
             first = right if first is None else first
-            title = some[0][1][k]["name"]
-            size = [str(len(some)), str(int(frames.sum()))]
-            rows.append([name, title, *size, _share(right, frames, ".3f"), difference])
+            name, size = f"{tag} {value}".strip() or "all", [str(len(some)), str(int(frames.sum()))]
+            rows.append([name, some[0][k]["name"], *size, _share(right, frames, ".3f"), difference])
     header = ["drives", "experiment", "number", "frames scored", "accuracy", "difference"]
     return header, rows
 
