@@ -24,6 +24,7 @@ if TYPE_CHECKING:
     from egolane_pgm.api.fleets import run_fleet as run_fleet
     from egolane_pgm.api.labels import LabelResult as LabelResult
     from egolane_pgm.api.labels import label as label
+    from egolane_pgm.api.learned import FleetLearnResult as FleetLearnResult
     from egolane_pgm.api.learned import LearnResult as LearnResult
     from egolane_pgm.api.learned import learn as learn
     from egolane_pgm.api.loaded import load_result as load_result
@@ -72,6 +73,7 @@ _PUBLIC = {
     "FleetResult": "api.fleets",
     "TuneResult": "api.studies",
     "LearnResult": "api.learned",
+    "FleetLearnResult": "api.learned",
     "CompareResult": "api.comparisons",
     "ReproduceResult": "api.reproduction",
     "DetectResult": "api.detections",

@@ -26,8 +26,8 @@ from egolane_pgm.experiment import Experiment, load_experiment
 from egolane_pgm.files import read_parquet, read_text, read_yaml, write_parquet
 from egolane_pgm.loading import as_name, with_recording
 from egolane_pgm.running import FinishedRun, PlannedRun, plan_runs
-from egolane_pgm.scoring.bootstrap import share_over_drives
-from egolane_pgm.types import InputError, suggestion
+from egolane_pgm.scoring.bootstrap import over_drives
+from egolane_pgm.types import InputError, problems_in, suggestion
 from egolane_pgm.yaml_text import parse_yaml
 
 #: The columns that are no keys of an experiment.
@@ -171,7 +171,7 @@ def drive_experiment(base: Experiment, drive: FleetDrive) -> Experiment:
     for column in _FILES:
         if given[column] is not None and (column, given[column]) != ("ground_truth", "none"):
             given[column] = str(drive.folder / str(given[column]))
-    try:
+    with problems_in(drive.source):
         if any(value is not None for value in given.values()):
             base = with_recording(
                 base,
@@ -183,8 +183,6 @@ def drive_experiment(base: Experiment, drive: FleetDrive) -> Experiment:
                 given["detector"],
             )
         found = load_experiment(base, cells)
-    except InputError as error:
-        raise InputError(*(f"{drive.source}: {line}" for line in error.lines)) from error
     return found.model_copy(update={"name": drive.name})
 
 
@@ -208,15 +206,22 @@ def summary_rows(drives: Sequence[FleetDrive], done: Sequence[FinishedRun]) -> l
     """
     rows = []
     for drive, run in zip(drives, done, strict=True):
-        row: dict[str, Any] = {"name": drive.name}
-        row |= {f"{TAG}{name}": value for name, value in drive.tags.items()}
-        row |= {"error": run.error, "seconds": run.seconds}
+        kept = {"error": run.error, "seconds": run.seconds}
         if run.summary is not None:
-            row |= {"result": str(run.directory)}
-            for key, value in _numbers("", run.summary):
-                row.setdefault(key, value)
-        rows.append(row)
+            kept |= {"result": str(run.directory)}
+        rows.append(drive_row(drive, kept, run.summary or {}))
     return rows
+
+
+def drive_row(
+    drive: FleetDrive, first: Mapping[str, Any], scores: Mapping[str, Any]
+) -> dict[str, Any]:
+    """The row of a drive: its name and tags, some columns, and every number of `scores`."""
+    tags = {f"{TAG}{name}": value for name, value in drive.tags.items()}
+    row = {"name": drive.name, **tags, **first}
+    for key, value in _numbers("", scores):
+        row.setdefault(key, value)
+    return row
 
 
 def _numbers(prefix: str, content: Mapping[str, Any]) -> list[tuple[str, Any]]:
@@ -257,7 +262,7 @@ class Pooled:
     - tag, value: which drives, "" for all of them.
     - drives, failed, scored: how many there are, how many failed, and how many have scores.
     - frames: that are scored.
-    - accuracy, low, high: of all scored frames together, with the interval of a bootstrap that
+    - accuracy, interval: of all scored frames together, with the interval of a bootstrap that
       draws whole drives; None without scores, and without an interval for fewer than two drives.
     - detector: the accuracy of the detector alone, or None.
     """
@@ -269,8 +274,7 @@ class Pooled:
     scored: int
     frames: int
     accuracy: float | None
-    low: float | None
-    high: float | None
+    interval: tuple[float, float] | None
     detector: float | None
 
 
@@ -297,7 +301,7 @@ def _pool(tag: str, value: str, rows: Sequence[Mapping[str, Any]]) -> Pooled:
     scored = [row for row in rows if row.get("model.accuracy") is not None]
     frames = np.array([row["frames_scored"] for row in scored], dtype=float)
     right = frames * np.array([row["model.accuracy"] for row in scored], dtype=float)
-    accuracy, low, high = share_over_drives(right, frames) if scored else (None, None, None)
+    accuracy, interval = over_drives(np.stack([right, frames], axis=1)) if scored else (None, None)
     of_detector = [row.get("detector.accuracy") for row in scored]
     detector = None
     if scored and None not in of_detector:
@@ -310,7 +314,6 @@ def _pool(tag: str, value: str, rows: Sequence[Mapping[str, Any]]) -> Pooled:
         len(scored),
         int(frames.sum()),
         accuracy,
-        low,
-        high,
+        interval,
         detector,
     )

@@ -52,6 +52,7 @@ from egolane_pgm.types import (
     LineLog,
     Observed,
     all_problems,
+    problems_in,
 )
 
 if TYPE_CHECKING:
@@ -132,11 +133,8 @@ def prepare_model(experiment: Experiment) -> Model:
             )
         with part():
             _check_names(rule, graph, source)
-    try:
+    with problems_in(f"{source}: graph {experiment.graph}"):
         roles, compiled = _compiled(graph, rule, experiment.n_lanes, parameters, f"{source}: graph")
-    except InputError as error:
-        where = f"{source}: graph {experiment.graph}"
-        raise InputError(*(f"{where}: {line}" for line in error.lines)) from error
     lanes = compiled.cardinality.get("Lane")
     if lanes != experiment.n_lanes:
         raise InputError(

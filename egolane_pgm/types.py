@@ -95,6 +95,15 @@ def all_problems() -> Iterator[Callable[[], contextlib.AbstractContextManager[No
         raise InputError(*dict.fromkeys(problem for error in found for problem in error.args))
 
 
+@contextlib.contextmanager
+def problems_in(where: str) -> Iterator[None]:
+    """Begin each line of an InputError that the block raises with `where`."""
+    try:
+        yield
+    except InputError as error:
+        raise InputError(*(f"{where}: {line}" for line in error.lines)) from error
+
+
 def suggestion(word: str, known: Iterable[str]) -> str:
     """The end of a message: `" (did you mean 'x'?)"` with the known word nearest to `word`, or the
     list of the known words if none is near."""

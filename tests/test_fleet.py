@@ -10,7 +10,8 @@ import egolane_pgm as ego
 from egolane_pgm.experiment import load_experiment
 from egolane_pgm.fleet import FleetDrive, drive_experiment, pooled, read_fleet, summary_rows
 from egolane_pgm.running import FinishedRun
-from egolane_pgm.scoring.bootstrap import RESAMPLES, share_over_drives
+from egolane_pgm.scoring.bootstrap import RESAMPLES, over_drives
+from egolane_pgm.scoring.confusion import accuracy
 from egolane_pgm.types import InputError
 from tests.kits.drives import command, done, refused, write_drive
 
@@ -184,26 +185,39 @@ def test_the_share_over_drives_is_that_of_all_frames() -> None:
     rng = np.random.default_rng(0)
     frames = rng.integers(50, 500, 30).astype(float)
     right = np.round(frames * rng.uniform(0.5, 1.0, 30))
-    share, low, high = share_over_drives(right, frames)
+    sums = np.stack([right, frames], axis=1)
+    share, interval = over_drives(sums)
     assert share == right.sum() / frames.sum()
-    assert low is not None
-    assert high is not None
+    assert interval is not None
+    low, high = interval
     assert low < share < high
     # The spread of a ratio, by the delta method.
     spread = np.sqrt(30 * np.var(right - share * frames)) / frames.sum()
     assert high - low == pytest.approx(2 * 1.96 * spread, rel=3 / np.sqrt(RESAMPLES) + 0.1)
-    assert share_over_drives(right[:1], frames[:1]) == (right[0] / frames[0], None, None)
-    assert share_over_drives(right, frames) == share_over_drives(right, frames)
+    assert over_drives(sums[:1]) == (right[0] / frames[0], None)
+    assert over_drives(sums) == over_drives(sums)
 
 
 def test_the_share_of_alike_frames_is_less_sure_by_drive() -> None:
     frames = np.full(20, 1000.0)
     right = np.where(np.arange(20) % 2 == 0, 1000.0, 500.0)
-    _, low, high = share_over_drives(right, frames)
-    assert low is not None
-    assert high is not None
+    _, interval = over_drives(np.stack([right, frames], axis=1))
+    assert interval is not None
     # Of single frames the interval would be +-.006.
-    assert high - low > 0.15
+    assert interval[1] - interval[0] > 0.15
+
+
+def test_a_difference_over_drives_is_paired() -> None:
+    rng = np.random.default_rng(1)
+    one = rng.integers(0, 100, (12, 4, 3))
+    other = one.copy()
+    other[:, 0, 0] += 5
+    assert over_drives(one, accuracy, one) == (0.0, (0.0, 0.0))
+    difference, interval = over_drives(other, accuracy, one)
+    assert difference == accuracy(other.sum(axis=0)) - accuracy(one.sum(axis=0))
+    assert interval is not None
+    # Unpaired, twelve drives that differ as much as these overlap zero.
+    assert 0 < interval[0] < difference < interval[1]
 
 
 def test_a_summary_has_each_number_once() -> None:
@@ -235,4 +249,4 @@ def test_a_summary_has_each_number_once() -> None:
     everything, by_road = pooled([good, bad])
     assert (everything.drives, everything.failed, everything.frames) == (2, 1, 10)
     assert (by_road.tag, by_road.value, by_road.accuracy) == ("road", "A4", 0.5)
-    assert everything.low is None
+    assert everything.interval is None

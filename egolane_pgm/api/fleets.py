@@ -10,11 +10,19 @@ from typing import TYPE_CHECKING, Any
 
 from egolane_pgm.api import shown
 from egolane_pgm.api.given import bar
-from egolane_pgm.experiment import Given, Overrides, load_experiment
-from egolane_pgm.fleet import plan_fleet, read_fleet, summary_rows, write_summary
+from egolane_pgm.experiment import Experiment, Given, Overrides, load_experiment
+from egolane_pgm.fleet import (
+    FleetDrive,
+    drive_experiment,
+    plan_fleet,
+    read_fleet,
+    summary_rows,
+    write_summary,
+)
 from egolane_pgm.parallel import Jobs
 from egolane_pgm.report.fleet_table import fleet_table_rows
 from egolane_pgm.running import FinishedRun, run_all
+from egolane_pgm.types import all_problems
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -24,8 +32,36 @@ if TYPE_CHECKING:
 SUMMARY = "summary.parquet"
 
 
+class DriveTable:
+    """What is told of the drives of a fleet.
+
+    - rows: a row for each drive, see `egolane_pgm.fleet.summary_rows`.
+    """
+
+    rows: Sequence[Mapping[str, Any]]
+
+    def __len__(self) -> int:
+        return len(self.rows)
+
+    def to_pandas(self) -> pd.DataFrame:
+        """A row per drive; the index is `name`."""
+        import pandas as pd
+
+        return pd.DataFrame(self.rows).set_index("name")
+
+    def plot(self) -> Figure:
+        """Draw the accuracy of all drives and of those with each tag.
+
+        Raises InputError for a fleet without scores.
+        """
+        from egolane_pgm.report.fleet_figure import fleet_figure
+        from egolane_pgm.report.style import inline_figure
+
+        return inline_figure(lambda: fleet_figure(self.rows))
+
+
 @dataclass(frozen=True, repr=False, eq=False)
-class FleetResult:
+class FleetResult(DriveTable):
     """What became of the drives of a fleet.
 
     - folder: with a result directory for each drive, and summary.parquet.
@@ -49,9 +85,6 @@ class FleetResult:
     rows: Sequence[Mapping[str, Any]]
     were_there: int
 
-    def __len__(self) -> int:
-        return len(self.rows)
-
     def __repr__(self) -> str:
         return f"FleetResult({self._title()})"
 
@@ -66,22 +99,6 @@ class FleetResult:
     def failed(self) -> list[tuple[str, str]]:
         """The name of each drive that failed, and why."""
         return [(row["name"], row["error"]) for row in self.rows if row["error"] is not None]
-
-    def to_pandas(self) -> pd.DataFrame:
-        """A row per drive; the index is `name`."""
-        import pandas as pd
-
-        return pd.DataFrame(self.rows).set_index("name")
-
-    def plot(self) -> Figure:
-        """Draw the accuracy of all drives and of those with each tag.
-
-        Raises InputError for a fleet without scores.
-        """
-        from egolane_pgm.report.fleet_figure import fleet_figure
-        from egolane_pgm.report.style import inline_figure
-
-        return inline_figure(lambda: fleet_figure(self.rows))
 
 
 def run_fleet(
@@ -133,3 +150,21 @@ def run_fleet(
     rows = summary_rows(drives, done)
     write_summary(folder / SUMMARY, rows)
     return FleetResult(folder, rows, sum(each.was_there for each in done))
+
+
+def experiments_of(
+    base: Experiment, fleet: str | os.PathLike[str]
+) -> tuple[tuple[FleetDrive, ...], list[Experiment]]:
+    """The drives of a table, and the experiment on each of them, to be learned or searched from.
+
+    Raises InputError for all rows that do not fit.
+    """
+    drives = read_fleet(os.fspath(fleet))
+    found = []
+    with all_problems() as part:
+        for drive in drives:
+            with part():
+                placed = drive_experiment(base, drive)
+                # A drive may be what the base was tuned on, under another name too.
+                found.append(placed.model_copy(update={"tuned_on": base.tuned_on}))
+    return drives, found

@@ -4,25 +4,31 @@ from __future__ import annotations
 
 import os
 import warnings
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, overload
 
 import numpy as np
 
 from egolane_pgm.api import shown
+from egolane_pgm.api.fleets import DriveTable, experiments_of
 from egolane_pgm.api.given import bar
 from egolane_pgm.api.runs import RunResult
 from egolane_pgm.comparing.choose import chosen_on_all, learns, plan, try_all
+from egolane_pgm.comparing.placing import parts_of_fleet
 from egolane_pgm.experiment import Experiment, Given, Overrides, load_experiment, resolved
+from egolane_pgm.fleet import drive_row, pooled
 from egolane_pgm.learning import Learned, write_learned
 from egolane_pgm.learning import learn as run_learn
+from egolane_pgm.learning.fleet import SHARED, LearnedFleet, learn_fleet
 from egolane_pgm.learning.held_out import load_to_learn
 from egolane_pgm.learning.tables import PREFIX
 from egolane_pgm.loading import with_video_rate
 from egolane_pgm.model import Drive, Model, causality, prepare_model
+from egolane_pgm.parallel import Jobs
 from egolane_pgm.parameters import Value
+from egolane_pgm.report.fleet_table import fleet_table_rows
 from egolane_pgm.report.tables import score_rows, with_interval
 from egolane_pgm.running import make_result
 from egolane_pgm.types import InputError
@@ -133,15 +139,134 @@ class LearnResult:
 
         Returns the YAML file. Raises InputError where it cannot be written.
         """
-        place = Path(target)
-        if place.suffix not in (".yaml", ".yml"):
-            place = place / f"learned_{self.name.removeprefix('learned_')}.yaml"
-        return self.write(place)[0]
+        return self.write(_yaml_at(target, self.name))[0]
 
     def write(self, target: Path) -> list[Path]:
         """As `save`; returns all files that were written."""
         parameters = {} if self.learned is None else self.learned.parameters
         return write_learned(self.experiment, self.model, parameters, target)
+
+
+@dataclass(frozen=True, repr=False, eq=False)
+class FleetLearnResult(DriveTable):
+    """What was learned from the drives of a fleet together, and what it is worth on drives that it
+    has not seen.
+
+    - experiment: what was learned from, on the drives' road.
+    - source: what was learned from, in words.
+    - held_out: what was left out in turn, in words.
+    - rows: a row for each drive: its tags, the `part` that it was left out with, from 1, and its
+      scores, held out.
+    - learned: what was learned.
+    - notes: warnings, a line each.
+
+    >>> import tempfile
+    >>> from pathlib import Path
+    >>> import egolane_pgm as ego
+    >>> place = ego.experiments_folder() / "quickstart.yaml"
+    >>> with tempfile.TemporaryDirectory() as folder:
+    ...     drives = Path(folder, "drives.csv")
+    ...     rows = ["recording.seed,recording.frames", *(f'{k},"[0, 300]"' for k in range(3))]
+    ...     _ = drives.write_text("\\n".join(rows))
+    ...     learned = ego.learn(place, fleet=drives, unlabelled=True)
+    >>> learned.held_out
+    '3 parts of the drives'
+    >>> learned.to_pandas()["part"].to_list()
+    [1, 2, 3]
+    """
+
+    experiment: Experiment
+    source: str
+    held_out: str
+    rows: Sequence[Mapping[str, Any]]
+    learned: LearnedFleet
+    notes: tuple[str, ...]
+
+    @property
+    def name(self) -> str:
+        """The name of the experiment."""
+        return self.experiment.name
+
+    @property
+    def parameters(self) -> dict[str, Any]:
+        """What was learned, by name; tables as nested lists."""
+        found = self.learned.parameters
+        plain = {k: v for k, v in found.items() if not k.startswith(PREFIX)}
+        return {**plain, **self.learned.tables()}
+
+    def __repr__(self) -> str:
+        return f"FleetLearnResult({self._title()})"
+
+    def _title(self) -> str:
+        parts = [f"{self.name!r}: {self.source}"]
+        everything = pooled(self.rows)[0]
+        if everything.accuracy is not None:
+            parts.append(f"accuracy {with_interval(everything.accuracy, everything.interval)}")
+        if self.learned.log_evidence is not None:
+            before, after = self.learned.log_evidence
+            parts.append(f"log evidence per frame {before:.3f} -> {after:.3f}")
+        return f"{', '.join(parts)}; held out: {self.held_out}"
+
+    def _repr_html_(self) -> str:
+        return shown.html_table(self._title(), *fleet_table_rows(self.rows), self.notes)
+
+    def save(self, target: str | os.PathLike[str]) -> Path:
+        """As `LearnResult.save`."""
+        return self.write(_yaml_at(target, self.name))[0]
+
+    def write(self, target: Path) -> list[Path]:
+        """As `save`; returns all files that were written."""
+        found = self.learned
+        return write_learned(self.experiment, found.model, found.parameters, target, self.source)
+
+
+def _yaml_at(target: str | os.PathLike[str], name: str) -> Path:
+    place = Path(target)
+    if place.suffix in (".yaml", ".yml"):
+        return place
+    return place / f"learned_{name.removeprefix('learned_')}.yaml"
+
+
+@overload
+def learn(
+    experiment: Given,
+    *,
+    overrides: Overrides = (),
+    unlabelled: bool = False,
+    blocks: int = 5,
+    fleet: None = None,
+    by_tag: str | None = None,
+    jobs: Jobs = 1,
+    progress: bool | None = None,
+) -> LearnResult: ...
+
+
+@overload
+def learn(
+    experiment: Given,
+    *,
+    overrides: Overrides = (),
+    unlabelled: bool = False,
+    blocks: int = 5,
+    fleet: str | os.PathLike[str],
+    by_tag: str | None = None,
+    jobs: Jobs = 1,
+    progress: bool | None = None,
+) -> FleetLearnResult: ...
+
+
+@overload
+def learn(
+    experiment: Given,
+    *,
+    overrides: Overrides = (),
+    unlabelled: bool = False,
+    blocks: int = 5,
+    fleet: str | os.PathLike[str] | None,
+    by_tag: str | None = None,
+    jobs: Jobs = 1,
+    progress: bool | None = None,
+) -> LearnResult | FleetLearnResult: ...
 
 
 def learn(
@@ -150,18 +275,26 @@ def learn(
     overrides: Overrides = (),
     unlabelled: bool = False,
     blocks: int = 5,
+    fleet: str | os.PathLike[str] | None = None,
+    by_tag: str | None = None,
+    jobs: Jobs = 1,
     progress: bool | None = None,
-) -> LearnResult:
-    """Learn an experiment from its recording, and score it on frames that were held out.
+) -> LearnResult | FleetLearnResult:
+    """Learn an experiment from its recording, or from the drives of a fleet together, and score it
+    on frames that were held out.
 
     - experiment: an experiment, or the path of its YAML file.
     - overrides: keys of the YAML that get other values.
     - unlabelled: whether no label is looked at (`learning.labels: false`); for tables.
-    - blocks: how many blocks are held out in turn.
+    - blocks: how many blocks are held out in turn; of a fleet how many parts of its drives.
+    - fleet: a table of drives to learn from, see `egolane_pgm.fleet`.
+    - by_tag: of a fleet: the drives with each value of this tag are held out in turn.
+    - jobs: of a fleet: processes that share the fits; or a Dask cluster, as `run_fleet` takes it.
     - progress: whether a bar shows how far it is; None for in a terminal.
 
-    An evidence rule that can learn learns its parameters from the labels; with any other the
-    tables of the graph are learned by EM. With `fit: choose` constants are chosen first.
+    Returns a `LearnResult`, of a fleet a `FleetLearnResult`. An evidence rule that can learn learns
+    its parameters from the labels; with any other the tables of the graph are learned by EM, whose
+    expected counts are added over the drives. With `fit: choose` constants are chosen first.
     Raises InputError where nothing can be learned as the experiment says.
 
     >>> import egolane_pgm as ego
@@ -176,6 +309,10 @@ def learn(
     found = load_experiment(experiment, overrides)
     if unlabelled:
         found = load_experiment(found, {"learning.labels": False})
+    if fleet is not None:
+        return _learn_from_fleet(found, fleet, blocks, by_tag, jobs, progress)
+    if by_tag is not None or jobs != 1:
+        raise InputError("learn: --by-tag, --jobs and --cluster go with --fleet")
     given = with_video_rate(found)
     chosen, constants = _choose(given, blocks, progress)
     if given.fit == "choose" and not learns(prepare_model(given), given):
@@ -190,6 +327,44 @@ def learn(
     notes = tuple(dict.fromkeys(str(w.message) for w in caught))
     held_out = _held_out(drive, learned, blocks, notes)
     return LearnResult(chosen, learned.model, blocks, constants, learned, held_out, notes)
+
+
+def _learn_from_fleet(
+    base: Experiment,
+    fleet: str | os.PathLike[str],
+    blocks: int,
+    by_tag: str | None,
+    jobs: Jobs,
+    progress: bool | None,
+) -> FleetLearnResult:
+    if base.fit == "choose":
+        raise InputError(
+            f"{base.source}: fit: choose: goes with the recordings of choice, not with --fleet"
+        )
+    drives, experiments = experiments_of(base, fleet)
+    parts = parts_of_fleet(drives, experiments, blocks, by_tag)
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("always", UserWarning)
+        with bar(None, progress, total=1 + (len(parts) or blocks), unit="fit") as shows:
+            learned = learn_fleet(experiments, parts, n_blocks=blocks, jobs=jobs, done=shows.update)
+    part_of = {k: number for number, part in enumerate(parts, 1) for k in part}
+    rows = []
+    for k, (drive, scores) in enumerate(zip(drives, learned.scores, strict=True)):
+        frames = 0 if scores is None else scores["frames_scored"]
+        first = {"error": None, "part": part_of.get(k), "frames_scored": frames}
+        rows.append(drive_row(drive, first, {} if scores is None else {"model": scores}))
+    held_out = f"{blocks} blocks of the one drive"
+    if parts:
+        held_out = f"{len(parts)} parts of the drives"
+        held_out += f", by tag.{by_tag}" if by_tag is not None else ""
+    return FleetLearnResult(
+        base.model_copy(update={key: getattr(experiments[0], key) for key in SHARED}),
+        f"{len(drives)} drives of {Path(fleet).name}",
+        held_out,
+        rows,
+        learned,
+        tuple(dict.fromkeys(str(w.message) for w in caught)),
+    )
 
 
 def _choose(

@@ -21,7 +21,10 @@ EXAMPLES = {
     ),
     "export": ("egolane export results/quickstart drive.mcap",),
     "label": ("egolane label drive/lines.csv --n-lanes 4 --out labels",),
-    "learn": ("egolane learn drive/experiment.yaml --out learned.yaml",),
+    "learn": (
+        "egolane learn drive/experiment.yaml --out learned.yaml",
+        "egolane learn experiments/quickstart.yaml --fleet drives.csv --by-tag weather",
+    ),
     "lines": ("egolane lines drive/lines.csv --frame 7",),
     "locate": ("egolane locate lanes.parquet drive.gpx -o road.parquet",),
     "ls": ("egolane ls",),

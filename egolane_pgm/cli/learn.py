@@ -2,18 +2,20 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
 import click
 
-from egolane_pgm.api.learned import LearnResult
+from egolane_pgm.api.learned import FleetLearnResult, LearnResult
 from egolane_pgm.api.learned import learn as learn_experiment
 from egolane_pgm.cli import options
 from egolane_pgm.cli.options import write_json
 from egolane_pgm.experiment import load_experiment
+from egolane_pgm.files import check_not_read
 from egolane_pgm.learning import output_files
+from egolane_pgm.parallel import Jobs
+from egolane_pgm.report.fleet_table import fleet_table_rows
 from egolane_pgm.report.tables import Table, page, score_rows
 from egolane_pgm.results import SCHEMA_VERSION
 
@@ -29,7 +31,16 @@ from egolane_pgm.results import SCHEMA_VERSION
     type=click.Path(dir_okay=False),
     help="The new experiment; default learned_<name>.yaml here.",
 )
-@click.option("--blocks", type=click.IntRange(2), default=5, show_default=True)
+@click.option(
+    "--blocks",
+    type=click.IntRange(2),
+    default=5,
+    show_default=True,
+    help="Blocks held out in turn; of a fleet parts of its drives.",
+)
+@options.fleet
+@options.by_tag
+@options.jobs
 @options.tables
 @options.json_file
 def learn(
@@ -38,6 +49,9 @@ def learn(
     unlabelled: bool,
     out: str | None,
     blocks: int,
+    fleet: str | None,
+    by_tag: str | None,
+    jobs: Jobs,
     style: str,
     wide: bool,
     json_file: Path | None,
@@ -51,25 +65,37 @@ def learn(
 
     With `fit: choose` constants are chosen first, and tables learned only where the experiment has
     a `learning` section, as in `egolane compare`.
+
+    With --fleet it is learned from all drives of a table together, and each part of the drives is
+    scored with what was learned from the others.
     """
     if unlabelled:
         overrides = (*overrides, "learning.labels=false")
     found = load_experiment(experiment, overrides)
     target = Path(out) if out else Path(f"learned_{found.name.removeprefix('learned_')}.yaml")
-    output_files(found, target)
-    learned = learn_experiment(found, blocks=blocks)
+    files = output_files(found, target)
+    if fleet is not None:
+        for file in (*files, *filter(None, [json_file])):
+            check_not_read(file, [Path(fleet)])
+    learned = learn_experiment(found, blocks=blocks, fleet=fleet, by_tag=by_tag, jobs=jobs)
     for note in learned.notes:
         options.warn(note)
+    if isinstance(learned, FleetLearnResult):
+        parts, document = _fleet_parts(learned), _fleet_document(learned)
+    else:
+        parts, document = _parts(learned), _document(learned)
     # The scores are printed even if the files cannot be written.
-    click.echo(page(_parts(learned), style, wide))
+    click.echo(page(parts, style, wide))
     files = learned.write(target)
     click.echo(f"\nwritten to {' and '.join(map(str, files))}", err=style != "markdown")
     if json_file:
-        write_json(json_file, _document(learned, load_experiment(target).parameters))
+        tables = document.pop("tables")
+        parameters = {**load_experiment(target).parameters, **tables}
+        write_json(json_file, {**document, "parameters": parameters})
 
 
-def _document(done: LearnResult, parameters: Mapping[str, Any]) -> dict[str, Any]:
-    """What `egolane learn --json` writes."""
+def _document(done: LearnResult) -> dict[str, Any]:
+    """What `egolane learn --json` writes, and the tables that were learned."""
     learned = done.learned
     before, after = (learned and learned.log_evidence) or (None, None)
     return {
@@ -80,8 +106,31 @@ def _document(done: LearnResult, parameters: Mapping[str, Any]) -> dict[str, Any
         "held_out_all_frames": learned and learned.scores_all,
         "log_evidence_before": before,
         "log_evidence_held_out": after,
-        "parameters": {**parameters, **(learned.tables() if learned else {})},
+        "tables": learned.tables() if learned else {},
     }
+
+
+def _fleet_document(done: FleetLearnResult) -> dict[str, Any]:
+    """The same of a fleet: `held_out` are words, and `drives` the rows with the scores."""
+    before, after = done.learned.log_evidence or (None, None)
+    return {
+        "schema_version": SCHEMA_VERSION,
+        "name": done.name,
+        "fleet": done.source,
+        "held_out": done.held_out,
+        "drives": list(done.rows),
+        "log_evidence_before": before,
+        "log_evidence_held_out": after,
+        "tables": done.learned.tables(),
+    }
+
+
+def _fleet_parts(done: FleetLearnResult) -> list[str | Table]:
+    title = f"{done.name}: learned from {done.source}\nheld out: {done.held_out}"
+    parts: list[str | Table] = [title, Table(*fleet_table_rows(done.rows))]
+    if not any(row["frames_scored"] for row in done.rows):
+        parts = [f"{title}\nno ground truth, so nothing is scored"]
+    return parts + _log_evidence_parts(done.learned.log_evidence)
 
 
 def _parts(done: LearnResult) -> list[str | Table]:
@@ -107,10 +156,14 @@ def _parts(done: LearnResult) -> list[str | Table]:
         if everywhere != scored:
             parts.append(f"the same over all {everywhere} frames, those of tuning.never_fit too")
             parts.append(Table(*score_rows({"model": learned.scores_all})))
-    if learned.log_evidence is not None:
-        before, after = learned.log_evidence
-        parts.append(
-            f"log evidence per frame, exact filter: {before:.4f} with the starting tables,"
-            f" {after:.4f} with the learned ones, held out"
-        )
-    return parts
+    return parts + _log_evidence_parts(learned.log_evidence)
+
+
+def _log_evidence_parts(log_evidence: tuple[float, float] | None) -> list[str | Table]:
+    if log_evidence is None:
+        return []
+    before, after = log_evidence
+    return [
+        f"log evidence per frame, exact filter: {before:.4f} with the starting tables,"
+        f" {after:.4f} with the learned ones, held out"
+    ]

@@ -81,6 +81,12 @@ fleet = click.option(
     help="A table with a row per drive (.csv, .parquet, .yaml): recording, n_lanes, tag.X, ...",
 )
 
+by_tag = click.option(
+    "--by-tag",
+    metavar="NAME",
+    help="With --fleet: hold out the drives with each value of tag.NAME in turn.",
+)
+
 camera = click.option(
     "--camera", "camera_file", required=True, metavar="FILE", help="The camera's YAML."
 )

@@ -48,7 +48,7 @@ from egolane_pgm.scoring.seeds import (
     with_bounds,
 )
 from egolane_pgm.scoring.summary import score_with_intervals
-from egolane_pgm.types import BoolArray, FloatArray, InputError, all_problems
+from egolane_pgm.types import BoolArray, FloatArray, InputError, all_problems, problems_in
 
 
 @dataclass(frozen=True)
@@ -229,13 +229,11 @@ def _checked(groups: list[Group], on_runs: bool = False) -> list[Group]:
 
 
 def _prepare(experiment: Experiment, title: str | None) -> None:
-    try:
+    if title is None:
         prepare_model(experiment)
-    except InputError as error:
-        if title is None:
-            raise
-        where = f"{title}, {experiment.n_lanes} lanes"
-        raise InputError(*(f"{where}: {line}" for line in error.lines)) from error
+        return
+    with problems_in(f"{title}, {experiment.n_lanes} lanes"):
+        prepare_model(experiment)
 
 
 def compare_groups(

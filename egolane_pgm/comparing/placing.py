@@ -10,12 +10,13 @@ from pathlib import Path
 import numpy as np
 
 from egolane_pgm.experiment import Experiment, Tuning, load_experiment, make_experiment
+from egolane_pgm.fleet import FleetDrive
 from egolane_pgm.loading import Recorded
 from egolane_pgm.model import Drive, load_drive
 from egolane_pgm.recordings.catalog import find_file
 from egolane_pgm.recordings.ground_truth import read_ground_truth
 from egolane_pgm.running import files_in_full
-from egolane_pgm.types import BoolArray, InputError, IntArray
+from egolane_pgm.types import BoolArray, InputError, IntArray, problems_in, suggestion
 
 
 def on_recording(model: Experiment, place: Experiment) -> Experiment:
@@ -50,11 +51,8 @@ def on_recordings(model: Experiment, names: Sequence[str], key: str) -> list[Exp
     """
     placed = []
     for name in names:
-        try:
+        with problems_in(f"{model.source}: {key}"):
             placed.append(on_recording(model, load_experiment(model.folder / name)))
-        except InputError as error:
-            where = f"{model.source}: {key}"
-            raise InputError(*(f"{where}: {line}" for line in error.lines)) from error
     return placed
 
 
@@ -68,13 +66,15 @@ def recording_key(experiment: Experiment) -> str:
 
 def drive_key(experiment: Experiment) -> str:
     """The same for recordings of one drive: a checksum of the frame ids and labels of its ground
-    truth, or the simulation.
+    truth, or the simulation; of one without ground truth the file.
 
     The name of the file does not count: whoever knows the labels of a file knows those of its copy.
     Raises InputError where the ground truth cannot be read.
     """
     if experiment.ground_truth is None:
         recording = experiment.recording
+        if recording.path is not None:
+            return str(files_in_full({"path": recording.path}, experiment.folder)["path"])
         return repr((recording.simulate, recording.seed, experiment.n_lanes))
     try:
         path = find_file(experiment.ground_truth.path, experiment.folder)
@@ -93,6 +93,50 @@ def _labels_key(path: Path, changed_ns: int, size: int) -> str:
     for values in (truth.frame_id, truth.lane, truth.is_crossing):
         content.update(np.ascontiguousarray(values).tobytes())
     return content.hexdigest()
+
+
+def parts_of_fleet(
+    drives: Sequence[FleetDrive], experiments: Sequence[Experiment], n_parts: int, tag: str | None
+) -> tuple[tuple[int, ...], ...]:
+    """The numbers of the drives of a fleet that are held out together, part by part; none for one
+    drive.
+
+    - experiments: on each drive.
+    - n_parts: how many parts there are, neighbours in the table together; at most one for each.
+    - tag: instead, those with each value of this tag.
+
+    Rows of one drive (of several detectors, or stretches of one recording) are held out together.
+    Raises InputError where nothing could be held out so.
+    """
+    if len(drives) == 1:
+        return ()
+    rows: dict[str, list[int]] = {}
+    for k, experiment in enumerate(experiments):
+        with problems_in(drives[k].source):
+            rows.setdefault(drive_key(experiment), []).append(k)
+    if tag is None:
+        if len(rows) == 1:
+            raise InputError(f"{drives[0].source}: is the drive of all other rows, so none is left")
+        in_parts = np.array_split(np.arange(len(rows)), min(n_parts, len(rows)))
+        of_drives = list(rows.values())
+        return tuple(tuple(sorted(k for j in part for k in of_drives[j])) for part in in_parts)
+    found: dict[str, list[int]] = {}
+    for same in rows.values():
+        values = {drives[k].tags.get(tag) for k in same}
+        (value,) = values if len(values) == 1 else (None,)
+        source = drives[same[0]].source
+        if len(values) > 1:
+            others = ", ".join(drives[k].name for k in same)
+            raise InputError(f"{source}: {others} are one drive, of which tag.{tag} differs")
+        if value is None:
+            known = {name for drive in drives for name in drive.tags}
+            raise InputError(f"{source}: has no tag.{tag}{suggestion(tag, known)}")
+        found.setdefault(value, []).extend(same)
+    if len(found) == 1:
+        raise InputError(
+            f"{drives[0].source}: tag.{tag} is that of all other rows, so none is left"
+        )
+    return tuple(tuple(sorted(part)) for part in found.values())
 
 
 def timeline(drive: Drive) -> IntArray:

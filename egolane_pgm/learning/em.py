@@ -8,14 +8,14 @@ it is used; an entry that is zero is a statement about the structure and stays z
 
 from __future__ import annotations
 
-from collections.abc import Container, Mapping
-from dataclasses import dataclass
+from collections.abc import Container, Mapping, Sequence
+from dataclasses import dataclass, field
 
 import numpy as np
 
 from egolane_pgm.graphs.cpds import SliceNode, Table
 from egolane_pgm.inference.compile import Compiled, with_tables
-from egolane_pgm.inference.expected_counts import counted_tables, expected_counts
+from egolane_pgm.inference.expected_counts import Expected, counted_tables, expected_counts
 from egolane_pgm.types import BoolArray, Evidence, FloatArray, IntArray
 
 #: The iterations end where the log posterior grows by less than this, nats per frame.
@@ -29,6 +29,19 @@ _SMALLEST = float(np.finfo(np.float64).tiny)
 
 
 @dataclass(frozen=True)
+class Seen:
+    """What the tables are learned from in one recording.
+
+    - evidence: T frames.
+    - known, is_first: as `expected_counts`.
+    """
+
+    evidence: Evidence
+    known: Mapping[str, IntArray] = field(default_factory=dict)
+    is_first: BoolArray | None = None
+
+
+@dataclass(frozen=True)
 class Fitted:
     """What EM found.
 
@@ -37,7 +50,7 @@ class Fitted:
     log_posterior (I,): log evidence plus log prior (0 for the starting tables), before each
         iteration and after the last.
     is_impossible (T,): marks frames whose evidence, together with what is known, the tables do not
-        allow.
+        allow; of several recordings one behind the other.
     """
 
     tables: Mapping[SliceNode, Table]
@@ -72,13 +85,30 @@ def fit_tables(
     >>> bool(fitted.log_posterior[-1] > fitted.log_posterior[0])
     True
     """
+    seen = [Seen(evidence, known or {}, is_first)]
+    return fit_tables_pooled(compiled, seen, nodes=nodes, strength=strength, iterations=iterations)
+
+
+def fit_tables_pooled(
+    compiled: Compiled,
+    seen: Sequence[Seen],
+    *,
+    nodes: Container[str] | None = None,
+    strength: float = 100.0,
+    iterations: int = 200,
+) -> Fitted:
+    """As `fit_tables`, from several recordings.
+
+    Their expected counts are added, so the tables are those of the recordings one behind the
+    other, each with its own beginning; memory beside that of `seen` is that of the longest one.
+    """
     start = counted_tables(compiled)
     now = dict(start)
     history: list[float] = []
-    enough = TOLERANCE * max(1, len(evidence))
+    enough = TOLERANCE * max(1, sum(len(each.evidence) for each in seen))
     while True:
         learned = with_learned(compiled, now)
-        expected = expected_counts(learned, evidence, known, is_first)
+        expected = _expected(learned, seen)
         history.append(expected.log_evidence + strength * _log_prior(start, now))
         is_still = len(history) > 1 and history[-1] - history[-2] <= enough
         if is_still or len(history) > iterations:
@@ -87,6 +117,16 @@ def fit_tables(
             if nodes is None or node[0] in nodes:
                 rows = _most_probable(expected.counts[node], table.values, strength)
                 now[node] = Table(node, table.parents, rows)
+
+
+def _expected(compiled: Compiled, seen: Sequence[Seen]) -> Expected:
+    """The expected counts of all recordings, added in their order."""
+    each = [expected_counts(compiled, one.evidence, one.known, one.is_first) for one in seen]
+    return Expected(
+        {node: np.sum([one.counts[node] for one in each], axis=0) for node in each[0].counts},
+        sum(one.log_evidence for one in each),
+        np.concatenate([one.is_impossible for one in each]),
+    )
 
 
 def with_learned(compiled: Compiled, learned: Mapping[SliceNode, Table]) -> Compiled:

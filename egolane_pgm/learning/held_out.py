@@ -4,18 +4,20 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 
 from egolane_pgm.experiment import Experiment
 from egolane_pgm.inference.filtering import filter_beliefs
+from egolane_pgm.learning.em import Seen
 from egolane_pgm.learning.tables import (
     check_tables,
     fit_graph,
     free_numbers,
     learning_of,
     nested_tables,
+    seen_in,
     starting,
     with_found,
 )
@@ -36,6 +38,12 @@ from egolane_pgm.types import Beliefs, BoolArray, InputError, IntArray, LineLog
 
 #: Parameters and tables that a fit found, by name; those that it leaves alone are not in it.
 Found = Mapping[str, Value]
+
+#: What an evidence rule learns from, see `labelled`.
+Labelled = tuple[LineLog, IntArray, BoolArray]
+
+#: What is looked at of a drive to learn from it: by EM of tables, or by an evidence rule.
+Lesson = Seen | Labelled
 
 
 @dataclass(frozen=True)
@@ -81,27 +89,40 @@ def learn(
     truth, unless it learns without labels, or of which nothing can be learned.
     """
     drive = load_to_learn(experiment, recorded)
-    trusted = np.flatnonzero(drive.may_fit)
-    if not len(trusted):
-        raise InputError(f"{experiment.source}: tuning.never_fit leaves no frame to learn from")
+    trusted = trusted_frames(drive)
     parameters = fit(drive.only_labels_of(trusted), trusted)
     done()
     result = held_out_belief(drive, n_blocks=n_blocks, done=done)
-    log_evidence = None if _has_fit(drive.model) else _log_evidence(drive, result)
-    if drive.recorded.truth is None:
-        return Learned(drive.model, parameters, result, None, None, log_evidence)
-
-    def scores(frames: IntArray) -> dict[str, Any]:
-        return score_with_intervals(
-            result.beliefs.lane[frames],
-            drive.truth.take(frames),
-            drive.experiment.recording.frame_rate,
-            drive.experiment.unassigned_below,
-        )
-
-    everything = np.arange(len(drive))
     return Learned(
-        drive.model, parameters, result, scores(trusted), scores(everything), log_evidence
+        drive.model,
+        parameters,
+        result,
+        scores_of(drive, result.beliefs, trusted),
+        scores_of(drive, result.beliefs, np.arange(len(drive))),
+        mean_log_evidence([log_evidence_of(drive, result.parameters)]),
+    )
+
+
+def trusted_frames(drive: Drive) -> IntArray:
+    """Which of the annotated frames of a drive may be learned from. Raises InputError where that
+    is none."""
+    trusted = np.flatnonzero(drive.may_fit)
+    if not len(trusted):
+        source = drive.experiment.source
+        raise InputError(f"{source}: tuning.never_fit leaves no frame to learn from")
+    return trusted
+
+
+def scores_of(drive: Drive, beliefs: Beliefs, frames: IntArray) -> dict[str, Any] | None:
+    """The scores, as `score_with_intervals` gives them, of beliefs of the annotated frames of a
+    drive over some of these; None without ground truth."""
+    if drive.recorded.truth is None:
+        return None
+    return score_with_intervals(
+        beliefs.lane[frames],
+        drive.truth.take(frames),
+        drive.experiment.recording.frame_rate,
+        drive.experiment.unassigned_below,
     )
 
 
@@ -129,38 +150,44 @@ def fit(drive: Drive, train: IntArray) -> dict[str, Value]:
     It starts from the defaults, whatever the experiment has learned before; see
     `tables.seen_before`.
     """
-    model, experiment = drive.model, drive.experiment
-    if not _has_fit(model):
-        return fit_graph(drive, train)
-    log, lane, is_used = labelled(drive, train)
-    with plugin_errors(model.rule, "evidence"):
-        found: dict[str, Value] = model.rule.fit(
-            log, lane, is_used, experiment.n_lanes, _first_guess(drive)
-        )
-    return _checked(model, found, "fit()")
+    return fit_pooled([drive], [train])
 
 
 def fit_pooled(drives: Sequence[Drive], trains: Sequence[IntArray]) -> dict[str, Value]:
-    """What is learned from the annotated frames `trains` of each drive, all under one model.
+    """What is learned from the annotated frames `trains` of each drive, all under one model, as
+    `fit`. Raises InputError as `fit_lessons`."""
+    lessons = [lesson(drive, train) for drive, train in zip(drives, trains, strict=True)]
+    return fit_lessons(drives[0].model, drives[0].experiment, lessons)
 
-    Raises InputError for several drives where the evidence rule has no `fit_pooled`.
-    """
-    first = drives[0]
-    if len(drives) == 1:
-        return fit(first, trains[0])
-    model, experiment = first.model, first.experiment
-    if not hasattr(model.rule, "fit_pooled"):
-        raise InputError(
-            f"{experiment.source}: learned_on: the evidence rule {experiment.evidence} learns from"
-            " one recording, it has no fit_pooled"
-        )
-    parts = [labelled(drive, train) for drive, train in zip(drives, trains, strict=True)]
+
+def lesson(drive: Drive, train: IntArray) -> Lesson:
+    """What is looked at of a drive to learn from its annotated frames `train`."""
+    return labelled(drive, train) if _has_fit(drive.model) else seen_in(drive, train)
+
+
+def fit_lessons(
+    model: Model, experiment: Experiment, lessons: Sequence[Lesson]
+) -> dict[str, Value]:
+    """What is learned from some drives. Raises InputError for several where the evidence rule
+    learns and has no `fit_pooled`."""
+    if not _has_fit(model):
+        return fit_graph(model, experiment, cast(Sequence[Seen], lessons))
+    parts = cast(Sequence[Labelled], lessons)
+    guess = _first_guess(model, experiment)
     with plugin_errors(model.rule, "evidence"):
-        found: dict[str, Value] = model.rule.fit_pooled(parts, first.n_lanes, _first_guess(first))
+        if len(parts) == 1:
+            alone: dict[str, Value] = model.rule.fit(*parts[0], experiment.n_lanes, guess)
+            return _checked(model, alone, "fit()")
+        if not hasattr(model.rule, "fit_pooled"):
+            raise InputError(
+                f"{experiment.source}: the evidence rule {experiment.evidence} learns from one"
+                " recording, it has no fit_pooled"
+            )
+        found: dict[str, Value] = model.rule.fit_pooled(parts, experiment.n_lanes, guess)
     return _checked(model, found, "fit_pooled()")
 
 
-def labelled(drive: Drive, train: IntArray) -> tuple[LineLog, IntArray, BoolArray]:
+def labelled(drive: Drive, train: IntArray) -> Labelled:
     """What an evidence rule learns from.
 
     Returns the log; the lane of each of its T frames (T,), 0 where it must not be looked at; and
@@ -172,9 +199,8 @@ def labelled(drive: Drive, train: IntArray) -> tuple[LineLog, IntArray, BoolArra
     return drive.recorded.log, lane, lane > 0
 
 
-def _first_guess(drive: Drive) -> dict[str, Value]:
+def _first_guess(model: Model, experiment: Experiment) -> dict[str, Value]:
     """The parameters that learning starts from: those that are learned have their defaults."""
-    model, experiment = drive.model, drive.experiment
     given = {k: v for k, v in model.parameters.items() if k not in model.rule.LEARNED}
     specs = declared_parameters(model.rule, model.graph)
     return resolve_parameters(specs, given, model.n_lanes, f"{experiment.source}: parameters")
@@ -230,17 +256,39 @@ def _has_fit(model: Model) -> bool:
     return hasattr(model.rule, "fit") and hasattr(model.rule, "LEARNED")
 
 
-def _log_evidence(drive: Drive, result: HeldOut[Found]) -> tuple[float, float] | None:
-    """Mean log evidence per frame in which the evidence is possible, before learning and held out;
-    None where there is no such frame."""
+#: The log evidence of the exact filter, summed over frames in which the evidence is possible, and
+#: how many these are: with the tables that learning starts from, then with those learned elsewhere.
+LogEvidence = tuple[tuple[float, int], tuple[float, int]]
+
+
+def log_evidence_of(drive: Drive, found: Sequence[Found]) -> LogEvidence | None:
+    """The log evidence of the annotated frames of a drive; None where no table was learned.
+
+    found: what was learned without each block of the drive, or one that is for all frames.
+    """
     model, experiment = drive.model, drive.experiment
+    if _has_fit(model):
+        return None
     evidence = evidence_on(drive, model).filtered
 
     def exact(changed: Model) -> Beliefs:
         return filter_beliefs(changed.compiled, evidence, "exact").take(drive.rows)
 
-    before = exact(starting(model, experiment))
-    after = stitched([exact(with_found(model, p, experiment)) for p in result.parameters])
-    if before.is_impossible.all() or after.is_impossible.all():
+    def summed(beliefs: Beliefs) -> tuple[float, int]:
+        kept = ~beliefs.is_impossible
+        return float(beliefs.log_evidence[kept].sum()), int(np.count_nonzero(kept))
+
+    after = [exact(with_found(model, each, experiment)) for each in found]
+    believed = stitched(after) if len(after) > 1 else after[0]
+    return summed(exact(starting(model, experiment))), summed(believed)
+
+
+def mean_log_evidence(parts: Sequence[LogEvidence | None]) -> tuple[float, float] | None:
+    """Mean log evidence per frame over some drives, before learning and held out; None where no
+    table was learned, or where no frame is possible."""
+    known = [each for each in parts if each is not None]
+    sums = np.sum(known, axis=0) if known else np.zeros((2, 2))
+    if not sums[:, 1].all():
         return None
-    return before.mean_log_evidence, after.mean_log_evidence
+    before, after = (sums[:, 0] / sums[:, 1]).tolist()
+    return before, after

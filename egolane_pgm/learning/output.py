@@ -37,12 +37,17 @@ def output_files(experiment: Experiment, target: Path) -> list[Path]:
 
 
 def write_learned(
-    experiment: Experiment, model: Model, parameters: Found, target: Path
+    experiment: Experiment,
+    model: Model,
+    parameters: Found,
+    target: Path,
+    drives: str | None = None,
 ) -> list[Path]:
     """Write the experiment with what was learned to `target`, and beside it, where tables were
     learned, the graph `<its name>.graph.yaml`; returns the files that were written.
 
     parameters: those that were learned, tables by the names of `tables`.
+    drives: what was learned from, in words; None for the experiment's recording.
 
     What the new experiment says of its scores is that they are in-sample where it is run on the
     same recording. Raises InputError where a file cannot be written.
@@ -51,16 +56,18 @@ def write_learned(
     files = output_files(experiment, target)[: 2 if tables else 1]
     content = _experiment_yaml(experiment, model, parameters, target, bool(tables))
     source = Path(experiment.source).name
-    heading = f"# Learned by `egolane learn {source}` from all labelled frames of its recording\n"
+    heading = f"# Learned by `egolane learn {source}` from"
+    place = drives or "its recording"
     left_out = "# (labels of crossing ones and the frames of tuning.never_fit left out).\n"
+    if not tables or learning_of(experiment).labels:
+        heading += f" all labelled frames of {place}\n"
+    else:
+        heading += f" {place}, no label looked at\n"
+        left_out = "# (the frames of tuning.never_fit left out).\n"
     if tables:
         how = "lines and labels" if learning_of(experiment).labels else "lines alone, no labels"
-        if not learning_of(experiment).labels:
-            heading = (
-                f"# Learned by `egolane learn {source}` from its recording, no label looked at\n"
-            )
-            left_out = "# (the frames of tuning.never_fit left out).\n"
-        say = f"tables of {experiment.graph}, learned from {how}, of {_recording(experiment)}"
+        say = f"tables of {experiment.graph}, learned from {how}, of"
+        say += f" {drives or _recording(experiment)}"
         graph = graph_yaml(with_found(model, tables, experiment), say)
         write_yaml(files[1], graph, f"# Learned by `egolane learn {source}`.\n")
         content["graph"] = f"./{files[1].name}"

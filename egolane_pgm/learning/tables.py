@@ -9,7 +9,7 @@ numbers of a table stand in one row, with the axes in the order of
 from __future__ import annotations
 
 import warnings
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from typing import Any
 
@@ -19,7 +19,7 @@ from egolane_pgm.experiment import Experiment, Learning
 from egolane_pgm.graphs.cpds import SliceNode, Table
 from egolane_pgm.inference.compile import Compiled
 from egolane_pgm.inference.expected_counts import FREE, counted_tables
-from egolane_pgm.learning.em import fit_tables, with_learned
+from egolane_pgm.learning.em import Seen, fit_tables_pooled, with_learned
 from egolane_pgm.model import Drive, Model, evidence_on, with_parameters
 from egolane_pgm.parameters import Parameter, Value, resolve_parameters
 from egolane_pgm.plugins import declared_parameters, plugin_errors
@@ -78,47 +78,53 @@ def free_numbers(tables: Mapping[SliceNode, Table]) -> int:
     )
 
 
-def fit_graph(drive: Drive, train: IntArray) -> dict[str, Value]:
-    """The tables learned from the annotated frames `train` of a drive and the frames between them;
-    without ground truth from the frames `train` of the log.
+def seen_in(drive: Drive, train: IntArray) -> Seen:
+    """What tables are learned from in the annotated frames `train` of a drive and the frames
+    between them; without ground truth in the frames `train` of the log.
 
     With `learning.labels` the lane of a frame is known from its label, except in crossing frames.
+    """
+    recorded = drive.recorded
+    used = training_frames(drive.rows, train, len(recorded.log))
+    lane = np.full(len(recorded.log), FREE, dtype=np.int64)
+    if learning_of(drive.experiment).labels:
+        labelled = train[~drive.truth.is_crossing[train]]
+        lane[recorded.scored[labelled]] = drive.truth.lane[labelled] - 1
+    # Of the whole log: a rule may look at the frames before.
+    evidence = evidence_on(drive, drive.model).filtered.take(used)
+    is_first = np.diff(np.flatnonzero(used), prepend=-2) > 1
+    return Seen(evidence, {"Lane": lane[used]}, is_first)
+
+
+def fit_graph(model: Model, experiment: Experiment, seen: Sequence[Seen]) -> dict[str, Value]:
+    """The tables learned from one recording, or from several pooled.
 
     Warns of a lane without a label, which keeps its first guess, of frames that the graph does not
     allow, and of what `seen_before` lists.
     """
-    model, recorded, experiment = drive.model, drive.recorded, drive.experiment
     for note in seen_before(model, experiment):
         warnings.warn(note, UserWarning, stacklevel=2)
     options = learning_of(experiment)
-    used = training_frames(drive.rows, train, len(recorded.log))
-    log = recorded.log.take(used)
-    lane = np.full(len(recorded.log), FREE, dtype=np.int64)
     if options.labels:
-        truth = drive.truth
-        labelled = train[~truth.is_crossing[train]]
-        lane[recorded.scored[labelled]] = truth.lane[labelled] - 1
-        for k in range(1, experiment.n_lanes + 1):
-            if not (truth.lane[labelled] == k).any():
+        lanes = {lane for each in seen for lane in np.unique(each.known["Lane"]).tolist()}
+        for k in range(experiment.n_lanes):
+            if k not in lanes:
                 warnings.warn(
-                    f"{log.source}: no frame to learn from has lane {k}; it keeps its first guess",
+                    f"{experiment.source}: no frame to learn from has lane {k + 1}; it keeps its"
+                    " first guess",
                     UserWarning,
                     stacklevel=2,
                 )
-    # Of the whole log: a rule may look at the frames before.
-    evidence = evidence_on(drive, model).filtered.take(used)
     start = starting(model, experiment).compiled
-    fitted = fit_tables(
+    fitted = fit_tables_pooled(
         start,
-        evidence,
-        {"Lane": lane[used]},
-        np.diff(np.flatnonzero(used), prepend=-2) > 1,
+        seen,
         nodes={name for name, _ in check_tables(model, experiment)},
         strength=options.strength,
         iterations=options.iterations,
     )
     impossible = int(fitted.is_impossible.sum())
-    if impossible == len(evidence):
+    if impossible == len(fitted.is_impossible):
         raise InputError(
             f"{experiment.source}: none of the {impossible} frames to learn from can be under graph"
             f" {experiment.graph}, evidence and label together, so there is nothing to learn;"

@@ -29,8 +29,8 @@ def fleet_figure(rows: Sequence[Mapping[str, Any]]) -> Figure:
     put_title(figure, "Accuracy of all scored frames of the drives", size=10)
     ax = axes_at(figure, left, 0.5, 4.0, height)
     for k, each in enumerate(found):
-        if each.low is not None and each.high is not None:
-            ax.plot([each.low, each.high], [k, k], color=MODEL_COLOUR, linewidth=2)
+        if each.interval is not None:
+            ax.plot(each.interval, [k, k], color=MODEL_COLOUR, linewidth=2)
         for answer, accuracy in (("Detector only", each.detector), ("Model", each.accuracy)):
             colour, marker, _ = ANSWER_STYLE[answer]
             if accuracy is not None:

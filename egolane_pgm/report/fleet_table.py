@@ -3,33 +3,39 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from itertools import compress
 from typing import Any
 
 import numpy as np
 
 from egolane_pgm.fleet import FleetDrive, by_tag, pooled
 from egolane_pgm.report.tables import with_interval
-from egolane_pgm.scoring.bootstrap import share_over_drives
+from egolane_pgm.scoring.bootstrap import over_drives
 from egolane_pgm.types import FloatArray
 
 
 def fleet_table_rows(rows: Sequence[Mapping[str, Any]]) -> tuple[list[str], list[list[str]]]:
     """Header and rows: all drives, then those with each value of each tag.
 
-    - rows: of summary.parquet, see `fleet.summary_rows`.
+    - rows: of summary.parquet, see `fleet.summary_rows`. Without a drive that failed, or without
+      the accuracy of a detector, that column is left out.
     """
     header = ["drives", "number", "failed", "frames scored", "accuracy (95 %)", "detector"]
     table = []
-    for each in pooled(rows):
+    found = pooled(rows)
+    for each in found:
         accuracy = ""
         if each.accuracy is not None:
-            interval = None if each.low is None or each.high is None else (each.low, each.high)
-            accuracy = with_interval(each.accuracy, interval)
+            accuracy = with_interval(each.accuracy, each.interval)
         detector = "" if each.detector is None else f"{each.detector:.3f}"
         name = f"{each.tag} {each.value}".strip() or "all"
         numbers = [str(each.drives), str(each.failed), str(each.frames)]
         table.append([name, *numbers, accuracy, detector])
-    return header, table
+    is_shown = [True] * len(header)
+    is_shown[2] = any(each.failed for each in found)
+    is_shown[5] = any(each.detector is not None for each in found)
+    cut = [list(compress(row, is_shown)) for row in (header, *table)]
+    return cut[0], cut[1:]
 
 
 FLEET_LEGEND = (
@@ -66,5 +72,4 @@ def fleet_comparison_rows(
 
 
 def _share(right: FloatArray, frames: FloatArray, form: str) -> str:
-    share, low, high = share_over_drives(right, frames)
-    return with_interval(share, None if low is None or high is None else (low, high), form)
+    return with_interval(*over_drives(np.stack([right, frames], axis=1)), form)

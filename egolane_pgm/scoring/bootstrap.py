@@ -263,22 +263,33 @@ def _percentiles(values: FloatArray, level: float) -> tuple[float, float]:
     return float(low), float(high)
 
 
-def share_over_drives(
-    right: FloatArray, frames: FloatArray, seed: int = 0
-) -> tuple[float, float | None, float | None]:
-    """The share sum(right) / sum(frames) of D drives, with its interval over drives.
+def over_drives(
+    sums: NDArray[np.generic],
+    statistic: Statistic = ratio,
+    minus: NDArray[np.generic] | None = None,
+    seed: int = 0,
+) -> tuple[float, tuple[float, float] | None]:
+    """A statistic of all frames of D drives, with its 95 % interval over drives: low and high, None
+    for fewer than two drives.
 
-    - right, frames (D,): of each drive. `right` may be a difference of two sides on the same
-      frames: the interval is then that of the paired difference.
+    - sums (D, ...): of each drive what the statistic sums over its frames.
+    - statistic: sums (R, ...) -> (R,), such as `ratio` or `scoring.confusion.accuracy`.
+    - minus: the other side of a difference, of the same frames: the interval is then that of the
+      paired difference.
 
     Whole drives are drawn (cluster bootstrap, percentiles of RESAMPLES), because the frames of a
-    drive are alike. The interval of fewer than two drives is None, None.
+    drive are alike.
     """
-    share, n = float(right.sum() / frames.sum()), len(frames)
+
+    def of_sums(drawn: Sequence[IntArray]) -> FloatArray:
+        def one_side(side: NDArray[np.generic]) -> FloatArray:
+            return statistic(np.stack([side[drives].sum(axis=0) for drives in drawn]))
+
+        return one_side(sums) if minus is None else one_side(sums) - one_side(minus)
+
+    n = len(sums)
+    whole = float(of_sums([np.arange(n)])[0])
     if n < 2:
-        return share, None, None
+        return whole, None
     rng = np.random.default_rng(seed)
-    drawn = (rng.integers(0, n, n) for _ in range(RESAMPLES))
-    shares = [right[drives].sum() / frames[drives].sum() for drives in drawn]
-    low, high = np.quantile(shares, [(1 - LEVEL) / 2, (1 + LEVEL) / 2])
-    return share, float(low), float(high)
+    return whole, _percentiles(of_sums([rng.integers(0, n, n) for _ in range(RESAMPLES)]), LEVEL)

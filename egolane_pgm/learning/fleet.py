@@ -1,0 +1,140 @@
+"""Learning from all drives of a fleet, and what that is worth on drives that were left out.
+
+By EM the expected counts of the drives are added, in their order: exactly what one recording would
+teach in which all of them stand one behind the other, each with its own beginning.
+"""
+
+from __future__ import annotations
+
+import functools
+import pickle
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from functools import partial
+from typing import Any
+
+from egolane_pgm.experiment import Experiment
+from egolane_pgm.learning.held_out import (
+    Found,
+    Lesson,
+    LogEvidence,
+    fit_lessons,
+    learn,
+    lesson,
+    load_to_learn,
+    log_evidence_of,
+    mean_log_evidence,
+    scores_of,
+    trusted_frames,
+)
+from egolane_pgm.learning.tables import nested_tables, with_found
+from egolane_pgm.model import Model, beliefs_of, prepare_model
+from egolane_pgm.parallel import Jobs, in_order
+from egolane_pgm.types import InputError, all_problems, problems_in
+
+#: What drives that are learned from together have in common.
+SHARED = ("n_lanes", "evidence", "graph", "parameters", "filter", "evidence_reading", "learning")
+
+
+@dataclass(frozen=True)
+class LearnedFleet:
+    """What was learned from D drives.
+
+    model: the experiment's, before.
+    parameters: from all drives; tables by the names of `tables`.
+    scores: of each drive, believed with what was learned without its part, over the frames whose
+        labels can be trusted; None for one without ground truth.
+    log_evidence: as in `Learned`, over the frames of all drives.
+    """
+
+    model: Model
+    parameters: Found
+    scores: tuple[Mapping[str, Any] | None, ...]
+    log_evidence: tuple[float, float] | None
+
+    def tables(self) -> dict[str, Any]:
+        """The learned tables by name, as nested lists."""
+        return nested_tables(self.model, self.parameters)
+
+
+def learn_fleet(
+    experiments: Sequence[Experiment],
+    parts: Sequence[Sequence[int]],
+    *,
+    n_blocks: int,
+    jobs: Jobs = 1,
+    done: Callable[[], object] = int,
+) -> LearnedFleet:
+    """Learn from all drives, and once more without each part of them, which is then scored.
+
+    experiments: one on each drive; they differ in what is recorded only.
+    parts: the numbers of the drives that are left out together; each drive is in one.
+    n_blocks: of one drive alone, which is learned from as `learn` does it.
+    jobs: where the fits, one more than there are parts, are shared out to.
+    done: is called after each fit.
+
+    A process reads each drive once to learn and keeps what it learns from: for tables the evidence
+    of each frame. Raises InputError as `learn`, naming the drive.
+    """
+    if len(experiments) == 1:
+        alone = learn(experiments[0], n_blocks=n_blocks, done=done)
+        return LearnedFleet(alone.model, alone.parameters, (alone.scores,), alone.log_evidence)
+    _check_alike(experiments)
+    work = partial(_without, pickle.dumps(tuple(experiments)))
+    found: list[Found] = []
+    told: dict[int, _Told] = {}
+    try:
+        for parameters, of_drives in in_order(work, [(), *parts], jobs):
+            found.append(parameters)
+            told |= of_drives
+            done()
+    finally:
+        _lessons.cache_clear()
+    in_turn = [told[k] for k in range(len(experiments))]
+    scores = tuple(scores for scores, _ in in_turn)
+    log_evidence = mean_log_evidence([each for _, each in in_turn])
+    return LearnedFleet(prepare_model(experiments[0]), found[0], scores, log_evidence)
+
+
+def _check_alike(experiments: Sequence[Experiment]) -> None:
+    first = experiments[0]
+    for experiment in experiments[1:]:
+        for key in SHARED:
+            if getattr(experiment, key) != getattr(first, key):
+                raise InputError(
+                    f"{experiment.name}: {key} is not that of {first.name}; what is learned"
+                    " together differs in what was recorded only"
+                )
+
+
+#: What is told of a drive that was left out.
+_Told = tuple[Mapping[str, Any] | None, LogEvidence | None]
+
+
+def _without(given: bytes, part: Sequence[int]) -> tuple[Found, dict[int, _Told]]:
+    """What is learned without a part of the drives, and what is told of these with it."""
+    experiments, lessons = _lessons(given)
+    first = experiments[0]
+    kept = [each for k, each in enumerate(lessons) if k not in part]
+    found = fit_lessons(prepare_model(first), first, kept)
+    return found, {k: _told(experiments[k], found) for k in part}
+
+
+def _told(experiment: Experiment, found: Found) -> _Told:
+    drive = load_to_learn(experiment)
+    beliefs, _ = beliefs_of(drive, with_found(drive.model, found, experiment))
+    return scores_of(drive, beliefs, trusted_frames(drive)), log_evidence_of(drive, [found])
+
+
+@functools.lru_cache(maxsize=1)
+def _lessons(given: bytes) -> tuple[Sequence[Experiment], list[Lesson]]:
+    """What is learned from each drive, read once in each process."""
+    experiments = pickle.loads(given)
+    lessons = []
+    with all_problems() as part:
+        for experiment in experiments:
+            with part(), problems_in(experiment.name):
+                drive = load_to_learn(experiment)
+                trusted = trusted_frames(drive)
+                lessons.append(lesson(drive.only_labels_of(trusted), trusted))
+    return experiments, lessons
