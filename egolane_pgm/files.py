@@ -22,6 +22,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from egolane_pgm.types import InputError
 from egolane_pgm.yaml_text import dump_yaml, parse_yaml
@@ -124,6 +125,30 @@ def write_yaml(path: Path, content: Mapping[str, Any], heading: str = "") -> Non
     it; folders that are not there are made. Raises InputError where it cannot be written."""
     text = dump_yaml({"version": YAML_VERSION, **plain(content)})
     write_text(path, heading + text, make_folder=True)
+
+
+def arrow_table(columns: Mapping[str, NDArray[Any]]) -> Any:
+    """A pyarrow table of arrays; where one is masked, its column has nulls."""
+    import pyarrow as pa
+
+    return pa.table({name: _arrow_column(values) for name, values in columns.items()})
+
+
+def _arrow_column(values: NDArray[Any]) -> Any:
+    import pyarrow as pa
+
+    def bits(flags: NDArray[np.bool_]) -> Any:
+        return pa.py_buffer(np.packbits(flags, bitorder="little"))
+
+    array = np.ascontiguousarray(np.ma.getdata(values))
+    known = bits(~np.ma.getmaskarray(values)) if np.ma.is_masked(values) else None
+    if array.dtype.kind not in "bif":
+        return pa.array(array)
+    # pyarrow's own `array` imports pandas, to ask whether it was given some of it, and that takes
+    # longer than to filter a drive.
+    content = bits(array) if array.dtype.kind == "b" else pa.py_buffer(array)
+    kind = pa.from_numpy_dtype(array.dtype)
+    return pa.Array.from_buffers(kind, len(array), [known, content])
 
 
 def write_parquet(path: Path, table: Any) -> None:

@@ -11,7 +11,7 @@
 - clips.csv: of a recording of several clips one row for each: clip, first_frame_id, frames,
   assigned_lane and probability (of the most probable lane) in its last frame, changes (how many are
   told in it), log_evidence (mean).
-- figures/: what `plot` drew.
+- figures/: the belief over time, strips.png, and what `plot` drew besides.
 
 `egolane compare --out` writes the same for what was believed held out: beliefs.parquet has the
 annotated frames, and the `block` of each; run.json has `fit`, `blocks` and `parameters_per_block`
@@ -43,6 +43,7 @@ from numpy.typing import NDArray
 
 from egolane_pgm.experiment import Experiment, config_hash
 from egolane_pgm.files import (
+    arrow_table,
     as_csv,
     atomic_directory,
     check_place,
@@ -318,16 +319,10 @@ def write_result(directory: Path, result: Result, experiment: Mapping[str, Any])
 
     - experiment: what experiment.yaml says, see `running.portable`.
     """
-    import pyarrow as pa
-
     from egolane_pgm.recordings.table import write_table
 
     write_yaml(directory / "experiment.yaml", experiment)
-    arrays = {
-        name: pa.array(np.asarray(c), mask=c.mask if isinstance(c, np.ma.MaskedArray) else None)
-        for name, c in result.columns().items()
-    }
-    write_parquet(directory / "beliefs.parquet", pa.table(arrays))
+    write_parquet(directory / "beliefs.parquet", arrow_table(result.columns()))
     if result.lines is not None and len(result.lines):
         write_table(directory / LINES, result.lines)
     _write_columns(directory / "events.csv", result.events.columns())

@@ -79,6 +79,9 @@ from egolane_pgm.types import (
     LaneEvents,
 )
 
+#: Adds figures of a result to the directory that it is given.
+Draw = Callable[[Result, Path], None]
+
 
 @dataclass(frozen=True)
 class Run:
@@ -258,11 +261,11 @@ def joined_outputs(outputs: Sequence[RuleOutput]) -> RuleOutput:
     )
 
 
-def save_run(run: Run, directory: str | Path, draw: Callable[[Path], None] | None = None) -> Path:
+def save_run(run: Run, directory: str | Path, draw: Draw | None = None) -> Path:
     """Write a result directory; `results` says what is in it. An older one is replaced;
     files of others in it stay.
 
-    - draw: adds figures to the directory that it is given, before that has its final name.
+    - draw: adds figures to the directory before that has its final name.
 
     Raises InputError where the directory cannot be written. Where only the figures cannot be drawn
     it raises InputError too, and the result is kept without them.
@@ -275,7 +278,7 @@ def save_result(
     experiment: Experiment,
     model: Model,
     directory: str | Path,
-    draw: Callable[[Path], None] | None = None,
+    draw: Draw | None = None,
 ) -> Path:
     """Write the result of an experiment as `save_run` does.
 
@@ -287,7 +290,7 @@ def save_result(
         write_result(folder, result, portable(experiment, model, result.experiment, folder))
         try:
             if draw is not None:
-                draw(folder)
+                draw(result, folder)
         except InputError as error:
             shutil.rmtree(folder / "figures", ignore_errors=True)
             undrawn = InputError(str(error).replace(str(folder), str(directory)))
@@ -478,9 +481,6 @@ def plugin_files(model: Model) -> dict[str, dict[str, str]]:
         content = b"".join(file.read_bytes() for file in files)
         found[kind] = {"file": named.name, "sha256": hashlib.sha256(content).hexdigest()}
     return found
-
-
-Draw = Callable[[Path], None]
 
 
 @dataclass(frozen=True)

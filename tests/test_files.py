@@ -11,6 +11,7 @@ from typing import Any
 
 import cv2
 import numpy as np
+import pyarrow as pa
 import pytest
 from matplotlib.figure import Figure
 
@@ -18,6 +19,7 @@ from egolane_pgm.camera.model import Camera, read_camera, write_camera
 from egolane_pgm.camera.video import open_video
 from egolane_pgm.camera.writing import video_writer, write_picture
 from egolane_pgm.files import (
+    arrow_table,
     atomic,
     atomic_directory,
     read_text,
@@ -265,3 +267,25 @@ def test_keys_that_are_merged_may_be_given_anew(tmp_path: Path) -> None:
     path = tmp_path / "x.yaml"
     path.write_text("c: {d: &a {x: 1, y: 1}}\nb: &b {<<: *a, x: 2}\ne: {f: {<<: *b, x: 3}}\n")
     assert read_yaml(path, "a: 1")["e"] == {"f": {"x": 3, "y": 1}}
+
+
+def test_arrays_become_the_columns_that_pyarrow_makes_of_them() -> None:
+    rng = np.random.default_rng(0)
+    hidden = rng.random(13) < 0.3
+    plain = {
+        "whole": rng.integers(-5, 5, 13),
+        "real": rng.random(13),
+        "flags": rng.random(13) < 0.5,
+        "every other": np.arange(26)[::2],
+        "words": np.array(["a", "Ö"] * 6 + [""]),
+    }
+    masked = {f"masked {name}": np.ma.masked_array(plain[name], hidden) for name in list(plain)[:4]}
+    made = arrow_table({**plain, **masked, "none masked": np.ma.masked_array(np.arange(13))})
+    made.validate(full=True)
+    for name, values in plain.items():
+        assert made[name].combine_chunks().equals(pa.array(values))
+        if name != "words":
+            expected = pa.array(values, mask=hidden)
+            assert made[f"masked {name}"].combine_chunks().equals(expected)
+    assert made["none masked"].to_pylist() == list(range(13))
+    assert len(arrow_table({"none": np.zeros(0, dtype=bool)})) == 0

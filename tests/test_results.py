@@ -546,11 +546,11 @@ def test_check_writable_allows_new_empty_and_earlier_directories_only(tmp_path: 
 #: `egolane run` that stops, with everything written, right before the directory gets its name.
 STOPS = """
 import time
-import egolane_pgm.report.draw as sheet
-def draw(directory):
-    print("drawing", directory, flush=True)
+import egolane_pgm.report.strips as sheet
+def draw(result, path):
+    print("drawing", path.parents[1], flush=True)
     time.sleep(60)
-sheet.draw_standard = draw
+sheet.draw_strips = draw
 """
 
 

@@ -20,7 +20,7 @@ from egolane_pgm.loading import check_sources, load_recording
 from egolane_pgm.model import make_evidence, prepare_model, with_parameters
 from egolane_pgm.parameters import resolve_parameters
 from egolane_pgm.recordings.table import write_table
-from egolane_pgm.results import is_result, read_result
+from egolane_pgm.results import Result, is_result, read_result
 from egolane_pgm.running import save_run, summary
 from egolane_pgm.scoring.assign import assigned_lane
 from egolane_pgm.scoring.confusion import confusion
@@ -304,7 +304,7 @@ def test_with_predict_the_papers_model_diffuses_over_missing_frames_too(tmp_path
 def test_a_result_is_kept_where_its_figures_cannot_be_drawn(tmp_path: Path) -> None:
     run = run_experiment(load_experiment(write_drive(tmp_path)))
 
-    def draw(folder: Path) -> None:
+    def draw(_: Result, folder: Path) -> None:
         (folder / "figures").mkdir()
         (folder / "figures" / "half.png").touch()
         raise InputError(f"{folder / 'figures' / 'a.png'}: cannot be written: disk full")

@@ -223,12 +223,12 @@ class RunResult:
     def save(self, directory: str | os.PathLike[str], *, figures: bool = True) -> Path:
         """Write the result directory that `egolane run --out` writes; `load_result` reads it.
 
-        - figures: whether figures are drawn in it.
+        - figures: whether the belief over time is drawn in it; `egolane plot` draws more.
 
         An older result of that name is replaced; files of your own in it stay. Raises
         InputError where the directory holds anything else, or cannot be written.
         """
-        draw = draw_all if figures else None
+        draw = draw_belief if figures else None
         return save_result(self.result, self.experiment, self.model, Path(directory), draw)
 
 
@@ -321,12 +321,12 @@ def read_run(directory: Path) -> RunResult:
     return RunResult(experiment, prepare_model(experiment), result)
 
 
-def draw_all(directory: Path) -> None:
-    """Draw the figures of a result directory."""
+def draw_belief(result: Result, directory: Path) -> None:
+    """Draw the belief over time into a result directory."""
     # matplotlib is imported only for figures.
-    from egolane_pgm.report.draw import draw_standard
+    from egolane_pgm.report.strips import draw_strips
 
-    draw_standard(directory)
+    draw_strips(result, directory / "figures" / "strips.png")
 
 
 Several = list[Given] | tuple[Given, ...]

@@ -9,6 +9,7 @@ import click
 from egolane_pgm.report.draw import draw_standard, draw_together
 from egolane_pgm.report.study_figures import draw_study
 from egolane_pgm.report.study_trials import is_study
+from egolane_pgm.results import read_result
 from egolane_pgm.types import InputError
 
 
@@ -32,7 +33,7 @@ def plot(
         target = Path(out) / folder.name if out and len(results) > 1 else Path(out or "")
         target = target if out else folder / "figures"
         if folder in drives:
-            files = draw_standard(folder, target, frames=frames, style=style)
+            files = draw_standard(read_result(folder), target, frames=frames, style=style)
         else:
             files = draw_study(folder, target, style=style)
         for file in files:

@@ -11,7 +11,7 @@ import click
 from tqdm import tqdm
 
 from egolane_pgm.api.fleets import SUMMARY, run_fleet
-from egolane_pgm.api.runs import RunResult, choose, draw_all, name_all
+from egolane_pgm.api.runs import RunResult, choose, draw_belief, name_all
 from egolane_pgm.api.runs import run as run_experiment
 from egolane_pgm.cli import options
 from egolane_pgm.cli.options import write_json
@@ -37,7 +37,7 @@ from egolane_pgm.report.tables import (
     score_rows,
 )
 from egolane_pgm.results import SCHEMA_VERSION, check_writable
-from egolane_pgm.running import FinishedRun, plan_runs, run_all
+from egolane_pgm.running import Draw, FinishedRun, plan_runs, run_all
 from egolane_pgm.types import InputError
 
 #: Makes the text of what is printed.
@@ -66,7 +66,7 @@ _MANY = 20
     type=click.Path(file_okay=False),
     help="Result directory; of several runs, their folder.",
 )
-@click.option("--no-figures", is_flag=True, help="Draw nothing.")
+@click.option("--no-figures", is_flag=True, help="Draw nothing; otherwise the belief over time.")
 @options.jobs
 @options.tables
 @options.json_file
@@ -116,7 +116,7 @@ def run(
         click.echo(f"\nresult: {directory}", err=style != "markdown")
         return
     to_load = name_all(experiments, overrides, recordings, *changes)
-    draw = None if no_figures else draw_all
+    draw = None if no_figures else draw_belief
     _run_many(to_load, Path(out or "results"), draw, show, jobs, json_file)
 
 
@@ -143,7 +143,7 @@ def _run_one(
 def _run_many(
     to_load: Sequence[tuple[str, Callable[[], Experiment]]],
     folder: Path,
-    draw: Callable[[Path], None] | None,
+    draw: Draw | None,
     show: Show,
     jobs: Jobs,
     json_file: Path | None,

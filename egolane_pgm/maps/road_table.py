@@ -12,7 +12,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from egolane_pgm.files import write_parquet
+from egolane_pgm.files import arrow_table, write_parquet
 from egolane_pgm.maps.stored import check_path, marks, read_stored
 from egolane_pgm.types import FloatArray, InputError, IntArray
 
@@ -82,11 +82,9 @@ COLUMNS = tuple(f.name for f in fields(RoadTable) if f.name != "source")
 def save(table: RoadTable, path: str | Path) -> None:
     """Write a road table. Raises InputError for a name that does not end in .parquet, and where it
     cannot be written."""
-    import pyarrow as pa
-
     check_path(path, "road table")
-    columns = {name: pa.array(getattr(table, name)) for name in COLUMNS}
-    made = pa.table(columns).replace_schema_metadata(marks("road table", VERSION))
+    columns = {name: getattr(table, name) for name in COLUMNS}
+    made = arrow_table(columns).replace_schema_metadata(marks("road table", VERSION))
     write_parquet(Path(path), made)
 
 

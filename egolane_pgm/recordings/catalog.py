@@ -12,6 +12,7 @@ from pathlib import Path
 from types import ModuleType
 from urllib.parse import urlsplit
 
+from platformdirs import user_cache_path
 from tqdm import tqdm
 
 from egolane_pgm.files import in_home
@@ -141,7 +142,7 @@ def list_files() -> tuple[DataFile, ...]:
 
 def download_folder() -> Path:
     """The user's cache folder for this package (XDG_CACHE_HOME is respected)."""
-    return Path(_pooch().os_cache("egolane_pgm"))
+    return user_cache_path("egolane_pgm")
 
 
 @functools.cache

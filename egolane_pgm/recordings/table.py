@@ -24,7 +24,7 @@ import pyarrow.compute as pc
 from numpy.typing import NDArray
 from pyarrow import csv, parquet
 
-from egolane_pgm.files import atomic, write_parquet
+from egolane_pgm.files import arrow_table, atomic, write_parquet
 from egolane_pgm.recordings.rosbag import MAX_LINES
 from egolane_pgm.types import BoolArray, FloatArray, InputError, IntArray, LineLog, suggestion
 
@@ -125,16 +125,16 @@ def _to_arrow(log: LineLog) -> Any:
 
     lri = column(log.lri, np.nan)
     columns = {
-        "frame_id": pa.array(log.frame_id[frame]),
-        "line": pa.array(line + 1, mask=no_line),
-        "offset_m": pa.array(column(log.offset_m, np.nan), mask=no_line),
-        "is_valid": pa.array(column(log.is_valid, False)),
-        "is_continuous": pa.array(column(log.is_continuous, False)),
-        "lri": pa.array(lri, mask=np.isnan(lri)),
+        "frame_id": log.frame_id[frame],
+        "line": np.ma.masked_array(line + 1, no_line),
+        "offset_m": np.ma.masked_array(column(log.offset_m, np.nan), no_line),
+        "is_valid": column(log.is_valid, False),
+        "is_continuous": column(log.is_continuous, False),
+        "lri": np.ma.masked_array(lri, np.isnan(lri)),
     }
     if log.is_missing.any():
-        columns["is_missing"] = pa.array(log.is_missing[frame])
-    return pa.table(columns)
+        columns["is_missing"] = log.is_missing[frame]
+    return arrow_table(columns)
 
 
 def _write_csv(path: Path, table: Any) -> None:

@@ -11,12 +11,12 @@ from egolane_pgm.report.dispersion import draw_bonus_ablation, draw_dispersion
 from egolane_pgm.report.heatmaps import draw_confusion
 from egolane_pgm.report.reliability import draw_reliability
 from egolane_pgm.report.strips import draw_strips
-from egolane_pgm.results import read_result
+from egolane_pgm.results import Result, read_result
 
 
 def draw_standard(
-    directory: Path,
-    target: Path | None = None,
+    result: Result,
+    folder: Path,
     *,
     frames: tuple[int, int] | None = None,
     style: str = "png",
@@ -24,15 +24,12 @@ def draw_standard(
     """Draws the strips of a result and, with ground truth, its confusion matrices, reliability
     diagram and accuracy-coverage curves.
 
-    - directory: the result
-    - target: folder of the figures; `figures/` in the directory by default
+    - folder: of the figures
     - frames: first and last frame id of the strips; all by default
     - style: png, pdf or svg
 
     Returns the files written.
     """
-    result = read_result(directory)
-    folder = target or directory / "figures"
     make_directory(folder)
     first, last = frames or (None, None)
     files = [folder / f"strips.{style}"]

@@ -9,18 +9,20 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from functools import partial
 from itertools import pairwise
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.cm import ScalarMappable
-from matplotlib.collections import LineCollection
+from matplotlib.collections import LineCollection, PolyCollection
 from matplotlib.colors import LinearSegmentedColormap, Normalize
 from matplotlib.figure import Figure
+from matplotlib.image import AxesImage
 from matplotlib.lines import Line2D
-from matplotlib.patches import Patch, Rectangle
+from matplotlib.patches import Patch
+from matplotlib.ticker import AutoLocator
 
 from egolane_pgm.report.answers import (
     CROSSING,
@@ -44,7 +46,7 @@ MAX_ROWS = 8
 # The layout, in inches.
 _WIDTH, _LEFT, _LEFT_NAME, _RIGHT = 9.0, 1.5, 0.2, 0.2
 _LANE, _STRIP_MIN, _STRIP_GAP = 0.2, 0.78, 0.07
-_TICKS, _ROW_GAP, _HEAD, _FOOT = 0.2, 0.14, 0.42, 0.72
+_TICKS, _TICK, _ROW_GAP, _HEAD, _FOOT = 0.2, 0.05, 0.14, 0.42, 0.72
 _DASHES = (0, (3, 2))
 
 #: What is believed of a lane that the map does not have is shown from this probability.
@@ -177,75 +179,118 @@ def strips_figure(result: Result, first: int | None = None, last: int | None = N
     averaged = rows[0].frames_per_column
     note = f"; each column is the mean of up to {averaged} frames" if averaged > 1 else ""
     put_title(figure, f"{title_of(result)}: frames {low} to {high}{note}", _LEFT, 10)
+    # One pair of axes in inches holds all strips: axes for each, with ticks that place themselves,
+    # take more than twice the time.
+    sheet = axes_at(figure, 0, 0, _WIDTH, end + _FOOT)
+    sheet.set(label="strips", xlim=(0, _WIDTH), ylim=(end + _FOOT, 0))
+    sheet.set_axis_off()
     # All rows have the same scale, though one may be a frame shorter than another.
     longest = max(s.last - s.first + 1 for s in rows)
+    frame_width = (_WIDTH - _LEFT - _RIGHT) / longest
     for k, strips in enumerate(rows):
-        _draw_row(figure, result, strips, _HEAD + k * (block + _ROW_GAP), strip, longest)
-    middle, down = (_LEFT + _WIDTH - _RIGHT) / 2 / _WIDTH, figure.get_figheight()
-    figure.text(middle, 1 - _HEAD / down, "frame id", fontsize=9, ha="center", va="bottom")
-    figure.text(middle, 1 - end / down, "time [s]", fontsize=9, ha="center", va="top")
+        _draw_row(sheet, result, strips, _HEAD + k * (block + _ROW_GAP), strip, frame_width)
+    middle = (_LEFT + _WIDTH - _RIGHT) / 2
+    sheet.text(middle, _HEAD, "frame id", fontsize=9, ha="center", va="bottom")
+    sheet.text(middle, end, "time [s]", fontsize=9, ha="center", va="top")
     _draw_legend(figure, result, rows, end + 0.26)
     if result.experiment.get("road"):
         said = "lanes of the map: © OpenStreetMap contributors, ODbL"
-        figure.text(1 - _RIGHT / _WIDTH, 0.06 / down, said, fontsize=7, ha="right", va="bottom")
+        sheet.text(_WIDTH - _RIGHT, end + _FOOT - 0.06, said, fontsize=7, ha="right", va="bottom")
     return figure
 
 
 def _draw_row(
-    figure: Figure, result: Result, strips: Strips, top: float, height: float, longest: int
+    sheet: Axes, result: Result, strips: Strips, top: float, height: float, frame_width: float
 ) -> None:
+    """Draw the strips of one row below each other; everything is in inches from the top left."""
     images = dict(strips.beliefs)
     if strips.truth is not None:
         images["Ground truth"] = strips.truth
-    rate = float(result.run["frame_rate"])
-    span = strips.last - strips.first + 1
-    width = (_WIDTH - _LEFT - _RIGHT) * span / longest
-    at = top + _TICKS
-    for name, image in images.items():
-        ax = axes_at(figure, _LEFT, at, width, height)
-        ax.set_label(name)
-        at += height + _STRIP_GAP
-        _draw_strip(ax, image, strips)
-        if name == "Ground truth":
-            for start, stop in strips.crossings:
-                ax.add_patch(
-                    Rectangle((start - 0.5, 0.5), stop - start, len(image), facecolor=CROSSING)
-                )
-        else:
-            # One artist for all: hundreds of lines of their own take a second.
-            ax.add_collection(
-                LineCollection(
-                    [
-                        [(edge - 0.5, 0.0), (edge - 0.5, 1.0)]
-                        for crossing in strips.crossings
-                        for edge in crossing
-                    ],
-                    colors=INK,
-                    linewidths=0.5,
-                    linestyles=[_DASHES],
-                    transform=ax.get_xaxis_transform(),
-                ),
-                autolim=False,
-            )
-        title = name.replace(" ", "\n")
-        ax.text(
-            (_LEFT_NAME - _LEFT) / width, 0.5, title, transform=ax.transAxes, rotation=90,
-            fontsize=9, fontweight="bold", ha="center", va="center",
+    lanes = np.arange(result.n_lanes)
+    left, right = _LEFT, _LEFT + (strips.last - strips.first + 1) * frame_width
+    tops = top + _TICKS + np.arange(len(images)) * (height + _STRIP_GAP)
+    for at, (name, image) in zip(tops, images.items(), strict=True):
+        show_belief(sheet, image, (left, right, at + height, at)).set_label(name)
+        sheet.text(
+            _LEFT_NAME, at + height / 2, name.replace(" ", "\n"), rotation=90, fontsize=9,
+            fontweight="bold", ha="center", va="center",
         )  # fmt: skip
-        ax.set_yticks(range(1, len(image) + 1), lane_names(len(image)), fontsize=8)
-        ax.tick_params(axis="y", length=0, pad=3)
-        ax.tick_params(axis="x", bottom=False, labelbottom=False, labelsize=8)
-    first_ax, last_ax = figure.axes[-len(images)], figure.axes[-1]
-    first_ax.tick_params(axis="x", top=True, labeltop=True, pad=1)
-    seconds = last_ax.secondary_xaxis(
-        "bottom", functions=(partial(np.multiply, 1 / rate), partial(np.multiply, rate))
+        middles = at + (lanes + 0.5) * height / len(lanes)
+        for middle, lane in zip(middles, lane_names(len(lanes)), strict=True):
+            sheet.text(left - 0.05, middle, lane, fontsize=8, ha="right", va="center_baseline")
+        if strips.road_lanes is not None:
+            right_edge = np.where(strips.road_lanes > 0, strips.road_lanes, np.nan)
+            edges = left + (strips.edge - strips.first) * frame_width
+            sheet.stairs(
+                at + right_edge * height / len(lanes),
+                edges,
+                baseline=None,
+                color=INK,
+                linewidth=0.9,
+            )
+    boxes = [_box(left, right, at, height) for at in tops]
+    sheet.add_collection(
+        PolyCollection(
+            boxes, facecolors="white", edgecolors=FAINT, hatch="//////", linewidths=0, zorder=0
+        )
     )
-    seconds.tick_params(axis="x", labelsize=8, pad=1.5)
+    edges_of_lanes = [
+        [(left, y), (right, y)] for at in tops for y in at + lanes[1:] * height / len(lanes)
+    ]
+    _add_lines(sheet, edges_of_lanes, FAINT, 0.6)
+    crossings = [
+        (left + (a - strips.first) * frame_width, left + (b - strips.first) * frame_width)
+        for a, b in strips.crossings
+    ]
+    if strips.truth is not None:
+        grey = [_box(a, b, tops[-1], height) for a, b in crossings]
+        sheet.add_collection(PolyCollection(grey, facecolors=CROSSING, label="crossings", zorder=2))
+    begins_and_ends = [
+        [(x, at), (x, at + height)]
+        for at in tops[: len(strips.beliefs)]
+        for crossing in crossings
+        for x in crossing
+    ]
+    _add_lines(sheet, begins_and_ends, INK, 0.5, linestyles=[_DASHES])
+    rate = float(result.run["frame_rate"])
+    ticks = [
+        *_draw_ticks(sheet, strips, tops[0], -_TICK, 1.0, frame_width),
+        *_draw_ticks(sheet, strips, tops[-1] + height, _TICK, rate, frame_width),
+    ]
+    outlines = [[*box, box[0]] for box in boxes]
+    _add_lines(sheet, [*outlines, *ticks], "black", 0.8, zorder=2.5)
 
 
-def show_belief(ax: Axes, image: FloatArray, extent: tuple[float, float, float, float]) -> None:
+def _draw_ticks(
+    sheet: Axes, strips: Strips, at: float, length: float, rate: float, frame_width: float
+) -> list[list[tuple[float, float]]]:
+    """Number the frames, or with their rate the seconds, beside a strip's edge; gives the ticks,
+    which point up where the length is negative."""
+    ends = strips.first / rate, strips.last / rate
+    ticks = []
+    for value in AutoLocator().tick_values(*ends):
+        if ends[0] <= value <= ends[1]:
+            x = _LEFT + (value * rate - strips.first + 0.5) * frame_width
+            va = "top" if length > 0 else "bottom"
+            sheet.text(x, at + 1.4 * length, f"{value:.12g}", fontsize=8, ha="center", va=va)
+            ticks.append([(x, at), (x, at + length)])
+    return ticks
+
+
+def _box(left: float, right: float, top: float, height: float) -> list[tuple[float, float]]:
+    return [(left, top), (right, top), (right, top + height), (left, top + height)]
+
+
+def _add_lines(sheet: Axes, lines: Any, colour: str, width: float, **style: Any) -> None:
+    """Draw lines as one artist: thousands of their own take seconds."""
+    sheet.add_collection(LineCollection(lines, colors=colour, linewidths=width, **style))
+
+
+def show_belief(
+    ax: Axes, image: FloatArray, extent: tuple[float, float, float, float]
+) -> AxesImage:
     """Draw probabilities (lanes, frames) as an image; where they are NaN it stays empty."""
-    ax.imshow(
+    return ax.imshow(
         np.ma.masked_invalid(image),
         cmap=LinearSegmentedColormap.from_list("probability", PROBABILITY_COLOURS),
         vmin=0,
@@ -255,26 +300,6 @@ def show_belief(ax: Axes, image: FloatArray, extent: tuple[float, float, float, 
         extent=extent,
         zorder=1,
     )
-
-
-def _draw_strip(ax: Axes, image: FloatArray, strips: Strips) -> None:
-    n_lanes = len(image)
-    extent = (strips.first - 0.5, strips.last + 0.5, n_lanes + 0.5, 0.5)
-    span = strips.last - strips.first + 1
-    ax.add_patch(
-        Rectangle(
-            (strips.first - 0.5, 0.5), span, n_lanes,
-            facecolor="white", edgecolor=FAINT, hatch="//////", linewidth=0, zorder=0,
-        )
-    )  # fmt: skip
-    show_belief(ax, image, extent)
-    for k in range(1, n_lanes):
-        ax.axhline(k + 0.5, color=FAINT, linewidth=0.6)
-    if strips.road_lanes is not None:
-        right_edge = np.where(strips.road_lanes > 0, strips.road_lanes + 0.5, np.nan)
-        ax.stairs(right_edge, strips.edge - 0.5, baseline=None, color=INK, linewidth=0.9)
-    ax.set_xlim(extent[0], extent[1])
-    ax.set_ylim(extent[2], extent[3])
 
 
 def _draw_legend(figure: Figure, result: Result, rows: list[Strips], top: float) -> None:

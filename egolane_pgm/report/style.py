@@ -28,10 +28,12 @@ ANSWER_STYLE = {"Detector only": (DETECTOR_COLOUR, "s", "--"), "Model": (MODEL_C
 #: The colours of `off_colours`.
 _OFF_COLOURS = ("#fee391", "#ec8a1e", "#8c2d04")
 
-_METADATA: dict[str, dict[str, Any]] = {
-    ".png": {"Software": None},
-    ".svg": {"Date": None},
-    ".pdf": {"CreationDate": None},
+#: How each kind of figure is written. A sheet of strips is a tenth larger at this level, and
+#: compressed in two thirds of the time.
+_WRITTEN: dict[str, dict[str, Any]] = {
+    ".png": {"metadata": {"Software": None}, "pil_kwargs": {"compress_level": 3}},
+    ".svg": {"metadata": {"Date": None}},
+    ".pdf": {"metadata": {"CreationDate": None}},
 }
 
 
@@ -76,11 +78,7 @@ def write_figure(make: Callable[[], Figure], path: str | Path) -> Path:
         figure = make()
         with atomic(path, make_folder=True) as temporary:
             figure.savefig(
-                temporary,
-                format=extension[1:],
-                dpi=200,
-                facecolor="white",
-                metadata=_METADATA[extension],
+                temporary, format=extension[1:], dpi=200, facecolor="white", **_WRITTEN[extension]
             )
     return path
 

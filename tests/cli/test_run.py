@@ -205,8 +205,10 @@ def test_recording_ground_truth_and_lanes_are_taken_from_the_command_line(
     assert said["name"] == "drive"
 
 
-def test_figures_are_part_of_the_result(drive: Path, tmp_path: Path) -> None:
+def test_a_figure_is_part_of_the_result_and_plot_draws_more(drive: Path, tmp_path: Path) -> None:
     done("run", drive, "--out", tmp_path / "out")
+    assert [path.name for path in (tmp_path / "out" / "figures").iterdir()] == ["strips.png"]
+    done("plot", tmp_path / "out")
     names = {path.name for path in (tmp_path / "out" / "figures").iterdir()}
     assert names == {"strips.png", "confusion.png", "reliability.png", "coverage.png"}
     shown = done("plot", tmp_path / "out", "--frames", "10", "60", "--style", "svg").stdout

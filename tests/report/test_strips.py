@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from itertools import pairwise
+from typing import Any
 
 import numpy as np
 import pytest
@@ -32,6 +33,17 @@ from tests.kits.tiny_result import (
     without_truth,
 )
 
+
+def images_called(figure: Any, name: str) -> list[Any]:
+    (sheet,) = axes_called(figure, "strips")
+    return [image for image in sheet.images if image.get_label() == name]
+
+
+def strips_of(figure: Any) -> list[str]:
+    (sheet,) = axes_called(figure, "strips")
+    return [image.get_label() for image in sheet.images]
+
+
 LANES = ["lane 1 (leftmost)", "lane 2", "lane 3"]
 
 
@@ -54,39 +66,50 @@ def test_the_truth_strip_is_one_in_the_true_lane_and_blank_where_nothing_is_anno
 
 def test_crossings_are_grey_from_their_first_frame_to_their_last() -> None:
     assert strip_columns(a_result(), 100, 107).crossings == [(102, 104)]
-    (ax,) = axes_called(strips_figure(a_result()), "Ground truth")
-    (grey,) = [p for p in ax.patches if p.get_hatch() is None]
-    assert (grey.get_x(), grey.get_width()) == (101.5, 2)
-    assert (grey.get_y(), grey.get_height()) == (0.5, 3)
+    figure = strips_figure(a_result())
+    (sheet,) = axes_called(figure, "strips")
+    (grey,) = [c.get_paths() for c in sheet.collections if c.get_label() == "crossings"]
+    (truth,) = images_called(figure, "Ground truth")
+    left, right, bottom, top = truth.get_extent()
+    frame = (right - left) / 8
+    np.testing.assert_allclose(grey[0].vertices.min(axis=0), [left + 2 * frame, top])
+    np.testing.assert_allclose(grey[0].vertices.max(axis=0), [left + 4 * frame, bottom])
 
 
 def test_the_figure_shows_model_above_detector_above_truth_with_lane_1_as_the_top_row() -> None:
     figure = strips_figure(a_result(), 100, 106)
     order = ["Model", "Detector only", "Ground truth"]
-    axes = [axes_called(figure, name)[0] for name in order]
-    heights = [ax.get_position().y0 for ax in axes]
-    assert heights == sorted(heights, reverse=True)
-    for ax in axes:
-        assert [t.get_text() for t in ax.get_yticklabels()] == LANES
-        below, above = ax.get_ylim()
-        assert below > above, "the y axis points down, so row 1 is at the top"
-        assert ax.images[0].get_extent() == [99.5, 106.5, 3.5, 0.5]
+    images = [images_called(figure, name)[0] for name in order]
+    (sheet,) = axes_called(figure, "strips")
+    below, above = sheet.get_ylim()
+    assert below > above, "the y axis points down, so row 1 is at the top"
+    edges = [y for image in images for y in reversed(image.get_extent()[2:])]
+    assert edges == sorted(edges)
+    for image in images:
+        bottom, top = image.get_extent()[2:]
+        named = [t for t in sheet.texts if top < t.get_position()[1] < bottom]
+        assert [t.get_text() for t in named if t.get_text().startswith("lane")] == LANES
     drawn = strip_columns(a_result(), 100, 106)
-    for ax, image in zip(axes, [*drawn.beliefs.values(), drawn.truth], strict=True):
-        np.testing.assert_array_equal(ax.images[0].get_array().filled(np.nan), image)
+    for shown, image in zip(images, [*drawn.beliefs.values(), drawn.truth], strict=True):
+        np.testing.assert_array_equal(shown.get_array().filled(np.nan), image)
     assert {"frame id", "time [s]"} <= set(texts(figure))
     assert "tiny (in-sample): frames 100 to 106" in texts(figure)
 
 
 def test_time_runs_below_the_strips_in_seconds_and_frame_ids_above() -> None:
-    (ax,) = axes_called(strips_figure(a_result()), "Ground truth")
-    (seconds,) = ax.child_axes
-    ax.figure.canvas.draw()
-    np.testing.assert_allclose(seconds.get_xlim(), (9.95, 10.75))
+    figure = strips_figure(a_result())
+    (sheet,) = axes_called(figure, "strips")
+    (model,), (truth,) = images_called(figure, "Model"), images_called(figure, "Ground truth")
+    left, right = model.get_extent()[:2]
+    above, below = model.get_extent()[3], truth.get_extent()[2]
+    at = {t.get_text(): t.get_position() for t in sheet.texts}
+    middle_of_102 = left + 2.5 * (right - left) / 8
+    assert at["102"][0] == pytest.approx(at["10.2"][0]) == pytest.approx(middle_of_102)
+    assert at["102"][1] < above < below < at["10.2"][1]
 
 
 def test_more_probable_lanes_are_drawn_darker() -> None:
-    image = axes_called(strips_figure(a_result()), "Model")[0].images[0]
+    image = images_called(strips_figure(a_result()), "Model")[0]
     grey = image.cmap(np.linspace(0, 1, 21))[:, :3] @ [0.299, 0.587, 0.114]
     assert (np.diff(grey) < 0).all()
     assert image.get_clim() == (0, 1)
@@ -94,14 +117,14 @@ def test_more_probable_lanes_are_drawn_darker() -> None:
 
 def test_without_ground_truth_there_are_two_strips_and_no_grey() -> None:
     figure = strips_figure(without_truth())
-    assert [ax.get_label() for ax in figure.axes] == ["Model", "Detector only", "colour bar"]
+    assert strips_of(figure) == ["Model", "Detector only"]
     assert strip_columns(without_truth(), 100, 107).truth is None
     assert legend_labels(figure.legends[0]) == ["no frame recorded"]
 
 
 def test_without_a_tentative_vector_the_detector_strip_is_left_out() -> None:
     figure = strips_figure(without_tentative())
-    assert [ax.get_label() for ax in figure.axes] == ["Model", "Ground truth", "colour bar"]
+    assert strips_of(figure) == ["Model", "Ground truth"]
 
 
 def test_the_legend_says_why_a_strip_is_blank() -> None:
@@ -125,11 +148,12 @@ def test_a_range_that_reaches_beyond_the_recording_is_cut_to_it() -> None:
 
 def test_a_long_range_goes_on_in_further_rows_of_the_same_scale() -> None:
     figure = strips_figure(long_drive(3000))
-    rows = [ax.images[0].get_extent()[:2] for ax in axes_called(figure, "Model")]
-    assert rows == [[4.5, 1004.5], [1004.5, 2004.5], [2004.5, 3004.5]]
-    boxes = [ax.get_position() for ax in figure.axes]
-    assert len({round(box.width, 6) for box in boxes[:-1]}) == 1
-    assert not any(a.overlaps(b) for i, a in enumerate(boxes) for b in boxes[i + 1 :])
+    rows = images_called(figure, "Model")
+    np.testing.assert_allclose(np.diff([row.get_extent()[:2] for row in rows]), 7.3)
+    assert [row.get_array().shape for row in rows] == [(3, 1000)] * 3
+    (sheet,) = axes_called(figure, "strips")
+    edges = [y for image in sheet.images for y in reversed(image.get_extent()[2:])]
+    assert edges == sorted(edges)
 
 
 def test_beyond_the_last_row_columns_are_means_over_frames_and_the_title_says_so(

@@ -114,6 +114,7 @@ def test_result_and_online_filter_say_unassigned_where_the_run_does(tmp_path: Pa
     assert lane.tolist() == assigned_lane(result.marginals["Lane"], 0.9).tolist()
     assert (lane == 0).any()
     assert (lane > 0).any()
+    done("plot", tmp_path / "out")
     assert (tmp_path / "out" / "figures" / "coverage.png").stat().st_size > 1000
     log = short_drive().log
     online = [
