@@ -10,7 +10,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from tqdm import tqdm
 
 from egolane_pgm.camera.model import Camera, read_camera
 from egolane_pgm.detectors.runner import (
@@ -29,6 +28,7 @@ from egolane_pgm.maps.road_table import RoadTable
 from egolane_pgm.maps.road_table import load as load_road
 from egolane_pgm.maps.steps import LanesAlong, check_overlap, lanes_along
 from egolane_pgm.plugins import load_plugin, plugin_errors
+from egolane_pgm.progress import bar
 from egolane_pgm.recordings import (
     FORMATS,
     IN_PIXELS,
@@ -349,13 +349,11 @@ def _detected(experiment: Experiment) -> tuple[LineLog, list[Path]]:
     recording = experiment.recording
     detector, camera, left, right = _check_detector(experiment)
     camera = camera_of_pictures(camera, left)
-    pictures = tqdm(
+    pictures = bar(
         read_pictures(left, camera, right, recording.frames),
         desc=detector.name,
         unit="frame",
         total=left.n_frames if recording.frames is None else None,
-        leave=False,
-        disable=None,
     )
     is_told = "frame_rate" in recording.model_fields_set
     rate = recording.frame_rate if is_told else left.frame_rate

@@ -13,7 +13,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from tqdm import tqdm
 
 from egolane_pgm.experiment import (
     Experiment,
@@ -55,6 +54,7 @@ from egolane_pgm.model import (
 )
 from egolane_pgm.parallel import Jobs, in_order
 from egolane_pgm.plugins import OWN_FILES, source_files
+from egolane_pgm.progress import bar
 from egolane_pgm.results import (
     SCHEMA_VERSION,
     Result,
@@ -140,7 +140,7 @@ def run_experiment(
     logs = [recorded.log.take(piece) for piece in recorded.log.pieces()]
     made: list[RuleOutput] = []
     found: list[Beliefs] = []
-    for log in tqdm(logs, unit="clip", leave=False, disable=None if len(logs) > 1 else True):
+    for log in bar(logs, None if len(logs) > 1 else False, unit="clip"):
         made.append(make_evidence(model, log, experiment.evidence_reading, recorded.road))
         of_lines = made[-1].filtered
         if experiment.gnss is not None and recorded.across is not None:

@@ -203,7 +203,7 @@ def test_the_search_stops_at_its_evaluations_with_the_best_so_far(recordings: Pa
     said: list[tuple[int, int]] = []
     found = recovering.recover(10, evaluations=100, progress=lambda n, off: said.append((n, off)))
     assert found.evaluations == 100
-    assert said == [(100, found.frames_off)]
+    assert said == [(100, found.frames_off)], "so many trials more"
     assert 0 < found.frames_off < PUBLISHED_OFF[9]
 
 

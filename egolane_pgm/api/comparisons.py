@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any
 from numpy.typing import ArrayLike
 
 from egolane_pgm.api import shown
-from egolane_pgm.api.given import bar, several_of
+from egolane_pgm.api.given import several_of
 from egolane_pgm.api.runs import RunResult, read_run
 from egolane_pgm.comparing import compare_graphs, compare_json
 from egolane_pgm.comparing.choose import losses_by_experiment, plan
@@ -38,6 +38,7 @@ from egolane_pgm.files import write_json
 from egolane_pgm.fleet import FleetDrive, read_fleet
 from egolane_pgm.paper import Runs, parse_runs
 from egolane_pgm.parallel import Jobs
+from egolane_pgm.progress import bar
 from egolane_pgm.report.comparison_tables import (
     accuracy_rows,
     experiment_names,
@@ -324,7 +325,7 @@ def compare_recordings(
 
     def show(found: Iterator[Any], total: int, doing: str, unit: str) -> Iterable[Any]:
         shows: Iterable[Any] = bar(
-            found, progress if total else False, desc=doing, total=total, unit=unit
+            found, progress if total else False, jobs=jobs, desc=doing, total=total, unit=unit
         )
         return shows
 
@@ -333,10 +334,13 @@ def compare_recordings(
     known = losses_by_experiment(tasks, jobs, choosing)
     searching = partial(show, doing="searching", unit="search")
     done = compare_groups(groups, settings, jobs=jobs, known=known, show=searching)
+    # Processes share the searches, or else the recordings.
+    is_searched = any(e.fit == "tune" for group in groups for e in group.experiments)
+    at_work = 1 if is_searched else jobs
     compared: list[Any] = []
     is_whole = True
     try:
-        compared.extend(bar(done, progress, total=len(groups), unit="recording"))
+        compared.extend(bar(done, progress, jobs=at_work, total=len(groups), unit="recording"))
     except KeyboardInterrupt:
         # The recordings that were compared before the interruption are kept.
         if not compared:

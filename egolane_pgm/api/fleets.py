@@ -9,7 +9,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from egolane_pgm.api import shown
-from egolane_pgm.api.given import bar
 from egolane_pgm.experiment import Experiment, Given, Overrides, load_experiment
 from egolane_pgm.fleet import (
     FleetDrive,
@@ -20,6 +19,7 @@ from egolane_pgm.fleet import (
     write_summary,
 )
 from egolane_pgm.parallel import Jobs
+from egolane_pgm.progress import bar
 from egolane_pgm.report.fleet_table import fleet_table_rows
 from egolane_pgm.running import FinishedRun, run_all
 from egolane_pgm.types import all_problems
@@ -142,7 +142,7 @@ def run_fleet(
     done: list[FinishedRun] = []
     try:
         found = run_all(plan, jobs=jobs, resume=True)
-        done.extend(bar(found, progress, total=len(plan), unit="drive"))
+        done.extend(bar(found, progress, jobs=jobs, total=len(plan), unit="drive"))
     except KeyboardInterrupt:
         raise KeyboardInterrupt(
             f"{len(done)} of {len(plan)} drives are in {folder}; the same command goes on"

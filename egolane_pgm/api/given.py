@@ -1,21 +1,13 @@
-"""What the verbs are given: experiments, and whether they show how far they are."""
+"""What the verbs are given: experiments, and names of files."""
 
 from __future__ import annotations
 
 import os
-import sys
-import warnings
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 from egolane_pgm.experiment import Experiment
 from egolane_pgm.types import InputError
-
-if "IPython" in sys.modules:
-    with warnings.catch_warnings():
-        # Without ipywidgets tqdm asks for them when it is imported first, by Optuna if not here.
-        warnings.simplefilter("ignore")
-        import tqdm.auto  # noqa: F401
 
 
 def several_of(given: Any, what: str) -> list[Any]:
@@ -41,21 +33,3 @@ def keys_of(given: Mapping[str, Any] | None, what: str, example: str) -> dict[st
     if given is None or isinstance(given, Mapping):
         return dict(given or {})
     raise InputError(f"{what}: {given!r} is no dict, e.g. {example}")
-
-
-def bar(items: Iterable[Any] | None, progress: bool | None, **settings: Any) -> Any:
-    """A bar of tqdm that says how far something is.
-
-    - progress: whether it is shown; None for in a terminal, and in a notebook that has ipywidgets.
-      A bar of plain text would stay in the notebook.
-    """
-    from tqdm import tqdm
-
-    hidden = None if progress is None else not progress
-    if "IPython" in sys.modules:
-        from tqdm.autonotebook import tqdm as in_notebook
-
-        # Without ipywidgets this is the bar of plain text.
-        if in_notebook is not tqdm:
-            return in_notebook(items, leave=False, disable=bool(hidden), **settings)
-    return tqdm(items, leave=False, disable=hidden, **settings)

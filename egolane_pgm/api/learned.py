@@ -13,7 +13,6 @@ import numpy as np
 
 from egolane_pgm.api import shown
 from egolane_pgm.api.fleets import DriveTable, experiments_of
-from egolane_pgm.api.given import bar
 from egolane_pgm.api.runs import RunResult
 from egolane_pgm.comparing.choose import chosen_on_all, learns, plan, try_all
 from egolane_pgm.comparing.placing import parts_of_fleet
@@ -28,6 +27,7 @@ from egolane_pgm.loading import with_video_rate
 from egolane_pgm.model import Drive, Model, causality, prepare_model
 from egolane_pgm.parallel import Jobs
 from egolane_pgm.parameters import Value
+from egolane_pgm.progress import bar
 from egolane_pgm.report.fleet_table import fleet_table_rows
 from egolane_pgm.report.tables import score_rows, with_interval
 from egolane_pgm.running import make_result
@@ -345,7 +345,7 @@ def _learn_from_fleet(
     parts = parts_of_fleet(drives, experiments, blocks, by_tag)
     with warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always", UserWarning)
-        with bar(None, progress, total=1 + (len(parts) or blocks), unit="fit") as shows:
+        with bar(None, progress, jobs=jobs, total=1 + (len(parts) or blocks), unit="fit") as shows:
             learned = learn_fleet(experiments, parts, n_blocks=blocks, jobs=jobs, done=shows.update)
     part_of = {k: number for number, part in enumerate(parts, 1) for k in part}
     rows = []

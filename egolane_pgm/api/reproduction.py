@@ -9,7 +9,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from egolane_pgm.api import shown
-from egolane_pgm.api.given import bar
 from egolane_pgm.api.runs import RunResult
 from egolane_pgm.paper import (
     SCORES,
@@ -19,6 +18,7 @@ from egolane_pgm.paper import (
     reproduce_json,
     reproduce_run,
 )
+from egolane_pgm.progress import bar
 from egolane_pgm.report.tables import reproduction_rows
 
 if TYPE_CHECKING:

@@ -13,11 +13,12 @@ from typing import TYPE_CHECKING, Any, overload
 import numpy as np
 
 from egolane_pgm.api import shown
-from egolane_pgm.api.given import bar, path_of, several_of
+from egolane_pgm.api.given import path_of, several_of
 from egolane_pgm.experiment import Experiment, Given, Overrides, load_experiment
 from egolane_pgm.loading import Recorded, with_recording
 from egolane_pgm.model import Model, prepare_model
 from egolane_pgm.parallel import Jobs
+from egolane_pgm.progress import bar
 from egolane_pgm.report.comparison_tables import trusted_or_all
 from egolane_pgm.report.tables import runs_table_rows, score_rows, with_interval
 from egolane_pgm.results import Result, read_result
@@ -408,7 +409,7 @@ def run(
         return RunResult.of(run_experiment(choose(experiment, overrides, given, *changes)))
     plan = plan_runs(name_all(several_of(experiment, "run"), overrides, recordings, *changes))
     done = run_all(plan, jobs=jobs, keep=True)
-    outcomes = list(bar(done, progress, total=len(plan), unit="run"))
+    outcomes = list(bar(done, progress, jobs=jobs, total=len(plan), unit="run"))
     failed = tuple((each.title, each.error) for each in outcomes if each.error is not None)
     runs = tuple(RunResult.of(each.run) for each in outcomes if each.run is not None)
     if not runs:

@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar
 
 from egolane_pgm.api import shown
-from egolane_pgm.api.given import bar, keys_of, several_of
+from egolane_pgm.api.given import keys_of, several_of
 from egolane_pgm.experiment import (
     Experiment,
     Given,
@@ -23,6 +23,7 @@ from egolane_pgm.experiment import (
 from egolane_pgm.files import without_version
 from egolane_pgm.paper import Runs, parse_runs
 from egolane_pgm.parallel import Jobs
+from egolane_pgm.progress import bar
 from egolane_pgm.report.study_tables import LEGEND, parameter_rows, score_rows
 from egolane_pgm.report.study_trials import STUDY_FILE, TRIALS_FILE, Trials, is_study, trials_of
 from egolane_pgm.results import read_files, staged, write_files
@@ -414,7 +415,8 @@ def search_all(
     labelled pictures last."""
     driven = [made for made in searches if isinstance(made, studies.Search)]
     seen = [made for made in searches if isinstance(made, on_pictures.PictureSearch)]
-    with bar(None, progress, total=studies.n_trials(searches), unit="trial") as shows:
+    total = studies.n_trials(searches)
+    with bar(None, progress, jobs=jobs, total=total, unit="trial") as shows:
 
         def advance(label: str, more: int, best: float) -> None:
             shows.set_description(label, refresh=False)

@@ -9,7 +9,6 @@ from tempfile import TemporaryDirectory
 from typing import TypeVar
 
 import click
-from tqdm import tqdm
 
 from egolane_pgm.calibration.chessboard import calibrate_lens, camera_with, describe_lens
 from egolane_pgm.calibration.drawing import draw_view
@@ -40,6 +39,7 @@ from egolane_pgm.camera.pictures import (
 )
 from egolane_pgm.camera.writing import check_picture_name, write_picture
 from egolane_pgm.files import check_not_read, check_place
+from egolane_pgm.progress import bar
 from egolane_pgm.recordings.openlane import PICTURE_SIZE, read_own_camera
 from egolane_pgm.types import InputError
 
@@ -298,8 +298,8 @@ def _draw(road: SeenRoad, target: Path) -> None:
 
 
 def _progress(given: Iterable[_Given], what: str) -> Iterable[_Given]:
-    bar: Iterable[_Given] = tqdm(given, desc=what, unit="picture", leave=False, disable=None)
-    return bar
+    shown: Iterable[_Given] = bar(given, desc=what, unit="picture")
+    return shown
 
 
 def _say_skipped(skipped: tuple[str, ...]) -> None:

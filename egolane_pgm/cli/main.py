@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import contextlib
+import logging
 import os
 import re
 import sys
 import warnings
+from collections.abc import Iterator
 from importlib import import_module
 from typing import Any
 
@@ -82,7 +84,7 @@ class _Group(click.Group):
         from egolane_pgm.types import InputError
 
         try:
-            with warnings.catch_warnings():
+            with warnings.catch_warnings(), _announced():
                 warnings.showwarning = _show_warning
                 return super().invoke(ctx)
         except InputError as error:
@@ -123,6 +125,30 @@ def _safe(text: str) -> str:
     """A message without the password of an address, wherever it was given (taken for the name of a
     file, an address loses one of its slashes)."""
     return re.sub(r"(:/{1,2}[^\s:/@]*):\S*@", r"\1:***@", text)
+
+
+class _BesideBars(logging.Handler):
+    """Prints lines on standard error, above the bars that are there."""
+
+    def emit(self, record: logging.LogRecord) -> None:
+        from tqdm import tqdm
+
+        tqdm.write(record.getMessage(), file=sys.stderr)
+
+
+@contextlib.contextmanager
+def _announced() -> Iterator[None]:
+    """Print how long things will take."""
+    from egolane_pgm.progress import LOGGER
+
+    printer, before = _BesideBars(), LOGGER.level
+    LOGGER.setLevel(logging.INFO)
+    LOGGER.addHandler(printer)
+    try:
+        yield
+    finally:
+        LOGGER.removeHandler(printer)
+        LOGGER.setLevel(before)
 
 
 def _show_warning(message: Warning | str, *_: Any, **__: Any) -> None:

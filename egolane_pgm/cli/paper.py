@@ -5,13 +5,13 @@ from __future__ import annotations
 from pathlib import Path
 
 import click
-from tqdm import tqdm
 
 from egolane_pgm import paper
 from egolane_pgm.api.reproduction import reproduce as reproduce_runs
 from egolane_pgm.cli import options
 from egolane_pgm.cli.options import write_json
 from egolane_pgm.cli.recordings import have_recordings
+from egolane_pgm.progress import bar
 from egolane_pgm.report.tables import Table, confusion_table, page
 from egolane_pgm.results import SCHEMA_VERSION
 from egolane_pgm.tuning import recover as recovering
@@ -70,11 +70,11 @@ def reproduce(
 def recover(number: int, evaluations: int, seed: int, write: bool, json_file: Path | None) -> None:
     """Search the published, truncated parameters' box for the values that were really used."""
     paper.paper_experiment(number)
-    with tqdm(total=evaluations, desc=f"run {number}", leave=False, disable=None) as bar:
+    with bar(total=evaluations, desc=f"run {number}", unit="trial") as shows:
 
-        def progress(done: int, off: int) -> None:
-            bar.update(done - bar.n)
-            bar.set_postfix(frames_off=off)
+        def progress(more: int, off: int) -> None:
+            shows.update(more)
+            shows.set_postfix(frames_off=off)
 
         found = recovering.recover(number, evaluations=evaluations, seed=seed, progress=progress)
     values = ", ".join(f"{k}: {v!r}" for k, v in found.parameters.items())

@@ -8,7 +8,6 @@ from pathlib import Path
 from typing import Any
 
 import click
-from tqdm import tqdm
 
 from egolane_pgm.api.fleets import SUMMARY, run_fleet
 from egolane_pgm.api.runs import RunResult, choose, draw_belief, name_all
@@ -19,6 +18,7 @@ from egolane_pgm.experiment import Experiment
 from egolane_pgm.files import check_not_read
 from egolane_pgm.loading import named_files
 from egolane_pgm.parallel import Jobs
+from egolane_pgm.progress import bar
 from egolane_pgm.report.clips import clip_parts
 from egolane_pgm.report.events import (
     event_lines,
@@ -156,7 +156,7 @@ def _run_many(
     outcomes: list[FinishedRun] = []
     try:
         done = run_all(plan, jobs=jobs, draw=draw)
-        outcomes.extend(tqdm(done, total=len(plan), unit="run", leave=False, disable=None))
+        outcomes.extend(bar(done, jobs=jobs, total=len(plan), unit="run"))
     except KeyboardInterrupt:
         # A result that was rewritten has a new inode.
         written = sum(_inode(place) not in (None, was) for place, was in before.items())

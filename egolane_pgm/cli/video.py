@@ -7,7 +7,6 @@ from collections.abc import Sequence
 from pathlib import Path
 
 import click
-from tqdm import tqdm
 
 from egolane_pgm.camera.model import read_camera
 from egolane_pgm.camera.pictures import Source, camera_of_pictures, open_source, read_pictures
@@ -16,6 +15,7 @@ from egolane_pgm.cli import options
 from egolane_pgm.cli.completion import yaml_files
 from egolane_pgm.detectors.runner import Detector, check_pair, find_detector
 from egolane_pgm.experiment import Experiment, experiments_folder, load_experiment, make_experiment
+from egolane_pgm.progress import bar
 from egolane_pgm.recordings import read_lines_with
 from egolane_pgm.recordings.ground_truth import read_ground_truth
 from egolane_pgm.report.video import (
@@ -106,12 +106,10 @@ def video(
     truth = read_ground_truth(truth_file) if truth_file else None
     if truth is not None:
         truth.check_lanes(experiment.n_lanes)
-    seen = tqdm(
+    seen = bar(
         read_pictures(source, camera, right, frames),
         unit="frame",
         total=None if frames else source.n_frames,
-        leave=False,
-        disable=None,
     )
     if lines_file:
         log = read_lines_with(lines_file, camera, experiment.recording.frame_rate)

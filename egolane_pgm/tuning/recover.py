@@ -24,6 +24,9 @@ from egolane_pgm.tuning.sampler import Shade
 #: The published parameters are truncated to three decimals: the value used was below this higher.
 TRUNCATION = 0.001
 
+#: Progress is told after so many trials.
+_REPORTED = 100
+
 
 @dataclass(frozen=True)
 class Recovered:
@@ -51,7 +54,7 @@ def recover(
     - number: of the paper's run, 1 to 10.
     - evaluations: the study stops after so many trials, or when no frame is off any more.
     - seed: of the sampler, `Shade`; the values as printed are tried first.
-    - progress: called now and then with the trials so far and the fewest frames off.
+    - progress: called now and then with the trials since, and the fewest frames off.
     """
     entry = load_published()[number]
     printed = {k: v for k, v in entry["parameters"].items() if k != "bonus_value"}
@@ -69,8 +72,8 @@ def recover(
     def after(study: optuna.Study, trial: FrozenTrial) -> None:
         if trial.value == 0:
             study.stop()
-        if progress is not None and (trial.number + 1) % 100 == 0:
-            progress(trial.number + 1, int(study.best_value))
+        if progress is not None and (trial.number + 1) % _REPORTED == 0:
+            progress(_REPORTED, int(study.best_value))
 
     box = {k: FloatDistribution(v, math.nextafter(v + TRUNCATION, v)) for k, v in printed.items()}
     space: dict[str, BaseDistribution] = dict(box)
