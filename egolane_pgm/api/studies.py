@@ -6,12 +6,14 @@ import json
 import os
 import tempfile
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar
 
 from egolane_pgm.api import shown
+from egolane_pgm.api.fleets import experiments_of
 from egolane_pgm.api.given import keys_of, several_of
+from egolane_pgm.comparing.placing import parts_of_fleet
 from egolane_pgm.experiment import (
     Experiment,
     Given,
@@ -21,10 +23,11 @@ from egolane_pgm.experiment import (
     make_experiment,
 )
 from egolane_pgm.files import without_version
+from egolane_pgm.loading import as_name
 from egolane_pgm.paper import Runs, parse_runs
 from egolane_pgm.parallel import Jobs
 from egolane_pgm.progress import bar
-from egolane_pgm.report.study_tables import LEGEND, parameter_rows, score_rows
+from egolane_pgm.report.study_tables import legend, parameter_rows, score_rows
 from egolane_pgm.report.study_trials import STUDY_FILE, TRIALS_FILE, Trials, is_study, trials_of
 from egolane_pgm.results import read_files, staged, write_files
 from egolane_pgm.tuning import pictures as on_pictures
@@ -129,7 +132,7 @@ class TuneResult:
     def _repr_html_(self) -> str:
         table = score_rows(self.documents[0]) if len(self) == 1 else parameter_rows(self.documents)
         notes = dict.fromkeys(note for document in self.documents for note in document["notes"])
-        return shown.html_table(self._title(), *table, [*notes, LEGEND])
+        return shown.html_table(self._title(), *table, [*notes, legend(self.documents)])
 
     def to_pandas(self) -> pd.DataFrame:
         """A row per trial; the index is `study` and `number`.
@@ -234,6 +237,8 @@ def tune(
     test_on: Given | None = None,
     in_sample_only: bool = False,
     together: bool = False,
+    fleet: str | os.PathLike[str] | None = None,
+    by_tag: str | None = None,
     out: str | os.PathLike[str] | None = None,
     workers: int | None = None,
     jobs: Jobs = 1,
@@ -256,6 +261,9 @@ def tune(
     - test_on: an experiment that takes no part, and is scored with what is found.
     - in_sample_only: whether nothing is held out.
     - together: whether all the experiments get one parameter set.
+    - fleet: a table of drives, see `egolane_pgm.fleet`, for all of which one parameter set is
+      searched; all their frames count alike, and `blocks` parts of the drives are held out in turn.
+    - by_tag: of a fleet: instead, the drives with each value of this tag.
     - out: a folder for the directory of each study. The same call goes on there where it was
       stopped; without it the trials of a search that is stopped are lost.
     - workers: processes that share the trials of one study.
@@ -290,6 +298,8 @@ def tune(
             test_on=test_on,
             in_sample_only=in_sample_only,
             together=together,
+            fleet=fleet,
+            by_tag=by_tag,
             workers=workers,
             jobs=jobs if workers is None else None,
             storage=storage,
@@ -316,6 +326,8 @@ def prepare_searches(
     test_on: Given | None = None,
     in_sample_only: bool = False,
     together: bool = False,
+    fleet: str | os.PathLike[str] | None = None,
+    by_tag: str | None = None,
     workers: int | None = None,
     jobs: Jobs | None = None,
     storage: str | None = None,
@@ -342,6 +354,15 @@ def prepare_searches(
     }
     given = several_of(experiments, "tune")
     plans = [planning.with_options(p, changed) for p in _plans(given, runs, overrides)]
+    if fleet is not None:
+        if runs or together or whole_recordings:
+            raise InputError(
+                "--fleet: its drives are tuned together, and held out whole; leave away --runs,"
+                " --together and --whole-recordings"
+            )
+        plans = [_on_fleet(p, fleet, by_tag) for p in _of_recordings(plans, "--fleet")]
+    elif by_tag is not None:
+        raise InputError("--by-tag: goes with --fleet")
     if together:
         plans = [planning.together(_of_recordings(plans, "--together"))]
     held_out = "none" if in_sample_only else "recordings" if whole_recordings else "blocks"
@@ -357,7 +378,8 @@ def prepare_searches(
             made.append(on_pictures.prepare(plan, place, held_out, seen, storage))
         else:
             driven = _alike(test, planning.Plan)
-            made.append(studies.prepare(plan, place, held_out, driven, storage))
+            parts = "recordings" if plan.fleet and not in_sample_only else held_out
+            made.append(studies.prepare(plan, place, parts, driven, storage))
     return made
 
 
@@ -367,6 +389,30 @@ def _of_recordings(plans: Sequence[AnyPlan], option: str) -> list[planning.Plan]
         if isinstance(plan, planning.PicturePlan):
             raise InputError(f"{plan.source}: {option}: does not go with labelled pictures")
     return [plan for plan in plans if isinstance(plan, planning.Plan)]
+
+
+def _on_fleet(
+    plan: planning.Plan, fleet: str | os.PathLike[str], by_tag: str | None
+) -> planning.Plan:
+    """The plan for one parameter set for all drives of a fleet; for a fleet of one drive that of
+    its recording."""
+    if len(plan.experiments) > 1:
+        raise InputError(f"{plan.source}: --fleet: goes with one experiment; the table has drives")
+    (base,) = plan.experiments
+    drives, experiments = experiments_of(base, fleet)
+    # The ids of frames that are never fitted are those of the base's own recording.
+    found = replace(
+        plan,
+        name=as_name(f"{plan.name}_{Path(fleet).stem}"),
+        experiments=tuple(experiments),
+        tuning=plan.tuning.model_copy(update={"never_fit": ()}),
+    )
+    if len(drives) == 1:
+        return found
+    parts = parts_of_fleet(drives, experiments, plan.tuning.blocks, by_tag)
+    written = base.model_copy(update={"n_lanes": experiments[0].n_lanes})
+    tags = tuple(drive.tags for drive in drives)
+    return replace(found, fleet=planning.Fleet(written, parts, tags))
 
 
 def _alike(test: AnyPlan | None, kind: type[T]) -> T | None:

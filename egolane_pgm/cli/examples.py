@@ -58,6 +58,7 @@ EXAMPLES = {
     "tune": (
         "egolane tune drive/experiment.yaml --trials 300",
         "egolane tune experiments/quickstart.yaml -p sigma1=[0.1,0.5] --sampler tpe --workers 2",
+        "egolane tune experiments/quickstart.yaml --fleet drives.csv --by-tag weather",
     ),
     "validate": ("egolane validate drive/experiment.yaml experiments/zero_label.yaml",),
     "video": ("egolane video drive.mp4 --camera cam.yaml --detector ml --n-lanes 4 -o out.mp4",),

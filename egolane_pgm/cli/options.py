@@ -58,6 +58,13 @@ def tables(command: Callable[..., Any]) -> Callable[..., Any]:
     return style(wide(command))
 
 
+cluster = click.option(
+    "--cluster",
+    metavar="ADDRESS|local:N",
+    help="Instead of --jobs: the scheduler of a Dask cluster, or one of N processes here.",
+)
+
+
 def jobs(command: Callable[..., Any]) -> Callable[..., Any]:
     """`--jobs N`, or `--cluster ADDRESS` instead: where work is shared out to, as `jobs`."""
 
@@ -65,14 +72,9 @@ def jobs(command: Callable[..., Any]) -> Callable[..., Any]:
     def with_jobs(*args: Any, jobs: int, cluster: str | None, **kwargs: Any) -> Any:
         return command(*args, jobs=jobs if cluster is None else cluster, **kwargs)
 
-    with_cluster = click.option(
-        "--cluster",
-        metavar="ADDRESS|local:N",
-        help="Instead of --jobs: the scheduler of a Dask cluster, or one of N processes here.",
-    )(with_jobs)
     return click.option(
         "--jobs", type=click.IntRange(1), default=1, show_default=True, help="Processes."
-    )(with_cluster)
+    )(cluster(with_jobs))
 
 
 fleet = click.option(

@@ -15,11 +15,15 @@ from egolane_pgm.cli import options
 from egolane_pgm.cli.completion import samplers
 from egolane_pgm.cli.options import write_json
 from egolane_pgm.report import study_tables
+from egolane_pgm.report.fleet_table import fleet_table_rows
 from egolane_pgm.report.study_figures import draw_study
 from egolane_pgm.report.study_trials import read_trials
 from egolane_pgm.report.tables import Table, line_width, page
 from egolane_pgm.results import SCHEMA_VERSION
 from egolane_pgm.tuning.space import described
+
+#: So many notes are printed: each drive of a fleet may have some.
+_MANY = 20
 
 
 @click.command()
@@ -47,13 +51,19 @@ from egolane_pgm.tuning.space import described
     metavar="NAME=VALUE",
     help="Narrow, p1=[0.5,1], or fix, p1=0.9; several times.",
 )
-@click.option("--blocks", type=click.IntRange(2), help="Blocks held out in turn.  [default: 5]")
+@click.option(
+    "--blocks",
+    type=click.IntRange(2),
+    help="Blocks held out in turn; of a fleet parts of its drives.  [default: 5]",
+)
 @click.option(
     "--whole-recordings", is_flag=True, help="Hold out each recording in turn, not blocks."
 )
 @click.option("--test-on", type=click.Path(dir_okay=False), metavar="YAML", help="Score there too.")
 @click.option("--in-sample-only", is_flag=True, help="No nested studies: in-sample scores only.")
 @click.option("--together", is_flag=True, help="One parameter set for all the experiments.")
+@options.fleet
+@options.by_tag
 @click.option("--out", default="results/tuning", show_default=True, help="A directory per study.")
 @click.option("--no-figures", is_flag=True, help="Do not draw figures/ in each study's directory.")
 @click.option(
@@ -64,6 +74,7 @@ from egolane_pgm.tuning.space import described
     type=click.IntRange(1),
     help="Processes that share the studies.  [default: the processor's cores]",
 )
+@options.cluster
 @click.option(
     "--storage",
     envvar="EGOLANE_STORAGE",
@@ -88,10 +99,13 @@ def tune(
     test_on: str | None,
     in_sample_only: bool,
     together: bool,
+    fleet: str | None,
+    by_tag: str | None,
     out: str,
     no_figures: bool,
     workers: int | None,
     jobs: int | None,
+    cluster: str | None,
     storage: str | None,
     style: str,
     wide: bool,
@@ -104,6 +118,8 @@ def tune(
 
     Every study is Optuna's, kept in study.journal of its directory or in --storage. Other machines,
     or terminals, join in it by giving the same command.
+
+    With --fleet one parameter set is searched for all drives of a table.
     """
     searches = prepare_searches(
         experiments,
@@ -120,18 +136,23 @@ def tune(
         test_on=test_on,
         in_sample_only=in_sample_only,
         together=together,
+        fleet=fleet,
+        by_tag=by_tag,
         workers=workers,
         jobs=jobs,
         storage=storage,
         overrides=overrides,
     )
-    for note in dict.fromkeys(note for made in searches for note in made.notes):
+    notes = list(dict.fromkeys(note for made in searches for note in made.notes))
+    for note in notes[:_MANY]:
         options.warn(note)
+    if len(notes) > _MANY:
+        options.warn(f"{len(notes) - _MANY} more of these, see `notes` in study.json")
     _say_what_is_searched(searches)
     folders = ", ".join(str(made.directory) for made in searches[:3])
     folders += ", ..." if len(searches) > 3 else ""
     try:
-        documents = search_all(searches, jobs=jobs or _cores(), workers=workers)
+        documents = search_all(searches, jobs=cluster or jobs or _cores(), workers=workers)
     except KeyboardInterrupt:
         place = "the storage" if storage else folders
         raise KeyboardInterrupt(
@@ -182,4 +203,8 @@ def _parts(documents: Sequence[Mapping[str, Any]], in_one_table: bool) -> list[s
         parts += [title, Table(*study_tables.parameter_rows(mine, shown), labels=2)]
     if len(documents) == 1:
         parts.append(Table(*study_tables.score_rows(documents[0])))
-    return [*parts, study_tables.LEGEND]
+    for document in documents:
+        rows = study_tables.drive_rows(document)
+        if rows:
+            parts += [f"{document['name']}, held out:", Table(*fleet_table_rows(rows))]
+    return [*parts, study_tables.legend(documents)]

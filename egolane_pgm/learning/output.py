@@ -50,11 +50,13 @@ def write_learned(
     drives: what was learned from, in words; None for the experiment's recording.
 
     What the new experiment says of its scores is that they are in-sample where it is run on the
-    same recording. Raises InputError where a file cannot be written.
+    same recording; after learning from drives that this is unknown. Raises InputError where a file
+    cannot be written.
     """
     tables = {k: v for k, v in parameters.items() if k.startswith(PREFIX)}
     files = output_files(experiment, target)[: 2 if tables else 1]
-    content = _experiment_yaml(experiment, model, parameters, target, bool(tables))
+    tuned_on = "same_frames" if drives is None else "unknown"
+    content = _experiment_yaml(experiment, model, parameters, target, bool(tables), tuned_on)
     source = Path(experiment.source).name
     heading = f"# Learned by `egolane learn {source}` from"
     place = drives or "its recording"
@@ -84,7 +86,12 @@ def _recording(experiment: Experiment) -> str:
 
 
 def _experiment_yaml(
-    experiment: Experiment, model: Model, parameters: Found, target: Path, has_tables: bool
+    experiment: Experiment,
+    model: Model,
+    parameters: Found,
+    target: Path,
+    has_tables: bool,
+    tuned_on: str,
 ) -> dict[str, Any]:
     of_rule = {p.name for p in getattr(model.rule, "PARAMETERS", ())}
     found = {k: v for k, v in parameters.items() if not k.startswith(PREFIX)}
@@ -101,7 +108,7 @@ def _experiment_yaml(
     content["description"] = experiment.description.replace(
         "generic constants", "learned from its labels"
     )
-    content["tuned_on"] = "same_frames"
+    content["tuned_on"] = tuned_on
     if experiment.tuning is not None:
         content["tuning"] = experiment.tuning.model_dump(mode="json", exclude_defaults=True)
     for spec in declared_parameters(model.rule, model.graph):

@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 
+from egolane_pgm.fleet import TAG
 from egolane_pgm.paper import SCORES, load_published
 from egolane_pgm.report.study_trials import Trials, importances
 from egolane_pgm.report.tables import score_text, with_interval
@@ -14,12 +15,37 @@ from egolane_pgm.scoring.confusion import scores_from_confusion
 
 COUNTRIES = {"italy": "A4, Italy", "spain": "A2, Spain"}
 
-#: What the columns mean, beside every table.
-LEGEND = (
-    "in-sample: on the frames that the parameters were tuned on; held out: each block of the drive"
-    " (or each recording) with parameters found without it, the search run anew; in brackets 95 %"
-    " intervals of a block bootstrap"
-)
+
+def legend(documents: Sequence[Mapping[str, Any]]) -> str:
+    """What the columns mean, beside every table."""
+    part, drawn = "each block of the drive (or each recording)", "of a block bootstrap"
+    if any(document.get("fleet") for document in documents):
+        part, drawn = "each part of the drives", "over drives, which are drawn whole"
+    return (
+        f"in-sample: on the frames that the parameters were tuned on; held out: {part} with"
+        f" parameters found without it, the search run anew; in brackets 95 % intervals {drawn}"
+    )
+
+
+def drive_rows(document: Mapping[str, Any]) -> list[dict[str, Any]]:
+    """A row for each drive of a fleet, as those of `fleet.summary_rows`, scored held out; none for
+    other studies, and where nothing was held out."""
+    if not document.get("fleet") or document["held_out"] is None:
+        return []
+    part_of = {
+        name: number for number, part in enumerate(document["fleet"]["parts"], 1) for name in part
+    }
+    return [
+        {
+            "name": drive["name"],
+            **{f"{TAG}{k}": v for k, v in document["fleet"]["tags"][drive["name"]].items()},
+            "error": None,
+            "part": part_of[drive["name"]],
+            "frames_scored": drive["frames_scored"],
+            "model.accuracy": drive["accuracy"],
+        }
+        for drive in document["held_out"]["all_frames"]["recordings"]
+    ]
 
 
 def parameter_rows(

@@ -9,16 +9,25 @@ from typing import Any
 
 import numpy as np
 import optuna
+from numpy.typing import NDArray
 
 from egolane_pgm.model import Drive
-from egolane_pgm.scoring.bootstrap import Interval, score_counts, score_intervals
+from egolane_pgm.scoring.bootstrap import (
+    INTERVAL_STATISTICS,
+    Interval,
+    over_drives,
+    score_counts,
+    score_intervals,
+)
+from egolane_pgm.scoring.confusion import SCORES as CONFUSION_SCORES
+from egolane_pgm.scoring.confusion import on_widest
 from egolane_pgm.scoring.held_out import blocks, without_block
 from egolane_pgm.scoring.stability import lane_changes
 from egolane_pgm.scoring.summary import score_all
 from egolane_pgm.tuning.objective import tried_belief
 from egolane_pgm.tuning.plan import Problem, parameters_at, scorer
 from egolane_pgm.tuning.search import Report, Settings, best_trial, search, search_in_memory
-from egolane_pgm.tuning.space import Point
+from egolane_pgm.tuning.space import Point, to_parameters
 from egolane_pgm.types import BoolArray, FloatArray, InputError, LaneTruth
 
 #: The scores that every result shows.
@@ -104,7 +113,7 @@ def without_part(
 ) -> tuple[Problem, list[BoolArray]]:
     """The problem without the labels of a part, and per drive the frames that may be used."""
     if by_recording:
-        kept = [k for k in range(len(problem.drives)) if k != part]
+        kept = [k for k in range(len(problem.drives)) if k not in problem.parts[part]]
         drives = tuple(problem.drives[k] for k in kept)
         spaces = tuple(problem.spaces[k] for k in kept)
         smaller = replace(problem, drives=drives, spaces=spaces)
@@ -162,9 +171,13 @@ def beliefs_at(problem: Problem, point: Point) -> list[FloatArray]:
 
 def stitched(problem: Problem, nested: Sequence[Nested], by_recording: bool) -> list[FloatArray]:
     """Per drive the belief (K, n), each part of it with the parameters found without it."""
-    each = [beliefs_at(problem, result.point) for result in nested]
     if by_recording:
-        return [each[k][k] for k in range(len(problem.drives))]
+        at = {k: result.point for result in nested for k in problem.parts[result.part]}
+        return [
+            tried_belief(drive, to_parameters(space, at[k]))
+            for k, (drive, space) in enumerate(zip(problem.drives, problem.spaces, strict=True))
+        ]
+    each = [beliefs_at(problem, result.point) for result in nested]
     return [
         np.concatenate([each[b][k][part] for b, part in enumerate(blocks(len(drive), len(nested)))])
         for k, drive in enumerate(problem.drives)
@@ -172,9 +185,16 @@ def stitched(problem: Problem, nested: Sequence[Nested], by_recording: bool) -> 
 
 
 def assess(
-    drives: Sequence[Drive], beliefs: Sequence[FloatArray], keep: Sequence[BoolArray]
+    drives: Sequence[Drive],
+    beliefs: Sequence[FloatArray],
+    keep: Sequence[BoolArray],
+    *,
+    together: bool = False,
 ) -> dict[str, Any]:
-    """Scores with intervals over the kept frames, per recording and their plain mean."""
+    """Scores with intervals over the kept frames, per recording and their plain mean.
+
+    together: whether it is the score of all their frames instead, with an interval over drives.
+    """
     each = []
     for drive, belief, kept in zip(drives, beliefs, keep, strict=True):
         truth, experiment = drive.truth.take(kept), drive.experiment
@@ -188,11 +208,25 @@ def assess(
         )
         shown = (*SCORES, "confusion", "frames_scored")
         each.append({"name": experiment.name, **{name: scores[name] for name in shown}})
-    found: dict[str, Any] = {
-        name: float(np.mean([scores[name] for scores in each])) for name in SCORES
-    }
-    found["frames_scored"] = sum(scores["frames_scored"] for scores in each)
-    found["intervals"] = _bounds(score_intervals(_counts(drives, beliefs, keep)))
+    counts = _counts(drives, beliefs, keep)
+    frames = np.array([scores["frames_scored"] for scores in each])
+    found: dict[str, Any] = {}
+    if together:
+        matrices = on_widest([np.array(scores["confusion"]) for scores in each])
+        found |= {
+            name: float(of(matrices.sum(axis=0)))
+            for name, of in CONFUSION_SCORES.items()
+            if name in SCORES
+        }
+        brier = [scores["brier"] or 0.0 for scores in each]
+        found["brier"] = float(np.dot(frames, brier) / frames.sum())
+        intervals = _over_drives(counts)
+        found["log_loss"] = intervals["log_loss"][0]
+        found["intervals"] = {name: interval for name, (_, interval) in intervals.items()}
+    else:
+        found |= {name: float(np.mean([scores[name] for scores in each])) for name in SCORES}
+        found["intervals"] = _bounds(score_intervals(counts))
+    found["frames_scored"] = int(frames.sum())
     if len(each) == 1:
         found["confusion"] = each[0]["confusion"]
     else:
@@ -205,12 +239,36 @@ def difference(
     first: Sequence[FloatArray],
     second: Sequence[FloatArray],
     keep: Sequence[BoolArray],
+    *,
+    together: bool = False,
 ) -> dict[str, Any]:
-    """First less second with intervals, over the same resamples of the same frames."""
+    """First less second with intervals, over the same resamples of the same frames, or drives."""
+    counts = _counts(drives, first, keep), _counts(drives, second, keep)
+    if together:
+        found = _over_drives(*counts)
+        intervals = {name: interval for name, (_, interval) in found.items()}
+        return {**{name: value for name, (value, _) in found.items()}, "intervals": intervals}
     one, other = assess(drives, first, keep), assess(drives, second, keep)
-    intervals = score_intervals(_counts(drives, first, keep), _counts(drives, second, keep))
-    differences = {name: one[name] - other[name] for name in intervals}
-    return {**differences, "intervals": _bounds(intervals)}
+    bounds = _bounds(score_intervals(*counts))
+    return {**{name: one[name] - other[name] for name in bounds}, "intervals": bounds}
+
+
+def _over_drives(
+    counts: Sequence[Mapping[str, NDArray[Any]]],
+    minus: Sequence[Mapping[str, NDArray[Any]]] | None = None,
+) -> dict[str, tuple[float, tuple[float, float] | None]]:
+    """Each score that has an interval, of all frames of the drives, and that interval."""
+
+    def sums(side: Sequence[Mapping[str, NDArray[Any]]], name: str) -> NDArray[Any]:
+        of_drives = [mine[name].sum(axis=0) for mine in side]
+        return np.stack(of_drives) if name == "log_loss" else on_widest(of_drives)
+
+    return {
+        name: over_drives(
+            sums(counts, name), statistic, None if minus is None else sums(minus, name)
+        )
+        for name, statistic in INTERVAL_STATISTICS.items()
+    }
 
 
 def _counts(

@@ -50,6 +50,8 @@ def identity_of(problem: Problem) -> dict[str, Any]:
         },
         "recordings": recordings,
     }
+    if problem.plan.fleet is not None:
+        identity["frames_of_all_drives_alike"] = True
     return dict(json.loads(json.dumps(plain(identity))))
 
 

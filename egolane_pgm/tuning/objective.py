@@ -106,25 +106,43 @@ def scores_of(
     sets: Sequence[Mapping[str, Value]],
     is_used: Sequence[BoolArray],
     objectives: Sequence[str],
+    *,
+    together: bool = False,
 ) -> list[float]:
     """Score one parameter set: per objective the mean over the drives, equal weight each.
 
     - sets: per drive every declared parameter's value.
     - is_used: per drive (K,), marks the annotated frames that count; the filter sees every frame.
     - objectives: names of scores.
+    - together: whether the frames of all drives count alike instead: the confusion matrices are
+      added; of other scores it is the mean over the drives, weighted by their frames.
     """
-    total = np.zeros(len(objectives))
-    for drive, parameters, used in zip(drives, sets, is_used, strict=True):
+    values = np.zeros((len(drives), len(objectives)))
+    weights = np.ones_like(values)
+    matrices: list[IntArray] = []
+    for k, (drive, parameters, used) in enumerate(zip(drives, sets, is_used, strict=True)):
         belief = tried_belief(drive, parameters)
         counts = None
-        for k, name in enumerate(objectives):
+        for j, name in enumerate(objectives):
             if name in BELIEF_SCORES:
-                total[k] += belief_score(drive, belief, used, name)
+                values[k, j] = belief_score(drive, belief, used, name)
+                # The log-loss is about crossing frames as well.
+                counted = used if name == "log_loss" else used & ~drive.truth.is_crossing
+                weights[k, j] = np.count_nonzero(counted) if together else 1
                 continue
             if counts is None:
                 counts = _counted(drive, belief, used)
-            total[k] += confusions.SCORES[name](counts)
-    return (total / len(drives)).tolist()  # type: ignore[no-any-return]
+                matrices.append(counts)
+            values[k, j] = confusions.SCORES[name](counts)
+    total = weights.sum(axis=0)
+    found = (values * weights).sum(axis=0) / np.where(total > 0, total, 1)
+    found[total == 0] = UNDEFINED
+    if together and matrices:
+        added = confusions.on_widest(matrices).sum(axis=0)
+        for j, name in enumerate(objectives):
+            if name in confusions.SCORES:
+                found[j] = confusions.SCORES[name](added)
+    return found.tolist()  # type: ignore[no-any-return]
 
 
 def _counted(drive: Drive, belief: FloatArray, is_used: BoolArray) -> IntArray:

@@ -13,6 +13,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Mapping, Sequence
+from contextlib import nullcontext
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, TypeVar
@@ -45,7 +46,7 @@ from egolane_pgm.tuning.objective import (
 )
 from egolane_pgm.tuning.search import TRIALS, Score, Settings, check_sampler
 from egolane_pgm.tuning.space import Point, SearchSpace, make_space, to_parameters, to_point
-from egolane_pgm.types import NOTE, BoolArray, InputError, all_problems, not_one_of
+from egolane_pgm.types import NOTE, BoolArray, InputError, all_problems, not_one_of, problems_in
 
 #: Trials of a study on labelled pictures: each looks at all of them.
 PICTURE_TRIALS = 200
@@ -126,11 +127,27 @@ class PictureTuningFile(_File):
 
 
 @dataclass(frozen=True)
+class Fleet:
+    """The drives of a fleet, on which one parameter set is searched.
+
+    - experiment: what is put on them, and written with what is found.
+    - parts: the numbers of the drives that are held out together, in turn.
+    - tags: of each drive, by name.
+    """
+
+    experiment: Experiment
+    parts: tuple[tuple[int, ...], ...]
+    tags: tuple[Mapping[str, str], ...]
+
+
+@dataclass(frozen=True)
 class Plan:
     """A study to do: which experiments are tuned together, and how.
 
     - tuning: the settings of the search.
     - source: the YAML, for messages.
+    - fleet: where the experiments are one on each drive of a fleet; all frames count alike then,
+      and else all experiments.
     """
 
     name: str
@@ -138,6 +155,7 @@ class Plan:
     experiments: tuple[Experiment, ...]
     tuning: Tuning
     source: str
+    fleet: Fleet | None = None
 
     @property
     def settings(self) -> Settings:
@@ -203,6 +221,13 @@ class Problem:
     def space(self) -> SearchSpace:
         """The dimensions that are searched."""
         return self.spaces[0]
+
+    @property
+    def parts(self) -> Sequence[tuple[int, ...]]:
+        """The numbers of the recordings that are held out together, where whole ones are."""
+        if self.plan.fleet is not None:
+            return self.plan.fleet.parts
+        return [(k,) for k in range(len(self.drives))]
 
 
 def read_plan(path: str | Path, overrides: Overrides = ()) -> Plan | PicturePlan:
@@ -281,11 +306,15 @@ def make_problem(plan: Plan) -> Problem:
     """
     _ = plan.settings  # Checked before anything is read.
     never_fit = plan.tuning.never_fit
+    needs = "a search needs it"
     drives = []
-    for experiment in plan.experiments:
-        check_filter(experiment)
-        needs = "a search needs it"
-        drives.append(load_drive(experiment, needs_truth=needs, never_fit=never_fit))
+    with all_problems() as part:
+        for experiment in plan.experiments:
+            # The drives of a fleet have one YAML.
+            of_drive = nullcontext() if plan.fleet is None else problems_in(experiment.name)
+            with part(), of_drive:
+                check_filter(experiment)
+                drives.append(load_drive(experiment, needs_truth=needs, never_fit=never_fit))
     shared_specs(drives)
     return problem_of(plan, drives)
 
@@ -370,7 +399,9 @@ def scorer(problem: Problem, is_used: Sequence[BoolArray]) -> Score:
 
     def score(point: Point) -> list[float]:
         sets = parameters_at(problem, point)
-        return scores_of(problem.drives, sets, is_used, problem.settings.objectives)
+        together = problem.plan.fleet is not None
+        objectives = problem.settings.objectives
+        return scores_of(problem.drives, sets, is_used, objectives, together=together)
 
     return score
 

@@ -8,6 +8,7 @@ import time
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import BrokenExecutor, as_completed
 from dataclasses import dataclass, field
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -59,7 +60,8 @@ class Search:
     """A search, and how far it has come.
 
     - directory: of its results.
-    - held_out: "blocks", "recordings", or "none" for in-sample scores only.
+    - held_out: "blocks", "recordings" (whole ones, of a fleet its parts), or "none" for in-sample
+      scores only.
     - storage: URL of the storage; None for a journal in the directory.
     - test: recordings that take no part in the search and are scored with what it finds.
     - notes: what a user should know, a line each.
@@ -86,7 +88,7 @@ class Search:
         """Number of studies that are run anew without a part."""
         if self.held_out == "none":
             return 0
-        return len(self.problem.drives) if self.by_recording else self.problem.plan.tuning.blocks
+        return len(self.problem.parts) if self.by_recording else self.problem.plan.tuning.blocks
 
     @property
     def spaces(self) -> list[tuple[str, SearchSpace]]:
@@ -117,7 +119,7 @@ def prepare(
     made.notes += starting_points(problem)[1]
     if held_out == "blocks":
         made.notes += check_blocks(problem)
-    if held_out == "recordings" and len(problem.drives) < 2:
+    if held_out == "recordings" and len(problem.parts) < 2:
         raise InputError(f"{plan.source}: whole recordings as blocks need at least two of them")
     if test is not None:
         same = {**plan.tuning.model_dump(), "never_fit": test.tuning.never_fit}
@@ -171,6 +173,8 @@ def _search_without(
 
 
 def _what(made: Search) -> str:
+    if made.problem.plan.fleet is not None:
+        return "part"
     return "recording" if made.by_recording else "block"
 
 
@@ -310,7 +314,8 @@ def finish_main(made: Search, seconds: float) -> None:
 def finish(made: Search) -> dict[str, Any]:
     """Score a search in-sample and held out, write its study.json and return what is in that."""
     problem, drives = made.problem, made.problem.drives
-    everything = all_used(drives)
+    everything, together = all_used(drives), problem.plan.fleet is not None
+    scores = partial(assess, drives, together=together)
     trusted = [d.may_fit for d in drives]
     subsets = {"all_frames": everything}
     if not all(keep.all() for keep in trusted):
@@ -321,7 +326,7 @@ def finish(made: Search) -> dict[str, Any]:
         "best": made.best,
         "in_sample": {
             "tuned_on": "same_frames",
-            **{key: assess(drives, mine, keep) for key, keep in subsets.items()},
+            **{key: scores(mine, keep) for key, keep in subsets.items()},
         },
         "held_out": None,
         "difference": None,
@@ -339,22 +344,27 @@ def finish(made: Search) -> dict[str, Any]:
             "studies": [
                 {
                     "part": n.part + 1,
-                    "left_out": drives[n.part].experiment.name if by_recording else None,
+                    "left_out": _names(problem, n.part) if by_recording else None,
                     "trials": n.trials,
                     "in_sample_values": list(n.values),
                     "point": n.point,
                 }
                 for n in nested
             ],
-            **{key: assess(drives, theirs, keep) for key, keep in subsets.items()},
+            **{key: scores(theirs, keep) for key, keep in subsets.items()},
         }
         content["difference"] = {
-            key: difference(drives, mine, theirs, keep) for key, keep in subsets.items()
+            key: difference(drives, mine, theirs, keep, together=together)
+            for key, keep in subsets.items()
         }
     if made.test is not None:
         content["test"] = _tested(made.test, made.best["point"])
     write_json(made.directory / STUDY_FILE, content)
     return content
+
+
+def _names(problem: Problem, part: int) -> str:
+    return ", ".join(problem.drives[k].experiment.name for k in problem.parts[part])
 
 
 def _tested(test: Problem, point: dict[str, Any]) -> dict[str, Any]:

@@ -4,7 +4,7 @@ study.json     schema_version, name, what was searched and how, data (path, sha2
                versions, git, best, pareto, in_sample, held_out, difference
 trials.csv     number, state, a column per score (in-sample) and per parameter; also .parquet
 best.yaml      the best parameters as an experiment for `egolane run`; best_<name>.yaml for
-               each of several recordings
+               each of several recordings, but not of a fleet's drives
 nested.json    the result of each study without one part, so that a repeated command goes on
 study.journal  the study itself, as Optuna keeps it (not with --storage)
 """
@@ -56,8 +56,21 @@ def provenance_of(problem: Problem) -> dict[str, Any]:
             "sampler": problem.settings.sampler,
             "trials": problem.settings.trials,
         },
+        "fleet": _fleet(problem),
         "space": identity["space"],
         "experiments": [resolved(d.experiment, d.model.parameters) for d in problem.drives],
+    }
+
+
+def _fleet(problem: Problem) -> dict[str, Any] | None:
+    """The drives of a fleet that are held out together, and their tags, by name."""
+    fleet = problem.plan.fleet
+    if fleet is None:
+        return None
+    names = [experiment.name for experiment in problem.plan.experiments]
+    return {
+        "parts": [[names[k] for k in part] for part in fleet.parts],
+        "tags": dict(zip(names, map(dict, fleet.tags), strict=True)),
     }
 
 
@@ -82,6 +95,12 @@ def write_trials(directory: Path, study: optuna.Study, objectives: Sequence[str]
 
 def write_best(directory: Path, problem: Problem, point: Mapping[str, Any]) -> list[Path]:
     """The best parameters as experiments that `egolane run` takes, one per recording."""
+    if problem.plan.fleet is not None:
+        # One for all drives. Of a drive that it is run on nobody knows whether it is one of them.
+        parameters = parameters_at(problem, point)[0]
+        content = tuned_experiment(problem.plan.fleet.experiment, parameters, problem)
+        write_yaml(directory / "best.yaml", {**content, "tuned_on": "unknown"})
+        return [directory / "best.yaml"]
     written = []
     for drive, parameters in zip(problem.drives, parameters_at(problem, point), strict=True):
         name = "best.yaml" if len(problem.drives) == 1 else f"best_{drive.experiment.name}.yaml"
@@ -120,9 +139,15 @@ def nested_key(problem: Problem, by_recording: bool) -> dict[str, Any]:
     return {
         **identity_of(problem),
         "trials": problem.settings.trials,
-        "blocks": "recordings" if by_recording else problem.plan.tuning.blocks,
+        "blocks": _parts(problem) if by_recording else problem.plan.tuning.blocks,
         "never_fit": [int((~drive.may_fit).sum()) for drive in problem.drives],
     }
+
+
+def _parts(problem: Problem) -> str | list[list[int]]:
+    if problem.plan.fleet is None:
+        return "recordings"
+    return [list(part) for part in problem.parts]
 
 
 def read_nested(directory: Path, key: Mapping[str, Any]) -> dict[int, Nested]:
