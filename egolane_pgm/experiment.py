@@ -607,11 +607,11 @@ def load_experiment(experiment: Given, overrides: Overrides = ()) -> Experiment:
     if isinstance(experiment, Experiment):
         if not overrides:
             return experiment
-        content = _overridden(experiment.model_dump(exclude_unset=True), overrides)
+        content = overridden(experiment.model_dump(exclude_unset=True), overrides)
         return make_experiment(content, experiment.folder, experiment.source)
     if isinstance(experiment, Mapping):
         content = without_version(_nested(experiment), "experiment")
-        content = _overridden(_including(content, Path(), "experiment", ("experiment",)), overrides)
+        content = overridden(_including(content, Path(), "experiment", ("experiment",)), overrides)
         return make_experiment(content, Path(), "experiment")
     if not isinstance(experiment, (str, os.PathLike)):
         raise InputError(
@@ -629,10 +629,11 @@ def load_yaml(path: Path, overrides: Overrides = ()) -> dict[str, Any]:
     have. Sections are merged key by key. Paths in the other file are taken as if they stood here.
     Raises InputError as `load_experiment` does.
     """
-    return _overridden(_with_included(path, ()), overrides)
+    return overridden(_with_included(path, ()), overrides)
 
 
-def _overridden(content: dict[str, Any], overrides: Overrides) -> dict[str, Any]:
+def overridden(content: dict[str, Any], overrides: Overrides) -> dict[str, Any]:
+    """The keys of an experiment, some with other values, as `load_experiment` takes them."""
     if overrides is None:
         return content
     if isinstance(overrides, Mapping):

@@ -172,6 +172,18 @@ def read_parquet(path: Path) -> Any:
         return parquet.read_table(file)
 
 
+def rows_of_parquet(path: Path) -> int:
+    """How many rows a Parquet file has, by its end. Raises InputError where it cannot be read."""
+    from pyarrow import ArrowException, OSFile, parquet
+
+    try:
+        with OSFile(str(path)) as file:
+            return int(parquet.read_metadata(file).num_rows)
+    except (OSError, ArrowException) as error:
+        why = " ".join(str(error).split())
+        raise InputError(f"{path}: cannot be read: {why}") from error
+
+
 def plain(value: Any) -> Any:
     """The same in plain Python types, for JSON and YAML; NaN and infinity become None."""
     if isinstance(value, Mapping):

@@ -22,7 +22,7 @@ from typing import Any
 
 import numpy as np
 
-from egolane_pgm.experiment import Experiment, load_experiment
+from egolane_pgm.experiment import Experiment, Overrides, load_experiment
 from egolane_pgm.files import read_parquet, read_text, read_yaml, write_parquet
 from egolane_pgm.loading import as_name, with_recording
 from egolane_pgm.running import FinishedRun, PlannedRun, plan_runs
@@ -161,8 +161,11 @@ def _names(rows: Sequence[Mapping[str, Any]]) -> list[str]:
     return names
 
 
-def drive_experiment(base: Experiment, drive: FleetDrive) -> Experiment:
+def drive_experiment(base: Experiment, drive: FleetDrive, overrides: Overrides = ()) -> Experiment:
     """The experiment on a drive of a fleet.
+
+    - overrides: keys that were overridden in the base, see `with_recording`; the row goes before
+      them.
 
     Raises InputError, naming table and row, for what does not fit.
     """
@@ -181,16 +184,20 @@ def drive_experiment(base: Experiment, drive: FleetDrive) -> Experiment:
                 None,
                 given["camera"],
                 given["detector"],
+                overrides,
             )
         found = load_experiment(base, cells)
     return found.model_copy(update={"name": drive.name})
 
 
-def plan_fleet(base: Experiment, drives: Sequence[FleetDrive], folder: Path) -> list[PlannedRun]:
+def plan_fleet(
+    base: Experiment, drives: Sequence[FleetDrive], folder: Path, overrides: Overrides = ()
+) -> list[PlannedRun]:
     """Plan a run for each drive, as `running.plan_runs` does; a drive that does not fit becomes a
-    run that fails."""
+    run that fails. overrides: as `drive_experiment`."""
     return plan_runs(
-        [(drive.name, partial(drive_experiment, base, drive)) for drive in drives], folder
+        [(drive.name, partial(drive_experiment, base, drive, overrides)) for drive in drives],
+        folder,
     )
 
 

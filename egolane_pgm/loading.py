@@ -21,7 +21,13 @@ from egolane_pgm.detectors.runner import (
     own_files,
     start,
 )
-from egolane_pgm.experiment import INTERCHANGE, Experiment, make_experiment
+from egolane_pgm.experiment import (
+    INTERCHANGE,
+    Experiment,
+    Overrides,
+    make_experiment,
+    overridden,
+)
 from egolane_pgm.files import in_home
 from egolane_pgm.maps.across import Across, across
 from egolane_pgm.maps.road_table import RoadTable
@@ -443,6 +449,7 @@ def with_recording(
     frame_id: str | None = None,
     camera: str | None = None,
     detector: str | None = None,
+    overrides: Overrides = (),
 ) -> Experiment:
     """The experiment on another recording.
 
@@ -457,9 +464,11 @@ def with_recording(
     recording, ground_truth, n_lanes, frame_id, camera, detector: what replaces the experiment's,
         None for what stays. ground_truth may be "none"; camera and detector are for a video or
         pictures.
+    overrides: keys that were overridden in the experiment: they are meant for the new recording, so
+        that of these even the frame range is kept.
 
-    Raises InputError for a folder of recordings, and for one that has both pictures and lines where
-    nothing says which are meant.
+    Raises InputError for a folder of recordings, for one that has both pictures and lines where
+    nothing says which are meant, and for overrides that name a recording as well.
     """
     content = experiment.model_dump()
     if "frame_rate" not in experiment.recording.model_fields_set:
@@ -489,6 +498,13 @@ def with_recording(
         content["tuned_on"] = (
             "other_frames" if experiment.tuned_on == "same_frames" else (experiment.tuned_on)
         )
+        path = content["recording"]["path"]
+        content = overridden(content, overrides)
+        if content["recording"].get("path") != path or content["recording"].get("simulate"):
+            raise InputError(
+                f"{experiment.source}: recording: --set and --recording, or a row of a fleet, name"
+                " two of them; leave one away"
+            )
     if frame_id is not None:
         content["recording"]["frame_id"] = frame_id
     if camera is not None:

@@ -49,6 +49,7 @@ from egolane_pgm.files import (
     check_place,
     code_checksum,
     read_yaml,
+    rows_of_parquet,
     write_bytes,
     write_json,
     write_parquet,
@@ -388,6 +389,20 @@ def read_result(directory: str | Path) -> Result:
         column.get("origin"),
     )
     return replace(result, lines=_read_lines(result))
+
+
+def read_said(directory: Path) -> tuple[dict[str, Any], dict[str, Any]]:
+    """What run.json and scores.json of a result say, without reading a belief.
+
+    Raises InputError as `read_result`, as far as it is told by these and by how many frames the
+    end of beliefs.parquet has.
+    """
+    run, scores = read_run(directory), read_scores(directory)
+    file = directory / "beliefs.parquet"
+    n_frames = rows_of_parquet(file)
+    if n_frames != run["frames"]:
+        raise InputError(f"{file}: has {n_frames} frames, run.json says {run['frames']}")
+    return run, scores
 
 
 def _read_lines(result: Result) -> LineLog | None:

@@ -60,7 +60,7 @@ from egolane_pgm.results import (
     Result,
     check_writable,
     provenance,
-    read_result,
+    read_said,
     staged,
     versions,
     write_result,
@@ -607,8 +607,9 @@ def _finish(run: PlannedRun, draw: Draw | None, keep: bool, resume: bool) -> Fin
     try:
         stored = stored_result(run.experiment, run.directory) if resume else None
         if stored is not None:
-            scores, seconds = dict(stored.scores), stored.run.get("seconds")
+            said, scores = stored
             del scores["schema_version"]
+            seconds = said.get("seconds")
             return FinishedRun(run.title, run.directory, scores, None, None, seconds, True)
         done = run_experiment(run.experiment)
         if not keep:
@@ -623,11 +624,13 @@ def _finish(run: PlannedRun, draw: Draw | None, keep: bool, resume: bool) -> Fin
     return FinishedRun(run.title, run.directory, found, None, kept, round(done.seconds, 3))
 
 
-def stored_result(experiment: Experiment, directory: Path) -> Result | None:
-    """The result in a directory, where it was made with this config, from these files as they are
-    now, and with this code; else None."""
+def stored_result(
+    experiment: Experiment, directory: Path
+) -> tuple[dict[str, Any], dict[str, Any]] | None:
+    """What run.json and scores.json say of the result in a directory, where it is whole and was
+    made with this config, from these files as they are now, and with this code; else None."""
     try:
-        found = read_result(directory)
+        said, scores = read_said(directory)
         experiment = with_map(experiment)
         model = model_to_run(experiment)
         content = resolved(with_video_rate(experiment), model.parameters)
@@ -637,10 +640,10 @@ def stored_result(experiment: Experiment, directory: Path) -> Result | None:
             "plugins": plugin_files(model),
             "versions": versions(),
         }
-        is_same = all(found.run.get(key) == value for key, value in made_by.items())
+        is_same = all(said.get(key) == value for key, value in made_by.items())
         has_pictures = experiment.recording.detector is not None
-        for entry in found.run["data"] if is_same else ():
+        for entry in said["data"] if is_same else ():
             is_same = is_same and file_entry(Path(entry["path"]), pictures=has_pictures) == entry
     except (InputError, OSError):
         return None
-    return found if is_same else None
+    return (said, scores) if is_same else None

@@ -656,6 +656,9 @@ def test_a_comparison_keeps_what_was_believed_in_each_frame(compared: ego.Compar
     assert accuracy == pytest.approx(entry["scores"]["all_frames"]["accuracy"])
     assert "held out" in repr(run)
     assert "<td>" in run._repr_html_()
+    several = ego.RunResults((run, run))._repr_html_()
+    assert f"{accuracy:.3f}" in several
+    assert "held out" in several
     with pytest.raises(ego.InputError, match="was not held out here; there are quickstart, seed 0"):
         compared["quickstart", "learned"]
 

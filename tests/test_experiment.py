@@ -444,6 +444,20 @@ def test_a_recording_of_ones_own_takes_nothing_from_the_old_one(tmp_path: Path) 
     assert bag.n_lanes == 3
 
 
+def test_what_is_overridden_is_meant_for_the_recording_that_is_named(tmp_path: Path) -> None:
+    overrides = ["recording.frames=[3, 7]", "n_lanes=4", "name=mine"]
+    old = load_experiment(made(tuned_on="same_frames"), overrides)
+    new = with_recording(old, str(tmp_path / "b.csv"), None, None, overrides=overrides)
+    assert new.recording.frames == (3, 7)
+    assert new.recording.path == str(tmp_path / "b.csv")
+    assert (new.name, new.n_lanes, new.tuned_on) == ("mine", 4, "other_frames")
+    options = with_recording(old, str(tmp_path / "b.csv"), None, 2, overrides=overrides)
+    assert options.n_lanes == 2
+    for other in ({"recording.path": "c.csv"}, {"recording.simulate": "a4"}):
+        with pytest.raises(InputError, match="two of them; leave one away"):
+            with_recording(old, str(tmp_path / "b.csv"), None, None, overrides=other)
+
+
 def test_without_ground_truth_only_the_ground_truth_goes() -> None:
     old = made(ground_truth={"path": "gt.txt"}, tuned_on="same_frames")
     new = with_recording(old, None, "none", None)

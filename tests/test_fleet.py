@@ -143,6 +143,27 @@ def test_a_recording_that_changed_is_run_again(tmp_path: Path) -> None:
     assert ego.run_fleet(QUICKSTART, fleet, tmp_path / "out").were_there == 0
 
 
+def test_a_result_that_is_not_whole_is_made_again(tmp_path: Path) -> None:
+    fleet = fleet_of(tmp_path, 3)
+    ego.run_fleet(QUICKSTART, fleet, tmp_path / "out")
+    cut = tmp_path / "out" / "d0" / "beliefs.parquet"
+    cut.write_bytes(cut.read_bytes()[:-100])
+    (tmp_path / "out" / "d1" / "beliefs.parquet").unlink()
+    assert ego.run_fleet(QUICKSTART, fleet, tmp_path / "out").were_there == 1
+    assert ego.run_fleet(QUICKSTART, fleet, tmp_path / "out").were_there == 3
+
+
+def test_what_is_overridden_is_meant_for_the_drives(tmp_path: Path) -> None:
+    write_drive(tmp_path / "drive")
+    fleet = table(tmp_path, "name,recording,recording.frames\na,drive/lines.csv,\n")
+    base = {"recording.frames": [0, 90], "n_lanes": 3}
+    found = ego.run_fleet(QUICKSTART, fleet, tmp_path / "out", overrides=base)
+    assert found.to_pandas().loc["a", "frames"] == 90
+    fleet = table(tmp_path, 'name,recording,recording.frames\na,drive/lines.csv,"[0, 60]"\n')
+    found = ego.run_fleet(QUICKSTART, fleet, tmp_path / "out", overrides=base)
+    assert found.to_pandas().loc["a", "frames"] == 60
+
+
 def test_a_drive_that_fails_does_not_stop_the_others(tmp_path: Path) -> None:
     head = "name,recording,recording.seed,recording.frames,n_lanes"
     fleet = table(

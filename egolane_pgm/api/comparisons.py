@@ -530,7 +530,7 @@ def groups_of(
     if learned_on:
         models = learned_elsewhere(models, learned_on, numbers is not None)
     if drives:
-        return on_fleet(models, drives)
+        return on_fleet(models, drives, overrides)
     if numbers is None:
         return by_recording(models)
     return on_runs(models, numbers, with_paper=with_paper, which=which)

@@ -138,7 +138,7 @@ def run_fleet(
     """
     drives = read_fleet(os.fspath(fleet))
     folder = Path(out)
-    plan = plan_fleet(load_experiment(experiment, overrides), drives, folder)
+    plan = plan_fleet(load_experiment(experiment, overrides), drives, folder, overrides)
     done: list[FinishedRun] = []
     try:
         found = run_all(plan, jobs=jobs, resume=True)
@@ -153,9 +153,11 @@ def run_fleet(
 
 
 def experiments_of(
-    base: Experiment, fleet: str | os.PathLike[str]
+    base: Experiment, fleet: str | os.PathLike[str], overrides: Overrides
 ) -> tuple[tuple[FleetDrive, ...], list[Experiment]]:
     """The drives of a table, and the experiment on each of them, to be learned or searched from.
+
+    - overrides: keys that were overridden in the base.
 
     Raises InputError for all rows that do not fit.
     """
@@ -164,7 +166,7 @@ def experiments_of(
     with all_problems() as part:
         for drive in drives:
             with part():
-                placed = drive_experiment(base, drive)
+                placed = drive_experiment(base, drive, overrides)
                 # A drive may be what the base was tuned on, under another name too.
                 found.append(placed.model_copy(update={"tuned_on": base.tuned_on}))
     return drives, found

@@ -310,7 +310,7 @@ def learn(
     if unlabelled:
         found = load_experiment(found, {"learning.labels": False})
     if fleet is not None:
-        return _learn_from_fleet(found, fleet, blocks, by_tag, jobs, progress)
+        return _learn_from_fleet(found, overrides, fleet, blocks, by_tag, jobs, progress)
     if by_tag is not None or jobs != 1:
         raise InputError("learn: --by-tag, --jobs and --cluster go with --fleet")
     given = with_video_rate(found)
@@ -331,6 +331,7 @@ def learn(
 
 def _learn_from_fleet(
     base: Experiment,
+    overrides: Overrides,
     fleet: str | os.PathLike[str],
     blocks: int,
     by_tag: str | None,
@@ -341,7 +342,7 @@ def _learn_from_fleet(
         raise InputError(
             f"{base.source}: fit: choose: goes with the recordings of choice, not with --fleet"
         )
-    drives, experiments = experiments_of(base, fleet)
+    drives, experiments = experiments_of(base, fleet, overrides)
     parts = parts_of_fleet(drives, experiments, blocks, by_tag)
     with warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always", UserWarning)

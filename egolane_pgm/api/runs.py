@@ -283,7 +283,9 @@ class RunResults(Sequence[RunResult]):
         return f"RunResults({', '.join(names)}{failed})"
 
     def _repr_html_(self) -> str:
-        header, rows = runs_table_rows([run.scores for run in self.runs])
+        # What a comparison held out has its scores in another place.
+        summaries = [{**run.result.run, **run.scores, **run._scored()} for run in self.runs]
+        header, rows = runs_table_rows(summaries)
         notes = [f"failed: {title}: {error}" for title, error in self.failed]
         return shown.html_table(repr(self), header, rows, notes)
 
@@ -445,7 +447,8 @@ def choose(
             None if file is None else path_of(file, name)
             for name, file in zip(names, files, strict=True)
         )
-        chosen = with_recording(found, recording, ground_truth, n_lanes, frame_id, camera, detector)
+        changes = (recording, ground_truth, n_lanes, frame_id, camera, detector)
+        chosen = with_recording(found, *changes, overrides=overrides)
     if name is None:
         return chosen
     return chosen.model_copy(update={"name": name.replace("*", found.name)})

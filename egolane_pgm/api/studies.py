@@ -360,7 +360,7 @@ def prepare_searches(
                 "--fleet: its drives are tuned together, and held out whole; leave away --runs,"
                 " --together and --whole-recordings"
             )
-        plans = [_on_fleet(p, fleet, by_tag) for p in _of_recordings(plans, "--fleet")]
+        plans = [_on_fleet(p, fleet, by_tag, overrides) for p in _of_recordings(plans, "--fleet")]
     elif by_tag is not None:
         raise InputError("--by-tag: goes with --fleet")
     if together:
@@ -392,14 +392,14 @@ def _of_recordings(plans: Sequence[AnyPlan], option: str) -> list[planning.Plan]
 
 
 def _on_fleet(
-    plan: planning.Plan, fleet: str | os.PathLike[str], by_tag: str | None
+    plan: planning.Plan, fleet: str | os.PathLike[str], by_tag: str | None, overrides: Overrides
 ) -> planning.Plan:
     """The plan for one parameter set for all drives of a fleet; for a fleet of one drive that of
     its recording."""
     if len(plan.experiments) > 1:
         raise InputError(f"{plan.source}: --fleet: goes with one experiment; the table has drives")
     (base,) = plan.experiments
-    drives, experiments = experiments_of(base, fleet)
+    drives, experiments = experiments_of(base, fleet, overrides)
     # The ids of frames that are never fitted are those of the base's own recording.
     found = replace(
         plan,

@@ -155,15 +155,19 @@ def on_runs(
     return _checked(groups, on_runs=True)
 
 
-def on_fleet(models: Sequence[Experiment], drives: Sequence[FleetDrive]) -> list[Group]:
+def on_fleet(
+    models: Sequence[Experiment], drives: Sequence[FleetDrive], overrides: Overrides = ()
+) -> list[Group]:
     """Put each model on every drive of a fleet; the groups are named as the drives.
+
+    overrides: keys that were overridden in the models.
 
     Raises InputError for a drive that does not fit.
     """
     groups = []
     for drive in drives:
         placed = [
-            drive_experiment(model, drive).model_copy(update={"name": model.name})
+            drive_experiment(model, drive, overrides).model_copy(update={"name": model.name})
             for model in models
         ]
         groups.append(Group(drive.name, None, tuple(placed), tuple(placed)))
