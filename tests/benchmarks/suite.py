@@ -20,7 +20,7 @@ from egolane_pgm.parameters import resolve_parameters
 from egolane_pgm.scoring.assign import assigned_lane
 from egolane_pgm.scoring.confusion import confusion
 from egolane_pgm.types import FloatArray, IntArray
-from tests.benchmarks import bench_camera, peers
+from tests.benchmarks import bench_camera, bench_cold, peers
 from tests.benchmarks.bench_tune import markdown, tune_lines
 from tests.benchmarks.changing import changing_rows
 from tests.benchmarks.data import N_LANES, PARAMETERS, Data, load, parameter_sets
@@ -67,6 +67,8 @@ def run_all(rounds: int) -> str:
     text = f"{table(rows)}\n{NOTE}\n\n{markdown(tune_lines())}\n"
     print("camera_lines ...", file=sys.stderr, flush=True)
     text += f"{bench_camera.markdown(bench_camera.camera_lines())}\n"
+    print("cold_lines ...", file=sys.stderr, flush=True)
+    text += f"{bench_cold.markdown(bench_cold.cold_lines())}\n"
     print(text)
     return f"{head}\n{text}"
 
