@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import ast
 import base64
+import copy
 import io
 import json
 import pickle
@@ -712,6 +713,16 @@ def test_arguments_of_compare_that_do_not_go_together_are_refused(given: Any, sa
 
 def test_a_damaged_comparison_is_refused(compared: ego.CompareResult, tmp_path: Path) -> None:
     saved = compared.save(tmp_path / "ours", figures=False)
-    (saved / "comparison.json").write_text("{}")
-    with pytest.raises(ego.InputError, match="is a damaged comparison"):
-        ego.load_result(saved)
+    file = saved / "comparison.json"
+    whole = json.loads(file.read_text())
+    for damage, said in (
+        (lambda c: c.clear(), "schema_version: is missing"),
+        (lambda c: c["recordings"][0]["experiments"][0].pop("scores"), "scores"),
+        (lambda c: c["recordings"][0].update(frames="many"), "frames"),
+        (lambda c: c.update(schema_version=99), "schema_version 99, this program reads 1"),
+    ):
+        content = copy.deepcopy(whole)
+        damage(content)
+        file.write_text(json.dumps(content))
+        with pytest.raises(ego.InputError, match=rf"comparison\.json.*{said}.*compare again"):
+            ego.load_result(saved)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import os
 import tempfile
 from collections.abc import Iterable, Iterator, Mapping, Sequence
@@ -46,6 +45,7 @@ from egolane_pgm.report.comparison_tables import (
     lag_rows,
     marks_text,
 )
+from egolane_pgm.result_schema import parse_comparison
 from egolane_pgm.results import SCHEMA_VERSION, read_files, staged, write_files
 from egolane_pgm.types import InputError, not_one_of
 
@@ -287,23 +287,18 @@ def is_comparison(directory: Path) -> bool:
 def read_comparison(directory: Path) -> CompareResult:
     """Read the directory of a comparison. Raises InputError where it is damaged."""
     files = read_files(directory)
-    try:
-        result = _read(directory.name, files)
-        result.to_pandas()
-    except (KeyError, IndexError, ValueError, TypeError, AttributeError) as error:
-        raise InputError(f"{directory}: is a damaged comparison; compare again") from error
-    return result
-
-
-def _read(name: str, files: dict[str, bytes]) -> CompareResult:
-    """The comparison in the files of a directory of that name: of several recordings, or of one."""
     if DOCUMENT in files:
-        found = json.loads(files[DOCUMENT])
+        found = parse_comparison(files[DOCUMENT], directory / DOCUMENT)
         if "title" not in found:
             del files[DOCUMENT]
             return CompareResult(found, files)
-        files = {f"{name}/{file}": content for file, content in files.items()}
-    parts = [json.loads(files[file]) for file in files if file.endswith(f"/{DOCUMENT}")]
+        files = {f"{directory.name}/{file}": content for file, content in files.items()}
+        directory = directory.parent
+    parts = [
+        parse_comparison(content, directory / file)
+        for file, content in files.items()
+        if file.endswith(f"/{DOCUMENT}")
+    ]
     found = {
         "schema_version": SCHEMA_VERSION,
         "held_out": True,

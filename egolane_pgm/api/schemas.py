@@ -1,5 +1,5 @@
-"""JSON Schemas (draft 2020-12) of the YAML files: editors complete and check keys by them, and the
-documentation's reference is made from them."""
+"""JSON Schemas (draft 2020-12) of the YAML files, and of what `--json` writes: editors complete and
+check keys by them, and the documentation's reference is made from them."""
 
 from __future__ import annotations
 
@@ -14,6 +14,7 @@ from egolane_pgm.experiment import INTERCHANGE, Experiment
 from egolane_pgm.files import YAML_VERSION
 from egolane_pgm.plugins import OWN_FILES, plugin_names
 from egolane_pgm.recordings import FORMATS
+from egolane_pgm.result_schema import Comparison, Reproduction
 from egolane_pgm.simulation import PRESETS
 from egolane_pgm.tuning.plan import PictureTuningFile, TuningFile
 
@@ -22,7 +23,12 @@ KINDS: dict[str, Any] = {
     "experiment": Experiment,
     "tuning": TuningFile | PictureTuningFile,
     "network": Network,
+    "comparison": Comparison,
+    "reproduction": Reproduction,
 }
+
+#: Those of them that a program wrote, in JSON.
+_WRITTEN = ("comparison", "reproduction")
 
 #: The keys of every YAML file, and of those that may lack keys; neither is the experiment's own.
 _VERSION = {
@@ -45,8 +51,9 @@ class _Untitled(GenerateJsonSchema):
 
 
 def json_schema(kind: str = "experiment") -> dict[str, Any]:
-    """The JSON Schema of a YAML file. Unknown keys are refused; what a plugin of the package is
-    called is checked, files of one's own are not looked at.
+    """The JSON Schema of a YAML file, or of what is written in JSON. In YAML unknown keys are
+    refused; what a plugin of the package is called is checked, files of one's own are not looked
+    at.
 
     - kind: a name of `KINDS`.
 
@@ -60,7 +67,7 @@ def json_schema(kind: str = "experiment") -> dict[str, Any]:
         roots = [definitions[name] for name in names]
     else:
         roots = [schema]
-    for root in roots:
+    for root in () if kind in _WRITTEN else roots:
         root["properties"] = {"version": _VERSION, **root["properties"]}
         if "name" in root["required"]:
             root["properties"] = {"include": _INCLUDE, **root["properties"]}

@@ -14,7 +14,8 @@ from egolane_pgm.api.schemas import KINDS, json_schema
 def schema(kind: str) -> None:
     """Print the JSON Schema of a YAML file, by which an editor completes and checks its keys.
 
-    KIND is experiment (the default), tuning, or network (which describes a lane network).
+    KIND is experiment (the default), tuning, or network (which describes a lane network); or
+    comparison or reproduction, which `compare --json` and `reproduce --json` write.
 
     \b
     egolane schema > experiment.schema.json
