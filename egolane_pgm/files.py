@@ -1,21 +1,26 @@
 """Files: how they are written whole, read as text or YAML, and refused in one line.
 
-A file is written beside its place, under a random name that nobody else uses, and then renamed: a
-file that has the name is whole, a file that was there before stays until then, and two programs
-that write the same file do not damage it. The user's umask decides who may read it.
+A file is written in a hidden folder beside its place, whose random name nobody else uses, and then
+renamed: a file that has the name is whole, a file that was there before stays until then, and two
+programs that write the same file do not damage it. The user's umask decides who may read it. The
+hidden folder of a process that was killed is removed by the next one that writes there: it is
+locked as long as its process lives.
 """
 
 from __future__ import annotations
 
 import contextlib
 import csv
+import errno
 import functools
 import hashlib
 import io
 import json
 import math
+import os
 import secrets
 import shutil
+import sys
 import tempfile
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
@@ -26,6 +31,15 @@ from numpy.typing import NDArray
 
 from egolane_pgm.types import InputError
 from egolane_pgm.yaml_text import dump_yaml, parse_yaml
+
+if sys.platform != "win32":
+    import fcntl
+
+#: Begins the names of hidden folders in which something is being made.
+_BEGUN = ".egolane-"
+
+#: In such a folder, where a directory is while its successor takes its place.
+_OLD = "old"
 
 #: Of the YAML files that the package reads (optional there) and writes. It changes where a key gets
 #: another meaning, so that an old program refuses a new file in one line.
@@ -57,9 +71,74 @@ def in_home(path: str | Path) -> Path:
 # --- writing ---------------------------------------------------------------------------------
 
 
-def temporary_name(path: Path) -> Path:
-    """A name in the same folder, with the same ending, that nobody else uses."""
-    return path.parent / f".egolane-{secrets.token_hex(8)}{path.suffix}"
+@contextlib.contextmanager
+def temporary_folder(parent: Path | None = None) -> Iterator[Path]:
+    """A new folder in `parent`, or where the system keeps temporary files, which only its owner may
+    read and which is removed when the block ends.
+
+    What killed processes left in `parent` is removed too (see `clear`). Raises OSError where the
+    folder cannot be made.
+    """
+    parent = (parent or Path(tempfile.gettempdir())).absolute()
+    _clear_once(parent)
+    folder, lock = _made_and_locked(parent)
+    try:
+        yield folder
+    finally:
+        shutil.rmtree(folder, ignore_errors=True)
+        if lock is not None:
+            os.close(lock)
+
+
+def _made_and_locked(parent: Path) -> tuple[Path, int | None]:
+    while True:
+        folder = parent / f"{_BEGUN}{secrets.token_hex(8)}"
+        folder.mkdir(mode=0o700)
+        try:
+            return folder, _lock(folder)
+        except (BlockingIOError, FileNotFoundError):
+            # Another process took it for one that was left behind.
+            continue
+        except OSError:
+            # Where there are no locks, nothing is cleared either.
+            return folder, None
+
+
+def _lock(folder: Path) -> int:
+    """Lock a folder until what is returned is closed, or the process ends, however it ends. Raises
+    BlockingIOError where another process has locked it, OSError where that cannot be done."""
+    if sys.platform == "win32":
+        raise OSError(errno.ENOTSUP, "no locks of folders")
+    lock = os.open(folder, os.O_RDONLY | os.O_DIRECTORY | os.O_NOFOLLOW)
+    try:
+        fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        if os.fstat(lock).st_nlink == 0:
+            raise FileNotFoundError(errno.ENOENT, "removed by another process")
+    except BaseException:
+        os.close(lock)
+        raise
+    return lock
+
+
+def clear(parent: Path) -> None:
+    """Remove what processes of this user that were killed left in a folder. A directory that was
+    taken away, its successor not yet in its place, is put back."""
+    for left in parent.glob(f"{_BEGUN}*"):
+        with contextlib.suppress(OSError):
+            lock = _lock(left)
+            try:
+                if os.fstat(lock).st_uid != os.geteuid():
+                    continue
+                for old in (left / _OLD).glob("*"):
+                    if not (parent / old.name).exists():
+                        old.rename(parent / old.name)
+                shutil.rmtree(left)
+            finally:
+                os.close(lock)
+
+
+#: Folders grow large, and what was left in one is cleared by the first that writes there.
+_clear_once = functools.lru_cache(maxsize=1024)(clear)
 
 
 @contextlib.contextmanager
@@ -74,21 +153,17 @@ def atomic(path: str | Path, *, make_folder: bool = False) -> Iterator[Path]:
     """
     path = Path(path)
     check_name(path)
-    temporary = temporary_name(path)
     try:
         if make_folder:
             path.parent.mkdir(parents=True, exist_ok=True)
         if path.exists() and not path.is_file() and not path.is_dir():
             yield path
             return
-        yield temporary
-        temporary.replace(path)
+        with temporary_folder(path.parent) as folder:
+            yield folder / path.name
+            (folder / path.name).replace(path)
     except OSError as error:
         raise InputError(f"{path}: cannot be written: {error.strerror or error}") from error
-    finally:
-        # Where its folder is gone, or is none, it cannot be removed either.
-        with contextlib.suppress(OSError):
-            temporary.unlink(missing_ok=True)
 
 
 def write_bytes(path: str | Path, content: bytes, *, make_folder: bool = False) -> None:
@@ -213,38 +288,36 @@ def make_directory(directory: Path) -> None:
 
 @contextlib.contextmanager
 def atomic_directory(directory: Path) -> Iterator[Path]:
-    """A directory to fill, which takes the place of `directory` when the block ends well.
+    """A directory to fill, which takes the place of `directory` when the block ends well; of a
+    link, the place of what it leads to.
 
     Raises InputError, naming `directory`, where it cannot be written.
     """
+    place = directory.resolve()
     try:
-        temporary = temporary_name(directory.absolute())
-        temporary.parent.mkdir(parents=True, exist_ok=True)
-        temporary.mkdir()
-    except OSError as error:
-        raise InputError(f"{directory}: cannot be written: {error.strerror}") from error
-    try:
-        try:
-            yield temporary
-        except InputError as error:
-            # The message names the file by its place, not by where it is made.
-            raise InputError(str(error).replace(str(temporary), str(directory))) from None
-        if directory.exists():
-            _replace(directory, temporary)
-        else:
-            temporary.rename(directory)
+        place.parent.mkdir(parents=True, exist_ok=True)
+        with temporary_folder(place.parent) as folder:
+            new = folder / "new" / place.name
+            new.mkdir(parents=True)
+            try:
+                yield new
+            except InputError as error:
+                # The message names the file by its place, not by where it is made.
+                raise InputError(str(error).replace(str(new), str(directory))) from None
+            if place.exists():
+                _replace(place, new, folder / _OLD / place.name)
+            else:
+                new.rename(place)
     except OSError as error:
         at = f" ({error.filename})" if error.filename else ""
         raise InputError(
             f"{directory}: cannot be written: {error.strerror or error}{at}"
         ) from error
-    finally:
-        shutil.rmtree(temporary, ignore_errors=True)
 
 
-def _replace(directory: Path, new: Path) -> None:
+def _replace(directory: Path, new: Path, old: Path) -> None:
     """Put `new` in the place of `directory`, which stays as it was where that fails."""
-    old = new.with_name(new.name + "-old")
+    old.parent.mkdir()
     try:
         directory.rename(old)
         new.rename(directory)
@@ -252,9 +325,6 @@ def _replace(directory: Path, new: Path) -> None:
         if old.exists() and not directory.exists():
             old.rename(directory)
         raise
-    finally:
-        if directory.exists():
-            shutil.rmtree(old, ignore_errors=True)
 
 
 # --- before anything is computed -------------------------------------------------------------

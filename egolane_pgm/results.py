@@ -47,6 +47,7 @@ from egolane_pgm.files import (
     as_csv,
     atomic_directory,
     check_place,
+    clear,
     code_checksum,
     read_yaml,
     rows_of_parquet,
@@ -245,7 +246,10 @@ def check_writable(directory: Path, kinds: Sequence[Callable[[Path], bool]] = ()
 
 
 def is_result(directory: Path) -> bool:
-    """Whether the directory holds a whole result."""
+    """Whether the directory holds a whole result. One that a process which was killed was about to
+    replace is put back first."""
+    if not directory.exists():
+        clear(directory.absolute().parent)
     return all((directory / name).is_file() for name in ("run.json", "scores.json"))
 
 

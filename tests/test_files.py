@@ -3,7 +3,10 @@
 from __future__ import annotations
 
 import os
+import signal
 import stat
+import subprocess
+import sys
 import threading
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -22,8 +25,10 @@ from egolane_pgm.files import (
     arrow_table,
     atomic,
     atomic_directory,
+    clear,
     read_text,
     read_yaml,
+    temporary_folder,
     write_json,
     write_text,
     write_yaml,
@@ -31,10 +36,11 @@ from egolane_pgm.files import (
 from egolane_pgm.recordings import read_lines, write_lines
 from egolane_pgm.recordings.ground_truth import read_ground_truth, write_ground_truth
 from egolane_pgm.report.style import write_figure
-from egolane_pgm.results import write_result
+from egolane_pgm.results import is_result, write_result
 from egolane_pgm.simulation import simulate
 from egolane_pgm.types import InputError
 from tests.kits.drives import done
+from tests.kits.processes import needs_links
 from tests.kits.tiny_result import a_result
 
 DRIVE = simulate("quickstart", frames=60)
@@ -190,6 +196,71 @@ def test_a_directory_is_replaced_whole_or_not_at_all(
     assert str(caught.value) == f"{place / 'a'}: is wrong"
     assert (place / "a").read_text() == "two"
     assert [p.name for p in tmp_path.iterdir()] == ["result"]
+
+
+#: Writes to its argument, and is killed when half is there.
+KILLED = """
+import os, signal, sys
+from pathlib import Path
+from egolane_pgm import files
+with files.{}(Path(sys.argv[1])) as half:
+    (half / "a" if half.is_dir() else half).write_text("half")
+    if len(sys.argv) > 2:
+        rename = Path.rename
+        def once(path, target):
+            rename(path, target)
+            os.kill(os.getpid(), signal.SIGKILL)
+        Path.rename = once
+    else:
+        os.kill(os.getpid(), signal.SIGKILL)
+"""
+
+
+def killed(writer: str, place: Path, *words: str) -> None:
+    done = subprocess.run([sys.executable, "-c", KILLED.format(writer), str(place), *words])
+    assert done.returncode == -signal.SIGKILL
+
+
+@needs_links
+@pytest.mark.parametrize("writer", ["atomic", "atomic_directory", "temporary_folder"])
+def test_what_a_killed_process_left_is_removed_by_the_next_that_writes_there(
+    tmp_path: Path, writer: str
+) -> None:
+    place = tmp_path if writer == "temporary_folder" else tmp_path / "x"
+    killed(writer, place)
+    (left,) = tmp_path.iterdir()
+    assert left.name.startswith(".egolane-")
+    (tmp_path / ".egolane-mine").write_text("a file of that name is somebody's own")
+    with temporary_folder(tmp_path) as alive:
+        # What is at work is not what was left behind.
+        clear(tmp_path)
+        assert {p.name for p in tmp_path.iterdir()} == {alive.name, ".egolane-mine"}
+    assert [p.name for p in tmp_path.iterdir()] == [".egolane-mine"]
+
+
+@needs_links
+def test_a_directory_whose_successor_was_not_put_in_its_place_is_put_back(tmp_path: Path) -> None:
+    place = tmp_path / "result"
+    with atomic_directory(place) as folder:
+        (folder / "a").write_text("old")
+    killed("atomic_directory", place, "between")
+    assert not place.exists()
+    # Reading is enough.
+    assert not is_result(place)
+    assert (place / "a").read_text() == "old"
+    assert [p.name for p in tmp_path.iterdir()] == ["result"]
+
+
+@needs_links
+def test_what_a_link_leads_to_is_replaced_and_the_link_stays(tmp_path: Path) -> None:
+    (tmp_path / "disk").mkdir()
+    (tmp_path / "result").symlink_to(tmp_path / "disk" / "r")
+    (tmp_path / "disk" / "r").mkdir()
+    with atomic_directory(tmp_path / "result") as folder:
+        (folder / "a").write_text("new")
+    assert (tmp_path / "result").is_symlink()
+    assert (tmp_path / "disk" / "r" / "a").read_text() == "new"
+    assert sorted(p.name for p in tmp_path.rglob("*")) == ["a", "disk", "r", "result"]
 
 
 def test_the_files_of_a_result_keep_the_umask(tmp_path: Path, umask: Callable[[int], int]) -> None:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import os
-import tempfile
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
@@ -33,7 +32,7 @@ from egolane_pgm.comparing.learned_on import learned_elsewhere
 from egolane_pgm.comparing.placing import recording_key
 from egolane_pgm.comparing.saving import folder_of
 from egolane_pgm.experiment import Given, Overrides, load_experiment
-from egolane_pgm.files import write_json
+from egolane_pgm.files import temporary_folder, write_json
 from egolane_pgm.fleet import FleetDrive, read_fleet
 from egolane_pgm.paper import Runs, parse_runs
 from egolane_pgm.parallel import Jobs
@@ -114,9 +113,9 @@ class CompareResult:
                 f"{title}, {name}: was not held out here; there are {', '.join(self.recordings)}"
                 f" with {', '.join(self.names)}"
             )
-        with tempfile.TemporaryDirectory(prefix="egolane-") as folder:
-            write_files(Path(folder), files)
-            return read_run(Path(folder))
+        with temporary_folder() as folder:
+            write_files(folder, files)
+            return read_run(folder)
 
     def _as_held_out(self) -> Mapping[str, Any]:
         """The document in the form of those that hold something out."""
@@ -436,8 +435,8 @@ def compare(
     groups = groups_of(
         given, names, fit, numbers, with_paper, parameters, learned, overrides, drives
     )
-    with tempfile.TemporaryDirectory(prefix="egolane-") as temporary:
-        folder = Path(temporary if out is None else out)
+    with temporary_folder() as temporary:
+        folder = temporary if out is None else Path(out)
         searched = (trials_per_number, _seeds(seeds))
         settings = Options(blocks, trials, health, folder, *searched, events, waits)
         found = compare_recordings(groups, settings, jobs=jobs, progress=progress)

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import os
-import tempfile
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -22,7 +21,7 @@ from egolane_pgm.experiment import (
     load_experiment,
     make_experiment,
 )
-from egolane_pgm.files import without_version
+from egolane_pgm.files import temporary_folder, without_version
 from egolane_pgm.loading import as_name
 from egolane_pgm.paper import Runs, parse_runs
 from egolane_pgm.parallel import Jobs
@@ -282,10 +281,10 @@ def tune(
     >>> "bonus_value" in tuned.best
     False
     """
-    with tempfile.TemporaryDirectory(prefix="egolane-") as temporary:
+    with temporary_folder() as temporary:
         searches = prepare_searches(
             experiments,
-            folder=Path(temporary if out is None else out),
+            folder=temporary if out is None else Path(out),
             runs=runs,
             trials=trials,
             objective=objective,

@@ -13,7 +13,7 @@ from typing import Any
 import cv2
 
 from egolane_pgm.camera.picture import Image
-from egolane_pgm.files import check_name, temporary_name, write_bytes
+from egolane_pgm.files import check_name, temporary_folder, write_bytes
 from egolane_pgm.types import InputError
 
 #: Extensions of the pictures that a user may name.
@@ -78,12 +78,22 @@ def video_writer(
     check_name(target)
     if not target.parent.is_dir():
         raise InputError(f"{target}: cannot be written: no such folder")
-    # FFmpeg takes what is before a colon for a protocol, unless the path is absolute.
-    part = temporary_name(target.absolute())
+    with contextlib.ExitStack() as stack:
+        try:
+            folder = stack.enter_context(temporary_folder(target.parent))
+        except OSError as error:
+            raise InputError(f"{target}: cannot be written: {error.strerror}") from error
+        yield from _written(folder / target.name, target, frame_rate, size)
+
+
+def _written(
+    part: Path, target: Path, frame_rate: float, size: tuple[int, int]
+) -> Iterator[Callable[[Image], None]]:
+    """What `video_writer` yields, writing to `part` first; an absolute path, because FFmpeg takes
+    what is before a colon for a protocol elsewhere."""
     with silent():
         video = cv2.VideoWriter(str(part), cv2.VideoWriter.fourcc(*CODEC), frame_rate, size)
     if not video.isOpened():
-        part.unlink(missing_ok=True)
         raise InputError(f"{target}: cannot be written (is the folder writable?)")
     n_written = 0
 
@@ -105,8 +115,6 @@ def video_writer(
             video.release()
         if n_written:
             _put(part, target, n_written)
-        else:
-            part.unlink(missing_ok=True)
 
 
 def _check_room(target: Path, part: Path, needed: int) -> None:
@@ -127,18 +135,17 @@ def _put(part: Path, target: Path, n_written: int) -> None:
     """Gives a finished video its final name, if it can be read."""
     n_there = _count(part)
     if n_there == 0:
-        is_gone = not part.exists()
-        with contextlib.suppress(OSError):
-            part.unlink(missing_ok=True)
-        why = "its folder is gone" if is_gone else "is the disk full, or a limit reached?"
+        why = "is the disk full, or a limit reached?" if part.exists() else "its folder is gone"
         raise NotKeptError(
             f"{target}: cannot be written ({why}); nothing of the {n_written} frames is kept"
         )
     try:
         part.replace(target)
     except OSError as error:
+        kept = target.with_name(f"{target.stem}_{part.parent.name[-8:]}{target.suffix}")
+        part.rename(kept)
         raise NotKeptError(
-            f"{target}: cannot be written: {error.strerror}; the video is in {part}"
+            f"{target}: cannot be written: {error.strerror}; the video is in {kept}"
         ) from None
     if n_there < n_written:
         raise NotKeptError(

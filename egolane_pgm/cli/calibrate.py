@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Iterable, Sequence
 from dataclasses import replace
 from pathlib import Path
-from tempfile import TemporaryDirectory
 from typing import TypeVar
 
 import click
@@ -38,7 +37,7 @@ from egolane_pgm.camera.pictures import (
     size_of,
 )
 from egolane_pgm.camera.writing import check_picture_name, write_picture
-from egolane_pgm.files import check_not_read, check_place
+from egolane_pgm.files import check_not_read, check_place, temporary_folder
 from egolane_pgm.progress import bar
 from egolane_pgm.recordings.openlane import PICTURE_SIZE, read_own_camera
 from egolane_pgm.types import InputError
@@ -155,11 +154,9 @@ def calibrate(
     if stills and is_video(stills):
         if first is not None:
             raise InputError("--first: goes with pictures or labels; of a video frames are chosen")
-        folder = click.get_current_context().with_resource(TemporaryDirectory())
-        taken = take_stills(
-            open_source(stills), Path(folder), lambda places: _progress(places, "frames")
-        )
-        stills, most = folder, CHOSEN
+        folder = click.get_current_context().with_resource(temporary_folder())
+        taken = take_stills(open_source(stills), folder, lambda places: _progress(places, "frames"))
+        stills, most = str(folder), CHOSEN
     known = _known_size(_size(size, "--size") if size else None, stills, lines, first)
     _check_masks(masks, known)
     camera, words = _lens(chessboards, board, known, field_of_view)

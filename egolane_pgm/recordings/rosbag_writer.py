@@ -5,7 +5,6 @@ from __future__ import annotations
 import contextlib
 from collections.abc import Iterator
 from pathlib import Path
-from tempfile import TemporaryDirectory
 from typing import Any
 
 import numpy as np
@@ -69,11 +68,10 @@ def _mcap(file: Path) -> Iterator[Any]:
     from rosbags.rosbag2 import StoragePlugin
     from rosbags.rosbag2 import Writer as Writer2
 
-    with TemporaryDirectory(dir=file.absolute().parent) as folder:
-        bag = Path(folder) / "lines"
-        with Writer2(bag, version=9, storage_plugin=StoragePlugin.MCAP) as writer:
-            yield writer
-        (bag / "lines.mcap").replace(file)
+    bag = file.with_name("bag")
+    with Writer2(bag, version=9, storage_plugin=StoragePlugin.MCAP) as writer:
+        yield writer
+    (bag / "bag.mcap").replace(file)
 
 
 def _message(

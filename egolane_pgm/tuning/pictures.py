@@ -219,7 +219,8 @@ def prepare(
                 f"{test.source}: --test-on: declares other parameters than {plan.source}"
             )
     if storage is not None or (directory / JOURNAL_NAME).exists():
-        check_study(open_storage(storage, directory), plan.name, _identity(problem))
+        with storage_errors(storage):
+            check_study(open_storage(storage, directory), plan.name, _identity(problem))
     return made
 
 

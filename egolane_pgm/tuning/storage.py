@@ -5,11 +5,14 @@ Optuna's own commands, its dashboard and `optuna.load_study` read all of them.
 
 from __future__ import annotations
 
+import io
 import json
+import os
+import shlex
 import signal
 import threading
-from collections.abc import Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from collections.abc import Generator, Iterator, Mapping, Sequence
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any
 
@@ -22,8 +25,11 @@ from optuna.storages import (
     RetryHeartbeatStaleTrialCallback,
 )
 from optuna.storages.journal import JournalFileBackend, JournalFileOpenLock
+from optuna.trial import TrialState
+from sqlalchemy.engine import make_url
+from sqlalchemy.exc import SQLAlchemyError
 
-from egolane_pgm.files import make_directory
+from egolane_pgm.files import make_directory, temporary_folder
 from egolane_pgm.report.study_trials import quiet
 from egolane_pgm.tuning.search import Settings, new_study
 from egolane_pgm.tuning.space import Point, differences
@@ -42,13 +48,39 @@ class _Journal(JournalFileBackend):
     """Optuna's journal, without waiting for the disk after each line: a trial writes a dozen.
 
     A killed process loses nothing by that, a machine without power its last seconds. Raises
-    InputError for a file that cannot be written, and then leaves no half line behind.
+    InputError for a file that cannot be written, and then leaves no half line behind; for a damaged
+    line, which it names.
+
+    - line: that was read last, from 1.
     """
 
     def __init__(self, path: Path) -> None:
-        self.path = path
+        self.path, self.line = path, 0
         self.lock = JournalFileOpenLock(str(path), LOCK_GRACE_S)
         super().__init__(str(path), self.lock)
+        # Optuna passes over a damaged line at the end, and stumbles over it once others follow.
+        *lines, _ = path.read_bytes().split(b"\n")
+        if lines and not _is_json(lines[-1]):
+            self.line = 1 + [_is_json(line) for line in lines].index(False)
+            raise self.damaged()
+
+    def damaged(self) -> InputError:
+        """An error that names the line that was read last, and says how to go on without it."""
+        kept = f"sed -i '{self.line},$d' {shlex.quote(str(self.path))}"
+        return InputError(
+            f"{self.path}: line {self.line}: is damaged, or no journal of Optuna's; to go on with"
+            f" what is before that line: {kept}"
+        )
+
+    def read_logs(self, log_number_from: int) -> Generator[dict[str, Any], None, None]:
+        self.line = log_number_from
+        try:
+            for log in super().read_logs(log_number_from):
+                self.line += 1
+                yield log
+        except ValueError as error:
+            self.line += 1
+            raise self.damaged() from error
 
     def append_logs(self, logs: list[dict[str, Any]]) -> None:
         lines = "".join(json.dumps(log, separators=(",", ":")) + "\n" for log in logs)
@@ -58,7 +90,7 @@ class _Journal(JournalFileBackend):
                 self.lock.acquire()
                 try:
                     with self.path.open("ab", buffering=0) as file:
-                        size = file.tell()
+                        size = self._whole(file)
                         if file.write(lines.encode()) < len(lines.encode()):
                             file.truncate(size)
                             raise OSError(28, "No space left on device")
@@ -66,6 +98,24 @@ class _Journal(JournalFileBackend):
                     self.lock.release()
         except OSError as error:
             raise InputError(f"{self.path}: cannot be written: {error.strerror}") from error
+
+    def _whole(self, file: io.FileIO) -> int:
+        """The size of the file, without the half line of a process that was killed."""
+        size = file.seek(0, os.SEEK_END)
+        with self.path.open("rb") as read:
+            read.seek(max(0, size - 1))
+            if read.read() not in (b"", b"\n"):
+                size = self.path.read_bytes().rfind(b"\n") + 1
+                file.truncate(size)
+        return size
+
+
+def _is_json(line: bytes) -> bool:
+    try:
+        json.loads(line)
+    except ValueError:
+        return False
+    return True
 
 
 @contextmanager
@@ -101,13 +151,19 @@ def open_storage(url: str | None, directory: Path) -> BaseStorage:
         path = directory / JOURNAL_NAME
         make_directory(directory)
         try:
-            return JournalStorage(_Journal(path))
+            journal = _Journal(path)
         except OSError as error:
             raise InputError(f"{path}: cannot be written: {error.strerror}") from error
-        except (ValueError, KeyError) as error:
-            raise InputError(f"{path}: is damaged, or no journal of Optuna's: {error}") from error
+        try:
+            return JournalStorage(journal)
+        except InputError:
+            raise
+        # Whatever Optuna stumbles over in a line that is JSON.
+        except Exception as error:
+            raise journal.damaged() from error
     try:
         with quiet():
+            _make_database(url)
             return RDBStorage(
                 url,
                 heartbeat_interval=HEARTBEAT_S,
@@ -121,6 +177,26 @@ def open_storage(url: str | None, directory: Path) -> BaseStorage:
     # Whatever a database's driver raises: no such host, no such user, no such file.
     except Exception as error:
         raise InputError(f"--storage {url}: {_reason(error)}") from error
+
+
+def _make_database(url: str) -> None:
+    """Make the file of a SQLite database with all tables, or none: Optuna makes one table after
+    the other, and a process that is killed meanwhile would leave some for ever without an index."""
+    where = make_url(url)
+    name = where.database or ""
+    if where.get_backend_name() != "sqlite" or name.startswith((":memory:", "file:")) or not name:
+        return
+    path = Path(name)
+    if path.exists() or not path.parent.is_dir():
+        return
+    with temporary_folder(path.parent) as folder:
+        made = folder / path.name
+        storage = RDBStorage(where.set(database=str(made)).render_as_string(hide_password=False))
+        storage.remove_session()
+        storage.engine.dispose()
+        # Another process may have made it meanwhile; not every file system has second names.
+        with suppress(OSError):
+            os.link(made, path)
 
 
 def open_study(
@@ -139,6 +215,7 @@ def open_study(
     """
     check_study(storage, name, identity)
     study = new_study(settings, storage=storage, study_name=name)
+    _check_trials(study, len(settings.objectives), set(identity["space"]["searched"]))
     if "identity" not in study.user_attrs:
         study.set_user_attr("identity", dict(identity))
     if not study.get_trials(deepcopy=False):
@@ -152,7 +229,8 @@ def check_study(storage: BaseStorage, name: str, identity: Mapping[str, Any]) ->
     if name not in [study.study_name for study in storage.get_all_studies()]:
         return
     study = optuna.load_study(study_name=name, storage=storage)
-    unlike = differences(study.user_attrs.get("identity", identity), identity)
+    was = study.user_attrs.get("identity", identity)
+    unlike = differences(was if isinstance(was, Mapping) else {"identity": was}, identity)
     if unlike:
         raise InputError(
             f"study {name}: the storage holds another study of this name ({'; '.join(unlike[:5])});"
@@ -160,12 +238,28 @@ def check_study(storage: BaseStorage, name: str, identity: Mapping[str, Any]) ->
         )
 
 
+def _check_trials(study: optuna.Study, n_scores: int, searched: set[str]) -> None:
+    """Raise InputError for a study with trials that no search has made."""
+    again = "begin another study with --out or --storage"
+    try:
+        trials = study.get_trials(deepcopy=False)
+    except (ValueError, LookupError, TypeError) as error:
+        raise InputError(f"study {study.study_name}: is damaged: {error}; {again}") from error
+    for trial in trials:
+        is_whole = len(trial.values or ()) == n_scores and searched <= set(trial.params)
+        if trial.state == TrialState.COMPLETE and not is_whole:
+            raise InputError(
+                f"study {study.study_name}: is damaged: trial {trial.number} is complete without"
+                f" its scores or parameters; {again}"
+            )
+
+
 @contextmanager
 def storage_errors(url: str | None) -> Iterator[None]:
     """What a storage complains of while a study runs, as InputError."""
     try:
         yield
-    except StorageInternalError as error:
+    except (StorageInternalError, SQLAlchemyError) as error:
         where = f"--storage {url}" if url else JOURNAL_NAME
         raise InputError(
             f"{where}: {_reason(error)}; complete trials are kept, repeat the command to go on"

@@ -129,7 +129,8 @@ def prepare(
                 f"{test.source}: --test-on: declares other parameters than {plan.source}"
             )
     if storage is not None or (directory / JOURNAL_NAME).exists():
-        check_study(open_storage(storage, directory), plan.name, identity_of(problem))
+        with storage_errors(storage):
+            check_study(open_storage(storage, directory), plan.name, identity_of(problem))
     return made
 
 
@@ -138,7 +139,9 @@ def open_main(made: Search) -> optuna.Study:
     problem = made.problem
     storage = open_storage(made.storage, made.directory)
     starts, _ = starting_points(problem)
-    return open_study(storage, problem.plan.name, problem.settings, identity_of(problem), starts)
+    name, identity = problem.plan.name, identity_of(problem)
+    with storage_errors(made.storage):
+        return open_study(storage, name, problem.settings, identity, starts)
 
 
 def _search_all(made: Search, worker: int = 0, report: Report | None = None) -> float:

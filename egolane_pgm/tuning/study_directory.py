@@ -154,16 +154,20 @@ def read_nested(directory: Path, key: Mapping[str, Any]) -> dict[int, Nested]:
     """Nested studies that are done already, by part; none where they were others."""
     try:
         content = json.loads((directory / NESTED_FILE).read_text(encoding="utf-8"))
-    except (OSError, ValueError):
+        if content["key"] != key:
+            return {}
+        return {
+            int(entry["part"]): Nested(
+                int(entry["part"]),
+                dict(entry["point"]),
+                tuple(map(float, entry["values"])),
+                int(entry["trials"]),
+            )
+            for entry in content["parts"]
+        }
+    # A damaged file is none: what it says can be computed again.
+    except (OSError, ValueError, LookupError, TypeError):
         return {}
-    if content.get("key") != key:
-        return {}
-    return {
-        entry["part"]: Nested(
-            entry["part"], entry["point"], tuple(entry["values"]), entry["trials"]
-        )
-        for entry in content["parts"]
-    }
 
 
 def write_nested(directory: Path, key: Mapping[str, Any], done: Mapping[int, Nested]) -> None:

@@ -224,10 +224,75 @@ def test_what_a_killed_worker_was_at_is_tried_again_by_another(
 def test_a_file_that_is_no_journal_or_database_is_one_clear_line(tmp_path: Path) -> None:
     for name in (JOURNAL_NAME, "study.db"):
         (tmp_path / name).write_text("this is no database\n" * 100)
-    with pytest.raises(InputError, match=r"study\.journal: is damaged, or no journal of Optuna's"):
+    with pytest.raises(InputError, match=r"study\.journal: line 1: is damaged, or no journal of"):
         open_storage(None, tmp_path)
     with pytest.raises(InputError, match="file is not a database"):
         open_storage(f"sqlite:///{tmp_path}/study.db", tmp_path)
+
+
+NOT_JSON, UNKNOWN, NO_TRIAL = b"{half\n", b'{"op_code":5}\n', b"[]\n"
+
+
+@pytest.mark.parametrize("damage", [NOT_JSON, UNKNOWN, NO_TRIAL, b"\xff\n"])
+@pytest.mark.parametrize("line", [1, 20, -1])
+def test_a_damaged_line_of_a_journal_is_named_and_what_is_before_it_is_gone_on_with(
+    tmp_path: Path, damage: bytes, line: int
+) -> None:
+    search(study_in(tmp_path), SPACE, bowl, settings(5))
+    journal = tmp_path / JOURNAL_NAME
+    lines = journal.read_bytes().splitlines(keepends=True)
+    number = line if line > 0 else len(lines)
+    lines[number - 1] = damage
+    journal.write_bytes(b"".join(lines))
+    with pytest.raises(InputError, match=rf"study\.journal: line {number}: is damaged") as caught:
+        study_in(tmp_path)
+    (said,) = caught.value.lines
+    assert journal.read_bytes() == b"".join(lines)
+    subprocess.run(said.partition("before that line: ")[2], shell=True, check=True)
+    assert journal.read_bytes() == b"".join(lines[: number - 1])
+    search(study_in(tmp_path), SPACE, bowl, settings(5))
+    assert n_complete(study_in(tmp_path)) == 5
+
+
+def test_the_half_line_of_a_process_that_was_killed_is_cut_off(tmp_path: Path) -> None:
+    search(study_in(tmp_path), SPACE, bowl, settings(5))
+    journal = tmp_path / JOURNAL_NAME
+    whole = journal.read_bytes()
+    journal.write_bytes(whole + whole[:40])
+    search(study_in(tmp_path), SPACE, bowl, settings(7))
+    assert journal.read_bytes().startswith(whole + b'{"op_code":')
+    assert n_complete(study_in(tmp_path)) == 7
+
+
+def test_a_trial_that_no_search_has_made_is_one_clear_line(tmp_path: Path) -> None:
+    study = study_in(tmp_path)
+    study.add_trial(optuna.trial.create_trial(value=0.5))
+    with pytest.raises(InputError, match="trial 0 is complete without its scores or parameters"):
+        study_in(tmp_path)
+
+
+def test_a_database_is_made_whole_or_not_at_all(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def half(*_: Any) -> None:
+        assert [p.name for p in tmp_path.iterdir() if not p.name.startswith(".")] == []
+        raise KeyboardInterrupt
+
+    place = f"sqlite:///{tmp_path}/study.db"
+    with monkeypatch.context() as patched:
+        patched.setattr(optuna.storages._rdb.models.BaseModel.metadata, "create_all", half)
+        with pytest.raises(KeyboardInterrupt):
+            study_in(place)
+    assert list(tmp_path.iterdir()) == []
+    study_in(place)
+    assert [p.name for p in tmp_path.iterdir()] == ["study.db"]
+
+
+@pytest.mark.parametrize("name", ["a?b", "a#b", "a%41b", "a b", "a:b"])
+def test_a_study_lies_where_it_is_said_whatever_the_name(tmp_path: Path, name: str) -> None:
+    search(study_in(tmp_path / name), SPACE, bowl, settings(2))
+    assert [p.name for p in tmp_path.iterdir()] == [name]
+    assert [p.name for p in (tmp_path / name).iterdir()] == [JOURNAL_NAME]
 
 
 @pytest.mark.parametrize("address", ["nonsense", "nosuch://h/d", "sqlite:////no/such/place/x.db"])

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import contextlib
 import shutil
-import tempfile
 import time
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
@@ -17,7 +16,7 @@ import numpy as np
 from egolane_pgm.camera.model import Camera, write_camera
 from egolane_pgm.camera.picture import Image
 from egolane_pgm.camera.writing import NotKeptError, video_writer, write_picture
-from egolane_pgm.files import make_directory, write_text, write_yaml
+from egolane_pgm.files import make_directory, temporary_folder, write_text, write_yaml
 from egolane_pgm.recordings.ground_truth import write_ground_truth
 from egolane_pgm.recordings.table import write_table
 from egolane_pgm.simulation.presets import PRESETS
@@ -243,9 +242,9 @@ def cost_per_frame(scene: Scene, *, png: bool, video: bool) -> tuple[float, floa
         seconds.append(time.perf_counter() - began)
     sides = [[f.image for f in frames], [f.right for f in frames if f.right is not None]]
     n_bytes = 0
-    with tempfile.TemporaryDirectory(prefix="egolane-") as folder:
+    with temporary_folder() as folder:
         for side, pictures in enumerate(sides):
-            place = Path(folder) / (f"{side}.mp4" if video else str(side))
+            place = folder / (f"{side}.mp4" if video else str(side))
             with picture_writer(place, scene.camera, scene.road.frame_rate, png) as write:
                 for k, image in enumerate(pictures):
                     write(k, image)
