@@ -80,7 +80,7 @@ def temporary_folder(parent: Path | None = None) -> Iterator[Path]:
     folder cannot be made.
     """
     parent = (parent or Path(tempfile.gettempdir())).absolute()
-    _clear_once(parent)
+    clear_once(parent)
     folder, lock = _made_and_locked(parent)
     try:
         yield folder
@@ -138,7 +138,7 @@ def clear(parent: Path) -> None:
 
 
 #: Folders grow large, and what was left in one is cleared by the first that writes there.
-_clear_once = functools.lru_cache(maxsize=1024)(clear)
+clear_once = functools.lru_cache(maxsize=1024)(clear)
 
 
 @contextlib.contextmanager

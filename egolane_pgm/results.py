@@ -47,7 +47,7 @@ from egolane_pgm.files import (
     as_csv,
     atomic_directory,
     check_place,
-    clear,
+    clear_once,
     code_checksum,
     read_yaml,
     rows_of_parquet,
@@ -249,7 +249,7 @@ def is_result(directory: Path) -> bool:
     """Whether the directory holds a whole result. One that a process which was killed was about to
     replace is put back first."""
     if not directory.exists():
-        clear(directory.absolute().parent)
+        clear_once(directory.absolute().parent)
     return all((directory / name).is_file() for name in ("run.json", "scores.json"))
 
 

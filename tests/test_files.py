@@ -241,8 +241,8 @@ def test_what_a_killed_process_left_is_removed_by_the_next_that_writes_there(
 @needs_links
 def test_a_directory_whose_successor_was_not_put_in_its_place_is_put_back(tmp_path: Path) -> None:
     place = tmp_path / "result"
-    with atomic_directory(place) as folder:
-        (folder / "a").write_text("old")
+    place.mkdir()
+    (place / "a").write_text("old")
     killed("atomic_directory", place, "between")
     assert not place.exists()
     # Reading is enough.
