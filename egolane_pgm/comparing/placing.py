@@ -116,7 +116,8 @@ def parts_of_fleet(
             rows.setdefault(drive_key(experiment), []).append(k)
     if tag is None:
         if len(rows) == 1:
-            raise InputError(f"{drives[0].source}: is the drive of all other rows, so none is left")
+            where = f"{drives[0].source}: all other rows are of this drive too"
+            raise InputError(f"{where}, so that none of them can be held out")
         in_parts = np.array_split(np.arange(len(rows)), min(n_parts, len(rows)))
         of_drives = list(rows.values())
         return tuple(tuple(sorted(k for j in part for k in of_drives[j])) for part in in_parts)
@@ -127,15 +128,17 @@ def parts_of_fleet(
         source = drives[same[0]].source
         if len(values) > 1:
             others = ", ".join(drives[k].name for k in same)
-            raise InputError(f"{source}: {others} are one drive, of which tag.{tag} differs")
+            raise InputError(
+                f"{source}: {others} are one drive, of which tag.{tag} differs; with one of them"
+                " held out the others would tell its labels"
+            )
         if value is None:
             known = {name for drive in drives for name in drive.tags}
             raise InputError(f"{source}: has no tag.{tag}{suggestion(tag, known)}")
         found.setdefault(value, []).extend(same)
     if len(found) == 1:
-        raise InputError(
-            f"{drives[0].source}: tag.{tag} is that of all other rows, so none is left"
-        )
+        where = f"{drives[0].source}: all other rows have this tag.{tag} too"
+        raise InputError(f"{where}, so that none of them can be held out")
     return tuple(tuple(sorted(part)) for part in found.values())
 
 

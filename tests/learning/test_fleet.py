@@ -192,8 +192,8 @@ def test_rows_of_one_drive_are_held_out_together(
 @pytest.mark.parametrize(
     ("tags", "keys", "tag", "message"),
     [
-        ("xx", "aa", None, "drive 1: is the drive of all other rows"),
-        ("xx", "ab", "a", "drive 1: tag.a is that of all other rows"),
+        ("xx", "aa", None, "drive 1: all other rows are of this drive"),
+        ("xx", "ab", "a", "drive 1: all other rows have this tag.a"),
         ("x-", "ab", "a", "drive 2: has no tag.a"),
         ("xx", "ab", "b", "drive 1: has no tag.b"),
         ("xyx", "aab", "a", "drive 1: d1, d2 are one drive, of which tag.a differs"),
