@@ -155,8 +155,8 @@ class FleetLearnResult(DriveTable):
     - experiment: what was learned from, on the drives' road.
     - source: what was learned from, in words.
     - held_out: what was left out in turn, in words.
-    - rows: a row for each drive: its tags, the `part` that it was left out with, from 1, and its
-      scores, held out.
+    - rows: a row for each drive: its tags, the `part` that it was left out with, from 1, its
+      scores, held out, and `log_evidence.before` and `.held_out` learning, the mean of its frames.
     - learned: what was learned.
     - notes: warnings, a line each.
 
@@ -350,10 +350,13 @@ def _learn_from_fleet(
             learned = learn_fleet(experiments, parts, n_blocks=blocks, jobs=jobs, done=shows.update)
     part_of = {k: number for number, part in enumerate(parts, 1) for k in part}
     rows = []
-    for k, (drive, scores) in enumerate(zip(drives, learned.scores, strict=True)):
+    for k, drive in enumerate(drives):
+        scores = learned.scores[k]
+        before, after = learned.log_evidence_of[k] or (None, None)
         frames = 0 if scores is None else scores["frames_scored"]
         first = {"error": None, "part": part_of.get(k), "frames_scored": frames}
-        rows.append(drive_row(drive, first, {} if scores is None else {"model": scores}))
+        told = {"model": scores or {}, "log_evidence": {"before": before, "held_out": after}}
+        rows.append(drive_row(drive, first, told))
     held_out = f"{blocks} blocks of the one drive"
     if parts:
         held_out = f"{len(parts)} parts of the drives"

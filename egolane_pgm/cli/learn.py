@@ -77,7 +77,9 @@ def learn(
     if fleet is not None:
         for file in (*files, *filter(None, [json_file])):
             check_not_read(file, [Path(fleet)])
-    learned = learn_experiment(found, blocks=blocks, fleet=fleet, by_tag=by_tag, jobs=jobs)
+    learned = learn_experiment(
+        found, overrides=overrides, blocks=blocks, fleet=fleet, by_tag=by_tag, jobs=jobs
+    )
     for note in learned.notes:
         options.warn(note)
     if isinstance(learned, FleetLearnResult):

@@ -44,12 +44,14 @@ class LearnedFleet:
     parameters: from all drives; tables by the names of `tables`.
     scores: of each drive, believed with what was learned without its part, over the frames whose
         labels can be trusted; None for one without ground truth.
-    log_evidence: as in `Learned`, over the frames of all drives.
+    log_evidence_of: of each drive, as in `Learned`.
+    log_evidence: the same over the frames of all drives.
     """
 
     model: Model
     parameters: Found
     scores: tuple[Mapping[str, Any] | None, ...]
+    log_evidence_of: tuple[tuple[float, float] | None, ...]
     log_evidence: tuple[float, float] | None
 
     def tables(self) -> dict[str, Any]:
@@ -78,7 +80,8 @@ def learn_fleet(
     """
     if len(experiments) == 1:
         alone = learn(experiments[0], n_blocks=n_blocks, done=done)
-        return LearnedFleet(alone.model, alone.parameters, (alone.scores,), alone.log_evidence)
+        told_of = (alone.scores,), (alone.log_evidence,), alone.log_evidence
+        return LearnedFleet(alone.model, alone.parameters, *told_of)
     _check_alike(experiments)
     work = partial(_without, pickle.dumps(tuple(experiments)))
     found: list[Found] = []
@@ -90,10 +93,14 @@ def learn_fleet(
             done()
     finally:
         _lessons.cache_clear()
-    in_turn = [told[k] for k in range(len(experiments))]
-    scores = tuple(scores for scores, _ in in_turn)
-    log_evidence = mean_log_evidence([each for _, each in in_turn])
-    return LearnedFleet(prepare_model(experiments[0]), found[0], scores, log_evidence)
+    scores, each = zip(*(told[k] for k in range(len(experiments))), strict=True)
+    return LearnedFleet(
+        prepare_model(experiments[0]),
+        found[0],
+        scores,
+        tuple(mean_log_evidence([one]) for one in each),
+        mean_log_evidence(each),
+    )
 
 
 def _check_alike(experiments: Sequence[Experiment]) -> None:

@@ -165,6 +165,25 @@ def test_what_a_fleet_taught_is_written_and_says_how_it_was_held_out(tmp_path: P
     assert learned.save(tmp_path / "again").name == "learned_base.yaml"
 
 
+@needs_compiler
+def test_frames_that_are_chosen_are_those_of_the_drives(tmp_path: Path) -> None:
+    for name in "ab":
+        write_table(tmp_path / f"{name}.csv", short_drive().log)
+    frames = "[0, 60]"
+    said = []
+    for rows, words in (
+        (("a,a.csv,", "b,b.csv,"), ("--set", f"recording.frames={frames}")),
+        ((f'a,a.csv,"{frames}"', f'b,b.csv,"{frames}"'), ()),
+        (("a,a.csv,", "b,b.csv,"), ()),
+    ):
+        drives = table(tmp_path, *rows, head="name,recording,recording.frames")
+        target = tmp_path / "l.json"
+        options = ("--set", "n_lanes=3", "--fleet", drives, "--out", tmp_path / "l.yaml")
+        done("learn", base(tmp_path), *options, "--json", target, *words)
+        said.append(json.loads(target.read_text())["drives"][0]["log_evidence.held_out"])
+    assert said[0] == said[1] != said[2]
+
+
 def placed(tags: str, keys: str) -> tuple[list[FleetDrive], list[Experiment]]:
     """Drives with a tag each; those with the same letter are of one drive."""
     drives = [
