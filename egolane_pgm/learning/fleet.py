@@ -28,7 +28,7 @@ from egolane_pgm.learning.held_out import (
     trusted_frames,
 )
 from egolane_pgm.learning.tables import nested_tables, with_found
-from egolane_pgm.model import Model, beliefs_of, prepare_model
+from egolane_pgm.model import Model, beliefs_of, prepare_model, with_map
 from egolane_pgm.parallel import Jobs, in_order
 from egolane_pgm.types import InputError, all_problems, problems_in
 
@@ -104,8 +104,8 @@ def learn_fleet(
 
 
 def _check_alike(experiments: Sequence[Experiment]) -> None:
-    first = experiments[0]
-    for experiment in experiments[1:]:
+    first = with_map(experiments[0])
+    for experiment in map(with_map, experiments[1:]):
         for key in SHARED:
             if getattr(experiment, key) != getattr(first, key):
                 raise InputError(
