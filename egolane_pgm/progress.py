@@ -48,25 +48,30 @@ def bar(
     """
     from tqdm import tqdm
 
+    kind: Any = tqdm
     hidden = None if progress is None else not progress
     if "IPython" in sys.modules:
         from tqdm.autonotebook import tqdm as in_notebook
 
         # Without ipywidgets this is the bar of plain text.
         if in_notebook is not tqdm:
-            return in_notebook(items, leave=False, disable=bool(hidden), **settings)
+            kind, hidden = in_notebook, bool(hidden)
     if settings.get("total") is None and isinstance(items, Sized):
         settings["total"] = len(items)
     ahead = Ahead(settings.get("total") or 0, settings.get("unit", "item"), at_once(jobs))
-    if items is not None:
-        return tqdm(ahead.watch(items), leave=False, disable=hidden, **settings)
 
-    class Told(tqdm):  # type: ignore[type-arg]
-        def update(self, n: float | None = 1) -> bool | None:
-            ahead.add(int(n or 0))
+    class Bar(kind):  # type: ignore[misc]
+        def pace(self, each: float) -> None:
+            """Be told what an item takes a process, seconds, before one is done."""
+            ahead.say(each)
+
+        def update(self, n: float | None = 1) -> Any:
+            if items is None:
+                ahead.add(int(n or 0))
             return super().update(n)
 
-    return Told(leave=False, disable=hidden, **settings)
+    counted = None if items is None else ahead.watch(items)
+    return Bar(counted, leave=False, disable=hidden, **settings)
 
 
 def at_once(jobs: int | str) -> int:
@@ -117,14 +122,16 @@ class Ahead:
         self._done += items
         took = self._clock() - self._begun
         if self._answers == 1 and took >= _LONG:
-            self._say(took / items)
+            self.say(took / items)
         elif self._answers == self._workers:
             self._begun, self._done_before = self._clock(), self._done
         elif self._answers % self._workers == 0 and took >= _MEASURED:
-            self._say(took * self._workers / (self._done - self._done_before))
+            self.say(took * self._workers / (self._done - self._done_before))
 
-    def _say(self, each: float) -> None:
+    def say(self, each: float) -> None:
         """Say what is left, given the seconds that a worker has for an item."""
+        if not self._is_open:
+            return
         self._is_open = False
         left = self._total - self._done
         seconds = each * math.ceil(left / self._workers)

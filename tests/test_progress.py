@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+from concurrent.futures import Future
 from functools import partial
 from typing import Any
 
@@ -11,6 +12,7 @@ from click.testing import CliRunner
 
 from egolane_pgm.cli import main
 from egolane_pgm.progress import LOGGER, Ahead, at_once, bar
+from egolane_pgm.tuning import study
 
 
 class Clock:
@@ -105,6 +107,28 @@ def test_a_hidden_bar_announces_too(
     else:
         assert [slow(k) for k in bar(range(3), False, unit="fit")] == [None] * 3
     assert said == ["about 50 seconds to go: 2 fits, 25 s each"]
+
+
+def test_a_study_of_another_process_tells_its_pace_before_it_is_done(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    clock, told = Clock(), list[float]()
+    future: Future[int] = Future()
+    # Before, while the process loads, and then once a second.
+    trials = iter([7, 7, 8, 108])
+
+    def wait(left: set[Future[int]], seconds: float | None, _: str) -> tuple[set, set]:
+        if told:
+            assert seconds is None, "nothing is left to be found out"
+            return left, set()
+        clock.now += seconds or 0.0
+        return set(), left
+
+    monkeypatch.setattr(study, "wait", wait)
+    monkeypatch.setattr(study, "n_complete", lambda _: next(trials))
+    monkeypatch.setattr("time.monotonic", clock)
+    assert list(study._as_done([future], Any, told.append)) == [future]
+    assert told == [0.01]
 
 
 def test_a_command_says_it_on_standard_error(monkeypatch: pytest.MonkeyPatch) -> None:
