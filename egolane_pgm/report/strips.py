@@ -221,19 +221,16 @@ def _draw_row(
         if strips.road_lanes is not None:
             right_edge = np.where(strips.road_lanes > 0, strips.road_lanes, np.nan)
             edges = left + (strips.edge - strips.first) * frame_width
-            sheet.stairs(
-                at + right_edge * height / len(lanes),
-                edges,
-                baseline=None,
-                color=INK,
-                linewidth=0.9,
-            )
+            right_edge = at + right_edge * height / len(lanes)
+            sheet.stairs(right_edge, edges, baseline=None, color=INK, linewidth=0.9, zorder=2.2)
     boxes = [_box(left, right, at, height) for at in tops]
-    sheet.add_collection(
-        PolyCollection(
-            boxes, facecolors="white", edgecolors=FAINT, hatch="//////", linewidths=0, zorder=0
-        )
-    )
+    blank: dict[str, Any] = {
+        "facecolors": "white",
+        "edgecolors": FAINT,
+        "hatch": "//////",
+        "linewidths": 0,
+    }
+    sheet.add_collection(PolyCollection(boxes, zorder=0, **blank))
     edges_of_lanes = [
         [(left, y), (right, y)] for at in tops for y in at + lanes[1:] * height / len(lanes)
     ]
@@ -266,7 +263,7 @@ def _draw_ticks(
 ) -> list[list[tuple[float, float]]]:
     """Number the frames, or with their rate the seconds, beside a strip's edge; gives the ticks,
     which point up where the length is negative."""
-    ends = strips.first / rate, strips.last / rate
+    ends = (strips.first - 0.5) / rate, (strips.last + 0.5) / rate
     ticks = []
     for value in AutoLocator().tick_values(*ends):
         if ends[0] <= value <= ends[1]:

@@ -106,6 +106,7 @@ def test_time_runs_below_the_strips_in_seconds_and_frame_ids_above() -> None:
     middle_of_102 = left + 2.5 * (right - left) / 8
     assert at["102"][0] == pytest.approx(at["10.2"][0]) == pytest.approx(middle_of_102)
     assert at["102"][1] < above < below < at["10.2"][1]
+    assert {"100", "107", "10", "10.7"} <= set(at), "the first and the last frame are numbered"
 
 
 def test_more_probable_lanes_are_drawn_darker() -> None:
