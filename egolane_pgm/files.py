@@ -22,6 +22,7 @@ import secrets
 import shutil
 import sys
 import tempfile
+from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -29,7 +30,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from egolane_pgm.types import InputError
+from egolane_pgm.types import InputError, check_memory, without_passwords
 from egolane_pgm.yaml_text import dump_yaml, parse_yaml
 
 if sys.platform != "win32":
@@ -40,6 +41,9 @@ _BEGUN = ".egolane-"
 
 #: In such a folder, where a directory is while its successor takes its place.
 _OLD = "old"
+
+#: A text that is longer is none: devices never end.
+MOST_TEXT = 512 << 20
 
 #: Of the YAML files that the package reads (optional there) and writes. It changes where a key gets
 #: another meaning, so that an old program refuses a new file in one line.
@@ -235,16 +239,45 @@ def write_parquet(path: Path, table: Any) -> None:
         parquet.write_table(table, file)
 
 
-def read_parquet(path: Path) -> Any:
-    """Read a pyarrow table. Raises OSError or pyarrow's ArrowException where it cannot be read."""
+@contextlib.contextmanager
+def open_parquet(path: Path) -> Iterator[Any]:
+    """A pyarrow ParquetFile, open while the block runs.
+
+    Raises InputError where it cannot be read, there or in the block, and for one that would fill
+    the memory: in a file of kilobytes a column may have a billion rows.
+    """
+    import pyarrow as pa
     from pyarrow import OSFile, parquet
 
-    # Its error says in plain words what is wrong with the place.
-    path.stat()
-    # Given a name, pyarrow takes what is before a colon for the scheme of an address. Of a Python
-    # file its threads would still read while Python ends, which then aborts.
-    with OSFile(str(path)) as file:
-        return parquet.read_table(file)
+    check_name(path)
+    try:
+        # Its error says in plain words what is wrong with the place.
+        path.stat()
+        # Given a name, pyarrow takes what is before a colon for the scheme of an address. Of a
+        # Python file its threads would still read while Python ends, which then aborts.
+        with OSFile(str(path)) as file:
+            found = parquet.ParquetFile(file)
+            n_rows, n_columns = found.metadata.num_rows, found.metadata.num_columns
+            check_memory(8.0 * n_rows * n_columns, f"{path}: {n_rows} rows of {n_columns} columns")
+            yield found
+    except InputError:
+        raise
+    except (pa.ArrowException, OSError, ValueError) as error:
+        if why := getattr(error, "strerror", None):
+            raise InputError(f"{path}: cannot be read: {why}") from None
+        said = " ".join(str(error).split())[:120]
+        raise InputError(f"{path}: is not a whole Parquet file ({said})") from None
+
+
+def read_parquet(path: Path) -> Any:
+    """Read a pyarrow table. Raises InputError as `open_parquet` does, and for columns of one name,
+    of which nobody knows which is meant."""
+    with open_parquet(path) as file:
+        table = file.read()
+        twice = sorted(n for n, times in Counter(table.column_names).items() if times > 1)
+    if twice:
+        raise InputError(f"{path}: column {', '.join(twice)} occurs more than once")
+    return table
 
 
 def rows_of_parquet(path: Path) -> int:
@@ -260,7 +293,10 @@ def rows_of_parquet(path: Path) -> int:
 
 
 def plain(value: Any) -> Any:
-    """The same in plain Python types, for JSON and YAML; NaN and infinity become None."""
+    """The same in plain Python types, for JSON and YAML; NaN and infinity become None, and texts
+    lose the passwords of addresses: what is stored is passed on."""
+    if isinstance(value, str):
+        return without_passwords(value)
     if isinstance(value, Mapping):
         return {str(k): plain(v) for k, v in value.items()}
     if isinstance(value, (list, tuple)):
@@ -362,7 +398,11 @@ def read_text(path: Path) -> str:
     InputError where it cannot be read or is no text."""
     check_name(path)
     try:
-        return path.read_text(encoding="utf-8-sig")
+        with path.open("rb") as file:
+            content = file.read(MOST_TEXT + 1)
+        if len(content) > MOST_TEXT:
+            raise InputError(f"{path}: has more than {MOST_TEXT >> 20} MB, no text of ours has")
+        return io.TextIOWrapper(io.BytesIO(content), encoding="utf-8-sig").read()
     except OSError as error:
         raise InputError(f"{path}: cannot be read: {error.strerror}") from error
     except UnicodeDecodeError as error:

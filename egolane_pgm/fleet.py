@@ -24,10 +24,10 @@ import numpy as np
 
 from egolane_pgm.experiment import Experiment, Overrides, load_experiment
 from egolane_pgm.files import read_parquet, read_text, read_yaml, write_parquet
-from egolane_pgm.loading import as_name, with_recording
+from egolane_pgm.loading import as_name, name_of, with_recording
 from egolane_pgm.running import FinishedRun, PlannedRun, plan_runs
 from egolane_pgm.scoring.bootstrap import over_drives
-from egolane_pgm.types import InputError, problems_in, suggestion
+from egolane_pgm.types import InputError, problems_in, suggestion, without_passwords
 from egolane_pgm.yaml_text import parse_yaml
 
 #: The columns that are no keys of an experiment.
@@ -77,7 +77,11 @@ def read_fleet(path: str | Path) -> tuple[FleetDrive, ...]:
                 f"{source}: has the name '{name}', as {drives[name].source.split(': ')[-1]};"
                 " give them a column `name`"
             )
-        tags = {k.removeprefix(TAG): str(v) for k, v in row.items() if k.startswith(TAG)}
+        tags = {
+            k.removeprefix(TAG): without_passwords(str(v))
+            for k, v in row.items()
+            if k.startswith(TAG)
+        }
         cells = {k: v for k, v in row.items() if k != "name" and not k.startswith(TAG)}
         drives[name] = FleetDrive(source, name, cells, tags, path.parent)
     return tuple(drives.values())
@@ -94,11 +98,7 @@ def _rows(path: Path) -> list[dict[str, Any]]:
             raise InputError(f"{path}: drives: needs a list, e.g. - {{recording: a.csv}}")
         return drives
     if ending == ".parquet":
-        try:
-            return list(read_parquet(path).to_pylist())
-        except (OSError, ValueError) as error:
-            why = " ".join(str(error).split())
-            raise InputError(f"{path}: cannot be read: {why}") from error
+        return list(read_parquet(path).to_pylist())
     if ending != ".csv":
         raise InputError(f"{path}: a fleet is a .csv, .parquet or .yaml file")
     return _csv_rows(path)
@@ -145,7 +145,7 @@ def _check_column(path: Path, column: Any) -> None:
 def _names(rows: Sequence[Mapping[str, Any]]) -> list[str]:
     """The name of each drive: its own, else that of its recording, with that of the folder where
     several recordings are called so; without a recording its number."""
-    stems = [as_name(Path(str(row.get("recording", ""))).stem) for row in rows]
+    stems = [name_of(str(row.get("recording", ""))) for row in rows]
     count = Counter(stems)
     names = []
     for number, (row, stem) in enumerate(zip(rows, stems, strict=True), 1):
@@ -154,7 +154,7 @@ def _names(rows: Sequence[Mapping[str, Any]]) -> list[str]:
         elif "recording" not in row:
             names.append(f"drive_{number:0{len(str(len(rows)))}d}")
         elif count[stem] > 1:
-            folder = Path(str(row["recording"])).absolute().parent.name
+            folder = Path(without_passwords(str(row["recording"]))).absolute().parent.name
             names.append(as_name(f"{folder}_{stem}"))
         else:
             names.append(stem)

@@ -53,7 +53,16 @@ from egolane_pgm.recordings.select import (
     select_frames,
 )
 from egolane_pgm.results import file_sha256
-from egolane_pgm.types import InputError, IntArray, LaneTruth, LineLog, all_problems, suggestion
+from egolane_pgm.types import (
+    InputError,
+    IntArray,
+    LaneTruth,
+    LineLog,
+    all_problems,
+    problems_in,
+    suggestion,
+    without_passwords,
+)
 
 if TYPE_CHECKING:
     # OpenCV is imported only where there are pictures.
@@ -198,7 +207,8 @@ def _read_sources(experiment: Experiment) -> tuple[LineLog, LaneTruth | None, li
     elif recording.simulate is not None:
         from egolane_pgm.simulation import simulate
 
-        drive = simulate(recording.simulate, seed=recording.seed, n_lanes=experiment.n_lanes)
+        with problems_in(f"{experiment.source}: recording"):
+            drive = simulate(recording.simulate, seed=recording.seed, n_lanes=experiment.n_lanes)
         log, truth = drive.log, drive.truth
     else:
         assert recording.path is not None
@@ -494,7 +504,7 @@ def with_recording(
         content["ground_truth"] = None
         content["road"] = content["gnss"] = None
         content["tuning"] = None
-        content["name"] = as_name(Path(recording).stem)
+        content["name"] = name_of(recording)
         content["tuned_on"] = (
             "other_frames" if experiment.tuned_on == "same_frames" else (experiment.tuned_on)
         )
@@ -566,8 +576,14 @@ def _is_folder_of_pictures(folder: Path, detector: str | None) -> bool:
     return has_pictures or not has_lines or detector is not None
 
 
-def as_name(stem: str) -> str:
-    """Make a name for an experiment from the name of a file."""
+def name_of(file: str | Path) -> str:
+    """The name of an experiment on a recording in a file."""
+    return as_name(Path(without_passwords(file)).stem)
+
+
+def as_name(text: str) -> str:
+    """A text as the name of an experiment."""
+    stem = without_passwords(text)
     kept = (c if (c.isascii() and c.isalnum()) or c in "._-" else "_" for c in stem)
     name = "".join(kept).lstrip("._-")
     return name or "recording"

@@ -19,7 +19,7 @@ from pydantic import ConfigDict, Field, model_validator
 from pydantic_core import from_json
 
 from egolane_pgm.experiment import Section, validated
-from egolane_pgm.files import read_parquet, read_text
+from egolane_pgm.files import open_parquet, read_text
 from egolane_pgm.types import MAX_LANES, InputError
 
 SCHEMA_VERSION = 1
@@ -506,11 +506,11 @@ def read_beliefs(file: Path, run: Mapping[str, Any]) -> dict[str, np.ndarray[Any
     if not file.is_file():
         raise InputError(f"{file}: is missing, the result is not whole{_AGAIN}")
     try:
-        table = read_parquet(file)
-        names = table.column_names
-    except (OSError, ValueError, pa.ArrowException) as error:
-        said = " ".join(str(error).split())[:120]
-        raise InputError(f"{file}: is not a whole Parquet file ({said}){_AGAIN}") from None
+        with open_parquet(file) as stored:
+            table = stored.read()
+            names = table.column_names
+    except InputError as error:
+        raise InputError(f"{error}{_AGAIN}") from None
     if len(table) != run["frames"]:
         raise InputError(f"{file}: has {len(table)} frames, run.json says {run['frames']}{_AGAIN}")
     found: dict[str, np.ndarray[Any, Any]] = {}

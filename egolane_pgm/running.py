@@ -38,6 +38,7 @@ from egolane_pgm.loading import (
     data_entries,
     file_entry,
     load_recording,
+    name_of,
     with_video_rate,
 )
 from egolane_pgm.maps.steps import LanesAlong
@@ -77,6 +78,7 @@ from egolane_pgm.types import (
     InputError,
     IntArray,
     LaneEvents,
+    without_passwords,
 )
 
 #: Adds figures of a result to the directory that it is given.
@@ -527,11 +529,11 @@ def name_runs(
     for k, place in enumerate(places):
         if place in places[:k]:
             raise InputError(f"--recording {recordings[k]}: is named twice")
-    stems = [as_name(Path(recording).stem) for recording in recordings]
+    stems = [name_of(recording) for recording in recordings]
     if len(experiments) > 1 or not recordings:
         given, name = (recordings[0], f"{stems[0]}_*") if recordings else (None, None)
         return [(path, path, given, name) for path in experiments]
-    folders = [Path(recording).absolute().parent.name for recording in recordings]
+    folders = [Path(without_passwords(name)).absolute().parent.name for name in recordings]
     names = [
         as_name(f"{folder}_{stem}") if stems.count(stem) > 1 else None
         for folder, stem in zip(folders, stems, strict=True)

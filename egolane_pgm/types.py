@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import contextlib
 import difflib
+import re
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from itertools import pairwise
@@ -43,6 +44,9 @@ DATED_S = 1e8
 UNASSIGNED = 0
 
 
+#: The longest line that says what is wrong, in letters.
+LONGEST = 2000
+
 #: What a warning begins with that only says what was found or done: nobody needs to act on it.
 NOTE = "note: "
 
@@ -59,13 +63,63 @@ class InputError(ValueError):
     nowhere.yaml: cannot be read: No such file or directory
     """
 
+    def __init__(self, *problems: object) -> None:
+        super().__init__(*map(in_one_line, problems))
+
     def __str__(self) -> str:
-        return "\n".join(map(str, self.args))
+        return "\n".join(self.args)
 
     @property
     def lines(self) -> list[str]:
         """What is wrong, in as many lines as there are arguments."""
-        return [" ".join(str(problem).split()) for problem in self.args]
+        return list(self.args)
+
+
+def in_one_line(problem: object) -> str:
+    """What is wrong as it can be printed, whatever stands in the file that it quotes: in one line,
+    without passwords, without what steers a terminal, the middle left out where it is long."""
+    text = " ".join(line.strip() for line in str(problem).splitlines())
+    text = without_passwords(text)
+    text = "".join(c if c.isprintable() else c.encode("unicode_escape").decode() for c in text)
+    return text if len(text) <= LONGEST else f"{text[: LONGEST - 205]} ... {text[-200:]}"
+
+
+#: What stands before a password: in an address (which, taken for the name of a file, loses one of
+#: its slashes) the user; in the query of one, or in the words that a database is opened with, its
+#: name. What follows a colon may be a port, and an address may have been cut off in its password.
+_PASSWORDS = re.compile(
+    r"(?P<user>:/{1,2}[^\s:/@\[]*:)(?!\d*(?:[/?#'\",;)\s]|$))(?:\S*@|[^\s'\"]+)"
+    r"|(?P<named>(?:password|passwd|pwd|token|secret)=)[^\s&;,'\"]+",
+    re.IGNORECASE,
+)
+
+
+def without_passwords(text: object) -> str:
+    """A text with `***` for the password in every address that stands in it, wherever somebody may
+    have put one.
+
+    >>> without_passwords("postgresql://me:secret@host/db and http://127.0.0.1:8787/status")
+    'postgresql://me:***@host/db and http://127.0.0.1:8787/status'
+    """
+
+    def hidden(found: re.Match[str]) -> str:
+        return f"{found['user'] or found['named']}***{'@' if found[0].endswith('@') else ''}"
+
+    return _PASSWORDS.sub(hidden, str(text))
+
+
+#: The most memory that an array may take whose size is what a file or a key says, bytes. A small
+#: file can ask for any size.
+MOST_BYTES = 2 << 30
+
+
+def check_memory(n_bytes: float, where: str) -> None:
+    """Raise InputError, which begins with `where`, for more memory than MOST_BYTES."""
+    if n_bytes > MOST_BYTES:
+        raise InputError(
+            f"{where} would need {n_bytes / 2**30:,.1f} GB of memory, more than the"
+            f" {MOST_BYTES >> 30} GB that are taken"
+        )
 
 
 @contextlib.contextmanager
@@ -323,6 +377,9 @@ class LineLog:
         if row_line is None:
             row_line = np.arange(len(row_frame)) - np.searchsorted(row_frame, row_frame)
         shape = (len(frame_id), int(row_line.max(initial=-1)) + 1)
+        # 18 bytes a cell, twice while they are filled in.
+        what = f"{source}: {shape[0]} frames of {shape[1]} lines each (the most that one has)"
+        check_memory(36.0 * shape[0] * shape[1], what)
 
         def padded(values: NDArray[Any], kind: type, blank: float | bool) -> NDArray[Any]:
             array: NDArray[Any] = np.full(shape, blank, dtype=kind)

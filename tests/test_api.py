@@ -516,7 +516,7 @@ def test_a_damaged_study_and_what_is_no_name_are_refused(
 ) -> None:
     saved = tuned.save(tmp_path / "study", figures=False)
     (saved / "trials.parquet").write_bytes(b"PAR1")
-    with pytest.raises(ego.InputError, match="is a damaged study"):
+    with pytest.raises(ego.InputError, match=r"trials\.parquet: is not a whole Parquet file"):
         ego.load_result(saved)
     with pytest.raises(ego.InputError, match="is not the name of a file or a folder"):
         ego.load_result([saved])  # type: ignore[arg-type]

@@ -96,7 +96,7 @@ def test_a_table_that_does_not_fit_is_refused_in_one_line(
         ("a.txt", "x", "a fleet is a .csv, .parquet or .yaml file"),
         ("a.yaml", "drive: []", "unknown key 'drive'"),
         ("a.yaml", "drives: 3", "drives: needs a list"),
-        ("a.parquet", "nothing", "cannot be read"),
+        ("a.parquet", "nothing", "is not a whole Parquet file"),
     ],
 )
 def test_other_files_are_refused_in_one_line(

@@ -364,7 +364,7 @@ def at_5(value: Any) -> Callable[[Any], Any]:
             "/beliefs.parquet: column is_impossible: has type",
         ),
         (with_lines_of_fewer_frames, "/lines.parquet: has other frames than beliefs.parquet"),
-        (lambda d: (d / "lines.parquet").write_bytes(b"PAR1"), "/lines.parquet: not a whole"),
+        (lambda d: (d / "lines.parquet").write_bytes(b"PAR1"), "/lines.parquet: is not a whole"),
         (columns(detector_1=None), "/beliefs.parquet: column detector_1: is missing"),
         (
             columns(log_evidence=lambda c: pa.array(c, mask=c == c[5])),

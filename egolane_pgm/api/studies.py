@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import os
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
@@ -27,7 +26,14 @@ from egolane_pgm.paper import Runs, parse_runs
 from egolane_pgm.parallel import Jobs
 from egolane_pgm.progress import bar
 from egolane_pgm.report.study_tables import legend, parameter_rows, score_rows
-from egolane_pgm.report.study_trials import STUDY_FILE, TRIALS_FILE, Trials, is_study, trials_of
+from egolane_pgm.report.study_trials import (
+    TRIALS_FILE,
+    Trials,
+    is_study,
+    read_document,
+    read_trials,
+    trials_of,
+)
 from egolane_pgm.results import read_files, staged, write_files
 from egolane_pgm.tuning import pictures as on_pictures
 from egolane_pgm.tuning import plan as planning
@@ -202,16 +208,9 @@ class TuneResult:
 
 def read_study(directory: Path) -> TuneResult:
     """Read the directory of a study. Raises InputError where it is damaged."""
-    files = read_files(directory)
-    try:
-        document = json.loads(files[STUDY_FILE])
-        result = TuneResult((document,), {document["name"]: files})
-        result.trials()
-    except (KeyError, ValueError, TypeError, OSError) as error:
-        if isinstance(error, InputError):
-            raise
-        raise InputError(f"{directory}: is a damaged study; tune again") from error
-    return result
+    read_trials(directory)
+    document = read_document(directory)
+    return TuneResult((document,), {document["name"]: read_files(directory)})
 
 
 def _draw(directory: Path) -> None:

@@ -9,6 +9,7 @@ memory at a time.
 from __future__ import annotations
 
 import glob
+import io
 import re
 import warnings
 from collections.abc import Iterable, Iterator
@@ -18,6 +19,8 @@ from pathlib import Path
 
 import cv2
 import numpy as np
+from numpy.typing import NDArray
+from PIL import Image as Header
 
 from egolane_pgm.camera.model import Camera, scaled
 from egolane_pgm.camera.picture import Image, Picture
@@ -290,6 +293,7 @@ def read_image(path: Path) -> Image:
         raise InputError(f"{path}: cannot be read: {error.strerror}") from None
     if not content.size:
         raise InputError(f"{path}: the file is empty")
+    _check_pixels(path, content)
     try:
         with silent():
             image = cv2.imdecode(content, cv2.IMREAD_COLOR)
@@ -301,6 +305,20 @@ def read_image(path: Path) -> Image:
             f"{path}: is no picture that can be read (another kind of file, or cut off)"
         )
     return image  # type: ignore[return-value]
+
+
+def _check_pixels(path: Path, content: NDArray[np.uint8]) -> None:
+    """Raise InputError for a picture whose header says that it has more pixels than Pillow takes
+    (some 90 million): a few hundred bytes may say so, and gigabytes are needed to look."""
+    with warnings.catch_warnings():
+        warnings.simplefilter("error", Header.DecompressionBombWarning)
+        try:
+            Header.open(io.BytesIO(content.data)).close()
+        except (Header.DecompressionBombWarning, Header.DecompressionBombError) as error:
+            raise InputError(f"{path}: cannot be read: {error}") from None
+        except (OSError, ValueError):
+            # OpenCV reads some that Pillow does not.
+            return
 
 
 def files_matching(pattern: str) -> list[Path]:

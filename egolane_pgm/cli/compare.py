@@ -253,7 +253,7 @@ def _held_out(
             if path:
                 draw(found, path)
     for failed in found["failed"]:
-        click.echo(f"failed: {failed['title']}: {failed['error']}", err=True)
+        options.failed(failed["title"], failed["error"])
     if unwritten is not None:
         raise unwritten
     if not done.is_whole:

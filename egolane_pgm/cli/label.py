@@ -14,7 +14,7 @@ from egolane_pgm.cli.options import write_json
 from egolane_pgm.experiment import load_experiment
 from egolane_pgm.files import check_not_read
 from egolane_pgm.labelling import BELOW
-from egolane_pgm.loading import as_name, named_files
+from egolane_pgm.loading import name_of, named_files
 from egolane_pgm.report.tables import Table, page, score_text
 from egolane_pgm.results import SCHEMA_VERSION, check_writable
 from egolane_pgm.types import InputError
@@ -73,7 +73,7 @@ def label(
     """
     if "" in (recording, ground_truth, camera, out, experiment):
         raise InputError("label: a file or folder that is named is empty")
-    name = as_name(Path(recording or experiment or "recording").stem)
+    name = name_of(recording or experiment or "recording")
     directory = Path(out or Path("results") / f"{name}_labels")
     check_writable(directory)
     if json_file:

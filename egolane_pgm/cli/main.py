@@ -5,7 +5,6 @@ from __future__ import annotations
 import contextlib
 import logging
 import os
-import re
 import sys
 import warnings
 from collections.abc import Iterator
@@ -81,7 +80,7 @@ class _Group(click.Group):
 
     def _invoke(self, ctx: click.Context) -> Any:
         # This imports NumPy, which `egolane --help` does not need.
-        from egolane_pgm.types import InputError
+        from egolane_pgm.types import InputError, in_one_line
 
         try:
             with warnings.catch_warnings(), _announced():
@@ -89,13 +88,13 @@ class _Group(click.Group):
                 return super().invoke(ctx)
         except InputError as error:
             for line in error.lines:
-                click.echo(f"egolane: {_safe(line)}", err=True)
+                click.echo(f"egolane: {line}", err=True)
             ctx.exit(2)
         except click.UsageError as error:
             if isinstance(error, getattr(click.exceptions, "NoArgsIsHelpError", ())):
                 raise
             where = error.ctx.command_path if error.ctx else "egolane"
-            said = _safe(error.format_message())
+            said = in_one_line(error.format_message())
             click.echo(f"egolane: {said} See `{where} --help`.", err=True)
             ctx.exit(2)
         except BrokenPipeError:
@@ -119,12 +118,6 @@ def _give_up_output() -> None:
     """Send what is still to be printed nowhere, so that Python does not complain at its exit."""
     with contextlib.suppress(OSError, ValueError):
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
-
-
-def _safe(text: str) -> str:
-    """A message without the password of an address, wherever it was given (taken for the name of a
-    file, an address loses one of its slashes)."""
-    return re.sub(r"(:/{1,2}[^\s:/@]*):\S*@", r"\1:***@", text)
 
 
 class _BesideBars(logging.Handler):

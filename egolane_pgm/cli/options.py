@@ -16,7 +16,7 @@ from egolane_pgm import files
 from egolane_pgm.cli import completion
 from egolane_pgm.experiment import read_override
 from egolane_pgm.files import check_place, json_text
-from egolane_pgm.types import MAX_LANES, NOTE, InputError
+from egolane_pgm.types import MAX_LANES, NOTE, InputError, in_one_line
 
 Decorator = Callable[[Callable[..., Any]], Callable[..., Any]]
 
@@ -192,7 +192,12 @@ json_file = click.option(
 def warn(text: str, title: str = "") -> None:
     """Print a warning, or a note, on standard error: what is about something that has a title."""
     kind, said = (NOTE, text.removeprefix(NOTE)) if text.startswith(NOTE) else ("warning: ", text)
-    click.echo(f"{kind}{title and title + ': '}{said}", err=True)
+    click.echo(in_one_line(f"{kind}{title and title + ': '}{said}"), err=True)
+
+
+def failed(title: str, problem: str) -> None:
+    """Print on standard error what is wrong with one of several."""
+    click.echo(in_one_line(f"failed: {title}: {problem}"), err=True)
 
 
 def shown(path: Path) -> str:

@@ -191,7 +191,7 @@ def _run_many(
     click.echo(show(parts))
     for outcome in failed:
         for line in (outcome.error or "").splitlines():
-            click.echo(f"failed: {outcome.title}: {line}", err=True)
+            options.failed(outcome.title, line)
     if failed:
         raise SystemExit(1)
 
@@ -214,7 +214,7 @@ def _run_fleet(
     there = f", {done.were_there} of them were there" if done.were_there else ""
     click.echo(f"\n{len(done)} drives in {folder}{there}; a row for each in {folder / SUMMARY}")
     for name, error in done.failed[:_MANY]:
-        click.echo(f"failed: {name}: {error}", err=True)
+        options.failed(name, error)
     if len(done.failed) > _MANY:
         click.echo(f"failed: {len(done.failed) - _MANY} more, see the column `error`", err=True)
     if done.failed:

@@ -82,7 +82,11 @@ def ls() -> None:
 @options.overrides()
 def validate(experiments: tuple[str, ...], overrides: tuple[str, ...]) -> None:
     """Check experiments, and tuning files with theirs, without computing anything: keys, plugins,
-    parameters, files."""
+    parameters, files.
+
+    A .py that a YAML names is executed, as by every command: read it before, when somebody else
+    wrote it.
+    """
     with all_problems() as part:
         for path in experiments:
             with part():

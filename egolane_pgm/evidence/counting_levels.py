@@ -12,6 +12,7 @@ from __future__ import annotations
 import numpy as np
 
 from egolane_pgm.evidence import counting
+from egolane_pgm.graphs.shared_parameters import WOR_LEVELS
 from egolane_pgm.parameters import Parameter, Parameters
 from egolane_pgm.types import Evidence, FloatArray, LineLog
 
@@ -19,7 +20,7 @@ PROVIDES = counting.PROVIDES
 TENTATIVE = counting.TENTATIVE
 PARAMETERS = (
     *counting.PARAMETERS,
-    Parameter("wor_levels", "integer", 3, "values of WOR, the most reliable one first", lowest=2),
+    WOR_LEVELS,
     Parameter(
         "level_evidence",
         "choice",

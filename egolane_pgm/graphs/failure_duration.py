@@ -29,7 +29,12 @@ VALUES = sensor_failure.VALUES
 PARAMETERS = (
     *sensor_failure.PARAMETERS,
     Parameter(
-        "failure_phases", "integer", 3, "phases that a failure passes through, in order", lowest=1
+        "failure_phases",
+        "integer",
+        3,
+        "phases that a failure passes through, in order",
+        lowest=1,
+        highest=1000,
     ),
 )
 

@@ -43,7 +43,7 @@ P4 = Parameter(
     "p4", "probability", 0.6, "P(WOR BAD | SensorState BAD); Table `tab:cptri`", search=(0.0, 1.0)
 )
 WOR_LEVELS = Parameter(
-    "wor_levels", "integer", 3, "values of WOR, the most reliable one first", lowest=2
+    "wor_levels", "integer", 3, "values of WOR, the most reliable one first", lowest=2, highest=100
 )
 NORMAL = Parameter(
     "normal",

@@ -36,6 +36,7 @@ or those that follow from its kind; `bounds: null` keeps it from that. The table
 
 from __future__ import annotations
 
+import math
 import re
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
@@ -57,7 +58,14 @@ from egolane_pgm.graphs.cpds import (
     uniform,
 )
 from egolane_pgm.parameters import Parameter, Parameters, check_names
-from egolane_pgm.types import FloatArray, InputError, Observed, all_problems, suggestion
+from egolane_pgm.types import (
+    FloatArray,
+    InputError,
+    Observed,
+    all_problems,
+    check_memory,
+    suggestion,
+)
 
 #: What the name of a parent at time t ends with.
 _BEFORE = " before"
@@ -231,6 +239,7 @@ def _read_nodes(nodes: Any, where: str) -> tuple[dict[str, int | None], dict[str
             names[str(node)] = tuple(map(str, given))
             values[str(node)] = len(given)
         elif isinstance(given, int) and not isinstance(given, bool) and given > 0:
+            check_memory(8.0 * given**2, f"{where}: nodes.{node}: a table from {given} to as many")
             values[str(node)] = given
         else:
             raise InputError(
@@ -358,6 +367,9 @@ def _tables_of(
             None,
             frozenset(p for p, (n, _) in given.items() if graph.values[n] is None),
         )
+        shape = (*place.parents.values(), place.size)
+        said = f"{place.where}: a table of {' x '.join(map(str, shape))} numbers"
+        check_memory(8.0 * math.prod(shape), said)
         used, values = _evaluate(spec[which] if by_slice else spec, place)
         if set(used) != set(given) and node not in inputs:
             raise InputError(

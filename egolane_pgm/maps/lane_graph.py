@@ -189,9 +189,13 @@ def load(path: str | Path) -> LaneGraph:
     import pyarrow as pa
 
     table = read_stored(path, "lane graph", VERSION, "egolane map FILE.osm")
+    damaged = f"{path}: the lane graph is damaged; make it anew with `egolane map`"
     if not table.schema.equals(_schema()) or table.num_rows == 0:
-        raise InputError(f"{path}: the lane graph is damaged; make it anew with `egolane map`")
+        raise InputError(damaged)
     whole = {name: table[name].combine_chunks() for name in table.column_names}
+    lists = [array for array in whole.values() if pa.types.is_list(array.type)]
+    if any(array.null_count for array in (*whole.values(), *(each.flatten() for each in lists))):
+        raise InputError(damaged)
 
     def values(name: str) -> Any:
         array = whole[name].flatten() if pa.types.is_list(whole[name].type) else whole[name]
@@ -212,6 +216,11 @@ def load(path: str | Path) -> LaneGraph:
         return np.concatenate([[0], np.cumsum(size)]).astype(np.int64)
 
     sizes = starts("after")
+    first = starts("latitude")
+    of_points = (np.array_equal(starts(name), first) for name, _ in _OF_POINT)
+    of_joins = (np.array_equal(starts(name), sizes) for name, _ in _OF_JOIN)
+    if not (all(of_points) and all(of_joins) and (np.diff(first) > 1).all()):
+        raise InputError(damaged)
     graph = LaneGraph(
         way=values("way"),
         kind=codes("kind"),
@@ -219,7 +228,7 @@ def load(path: str | Path) -> LaneGraph:
         n_lanes=values("n_lanes"),
         placement=np.stack([values("placement_start"), values("placement_end")], axis=1),
         point=np.stack([values("latitude"), values("longitude")], axis=1),
-        first=starts("latitude"),
+        first=first,
         length_m=values("length_m"),
         turn=words("turn"),
         change=words("change"),
@@ -232,7 +241,7 @@ def load(path: str | Path) -> LaneGraph:
         source=codes("source"),
     )
     if (graph.after >= len(graph)).any() or (graph.after < 0).any():
-        raise InputError(f"{path}: the lane graph is damaged; make it anew with `egolane map`")
+        raise InputError(damaged)
     return graph
 
 

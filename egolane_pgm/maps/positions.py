@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from egolane_pgm.files import check_name, read_text
+from egolane_pgm.files import check_name, read_parquet, read_text
 from egolane_pgm.types import BoolArray, FloatArray, InputError, suggestion
 
 if TYPE_CHECKING:
@@ -165,16 +165,15 @@ def read_positions(
 def _read_table(path: Path, columns: Mapping[str, str] | None) -> Positions:
     import pandas as pd
 
-    try:
-        if path.suffix.lower() == ".csv":
+    if path.suffix.lower() == ".parquet":
+        table = read_parquet(path).to_pandas(ignore_metadata=True)
+    else:
+        try:
             table = pd.read_csv(path, encoding="utf-8-sig", skipinitialspace=True)
-        else:
-            with path.open("rb") as file:
-                table = pd.read_parquet(file)
-    except (OSError, ValueError) as error:
-        # pandas' own errors, and pyarrow's, are ValueErrors.
-        text = " ".join(str(error).split())[:120]
-        raise InputError(f"{path}: cannot be read as a table ({text})") from None
+        except (OSError, ValueError) as error:
+            # pandas' own errors are ValueErrors.
+            text = " ".join(str(error).split())[:120]
+            raise InputError(f"{path}: cannot be read as a table ({text})") from None
     names = _column_names(path, [str(name) for name in table.columns], dict(columns or {}))
     values = {
         ours: _times(path, table[theirs]) if ours == "t_s" else _numbers(path, table[theirs])
@@ -276,7 +275,9 @@ def _read_nmea(path: Path) -> Positions:
         sentences += 1
         try:
             said = pynmea2.parse(line, check=True)
-        except pynmea2.ParseError:
+            # Fields are read only where they are asked for.
+            values = _nmea_values(said)
+        except (pynmea2.ParseError, ValueError):
             damaged += 1
             continue
         if not said.timestamp:
@@ -286,14 +287,14 @@ def _read_nmea(path: Path) -> Positions:
                 continue
             date = said.datestamp
         elif date is None:
-            waiting.append(said)
+            waiting.append((said.timestamp, values))
             continue
         elif clock is not None and said.timestamp < clock and clock.hour - said.timestamp.hour > 12:
             # A GGA just after midnight comes before the RMC that says the new date.
             date += timedelta(days=1)
         clock = said.timestamp
-        for sentence in (*waiting, said):
-            _add_nmea(found.setdefault(_moment(date, sentence.timestamp), {}), sentence)
+        for at, its in (*waiting, (clock, values)):
+            found.setdefault(_moment(date, at), {}).update(its)
         waiting = []
     if waiting:
         raise InputError(f"{path}: has no date, which an RMC sentence would give")
@@ -315,15 +316,17 @@ def _moment(date: Any, clock: Any) -> datetime:
     return datetime.combine(date, clock.replace(tzinfo=None), tzinfo=UTC)
 
 
-def _add_nmea(into: dict[str, float], said: Any) -> None:
+def _nmea_values(said: Any) -> dict[str, float]:
+    values = {}
     is_fix = said.status == "A" if said.sentence_type == "RMC" else bool(said.gps_qual)
     if is_fix and said.lat and said.lon:
-        into |= {"latitude": said.latitude, "longitude": said.longitude}
+        values = {"latitude": said.latitude, "longitude": said.longitude}
     if said.sentence_type == "RMC":
-        into["speed_mps"] = _or_nan(said.spd_over_grnd) * 1852 / 3600
-        into["heading_deg"] = _or_nan(said.true_course)
+        values["speed_mps"] = _or_nan(said.spd_over_grnd) * 1852 / 3600
+        values["heading_deg"] = _or_nan(said.true_course)
     elif said.horizontal_dil and float(said.horizontal_dil) > 0:
-        into["sigma_m"] = SIGMA_PER_HDOP_M * float(said.horizontal_dil)
+        values["sigma_m"] = SIGMA_PER_HDOP_M * float(said.horizontal_dil)
+    return values
 
 
 def _read_bag(path: Path, topic: str | None) -> Positions:

@@ -94,16 +94,22 @@ def load(path: str | Path) -> RoadTable:
     Raises InputError for a file that cannot be read, that is no road table or one of another
     version, and as `RoadTable` does.
     """
+    import pyarrow as pa
 
     table = read_stored(path, "road table", VERSION, "egolane locate MAP POSITIONS")
     missing = [name for name in COLUMNS if name not in table.column_names]
     if missing:
         raise InputError(f"{path}: lacks the column {', '.join(missing)}")
-    columns = {name: table[name].to_numpy() for name in COLUMNS}
-    for name, values in columns.items():
-        kind = np.str_ if name in _WORDS else np.int64 if name in _WHOLE else np.float64
+    columns = {}
+    for name in COLUMNS:
+        kind = "string" if name in _WORDS else "int64" if name in _WHOLE else "float64"
         try:
-            columns[name] = values.astype(kind)
-        except (TypeError, ValueError):
-            raise InputError(f"{path}: {name}: has values that are no {kind.__name__}") from None
+            column = table[name].cast(kind)
+        except pa.ArrowException:
+            raise InputError(f"{path}: {name}: has values that are no {kind}") from None
+        if column.null_count and kind != "float64":
+            raise InputError(f"{path}: {name}: has {column.null_count} empty cells")
+        columns[name] = column.to_numpy()
+    for name in _WORDS:
+        columns[name] = columns[name].astype(np.str_)
     return RoadTable(**columns, source=str(path))

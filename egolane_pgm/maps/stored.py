@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
-from egolane_pgm.files import check_name, read_parquet
+from egolane_pgm.files import read_parquet
 from egolane_pgm.types import InputError
 
 ATTRIBUTION = "© OpenStreetMap contributors, ODbL"
@@ -29,14 +29,7 @@ def read_stored(path: str | Path, what: str, version: str, command: str) -> Any:
 
     Raises InputError for a file that cannot be read, that is something else, or of another version.
     """
-    import pyarrow as pa
-
-    check_name(path)
-    try:
-        table = read_parquet(Path(path))
-    except (pa.ArrowException, OSError) as error:
-        text = getattr(error, "strerror", None) or " ".join(str(error).split())[:120]
-        raise InputError(f"{path}: cannot be read as a {what}: {text}") from None
+    table = read_parquet(Path(path))
     found = (table.schema.metadata or {}).get(_key(what).encode(), b"").decode()
     if found != version:
         wrong = f"version {found}, not {version}" if found else f"no {what}"

@@ -326,9 +326,10 @@ def _download(address: str, file: DataFile, path: Path, stop: threading.Event) -
     except (requests.ConnectionError, requests.Timeout) as error:
         # The message of requests is several lines long; the system's own words are at its end.
         reason = getattr(error.args[0] if error.args else error, "reason", error)
+        host = urlsplit(address).netloc.rpartition("@")[2]
         raise Unreachable(
-            f"no connection to {urlsplit(address).netloc} ({str(reason).rpartition(': ')[2]}); is"
-            " the network up? --base-url takes a mirror"
+            f"no connection to {host} ({str(reason).rpartition(': ')[2]}); is the network up?"
+            " --base-url takes a mirror"
         ) from None
     except requests.RequestException:
         raise InputError(f"{file.name}: {url}: the connection broke; run it again") from None

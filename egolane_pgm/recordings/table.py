@@ -22,9 +22,9 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.compute as pc
 from numpy.typing import NDArray
-from pyarrow import csv, parquet
+from pyarrow import csv
 
-from egolane_pgm.files import arrow_table, atomic, write_parquet
+from egolane_pgm.files import arrow_table, atomic, open_parquet, write_parquet
 from egolane_pgm.recordings.rosbag import MAX_LINES
 from egolane_pgm.types import BoolArray, FloatArray, InputError, IntArray, LineLog, suggestion
 
@@ -239,21 +239,11 @@ def _read_csv(path: Path, columns: Mapping[str, str]) -> Any:
 
 
 def _read_parquet(path: Path, columns: Mapping[str, str]) -> Any:
-
-    # Given a name, pyarrow takes what is before a colon for the scheme of an address.
-    try:
-        file = parquet.ParquetFile(pa.OSFile(str(path)))
+    with open_parquet(path) as file:
         given = list(file.schema_arrow.names)
-    except (pa.ArrowException, OSError, UnicodeDecodeError) as error:
-        text = " ".join(str(error).split())[:120]
-        raise InputError(f"{path}: not a whole Parquet file ({text})") from None
-    names = _renamed(path, given, columns)
-    there = {name: given[names.index(name)] for name in _check_columns(path, names)}
-    try:
+        names = _renamed(path, given, columns)
+        there = {name: given[names.index(name)] for name in _check_columns(path, names)}
         table = file.read(columns=list(there.values()))
-    except (pa.ArrowException, OSError) as error:
-        text = " ".join(str(error).split())[:120]
-        raise InputError(f"{path}: the Parquet file is damaged ({text})") from None
     return pa.table({name: _typed(path, name, table[place]) for name, place in there.items()})
 
 

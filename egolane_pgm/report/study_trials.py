@@ -2,21 +2,24 @@
 
 from __future__ import annotations
 
-import json
 import warnings
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
 import optuna
 from optuna import distributions
 from optuna.exceptions import ExperimentalWarning
 from optuna.trial import create_trial
+from pydantic import Field
+from pydantic_core import from_json
 
+from egolane_pgm.experiment import validated
 from egolane_pgm.files import read_parquet
+from egolane_pgm.result_schema import Count, Finite, Stored
 from egolane_pgm.scoring.confusion import is_maximised
 from egolane_pgm.types import BoolArray, FloatArray, InputError, IntArray
 
@@ -27,6 +30,50 @@ TOLERANCE = 0.005
 
 #: Importances of fewer trials than this would be noise.
 FEWEST = 20
+
+
+class _Space(Stored):
+    searched: dict[
+        str,
+        Annotated[list[Finite], Field(min_length=2, max_length=2)]
+        | Annotated[list[str], Field(min_length=1)],
+    ]
+
+
+class _Objective(Stored):
+    objective: Annotated[list[str], Field(min_length=1)]
+
+
+class _Best(Stored):
+    point: dict[str, float | str]
+    values: Annotated[dict[str, Finite], Field(min_length=1)]
+    trials: Count
+
+
+class _Without(Stored):
+    point: dict[str, float | str]
+
+
+class _HeldOut(Stored):
+    all_frames: dict[str, Any] | None = None
+    studies: list[_Without] = Field(default_factory=list)
+
+
+class _Known(Stored):
+    parameters: dict[str, Any]
+
+
+class Document(Stored):
+    """What of study.json is read again: `tuning.study_directory` says what else is there."""
+
+    name: str
+    tuning: _Objective
+    space: _Space
+    best: _Best
+    held_out: _HeldOut | None
+    run: Annotated[int, Field(ge=1, le=10)] | None = None
+    experiments: list[_Known] = Field(default_factory=list)
+    notes: list[str] = Field(default_factory=list)
 
 
 @dataclass(frozen=True)
@@ -122,26 +169,25 @@ def trials_of(
     """
     bounds = content["space"]["searched"]
     objective = str(content["tuning"]["objective"][0])
-    for column in ("number", f"{objective}_in_sample", *bounds):
-        if column not in table:
-            raise InputError(f"{Path(directory) / TRIALS_FILE}: has no column {column}; tune again")
-    order = np.argsort(np.asarray(table["number"]), kind="stable")
-    score = np.array(table[f"{objective}_in_sample"], dtype=np.float64)[order]
+    file = Path(directory) / TRIALS_FILE
+    number = _floats(table, "number", file)
+    order = np.argsort(number, kind="stable")
+    score = _floats(table, f"{objective}_in_sample", file)[order]
     chosen = order[np.isfinite(score)]
     score = score[np.isfinite(score)]
     if not len(score):
         raise InputError(
             f"{directory}: no trial of this study is finished, there is nothing to draw"
         )
-    searched = tuple(_searched(key, bounds[key], table[key]) for key in bounds)
-    values = {s.key: _numbers(s, [table[s.key][k] for k in chosen]) for s in searched}
+    searched = tuple(_searched(key, bounds[key], _values_of(table, key, file)) for key in bounds)
+    values = {s.key: _numbers(s, table, file)[chosen] for s in searched}
     held_out = content.get("held_out") or {}
     reference, named = _reference(content, searched)
     return Trials(
         str(content["name"]),
         objective,
         searched,
-        np.asarray(table["number"])[chosen],
+        number[chosen].astype(np.int64),
         score,
         values,
         int(np.argmax(score if is_maximised(objective) else -score)),
@@ -153,24 +199,44 @@ def trials_of(
 
 
 def _read(directory: Path) -> tuple[Mapping[str, Any], Mapping[str, Sequence[Any]]]:
-    from pyarrow import ArrowException
+    content = read_document(directory)
+    try:
+        return content, read_parquet(directory / TRIALS_FILE).to_pydict()
+    except InputError as error:
+        raise InputError(f"{error}; repeat the `egolane tune` command") from None
 
+
+def read_document(directory: Path) -> dict[str, Any]:
+    """What study.json says. Raises InputError, naming file and key, for what it is not."""
     path = directory / STUDY_FILE
     try:
-        content = json.loads(path.read_text(encoding="utf-8"))
+        content = from_json(path.read_bytes())
     except (OSError, ValueError) as error:
         raise InputError(
             f"{directory}: is not the directory of a finished study ({STUDY_FILE} is missing or"
             " damaged); make one with `egolane tune`"
         ) from error
-    if content.get("schema_version") != SCHEMA_VERSION or "space" not in content:
+    if not isinstance(content, dict) or content.get("schema_version") != SCHEMA_VERSION:
         raise InputError(f"{path}: is not of schema version {SCHEMA_VERSION}; tune again")
-    trials = directory / TRIALS_FILE
     try:
-        table = read_parquet(trials).to_pydict()
-    except (OSError, ArrowException) as error:
-        raise InputError(f"{trials}: cannot be read; repeat the `egolane tune` command") from error
-    return content, table
+        validated(Document, content, str(path))
+    except InputError as error:
+        raise InputError(f"{error.lines[0]}; tune again") from None
+    return content
+
+
+def _values_of(table: Mapping[str, Sequence[Any]], column: str, file: Path) -> Sequence[Any]:
+    if column not in table:
+        raise InputError(f"{file}: has no column {column}; tune again")
+    return table[column]
+
+
+def _floats(table: Mapping[str, Sequence[Any]], column: str, file: Path) -> FloatArray:
+    """A column of numbers, NaN for those that a trial has not got."""
+    try:
+        return np.array(_values_of(table, column, file), dtype=np.float64)
+    except (TypeError, ValueError):
+        raise InputError(f"{file}: column {column} has values that are no numbers") from None
 
 
 def _searched(key: str, bounds: Sequence[Any], column: Sequence[Any]) -> Searched:
@@ -180,10 +246,16 @@ def _searched(key: str, bounds: Sequence[Any], column: Sequence[Any]) -> Searche
     return Searched(key, float(bounds[0]), float(bounds[1]), is_integer)
 
 
-def _numbers(searched: Searched, values: Sequence[Any]) -> FloatArray:
-    if searched.choices:
-        values = [searched.choices.index(v) for v in values]
-    return np.array(values, dtype=np.float64)
+def _numbers(searched: Searched, table: Mapping[str, Sequence[Any]], file: Path) -> FloatArray:
+    if not searched.choices:
+        return _floats(table, searched.key, file)
+    known = {choice: float(k) for k, choice in enumerate(searched.choices)}
+    values = _values_of(table, searched.key, file)
+    if unknown := [v for v in values if v is not None and str(v) not in known]:
+        raise InputError(
+            f"{file}: column {searched.key} has {unknown[0]!r}, which was not searched; tune again"
+        )
+    return np.array([known.get(str(v), np.nan) for v in values])
 
 
 def _point(searched: Sequence[Searched], point: Mapping[str, Any]) -> dict[str, float]:

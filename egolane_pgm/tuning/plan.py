@@ -254,7 +254,7 @@ def load_plan(path: str | Path, overrides: Overrides = ()) -> Plan:
     found = []
     with all_problems() as part:
         for entry in given.experiments:
-            with part():
+            with part(), problems_in(f"{path}: experiments"):
                 found.append(load_experiment(path.parent / entry))
     return Plan(given.name, given.description, tuple(found), given.tuning, str(path))
 

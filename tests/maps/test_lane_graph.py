@@ -59,10 +59,10 @@ def test_joins_are_found_by_the_segment_that_they_leave_or_reach() -> None:
 
 def test_a_file_that_is_no_lane_graph_is_refused_in_one_line(tmp_path: Path) -> None:
     path = tmp_path / "x.parquet"
-    with pytest.raises(InputError, match=r"x\.parquet: cannot be read as a lane graph: No such"):
+    with pytest.raises(InputError, match=r"x\.parquet: cannot be read: No such"):
         load(path)
     path.write_bytes(b"PAR1 not")
-    with pytest.raises(InputError, match=r"x\.parquet: cannot be read as a lane graph: "):
+    with pytest.raises(InputError, match=r"x\.parquet: is not a whole Parquet file"):
         load(path)
     parquet.write_table(pa.table({"a": [1]}), path)
     with pytest.raises(InputError, match=r"x\.parquet: no lane graph; `egolane map "):

@@ -99,7 +99,7 @@ def test_many_things_that_are_wrong_are_some_lines(tmp_path: Path) -> None:
         ("a.osm", "<osm version='0.6'><node id='1' lat='north' lon='2'/></osm>", "cannot be read"),
         ("a.osm.pbf", "not at all", "cannot be read as a map"),
         ("a.txt", "not at all", "cannot be read as a map: Could not detect file format"),
-        ("a.parquet", "not at all", "cannot be read as a lane graph"),
+        ("a.parquet", "not at all", "is not a whole Parquet file"),
     ],
 )
 def test_a_file_without_a_road_is_refused_in_one_line(

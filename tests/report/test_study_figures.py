@@ -41,6 +41,7 @@ def write_study(folder: Path, scores: list[float | None] = SCORES, **changes: An
         "run": None,
         "tuning": {"objective": ["accuracy"]},
         "space": {"searched": SPACE},
+        "best": {"point": {"sigma1": 0.3}, "values": {"accuracy": 0.66}, "trials": 6},
         "experiments": [{"parameters": {"sigma1": 0.25, "bonus_value": 3.0, "normal": "other"}}],
         "held_out": {
             "all_frames": {"accuracy": 0.61},
@@ -214,7 +215,7 @@ def test_damaged_studies_are_refused_with_the_file_and_the_remedy(tmp_path: Path
         numbers.read_trials(tmp_path)
     write_study(tmp_path)
     (tmp_path / "trials.parquet").write_bytes(b"PAR1 but not really")
-    with pytest.raises(InputError, match=r"trials\.parquet: cannot be read"):
+    with pytest.raises(InputError, match=r"trials\.parquet: is not a whole Parquet file"):
         numbers.read_trials(tmp_path)
     (tmp_path / "study.json").write_text("{")
     with pytest.raises(InputError, match="missing or damaged"):
