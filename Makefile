@@ -6,7 +6,7 @@ ifneq ($(wildcard ../shared/data/rle),)
 export EGOLANE_DATA ?= $(abspath ../shared/data)
 endif
 
-.PHONY: run test check docs bench coverage dist notebooks paper graphs beyond delay events camera searched rendered compared maps cluster-demo fuzz clean
+.PHONY: run test check docs bench coverage dist notebooks paper graphs beyond delay events camera searched rendered compared maps cluster-demo fuzz crash clean
 
 run: .venv/.run
 	$(BIN)/egolane run experiments/quickstart.yaml
