@@ -120,6 +120,11 @@ cluster-demo: .venv/.dev
 fuzz: .venv/.dev
 	$(BIN)/python -m tests.fuzz $(ONLY)
 
+# Kills each command before each of its calls that change a file, and looks at what is left (needs
+# strace; an hour of one core).
+crash: .venv/.dev
+	$(BIN)/python -m tests.crash
+
 # What results/camera/ holds of real pictures, made from those in EGOLANE_DATA.
 camera: .venv/.dev
 	$(BIN)/python -m tests.camera_figures carnd tusimple phantom clips aly lane_change labels --out results/camera > results/camera/pictures.md
