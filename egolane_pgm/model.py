@@ -512,7 +512,10 @@ def _evidence_along(
         largest = output.max(axis=1, keepdims=True)
         joint[:, :n, n - 1] = fit[:, n - 1 : n] * output / np.where(largest > 0, largest, 1.0)
         here = road.n_lanes == n
-        wor[here] = given.likelihoods["WOR"][here]
+        seen = given.likelihoods["WOR"]
+        if seen.shape != wor.shape:
+            raise InputError(f"evidence for WOR: shape {seen.shape}, the graph needs {wor.shape}")
+        wor[here] = seen[here]
         tentative[here, :n] = output[here]
     found = Evidence(
         {("DetectorOutput", "Lanes"): joint, "WOR": wor, "Lane": road.served}, {"Step": road.step}

@@ -18,6 +18,10 @@ Value = float | int | str | tuple[float, ...]
 Parameters = Mapping[str, Value]
 
 
+#: No number is larger: the products and squares of such numbers are still numbers.
+LARGEST = 1e100
+
+
 @dataclass(frozen=True)
 class Parameter:
     """A parameter that a graph, an evidence rule or a detector declares.
@@ -29,7 +33,7 @@ class Parameter:
       `search_range`); None where a search leaves it as it is
     - choices: for another kind than "choice", names that may stand for a number (`auto`)
     - per_lane: a list of n values is allowed as well as one value
-    - lowest, highest: the smallest and the largest number, both allowed
+    - lowest, highest: the smallest and the largest number, both allowed; none is above LARGEST
     - shape: for a parameter that is a table, its shape for n lanes. The numbers may be given as
       nested lists or as one row; the value is one row, the last axis fastest.
     """
@@ -140,8 +144,8 @@ class Parameter:
             raise InputError(f"{where}: {value} is not a whole number")
         if x < self.lowest:
             raise InputError(f"{where}: {value} must be at least {self.lowest}")
-        if x > self.highest:
-            raise InputError(f"{where}: {value} must be at most {self.highest}")
+        if x > (highest := min(self.highest, LARGEST)):
+            raise InputError(f"{where}: {value} must be at most {highest}")
         return int(x) if self.kind == "integer" else x
 
 

@@ -18,15 +18,14 @@ from egolane_pgm.graphs.cpds import SliceNode, Table
 from egolane_pgm.inference.compile import Compiled, Group
 from egolane_pgm.inference.filtering import forward, state_likelihood
 from egolane_pgm.inference.kernels.sweeps import smooth_frames
-from egolane_pgm.inference.layout import evidence_blocks, joint_input
+from egolane_pgm.inference.layout import joint_input, log_blocks, logarithms
 from egolane_pgm.types import BoolArray, Evidence, FloatArray, InputError, IntArray, suggestion
 
 #: Marks a frame in which the node's value is unknown.
 FREE = -1
 
-#: A state with less than this of the largest likelihood is not seen with it: one over it is no
-#: number any more.
-_LEAST = 1e-300
+#: What is seen with a state of less than this of the largest likelihood is counted in logarithms.
+_LEAST = 1e-200
 
 
 @dataclass(frozen=True)
@@ -71,10 +70,9 @@ def expected_counts(
     Raises InputError for evidence that does not fit the network, or is read by Jeffrey's rule, and
     for known values of a node that is not hidden.
     """
-    blocks = evidence_blocks(compiled, evidence)
     index = joint_input(compiled, evidence)
     n_frames, n_states = len(evidence), compiled.n_states
-    likelihood, log_scale = state_likelihood(compiled, blocks)
+    likelihood, log_scale = state_likelihood(compiled, evidence)
     for node, value in (known or {}).items():
         if node not in compiled.hidden:
             meant = suggestion(node, compiled.hidden)
@@ -91,9 +89,8 @@ def expected_counts(
         "transition": moves[None],
     }
     smoothed[is_impossible] = 0.0
-    seen = [
-        _seen(group, block, smoothed) for group, block in zip(compiled.groups, blocks, strict=True)
-    ]
+    blocks = zip(compiled.groups, log_blocks(compiled, evidence), strict=True)
+    seen = [_seen(group, block, smoothed) for group, block in blocks]
     tables = counted_tables(compiled)
     counts = {of: np.zeros(table.values.shape) for of, table in tables.items()}
     for used, place in compiled.places.items():
@@ -105,20 +102,20 @@ def expected_counts(
     return Expected(counts, float(log_evidence.sum()), is_impossible)
 
 
-def _seen(group: Group, block: FloatArray, smoothed: FloatArray) -> FloatArray:
+def _seen(group: Group, log_block: FloatArray, smoothed: FloatArray) -> FloatArray:
     """How often each joint state is expected to show each value of a group, (S, K).
 
     P(state, value | all) = P(state | all) P(value | state) e(value) / P(evidence | state).
     """
-    shares = _over_largest(block)
+    largest = log_block.max(axis=1, keepdims=True)
+    log_block = log_block - np.where(largest > -np.inf, largest, 0.0)
+    shares = np.exp(log_block)
     of_state = shares @ group.emission.T
-    largest = of_state.max(axis=1, initial=0.0, keepdims=True)
-    is_seen = of_state > _LEAST * largest
-    weight = np.divide(smoothed, of_state, out=np.zeros_like(smoothed), where=is_seen)
-    return np.asarray(group.emission * (weight.T @ shares))
-
-
-def _over_largest(rows: FloatArray) -> FloatArray:
-    """Rows (T, K) over their largest entry; rows of zeros stay."""
-    largest = rows.max(axis=1, initial=0.0, keepdims=True)
-    return rows / np.where(largest > 0, largest, 1.0)
+    is_plain = of_state > _LEAST
+    weight = np.divide(smoothed, of_state, out=np.zeros_like(smoothed), where=is_plain)
+    counts = np.asarray(group.emission * (weight.T @ shares))
+    frames, states = np.nonzero(~is_plain & (smoothed > 0))
+    log_shown = log_block[frames] + logarithms(group.emission)[states]
+    log_shown -= np.logaddexp.reduce(log_shown, axis=1, keepdims=True)
+    np.add.at(counts, states, smoothed[frames, states][:, None] * np.exp(log_shown))
+    return counts

@@ -7,12 +7,17 @@ the most probable path and the expected counts of learning.
 `exact` carries the belief over the joint state from frame to frame. `assumed_density` carries the
 product of the marginals of the nodes in it (Boyen and Koller 1998), which is what the paper's
 equations in section "Inference" do: each marginal is propagated by its own table.
+
+A probability below 2.2e-308, where floating-point numbers lose digits, is zero: that of a joint
+state given the evidence so far (and the product that assumed density carries), and a frame's
+likelihood given a joint state that is 1e608 times smaller than given another one. But for this the
+beliefs are those of exact arithmetic to about 1e-12, relative, whatever the scale of the evidence
+and the tables.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
 from itertools import pairwise
 from typing import Any
 
@@ -22,6 +27,8 @@ from egolane_pgm.inference.compile import Compiled
 from egolane_pgm.inference.jeffrey import run_jeffrey
 from egolane_pgm.inference.kernels.banded import forward_banded
 from egolane_pgm.inference.kernels.filter import (
+    LEAST,
+    RANGE,
     forward_kernel,
     likelihood_kernel,
     multiply_chosen,
@@ -29,9 +36,12 @@ from egolane_pgm.inference.kernels.filter import (
 from egolane_pgm.inference.layout import (
     FilterState,
     PosteriorEvidence,
+    check_keys,
     evidence_blocks,
     joint_input,
     layout,
+    log_blocks,
+    logarithms,
     marginals_of,
 )
 from egolane_pgm.types import (
@@ -53,6 +63,10 @@ MAX_FIXED_STATES = 16
 #: ... of groups with at most so many columns, and for recordings of at least so many frames.
 MAX_FIXED_COLUMNS = 24
 MIN_FIXED_FRAMES = 1000
+
+#: The largest likelihood of a frame that spans too much for plain products: those that matter then
+#: have the whole range of floating-point numbers.
+MOST = 1e300
 
 #: The filter takes frames in pieces of about so many numbers: they stay in the processor's cache.
 PIECE = 2**16
@@ -136,11 +150,11 @@ def _filter(
         beliefs, log_evidence, is_impossible = whole
         marginals = marginals_of(compiled, beliefs)
         return FilterState(joint), Beliefs(ids, marginals, log_evidence, is_impossible)
-    blocks = evidence_blocks(compiled, evidence)
+    check_keys(compiled, evidence)
     index = joint_input(compiled, evidence)
     done = []
     for piece in _pieces(n_frames, compiled.n_states):
-        likelihood, log_scale = state_likelihood(compiled, [block[piece] for block in blocks])
+        likelihood, log_scale = state_likelihood(compiled, evidence, piece)
         beliefs, log_evidence, is_impossible = forward(
             compiled,
             likelihood,
@@ -164,25 +178,57 @@ def _pieces(n_frames: int, n_states: int) -> list[slice]:
 
 
 def state_likelihood(
-    compiled: Compiled, blocks: Sequence[FloatArray]
+    compiled: Compiled, evidence: Evidence, frames: slice = slice(None)
 ) -> tuple[FloatArray, FloatArray]:
-    """P(evidence of a frame | joint state) up to a factor, (T, S), and the factor's logarithm (T,).
+    """P(evidence of a frame | joint state) up to a factor, (T, S), and the factor's logarithm (T,),
+    of some frames.
 
-    blocks: the evidence of each group of observed nodes, (T, K) each.
+    Raises InputError for evidence that does not fit the network.
     """
-    n_frames, n_states = len(blocks[0]), compiled.n_states
+    with np.errstate(over="ignore", invalid="ignore"):
+        blocks = evidence_blocks(compiled, evidence, frames)
+        n_frames, n_states = len(blocks[0]), compiled.n_states
+        # Between these is every product of numbers that are not zero.
+        least, most = np.ones(n_frames), np.ones(n_frames)
+        for group in compiled.groups:
+            for key in group.observed if len(group.observed) > 1 else ():
+                values = evidence.likelihoods[key][frames]
+                rows = values.reshape(n_frames, math.prod(values.shape[1:]))
+                least *= np.where(rows > 0, rows, np.inf).min(axis=1)
+                most *= rows.max(axis=1)
     arrays = layout(compiled)
     likelihood = np.ones((n_frames, n_states))
     log_scale = np.zeros(n_frames)
     is_fixed = n_frames >= MIN_FIXED_FRAMES and n_states <= MAX_FIXED_STATES
     for block, emission, only in zip(blocks, arrays.emissions, arrays.only, strict=True):
         if only is not None:
-            multiply_chosen(block, only, likelihood, log_scale)
+            multiply_chosen(block, only, likelihood, least, most)
         elif is_fixed and len(emission) <= MAX_FIXED_COLUMNS:
-            likelihood_kernel(n_states, len(emission))(block, emission, likelihood, log_scale)
+            run = likelihood_kernel(n_states, len(emission))
+            run(block, emission, likelihood, least, most)
         else:
-            likelihood_kernel()(block, emission, likelihood, log_scale)
+            likelihood_kernel()(block, emission, likelihood, least, most)
+    if n_frames and not (least.min() > RANGE[0] and most.max() < RANGE[1]):
+        rest = ~((least > RANGE[0]) & (most < RANGE[1]))
+        which = np.arange(len(evidence))[frames][rest]
+        likelihood[rest], log_scale[rest] = _in_logarithms(compiled, evidence, which)
     return likelihood, log_scale
+
+
+def _in_logarithms(
+    compiled: Compiled, evidence: Evidence, frames: IntArray
+) -> tuple[FloatArray, FloatArray]:
+    """As `state_likelihood`, the largest of each frame being MOST, whatever the numbers."""
+    log_likelihood = np.zeros((len(frames), compiled.n_states))
+    for group, block in zip(compiled.groups, log_blocks(compiled, evidence, frames), strict=True):
+        for s, log_emission in enumerate(logarithms(group.emission)):
+            log_likelihood[:, s] += np.logaddexp.reduce(block + log_emission, axis=1)
+    largest = log_likelihood.max(axis=1, keepdims=True)
+    largest[largest == -np.inf] = 0.0
+    log_scale = largest - np.log(MOST)
+    likelihood = np.exp(log_likelihood - log_scale)
+    likelihood[likelihood < LEAST] = 0.0
+    return likelihood, log_scale[:, 0]
 
 
 def forward(
@@ -212,7 +258,7 @@ def forward(
     if joint is None:
         joint = np.zeros(n_states)
     beliefs = np.empty((n_frames, n_states)) if out is None else out
-    total = np.empty(n_frames)
+    total, log_evidence = np.empty(n_frames), log_scale.copy()
     is_impossible = np.empty(n_frames, dtype=bool)
     run, transition = _forward_for(compiled, n_frames, is_factored)
     run(
@@ -226,10 +272,10 @@ def forward(
         arrays.column,
         beliefs,
         total,
+        log_evidence,
         is_impossible,
     )
-    log_evidence = np.log(total)
-    log_evidence += log_scale
+    log_evidence += np.log(total)
     if is_impossible.any():
         log_evidence[is_impossible] = 0.0
     return beliefs, log_evidence, is_impossible

@@ -29,7 +29,13 @@ import numpy as np
 
 from egolane_pgm.inference.compile import Compiled
 from egolane_pgm.inference.kernels.sweeps import jeffrey_frames
-from egolane_pgm.inference.layout import PosteriorEvidence, check_keys, joint_input, layout
+from egolane_pgm.inference.layout import (
+    PosteriorEvidence,
+    check_keys,
+    joint_input,
+    layout,
+    logarithms,
+)
 from egolane_pgm.types import BoolArray, FloatArray, IntArray
 
 
@@ -56,7 +62,7 @@ def run_jeffrey(
         compiled.prior,
         compiled.transition,
         joint_input(compiled, evidence),
-        np.ascontiguousarray(np.concatenate([g.emission for g in compiled.groups], axis=1)),
+        logarithms(np.concatenate([g.emission for g in compiled.groups], axis=1)),
         np.array([0, *accumulate(g.emission.shape[1] for g in compiled.groups)], dtype=np.int64),
         rows,
         is_said,
@@ -74,18 +80,18 @@ def run_jeffrey(
 def _posterior_rows(
     compiled: Compiled, evidence: PosteriorEvidence
 ) -> tuple[FloatArray, BoolArray]:
-    """Per observed node its evidence, rows summing to one (or all zero), side by side (T, V); and
-    whether a frame says anything about it (T, N): a row of nothing but ones does not."""
+    """Per observed node the logarithm of its evidence, rows summing to one (or all zero), side by
+    side (T, V); and whether a frame says anything about it (T, N): a row of nothing but ones does
+    not."""
     rows, said = [], []
     for key in compiled.observed:
         values = evidence.likelihoods[key]
         flat = values.reshape(len(values), math.prod(values.shape[1:])).astype(np.float64)
         said.append(~(flat == 1.0).all(axis=1) | (flat.shape[1] == 1))
-        # Over the largest first: the sum of huge numbers overflows.
-        largest = flat.max(axis=1, keepdims=True)
-        flat = flat / np.where(largest > 0, largest, 1.0)
-        total = flat.sum(axis=1, keepdims=True)
-        rows.append(flat / np.where(total > 0, total, 1.0))
+        # The sum of huge numbers overflows.
+        log_row = logarithms(flat)
+        log_total = np.logaddexp.reduce(log_row, axis=1, keepdims=True)
+        rows.append(log_row - np.where(log_total > -np.inf, log_total, 0.0))
     return np.concatenate(rows, axis=1), np.stack(said, axis=1)
 
 

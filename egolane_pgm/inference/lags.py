@@ -12,7 +12,7 @@ from collections.abc import Iterator, Sequence
 import numpy as np
 
 from egolane_pgm.inference.compile import Compiled
-from egolane_pgm.inference.kernels.sweeps import TINY
+from egolane_pgm.inference.kernels.sweeps import RANGE, look_back
 from egolane_pgm.inference.layout import marginals_of
 from egolane_pgm.inference.smoothing import Passed, check_lag, pass_forward, smooth_beliefs
 from egolane_pgm.types import Beliefs, Evidence, FloatArray, IntArray
@@ -47,7 +47,7 @@ def beliefs_by_lag(
         for _ in range(lag - seen):
             _look_further(compiled, passed, frames_into, ahead)
         seen = lag
-        marginals = marginals_of(compiled, _combined(passed.filtered, ahead))
+        marginals = marginals_of(compiled, passed.filtered * ahead)
         yield lag, Beliefs(ids, marginals, passed.log_evidence, passed.is_impossible)
 
 
@@ -57,32 +57,23 @@ def _look_further(
     frames_into: Sequence[tuple[int, IntArray]],
     ahead: FloatArray,
 ) -> None:
-    """Let `ahead` (T, S), the likelihood of the next k frames' evidence given the state, up to a
-    factor, be that of the next k + 1 frames. The last frame has none after it.
+    """Let `ahead` (T, S), how many times more probable each state is given the next k frames as
+    well, be that of the next k + 1 frames. The last frame has none after it.
 
     frames_into: each joint value of the inputs, and from which frames t it leads into t + 1.
     """
-    weight = passed.likelihood[1:] * ahead[1:]
-    onward = np.empty_like(weight)
-    for u, frames in frames_into:
-        onward[frames] = weight[frames] @ compiled.transition[u].T
-    # As in the kernels: states that are impossible set no scale, and where the numbers have run
-    # out what comes later is ignored.
-    onward[passed.filtered[:-1] == 0.0] = 0.0
-    largest = onward.max(axis=1, keepdims=True)
-    ahead[:-1] = np.divide(onward, largest, out=np.ones_like(onward), where=largest > 0.0)
-
-
-def _combined(filtered: FloatArray, ahead: FloatArray) -> FloatArray:
-    """Filtered times ahead, each (T, S), rows normalised."""
-    joint = filtered * ahead
-    total = joint.sum(axis=1, keepdims=True)
-    few = total[:, 0] <= TINY
-    if few.any():
-        # Each factor is a number, their product is not: add logarithms.
-        with np.errstate(divide="ignore"):
-            logs = np.log(filtered[few]) + np.log(ahead[few])
-        joint[few] = np.exp(logs - logs.max(axis=1, keepdims=True))
-        total[few] = joint[few].sum(axis=1, keepdims=True)
-    joint /= total
-    return joint
+    with np.errstate(over="ignore", invalid="ignore"):
+        weight = passed.likelihood[1:] * ahead[1:]
+        onward = np.empty_like(weight)
+        for u, frames in frames_into:
+            onward[frames] = weight[frames] @ compiled.transition[u].T
+        # As in the kernels: states that are impossible set no scale.
+        onward[passed.filtered[:-1] == 0.0] = 0.0
+        total = (passed.filtered[:-1] * onward).sum(axis=1)
+    room = np.empty((2, compiled.n_states))
+    for t in np.flatnonzero(~((RANGE[0] < total) & (total < RANGE[1]))):
+        into, further = compiled.transition[passed.index[t + 1]], ahead[t + 1].copy()
+        seen = passed.likelihood[t + 1]
+        look_back(passed.filtered[t], into, seen, further, room[0], room[1], np.empty((0, 0)))
+        onward[t], total[t] = further, 1.0
+    ahead[:-1] = onward / total[:, None]

@@ -117,8 +117,10 @@ def marginals_of(compiled: Compiled, joint: FloatArray) -> dict[str, FloatArray]
     return nodes
 
 
-def evidence_blocks(compiled: Compiled, evidence: Evidence) -> list[FloatArray]:
-    """The evidence of each group of observed nodes, (T, K).
+def evidence_blocks(
+    compiled: Compiled, evidence: Evidence, frames: slice | IntArray = slice(None)
+) -> list[FloatArray]:
+    """The evidence of each group of observed nodes in some frames, (T, K).
 
     Raises InputError naming an observed node without evidence, evidence without a node, or a
     wrong shape; and for evidence that is read by Jeffrey's rule.
@@ -130,7 +132,7 @@ def evidence_blocks(compiled: Compiled, evidence: Evidence) -> list[FloatArray]:
         )
     check_keys(compiled, evidence)
     return [
-        np.ascontiguousarray(_group_evidence(group, evidence.likelihoods), dtype=np.float64)
+        np.ascontiguousarray(_group_evidence(group, evidence.likelihoods, frames), dtype=np.float64)
         for group in compiled.groups
     ]
 
@@ -158,20 +160,39 @@ def check_keys(compiled: Compiled, evidence: Evidence) -> None:
             raise InputError(f"input {name}: outside 0..{compiled.cardinality[name] - 1}")
 
 
-def _group_evidence(group: Group, likelihoods: Mapping[Observed, FloatArray]) -> FloatArray:
+def _group_evidence(
+    group: Group,
+    likelihoods: Mapping[Observed, FloatArray],
+    frames: slice | IntArray = slice(None),
+    join: np.ufunc = np.multiply,
+) -> FloatArray:
     """(T, K): the product of the group's evidence over all its nodes' values."""
     if len(group.observed) == 1:
-        values = likelihoods[group.observed[0]]
+        values = likelihoods[group.observed[0]][frames]
         return values.reshape(len(values), math.prod(group.sizes))
-    n_frames = len(likelihoods[group.observed[0]])
-    product = np.ones((n_frames, *group.sizes))
+    n_frames = len(likelihoods[group.observed[0]][frames])
+    product = np.full((n_frames, *group.sizes), float(join.identity))
     for key, axes in zip(group.observed, group.axes, strict=True):
-        values = likelihoods[key]
+        values = likelihoods[key][frames]
         # The evidence's axes in the order of the group's, then 1 where it says nothing.
         ordered = values.transpose(0, *(1 + np.argsort(axes)))
         shape = [size if k in axes else 1 for k, size in enumerate(group.sizes)]
-        product *= ordered.reshape(n_frames, *shape)
+        product = join(product, ordered.reshape(n_frames, *shape))
     return product.reshape(n_frames, math.prod(group.sizes))
+
+
+def log_blocks(
+    compiled: Compiled, evidence: Evidence, frames: slice | IntArray = slice(None)
+) -> list[FloatArray]:
+    """The logarithms of `evidence_blocks`, of products that are no numbers too."""
+    logs = {key: logarithms(values[frames]) for key, values in evidence.likelihoods.items()}
+    return [_group_evidence(group, logs, join=np.add) for group in compiled.groups]
+
+
+def logarithms(values: FloatArray) -> FloatArray:
+    """Natural logarithms, minus infinity of zero."""
+    with np.errstate(divide="ignore"):
+        return np.log(values)
 
 
 def joint_input(compiled: Compiled, evidence: Evidence) -> IntArray:

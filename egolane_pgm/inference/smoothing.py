@@ -3,6 +3,7 @@
 `smooth_beliefs` knows the whole sequence (forward-backward), `fixed_lag_beliefs` the next `lag`
 frames; `lag_step` does the latter online, `lag` frames late. All start from the exact recursion.
 What is carried backwards is scaled frame by frame, so that long sequences do not underflow.
+What counts as zero for the filter (`filtering`) does so for the smoothers.
 
 A frame whose evidence has joint likelihood zero given the frames before it is flagged by the
 filter, and its evidence is ignored by the smoothers too. `log_evidence` is the filter's.
@@ -17,7 +18,7 @@ import numpy as np
 from egolane_pgm.inference.compile import Compiled
 from egolane_pgm.inference.filtering import METHODS, filter_beliefs, forward, state_likelihood
 from egolane_pgm.inference.kernels.sweeps import fixed_lag_frames, smooth_frames
-from egolane_pgm.inference.layout import evidence_blocks, joint_input, marginals_of
+from egolane_pgm.inference.layout import joint_input, marginals_of
 from egolane_pgm.types import (
     Beliefs,
     BoolArray,
@@ -89,11 +90,10 @@ def pass_forward(
 
     Raises InputError as `filter_beliefs`, and for evidence that is read by Jeffrey's rule.
     """
-    blocks = evidence_blocks(compiled, evidence)
     index = joint_input(compiled, evidence)
     begins = np.zeros(len(evidence), dtype=bool)
     begins[:1] = before is None
-    likelihood, log_scale = state_likelihood(compiled, blocks)
+    likelihood, log_scale = state_likelihood(compiled, evidence)
     filtered, log_evidence, is_impossible = forward(
         compiled,
         likelihood,

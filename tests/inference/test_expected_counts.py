@@ -255,7 +255,7 @@ def test_a_step_between_states_of_hardly_a_number_is_counted_as_one() -> None:
     tables[1] = Table(("A", 1), (("A", 0),), np.array([[1.0, 0.0], [0.67, 0.33]]))
     tables[2:] = within("D", ["A"], np.eye(2))
     compiled = compile(declare(tables, ["D"]), hidden=["A"], observed=["D"])
-    evidence = Evidence({"D": np.array([[1.0, 2e-322], [0.0, 1.0]])})
+    evidence = Evidence({"D": np.array([[1.0, 3e-308], [0.0, 1.0]])})
     found = expected_counts(compiled, evidence)
     np.testing.assert_allclose(found.counts["A", 1], [[0, 0], [0, 1]], atol=1e-12)
     assert np.isfinite(found.counts["D", 1]).all()

@@ -255,7 +255,7 @@ def smoothed_where_nothing_moves(filtered: FloatArray, likelihood: FloatArray) -
 
 
 def test_products_with_hardly_a_digit_left_are_added_as_logarithms_too() -> None:
-    smallest = float(np.finfo(np.float64).smallest_subnormal)
+    smallest = float(np.finfo(np.float64).tiny)
     filtered = np.array([[1.0, 1e-160, 3 * smallest], [0.0, 0.5, 0.5]])
     likelihood = np.array([[1.0, 1.0, 1.0], [0.0, 1.4e160 * smallest, 1.0]])
     smoothed = smoothed_where_nothing_moves(filtered, likelihood)

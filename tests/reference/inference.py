@@ -13,11 +13,14 @@ import numpy as np
 
 from egolane_pgm.inference.compile import Compiled
 from egolane_pgm.inference.expected_counts import FREE, Expected
+from egolane_pgm.inference.filtering import MOST
+from egolane_pgm.inference.kernels.filter import LEAST
 from egolane_pgm.inference.layout import (
     FilterState,
     PosteriorEvidence,
-    evidence_blocks,
     joint_input,
+    log_blocks,
+    logarithms,
 )
 from egolane_pgm.types import Beliefs, BoolArray, Evidence, FloatArray, IntArray
 
@@ -65,24 +68,37 @@ def _filter(
 
 
 def state_likelihood(compiled: Compiled, evidence: Evidence) -> tuple[FloatArray, FloatArray]:
-    """P(evidence of the frame | joint state), (T, S), over its largest entry per group, and the
-    logarithm of what it was divided by, (T,)."""
-    likelihood = np.ones((len(evidence), compiled.n_states))
-    log_scale = np.zeros(len(evidence))
-    for group, block in zip(compiled.groups, evidence_blocks(compiled, evidence), strict=True):
-        # Scaled before and after: neither the likelihoods nor their product may underflow.
-        shares, log_before = _over_largest(block)
-        factor, log_after = _over_largest(shares @ group.emission.T)
-        likelihood *= factor
-        log_scale += log_before + log_after
-    return likelihood, log_scale
+    """P(evidence of the frame | joint state), (T, S), the largest entry being MOST and what is then
+    below LEAST zero, and the logarithm of what it was divided by, (T,)."""
+    log_likelihood = np.zeros((len(evidence), compiled.n_states))
+    for group, block in zip(compiled.groups, log_blocks(compiled, evidence), strict=True):
+        log_likelihood += _log_sum(block[:, None, :] + logarithms(group.emission), axis=2)
+    largest = log_likelihood.max(axis=1)
+    largest[largest == -np.inf] = 0.0
+    shares = log_likelihood - largest[:, None]
+    # What is far from zero keeps its digits where it is not added to what is small.
+    likelihood = np.where(shares > -600, MOST * np.exp(shares), np.exp(shares + math.log(MOST)))
+    return _kept(likelihood), largest - math.log(MOST)
 
 
-def _over_largest(rows: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Rows (T, K) over their largest entry, and its logarithm (T,); rows of zeros stay."""
-    largest = rows.max(axis=1, initial=0.0)
-    largest[~(largest > 0)] = 1.0
-    return rows / largest[:, None], np.log(largest)
+def _kept(values: FloatArray) -> FloatArray:
+    """Zero below LEAST."""
+    return np.where(values < LEAST, 0.0, values)
+
+
+def _log_sum(logs: FloatArray, axis: int | None = None) -> FloatArray:
+    """The logarithm of the sum of what these are logarithms of."""
+    largest = logs.max(axis=axis, keepdims=True)
+    largest = np.where(largest == -np.inf, 0.0, largest)
+    total = np.exp(logs - largest).sum(axis=axis, keepdims=True)
+    return np.asarray(np.squeeze(largest + logarithms(total), axis=axis))
+
+
+def _log_predicted(compiled: Compiled, u: int, joint: FloatArray | None) -> FloatArray:
+    """The logarithm of the belief (S,) before a frame's evidence."""
+    if joint is None:
+        return logarithms(compiled.prior[u])
+    return _log_sum(logarithms(joint)[:, None] + logarithms(compiled.transition[u]), axis=0)
 
 
 def forward(
@@ -99,14 +115,15 @@ def forward(
     log_evidence = np.zeros(len(likelihood))
     is_impossible = np.zeros(len(likelihood), dtype=bool)
     for t, u in enumerate(index):
-        predicted = compiled.prior[u] if joint is None else joint @ compiled.transition[u]
-        weighted = predicted * likelihood[t]
-        total = weighted.sum()
-        is_impossible[t] = not total > 0
-        if total > 0:
-            log_evidence[t] = math.log(total) + log_scale[t]
-        filtered[t] = weighted / total if total > 0 else predicted / predicted.sum()
-        joint = filtered[t]
+        predicted = _log_predicted(compiled, u, joint)
+        weighted = predicted + logarithms(likelihood[t])
+        total = _log_sum(weighted)
+        is_impossible[t] = total == -np.inf
+        if is_impossible[t]:
+            weighted, total = predicted, _log_sum(predicted)
+        else:
+            log_evidence[t] = total + log_scale[t]
+        joint = filtered[t] = _kept(np.exp(weighted - total))
         if method == "assumed_density":
             joint = product_of_marginals(compiled, joint)
     return filtered, log_evidence, is_impossible, np.zeros(0) if joint is None else joint.copy()
@@ -118,7 +135,7 @@ def product_of_marginals(compiled: Compiled, joint: FloatArray) -> FloatArray:
     for name in compiled.state_nodes:
         value = compiled.node_value[name]
         product *= np.bincount(value, joint, compiled.cardinality[name])[value]
-    return product
+    return _kept(product)
 
 
 def marginals_of(compiled: Compiled, joint: FloatArray) -> dict[str, FloatArray]:
@@ -137,38 +154,38 @@ def jeffrey(
     log_evidence = np.zeros(len(evidence))
     is_impossible = np.zeros(len(evidence), dtype=bool)
     for t, u in enumerate(joint_input(compiled, evidence)):
-        predicted = compiled.prior[u] if joint is None else joint @ compiled.transition[u]
-        of_group = np.ones((len(compiled.groups), compiled.n_states))
+        predicted = _log_predicted(compiled, u, joint)
+        of_group = np.zeros((len(compiled.groups), compiled.n_states))
         log_total = 0.0
         for g, group in enumerate(compiled.groups):
-            factor = np.ones(group.sizes)
-            others = predicted * np.delete(of_group, g, axis=0).prod(axis=0)
+            table = logarithms(group.emission)
+            factor = np.zeros(group.sizes)
+            others = predicted + np.delete(of_group, g, axis=0).sum(axis=0)
             for key, axes in zip(group.observed, group.axes, strict=True):
-                q = evidence.likelihoods[key][t]
-                if is_impossible[t] or ((q == 1).all() and q.size > 1):
+                values = evidence.likelihoods[key][t]
+                if is_impossible[t] or ((values == 1).all() and values.size > 1):
                     continue
-                q = q / q.max() if q.max() > 0 else q
-                q = q / q.sum() if q.sum() > 0 else q
-                mass = (others @ group.emission).reshape(group.sizes) * factor
+                q = logarithms(values)
+                mass = _log_sum(others[:, None] + table, axis=0).reshape(group.sizes) + factor
                 rest = tuple(k for k in range(len(group.sizes)) if k not in axes)
                 order = np.argsort(np.argsort(axes))
-                expected = mass.sum(axis=rest).transpose(order)
-                expected = expected / expected.sum()
-                agreement = float((q * expected).sum())
-                if not agreement > 0:
+                expected = (
+                    _log_sum(mass, axis=rest).transpose(order) if rest else (mass.transpose(order))
+                )
+                possible = expected > -np.inf
+                shared = np.where(possible, q, -np.inf)
+                agreement = _log_sum(shared + np.where(possible, expected, 0.0))
+                if agreement == -np.inf:
                     is_impossible[t] = True
                     continue
-                log_total += math.log(agreement)
-                possible = expected > 0
-                ratio = np.zeros(q.shape)
-                ratio[possible] = q[possible] / q[possible].sum() / expected[possible]
+                log_total += float(agreement - _log_sum(q) - _log_sum(expected))
+                ratio = shared - _log_sum(shared) - np.where(possible, expected, 0.0)
                 shape = [n if k in axes else 1 for k, n in enumerate(group.sizes)]
-                factor = factor * ratio.transpose(np.argsort(axes)).reshape(shape)
-            of_group[g] = group.emission @ factor.reshape(-1)
-        weighted = predicted if is_impossible[t] else predicted * of_group.prod(axis=0)
-        filtered[t] = weighted / weighted.sum()
+                factor = factor + ratio.transpose(np.argsort(axes)).reshape(shape)
+            of_group[g] = _log_sum(table + factor.reshape(-1), axis=1)
+        weighted = predicted if is_impossible[t] else predicted + of_group.sum(axis=0)
+        joint = filtered[t] = _kept(np.exp(weighted - _log_sum(weighted)))
         log_evidence[t] = 0.0 if is_impossible[t] else log_total
-        joint = filtered[t]
         if method == "assumed_density":
             joint = product_of_marginals(compiled, joint)
     return filtered, log_evidence, is_impossible, np.zeros(0) if joint is None else joint.copy()
@@ -198,25 +215,22 @@ def smooth(
     lag: int,
 ) -> FloatArray:
     """The joint belief (T, S) about each frame given `lag` later ones, from the filter's (T, S)."""
-    n_frames, n_states = filtered.shape
+    n_frames = len(filtered)
     smoothed = np.empty_like(filtered)
     whole = lag >= n_frames - 1
-    ahead = np.ones(n_states)
+    ahead = np.zeros(filtered.shape[1])
     for t in range(n_frames - 1, -1, -1):
         if not whole:
-            ahead = np.ones(n_states)
+            ahead = np.zeros_like(ahead)
         last = min(t + lag, n_frames - 1)
         for k in range(min(last, t + 1) if whole else last, t, -1):
-            ahead = np.where(
-                filtered[k - 1] > 0, transition[index[k]] @ (likelihood[k] * ahead), 0.0
-            )
-            # Zero everywhere only where floating-point numbers end: what comes later is ignored.
-            ahead = ahead / ahead.max() if ahead.max() > 0 else np.ones(n_states)
-        both = (filtered[t] > 0) & (ahead > 0)
-        log_product = np.full(n_states, -math.inf)
-        log_product[both] = np.log(filtered[t][both]) + np.log(ahead[both])
-        product = np.exp(log_product - log_product.max())
-        smoothed[t] = product / product.sum()
+            moved = logarithms(transition[index[k]]) + logarithms(likelihood[k]) + ahead
+            ahead = np.where(filtered[k - 1] > 0, _log_sum(moved, axis=1), -np.inf)
+            if ahead.max() == -np.inf:
+                # Floating-point numbers end here: what comes later is ignored.
+                ahead = np.zeros_like(ahead)
+        log_product = logarithms(filtered[t]) + ahead
+        smoothed[t] = np.exp(log_product - _log_sum(log_product))
     return smoothed
 
 
@@ -253,8 +267,7 @@ def _logarithms(
     index = joint_input(compiled, evidence)
     is_impossible = forward(compiled, likelihood, log_scale, index)[2]
     likelihood[is_impossible], log_scale[is_impossible] = 1.0, 0.0
-    with np.errstate(divide="ignore"):
-        logs = np.log(compiled.prior), np.log(compiled.transition), np.log(likelihood)
+    logs = map(logarithms, (compiled.prior, compiled.transition, likelihood))
     return *logs, index, float(log_scale.sum())
 
 
@@ -274,7 +287,7 @@ def expected_counts(
     smoothed, first, moves, log_evidence, is_impossible = expected_moves(
         compiled, likelihood, joint_input(compiled, evidence), begins
     )
-    blocks = evidence_blocks(compiled, evidence)
+    blocks = log_blocks(compiled, evidence)
     counts = {}
     for node, place in compiled.places.items():
         table = compiled.tables[node]
@@ -285,13 +298,11 @@ def expected_counts(
             group = compiled.groups[place.group]
             array = np.zeros_like(group.emission)
             for t in np.flatnonzero(~is_impossible):
-                share, _ = _over_largest(blocks[place.group][t : t + 1])
                 # P(value | state, evidence), for the states that the evidence allows.
-                of_value = group.emission * share
-                of_state = of_value.sum(axis=1, keepdims=True)
-                array += smoothed[t][:, None] * np.divide(
-                    of_value, of_state, out=np.zeros_like(of_value), where=of_state > 1e-300
-                )
+                of_value = logarithms(group.emission) + blocks[place.group][t]
+                of_state = _log_sum(of_value, axis=1)[:, None]
+                of_state[of_state == -np.inf] = 0.0
+                array += smoothed[t][:, None] * np.exp(of_value - of_state)
         used = np.zeros(table.values.shape)
         np.add.at(used, tuple(np.broadcast_to(i, array.shape) for i in place.indices), array)
         # A table that holds in the first frame and later is counted once.
@@ -311,38 +322,26 @@ def expected_moves(
     smoothed, filtered = np.empty_like(likelihood), np.empty_like(likelihood)
     first, moves = np.zeros(n_states), np.zeros((n_states, n_states))
     log_evidence, is_impossible = np.zeros(n_frames), np.zeros(n_frames, dtype=bool)
-    with np.errstate(divide="ignore", invalid="ignore"):
-        log_prior, log_transition = np.log(compiled.prior), np.log(compiled.transition)
-        for t, u in enumerate(index):
-            if is_first[t]:
-                now = log_prior[u]
-            else:
-                now = _log_sum(filtered[t - 1][:, None] + log_transition[u])
-            both = now + np.log(likelihood[t])
-            total = _log_sum(both)
-            is_impossible[t] = total == -np.inf
-            log_evidence[t] = 0.0 if is_impossible[t] else total
-            if is_impossible[t]:
-                likelihood[t] = 1.0
-                both, total = now, _log_sum(now)
-            filtered[t] = both - total
-        ahead = np.zeros(n_states)
-        for t in range(n_frames - 1, -1, -1):
-            both = filtered[t] + ahead
-            smoothed[t] = np.exp(both - _log_sum(both))
-            if is_first[t]:
-                first += smoothed[t]
-                ahead = np.zeros(n_states)
-                continue
-            onward = log_transition[index[t]] + np.log(likelihood[t]) + ahead
-            pairs = filtered[t - 1][:, None] + onward
-            moves += np.exp(pairs - _log_sum(pairs.ravel()))
-            ahead = _log_sum(onward.T)
+    for t, u in enumerate(index):
+        now = _log_predicted(compiled, u, None if is_first[t] else filtered[t - 1])
+        both = now + logarithms(likelihood[t])
+        total = _log_sum(both)
+        is_impossible[t] = total == -np.inf
+        log_evidence[t] = 0.0 if is_impossible[t] else total
+        if is_impossible[t]:
+            likelihood[t] = 1.0
+            both, total = now, _log_sum(now)
+        filtered[t] = _kept(np.exp(both - total))
+    ahead = np.zeros(n_states)
+    for t in range(n_frames - 1, -1, -1):
+        both = logarithms(filtered[t]) + ahead
+        smoothed[t] = np.exp(both - _log_sum(both))
+        if is_first[t]:
+            first += smoothed[t]
+            ahead = np.zeros(n_states)
+            continue
+        onward = logarithms(compiled.transition[index[t]]) + logarithms(likelihood[t]) + ahead
+        pairs = logarithms(filtered[t - 1])[:, None] + onward
+        moves += np.exp(pairs - _log_sum(pairs))
+        ahead = _log_sum(onward, axis=1)
     return smoothed, first, moves, log_evidence, is_impossible
-
-
-def _log_sum(values: FloatArray) -> FloatArray:
-    """log(sum(exp(values))) over the first axis; minus infinity for nothing but zeros."""
-    largest = values.max(axis=0)
-    safe = np.where(np.isfinite(largest), largest, 0.0)
-    return safe + np.log(np.exp(values - safe).sum(axis=0))

@@ -14,18 +14,15 @@ from typing import NamedTuple
 import numpy as np
 
 from egolane_pgm.inference.compile import Compiled
-from egolane_pgm.inference.kernels.filter import HUGE, TINY, settle
+from egolane_pgm.inference.kernels.filter import HUGE, LEAST, UP, settle_frame
 from egolane_pgm.jit import kernel
 from egolane_pgm.types import BoolArray, FloatArray, IntArray
 
 #: Networks with fewer joint states are as quick with the plain recursion.
 MIN_STATES = 32
 
-#: Entries that differ by less than this are equal: products of tables are rounded.
-_EQUAL = 1e-14
-
-#: A probability that is as good as none.
-_NOTHING = 1e-17
+#: Entries that differ by less than this, relative, are equal: products of tables are rounded.
+_EQUAL = 1e-11
 
 
 class Band(NamedTuple):
@@ -37,12 +34,14 @@ class Band(NamedTuple):
     floor (U, R): what the wide node's transition to r has outside of the band; left out of the
         band.
     band (U, 2 max(half) + 1, R): entry [u, max(half) + d, r] is the transition to r from r - d.
+    whole (U, Q R, Q R): the transition that it is the form of.
     """
 
     others: FloatArray
     half: IntArray
     floor: FloatArray
     band: FloatArray
+    whole: FloatArray
 
 
 def find_band(compiled: Compiled) -> Band | None:
@@ -59,10 +58,10 @@ def find_band(compiled: Compiled) -> Band | None:
         whole = compiled.transition[u].reshape(n_others, n_wide, n_others, n_wide)
         own[u] = sum(whole[0, :, q] for q in range(n_others))
         others[u] = whole[:, 0].sum(axis=2)
-        rest = others[u][:, None, :, None] * own[u][:, None, :] - whole
-        if np.abs(rest).max() > _EQUAL:
+        product = others[u][:, None, :, None] * own[u][:, None, :]
+        if (np.abs(product - whole) > _EQUAL * whole).any():
             return None
-    return Band(others, *_bands(own))
+    return Band(others, *_bands(own), compiled.transition)
 
 
 def _bands(own: FloatArray) -> tuple[IntArray, FloatArray, FloatArray]:
@@ -70,11 +69,8 @@ def _bands(own: FloatArray) -> tuple[IntArray, FloatArray, FloatArray]:
     distance = np.abs(np.arange(size)[:, None] - np.arange(size))
     floor = own.min(axis=1)
     # A share of what is moved there: nothing but the floor may be in the frame's evidence.
-    equal = np.maximum(_EQUAL * floor, _NOTHING)
-    half = np.array(
-        [distance[own[u] - floor[u] > equal[u]].max(initial=0) for u in range(n_inputs)],
-        dtype=np.int64,
-    )
+    is_more = own - floor[:, None, :] > _EQUAL * floor[:, None, :]
+    half = np.array([distance[each].max(initial=0) for each in is_more], dtype=np.int64)
     widest = int(half.max())
     to = np.arange(size)
     source = to - np.arange(-widest, widest + 1)[:, None]
@@ -99,11 +95,12 @@ def forward_banded(
     column: IntArray,
     beliefs: FloatArray,
     total: FloatArray,
+    log_evidence: FloatArray,
     is_impossible: BoolArray,
 ) -> None:
     """As the recursion of `forward_kernel`, but for a `Band` in place of the transition. With
-    is_factored the others are one node; `column` is not looked at."""
-    others, half, floor, band = transition
+    is_factored the others are one node."""
+    others, half, floor, band, whole = transition
     n_others, n_wide = others.shape[1], band.shape[2]
     widest = band.shape[1] // 2
     # Zeros on both sides, so that the band never leaves the array.
@@ -120,14 +117,14 @@ def forward_banded(
         if begins[t]:
             for q in range(n_others):
                 for r in range(n_wide):
-                    predicted[q, r] = prior[u, q * n_wide + r]
+                    predicted[q, r] = prior[u, q * n_wide + r] * UP
         else:
             for q in range(n_others):
                 mixed = before[widest : widest + n_wide]
                 mixed[:] = 0.0
                 for p in range(n_others):
                     source = belief[p]
-                    weight = others[u, p, q]
+                    weight = others[u, p, q] * UP
                     for r in range(n_wide):
                         mixed[r] += source[r] * weight
                 mass = 0.0
@@ -151,17 +148,18 @@ def forward_banded(
             for r in range(n_wide):
                 mass += target[r]
         is_impossible[t] = False
-        if TINY < mass < HUGE:
-            total[t] = mass
+        if 1.0 < mass < HUGE:
+            total[t] = mass / UP
             scale = 1.0 / mass
             for q in range(n_others):
+                target = belief[q]
                 for r in range(n_wide):
-                    belief[q, r] *= scale
+                    target[r] = target[r] * scale if target[r] >= LEAST * mass else 0.0
         else:
-            total[t] = settle(belief.ravel(), predicted.ravel())
-            if total[t] == 0.0:
-                is_impossible[t] = True
-                total[t] = 1.0
+            belief.ravel()[:] = settle_frame(
+                t, joint, begins, is_factored, prior, whole, index, likelihood[t], column,
+                beliefs, total, log_evidence, is_impossible,
+            )  # fmt: skip
         for q in range(n_others):
             beliefs[t, q * n_wide : (q + 1) * n_wide] = belief[q]
         if is_factored:
@@ -174,7 +172,8 @@ def forward_banded(
                 of_others[q] = mass
             for q in range(n_others):
                 for r in range(n_wide):
-                    belief[q, r] = of_others[q] * of_wide[r]
+                    product = of_others[q] * of_wide[r]
+                    belief[q, r] = product if product >= LEAST else 0.0
     for q in range(n_others):
         for r in range(n_wide):
             joint[q * n_wide + r] = belief[q, r]

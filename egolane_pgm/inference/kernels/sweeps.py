@@ -7,97 +7,100 @@ import math
 
 import numpy as np
 
-from egolane_pgm.inference.kernels.filter import settle
+from egolane_pgm.inference.kernels.filter import (
+    log_moved,
+    normalise_logs,
+    product_of_marginals,
+)
 from egolane_pgm.jit import kernel
 from egolane_pgm.types import BoolArray, FloatArray, IntArray
 
-#: Products of probabilities below this have lost digits.
-TINY = 1e-280
+#: Plain sums of products are right where they come to something in this range.
+RANGE = (1e-10, 1e300)
 
 
 @kernel(fastmath={"reassoc", "contract"})
 def _look_ahead(
-    filtered: FloatArray,
-    transition: FloatArray,
-    likelihood: FloatArray,
-    ahead: FloatArray,
-    weight: FloatArray,
+    filtered: FloatArray, transition: FloatArray, weight: FloatArray, onward: FloatArray
 ) -> None:
-    """One frame back: `ahead` (S,) is the likelihood of all later evidence given the state, up to
-    a factor; `likelihood` that of the frame after, `transition` (S, S) into it. States that are
-    impossible here are left out, so that those that matter set the scale."""
+    """onward (S,): written, the transition times weight (S,), for the states that are possible."""
     n_states = filtered.shape[0]
-    for s in range(n_states):
-        weight[s] = likelihood[s] * ahead[s]
-    largest = 0.0
     for r in range(n_states):
         total = 0.0
         if filtered[r] > 0.0:
             for s in range(n_states):
                 total += transition[r, s] * weight[s]
-        ahead[r] = total
-        largest = max(largest, total)
+        onward[r] = total
+
+
+@kernel()
+def look_back(
+    filtered: FloatArray,
+    transition: FloatArray,
+    likelihood: FloatArray,
+    ahead: FloatArray,
+    weight: FloatArray,
+    onward: FloatArray,
+    moves: FloatArray,
+) -> None:
+    """One frame back. filtered (S,): the belief after it. transition (S, S): out of it.
+
+    ahead (S,): how many times more probable each state of the later frame is than it was after that
+        frame, given all evidence; it becomes this of the earlier frame.
+    likelihood (S,): of the later frame's evidence, which the factor contains.
+    weight, onward (S,): room.
+    moves (S, S): P(state before, state now | all evidence) is added, unless it is (0, 0).
+
+    The sum of filtered times ahead is one. As filtered is zero or a normal number, so is each ahead
+    that matters.
+    """
+    n_states = filtered.shape[0]
+    is_counted = moves.shape[0] > 0
+    for s in range(n_states):
+        weight[s] = likelihood[s] * ahead[s]
+    _look_ahead(filtered, transition, weight, onward)
+    total = 0.0
     for r in range(n_states):
-        # Zero everywhere only where floating-point numbers end: what comes later is ignored.
-        ahead[r] = ahead[r] / largest if largest > 0.0 else 1.0
+        total += filtered[r] * onward[r]
+    if RANGE[0] < total < RANGE[1]:
+        for r in range(n_states):
+            ahead[r] = onward[r] / total
+            if is_counted:
+                for s in range(n_states):
+                    moves[r, s] += transition[r, s] * weight[s] * (filtered[r] / total)
+        return
+    # The factors are numbers, their products are not: add logarithms.
+    log_move = np.full((n_states, n_states), -math.inf)
+    for s in range(n_states):
+        if likelihood[s] > 0.0 and ahead[s] > 0.0:
+            log_weight = math.log(likelihood[s]) + math.log(ahead[s])
+            for r in range(n_states):
+                if filtered[r] > 0.0 and transition[r, s] > 0.0:
+                    log_move[r, s] = math.log(filtered[r]) + math.log(transition[r, s]) + log_weight
+    largest = log_move.max()
+    if largest == -math.inf:
+        # Floating-point numbers end here: what comes later is ignored.
+        ahead[:] = 1.0
+        return
+    total = np.exp(log_move - largest).sum()
+    for r in range(n_states):
+        ahead[r] = 0.0
+        if filtered[r] > 0.0:
+            log_share = log_move[r] - (largest + math.log(total))
+            if is_counted:
+                moves[r] += np.exp(log_share)
+            ahead[r] = np.exp(log_share - math.log(filtered[r])).sum()
 
 
 @kernel()
 def _combine(filtered: FloatArray, ahead: FloatArray, smoothed: FloatArray) -> None:
     """smoothed (S,): filtered times ahead, normalised."""
-    n_states = filtered.shape[0]
     total = 0.0
-    for s in range(n_states):
+    for s in range(filtered.shape[0]):
         smoothed[s] = filtered[s] * ahead[s]
         total += smoothed[s]
-    if not total > TINY:
-        # Each factor is a number, their product is not: add logarithms.
-        largest = -np.inf
-        for s in range(n_states):
-            if filtered[s] > 0.0 and ahead[s] > 0.0:
-                largest = max(largest, math.log(filtered[s]) + math.log(ahead[s]))
-        total = 0.0
-        for s in range(n_states):
-            smoothed[s] = 0.0
-            if filtered[s] > 0.0 and ahead[s] > 0.0:
-                smoothed[s] = math.exp(math.log(filtered[s]) + math.log(ahead[s]) - largest)
-            total += smoothed[s]
-    for s in range(n_states):
+    for s in range(filtered.shape[0]):
         smoothed[s] /= total
-
-
-@kernel(fastmath={"reassoc", "contract"})
-def _add_moves(
-    filtered: FloatArray, transition: FloatArray, weight: FloatArray, moves: FloatArray
-) -> None:
-    """Add P(state before, state now | all evidence) to `moves` (S, S). weight (S,): the likelihood
-    of the evidence of this frame and of all later ones, given the state, up to a factor."""
-    n_states = filtered.shape[0]
-    total = 0.0
-    for r in range(n_states):
-        onward = 0.0
-        for s in range(n_states):
-            onward += transition[r, s] * weight[s]
-        total += filtered[r] * onward
-    if total > TINY:
-        for r in range(n_states):
-            share = filtered[r] / total
-            for s in range(n_states):
-                moves[r, s] += share * transition[r, s] * weight[s]
-        return
-    # Each factor is a number, their product is not: add logarithms.
-    log_move = np.full((n_states, n_states), -np.inf)
-    for r in range(n_states):
-        for s in range(n_states):
-            if filtered[r] > 0.0 and transition[r, s] > 0.0 and weight[s] > 0.0:
-                log_move[r, s] = (
-                    math.log(filtered[r]) + math.log(transition[r, s]) + math.log(weight[s])
-                )
-    largest = log_move.max()
-    if largest == -np.inf:
-        return
-    share = np.exp(log_move - largest)
-    moves += share / share.sum()
 
 
 @kernel()
@@ -121,17 +124,14 @@ def smooth_frames(
         is counted where it is (0, 0).
     """
     n_frames, n_states = filtered.shape
-    ahead = np.ones(n_states)
-    weight = np.empty(n_states)
+    ahead, weight, onward = np.ones(n_states), np.empty(n_states), np.empty(n_states)
     for t in range(n_frames - 1, -1, -1):
         _combine(filtered[t], ahead, smoothed[t])
         if begins[t]:
             ahead[:] = 1.0
         elif t > 0:
             into = transition[index[t]]
-            _look_ahead(filtered[t - 1], into, likelihood[t], ahead, weight)
-            if moves.shape[0] > 0:
-                _add_moves(filtered[t - 1], into, weight, moves)
+            look_back(filtered[t - 1], into, likelihood[t], ahead, weight, onward, moves)
 
 
 @kernel()
@@ -145,13 +145,14 @@ def fixed_lag_frames(
 ) -> None:
     """As `smooth_frames`, frame t given the evidence up to frame t + lag."""
     n_frames, n_states = filtered.shape
-    ahead = np.ones(n_states)
-    weight = np.empty(n_states)
+    ahead, weight, onward = np.ones(n_states), np.empty(n_states), np.empty(n_states)
+    nothing = np.empty((0, 0))
     for t in range(n_frames):
         for s in range(n_states):
             ahead[s] = 1.0
         for k in range(min(t + lag, n_frames - 1), t, -1):
-            _look_ahead(filtered[k - 1], transition[index[k]], likelihood[k], ahead, weight)
+            into = transition[index[k]]
+            look_back(filtered[k - 1], into, likelihood[k], ahead, weight, onward, nothing)
         _combine(filtered[t], ahead, smoothed[t])
 
 
@@ -193,6 +194,14 @@ def best_path(
 
 
 @kernel()
+def _log_add(a: float, b: float) -> float:
+    """The logarithm of the sum of what two logarithms are of."""
+    if b > a:
+        a, b = b, a
+    return a if b == -math.inf else a + math.log1p(math.exp(b - a))
+
+
+@kernel()
 def jeffrey_frames(
     joint: FloatArray,
     begins: BoolArray,
@@ -200,9 +209,9 @@ def jeffrey_frames(
     prior: FloatArray,
     transition: FloatArray,
     index: IntArray,
-    emission: FloatArray,
+    log_emission: FloatArray,
     group_start: IntArray,
-    posterior: FloatArray,
+    log_posterior: FloatArray,
     is_said: BoolArray,
     key_start: IntArray,
     key_group: IntArray,
@@ -213,11 +222,14 @@ def jeffrey_frames(
     is_impossible: BoolArray,
 ) -> None:
     """Filter T frames, the evidence read by Jeffrey's rule, one observed node (of N) after the
-    other. What is not named here is as in the recursion of `forward_kernel`.
+    other. What is not named here is as in the recursion of `forward_kernel`. In logarithms: what is
+    nearly certain over what is nearly impossible is no number.
 
-    emission (S, K): the groups' tables side by side, group g in group_start[g]:group_start[g + 1].
-    posterior (T, V): per node the probabilities of its values, in key_start[i]:key_start[i + 1],
-        summing to one. is_said (T, N): False where the frame says nothing about the node.
+    log_emission (S, K): the groups' tables side by side, group g in group_start[g]:
+        group_start[g + 1].
+    log_posterior (T, V): per node the probabilities of its values, in key_start[i]:
+        key_start[i + 1], summing to one. is_said (T, N): False where the frame says nothing about
+        the node.
     key_group (N,): which group the node belongs to. key_value (N, K): the node's value in each
         column of the emissions.
     log_evidence (T,): written; 0 in impossible frames.
@@ -225,73 +237,62 @@ def jeffrey_frames(
     n_states = joint.shape[0]
     n_groups = group_start.shape[0] - 1
     n_keys = key_group.shape[0]
-    factor = np.ones(emission.shape[1])
-    of_group = np.ones((n_groups, n_states))
-    predicted = joint.copy()
-    share = np.empty(column.max() + 1)
-    for t in range(posterior.shape[0]):
+    factor = np.empty(log_emission.shape[1])
+    of_group = np.empty((n_groups, n_states))
+    predicted, belief = np.empty(n_states), np.empty(n_states)
+    start = np.ones(1)
+    for t in range(log_posterior.shape[0]):
         u = index[t]
         for s in range(n_states):
-            predicted[s] = 0.0
-        if begins[t]:
-            for s in range(n_states):
-                predicted[s] = prior[u, s]
-        else:
-            for r in range(n_states):
-                for s in range(n_states):
-                    predicted[s] += joint[r] * transition[u, r, s]
-        factor[:] = 1.0
-        of_group[:, :] = 1.0
+            if begins[t]:
+                predicted[s] = log_moved(start, prior[u : u + 1], s)
+            else:
+                predicted[s] = log_moved(joint, transition[u], s)
+        factor[:] = 0.0
+        of_group[:, :] = 0.0
         is_impossible[t] = False
         log_evidence[t] = 0.0
         for i in range(n_keys):
             if not is_said[t, i] or is_impossible[t]:
                 continue
             g, first = key_group[i], key_start[i]
-            expected = np.zeros(key_start[i + 1] - first)
+            expected = np.full(key_start[i + 1] - first, -math.inf)
             for s in range(n_states):
                 weight = predicted[s]
                 for h in range(n_groups):
                     if h != g:
-                        weight *= of_group[h, s]
-                if weight > 0.0:
-                    for k in range(group_start[g], group_start[g + 1]):
-                        expected[key_value[i, k]] += weight * emission[s, k] * factor[k]
-            total = expected.sum()
-            agreement = 0.0
-            possible = 0.0
+                        weight += of_group[h, s]
+                for k in range(group_start[g], group_start[g + 1]):
+                    v = key_value[i, k]
+                    expected[v] = _log_add(expected[v], weight + log_emission[s, k] + factor[k])
+            total, agreement, possible = -math.inf, -math.inf, -math.inf
             for v in range(expected.shape[0]):
-                if expected[v] > 0.0:
-                    agreement += posterior[t, first + v] * expected[v] / total
-                    possible += posterior[t, first + v]
-            if not agreement > 0.0:
+                if expected[v] > -math.inf:
+                    said = log_posterior[t, first + v]
+                    total = _log_add(total, expected[v])
+                    agreement = _log_add(agreement, said + expected[v])
+                    possible = _log_add(possible, said)
+            if agreement == -math.inf:
                 is_impossible[t] = True
                 continue
-            log_evidence[t] += math.log(agreement)
+            log_evidence[t] += agreement - total
             for k in range(group_start[g], group_start[g + 1]):
                 v = key_value[i, k]
-                if expected[v] > 0.0:
-                    factor[k] *= posterior[t, first + v] / possible * (total / expected[v])
+                if expected[v] > -math.inf:
+                    factor[k] += log_posterior[t, first + v] - possible + total - expected[v]
                 else:
-                    factor[k] = 0.0
+                    factor[k] = -math.inf
             for s in range(n_states):
-                of_group[g, s] = 0.0
+                of_group[g, s] = -math.inf
                 for k in range(group_start[g], group_start[g + 1]):
-                    of_group[g, s] += emission[s, k] * factor[k]
+                    of_group[g, s] = _log_add(of_group[g, s], log_emission[s, k] + factor[k])
         for s in range(n_states):
-            joint[s] = 0.0 if is_impossible[t] else predicted[s]
-            for g in range(n_groups):
-                joint[s] *= of_group[g, s]
-        is_impossible[t] = settle(joint, predicted) == 0.0
+            belief[s] = predicted[s]
+            if not is_impossible[t]:
+                for g in range(n_groups):
+                    belief[s] += of_group[g, s]
         if is_impossible[t]:
             log_evidence[t] = 0.0
-        beliefs[t] = joint
-        if is_factored:
-            share[:] = 0.0
-            for p in range(column.shape[0]):
-                for s in range(n_states):
-                    share[column[p, s]] += joint[s]
-            for s in range(n_states):
-                joint[s] = 1.0
-                for p in range(column.shape[0]):
-                    joint[s] *= share[column[p, s]]
+        normalise_logs(belief)
+        beliefs[t] = belief
+        joint[:] = product_of_marginals(belief, column) if is_factored else belief

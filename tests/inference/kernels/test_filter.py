@@ -15,7 +15,6 @@ from egolane_pgm.graphs.cpds import declare, dynamics, previous, prior, within
 from egolane_pgm.inference import filtering
 from egolane_pgm.inference.compile import Compiled, compile
 from egolane_pgm.inference.filtering import METHODS, filter_beliefs, state_likelihood, step
-from egolane_pgm.inference.layout import evidence_blocks
 from egolane_pgm.types import Beliefs, Evidence
 from tests.conformance.networks import assert_same_beliefs
 from tests.reference import inference as reference
@@ -199,7 +198,7 @@ def test_the_likelihood_times_its_scale_is_the_references() -> None:
     for k, values in enumerate(evidence.likelihoods.values()):
         values[3 * k : 3 * k + 6] *= 10.0 ** rng.choice([-290, -100, 100, 290], 6)[:, None]
     evidence.likelihoods["D1"][20] = 0.0
-    ours, our_scale = state_likelihood(compiled, evidence_blocks(compiled, evidence))
+    ours, our_scale = state_likelihood(compiled, evidence)
     right, scale = reference.state_likelihood(compiled, evidence)
     with np.errstate(divide="ignore"):
         ours, right = np.log(ours) + our_scale[:, None], np.log(right) + scale[:, None]
@@ -214,7 +213,7 @@ from egolane_pgm.inference.kernels.filter import likelihood_kernel
 for sizes in ((2, 3), (3, 2)):
     run = likelihood_kernel(*sizes)
     frames = np.ones((4, sizes[0]))
-    run(np.ones((4, sizes[1])), np.ones(sizes[::-1]), frames, np.zeros(4))
+    run(np.ones((4, sizes[1])), np.ones(sizes[::-1]), frames, np.ones(4), np.ones(4))
     assert (frames == sizes[1]).all()
     print(sum(run.stats.cache_hits.values()), sum(run.stats.cache_misses.values()))
 """

@@ -1,0 +1,232 @@
+"""Filters, smoothers and the most probable path in decimal numbers of 60 digits whose exponents
+have no end, so that nothing underflows. (Fractions do not round at all, but grow with every frame,
+and are too slow for what is tried here.)
+
+Everything is computed over the joint state of a compiled network, straight from the definitions.
+Only what the package says of numbers that are too small is done here too: they are zero
+(`egolane_pgm.inference.filtering`).
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from decimal import MAX_EMAX, MIN_EMIN, Context, Decimal, setcontext
+
+import numpy as np
+
+from egolane_pgm.inference.compile import Compiled, Group
+from egolane_pgm.inference.filtering import MOST
+from egolane_pgm.inference.kernels.filter import LEAST
+from egolane_pgm.inference.layout import joint_input
+from egolane_pgm.types import Beliefs, Evidence, FloatArray, IntArray
+
+Row = list[Decimal]
+
+setcontext(Context(prec=60, Emin=MIN_EMIN, Emax=MAX_EMAX))
+
+#: A belief this near to LEAST is on one side of it or the other by rounding.
+NEAR = Decimal("1e-9")
+
+
+class Borderline(Exception):
+    """A belief is so near to LEAST that rounding decides whether it is zero."""
+
+
+@dataclass(frozen=True)
+class Exact:
+    """What `Beliefs` has, and what the smoothers need: filtered (T, S); likelihood (T, S), one
+    where the evidence is left out; index (T,), the joint value of the inputs."""
+
+    filtered: list[Row]
+    likelihood: list[Row]
+    index: IntArray
+    log_evidence: FloatArray
+    is_impossible: list[bool]
+
+
+def numbers(values: FloatArray) -> Row:
+    """The numbers of an array, in order."""
+    return [Decimal(float(v)) for v in np.asarray(values).reshape(-1)]
+
+
+def kept(row: Row, scale: Decimal = Decimal(1)) -> Row:
+    """Zero below LEAST times `scale`. Raises Borderline where rounding would decide."""
+    least = Decimal(LEAST) * scale
+    if any(abs(value - least) < NEAR * least and least for value in row):
+        raise Borderline
+    return [value if value >= least else Decimal(0) for value in row]
+
+
+def normalised(row: Row) -> Row:
+    """Over its sum."""
+    total = sum(row, Decimal(0))
+    return [value / total for value in row]
+
+
+def likelihoods(compiled: Compiled, evidence: Evidence) -> list[Row]:
+    """P(evidence of a frame | joint state), (T, S), zero where it is LEAST over MOST of the
+    frame's largest."""
+    rows = []
+    for t in range(len(evidence)):
+        row = [Decimal(1)] * compiled.n_states
+        for group in compiled.groups:
+            seen = [Decimal(1)] * math.prod(group.sizes)
+            for k, key in enumerate(group.observed):
+                values = numbers(evidence.likelihoods[key][t])
+                seen = [a * values[v] for a, v in zip(seen, columns(group, k), strict=True)]
+            table = [numbers(each) for each in group.emission]
+            row = [
+                a * sum(p * e for p, e in zip(of_state, seen, strict=True))
+                for a, of_state in zip(row, table, strict=True)
+            ]
+        rows.append(kept(row, max(row) / Decimal(MOST)))
+    return rows
+
+
+def columns(group: Group, k: int) -> list[int]:
+    """The value of the group's k-th observed key in each column of its table."""
+    digits = np.indices(group.sizes).reshape(len(group.sizes), -1)
+    sizes = [group.sizes[axis] for axis in group.axes[k]]
+    return [int(v) for v in np.ravel_multi_index([digits[a] for a in group.axes[k]], sizes)]
+
+
+def moved(compiled: Compiled, u: int, joint: Row | None) -> Row:
+    """The belief before a frame's evidence: the prior, or the transition from `joint`."""
+    if joint is None:
+        return numbers(compiled.prior[u])
+    table = [numbers(row) for row in compiled.transition[u]]
+    return [
+        sum((p * row[s] for p, row in zip(joint, table, strict=True)), Decimal(0))
+        for s in range(compiled.n_states)
+    ]
+
+
+def carried(compiled: Compiled, joint: Row, method: str) -> Row:
+    """What goes on to the next frame."""
+    if method == "exact":
+        return joint
+    product = [Decimal(1)] * compiled.n_states
+    for name in compiled.state_nodes:
+        value = compiled.node_value[name]
+        share = [Decimal(0)] * compiled.cardinality[name]
+        for v, p in zip(value, joint, strict=True):
+            share[v] += p
+        product = [p * share[v] for p, v in zip(product, value, strict=True)]
+    return kept(product)
+
+
+def forward(compiled: Compiled, evidence: Evidence, method: str = "exact") -> Exact:
+    """The filter."""
+    given, index = likelihoods(compiled, evidence), joint_input(compiled, evidence)
+    filtered, is_impossible, log_evidence = [], [], []
+    joint: Row | None = None
+    for t, u in enumerate(index):
+        predicted = moved(compiled, u, joint)
+        weighted = [p * e for p, e in zip(predicted, given[t], strict=True)]
+        is_impossible.append(not any(weighted))
+        if is_impossible[t]:
+            weighted, given[t] = predicted, [Decimal(1)] * compiled.n_states
+        log_evidence.append(0.0 if is_impossible[t] else logarithm(sum(weighted, Decimal(0))))
+        filtered.append(kept(normalised(weighted)))
+        joint = carried(compiled, filtered[t], method)
+    return Exact(filtered, given, index, np.array(log_evidence), is_impossible)
+
+
+def jeffrey(compiled: Compiled, evidence: Evidence, method: str) -> Exact:
+    """The filter that reads the evidence by Jeffrey's rule (`egolane_pgm.inference.jeffrey`)."""
+    filtered, is_impossible, log_evidence = [], [], []
+    joint: Row | None = None
+    index = joint_input(compiled, evidence)
+    for t, u in enumerate(index):
+        predicted = moved(compiled, u, joint)
+        # P(state, column of each group so far), groups one after the other: as a group's nodes are
+        # independent of the others' given the state, its columns are summed out behind it.
+        belief, agreement = predicted, Decimal(1)
+        for group in compiled.groups:
+            mass = [
+                [p * e for e in numbers(row)] for p, row in zip(belief, group.emission, strict=True)
+            ]
+            for k, key in enumerate(group.observed):
+                values = evidence.likelihoods[key][t]
+                if (values == 1).all() and values.size > 1:
+                    continue
+                q, column = numbers(values), columns(group, k)
+                total = sum(q, Decimal(0))
+                expected = [Decimal(0)] * len(q)
+                for row in mass:
+                    for c, m in zip(column, row, strict=True):
+                        expected[c] += m
+                all_expected = sum(expected, Decimal(0))
+                possible = sum((a for a, b in zip(q, expected, strict=True) if b > 0), Decimal(0))
+                if not agreement or not possible:
+                    agreement = Decimal(0)
+                    break
+                agreement *= sum((a * b for a, b in zip(q, expected, strict=True)), Decimal(0)) / (
+                    total * all_expected
+                )
+                ratio = [
+                    a / possible / (b / all_expected) if b > 0 else Decimal(0)
+                    for a, b in zip(q, expected, strict=True)
+                ]
+                mass = [[m * ratio[c] for c, m in zip(column, row, strict=True)] for row in mass]
+            belief = [sum(row, Decimal(0)) for row in mass]
+        is_impossible.append(not agreement)
+        log_evidence.append(logarithm(agreement) if agreement else 0.0)
+        filtered.append(kept(normalised(belief if agreement else predicted)))
+        joint = carried(compiled, filtered[t], method)
+    return Exact(filtered, [], index, np.array(log_evidence), is_impossible)
+
+
+def smoothed(compiled: Compiled, passed: Exact, lag: int) -> list[Row]:
+    """The joint belief about each frame given `lag` later ones. States that the filter takes for
+    impossible are so here."""
+    tables = [[numbers(row) for row in each] for each in compiled.transition]
+    rows = []
+    for t in range(len(passed.filtered)):
+        ahead = [Decimal(1)] * compiled.n_states
+        for k in range(min(t + lag, len(passed.filtered) - 1), t, -1):
+            weight = [a * e for a, e in zip(ahead, passed.likelihood[k], strict=True)]
+            ahead = [
+                sum((p * w for p, w in zip(row, weight, strict=True)), Decimal(0)) if f else f
+                for row, f in zip(tables[passed.index[k]], passed.filtered[k - 1], strict=True)
+            ]
+        rows.append(normalised([f * a for f, a in zip(passed.filtered[t], ahead, strict=True)]))
+    return rows
+
+
+def best_probability(compiled: Compiled, passed: Exact) -> float:
+    """The logarithm of the probability of the most probable path with the evidence."""
+    tables = [[numbers(row) for row in each] for each in compiled.transition]
+    score = [
+        p * e
+        for p, e in zip(numbers(compiled.prior[passed.index[0]]), passed.likelihood[0], strict=True)
+    ]
+    for t in range(1, len(passed.likelihood)):
+        table = tables[passed.index[t]]
+        score = [
+            max(a * row[s] for a, row in zip(score, table, strict=True)) * passed.likelihood[t][s]
+            for s in range(compiled.n_states)
+        ]
+    return logarithm(max(score))
+
+
+def logarithm(value: Decimal) -> float:
+    """Natural; of numbers that no float holds too."""
+    return float(value.ln())
+
+
+def beliefs(compiled: Compiled, passed: Exact, joint: Sequence[Row] | None = None) -> Beliefs:
+    """The marginals of beliefs over the joint state, the filter's by default."""
+    rows = passed.filtered if joint is None else joint
+    marginals = {}
+    for name in compiled.hidden:
+        table = np.zeros((len(rows), compiled.cardinality[name]))
+        for t, row in enumerate(rows):
+            for v in range(compiled.cardinality[name]):
+                of_value = compiled.node_value[name] == v
+                table[t, v] = float(sum((row[s] for s in np.flatnonzero(of_value)), Decimal(0)))
+        marginals[name] = table
+    flags = np.array(passed.is_impossible, dtype=bool)
+    return Beliefs(np.arange(len(rows)), marginals, passed.log_evidence, flags)
