@@ -110,8 +110,8 @@ events: .venv/.run
 	sed -i '/^<!-- the table/q' results/beyond/events.md
 	$(BIN)/$(EVENTS) >> results/beyond/events.md
 
-# A Dask cluster on this machine: 400 simulated drives, one of four workers killed and one added;
-# their summary is that of one process (a few minutes).
+# 400 simulated drives on one process, on two, and on a Dask cluster on this machine, one of whose
+# four workers is killed and one added; the summary is the same (some minutes).
 cluster-demo: .venv/.dev
 	$(BIN)/python -m tests.cluster_demo
 

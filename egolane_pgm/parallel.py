@@ -26,7 +26,7 @@ from typing import Any, TypeVar
 
 from tqdm import tqdm
 
-from egolane_pgm.cluster import cluster_executor
+from egolane_pgm.cluster import LOCAL, GivenUp, cluster_executor
 from egolane_pgm.types import InputError
 
 T = TypeVar("T")
@@ -44,6 +44,11 @@ Jobs = int | str
 
 #: Items that are begun ahead of the one whose answer is due. It bounds the answers that wait.
 _AHEAD = 256
+
+
+def is_elsewhere(jobs: Jobs) -> bool:
+    """Whether work is shared out to processes that may be other machines'."""
+    return isinstance(jobs, str) and not jobs.startswith(LOCAL)
 
 
 @contextlib.contextmanager
@@ -99,15 +104,20 @@ def in_order(
                 while k < len(items):
                     for item in items[k + len(answers) : k + _AHEAD]:
                         answers.append(pool.submit(_with_warnings, work, item))
-                    made, caught = answers[0].result()
+                    try:
+                        made, caught = answers[0].result()
+                    except GivenUp as error:
+                        if died is None:
+                            raise
+                        made, caught = died(items[k], str(error)), []
                     for warning in caught:
                         warnings.warn(warning, stacklevel=2)
                     yield made
                     answers.popleft()
                     k += 1
-        # Items are begun in order, so the first ones without an answer were at work. A cluster
-        # says of which item it gives up.
-        at_work = 1 if isinstance(jobs, str) else jobs
+        # Items are begun in order, so the first ones without an answer were at work. A cluster says
+        # which one it gave up.
+        at_work = jobs if isinstance(jobs, int) else 0
         for j in [j for j, answer in enumerate(answers) if not _is_done(answer)][:at_work]:
             if died is None:
                 raise InputError("a process died; try again with fewer --jobs")

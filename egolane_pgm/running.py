@@ -53,7 +53,7 @@ from egolane_pgm.model import (
     with_map,
     with_positions,
 )
-from egolane_pgm.parallel import Jobs, in_order
+from egolane_pgm.parallel import Jobs, in_order, is_elsewhere
 from egolane_pgm.plugins import OWN_FILES, source_files
 from egolane_pgm.progress import bar
 from egolane_pgm.results import (
@@ -594,9 +594,12 @@ def run_all(
     - keep: whether runs are kept instead of written.
     - resume: whether a result that is there already is taken, where it was made from the same
       files, with the same config and the same code.
+
+    A run for which another machine read other files than lie here under their names fails.
     """
     work = partial(_finish, draw=draw, keep=keep, resume=resume)
-    yield from in_order(work, runs, jobs, died=_failed)
+    found = in_order(work, runs, jobs, died=_failed)
+    yield from map(_checked, runs, found) if is_elsewhere(jobs) else found
 
 
 def _failed(run: PlannedRun, error: str) -> FinishedRun:
@@ -626,6 +629,28 @@ def _finish(run: PlannedRun, draw: Draw | None, keep: bool, resume: bool) -> Fin
     return FinishedRun(run.title, run.directory, found, None, kept, round(done.seconds, 3))
 
 
+def _checked(run: PlannedRun, done: FinishedRun) -> FinishedRun:
+    """What another machine made of a run, if it read what lies here."""
+    if run.experiment is None or done.error is not None or done.run is not None:
+        return done
+    try:
+        other = _other_file(run.experiment, read_said(done.directory)[0])
+    except (InputError, OSError) as error:
+        return _failed(run, f"cannot be compared with what its worker read: {error}")
+    if other is None:
+        return done
+    return _failed(run, f"{other}: its worker read another content under this name than lies here")
+
+
+def _other_file(experiment: Experiment, said: Mapping[str, Any]) -> str | None:
+    """The first file whose content is another than run.json says that it was, or None."""
+    has_pictures = experiment.recording.detector is not None
+    for entry in said["data"]:
+        if file_entry(Path(entry["path"]), pictures=has_pictures) != entry:
+            return str(entry["path"])
+    return None
+
+
 def stored_result(
     experiment: Experiment, directory: Path
 ) -> tuple[dict[str, Any], dict[str, Any]] | None:
@@ -643,9 +668,7 @@ def stored_result(
             "versions": versions(),
         }
         is_same = all(said.get(key) == value for key, value in made_by.items())
-        has_pictures = experiment.recording.detector is not None
-        for entry in said["data"] if is_same else ():
-            is_same = is_same and file_entry(Path(entry["path"]), pictures=has_pictures) == entry
+        is_same = is_same and _other_file(experiment, said) is None
     except (InputError, OSError):
         return None
     return (said, scores) if is_same else None
