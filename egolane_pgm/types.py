@@ -88,7 +88,7 @@ def in_one_line(problem: object) -> str:
 #: its slashes) the user; in the query of one, or in the words that a database is opened with, its
 #: name. What follows a colon may be a port, and an address may have been cut off in its password.
 _PASSWORDS = re.compile(
-    r"(?P<user>:/{1,2}[^\s:/@\[]*:)(?!\d*(?:[/?#'\",;)\s]|$))(?:\S*@|[^\s'\"]+)"
+    r"(?P<user>:/{1,2}[^\s:/@\[]*:)(?!\d*(?:[/?#'\",;)\s]|:\s|$))(?:\S*@|[^\s'\"]+)"
     r"|(?P<named>(?:password|passwd|pwd|token|secret)=)[^\s&;,'\"]+",
     re.IGNORECASE,
 )
