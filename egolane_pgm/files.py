@@ -23,7 +23,7 @@ import shutil
 import sys
 import tempfile
 from collections import Counter
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -232,16 +232,36 @@ def _arrow_column(values: NDArray[Any]) -> Any:
 
 def write_parquet(path: Path, table: Any) -> None:
     """Write a pyarrow table. Raises InputError where it cannot be written."""
+    with parquet_writer(path) as write:
+        write(table)
+
+
+@contextlib.contextmanager
+def parquet_writer(path: Path) -> Iterator[Callable[[Any], None]]:
+    """A function that writes pyarrow tables, all of the same columns, into one file, which takes
+    the place of `path` when the block ends well. Raises InputError where it cannot be written."""
     from pyarrow import parquet
 
     # Given a name, pyarrow takes what is before a colon for the scheme of an address.
     with atomic(path) as temporary, temporary.open("wb") as file:
-        parquet.write_table(table, file)
+        writer: Any = None
+
+        def write(table: Any) -> None:
+            nonlocal writer
+            if writer is None:
+                writer = parquet.ParquetWriter(file, table.schema)
+            writer.write_table(table)
+
+        try:
+            yield write
+        finally:
+            if writer is not None:
+                writer.close()
 
 
 @contextlib.contextmanager
-def open_parquet(path: Path) -> Iterator[Any]:
-    """A pyarrow ParquetFile, open while the block runs.
+def open_parquet(path: Path, *, whole: bool = True) -> Iterator[Any]:
+    """A pyarrow ParquetFile, open while the block runs. whole: whether all of it is to be read.
 
     Raises InputError where it cannot be read, there or in the block, and for one that would fill
     the memory: in a file of kilobytes a column may have a billion rows.
@@ -258,7 +278,9 @@ def open_parquet(path: Path) -> Iterator[Any]:
         with OSFile(str(path)) as file:
             found = parquet.ParquetFile(file)
             n_rows, n_columns = found.metadata.num_rows, found.metadata.num_columns
-            check_memory(8.0 * n_rows * n_columns, f"{path}: {n_rows} rows of {n_columns} columns")
+            if whole:
+                said = f"{path}: {n_rows} rows of {n_columns} columns"
+                check_memory(8.0 * n_rows * n_columns, said)
             yield found
     except InputError:
         raise
@@ -396,13 +418,25 @@ def check_not_read(file: Path, read: Iterable[Path]) -> None:
 def read_text(path: Path) -> str:
     """The text of a file in UTF-8, without the mark that some editors put before it. Raises
     InputError where it cannot be read or is no text."""
-    check_name(path)
-    try:
-        with path.open("rb") as file:
-            content = file.read(MOST_TEXT + 1)
+    with _said_of_text(path), path.open("rb") as file:
+        content = file.read(MOST_TEXT + 1)
         if len(content) > MOST_TEXT:
             raise InputError(f"{path}: has more than {MOST_TEXT >> 20} MB, no text of ours has")
         return io.TextIOWrapper(io.BytesIO(content), encoding="utf-8-sig").read()
+
+
+def iterate_text(path: Path) -> Iterator[str]:
+    """The lines of a file of any length, as `read_text` reads them, one by one."""
+    with _said_of_text(path), path.open(encoding="utf-8-sig") as file:
+        yield from file
+
+
+@contextlib.contextmanager
+def _said_of_text(path: Path) -> Iterator[None]:
+    """Errors of reading a text as an InputError each."""
+    check_name(path)
+    try:
+        yield
     except OSError as error:
         raise InputError(f"{path}: cannot be read: {error.strerror}") from error
     except UnicodeDecodeError as error:

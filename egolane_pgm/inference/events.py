@@ -25,11 +25,18 @@ No constant counts frames, and none was searched:
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 
-from egolane_pgm.types import Beliefs, FloatArray, InputError, IntArray, LaneEvents
+from egolane_pgm.types import (
+    Beliefs,
+    BoolArray,
+    FloatArray,
+    InputError,
+    IntArray,
+    LaneEvents,
+)
 
 #: The probability from which a lane is believed.
 BELIEVED = 2 / 3
@@ -71,19 +78,110 @@ def lane_events(
     """
     if not frame_rate > 0:
         raise InputError(f"frame_rate: {frame_rate} must be greater than 0 (frames per second)")
-    lane, frame_id = beliefs.lane, beliefs.frame_id
+    frame_id = beliefs.frame_id
     when = frame_id / frame_rate if time_s is None else time_s
-    told, left, entered = _told(lane, when)
-    known = np.minimum(told + (lag or 0), max(len(lane) - 1, 0))
-    began = _began(lane, told, left, entered)
-    return LaneEvents(
-        told_frame_id=frame_id[known],
-        told_time_s=when[known],
-        frame_id=frame_id[began],
-        time_s=when[began],
+    _, rows, events = tell(NOTHING_TOLD, beliefs, when)
+    if not lag:
+        return events
+    known = np.minimum(rows + lag, max(len(frame_id) - 1, 0))
+    return replace(events, told_frame_id=frame_id[known], told_time_s=when[known])
+
+
+@dataclass(frozen=True)
+class Telling:
+    """What telling lane changes keeps of the frames so far, to go on with later ones. Lanes are
+    indices, from 0.
+
+    here: the lane that is believed, -1 before there is one.
+    before, calm_s: the lane left last, and until when the way back has to be sure.
+    first: the first lane that was believed and when, seconds; or None.
+    ahead (n,): marks the lanes that are more probable than `here`, ...
+    since_id, since_s (n,): ... and since which frame they are so without a break; seconds.
+    """
+
+    here: int
+    before: int
+    calm_s: float
+    first: tuple[int, float] | None
+    ahead: BoolArray
+    since_id: IntArray
+    since_s: FloatArray
+
+
+#: Before the first frame.
+NOTHING_TOLD = Telling(
+    -1, -1, -np.inf, None, np.zeros(0, dtype=bool), np.zeros(0, dtype=np.int64), np.zeros(0)
+)
+
+
+def tell(
+    so_far: Telling, beliefs: Beliefs, time_s: FloatArray
+) -> tuple[Telling, IntArray, LaneEvents]:
+    """Tell the lane changes of T more frames: what to go on with, the rows in which changes are
+    told (E,), and the changes. However a drive is cut into parts, they are the same.
+
+    - time_s: (T,) when the frames were, seconds.
+    """
+    lane, frame_id = beliefs.lane, beliefs.frame_id
+    here, before, calm, first = so_far.here, so_far.before, so_far.calm_s, so_far.first
+    largest, top = lane.max(axis=1, initial=0), lane.argmax(axis=1)
+    sure = np.flatnonzero(largest >= BELIEVED)
+    columns = (sure, top[sure], largest[sure], time_s[sure])
+    told: list[tuple[int, int, int]] = []
+    for t, k, p, now in zip(*(column.tolist() for column in columns), strict=True):
+        if k == here or (k == before and now < calm and p < SURELY_BACK):
+            continue
+        if here >= 0:
+            told.append((t, here, k))
+            before, calm = here, now + FLICKER_S
+        else:
+            first = (k, now)
+        here = k
+    rows, left, entered = np.array(told, dtype=np.int64).reshape(-1, 3).T
+    began_id, began_s = np.empty(len(rows), dtype=np.int64), np.empty(len(rows))
+    since, after = so_far, 0
+    for e, t in enumerate(rows):
+        since = _ahead(since, lane, frame_id, time_s, slice(after, t + 1), left[e])
+        began_id[e], began_s[e] = since.since_id[entered[e]], since.since_s[entered[e]]
+        # Where a change is told, the lane that the next one leaves leads: no search goes past it.
+        since, after = replace(since, ahead=np.zeros_like(since.ahead)), t
+    if here >= 0:
+        since = _ahead(since, lane, frame_id, time_s, slice(after, len(lane)), here)
+    events = LaneEvents(
+        told_frame_id=frame_id[rows],
+        told_time_s=time_s[rows],
+        frame_id=began_id,
+        time_s=began_s,
         from_lane=left + 1,
         to_lane=entered + 1,
-        probability=lane[told, entered],
+        probability=lane[rows, entered],
+    )
+    return replace(since, here=here, before=before, calm_s=calm, first=first), rows, events
+
+
+def _ahead(
+    since: Telling,
+    lane: FloatArray,
+    frame_id: IntArray,
+    time_s: FloatArray,
+    part: slice,
+    here: int,
+) -> Telling:
+    """Since when each lane has been more probable than `here`, after the frames of a part."""
+    leads = lane[part] > lane[part, here : here + 1]
+    n_rows, n_lanes = leads.shape
+    if not since.ahead.size:
+        none = np.zeros(n_lanes)
+        since = replace(since, ahead=none > 0, since_id=none.astype(np.int64), since_s=none)
+    # The row after the last in which a lane does not lead, counted from the part's first.
+    row = n_rows - np.argmax(np.concatenate([~leads[::-1], np.full((1, n_lanes), True)]), axis=0)
+    goes_on = (row == 0) & since.ahead
+    at = part.start + np.minimum(row, n_rows - 1)
+    return replace(
+        since,
+        ahead=row < n_rows,
+        since_id=np.where(goes_on, since.since_id, frame_id[at]),
+        since_s=np.where(goes_on, since.since_s, time_s[at]),
     )
 
 
@@ -126,42 +224,21 @@ def lane_stretches(
     believed = np.flatnonzero(beliefs.lane.max(axis=1, initial=0) >= BELIEVED)
     if not len(believed):
         return []
-    first = int(believed[0])
-    lanes = [int(beliefs.lane[first].argmax()) + 1, *events.to_lane.tolist()]
-    borders = [time_s[first], *events.time_s.tolist(), time_s[-1]]
+    row = int(believed[0])
+    first = (int(beliefs.lane[row].argmax()), float(time_s[row]))
+    return stretches(first, events, float(time_s[-1]))
+
+
+def stretches(
+    first: tuple[int, float] | None, events: LaneEvents, last_s: float
+) -> list[tuple[int, float, float]]:
+    """`lane_stretches` from the first lane that was believed (see `Telling`) to the last frame,
+    seconds."""
+    if first is None:
+        return []
+    lanes = [first[0] + 1, *events.to_lane.tolist()]
+    borders = [first[1], *events.time_s.tolist(), last_s]
     return [(n, float(a), float(b)) for n, a, b in zip(lanes, borders, borders[1:], strict=False)]
-
-
-def _told(lane: FloatArray, time_s: FloatArray) -> tuple[IntArray, IntArray, IntArray]:
-    """The rows in which changes are told, and the indices of the lanes left and entered, (E,)."""
-    largest, top = lane.max(axis=1, initial=0), lane.argmax(axis=1)
-    sure = np.flatnonzero(largest >= BELIEVED)
-    columns = (sure, top[sure], largest[sure], time_s[sure])
-    told: list[tuple[int, int, int]] = []
-    here = before = -1
-    calm = -np.inf
-    for t, k, p, now in zip(*(column.tolist() for column in columns), strict=True):
-        if k == here or (k == before and now < calm and p < SURELY_BACK):
-            continue
-        if here >= 0:
-            told.append((t, here, k))
-            before, calm = here, now + FLICKER_S
-        here = k
-    rows, left, entered = np.array(told, dtype=np.int64).reshape(-1, 3).T
-    return rows, left, entered
-
-
-def _began(lane: FloatArray, told: IntArray, left: IntArray, entered: IntArray) -> IntArray:
-    """The first of the rows up to each telling in which the new lane leads, without a break."""
-    began = told.copy()
-    # Where a change was told, the lane that the next one leaves leads: no search goes past it.
-    after = 0
-    for e in range(len(told)):
-        stretch = lane[after : told[e] + 1]
-        leads = stretch[:, entered[e]] > stretch[:, left[e]]
-        began[e] = after + np.flatnonzero(np.append(True, ~leads))[-1]
-        after = told[e]
-    return began
 
 
 def crossing_probability(marginals: Mapping[str, FloatArray]) -> FloatArray | None:

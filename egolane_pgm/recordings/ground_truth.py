@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+import itertools
 import re
-from collections.abc import Iterable, Sequence
+from collections import deque
+from collections.abc import Iterable, Iterator, Sequence
 from pathlib import Path
 
 import numpy as np
 
-from egolane_pgm.files import read_text, write_text
+from egolane_pgm.files import iterate_text, write_text
 from egolane_pgm.types import InputError, LaneTruth
 
 _INTEGER = r"\s*([+-]?[0-9]{1,18})\s*"
@@ -27,30 +29,25 @@ def read_ground_truth(path: str | Path, extra_rows: Iterable[Sequence[int]] = ()
     Raises InputError, naming the file and the line, for a line that is malformed, frames that
     repeat or decrease, a file without rows, and an extra row of a frame that the file has.
     """
+    parts = list(iterate_ground_truth(path, extra_rows))
+    return LaneTruth(
+        np.concatenate([part.frame_id for part in parts]),
+        np.concatenate([part.lane for part in parts]),
+        np.concatenate([part.is_crossing for part in parts]),
+        source=str(path),
+    )
+
+
+def iterate_ground_truth(
+    path: str | Path, extra_rows: Iterable[Sequence[int]] = (), frames: int = 10_000
+) -> Iterator[LaneTruth]:
+    """`read_ground_truth` in parts of so many frames, so that a file may be of any length. Raises
+    InputError as that, for a line when it gets there."""
     path = Path(path)
-    rows: list[tuple[int, int, int]] = []
-    for number, line in enumerate(read_text(path).splitlines(), start=1):
-        if not line.strip():
-            continue
-        row = _row(line)
-        if row is None and number == 1 and not re.search(r"\d", line):
-            continue
-        if row is None:
-            raise InputError(
-                f"{path}: line {number}: {line.strip()[:60]!r} is not"
-                " 'frame;lane;crossing' (whole numbers, crossing 0 or 1)"
-            )
-        if rows and row[0] <= rows[-1][0]:
-            raise InputError(
-                f"{path}: line {number}: frame {row[0]} "
-                + ("occurs twice" if row[0] == rows[-1][0] else f"comes after frame {rows[-1][0]}")
-                + "; frames must increase"
-            )
-        rows.append(row)
-    if not rows:
-        raise InputError(f"{path}: no ground truth in it, it has no line 'frame;lane;crossing'")
-    table = np.array(_merge(path, rows, extra_rows), dtype=np.int64)
-    return LaneTruth(table[:, 0], table[:, 1], table[:, 2] == 1, source=str(path))
+    rows = _merged(path, _rows(path), extra_rows)
+    while part := list(itertools.islice(rows, frames)):
+        table = np.array(part, dtype=np.int64)
+        yield LaneTruth(table[:, 0], table[:, 1], table[:, 2] == 1, source=str(path))
 
 
 def write_ground_truth(path: str | Path, truth: LaneTruth) -> None:
@@ -68,19 +65,57 @@ def _row(line: str) -> tuple[int, int, int] | None:
     return (int(match[1]), int(match[2]), int(match[3])) if match else None
 
 
-def _merge(
-    path: Path, rows: list[tuple[int, int, int]], extra_rows: Iterable[Sequence[int]]
-) -> list[tuple[int, int, int]]:
-    there = {frame for frame, _, _ in rows}
-    merged = list(rows)
-    for extra in extra_rows:
-        row = _row(";".join(str(value) for value in extra))
+def _rows(path: Path) -> Iterator[tuple[int, int, int]]:
+    """The rows of a file."""
+    last: int | None = None
+    for number, line in enumerate(iterate_text(path), start=1):
+        if not line.strip():
+            continue
+        row = _row(line)
+        if row is None and number == 1 and not re.search(r"\d", line):
+            continue
         if row is None:
             raise InputError(
-                f"{path}: extra row {list(extra)} is not (frame, lane, crossing), crossing 0 or 1"
+                f"{path}: line {number}: {line.strip()[:60]!r} is not"
+                " 'frame;lane;crossing' (whole numbers, crossing 0 or 1)"
             )
-        if row[0] in there:
-            raise InputError(f"{path}: extra row {list(extra)}: frame {row[0]} is there already")
-        there.add(row[0])
-        merged.append(row)
-    return sorted(merged)
+        if last is not None and row[0] <= last:
+            raise InputError(
+                f"{path}: line {number}: frame {row[0]} "
+                + ("occurs twice" if row[0] == last else f"comes after frame {last}")
+                + "; frames must increase"
+            )
+        last = row[0]
+        yield row
+    if last is None:
+        raise InputError(f"{path}: no ground truth in it, it has no line 'frame;lane;crossing'")
+
+
+def _merged(
+    path: Path, rows: Iterable[tuple[int, int, int]], extra_rows: Iterable[Sequence[int]]
+) -> Iterator[tuple[int, int, int]]:
+    """Rows, and extra ones where their frames belong."""
+    extra = []
+    for given in extra_rows:
+        row = _row(";".join(str(value) for value in given))
+        if row is None:
+            raise InputError(
+                f"{path}: extra row {list(given)} is not (frame, lane, crossing), crossing 0 or 1"
+            )
+        extra.append(row)
+    extra.sort()
+    for one, other in itertools.pairwise(extra):
+        if one[0] == other[0]:
+            raise _there_already(path, other)
+    waiting = deque(extra)
+    for row in rows:
+        while waiting and waiting[0][0] < row[0]:
+            yield waiting.popleft()
+        if waiting and waiting[0][0] == row[0]:
+            raise _there_already(path, waiting[0])
+        yield row
+    yield from waiting
+
+
+def _there_already(path: Path, extra: tuple[int, int, int]) -> InputError:
+    return InputError(f"{path}: extra row {list(extra)}: frame {extra[0]} is there already")

@@ -9,7 +9,6 @@ import numpy as np
 
 from egolane_pgm.types import (
     NOTE,
-    BoolArray,
     InputError,
     IntArray,
     LaneTruth,
@@ -139,56 +138,84 @@ def join(log: LineLog, truth: LaneTruth) -> Join:
     )
 
 
+@dataclass(frozen=True)
+class Oddities:
+    """What is odd in a recording: how many lines or frames are, and the first frame that has one.
+
+    lri, offset, absurd: lines, see `recording_warnings`; crowded: frames; valid: frames with a
+    valid line, which are not odd. frames: all of them.
+    """
+
+    lri: tuple[int, int] = (0, 0)
+    offset: tuple[int, int] = (0, 0)
+    absurd: tuple[int, int] = (0, 0)
+    crowded: tuple[int, int] = (0, 0)
+    valid: tuple[int, int] = (0, 0)
+    frames: int = 0
+
+
+def odd_frames(before: Oddities, log: LineLog, n_lanes: int, max_lri: float = 10) -> Oddities:
+    """What is odd in the frames so far, `before`, and in those of a log, which come next."""
+    known_lri = ~np.isnan(log.lri)
+    absurd = np.abs(log.offset_m) > ABSURD_OFFSET_M
+    marked = {
+        "lri": log.is_valid & known_lri & ((log.lri < 0) | (log.lri > max_lri)),
+        # Padding is NaN in both; a line that was recorded has an LRI, unless the detector has none.
+        "offset": ~log.is_valid & (absurd | (np.isnan(log.offset_m) & known_lri)),
+        "absurd": log.is_valid & absurd,
+        "crowded": log.is_valid.sum(axis=1) > n_lanes + 1,
+        "valid": log.is_valid.any(axis=1),
+    }
+    found = {}
+    for name, which in marked.items():
+        count, first = getattr(before, name)
+        if not count and which.any():
+            first = int(log.frame_id[np.argwhere(which)[0][0]])
+        found[name] = (count + int(which.sum()), first)
+    return Oddities(**found, frames=before.frames + len(log))
+
+
 def recording_warnings(log: LineLog, n_lanes: int, max_lri: float = 10) -> list[str]:
     """One line for each kind of oddity in a recording; it is used all the same, unchanged.
 
     Odd are: LRI of valid lines outside 0..max_lri, absurd or NaN offsets of lines that are not
     valid, more valid lines than the n_lanes + 1 that a road has, no valid line at all.
     """
-    known_lri = ~np.isnan(log.lri)
-    odd_lri = log.is_valid & known_lri & ((log.lri < 0) | (log.lri > max_lri))
-    absurd = np.abs(log.offset_m) > ABSURD_OFFSET_M
-    # Padding is NaN in both; a line that was recorded has an LRI, unless the detector has none.
-    odd_offset = ~log.is_valid & (absurd | (np.isnan(log.offset_m) & known_lri))
-    absurd_valid = log.is_valid & absurd
-    crowded = log.is_valid.sum(axis=1) > n_lanes + 1
+    found = odd_frames(Oddities(), log, n_lanes, max_lri)
+    return warnings_of(found, log.source, n_lanes, max_lri)
+
+
+def warnings_of(found: Oddities, source: str, n_lanes: int, max_lri: float = 10) -> list[str]:
+    """`recording_warnings` of what was found in a recording."""
     lines = []
-    if odd_lri.any():
+    if found.lri[0]:
         lines.append(
-            f"{log.source}: {_count(odd_lri)} valid line(s) have an LRI outside 0..{max_lri:g},"
-            f" first in frame {_first(log, odd_lri)}; used as recorded (`lri: clip` clips them)"
+            f"{source}: {found.lri[0]} valid line(s) have an LRI outside 0..{max_lri:g},"
+            f" first in frame {found.lri[1]}; used as recorded (`lri: clip` clips them)"
         )
-    if odd_offset.any():
+    if found.offset[0]:
         lines.append(
-            f"{NOTE}{log.source}: {_count(odd_offset)} line(s) that are not valid have an offset"
-            f" beyond {ABSURD_OFFSET_M:g} m or NaN, first in frame {_first(log, odd_offset)};"
+            f"{NOTE}{source}: {found.offset[0]} line(s) that are not valid have an offset"
+            f" beyond {ABSURD_OFFSET_M:g} m or NaN, first in frame {found.offset[1]};"
             " not used"
         )
-    if absurd_valid.any():
+    if found.absurd[0]:
         lines.append(
-            f"{log.source}: {_count(absurd_valid)} valid line(s) have an offset beyond"
-            f" {ABSURD_OFFSET_M:g} m, first in frame {_first(log, absurd_valid)}; used as recorded"
+            f"{source}: {found.absurd[0]} valid line(s) have an offset beyond"
+            f" {ABSURD_OFFSET_M:g} m, first in frame {found.absurd[1]}; used as recorded"
         )
-    if crowded.any():
+    if found.crowded[0]:
         lines.append(
-            f"{log.source}: {int(crowded.sum())} frame(s) have more valid lines than the"
-            f" {n_lanes + 1} of {n_lanes} lane(s), first frame {_first(log, crowded)};"
+            f"{source}: {found.crowded[0]} frame(s) have more valid lines than the"
+            f" {n_lanes + 1} of {n_lanes} lane(s), first frame {found.crowded[1]};"
             " used as recorded"
         )
-    if len(log) and not log.is_valid.any():
+    if found.frames and not found.valid[0]:
         lines.append(
-            f"{log.source}: not a single valid line in {len(log)} frames;"
+            f"{source}: not a single valid line in {found.frames} frames;"
             " an evidence rule that needs valid lines says nothing"
         )
     return lines
-
-
-def _count(which: BoolArray) -> int:
-    return int(which.sum())
-
-
-def _first(log: LineLog, which: BoolArray) -> int:
-    return int(log.frame_id[np.argwhere(which)[0][0]])
 
 
 def _range(frame_id: IntArray) -> str:
