@@ -8,11 +8,13 @@ capitals in the name of a field: there `isValid` is `is_valid`.
 
 from __future__ import annotations
 
+import heapq
 import warnings
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass, replace
 from dataclasses import fields as dataclass_fields
-from itertools import groupby
+from itertools import groupby, islice
+from operator import itemgetter
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -20,7 +22,7 @@ import numpy as np
 from mcap.reader import NonSeekingReader
 from mcap.records import Schema
 from numpy.typing import NDArray
-from rosbags.interfaces import Nodetype
+from rosbags.interfaces import Connection, Nodetype
 from rosbags.rosbag1 import Reader
 from rosbags.typesys import Stores, get_types_from_idl, get_types_from_msg, get_typestore
 
@@ -32,6 +34,9 @@ TOPIC = "/isis_line_detector/lines"
 #: The numbers that may be the frame id: of the message, of its header (ROS 1), or its place in the
 #: file.
 FRAME_IDS = ("way_id", "seq", "count")
+
+#: So many messages are read at a time.
+FRAMES = 10_000
 
 #: A message with more lines than this is damaged, and its padded arrays would fill the memory.
 MAX_LINES = 1000
@@ -180,6 +185,59 @@ def read_rosbag(
     asked for and do not increase; an offset of a valid line that is NaN or infinite.
     """
     path = Path(path)
+    _check_options(path, topic, frame_id, frame_rate, stamps)
+    messages = read_messages(path, topic)
+    flat = _flat(path, topic, messages, frame_id)
+    _check_ids(path, flat.frame_id, frame_id)
+    log = _pad(path, flat, frame_rate)
+    wanted = messages[0].kind.encoding == "cdr" if stamps is None else stamps
+    trouble = _step_back(log, flat.stamp_ns) if wanted else None
+    if trouble is not None and stamps:
+        raise InputError(f"{trouble}; leave out stamps=true")
+    if trouble is not None:
+        said = f"{trouble}; time is frame id over frame rate"
+        warnings.warn(said, UserWarning, stacklevel=2)
+    return _stamped(log, flat.stamp_ns, frame_rate) if wanted and trouble is None else log
+
+
+def iterate_rosbag(
+    path: str | Path,
+    *,
+    topic: str = TOPIC,
+    frame_id: str = "way_id",
+    frame_rate: float = 10.0,
+    stamps: bool | None = None,
+    frames: int = FRAMES,
+) -> Iterator[LineLog]:
+    """`read_rosbag` in parts of so many frames, so that a bag may be of any length; what is held of
+    a ROS 1 bag is its index.
+
+    Raises InputError as that, for a message when it gets there; and for stamps that do not
+    increase, wherever they are the time: the frames before have theirs already.
+    """
+    path = Path(path)
+    _check_options(path, topic, frame_id, frame_rate, stamps)
+    messages = iterate_messages(path, topic)
+    first, before = 0, None
+    while part := list(islice(messages, frames)):
+        flat = _flat(path, topic, part, frame_id, first)
+        stamps = part[0].kind.encoding == "cdr" if stamps is None else stamps
+        _check_ids(path, flat.frame_id, frame_id, first, before)
+        log = _pad(path, flat, frame_rate)
+        if stamps:
+            trouble = _step_back(log, flat.stamp_ns, before)
+            if trouble is not None:
+                raise InputError(
+                    f"{trouble}; recording.options.stamps: false takes the time from frame ids"
+                )
+            log = _stamped(log, flat.stamp_ns, frame_rate, say=before is None)
+        first, before = first + len(part), flat
+        yield log
+
+
+def _check_options(
+    path: Path, topic: object, frame_id: object, frame_rate: float, stamps: object
+) -> None:
     if frame_id not in FRAME_IDS:
         raise InputError(f"{path}: frame_id {not_one_of(frame_id, FRAME_IDS)}")
     if not isinstance(topic, str):
@@ -188,31 +246,27 @@ def read_rosbag(
         raise InputError(f"{path}: stamps: {stamps!r} is neither true nor false")
     if not (np.isfinite(frame_rate) and frame_rate > 0):
         raise InputError(f"{path}: frame_rate {frame_rate} must be greater than 0")
-    messages = read_messages(path, topic)
-    flat = _flat(path, topic, messages, frame_id)
-    _check_ids(path, flat.frame_id, frame_id)
-    log = _pad(path, flat, frame_rate)
-    wanted = messages[0].kind.encoding == "cdr" if stamps is None else stamps
-    return _stamped(log, flat.stamp_ns, frame_rate, is_asked=bool(stamps)) if wanted else log
 
 
-def _stamped(log: LineLog, stamp_ns: IntArray, frame_rate: float, *, is_asked: bool) -> LineLog:
-    """The log with the times of its messages."""
+def _step_back(log: LineLog, stamp_ns: IntArray, before: _Flat | None = None) -> str | None:
+    """Where the stamps of the messages do not increase; before: the messages before these."""
+    ids = log.frame_id
+    if before is not None:
+        ids = np.append(before.frame_id[-1], ids)
+        stamp_ns = np.append(before.stamp_ns[-1], stamp_ns)
+    is_back = np.diff(stamp_ns) <= 0
+    if not is_back.any():
+        return None
+    k = int(np.argmax(is_back))
+    return f"{log.source}: the stamps of frames {ids[k]} and {ids[k + 1]} do not increase"
+
+
+def _stamped(log: LineLog, stamp_ns: IntArray, frame_rate: float, *, say: bool = True) -> LineLog:
+    """The log with the times of its messages. say: whether a frame rate is warned of that is not
+    theirs."""
     step = np.diff(stamp_ns)
-    if (step <= 0).any():
-        k = int(np.argmax(step <= 0))
-        what = (
-            f"the stamps of frames {int(log.frame_id[k])} and {int(log.frame_id[k + 1])} do not"
-            " increase"
-        )
-        if is_asked:
-            raise InputError(f"{log.source}: {what}; leave out stamps=true")
-        warnings.warn(
-            f"{log.source}: {what}; time is frame id over frame rate", UserWarning, stacklevel=3
-        )
-        return log
     usual = float(np.median(step / np.diff(log.frame_id))) / 1e9 if len(step) else 1 / frame_rate
-    if abs(usual * frame_rate - 1) > 0.1:
+    if say and abs(usual * frame_rate - 1) > 0.1:
         warnings.warn(
             f"{log.source}: by its stamps it has {1 / usual:.3g} frames per second; delays are"
             f" counted with frame_rate, which is {frame_rate:g}",
@@ -223,26 +277,27 @@ def _stamped(log: LineLog, stamp_ns: IntArray, frame_rate: float, *, is_asked: b
     return replace(log, time_s=stamp_ns // 10**9 + stamp_ns % 10**9 / 1e9)
 
 
-def _flat(path: Path, topic: str, messages: list[Message], frame_id: str) -> _Flat:
+def _flat(path: Path, topic: str, messages: list[Message], frame_id: str, first: int = 0) -> _Flat:
+    """What is in some messages; first: the number of the first of them in the file, from 0."""
     # A topic has several definitions if its node was rebuilt in the middle of a recording.
-    parts = [
-        _parse(path, topic, kind, list(run), frame_id)
-        for kind, run in groupby(messages, key=lambda message: message.kind)
-    ]
+    parts: list[_Flat] = []
+    for kind, run in groupby(messages, key=lambda message: message.kind):
+        at = first + sum(len(part.frame_id) for part in parts)
+        parts.append(_parse(path, topic, kind, list(run), frame_id, at))
     flat = _Flat(
         *(
             np.concatenate([getattr(part, f.name) for part in parts])
             for f in dataclass_fields(_Flat)
         )
     )
-    count = np.arange(len(messages))
+    count = first + np.arange(len(messages))
     return replace(flat, frame_id=count) if frame_id == "count" else flat
 
 
 # --- the messages of a file ----------------------------------------------------------------------
 
-#: The topics of a file with their types, and the messages of one of them.
-_Found = tuple[dict[str, str], list[Message]]
+#: Reads the messages of one topic of a file, and puts the types of all its topics into a mapping.
+_Read = Callable[[Path, str | None, dict[str, str]], Iterator[Message]]
 
 
 def read_messages(path: Path, topic: str) -> list[Message]:
@@ -251,7 +306,21 @@ def read_messages(path: Path, topic: str) -> list[Message]:
     Raises InputError for a file that is missing, no bag, truncated or empty, and for a topic that
     is not there or has no messages.
     """
-    topics, found = _read(path, topic)
+    return list(iterate_messages(path, topic))
+
+
+def iterate_messages(path: Path, topic: str) -> Iterator[Message]:
+    """`read_messages` one by one. Raises InputError as that, when it gets there."""
+    topics: dict[str, str] = {}
+    found = 0
+    for message in _read(path, topic, topics):
+        if message.kind.encoding not in ("ros1", "cdr"):
+            raise InputError(
+                f"{path}: the messages on {topic} are in {message.kind.encoding}; only those of"
+                " ROS 1 and ROS 2 (cdr) are read"
+            )
+        found += 1
+        yield message
     if not topics:
         raise InputError(f"{path}: the bag is empty, it holds no messages")
     if _plain_name(topic) not in map(_plain_name, topics):
@@ -259,19 +328,14 @@ def read_messages(path: Path, topic: str) -> list[Message]:
         raise InputError(f"{path}: no topic {topic}; the bag has {there}")
     if not found:
         raise InputError(f"{path}: the bag holds no messages on {topic}")
-    other = {m.kind.encoding for m in found} - {"ros1", "cdr"}
-    if other:
-        raise InputError(
-            f"{path}: the messages on {topic} are in {', '.join(sorted(other))}; only those of"
-            " ROS 1 and ROS 2 (cdr) are read"
-        )
-    return found
 
 
 def topics_of(path: Path, name: str) -> list[str]:
     """The topics of a bag whose message type has a name, whatever its package. Raises InputError
     for what is no whole bag."""
-    topics, _ = _read(path, None)
+    topics: dict[str, str] = {}
+    for _ in _read(path, None, topics):
+        pass
     return sorted(topic for topic, kind in topics.items() if kind.split("/")[-1] == name)
 
 
@@ -279,13 +343,13 @@ def _plain_name(topic: str) -> str:
     return "/" + topic.strip("/")
 
 
-def _read(path: Path, topic: str | None) -> _Found:
-    """What is in a bag of any kind; topic: whose messages are read."""
+def _read(path: Path, topic: str | None, topics: dict[str, str]) -> Iterator[Message]:
+    """The messages on a topic of a bag of any kind; its topics come into `topics`."""
     if not path.exists():
         raise InputError(f"{path}: no such file")
     read = _kind_of_file(path)
     try:
-        return read(path, None if topic is None else _plain_name(topic))
+        yield from read(path, None if topic is None else _plain_name(topic), topics)
     except InputError:
         raise
     except PermissionError as error:
@@ -299,7 +363,7 @@ def _read(path: Path, topic: str | None) -> _Found:
         ) from None
 
 
-def _kind_of_file(path: Path) -> Callable[[Path, str | None], _Found]:
+def _kind_of_file(path: Path) -> _Read:
     if path.is_dir():
         if not (path / "metadata.yaml").is_file():
             raise InputError(
@@ -325,13 +389,12 @@ def _kind_of_file(path: Path) -> Callable[[Path, str | None], _Found]:
     return _from_ros1
 
 
-def _from_ros1(path: Path, wanted: str | None) -> _Found:
-    found: list[tuple[tuple[int, int], Message]] = []
+def _from_ros1(path: Path, wanted: str | None, topics: dict[str, str]) -> Iterator[Message]:
     with Reader(path) as bag:
-        topics = {c.topic: c.msgtype for c in bag.connections}
-        for connection in bag.connections:
-            if _plain_name(connection.topic) != wanted:
-                continue
+        topics |= {c.topic: c.msgtype for c in bag.connections}
+
+        def of_one(connection: Connection) -> Iterator[tuple[tuple[int, int], Message]]:
+            """The messages of a connection, each with its place in the file."""
             index = bag.indexes[connection.id]
             counted = sum(c.connection_counts.get(connection.id, 0) for c in bag.chunk_infos)
             if counted != len(index):
@@ -341,18 +404,18 @@ def _from_ros1(path: Path, wanted: str | None) -> _Found:
             kind = Kind(connection.msgtype, connection.msgdef.data, False, "ros1")
             messages = bag.messages([connection])
             for entry, (_, logged_ns, raw) in zip(index, messages, strict=True):
-                place = (entry.chunk_pos, entry.offset)
-                found.append((place, Message(kind, logged_ns, raw)))
-    found.sort(key=lambda item: item[0])
-    return topics, [message for _, message in found]
+                yield (entry.chunk_pos, entry.offset), Message(kind, logged_ns, raw)
+
+        chosen = [of_one(c) for c in bag.connections if _plain_name(c.topic) == wanted]
+        yield from (message for _, message in heapq.merge(*chosen, key=itemgetter(0)))
 
 
-def _from_ros2(path: Path, wanted: str | None) -> _Found:
+def _from_ros2(path: Path, wanted: str | None, topics: dict[str, str]) -> Iterator[Message]:
     # Databases and YAML are loaded only where there is such a bag.
     from rosbags.rosbag2 import Reader as Reader2
 
     with Reader2(path) as bag:
-        topics = {c.topic: c.msgtype for c in bag.connections}
+        topics |= {c.topic: c.msgtype for c in bag.connections}
         chosen: list[Any] = [c for c in bag.connections if _plain_name(c.topic) == wanted]
         kinds = {
             c.id: Kind(
@@ -360,38 +423,34 @@ def _from_ros2(path: Path, wanted: str | None) -> _Found:
             )
             for c in chosen
         }
-        messages = bag.messages(chosen) if chosen else ()
-        return topics, [Message(kinds[c.id], ns, bytes(raw)) for c, ns, raw in messages]
+        for connection, logged_ns, raw in bag.messages(chosen) if chosen else ():
+            yield Message(kinds[connection.id], logged_ns, bytes(raw))
 
 
-def _from_mcap(path: Path, wanted: str | None) -> _Found:
+def _from_mcap(path: Path, wanted: str | None, topics: dict[str, str]) -> Iterator[Message]:
     """From the file's beginning to its end, or to where it is cut off: lines come with every chunk
     of a recording, so an index saves nothing."""
-    topics: dict[str, str] = {}
-    found: list[Message] = []
+    found, first_ns, last_ns = 0, 0, 0
     with path.open("rb") as file:
         messages = NonSeekingReader(file, validate_crcs=True).iter_messages(log_time_order=False)
         try:
             for schema, channel, message in messages:
                 topics[channel.topic] = _type_name(schema)
                 if _plain_name(channel.topic) == wanted:
+                    last_ns = message.log_time
+                    first_ns = first_ns if found else last_ns
+                    found += 1
                     kind = _mcap_kind(schema, channel.message_encoding)
-                    found.append(Message(kind, message.log_time, message.data))
+                    yield Message(kind, last_ns, message.data)
         except Exception as error:
             if wanted is not None and not found:
                 raise
             warnings.warn(
-                f"{path}: is cut off or damaged ({one_line(error)}); read the {len(found)} messages"
-                f" before that{_until(found)}",
+                f"{path}: is cut off or damaged ({one_line(error)}); read the {found} messages"
+                f" before that, {(last_ns - first_ns) / 1e9:.1f} s",
                 UserWarning,
-                stacklevel=5,
+                stacklevel=2,
             )
-    return topics, found
-
-
-def _until(found: list[Message]) -> str:
-    seconds = (found[-1].logged_ns - found[0].logged_ns) / 1e9 if found else 0.0
-    return f", {seconds:.1f} s"
 
 
 def _type_name(schema: Schema | None) -> str:
@@ -471,14 +530,14 @@ def _known_types(name: str) -> Mapping[str, Any]:
 
 
 def contents(
-    path: Path, kind: Kind, types: Mapping[str, Any], messages: Iterable[Message]
+    path: Path, kind: Kind, types: Mapping[str, Any], messages: Iterable[Message], first: int = 0
 ) -> Iterator[Any]:
-    """Each message as an object that has its fields, by its `message_types`. Raises InputError for
-    one that is damaged."""
+    """Each message as an object that has its fields, by its `message_types`; first: the number of
+    the first in the file, from 0. Raises InputError for one that is damaged."""
     store = get_typestore(Stores.EMPTY)
     store.register(dict(types))
     read = store.deserialize_ros1 if kind.encoding == "ros1" else store.deserialize_cdr
-    for k, message in enumerate(messages):
+    for k, message in enumerate(messages, start=first):
         try:
             yield read(message.raw, kind.type)
         # Generated code raises struct errors, assertions and rosbags' own.
@@ -498,14 +557,16 @@ def lacking(path: Path, topic: str, kind: Kind, what: str, fields: Iterable[str]
     )
 
 
-def _parse(path: Path, topic: str, kind: Kind, messages: list[Message], frame_id: str) -> _Flat:
+def _parse(
+    path: Path, topic: str, kind: Kind, messages: list[Message], frame_id: str, first: int
+) -> _Flat:
     types = message_types(path, kind)
     missing = _missing_fields(types, kind.type, frame_id)
     if missing:
         raise lacking(path, topic, kind, "a message of lines", missing)
     if kind.encoding == "ros1" and _is_plain(types, kind.type):
-        return _parse_plain(path, messages, frame_id)
-    return _parse_generic(path, kind, types, messages, frame_id)
+        return _parse_plain(path, messages, frame_id, first)
+    return _parse_generic(path, kind, types, messages, frame_id, first)
 
 
 def _fields(types: Mapping[str, Any], name: str) -> dict[str, Any]:
@@ -570,21 +631,21 @@ def _gather(data: NDArray[np.uint8], at: IntArray, dtype: Any) -> NDArray[Any]:
     return np.ascontiguousarray(picked).view(kind)[:, 0]
 
 
-def _parse_plain(path: Path, messages: list[Message], frame_id: str) -> _Flat:
+def _parse_plain(path: Path, messages: list[Message], frame_id: str, first: int) -> _Flat:
     """Parse messages of the published layout all at once (little endian, no padding)."""
     raw = [message.raw for message in messages]
     data = np.frombuffer(b"".join(raw), dtype=np.uint8)
     size = np.fromiter(map(len, raw), dtype=np.int64, count=len(raw))
     start = np.cumsum(size) - size
-    _check_sizes(path, size >= _HEADER_BYTES + _BODY_BYTES)
+    _check_sizes(path, size >= _HEADER_BYTES + _BODY_BYTES, first)
     name_bytes = _gather(data, start + 12, "<u4").astype(np.int64)
-    _check_sizes(path, size >= _HEADER_BYTES + name_bytes + _BODY_BYTES)
+    _check_sizes(path, size >= _HEADER_BYTES + name_bytes + _BODY_BYTES, first)
     body = start + _HEADER_BYTES + name_bytes
     n_lines = _gather(data, body + 40, "<u4").astype(np.int64)
     expected = _HEADER_BYTES + name_bytes + _BODY_BYTES + n_lines * _LINE_DTYPE.itemsize
-    _check_sizes(path, size == expected)
-    first = np.repeat(body + _BODY_BYTES, n_lines)
-    lines = _gather(data, first + _LINE_DTYPE.itemsize * _within(n_lines), _LINE_DTYPE)
+    _check_sizes(path, size == expected, first)
+    at = np.repeat(body + _BODY_BYTES, n_lines)
+    lines = _gather(data, at + _LINE_DTYPE.itemsize * _within(n_lines), _LINE_DTYPE)
     ids = _gather(data, start, "<u4") if frame_id == "seq" else _gather(data, body + 32, "<i8")
     stamp = _gather(data, start + 4, [("s", "<u4"), ("ns", "<u4")])
     stamp_ns = stamp["s"].astype(np.int64) * 10**9 + stamp["ns"]
@@ -601,19 +662,24 @@ def _parse_plain(path: Path, messages: list[Message], frame_id: str) -> _Flat:
     )
 
 
-def _check_sizes(path: Path, ok: BoolArray) -> None:
+def _check_sizes(path: Path, ok: BoolArray, first: int) -> None:
     if not ok.all():
+        number = first + int(np.argmin(ok)) + 1
         raise InputError(
-            f"{path}: message {int(np.argmin(ok)) + 1} does not have the size its contents need;"
-            " the bag is damaged"
+            f"{path}: message {number} does not have the size its contents need; the bag is damaged"
         )
 
 
 def _parse_generic(
-    path: Path, kind: Kind, types: Mapping[str, Any], messages: list[Message], frame_id: str
+    path: Path,
+    kind: Kind,
+    types: Mapping[str, Any],
+    messages: list[Message],
+    frame_id: str,
+    first: int,
 ) -> _Flat:
     """Parse messages of any type that has the needed fields, one by one, with rosbags."""
-    read = list(contents(path, kind, types, messages))
+    read = list(contents(path, kind, types, messages, first))
     lines = [line for content in read for line in content.lines]
     is_valid = next((name for name in _IS_VALID if lines and hasattr(lines[0], name)), "")
     if frame_id == "count":
@@ -646,10 +712,17 @@ def _within(counts: IntArray) -> IntArray:
     return np.arange(counts.sum()) - np.repeat(np.cumsum(counts) - counts, counts)
 
 
-def _check_ids(path: Path, ids: IntArray, field: str) -> None:
+def _check_ids(
+    path: Path, ids: IntArray, field: str, first: int = 0, before: _Flat | None = None
+) -> None:
     """Raise InputError for ids that repeat or decrease. LineLog refuses them too, but does not know
-    which option may help."""
+    which option may help.
+
+    first: the number of the first message in the file, from 0; before: the messages before it.
+    """
     other = "seq (ROS 1) or count" if field == "way_id" else "way_id or count"
+    if before is not None:
+        ids, first = np.append(before.frame_id[-1], ids), first - 1
     step = np.diff(ids)
     if len(ids) > 1 and (step == 0).all():
         raise InputError(
@@ -664,7 +737,7 @@ def _check_ids(path: Path, ids: IntArray, field: str) -> None:
             else f"frame ids decrease, {int(ids[k])} is followed by {int(ids[k + 1])}"
         )
         raise InputError(
-            f"{path}: {what} (messages {k + 1} and {k + 2} of the file);"
+            f"{path}: {what} (messages {first + k + 1} and {first + k + 2} of the file);"
             f" split the bag there, or try --frame-id {other}"
         )
 

@@ -12,9 +12,10 @@ from __future__ import annotations
 
 import re
 import warnings
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from csv import reader as csv_rows
 from dataclasses import dataclass
+from itertools import islice
 from pathlib import Path
 from typing import Any
 
@@ -57,6 +58,9 @@ _WORDS = {
 }
 
 
+#: So many rows of a Parquet file are read at a time.
+ROWS = 2**16
+
 #: A column of a table with one row per frame: what it is, and of which line.
 _OF_LINE = re.compile(r"(offset|is_valid|valid|is_continuous|continuous|lri|offset_m)_([1-9]\d?)")
 _MEANT = {"offset": "offset_m", "valid": "is_valid", "continuous": "is_continuous"}
@@ -78,6 +82,45 @@ def read_table(
     that decrease, a line given twice in a frame, and a valid line without a finite offset.
     """
     path = Path(path)
+    return _assemble(path, pa.concat_tables(_tables(path, frame_rate, columns or {})), frame_rate)
+
+
+def iterate_table(
+    path: str | Path,
+    *,
+    frame_rate: float = 10.0,
+    columns: Mapping[str, str] | None = None,
+    rows: int = ROWS,
+) -> Iterator[LineLog]:
+    """`read_table` in parts of whole frames, so that a table may be of any length.
+
+    - rows: of the table, so many at a time, at most; in a CSV file as many as are in a block.
+
+    Raises InputError as that, for a row when it gets there.
+    """
+    path = Path(path)
+    # The rows of the last frame, which may go on in the next part, and how many came before them.
+    kept: Any = None
+    first_row, last = 0, None
+    for table in _tables(path, frame_rate, columns or {}, rows):
+        part = table if kept is None else pa.concat_tables([kept, table])
+        frame = part["frame_id"].to_numpy()
+        n_whole = len(frame) - int(np.argmax(np.append(frame[::-1] != frame[-1:], True)))
+        kept = part.slice(n_whole)
+        if len(kept) > MAX_LINES:
+            n_whole = len(frame)
+        if n_whole:
+            log = _assemble(path, part.slice(0, n_whole), frame_rate, first_row, last)
+            first_row, last = first_row + n_whole, int(log.frame_id[-1])
+            yield log
+    yield _assemble(path, kept, frame_rate, first_row, last)
+
+
+def _tables(
+    path: Path, frame_rate: float, columns: Mapping[str, str], rows: int | None = None
+) -> Iterator[Any]:
+    """The rows of a file, part after part, in the types that they need; rows: of a part, None where
+    all of them will be held."""
     if not (np.isfinite(frame_rate) and frame_rate > 0):
         raise InputError(f"{path}: frame_rate {frame_rate} must be greater than 0")
     if not path.is_file():
@@ -85,7 +128,13 @@ def read_table(
     read = {".csv": _read_csv, ".parquet": _read_parquet}.get(path.suffix.lower())
     if read is None:
         raise InputError(f"{path}: unknown extension '{path.suffix}' of a table (.csv, .parquet)")
-    return _assemble(path, read(path, columns or {}), frame_rate)
+    has_rows = False
+    for part in read(path, columns, rows):
+        if len(part):
+            has_rows = True
+            yield part
+    if not has_rows:
+        raise InputError(f"{path}: the table has no rows")
 
 
 def write_table(path: str | Path, log: LineLog) -> None:
@@ -202,8 +251,7 @@ def _check_columns(path: Path, names: list[str]) -> list[str]:
     return [name for name in names if name in known]
 
 
-def _read_csv(path: Path, columns: Mapping[str, str]) -> Any:
-
+def _read_csv(path: Path, columns: Mapping[str, str], rows: int | None) -> Iterator[Any]:
     try:
         with path.open(encoding="utf-8-sig") as file:
             names = [name.strip() for name in next(csv_rows([file.readline().strip()]), [])]
@@ -214,7 +262,7 @@ def _read_csv(path: Path, columns: Mapping[str, str]) -> Any:
     names = _renamed(path, names, columns)
     keep = _check_columns(path, names)
     try:
-        return csv.read_csv(
+        parts = csv.open_csv(
             path,
             csv.ReadOptions(use_threads=False, column_names=names, skip_rows=1),
             csv.ParseOptions(ignore_empty_lines=True),
@@ -226,6 +274,8 @@ def _read_csv(path: Path, columns: Mapping[str, str]) -> Any:
                 false_values=_WORDS[False],
             ),
         )
+        for part in parts:
+            yield pa.table(part)
     except (pa.ArrowInvalid, pa.ArrowKeyError) as error:
         text = " ".join(str(error).split())
         if "too short" in text:
@@ -238,13 +288,13 @@ def _read_csv(path: Path, columns: Mapping[str, str]) -> Any:
         raise InputError(f"{place}: {name} is {cell[3][:40]!r}, not {_needs(name)}") from None
 
 
-def _read_parquet(path: Path, columns: Mapping[str, str]) -> Any:
-    with open_parquet(path) as file:
+def _read_parquet(path: Path, columns: Mapping[str, str], rows: int | None) -> Iterator[Any]:
+    with open_parquet(path, whole=rows is None) as file:
         given = list(file.schema_arrow.names)
         names = _renamed(path, given, columns)
         there = {name: given[names.index(name)] for name in _check_columns(path, names)}
-        table = file.read(columns=list(there.values()))
-    return pa.table({name: _typed(path, name, table[place]) for name, place in there.items()})
+        for part in file.iter_batches(rows or ROWS, columns=list(there.values())):
+            yield pa.table({name: _typed(path, name, part[c]) for name, c in there.items()})
 
 
 def _typed(path: Path, name: str, column: Any) -> Any:
@@ -285,41 +335,43 @@ def _place(path: Path, row: int) -> str:
     if path.suffix.lower() != ".csv":
         return f"{path}: row {row + 1}"
     with path.open(encoding="utf-8-sig", errors="replace") as file:
-        filled = [number for number, line in enumerate(file, start=1) if line.strip()]
-    return f"{path}: line {filled[row + 1] if row + 1 < len(filled) else row + 2}"
+        filled = (number for number, line in enumerate(file, start=1) if line.strip())
+        return f"{path}: line {next(islice(filled, row + 1, None), row + 2)}"
 
 
 @dataclass(frozen=True)
 class _Rows:
     """The cells of a table as arrays (N,); `is_null` says which cells are empty, `place` in which
-    row of the file each stands, where that is not its own number."""
+    row of the file each stands."""
 
     path: Path
     values: dict[str, NDArray[Any]]
     is_null: dict[str, BoolArray]
-    place: IntArray | None = None
+    place: IntArray
 
     def refuse(self, bad: BoolArray, why: str) -> None:
         """Raise InputError for the first row that is bad; `{}` in `why` becomes its frame id."""
         if bad.any():
             row = int(np.argmax(bad))
-            place = _place(self.path, row if self.place is None else int(self.place[row]))
+            place = _place(self.path, int(self.place[row]))
             raise InputError(f"{place}: " + why.format(self.values["frame_id"][row]))
 
 
-def _assemble(path: Path, table: Any, frame_rate: float) -> LineLog:
-    rows = _convert(path, table)
+def _assemble(
+    path: Path, table: Any, frame_rate: float, first_row: int = 0, before: int | None = None
+) -> LineLog:
+    """The frames of a table, or of a part of it: first_row is where that begins, before the id of
+    the frame before it."""
+    rows = _convert(path, table, first_row)
     if _is_per_frame(table.column_names):
         rows = _per_line(rows)
     n_rows = len(rows.values["frame_id"])
-    if n_rows == 0:
-        raise InputError(f"{path}: the table has no rows")
     for name in ("frame_id", "is_missing"):
         if name in rows.is_null:
             rows.refuse(rows.is_null[name], f"{name} is empty")
     frame, line = rows.values["frame_id"], rows.values["line"] - 1
     has_line = ~rows.is_null["line"]
-    step = np.diff(frame, prepend=frame[:1])
+    step = np.diff(frame, prepend=frame[:1] if before is None else before)
     rows.refuse(step < 0, "frame {} comes after a later one; sort the table by frame_id")
     rows.refuse(has_line & ((line < 0) | (line >= MAX_LINES)), f"line is not in 1..{MAX_LINES}")
     rows.refuse(~has_line & ~rows.is_null["offset_m"], "frame {} has an offset without a line")
@@ -378,7 +430,7 @@ def _occurs_again(key: IntArray, which: BoolArray) -> BoolArray:
     return again
 
 
-def _convert(path: Path, table: Any) -> _Rows:
+def _convert(path: Path, table: Any, first_row: int) -> _Rows:
     """The columns as arrays; an empty number is NaN, an empty flag False."""
     values, is_null = {}, {}
     for name in table.column_names:
@@ -386,7 +438,7 @@ def _convert(path: Path, table: Any) -> _Rows:
         blank = np.nan if _needs(name) == "a number" else False
         values[name] = column.fill_null(blank).to_numpy(zero_copy_only=False)
         is_null[name] = column.is_null().to_numpy(zero_copy_only=False)
-    rows = _Rows(path, values, is_null)
+    place = first_row + np.arange(len(table))
     for name in ("frame_id", "line"):
         if name not in values:
             continue
@@ -398,9 +450,11 @@ def _convert(path: Path, table: Any) -> _Rows:
         bad = ~is_null[name] & ~whole
         if bad.any():
             row = int(np.argmax(bad))
-            raise InputError(f"{_place(path, row)}: {name} is {number[row]}, not a whole number")
+            raise InputError(
+                f"{_place(path, int(place[row]))}: {name} is {number[row]}, not a whole number"
+            )
         values[name] = np.where(is_null[name], 0, number).astype(np.int64)
-    return rows
+    return _Rows(path, values, is_null, place)
 
 
 def _per_line(rows: _Rows) -> _Rows:
@@ -431,4 +485,4 @@ def _per_line(rows: _Rows) -> _Rows:
         is_null[kind] = np.stack([*empty, blank], axis=1)[at, slot]
     values["line"] = np.where(has_line, np.append(number, 0)[slot], 0)
     is_null["line"] = ~has_line
-    return _Rows(rows.path, values, is_null, place=at)
+    return _Rows(rows.path, values, is_null, rows.place[at])
