@@ -435,6 +435,23 @@ def online_evidence(model: Model, reading: str = "soft") -> Callable[[LineLog], 
     returns a function that remembers them. Any other rule is asked for its `evidence`, and what it
     warns of, seeing a frame alone, is not said. The function raises InputError as `make_evidence`.
     """
+    give = _online_rule(model)
+    return lambda log: _filtered(model, log, give(log), reading)
+
+
+def online_output(model: Model, reading: str = "soft") -> Callable[[LineLog], RuleOutput]:
+    """As `online_evidence`, with the rule's own answer."""
+    give = _online_rule(model)
+
+    def output_of(log: LineLog) -> RuleOutput:
+        given = give(log)
+        tentative = _tentative(model.rule, given, model.n_lanes)
+        return RuleOutput(_filtered(model, log, given, reading), tentative)
+
+    return output_of
+
+
+def _online_rule(model: Model) -> Callable[[LineLog], Evidence]:
     if _is_of_changing_roads(model.graph):
         raise InputError(
             "a graph of a road whose lanes change is not run online; run the drive with `egolane"
@@ -447,12 +464,12 @@ def online_evidence(model: Model, reading: str = "soft") -> Callable[[LineLog], 
         else:
             give = partial(_evidence_alone, rule, model)
 
-    def evidence_of(log: LineLog) -> Evidence:
+    def given_for(log: LineLog) -> Evidence:
         with plugin_errors(rule, "evidence"):
-            given = give(log)
-        return _filtered(model, log, given, reading)
+            given: Evidence = give(log)
+        return given
 
-    return evidence_of
+    return given_for
 
 
 def _evidence_alone(rule: ModuleType, model: Model, log: LineLog) -> Any:

@@ -13,12 +13,9 @@ from egolane_pgm.inference.filtering import step
 from egolane_pgm.inference.layout import FilterState
 from egolane_pgm.inference.smoothing import LagState, lag_rest, lag_step
 from egolane_pgm.model import online_evidence, prepare_model, value_names
-from egolane_pgm.recordings.select import clip_lri, fill_missing
+from egolane_pgm.recordings.select import clip_lri, fill_after
 from egolane_pgm.scoring.assign import assigned_lane
 from egolane_pgm.types import Beliefs, InputError, LineLog, suggestion
-
-#: Predicting through more missing frames than this is surely a wrong frame id.
-MAX_GAP = 100_000
 
 #: Whole numbers up to here are exact as floating-point times.
 MAX_FRAME_ID = 2**53
@@ -73,7 +70,7 @@ def filter_logs(experiment: Experiment, logs: Iterable[LineLog]) -> Iterator[dic
     for log in logs:
         if recording.lri == "clip":
             log = clip_lri(log, max_lri)
-        due = _with_gap(last, log, recording.missing_frames, recording.frame_rate)
+        due = fill_after(last, log, recording.missing_frames, recording.frame_rate)
         evidence = evidence_of(due)
         last = log
         if experiment.lag is None:
@@ -116,22 +113,6 @@ def _answer(
             for node, values in beliefs.marginals.items()
         },
     }
-
-
-def _with_gap(last: LineLog | None, log: LineLog, policy: str, frame_rate: float) -> LineLog:
-    """The frame, and before it those between the last one and it that the recording lacks, put in
-    as the policy of `missing_frames` says."""
-    if last is None:
-        return log
-    before, now = int(last.frame_id[0]), int(log.frame_id[0])
-    where = log.source
-    if now <= before:
-        raise InputError(f"{where}: frame id {now} does not come after {before}")
-    if policy == "skip" or now == before + 1:
-        return log
-    if now - before > MAX_GAP:
-        raise InputError(f"{where}: frame id jumps from {before} to {now}; is it a frame count?")
-    return fill_missing(last.then(log), policy, frame_rate).take(slice(1, None))
 
 
 def parse_message(text: str, where: str, frame_rate: float) -> LineLog:

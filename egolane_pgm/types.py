@@ -415,20 +415,20 @@ class LineLog:
         """The frames of each clip, in order; of a recording that is one drive, all T frames."""
         return pieces_of(self.clip, len(self))
 
-    def then(self, later: LineLog) -> LineLog:
-        """One log of the frames of this log and then those of a later one."""
-        return LineLog(
-            np.concatenate([self.frame_id, later.frame_id]),
-            np.concatenate([self.time_s, later.time_s]),
-            stacked([self.offset_m, later.offset_m], np.nan),
-            stacked([self.is_valid, later.is_valid], False),
-            stacked([self.is_continuous, later.is_continuous], False),
-            stacked([self.lri, later.lri], np.nan),
-            np.concatenate([self.is_missing, later.is_missing]),
-            later.source,
-            None
-            if self.clip is None or later.clip is None
-            else np.concatenate([self.clip, later.clip]),
+    @classmethod
+    def joined(cls, parts: Sequence[LineLog]) -> LineLog:
+        """One log of the frames of several, one after the other, named as the last."""
+        clips = [part.clip for part in parts if part.clip is not None]
+        return cls(
+            np.concatenate([part.frame_id for part in parts]),
+            np.concatenate([part.time_s for part in parts]),
+            stacked([part.offset_m for part in parts], np.nan),
+            stacked([part.is_valid for part in parts], False),
+            stacked([part.is_continuous for part in parts], False),
+            stacked([part.lri for part in parts], np.nan),
+            np.concatenate([part.is_missing for part in parts]),
+            parts[-1].source,
+            np.concatenate(clips) if len(clips) == len(parts) else None,
         )
 
 
@@ -462,6 +462,16 @@ class LaneTruth:
 
     def __len__(self) -> int:
         return len(self.frame_id)
+
+    @classmethod
+    def joined(cls, parts: Sequence[LaneTruth]) -> LaneTruth:
+        """The truth of some frames and then of later ones."""
+        return cls(
+            np.concatenate([part.frame_id for part in parts]),
+            np.concatenate([part.lane for part in parts]),
+            np.concatenate([part.is_crossing for part in parts]),
+            parts[-1].source,
+        )
 
     def take(self, frames: slice | IntArray | BoolArray) -> LaneTruth:
         """The truth of some frames, in order."""

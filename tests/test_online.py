@@ -15,7 +15,8 @@ import numpy as np
 import pytest
 
 from egolane_pgm.experiment import Experiment, load_experiment
-from egolane_pgm.online import MAX_GAP, filter_logs, filter_stream, parse_message
+from egolane_pgm.online import filter_logs, filter_stream, parse_message
+from egolane_pgm.recordings.select import MAX_GAP
 from egolane_pgm.recordings.table import write_table
 from egolane_pgm.running import run_experiment
 from egolane_pgm.scoring.assign import assigned_lane

@@ -170,7 +170,7 @@ def test_a_line_may_say_its_place_in_the_frame() -> None:
 
 def test_a_log_behind_another_is_as_wide_as_the_wider_one() -> None:
     first, later = a_log(2, 1), replace(a_log(2, 3), frame_id=np.array([20, 21]), source="b")
-    both = first.then(later)
+    both = LineLog.joined([first, later])
     assert both.frame_id.tolist() == [10, 12, 20, 21]
     assert both.source == "b"
     assert np.isnan(both.offset_m[:2, 1:]).all()

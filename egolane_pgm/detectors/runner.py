@@ -185,7 +185,7 @@ def collect(frames: Iterable[tuple[int, FrameLines]], frame_rate: float, source:
         if not pending:
             return log
         latest = as_log(pending, frame_rate, source)
-        return latest if log is None else log.then(latest)
+        return latest if log is None else LineLog.joined([log, latest])
 
     try:
         for frame in frames:

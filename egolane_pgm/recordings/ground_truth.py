@@ -29,13 +29,7 @@ def read_ground_truth(path: str | Path, extra_rows: Iterable[Sequence[int]] = ()
     Raises InputError, naming the file and the line, for a line that is malformed, frames that
     repeat or decrease, a file without rows, and an extra row of a frame that the file has.
     """
-    parts = list(iterate_ground_truth(path, extra_rows))
-    return LaneTruth(
-        np.concatenate([part.frame_id for part in parts]),
-        np.concatenate([part.lane for part in parts]),
-        np.concatenate([part.is_crossing for part in parts]),
-        source=str(path),
-    )
+    return LaneTruth.joined(list(iterate_ground_truth(path, extra_rows)))
 
 
 def iterate_ground_truth(

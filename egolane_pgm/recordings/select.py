@@ -22,6 +22,9 @@ MISSING_FRAMES: tuple[str, ...] = ("skip", "hold", "predict")
 #: A warning calls an offset beyond this (metres) absurd: no motorway is wider.
 ABSURD_OFFSET_M = 100.0
 
+#: Predicting through more missing frames at once than this is surely a wrong frame id.
+MAX_GAP = 100_000
+
 #: Filling more frames than this means that the ids are not frame numbers.
 MAX_FILLED = 1_000_000
 
@@ -88,6 +91,33 @@ def fill_missing(log: LineLog, policy: str, frame_rate: float) -> LineLog:
         is_missing=np.where(is_new, policy == "predict", log.is_missing[before]),
         clip=None if log.clip is None else log.clip[before],
     )
+
+
+def fill_after(last: LineLog | None, log: LineLog, policy: str, frame_rate: float) -> LineLog:
+    """The frames of a log, and those that the recording lacks before and between them, filled in as
+    `fill_missing` does.
+
+    - last: the frame before the first, if there is one.
+
+    Raises InputError for frames that do not come after it, and for a gap that is so large that the
+    ids cannot be frame numbers.
+    """
+    if len(log) == 0:
+        return log
+    ids = log.frame_id if last is None else np.append(last.frame_id, log.frame_id)
+    if last is not None and ids[1] <= ids[0]:
+        raise InputError(f"{log.source}: frame id {ids[1]} does not come after {ids[0]}")
+    step = np.diff(ids)
+    if policy == "skip" or (step == 1).all():
+        return log
+    if (step > MAX_GAP).any():
+        k = int(np.argmax(step > MAX_GAP))
+        raise InputError(
+            f"{log.source}: frame id jumps from {ids[k]} to {ids[k + 1]}; is it a frame count?"
+        )
+    if last is None:
+        return fill_missing(log, policy, frame_rate)
+    return fill_missing(LineLog.joined([last, log]), policy, frame_rate).take(slice(1, None))
 
 
 def clip_lri(log: LineLog, max_lri: float) -> LineLog:

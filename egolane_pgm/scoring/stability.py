@@ -190,7 +190,7 @@ def followed(
         k = int(np.argmax(np.diff(ids) <= 0))
         raise InputError(f"frame_id: {ids[k]} is followed by {ids[k + 1]}, needs to increase")
     pairs = false_switch_frames(rows[0], rows[1], rows[2] == 1)
-    switches = before.switches + [int(each[n_waiting:].sum()) for each in pairs]
+    switches = before.switches + np.array([each[n_waiting:].sum() for each in pairs])
     scored = np.flatnonzero(rows[2] == 0)
     if not len(scored):
         return replace(before, switches=switches, waiting=rows[:, -1:])
