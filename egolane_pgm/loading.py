@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import hashlib
 import warnings
-from collections.abc import Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, fields
+from itertools import pairwise
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -41,16 +42,25 @@ from egolane_pgm.recordings import (
     check_one_drive,
     files_of,
     format_of,
+    iterate_with,
     read_with,
 )
 from egolane_pgm.recordings.catalog import find_file
-from egolane_pgm.recordings.ground_truth import read_ground_truth
+from egolane_pgm.recordings.ground_truth import iterate_ground_truth, read_ground_truth
 from egolane_pgm.recordings.select import (
+    Oddities,
     clip_lri,
+    common_frames,
+    fill_after,
     fill_missing,
+    in_range,
     join,
+    no_frame_in_range,
+    nothing_in_common,
+    odd_frames,
     recording_warnings,
     select_frames,
+    warnings_of,
 )
 from egolane_pgm.results import file_sha256
 from egolane_pgm.types import (
@@ -72,6 +82,9 @@ if TYPE_CHECKING:
 #: Extensions by which a video is known where no detector is named.
 VIDEOS = (".mp4", ".avi", ".mkv", ".mov", ".mpg", ".mpeg", ".m4v", ".webm", ".wmv", ".ts")
 
+
+#: Frame ids that are missing are put in for so many at a time, and a gap.
+FILLED = 2**14
 
 #: What a message about clips says where they are not taken.
 ONE_DRIVE = "only `egolane run` takes clips; here name the lines of one"
@@ -147,11 +160,163 @@ def load_recording(
     truth.check_lanes(experiment.n_lanes)
     both = join(log, truth)
     if both.log_dropped:
-        notes.append(
-            f"{log.source}: {both.log_dropped} of {len(log)} frames have no ground truth;"
-            " filtered, not scored"
-        )
+        notes.append(not_annotated(log.source, both.log_dropped, len(log)))
     return Recorded(log, truth.take(both.truth), both.log, tuple(files), tuple(notes), road, seen)
+
+
+@dataclass(frozen=True)
+class Streamed:
+    """A recording that is read part after part, with its ground truth.
+
+    parts: a `Recorded` each, without notes: frames that follow those before, selected and joined as
+        `load_recording` does.
+    files: what is read.
+    notes: warnings, a line each; complete when the parts are through.
+    """
+
+    parts: Iterator[Recorded]
+    files: tuple[Path, ...]
+    notes: list[str]
+
+
+def stream_recording(
+    experiment: Experiment, parameters: Mapping[str, Any], size: int, more: int
+) -> Streamed:
+    """An experiment's recording part after part, so that it may be of any length.
+
+    - parameters: the model's.
+    - size: frames of a part; the last one has up to `more` beside.
+
+    Raises InputError, one line, for what is not read so; for what is wrong inside a file when it
+    gets there.
+    """
+    source, recording = experiment.source, experiment.recording
+    if recording.path is None or recording.detector is not None:
+        key = "simulate" if recording.path is None else "detector"
+        raise InputError(
+            f"{source}: recording.{key}: is not streamed; `egolane {key.removesuffix('or')}` writes"
+            " the lines to a file that is"
+        )
+    if recording.format is not None and recording.format.endswith(".py"):
+        raise InputError(
+            f"{source}: recording.format: a reader of one's own reads a whole recording; `egolane"
+            " convert` makes a table of it"
+        )
+    _refuse_video(experiment)
+    path = _find(recording.path, experiment, "recording.path", folders=True)
+    logs = iterate_with(path, recording.format, _reader_options(experiment))
+    files, truths = [path], None
+    if experiment.ground_truth is not None:
+        file = _find(experiment.ground_truth.path, experiment, "ground_truth.path")
+        files.append(file)
+        truths = iterate_ground_truth(file, experiment.ground_truth.extra_rows)
+    notes: list[str] = []
+    selected = _selected(experiment, _noting(logs, notes), parameters)
+    parts = _joined(experiment, _of_size(selected, size, more), truths, parameters, notes)
+    return Streamed(parts, tuple(files), notes)
+
+
+def _noting(logs: Iterator[LineLog], notes: list[str]) -> Iterator[LineLog]:
+    """The same, with each warning of the reader noted once."""
+    log: LineLog | None
+    while True:
+        with warnings.catch_warnings(record=True) as caught:
+            warnings.simplefilter("always")
+            log = next(logs, None)
+        said = dict.fromkeys(str(w.message) for w in caught if issubclass(w.category, UserWarning))
+        notes += [note for note in said if note not in notes]
+        if log is None:
+            return
+        yield log
+
+
+def _selected(
+    experiment: Experiment, logs: Iterable[LineLog], parameters: Mapping[str, Any]
+) -> Iterator[LineLog]:
+    """The frames that the experiment takes, with those put in that are missing."""
+    recording = experiment.recording
+    first, stop = recording.frames or (None, None)
+    max_lri = float(parameters.get("max_lri", 10))
+    last: LineLog | None = None
+    seen: list[int] = []
+    for log in logs:
+        seen = [*seen[:1], *log.frame_id[[0, -1]].tolist()]
+        if last is not None and stop is not None and seen[-2] >= stop:
+            break
+        taken = log.take(in_range(log.frame_id, first, stop))
+        # A frame's gap may be long: few frames are filled up at once.
+        borders = np.flatnonzero(np.diff(taken.frame_id // FILLED)) + 1
+        for a, b in pairwise([0, *borders.tolist(), len(taken)]):
+            if a == b:
+                continue
+            part = taken.take(slice(a, b))
+            filled = fill_after(last, part, recording.missing_frames, recording.frame_rate)
+            last = part.take(slice(-1, None))
+            yield clip_lri(filled, max_lri) if recording.lri == "clip" else filled
+    if last is None:
+        raise no_frame_in_range(log.source, first, stop, np.array(seen))
+
+
+def _of_size(logs: Iterable[LineLog], size: int, more: int) -> Iterator[LineLog]:
+    """The same frames, so many at a time, and up to `more` beside in the last part: wherever a
+    reader cuts, what follows is cut at the same frames."""
+    waiting: list[LineLog] = []
+    for log in logs:
+        waiting.append(log)
+        while sum(map(len, waiting)) > size + more:
+            whole = LineLog.joined(waiting)
+            yield whole.take(slice(0, size))
+            waiting = [whole.take(slice(size, None))]
+    yield LineLog.joined(waiting)
+
+
+def _joined(
+    experiment: Experiment,
+    logs: Iterable[LineLog],
+    truths: Iterator[LaneTruth] | None,
+    parameters: Mapping[str, Any],
+    notes: list[str],
+) -> Iterator[Recorded]:
+    """Each log with the ground truth of its frames; what is noted of all of them comes last."""
+    n_lanes, max_lri = experiment.n_lanes, float(parameters.get("max_lri", 10))
+    none = np.zeros(0, dtype=np.int64)
+    waiting = LaneTruth(none, none, none > 0)
+    odd, n_annotated = Oddities(), 0
+    log_ids: list[int] = []
+    truth_ids: list[int] = []
+    for log in logs:
+        odd = odd_frames(odd, log, n_lanes, max_lri)
+        log_ids = [*log_ids[:1], *log.frame_id[[0, -1]]]
+        if truths is None:
+            yield Recorded(log, None, none, (), ())
+            continue
+        while not len(waiting) or waiting.frame_id[-1] < log_ids[-1]:
+            truth = next(truths, None)
+            if truth is None:
+                break
+            truth.check_lanes(n_lanes)
+            truth_ids = [*truth_ids[:1], *truth.frame_id[[0, -1]]]
+            waiting = LaneTruth.joined([waiting, truth])
+        both = common_frames(log, waiting)
+        yield Recorded(log, waiting.take(both.truth), both.log, (), ())
+        n_annotated += len(both)
+        waiting = waiting.take(waiting.frame_id > log_ids[-1])
+    notes += warnings_of(odd, log.source, n_lanes, max_lri)
+    if truths is None:
+        return
+    for truth in truths:
+        truth.check_lanes(n_lanes)
+        truth_ids = [*truth_ids[:1], *truth.frame_id[[0, -1]]]
+    if not n_annotated:
+        ids = np.array(log_ids), np.array(truth_ids)
+        raise nothing_in_common(log.source, ids[0], waiting.source, ids[1])
+    if n_annotated < odd.frames:
+        notes.append(not_annotated(log.source, odd.frames - n_annotated, odd.frames))
+
+
+def not_annotated(source: str, n_dropped: int, n_frames: int) -> str:
+    """What is noted of frames without ground truth."""
+    return f"{source}: {n_dropped} of {n_frames} frames have no ground truth; filtered, not scored"
 
 
 def road_of(experiment: Experiment) -> RoadTable:
@@ -284,7 +449,7 @@ def _find(path: str, experiment: Experiment, key: str, *, folders: bool = False)
         raise InputError(f"{experiment.source}: {key}: {error}") from error
 
 
-def _read_log(path: Path, experiment: Experiment) -> LineLog:
+def _reader_options(experiment: Experiment) -> dict[str, Any]:
     recording = experiment.recording
     options: dict[str, Any] = {**recording.options, "frame_rate": recording.frame_rate}
     if recording.camera is not None:
@@ -295,6 +460,12 @@ def _read_log(path: Path, experiment: Experiment) -> LineLog:
         options["frame_id"] = recording.frame_id
     if recording.columns:
         options["columns"] = recording.columns
+    return options
+
+
+def _read_log(path: Path, experiment: Experiment) -> LineLog:
+    recording = experiment.recording
+    options = _reader_options(experiment)
     if recording.format is not None and recording.format.endswith(".py"):
         where = f"{experiment.source}: recording.format"
         reader = load_plugin("recordings", recording.format, experiment.folder, where)
@@ -344,10 +515,10 @@ def file_entry(path: Path, *, pictures: bool = True) -> dict[str, Any]:
     }
 
 
-def data_entries(experiment: Experiment, recorded: Recorded) -> list[dict[str, Any]]:
+def data_entries(experiment: Experiment, files: Iterable[Path]) -> list[dict[str, Any]]:
     """The `file_entry` of each file that was read."""
     has_pictures = experiment.recording.detector is not None
-    return [file_entry(path, pictures=has_pictures) for path in recorded.files]
+    return [file_entry(path, pictures=has_pictures) for path in files]
 
 
 def named_files(experiment: Experiment) -> list[Path]:

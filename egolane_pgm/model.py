@@ -445,8 +445,8 @@ def online_output(model: Model, reading: str = "soft") -> Callable[[LineLog], Ru
 
     def output_of(log: LineLog) -> RuleOutput:
         given = give(log)
-        tentative = _tentative(model.rule, given, model.n_lanes)
-        return RuleOutput(_filtered(model, log, given, reading), tentative)
+        filtered = _filtered(model, log, given, reading)
+        return RuleOutput(filtered, _tentative(model.rule, given, model.n_lanes))
 
     return output_of
 

@@ -87,8 +87,8 @@ from egolane_pgm.types import (
     pieces_of,
 )
 
-#: The file of the lines.
-LINES = "lines.parquet"
+#: The files of the beliefs and of the lines.
+BELIEFS, LINES = "beliefs.parquet", "lines.parquet"
 
 
 @dataclass(frozen=True)
@@ -290,7 +290,7 @@ def staged(directory: Path, kinds: Sequence[Callable[[Path], bool]] = ()) -> Ite
 #: The files of a result: a new one replaces them, or removes those that it has not got. All others
 #: in the directory, such as notes, are not ours and stay.
 OURS = (
-    *("experiment.yaml", "run.json", "scores.json", "beliefs.parquet", LINES, "events.csv"),
+    *("experiment.yaml", "run.json", "scores.json", BELIEFS, LINES, "events.csv"),
     *("clips.csv", "labels.txt", "labels.csv", "review.csv", "doubted.csv", "report.html"),
     *(
         f"figures/{name}.{style}"
@@ -326,16 +326,27 @@ def write_result(directory: Path, result: Result, experiment: Mapping[str, Any])
     """
     from egolane_pgm.recordings.table import write_table
 
-    write_yaml(directory / "experiment.yaml", experiment)
-    write_parquet(directory / "beliefs.parquet", arrow_table(result.columns()))
+    write_parquet(directory / BELIEFS, arrow_table(result.columns()))
     if result.lines is not None and len(result.lines):
         write_table(directory / LINES, result.lines)
-    _write_columns(directory / "events.csv", result.events.columns())
     if result.clip is not None:
         _write_columns(directory / "clips.csv", result.clip_columns())
+    write_summary(directory, experiment, result.events, result.run, result.scores)
+
+
+def write_summary(
+    directory: Path,
+    experiment: Mapping[str, Any],
+    events: LaneEvents,
+    run: Mapping[str, Any],
+    scores: Mapping[str, Any],
+) -> None:
+    """Write the files of a result that have no row for each frame."""
+    write_yaml(directory / "experiment.yaml", experiment)
+    _write_columns(directory / "events.csv", events.columns())
     version = {"schema_version": SCHEMA_VERSION}
-    write_json(directory / "scores.json", {**version, **result.scores})
-    write_json(directory / "run.json", {**version, **result.run})
+    write_json(directory / "scores.json", {**version, **scores})
+    write_json(directory / "run.json", {**version, **run})
 
 
 def _write_columns(file: Path, columns: Mapping[str, NDArray[Any]]) -> None:
@@ -363,7 +374,7 @@ def read_result(directory: str | Path) -> Result:
     run, scores = read_run(directory), read_scores(directory)
     experiment = read_yaml(directory / "experiment.yaml", "n_lanes: 4")
     validated_in_one_line(Experiment, experiment, directory / "experiment.yaml")
-    column = read_beliefs(directory / "beliefs.parquet", run)
+    column = read_beliefs(directory / BELIEFS, run)
     marginals = {
         node: np.stack([column[name] for name in names], axis=1)
         for node, names in belief_columns(run).items()

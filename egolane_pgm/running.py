@@ -78,6 +78,7 @@ from egolane_pgm.types import (
     InputError,
     IntArray,
     LaneEvents,
+    LaneTruth,
     without_passwords,
 )
 
@@ -152,12 +153,7 @@ def run_experiment(
         found.append(infer_beliefs(model.compiled, filtered, method, lag, frame_id=log.frame_id))
     evidence, beliefs = joined_outputs(made), Beliefs.joined(found)
     notes = [*recorded.notes, *evidence.notes]
-    impossible = int(beliefs.is_impossible.sum())
-    if impossible:
-        notes.append(
-            f"{recorded.log.source}: the evidence of {impossible} frame(s) has joint likelihood"
-            " zero; they keep their prediction"
-        )
+    notes += note_of_impossible(recorded.log.source, int(beliefs.is_impossible.sum()))
     if recorded.log.clip is None and recorded.road is None:
         doubt = doubt_of_lanes(experiment, model, recorded.log, of_lines)
         notes.extend([doubt] if doubt else [])
@@ -365,14 +361,7 @@ def summary(run: Run) -> dict[str, Any]:
     """What `--json` and scores.json say: plain, unrounded, documented in `results`."""
     content = {
         "name": run.experiment.name,
-        "tuned_on": run.experiment.tuned_on,
-        **causality(run.experiment, run.model),
-        "n_lanes": run.experiment.n_lanes,
-        "frames": len(run.beliefs),
-        "frames_scored": 0,
-        "mean_log_evidence": run.beliefs.mean_log_evidence,
-        "impossible_frames": int(run.beliefs.is_impossible.sum()),
-        "warnings": list(run.notes),
+        **said_of(run.experiment, run.model, counts_of(run.beliefs, run.recorded.truth), run.notes),
         **run.scores,
         "sure": run.sure,
         "lanes": list(run.lanes),
@@ -380,40 +369,61 @@ def summary(run: Run) -> dict[str, Any]:
     }
     if run.recorded.log.clip is not None:
         content["clips"] = len(run.recorded.log.pieces())
-    if run.scores:
-        content["frames_scored"] = run.scores["model"]["frames_scored"]
     return content
+
+
+def counts_of(beliefs: Beliefs, truth: LaneTruth | None) -> dict[str, Any]:
+    """What run.json and scores.json count: of the beliefs about T frames, and the truth of those
+    that are annotated."""
+    return {
+        "frames": len(beliefs),
+        "frames_scored": 0 if truth is None else int(np.count_nonzero(~truth.is_crossing)),
+        "mean_log_evidence": beliefs.mean_log_evidence,
+        "impossible_frames": int(beliefs.is_impossible.sum()),
+    }
+
+
+def said_of(
+    experiment: Experiment, model: Model, counts: Mapping[str, Any], notes: Sequence[str]
+) -> dict[str, Any]:
+    """What run.json and scores.json both say. counts: as `counts_of`; notes: a line each."""
+    return {
+        "n_lanes": experiment.n_lanes,
+        "tuned_on": experiment.tuned_on,
+        **causality(experiment, model),
+        **counts,
+        "warnings": list(notes),
+    }
 
 
 def provenance_of(
     experiment: Experiment,
     model: Model,
-    recorded: Recorded,
-    beliefs: Beliefs,
+    files: Sequence[Path],
     content: Mapping[str, Any],
+    counts: Mapping[str, Any],
     notes: Sequence[str],
 ) -> dict[str, Any]:
     """The content of run.json, as `results` documents it.
 
-    - beliefs: of T frames.
+    - files: that were read.
     - content: the resolved config.
+    - counts: as `counts_of`.
     - notes: the warnings, a line each.
     """
-    truth = recorded.truth
     return {
-        **provenance(experiment.name, content, data_entries(experiment, recorded)),
+        **provenance(experiment.name, content, data_entries(experiment, files)),
         "plugins": plugin_files(model),
-        "n_lanes": experiment.n_lanes,
         "frame_rate": experiment.recording.frame_rate,
-        "tuned_on": experiment.tuned_on,
-        **causality(experiment, model),
-        "frames": len(beliefs),
-        "frames_scored": 0 if truth is None else int(np.count_nonzero(~truth.is_crossing)),
-        "mean_log_evidence": beliefs.mean_log_evidence,
-        "impossible_frames": int(beliefs.is_impossible.sum()),
-        "warnings": list(notes),
+        **said_of(experiment, model, counts, notes),
         "values": value_names(model),
     }
+
+
+def note_of_impossible(source: str, n_frames: int) -> list[str]:
+    """What is noted of frames that the model does not allow, if there are any."""
+    said = f"{source}: the evidence of {n_frames} frame(s) has joint likelihood zero; they keep"
+    return [f"{said} their prediction"] if n_frames else []
 
 
 def make_result(
@@ -439,6 +449,36 @@ def make_result(
     - found: keys of run.json beside those of `provenance_of`, or in their place.
     - block: (T,) see `Result`.
     """
+    counts = counts_of(beliefs, recorded.truth)
+    run = provenance_of(experiment, model, recorded.files, content, counts, notes)
+    return result_with(
+        experiment,
+        model,
+        recorded,
+        beliefs,
+        tentative,
+        assigned,
+        content=content,
+        scores=scores,
+        run={**run, **(found or {})},
+        block=block,
+    )
+
+
+def result_with(
+    experiment: Experiment,
+    model: Model,
+    recorded: Recorded,
+    beliefs: Beliefs,
+    tentative: FloatArray | None,
+    assigned: IntArray | None = None,
+    *,
+    content: Mapping[str, Any],
+    scores: Mapping[str, Any],
+    run: Mapping[str, Any],
+    block: IntArray | None = None,
+) -> Result:
+    """As `make_result`; run: the content of run.json."""
     log, truth = recorded.log, recorded.truth
     if assigned is None:
         assigned = assigned_lane(beliefs.lane, experiment.unassigned_below)
@@ -448,11 +488,10 @@ def make_result(
         lane[recorded.scored] = truth.lane
         crossing[recorded.scored] = truth.is_crossing
     values = value_names(model)
-    run = provenance_of(experiment, model, recorded, beliefs, content, notes)
     return Result(
         Path(experiment.source),
         plain(content),
-        plain({"schema_version": SCHEMA_VERSION, **run, **(found or {})}),
+        plain({"schema_version": SCHEMA_VERSION, **run}),
         plain({"schema_version": SCHEMA_VERSION, **scores}),
         log.frame_id,
         log.time_s,

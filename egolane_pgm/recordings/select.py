@@ -9,6 +9,7 @@ import numpy as np
 
 from egolane_pgm.types import (
     NOTE,
+    BoolArray,
     InputError,
     IntArray,
     LaneTruth,
@@ -34,19 +35,31 @@ def select_frames(log: LineLog, first: int | None = None, stop: int | None = Non
 
     Raises InputError, with the range that the recording has, where no frame is left.
     """
-    keep = np.ones(len(log), dtype=bool)
-    if first is not None:
-        keep &= log.frame_id >= first
-    if stop is not None:
-        keep &= log.frame_id < stop
+    keep = in_range(log.frame_id, first, stop)
     if not keep.any():
-        low = "start" if first is None else first
-        high = "end" if stop is None else stop
-        raise InputError(
-            f"{log.source}: no frame from {low} to before {high}; the recording has"
-            f" {_range(log.frame_id)}"
-        )
+        raise no_frame_in_range(log.source, first, stop, log.frame_id)
     return log if keep.all() else log.take(keep)
+
+
+def in_range(frame_id: IntArray, first: int | None, stop: int | None) -> BoolArray:
+    """(T,): marks the ids with first <= id < stop; None leaves that side open."""
+    keep = np.ones(len(frame_id), dtype=bool)
+    if first is not None:
+        keep &= frame_id >= first
+    if stop is not None:
+        keep &= frame_id < stop
+    return keep
+
+
+def no_frame_in_range(
+    source: str, first: int | None, stop: int | None, frame_id: IntArray
+) -> InputError:
+    """That no frame is left; frame_id: of the recording's first and last frame, at least."""
+    low = "start" if first is None else first
+    high = "end" if stop is None else stop
+    return InputError(
+        f"{source}: no frame from {low} to before {high}; the recording has {_range(frame_id)}"
+    )
 
 
 def fill_missing(log: LineLog, policy: str, frame_rate: float) -> LineLog:
@@ -102,13 +115,15 @@ def fill_after(last: LineLog | None, log: LineLog, policy: str, frame_rate: floa
     Raises InputError for frames that do not come after it, and for a gap that is so large that the
     ids cannot be frame numbers.
     """
-    if len(log) == 0:
+    if last is not None and log.frame_id[0] <= last.frame_id[0]:
+        raise InputError(
+            f"{log.source}: frame id {log.frame_id[0]} does not come after {last.frame_id[0]}"
+        )
+    if policy == "skip":
         return log
     ids = log.frame_id if last is None else np.append(last.frame_id, log.frame_id)
-    if last is not None and ids[1] <= ids[0]:
-        raise InputError(f"{log.source}: frame id {ids[1]} does not come after {ids[0]}")
     step = np.diff(ids)
-    if policy == "skip" or (step == 1).all():
+    if (step == 1).all():
         return log
     if (step > MAX_GAP).any():
         k = int(np.argmax(step > MAX_GAP))
@@ -152,19 +167,29 @@ def join(log: LineLog, truth: LaneTruth) -> Join:
 
     Raises InputError, with both ranges, where there is no common frame.
     """
+    found = common_frames(log, truth)
+    if len(found) == 0:
+        raise nothing_in_common(log.source, log.frame_id, truth.source, truth.frame_id)
+    return found
+
+
+def common_frames(log: LineLog, truth: LaneTruth) -> Join:
+    """The frames that both have; there may be none."""
     common, in_log, in_truth = np.intersect1d(
         log.frame_id, truth.frame_id, assume_unique=True, return_indices=True
     )
-    if len(common) == 0:
-        raise InputError(
-            f"no common frames: {log.source} has {_range(log.frame_id)},"
-            f" {truth.source} has {_range(truth.frame_id)}"
-        )
     return Join(
         in_log.astype(np.int64),
         in_truth.astype(np.int64),
         len(log) - len(common),
         len(truth) - len(common),
+    )
+
+
+def nothing_in_common(log: str, log_id: IntArray, truth: str, truth_id: IntArray) -> InputError:
+    """That a log and a ground truth have no common frame; the ids: first and last, at least."""
+    return InputError(
+        f"no common frames: {log} has {_range(log_id)}, {truth} has {_range(truth_id)}"
     )
 
 

@@ -146,14 +146,14 @@ def write_table(path: str | Path, log: LineLog) -> None:
     write = {".csv": _write_csv, ".parquet": write_parquet}.get(path.suffix.lower())
     if write is None:
         raise InputError(f"{path}: unknown extension '{path.suffix}' of a table (.csv, .parquet)")
-    write(path, _to_arrow(log))
+    write(path, rows_of(log, says_missing=bool(log.is_missing.any())))
 
 
 # --- writing -----------------------------------------------------------------------------------
 
 
-def _to_arrow(log: LineLog) -> Any:
-
+def rows_of(log: LineLog, *, says_missing: bool) -> Any:
+    """The rows of a log, of pyarrow; says_missing: whether there is a column is_missing."""
     is_there = (
         log.is_valid | log.is_continuous | ~np.isnan(log.offset_m) | ~np.isnan(log.lri)
     )  # all other cells are padding
@@ -181,7 +181,7 @@ def _to_arrow(log: LineLog) -> Any:
         "is_continuous": column(log.is_continuous, False),
         "lri": np.ma.masked_array(lri, np.isnan(lri)),
     }
-    if log.is_missing.any():
+    if says_missing:
         columns["is_missing"] = log.is_missing[frame]
     return arrow_table(columns)
 

@@ -31,7 +31,8 @@ def identity_of(problem: Problem) -> dict[str, Any]:
             **{key: content[key] for key in kept},
             "recording": {k: v for k, v in content["recording"].items() if k != "path"},
             "data": [
-                entry["sha256"][:16] for entry in data_entries(drive.experiment, drive.recorded)
+                entry["sha256"][:16]
+                for entry in data_entries(drive.experiment, drive.recorded.files)
             ],
             "code": _code(drive),
         }

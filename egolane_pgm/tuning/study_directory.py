@@ -42,7 +42,7 @@ def provenance_of(problem: Problem) -> dict[str, Any]:
     data = [
         {**entry, "path": Path(entry["path"]).name}
         for drive in problem.drives
-        for entry in data_entries(drive.experiment, drive.recorded)
+        for entry in data_entries(drive.experiment, drive.recorded.files)
     ]
     return {
         "schema_version": SCHEMA_VERSION,

@@ -270,7 +270,7 @@ def test_a_run_notes_the_network_by_its_content(seen: Path, tmp_path: Path) -> N
     def entries() -> dict[str, str]:
         experiment = load_experiment(seen / "seen.yaml")
         recorded = load_recording(experiment, {})
-        return {Path(e["path"]).name: e["sha256"] for e in data_entries(experiment, recorded)}
+        return {Path(e["path"]).name: e["sha256"] for e in data_entries(experiment, recorded.files)}
 
     before = entries()
     assert {"drive.avi", "cam.yaml", "top_hat.yaml", "top_hat.onnx"} == set(before)
