@@ -34,6 +34,8 @@ if TYPE_CHECKING:
     from egolane_pgm.api.runs import RunResult as RunResult
     from egolane_pgm.api.runs import RunResults as RunResults
     from egolane_pgm.api.runs import run as run
+    from egolane_pgm.api.streamed import StreamedResult as StreamedResult
+    from egolane_pgm.api.streamed import run_streamed as run_streamed
     from egolane_pgm.api.studies import TuneResult as TuneResult
     from egolane_pgm.api.studies import tune as tune
     from egolane_pgm.experiment import experiments_folder as experiments_folder
@@ -59,6 +61,7 @@ _PUBLIC = {
     "load_experiment": "experiment",
     "run": "api.runs",
     "run_fleet": "api.fleets",
+    "run_streamed": "api.streamed",
     "tune": "api.studies",
     "learn": "api.learned",
     "compare": "api.comparisons",
@@ -71,6 +74,7 @@ _PUBLIC = {
     "RunResult": "api.runs",
     "RunResults": "api.runs",
     "FleetResult": "api.fleets",
+    "StreamedResult": "api.streamed",
     "TuneResult": "api.studies",
     "LearnResult": "api.learned",
     "FleetLearnResult": "api.learned",

@@ -1,8 +1,8 @@
 """One experiment on a recording of any length: read, filtered, scored and written part after part.
 
-The numbers are those of `running.run_experiment`; the memory does not grow with the drive, but for a
-row for each lane change, told or true. What needs all frames at once is refused (`check_streamed`)
-or left out, and the result says so (`LEFT_OUT`).
+The numbers are those of `running.run_experiment`; the memory does not grow with the drive, but for
+a row for each lane change, told or true. What needs all frames at once is refused
+(`check_streamed`) or left out, and the result says so (`LEFT_OUT`).
 """
 
 from __future__ import annotations
@@ -174,8 +174,8 @@ def check_on_road(experiment: Experiment) -> None:
         return
     key = "gnss" if experiment.gnss is not None else "n_lanes"
     raise InputError(
-        f"{experiment.source}: {key}: a road table is laid over the whole drive and is not streamed;"
-        " leave it out, and give n_lanes as a number"
+        f"{experiment.source}: {key}: a road table is laid over the whole drive and is not"
+        " streamed; leave it out, and give n_lanes as a number"
     )
 
 
@@ -200,7 +200,7 @@ class _Totals:
     log_evidence: float = 0.0
     telling: Telling = NOTHING_TOLD
     events: tuple[LaneEvents, ...] = ()
-    counts: FrameCounts = FrameCounts()
+    counts: FrameCounts = field(default_factory=FrameCounts)
     landmarks: tuple[tuple[LaneTruth, FloatArray | None], ...] = ()
     last: FloatArray = field(default_factory=lambda: np.zeros(0))
     last_s: float = 0.0

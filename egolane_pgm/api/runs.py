@@ -116,13 +116,7 @@ class RunResult:
         return f"RunResult({self._title()})"
 
     def _title(self) -> str:
-        parts = [f"{self.name!r}: {len(self)} frames"]
-        for who, scores in self._scored().items():
-            said = with_interval(scores["accuracy"], scores["intervals"]["accuracy"])
-            parts.append(f"{'accuracy' if who == 'model' else who} {said}")
-        if len(parts) == 1:
-            parts.append("no ground truth")
-        return f"{', '.join(parts)}; {shown.how_tuned(self.result.run)}"
+        return title_of(self.result.run, self._scored())
 
     def _scored(self) -> dict[str, Any]:
         """The scores of the model, and of the detector alone where they are known."""
@@ -231,6 +225,17 @@ class RunResult:
         """
         draw = draw_belief if figures else None
         return save_result(self.result, self.experiment, self.model, Path(directory), draw)
+
+
+def title_of(run: Mapping[str, Any], scored: Mapping[str, Mapping[str, Any]]) -> str:
+    """A run in one line: what run.json says, and the scores of the model and of the detector."""
+    parts = [f"{run['name']!r}: {run['frames']} frames"]
+    for who, scores in scored.items():
+        said = with_interval(scores["accuracy"], scores["intervals"]["accuracy"])
+        parts.append(f"{'accuracy' if who == 'model' else who} {said}")
+    if len(parts) == 1:
+        parts.append("no ground truth")
+    return f"{', '.join(parts)}; {shown.how_tuned(run)}"
 
 
 @dataclass(frozen=True, repr=False, eq=False)

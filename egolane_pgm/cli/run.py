@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Sequence
 from functools import partial
 from pathlib import Path
@@ -12,6 +13,7 @@ import click
 from egolane_pgm.api.fleets import SUMMARY, run_fleet
 from egolane_pgm.api.runs import RunResult, choose, draw_belief, name_all
 from egolane_pgm.api.runs import run as run_experiment
+from egolane_pgm.api.streamed import StreamedResult, run_streamed
 from egolane_pgm.cli import options
 from egolane_pgm.cli.options import write_json
 from egolane_pgm.experiment import Experiment
@@ -36,7 +38,7 @@ from egolane_pgm.report.tables import (
     runs_table_rows,
     score_rows,
 )
-from egolane_pgm.results import SCHEMA_VERSION, check_writable
+from egolane_pgm.results import SCHEMA_VERSION, Result, check_writable
 from egolane_pgm.running import Draw, FinishedRun, plan_runs, run_all
 from egolane_pgm.types import InputError
 
@@ -62,6 +64,11 @@ _MANY = 20
 @options.of_recording
 @options.fleet
 @click.option(
+    "--stream",
+    is_flag=True,
+    help="Run a recording of any length part after part, in constant memory.",
+)
+@click.option(
     "--out",
     type=click.Path(file_okay=False),
     help="Result directory; of several runs, their folder.",
@@ -80,6 +87,7 @@ def run(
     camera: str | None,
     detector: str | None,
     fleet: str | None,
+    stream: bool,
     out: str | None,
     no_figures: bool,
     jobs: Jobs,
@@ -98,11 +106,16 @@ def run(
 
     With --fleet one experiment runs on every drive of a table: a result directory for each, without
     figures, and summary.parquet. Drives whose result is there already are not run again.
+
+    With --stream the recording, a table or a bag, may be longer than the memory has room for: the
+    same numbers, without intervals and figures. What needs the whole drive is refused.
     """
     if "" in (*recordings, ground_truth, camera, out):
         raise InputError("run: a file or folder that is named is empty (--recording, --out, ...)")
     changes = (ground_truth, n_lanes, frame_id, camera, detector)
     show = partial(page, style=style, wide=wide)
+    if stream and (fleet is not None or len(experiments) > 1 or len(recordings) > 1):
+        raise InputError("--stream: goes with one experiment and one recording")
     if fleet is not None:
         if len(experiments) > 1 or recordings or any(change is not None for change in changes):
             raise InputError("--fleet: goes with one experiment; the table names the recordings")
@@ -112,7 +125,7 @@ def run(
         recording = recordings[0] if recordings else None
         chosen = choose(experiments[0], overrides, recording, *changes)
         directory = Path(out or Path("results") / chosen.name)
-        _run_one(chosen, directory, show, not no_figures, json_file)
+        _run_one(chosen, directory, show, not no_figures, json_file, stream=stream)
         click.echo(f"\nresult: {directory}", err=style != "markdown")
         return
     to_load = name_all(experiments, overrides, recordings, *changes)
@@ -126,12 +139,17 @@ def _run_one(
     show: Show,
     figures: bool,
     json_file: Path | None,
+    *,
+    stream: bool,
 ) -> None:
     check_writable(directory)
     if json_file:
         check_not_read(json_file, named_files(chosen))
-    done = run_experiment(chosen)
-    done.save(directory, figures=figures)
+    if stream:
+        done: RunResult | StreamedResult = run_streamed(chosen, directory)
+    else:
+        done = run_experiment(chosen)
+        done.save(directory, figures=figures)
     # The file is written before anything is printed, because a reader may close the pipe.
     if json_file:
         write_json(json_file, done.scores)
@@ -225,11 +243,13 @@ def _inode(directory: Path) -> int | None:
     return directory.stat().st_ino if directory.is_dir() else None
 
 
-def _parts(done: RunResult) -> list[str | Table]:
-    experiment, said = done.experiment, done.result.run
+def _parts(done: RunResult | StreamedResult) -> list[str | Table]:
+    experiment, said = done.experiment, done.scores
+    clips = done.result if isinstance(done, RunResult) and done.result.clip is not None else None
+    log_evidence = said["mean_log_evidence"]
     first = [
-        f"{done.name}: {len(done)} frames, {experiment.n_lanes} lanes,"
-        f" graph {experiment.graph}, mean log evidence {done.beliefs.mean_log_evidence:.4f}",
+        f"{said['name']}: {len(done)} frames, {experiment.n_lanes} lanes, graph {experiment.graph},"
+        f" mean log evidence {math.nan if log_evidence is None else log_evidence:.4f}",
         *said["why_not_causal"],
     ]
     scores: dict[str, Any] = {
@@ -244,22 +264,22 @@ def _parts(done: RunResult) -> list[str | Table]:
     if scores:
         parts.append(Table(*score_rows(scores)))
     else:
-        parts += _lane_parts(done)
+        parts += _lane_parts(done, clips)
     parts += [confusion_table(mine["confusion"], name) for name, mine in scores.items()]
-    return parts + (_event_parts(done) if done.result.clip is None else [])
+    return parts + (_event_parts(done) if clips is None else [])
 
 
-def _lane_parts(done: RunResult) -> list[str | Table]:
-    if done.result.clip is None:
-        last = done.beliefs.lane[-1]
+def _lane_parts(done: RunResult | StreamedResult, clips: Result | None) -> list[str | Table]:
+    if clips is None:
+        last = done.beliefs.lane[-1] if isinstance(done, RunResult) else done.last
         best = int(last.argmax())
         at_the_end = f"at the end lane {best + 1} is the most probable ({last[best]:.2f})"
         return [f"{lane_words(done.scores)}; {at_the_end}\n{sure_words(done.scores)}"]
     where = "a row for each clip: clips.csv; its frames: beliefs.parquet"
-    return [*clip_parts(done.result), f"{sure_words(done.scores)}\n{where}"]
+    return [*clip_parts(clips), f"{sure_words(done.scores)}\n{where}"]
 
 
-def _event_parts(done: RunResult) -> list[str | Table]:
+def _event_parts(done: RunResult | StreamedResult) -> list[str | Table]:
     events, scores = done.events, done.scores["events"]
     header, rows = event_rows(events)
     parts: list[str | Table] = [Table(header, rows) if rows else "no lane change was believed"]
