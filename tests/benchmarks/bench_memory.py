@@ -1,0 +1,99 @@
+"""Memory against the length of a drive: `egolane run` with and without `--stream`.
+
+`python -m tests.benchmarks.bench_memory [FRAMES ...] [--only-stream]` prints a table for drives of
+so many frames (10,000 and 100,000 by default; a day at 30 frames a second has 2,592,000). A drive
+is a simulated one over and over, with its ground truth, in a Parquet file that is itself written
+part after part. Each run is a process of its own, without figures; its peak is `ru_maxrss`, less
+that of `python -c pass`.
+"""
+
+from __future__ import annotations
+
+import argparse
+import os
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Iterator, Sequence
+from dataclasses import replace
+from pathlib import Path
+
+from egolane_pgm.files import parquet_writer
+from egolane_pgm.recordings.table import rows_of
+from egolane_pgm.simulation import SimulatedDrive, simulate
+
+ROOT = Path(__file__).parents[2]
+N_LANES = 4
+LENGTHS = (10_000, 100_000)
+FRAME_RATE = 30
+EGOLANE = (sys.executable, "-c", "from egolane_pgm.cli.entry import main; main()")
+RUNS = (("the paper's graph", "quickstart.yaml"), ("zero label", "zero_label.yaml"))
+HEADER = ("frames", "`egolane run`", "whole: memory", "time", "`--stream`: memory", "time")
+
+
+def memory_lines(lengths: Sequence[int] = LENGTHS, only_stream: bool = False) -> Iterator[str]:
+    """The lines of a Markdown table."""
+    yield f"| {' | '.join(HEADER)} |"
+    yield "|---:|---|---:|---:|---:|---:|"
+    bare, _ = peak([sys.executable, "-c", "pass"])
+    for n_frames in lengths:
+        with tempfile.TemporaryDirectory() as folder:
+            recording, truth = write_long_drive(Path(folder), n_frames)
+            for what, experiment in RUNS:
+                cells = []
+                for option in ("--no-figures", "--stream"):
+                    if only_stream and option != "--stream":
+                        cells += ["", ""]
+                        continue
+                    words = (ROOT / "experiments" / experiment, "--recording", recording)
+                    words += ("--ground-truth", truth, "--n-lanes", N_LANES, option)
+                    words += (f"--set=recording.frame_rate={FRAME_RATE}", "--out", f"{folder}/out")
+                    most, seconds = peak([*EGOLANE, "run", *map(str, words)])
+                    cells += [f"{most - bare:,.0f} MB", f"{seconds:,.0f} s"]
+                yield f"| {n_frames:,} | {what} | {' | '.join(cells)} |"
+
+
+def write_long_drive(folder: Path, n_frames: int) -> tuple[Path, Path]:
+    """A recording of so many frames, and its ground truth."""
+    drive = simulate("quickstart", seed=1, frames=12_000, n_lanes=N_LANES)
+    recording, truth = folder / "lines.parquet", folder / "truth.txt"
+    with parquet_writer(recording) as write, truth.open("w", encoding="utf-8") as lines:
+        for lap in laps(drive, n_frames):
+            write(rows_of(lap.log, says_missing=False))
+            rows = zip(lap.truth.frame_id, lap.truth.lane, lap.truth.is_crossing, strict=True)
+            lines.writelines(f"{k};{lane};{int(crossing)}\n" for k, lane, crossing in rows)
+    return recording, truth
+
+
+def laps(drive: SimulatedDrive, n_frames: int) -> Iterator[SimulatedDrive]:
+    """A drive again and again, so many frames in all, with ids that count them."""
+    for first in range(0, n_frames, len(drive.log)):
+        part = slice(0, n_frames - first)
+        log, truth = drive.log.take(part), drive.truth.take(part)
+        log = replace(log, frame_id=log.frame_id + first)
+        yield replace(drive, log=log, truth=replace(truth, frame_id=truth.frame_id + first))
+
+
+def peak(command: Sequence[str]) -> tuple[float, float]:
+    """The largest memory of a process, MB, and its seconds. Raises RuntimeError where it fails."""
+    begun = time.perf_counter()
+    with tempfile.TemporaryFile() as said:
+        process = subprocess.Popen(command, stdout=said, stderr=said)
+        _, status, usage = os.wait4(process.pid, 0)
+        process.returncode = os.waitstatus_to_exitcode(status)
+        if status:
+            said.seek(0)
+            raise RuntimeError(f"{' '.join(command)}: {said.read().decode()}")
+    # Linux counts in kB, others in bytes.
+    unit = 1000 if sys.platform.startswith("linux") else 1_000_000
+    return usage.ru_maxrss / unit, time.perf_counter() - begun
+
+
+if __name__ == "__main__":
+    parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
+    parser.add_argument("frames", nargs="*", type=int, default=LENGTHS)
+    parser.add_argument("--only-stream", action="store_true")
+    options = parser.parse_args()
+    for line in memory_lines(options.frames, options.only_stream):
+        print(line, flush=True)

@@ -1,0 +1,500 @@
+"""A drive that is run part after part: the numbers of one piece, in memory that does not grow."""
+
+from __future__ import annotations
+
+import errno
+import json
+import math
+import tracemalloc
+from dataclasses import replace
+from itertools import pairwise
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pyarrow.parquet as pq
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+import egolane_pgm as ego
+from egolane_pgm import streaming
+from egolane_pgm.experiment import load_experiment
+from egolane_pgm.inference import filtering
+from egolane_pgm.inference.events import NOTHING_TOLD, lane_stretches, stretches, tell
+from egolane_pgm.recordings import rosbag, table, write_lines
+from egolane_pgm.recordings.ground_truth import read_ground_truth, write_ground_truth
+from egolane_pgm.recordings.table import rows_of, write_table
+from egolane_pgm.results import Result, read_result
+from egolane_pgm.running import result_of, run_experiment
+from egolane_pgm.scoring.assign import assigned_lane
+from egolane_pgm.scoring.events import FrameCounts, event_scores, landmarks
+from egolane_pgm.scoring.summary import no_frames, score_all, scores_of, with_frames
+from egolane_pgm.simulation import simulate
+from egolane_pgm.streaming import LEFT_OUT, run_streamed
+from egolane_pgm.types import InputError
+from tests.kits.drives import contents, done, refused, short_drive, write_drive
+
+ROOT = Path(__file__).parents[1]
+GAPS = (20, 21, 22, 60)
+POSITION = {
+    "evidence": "line_geometry",
+    "graph": "position_in_lane",
+    "filter": "exact",
+    "parameters": {"lane_width_m": "causal", "cells": 5},
+}
+#: A result of parts has no intervals and no AUC, and sums the log evidence in another order.
+OTHER = ("intervals", "auc", "seconds", "created", "warnings", "mean_log_evidence")
+
+
+@pytest.fixture
+def small_parts(monkeypatch: pytest.MonkeyPatch) -> None:
+    cut(monkeypatch, rows=7, frames=5, part=16, piece=8)
+
+
+def cut(monkeypatch: pytest.MonkeyPatch, rows: int, frames: int, part: int, piece: int) -> None:
+    """Parts of so many rows or messages for a reader, and of so many frames for what follows."""
+    monkeypatch.setitem(table.iterate_table.__kwdefaults__, "rows", rows)
+    monkeypatch.setitem(rosbag.iterate_rosbag.__kwdefaults__, "frames", frames)
+    monkeypatch.setattr(streaming, "PART_FRAMES", part)
+    monkeypatch.setattr(filtering, "piece_frames", lambda compiled: piece)
+    monkeypatch.setattr(streaming, "piece_frames", lambda compiled: piece)
+
+
+def streamed(path: Path, folder: Path) -> Result:
+    run_streamed(load_experiment(path), folder / "streamed")
+    return read_result(folder / "streamed")
+
+
+def assert_same(whole: Result, parts: Result, atol: float = 0.0) -> None:
+    columns = parts.columns()
+    assert list(columns) == list(whole.columns())
+    for name, column in whole.columns().items():
+        np.testing.assert_allclose(columns[name], column, rtol=0, atol=atol, err_msg=name)
+    assert parts.lines is not None
+    assert whole.lines is not None
+    for name in ("frame_id", "time_s", "offset_m", "is_valid", "is_continuous", "lri"):
+        ours, theirs = getattr(parts.lines, name), getattr(whole.lines, name)
+        np.testing.assert_array_equal(ours, theirs, err_msg=name)
+    np.testing.assert_array_equal(parts.lines.is_missing, whole.lines.is_missing)
+    for mine, other in ((parts.scores, whole.scores), (parts.run, whole.run)):
+        assert numbers(mine) == numbers(other)
+        assert mine["mean_log_evidence"] == pytest.approx(other["mean_log_evidence"], rel=1e-12)
+    for name, column in whole.events.columns().items():
+        np.testing.assert_array_equal(parts.events.columns()[name], column, err_msg=name)
+
+
+def numbers(content: Any) -> Any:
+    if isinstance(content, dict):
+        return {k: numbers(v) for k, v in content.items() if k not in OTHER}
+    return content
+
+
+@pytest.mark.usefixtures("small_parts")
+@pytest.mark.parametrize(
+    ("ending", "policy", "has_truth", "changes"),
+    [
+        ("csv", "skip", True, {}),
+        ("bag", "hold", False, {"filter": "exact", "evidence_reading": "hard"}),
+        ("parquet", "predict", True, {"evidence_reading": "jeffrey", "recording__lri": "clip"}),
+        ("parquet", "hold", True, {"unassigned_below": 0.7, "recording__frames": [10, 130]}),
+        ("mcap", "predict", True, POSITION),
+        ("csv", "skip", False, POSITION),
+    ],
+)
+def test_a_streamed_drive_has_the_numbers_of_one_piece(
+    tmp_path: Path, ending: str, policy: str, has_truth: bool, changes: dict[str, Any]
+) -> None:
+    if not has_truth:
+        changes = {**changes, "ground_truth": None}
+    path = write_drive(
+        tmp_path,
+        recording__path=f"long.{ending}",
+        recording__missing_frames=policy,
+        **changes,
+    )
+    log = short_drive().log
+    write_lines(tmp_path / f"long.{ending}", log.take(~np.isin(log.frame_id, GAPS)))
+    whole = result_of(run_experiment(path))
+    assert_same(whole, streamed(path, tmp_path))
+
+
+@pytest.mark.parametrize("changes", [{}, {"ground_truth": None}, {"filter": "exact"}])
+def test_parts_as_large_as_they_are_change_nothing(tmp_path: Path, changes: dict[str, Any]) -> None:
+    path = write_drive(tmp_path, **changes)
+    assert_same(result_of(run_experiment(path)), streamed(path, tmp_path))
+
+
+def test_a_run_of_the_paper_and_zero_label_are_the_same_streamed(
+    recordings: Path, tmp_path: Path
+) -> None:
+    paper = load_experiment(ROOT / "experiments" / "paper" / "run01_italy_ml.yaml")
+    zero = load_experiment(ROOT / "experiments" / "zero_label.yaml").model_dump()
+    given = paper.model_dump()
+    zero |= {name: given[name] for name in ("recording", "ground_truth", "n_lanes")}
+    for experiment in (paper, ego.load_experiment(zero)):
+        run_streamed(experiment, tmp_path / experiment.name)
+        assert_same(result_of(run_experiment(experiment)), read_result(tmp_path / experiment.name))
+
+
+@settings(max_examples=12, deadline=None)
+@given(
+    rows=st.integers(1, 60),
+    part=st.integers(1, 80),
+    piece=st.integers(1, 40),
+    is_of_places=st.booleans(),
+)
+def test_wherever_a_drive_is_cut_no_number_changes(
+    drives: dict[bool, tuple[Path, Result]], rows: int, part: int, piece: int, is_of_places: bool
+) -> None:
+    path, whole = drives[is_of_places]
+    with pytest.MonkeyPatch.context() as patch:
+        cut(patch, rows, rows, part, piece)
+        parts = streamed(path, path.parent)
+    # Where the filter is cut, its numbers are scaled anew: their last digit may differ.
+    for node, belief in whole.marginals.items():
+        np.testing.assert_allclose(parts.marginals[node], belief, rtol=0, atol=1e-12)
+    assert numbers(parts.scores["events"]) == numbers(whole.scores["events"])
+    for name in {"model", "detector"}.intersection(whole.scores):
+        ours, theirs = parts.scores[name], whole.scores[name]
+        for score in ("confusion", "delay", "false_switches_per_minute", "frames", "per_lane"):
+            assert ours[score] == theirs[score]
+        for score in ("log_loss", "brier", "expected_calibration_error"):
+            assert ours[score] == pytest.approx(theirs[score], rel=1e-12)
+
+
+@pytest.fixture(scope="module")
+def drives(tmp_path_factory: pytest.TempPathFactory) -> dict[bool, tuple[Path, Result]]:
+    found = {}
+    for is_of_places, changes in ((False, {}), (True, POSITION)):
+        path = write_drive(tmp_path_factory.mktemp("drive"), **changes)
+        found[is_of_places] = path, result_of(run_experiment(path))
+    return found
+
+
+@pytest.mark.usefixtures("small_parts")
+def test_later_frames_change_nothing_of_what_was_believed(tmp_path: Path) -> None:
+    path = write_drive(tmp_path, **POSITION)
+    whole = streamed(path, tmp_path)
+    write_table(tmp_path / "lines.csv", short_drive().log.take(slice(0, 96)))
+    early = streamed(path, tmp_path)
+    np.testing.assert_array_equal(early.beliefs.lane, whole.beliefs.lane[:96])
+
+
+@pytest.mark.usefixtures("small_parts")
+def test_a_frame_is_never_split(tmp_path: Path) -> None:
+    log = short_drive().log
+    write_table(tmp_path / "lines.csv", log)
+    write_table(tmp_path / "lines.parquet", log)
+    for name, rows in (("lines.csv", 7), ("lines.parquet", 1), ("lines.parquet", 3)):
+        parts = list(table.iterate_table(tmp_path / name, rows=rows))
+        ids = np.concatenate([part.frame_id for part in parts])
+        np.testing.assert_array_equal(ids, log.frame_id)
+        n_lines = np.concatenate([part.is_valid.sum(axis=1) for part in parts])
+        np.testing.assert_array_equal(n_lines, log.is_valid.sum(axis=1))
+
+
+NEEDS_ALL = [
+    ({"filter": "smoothed"}, "filter: smoothed uses later frames"),
+    ({"filter": "fixed_lag", "lag": 3}, "filter: fixed_lag uses later frames"),
+    ({"filter": "smoothed", "decode": "viterbi"}, "decode: viterbi needs the whole drive"),
+    (
+        {**POSITION, "parameters": {"lane_width_m": "auto"}},
+        "evidence: line_geometry: not causal, the lane width and what the detector's flags",
+    ),
+    (
+        {"recording__path": None, "recording__simulate": "quickstart", "ground_truth": None},
+        "recording.simulate: is not streamed; `egolane simulate` writes",
+    ),
+    ({"recording__format": "./mine.py"}, "recording.format: a reader of one's own"),
+    ({"recording__format": "culane"}, "format culane is read as a whole; `egolane convert`"),
+]
+
+
+@pytest.mark.parametrize(("changes", "said"), NEEDS_ALL)
+def test_what_needs_the_whole_drive_is_refused_naming_the_key(
+    tmp_path: Path, changes: dict[str, Any], said: str
+) -> None:
+    path = write_drive(tmp_path, **changes)
+    with pytest.raises(InputError) as error:
+        run_streamed(load_experiment(path), tmp_path / "out")
+    assert any(said in line for line in error.value.lines), error.value.lines
+    assert not (tmp_path / "out").exists()
+
+
+def test_a_road_whose_lanes_change_is_refused(tmp_path: Path) -> None:
+    experiment = load_experiment(ROOT / "experiments" / "maps" / "interchange.yaml")
+    with pytest.raises(InputError, match="n_lanes: a road table is laid over the whole drive"):
+        run_streamed(experiment, tmp_path / "out")
+
+
+@pytest.mark.usefixtures("small_parts")
+@pytest.mark.parametrize("ending", ["csv", "parquet"])
+def test_a_table_that_is_not_sorted_is_refused_naming_the_row(tmp_path: Path, ending: str) -> None:
+    path = write_drive(tmp_path, 60, recording__path=f"lines.{ending}")
+    write_table(tmp_path / f"lines.{ending}", short_drive(60).log)
+    run_streamed(load_experiment(path), tmp_path / "out")
+    before = contents(tmp_path / "out")
+    frame = pq.read_table if ending == "parquet" else None
+    log = short_drive(60).log
+    rows = rows_of(log, says_missing=False).to_pandas()
+    moved = int(np.flatnonzero(rows["frame_id"] == 50)[0])
+    rows.loc[moved, "frame_id"] = 3
+    assert frame is None or frame(tmp_path / f"lines.{ending}").num_rows == len(rows)
+    rows["line"] = rows["line"].astype("Int64")
+    if ending == "csv":
+        rows.to_csv(tmp_path / "lines.csv", index=False)
+    else:
+        rows.to_parquet(tmp_path / "lines.parquet", index=False)
+    place = f"line {moved + 2}" if ending == "csv" else f"row {moved + 1}"
+    assert refused("run", path, "--stream", "--out", tmp_path / "out") == (
+        f"{tmp_path}/lines.{ending}: {place}: frame 3 comes after a later one; sort the table by"
+        " frame_id"
+    )
+    assert contents(tmp_path / "out") == before
+
+
+@pytest.mark.usefixtures("small_parts")
+def test_a_frame_of_endlessly_many_rows_is_refused_before_it_fills_the_memory(
+    tmp_path: Path,
+) -> None:
+    text = "frame_id,line,offset_m\n" + "1,1,2.0\n" * 3000
+    (tmp_path / "lines.csv").write_text(text)
+    with pytest.raises(InputError, match="line 3: frame 1 has this line twice"):
+        list(table.iterate_table(tmp_path / "lines.csv"))
+
+
+@pytest.mark.usefixtures("small_parts")
+def test_the_ground_truth_may_begin_later_and_end_later(tmp_path: Path) -> None:
+    path = write_drive(tmp_path, recording__frames=[20, 120])
+    truth = short_drive().truth
+    write_ground_truth(tmp_path / "ground_truth.txt", truth.take(slice(70, None)))
+    whole, parts = result_of(run_experiment(path)), streamed(path, tmp_path)
+    assert_same(whole, parts)
+    assert parts.run["warnings"] == [*whole.run["warnings"], LEFT_OUT]
+    assert "50 of 100 frames have no ground truth" in " ".join(parts.run["warnings"])
+    late = replace(truth, frame_id=truth.frame_id + 1000)
+    write_ground_truth(tmp_path / "ground_truth.txt", late)
+    with pytest.raises(InputError) as error:
+        streamed(path, tmp_path)
+    with pytest.raises(InputError) as of_whole:
+        run_experiment(path)
+    assert str(error.value) == str(of_whole.value)
+
+
+def test_a_ground_truth_is_read_in_parts_with_its_extra_rows(tmp_path: Path) -> None:
+    from egolane_pgm.recordings.ground_truth import iterate_ground_truth
+
+    truth = short_drive().truth
+    file = tmp_path / "truth.txt"
+    write_ground_truth(file, truth.take(truth.frame_id != 40))
+    parts = list(iterate_ground_truth(file, [(40, 2, 1), (999, 1, 0)], frames=7))
+    assert {len(part) for part in parts[:-1]} == {7}
+    whole = read_ground_truth(file, [(40, 2, 1), (999, 1, 0)])
+    for name in ("frame_id", "lane", "is_crossing"):
+        joined = np.concatenate([getattr(part, name) for part in parts])
+        np.testing.assert_array_equal(joined, getattr(whole, name))
+    assert len(whole) == len(truth) + 1
+
+
+def test_memory_does_not_grow_with_the_drive(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    cut(monkeypatch, rows=256, frames=64, part=128, piece=64)
+    log = simulate("quickstart", seed=3, frames=3200).log
+
+    def peak(n_frames: int) -> int:
+        path = write_drive(tmp_path, 10, ground_truth=None, recording__path="long.parquet")
+        write_table(tmp_path / "long.parquet", log.take(slice(0, n_frames)))
+        experiment = load_experiment(path)
+        tracemalloc.start()
+        run_streamed(experiment, tmp_path / "out")
+        most = tracemalloc.get_traced_memory()[1]
+        tracemalloc.stop()
+        return most
+
+    peak(200)
+    # The beliefs and the lines of 2,400 frames are 600 kB.
+    assert peak(3200) - peak(800) < 100_000
+
+
+def test_a_full_disk_is_one_line_and_leaves_the_older_result(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, small_parts: None
+) -> None:
+    path = write_drive(tmp_path)
+    run_streamed(load_experiment(path), tmp_path / "out")
+    before = contents(tmp_path)
+    real = pq.ParquetWriter.write_table
+    n_written = 0
+
+    def write(self: Any, *given: Any, **more: Any) -> None:
+        nonlocal n_written
+        n_written += 1
+        if n_written > 5:
+            raise OSError(errno.ENOSPC, "No space left on device")
+        real(self, *given, **more)
+
+    monkeypatch.setattr(pq.ParquetWriter, "write_table", write)
+    said = refused("run", path, "--stream", "--out", tmp_path / "out")
+    assert said.endswith("cannot be written: No space left on device")
+    assert str(tmp_path / "out") in said
+    assert contents(tmp_path) == before
+
+
+def test_a_run_that_is_stopped_leaves_nothing(tmp_path: Path, small_parts: None) -> None:
+    path = write_drive(tmp_path)
+    before = contents(tmp_path)
+    n_frames = 0
+
+    def stop(more: int) -> None:
+        nonlocal n_frames
+        n_frames += more
+        if n_frames > 60:
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        run_streamed(load_experiment(path), tmp_path / "out", stop)
+    assert 60 < n_frames < 100
+    assert contents(tmp_path) == before
+
+
+def test_the_command_says_what_run_says(tmp_path: Path) -> None:
+    path = write_drive(tmp_path)
+    whole = done("run", path, "--no-figures", "--out", tmp_path / "whole", "--wide")
+    parts = done("run", path, "--stream", "--out", tmp_path / "parts", "--wide")
+    assert LEFT_OUT in parts.stderr
+    assert parts.stdout.replace("parts", "whole") == whole.stdout
+    both = ("--recording", tmp_path / "lines.csv")
+    for words in ((path, path), (path, *both, *both[:1], tmp_path / "other.csv")):
+        said = refused("run", *words, "--stream")
+        assert said == "--stream: goes with one experiment and one recording"
+
+
+def test_a_streamed_result_is_read_as_any_other(tmp_path: Path) -> None:
+    path = write_drive(tmp_path)
+    done("run", path, "--no-figures", "--out", tmp_path / "whole")
+    done("run", path, "--stream", "--out", tmp_path / "parts")
+    done("plot", tmp_path / "parts", "--out", tmp_path / "figures")
+    done("report", tmp_path / "parts", "-o", tmp_path / "page.html")
+    assert "run as a stream" in (tmp_path / "page.html").read_text()
+    target = tmp_path / "compared.json"
+    done("compare", tmp_path / "whole", tmp_path / "parts", "--json", target)
+    one, other = json.loads(target.read_text())["results"]
+    assert one["scores"] == other["scores"]
+    done("run", tmp_path / "parts" / "experiment.yaml", "--stream", "--out", tmp_path / "again")
+
+
+def test_python_gives_the_scores_and_the_directory(tmp_path: Path) -> None:
+    path = write_drive(tmp_path)
+    found = ego.run_streamed(path, tmp_path / "out", overrides={"name": "mine"})
+    run = ego.run(path, overrides={"name": "mine"})
+    assert len(found) == len(run)
+    assert found.scores["model"]["accuracy"] == run.scores["model"]["accuracy"]
+    assert found.notes == [*run.notes, LEFT_OUT]
+    assert "'mine': 150 frames, accuracy" in repr(found)
+    assert "<th>model</th>" in found._repr_html_()
+    np.testing.assert_array_equal(found.last, run.beliefs.lane[-1])
+    assert repr(found.events) == repr(run.events)
+    assert len(ego.load_result(found.directory)) == 150
+
+
+# --- what adds up --------------------------------------------------------------------------------
+
+
+@st.composite
+def annotated(draw: st.DrawFn) -> tuple[Any, ...]:
+    """Beliefs over two lanes with ground truth that changes often, and where they are cut."""
+    n_frames = draw(st.integers(1, 80))
+    rng = np.random.default_rng(draw(st.integers(0, 2**32 - 1)))
+    lane = np.repeat(rng.integers(1, 3, n_frames), rng.integers(1, 12, n_frames))[:n_frames]
+    is_crossing = np.repeat(rng.random(n_frames) < 0.3, rng.integers(1, 5, n_frames))[:n_frames]
+    left = np.repeat(rng.choice([0.02, 0.3, 0.5, 0.7, 0.99], n_frames), 3)[:n_frames]
+    frame_id = np.cumsum(rng.integers(1, 4, n_frames))
+    beliefs = ego.Beliefs(
+        frame_id,
+        {"Lane": np.stack([left, 1 - left], axis=1)},
+        np.zeros(n_frames),
+        np.zeros(n_frames, dtype=bool),
+    )
+    cuts = sorted(draw(st.sets(st.integers(0, n_frames), max_size=6)))
+    parts = [slice(a, b) for a, b in pairwise([0, *cuts, n_frames]) if a < b]
+    return beliefs, ego.LaneTruth(frame_id, lane, is_crossing), parts, rng.random(n_frames)
+
+
+@given(annotated())
+def test_scores_are_the_same_wherever_they_are_cut(drawn: tuple[Any, ...]) -> None:
+    beliefs, truth, parts, _ = drawn
+    assigned = assigned_lane(beliefs.lane)
+    frames = (beliefs.lane, truth.lane, truth.is_crossing, truth.frame_id)
+    sums = no_frames(2)
+    for part in parts:
+        sums = with_frames(sums, *(each[part] for each in frames), assigned[part])
+    assert scores_of(sums, 10.0) == score_all(*frames, 10.0)
+
+
+@given(annotated())
+def test_lane_changes_are_the_same_wherever_they_are_cut(drawn: tuple[Any, ...]) -> None:
+    beliefs, truth, parts, crossing = drawn
+    whole = ego.lane_events(beliefs, 10.0)
+    telling, found, kept = NOTHING_TOLD, [], []
+    counts = FrameCounts()
+    for part in parts:
+        here, labels = beliefs.take(part), truth.take(part)
+        telling, _, events = tell(telling, here, here.frame_id / 10.0)
+        found.append(events)
+        counts = counts.plus(crossing[part], labels)
+        marks = landmarks(events, crossing[part], labels)
+        kept.append((labels.take(marks), crossing[part][marks]))
+    told = ego.LaneEvents.joined(found)
+    for name, column in whole.columns().items():
+        np.testing.assert_array_equal(told.columns()[name], column, err_msg=name)
+    last_s = float(beliefs.frame_id[-1] / 10.0)
+    times = beliefs.frame_id / 10.0
+    assert stretches(telling.first, told, last_s) == lane_stretches(beliefs, whole, times)
+    marked = ego.LaneTruth.joined([labels for labels, _ in kept])
+    warned = np.concatenate([each for _, each in kept])
+    expected = event_scores(whole, crossing, truth, 10.0)
+    expected["crossing"]["auc"] = None
+    assert event_scores(told, warned, marked, 10.0, counts) == expected
+
+
+# --- bags ----------------------------------------------------------------------------------------
+
+
+@pytest.mark.usefixtures("small_parts")
+def test_stamps_that_do_not_increase_are_refused_where_they_are_the_time(tmp_path: Path) -> None:
+    log = short_drive(60).log
+    stamps = 1.7e9 + log.frame_id / 10
+    stamps[40] = stamps[20]
+    write_lines(tmp_path / "drive.mcap", replace(log, time_s=stamps))
+    with pytest.raises(InputError) as error:
+        list(rosbag.iterate_rosbag(tmp_path / "drive.mcap"))
+    assert str(error.value).endswith(
+        "the stamps of frames 39 and 40 do not increase; recording.options.stamps: false takes the"
+        " time from frame ids"
+    )
+    parts = list(rosbag.iterate_rosbag(tmp_path / "drive.mcap", stamps=False))
+    assert math.isclose(parts[-1].time_s[-1], 5.9)
+
+
+@pytest.mark.usefixtures("small_parts")
+def test_a_message_is_counted_from_the_beginning_of_the_file(tmp_path: Path) -> None:
+    from tests.kits.bags import line_bag
+
+    ids = [*range(12), 4, 13]
+    line_bag(tmp_path / "a.bag", ids)
+    with pytest.raises(InputError) as of_whole:
+        rosbag.read_rosbag(tmp_path / "a.bag")
+    with pytest.raises(InputError) as error:
+        list(rosbag.iterate_rosbag(tmp_path / "a.bag"))
+    assert str(error.value) == str(of_whole.value)
+    assert "(messages 12 and 13 of the file)" in str(error.value)
+
+
+@pytest.mark.usefixtures("small_parts")
+def test_frames_are_counted_through_all_parts(tmp_path: Path) -> None:
+    from tests.kits.bags import line_bag
+
+    line_bag(tmp_path / "a.bag", [7] * 14)
+    parts = list(rosbag.iterate_rosbag(tmp_path / "a.bag", frame_id="count"))
+    assert np.concatenate([part.frame_id for part in parts]).tolist() == list(range(14))
