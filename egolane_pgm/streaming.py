@@ -29,7 +29,6 @@ from egolane_pgm.inference.filtering import piece_frames, step
 from egolane_pgm.inference.layout import FilterState
 from egolane_pgm.loading import Recorded, stream_recording
 from egolane_pgm.model import Model, causality, model_to_run, online_output
-from egolane_pgm.recordings.table import rows_of
 from egolane_pgm.results import BELIEFS, LINES, staged, write_summary
 from egolane_pgm.running import (
     note_of_impossible,
@@ -112,6 +111,9 @@ def run_streamed(
     Raises InputError, one line, for whatever does not fit, for what needs the whole drive, and
     where the directory cannot be written: then it is as it was.
     """
+    # pyarrow is imported only where there is something to write.
+    from egolane_pgm.recordings.table import rows_of
+
     begun = time.perf_counter()
     directory = Path(directory)
     check_on_road(experiment)

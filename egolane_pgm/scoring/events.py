@@ -111,11 +111,12 @@ def match_events(
     # Events in order, each taking the open change that closes first: no matching has more pairs
     # (Glover 1967, points and intervals).
     for e, told in enumerate(events.told_frame_id):
-        fits = is_open & (first <= told) & (told <= last)
-        fits &= changes.from_lane == events.from_lane[e]
-        fits &= changes.to_lane == events.to_lane[e]
+        # The changes are in order, so those within reach stand together.
+        near = slice(*np.searchsorted(last, [told]), *np.searchsorted(first, [told], side="right"))
+        fits = is_open[near] & (changes.from_lane[near] == events.from_lane[e])
+        fits &= changes.to_lane[near] == events.to_lane[e]
         if fits.any():
-            found[e] = np.flatnonzero(fits)[np.argmin(last[fits])]
+            found[e] = near.start + np.argmax(fits)
             is_open[found[e]] = False
     return found
 
