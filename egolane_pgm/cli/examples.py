@@ -45,6 +45,7 @@ EXAMPLES = {
         "egolane run experiments/quickstart.yaml --set parameters.sigma1=0.3",
         "egolane run experiments/zero_label.yaml --recording drive/lines.csv --n-lanes 4"
         " --out mine",
+        "egolane run experiments/zero_label.yaml --recording drive/lines.csv --n-lanes 4 --stream",
     ),
     "schema": ("egolane schema",),
     "show": (

@@ -20,7 +20,14 @@ from egolane_pgm.parameters import resolve_parameters
 from egolane_pgm.scoring.assign import assigned_lane
 from egolane_pgm.scoring.confusion import confusion
 from egolane_pgm.types import FloatArray, IntArray
-from tests.benchmarks import bench_camera, bench_cold, bench_fleet, bench_planning, peers
+from tests.benchmarks import (
+    bench_camera,
+    bench_cold,
+    bench_fleet,
+    bench_memory,
+    bench_planning,
+    peers,
+)
 from tests.benchmarks.bench_tune import markdown, tune_lines
 from tests.benchmarks.changing import changing_rows
 from tests.benchmarks.data import N_LANES, PARAMETERS, Data, load, parameter_sets
@@ -74,6 +81,8 @@ def run_all(rounds: int) -> str:
     text += f"{bench_fleet.markdown(bench_fleet.fleet_lines())}\n"
     print("planning_lines ...", file=sys.stderr, flush=True)
     text += f"{bench_planning.markdown(bench_planning.planning_lines(), pictures)}\n"
+    print("memory_lines ...", file=sys.stderr, flush=True)
+    text += "\n" + "\n".join(bench_memory.memory_lines()) + "\n"
     print(text)
     return f"{head}\n{text}"
 

@@ -135,6 +135,7 @@ def write_world(folder: Path, boards: Path, network: Path) -> None:
         shutil.copy(ROOT / "examples" / name, folder)
     write_drive(folder, 600)
     shutil.copy(folder / "lines.csv", folder / "drive.csv")
+    command("convert", folder / "lines.csv", folder / "long.parquet")
     head, rows = (folder / "lines.csv").read_text().split("\n", 1)
     assert head.startswith("frame_id,line,offset_m,")
     others = head.replace("frame_id,line,offset_m", "frame,id,lateral")
