@@ -34,7 +34,7 @@ class StreamedResult:
     >>> done
     StreamedResult('long': 90 frames, no ground truth; not tuned, causal)
     >>> beliefs
-    Beliefs(90 frames, ids 0 to 89: SensorState (2), Lane (4))
+    Beliefs(90 frames, ids 0 to 89: Lane (4), SensorState (2))
     """
 
     done: StreamedRun

@@ -176,7 +176,7 @@ def test_pieces_that_the_filter_takes_one_by_one_equal_the_whole(
     evidence = random_evidence(rng, compiled, 50)
     monkeypatch.setattr(filtering, "MIN_FIXED_FRAMES", 1)
     monkeypatch.setattr(filtering, "PIECE", 8 * 7)
-    assert len(filtering._pieces(50, compiled.n_states)) == 7
+    assert len(filtering._pieces(50, filtering.piece_frames(compiled))) == 7
     beliefs = checked(compiled, evidence, method)
     np.testing.assert_array_equal(beliefs.frame_id, np.arange(50))
 
