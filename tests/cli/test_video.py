@@ -372,7 +372,7 @@ def test_valid_lines_are_drawn_at_offset_0_and_without_a_reliability_index(tmp_p
 
 def test_a_picture_that_is_too_large_is_one_line_for_video_and_detect(labels: Path) -> None:
     huge = huge_picture(labels.parent / "huge.png")
-    with pytest.raises(InputError, match=r"huge\.png: cannot be read: .*10000000000 pixels"):
+    with pytest.raises(InputError, match=r"huge\.png: cannot be read: .* pixels\)"):
         read_image(huge)
     camera = labels.with_name("cam.yaml")
     for words in (("video", huge, "--n-lanes", 3, "-o", "v.mp4"), ("detect", huge, "-o", "d.csv")):
