@@ -665,7 +665,8 @@ def _with_included(path: Path, including: tuple[str, ...]) -> dict[str, Any]:
     place = os.path.realpath(path)
     if place in including:
         raise InputError(f"{including[-1]}: include: {path.name} includes this file itself")
-    if including and not path.is_file():
+    # Not `path.is_file`, to which a name that is too long is an error of its own.
+    if including and not os.path.isfile(path):
         raise InputError(f"{including[-1]}: include: no file {path}")
     return _including(read_yaml(path, "n_lanes: 4"), path.parent, str(path), (*including, place))
 

@@ -348,6 +348,11 @@ def test_an_experiment_can_be_made_without_a_file(tmp_path: Path) -> None:
         load_experiment({**content, "version": 3})
 
 
+def test_a_file_to_include_whose_name_is_too_long_is_refused() -> None:
+    with pytest.raises(InputError, match=r"^experiment: include: no file 9+$"):
+        load_experiment({"include": 300 * "9"})
+
+
 def rich() -> Experiment:
     """An experiment with something nested in every key that may have it."""
     return made(

@@ -202,11 +202,14 @@ def offset_of(line: ImageLine | RoadLine, camera: Camera | None, ahead_m: float 
     x, y = x[near], y[near]
     if len(np.unique(x)) < 2 or x.min() > NEAREST_M:
         return float("nan")
-    weight = (FOCAL_PX if camera is None else camera.fx) / (POINT_PX * x)
-    rows = np.stack([np.ones_like(x), x, x * x / 2], axis=1) * weight[:, None]
     prior = np.diag([0.0, 1 / HEADING, 1 / CURVATURE])[1:]
-    design = np.concatenate([rows, prior])
-    values = np.concatenate([y * weight, np.zeros(len(prior))])
+    with np.errstate(over="ignore", invalid="ignore"):
+        weight = (FOCAL_PX if camera is None else camera.fx) / (POINT_PX * x)
+        rows = np.stack([np.ones_like(x), x, x * x / 2], axis=1) * weight[:, None]
+        design = np.concatenate([rows, prior])
+        values = np.concatenate([y * weight, np.zeros(len(prior))])
+    if not (np.isfinite(design).all() and np.isfinite(values).all()):
+        return float("nan")
     shape = np.linalg.lstsq(design, values, rcond=None)[0]
     return float(shape @ [1.0, ahead_m, ahead_m**2 / 2])
 

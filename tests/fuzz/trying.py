@@ -192,8 +192,8 @@ def judge(read: Any, path: Path) -> str:
 
 def _judge_refusal(error: InputError, path: Path) -> str:
     for line in error.lines:
-        # It may be a file that the damaged one names, which is beside it.
-        if str(path) not in line and f"{path.parent}{os.sep}" not in line:
+        # It may be what the damaged one names: a file beside it, or their folder.
+        if str(path.parent) not in line:
             return f"does not name the file: {line[:200]}{_where(error)}"
         if len(line) > LONGEST:
             return f"says {len(line)} letters: {line[:200]}{_where(error)}"

@@ -15,6 +15,7 @@ from hypothesis import strategies as st
 from egolane_pgm.camera.model import Camera, road_to_image
 from egolane_pgm.recordings.image_lines import (
     ImageLine,
+    RoadLine,
     frame_numbers,
     offset_of,
     persistence,
@@ -101,6 +102,11 @@ def test_a_bend_is_not_taken_for_an_offset() -> None:
     x = np.linspace(5, 50, 40)
     u, v = road_to_image(CAMERA, x, 1.8 + x**2 / 2 / 800)
     assert offset_of(ImageLine(u, v), CAMERA) == pytest.approx(1.8, abs=0.05)
+
+
+def test_a_line_whose_points_are_beyond_all_numbers_has_no_offset() -> None:
+    x = np.array([1e-308, 5.0, 10.0])
+    assert np.isnan(offset_of(RoadLine(x, np.full(3, 1e308)), None))
 
 
 def test_a_line_seen_only_far_ahead_or_above_the_horizon_has_no_offset() -> None:
