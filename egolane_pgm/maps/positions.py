@@ -165,15 +165,16 @@ def read_positions(
 def _read_table(path: Path, columns: Mapping[str, str] | None) -> Positions:
     import pandas as pd
 
-    if path.suffix.lower() == ".parquet":
-        table = read_parquet(path).to_pandas(ignore_metadata=True)
-    else:
-        try:
+    arrow = read_parquet(path) if path.suffix.lower() == ".parquet" else None
+    try:
+        if arrow is not None:
+            table = arrow.to_pandas(ignore_metadata=True)
+        else:
             table = pd.read_csv(path, encoding="utf-8-sig", skipinitialspace=True)
-        except (OSError, ValueError) as error:
-            # pandas' own errors are ValueErrors.
-            text = " ".join(str(error).split())[:120]
-            raise InputError(f"{path}: cannot be read as a table ({text})") from None
+    except (OSError, ValueError) as error:
+        # pandas' own errors are ValueErrors.
+        text = " ".join(str(error).split())[:120]
+        raise InputError(f"{path}: cannot be read as a table ({text})") from None
     names = _column_names(path, [str(name) for name in table.columns], dict(columns or {}))
     values = {
         ours: _times(path, table[theirs]) if ours == "t_s" else _numbers(path, table[theirs])
@@ -219,7 +220,10 @@ def _times(path: Path, column: pd.Series) -> FloatArray:
 
     if pd.api.types.is_numeric_dtype(column):
         return _numbers(path, column)
-    date = pd.to_datetime(column, errors="coerce", utc=True, format="ISO8601")
+    try:
+        date = pd.to_datetime(column, errors="coerce", utc=True, format="ISO8601").dt.as_unit("ns")
+    except pd.errors.OutOfBoundsDatetime as error:
+        raise InputError(f"{path}: {column.name}: {error}") from None
     _check_cells(path, column, date.isna().to_numpy(), "a number or a date")
     return np.asarray((date - pd.Timestamp(0, tz="UTC")) / pd.Timedelta(seconds=1), np.float64)
 
@@ -275,8 +279,10 @@ def _read_nmea(path: Path) -> Positions:
         sentences += 1
         try:
             said = pynmea2.parse(line, check=True)
-            # Fields are read only where they are asked for.
+            # Fields are read only where they are asked for; a damaged time or date stays text.
             values = _nmea_values(said)
+            if any(isinstance(each, str) and each for each in _when(said)):
+                raise ValueError
         except (pynmea2.ParseError, ValueError):
             damaged += 1
             continue
@@ -314,6 +320,11 @@ def _read_nmea(path: Path) -> Positions:
 
 def _moment(date: Any, clock: Any) -> datetime:
     return datetime.combine(date, clock.replace(tzinfo=None), tzinfo=UTC)
+
+
+def _when(said: Any) -> tuple[Any, ...]:
+    date = (said.datestamp,) if said.sentence_type == "RMC" else ()
+    return (said.timestamp, *date)
 
 
 def _nmea_values(said: Any) -> dict[str, float]:

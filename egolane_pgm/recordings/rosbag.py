@@ -415,7 +415,8 @@ def _from_ros2(path: Path, wanted: str | None, topics: dict[str, str]) -> Iterat
     from rosbags.rosbag2 import Reader as Reader2
 
     with Reader2(path) as bag:
-        topics |= {c.topic: c.msgtype for c in bag.connections}
+        # What metadata.yaml says may be anything.
+        topics |= {c.topic: str(c.msgtype) for c in bag.connections}
         chosen: list[Any] = [c for c in bag.connections if _plain_name(c.topic) == wanted]
         kinds = {
             c.id: Kind(

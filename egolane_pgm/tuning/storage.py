@@ -40,6 +40,9 @@ JOURNAL_NAME = "study.journal"
 #: A worker on a database says so often that it is alive, and is taken for dead after so long.
 HEARTBEAT_S, GRACE_S = 15, 60
 
+#: What to do about a study that is damaged.
+_AGAIN = "begin another study with --out or --storage"
+
 #: A lock on a journal that is held so long was left by a process that was killed.
 LOCK_GRACE_S = 5
 
@@ -214,7 +217,8 @@ def open_study(
     Raises InputError where the storage holds another study of that name.
     """
     check_study(storage, name, identity)
-    study = new_study(settings, storage=storage, study_name=name)
+    with _damaged(name):
+        study = new_study(settings, storage=storage, study_name=name)
     _check_trials(study, len(settings.objectives), set(identity["space"]["searched"]))
     if "identity" not in study.user_attrs:
         study.set_user_attr("identity", dict(identity))
@@ -226,10 +230,11 @@ def open_study(
 
 def check_study(storage: BaseStorage, name: str, identity: Mapping[str, Any]) -> None:
     """Raise InputError, saying what differs, where a storage holds another study of a name."""
-    if name not in [study.study_name for study in storage.get_all_studies()]:
-        return
-    study = optuna.load_study(study_name=name, storage=storage)
-    was = study.user_attrs.get("identity", identity)
+    with _damaged(name):
+        if name not in [study.study_name for study in storage.get_all_studies()]:
+            return
+        study = optuna.load_study(study_name=name, storage=storage)
+        was = study.user_attrs.get("identity", identity)
     unlike = differences(was if isinstance(was, Mapping) else {"identity": was}, identity)
     if unlike:
         raise InputError(
@@ -240,18 +245,26 @@ def check_study(storage: BaseStorage, name: str, identity: Mapping[str, Any]) ->
 
 def _check_trials(study: optuna.Study, n_scores: int, searched: set[str]) -> None:
     """Raise InputError for a study with trials that no search has made."""
-    again = "begin another study with --out or --storage"
-    try:
+    with _damaged(study.study_name):
         trials = study.get_trials(deepcopy=False)
-    except (ValueError, LookupError, TypeError) as error:
-        raise InputError(f"study {study.study_name}: is damaged: {error}; {again}") from error
     for trial in trials:
         is_whole = len(trial.values or ()) == n_scores and searched <= set(trial.params)
         if trial.state == TrialState.COMPLETE and not is_whole:
             raise InputError(
                 f"study {study.study_name}: is damaged: trial {trial.number} is complete without"
-                f" its scores or parameters; {again}"
+                f" its scores or parameters; {_AGAIN}"
             )
+
+
+@contextmanager
+def _damaged(name: str) -> Iterator[None]:
+    """Whatever Optuna stumbles over in a study that somebody damaged, as InputError."""
+    try:
+        yield
+    except InputError:
+        raise
+    except (ValueError, LookupError, TypeError) as error:
+        raise InputError(f"study {name}: is damaged: {error}; {_AGAIN}") from error
 
 
 @contextmanager
