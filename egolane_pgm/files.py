@@ -304,14 +304,8 @@ def read_parquet(path: Path) -> Any:
 
 def rows_of_parquet(path: Path) -> int:
     """How many rows a Parquet file has, by its end. Raises InputError where it cannot be read."""
-    from pyarrow import ArrowException, OSFile, parquet
-
-    try:
-        with OSFile(str(path)) as file:
-            return int(parquet.read_metadata(file).num_rows)
-    except (OSError, ArrowException) as error:
-        why = " ".join(str(error).split())
-        raise InputError(f"{path}: cannot be read: {why}") from error
+    with open_parquet(path, whole=False) as file:
+        return int(file.metadata.num_rows)
 
 
 def plain(value: Any) -> Any:
