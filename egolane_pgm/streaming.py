@@ -116,7 +116,7 @@ def run_streamed(
 
     begun = time.perf_counter()
     directory = Path(directory)
-    check_on_road(experiment)
+    _check_road(experiment)
     model = model_to_run(experiment)
     check_streamed(experiment, model)
     piece = piece_frames(model.compiled)
@@ -170,7 +170,7 @@ def run_streamed(
     return StreamedRun(directory, experiment, run, scores, events, totals.last)
 
 
-def check_on_road(experiment: Experiment) -> None:
+def _check_road(experiment: Experiment) -> None:
     """Raise InputError for a road whose lanes change, or positions on it."""
     if experiment.gnss is None and not experiment.follows_map:
         return

@@ -92,7 +92,7 @@ class _Journal(JournalFileBackend):
             with _interrupted_later():
                 self.lock.acquire()
                 try:
-                    with self.path.open("ab", buffering=0) as file:
+                    with self.path.open("a+b", buffering=0) as file:
                         size = self._whole(file)
                         if file.write(lines.encode()) < len(lines.encode()):
                             file.truncate(size)
@@ -105,11 +105,11 @@ class _Journal(JournalFileBackend):
     def _whole(self, file: io.FileIO) -> int:
         """The size of the file, without the half line of a process that was killed."""
         size = file.seek(0, os.SEEK_END)
-        with self.path.open("rb") as read:
-            read.seek(max(0, size - 1))
-            if read.read() not in (b"", b"\n"):
-                size = self.path.read_bytes().rfind(b"\n") + 1
-                file.truncate(size)
+        file.seek(max(0, size - 1))
+        if file.read() not in (b"", b"\n"):
+            file.seek(0)
+            size = file.readall().rfind(b"\n") + 1
+            file.truncate(size)
         return size
 
 
