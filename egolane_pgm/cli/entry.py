@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import _thread
+import atexit
+import contextlib
 import os
 import signal
 import socket
@@ -50,6 +52,8 @@ class _Interruption:
         self.is_said = False
         signal.signal(signal.SIGINT, self._raise)
         sys.unraisablehook = self._raise_again
+        # What is registered first is called last, when everything else has cleaned up.
+        atexit.register(self._end)
         # A signal writes to the socket at once, while its handler waits for the next line of
         # Python in the main thread.
         self._ours, self._theirs = socket.socketpair()
@@ -71,6 +75,14 @@ class _Interruption:
             again.start()
         else:
             sys.__unraisablehook__(ignored)
+
+    def _end(self) -> None:
+        """Python takes itself down while threads of libraries that were interrupted still run:
+        one that then asks for Python ends the process in a crash."""
+        if self.is_said:
+            with contextlib.suppress(OSError):
+                sys.stdout.flush()
+            os._exit(130)
 
     def _watch(self) -> None:
         while self._ours.recv(1) != bytes([signal.SIGINT]):

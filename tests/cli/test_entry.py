@@ -48,13 +48,21 @@ def slow_drives(folder: Path) -> list[Path]:
     return [write_drive(folder / n, name=n, evidence=rule, fit="none") for n in ("a", "b", "c")]
 
 
+#: Python's own start is not the command's: until it is imported, nothing can answer Ctrl-C. What
+#: aborts is removed where Python takes itself down, which threads at work may not survive.
+HELLO = """
+import os
+import egolane_pgm.cli.entry
+kept = type("Aborts", (), {"__del__": lambda self: os.abort()})()
+print("started", flush=True)
+"""
+
+
 def interrupt(
     words: list[object], seconds: float, out: Path, whole_group: bool, **environment: str
 ) -> None:
     """Interrupt `egolane words...` after some seconds: it ends at once, in one line, as a whole."""
-    # Python's own start is not the command's: until it is imported, nothing can answer Ctrl-C.
-    hello = "import egolane_pgm.cli.entry; print('started', flush=True)"
-    running = started(*words, first=hello, env={**os.environ, **environment})
+    running = started(*words, first=HELLO, env={**os.environ, **environment})
     assert running.stdout is not None
     assert running.stdout.readline() == "started\n"
     time.sleep(seconds)
