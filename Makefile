@@ -13,8 +13,9 @@ run: .venv/.run
 	@echo
 	$(BIN)/egolane reproduce --if-available
 
+# A file's tests share what they make, so one process runs all of them.
 test: .venv/.dev
-	$(BIN)/python -m pytest
+	$(BIN)/python -m pytest --numprocesses auto --dist loadfile
 
 check: .venv/.dev
 	$(BIN)/ruff check .
