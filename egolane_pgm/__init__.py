@@ -27,6 +27,7 @@ if TYPE_CHECKING:
     from egolane_pgm.api.learned import FleetLearnResult as FleetLearnResult
     from egolane_pgm.api.learned import LearnResult as LearnResult
     from egolane_pgm.api.learned import learn as learn
+    from egolane_pgm.api.learned import learn_fleet as learn_fleet
     from egolane_pgm.api.loaded import load_result as load_result
     from egolane_pgm.api.networks import draw_network as draw_network
     from egolane_pgm.api.reproduction import ReproduceResult as ReproduceResult
@@ -64,6 +65,7 @@ _PUBLIC = {
     "run_streamed": "api.streamed",
     "tune": "api.studies",
     "learn": "api.learned",
+    "learn_fleet": "api.learned",
     "compare": "api.comparisons",
     "reproduce": "api.reproduction",
     "detect": "api.detections",

@@ -1,4 +1,5 @@
-"""Learning an experiment from its recording: `learn` and what it returns."""
+"""Learning an experiment from its recording, or from the drives of a fleet: `learn`, `learn_fleet`
+and what they return."""
 
 from __future__ import annotations
 
@@ -7,7 +8,7 @@ import warnings
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, overload
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -20,7 +21,8 @@ from egolane_pgm.experiment import Experiment, Given, Overrides, load_experiment
 from egolane_pgm.fleet import drive_row, pooled
 from egolane_pgm.learning import Learned, write_learned
 from egolane_pgm.learning import learn as run_learn
-from egolane_pgm.learning.fleet import SHARED, LearnedFleet, learn_fleet
+from egolane_pgm.learning.fleet import SHARED, LearnedFleet
+from egolane_pgm.learning.fleet import learn_fleet as learn_together
 from egolane_pgm.learning.held_out import load_to_learn
 from egolane_pgm.learning.tables import PREFIX
 from egolane_pgm.loading import with_video_rate
@@ -168,7 +170,7 @@ class FleetLearnResult(DriveTable):
     ...     drives = Path(folder, "drives.csv")
     ...     rows = ["recording.seed,recording.frames", *(f'{k},"[0, 300]"' for k in range(3))]
     ...     _ = drives.write_text("\\n".join(rows))
-    ...     learned = ego.learn(place, fleet=drives, unlabelled=True)
+    ...     learned = ego.learn_fleet(place, drives, unlabelled=True)
     >>> learned.held_out
     '3 parts of the drives'
     >>> learned.to_pandas()["part"].to_list()
@@ -227,75 +229,25 @@ def _yaml_at(target: str | os.PathLike[str], name: str) -> Path:
     return place / f"learned_{name.removeprefix('learned_')}.yaml"
 
 
-@overload
 def learn(
     experiment: Given,
     *,
     overrides: Overrides = (),
     unlabelled: bool = False,
     blocks: int = 5,
-    fleet: None = None,
-    by_tag: str | None = None,
-    jobs: Jobs = 1,
     progress: bool | None = None,
-) -> LearnResult: ...
-
-
-@overload
-def learn(
-    experiment: Given,
-    *,
-    overrides: Overrides = (),
-    unlabelled: bool = False,
-    blocks: int = 5,
-    fleet: str | os.PathLike[str],
-    by_tag: str | None = None,
-    jobs: Jobs = 1,
-    progress: bool | None = None,
-) -> FleetLearnResult: ...
-
-
-@overload
-def learn(
-    experiment: Given,
-    *,
-    overrides: Overrides = (),
-    unlabelled: bool = False,
-    blocks: int = 5,
-    fleet: str | os.PathLike[str] | None,
-    by_tag: str | None = None,
-    jobs: Jobs = 1,
-    progress: bool | None = None,
-) -> LearnResult | FleetLearnResult: ...
-
-
-def learn(
-    experiment: Given,
-    *,
-    overrides: Overrides = (),
-    unlabelled: bool = False,
-    blocks: int = 5,
-    fleet: str | os.PathLike[str] | None = None,
-    by_tag: str | None = None,
-    jobs: Jobs = 1,
-    progress: bool | None = None,
-) -> LearnResult | FleetLearnResult:
-    """Learn an experiment from its recording, or from the drives of a fleet together, and score it
-    on frames that were held out.
+) -> LearnResult:
+    """Learn an experiment from its recording, and score it on frames that were held out.
 
     - experiment: an experiment, or the path of its YAML file.
     - overrides: keys of the YAML that get other values.
     - unlabelled: whether no label is looked at (`learning.labels: false`); for tables.
-    - blocks: how many blocks are held out in turn; of a fleet how many parts of its drives.
-    - fleet: a table of drives to learn from, see `egolane_pgm.fleet`.
-    - by_tag: of a fleet: the drives with each value of this tag are held out in turn.
-    - jobs: of a fleet: processes that share the fits; or a Dask cluster, as `run_fleet` takes it.
+    - blocks: how many blocks are held out in turn.
     - progress: whether a bar shows how far it is; None for in a terminal.
 
-    Returns a `LearnResult`, of a fleet a `FleetLearnResult`. An evidence rule that can learn learns
-    its parameters from the labels; with any other the tables of the graph are learned by EM, whose
-    expected counts are added over the drives. With `fit: choose` constants are chosen first.
-    Raises InputError where nothing can be learned as the experiment says.
+    An evidence rule that can learn learns its parameters from the labels; with any other the tables
+    of the graph are learned by EM. With `fit: choose` constants are chosen first. Raises InputError
+    where nothing can be learned as the experiment says.
 
     >>> import egolane_pgm as ego
     >>> place = ego.experiments_folder() / "quickstart.yaml"
@@ -304,16 +256,7 @@ def learn(
     >>> learned.scores["frames_scored"]
     518
     """
-    if isinstance(experiment, (list, tuple)):
-        raise InputError("learn: takes one experiment; `learned_on` of a YAML names several")
-    found = load_experiment(experiment, overrides)
-    if unlabelled:
-        found = load_experiment(found, {"learning.labels": False})
-    if fleet is not None:
-        return _learn_from_fleet(found, overrides, fleet, blocks, by_tag, jobs, progress)
-    if by_tag is not None or jobs != 1:
-        raise InputError("learn: --by-tag, --jobs and --cluster go with --fleet")
-    given = with_video_rate(found)
+    given = with_video_rate(_load(experiment, overrides, unlabelled))
     chosen, constants = _choose(given, blocks, progress)
     if given.fit == "choose" and not learns(prepare_model(given), given):
         # As in `compare`, tables are learned beside a choice only where a section says so.
@@ -329,15 +272,41 @@ def learn(
     return LearnResult(chosen, learned.model, blocks, constants, learned, held_out, notes)
 
 
-def _learn_from_fleet(
-    base: Experiment,
-    overrides: Overrides,
+def learn_fleet(
+    experiment: Given,
     fleet: str | os.PathLike[str],
-    blocks: int,
-    by_tag: str | None,
-    jobs: Jobs,
-    progress: bool | None,
+    *,
+    overrides: Overrides = (),
+    unlabelled: bool = False,
+    blocks: int = 5,
+    by_tag: str | None = None,
+    jobs: Jobs = 1,
+    progress: bool | None = None,
 ) -> FleetLearnResult:
+    """Learn an experiment from the drives of a table together, and score it on drives that were
+    held out.
+
+    - experiment, overrides, unlabelled, progress: as in `learn`.
+    - fleet: the table, see `egolane_pgm.fleet`.
+    - blocks: how many parts of the drives are held out in turn; of one drive alone how many blocks.
+    - by_tag: instead, the drives with each value of this tag are held out in turn.
+    - jobs: processes that share the fits; or a Dask cluster, as `run_fleet` takes it.
+
+    By EM the expected counts of the drives are added. Raises InputError for a table that does not
+    fit, and where nothing can be learned as the experiment says.
+
+    >>> import tempfile
+    >>> from pathlib import Path
+    >>> import egolane_pgm as ego
+    >>> place = ego.experiments_folder() / "quickstart.yaml"
+    >>> with tempfile.TemporaryDirectory() as folder:
+    ...     drives = Path(folder, "drives.yaml")
+    ...     _ = drives.write_text("drives: [{recording.seed: 3, recording.frames: [0, 300]}]")
+    ...     learned = ego.learn_fleet(place, drives, unlabelled=True, blocks=2)
+    >>> learned.held_out
+    '2 blocks of the one drive'
+    """
+    base = _load(experiment, overrides, unlabelled)
     if base.fit == "choose":
         raise InputError(
             f"{base.source}: fit: choose: goes with the recordings of choice, not with --fleet"
@@ -347,7 +316,9 @@ def _learn_from_fleet(
     with warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always", UserWarning)
         with bar(None, progress, jobs=jobs, total=1 + (len(parts) or blocks), unit="fit") as shows:
-            learned = learn_fleet(experiments, parts, n_blocks=blocks, jobs=jobs, done=shows.update)
+            learned = learn_together(
+                experiments, parts, n_blocks=blocks, jobs=jobs, done=shows.update
+            )
     part_of = {k: number for number, part in enumerate(parts, 1) for k in part}
     rows = []
     for k, drive in enumerate(drives):
@@ -369,6 +340,13 @@ def _learn_from_fleet(
         learned,
         tuple(dict.fromkeys(str(w.message) for w in caught)),
     )
+
+
+def _load(experiment: Given, overrides: Overrides, unlabelled: bool) -> Experiment:
+    if isinstance(experiment, (list, tuple)):
+        raise InputError("learn: takes one experiment; `learned_on` of a YAML names several")
+    found = load_experiment(experiment, overrides)
+    return load_experiment(found, {"learning.labels": False}) if unlabelled else found
 
 
 def _choose(

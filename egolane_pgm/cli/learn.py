@@ -7,7 +7,7 @@ from typing import Any
 
 import click
 
-from egolane_pgm.api.learned import FleetLearnResult, LearnResult
+from egolane_pgm.api.learned import FleetLearnResult, LearnResult, learn_fleet
 from egolane_pgm.api.learned import learn as learn_experiment
 from egolane_pgm.cli import options
 from egolane_pgm.cli.options import write_json
@@ -18,6 +18,7 @@ from egolane_pgm.parallel import Jobs
 from egolane_pgm.report.fleet_table import fleet_table_rows
 from egolane_pgm.report.tables import Table, page, score_rows
 from egolane_pgm.results import SCHEMA_VERSION
+from egolane_pgm.types import InputError
 
 
 @click.command()
@@ -74,18 +75,21 @@ def learn(
     found = load_experiment(experiment, overrides)
     target = Path(out) if out else Path(f"learned_{found.name.removeprefix('learned_')}.yaml")
     files = output_files(found, target)
-    if fleet is not None:
+    learned: LearnResult | FleetLearnResult
+    if fleet is None:
+        if by_tag is not None or jobs != 1:
+            raise InputError("learn: --by-tag, --jobs and --cluster go with --fleet")
+        learned = learn_experiment(found, blocks=blocks)
+        parts, document = _parts(learned), _document(learned)
+    else:
         for file in (*files, *filter(None, [json_file])):
             check_not_read(file, [Path(fleet)])
-    learned = learn_experiment(
-        found, overrides=overrides, blocks=blocks, fleet=fleet, by_tag=by_tag, jobs=jobs
-    )
+        learned = learn_fleet(
+            found, fleet, overrides=overrides, blocks=blocks, by_tag=by_tag, jobs=jobs
+        )
+        parts, document = _fleet_parts(learned), _fleet_document(learned)
     for note in learned.notes:
         options.warn(note)
-    if isinstance(learned, FleetLearnResult):
-        parts, document = _fleet_parts(learned), _fleet_document(learned)
-    else:
-        parts, document = _parts(learned), _document(learned)
     # The scores are printed even if the files cannot be written.
     click.echo(page(parts, style, wide))
     files = learned.write(target)

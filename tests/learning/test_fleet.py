@@ -110,7 +110,7 @@ def test_one_drive_is_learned_from_as_without_a_fleet(tmp_path: Path) -> None:
     table = tmp_path / "drives.csv"
     table.write_text("recording,ground_truth\nlines.csv,ground_truth.txt\n")
     base = tmp_path / "experiment.yaml"
-    alone, fleet = ego.learn(base, blocks=3), ego.learn(base, blocks=3, fleet=table)
+    alone, fleet = ego.learn(base, blocks=3), ego.learn_fleet(base, table, blocks=3)
     assert fleet.parameters == alone.parameters
     assert fleet.learned.scores == (alone.scores,)
     assert alone.learned is not None
@@ -159,7 +159,7 @@ def test_what_a_fleet_taught_is_written_and_says_how_it_was_held_out(tmp_path: P
     assert np.shape(found["parameters"]["tables.Lane.next"]) == (4, 4)
     assert "from 3 drives of drives.csv" in out.read_text()
     done("run", out, "--no-figures", "--out", tmp_path / "result")
-    learned = ego.learn(base(tmp_path), fleet=drives, by_tag="weather", jobs=2)
+    learned = ego.learn_fleet(base(tmp_path), drives, by_tag="weather", jobs=2)
     assert list(learned.rows) == found["drives"]
     assert "weather rain" in learned._repr_html_()
     assert learned.save(tmp_path / "again").name == "learned_base.yaml"
