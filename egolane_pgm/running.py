@@ -451,34 +451,25 @@ def make_result(
     """
     counts = counts_of(beliefs, recorded.truth)
     run = provenance_of(experiment, model, recorded.files, content, counts, notes)
-    return result_with(
-        experiment,
-        model,
-        recorded,
-        beliefs,
-        tentative,
-        assigned,
-        content=content,
-        scores=scores,
-        run={**run, **(found or {})},
+    version = {"schema_version": SCHEMA_VERSION}
+    return replace(
+        rows_of(experiment, model, recorded, beliefs, tentative, assigned),
+        experiment=plain(content),
+        run=plain({**version, **run, **(found or {})}),
+        scores=plain({**version, **scores}),
         block=block,
     )
 
 
-def result_with(
+def rows_of(
     experiment: Experiment,
     model: Model,
     recorded: Recorded,
     beliefs: Beliefs,
     tentative: FloatArray | None,
     assigned: IntArray | None = None,
-    *,
-    content: Mapping[str, Any],
-    scores: Mapping[str, Any],
-    run: Mapping[str, Any],
-    block: IntArray | None = None,
 ) -> Result:
-    """As `make_result`; run: the content of run.json."""
+    """What `make_result` says of each frame; of the whole it has the number of lanes only."""
     log, truth = recorded.log, recorded.truth
     if assigned is None:
         assigned = assigned_lane(beliefs.lane, experiment.unassigned_below)
@@ -490,9 +481,9 @@ def result_with(
     values = value_names(model)
     return Result(
         Path(experiment.source),
-        plain(content),
-        plain({"schema_version": SCHEMA_VERSION, **run}),
-        plain({"schema_version": SCHEMA_VERSION, **scores}),
+        {},
+        {"n_lanes": experiment.n_lanes},
+        {},
         log.frame_id,
         log.time_s,
         {node: beliefs.marginals[node] for node in values},
@@ -504,11 +495,10 @@ def result_with(
         crossing,
         beliefs.log_evidence,
         beliefs.is_impossible,
-        block,
-        log.clip,
-        None if recorded.road is None else recorded.road.n_lanes,
-        None if recorded.road is None else recorded.road.origin,
-        log,
+        clip=log.clip,
+        road_lanes=None if recorded.road is None else recorded.road.n_lanes,
+        origin=None if recorded.road is None else recorded.road.origin,
+        lines=log,
     )
 
 
