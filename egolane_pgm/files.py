@@ -260,22 +260,26 @@ def parquet_writer(path: Path) -> Iterator[Callable[[Any], None]]:
 
 
 @contextlib.contextmanager
-def open_parquet(path: Path, *, whole: bool = True) -> Iterator[Any]:
-    """A pyarrow ParquetFile, open while the block runs. whole: whether all of it is to be read.
+def open_parquet(path: Path, *, whole: bool = True, content: bytes | None = None) -> Iterator[Any]:
+    """A pyarrow ParquetFile, open while the block runs.
+
+    - whole: whether all of it is to be read.
+    - content: of the file, where that was read before.
 
     Raises InputError where it cannot be read, there or in the block, and for one that would fill
     the memory: in a file of kilobytes a column may have a billion rows.
     """
     import pyarrow as pa
-    from pyarrow import OSFile, parquet
+    from pyarrow import BufferReader, OSFile, parquet
 
     check_name(path)
     try:
-        # Its error says in plain words what is wrong with the place.
-        path.stat()
+        if content is None:
+            # Its error says in plain words what is wrong with the place.
+            path.stat()
         # Given a name, pyarrow takes what is before a colon for the scheme of an address. Of a
         # Python file its threads would still read while Python ends, which then aborts.
-        with OSFile(str(path)) as file:
+        with OSFile(str(path)) if content is None else BufferReader(content) as file:
             found = parquet.ParquetFile(file)
             n_rows, n_columns = found.metadata.num_rows, found.metadata.num_columns
             if whole:
@@ -291,10 +295,10 @@ def open_parquet(path: Path, *, whole: bool = True) -> Iterator[Any]:
         raise InputError(f"{path}: is not a whole Parquet file ({said})") from None
 
 
-def read_parquet(path: Path) -> Any:
+def read_parquet(path: Path, content: bytes | None = None) -> Any:
     """Read a pyarrow table. Raises InputError as `open_parquet` does, and for columns of one name,
     of which nobody knows which is meant."""
-    with open_parquet(path) as file:
+    with open_parquet(path, content=content) as file:
         table = file.read()
         twice = sorted(n for n, times in Counter(table.column_names).items() if times > 1)
     if twice:

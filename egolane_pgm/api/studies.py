@@ -20,7 +20,7 @@ from egolane_pgm.experiment import (
     load_experiment,
     make_experiment,
 )
-from egolane_pgm.files import temporary_folder, without_version
+from egolane_pgm.files import read_parquet, temporary_folder, without_version
 from egolane_pgm.loading import as_name
 from egolane_pgm.paper import Runs, parse_runs
 from egolane_pgm.parallel import Jobs
@@ -154,10 +154,7 @@ class TuneResult:
         )
 
     def _table(self, name: str) -> dict[str, list[Any]]:
-        import pyarrow as pa
-        from pyarrow import parquet
-
-        table = parquet.read_table(pa.BufferReader(self.files[name][TRIALS_FILE]))
+        table = read_parquet(Path(name, TRIALS_FILE), self.files[name][TRIALS_FILE])
         found: dict[str, list[Any]] = table.to_pydict()
         return found
 
