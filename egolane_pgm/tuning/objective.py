@@ -36,12 +36,15 @@ BELIEF_SCORES = (
     "share_missed",
 )
 
+#: Those that lane changes have.
+OF_CHANGES = ("delay", "share_missed")
+
 ALIASES = {"macro_f1": "f1", "macro-f1": "f1", "log-loss": "log_loss"}
 
 #: What the names of a detector's parameters begin with in a search.
 DETECTOR = "detector."
 
-#: What a score counts as that is not defined (no lane change was followed, say).
+#: What a score counts as that is endless: the delay where no lane change was followed, say.
 UNDEFINED = 1e6
 
 
@@ -109,7 +112,9 @@ def scores_of(
     *,
     together: bool = False,
 ) -> list[float]:
-    """Score one parameter set: per objective the mean over the drives, equal weight each.
+    """Score one parameter set: per objective the mean over the drives, equal weight each. A drive
+    that says nothing of an objective does not count in it, such as one without a lane change in its
+    delay; where none says anything it is `UNDEFINED`.
 
     - sets: per drive every declared parameter's value.
     - is_used: per drive (K,), marks the annotated frames that count; the filter sees every frame.
@@ -125,10 +130,13 @@ def scores_of(
         counts = None
         for j, name in enumerate(objectives):
             if name in BELIEF_SCORES:
-                values[k, j] = belief_score(drive, belief, used, name)
+                value = belief_score(drive, belief, used, name)
                 # The log-loss is about crossing frames as well.
                 counted = used if name == "log_loss" else used & ~drive.truth.is_crossing
                 weights[k, j] = np.count_nonzero(counted) if together else 1
+                if np.isnan(value):
+                    value = weights[k, j] = 0.0
+                values[k, j] = value
                 continue
             if counts is None:
                 counts = _counted(drive, belief, used)
@@ -156,7 +164,7 @@ def belief_score(drive: Drive, belief: FloatArray, is_used: BoolArray, name: str
     """Compute one score of a belief (K, n) over the frames that are used (K,).
 
     Scores over time count the pairs of neighbouring frames, and the lane changes, whose frames
-    are all used. A score that is not defined is `UNDEFINED`, a large number.
+    are all used. NaN where nothing is counted; an endless score is `UNDEFINED`, a large number.
     """
     truth = drive.truth
     if name in ("log_loss", "brier", "expected_calibration_error"):
@@ -167,27 +175,34 @@ def belief_score(drive: Drive, belief: FloatArray, is_used: BoolArray, name: str
             value = probabilistic.brier(rows, lane, crossing)
         else:
             value = probabilistic.expected_calibration_error(rows, lane, crossing)
-        return _defined(value)
+        return min(value, UNDEFINED)
     assigned = assigned_lane(belief, drive.experiment.unassigned_below)
     if name == "false_switches_per_minute":
         false, counted = stability.false_switch_frames(assigned, truth.lane, truth.is_crossing)
         counted[1:] &= is_used[1:] & is_used[:-1]
         minutes = counted.sum() / (60 * drive.experiment.recording.frame_rate)
-        return _defined(float((false & counted).sum() / minutes) if minutes else float("nan"))
+        return float((false & counted).sum() / minutes) if minutes else float("nan")
     changes = stability.lane_changes(truth.lane, truth.is_crossing)
     delay = stability.delay_after_lane_change(
         assigned, truth.lane, truth.is_crossing, truth.frame_id
     ).delay_frames
     spans = zip(changes.start, changes.until, strict=True)
     delay = delay[[bool(is_used[a:b].all()) for a, b in spans]] if len(delay) else delay
+    if not len(delay):
+        return float("nan")
     followed = delay[~np.isnan(delay)]
     if name == "share_missed":
-        return _defined(1 - len(followed) / len(delay) if len(delay) else float("nan"))
-    return _defined(float(np.median(followed)) if len(followed) else float("nan"))
+        return 1 - len(followed) / len(delay)
+    return float(np.median(followed)) if len(followed) else UNDEFINED
 
 
-def _defined(value: float) -> float:
-    return value if np.isfinite(value) else UNDEFINED
+def notes_of_silent(drives: Sequence[Drive], objectives: Sequence[str]) -> list[str]:
+    """What is noted of drives that do not count in an objective because they have no lane change,
+    if there are any."""
+    changes = [stability.lane_changes(d.truth.lane, d.truth.is_crossing) for d in drives]
+    n_silent = sum(not len(each) for each in changes)
+    said = f"{n_silent} of {len(drives)} drives have no lane change and do not count in it"
+    return [f"{name}: {said}" for name in objectives if n_silent and name in OF_CHANGES]
 
 
 def all_used(drives: Sequence[Drive]) -> list[BoolArray]:

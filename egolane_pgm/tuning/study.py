@@ -29,7 +29,7 @@ from egolane_pgm.tuning.held_out import (
     stitched,
 )
 from egolane_pgm.tuning.identity import identity_of
-from egolane_pgm.tuning.objective import all_used
+from egolane_pgm.tuning.objective import all_used, notes_of_silent
 from egolane_pgm.tuning.plan import (
     Plan,
     Problem,
@@ -120,6 +120,7 @@ def prepare(
     made = Search(problem, directory, held_out, storage)
     made.notes += [n for drive in problem.drives for n in drive.recorded.notes]
     made.notes += starting_points(problem)[1]
+    made.notes += notes_of_silent(problem.drives, problem.settings.objectives)
     if held_out == "blocks":
         made.notes += check_blocks(problem)
     if held_out == "recordings" and len(problem.parts) < 2:

@@ -11,8 +11,10 @@ import pytest
 from egolane_pgm import model
 from egolane_pgm.model import belief_of, load_drive
 from egolane_pgm.running import run_experiment
+from egolane_pgm.scoring.stability import lane_changes
 from egolane_pgm.scoring.summary import score_all
 from egolane_pgm.tuning import objective
+from egolane_pgm.tuning.objective import OF_CHANGES
 from egolane_pgm.tuning.plan import scorer
 from egolane_pgm.tuning.space import to_parameters
 from egolane_pgm.types import InputError
@@ -71,7 +73,7 @@ def test_only_frames_that_are_used_count_and_labels_of_others_do_not_matter() ->
     lane[~used] = rng.integers(1, drive.n_lanes + 1, size=(~used).sum())
     truth = replace(drive.truth, lane=lane)
     scrambled = replace(drive, recorded=replace(drive.recorded, truth=truth))
-    cut = tuple(n for n in names if n not in ("delay", "share_missed"))
+    cut = tuple(n for n in names if n not in OF_CHANGES)
     columns = [names.index(n) for n in cut]
     after = scores([scrambled], [sets], [used], cut)
     np.testing.assert_array_equal(before[:, columns], after)
@@ -100,6 +102,35 @@ def test_several_recordings_weigh_the_same_whatever_their_length() -> None:
     one = scores([drive], [sets], [few], ("accuracy",))
     other = scores([drive], [sets], [~few], ("accuracy",))
     np.testing.assert_allclose(both, (one + other) / 2)
+
+
+@pytest.mark.parametrize("together", [False, True])
+def test_a_drive_without_a_lane_change_says_nothing_of_their_delay(together: bool) -> None:
+    drive, sets = problem().drives[0], some_sets(5)
+    changes = lane_changes(drive.truth.lane, drive.truth.is_crossing)
+    straight = np.arange(len(drive)) < changes.start[0]
+    (everything,) = objective.all_used([drive])
+
+    def found(drives: int, used: list[Any]) -> list[list[float]]:
+        many = [drive] * drives
+        return [
+            objective.scores_of(many, [one] * drives, used, OF_CHANGES, together=together)
+            for one in sets
+        ]
+
+    alone = found(1, [everything])
+    assert all(0 <= missed <= 1 for _, missed in alone)
+    np.testing.assert_allclose(found(2, [everything, straight]), alone)
+    assert found(1, [straight]) == [[objective.UNDEFINED] * 2] * 5
+
+
+def test_a_drive_whose_lane_changes_are_not_followed_is_no_better_than_none() -> None:
+    drive = problem().drives[0]
+    changes = lane_changes(drive.truth.lane, drive.truth.is_crossing)
+    belief = np.tile(np.eye(drive.n_lanes)[changes.from_lane[0] - 1], (len(drive), 1))
+    used = np.arange(len(drive)) < changes.until[0]
+    assert objective.belief_score(drive, belief, used, "share_missed") == 1
+    assert objective.belief_score(drive, belief, used, "delay") == objective.UNDEFINED
 
 
 def test_an_unknown_objective_is_refused_with_a_suggestion() -> None:
