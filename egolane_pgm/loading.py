@@ -635,7 +635,8 @@ def with_recording(
     """The experiment on another recording.
 
     - What belongs to the old recording (frame range, seed, ground truth and its extra rows) does
-      not carry over.
+      not carry over. What was tuned on the old one is `other_frames` on a new one, and stays
+      `same_frames` where the file is the old one.
     - `format`, `topic`, `frame_id`, `options`, `columns` and `camera` carry over where the
       extension of the file is the same; all but the camera from a simulated drive too, which has no
       use for them.
@@ -676,9 +677,8 @@ def with_recording(
         content["road"] = content["gnss"] = None
         content["tuning"] = None
         content["name"] = name_of(recording)
-        content["tuned_on"] = (
-            "other_frames" if experiment.tuned_on == "same_frames" else (experiment.tuned_on)
-        )
+        if experiment.tuned_on == "same_frames" and not _is_own(recording, experiment):
+            content["tuned_on"] = "other_frames"
         path = content["recording"]["path"]
         content = overridden(content, overrides)
         if content["recording"].get("path") != path or content["recording"].get("simulate"):
@@ -702,6 +702,18 @@ def with_recording(
     if n_lanes is not None:
         content["n_lanes"] = n_lanes
     return make_experiment(content, experiment.folder, experiment.source)
+
+
+def _is_own(recording: str, experiment: Experiment) -> bool:
+    """Whether a recording is the file of the experiment's own."""
+    own = experiment.recording.path
+    if own is None:
+        return False
+    try:
+        place = find_file(own, experiment.folder, folders=True)
+    except InputError:
+        return False
+    return place.resolve() == Path(recording).resolve()
 
 
 def _is_of_pictures(recording: str, old: str | None, detector: str | None) -> bool:

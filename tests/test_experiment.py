@@ -449,6 +449,22 @@ def test_a_recording_of_ones_own_takes_nothing_from_the_old_one(tmp_path: Path) 
     assert bag.n_lanes == 3
 
 
+def test_the_recording_that_an_experiment_was_tuned_on_stays_in_sample(tmp_path: Path) -> None:
+    own, copy = tmp_path / "a.csv", tmp_path / "b.csv"
+    for path in (own, copy):
+        path.write_text("frame_id,line,offset_m\n1,1,0.5\n")
+    (tmp_path / "link.csv").symlink_to(own)
+    for path, said in (
+        (own, "same_frames"),
+        (tmp_path / "link.csv", "same_frames"),
+        (copy, "other_frames"),
+    ):
+        old = made(recording={"path": str(own), "frames": [0, 9]}, tuned_on="same_frames")
+        assert with_recording(old, str(path), None, None).tuned_on == said
+    old = made(recording={"path": str(own)}, tuned_on="other_frames")
+    assert with_recording(old, str(own), None, None).tuned_on == "other_frames"
+
+
 def test_what_is_overridden_is_meant_for_the_recording_that_is_named(tmp_path: Path) -> None:
     overrides = ["recording.frames=[3, 7]", "n_lanes=4", "name=mine"]
     old = load_experiment(made(tuned_on="same_frames"), overrides)
