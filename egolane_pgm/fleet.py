@@ -24,7 +24,7 @@ import numpy as np
 
 from egolane_pgm.experiment import Experiment, Overrides, load_experiment
 from egolane_pgm.files import read_parquet, read_text, read_yaml, write_parquet
-from egolane_pgm.loading import as_name, name_of, with_recording
+from egolane_pgm.loading import as_name, drive_key, name_of, with_recording
 from egolane_pgm.running import FinishedRun, PlannedRun, plan_runs
 from egolane_pgm.scoring.bootstrap import over_drives
 from egolane_pgm.types import InputError, problems_in, suggestion, without_passwords
@@ -201,19 +201,41 @@ def plan_fleet(
     )
 
 
+def drives_of(drives: Sequence[FleetDrive], experiments: Sequence[Experiment]) -> list[str]:
+    """Which drive each row of a fleet is of, by the name of its first row.
+
+    - experiments: on each row. Raises InputError as `loading.drive_key`, naming the row.
+    """
+    keys = []
+    for drive, experiment in zip(drives, experiments, strict=True):
+        with problems_in(drive.source):
+            keys.append(drive_key(experiment))
+    return first_names([drive.name for drive in drives], keys)
+
+
+def first_names(names: Sequence[str], keys: Sequence[str]) -> list[str]:
+    """Of each key the name that it came with first."""
+    first: dict[str, str] = {}
+    return [first.setdefault(key, name) for name, key in zip(names, keys, strict=True)]
+
+
 # --- the summary -------------------------------------------------------------------------------
 
 
 def summary_rows(drives: Sequence[FleetDrive], done: Sequence[FinishedRun]) -> list[dict[str, Any]]:
-    """A row for each drive: its tags, whether it failed and why, the seconds that it took, and
-    every number of scores.json by its keys with dots between them, such as `model.accuracy`.
+    """A row for each drive: its tags, which `drive` it is of (the name of its first row: those of
+    several detectors are of one), whether it failed and why, the seconds that it took, and every
+    number of scores.json by its keys with dots between them, such as `model.accuracy`.
 
     Matrices and the lanes over time stay in the result directory; of an interval the ends are
     `.low` and `.high`; `warnings` is how many there are.
     """
+    names = [drive.name for drive in drives]
+    keys = [run.drive or name for name, run in zip(names, done, strict=True)]
+    of = first_names(names, keys)
     rows = []
-    for drive, run in zip(drives, done, strict=True):
-        kept = {"error": run.error, "seconds": run.seconds}
+    for drive, first, run in zip(drives, of, done, strict=True):
+        kept = {"drive": first, "error": run.error, "seconds": run.seconds}
         if run.summary is not None:
             kept |= {"result": str(run.directory)}
         rows.append(drive_row(drive, kept, run.summary or {}))
@@ -270,7 +292,8 @@ class Pooled:
     - drives, failed, scored: how many there are, how many failed, and how many have scores.
     - frames: that are scored.
     - accuracy, interval: of all scored frames together, with the interval of a bootstrap that
-      draws whole drives; None without scores, and without an interval for fewer than two drives.
+      draws whole drives, with all their rows; None without scores, and without an interval for
+      fewer than two drives.
     - detector: the accuracy of the detector alone, or None.
     """
 
@@ -308,7 +331,10 @@ def _pool(tag: str, value: str, rows: Sequence[Mapping[str, Any]]) -> Pooled:
     scored = [row for row in rows if row.get("model.accuracy") is not None]
     frames = np.array([row["frames_scored"] for row in scored], dtype=float)
     right = frames * np.array([row["model.accuracy"] for row in scored], dtype=float)
-    accuracy, interval = over_drives(np.stack([right, frames], axis=1)) if scored else (None, None)
+    accuracy = interval = None
+    if scored:
+        of = [row["drive"] for row in scored]
+        accuracy, interval = over_drives(np.stack([right, frames], axis=1), of=of)
     of_detector = [row.get("detector.accuracy") for row in scored]
     detector = None
     if scored and None not in of_detector:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import hashlib
 import warnings
 from collections.abc import Iterable, Iterator, Mapping
@@ -34,7 +35,7 @@ from egolane_pgm.maps.across import Across, across
 from egolane_pgm.maps.road_table import RoadTable
 from egolane_pgm.maps.road_table import load as load_road
 from egolane_pgm.maps.steps import LanesAlong, check_overlap, lanes_along
-from egolane_pgm.plugins import load_plugin, plugin_errors
+from egolane_pgm.plugins import OWN_FILES, load_plugin, plugin_errors
 from egolane_pgm.progress import bar
 from egolane_pgm.recordings import (
     FORMATS,
@@ -527,6 +528,57 @@ def named_files(experiment: Experiment) -> list[Path]:
     of_truth = truth.path if truth else None
     names = (recording.path, recording.right, recording.camera, of_truth, experiment.road)
     return [Path(experiment.source), *(experiment.folder / name for name in names if name)]
+
+
+def files_in_full(section: Mapping[str, Any], folder: Path) -> dict[str, Any]:
+    """A `recording` or `ground_truth` section whose files are named by their whole path.
+
+    - section: its keys and values.
+    - folder: the folder of the YAML. The names of files that do not lie there stay as they are.
+    """
+    return {name: _in_full(name, value, folder) for name, value in section.items()}
+
+
+def _in_full(key: str, value: Any, folder: Path) -> Any:
+    if key == "detector_parameters":
+        return {k: _in_full("detector", v, folder) for k, v in value.items()}
+    if not isinstance(value, str):
+        return value
+    is_plugin = key in ("format", "detector") and value.endswith(OWN_FILES)
+    is_path = key in ("path", "camera", "right")
+    is_there = any(c in value for c in "*?[") or (folder / value).exists()
+    return str((folder / value).absolute()) if is_plugin or (is_path and is_there) else value
+
+
+def drive_key(experiment: Experiment) -> str:
+    """The same for recordings of one drive: a checksum of the frame ids and labels of its ground
+    truth, or the simulation; of one without ground truth the file.
+
+    The name of the file does not count: whoever knows the labels of a file knows those of its copy.
+    Raises InputError where the ground truth cannot be read.
+    """
+    if experiment.ground_truth is None:
+        recording = experiment.recording
+        if recording.path is not None:
+            return str(files_in_full({"path": recording.path}, experiment.folder)["path"])
+        return repr((recording.simulate, recording.seed, experiment.n_lanes))
+    try:
+        path = find_file(experiment.ground_truth.path, experiment.folder)
+        state = path.stat()
+        return _labels_key(path, state.st_mtime_ns, state.st_size)
+    except InputError as error:
+        raise InputError(f"{experiment.source}: ground_truth.path: {error}") from error
+
+
+@functools.lru_cache(maxsize=256)
+def _labels_key(path: Path, changed_ns: int, size: int) -> str:
+    """A checksum of the labels in a file. changed_ns, size: keep the checksum of an older version
+    of the file from being used."""
+    truth = read_ground_truth(path)
+    content = hashlib.sha256()
+    for values in (truth.frame_id, truth.lane, truth.is_crossing):
+        content.update(np.ascontiguousarray(values).tobytes())
+    return content.hexdigest()
 
 
 def _detected(experiment: Experiment) -> tuple[LineLog, list[Path]]:

@@ -327,6 +327,9 @@ class ComparedRecording(Stored):
     """What a comparison says of a recording."""
 
     title: str = Field(description="what it is called")
+    drive: str | None = Field(
+        default=None, description="title of the first recording of its drive; if told"
+    )
     run: Count | None = Field(description="the paper's run, if it is one")
     frames: Count = Field(description="annotated frames")
     blocks: Count = Field(description="parts that were held out, one after the other")

@@ -36,7 +36,9 @@ from egolane_pgm.loading import (
     Recorded,
     as_name,
     data_entries,
+    drive_key,
     file_entry,
+    files_in_full,
     load_recording,
     name_of,
     with_video_rate,
@@ -337,26 +339,6 @@ def portable(
     return portable
 
 
-def files_in_full(section: Mapping[str, Any], folder: Path) -> dict[str, Any]:
-    """A `recording` or `ground_truth` section whose files are named by their whole path.
-
-    - section: its keys and values.
-    - folder: the folder of the YAML. The names of files that do not lie there stay as they are.
-    """
-    return {name: _in_full(name, value, folder) for name, value in section.items()}
-
-
-def _in_full(key: str, value: Any, folder: Path) -> Any:
-    if key == "detector_parameters":
-        return {k: _in_full("detector", v, folder) for k, v in value.items()}
-    if not isinstance(value, str):
-        return value
-    is_plugin = key in ("format", "detector") and value.endswith(OWN_FILES)
-    is_path = key in ("path", "camera", "right")
-    is_there = any(c in value for c in "*?[") or (folder / value).exists()
-    return str((folder / value).absolute()) if is_plugin or (is_path and is_there) else value
-
-
 def summary(run: Run) -> dict[str, Any]:
     """What `--json` and scores.json say: plain, unrounded, documented in `results`."""
     content = {
@@ -532,8 +514,8 @@ class PlannedRun:
 @dataclass(frozen=True)
 class FinishedRun:
     """What became of a planned run: its `summary`, or else why it failed, in one line; the run
-    itself, where it was kept instead of written; the seconds that it took; and whether its result
-    was there already."""
+    itself, where it was kept instead of written; the seconds that it took; whether its result was
+    there already; and which drive it is of, see `loading.drive_key`."""
 
     title: str
     directory: Path
@@ -542,6 +524,7 @@ class FinishedRun:
     run: Run | None = None
     seconds: float | None = None
     was_there: bool = False
+    drive: str | None = None
 
 
 def name_runs(
@@ -644,10 +627,12 @@ def _finish(run: PlannedRun, draw: Draw | None, keep: bool, resume: bool) -> Fin
             said, scores = stored
             del scores["schema_version"]
             seconds = said.get("seconds")
-            return FinishedRun(run.title, run.directory, scores, None, None, seconds, True)
+            drive = drive_key(run.experiment)
+            return FinishedRun(run.title, run.directory, scores, None, None, seconds, True, drive)
         done = run_experiment(run.experiment)
         if not keep:
             save_run(done, run.directory, draw)
+        drive = drive_key(run.experiment)
     except InputError as error:
         return _failed(run, "\n".join(error.lines))
     except Exception as error:
@@ -655,7 +640,8 @@ def _finish(run: PlannedRun, draw: Draw | None, keep: bool, resume: bool) -> Fin
         return _failed(run, " ".join(f"{type(error).__name__}: {error}".split()))
     kept = done if keep else None
     found = plain(summary(done))
-    return FinishedRun(run.title, run.directory, found, None, kept, round(done.seconds, 3))
+    seconds = round(done.seconds, 3)
+    return FinishedRun(run.title, run.directory, found, None, kept, seconds, False, drive)
 
 
 def _checked(run: PlannedRun, done: FinishedRun) -> FinishedRun:

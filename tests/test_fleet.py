@@ -228,6 +228,37 @@ def test_the_share_of_alike_frames_is_less_sure_by_drive() -> None:
     assert interval[1] - interval[0] > 0.15
 
 
+def test_rows_of_one_drive_are_drawn_together() -> None:
+    rng = np.random.default_rng(2)
+    one = rng.integers(0, 100, (12, 4, 3))
+    other = one + rng.integers(0, 9, one.shape)
+    names = [f"d{k}" for k in range(12)]
+    for minus in (None, other):
+        twice = None if minus is None else np.concatenate([minus, minus])
+        rows = np.concatenate([one, one])
+        alone = over_drives(one, accuracy, minus)
+        assert over_drives(one, accuracy, minus, of=names) == alone
+        assert over_drives(rows, accuracy, twice, of=names * 2) == alone
+        # As drives of their own they would tell more than they do.
+        assert np.ptp(over_drives(rows, accuracy, twice)[1]) < 0.8 * np.ptp(alone[1])  # type: ignore[arg-type]
+    assert over_drives(one[:2], accuracy, of=["a", "a"])[1] is None
+
+
+def test_a_second_detector_on_each_drive_makes_no_interval_narrower(tmp_path: Path) -> None:
+    rows = [f"{k},{k},'[0, 150]'" for k in range(3)]
+    head = "name,recording.seed,recording.frames"
+    fleet = table(tmp_path, "\n".join([head, *rows]).replace("'", '"'))
+    alone = ego.run_fleet(QUICKSTART, fleet, tmp_path / "one")
+    assert [row["drive"] for row in alone.rows] == ["0", "1", "2"]
+    again = [f"b{row}" for row in rows]
+    fleet = table(tmp_path, "\n".join([head, *rows, *again]).replace("'", '"'))
+    for _ in range(2):
+        both = ego.run_fleet(QUICKSTART, fleet, tmp_path / "both")
+        assert [row["drive"] for row in both.rows] == ["0", "1", "2"] * 2
+        assert pooled(both.rows)[0].interval == pytest.approx(pooled(alone.rows)[0].interval)
+    assert both.were_there == 6
+
+
 def test_a_difference_over_drives_is_paired() -> None:
     rng = np.random.default_rng(1)
     one = rng.integers(0, 100, (12, 4, 3))
@@ -257,6 +288,7 @@ def test_a_summary_has_each_number_once() -> None:
     assert good == {
         "name": "a",
         "tag.road": "A4",
+        "drive": "a",
         "error": None,
         "seconds": 1.0,
         "result": "out/a",
@@ -266,7 +298,13 @@ def test_a_summary_has_each_number_once() -> None:
         "model.intervals.accuracy.low": 0.4,
         "model.intervals.accuracy.high": 0.6,
     }
-    assert bad == {"name": "b", "tag.road": "A4", "error": "why", "seconds": None}
+    assert bad == {
+        "name": "b",
+        "tag.road": "A4",
+        "drive": "b",
+        "error": "why",
+        "seconds": None,
+    }
     everything, by_road = pooled([good, bad])
     assert (everything.drives, everything.failed, everything.frames) == (2, 1, 10)
     assert (by_road.tag, by_road.value, by_road.accuracy) == ("road", "A4", 0.5)

@@ -18,7 +18,7 @@ from egolane_pgm.api.runs import RunResult
 from egolane_pgm.comparing.choose import chosen_on_all, learns, plan, try_all
 from egolane_pgm.comparing.placing import parts_of_fleet
 from egolane_pgm.experiment import Experiment, Given, Overrides, load_experiment, resolved
-from egolane_pgm.fleet import drive_row, pooled
+from egolane_pgm.fleet import drive_row, drives_of, pooled
 from egolane_pgm.learning import Learned, write_learned
 from egolane_pgm.learning import learn as run_learn
 from egolane_pgm.learning.fleet import SHARED, LearnedFleet
@@ -157,8 +157,9 @@ class FleetLearnResult(DriveTable):
     - experiment: what was learned from, on the drives' road.
     - source: what was learned from, in words.
     - held_out: what was left out in turn, in words.
-    - rows: a row for each drive: its tags, the `part` that it was left out with, from 1, its
-      scores, held out, and `log_evidence.before` and `.held_out` learning, the mean of its frames.
+    - rows: a row for each drive: its tags, the `drive` that it is of (the name of its first row),
+      the `part` that it was left out with, from 1, its scores, held out, and `log_evidence.before`
+      and `.held_out` learning, the mean of its frames.
     - learned: what was learned.
     - notes: warnings, a line each.
 
@@ -312,7 +313,8 @@ def learn_fleet(
             f"{base.source}: fit: choose: goes with the recordings of choice, not with --fleet"
         )
     drives, experiments = experiments_of(base, fleet, overrides)
-    parts = parts_of_fleet(drives, experiments, blocks, by_tag)
+    of = drives_of(drives, experiments)
+    parts = parts_of_fleet(drives, of, blocks, by_tag)
     with warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always", UserWarning)
         with bar(None, progress, jobs=jobs, total=1 + (len(parts) or blocks), unit="fit") as shows:
@@ -325,7 +327,7 @@ def learn_fleet(
         scores = learned.scores[k]
         before, after = learned.log_evidence_of[k] or (None, None)
         frames = 0 if scores is None else scores["frames_scored"]
-        first = {"error": None, "part": part_of.get(k), "frames_scored": frames}
+        first = {"drive": of[k], "error": None, "part": part_of.get(k), "frames_scored": frames}
         told = {"model": scores or {}, "log_evidence": {"before": before, "held_out": after}}
         rows.append(drive_row(drive, first, told))
     held_out = f"{blocks} blocks of the one drive"

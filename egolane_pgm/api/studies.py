@@ -21,6 +21,7 @@ from egolane_pgm.experiment import (
     make_experiment,
 )
 from egolane_pgm.files import read_parquet, temporary_folder, without_version
+from egolane_pgm.fleet import drives_of
 from egolane_pgm.loading import as_name
 from egolane_pgm.paper import Runs, parse_runs
 from egolane_pgm.parallel import Jobs
@@ -404,10 +405,11 @@ def _on_fleet(
     )
     if len(drives) == 1:
         return found
-    parts = parts_of_fleet(drives, experiments, plan.tuning.blocks, by_tag)
+    of = drives_of(drives, experiments)
+    parts = parts_of_fleet(drives, of, plan.tuning.blocks, by_tag)
     written = base.model_copy(update={"n_lanes": experiments[0].n_lanes})
     tags = tuple(drive.tags for drive in drives)
-    return replace(found, fleet=planning.Fleet(written, parts, tags))
+    return replace(found, fleet=planning.Fleet(written, parts, tags, tuple(of)))
 
 
 def _alike(test: AnyPlan | None, kind: type[T]) -> T | None:

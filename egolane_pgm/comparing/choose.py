@@ -31,7 +31,6 @@ from typing import Any
 import numpy as np
 
 from egolane_pgm.comparing.placing import (
-    drive_key,
     load_for_scoring,
     on_recordings,
     on_stretch,
@@ -41,6 +40,7 @@ from egolane_pgm.comparing.placing import (
 from egolane_pgm.experiment import Experiment
 from egolane_pgm.learning import Found, with_found
 from egolane_pgm.learning import fit as learn_from
+from egolane_pgm.loading import drive_key
 from egolane_pgm.model import Drive, Model, beliefs_of, prepare_model
 from egolane_pgm.parallel import Jobs, in_order
 from egolane_pgm.parameters import resolve_parameters
@@ -100,7 +100,7 @@ class Task:
 class Losses:
     """The losses of S candidates on one recording, with B blocks.
 
-    drive: which drive the recording is of (`placing.drive_key`).
+    drive: which drive the recording is of (`loading.drive_key`).
     sums (S, B, B), by objective: [s, b, c] is the loss of candidate s, summed over the frames of
         stretch c that are not in b, with what was learned without both (b = c: without c).
     frames (B, B): the number of these frames.

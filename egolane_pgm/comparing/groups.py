@@ -20,7 +20,6 @@ from egolane_pgm.comparing.events import side_events
 from egolane_pgm.comparing.graphs import with_graphs
 from egolane_pgm.comparing.lags import lag_scores
 from egolane_pgm.comparing.placing import (
-    drive_key,
     load_for_scoring,
     on_recording,
     recording_key,
@@ -29,9 +28,9 @@ from egolane_pgm.comparing.placing import (
 from egolane_pgm.comparing.saving import folder_of, save_comparison
 from egolane_pgm.comparing.side import Search, Side, held_out_side, search_blocks
 from egolane_pgm.experiment import Experiment, Overrides, load_experiment
-from egolane_pgm.fleet import FleetDrive, drive_experiment
+from egolane_pgm.fleet import FleetDrive, drive_experiment, first_names
 from egolane_pgm.learning import Found
-from egolane_pgm.loading import Recorded
+from egolane_pgm.loading import Recorded, drive_key
 from egolane_pgm.model import Drive, causality, prepare_model
 from egolane_pgm.paper import load_published, paper_experiment, parameters_for
 from egolane_pgm.parallel import Jobs, in_order
@@ -566,8 +565,9 @@ def _bounds(means: Means) -> dict[str, list[float] | None]:
 def document(groups: Sequence[Mapping[str, Any]], options: Options) -> dict[str, Any]:
     """What `egolane compare --json` writes for held-out comparisons.
 
-    `schema_version`, `held_out` (true), `blocks`, `recordings`: a list of `title`, `run` (the
-    paper's, or null), `frames` (annotated), `notes`, `health` (of the detector, per subset, see
+    `schema_version`, `held_out` (true), `blocks`, `recordings`: a list of `title`, `drive` (the
+    title of the first recording of its drive), `run` (the paper's, or null), `frames` (annotated),
+    `notes`, `health` (of the detector, per subset, see
     `health.detector_health`; null unless asked for) and `experiments`: a list of `name`, `source`,
     `evidence`, `graph`, `filter`, `fit`, `tuned_on` (same_frames: in-sample), `is_causal`,
     `causal` and `why_not_causal` (as `model.causality`),
@@ -591,13 +591,14 @@ def document(groups: Sequence[Mapping[str, Any]], options: Options) -> dict[str,
     `together`: see there.
     """
     done = [part for part in groups if "error" not in part]
+    of = first_names([part["title"] for part in done], [part["drive"] for part in done])
     return {
         "schema_version": SCHEMA_VERSION,
         "held_out": True,
         "blocks": options.blocks,
         "recordings": [
-            {key: value for key, value in part.items() if key not in ("drive", "resampled")}
-            for part in done
+            {**{key: value for key, value in part.items() if key != "resampled"}, "drive": first}
+            for part, first in zip(done, of, strict=True)
         ],
         "together": together(done),
         "failed": [part for part in groups if "error" in part],

@@ -12,7 +12,6 @@ from pathlib import Path
 import numpy as np
 
 from egolane_pgm.comparing.placing import (
-    drive_key,
     load_for_scoring,
     on_recordings,
     on_stretch,
@@ -21,6 +20,7 @@ from egolane_pgm.comparing.placing import (
 )
 from egolane_pgm.experiment import Experiment
 from egolane_pgm.learning import Found, fit_pooled
+from egolane_pgm.loading import drive_key
 from egolane_pgm.model import Drive
 from egolane_pgm.paper import paper_experiment, parse_runs
 from egolane_pgm.scoring.held_out import blocks

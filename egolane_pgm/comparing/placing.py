@@ -1,21 +1,17 @@
-"""An experiment on a recording: put there and loaded, and which recordings are of one drive."""
+"""An experiment on a recording: put there and loaded, and which drives are held out together."""
 
 from __future__ import annotations
 
-import functools
-import hashlib
 from collections.abc import Sequence
-from pathlib import Path
 
 import numpy as np
 
 from egolane_pgm.experiment import Experiment, Tuning, load_experiment, make_experiment
 from egolane_pgm.fleet import FleetDrive
-from egolane_pgm.loading import Recorded
+from egolane_pgm.loading import Recorded, files_in_full
 from egolane_pgm.model import Drive, load_drive
 from egolane_pgm.recordings.catalog import find_file
 from egolane_pgm.recordings.ground_truth import read_ground_truth
-from egolane_pgm.running import files_in_full
 from egolane_pgm.types import BoolArray, InputError, IntArray, problems_in, suggestion
 
 
@@ -64,44 +60,13 @@ def recording_key(experiment: Experiment) -> str:
     return repr((path, recording.simulate, recording.seed, recording.frames, experiment.n_lanes))
 
 
-def drive_key(experiment: Experiment) -> str:
-    """The same for recordings of one drive: a checksum of the frame ids and labels of its ground
-    truth, or the simulation; of one without ground truth the file.
-
-    The name of the file does not count: whoever knows the labels of a file knows those of its copy.
-    Raises InputError where the ground truth cannot be read.
-    """
-    if experiment.ground_truth is None:
-        recording = experiment.recording
-        if recording.path is not None:
-            return str(files_in_full({"path": recording.path}, experiment.folder)["path"])
-        return repr((recording.simulate, recording.seed, experiment.n_lanes))
-    try:
-        path = find_file(experiment.ground_truth.path, experiment.folder)
-        state = path.stat()
-        return _labels_key(path, state.st_mtime_ns, state.st_size)
-    except InputError as error:
-        raise InputError(f"{experiment.source}: ground_truth.path: {error}") from error
-
-
-@functools.lru_cache(maxsize=256)
-def _labels_key(path: Path, changed_ns: int, size: int) -> str:
-    """A checksum of the labels in a file. changed_ns, size: keep the checksum of an older version
-    of the file from being used."""
-    truth = read_ground_truth(path)
-    content = hashlib.sha256()
-    for values in (truth.frame_id, truth.lane, truth.is_crossing):
-        content.update(np.ascontiguousarray(values).tobytes())
-    return content.hexdigest()
-
-
 def parts_of_fleet(
-    drives: Sequence[FleetDrive], experiments: Sequence[Experiment], n_parts: int, tag: str | None
+    drives: Sequence[FleetDrive], of: Sequence[str], n_parts: int, tag: str | None
 ) -> tuple[tuple[int, ...], ...]:
     """The numbers of the drives of a fleet that are held out together, part by part; none for one
     drive.
 
-    - experiments: on each drive.
+    - of: which drive each is of, see `fleet.drives_of`.
     - n_parts: how many parts there are, neighbours in the table together; at most one for each.
     - tag: instead, those with each value of this tag.
 
@@ -111,9 +76,8 @@ def parts_of_fleet(
     if len(drives) == 1:
         return ()
     rows: dict[str, list[int]] = {}
-    for k, experiment in enumerate(experiments):
-        with problems_in(drives[k].source):
-            rows.setdefault(drive_key(experiment), []).append(k)
+    for k, first in enumerate(of):
+        rows.setdefault(first, []).append(k)
     if tag is None:
         if len(rows) == 1:
             where = f"{drives[0].source}: all other rows are of this drive too"

@@ -39,6 +39,7 @@ def drive_rows(document: Mapping[str, Any]) -> list[dict[str, Any]]:
         {
             "name": drive["name"],
             **{f"{TAG}{k}": v for k, v in document["fleet"]["tags"][drive["name"]].items()},
+            "drive": document["fleet"]["drives"][drive["name"]],
             "error": None,
             "part": part_of[drive["name"]],
             "frames_scored": drive["frames_scored"],

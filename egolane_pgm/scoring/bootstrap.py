@@ -268,18 +268,23 @@ def over_drives(
     statistic: Statistic = ratio,
     minus: NDArray[np.generic] | None = None,
     seed: int = 0,
+    *,
+    of: Sequence[str] | None = None,
 ) -> tuple[float, tuple[float, float] | None]:
-    """A statistic of all frames of D drives, with its 95 % interval over drives: low and high, None
-    for fewer than two drives.
+    """A statistic of all frames of D rows of a fleet, with its 95 % interval over drives: low and
+    high, None for fewer than two drives.
 
-    - sums (D, ...): of each drive what the statistic sums over its frames.
+    - sums (D, ...): of each row what the statistic sums over its frames.
     - statistic: sums (R, ...) -> (R,), such as `ratio` or `scoring.confusion.accuracy`.
     - minus: the other side of a difference, of the same frames: the interval is then that of the
       paired difference.
+    - of: of each row the drive that it is of, where several may be of one; else each is one.
 
     Whole drives are drawn (cluster bootstrap, percentiles of RESAMPLES), because the frames of a
-    drive are alike.
+    drive are alike, and two detectors on it share its luck.
     """
+    if of is not None:
+        sums, minus = _added(sums, of), None if minus is None else _added(minus, of)
 
     def of_sums(drawn: Sequence[IntArray]) -> FloatArray:
         def one_side(side: NDArray[np.generic]) -> FloatArray:
@@ -293,3 +298,12 @@ def over_drives(
         return whole, None
     rng = np.random.default_rng(seed)
     return whole, _percentiles(of_sums([rng.integers(0, n, n) for _ in range(RESAMPLES)]), LEVEL)
+
+
+def _added(sums: NDArray[np.generic], of: Sequence[str]) -> NDArray[np.generic]:
+    """What the rows of each drive sum over together, the drives in the order of their first row."""
+    first: dict[str, int] = {}
+    drive = [first.setdefault(each, len(first)) for each in of]
+    found = np.zeros((len(first), *sums.shape[1:]), sums.dtype)
+    np.add.at(found, drive, sums)
+    return found

@@ -349,8 +349,9 @@ def finish_main(made: Search, seconds: float) -> None:
 def finish(made: Search) -> dict[str, Any]:
     """Score a search in-sample and held out, write its study.json and return what is in that."""
     problem, drives = made.problem, made.problem.drives
-    everything, together = all_used(drives), problem.plan.fleet is not None
-    scores = partial(assess, drives, together=together)
+    everything, fleet = all_used(drives), problem.plan.fleet
+    of = None if fleet is None else fleet.of
+    scores = partial(assess, drives, of=of)
     trusted = [d.may_fit for d in drives]
     subsets = {"all_frames": everything}
     if not all(keep.all() for keep in trusted):
@@ -389,8 +390,7 @@ def finish(made: Search) -> dict[str, Any]:
             **{key: scores(theirs, keep) for key, keep in subsets.items()},
         }
         content["difference"] = {
-            key: difference(drives, mine, theirs, keep, together=together)
-            for key, keep in subsets.items()
+            key: difference(drives, mine, theirs, keep, of=of) for key, keep in subsets.items()
         }
     if made.test is not None:
         content["test"] = _tested(made.test, made.best["point"])

@@ -22,12 +22,11 @@ from pyarrow import csv
 
 from egolane_pgm.experiment import Experiment, resolved
 from egolane_pgm.files import atomic, plain, write_json, write_parquet, write_yaml
-from egolane_pgm.loading import data_entries
+from egolane_pgm.loading import data_entries, files_in_full
 from egolane_pgm.parameters import Value
 from egolane_pgm.plugins import OWN_FILES
 from egolane_pgm.report.study_trials import SCHEMA_VERSION, TRIALS_FILE
 from egolane_pgm.results import provenance
-from egolane_pgm.running import files_in_full
 from egolane_pgm.tuning.held_out import Nested
 from egolane_pgm.tuning.identity import identity_of
 from egolane_pgm.tuning.objective import split, with_detector
@@ -63,7 +62,8 @@ def provenance_of(problem: Problem) -> dict[str, Any]:
 
 
 def _fleet(problem: Problem) -> dict[str, Any] | None:
-    """The drives of a fleet that are held out together, and their tags, by name."""
+    """The drives of a fleet that are held out together, and their tags and which drive each row is
+    of, by name."""
     fleet = problem.plan.fleet
     if fleet is None:
         return None
@@ -71,6 +71,7 @@ def _fleet(problem: Problem) -> dict[str, Any] | None:
     return {
         "parts": [[names[k] for k in part] for part in fleet.parts],
         "tags": dict(zip(names, map(dict, fleet.tags), strict=True)),
+        "drives": dict(zip(names, fleet.of, strict=True)),
     }
 
 

@@ -15,7 +15,7 @@ from hypothesis import strategies as st
 import egolane_pgm as ego
 from egolane_pgm.comparing.placing import parts_of_fleet
 from egolane_pgm.experiment import Experiment
-from egolane_pgm.fleet import FleetDrive
+from egolane_pgm.fleet import FleetDrive, drives_of
 from egolane_pgm.inference.compile import Compiled
 from egolane_pgm.inference.expected_counts import FREE
 from egolane_pgm.learning import fit, fit_pooled, with_found
@@ -184,13 +184,13 @@ def test_frames_that_are_chosen_are_those_of_the_drives(tmp_path: Path) -> None:
     assert said[0] == said[1] != said[2]
 
 
-def placed(tags: str, keys: str) -> tuple[list[FleetDrive], list[Experiment]]:
+def placed(tags: str, keys: str) -> tuple[list[FleetDrive], list[str]]:
     """Drives with a tag each; those with the same letter are of one drive."""
     drives = [
         FleetDrive(f"f.csv: drive {k}", f"d{k}", {}, {"a": tag} if tag != "-" else {}, Path())
         for k, tag in enumerate(tags, 1)
     ]
-    return drives, [drive(ord(key)) for key in keys]
+    return drives, drives_of(drives, [drive(ord(key)) for key in keys])
 
 
 @pytest.mark.parametrize(
