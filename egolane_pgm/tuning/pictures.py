@@ -47,8 +47,6 @@ from egolane_pgm.tuning.search import (
     Report,
     Settings,
     best_trial,
-    n_complete,
-    pareto,
     search,
     search_in_memory,
 )
@@ -61,13 +59,18 @@ from egolane_pgm.tuning.space import (
     to_point,
 )
 from egolane_pgm.tuning.storage import (
-    JOURNAL_NAME,
-    check_study,
+    check_place,
     open_storage,
     open_study,
     storage_errors,
 )
-from egolane_pgm.tuning.study_directory import read_nested, write_nested, write_trials
+from egolane_pgm.tuning.study_directory import (
+    best_entry,
+    held_out_entry,
+    read_nested,
+    write_nested,
+    write_trials,
+)
 from egolane_pgm.types import FloatArray, InputError, IntArray
 
 #: Labelled pictures that the bootstrap draws together: neighbours show one stretch of road.
@@ -218,9 +221,7 @@ def prepare(
             raise InputError(
                 f"{test.source}: --test-on: declares other parameters than {plan.source}"
             )
-    if storage is not None or (directory / JOURNAL_NAME).exists():
-        with storage_errors(storage):
-            check_study(open_storage(storage, directory), plan.name, _identity(problem))
+    check_place(storage, directory, plan.name, _identity(problem))
     return made
 
 
@@ -371,7 +372,7 @@ def _finished(
     made: PictureSearch, study: Any, point: dict[str, Any], nested: Mapping[int, Nested]
 ) -> dict[str, Any]:
     """Score what was found in-sample and held out, and write study.json and best.yaml."""
-    problem, best = made.problem, best_trial(study)
+    problem = made.problem
     settings, plan = problem.settings, problem.plan
     values = _parameters(problem, point)
     mine = counts_of(problem, point)
@@ -392,40 +393,20 @@ def _finished(
         "experiments": [
             {"parameters": {DETECTOR + k: v for k, v in problem.detector.parameters.items()}}
         ],
-        "best": {
-            "number": best.number,
-            "values": dict(zip(settings.objectives, best.values, strict=True)),
-            "point": point,
-            "parameters": {plan.name: values},
-            "trials": n_complete(study),
-        },
+        "best": best_entry(study, settings.objectives, {plan.name: values}),
         "in_sample": {"tuned_on": "same_frames", "all_frames": _assessed(mine)},
         "held_out": None,
         "difference": None,
         "test": None,
         "notes": made.notes,
     }
-    if len(settings.objectives) > 1:
-        content["best"]["pareto"] = pareto(study)
     if nested:
         parts = blocks(len(problem.clips), plan.tuning.blocks)
         theirs = np.concatenate(
             [counts_of(problem, nested[b].point, part.tolist()) for b, part in enumerate(parts)]
         )
         content["held_out"] = {
-            "tuned_on": "other_frames",
-            "parts": "blocks",
-            "starts": "from scratch: known values may have been tuned on the frames held out",
-            "studies": [
-                {
-                    "part": n.part + 1,
-                    "left_out": None,
-                    "trials": n.trials,
-                    "in_sample_values": list(n.values),
-                    "point": n.point,
-                }
-                for _, n in sorted(nested.items())
-            ],
+            **held_out_entry([nested[b] for b in sorted(nested)], "blocks", [None] * len(nested)),
             "all_frames": _assessed(theirs),
         }
         content["difference"] = {"all_frames": _assessed(mine, theirs)}

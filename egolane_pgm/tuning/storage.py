@@ -243,6 +243,13 @@ def check_study(storage: BaseStorage, name: str, identity: Mapping[str, Any]) ->
         )
 
 
+def check_place(url: str | None, directory: Path, name: str, identity: Mapping[str, Any]) -> None:
+    """As `check_study`, for the storage that `open_storage` would open; none is made."""
+    if url is not None or (directory / JOURNAL_NAME).exists():
+        with storage_errors(url):
+            check_study(open_storage(url, directory), name, identity)
+
+
 def _check_trials(study: optuna.Study, n_scores: int, searched: set[str]) -> None:
     """Raise InputError for a study with trials that no search has made."""
     with _damaged(study.study_name):

@@ -39,11 +39,10 @@ from egolane_pgm.tuning.plan import (
     starting_points,
     with_options,
 )
-from egolane_pgm.tuning.search import Report, best_trial, n_complete, pareto, search
+from egolane_pgm.tuning.search import Report, best_trial, n_complete, search
 from egolane_pgm.tuning.space import SearchSpace
 from egolane_pgm.tuning.storage import (
-    JOURNAL_NAME,
-    check_study,
+    check_place,
     open_storage,
     open_study,
     storage_errors,
@@ -132,9 +131,7 @@ def prepare(
             raise InputError(
                 f"{test.source}: --test-on: declares other parameters than {plan.source}"
             )
-    if storage is not None or (directory / JOURNAL_NAME).exists():
-        with storage_errors(storage):
-            check_study(open_storage(storage, directory), plan.name, identity_of(problem))
+    check_place(storage, directory, plan.name, identity_of(problem))
     return made
 
 
@@ -331,19 +328,12 @@ def finish_main(made: Search, seconds: float) -> None:
     problem = made.problem
     study = open_main(made)
     files.write_trials(made.directory, study, problem.settings.objectives)
-    best = best_trial(study)
-    files.write_best(made.directory, problem, best.params)
+    point = best_trial(study).params
+    files.write_best(made.directory, problem, point)
     names = [drive.experiment.name for drive in problem.drives]
-    made.best = {
-        "number": best.number,
-        "values": dict(zip(problem.settings.objectives, best.values, strict=True)),
-        "point": dict(best.params),
-        "parameters": dict(zip(names, parameters_at(problem, best.params), strict=True)),
-        "trials": n_complete(study),
-        "seconds": seconds,
-    }
-    if len(problem.settings.objectives) > 1:
-        made.best["pareto"] = pareto(study)
+    sets = dict(zip(names, parameters_at(problem, point), strict=True))
+    best = files.best_entry(study, problem.settings.objectives, sets)
+    made.best = {**best, "seconds": seconds}
 
 
 def finish(made: Search) -> dict[str, Any]:
@@ -373,20 +363,9 @@ def finish(made: Search) -> dict[str, Any]:
         by_recording = made.by_recording
         nested = [made.nested[b] for b in range(made.n_parts)]
         theirs = stitched(problem, nested, by_recording)
+        left_out = [_names(problem, n.part) if by_recording else None for n in nested]
         content["held_out"] = {
-            "tuned_on": "other_frames",
-            "parts": made.held_out,
-            "starts": "from scratch: known values may have been tuned on the frames held out",
-            "studies": [
-                {
-                    "part": n.part + 1,
-                    "left_out": _names(problem, n.part) if by_recording else None,
-                    "trials": n.trials,
-                    "in_sample_values": list(n.values),
-                    "point": n.point,
-                }
-                for n in nested
-            ],
+            **files.held_out_entry(nested, made.held_out, left_out),
             **{key: scores(theirs, keep) for key, keep in subsets.items()},
         }
         content["difference"] = {

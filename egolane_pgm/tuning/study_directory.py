@@ -31,6 +31,7 @@ from egolane_pgm.tuning.held_out import Nested
 from egolane_pgm.tuning.identity import identity_of
 from egolane_pgm.tuning.objective import split, with_detector
 from egolane_pgm.tuning.plan import Problem, parameters_at
+from egolane_pgm.tuning.search import best_trial, n_complete, pareto
 
 NESTED_FILE = "nested.json"
 
@@ -72,6 +73,46 @@ def _fleet(problem: Problem) -> dict[str, Any] | None:
         "parts": [[names[k] for k in part] for part in fleet.parts],
         "tags": dict(zip(names, map(dict, fleet.tags), strict=True)),
         "drives": dict(zip(names, fleet.of, strict=True)),
+    }
+
+
+def best_entry(
+    study: optuna.Study, objectives: Sequence[str], parameters: Mapping[str, Any]
+) -> dict[str, Any]:
+    """What study.json says of the best trial. parameters: what its point means, by experiment."""
+    best = best_trial(study)
+    front = {"pareto": pareto(study)} if len(objectives) > 1 else {}
+    return {
+        "number": best.number,
+        "values": dict(zip(objectives, best.values, strict=True)),
+        "point": dict(best.params),
+        "parameters": dict(parameters),
+        "trials": n_complete(study),
+        **front,
+    }
+
+
+def held_out_entry(
+    nested: Sequence[Nested], parts: str, left_out: Sequence[str | None]
+) -> dict[str, Any]:
+    """What study.json says of the studies without a part; the scores are not among it.
+
+    - parts: what was held out, "blocks" or "recordings". left_out: of each study its name, if any.
+    """
+    return {
+        "tuned_on": "other_frames",
+        "parts": parts,
+        "starts": "from scratch: known values may have been tuned on the frames held out",
+        "studies": [
+            {
+                "part": n.part + 1,
+                "left_out": name,
+                "trials": n.trials,
+                "in_sample_values": list(n.values),
+                "point": n.point,
+            }
+            for n, name in zip(nested, left_out, strict=True)
+        ],
     }
 
 
