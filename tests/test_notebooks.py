@@ -12,7 +12,7 @@ from click.testing import CliRunner
 from nbformat import NotebookNode
 
 from egolane_pgm.cli.main import egolane
-from tests.kits.notebooks import NOTEBOOKS, execute
+from tests.kits.notebooks import NOTEBOOKS, execute, shorter
 
 #: Those that take a simulated drive where the recordings are missing.
 ON_RECORDINGS = [path for path in NOTEBOOKS if "try:" in path.read_text()]
@@ -34,7 +34,8 @@ def has_picture(cell: NotebookNode) -> bool:
 @of_each(NOTEBOOKS)
 def test_a_notebook_runs_from_top_to_bottom(path: Path, tmp_path: Path) -> None:
     data = os.environ.get("EGOLANE_DATA") if path in ON_RECORDINGS else None
-    found = execute(path, tmp_path, EGOLANE_DATA=os.path.abspath(data) if data else "")
+    place = os.path.abspath(data) if data else ""
+    found = execute(path, tmp_path, is_short=True, EGOLANE_DATA=place)
     kept, cells = code(path), [cell for cell in found.cells if cell.cell_type == "code"]
     assert list(map(has_picture, cells)) == list(map(has_picture, kept))
     assert not [o.text for cell in cells for o in cell.outputs if o.get("name") == "stderr"]
@@ -49,8 +50,8 @@ def test_a_notebook_runs_without_the_recordings(
 ) -> None:
     monkeypatch.setenv("EGOLANE_DATA", "")
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
-    lines = "\n".join(cell.source for cell in code(path))
-    exec(compile(lines.replace('"trials": 150', '"trials": 15'), path.name, "exec"), {})
+    lines = shorter("\n".join(cell.source for cell in code(path)))
+    exec(compile(lines, path.name, "exec"), {})
     assert "SIMULATED" in capsys.readouterr().out
 
 
