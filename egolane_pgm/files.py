@@ -11,6 +11,7 @@ from __future__ import annotations
 
 import contextlib
 import csv
+import ctypes
 import errno
 import functools
 import hashlib
@@ -41,6 +42,9 @@ _BEGUN = ".egolane-"
 
 #: In such a folder, where a directory is while its successor takes its place.
 _OLD = "old"
+
+#: Of Linux, see renameat2(2).
+_RENAME_EXCHANGE = 2
 
 #: A text that is longer is none: devices never end.
 MOST_TEXT = 512 << 20
@@ -373,6 +377,9 @@ def atomic_directory(directory: Path) -> Iterator[Path]:
 
 def _replace(directory: Path, new: Path, old: Path) -> None:
     """Put `new` in the place of `directory`, which stays as it was where that fails."""
+    if _exchanged(directory, new):
+        return
+    # A process that is killed between the two leaves it to `clear` to put the old one back.
     old.parent.mkdir()
     try:
         directory.rename(old)
@@ -381,6 +388,16 @@ def _replace(directory: Path, new: Path, old: Path) -> None:
         if old.exists() and not directory.exists():
             old.rename(directory)
         raise
+
+
+def _exchanged(one: Path, other: Path) -> bool:
+    """Give two directories each other's name in one step. False where the system, or the file
+    system, has no such thing; then both stay as they were."""
+    rename = getattr(ctypes.CDLL(None), "renameat2", None) if sys.platform == "linux" else None
+    if rename is None:
+        return False
+    # Both paths are absolute, so that the folders they would be relative to are not looked at.
+    return bool(rename(-1, os.fsencode(one), -1, os.fsencode(other), _RENAME_EXCHANGE) == 0)
 
 
 # --- before anything is computed -------------------------------------------------------------

@@ -18,6 +18,7 @@ import pyarrow as pa
 import pytest
 from matplotlib.figure import Figure
 
+from egolane_pgm import files
 from egolane_pgm.camera.model import Camera, read_camera, write_camera
 from egolane_pgm.camera.video import open_video
 from egolane_pgm.camera.writing import video_writer, write_picture
@@ -176,10 +177,19 @@ def test_a_file_with_the_longest_name_can_be_written(tmp_path: Path) -> None:
     assert path.is_file()
 
 
+@pytest.mark.parametrize("in_one_step", [True, False])
 def test_a_directory_is_replaced_whole_or_not_at_all(
-    tmp_path: Path, umask: Callable[[int], int]
+    tmp_path: Path,
+    umask: Callable[[int], int],
+    monkeypatch: pytest.MonkeyPatch,
+    in_one_step: bool,
 ) -> None:
+    if not in_one_step:
+        monkeypatch.setattr(files, "_exchanged", lambda *_: False)
+    elif sys.platform == "linux":
+        monkeypatch.delattr(Path, "rename")
     place = tmp_path / "result"
+    place.mkdir()
     umask(0o027)
     for text in ("one", "two"):
         with atomic_directory(place) as folder:
@@ -206,6 +216,7 @@ from egolane_pgm import files
 with files.{}(Path(sys.argv[1])) as half:
     (half / "a" if half.is_dir() else half).write_text("half")
     if len(sys.argv) > 2:
+        files._exchanged = lambda *directories: False
         rename = Path.rename
         def once(path, target):
             rename(path, target)

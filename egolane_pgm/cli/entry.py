@@ -5,6 +5,7 @@ from __future__ import annotations
 import _thread
 import atexit
 import contextlib
+import gc
 import os
 import signal
 import socket
@@ -83,6 +84,10 @@ class _Interruption:
             with contextlib.suppress(OSError):
                 sys.stdout.flush()
             os._exit(130)
+        # All is done and said: Ctrl-C has nothing to interrupt, and no object that Python has to
+        # look for to remove it, which takes longer than some commands.
+        signal.signal(signal.SIGINT, signal.SIG_IGN)
+        gc.freeze()
 
     def _watch(self) -> None:
         while self._ours.recv(1) != bytes([signal.SIGINT]):
