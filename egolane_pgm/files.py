@@ -89,27 +89,42 @@ def temporary_folder(parent: Path | None = None) -> Iterator[Path]:
     """
     parent = (parent or Path(tempfile.gettempdir())).absolute()
     clear_once(parent)
-    folder, lock = _made_and_locked(parent)
+    begun: list[Path] = []
+    lock = None
     try:
-        yield folder
+        lock = _made_and_locked(parent, begun)
+        yield begun[-1]
     finally:
-        shutil.rmtree(folder, ignore_errors=True)
-        if lock is not None:
-            os.close(lock)
-
-
-def _made_and_locked(parent: Path) -> tuple[Path, int | None]:
-    while True:
-        folder = parent / f"{_BEGUN}{secrets.token_hex(8)}"
-        folder.mkdir(mode=0o700)
         try:
-            return folder, _lock(folder)
+            _remove(begun)
+        except BaseException:
+            # An interruption comes once, and may come now.
+            _remove(begun)
+            raise
+        finally:
+            if lock is not None:
+                os.close(lock)
+
+
+def _remove(folders: Iterable[Path]) -> None:
+    for folder in folders:
+        shutil.rmtree(folder, ignore_errors=True)
+
+
+def _made_and_locked(parent: Path, begun: list[Path]) -> int | None:
+    """Make a folder and return its lock. The folder is the last of `begun`, which has it before it
+    is there, so that an interruption leaves none that nobody knows of."""
+    while True:
+        begun.append(parent / f"{_BEGUN}{secrets.token_hex(8)}")
+        begun[-1].mkdir(mode=0o700)
+        try:
+            return _lock(begun[-1])
         except (BlockingIOError, FileNotFoundError):
             # Another process took it for one that was left behind.
             continue
         except OSError:
             # Where there are no locks, nothing is cleared either.
-            return folder, None
+            return None
 
 
 def _lock(folder: Path) -> int:

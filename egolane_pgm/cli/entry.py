@@ -29,6 +29,7 @@ def main() -> None:
         import_lightly()
     interruption = _Interruption()
     try:
+        interruption.begin()
         from egolane_pgm.cli.main import egolane
 
         egolane(prog_name="egolane")
@@ -51,6 +52,9 @@ class _Interruption:
     def __init__(self) -> None:
         self.has_begun = False
         self.is_said = False
+
+    def begin(self) -> None:
+        """Listen for Ctrl-C."""
         signal.signal(signal.SIGINT, self._raise)
         sys.unraisablehook = self._raise_again
         # What is registered first is called last, when everything else has cleaned up.
