@@ -449,9 +449,12 @@ def read_text(path: Path) -> str:
     """The text of a file in UTF-8, without the mark that some editors put before it. Raises
     InputError where it cannot be read or is no text."""
     with _said_of_text(path), path.open("rb") as file:
-        content = file.read(MOST_TEXT + 1)
-        if len(content) > MOST_TEXT:
-            raise InputError(f"{path}: has more than {MOST_TEXT >> 20} MB, no text of ours has")
+        content = bytearray()
+        # Python makes room for all that it is asked to read, however little is there.
+        while part := file.read(1 << 20):
+            content += part
+            if len(content) > MOST_TEXT:
+                raise InputError(f"{path}: has more than {MOST_TEXT >> 20} MB, no text of ours has")
         return io.TextIOWrapper(io.BytesIO(content), encoding="utf-8-sig").read()
 
 

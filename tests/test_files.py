@@ -8,6 +8,7 @@ import stat
 import subprocess
 import sys
 import threading
+import tracemalloc
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
@@ -249,6 +250,23 @@ def test_what_a_killed_process_left_is_removed_by_the_next_that_writes_there(
     assert [p.name for p in tmp_path.iterdir()] == [".egolane-mine"]
 
 
+def test_an_interruption_while_a_folder_is_removed_comes_out_when_it_is(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def interrupted(*_: Any, **__: Any) -> None:
+        monkeypatch.undo()
+        raise KeyboardInterrupt
+
+    def removes() -> None:
+        with temporary_folder(tmp_path) as folder:
+            (folder / "a").touch()
+            monkeypatch.setattr("shutil.rmtree", interrupted)
+
+    with pytest.raises(KeyboardInterrupt):
+        removes()
+    assert not list(tmp_path.iterdir())
+
+
 @needs_links
 def test_a_directory_whose_successor_was_not_put_in_its_place_is_put_back(tmp_path: Path) -> None:
     place = tmp_path / "result"
@@ -282,6 +300,16 @@ def test_the_files_of_a_result_keep_the_umask(tmp_path: Path, umask: Callable[[i
 
 
 # --- one way to read text and YAML -------------------------------------------------------------
+
+
+def test_reading_a_text_takes_the_memory_that_it_needs(tmp_path: Path) -> None:
+    (tmp_path / "x").write_text("a: 1")
+    tracemalloc.start()
+    try:
+        assert read_text(tmp_path / "x") == "a: 1"
+        assert tracemalloc.get_traced_memory()[1] < 5e6
+    finally:
+        tracemalloc.stop()
 
 
 def test_a_text_is_read_without_the_mark_before_it(tmp_path: Path) -> None:

@@ -108,6 +108,13 @@ class _Group(click.Group):
             _give_up_output()
             click.echo(f"egolane: {where}: {error.strerror or error}", err=True)
             ctx.exit(2)
+        except MemoryError:
+            click.echo(
+                "egolane: there is not enough memory; close other programs, raise the limit"
+                " (ulimit -v), or give less at once",
+                err=True,
+            )
+            ctx.exit(2)
         except UnicodeEncodeError as error:
             name = str(error.object)[:200]
             click.echo(f"egolane: {name!a}: is not text in UTF-8; rename the file", err=True)

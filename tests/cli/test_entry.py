@@ -15,7 +15,7 @@ from pathlib import Path
 import pytest
 
 from tests.kits.drives import write_drive
-from tests.kits.processes import started
+from tests.kits.processes import ended, started
 from tests.kits.synthetic_road import write_place
 
 pytestmark = pytest.mark.skipif(sys.platform == "win32", reason="needs signals")
@@ -166,3 +166,11 @@ def test_ctrl_c_ends_a_search(tmp_path: Path, seconds: float, whole_group: bool)
     out = tmp_path / "place" / "out"
     words = ["tune", *drives, "--trials", 1_000_000, "--jobs", 2, "--in-sample-only", "--out", out]
     interrupt(words, seconds, out, whole_group)
+
+
+def test_ctrl_c_no_longer_ends_what_is_done() -> None:
+    # Python removes this after it has given up its own handlers of signals.
+    interrupts = "type('Last', (), {'__del__': lambda self: os.kill(os.getpid(), signal.SIGINT)})()"
+    first = f"import os, signal\nkept = {interrupts}"
+    done = ended("--version", first=first)
+    assert (done.returncode, done.stderr) == (0, "")

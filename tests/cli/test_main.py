@@ -126,6 +126,16 @@ def test_output_to_a_full_disk_is_said_in_one_line(tmp_path: Path) -> None:
     assert (tmp_path / "a.json").exists()
 
 
+def test_too_little_memory_is_said_in_one_line(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def fails(*_: object, **__: object) -> None:
+        raise MemoryError
+
+    monkeypatch.setattr("egolane_pgm.cli.run.run_experiment", fails)
+    assert "not enough memory; close other programs" in refused("run", write_drive(tmp_path))
+
+
 def test_environments_without_home_terminal_or_temporary_folder_will_do(tmp_path: Path) -> None:
     path = write_drive(tmp_path)
     odd = {"HOME": "/nonexistent", "TERM": "dumb", "TMPDIR": "/nonexistent", "LC_ALL": "C"}
