@@ -67,7 +67,7 @@ class CompareResult:
     - document: what `egolane compare --json` writes.
     - files: a result directory for each recording and experiment, by the names of their files;
       empty for graphs with the paper's parameters.
-    - is_whole: whether all recordings were compared; the command shows those before Ctrl-C.
+    - stopped: the KeyboardInterrupt that ended it early; the command shows the recordings before.
 
     >>> import egolane_pgm as ego
     >>> place = ego.experiments_folder() / "quickstart.yaml"
@@ -82,7 +82,7 @@ class CompareResult:
 
     document: Mapping[str, Any]
     files: Mapping[str, bytes] = field(default_factory=dict, repr=False)
-    is_whole: bool = True
+    stopped: KeyboardInterrupt | None = field(default=None, repr=False)
 
     @property
     def is_held_out(self) -> bool:
@@ -332,18 +332,18 @@ def compare_recordings(
     is_searched = any(e.fit == "tune" for group in groups for e in group.experiments)
     at_work = 1 if is_searched else jobs
     compared: list[Any] = []
-    is_whole = True
+    stopped = None
     try:
         compared.extend(bar(done, progress, jobs=at_work, total=len(groups), unit="recording"))
-    except KeyboardInterrupt:
+    except KeyboardInterrupt as reason:
         # The recordings that were compared before the interruption are kept.
         if not compared:
             raise
-        is_whole = False
+        stopped = reason
     found = document(compared, settings)
     if not found["recordings"]:
         raise InputError(found["failed"][0]["error"])
-    return CompareResult(found, is_whole=is_whole)
+    return CompareResult(found, stopped=stopped)
 
 
 def compare_on_runs(
@@ -440,8 +440,8 @@ def compare(
         searched = (trials_per_number, _seeds(seeds))
         settings = Options(blocks, trials, health, folder, *searched, events, waits)
         found = compare_recordings(groups, settings, jobs=jobs, progress=progress)
-        if not found.is_whole:
-            raise KeyboardInterrupt
+        if found.stopped is not None:
+            raise found.stopped
         files = {
             f"{place}/{name}": content
             for place in map(folder_of, found.recordings)

@@ -256,7 +256,7 @@ def _held_out(
         options.failed(failed["title"], failed["error"])
     if unwritten is not None:
         raise unwritten
-    if not done.is_whole:
+    if done.stopped is not None:
         n_done = len(found["recordings"]) + len(found["failed"])
         raise KeyboardInterrupt(
             f"this is {n_done} of {len(groups)} recordings; the same command begins anew"

@@ -12,6 +12,7 @@ import socket
 import sys
 import threading
 import time
+from collections.abc import Callable
 from typing import Any
 
 #: A command that was interrupted has this long to clean up behind itself.
@@ -38,25 +39,52 @@ def main() -> None:
         raise
     except BaseException:
         # An interruption may come out as another error, of a library that it met at work.
-        if not interruption.has_begun:
+        if not interruption.has_come:
             raise
         sys.stderr.write("egolane: interrupted; the same command begins anew\n")
         interruption.is_said = True
         sys.exit(130)
 
 
+class _CtrlC(KeyboardInterrupt):
+    """Is removed while the command goes on where somebody swallowed it: Python in a callback or
+    while it removes an object, a library in C++ that imports another one."""
+
+    swallowed: Callable[[], None]
+
+    def __del__(self) -> None:
+        self.swallowed()
+
+
+def _print_ignored(ignored: sys.UnraisableHookArgs) -> None:
+    if not issubclass(ignored.exc_type, KeyboardInterrupt):
+        sys.__unraisablehook__(ignored)
+
+
+def _interrupt() -> None:
+    main_thread = threading.main_thread().ident
+    if hasattr(signal, "pthread_kill") and main_thread is not None:
+        # It may be waiting for the system.
+        signal.pthread_kill(main_thread, signal.SIGINT)
+    else:
+        _thread.interrupt_main()
+
+
 class _Interruption:
-    """Ctrl-C from here on: raises KeyboardInterrupt once, and ends the process where that does
-    not. Compilers and database drivers may be long at work outside of Python, or swallow it."""
+    """Ctrl-C from here on: raises KeyboardInterrupt until somebody handles it, and ends the process
+    where that does not. Compilers and database drivers may be long at work outside of Python."""
 
     def __init__(self) -> None:
-        self.has_begun = False
+        self.has_come = False
+        # Raised, and not swallowed since.
+        self.is_out = False
         self.is_said = False
 
     def begin(self) -> None:
         """Listen for Ctrl-C."""
+        _CtrlC.swallowed = self._raise_again
         signal.signal(signal.SIGINT, self._raise)
-        sys.unraisablehook = self._raise_again
+        sys.unraisablehook = _print_ignored
         # What is registered first is called last, when everything else has cleaned up.
         atexit.register(self._end)
         # A signal writes to the socket at once, while its handler waits for the next line of
@@ -67,19 +95,17 @@ class _Interruption:
         threading.Thread(target=self._watch, daemon=True).start()
 
     def _raise(self, *_: Any) -> None:
-        if not self.has_begun:
-            self.has_begun = True
-            raise KeyboardInterrupt
+        if not self.is_out:
+            self.has_come = self.is_out = True
+            raise _CtrlC
 
-    def _raise_again(self, ignored: sys.UnraisableHookArgs) -> None:
-        """Python ignores what is raised in a callback or while an object is removed."""
-        if ignored.exc_type is KeyboardInterrupt:
-            self.has_begun = False
-            again = threading.Timer(0.1, _thread.interrupt_main)
+    def _raise_again(self) -> None:
+        if not self.is_said:
+            self.is_out = False
+            # Whoever swallowed it is at work for a moment more.
+            again = threading.Timer(0.1, _interrupt)
             again.daemon = True
             again.start()
-        else:
-            sys.__unraisablehook__(ignored)
 
     def _end(self) -> None:
         """Python takes itself down while threads of libraries that were interrupted still run:

@@ -28,6 +28,20 @@ def evidence(*given, **named):
     time.sleep(600)
 """
 
+#: A command that swallows an interruption, as libraries do, and goes on.
+DEAF = """
+import os, signal, time
+import egolane_pgm.cli.main
+def deaf(**_):
+    try:
+        os.kill(os.getpid(), signal.SIGINT)
+        time.sleep(600)
+    except BaseException:
+        print("swallowed", flush=True)
+    time.sleep(600)
+egolane_pgm.cli.main.egolane = deaf
+"""
+
 #: A detector that is slow.
 DETECTOR = """
 import time
@@ -105,6 +119,12 @@ def test_ctrl_c_ends_a_comparison(tmp_path: Path, seconds: float, whole_group: b
     interrupt(words, seconds, out, whole_group)
 
 
+def test_ctrl_c_that_is_swallowed_comes_again() -> None:
+    done = ended("run", first=DEAF)
+    assert (done.returncode, done.stdout) == (130, "swallowed\n")
+    assert done.stderr == "egolane: interrupted; the same command begins anew\n"
+
+
 @pytest.mark.parametrize("seconds", [1.5, 2.5])
 def test_ctrl_c_ends_a_compiler(tmp_path: Path, seconds: float) -> None:
     out = tmp_path / "place" / "out"
@@ -149,7 +169,7 @@ def test_ctrl_c_ends_downloads_and_leaves_nothing_of_them(tmp_path: Path) -> Non
     finally:
         mirror.shutdown()
         mirror.server_close()
-    assert list(out.parent.iterdir()) == []
+    assert not list(out.parent.glob("*"))
 
 
 @pytest.mark.parametrize(("seconds", "whole_group"), [(0.2, True), (0.9, False)])
