@@ -435,7 +435,7 @@ def make_result(
     run = provenance_of(experiment, model, recorded.files, content, counts, notes)
     version = {"schema_version": SCHEMA_VERSION}
     return replace(
-        rows_of(experiment, model, recorded, beliefs, tentative, assigned),
+        result_rows(experiment, model, recorded, beliefs, tentative, assigned),
         experiment=plain(content),
         run=plain({**version, **run, **(found or {})}),
         scores=plain({**version, **scores}),
@@ -443,7 +443,7 @@ def make_result(
     )
 
 
-def rows_of(
+def result_rows(
     experiment: Experiment,
     model: Model,
     recorded: Recorded,

@@ -34,7 +34,7 @@ from egolane_pgm.running import (
     note_of_impossible,
     portable,
     provenance_of,
-    rows_of,
+    result_rows,
     said_of,
 )
 from egolane_pgm.scoring.assign import assigned_lane
@@ -112,7 +112,7 @@ def run_streamed(
     where the directory cannot be written: then it is as it was.
     """
     # pyarrow is imported only where there is something to write.
-    from egolane_pgm.recordings.table import rows_of as rows_of_lines
+    from egolane_pgm.recordings.table import rows_of
 
     begun = time.perf_counter()
     directory = Path(directory)
@@ -138,9 +138,9 @@ def run_streamed(
                 beliefs = replace(beliefs, frame_id=part.log.frame_id)
                 assigned = assigned_lane(beliefs.lane, below)
                 totals = _added(totals, part, output.tentative, beliefs, assigned)
-                rows = rows_of(experiment, model, part, beliefs, output.tentative, assigned)
+                rows = result_rows(experiment, model, part, beliefs, output.tentative, assigned)
                 write_beliefs(arrow_table(rows.columns()))
-                write_lines(rows_of_lines(part.log, says_missing=True))
+                write_lines(rows_of(part.log, says_missing=True))
                 source = part.log.source
                 advance(len(part.log))
         notes = [*recording.notes, *note_of_impossible(source, totals.impossible), LEFT_OUT]
