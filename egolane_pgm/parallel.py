@@ -174,6 +174,7 @@ def _begin() -> None:
     """What a process does first."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     signal.signal(signal.SIGTERM, _raise_ended)
+    sys.unraisablehook = _print_ignored
     # The lock that progress bars share by default is the system's: a process that is ended would
     # leave it behind, and Python warns of that.
     tqdm.set_lock(threading.RLock())
@@ -184,6 +185,13 @@ def _raise_ended(*_: Any) -> None:
     # Once: both this package and the pool may tell a process to end, which cleans up meanwhile.
     signal.signal(signal.SIGTERM, signal.SIG_IGN)
     raise _Ended(1)
+
+
+def _print_ignored(ignored: sys.UnraisableHookArgs) -> None:
+    """Python ignores what is raised while an object is removed. A process that went on because of
+    that is killed a moment later."""
+    if not issubclass(ignored.exc_type, _Ended):
+        sys.__unraisablehook__(ignored)
 
 
 def _end_with_parent() -> None:

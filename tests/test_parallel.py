@@ -37,6 +37,20 @@ def clean_up_behind_itself(folder: Path, k: int) -> int:
     return k
 
 
+class SlowToGo:
+    def __del__(self) -> None:
+        time.sleep(60)
+
+
+def remove_what_is_slow_to_go(folder: Path, k: int) -> int:
+    if k == 0:
+        return k
+    (folder / f"{k} {os.getpid()}").touch()
+    slow = SlowToGo()
+    del slow
+    return k
+
+
 def die_at(numbers: tuple[int, ...], k: int) -> str:
     if k in numbers:
         os.kill(os.getpid(), signal.SIGTERM if sys.platform == "win32" else signal.SIGKILL)
@@ -114,6 +128,17 @@ def test_work_that_is_left_cleans_up_behind_itself(tmp_path: Path) -> None:
     assert time.perf_counter() - began < 5
     assert list(tmp_path.glob("half *")) == []
     assert not any(is_running(pid) for pid in pids(tmp_path))
+
+
+def test_a_process_that_is_told_to_end_while_it_removes_an_object_says_nothing(
+    tmp_path: Path, capfd: pytest.CaptureFixture[str]
+) -> None:
+    answers = in_order(partial(remove_what_is_slow_to_go, tmp_path), range(3), 2)
+    assert next(answers) == 0
+    until_there_are(2, tmp_path)
+    answers.close()
+    assert not any(is_running(pid) for pid in pids(tmp_path))
+    assert capfd.readouterr().err == ""
 
 
 def test_a_process_that_dies_costs_what_was_at_work_and_nothing_else() -> None:
