@@ -333,6 +333,7 @@ class Learning(Section):
     strength: float = Field(
         default=100.0,
         gt=0,
+        le=1e9,
         allow_inf_nan=False,
         description="weight of the starting tables, in frames per row",
     )

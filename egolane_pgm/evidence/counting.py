@@ -131,9 +131,9 @@ def count_lines(
             for lane in range(n_lanes):
                 tentative[t, lane] = 1.0
             total = float(n_lanes)
-        scale = 1.0 / (total + n_lanes * tentative_noise)
+        total += n_lanes * tentative_noise
         for lane in range(n_lanes):
-            tentative[t, lane] = (tentative[t, lane] + tentative_noise) * scale
+            tentative[t, lane] = (tentative[t, lane] + tentative_noise) / total
         s = reliability / (max_lri * (n_lanes + 1)) - wor_noise
         if s < 0.0:
             s = wor_noise

@@ -67,7 +67,7 @@ MOTION_BINS = Parameter(
     49,
     "values of LineMotion for known displacements",
     lowest=1,
-    highest=10_000,
+    highest=1000,
 )
 MOTION_RANGE = Parameter(
     "motion_range",

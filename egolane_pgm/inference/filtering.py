@@ -196,11 +196,16 @@ def state_likelihood(
         # Between these is every product of numbers that are not zero.
         least, most = np.ones(n_frames), np.ones(n_frames)
         for group in compiled.groups:
-            for key in group.observed if len(group.observed) > 1 else ():
+            if len(group.observed) == 1:
+                continue
+            low, high = np.ones(n_frames), np.ones(n_frames)
+            for key in group.observed:
                 values = evidence.likelihoods[key][frames]
                 rows = values.reshape(n_frames, math.prod(values.shape[1:]))
-                least *= np.where(rows > 0, rows, np.inf).min(axis=1)
-                most *= rows.max(axis=1)
+                low *= np.where(rows > 0, rows, np.inf).min(axis=1)
+                high *= rows.max(axis=1)
+            least *= np.where(low > RANGE[0], low, 0.0)
+            most *= np.where(high < RANGE[1], high, np.inf)
     arrays = layout(compiled)
     likelihood = np.ones((n_frames, n_states))
     log_scale = np.zeros(n_frames)

@@ -156,5 +156,5 @@ def _log_prior(start: Mapping[SliceNode, Table], now: Mapping[SliceNode, Table])
     for node, table in start.items():
         old, new = table.values, now[node].values
         allowed = old > 0
-        total += float((old[allowed] * np.log(new[allowed] / old[allowed])).sum())
+        total += float((old[allowed] * (np.log(new[allowed]) - np.log(old[allowed]))).sum())
     return total

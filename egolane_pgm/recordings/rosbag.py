@@ -8,25 +8,43 @@ capitals in the name of a field: there `isValid` is `is_valid`.
 
 from __future__ import annotations
 
+import bz2
 import heapq
+import re
+import sqlite3
 import warnings
 from collections.abc import Callable, Iterable, Iterator, Mapping
+from contextlib import closing
 from dataclasses import dataclass, replace
 from dataclasses import fields as dataclass_fields
+from functools import partial
 from itertools import groupby, islice
 from operator import itemgetter
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any, BinaryIO, NamedTuple
 
+import lz4.frame
 import numpy as np
-from mcap.reader import NonSeekingReader
-from mcap.records import Schema
+import zstandard
+from mcap.opcode import Opcode
+from mcap.records import Channel, Chunk, McapRecord, Schema
+from mcap.records import Message as McapMessage
+from mcap.stream_reader import StreamReader, get_chunk_data_stream
 from numpy.typing import NDArray
 from rosbags.interfaces import Connection, Nodetype
 from rosbags.rosbag1 import Reader
+from rosbags.rosbag1 import reader as ros1_reader
 from rosbags.typesys import Stores, get_types_from_idl, get_types_from_msg, get_typestore
 
-from egolane_pgm.types import BoolArray, FloatArray, InputError, IntArray, LineLog, not_one_of
+from egolane_pgm.types import (
+    MOST_BYTES,
+    BoolArray,
+    FloatArray,
+    InputError,
+    IntArray,
+    LineLog,
+    not_one_of,
+)
 
 #: The topic of the line detectors in the published recordings.
 TOPIC = "/isis_line_detector/lines"
@@ -40,6 +58,13 @@ FRAMES = 10_000
 
 #: A message with more lines than this is damaged, and its padded arrays would fill the memory.
 MAX_LINES = 1000
+
+#: A chunk that is larger when unpacked is damaged, or made to fill the memory. Those of recorders
+#: have a few megabytes.
+MOST_UNPACKED = 1 << 27
+
+#: A definition of a type that is longer is damaged: it takes minutes to read.
+MOST_DEFINITION = 1 << 20
 
 #: The published definitions. ROS tells types apart by a checksum of these.
 LINES_TYPE, LINE_TYPE = (
@@ -413,8 +438,15 @@ def _from_ros1(path: Path, wanted: str | None, topics: dict[str, str]) -> Iterat
 def _from_ros2(path: Path, wanted: str | None, topics: dict[str, str]) -> Iterator[Message]:
     # Databases and YAML are loaded only where there is such a bag.
     from rosbags.rosbag2 import Reader as Reader2
+    from rosbags.rosbag2 import storage_mcap
 
+    storage_mcap.DECOMPRESSORS |= {kind: partial(_unpacked, kind) for kind in ("lz4", "zstd")}
+    for file in path.glob("*.db3") if path.is_dir() else [path]:
+        _check_database(file)
     with Reader2(path) as bag:
+        for storage in getattr(bag.storage, "storages", [bag.storage]):
+            if hasattr(storage, "dbconn"):
+                storage.dbconn.limit(sqlite3.SQLITE_LIMIT_LENGTH, MOST_UNPACKED)
         # What metadata.yaml says may be anything.
         topics |= {c.topic: str(c.msgtype) for c in bag.connections}
         chosen: list[Any] = [c for c in bag.connections if _plain_name(c.topic) == wanted]
@@ -428,21 +460,40 @@ def _from_ros2(path: Path, wanted: str | None, topics: dict[str, str]) -> Iterat
             yield Message(kinds[connection.id], logged_ns, bytes(raw))
 
 
+def _check_database(path: Path) -> None:
+    """Raise InputError for what can be of any size in a small file, and may never end."""
+    with closing(sqlite3.connect(f"{path.resolve().as_uri()}?immutable=1", uri=True)) as database:
+        for name, made in database.execute("SELECT name, sql FROM sqlite_master"):
+            if re.search(r"\b(AS|VIRTUAL)\b", made or "", re.IGNORECASE):
+                raise InputError(
+                    f"{path}: {name} is a view, a computed column or a virtual table, which no"
+                    " recorder writes"
+                )
+
+
 def _from_mcap(path: Path, wanted: str | None, topics: dict[str, str]) -> Iterator[Message]:
     """From the file's beginning to its end, or to where it is cut off: lines come with every chunk
     of a recording, so an index saves nothing."""
     found, first_ns, last_ns = 0, 0, 0
+    schemas: dict[int, Schema | None] = {0: None}
+    channels: dict[int, Channel] = {}
     with path.open("rb") as file:
-        messages = NonSeekingReader(file, validate_crcs=True).iter_messages(log_time_order=False)
         try:
-            for schema, channel, message in messages:
-                topics[channel.topic] = _type_name(schema)
-                if _plain_name(channel.topic) == wanted:
-                    last_ns = message.log_time
-                    first_ns = first_ns if found else last_ns
-                    found += 1
-                    kind = _mcap_kind(schema, channel.message_encoding)
-                    yield Message(kind, last_ns, message.data)
+            for record in _mcap_records(path, file):
+                if isinstance(record, Schema):
+                    schemas[record.id] = record
+                elif isinstance(record, Channel):
+                    channels[record.id] = record
+                elif isinstance(record, McapMessage):
+                    channel = channels[record.channel_id]
+                    schema = schemas[channel.schema_id]
+                    topics[channel.topic] = _type_name(schema)
+                    if _plain_name(channel.topic) == wanted:
+                        last_ns = record.log_time
+                        first_ns = first_ns if found else last_ns
+                        found += 1
+                        kind = _mcap_kind(schema, channel.message_encoding)
+                        yield Message(kind, last_ns, record.data)
         except Exception as error:
             if wanted is not None and not found:
                 raise
@@ -452,6 +503,54 @@ def _from_mcap(path: Path, wanted: str | None, topics: dict[str, str]) -> Iterat
                 UserWarning,
                 stacklevel=2,
             )
+
+
+def _mcap_records(path: Path, file: BinaryIO) -> Iterator[McapRecord]:
+    """The records of a file, those of a chunk one by one, and no chunk larger than it says."""
+    reader = StreamReader(file, validate_crcs=True, emit_chunks=True, record_size_limit=MOST_BYTES)
+    for record in reader.records:
+        if not isinstance(record, Chunk):
+            yield record
+            continue
+        if record.compression in _UNPACK:
+            data = _unpacked(record.compression, record.data, record.uncompressed_size)
+            record = replace(record, compression="", data=data)
+        stream, size = get_chunk_data_stream(record, validate_crc=True)
+        while stream.count < size:
+            opcode, length = stream.read1(), stream.read8()
+            if opcode == Opcode.MESSAGE:
+                yield McapMessage.read(stream, length)
+            elif opcode == Opcode.CHANNEL:
+                yield Channel.read(stream)
+            elif opcode == Opcode.SCHEMA:
+                yield Schema.read(stream)
+            else:
+                stream.read(length)
+
+
+#: Each unpacks so many bytes at most.
+_UNPACK: dict[str, Callable[[bytes, int], bytes]] = {
+    "bz2": lambda data, most: bz2.BZ2Decompressor().decompress(data, most),
+    "lz4": lambda data, most: lz4.frame.LZ4FrameDecompressor().decompress(data, most),
+    "zstd": lambda data, most: zstandard.ZstdDecompressor().stream_reader(data).read(most),
+}
+
+
+def _unpacked(kind: str, data: bytes, size: int = MOST_UNPACKED) -> bytes:
+    """A chunk unpacked. Raises ValueError for one that is larger than it says, or than is taken."""
+    if size > MOST_UNPACKED:
+        raise ValueError(
+            f"a chunk would need {size / 2**20:,.0f} MB of memory, more than the"
+            f" {MOST_UNPACKED >> 20} MB that are taken"
+        )
+    found = _UNPACK[kind](data, size + 1)
+    if len(found) > size:
+        raise ValueError(f"a chunk holds more than {size} bytes")
+    return found
+
+
+# rosbags unpacks whatever comes.
+ros1_reader.decompressors |= {kind: partial(_unpacked, kind) for kind in ("bz2", "lz4")}
 
 
 def _type_name(schema: Schema | None) -> str:
@@ -492,6 +591,11 @@ def message_types(path: Path, kind: Kind) -> Mapping[str, Any]:
             stacklevel=2,
         )
         return known
+    if len(kind.definition) > MOST_DEFINITION:
+        raise InputError(
+            f"{path}: the definition of {kind.type} has {len(kind.definition)} characters, more"
+            f" than the {MOST_DEFINITION} that are read"
+        )
     try:
         if kind.is_idl:
             parts = kind.definition.split("=" * 80 + "\n")

@@ -15,13 +15,14 @@ from hypothesis import strategies as st
 from egolane_pgm.graphs.cpds import Table, declare, dynamics, previous, prior, within
 from egolane_pgm.inference import filtering
 from egolane_pgm.inference.compile import Compiled, compile, with_tables
-from egolane_pgm.inference.expected_counts import expected_counts
+from egolane_pgm.inference.expected_counts import FREE, expected_counts
 from egolane_pgm.inference.filtering import METHODS, filter_beliefs, read_evidence, step
 from egolane_pgm.inference.kernels import banded
 from egolane_pgm.inference.lags import beliefs_by_lag
 from egolane_pgm.inference.layout import layout
 from egolane_pgm.inference.smoothing import fixed_lag_beliefs, lag_rest, lag_step, smooth_beliefs
 from egolane_pgm.inference.viterbi import viterbi_path
+from egolane_pgm.learning.em import fit_tables
 from egolane_pgm.types import Beliefs, Evidence, FloatArray
 from tests.conformance.networks import random_network
 from tests.reference import exact
@@ -200,16 +201,55 @@ def test_smoothers_and_the_most_probable_path_are_right(kind: int, seed: int, la
 
 
 @some
-@given(kind=networks, seed=seeds)
-def test_every_frame_is_counted_once(kind: int, seed: int) -> None:
+@given(kind=st.integers(0, 4), seed=seeds)
+def test_expected_counts_are_right(kind: int, seed: int) -> None:
+    """A small count has its digits too: a row of a table is learned from what it is of the row."""
     compiled, evidence = case(kind, seed)
-    found = expected_counts(compiled, evidence)
-    right = reference.expected_counts(compiled, evidence)
-    np.testing.assert_array_equal(found.is_impossible, right.is_impossible)
-    for table, counts in right.counts.items():
-        np.testing.assert_allclose(found.counts[table], counts, rtol=1e-8, atol=1e-9)
-    seen = N_FRAMES - found.is_impossible.sum()
-    for node in {node for group in compiled.groups for node in group.nodes}:
-        is_emission = getattr(compiled.places.get((node, 1)), "kind", "") == "emission"
-        if is_emission and (node, 1) in found.counts:
-            np.testing.assert_allclose(found.counts[node, 1].sum(), seen, rtol=1e-9)
+    rng = np.random.default_rng(seed)
+    node = str(rng.choice(compiled.hidden))
+    value = rng.integers(compiled.cardinality[node], size=N_FRAMES)
+    known = {node: np.where(rng.random(N_FRAMES) < 0.7, FREE, value)}
+    is_first = rng.random(N_FRAMES) < 0.15
+    try:
+        right, passed = exact.expected_counts(compiled, evidence, known, is_first)
+    except exact.Borderline:
+        assume(False)
+    for counted in (expected_counts, reference.expected_counts):
+        found = counted(compiled, evidence, known, is_first)
+        np.testing.assert_array_equal(found.is_impossible, passed.is_impossible)
+        log_evidence = passed.log_evidence.sum()
+        np.testing.assert_allclose(found.log_evidence, log_evidence, rtol=1e-11, atol=1e-9)
+        for of, counts in right.items():
+            np.testing.assert_allclose(
+                found.counts[of].reshape(-1), np.array(counts, float), rtol=1e-9, atol=SMALL
+            )
+
+
+@settings(some, max_examples=60)
+@given(kind=networks, seed=seeds, strength=st.sampled_from([0.0, 5e-324, 1e-100, 1.0, 1e9]))
+def test_learning_is_never_down_and_never_no_number(kind: int, seed: int, strength: float) -> None:
+    compiled, evidence = case(kind, seed)
+    fitted = fit_tables(compiled, evidence, strength=strength, iterations=8)
+    before = expected_counts(compiled, evidence).is_impossible
+    history = fitted.log_posterior
+    assert np.isfinite(history).all()
+    # What a frame is worth that was impossible before is nothing to compare.
+    if (fitted.is_impossible == before).all():
+        least = -1e-9 * np.abs(history[:-1]) - 1e-9 - 1e-14 * strength
+        assert (np.diff(history) >= least).all()
+    for table in fitted.tables.values():
+        np.testing.assert_allclose(table.values.sum(axis=-1), 1, rtol=1e-9)
+
+
+def test_a_factor_that_loses_its_digits_beside_a_huge_one_is_done_in_logarithms() -> None:
+    """The product of the two is an ordinary number; the small one alone is not."""
+    tables = [
+        *prior("N0", np.full(2, 0.5)),
+        *dynamics("N0", [previous("N0")], np.full((2, 2), 0.5)),
+        *within("D0", ["N0"], np.array([[1e-121, 1.0], [1.0, 0.0]])),
+        *within("D1", ["N0"], np.full((2, 2), 0.5)),
+    ]
+    compiled = compile(declare(tables, ["D0", "D1"]), hidden=["N0"], observed=["D0", "D1"])
+    seen = {"D0": np.array([[2.4e-201, 0.0]]), "D1": np.array([[1e195, 1e195]])}
+    right = exact.beliefs(compiled, exact.forward(compiled, Evidence(seen)))
+    assert_right(filter_beliefs(compiled, Evidence(seen), "exact"), right)

@@ -1,6 +1,6 @@
-"""Filters, smoothers and the most probable path in decimal numbers of 60 digits whose exponents
-have no end, so that nothing underflows. (Fractions do not round at all, but grow with every frame,
-and are too slow for what is tried here.)
+"""Filters, smoothers, the most probable path and expected counts in decimal numbers of 60 digits
+whose exponents have no end, so that nothing underflows. (Fractions do not round at all, but grow
+with every frame, and are too slow for what is tried here.)
 
 Everything is computed over the joint state of a compiled network, straight from the definitions.
 Only what the package says of numbers that are too small is done here too: they are zero
@@ -10,17 +10,19 @@ Only what the package says of numbers that are too small is done here too: they 
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from decimal import MAX_EMAX, MIN_EMIN, Context, Decimal, setcontext
 
 import numpy as np
 
+from egolane_pgm.graphs.cpds import SliceNode
 from egolane_pgm.inference.compile import Compiled, Group
+from egolane_pgm.inference.expected_counts import FREE, counted_tables
 from egolane_pgm.inference.filtering import MOST
 from egolane_pgm.inference.kernels.filter import LEAST
 from egolane_pgm.inference.layout import joint_input
-from egolane_pgm.types import Beliefs, Evidence, FloatArray, IntArray
+from egolane_pgm.types import Beliefs, BoolArray, Evidence, FloatArray, IntArray
 
 Row = list[Decimal]
 
@@ -72,10 +74,7 @@ def likelihoods(compiled: Compiled, evidence: Evidence) -> list[Row]:
     for t in range(len(evidence)):
         row = [Decimal(1)] * compiled.n_states
         for group in compiled.groups:
-            seen = [Decimal(1)] * math.prod(group.sizes)
-            for k, key in enumerate(group.observed):
-                values = numbers(evidence.likelihoods[key][t])
-                seen = [a * values[v] for a, v in zip(seen, columns(group, k), strict=True)]
+            seen = shown(group, evidence, t)
             table = [numbers(each) for each in group.emission]
             row = [
                 a * sum(p * e for p, e in zip(of_state, seen, strict=True))
@@ -83,6 +82,15 @@ def likelihoods(compiled: Compiled, evidence: Evidence) -> list[Row]:
             ]
         rows.append(kept(row, max(row) / Decimal(MOST)))
     return rows
+
+
+def shown(group: Group, evidence: Evidence, t: int) -> Row:
+    """What the evidence of a frame says of each column of the group's table."""
+    seen = [Decimal(1)] * math.prod(group.sizes)
+    for k, key in enumerate(group.observed):
+        values = numbers(evidence.likelihoods[key][t])
+        seen = [a * values[v] for a, v in zip(seen, columns(group, k), strict=True)]
+    return seen
 
 
 def columns(group: Group, k: int) -> list[int]:
@@ -117,13 +125,21 @@ def carried(compiled: Compiled, joint: Row, method: str) -> Row:
     return kept(product)
 
 
-def forward(compiled: Compiled, evidence: Evidence, method: str = "exact") -> Exact:
-    """The filter."""
-    given, index = likelihoods(compiled, evidence), joint_input(compiled, evidence)
+def forward(
+    compiled: Compiled,
+    evidence: Evidence,
+    method: str = "exact",
+    given: list[Row] | None = None,
+    is_first: BoolArray | None = None,
+) -> Exact:
+    """The filter. given: the likelihoods, by default those of the evidence. is_first (T,): where a
+    sequence begins, by default with the first frame only."""
+    given = likelihoods(compiled, evidence) if given is None else given
+    index = joint_input(compiled, evidence)
     filtered, is_impossible, log_evidence = [], [], []
     joint: Row | None = None
     for t, u in enumerate(index):
-        predicted = moved(compiled, u, joint)
+        predicted = moved(compiled, u, None if is_first is not None and is_first[t] else joint)
         weighted = [p * e for p, e in zip(predicted, given[t], strict=True)]
         is_impossible.append(not any(weighted))
         if is_impossible[t]:
@@ -194,6 +210,66 @@ def smoothed(compiled: Compiled, passed: Exact, lag: int) -> list[Row]:
             ]
         rows.append(normalised([f * a for f, a in zip(passed.filtered[t], ahead, strict=True)]))
     return rows
+
+
+def expected_counts(
+    compiled: Compiled, evidence: Evidence, known: Mapping[str, IntArray], is_first: BoolArray
+) -> tuple[dict[SliceNode, list[Decimal]], Exact]:
+    """As `egolane_pgm.inference.expected_counts.expected_counts`, each table's counts in one row;
+    and the filter's answer."""
+    given = likelihoods(compiled, evidence)
+    for node, value in known.items():
+        is_so = (value[:, None] == compiled.node_value[node]) | (value == FREE)[:, None]
+        given = [
+            [e if so else Decimal(0) for e, so in zip(row, each, strict=True)]
+            for row, each in zip(given, is_so, strict=True)
+        ]
+    passed = forward(compiled, evidence, given=given, is_first=is_first)
+    n_frames, states = len(given), range(compiled.n_states)
+    tables = [[numbers(row) for row in each] for each in compiled.transition]
+    first = [Decimal(0)] * compiled.n_states
+    moves = [[Decimal(0)] * compiled.n_states for _ in states]
+    of_group = [[[Decimal(0)] * g.emission.shape[1] for _ in states] for g in compiled.groups]
+    ahead = [Decimal(1)] * compiled.n_states
+    for t in range(n_frames - 1, -1, -1):
+        now = normalised([f * a for f, a in zip(passed.filtered[t], ahead, strict=True)])
+        if not passed.is_impossible[t]:
+            for group, counts in zip(compiled.groups, of_group, strict=True):
+                seen = shown(group, evidence, t)
+                for s in states:
+                    both = [p * e for p, e in zip(numbers(group.emission[s]), seen, strict=True)]
+                    shares = normalised(both) if now[s] else both
+                    counts[s] = [c + now[s] * p for c, p in zip(counts[s], shares, strict=True)]
+        if is_first[t] or t == 0:
+            first = [a + b for a, b in zip(first, now, strict=True)]
+            ahead = [Decimal(1)] * compiled.n_states
+            continue
+        before, into = passed.filtered[t - 1], tables[passed.index[t]]
+        weight = [a * e for a, e in zip(ahead, given[t], strict=True)]
+        pairs = [[before[r] * into[r][s] * weight[s] for s in states] for r in states]
+        total = sum(map(sum, pairs), Decimal(0))
+        moves = [[moves[r][s] + pairs[r][s] / total for s in states] for r in states]
+        ahead = [
+            sum((into[r][s] * weight[s] for s in states), Decimal(0)) if before[r] else Decimal(0)
+            for r in states
+        ]
+    counts = {n: [Decimal(0)] * t.values.size for n, t in counted_tables(compiled).items()}
+    for (name, s), place in compiled.places.items():
+        node = (name, 1) if compiled.has_one_table(name) else (name, s)
+        if node not in counts:
+            continue
+        array = {"prior": [first], "transition": moves}.get(place.kind) or of_group[place.group]
+        cells = [cell for row in array for cell in row]
+        shape = {"prior": (1, len(first)), "transition": (1, len(first), len(first))}.get(
+            place.kind, (len(first), len(array[0]))
+        )
+        to = np.ravel_multi_index(
+            tuple(np.broadcast_to(i, shape) for i in place.indices),
+            compiled.tables[name, s].values.shape,
+        )
+        for cell, k in zip(cells, to.reshape(-1), strict=True):
+            counts[node][k] += cell
+    return counts, passed
 
 
 def best_probability(compiled: Compiled, passed: Exact) -> float:

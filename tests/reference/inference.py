@@ -343,5 +343,5 @@ def expected_moves(
         onward = logarithms(compiled.transition[index[t]]) + logarithms(likelihood[t]) + ahead
         pairs = logarithms(filtered[t - 1])[:, None] + onward
         moves += np.exp(pairs - _log_sum(pairs))
-        ahead = _log_sum(onward, axis=1)
+        ahead = np.where(filtered[t - 1] > 0, _log_sum(onward, axis=1), -np.inf)
     return smoothed, first, moves, log_evidence, is_impossible

@@ -24,8 +24,8 @@ LEAST = 2.0**-1022
 UP = 2.0**800
 HUGE = 1e300
 
-#: A frame's likelihood is multiplied out where all that is not zero is in this range; else it is
-#: done in logarithms.
+#: A frame's likelihood is multiplied out where all that is not zero is in this range, that of each
+#: group and the product; else it is done in logarithms.
 RANGE = (1e-150, 1e150)
 
 
@@ -282,8 +282,8 @@ def likelihood_kernel(n_states: int = 0, n_columns: int = 0) -> Any:
         """Multiply `likelihood` (T, S) by P(evidence of the group | joint state).
 
         block (T, K): the group's evidence. emission (K, S). least, most (T,): multiplied by the
-        smallest and largest of these that is not zero; least by zero where one that seems to be
-        zero may not be.
+        smallest and largest of these that is not zero; least by zero where one has lost digits or
+        seems to be zero and may not be.
         """
         n = n_states if n_states else emission.shape[1]
         m = n_columns if n_columns else emission.shape[0]
@@ -300,8 +300,8 @@ def likelihood_kernel(n_states: int = 0, n_columns: int = 0) -> Any:
                 low = term if term < low else low
                 high = term if term > high else high
             lows[t] = low
-            least[t] *= low if low > 0.0 else 1.0
-            most[t] *= high
+            least[t] *= low if low > RANGE[0] else (1.0 if low == 0.0 else 0.0)
+            most[t] *= high if high < RANGE[1] else math.inf
         if lows.size == 0 or lows.min() > 0.0:
             return
         smallest = math.inf
@@ -315,7 +315,8 @@ def likelihood_kernel(n_states: int = 0, n_columns: int = 0) -> Any:
                 for k in range(m):
                     if 0.0 < given[t * m + k] < low:
                         low = given[t * m + k]
-                least[t] *= low * smallest
+                low *= smallest
+                least[t] *= low if low > RANGE[0] else 0.0
 
     return multiply_likelihood
 
@@ -333,5 +334,5 @@ def multiply_chosen(
             if 0.0 < block[t, k] < low:
                 low = block[t, k]
             high = max(high, block[t, k])
-        least[t] *= low
-        most[t] *= high
+        least[t] *= low if low > RANGE[0] else 0.0
+        most[t] *= high if high < RANGE[1] else math.inf

@@ -63,11 +63,16 @@ def look_back(
     for r in range(n_states):
         total += filtered[r] * onward[r]
     if RANGE[0] < total < RANGE[1]:
+        # Over the total, without a quotient that is no number: weight where it is above one.
+        above = max(total, 1.0)
+        for s in range(n_states):
+            weight[s] /= above
         for r in range(n_states):
             ahead[r] = onward[r] / total
             if is_counted:
+                share = filtered[r] / (total / above)
                 for s in range(n_states):
-                    moves[r, s] += transition[r, s] * weight[s] * (filtered[r] / total)
+                    moves[r, s] += transition[r, s] * weight[s] * share
         return
     # The factors are numbers, their products are not: add logarithms.
     log_move = np.full((n_states, n_states), -math.inf)
