@@ -34,7 +34,7 @@ PARAMETERS = (
         3,
         "phases that a failure passes through, in order",
         lowest=1,
-        highest=1000,
+        highest=100,
     ),
 )
 
