@@ -237,7 +237,7 @@ class Tuning(Section):
         examples=["evolution", "tpe", "cma-es", "random", "nsga2"],
     )
     trials: int | None = Field(
-        default=None, ge=1, description="number of trials in all", examples=[3000]
+        default=None, ge=1, le=10**7, description="number of trials in all", examples=[3000]
     )
     seed: int = Field(default=0, ge=0, description="random seed of the sampler")
     blocks: int = Field(
@@ -342,7 +342,7 @@ class Learning(Section):
         description="nodes whose tables are learned; left out, all that can be",
         examples=[["Lane", "SensorState"]],
     )
-    iterations: int = Field(default=200, ge=1, description="largest number of EM steps")
+    iterations: int = Field(default=200, ge=1, le=10**6, description="largest number of EM steps")
 
 
 class Gnss(Section):

@@ -42,6 +42,9 @@ _DIED = "its process, or one beside it, died (killed, or out of memory?)"
 #: of its scheduler, or `local:N` for one of N processes that is started here.
 Jobs = int | str
 
+#: More processes are a slip of the hand: they would fill the memory before one has begun to work.
+MOST_PROCESSES = 1024
+
 #: Items that are begun ahead of the one whose answer is due. It bounds the answers that wait.
 _AHEAD = 256
 
@@ -56,12 +59,18 @@ def executor(jobs: Jobs) -> Iterator[Executor]:
     """A pool of `jobs` processes, or the executor of a Dask cluster.
 
     An error inside the `with` block, Ctrl-C included, ends the pool at once: work at hand is told
-    to end, work that waits is not begun. Raises InputError for a cluster that does not answer.
+    to end, work that waits is not begun. Raises InputError for a cluster that does not answer, and
+    for more than MOST_PROCESSES.
     """
     if isinstance(jobs, str):
         with cluster_executor(jobs) as pool:
             yield pool
         return
+    if jobs > MOST_PROCESSES:
+        raise InputError(
+            f"{jobs} processes are more than the {MOST_PROCESSES} that are begun; this machine has"
+            f" {os.cpu_count()} cores"
+        )
     others = set(multiprocessing.active_children())
     pool = _Pool(jobs)
     try:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import struct
 import time
 from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -21,9 +22,11 @@ from egolane_pgm.camera.pictures import read_image
 from egolane_pgm.cli.show import compile_defaults
 from egolane_pgm.maps.positions import read_positions
 from egolane_pgm.maps.road_table import load as load_road
+from egolane_pgm.parallel import executor
 from egolane_pgm.plugins import load_plugin
 from egolane_pgm.recordings import read_lines
 from egolane_pgm.report.study_trials import TRIALS_FILE
+from egolane_pgm.scoring.bootstrap import circular_block_bootstrap
 from egolane_pgm.types import InputError
 
 
@@ -178,3 +181,21 @@ def test_a_device_that_never_ends_is_no_yaml(
     assert said.endswith(
         "tune.yaml: experiments: /dev/zero: has more than 1 MB, no text of ours has"
     )
+
+
+def test_counts_beyond_what_a_machine_does() -> None:
+    said = refusal(lambda: circular_block_bootstrap(3000, resamples=10**12))
+    assert said == (
+        "resamples: 1000000000000 of 10 blocks each would need 74,505.8 GB of memory, more than the"
+        " 2 GB that are taken"
+    )
+    keys = {"tuning.trials": 10**18, "learning.iterations": 10**18, "learning.strength": 1e100}
+    for key, value in keys.items():
+        said = refusal(partial(ego.load_experiment, "experiments/quickstart.yaml", {key: value}))
+        assert f"{key}: input should be less than or equal to 1" in said
+
+    def begin() -> None:
+        with executor(10**18):
+            pass
+
+    assert "1000000000000000000 processes are more than the 1024 that are begun" in refusal(begin)
