@@ -8,7 +8,6 @@ capitals in the name of a field: there `isValid` is `is_valid`.
 
 from __future__ import annotations
 
-import bz2
 import heapq
 import re
 import sqlite3
@@ -17,7 +16,6 @@ from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import closing
 from dataclasses import dataclass, replace
 from dataclasses import fields as dataclass_fields
-from functools import partial
 from itertools import groupby, islice
 from operator import itemgetter
 from pathlib import Path
@@ -26,14 +24,12 @@ from typing import Any, BinaryIO, NamedTuple
 import lz4.frame
 import numpy as np
 import zstandard
-from mcap.opcode import Opcode
 from mcap.records import Channel, Chunk, McapRecord, Schema
 from mcap.records import Message as McapMessage
-from mcap.stream_reader import StreamReader, get_chunk_data_stream
+from mcap.stream_reader import StreamReader, breakup_chunk
 from numpy.typing import NDArray
 from rosbags.interfaces import Connection, Nodetype
 from rosbags.rosbag1 import Reader
-from rosbags.rosbag1 import reader as ros1_reader
 from rosbags.typesys import Stores, get_types_from_idl, get_types_from_msg, get_typestore
 
 from egolane_pgm.types import (
@@ -438,15 +434,10 @@ def _from_ros1(path: Path, wanted: str | None, topics: dict[str, str]) -> Iterat
 def _from_ros2(path: Path, wanted: str | None, topics: dict[str, str]) -> Iterator[Message]:
     # Databases and YAML are loaded only where there is such a bag.
     from rosbags.rosbag2 import Reader as Reader2
-    from rosbags.rosbag2 import storage_mcap
 
-    storage_mcap.DECOMPRESSORS |= {kind: partial(_unpacked, kind) for kind in ("lz4", "zstd")}
     for file in path.glob("*.db3") if path.is_dir() else [path]:
         _check_database(file)
     with Reader2(path) as bag:
-        for storage in getattr(bag.storage, "storages", [bag.storage]):
-            if hasattr(storage, "dbconn"):
-                storage.dbconn.limit(sqlite3.SQLITE_LIMIT_LENGTH, MOST_UNPACKED)
         # What metadata.yaml says may be anything.
         topics |= {c.topic: str(c.msgtype) for c in bag.connections}
         chosen: list[Any] = [c for c in bag.connections if _plain_name(c.topic) == wanted]
@@ -479,7 +470,7 @@ def _from_mcap(path: Path, wanted: str | None, topics: dict[str, str]) -> Iterat
     channels: dict[int, Channel] = {}
     with path.open("rb") as file:
         try:
-            for record in _mcap_records(path, file):
+            for record in _mcap_records(file):
                 if isinstance(record, Schema):
                     schemas[record.id] = record
                 elif isinstance(record, Channel):
@@ -505,7 +496,7 @@ def _from_mcap(path: Path, wanted: str | None, topics: dict[str, str]) -> Iterat
             )
 
 
-def _mcap_records(path: Path, file: BinaryIO) -> Iterator[McapRecord]:
+def _mcap_records(file: BinaryIO) -> Iterator[McapRecord]:
     """The records of a file, those of a chunk one by one, and no chunk larger than it says."""
     reader = StreamReader(file, validate_crcs=True, emit_chunks=True, record_size_limit=MOST_BYTES)
     for record in reader.records:
@@ -515,28 +506,17 @@ def _mcap_records(path: Path, file: BinaryIO) -> Iterator[McapRecord]:
         if record.compression in _UNPACK:
             data = _unpacked(record.compression, record.data, record.uncompressed_size)
             record = replace(record, compression="", data=data)
-        stream, size = get_chunk_data_stream(record, validate_crc=True)
-        while stream.count < size:
-            opcode, length = stream.read1(), stream.read8()
-            if opcode == Opcode.MESSAGE:
-                yield McapMessage.read(stream, length)
-            elif opcode == Opcode.CHANNEL:
-                yield Channel.read(stream)
-            elif opcode == Opcode.SCHEMA:
-                yield Schema.read(stream)
-            else:
-                stream.read(length)
+        yield from breakup_chunk(record, validate_crc=True)
 
 
 #: Each unpacks so many bytes at most.
 _UNPACK: dict[str, Callable[[bytes, int], bytes]] = {
-    "bz2": lambda data, most: bz2.BZ2Decompressor().decompress(data, most),
     "lz4": lambda data, most: lz4.frame.LZ4FrameDecompressor().decompress(data, most),
     "zstd": lambda data, most: zstandard.ZstdDecompressor().stream_reader(data).read(most),
 }
 
 
-def _unpacked(kind: str, data: bytes, size: int = MOST_UNPACKED) -> bytes:
+def _unpacked(kind: str, data: bytes, size: int) -> bytes:
     """A chunk unpacked. Raises ValueError for one that is larger than it says, or than is taken."""
     if size > MOST_UNPACKED:
         raise ValueError(
@@ -547,10 +527,6 @@ def _unpacked(kind: str, data: bytes, size: int = MOST_UNPACKED) -> bytes:
     if len(found) > size:
         raise ValueError(f"a chunk holds more than {size} bytes")
     return found
-
-
-# rosbags unpacks whatever comes.
-ros1_reader.decompressors |= {kind: partial(_unpacked, kind) for kind in ("bz2", "lz4")}
 
 
 def _type_name(schema: Schema | None) -> str:

@@ -17,7 +17,6 @@ from mcap.writer import CompressionType, Writer
 from egolane_pgm.recordings import read_lines
 from egolane_pgm.recordings.rosbag import MOST_DEFINITION, TOPIC
 from egolane_pgm.types import InputError
-from tests.kits.bags import line_bag
 
 #: What is packed, bytes: zeros.
 SIZE = 1 << 29
@@ -53,24 +52,6 @@ def mcap(path: Path, kind: str, size: int, definition: bytes = b"int64 x\n") -> 
     return path
 
 
-def ros1(path: Path) -> Path:
-    """A bag whose only chunk is replaced by such a one."""
-    raw, place = line_bag(path, [1, 2, 3]).read_bytes(), 13
-    for _ in range(2):
-        place += 4 + struct.unpack_from("<I", raw, place)[0]
-    end = place + 4 + struct.unpack_from("<I", raw, place)[0]
-    end += 4 + struct.unpack_from("<I", raw, end)[0]
-    fields = (b"op=\x05", b"compression=lz4", b"size=" + struct.pack("<I", 100))
-    head = b"".join(struct.pack("<I", len(field)) + field for field in fields)
-    data = packed("lz4")
-    chunk = struct.pack("<I", len(head)) + head + struct.pack("<I", len(data)) + data
-    new = bytearray(raw[:place] + chunk + raw[end:])
-    at = new.index(b"index_pos=") + 10
-    struct.pack_into("<Q", new, at, struct.unpack_from("<Q", new, at)[0] + len(new) - len(raw))
-    path.write_bytes(new)
-    return path
-
-
 def database(path: Path, data: str, rest: str) -> Path:
     """A ROS 2 bag's database with another column of messages and other statements."""
     with sqlite3.connect(path) as made:
@@ -98,7 +79,6 @@ def test_chunks_that_unpack_to_much_take_no_memory(tmp_path: Path) -> None:
         mcap(tmp_path / "b.mcap", "zstd", 1 << 60): "would need 1,099,511,627,776 MB of memory",
         mcap(tmp_path / "c.mcap", "zstd", 100): "a chunk holds more than 100 bytes",
         mcap(tmp_path / "d.mcap", "lz4", 100): "a chunk holds more than 100 bytes",
-        ros1(tmp_path / "e.bag"): "a chunk holds more than 134217728 bytes",
     }
     read = """
 import resource, sys
@@ -147,8 +127,3 @@ def test_a_database_that_computes_what_it_holds_is_no_bag(
     assert refusal(path) == (
         f"{path}: {name} is a view, a computed column or a virtual table, which no recorder writes"
     )
-
-
-def test_a_message_of_a_database_that_is_huge_is_not_read(tmp_path: Path) -> None:
-    path = database(tmp_path / "a.db3", "BLOB", "UPDATE messages SET data = zeroblob(200000000);")
-    assert "string or blob too big" in refusal(path)
