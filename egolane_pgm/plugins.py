@@ -20,8 +20,10 @@ import re
 import sys
 import traceback
 from collections.abc import Iterator, Mapping
+from importlib.machinery import SourceFileLoader
 from pathlib import Path
 from types import ModuleType
+from typing import Any
 
 from egolane_pgm.files import check_name
 from egolane_pgm.parameters import Parameter
@@ -202,7 +204,7 @@ def _load_file(path: Path, where: str) -> ModuleType:
     name = f"{_OWN}{path.stem}_{digest}"
     if name in sys.modules:
         return sys.modules[name]
-    spec = importlib.util.spec_from_file_location(name, path)
+    spec = importlib.util.spec_from_file_location(name, path, loader=_OwnLoader(name, str(path)))
     assert spec is not None
     assert spec.loader is not None
     module = importlib.util.module_from_spec(spec)
@@ -217,6 +219,14 @@ def _load_file(path: Path, where: str) -> ModuleType:
         at = f" (line {line})" if (line := _line_in(str(path), error)) else ""
         raise InputError(f"{where}: {path} cannot be imported: {_said(error)}{at}") from error
     return module
+
+
+class _OwnLoader(SourceFileLoader):
+    """Compiles a user's file each time. What Python keeps in __pycache__ would be another file in
+    the user's folder, and be taken for one that was changed within the same second."""
+
+    def get_code(self, fullname: str) -> Any:
+        return self.source_to_code(self.get_data(self.path), self.path)
 
 
 def _ends_process(error: BaseException) -> bool:

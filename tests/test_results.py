@@ -16,6 +16,7 @@ import pytest
 import yaml
 from pyarrow import parquet
 
+from egolane_pgm import files
 from egolane_pgm.experiment import config_hash, load_experiment
 from egolane_pgm.files import plain, write_json
 from egolane_pgm.inference.events import crossing_probability, lane_events
@@ -465,6 +466,8 @@ def test_an_interruption_around_the_renaming_leaves_one_whole_result(
             raise error
         return moved
 
+    # As where the system does not exchange two directories in one step.
+    monkeypatch.setattr(files, "_exchanged", lambda *_: False)
     monkeypatch.setattr(Path, "rename", interrupted)
     with pytest.raises((KeyboardInterrupt, InputError)), staged(result) as folder:
         fill(folder)
