@@ -293,8 +293,10 @@ def _read_parquet(path: Path, columns: Mapping[str, str], rows: int | None) -> I
         given = list(file.schema_arrow.names)
         names = _renamed(path, given, columns)
         there = {name: given[names.index(name)] for name in _check_columns(path, names)}
-        for part in file.iter_batches(rows or ROWS, columns=list(there.values())):
-            yield pa.table({name: _typed(path, name, part[c]) for name, c in there.items()})
+        # One row group after the other: asked for all, pyarrow keeps what it has read.
+        for group in range(file.num_row_groups):
+            for part in file.iter_batches(rows or ROWS, [group], list(there.values())):
+                yield pa.table({name: _typed(path, name, part[c]) for name, c in there.items()})
 
 
 def _typed(path: Path, name: str, column: Any) -> Any:
