@@ -215,8 +215,8 @@ def assess(
     if of is not None:
         matrices = on_widest([np.array(scores["confusion"]) for scores in each])
         found |= {
-            name: float(of(matrices.sum(axis=0)))
-            for name, of in CONFUSION_SCORES.items()
+            name: float(score(matrices.sum(axis=0)))
+            for name, score in CONFUSION_SCORES.items()
             if name in SCORES
         }
         brier = [scores["brier"] or 0.0 for scores in each]
