@@ -56,11 +56,6 @@ class _CtrlC(KeyboardInterrupt):
         self.swallowed()
 
 
-def _print_ignored(ignored: sys.UnraisableHookArgs) -> None:
-    if not issubclass(ignored.exc_type, KeyboardInterrupt):
-        sys.__unraisablehook__(ignored)
-
-
 def _interrupt() -> None:
     main_thread = threading.main_thread().ident
     if hasattr(signal, "pthread_kill") and main_thread is not None:
@@ -84,7 +79,9 @@ class _Interruption:
         """Listen for Ctrl-C."""
         _CtrlC.swallowed = self._raise_again
         signal.signal(signal.SIGINT, self._raise)
-        sys.unraisablehook = _print_ignored
+        # What was interrupted in threads and pools of processes says much that helps nobody.
+        sys.unraisablehook = lambda said: self.has_come or sys.__unraisablehook__(said)
+        threading.excepthook = lambda said: self.has_come or threading.__excepthook__(said)
         # What is registered first is called last, when everything else has cleaned up.
         atexit.register(self._end)
         # A signal writes to the socket at once, while its handler waits for the next line of
