@@ -515,7 +515,7 @@ class PlannedRun:
 class FinishedRun:
     """What became of a planned run: its `summary`, or else why it failed, in one line; the run
     itself, where it was kept instead of written; the seconds that it took; whether its result was
-    there already; and which drive it is of, see `loading.drive_key`."""
+    there already; and of one of a fleet which drive it is of, see `loading.drive_key`."""
 
     title: str
     directory: Path
@@ -605,7 +605,7 @@ def run_all(
     - draw: as in `save_run`.
     - keep: whether runs are kept instead of written.
     - resume: whether a result that is there already is taken, where it was made from the same
-      files, with the same config and the same code.
+      files, with the same config and the same code; and each tells its drive.
 
     A run for which another machine read other files than lie here under their names fails.
     """
@@ -623,21 +623,22 @@ def _finish(run: PlannedRun, draw: Draw | None, keep: bool, resume: bool) -> Fin
         return _failed(run, run.error or "")
     try:
         stored = stored_result(run.experiment, run.directory) if resume else None
-        if stored is not None:
-            said, scores = stored
-            del scores["schema_version"]
-            seconds = said.get("seconds")
-            drive = drive_key(run.experiment)
-            return FinishedRun(run.title, run.directory, scores, None, None, seconds, True, drive)
-        done = run_experiment(run.experiment)
-        if not keep:
-            save_run(done, run.directory, draw)
-        drive = drive_key(run.experiment)
+        if stored is None:
+            done = run_experiment(run.experiment)
+            if not keep:
+                save_run(done, run.directory, draw)
+        # Labels are read anew for it, so only where somebody asks.
+        drive = drive_key(run.experiment) if resume else None
     except InputError as error:
         return _failed(run, "\n".join(error.lines))
     except Exception as error:
         # A fault of ours in one run must not cost the others what they computed.
         return _failed(run, " ".join(f"{type(error).__name__}: {error}".split()))
+    if stored is not None:
+        said, scores = stored
+        del scores["schema_version"]
+        seconds = said.get("seconds")
+        return FinishedRun(run.title, run.directory, scores, None, None, seconds, True, drive)
     kept = done if keep else None
     found = plain(summary(done))
     seconds = round(done.seconds, 3)
