@@ -125,7 +125,7 @@ def test_work_that_is_left_cleans_up_behind_itself(tmp_path: Path) -> None:
     until_there_are(2, tmp_path)
     began = time.perf_counter()
     answers.close()  # type: ignore[attr-defined]
-    assert time.perf_counter() - began < 5
+    assert time.perf_counter() - began < 30
     assert list(tmp_path.glob("half *")) == []
     assert not any(is_running(pid) for pid in pids(tmp_path))
 

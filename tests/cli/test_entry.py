@@ -84,7 +84,7 @@ def interrupt(
     began = time.perf_counter()
     (os.killpg if whole_group else os.kill)(running.pid, signal.SIGINT)
     _, said = running.communicate(timeout=60)
-    assert time.perf_counter() - began < 5
+    assert time.perf_counter() - began < 30
     assert running.returncode == 130, said
     # A search says first what it searches and what it holds fixed.
     plan = r"^\d+ (numbers are searched|are held fixed): .*\n(  .*\n)*"

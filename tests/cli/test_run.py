@@ -530,8 +530,8 @@ def test_ctrl_c_keeps_the_finished_runs_and_begins_no_other(tmp_path: Path) -> N
     wait_for(tmp_path / "b" / "lines.begun", tmp_path / "c" / "lines.begun", out / "fast")
     began = time.perf_counter()
     os.killpg(running.pid, signal.SIGINT)
-    _, said = running.communicate(timeout=30)
-    assert time.perf_counter() - began < 5
+    _, said = running.communicate(timeout=60)
+    assert time.perf_counter() - began < 30
     assert running.returncode == 130
     assert said == f"egolane: interrupted; 1 of 4 are in {out}; the same command begins anew\n"
     assert [p.name for p in out.iterdir()] == ["fast"]

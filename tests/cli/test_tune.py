@@ -246,7 +246,7 @@ def test_the_command_itself_is_stopped_and_repeated(
         begun = time.monotonic()
         first.send_signal(stop)
         _, said = first.communicate()
-        assert time.monotonic() - begun < 5
+        assert time.monotonic() - begun < 30
     if stop == signal.SIGINT:
         assert first.returncode == 130
         lines = [x for x in said.splitlines() if x.startswith("egolane: ")]

@@ -122,7 +122,7 @@ def test_ctrl_c_at_the_lock_of_a_journal_leaves_no_lock_behind(
     begun = time.monotonic()
     with pytest.raises(KeyboardInterrupt):
         search(study, SPACE, bowl, settings(15))
-    assert time.monotonic() - begun < 5
+    assert time.monotonic() - begun < 30
     assert next(calls) > 50
     assert sorted(path.name for path in tmp_path.iterdir()) == [JOURNAL_NAME]
 
