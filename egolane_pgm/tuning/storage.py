@@ -47,6 +47,19 @@ _AGAIN = "begin another study with --out or --storage"
 LOCK_GRACE_S = 5
 
 
+class _Lock(JournalFileOpenLock):
+    """Optuna's lock, which other users of the journal heed, given back in one step: Optuna takes
+    two, and leaves a file that nobody removes where the process is killed between them.
+    """
+
+    def __init__(self, path: Path) -> None:
+        self.path = Path(f"{path}.lock")
+        super().__init__(str(path), LOCK_GRACE_S)
+
+    def release(self) -> None:
+        self.path.unlink(missing_ok=True)
+
+
 class _Journal(JournalFileBackend):
     """Optuna's journal, without waiting for the disk after each line: a trial writes a dozen.
 
@@ -59,7 +72,7 @@ class _Journal(JournalFileBackend):
 
     def __init__(self, path: Path) -> None:
         self.path, self.line = path, 0
-        self.lock = JournalFileOpenLock(str(path), LOCK_GRACE_S)
+        self.lock = _Lock(path)
         super().__init__(str(path), self.lock)
         # Optuna passes over a damaged line at the end, and stumbles over it once others follow.
         *lines, _ = path.read_bytes().split(b"\n")

@@ -19,7 +19,7 @@ from typing import Any
 import optuna
 import pytest
 from optuna.storages import JournalStorage
-from optuna.storages.journal import JournalFileBackend, JournalFileOpenLock
+from optuna.storages.journal import JournalFileBackend
 from optuna.trial import TrialState
 
 from egolane_pgm.tuning import storage as module
@@ -107,10 +107,10 @@ def test_ctrl_c_at_the_lock_of_a_journal_leaves_no_lock_behind(
 ) -> None:
     monkeypatch.setattr(module, "LOCK_GRACE_S", 60)
     study = study_in(tmp_path)
-    original = getattr(JournalFileOpenLock, step)
+    original = getattr(module._Lock, step)
     calls = itertools.count()
 
-    def interrupted(lock: JournalFileOpenLock) -> Any:
+    def interrupted(lock: module._Lock) -> Any:
         if step == "release" and next(calls) == 50:
             signal.raise_signal(signal.SIGINT)
         found = original(lock)
@@ -118,13 +118,25 @@ def test_ctrl_c_at_the_lock_of_a_journal_leaves_no_lock_behind(
             signal.raise_signal(signal.SIGINT)
         return found
 
-    monkeypatch.setattr(JournalFileOpenLock, step, interrupted)
+    monkeypatch.setattr(module._Lock, step, interrupted)
     begun = time.monotonic()
     with pytest.raises(KeyboardInterrupt):
         search(study, SPACE, bowl, settings(15))
     assert time.monotonic() - begun < 30
     assert next(calls) > 50
     assert sorted(path.name for path in tmp_path.iterdir()) == [JOURNAL_NAME]
+
+
+def test_the_lock_of_a_journal_has_no_second_name_that_a_kill_would_leave(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def rename(*given: Any) -> None:
+        raise AssertionError(given)
+
+    study = study_in(tmp_path)
+    monkeypatch.setattr(os, "rename", rename)
+    search(study, SPACE, bowl, settings(3))
+    assert [path.name for path in tmp_path.iterdir()] == [JOURNAL_NAME]
 
 
 def test_optuna_reads_the_journal_and_copies_it_to_a_database(tmp_path: Path) -> None:
