@@ -91,7 +91,7 @@ def test_importing_the_package_imports_nothing_heavy_until_a_name_is_used() -> N
         "import sys, egolane_pgm as ego; dir(ego); assert 'numpy' not in sys.modules;"
         "ego.InputError; assert 'pandas' not in sys.modules and 'pgmpy' not in sys.modules"
     )
-    subprocess.run([sys.executable, "-c", code], check=True, timeout=60)
+    subprocess.run([sys.executable, "-c", code], check=True, timeout=120)
 
 
 # --- run -----------------------------------------------------------------------------------------

@@ -34,7 +34,7 @@ def modules_after(code: str) -> set[str]:
     """The top-level modules that a fresh Python has loaded after running `code`."""
     program = f"import json, sys\n{code}\nprint(json.dumps(sorted(sys.modules)), file=sys.stderr)"
     ran = subprocess.run(
-        [sys.executable, "-c", program], capture_output=True, text=True, check=True, timeout=60
+        [sys.executable, "-c", program], capture_output=True, text=True, check=True, timeout=120
     )
     return {name.partition(".")[0] for name in json.loads(ran.stderr.splitlines()[-1])}
 

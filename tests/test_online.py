@@ -159,7 +159,7 @@ def test_each_line_is_answered_before_the_next_is_sent(drive: Path) -> None:
         np.testing.assert_allclose(
             list(said["beliefs"]["Lane"].values()), list(answer["beliefs"]["Lane"].values())
         )
-    _, error = process.communicate(timeout=30)
+    _, error = process.communicate(timeout=120)
     assert process.returncode == 0
     assert error == ""
 

@@ -572,7 +572,7 @@ def test_a_killed_run_leaves_no_result_and_an_earlier_one_untouched(
     assert said == "drawing"
     assert is_result(Path(half))
     process.send_signal(number)
-    _, error = process.communicate(timeout=30)
+    _, error = process.communicate(timeout=120)
     assert result.exists() == is_there
     assert contents(result) == before
     if number == signal.SIGINT:

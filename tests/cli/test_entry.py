@@ -93,11 +93,19 @@ def interrupt(
     assert said.startswith("egolane: interrupted; ")
     assert said.endswith("the same command begins anew\n") or "repeat the command to go on" in said
     # What the pool needed to be started ends a moment later.
-    time.sleep(0.3)
-    listed = subprocess.run(["ps", "-A", "-o", "pgid=,stat="], capture_output=True, text=True)
-    groups = [line.split() for line in listed.stdout.splitlines()]
-    assert not [g for g in groups if g[0] == str(running.pid) and not g[1].startswith("Z")]
+    for _ in range(300):
+        if not alive(running.pid):
+            break
+        time.sleep(0.1)
+    assert not alive(running.pid)
     assert not list(out.parent.glob(".*"))
+
+
+def alive(group: int) -> list[str]:
+    """The states of the processes of a group that have not ended."""
+    listed = subprocess.run(["ps", "-A", "-o", "pgid=,stat="], capture_output=True, text=True)
+    states = [line.split() for line in listed.stdout.splitlines()]
+    return [state for pgid, state in states if pgid == str(group) and state[0] != "Z"]
 
 
 MOMENTS = pytest.mark.parametrize(
