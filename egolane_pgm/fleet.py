@@ -232,9 +232,9 @@ def summary_rows(drives: Sequence[FleetDrive], done: Sequence[FinishedRun]) -> l
     """
     names = [drive.name for drive in drives]
     keys = [run.drive or name for name, run in zip(names, done, strict=True)]
-    of = first_names(names, keys)
+    drive_of = first_names(names, keys)
     rows = []
-    for drive, first, run in zip(drives, of, done, strict=True):
+    for drive, first, run in zip(drives, drive_of, done, strict=True):
         kept = {"drive": first, "error": run.error, "seconds": run.seconds}
         if run.summary is not None:
             kept |= {"result": str(run.directory)}
@@ -333,8 +333,8 @@ def _pool(tag: str, value: str, rows: Sequence[Mapping[str, Any]]) -> Pooled:
     right = frames * np.array([row["model.accuracy"] for row in scored], dtype=float)
     accuracy = interval = None
     if scored:
-        of = [row["drive"] for row in scored]
-        accuracy, interval = over_drives(np.stack([right, frames], axis=1), of=of)
+        drive_of = [row["drive"] for row in scored]
+        accuracy, interval = over_drives(np.stack([right, frames], axis=1), drive_of=drive_of)
     of_detector = [row.get("detector.accuracy") for row in scored]
     detector = None
     if scored and None not in of_detector:

@@ -237,11 +237,11 @@ def test_rows_of_one_drive_are_drawn_together() -> None:
         twice = None if minus is None else np.concatenate([minus, minus])
         rows = np.concatenate([one, one])
         alone = over_drives(one, accuracy, minus)
-        assert over_drives(one, accuracy, minus, of=names) == alone
-        assert over_drives(rows, accuracy, twice, of=names * 2) == alone
+        assert over_drives(one, accuracy, minus, drive_of=names) == alone
+        assert over_drives(rows, accuracy, twice, drive_of=names * 2) == alone
         # As drives of their own they would tell more than they do.
         assert np.ptp(over_drives(rows, accuracy, twice)[1]) < 0.8 * np.ptp(alone[1])  # type: ignore[arg-type]
-    assert over_drives(one[:2], accuracy, of=["a", "a"])[1] is None
+    assert over_drives(one[:2], accuracy, drive_of=["a", "a"])[1] is None
 
 
 def test_a_second_detector_on_each_drive_makes_no_interval_narrower(tmp_path: Path) -> None:

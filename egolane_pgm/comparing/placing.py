@@ -61,12 +61,12 @@ def recording_key(experiment: Experiment) -> str:
 
 
 def parts_of_fleet(
-    drives: Sequence[FleetDrive], of: Sequence[str], n_parts: int, tag: str | None
+    drives: Sequence[FleetDrive], drive_of: Sequence[str], n_parts: int, tag: str | None
 ) -> tuple[tuple[int, ...], ...]:
     """The numbers of the drives of a fleet that are held out together, part by part; none for one
     drive.
 
-    - of: which drive each is of, see `fleet.drives_of`.
+    - drive_of: which drive each is of, see `fleet.drives_of`.
     - n_parts: how many parts there are, neighbours in the table together; at most one for each.
     - tag: instead, those with each value of this tag.
 
@@ -76,7 +76,7 @@ def parts_of_fleet(
     if len(drives) == 1:
         return ()
     rows: dict[str, list[int]] = {}
-    for k, first in enumerate(of):
+    for k, first in enumerate(drive_of):
         rows.setdefault(first, []).append(k)
     if tag is None:
         if len(rows) == 1:

@@ -56,21 +56,22 @@ def fleet_comparison_rows(
     parts = document["recordings"]
     rows = []
     for tag, value, which in by_tag([tags[part["title"]] for part in parts]):
-        some, of = [parts[k]["experiments"] for k in which], [parts[k]["drive"] for k in which]
+        some = [parts[k]["experiments"] for k in which]
+        drive_of = [parts[k]["drive"] for k in which]
         first: FloatArray | None = None
         for k in range(len(some[0])):
             # The last subset leaves out what is not trusted.
             scores = [list(experiments[k]["scores"].values())[-1] for experiments in some]
             frames = np.array([each["frames_scored"] for each in scores], dtype=np.float64)
             right = frames * np.array([each["accuracy"] for each in scores])
-            difference = "" if first is None else _share(right - first, frames, of, "+.3f")
+            difference = "" if first is None else _share(right - first, frames, drive_of, "+.3f")
             first = right if first is None else first
             name, size = f"{tag} {value}".strip() or "all", [str(len(some)), str(int(frames.sum()))]
-            accuracy = _share(right, frames, of, ".3f")
+            accuracy = _share(right, frames, drive_of, ".3f")
             rows.append([name, some[0][k]["name"], *size, accuracy, difference])
     header = ["drives", "experiment", "number", "frames scored", "accuracy", "difference"]
     return header, rows
 
 
-def _share(right: FloatArray, frames: FloatArray, of: Sequence[str], form: str) -> str:
-    return with_interval(*over_drives(np.stack([right, frames], axis=1), of=of), form)
+def _share(right: FloatArray, frames: FloatArray, drive_of: Sequence[str], form: str) -> str:
+    return with_interval(*over_drives(np.stack([right, frames], axis=1), drive_of=drive_of), form)

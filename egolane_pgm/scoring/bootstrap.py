@@ -271,7 +271,7 @@ def over_drives(
     minus: NDArray[np.generic] | None = None,
     seed: int = 0,
     *,
-    of: Sequence[str] | None = None,
+    drive_of: Sequence[str] | None = None,
 ) -> tuple[float, tuple[float, float] | None]:
     """A statistic of all frames of D rows of a fleet, with its 95 % interval over drives: low and
     high, None for fewer than two drives.
@@ -280,13 +280,13 @@ def over_drives(
     - statistic: sums (R, ...) -> (R,), such as `ratio` or `scoring.confusion.accuracy`.
     - minus: the other side of a difference, of the same frames: the interval is then that of the
       paired difference.
-    - of: of each row the drive that it is of, where several may be of one; else each is one.
+    - drive_of: the drive that each row is of, where several may be of one; else each is one.
 
     Whole drives are drawn (cluster bootstrap, percentiles of RESAMPLES), because the frames of a
     drive are alike, and two detectors on it share its luck.
     """
-    if of is not None:
-        sums, minus = _added(sums, of), None if minus is None else _added(minus, of)
+    if drive_of is not None:
+        sums, minus = _added(sums, drive_of), None if minus is None else _added(minus, drive_of)
 
     def of_sums(drawn: Sequence[IntArray]) -> FloatArray:
         def one_side(side: NDArray[np.generic]) -> FloatArray:
@@ -302,10 +302,10 @@ def over_drives(
     return whole, _percentiles(of_sums([rng.integers(0, n, n) for _ in range(RESAMPLES)]), LEVEL)
 
 
-def _added(sums: NDArray[np.generic], of: Sequence[str]) -> NDArray[np.generic]:
+def _added(sums: NDArray[np.generic], drive_of: Sequence[str]) -> NDArray[np.generic]:
     """What the rows of each drive sum over together, the drives in the order of their first row."""
     first: dict[str, int] = {}
-    drive = [first.setdefault(each, len(first)) for each in of]
+    drive = [first.setdefault(each, len(first)) for each in drive_of]
     found = np.zeros((len(first), *sums.shape[1:]), sums.dtype)
     np.add.at(found, drive, sums)
     return found

@@ -189,12 +189,12 @@ def assess(
     beliefs: Sequence[FloatArray],
     keep: Sequence[BoolArray],
     *,
-    of: Sequence[str] | None = None,
+    drive_of: Sequence[str] | None = None,
 ) -> dict[str, Any]:
     """Scores with intervals over the kept frames, per recording and their plain mean.
 
-    of: which drive each is of, where they are a fleet: then it is the score of all their frames
-        instead, with an interval over drives.
+    drive_of: which drive each is of, where they are a fleet: then it is the score of all their
+        frames instead, with an interval over drives.
     """
     each = []
     for drive, belief, kept in zip(drives, beliefs, keep, strict=True):
@@ -212,7 +212,7 @@ def assess(
     counts = _counts(drives, beliefs, keep)
     frames = np.array([scores["frames_scored"] for scores in each])
     found: dict[str, Any] = {}
-    if of is not None:
+    if drive_of is not None:
         matrices = on_widest([np.array(scores["confusion"]) for scores in each])
         found |= {
             name: float(score(matrices.sum(axis=0)))
@@ -221,7 +221,7 @@ def assess(
         }
         brier = [scores["brier"] or 0.0 for scores in each]
         found["brier"] = float(np.dot(frames, brier) / frames.sum())
-        intervals = _over_drives(counts, of)
+        intervals = _over_drives(counts, drive_of)
         found["log_loss"] = intervals["log_loss"][0]
         found["intervals"] = {name: interval for name, (_, interval) in intervals.items()}
     else:
@@ -241,12 +241,12 @@ def difference(
     second: Sequence[FloatArray],
     keep: Sequence[BoolArray],
     *,
-    of: Sequence[str] | None = None,
+    drive_of: Sequence[str] | None = None,
 ) -> dict[str, Any]:
     """First less second with intervals, over the same resamples of the same frames, or drives."""
     counts = _counts(drives, first, keep), _counts(drives, second, keep)
-    if of is not None:
-        found = _over_drives(counts[0], of, counts[1])
+    if drive_of is not None:
+        found = _over_drives(counts[0], drive_of, counts[1])
         intervals = {name: interval for name, (_, interval) in found.items()}
         return {**{name: value for name, (value, _) in found.items()}, "intervals": intervals}
     one, other = assess(drives, first, keep), assess(drives, second, keep)
@@ -256,7 +256,7 @@ def difference(
 
 def _over_drives(
     counts: Sequence[Mapping[str, NDArray[Any]]],
-    of: Sequence[str],
+    drive_of: Sequence[str],
     minus: Sequence[Mapping[str, NDArray[Any]]] | None = None,
 ) -> dict[str, tuple[float, tuple[float, float] | None]]:
     """Each score that has an interval, of all frames of the drives, and that interval."""
@@ -270,7 +270,7 @@ def _over_drives(
             sums(counts, name),
             statistic,
             None if minus is None else sums(minus, name),
-            of=of,
+            drive_of=drive_of,
         )
         for name, statistic in INTERVAL_STATISTICS.items()
     }

@@ -133,13 +133,13 @@ class Fleet:
     - experiment: what is put on them, and written with what is found.
     - parts: the numbers of the drives that are held out together, in turn.
     - tags: of each drive, by name.
-    - of: which drive each row is of, see `fleet.drives_of`.
+    - drive_of: which drive each row is of, see `fleet.drives_of`.
     """
 
     experiment: Experiment
     parts: tuple[tuple[int, ...], ...]
     tags: tuple[Mapping[str, str], ...]
-    of: tuple[str, ...]
+    drive_of: tuple[str, ...]
 
 
 @dataclass(frozen=True)

@@ -340,8 +340,8 @@ def finish(made: Search) -> dict[str, Any]:
     """Score a search in-sample and held out, write its study.json and return what is in that."""
     problem, drives = made.problem, made.problem.drives
     everything, fleet = all_used(drives), problem.plan.fleet
-    of = None if fleet is None else fleet.of
-    scores = partial(assess, drives, of=of)
+    drive_of = None if fleet is None else fleet.drive_of
+    scores = partial(assess, drives, drive_of=drive_of)
     trusted = [d.may_fit for d in drives]
     subsets = {"all_frames": everything}
     if not all(keep.all() for keep in trusted):
@@ -369,7 +369,8 @@ def finish(made: Search) -> dict[str, Any]:
             **{key: scores(theirs, keep) for key, keep in subsets.items()},
         }
         content["difference"] = {
-            key: difference(drives, mine, theirs, keep, of=of) for key, keep in subsets.items()
+            key: difference(drives, mine, theirs, keep, drive_of=drive_of)
+            for key, keep in subsets.items()
         }
     if made.test is not None:
         content["test"] = _tested(made.test, made.best["point"])

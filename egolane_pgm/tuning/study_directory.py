@@ -72,7 +72,7 @@ def _fleet(problem: Problem) -> dict[str, Any] | None:
     return {
         "parts": [[names[k] for k in part] for part in fleet.parts],
         "tags": dict(zip(names, map(dict, fleet.tags), strict=True)),
-        "drives": dict(zip(names, fleet.of, strict=True)),
+        "drives": dict(zip(names, fleet.drive_of, strict=True)),
     }
 
 

@@ -67,22 +67,22 @@ def believed(drives: tuple[Drive, ...]) -> list[np.ndarray]:
 def test_scores_of_a_fleet_are_those_of_all_its_frames(tmp_path: Path) -> None:
     drives = problem(tmp_path).drives
     beliefs, keep = believed(drives), all_used(drives)
-    found = assess(drives, beliefs, keep, of=NAMES)
+    found = assess(drives, beliefs, keep, drive_of=NAMES)
     sets = [dict(drive.model.parameters) for drive in drives]
     names = ("accuracy", "precision", "recall", "f1", "log_loss", "brier")
     right = scores_of(drives, sets, keep, names, together=True)
     assert [found[name] for name in names] == pytest.approx(right, rel=1e-12)
     assert [each["name"] for each in found["recordings"]] == NAMES
     worse = [np.roll(belief, 1, axis=1) for belief in beliefs]
-    less = difference(drives, beliefs, worse, keep, of=NAMES)
-    other = assess(drives, worse, keep, of=NAMES)
+    less = difference(drives, beliefs, worse, keep, drive_of=NAMES)
+    other = assess(drives, worse, keep, drive_of=NAMES)
     for name in ("accuracy", "f1", "log_loss"):
         low, high = less["intervals"][name]
         assert low <= less[name] <= high
         assert less[name] == pytest.approx(found[name] - other[name], rel=1e-9)
         low, high = found["intervals"][name]
         assert low < found[name] < high
-    twice = assess(drives * 2, beliefs * 2, keep * 2, of=NAMES * 2)
+    twice = assess(drives * 2, beliefs * 2, keep * 2, drive_of=NAMES * 2)
     assert twice["intervals"]["f1"] == pytest.approx(found["intervals"]["f1"])
     each = [one["accuracy"] for one in found["recordings"]]
     low, high = found["intervals"]["accuracy"]
