@@ -305,7 +305,7 @@ def open_parquet(path: Path, *, whole: bool = True, content: bytes | None = None
                 said = f"{path}: {n_rows} rows of {n_columns} columns"
                 check_memory(8.0 * n_rows * n_columns, said)
             yield found
-    except InputError:
+    except (InputError, MemoryError):
         raise
     except (pa.ArrowException, OSError, ValueError) as error:
         if why := getattr(error, "strerror", None):

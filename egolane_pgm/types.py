@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import contextlib
 import difflib
+import errno
 import re
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
@@ -120,6 +121,32 @@ def check_memory(n_bytes: float, where: str) -> None:
             f"{where} would need {n_bytes / 2**30:,.1f} GB of memory, more than the"
             f" {MOST_BYTES >> 30} GB that are taken"
         )
+
+
+#: What is said where the system gives no more memory.
+NO_MEMORY = (
+    "there is not enough memory; close other programs, raise the limit (ulimit -v), or give less"
+    " at once"
+)
+
+#: How libraries say so that raise no MemoryError: OpenCV, Arrow, the system's loader, threads.
+_NO_MEMORY = re.compile(
+    r"insufficient memory|bad_alloc|cannot allocate memory|failed to map segment|malloc of size"
+    r"|can't start new thread",
+    re.IGNORECASE,
+)
+
+
+def lacks_memory(error: BaseException) -> bool:
+    """Whether an error, or one that it comes from, says that the system gives no more memory."""
+    cause: BaseException | None = error
+    while cause is not None:
+        if isinstance(cause, MemoryError) or getattr(cause, "errno", None) == errno.ENOMEM:
+            return True
+        if _NO_MEMORY.search(str(cause)):
+            return True
+        cause = cause.__cause__ or cause.__context__
+    return False
 
 
 @contextlib.contextmanager

@@ -18,6 +18,7 @@ import numpy as np
 import pyarrow as pa
 import pytest
 from matplotlib.figure import Figure
+from pyarrow import parquet as pq
 
 from egolane_pgm import files
 from egolane_pgm.camera.model import Camera, read_camera, write_camera
@@ -28,6 +29,7 @@ from egolane_pgm.files import (
     atomic,
     atomic_directory,
     clear,
+    open_parquet,
     read_text,
     read_yaml,
     temporary_folder,
@@ -399,3 +401,16 @@ def test_arrays_become_the_columns_that_pyarrow_makes_of_them() -> None:
             assert made[f"masked {name}"].combine_chunks().equals(expected)
     assert made["none masked"].to_pylist() == list(range(13))
     assert len(arrow_table({"none": np.zeros(0, dtype=bool)})) == 0
+
+
+def test_memory_that_ends_is_no_damage_of_a_parquet_file(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    pq.write_table(pa.table({"a": [1]}), tmp_path / "a.parquet")
+
+    def fails(_: object) -> None:
+        raise pa.ArrowMemoryError("malloc of size 64 failed")
+
+    monkeypatch.setattr(pq, "ParquetFile", fails)
+    with pytest.raises(MemoryError), open_parquet(tmp_path / "a.parquet"):
+        pass

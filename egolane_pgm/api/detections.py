@@ -19,7 +19,7 @@ from egolane_pgm.detectors.runner import check_pair, collect, find_detector
 from egolane_pgm.detectors.runner import detect as detect_lines
 from egolane_pgm.files import check_place
 from egolane_pgm.progress import bar
-from egolane_pgm.recordings import write_lines
+from egolane_pgm.recordings import write_lines, writer_of
 from egolane_pgm.types import InputError, LineLog
 
 if TYPE_CHECKING:
@@ -131,10 +131,12 @@ class DetectResult:
 
 
 def check_target(target: str | os.PathLike[str]) -> None:
-    """Raise InputError for a file that lines cannot be written to."""
+    """Raise InputError for a file that lines cannot be written to. What writes them is loaded: it
+    must not fail when they were found."""
     if Path(target).suffix.lower() not in TARGETS:
         raise InputError(f"--out {target}: lines are written as {', '.join(TARGETS)}")
     check_place(Path(target))
+    writer_of(Path(target))
 
 
 def detect(

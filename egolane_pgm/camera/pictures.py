@@ -23,7 +23,7 @@ from numpy.typing import NDArray
 from PIL import Image as Header
 
 from egolane_pgm.camera.model import Camera, scaled
-from egolane_pgm.camera.picture import Image, Picture
+from egolane_pgm.camera.picture import Image, Picture, check_room
 from egolane_pgm.camera.video import open_video, video_images
 from egolane_pgm.camera.writing import silent
 from egolane_pgm.types import InputError
@@ -309,11 +309,13 @@ def read_image(path: Path) -> Image:
 
 def _check_pixels(path: Path, content: NDArray[np.uint8]) -> None:
     """Raise InputError for a picture whose header says that it has more pixels than Pillow takes
-    (some 90 million): a few hundred bytes may say so, and gigabytes are needed to look."""
+    (some 90 million): a few hundred bytes may say so, and gigabytes are needed to look. Raise
+    MemoryError where there is no room for it."""
     with warnings.catch_warnings():
         warnings.simplefilter("error", Header.DecompressionBombWarning)
         try:
-            Header.open(io.BytesIO(content.data)).close()
+            with Header.open(io.BytesIO(content.data)) as header:
+                check_room(header.width * header.height)
         except (Header.DecompressionBombWarning, Header.DecompressionBombError) as error:
             raise InputError(f"{path}: cannot be read: {error}") from None
         except (OSError, ValueError):

@@ -20,7 +20,7 @@ from pathlib import Path
 
 import cv2
 
-from egolane_pgm.camera.picture import Image
+from egolane_pgm.camera.picture import Image, check_room
 from egolane_pgm.files import check_name
 from egolane_pgm.types import InputError
 
@@ -41,8 +41,9 @@ def open_video(path: Path) -> cv2.VideoCapture:
             raise InputError(f"{path}: the file is empty")
     # FFmpeg takes what is before a colon for a protocol, unless the path is absolute.
     absolute = os.path.abspath(path)
+    check_room()
     video = cv2.VideoCapture(absolute)
-    if not video.isOpened() or not video.grab():
+    if not video.isOpened() or not _grab(video):
         video.release()
         raise InputError(
             f"{path}: is no video that can be read (another kind of file, or cut off before its"
@@ -77,7 +78,7 @@ def video_images(
         # video that was cut off may be incomplete.
         held: tuple[int, Image] | None = None
         while True:
-            if not video.grab():
+            if not _grab(video):
                 later = _later(video, at, n_frames, rate) if is_steady else None
                 if later is None:
                     break
@@ -108,7 +109,7 @@ def video_images(
         is_short = n_frames is not None and first < at < n_frames
         if (stop is None or at < stop) and is_short:
             # A picture that cannot be decoded is not the end of the video: more may follow.
-            is_end = not any(video.grab() for _ in range(5))
+            is_end = not any(_grab(video) for _ in range(5))
             is_whole = due > (n_frames or 0) - 1.5 or (is_avi and _is_complete(path))
             if is_end and is_whole:
                 where = "" if gap is None else f" (some before frame {gap})"
@@ -130,6 +131,14 @@ def video_images(
         video.release()
 
 
+def _grab(video: cv2.VideoCapture) -> bool:
+    """Goes on to the next picture; False where there is none. Raises MemoryError where there may
+    be no room for it."""
+    width, height = cv2.CAP_PROP_FRAME_WIDTH, cv2.CAP_PROP_FRAME_HEIGHT
+    check_room(video.get(width) * video.get(height))
+    return video.grab()
+
+
 def _due(video: cv2.VideoCapture, rate: float) -> float:
     """The time of the current picture, in frames at constant rate."""
     return float(video.get(cv2.CAP_PROP_POS_MSEC)) * rate / 1000
@@ -139,7 +148,7 @@ def _later(video: cv2.VideoCapture, at: int, n_frames: int | None, rate: float) 
     """The position of the next picture that can be decoded, after some that cannot. None at the
     end of the video, and where the frame rate is not constant."""
     for _ in range(min(_MOST_LOST, (n_frames or 0) - at)):
-        if video.grab():
+        if _grab(video):
             due = _due(video, rate)
             return round(due) if due > at - 0.5 and abs(due - round(due)) < _STEADY else None
     return None

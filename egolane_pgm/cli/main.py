@@ -47,6 +47,10 @@ COMMANDS = {
     "video": ("video", "Draw a drive: pictures, lines, bird's-eye view and belief."),
 }
 
+#: The least limit of memory, bytes. Libraries that find no more of it while they load do not all
+#: say so: OpenBLAS waits for ever, others crash, numba goes on without linear algebra.
+LEAST_MEMORY = 1 << 30
+
 
 class _Group(click.Group):
     """Imports a command when it is asked for, and turns what a user can mend into one line and
@@ -69,6 +73,13 @@ class _Group(click.Group):
             formatter.write_dl([(name, text) for name, (_, text) in COMMANDS.items()])
 
     def invoke(self, ctx: click.Context) -> Any:
+        if 0 <= (limit := _limit()) < LEAST_MEMORY:
+            click.echo(
+                f"egolane: the limit of memory (ulimit -v {limit >> 10}) is below the"
+                f" {LEAST_MEMORY >> 10} kB that libraries need to load; raise it",
+                err=True,
+            )
+            ctx.exit(2)
         try:
             return self._invoke(ctx)
         except KeyboardInterrupt as stop:
@@ -80,7 +91,7 @@ class _Group(click.Group):
 
     def _invoke(self, ctx: click.Context) -> Any:
         # This imports NumPy, which `egolane --help` does not need.
-        from egolane_pgm.types import InputError, in_one_line
+        from egolane_pgm.types import NO_MEMORY, InputError, in_one_line, lacks_memory
 
         try:
             with warnings.catch_warnings(), _announced():
@@ -101,24 +112,32 @@ class _Group(click.Group):
             # Whoever read the output has stopped reading it.
             _give_up_output()
             ctx.exit(1)
-        except OSError as error:
-            # This is mostly printing on a full disk: what goes wrong with a file that the package
-            # writes is an InputError that names the file.
-            where = error.filename or "output"
-            _give_up_output()
-            click.echo(f"egolane: {where}: {error.strerror or error}", err=True)
+        except click.exceptions.Exit:
+            raise
+        except Exception as error:
+            if lacks_memory(error):
+                said = NO_MEMORY
+            elif isinstance(error, OSError):
+                # This is mostly printing on a full disk: what goes wrong with a file that the
+                # package writes is an InputError that names the file.
+                _give_up_output()
+                said = f"{error.filename or 'output'}: {error.strerror or error}"
+            elif isinstance(error, UnicodeEncodeError):
+                name = str(error.object)[:200]
+                said = f"{name!a}: is not text in UTF-8; rename the file"
+            else:
+                raise
+            click.echo(f"egolane: {said}", err=True)
             ctx.exit(2)
-        except MemoryError:
-            click.echo(
-                "egolane: there is not enough memory; close other programs, raise the limit"
-                " (ulimit -v), or give less at once",
-                err=True,
-            )
-            ctx.exit(2)
-        except UnicodeEncodeError as error:
-            name = str(error.object)[:200]
-            click.echo(f"egolane: {name!a}: is not text in UTF-8; rename the file", err=True)
-            ctx.exit(2)
+
+
+def _limit() -> int:
+    """The limit of the memory of this process (`ulimit -v`), bytes; -1 where there is none."""
+    try:
+        import resource
+    except ImportError:
+        return -1
+    return resource.getrlimit(resource.RLIMIT_AS)[0]
 
 
 def _give_up_output() -> None:

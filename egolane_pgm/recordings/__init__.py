@@ -6,7 +6,7 @@ One file per format of recording; `read_lines` picks it by the file's extension.
 from __future__ import annotations
 
 import sys
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from importlib import import_module
 from pathlib import Path
 from typing import Any
@@ -129,13 +129,22 @@ def write_lines(path: str | Path, log: LineLog) -> None:
     Raises InputError for an unknown extension, for a log of several clips, whose borders no format
     keeps, and what the writer raises.
     """
+    write = writer_of(path)
+    check_one_drive(log, "a file that is written holds one drive")
+    write(path, log)
+
+
+def writer_of(path: str | Path) -> Callable[[str | Path, LineLog], None]:
+    """The function that writes the format of the file's extension, with the libraries that it needs
+    loaded. Raises InputError for an unknown extension."""
     check_name(path)
     name = format_of(path)
     if name not in _WRITERS or Path(path).suffix.lower() == ".db3":
         raise InputError(f"{path}: a recording is written as .csv, .parquet, .bag or .mcap")
-    check_one_drive(log, "a file that is written holds one drive")
     module, function = _WRITERS[name]
-    getattr(import_module(f"{__name__}.{module}"), function)(path, log)
+    write: Callable[[str | Path, LineLog], None]
+    write = getattr(import_module(f"{__name__}.{module}"), function)
+    return write
 
 
 def check_one_drive(log: LineLog, why: str) -> None:

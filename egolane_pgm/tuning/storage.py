@@ -172,7 +172,7 @@ def open_storage(url: str | None, directory: Path) -> BaseStorage:
             raise InputError(f"{path}: cannot be written: {error.strerror}") from error
         try:
             return JournalStorage(journal)
-        except InputError:
+        except (InputError, MemoryError):
             raise
         # Whatever Optuna stumbles over in a line that is JSON.
         except Exception as error:

@@ -6,6 +6,7 @@ from __future__ import annotations
 import json
 import shutil
 import signal
+import sys
 import time
 import warnings
 from dataclasses import replace
@@ -16,6 +17,7 @@ import numpy as np
 import pytest
 import yaml
 
+from egolane_pgm.api.detections import check_target
 from egolane_pgm.camera.model import write_camera
 from egolane_pgm.camera.pictures import open_source, read_pictures
 from egolane_pgm.experiment import load_experiment
@@ -259,6 +261,15 @@ def test_lines_of_a_folder_that_went_away_are_put_elsewhere(place: Path, tmp_pat
         assert len(read_lines(other)) == N_FRAMES
     finally:
         shutil.rmtree(other.parent)
+
+
+def test_what_writes_the_lines_is_loaded_before_they_are_searched(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    # As where memory ends.
+    monkeypatch.setitem(sys.modules, "egolane_pgm.recordings.table", None)
+    with pytest.raises(ImportError):
+        check_target(tmp_path / "lines.csv")
 
 
 def test_a_file_that_is_no_video_is_refused(place: Path, tmp_path: Path) -> None:

@@ -242,6 +242,17 @@ def test_a_file_that_is_no_journal_or_database_is_one_clear_line(tmp_path: Path)
         open_storage(f"sqlite:///{tmp_path}/study.db", tmp_path)
 
 
+def test_memory_that_ends_is_no_damage_of_a_journal(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def fails(_: object) -> None:
+        raise MemoryError
+
+    monkeypatch.setattr(module, "JournalStorage", fails)
+    with pytest.raises(MemoryError):
+        open_storage(None, tmp_path)
+
+
 NOT_JSON, UNKNOWN, NO_TRIAL = b"{half\n", b'{"op_code":5}\n', b"[]\n"
 
 
