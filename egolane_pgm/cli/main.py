@@ -49,7 +49,7 @@ COMMANDS = {
 
 #: The least limit of memory, bytes. Libraries that find no more of it while they load do not all
 #: say so: OpenBLAS waits for ever, others crash, numba goes on without linear algebra.
-LEAST_MEMORY = 1 << 30
+LEAST_MEMORY = 5 << 28
 
 
 class _Group(click.Group):
@@ -73,7 +73,11 @@ class _Group(click.Group):
             formatter.write_dl([(name, text) for name, (_, text) in COMMANDS.items()])
 
     def invoke(self, ctx: click.Context) -> Any:
-        if 0 <= (limit := _limit()) < LEAST_MEMORY:
+        limit = _limit()
+        if limit >= 0:
+            # Otherwise Arrow reserves 1 GB at once (this is in kB), which others then lack.
+            os.environ.setdefault("MIMALLOC_ARENA_RESERVE", "65536")
+        if 0 <= limit < LEAST_MEMORY:
             click.echo(
                 f"egolane: the limit of memory (ulimit -v {limit >> 10}) is below the"
                 f" {LEAST_MEMORY >> 10} kB that libraries need to load; raise it",

@@ -190,7 +190,7 @@ def test_a_limit_of_memory_in_which_libraries_do_not_load_is_refused_at_once(
     ran = ended("run", tmp_path / "nothing.yaml", first=first)
     assert ran.returncode == 2
     assert ran.stderr == (
-        "egolane: the limit of memory (ulimit -v 1048575) is below the 1048576 kB that libraries"
+        "egolane: the limit of memory (ulimit -v 1310719) is below the 1310720 kB that libraries"
         " need to load; raise it\n"
     )
     assert ended("--help", first=first).returncode == 0
