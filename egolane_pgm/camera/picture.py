@@ -23,17 +23,16 @@ class Picture:
     right: Image | None = None
 
 
-#: Bytes that have to be free before a picture is decoded, and how many per pixel: of a video, the
-#: threads of FFmpeg hold some thirty pictures.
-_ROOM, _ROOM_PER_PIXEL = 64 << 20, 100
+#: Bytes that have to be free before anything is decoded, beside the pictures.
+_ROOM = 64 << 20
 
 
 def check_room(n_pixels: float = 0) -> None:
-    """Raises MemoryError where there may be too little memory to decode a picture of so many
-    pixels. OpenCV and FFmpeg take a picture for which they find none for a damaged one, leave it
-    out, or end the video before it."""
+    """Raises MemoryError where there may be too little memory to decode what has so many pixels.
+    OpenCV and FFmpeg take a picture for which they find none for a damaged one, leave it out, or
+    end the video before it."""
     # It is not written to, so nothing but addresses is taken.
-    np.empty(_ROOM + int(_ROOM_PER_PIXEL * n_pixels), dtype=np.uint8)
+    np.empty(_ROOM + int(3 * n_pixels), dtype=np.uint8)
 
 
 def check_size(image: Image, width: int, height: int) -> None:

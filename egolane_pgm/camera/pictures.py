@@ -31,6 +31,9 @@ from egolane_pgm.types import InputError
 #: Extensions of picture files; any other file is read as a video.
 PICTURES = (".jpg", ".jpeg", ".png", ".bmp", ".ppm", ".pgm", ".tif", ".tiff", ".webp")
 
+#: How many pictures are in memory at the most while one is decoded: coefficients, colours, turned.
+_HELD = 4
+
 #: The range in which the frame rate that a video states is trusted, Hz.
 _RATES = (0.5, 500.0)
 
@@ -315,7 +318,7 @@ def _check_pixels(path: Path, content: NDArray[np.uint8]) -> None:
         warnings.simplefilter("error", Header.DecompressionBombWarning)
         try:
             with Header.open(io.BytesIO(content.data)) as header:
-                check_room(header.width * header.height)
+                check_room(_HELD * header.width * header.height)
         except (Header.DecompressionBombWarning, Header.DecompressionBombError) as error:
             raise InputError(f"{path}: cannot be read: {error}") from None
         except (OSError, ValueError):

@@ -27,6 +27,9 @@ from egolane_pgm.types import InputError
 #: The longest run of pictures that cannot be decoded, before the video counts as ended.
 _MOST_LOST = 300
 
+#: How many pictures the threads of FFmpeg hold at the most.
+_HELD = 32
+
 #: The largest difference, in frames, between a picture's time and its position at constant rate.
 _STEADY = 0.05
 
@@ -135,7 +138,7 @@ def _grab(video: cv2.VideoCapture) -> bool:
     """Goes on to the next picture; False where there is none. Raises MemoryError where there may
     be no room for it."""
     width, height = cv2.CAP_PROP_FRAME_WIDTH, cv2.CAP_PROP_FRAME_HEIGHT
-    check_room(video.get(width) * video.get(height))
+    check_room(_HELD * video.get(width) * video.get(height))
     return video.grab()
 
 
