@@ -311,6 +311,23 @@ def test_a_database_is_made_whole_or_not_at_all(
     assert [p.name for p in tmp_path.iterdir()] == ["study.db"]
 
 
+@pytest.mark.skipif(sys.platform == "win32", reason="folders have no locks")
+def test_a_kill_after_a_database_is_made_leaves_nothing_once_it_is_opened(tmp_path: Path) -> None:
+    place = f"sqlite:///{tmp_path}/study.db"
+    code = (
+        "import os, signal\n"
+        "from tests.tuning.test_storage import *\n"
+        "link = os.link\n"
+        "os.link = lambda *given: (link(*given), os.kill(os.getpid(), signal.SIGKILL))\n"
+        "study_in({!r})\n"
+    )
+    killed = subprocess.run([sys.executable, "-c", code.format(place)])
+    assert killed.returncode == -signal.SIGKILL
+    assert len(list(tmp_path.iterdir())) == 2
+    study_in(place)
+    assert [p.name for p in tmp_path.iterdir()] == ["study.db"]
+
+
 @pytest.mark.parametrize("name", ["a?b", "a#b", "a%41b", "a b", "a:b"])
 def test_a_study_lies_where_it_is_said_whatever_the_name(tmp_path: Path, name: str) -> None:
     search(study_in(tmp_path / name), SPACE, bowl, settings(2))
