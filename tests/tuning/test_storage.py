@@ -303,7 +303,7 @@ def test_a_database_is_made_whole_or_not_at_all(
 
     place = f"sqlite:///{tmp_path}/study.db"
     with monkeypatch.context() as patched:
-        patched.setattr(optuna.storages._rdb.models.BaseModel.metadata, "create_all", half)
+        patched.setattr("optuna.storages._rdb.models.BaseModel.metadata.create_all", half)
         with pytest.raises(KeyboardInterrupt):
             study_in(place)
     assert list(tmp_path.iterdir()) == []
