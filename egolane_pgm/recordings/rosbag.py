@@ -371,7 +371,7 @@ def _read(path: Path, topic: str | None, topics: dict[str, str]) -> Iterator[Mes
     read = _kind_of_file(path)
     try:
         yield from read(path, None if topic is None else _plain_name(topic), topics)
-    except (InputError, MemoryError):
+    except InputError:
         raise
     except PermissionError as error:
         raise InputError(f"{path}: cannot be read: {error.strerror}") from None
@@ -486,7 +486,7 @@ def _from_mcap(path: Path, wanted: str | None, topics: dict[str, str]) -> Iterat
                         kind = _mcap_kind(schema, channel.message_encoding)
                         yield Message(kind, last_ns, record.data)
         except Exception as error:
-            if isinstance(error, MemoryError) or (wanted is not None and not found):
+            if wanted is not None and not found:
                 raise
             warnings.warn(
                 f"{path}: is cut off or damaged ({one_line(error)}); read the {found} messages"
@@ -621,8 +621,6 @@ def contents(
     for k, message in enumerate(messages, start=first):
         try:
             yield read(message.raw, kind.type)
-        except MemoryError:
-            raise
         # Generated code raises struct errors, assertions and rosbags' own.
         except Exception as error:
             raise InputError(f"{path}: message {k + 1} is damaged ({one_line(error)})") from None

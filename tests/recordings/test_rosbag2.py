@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 import io
-import itertools
 import sqlite3
 import warnings
 from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
-from typing import Any, BinaryIO
+from typing import Any
 
 import numpy as np
 import pytest
@@ -19,7 +18,7 @@ from mcap.writer import IndexType, Writer
 from egolane_pgm.experiment import experiments_folder, load_experiment
 from egolane_pgm.loading import with_recording
 from egolane_pgm.maps.positions import read_positions
-from egolane_pgm.recordings import files_of, format_of, read_lines, rosbag, write_lines
+from egolane_pgm.recordings import files_of, format_of, read_lines, write_lines
 from egolane_pgm.recordings.rosbag import TOPIC, read_rosbag
 from egolane_pgm.recordings.select import fill_missing
 from egolane_pgm.report.events import clock
@@ -374,17 +373,3 @@ def test_a_time_since_1970_is_printed_as_the_time_of_day() -> None:
     assert clock(START_S) == "23:56:31"
     assert clock(86399.6) == "24:00:00"
     assert clock(START_S + 208.9) == "0:00"
-
-
-def test_memory_that_ends_while_a_bag_is_read_is_no_damage_of_the_bag(
-    mcap: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    real = rosbag._mcap_records
-
-    def records(file: BinaryIO) -> Iterator[Any]:
-        yield from itertools.islice(real(file), 40)
-        raise MemoryError
-
-    monkeypatch.setattr(rosbag, "_mcap_records", records)
-    with pytest.raises(MemoryError):
-        read_rosbag(mcap)
