@@ -28,9 +28,10 @@ def leave_a_file(folder: Path, k: int) -> int:
 def clean_up_behind_itself(folder: Path, k: int) -> int:
     if k == 0:
         return k
-    (folder / f"half {k}").touch()
-    (folder / f"{k} {os.getpid()}").touch()
     try:
+        (folder / f"half {k}").touch()
+        # From now on it may be ended.
+        (folder / f"{k} {os.getpid()}").touch()
         time.sleep(60)
     finally:
         (folder / f"half {k}").unlink()
@@ -165,7 +166,7 @@ def test_processes_end_when_their_parent_is_killed(tmp_path: Path) -> None:
     children = pids(tmp_path)
     running.kill()
     running.wait()
-    for _ in range(100):
+    for _ in range(600):
         if not any(map(is_running, children)):
             break
         time.sleep(0.1)
