@@ -13,7 +13,7 @@ from typing import Any
 import optuna
 
 from egolane_pgm.cli.main import egolane
-from egolane_pgm.files import read_parquet, read_yaml
+from egolane_pgm.files import clear_once, read_parquet, read_yaml
 from egolane_pgm.recordings import read_lines
 from egolane_pgm.report.study_trials import quiet
 from egolane_pgm.results import is_result, read_result
@@ -101,6 +101,8 @@ def write_given(folder: Path) -> None:
 def run(words: str, given: Path, work: Path) -> None:
     """Do a command; SystemExit where it does not end well."""
     tempfile.tempdir = str(work / "tmp") if (work / "tmp").is_dir() else None
+    # A process of its own has cleared nothing yet.
+    clear_once.cache_clear()
     placed = [
         word.replace("GIVEN", str(given)).replace("WORK", str(work)) for word in words.split()
     ]
