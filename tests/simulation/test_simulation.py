@@ -347,11 +347,11 @@ def test_no_name_is_both_a_road_and_a_detector_parameter() -> None:
     assert not {f.name for f in fields(World)} & {f.name for f in fields(DetectorModel)}
 
 
-def test_ten_thousand_frames_take_less_than_a_second() -> None:
+def test_ten_thousand_frames_take_well_under_a_second() -> None:
     simulate("a4", 0)
     seconds = []
     for seed in range(3):
         start = time.process_time()
         simulate("a4", seed, frames=10_000)
         seconds.append(time.process_time() - start)
-    assert min(seconds) < 1
+    assert min(seconds) < 0.6
