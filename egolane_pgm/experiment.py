@@ -29,11 +29,11 @@ from pydantic import (
 )
 from pydantic_core import ErrorDetails
 
-from egolane_pgm.files import read_yaml, without_version
 from egolane_pgm.parameters import check_names, resolve_parameters
 from egolane_pgm.plugins import OWN_FILES, declared_parameters, load_rule_and_graph
+from egolane_pgm.tools.files import read_yaml, without_version
+from egolane_pgm.tools.yaml import parse_yaml
 from egolane_pgm.types import MAX_LANES, InputError, all_problems, not_one_of, suggestion
-from egolane_pgm.yaml_text import parse_yaml
 
 #: What an experiment keeps for `n_lanes: map`, until the map was looked at.
 FROM_MAP = 0

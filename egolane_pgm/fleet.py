@@ -23,12 +23,12 @@ from typing import Any
 import numpy as np
 
 from egolane_pgm.experiment import Experiment, Overrides, load_experiment
-from egolane_pgm.files import read_parquet, read_text, read_yaml, write_parquet
 from egolane_pgm.loading import as_name, drive_key, name_of, with_recording
 from egolane_pgm.running import FinishedRun, PlannedRun, plan_runs
 from egolane_pgm.scoring.bootstrap import over_drives
+from egolane_pgm.tools.files import read_parquet, read_text, read_yaml, write_parquet
+from egolane_pgm.tools.yaml import parse_yaml
 from egolane_pgm.types import InputError, problems_in, suggestion, without_passwords
-from egolane_pgm.yaml_text import parse_yaml
 
 #: The columns that are no keys of an experiment.
 _OWN = ("name", "recording", "ground_truth", "camera", "detector", "n_lanes")

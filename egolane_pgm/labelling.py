@@ -23,7 +23,6 @@ from typing import Any
 import numpy as np
 
 from egolane_pgm.experiment import Experiment, load_experiment
-from egolane_pgm.files import plain
 from egolane_pgm.inference.events import crossing_probability
 from egolane_pgm.inference.kernels.sweeps import best_path
 from egolane_pgm.inference.viterbi import viterbi_path
@@ -34,6 +33,7 @@ from egolane_pgm.recordings import check_one_drive
 from egolane_pgm.running import Run, run_experiment
 from egolane_pgm.scoring.probabilistic import answers_curve
 from egolane_pgm.scoring.summary import score_with_intervals
+from egolane_pgm.tools.files import plain
 from egolane_pgm.types import (
     BoolArray,
     FloatArray,

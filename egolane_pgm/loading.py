@@ -30,13 +30,11 @@ from egolane_pgm.experiment import (
     make_experiment,
     overridden,
 )
-from egolane_pgm.files import in_home
 from egolane_pgm.maps.across import Across, across
 from egolane_pgm.maps.road_table import RoadTable
 from egolane_pgm.maps.road_table import load as load_road
 from egolane_pgm.maps.steps import LanesAlong, check_overlap, lanes_along
 from egolane_pgm.plugins import OWN_FILES, load_plugin, plugin_errors
-from egolane_pgm.progress import bar
 from egolane_pgm.recordings import (
     FORMATS,
     IN_PIXELS,
@@ -64,6 +62,8 @@ from egolane_pgm.recordings.select import (
     warnings_of,
 )
 from egolane_pgm.results import file_sha256
+from egolane_pgm.tools.files import in_home
+from egolane_pgm.tools.progress import bar
 from egolane_pgm.types import (
     InputError,
     IntArray,

@@ -10,10 +10,10 @@ from typing import Any
 import numpy as np
 
 from egolane_pgm.experiment import experiments_folder, load_experiment
-from egolane_pgm.files import read_yaml
 from egolane_pgm.results import SCHEMA_VERSION
 from egolane_pgm.running import Run, run_experiment
 from egolane_pgm.scoring.confusion import frames_off
+from egolane_pgm.tools.files import read_yaml
 from egolane_pgm.types import InputError
 
 SCORES = ("precision", "recall", "f1", "accuracy", "log_loss")

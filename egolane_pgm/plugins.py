@@ -25,8 +25,8 @@ from pathlib import Path
 from types import ModuleType
 from typing import Any
 
-from egolane_pgm.files import check_name
 from egolane_pgm.parameters import Parameter
+from egolane_pgm.tools.files import check_name
 from egolane_pgm.types import InputError, all_problems, suggestion
 
 #: What a module of each folder must define.

@@ -19,7 +19,7 @@ from pydantic import ConfigDict, Field, model_validator
 from pydantic_core import from_json
 
 from egolane_pgm.experiment import Section, validated
-from egolane_pgm.files import open_parquet, read_text
+from egolane_pgm.tools.files import open_parquet, read_text
 from egolane_pgm.types import MAX_LANES, InputError
 
 SCHEMA_VERSION = 1

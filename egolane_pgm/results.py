@@ -42,21 +42,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from egolane_pgm.experiment import Experiment, config_hash
-from egolane_pgm.files import (
-    arrow_table,
-    as_csv,
-    atomic_directory,
-    check_place,
-    clear_once,
-    code_checksum,
-    read_yaml,
-    rows_of_parquet,
-    write_bytes,
-    write_json,
-    write_parquet,
-    write_text,
-    write_yaml,
-)
 from egolane_pgm.inference.events import (
     crossing_probability,
     in_tracks,
@@ -74,6 +59,21 @@ from egolane_pgm.result_schema import (
     validated_in_one_line,
 )
 from egolane_pgm.scoring.events import event_delays
+from egolane_pgm.tools.files import (
+    arrow_table,
+    as_csv,
+    atomic_directory,
+    check_place,
+    clear_once,
+    code_checksum,
+    read_yaml,
+    rows_of_parquet,
+    write_bytes,
+    write_json,
+    write_parquet,
+    write_text,
+    write_yaml,
+)
 from egolane_pgm.types import (
     UNASSIGNED,
     Beliefs,

@@ -20,7 +20,6 @@ from egolane_pgm.experiment import (
     load_experiment,
     resolved,
 )
-from egolane_pgm.files import code_checksum, plain
 from egolane_pgm.inference.events import (
     SURE,
     crossing_probability,
@@ -55,9 +54,7 @@ from egolane_pgm.model import (
     with_map,
     with_positions,
 )
-from egolane_pgm.parallel import Jobs, in_order, is_elsewhere
 from egolane_pgm.plugins import OWN_FILES, source_files
-from egolane_pgm.progress import bar
 from egolane_pgm.results import (
     SCHEMA_VERSION,
     Result,
@@ -72,6 +69,9 @@ from egolane_pgm.scoring.assign import assigned_lane
 from egolane_pgm.scoring.events import event_scores
 from egolane_pgm.scoring.road import road_scores
 from egolane_pgm.scoring.summary import score_with_intervals, stability_scores
+from egolane_pgm.tools.files import code_checksum, plain
+from egolane_pgm.tools.jobs import Jobs, in_order, is_elsewhere
+from egolane_pgm.tools.progress import bar
 from egolane_pgm.types import (
     UNASSIGNED,
     Beliefs,

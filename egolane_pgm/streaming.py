@@ -16,7 +16,6 @@ from typing import Any
 import numpy as np
 
 from egolane_pgm.experiment import Experiment, resolved
-from egolane_pgm.files import arrow_table, parquet_writer, plain
 from egolane_pgm.inference.events import (
     NOTHING_TOLD,
     SURE,
@@ -40,6 +39,7 @@ from egolane_pgm.running import (
 from egolane_pgm.scoring.assign import assigned_lane
 from egolane_pgm.scoring.events import FrameCounts, event_delays, event_scores, landmarks
 from egolane_pgm.scoring.summary import ScoreSums, no_frames, running_sum, scores_of, with_frames
+from egolane_pgm.tools.files import arrow_table, parquet_writer, plain
 from egolane_pgm.types import (
     NOTE,
     Beliefs,

@@ -16,9 +16,7 @@ import pytest
 import yaml
 from pyarrow import parquet
 
-from egolane_pgm import files
 from egolane_pgm.experiment import config_hash, load_experiment
-from egolane_pgm.files import plain, write_json
 from egolane_pgm.inference.events import crossing_probability, lane_events
 from egolane_pgm.recordings.table import read_table, write_table
 from egolane_pgm.results import (
@@ -32,6 +30,8 @@ from egolane_pgm.results import (
 )
 from egolane_pgm.running import Run, run_experiment, save_run
 from egolane_pgm.scoring.assign import assigned_lane
+from egolane_pgm.tools import files
+from egolane_pgm.tools.files import plain, write_json
 from egolane_pgm.types import InputError
 from tests.kits.drives import contents, done, geometry, refused, simulated, write_drive
 from tests.kits.processes import started

@@ -32,11 +32,8 @@ from egolane_pgm.comparing.learned_on import learned_elsewhere
 from egolane_pgm.comparing.placing import recording_key
 from egolane_pgm.comparing.saving import folder_of
 from egolane_pgm.experiment import Given, Overrides, load_experiment
-from egolane_pgm.files import temporary_folder, write_json
 from egolane_pgm.fleet import FleetDrive, read_fleet
 from egolane_pgm.paper import Runs, parse_runs
-from egolane_pgm.parallel import Jobs
-from egolane_pgm.progress import bar
 from egolane_pgm.report.comparison_tables import (
     accuracy_rows,
     experiment_names,
@@ -46,6 +43,9 @@ from egolane_pgm.report.comparison_tables import (
 )
 from egolane_pgm.result_schema import parse_comparison
 from egolane_pgm.results import SCHEMA_VERSION, read_files, staged, write_files
+from egolane_pgm.tools.files import temporary_folder, write_json
+from egolane_pgm.tools.jobs import Jobs
+from egolane_pgm.tools.progress import bar
 from egolane_pgm.types import InputError, not_one_of
 
 if TYPE_CHECKING:

@@ -18,10 +18,10 @@ from egolane_pgm.fleet import (
     summary_rows,
     write_summary,
 )
-from egolane_pgm.parallel import Jobs
-from egolane_pgm.progress import bar
 from egolane_pgm.report.fleet_table import fleet_table_rows
 from egolane_pgm.running import FinishedRun, run_all
+from egolane_pgm.tools.jobs import Jobs
+from egolane_pgm.tools.progress import bar
 from egolane_pgm.types import all_problems
 
 if TYPE_CHECKING:

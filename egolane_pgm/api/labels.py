@@ -13,7 +13,6 @@ import numpy as np
 from egolane_pgm.api import shown
 from egolane_pgm.api.runs import RunResult, choose
 from egolane_pgm.experiment import Given, Overrides, experiments_folder
-from egolane_pgm.files import as_csv, write_text
 from egolane_pgm.labelling import (
     BELOW,
     Labels,
@@ -26,6 +25,7 @@ from egolane_pgm.recordings.ground_truth import write_ground_truth
 from egolane_pgm.report.tables import score_text
 from egolane_pgm.results import staged, write_result
 from egolane_pgm.running import portable, result_of
+from egolane_pgm.tools.files import as_csv, write_text
 from egolane_pgm.types import InputError, LaneTruth
 
 if TYPE_CHECKING:

@@ -27,12 +27,12 @@ from egolane_pgm.learning.held_out import load_to_learn
 from egolane_pgm.learning.tables import PREFIX
 from egolane_pgm.loading import with_video_rate
 from egolane_pgm.model import Drive, Model, causality, prepare_model
-from egolane_pgm.parallel import Jobs
 from egolane_pgm.parameters import Value
-from egolane_pgm.progress import bar
 from egolane_pgm.report.fleet_table import fleet_table_rows
 from egolane_pgm.report.tables import score_rows, with_interval
 from egolane_pgm.running import make_result
+from egolane_pgm.tools.jobs import Jobs
+from egolane_pgm.tools.progress import bar
 from egolane_pgm.types import InputError
 
 if TYPE_CHECKING:

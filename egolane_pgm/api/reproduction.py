@@ -18,8 +18,8 @@ from egolane_pgm.paper import (
     reproduce_json,
     reproduce_run,
 )
-from egolane_pgm.progress import bar
 from egolane_pgm.report.tables import reproduction_rows
+from egolane_pgm.tools.progress import bar
 
 if TYPE_CHECKING:
     import pandas as pd

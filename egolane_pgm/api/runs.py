@@ -17,8 +17,6 @@ from egolane_pgm.api.given import path_of, several_of
 from egolane_pgm.experiment import Experiment, Given, Overrides, load_experiment
 from egolane_pgm.loading import Recorded, with_recording
 from egolane_pgm.model import Model, prepare_model
-from egolane_pgm.parallel import Jobs
-from egolane_pgm.progress import bar
 from egolane_pgm.report.comparison_tables import trusted_or_all
 from egolane_pgm.report.tables import runs_table_rows, score_rows, with_interval
 from egolane_pgm.results import Result, read_result
@@ -31,6 +29,8 @@ from egolane_pgm.running import (
     run_experiment,
     save_result,
 )
+from egolane_pgm.tools.jobs import Jobs
+from egolane_pgm.tools.progress import bar
 from egolane_pgm.types import Beliefs, Evidence, InputError, IntArray, LaneEvents
 
 if TYPE_CHECKING:

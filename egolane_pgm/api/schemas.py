@@ -11,11 +11,11 @@ from pydantic.json_schema import GenerateJsonSchema
 
 from egolane_pgm.detectors.networks.description import Network
 from egolane_pgm.experiment import INTERCHANGE, Experiment
-from egolane_pgm.files import YAML_VERSION
 from egolane_pgm.plugins import OWN_FILES, plugin_names
 from egolane_pgm.recordings import FORMATS
 from egolane_pgm.result_schema import Comparison, Reproduction
 from egolane_pgm.simulation import PRESETS
+from egolane_pgm.tools.files import YAML_VERSION
 from egolane_pgm.tuning.plan import PictureTuningFile, TuningFile
 
 #: The files that have a schema: what is in them.

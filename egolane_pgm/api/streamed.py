@@ -10,10 +10,10 @@ from typing import Any
 from egolane_pgm.api import shown
 from egolane_pgm.api.runs import choose, title_of
 from egolane_pgm.experiment import Experiment, Given, Overrides
-from egolane_pgm.progress import bar
 from egolane_pgm.report.tables import score_rows
 from egolane_pgm.streaming import StreamedRun
 from egolane_pgm.streaming import run_streamed as run_experiment
+from egolane_pgm.tools.progress import bar
 from egolane_pgm.types import FloatArray, LaneEvents
 
 

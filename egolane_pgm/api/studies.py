@@ -20,12 +20,9 @@ from egolane_pgm.experiment import (
     load_experiment,
     make_experiment,
 )
-from egolane_pgm.files import read_parquet, temporary_folder, without_version
 from egolane_pgm.fleet import drives_of
 from egolane_pgm.loading import as_name
 from egolane_pgm.paper import Runs, parse_runs
-from egolane_pgm.parallel import Jobs
-from egolane_pgm.progress import bar
 from egolane_pgm.report.study_tables import legend, parameter_rows, score_rows
 from egolane_pgm.report.study_trials import (
     TRIALS_FILE,
@@ -36,11 +33,14 @@ from egolane_pgm.report.study_trials import (
     trials_of,
 )
 from egolane_pgm.results import read_files, staged, write_files
+from egolane_pgm.tools.files import read_parquet, temporary_folder, without_version
+from egolane_pgm.tools.jobs import Jobs
+from egolane_pgm.tools.progress import bar
+from egolane_pgm.tools.yaml import parse_yaml
 from egolane_pgm.tuning import pictures as on_pictures
 from egolane_pgm.tuning import plan as planning
 from egolane_pgm.tuning import study as studies
 from egolane_pgm.types import InputError, not_one_of
-from egolane_pgm.yaml_text import parse_yaml
 
 T = TypeVar("T")
 

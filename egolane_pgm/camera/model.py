@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from egolane_pgm.files import read_yaml, write_yaml
+from egolane_pgm.tools.files import read_yaml, write_yaml
 from egolane_pgm.types import FloatArray, InputError, suggestion
 
 #: Rounds of the fixed-point iteration that inverts the lens distortion.

@@ -21,7 +21,7 @@ from pathlib import Path
 import cv2
 
 from egolane_pgm.camera.picture import Image, check_room
-from egolane_pgm.files import check_name
+from egolane_pgm.tools.files import check_name
 from egolane_pgm.types import InputError
 
 #: The longest run of pictures that cannot be decoded, before the video counts as ended.

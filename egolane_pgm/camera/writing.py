@@ -13,7 +13,7 @@ from typing import Any
 import cv2
 
 from egolane_pgm.camera.picture import Image
-from egolane_pgm.files import check_name, temporary_folder, write_bytes
+from egolane_pgm.tools.files import check_name, temporary_folder, write_bytes
 from egolane_pgm.types import InputError
 
 #: Extensions of the pictures that a user may name.

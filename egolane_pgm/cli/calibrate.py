@@ -37,9 +37,9 @@ from egolane_pgm.camera.pictures import (
     size_of,
 )
 from egolane_pgm.camera.writing import check_picture_name, write_picture
-from egolane_pgm.files import check_not_read, check_place, temporary_folder
-from egolane_pgm.progress import bar
 from egolane_pgm.recordings.openlane import PICTURE_SIZE, read_own_camera
+from egolane_pgm.tools.files import check_not_read, check_place, temporary_folder
+from egolane_pgm.tools.progress import bar
 from egolane_pgm.types import InputError
 
 Rectangle = tuple[int, int, int, int]

@@ -24,15 +24,15 @@ from egolane_pgm.comparing import compare_rows
 from egolane_pgm.comparing.groups import Group, Options
 from egolane_pgm.comparing.lags import check_lags
 from egolane_pgm.comparing.stored import compare_results, stored_rows
-from egolane_pgm.files import check_not_read, check_place
 from egolane_pgm.fleet import FleetDrive
 from egolane_pgm.paper import parse_runs
-from egolane_pgm.parallel import Jobs
 from egolane_pgm.report import comparison_tables as rows_of
 from egolane_pgm.report import events as lane_changes
 from egolane_pgm.report.fleet_table import FLEET_LEGEND, fleet_comparison_rows
 from egolane_pgm.report.tables import Table, page
 from egolane_pgm.results import read_result
+from egolane_pgm.tools.files import check_not_read, check_place
+from egolane_pgm.tools.jobs import Jobs
 from egolane_pgm.types import InputError
 
 TITLES = {"accuracy": "Accuracy", "f1": "F1 (mean over lanes)", "log_loss": "Log-loss (all frames)"}

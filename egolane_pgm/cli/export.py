@@ -10,7 +10,7 @@ import click
 from egolane_pgm.cli import options
 from egolane_pgm.export.drive import Drive, open_drive
 from egolane_pgm.export.layouts import LAYOUTS, write_layout
-from egolane_pgm.files import check_place
+from egolane_pgm.tools.files import check_place
 from egolane_pgm.types import InputError
 
 

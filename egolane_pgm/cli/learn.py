@@ -12,12 +12,12 @@ from egolane_pgm.api.learned import learn as learn_experiment
 from egolane_pgm.cli import options
 from egolane_pgm.cli.options import write_json
 from egolane_pgm.experiment import load_experiment
-from egolane_pgm.files import check_not_read
 from egolane_pgm.learning import output_files
-from egolane_pgm.parallel import Jobs
 from egolane_pgm.report.fleet_table import fleet_table_rows
 from egolane_pgm.report.tables import Table, page, score_rows
 from egolane_pgm.results import SCHEMA_VERSION
+from egolane_pgm.tools.files import check_not_read
+from egolane_pgm.tools.jobs import Jobs
 from egolane_pgm.types import InputError
 
 

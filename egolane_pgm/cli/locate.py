@@ -9,13 +9,13 @@ import click
 import numpy as np
 
 from egolane_pgm.cli import options
-from egolane_pgm.files import check_not_read, check_place
 from egolane_pgm.maps import load_map, road_table
 from egolane_pgm.maps.index import index_of
 from egolane_pgm.maps.locating import locate as locate_on
 from egolane_pgm.maps.lock_on_road import lock_on_road
 from egolane_pgm.maps.positions import read_positions
 from egolane_pgm.maps.stored import check_path
+from egolane_pgm.tools.files import check_not_read, check_place
 
 
 @click.command()

@@ -162,7 +162,7 @@ class _BesideBars(logging.Handler):
 @contextlib.contextmanager
 def _announced() -> Iterator[None]:
     """Print how long things will take."""
-    from egolane_pgm.progress import LOGGER
+    from egolane_pgm.tools.progress import LOGGER
 
     printer, before = _BesideBars(), LOGGER.level
     LOGGER.setLevel(logging.INFO)

@@ -8,11 +8,11 @@ from pathlib import Path
 import click
 import numpy as np
 
-from egolane_pgm.files import check_not_read, check_place
 from egolane_pgm.maps import load_map
 from egolane_pgm.maps.lane_graph import LaneGraph, check_lanes_path, save
 from egolane_pgm.report.lane_map import lane_map_figure
 from egolane_pgm.report.style import check_figure_path, write_figure
+from egolane_pgm.tools.files import check_not_read, check_place
 from egolane_pgm.types import InputError
 
 

@@ -9,9 +9,9 @@ import click
 from egolane_pgm.cli import options
 from egolane_pgm.cli.completion import plugins
 from egolane_pgm.cli.show import compile_defaults
-from egolane_pgm.files import check_not_read
 from egolane_pgm.plugins import load_plugin
 from egolane_pgm.report.network import check_ending, write_network
+from egolane_pgm.tools.files import check_not_read
 
 
 @click.command()

@@ -12,10 +12,10 @@ from typing import Any
 
 import click
 
-from egolane_pgm import files
 from egolane_pgm.cli import completion
 from egolane_pgm.experiment import read_override
-from egolane_pgm.files import check_place, json_text
+from egolane_pgm.tools import files
+from egolane_pgm.tools.files import check_place, json_text
 from egolane_pgm.types import MAX_LANES, NOTE, InputError, in_one_line
 
 Decorator = Callable[[Callable[..., Any]], Callable[..., Any]]

@@ -11,9 +11,9 @@ from egolane_pgm.api.reproduction import reproduce as reproduce_runs
 from egolane_pgm.cli import options
 from egolane_pgm.cli.options import write_json
 from egolane_pgm.cli.recordings import have_recordings
-from egolane_pgm.progress import bar
 from egolane_pgm.report.tables import Table, confusion_table, page
 from egolane_pgm.results import SCHEMA_VERSION
+from egolane_pgm.tools.progress import bar
 from egolane_pgm.tuning import recover as recovering
 
 

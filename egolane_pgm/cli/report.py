@@ -8,9 +8,9 @@ from pathlib import Path
 import click
 
 from egolane_pgm.cli import options
-from egolane_pgm.files import check_place
 from egolane_pgm.report.page.document import write_page
 from egolane_pgm.results import Result, is_result, read_result
+from egolane_pgm.tools.files import check_place
 from egolane_pgm.types import InputError
 
 #: The page of a result, in its directory; of several, in the current folder.

@@ -17,10 +17,7 @@ from egolane_pgm.api.streamed import StreamedResult, run_streamed
 from egolane_pgm.cli import options
 from egolane_pgm.cli.options import write_json
 from egolane_pgm.experiment import Experiment
-from egolane_pgm.files import check_not_read
 from egolane_pgm.loading import named_files
-from egolane_pgm.parallel import Jobs
-from egolane_pgm.progress import bar
 from egolane_pgm.report.clips import clip_parts
 from egolane_pgm.report.events import (
     event_lines,
@@ -40,6 +37,9 @@ from egolane_pgm.report.tables import (
 )
 from egolane_pgm.results import SCHEMA_VERSION, Result, check_writable
 from egolane_pgm.running import Draw, FinishedRun, plan_runs, run_all
+from egolane_pgm.tools.files import check_not_read
+from egolane_pgm.tools.jobs import Jobs
+from egolane_pgm.tools.progress import bar
 from egolane_pgm.types import InputError
 
 #: Makes the text of what is printed.

@@ -13,7 +13,6 @@ from egolane_pgm.cli import options
 from egolane_pgm.cli.completion import plugins
 from egolane_pgm.cli.options import write_json
 from egolane_pgm.experiment import experiment_path, experiments_folder, load_experiment, load_yaml
-from egolane_pgm.files import check_not_read
 from egolane_pgm.inference.compile import Compiled
 from egolane_pgm.loading import check_sources
 from egolane_pgm.model import (
@@ -36,6 +35,7 @@ from egolane_pgm.report.description import (
 from egolane_pgm.report.tables import line_width
 from egolane_pgm.results import SCHEMA_VERSION
 from egolane_pgm.simulation import PRESETS
+from egolane_pgm.tools.files import check_not_read
 from egolane_pgm.tuning.pictures import make_problem
 from egolane_pgm.tuning.plan import PicturePlan, check_plan, check_tuning, load_plan, read_plan
 from egolane_pgm.types import InputError, all_problems

@@ -14,7 +14,6 @@ from tqdm import tqdm
 
 from egolane_pgm.cli import options
 from egolane_pgm.experiment import INTERCHANGE
-from egolane_pgm.files import as_csv, make_directory, write_text, write_yaml
 from egolane_pgm.maps import lane_graph, load_map, road_table
 from egolane_pgm.recordings.ground_truth import write_ground_truth
 from egolane_pgm.recordings.table import write_table
@@ -29,6 +28,7 @@ from egolane_pgm.simulation.interchange import (
 )
 from egolane_pgm.simulation.rendering.files import cost_estimate, free_places, write_drive
 from egolane_pgm.simulation.rendering.render import check_settings, make_scene
+from egolane_pgm.tools.files import as_csv, make_directory, write_text, write_yaml
 from egolane_pgm.types import InputError, suggestion
 
 

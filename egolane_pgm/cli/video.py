@@ -15,7 +15,6 @@ from egolane_pgm.cli import options
 from egolane_pgm.cli.completion import yaml_files
 from egolane_pgm.detectors.runner import Detector, check_pair, find_detector
 from egolane_pgm.experiment import Experiment, experiments_folder, load_experiment, make_experiment
-from egolane_pgm.progress import bar
 from egolane_pgm.recordings import read_lines_with
 from egolane_pgm.recordings.ground_truth import read_ground_truth
 from egolane_pgm.report.video import (
@@ -26,6 +25,7 @@ from egolane_pgm.report.video import (
     with_detected_lines,
     with_recorded_lines,
 )
+from egolane_pgm.tools.progress import bar
 from egolane_pgm.types import InputError
 
 

@@ -42,11 +42,11 @@ from egolane_pgm.learning import Found, with_found
 from egolane_pgm.learning import fit as learn_from
 from egolane_pgm.loading import drive_key
 from egolane_pgm.model import Drive, Model, beliefs_of, prepare_model
-from egolane_pgm.parallel import Jobs, in_order
 from egolane_pgm.parameters import resolve_parameters
 from egolane_pgm.plugins import declared_parameters
 from egolane_pgm.scoring.assign import assigned_lane
 from egolane_pgm.scoring.held_out import blocks
+from egolane_pgm.tools.jobs import Jobs, in_order
 from egolane_pgm.types import FloatArray, InputError, IntArray
 
 #: P(true lane) counts as this where it is less.

@@ -33,7 +33,6 @@ from egolane_pgm.learning import Found
 from egolane_pgm.loading import Recorded, drive_key
 from egolane_pgm.model import Drive, causality, prepare_model
 from egolane_pgm.paper import load_published, paper_experiment, parameters_for
-from egolane_pgm.parallel import Jobs, in_order
 from egolane_pgm.results import SCHEMA_VERSION
 from egolane_pgm.scoring.bootstrap import INTERVAL_STATISTICS, score_counts
 from egolane_pgm.scoring.health import detector_errors
@@ -47,6 +46,7 @@ from egolane_pgm.scoring.seeds import (
     with_bounds,
 )
 from egolane_pgm.scoring.summary import score_with_intervals
+from egolane_pgm.tools.jobs import Jobs, in_order
 from egolane_pgm.types import BoolArray, FloatArray, InputError, all_problems, problems_in
 
 

@@ -13,10 +13,10 @@ import numpy as np
 
 from egolane_pgm.comparing.side import Side
 from egolane_pgm.experiment import resolved
-from egolane_pgm.files import make_directory, write_json
 from egolane_pgm.model import causality
 from egolane_pgm.results import SCHEMA_VERSION
 from egolane_pgm.running import make_result, save_result
+from egolane_pgm.tools.files import make_directory, write_json
 from egolane_pgm.types import FloatArray
 
 

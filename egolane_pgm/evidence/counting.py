@@ -11,8 +11,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from egolane_pgm.jit import kernel
 from egolane_pgm.parameters import Parameter, Parameters, number
+from egolane_pgm.tools.jit import kernel
 from egolane_pgm.types import BoolArray, Evidence, FloatArray, LineLog
 
 PROVIDES = ("DetectorOutput", "WOR")

@@ -8,7 +8,7 @@ from typing import Any
 from xml.etree import ElementTree as xml
 
 from egolane_pgm.export.drive import Drive
-from egolane_pgm.files import write_text
+from egolane_pgm.tools.files import write_text
 
 #: The program that a layout is for, by its file's extension.
 LAYOUTS = {".json": "Foxglove", ".xml": "PlotJuggler"}

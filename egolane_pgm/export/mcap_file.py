@@ -35,7 +35,7 @@ from egolane_pgm.export.drive import (
     Colour,
     Drive,
 )
-from egolane_pgm.files import atomic
+from egolane_pgm.tools.files import atomic
 from egolane_pgm.types import LineLog
 
 Content = dict[str, Any]

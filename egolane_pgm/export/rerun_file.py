@@ -22,7 +22,7 @@ from typing import Any
 import numpy as np
 
 from egolane_pgm.export.drive import AHEAD_M, BAR_GAP_M, BAR_HEIGHT_M, TRUTH, Drive
-from egolane_pgm.files import atomic
+from egolane_pgm.tools.files import atomic
 from egolane_pgm.types import FloatArray, InputError, IntArray
 
 rr: Any = None

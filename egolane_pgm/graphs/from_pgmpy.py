@@ -22,8 +22,8 @@ from typing import Any
 
 import numpy as np
 
-from egolane_pgm.files import read_text
 from egolane_pgm.graphs.cpds import SliceNode, Table, check_order, quiet
+from egolane_pgm.tools.files import read_text
 from egolane_pgm.types import FloatArray, InputError, suggestion
 
 #: How the names of files end that pgmpy reads: BIF and XMLBIF.

@@ -36,8 +36,8 @@ from egolane_pgm.graphs.cpds import (
     within,
 )
 from egolane_pgm.graphs.shared_parameters import P1, P2
-from egolane_pgm.jit import kernel
 from egolane_pgm.parameters import Parameter, Parameters, Value, number
+from egolane_pgm.tools.jit import kernel
 from egolane_pgm.types import FloatArray, IntArray, check_memory
 
 if TYPE_CHECKING:

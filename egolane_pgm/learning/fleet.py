@@ -29,7 +29,7 @@ from egolane_pgm.learning.held_out import (
 )
 from egolane_pgm.learning.tables import nested_tables, with_found
 from egolane_pgm.model import Model, beliefs_of, prepare_model, with_map
-from egolane_pgm.parallel import Jobs, in_order
+from egolane_pgm.tools.jobs import Jobs, in_order
 from egolane_pgm.types import InputError, all_problems, problems_in
 
 #: What drives that are learned from together have in common.

@@ -10,9 +10,9 @@ from typing import Any
 
 import numpy as np
 
-from egolane_pgm.jit import kernel
 from egolane_pgm.maps.lane_graph import LaneGraph
 from egolane_pgm.maps.local import Plane, around
+from egolane_pgm.tools.jit import kernel
 from egolane_pgm.types import FloatArray, InputError, IntArray
 
 

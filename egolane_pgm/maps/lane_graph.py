@@ -13,8 +13,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from egolane_pgm.files import write_parquet
 from egolane_pgm.maps.stored import check_path, marks, read_stored
+from egolane_pgm.tools.files import write_parquet
 from egolane_pgm.types import FloatArray, InputError, IntArray
 
 #: What a join can be. An exit is a place where a link leaves the road, an entry one where a link

@@ -14,13 +14,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from egolane_pgm.jit import kernel
 from egolane_pgm.maps.index import RoadIndex
 from egolane_pgm.maps.joins import optional_lanes
 from egolane_pgm.maps.lane_graph import LaneGraph, joins_from, way_line
 from egolane_pgm.maps.matching import Matched, match
 from egolane_pgm.maps.positions import Positions
 from egolane_pgm.maps.road_table import RoadTable
+from egolane_pgm.tools.jit import kernel
 from egolane_pgm.types import BoolArray, FloatArray, InputError, IntArray
 
 #: Where nothing happens so far ahead, the table says that nothing is ahead.

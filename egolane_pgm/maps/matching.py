@@ -17,10 +17,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from egolane_pgm.jit import kernel
 from egolane_pgm.maps.index import Near, RoadIndex, near
 from egolane_pgm.maps.lane_graph import LaneGraph, joins_from
 from egolane_pgm.maps.positions import Positions
+from egolane_pgm.tools.jit import kernel
 from egolane_pgm.types import BoolArray, FloatArray, IntArray
 
 OFF = -1

@@ -11,10 +11,10 @@ from typing import Any
 
 import numpy as np
 
-from egolane_pgm.files import check_name
 from egolane_pgm.maps.joins import with_joins
 from egolane_pgm.maps.lane_graph import LaneGraph, along_points, metres_per_degree
 from egolane_pgm.maps.tags import KEYS, KINDS, Direction, directions
+from egolane_pgm.tools.files import check_name
 from egolane_pgm.types import NOTE, BoolArray, FloatArray, InputError, IntArray
 
 #: So many lines at most say what is wrong with the tags of a map.

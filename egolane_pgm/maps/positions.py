@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from egolane_pgm.files import check_name, read_parquet, read_text
+from egolane_pgm.tools.files import check_name, read_parquet, read_text
 from egolane_pgm.types import BoolArray, FloatArray, InputError, suggestion
 
 if TYPE_CHECKING:

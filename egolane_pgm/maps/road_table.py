@@ -12,8 +12,8 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from egolane_pgm.files import arrow_table, write_parquet
 from egolane_pgm.maps.stored import check_path, marks, read_stored
+from egolane_pgm.tools.files import arrow_table, write_parquet
 from egolane_pgm.types import FloatArray, InputError, IntArray
 
 #: Of the stored table. It changes where a column gets another meaning.

@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
-from egolane_pgm.files import read_parquet
+from egolane_pgm.tools.files import read_parquet
 from egolane_pgm.types import InputError
 
 ATTRIBUTION = "© OpenStreetMap contributors, ODbL"

@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from egolane_pgm.files import check_name
+from egolane_pgm.tools.files import check_name
 from egolane_pgm.types import InputError, LineLog, suggestion
 
 #: Format: (extensions, module of this folder, function that reads a file into a LineLog).

@@ -15,7 +15,7 @@ from urllib.parse import urlsplit
 from platformdirs import user_cache_path
 from tqdm import tqdm
 
-from egolane_pgm.files import in_home
+from egolane_pgm.tools.files import in_home
 from egolane_pgm.types import InputError
 
 #: The folder `bag/` of github trigal/rle at tag SpecialIssueTIV.submission.1 (BSD licence).

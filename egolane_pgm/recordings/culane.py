@@ -14,7 +14,6 @@ from pathlib import Path
 import numpy as np
 
 from egolane_pgm.camera.model import Camera
-from egolane_pgm.files import read_text
 from egolane_pgm.recordings import files_with
 from egolane_pgm.recordings.image_lines import (
     ImageFrame,
@@ -22,6 +21,7 @@ from egolane_pgm.recordings.image_lines import (
     camera_of,
     line_log,
 )
+from egolane_pgm.tools.files import read_text
 from egolane_pgm.types import InputError, LineLog
 
 ENDING = ".lines.txt"

@@ -10,7 +10,7 @@ from pathlib import Path
 
 import numpy as np
 
-from egolane_pgm.files import iterate_text, write_text
+from egolane_pgm.tools.files import iterate_text, write_text
 from egolane_pgm.types import InputError, LaneTruth
 
 _INTEGER = r"\s*([+-]?[0-9]{1,18})\s*"

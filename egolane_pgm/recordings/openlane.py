@@ -30,7 +30,6 @@ from typing import Any
 import numpy as np
 
 from egolane_pgm.camera.model import Camera, camera_from_matrices, image_to_road
-from egolane_pgm.files import read_text
 from egolane_pgm.recordings import files_with
 from egolane_pgm.recordings.image_lines import (
     ImageFrame,
@@ -40,6 +39,7 @@ from egolane_pgm.recordings.image_lines import (
     line_log,
     points,
 )
+from egolane_pgm.tools.files import read_text
 from egolane_pgm.types import FloatArray, InputError, LineLog
 
 #: Category: (its name, whether it is continuous).

@@ -11,7 +11,6 @@ import numpy as np
 from rosbags.rosbag1 import Writer
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
-from egolane_pgm.files import atomic
 from egolane_pgm.recordings.rosbag import (
     DEFINITIONS,
     DEFINITIONS_2,
@@ -21,6 +20,7 @@ from egolane_pgm.recordings.rosbag import (
     LINES_TYPE_2,
     TOPIC,
 )
+from egolane_pgm.tools.files import atomic
 from egolane_pgm.types import BoolArray, InputError, LineLog
 
 

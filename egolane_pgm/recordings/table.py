@@ -25,8 +25,8 @@ import pyarrow.compute as pc
 from numpy.typing import NDArray
 from pyarrow import csv
 
-from egolane_pgm.files import arrow_table, atomic, open_parquet, write_parquet
 from egolane_pgm.recordings.rosbag import MAX_LINES
+from egolane_pgm.tools.files import arrow_table, atomic, open_parquet, write_parquet
 from egolane_pgm.types import BoolArray, FloatArray, InputError, IntArray, LineLog, suggestion
 
 NEEDED = ("frame_id", "line", "offset_m")

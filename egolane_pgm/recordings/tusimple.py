@@ -27,7 +27,6 @@ from pathlib import Path, PurePosixPath
 from typing import Any
 
 from egolane_pgm.camera.model import Camera
-from egolane_pgm.files import read_text
 from egolane_pgm.recordings.image_lines import (
     ImageFrame,
     ImageLine,
@@ -35,6 +34,7 @@ from egolane_pgm.recordings.image_lines import (
     line_log,
     points,
 )
+from egolane_pgm.tools.files import read_text
 from egolane_pgm.types import InputError, LineLog
 
 #: The rows of the benchmark's pictures (1280 x 720), by their number; its results lack h_samples.

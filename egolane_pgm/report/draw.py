@@ -5,13 +5,13 @@ from __future__ import annotations
 from collections.abc import Sequence
 from pathlib import Path
 
-from egolane_pgm.files import make_directory
 from egolane_pgm.report.coverage import draw_coverage
 from egolane_pgm.report.dispersion import draw_bonus_ablation, draw_dispersion
 from egolane_pgm.report.heatmaps import draw_confusion
 from egolane_pgm.report.reliability import draw_reliability
 from egolane_pgm.report.strips import draw_strips
 from egolane_pgm.results import Result, read_result
+from egolane_pgm.tools.files import make_directory
 
 
 def draw_standard(

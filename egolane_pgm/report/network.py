@@ -13,12 +13,12 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.patches import Circle, FancyArrowPatch, FancyBboxPatch, Patch, Rectangle
 
-from egolane_pgm.files import write_text
 from egolane_pgm.graphs.cpds import SliceNode
 from egolane_pgm.graphs.flat import bif
 from egolane_pgm.inference.compile import Compiled
 from egolane_pgm.report.structure import KINDS, Structure, graphviz, structure_of
 from egolane_pgm.report.style import FORMATS, write_figure
+from egolane_pgm.tools.files import write_text
 from egolane_pgm.types import InputError
 
 #: How the name of a file ends that a network can be written to.

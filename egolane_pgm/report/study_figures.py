@@ -19,11 +19,11 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.patches import Patch
 
-from egolane_pgm.files import make_directory
 from egolane_pgm.report import study_trials as numbers
 from egolane_pgm.report.answers import DETECTOR_COLOUR, FAINT, INK, MODEL_COLOUR
 from egolane_pgm.report.study_trials import TOLERANCE, Searched, Trials
 from egolane_pgm.report.style import FORMATS, axes_at, new_figure, put_title, write_figure
+from egolane_pgm.tools.files import make_directory
 from egolane_pgm.types import BoolArray, InputError
 
 #: Parameters whose pairs are drawn.

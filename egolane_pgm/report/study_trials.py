@@ -18,9 +18,9 @@ from pydantic import Field
 from pydantic_core import from_json
 
 from egolane_pgm.experiment import validated
-from egolane_pgm.files import read_parquet
 from egolane_pgm.result_schema import Count, Finite, Stored
 from egolane_pgm.scoring.confusion import is_maximised
+from egolane_pgm.tools.files import read_parquet
 from egolane_pgm.types import BoolArray, FloatArray, InputError, IntArray
 
 STUDY_FILE, TRIALS_FILE, SCHEMA_VERSION = "study.json", "trials.parquet", 1

@@ -15,8 +15,8 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.colors import LinearSegmentedColormap, to_hex, to_rgb
 from matplotlib.figure import Figure
 
-from egolane_pgm.files import atomic
 from egolane_pgm.report.answers import DETECTOR_COLOUR, INK, MODEL_COLOUR
+from egolane_pgm.tools.files import atomic
 from egolane_pgm.types import InputError
 
 #: Extensions of the figures that can be written.

@@ -12,7 +12,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from egolane_pgm.files import as_csv
+from egolane_pgm.tools.files import as_csv
 from egolane_pgm.types import InputError, LineLog
 
 #: How `tuned_on` is said beside a score.

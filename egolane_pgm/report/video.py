@@ -28,8 +28,8 @@ from egolane_pgm.camera.writing import video_writer, write_picture
 from egolane_pgm.detectors import FrameLines, as_log
 from egolane_pgm.detectors.runner import Detector, detect
 from egolane_pgm.experiment import Experiment
-from egolane_pgm.files import check_place, make_directory
 from egolane_pgm.online import filter_logs
+from egolane_pgm.tools.files import check_place, make_directory
 from egolane_pgm.types import UNASSIGNED, FloatArray, InputError, LaneTruth, LineLog
 
 Colour = tuple[int, int, int]

@@ -30,15 +30,15 @@ from egolane_pgm.camera.model import Camera, read_camera
 from egolane_pgm.camera.picture import Picture
 from egolane_pgm.camera.pictures import open_source, read_image
 from egolane_pgm.detectors.runner import Detector, check_pair, detect, find_detector, start
-from egolane_pgm.files import in_home, make_directory, plain, write_json, write_yaml
 from egolane_pgm.loading import file_entry
-from egolane_pgm.parallel import Jobs, in_order
 from egolane_pgm.parameters import Value
 from egolane_pgm.report.study_trials import SCHEMA_VERSION, STUDY_FILE
 from egolane_pgm.results import provenance
 from egolane_pgm.scoring.bootstrap import Interval, bootstrap_interval
 from egolane_pgm.scoring.held_out import blocks
 from egolane_pgm.scoring.line_places import LINE_SCORES, line_counts
+from egolane_pgm.tools.files import in_home, make_directory, plain, write_json, write_yaml
+from egolane_pgm.tools.jobs import Jobs, in_order
 from egolane_pgm.tuning.held_out import Nested, settings_of_part
 from egolane_pgm.tuning.identity import code_of_detector
 from egolane_pgm.tuning.objective import DETECTOR

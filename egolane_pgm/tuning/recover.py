@@ -13,12 +13,12 @@ from optuna.distributions import BaseDistribution, FloatDistribution
 from optuna.trial import FrozenTrial, Trial
 
 from egolane_pgm.experiment import load_experiment
-from egolane_pgm.files import read_text, write_text
 from egolane_pgm.model import belief_of, load_drive
 from egolane_pgm.paper import load_published, paper_experiment, published_path
 from egolane_pgm.report.study_trials import quiet
 from egolane_pgm.scoring.assign import assigned_lane
 from egolane_pgm.scoring.confusion import confusion, frames_off
+from egolane_pgm.tools.files import read_text, write_text
 from egolane_pgm.tuning.sampler import Shade
 
 #: The published parameters are truncated to three decimals: the value used was below this higher.

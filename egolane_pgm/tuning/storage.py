@@ -29,8 +29,8 @@ from optuna.trial import TrialState
 from sqlalchemy.engine import make_url
 from sqlalchemy.exc import SQLAlchemyError
 
-from egolane_pgm.files import clear_once, make_directory, temporary_folder
 from egolane_pgm.report.study_trials import quiet
+from egolane_pgm.tools.files import clear_once, make_directory, temporary_folder
 from egolane_pgm.tuning.search import Settings, new_study
 from egolane_pgm.tuning.space import Point, differences
 from egolane_pgm.types import InputError

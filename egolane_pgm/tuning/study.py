@@ -14,9 +14,9 @@ from typing import Any
 
 import optuna
 
-from egolane_pgm.files import make_directory, write_json
-from egolane_pgm.parallel import Jobs, executor
 from egolane_pgm.report.study_trials import STUDY_FILE
+from egolane_pgm.tools.files import make_directory, write_json
+from egolane_pgm.tools.jobs import Jobs, executor
 from egolane_pgm.tuning import study_directory as files
 from egolane_pgm.tuning.held_out import (
     Nested,

@@ -106,7 +106,7 @@ def _inside(report: Path, words: list[str]) -> None:
         return call
 
     with part("importing numba"):
-        import_module("egolane_pgm.jit")
+        import_module("egolane_pgm.tools.jit")
     with part("other imports"):
         import_module("egolane_pgm.cli.run")
         command = import_module("egolane_pgm.cli.main").egolane

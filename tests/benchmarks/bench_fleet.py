@@ -18,7 +18,7 @@ from pathlib import Path
 import psutil
 
 import egolane_pgm as ego
-from egolane_pgm.parallel import Jobs, in_order
+from egolane_pgm.tools.jobs import Jobs, in_order
 from tests.benchmarks.timing import machine
 from tests.cluster_demo import QUICKSTART, cluster, write_fleet
 

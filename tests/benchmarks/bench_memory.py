@@ -18,9 +18,9 @@ from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
 
-from egolane_pgm.files import parquet_writer
 from egolane_pgm.recordings.table import rows_of
 from egolane_pgm.simulation import SimulatedDrive, simulate
+from egolane_pgm.tools.files import parquet_writer
 
 ROOT = Path(__file__).parents[2]
 N_LANES = 4

@@ -13,8 +13,8 @@ import pytest
 
 from egolane_pgm import __version__
 from egolane_pgm.cli.main import LEAST_MEMORY
-from egolane_pgm.files import check_place
 from egolane_pgm.results import is_result
+from egolane_pgm.tools.files import check_place
 from egolane_pgm.types import NO_MEMORY, InputError
 from tests.kits.drives import command, done, refused, write_drive
 from tests.kits.processes import ended, needs_links

@@ -19,10 +19,10 @@ from optuna.storages.journal import JournalFileBackend
 from pyarrow import parquet
 
 from egolane_pgm.experiment import experiments_folder, load_experiment
-from egolane_pgm.files import write_yaml
 from egolane_pgm.loading import load_recording
 from egolane_pgm.model import prepare_model
 from egolane_pgm.running import run_experiment
+from egolane_pgm.tools.files import write_yaml
 from egolane_pgm.tuning.plan import load_plan, make_problem
 from egolane_pgm.tuning.study_directory import tuned_experiment
 from tests.kits.drives import command, done, refused, rewritten, write_drive, write_experiment

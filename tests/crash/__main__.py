@@ -19,8 +19,8 @@ from pathlib import Path
 from typing import Any
 
 from egolane_pgm.cli.main import COMMANDS as FILES
-from egolane_pgm.files import code_checksum
 from egolane_pgm.results import git_state, versions
+from egolane_pgm.tools.files import code_checksum
 from tests.crash.commands import COMMANDS, STUDIES, Command, found, names, run, write_given
 from tests.crash.points import Call, attempt, why_not
 

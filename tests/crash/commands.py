@@ -13,10 +13,10 @@ from typing import Any
 import optuna
 
 from egolane_pgm.cli.main import egolane
-from egolane_pgm.files import clear_once, read_parquet, read_yaml
 from egolane_pgm.recordings import read_lines
 from egolane_pgm.report.study_trials import quiet
 from egolane_pgm.results import is_result, read_result
+from egolane_pgm.tools.files import clear_once, read_parquet, read_yaml
 from egolane_pgm.tuning.storage import JOURNAL_NAME, open_storage
 from tests.kits.drives import rewritten, write_drive
 from tests.kits.synthetic_road import write_place

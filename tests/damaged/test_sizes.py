@@ -16,17 +16,18 @@ import pytest
 from pyarrow import parquet
 
 import egolane_pgm as ego
-from egolane_pgm import files, types
+from egolane_pgm import types
 from egolane_pgm.api.studies import TuneResult
 from egolane_pgm.camera.pictures import read_image
 from egolane_pgm.cli.show import compile_defaults
 from egolane_pgm.maps.positions import read_positions
 from egolane_pgm.maps.road_table import load as load_road
-from egolane_pgm.parallel import executor
 from egolane_pgm.plugins import load_plugin
 from egolane_pgm.recordings import read_lines
 from egolane_pgm.report.study_trials import TRIALS_FILE
 from egolane_pgm.scoring.bootstrap import circular_block_bootstrap
+from egolane_pgm.tools import files
+from egolane_pgm.tools.jobs import executor
 from egolane_pgm.types import InputError
 
 

@@ -8,9 +8,9 @@ from pathlib import Path
 import pytest
 
 import egolane_pgm as ego
-from egolane_pgm.files import read_yaml, write_yaml
+from egolane_pgm.tools.files import read_yaml, write_yaml
+from egolane_pgm.tools.yaml import dump_yaml, parse_yaml
 from egolane_pgm.types import InputError
-from egolane_pgm.yaml_text import dump_yaml, parse_yaml
 from tests.kits.drives import refused
 
 #: What is nine times what the line above it is, ten times over.

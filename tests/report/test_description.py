@@ -9,7 +9,6 @@ from typing import Any
 import numpy as np
 import pytest
 
-from egolane_pgm.files import plain
 from egolane_pgm.inference.compile import compile
 from egolane_pgm.parameters import Parameter, Value, resolve_parameters
 from egolane_pgm.plugins import load_plugin, plugin_names
@@ -20,6 +19,7 @@ from egolane_pgm.report.description import (
     description_text,
 )
 from egolane_pgm.report.tables import line_width
+from egolane_pgm.tools.files import plain
 from egolane_pgm.types import InputError
 from tests.conformance.networks import graph, graph_inputs, graph_names, template
 

@@ -6,7 +6,7 @@ import math
 
 import numpy as np
 
-from egolane_pgm.jit import kernel
+from egolane_pgm.tools.jit import kernel
 from egolane_pgm.types import FloatArray, IntArray
 
 

@@ -27,7 +27,7 @@ from scipy.sparse.csgraph import connected_components
 
 from egolane_pgm.detectors.multilane.markings import Markings, grouped
 from egolane_pgm.detectors.multilane.road import Road
-from egolane_pgm.jit import kernel
+from egolane_pgm.tools.jit import kernel
 from egolane_pgm.types import BoolArray, FloatArray, IntArray
 
 #: Largest errors of a candidate link, sums over both its ends: pixels, degrees.

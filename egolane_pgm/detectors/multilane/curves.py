@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from egolane_pgm.jit import kernel
+from egolane_pgm.tools.jit import kernel
 from egolane_pgm.types import BoolArray, FloatArray, IntArray
 
 #: The t at which a curve from before counts as seen once more, and curves are compared.

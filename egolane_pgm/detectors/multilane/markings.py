@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from egolane_pgm.detectors.multilane.road import Road, flattened, is_ignored
-from egolane_pgm.jit import kernel
+from egolane_pgm.tools.jit import kernel
 from egolane_pgm.types import FloatArray, IntArray
 
 #: Half width of the edge filter, pixels: far away, and how much more at the bottom.

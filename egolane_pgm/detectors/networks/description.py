@@ -17,8 +17,8 @@ from pydantic import AfterValidator, Field, model_validator
 
 from egolane_pgm.detectors.networks.onnx_file import weight_files
 from egolane_pgm.experiment import Section, validated
-from egolane_pgm.files import read_yaml
 from egolane_pgm.parameters import Parameter, Parameters, Value
+from egolane_pgm.tools.files import read_yaml
 from egolane_pgm.types import InputError
 
 #: How the file of a network may end.

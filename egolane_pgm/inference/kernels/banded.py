@@ -15,7 +15,7 @@ import numpy as np
 
 from egolane_pgm.inference.compile import Compiled
 from egolane_pgm.inference.kernels.filter import HUGE, LEAST, UP, settle_frame
-from egolane_pgm.jit import kernel
+from egolane_pgm.tools.jit import kernel
 from egolane_pgm.types import BoolArray, FloatArray, IntArray
 
 #: Networks with fewer joint states are as quick with the plain recursion.

@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from egolane_pgm.jit import kernel
+from egolane_pgm.tools.jit import kernel
 from egolane_pgm.types import BoolArray, FloatArray, IntArray
 
 #: The smallest normal floating-point number. A probability below it has lost digits: it is zero.

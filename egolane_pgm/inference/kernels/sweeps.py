@@ -12,7 +12,7 @@ from egolane_pgm.inference.kernels.filter import (
     normalise_logs,
     product_of_marginals,
 )
-from egolane_pgm.jit import kernel
+from egolane_pgm.tools.jit import kernel
 from egolane_pgm.types import BoolArray, FloatArray, IntArray
 
 #: Plain sums of products are right where they come to something in this range.

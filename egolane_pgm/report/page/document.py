@@ -12,7 +12,6 @@ import yaml
 from jinja2 import Environment, StrictUndefined
 
 from egolane_pgm import __version__
-from egolane_pgm.files import write_text
 from egolane_pgm.report.answers import (
     RIGHT_COLOUR,
     percent,
@@ -27,6 +26,7 @@ from egolane_pgm.report.page.packed import MAX_STEPS, Packed, is_known, packed
 from egolane_pgm.report.page.timeline import Panels, embedded, reliability_plot, timeline
 from egolane_pgm.report.tables import TUNED_ON, score_rows, score_text
 from egolane_pgm.results import Result
+from egolane_pgm.tools.files import write_text
 from egolane_pgm.types import InputError
 
 #: How strongly the cells of a confusion matrix are coloured, from none to all of a true lane.

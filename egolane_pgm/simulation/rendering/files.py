@@ -16,12 +16,12 @@ import numpy as np
 from egolane_pgm.camera.model import Camera, write_camera
 from egolane_pgm.camera.picture import Image
 from egolane_pgm.camera.writing import NotKeptError, video_writer, write_picture
-from egolane_pgm.files import make_directory, temporary_folder, write_text, write_yaml
 from egolane_pgm.recordings.ground_truth import write_ground_truth
 from egolane_pgm.recordings.table import write_table
 from egolane_pgm.simulation.presets import PRESETS
 from egolane_pgm.simulation.rendering.render import Frame, make_scene, render_frame, true_lines
 from egolane_pgm.simulation.rendering.scene import Scene
+from egolane_pgm.tools.files import make_directory, temporary_folder, write_text, write_yaml
 from egolane_pgm.types import InputError
 
 _README = """A rendered drive: {n_frames} frames of {width}x{height} pixels, {rate:g} per second,

@@ -11,7 +11,7 @@ from pathlib import Path
 
 import pytest
 
-from egolane_pgm.parallel import executor, in_order
+from egolane_pgm.tools.jobs import executor, in_order
 from egolane_pgm.types import InputError
 
 
@@ -155,7 +155,7 @@ def test_a_process_that_dies_costs_what_was_at_work_and_nothing_else() -> None:
 def test_processes_end_when_their_parent_is_killed(tmp_path: Path) -> None:
     program = (
         "import sys; from functools import partial; from pathlib import Path\n"
-        "from egolane_pgm.parallel import in_order\n"
+        "from egolane_pgm.tools.jobs import in_order\n"
         "from tests.test_parallel import clean_up_behind_itself\n"
         "list(in_order(partial(clean_up_behind_itself, Path(sys.argv[1])), range(4), 2))"
     )

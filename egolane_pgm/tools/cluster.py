@@ -23,7 +23,7 @@ from typing import Any, TypeVar
 
 from tqdm import tqdm
 
-from egolane_pgm.files import code_checksum
+from egolane_pgm.tools.files import code_checksum
 from egolane_pgm.types import InputError
 
 R = TypeVar("R")

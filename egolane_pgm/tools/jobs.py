@@ -26,7 +26,7 @@ from typing import Any, TypeVar
 
 from tqdm import tqdm
 
-from egolane_pgm.cluster import LOCAL, GivenUp, cluster_executor
+from egolane_pgm.tools.cluster import LOCAL, GivenUp, cluster_executor
 from egolane_pgm.types import InputError
 
 T = TypeVar("T")

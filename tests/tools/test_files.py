@@ -20,11 +20,16 @@ import pytest
 from matplotlib.figure import Figure
 from pyarrow import parquet as pq
 
-from egolane_pgm import files
 from egolane_pgm.camera.model import Camera, read_camera, write_camera
 from egolane_pgm.camera.video import open_video
 from egolane_pgm.camera.writing import video_writer, write_picture
-from egolane_pgm.files import (
+from egolane_pgm.recordings import read_lines, write_lines
+from egolane_pgm.recordings.ground_truth import read_ground_truth, write_ground_truth
+from egolane_pgm.report.style import write_figure
+from egolane_pgm.results import is_result, write_result
+from egolane_pgm.simulation import simulate
+from egolane_pgm.tools import files
+from egolane_pgm.tools.files import (
     arrow_table,
     atomic,
     atomic_directory,
@@ -37,11 +42,6 @@ from egolane_pgm.files import (
     write_text,
     write_yaml,
 )
-from egolane_pgm.recordings import read_lines, write_lines
-from egolane_pgm.recordings.ground_truth import read_ground_truth, write_ground_truth
-from egolane_pgm.report.style import write_figure
-from egolane_pgm.results import is_result, write_result
-from egolane_pgm.simulation import simulate
 from egolane_pgm.types import InputError
 from tests.kits.drives import done
 from tests.kits.processes import needs_links
@@ -215,7 +215,7 @@ def test_a_directory_is_replaced_whole_or_not_at_all(
 KILLED = """
 import os, signal, sys
 from pathlib import Path
-from egolane_pgm import files
+from egolane_pgm.tools import files
 with files.{}(Path(sys.argv[1])) as half:
     (half / "a" if half.is_dir() else half).write_text("half")
     if len(sys.argv) > 2:

@@ -11,8 +11,8 @@ from pathlib import Path
 
 import pytest
 
-from egolane_pgm import cluster
-from egolane_pgm.parallel import executor, in_order
+from egolane_pgm.tools import cluster
+from egolane_pgm.tools.jobs import executor, in_order
 from egolane_pgm.types import InputError
 from tests import cluster_demo
 from tests.cluster_demo import cluster as started_cluster

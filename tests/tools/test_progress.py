@@ -11,7 +11,7 @@ import pytest
 from click.testing import CliRunner
 
 from egolane_pgm.cli import main
-from egolane_pgm.progress import LOGGER, Ahead, at_once, bar
+from egolane_pgm.tools.progress import LOGGER, Ahead, at_once, bar
 from egolane_pgm.tuning import study
 
 
@@ -94,7 +94,7 @@ def test_a_hidden_bar_announces_too(
     said: list[str], monkeypatch: pytest.MonkeyPatch, is_told: bool
 ) -> None:
     clock = Clock()
-    monkeypatch.setattr("egolane_pgm.progress.Ahead", partial(Ahead, clock=clock))
+    monkeypatch.setattr("egolane_pgm.tools.progress.Ahead", partial(Ahead, clock=clock))
 
     def slow(items: Any) -> None:
         clock.now += 25.0

@@ -31,8 +31,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from egolane_pgm.tools.yaml import dump_yaml, parse_yaml
 from egolane_pgm.types import InputError, check_memory, without_passwords
-from egolane_pgm.yaml_text import dump_yaml, parse_yaml
 
 if sys.platform != "win32":
     import fcntl

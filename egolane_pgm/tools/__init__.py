@@ -1,0 +1,1 @@
+"""Tools that know nothing of lanes: files, YAML, processes, bars, compiled loops."""
