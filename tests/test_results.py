@@ -49,7 +49,7 @@ def saved(run: Run, tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 def test_everything_read_from_a_result_directory_equals_the_run(run: Run, saved: Path) -> None:
     result = read_result(saved)
-    log, truth = run.recorded.log, run.recorded.truth
+    log, truth = run.lines, run.truth
     assert truth is not None
     assert run.tentative is not None
     np.testing.assert_array_equal(result.frame_id, log.frame_id)
@@ -61,8 +61,8 @@ def test_everything_read_from_a_result_directory_equals_the_run(run: Run, saved:
     np.testing.assert_array_equal(result.tentative, run.tentative)
     np.testing.assert_array_equal(result.assigned_lane, assigned_lane(run.beliefs.lane))
     np.testing.assert_array_equal(result.detector_lane, assigned_lane(run.tentative))
-    np.testing.assert_array_equal(result.true_lane[run.recorded.scored], truth.lane)
-    np.testing.assert_array_equal(result.is_crossing[run.recorded.scored], truth.is_crossing)
+    np.testing.assert_array_equal(result.true_lane[run.scored], truth.lane)
+    np.testing.assert_array_equal(result.is_crossing[run.scored], truth.is_crossing)
     np.testing.assert_array_equal(result.log_evidence, run.beliefs.log_evidence)
     np.testing.assert_array_equal(result.is_impossible, run.beliefs.is_impossible)
     for kind in ("detector", "model"):
@@ -73,7 +73,7 @@ def test_everything_read_from_a_result_directory_equals_the_run(run: Run, saved:
 def test_the_lines_of_a_result_are_those_that_were_believed(
     drive: Path, run: Run, saved: Path, tmp_path: Path
 ) -> None:
-    lines, log = read_result(saved).lines, run.recorded.log
+    lines, log = read_result(saved).lines, run.lines
     assert lines is not None
     for name in ("frame_id", "time_s", "offset_m", "is_valid", "is_continuous", "lri"):
         np.testing.assert_array_equal(getattr(lines, name), getattr(log, name))
@@ -92,10 +92,10 @@ def test_frames_that_were_put_in_are_marked_in_the_lines_of_a_result(tmp_path: P
     rows = table.read_text().splitlines(keepends=True)
     table.write_text("".join(row for row in rows if not row.startswith("20,")))
     run = run_experiment(place)
-    assert run.recorded.log.is_missing.sum() == 1
+    assert run.lines.is_missing.sum() == 1
     lines = read_result(save_run(run, tmp_path / "result")).lines
     assert lines is not None
-    np.testing.assert_array_equal(lines.is_missing, run.recorded.log.is_missing)
+    np.testing.assert_array_equal(lines.is_missing, run.lines.is_missing)
 
 
 def test_a_result_says_where_its_numbers_come_from(drive: Path, run: Run, saved: Path) -> None:
