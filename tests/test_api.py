@@ -45,8 +45,8 @@ def hostile(tmp_path_factory: pytest.TempPathFactory) -> ego.Result:
     folder = tmp_path_factory.mktemp("a<b>&c")
     write_drive(folder, ground_truth=None)
     found = ego.run(folder / "experiment.yaml")
-    run = {**found.result.run, "warnings": ["<script>alert(1)</script>"]}
-    return replace(found, result=replace(found.result, run=run))
+    run = {**found.run, "warnings": ["<script>alert(1)</script>"]}
+    return replace(found, run=run)
 
 
 # --- what is public ------------------------------------------------------------------------------
@@ -100,10 +100,10 @@ def test_importing_the_package_imports_nothing_heavy_until_a_name_is_used() -> N
 def test_run_gives_what_the_engine_gives(run: ego.Result, drive: Path) -> None:
     plain = run_experiment(drive)
     np.testing.assert_array_equal(run.beliefs.lane, plain.beliefs.lane)
-    np.testing.assert_array_equal(run.assigned, plain.assigned)
+    np.testing.assert_array_equal(run.assigned_lane, plain.assigned_lane)
     assert run.scores["model"]["accuracy"] == plain.scores["model"]["accuracy"]
     assert run.evidence is not None
-    assert run.recorded is not None
+    assert run.lines is not None
     assert run.truth is not None
     assert len(run) == len(run.evidence) == len(plain.evidence)
 
@@ -121,11 +121,11 @@ def test_the_frame_of_a_run_has_a_column_per_value_and_what_there_is_besides(
     run: ego.Result,
 ) -> None:
     frame = run.to_pandas()
-    assert list(frame.index) == list(run.result.frame_id)
+    assert list(frame.index) == list(run.frame_id)
     beliefs = frame[["Lane=1", "Lane=2", "Lane=3"]].to_numpy()
     np.testing.assert_array_equal(beliefs, run.beliefs.lane)
     np.testing.assert_allclose(frame[["SensorState=OK", "SensorState=BAD"]].sum(axis=1), 1)
-    np.testing.assert_array_equal(frame["assigned_lane"], run.assigned)
+    np.testing.assert_array_equal(frame["assigned_lane"], run.assigned_lane)
     assert {"time_s", "detector=1", "detector_lane", "log_evidence", "is_impossible"} <= {*frame}
     scored = frame[~frame["is_crossing"]]
     accuracy = float((scored["assigned_lane"] == scored["true_lane"]).mean())
@@ -147,7 +147,7 @@ def test_a_run_as_a_data_set_has_an_axis_for_each_hidden_node(run: ego.Result) -
     assert list(found["SensorState"].values) == ["OK", "BAD"]
     lane = found["belief_Lane"].sel(Lane=2).values
     np.testing.assert_array_equal(lane, run.beliefs.lane[:, 1])
-    np.testing.assert_array_equal(found["detector"].values, run.result.tentative)
+    np.testing.assert_array_equal(found["detector"].values, run.tentative)
 
 
 def test_without_xarray_one_line_says_what_to_install(
@@ -239,7 +239,7 @@ def test_a_saved_run_is_read_back_as_the_same_object(run: ego.Result, tmp_path: 
     assert repr(again) == repr(run)
     assert again.to_pandas().equals(run.to_pandas())
     assert again.scores == run.scores
-    assert again.evidence is again.recorded is None
+    assert again.evidence is None
     np.testing.assert_array_equal(again.model.compiled.transition, run.model.compiled.transition)
     copy = again.save(tmp_path / "copy", figures=False)
     assert contents(copy) == contents(tmp_path / "run")
@@ -300,7 +300,7 @@ def test_a_run_that_another_process_did_comes_back_whole(drive: Path) -> None:
     plan = plan_runs([("drive", lambda: ego.load_experiment(drive))])
     (outcome,) = run_all(plan, keep=True)
     again = pickle.loads(pickle.dumps(outcome)).run
-    assert ego.Result.of(again).to_pandas().equals(ego.run(drive).to_pandas())
+    assert again.to_pandas().equals(ego.run(drive).to_pandas())
 
 
 def test_experiments_may_be_given_as_their_keys() -> None:

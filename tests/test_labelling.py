@@ -219,7 +219,7 @@ def test_a_labeller_looks_back_whatever_the_experiment_says() -> None:
     run = causal.run
     assert run.experiment.filter == "smoothed"
     assert run.experiment.parameters["lane_width_m"] == "auto"
-    np.testing.assert_array_equal(run.assigned, causal.lane)
+    np.testing.assert_array_equal(run.assigned_lane, causal.lane)
     given = simulated(**{"parameters.lane_width_m": 3.4}).run.experiment
     assert given.parameters["lane_width_m"] == 3.4
 

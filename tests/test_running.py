@@ -23,7 +23,6 @@ from egolane_pgm.model import make_evidence, prepare_model, with_parameters
 from egolane_pgm.parameters import resolve_parameters
 from egolane_pgm.recordings.table import write_table
 from egolane_pgm.results import Result, is_result, read_result
-from egolane_pgm.running import save_run, summary
 from egolane_pgm.scoring.assign import assigned_lane
 from egolane_pgm.scoring.confusion import confusion
 from egolane_pgm.types import InputError
@@ -194,7 +193,7 @@ def test_without_ground_truth_there_are_beliefs_and_no_scores(drive: Experiment)
     run = run_experiment(changed(drive, ground_truth=None))
     assert run.scores == {}
     assert len(run.beliefs) == N_FRAMES
-    said = summary(run)
+    said = run.scores
     assert not {"detector", "model"} & set(said)
     assert (said["frames"], said["frames_scored"]) == (N_FRAMES, 0)
 
@@ -303,19 +302,22 @@ def test_with_predict_the_papers_model_diffuses_over_missing_frames_too(tmp_path
         np.testing.assert_allclose(belief[k], belief[k - 1] @ move, atol=1e-9)
 
 
-def test_a_result_is_kept_where_its_figures_cannot_be_drawn(tmp_path: Path) -> None:
+def test_a_result_is_kept_where_its_figures_cannot_be_drawn(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     run = run_experiment(load_experiment(write_drive(tmp_path)))
 
-    def draw(_: Result, folder: Path) -> None:
-        (folder / "figures").mkdir()
-        (folder / "figures" / "half.png").touch()
-        raise InputError(f"{folder / 'figures' / 'a.png'}: cannot be written: disk full")
+    def draw(_: Result, file: Path) -> None:
+        file.parent.mkdir()
+        (file.parent / "half.png").touch()
+        raise InputError(f"{file}: cannot be written: disk full")
 
+    monkeypatch.setattr("egolane_pgm.report.strips.draw_strips", draw)
     out = tmp_path / "out"
     with pytest.raises(InputError) as caught:
-        save_run(run, out, draw)
+        run.save(out)
     assert str(caught.value) == (
-        f"{out}/figures/a.png: cannot be written: disk full; the result without figures is in {out}"
+        f"{out}/figures/strips.png: cannot be written: disk full; the result without figures is in {out}"
     )
     assert is_result(out)
     assert not (out / "figures").exists()
@@ -512,7 +514,7 @@ def test_a_fixed_lag_run_waits_so_many_frames(tmp_path: Path) -> None:
 @pytest.mark.parametrize("choice", ["assumed_density", "exact"])
 def test_filters_are_causal_and_say_nothing_of_it(tmp_path: Path, choice: str) -> None:
     experiment = write_drive(tmp_path, 30, filter=choice)
-    assert summary(run_experiment(experiment))["is_causal"] is True
+    assert run_experiment(experiment).scores["is_causal"] is True
     ran = done("run", experiment, "--no-figures", "--out", tmp_path / "out")
     assert "not causal" not in ran.stdout
 

@@ -88,7 +88,6 @@ def long_drive(n_frames: int) -> Result:
         marginals={"Lane": belief},
         tentative=belief,
         assigned_lane=lane,
-        detector_lane=lane,
         true_lane=lane,
         is_crossing=np.zeros(n_frames, dtype=bool),
         log_evidence=np.zeros(n_frames),
