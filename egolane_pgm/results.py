@@ -385,13 +385,13 @@ class Result:
         InputError where the directory holds anything else, or cannot be written. Where only the
         figures cannot be drawn it raises InputError too, and the result is kept without them.
         """
-        from egolane_pgm.report.strips import draw_strips
-
         place, undrawn = Path(directory), ""
         with staged(place) as folder:
             write_result(folder, self)
             try:
                 if figures:
+                    from egolane_pgm.report.strips import draw_strips
+
                     draw_strips(self, folder / "figures" / "strips.png")
             except InputError as error:
                 shutil.rmtree(folder / "figures", ignore_errors=True)

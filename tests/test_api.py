@@ -299,7 +299,7 @@ def test_several_runs_are_saved_and_read_together(drive: Path, tmp_path: Path) -
 def test_a_run_that_another_process_did_comes_back_whole(drive: Path) -> None:
     plan = plan_runs([("drive", lambda: ego.load_experiment(drive))])
     (outcome,) = run_all(plan, keep=True)
-    again = pickle.loads(pickle.dumps(outcome)).run
+    again = pickle.loads(pickle.dumps(outcome)).result
     assert again.to_pandas().equals(ego.run(drive).to_pandas())
 
 
@@ -657,7 +657,7 @@ def test_a_comparison_keeps_what_was_believed_in_each_frame(compared: ego.Compar
     assert accuracy == pytest.approx(entry["scores"]["all_frames"]["accuracy"])
     assert "held out" in repr(run)
     assert "<td>" in run._repr_html_()
-    several = ego.Results((run, run))._repr_html_()
+    several = ego.RunResults((run, run))._repr_html_()
     assert f"{accuracy:.3f}" in several
     assert "held out" in several
     with pytest.raises(ego.InputError, match="was not held out here; there are quickstart, seed 0"):

@@ -475,7 +475,7 @@ def test_what_is_overridden_is_meant_for_the_recording_that_is_named(tmp_path: P
     options = with_recording(old, str(tmp_path / "b.csv"), None, 2, overrides=overrides)
     assert options.n_lanes == 2
     for other in ({"recording.path": "c.csv"}, {"recording.simulate": "a4"}):
-        with pytest.raises(InputError, match="two of them; leave one away"):
+        with pytest.raises(InputError, match="two of them; leave one out"):
             with_recording(old, str(tmp_path / "b.csv"), None, None, overrides=other)
 
 

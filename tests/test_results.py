@@ -143,7 +143,7 @@ def test_the_experiment_of_a_result_directory_gives_the_same_result_again(
     for node in one.marginals:
         np.testing.assert_array_equal(one.marginals[node], other.marginals[node])
     assert one.scores == other.scores
-    assert one.experiment == other.experiment
+    assert one.config == other.config
     assert [d["sha256"] for d in one.run["data"]] == [d["sha256"] for d in other.run["data"]]
 
 
@@ -169,12 +169,12 @@ def test_the_lane_changes_of_a_result_are_a_table_of_it(tmp_path: Path) -> None:
     result = read_result(saved)
     table = pd.read_csv(saved / "events.csv")
     assert "nan" not in (saved / "events.csv").read_text()
-    assert len(table) == run.events["told"] > 0
-    assert table["delay_s"].notna().sum() == run.events["within"]["2"]["right"]
+    assert len(table) == run.scores["events"]["told"] > 0
+    assert table["delay_s"].notna().sum() == run.scores["events"]["within"]["2"]["right"]
     pd.testing.assert_frame_equal(table, result.events.to_pandas().round(6))
     crossing = parquet.read_table(saved / "beliefs.parquet").column("crossing").to_numpy()
     np.testing.assert_array_equal(crossing, crossing_probability(run.beliefs.marginals))
-    assert result.scores["events"] == plain(run.events)
+    assert result.scores["events"] == run.scores["events"]
 
 
 def test_beliefs_that_come_late_tell_late(tmp_path: Path) -> None:
@@ -185,7 +185,7 @@ def test_beliefs_that_come_late_tell_late(tmp_path: Path) -> None:
     found = read_result(saved).events
     np.testing.assert_allclose(found.late_s, at_once.late_s + 0.7)
     assert found.delay_s is not None
-    assert lagged.events["delay_s"]["median"] == np.nanmedian(found.delay_s)
+    assert lagged.scores["events"]["delay_s"]["median"] == np.nanmedian(found.delay_s)
 
 
 def test_json_has_plain_numbers_and_null_for_what_is_no_number(tmp_path: Path) -> None:

@@ -8,7 +8,6 @@ from pathlib import Path
 import click
 
 from egolane_pgm.cli import options
-from egolane_pgm.drive import load_recording
 from egolane_pgm.experiment import load_experiment
 from egolane_pgm.recordings import (
     catalog,
@@ -156,6 +155,9 @@ def lines(recording: str, frame_id: int, camera: str | None, overrides: tuple[st
     if Path(recording).suffix.lower() in (".yaml", ".yml"):
         if camera is not None:
             raise InputError("--camera: an experiment names its own; --set recording.camera=FILE")
+        # What reads an experiment loads numba.
+        from egolane_pgm.drive import load_recording
+
         log = load_recording(load_experiment(recording, overrides)).log
     elif overrides:
         raise InputError("--set: goes with an experiment")
