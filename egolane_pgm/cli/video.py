@@ -12,7 +12,6 @@ from egolane_pgm.camera.model import read_camera
 from egolane_pgm.camera.pictures import Source, camera_of_pictures, open_source, read_pictures
 from egolane_pgm.camera.writing import NotKeptError
 from egolane_pgm.cli import options
-from egolane_pgm.cli.completion import yaml_files
 from egolane_pgm.detectors.runner import Detector, check_pair, find_detector
 from egolane_pgm.experiment import Experiment, experiments_folder, load_experiment, make_experiment
 from egolane_pgm.recordings import read_lines_with
@@ -50,7 +49,6 @@ from egolane_pgm.types import InputError
     "experiment_file",
     type=click.Path(dir_okay=False),
     metavar="X.yaml",
-    shell_complete=yaml_files,
     help="Evidence, graph, filter and parameters.  [default: position in lane, no labels needed]",
 )
 @click.option("--n-lanes", type=click.IntRange(1), help="Number of lanes of the road.")

@@ -15,7 +15,6 @@ import hashlib
 import io
 import json
 import math
-import os
 import tempfile
 from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
