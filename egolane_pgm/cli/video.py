@@ -10,7 +10,6 @@ import click
 
 from egolane_pgm.camera.model import read_camera
 from egolane_pgm.camera.pictures import Source, camera_of_pictures, open_source, read_pictures
-from egolane_pgm.camera.writing import NotKeptError
 from egolane_pgm.cli import options
 from egolane_pgm.detectors.runner import Detector, check_pair, find_detector
 from egolane_pgm.experiment import Experiment, experiments_folder, load_experiment, make_experiment
@@ -124,8 +123,6 @@ def video(
             for picture, scene in scenes(pairs, experiment, truth, pictures):
                 write(picture.frame_id, draw_frame(places, picture.image, scene))
                 n_drawn += 1
-    except NotKeptError:
-        raise
     except InputError as error:
         if not n_drawn or not Path(target).exists():
             raise
