@@ -36,7 +36,6 @@ or those that follow from its kind; `bounds: null` keeps it from that. The table
 
 from __future__ import annotations
 
-import math
 import re
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
@@ -63,7 +62,6 @@ from egolane_pgm.types import (
     InputError,
     Observed,
     all_problems,
-    check_memory,
     suggestion,
 )
 
@@ -239,7 +237,6 @@ def _read_nodes(nodes: Any, where: str) -> tuple[dict[str, int | None], dict[str
             names[str(node)] = tuple(map(str, given))
             values[str(node)] = len(given)
         elif isinstance(given, int) and not isinstance(given, bool) and given > 0:
-            check_memory(8.0 * given**2, f"{where}: nodes.{node}: a table from {given} to as many")
             values[str(node)] = given
         else:
             raise InputError(
@@ -367,9 +364,6 @@ def _tables_of(
             None,
             frozenset(p for p, (n, _) in given.items() if graph.values[n] is None),
         )
-        shape = (*place.parents.values(), place.size)
-        said = f"{place.where}: a table of {' x '.join(map(str, shape))} numbers"
-        check_memory(8.0 * math.prod(shape), said)
         used, values = _evaluate(spec[which] if by_slice else spec, place)
         if set(used) != set(given) and node not in inputs:
             raise InputError(
