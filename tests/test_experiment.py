@@ -115,6 +115,9 @@ def test_unknown_keys_are_named_before_any_other_problem() -> None:
         "unknown key 'filtr' (did you mean 'filter'?)",
         "n_lanes: input should be greater than or equal to 1 (got 0)",
     ]
+    assert wrong_in(recording={"path": "a.bag", "frame_rate": 1e308}) == [
+        "recording.frame_rate: input should be less than or equal to 1000000 (got 1e+308)"
+    ]
     [line] = wrong_in(qqqq=1)
     assert "(known: choice, decode, description, evidence, evidence_reading, filter," in line
 

@@ -160,7 +160,7 @@ def load_graph_file(path: Path, name: str, where: str) -> ModuleType:
         with part():
             graph = _read_graph(content, values, names, here)
         with part():
-            observed = _read_observed(content, here)
+            observed = _read_observed(content, "observed", here)
             _check_nodes(_flat(observed), values, f"{here}: observed")
         with part():
             hidden = _read_names(content, "hidden", here)
@@ -168,6 +168,8 @@ def load_graph_file(path: Path, name: str, where: str) -> ModuleType:
         with part():
             inputs = _read_names(content, "inputs", here)
             _check_nodes(inputs, values, f"{here}: inputs")
+        with part():
+            unused = _read_observed(content, "unused", here)
     module = ModuleType(name, content.get("description"))
 
     def tables(n_lanes: int, parameters: Parameters) -> list[Table]:
@@ -181,9 +183,7 @@ def load_graph_file(path: Path, name: str, where: str) -> ModuleType:
         "HIDDEN": hidden,
         "OBSERVED": observed,
         "INPUTS": inputs,
-        "UNUSED": tuple(
-            tuple(u) if isinstance(u, list) else str(u) for u in content.get("unused") or ()
-        ),
+        "UNUSED": unused,
         "VALUES": graph.names,
         "PARAMETERS": declared,
         "tables": tables,
@@ -213,10 +213,10 @@ def _read_names(content: Mapping[str, Any], key: str, where: str) -> tuple[str, 
     return tuple(map(str, listed))
 
 
-def _read_observed(content: Mapping[str, Any], where: str) -> tuple[Observed, ...]:
-    listed = content["observed"]
+def _read_observed(content: Mapping[str, Any], key: str, where: str) -> tuple[Observed, ...]:
+    listed = content.get(key) or []
     if not isinstance(listed, list):
-        raise InputError(f"{where}: observed: needs a list of nodes, got {listed!r}")
+        raise InputError(f"{where}: {key}: needs a list of nodes, got {listed!r}")
     return tuple(tuple(map(str, o)) if isinstance(o, list) else str(o) for o in listed)
 
 
