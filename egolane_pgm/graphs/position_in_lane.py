@@ -60,7 +60,9 @@ COASTING = (-0.06, -0.04, -0.02, 0.0, 0.02, 0.04, 0.06)
 KEPT_VELOCITY = 0.98
 
 #: The geometry of the cells and of LineMotion. The evidence rule declares these parameters too.
-CELLS = Parameter("cells", "integer", 16, "cells of RoadPosition in each lane", lowest=1)
+CELLS = Parameter(
+    "cells", "integer", 16, "cells of RoadPosition in each lane", lowest=1, highest=100
+)
 MOTION_BINS = Parameter(
     "motion_bins",
     "integer",
