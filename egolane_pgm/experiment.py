@@ -145,7 +145,7 @@ class Recording(Section):
         examples=[[238, 10190]],
     )
     frame_rate: float = Field(
-        default=10.0, gt=0, allow_inf_nan=False, description="frames per second"
+        default=10.0, gt=0, le=1e6, allow_inf_nan=False, description="frames per second"
     )
     missing_frames: Literal["skip", "hold", "predict"] = Field(
         default="skip",

@@ -115,8 +115,39 @@ def test_unknown_keys_are_named_before_any_other_problem() -> None:
         "unknown key 'filtr' (did you mean 'filter'?)",
         "n_lanes: input should be greater than or equal to 1 (got 0)",
     ]
+    assert wrong_in(recording={"path": "a.bag", "frame_rate": 1e308}) == [
+        "recording.frame_rate: input should be less than or equal to 1000000 (got 1e+308)"
+    ]
     [line] = wrong_in(qqqq=1)
     assert "(known: choice, decode, description, evidence, evidence_reading, filter," in line
+
+
+def test_numbers_that_are_a_slip_of_the_hand_are_refused() -> None:
+    assert wrong_in(
+        tuning={"trials": 10**18}, learning={"iterations": 10**18, "strength": 1e100}
+    ) == [
+        "learning.strength: input should be less than or equal to 1000000000 (got 1e+100)",
+        "learning.iterations: input should be less than or equal to 1000000 (got"
+        " 1000000000000000000)",
+        "tuning.trials: input should be less than or equal to 10000000 (got 1000000000000000000)",
+    ]
+
+
+@pytest.mark.parametrize(
+    ("evidence", "graph", "key", "most"),
+    [
+        ("line_geometry", "position_in_lane", "cells", 100),
+        ("line_geometry", "position_in_lane", "motion_bins", 1000),
+        ("counting_levels", "wor_levels", "wor_levels", 100),
+        ("counting", "failure_duration", "failure_phases", 100),
+    ],
+)
+def test_nodes_of_too_many_values_are_refused(
+    evidence: str, graph: str, key: str, most: int
+) -> None:
+    experiment = made(evidence=evidence, graph=graph, parameters={key: 10**9})
+    with pytest.raises(InputError, match=f"parameters.{key}: 1000000000 must be at most {most}"):
+        prepare_model(experiment)
 
 
 def test_every_key_that_does_not_fit_is_named_at_once() -> None:

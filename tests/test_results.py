@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import os
-import signal
 import subprocess
 from collections.abc import Callable
 from pathlib import Path
@@ -33,8 +32,7 @@ from egolane_pgm.scoring.assign import assigned_lane
 from egolane_pgm.tools import files
 from egolane_pgm.tools.files import file_sha256, plain, write_json
 from egolane_pgm.types import InputError
-from tests.kits.drives import contents, done, geometry, refused, simulated, write_drive
-from tests.kits.processes import started
+from tests.kits.drives import command, contents, done, geometry, refused, simulated, write_drive
 
 
 @pytest.fixture(scope="module")
@@ -546,45 +544,21 @@ def test_check_writable_allows_new_empty_and_earlier_directories_only(tmp_path: 
     assert {p.name for p in tmp_path.iterdir()} == {"result", "empty"}
 
 
-#: `egolane run` that stops, with everything written, right before the directory gets its name.
-STOPS = """
-import time
-import egolane_pgm.report.strips as sheet
-def draw(result, path):
-    print("drawing", path.parents[1], flush=True)
-    time.sleep(60)
-sheet.draw_strips = draw
-"""
-
-
-@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGKILL])
-def test_a_killed_run_leaves_no_result_and_an_earlier_one_untouched(
-    drive: Path, saved: Path, tmp_path: Path, number: int
+@pytest.mark.parametrize("is_there", [False, True])
+def test_an_interrupted_run_leaves_no_result_and_an_earlier_one_untouched(
+    drive: Path, saved: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, is_there: bool
 ) -> None:
-    is_there = number == signal.SIGKILL
+    def interrupted(_: object, path: Path) -> None:
+        assert is_result(path.parents[1])
+        raise KeyboardInterrupt
+
     result = tmp_path / "result"
     if is_there:
         damaged(saved, tmp_path, lambda copy: copy.rename(result))
-    before = contents(result)
-    process = started("run", drive, "--out", result, first=STOPS)
-    assert process.stdout is not None
-    said, _, half = process.stdout.readline().strip().partition(" ")
-    assert said == "drawing"
-    assert is_result(Path(half))
-    process.send_signal(number)
-    _, error = process.communicate(timeout=120)
-    assert result.exists() == is_there
-    assert contents(result) == before
-    if number == signal.SIGINT:
-        assert process.returncode == 130
-        assert error == (
-            "egolane: interrupted; nothing was left half-written; the same command begins anew\n"
-        )
-        assert list(tmp_path.iterdir()) == []
-    else:
-        assert process.returncode == -signal.SIGKILL
-        # What a kill cannot clean up is hidden and has no result's name.
-        assert all(p.name.startswith(".egolane-") for p in tmp_path.iterdir() if p != result)
+    before = contents(tmp_path)
+    monkeypatch.setattr("egolane_pgm.report.strips.draw_strips", interrupted)
+    assert command("run", drive, "--out", result).exit_code == 130
+    assert contents(tmp_path) == before
 
 
 def test_a_result_goes_into_the_current_directory_too(

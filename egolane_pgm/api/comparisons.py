@@ -318,7 +318,7 @@ def compare_recordings(
 
     def show(found: Iterator[Any], total: int, doing: str, unit: str) -> Iterable[Any]:
         shows: Iterable[Any] = bar(
-            found, progress if total else False, jobs=jobs, desc=doing, total=total, unit=unit
+            found, progress if total else False, desc=doing, total=total, unit=unit
         )
         return shows
 
@@ -327,13 +327,10 @@ def compare_recordings(
     known = losses_by_experiment(tasks, jobs, choosing)
     searching = partial(show, doing="searching", unit="search")
     done = compare_groups(groups, settings, jobs=jobs, known=known, show=searching)
-    # Processes share the searches, or else the recordings.
-    is_searched = any(e.fit == "tune" for group in groups for e in group.experiments)
-    at_work = 1 if is_searched else jobs
     compared: list[Any] = []
     stopped = None
     try:
-        compared.extend(bar(done, progress, jobs=at_work, total=len(groups), unit="recording"))
+        compared.extend(bar(done, progress, total=len(groups), unit="recording"))
     except KeyboardInterrupt as reason:
         # The recordings that were compared before the interruption are kept.
         if not compared:

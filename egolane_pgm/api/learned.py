@@ -315,7 +315,7 @@ def learn_fleet(
     parts = parts_of_fleet(drives, of, blocks, by_tag)
     with warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always", UserWarning)
-        with bar(None, progress, jobs=jobs, total=1 + (len(parts) or blocks), unit="fit") as shows:
+        with bar(None, progress, total=1 + (len(parts) or blocks), unit="fit") as shows:
             learned = learn_together(
                 experiments, parts, n_blocks=blocks, jobs=jobs, done=shows.update
             )

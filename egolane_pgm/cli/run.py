@@ -172,7 +172,7 @@ def _run_many(
     outcomes: list[OneOfSeveral] = []
     try:
         done = run_all(plan, jobs=jobs, figures=figures)
-        outcomes.extend(bar(done, jobs=jobs, total=len(plan), unit="run"))
+        outcomes.extend(bar(done, total=len(plan), unit="run"))
     except KeyboardInterrupt:
         # A result that was rewritten has a new inode.
         written = sum(_inode(place) not in (None, was) for place, was in before.items())

@@ -289,7 +289,7 @@ def _read_csv(path: Path, columns: Mapping[str, str], rows: int | None) -> Itera
 
 
 def _read_parquet(path: Path, columns: Mapping[str, str], rows: int | None) -> Iterator[Any]:
-    with open_parquet(path, whole=rows is None) as file:
+    with open_parquet(path) as file:
         given = list(file.schema_arrow.names)
         names = _renamed(path, given, columns)
         there = {name: given[names.index(name)] for name in _check_columns(path, names)}

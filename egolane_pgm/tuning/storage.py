@@ -30,7 +30,7 @@ from sqlalchemy.engine import make_url
 from sqlalchemy.exc import SQLAlchemyError
 
 from egolane_pgm.report.study_trials import quiet
-from egolane_pgm.tools.files import clear_once, make_directory, temporary_folder
+from egolane_pgm.tools.files import make_directory, temporary_folder
 from egolane_pgm.tuning.search import Settings, new_study
 from egolane_pgm.tuning.space import Point, differences
 from egolane_pgm.types import InputError
@@ -203,11 +203,7 @@ def _make_database(url: str) -> None:
     if where.get_backend_name() != "sqlite" or name.startswith((":memory:", "file:")) or not name:
         return
     path = Path(name)
-    if path.exists():
-        # Who made it may have been killed before its folder was gone.
-        clear_once(path.parent)
-        return
-    if not path.parent.is_dir():
+    if path.exists() or not path.parent.is_dir():
         return
     with temporary_folder(path.parent) as folder:
         made = folder / path.name

@@ -5,8 +5,8 @@ from __future__ import annotations
 import functools
 import pickle
 import time
-from collections.abc import Callable, Iterable, Iterator, Sequence
-from concurrent.futures import FIRST_COMPLETED, BrokenExecutor, Future, wait
+from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import BrokenExecutor, as_completed
 from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
@@ -39,7 +39,7 @@ from egolane_pgm.tuning.plan import (
     starting_points,
     with_options,
 )
-from egolane_pgm.tuning.search import Report, best_trial, n_complete, search
+from egolane_pgm.tuning.search import Report, best_trial, search
 from egolane_pgm.tuning.space import SearchSpace
 from egolane_pgm.tuning.storage import (
     check_place,
@@ -52,9 +52,6 @@ from egolane_pgm.types import InputError
 #: Called now and then with the name of a study, the number of trials that it finished since, and
 #: its best score so far.
 Progress = Callable[[str, int, float], None]
-
-#: How often it is looked how far a study is, until that is known, seconds.
-_LOOK_S = 1.0
 
 
 @dataclass
@@ -204,7 +201,6 @@ def tune(
     jobs: Jobs = 1,
     workers: int | None = None,
     progress: Progress | None = None,
-    pace: Callable[[float], None] | None = None,
 ) -> Iterator[dict[str, Any]]:
     """Do searches, and yield each one's study.json when it is finished, in their order.
 
@@ -212,7 +208,6 @@ def tune(
     - workers: processes that share the trials of each study on all frames, and the studies without
       a part: those of the cluster, or else as many of this machine.
     - progress: is told of trials as they are done; of other processes', when their study is.
-    - pace: is told before that what a trial takes another process, seconds.
 
     Studies without a part that an earlier command finished are not run again.
     """
@@ -223,7 +218,7 @@ def tune(
     if isinstance(jobs, int):
         jobs = workers or min(jobs, n_tasks)
     if isinstance(jobs, str) or jobs > 1:
-        _in_processes(searches, jobs, workers or 1, progress, pace)
+        _in_processes(searches, jobs, workers or 1, progress)
         for made in searches:
             yield finish(made)
         return
@@ -262,12 +257,12 @@ def _in_processes(
     jobs: Jobs,
     workers: int,
     progress: Progress | None,
-    pace: Callable[[float], None] | None,
 ) -> None:
     """Share the studies and their nested ones out to processes."""
     tasks: list[tuple[int, int | None, int]] = []
     # Begun once, before processes share them.
-    mains = [open_main(made) for made in searches]
+    for made in searches:
+        open_main(made)
     for k in range(len(searches)):
         tasks += [(k, None, worker) for worker in range(workers)]
     for k, made in enumerate(searches):
@@ -281,7 +276,7 @@ def _in_processes(
             given = (pickle.dumps(made.problem.plan), made.directory, made.held_out, made.storage)
             waiting[pool.submit(_do, *given, part, worker)] = (k, part)
         try:
-            for future in _as_done(waiting, mains[0], pace and (lambda s: pace(s * workers))):
+            for future in as_completed(waiting):
                 k, part = waiting[future]
                 made, label = searches[k], searches[k].problem.plan.name
                 if part is not None:
@@ -301,26 +296,6 @@ def _in_processes(
                 "a process died while it worked on a study; repeat the command, what is finished"
                 " is kept"
             ) from error
-
-
-def _as_done(
-    waiting: Iterable[Future[Any]], study: optuna.Study, pace: Callable[[float], None] | None
-) -> Iterator[Future[Any]]:
-    """The futures as they are done; until the first one is, the study's trials tell the pace."""
-    left = set(waiting)
-    before = n_complete(study)
-    begun: float | None = None
-    while left:
-        done, left = wait(left, _LOOK_S if pace else None, FIRST_COMPLETED)
-        if pace and not done:
-            now, trials = time.monotonic(), n_complete(study)
-            if begun is not None and trials > before:
-                pace((now - begun) / (trials - before))
-                pace = None
-            elif trials > before:
-                # Much is loaded and compiled for the first trials.
-                begun, before = now, trials
-        yield from done
 
 
 def finish_main(made: Search, seconds: float) -> None:
