@@ -469,7 +469,5 @@ def search_all(
             shows.set_postfix(best=f"{best:.4f}", refresh=False)
             shows.update(more)
 
-        done = list(
-            studies.tune(driven, jobs=jobs, workers=workers, progress=advance, pace=shows.pace)
-        )
+        done = list(studies.tune(driven, jobs=jobs, workers=workers, progress=advance))
         return done + [on_pictures.tune(made, jobs=jobs, progress=advance) for made in seen]

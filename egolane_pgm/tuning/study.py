@@ -5,8 +5,7 @@ from __future__ import annotations
 import functools
 import pickle
 import time
-from collections.abc import Callable, Iterable, Iterator, Sequence
-from concurrent.futures import FIRST_COMPLETED, BrokenExecutor, Future, wait
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
@@ -16,7 +15,7 @@ import optuna
 
 from egolane_pgm.report.study_trials import STUDY_FILE
 from egolane_pgm.tools.files import make_directory, write_json
-from egolane_pgm.tools.jobs import Jobs, executor
+from egolane_pgm.tools.jobs import Jobs, in_order
 from egolane_pgm.tuning import study_directory as files
 from egolane_pgm.tuning.held_out import (
     Nested,
@@ -39,7 +38,7 @@ from egolane_pgm.tuning.plan import (
     starting_points,
     with_options,
 )
-from egolane_pgm.tuning.search import Report, best_trial, n_complete, search
+from egolane_pgm.tuning.search import Report, best_trial, search
 from egolane_pgm.tuning.space import SearchSpace
 from egolane_pgm.tuning.storage import (
     check_place,
@@ -53,8 +52,9 @@ from egolane_pgm.types import InputError
 #: its best score so far.
 Progress = Callable[[str, int, float], None]
 
-#: How often it is looked how far a study is, until that is known, seconds.
-_LOOK_S = 1.0
+#: What a process is given to do: the number of a search, its plan, directory, held_out and storage,
+#: the part that is left out (None for the study on all frames), and which of its workers this is.
+Task = tuple[int, bytes, Path, str, str | None, int | None, int]
 
 
 @dataclass
@@ -188,14 +188,13 @@ def _loaded(plan: bytes) -> Problem:
     return make_problem(pickle.loads(plan))
 
 
-def _do(
-    plan: bytes, directory: Path, held_out: str, storage: str | None, part: int | None, worker: int
-) -> Any:
-    """A task of a process: one study on all frames (`part` None), or without a part."""
+def _do(task: Task) -> tuple[int, int | None, Any]:
+    """Do a task; returns the search, the part, and what `_search_all` or `_search_without` does."""
+    k, plan, directory, held_out, storage, part, worker = task
     made = Search(_loaded(plan), directory, held_out, storage)
     if part is None:
-        return _search_all(made, worker)
-    return _search_without(made, part, worker)
+        return k, part, _search_all(made, worker)
+    return k, part, _search_without(made, part, worker)
 
 
 def tune(
@@ -204,7 +203,6 @@ def tune(
     jobs: Jobs = 1,
     workers: int | None = None,
     progress: Progress | None = None,
-    pace: Callable[[float], None] | None = None,
 ) -> Iterator[dict[str, Any]]:
     """Do searches, and yield each one's study.json when it is finished, in their order.
 
@@ -212,7 +210,6 @@ def tune(
     - workers: processes that share the trials of each study on all frames, and the studies without
       a part: those of the cluster, or else as many of this machine.
     - progress: is told of trials as they are done; of other processes', when their study is.
-    - pace: is told before that what a trial takes another process, seconds.
 
     Studies without a part that an earlier command finished are not run again.
     """
@@ -223,7 +220,7 @@ def tune(
     if isinstance(jobs, int):
         jobs = workers or min(jobs, n_tasks)
     if isinstance(jobs, str) or jobs > 1:
-        _in_processes(searches, jobs, workers or 1, progress, pace)
+        _in_processes(searches, jobs, workers or 1, progress)
         for made in searches:
             yield finish(made)
         return
@@ -258,69 +255,33 @@ def _counted(progress: Progress | None, made: Search, label: str) -> Report | No
 
 
 def _in_processes(
-    searches: Sequence[Search],
-    jobs: Jobs,
-    workers: int,
-    progress: Progress | None,
-    pace: Callable[[float], None] | None,
+    searches: Sequence[Search], jobs: Jobs, workers: int, progress: Progress | None
 ) -> None:
     """Share the studies and their nested ones out to processes."""
-    tasks: list[tuple[int, int | None, int]] = []
-    # Begun once, before processes share them.
-    mains = [open_main(made) for made in searches]
-    for k in range(len(searches)):
-        tasks += [(k, None, worker) for worker in range(workers)]
+    mains: list[Task] = []
+    nested: list[Task] = []
     for k, made in enumerate(searches):
-        tasks += [(k, part, 0) for part in range(made.n_parts) if part not in made.nested]
+        # Begun once, before processes share it.
+        open_main(made)
+        given = (k, pickle.dumps(made.problem.plan), made.directory, made.held_out, made.storage)
+        mains += [(*given, None, worker) for worker in range(workers)]
+        nested += [(*given, part, 0) for part in range(made.n_parts) if part not in made.nested]
     seconds = [0.0] * len(searches)
     at_work = [workers] * len(searches)
-    with executor(jobs) as pool:
-        waiting = {}
-        for k, part, worker in tasks:
-            made = searches[k]
-            given = (pickle.dumps(made.problem.plan), made.directory, made.held_out, made.storage)
-            waiting[pool.submit(_do, *given, part, worker)] = (k, part)
-        try:
-            for future in _as_done(waiting, mains[0], pace and (lambda s: pace(s * workers))):
-                k, part = waiting[future]
-                made, label = searches[k], searches[k].problem.plan.name
-                if part is not None:
-                    _keep(made, future.result())
-                    best = made.nested[part].values[0]
-                else:
-                    seconds[k] = max(seconds[k], future.result())
-                    at_work[k] -= 1
-                    if at_work[k]:
-                        continue
-                    finish_main(made, seconds[k])
-                    best = next(iter(made.best["values"].values()))
-                if progress is not None:
-                    progress(label, made.problem.settings.trials, best)
-        except BrokenExecutor as error:
-            raise InputError(
-                "a process died while it worked on a study; repeat the command, what is finished"
-                " is kept"
-            ) from error
-
-
-def _as_done(
-    waiting: Iterable[Future[Any]], study: optuna.Study, pace: Callable[[float], None] | None
-) -> Iterator[Future[Any]]:
-    """The futures as they are done; until the first one is, the study's trials tell the pace."""
-    left = set(waiting)
-    before = n_complete(study)
-    begun: float | None = None
-    while left:
-        done, left = wait(left, _LOOK_S if pace else None, FIRST_COMPLETED)
-        if pace and not done:
-            now, trials = time.monotonic(), n_complete(study)
-            if begun is not None and trials > before:
-                pace((now - begun) / (trials - before))
-                pace = None
-            elif trials > before:
-                # Much is loaded and compiled for the first trials.
-                begun, before = now, trials
-        yield from done
+    for k, part, found in in_order(_do, [*mains, *nested], jobs, ordered=False):
+        made, label = searches[k], searches[k].problem.plan.name
+        if part is not None:
+            _keep(made, found)
+            best = found.values[0]
+        else:
+            seconds[k] = max(seconds[k], found)
+            at_work[k] -= 1
+            if at_work[k]:
+                continue
+            finish_main(made, seconds[k])
+            best = next(iter(made.best["values"].values()))
+        if progress is not None:
+            progress(label, made.problem.settings.trials, best)
 
 
 def finish_main(made: Search, seconds: float) -> None:
