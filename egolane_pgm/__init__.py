@@ -32,11 +32,9 @@ if TYPE_CHECKING:
     from egolane_pgm.api.networks import draw_network as draw_network
     from egolane_pgm.api.reproduction import ReproduceResult as ReproduceResult
     from egolane_pgm.api.reproduction import reproduce as reproduce
-    from egolane_pgm.api.runs import RunResult as RunResult
     from egolane_pgm.api.runs import RunResults as RunResults
     from egolane_pgm.api.runs import run as run
-    from egolane_pgm.api.streamed import StreamedResult as StreamedResult
-    from egolane_pgm.api.streamed import run_streamed as run_streamed
+    from egolane_pgm.api.runs import run_streamed as run_streamed
     from egolane_pgm.api.studies import TuneResult as TuneResult
     from egolane_pgm.api.studies import tune as tune
     from egolane_pgm.experiment import experiments_folder as experiments_folder
@@ -47,6 +45,7 @@ if TYPE_CHECKING:
     from egolane_pgm.inference.smoothing import smooth_beliefs as smooth_beliefs
     from egolane_pgm.inference.unrolling import unrolled as unrolled
     from egolane_pgm.learning.em import fit_tables as fit_tables
+    from egolane_pgm.results import Result as Result
     from egolane_pgm.types import Beliefs as Beliefs
     from egolane_pgm.types import Evidence as Evidence
     from egolane_pgm.types import InputError as InputError
@@ -62,7 +61,7 @@ _PUBLIC = {
     "load_experiment": "experiment",
     "run": "api.runs",
     "run_fleet": "api.fleets",
-    "run_streamed": "api.streamed",
+    "run_streamed": "api.runs",
     "tune": "api.studies",
     "learn": "api.learned",
     "learn_fleet": "api.learned",
@@ -73,10 +72,9 @@ _PUBLIC = {
     "load_result": "api.loaded",
     "compile": "inference.compile",
     "draw_network": "api.networks",
-    "RunResult": "api.runs",
+    "Result": "results",
     "RunResults": "api.runs",
     "FleetResult": "api.fleets",
-    "StreamedResult": "api.streamed",
     "TuneResult": "api.studies",
     "LearnResult": "api.learned",
     "FleetLearnResult": "api.learned",

@@ -22,9 +22,9 @@ from typing import Any
 
 import numpy as np
 
+from egolane_pgm.drive import as_name, drive_key, name_of, with_recording
 from egolane_pgm.experiment import Experiment, Overrides, load_experiment
-from egolane_pgm.loading import as_name, drive_key, name_of, with_recording
-from egolane_pgm.running import FinishedRun, PlannedRun, plan_runs
+from egolane_pgm.running import OneOfSeveral, plan_runs
 from egolane_pgm.scoring.bootstrap import over_drives
 from egolane_pgm.tools.files import read_parquet, read_text, read_yaml, write_parquet
 from egolane_pgm.tools.yaml import parse_yaml
@@ -192,7 +192,7 @@ def drive_experiment(base: Experiment, drive: FleetDrive, overrides: Overrides =
 
 def plan_fleet(
     base: Experiment, drives: Sequence[FleetDrive], folder: Path, overrides: Overrides = ()
-) -> list[PlannedRun]:
+) -> list[OneOfSeveral]:
     """Plan a run for each drive, as `running.plan_runs` does; a drive that does not fit becomes a
     run that fails. overrides: as `drive_experiment`."""
     return plan_runs(
@@ -204,7 +204,7 @@ def plan_fleet(
 def drives_of(drives: Sequence[FleetDrive], experiments: Sequence[Experiment]) -> list[str]:
     """Which drive each row of a fleet is of, by the name of its first row.
 
-    - experiments: on each row. Raises InputError as `loading.drive_key`, naming the row.
+    - experiments: on each row. Raises InputError as `drive.drive_key`, naming the row.
     """
     keys = []
     for drive, experiment in zip(drives, experiments, strict=True):
@@ -222,7 +222,9 @@ def first_names(names: Sequence[str], keys: Sequence[str]) -> list[str]:
 # --- the summary -------------------------------------------------------------------------------
 
 
-def summary_rows(drives: Sequence[FleetDrive], done: Sequence[FinishedRun]) -> list[dict[str, Any]]:
+def summary_rows(
+    drives: Sequence[FleetDrive], done: Sequence[OneOfSeveral]
+) -> list[dict[str, Any]]:
     """A row for each drive: its tags, which `drive` it is of (the name of its first row: those of
     several detectors are of one), whether it failed and why, the seconds that it took, and every
     number of scores.json by its keys with dots between them, such as `model.accuracy`.
@@ -236,9 +238,9 @@ def summary_rows(drives: Sequence[FleetDrive], done: Sequence[FinishedRun]) -> l
     rows = []
     for drive, first, run in zip(drives, drive_of, done, strict=True):
         kept = {"drive": first, "error": run.error, "seconds": run.seconds}
-        if run.summary is not None:
+        if run.scores is not None:
             kept |= {"result": str(run.directory)}
-        rows.append(drive_row(drive, kept, run.summary or {}))
+        rows.append(drive_row(drive, kept, run.scores or {}))
     return rows
 
 

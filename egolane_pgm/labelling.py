@@ -22,15 +22,15 @@ from typing import Any
 
 import numpy as np
 
+from egolane_pgm.drive import ONE_DRIVE, Recorded, may_fit
 from egolane_pgm.experiment import Experiment, load_experiment
 from egolane_pgm.inference.events import crossing_probability
 from egolane_pgm.inference.kernels.sweeps import best_path
 from egolane_pgm.inference.viterbi import viterbi_path
-from egolane_pgm.loading import ONE_DRIVE, Recorded
-from egolane_pgm.model import Drive
 from egolane_pgm.plugins import declared_parameters, load_rule_and_graph
 from egolane_pgm.recordings import check_one_drive
-from egolane_pgm.running import Run, run_experiment
+from egolane_pgm.results import Result
+from egolane_pgm.running import run_experiment
 from egolane_pgm.scoring.probabilistic import answers_curve
 from egolane_pgm.scoring.summary import score_with_intervals
 from egolane_pgm.tools.files import plain
@@ -40,6 +40,7 @@ from egolane_pgm.types import (
     InputError,
     IntArray,
     LaneTruth,
+    LineLog,
     joined,
     runs_of,
 )
@@ -107,7 +108,7 @@ class Labels:
     - below: frames with less confidence are reviewed.
     """
 
-    run: Run
+    run: Result
     lane: IntArray
     possible: BoolArray
     story: IntArray
@@ -119,7 +120,13 @@ class Labels:
     @property
     def frame_id(self) -> IntArray:
         """(T,)."""
-        return self.run.recorded.log.frame_id
+        return self.run.frame_id
+
+    @property
+    def lines(self) -> LineLog:
+        """Of T frames."""
+        assert self.run.lines is not None
+        return self.run.lines
 
     @property
     def is_crossing(self) -> BoolArray:
@@ -150,7 +157,7 @@ class Labels:
     @cached_property
     def review(self) -> tuple[Stretch, ...]:
         """The stretches that a human should look at, in their order."""
-        time_s = self.run.recorded.log.time_s
+        time_s = self.run.time_s
         return tuple(self.stretch(a, b) for a, b in joined(self.is_doubtful, time_s, JOIN_S))
 
     @property
@@ -168,7 +175,7 @@ class Labels:
 
     def stretch(self, start: int, stop: int) -> Stretch:
         """What there is to say about the frames in some rows."""
-        log, rows = self.run.recorded.log, slice(start, stop)
+        log, rows = self.lines, slice(start, stop)
         belief, confidence = self.run.beliefs.lane[rows], self.confidence[rows]
         questioned = belief.max(axis=0) >= QUESTIONED
         questioned[self.lane[rows] - 1] = True
@@ -204,21 +211,22 @@ def label_experiment(
     if not 0 <= below <= 1:
         raise InputError(f"below: {below} is not a probability (0 to 1)")
     run = run_experiment(_looking_back(experiment), recorded=recorded)
-    check_one_drive(run.recorded.log, ONE_DRIVE)
+    assert run.lines is not None
+    assert run.evidence is not None
+    check_one_drive(run.lines, ONE_DRIVE)
     if not len(run.beliefs):
-        raise InputError(f"{run.recorded.log.source}: has no frames to label")
-    beliefs, log = run.beliefs, run.recorded.log
+        raise InputError(f"{run.lines.source}: has no frames to label")
+    beliefs, log = run.beliefs, run.lines
     lane = lane_path(beliefs.lane)
     possible = crossed_lanes(lane, log.time_s, beliefs.marginals)
     story = viterbi_path(run.model.compiled, run.evidence, frame_id=log.frame_id).lane
     scores = dict(run.scores)
-    if run.recorded.truth is not None:
-        k = run.recorded.scored
-        rate = run.experiment.recording.frame_rate
-        scores["model"] = score_with_intervals(
-            beliefs.lane[k], run.recorded.truth, rate, assigned=lane[k]
+    if run.truth is not None:
+        k, rate = run.scored, run.experiment.recording.frame_rate
+        scores["model"] = plain(
+            score_with_intervals(beliefs.lane[k], run.truth, rate, assigned=lane[k])
         )
-    return Labels(replace(run, assigned=lane, scores=scores), lane, possible, story, below)
+    return Labels(replace(run, assigned_lane=lane, scores=scores), lane, possible, story, below)
 
 
 def _looking_back(experiment: Experiment) -> Experiment:
@@ -291,7 +299,7 @@ def crossed_lanes(
 
 def _reasons(labels: Labels, rows: slice) -> list[str]:
     """What makes some frames hard, a few words each."""
-    run, log = labels.run, labels.run.recorded.log
+    run, log = labels.run, labels.lines
     marginals, n_frames = run.beliefs.marginals, len(labels)
     found = []
     if rows.start == 0:
@@ -337,13 +345,10 @@ def label_scores(labels: Labels) -> dict[str, Any]:
     A score without a frame is None.
     """
     run = labels.run
-    truth, rows = run.recorded.truth, run.recorded.scored
+    truth, rows, tuning = run.truth, run.scored, run.experiment.tuning
     if truth is None:
         return {}
-    tuning = run.experiment.tuning
-    trusted = Drive(
-        run.experiment, run.model, run.recorded, () if tuning is None else tuning.never_fit
-    ).may_fit
+    trusted = may_fit(truth.frame_id, () if tuning is None else tuning.never_fit)
     keep = trusted & ~truth.is_crossing
     is_right, crossing = labels.lane[rows] == truth.lane, labels.is_crossing[rows]
     curve = answers_curve(labels.confidence[rows][keep], is_right[keep])
@@ -373,7 +378,7 @@ def doubted(labels: Labels, sure: float | None = None) -> BoolArray:
     - sure: the confidence that is needed, the labels' threshold by default.
     """
     found = np.zeros(len(labels), dtype=bool)
-    truth, rows = labels.run.recorded.truth, labels.run.recorded.scored
+    truth, rows = labels.run.truth, labels.run.scored
     if truth is not None:
         found[rows] = (labels.lane[rows] != truth.lane) & ~truth.is_crossing
     is_sure = labels.confidence >= (labels.below if sure is None else sure)

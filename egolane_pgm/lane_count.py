@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from egolane_pgm.drive import Drive
 from egolane_pgm.experiment import Experiment, load_experiment
 from egolane_pgm.graphs.cpds import declare
 from egolane_pgm.inference.compile import compile
@@ -31,15 +32,15 @@ ALIKE, FEWER = 7.0, 20.0
 _JOINT = ("RoadPosition", "SensorState")
 
 
-def doubt_of_lanes(
-    experiment: Experiment, model: Model, log: LineLog, evidence: Evidence
-) -> str | None:
+def doubt_of_lanes(drive: Drive, evidence: Evidence) -> str | None:
     """A line that says which number of lanes a whole recording shows, if it is not the one that was
-    told; None where there is nothing to say.
+    told; None where there is nothing to say, for a clip and where a map tells the lanes.
 
-    - model, evidence: of the experiment; evidence of the T frames of the log.
+    - evidence: of the T frames of the drive.
     """
-    if experiment.evidence_reading != "soft":
+    experiment, model, log = drive.experiment, drive.model, drive.recorded.log
+    knows = log.clip is not None or drive.recorded.road is not None
+    if knows or experiment.evidence_reading != "soft":
         return None
     told = model.n_lanes
     motion = motion_by_lanes(model, evidence)

@@ -1,12 +1,10 @@
-"""A model is an experiment's plugins, checked and compiled; it makes the evidence of a recording. A
-drive is a model together with a recording, for whatever scores or fits."""
+"""A model is an experiment's plugins, checked and compiled; it makes the evidence of a log."""
 
 from __future__ import annotations
 
 import warnings
-from collections import OrderedDict
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 from types import ModuleType
@@ -14,25 +12,21 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
-from egolane_pgm.evidence.lines_beside import fit_of_counts
-from egolane_pgm.experiment import FROM_MAP, Experiment, Gnss, load_experiment
+from egolane_pgm.experiment import FROM_MAP, Experiment
 from egolane_pgm.graphs.from_pgmpy import node_names
 from egolane_pgm.inference.compile import Compiled, compile, compile_tables, with_tables
-from egolane_pgm.inference.filtering import filter_beliefs, read_evidence
+from egolane_pgm.inference.filtering import read_evidence
 from egolane_pgm.inference.layout import check_keys
-from egolane_pgm.inference.smoothing import infer_beliefs
-from egolane_pgm.loading import (
-    Recorded,
-    check_sources,
-    load_recording,
-    road_along,
-    road_of,
-    with_video_rate,
+from egolane_pgm.maps.on_map import (
+    check_on_map,
+    evidence_along,
+    is_of_changing_roads,
+    with_lanes_of,
 )
-from egolane_pgm.maps.across import Across
-from egolane_pgm.maps.lanes_from_gnss import GnssNoise, beside_lines
-from egolane_pgm.maps.steps import LanesAlong, on_constant_road, road_changes
-from egolane_pgm.parameters import Value, number, resolve_parameters
+from egolane_pgm.maps.road_table import RoadTable
+from egolane_pgm.maps.road_table import load as load_road
+from egolane_pgm.maps.steps import LanesAlong
+from egolane_pgm.parameters import Value, resolve_parameters
 from egolane_pgm.plugins import (
     declared_parameters,
     load_plugin,
@@ -41,14 +35,12 @@ from egolane_pgm.plugins import (
     plugin_names,
     plugin_place,
 )
+from egolane_pgm.recordings.source import find_named
+from egolane_pgm.simulation.drives import OverMap
 from egolane_pgm.types import (
-    Beliefs,
-    BoolArray,
     Evidence,
     FloatArray,
     InputError,
-    IntArray,
-    LaneTruth,
     LineLog,
     Observed,
     all_problems,
@@ -57,12 +49,6 @@ from egolane_pgm.types import (
 
 if TYPE_CHECKING:
     from pgmpy.models import DynamicBayesianNetwork
-
-#: What a graph of positions inside the lane observes.
-_POSITIONS = ("RoadPosition", "SensorState")
-
-#: How many evidences a drive keeps; `bonus_value`, which is searched, has 10 values.
-KEPT_EVIDENCE = 12
 
 
 class Roles(NamedTuple):
@@ -179,33 +165,20 @@ def with_map(experiment: Experiment) -> Experiment:
     """
     if not experiment.follows_map and experiment.gnss is None:
         return experiment
-    source = experiment.source
-    graph = load_plugin("graphs", experiment.graph, experiment.folder, f"{source}: graph")
-    if not _is_of_changing_roads(graph):
-        raise InputError(
-            f"{source}: graph: {experiment.graph} is of a road with a fixed number of lanes; a road"
-            " table needs graph: changing_lanes or position_in_changing_lanes"
-        )
-    if experiment.evidence_reading != "soft":
-        raise InputError(
-            f"{source}: evidence_reading: {experiment.evidence_reading} does not go with a road"
-            " table; soft does"
-        )
+    where = f"{experiment.source}: graph"
+    graph = load_plugin("graphs", experiment.graph, experiment.folder, where)
+    check_on_map(experiment, graph)
     if experiment.n_lanes != FROM_MAP:
         return experiment
-    found = road_changes(road_of(experiment))
-    on_map = max([int(found.n_lanes.max()), *(step.after for step in found.steps)])
-    named = {p.name for p in graph.PARAMETERS}
-    known = {name: value for name, value in experiment.parameters.items() if name in named}
-    parameters = resolve_parameters(graph.PARAMETERS, known, on_map, f"{source}: parameters")
-    steps = found.vocabulary(is_exact=not parameters.get("place_sigma_m"))
-    n_lanes = graph.most_lanes(on_map, parameters)
-    return load_experiment(experiment, {"n_lanes": n_lanes, "parameters": {"steps": steps}})
+    return with_lanes_of(road_of(experiment), experiment, graph)
 
 
-def _is_of_changing_roads(graph: ModuleType) -> bool:
-    """Whether a graph is told the lanes of the road in each frame."""
-    return "Step" in getattr(graph, "INPUTS", ()) and hasattr(graph, "most_lanes")
+def road_of(experiment: Experiment) -> RoadTable:
+    """The road table of an experiment that has one. Raises InputError for a file that cannot
+    be used."""
+    if experiment.road is None:
+        return OverMap(experiment).road()
+    return load_road(find_named(experiment, "road"))
 
 
 def with_parameters(model: Model, parameters: Mapping[str, Value]) -> Model:
@@ -371,20 +344,6 @@ def _check_names(rule: ModuleType, graph: ModuleType, source: str) -> None:
             )
 
 
-def model_to_run(experiment: Experiment) -> Model:
-    """The model of an experiment whose recording is about to be read. Where `prepare_model` fails,
-    what is wrong with the recording's files is said as well."""
-    model = None
-    with all_problems() as part:
-        with part():
-            model = prepare_model(experiment)
-        if model is None:
-            with part():
-                check_sources(experiment)
-    assert model is not None
-    return model
-
-
 def _check_shapes(model: Model, where: str) -> None:
     """Raise InputError where the evidence of two frames has not the shapes that the graph needs.
 
@@ -425,9 +384,8 @@ class RuleOutput:
     notes: tuple[str, ...] = ()
 
 
-def online_evidence(model: Model, reading: str = "soft") -> Callable[[LineLog], Evidence]:
-    """A function that makes the evidence of frames as they come, one or a few at a time, as the
-    filter takes it.
+def online_output(model: Model, reading: str = "soft") -> Callable[[LineLog], RuleOutput]:
+    """A function that makes the evidence of frames as they come, one or a few at a time.
 
     - reading: the experiment's `evidence_reading`.
 
@@ -435,12 +393,6 @@ def online_evidence(model: Model, reading: str = "soft") -> Callable[[LineLog], 
     returns a function that remembers them. Any other rule is asked for its `evidence`, and what it
     warns of, seeing a frame alone, is not said. The function raises InputError as `make_evidence`.
     """
-    give = _online_rule(model)
-    return lambda log: _filtered(model, log, give(log), reading)
-
-
-def online_output(model: Model, reading: str = "soft") -> Callable[[LineLog], RuleOutput]:
-    """As `online_evidence`, with the rule's own answer."""
     give = _online_rule(model)
 
     def output_of(log: LineLog) -> RuleOutput:
@@ -452,7 +404,7 @@ def online_output(model: Model, reading: str = "soft") -> Callable[[LineLog], Ru
 
 
 def _online_rule(model: Model) -> Callable[[LineLog], Evidence]:
-    if _is_of_changing_roads(model.graph):
+    if is_of_changing_roads(model.graph):
         raise InputError(
             "a graph of a road whose lanes change is not run online; run the drive with `egolane"
             " run`, or take a graph of a fixed number of lanes (graph: sensor_failure, n_lanes: 3)"
@@ -493,9 +445,9 @@ def make_evidence(
     tentative = None
     with plugin_errors(rule, "evidence"), warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always", UserWarning)
-        if _is_of_changing_roads(model.graph):
-            road = road or on_constant_road(len(log), model.n_lanes)
-            given, tentative = _evidence_along(model, log, road)
+        if is_of_changing_roads(model.graph):
+            plugins = (rule, model.graph, model.n_lanes, model.parameters)
+            given, tentative = evidence_along(*plugins, log, road)
         else:
             given = rule.evidence(log, model.n_lanes, model.parameters)
     filtered = _filtered(model, log, given, reading)
@@ -503,78 +455,6 @@ def make_evidence(
     if tentative is None:
         tentative = _tentative(rule, given, model.n_lanes)
     return RuleOutput(filtered, tentative, tuple(dict.fromkeys(notes)))
-
-
-def _evidence_along(
-    model: Model, log: LineLog, road: LanesAlong
-) -> tuple[Evidence, FloatArray | None]:
-    """The evidence of a log of T frames on a road whose lanes change, and the tentative vector
-    (T, n) of a road with the lanes of the map.
-
-    The rule is asked what it makes of the lines on roads of as many lanes as the map has, one less
-    and one more; each is evidence of the lane on a road of so many lanes.
-    """
-    if _POSITIONS in model.roles.observed:
-        return _positions_along(model, log, road), None
-    rule, n_frames, most = model.rule, len(log), model.n_lanes
-    asked = {n + k for n in np.unique(road.n_lanes).tolist() for k in (-1, 0, 1)}
-    joint = np.zeros((n_frames, most, most))
-    # On a road whose number of lanes is certain, this scales a frame's evidence and no more.
-    fit = fit_of_counts(log, most, number(model.parameters, "lane_width_m"))
-    wor = np.ones((n_frames, 2))
-    tentative = np.zeros((n_frames, most))
-    for n in sorted(asked.intersection(range(1, most + 1))):
-        given = rule.evidence(log, n, model.parameters)
-        output = given.likelihoods["DetectorOutput"]
-        largest = output.max(axis=1, keepdims=True)
-        joint[:, :n, n - 1] = fit[:, n - 1 : n] * output / np.where(largest > 0, largest, 1.0)
-        here = road.n_lanes == n
-        seen = given.likelihoods["WOR"]
-        if seen.shape != wor.shape:
-            raise InputError(f"evidence for WOR: shape {seen.shape}, the graph needs {wor.shape}")
-        wor[here] = seen[here]
-        tentative[here, :n] = output[here]
-    found = Evidence(
-        {("DetectorOutput", "Lanes"): joint, "WOR": wor, "Lane": road.served}, {"Step": road.step}
-    )
-    return found, tentative / tentative.sum(axis=1, keepdims=True)
-
-
-def _positions_along(model: Model, log: LineLog, road: LanesAlong) -> Evidence:
-    """The evidence of positions on a road with the lanes of the map: in each frame what the rule
-    makes of the lines on a road of so many lanes."""
-    cells = int(number(model.parameters, "cells"))
-    joint = np.zeros((len(log), model.n_lanes * cells, 2))
-    motion = np.zeros(len(log), dtype=np.int64)
-    for n in np.unique(road.n_lanes).tolist():
-        given = model.rule.evidence(log, n, model.parameters)
-        here = road.n_lanes == n
-        joint[here, : n * cells] = given.likelihoods[_POSITIONS][here]
-        motion = given.inputs["LineMotion"]
-    joint *= np.repeat(road.served, cells, axis=1)[:, :, None]
-    step = model.graph.step_index(road.step, motion, model.n_lanes, model.parameters)
-    return Evidence({_POSITIONS: joint}, {"Step": step})
-
-
-def with_positions(
-    model: Model, log: LineLog, lines: Evidence, seen: Across, gnss: Gnss
-) -> Evidence:
-    """The evidence of T frames with what positions say of the lane, or of the place across the road
-    for a graph that knows it.
-
-    - lines: the evidence of the T frames of the log without them.
-    """
-    beliefs = filter_beliefs(model.compiled, lines, "exact")
-    of_places = _POSITIONS in lines.likelihoods
-    key = _POSITIONS if of_places else "Lane"
-    believed = beliefs.marginals[_POSITIONS[0]] if of_places else beliefs.lane
-    # A frame without lines tells nothing of the drift, however sure the belief still is.
-    has_lines = log.is_valid.any(axis=1, keepdims=True)
-    believed = np.where(has_lines, believed, 1 / believed.shape[1])
-    noise, cells = GnssNoise(**gnss.model_dump()), believed.shape[1] // model.n_lanes
-    said = beside_lines(seen, log.time_s, believed, noise, cells)
-    joint = lines.likelihoods[key] * (said[:, :, None] if of_places else said)
-    return replace(lines, likelihoods={**lines.likelihoods, key: joint})
 
 
 def _filtered(model: Model, log: LineLog, given: Evidence, reading: str) -> Evidence:
@@ -610,169 +490,3 @@ def _tentative(rule: ModuleType, evidence: Evidence, n_lanes: int) -> FloatArray
 def value_names(model: Model) -> dict[str, list[str]]:
     """The names of each hidden node's values."""
     return {node: list(model.compiled.values[node]) for node in model.compiled.hidden}
-
-
-@dataclass(frozen=True)
-class Drive:
-    """A recording together with an experiment's model, for whatever fits or scores.
-
-    experiment: with the frame rate that was counted with.
-    model: the experiment's, with its own parameters.
-    recorded: the log of T frames, and the K annotated ones among them.
-    never_fit: ranges of frame ids, first to stop (None: to the end), whose labels are not used for
-        fitting.
-    evidence: what `evidence_of` made so far, by the values of the evidence rule's parameters.
-    """
-
-    experiment: Experiment
-    model: Model
-    recorded: Recorded
-    never_fit: tuple[tuple[int, int | None], ...] = ()
-    evidence: OrderedDict[tuple[Value, ...], Evidence] = field(default_factory=OrderedDict)
-
-    def __len__(self) -> int:
-        """The number of frames that blocks are made of: the annotated ones, or all T of a
-        recording without ground truth."""
-        return len(self.rows)
-
-    @property
-    def n_lanes(self) -> int:
-        """Lanes of the road."""
-        return self.experiment.n_lanes
-
-    @property
-    def truth(self) -> LaneTruth:
-        """The ground truth of the K annotated frames; the drive must have one."""
-        assert self.recorded.truth is not None
-        return self.recorded.truth
-
-    @property
-    def rows(self) -> IntArray:
-        """(K,): which frames of the log are annotated; all (T,) without ground truth."""
-        if self.recorded.truth is None:
-            return np.arange(len(self.recorded.log))
-        return self.recorded.scored
-
-    @property
-    def may_fit(self) -> BoolArray:
-        """(K,): marks the frames whose labels may be used for fitting."""
-        ids = self.recorded.log.frame_id[self.rows]
-        keep = np.ones(len(ids), dtype=bool)
-        for first, stop in self.never_fit:
-            keep &= ~((ids >= first) & (ids < (ids[-1] + 1 if stop is None else stop)))
-        return keep
-
-    def only_labels_of(self, train: IntArray) -> Drive:
-        """The same drive without the labels of all annotated frames but `train`.
-
-        The other frames are marked as crossing, in lane 1: no fit and no score looks at the lane of
-        a crossing frame.
-        """
-        if self.recorded.truth is None:
-            return self
-        lane = np.ones_like(self.truth.lane)
-        is_crossing = np.ones_like(self.truth.is_crossing)
-        lane[train] = self.truth.lane[train]
-        is_crossing[train] = self.truth.is_crossing[train]
-        truth = replace(self.truth, lane=lane, is_crossing=is_crossing)
-        return replace(self, recorded=replace(self.recorded, truth=truth))
-
-
-def load_drive(
-    experiment: Experiment,
-    *,
-    needs_truth: str | None,
-    recorded: Recorded | None = None,
-    never_fit: Sequence[tuple[int, int | None]] = (),
-) -> Drive:
-    """Read an experiment's recording and compile its model.
-
-    needs_truth: what the ground truth is needed for, as the end of a message; None where a
-    recording without it will do.
-    recorded: the recording, where it was read already.
-    never_fit: ranges beside those of the experiment's own `tuning.never_fit`.
-
-    Raises InputError as `prepare_model` and `load_recording` do, for an experiment that decodes a
-    path, and, where ground truth is needed, for a recording without it or without a frame to score.
-    """
-    named = experiment.ground_truth is not None or experiment.recording.simulate is not None
-    has_truth = named if recorded is None else recorded.truth is not None
-    with all_problems() as part:
-        with part():
-            if experiment.gnss is not None:
-                raise InputError(
-                    f"{experiment.source}: gnss: positions are for `egolane run`; here leave them"
-                    " out (--set gnss=null)"
-                )
-        with part():
-            experiment = with_map(experiment)
-        with part():
-            if experiment.decode != "marginal":
-                raise InputError(
-                    f"{experiment.source}: decode: {experiment.decode} is for `egolane run`; here"
-                    " beliefs are scored (--set decode=marginal)"
-                )
-        with part():
-            if needs_truth is not None and not has_truth:
-                raise InputError(f"{experiment.source}: ground_truth: is missing, {needs_truth}")
-        with part():
-            model = model_to_run(experiment) if recorded is None else prepare_model(experiment)
-    experiment = with_video_rate(experiment)
-    if recorded is None:
-        recorded = load_recording(experiment, model.parameters)
-    elif experiment.follows_map:
-        # Another graph may be told the same road in other words.
-        road = road_along(experiment, road_of(experiment), model.parameters, recorded.log)
-        recorded = replace(recorded, road=road)
-    truth = recorded.truth
-    if needs_truth is not None and truth is not None and truth.is_crossing.all():
-        raise InputError(f"{truth.source}: every frame is a crossing, nothing to score")
-    own = experiment.tuning.never_fit if experiment.tuning is not None else ()
-    return Drive(experiment, model, recorded, (*own, *never_fit))
-
-
-def evidence_on(drive: Drive, model: Model) -> RuleOutput:
-    """The evidence of all T frames of a drive for a model, on the lanes of its road."""
-    reading = drive.experiment.evidence_reading
-    return make_evidence(model, drive.recorded.log, reading, drive.recorded.road)
-
-
-def beliefs_of(drive: Drive, model: Model) -> tuple[Beliefs, tuple[str, ...]]:
-    """Filter a drive with a model, by the experiment's filter and from the first frame of the log.
-
-    Returns the beliefs of the K annotated frames, and what the evidence rule warned of.
-    """
-    experiment, log = drive.experiment, drive.recorded.log
-    evidence = evidence_on(drive, model)
-    beliefs = infer_beliefs(
-        model.compiled, evidence.filtered, experiment.filter, experiment.lag, frame_id=log.frame_id
-    )
-    return beliefs.take(drive.rows), evidence.notes
-
-
-def evidence_of(drive: Drive, parameters: Mapping[str, Value]) -> Evidence:
-    """The evidence of all T frames with other parameters, every one with its value.
-
-    The drive keeps the last few evidences, by the values of the evidence rule's parameters, and
-    makes one only for values that are not among them.
-    """
-    names = [p.name for p in getattr(drive.model.rule, "PARAMETERS", ())]
-    key = tuple(parameters[name] for name in names)
-    if key in drive.evidence:
-        drive.evidence.move_to_end(key)
-        return drive.evidence[key]
-    made = evidence_on(drive, replace(drive.model, parameters=parameters)).filtered
-    drive.evidence[key] = made
-    if len(drive.evidence) > KEPT_EVIDENCE:
-        drive.evidence.popitem(last=False)
-    return made
-
-
-def belief_of(drive: Drive, parameters: Mapping[str, Value]) -> FloatArray:
-    """Filter a drive with other parameters, every one with its value, from its first frame on.
-
-    Returns the belief over lanes in the annotated frames, (K, n).
-    """
-    compiled = with_parameters(drive.model, parameters).compiled
-    belief = filter_beliefs(compiled, evidence_of(drive, parameters), drive.experiment.filter).lane
-    return belief if len(drive) == len(belief) else belief[drive.rows]

@@ -12,7 +12,7 @@ from egolane_pgm.experiment import Experiment
 from egolane_pgm.inference.filtering import step
 from egolane_pgm.inference.layout import FilterState
 from egolane_pgm.inference.smoothing import LagState, lag_rest, lag_step
-from egolane_pgm.model import online_evidence, prepare_model, value_names
+from egolane_pgm.model import online_output, prepare_model, value_names
 from egolane_pgm.recordings.select import clip_lri, fill_after
 from egolane_pgm.scoring.assign import assigned_lane
 from egolane_pgm.types import Beliefs, InputError, LineLog, suggestion
@@ -59,7 +59,7 @@ def filter_logs(experiment: Experiment, logs: Iterable[LineLog]) -> Iterator[dic
         )
     model = prepare_model(experiment)
     names = value_names(model)
-    evidence_of = online_evidence(model, experiment.evidence_reading)
+    output_of = online_output(model, experiment.evidence_reading)
     recording, below = experiment.recording, experiment.unassigned_below
     max_lri = float(model.parameters.get("max_lri", 10))  # type: ignore[arg-type]
     state: FilterState | None = None
@@ -71,7 +71,7 @@ def filter_logs(experiment: Experiment, logs: Iterable[LineLog]) -> Iterator[dic
         if recording.lri == "clip":
             log = clip_lri(log, max_lri)
         due = fill_after(last, log, recording.missing_frames, recording.frame_rate)
-        evidence = evidence_of(due)
+        evidence = output_of(due).filtered
         last = log
         if experiment.lag is None:
             state, beliefs = step(model.compiled, state, evidence, experiment.filter)

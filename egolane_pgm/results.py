@@ -1,9 +1,11 @@
-"""The layout of a result directory: complete, so that a report can be made from it alone.
+"""What an experiment believed: `Result`, and the directory that it is stored in.
+
+A directory is complete, so that a report can be made from it alone:
 
 - experiment.yaml: the resolved experiment, every default spelled out; `egolane run` takes it.
-- run.json: where the numbers come from (`result_schema.Run`).
-- scores.json: the scores (`result_schema.RunScores`).
-- beliefs.parquet: one row per frame (`result_schema.COLUMNS`).
+- run.json: where the numbers come from (`Run`).
+- scores.json: the scores (`RunScores`).
+- beliefs.parquet: one row per frame (`COLUMNS`).
 - lines.parquet: the lines that were believed, a row each, a recording as `recordings.table` reads
   them; selected, and with missing frames put in as the experiment says.
 - events.csv: one row per lane change that the beliefs tell of (`LaneEvents`), and `late_s`, from
@@ -25,23 +27,25 @@ from __future__ import annotations
 
 import contextlib
 import functools
-import hashlib
 import os
 import platform
 import shutil
 import subprocess
+import warnings
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from datetime import UTC, datetime
 from fnmatch import fnmatch
-from importlib import metadata
+from importlib import import_module, metadata
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Annotated, Any, Literal, Self
 
 import numpy as np
 from numpy.typing import NDArray
+from pydantic import Field, model_validator
+from pydantic_core import from_json
 
-from egolane_pgm.experiment import Experiment, config_hash
+from egolane_pgm.experiment import Experiment, Section, config_hash, make_experiment, validated
 from egolane_pgm.inference.events import (
     crossing_probability,
     in_tracks,
@@ -49,15 +53,11 @@ from egolane_pgm.inference.events import (
     numbered,
     tracks_of,
 )
-from egolane_pgm.result_schema import SCHEMA_VERSION as SCHEMA_VERSION
-from egolane_pgm.result_schema import (
-    belief_columns,
-    read_beliefs,
-    read_run,
-    read_scores,
-    tentative_columns,
-    validated_in_one_line,
-)
+from egolane_pgm.model import Model, prepare_model
+from egolane_pgm.plugins import OWN_FILES
+from egolane_pgm.recordings.source import files_in_full
+from egolane_pgm.scoring.assign import assigned_lane
+from egolane_pgm.scoring.document import Count, Events, Finite, Scores, Share, Stored
 from egolane_pgm.scoring.events import event_delays
 from egolane_pgm.tools.files import (
     arrow_table,
@@ -66,18 +66,22 @@ from egolane_pgm.tools.files import (
     check_place,
     clear_once,
     code_checksum,
+    open_parquet,
+    parquet_writer,
+    read_text,
     read_yaml,
     rows_of_parquet,
     write_bytes,
     write_json,
-    write_parquet,
     write_text,
     write_yaml,
 )
 from egolane_pgm.types import (
+    MAX_LANES,
     UNASSIGNED,
     Beliefs,
     BoolArray,
+    Evidence,
     FloatArray,
     InputError,
     IntArray,
@@ -87,34 +91,68 @@ from egolane_pgm.types import (
     pieces_of,
 )
 
+if TYPE_CHECKING:
+    import pandas as pd
+    import xarray as xr
+    from matplotlib.figure import Figure
+
+#: Of the keys of run.json, scores.json and comparison.json.
+SCHEMA_VERSION = 1
+
 #: The files of the beliefs and of the lines.
 BELIEFS, LINES = "beliefs.parquet", "lines.parquet"
 
+_AGAIN = "; run the experiment again"
 
-@dataclass(frozen=True)
+
+@dataclass(frozen=True, repr=False, eq=False)
 class Result:
-    """The contents of a result directory.
+    """What an experiment believed, frame by frame: what `ego.run` returns, a result directory
+    stores, and tables and figures read.
 
-    experiment, run, scores: the contents of the files of these names.
-    frame_id, time_s (T,): seconds.
-    marginals: per hidden node (T, k).
-    values: per hidden node the names of its k values.
-    tentative (T, n): the detector's own answer, or None.
-    assigned_lane, detector_lane (T,): 1..n, 0 is Unassigned.
-    true_lane (T,): 1..n, 0 where not annotated.
-    is_crossing (T,): whether the car is changing lanes.
-    log_evidence (T,): natural logarithm.
-    is_impossible (T,): marks frames whose evidence the model does not allow.
-    block (T,): where a comparison believed each block with what was found without it, the frame's
-        block; else None.
-    clip (T,): of a recording of several clips the name of each frame's, as in `LineLog`.
-    road_lanes, origin (T,): lanes of the road as the map says, and where their numbers begin, see
-        `maps.steps.LanesAlong`; None for a road on which lanes do not change.
-    lines: of the T frames; None in a directory that was written before lines were kept.
+    - directory: where it was read, or was written in parts; before, the YAML that was run.
+    - experiment: with the frame rate that was counted with.
+    - config: the experiment with every default spelled out.
+    - run, scores: what run.json and scores.json say.
+    - frame_id, time_s (T,): seconds.
+    - marginals: per hidden node (T, k); of a run that was written in parts Lane only.
+    - values: per hidden node the names of its k values.
+    - tentative (T, n): the evidence rule's own answer, or None.
+    - assigned_lane (T,): the lane that is answered, 1..n, 0 is Unassigned.
+    - true_lane (T,): 1..n, 0 where not annotated.
+    - is_crossing (T,): whether the car is changing lanes.
+    - log_evidence (T,): natural logarithm.
+    - is_impossible (T,): marks frames whose evidence the model does not allow.
+    - crossing (T,): the probability that the car is on a line between two lanes; None for a graph
+      without RoadPosition.
+    - block (T,): where each block was believed with what was found without it, the frame's block;
+      else None.
+    - clip (T,): of a recording of several clips the name of each frame's, as in `LineLog`.
+    - road_lanes, origin (T,): lanes of the road as the map says, and where their numbers begin, see
+      `maps.steps.LanesAlong`; None for a road on which lanes do not change.
+    - lines: of the T frames; None in a directory that was written before lines were kept.
+    - evidence: what was filtered; None where the result was read.
+
+    >>> import egolane_pgm as ego
+    >>> place = ego.experiments_folder() / "quickstart.yaml"
+    >>> run = ego.run(place, overrides={"recording.frames": [0, 300]})
+    >>> run
+    Result('quickstart': 300 frames, accuracy 0.877, detector 0.558; not tuned, causal)
+    >>> run.scores["model"]["frames_scored"]
+    260
+    >>> run.events.to_pandas()[["time_s", "from_lane", "to_lane", "delay_s"]].round(1)
+       time_s  from_lane  to_lane  delay_s
+    0     3.7          4        3     -0.4
+    1    10.5          3        2     -0.6
+    2    18.5          2        1      NaN
+    3    20.7          1        2      NaN
+    >>> run.to_pandas()[["time_s", "Lane=1", "SensorState=OK", "true_lane"]].shape
+    (300, 4)
     """
 
     directory: Path
-    experiment: Mapping[str, Any]
+    experiment: Experiment
+    config: Mapping[str, Any]
     run: Mapping[str, Any]
     scores: Mapping[str, Any]
     frame_id: IntArray
@@ -123,16 +161,29 @@ class Result:
     values: Mapping[str, tuple[str, ...]]
     tentative: FloatArray | None
     assigned_lane: IntArray
-    detector_lane: IntArray | None
     true_lane: IntArray
     is_crossing: BoolArray
     log_evidence: FloatArray
     is_impossible: BoolArray
+    crossing: FloatArray | None = None
     block: IntArray | None = None
     clip: NDArray[np.str_] | None = None
     road_lanes: IntArray | None = None
     origin: IntArray | None = None
     lines: LineLog | None = None
+    evidence: Evidence | None = None
+    compiled: Model | None = None
+
+    def __len__(self) -> int:
+        return len(self.frame_id)
+
+    def __repr__(self) -> str:
+        return f"Result({self._title()})"
+
+    @property
+    def name(self) -> str:
+        """The name of the experiment."""
+        return str(self.run["name"])
 
     @property
     def n_lanes(self) -> int:
@@ -140,43 +191,75 @@ class Result:
         return int(self.run["n_lanes"])
 
     @property
+    def notes(self) -> list[str]:
+        """Warnings, a line each."""
+        return list(self.run["warnings"])
+
+    @functools.cached_property
+    def model(self) -> Model:
+        """The graph and the evidence rule, compiled."""
+        return self.compiled or prepare_model(self.experiment)
+
+    @functools.cached_property
     def beliefs(self) -> Beliefs:
         """The belief over the values of each hidden node, of T frames."""
         return Beliefs(self.frame_id, self.marginals, self.log_evidence, self.is_impossible)
 
     @property
-    def truth(self) -> LaneTruth | None:
-        """The ground truth of the annotated frames, or None."""
-        known = self.true_lane != UNASSIGNED
-        if not known.any():
-            return None
-        return LaneTruth(self.frame_id[known], self.true_lane[known], self.is_crossing[known])
+    def detector_lane(self) -> IntArray | None:
+        """(T,): the most probable lane of the evidence rule's own answer, 0 is Unassigned."""
+        return None if self.tentative is None else assigned_lane(self.tentative)
 
     @functools.cached_property
-    def events(self) -> LaneEvents:
-        """The lane changes that the beliefs tell of."""
-        rate, truth = float(self.run["frame_rate"]), self.truth
-        lag, pieces = self.experiment.get("lag"), pieces_of(self.clip, len(self.frame_id))
-        beliefs, origin = self.beliefs, self.origin
-        if origin is not None:
-            beliefs = in_tracks(beliefs, origin)
+    def scored(self) -> IntArray:
+        """(K,): the annotated frames."""
+        return np.flatnonzero(self.true_lane != UNASSIGNED)
+
+    @functools.cached_property
+    def truth(self) -> LaneTruth | None:
+        """The ground truth of the annotated frames, or None."""
+        k = self.scored
+        if not len(k):
+            return None
+        return LaneTruth(self.frame_id[k], self.true_lane[k], self.is_crossing[k])
+
+    @functools.cached_property
+    def told(self) -> LaneEvents:
+        """The lane changes that the beliefs tell of, with lanes that keep their numbers all along
+        the drive (`inference.events.in_tracks`)."""
+        rate, lag = float(self.run["frame_rate"]), self.config.get("lag")
+        beliefs = self.beliefs
+        if self.origin is not None:
+            beliefs = in_tracks(beliefs, self.origin)
+        pieces = pieces_of(self.clip, len(self))
         found = [
             lane_events(beliefs.take(piece), rate, lag=lag, time_s=self.time_s[piece])
             for piece in pieces
         ]
-        events = LaneEvents.joined(found)
+        return LaneEvents.joined(found)
+
+    @functools.cached_property
+    def events(self) -> LaneEvents:
+        """The lane changes that the beliefs tell of, see `egolane_pgm.inference.events`; with
+        ground truth, how late each was told."""
+        events, truth, origin = self.told, self.truth, self.origin
         if truth is not None:
             if origin is not None:
-                known = self.true_lane != UNASSIGNED
-                truth = replace(truth, lane=truth.lane + tracks_of(origin)[known])
-            events = replace(events, delay_s=event_delays(events, truth, rate))
+                truth = replace(truth, lane=truth.lane + tracks_of(origin)[self.scored])
+            delay = event_delays(events, truth, float(self.run["frame_rate"]))
+            events = replace(events, delay_s=delay)
         return events if origin is None else numbered(events, self.frame_id, origin)
 
-    @property
-    def crossing(self) -> FloatArray | None:
-        """(T,): the probability that the car is on a line between two lanes; None for a graph
-        without RoadPosition."""
-        return crossing_probability(self.marginals)
+    def columns(self) -> dict[str, NDArray[Any]]:
+        """The columns of beliefs.parquet, (T,) each, in their order; masked arrays have nulls."""
+        columns: dict[str, NDArray[Any]] = {}
+        for column in COLUMNS:
+            values = column.values(self)
+            if isinstance(values, Mapping):
+                columns |= values
+            elif values is not None:
+                columns[column.name] = values
+        return columns
 
     def clip_columns(self) -> dict[str, NDArray[Any]]:
         """The columns of clips.csv, one value for each clip; empty where the recording is one
@@ -197,34 +280,545 @@ class Result:
             "log_evidence": np.array([self.log_evidence[piece].mean() for piece in pieces]),
         }
 
-    def columns(self) -> dict[str, np.ndarray[Any, Any]]:
-        """The columns of beliefs.parquet, (T,) each, in their order; masked arrays have nulls."""
-        columns: dict[str, np.ndarray[Any, Any]] = {
-            "frame_id": self.frame_id,
-            "time_s": self.time_s,
+    # --- shown; pandas, xarray, matplotlib and the page are imported when they are asked for ----
+
+    def _title(self) -> str:
+        from egolane_pgm.report.shown import result_title
+
+        return result_title(self)
+
+    def _repr_html_(self) -> str:
+        from egolane_pgm.report.shown import result_html
+
+        return result_html(self)
+
+    def to_pandas(self) -> pd.DataFrame:
+        """A row per frame; the index is `frame_id`.
+
+        Columns: `time_s`, the belief in each value of a hidden node (`Lane=1`, `SensorState=OK`,
+        ...), `crossing` (the probability that the car is on a line between two lanes, of graphs
+        that have a RoadPosition), `assigned_lane` (0: no answer), the evidence rule's own answer
+        (`detector=1`, ..., `detector_lane`) where it has one, `log_evidence`, `is_impossible`, and
+        `true_lane` and `is_crossing`, missing where nobody annotated the frame.
+        """
+        import pandas as pd
+
+        names = {
+            f"{node}_{value}": f"{node}={value}"
+            for node, values in self.values.items()
+            for value in values
         }
-        for node, names in self.values.items():
-            for k, name in enumerate(names):
-                columns[f"{node}_{name}"] = self.marginals[node][:, k]
-        crossing = self.crossing
-        if crossing is not None:
-            columns["crossing"] = crossing
-        columns["assigned_lane"] = self.assigned_lane
-        if self.tentative is not None and self.detector_lane is not None:
-            for k in range(self.n_lanes):
-                columns[f"detector_{k + 1}"] = self.tentative[:, k]
-            columns["detector_lane"] = self.detector_lane
-        columns["log_evidence"] = self.log_evidence
-        columns["is_impossible"] = self.is_impossible
-        unknown = self.true_lane == UNASSIGNED
-        columns["true_lane"] = np.ma.masked_array(self.true_lane, unknown)
-        columns["is_crossing"] = np.ma.masked_array(self.is_crossing, unknown)
-        if self.clip is not None:
-            columns["clip"] = self.clip
-        if self.road_lanes is not None and self.origin is not None:
-            columns["road_lanes"] = self.road_lanes
-            columns["origin"] = self.origin
-        return columns if self.block is None else {**columns, "block": self.block}
+        names |= {f"detector_{k}": f"detector={k}" for k in range(1, self.n_lanes + 1)}
+        columns: dict[str, Any] = {}
+        for name, column in self.columns().items():
+            if isinstance(column, np.ma.MaskedArray):
+                kind = "boolean" if column.dtype == bool else "Int64"
+                values = pd.array(column.data, dtype=kind)
+                values[np.ma.getmaskarray(column)] = pd.NA
+                columns[name] = values
+            else:
+                columns[names.get(name, name)] = column
+        return pd.DataFrame(columns).set_index("frame_id")
+
+    def to_xarray(self) -> xr.Dataset:
+        """The same with an axis for each hidden node: `belief_Lane` (frame_id, Lane), ...
+
+        Raises InputError where xarray is not installed.
+        """
+        from egolane_pgm.report.shown import as_dataset, xarray
+
+        frame = self.to_pandas()
+        flat = as_dataset(frame[[name for name in frame if "=" not in name]])
+        lanes = list(range(1, self.n_lanes + 1))
+        for node, values in self.values.items():
+            axis = lanes if node == "Lane" else list(values)
+            belief = xarray().DataArray(
+                self.marginals[node],
+                dims=("frame_id", node),
+                coords={"frame_id": self.frame_id, node: axis},
+            )
+            flat[f"belief_{node}"] = belief
+        if self.tentative is not None:
+            flat["detector"] = (("frame_id", "Lane"), self.tentative)
+        flat.attrs["name"] = self.name
+        return flat
+
+    def plot(self, first: int | None = None, last: int | None = None) -> Figure:
+        """Draw the beliefs over time as strips, the truth below.
+
+        - first, last: frame ids, both included; the whole drive by default.
+
+        Raises InputError for a range without frames.
+        """
+        from egolane_pgm.report.strips import strips_figure
+        from egolane_pgm.report.style import inline_figure
+
+        return inline_figure(lambda: strips_figure(self, first, last))
+
+    def report(self, file: str | os.PathLike[str]) -> Path:
+        """Write the page that `egolane report` writes: one HTML file with an interactive timeline.
+
+        - file: its name; its folder is made.
+
+        Raises InputError where it cannot be written. What the page lacks is warned of.
+
+        >>> import tempfile
+        >>> import egolane_pgm as ego
+        >>> place = ego.experiments_folder() / "quickstart.yaml"
+        >>> run = ego.run(place, overrides={"recording.frames": [0, 300]})
+        >>> with tempfile.TemporaryDirectory() as folder:
+        ...     run.report(f"{folder}/page.html").name
+        'page.html'
+        """
+        # The page is a wing: it is found by name, so that nothing here needs it.
+        page = import_module("egolane_pgm.report.page.document")
+        for line in page.write_page([self], Path(file)):
+            warnings.warn(line, UserWarning, stacklevel=2)
+        return Path(file)
+
+    def save(self, directory: str | os.PathLike[str], *, figures: bool = True) -> Path:
+        """Write the result directory that `egolane run --out` writes; `load_result` reads it.
+
+        - figures: whether the belief over time is drawn in it; `egolane plot` draws more.
+
+        An older result of that name is replaced; files of your own in it stay. Raises
+        InputError where the directory holds anything else, or cannot be written. Where only the
+        figures cannot be drawn it raises InputError too, and the result is kept without them.
+        """
+        from egolane_pgm.report.strips import draw_strips
+
+        place, undrawn = Path(directory), ""
+        with staged(place) as folder:
+            write_result(folder, self)
+            try:
+                if figures:
+                    draw_strips(self, folder / "figures" / "strips.png")
+            except InputError as error:
+                shutil.rmtree(folder / "figures", ignore_errors=True)
+                undrawn = str(error).replace(str(folder), str(place))
+        if undrawn:
+            raise InputError(f"{undrawn}; the result without figures is in {place}")
+        return place
+
+
+# --- beliefs.parquet ---------------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class Column:
+    """A column of beliefs.parquet.
+
+    - name: with NODE_VALUE for each value of each hidden node, detector_LANE for each lane.
+    - needed: whether it has to be there: "always"; "sometimes"; or the name of another column,
+      which it goes with.
+    - values: takes a result, gives the column, those of several names, or None.
+    """
+
+    name: str
+    kind: str
+    needed: str
+    meaning: str
+    values: Callable[[Result], Any]
+
+
+def _known(result: Result, values: NDArray[Any]) -> NDArray[Any]:
+    """The values of annotated frames; null in others."""
+    return np.ma.masked_array(values, result.true_lane == UNASSIGNED)
+
+
+#: The columns of beliefs.parquet in their order.
+COLUMNS = (
+    Column("frame_id", "int64", "always", "increases from row to row", lambda r: r.frame_id),
+    Column("time_s", "float64", "always", "seconds", lambda r: r.time_s),
+    Column(
+        "NODE_VALUE",
+        "float64",
+        "always",
+        "belief: Lane_1, ..., SensorState_OK, ...",
+        lambda r: {
+            f"{node}_{name}": r.marginals[node][:, k]
+            for node, names in r.values.items()
+            for k, name in enumerate(names)
+        },
+    ),
+    Column(
+        "crossing",
+        "float64",
+        "sometimes",
+        "probability that the car is on a line between two lanes, of graphs with RoadPosition",
+        lambda r: r.crossing,
+    ),
+    Column(
+        "assigned_lane",
+        "int64",
+        "always",
+        "the answer; 0 for none (a tie, unassigned_below)",
+        lambda r: r.assigned_lane,
+    ),
+    Column(
+        "detector_LANE",
+        "float64",
+        "detector_lane",
+        "the evidence rule's own answer",
+        lambda r: {
+            f"detector_{k + 1}": column
+            for k, column in enumerate([] if r.tentative is None else r.tentative.T)
+        },
+    ),
+    Column(
+        "detector_lane",
+        "int64",
+        "sometimes",
+        "its most probable lane; 0 for none",
+        lambda r: r.detector_lane,
+    ),
+    Column("log_evidence", "float64", "always", "natural logarithm", lambda r: r.log_evidence),
+    Column(
+        "is_impossible",
+        "bool",
+        "always",
+        "the model does not allow the frame's evidence",
+        lambda r: r.is_impossible,
+    ),
+    Column(
+        "true_lane",
+        "int64",
+        "always",
+        "null where not annotated",
+        lambda r: _known(r, r.true_lane),
+    ),
+    Column(
+        "is_crossing",
+        "bool",
+        "always",
+        "the car is changing lanes; null where not annotated",
+        lambda r: _known(r, r.is_crossing),
+    ),
+    Column("clip", "string", "sometimes", "name of the clip, where several", lambda r: r.clip),
+    Column(
+        "road_lanes",
+        "int64",
+        "sometimes",
+        "lanes of the road, with n_lanes: map",
+        lambda r: r.road_lanes,
+    ),
+    Column(
+        "origin",
+        "int64",
+        "road_lanes",
+        "lane k is lane k - origin of the first frame",
+        lambda r: r.origin,
+    ),
+    Column(
+        "block",
+        "int64",
+        "sometimes",
+        "of what was believed held out: the block that was left out",
+        lambda r: r.block,
+    ),
+)
+
+
+def read_beliefs(file: Path, run: Mapping[str, Any]) -> dict[str, np.ndarray[Any, Any]]:
+    """The columns of beliefs.parquet, (T,) each, by name; those that a result may lack only where
+    it has them. Of frames that are not annotated `true_lane` is 0 and `is_crossing` false.
+
+    - run: what run.json says, which names the hidden nodes and their values.
+
+    Raises InputError in one line, naming the file and the column, where one is missing, has another
+    type, an empty cell, or numbers that cannot be (lanes that the road does not have, beliefs that
+    do not add up to 1, frame ids that do not increase).
+    """
+    import pyarrow as pa
+
+    if not file.is_file():
+        raise InputError(f"{file}: is missing, the result is not whole{_AGAIN}")
+    try:
+        with open_parquet(file) as stored:
+            table = stored.read()
+            names = table.column_names
+    except InputError as error:
+        raise InputError(f"{error}{_AGAIN}") from None
+    if len(table) != run["frames"]:
+        raise InputError(f"{file}: has {len(table)} frames, run.json says {run['frames']}{_AGAIN}")
+    found: dict[str, np.ndarray[Any, Any]] = {}
+    for name, kind, is_needed in _columns(run, set(names)):
+        if name in names or is_needed:
+            try:
+                found[name] = _column(table, name, kind)
+            except (pa.ArrowException, KeyError, ValueError) as error:
+                raise InputError(f"{file}: column {name}: {error}{_AGAIN}") from None
+    for name, problem in _impossible(found, run):
+        raise InputError(f"{file}: column {name}: {problem}{_AGAIN}")
+    return found
+
+
+def belief_columns(run: Mapping[str, Any]) -> dict[str, list[str]]:
+    """Per hidden node the columns of its values."""
+    return {node: [f"{node}_{v}" for v in names] for node, names in run["values"].items()}
+
+
+def tentative_columns(run: Mapping[str, Any]) -> list[str]:
+    """The columns of the detector's own answer."""
+    return [f"detector_{k + 1}" for k in range(run["n_lanes"])]
+
+
+#: The columns whose cells are empty where a frame is not annotated, and what is read there.
+_EMPTY: dict[str, int | bool] = {"true_lane": 0, "is_crossing": False}
+
+
+def _columns(run: Mapping[str, Any], there: set[str]) -> Iterator[tuple[str, str, bool]]:
+    """The name of each column, its type, and whether it has to be there."""
+    several = {
+        "NODE_VALUE": [name for names in belief_columns(run).values() for name in names],
+        "detector_LANE": tentative_columns(run),
+    }
+    for column in COLUMNS:
+        is_needed = column.needed == "always" or column.needed in there
+        for name in several.get(column.name, [column.name]):
+            yield name, column.kind, is_needed
+
+
+def _column(table: Any, name: str, kind: str) -> np.ndarray[Any, Any]:
+    import pyarrow as pa
+
+    if table.column_names.count(name) != 1:
+        raise ValueError("is missing" if name not in table.column_names else "is there twice")
+    column = table.column(name)
+    wanted = {"int64": pa.int64(), "float64": pa.float64(), "bool": pa.bool_()}.get(
+        kind, pa.string()
+    )
+    is_number = pa.types.is_integer(column.type) or pa.types.is_floating(column.type)
+    fits = is_number if kind in ("int64", "float64") else column.type == wanted
+    if not (fits or (pa.types.is_large_string(column.type) and kind == "string")):
+        raise ValueError(f"has type {column.type}, not {kind}")
+    if name in _EMPTY:
+        column = column.fill_null(pa.scalar(_EMPTY[name], column.type))
+    if column.null_count:
+        raise ValueError(f"has {column.null_count} empty cells")
+    try:
+        array = column.cast(wanted).to_numpy(zero_copy_only=False)
+    except pa.ArrowException:
+        raise ValueError(f"has type {column.type} and values that are no {kind}") from None
+    return np.asarray(array, dtype=np.str_) if kind == "string" else np.asarray(array)
+
+
+def _impossible(
+    found: Mapping[str, np.ndarray[Any, Any]], run: Mapping[str, Any]
+) -> Iterator[tuple[str, str]]:
+    """Each column with numbers that no result has, and what is wrong with them."""
+    n_lanes = run["n_lanes"]
+    if np.any(np.diff(found["frame_id"]) <= 0):
+        yield "frame_id", "does not increase from frame to frame"
+    if not np.isfinite(found["time_s"]).all():
+        yield "time_s", "is not a number in every frame"
+    if np.isnan(found["log_evidence"]).any():
+        yield "log_evidence", "is not a number in every frame"
+    groups = {**belief_columns(run), "detector": tentative_columns(run)}
+    for names in groups.values():
+        for name in names:
+            values = found.get(name)
+            # NaN is not between 0 and 1 either.
+            if values is not None and not ((values >= 0) & (values <= 1 + 1e-9)).all():
+                yield name, "is not a probability in every frame"
+    for node, names in belief_columns(run).items():
+        total = np.sum([found[name] for name in names], axis=0)
+        if np.any(np.abs(total - 1) > 1e-6):
+            yield f"{node}_{run['values'][node][0]}", f"the belief over {node} does not add up to 1"
+    for name in ("assigned_lane", "detector_lane", "true_lane", "road_lanes"):
+        values = found.get(name)
+        if values is not None and np.any((values < 0) | (values > n_lanes)):
+            yield name, f"has lanes that are not of 1 to {n_lanes}"
+
+
+# --- run.json and scores.json ------------------------------------------------------------------
+
+
+class Causal(Stored):
+    """Whether a belief about a frame knows that frame and earlier ones only."""
+
+    filter: bool = Field(description="whether the filter looks at the frame and earlier ones only")
+    evidence: bool = Field(
+        description="the same of the evidence rule, which may take a lane width from the whole"
+        " recording"
+    )
+
+
+class Data(Stored):
+    """A file that was read."""
+
+    path: str = Field(description="where it was")
+    sha256: str = Field(
+        description="its checksum; of a folder, that of the list of its files' checksums"
+    )
+    bytes: Count = Field(description="its size")
+
+
+class Summary(Stored):
+    """What run.json and scores.json both say."""
+
+    schema_version: int = Field(
+        description="version of these keys; another program may refuse another one"
+    )
+    name: str = Field(description="name of the experiment")
+    tuned_on: Literal["same_frames", "other_frames", "not_tuned", "unknown"] = Field(
+        description="what the parameters have seen, as in the experiment"
+    )
+    is_causal: bool = Field(description="false: a belief about a frame uses later frames too")
+    causal: Causal = Field(description="the same of filter and evidence apart")
+    why_not_causal: list[str] = Field(description="a line for each that is not")
+    n_lanes: int = Field(
+        ge=1, le=MAX_LANES, description="lanes of the road; the most of them where they change"
+    )
+    frames: Count = Field(description="frames that were filtered")
+    frames_scored: Count = Field(
+        description="annotated frames that are not crossing; 0 without ground truth"
+    )
+    mean_log_evidence: Finite | None = Field(description="natural logarithm, mean over the frames")
+    impossible_frames: Count = Field(
+        description="frames whose evidence the model does not allow; they keep their prediction"
+    )
+    warnings: list[str] = Field(description="what was odd, a line each")
+
+
+class Run(Summary):
+    """run.json: where the numbers come from."""
+
+    config_hash: str = Field(
+        description="sha256 of the resolved experiment, whatever the order of its keys"
+    )
+    data: list[Data] = Field(description="the files that were read")
+    versions: dict[str, str] = Field(
+        description="of Python and of the packages that numbers depend on"
+    )
+    git: dict[str, Any] | None = Field(
+        description="commit, and whether the checkout is dirty; null where the package is installed"
+    )
+    created: str = Field(description="time, UTC")
+    plugins: dict[str, dict[str, str]] = Field(
+        description="file and sha256 of graph and evidence rule"
+    )
+    code: str | None = Field(default=None, description="a checksum of this package's code")
+    seconds: Finite | None = Field(
+        default=None, description="that reading, filtering and scoring took"
+    )
+    frame_rate: float = Field(gt=0, allow_inf_nan=False, description="frames per second")
+    values: dict[str, Annotated[list[str], Field(min_length=1)]] = Field(
+        description="names of each hidden node's values"
+    )
+
+    @model_validator(mode="after")
+    def _has_lanes(self) -> Self:
+        lanes = [str(k + 1) for k in range(self.n_lanes)]
+        if self.values.get("Lane") != lanes:
+            raise ValueError(f"values.Lane is not 1 to {self.n_lanes}, the lanes of n_lanes")
+        return self
+
+
+class HeldOut(Stored):
+    """An experiment's part of a comparison, see `comparing.groups.document`."""
+
+    name: str = Field(description="name of the experiment")
+    scores: dict[str, Scores] = Field(
+        description="by which frames: `all_frames`, and others that the comparison names"
+    )
+
+    @model_validator(mode="after")
+    def _has_all_frames(self) -> Self:
+        if "all_frames" not in self.scores:
+            raise ValueError("scores.all_frames: is missing")
+        return self
+
+
+class RunScores(Summary):
+    """scores.json of a run. `model` and `detector` are there with ground truth."""
+
+    model: Scores | None = Field(default=None, description="scores of the belief")
+    detector: Scores | None = Field(
+        default=None, description="scores of the evidence rule's own answer"
+    )
+    sure: Share | None = Field(
+        description="share of frames whose lane has a belief of at least .9; null without frames"
+    )
+    lanes: list[Annotated[list[Finite], Field(min_length=3, max_length=3)]] = Field(
+        description="the lane over time: [lane, from second, to second]; of several clips none"
+    )
+    events: Events = Field(description="the lane changes")
+
+
+class HeldOutScores(Stored):
+    """scores.json of an experiment that was compared."""
+
+    schema_version: int = Field(description="version of these keys")
+    name: str = Field(description="name of the experiment")
+    held_out: HeldOut = Field(description="its part of the comparison")
+
+
+def read_run(directory: Path) -> Any:
+    """What run.json says. Raises InputError in one line, naming the file and a key that does not
+    fit."""
+    return _read_json(directory / "run.json", lambda _: Run)
+
+
+def read_scores(directory: Path) -> Any:
+    """What scores.json says. Raises InputError as `read_run`."""
+    return _read_json(
+        directory / "scores.json",
+        lambda content: HeldOutScores if "held_out" in content else RunScores,
+    )
+
+
+def _read_json(file: Path, model_of: Callable[[dict[str, Any]], type[Section]]) -> Any:
+    return parse_json(_text_of(file), file, model_of)
+
+
+def parse_json(
+    text: str | bytes,
+    file: Path,
+    model_of: Callable[[dict[str, Any]], type[Section]],
+    again: str = _AGAIN,
+) -> Any:
+    """The content of a file that a program wrote. Raises InputError in one line, naming the file
+    and a key that does not fit.
+
+    - model_of: gives the keys and types of the content.
+    - again: what to do, as the end of a message.
+    """
+    try:
+        content = from_json(text, allow_inf_nan=False)
+    except ValueError as error:
+        raise InputError(f"{file}: is not JSON ({error}){again}") from None
+    if not isinstance(content, dict):
+        raise InputError(f"{file}: needs keys and values{again}")
+    version = content.get("schema_version", SCHEMA_VERSION)
+    if version != SCHEMA_VERSION or isinstance(version, bool):
+        raise InputError(
+            f"{file}: has schema_version {str(version)[:20]}, this program reads"
+            f" {SCHEMA_VERSION}{again}"
+        )
+    with in_one_line(again):
+        validated(model_of(content), content, str(file))
+    return content
+
+
+@contextlib.contextmanager
+def in_one_line(again: str) -> Iterator[None]:
+    """Say in one line all that is wrong with a file that a program wrote, and what to do."""
+    try:
+        yield
+    except InputError as error:
+        first, *others = error.lines
+        more = f" (and {len(others)} more of the like)" if others else ""
+        raise InputError(f"{first}{more}{again}") from None
+
+
+def _text_of(file: Path) -> str:
+    if not file.is_file():
+        raise InputError(f"{file}: is missing, the result is not whole{_AGAIN}")
+    return read_text(file)
+
+
+# --- the directory -----------------------------------------------------------------------------
 
 
 def check_writable(directory: Path, kinds: Sequence[Callable[[Path], bool]] = ()) -> None:
@@ -319,34 +913,46 @@ def _keep_others(old: Path, new: Path) -> None:
                 shutil.copy2(file, kept, follow_symlinks=False)
 
 
-def write_result(directory: Path, result: Result, experiment: Mapping[str, Any]) -> None:
-    """Write the files of a result into `directory`.
+def write_result(directory: Path, result: Result) -> None:
+    """Write the files of a result into `directory`."""
+    with parquet_writer(directory / BELIEFS) as write:
+        write(arrow_table(result.columns()))
+    write_rest(directory, result)
 
-    - experiment: what experiment.yaml says, see `running.portable`.
-    """
+
+def write_rest(directory: Path, result: Result) -> None:
+    """Write all files of a result but the beliefs. Raises InputError for one whose beliefs are in
+    another directory only."""
     from egolane_pgm.recordings.table import write_table
 
-    write_parquet(directory / BELIEFS, arrow_table(result.columns()))
     if result.lines is not None and len(result.lines):
         write_table(directory / LINES, result.lines)
     if result.clip is not None:
         _write_columns(directory / "clips.csv", result.clip_columns())
-    write_summary(directory, experiment, result.events, result.run, result.scores)
-
-
-def write_summary(
-    directory: Path,
-    experiment: Mapping[str, Any],
-    events: LaneEvents,
-    run: Mapping[str, Any],
-    scores: Mapping[str, Any],
-) -> None:
-    """Write the files of a result that have no row for each frame."""
-    write_yaml(directory / "experiment.yaml", experiment)
-    _write_columns(directory / "events.csv", events.columns())
+    write_yaml(directory / "experiment.yaml", _portable(result, directory))
+    _write_columns(directory / "events.csv", result.events.columns())
     version = {"schema_version": SCHEMA_VERSION}
-    write_json(directory / "scores.json", {**version, **scores})
-    write_json(directory / "run.json", {**version, **run})
+    write_json(directory / "scores.json", {**version, **result.scores})
+    write_json(directory / "run.json", {**version, **result.run})
+
+
+def _portable(result: Result, directory: Path) -> dict[str, Any]:
+    """The config of a result in a form that can be run from its directory: the user's own plugin
+    files are copied into it, recordings and other files that lie beside the YAML are named by their
+    whole path."""
+    content, folder = {**result.config}, result.experiment.folder
+    for key in ("evidence", "graph"):
+        if str(content[key]).endswith(OWN_FILES):
+            own = folder / content[key]
+            copy = f"{key}_{own.name.removeprefix(f'{key}_')}"
+            shutil.copyfile(own, directory / copy)
+            content[key] = f"./{copy}"
+    for key in ("recording", "ground_truth"):
+        if content[key]:
+            content[key] = files_in_full(content[key], folder)
+    if content.get("road"):
+        content["road"] = str((folder / content["road"]).absolute())
+    return content
 
 
 def _write_columns(file: Path, columns: Mapping[str, NDArray[Any]]) -> None:
@@ -366,14 +972,16 @@ def read_result(directory: str | Path) -> Result:
     """Read a result directory.
 
     Raises InputError in one line, naming the directory where it is not one, or the file and what
-    is wrong in it (see `result_schema`).
+    is wrong in it.
     """
     directory = Path(directory)
     if not is_result(directory):
         raise InputError(f"{directory}: is not a result directory (no run.json and scores.json)")
     run, scores = read_run(directory), read_scores(directory)
-    experiment = read_yaml(directory / "experiment.yaml", "n_lanes: 4")
-    validated_in_one_line(Experiment, experiment, directory / "experiment.yaml")
+    file = directory / "experiment.yaml"
+    config = read_yaml(file, "n_lanes: 4")
+    with in_one_line(_AGAIN):
+        experiment = make_experiment(config, directory, str(file))
     column = read_beliefs(directory / BELIEFS, run)
     marginals = {
         node: np.stack([column[name] for name in names], axis=1)
@@ -382,28 +990,24 @@ def read_result(directory: str | Path) -> Result:
     tentative = None
     if "detector_lane" in column:
         tentative = np.stack([column[name] for name in tentative_columns(run)], axis=1)
+    kept = (
+        "frame_id", "time_s", "assigned_lane", "true_lane", "is_crossing", "log_evidence",
+        "is_impossible", "block", "clip", "road_lanes", "origin",
+    )  # fmt: skip
+    columns: dict[str, Any] = {name: column[name] for name in kept if name in column}
     result = Result(
-        directory,
-        experiment,
-        run,
-        scores,
-        column["frame_id"],
-        column["time_s"],
-        marginals,
-        {node: tuple(names) for node, names in run["values"].items()},
-        tentative,
-        column["assigned_lane"],
-        column.get("detector_lane"),
-        column["true_lane"],
-        column["is_crossing"],
-        column["log_evidence"],
-        column["is_impossible"],
-        column.get("block"),
-        column.get("clip"),
-        column.get("road_lanes"),
-        column.get("origin"),
+        experiment=experiment,
+        config=config,
+        run=run,
+        scores=scores,
+        marginals=marginals,
+        values={node: tuple(names) for node, names in run["values"].items()},
+        tentative=tentative,
+        crossing=crossing_probability(marginals),
+        directory=directory,
+        **columns,
     )
-    return replace(result, lines=_read_lines(result))
+    return replace(result, lines=_read_lines(directory / LINES, result))
 
 
 def read_said(directory: Path) -> tuple[dict[str, Any], dict[str, Any]]:
@@ -420,11 +1024,10 @@ def read_said(directory: Path) -> tuple[dict[str, Any], dict[str, Any]]:
     return run, scores
 
 
-def _read_lines(result: Result) -> LineLog | None:
+def _read_lines(file: Path, result: Result) -> LineLog | None:
     """The lines of a result's directory, None where there are none."""
     from egolane_pgm.recordings.table import read_table
 
-    file = result.directory / LINES
     if not file.exists():
         return None
     log = read_table(file)
@@ -433,13 +1036,16 @@ def _read_lines(result: Result) -> LineLog | None:
     return replace(log, time_s=result.time_s, clip=result.clip)
 
 
+# --- where numbers come from -------------------------------------------------------------------
+
+
 def provenance(
     name: str, content: Mapping[str, Any], data: Sequence[Mapping[str, Any]]
 ) -> dict[str, Any]:
     """Where numbers come from, for every file that has some.
 
     content: what was configured, all defaults included. data: an entry for each file that was read,
-    as `loading.data_entries` gives them.
+    as `drive.data_entries` gives them.
     """
     return {
         "name": name,
@@ -450,12 +1056,6 @@ def provenance(
         "git": git_state(),
         "created": datetime.now(UTC).isoformat(timespec="seconds"),
     }
-
-
-def file_sha256(path: Path) -> str:
-    """The checksum of a file."""
-    with path.open("rb") as file:
-        return hashlib.file_digest(file, "sha256").hexdigest()
 
 
 def versions(

@@ -1,61 +1,49 @@
-"""One experiment end to end: recording -> evidence -> beliefs -> scores -> result directory."""
+"""One experiment end to end: recording -> evidence -> beliefs -> scores; or several of them."""
 
 from __future__ import annotations
 
 import hashlib
 import os
-import shutil
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from egolane_pgm.experiment import (
-    Experiment,
-    config_hash,
-    load_experiment,
-    resolved,
-)
-from egolane_pgm.inference.events import (
-    SURE,
-    crossing_probability,
-    in_tracks,
-    lane_events,
-    lane_stretches,
-    tracks_of,
-)
-from egolane_pgm.inference.smoothing import infer_beliefs
-from egolane_pgm.inference.viterbi import disagreement, viterbi_path
-from egolane_pgm.lane_count import doubt_of_lanes
-from egolane_pgm.loading import (
+from egolane_pgm.drive import (
+    Drive,
     Recorded,
     as_name,
     data_entries,
     drive_key,
+    evidence_on,
     file_entry,
-    files_in_full,
-    load_recording,
     name_of,
-    with_video_rate,
+    open_drive,
+    source_of,
+    with_own_rate,
 )
-from egolane_pgm.maps.steps import LanesAlong
-from egolane_pgm.model import (
-    Model,
-    RuleOutput,
-    causality,
-    make_evidence,
-    model_to_run,
-    prepare_model,
-    value_names,
-    with_map,
-    with_positions,
+from egolane_pgm.experiment import Experiment, config_hash, load_experiment, resolved
+from egolane_pgm.inference.events import (
+    SURE,
+    crossing_probability,
+    in_tracks,
+    lane_stretches,
+    tracks_of,
 )
-from egolane_pgm.plugins import OWN_FILES, source_files
+from egolane_pgm.inference.filtering import piece_frames, step
+from egolane_pgm.inference.layout import FilterState
+from egolane_pgm.inference.smoothing import infer_beliefs
+from egolane_pgm.inference.viterbi import disagreement, viterbi_path
+from egolane_pgm.lane_count import doubt_of_lanes
+from egolane_pgm.model import Model, causality, online_output, prepare_model, value_names, with_map
+from egolane_pgm.plugins import source_files
 from egolane_pgm.results import (
+    BELIEFS,
     SCHEMA_VERSION,
     Result,
     check_writable,
@@ -63,69 +51,83 @@ from egolane_pgm.results import (
     read_said,
     staged,
     versions,
-    write_result,
+    write_rest,
 )
 from egolane_pgm.scoring.assign import assigned_lane
 from egolane_pgm.scoring.events import event_scores
 from egolane_pgm.scoring.road import road_scores
 from egolane_pgm.scoring.summary import score_with_intervals, stability_scores
-from egolane_pgm.tools.files import code_checksum, plain
+from egolane_pgm.tools.files import arrow_table, code_checksum, parquet_writer, plain
 from egolane_pgm.tools.jobs import Jobs, in_order, is_elsewhere
 from egolane_pgm.tools.progress import bar
 from egolane_pgm.types import (
+    NOTE,
     UNASSIGNED,
     Beliefs,
     Evidence,
     FloatArray,
     InputError,
     IntArray,
-    LaneEvents,
-    LaneTruth,
-    without_passwords,
+    all_problems,
 )
 
-#: Adds figures of a result to the directory that it is given.
-Draw = Callable[[Result, Path], None]
+#: A drive that is run in parts has about this many frames in each.
+PART_FRAMES = 2**14
+
+#: What a result says of itself that was run in parts.
+LEFT_OUT = (
+    f"{NOTE}run in parts: what is noted of all lines together (lane width, number of lanes) is left"
+    " out"
+)
 
 
 @dataclass(frozen=True)
-class Run:
-    """An experiment that was run.
+class Believed:
+    """What a model made of T frames.
 
-    experiment: with the frame rate that was counted with.
-    evidence, beliefs: of the T frames of the log.
-    assigned (T,): the lane that is answered, 1..n or UNASSIGNED.
-    tentative (T, n): the evidence rule's own answer over lanes, or None.
-    scores: "model" and, with a tentative vector, "detector", as `score_with_intervals` gives them;
-        empty without ground truth.
-    sure: the share of frames whose lane has a probability of at least SURE; None of no frames.
-    lanes: the lane over time (`lane_stretches`); none of several clips.
-    events: `told`, how many lane changes the beliefs tell of; with ground truth the scores of
-        `event_scores`.
-    notes: warnings, a line each.
-    seconds: that reading, filtering and scoring took.
+    - beliefs: with the ids of the frames.
+    - assigned (T,): the lane that is answered, 1..n or UNASSIGNED.
+    - tentative (T, n): the evidence rule's own answer, or None.
+    - crossing (T,): see `Result`.
+    - evidence: what was filtered; None where it was not kept.
+    - notes: warnings, a line each.
     """
 
-    experiment: Experiment
-    model: Model
-    recorded: Recorded
-    evidence: Evidence
     beliefs: Beliefs
     assigned: IntArray
-    tentative: FloatArray | None
-    scores: Mapping[str, Mapping[str, Any]]
-    sure: float | None
-    lanes: Sequence[tuple[int, float, float]]
-    events: Mapping[str, Any]
-    notes: tuple[str, ...]
-    seconds: float
+    tentative: FloatArray | None = None
+    crossing: FloatArray | None = None
+    evidence: Evidence | None = None
+    notes: tuple[str, ...] = ()
+
+    @classmethod
+    def joined(cls, parts: Sequence[Believed]) -> Believed:
+        """What was made of several clips, or parts of a drive, one after the other. Of notes that
+        differ the first is kept."""
+        if len(parts) == 1:
+            return parts[0]
+        notes = list(dict.fromkeys(note for part in parts for note in part.notes))
+        if len(notes) > 1:
+            notes = [f"{notes[0]}; and {len(notes) - 1} more of the like in other clips"]
+        evidence = [part.evidence for part in parts if part.evidence is not None]
+        return cls(
+            Beliefs.joined([part.beliefs for part in parts]),
+            np.concatenate([part.assigned for part in parts]),
+            _joined([part.tentative for part in parts]),
+            _joined([part.crossing for part in parts]),
+            Evidence.joined(evidence) if len(evidence) == len(parts) else None,
+            tuple(notes),
+        )
+
+
+def _joined(parts: Sequence[FloatArray | None]) -> FloatArray | None:
+    there = [part for part in parts if part is not None]
+    return np.concatenate(there) if len(there) == len(parts) else None
 
 
 def run_experiment(
-    experiment: Experiment | str | Path,
-    *,
-    recorded: Recorded | None = None,
-) -> Run:
+    experiment: Experiment | str | Path, *, recorded: Recorded | None = None
+) -> Result:
     """Run an experiment.
 
     - experiment: an experiment, or its YAML file.
@@ -136,352 +138,235 @@ def run_experiment(
     begun = time.perf_counter()
     if not isinstance(experiment, Experiment):
         experiment = load_experiment(experiment)
-    experiment = with_map(experiment)
-    model = model_to_run(experiment) if recorded is None else prepare_model(experiment)
-    if recorded is None:
-        experiment = with_video_rate(experiment)
-        recorded = load_recording(experiment, model.parameters, clips=True)
-    # Each clip of a recording is filtered from the prior on, as a drive of its own.
-    logs = [recorded.log.take(piece) for piece in recorded.log.pieces()]
-    made: list[RuleOutput] = []
-    found: list[Beliefs] = []
-    for log in bar(logs, None if len(logs) > 1 else False, unit="clip"):
-        made.append(make_evidence(model, log, experiment.evidence_reading, recorded.road))
-        of_lines = made[-1].filtered
-        if experiment.gnss is not None and recorded.across is not None:
-            joint = with_positions(model, log, of_lines, recorded.across, experiment.gnss)
-            made[-1] = replace(made[-1], filtered=joint)
-        filtered, method, lag = made[-1].filtered, experiment.filter, experiment.lag
-        found.append(infer_beliefs(model.compiled, filtered, method, lag, frame_id=log.frame_id))
-    evidence, beliefs = joined_outputs(made), Beliefs.joined(found)
-    notes = [*recorded.notes, *evidence.notes]
-    notes += note_of_impossible(recorded.log.source, int(beliefs.is_impossible.sum()))
-    if recorded.log.clip is None and recorded.road is None:
-        doubt = doubt_of_lanes(experiment, model, recorded.log, of_lines)
-        notes.extend([doubt] if doubt else [])
-    assigned = assigned_lane(beliefs.lane, experiment.unassigned_below)
-    if experiment.decode == "viterbi":
-        assigned = np.zeros(0, dtype=np.int64)
-        for log, each, belief in zip(logs, made, found, strict=True):
-            path = viterbi_path(model.compiled, each.filtered, frame_id=log.frame_id)
-            assigned = np.concatenate([assigned, path.lane])
-            doubt = disagreement(path, belief).warning
-            notes.extend([doubt] if doubt else [])
-    rate = experiment.recording.frame_rate
-    road, truth, answered = recorded.road, recorded.truth, assigned
-    if road is not None:
-        # Lanes that begin and end at the left change numbers, and that is no change of lane.
-        found = [in_tracks(beliefs, road.origin)]
-        tracks = tracks_of(road.origin)
-        answered = np.where(assigned == UNASSIGNED, UNASSIGNED, assigned + tracks)
-        if truth is not None:
-            rows = recorded.scored
-            unsure = truth.is_crossing | road.is_renumbering[rows]
-            truth = replace(truth, lane=truth.lane + tracks[rows], is_crossing=unsure)
-    changes = LaneEvents.joined(
-        [
-            lane_events(each, rate, lag=experiment.lag, time_s=log.time_s)
-            for each, log in zip(found, logs, strict=True)
-        ]
-    )
-    scores: dict[str, Any] = {}
-    events: dict[str, Any] = {"told": len(changes)}
-    if recorded.truth is not None and truth is not None:
-        crossing = crossing_probability(beliefs.take(recorded.scored).marginals)
-        events = event_scores(changes, crossing, truth, rate)
-        named = {"detector": evidence.tentative, "model": beliefs.lane}
-        # A tentative vector is no belief: the reject option and the path are the model's.
-        answers = {"detector": None, "model": assigned[recorded.scored]}
-        scores = {
-            name: score_with_intervals(
-                belief[recorded.scored], recorded.truth, rate, assigned=answers[name]
-            )
-            for name, belief in named.items()
-            if belief is not None
-        }
-        if road is not None:
-            over_time = stability_scores(
-                answered[rows], truth.lane, truth.is_crossing, truth.frame_id, rate
-            )
-            scores["model"] |= over_time
-            scores["model"]["road"] = road_scores(
-                assigned[rows],
-                recorded.truth,
-                road.n_lanes[rows],
-                road.changes,
-                log_frames=rows,
-                frame_rate=rate,
-            )
-    return Run(
-        experiment,
-        model,
-        recorded,
-        evidence.filtered,
-        beliefs,
-        assigned,
-        evidence.tentative,
-        scores,
-        float((beliefs.lane.max(axis=1) >= SURE).mean()) if len(beliefs) else None,
-        [] if len(found) > 1 else _stretches(found[0], changes, recorded.log.time_s, road),
-        events,
-        tuple(notes),
-        time.perf_counter() - begun,
-    )
-
-
-def _stretches(
-    beliefs: Beliefs, changes: LaneEvents, time_s: FloatArray, road: LanesAlong | None
-) -> list[tuple[int, float, float]]:
-    """The lane over time; on a road whose lanes change by its number when the stretch begins."""
-    found = lane_stretches(beliefs, changes, time_s)
-    if road is None:
-        return found
-    tracks = tracks_of(road.origin)
-    frames = np.searchsorted(time_s, [begin for _, begin, _ in found])
-    return [
-        (lane - int(tracks[k]), begin, end)
-        for k, (lane, begin, end) in zip(frames, found, strict=True)
+    drive = open_drive(experiment, recorded=recorded, clips=True)
+    # Each clip is filtered from the prior on, as a drive of its own.
+    clips = drive.recorded.clips()
+    parts = [
+        believe(replace(drive, recorded=clip))
+        for clip in bar(clips, None if len(clips) > 1 else False, unit="clip")
     ]
+    return scored_result(drive, Believed.joined(parts), begun)
 
 
-def joined_outputs(outputs: Sequence[RuleOutput]) -> RuleOutput:
-    """What an evidence rule made of several clips, one after the other. Of notes that differ the
-    first is kept."""
-    first = outputs[0]
-    if len(outputs) == 1:
-        return first
-    vectors = [each.tentative for each in outputs if each.tentative is not None]
-    notes = list(dict.fromkeys(note for each in outputs for note in each.notes))
-    if len(notes) > 1:
-        notes = [f"{notes[0]}; and {len(notes) - 1} more of the like in other clips"]
-    return RuleOutput(
-        Evidence.joined([each.filtered for each in outputs]),
-        np.concatenate(vectors) if len(vectors) == len(outputs) else None,
-        tuple(notes),
-    )
+def believe(drive: Drive) -> Believed:
+    """Filter a drive of T frames: what the experiment's model makes of its lines."""
+    experiment, model, log = drive.experiment, drive.model, drive.recorded.log
+    made = evidence_on(drive, model)
+    filtered, method = made.filtered, experiment.filter
+    beliefs = infer_beliefs(model.compiled, filtered, method, experiment.lag, frame_id=log.frame_id)
+    assigned, doubts = ANSWERS[experiment.decode](drive, filtered, beliefs)
+    doubt = doubt_of_lanes(drive, filtered)
+    notes = (*made.notes, *doubts, *([doubt] if doubt else []))
+    crossing = crossing_probability(beliefs.marginals)
+    return Believed(beliefs, assigned, made.tentative, crossing, filtered, notes)
 
 
-def save_run(run: Run, directory: str | Path, draw: Draw | None = None) -> Path:
-    """Write a result directory; `results` says what is in it. An older one is replaced;
-    files of others in it stay.
+def _most_probable(
+    drive: Drive, evidence: Evidence, beliefs: Beliefs
+) -> tuple[IntArray, list[str]]:
+    """The most probable lane of each frame, and no note."""
+    return assigned_lane(beliefs.lane, drive.experiment.unassigned_below), []
 
-    - draw: adds figures to the directory before that has its final name.
 
-    Raises InputError where the directory cannot be written. Where only the figures cannot be drawn
-    it raises InputError too, and the result is kept without them.
+def _on_best_path(drive: Drive, evidence: Evidence, beliefs: Beliefs) -> tuple[IntArray, list[str]]:
+    """The lanes of the most probable path, and a note where it is not to be trusted."""
+    path = viterbi_path(drive.model.compiled, evidence, frame_id=beliefs.frame_id)
+    doubt = disagreement(path, beliefs).warning
+    return path.lane, [doubt] if doubt else []
+
+
+#: What is answered, by the experiment's `decode`.
+ANSWERS = {"marginal": _most_probable, "viterbi": _on_best_path}
+
+
+# --- the result --------------------------------------------------------------------------------
+
+
+def scored_result(drive: Drive, found: Believed, begun: float) -> Result:
+    """The result of a run.
+
+    - found: of all T frames of the drive.
+    - begun: `time.perf_counter()` when it began.
     """
-    return save_result(result_of(run), run.experiment, run.model, directory, draw)
+    recorded = drive.recorded
+    n_impossible = int(found.beliefs.is_impossible.sum())
+    notes = [*recorded.notes, *found.notes]
+    if n_impossible:
+        notes.append(
+            f"{recorded.log.source}: the evidence of {n_impossible} frame(s) has joint likelihood"
+            " zero; they keep their prediction"
+        )
+    rows = result_rows(drive, found)
+    run = run_document(drive, rows, notes)
+    rows = replace(rows, run=run, config=plain(resolved(drive.experiment, drive.model.parameters)))
+    scores = scores_document(rows, drive, notes)
+    seconds = round(time.perf_counter() - begun, 3)
+    return replace(rows, run=plain({**run, "seconds": seconds}), scores=plain(scores))
 
 
-def save_result(
-    result: Result,
-    experiment: Experiment,
-    model: Model,
-    directory: str | Path,
-    draw: Draw | None = None,
-) -> Path:
-    """Write the result of an experiment as `save_run` does.
-
-    - experiment: knows the folder in which the files lie that the result's config names.
-    """
-    directory = Path(directory)
-    undrawn: InputError | None = None
-    with staged(directory) as folder:
-        write_result(folder, result, portable(experiment, model, result.experiment, folder))
-        try:
-            if draw is not None:
-                draw(result, folder)
-        except InputError as error:
-            shutil.rmtree(folder / "figures", ignore_errors=True)
-            undrawn = InputError(str(error).replace(str(folder), str(directory)))
-    if undrawn is not None:
-        raise InputError(f"{undrawn}; the result without figures is in {directory}")
-    return directory
-
-
-def result_of(run: Run) -> Result:
-    """What the result directory of a run says."""
-    content = resolved(run.experiment, run.model.parameters)
-    return make_result(
-        run.experiment,
-        run.model,
-        run.recorded,
-        run.beliefs,
-        run.tentative,
-        run.assigned,
-        content=content,
-        scores=summary(run),
-        notes=run.notes,
-        found={"seconds": round(run.seconds, 3)},
-    )
-
-
-def portable(
-    experiment: Experiment, model: Model, content: Mapping[str, Any], folder: Path
-) -> dict[str, Any]:
-    """The resolved config in a form that can be run from a result directory.
-
-    - content: the resolved config.
-    - folder: the result directory. The user's own plugin files are copied into it; recordings and
-      other files that lie beside the YAML are named by their whole path.
-    """
-    portable = {**content}
-    for key, module in (("evidence", model.rule), ("graph", model.graph)):
-        if str(content[key]).endswith(OWN_FILES) and module.__file__:
-            copy = f"{key}_{Path(module.__file__).name.removeprefix(f'{key}_')}"
-            shutil.copyfile(module.__file__, folder / copy)
-            portable[key] = f"./{copy}"
-    for key in ("recording", "ground_truth"):
-        if content[key]:
-            portable[key] = files_in_full(content[key], experiment.folder)
-    if content.get("road"):
-        portable["road"] = str((experiment.folder / content["road"]).absolute())
-    return portable
-
-
-def summary(run: Run) -> dict[str, Any]:
-    """What `--json` and scores.json say: plain, unrounded, documented in `results`."""
-    content = {
-        "name": run.experiment.name,
-        **said_of(run.experiment, run.model, counts_of(run.beliefs, run.recorded.truth), run.notes),
-        **run.scores,
-        "sure": run.sure,
-        "lanes": list(run.lanes),
-        "events": dict(run.events),
-    }
-    if run.recorded.log.clip is not None:
-        content["clips"] = len(run.recorded.log.pieces())
-    return content
-
-
-def counts_of(beliefs: Beliefs, truth: LaneTruth | None) -> dict[str, Any]:
-    """What run.json and scores.json count: of the beliefs about T frames, and the truth of those
-    that are annotated."""
-    return {
-        "frames": len(beliefs),
-        "frames_scored": 0 if truth is None else int(np.count_nonzero(~truth.is_crossing)),
-        "mean_log_evidence": beliefs.mean_log_evidence,
-        "impossible_frames": int(beliefs.is_impossible.sum()),
-    }
-
-
-def said_of(
-    experiment: Experiment, model: Model, counts: Mapping[str, Any], notes: Sequence[str]
-) -> dict[str, Any]:
-    """What run.json and scores.json both say. counts: as `counts_of`; notes: a line each."""
-    return {
-        "n_lanes": experiment.n_lanes,
-        "tuned_on": experiment.tuned_on,
-        **causality(experiment, model),
-        **counts,
-        "warnings": list(notes),
-    }
-
-
-def provenance_of(
-    experiment: Experiment,
-    model: Model,
-    files: Sequence[Path],
-    content: Mapping[str, Any],
-    counts: Mapping[str, Any],
-    notes: Sequence[str],
-) -> dict[str, Any]:
-    """The content of run.json, as `results` documents it.
-
-    - files: that were read.
-    - content: the resolved config.
-    - counts: as `counts_of`.
-    - notes: the warnings, a line each.
-    """
-    return {
-        **provenance(experiment.name, content, data_entries(experiment, files)),
-        "plugins": plugin_files(model),
-        "frame_rate": experiment.recording.frame_rate,
-        **said_of(experiment, model, counts, notes),
-        "values": value_names(model),
-    }
-
-
-def note_of_impossible(source: str, n_frames: int) -> list[str]:
-    """What is noted of frames that the model does not allow, if there are any."""
-    said = f"{source}: the evidence of {n_frames} frame(s) has joint likelihood zero; they keep"
-    return [f"{said} their prediction"] if n_frames else []
-
-
-def make_result(
-    experiment: Experiment,
-    model: Model,
-    recorded: Recorded,
-    beliefs: Beliefs,
-    tentative: FloatArray | None,
-    assigned: IntArray | None = None,
-    *,
-    content: Mapping[str, Any],
-    scores: Mapping[str, Any],
-    notes: Sequence[str],
-    found: Mapping[str, Any] | None = None,
-    block: IntArray | None = None,
-) -> Result:
-    """What a result directory says.
-
-    - beliefs, tentative: of the T frames of the log.
-    - assigned: (T,) the lanes that are answered; by default those that the beliefs assign.
-    - content: the resolved config.
-    - notes: the warnings, a line each.
-    - found: keys of run.json beside those of `provenance_of`, or in their place.
-    - block: (T,) see `Result`.
-    """
-    counts = counts_of(beliefs, recorded.truth)
-    run = provenance_of(experiment, model, recorded.files, content, counts, notes)
-    version = {"schema_version": SCHEMA_VERSION}
-    return replace(
-        result_rows(experiment, model, recorded, beliefs, tentative, assigned),
-        experiment=plain(content),
-        run=plain({**version, **run, **(found or {})}),
-        scores=plain({**version, **scores}),
-        block=block,
-    )
-
-
-def result_rows(
-    experiment: Experiment,
-    model: Model,
-    recorded: Recorded,
-    beliefs: Beliefs,
-    tentative: FloatArray | None,
-    assigned: IntArray | None = None,
-) -> Result:
-    """What `make_result` says of each frame; of the whole it has the number of lanes only."""
-    log, truth = recorded.log, recorded.truth
-    if assigned is None:
-        assigned = assigned_lane(beliefs.lane, experiment.unassigned_below)
+def result_rows(drive: Drive, found: Believed) -> Result:
+    """What a result says of each frame; of the whole it has the number of lanes only."""
+    recorded, beliefs = drive.recorded, found.beliefs
+    log, truth, road = recorded.log, recorded.truth, recorded.road
     lane = np.full(len(log), UNASSIGNED)
     crossing = np.zeros(len(log), dtype=bool)
     if truth is not None:
         lane[recorded.scored] = truth.lane
         crossing[recorded.scored] = truth.is_crossing
-    values = value_names(model)
+    names = {n: tuple(v) for n, v in value_names(drive.model).items() if n in beliefs.marginals}
     return Result(
-        Path(experiment.source),
-        {},
-        {"n_lanes": experiment.n_lanes},
-        {},
-        log.frame_id,
-        log.time_s,
-        {node: beliefs.marginals[node] for node in values},
-        {node: tuple(names) for node, names in values.items()},
-        tentative,
-        assigned,
-        None if tentative is None else assigned_lane(tentative),
-        lane,
-        crossing,
-        beliefs.log_evidence,
-        beliefs.is_impossible,
+        directory=Path(drive.experiment.source),
+        experiment=drive.experiment,
+        config={},
+        run={"n_lanes": drive.n_lanes},
+        scores={},
+        frame_id=log.frame_id,
+        time_s=log.time_s,
+        marginals={node: beliefs.marginals[node] for node in names},
+        values=names,
+        tentative=found.tentative,
+        assigned_lane=found.assigned,
+        true_lane=lane,
+        is_crossing=crossing,
+        log_evidence=beliefs.log_evidence,
+        is_impossible=beliefs.is_impossible,
+        crossing=found.crossing,
         clip=log.clip,
-        road_lanes=None if recorded.road is None else recorded.road.n_lanes,
-        origin=None if recorded.road is None else recorded.road.origin,
+        road_lanes=None if road is None else road.n_lanes,
+        origin=None if road is None else road.origin,
         lines=log,
+        evidence=found.evidence,
+        compiled=drive.model,
     )
+
+
+def held_out_result(
+    drive: Drive,
+    beliefs: Beliefs,
+    block: IntArray,
+    *,
+    fit: str,
+    tentative: FloatArray | None = None,
+    notes: Sequence[str],
+    run: Mapping[str, Any],
+    scores: Mapping[str, Any],
+) -> Result:
+    """The result of beliefs about the K annotated frames, each block of which was believed with
+    what was found without it.
+
+    - block (K,): of each frame. fit: what was done without it, as the experiment's `fit`.
+    - notes: warnings in addition to the recording's.
+    - run, scores: further keys of run.json, and what scores.json says.
+    """
+    recorded = drive.recorded
+    log = recorded.log.take(drive.rows)
+    recorded = replace(recorded, log=log, scored=np.arange(len(log)))
+    drive = replace(drive, recorded=recorded)
+    assigned = assigned_lane(beliefs.lane, drive.experiment.unassigned_below)
+    crossing = crossing_probability(beliefs.marginals)
+    rows = result_rows(drive, Believed(beliefs, assigned, tentative, crossing))
+    document = run_document(drive, rows, [*recorded.notes, *notes], fit=fit)
+    return replace(
+        rows,
+        config=plain({**resolved(drive.experiment, drive.model.parameters), "fit": fit}),
+        run=plain({**document, "fit": fit, **run}),
+        scores=plain({"schema_version": SCHEMA_VERSION, **scores}),
+        block=block,
+    )
+
+
+def run_document(
+    drive: Drive, rows: Result, notes: Sequence[str], **changes: Any
+) -> dict[str, Any]:
+    """The content of run.json.
+
+    - notes: warnings, a line each.
+    - changes: keys of the config that are not the experiment's.
+    """
+    experiment, model = drive.experiment, drive.model
+    content = {**resolved(experiment, model.parameters), **changes}
+    files = data_entries(experiment, drive.recorded.files)
+    return {
+        "schema_version": SCHEMA_VERSION,
+        **provenance(experiment.name, content, files),
+        "plugins": plugin_files(model),
+        "frame_rate": experiment.recording.frame_rate,
+        **_said(drive, rows, notes),
+        "values": value_names(model),
+    }
+
+
+def _said(drive: Drive, rows: Result, notes: Sequence[str]) -> dict[str, Any]:
+    """What run.json and scores.json both say."""
+    return {
+        "n_lanes": drive.n_lanes,
+        "tuned_on": drive.experiment.tuned_on,
+        **causality(drive.experiment, drive.model),
+        "frames": len(rows),
+        "frames_scored": int(np.count_nonzero(~rows.is_crossing[rows.scored])),
+        "mean_log_evidence": rows.beliefs.mean_log_evidence,
+        "impossible_frames": int(rows.is_impossible.sum()),
+        "warnings": list(notes),
+    }
+
+
+def scores_document(result: Result, drive: Drive, notes: Sequence[str]) -> dict[str, Any]:
+    """The content of scores.json, from the columns of a result."""
+    rate, told, lane = float(result.run["frame_rate"]), result.told, result.marginals["Lane"]
+    road, truth, rows = drive.recorded.road, result.truth, result.scored
+    found: dict[str, Any] = {}
+    events: dict[str, Any] = {"told": len(told)}
+    if truth is not None:
+        # Lanes that begin and end at the left change numbers, and that is no change of lane.
+        moved, unsure = np.zeros(len(rows), dtype=np.int64), truth.is_crossing
+        if road is not None:
+            moved, unsure = tracks_of(road.origin)[rows], unsure | road.is_renumbering[rows]
+        of_tracks = replace(truth, lane=truth.lane + moved, is_crossing=unsure)
+        crossing = None if result.crossing is None else result.crossing[rows]
+        events = event_scores(told, crossing, of_tracks, rate)
+        assigned = result.assigned_lane[rows]
+        if result.tentative is not None:
+            # A tentative vector is no belief: the reject option and the path are the model's.
+            found["detector"] = score_with_intervals(result.tentative[rows], truth, rate)
+        found["model"] = score_with_intervals(lane[rows], truth, rate, assigned=assigned)
+        if road is not None:
+            answered = np.where(assigned == UNASSIGNED, UNASSIGNED, assigned + moved)
+            found["model"] |= stability_scores(
+                answered, of_tracks.lane, unsure, truth.frame_id, rate
+            )
+            found["model"]["road"] = road_scores(
+                assigned,
+                truth,
+                road.n_lanes[rows],
+                road.changes,
+                log_frames=rows,
+                frame_rate=rate,
+            )
+    content = {
+        "schema_version": SCHEMA_VERSION,
+        "name": drive.experiment.name,
+        **_said(drive, result, notes),
+        **found,
+        "sure": float((lane.max(axis=1) >= SURE).mean()) if len(lane) else None,
+        "lanes": [] if result.clip is not None else _lanes_over_time(result),
+        "events": events,
+    }
+    if result.clip is not None:
+        content["clips"] = len(drive.recorded.log.pieces())
+    return content
+
+
+def _lanes_over_time(result: Result) -> list[tuple[int, float, float]]:
+    """The lane over time; on a road whose lanes change by its number when the stretch begins."""
+    if result.origin is None:
+        return lane_stretches(result.beliefs, result.told, result.time_s)
+    tracks = tracks_of(result.origin)
+    found = lane_stretches(in_tracks(result.beliefs, result.origin), result.told, result.time_s)
+    frames = np.searchsorted(result.time_s, [begin for _, begin, _ in found])
+    return [
+        (lane - int(tracks[k]), begin, end)
+        for k, (lane, begin, end) in zip(frames, found, strict=True)
+    ]
 
 
 def plugin_files(model: Model) -> dict[str, dict[str, str]]:
@@ -496,32 +381,112 @@ def plugin_files(model: Model) -> dict[str, dict[str, str]]:
     return found
 
 
+# --- a long drive ------------------------------------------------------------------------------
+
+
+def run_in_parts(
+    experiment: Experiment, directory: str | Path, advance: Callable[[int], Any] = int
+) -> Result:
+    """Run an experiment on a long drive: beliefs are made and written part after part, so that not
+    all of them are held at once. An older result is replaced; files of others in it stay.
+
+    - advance: is told of each part how many frames it has.
+
+    The numbers are those of `run_experiment`; of the result that is returned `marginals` has Lane
+    only. Raises InputError, one line, for whatever does not fit, for what needs the whole drive,
+    and where the directory cannot be written: then it is as it was.
+    """
+    begun, directory = time.perf_counter(), Path(directory)
+    drive = open_drive(experiment, check=_check_parts)
+    ahead = causality(drive.experiment, drive.model)["why_not_causal"]
+    if ahead:
+        raise InputError(
+            *(f"{experiment.source}: evidence: {why}; that is not run in parts" for why in ahead)
+        )
+    kept: list[Believed] = []
+    with staged(directory) as folder:
+        with parquet_writer(folder / BELIEFS) as write:
+            for part, found in _parts(drive):
+                write(arrow_table(result_rows(replace(drive, recorded=part), found).columns()))
+                beliefs = replace(found.beliefs, marginals={"Lane": found.beliefs.lane})
+                kept.append(replace(found, beliefs=beliefs, evidence=None))
+                advance(len(found.beliefs))
+        whole = replace(Believed.joined(kept), notes=(LEFT_OUT,))
+        result = replace(scored_result(drive, whole, begun), directory=directory)
+        write_rest(folder, result)
+    return result
+
+
+def _check_parts(experiment: Experiment) -> None:
+    """Raise InputError, a line for each key, where a belief needs more than the frames up to its
+    own."""
+    source = experiment.source
+    with all_problems() as part:
+        if not experiment.has_causal_filter:
+            with part():
+                raise InputError(
+                    f"{source}: filter: {experiment.filter} uses later frames and is not run in"
+                    " parts; exact and assumed_density are"
+                )
+        if experiment.decode != "marginal":
+            with part():
+                raise InputError(
+                    f"{source}: decode: {experiment.decode} needs the whole drive and is not run in"
+                    " parts; marginal is"
+                )
+        if experiment.gnss is not None or experiment.follows_map:
+            key = "gnss" if experiment.gnss is not None else "n_lanes"
+            with part():
+                raise InputError(
+                    f"{source}: {key}: a road table is laid over the whole drive, which is not run"
+                    " in parts; leave it out, and give n_lanes as a number"
+                )
+
+
+def _parts(drive: Drive) -> Iterator[tuple[Recorded, Believed]]:
+    """The parts of a drive, each believed with what is known from those before it."""
+    model, experiment, recorded = drive.model, drive.experiment, drive.recorded
+    piece = piece_frames(model.compiled)
+    size = max(1, PART_FRAMES // piece) * piece
+    # The last part has up to half a piece more, so that the filter cuts as it does a whole drive.
+    last = max(1, -((piece // 2 - len(recorded.log)) // size))
+    borders = [*range(0, last * size, size), len(recorded.log)]
+    output_of = online_output(model, experiment.evidence_reading)
+    state: FilterState | None = None
+    for start, stop in pairwise(borders):
+        part = recorded.take(slice(start, stop))
+        made = output_of(part.log)
+        state, beliefs = step(model.compiled, state, made.filtered, experiment.filter)
+        beliefs = replace(beliefs, frame_id=part.log.frame_id)
+        assigned = assigned_lane(beliefs.lane, experiment.unassigned_below)
+        crossing = crossing_probability(beliefs.marginals)
+        yield part, Believed(beliefs, assigned, made.tentative, crossing)
+
+
+# --- several runs ------------------------------------------------------------------------------
+
+
 @dataclass(frozen=True)
-class PlannedRun:
-    """One of several runs that are to be done.
+class OneOfSeveral:
+    """One of several runs, planned or done.
 
     - title: its name in messages.
     - directory: of its result.
-    - experiment: None where it could not be used; then `error` says why.
+    - experiment: None where it could not be loaded.
+    - error: why it failed, in one line or several; None of one that did not.
+    - scores: what scores.json says, once it is done.
+    - result: where it was kept instead of written.
+    - seconds: that it took.
+    - was_there: whether its result was there already.
+    - drive: of one of a fleet which drive it is of, see `drive.drive_key`.
     """
 
     title: str
     directory: Path
     experiment: Experiment | None
     error: str | None = None
-
-
-@dataclass(frozen=True)
-class FinishedRun:
-    """What became of a planned run: its `summary`, or else why it failed, in one line; the run
-    itself, where it was kept instead of written; the seconds that it took; whether its result was
-    there already; and of one of a fleet which drive it is of, see `loading.drive_key`."""
-
-    title: str
-    directory: Path
-    summary: Mapping[str, Any] | None
-    error: str | None
-    run: Run | None = None
+    scores: Mapping[str, Any] | None = None
+    result: Result | None = None
     seconds: float | None = None
     was_there: bool = False
     drive: str | None = None
@@ -545,7 +510,7 @@ def name_runs(
     if len(experiments) > 1 or not recordings:
         given, name = (recordings[0], f"{stems[0]}_*") if recordings else (None, None)
         return [(path, path, given, name) for path in experiments]
-    folders = [Path(without_passwords(name)).absolute().parent.name for name in recordings]
+    folders = [Path(name).absolute().parent.name for name in recordings]
     names = [
         as_name(f"{folder}_{stem}") if stems.count(stem) > 1 else None
         for folder, stem in zip(folders, stems, strict=True)
@@ -557,7 +522,7 @@ def name_runs(
 
 def plan_runs(
     sources: Sequence[tuple[str, Callable[[], Experiment]]], folder: Path | None = None
-) -> list[PlannedRun]:
+) -> list[OneOfSeveral]:
     """Plan one run per source.
 
     - sources: title of each, and a function that loads its experiment. What cannot be loaded
@@ -566,14 +531,14 @@ def plan_runs(
 
     Raises InputError where two would write the same directory, or `folder` cannot be written.
     """
-    runs: list[PlannedRun] = []
+    runs: list[OneOfSeveral] = []
     taken: dict[Path, str] = {}
     for title, load in sources:
         try:
             experiment = load()
         except InputError as error:
             lines = "\n".join(error.lines)
-            runs.append(PlannedRun(title, folder or Path(), None, lines))
+            runs.append(OneOfSeveral(title, folder or Path(), None, lines))
             continue
         directory = (folder or Path()) / experiment.name
         if taken.get(directory) == title:
@@ -586,68 +551,64 @@ def plan_runs(
         if folder is not None:
             check_writable(directory)
         taken[directory] = title
-        runs.append(PlannedRun(experiment.name, directory, experiment))
+        runs.append(OneOfSeveral(experiment.name, directory, experiment))
     return runs
 
 
 def run_all(
-    runs: Sequence[PlannedRun],
+    runs: Sequence[OneOfSeveral],
     *,
     jobs: Jobs = 1,
-    draw: Draw | None = None,
+    figures: bool = False,
     keep: bool = False,
     resume: bool = False,
-) -> Iterator[FinishedRun]:
+) -> Iterator[OneOfSeveral]:
     """Do several runs and write their results; yields what became of each, in order, as soon as
     those before it are done.
 
     - jobs: number of processes that share the runs, or a cluster.
-    - draw: as in `save_run`.
-    - keep: whether runs are kept instead of written.
+    - figures: as in `Result.save`.
+    - keep: whether results are kept instead of written.
     - resume: whether a result that is there already is taken, where it was made from the same
       files, with the same config and the same code; and each tells its drive.
 
     A run for which another machine read other files than lie here under their names fails.
     """
-    work = partial(_finish, draw=draw, keep=keep, resume=resume)
+    work = partial(_finish, figures=figures, keep=keep, resume=resume)
     found = in_order(work, runs, jobs, died=_failed)
     yield from map(_checked, runs, found) if is_elsewhere(jobs) else found
 
 
-def _failed(run: PlannedRun, error: str) -> FinishedRun:
-    return FinishedRun(run.title, run.directory, None, error)
+def _failed(run: OneOfSeveral, error: str) -> OneOfSeveral:
+    return replace(run, error=error)
 
 
-def _finish(run: PlannedRun, draw: Draw | None, keep: bool, resume: bool) -> FinishedRun:
+def _finish(run: OneOfSeveral, figures: bool, keep: bool, resume: bool) -> OneOfSeveral:
     if run.experiment is None:
-        return _failed(run, run.error or "")
+        return run
     try:
-        stored = stored_result(run.experiment, run.directory) if resume else None
-        if stored is None:
-            done = run_experiment(run.experiment)
-            if not keep:
-                save_run(done, run.directory, draw)
         # Labels are read anew for it, so only where somebody asks.
         drive = drive_key(run.experiment) if resume else None
+        stored = stored_result(run.experiment, run.directory) if resume else None
+        if stored is not None:
+            said, scores = stored
+            seconds = said.get("seconds")
+            return replace(run, scores=scores, seconds=seconds, was_there=True, drive=drive)
+        done = run_experiment(run.experiment)
+        if not keep:
+            done.save(run.directory, figures=figures)
     except InputError as error:
         return _failed(run, "\n".join(error.lines))
     except Exception as error:
         # A fault of ours in one run must not cost the others what they computed.
         return _failed(run, " ".join(f"{type(error).__name__}: {error}".split()))
-    if stored is not None:
-        said, scores = stored
-        del scores["schema_version"]
-        seconds = said.get("seconds")
-        return FinishedRun(run.title, run.directory, scores, None, None, seconds, True, drive)
     kept = done if keep else None
-    found = plain(summary(done))
-    seconds = round(done.seconds, 3)
-    return FinishedRun(run.title, run.directory, found, None, kept, seconds, False, drive)
+    return replace(run, scores=done.scores, result=kept, seconds=done.run["seconds"], drive=drive)
 
 
-def _checked(run: PlannedRun, done: FinishedRun) -> FinishedRun:
+def _checked(run: OneOfSeveral, done: OneOfSeveral) -> OneOfSeveral:
     """What another machine made of a run, if it read what lies here."""
-    if run.experiment is None or done.error is not None or done.run is not None:
+    if run.experiment is None or done.error is not None or done.result is not None:
         return done
     try:
         other = _other_file(run.experiment, read_said(done.directory)[0])
@@ -660,9 +621,9 @@ def _checked(run: PlannedRun, done: FinishedRun) -> FinishedRun:
 
 def _other_file(experiment: Experiment, said: Mapping[str, Any]) -> str | None:
     """The first file whose content is another than run.json says that it was, or None."""
-    has_pictures = experiment.recording.detector is not None
+    files_in = source_of(experiment).files_in
     for entry in said["data"]:
-        if file_entry(Path(entry["path"]), pictures=has_pictures) != entry:
+        if file_entry(Path(entry["path"]), files_in) != entry:
             return str(entry["path"])
     return None
 
@@ -674,11 +635,10 @@ def stored_result(
     made with this config, from these files as they are now, and with this code; else None."""
     try:
         said, scores = read_said(directory)
-        experiment = with_map(experiment)
-        model = model_to_run(experiment)
-        content = resolved(with_video_rate(experiment), model.parameters)
+        experiment = with_own_rate(with_map(experiment))
+        model = prepare_model(experiment)
         made_by: dict[str, Any] = {
-            "config_hash": config_hash(content),
+            "config_hash": config_hash(resolved(experiment, model.parameters)),
             "code": code_checksum(),
             "plugins": plugin_files(model),
             "versions": versions(),

@@ -35,18 +35,18 @@ QUICKSTART = ego.experiments_folder() / "quickstart.yaml"
 
 
 @pytest.fixture(scope="module")
-def run(drive: Path) -> ego.RunResult:
+def run(drive: Path) -> ego.Result:
     return ego.run(drive)
 
 
 @pytest.fixture(scope="module")
-def hostile(tmp_path_factory: pytest.TempPathFactory) -> ego.RunResult:
+def hostile(tmp_path_factory: pytest.TempPathFactory) -> ego.Result:
     """A run whose notes have letters of HTML in them."""
     folder = tmp_path_factory.mktemp("a<b>&c")
     write_drive(folder, ground_truth=None)
     found = ego.run(folder / "experiment.yaml")
-    run = {**found.result.run, "warnings": ["<script>alert(1)</script>"]}
-    return replace(found, result=replace(found.result, run=run))
+    run = {**found.run, "warnings": ["<script>alert(1)</script>"]}
+    return replace(found, run=run)
 
 
 # --- what is public ------------------------------------------------------------------------------
@@ -97,14 +97,14 @@ def test_importing_the_package_imports_nothing_heavy_until_a_name_is_used() -> N
 # --- run -----------------------------------------------------------------------------------------
 
 
-def test_run_gives_what_the_engine_gives(run: ego.RunResult, drive: Path) -> None:
+def test_run_gives_what_the_engine_gives(run: ego.Result, drive: Path) -> None:
     plain = run_experiment(drive)
     np.testing.assert_array_equal(run.beliefs.lane, plain.beliefs.lane)
-    np.testing.assert_array_equal(run.assigned, plain.assigned)
+    np.testing.assert_array_equal(run.assigned_lane, plain.assigned_lane)
     assert run.scores["model"]["accuracy"] == plain.scores["model"]["accuracy"]
     assert run.evidence is not None
-    assert run.recorded is not None
-    assert run.recorded.truth is not None
+    assert run.lines is not None
+    assert run.truth is not None
     assert len(run) == len(run.evidence) == len(plain.evidence)
 
 
@@ -118,14 +118,14 @@ def test_four_lines_give_a_frame_and_a_figure() -> None:
 
 
 def test_the_frame_of_a_run_has_a_column_per_value_and_what_there_is_besides(
-    run: ego.RunResult,
+    run: ego.Result,
 ) -> None:
     frame = run.to_pandas()
-    assert list(frame.index) == list(run.result.frame_id)
+    assert list(frame.index) == list(run.frame_id)
     beliefs = frame[["Lane=1", "Lane=2", "Lane=3"]].to_numpy()
     np.testing.assert_array_equal(beliefs, run.beliefs.lane)
     np.testing.assert_allclose(frame[["SensorState=OK", "SensorState=BAD"]].sum(axis=1), 1)
-    np.testing.assert_array_equal(frame["assigned_lane"], run.assigned)
+    np.testing.assert_array_equal(frame["assigned_lane"], run.assigned_lane)
     assert {"time_s", "detector=1", "detector_lane", "log_evidence", "is_impossible"} <= {*frame}
     scored = frame[~frame["is_crossing"]]
     accuracy = float((scored["assigned_lane"] == scored["true_lane"]).mean())
@@ -139,7 +139,7 @@ def test_frames_that_nobody_annotated_are_missing_in_the_frame(drive: Path) -> N
     assert str(frame["true_lane"].dtype) == "Int64"
 
 
-def test_a_run_as_a_data_set_has_an_axis_for_each_hidden_node(run: ego.RunResult) -> None:
+def test_a_run_as_a_data_set_has_an_axis_for_each_hidden_node(run: ego.Result) -> None:
     pytest.importorskip("xarray")
     found = run.to_xarray()
     assert found["belief_Lane"].dims == ("frame_id", "Lane")
@@ -147,11 +147,11 @@ def test_a_run_as_a_data_set_has_an_axis_for_each_hidden_node(run: ego.RunResult
     assert list(found["SensorState"].values) == ["OK", "BAD"]
     lane = found["belief_Lane"].sel(Lane=2).values
     np.testing.assert_array_equal(lane, run.beliefs.lane[:, 1])
-    np.testing.assert_array_equal(found["detector"].values, run.result.tentative)
+    np.testing.assert_array_equal(found["detector"].values, run.tentative)
 
 
 def test_without_xarray_one_line_says_what_to_install(
-    run: ego.RunResult, monkeypatch: pytest.MonkeyPatch
+    run: ego.Result, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setitem(sys.modules, "xarray", None)
     with pytest.raises(ego.InputError, match=r"^to_xarray: needs xarray, `pip install xarray`$"):
@@ -159,28 +159,28 @@ def test_without_xarray_one_line_says_what_to_install(
 
 
 def test_a_representation_is_one_line_that_says_how_much_the_scores_are_worth(
-    run: ego.RunResult, drive: Path
+    run: ego.Result, drive: Path
 ) -> None:
     assert repr(run) == (
-        f"RunResult('drive': 150 frames, accuracy {run.scores['model']['accuracy']:.3f},"
+        f"Result('drive': 150 frames, accuracy {run.scores['model']['accuracy']:.3f},"
         f" detector {run.scores['detector']['accuracy']:.3f}; not tuned, causal)"
     )
     tuned = ego.run(drive, overrides={"tuned_on": "same_frames", "filter": "smoothed"})
     assert repr(tuned).endswith("; in-sample, not causal (filter))")
     blind = ego.run(drive, overrides={"ground_truth": None})
-    assert repr(blind) == "RunResult('drive': 150 frames, no ground truth; not tuned, causal)"
+    assert repr(blind) == "Result('drive': 150 frames, no ground truth; not tuned, causal)"
 
 
-def test_no_representation_prints_arrays(run: ego.RunResult) -> None:
+def test_no_representation_prints_arrays(run: ego.Result) -> None:
     assert run.evidence is not None
-    for shown in (run, run.beliefs, run.evidence, run_experiment(QUICKSTART).recorded.log):
+    for shown in (run, run.beliefs, run.evidence, run_experiment(QUICKSTART).lines):
         assert "\n" not in repr(shown)
         assert len(repr(shown)) < 120
         assert "array" not in repr(shown)
 
 
 def test_a_table_for_a_notebook_escapes_what_it_is_given(
-    run: ego.RunResult, hostile: ego.RunResult
+    run: ego.Result, hostile: ego.Result
 ) -> None:
     shown = run._repr_html_()
     assert "<th>detector</th><th>model</th>" in shown
@@ -189,7 +189,7 @@ def test_a_table_for_a_notebook_escapes_what_it_is_given(
     assert "&lt;script&gt;" in hostile._repr_html_()
 
 
-def test_pyplot_knows_no_figure_that_was_plotted(run: ego.RunResult) -> None:
+def test_pyplot_knows_no_figure_that_was_plotted(run: ego.Result) -> None:
     before = pyplot.get_fignums()
     figure = run.plot(20, 60)
     assert pyplot.get_fignums() == before
@@ -200,7 +200,7 @@ def test_pyplot_knows_no_figure_that_was_plotted(run: ego.RunResult) -> None:
 
 
 def test_a_notebook_draws_a_figure_though_nobody_used_pyplot(
-    run: ego.RunResult, monkeypatch: pytest.MonkeyPatch
+    run: ego.Result, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     formatter = IPython.core.formatters.DisplayFormatter()
     monkeypatch.setattr(IPython, "get_ipython", lambda: MagicMock(display_formatter=formatter))
@@ -219,7 +219,7 @@ def test_a_bar_is_shown_where_it_is_wanted(
 
 
 def test_what_is_saved_is_what_the_command_writes(
-    run: ego.RunResult, drive: Path, tmp_path: Path
+    run: ego.Result, drive: Path, tmp_path: Path
 ) -> None:
     done("run", drive, "--out", tmp_path / "theirs")
     assert run.save(tmp_path / "ours") == tmp_path / "ours"
@@ -233,13 +233,13 @@ def test_what_is_saved_is_what_the_command_writes(
     assert said[0] == said[1]
 
 
-def test_a_saved_run_is_read_back_as_the_same_object(run: ego.RunResult, tmp_path: Path) -> None:
+def test_a_saved_run_is_read_back_as_the_same_object(run: ego.Result, tmp_path: Path) -> None:
     again = ego.load_result(run.save(tmp_path / "run", figures=False))
     assert type(again) is type(run)
     assert repr(again) == repr(run)
     assert again.to_pandas().equals(run.to_pandas())
     assert again.scores == run.scores
-    assert again.evidence is again.recorded is None
+    assert again.evidence is None
     np.testing.assert_array_equal(again.model.compiled.transition, run.model.compiled.transition)
     copy = again.save(tmp_path / "copy", figures=False)
     assert contents(copy) == contents(tmp_path / "run")
@@ -255,7 +255,7 @@ def test_a_run_of_a_graph_of_ones_own_is_saved_and_read_with_it(tmp_path: Path) 
     assert pickle.loads(pickle.dumps(run)).model.parameters == run.model.parameters
 
 
-def test_results_can_be_pickled(run: ego.RunResult) -> None:
+def test_results_can_be_pickled(run: ego.Result) -> None:
     again = pickle.loads(pickle.dumps(run))
     assert repr(again) == repr(run)
     assert again.to_pandas().equals(run.to_pandas())
@@ -263,7 +263,7 @@ def test_results_can_be_pickled(run: ego.RunResult) -> None:
 
 
 def test_a_directory_that_holds_something_else_is_not_replaced(
-    run: ego.RunResult, tmp_path: Path
+    run: ego.Result, tmp_path: Path
 ) -> None:
     (tmp_path / "mine.txt").write_text("mine")
     with pytest.raises(ego.InputError, match="exists and is not a result directory"):
@@ -300,7 +300,7 @@ def test_a_run_that_another_process_did_comes_back_whole(drive: Path) -> None:
     plan = plan_runs([("drive", lambda: ego.load_experiment(drive))])
     (outcome,) = run_all(plan, keep=True)
     again = pickle.loads(pickle.dumps(outcome)).run
-    assert ego.RunResult.of(again).to_pandas().equals(ego.run(drive).to_pandas())
+    assert again.to_pandas().equals(ego.run(drive).to_pandas())
 
 
 def test_experiments_may_be_given_as_their_keys() -> None:
@@ -552,7 +552,7 @@ def test_lines_that_were_detected_are_those_of_the_command(place: Path, tmp_path
 
 
 def test_lines_are_not_written_to_a_file_of_another_kind(tmp_path: Path) -> None:
-    found = ego.DetectResult(run_experiment(QUICKSTART).recorded.log, "x", "ml", None, 1.0)
+    found = ego.DetectResult(run_experiment(QUICKSTART).lines, "x", "ml", None, 1.0)
     with pytest.raises(ego.InputError, match=r"written as \.parquet, \.csv, \.bag"):
         found.save(tmp_path / "lines.txt")
 
@@ -657,7 +657,7 @@ def test_a_comparison_keeps_what_was_believed_in_each_frame(compared: ego.Compar
     assert accuracy == pytest.approx(entry["scores"]["all_frames"]["accuracy"])
     assert "held out" in repr(run)
     assert "<td>" in run._repr_html_()
-    several = ego.RunResults((run, run))._repr_html_()
+    several = ego.Results((run, run))._repr_html_()
     assert f"{accuracy:.3f}" in several
     assert "held out" in several
     with pytest.raises(ego.InputError, match="was not held out here; there are quickstart, seed 0"):

@@ -170,7 +170,7 @@ def test_positions_tell_the_lane_where_lines_are_missing(
     found = {}
     for name, gnss in (("lines", None), ("both", {})):
         done = ego.run({**content, "gnss": gnss, "graph": graph, "evidence": rule})
-        right = done.result.assigned_lane == drive.truth.lane
+        right = done.assigned_lane == drive.truth.lane
         found[name] = right[behind][~drive.truth.is_crossing[behind]].mean()
     assert found["both"] > found["lines"] + 0.3
 
@@ -184,8 +184,8 @@ def test_positions_go_with_a_constant_number_of_lanes_too(tmp_path: Path) -> Non
     )
     save(blank, tmp_path / "road.parquet")
     done = ego.run({**content, "n_lanes": 5, "gnss": {"drift_s": 60}})
-    assert done.result.n_lanes == 5
-    assert done.result.road_lanes is None
+    assert done.n_lanes == 5
+    assert done.road_lanes is None
     without = {key: value for key, value in content.items() if key != "road"}
     lines = ego.run({**without, "n_lanes": 5})
     assert np.abs(done.beliefs.lane - lines.beliefs.lane).max() > 0.1

@@ -16,6 +16,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from pydantic import BaseModel, ValidationError
 
+from egolane_pgm.drive import load_drive, with_recording
 from egolane_pgm.experiment import (
     Experiment,
     config_hash,
@@ -24,8 +25,7 @@ from egolane_pgm.experiment import (
     make_experiment,
     resolved,
 )
-from egolane_pgm.loading import with_recording
-from egolane_pgm.model import load_drive, prepare_model
+from egolane_pgm.model import prepare_model
 from egolane_pgm.tuning.plan import load_plan
 from egolane_pgm.types import InputError
 from tests.kits.drives import command, problems

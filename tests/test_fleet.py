@@ -9,7 +9,7 @@ import pytest
 import egolane_pgm as ego
 from egolane_pgm.experiment import load_experiment
 from egolane_pgm.fleet import FleetDrive, drive_experiment, pooled, read_fleet, summary_rows
-from egolane_pgm.running import FinishedRun
+from egolane_pgm.running import OneOfSeveral
 from egolane_pgm.scoring.bootstrap import RESAMPLES, over_drives
 from egolane_pgm.scoring.confusion import accuracy
 from egolane_pgm.types import InputError
@@ -281,8 +281,8 @@ def test_a_summary_has_each_number_once() -> None:
     }
     drives = [FleetDrive(f"drive {name}", name, {}, {"road": "A4"}, Path()) for name in "ab"]
     finished = [
-        FinishedRun("a", Path("out/a"), scores, None, None, 1.0),
-        FinishedRun("b", Path("out/b"), None, "why", None, None),
+        OneOfSeveral("a", Path("out/a"), None, None, scores, None, 1.0),
+        OneOfSeveral("b", Path("out/b"), None, "why"),
     ]
     good, bad = summary_rows(drives, finished)
     assert good == {

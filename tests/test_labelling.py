@@ -187,7 +187,7 @@ def test_the_worst_stretches_come_first() -> None:
 
 def test_the_review_says_what_makes_frames_hard() -> None:
     labels = simulated()
-    log = labels.run.recorded.log
+    log = labels.run.lines
     blind = log.is_valid.copy()
     blind[100:110] = False
     recorded = replace(labels.run.recorded, log=replace(log, is_valid=blind))
@@ -219,7 +219,7 @@ def test_a_labeller_looks_back_whatever_the_experiment_says() -> None:
     run = causal.run
     assert run.experiment.filter == "smoothed"
     assert run.experiment.parameters["lane_width_m"] == "auto"
-    np.testing.assert_array_equal(run.assigned, causal.lane)
+    np.testing.assert_array_equal(run.assigned_lane, causal.lane)
     given = simulated(**{"parameters.lane_width_m": 3.4}).run.experiment
     assert given.parameters["lane_width_m"] == 3.4
 
@@ -276,7 +276,7 @@ def test_a_threshold_that_is_no_probability_is_refused(below: float) -> None:
 
 def test_scores_are_those_that_one_counts_by_hand() -> None:
     labels = simulated()
-    truth = labels.run.recorded.truth
+    truth = labels.run.truth
     assert truth is not None
     # Every seventh annotation is another lane than the label.
     lane = np.where(np.arange(300) % 7 == 0, labels.lane % 3 + 1, labels.lane)

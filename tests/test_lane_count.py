@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 from egolane_pgm import paper
+from egolane_pgm.drive import Recorded, load_recording
 from egolane_pgm.experiment import Experiment, load_experiment
 from egolane_pgm.inference.filtering import filter_beliefs
 from egolane_pgm.labelling import label_experiment
@@ -21,7 +22,6 @@ from egolane_pgm.lane_count import (
     motion_by_lanes,
     odds_of_fewer,
 )
-from egolane_pgm.loading import Recorded, load_recording
 from egolane_pgm.model import make_evidence, prepare_model
 from egolane_pgm.running import run_experiment
 from egolane_pgm.simulation import simulate

@@ -58,7 +58,7 @@ def test_online_beliefs_equal_those_of_a_run_frame_by_frame(
     np.testing.assert_array_equal(
         [a["assigned_lane"] for a in answers], assigned_lane(run.beliefs.lane)[at]
     )
-    np.testing.assert_array_equal([a["time_s"] for a in answers], run.recorded.log.time_s[at])
+    np.testing.assert_array_equal([a["time_s"] for a in answers], run.lines.time_s[at])
     assert set(answers[0]) == {"frame_id", "time_s", "assigned_lane", "is_impossible", "beliefs"}
 
 

@@ -14,8 +14,8 @@ import yaml
 
 from egolane_pgm import comparing
 from egolane_pgm import paper as paper
+from egolane_pgm.drive import load_recording
 from egolane_pgm.experiment import load_experiment
-from egolane_pgm.loading import load_recording
 from egolane_pgm.paper import SCORES, Reproduced
 from egolane_pgm.recordings.ground_truth import read_ground_truth
 from egolane_pgm.recordings.rosbag import read_rosbag
@@ -76,7 +76,7 @@ def test_all_20_published_matrices_come_out_within_three_frames(
 def test_plain_numpy_reproduces_the_same(recordings: Path, recovered: list[Reproduced]) -> None:
     for ours in recovered:
         run = ours.run
-        seen = counting.evidence(run.recorded.log, run.model.n_lanes, run.model.parameters)
+        seen = counting.evidence(run.lines, run.model.n_lanes, run.model.parameters)
         right = reference.filter_beliefs(run.model.compiled, seen, run.experiment.filter)
         np.testing.assert_allclose(run.beliefs.lane, right.lane, rtol=0, atol=1e-10)
 

@@ -20,36 +20,36 @@ from egolane_pgm.experiment import config_hash, load_experiment
 from egolane_pgm.inference.events import crossing_probability, lane_events
 from egolane_pgm.recordings.table import read_table, write_table
 from egolane_pgm.results import (
+    Result,
     check_writable,
-    file_sha256,
     git_state,
     is_result,
     read_result,
     staged,
     versions,
 )
-from egolane_pgm.running import Run, run_experiment, save_run
+from egolane_pgm.running import run_experiment
 from egolane_pgm.scoring.assign import assigned_lane
 from egolane_pgm.tools import files
-from egolane_pgm.tools.files import plain, write_json
+from egolane_pgm.tools.files import file_sha256, plain, write_json
 from egolane_pgm.types import InputError
 from tests.kits.drives import contents, done, geometry, refused, simulated, write_drive
 from tests.kits.processes import started
 
 
 @pytest.fixture(scope="module")
-def run(drive: Path) -> Run:
+def run(drive: Path) -> Result:
     return run_experiment(drive)
 
 
 @pytest.fixture(scope="module")
-def saved(run: Run, tmp_path_factory: pytest.TempPathFactory) -> Path:
-    return save_run(run, tmp_path_factory.mktemp("saved") / "result")
+def saved(run: Result, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return run.save(tmp_path_factory.mktemp("saved") / "result", figures=False)
 
 
-def test_everything_read_from_a_result_directory_equals_the_run(run: Run, saved: Path) -> None:
+def test_everything_read_from_a_result_directory_equals_the_run(run: Result, saved: Path) -> None:
     result = read_result(saved)
-    log, truth = run.recorded.log, run.recorded.truth
+    log, truth = run.lines, run.truth
     assert truth is not None
     assert run.tentative is not None
     np.testing.assert_array_equal(result.frame_id, log.frame_id)
@@ -61,8 +61,8 @@ def test_everything_read_from_a_result_directory_equals_the_run(run: Run, saved:
     np.testing.assert_array_equal(result.tentative, run.tentative)
     np.testing.assert_array_equal(result.assigned_lane, assigned_lane(run.beliefs.lane))
     np.testing.assert_array_equal(result.detector_lane, assigned_lane(run.tentative))
-    np.testing.assert_array_equal(result.true_lane[run.recorded.scored], truth.lane)
-    np.testing.assert_array_equal(result.is_crossing[run.recorded.scored], truth.is_crossing)
+    np.testing.assert_array_equal(result.true_lane[run.scored], truth.lane)
+    np.testing.assert_array_equal(result.is_crossing[run.scored], truth.is_crossing)
     np.testing.assert_array_equal(result.log_evidence, run.beliefs.log_evidence)
     np.testing.assert_array_equal(result.is_impossible, run.beliefs.is_impossible)
     for kind in ("detector", "model"):
@@ -71,9 +71,9 @@ def test_everything_read_from_a_result_directory_equals_the_run(run: Run, saved:
 
 
 def test_the_lines_of_a_result_are_those_that_were_believed(
-    drive: Path, run: Run, saved: Path, tmp_path: Path
+    drive: Path, run: Result, saved: Path, tmp_path: Path
 ) -> None:
-    lines, log = read_result(saved).lines, run.recorded.log
+    lines, log = read_result(saved).lines, run.lines
     assert lines is not None
     for name in ("frame_id", "time_s", "offset_m", "is_valid", "is_continuous", "lri"):
         np.testing.assert_array_equal(getattr(lines, name), getattr(log, name))
@@ -92,13 +92,13 @@ def test_frames_that_were_put_in_are_marked_in_the_lines_of_a_result(tmp_path: P
     rows = table.read_text().splitlines(keepends=True)
     table.write_text("".join(row for row in rows if not row.startswith("20,")))
     run = run_experiment(place)
-    assert run.recorded.log.is_missing.sum() == 1
-    lines = read_result(save_run(run, tmp_path / "result")).lines
+    assert run.lines.is_missing.sum() == 1
+    lines = read_result(run.save(tmp_path / "result", figures=False)).lines
     assert lines is not None
-    np.testing.assert_array_equal(lines.is_missing, run.recorded.log.is_missing)
+    np.testing.assert_array_equal(lines.is_missing, run.lines.is_missing)
 
 
-def test_a_result_says_where_its_numbers_come_from(drive: Path, run: Run, saved: Path) -> None:
+def test_a_result_says_where_its_numbers_come_from(drive: Path, run: Result, saved: Path) -> None:
     said = read_result(saved).run
     assert said["schema_version"] == 1
     assert said["data"] == [
@@ -127,10 +127,10 @@ def test_the_hash_of_a_result_is_that_of_its_experiment_whatever_its_order(
     content = yaml.safe_load(drive.read_text())
     turned = dict(reversed(content.items()))
     (drive.parent / "turned.yaml").write_text(yaml.safe_dump(turned, sort_keys=False))
-    again = save_run(run_experiment(drive.parent / "turned.yaml"), tmp_path / "again")
+    again = run_experiment(drive.parent / "turned.yaml").save(tmp_path / "again", figures=False)
     assert read_result(again).run["config_hash"] == read_result(saved).run["config_hash"]
     changed = load_experiment(drive, ["parameters.sigma1=0.41"])
-    other = save_run(run_experiment(changed), tmp_path / "other")
+    other = run_experiment(changed).save(tmp_path / "other", figures=False)
     assert read_result(other).run["config_hash"] != read_result(saved).run["config_hash"]
     assert len(config_hash({})) == 64
 
@@ -150,8 +150,8 @@ def test_the_experiment_of_a_result_directory_gives_the_same_result_again(
 def test_frames_without_annotation_are_null_in_the_table(drive: Path, tmp_path: Path) -> None:
     experiment = load_experiment(drive, ["ground_truth=null"])
     run = run_experiment(experiment)
-    assert run.scores == {}
-    saved = save_run(run, tmp_path / "result")
+    assert "model" not in run.scores
+    saved = run.save(tmp_path / "result", figures=False)
     table = parquet.read_table(saved / "beliefs.parquet")
     assert table.column("true_lane").null_count == len(table)
     result = read_result(saved)
@@ -165,7 +165,7 @@ def test_the_lane_changes_of_a_result_are_a_table_of_it(tmp_path: Path) -> None:
     import pandas as pd
 
     run = run_experiment(geometry())
-    saved = save_run(run, tmp_path / "result")
+    saved = run.save(tmp_path / "result", figures=False)
     result = read_result(saved)
     table = pd.read_csv(saved / "events.csv")
     assert "nan" not in (saved / "events.csv").read_text()
@@ -179,7 +179,7 @@ def test_the_lane_changes_of_a_result_are_a_table_of_it(tmp_path: Path) -> None:
 
 def test_beliefs_that_come_late_tell_late(tmp_path: Path) -> None:
     lagged = run_experiment(simulated(filter="fixed_lag", lag=7, evidence_reading="soft"))
-    saved = save_run(lagged, tmp_path / "result")
+    saved = lagged.save(tmp_path / "result", figures=False)
     at_once = lane_events(lagged.beliefs, 10.0)
     assert len(at_once)
     found = read_result(saved).events

@@ -13,17 +13,16 @@ import pytest
 
 from egolane_pgm import load_experiment, run_experiment
 from egolane_pgm import running as run_many
+from egolane_pgm.drive import check_sources, load_recording
 from egolane_pgm.evidence.counting import evidence as counting
 from egolane_pgm.experiment import Experiment
 from egolane_pgm.inference.filtering import filter_beliefs, read_evidence
 from egolane_pgm.inference.smoothing import fixed_lag_beliefs, smooth_beliefs
 from egolane_pgm.inference.viterbi import viterbi_path
-from egolane_pgm.loading import check_sources, load_recording
 from egolane_pgm.model import make_evidence, prepare_model, with_parameters
 from egolane_pgm.parameters import resolve_parameters
 from egolane_pgm.recordings.table import write_table
 from egolane_pgm.results import Result, is_result, read_result
-from egolane_pgm.running import save_run, summary
 from egolane_pgm.scoring.assign import assigned_lane
 from egolane_pgm.scoring.confusion import confusion
 from egolane_pgm.types import InputError
@@ -81,7 +80,7 @@ def test_a_run_gives_what_plain_numpy_gives(drive: Experiment) -> None:
     for choice in ("assumed_density", "exact"):
         run = run_experiment(changed(drive, filter=choice))
         model = run.model
-        seen = reference_counting.evidence(run.recorded.log, model.n_lanes, model.parameters)
+        seen = reference_counting.evidence(run.lines, model.n_lanes, model.parameters)
         right = reference.filter_beliefs(model.compiled, seen, choice)
         np.testing.assert_allclose(run.beliefs.lane, right.lane, rtol=0, atol=1e-12)
         np.testing.assert_allclose(run.beliefs.log_evidence, right.log_evidence, atol=1e-12)
@@ -158,7 +157,7 @@ def test_missing_frames_are_predicted_by_the_model_alone(tmp_path: Path, reading
 def test_the_frame_rate_sets_times_and_what_is_counted_per_minute(drive: Experiment) -> None:
     faster = drive.recording.model_copy(update={"frame_rate": 20.0})
     one, other = run_experiment(drive), run_experiment(changed(drive, recording=faster))
-    np.testing.assert_allclose(other.recorded.log.time_s, one.recorded.log.time_s / 2)
+    np.testing.assert_allclose(other.lines.time_s, one.lines.time_s / 2)
     for kind in ("detector", "model"):
         a, b = one.scores[kind], other.scores[kind]
         assert b["false_switches_per_minute"] == pytest.approx(2 * a["false_switches_per_minute"])
@@ -178,7 +177,7 @@ def test_a_range_of_frames_is_run_as_if_there_were_no_others(drive: Experiment) 
 
 def test_crossing_frames_are_filtered_but_not_scored(drive: Experiment) -> None:
     run = run_experiment(drive)
-    truth = run.recorded.truth
+    truth = run.truth
     assert truth is not None
     n_crossing = int(truth.is_crossing.sum())
     assert 0 < n_crossing < N_FRAMES
@@ -194,7 +193,7 @@ def test_without_ground_truth_there_are_beliefs_and_no_scores(drive: Experiment)
     run = run_experiment(changed(drive, ground_truth=None))
     assert run.scores == {}
     assert len(run.beliefs) == N_FRAMES
-    said = summary(run)
+    said = run.scores
     assert not {"detector", "model"} & set(said)
     assert (said["frames"], said["frames_scored"]) == (N_FRAMES, 0)
 
@@ -232,7 +231,7 @@ def test_a_rule_with_its_own_largest_lri_clips_at_that(tmp_path: Path) -> None:
     path = write_drive(tmp_path, evidence="./r.py", recording__lri="clip")
     run = run_experiment(path)
     assert np.nanmax(short_drive().log.lri) > 4
-    assert np.nanmax(run.recorded.log.lri) == 4
+    assert np.nanmax(run.lines.lri) == 4
     assert not [note for note in run.notes if "LRI" in note]
 
 
@@ -303,19 +302,22 @@ def test_with_predict_the_papers_model_diffuses_over_missing_frames_too(tmp_path
         np.testing.assert_allclose(belief[k], belief[k - 1] @ move, atol=1e-9)
 
 
-def test_a_result_is_kept_where_its_figures_cannot_be_drawn(tmp_path: Path) -> None:
+def test_a_result_is_kept_where_its_figures_cannot_be_drawn(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     run = run_experiment(load_experiment(write_drive(tmp_path)))
 
-    def draw(_: Result, folder: Path) -> None:
-        (folder / "figures").mkdir()
-        (folder / "figures" / "half.png").touch()
-        raise InputError(f"{folder / 'figures' / 'a.png'}: cannot be written: disk full")
+    def draw(_: Result, file: Path) -> None:
+        file.parent.mkdir()
+        (file.parent / "half.png").touch()
+        raise InputError(f"{file}: cannot be written: disk full")
 
+    monkeypatch.setattr("egolane_pgm.report.strips.draw_strips", draw)
     out = tmp_path / "out"
     with pytest.raises(InputError) as caught:
-        save_run(run, out, draw)
+        run.save(out)
     assert str(caught.value) == (
-        f"{out}/figures/a.png: cannot be written: disk full; the result without figures is in {out}"
+        f"{out}/figures/strips.png: cannot be written: disk full; the result without figures is in {out}"
     )
     assert is_result(out)
     assert not (out / "figures").exists()
@@ -512,7 +514,7 @@ def test_a_fixed_lag_run_waits_so_many_frames(tmp_path: Path) -> None:
 @pytest.mark.parametrize("choice", ["assumed_density", "exact"])
 def test_filters_are_causal_and_say_nothing_of_it(tmp_path: Path, choice: str) -> None:
     experiment = write_drive(tmp_path, 30, filter=choice)
-    assert summary(run_experiment(experiment))["is_causal"] is True
+    assert run_experiment(experiment).scores["is_causal"] is True
     ran = done("run", experiment, "--no-figures", "--out", tmp_path / "out")
     assert "not causal" not in ran.stdout
 
@@ -553,7 +555,7 @@ def test_evidence_read_by_jeffreys_rule_gives_other_beliefs_and_no_stop_at_gaps(
         load_experiment(experiment).model_copy(update={"evidence_reading": "soft"})
     )
     assert np.abs(run.beliefs.lane - soft.beliefs.lane).max() > 0.1
-    missing = np.flatnonzero(run.recorded.log.is_missing)
+    missing = np.flatnonzero(run.lines.is_missing)
     assert len(missing) == 2
     before = run.beliefs.lane[missing[0] - 1]
     # One step of the lane dynamics by itself.
@@ -574,7 +576,7 @@ def test_a_decoded_run_answers_the_most_probable_path_beside_the_smoothed_belief
     np.testing.assert_array_equal(result.assigned_lane, path.lane)
     smoothed = smooth_beliefs(run.model.compiled, run.evidence)
     np.testing.assert_allclose(result.marginals["Lane"], smoothed.lane, rtol=0, atol=1e-12)
-    truth, rows = run.recorded.truth, run.recorded.scored
+    truth, rows = run.truth, run.scored
     assert truth is not None
     counts = confusion(path.lane[rows], truth.lane, truth.is_crossing, run.model.n_lanes)
     assert result.scores["model"]["confusion"] == counts.tolist()

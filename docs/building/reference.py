@@ -20,7 +20,7 @@ import yaml
 from docstrings import as_markdown
 
 import egolane_pgm
-from egolane_pgm import result_schema, results
+from egolane_pgm import results
 from egolane_pgm.api.schemas import json_schema
 from egolane_pgm.camera import model as camera
 from egolane_pgm.cli.main import COMMANDS, egolane
@@ -496,11 +496,11 @@ def results_page() -> str:
         "One row for each frame.",
         markdown(
             ["column", "type", "there", "meaning"],
-            [[f"`{c.name}`", c.kind, escaped(c.needed), c.meaning] for c in result_schema.COLUMNS],
+            [[f"`{c.name}`", c.kind, escaped(c.needed), c.meaning] for c in results.COLUMNS],
         ),
     ]
     parts += ["## events.csv", columns_of(LaneEvents, {})]
-    for file, model in (("run.json", result_schema.Run), ("scores.json", result_schema.RunScores)):
+    for file, model in (("run.json", results.Run), ("scores.json", results.RunScores)):
         schema = model.model_json_schema()
         parts += [f"## {file}", *schema_tables_of_file(schema)]
     return "\n\n".join(parts)

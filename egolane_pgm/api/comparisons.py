@@ -11,11 +11,10 @@ from typing import TYPE_CHECKING, Any
 
 from numpy.typing import ArrayLike
 
-from egolane_pgm.api import shown
 from egolane_pgm.api.given import several_of
-from egolane_pgm.api.runs import RunResult, read_run
 from egolane_pgm.comparing import compare_graphs, compare_json
 from egolane_pgm.comparing.choose import losses_by_experiment, plan
+from egolane_pgm.comparing.document import parse_comparison
 from egolane_pgm.comparing.graphs import with_graphs
 from egolane_pgm.comparing.groups import (
     Group,
@@ -34,6 +33,7 @@ from egolane_pgm.comparing.saving import folder_of
 from egolane_pgm.experiment import Given, Overrides, load_experiment
 from egolane_pgm.fleet import FleetDrive, read_fleet
 from egolane_pgm.paper import Runs, parse_runs
+from egolane_pgm.report import shown
 from egolane_pgm.report.comparison_tables import (
     accuracy_rows,
     experiment_names,
@@ -41,8 +41,7 @@ from egolane_pgm.report.comparison_tables import (
     lag_rows,
     marks_text,
 )
-from egolane_pgm.result_schema import parse_comparison
-from egolane_pgm.results import SCHEMA_VERSION, read_files, staged, write_files
+from egolane_pgm.results import SCHEMA_VERSION, Result, read_files, read_result, staged, write_files
 from egolane_pgm.tools.files import temporary_folder, write_json
 from egolane_pgm.tools.jobs import Jobs
 from egolane_pgm.tools.progress import bar
@@ -100,7 +99,7 @@ class CompareResult:
         """The titles of the recordings."""
         return [str(recording["title"]) for recording in self._as_held_out()["recordings"]]
 
-    def __getitem__(self, key: tuple[str, str]) -> RunResult:
+    def __getitem__(self, key: tuple[str, str]) -> Result:
         """What was believed held out: of a recording, by its title, under an experiment.
 
         Raises InputError where there is none.
@@ -115,7 +114,7 @@ class CompareResult:
             )
         with temporary_folder() as folder:
             write_files(folder, files)
-            return read_run(folder)
+            return read_result(folder)
 
     def _as_held_out(self) -> Mapping[str, Any]:
         """The document in the form of those that hold something out."""

@@ -11,13 +11,13 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from egolane_pgm.api import shown
 from egolane_pgm.api.given import keys_of, path_of
 from egolane_pgm.camera.model import read_camera
 from egolane_pgm.camera.pictures import camera_of_pictures, open_source, read_pictures
 from egolane_pgm.detectors.runner import check_pair, collect, find_detector
 from egolane_pgm.detectors.runner import detect as detect_lines
 from egolane_pgm.recordings import write_lines, writer_of
+from egolane_pgm.report import shown
 from egolane_pgm.tools.files import check_place
 from egolane_pgm.tools.progress import bar
 from egolane_pgm.types import InputError, LineLog

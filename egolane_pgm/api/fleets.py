@@ -8,7 +8,6 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from egolane_pgm.api import shown
 from egolane_pgm.experiment import Experiment, Given, Overrides, load_experiment
 from egolane_pgm.fleet import (
     FleetDrive,
@@ -18,8 +17,9 @@ from egolane_pgm.fleet import (
     summary_rows,
     write_summary,
 )
+from egolane_pgm.report import shown
 from egolane_pgm.report.fleet_table import fleet_table_rows
-from egolane_pgm.running import FinishedRun, run_all
+from egolane_pgm.running import OneOfSeveral, run_all
 from egolane_pgm.tools.jobs import Jobs
 from egolane_pgm.tools.progress import bar
 from egolane_pgm.types import all_problems
@@ -139,7 +139,7 @@ def run_fleet(
     drives = read_fleet(os.fspath(fleet))
     folder = Path(out)
     plan = plan_fleet(load_experiment(experiment, overrides), drives, folder, overrides)
-    done: list[FinishedRun] = []
+    done: list[OneOfSeveral] = []
     try:
         found = run_all(plan, jobs=jobs, resume=True)
         done.extend(bar(found, progress, jobs=jobs, total=len(plan), unit="drive"))

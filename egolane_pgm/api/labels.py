@@ -10,8 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from egolane_pgm.api import shown
-from egolane_pgm.api.runs import RunResult, choose
+from egolane_pgm.api.runs import choose
 from egolane_pgm.experiment import Given, Overrides, experiments_folder
 from egolane_pgm.labelling import (
     BELOW,
@@ -22,9 +21,9 @@ from egolane_pgm.labelling import (
     label_scores,
 )
 from egolane_pgm.recordings.ground_truth import write_ground_truth
+from egolane_pgm.report import shown
 from egolane_pgm.report.tables import score_text
-from egolane_pgm.results import staged, write_result
-from egolane_pgm.running import portable, result_of
+from egolane_pgm.results import Result, staged, write_result
 from egolane_pgm.tools.files import as_csv, write_text
 from egolane_pgm.types import InputError, LaneTruth
 
@@ -71,9 +70,9 @@ class LabelResult:
         return self.labels.truth
 
     @property
-    def run(self) -> RunResult:
+    def run(self) -> Result:
         """The smoothed run that the labels come from; its answers are the labels."""
-        return RunResult.of(self.labels.run)
+        return self.labels.run
 
     @property
     def notes(self) -> list[str]:
@@ -116,7 +115,7 @@ class LabelResult:
         labels = self.labels
         run = labels.run
         columns: dict[str, Any] = {
-            "time_s": run.recorded.log.time_s,
+            "time_s": run.time_s,
             "lane": labels.lane,
             "is_crossing": labels.is_crossing,
             "confidence": labels.confidence,
@@ -124,11 +123,11 @@ class LabelResult:
         }
         columns |= {f"Lane={k}": belief for k, belief in enumerate(run.beliefs.lane.T, start=1)}
         frame = pd.DataFrame(columns, index=pd.Index(labels.frame_id, name="frame_id"))
-        truth = run.recorded.truth
+        truth = run.truth
         if truth is not None:
             true = pd.array(np.zeros(len(labels), dtype=np.int64), dtype="Int64")
             true[:] = pd.NA
-            true[run.recorded.scored] = truth.lane
+            true[run.scored] = truth.lane
             frame["true_lane"] = true
         return frame
 
@@ -179,15 +178,12 @@ class LabelResult:
         InputError where the directory holds anything else, or cannot be written.
         """
         labels, place = self.labels, Path(directory)
-        run = labels.run
-        result = result_of(run)
         with staged(place) as folder:
-            config = portable(run.experiment, run.model, result.experiment, folder)
-            write_result(folder, result, config)
+            write_result(folder, labels.run)
             write_ground_truth(folder / "labels.txt", labels.truth)
             write_text(folder / "labels.csv", as_csv(*_label_rows(labels)))
             write_text(folder / "review.csv", as_csv(*review_rows(labels.review)))
-            if run.recorded.truth is not None:
+            if labels.run.truth is not None:
                 suspect = labels.stretches(doubted(labels))
                 write_text(folder / "doubted.csv", as_csv(*review_rows(suspect)))
             if figures:
@@ -278,7 +274,7 @@ def _label_rows(labels: Labels) -> tuple[list[str], list[list[str]]]:
     header = ["frame_id", "time_s", "lane", "crossing", "confidence", "review"]
     columns = (
         labels.frame_id,
-        labels.run.recorded.log.time_s,
+        labels.run.time_s,
         labels.lane,
         labels.is_crossing.astype(int),
         labels.confidence,

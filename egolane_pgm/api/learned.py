@@ -6,18 +6,15 @@ from __future__ import annotations
 import os
 import warnings
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-import numpy as np
-
-from egolane_pgm.api import shown
 from egolane_pgm.api.fleets import DriveTable, experiments_of
-from egolane_pgm.api.runs import RunResult
 from egolane_pgm.comparing.choose import chosen_on_all, learns, plan, try_all
 from egolane_pgm.comparing.placing import parts_of_fleet
-from egolane_pgm.experiment import Experiment, Given, Overrides, load_experiment, resolved
+from egolane_pgm.drive import Drive, with_own_rate
+from egolane_pgm.experiment import Experiment, Given, Overrides, load_experiment
 from egolane_pgm.fleet import drive_row, drives_of, pooled
 from egolane_pgm.learning import Learned, write_learned
 from egolane_pgm.learning import learn as run_learn
@@ -25,12 +22,13 @@ from egolane_pgm.learning.fleet import SHARED, LearnedFleet
 from egolane_pgm.learning.fleet import learn_fleet as learn_together
 from egolane_pgm.learning.held_out import load_to_learn
 from egolane_pgm.learning.tables import PREFIX
-from egolane_pgm.loading import with_video_rate
-from egolane_pgm.model import Drive, Model, causality, prepare_model
+from egolane_pgm.model import Model, causality, prepare_model
 from egolane_pgm.parameters import Value
+from egolane_pgm.report import shown
 from egolane_pgm.report.fleet_table import fleet_table_rows
 from egolane_pgm.report.tables import score_rows, with_interval
-from egolane_pgm.running import make_result
+from egolane_pgm.results import Result
+from egolane_pgm.running import held_out_result
 from egolane_pgm.tools.jobs import Jobs
 from egolane_pgm.tools.progress import bar
 from egolane_pgm.types import InputError
@@ -68,7 +66,7 @@ class LearnResult:
     blocks: int
     chosen: Mapping[str, Value]
     learned: Learned | None
-    held_out: RunResult | None
+    held_out: Result | None
     notes: tuple[str, ...]
 
     @property
@@ -106,7 +104,7 @@ class LearnResult:
         if self.learned.log_evidence is not None:
             before, after = self.learned.log_evidence
             parts.append(f"log evidence per frame {before:.3f} -> {after:.3f}")
-        return f"{', '.join(parts)}; {shown.how_tuned(self.held_out.result.run)}"
+        return f"{', '.join(parts)}; {shown.how_tuned(self.held_out.run)}"
 
     def _repr_html_(self) -> str:
         header, rows = score_rows({} if self.scores is None else {"model": self.scores})
@@ -114,19 +112,19 @@ class LearnResult:
 
     def to_pandas(self) -> pd.DataFrame:
         """The frames as they were believed held out, with their `block`; see
-        `RunResult.to_pandas`. Raises InputError where nothing was learned."""
+        `Result.to_pandas`. Raises InputError where nothing was learned."""
         return self._held_out().to_pandas()
 
     def to_xarray(self) -> xr.Dataset:
-        """The same as a data set; see `RunResult.to_xarray`."""
+        """The same as a data set; see `Result.to_xarray`."""
         return self._held_out().to_xarray()
 
     def plot(self, first: int | None = None, last: int | None = None) -> Figure:
-        """Draw the beliefs held out as strips; see `RunResult.plot`. Raises InputError where
+        """Draw the beliefs held out as strips; see `Result.plot`. Raises InputError where
         nothing was learned."""
         return self._held_out().plot(first, last)
 
-    def _held_out(self) -> RunResult:
+    def _held_out(self) -> Result:
         if self.held_out is None:
             raise InputError(
                 f"{self.experiment.source}: constants were chosen, and nothing was learned, so that"
@@ -257,7 +255,7 @@ def learn(
     >>> learned.scores["frames_scored"]
     518
     """
-    given = with_video_rate(_load(experiment, overrides, unlabelled))
+    given = with_own_rate(_load(experiment, overrides, unlabelled))
     chosen, constants = _choose(given, blocks, progress)
     if given.fit == "choose" and not learns(prepare_model(given), given):
         # As in `compare`, tables are learned beside a choice only where a section says so.
@@ -364,30 +362,18 @@ def _choose(
     return found, {name: found.parameters[name] for name in experiment.choice.grid}
 
 
-def _held_out(drive: Drive, learned: Learned, blocks: int, notes: tuple[str, ...]) -> RunResult:
+def _held_out(drive: Drive, learned: Learned, blocks: int, notes: tuple[str, ...]) -> Result:
     """What was believed held out, as the result of a run."""
-    experiment, model, recorded = drive.experiment, drive.model, drive.recorded
-    rows = np.arange(len(drive))
-    annotated = replace(recorded, log=recorded.log.take(drive.rows), scored=rows)
-    found = {
-        "fit": "learn",
+    run = {
         "blocks": blocks,
         "tuned_on": "other_frames",
-        **causality(experiment, model, learned.held_out.parameters),
+        **causality(drive.experiment, drive.model, learned.held_out.parameters),
     }
-    scores = {"name": experiment.name, **found, "frames": len(drive), "frames_scored": 0}
+    scores = {"name": drive.experiment.name, "fit": "learn", **run}
+    scores |= {"frames": len(drive), "frames_scored": 0}
     if learned.scores is not None:
         scores |= {"model": learned.scores, "frames_scored": learned.scores["frames_scored"]}
-    result = make_result(
-        experiment,
-        model,
-        annotated,
-        learned.held_out.beliefs,
-        None,
-        content={**resolved(experiment, model.parameters), "fit": "learn"},
-        scores=scores,
-        notes=[*recorded.notes, *notes],
-        found=found,
-        block=learned.held_out.block,
+    found = learned.held_out
+    return held_out_result(
+        drive, found.beliefs, found.block, fit="learn", notes=notes, run=run, scores=scores
     )
-    return RunResult(experiment, model, result)

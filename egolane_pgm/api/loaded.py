@@ -8,10 +8,10 @@ from typing import Any
 
 from egolane_pgm.api.comparisons import is_comparison, read_comparison
 from egolane_pgm.api.given import path_of
-from egolane_pgm.api.runs import RunResults, read_run
+from egolane_pgm.api.runs import RunResults
 from egolane_pgm.api.studies import TuneResult, read_study
 from egolane_pgm.report.study_trials import is_study
-from egolane_pgm.results import is_result
+from egolane_pgm.results import is_result, read_result
 from egolane_pgm.types import InputError
 
 
@@ -20,7 +20,7 @@ def load_result(directory: str | os.PathLike[str]) -> Any:
 
     - directory: a result directory; or a folder of several of one kind.
 
-    Returns what the verb returned: a `RunResult`, a `TuneResult` or a `CompareResult`. Raises
+    Returns what the verb returned: a `Result`, a `TuneResult` or a `CompareResult`. Raises
     InputError, naming the directory, where it is none of these, or damaged.
 
     >>> import tempfile
@@ -31,13 +31,13 @@ def load_result(directory: str | os.PathLike[str]) -> Any:
     ...     saved = run.save(f"{folder}/mine", figures=False)
     ...     again = ego.load_result(saved)
     >>> again
-    RunResult('quickstart': 300 frames, accuracy 0.877, detector 0.558; not tuned, causal)
+    Result('quickstart': 300 frames, accuracy 0.877, detector 0.558; not tuned, causal)
     >>> again.to_pandas().equals(run.to_pandas())
     True
     """
     place = Path(path_of(directory, "load_result"))
     if is_result(place):
-        return read_run(place)
+        return read_result(place)
     if is_study(place):
         return read_study(place)
     if is_comparison(place):
@@ -45,7 +45,7 @@ def load_result(directory: str | os.PathLike[str]) -> Any:
     children = sorted(place.iterdir()) if place.is_dir() else []
     runs = [child for child in children if is_result(child)]
     if runs:
-        return RunResults(tuple(map(read_run, runs)))
+        return RunResults(tuple(map(read_result, runs)))
     searched = [read_study(child) for child in children if is_study(child)]
     if searched:
         files = {name: found for each in searched for name, found in each.files.items()}

@@ -8,8 +8,6 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from egolane_pgm.api import shown
-from egolane_pgm.api.runs import RunResult
 from egolane_pgm.paper import (
     SCORES,
     Runs,
@@ -18,7 +16,9 @@ from egolane_pgm.paper import (
     reproduce_json,
     reproduce_run,
 )
+from egolane_pgm.report import shown
 from egolane_pgm.report.tables import reproduction_rows
+from egolane_pgm.results import Result
 from egolane_pgm.tools.progress import bar
 
 if TYPE_CHECKING:
@@ -40,7 +40,7 @@ class ReproduceResult:
     """
 
     document: Mapping[str, Any]
-    runs: Mapping[int, RunResult]
+    runs: Mapping[int, Result]
 
     def __repr__(self) -> str:
         return f"ReproduceResult({self._title()})"
@@ -92,7 +92,7 @@ class ReproduceResult:
         from egolane_pgm.report.dispersion import dispersion_figure
         from egolane_pgm.report.style import inline_figure
 
-        return inline_figure(lambda: dispersion_figure([r.result for r in self.runs.values()]))
+        return inline_figure(lambda: dispersion_figure([*self.runs.values()]))
 
     def save(self, directory: str | os.PathLike[str], *, figures: bool = False) -> Path:
         """Write a result directory for each run into `directory`, by its name. Raises InputError
@@ -125,12 +125,12 @@ def reproduce(
     ...
     egolane_pgm.types.InputError: run 11: the paper has runs 1 to 10
     """
-    found: dict[int, RunResult] = {}
+    found: dict[int, Result] = {}
     done = []
     for number in bar(parse_runs(runs), progress, desc="runs", unit="run"):
         result = reproduce_run(number, parameters)
         done.append(result)
-        found[number] = RunResult.of(result.run)
+        found[number] = result.run
         if out is not None:
             found[number].save(Path(out) / found[number].name, figures=False)
     return ReproduceResult(reproduce_json(done, parameters), found)

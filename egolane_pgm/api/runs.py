@@ -10,28 +10,16 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, overload
 
-import numpy as np
-
-from egolane_pgm.api import shown
 from egolane_pgm.api.given import path_of, several_of
+from egolane_pgm.drive import with_recording
 from egolane_pgm.experiment import Experiment, Given, Overrides, load_experiment
-from egolane_pgm.loading import Recorded, with_recording
-from egolane_pgm.model import Model, prepare_model
-from egolane_pgm.report.comparison_tables import trusted_or_all
-from egolane_pgm.report.tables import runs_table_rows, score_rows, with_interval
-from egolane_pgm.results import Result, read_result
-from egolane_pgm.running import (
-    Run,
-    name_runs,
-    plan_runs,
-    result_of,
-    run_all,
-    run_experiment,
-    save_result,
-)
+from egolane_pgm.report import shown
+from egolane_pgm.report.tables import runs_table_rows
+from egolane_pgm.results import Result
+from egolane_pgm.running import name_runs, plan_runs, run_all, run_experiment, run_in_parts
 from egolane_pgm.tools.jobs import Jobs
 from egolane_pgm.tools.progress import bar
-from egolane_pgm.types import Beliefs, Evidence, InputError, IntArray, LaneEvents
+from egolane_pgm.types import InputError
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -40,206 +28,7 @@ if TYPE_CHECKING:
 
 
 @dataclass(frozen=True, repr=False, eq=False)
-class RunResult:
-    """What an experiment believed, frame by frame.
-
-    - experiment: with the frame rate that was counted with.
-    - model: its graph and its evidence rule, compiled.
-    - result: everything that its result directory says.
-    - evidence: what was filtered, of T frames; None where the result was read from a directory.
-    - recorded: the lines of T frames, and the ground truth of some; None likewise.
-
-    >>> import egolane_pgm as ego
-    >>> place = ego.experiments_folder() / "quickstart.yaml"
-    >>> run = ego.run(place, overrides={"recording.frames": [0, 300]})
-    >>> run
-    RunResult('quickstart': 300 frames, accuracy 0.877, detector 0.558; not tuned, causal)
-    >>> run.scores["model"]["frames_scored"]
-    260
-    >>> run.events.to_pandas()[["time_s", "from_lane", "to_lane", "delay_s"]].round(1)
-       time_s  from_lane  to_lane  delay_s
-    0     3.7          4        3     -0.4
-    1    10.5          3        2     -0.6
-    2    18.5          2        1      NaN
-    3    20.7          1        2      NaN
-    >>> run.to_pandas()[["time_s", "Lane=1", "SensorState=OK", "true_lane"]].shape
-    (300, 4)
-    """
-
-    experiment: Experiment
-    model: Model
-    result: Result
-    evidence: Evidence | None = None
-    recorded: Recorded | None = None
-
-    @classmethod
-    def of(cls, run: Run) -> RunResult:
-        """The result of a run."""
-        return cls(run.experiment, run.model, result_of(run), run.evidence, run.recorded)
-
-    @property
-    def name(self) -> str:
-        """The name of the experiment."""
-        return str(self.result.run["name"])
-
-    @property
-    def scores(self) -> dict[str, Any]:
-        """What scores.json says: `model` and `detector` with every score, where there is ground
-        truth, and how the parameters were tuned; see `egolane_pgm.results`."""
-        return dict(self.result.scores)
-
-    @property
-    def notes(self) -> list[str]:
-        """Warnings, a line each."""
-        return list(self.result.run["warnings"])
-
-    @property
-    def beliefs(self) -> Beliefs:
-        """The belief over the values of each hidden node, of T frames."""
-        return self.result.beliefs
-
-    @property
-    def events(self) -> LaneEvents:
-        """The lane changes that the beliefs tell of, see `egolane_pgm.inference.events`; with
-        ground truth, how late each was told."""
-        return self.result.events
-
-    @property
-    def assigned(self) -> IntArray:
-        """(T,): the lane that is answered, from 1; 0 where there is no answer."""
-        return self.result.assigned_lane
-
-    def __len__(self) -> int:
-        return len(self.result.frame_id)
-
-    def __repr__(self) -> str:
-        return f"RunResult({self._title()})"
-
-    def _title(self) -> str:
-        return title_of(self.result.run, self._scored())
-
-    def _scored(self) -> dict[str, Any]:
-        """The scores of the model, and of the detector alone where they are known."""
-        scores = self.scores
-        found: dict[str, Any] = {who: scores[who] for who in ("model", "detector") if who in scores}
-        if "held_out" in scores:
-            # A comparison scores what it held out, over several choices of frames.
-            found["model"] = trusted_or_all(scores["held_out"]["scores"])
-        return found
-
-    def _repr_html_(self) -> str:
-        header, rows = score_rows(self._scored())
-        return shown.html_table(self._title(), header, rows if self._scored() else [], self.notes)
-
-    def to_pandas(self) -> pd.DataFrame:
-        """A row per frame; the index is `frame_id`.
-
-        Columns: `time_s`, the belief in each value of a hidden node (`Lane=1`, `SensorState=OK`,
-        ...), `crossing` (the probability that the car is on a line between two lanes, of graphs
-        that have a RoadPosition), `assigned_lane` (0: no answer), the evidence rule's own answer
-        (`detector=1`, ..., `detector_lane`) where it has one, `log_evidence`, `is_impossible`, and
-        `true_lane` and `is_crossing`, missing where nobody annotated the frame.
-        """
-        import pandas as pd
-
-        result = self.result
-        names = {
-            f"{node}_{value}": f"{node}={value}"
-            for node, values in result.values.items()
-            for value in values
-        }
-        names |= {f"detector_{k}": f"detector={k}" for k in range(1, result.n_lanes + 1)}
-        columns: dict[str, Any] = {}
-        for name, column in result.columns().items():
-            if isinstance(column, np.ma.MaskedArray):
-                kind = "boolean" if column.dtype == bool else "Int64"
-                values = pd.array(column.data, dtype=kind)
-                values[np.ma.getmaskarray(column)] = pd.NA
-                columns[name] = values
-            else:
-                columns[names.get(name, name)] = column
-        return pd.DataFrame(columns).set_index("frame_id")
-
-    def to_xarray(self) -> xr.Dataset:
-        """The same with an axis for each hidden node: `belief_Lane` (frame_id, Lane), ...
-
-        Raises InputError where xarray is not installed.
-        """
-        result, xarray = self.result, shown.xarray()
-        frame = self.to_pandas()
-        flat = shown.as_dataset(frame[[name for name in frame if "=" not in name]])
-        lanes = list(range(1, result.n_lanes + 1))
-        for node, values in result.values.items():
-            axis = lanes if node == "Lane" else list(values)
-            belief = xarray.DataArray(
-                result.marginals[node],
-                dims=("frame_id", node),
-                coords={"frame_id": result.frame_id, node: axis},
-            )
-            flat[f"belief_{node}"] = belief
-        if result.tentative is not None:
-            flat["detector"] = (("frame_id", "Lane"), result.tentative)
-        flat.attrs["name"] = self.name
-        return flat
-
-    def plot(self, first: int | None = None, last: int | None = None) -> Figure:
-        """Draw the beliefs over time as strips, the truth below.
-
-        - first, last: frame ids, both included; the whole drive by default.
-
-        Raises InputError for a range without frames.
-        """
-        from egolane_pgm.report.strips import strips_figure
-        from egolane_pgm.report.style import inline_figure
-
-        return inline_figure(lambda: strips_figure(self.result, first, last))
-
-    def report(self, file: str | os.PathLike[str]) -> Path:
-        """Write the page that `egolane report` writes: one HTML file with an interactive timeline.
-
-        - file: its name; its folder is made.
-
-        Raises InputError where it cannot be written. What the page lacks is warned of.
-
-        >>> import tempfile
-        >>> import egolane_pgm as ego
-        >>> place = ego.experiments_folder() / "quickstart.yaml"
-        >>> run = ego.run(place, overrides={"recording.frames": [0, 300]})
-        >>> with tempfile.TemporaryDirectory() as folder:
-        ...     run.report(f"{folder}/page.html").name
-        'page.html'
-        """
-        from egolane_pgm.report.page.document import write_page
-
-        for line in write_page([self.result], Path(file)):
-            warnings.warn(line, UserWarning, stacklevel=2)
-        return Path(file)
-
-    def save(self, directory: str | os.PathLike[str], *, figures: bool = True) -> Path:
-        """Write the result directory that `egolane run --out` writes; `load_result` reads it.
-
-        - figures: whether the belief over time is drawn in it; `egolane plot` draws more.
-
-        An older result of that name is replaced; files of your own in it stay. Raises
-        InputError where the directory holds anything else, or cannot be written.
-        """
-        draw = draw_belief if figures else None
-        return save_result(self.result, self.experiment, self.model, Path(directory), draw)
-
-
-def title_of(run: Mapping[str, Any], scored: Mapping[str, Mapping[str, Any]]) -> str:
-    """A run in one line: what run.json says, and the scores of the model and of the detector."""
-    parts = [f"{run['name']!r}: {run['frames']} frames"]
-    for who, scores in scored.items():
-        said = with_interval(scores["accuracy"], scores["intervals"]["accuracy"])
-        parts.append(f"{'accuracy' if who == 'model' else who} {said}")
-    if len(parts) == 1:
-        parts.append("no ground truth")
-    return f"{', '.join(parts)}; {shown.how_tuned(run)}"
-
-
-@dataclass(frozen=True, repr=False, eq=False)
-class RunResults(Sequence[RunResult]):
+class RunResults(Sequence[Result]):
     """Several runs, by number or by name.
 
     - runs: in the order in which they were given.
@@ -254,24 +43,24 @@ class RunResults(Sequence[RunResult]):
     >>> runs
     RunResults('quickstart', 'hard')
     >>> runs["hard"]
-    RunResult('hard': 300 frames, accuracy 0.788, detector 0.558; not tuned, causal)
+    Result('hard': 300 frames, accuracy 0.788, detector 0.558; not tuned, causal)
     >>> runs.to_pandas().index.names
     FrozenList(['name', 'frame_id'])
     """
 
-    runs: tuple[RunResult, ...]
+    runs: tuple[Result, ...]
     failed: tuple[tuple[str, str], ...] = ()
 
     def __len__(self) -> int:
         return len(self.runs)
 
     @overload
-    def __getitem__(self, key: int | str) -> RunResult: ...
+    def __getitem__(self, key: int | str) -> Result: ...
 
     @overload
     def __getitem__(self, key: slice) -> RunResults: ...
 
-    def __getitem__(self, key: int | str | slice) -> RunResult | RunResults:
+    def __getitem__(self, key: int | str | slice) -> Result | RunResults:
         if isinstance(key, slice):
             return RunResults(self.runs[key])
         if isinstance(key, str):
@@ -289,7 +78,7 @@ class RunResults(Sequence[RunResult]):
 
     def _repr_html_(self) -> str:
         # What a comparison held out has its scores in another place.
-        summaries = [{**run.result.run, **run.scores, **run._scored()} for run in self.runs]
+        summaries = [{**run.run, **run.scores, **shown.scored(run)} for run in self.runs]
         header, rows = runs_table_rows(summaries)
         notes = [f"failed: {title}: {error}" for title, error in self.failed]
         return shown.html_table(repr(self), header, rows, notes)
@@ -312,7 +101,7 @@ class RunResults(Sequence[RunResult]):
         from egolane_pgm.report.dispersion import dispersion_figure
         from egolane_pgm.report.style import inline_figure
 
-        return inline_figure(lambda: dispersion_figure([run.result for run in self.runs]))
+        return inline_figure(lambda: dispersion_figure(self.runs))
 
     def save(self, directory: str | os.PathLike[str], *, figures: bool = True) -> Path:
         """Write a result directory for each run into `directory`, by its name. Raises InputError
@@ -320,21 +109,6 @@ class RunResults(Sequence[RunResult]):
         for run in self.runs:
             run.save(Path(directory) / run.name, figures=figures)
         return Path(directory)
-
-
-def read_run(directory: Path) -> RunResult:
-    """Read the result directory of a run. Raises InputError where it is damaged."""
-    result = read_result(directory)
-    experiment = load_experiment(directory / "experiment.yaml")
-    return RunResult(experiment, prepare_model(experiment), result)
-
-
-def draw_belief(result: Result, directory: Path) -> None:
-    """Draw the belief over time into a result directory."""
-    # matplotlib is imported only for figures.
-    from egolane_pgm.report.strips import draw_strips
-
-    draw_strips(result, directory / "figures" / "strips.png")
 
 
 Several = list[Given] | tuple[Given, ...]
@@ -353,7 +127,7 @@ def run(  # type: ignore[overload-overlap]
     frame_id: str | None = None,
     jobs: Jobs = 1,
     progress: bool | None = None,
-) -> RunResult: ...
+) -> Result: ...
 
 
 @overload
@@ -384,7 +158,7 @@ def run(
     frame_id: str | None = None,
     jobs: Jobs = 1,
     progress: bool | None = None,
-) -> RunResult | RunResults:
+) -> Result | RunResults:
     """Filter a recording, and score it where there is ground truth.
 
     - experiment: an experiment, the path of its YAML file, or a list of several.
@@ -398,7 +172,7 @@ def run(
     - jobs: processes that share several runs.
     - progress: whether a bar shows how far several runs are; None for in a terminal.
 
-    Returns a `RunResult`, or `RunResults` for a list. Raises InputError, one line, for whatever
+    Returns a `Result`, or `RunResults` for a list. Raises InputError, one line, for whatever
     does not fit; of several runs, one that fails does not stop the others, and is warned of.
 
     >>> import egolane_pgm as ego
@@ -413,17 +187,58 @@ def run(
     recordings = several_of(recording, "recording")
     if not isinstance(experiment, (list, tuple)) and not isinstance(recording, (list, tuple)):
         given = recordings[0] if recordings else None
-        return RunResult.of(run_experiment(choose(experiment, overrides, given, *changes)))
+        return run_experiment(choose(experiment, overrides, given, *changes))
     plan = plan_runs(name_all(several_of(experiment, "run"), overrides, recordings, *changes))
     done = run_all(plan, jobs=jobs, keep=True)
     outcomes = list(bar(done, progress, jobs=jobs, total=len(plan), unit="run"))
     failed = tuple((each.title, each.error) for each in outcomes if each.error is not None)
-    runs = tuple(RunResult.of(each.run) for each in outcomes if each.run is not None)
+    runs = tuple(each.result for each in outcomes if each.result is not None)
     if not runs:
         raise InputError(f"{failed[0][0]}: {failed[0][1]}" if failed else "run: no experiment")
     for title, error in failed:
         warnings.warn(f"{title}: {error}", UserWarning, stacklevel=2)
     return RunResults(runs, failed)
+
+
+def run_streamed(
+    experiment: Given,
+    out: str | os.PathLike[str],
+    *,
+    overrides: Overrides = (),
+    recording: str | os.PathLike[str] | None = None,
+    ground_truth: str | os.PathLike[str] | None = None,
+    n_lanes: int | None = None,
+    frame_id: str | None = None,
+    progress: bool | None = None,
+) -> Result:
+    """Filter a long drive: as `run`, with the same numbers, but part after part into a result
+    directory, so that the beliefs are never all in memory.
+
+    - experiment: an experiment, or the path of its YAML file.
+    - out: the result directory. An older one is replaced; files of your own in it stay. There are
+      no figures in it.
+    - overrides, recording, ground_truth, n_lanes, frame_id: as in `run`.
+    - progress: whether a bar counts the frames; None for in a terminal.
+
+    Returns the result with the belief over lanes; `load_result` reads those over all nodes. Raises
+    InputError, one line, for whatever does not fit, and for what needs the whole drive (smoothing,
+    a lane width from the whole recording, a road table): it names the key. `out` then stays as it
+    was.
+
+    >>> import tempfile
+    >>> import egolane_pgm as ego
+    >>> place = ego.experiments_folder() / "quickstart.yaml"
+    >>> with tempfile.TemporaryDirectory() as folder:
+    ...     done = ego.run_streamed(place, folder, overrides={"recording.frames": [0, 90]})
+    ...     beliefs = ego.load_result(folder).beliefs
+    >>> done.beliefs
+    Beliefs(90 frames, ids 0 to 89: Lane (4))
+    >>> beliefs
+    Beliefs(90 frames, ids 0 to 89: Lane (4), SensorState (2))
+    """
+    chosen = choose(experiment, overrides, recording, ground_truth, n_lanes, frame_id)
+    with bar(None, progress, unit="frame", unit_scale=True) as frames:
+        return run_in_parts(chosen, Path(out), frames.update)
 
 
 def choose(

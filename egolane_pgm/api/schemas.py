@@ -9,11 +9,12 @@ from typing import Any
 from pydantic import TypeAdapter
 from pydantic.json_schema import GenerateJsonSchema
 
+from egolane_pgm.comparing.document import Comparison
 from egolane_pgm.detectors.networks.description import Network
 from egolane_pgm.experiment import INTERCHANGE, Experiment
+from egolane_pgm.paper import Reproduction
 from egolane_pgm.plugins import OWN_FILES, plugin_names
 from egolane_pgm.recordings import FORMATS
-from egolane_pgm.result_schema import Comparison, Reproduction
 from egolane_pgm.simulation import PRESETS
 from egolane_pgm.tools.files import YAML_VERSION
 from egolane_pgm.tuning.plan import PictureTuningFile, TuningFile

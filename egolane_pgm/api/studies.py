@@ -8,10 +8,10 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar
 
-from egolane_pgm.api import shown
 from egolane_pgm.api.fleets import experiments_of
 from egolane_pgm.api.given import keys_of, several_of
 from egolane_pgm.comparing.placing import parts_of_fleet
+from egolane_pgm.drive import as_name
 from egolane_pgm.experiment import (
     Experiment,
     Given,
@@ -21,8 +21,8 @@ from egolane_pgm.experiment import (
     make_experiment,
 )
 from egolane_pgm.fleet import drives_of
-from egolane_pgm.loading import as_name
 from egolane_pgm.paper import Runs, parse_runs
+from egolane_pgm.report import shown
 from egolane_pgm.report.study_tables import legend, parameter_rows, score_rows
 from egolane_pgm.report.study_trials import (
     TRIALS_FILE,

@@ -11,9 +11,9 @@ from egolane_pgm.api.labels import label as label_recording
 from egolane_pgm.cli import options
 from egolane_pgm.cli.completion import yaml_files
 from egolane_pgm.cli.options import write_json
+from egolane_pgm.drive import name_of, named_files
 from egolane_pgm.experiment import load_experiment
 from egolane_pgm.labelling import BELOW
-from egolane_pgm.loading import name_of, named_files
 from egolane_pgm.report.tables import Table, page, score_text
 from egolane_pgm.results import SCHEMA_VERSION, check_writable
 from egolane_pgm.tools.files import check_not_read

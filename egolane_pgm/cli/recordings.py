@@ -8,8 +8,8 @@ from pathlib import Path
 import click
 
 from egolane_pgm.cli import options
+from egolane_pgm.drive import load_recording
 from egolane_pgm.experiment import load_experiment
-from egolane_pgm.loading import load_recording
 from egolane_pgm.recordings import (
     catalog,
     format_of,

@@ -11,13 +11,12 @@ from typing import Any
 import click
 
 from egolane_pgm.api.fleets import SUMMARY, run_fleet
-from egolane_pgm.api.runs import RunResult, choose, draw_belief, name_all
+from egolane_pgm.api.runs import choose, name_all, run_streamed
 from egolane_pgm.api.runs import run as run_experiment
-from egolane_pgm.api.streamed import StreamedResult, run_streamed
 from egolane_pgm.cli import options
 from egolane_pgm.cli.options import write_json
+from egolane_pgm.drive import named_files
 from egolane_pgm.experiment import Experiment
-from egolane_pgm.loading import named_files
 from egolane_pgm.report.clips import clip_parts
 from egolane_pgm.report.events import (
     event_lines,
@@ -36,7 +35,7 @@ from egolane_pgm.report.tables import (
     score_rows,
 )
 from egolane_pgm.results import SCHEMA_VERSION, Result, check_writable
-from egolane_pgm.running import Draw, FinishedRun, plan_runs, run_all
+from egolane_pgm.running import OneOfSeveral, plan_runs, run_all
 from egolane_pgm.tools.files import check_not_read
 from egolane_pgm.tools.jobs import Jobs
 from egolane_pgm.tools.progress import bar
@@ -129,8 +128,7 @@ def run(
         click.echo(f"\nresult: {directory}", err=style != "markdown")
         return
     to_load = name_all(experiments, overrides, recordings, *changes)
-    draw = None if no_figures else draw_belief
-    _run_many(to_load, Path(out or "results"), draw, show, jobs, json_file)
+    _run_many(to_load, Path(out or "results"), not no_figures, show, jobs, json_file)
 
 
 def _run_one(
@@ -146,7 +144,7 @@ def _run_one(
     if json_file:
         check_not_read(json_file, named_files(chosen))
     if stream:
-        done: RunResult | StreamedResult = run_streamed(chosen, directory)
+        done = run_streamed(chosen, directory)
     else:
         done = run_experiment(chosen)
         done.save(directory, figures=figures)
@@ -161,7 +159,7 @@ def _run_one(
 def _run_many(
     to_load: Sequence[tuple[str, Callable[[], Experiment]]],
     folder: Path,
-    draw: Draw | None,
+    figures: bool,
     show: Show,
     jobs: Jobs,
     json_file: Path | None,
@@ -171,9 +169,9 @@ def _run_many(
         chosen = [each.experiment for each in plan if each.experiment is not None]
         check_not_read(json_file, [file for each in chosen for file in named_files(each)])
     before = {each.directory: _inode(each.directory) for each in plan}
-    outcomes: list[FinishedRun] = []
+    outcomes: list[OneOfSeveral] = []
     try:
-        done = run_all(plan, jobs=jobs, draw=draw)
+        done = run_all(plan, jobs=jobs, figures=figures)
         outcomes.extend(bar(done, jobs=jobs, total=len(plan), unit="run"))
     except KeyboardInterrupt:
         # A result that was rewritten has a new inode.
@@ -185,14 +183,14 @@ def _run_many(
     if json_file:
         document = {
             "schema_version": SCHEMA_VERSION,
-            "runs": [{"result": str(o.directory), **o.summary} for o in outcomes if o.summary],
+            "runs": [{"result": str(o.directory), **o.scores} for o in outcomes if o.scores],
             "failed": [{"experiment": o.title, "error": o.error} for o in failed],
         }
         write_json(json_file, document)
     for outcome in outcomes:
-        for note in (outcome.summary or {}).get("warnings", ()):
+        for note in (outcome.scores or {}).get("warnings", ()):
             options.warn(note, outcome.title)
-    summaries = [o.summary for o in outcomes if o.summary is not None]
+    summaries = [o.scores for o in outcomes if o.scores is not None]
     parts: list[str | Table] = [
         Table(*runs_table_rows(summaries)),
         Table(*event_runs_rows(summaries), leaves_out=True),
@@ -243,9 +241,8 @@ def _inode(directory: Path) -> int | None:
     return directory.stat().st_ino if directory.is_dir() else None
 
 
-def _parts(done: RunResult | StreamedResult) -> list[str | Table]:
+def _parts(done: Result) -> list[str | Table]:
     experiment, said = done.experiment, done.scores
-    clips = done.result if isinstance(done, RunResult) and done.result.clip is not None else None
     log_evidence = said["mean_log_evidence"]
     first = [
         f"{said['name']}: {len(done)} frames, {experiment.n_lanes} lanes, graph {experiment.graph},"
@@ -264,22 +261,22 @@ def _parts(done: RunResult | StreamedResult) -> list[str | Table]:
     if scores:
         parts.append(Table(*score_rows(scores)))
     else:
-        parts += _lane_parts(done, clips)
+        parts += _lane_parts(done)
     parts += [confusion_table(mine["confusion"], name) for name, mine in scores.items()]
-    return parts + (_event_parts(done) if clips is None else [])
+    return parts + (_event_parts(done) if done.clip is None else [])
 
 
-def _lane_parts(done: RunResult | StreamedResult, clips: Result | None) -> list[str | Table]:
-    if clips is None:
-        last = done.beliefs.lane[-1] if isinstance(done, RunResult) else done.last
+def _lane_parts(done: Result) -> list[str | Table]:
+    if done.clip is None:
+        last = done.beliefs.lane[-1]
         best = int(last.argmax())
         at_the_end = f"at the end lane {best + 1} is the most probable ({last[best]:.2f})"
         return [f"{lane_words(done.scores)}; {at_the_end}\n{sure_words(done.scores)}"]
     where = "a row for each clip: clips.csv; its frames: beliefs.parquet"
-    return [*clip_parts(clips), f"{sure_words(done.scores)}\n{where}"]
+    return [*clip_parts(done), f"{sure_words(done.scores)}\n{where}"]
 
 
-def _event_parts(done: RunResult | StreamedResult) -> list[str | Table]:
+def _event_parts(done: Result) -> list[str | Table]:
     events, scores = done.events, done.scores["events"]
     header, rows = event_rows(events)
     parts: list[str | Table] = [Table(header, rows) if rows else "no lane change was believed"]

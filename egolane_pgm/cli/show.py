@@ -12,9 +12,9 @@ import click
 from egolane_pgm.cli import options
 from egolane_pgm.cli.completion import plugins
 from egolane_pgm.cli.options import write_json
+from egolane_pgm.drive import check_sources
 from egolane_pgm.experiment import experiment_path, experiments_folder, load_experiment, load_yaml
 from egolane_pgm.inference.compile import Compiled
-from egolane_pgm.loading import check_sources
 from egolane_pgm.model import (
     Roles,
     build_network,

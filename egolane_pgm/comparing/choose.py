@@ -37,11 +37,11 @@ from egolane_pgm.comparing.placing import (
     recording_key,
     stretch,
 )
+from egolane_pgm.drive import Drive, beliefs_of, drive_key
 from egolane_pgm.experiment import Experiment
 from egolane_pgm.learning import Found, with_found
 from egolane_pgm.learning import fit as learn_from
-from egolane_pgm.loading import drive_key
-from egolane_pgm.model import Drive, Model, beliefs_of, prepare_model
+from egolane_pgm.model import Model, prepare_model
 from egolane_pgm.parameters import resolve_parameters
 from egolane_pgm.plugins import declared_parameters
 from egolane_pgm.scoring.assign import assigned_lane
@@ -100,7 +100,7 @@ class Task:
 class Losses:
     """The losses of S candidates on one recording, with B blocks.
 
-    drive: which drive the recording is of (`loading.drive_key`).
+    drive: which drive the recording is of (`drive.drive_key`).
     sums (S, B, B), by objective: [s, b, c] is the loss of candidate s, summed over the frames of
         stretch c that are not in b, with what was learned without both (b = c: without c).
     frames (B, B): the number of these frames.

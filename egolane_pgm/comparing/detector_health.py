@@ -7,9 +7,8 @@ from typing import Any
 
 from egolane_pgm.comparing.placing import load_for_scoring
 from egolane_pgm.comparing.side import Side
+from egolane_pgm.drive import Recorded, evidence_on
 from egolane_pgm.experiment import Experiment
-from egolane_pgm.loading import Recorded
-from egolane_pgm.model import evidence_on
 from egolane_pgm.scoring.health import DetectorErrors, doubt, roc_auc
 from egolane_pgm.types import UNASSIGNED, BoolArray, FloatArray
 

@@ -27,11 +27,11 @@ from egolane_pgm.comparing.placing import (
 )
 from egolane_pgm.comparing.saving import folder_of, save_comparison
 from egolane_pgm.comparing.side import Search, Side, held_out_side, search_blocks
+from egolane_pgm.drive import Drive, Recorded, drive_key
 from egolane_pgm.experiment import Experiment, Overrides, load_experiment
 from egolane_pgm.fleet import FleetDrive, drive_experiment, first_names
 from egolane_pgm.learning import Found
-from egolane_pgm.loading import Recorded, drive_key
-from egolane_pgm.model import Drive, causality, prepare_model
+from egolane_pgm.model import causality, prepare_model
 from egolane_pgm.paper import load_published, paper_experiment, parameters_for
 from egolane_pgm.results import SCHEMA_VERSION
 from egolane_pgm.scoring.bootstrap import INTERVAL_STATISTICS, score_counts

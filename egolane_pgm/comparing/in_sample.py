@@ -7,8 +7,8 @@ from dataclasses import dataclass
 from typing import Any
 
 from egolane_pgm.comparing.graphs import named_graphs, with_graph
+from egolane_pgm.drive import load_recording
 from egolane_pgm.experiment import load_experiment
-from egolane_pgm.loading import load_recording
 from egolane_pgm.model import prepare_model
 from egolane_pgm.paper import load_published, paper_experiment, parameters_for
 from egolane_pgm.results import SCHEMA_VERSION

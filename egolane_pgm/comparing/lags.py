@@ -10,9 +10,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
+from egolane_pgm.drive import Drive, evidence_on
 from egolane_pgm.inference.lags import beliefs_by_lag
 from egolane_pgm.learning import Found, with_found
-from egolane_pgm.model import Drive, evidence_on
 from egolane_pgm.scoring.held_out import HeldOut
 from egolane_pgm.scoring.summary import score_with_intervals
 from egolane_pgm.types import BoolArray, FloatArray, InputError

@@ -18,10 +18,9 @@ from egolane_pgm.comparing.placing import (
     recording_key,
     stretch,
 )
+from egolane_pgm.drive import Drive, drive_key
 from egolane_pgm.experiment import Experiment
 from egolane_pgm.learning import Found, fit_pooled
-from egolane_pgm.loading import drive_key
-from egolane_pgm.model import Drive
 from egolane_pgm.paper import paper_experiment, parse_runs
 from egolane_pgm.scoring.held_out import blocks
 from egolane_pgm.types import InputError, IntArray

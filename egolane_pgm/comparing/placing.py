@@ -6,12 +6,12 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from egolane_pgm.drive import Drive, Recorded, load_drive
 from egolane_pgm.experiment import Experiment, Tuning, load_experiment, make_experiment
 from egolane_pgm.fleet import FleetDrive
-from egolane_pgm.loading import Recorded, files_in_full
-from egolane_pgm.model import Drive, load_drive
 from egolane_pgm.recordings.catalog import find_file
 from egolane_pgm.recordings.ground_truth import read_ground_truth
+from egolane_pgm.recordings.source import files_in_full
 from egolane_pgm.types import BoolArray, InputError, IntArray, problems_in, suggestion
 
 

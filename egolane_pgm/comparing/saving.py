@@ -9,13 +9,10 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
 from egolane_pgm.comparing.side import Side
-from egolane_pgm.experiment import resolved
 from egolane_pgm.model import causality
 from egolane_pgm.results import SCHEMA_VERSION
-from egolane_pgm.running import make_result, save_result
+from egolane_pgm.running import held_out_result
 from egolane_pgm.tools.files import make_directory, write_json
 from egolane_pgm.types import FloatArray
 
@@ -47,29 +44,22 @@ def save_comparison(
         for side in alike
     ]
     for side, entry, suffix in each:
-        experiment, model, recorded = side.experiment, side.drive.model, side.drive.recorded
-        content = {**resolved(experiment, model.parameters), "fit": experiment.fit}
-        rows = np.arange(len(side.drive))
-        annotated = replace(recorded, log=recorded.log.take(recorded.scored), scored=rows)
-        notes = [*recorded.notes, *side.notes]
-        result = make_result(
-            experiment,
-            model,
-            annotated,
+        run = {
+            "blocks": part["blocks"],
+            "parameters_per_block": [dict(found) for found in side.held_out.parameters],
+            "tuned_on": side.tuned_on,
+            **causality(side.experiment, side.drive.model, side.held_out.parameters),
+        }
+        result = held_out_result(
+            replace(side.drive, experiment=side.experiment),
             side.beliefs,
-            tentative,
-            content=content,
-            scores={"name": experiment.name, "held_out": entry},
-            notes=notes,
-            found={
-                "fit": experiment.fit,
-                "blocks": part["blocks"],
-                "parameters_per_block": [dict(found) for found in side.held_out.parameters],
-                "tuned_on": side.tuned_on,
-                **causality(experiment, model, side.held_out.parameters),
-            },
-            block=side.held_out.block,
+            side.held_out.block,
+            fit=side.experiment.fit,
+            tentative=tentative,
+            notes=side.notes,
+            run=run,
+            scores={"name": side.experiment.name, "held_out": entry},
         )
-        save_result(result, experiment, model, folder / f"{experiment.name}{suffix}")
+        result.save(folder / f"{side.experiment.name}{suffix}", figures=False)
     write_json(folder / "comparison.json", {"schema_version": SCHEMA_VERSION, **part})
     return folder

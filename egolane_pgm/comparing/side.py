@@ -20,11 +20,11 @@ from egolane_pgm.comparing.choose import (
 )
 from egolane_pgm.comparing.lags import Lagged, lag_notes, lagged_beliefs
 from egolane_pgm.comparing.learned_on import learner_elsewhere
+from egolane_pgm.drive import Drive, beliefs_of, drive_key
 from egolane_pgm.experiment import Experiment, Tuning
 from egolane_pgm.learning import Found, check_learnable, n_learned, with_found
 from egolane_pgm.learning import fit as learn_from
-from egolane_pgm.loading import drive_key
-from egolane_pgm.model import Drive, beliefs_of, value_names
+from egolane_pgm.model import value_names
 from egolane_pgm.plugins import declared_parameters
 from egolane_pgm.scoring.held_out import N_BLOCKS, HeldOut, held_out, without_block
 from egolane_pgm.tuning.held_out import nested_search

@@ -13,8 +13,8 @@ from numpy.typing import NDArray
 
 from egolane_pgm.camera.pictures import Source, images_of, open_source
 from egolane_pgm.camera.writing import as_jpeg
+from egolane_pgm.detectors.pictures import pictures_of
 from egolane_pgm.experiment import load_experiment
-from egolane_pgm.loading import pictures_of
 from egolane_pgm.results import LINES, Result, read_result
 from egolane_pgm.types import (
     DATED_S,
@@ -211,7 +211,7 @@ def _clock(result: Result) -> tuple[IntArray, bool]:
 
 def _pictures(result: Result) -> Source | None:
     """The pictures that the result's detector looked at."""
-    if (result.experiment.get("recording") or {}).get("detector") is None:
+    if (result.config.get("recording") or {}).get("detector") is None:
         return None
     try:
         return pictures_of(load_experiment(result.directory / "experiment.yaml"), "path")

@@ -13,6 +13,7 @@ from dataclasses import dataclass
 from functools import partial
 from typing import Any
 
+from egolane_pgm.drive import beliefs_of
 from egolane_pgm.experiment import Experiment
 from egolane_pgm.learning.held_out import (
     Found,
@@ -28,7 +29,7 @@ from egolane_pgm.learning.held_out import (
     trusted_frames,
 )
 from egolane_pgm.learning.tables import nested_tables, with_found
-from egolane_pgm.model import Model, beliefs_of, prepare_model, with_map
+from egolane_pgm.model import Model, prepare_model, with_map
 from egolane_pgm.tools.jobs import Jobs, in_order
 from egolane_pgm.types import InputError, all_problems, problems_in
 

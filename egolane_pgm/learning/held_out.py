@@ -8,6 +8,7 @@ from typing import Any, cast
 
 import numpy as np
 
+from egolane_pgm.drive import Drive, Recorded, beliefs_of, evidence_on, load_drive
 from egolane_pgm.experiment import Experiment
 from egolane_pgm.inference.filtering import filter_beliefs
 from egolane_pgm.learning.em import Seen
@@ -21,15 +22,7 @@ from egolane_pgm.learning.tables import (
     starting,
     with_found,
 )
-from egolane_pgm.loading import Recorded
-from egolane_pgm.model import (
-    Drive,
-    Model,
-    beliefs_of,
-    evidence_on,
-    load_drive,
-    prepare_model,
-)
+from egolane_pgm.model import Model, prepare_model
 from egolane_pgm.parameters import Value, resolve_parameters
 from egolane_pgm.plugins import declared_parameters, plugin_errors
 from egolane_pgm.scoring.held_out import N_BLOCKS, HeldOut, held_out, stitched

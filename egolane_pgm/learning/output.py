@@ -12,9 +12,9 @@ from egolane_pgm.experiment import Experiment, load_experiment, resolved
 from egolane_pgm.learning.graph_file import graph_yaml
 from egolane_pgm.learning.held_out import Found
 from egolane_pgm.learning.tables import PREFIX, learning_of, with_found
-from egolane_pgm.loading import files_in_full
 from egolane_pgm.model import Model, prepare_model
 from egolane_pgm.plugins import OWN_FILES, declared_parameters
+from egolane_pgm.recordings.source import files_in_full
 from egolane_pgm.tools.files import check_place, write_yaml
 from egolane_pgm.types import InputError
 

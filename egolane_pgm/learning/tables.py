@@ -15,12 +15,13 @@ from typing import Any
 
 import numpy as np
 
+from egolane_pgm.drive import Drive, evidence_on
 from egolane_pgm.experiment import Experiment, Learning
 from egolane_pgm.graphs.cpds import SliceNode, Table
 from egolane_pgm.inference.compile import Compiled
 from egolane_pgm.inference.expected_counts import FREE, counted_tables
 from egolane_pgm.learning.em import Seen, fit_tables_pooled, with_learned
-from egolane_pgm.model import Drive, Model, evidence_on, with_parameters
+from egolane_pgm.model import Model, with_parameters
 from egolane_pgm.parameters import Parameter, Value, resolve_parameters
 from egolane_pgm.plugins import declared_parameters, plugin_errors
 from egolane_pgm.types import BoolArray, InputError, IntArray, suggestion

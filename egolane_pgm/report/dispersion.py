@@ -120,7 +120,7 @@ def draw_bonus_ablation(with_bonus: Result, without_bonus: Result, path: str | P
 def bonus_ablation_figure(with_bonus: Result, without_bonus: Result) -> Figure:
     """The figure of `draw_bonus_ablation`."""
     _check_ablation(with_bonus, without_bonus)
-    value = with_bonus.experiment["parameters"]["bonus_value"]
+    value = with_bonus.config["parameters"]["bonus_value"]
     bars_with, bars_without = dispersion_bars(with_bonus), dispersion_bars(without_bonus)
     groups = []
     for a, b in zip(bars_with, bars_without, strict=True):
@@ -137,9 +137,9 @@ def bonus_ablation_figure(with_bonus: Result, without_bonus: Result) -> Figure:
 def _check_ablation(with_bonus: Result, without_bonus: Result) -> None:
     pair = (with_bonus, without_bonus)
     for result in pair:
-        if "bonus_value" not in result.experiment.get("parameters", {}):
+        if "bonus_value" not in result.config.get("parameters", {}):
             raise InputError(f"{result.directory}: has no parameter bonus_value to leave out")
-    values = [float(r.experiment["parameters"]["bonus_value"]) for r in pair]
+    values = [float(r.config["parameters"]["bonus_value"]) for r in pair]
     if values[0] <= 0:
         raise InputError(f"{with_bonus.directory}: bonus_value is {values[0]:g}, needs more than 0")
     if values[1] != 0:
@@ -160,10 +160,10 @@ def _check_ablation(with_bonus: Result, without_bonus: Result) -> None:
 
 def _other_differences(a: Result, b: Result) -> list[str]:
     """The other differences between two experiments; a fair ablation has none."""
-    left, right = a.experiment["parameters"], b.experiment["parameters"]
+    left, right = a.config["parameters"], b.config["parameters"]
     names = [k for k in sorted({*left, *right} - {"bonus_value"}) if left.get(k) != right.get(k)]
     keys = ("evidence", "graph", "filter", "evidence_reading")
-    return names + [k for k in keys if a.experiment.get(k) != b.experiment.get(k)]
+    return names + [k for k in keys if a.config.get(k) != b.config.get(k)]
 
 
 def _bar_sheet(groups: Sequence[Group], title: str, n_lanes: int) -> Figure:

@@ -51,7 +51,7 @@ def draw_together(directories: Sequence[Path], target: Path, *, style: str = "pn
     files = [target / f"dispersion.{style}"]
     draw_dispersion(results, files[0])
     if len(results) == 2:
-        bonus = [result.experiment["parameters"].get("bonus_value") for result in results]
+        bonus = [result.config["parameters"].get("bonus_value") for result in results]
         if bonus[0] and bonus[1] == 0:
             files.append(target / f"bonus_ablation.{style}")
             draw_bonus_ablation(results[0], results[1], files[-1])

@@ -61,7 +61,7 @@ def review_figure(labels: Labels, first: int, last: int) -> Figure:
     asked = np.flatnonzero((ids >= first) & (ids <= last))
     if not len(asked):
         raise InputError(
-            f"{run.recorded.log.source}: the range {first} to {last} has no frames; the recording"
+            f"{labels.lines.source}: the range {first} to {last} has no frames; the recording"
             f" has frame ids {int(ids[0])} to {int(ids[-1])}"
         )
     rate = run.experiment.recording.frame_rate
@@ -79,7 +79,7 @@ def review_figure(labels: Labels, first: int, last: int) -> Figure:
                     fontsize=8, va="top", color=INK)  # fmt: skip
     panels = [axes_at(figure, _LEFT, 0.6, _WIDTH, 2.2), axes_at(figure, _LEFT, 3.2, _WIDTH, strip)]
     panels.append(axes_at(figure, _LEFT, 3.4 + strip, _WIDTH, 0.9))
-    draw_lines(panels[0], run.recorded.log.take(rows))
+    draw_lines(panels[0], labels.lines.take(rows))
     _draw_belief(panels[1], labels, rows)
     _draw_confidence(panels[2], labels, rows)
     for ax in panels:
@@ -111,7 +111,7 @@ def _draw_belief(ax: Axes, labels: Labels, rows: IntArray) -> None:
     )  # fmt: skip
     for start, stop in runs_of(labels.is_crossing[rows]):
         ax.axvspan((ids[start] - 0.5) / rate, (ids[stop - 1] + 0.5) / rate, ymax=0.06, color=INK)
-    truth = run.recorded.truth
+    truth = run.truth
     if truth is not None:
         inside = (truth.frame_id >= ids[0]) & (truth.frame_id <= ids[-1])
         known = inside & ~truth.is_crossing

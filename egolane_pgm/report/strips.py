@@ -193,7 +193,7 @@ def strips_figure(result: Result, first: int | None = None, last: int | None = N
     sheet.text(middle, _HEAD, "frame id", fontsize=9, ha="center", va="bottom")
     sheet.text(middle, end, "time [s]", fontsize=9, ha="center", va="top")
     _draw_legend(figure, result, rows, end + 0.26)
-    if result.experiment.get("road"):
+    if result.config.get("road"):
         said = "lanes of the map: © OpenStreetMap contributors, ODbL"
         sheet.text(_WIDTH - _RIGHT, end + _FOOT - 0.06, said, fontsize=7, ha="right", va="bottom")
     return figure

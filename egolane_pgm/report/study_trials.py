@@ -18,8 +18,8 @@ from pydantic import Field
 from pydantic_core import from_json
 
 from egolane_pgm.experiment import validated
-from egolane_pgm.result_schema import Count, Finite, Stored
 from egolane_pgm.scoring.confusion import is_maximised
+from egolane_pgm.scoring.document import Count, Finite, Stored
 from egolane_pgm.tools.files import read_parquet
 from egolane_pgm.types import BoolArray, FloatArray, InputError, IntArray
 

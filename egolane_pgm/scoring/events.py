@@ -24,7 +24,6 @@ of the annotator (at the end in the Italian recordings, after two thirds in the 
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -47,50 +46,14 @@ def event_scores(
     crossing: FloatArray | None,
     truth: LaneTruth,
     frame_rate: float,
-    counts: FrameCounts | None = None,
 ) -> dict[str, Any]:
     """What scores.json says of lane changes: `score_events`, and under `crossing` what
     `score_crossing` gives, or None.
 
     - crossing: (K,) of the annotated frames, see `inference.events.crossing_probability`.
-    - counts: of all frames, where those given are `landmarks` only.
     """
-    warning = None if crossing is None else score_crossing(crossing, truth, frame_rate, counts)
-    return {**score_events(events, truth, frame_rate, counts), "crossing": warning}
-
-
-@dataclass(frozen=True)
-class FrameCounts:
-    """How many annotated frames there are (frames), how many of them are crossing, warned of, and
-    both. They add up over the parts of a drive."""
-
-    frames: int = 0
-    crossing: int = 0
-    warned: int = 0
-    both: int = 0
-
-    def plus(self, crossing: FloatArray | None, truth: LaneTruth) -> FrameCounts:
-        """With K more frames; crossing: as in `event_scores`."""
-        is_warned = np.zeros(len(truth), dtype=bool) if crossing is None else crossing >= WARNED
-        return FrameCounts(
-            self.frames + len(truth),
-            self.crossing + int(truth.is_crossing.sum()),
-            self.warned + int(is_warned.sum()),
-            self.both + int((is_warned & truth.is_crossing).sum()),
-        )
-
-
-def landmarks(events: LaneEvents, crossing: FloatArray | None, truth: LaneTruth) -> BoolArray:
-    """(K,): marks the annotated frames at which anything begins or ends, and those in which an
-    event is told. The scores of events are the same from these alone, but for the AUC of warnings.
-
-    - truth: K frames that follow each other. Of a drive in parts these are the landmarks of its
-      parts.
-    """
-    is_warned = np.zeros(len(truth), dtype=bool) if crossing is None else crossing >= WARNED
-    state = np.stack([truth.lane, truth.is_crossing, is_warned])
-    edge = np.concatenate([[True], (state[:, 1:] != state[:, :-1]).any(axis=0), [True]])
-    return np.asarray(edge[1:] | edge[:-1] | np.isin(truth.frame_id, events.told_frame_id))
+    warning = None if crossing is None else score_crossing(crossing, truth, frame_rate)
+    return {**score_events(events, truth, frame_rate), "crossing": warning}
 
 
 def match_events(
@@ -132,14 +95,11 @@ def event_delays(events: LaneEvents, truth: LaneTruth, frame_rate: float) -> Flo
     return delay
 
 
-def score_events(
-    events: LaneEvents, truth: LaneTruth, frame_rate: float, counts: FrameCounts | None = None
-) -> dict[str, Any]:
+def score_events(events: LaneEvents, truth: LaneTruth, frame_rate: float) -> dict[str, Any]:
     """The scores of lane-change events, ready for JSON; None where a score is undefined.
 
     - truth: K annotated frames, those that count.
     - frame_rate: frames per second.
-    - counts: as in `event_scores`.
 
     Keys: `changes` (true ones), `told` (events that can be right or false), `hours` (of annotated
     frames), `within` (for each tolerance, by its seconds, "0.5": `right`, `false`, `missed`,
@@ -147,7 +107,7 @@ def score_events(
     """
     check_frame_rate(frame_rate)
     changes = lane_changes(truth.lane, truth.is_crossing)
-    hours = (counts or FrameCounts(len(truth))).frames / frame_rate / 3600
+    hours = len(truth) / frame_rate / 3600
     within: dict[str, dict[str, Any]] = {}
     for tolerance in TOLERANCES_S:
         is_right = match_events(events, truth, frame_rate, tolerance) >= 0
@@ -172,12 +132,9 @@ def score_events(
     }
 
 
-def score_crossing(
-    crossing: ArrayLike, truth: LaneTruth, frame_rate: float, counts: FrameCounts | None = None
-) -> dict[str, Any]:
+def score_crossing(crossing: ArrayLike, truth: LaneTruth, frame_rate: float) -> dict[str, Any]:
     """The scores of the probability that the car is on a line, (K,), as early warning; ready for
-    JSON, None where a score is undefined. With `counts`, as in `event_scores`, so is the AUC: it
-    compares every frame with every other.
+    JSON, None where a score is undefined.
 
     Keys: `auc` (area under the ROC curve for "this frame is crossing"), `precision`, `recall` (of
     the crossing frames, with a warning from WARNED), `changes` (true ones), `warned` (how many of
@@ -187,7 +144,7 @@ def score_crossing(
     values = np.asarray(crossing, dtype=np.float64)
     is_crossing = as_mask(truth.is_crossing, len(values))
     is_warned = values >= WARNED
-    of_all = counts or FrameCounts().plus(values, truth)
+    both = int((is_warned & is_crossing).sum())
     ids = truth.frame_id
     begin, end = np.array(runs_of(is_warned), dtype=np.int64).reshape(-1, 2).T
     end = end - 1
@@ -200,16 +157,16 @@ def score_crossing(
     after = np.searchsorted(crossing_id, ids[begin])
     padded = np.concatenate([[-math.inf], crossing_id, [math.inf]])
     is_false = (padded[after + 1] - ids[end] >= reach) & (ids[begin] - padded[after] >= reach)
-    auc = roc_auc(values, is_crossing) if counts is None else math.nan
+    auc = roc_auc(values, is_crossing)
     return {
         "auc": None if math.isnan(auc) else auc,
-        "precision": _ratio(of_all.both, of_all.warned),
-        "recall": _ratio(of_all.both, of_all.crossing),
+        "precision": _ratio(both, int(is_warned.sum())),
+        "recall": _ratio(both, int(is_crossing.sum())),
         "changes": len(changes),
         "warned": len(found),
         "lead_s": {"median": _percentile(found, 50), "p10": _percentile(found, 10)},
         "warnings": len(begin),
-        "false_per_hour": _ratio(int(is_false.sum()), of_all.frames / frame_rate / 3600),
+        "false_per_hour": _ratio(int(is_false.sum()), len(truth) / frame_rate / 3600),
     }
 
 

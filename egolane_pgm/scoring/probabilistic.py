@@ -97,21 +97,6 @@ def calibration_curve(
     Arguments and errors as `brier`. An Unassigned frame counts as wrong, as everywhere: a tie does
     not go to the lane that happens to come first.
     """
-    return curve_of(calibration_sums(np.zeros((3, n_bins)), belief, lane, is_crossing))
-
-
-def calibration_sums(
-    before: FloatArray, belief: ArrayLike, lane: ArrayLike, is_crossing: ArrayLike
-) -> FloatArray:
-    """What a calibration curve is made of, (3, n_bins): per bin the sum of the largest
-    probabilities, the right frames, and all frames.
-
-    - before: of the frames before these, zeros at first. Numbers are added in the order of the
-      frames, so that a drive may be cut anywhere.
-
-    Arguments and errors as `brier`, and for no bin.
-    """
-    n_bins = before.shape[1]
     if n_bins < 1:
         raise InputError(f"n_bins: {n_bins} must be at least 1")
     values, actual, is_scored = _scored(belief, lane, is_crossing)
@@ -119,21 +104,11 @@ def calibration_sums(
     largest = values.max(axis=1)
     is_right = assigned_lane(values) == actual
     k = np.clip(np.ceil(largest * n_bins).astype(np.int64) - 1, 0, n_bins - 1)
-    bins = np.append(np.arange(n_bins), k)
-    of_frames = (largest, is_right, np.ones(len(k)))
-    return np.stack(
-        [
-            np.bincount(bins, weights=np.append(so_far, each))
-            for so_far, each in zip(before, of_frames, strict=True)
-        ]
-    )
-
-
-def curve_of(sums: FloatArray) -> CalibrationCurve:
-    """The calibration curve of `calibration_sums`, (3, n_bins)."""
-    confidence, right, count = sums
+    count = np.bincount(k, minlength=n_bins)
     divisor = np.where(count == 0, np.nan, count)
-    return CalibrationCurve(confidence / divisor, right / divisor, count.astype(np.int64))
+    confidence = np.bincount(k, weights=largest, minlength=n_bins) / divisor
+    accuracy = np.bincount(k, weights=is_right, minlength=n_bins) / divisor
+    return CalibrationCurve(confidence, accuracy, count)
 
 
 def expected_calibration_error(
@@ -146,11 +121,7 @@ def expected_calibration_error(
     Arguments, errors and the treatment of ties as `calibration_curve`. NaN without a non-crossing
     frame.
     """
-    return calibration_error(calibration_curve(belief, lane, is_crossing, n_bins))
-
-
-def calibration_error(curve: CalibrationCurve) -> float:
-    """`expected_calibration_error` of a curve, NaN where all bins are empty."""
+    curve = calibration_curve(belief, lane, is_crossing, n_bins)
     filled = curve.count > 0
     if not filled.any():
         return float("nan")

@@ -27,7 +27,7 @@ Rows are the joined frames in order. Where the definitions leave room, this is w
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -101,14 +101,9 @@ def false_switches_per_minute(
     not positive.
     """
     check_frame_rate(frame_rate)
-    pairs = false_switch_frames(assigned, lane, is_crossing)
-    return switch_rate(np.array([each.sum() for each in pairs]), frame_rate)
-
-
-def switch_rate(switches: IntArray, frame_rate: float) -> float:
-    """False switches per minute of `Followed.switches` (2,), NaN where none is possible."""
-    false, counted = switches.tolist()
-    return false / (counted / (60.0 * frame_rate)) if counted else float("nan")
+    is_false, is_counted = false_switch_frames(assigned, lane, is_crossing)
+    counted = int(is_counted.sum())
+    return int(is_false.sum()) / (counted / (60.0 * frame_rate)) if counted else float("nan")
 
 
 def lane_changes(lane: ArrayLike, is_crossing: ArrayLike) -> LaneChanges:
@@ -136,91 +131,22 @@ def delay_after_lane_change(
     assigned (T,), lane (T,), is_crossing (T,), frame_id (T,) strictly increasing; rules in the
     module. Raises InputError for arrays of different lengths or ids that do not increase.
     """
-    return delay_scores(followed(NO_ROWS, assigned, lane, is_crossing, frame_id, held_frames))
-
-
-@dataclass(frozen=True)
-class Followed:
-    """How the rows so far are followed, and what is kept of them to go on with later ones.
-
-    switches (2,): false ones, and the pairs of rows in which one is possible.
-    delay_frames (C,): as in `DelayScores`; NaN so far where the last change is still searched.
-    waiting (4, W): assigned, lane, crossing and frame id of the last non-crossing row and of the
-        crossing ones after it, which may yet begin a lane change. Before there is one: of the last
-        row.
-    searched: the lane and the end's frame id of the change that is not held yet, else None.
-    recent (2, H): assigned and frame id of the last rows in which it was searched.
-    """
-
-    switches: IntArray
-    delay_frames: FloatArray
-    waiting: IntArray
-    searched: tuple[int, int] | None
-    recent: IntArray
-
-
-#: Before the first row.
-NO_ROWS = Followed(
-    np.zeros(2, dtype=np.int64),
-    np.zeros(0),
-    np.zeros((4, 0), dtype=np.int64),
-    None,
-    np.zeros((2, 0), dtype=np.int64),
-)
-
-
-def followed(
-    before: Followed,
-    assigned: ArrayLike,
-    lane: ArrayLike,
-    is_crossing: ArrayLike,
-    frame_id: ArrayLike,
-    held_frames: int = HELD_FRAMES,
-) -> Followed:
-    """Go on with T more rows; however a drive is cut into parts, the scores are the same. Arguments
-    and errors as `delay_after_lane_change`."""
     if held_frames < 1:
         raise InputError(f"held_frames: {held_frames} must be at least 1")
-    aligned = _aligned(assigned, lane, is_crossing)
-    ids = as_lanes(frame_id, len(aligned[0]), "frame_id")
-    n_waiting = before.waiting.shape[1]
-    rows = np.concatenate([before.waiting, np.stack([*aligned, ids])], axis=1)
-    ids = rows[3]
+    predicted, actual, crossing = _aligned(assigned, lane, is_crossing)
+    ids = as_lanes(frame_id, len(predicted), "frame_id")
     if (np.diff(ids) <= 0).any():
         k = int(np.argmax(np.diff(ids) <= 0))
         raise InputError(f"frame_id: {ids[k]} is followed by {ids[k + 1]}, needs to increase")
-    pairs = false_switch_frames(rows[0], rows[1], rows[2] == 1)
-    switches = before.switches + np.array([each[n_waiting:].sum() for each in pairs])
-    scored = np.flatnonzero(rows[2] == 0)
-    if not len(scored):
-        return replace(before, switches=switches, waiting=rows[:, -1:])
-    changes = lane_changes(rows[1], rows[2] == 1)
-    # The rows in which each change is searched. The one from before was in the first row already.
-    first = int(changes.start[0]) if len(changes) else int(scored[-1]) + 1
-    searches = [
-        (int(to_lane), int(ids[end]), rows[::3, start:until])
-        for to_lane, end, start, until in zip(
-            changes.to_lane, changes.end, changes.start, changes.until, strict=True
-        )
-    ]
-    delays = before.delay_frames.tolist()
-    if before.searched is not None:
-        window = np.concatenate([before.recent, rows[::3, 1:first]], axis=1)
-        searches.insert(0, (*before.searched, window))
-        delays.pop()
-    searched, recent = None, before.recent[:, :0]
-    for to_lane, end_id, window in searches:
-        so_far = np.concatenate([[0], np.cumsum(window[0] == to_lane)])
+    changes = lane_changes(actual, crossing)
+    delay = np.full(len(changes), np.nan)
+    for c in range(len(changes)):
+        start, end, until = changes.start[c], changes.end[c], changes.until[c]
+        is_right = predicted[start:until] == changes.to_lane[c]
+        so_far = np.concatenate([[0], np.cumsum(is_right)])
         held = np.flatnonzero(so_far[held_frames:] - so_far[:-held_frames] == held_frames)
-        delays.append(float(window[1, held[0]] - end_id) if held.size else np.nan)
-        searched = None if held.size else (to_lane, end_id)
-        recent = window[:, max(0, window.shape[1] - held_frames + 1) :]
-    return Followed(switches, np.array(delays), rows[:, scored[-1] :], searched, recent)
-
-
-def delay_scores(rows: Followed) -> DelayScores:
-    """How late the lane changes in some rows are followed."""
-    delay = rows.delay_frames
+        if held.size:
+            delay[c] = ids[start + held[0]] - ids[end]
     found = delay[~np.isnan(delay)]
     nan = float("nan")
     return DelayScores(
@@ -228,7 +154,7 @@ def delay_scores(rows: Followed) -> DelayScores:
         median_frames=float(np.median(found)) if found.size else nan,
         p90_frames=float(np.percentile(found, 90)) if found.size else nan,
         share_missed=1.0 - found.size / delay.size if delay.size else nan,
-        changes=len(delay),
+        changes=len(changes),
     )
 
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -13,22 +12,9 @@ from egolane_pgm.scoring.assign import assigned_lane
 from egolane_pgm.scoring.bootstrap import score_counts, score_intervals
 from egolane_pgm.scoring.checks import as_belief, as_lanes, as_mask, check_frame_rate
 from egolane_pgm.scoring.confusion import confusion, scores_from_confusion
-from egolane_pgm.scoring.probabilistic import (
-    N_BINS,
-    brier_per_frame,
-    calibration_error,
-    calibration_sums,
-    curve_of,
-    log_loss_per_frame,
-)
-from egolane_pgm.scoring.stability import (
-    NO_ROWS,
-    Followed,
-    delay_scores,
-    followed,
-    switch_rate,
-)
-from egolane_pgm.types import FloatArray, IntArray, LaneTruth
+from egolane_pgm.scoring.probabilistic import brier, expected_calibration_error, log_loss
+from egolane_pgm.scoring.stability import delay_after_lane_change, false_switches_per_minute
+from egolane_pgm.types import LaneTruth
 
 
 def score_all(
@@ -55,91 +41,31 @@ def score_all(
 
     Raises InputError as the single scores do.
     """
-    check_frame_rate(frame_rate)
-    n_lanes = as_belief(belief, normalised=True).shape[1]
-    if assigned is None:
-        assigned = assigned_lane(belief, unassigned_below)
-    frames = (belief, truth_lane, is_crossing, frame_id, assigned)
-    return scores_of(with_frames(no_frames(n_lanes), *frames), frame_rate)
-
-
-@dataclass(frozen=True)
-class ScoreSums:
-    """What the scores of a belief are made of. It adds up: a drive may be cut anywhere, the scores
-    are the same.
-
-    frames: T, annotated frames so far.
-    log_loss, brier: sums of the scores per frame.
-    calibration (3, n_bins): see `probabilistic.calibration_sums`.
-    confusion (n + 1, n): counts.
-    rows: what the scores over time need.
-    """
-
-    frames: int
-    log_loss: float
-    brier: float
-    calibration: FloatArray
-    confusion: IntArray
-    rows: Followed
-
-
-def no_frames(n_lanes: int) -> ScoreSums:
-    """The sums before the first frame."""
-    counts = np.zeros((n_lanes + 1, n_lanes), dtype=np.int64)
-    return ScoreSums(0, 0.0, 0.0, np.zeros((3, N_BINS)), counts, NO_ROWS)
-
-
-def with_frames(
-    sums: ScoreSums,
-    belief: ArrayLike,
-    truth_lane: ArrayLike,
-    is_crossing: ArrayLike,
-    frame_id: ArrayLike,
-    assigned: ArrayLike,
-) -> ScoreSums:
-    """The sums with T more frames. Arguments and errors as `score_all`."""
     values = as_belief(belief, normalised=True)
     n_frames, n_lanes = values.shape
     lane, crossing = as_lanes(truth_lane, n_frames, "truth_lane"), as_mask(is_crossing, n_frames)
-    counts = sums.confusion + confusion(assigned, lane, crossing, n_lanes)
-    return ScoreSums(
-        sums.frames + n_frames,
-        running_sum(sums.log_loss, log_loss_per_frame(values, lane)),
-        running_sum(sums.brier, brier_per_frame(values[~crossing], lane[~crossing])),
-        calibration_sums(sums.calibration, values, lane, crossing),
-        counts,
-        followed(sums.rows, assigned, lane, crossing, frame_id),
-    )
-
-
-def running_sum(total: float, values: FloatArray) -> float:
-    """The total and the values (T,), added one after the other: wherever a drive is cut, the same
-    numbers are added in the same order."""
-    return float(np.cumsum(np.append(total, values))[-1])
-
-
-def scores_of(sums: ScoreSums, frame_rate: float) -> dict[str, Any]:
-    """The scores, as `score_all` gives them."""
-    scores = scores_from_confusion(sums.confusion)
-    scored = scores.frames_scored
+    check_frame_rate(frame_rate)
+    if assigned is None:
+        assigned = assigned_lane(values, unassigned_below)
+    scores = scores_from_confusion(confusion(assigned, lane, crossing, n_lanes))
     return {
         "precision": scores.mean_precision,
         "recall": scores.mean_recall,
         "f1": scores.mean_f1,
         "accuracy": scores.accuracy,
-        "log_loss": sums.log_loss / sums.frames if sums.frames else None,
-        "brier": sums.brier / scored if scored else None,
-        "expected_calibration_error": _or_none(calibration_error(curve_of(sums.calibration))),
+        "log_loss": _or_none(log_loss(values, lane)),
+        "brier": _or_none(brier(values, lane, crossing)),
+        "expected_calibration_error": _or_none(expected_calibration_error(values, lane, crossing)),
         "coverage": scores.coverage,
-        **_over_time(sums.rows, frame_rate),
+        **stability_scores(assigned, lane, crossing, frame_id, frame_rate),
         "per_lane": {
             "precision": scores.precision.tolist(),
             "recall": scores.recall.tolist(),
             "f1": scores.f1.tolist(),
         },
         "confusion": scores.confusion.tolist(),
-        "frames": sums.frames,
-        "frames_scored": scored,
+        "frames": n_frames,
+        "frames_scored": int(np.count_nonzero(~crossing)),
     }
 
 
@@ -152,15 +78,10 @@ def stability_scores(
 ) -> dict[str, Any]:
     """The scores of `score_all` that look from frame to frame: `false_switches_per_minute` and
     `delay`. Parameters and errors as there."""
-    check_frame_rate(frame_rate)
-    rows = followed(NO_ROWS, assigned, truth_lane, is_crossing, frame_id)
-    return _over_time(rows, frame_rate)
-
-
-def _over_time(rows: Followed, frame_rate: float) -> dict[str, Any]:
-    delay = delay_scores(rows)
+    delay = delay_after_lane_change(assigned, truth_lane, is_crossing, frame_id)
+    switches = false_switches_per_minute(assigned, truth_lane, is_crossing, frame_rate)
     return {
-        "false_switches_per_minute": _or_none(switch_rate(rows.switches, frame_rate)),
+        "false_switches_per_minute": _or_none(switches),
         "delay": {
             "median_frames": _or_none(delay.median_frames),
             "p90_frames": _or_none(delay.p90_frames),

@@ -76,6 +76,12 @@ def in_home(path: str | Path) -> Path:
         raise InputError(f"{path}: there is no home folder of that user") from None
 
 
+def file_sha256(path: Path) -> str:
+    """The checksum of a file."""
+    with path.open("rb") as file:
+        return hashlib.file_digest(file, "sha256").hexdigest()
+
+
 # --- writing ---------------------------------------------------------------------------------
 
 

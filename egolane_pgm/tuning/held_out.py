@@ -11,7 +11,7 @@ import numpy as np
 import optuna
 from numpy.typing import NDArray
 
-from egolane_pgm.model import Drive
+from egolane_pgm.drive import Drive
 from egolane_pgm.scoring.bootstrap import (
     INTERVAL_STATISTICS,
     Interval,

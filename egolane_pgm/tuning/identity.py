@@ -10,9 +10,8 @@ from typing import Any
 
 from egolane_pgm.detectors import networks, simple
 from egolane_pgm.detectors.runner import Detector, own_files
+from egolane_pgm.drive import Drive, data_entries
 from egolane_pgm.experiment import resolved
-from egolane_pgm.loading import data_entries
-from egolane_pgm.model import Drive
 from egolane_pgm.plugins import OWN_FILES, source_files
 from egolane_pgm.tools.files import plain
 from egolane_pgm.tuning.objective import detector_of

@@ -10,9 +10,8 @@ from typing import Any
 import numpy as np
 
 from egolane_pgm.detectors.runner import Detector, find_detector
+from egolane_pgm.drive import Drive, belief_of, load_recording
 from egolane_pgm.experiment import Experiment
-from egolane_pgm.loading import load_recording
-from egolane_pgm.model import Drive, belief_of
 from egolane_pgm.parameters import Value
 from egolane_pgm.plugins import declared_parameters
 from egolane_pgm.scoring import confusion as confusions

@@ -29,8 +29,9 @@ from egolane_pgm.calibration.labels import label_picture, label_places, read_lab
 from egolane_pgm.camera.model import Camera, read_camera
 from egolane_pgm.camera.picture import Picture
 from egolane_pgm.camera.pictures import open_source, read_image
+from egolane_pgm.detectors.pictures import pictures_in
 from egolane_pgm.detectors.runner import Detector, check_pair, detect, find_detector, start
-from egolane_pgm.loading import file_entry
+from egolane_pgm.drive import file_entry
 from egolane_pgm.parameters import Value
 from egolane_pgm.report.study_trials import SCHEMA_VERSION, STUDY_FILE
 from egolane_pgm.results import provenance
@@ -303,7 +304,7 @@ def _data(problem: PictureProblem) -> list[dict[str, Any]]:
     """The `file_entry` of labels, camera and the labelled pictures."""
     pictures = [clip.pictures[-1] for clip in problem.clips]
     files = [_place(problem.plan, "labels"), _place(problem.plan, "camera"), *pictures]
-    return [{**file_entry(path), "path": path.name} for path in files]
+    return [{**file_entry(path, pictures_in), "path": path.name} for path in files]
 
 
 def tune(

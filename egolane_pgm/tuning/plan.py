@@ -20,6 +20,7 @@ from typing import Any, TypeVar
 
 from pydantic import Field, field_validator
 
+from egolane_pgm.drive import Drive, load_drive
 from egolane_pgm.experiment import (
     Experiment,
     Overrides,
@@ -31,7 +32,7 @@ from egolane_pgm.experiment import (
     make_experiment,
     validated,
 )
-from egolane_pgm.model import Drive, Model, load_drive, prepare_model
+from egolane_pgm.model import Model, prepare_model
 from egolane_pgm.paper import load_published, paper_experiment, parameters_for
 from egolane_pgm.parameters import Value, resolve_parameters
 from egolane_pgm.plugins import declared_parameters

@@ -12,8 +12,8 @@ import optuna
 from optuna.distributions import BaseDistribution, FloatDistribution
 from optuna.trial import FrozenTrial, Trial
 
+from egolane_pgm.drive import belief_of, load_drive
 from egolane_pgm.experiment import load_experiment
-from egolane_pgm.model import belief_of, load_drive
 from egolane_pgm.paper import load_published, paper_experiment, published_path
 from egolane_pgm.report.study_trials import quiet
 from egolane_pgm.scoring.assign import assigned_lane

@@ -20,10 +20,11 @@ import optuna
 import pyarrow as pa
 from pyarrow import csv
 
+from egolane_pgm.drive import data_entries
 from egolane_pgm.experiment import Experiment, resolved
-from egolane_pgm.loading import data_entries, files_in_full
 from egolane_pgm.parameters import Value
 from egolane_pgm.plugins import OWN_FILES
+from egolane_pgm.recordings.source import files_in_full
 from egolane_pgm.report.study_trials import SCHEMA_VERSION, TRIALS_FILE
 from egolane_pgm.results import provenance
 from egolane_pgm.tools.files import atomic, plain, write_json, write_parquet, write_yaml

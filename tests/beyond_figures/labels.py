@@ -13,9 +13,9 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from egolane_pgm.comparing.placing import on_recording
+from egolane_pgm.drive import Recorded
 from egolane_pgm.experiment import experiments_folder, load_experiment
 from egolane_pgm.labelling import SHARES, Labels, label_experiment, label_scores
-from egolane_pgm.loading import Recorded
 from egolane_pgm.paper import paper_experiment
 from egolane_pgm.report.answers import DETECTOR_COLOUR, INK, MODEL_COLOUR
 from egolane_pgm.report.review import review_figure
@@ -138,10 +138,10 @@ def run_rows(found: dict[int, Labels]) -> tuple[list[str], list[list[str]]]:
     ]  # fmt: skip
     rows = []
     for run, labels in found.items():
-        scores, truth = label_scores(labels), labels.run.recorded.truth
+        scores, truth = label_scores(labels), labels.run.truth
         assert truth is not None
         counted = slice(None) if run < 6 else truth.frame_id < LAST_TRUSTED
-        mine = labels.lane[labels.run.recorded.scored][counted]
+        mine = labels.lane[labels.run.scored][counted]
         changes = [np.count_nonzero(np.diff(lane)) for lane in (mine, truth.lane[counted])]
         rate = labels.run.experiment.recording.frame_rate
         rows.append(
@@ -164,7 +164,7 @@ def run_rows(found: dict[int, Labels]) -> tuple[list[str], list[list[str]]]:
 def suspects(road: str, overrides: tuple[str, ...]) -> list[list[str]]:
     """The rows of what contradicts the annotation of a road."""
     found = [labels_of(run, overrides) for run in SIMPLE[road]]
-    truths = [labels.run.recorded.truth for labels in found]
+    truths = [labels.run.truth for labels in found]
     ids = functools.reduce(np.intersect1d, [truth.frame_id for truth in truths if truth])
     first = truths[0]
     assert first is not None
@@ -270,7 +270,7 @@ def curves_figure() -> Figure:
 
 def _draw_curve(ax: Axes, run: int) -> None:
     labels = labels_of(run)
-    truth, rows = labels.run.recorded.truth, labels.run.recorded.scored
+    truth, rows = labels.run.truth, labels.run.scored
     assert truth is not None
     keep = ~truth.is_crossing & ((truth.frame_id < LAST_TRUSTED) | (run < 6))
     right = labels.lane[rows] == truth.lane

@@ -21,8 +21,8 @@ from egolane_pgm.cli.main import egolane
 from egolane_pgm.detectors import FrameLines, as_log
 from egolane_pgm.detectors.simple.finder import PARAMETERS, follower
 from egolane_pgm.detectors.simple.tracking import Tracks, lines_of, no_tracks
+from egolane_pgm.drive import Recorded
 from egolane_pgm.experiment import make_experiment
-from egolane_pgm.loading import Recorded
 from egolane_pgm.parameters import resolve_parameters
 from egolane_pgm.running import run_experiment
 from egolane_pgm.scoring.assign import assigned_lane

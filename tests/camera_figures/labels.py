@@ -181,7 +181,7 @@ def run_stretches(
         with warnings.catch_warnings():
             warnings.simplefilter("ignore", UserWarning)
             run = run_experiment(make_experiment(content, labels.parent, "labels"))
-        log = run.recorded.log
+        log = run.lines
         picture, lane = log.frame_id * STEP, run.beliefs.lane.argmax(axis=1) + 1
         for k in np.flatnonzero(np.diff(lane)):
             step = int(lane[k + 1] - lane[k])

@@ -11,8 +11,8 @@ import pytest
 
 from egolane_pgm.comparing.groups import Group, by_recording, compare_groups
 from egolane_pgm.comparing.placing import on_recording, recording_key
+from egolane_pgm.drive import load_recording
 from egolane_pgm.experiment import load_experiment
-from egolane_pgm.loading import load_recording
 from egolane_pgm.types import InputError
 from tests.conftest import needs_compiler
 from tests.kits.drives import command, done, write_drive

@@ -20,10 +20,10 @@ import yaml
 from egolane_pgm.api.detections import check_target
 from egolane_pgm.camera.model import write_camera
 from egolane_pgm.camera.pictures import open_source, read_pictures
+from egolane_pgm.drive import check_sources, load_recording, with_recording
 from egolane_pgm.experiment import load_experiment
-from egolane_pgm.loading import check_sources, load_recording, with_recording
 from egolane_pgm.recordings import read_lines
-from egolane_pgm.running import run_experiment, save_run
+from egolane_pgm.running import run_experiment
 from egolane_pgm.types import InputError
 from tests.kits.drives import command, done, refused, rewritten, write_experiment
 from tests.kits.full_disk import BLIND, drawing
@@ -161,7 +161,7 @@ def test_run_takes_a_video_and_keeps_what_it_needs_to_run_again(
     again = run_experiment(tmp_path / "out/experiment.yaml")
     first = run_experiment(place / "run.yaml")
     np.testing.assert_array_equal(again.beliefs.lane, first.beliefs.lane)
-    assert first.recorded.log.time_s[-1] == pytest.approx((N_FRAMES - 1) / 12.5)
+    assert first.lines.time_s[-1] == pytest.approx((N_FRAMES - 1) / 12.5)
 
 
 def test_run_on_another_video_by_options(place: Path, tmp_path: Path) -> None:
@@ -197,13 +197,13 @@ def test_a_folder_of_pictures_has_one_checksum(place: Path, tmp_path: Path) -> N
     }
     rewritten(place / "run.yaml", tmp_path / "run.yaml", recording=recording)
     first = run_experiment(tmp_path / "run.yaml")
-    assert first.recorded.log.frame_id.tolist() == [1, 2]
-    save_run(first, tmp_path / "out")
+    assert first.lines.frame_id.tolist() == [1, 2]
+    first.save(tmp_path / "out", figures=False)
     data = json.loads((tmp_path / "out/run.json").read_text())["data"]
     assert [Path(e["path"]).name for e in data] == ["pictures", "cam.yaml", "my_detector.py"]
     assert data[0]["files"] == 3
     cv2.imwrite(str(folder / "0.png"), images(2)[1])
-    save_run(run_experiment(tmp_path / "run.yaml"), tmp_path / "out")
+    run_experiment(tmp_path / "run.yaml").save(tmp_path / "out", figures=False)
     changed = json.loads((tmp_path / "out/run.json").read_text())["data"]
     assert changed[0]["sha256"] != data[0]["sha256"]
     run_experiment(tmp_path / "out/experiment.yaml")

@@ -75,7 +75,7 @@ def test_its_labels_are_a_ground_truth_for_run(lines: Path, tmp_path: Path) -> N
 def test_its_folder_is_a_run_s_result_too(lines: Path) -> None:
     again = ego.load_result(lines.parent / "labels")
     truth = read_ground_truth(lines.parent / "labels" / "labels.txt")
-    assert again.assigned.tolist() == truth.lane.tolist()
+    assert again.assigned_lane.tolist() == truth.lane.tolist()
 
 
 def test_with_ground_truth_it_says_how_good_the_labels_are(lines: Path, tmp_path: Path) -> None:

@@ -11,9 +11,9 @@ import pytest
 import yaml
 
 from egolane_pgm.comparing.placing import load_for_scoring, on_recording
+from egolane_pgm.drive import load_recording
 from egolane_pgm.experiment import load_experiment
 from egolane_pgm.learning import output
-from egolane_pgm.loading import load_recording
 from egolane_pgm.recordings.ground_truth import write_ground_truth
 from egolane_pgm.types import LaneTruth
 from tests.kits.drives import command, contents, done, refused, rewritten, write_drive

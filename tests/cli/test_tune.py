@@ -18,8 +18,8 @@ from optuna.storages import JournalStorage
 from optuna.storages.journal import JournalFileBackend
 from pyarrow import parquet
 
+from egolane_pgm.drive import load_recording
 from egolane_pgm.experiment import experiments_folder, load_experiment
-from egolane_pgm.loading import load_recording
 from egolane_pgm.model import prepare_model
 from egolane_pgm.running import run_experiment
 from egolane_pgm.tools.files import write_yaml

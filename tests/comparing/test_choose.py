@@ -26,10 +26,10 @@ from egolane_pgm.comparing.choose import (
 )
 from egolane_pgm.comparing.placing import load_for_scoring
 from egolane_pgm.comparing.side import held_out_side
+from egolane_pgm.drive import drive_key
 from egolane_pgm.evidence import line_geometry
 from egolane_pgm.experiment import Experiment, load_experiment, make_experiment
 from egolane_pgm.learning import fit, fit_pooled
-from egolane_pgm.loading import drive_key
 from egolane_pgm.recordings.ground_truth import write_ground_truth
 from egolane_pgm.recordings.table import write_table
 from egolane_pgm.running import run_experiment

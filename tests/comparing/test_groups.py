@@ -26,8 +26,8 @@ from egolane_pgm.comparing.groups import (
 )
 from egolane_pgm.comparing.placing import load_for_scoring, on_recording, recording_key
 from egolane_pgm.comparing.side import Search, Side, held_out_side
+from egolane_pgm.drive import Drive
 from egolane_pgm.experiment import Experiment, load_experiment, resolved
-from egolane_pgm.model import Drive
 from egolane_pgm.plugins import plugin_names
 from egolane_pgm.recordings.ground_truth import write_ground_truth
 from egolane_pgm.report.comparison_figures import (
@@ -118,12 +118,12 @@ def test_without_a_fit_the_belief_is_that_of_a_run() -> None:
     experiment = simulated(tuned_on="not_tuned")
     run = run_of(load_for_scoring(experiment))
     plain = run_experiment(experiment)
-    np.testing.assert_array_equal(run.beliefs.lane, plain.beliefs.lane[plain.recorded.scored])
+    np.testing.assert_array_equal(run.beliefs.lane, plain.beliefs.lane[plain.scored])
     assert run.tuned_on == "not_tuned"
     assert run.free_parameters == 0
     bad = plain.beliefs.marginals["SensorState"][:, 1]
     assert run.bad is not None
-    np.testing.assert_array_equal(run.bad, bad[plain.recorded.scored])
+    np.testing.assert_array_equal(run.bad, bad[plain.scored])
     assert run.beliefs.log_evidence.mean() == pytest.approx(plain.beliefs.mean_log_evidence)
     assert 0 < run.seconds_per_frame < 0.01
 
@@ -148,7 +148,7 @@ def test_a_difference_is_paired_and_to_the_first_experiment() -> None:
     counts = []
     for experiment in (second, first):
         run = run_experiment(experiment)
-        truth, belief = run.recorded.truth, run.beliefs.lane[run.recorded.scored]
+        truth, belief = run.truth, run.beliefs.lane[run.scored]
         assert truth is not None
         counts.append(confusion_counts(assigned_lane(belief), truth.lane, truth.is_crossing, 4))
     expected = bootstrap_interval(counts[:1], accuracy, minus=counts[1:])

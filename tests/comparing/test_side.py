@@ -12,9 +12,9 @@ import pytest
 
 from egolane_pgm.comparing.placing import load_for_scoring
 from egolane_pgm.comparing.side import Search, held_out_side
+from egolane_pgm.drive import beliefs_of
 from egolane_pgm.experiment import Experiment, load_experiment
 from egolane_pgm.learning import fit, fit_pooled, n_learned, with_found
-from egolane_pgm.model import beliefs_of
 from egolane_pgm.scoring.held_out import blocks
 from egolane_pgm.tuning import held_out as module
 from tests.conftest import needs_compiler

@@ -12,7 +12,7 @@ import pytest
 from egolane_pgm.comparing.stored import compare_results
 from egolane_pgm.experiment import load_experiment
 from egolane_pgm.results import Result, read_result
-from egolane_pgm.running import run_experiment, save_run
+from egolane_pgm.running import run_experiment
 from egolane_pgm.scoring.bootstrap import score_counts, score_intervals
 from egolane_pgm.types import InputError
 from tests.kits.drives import done, refused, simulated
@@ -24,7 +24,7 @@ def stored(tmp_path_factory: pytest.TempPathFactory) -> list[Path]:
     one = simulated()
     other = load_experiment(one, {"parameters.sigma1": 0.2})
     return [
-        save_run(run_experiment(each), folder / name)
+        run_experiment(each).save(folder / name, figures=False)
         for each, name in ((one, "one"), (other, "other"))
     ]
 

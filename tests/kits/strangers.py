@@ -18,10 +18,10 @@ from scipy.signal import lfilter
 from scipy.special import ndtri
 
 from egolane_pgm.comparing.placing import on_recording
+from egolane_pgm.drive import load_recording
 from egolane_pgm.evidence.line_geometry.lane_width import lane_width
 from egolane_pgm.experiment import experiments_folder, load_experiment
 from egolane_pgm.inference.smoothing import smooth_beliefs
-from egolane_pgm.loading import load_recording
 from egolane_pgm.model import make_evidence, prepare_model
 from egolane_pgm.paper import paper_experiment
 from egolane_pgm.simulation import simulate

@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 
+from egolane_pgm.experiment import Experiment
 from egolane_pgm.results import Result
 from egolane_pgm.scoring.assign import assigned_lane
 
@@ -35,11 +36,17 @@ DETECTOR = [
 ]
 
 
+EXPERIMENT = Experiment.model_validate(
+    {"name": "tiny", "n_lanes": 3, "recording": {"simulate": "quickstart"}}
+)
+
+
 def a_result(**changes: Any) -> Result:
     model, detector = np.array(MODEL), np.array(DETECTOR)
     result = Result(
         directory=Path("results/tiny"),
-        experiment={"parameters": {"bonus_value": 4.0, "sigma1": 0.3}, "graph": "sensor_failure"},
+        experiment=EXPERIMENT,
+        config={"parameters": {"bonus_value": 4.0, "sigma1": 0.3}, "graph": "sensor_failure"},
         run={"name": "tiny", "n_lanes": 3, "frame_rate": 10.0, "tuned_on": "same_frames"},
         scores={},
         frame_id=np.array(IDS),
@@ -48,7 +55,6 @@ def a_result(**changes: Any) -> Result:
         values={"Lane": ("1", "2", "3")},
         tentative=detector,
         assigned_lane=assigned_lane(model),
-        detector_lane=assigned_lane(detector),
         true_lane=np.array(TRUTH),
         is_crossing=np.array(CROSSING, dtype=bool),
         log_evidence=np.zeros(len(IDS)),
@@ -63,12 +69,12 @@ def without_truth() -> Result:
 
 
 def without_tentative() -> Result:
-    return a_result(tentative=None, detector_lane=None)
+    return a_result(tentative=None)
 
 
 def without_bonus(**changes: Any) -> Result:
-    experiment = {"parameters": {"bonus_value": 0.0, "sigma1": 0.3}, "graph": "sensor_failure"}
-    return a_result(**{"experiment": experiment, "directory": Path("results/no_bonus"), **changes})
+    config = {"parameters": {"bonus_value": 0.0, "sigma1": 0.3}, "graph": "sensor_failure"}
+    return a_result(**{"config": config, "directory": Path("results/no_bonus"), **changes})
 
 
 def long_drive(n_frames: int) -> Result:
@@ -82,7 +88,6 @@ def long_drive(n_frames: int) -> Result:
         marginals={"Lane": belief},
         tentative=belief,
         assigned_lane=lane,
-        detector_lane=lane,
         true_lane=lane,
         is_crossing=np.zeros(n_frames, dtype=bool),
         log_evidence=np.zeros(n_frames),

@@ -10,6 +10,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from egolane_pgm.drive import load_recording
 from egolane_pgm.experiment import load_experiment
 from egolane_pgm.graphs.cpds import declare, dynamics, previous, prior, within
 from egolane_pgm.inference.compile import Compiled, compile
@@ -18,7 +19,6 @@ from egolane_pgm.inference.filtering import filter_beliefs
 from egolane_pgm.learning import em
 from egolane_pgm.learning.em import fit_tables
 from egolane_pgm.learning.tables import starting
-from egolane_pgm.loading import load_recording
 from egolane_pgm.model import prepare_model
 from egolane_pgm.paper import paper_experiment
 from egolane_pgm.parameters import Parameters

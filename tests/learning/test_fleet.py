@@ -14,6 +14,7 @@ from hypothesis import strategies as st
 
 import egolane_pgm as ego
 from egolane_pgm.comparing.placing import parts_of_fleet
+from egolane_pgm.drive import Drive, beliefs_of, load_drive
 from egolane_pgm.experiment import Experiment
 from egolane_pgm.fleet import FleetDrive, drives_of
 from egolane_pgm.inference.compile import Compiled
@@ -22,7 +23,6 @@ from egolane_pgm.learning import fit, fit_pooled, with_found
 from egolane_pgm.learning.em import Seen, fit_tables, fit_tables_pooled
 from egolane_pgm.learning.fleet import learn_fleet
 from egolane_pgm.learning.held_out import scores_of
-from egolane_pgm.model import Drive, beliefs_of, load_drive
 from egolane_pgm.recordings.table import write_table
 from egolane_pgm.types import Evidence, InputError, IntArray
 from tests.conformance.networks import draw_evidence, draw_graph

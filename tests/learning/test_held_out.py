@@ -11,13 +11,13 @@ import numpy as np
 import pytest
 import yaml
 
+from egolane_pgm.drive import Drive, Recorded, load_drive, load_recording
 from egolane_pgm.evidence.line_geometry import rule as line_geometry
 from egolane_pgm.evidence.line_geometry.fitting import expect, fit_lines
 from egolane_pgm.evidence.line_geometry.model import LineModel, line_model, places
 from egolane_pgm.experiment import load_experiment
 from egolane_pgm.learning import fit, held_out_belief, learn
-from egolane_pgm.loading import Recorded, load_recording
-from egolane_pgm.model import Drive, Model, load_drive, prepare_model
+from egolane_pgm.model import Model, prepare_model
 from egolane_pgm.parameters import Parameters, resolve_parameters
 from egolane_pgm.types import FloatArray, IntArray, LaneTruth
 from tests.conftest import needs_compiler

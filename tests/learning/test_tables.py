@@ -13,6 +13,7 @@ import numpy as np
 import pytest
 import yaml
 
+from egolane_pgm.drive import Drive, Recorded, load_drive, load_recording
 from egolane_pgm.experiment import Experiment, load_experiment, resolved
 from egolane_pgm.graphs.cpds import lane_normals
 from egolane_pgm.inference.compile import compile
@@ -20,8 +21,7 @@ from egolane_pgm.inference.filtering import filter_beliefs
 from egolane_pgm.learning import fit, held_out_belief, learn, n_learned, with_found
 from egolane_pgm.learning.graph_file import graph_yaml
 from egolane_pgm.learning.tables import starting, training_frames
-from egolane_pgm.loading import Recorded, load_recording
-from egolane_pgm.model import Drive, Model, Roles, load_drive, prepare_model
+from egolane_pgm.model import Model, Roles, prepare_model
 from egolane_pgm.plugins import load_plugin
 from egolane_pgm.running import run_experiment
 from egolane_pgm.types import InputError, LaneTruth

@@ -7,8 +7,8 @@ from contextlib import redirect_stdout
 from pathlib import Path
 
 from egolane_pgm.cli.simulate import simulate
+from egolane_pgm.drive import Recorded, load_recording
 from egolane_pgm.experiment import Experiment, load_experiment
-from egolane_pgm.loading import Recorded, load_recording
 from egolane_pgm.maps.steps import LanesAlong
 from egolane_pgm.model import Model, prepare_model, with_map
 

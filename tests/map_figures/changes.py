@@ -11,9 +11,9 @@ from pathlib import Path
 
 import numpy as np
 
+from egolane_pgm.drive import Recorded
 from egolane_pgm.experiment import Experiment, load_experiment
 from egolane_pgm.inference.filtering import filter_beliefs
-from egolane_pgm.loading import Recorded
 from egolane_pgm.maps import road_table
 from egolane_pgm.maps.steps import LanesAlong
 from egolane_pgm.model import Model, make_evidence

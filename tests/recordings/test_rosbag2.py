@@ -15,8 +15,8 @@ import pytest
 from mcap.reader import SeekingReader
 from mcap.writer import IndexType, Writer
 
+from egolane_pgm.drive import with_recording
 from egolane_pgm.experiment import experiments_folder, load_experiment
-from egolane_pgm.loading import with_recording
 from egolane_pgm.maps.positions import read_positions
 from egolane_pgm.recordings import files_of, format_of, read_lines, write_lines
 from egolane_pgm.recordings.rosbag import TOPIC, read_rosbag

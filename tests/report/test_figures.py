@@ -121,7 +121,7 @@ def test_the_ablation_puts_with_and_without_bonus_side_by_side() -> None:
 
 def test_the_ablation_says_what_else_differs() -> None:
     other = {"parameters": {"bonus_value": 0, "sigma1": 0.5}, "graph": "lane_only"}
-    title = texts(bonus_ablation_figure(a_result(), without_bonus(experiment=other)))[0]
+    title = texts(bonus_ablation_figure(a_result(), without_bonus(config=other)))[0]
     assert title.endswith("also different: sigma1, graph")
 
 
@@ -130,11 +130,11 @@ def test_the_ablation_says_what_else_differs() -> None:
     [
         ((a_result(), a_result()), "bonus_value is 4, needs 0; run the experiment with --set"),
         ((without_bonus(), without_bonus()), "bonus_value is 0, needs more than 0"),
-        ((a_result(), without_bonus(experiment={})), "results/no_bonus: has no parameter bonus_v"),
+        ((a_result(), without_bonus(config={})), "results/no_bonus: has no parameter bonus_v"),
         ((a_result(), without_bonus(frame_id=np.array(IDS) + 1)), "frame_id differs"),
         ((a_result(), without_bonus(true_lane=np.ones(7, dtype=int))), "true_lane differs"),
         (
-            (a_result(), without_bonus(tentative=None, detector_lane=None)),
+            (a_result(), without_bonus(tentative=None)),
             "results/no_bonus: has no tentative vector",
         ),
     ],
@@ -307,7 +307,6 @@ def test_one_lane_can_be_drawn(tmp_path: Path) -> None:
         marginals={"Lane": ones},
         tentative=ones,
         assigned_lane=np.ones(7, dtype=int),
-        detector_lane=np.ones(7, dtype=int),
         true_lane=np.ones(7, dtype=int),
     )
     assert [bar.counts.tolist() for bar in dispersion_bars(one)] == [[5, 0], [5, 0]]

@@ -99,8 +99,8 @@ def test_a_run_rejects_the_models_answers_only_and_leaves_the_belief_alone(tmp_p
     assert after["coverage"] < before["coverage"]
     for key in ("log_loss", "brier", "expected_calibration_error"):
         assert after[key] == before[key]
-    rejected = assigned_lane(careful.beliefs.lane[careful.recorded.scored], 0.9)
-    truth = careful.recorded.truth
+    rejected = assigned_lane(careful.beliefs.lane[careful.scored], 0.9)
+    truth = careful.truth
     assert truth is not None
     expected = scores_from_confusion(confusion(rejected, truth.lane, truth.is_crossing, 3))
     assert after["accuracy"] == expected.accuracy

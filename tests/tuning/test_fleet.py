@@ -11,7 +11,7 @@ import yaml
 
 import egolane_pgm as ego
 from egolane_pgm.api.studies import prepare_searches
-from egolane_pgm.model import Drive, belief_of
+from egolane_pgm.drive import Drive, belief_of
 from egolane_pgm.scoring.assign import assigned_lane
 from egolane_pgm.scoring.confusion import accuracy, confusion, macro_f1
 from egolane_pgm.scoring.probabilistic import brier, log_loss

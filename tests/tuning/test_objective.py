@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from egolane_pgm import model
-from egolane_pgm.model import belief_of, load_drive
+from egolane_pgm.drive import belief_of, load_drive
 from egolane_pgm.running import run_experiment
 from egolane_pgm.scoring.stability import lane_changes
 from egolane_pgm.scoring.summary import score_all

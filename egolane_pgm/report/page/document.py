@@ -172,7 +172,7 @@ def _part(
         "confusions": _confusions(result),
         "reliability": diagram,
         "experiment": yaml.safe_dump(
-            json.loads(json.dumps(result.experiment)), sort_keys=False, allow_unicode=True
+            json.loads(json.dumps(result.config)), sort_keys=False, allow_unicode=True
         ),
     }
 
@@ -184,7 +184,7 @@ def _first(header: Sequence[str], places: Sequence[lists.Place]) -> dict[str, An
 
 def _lead(result: Result) -> str:
     """A result in one sentence."""
-    run, experiment = result.run, result.experiment
+    run, experiment = result.run, result.config
     said = [f"{len(result.frame_id):,} frames, {result.n_lanes} lanes"]
     said.append(f"graph {experiment.get('graph')}, evidence {experiment.get('evidence')}")
     scores = _scores_of(result)
@@ -260,7 +260,7 @@ def _tint(colour: str, share: float) -> tuple[str, str]:
 
 
 def _parameters(results: Sequence[Result], titles: Sequence[str]) -> dict[str, Any]:
-    sets = [dict(result.experiment.get("parameters") or {}) for result in results]
+    sets = [dict(result.config.get("parameters") or {}) for result in results]
     keys = list(dict.fromkeys(key for each in sets for key in each))
     rows = []
     for key in keys:

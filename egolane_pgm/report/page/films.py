@@ -37,7 +37,7 @@ def films_of(results: Sequence[Result], titles: Sequence[str]) -> tuple[list[Fil
     line for each whose pictures cannot be read."""
     found: dict[str, list[int]] = {}
     for k, result in enumerate(results):
-        recording = result.experiment.get("recording") or {}
+        recording = result.config.get("recording") or {}
         if recording.get("detector") and recording.get("path"):
             found.setdefault(str(recording["path"]), []).append(k)
     made, lacking = [], []

@@ -25,8 +25,8 @@ from egolane_pgm.detectors.networks.looking import grown, keep
 from egolane_pgm.detectors.runner import detect, find_detector, own_files, start
 from egolane_pgm.detectors.simple.birdseye import look, make_view
 from egolane_pgm.detectors.simple.markings import marking_mask
+from egolane_pgm.drive import data_entries, load_recording
 from egolane_pgm.experiment import load_experiment
-from egolane_pgm.loading import data_entries, load_recording
 from egolane_pgm.parameters import resolve_parameters
 from egolane_pgm.simulation.rendering.render import make_scene, render_frame
 from egolane_pgm.types import InputError

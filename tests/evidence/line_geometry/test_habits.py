@@ -17,6 +17,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from egolane_pgm.drive import Recorded, load_recording
 from egolane_pgm.evidence.line_geometry import kernels as _line_geometry_kernel
 from egolane_pgm.evidence.line_geometry import rule as line_geometry
 from egolane_pgm.evidence.line_geometry.habits import Habits, habits, is_placed, tally, total
@@ -25,7 +26,6 @@ from egolane_pgm.evidence.line_geometry.reading import frame_weights, read_lines
 from egolane_pgm.evidence.line_geometry.rule import NODES
 from egolane_pgm.experiment import load_experiment
 from egolane_pgm.graphs import position_in_lane
-from egolane_pgm.loading import Recorded, load_recording
 from egolane_pgm.model import Model, make_evidence, prepare_model
 from egolane_pgm.paper import paper_experiment
 from egolane_pgm.parameters import Parameters, resolve_parameters

@@ -7,9 +7,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from egolane_pgm.drive import load_recording
 from egolane_pgm.evidence.line_geometry.lane_width import gap_counts, lane_width, width_of_gaps
 from egolane_pgm.experiment import load_experiment
-from egolane_pgm.loading import load_recording
 from egolane_pgm.paper import paper_experiment
 from egolane_pgm.types import FloatArray, LineLog
 

@@ -14,7 +14,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from egolane_pgm.inference.smoothing import infer_beliefs
-from egolane_pgm.model import make_evidence, online_evidence
+from egolane_pgm.model import make_evidence, online_output
 from egolane_pgm.scoring.assign import assigned_lane
 from egolane_pgm.types import Beliefs, FloatArray, LineLog
 from tests.beyond_figures.strangers import accuracies, zero_label
@@ -81,7 +81,7 @@ def test_a_stranger_gets_the_same_evidence_frame_by_frame(name: str) -> None:
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", UserWarning)
         at_once = make_evidence(model, log).filtered
-        step = online_evidence(model)
+        step = online_output(model)
         parts = [step(log.take(slice(t, t + 1))) for t in range(len(log))]
     for node, values in at_once.likelihoods.items():
         one_by_one = np.concatenate([part.likelihoods[node] for part in parts])

@@ -12,7 +12,7 @@ import pytest
 
 from egolane_pgm.report.page.document import write_page
 from egolane_pgm.results import Result
-from egolane_pgm.running import result_of, run_experiment
+from egolane_pgm.running import run_experiment
 from tests.kits.browser import Opened, chromium, opened
 from tests.kits.drives import simulated
 
@@ -28,7 +28,7 @@ def browser() -> Iterator[Any]:
 
 @pytest.fixture(scope="module")
 def result() -> Result:
-    return result_of(run_experiment(simulated()))
+    return run_experiment(simulated())
 
 
 @pytest.fixture(scope="module")
@@ -200,7 +200,7 @@ def test_names_that_contain_html_are_text(browser: Any, result: Result, tmp_path
     nasty = replace(
         result,
         directory=Path(NASTY),
-        experiment={**result.experiment, "parameters": {NASTY: NASTY}, "graph": NASTY},
+        config={**result.config, "parameters": {NASTY: NASTY}, "graph": NASTY},
         run={
             **result.run,
             "name": NASTY,
@@ -232,7 +232,7 @@ def test_names_that_contain_html_are_text(browser: Any, result: Result, tmp_path
 
 
 def test_several_results_stand_on_one_axis(browser: Any, result: Result, tmp_path: Path) -> None:
-    other = result_of(run_experiment(simulated("b", evidence_reading="hard")))
+    other = run_experiment(simulated("b", evidence_reading="hard"))
     write_page([result, other], tmp_path / "two.html")
     shown = opened(browser, tmp_path / "two.html")
     titles = shown.page.locator("#panels h3").all_inner_texts()

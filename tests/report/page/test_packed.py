@@ -11,7 +11,7 @@ import pytest
 from egolane_pgm.report.page import lists
 from egolane_pgm.report.page.document import page_of
 from egolane_pgm.report.page.packed import BLANK, CERTAIN, CONTINUOUS, NOT_VALID, VALID, packed
-from egolane_pgm.running import result_of, run_experiment
+from egolane_pgm.running import run_experiment
 from egolane_pgm.types import InputError, LineLog
 from tests.kits.drives import simulated
 from tests.kits.tiny_result import IDS, MODEL, a_result, long_drive, without_truth
@@ -80,7 +80,7 @@ def test_a_result_without_frames_is_refused() -> None:
 
 
 def test_the_worst_stretches_are_those_with_the_most_wrong_frames() -> None:
-    result = result_of(run_experiment(simulated(evidence_reading="hard")))
+    result = run_experiment(simulated(evidence_reading="hard"))
     said, header, places = lists.worst_stretches(result)
     scored = (result.true_lane > 0) & ~result.is_crossing
     wrong = scored & (result.assigned_lane != result.true_lane)
@@ -103,7 +103,7 @@ def test_without_truth_the_least_sure_stretches_are_listed_and_nothing_is_scored
 
 
 def test_lane_changes_are_right_false_or_missed() -> None:
-    result = result_of(run_experiment(simulated()))
+    result = run_experiment(simulated())
     found = lists.changes_of(result)
     within = result.scores["events"]["within"]["2"]
     outcomes = [change.outcome for change in found.told]
@@ -117,7 +117,7 @@ def test_lane_changes_are_right_false_or_missed() -> None:
 
 def test_the_page_of_a_result_without_truth_has_no_scores_and_says_so() -> None:
     run = run_experiment(simulated())
-    result = result_of(run)
+    result = run
     nothing = np.zeros(len(result.frame_id), dtype=np.int64)
     bare = replace(
         result,
@@ -137,9 +137,9 @@ def test_the_page_of_a_result_without_truth_has_no_scores_and_says_so() -> None:
 
 
 def test_a_page_of_pictures_that_are_gone_says_so(tmp_path: Path) -> None:
-    result = result_of(run_experiment(simulated()))
+    result = run_experiment(simulated())
     recording = {"detector": "ml", "path": str(tmp_path / "gone.mp4")}
-    page, lacking = page_of([replace(result, experiment={"recording": recording})])
+    page, lacking = page_of([replace(result, config={"recording": recording})])
     assert lacking == [
         f"no pictures of the recording: {tmp_path / 'gone.mp4'}: no such video, folder or pictures"
     ]

@@ -6,12 +6,15 @@ import html
 from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
-from egolane_pgm.report.tables import tuned_on_text
+from egolane_pgm.report.comparison_tables import trusted_or_all
+from egolane_pgm.report.tables import score_rows, tuned_on_text, with_interval
 from egolane_pgm.types import InputError
 
 if TYPE_CHECKING:
     import pandas as pd
     import xarray as xr
+
+    from egolane_pgm.results import Result
 
 
 def how_tuned(found: Mapping[str, Any]) -> str:
@@ -49,3 +52,31 @@ def xarray() -> Any:
     except ImportError:
         raise InputError("to_xarray: needs xarray, `pip install xarray`") from None
     return xarray
+
+
+def scored(result: Result) -> dict[str, Any]:
+    """The scores of the model, and of the detector alone where they are known."""
+    scores = result.scores
+    found: dict[str, Any] = {who: scores[who] for who in ("model", "detector") if who in scores}
+    if "held_out" in scores:
+        # A comparison scores what it held out, over several choices of frames.
+        found["model"] = trusted_or_all(scores["held_out"]["scores"])
+    return found
+
+
+def result_title(result: Result) -> str:
+    """A run in one line: what run.json says, and the scores of the model and of the detector."""
+    run = result.run
+    parts = [f"{run['name']!r}: {run['frames']} frames"]
+    for who, scores in scored(result).items():
+        said = with_interval(scores["accuracy"], scores["intervals"]["accuracy"])
+        parts.append(f"{'accuracy' if who == 'model' else who} {said}")
+    if len(parts) == 1:
+        parts.append("no ground truth")
+    return f"{', '.join(parts)}; {how_tuned(run)}"
+
+
+def result_html(result: Result) -> str:
+    """The same with a table of the scores, for a notebook."""
+    header, rows = score_rows(scored(result))
+    return html_table(result_title(result), header, rows if scored(result) else [], result.notes)

@@ -1,0 +1,124 @@
+"""What `egolane compare --json` writes: each key with its type and its meaning."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+from pydantic import Field
+
+from egolane_pgm.experiment import Section
+from egolane_pgm.results import Causal, HeldOut, parse_json
+from egolane_pgm.scoring.document import Count, Finite, Share, Stored
+
+#: Per score [estimate, low, high].
+Differences = dict[str, Annotated[list[Finite], Field(min_length=3, max_length=3)] | None]
+
+
+class Compared(HeldOut):
+    """What a comparison says of an experiment on a recording."""
+
+    source: str = Field(description="name of its file")
+    graph: str = Field(description="graph")
+    evidence: str = Field(description="evidence rule")
+    filter: str = Field(description="filter")
+    fit: str = Field(description="how parameters were fitted without each block")
+    tuned_on: str = Field(description="what the parameters have seen, as in the experiment")
+    is_causal: bool = Field(description="false: a belief about a frame uses later frames too")
+    causal: Causal = Field(description="the same of filter and evidence apart")
+    why_not_causal: list[str] = Field(description="a line for each that is not")
+    unassigned_below: Share = Field(description="probability that an answer needs")
+    free_parameters: Count = Field(description="numbers that were fitted to labels")
+    fixed_parameters: Count | None = Field(description="numbers that `fit: tune` does not search")
+    trials: Count | None = Field(description="trials of each block's search")
+    microseconds_per_frame: Finite = Field(description="evidence and filter")
+    chosen: list[str] = Field(description="the parameters that `fit: choose` chose")
+    parameters: list[dict[str, Any]] = Field(
+        description="per block those that were fitted without it; empty for several seeds"
+    )
+    spread: dict[str, dict[str, Finite | None]] = Field(
+        description="per choice of frames and score the standard deviation over the seeds"
+    )
+    seeds: list[dict[str, Any]] = Field(description="parameters and scores with each seed")
+    lags: dict[str, Any] | None = Field(description="scores of answers that wait, if asked for")
+    difference_to: str | None = Field(description="name of the first experiment")
+    difference: dict[str, Differences] | None = Field(
+        description="per choice of frames and score, 95 % by paired block bootstrap"
+    )
+    health: dict[str, Any] | None = Field(description="of the model, if asked for")
+    events: dict[str, Any] | None = Field(description="scores of lane changes, if asked for")
+
+
+class ComparedRecording(Stored):
+    """What a comparison says of a recording."""
+
+    title: str = Field(description="what it is called")
+    drive: str | None = Field(
+        default=None, description="title of the first recording of its drive; if told"
+    )
+    run: Count | None = Field(description="the paper's run, if it is one")
+    frames: Count = Field(description="annotated frames")
+    blocks: Count = Field(description="parts that were held out, one after the other")
+    notes: list[str] = Field(description="what was odd, a line each")
+    health: dict[str, Any] | None = Field(description="of the detector, if asked for")
+    experiments: list[Compared] = Field(min_length=1, description="the first is compared with")
+
+
+class Together(Stored):
+    """An experiment over several recordings: plain means."""
+
+    name: str = Field(description="name of the experiment")
+    recordings: Count = Field(description="how many there are")
+    drives: Count = Field(description="how many drives they are of")
+    scores: Differences = Field(description="per score, null where a drive is short")
+    spread: dict[str, Finite | None] = Field(description="standard deviation over the seeds")
+    difference: Differences | None = Field(description="to the first experiment")
+
+
+class Comparison(Stored):
+    """`egolane compare --json` of experiments, each block of a drive held out; see
+    `comparing.groups.document`."""
+
+    schema_version: int = Field(description="version of these keys")
+    held_out: Literal[True] = Field(description="whether scores are of frames held out")
+    blocks: Count = Field(description="parts that were held out, one after the other")
+    recordings: list[ComparedRecording] = Field(
+        min_length=1, description="those that were compared"
+    )
+    together: list[Together] = Field(description="the experiments over all recordings")
+    failed: list[dict[str, Any]] = Field(description="title, run and error of the others")
+
+
+class ComparisonPart(ComparedRecording):
+    """comparison.json of one recording."""
+
+    schema_version: int = Field(description="version of these keys")
+
+
+class InSampleRun(Stored):
+    """A run of the paper under several graphs."""
+
+    run: Count = Field(description="number of the paper's run")
+    scores: dict[str, dict[str, Any]] = Field(description="per graph, and of the detector")
+    mean_log_evidence: dict[str, Finite | None] = Field(description="per graph")
+
+
+class InSample(Stored):
+    """`egolane compare --json` of graphs with the paper's parameters."""
+
+    schema_version: int = Field(description="version of these keys")
+    parameters: str = Field(description="recovered or published")
+    tuned_on: Literal["same_frames"] = Field(description="the scores are of frames seen before")
+    runs: list[InSampleRun] = Field(min_length=1, description="the paper's runs")
+
+
+def parse_comparison(text: str | bytes, file: Path) -> Any:
+    """What comparison.json says: of several recordings, of one, or in-sample. Raises InputError in
+    one line, naming the file and a key that does not fit."""
+
+    def model_of(content: dict[str, Any]) -> type[Section]:
+        return (
+            ComparisonPart if "title" in content else InSample if "runs" in content else Comparison
+        )
+
+    return parse_json(text, file, model_of, "; compare again")

@@ -1,0 +1,183 @@
+"""What a map adds to a drive: the lanes of its road in each frame, and what the evidence rule then
+says of the lane; and what positions add to that.
+
+The rule around the rule is `evidence_along`: the evidence rule is asked what it makes of the lines
+on roads of several numbers of lanes, and the map says which of the answers count in which frame.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import replace
+from types import ModuleType
+from typing import Any
+
+import numpy as np
+
+from egolane_pgm.evidence.lines_beside import fit_of_counts
+from egolane_pgm.experiment import Experiment, Gnss, load_experiment
+from egolane_pgm.inference.compile import Compiled
+from egolane_pgm.inference.filtering import filter_beliefs
+from egolane_pgm.maps.across import Across, across
+from egolane_pgm.maps.lanes_from_gnss import GnssNoise, beside_lines
+from egolane_pgm.maps.road_table import RoadTable
+from egolane_pgm.maps.steps import (
+    LanesAlong,
+    check_overlap,
+    lanes_along,
+    on_constant_road,
+    road_changes,
+)
+from egolane_pgm.parameters import Parameters, number, resolve_parameters
+from egolane_pgm.types import Evidence, FloatArray, InputError, LineLog
+
+#: What a graph of positions inside the lane observes.
+POSITIONS = ("RoadPosition", "SensorState")
+
+
+def is_of_changing_roads(graph: ModuleType) -> bool:
+    """Whether a graph is told the lanes of the road in each frame."""
+    return "Step" in getattr(graph, "INPUTS", ()) and hasattr(graph, "most_lanes")
+
+
+def check_on_map(experiment: Experiment, graph: ModuleType) -> None:
+    """Raise InputError for a graph or a reading of the evidence that knows no changing road."""
+    if not is_of_changing_roads(graph):
+        raise InputError(
+            f"{experiment.source}: graph: {experiment.graph} is of a road with a fixed number of"
+            " lanes; a road table needs graph: changing_lanes or position_in_changing_lanes"
+        )
+    if experiment.evidence_reading != "soft":
+        raise InputError(
+            f"{experiment.source}: evidence_reading: {experiment.evidence_reading} does not go with"
+            " a road table; soft does"
+        )
+
+
+def with_lanes_of(table: RoadTable, experiment: Experiment, graph: ModuleType) -> Experiment:
+    """The experiment with the lanes and the steps of a road. Raises InputError for a road table
+    that cannot be used."""
+    found = road_changes(table)
+    on_map = max([int(found.n_lanes.max()), *(step.after for step in found.steps)])
+    named = {p.name for p in graph.PARAMETERS}
+    known = {name: value for name, value in experiment.parameters.items() if name in named}
+    where = f"{experiment.source}: parameters"
+    parameters = resolve_parameters(graph.PARAMETERS, known, on_map, where)
+    steps = found.vocabulary(is_exact=not parameters.get("place_sigma_m"))
+    n_lanes = graph.most_lanes(on_map, parameters)
+    return load_experiment(experiment, {"n_lanes": n_lanes, "parameters": {"steps": steps}})
+
+
+def road_along(
+    experiment: Experiment, table: RoadTable, parameters: Mapping[str, Any], log: LineLog
+) -> LanesAlong | None:
+    """The lanes of the road in each frame of a log, as the experiment's graph is told them; None
+    where it is told a fixed number.
+
+    - parameters: the model's. Raises InputError as `lanes_along`.
+    """
+    if not experiment.follows_map:
+        return None
+    return lanes_along(
+        table,
+        log.time_s,
+        steps=str(parameters["steps"]),
+        n_lanes=experiment.n_lanes,
+        place_sigma_m=float(parameters.get("place_sigma_m", 0.0)),
+        source=log.source,
+    )
+
+
+def across_road(
+    experiment: Experiment, table: RoadTable, road: LanesAlong | None, log: LineLog
+) -> Across | None:
+    """Where positions put the car in each frame of a log; None where they do not count. Raises
+    InputError where the road table is of another time."""
+    if experiment.gnss is None:
+        return None
+    check_overlap(table, log.time_s, log.source)
+    lanes = np.full(len(log), experiment.n_lanes) if road is None else road.n_lanes
+    return across(table, log.time_s, lanes, experiment.gnss.lane_width_m)
+
+
+def evidence_along(
+    rule: ModuleType,
+    graph: ModuleType,
+    n_lanes: int,
+    parameters: Parameters,
+    log: LineLog,
+    road: LanesAlong | None,
+) -> tuple[Evidence, FloatArray | None]:
+    """The evidence of a log of T frames on a road whose lanes change, and the tentative vector
+    (T, n) of a road with the lanes of the map; None for a graph of positions.
+
+    - road: None for one on which nothing changes.
+    """
+    road = road or on_constant_road(len(log), n_lanes)
+    if POSITIONS in graph.OBSERVED:
+        return _positions_along(rule, graph, n_lanes, parameters, log, road), None
+    asked = {n + k for n in np.unique(road.n_lanes).tolist() for k in (-1, 0, 1)}
+    joint = np.zeros((len(log), n_lanes, n_lanes))
+    # On a road whose number of lanes is certain, this scales a frame's evidence and no more.
+    fit = fit_of_counts(log, n_lanes, number(parameters, "lane_width_m"))
+    wor = np.ones((len(log), 2))
+    tentative = np.zeros((len(log), n_lanes))
+    for n in sorted(asked.intersection(range(1, n_lanes + 1))):
+        given = rule.evidence(log, n, parameters)
+        output = given.likelihoods["DetectorOutput"]
+        largest = output.max(axis=1, keepdims=True)
+        joint[:, :n, n - 1] = fit[:, n - 1 : n] * output / np.where(largest > 0, largest, 1.0)
+        here = road.n_lanes == n
+        seen = given.likelihoods["WOR"]
+        if seen.shape != wor.shape:
+            raise InputError(f"evidence for WOR: shape {seen.shape}, the graph needs {wor.shape}")
+        wor[here] = seen[here]
+        tentative[here, :n] = output[here]
+    found = Evidence(
+        {("DetectorOutput", "Lanes"): joint, "WOR": wor, "Lane": road.served}, {"Step": road.step}
+    )
+    return found, tentative / tentative.sum(axis=1, keepdims=True)
+
+
+def _positions_along(
+    rule: ModuleType,
+    graph: ModuleType,
+    n_lanes: int,
+    parameters: Parameters,
+    log: LineLog,
+    road: LanesAlong,
+) -> Evidence:
+    """The evidence of positions on a road with the lanes of the map: in each frame what the rule
+    makes of the lines on a road of so many lanes."""
+    cells = int(number(parameters, "cells"))
+    joint = np.zeros((len(log), n_lanes * cells, 2))
+    motion = np.zeros(len(log), dtype=np.int64)
+    for n in np.unique(road.n_lanes).tolist():
+        given = rule.evidence(log, n, parameters)
+        here = road.n_lanes == n
+        joint[here, : n * cells] = given.likelihoods[POSITIONS][here]
+        motion = given.inputs["LineMotion"]
+    joint *= np.repeat(road.served, cells, axis=1)[:, :, None]
+    step = graph.step_index(road.step, motion, n_lanes, parameters)
+    return Evidence({POSITIONS: joint}, {"Step": step})
+
+
+def with_positions(
+    compiled: Compiled, n_lanes: int, log: LineLog, lines: Evidence, seen: Across, gnss: Gnss
+) -> Evidence:
+    """The evidence of T frames with what positions say of the lane, or of the place across the road
+    for a graph that knows it.
+
+    - lines: the evidence of the T frames of the log without them.
+    """
+    beliefs = filter_beliefs(compiled, lines, "exact")
+    of_places = POSITIONS in lines.likelihoods
+    key = POSITIONS if of_places else "Lane"
+    believed = beliefs.marginals[POSITIONS[0]] if of_places else beliefs.lane
+    # A frame without lines tells nothing of the drift, however sure the belief still is.
+    has_lines = log.is_valid.any(axis=1, keepdims=True)
+    believed = np.where(has_lines, believed, 1 / believed.shape[1])
+    noise, cells = GnssNoise(**gnss.model_dump()), believed.shape[1] // n_lanes
+    said = beside_lines(seen, log.time_s, believed, noise, cells)
+    joint = lines.likelihoods[key] * (said[:, :, None] if of_places else said)
+    return replace(lines, likelihoods={**lines.likelihoods, key: joint})

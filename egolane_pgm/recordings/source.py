@@ -1,0 +1,192 @@
+"""Where lines come from: what every source can do, and the simplest one, a file of lines.
+
+The other sources stand beside their own kind: `detectors.pictures` (a detector looks at pictures)
+and `simulation.drives` (simulated drives, one of them over a map). `drive.source_of` finds the one
+of an experiment.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Protocol
+
+from egolane_pgm.experiment import Experiment
+from egolane_pgm.plugins import OWN_FILES, load_plugin, plugin_errors
+from egolane_pgm.recordings import FORMATS, IN_PIXELS, files_of, format_of, read_with
+from egolane_pgm.recordings.catalog import find_file
+from egolane_pgm.types import InputError, LaneTruth, LineLog, all_problems, suggestion
+
+#: Extensions by which a video is known where no detector is named.
+VIDEOS = (".mp4", ".avi", ".mkv", ".mov", ".mpg", ".mpeg", ".m4v", ".webm", ".wmv", ".ts")
+
+#: The keys of a recording that say how lines are read.
+READING = frozenset({"format", "topic", "frame_id", "options", "columns"})
+
+
+@dataclass(frozen=True)
+class Read:
+    """What a source read.
+
+    - log: T frames, of one drive or of several clips.
+    - truth: the lanes, where the source knows them itself.
+    - files: what was read (a folder or a glob stands for all files in it).
+    """
+
+    log: LineLog
+    truth: LaneTruth | None = None
+    files: tuple[Path, ...] = ()
+
+
+class Source(Protocol):
+    """A recording, as an experiment names it. All but `check` raise InputError, naming the YAML
+    file and key, for what cannot be used."""
+
+    def check(self) -> None:
+        """Raise InputError for all that is wrong with the names in the YAML. No line is read."""
+
+    def read(self) -> Read:
+        """The lines."""
+
+    def key(self) -> str:
+        """The same for two experiments on the same recording."""
+
+    def files_in(self, place: Path) -> Sequence[Path]:
+        """The files that a folder or a glob among `Read.files` stands for."""
+
+    def frame_rate(self) -> float | None:
+        """Frames per second, where the recording itself says them."""
+
+    def kept_for(self, recording: str, detector: str | None) -> frozenset[str]:
+        """The keys of `recording` that also hold for another recording.
+
+        - detector: the one that was asked for together with it.
+        """
+
+
+def find_named(experiment: Experiment, key: str, *, folders: bool = False) -> Path:
+    """The file or folder that a key of an experiment names, such as `recording.path`. Raises
+    InputError, naming the key, where it is not there.
+
+    - folders: whether it may be a folder.
+    """
+    name: Any = experiment
+    for part in key.split("."):
+        name = getattr(name, part)
+    is_fetched = key != "recording.camera" and experiment.recording.detector is None
+    try:
+        return find_file(name, experiment.folder, folders=folders, is_fetched=is_fetched)
+    except InputError as error:
+        raise InputError(f"{experiment.source}: {key}: {error}") from error
+
+
+@dataclass(frozen=True)
+class LinesFile:
+    """Lines in a file or a folder, in a format of the package or of a user's own."""
+
+    experiment: Experiment
+
+    def check(self) -> None:
+        """See `Source`."""
+        experiment, recording = self.experiment, self.experiment.recording
+        with all_problems() as part:
+            with part():
+                self._check_format()
+            with part():
+                path = self._path()
+                if recording.camera is not None:
+                    find_named(experiment, "recording.camera")
+                elif (recording.format or format_of(path)) in IN_PIXELS:
+                    raise InputError(
+                        f"{experiment.source}: recording.camera: is missing; the lines of"
+                        f" {path.name} are in pixels"
+                    )
+
+    def _check_format(self) -> None:
+        format_, where = self.experiment.recording.format, self._where("format")
+        if self._is_own_format():
+            load_plugin("recordings", str(format_), self.experiment.folder, where)
+        elif format_ is not None and format_ not in FORMATS:
+            raise InputError(f"{where}: unknown format '{format_}'{suggestion(format_, FORMATS)}")
+
+    def _is_own_format(self) -> bool:
+        return (self.experiment.recording.format or "").endswith(".py")
+
+    def _where(self, key: str) -> str:
+        return f"{self.experiment.source}: recording.{key}"
+
+    def _path(self) -> Path:
+        recording = self.experiment.recording
+        # Clearer than that the format of a video is not known.
+        if recording.format is None and Path(str(recording.path)).suffix.lower() in VIDEOS:
+            raise InputError(
+                f"{self._where('path')}: {recording.path} is a video: say which detector looks at"
+                " it (recording.detector, e.g. ml) and with which camera (recording.camera)"
+            )
+        return find_named(self.experiment, "recording.path", folders=True)
+
+    def read(self) -> Read:
+        """See `Source`."""
+        path, recording = self._path(), self.experiment.recording
+        options: dict[str, Any] = {**recording.options, "frame_rate": recording.frame_rate}
+        files = [path]
+        if recording.camera is not None:
+            options["camera"] = find_named(self.experiment, "recording.camera")
+            files.append(options["camera"])
+        if recording.topic is not None:
+            options["topic"] = recording.topic
+        if recording.frame_id != "way_id":
+            options["frame_id"] = recording.frame_id
+        if recording.columns:
+            options["columns"] = recording.columns
+        if not self._is_own_format():
+            return Read(read_with(path, recording.format, options), None, tuple(files))
+        where, folder = self._where("format"), self.experiment.folder
+        reader = load_plugin("recordings", str(recording.format), folder, where)
+        with plugin_errors(reader, where):
+            return Read(reader.read(path, **options), None, tuple(files))
+
+    def key(self) -> str:
+        """See `Source`."""
+        return whole_path(self.experiment)
+
+    def files_in(self, place: Path) -> Sequence[Path]:
+        """See `Source`."""
+        return files_of(place)
+
+    def frame_rate(self) -> float | None:
+        """See `Source`: the time stamps of a file are no rate."""
+        return None
+
+    def kept_for(self, recording: str, detector: str | None) -> frozenset[str]:
+        """See `Source`: all that says how to read, where the extension is the same."""
+        own = str(self.experiment.recording.path)
+        is_alike = Path(recording).suffix == Path(own).suffix
+        return READING | {"camera"} if is_alike else frozenset()
+
+
+def whole_path(experiment: Experiment) -> str:
+    """The path of an experiment's recording from the root on, where it lies beside the YAML."""
+    recording = experiment.recording
+    return str(files_in_full({"path": recording.path}, experiment.folder)["path"])
+
+
+def files_in_full(section: dict[str, Any], folder: Path) -> dict[str, Any]:
+    """A `recording` or `ground_truth` section whose files are named by their whole path.
+
+    - section: its keys and values.
+    - folder: the folder of the YAML. The names of files that do not lie there stay as they are.
+    """
+    return {name: _in_full(name, value, folder) for name, value in section.items()}
+
+
+def _in_full(key: str, value: Any, folder: Path) -> Any:
+    if key == "detector_parameters":
+        return {k: _in_full("detector", v, folder) for k, v in value.items()}
+    if not isinstance(value, str):
+        return value
+    is_plugin = key in ("format", "detector") and value.endswith(OWN_FILES)
+    is_path = key in ("path", "camera", "right")
+    is_there = any(c in value for c in "*?[") or (folder / value).exists()
+    return str((folder / value).absolute()) if is_plugin or (is_path and is_there) else value

@@ -1,0 +1,97 @@
+"""Simulated drives as a source of lines: on a motorway of one of the presets, or over a map."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, fields
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from egolane_pgm.experiment import INTERCHANGE, Experiment
+from egolane_pgm.recordings.source import READING, Read
+from egolane_pgm.types import InputError, problems_in, suggestion
+
+if TYPE_CHECKING:
+    from egolane_pgm.maps.road_table import RoadTable
+    from egolane_pgm.simulation.interchange import InterchangeDrive
+
+
+@dataclass(frozen=True)
+class Simulated:
+    """A drive of one of the presets; see `recordings.source.Source`."""
+
+    experiment: Experiment
+
+    def check(self) -> None:
+        """See `Source`."""
+        from egolane_pgm.simulation.presets import PRESETS
+
+        experiment, name = self.experiment, str(self.experiment.recording.simulate)
+        presets = (*PRESETS, INTERCHANGE)
+        if experiment.recording.detector is not None:
+            raise InputError(
+                f"{experiment.source}: recording.simulate: does not go with a detector, which looks"
+                " at a video or pictures (recording.path)"
+            )
+        if name not in presets:
+            raise InputError(
+                f"{experiment.source}: recording.simulate: unknown preset"
+                f" '{name}'{suggestion(name, presets)}"
+            )
+
+    def read(self) -> Read:
+        """See `Source`."""
+        from egolane_pgm.simulation.presets import simulate
+
+        self.check()
+        recording = self.experiment.recording
+        with problems_in(f"{self.experiment.source}: recording"):
+            drive = simulate(
+                str(recording.simulate), seed=recording.seed, n_lanes=self.experiment.n_lanes
+            )
+        return Read(drive.log, drive.truth)
+
+    def key(self) -> str:
+        """See `Source`."""
+        recording = self.experiment.recording
+        return repr((recording.simulate, recording.seed, self.experiment.n_lanes))
+
+    def files_in(self, place: Path) -> Sequence[Path]:
+        """See `Source`."""
+        return []
+
+    def frame_rate(self) -> float | None:
+        """See `Source`: the experiment says it."""
+        return None
+
+    def kept_for(self, recording: str, detector: str | None) -> frozenset[str]:
+        """See `Source`: a simulation reads nothing, so these are meant for the other recording."""
+        return READING
+
+
+@dataclass(frozen=True)
+class OverMap(Simulated):
+    """A drive through interchanges, which brings its road table; see `simulation.interchange`."""
+
+    def read(self) -> Read:
+        """See `Source`."""
+        self.check()
+        trip = self._trip()
+        return Read(trip.log, trip.truth)
+
+    def road(self) -> RoadTable:
+        """The road table that the drive brings."""
+        return self._trip().road
+
+    def _trip(self) -> InterchangeDrive:
+        from egolane_pgm.simulation.interchange import Journey, simulate_interchange
+
+        recording = self.experiment.recording
+        known = {f.name for f in fields(Journey)}
+        for key in recording.options:
+            if key not in known:
+                raise InputError(
+                    f"{self.experiment.source}: recording.options: unknown key"
+                    f" '{key}'{suggestion(key, known)}"
+                )
+        return simulate_interchange(recording.seed, None, Journey(**recording.options))
