@@ -32,7 +32,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from egolane_pgm.tools.yaml import dump_yaml, parse_yaml
-from egolane_pgm.types import InputError, check_memory, without_passwords
+from egolane_pgm.types import InputError, check_memory
 
 if sys.platform != "win32":
     import fcntl
@@ -338,10 +338,7 @@ def rows_of_parquet(path: Path) -> int:
 
 
 def plain(value: Any) -> Any:
-    """The same in plain Python types, for JSON and YAML; NaN and infinity become None, and texts
-    lose the passwords of addresses: what is stored is passed on."""
-    if isinstance(value, str):
-        return without_passwords(value)
+    """The same in plain Python types, for JSON and YAML; NaN and infinity become None."""
     if isinstance(value, Mapping):
         return {str(k): plain(v) for k, v in value.items()}
     if isinstance(value, (list, tuple)):

@@ -27,7 +27,6 @@ from egolane_pgm.recordings import read_lines
 from egolane_pgm.report.study_trials import TRIALS_FILE
 from egolane_pgm.scoring.bootstrap import circular_block_bootstrap
 from egolane_pgm.tools import files
-from egolane_pgm.tools.jobs import executor
 from egolane_pgm.types import InputError
 
 
@@ -194,9 +193,3 @@ def test_counts_beyond_what_a_machine_does() -> None:
     for key, value in keys.items():
         said = refusal(partial(ego.load_experiment, "experiments/quickstart.yaml", {key: value}))
         assert f"{key}: input should be less than or equal to 1" in said
-
-    def begin() -> None:
-        with executor(10**18):
-            pass
-
-    assert "1000000000000000000 processes are more than the 1024 that are begun" in refusal(begin)
