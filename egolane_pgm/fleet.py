@@ -28,7 +28,7 @@ from egolane_pgm.running import OneOfSeveral, plan_runs
 from egolane_pgm.scoring.bootstrap import over_drives
 from egolane_pgm.tools.files import read_parquet, read_text, read_yaml, write_parquet
 from egolane_pgm.tools.yaml import parse_yaml
-from egolane_pgm.types import InputError, problems_in, suggestion, without_passwords
+from egolane_pgm.types import InputError, problems_in, suggestion
 
 #: The columns that are no keys of an experiment.
 _OWN = ("name", "recording", "ground_truth", "camera", "detector", "n_lanes")
@@ -77,11 +77,7 @@ def read_fleet(path: str | Path) -> tuple[FleetDrive, ...]:
                 f"{source}: has the name '{name}', as {drives[name].source.split(': ')[-1]};"
                 " give them a column `name`"
             )
-        tags = {
-            k.removeprefix(TAG): without_passwords(str(v))
-            for k, v in row.items()
-            if k.startswith(TAG)
-        }
+        tags = {k.removeprefix(TAG): str(v) for k, v in row.items() if k.startswith(TAG)}
         cells = {k: v for k, v in row.items() if k != "name" and not k.startswith(TAG)}
         drives[name] = FleetDrive(source, name, cells, tags, path.parent)
     return tuple(drives.values())
@@ -154,7 +150,7 @@ def _names(rows: Sequence[Mapping[str, Any]]) -> list[str]:
         elif "recording" not in row:
             names.append(f"drive_{number:0{len(str(len(rows)))}d}")
         elif count[stem] > 1:
-            folder = Path(without_passwords(str(row["recording"]))).absolute().parent.name
+            folder = Path(str(row["recording"])).absolute().parent.name
             names.append(as_name(f"{folder}_{stem}"))
         else:
             names.append(stem)

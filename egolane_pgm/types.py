@@ -10,7 +10,6 @@ from __future__ import annotations
 
 import contextlib
 import difflib
-import re
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from itertools import pairwise
@@ -77,39 +76,10 @@ class InputError(ValueError):
 
 def in_one_line(problem: object) -> str:
     """What is wrong as it can be printed, whatever stands in the file that it quotes: in one line,
-    without passwords, without what steers a terminal, the middle left out where it is long."""
+    without what steers a terminal, the middle left out where it is long."""
     text = " ".join(line.strip() for line in str(problem).splitlines())
-    text = without_passwords(text)
     text = "".join(c if c.isprintable() else c.encode("unicode_escape").decode() for c in text)
     return text if len(text) <= LONGEST else f"{text[: LONGEST - 205]} ... {text[-200:]}"
-
-
-#: What stands before a password: in an address (which, taken for the name of a file, loses one of
-#: its slashes) the user; in the query of one, or in the words that a database is opened with, its
-#: name. What follows a colon may be a port, and an address may have been cut off in its password.
-_PASSWORDS = re.compile(
-    r"(?P<user>:/{1,2}[^\s:/@\[]*:)(?!\d*(?:[/?#'\",;)\s]|:\s|$))(?:\S*@|[^\s'\"]+)"
-    r"|(?P<named>(?:password|passwd|pwd|token|secret)=)[^\s&;,'\"]+",
-    re.IGNORECASE,
-)
-
-
-def without_passwords(text: object) -> str:
-    """A text with `***` for the password in every address that stands in it, wherever somebody may
-    have put one.
-
-    >>> without_passwords("postgresql://me:secret@host/db and http://127.0.0.1:8787/status")
-    'postgresql://me:***@host/db and http://127.0.0.1:8787/status'
-    """
-
-    def hidden(found: re.Match[str]) -> str:
-        return f"{found['user'] or found['named']}***{'@' if found[0].endswith('@') else ''}"
-
-    return _PASSWORDS.sub(hidden, str(text))
-
-
-#: The most memory that a record of a bag may take, bytes.
-MOST_BYTES = 2 << 30
 
 
 @contextlib.contextmanager

@@ -25,7 +25,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from egolane_pgm.tools.yaml import dump_yaml, parse_yaml
-from egolane_pgm.types import InputError, without_passwords
+from egolane_pgm.types import InputError
 
 #: Of the YAML files that the package reads (optional there) and writes. It changes where a key gets
 #: another meaning, so that an old program refuses a new file in one line.
@@ -235,10 +235,7 @@ def rows_of_parquet(path: Path) -> int:
 
 
 def plain(value: Any) -> Any:
-    """The same in plain Python types, for JSON and YAML; NaN and infinity become None, and texts
-    lose the passwords of addresses: what is stored is passed on."""
-    if isinstance(value, str):
-        return without_passwords(value)
+    """The same in plain Python types, for JSON and YAML; NaN and infinity become None."""
     if isinstance(value, Mapping):
         return {str(k): plain(v) for k, v in value.items()}
     if isinstance(value, (list, tuple)):

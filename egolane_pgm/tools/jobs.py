@@ -1,86 +1,42 @@
-"""Work shared out to processes, through one `concurrent.futures.Executor`: a pool of this machine,
-or a Dask cluster's.
+"""Work shared out to processes: joblib's (loky) on this machine, or those of a Dask cluster.
 
-Processes are started anew ("spawn", which every system has): what they are given is pickled, so
-functions are named at the top of a module, and a script that shares out work does so below
-`if __name__ == "__main__":`.
+What is shared out is pickled. On a cluster recordings and results lie where all machines see them.
 """
 
 from __future__ import annotations
 
-import _thread
 import contextlib
-import multiprocessing
+import functools
+import importlib.metadata
+import logging
 import os
-import pickle
-import signal
+import platform
 import sys
-import threading
-import time
-import warnings
-from collections import deque
 from collections.abc import Callable, Generator, Iterator, Sequence
-from concurrent.futures import BrokenExecutor, CancelledError, Executor, Future, ProcessPoolExecutor
-from multiprocessing.process import BaseProcess
+from concurrent import futures
+from functools import partial
 from typing import Any, TypeVar
 
 from tqdm import tqdm
 
-from egolane_pgm.tools.cluster import LOCAL, GivenUp, cluster_executor
+from egolane_pgm.tools.files import code_checksum
 from egolane_pgm.types import InputError
 
 T = TypeVar("T")
 R = TypeVar("R")
 
-#: Processes that are told to end have this long to remove what they were writing.
-_SECONDS_TO_END = 2.0
-
-_DIED = "its process, or one beside it, died (killed, or out of memory?)"
-
-
 #: Where work is shared out to: so many processes of this machine, or a Dask cluster: the address
 #: of its scheduler, or `local:N` for one of N processes that is started here.
 Jobs = int | str
 
-#: More processes are a slip of the hand: they would fill the memory before one has begun to work.
-MOST_PROCESSES = 1024
+_LOCAL = "local:"
 
-#: Items that are begun ahead of the one whose answer is due. It bounds the answers that wait.
-_AHEAD = 256
+_DIED = "its process, or one beside it, died (killed, or out of memory?)"
 
 
 def is_elsewhere(jobs: Jobs) -> bool:
     """Whether work is shared out to processes that may be other machines'."""
-    return isinstance(jobs, str) and not jobs.startswith(LOCAL)
-
-
-@contextlib.contextmanager
-def executor(jobs: Jobs) -> Iterator[Executor]:
-    """A pool of `jobs` processes, or the executor of a Dask cluster.
-
-    An error inside the `with` block, Ctrl-C included, ends the pool at once: work at hand is told
-    to end, work that waits is not begun. Raises InputError for a cluster that does not answer, and
-    for more than MOST_PROCESSES.
-    """
-    if isinstance(jobs, str):
-        with cluster_executor(jobs) as pool:
-            yield pool
-        return
-    if jobs > MOST_PROCESSES:
-        raise InputError(
-            f"{jobs} processes are more than the {MOST_PROCESSES} that are begun; this machine has"
-            f" {os.cpu_count()} cores"
-        )
-    others = set(multiprocessing.active_children())
-    pool = _Pool(jobs)
-    try:
-        yield pool
-    except BaseException:
-        # Without waiting: what was at work may never answer.
-        pool.shutdown(wait=False, cancel_futures=True)
-        _end(set(multiprocessing.active_children()) - others)
-        raise
-    pool.shutdown()
+    return isinstance(jobs, str) and not jobs.startswith(_LOCAL)
 
 
 def in_order(
@@ -88,145 +44,120 @@ def in_order(
     items: Sequence[T],
     jobs: Jobs = 1,
     died: Callable[[T, str], R] | None = None,
+    *,
+    ordered: bool = True,
 ) -> Generator[R, None, None]:
     """Yield what `work` makes of each item, in order, as soon as those before it are done.
 
-    - work, items: picklable where there is more than one job.
     - jobs: number of processes that share the items, 1 for this process; or a cluster.
     - died: makes the answer for an item that was at work when a process died, given the reason.
+    - ordered: False for the answers as they are done.
 
-    Few items are begun ahead, so that few answers wait to be taken. Raises InputError where a
-    process died and `died` is None, and whatever `work` raises.
+    Raises what `work` raises, and InputError where a process died and `died` is None.
     """
     if isinstance(jobs, int) and (jobs <= 1 or len(items) <= 1):
         yield from map(work, items)
         return
-    k = 0
-    # The answers of items k, k + 1, ...
-    answers: deque[Future[tuple[R, list[Warning]]]] = deque()
-    while k < len(items):
-        with executor(jobs if isinstance(jobs, str) else min(jobs, len(items) - k)) as pool:
-            for j, answer in enumerate(answers):
-                if not _is_done(answer):
-                    answers[j] = pool.submit(_with_warnings, work, items[k + j])
-            with contextlib.suppress(BrokenExecutor):
-                while k < len(items):
-                    for item in items[k + len(answers) : k + _AHEAD]:
-                        answers.append(pool.submit(_with_warnings, work, item))
-                    try:
-                        made, caught = answers[0].result()
-                    except GivenUp as error:
-                        if died is None:
-                            raise
-                        made, caught = died(items[k], str(error)), []
-                    for warning in caught:
-                        warnings.warn(warning, stacklevel=2)
-                    yield made
-                    answers.popleft()
-                    k += 1
-        # Items are begun in order, so the first ones without an answer were at work. A cluster says
-        # which one it gave up.
-        at_work = jobs if isinstance(jobs, int) else 0
-        for j in [j for j, answer in enumerate(answers) if not _is_done(answer)][:at_work]:
-            if died is None:
-                raise InputError("a process died; try again with fewer --jobs")
-            answers[j] = Future()
-            answers[j].set_result((died(items[k + j], _DIED), []))
-
-
-def _is_done(answer: Future[Any]) -> bool:
-    return (
-        answer.done()
-        and not answer.cancelled()
-        and not isinstance(answer.exception(), BrokenExecutor | CancelledError)
-    )
-
-
-def _with_warnings(work: Callable[[T], R], item: T) -> tuple[R, list[Warning]]:
-    with warnings.catch_warnings(record=True) as caught:
-        answer = work(item)
-    return answer, [w.message for w in caught if isinstance(w.message, Warning)]
-
-
-class _Ended(SystemExit):
-    """Raised in a process that is told to end."""
-
-
-class _Pool(ProcessPoolExecutor):
-    def __init__(self, n_processes: int) -> None:
-        super().__init__(
-            n_processes, mp_context=multiprocessing.get_context("spawn"), initializer=_begin
-        )
-
-    def submit(self, fn: Callable[..., R], /, *args: Any, **kwargs: Any) -> Future[R]:
-        # Pickled here, so that what cannot be pickled is an error of the caller's.
-        given = pickle.dumps((fn, args, kwargs))
-        with _without_interrupts():
-            return super().submit(_do, given)
+    left = dict(enumerate(items))
+    # A pool of joblib's ends with a process of it: another one does what is left.
+    while left:
+        with _pool(jobs, len(left)) as (submit, as_completed, killed):
+            number = {submit(work, item): k for k, item in left.items()}
+            for future in number if ordered else as_completed(number):
+                item = left.pop(number[future])
+                try:
+                    yield future.result()
+                except killed as error:
+                    if died is None:
+                        raise InputError(f"{_DIED}; try again with fewer processes") from error
+                    yield died(item, _DIED)
+                    if killed is futures.BrokenExecutor:
+                        break
 
 
 @contextlib.contextmanager
-def _without_interrupts() -> Iterator[None]:
-    """Processes that are started here leave Ctrl-C to this one, from their first moment on. Where
-    a system has no such thing they do so once they have begun."""
-    if not hasattr(signal, "pthread_sigmask"):
-        yield
+def _pool(jobs: Jobs, n_items: int) -> Iterator[tuple[Callable[..., Any], Any, Any]]:
+    """What submits work, what yields futures as they are done, and what they raise where a process
+    died. An error inside the block, Ctrl-C included, ends the processes of this machine at once."""
+    if isinstance(jobs, str):
+        with _client(jobs) as client:
+            from distributed import as_completed
+            from distributed.scheduler import KilledWorker
+
+            do = partial(client.submit, _do, code(), os.getcwd(), pure=False)
+            yield do, as_completed, KilledWorker
         return
-    before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
+    from joblib.externals.loky import ProcessPoolExecutor
+
+    threads = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS"), "1")
+    pool = ProcessPoolExecutor(min(jobs, n_items), env=threads)
     try:
-        yield
+        yield pool.submit, futures.as_completed, futures.BrokenExecutor
     finally:
-        signal.pthread_sigmask(signal.SIG_SETMASK, before)
+        pool.shutdown(kill_workers=True)
 
 
-def _begin() -> None:
-    """What a process does first."""
-    signal.signal(signal.SIGINT, signal.SIG_IGN)
-    signal.signal(signal.SIGTERM, _raise_ended)
-    sys.unraisablehook = _print_ignored
-    # The lock that progress bars share by default is the system's: a process that is ended would
-    # leave it behind, and Python warns of that.
-    tqdm.set_lock(threading.RLock())
-    threading.Thread(target=_end_with_parent, daemon=True).start()
-
-
-def _raise_ended(*_: Any) -> None:
-    # Once: both this package and the pool may tell a process to end, which cleans up meanwhile.
-    signal.signal(signal.SIGTERM, signal.SIG_IGN)
-    raise _Ended(1)
-
-
-def _print_ignored(ignored: sys.UnraisableHookArgs) -> None:
-    """Python ignores what is raised while an object is removed. A process that went on because of
-    that is killed a moment later."""
-    if not issubclass(ignored.exc_type, _Ended):
-        sys.__unraisablehook__(ignored)
-
-
-def _end_with_parent() -> None:
-    """A process would wait for ever for work of a parent that was killed."""
-    parent = multiprocessing.parent_process()
-    assert parent is not None
-    parent.join()
-    _thread.interrupt_main(signal.SIGTERM)
-    time.sleep(_SECONDS_TO_END)
-    os._exit(1)
-
-
-def _do(given: bytes) -> Any:
+@contextlib.contextmanager
+def _client(address: str) -> Iterator[Any]:
+    """Dask's client of a cluster. Dask does the work of a worker that died on another one, and
+    takes workers that come later."""
     try:
-        work, args, kwargs = pickle.loads(given)
-        return work(*args, **kwargs)
-    except _Ended:
-        # The work has cleaned up behind itself; the pool would go on with its next item.
-        sys.stdout.flush()
-        os._exit(1)
+        from distributed import Client, LocalCluster
+        from distributed.utils import silence_logging_cmgr
+    except ImportError:
+        raise InputError("--cluster needs Dask: pip install 'egolane-pgm[cluster]'") from None
+    # Dask logs each worker and scheduler that it loses, with a traceback.
+    with silence_logging_cmgr(logging.CRITICAL), contextlib.ExitStack() as stack:
+        place: Any = address
+        try:
+            if address.startswith(_LOCAL):
+                # 0 or less is 1: a cluster without workers would be waited for.
+                place = LocalCluster(
+                    n_workers=max(1, int(address.removeprefix(_LOCAL))),
+                    threads_per_worker=1,
+                    dashboard_address="127.0.0.1:0",
+                    silence_logs=logging.CRITICAL,
+                )
+                stack.enter_context(place)
+            client = stack.enter_context(Client(place, timeout=10))
+        except (OSError, ValueError) as error:
+            raise InputError(
+                f"--cluster {address}: no scheduler answers; `dask scheduler` starts one, local:4"
+                " is one of four processes on this machine"
+            ) from error
+        tqdm.write(f"Dask dashboard: {client.dashboard_link}", file=sys.stderr)
+        try:
+            yield client
+        except futures.CancelledError:
+            said = f"--cluster {address}: the connection to the scheduler is lost"
+            raise InputError(said) from None
 
 
-def _end(processes: set[BaseProcess]) -> None:
-    for process in processes:
-        process.terminate()
-    until = time.monotonic() + _SECONDS_TO_END
-    for process in processes:
-        process.join(max(0.0, until - time.monotonic()))
-        process.kill()
+def _do(expected: dict[str, str], folder: str, work: Callable[..., R], /, *given: Any) -> R:
+    """Do work in a worker, in the folder of the command, where its numbers would be the same."""
+    from distributed import get_worker
+
+    worker = f"worker {platform.node()}, process {os.getpid()}"
+    for what, version in expected.items():
+        if code()[what] != version:
+            raise InputError(
+                f"{worker}: has {what} {code()[what]}, this machine {version}; install the same on"
+                " both"
+            )
+    if get_worker().state.nthreads > 1:
+        # Threads have one folder together.
+        raise InputError(f"{worker}: has threads; start it with `--nthreads 1`, once per processor")
+    os.chdir(folder)
+    return work(*given)
+
+
+@functools.cache
+def code() -> dict[str, str]:
+    """What the numbers depend on: the version of Python and of packages, and a checksum of this
+    package's code."""
+    packages = ("numpy", "scipy", "numba", "pgmpy", "opencv-python-headless")
+    return {
+        "Python": ".".join(platform.python_version_tuple()[:2]),
+        **{name: importlib.metadata.version(name) for name in packages},
+        "egolane_pgm code": code_checksum()[:16],
+    }

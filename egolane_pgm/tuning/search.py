@@ -10,7 +10,6 @@ from typing import Any
 import numpy as np
 import optuna
 from optuna import samplers
-from optuna.storages import RetryHeartbeatStaleTrialCallback
 from optuna.study import MaxTrialsCallback
 from optuna.trial import FrozenTrial, Trial, TrialState
 
@@ -129,23 +128,14 @@ def search(
 
     - worker: number of this process among those that share the study on this machine.
     - report: called after each trial of this process.
-
-    A trial that Ctrl-C interrupts is queued again, so that the study goes on as if it had not been.
     """
     n_trials = len(study.get_trials(deepcopy=False))
     if n_complete(study) >= settings.trials:
         return
     study.sampler = make_sampler(settings, space, n_trials, worker)
-    at_work: list[Trial] = []
-    objective = _objective(space, score, report, at_work)
-    with quiet():
-        try:
-            with _interruptions():
-                study.optimize(objective, callbacks=[MaxTrialsCallback(settings.trials)])
-        except (KeyboardInterrupt, SystemExit):
-            if at_work:
-                _queue_again(study, at_work[0].number)
-            raise
+    objective = _objective(space, score, report)
+    with quiet(), _interruptions():
+        study.optimize(objective, callbacks=[MaxTrialsCallback(settings.trials)])
 
 
 @contextmanager
@@ -163,23 +153,12 @@ def _interruptions() -> Iterator[None]:
         raise type(cause)(*cause.args) from None
 
 
-def _queue_again(study: optuna.Study, number: int) -> None:
-    """Have a trial that was interrupted tried once more, with the values that it has."""
-    trial = study.get_trials(deepcopy=False)[number]
-    if trial.state == TrialState.RUNNING:
-        trial = study.tell(number, state=TrialState.FAIL)
-    if trial.state == TrialState.FAIL:
-        RetryHeartbeatStaleTrialCallback()(study, trial)
-
-
 def _objective(
-    space: SearchSpace, score: Score, report: Report | None, at_work: list[Trial] | None = None
+    space: SearchSpace, score: Score, report: Report | None
 ) -> Callable[[Trial], Sequence[float]]:
-    """The objective for Optuna; `at_work` holds the trial that is being scored."""
+    """The objective for Optuna."""
 
     def objective(trial: Trial) -> Sequence[float]:
-        if at_work is not None:
-            at_work[:] = [trial]
         values = score(suggest(space, trial))
         if report is not None:
             report(values[0])

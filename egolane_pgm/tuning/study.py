@@ -6,7 +6,6 @@ import functools
 import pickle
 import time
 from collections.abc import Callable, Iterator, Sequence
-from concurrent.futures import BrokenExecutor, as_completed
 from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
@@ -16,7 +15,7 @@ import optuna
 
 from egolane_pgm.report.study_trials import STUDY_FILE
 from egolane_pgm.tools.files import make_directory, write_json
-from egolane_pgm.tools.jobs import Jobs, executor
+from egolane_pgm.tools.jobs import Jobs, in_order
 from egolane_pgm.tuning import study_directory as files
 from egolane_pgm.tuning.held_out import (
     Nested,
@@ -52,6 +51,10 @@ from egolane_pgm.types import InputError
 #: Called now and then with the name of a study, the number of trials that it finished since, and
 #: its best score so far.
 Progress = Callable[[str, int, float], None]
+
+#: What a process is given to do: the number of a search, its plan, directory, held_out and storage,
+#: the part that is left out (None for the study on all frames), and which of its workers this is.
+Task = tuple[int, bytes, Path, str, str | None, int | None, int]
 
 
 @dataclass
@@ -185,14 +188,13 @@ def _loaded(plan: bytes) -> Problem:
     return make_problem(pickle.loads(plan))
 
 
-def _do(
-    plan: bytes, directory: Path, held_out: str, storage: str | None, part: int | None, worker: int
-) -> Any:
-    """A task of a process: one study on all frames (`part` None), or without a part."""
+def _do(task: Task) -> tuple[int, int | None, Any]:
+    """Do a task; returns the search, the part, and what `_search_all` or `_search_without` does."""
+    k, plan, directory, held_out, storage, part, worker = task
     made = Search(_loaded(plan), directory, held_out, storage)
     if part is None:
-        return _search_all(made, worker)
-    return _search_without(made, part, worker)
+        return k, part, _search_all(made, worker)
+    return k, part, _search_without(made, part, worker)
 
 
 def tune(
@@ -253,49 +255,33 @@ def _counted(progress: Progress | None, made: Search, label: str) -> Report | No
 
 
 def _in_processes(
-    searches: Sequence[Search],
-    jobs: Jobs,
-    workers: int,
-    progress: Progress | None,
+    searches: Sequence[Search], jobs: Jobs, workers: int, progress: Progress | None
 ) -> None:
     """Share the studies and their nested ones out to processes."""
-    tasks: list[tuple[int, int | None, int]] = []
-    # Begun once, before processes share them.
-    for made in searches:
-        open_main(made)
-    for k in range(len(searches)):
-        tasks += [(k, None, worker) for worker in range(workers)]
+    mains: list[Task] = []
+    nested: list[Task] = []
     for k, made in enumerate(searches):
-        tasks += [(k, part, 0) for part in range(made.n_parts) if part not in made.nested]
+        # Begun once, before processes share it.
+        open_main(made)
+        given = (k, pickle.dumps(made.problem.plan), made.directory, made.held_out, made.storage)
+        mains += [(*given, None, worker) for worker in range(workers)]
+        nested += [(*given, part, 0) for part in range(made.n_parts) if part not in made.nested]
     seconds = [0.0] * len(searches)
     at_work = [workers] * len(searches)
-    with executor(jobs) as pool:
-        waiting = {}
-        for k, part, worker in tasks:
-            made = searches[k]
-            given = (pickle.dumps(made.problem.plan), made.directory, made.held_out, made.storage)
-            waiting[pool.submit(_do, *given, part, worker)] = (k, part)
-        try:
-            for future in as_completed(waiting):
-                k, part = waiting[future]
-                made, label = searches[k], searches[k].problem.plan.name
-                if part is not None:
-                    _keep(made, future.result())
-                    best = made.nested[part].values[0]
-                else:
-                    seconds[k] = max(seconds[k], future.result())
-                    at_work[k] -= 1
-                    if at_work[k]:
-                        continue
-                    finish_main(made, seconds[k])
-                    best = next(iter(made.best["values"].values()))
-                if progress is not None:
-                    progress(label, made.problem.settings.trials, best)
-        except BrokenExecutor as error:
-            raise InputError(
-                "a process died while it worked on a study; repeat the command, what is finished"
-                " is kept"
-            ) from error
+    for k, part, found in in_order(_do, [*mains, *nested], jobs, ordered=False):
+        made, label = searches[k], searches[k].problem.plan.name
+        if part is not None:
+            _keep(made, found)
+            best = found.values[0]
+        else:
+            seconds[k] = max(seconds[k], found)
+            at_work[k] -= 1
+            if at_work[k]:
+                continue
+            finish_main(made, seconds[k])
+            best = next(iter(made.best["values"].values()))
+        if progress is not None:
+            progress(label, made.problem.settings.trials, best)
 
 
 def finish_main(made: Search, seconds: float) -> None:

@@ -193,15 +193,6 @@ def test_the_password_of_a_storage_is_not_shown(tmp_path: Path) -> None:
     assert "secret" not in line
 
 
-def test_the_password_of_an_address_in_the_wrong_place_is_not_shown(tmp_path: Path) -> None:
-    address = "postgresql://me:sec@ret@host/base"
-    for words in ([address], [QUICKSTART, "--sampler", address], [QUICKSTART, "--trials", address]):
-        line = tune_refuses(*words, "--in-sample-only", "--out", tmp_path)
-        assert "me:***@host/base" in line
-        assert "sec" not in line
-        assert "ret" not in line
-
-
 def test_a_group_has_one_parameter_set_and_an_experiment_per_recording(tmp_path: Path) -> None:
     for k in (1, 2):
         rewritten(QUICKSTART, tmp_path / f"{k}.yaml", name=f"drive{k}", recording__seed=k)
