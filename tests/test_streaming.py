@@ -4,8 +4,6 @@ from __future__ import annotations
 
 import errno
 import json
-import math
-import tracemalloc
 from dataclasses import replace
 from itertools import pairwise
 from pathlib import Path
@@ -22,15 +20,14 @@ from egolane_pgm import streaming
 from egolane_pgm.experiment import load_experiment
 from egolane_pgm.inference import filtering
 from egolane_pgm.inference.events import NOTHING_TOLD, lane_stretches, stretches, tell
-from egolane_pgm.recordings import rosbag, table, write_lines
-from egolane_pgm.recordings.ground_truth import read_ground_truth, write_ground_truth
+from egolane_pgm.recordings import write_lines
+from egolane_pgm.recordings.ground_truth import write_ground_truth
 from egolane_pgm.recordings.table import rows_of, write_table
 from egolane_pgm.results import Result, read_result
 from egolane_pgm.running import result_of, run_experiment
 from egolane_pgm.scoring.assign import assigned_lane
 from egolane_pgm.scoring.events import FrameCounts, event_scores, landmarks
 from egolane_pgm.scoring.summary import no_frames, score_all, scores_of, with_frames
-from egolane_pgm.simulation import simulate
 from egolane_pgm.streaming import LEFT_OUT, run_streamed
 from egolane_pgm.types import InputError
 from tests.kits.drives import contents, done, refused, short_drive, write_drive
@@ -49,13 +46,11 @@ OTHER = ("intervals", "auc", "seconds", "created", "warnings", "mean_log_evidenc
 
 @pytest.fixture
 def small_parts(monkeypatch: pytest.MonkeyPatch) -> None:
-    cut(monkeypatch, rows=7, frames=5, part=16, piece=8)
+    cut(monkeypatch, part=16, piece=8)
 
 
-def cut(monkeypatch: pytest.MonkeyPatch, rows: int, frames: int, part: int, piece: int) -> None:
-    """Parts of so many rows or messages for a reader, and of so many frames for what follows."""
-    monkeypatch.setitem(table.iterate_table.__kwdefaults__, "rows", rows)
-    monkeypatch.setitem(rosbag.iterate_rosbag.__kwdefaults__, "frames", frames)
+def cut(monkeypatch: pytest.MonkeyPatch, part: int, piece: int) -> None:
+    """Parts of so many frames."""
     monkeypatch.setattr(streaming, "PART_FRAMES", part)
     monkeypatch.setattr(filtering, "piece_frames", lambda compiled: piece)
     monkeypatch.setattr(streaming, "piece_frames", lambda compiled: piece)
@@ -139,17 +134,16 @@ def test_a_run_of_the_paper_and_zero_label_are_the_same_streamed(
 
 @settings(max_examples=12, deadline=None)
 @given(
-    rows=st.integers(1, 60),
     part=st.integers(1, 80),
     piece=st.integers(1, 40),
     is_of_places=st.booleans(),
 )
 def test_wherever_a_drive_is_cut_no_number_changes(
-    drives: dict[bool, tuple[Path, Result]], rows: int, part: int, piece: int, is_of_places: bool
+    drives: dict[bool, tuple[Path, Result]], part: int, piece: int, is_of_places: bool
 ) -> None:
     path, whole = drives[is_of_places]
     with pytest.MonkeyPatch.context() as patch:
-        cut(patch, rows, rows, part, piece)
+        cut(patch, part, piece)
         parts = streamed(path, path.parent)
     # Where the filter is cut, its numbers are scaled anew: their last digit may differ.
     for node, belief in whole.marginals.items():
@@ -181,19 +175,6 @@ def test_later_frames_change_nothing_of_what_was_believed(tmp_path: Path) -> Non
     np.testing.assert_array_equal(early.beliefs.lane, whole.beliefs.lane[:96])
 
 
-@pytest.mark.usefixtures("small_parts")
-def test_a_frame_is_never_split(tmp_path: Path) -> None:
-    log = short_drive().log
-    write_table(tmp_path / "lines.csv", log)
-    write_table(tmp_path / "lines.parquet", log)
-    for name, rows in (("lines.csv", 7), ("lines.parquet", 1), ("lines.parquet", 3)):
-        parts = list(table.iterate_table(tmp_path / name, rows=rows))
-        ids = np.concatenate([part.frame_id for part in parts])
-        np.testing.assert_array_equal(ids, log.frame_id)
-        n_lines = np.concatenate([part.is_valid.sum(axis=1) for part in parts])
-        np.testing.assert_array_equal(n_lines, log.is_valid.sum(axis=1))
-
-
 NEEDS_ALL = [
     ({"filter": "smoothed"}, "filter: smoothed uses later frames"),
     ({"filter": "fixed_lag", "lag": 3}, "filter: fixed_lag uses later frames"),
@@ -207,7 +188,6 @@ NEEDS_ALL = [
         "recording.simulate: is not streamed; `egolane simulate` writes",
     ),
     ({"recording__format": "./mine.py"}, "recording.format: a reader of one's own"),
-    ({"recording__format": "culane"}, "format culane is read as a whole; `egolane convert`"),
 ]
 
 
@@ -255,16 +235,6 @@ def test_a_table_that_is_not_sorted_is_refused_naming_the_row(tmp_path: Path, en
 
 
 @pytest.mark.usefixtures("small_parts")
-def test_a_frame_of_endlessly_many_rows_is_refused_before_it_fills_the_memory(
-    tmp_path: Path,
-) -> None:
-    text = "frame_id,line,offset_m\n" + "1,1,2.0\n" * 3000
-    (tmp_path / "lines.csv").write_text(text)
-    with pytest.raises(InputError, match="line 3: frame 1 has this line twice"):
-        list(table.iterate_table(tmp_path / "lines.csv"))
-
-
-@pytest.mark.usefixtures("small_parts")
 def test_the_ground_truth_may_begin_later_and_end_later(tmp_path: Path) -> None:
     path = write_drive(tmp_path, recording__frames=[20, 120])
     truth = short_drive().truth
@@ -280,42 +250,6 @@ def test_the_ground_truth_may_begin_later_and_end_later(tmp_path: Path) -> None:
     with pytest.raises(InputError) as of_whole:
         run_experiment(path)
     assert str(error.value) == str(of_whole.value)
-
-
-def test_a_ground_truth_is_read_in_parts_with_its_extra_rows(tmp_path: Path) -> None:
-    from egolane_pgm.recordings.ground_truth import iterate_ground_truth
-
-    truth = short_drive().truth
-    file = tmp_path / "truth.txt"
-    write_ground_truth(file, truth.take(truth.frame_id != 40))
-    parts = list(iterate_ground_truth(file, [(40, 2, 1), (999, 1, 0)], frames=7))
-    assert {len(part) for part in parts[:-1]} == {7}
-    whole = read_ground_truth(file, [(40, 2, 1), (999, 1, 0)])
-    for name in ("frame_id", "lane", "is_crossing"):
-        joined = np.concatenate([getattr(part, name) for part in parts])
-        np.testing.assert_array_equal(joined, getattr(whole, name))
-    assert len(whole) == len(truth) + 1
-
-
-def test_memory_does_not_grow_with_the_drive(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    cut(monkeypatch, rows=256, frames=64, part=128, piece=64)
-    log = simulate("quickstart", seed=3, frames=3200).log
-
-    def peak(n_frames: int) -> int:
-        path = write_drive(tmp_path, 10, ground_truth=None, recording__path="long.parquet")
-        write_table(tmp_path / "long.parquet", log.take(slice(0, n_frames)))
-        experiment = load_experiment(path)
-        tracemalloc.start()
-        run_streamed(experiment, tmp_path / "out")
-        most = tracemalloc.get_traced_memory()[1]
-        tracemalloc.stop()
-        return most
-
-    peak(200)
-    # The beliefs and the lines of 2,400 frames are 600 kB.
-    assert peak(3200) - peak(800) < 200_000
 
 
 def test_a_full_disk_is_one_line_and_leaves_the_older_result(
@@ -456,45 +390,3 @@ def test_lane_changes_are_the_same_wherever_they_are_cut(drawn: tuple[Any, ...])
     expected = event_scores(whole, crossing, truth, 10.0)
     expected["crossing"]["auc"] = None
     assert event_scores(told, warned, marked, 10.0, counts) == expected
-
-
-# --- bags ----------------------------------------------------------------------------------------
-
-
-@pytest.mark.usefixtures("small_parts")
-def test_stamps_that_do_not_increase_are_refused_where_they_are_the_time(tmp_path: Path) -> None:
-    log = short_drive(60).log
-    stamps = 1.7e9 + log.frame_id / 10
-    stamps[40] = stamps[20]
-    write_lines(tmp_path / "drive.mcap", replace(log, time_s=stamps))
-    with pytest.raises(InputError) as error:
-        list(rosbag.iterate_rosbag(tmp_path / "drive.mcap"))
-    assert str(error.value).endswith(
-        "the stamps of frames 39 and 40 do not increase; recording.options.stamps: false takes the"
-        " time from frame ids"
-    )
-    parts = list(rosbag.iterate_rosbag(tmp_path / "drive.mcap", stamps=False))
-    assert math.isclose(parts[-1].time_s[-1], 5.9)
-
-
-@pytest.mark.usefixtures("small_parts")
-def test_a_message_is_counted_from_the_beginning_of_the_file(tmp_path: Path) -> None:
-    from tests.kits.bags import line_bag
-
-    ids = [*range(12), 4, 13]
-    line_bag(tmp_path / "a.bag", ids)
-    with pytest.raises(InputError) as of_whole:
-        rosbag.read_rosbag(tmp_path / "a.bag")
-    with pytest.raises(InputError) as error:
-        list(rosbag.iterate_rosbag(tmp_path / "a.bag"))
-    assert str(error.value) == str(of_whole.value)
-    assert "(messages 12 and 13 of the file)" in str(error.value)
-
-
-@pytest.mark.usefixtures("small_parts")
-def test_frames_are_counted_through_all_parts(tmp_path: Path) -> None:
-    from tests.kits.bags import line_bag
-
-    line_bag(tmp_path / "a.bag", [7] * 14)
-    parts = list(rosbag.iterate_rosbag(tmp_path / "a.bag", frame_id="count"))
-    assert np.concatenate([part.frame_id for part in parts]).tolist() == list(range(14))
