@@ -41,12 +41,9 @@ def list_data() -> None:
 @data.command()
 @click.option("--base-url", help="A mirror that has the files under their names.")
 @click.option("--folder", type=click.Path(file_okay=False), help="Where to put them.")
-@click.option(
-    "--jobs", type=click.IntRange(1, 16), default=4, show_default=True, help="Files at a time."
-)
-def fetch(base_url: str | None, folder: str | None, jobs: int) -> None:
+def fetch(base_url: str | None, folder: str | None) -> None:
     """Download what is missing; checks every sha256, keeps good files."""
-    _say(catalog.fetch(base_url=base_url, folder=folder, jobs=jobs))
+    _say(catalog.fetch(base_url=base_url, folder=folder))
 
 
 @data.command()

@@ -298,7 +298,7 @@ def test_frame_id_0_in_every_message_is_refused_and_what_is_offered_works(
     line_bag(tmp_path / "a.bag", [0] * 6, GOOD)
     said = run_on(tmp_path, tmp_path / "a.bag", earlier)
     assert "a.bag: all 6 messages have frame id 0" in said
-    assert said.endswith("use --frame-id seq (ROS 1) or count")
+    assert said.endswith("use frame_id seq (ROS 1) or count")
     out = tmp_path / "out"
     words = ("--ground-truth", "none", "--no-figures", "--out", out)
     done("run", tmp_path / "e.yaml", "--frame-id", "seq", *words)
