@@ -316,7 +316,8 @@ def test_a_result_is_kept_where_its_figures_cannot_be_drawn(
     with pytest.raises(InputError) as caught:
         run.save(out)
     assert str(caught.value) == (
-        f"{out}/figures/strips.png: cannot be written: disk full; the result without figures is in {out}"
+        f"{out}/figures/strips.png: cannot be written: disk full; the result without figures"
+        f" is in {out}"
     )
     assert is_result(out)
     assert not (out / "figures").exists()
