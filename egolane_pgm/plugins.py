@@ -48,15 +48,17 @@ def plugin_names(folder: str) -> list[str]:
     A module is a plugin if it defines the first name of the folder's contract, a folder if its
     `__all__` has that name. The files are searched as text, because importing them all is slow.
     """
-    first = CONTRACTS[folder][0]
     path = Path(__file__).parent / folder
-    found = [f.stem for f in path.glob("*.py") if _defines(_text(f), first)]
-    found += [f.parent.name for f in path.glob("*/__init__.py") if f'"{first}"' in _text(f)]
-    return sorted(found)
+    names = {file.stem for file in path.glob("*.py")} | {f.parent.name for f in path.glob("*/*.py")}
+    return sorted(name for name in names if _is_plugin(folder, name))
 
 
-def _text(file: Path) -> str:
-    return file.read_text(encoding="utf-8")
+def _is_plugin(folder: str, name: str) -> bool:
+    path, first = Path(__file__).parent / folder, CONTRACTS[folder][0]
+    file, package = path / f"{name}.py", path / name / "__init__.py"
+    if name.isidentifier() and file.is_file():
+        return _defines(file.read_text(encoding="utf-8"), first)
+    return name.isidentifier() and package.is_file() and f'"{first}"' in package.read_text("utf-8")
 
 
 def _defines(text: str, name: str) -> bool:
@@ -82,7 +84,7 @@ def find_plugin(name: str, kinds: Mapping[str, str], base: Path) -> tuple[str, s
     elif name.endswith(OWN_FILES):
         found = ["graph"]
     else:
-        found = [kind for kind in kinds if name in plugin_names(kinds[kind])]
+        found = [kind for kind in kinds if _is_plugin(kinds[kind], name)]
     if not found:
         known = [known for folder in kinds.values() for known in plugin_names(folder)]
         raise InputError(f"unknown name '{name}'{suggestion(name, known)}")
@@ -115,7 +117,7 @@ def load_plugin(folder: str, name: str, base: Path, where: str) -> ModuleType:
             f"egolane_pgm.graphs.{'yaml_graph' if is_yaml else 'from_pgmpy'}"
         )
         module = reader.load_graph_file(file, f"{_OWN}{Path(name).stem}", where)
-    elif name in plugin_names(folder):
+    elif _is_plugin(folder, name):
         module = importlib.import_module(f"egolane_pgm.{folder}.{name}")
     else:
         raise InputError(f"{where}: unknown name '{name}'{suggestion(name, plugin_names(folder))}")

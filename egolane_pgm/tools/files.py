@@ -14,7 +14,6 @@ import functools
 import hashlib
 import io
 import json
-import math
 import tempfile
 from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
@@ -23,6 +22,7 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from pydantic_core import to_jsonable_python
 
 from egolane_pgm.tools.yaml import dump_yaml, parse_yaml
 from egolane_pgm.types import InputError
@@ -236,18 +236,11 @@ def rows_of_parquet(path: Path) -> int:
 
 def plain(value: Any) -> Any:
     """The same in plain Python types, for JSON and YAML; NaN and infinity become None."""
-    if isinstance(value, Mapping):
-        return {str(k): plain(v) for k, v in value.items()}
-    if isinstance(value, (list, tuple)):
-        return [plain(v) for v in value]
-    if isinstance(value, np.ndarray) and value.dtype.kind in "biuf":
-        finite = np.isfinite(value)
-        return (value if finite.all() else np.where(finite, value, None)).tolist()
-    if isinstance(value, (np.ndarray, np.generic)):
-        return plain(value.tolist())
-    if isinstance(value, float) and not math.isfinite(value):
-        return None
-    return value
+    return to_jsonable_python(value, inf_nan_mode="null", fallback=_of_numpy)
+
+
+def _of_numpy(value: Any) -> Any:
+    return dict(value) if isinstance(value, Mapping) else value.tolist()
 
 
 # --- directories -----------------------------------------------------------------------------
