@@ -173,7 +173,8 @@ def _renamed(path: Path, names: list[str], columns: Mapping[str, str]) -> list[s
 def _check_columns(path: Path, names: list[str]) -> list[str]:
     """The columns to read. Raises InputError for a missing one, and warns once of all that are
     ignored."""
-    known, needed = set(COLUMNS), NEEDED
+    known: set[str] = set(COLUMNS)
+    needed: tuple[str, ...] = NEEDED
     numbers = [name.removeprefix("offset_m_") for name in names if name.startswith("offset_m_")]
     if "line" not in names and numbers:
         kinds = ("offset_m", "is_valid", "is_continuous", "lri")
@@ -378,7 +379,7 @@ def _per_line(cells: _Cells) -> tuple[_Cells, IntArray]:
     there = ~np.isnan(side_by_side("offset_m")) | (side_by_side("is_valid") == 1)
     there[:, -1] = ~there.any(axis=1)
     row, slot = np.nonzero(there)
-    found = {name: cells[name][row] for name in ("frame_id", "is_missing") if name in cells}
+    found: _Cells = {name: cells[name][row] for name in ("frame_id", "is_missing") if name in cells}
     found["line"] = np.array([*map(float, numbers), np.nan])[slot]
     for kind, blank in {
         "offset_m": np.nan,
