@@ -57,21 +57,6 @@ def read_lines(path: str | Path, /, format: str | None = None, **options: Any) -
 
 def read_with(path: str | Path, format: str | None, options: Mapping[str, Any]) -> LineLog:
     """Read as `read_lines` does, with the options as a mapping (of a YAML or of `--set`)."""
-    name = _checked_format(path, format, options)
-    log: LineLog = reader_of(name)(path, **options)
-    return log
-
-
-def iterate_with(
-    path: str | Path, format: str | None, options: Mapping[str, Any]
-) -> Iterator[LineLog]:
-    """`read_with`, as one part."""
-    yield read_with(path, format, options)
-
-
-def _checked_format(path: str | Path, format: str | None, options: Mapping[str, Any]) -> str:
-    """The format to read with. Raises InputError for an unknown one, and for options that it has
-    not got."""
     check_name(path)
     name = format_of(path) if format is None else format
     if name not in FORMATS:
@@ -85,7 +70,15 @@ def _checked_format(path: str | Path, format: str | None, options: Mapping[str, 
             )
     if "frame_rate" in options:
         _check_frame_rate(options["frame_rate"], path)
-    return name
+    log: LineLog = read(path, **options)
+    return log
+
+
+def iterate_with(
+    path: str | Path, format: str | None, options: Mapping[str, Any]
+) -> Iterator[LineLog]:
+    """`read_with`, as one part."""
+    yield read_with(path, format, options)
 
 
 def read_lines_with(path: str, camera: object, frame_rate: float | None = None) -> LineLog:

@@ -69,6 +69,7 @@ DEFINITIONS_2 = {
 _REPAIRS = {
     ".bag": "`rosbag reindex`",
     ".mcap": "`mcap recover`",
+    ".db3": "`ros2 bag reindex`",
     "": "`ros2 bag reindex`, or name the .mcap or .db3 in it",
 }
 
@@ -241,7 +242,8 @@ def topic_of(
             f"{path}: the messages on {topic} have several definitions (its node was rebuilt while"
             " it recorded); split the bag"
         )
-    kind, types = chosen[0].msgtype, bag.typestore.fielddefs
+    kind = chosen[0].msgtype
+    types: dict[str, Any] = bag.typestore.fielddefs
     if chosen[0].msgdef.format == MessageDefinitionFormat.NONE:
         for name, text in (DEFINITIONS | DEFINITIONS_2).items():
             name = f"{kind.rpartition('/')[0]}/{name.rpartition('/')[2]}"

@@ -12,7 +12,7 @@ from __future__ import annotations
 
 import re
 import warnings
-from collections.abc import Iterable, Mapping
+from collections.abc import Mapping
 from csv import reader as csv_rows
 from itertools import islice
 from pathlib import Path
@@ -28,7 +28,6 @@ from egolane_pgm.tools.files import arrow_table, atomic, open_parquet, write_par
 from egolane_pgm.types import BoolArray, FloatArray, InputError, IntArray, LineLog, suggestion
 
 NEEDED = ("frame_id", "line", "offset_m")
-OPTIONAL = ("is_valid", "is_continuous", "lri", "is_missing")
 
 #: What each column means.
 COLUMNS = {
@@ -120,17 +119,13 @@ def rows_of(log: LineLog, *, says_missing: bool) -> Any:
     n_frames, n_lines = is_there.shape
     if n_frames and n_lines and not is_there[:, -1].any():
         is_there[0, -1] = True  # an empty line says how wide the padding is
-    empty = np.flatnonzero(~is_there.any(axis=1))
-    frame, line = np.nonzero(is_there)
-    frame, line = np.concatenate([frame, empty]), np.concatenate([line, np.full(len(empty), -1)])
-    order = np.argsort(frame, kind="stable")
-    frame, line = frame[order], line[order]
-    no_line = line < 0
+    # A frame without lines has one row, as if it had a line beside the others.
+    frame, line = np.nonzero(np.column_stack([is_there, ~is_there.any(axis=1)]))
+    no_line = line == n_lines
 
-    def column(values: NDArray[Any], otherwise: float | bool) -> NDArray[Any]:
-        if n_lines == 0:
-            return np.full(len(frame), otherwise, dtype=values.dtype)
-        return np.where(no_line, otherwise, values[frame, line])
+    def column(values: NDArray[Any], blank: float | bool) -> NDArray[Any]:
+        column: NDArray[Any] = np.column_stack([values, np.full(n_frames, blank)])[frame, line]
+        return column
 
     lri = column(log.lri, np.nan)
     columns = {
@@ -175,20 +170,16 @@ def _renamed(path: Path, names: list[str], columns: Mapping[str, str]) -> list[s
     return found
 
 
-def _is_per_frame(names: Iterable[str]) -> bool:
-    return "line" not in names and any(name.startswith("offset_m_") for name in names)
-
-
 def _check_columns(path: Path, names: list[str]) -> list[str]:
     """The columns to read. Raises InputError for a missing one, and warns once of all that are
     ignored."""
     known: set[str] = set(COLUMNS)
     needed: tuple[str, ...] = NEEDED
-    if _is_per_frame(names):
-        numbers = [n.removeprefix("offset_m_") for n in names if n.startswith("offset_m_")]
-        needed = ("frame_id",)
+    numbers = [name.removeprefix("offset_m_") for name in names if name.startswith("offset_m_")]
+    if "line" not in names and numbers:
         kinds = ("offset_m", "is_valid", "is_continuous", "lri")
         known = {"frame_id", "is_missing", *(f"{kind}_{k}" for kind in kinds for k in numbers)}
+        needed = NEEDED[:1]
     lacking = [name for name in needed if name not in names]
     if lacking:
         raise InputError(
@@ -199,13 +190,13 @@ def _check_columns(path: Path, names: list[str]) -> list[str]:
     twice = sorted({name for name in names if names.count(name) > 1})
     if twice:
         raise InputError(f"{path}: column {', '.join(twice)} occurs more than once")
-    extra = [name for name in names if name not in known]
-    if extra:
-        unused = [name for name in known if name not in (*names, *NEEDED)]
-        said = []
-        for name in extra:
+    unused = known - {*names, *NEEDED}
+    said = []
+    for name in names:
+        if name not in known:
             hint = suggestion(name, unused)
             said.append(name + (hint if "did you mean" in hint else ""))
+    if said:
         warnings.warn(f"{path}: ignored column(s) {', '.join(said)}", UserWarning, stacklevel=3)
     return [name for name in names if name in known]
 
@@ -388,7 +379,7 @@ def _per_line(cells: _Cells) -> tuple[_Cells, IntArray]:
     there = ~np.isnan(side_by_side("offset_m")) | (side_by_side("is_valid") == 1)
     there[:, -1] = ~there.any(axis=1)
     row, slot = np.nonzero(there)
-    found = {name: cells[name][row] for name in ("frame_id", "is_missing") if name in cells}
+    found: _Cells = {name: cells[name][row] for name in ("frame_id", "is_missing") if name in cells}
     found["line"] = np.array([*map(float, numbers), np.nan])[slot]
     for kind, blank in {
         "offset_m": np.nan,
