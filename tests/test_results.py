@@ -29,7 +29,6 @@ from egolane_pgm.results import (
 )
 from egolane_pgm.running import run_experiment
 from egolane_pgm.scoring.assign import assigned_lane
-from egolane_pgm.tools import files
 from egolane_pgm.tools.files import file_sha256, plain, write_json
 from egolane_pgm.types import InputError
 from tests.kits.drives import command, contents, done, geometry, refused, simulated, write_drive
@@ -464,8 +463,6 @@ def test_an_interruption_around_the_renaming_leaves_one_whole_result(
             raise error
         return moved
 
-    # As where the system does not exchange two directories in one step.
-    monkeypatch.setattr(files, "_exchanged", lambda *_: False)
     monkeypatch.setattr(Path, "rename", interrupted)
     with pytest.raises((KeyboardInterrupt, InputError)), staged(result) as folder:
         fill(folder)

@@ -273,12 +273,12 @@ def atomic_directory(directory: Path) -> Iterator[Path]:
             except InputError as error:
                 # The message names the file by its place, not by where it is made.
                 raise InputError(str(error).replace(str(new), str(directory))) from None
-            if place.exists():
-                place.rename(old)
             try:
+                if place.exists():
+                    place.rename(old)
                 new.rename(place)
             except BaseException:
-                if old.exists():
+                if old.exists() and not place.exists():
                     old.rename(place)
                 raise
     except OSError as error:
