@@ -12,6 +12,8 @@ import logging
 import os
 import platform
 import sys
+import threading
+import time
 from collections.abc import Callable, Generator, Iterator, Sequence
 from concurrent import futures
 from functools import partial
@@ -89,12 +91,27 @@ def _pool(jobs: Jobs, n_items: int) -> Iterator[tuple[Callable[..., Any], Any, A
         return
     from joblib.externals.loky import ProcessPoolExecutor
 
-    threads = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS"), "1")
-    pool = ProcessPoolExecutor(min(jobs, n_items), env=threads)
+    pool = ProcessPoolExecutor(
+        min(jobs, n_items),
+        initializer=_end_with,
+        initargs=(os.getpid(),),
+        env=dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS"), "1"),
+    )
     try:
         yield pool.submit, futures.as_completed, futures.BrokenExecutor
     finally:
         pool.shutdown(kill_workers=True)
+
+
+def _end_with(parent: int) -> None:
+    """A process would work on, and then wait for ever, once its parent was killed."""
+
+    def watch() -> None:
+        while os.getppid() == parent:
+            time.sleep(1)
+        os._exit(1)
+
+    threading.Thread(target=watch, daemon=True).start()
 
 
 @contextlib.contextmanager
@@ -112,14 +129,15 @@ def _client(address: str) -> Iterator[Any]:
         try:
             if address.startswith(_LOCAL):
                 # 0 or less is 1: a cluster without workers would be waited for.
-                place = LocalCluster(
+                place = LocalCluster(  # type: ignore[no-untyped-call]
                     n_workers=max(1, int(address.removeprefix(_LOCAL))),
                     threads_per_worker=1,
                     dashboard_address="127.0.0.1:0",
                     silence_logs=logging.CRITICAL,
                 )
                 stack.enter_context(place)
-            client = stack.enter_context(Client(place, timeout=10))
+            known = Client(place, timeout=10)  # type: ignore[no-untyped-call]
+            client = stack.enter_context(known)
         except (OSError, ValueError) as error:
             raise InputError(
                 f"--cluster {address}: no scheduler answers; `dask scheduler` starts one, local:4"
