@@ -397,17 +397,6 @@ def test_learning_takes_one_experiment() -> None:
         ego.learn([QUICKSTART])  # type: ignore[arg-type]
 
 
-def test_constants_that_are_chosen_hold_nothing_out(tmp_path: Path) -> None:
-    grid = {"fit": "choose", "choice": {"grid": {"p1": [0.9, 0.95]}}}
-    chosen = ego.learn(ego.load_experiment(QUICKSTART, {**SHORT, **grid}), blocks=2)
-    assert set(chosen.parameters) == {"p1"}
-    assert "chosen on all 2 blocks: p1" in repr(chosen)
-    assert chosen.scores is None
-    with pytest.raises(ego.InputError, match="nothing is held out here"):
-        chosen.to_pandas()
-    assert ego.load_experiment(chosen.save(tmp_path)).parameters["p1"] == chosen.chosen["p1"]
-
-
 # --- tune ----------------------------------------------------------------------------------------
 
 
@@ -700,7 +689,6 @@ def test_graphs_on_a_run_of_the_paper_are_in_sample(recordings: Path, tmp_path: 
 @pytest.mark.parametrize(
     ("given", "said"),
     [
-        ({"learned_on": "1"}, "goes with experiments"),
         ({"experiments": QUICKSTART, "with_paper": True}, "goes with experiments and --runs"),
         ({"experiments": QUICKSTART, "trials": 3, "trials_per_number": 3}, "instead of --trials"),
         ({"experiments": 3}, "compare: 3 is neither one nor a list"),

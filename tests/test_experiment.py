@@ -119,7 +119,7 @@ def test_unknown_keys_are_named_before_any_other_problem() -> None:
         "recording.frame_rate: input should be less than or equal to 1000000 (got 1e+308)"
     ]
     [line] = wrong_in(qqqq=1)
-    assert "(known: choice, decode, description, evidence, evidence_reading, filter," in line
+    assert "(known: decode, description, evidence, evidence_reading, filter," in line
 
 
 def test_numbers_that_are_a_slip_of_the_hand_are_refused() -> None:
@@ -390,8 +390,7 @@ def rich() -> Experiment:
         recording={"path": "a", "options": {"x": [1, {"y": [2]}]}, "detector_parameters": {"a": 1}},
         parameters={"lane_widths": [1, 2, 1], "table": {"rows": [[1, 2], [3, 4]]}},
         tuning={"parameters": {"p1": [0.5, 0.9]}},
-        choice={"grid": {"alpha": [0.1, [1, 2]]}},
-        learned_on=["a.yaml"],
+        learning={"tables": ["Lane"]},
     )
 
 
@@ -406,7 +405,7 @@ def test_nothing_in_an_experiment_can_be_changed() -> None:
         for each in inner:
             yield from parts(each)
 
-    copied = rich().model_copy(update={"parameters": {"a": [1]}, "learned_on": ["b.yaml"]})
+    copied = rich().model_copy(update={"parameters": {"a": [1]}})
     for experiment in (rich(), copied, rich().model_copy(deep=True), made()):
         for part in parts(experiment):
             assert not isinstance(part, (list, set)), part

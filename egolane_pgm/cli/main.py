@@ -31,7 +31,6 @@ COMMANDS = {
     "network": ("network", "Write a graph: a picture, or text for other programs."),
     "online": ("online", "Filter frame by frame: a JSON line in, its belief out at once."),
     "plot": ("plot", "Draw the figures of result directories and studies."),
-    "recover": ("paper", "Search the values behind the published, truncated parameters."),
     "reproduce": ("paper", "Repeat the paper's ten runs, beside the published tables."),
     "report": ("report", "Show results as one interactive HTML page."),
     "run": ("run", "Filter a recording, score it, write a result directory."),

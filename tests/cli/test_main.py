@@ -17,7 +17,7 @@ from tests.kits.synthetic_road import write_place
 
 def test_help_names_every_command_and_version_the_version() -> None:
     shown = done("--help").stdout
-    for name in ("ls", "validate", "run", "reproduce", "recover", "plot", "data", "convert"):
+    for name in ("ls", "validate", "run", "reproduce", "plot", "data", "convert"):
         assert f"\n  {name} " in shown
     assert __version__ in done("--version").stdout
     for name in ("run", "reproduce", "data", "simulate"):
@@ -53,7 +53,7 @@ def test_a_command_line_that_makes_no_sense_is_one_line(tmp_path: Path) -> None:
     assert "No such command 'rn'" in refused("rn")
     assert "egolane run --help" in refused("run", "x.yaml", "--frame-id", "stamp")
     assert "Missing argument" in refused("run")
-    assert "--seed" in refused("recover", "--run", "7", "--seed", "-1")
+    assert "--trials" in refused("tune", "x.yaml", "--trials", "0")
 
 
 @needs_links

@@ -49,7 +49,6 @@ QUICKER = (
     (r"--trials (300|40|20)\b", "--trials 3"),
     (r"--seeds \d+", "--seeds 1"),
     (r"^egolane reproduce(?! --runs)", "egolane reproduce --runs 5"),
-    (r"^egolane recover(?! --runs)", "egolane recover --runs 5 --trials 2"),
 )
 
 #: Options without which a search would take its time, where a command has none of its own.

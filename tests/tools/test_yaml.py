@@ -91,7 +91,7 @@ DRIVE = "name: x\nn_lanes: 4\nrecording: {simulate: quickstart, frames: [0, 50]}
         ),
         (DRIVE + "parameters: {sigma1: 1e400}\n", "parameters.sigma1: inf is not a finite number"),
         (DRIVE + "n_lanes: 3\n", "line 4: key 'n_lanes' was given in line 2"),
-        (DRIVE + "learned_on: 7\n", "learned_on: needs a list"),
+        (DRIVE + "learning: {tables: 7}\n", "learning.tables: needs a list"),
     ],
 )
 def test_a_run_of_a_damaged_experiment_is_refused_in_one_line(
