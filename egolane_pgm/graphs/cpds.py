@@ -53,29 +53,22 @@ def discretised_normal(
     edges, centres = lane_edges(n, widths)
     mean = np.asarray(mean, dtype=np.float64)[..., None]
     if normal == "density":
+        distance = np.abs(centres - mean)
         with np.errstate(over="ignore", invalid="ignore"):
-            exponent = -0.5 * ((centres - mean) / sigma) ** 2
+            exponent = -0.5 * (distance / sigma) ** 2
             mass = np.exp(exponent - exponent.max(axis=-1, keepdims=True))
-        return _normalised(mass, np.abs(centres - mean))
-    # With a tiny sigma this overflows to infinity, which gives the right limit.
-    with np.errstate(over="ignore"):
-        z = (edges - mean) / sigma / math.sqrt(2.0)
-    # A lane near the mean takes the difference of erf; a lane far from it takes the difference of
-    # the tails on its own side. Small masses keep their digits in this way.
-    middle, right, left = np.diff(erf(z)), -np.diff(erfc(z)), np.diff(erfc(-z))
-    mass = np.where(z[..., :-1] > 0.5, right, np.where(z[..., 1:] < -0.5, left, middle))
-    distance = np.maximum(0.0, np.maximum(edges[:-1] - mean, mean - edges[1:]))
-    return _normalised(mass, distance)
-
-
-def _normalised(mass: FloatArray, distance: FloatArray) -> FloatArray:
-    """Divides masses (..., n) by their sum.
-
-    A row that is all zero or NaN, because every lane is infinitely many standard deviations away,
-    puts everything on the lane at the smallest distance (..., n), which is the limit.
-    """
+    else:
+        distance = np.maximum(0.0, np.maximum(edges[:-1] - mean, mean - edges[1:]))
+        # With a tiny sigma this overflows to infinity, which gives the right limit.
+        with np.errstate(over="ignore"):
+            z = (edges - mean) / sigma / math.sqrt(2.0)
+        # A lane near the mean takes the difference of erf; a lane far from it takes the difference
+        # of the tails on its own side. Small masses keep their digits in this way.
+        middle, right, left = np.diff(erf(z)), -np.diff(erfc(z)), np.diff(erfc(-z))
+        mass = np.where(z[..., :-1] > 0.5, right, np.where(z[..., 1:] < -0.5, left, middle))
     total = mass.sum(axis=-1, keepdims=True)
     if not (total > 0).all():
+        # Every lane is infinitely many standard deviations away, the nearest one least so.
         nearest = distance == distance.min(axis=-1, keepdims=True)
         mass = np.where(total > 0, mass, nearest)
         total = mass.sum(axis=-1, keepdims=True)
@@ -165,20 +158,24 @@ def previous(name: str) -> SliceNode:
 
 def prior(name: str, values: ArrayLike, given: Sequence[str] = ()) -> list[Table]:
     """P(name in the first frame | given in the first frame)."""
-    parents = tuple((g, 0) for g in given)
-    return [Table((name, 0), parents, np.asarray(values, dtype=np.float64))]
+    return [_table((name, 0), given, values)]
 
 
 def dynamics(name: str, given: Sequence[str | SliceNode], values: ArrayLike) -> list[Table]:
     """P(name at t+1 | given). In `given`, `previous(x)` is x at t and a plain name is x at t+1."""
-    parents = tuple((g, 1) if isinstance(g, str) else g for g in given)
-    return [Table((name, 1), parents, np.asarray(values, dtype=np.float64))]
+    return [_table((name, 1), given, values)]
 
 
 def within(name: str, given: Sequence[str], values: ArrayLike) -> list[Table]:
     """P(name | given in the same slice): one table for each of the two slices."""
     array = np.asarray(values, dtype=np.float64)
-    return [Table((name, s), tuple((g, s) for g in given), array) for s in (0, 1)]
+    return [_table((name, 0), given, array), _table((name, 1), given, array)]
+
+
+def _table(node: SliceNode, given: Sequence[str | SliceNode], values: ArrayLike) -> Table:
+    """P(node | given), a plain name being one in the node's own slice."""
+    parents = tuple((g, node[1]) if isinstance(g, str) else g for g in given)
+    return Table(node, parents, np.asarray(values, dtype=np.float64))
 
 
 def ve_name(observed: Observed) -> str:
@@ -268,10 +265,12 @@ def check_tables(tables: Sequence[Table], observed: Iterable[Observed]) -> None:
     """Raise InputError, naming the nodes, where a table is missing, is there twice or does not fit
     its parents, and where the two slices have different edges."""
     cardinality: dict[SliceNode, int] = {}
+    parents: dict[SliceNode, tuple[SliceNode, ...]] = {}
     for table in tables:
         if table.node in cardinality:
             raise InputError(f"{_spell(table.node)}: there are two tables for it")
         cardinality[table.node] = table.values.shape[-1]
+        parents[table.node] = table.parents
     for table in tables:
         for parent, size in zip(table.parents, table.values.shape, strict=False):
             if parent not in cardinality:
@@ -288,18 +287,20 @@ def check_tables(tables: Sequence[Table], observed: Iterable[Observed]) -> None:
         for name in (target,) if isinstance(target, str) else target:
             if (name, 0) not in cardinality:
                 raise InputError(f"observed node {name}: there is no table for it")
-    check_order({table.node: table.parents for table in tables})
-    edges = {(parent, table.node) for table in tables for parent in table.parents}
-    for parent, child in sorted(edges):
-        if parent[1] == child[1] == 1 and ((parent[0], 0), (child[0], 0)) not in edges:
+    check_order(parents)
+    for node in sorted(parents):
+        name, s = node
+        for parent in sorted(parents[node]):
+            if parent[1] != s or (parent[0], 1 - s) in parents.get((name, 1 - s), ()):
+                continue
+            if s == 1:
+                raise InputError(
+                    f"{_spell(node)} depends on {_spell(parent)}, but {name} in the first frame"
+                    " does not: give its prior the same parent"
+                )
             raise InputError(
-                f"{_spell(child)} depends on {_spell(parent)}, but {child[0]} in the first frame"
-                " does not: give its prior the same parent"
-            )
-        if parent[1] == child[1] == 0 and ((parent[0], 1), (child[0], 1)) not in edges:
-            raise InputError(
-                f"{_spell(child)} depends on {_spell(parent)}, but {child[0]} at t+1 does not"
-                f" depend on {parent[0]} at t+1: give its dynamics the same parent"
+                f"{_spell(node)} depends on {_spell(parent)}, but {name} at t+1 does not depend"
+                f" on {parent[0]} at t+1: give its dynamics the same parent"
             )
 
 

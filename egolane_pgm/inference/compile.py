@@ -24,9 +24,10 @@ from __future__ import annotations
 
 import math
 import warnings
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from graphlib import TopologicalSorter
+from itertools import chain
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -246,26 +247,36 @@ def with_tables(compiled: Compiled, tables: Iterable[Table]) -> Compiled:
         name, s = table.node
         if name not in compiled.cardinality:
             raise InputError(f"{name}: the compiled network has no such node (slice {s})")
-        if table.node in now:  # the others are those of virtual evidence
-            now[table.node] = _like(table, now[table.node])
-    if not _keeps_layout(compiled, now):
-        return _compile(now, compiled.hidden, compiled.observed, compiled.inputs, compiled.values)
-    prior, transition, emissions = _fill(compiled, now)
-    groups = tuple(
-        replace(group, emission=emission)
-        for group, emission in zip(compiled.groups, emissions, strict=True)
+        if table.node not in now:
+            continue  # a virtual-evidence node
+        old = now[table.node]
+        now[table.node] = table = _in_order(table, old.parents)
+        if table.parents != old.parents or table.values.shape != old.values.shape:
+            raise InputError(f"{name}: the table has other parents or another shape than before")
+    keeps_layout = True
+    for (name, s), place in compiled.places.items():
+        if place.kind == "emission":
+            keeps_layout &= _is_same(now[name, 0], now[name, s])
+    for name in compiled.functions:
+        for node in ((name, 0), (name, 1)):
+            keeps_layout &= np.array_equal(now[node].values, compiled.tables[node].values)
+    if keeps_layout:
+        return _filled(compiled, now)
+    return _compile(now, compiled.hidden, compiled.observed, compiled.inputs, compiled.values)
+
+
+def _filled(compiled: Compiled, tables: Mapping[SliceNode, Table]) -> Compiled:
+    """The same network with the numbers of these tables, for which its layout is right."""
+    prior, transition = np.ones_like(compiled.prior), np.ones_like(compiled.transition)
+    array_of = {"prior": prior, "transition": transition}
+    groups = [replace(group, emission=group.mask.copy()) for group in compiled.groups]
+    for node, place in compiled.places.items():
+        is_emission = place.kind == "emission"
+        array = groups[place.group].emission if is_emission else array_of[place.kind]
+        array *= tables[node].values[place.indices]
+    return replace(
+        compiled, prior=prior, transition=transition, groups=tuple(groups), tables=tables
     )
-    return replace(compiled, prior=prior, transition=transition, groups=groups, tables=now)
-
-
-def _like(table: Table, old: Table) -> Table:
-    """The table with its parents in the order of the old one."""
-    table = _in_order(table, old.parents)
-    if table.parents != old.parents or table.values.shape != old.values.shape:
-        raise InputError(
-            f"{table.node[0]}: the table has other parents or another shape than before"
-        )
-    return table
 
 
 def _in_order(table: Table, parents: tuple[SliceNode, ...]) -> Table:
@@ -276,17 +287,6 @@ def _in_order(table: Table, parents: tuple[SliceNode, ...]) -> Table:
     return Table(table.node, parents, table.values.transpose(*order, len(order)))
 
 
-def _keeps_layout(compiled: Compiled, now: Mapping[SliceNode, Table]) -> bool:
-    for (name, s), place in compiled.places.items():
-        if place.kind == "emission" and not _is_same(now[name, 0], now[name, s]):
-            return False
-    return all(
-        np.array_equal(now[name, s].values, compiled.tables[name, s].values)
-        for name in compiled.functions
-        for s in (0, 1)
-    )
-
-
 def _is_same(first: Table, later: Table) -> bool:
     """Whether two tables of one node, with their parents in the same order, say the same of their
     own slices."""
@@ -295,17 +295,8 @@ def _is_same(first: Table, later: Table) -> bool:
     )
 
 
-def _fill(
-    compiled: Compiled, tables: Mapping[SliceNode, Table]
-) -> tuple[FloatArray, FloatArray, list[FloatArray]]:
-    prior = np.ones_like(compiled.prior)
-    transition = np.ones_like(compiled.transition)
-    emissions = [group.mask.copy() for group in compiled.groups]
-    target = {"prior": prior, "transition": transition}
-    for node, place in compiled.places.items():
-        array = emissions[place.group] if place.kind == "emission" else target[place.kind]
-        array *= tables[node].values[place.indices]
-    return prior, transition, emissions
+def _names(key: Observed) -> tuple[str, ...]:
+    return (key,) if isinstance(key, str) else key
 
 
 # --- which node has which part --------------------------------------------------------------------
@@ -316,141 +307,89 @@ def _without_virtual_evidence(
 ) -> tuple[dict[SliceNode, Table], list[str]]:
     """The tables of all other nodes, and the virtual-evidence nodes that the network lacks."""
     ve = {ve_name(key): _names(key) for key in observed}
-    kept = {node: table for node, table in tables.items() if node[0] not in ve}
+    kept = {}
+    for (name, s), table in tables.items():
+        if name not in ve:
+            kept[name, s] = table
+        elif table.values.shape[-1] != 2:
+            raise InputError(f"{name}: a virtual-evidence node is binary")
+        elif set(table.parents) != {(n, s) for n in ve[name]}:
+            raise InputError(f"{name}: its parents must be {', '.join(ve[name])} in the same slice")
     for table in kept.values():
         for parent, _ in table.parents:
             if parent in ve:
                 raise InputError(f"{parent}: a virtual-evidence node may not have children")
-    for (name, s), table in tables.items():
-        if name not in ve:
-            continue
-        if table.values.shape[-1] != 2:
-            raise InputError(f"{name}: a virtual-evidence node is binary")
-        if set(table.parents) != {(n, s) for n in ve[name]}:
-            raise InputError(f"{name}: its parents must be {', '.join(ve[name])} in the same slice")
     return kept, [name for name in ve if (name, 0) not in tables]
 
 
-def _names(key: Observed) -> tuple[str, ...]:
-    return (key,) if isinstance(key, str) else key
-
-
-@dataclass(frozen=True)
-class _Parts:
-    """Which node has which part. functions: each one behind those that it is a function of.
-    tables: with the parents in the same order in both slices, where the node has one table."""
-
-    tables: Mapping[SliceNode, Table]
-    hidden: tuple[str, ...]
-    observed: tuple[Observed, ...]
-    inputs: tuple[str, ...]
-    functions: tuple[str, ...]
-    emissions: frozenset[str]
-    state: tuple[str, ...]
-
-    @property
-    def cardinality(self) -> dict[str, int]:
-        """How many values each node has."""
-        return {name: t.values.shape[-1] for (name, s), t in self.tables.items() if s == 0}
-
-
-def _parts(
+def _check_declared(
     tables: Mapping[SliceNode, Table],
-    hidden: tuple[str, ...],
-    observed: tuple[Observed, ...],
-    inputs: tuple[str, ...],
-) -> _Parts:
-    """The parts of the nodes. Raises InputError where the declaration and the tables disagree."""
-    nodes = tuple(dict.fromkeys(n for key in observed for n in _names(key)))
-    _check_names({name for name, _ in tables}, hidden, observed, nodes, inputs)
-    order = _order_within(tables)
-    _check_inputs(tables, hidden, nodes, inputs)
-    aligned = {}
-    for (name, s), table in tables.items():
-        later = tuple((p, s) for p, _ in tables[name, 1].parents)
-        aligned[name, s] = _in_order(table, later)
-    plain = {
-        name
-        for name in order
-        if _is_same(aligned[name, 0], aligned[name, 1])
-        and not any(p in inputs for p, _ in aligned[name, 1].parents)
-    }
-    emissions = {name for name in nodes if name in plain and name not in hidden}
-    # Until each one that is left has no other children.
-    while others := {
-        parent
-        for (child, _), table in tables.items()
-        for parent, _ in table.parents
-        if child not in emissions and parent in emissions
-    }:
-        emissions -= others
-    looked_back_at = {p for (_, s), t in tables.items() for p, ps in t.parents if ps < s}
-    functions = tuple(
-        name
-        for name in order
-        if name in hidden
-        and name in plain
-        and name not in looked_back_at
-        and np.isin(tables[name, 1].values, (0.0, 1.0)).all()
-    )
-    carried = [n for n in dict.fromkeys((*hidden, *nodes)) if n not in {*functions, *emissions}]
-    # The node of most values last: those of its values that follow each other are then next to
-    # each other in memory.
-    state = tuple(sorted(carried, key=lambda name: tables[name, 0].values.shape[-1]))
-    return _Parts(aligned, hidden, observed, inputs, functions, frozenset(emissions), state)
-
-
-def _check_names(
-    names: set[str],
     hidden: Sequence[str],
     observed: Sequence[Observed],
-    nodes: Sequence[str],
     inputs: Sequence[str],
 ) -> None:
-    repeats = [*_repeats(hidden), *_repeats(inputs), *_repeats(map(ve_name, observed))]
-    for name in (*repeats, *(n for key in observed for n in _repeats(_names(key)))):
-        raise InputError(f"{name}: declared more than once")
-    for name in (*hidden, *inputs, *nodes):
+    """Raise InputError where the declaration and the tables disagree."""
+    keys = [_names(key) for key in observed]
+    for declared in (hidden, inputs, [ve_name(key) for key in observed], *keys):
+        for name in declared:
+            if declared.count(name) > 1:
+                raise InputError(f"{name}: declared more than once")
+    seen = list(chain.from_iterable(keys))
+    names = {name for name, _ in tables}
+    for name in (*hidden, *inputs, *seen):
         if name not in names:
             raise InputError(
                 f"{name}: declared, but not a node of the network{suggestion(name, names)}"
             )
-    for name in sorted(names - {*hidden, *inputs, *nodes}):
+    for name in sorted(names.difference(hidden, inputs, seen)):
         raise InputError(f"{name}: neither hidden, observed, input nor virtual evidence")
     if not hidden:
         raise InputError("no hidden node is declared, so there is nothing to filter")
+    for name in inputs:
+        if name in hidden or name in seen:
+            what = "hidden" if name in hidden else "observed"
+            raise InputError(f"{name}: is declared both {what} and input")
+        if tables[name, 0].parents or tables[name, 1].parents:
+            raise InputError(f"{name}: an input node may not have parents")
+        for (_, s), table in tables.items():
+            if s == 1 and (name, 0) in table.parents:
+                raise InputError(f"{name}: an input acts within its slice only")
 
 
-def _repeats(names: Iterable[str]) -> list[str]:
-    """What occurs more than once."""
-    seen: set[str] = set()
-    return [n for n in names if n in seen or seen.add(n)]  # type: ignore[func-returns-value]
-
-
-def _order_within(tables: Mapping[SliceNode, Table]) -> list[str]:
-    """The nodes, each one behind its parents in the slice of later frames."""
-    parents = {
-        name: [p for p, ps in table.parents if ps == 1]
-        for (name, s), table in tables.items()
-        if s == 1
-    }
-    return list(TopologicalSorter(parents).static_order())
-
-
-def _check_inputs(
+def _parts(
     tables: Mapping[SliceNode, Table],
     hidden: Sequence[str],
     nodes: Sequence[str],
-    inputs: Sequence[str],
-) -> None:
-    for name in inputs:
-        for declared, what in ((hidden, "hidden"), (nodes, "observed")):
-            if name in declared:
-                raise InputError(f"{name}: is declared both {what} and input")
-        if tables[name, 0].parents or tables[name, 1].parents:
-            raise InputError(f"{name}: an input node may not have parents")
-        if any((name, 0) in t.parents for (_, s), t in tables.items() if s == 1):
-            raise InputError(f"{name}: an input acts within its slice only")
+    inputs: Collection[str],
+) -> tuple[list[str], set[str], list[str]]:
+    """The functions, each one behind those that it is a function of; the plain emissions; and the
+    nodes of the joint state. nodes: the observed ones."""
+    plain, looked_back_at = set(), set()
+    for (name, s), table in tables.items():
+        if s == 1:
+            looked_back_at |= {p for p, ps in table.parents if ps == 0}
+            is_chosen = any(p in inputs for p, _ in table.parents)
+            if not is_chosen and _is_same(tables[name, 0], table):
+                plain.add(name)
+    emissions = plain.intersection(nodes).difference(hidden)
+    others = [table for (name, _), table in tables.items() if name not in emissions]
+    while others:
+        for parent, _ in others.pop().parents:
+            if parent in emissions:
+                emissions.remove(parent)
+                others += [tables[parent, 0], tables[parent, 1]]
+    sources = {}
+    for name in hidden:
+        table = tables[name, 1]
+        is_certain = np.isin(table.values, (0.0, 1.0)).all()
+        if is_certain and name in plain and name not in looked_back_at:
+            sources[name] = [p for p, _ in table.parents]
+    functions = [name for name in TopologicalSorter(sources).static_order() if name in sources]
+    carried = [n for n in dict.fromkeys((*hidden, *nodes)) if n not in {*sources, *emissions}]
+    # The node of most values last: those of its values that follow each other are then next to
+    # each other in memory.
+    state = sorted(carried, key=lambda name: tables[name, 0].values.shape[-1])
+    return functions, emissions, state
 
 
 # --- arrays ---------------------------------------------------------------------------------------
@@ -463,66 +402,84 @@ def _compile(
     inputs: tuple[str, ...],
     names: Mapping[str, Sequence[str]],
 ) -> Compiled:
-    parts = _parts(tables, hidden, observed, inputs)
-    cardinality = parts.cardinality
-    _check_size(parts, cardinality)
-    values = _value_names(cardinality, names)
-    node_value = _node_values(parts, cardinality)
-    n_states = math.prod(cardinality[n] for n in parts.state)
-    groups = tuple(_group(keys, cardinality, node_value, n_states) for keys in _joined(parts))
-    sizes = [cardinality[n] for n in inputs]
-    n_inputs = math.prod(sizes)
-    input_value = dict(zip(inputs, np.indices(sizes).reshape(len(sizes), n_inputs), strict=True))
+    _check_declared(tables, hidden, observed, inputs)
+    aligned = {}
+    for (name, s), table in tables.items():
+        aligned[name, s] = _in_order(table, tuple((p, s) for p, _ in tables[name, 1].parents))
+    cardinality = {name: t.values.shape[-1] for (name, s), t in tables.items() if s == 0}
+    nodes = tuple(dict.fromkeys(chain.from_iterable(map(_names, observed))))
+    functions, emissions, state = _parts(aligned, hidden, nodes, inputs)
+    _check_size(cardinality, hidden, observed, inputs, state)
+    node_value = _value_of(state, cardinality)
+    n_states = _count(state, cardinality)
+    for name in functions:
+        table = aligned[name, 1]
+        value = table.values.argmax(axis=-1)[tuple(node_value[p] for p, _ in table.parents)]
+        node_value[name] = np.broadcast_to(value, n_states)
+    joined = _joined(aligned, observed, emissions)
+    groups = tuple(_group(keys, cardinality, node_value, n_states) for keys in joined)
+    places = _state_places(aligned, state, node_value, _value_of(inputs, cardinality))
+    places |= _emission_places(aligned, groups, emissions, node_value)
+    n_inputs = _count(inputs, cardinality)
     blank = Compiled(
         hidden,
-        parts.state,
+        tuple(state),
         inputs,
         {**cardinality, **{ve_name(key): 2 for key in observed}},
         node_value,
         np.ones((n_inputs, n_states)),
         np.ones((n_inputs, n_states, n_states)),
         groups,
-        _places(parts, groups, node_value, input_value),
-        parts.tables,
-        values,
+        places,
+        aligned,
+        _value_names(cardinality, names),
     )
-    return with_tables(blank, ())
+    return _filled(blank, aligned)
 
 
 #: What makes an observed node a part of the joint state.
 _NOT_PLAIN = "an edge across the slices, an input, a carried child or another first table"
 
 
-def _check_size(parts: _Parts, cardinality: Mapping[str, int]) -> None:
+def _check_size(
+    cardinality: Mapping[str, int],
+    hidden: Sequence[str],
+    observed: Sequence[Observed],
+    inputs: Sequence[str],
+    state: Sequence[str],
+) -> None:
     def sizes(names: Iterable[str]) -> str:
         return " x ".join(f"{n} {cardinality[n]}" for n in names)
 
-    if not parts.state:
+    if not state:
         raise InputError(
-            f"every hidden node ({', '.join(parts.hidden)}) is a constant, so there is nothing to"
-            " filter"
+            f"every hidden node ({', '.join(hidden)}) is a constant, so there is nothing to filter"
         )
-    n_states = math.prod(cardinality[n] for n in parts.state)
+    n_states = _count(state, cardinality)
     if n_states > MAX_STATES:
-        seen = [n for n in parts.state if n not in parts.hidden]
+        seen = [n for n in state if n not in hidden]
         why = f"; {', '.join(seen)}: observed, but no plain emission ({_NOT_PLAIN})" if seen else ""
         raise InputError(
-            f"the joint state has {n_states} values ({sizes(parts.state)}), more than"
-            f" {MAX_STATES}{why}"
+            f"the joint state has {n_states} values ({sizes(state)}), more than {MAX_STATES}{why}"
         )
-    n_inputs = math.prod(cardinality[n] for n in parts.inputs)
+    n_inputs = _count(inputs, cardinality)
     if n_inputs * n_states**2 > MAX_ENTRIES:
         raise InputError(
             f"the transition has {n_inputs} x {n_states} x {n_states} entries"
-            f" ({sizes((*parts.inputs, *parts.state))}), more than {MAX_ENTRIES}"
+            f" ({sizes((*inputs, *state))}), more than {MAX_ENTRIES}"
         )
-    for key in parts.observed:
+    for key in observed:
         of = _names(key)
-        if n_states * math.prod(cardinality[n] for n in of) > MAX_ENTRIES:
+        if n_states * _count(of, cardinality) > MAX_ENTRIES:
             raise InputError(
                 f"{', '.join(of)}: {sizes(of)} values for {n_states} joint states are more than"
                 f" {MAX_ENTRIES} entries"
             )
+
+
+def _count(nodes: Iterable[str], cardinality: Mapping[str, int]) -> int:
+    """How many joint values these nodes have."""
+    return math.prod(cardinality[n] for n in nodes)
 
 
 def _value_names(
@@ -538,84 +495,88 @@ def _value_names(
     return names
 
 
-def _node_values(parts: _Parts, cardinality: Mapping[str, int]) -> dict[str, IntArray]:
-    sizes = [cardinality[n] for n in parts.state]
-    digits = np.indices(sizes).reshape(len(sizes), -1)
-    values: dict[str, IntArray] = dict(zip(parts.state, digits, strict=True))
-    for name in parts.functions:
-        table = parts.tables[name, 1]
-        index = tuple(values[p] for p, _ in table.parents)
-        value = np.asarray(table.values.argmax(axis=-1))[index]
-        values[name] = np.broadcast_to(value, digits.shape[1:])
-    return values
+def _value_of(nodes: Sequence[str], cardinality: Mapping[str, int]) -> dict[str, IntArray]:
+    """The value of each node in each of their joint values, the first node's slowest."""
+    sizes = [cardinality[n] for n in nodes]
+    values = np.indices(sizes).reshape(len(sizes), math.prod(sizes))
+    return dict(zip(nodes, values, strict=True))
 
 
-def _joined(parts: _Parts) -> list[list[Observed]]:
+def _joined(
+    tables: Mapping[SliceNode, Table], observed: Sequence[Observed], emissions: Collection[str]
+) -> list[list[Observed]]:
     """Evidence keys that must share one emission table: those whose plain emissions are linked by
     an edge or by a common virtual-evidence node. In the order declared: Jeffrey's rule does not
     commute."""
-    clusters: list[tuple[set[str], list[Observed]]] = []
-    for key in parts.observed:
-        leaves = {n for n in _names(key) if n in parts.emissions}
-        linked = leaves | {
-            p for n in leaves for p, _ in parts.tables[n, 1].parents if p in parts.emissions
-        }
-        keys: list[Observed] = [key]
-        apart = []
-        for nodes, others in clusters:
-            if nodes & linked:
-                linked |= nodes
-                keys = others + keys
-            else:
-                apart.append((nodes, others))
-        clusters = [*apart, (linked, keys)]
-    joined = [sorted(keys, key=parts.observed.index) for _, keys in clusters]
-    return sorted(joined, key=lambda keys: parts.observed.index(keys[0]))
+    clusters: list[tuple[set[str], list[int]]] = []
+    for k, key in enumerate(observed):
+        linked = {n for n in _names(key) if n in emissions}
+        for name in list(linked):
+            linked |= {p for p, _ in tables[name, 1].parents if p in emissions}
+        members = [k]
+        for cluster in list(clusters):
+            if cluster[0] & linked:
+                clusters.remove(cluster)
+                linked |= cluster[0]
+                members = sorted(cluster[1] + members)
+        clusters.append((linked, members))
+    joined = sorted(members for _, members in clusters)
+    return [[observed[k] for k in members] for members in joined]
 
 
 def _group(
-    keys: list[Observed],
+    keys: Sequence[Observed],
     cardinality: Mapping[str, int],
     node_value: Mapping[str, IntArray],
     n_states: int,
 ) -> Group:
-    nodes = tuple(dict.fromkeys(n for key in keys for n in _names(key)))
+    nodes = tuple(dict.fromkeys(chain.from_iterable(map(_names, keys))))
     sizes = tuple(cardinality[n] for n in nodes)
-    axes = tuple(tuple(nodes.index(n) for n in _names(key)) for key in keys)
+    axes = tuple(tuple(map(nodes.index, _names(key))) for key in keys)
     mask = np.ones((n_states, math.prod(sizes)))
-    columns = np.indices(sizes).reshape(len(sizes), -1)
-    for name, column in zip(nodes, columns, strict=True):
+    for name, column in _value_of(nodes, cardinality).items():
         if name in node_value:
             mask *= node_value[name][:, None] == column
     return Group(tuple(keys), nodes, sizes, axes, mask, mask)
 
 
-def _places(
-    parts: _Parts,
-    groups: Sequence[Group],
+def _state_places(
+    tables: Mapping[SliceNode, Table],
+    state: Sequence[str],
     node_value: Mapping[str, IntArray],
     input_value: Mapping[str, IntArray],
 ) -> dict[SliceNode, Placement]:
-    places: dict[SliceNode, Placement] = {}
-    for name in parts.state:
+    """Where the tables of the joint state go: in the prior (U, S) and the transition (U, S, S)."""
+    places = {}
+    for name in state:
         for s, kind in ((0, "prior"), (1, "transition")):
             indices = []
-            for node, of in (*parts.tables[name, s].parents, (name, s)):
-                if node in input_value:
-                    shape = (-1, 1) if s == 0 else (-1, 1, 1)
-                    indices.append(input_value[node].reshape(shape))
-                else:
-                    shape = (1, -1) if s == 0 else (1, -1, 1) if of == 0 else (1, 1, -1)
-                    indices.append(node_value[node].reshape(shape))
+            for node, of in (*tables[name, s].parents, (name, s)):
+                is_input = node in input_value
+                value = input_value[node] if is_input else node_value[node]
+                shape = [1] * (2 + s)
+                shape[0 if is_input else 1 + of] = -1
+                indices.append(value.reshape(shape))
             places[name, s] = Placement(kind, -1, tuple(indices))
+    return places
+
+
+def _emission_places(
+    tables: Mapping[SliceNode, Table],
+    groups: Sequence[Group],
+    emissions: Collection[str],
+    node_value: Mapping[str, IntArray],
+) -> dict[SliceNode, Placement]:
+    """Where the tables of plain emissions go: in the emission (S, K) of their group."""
+    places = {}
     for g, group in enumerate(groups):
-        columns = np.indices(group.sizes).reshape(len(group.sizes), -1)
-        column = dict(zip(group.nodes, columns, strict=True))
+        column = _value_of(group.nodes, dict(zip(group.nodes, group.sizes, strict=True)))
         for name in group.nodes:
-            if name in parts.emissions:
-                index = tuple(
-                    column[node][None, :] if node in column else node_value[node][:, None]
-                    for node, _ in (*parts.tables[name, 1].parents, (name, 1))
-                )
-                places[name, 1] = Placement("emission", g, index)
+            if name not in emissions:
+                continue
+            indices = []
+            for node, _ in (*tables[name, 1].parents, (name, 1)):
+                shown = column[node][None, :] if node in column else node_value[node][:, None]
+                indices.append(shown)
+            places[name, 1] = Placement("emission", g, tuple(indices))
     return places

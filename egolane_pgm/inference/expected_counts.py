@@ -17,15 +17,13 @@ import numpy as np
 from egolane_pgm.graphs.cpds import SliceNode, Table
 from egolane_pgm.inference.compile import Compiled, Group
 from egolane_pgm.inference.filtering import forward, state_likelihood
+from egolane_pgm.inference.kernels.filter import LEAST
 from egolane_pgm.inference.kernels.sweeps import smooth_frames
-from egolane_pgm.inference.layout import joint_input, log_blocks, logarithms
+from egolane_pgm.inference.layout import evidence_blocks, joint_input
 from egolane_pgm.types import BoolArray, Evidence, FloatArray, InputError, IntArray, suggestion
 
 #: Marks a frame in which the node's value is unknown.
 FREE = -1
-
-#: What is seen with a state of less than this of the largest likelihood is counted in logarithms.
-_LEAST = 1e-200
 
 
 @dataclass(frozen=True)
@@ -72,7 +70,7 @@ def expected_counts(
     """
     index = joint_input(compiled, evidence)
     n_frames, n_states = len(evidence), compiled.n_states
-    likelihood, log_scale = state_likelihood(compiled, evidence)
+    likelihood = state_likelihood(compiled, evidence)
     for node, value in (known or {}).items():
         if node not in compiled.hidden:
             meant = suggestion(node, compiled.hidden)
@@ -80,7 +78,7 @@ def expected_counts(
         likelihood *= (value[:, None] == compiled.node_value[node]) | (value == FREE)[:, None]
     begins = np.zeros(n_frames, dtype=bool) if is_first is None else is_first.copy()
     begins[:1] = True
-    filtered, log_evidence, is_impossible = forward(compiled, likelihood, log_scale, index, begins)
+    filtered, log_evidence, is_impossible = forward(compiled, likelihood, index, begins)
     likelihood[is_impossible] = 1.0
     smoothed, moves = np.empty((n_frames, n_states)), np.zeros((n_states, n_states))
     smooth_frames(filtered, likelihood, compiled.transition, index, begins, smoothed, moves)
@@ -89,7 +87,7 @@ def expected_counts(
         "transition": moves[None],
     }
     smoothed[is_impossible] = 0.0
-    blocks = zip(compiled.groups, log_blocks(compiled, evidence), strict=True)
+    blocks = zip(compiled.groups, evidence_blocks(compiled, evidence), strict=True)
     seen = [_seen(group, block, smoothed) for group, block in blocks]
     tables = counted_tables(compiled)
     counts = {of: np.zeros(table.values.shape) for of, table in tables.items()}
@@ -102,20 +100,13 @@ def expected_counts(
     return Expected(counts, float(log_evidence.sum()), is_impossible)
 
 
-def _seen(group: Group, log_block: FloatArray, smoothed: FloatArray) -> FloatArray:
+def _seen(group: Group, block: FloatArray, smoothed: FloatArray) -> FloatArray:
     """How often each joint state is expected to show each value of a group, (S, K).
 
     P(state, value | all) = P(state | all) P(value | state) e(value) / P(evidence | state).
     """
-    largest = log_block.max(axis=1, keepdims=True)
-    log_block = log_block - np.where(largest > -np.inf, largest, 0.0)
-    shares = np.exp(log_block)
+    largest = block.max(axis=1, keepdims=True)
+    shares = block / np.where(largest > 0, largest, 1.0)
     of_state = shares @ group.emission.T
-    is_plain = of_state > _LEAST
-    weight = np.divide(smoothed, of_state, out=np.zeros_like(smoothed), where=is_plain)
-    counts = np.asarray(group.emission * (weight.T @ shares))
-    frames, states = np.nonzero(~is_plain & (smoothed > 0))
-    log_shown = log_block[frames] + logarithms(group.emission)[states]
-    log_shown -= np.logaddexp.reduce(log_shown, axis=1, keepdims=True)
-    np.add.at(counts, states, smoothed[frames, states][:, None] * np.exp(log_shown))
-    return counts
+    weight = np.divide(smoothed, of_state, out=np.zeros_like(smoothed), where=of_state >= LEAST)
+    return np.asarray(group.emission * (weight.T @ shares))

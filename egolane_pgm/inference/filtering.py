@@ -8,11 +8,9 @@ the most probable path and the expected counts of learning.
 product of the marginals of the nodes in it (Boyen and Koller 1998), which is what the paper's
 equations in section "Inference" do: each marginal is propagated by its own table.
 
-A probability below 2.2e-308, where floating-point numbers lose digits, is zero: that of a joint
-state given the evidence so far (and the product that assumed density carries), and a frame's
-likelihood given a joint state that is 1e608 times smaller than given another one. But for this the
-beliefs are those of exact arithmetic to about 1e-12, relative, whatever the scale of the evidence
-and the tables.
+Each belief is taken over its sum, so that the length of a drive does not matter. What is beyond
+floating-point numbers is not promised to be right: a probability that is 300 decades smaller than
+another one of its frame is zero, and so is a frame's likelihood below 2.2e-308.
 """
 
 from __future__ import annotations
@@ -27,8 +25,6 @@ from egolane_pgm.inference.compile import Compiled
 from egolane_pgm.inference.jeffrey import run_jeffrey
 from egolane_pgm.inference.kernels.banded import forward_banded
 from egolane_pgm.inference.kernels.filter import (
-    LEAST,
-    RANGE,
     forward_kernel,
     likelihood_kernel,
     multiply_chosen,
@@ -40,8 +36,6 @@ from egolane_pgm.inference.layout import (
     evidence_blocks,
     joint_input,
     layout,
-    log_blocks,
-    logarithms,
     marginals_of,
 )
 from egolane_pgm.types import (
@@ -63,10 +57,6 @@ MAX_FIXED_STATES = 16
 #: ... of groups with at most so many columns, and for recordings of at least so many frames.
 MAX_FIXED_COLUMNS = 24
 MIN_FIXED_FRAMES = 1000
-
-#: The largest likelihood of a frame that spans too much for plain products: those that matter then
-#: have the whole range of floating-point numbers.
-MOST = 1e300
 
 #: The filter takes frames in pieces of about so many numbers: they stay in the processor's cache.
 PIECE = 2**16
@@ -154,11 +144,10 @@ def _filter(
     index = joint_input(compiled, evidence)
     done = []
     for piece in _pieces(n_frames, piece_frames(compiled)):
-        likelihood, log_scale = state_likelihood(compiled, evidence, piece)
+        likelihood = state_likelihood(compiled, evidence, piece)
         beliefs, log_evidence, is_impossible = forward(
             compiled,
             likelihood,
-            log_scale,
             index[piece],
             begins[piece],
             joint,
@@ -184,67 +173,29 @@ def _pieces(n_frames: int, size: int) -> list[slice]:
 
 def state_likelihood(
     compiled: Compiled, evidence: Evidence, frames: slice = slice(None)
-) -> tuple[FloatArray, FloatArray]:
-    """P(evidence of a frame | joint state) up to a factor, (T, S), and the factor's logarithm (T,),
-    of some frames.
+) -> FloatArray:
+    """P(evidence of the frame | joint state), (T, S), of some frames.
 
     Raises InputError for evidence that does not fit the network.
     """
-    with np.errstate(over="ignore", invalid="ignore"):
-        blocks = evidence_blocks(compiled, evidence, frames)
-        n_frames, n_states = len(blocks[0]), compiled.n_states
-        # Between these is every product of numbers that are not zero.
-        least, most = np.ones(n_frames), np.ones(n_frames)
-        for group in compiled.groups:
-            if len(group.observed) == 1:
-                continue
-            low, high = np.ones(n_frames), np.ones(n_frames)
-            for key in group.observed:
-                values = evidence.likelihoods[key][frames]
-                rows = values.reshape(n_frames, math.prod(values.shape[1:]))
-                low *= np.where(rows > 0, rows, np.inf).min(axis=1)
-                high *= rows.max(axis=1)
-            least *= np.where(low > RANGE[0], low, 0.0)
-            most *= np.where(high < RANGE[1], high, np.inf)
-    arrays = layout(compiled)
+    blocks = evidence_blocks(compiled, evidence, frames)
+    arrays, n_frames, n_states = layout(compiled), len(blocks[0]), compiled.n_states
     likelihood = np.ones((n_frames, n_states))
-    log_scale = np.zeros(n_frames)
     is_fixed = n_frames >= MIN_FIXED_FRAMES and n_states <= MAX_FIXED_STATES
     for block, emission, only in zip(blocks, arrays.emissions, arrays.only, strict=True):
         if only is not None:
-            multiply_chosen(block, only, likelihood, least, most)
-        elif is_fixed and len(emission) <= MAX_FIXED_COLUMNS:
-            run = likelihood_kernel(n_states, len(emission))
-            run(block, emission, likelihood, least, most)
+            multiply_chosen(block, only, likelihood)
         else:
-            likelihood_kernel()(block, emission, likelihood, least, most)
-    if n_frames and not (least.min() > RANGE[0] and most.max() < RANGE[1]):
-        rest = ~((least > RANGE[0]) & (most < RANGE[1]))
-        which = np.arange(len(evidence))[frames][rest]
-        likelihood[rest], log_scale[rest] = _in_logarithms(compiled, evidence, which)
-    return likelihood, log_scale
-
-
-def _in_logarithms(
-    compiled: Compiled, evidence: Evidence, frames: IntArray
-) -> tuple[FloatArray, FloatArray]:
-    """As `state_likelihood`, the largest of each frame being MOST, whatever the numbers."""
-    log_likelihood = np.zeros((len(frames), compiled.n_states))
-    for group, block in zip(compiled.groups, log_blocks(compiled, evidence, frames), strict=True):
-        for s, log_emission in enumerate(logarithms(group.emission)):
-            log_likelihood[:, s] += np.logaddexp.reduce(block + log_emission, axis=1)
-    largest = log_likelihood.max(axis=1, keepdims=True)
-    largest[largest == -np.inf] = 0.0
-    log_scale = largest - np.log(MOST)
-    likelihood = np.exp(log_likelihood - log_scale)
-    likelihood[likelihood < LEAST] = 0.0
-    return likelihood, log_scale[:, 0]
+            sizes = (n_states, len(emission))
+            is_small = is_fixed and len(emission) <= MAX_FIXED_COLUMNS
+            run = likelihood_kernel(*sizes) if is_small else likelihood_kernel()
+            run(block, emission, likelihood)
+    return likelihood
 
 
 def forward(
     compiled: Compiled,
     likelihood: FloatArray,
-    log_scale: FloatArray,
     index: IntArray,
     begins: BoolArray,
     joint: FloatArray | None = None,
@@ -254,7 +205,7 @@ def forward(
     """The forward recursion: the joint belief after each frame (T, S), the log evidence of each
     frame given those before (T,), and where the evidence was impossible and left out (T,).
 
-    - likelihood (T, S), log_scale (T,): of the evidence, as `state_likelihood` makes them.
+    - likelihood (T, S): of the evidence, as `state_likelihood` makes it.
     - index (T,): the joint value of the inputs.
     - begins (T,): True where a sequence begins.
     - joint (S,): the belief before the first frame, overwritten by that after the last one. None
@@ -268,8 +219,7 @@ def forward(
     if joint is None:
         joint = np.zeros(n_states)
     beliefs = np.empty((n_frames, n_states)) if out is None else out
-    total, log_evidence = np.empty(n_frames), log_scale.copy()
-    is_impossible = np.empty(n_frames, dtype=bool)
+    total, is_impossible = np.empty(n_frames), np.empty(n_frames, dtype=bool)
     run, transition = _forward_for(compiled, n_frames, is_factored)
     run(
         joint,
@@ -282,12 +232,11 @@ def forward(
         arrays.column,
         beliefs,
         total,
-        log_evidence,
         is_impossible,
     )
-    log_evidence += np.log(total)
-    if is_impossible.any():
-        log_evidence[is_impossible] = 0.0
+    with np.errstate(divide="ignore"):
+        log_evidence = np.log(total)
+    log_evidence[is_impossible] = 0.0
     return beliefs, log_evidence, is_impossible
 
 

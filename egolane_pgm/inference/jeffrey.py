@@ -29,13 +29,7 @@ import numpy as np
 
 from egolane_pgm.inference.compile import Compiled
 from egolane_pgm.inference.kernels.sweeps import jeffrey_frames
-from egolane_pgm.inference.layout import (
-    PosteriorEvidence,
-    check_keys,
-    joint_input,
-    layout,
-    logarithms,
-)
+from egolane_pgm.inference.layout import PosteriorEvidence, check_keys, joint_input, layout
 from egolane_pgm.types import BoolArray, FloatArray, IntArray
 
 
@@ -62,7 +56,7 @@ def run_jeffrey(
         compiled.prior,
         compiled.transition,
         joint_input(compiled, evidence),
-        logarithms(np.concatenate([g.emission for g in compiled.groups], axis=1)),
+        np.concatenate([g.emission for g in compiled.groups], axis=1),
         np.array([0, *accumulate(g.emission.shape[1] for g in compiled.groups)], dtype=np.int64),
         rows,
         is_said,
@@ -80,18 +74,18 @@ def run_jeffrey(
 def _posterior_rows(
     compiled: Compiled, evidence: PosteriorEvidence
 ) -> tuple[FloatArray, BoolArray]:
-    """Per observed node the logarithm of its evidence, rows summing to one (or all zero), side by
-    side (T, V); and whether a frame says anything about it (T, N): a row of nothing but ones does
-    not."""
+    """Per observed node its evidence, rows summing to one (or all zero), side by side (T, V); and
+    whether a frame says anything about it (T, N): a row of nothing but ones does not."""
     rows, said = [], []
     for key in compiled.observed:
         values = evidence.likelihoods[key]
         flat = values.reshape(len(values), math.prod(values.shape[1:])).astype(np.float64)
         said.append(~(flat == 1.0).all(axis=1) | (flat.shape[1] == 1))
-        # The sum of huge numbers overflows.
-        log_row = logarithms(flat)
-        log_total = np.logaddexp.reduce(log_row, axis=1, keepdims=True)
-        rows.append(log_row - np.where(log_total > -np.inf, log_total, 0.0))
+        # The largest first: the sum of huge numbers is no number.
+        for most in (np.max, np.sum):
+            total = most(flat, axis=1, keepdims=True)
+            flat = flat / np.where(total > 0, total, 1.0)
+        rows.append(flat)
     return np.concatenate(rows, axis=1), np.stack(said, axis=1)
 
 

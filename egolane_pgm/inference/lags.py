@@ -12,7 +12,6 @@ from collections.abc import Iterator, Sequence
 import numpy as np
 
 from egolane_pgm.inference.compile import Compiled
-from egolane_pgm.inference.kernels.sweeps import RANGE, look_back
 from egolane_pgm.inference.layout import marginals_of
 from egolane_pgm.inference.smoothing import Passed, check_lag, pass_forward, smooth_beliefs
 from egolane_pgm.types import Beliefs, Evidence, FloatArray, IntArray
@@ -47,7 +46,10 @@ def beliefs_by_lag(
         for _ in range(lag - seen):
             _look_further(compiled, passed, frames_into, ahead)
         seen = lag
-        marginals = marginals_of(compiled, passed.filtered * ahead)
+        smoothed = passed.filtered * ahead
+        total = smoothed.sum(axis=1, keepdims=True)
+        smoothed = np.divide(smoothed, total, out=passed.filtered.copy(), where=total > 0)
+        marginals = marginals_of(compiled, smoothed)
         yield lag, Beliefs(ids, marginals, passed.log_evidence, passed.is_impossible)
 
 
@@ -57,23 +59,17 @@ def _look_further(
     frames_into: Sequence[tuple[int, IntArray]],
     ahead: FloatArray,
 ) -> None:
-    """Let `ahead` (T, S), how many times more probable each state is given the next k frames as
-    well, be that of the next k + 1 frames. The last frame has none after it.
+    """Let `ahead` (T, S), how probable what follows is given each state, over the largest one, be
+    about the next k + 1 frames instead of k. The last frame has none after it.
 
     frames_into: each joint value of the inputs, and from which frames t it leads into t + 1.
     """
-    with np.errstate(over="ignore", invalid="ignore"):
-        weight = passed.likelihood[1:] * ahead[1:]
-        onward = np.empty_like(weight)
-        for u, frames in frames_into:
-            onward[frames] = weight[frames] @ compiled.transition[u].T
-        # As in the kernels: states that are impossible set no scale.
-        onward[passed.filtered[:-1] == 0.0] = 0.0
-        total = (passed.filtered[:-1] * onward).sum(axis=1)
-    room = np.empty((2, compiled.n_states))
-    for t in np.flatnonzero(~((RANGE[0] < total) & (total < RANGE[1]))):
-        into, further = compiled.transition[passed.index[t + 1]], ahead[t + 1].copy()
-        seen = passed.likelihood[t + 1]
-        look_back(passed.filtered[t], into, seen, further, room[0], room[1], np.empty((0, 0)))
-        onward[t], total[t] = further, 1.0
-    ahead[:-1] = onward / total[:, None]
+    weight = passed.likelihood[1:] * ahead[1:]
+    onward = np.empty_like(weight)
+    for u, frames in frames_into:
+        onward[frames] = weight[frames] @ compiled.transition[u].T
+    # As in the kernels: states that are impossible set no scale, and what follows is ignored where
+    # nothing leads to it.
+    onward[passed.filtered[:-1] == 0.0] = 0.0
+    largest = onward.max(axis=1, keepdims=True)
+    ahead[:-1] = np.where(largest > 0, onward / np.where(largest > 0, largest, 1.0), 1.0)

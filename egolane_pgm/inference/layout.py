@@ -6,11 +6,10 @@ import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import lru_cache
-from itertools import accumulate, pairwise
 
 import numpy as np
 
-from egolane_pgm.inference.compile import Compiled, Group
+from egolane_pgm.inference.compile import Compiled
 from egolane_pgm.inference.kernels.banded import Band, find_band
 from egolane_pgm.types import BoolArray, Evidence, FloatArray, InputError, IntArray, Observed
 
@@ -68,34 +67,34 @@ class Layout:
 @lru_cache(maxsize=16)
 def layout(compiled: Compiled) -> Layout:
     """The layout of a network. Remembered, since an online filter asks for it in every frame."""
-    in_state = [name for name in compiled.state_nodes if name in compiled.hidden]
-    nodes = (*in_state, *compiled.functions)
     size = compiled.cardinality
-    is_value = [compiled.node_value[name][:, None] == np.arange(size[name]) for name in nodes]
-    starts = accumulate((size[name] for name in compiled.state_nodes), initial=0)
-    numbers = zip(compiled.state_nodes, starts, strict=False)
-    column = np.array([start + compiled.node_value[n] for n, start in numbers], dtype=np.int64)
-    ends = pairwise(accumulate((size[name] for name in nodes), initial=0))
+    in_state = [name for name in compiled.state_nodes if name in compiled.hidden]
+    parts, indicator, end = {}, [], 0
+    for name in (*in_state, *compiled.functions):
+        parts[name] = slice(end, end := end + size[name])
+        indicator.append(compiled.node_value[name][:, None] == np.arange(size[name]))
+    column = np.empty((len(compiled.state_nodes), compiled.n_states), dtype=np.int64)
+    start = 0
+    for k, name in enumerate(compiled.state_nodes):
+        column[k] = start + compiled.node_value[name]
+        start += size[name]
+    emissions, only, shapes = [], [], {}
+    for group in compiled.groups:
+        emissions.append(np.ascontiguousarray(group.emission.T))
+        is_certain = ((group.emission == 0.0) | (group.emission == 1.0)).all()
+        only.append(group.emission.argmax(axis=1) if is_certain else None)
+        for key, axes in zip(group.observed, group.axes, strict=True):
+            shapes[key] = tuple(group.sizes[k] for k in axes)
     return Layout(
-        {name: slice(*each) for name, each in zip(nodes, ends, strict=True)},
-        np.concatenate(is_value, axis=1, dtype=np.float64),
+        parts,
+        np.concatenate(indicator, axis=1, dtype=np.float64),
         column,
         tuple(map(tuple, column.tolist())),
-        tuple(np.ascontiguousarray(group.emission.T) for group in compiled.groups),
-        tuple(_only_column(group.emission) for group in compiled.groups),
-        {
-            key: tuple(size[name] for name in ((key,) if isinstance(key, str) else key))
-            for key in compiled.observed
-        },
+        tuple(emissions),
+        tuple(only),
+        shapes,
         find_band(compiled),
     )
-
-
-def _only_column(emission: FloatArray) -> IntArray | None:
-    is_one = emission == 1.0
-    if np.count_nonzero(emission) == len(emission) and is_one.any(axis=1).all():
-        return np.asarray(is_one.argmax(axis=1))
-    return None
 
 
 def marginals_of(compiled: Compiled, joint: FloatArray) -> dict[str, FloatArray]:
@@ -118,9 +117,10 @@ def marginals_of(compiled: Compiled, joint: FloatArray) -> dict[str, FloatArray]
 
 
 def evidence_blocks(
-    compiled: Compiled, evidence: Evidence, frames: slice | IntArray = slice(None)
+    compiled: Compiled, evidence: Evidence, frames: slice = slice(None)
 ) -> list[FloatArray]:
-    """The evidence of each group of observed nodes in some frames, (T, K).
+    """The evidence of each group of observed nodes in some frames, (T, K): the product over the
+    group's keys for all values of its nodes.
 
     Raises InputError naming an observed node without evidence, evidence without a node, or a
     wrong shape; and for evidence that is read by Jeffrey's rule.
@@ -131,10 +131,19 @@ def evidence_blocks(
             " assumed_density take it; use evidence_reading soft or hard here"
         )
     check_keys(compiled, evidence)
-    return [
-        np.ascontiguousarray(_group_evidence(group, evidence.likelihoods, frames), dtype=np.float64)
-        for group in compiled.groups
-    ]
+    blocks = []
+    for group in compiled.groups:
+        block = evidence.likelihoods[group.observed[0]][frames]
+        if len(group.observed) > 1:
+            block = np.ones((len(block), *group.sizes))
+            for key, axes in zip(group.observed, group.axes, strict=True):
+                # The evidence's axes in the order of the group's, then 1 where it says nothing.
+                shape = [size if k in axes else 1 for k, size in enumerate(group.sizes)]
+                values = evidence.likelihoods[key][frames].transpose(0, *(1 + np.argsort(axes)))
+                block *= values.reshape(-1, *shape)
+        rows = block.reshape(len(block), math.prod(group.sizes))
+        blocks.append(np.ascontiguousarray(rows, dtype=np.float64))
+    return blocks
 
 
 def check_keys(compiled: Compiled, evidence: Evidence) -> None:
@@ -158,41 +167,6 @@ def check_keys(compiled: Compiled, evidence: Evidence) -> None:
         ends = index if len(index) < 2 else (index.min(), index.max())
         if not all(0 <= end < compiled.cardinality[name] for end in ends):
             raise InputError(f"input {name}: outside 0..{compiled.cardinality[name] - 1}")
-
-
-def _group_evidence(
-    group: Group,
-    likelihoods: Mapping[Observed, FloatArray],
-    frames: slice | IntArray = slice(None),
-    join: np.ufunc = np.multiply,
-) -> FloatArray:
-    """(T, K): the product of the group's evidence over all its nodes' values."""
-    if len(group.observed) == 1:
-        values = likelihoods[group.observed[0]][frames]
-        return values.reshape(len(values), math.prod(group.sizes))
-    n_frames = len(likelihoods[group.observed[0]][frames])
-    product = np.full((n_frames, *group.sizes), float(join.identity))
-    for key, axes in zip(group.observed, group.axes, strict=True):
-        values = likelihoods[key][frames]
-        # The evidence's axes in the order of the group's, then 1 where it says nothing.
-        ordered = values.transpose(0, *(1 + np.argsort(axes)))
-        shape = [size if k in axes else 1 for k, size in enumerate(group.sizes)]
-        product = join(product, ordered.reshape(n_frames, *shape))
-    return product.reshape(n_frames, math.prod(group.sizes))
-
-
-def log_blocks(
-    compiled: Compiled, evidence: Evidence, frames: slice | IntArray = slice(None)
-) -> list[FloatArray]:
-    """The logarithms of `evidence_blocks`, of products that are no numbers too."""
-    logs = {key: logarithms(values[frames]) for key, values in evidence.likelihoods.items()}
-    return [_group_evidence(group, logs, join=np.add) for group in compiled.groups]
-
-
-def logarithms(values: FloatArray) -> FloatArray:
-    """Natural logarithms, minus infinity of zero."""
-    with np.errstate(divide="ignore"):
-        return np.log(values)
 
 
 def joint_input(compiled: Compiled, evidence: Evidence) -> IntArray:

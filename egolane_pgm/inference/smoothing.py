@@ -3,7 +3,6 @@
 `smooth_beliefs` knows the whole sequence (forward-backward), `fixed_lag_beliefs` the next `lag`
 frames; `lag_step` does the latter online, `lag` frames late. All start from the exact recursion.
 What is carried backwards is scaled frame by frame, so that long sequences do not underflow.
-What counts as zero for the filter (`filtering`) does so for the smoothers.
 
 A frame whose evidence has joint likelihood zero given the frames before it is flagged by the
 filter, and its evidence is ignored by the smoothers too. `log_evidence` is the filter's.
@@ -65,8 +64,7 @@ class Passed:
     """What the exact forward recursion leaves of T frames for those who look back.
 
     filtered (T, S): the joint belief after each frame.
-    likelihood (T, S): of each frame's evidence, up to a factor; one where the evidence is left out.
-    log_scale (T,): the logarithm of the factor; 0 there.
+    likelihood (T, S): of each frame's evidence; one where it is left out.
     index (T,): the joint value of the inputs.
     begins (T,): True in the first frame.
     log_evidence, is_impossible (T,): as in `Beliefs`.
@@ -74,7 +72,6 @@ class Passed:
 
     filtered: FloatArray
     likelihood: FloatArray
-    log_scale: FloatArray
     index: IntArray
     begins: BoolArray
     log_evidence: FloatArray
@@ -93,18 +90,16 @@ def pass_forward(
     index = joint_input(compiled, evidence)
     begins = np.zeros(len(evidence), dtype=bool)
     begins[:1] = before is None
-    likelihood, log_scale = state_likelihood(compiled, evidence)
+    likelihood = state_likelihood(compiled, evidence)
     filtered, log_evidence, is_impossible = forward(
         compiled,
         likelihood,
-        log_scale,
         index,
         begins,
         None if before is None else before.copy(),
     )
     likelihood[is_impossible] = 1.0
-    log_scale[is_impossible] = 0.0
-    return Passed(filtered, likelihood, log_scale, index, begins, log_evidence, is_impossible)
+    return Passed(filtered, likelihood, index, begins, log_evidence, is_impossible)
 
 
 def smooth_beliefs(

@@ -96,7 +96,7 @@ def viterbi_path(
             log_prior, log_transition = np.log(compiled.prior), np.log(compiled.transition)
         total = best_path(log_prior, log_transition, log_likelihood, passed.index, states)
     values = {name: compiled.node_value[name][states] for name in compiled.hidden}
-    return Path(ids, values, float(total + passed.log_scale.sum()), passed.is_impossible)
+    return Path(ids, values, total, passed.is_impossible)
 
 
 def disagreement(

@@ -249,18 +249,6 @@ def test_a_known_value_that_cannot_be_is_left_out_and_flagged() -> None:
     np.testing.assert_allclose(found.counts["A", 1], [[3, 0], [0, 0]])
 
 
-def test_a_step_between_states_of_hardly_a_number_is_counted_as_one() -> None:
-    """The products of what is left of such numbers have lost digits."""
-    tables = [*simple_tables()]
-    tables[1] = Table(("A", 1), (("A", 0),), np.array([[1.0, 0.0], [0.67, 0.33]]))
-    tables[2:] = within("D", ["A"], np.eye(2))
-    compiled = compile(declare(tables, ["D"]), hidden=["A"], observed=["D"])
-    evidence = Evidence({"D": np.array([[1.0, 3e-308], [0.0, 1.0]])})
-    found = expected_counts(compiled, evidence)
-    np.testing.assert_allclose(found.counts["A", 1], [[0, 0], [0, 1]], atol=1e-12)
-    assert np.isfinite(found.counts["D", 1]).all()
-
-
 def test_what_is_given_is_left_as_it_is() -> None:
     compiled, _, evidence, lane = drawn_case(2, 30)
     is_first, before = np.zeros(30, dtype=bool), lane.copy()

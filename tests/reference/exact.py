@@ -19,10 +19,10 @@ import numpy as np
 from egolane_pgm.graphs.cpds import SliceNode
 from egolane_pgm.inference.compile import Compiled, Group
 from egolane_pgm.inference.expected_counts import FREE, counted_tables
-from egolane_pgm.inference.filtering import MOST
 from egolane_pgm.inference.kernels.filter import LEAST
 from egolane_pgm.inference.layout import joint_input
 from egolane_pgm.types import Beliefs, BoolArray, Evidence, FloatArray, IntArray
+from tests.reference.inference import MOST
 
 Row = list[Decimal]
 

@@ -13,16 +13,12 @@ import numpy as np
 
 from egolane_pgm.inference.compile import Compiled
 from egolane_pgm.inference.expected_counts import FREE, Expected
-from egolane_pgm.inference.filtering import MOST
 from egolane_pgm.inference.kernels.filter import LEAST
-from egolane_pgm.inference.layout import (
-    FilterState,
-    PosteriorEvidence,
-    joint_input,
-    log_blocks,
-    logarithms,
-)
+from egolane_pgm.inference.layout import FilterState, PosteriorEvidence, joint_input
 from egolane_pgm.types import Beliefs, BoolArray, Evidence, FloatArray, IntArray
+
+#: The largest likelihood of a frame: those that matter have the whole range of numbers.
+MOST = 1e300
 
 
 def filter_beliefs(
@@ -79,6 +75,26 @@ def state_likelihood(compiled: Compiled, evidence: Evidence) -> tuple[FloatArray
     # What is far from zero keeps its digits where it is not added to what is small.
     likelihood = np.where(shares > -600, MOST * np.exp(shares), np.exp(shares + math.log(MOST)))
     return _kept(likelihood), largest - math.log(MOST)
+
+
+def log_blocks(compiled: Compiled, evidence: Evidence) -> list[FloatArray]:
+    """The logarithm of the evidence of each group of observed nodes, (T, K)."""
+    blocks = []
+    for group in compiled.groups:
+        block = np.zeros((len(evidence), *group.sizes))
+        for key, axes in zip(group.observed, group.axes, strict=True):
+            logs = logarithms(evidence.likelihoods[key])
+            # The key's axes in the order of the group's, then 1 where it says nothing.
+            shape = [size if k in axes else 1 for k, size in enumerate(group.sizes)]
+            block += logs.transpose(0, *(1 + np.argsort(axes))).reshape(-1, *shape)
+        blocks.append(block.reshape(len(evidence), math.prod(group.sizes)))
+    return blocks
+
+
+def logarithms(values: FloatArray) -> FloatArray:
+    """Natural logarithms, minus infinity of zero."""
+    with np.errstate(divide="ignore"):
+        return np.log(values)
 
 
 def _kept(values: FloatArray) -> FloatArray:

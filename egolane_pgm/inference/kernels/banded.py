@@ -14,7 +14,7 @@ from typing import NamedTuple
 import numpy as np
 
 from egolane_pgm.inference.compile import Compiled
-from egolane_pgm.inference.kernels.filter import HUGE, LEAST, UP, settle_frame
+from egolane_pgm.inference.kernels.filter import LEAST, MOST
 from egolane_pgm.tools.jit import kernel
 from egolane_pgm.types import BoolArray, FloatArray, IntArray
 
@@ -34,14 +34,12 @@ class Band(NamedTuple):
     floor (U, R): what the wide node's transition to r has outside of the band; left out of the
         band.
     band (U, 2 max(half) + 1, R): entry [u, max(half) + d, r] is the transition to r from r - d.
-    whole (U, Q R, Q R): the transition that it is the form of.
     """
 
     others: FloatArray
     half: IntArray
     floor: FloatArray
     band: FloatArray
-    whole: FloatArray
 
 
 def find_band(compiled: Compiled) -> Band | None:
@@ -61,7 +59,7 @@ def find_band(compiled: Compiled) -> Band | None:
         product = others[u][:, None, :, None] * own[u][:, None, :]
         if (np.abs(product - whole) > _EQUAL * whole).any():
             return None
-    return Band(others, *_bands(own), compiled.transition)
+    return Band(others, *_bands(own))
 
 
 def _bands(own: FloatArray) -> tuple[IntArray, FloatArray, FloatArray]:
@@ -95,36 +93,30 @@ def forward_banded(
     column: IntArray,
     beliefs: FloatArray,
     total: FloatArray,
-    log_evidence: FloatArray,
     is_impossible: BoolArray,
 ) -> None:
     """As the recursion of `forward_kernel`, but for a `Band` in place of the transition. With
     is_factored the others are one node."""
-    others, half, floor, band, whole = transition
+    others, half, floor, band = transition
     n_others, n_wide = others.shape[1], band.shape[2]
     widest = band.shape[1] // 2
     # Zeros on both sides, so that the band never leaves the array.
     before = np.zeros(n_wide + 2 * widest)
     predicted = np.zeros((n_others, n_wide))
-    belief = np.zeros((n_others, n_wide))
+    belief = joint.copy().reshape(n_others, n_wide)
     of_wide = np.zeros(n_wide)
     of_others = np.zeros(n_others)
-    for q in range(n_others):
-        for r in range(n_wide):
-            belief[q, r] = joint[q * n_wide + r]
     for t in range(begins.shape[0]):
         u = index[t]
         if begins[t]:
-            for q in range(n_others):
-                for r in range(n_wide):
-                    predicted[q, r] = prior[u, q * n_wide + r] * UP
+            predicted.ravel()[:] = prior[u]
         else:
             for q in range(n_others):
                 mixed = before[widest : widest + n_wide]
                 mixed[:] = 0.0
                 for p in range(n_others):
                     source = belief[p]
-                    weight = others[u, p, q] * UP
+                    weight = others[u, p, q]
                     for r in range(n_wide):
                         mixed[r] += source[r] * weight
                 mass = 0.0
@@ -147,21 +139,17 @@ def forward_banded(
                 target[r] = source[r] * given[r]
             for r in range(n_wide):
                 mass += target[r]
-        is_impossible[t] = False
-        if 1.0 < mass < HUGE:
-            total[t] = mass / UP
-            scale = 1.0 / mass
-            for q in range(n_others):
-                target = belief[q]
-                for r in range(n_wide):
-                    target[r] = target[r] * scale if target[r] >= LEAST * mass else 0.0
-        else:
-            belief.ravel()[:] = settle_frame(
-                t, joint, begins, is_factored, prior, whole, index, likelihood[t], column,
-                beliefs, total, log_evidence, is_impossible,
-            )  # fmt: skip
+        total[t] = mass
+        is_impossible[t] = not LEAST <= mass <= MOST
+        if is_impossible[t]:
+            belief[:] = predicted
+            mass = predicted.sum()
+        scale = 1.0 / mass
         for q in range(n_others):
-            beliefs[t, q * n_wide : (q + 1) * n_wide] = belief[q]
+            target, row = belief[q], beliefs[t, q * n_wide : (q + 1) * n_wide]
+            for r in range(n_wide):
+                target[r] *= scale
+                row[r] = target[r]
         if is_factored:
             of_wide[:] = 0.0
             for q in range(n_others):
@@ -172,8 +160,5 @@ def forward_banded(
                 of_others[q] = mass
             for q in range(n_others):
                 for r in range(n_wide):
-                    product = of_others[q] * of_wide[r]
-                    belief[q, r] = product if product >= LEAST else 0.0
-    for q in range(n_others):
-        for r in range(n_wide):
-            joint[q * n_wide + r] = belief[q, r]
+                    belief[q, r] = of_others[q] * of_wide[r]
+    joint[:] = belief.ravel()

@@ -7,16 +7,9 @@ import math
 
 import numpy as np
 
-from egolane_pgm.inference.kernels.filter import (
-    log_moved,
-    normalise_logs,
-    product_of_marginals,
-)
+from egolane_pgm.inference.kernels.filter import LEAST, product_of_marginals
 from egolane_pgm.tools.jit import kernel
 from egolane_pgm.types import BoolArray, FloatArray, IntArray
-
-#: Plain sums of products are right where they come to something in this range.
-RANGE = (1e-10, 1e300)
 
 
 @kernel(fastmath={"reassoc", "contract"})
@@ -34,7 +27,7 @@ def _look_ahead(
 
 
 @kernel()
-def look_back(
+def _look_back(
     filtered: FloatArray,
     transition: FloatArray,
     likelihood: FloatArray,
@@ -45,67 +38,41 @@ def look_back(
 ) -> None:
     """One frame back. filtered (S,): the belief after it. transition (S, S): out of it.
 
-    ahead (S,): how many times more probable each state of the later frame is than it was after that
-        frame, given all evidence; it becomes this of the earlier frame.
-    likelihood (S,): of the later frame's evidence, which the factor contains.
+    ahead (S,): how probable what follows the later frame is given each state of it, over the
+        largest one; it becomes this of the earlier frame.
+    likelihood (S,): of the later frame's evidence, which is a part of what follows.
     weight, onward (S,): room.
     moves (S, S): P(state before, state now | all evidence) is added, unless it is (0, 0).
 
-    The sum of filtered times ahead is one. As filtered is zero or a normal number, so is each ahead
-    that matters.
+    Where nothing that the filter believes leads to what follows, by floating-point numbers, what
+    follows is ignored.
     """
     n_states = filtered.shape[0]
-    is_counted = moves.shape[0] > 0
     for s in range(n_states):
         weight[s] = likelihood[s] * ahead[s]
     _look_ahead(filtered, transition, weight, onward)
-    total = 0.0
+    largest, total = 0.0, 0.0
     for r in range(n_states):
+        largest = max(largest, onward[r])
         total += filtered[r] * onward[r]
-    if RANGE[0] < total < RANGE[1]:
-        # Over the total, without a quotient that is no number: weight where it is above one.
-        above = max(total, 1.0)
-        for s in range(n_states):
-            weight[s] /= above
-        for r in range(n_states):
-            ahead[r] = onward[r] / total
-            if is_counted:
-                share = filtered[r] / (total / above)
-                for s in range(n_states):
-                    moves[r, s] += transition[r, s] * weight[s] * share
-        return
-    # The factors are numbers, their products are not: add logarithms.
-    log_move = np.full((n_states, n_states), -math.inf)
-    for s in range(n_states):
-        if likelihood[s] > 0.0 and ahead[s] > 0.0:
-            log_weight = math.log(likelihood[s]) + math.log(ahead[s])
-            for r in range(n_states):
-                if filtered[r] > 0.0 and transition[r, s] > 0.0:
-                    log_move[r, s] = math.log(filtered[r]) + math.log(transition[r, s]) + log_weight
-    largest = log_move.max()
-    if largest == -math.inf:
-        # Floating-point numbers end here: what comes later is ignored.
-        ahead[:] = 1.0
-        return
-    total = np.exp(log_move - largest).sum()
     for r in range(n_states):
-        ahead[r] = 0.0
-        if filtered[r] > 0.0:
-            log_share = log_move[r] - (largest + math.log(total))
-            if is_counted:
-                moves[r] += np.exp(log_share)
-            ahead[r] = np.exp(log_share - math.log(filtered[r])).sum()
+        ahead[r] = onward[r] / largest if largest > 0.0 else 1.0
+    if moves.shape[0] > 0 and total >= LEAST:
+        for r in range(n_states):
+            share = filtered[r] / total
+            for s in range(n_states):
+                moves[r, s] += transition[r, s] * weight[s] * share
 
 
 @kernel()
 def _combine(filtered: FloatArray, ahead: FloatArray, smoothed: FloatArray) -> None:
-    """smoothed (S,): filtered times ahead, normalised."""
+    """smoothed (S,): filtered times ahead, normalised; filtered where that is zero."""
     total = 0.0
     for s in range(filtered.shape[0]):
         smoothed[s] = filtered[s] * ahead[s]
         total += smoothed[s]
     for s in range(filtered.shape[0]):
-        smoothed[s] /= total
+        smoothed[s] = smoothed[s] / total if total > 0.0 else filtered[s]
 
 
 @kernel()
@@ -136,7 +103,7 @@ def smooth_frames(
             ahead[:] = 1.0
         elif t > 0:
             into = transition[index[t]]
-            look_back(filtered[t - 1], into, likelihood[t], ahead, weight, onward, moves)
+            _look_back(filtered[t - 1], into, likelihood[t], ahead, weight, onward, moves)
 
 
 @kernel()
@@ -157,7 +124,7 @@ def fixed_lag_frames(
             ahead[s] = 1.0
         for k in range(min(t + lag, n_frames - 1), t, -1):
             into = transition[index[k]]
-            look_back(filtered[k - 1], into, likelihood[k], ahead, weight, onward, nothing)
+            _look_back(filtered[k - 1], into, likelihood[k], ahead, weight, onward, nothing)
         _combine(filtered[t], ahead, smoothed[t])
 
 
@@ -199,14 +166,6 @@ def best_path(
 
 
 @kernel()
-def _log_add(a: float, b: float) -> float:
-    """The logarithm of the sum of what two logarithms are of."""
-    if b > a:
-        a, b = b, a
-    return a if b == -math.inf else a + math.log1p(math.exp(b - a))
-
-
-@kernel()
 def jeffrey_frames(
     joint: FloatArray,
     begins: BoolArray,
@@ -214,9 +173,9 @@ def jeffrey_frames(
     prior: FloatArray,
     transition: FloatArray,
     index: IntArray,
-    log_emission: FloatArray,
+    emission: FloatArray,
     group_start: IntArray,
-    log_posterior: FloatArray,
+    posterior: FloatArray,
     is_said: BoolArray,
     key_start: IntArray,
     key_group: IntArray,
@@ -227,12 +186,11 @@ def jeffrey_frames(
     is_impossible: BoolArray,
 ) -> None:
     """Filter T frames, the evidence read by Jeffrey's rule, one observed node (of N) after the
-    other. What is not named here is as in the recursion of `forward_kernel`. In logarithms: what is
-    nearly certain over what is nearly impossible is no number.
+    other. What is not named here is as in the recursion of `forward_kernel`.
 
-    log_emission (S, K): the groups' tables side by side, group g in group_start[g]:
+    emission (S, K): the groups' tables side by side, group g in group_start[g]:
         group_start[g + 1].
-    log_posterior (T, V): per node the probabilities of its values, in key_start[i]:
+    posterior (T, V): per node the probabilities of its values, in key_start[i]:
         key_start[i + 1], summing to one. is_said (T, N): False where the frame says nothing about
         the node.
     key_group (N,): which group the node belongs to. key_value (N, K): the node's value in each
@@ -242,62 +200,54 @@ def jeffrey_frames(
     n_states = joint.shape[0]
     n_groups = group_start.shape[0] - 1
     n_keys = key_group.shape[0]
-    factor = np.empty(log_emission.shape[1])
+    factor = np.empty(emission.shape[1])
     of_group = np.empty((n_groups, n_states))
-    predicted, belief = np.empty(n_states), np.empty(n_states)
-    start = np.ones(1)
-    for t in range(log_posterior.shape[0]):
+    predicted = np.empty(n_states)
+    for t in range(posterior.shape[0]):
         u = index[t]
-        for s in range(n_states):
-            if begins[t]:
-                predicted[s] = log_moved(start, prior[u : u + 1], s)
-            else:
-                predicted[s] = log_moved(joint, transition[u], s)
-        factor[:] = 0.0
-        of_group[:, :] = 0.0
+        predicted[:] = prior[u] if begins[t] else np.dot(joint, transition[u])
+        factor[:] = 1.0
+        of_group[:, :] = 1.0
         is_impossible[t] = False
         log_evidence[t] = 0.0
         for i in range(n_keys):
-            if not is_said[t, i] or is_impossible[t]:
+            if not is_said[t, i]:
                 continue
             g, first = key_group[i], key_start[i]
-            expected = np.full(key_start[i + 1] - first, -math.inf)
+            expected = np.zeros(key_start[i + 1] - first)
             for s in range(n_states):
                 weight = predicted[s]
                 for h in range(n_groups):
                     if h != g:
-                        weight += of_group[h, s]
+                        weight *= of_group[h, s]
                 for k in range(group_start[g], group_start[g + 1]):
-                    v = key_value[i, k]
-                    expected[v] = _log_add(expected[v], weight + log_emission[s, k] + factor[k])
-            total, agreement, possible = -math.inf, -math.inf, -math.inf
+                    expected[key_value[i, k]] += weight * emission[s, k] * factor[k]
+            total, agreement, possible = 0.0, 0.0, 0.0
             for v in range(expected.shape[0]):
-                if expected[v] > -math.inf:
-                    said = log_posterior[t, first + v]
-                    total = _log_add(total, expected[v])
-                    agreement = _log_add(agreement, said + expected[v])
-                    possible = _log_add(possible, said)
-            if agreement == -math.inf:
+                if expected[v] >= LEAST:
+                    said = posterior[t, first + v]
+                    total += expected[v]
+                    agreement += said * expected[v]
+                    possible += said
+            if not agreement >= LEAST:
                 is_impossible[t] = True
-                continue
-            log_evidence[t] += agreement - total
+                break
+            log_evidence[t] += math.log(agreement / total)
             for k in range(group_start[g], group_start[g + 1]):
                 v = key_value[i, k]
-                if expected[v] > -math.inf:
-                    factor[k] += log_posterior[t, first + v] - possible + total - expected[v]
-                else:
-                    factor[k] = -math.inf
+                said = posterior[t, first + v] / possible
+                factor[k] *= said * (total / expected[v]) if expected[v] >= LEAST else 0.0
             for s in range(n_states):
-                of_group[g, s] = -math.inf
+                of_group[g, s] = 0.0
                 for k in range(group_start[g], group_start[g + 1]):
-                    of_group[g, s] = _log_add(of_group[g, s], log_emission[s, k] + factor[k])
-        for s in range(n_states):
-            belief[s] = predicted[s]
-            if not is_impossible[t]:
-                for g in range(n_groups):
-                    belief[s] += of_group[g, s]
+                    of_group[g, s] += emission[s, k] * factor[k]
+        belief = beliefs[t]
+        belief[:] = predicted
+        for g in range(n_groups):
+            belief *= of_group[g]
+        is_impossible[t] = is_impossible[t] or not belief.sum() >= LEAST
         if is_impossible[t]:
+            belief[:] = predicted
             log_evidence[t] = 0.0
-        normalise_logs(belief)
-        beliefs[t] = belief
+        belief /= belief.sum()
         joint[:] = product_of_marginals(belief, column) if is_factored else belief
