@@ -11,6 +11,7 @@ import importlib.metadata
 import logging
 import os
 import platform
+import signal
 import sys
 import threading
 import time
@@ -93,7 +94,7 @@ def _pool(jobs: Jobs, n_items: int) -> Iterator[tuple[Callable[..., Any], Any, A
 
     pool = ProcessPoolExecutor(
         min(jobs, n_items),
-        initializer=_end_with,
+        initializer=_begin,
         initargs=(os.getpid(),),
         env=dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS"), "1"),
     )
@@ -103,9 +104,14 @@ def _pool(jobs: Jobs, n_items: int) -> Iterator[tuple[Callable[..., Any], Any, A
         pool.shutdown(kill_workers=True)
 
 
-def _end_with(parent: int) -> None:
-    """A process would work on, and then wait for ever, once its parent was killed."""
+def _begin(parent: int) -> None:
+    """What a process does first."""
+    # Ctrl-C is the command's, which ends its processes.
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    # Bars share a lock of the system's by default, of which Python warns where a process is killed.
+    tqdm.set_lock(threading.RLock())
 
+    # It would work on, and then wait for ever, once its parent was killed.
     def watch() -> None:
         while os.getppid() == parent:
             time.sleep(1)
