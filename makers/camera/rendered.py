@@ -27,7 +27,8 @@ from egolane_pgm.recordings.ground_truth import write_ground_truth
 from egolane_pgm.recordings.table import write_table
 from egolane_pgm.report import video
 from egolane_pgm.report.tables import markdown
-from egolane_pgm.running import Run, run_experiment
+from egolane_pgm.results import Result
+from egolane_pgm.running import run_experiment
 from egolane_pgm.scoring.assign import assigned_lane
 from egolane_pgm.simulation.rendering.render import (
     FAILURES,
@@ -160,7 +161,7 @@ def score_lines(seen: Seen, log: LineLog) -> Lines:
     )
 
 
-def lane_belief(seen: Seen, log: LineLog, graph: str) -> Run:
+def lane_belief(seen: Seen, log: LineLog, graph: str) -> Result:
     """The lines through evidence and a graph: the paper's `sensor_failure` with counting, or
     `position_in_lane` with line geometry."""
     road = seen.scene.road

@@ -14,10 +14,11 @@ from egolane_pgm.experiment import Gnss, load_experiment
 from egolane_pgm.inference.filtering import filter_beliefs
 from egolane_pgm.maps.across import across
 from egolane_pgm.maps.lane_graph import LaneGraph
+from egolane_pgm.maps.on_map import with_positions
 from egolane_pgm.maps.osm import read_osm
 from egolane_pgm.maps.road_table import RoadTable
 from egolane_pgm.maps.steps import LanesAlong, lanes_along, road_changes
-from egolane_pgm.model import make_evidence, prepare_model, with_positions
+from egolane_pgm.model import make_evidence, prepare_model
 from egolane_pgm.simulation.interchange import InterchangeDrive, mirrored
 from egolane_pgm.types import BoolArray, FloatArray
 from tests.kits.lane_maps import without_lines
@@ -64,7 +65,7 @@ def lane_belief(
         given = lines
         if gnss is not None:
             seen = across(road, time_s, lanes.n_lanes, gnss.lane_width_m)
-            given = with_positions(model, log, lines, seen, gnss)
+            given = with_positions(model.compiled, model.n_lanes, log, lines, seen, gnss)
         beliefs.append(filter_beliefs(model.compiled, given, "exact").lane)
     return beliefs, lanes
 
