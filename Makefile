@@ -79,10 +79,10 @@ graphs: .venv/.run
 
 # What results/beyond/ holds of recordings by other detectors (a quarter of an hour of one core).
 beyond: .venv/.dev
-	$(BIN)/python -m tests.beyond_figures strangers > results/beyond/strangers.md
-	$(BIN)/python -m tests.beyond_figures labels --out results/beyond > results/beyond/labels.md
-	$(BIN)/python -m tests.beyond_figures failures --out results/beyond > /dev/null
-	$(BIN)/python -m tests.beyond_figures lanes --runs 1,5,8,10 > results/beyond/lanes.md
+	$(BIN)/python -m makers.beyond strangers > results/beyond/strangers.md
+	$(BIN)/python -m makers.beyond labels --out results/beyond > results/beyond/labels.md
+	$(BIN)/python -m makers.beyond failures --out results/beyond > /dev/null
+	$(BIN)/python -m makers.beyond lanes --runs 1,5,8,10 > results/beyond/lanes.md
 
 # results/beyond/delay.md and its figure: how right an answer is that waits (a minute).
 DELAY := egolane compare experiments/zero_label.yaml --runs 1-10 \
@@ -123,25 +123,25 @@ fuzz: .venv/.dev
 
 # What results/camera/ holds of real pictures, made from those in EGOLANE_DATA.
 camera: .venv/.dev
-	$(BIN)/python -m tests.camera_figures carnd tusimple phantom clips aly lane_change labels --out results/camera > results/camera/pictures.md
+	$(BIN)/python -m makers.camera carnd tusimple phantom clips aly lane_change labels --out results/camera > results/camera/pictures.md
 
 # What a search of the detectors' parameters gains on labelled stills (ten minutes of two cores).
 searched: .venv/.dev
-	$(BIN)/python -m tests.camera_figures searched > results/camera/searched.md
+	$(BIN)/python -m makers.camera searched > results/camera/searched.md
 
 # What results/camera/ holds of rendered motorways: tables (25 minutes of one core), a frame.
 rendered: .venv/.dev
 	mkdir -p results/camera
-	$(BIN)/python -m tests.camera_figures rendered --out results/camera > results/camera/rendered.md
+	$(BIN)/python -m makers.camera rendered --out results/camera > results/camera/rendered.md
 
 # All detectors on one rendered drive through the paper's graph: a table and a figure (7 minutes).
 compared: .venv/.dev
 	mkdir -p results/camera
-	$(BIN)/python -m tests.camera_figures compared --out results/camera > results/camera/detectors.md
+	$(BIN)/python -m makers.camera compared --out results/camera > results/camera/detectors.md
 
 # The tables of docs/maps.md about positions, matching and lanes (a quarter of an hour of one core).
 maps: .venv/.dev
-	$(BIN)/python -m tests.map_figures matched located outages recorded
+	$(BIN)/python -m makers.maps matched located outages recorded
 
 .venv/.venv:
 	$(PYTHON) -m venv .venv

@@ -27,7 +27,7 @@ from egolane_pgm.detectors.runner import Detector, find_detector, start
 from egolane_pgm.plugins import plugin_names
 from egolane_pgm.simulation.rendering.render import make_scene, render_frame
 from egolane_pgm.types import InputError
-from tests.camera_figures import tusimple
+from makers.camera import tusimple
 
 HEADER = ("camera picture, 1280x720", "per frame", "frames per second")
 FRAMES = 60

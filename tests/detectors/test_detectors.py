@@ -18,7 +18,7 @@ from egolane_pgm.detectors import FrameLines, Step
 from egolane_pgm.detectors.runner import Detector, detect, find_detector, start
 from egolane_pgm.plugins import plugin_names
 from egolane_pgm.types import InputError
-from tests.camera_figures import carnd, clips, lane_change
+from makers.camera import carnd, clips, lane_change
 from tests.kits.synthetic_road import CAMERA, PAIR, THREE, Paint, drive
 from tests.kits.tiny_network import top_hat_file
 

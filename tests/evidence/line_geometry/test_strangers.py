@@ -17,7 +17,7 @@ from egolane_pgm.inference.smoothing import infer_beliefs
 from egolane_pgm.model import make_evidence, online_output
 from egolane_pgm.scoring.assign import assigned_lane
 from egolane_pgm.types import Beliefs, FloatArray, LineLog
-from tests.beyond_figures.strangers import accuracies, zero_label
+from makers.beyond.strangers import accuracies, zero_label
 from tests.conftest import needs_compiler
 from tests.kits.strangers import (
     STRANGERS,
@@ -199,7 +199,7 @@ def test_replayed_frames_are_a_recording_of_their_own() -> None:
 def test_lines_like_run_5_say_as_little_about_the_lane_as_those_of_run_5(
     recordings: Path,
 ) -> None:
-    from tests.beyond_figures.failures import weights
+    from makers.beyond.failures import weights
 
     share, sides = weights(paper_drive(5))
     for run in (1, 3):

@@ -1,0 +1,146 @@
+"""Fifteen seconds of a Japanese expressway with one lane change to the right, three pictures a
+second, seen past a mirror and another camera on the dashboard. No calibration comes with it: the
+camera is calibrated from the lines of the pictures themselves.
+
+Settings in sight of these pictures: block markings half a metre wide and as long as the gaps
+between them need a wider top-hat (`marking_width_m`, `paint_width_m`), and in so small a picture
+they run into one another, so that paint is what is half as bright as the blocks (`paint_share`).
+The road has three lanes at first, the left one behind the block markings: n = 3.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from functools import cache
+from pathlib import Path
+from tempfile import TemporaryDirectory
+
+import numpy as np
+
+from egolane_pgm.camera.model import Camera
+from egolane_pgm.camera.pictures import open_source, read_pictures
+from egolane_pgm.types import IntArray
+from makers.camera._following import (
+    ZERO_LABEL,
+    Followed,
+    calibrate,
+    data_folder,
+    follow,
+    lanes_of,
+    runs,
+)
+
+#: Of the numbers in the pictures' names.
+RATE = 30.0
+N_LANES = 3
+LANE_WIDTH_M = 3.5
+
+#: Mirror, the other camera, dashboard: left, top, right, bottom.
+HIDDEN = ("0,0,692,130", "120,300,400,480", "0,360,692,480")
+
+SETTINGS = {
+    "marking_width_m": 0.9,
+    "paint_width_m": 0.9,
+    "paint_share": 0.5,
+    "continuous_cover": 0.65,
+}
+
+
+@dataclass(frozen=True)
+class Crossing:
+    """A tracked line that was right of the car and ended left of it: from the first to the last
+    frame that it was followed."""
+
+    number: int
+    first_frame: int
+    last_frame: int
+    first_m: float
+    last_m: float
+    crossed_at: int
+
+
+def data() -> Path | None:
+    """The folder, or None where it is absent."""
+    return data_folder("lane_change_right")
+
+
+@cache
+def camera_of(folder: Path, first: int = 50) -> Camera:
+    """Calibrated by the command from the lines it finds in the first pictures."""
+    masks = [word for hidden in HIDDEN for word in ("--ignore", hidden)]
+    with TemporaryDirectory() as place:
+        return calibrate(
+            Path(place) / "camera.yaml",
+            *("--stills", folder / "*.jpg", "--lane-width", LANE_WIDTH_M, "--roll", -1.5),
+            *("--first", first, *masks),
+        )
+
+
+@cache
+def follow_pictures(folder: Path, curve: str = "clothoid", first: int = 50) -> Followed:
+    """The detector over the pictures, the camera calibrated from the first of them."""
+    camera = camera_of(folder, first)
+    return follow(read_pictures(open_source(folder), camera), camera, curve, **SETTINGS)
+
+
+def crossings(followed: Followed) -> Iterator[Crossing]:
+    """The valid lines that changed sides for good, more than half a metre to either side."""
+    offsets: dict[int, list[tuple[int, float]]] = {}
+    was_valid: set[int] = set()
+    for frame, tracks in zip(followed.frame_id, followed.tracks, strict=True):
+        for number, mean, valid in zip(tracks.number, tracks.mean, tracks.is_valid, strict=True):
+            offsets.setdefault(int(number), []).append((frame, float(mean[0])))
+            if valid:
+                was_valid.add(int(number))
+    for number in sorted(was_valid):
+        frames, places = zip(*offsets[number], strict=True)
+        if np.sign(places[0]) != np.sign(places[-1]) and min(abs(places[0]), abs(places[-1])) > 0.5:
+            other = np.flatnonzero(np.sign(places) != np.sign(places[-1]))
+            at = frames[int(other[-1]) + 1]
+            yield Crossing(number, frames[0], frames[-1], places[0], places[-1], at)
+
+
+def changes(lane: IntArray) -> tuple[int, int]:
+    """Lane changes to the left and to the right, frames without an answer left out."""
+    known = lane[lane > 0]
+    step = np.diff(known)
+    return int((step < 0).sum()), int((step > 0).sum())
+
+
+def lanes(followed: Followed, zero_label: bool = False) -> IntArray:
+    """(T,): the assigned lane."""
+    keys = ZERO_LABEL if zero_label else {}
+    return lanes_of(followed.log(RATE), N_LANES, RATE, **keys)
+
+
+def measure() -> list[str]:
+    """The figures as Markdown, or one line that says what is absent."""
+    folder = data()
+    if folder is None:
+        return ["A lane change: camera/lane_change_right is absent (EGOLANE_DATA)."]
+    camera = camera_of(folder)
+    lines = [
+        "### One lane change to the right",
+        "",
+        f"{len(follow_pictures(folder).frame_id)} pictures, three a second; camera from their own"
+        f" lines, {LANE_WIDTH_M} m apart ({camera.height_m:.2f} m high); settings for these"
+        f" pictures (see the module); n = {N_LANES}.",
+        "",
+        "| | tracked lines that cross | changes left, right, the paper's graph | its lanes |"
+        " zero labels | its lanes |",
+        "|---|---|---|---|---|---|",
+    ]
+    for name, curve in (("**mc**", "clothoid"), ("ml", "line")):
+        followed = follow_pictures(folder, curve)
+        crossed = "; ".join(
+            f"{c.first_m:+.1f} m to {c.last_m:+.1f} m, at picture {c.crossed_at}"
+            for c in crossings(followed)
+        )
+        cells = []
+        for zero_label in (False, True):
+            lane = lanes(followed, zero_label)
+            left, right = changes(lane)
+            cells += [f"{left}, {right}", runs(lane)]
+        lines.append(f"| {name} | {crossed} | {' | '.join(cells)} |")
+    return lines

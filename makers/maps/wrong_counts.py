@@ -1,0 +1,88 @@
+"""A map that is wrong by a lane: how often it is found, and how often that can be seen."""
+
+from __future__ import annotations
+
+import tempfile
+from collections import defaultdict
+from collections.abc import Iterator
+from itertools import pairwise
+from pathlib import Path
+
+import numpy as np
+
+from egolane_pgm.experiment import load_experiment
+from egolane_pgm.inference.filtering import filter_beliefs
+from egolane_pgm.model import make_evidence
+from egolane_pgm.scoring.assign import assigned_lane
+from egolane_pgm.scoring.road import BEHIND_S
+from egolane_pgm.simulation.interchange import DETECTOR, Journey
+from egolane_pgm.types import FloatArray, IntArray
+from makers.maps._experiments import COUNTING, prepared, simulated
+
+N_DRIVES = 50
+
+#: A stretch on which the map is wrong lasts so long at least, seconds. Shorter ones are changes
+#: that are not where the map has them.
+_LEAST_S = 10.0
+
+#: The right number of lanes can be seen where a line that shows it was in view so long, seconds.
+_SEEN_S = 1.0
+
+
+def measure() -> Iterator[str]:
+    """Lines of text."""
+    found, is_visible, beyond = [], [], []
+    right: dict[tuple[float, str], list[FloatArray]] = defaultdict(list)
+    for seed in range(N_DRIVES):
+        with tempfile.TemporaryDirectory() as name:
+            folder = Path(name)
+            experiment = simulated(folder, seed, None, False, "--set", "wrong_per_km=0.2")
+            _, real, on_map = np.loadtxt(
+                folder / "lanes_truth.csv", delimiter=",", skiprows=1, dtype=np.int64
+            ).T
+            rate = experiment.recording.frame_rate
+            stretches = _stretches(real - on_map, round(_LEAST_S * rate))
+            for doubt in (0.1, 0.0):
+                overrides = {**COUNTING, "parameters.map_wrong": doubt}
+                model, recorded, road = prepared(load_experiment(experiment, overrides))
+                evidence = make_evidence(model, recorded.log, "soft", road).filtered
+                beliefs = filter_beliefs(model.compiled, evidence, "exact")
+                assert recorded.truth is not None
+                lane = recorded.truth.lane
+                is_right = assigned_lane(beliefs.lane) == lane
+                scored = ~recorded.truth.is_crossing
+                inside = np.zeros(len(real), dtype=bool)
+                for a, b in stretches:
+                    inside[a:b] = True
+                for where, among in (("there", inside), ("elsewhere", ~inside)):
+                    counts = [(is_right & among & scored).sum(), (among & scored).sum()]
+                    right[doubt, where].append(np.array(counts))
+                if not doubt:
+                    continue
+                believed = beliefs.marginals["Lanes"].argmax(axis=1) + 1
+                for a, b in stretches:
+                    first = slice(a, min(b, a + round(BEHIND_S * rate)))
+                    found.append(bool((believed[first] == real[first]).any()))
+                    # A line is in the detector's view up to its range, from the middle of the lane.
+                    reach = DETECTOR.range_m / Journey().lane_width_m - 0.5
+                    more, fewer = np.maximum(real, on_map)[first], np.minimum(real, on_map)[first]
+                    beyond.append(int((more - lane[first] <= reach).sum()))
+                    is_visible.append(int((fewer - lane[first] <= reach).sum()))
+    least = _SEEN_S * rate
+    share = [np.array(x) for x in (found, np.array(beyond) >= least, np.array(is_visible) >= least)]
+    yield f"{len(found)} stretches on {N_DRIVES} drives"
+    yield f"found within {BEHIND_S:g} s: {share[0].mean():.2f}"
+    yield f"the line that there is only on one of the two roads was in view: {share[1].mean():.2f}"
+    yield f"that or the outer line of the narrower one was in view: {share[2].mean():.2f}"
+    yield f"found among these: {share[0][share[2]].mean():.2f}"
+    yield f"found among the others: {share[0][~share[2]].mean():.2f}"
+    for (doubt, where), each in right.items():
+        both = np.sum(each, axis=0)
+        accuracy = both[0] / both[1]
+        yield f"map_wrong {doubt:g}: right lane {where} in {accuracy:.3f} of {both[1]} frames"
+
+
+def _stretches(error: IntArray, least: int) -> list[tuple[int, int]]:
+    """The first frames and the ends of stretches of one error that is not 0."""
+    ends = np.flatnonzero(np.diff(error, prepend=0, append=0))
+    return [(a, b) for a, b in pairwise(ends.tolist()) if error[a] and b - a >= least]
