@@ -74,13 +74,6 @@ def read_with(path: str | Path, format: str | None, options: Mapping[str, Any]) 
     return log
 
 
-def iterate_with(
-    path: str | Path, format: str | None, options: Mapping[str, Any]
-) -> Iterator[LineLog]:
-    """`read_with`, as one part."""
-    yield read_with(path, format, options)
-
-
 def read_lines_with(path: str, camera: object, frame_rate: float | None = None) -> LineLog:
     """The lines of a recording of any format; the camera (or its YAML file) is used by those
     formats whose lines are in pixels. Raises InputError as `read_lines`."""

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 from array import array
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -61,13 +61,6 @@ def read_ground_truth(path: str | Path, extra_rows: Iterable[Sequence[int]] = ()
             raise InputError(f"{path}: extra row {list(row)}: frame {row[0]} is there already")
         table = np.insert(table, at, row, axis=0)
     return LaneTruth(table[:, 0], table[:, 1], table[:, 2] == 1, source=str(path))
-
-
-def iterate_ground_truth(
-    path: str | Path, extra_rows: Iterable[Sequence[int]] = ()
-) -> Iterator[LaneTruth]:
-    """`read_ground_truth`, as one part."""
-    yield read_ground_truth(path, extra_rows)
 
 
 def write_ground_truth(path: str | Path, truth: LaneTruth) -> None:
