@@ -6,7 +6,7 @@ One file per format of recording; `read_lines` picks it by the file's extension.
 from __future__ import annotations
 
 import sys
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Mapping
 from importlib import import_module
 from pathlib import Path
 from typing import Any
