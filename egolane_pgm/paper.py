@@ -27,9 +27,9 @@ def published_path() -> Path:
     return experiments_folder() / "paper" / "published.yaml"
 
 
-def load_published(path: Path | None = None) -> dict[int, dict[str, Any]]:
+def load_published() -> dict[int, dict[str, Any]]:
     """The published matrices, metrics and parameters per run number."""
-    content = read_yaml(path or published_path(), "runs: []")
+    content = read_yaml(published_path(), "runs: []")
     return {entry["run"]: entry for entry in content["runs"]}
 
 
