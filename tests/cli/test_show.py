@@ -104,7 +104,7 @@ def test_a_graph_that_cannot_be_built_is_refused(tmp_path: Path) -> None:
 def test_whatever_ls_lists_or_one_writes_is_shown(name: str, kind: str) -> None:
     shown = done("show", name).stdout
     assert shown.splitlines()[0] == f"{kind} {name.removeprefix('graph:')}"
-    assert "\nparameters " in shown
+    assert "\nparameters" in shown
 
 
 def test_a_graph_s_tables_are_printed_and_written(tmp_path: Path) -> None:

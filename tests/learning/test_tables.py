@@ -382,6 +382,9 @@ def test_a_graph_of_ones_own_is_learned_wherever_the_result_is_written(tmp_path:
 
 DISCRETE = [name for name in graph_names() if not name.startswith("position_in")]
 
+#: A table in YAML that gives a node its parent's value.
+SAME = "[[1, 0, 0], [0, 1, 0], [0, 0, 1]]"
+
 #: Short drives do not come to each lane.
 pytestmark = pytest.mark.filterwarnings("ignore:.*no frame to learn from has lane:UserWarning")
 
@@ -455,11 +458,12 @@ def test_a_setting_that_does_not_fit_is_named(
 
 def test_a_graph_without_a_table_to_learn_is_refused(tmp_path: Path) -> None:
     (tmp_path / "g.yaml").write_text(
-        "nodes: {Lane: n_lanes, DetectorOutput: n_lanes}\nhidden: [Lane]\n"
+        "nodes: {Lane: 3, DetectorOutput: 3}\nhidden: [Lane]\n"
         "observed: [DetectorOutput]\nunused: [WOR]\n"
         "edges: {within: [Lane -> DetectorOutput], across: [Lane -> Lane]}\n"
         "tables:\n  Lane: {first: {rows: {values: [1, 0, 0]}},"
-        " next: {identity: {of: Lane before}}}\n  DetectorOutput: {identity: {of: Lane}}\n"
+        f" next: {{rows: {{of: [Lane before], values: {SAME}}}}}}}\n"
+        f"  DetectorOutput: {{rows: {{of: [Lane], values: {SAME}}}}}\n"
     )
     said = refused("learn", write_drive(tmp_path, 30, graph="./g.yaml"))
     assert "evidence rule counting cannot be learned, nor can the graph ./g.yaml" in said
@@ -500,12 +504,12 @@ def test_a_file_that_the_experiment_reads_is_not_written_over(tmp_path: Path) ->
     """The graph that is learned would be the one that it was learned from."""
     graph = tmp_path / "out.graph.yaml"
     graph.write_text(
-        "nodes: {Lane: n_lanes, DetectorOutput: n_lanes}\nhidden: [Lane]\n"
+        "nodes: {Lane: 3, DetectorOutput: 3}\nhidden: [Lane]\n"
         "observed: [DetectorOutput]\nunused: [WOR]\n"
         "edges: {within: [Lane -> DetectorOutput], across: [Lane -> Lane]}\n"
-        "tables:\n  Lane: {first: uniform, next: {rows: {of: [Lane before],"
+        "tables:\n  Lane: {first: {rows: {values: [.5, .3, .2]}}, next: {rows: {of: [Lane before],"
         " values: [[.8, .1, .1], [.1, .8, .1], [.1, .1, .8]]}}}\n"
-        "  DetectorOutput: {identity: {of: Lane}}\n"
+        f"  DetectorOutput: {{rows: {{of: [Lane], values: {SAME}}}}}\n"
     )
     before = graph.read_text()
     path = write_drive(tmp_path, 30, graph="./out.graph.yaml")
@@ -545,11 +549,11 @@ def test_labels_that_the_graph_does_not_allow_are_left_out_and_counted(tmp_path:
 def test_labels_that_the_graph_never_allows_leave_nothing_to_learn(tmp_path: Path) -> None:
     """Lane 1 is all that the graph knows of, and the drive is labelled as one in lane 3."""
     (tmp_path / "g.yaml").write_text(
-        "nodes: {Lane: n_lanes, DetectorOutput: n_lanes}\nhidden: [Lane]\n"
+        "nodes: {Lane: 3, DetectorOutput: 3}\nhidden: [Lane]\n"
         "observed: [DetectorOutput]\nunused: [WOR]\n"
         "edges: {within: [Lane -> DetectorOutput], across: [Lane -> Lane]}\n"
         "tables:\n  Lane: {first: {rows: {values: [1, 0, 0]}},"
-        " next: {identity: {of: Lane before}}}\n"
+        f" next: {{rows: {{of: [Lane before], values: {SAME}}}}}}}\n"
         "  DetectorOutput: {rows: {of: [Lane],"
         " values: [[.8, .1, .1], [.1, .8, .1], [.1, .1, .8]]}}\n"
     )
