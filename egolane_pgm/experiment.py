@@ -145,7 +145,7 @@ class Recording(Section):
         examples=[[238, 10190]],
     )
     frame_rate: float = Field(
-        default=10.0, gt=0, allow_inf_nan=False, description="frames per second"
+        default=10.0, gt=0, le=1e6, allow_inf_nan=False, description="frames per second"
     )
     missing_frames: Literal["skip", "hold", "predict"] = Field(
         default="skip",
@@ -286,46 +286,6 @@ class Tuning(Section):
         return self
 
 
-class Choice(Section):
-    """The choices of `fit: choose`."""
-
-    grid: Annotated[dict[str, tuple[Any, ...]], AfterValidator(frozen)] = Field(
-        min_length=1,
-        description="per parameter the values that are tried, each with each",
-        examples=[{"alpha": [0.5, 1], "beta": [1, 2]}],
-    )
-    objective: Literal["accuracy", "log_loss"] = Field(
-        default="accuracy", description="the score by which is chosen"
-    )
-    cautious: str | None = Field(
-        default=None,
-        description="a parameter of the grid whose earlier values are kept unless a later one is"
-        " better by a standard error",
-        examples=["beta"],
-    )
-    error_of: Literal["best", "difference"] = Field(
-        default="best",
-        description="whether that is the error of the best setting's mean loss or of the"
-        " difference",
-    )
-    recordings: tuple[str, ...] = Field(
-        default=(),
-        description="experiments, files beside the YAML, whose labels help to choose; the labels"
-        " of the stretch of road that is scored are not looked at",
-        examples=[["other_drive.yaml"]],
-    )
-
-    @model_validator(mode="after")
-    def _fits_together(self) -> Choice:
-        for name, values in self.grid.items():
-            if not values or any(values.count(value) > 1 for value in values):
-                raise ValueError(f"grid.{name}: needs values, each once")
-        if self.cautious is not None and self.cautious not in self.grid:
-            hint = suggestion(self.cautious, self.grid)
-            raise ValueError(f"cautious: '{self.cautious}' is not in the grid{hint}")
-        return self
-
-
 class Learning(Section):
     """The settings of learning the tables of a graph by EM."""
 
@@ -452,18 +412,12 @@ class Experiment(Section):
         allow_inf_nan=False,
         description="no lane is answered where the largest probability is less",
     )
-    fit: Literal["none", "learn", "tune", "choose"] = Field(
+    fit: Literal["none", "learn", "tune"] = Field(
         default="none", description="how `compare` finds parameters without the block it scores"
-    )
-    learned_on: tuple[str, ...] = Field(
-        default=(),
-        description="with fit: learn, experiments whose recordings are learned from",
-        examples=[["other_drive.yaml"]],
     )
     learning: Learning | None = Field(
         default=None, description="settings of `egolane learn` and of fit: learn"
     )
-    choice: Choice | None = Field(default=None, description="settings of fit: choose")
     parameters: _Keys = Field(
         default_factory=FrozenDict,
         description="values of the parameters of graph and evidence rule (`egolane show GRAPH`);"
@@ -747,7 +701,7 @@ def validated(model: type[AnySection], content: Mapping[str, Any], source: str) 
 
 
 #: Keys that say how parameters are found. A resolved experiment has the parameters themselves.
-_FITTING = {"tuning", "fit", "learned_on", "learning", "choice"}
+_FITTING = {"tuning", "fit", "learning"}
 
 
 def resolved(experiment: Experiment, parameters: Mapping[str, Any]) -> dict[str, Any]:

@@ -10,7 +10,6 @@ from __future__ import annotations
 
 import numpy as np
 
-from egolane_pgm.drive import Drive
 from egolane_pgm.experiment import Experiment, load_experiment
 from egolane_pgm.graphs.cpds import declare
 from egolane_pgm.inference.compile import compile
@@ -32,15 +31,15 @@ ALIKE, FEWER = 7.0, 20.0
 _JOINT = ("RoadPosition", "SensorState")
 
 
-def doubt_of_lanes(drive: Drive, evidence: Evidence) -> str | None:
+def doubt_of_lanes(
+    experiment: Experiment, model: Model, log: LineLog, evidence: Evidence
+) -> str | None:
     """A line that says which number of lanes a whole recording shows, if it is not the one that was
     told; None where there is nothing to say, for a clip and where a map tells the lanes.
 
-    - evidence: of the T frames of the drive.
+    - model, evidence: of the experiment; evidence of the T frames of the log.
     """
-    experiment, model, log = drive.experiment, drive.model, drive.recorded.log
-    knows = log.clip is not None or drive.recorded.road is not None
-    if knows or experiment.evidence_reading != "soft":
+    if log.clip is not None or experiment.follows_map or experiment.evidence_reading != "soft":
         return None
     told = model.n_lanes
     motion = motion_by_lanes(model, evidence)

@@ -5,8 +5,6 @@ A plugin is a module that defines the names that its folder's contract asks for 
 `evidence`, ...). The other modules of such a folder are shared by its plugins. A graph may also be
 a file without a line of ours: one that pgmpy reads, or Python with a pgmpy network at its top
 level, which is then what `build` gives.
-
-What a user's own file prints goes to standard error: standard output belongs to the commands.
 """
 
 from __future__ import annotations
@@ -14,16 +12,13 @@ from __future__ import annotations
 import contextlib
 import hashlib
 import importlib
-import importlib.util
 import os
 import re
 import sys
 import traceback
 from collections.abc import Iterator, Mapping
-from importlib.machinery import SourceFileLoader
 from pathlib import Path
 from types import ModuleType
-from typing import Any
 
 from egolane_pgm.parameters import Parameter
 from egolane_pgm.tools.files import check_name
@@ -53,15 +48,17 @@ def plugin_names(folder: str) -> list[str]:
     A module is a plugin if it defines the first name of the folder's contract, a folder if its
     `__all__` has that name. The files are searched as text, because importing them all is slow.
     """
-    first = CONTRACTS[folder][0]
     path = Path(__file__).parent / folder
-    found = [f.stem for f in path.glob("*.py") if _defines(_text(f), first)]
-    found += [f.parent.name for f in path.glob("*/__init__.py") if f'"{first}"' in _text(f)]
-    return sorted(found)
+    names = {file.stem for file in path.glob("*.py")} | {f.parent.name for f in path.glob("*/*.py")}
+    return sorted(name for name in names if _is_plugin(folder, name))
 
 
-def _text(file: Path) -> str:
-    return file.read_text(encoding="utf-8")
+def _is_plugin(folder: str, name: str) -> bool:
+    path, first = Path(__file__).parent / folder, CONTRACTS[folder][0]
+    file, package = path / f"{name}.py", path / name / "__init__.py"
+    if name.isidentifier() and file.is_file():
+        return _defines(file.read_text(encoding="utf-8"), first)
+    return name.isidentifier() and package.is_file() and f'"{first}"' in package.read_text("utf-8")
 
 
 def _defines(text: str, name: str) -> bool:
@@ -87,7 +84,7 @@ def find_plugin(name: str, kinds: Mapping[str, str], base: Path) -> tuple[str, s
     elif name.endswith(OWN_FILES):
         found = ["graph"]
     else:
-        found = [kind for kind in kinds if name in plugin_names(kinds[kind])]
+        found = [kind for kind in kinds if _is_plugin(kinds[kind], name)]
     if not found:
         known = [known for folder in kinds.values() for known in plugin_names(folder)]
         raise InputError(f"unknown name '{name}'{suggestion(name, known)}")
@@ -120,7 +117,7 @@ def load_plugin(folder: str, name: str, base: Path, where: str) -> ModuleType:
             f"egolane_pgm.graphs.{'yaml_graph' if is_yaml else 'from_pgmpy'}"
         )
         module = reader.load_graph_file(file, f"{_OWN}{Path(name).stem}", where)
-    elif name in plugin_names(folder):
+    elif _is_plugin(folder, name):
         module = importlib.import_module(f"egolane_pgm.{folder}.{name}")
     else:
         raise InputError(f"{where}: unknown name '{name}'{suggestion(name, plugin_names(folder))}")
@@ -159,10 +156,6 @@ def load_rule_and_graph(
 
 def declared_parameters(rule: ModuleType, graph: ModuleType) -> list[Parameter]:
     """The parameters of an evidence rule and a graph; one that both declare is shared."""
-    for module in (rule, graph):
-        for p in getattr(module, "PARAMETERS", ()):
-            if not isinstance(p, Parameter):
-                raise InputError(f"{module.__file__}: PARAMETERS has {p!r}, which is no Parameter")
     specs = {p.name: p for p in getattr(rule, "PARAMETERS", ())}
     for p in getattr(graph, "PARAMETERS", ()):
         if p.name in specs and specs[p.name].kind != p.kind:
@@ -199,48 +192,31 @@ def _load_file(path: Path, where: str) -> ModuleType:
     check_name(path)
     if not path.is_file():
         raise InputError(f"{where}: no file {path}")
+    source = path.read_bytes()
     # One module per path and content, so that two experiments may each have a my_graph.py.
-    digest = hashlib.sha256(str(path).encode() + path.read_bytes()).hexdigest()[:16]
+    digest = hashlib.sha256(str(path).encode() + source).hexdigest()[:16]
     name = f"{_OWN}{path.stem}_{digest}"
     if name in sys.modules:
         return sys.modules[name]
-    spec = importlib.util.spec_from_file_location(name, path, loader=_OwnLoader(name, str(path)))
-    assert spec is not None
-    assert spec.loader is not None
-    module = importlib.util.module_from_spec(spec)
+    module = ModuleType(name)
+    module.__file__ = str(path)
     sys.modules[name] = module
     try:
-        with contextlib.redirect_stdout(sys.stderr):
-            spec.loader.exec_module(module)
-    except BaseException as error:
+        # Python's own import would put __pycache__ beside the file, and take what is in there for a
+        # file that was changed within the same second.
+        exec(compile(source, path, "exec"), vars(module))
+    except Exception as error:
         del sys.modules[name]
-        if _ends_process(error):
-            raise
         at = f" (line {line})" if (line := _line_in(str(path), error)) else ""
         raise InputError(f"{where}: {path} cannot be imported: {_said(error)}{at}") from error
     return module
 
 
-class _OwnLoader(SourceFileLoader):
-    """Compiles a user's file each time. What Python keeps in __pycache__ would be another file in
-    the user's folder, and be taken for one that was changed within the same second."""
-
-    def get_code(self, fullname: str) -> Any:
-        return self.source_to_code(self.get_data(self.path), self.path)
-
-
-def _ends_process(error: BaseException) -> bool:
-    """Whether the process is told to end: by Ctrl-C, or with a SystemExit of `parallel`. A file
-    that calls `sys.exit` raises SystemExit itself."""
-    is_told = isinstance(error, SystemExit) and type(error) is not SystemExit
-    return is_told or isinstance(error, KeyboardInterrupt)
-
-
-def _said(error: BaseException) -> str:
+def _said(error: Exception) -> str:
     return " ".join(f"{type(error).__name__}: {error}".split())
 
 
-def _line_in(file: str, error: BaseException) -> int | None:
+def _line_in(file: str, error: Exception) -> int | None:
     """The line of the file that an error came from."""
     lines = [f.lineno for f in traceback.extract_tb(error.__traceback__) if f.filename == file]
     return lines[-1] if lines else None
@@ -249,16 +225,12 @@ def _line_in(file: str, error: BaseException) -> int | None:
 @contextlib.contextmanager
 def plugin_errors(module: ModuleType, where: str) -> Iterator[None]:
     """Wrap a call into a plugin: an exception of a user's own file becomes an InputError that
-    starts with `where` and names the file and its line, and what the file prints goes to standard
-    error. Exceptions of the package's plugins stay as they are, because they are bugs of ours."""
-    if not module.__name__.startswith(_OWN):
-        yield
-        return
+    starts with `where` and names the file and its line. Exceptions of the package's plugins stay as
+    they are, because they are bugs of ours."""
     try:
-        with contextlib.redirect_stdout(sys.stderr):
-            yield
-    except (Exception, SystemExit) as error:
-        if isinstance(error, InputError) or _ends_process(error):
+        yield
+    except Exception as error:
+        if isinstance(error, InputError) or not module.__name__.startswith(_OWN):
             raise
         line = _line_in(str(module.__file__), error)
         at = f"{module.__file__}, line {line}" if line else f"{module.__file__}"

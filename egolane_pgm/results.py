@@ -64,7 +64,6 @@ from egolane_pgm.tools.files import (
     as_csv,
     atomic_directory,
     check_place,
-    clear_once,
     code_checksum,
     open_parquet,
     parquet_writer,
@@ -385,13 +384,13 @@ class Result:
         InputError where the directory holds anything else, or cannot be written. Where only the
         figures cannot be drawn it raises InputError too, and the result is kept without them.
         """
-        from egolane_pgm.report.strips import draw_strips
-
         place, undrawn = Path(directory), ""
         with staged(place) as folder:
             write_result(folder, self)
             try:
                 if figures:
+                    from egolane_pgm.report.strips import draw_strips
+
                     draw_strips(self, folder / "figures" / "strips.png")
             except InputError as error:
                 shutil.rmtree(folder / "figures", ignore_errors=True)
@@ -840,10 +839,7 @@ def check_writable(directory: Path, kinds: Sequence[Callable[[Path], bool]] = ()
 
 
 def is_result(directory: Path) -> bool:
-    """Whether the directory holds a whole result. One that a process which was killed was about to
-    replace is put back first."""
-    if not directory.exists():
-        clear_once(directory.absolute().parent)
+    """Whether the directory holds a whole result."""
     return all((directory / name).is_file() for name in ("run.json", "scores.json"))
 
 

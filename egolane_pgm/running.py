@@ -155,7 +155,7 @@ def believe(drive: Drive) -> Believed:
     filtered, method = made.filtered, experiment.filter
     beliefs = infer_beliefs(model.compiled, filtered, method, experiment.lag, frame_id=log.frame_id)
     assigned, doubts = ANSWERS[experiment.decode](drive, filtered, beliefs)
-    doubt = doubt_of_lanes(drive, filtered)
+    doubt = doubt_of_lanes(experiment, model, log, filtered)
     notes = (*made.notes, *doubts, *([doubt] if doubt else []))
     crossing = crossing_probability(beliefs.marginals)
     return Believed(beliefs, assigned, made.tentative, crossing, filtered, notes)

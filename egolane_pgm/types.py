@@ -10,8 +10,6 @@ from __future__ import annotations
 
 import contextlib
 import difflib
-import errno
-import re
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from itertools import pairwise
@@ -35,7 +33,7 @@ Observed = str | tuple[str, ...]
 TIE_TOLERANCE = 1e-9
 
 #: The largest number of lanes that is accepted. The widest roads have about half as many; far more
-#: is a typing error, and the tables would fill the memory.
+#: is a typing error.
 MAX_LANES = 50
 
 #: Times from here on, seconds, are since 1970: it is in March 1973, and no drive takes three years.
@@ -82,46 +80,6 @@ def in_one_line(problem: object) -> str:
     text = " ".join(line.strip() for line in str(problem).splitlines())
     text = "".join(c if c.isprintable() else c.encode("unicode_escape").decode() for c in text)
     return text if len(text) <= LONGEST else f"{text[: LONGEST - 205]} ... {text[-200:]}"
-
-
-#: The most memory that an array may take whose size is what a file or a key says, bytes. A small
-#: file can ask for any size.
-MOST_BYTES = 2 << 30
-
-
-def check_memory(n_bytes: float, where: str) -> None:
-    """Raise InputError, which begins with `where`, for more memory than MOST_BYTES."""
-    if n_bytes > MOST_BYTES:
-        raise InputError(
-            f"{where} would need {n_bytes / 2**30:,.1f} GB of memory, more than the"
-            f" {MOST_BYTES >> 30} GB that are taken"
-        )
-
-
-#: What is said where the system gives no more memory.
-NO_MEMORY = (
-    "there is not enough memory; close other programs, raise the limit (ulimit -v), or give less"
-    " at once"
-)
-
-#: How libraries say so that raise no MemoryError: OpenCV, Arrow, the system's loader, threads.
-_NO_MEMORY = re.compile(
-    r"insufficient memory|bad_alloc|cannot allocate memory|failed to map segment|malloc of size"
-    r"|can't start new thread",
-    re.IGNORECASE,
-)
-
-
-def lacks_memory(error: BaseException) -> bool:
-    """Whether an error, or one that it comes from, says that the system gives no more memory."""
-    cause: BaseException | None = error
-    while cause is not None:
-        if isinstance(cause, MemoryError) or getattr(cause, "errno", None) == errno.ENOMEM:
-            return True
-        if _NO_MEMORY.search(str(cause)):
-            return True
-        cause = cause.__cause__ or cause.__context__
-    return False
 
 
 @contextlib.contextmanager
@@ -379,9 +337,6 @@ class LineLog:
         if row_line is None:
             row_line = np.arange(len(row_frame)) - np.searchsorted(row_frame, row_frame)
         shape = (len(frame_id), int(row_line.max(initial=-1)) + 1)
-        # 18 bytes a cell, twice while they are filled in.
-        what = f"{source}: {shape[0]} frames of {shape[1]} lines each (the most that one has)"
-        check_memory(36.0 * shape[0] * shape[1], what)
 
         def padded(values: NDArray[Any], kind: type, blank: float | bool) -> NDArray[Any]:
             array: NDArray[Any] = np.full(shape, blank, dtype=kind)

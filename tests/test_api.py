@@ -299,7 +299,7 @@ def test_several_runs_are_saved_and_read_together(drive: Path, tmp_path: Path) -
 def test_a_run_that_another_process_did_comes_back_whole(drive: Path) -> None:
     plan = plan_runs([("drive", lambda: ego.load_experiment(drive))])
     (outcome,) = run_all(plan, keep=True)
-    again = pickle.loads(pickle.dumps(outcome)).run
+    again = pickle.loads(pickle.dumps(outcome)).result
     assert again.to_pandas().equals(ego.run(drive).to_pandas())
 
 
@@ -395,17 +395,6 @@ def test_the_frames_that_were_held_out_can_be_looked_at(learned: ego.LearnResult
 def test_learning_takes_one_experiment() -> None:
     with pytest.raises(ego.InputError, match="learn: takes one experiment"):
         ego.learn([QUICKSTART])  # type: ignore[arg-type]
-
-
-def test_constants_that_are_chosen_hold_nothing_out(tmp_path: Path) -> None:
-    grid = {"fit": "choose", "choice": {"grid": {"p1": [0.9, 0.95]}}}
-    chosen = ego.learn(ego.load_experiment(QUICKSTART, {**SHORT, **grid}), blocks=2)
-    assert set(chosen.parameters) == {"p1"}
-    assert "chosen on all 2 blocks: p1" in repr(chosen)
-    assert chosen.scores is None
-    with pytest.raises(ego.InputError, match="nothing is held out here"):
-        chosen.to_pandas()
-    assert ego.load_experiment(chosen.save(tmp_path)).parameters["p1"] == chosen.chosen["p1"]
 
 
 # --- tune ----------------------------------------------------------------------------------------
@@ -657,7 +646,7 @@ def test_a_comparison_keeps_what_was_believed_in_each_frame(compared: ego.Compar
     assert accuracy == pytest.approx(entry["scores"]["all_frames"]["accuracy"])
     assert "held out" in repr(run)
     assert "<td>" in run._repr_html_()
-    several = ego.Results((run, run))._repr_html_()
+    several = ego.RunResults((run, run))._repr_html_()
     assert f"{accuracy:.3f}" in several
     assert "held out" in several
     with pytest.raises(ego.InputError, match="was not held out here; there are quickstart, seed 0"):
@@ -700,7 +689,6 @@ def test_graphs_on_a_run_of_the_paper_are_in_sample(recordings: Path, tmp_path: 
 @pytest.mark.parametrize(
     ("given", "said"),
     [
-        ({"learned_on": "1"}, "goes with experiments"),
         ({"experiments": QUICKSTART, "with_paper": True}, "goes with experiments and --runs"),
         ({"experiments": QUICKSTART, "trials": 3, "trials_per_number": 3}, "instead of --trials"),
         ({"experiments": 3}, "compare: 3 is neither one nor a list"),

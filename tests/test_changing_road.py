@@ -30,7 +30,7 @@ def run(**overrides: Any) -> Any:
 
 def test_lanes_beyond_those_of_the_map_have_no_probability() -> None:
     done = run()
-    result = done.result
+    result = done
     assert len(np.unique(result.road_lanes)) > 1
     beyond = np.arange(1, result.n_lanes + 1) > result.road_lanes[:, None]
     # Around the map's place a lane may be there already, or still.
@@ -43,7 +43,7 @@ def test_lanes_beyond_those_of_the_map_have_no_probability() -> None:
 
 def test_position_in_lane_follows_lanes_that_begin_and_end() -> None:
     done = ego.run(PLACE.parent / "position.yaml", overrides=SHORT)
-    result = done.result
+    result = done
     assert len(np.unique(result.road_lanes)) > 1
     beyond = np.arange(1, result.n_lanes + 1) > result.road_lanes[:, None]
     assert result.marginals["Lane"][beyond].max() < 1e-12
@@ -63,7 +63,7 @@ def test_scores_say_how_well_lanes_are_known_behind_a_change() -> None:
 
 
 def test_a_strip_is_blank_where_the_map_has_no_lane() -> None:
-    result = run().result
+    result = run()
     strips = strip_columns(result, 0, 1199)
     assert strips.road_lanes is not None
     np.testing.assert_array_equal(strips.road_lanes, result.road_lanes)
@@ -97,8 +97,8 @@ def test_graphs_are_compared_on_a_road_from_a_map() -> None:
     compared = [PLACE, PLACE.parent / "position.yaml"]
     found = ego.compare(compared, overrides=SHORT)
     for place, name in zip(compared, ("interchange", "position_interchange"), strict=True):
-        alone = ego.run(place, overrides=SHORT).result
-        together = found["interchange, seed 1", name].result
+        alone = ego.run(place, overrides=SHORT)
+        together = found["interchange, seed 1", name]
         lane = together.marginals["Lane"]
         np.testing.assert_allclose(lane, alone.marginals["Lane"], rtol=0, atol=1e-12)
 

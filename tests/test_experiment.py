@@ -115,8 +115,39 @@ def test_unknown_keys_are_named_before_any_other_problem() -> None:
         "unknown key 'filtr' (did you mean 'filter'?)",
         "n_lanes: input should be greater than or equal to 1 (got 0)",
     ]
+    assert wrong_in(recording={"path": "a.bag", "frame_rate": 1e308}) == [
+        "recording.frame_rate: input should be less than or equal to 1000000 (got 1e+308)"
+    ]
     [line] = wrong_in(qqqq=1)
-    assert "(known: choice, decode, description, evidence, evidence_reading, filter," in line
+    assert "(known: decode, description, evidence, evidence_reading, filter," in line
+
+
+def test_numbers_that_are_a_slip_of_the_hand_are_refused() -> None:
+    assert wrong_in(
+        tuning={"trials": 10**18}, learning={"iterations": 10**18, "strength": 1e100}
+    ) == [
+        "learning.strength: input should be less than or equal to 1000000000 (got 1e+100)",
+        "learning.iterations: input should be less than or equal to 1000000 (got"
+        " 1000000000000000000)",
+        "tuning.trials: input should be less than or equal to 10000000 (got 1000000000000000000)",
+    ]
+
+
+@pytest.mark.parametrize(
+    ("evidence", "graph", "key", "most"),
+    [
+        ("line_geometry", "position_in_lane", "cells", 100),
+        ("line_geometry", "position_in_lane", "motion_bins", 1000),
+        ("counting_levels", "wor_levels", "wor_levels", 100),
+        ("counting", "failure_duration", "failure_phases", 100),
+    ],
+)
+def test_nodes_of_too_many_values_are_refused(
+    evidence: str, graph: str, key: str, most: int
+) -> None:
+    experiment = made(evidence=evidence, graph=graph, parameters={key: 10**9})
+    with pytest.raises(InputError, match=f"parameters.{key}: 1000000000 must be at most {most}"):
+        prepare_model(experiment)
 
 
 def test_every_key_that_does_not_fit_is_named_at_once() -> None:
@@ -359,8 +390,7 @@ def rich() -> Experiment:
         recording={"path": "a", "options": {"x": [1, {"y": [2]}]}, "detector_parameters": {"a": 1}},
         parameters={"lane_widths": [1, 2, 1], "table": {"rows": [[1, 2], [3, 4]]}},
         tuning={"parameters": {"p1": [0.5, 0.9]}},
-        choice={"grid": {"alpha": [0.1, [1, 2]]}},
-        learned_on=["a.yaml"],
+        learning={"tables": ["Lane"]},
     )
 
 
@@ -375,7 +405,7 @@ def test_nothing_in_an_experiment_can_be_changed() -> None:
         for each in inner:
             yield from parts(each)
 
-    copied = rich().model_copy(update={"parameters": {"a": [1]}, "learned_on": ["b.yaml"]})
+    copied = rich().model_copy(update={"parameters": {"a": [1]}})
     for experiment in (rich(), copied, rich().model_copy(deep=True), made()):
         for part in parts(experiment):
             assert not isinstance(part, (list, set)), part
@@ -475,7 +505,7 @@ def test_what_is_overridden_is_meant_for_the_recording_that_is_named(tmp_path: P
     options = with_recording(old, str(tmp_path / "b.csv"), None, 2, overrides=overrides)
     assert options.n_lanes == 2
     for other in ({"recording.path": "c.csv"}, {"recording.simulate": "a4"}):
-        with pytest.raises(InputError, match="two of them; leave one away"):
+        with pytest.raises(InputError, match="two of them; leave one out"):
             with_recording(old, str(tmp_path / "b.csv"), None, None, overrides=other)
 
 

@@ -144,9 +144,8 @@ def test_stretches_are_those_that_brute_force_finds(frames: list[tuple[bool, flo
 
 
 def with_belief(labels: Labels, belief: FloatArray) -> Labels:
-    marginals = {**labels.run.beliefs.marginals, "Lane": belief}
-    beliefs = replace(labels.run.beliefs, marginals=marginals)
-    return replace(labels, run=replace(labels.run, beliefs=beliefs))
+    marginals = {**labels.run.marginals, "Lane": belief}
+    return replace(labels, run=replace(labels.run, marginals=marginals))
 
 
 def test_frames_whose_label_is_not_sure_are_reviewed_but_for_lane_changes() -> None:
@@ -190,8 +189,7 @@ def test_the_review_says_what_makes_frames_hard() -> None:
     log = labels.run.lines
     blind = log.is_valid.copy()
     blind[100:110] = False
-    recorded = replace(labels.run.recorded, log=replace(log, is_valid=blind))
-    changed = replace(labels, run=replace(labels.run, recorded=recorded))
+    changed = replace(labels, run=replace(labels.run, lines=replace(log, is_valid=blind)))
     assert "no valid line in 100% of the frames" in changed.stretch(100, 110).why
     assert "no valid line" not in changed.stretch(110, 120).why or (~blind[110:120].any(1)).any()
     assert labels.stretch(0, 5).why.startswith("the recording begins")
@@ -280,8 +278,8 @@ def test_scores_are_those_that_one_counts_by_hand() -> None:
     assert truth is not None
     # Every seventh annotation is another lane than the label.
     lane = np.where(np.arange(300) % 7 == 0, labels.lane % 3 + 1, labels.lane)
-    changed = replace(labels.run.recorded, truth=replace(truth, lane=lane))
-    labels = replace(labels, run=replace(labels.run, recorded=changed))
+    assert len(truth) == 300
+    labels = replace(labels, run=replace(labels.run, true_lane=lane))
     keep = np.flatnonzero(~truth.is_crossing)
     order = keep[np.argsort(-labels.confidence[keep], kind="stable")]
     found = label_scores(labels)

@@ -20,9 +20,6 @@ from egolane_pgm.paper import SCORES, Reproduced
 from egolane_pgm.recordings.ground_truth import read_ground_truth
 from egolane_pgm.recordings.rosbag import read_rosbag
 from egolane_pgm.running import run_experiment
-from egolane_pgm.tuning import recover as recovering
-from egolane_pgm.tuning.recover import Recovered
-from egolane_pgm.types import InputError
 from tests.conftest import needs_compiler
 from tests.kits.drives import command, done, refused, short_drive, write_drive
 from tests.reference import counting
@@ -32,6 +29,9 @@ RUNS = range(1, 11)
 
 #: Frames off in the model matrices with the parameters as printed, truncated to three decimals.
 PUBLISHED_OFF = (3, 15, 16, 9, 39, 2, 1, 2, 1, 65)
+
+#: The published parameters are truncated to three decimals: the value used was below this higher.
+TRUNCATION = 0.001
 
 #: Scores of the model that these parameters move past a second digit, up to the printed one.
 PUBLISHED_BELOW = {(2, "precision"), (2, "log_loss"), (3, "log_loss")}
@@ -62,7 +62,10 @@ def assert_published_matrices(runs: Sequence[Reproduced]) -> None:
         assert r.model_frames_off <= at_most, r.number
         total += r.detector_frames_off + r.model_frames_off
     assert total <= 3
-    assert sum(np.sum(r.run.scores[k]["confusion"]) for r in runs for k in r.run.scores) == 156_028
+    assert (
+        sum(np.sum(r.run.scores[k]["confusion"]) for r in runs for k in ("detector", "model"))
+        == 156_028
+    )
 
 
 @needs_compiler
@@ -183,60 +186,7 @@ def test_what_was_recovered_lies_in_the_box_of_the_truncated_values() -> None:
             if name == "bonus_value":
                 assert used[name] == printed
             else:
-                assert printed <= used[name] < printed + recovering.TRUNCATION, (number, name)
-
-
-@needs_compiler
-@pytest.mark.parametrize("number", [7, 9])
-def test_the_search_is_seeded_and_finds_a_set_without_a_frame_off(
-    recordings: Path, number: int
-) -> None:
-    found = recovering.recover(number, evaluations=200, seed=0)
-    assert found.frames_off == 0
-    assert recovering.recover(number, evaluations=200, seed=0) == found
-    other = recovering.recover(number, evaluations=200, seed=1)
-    assert other.parameters != found.parameters
-
-
-@needs_compiler
-def test_the_search_stops_at_its_evaluations_with_the_best_so_far(recordings: Path) -> None:
-    said: list[tuple[int, int]] = []
-    found = recovering.recover(10, evaluations=100, progress=lambda n, off: said.append((n, off)))
-    assert found.evaluations == 100
-    assert said == [(100, found.frames_off)], "so many trials more"
-    assert 0 < found.frames_off < PUBLISHED_OFF[9]
-
-
-@pytest.mark.parametrize("number", [1, 5, 10])
-def test_storing_a_recovered_set_leaves_the_rest_of_the_file_as_it_was(
-    tmp_path: Path, number: int
-) -> None:
-    copy = Path(shutil.copy(paper.published_path(), tmp_path / "published.yaml"))
-    before = paper.load_published(copy)
-    parameters = {**before[number]["parameters"], "sigma1": 0.1 + 0.2}
-    found = Recovered(parameters, 3, 17)
-    for _ in range(2):  # a set that is there already is replaced
-        recovering.store_recovered(number, found, "by hand, for a test", copy)
-    after = paper.load_published(copy)
-    assert after[number].pop("recovered") == {
-        "parameters": parameters,
-        "frames_off": 3,
-        "evaluations": 17,
-        "how": "by hand, for a test",
-    }
-    before[number].pop("recovered", None)
-    assert after == before
-    old, new = (p.read_text().splitlines() for p in (paper.published_path(), copy))
-    is_other = [not line.startswith(("    recovered:", "      ")) for line in new]
-    assert [line for line, other in zip(new, is_other, strict=True) if other] == [
-        line for line in old if not line.startswith(("    recovered:", "      "))
-    ]
-
-
-def test_a_published_file_that_is_not_there_is_named(tmp_path: Path) -> None:
-    found = Recovered(paper.load_published()[7]["parameters"], 0, 1)
-    with pytest.raises(InputError, match=r"gone\.yaml: cannot be read"):
-        recovering.store_recovered(7, found, "x", tmp_path / "gone.yaml")
+                assert printed <= used[name] < printed + TRUNCATION, (number, name)
 
 
 @pytest.mark.parametrize(
@@ -298,23 +248,6 @@ def test_a_published_matrix_that_is_off_still_ends_well(recordings: Path, tmp_pa
     assert "classified frames" not in shown  # nothing but the table
 
 
-@needs_compiler
-def test_recover_prints_and_writes_what_it_found(recordings: Path, tmp_path: Path) -> None:
-    target = tmp_path / "found.json"
-    shown = done("recover", "--run", "9", "--evaluations", "5", "--json", target).stdout
-    document = json.loads(target.read_text())
-    assert set(document) == {
-        "schema_version",
-        "run",
-        "frames_off",
-        "evaluations",
-        "seed",
-        "parameters",
-    }
-    assert yaml.safe_load(shown.splitlines()[1]) == document["parameters"]
-    assert f"{document['frames_off']} frames off after {document['evaluations']}" in shown
-
-
 def test_without_the_recordings_it_is_said_how_to_get_them(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -363,6 +296,7 @@ def stand_in(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> dict[str, Any]:
         write_drive(folder, N_FRAMES, parameters=PRINTED, name="run02"), folder / "run02_x.yaml"
     )
     entry: dict[str, Any] = {"run": 2, "n_lanes": 3, "parameters": PRINTED}
+    entry["recovered"] = {"parameters": USED}
     for ours, theirs in (("detector", "detector_only"), ("model", "model")):
         scores = truth.scores[ours]
         entry[theirs] = {
@@ -377,20 +311,13 @@ def stand_in(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> dict[str, Any]:
     return entry
 
 
-def test_the_search_finds_what_truncation_took_away(stand_in: dict[str, Any]) -> None:
-    before = paper.reproduce_run(2, "published")
+def test_what_truncation_took_away_the_recovered_parameters_have(stand_in: dict[str, Any]) -> None:
+    before, after = (paper.reproduce_run(2, which) for which in ("published", "recovered"))
     assert before.detector_frames_off == 0
-    found = recovering.recover(2, evaluations=2000)
-    assert found.frames_off == 0
     assert before.model_frames_off == 4
-    for name, printed in PRINTED.items():
-        assert printed <= found.parameters[name] < printed + recovering.TRUNCATION
-    recovering.store_recovered(2, found, "found in a test")
-    after = paper.reproduce_run(2, "recovered")
     assert after.model_frames_off == 0
-    assert after.run.experiment.parameters == found.parameters
+    assert after.run.experiment.parameters == USED
     assert after.run.scores["model"]["confusion"] == stand_in["model"]["confusion"]
-    assert paper.reproduce_run(2, "published").model_frames_off == before.model_frames_off
 
 
 def test_frames_off_are_counted_against_the_published_matrix(stand_in: dict[str, Any]) -> None:
@@ -406,18 +333,9 @@ def test_frames_off_are_counted_against_the_published_matrix(stand_in: dict[str,
     result = paper.reproduce_run(2, "published")
     assert result.model_frames_off == 5
     assert result.detector_frames_off == 0
-    found = recovering.recover(2, evaluations=1)
-    assert (found.frames_off, found.evaluations) == (5, 1)
 
 
-def test_the_commands_print_store_and_compare(stand_in: dict[str, Any], tmp_path: Path) -> None:
-    found = tmp_path / "found.json"
-    shown = done("recover", "--run", "2", "--evaluations", "300", "--write", "--json", found).stdout
-    document = json.loads(found.read_text())
-    assert document["frames_off"] == 0
-    assert "written to" in shown
-    assert yaml.safe_load(shown.splitlines()[1]) == document["parameters"]
-
+def test_the_commands_print_and_compare(stand_in: dict[str, Any], tmp_path: Path) -> None:
     target = tmp_path / "all.json"
     words = ("--runs", "2", "--matrices", "--out", tmp_path / "kept", "--json", target)
     shown = done("reproduce", *words).stdout

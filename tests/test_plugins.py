@@ -136,8 +136,7 @@ def test_parameters_of_files_of_ones_own_are_checked_as_any_other(tmp_path: Path
         (PLAIN.replace("network.add", "'no'.add"), "g.py cannot be imported: AttributeError: "),
         (PLAIN, "the graph does not say what it observes (OBSERVED), nor the evidence rule what"),
         ("raise ValueError('on', 'two\\nlines')", "cannot be imported: ValueError: ('on', 'two"),
-        ("x = 1\nimport sys; sys.exit('end')", "cannot be imported: SystemExit: end (line 2)"),
-        (GRAPH.replace("stay = ", "exit(3); stay = "), "g.py, line 7: SystemExit: 3"),
+        ("x = 1\n1 / 0", "g.py cannot be imported: ZeroDivisionError: division by zero (line 2)"),
         (GRAPH.replace("return declare", "declare"), "build() gave NoneType, not a pgmpy network"),
         (GRAPH.replace("stay = ", "stay = 1 / 0 + "), "g.py, line 7: ZeroDivisionError"),
         (GRAPH.replace("return declare", "return 3 #"), "build() gave int, not a pgmpy network"),
@@ -239,19 +238,6 @@ def test_a_file_that_an_override_names_is_found_from_where_one_stands(
     assert "ok" in done("validate", experiment, "--set", "graph=no_wor").stdout
     monkeypatch.chdir(tmp_path)
     assert "graph: no file" in refused("validate", experiment, *words)
-
-
-def test_what_a_file_of_ones_own_prints_goes_to_standard_error(tmp_path: Path) -> None:
-    say = "print('{}')\n"
-    write(tmp_path / "g.py", say.format("graph read") + textwrap.dedent(GRAPH))
-    write(tmp_path / "r.py", RULE.replace("    seen =", "    print('rule asked')\n        seen ="))
-    text = (tmp_path / "g.py").read_text().replace("    stay", "    print('built')\n    stay")
-    (tmp_path / "g.py").write_text(text)
-    experiment = write_drive(tmp_path, 20, graph="./g.py", evidence="./r.py")
-    ran = done("run", experiment, "--no-figures", "--out", tmp_path / "out")
-    for said in ("graph read\n", "built\n", "rule asked\n"):
-        assert said in ran.stderr
-        assert said not in ran.stdout
 
 
 @pytest.mark.parametrize(
@@ -360,6 +346,7 @@ def test_two_files_of_the_same_name_are_two_modules(tmp_path: Path) -> None:
     assert load_plugin("graphs", "./g.py", tmp_path / "a", "x") is one
     write(tmp_path / "a" / "g.py", "build = HIDDEN = OBSERVED = 3")
     assert load_plugin("graphs", "g.py", tmp_path / "a", "x").build == 3  # changed since
+    assert not (tmp_path / "a" / "__pycache__").exists()
 
 
 def test_a_defect_of_the_package_is_not_taken_for_a_users_mistake(

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import os
-import signal
 import subprocess
 from collections.abc import Callable
 from pathlib import Path
@@ -30,11 +29,9 @@ from egolane_pgm.results import (
 )
 from egolane_pgm.running import run_experiment
 from egolane_pgm.scoring.assign import assigned_lane
-from egolane_pgm.tools import files
 from egolane_pgm.tools.files import file_sha256, plain, write_json
 from egolane_pgm.types import InputError
-from tests.kits.drives import contents, done, geometry, refused, simulated, write_drive
-from tests.kits.processes import started
+from tests.kits.drives import command, contents, done, geometry, refused, simulated, write_drive
 
 
 @pytest.fixture(scope="module")
@@ -143,7 +140,7 @@ def test_the_experiment_of_a_result_directory_gives_the_same_result_again(
     for node in one.marginals:
         np.testing.assert_array_equal(one.marginals[node], other.marginals[node])
     assert one.scores == other.scores
-    assert one.experiment == other.experiment
+    assert one.config == other.config
     assert [d["sha256"] for d in one.run["data"]] == [d["sha256"] for d in other.run["data"]]
 
 
@@ -169,12 +166,12 @@ def test_the_lane_changes_of_a_result_are_a_table_of_it(tmp_path: Path) -> None:
     result = read_result(saved)
     table = pd.read_csv(saved / "events.csv")
     assert "nan" not in (saved / "events.csv").read_text()
-    assert len(table) == run.events["told"] > 0
-    assert table["delay_s"].notna().sum() == run.events["within"]["2"]["right"]
+    assert len(table) == run.scores["events"]["told"] > 0
+    assert table["delay_s"].notna().sum() == run.scores["events"]["within"]["2"]["right"]
     pd.testing.assert_frame_equal(table, result.events.to_pandas().round(6))
     crossing = parquet.read_table(saved / "beliefs.parquet").column("crossing").to_numpy()
     np.testing.assert_array_equal(crossing, crossing_probability(run.beliefs.marginals))
-    assert result.scores["events"] == plain(run.events)
+    assert result.scores["events"] == run.scores["events"]
 
 
 def test_beliefs_that_come_late_tell_late(tmp_path: Path) -> None:
@@ -185,7 +182,7 @@ def test_beliefs_that_come_late_tell_late(tmp_path: Path) -> None:
     found = read_result(saved).events
     np.testing.assert_allclose(found.late_s, at_once.late_s + 0.7)
     assert found.delay_s is not None
-    assert lagged.events["delay_s"]["median"] == np.nanmedian(found.delay_s)
+    assert lagged.scores["events"]["delay_s"]["median"] == np.nanmedian(found.delay_s)
 
 
 def test_json_has_plain_numbers_and_null_for_what_is_no_number(tmp_path: Path) -> None:
@@ -466,8 +463,6 @@ def test_an_interruption_around_the_renaming_leaves_one_whole_result(
             raise error
         return moved
 
-    # As where the system does not exchange two directories in one step.
-    monkeypatch.setattr(files, "_exchanged", lambda *_: False)
     monkeypatch.setattr(Path, "rename", interrupted)
     with pytest.raises((KeyboardInterrupt, InputError)), staged(result) as folder:
         fill(folder)
@@ -546,45 +541,21 @@ def test_check_writable_allows_new_empty_and_earlier_directories_only(tmp_path: 
     assert {p.name for p in tmp_path.iterdir()} == {"result", "empty"}
 
 
-#: `egolane run` that stops, with everything written, right before the directory gets its name.
-STOPS = """
-import time
-import egolane_pgm.report.strips as sheet
-def draw(result, path):
-    print("drawing", path.parents[1], flush=True)
-    time.sleep(60)
-sheet.draw_strips = draw
-"""
-
-
-@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGKILL])
-def test_a_killed_run_leaves_no_result_and_an_earlier_one_untouched(
-    drive: Path, saved: Path, tmp_path: Path, number: int
+@pytest.mark.parametrize("is_there", [False, True])
+def test_an_interrupted_run_leaves_no_result_and_an_earlier_one_untouched(
+    drive: Path, saved: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, is_there: bool
 ) -> None:
-    is_there = number == signal.SIGKILL
+    def interrupted(_: object, path: Path) -> None:
+        assert is_result(path.parents[1])
+        raise KeyboardInterrupt
+
     result = tmp_path / "result"
     if is_there:
         damaged(saved, tmp_path, lambda copy: copy.rename(result))
-    before = contents(result)
-    process = started("run", drive, "--out", result, first=STOPS)
-    assert process.stdout is not None
-    said, _, half = process.stdout.readline().strip().partition(" ")
-    assert said == "drawing"
-    assert is_result(Path(half))
-    process.send_signal(number)
-    _, error = process.communicate(timeout=120)
-    assert result.exists() == is_there
-    assert contents(result) == before
-    if number == signal.SIGINT:
-        assert process.returncode == 130
-        assert error == (
-            "egolane: interrupted; nothing was left half-written; the same command begins anew\n"
-        )
-        assert list(tmp_path.iterdir()) == []
-    else:
-        assert process.returncode == -signal.SIGKILL
-        # What a kill cannot clean up is hidden and has no result's name.
-        assert all(p.name.startswith(".egolane-") for p in tmp_path.iterdir() if p != result)
+    before = contents(tmp_path)
+    monkeypatch.setattr("egolane_pgm.report.strips.draw_strips", interrupted)
+    assert command("run", drive, "--out", result).exit_code == 130
+    assert contents(tmp_path) == before
 
 
 def test_a_result_goes_into_the_current_directory_too(

@@ -182,7 +182,7 @@ def test_crossing_frames_are_filtered_but_not_scored(drive: Experiment) -> None:
     n_crossing = int(truth.is_crossing.sum())
     assert 0 < n_crossing < N_FRAMES
     assert len(run.beliefs) == N_FRAMES
-    for scores in run.scores.values():
+    for scores in (run.scores["model"], run.scores["detector"]):
         assert np.sum(scores["confusion"]) == scores["frames_scored"] == N_FRAMES - n_crossing
     assigned = assigned_lane(run.beliefs.lane)[~truth.is_crossing]
     right = (assigned == truth.lane[~truth.is_crossing]).mean()
@@ -191,7 +191,6 @@ def test_crossing_frames_are_filtered_but_not_scored(drive: Experiment) -> None:
 
 def test_without_ground_truth_there_are_beliefs_and_no_scores(drive: Experiment) -> None:
     run = run_experiment(changed(drive, ground_truth=None))
-    assert run.scores == {}
     assert len(run.beliefs) == N_FRAMES
     said = run.scores
     assert not {"detector", "model"} & set(said)
@@ -213,7 +212,7 @@ def test_a_simulated_drive_brings_its_own_ground_truth(tmp_path: Path) -> None:
     )
     one, other = run_experiment(path), run_experiment(path)
     np.testing.assert_array_equal(one.beliefs.lane, other.beliefs.lane)
-    assert one.recorded.files == ()
+    assert one.run["data"] == []
     assert "accuracy" in one.scores["model"]
     another = run_experiment(load_experiment(path, ["recording.seed=6"]))
     assert (another.beliefs.lane != one.beliefs.lane).any()
@@ -317,7 +316,8 @@ def test_a_result_is_kept_where_its_figures_cannot_be_drawn(
     with pytest.raises(InputError) as caught:
         run.save(out)
     assert str(caught.value) == (
-        f"{out}/figures/strips.png: cannot be written: disk full; the result without figures is in {out}"
+        f"{out}/figures/strips.png: cannot be written: disk full; the result without figures"
+        f" is in {out}"
     )
     assert is_result(out)
     assert not (out / "figures").exists()
@@ -375,7 +375,7 @@ def test_several_processes_give_what_one_gives(experiments, tmp_path):
         list(run_many.run_all(tasks(experiments, tmp_path / str(jobs)), jobs=jobs))
         for jobs in (1, 2)
     )
-    assert [o.summary for o in one] == [o.summary for o in two]
+    assert [o.scores for o in one] == [o.scores for o in two]
 
 
 def test_all_well_is_exit_code_0(experiments, tmp_path):
@@ -435,7 +435,7 @@ def test_a_process_that_dies_leaves_the_results_of_the_others(experiments, tmp_p
     assert len(done) == 3
     assert done[2].error == "its process, or one beside it, died (killed, or out of memory?)"
     for outcome in done:
-        assert (outcome.error is None) == (outcome.summary is not None)
+        assert (outcome.error is None) == (outcome.scores is not None)
         if outcome.error is None:
             assert is_result(outcome.directory)
 

@@ -5,7 +5,6 @@ from __future__ import annotations
 import os
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -13,7 +12,6 @@ from numpy.typing import ArrayLike
 
 from egolane_pgm.api.given import several_of
 from egolane_pgm.comparing import compare_graphs, compare_json
-from egolane_pgm.comparing.choose import losses_by_experiment, plan
 from egolane_pgm.comparing.document import parse_comparison
 from egolane_pgm.comparing.graphs import with_graphs
 from egolane_pgm.comparing.groups import (
@@ -27,7 +25,6 @@ from egolane_pgm.comparing.groups import (
     on_runs,
 )
 from egolane_pgm.comparing.lags import check_lags
-from egolane_pgm.comparing.learned_on import learned_elsewhere
 from egolane_pgm.comparing.placing import recording_key
 from egolane_pgm.comparing.saving import folder_of
 from egolane_pgm.experiment import Given, Overrides, load_experiment
@@ -316,24 +313,15 @@ def compare_recordings(
     Raises InputError where no recording could be compared; Ctrl-C where none was.
     """
 
-    def show(found: Iterator[Any], total: int, doing: str, unit: str) -> Iterable[Any]:
-        shows: Iterable[Any] = bar(
-            found, progress if total else False, jobs=jobs, desc=doing, total=total, unit=unit
-        )
+    def show(found: Iterator[Any], total: int) -> Iterable[Any]:
+        shows: Iterable[Any] = bar(found, progress, desc="searching", total=total, unit="search")
         return shows
 
-    tasks = plan([e for group in groups for e in group.experiments], settings.blocks)
-    choosing = partial(show, doing="choosing", unit="recording")
-    known = losses_by_experiment(tasks, jobs, choosing)
-    searching = partial(show, doing="searching", unit="search")
-    done = compare_groups(groups, settings, jobs=jobs, known=known, show=searching)
-    # Processes share the searches, or else the recordings.
-    is_searched = any(e.fit == "tune" for group in groups for e in group.experiments)
-    at_work = 1 if is_searched else jobs
+    done = compare_groups(groups, settings, jobs=jobs, show=show)
     compared: list[Any] = []
     stopped = None
     try:
-        compared.extend(bar(done, progress, jobs=at_work, total=len(groups), unit="recording"))
+        compared.extend(bar(done, progress, total=len(groups), unit="recording"))
     except KeyboardInterrupt as reason:
         # The recordings that were compared before the interruption are kept.
         if not compared:
@@ -362,7 +350,6 @@ def compare(
     held_out: bool = False,
     with_paper: bool = False,
     parameters: str = "recovered",
-    learned_on: str | Sequence[str] = (),
     health: bool = False,
     events: bool = False,
     lags: ArrayLike = (),
@@ -387,8 +374,6 @@ def compare(
     - held_out: whether each graph is tuned without the block that is scored.
     - with_paper: whether the paper's model comes first, with `runs`.
     - parameters: of the paper's model, "recovered" or "published".
-    - learned_on: recordings to learn from instead, runs or files with commas between; a column for
-      each of a list.
     - health: whether to score how well each tells that the detector is wrong.
     - events: whether to score the lane changes that each tells of.
     - lags: seconds; how right beliefs are that wait for later frames, for each of them. See
@@ -419,9 +404,8 @@ def compare(
     """
     given = several_of(experiments, "compare")
     names = graph_names(graphs, bool(given))
-    learned = [os.fspath(each) for each in several_of(learned_on, "learned_on")]
-    check_options(bool(given), runs, with_paper, bool(learned), trials, trials_per_number)
-    drives = fleet_of(fleet, bool(given), runs, bool(learned))
+    check_options(bool(given), runs, with_paper, trials, trials_per_number)
+    drives = fleet_of(fleet, bool(given), runs)
     waits = check_lags(lags)
     if not given and not held_out:
         if waits:
@@ -431,9 +415,7 @@ def compare(
         return compare_on_runs(names, parse_runs(runs or "1-10"), parameters, progress=progress)
     fit = "tune" if held_out else None
     numbers = parse_runs(runs) if runs else None
-    groups = groups_of(
-        given, names, fit, numbers, with_paper, parameters, learned, overrides, drives
-    )
+    groups = groups_of(given, names, fit, numbers, with_paper, parameters, overrides, drives)
     with temporary_folder() as temporary:
         folder = temporary if out is None else Path(out)
         searched = (trials_per_number, _seeds(seeds))
@@ -450,13 +432,13 @@ def compare(
 
 
 def fleet_of(
-    fleet: str | os.PathLike[str] | None, has_experiments: bool, runs: Any, has_learned: bool
+    fleet: str | os.PathLike[str] | None, has_experiments: bool, runs: Any
 ) -> tuple[FleetDrive, ...]:
     """The drives of `fleet`. Raises InputError for what does not go with one."""
     if fleet is None:
         return ()
-    if not has_experiments or runs or has_learned:
-        raise InputError("--fleet: goes with experiments, without --runs and --learned-on")
+    if not has_experiments or runs:
+        raise InputError("--fleet: goes with experiments, without --runs")
     return read_fleet(os.fspath(fleet))
 
 
@@ -481,13 +463,10 @@ def check_options(
     has_experiments: bool,
     runs: Runs | None,
     with_paper: bool,
-    has_learned: bool,
     trials: int | None,
     trials_per_number: int | None,
 ) -> None:
     """Raise InputError for arguments of `compare` that do not go together."""
-    if has_learned and not has_experiments:
-        raise InputError("--learned-on: goes with experiments")
     if with_paper and not (has_experiments and runs):
         raise InputError("--with-paper: goes with experiments and --runs")
     if trials and trials_per_number:
@@ -501,7 +480,6 @@ def groups_of(
     numbers: Sequence[int] | None,
     with_paper: bool,
     which: str,
-    learned_on: Sequence[str],
     overrides: Overrides,
     drives: Sequence[FleetDrive] = (),
 ) -> list[Group]:
@@ -520,8 +498,6 @@ def groups_of(
         is_placed = numbers is not None or bool(drives)
         places = 1 if is_placed else len({recording_key(model) for model in models})
         models = with_graphs(models, graphs, fit=fit, is_shared=places < len(models))
-    if learned_on:
-        models = learned_elsewhere(models, learned_on, numbers is not None)
     if drives:
         return on_fleet(models, drives, overrides)
     if numbers is None:

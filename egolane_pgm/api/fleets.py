@@ -142,7 +142,7 @@ def run_fleet(
     done: list[OneOfSeveral] = []
     try:
         found = run_all(plan, jobs=jobs, resume=True)
-        done.extend(bar(found, progress, jobs=jobs, total=len(plan), unit="drive"))
+        done.extend(bar(found, progress, total=len(plan), unit="drive"))
     except KeyboardInterrupt:
         raise KeyboardInterrupt(
             f"{len(done)} of {len(plan)} drives are in {folder}; the same command goes on"

@@ -11,7 +11,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from egolane_pgm.api.fleets import DriveTable, experiments_of
-from egolane_pgm.comparing.choose import chosen_on_all, learns, plan, try_all
 from egolane_pgm.comparing.placing import parts_of_fleet
 from egolane_pgm.drive import Drive, with_own_rate
 from egolane_pgm.experiment import Experiment, Given, Overrides, load_experiment
@@ -22,8 +21,7 @@ from egolane_pgm.learning.fleet import SHARED, LearnedFleet
 from egolane_pgm.learning.fleet import learn_fleet as learn_together
 from egolane_pgm.learning.held_out import load_to_learn
 from egolane_pgm.learning.tables import PREFIX
-from egolane_pgm.model import Model, causality, prepare_model
-from egolane_pgm.parameters import Value
+from egolane_pgm.model import Model, causality
 from egolane_pgm.report import shown
 from egolane_pgm.report.fleet_table import fleet_table_rows
 from egolane_pgm.report.tables import score_rows, with_interval
@@ -43,12 +41,11 @@ if TYPE_CHECKING:
 class LearnResult:
     """What was learned from a recording, and what it is worth on frames that it has not seen.
 
-    - experiment: what was learned from, with the constants that were chosen (`fit: choose`).
+    - experiment: what was learned from.
     - model: the experiment's, before.
     - blocks: how many blocks were held out in turn.
-    - chosen: the constants that were chosen, by name.
-    - learned: what was learned beside these; None where nothing was.
-    - held_out: each block believed with what was learned from the others; None as `learned`.
+    - learned: what was learned.
+    - held_out: each block believed with what was learned from the others.
     - notes: warnings, a line each.
 
     >>> import egolane_pgm as ego
@@ -64,9 +61,8 @@ class LearnResult:
     experiment: Experiment
     model: Model
     blocks: int
-    chosen: Mapping[str, Value]
-    learned: Learned | None
-    held_out: Result | None
+    learned: Learned
+    held_out: Result
     notes: tuple[str, ...]
 
     @property
@@ -76,27 +72,19 @@ class LearnResult:
 
     @property
     def parameters(self) -> dict[str, Any]:
-        """What was learned and chosen, by name; tables as nested lists."""
-        if self.learned is None:
-            return dict(self.chosen)
+        """What was learned, by name; tables as nested lists."""
         plain = {k: v for k, v in self.learned.parameters.items() if not k.startswith(PREFIX)}
-        return {**self.chosen, **plain, **self.learned.tables()}
+        return {**plain, **self.learned.tables()}
 
     @property
     def scores(self) -> dict[str, Any] | None:
         """Held out, over the frames whose labels can be trusted; None where nothing is scored."""
-        if self.learned is None or self.learned.scores is None:
-            return None
-        return dict(self.learned.scores)
+        return None if self.learned.scores is None else dict(self.learned.scores)
 
     def __repr__(self) -> str:
         return f"LearnResult({self._title()})"
 
     def _title(self) -> str:
-        if self.learned is None:
-            said = ", ".join(f"{name} {value}" for name, value in self.chosen.items())
-            return f"{self.name!r}: chosen on all {self.blocks} blocks: {said}"
-        assert self.held_out is not None
         parts = [f"{self.name!r}: {self.blocks} blocks"]
         if self.scores is not None:
             interval = self.scores["intervals"]["accuracy"]
@@ -112,25 +100,16 @@ class LearnResult:
 
     def to_pandas(self) -> pd.DataFrame:
         """The frames as they were believed held out, with their `block`; see
-        `Result.to_pandas`. Raises InputError where nothing was learned."""
-        return self._held_out().to_pandas()
+        `Result.to_pandas`."""
+        return self.held_out.to_pandas()
 
     def to_xarray(self) -> xr.Dataset:
         """The same as a data set; see `Result.to_xarray`."""
-        return self._held_out().to_xarray()
+        return self.held_out.to_xarray()
 
     def plot(self, first: int | None = None, last: int | None = None) -> Figure:
-        """Draw the beliefs held out as strips; see `Result.plot`. Raises InputError where
-        nothing was learned."""
-        return self._held_out().plot(first, last)
-
-    def _held_out(self) -> Result:
-        if self.held_out is None:
-            raise InputError(
-                f"{self.experiment.source}: constants were chosen, and nothing was learned, so that"
-                " nothing is held out here; `compare` chooses without each block that it scores"
-            )
-        return self.held_out
+        """Draw the beliefs held out as strips; see `Result.plot`."""
+        return self.held_out.plot(first, last)
 
     def save(self, target: str | os.PathLike[str]) -> Path:
         """Write a new experiment with what was learned, and its graph where tables were learned.
@@ -143,8 +122,7 @@ class LearnResult:
 
     def write(self, target: Path) -> list[Path]:
         """As `save`; returns all files that were written."""
-        parameters = {} if self.learned is None else self.learned.parameters
-        return write_learned(self.experiment, self.model, parameters, target)
+        return write_learned(self.experiment, self.model, self.learned.parameters, target)
 
 
 @dataclass(frozen=True, repr=False, eq=False)
@@ -245,8 +223,8 @@ def learn(
     - progress: whether a bar shows how far it is; None for in a terminal.
 
     An evidence rule that can learn learns its parameters from the labels; with any other the tables
-    of the graph are learned by EM. With `fit: choose` constants are chosen first. Raises InputError
-    where nothing can be learned as the experiment says.
+    of the graph are learned by EM. Raises InputError where nothing can be learned as the experiment
+    says.
 
     >>> import egolane_pgm as ego
     >>> place = ego.experiments_folder() / "quickstart.yaml"
@@ -256,19 +234,15 @@ def learn(
     518
     """
     given = with_own_rate(_load(experiment, overrides, unlabelled))
-    chosen, constants = _choose(given, blocks, progress)
-    if given.fit == "choose" and not learns(prepare_model(given), given):
-        # As in `compare`, tables are learned beside a choice only where a section says so.
-        return LearnResult(chosen, prepare_model(chosen), blocks, constants, None, None, ())
     with warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always", UserWarning)
-        drive = load_to_learn(chosen)
+        drive = load_to_learn(given)
         with bar(None, progress, total=blocks + 1, unit="fit") as shows:
-            learned = run_learn(chosen, recorded=drive.recorded, n_blocks=blocks, done=shows.update)
+            learned = run_learn(given, recorded=drive.recorded, n_blocks=blocks, done=shows.update)
     # Several blocks may give the same warning.
     notes = tuple(dict.fromkeys(str(w.message) for w in caught))
     held_out = _held_out(drive, learned, blocks, notes)
-    return LearnResult(chosen, learned.model, blocks, constants, learned, held_out, notes)
+    return LearnResult(given, learned.model, blocks, learned, held_out, notes)
 
 
 def learn_fleet(
@@ -306,16 +280,12 @@ def learn_fleet(
     '2 blocks of the one drive'
     """
     base = _load(experiment, overrides, unlabelled)
-    if base.fit == "choose":
-        raise InputError(
-            f"{base.source}: fit: choose: goes with the recordings of choice, not with --fleet"
-        )
     drives, experiments = experiments_of(base, fleet, overrides)
     of = drives_of(drives, experiments)
     parts = parts_of_fleet(drives, of, blocks, by_tag)
     with warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always", UserWarning)
-        with bar(None, progress, jobs=jobs, total=1 + (len(parts) or blocks), unit="fit") as shows:
+        with bar(None, progress, total=1 + (len(parts) or blocks), unit="fit") as shows:
             learned = learn_together(
                 experiments, parts, n_blocks=blocks, jobs=jobs, done=shows.update
             )
@@ -344,22 +314,9 @@ def learn_fleet(
 
 def _load(experiment: Given, overrides: Overrides, unlabelled: bool) -> Experiment:
     if isinstance(experiment, (list, tuple)):
-        raise InputError("learn: takes one experiment; `learned_on` of a YAML names several")
+        raise InputError("learn: takes one experiment; learn_fleet takes a table of drives")
     found = load_experiment(experiment, overrides)
     return load_experiment(found, {"learning.labels": False}) if unlabelled else found
-
-
-def _choose(
-    experiment: Experiment, blocks: int, progress: bool | None
-) -> tuple[Experiment, dict[str, Value]]:
-    """The experiment with its constants chosen if it says `fit: choose`, and these."""
-    if experiment.fit != "choose":
-        return experiment, {}
-    (tasks,) = plan([experiment], blocks, is_held_out=False).values()
-    tried = bar(try_all(tasks), progress, desc="choosing", total=len(tasks), unit="recording")
-    found = chosen_on_all(experiment, list(tried))
-    assert experiment.choice is not None
-    return found, {name: found.parameters[name] for name in experiment.choice.grid}
 
 
 def _held_out(drive: Drive, learned: Learned, blocks: int, notes: tuple[str, ...]) -> Result:

@@ -190,7 +190,7 @@ def run(
         return run_experiment(choose(experiment, overrides, given, *changes))
     plan = plan_runs(name_all(several_of(experiment, "run"), overrides, recordings, *changes))
     done = run_all(plan, jobs=jobs, keep=True)
-    outcomes = list(bar(done, progress, jobs=jobs, total=len(plan), unit="run"))
+    outcomes = list(bar(done, progress, total=len(plan), unit="run"))
     failed = tuple((each.title, each.error) for each in outcomes if each.error is not None)
     runs = tuple(each.result for each in outcomes if each.result is not None)
     if not runs:

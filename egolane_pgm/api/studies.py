@@ -458,11 +458,7 @@ def search_all(
     labelled pictures last."""
     driven = [made for made in searches if isinstance(made, studies.Search)]
     seen = [made for made in searches if isinstance(made, on_pictures.PictureSearch)]
-    at_work: Jobs = jobs
-    if isinstance(jobs, int):
-        at_work = workers or min(jobs, sum(1 + made.n_parts for made in searches))
-    total = studies.n_trials(searches)
-    with bar(None, progress, jobs=at_work, total=total, unit="trial") as shows:
+    with bar(None, progress, total=studies.n_trials(searches), unit="trial") as shows:
 
         def advance(label: str, more: int, best: float) -> None:
             shows.set_description(label, refresh=False)

@@ -23,18 +23,6 @@ class Picture:
     right: Image | None = None
 
 
-#: Bytes that have to be free before anything is decoded, beside the pictures.
-_ROOM = 64 << 20
-
-
-def check_room(n_pixels: float = 0) -> None:
-    """Raises MemoryError where there may be too little memory to decode what has so many pixels.
-    OpenCV and FFmpeg take a picture for which they find none for a damaged one, leave it out, or
-    end the video before it."""
-    # It is not written to, so nothing but addresses is taken.
-    np.empty(_ROOM + int(3 * n_pixels), dtype=np.uint8)
-
-
 def check_size(image: Image, width: int, height: int) -> None:
     """Raises InputError for a picture of another size than the camera was calibrated for."""
     if image.shape[:2] != (height, width):

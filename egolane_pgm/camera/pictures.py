@@ -9,7 +9,6 @@ memory at a time.
 from __future__ import annotations
 
 import glob
-import io
 import re
 import warnings
 from collections.abc import Iterable, Iterator
@@ -19,20 +18,15 @@ from pathlib import Path
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
-from PIL import Image as Header
 
 from egolane_pgm.camera.model import Camera, scaled
-from egolane_pgm.camera.picture import Image, Picture, check_room
+from egolane_pgm.camera.picture import Image, Picture
 from egolane_pgm.camera.video import open_video, video_images
 from egolane_pgm.camera.writing import silent
 from egolane_pgm.types import InputError
 
 #: Extensions of picture files; any other file is read as a video.
 PICTURES = (".jpg", ".jpeg", ".png", ".bmp", ".ppm", ".pgm", ".tif", ".tiff", ".webp")
-
-#: How many pictures are in memory at the most while one is decoded: coefficients, colours, turned.
-_HELD = 4
 
 #: The range in which the frame rate that a video states is trusted, Hz.
 _RATES = (0.5, 500.0)
@@ -296,7 +290,6 @@ def read_image(path: Path) -> Image:
         raise InputError(f"{path}: cannot be read: {error.strerror}") from None
     if not content.size:
         raise InputError(f"{path}: the file is empty")
-    _check_pixels(path, content)
     try:
         with silent():
             image = cv2.imdecode(content, cv2.IMREAD_COLOR)
@@ -308,22 +301,6 @@ def read_image(path: Path) -> Image:
             f"{path}: is no picture that can be read (another kind of file, or cut off)"
         )
     return image  # type: ignore[return-value]
-
-
-def _check_pixels(path: Path, content: NDArray[np.uint8]) -> None:
-    """Raise InputError for a picture whose header says that it has more pixels than Pillow takes
-    (some 90 million): a few hundred bytes may say so, and gigabytes are needed to look. Raise
-    MemoryError where there is no room for it."""
-    with warnings.catch_warnings():
-        warnings.simplefilter("error", Header.DecompressionBombWarning)
-        try:
-            with Header.open(io.BytesIO(content.data)) as header:
-                check_room(_HELD * header.width * header.height)
-        except (Header.DecompressionBombWarning, Header.DecompressionBombError) as error:
-            raise InputError(f"{path}: cannot be read: {error}") from None
-        except (OSError, ValueError):
-            # OpenCV reads some that Pillow does not.
-            return
 
 
 def files_matching(pattern: str) -> list[Path]:

@@ -20,15 +20,12 @@ from pathlib import Path
 
 import cv2
 
-from egolane_pgm.camera.picture import Image, check_room
+from egolane_pgm.camera.picture import Image
 from egolane_pgm.tools.files import check_name
 from egolane_pgm.types import InputError
 
 #: The longest run of pictures that cannot be decoded, before the video counts as ended.
 _MOST_LOST = 300
-
-#: How many pictures the threads of FFmpeg hold at the most.
-_HELD = 32
 
 #: The largest difference, in frames, between a picture's time and its position at constant rate.
 _STEADY = 0.05
@@ -44,9 +41,8 @@ def open_video(path: Path) -> cv2.VideoCapture:
             raise InputError(f"{path}: the file is empty")
     # FFmpeg takes what is before a colon for a protocol, unless the path is absolute.
     absolute = os.path.abspath(path)
-    check_room()
     video = cv2.VideoCapture(absolute)
-    if not video.isOpened() or not _grab(video):
+    if not video.isOpened() or not video.grab():
         video.release()
         raise InputError(
             f"{path}: is no video that can be read (another kind of file, or cut off before its"
@@ -81,7 +77,7 @@ def video_images(
         # video that was cut off may be incomplete.
         held: tuple[int, Image] | None = None
         while True:
-            if not _grab(video):
+            if not video.grab():
                 later = _later(video, at, n_frames, rate) if is_steady else None
                 if later is None:
                     break
@@ -112,7 +108,7 @@ def video_images(
         is_short = n_frames is not None and first < at < n_frames
         if (stop is None or at < stop) and is_short:
             # A picture that cannot be decoded is not the end of the video: more may follow.
-            is_end = not any(_grab(video) for _ in range(5))
+            is_end = not any(video.grab() for _ in range(5))
             is_whole = due > (n_frames or 0) - 1.5 or (is_avi and _is_complete(path))
             if is_end and is_whole:
                 where = "" if gap is None else f" (some before frame {gap})"
@@ -134,14 +130,6 @@ def video_images(
         video.release()
 
 
-def _grab(video: cv2.VideoCapture) -> bool:
-    """Goes on to the next picture; False where there is none. Raises MemoryError where there may
-    be no room for it."""
-    width, height = cv2.CAP_PROP_FRAME_WIDTH, cv2.CAP_PROP_FRAME_HEIGHT
-    check_room(_HELD * video.get(width) * video.get(height))
-    return video.grab()
-
-
 def _due(video: cv2.VideoCapture, rate: float) -> float:
     """The time of the current picture, in frames at constant rate."""
     return float(video.get(cv2.CAP_PROP_POS_MSEC)) * rate / 1000
@@ -151,7 +139,7 @@ def _later(video: cv2.VideoCapture, at: int, n_frames: int | None, rate: float) 
     """The position of the next picture that can be decoded, after some that cannot. None at the
     end of the video, and where the frame rate is not constant."""
     for _ in range(min(_MOST_LOST, (n_frames or 0) - at)):
-        if _grab(video):
+        if video.grab():
             due = _due(video, rate)
             return round(due) if due > at - 0.5 and abs(due - round(due)) < _STEADY else None
     return None

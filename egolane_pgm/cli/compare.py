@@ -57,12 +57,6 @@ class Figures(NamedTuple):
 @click.option("--with-paper", is_flag=True, help="With --runs: the paper's model first.")
 @options.parameters("The paper's, for --graphs and --with-paper.")
 @click.option(
-    "--learned-on",
-    multiple=True,
-    metavar="RUNS|YAML,...",
-    help="Learn from these recordings instead, several pooled; a column for each time it is given.",
-)
-@click.option(
     "--health", is_flag=True, help="As well: how well each tells that the detector is wrong."
 )
 @click.option("--events", is_flag=True, help="Instead: how well each tells lane changes.")
@@ -110,7 +104,6 @@ def compare(
     held_out: bool,
     with_paper: bool,
     which: str,
-    learned_on: tuple[str, ...],
     health: bool,
     events: bool,
     lags: str | None,
@@ -143,7 +136,7 @@ def compare(
         asked = [name for name, value in context.params.items() if value and name not in free]
         _stored(experiments, asked, style, wide, json_file)
         return
-    check_options(bool(experiments), runs, with_paper, bool(learned_on), trials, trials_per_number)
+    check_options(bool(experiments), runs, with_paper, trials, trials_per_number)
     drawn = _seeds(seeds) if seeds is not None else ()
     waits = check_lags(lags.split(",")) if lags is not None else ()
     figures = Figures(figure, differences)
@@ -159,7 +152,7 @@ def compare(
     if json_file:
         check_not_read(json_file, map(Path, experiments))
     names = graph_names(graphs, bool(experiments))
-    drives = fleet_of(fleet, bool(experiments), runs, bool(learned_on))
+    drives = fleet_of(fleet, bool(experiments), runs)
     if not experiments and not held_out:
         many = (health, events, lags, overrides, trials, trials_per_number, seeds, *figures, out)
         if any(many):
@@ -171,9 +164,7 @@ def compare(
         return
     numbers = parse_runs(runs) if runs else None
     fit = "tune" if held_out else None
-    groups = groups_of(
-        experiments, names, fit, numbers, with_paper, which, learned_on, overrides, drives
-    )
+    groups = groups_of(experiments, names, fit, numbers, with_paper, which, overrides, drives)
     if differences and all(len(group.experiments) < 2 for group in groups):
         raise InputError("--differences: needs two experiments or graphs on one recording")
     is_searched = any(e.fit == "tune" for group in groups for e in group.experiments)
@@ -291,8 +282,6 @@ def _parts(found: Mapping[str, Any], settings: Options) -> list[str | Table]:
         parts += rows_of.full_tables(found)
         legends.append(rows_of.LEGEND)
     legends += [rows_of.TOGETHER_LEGEND] if together else []
-    chosen = rows_of.chosen_rows(found)
-    parts += [Table(*chosen, labels=2)] if chosen[1] else []
     if settings.health:
         parts.append(Table(*rows_of.health_rows(found)))
         legends.append(rows_of.HEALTH_LEGEND)

@@ -2,15 +2,12 @@
 
 from __future__ import annotations
 
-import tempfile
-from pathlib import Path
-
 import click
 
 from egolane_pgm.api.detections import check_target, detect_some
 from egolane_pgm.cli import options
 from egolane_pgm.recordings import write_lines
-from egolane_pgm.types import InputError, LineLog
+from egolane_pgm.types import InputError
 
 
 @click.command()
@@ -62,7 +59,7 @@ def detect(
         frames=frames,
         overrides=options.given(overrides, "lri_frames=5"),
     )
-    _write(target, done.log)
+    write_lines(target, done.log)
     if isinstance(done.stopped, InputError):
         raise InputError(f"{done.stopped}; the lines of the frames before are in {target}")
     click.echo(f"{target}: {done.title()}")
@@ -75,17 +72,3 @@ def detect(
         raise KeyboardInterrupt(
             f"what was detected so far is in {target}; the same command begins anew"
         )
-
-
-def _write(target: str, log: LineLog) -> None:
-    """Write the lines. If the disk is full or the folder gone meanwhile, write them to another
-    place: they may be the work of hours."""
-    try:
-        write_lines(target, log)
-    except InputError as error:
-        try:
-            other = Path(tempfile.mkdtemp(prefix="egolane-")) / Path(target).name
-            write_lines(other, log)
-        except (OSError, InputError):
-            raise error from None
-        raise InputError(f"{error}; the lines are in {other} instead") from None

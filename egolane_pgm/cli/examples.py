@@ -32,7 +32,6 @@ EXAMPLES = {
     "network": ("egolane network sensor_failure graph.svg",),
     "online": ("egolane online experiments/quickstart.yaml < lines.jsonl",),
     "plot": ("egolane plot results/quickstart --frames 0 400 --style pdf",),
-    "recover": ("egolane recover --run 7",),
     "reproduce": (
         "egolane reproduce --runs 1-5",
         "egolane reproduce --format latex > table.tex",

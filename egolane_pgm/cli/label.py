@@ -9,7 +9,6 @@ import click
 from egolane_pgm.api.labels import EXPERIMENT, LabelResult, review_rows
 from egolane_pgm.api.labels import label as label_recording
 from egolane_pgm.cli import options
-from egolane_pgm.cli.completion import yaml_files
 from egolane_pgm.cli.options import write_json
 from egolane_pgm.drive import name_of, named_files
 from egolane_pgm.experiment import load_experiment
@@ -31,7 +30,6 @@ SHOWN = 10
 @click.option(
     "--experiment",
     type=click.Path(dir_okay=False),
-    shell_complete=yaml_files,
     help=f"What labels it.  [default: experiments/{EXPERIMENT}]",
 )
 @options.overrides("Override a key of the experiment, e.g. recording.frame_rate=25.")

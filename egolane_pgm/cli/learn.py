@@ -64,9 +64,6 @@ def learn(
     They are written in numbers, as a YAML graph beside the new experiment. Each block is scored
     with what was learned from the frames of the other blocks.
 
-    With `fit: choose` constants are chosen first, and tables learned only where the experiment has
-    a `learning` section, as in `egolane compare`.
-
     With --fleet it is learned from all drives of a table together, and each part of the drives is
     scored with what was learned from the others.
     """
@@ -103,16 +100,16 @@ def learn(
 def _document(done: LearnResult) -> dict[str, Any]:
     """What `egolane learn --json` writes, and the tables that were learned."""
     learned = done.learned
-    before, after = (learned and learned.log_evidence) or (None, None)
+    before, after = learned.log_evidence or (None, None)
     return {
         "schema_version": SCHEMA_VERSION,
         "name": done.name,
         "blocks": done.blocks,
-        "held_out": learned and learned.scores,
-        "held_out_all_frames": learned and learned.scores_all,
+        "held_out": learned.scores,
+        "held_out_all_frames": learned.scores_all,
         "log_evidence_before": before,
         "log_evidence_held_out": after,
-        "tables": learned.tables() if learned else {},
+        "tables": learned.tables(),
     }
 
 
@@ -142,15 +139,6 @@ def _fleet_parts(done: FleetLearnResult) -> list[str | Table]:
 def _parts(done: LearnResult) -> list[str | Table]:
     learned = done.learned
     parts: list[str | Table] = []
-    if done.chosen:
-        said = ", ".join(f"{name} {value}" for name, value in done.chosen.items())
-        what = "the scores below have seen that choice" if learned else "nothing else is learned"
-        parts.append(
-            f"chosen on all blocks: {said}; {what}, `egolane compare` chooses without each block"
-            " that it scores"
-        )
-    if learned is None:
-        return parts
     if learned.scores is None or learned.scores_all is None:
         parts.append(f"{done.name}: no ground truth, so nothing is scored; {done.blocks} blocks")
     else:

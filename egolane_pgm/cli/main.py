@@ -2,16 +2,12 @@
 
 from __future__ import annotations
 
-import contextlib
-import logging
-import os
-import sys
 import warnings
-from collections.abc import Iterator
 from importlib import import_module
 from typing import Any
 
 import click
+from click.shell_completion import CompletionItem
 
 from egolane_pgm import __version__
 from egolane_pgm.cli.examples import EXAMPLES
@@ -35,7 +31,6 @@ COMMANDS = {
     "network": ("network", "Write a graph: a picture, or text for other programs."),
     "online": ("online", "Filter frame by frame: a JSON line in, its belief out at once."),
     "plot": ("plot", "Draw the figures of result directories and studies."),
-    "recover": ("paper", "Search the values behind the published, truncated parameters."),
     "reproduce": ("paper", "Repeat the paper's ten runs, beside the published tables."),
     "report": ("report", "Show results as one interactive HTML page."),
     "run": ("run", "Filter a recording, score it, write a result directory."),
@@ -46,10 +41,6 @@ COMMANDS = {
     "validate": ("show", "Check experiments and tuning files without computing anything."),
     "video": ("video", "Draw a drive: pictures, lines, bird's-eye view and belief."),
 }
-
-#: The least limit of memory, bytes. Libraries that find no more of it while they load do not all
-#: say so: OpenBLAS waits for ever, others crash, numba goes on without linear algebra.
-LEAST_MEMORY = 5 << 28
 
 
 class _Group(click.Group):
@@ -72,35 +63,26 @@ class _Group(click.Group):
         with formatter.section("Commands"):
             formatter.write_dl([(name, text) for name, (_, text) in COMMANDS.items()])
 
+    def shell_complete(self, ctx: click.Context, incomplete: str) -> list[CompletionItem]:
+        # Click would import each command to ask it for its help.
+        names = [name for name in COMMANDS if name.startswith(incomplete)]
+        options = click.Command.shell_complete(self, ctx, incomplete)
+        return [CompletionItem(name, help=COMMANDS[name][1]) for name in names] + options
+
     def invoke(self, ctx: click.Context) -> Any:
-        limit = _limit()
-        if limit >= 0:
-            # Otherwise Arrow reserves 1 GB at once (this is in kB), which others then lack.
-            os.environ.setdefault("MIMALLOC_ARENA_RESERVE", "65536")
-        if 0 <= limit < LEAST_MEMORY:
-            click.echo(
-                f"egolane: the limit of memory (ulimit -v {limit >> 10}) is below the"
-                f" {LEAST_MEMORY >> 10} kB that libraries need to load; raise it",
-                err=True,
-            )
-            ctx.exit(2)
+        # This imports NumPy, which `egolane --help` does not need.
+        from egolane_pgm.types import InputError, in_one_line
+
         try:
-            return self._invoke(ctx)
+            with warnings.catch_warnings():
+                warnings.showwarning = _show_warning
+                return super().invoke(ctx)
         except KeyboardInterrupt as stop:
             # A command that knows what was kept says so: KeyboardInterrupt("3 of 5 are in x;
             # the same command begins anew").
             kept = str(stop) or "nothing was left half-written; the same command begins anew"
             click.echo(f"egolane: interrupted; {kept}", err=True)
             ctx.exit(130)
-
-    def _invoke(self, ctx: click.Context) -> Any:
-        # This imports NumPy, which `egolane --help` does not need.
-        from egolane_pgm.types import NO_MEMORY, InputError, in_one_line, lacks_memory
-
-        try:
-            with warnings.catch_warnings(), _announced():
-                warnings.showwarning = _show_warning
-                return super().invoke(ctx)
         except InputError as error:
             for line in error.lines:
                 click.echo(f"egolane: {line}", err=True)
@@ -112,66 +94,6 @@ class _Group(click.Group):
             said = in_one_line(error.format_message())
             click.echo(f"egolane: {said} See `{where} --help`.", err=True)
             ctx.exit(2)
-        except BrokenPipeError:
-            # Whoever read the output has stopped reading it.
-            _give_up_output()
-            ctx.exit(1)
-        except click.exceptions.Exit:
-            raise
-        except Exception as error:
-            if lacks_memory(error):
-                said = NO_MEMORY
-            elif isinstance(error, OSError):
-                # This is mostly printing on a full disk: what goes wrong with a file that the
-                # package writes is an InputError that names the file.
-                _give_up_output()
-                said = f"{error.filename or 'output'}: {error.strerror or error}"
-            elif isinstance(error, UnicodeEncodeError):
-                name = str(error.object)[:200]
-                said = f"{name!a}: is not text in UTF-8; rename the file"
-            else:
-                raise
-            click.echo(f"egolane: {said}", err=True)
-            ctx.exit(2)
-
-
-def _limit() -> int:
-    """The limit of the memory of this process (`ulimit -v`), bytes; -1 where there is none."""
-    try:
-        import resource
-    except ImportError:
-        return -1
-    return resource.getrlimit(resource.RLIMIT_AS)[0]
-
-
-def _give_up_output() -> None:
-    """Send what is still to be printed nowhere, so that Python does not complain at its exit."""
-    with contextlib.suppress(OSError, ValueError):
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
-
-
-class _BesideBars(logging.Handler):
-    """Prints lines on standard error, above the bars that are there."""
-
-    def emit(self, record: logging.LogRecord) -> None:
-        from tqdm import tqdm
-
-        tqdm.write(record.getMessage(), file=sys.stderr)
-
-
-@contextlib.contextmanager
-def _announced() -> Iterator[None]:
-    """Print how long things will take."""
-    from egolane_pgm.tools.progress import LOGGER
-
-    printer, before = _BesideBars(), LOGGER.level
-    LOGGER.setLevel(logging.INFO)
-    LOGGER.addHandler(printer)
-    try:
-        yield
-    finally:
-        LOGGER.removeHandler(printer)
-        LOGGER.setLevel(before)
 
 
 def _show_warning(message: Warning | str, *_: Any, **__: Any) -> None:

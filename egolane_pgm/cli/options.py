@@ -12,7 +12,7 @@ from typing import Any
 
 import click
 
-from egolane_pgm.cli import completion
+from egolane_pgm.cli.completion import plugins
 from egolane_pgm.experiment import read_override
 from egolane_pgm.tools import files
 from egolane_pgm.tools.files import check_place, json_text
@@ -20,9 +20,7 @@ from egolane_pgm.types import MAX_LANES, NOTE, InputError, in_one_line
 
 Decorator = Callable[[Callable[..., Any]], Callable[..., Any]]
 
-experiment = click.argument(
-    "experiment", type=click.Path(dir_okay=False), shell_complete=completion.yaml_files
-)
+experiment = click.argument("experiment", type=click.Path(dir_okay=False))
 
 
 def experiments(*, required: bool, folders: bool = False) -> Decorator:
@@ -32,12 +30,11 @@ def experiments(*, required: bool, folders: bool = False) -> Decorator:
         nargs=-1,
         required=required,
         type=click.Path(dir_okay=folders),
-        shell_complete=completion.yaml_files,
     )
 
 
 #: What completes the name of a detector.
-detectors = completion.plugins("detectors")
+detectors = plugins("detectors")
 
 
 def tables(command: Callable[..., Any]) -> Callable[..., Any]:

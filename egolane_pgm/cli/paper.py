@@ -1,4 +1,4 @@
-"""The commands of `egolane` about the paper's own runs: reproduce and recover."""
+"""The command `egolane reproduce`: the paper's own runs."""
 
 from __future__ import annotations
 
@@ -12,9 +12,6 @@ from egolane_pgm.cli import options
 from egolane_pgm.cli.options import write_json
 from egolane_pgm.cli.recordings import have_recordings
 from egolane_pgm.report.tables import Table, confusion_table, page
-from egolane_pgm.results import SCHEMA_VERSION
-from egolane_pgm.tools.progress import bar
-from egolane_pgm.tuning import recover as recovering
 
 
 @click.command()
@@ -59,40 +56,3 @@ def reproduce(
     click.echo(page(parts, style, wide))
     if json_file:
         write_json(json_file, document)
-
-
-@click.command()
-@click.option("--run", "number", type=int, required=True, help="Which of the paper's runs.")
-@click.option("--evaluations", type=click.IntRange(1), default=20_000, show_default=True)
-@click.option("--seed", type=click.IntRange(0), default=0, show_default=True)
-@click.option("--write", is_flag=True, help="Keep the set in published.yaml under `recovered`.")
-@options.json_file
-def recover(number: int, evaluations: int, seed: int, write: bool, json_file: Path | None) -> None:
-    """Search the published, truncated parameters' box for the values that were really used."""
-    paper.paper_experiment(number)
-    with bar(total=evaluations, desc=f"run {number}", unit="trial") as shows:
-
-        def progress(more: int, off: int) -> None:
-            shows.update(more)
-            shows.set_postfix(frames_off=off)
-
-        found = recovering.recover(number, evaluations=evaluations, seed=seed, progress=progress)
-    values = ", ".join(f"{k}: {v!r}" for k, v in found.parameters.items())
-    click.echo(f"run {number}: {found.frames_off} frames off after {found.evaluations} evaluations")
-    click.echo(f"{{{values}}}")
-    if write:
-        how = f"an Optuna study in the box of the truncated values, sampler Shade, seed {seed}"
-        recovering.store_recovered(number, found, how)
-        click.echo(f"written to {options.shown(paper.published_path())}")
-    if json_file:
-        write_json(
-            json_file,
-            {
-                "schema_version": SCHEMA_VERSION,
-                "run": number,
-                "frames_off": found.frames_off,
-                "evaluations": found.evaluations,
-                "seed": seed,
-                "parameters": dict(found.parameters),
-            },
-        )

@@ -8,7 +8,6 @@ from pathlib import Path
 import click
 
 from egolane_pgm.cli import options
-from egolane_pgm.drive import load_recording
 from egolane_pgm.experiment import load_experiment
 from egolane_pgm.recordings import (
     catalog,
@@ -42,12 +41,9 @@ def list_data() -> None:
 @data.command()
 @click.option("--base-url", help="A mirror that has the files under their names.")
 @click.option("--folder", type=click.Path(file_okay=False), help="Where to put them.")
-@click.option(
-    "--jobs", type=click.IntRange(1, 16), default=4, show_default=True, help="Files at a time."
-)
-def fetch(base_url: str | None, folder: str | None, jobs: int) -> None:
+def fetch(base_url: str | None, folder: str | None) -> None:
     """Download what is missing; checks every sha256, keeps good files."""
-    _say(catalog.fetch(base_url=base_url, folder=folder, jobs=jobs))
+    _say(catalog.fetch(base_url=base_url, folder=folder))
 
 
 @data.command()
@@ -156,6 +152,9 @@ def lines(recording: str, frame_id: int, camera: str | None, overrides: tuple[st
     if Path(recording).suffix.lower() in (".yaml", ".yml"):
         if camera is not None:
             raise InputError("--camera: an experiment names its own; --set recording.camera=FILE")
+        # What reads an experiment loads numba.
+        from egolane_pgm.drive import load_recording
+
         log = load_recording(load_experiment(recording, overrides)).log
     elif overrides:
         raise InputError("--set: goes with an experiment")

@@ -65,7 +65,7 @@ _MANY = 20
 @click.option(
     "--stream",
     is_flag=True,
-    help="Run a recording of any length part after part, in constant memory.",
+    help="Make and write beliefs part after part, for long drives.",
 )
 @click.option(
     "--out",
@@ -106,8 +106,8 @@ def run(
     With --fleet one experiment runs on every drive of a table: a result directory for each, without
     figures, and summary.parquet. Drives whose result is there already are not run again.
 
-    With --stream the recording, a table or a bag, may be longer than the memory has room for: the
-    same numbers, without intervals and figures. What needs the whole drive is refused.
+    With --stream beliefs are made and written part after part, so that a long drive does not fill
+    the memory: the same numbers, without figures. What needs the whole drive is refused.
     """
     if "" in (*recordings, ground_truth, camera, out):
         raise InputError("run: a file or folder that is named is empty (--recording, --out, ...)")
@@ -172,7 +172,7 @@ def _run_many(
     outcomes: list[OneOfSeveral] = []
     try:
         done = run_all(plan, jobs=jobs, figures=figures)
-        outcomes.extend(bar(done, jobs=jobs, total=len(plan), unit="run"))
+        outcomes.extend(bar(done, total=len(plan), unit="run"))
     except KeyboardInterrupt:
         # A result that was rewritten has a new inode.
         written = sum(_inode(place) not in (None, was) for place, was in before.items())

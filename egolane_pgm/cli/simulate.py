@@ -176,9 +176,7 @@ def _write_images(
 ) -> None:
     check_settings(overrides)
     places = free_places(folder, stereo=stereo, video=video)
-    cost = cost_estimate(
-        preset, seed, frames, overrides, folder, stereo=stereo, video=video, png=png
-    )
+    cost = cost_estimate(preset, seed, frames, overrides, stereo=stereo, video=video, png=png)
     if cost is not None:
         click.echo(cost, err=True)
     scene = make_scene(preset, seed, frames, stereo=stereo, **overrides)

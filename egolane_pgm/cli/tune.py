@@ -12,7 +12,6 @@ import click
 
 from egolane_pgm.api.studies import Search, prepare_searches, search_all
 from egolane_pgm.cli import options
-from egolane_pgm.cli.completion import samplers
 from egolane_pgm.cli.options import write_json
 from egolane_pgm.report import study_tables
 from egolane_pgm.report.fleet_table import fleet_table_rows
@@ -38,7 +37,6 @@ _MANY = 20
 )
 @click.option(
     "--sampler",
-    shell_complete=samplers,
     help="evolution (default), tpe, cma-es, random; nsga2 for several objectives.",
 )
 @click.option("--seed", type=click.IntRange(0), help="[default: 0]")

@@ -10,9 +10,7 @@ import click
 
 from egolane_pgm.camera.model import read_camera
 from egolane_pgm.camera.pictures import Source, camera_of_pictures, open_source, read_pictures
-from egolane_pgm.camera.writing import NotKeptError
 from egolane_pgm.cli import options
-from egolane_pgm.cli.completion import yaml_files
 from egolane_pgm.detectors.runner import Detector, check_pair, find_detector
 from egolane_pgm.experiment import Experiment, experiments_folder, load_experiment, make_experiment
 from egolane_pgm.recordings import read_lines_with
@@ -50,7 +48,6 @@ from egolane_pgm.types import InputError
     "experiment_file",
     type=click.Path(dir_okay=False),
     metavar="X.yaml",
-    shell_complete=yaml_files,
     help="Evidence, graph, filter and parameters.  [default: position in lane, no labels needed]",
 )
 @click.option("--n-lanes", type=click.IntRange(1), help="Number of lanes of the road.")
@@ -126,8 +123,6 @@ def video(
             for picture, scene in scenes(pairs, experiment, truth, pictures):
                 write(picture.frame_id, draw_frame(places, picture.image, scene))
                 n_drawn += 1
-    except NotKeptError:
-        raise
     except InputError as error:
         if not n_drawn or not Path(target).exists():
             raise

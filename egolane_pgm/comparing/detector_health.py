@@ -18,7 +18,7 @@ def detector_answers(candidates: Sequence[Experiment], recorded: Recorded) -> Fl
     evidence rule gives one, else by the default rule with its default parameters."""
     default = {
         key: Experiment.model_fields[key].default
-        for key in ("evidence", "graph", "filter", "evidence_reading", "lag", "fit", "learned_on")
+        for key in ("evidence", "graph", "filter", "evidence_reading", "lag", "fit")
     }
     if candidates[0].follows_map:
         default["graph"] = "changing_lanes"

@@ -32,7 +32,6 @@ class Compared(HeldOut):
     fixed_parameters: Count | None = Field(description="numbers that `fit: tune` does not search")
     trials: Count | None = Field(description="trials of each block's search")
     microseconds_per_frame: Finite = Field(description="evidence and filter")
-    chosen: list[str] = Field(description="the parameters that `fit: choose` chose")
     parameters: list[dict[str, Any]] = Field(
         description="per block those that were fitted without it; empty for several seeds"
     )

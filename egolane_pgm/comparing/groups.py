@@ -14,7 +14,6 @@ from typing import Any
 
 import numpy as np
 
-from egolane_pgm.comparing.choose import Known, experiment_key, losses_by_experiment, plan
 from egolane_pgm.comparing.detector_health import detector_answers, detector_health, model_health
 from egolane_pgm.comparing.events import side_events
 from egolane_pgm.comparing.graphs import with_graphs
@@ -244,7 +243,6 @@ def compare_groups(
     options: Options | None = None,
     *,
     jobs: Jobs = 1,
-    known: Known | None = None,
     show: Callable[[Iterator[Searched], int], Iterable[Searched]] = lambda found, total: found,
 ) -> Iterator[dict[str, Any]]:
     """Yield each group's part of the document (see `document`), in order; of a group that failed,
@@ -252,14 +250,10 @@ def compare_groups(
 
     jobs: the number of processes that share the searches (one for each seed of an experiment), or,
         where nothing is searched, the groups.
-    known: the losses for experiments that say `fit: choose`, where they were computed already.
     show: is given the searches as they are done and how many there will be, for a progress bar.
     """
     options = options or Options()
-    if known is None:
-        tasks = plan([e for group in groups for e in group.experiments], options.blocks)
-        known = losses_by_experiment(tasks, jobs)
-    work = partial(_tried, options=options, known=known)
+    work = partial(_tried, options=options)
     searches = [list(_searches(group, options)) for group in groups]
     todo = list(itertools.chain.from_iterable(searches))
     if not todo:
@@ -304,11 +298,10 @@ def _search_failed(_: tuple[Experiment, int | None], error: str) -> Searched:
 def _tried(
     group: Group,
     options: Options,
-    known: Known,
     searched: Mapping[tuple[str, int | None], Searched] | None = None,
 ) -> dict[str, Any]:
     try:
-        return compare_group(group, options, known, searched)
+        return compare_group(group, options, searched)
     except InputError as error:
         return _failed(group, "; ".join(error.lines))
 
@@ -320,7 +313,6 @@ def _failed(group: Group, error: str) -> dict[str, Any]:
 def compare_group(
     group: Group,
     options: Options,
-    known: Known | None = None,
     searched: Mapping[tuple[str, int | None], Searched] | None = None,
 ) -> dict[str, Any]:
     """Compare the experiments of one recording; see `document` for the keys, `resampled` holds what
@@ -332,7 +324,7 @@ def compare_group(
     """
     with warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always", UserWarning)
-        columns, recorded = _columns(group, options, known or {}, searched or {})
+        columns, recorded = _columns(group, options, searched or {})
         first = columns[0][0]
         errors = tentative = None
         if options.health:
@@ -384,7 +376,6 @@ def compare_group(
 def _columns(
     group: Group,
     options: Options,
-    known: Known,
     searched: Mapping[tuple[str, int | None], Searched],
 ) -> tuple[list[list[Side]], Recorded]:
     """Believe the recording under every experiment, once for each seed of its search. It is read
@@ -404,7 +395,6 @@ def _columns(
         read[key] = drive.recorded
         if columns:
             _check_same_frames(columns[0][0].drive, drive)
-        losses = known.get(experiment_key(experiment))
         sides = []
         for seed in _seeds(experiment, options):
             found = searched.get((experiment.name, seed))
@@ -416,7 +406,6 @@ def _columns(
                     drive,
                     n_blocks=options.blocks,
                     search=how,
-                    losses=losses,
                     searched=found,
                     lags=options.lags,
                 )
@@ -472,9 +461,6 @@ def _entry(
         "fixed_parameters": side.fixed_parameters,
         "trials": side.trials,
         "microseconds_per_frame": 1e6 * min(one.seconds_per_frame for one in sides),
-        "chosen": list(experiment.choice.grid)
-        if experiment.fit == "choose" and experiment.choice is not None
-        else [],
         "parameters": [dict(found) for found in side.held_out.parameters]
         if len(sides) == 1
         else [],
@@ -573,9 +559,9 @@ def document(groups: Sequence[Mapping[str, Any]], options: Options) -> dict[str,
     `causal` and `why_not_causal` (as `model.causality`),
     `unassigned_below`, `free_parameters` (numbers fitted to labels), `fixed_parameters` and
     `trials` (of `fit: tune`: numbers that are not searched, trials of each block's search; else
-    null), `microseconds_per_frame` (evidence and filter), `chosen` (the parameters that `fit:
-    choose` chose), `parameters` (per block, those that were fitted without it; empty for several
-    seeds), `scores` (per subset, as `scoring.summary.score_with_intervals` and
+    null), `microseconds_per_frame` (evidence and filter), `parameters` (per block, those that were
+    fitted without it; empty for several seeds), `scores` (per subset, as
+    `scoring.summary.score_with_intervals` and
     `mean_log_evidence`; for several seeds the mean over them), `spread` (per subset and score, the
     standard deviation over the seeds; null for one), `seeds` (of `fit: tune`: a list of `seed`,
     `parameters` and `scores` with that seed), `lags` (null unless asked for; per subset as

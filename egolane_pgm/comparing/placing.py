@@ -7,12 +7,12 @@ from collections.abc import Sequence
 import numpy as np
 
 from egolane_pgm.drive import Drive, Recorded, load_drive
-from egolane_pgm.experiment import Experiment, Tuning, load_experiment, make_experiment
+from egolane_pgm.experiment import Experiment, Tuning, make_experiment
 from egolane_pgm.fleet import FleetDrive
 from egolane_pgm.recordings.catalog import find_file
 from egolane_pgm.recordings.ground_truth import read_ground_truth
 from egolane_pgm.recordings.source import files_in_full
-from egolane_pgm.types import BoolArray, InputError, IntArray, problems_in, suggestion
+from egolane_pgm.types import InputError, IntArray, suggestion
 
 
 def on_recording(model: Experiment, place: Experiment) -> Experiment:
@@ -35,21 +35,6 @@ def on_recording(model: Experiment, place: Experiment) -> Experiment:
     if model.tuned_on == "same_frames" and recording_key(model) != recording_key(place):
         content["tuned_on"] = "other_frames"
     return make_experiment(content, model.folder, model.source)
-
-
-def on_recordings(model: Experiment, names: Sequence[str], key: str) -> list[Experiment]:
-    """Put the model on the recordings of other experiments.
-
-    names: their YAML files, relative to the model's own.
-    key: the YAML key that lists them, for messages (`choice.recordings`).
-
-    Raises InputError for one that cannot be used.
-    """
-    placed = []
-    for name in names:
-        with problems_in(f"{model.source}: {key}"):
-            placed.append(on_recording(model, load_experiment(model.folder / name)))
-    return placed
 
 
 def recording_key(experiment: Experiment) -> str:
@@ -120,15 +105,3 @@ def load_for_scoring(experiment: Experiment, recorded: Recorded | None = None) -
     """The experiment's recording and model, as `load_drive` gives them."""
     needs = "a comparison scores against it"
     return load_drive(experiment, needs_truth=needs, recorded=recorded)
-
-
-def stretch(drive: Drive, frames: IntArray) -> tuple[int, int]:
-    """The first and last frame id of some annotated frames, for recordings of the same drive."""
-    ids = drive.truth.frame_id[frames]
-    return int(ids[0]), int(ids[-1])
-
-
-def on_stretch(drive: Drive, ends: tuple[int, int]) -> BoolArray:
-    """(K,): annotated frames with ids from the first to the last one, both included."""
-    ids = drive.truth.frame_id
-    return np.asarray((ids >= ends[0]) & (ids <= ends[1]))

@@ -9,18 +9,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from egolane_pgm.comparing.choose import (
-    Losses,
-    candidates,
-    choose,
-    experiment_key,
-    learns,
-    plan,
-    try_all,
-)
 from egolane_pgm.comparing.lags import Lagged, lag_notes, lagged_beliefs
-from egolane_pgm.comparing.learned_on import learner_elsewhere
-from egolane_pgm.drive import Drive, beliefs_of, drive_key
+from egolane_pgm.drive import Drive, beliefs_of
 from egolane_pgm.experiment import Experiment, Tuning
 from egolane_pgm.learning import Found, check_learnable, n_learned, with_found
 from egolane_pgm.learning import fit as learn_from
@@ -143,14 +133,12 @@ def held_out_side(
     *,
     n_blocks: int = N_BLOCKS,
     search: Search | None = None,
-    losses: Sequence[Losses] | None = None,
     searched: Sequence[Found] | None = None,
     lags: Sequence[float] = (),
 ) -> Side:
     """Fit without each block in turn, filter the whole recording, keep the block.
 
     search: how `fit: tune` searches.
-    losses: of the candidates of `fit: choose`, where they are at hand.
     searched: what `search_blocks` found, where it is at hand.
     lags: seconds, increasing, that beliefs wait for later frames, beside those of the experiment's
         own filter.
@@ -163,7 +151,7 @@ def held_out_side(
     if problem is not None:
         fit, free_parameters = _searcher(problem, searched), len(problem.space)
     else:
-        fit, free_parameters = _fit_of(drive, n_blocks, losses)
+        fit, free_parameters = _fit_of(drive)
     done: list[Beliefs] = []
     notes: list[str] = []
     seconds: list[float] = []
@@ -195,26 +183,16 @@ def held_out_side(
     )
 
 
-def _fit_of(drive: Drive, n_blocks: int, losses: Sequence[Losses] | None) -> tuple[Fit, int]:
+def _fit_of(drive: Drive) -> tuple[Fit, int]:
     """The experiment's way to find parameters without a search, and how many numbers it finds."""
     experiment, model = drive.experiment, drive.model
-    if experiment.learned_on and experiment.fit != "learn":
-        raise InputError(f"{experiment.source}: learned_on: goes with fit: learn")
     if experiment.fit == "none":
         specs = declared_parameters(model.rule, model.graph)
         searched = [spec.name for spec in specs if spec.is_searched]
         numbers = sum(np.size(model.parameters[name]) for name in searched)
         return _nothing, 0 if experiment.tuned_on == "not_tuned" else numbers
-    if experiment.fit == "learn":
-        check_learnable(model, experiment)
-        numbers = n_learned(model, experiment)
-        if experiment.learned_on:
-            return learner_elsewhere(drive, n_blocks), numbers
-        return _learn, numbers
-    numbers = len(candidates(experiment)[0])
-    if learns(model, experiment):
-        numbers += n_learned(model, experiment)
-    return _chooser(experiment, n_blocks, losses), numbers
+    check_learnable(model, experiment)
+    return _learn, n_learned(model, experiment)
 
 
 def _nothing(drive: Drive, train: IntArray, block: int) -> Found:
@@ -223,22 +201,6 @@ def _nothing(drive: Drive, train: IntArray, block: int) -> Found:
 
 def _learn(drive: Drive, train: IntArray, block: int) -> Found:
     return learn_from(drive, train)
-
-
-def _chooser(experiment: Experiment, n_blocks: int, losses: Sequence[Losses] | None) -> Fit:
-    """The candidate that is best without the block, and what is learned with it."""
-    if losses is None:
-        losses = list(try_all(plan([experiment], n_blocks)[experiment_key(experiment)]))
-    known, tried = losses, candidates(experiment)
-
-    def fit(drive: Drive, train: IntArray, block: int) -> Found:
-        chosen = tried[choose(known, drive_key(experiment), block, experiment)]
-        model = with_found(drive.model, chosen, experiment)
-        if not learns(model, experiment):
-            return chosen
-        return {**chosen, **learn_from(replace(drive, model=model), train)}
-
-    return fit
 
 
 def _searcher(problem: Problem, searched: Sequence[Found] | None = None) -> Fit:

@@ -20,7 +20,7 @@ from egolane_pgm.detectors import FrameLines, Step, as_log
 from egolane_pgm.detectors.networks.description import YAML, network_files, networks_of
 from egolane_pgm.parameters import Value, resolve_parameters
 from egolane_pgm.plugins import load_plugin, plugin_errors
-from egolane_pgm.types import NO_MEMORY, InputError, LineLog, lacks_memory
+from egolane_pgm.types import InputError, LineLog
 
 #: How many frames are collected before they are packed into arrays.
 _PACK = 1000
@@ -171,8 +171,7 @@ class Collected:
 
 
 def collect(frames: Iterable[tuple[int, FrameLines]], frame_rate: float, source: str) -> Collected:
-    """Collects the lines of a drive into one log; an interruption, or memory that ends, keeps the
-    frames before it.
+    """Collects the lines of a drive into one log; an interruption keeps the frames before it.
 
     - frames: pairs of frame id and lines, as `detect` gives them
     - frame_rate: Hz
@@ -195,8 +194,4 @@ def collect(frames: Iterable[tuple[int, FrameLines]], frame_rate: float, source:
                 log, pending = packed(), []
     except (KeyboardInterrupt, InputError) as reason:
         stopped = reason
-    except Exception as reason:
-        if not lacks_memory(reason):
-            raise
-        stopped = InputError(NO_MEMORY)
     return Collected(packed(), stopped)

@@ -47,8 +47,6 @@ def tables(n_lanes: int, parameters: Parameters) -> list[Table]:
     """The tables of `position_in_lane`, with those of RoadPosition for each value of Step."""
     steps = _steps(n_lanes, parameters)
     cells = int(number(parameters, "cells"))
-    n_values = len(steps) * fixed.motion_values(parameters)
-    fixed.check_positions(n_lanes * cells, n_values, parameters)
     sensor = binary(number(parameters, "p1"), number(parameters, "p2"))
     first: list[FloatArray] = []
     positions: list[FloatArray] = []

@@ -38,7 +38,7 @@ from egolane_pgm.graphs.cpds import (
 from egolane_pgm.graphs.shared_parameters import P1, P2
 from egolane_pgm.parameters import Parameter, Parameters, Value, number
 from egolane_pgm.tools.jit import kernel
-from egolane_pgm.types import FloatArray, IntArray, check_memory
+from egolane_pgm.types import FloatArray, IntArray
 
 if TYPE_CHECKING:
     from pgmpy.models import DynamicBayesianNetwork
@@ -60,7 +60,9 @@ COASTING = (-0.06, -0.04, -0.02, 0.0, 0.02, 0.04, 0.06)
 KEPT_VELOCITY = 0.98
 
 #: The geometry of the cells and of LineMotion. The evidence rule declares these parameters too.
-CELLS = Parameter("cells", "integer", 16, "cells of RoadPosition in each lane", lowest=1)
+CELLS = Parameter(
+    "cells", "integer", 16, "cells of RoadPosition in each lane", lowest=1, highest=100
+)
 MOTION_BINS = Parameter(
     "motion_bins",
     "integer",
@@ -182,7 +184,6 @@ def tables(n_lanes: int, parameters: Parameters) -> list[Table]:
     """RoadPosition moves with LineMotion, SensorState persists, and Lane is the cell's lane."""
     cells = int(number(parameters, "cells"))
     n_positions, n_values = n_lanes * cells, motion_values(parameters)
-    check_positions(n_positions, n_values, parameters)
     sensor = binary(number(parameters, "p1"), number(parameters, "p2"))
     lane = np.repeat(np.eye(n_lanes), cells, axis=0)
     motion = uniform(n_values)
@@ -208,15 +209,6 @@ def tables(n_lanes: int, parameters: Parameters) -> list[Table]:
 def build(n_lanes: int, parameters: Parameters) -> DynamicBayesianNetwork:
     """Declares the network in pgmpy."""
     return declare(tables(n_lanes, parameters), OBSERVED)
-
-
-def check_positions(n_positions: int, n_values: int, parameters: Parameters) -> None:
-    """Raise InputError for a table of RoadPosition that would fill the memory.
-
-    - n_values: of what is known of the motion."""
-    given = {name: parameters[name] for name in ("cells", "motion_bins")}
-    said = ", ".join(f"{name} {value}" for name, value in given.items())
-    check_memory(8.0 * n_values * n_positions**2, f"parameters: {said}: the table of RoadPosition")
 
 
 def motions(n_positions: int, cells: int, parameters: Mapping[str, Value]) -> list[FloatArray]:

@@ -36,7 +36,6 @@ or those that follow from its kind; `bounds: null` keeps it from that. The table
 
 from __future__ import annotations
 
-import math
 import re
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
@@ -63,7 +62,6 @@ from egolane_pgm.types import (
     InputError,
     Observed,
     all_problems,
-    check_memory,
     suggestion,
 )
 
@@ -162,7 +160,7 @@ def load_graph_file(path: Path, name: str, where: str) -> ModuleType:
         with part():
             graph = _read_graph(content, values, names, here)
         with part():
-            observed = _read_observed(content, here)
+            observed = _read_observed(content, "observed", here)
             _check_nodes(_flat(observed), values, f"{here}: observed")
         with part():
             hidden = _read_names(content, "hidden", here)
@@ -170,6 +168,8 @@ def load_graph_file(path: Path, name: str, where: str) -> ModuleType:
         with part():
             inputs = _read_names(content, "inputs", here)
             _check_nodes(inputs, values, f"{here}: inputs")
+        with part():
+            unused = _read_observed(content, "unused", here)
     module = ModuleType(name, content.get("description"))
 
     def tables(n_lanes: int, parameters: Parameters) -> list[Table]:
@@ -183,9 +183,7 @@ def load_graph_file(path: Path, name: str, where: str) -> ModuleType:
         "HIDDEN": hidden,
         "OBSERVED": observed,
         "INPUTS": inputs,
-        "UNUSED": tuple(
-            tuple(u) if isinstance(u, list) else str(u) for u in content.get("unused") or ()
-        ),
+        "UNUSED": unused,
         "VALUES": graph.names,
         "PARAMETERS": declared,
         "tables": tables,
@@ -215,10 +213,10 @@ def _read_names(content: Mapping[str, Any], key: str, where: str) -> tuple[str, 
     return tuple(map(str, listed))
 
 
-def _read_observed(content: Mapping[str, Any], where: str) -> tuple[Observed, ...]:
-    listed = content["observed"]
+def _read_observed(content: Mapping[str, Any], key: str, where: str) -> tuple[Observed, ...]:
+    listed = content.get(key) or []
     if not isinstance(listed, list):
-        raise InputError(f"{where}: observed: needs a list of nodes, got {listed!r}")
+        raise InputError(f"{where}: {key}: needs a list of nodes, got {listed!r}")
     return tuple(tuple(map(str, o)) if isinstance(o, list) else str(o) for o in listed)
 
 
@@ -239,7 +237,6 @@ def _read_nodes(nodes: Any, where: str) -> tuple[dict[str, int | None], dict[str
             names[str(node)] = tuple(map(str, given))
             values[str(node)] = len(given)
         elif isinstance(given, int) and not isinstance(given, bool) and given > 0:
-            check_memory(8.0 * given**2, f"{where}: nodes.{node}: a table from {given} to as many")
             values[str(node)] = given
         else:
             raise InputError(
@@ -367,9 +364,6 @@ def _tables_of(
             None,
             frozenset(p for p, (n, _) in given.items() if graph.values[n] is None),
         )
-        shape = (*place.parents.values(), place.size)
-        said = f"{place.where}: a table of {' x '.join(map(str, shape))} numbers"
-        check_memory(8.0 * math.prod(shape), said)
         used, values = _evaluate(spec[which] if by_slice else spec, place)
         if set(used) != set(given) and node not in inputs:
             raise InputError(

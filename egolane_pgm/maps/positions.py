@@ -252,7 +252,7 @@ def _read_gpx(path: Path) -> Positions:
     """The points of all tracks, in their order."""
     gpxpy = _library("gpxpy", path)
     try:
-        points = [point.point for point in gpxpy.parse(read_text(path)).get_points_data()]
+        points = list(gpxpy.parse(read_text(path)).walk(only_points=True))
     except gpxpy.gpx.GPXException as error:
         text = " ".join(str(error).split())[:120]
         raise InputError(f"{path}: is not GPX ({text})") from None

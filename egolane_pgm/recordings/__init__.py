@@ -38,9 +38,6 @@ _FOLDERS = {
 #: be in metres; its reader asks for a camera if they are not.
 IN_PIXELS = ("tusimple", "culane")
 
-#: The functions that read a format part after part.
-_ITERATORS = {"rosbag": ("rosbag", "iterate_rosbag"), "table": ("table", "iterate_table")}
-
 _WRITERS = {"rosbag": ("rosbag_writer", "write_rosbag"), "table": ("table", "write_table")}
 
 
@@ -49,10 +46,9 @@ def read_lines(path: str | Path, /, format: str | None = None, **options: Any) -
 
     - format: a name of FORMATS; by default the one that the extension, or what is in a folder,
       tells.
-    - options: those of the format's reader (`read_rosbag`: topic, frame_id, frame_rate,
-      stamps;
-      `read_table`: frame_rate; `read_tusimple`, `read_culane`, `read_openlane`: camera, valid,
-      frame_step, ahead_m, frame_rate; `read_tusimple` also continuous).
+    - options: those of the format's reader (`read_rosbag`: topic, frame_id, frame_rate, stamps;
+      `read_table`: frame_rate, columns; `read_tusimple`, `read_culane`, `read_openlane`: camera,
+      valid, frame_step, ahead_m, frame_rate; `read_tusimple` also continuous).
 
     Raises InputError for an unknown format, extension or option, and what the reader raises.
     """
@@ -61,36 +57,6 @@ def read_lines(path: str | Path, /, format: str | None = None, **options: Any) -
 
 def read_with(path: str | Path, format: str | None, options: Mapping[str, Any]) -> LineLog:
     """Read as `read_lines` does, with the options as a mapping (of a YAML or of `--set`)."""
-    name = _checked_format(path, format, options)
-    log: LineLog = reader_of(name)(path, **options)
-    return log
-
-
-def iterate_with(
-    path: str | Path, format: str | None, options: Mapping[str, Any]
-) -> Iterator[LineLog]:
-    """Read as `read_with` does, part after part: each is some frames, whole ones, which follow
-    those before; so the recording may be of any length.
-
-    Raises InputError as `read_lines`, for a frame when it gets there; at once for a format that is
-    read as a whole only.
-    """
-    name = _checked_format(path, format, options)
-    if name not in _ITERATORS:
-        raise InputError(
-            f"{path}: a recording of format {name} is read as a whole; `egolane convert` makes a"
-            " table of it"
-        )
-    module, function = _ITERATORS[name]
-    parts: Iterator[LineLog] = getattr(import_module(f"{__name__}.{module}"), function)(
-        path, **options
-    )
-    return parts
-
-
-def _checked_format(path: str | Path, format: str | None, options: Mapping[str, Any]) -> str:
-    """The format to read with. Raises InputError for an unknown one, and for options that it has
-    not got."""
     check_name(path)
     name = format_of(path) if format is None else format
     if name not in FORMATS:
@@ -104,7 +70,15 @@ def _checked_format(path: str | Path, format: str | None, options: Mapping[str, 
             )
     if "frame_rate" in options:
         _check_frame_rate(options["frame_rate"], path)
-    return name
+    log: LineLog = read(path, **options)
+    return log
+
+
+def iterate_with(
+    path: str | Path, format: str | None, options: Mapping[str, Any]
+) -> Iterator[LineLog]:
+    """`read_with`, as one part."""
+    yield read_with(path, format, options)
 
 
 def read_lines_with(path: str, camera: object, frame_rate: float | None = None) -> LineLog:

@@ -2,18 +2,15 @@
 
 from __future__ import annotations
 
-import functools
+import hashlib
 import os
-import threading
+import sys
 import warnings
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
 from pathlib import Path
-from types import ModuleType
 from urllib.parse import urlsplit
 
 from platformdirs import user_cache_path
-from tqdm import tqdm
 
 from egolane_pgm.tools.files import in_home
 from egolane_pgm.types import InputError
@@ -145,19 +142,6 @@ def download_folder() -> Path:
     return user_cache_path("egolane_pgm")
 
 
-@functools.cache
-def _pooch() -> ModuleType:
-    with warnings.catch_warnings():
-        # In a notebook tqdm, which pooch imports, warns of widgets that nobody asked for.
-        warnings.simplefilter("ignore")
-        import pooch
-
-    # pooch would report each step on standard error.
-    pooch.get_logger().setLevel("ERROR")
-    module: ModuleType = pooch
-    return module
-
-
 def find_file(
     path: str | Path,
     base: str | Path | None = None,
@@ -216,7 +200,8 @@ def _verify(file: DataFile, path: Path) -> Outcome:
     if not path.is_file():
         return Outcome(file, path, "missing", f"{path}: no such file; `egolane data fetch` gets it")
     try:
-        good = _pooch().file_hash(str(path), alg="sha256") == file.sha256
+        with path.open("rb") as content:
+            good = hashlib.file_digest(content, "sha256").hexdigest() == file.sha256
     except OSError as error:
         return Outcome(file, path, "bad", f"{path}: cannot be read: {error.strerror}")
     if good:
@@ -225,121 +210,57 @@ def _verify(file: DataFile, path: Path) -> Outcome:
 
 
 def fetch(
-    base_url: str | None = None,
-    folder: str | Path | None = None,
-    jobs: int = 4,
-    progress: bool = True,
+    base_url: str | None = None, folder: str | Path | None = None, progress: bool = True
 ) -> list[Outcome]:
     """Download the files that are not there yet; one Outcome per file.
 
     - base_url: a mirror with the same file names (default: GitHub).
     - folder: where they go (default: the download folder).
-    - jobs: the number of files that are downloaded at a time.
-    - progress: a bar on standard error, where that is a terminal.
+    - progress: a bar for each file on standard error, where that is a terminal.
 
     A file that is there and good is not asked for again, and content with a wrong checksum never
     takes the place of anything. A file that fails does not keep the others, unless the server
-    cannot be reached at all. Raises InputError for an address that is not http or https, and for
-    jobs below 1.
+    cannot be reached at all. Raises InputError for an address that is not http or https.
     """
     address = (BASE_URL if base_url is None else base_url).rstrip("/")
-    if urlsplit(address).scheme not in ("http", "https") or not urlsplit(address).netloc:
-        raise InputError(f"--base-url {base_url}: needs an address http://... or https://...")
-    if jobs < 1:
-        raise InputError(f"--jobs {jobs}: needs at least 1")
-    stop = threading.Event()
-    unreachable: list[str] = []
-
-    def fetched(before: Outcome) -> Outcome:
-        if before.ok:
-            return before
-        if unreachable:
-            # This file would only wait for the same server.
-            return replace(before, status="failed", message=unreachable[0])
-        try:
-            _download(address, before.file, before.path, stop)
-        except InputError as error:
-            if isinstance(error, Unreachable):
-                unreachable.append(str(error))
-            return replace(before, status="failed", message=str(error))
-        return Outcome(before.file, before.path, "downloaded")
-
-    outcomes = verify(download_folder() if folder is None else folder)
-    _pooch()  # Imported here, because to silence its warnings is no work for several threads.
-    pool = ThreadPoolExecutor(jobs)
-    try:
-        done = pool.map(fetched, outcomes)
-        is_hidden = None if progress else True
-        outcomes = list(tqdm(done, "files", len(outcomes), leave=False, disable=is_hidden))
-    finally:
-        # After Ctrl-C nothing more is begun, and what is at work removes its half-written file.
-        stop.set()
-        pool.shutdown(cancel_futures=True)
+    host = urlsplit(address).netloc.rpartition("@")[2]
+    if urlsplit(address).scheme not in ("http", "https") or not host:
+        raise InputError(f"base_url {base_url}: needs an address http://... or https://...")
+    with warnings.catch_warnings():
+        # In a notebook tqdm, which pooch imports, warns of widgets that nobody asked for.
+        warnings.simplefilter("ignore")
+        import pooch
+        import requests
+    # pooch would report each step on standard error.
+    pooch.get_logger().setLevel("ERROR")
+    loader = pooch.HTTPDownloader(progressbar=progress and sys.stderr.isatty(), timeout=30)
     # The temporary file of pooch, which becomes the file, can be read by its owner only.
     umask = os.umask(0)
     os.umask(umask)
-    for outcome in outcomes:
-        if outcome.status == "downloaded":
-            outcome.path.chmod(0o666 & ~umask)
+    outcomes, unreachable = [], ""
+    for found in verify(download_folder() if folder is None else folder):
+        name, path = found.file.name, found.path
+        if not found.ok and not unreachable:
+            known = {name: f"sha256:{found.file.sha256}"}
+            store = pooch.create(path.parent, f"{address}/", registry=known, retry_if_failed=1)
+            try:
+                store.fetch(name, downloader=loader)
+                path.chmod(0o666 & ~umask)
+                found = Outcome(found.file, path, "downloaded")
+            except (requests.ConnectionError, requests.Timeout):
+                # Every other file would wait for the same server.
+                unreachable = (
+                    f"{name}: {address}/{name}: no connection to {host}; is the network up?"
+                )
+            except (OSError, ValueError) as error:
+                is_io = isinstance(error, OSError)
+                why = " ".join(str(error).split())[:160] if is_io else "it has a wrong checksum"
+                said = f"{name}: {address}/{name}: not downloaded to {path}: {why}"
+                found = replace(found, status="failed", message=said)
+        if not found.ok and unreachable:
+            found = replace(found, status="failed", message=unreachable)
+        outcomes.append(found)
     return outcomes
-
-
-class Unreachable(InputError):
-    """The server cannot be reached at all; the message names the host, not the file."""
-
-
-class _Stop:
-    """What pooch takes for a progress bar: it ends a download once `stop` is set."""
-
-    total = 0
-
-    def __init__(self, stop: threading.Event) -> None:
-        self.stop = stop
-
-    def update(self, _: int) -> None:
-        if self.stop.is_set():
-            raise InputError("the download was interrupted")
-
-    def reset(self) -> None:
-        pass
-
-    def close(self) -> None:
-        pass
-
-
-def _download(address: str, file: DataFile, path: Path, stop: threading.Event) -> None:
-    import requests
-
-    pooch = _pooch()
-    known = {file.name: f"sha256:{file.sha256}"}
-    store = pooch.create(path.parent, f"{address}/", registry=known, retry_if_failed=1)
-    loader = pooch.HTTPDownloader(progressbar=_Stop(stop), timeout=30)
-    url = f"{address}/{file.name}"
-    try:
-        store.fetch(file.name, downloader=loader)
-    except requests.HTTPError as error:
-        answer = error.response
-        assert answer is not None
-        raise InputError(
-            f"{file.name}: {url}: the server says {answer.status_code} {answer.reason}"
-        ) from None
-    except (requests.ConnectionError, requests.Timeout) as error:
-        # The message of requests is several lines long; the system's own words are at its end.
-        reason = getattr(error.args[0] if error.args else error, "reason", error)
-        host = urlsplit(address).netloc.rpartition("@")[2]
-        raise Unreachable(
-            f"no connection to {host} ({str(reason).rpartition(': ')[2]}); is the network up?"
-            " --base-url takes a mirror"
-        ) from None
-    except requests.RequestException:
-        raise InputError(f"{file.name}: {url}: the connection broke; run it again") from None
-    except ValueError:
-        raise InputError(
-            f"{file.name}: {url} sends something else (wrong checksum); not used, try another"
-            " mirror"
-        ) from None
-    except OSError as error:
-        raise InputError(f"{path}: cannot be written: {error.strerror or error}") from None
 
 
 def problems(outcomes: list[Outcome]) -> list[str]:

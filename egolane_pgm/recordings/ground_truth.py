@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-import itertools
 import re
-from collections import deque
+from array import array
 from collections.abc import Iterable, Iterator, Sequence
 from pathlib import Path
 
@@ -29,19 +28,46 @@ def read_ground_truth(path: str | Path, extra_rows: Iterable[Sequence[int]] = ()
     Raises InputError, naming the file and the line, for a line that is malformed, frames that
     repeat or decrease, a file without rows, and an extra row of a frame that the file has.
     """
-    return LaneTruth.joined(list(iterate_ground_truth(path, extra_rows)))
+    path = Path(path)
+    cells, last = array("q"), None
+    for number, line in enumerate(iterate_text(path), start=1):
+        row = _row(line)
+        if not line.strip() or (row is None and number == 1 and not re.search(r"\d", line)):
+            continue
+        if row is None:
+            raise InputError(
+                f"{path}: line {number}: {line.strip()[:60]!r} is not"
+                " 'frame;lane;crossing' (whole numbers, crossing 0 or 1)"
+            )
+        if last is not None and row[0] <= last:
+            raise InputError(
+                f"{path}: line {number}: frame {row[0]} "
+                + ("occurs twice" if row[0] == last else f"comes after frame {last}")
+                + "; frames must increase"
+            )
+        last = row[0]
+        cells.extend(row)
+    if last is None:
+        raise InputError(f"{path}: no ground truth in it, it has no line 'frame;lane;crossing'")
+    table = np.array(cells).reshape(-1, 3)
+    for extra in extra_rows:
+        row = _row(";".join(map(str, extra)))
+        if row is None:
+            raise InputError(
+                f"{path}: extra row {list(extra)} is not (frame, lane, crossing), crossing 0 or 1"
+            )
+        at = np.searchsorted(table[:, 0], row[0])
+        if row[0] in table[at : at + 1, 0]:
+            raise InputError(f"{path}: extra row {list(row)}: frame {row[0]} is there already")
+        table = np.insert(table, at, row, axis=0)
+    return LaneTruth(table[:, 0], table[:, 1], table[:, 2] == 1, source=str(path))
 
 
 def iterate_ground_truth(
-    path: str | Path, extra_rows: Iterable[Sequence[int]] = (), frames: int = 10_000
+    path: str | Path, extra_rows: Iterable[Sequence[int]] = ()
 ) -> Iterator[LaneTruth]:
-    """`read_ground_truth` in parts of so many frames, so that a file may be of any length. Raises
-    InputError as that, for a line when it gets there."""
-    path = Path(path)
-    rows = _merged(path, _rows(path), extra_rows)
-    while part := list(itertools.islice(rows, frames)):
-        table = np.array(part, dtype=np.int64)
-        yield LaneTruth(table[:, 0], table[:, 1], table[:, 2] == 1, source=str(path))
+    """`read_ground_truth`, as one part."""
+    yield read_ground_truth(path, extra_rows)
 
 
 def write_ground_truth(path: str | Path, truth: LaneTruth) -> None:
@@ -57,59 +83,3 @@ def write_ground_truth(path: str | Path, truth: LaneTruth) -> None:
 def _row(line: str) -> tuple[int, int, int] | None:
     match = _ROW.fullmatch(line)
     return (int(match[1]), int(match[2]), int(match[3])) if match else None
-
-
-def _rows(path: Path) -> Iterator[tuple[int, int, int]]:
-    """The rows of a file."""
-    last: int | None = None
-    for number, line in enumerate(iterate_text(path), start=1):
-        if not line.strip():
-            continue
-        row = _row(line)
-        if row is None and number == 1 and not re.search(r"\d", line):
-            continue
-        if row is None:
-            raise InputError(
-                f"{path}: line {number}: {line.strip()[:60]!r} is not"
-                " 'frame;lane;crossing' (whole numbers, crossing 0 or 1)"
-            )
-        if last is not None and row[0] <= last:
-            raise InputError(
-                f"{path}: line {number}: frame {row[0]} "
-                + ("occurs twice" if row[0] == last else f"comes after frame {last}")
-                + "; frames must increase"
-            )
-        last = row[0]
-        yield row
-    if last is None:
-        raise InputError(f"{path}: no ground truth in it, it has no line 'frame;lane;crossing'")
-
-
-def _merged(
-    path: Path, rows: Iterable[tuple[int, int, int]], extra_rows: Iterable[Sequence[int]]
-) -> Iterator[tuple[int, int, int]]:
-    """Rows, and extra ones where their frames belong."""
-    extra = []
-    for given in extra_rows:
-        row = _row(";".join(str(value) for value in given))
-        if row is None:
-            raise InputError(
-                f"{path}: extra row {list(given)} is not (frame, lane, crossing), crossing 0 or 1"
-            )
-        extra.append(row)
-    extra.sort()
-    for one, other in itertools.pairwise(extra):
-        if one[0] == other[0]:
-            raise _there_already(path, other)
-    waiting = deque(extra)
-    for row in rows:
-        while waiting and waiting[0][0] < row[0]:
-            yield waiting.popleft()
-        if waiting and waiting[0][0] == row[0]:
-            raise _there_already(path, waiting[0])
-        yield row
-    yield from waiting
-
-
-def _there_already(path: Path, extra: tuple[int, int, int]) -> InputError:
-    return InputError(f"{path}: extra row {list(extra)}: frame {extra[0]} is there already")

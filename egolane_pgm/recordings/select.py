@@ -9,7 +9,6 @@ import numpy as np
 
 from egolane_pgm.types import (
     NOTE,
-    BoolArray,
     InputError,
     IntArray,
     LaneTruth,
@@ -35,31 +34,19 @@ def select_frames(log: LineLog, first: int | None = None, stop: int | None = Non
 
     Raises InputError, with the range that the recording has, where no frame is left.
     """
-    keep = in_range(log.frame_id, first, stop)
-    if not keep.any():
-        raise no_frame_in_range(log.source, first, stop, log.frame_id)
-    return log if keep.all() else log.take(keep)
-
-
-def in_range(frame_id: IntArray, first: int | None, stop: int | None) -> BoolArray:
-    """(T,): marks the ids with first <= id < stop; None leaves that side open."""
-    keep = np.ones(len(frame_id), dtype=bool)
+    keep = np.ones(len(log), dtype=bool)
     if first is not None:
-        keep &= frame_id >= first
+        keep &= log.frame_id >= first
     if stop is not None:
-        keep &= frame_id < stop
-    return keep
-
-
-def no_frame_in_range(
-    source: str, first: int | None, stop: int | None, frame_id: IntArray
-) -> InputError:
-    """That no frame is left; frame_id: of the recording's first and last frame, at least."""
-    low = "start" if first is None else first
-    high = "end" if stop is None else stop
-    return InputError(
-        f"{source}: no frame from {low} to before {high}; the recording has {_range(frame_id)}"
-    )
+        keep &= log.frame_id < stop
+    if not keep.any():
+        low = "start" if first is None else first
+        high = "end" if stop is None else stop
+        raise InputError(
+            f"{log.source}: no frame from {low} to before {high}; the recording has"
+            f" {_range(log.frame_id)}"
+        )
+    return log if keep.all() else log.take(keep)
 
 
 def fill_missing(log: LineLog, policy: str, frame_rate: float) -> LineLog:
@@ -167,17 +154,14 @@ def join(log: LineLog, truth: LaneTruth) -> Join:
 
     Raises InputError, with both ranges, where there is no common frame.
     """
-    found = common_frames(log, truth)
-    if len(found) == 0:
-        raise nothing_in_common(log.source, log.frame_id, truth.source, truth.frame_id)
-    return found
-
-
-def common_frames(log: LineLog, truth: LaneTruth) -> Join:
-    """The frames that both have; there may be none."""
     common, in_log, in_truth = np.intersect1d(
         log.frame_id, truth.frame_id, assume_unique=True, return_indices=True
     )
+    if len(common) == 0:
+        raise InputError(
+            f"no common frames: {log.source} has {_range(log.frame_id)}, {truth.source} has"
+            f" {_range(truth.frame_id)}"
+        )
     return Join(
         in_log.astype(np.int64),
         in_truth.astype(np.int64),
@@ -186,89 +170,54 @@ def common_frames(log: LineLog, truth: LaneTruth) -> Join:
     )
 
 
-def nothing_in_common(log: str, log_id: IntArray, truth: str, truth_id: IntArray) -> InputError:
-    """That a log and a ground truth have no common frame; the ids: first and last, at least."""
-    return InputError(
-        f"no common frames: {log} has {_range(log_id)}, {truth} has {_range(truth_id)}"
-    )
-
-
-@dataclass(frozen=True)
-class Oddities:
-    """What is odd in a recording: how many lines or frames are, and the first frame that has one.
-
-    lri, offset, absurd: lines, see `recording_warnings`; crowded: frames; valid: frames with a
-    valid line, which are not odd. frames: all of them.
-    """
-
-    lri: tuple[int, int] = (0, 0)
-    offset: tuple[int, int] = (0, 0)
-    absurd: tuple[int, int] = (0, 0)
-    crowded: tuple[int, int] = (0, 0)
-    valid: tuple[int, int] = (0, 0)
-    frames: int = 0
-
-
-def odd_frames(before: Oddities, log: LineLog, n_lanes: int, max_lri: float = 10) -> Oddities:
-    """What is odd in the frames so far, `before`, and in those of a log, which come next."""
-    known_lri = ~np.isnan(log.lri)
-    absurd = np.abs(log.offset_m) > ABSURD_OFFSET_M
-    marked = {
-        "lri": log.is_valid & known_lri & ((log.lri < 0) | (log.lri > max_lri)),
-        # Padding is NaN in both; a line that was recorded has an LRI, unless the detector has none.
-        "offset": ~log.is_valid & (absurd | (np.isnan(log.offset_m) & known_lri)),
-        "absurd": log.is_valid & absurd,
-        "crowded": log.is_valid.sum(axis=1) > n_lanes + 1,
-        "valid": log.is_valid.any(axis=1),
-    }
-    found = {}
-    for name, which in marked.items():
-        count, first = getattr(before, name)
-        if not count and which.any():
-            first = int(log.frame_id[np.argwhere(which)[0][0]])
-        found[name] = (count + int(which.sum()), first)
-    return Oddities(**found, frames=before.frames + len(log))
-
-
 def recording_warnings(log: LineLog, n_lanes: int, max_lri: float = 10) -> list[str]:
     """One line for each kind of oddity in a recording; it is used all the same, unchanged.
 
     Odd are: LRI of valid lines outside 0..max_lri, absurd or NaN offsets of lines that are not
     valid, more valid lines than the n_lanes + 1 that a road has, no valid line at all.
     """
-    found = odd_frames(Oddities(), log, n_lanes, max_lri)
-    return warnings_of(found, log.source, n_lanes, max_lri)
-
-
-def warnings_of(found: Oddities, source: str, n_lanes: int, max_lri: float = 10) -> list[str]:
-    """`recording_warnings` of what was found in a recording."""
+    known_lri = ~np.isnan(log.lri)
+    absurd = np.abs(log.offset_m) > ABSURD_OFFSET_M
+    found = (
+        (
+            log.is_valid & known_lri & ((log.lri < 0) | (log.lri > max_lri)),
+            "",
+            f"valid line(s) have an LRI outside 0..{max_lri:g}, first in frame",
+            "used as recorded (`lri: clip` clips them)",
+        ),
+        (
+            # Padding is NaN in both; a line that was recorded has an LRI, unless the detector has
+            # none.
+            ~log.is_valid & (absurd | (np.isnan(log.offset_m) & known_lri)),
+            NOTE,
+            f"line(s) that are not valid have an offset beyond {ABSURD_OFFSET_M:g} m or NaN, first"
+            " in frame",
+            "not used",
+        ),
+        (
+            log.is_valid & absurd,
+            "",
+            f"valid line(s) have an offset beyond {ABSURD_OFFSET_M:g} m, first in frame",
+            "used as recorded",
+        ),
+        (
+            log.is_valid.sum(axis=1, keepdims=True) > n_lanes + 1,
+            "",
+            f"frame(s) have more valid lines than the {n_lanes + 1} of {n_lanes} lane(s), first"
+            " frame",
+            "used as recorded",
+        ),
+    )
     lines = []
-    if found.lri[0]:
+    for marked, begins, what, so in found:
+        if marked.any():
+            first = log.frame_id[marked.any(axis=1).argmax()]
+            count = np.count_nonzero(marked)
+            lines.append(f"{begins}{log.source}: {count} {what} {first}; {so}")
+    if len(log) and not log.is_valid.any():
         lines.append(
-            f"{source}: {found.lri[0]} valid line(s) have an LRI outside 0..{max_lri:g},"
-            f" first in frame {found.lri[1]}; used as recorded (`lri: clip` clips them)"
-        )
-    if found.offset[0]:
-        lines.append(
-            f"{NOTE}{source}: {found.offset[0]} line(s) that are not valid have an offset"
-            f" beyond {ABSURD_OFFSET_M:g} m or NaN, first in frame {found.offset[1]};"
-            " not used"
-        )
-    if found.absurd[0]:
-        lines.append(
-            f"{source}: {found.absurd[0]} valid line(s) have an offset beyond"
-            f" {ABSURD_OFFSET_M:g} m, first in frame {found.absurd[1]}; used as recorded"
-        )
-    if found.crowded[0]:
-        lines.append(
-            f"{source}: {found.crowded[0]} frame(s) have more valid lines than the"
-            f" {n_lanes + 1} of {n_lanes} lane(s), first frame {found.crowded[1]};"
-            " used as recorded"
-        )
-    if found.frames and not found.valid[0]:
-        lines.append(
-            f"{source}: not a single valid line in {found.frames} frames;"
-            " an evidence rule that needs valid lines says nothing"
+            f"{log.source}: not a single valid line in {len(log)} frames; an evidence rule that"
+            " needs valid lines says nothing"
         )
     return lines
 

@@ -12,9 +12,8 @@ from __future__ import annotations
 
 import re
 import warnings
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Mapping
 from csv import reader as csv_rows
-from dataclasses import dataclass
 from itertools import islice
 from pathlib import Path
 from typing import Any
@@ -25,12 +24,10 @@ import pyarrow.compute as pc
 from numpy.typing import NDArray
 from pyarrow import csv
 
-from egolane_pgm.recordings.rosbag import MAX_LINES
 from egolane_pgm.tools.files import arrow_table, atomic, open_parquet, write_parquet
 from egolane_pgm.types import BoolArray, FloatArray, InputError, IntArray, LineLog, suggestion
 
 NEEDED = ("frame_id", "line", "offset_m")
-OPTIONAL = ("is_valid", "is_continuous", "lri", "is_missing")
 
 #: What each column means.
 COLUMNS = {
@@ -48,6 +45,9 @@ CELLS = dict.fromkeys(("frame_id", "line", "offset_m", "lri"), "a number") | dic
     ("is_valid", "is_continuous", "is_missing"), "true, false, 1 or 0"
 )
 
+#: A line of a greater number is a mistake, and the padded arrays would fill the memory.
+MAX_LINES = 1000
+
 #: How truth values are written in a CSV file; pyarrow keeps the blanks around them.
 _WORDS = {
     value: [f"{a}{word}{b}" for word in words for a in ("", " ") for b in ("", " ")]
@@ -57,13 +57,12 @@ _WORDS = {
     )
 }
 
-
-#: So many rows of a Parquet file are read at a time.
-ROWS = 2**16
-
 #: A column of a table with one row per frame: what it is, and of which line.
 _OF_LINE = re.compile(r"(offset|is_valid|valid|is_continuous|continuous|lri|offset_m)_([1-9]\d?)")
 _MEANT = {"offset": "offset_m", "valid": "is_valid", "continuous": "is_continuous"}
+
+#: The columns of a table as arrays of numbers (N,); an empty cell is NaN.
+_Cells = dict[str, FloatArray]
 
 
 def read_table(
@@ -82,59 +81,19 @@ def read_table(
     that decrease, a line given twice in a frame, and a valid line without a finite offset.
     """
     path = Path(path)
-    return _assemble(path, pa.concat_tables(_tables(path, frame_rate, columns or {})), frame_rate)
-
-
-def iterate_table(
-    path: str | Path,
-    *,
-    frame_rate: float = 10.0,
-    columns: Mapping[str, str] | None = None,
-    rows: int = ROWS,
-) -> Iterator[LineLog]:
-    """`read_table` in parts of whole frames, so that a table may be of any length.
-
-    - rows: of the table, so many at a time, at most; in a CSV file as many as are in a block.
-
-    Raises InputError as that, for a row when it gets there.
-    """
-    path = Path(path)
-    # The rows of the last frame, which may go on in the next part, and how many came before them.
-    kept: Any = None
-    first_row, last = 0, None
-    for table in _tables(path, frame_rate, columns or {}, rows):
-        part = table if kept is None else pa.concat_tables([kept, table])
-        frame = part["frame_id"].to_numpy()
-        n_whole = len(frame) - int(np.argmax(np.append(frame[::-1] != frame[-1:], True)))
-        kept = part.slice(n_whole)
-        if len(kept) > MAX_LINES:
-            n_whole = len(frame)
-        if n_whole:
-            log = _assemble(path, part.slice(0, n_whole), frame_rate, first_row, last)
-            first_row, last = first_row + n_whole, int(log.frame_id[-1])
-            yield log
-    yield _assemble(path, kept, frame_rate, first_row, last)
-
-
-def _tables(
-    path: Path, frame_rate: float, columns: Mapping[str, str], rows: int | None = None
-) -> Iterator[Any]:
-    """The rows of a file, part after part, in the types that they need; rows: of a part, None where
-    all of them will be held."""
-    if not (np.isfinite(frame_rate) and frame_rate > 0):
-        raise InputError(f"{path}: frame_rate {frame_rate} must be greater than 0")
     if not path.is_file():
         raise InputError(f"{path}: no such file")
     read = {".csv": _read_csv, ".parquet": _read_parquet}.get(path.suffix.lower())
     if read is None:
         raise InputError(f"{path}: unknown extension '{path.suffix}' of a table (.csv, .parquet)")
-    has_rows = False
-    for part in read(path, columns, rows):
-        if len(part):
-            has_rows = True
-            yield part
-    if not has_rows:
+    cells = read(path, columns or {})
+    row = np.arange(len(cells["frame_id"]))
+    if not len(row):
         raise InputError(f"{path}: the table has no rows")
+    _check_whole(path, cells, "frame_id", row)
+    if "line" not in cells:
+        cells, row = _per_line(cells)
+    return _assemble(path, cells, row, frame_rate)
 
 
 def write_table(path: str | Path, log: LineLog) -> None:
@@ -160,17 +119,13 @@ def rows_of(log: LineLog, *, says_missing: bool) -> Any:
     n_frames, n_lines = is_there.shape
     if n_frames and n_lines and not is_there[:, -1].any():
         is_there[0, -1] = True  # an empty line says how wide the padding is
-    empty = np.flatnonzero(~is_there.any(axis=1))
-    frame, line = np.nonzero(is_there)
-    frame, line = np.concatenate([frame, empty]), np.concatenate([line, np.full(len(empty), -1)])
-    order = np.argsort(frame, kind="stable")
-    frame, line = frame[order], line[order]
-    no_line = line < 0
+    # A frame without lines has one row, as if it had a line beside the others.
+    frame, line = np.nonzero(np.column_stack([is_there, ~is_there.any(axis=1)]))
+    no_line = line == n_lines
 
-    def column(values: NDArray[Any], otherwise: float | bool) -> NDArray[Any]:
-        if n_lines == 0:
-            return np.full(len(frame), otherwise, dtype=values.dtype)
-        return np.where(no_line, otherwise, values[frame, line])
+    def column(values: NDArray[Any], blank: float | bool) -> NDArray[Any]:
+        column: NDArray[Any] = np.column_stack([values, np.full(n_frames, blank)])[frame, line]
+        return column
 
     lri = column(log.lri, np.nan)
     columns = {
@@ -187,7 +142,6 @@ def rows_of(log: LineLog, *, says_missing: bool) -> Any:
 
 
 def _write_csv(path: Path, table: Any) -> None:
-
     with atomic(path) as temporary, temporary.open("wb") as file:
         file.write((",".join(table.column_names) + "\n").encode())
         csv.write_csv(table, file, csv.WriteOptions(include_header=False))
@@ -216,20 +170,16 @@ def _renamed(path: Path, names: list[str], columns: Mapping[str, str]) -> list[s
     return found
 
 
-def _is_per_frame(names: Iterable[str]) -> bool:
-    return "line" not in names and any(name.startswith("offset_m_") for name in names)
-
-
 def _check_columns(path: Path, names: list[str]) -> list[str]:
     """The columns to read. Raises InputError for a missing one, and warns once of all that are
     ignored."""
     known: set[str] = set(COLUMNS)
     needed: tuple[str, ...] = NEEDED
-    if _is_per_frame(names):
-        numbers = [n.removeprefix("offset_m_") for n in names if n.startswith("offset_m_")]
-        needed = ("frame_id",)
+    numbers = [name.removeprefix("offset_m_") for name in names if name.startswith("offset_m_")]
+    if "line" not in names and numbers:
         kinds = ("offset_m", "is_valid", "is_continuous", "lri")
         known = {"frame_id", "is_missing", *(f"{kind}_{k}" for kind in kinds for k in numbers)}
+        needed = NEEDED[:1]
     lacking = [name for name in needed if name not in names]
     if lacking:
         raise InputError(
@@ -240,21 +190,21 @@ def _check_columns(path: Path, names: list[str]) -> list[str]:
     twice = sorted({name for name in names if names.count(name) > 1})
     if twice:
         raise InputError(f"{path}: column {', '.join(twice)} occurs more than once")
-    extra = [name for name in names if name not in known]
-    if extra:
-        unused = [name for name in known if name not in (*names, *NEEDED)]
-        said = []
-        for name in extra:
+    unused = known - {*names, *NEEDED}
+    said = []
+    for name in names:
+        if name not in known:
             hint = suggestion(name, unused)
             said.append(name + (hint if "did you mean" in hint else ""))
+    if said:
         warnings.warn(f"{path}: ignored column(s) {', '.join(said)}", UserWarning, stacklevel=3)
     return [name for name in names if name in known]
 
 
-def _read_csv(path: Path, columns: Mapping[str, str], rows: int | None) -> Iterator[Any]:
+def _read_csv(path: Path, columns: Mapping[str, str]) -> _Cells:
     try:
-        with path.open(encoding="utf-8-sig") as file:
-            names = [name.strip() for name in next(csv_rows([file.readline().strip()]), [])]
+        with path.open(encoding="utf-8-sig", newline="") as file:
+            names = [name.strip() for name in next(csv_rows(file), [])]
     except (OSError, UnicodeDecodeError) as error:
         raise InputError(f"{path}: cannot be read as CSV ({error})") from None
     if not names:
@@ -262,20 +212,19 @@ def _read_csv(path: Path, columns: Mapping[str, str], rows: int | None) -> Itera
     names = _renamed(path, names, columns)
     keep = _check_columns(path, names)
     try:
-        parts = csv.open_csv(
+        table = csv.read_csv(
             path,
+            # With threads its errors do not say which row.
             csv.ReadOptions(use_threads=False, column_names=names, skip_rows=1),
             csv.ParseOptions(ignore_empty_lines=True),
             csv.ConvertOptions(
-                column_types={name: _type(name) for name in keep},
+                column_types={n: pa.bool_() if _is_flag(n) else pa.float64() for n in keep},
                 include_columns=keep,
                 null_values=["", " "],
                 true_values=_WORDS[True],
                 false_values=_WORDS[False],
             ),
         )
-        for part in parts:
-            yield pa.table(part)
     except (pa.ArrowInvalid, pa.ArrowKeyError) as error:
         text = " ".join(str(error).split())
         if "too short" in text:
@@ -286,41 +235,48 @@ def _read_csv(path: Path, columns: Mapping[str, str], rows: int | None) -> Itera
         name = names[int(cell[1])]
         place = _place(path, int(cell[2]) - 2)
         raise InputError(f"{place}: {name} is {cell[3][:40]!r}, not {_needs(name)}") from None
+    return {name: _numbers(table[name]) for name in keep}
 
 
-def _read_parquet(path: Path, columns: Mapping[str, str], rows: int | None) -> Iterator[Any]:
-    with open_parquet(path, whole=rows is None) as file:
+def _read_parquet(path: Path, columns: Mapping[str, str]) -> _Cells:
+    with open_parquet(path) as file:
         given = list(file.schema_arrow.names)
         names = _renamed(path, given, columns)
         there = {name: given[names.index(name)] for name in _check_columns(path, names)}
-        # One row group after the other: asked for all, pyarrow keeps what it has read.
-        for group in range(file.num_row_groups):
-            for part in file.iter_batches(rows or ROWS, [group], list(there.values())):
-                yield pa.table({name: _typed(path, name, part[c]) for name, c in there.items()})
+        table = file.read(list(there.values()))
+    return {name: _typed(path, name, table[column]) for name, column in there.items()}
 
 
-def _typed(path: Path, name: str, column: Any) -> Any:
-    """A column of a Parquet file, which may hold text or other numbers, in the type it needs."""
-    wanted, given = _type(name), column.type
+def _typed(path: Path, name: str, column: Any) -> FloatArray:
+    """The cells of a column of a Parquet file, which may hold text or other numbers."""
+    given = column.type
     try:
         if pa.types.is_dictionary(given):
             column = column.cast(given.value_type)
         if pa.types.is_string(column.type) or pa.types.is_large_string(column.type):
             column = pc.utf8_trim_whitespace(column)
-        elif pa.types.is_boolean(column.type) and not pa.types.is_boolean(wanted):
+            column = column.cast(pa.bool_() if _is_flag(name) else pa.float64())
+        elif pa.types.is_boolean(column.type) and not _is_flag(name):
             raise pa.ArrowInvalid
-        elif pa.types.is_boolean(wanted) and not pa.types.is_boolean(column.type):
-            # To pyarrow every number but 0 is true; 7 is more likely another column.
-            is_flag = pc.is_in(column.cast(pa.float64()), pa.array([0.0, 1.0, None]))
-            if not pc.all(is_flag).as_py():
-                raise pa.ArrowInvalid
-        return column.cast(wanted, safe=False)
+        values = _numbers(column)
+        # To pyarrow every number but 0 is true; 7 is more likely another column.
+        if _is_flag(name) and not (np.isnan(values) | np.isin(values, (0, 1))).all():
+            raise pa.ArrowInvalid
     except pa.ArrowException as error:
         text = " ".join(str(error).split())[:120]
         raise InputError(
             f"{path}: column {name} has type {given}, which is not {_needs(name)}"
             + (f" ({text})" if text else "")
         ) from None
+    return values
+
+
+def _numbers(column: Any) -> FloatArray:
+    """A column of pyarrow as an array."""
+    if pa.types.is_boolean(column.type):
+        column = column.cast(pa.int8())
+    values: FloatArray = column.cast(pa.float64(), safe=False).fill_null(np.nan).to_numpy()
+    return values
 
 
 def _needs(name: str) -> str:
@@ -328,8 +284,8 @@ def _needs(name: str) -> str:
     return CELLS[re.sub(r"_\d+$", "", name)]
 
 
-def _type(name: str) -> Any:
-    return pa.float64() if _needs(name) == "a number" else pa.bool_()
+def _is_flag(name: str) -> bool:
+    return _needs(name) != "a number"
 
 
 def _place(path: Path, row: int) -> str:
@@ -341,150 +297,96 @@ def _place(path: Path, row: int) -> str:
         return f"{path}: line {next(islice(filled, row + 1, None), row + 2)}"
 
 
-@dataclass(frozen=True)
-class _Rows:
-    """The cells of a table as arrays (N,); `is_null` says which cells are empty, `place` in which
-    row of the file each stands."""
+def _check_whole(path: Path, cells: _Cells, name: str, row: IntArray) -> None:
+    """Raise InputError for a cell that is neither empty nor a whole number."""
+    number = cells[name]
+    # pandas writes whole numbers beside empty cells as 12.0.
+    bad = ~np.isnan(number) & ~((np.floor(number) == number) & (np.abs(number) < 2.0**53))
+    if bad.any():
+        k = int(np.argmax(bad))
+        raise InputError(f"{_place(path, int(row[k]))}: {name} is {number[k]}, not a whole number")
 
-    path: Path
-    values: dict[str, NDArray[Any]]
-    is_null: dict[str, BoolArray]
-    place: IntArray
 
-    def refuse(self, bad: BoolArray, why: str) -> None:
+def _assemble(path: Path, cells: _Cells, row: IntArray, frame_rate: float) -> LineLog:
+    """The frames of a table that has a row for each line; row (N,): where each is in the file."""
+
+    def refuse(bad: BoolArray, why: str) -> None:
         """Raise InputError for the first row that is bad; `{}` in `why` becomes its frame id."""
         if bad.any():
-            row = int(np.argmax(bad))
-            place = _place(self.path, int(self.place[row]))
-            raise InputError(f"{place}: " + why.format(self.values["frame_id"][row]))
+            k = int(np.argmax(bad))
+            place = _place(path, int(row[k]))
+            raise InputError(f"{place}: " + why.format(int(cells["frame_id"][k])))
 
-
-def _assemble(
-    path: Path, table: Any, frame_rate: float, first_row: int = 0, before: int | None = None
-) -> LineLog:
-    """The frames of a table, or of a part of it: first_row is where that begins, before the id of
-    the frame before it."""
-    rows = _convert(path, table, first_row)
-    if _is_per_frame(table.column_names):
-        rows = _per_line(rows)
-    n_rows = len(rows.values["frame_id"])
     for name in ("frame_id", "is_missing"):
-        if name in rows.is_null:
-            rows.refuse(rows.is_null[name], f"{name} is empty")
-    frame, line = rows.values["frame_id"], rows.values["line"] - 1
-    has_line = ~rows.is_null["line"]
-    step = np.diff(frame, prepend=frame[:1] if before is None else before)
-    rows.refuse(step < 0, "frame {} comes after a later one; sort the table by frame_id")
-    rows.refuse(has_line & ((line < 0) | (line >= MAX_LINES)), f"line is not in 1..{MAX_LINES}")
-    rows.refuse(~has_line & ~rows.is_null["offset_m"], "frame {} has an offset without a line")
+        if name in cells and np.isnan(cells[name]).any():
+            k = int(np.argmax(np.isnan(cells[name])))
+            raise InputError(f"{_place(path, int(row[k]))}: {name} is empty")
+    _check_whole(path, cells, "line", row)
+    frame, offset = cells["frame_id"].astype(np.int64), cells["offset_m"]
+    has_line = ~np.isnan(cells["line"])
+    line = np.where(has_line, cells["line"], 0).astype(np.int64) - 1
+    step = np.diff(frame, prepend=frame[0])
+    refuse(step < 0, "frame {} comes after a later one; sort the table by frame_id")
+    refuse(has_line & ((line < 0) | (line >= MAX_LINES)), f"line is not in 1..{MAX_LINES}")
+    refuse(~has_line & ~np.isnan(offset), "frame {} has an offset without a line")
     starts = step != 0
     starts[0] = True
     at = np.cumsum(starts) - 1
     alone = np.bincount(at)[at] == 1
-    rows.refuse(~has_line & ~alone, "frame {} has a row without a line beside others")
-    n_lines = int(line[has_line].max(initial=-1)) + 1
-    rows.refuse(_occurs_again(at * (n_lines + 1) + line, has_line), "frame {} has this line twice")
-
-    offset = _offsets(rows, has_line)
-    valid = rows.values.get("is_valid", np.ones(n_rows, dtype=bool))
-    continuous = rows.values.get("is_continuous", np.zeros(n_rows, dtype=bool))
-    lri = rows.values.get("lri", np.full(n_rows, np.nan))
+    refuse(~has_line & ~alone, "frame {} has a row without a line beside others")
+    key, again = at * MAX_LINES + line, has_line.copy()
+    again[np.flatnonzero(has_line)[np.unique(key[has_line], return_index=True)[1]]] = False
+    refuse(again, "frame {} has this line twice")
+    if "is_valid" not in cells:
+        refuse(
+            has_line & np.isnan(offset),
+            "frame {} has a line without an offset; leave line empty too, or add column is_valid",
+        )
     for name in ("is_valid", "is_continuous"):
-        if name in rows.is_null:
-            rows.refuse(rows.is_null[name] & has_line, f"frame {{}} has a line with empty {name}")
-    rows.refuse(
+        if name in cells:
+            refuse(np.isnan(cells[name]) & has_line, f"frame {{}} has a line with empty {name}")
+    valid = cells["is_valid"] == 1 if "is_valid" in cells else has_line
+    refuse(
         has_line & valid & ~np.isfinite(offset),
         "frame {} has a valid line without a finite offset; drop it or mark it not valid",
     )
-    missing = rows.values.get("is_missing", np.zeros(n_rows, dtype=bool))
-
+    zeros = np.zeros(len(frame))
     return LineLog.from_rows(
         frame[starts],
         frame_rate,
         at[has_line],
         offset[has_line],
         valid[has_line],
-        continuous[has_line],
-        lri[has_line],
+        cells.get("is_continuous", zeros)[has_line] == 1,
+        cells.get("lri", zeros + np.nan)[has_line],
         row_line=line[has_line],
-        is_missing=missing[starts],
+        is_missing=cells.get("is_missing", zeros)[starts] == 1,
         source=str(path),
     )
 
 
-def _offsets(rows: _Rows, has_line: BoolArray) -> FloatArray:
-    values: FloatArray = rows.values["offset_m"]
-    if "is_valid" not in rows.values:
-        rows.refuse(
-            has_line & np.isnan(values),
-            "frame {} has a line without an offset; leave line empty too, or add column is_valid",
-        )
-    return values
+def _per_line(cells: _Cells) -> tuple[_Cells, IntArray]:
+    """The cells of a table that has a row for each frame, as those of one that has a row for each
+    line, and which row of the table each is from."""
+    numbers = [name.removeprefix("offset_m_") for name in cells if name.startswith("offset_m_")]
 
+    def side_by_side(kind: str, blank: float = np.nan) -> FloatArray:
+        """The cells of all lines, and of none; blank: where there is no column."""
+        absent = np.full(len(cells["frame_id"]), blank)
+        return np.stack([*(cells.get(f"{kind}_{k}", absent) for k in numbers), absent], axis=1)
 
-def _occurs_again(key: IntArray, which: BoolArray) -> BoolArray:
-    """Marks the rows among `which` whose key occurs in an earlier one of them."""
-    again = np.zeros(len(key), dtype=bool)
-    rows = np.flatnonzero(which)
-    _, first = np.unique(key[rows], return_index=True)
-    again[rows] = True
-    again[rows[first]] = False
-    return again
-
-
-def _convert(path: Path, table: Any, first_row: int) -> _Rows:
-    """The columns as arrays; an empty number is NaN, an empty flag False."""
-    values, is_null = {}, {}
-    for name in table.column_names:
-        column = table[name].combine_chunks()
-        blank = np.nan if _needs(name) == "a number" else False
-        values[name] = column.fill_null(blank).to_numpy(zero_copy_only=False)
-        is_null[name] = column.is_null().to_numpy(zero_copy_only=False)
-    place = first_row + np.arange(len(table))
-    for name in ("frame_id", "line"):
-        if name not in values:
-            continue
-        number = values[name]
-        # pandas writes whole numbers beside empty cells as 12.0, and empty ones may be NaN.
-        is_null[name] |= np.isnan(number)
-        with np.errstate(invalid="ignore"):
-            whole = (np.floor(number) == number) & (np.abs(number) < 2.0**53)
-        bad = ~is_null[name] & ~whole
-        if bad.any():
-            row = int(np.argmax(bad))
-            raise InputError(
-                f"{_place(path, int(place[row]))}: {name} is {number[row]}, not a whole number"
-            )
-        values[name] = np.where(is_null[name], 0, number).astype(np.int64)
-    return _Rows(path, values, is_null, place)
-
-
-def _per_line(rows: _Rows) -> _Rows:
-    """The rows of a table that has one for each frame, as those of one that has one for each
-    line."""
-    offsets = [name for name in rows.values if name.startswith("offset_m_")]
-    number = np.array([int(name.removeprefix("offset_m_")) for name in offsets])
-    kinds = {re.sub(r"_\d+$", "", name) for name in rows.values} - {"frame_id", "is_missing"}
-    there = np.stack([~np.isnan(rows.values[name]) for name in offsets], axis=1)
-    for k, name in enumerate(offsets):
-        # A line that is said to be valid is there, and without an offset it is a mistake.
-        valid = rows.values.get(name.replace("offset_m", "is_valid"))
-        if valid is not None:
-            there[:, k] |= valid
-    n_frames = len(there)
-    blank = np.asarray(~there.any(axis=1))
-    at, slot = np.nonzero(np.column_stack([there, blank]))
-    has_line = slot < len(offsets)
-    of_frame: list[str] = [name for name in ("frame_id", "is_missing") if name in rows.values]
-    values = {name: rows.values[name][at] for name in of_frame}
-    is_null = {name: rows.is_null[name][at] for name in of_frame}
-    for kind in kinds:
-        otherwise = {"offset_m": np.nan, "lri": np.nan, "is_valid": True}.get(kind, False)
-        absent = np.full(n_frames, otherwise)
-        cells = [rows.values.get(f"{kind}_{k}", absent) for k in number]
-        empty = [rows.is_null.get(f"{kind}_{k}", np.zeros_like(blank)) for k in number]
-        values[kind] = np.stack([*cells, absent], axis=1)[at, slot]
-        is_null[kind] = np.stack([*empty, blank], axis=1)[at, slot]
-    values["line"] = np.where(has_line, np.append(number, 0)[slot], 0)
-    is_null["line"] = ~has_line
-    return _Rows(rows.path, values, is_null, rows.place[at])
+    # A line that is said to be valid is there, and without an offset it is a mistake.
+    there = ~np.isnan(side_by_side("offset_m")) | (side_by_side("is_valid") == 1)
+    there[:, -1] = ~there.any(axis=1)
+    row, slot = np.nonzero(there)
+    found: _Cells = {name: cells[name][row] for name in ("frame_id", "is_missing") if name in cells}
+    found["line"] = np.array([*map(float, numbers), np.nan])[slot]
+    for kind, blank in {
+        "offset_m": np.nan,
+        "is_valid": 1,
+        "is_continuous": 0,
+        "lri": np.nan,
+    }.items():
+        if any(f"{kind}_{k}" in cells for k in numbers):
+            found[kind] = side_by_side(kind, blank)[row, slot]
+    return found, row

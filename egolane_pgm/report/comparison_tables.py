@@ -283,26 +283,6 @@ def seeds_rows(document: Mapping[str, Any]) -> tuple[list[str], list[list[str]]]
     return ["recording", "experiment", "seeds", "accuracy", "+-", f"to {first}"], rows
 
 
-def chosen_rows(document: Mapping[str, Any]) -> tuple[list[str], list[list[str]]]:
-    """The values that `fit: choose` chose: a row per recording and experiment, a column per block,
-    for which they were chosen without it."""
-    n_blocks = document["blocks"]
-    rows = []
-    for recording in document["recordings"]:
-        for entry in recording["experiments"]:
-            cells = [
-                ", ".join(f"{name} {_short(found[name])}" for name in entry["chosen"])
-                for found in entry["parameters"]
-            ]
-            if entry["chosen"]:
-                rows.append([recording["title"], entry["name"], *cells])
-    return ["chosen", "experiment", *(f"block {b + 1}" for b in range(n_blocks))], rows
-
-
-def _short(value: Any) -> str:
-    return f"{value:g}" if isinstance(value, (int, float)) else str(value)
-
-
 def health_rows(document: Mapping[str, Any]) -> tuple[list[str], list[list[str]]]:
     """Areas under the ROC curve for "the detector alone is wrong", over the frames whose labels can
     be trusted: a row per recording."""

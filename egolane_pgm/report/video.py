@@ -510,8 +510,7 @@ def frame_writer(
     - frame_rate: Hz
     - size: width and height, pixels
 
-    Raises InputError if the target cannot be written, and NotKeptError if a written video cannot be
-    read.
+    Raises InputError if the target cannot be written.
     """
     target = Path(target)
     if target.suffix.lower() == ".mp4":

@@ -16,7 +16,7 @@ from egolane_pgm.scoring.assign import assigned_lane
 from egolane_pgm.scoring.checks import as_mask
 from egolane_pgm.scoring.confusion import accuracy, confusion_cell, macro_f1
 from egolane_pgm.scoring.probabilistic import log_loss_per_frame
-from egolane_pgm.types import BoolArray, FloatArray, InputError, IntArray, check_memory
+from egolane_pgm.types import BoolArray, FloatArray, InputError, IntArray
 
 BLOCK_FRAMES = 300
 RESAMPLES = 2000
@@ -79,8 +79,7 @@ def circular_block_bootstrap(
     same arguments give the same resamples, so that two sides of a difference share them.
 
     Raises InputError for a drive shorter than two blocks (its resamples would all be nearly the
-    same, and the interval far too short), for non-positive numbers, and for resamples that would
-    fill the memory.
+    same, and the interval far too short), and for non-positive numbers.
     """
     if block < 1:
         raise InputError(f"block: {block} must be at least 1 frame")
@@ -92,7 +91,6 @@ def circular_block_bootstrap(
             f" at least {2 * block} are needed, or a shorter block"
         )
     n_parts = -(-n_frames // block)
-    check_memory(8.0 * resamples * n_parts, f"resamples: {resamples} of {n_parts} blocks each")
     starts = np.random.default_rng(seed).integers(0, n_frames, size=(resamples, n_parts))
     return BlockResamples(n_frames, block, starts)
 

@@ -2,26 +2,18 @@
 
 A file is written in a hidden folder beside its place, whose random name nobody else uses, and then
 renamed: a file that has the name is whole, a file that was there before stays until then, and two
-programs that write the same file do not damage it. The user's umask decides who may read it. The
-hidden folder of a process that was killed is removed by the next one that writes there: it is
-locked as long as its process lives.
+programs that write the same file do not damage it. The user's umask decides who may read it. A
+process that is killed leaves the hidden folder behind.
 """
 
 from __future__ import annotations
 
 import contextlib
 import csv
-import ctypes
-import errno
 import functools
 import hashlib
 import io
 import json
-import math
-import os
-import secrets
-import shutil
-import sys
 import tempfile
 from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
@@ -30,24 +22,10 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from pydantic_core import to_jsonable_python
 
 from egolane_pgm.tools.yaml import dump_yaml, parse_yaml
-from egolane_pgm.types import InputError, check_memory
-
-if sys.platform != "win32":
-    import fcntl
-
-#: Begins the names of hidden folders in which something is being made.
-_BEGUN = ".egolane-"
-
-#: In such a folder, where a directory is while its successor takes its place.
-_OLD = "old"
-
-#: Of Linux, see renameat2(2).
-_RENAME_EXCHANGE = 2
-
-#: A text that is longer is none: devices never end.
-MOST_TEXT = 512 << 20
+from egolane_pgm.types import InputError
 
 #: Of the YAML files that the package reads (optional there) and writes. It changes where a key gets
 #: another meaning, so that an old program refuses a new file in one line.
@@ -88,86 +66,12 @@ def file_sha256(path: Path) -> str:
 @contextlib.contextmanager
 def temporary_folder(parent: Path | None = None) -> Iterator[Path]:
     """A new folder in `parent`, or where the system keeps temporary files, which only its owner may
-    read and which is removed when the block ends.
-
-    What killed processes left in `parent` is removed too (see `clear`). Raises OSError where the
-    folder cannot be made.
-    """
-    parent = (parent or Path(tempfile.gettempdir())).absolute()
-    clear_once(parent)
-    begun: list[Path] = []
-    lock = None
-    try:
-        lock = _made_and_locked(parent, begun)
-        yield begun[-1]
-    finally:
-        try:
-            _remove(begun)
-        except BaseException:
-            # An interruption comes once, and may come now.
-            _remove(begun)
-            raise
-        finally:
-            if lock is not None:
-                os.close(lock)
-
-
-def _remove(folders: Iterable[Path]) -> None:
-    for folder in folders:
-        shutil.rmtree(folder, ignore_errors=True)
-
-
-def _made_and_locked(parent: Path, begun: list[Path]) -> int | None:
-    """Make a folder and return its lock. The folder is the last of `begun`, which has it before it
-    is there, so that an interruption leaves none that nobody knows of."""
-    while True:
-        begun.append(parent / f"{_BEGUN}{secrets.token_hex(8)}")
-        begun[-1].mkdir(mode=0o700)
-        try:
-            return _lock(begun[-1])
-        except (BlockingIOError, FileNotFoundError):
-            # Another process took it for one that was left behind.
-            continue
-        except OSError:
-            # Where there are no locks, nothing is cleared either.
-            return None
-
-
-def _lock(folder: Path) -> int:
-    """Lock a folder until what is returned is closed, or the process ends, however it ends. Raises
-    BlockingIOError where another process has locked it, OSError where that cannot be done."""
-    if sys.platform == "win32":
-        raise OSError(errno.ENOTSUP, "no locks of folders")
-    lock = os.open(folder, os.O_RDONLY | os.O_DIRECTORY | os.O_NOFOLLOW)
-    try:
-        fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        if os.fstat(lock).st_nlink == 0:
-            raise FileNotFoundError(errno.ENOENT, "removed by another process")
-    except BaseException:
-        os.close(lock)
-        raise
-    return lock
-
-
-def clear(parent: Path) -> None:
-    """Remove what processes of this user that were killed left in a folder. A directory that was
-    taken away, its successor not yet in its place, is put back."""
-    for left in parent.glob(f"{_BEGUN}*"):
-        with contextlib.suppress(OSError):
-            lock = _lock(left)
-            try:
-                if os.fstat(lock).st_uid != os.geteuid():
-                    continue
-                for old in (left / _OLD).glob("*"):
-                    if not (parent / old.name).exists():
-                        old.rename(parent / old.name)
-                shutil.rmtree(left)
-            finally:
-                os.close(lock)
-
-
-#: Folders grow large, and what was left in one is cleared by the first that writes there.
-clear_once = functools.lru_cache(maxsize=1024)(clear)
+    read and which is removed when the block ends. Raises OSError where it cannot be made."""
+    place = None if parent is None else parent.absolute()
+    with tempfile.TemporaryDirectory(
+        prefix=".egolane-", dir=place, ignore_cleanup_errors=True
+    ) as folder:
+        yield Path(folder)
 
 
 @contextlib.contextmanager
@@ -285,14 +189,12 @@ def parquet_writer(path: Path) -> Iterator[Callable[[Any], None]]:
 
 
 @contextlib.contextmanager
-def open_parquet(path: Path, *, whole: bool = True, content: bytes | None = None) -> Iterator[Any]:
+def open_parquet(path: Path, content: bytes | None = None) -> Iterator[Any]:
     """A pyarrow ParquetFile, open while the block runs.
 
-    - whole: whether all of it is to be read.
     - content: of the file, where that was read before.
 
-    Raises InputError where it cannot be read, there or in the block, and for one that would fill
-    the memory: in a file of kilobytes a column may have a billion rows.
+    Raises InputError where it cannot be read, there or in the block.
     """
     import pyarrow as pa
     from pyarrow import BufferReader, OSFile, parquet
@@ -305,13 +207,8 @@ def open_parquet(path: Path, *, whole: bool = True, content: bytes | None = None
         # Given a name, pyarrow takes what is before a colon for the scheme of an address. Of a
         # Python file its threads would still read while Python ends, which then aborts.
         with OSFile(str(path)) if content is None else BufferReader(content) as file:
-            found = parquet.ParquetFile(file)
-            n_rows, n_columns = found.metadata.num_rows, found.metadata.num_columns
-            if whole:
-                said = f"{path}: {n_rows} rows of {n_columns} columns"
-                check_memory(8.0 * n_rows * n_columns, said)
-            yield found
-    except (InputError, MemoryError):
+            yield parquet.ParquetFile(file)
+    except InputError:
         raise
     except (pa.ArrowException, OSError, ValueError) as error:
         if why := getattr(error, "strerror", None):
@@ -323,7 +220,7 @@ def open_parquet(path: Path, *, whole: bool = True, content: bytes | None = None
 def read_parquet(path: Path, content: bytes | None = None) -> Any:
     """Read a pyarrow table. Raises InputError as `open_parquet` does, and for columns of one name,
     of which nobody knows which is meant."""
-    with open_parquet(path, content=content) as file:
+    with open_parquet(path, content) as file:
         table = file.read()
         twice = sorted(n for n, times in Counter(table.column_names).items() if times > 1)
     if twice:
@@ -333,23 +230,17 @@ def read_parquet(path: Path, content: bytes | None = None) -> Any:
 
 def rows_of_parquet(path: Path) -> int:
     """How many rows a Parquet file has, by its end. Raises InputError where it cannot be read."""
-    with open_parquet(path, whole=False) as file:
+    with open_parquet(path) as file:
         return int(file.metadata.num_rows)
 
 
 def plain(value: Any) -> Any:
     """The same in plain Python types, for JSON and YAML; NaN and infinity become None."""
-    if isinstance(value, Mapping):
-        return {str(k): plain(v) for k, v in value.items()}
-    if isinstance(value, (list, tuple)):
-        return [plain(v) for v in value]
-    if isinstance(value, np.ndarray):
-        return plain(value.tolist())
-    if isinstance(value, np.generic):
-        return plain(value.item())
-    if isinstance(value, float) and not math.isfinite(value):
-        return None
-    return value
+    return to_jsonable_python(value, inf_nan_mode="null", fallback=_of_numpy)
+
+
+def _of_numpy(value: Any) -> Any:
+    return dict(value) if isinstance(value, Mapping) else value.tolist()
 
 
 # --- directories -----------------------------------------------------------------------------
@@ -375,47 +266,26 @@ def atomic_directory(directory: Path) -> Iterator[Path]:
     try:
         place.parent.mkdir(parents=True, exist_ok=True)
         with temporary_folder(place.parent) as folder:
-            new = folder / "new" / place.name
+            new, old = folder / "new" / place.name, folder / "old"
             new.mkdir(parents=True)
             try:
                 yield new
             except InputError as error:
                 # The message names the file by its place, not by where it is made.
                 raise InputError(str(error).replace(str(new), str(directory))) from None
-            if place.exists():
-                _replace(place, new, folder / _OLD / place.name)
-            else:
+            try:
+                if place.exists():
+                    place.rename(old)
                 new.rename(place)
+            except BaseException:
+                if old.exists() and not place.exists():
+                    old.rename(place)
+                raise
     except OSError as error:
         at = f" ({error.filename})" if error.filename else ""
         raise InputError(
             f"{directory}: cannot be written: {error.strerror or error}{at}"
         ) from error
-
-
-def _replace(directory: Path, new: Path, old: Path) -> None:
-    """Put `new` in the place of `directory`, which stays as it was where that fails."""
-    if _exchanged(directory, new):
-        return
-    # A process that is killed between the two leaves it to `clear` to put the old one back.
-    old.parent.mkdir()
-    try:
-        directory.rename(old)
-        new.rename(directory)
-    except BaseException:
-        if old.exists() and not directory.exists():
-            old.rename(directory)
-        raise
-
-
-def _exchanged(one: Path, other: Path) -> bool:
-    """Give two directories each other's name in one step. False where the system, or the file
-    system, has no such thing; then both stay as they were."""
-    rename = getattr(ctypes.CDLL(None), "renameat2", None) if sys.platform == "linux" else None
-    if rename is None:
-        return False
-    # Both paths are absolute, so that the folders they would be relative to are not looked at.
-    return bool(rename(-1, os.fsencode(one), -1, os.fsencode(other), _RENAME_EXCHANGE) == 0)
 
 
 # --- before anything is computed -------------------------------------------------------------
@@ -451,14 +321,8 @@ def check_not_read(file: Path, read: Iterable[Path]) -> None:
 def read_text(path: Path) -> str:
     """The text of a file in UTF-8, without the mark that some editors put before it. Raises
     InputError where it cannot be read or is no text."""
-    with _said_of_text(path), path.open("rb") as file:
-        content = bytearray()
-        # Python makes room for all that it is asked to read, however little is there.
-        while part := file.read(1 << 20):
-            content += part
-            if len(content) > MOST_TEXT:
-                raise InputError(f"{path}: has more than {MOST_TEXT >> 20} MB, no text of ours has")
-        return io.TextIOWrapper(io.BytesIO(content), encoding="utf-8-sig").read()
+    with _said_of_text(path):
+        return path.read_text(encoding="utf-8-sig")
 
 
 def iterate_text(path: Path) -> Iterator[str]:
@@ -508,7 +372,7 @@ def without_version(content: Mapping[str, Any], source: str) -> dict[str, Any]:
 @functools.cache
 def code_checksum() -> str:
     """A checksum of this package's code, the same wherever it is installed."""
-    folder = Path(__file__).parent
+    folder = Path(__file__).parents[1]
     digest = hashlib.sha256()
     for file in sorted(folder.rglob("*.py")):
         digest.update(f"{file.relative_to(folder).as_posix()}\n".encode() + file.read_bytes())

@@ -3,8 +3,6 @@ for damaged ones a warning says that frame ids are wrong."""
 
 from __future__ import annotations
 
-import subprocess
-import sys
 import warnings
 from itertools import pairwise
 from pathlib import Path
@@ -129,36 +127,3 @@ def test_a_video_of_variable_rate_is_good(tmp_path: Path, pictures: list[np.ndar
         due.append(times.get(cv2.CAP_PROP_POS_MSEC))
     assert max(np.diff(due)) > 10 * min(np.diff(due)), "its rate is variable"
     assert read(video) == (list(range(N_FRAMES)), [])
-
-
-#: Reads a video again and again with a little more memory each time.
-LIMITED = """
-import re, resource, sys, warnings
-from pathlib import Path
-from egolane_pgm.camera.pictures import images_of, open_source
-def read():
-    return [(k, image.tobytes()) for k, _, image in images_of(open_source(sys.argv[1]), None)]
-warnings.simplefilter("error")
-whole, told = read(), 0
-for spare in range(0, 4 << 20, 64 << 10):
-    size = int(re.search(r"VmSize:\\s+(\\d+)", Path("/proc/self/status").read_text())[1]) << 10
-    resource.setrlimit(resource.RLIMIT_AS, (size + spare, -1))
-    try:
-        assert read() == whole
-    except MemoryError:
-        told += 1
-    resource.setrlimit(resource.RLIMIT_AS, (-1, -1))
-print(told)
-"""
-
-
-@pytest.mark.skipif(sys.platform != "linux", reason="limits of memory are Linux's")
-@pytest.mark.parametrize(("name", "four"), [("a.mp4", "mp4v"), ("a.avi", "MJPG")])
-def test_a_video_is_whole_or_refused_where_memory_ends(
-    pictures: list[np.ndarray], tmp_path: Path, name: str, four: str
-) -> None:
-    video = write_video(tmp_path / name, pictures[:12], four=four)
-    words = [sys.executable, "-c", LIMITED, str(video)]
-    ran = subprocess.run(words, capture_output=True, text=True, timeout=120)
-    assert ran.returncode == 0, ran.stderr
-    assert int(ran.stdout) > 0

@@ -185,7 +185,7 @@ def test_a_board_that_there_is_not_is_refused(labels: Path, board: str) -> None:
 
 def test_a_picture_that_is_too_large_is_left_out(tmp_path: Path) -> None:
     huge = huge_picture(tmp_path / "huge.png")
-    with pytest.raises(InputError, match=r"huge\.png: cannot be read: .* pixels\)") as caught:
+    with pytest.raises(InputError, match=r"huge\.png: cannot be read: .*_PIXELS") as caught:
         read_image(huge)
     assert "\n" not in str(caught.value)
     said = refused("calibrate", "--lane-width", 3.5, "--stills", huge, "-o", tmp_path / "c.yaml")

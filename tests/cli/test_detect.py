@@ -4,9 +4,7 @@ a video."""
 from __future__ import annotations
 
 import json
-import shutil
 import signal
-import sys
 import time
 import warnings
 from dataclasses import replace
@@ -17,7 +15,6 @@ import numpy as np
 import pytest
 import yaml
 
-from egolane_pgm.api.detections import check_target
 from egolane_pgm.camera.model import write_camera
 from egolane_pgm.camera.pictures import open_source, read_pictures
 from egolane_pgm.drive import check_sources, load_recording, with_recording
@@ -26,7 +23,6 @@ from egolane_pgm.recordings import read_lines
 from egolane_pgm.running import run_experiment
 from egolane_pgm.types import InputError
 from tests.kits.drives import command, done, refused, rewritten, write_experiment
-from tests.kits.full_disk import BLIND, drawing
 from tests.kits.processes import started
 from tests.kits.synthetic_road import (
     CAMERA,
@@ -249,29 +245,6 @@ def test_what_does_not_fit_is_said_with_its_key_by_validate_and_run(
         assert "\n" not in str(caught.value)
 
 
-def test_lines_of_a_folder_that_went_away_are_put_elsewhere(place: Path, tmp_path: Path) -> None:
-    (tmp_path / "gone").mkdir()
-    own = tmp_path / "own.py"
-    own.write_text(BLIND.format(f"shutil.rmtree({str(tmp_path / 'gone')!r})"))
-    target = tmp_path / "gone" / "lines.csv"
-    said = refused(*drawing(place, "detect", target, "--detector", own))
-    assert said.startswith(f"{target}: cannot be written: No such file or directory; the lines are")
-    other = Path(said.split(" are in ")[1].removesuffix(" instead"))
-    try:
-        assert len(read_lines(other)) == N_FRAMES
-    finally:
-        shutil.rmtree(other.parent)
-
-
-def test_what_writes_the_lines_is_loaded_before_they_are_searched(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    # As where memory ends.
-    monkeypatch.setitem(sys.modules, "egolane_pgm.recordings.table", None)
-    with pytest.raises(ImportError):
-        check_target(tmp_path / "lines.csv")
-
-
 def test_a_file_that_is_no_video_is_refused(place: Path, tmp_path: Path) -> None:
     for name, content in (("text.mp4", b"hello" * 100), ("zeros.avi", bytes(4096))):
         (tmp_path / name).write_bytes(content)
@@ -422,9 +395,8 @@ def test_ctrl_c_keeps_what_was_detected(place: Path, tmp_path: Path) -> None:
     target = tmp_path / "lines.parquet"
     words = ["detect", place / "drive.avi", "--camera", place / "cam.yaml", "-o", target]
     running = started(*words, "--detector", slow)
-    # What a file of one's own prints does not go among the output.
-    assert running.stderr is not None
-    assert any(line.startswith("frame 5") for line in running.stderr)
+    assert running.stdout is not None
+    assert any(line.startswith("frame 5") for line in running.stdout)
     time.sleep(0.2)
     running.send_signal(signal.SIGINT)
     out, error = running.communicate(timeout=60)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import warnings
 from pathlib import Path
 
@@ -84,27 +83,6 @@ def test_learning_from_evidence_that_cannot_be_is_one_line(tmp_path: Path) -> No
         said = refused("learn", path, "--out", tmp_path / "new.yaml")
     assert "frames to learn from can be under graph lane_only" in said
     assert not (tmp_path / "new.yaml").exists()
-
-
-def test_learn_and_compare_agree_on_what_is_found_beside_a_choice(tmp_path: Path) -> None:
-    choice = {"grid": {"bonus_value": [0, 3]}}
-    path = write_drive(tmp_path, graph="lane_only", fit="choose", choice=choice)
-    said = done("learn", path, "--out", tmp_path / "new.yaml", "--json", tmp_path / "a.json").stdout
-    assert "chosen on all blocks: bonus_value" in said
-    assert "nothing else is learned" in said
-    new = load_experiment(tmp_path / "new.yaml")
-    assert new.graph == "lane_only"
-    assert new.parameters["bonus_value"] in (0, 3)
-    assert not (tmp_path / "new.graph.yaml").exists()
-    assert json.loads((tmp_path / "a.json").read_text())["held_out"] is None
-    done("run", tmp_path / "new.yaml", "--no-figures", "--out", tmp_path / "out")
-    said = done(
-        "learn", path, "--set", "learning.strength=100", "--out", tmp_path / "t.yaml"
-    ).stdout
-    assert "held out, 5 blocks" in said
-    assert (tmp_path / "t.graph.yaml").exists()
-    said = done("learn", path, "--set", "fit=learn", "--out", tmp_path / "u.yaml").stdout
-    assert "held out, 5 blocks" in said
 
 
 def test_a_videos_own_frame_rate_counts_wherever_it_is_scored(tmp_path: Path) -> None:

@@ -2,20 +2,14 @@
 
 from __future__ import annotations
 
-import errno
 import os
-import sys
 from pathlib import Path
 
-import cv2
-import pyarrow as pa
 import pytest
 
 from egolane_pgm import __version__
-from egolane_pgm.cli.main import LEAST_MEMORY
-from egolane_pgm.results import is_result
 from egolane_pgm.tools.files import check_place
-from egolane_pgm.types import NO_MEMORY, InputError
+from egolane_pgm.types import InputError
 from tests.kits.drives import command, done, refused, write_drive
 from tests.kits.processes import ended, needs_links
 from tests.kits.synthetic_road import write_place
@@ -23,7 +17,7 @@ from tests.kits.synthetic_road import write_place
 
 def test_help_names_every_command_and_version_the_version() -> None:
     shown = done("--help").stdout
-    for name in ("ls", "validate", "run", "reproduce", "recover", "plot", "data", "convert"):
+    for name in ("ls", "validate", "run", "reproduce", "plot", "data", "convert"):
         assert f"\n  {name} " in shown
     assert __version__ in done("--version").stdout
     for name in ("run", "reproduce", "data", "simulate"):
@@ -59,7 +53,7 @@ def test_a_command_line_that_makes_no_sense_is_one_line(tmp_path: Path) -> None:
     assert "No such command 'rn'" in refused("rn")
     assert "egolane run --help" in refused("run", "x.yaml", "--frame-id", "stamp")
     assert "Missing argument" in refused("run")
-    assert "--seed" in refused("recover", "--run", "7", "--seed", "-1")
+    assert "--trials" in refused("tune", "x.yaml", "--trials", "0")
 
 
 @needs_links
@@ -119,58 +113,7 @@ def test_links_that_lead_nowhere_are_refused_before_anything_is_computed(tmp_pat
     assert f"{loop}: cannot be created" in refused(*words, "-o", loop)
 
 
-@pytest.mark.skipif(not Path("/dev/full").exists(), reason="needs /dev/full")
-def test_output_to_a_full_disk_is_said_in_one_line(tmp_path: Path) -> None:
-    path = write_drive(tmp_path)
-    words = ["run", path, "--no-figures", "--out", tmp_path / "out", "--json", tmp_path / "a.json"]
-    with Path("/dev/full").open("w") as full:
-        ran = ended(*words, stdout=full)
-    assert ran.returncode == 2
-    assert ran.stderr == "egolane: output: No space left on device\n"
-    assert is_result(tmp_path / "out")
-    assert (tmp_path / "a.json").exists()
-
-
-def test_too_little_memory_is_said_in_one_line(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    def fails(*_: object, **__: object) -> None:
-        raise MemoryError
-
-    monkeypatch.setattr("egolane_pgm.cli.run.run_experiment", fails)
-    assert "not enough memory; close other programs" in refused("run", write_drive(tmp_path))
-
-
-def caused_by_memory() -> Exception:
-    """As Python makes it of a function in C that goes on after a MemoryError."""
-    error = SystemError("<built-in function erode> returned a result with an exception set")
-    error.__cause__ = MemoryError()
-    return error
-
-
-@pytest.mark.parametrize(
-    "error",
-    [
-        cv2.error("alloc.cpp:73: error: (-4:Insufficient memory) Failed to allocate 32768 bytes"),
-        cv2.error("std::bad_alloc"),
-        pa.ArrowMemoryError("malloc of size 64 failed"),
-        ImportError("libarrow_substrait.so.2600: failed to map segment from shared object"),
-        RuntimeError("can't start new thread"),
-        OSError(errno.ENOMEM, "Cannot allocate memory"),
-        caused_by_memory(),
-    ],
-)
-def test_however_a_library_says_that_memory_ends_it_is_one_line(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, error: Exception
-) -> None:
-    def fails(*_: object, **__: object) -> None:
-        raise error
-
-    monkeypatch.setattr("egolane_pgm.cli.run.run_experiment", fails)
-    assert refused("run", write_drive(tmp_path)) == NO_MEMORY
-
-
-def test_an_error_that_says_nothing_of_memory_stays_a_traceback(
+def test_a_defect_of_the_package_stays_a_traceback(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     def fails(*_: object, **__: object) -> None:
@@ -179,21 +122,6 @@ def test_an_error_that_says_nothing_of_memory_stays_a_traceback(
     monkeypatch.setattr("egolane_pgm.cli.run.run_experiment", fails)
     with pytest.raises(ImportError):
         command("run", write_drive(tmp_path))
-
-
-@pytest.mark.skipif(sys.platform != "linux", reason="limits of memory are Linux's")
-def test_a_limit_of_memory_in_which_libraries_do_not_load_is_refused_at_once(
-    tmp_path: Path,
-) -> None:
-    limit = LEAST_MEMORY - 1024
-    first = f"import resource; resource.setrlimit(resource.RLIMIT_AS, ({limit}, {limit}))"
-    ran = ended("run", tmp_path / "nothing.yaml", first=first)
-    assert ran.returncode == 2
-    assert ran.stderr == (
-        "egolane: the limit of memory (ulimit -v 1310719) is below the 1310720 kB that libraries"
-        " need to load; raise it\n"
-    )
-    assert ended("--help", first=first).returncode == 0
 
 
 def test_environments_without_home_terminal_or_temporary_folder_will_do(tmp_path: Path) -> None:

@@ -1,4 +1,4 @@
-"""The commands `reproduce` and `recover`."""
+"""The command `reproduce` where the recordings are not there."""
 
 from __future__ import annotations
 
@@ -8,27 +8,6 @@ from pathlib import Path
 import pytest
 
 from egolane_pgm.recordings import catalog
-from egolane_pgm.tuning.recover import Recovered
-from tests.conftest import needs_compiler
-from tests.kits.drives import done
-
-
-@needs_compiler
-def test_recover_writes_into_the_published_file_on_request_only(
-    recordings: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    stored: list[tuple[int, Recovered, str]] = []
-
-    def store(number: int, found: Recovered, how: str) -> None:
-        stored.append((number, found, how))
-
-    monkeypatch.setattr("egolane_pgm.tuning.recover.store_recovered", store)
-    words = ("recover", "--run", "9", "--evaluations", "2", "--seed", "3")
-    done(*words)
-    assert stored == []
-    shown = done(*words, "--write").stdout
-    assert [(number, how[-6:]) for number, _, how in stored] == [(9, "seed 3")]
-    assert "published.yaml" in shown
 
 
 def answer(text: str) -> Callable[..., bool]:

@@ -152,7 +152,7 @@ def test_a_mirror_that_sends_a_wrong_checksum_is_refused_and_a_good_file_kept(
     (folder / "rle" / "two.bag").write_bytes(good)
     result = command("data", "fetch", "--base-url", mirror, "--folder", folder)
     assert result.exit_code == 2
-    assert result.stderr.startswith(f"egolane: one.bag: {mirror}/one.bag sends something else")
+    assert result.stderr.startswith(f"egolane: one.bag: {mirror}/one.bag: not downloaded to")
     assert "wrong checksum" in result.stderr
     assert len(result.stderr.splitlines()) == 1
     assert "1 of 2 files are there and good" in result.stdout
@@ -161,7 +161,7 @@ def test_a_mirror_that_sends_a_wrong_checksum_is_refused_and_a_good_file_kept(
 
 def test_an_address_that_is_none_is_refused(tmp_path: Path) -> None:
     said = refused("data", "fetch", "--base-url", "ftp://x", "--folder", tmp_path)
-    assert "--base-url ftp://x" in said
+    assert "base_url ftp://x: needs an address" in said
 
 
 def test_columns_that_are_ignored_are_said_in_one_plain_line(tmp_path: Path) -> None:
@@ -177,4 +177,4 @@ def test_no_file_is_counted_as_good_where_there_is_no_network(tmp_path: Path) ->
     assert result.exit_code == 2
     assert result.stdout == "0 of 12 files are there and good\n"
     assert len(result.stderr.splitlines()) == 1
-    assert "no connection to 127.0.0.1:9 (" in result.stderr
+    assert "no connection to 127.0.0.1:9; is the network up?" in result.stderr

@@ -21,7 +21,7 @@ def test_the_events_of_a_comparison_are_those_of_the_runs() -> None:
     experiments = [simulated("counting"), geometry(), simulated("late", filter="fixed_lag", lag=9)]
     found = compare_group(by_recording(experiments)[0], Options(events=True))
     for experiment, entry in zip(experiments, found["experiments"], strict=True):
-        assert entry["events"]["all_frames"] == run_experiment(experiment).events
+        assert entry["events"]["all_frames"] == run_experiment(experiment).scores["events"]
     first, second, _ = (entry["events"]["all_frames"] for entry in found["experiments"])
     assert first["crossing"] is None
     assert second["crossing"]["warned"] > 0
@@ -31,10 +31,10 @@ def test_the_events_of_a_comparison_are_those_of_the_runs() -> None:
 def test_frames_without_annotation_are_neither_right_nor_false(tmp_path: Path) -> None:
     model = {"evidence": "line_geometry", "graph": "position_in_lane", "filter": "exact"}
     path = write_drive(tmp_path, 300, **model)
-    whole = run_experiment(path).events
+    whole = run_experiment(path).scores["events"]
     truth = path.with_name("ground_truth.txt")
     truth.write_text("".join(line + "\n" for line in truth.read_text().splitlines()[50:]))
-    found = run_experiment(path).events
+    found = run_experiment(path).scores["events"]
     assert found["hours"] == pytest.approx(whole["hours"] * 250 / 300)
     assert found["crossing"]["auc"] != whole["crossing"]["auc"]
 

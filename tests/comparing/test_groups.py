@@ -522,7 +522,7 @@ def test_what_cannot_be_compared_is_refused_in_one_line(runs: Path, tmp_path: Pa
     assert "--with-paper" in refused("compare", one, "--with-paper")
     assert "--held-out" in refused("compare", "--health", "--runs", "2")
     message = refused("compare", write(tmp_path / "f.yaml", simulated()), "--set", "fit=lern")
-    assert "fit: 'lern' is not one of none, learn, tune, choose (did you mean 'learn'?)" in message
+    assert "fit: 'lern' is not one of none, learn, tune (did you mean 'learn'?)" in message
     (tmp_path / "bare").mkdir()
     bare = write_drive(tmp_path / "bare", ground_truth=None)
     assert "ground_truth: is missing" in refused("compare", bare)

@@ -85,7 +85,7 @@ def test_the_evidence_is_made_once_for_all_lags(monkeypatch: pytest.MonkeyPatch)
     side = held_out_side(load_for_scoring(geometry(tuned_on="not_tuned")))
     calls = []
     real = make_evidence
-    monkeypatch.setattr("egolane_pgm.model.make_evidence", lambda *a: calls.append(a) or real(*a))
+    monkeypatch.setattr("egolane_pgm.drive.make_evidence", lambda *a: calls.append(a) or real(*a))
     assert len(lagged_beliefs(side.drive, side.held_out, [0, 0.3, 1, 4])) == 4
     assert len(calls) == 1
 

@@ -9,7 +9,6 @@ from pathlib import Path
 from types import ModuleType
 from typing import Any
 
-import cv2
 import numpy as np
 import pytest
 
@@ -19,7 +18,7 @@ from egolane_pgm.detectors import FrameLines, ml, runner, sl
 from egolane_pgm.detectors.runner import detect, find_detector
 from egolane_pgm.detectors.simple.fit import find_lines, view_for
 from egolane_pgm.parameters import Parameter, resolve_parameters
-from egolane_pgm.types import NO_MEMORY, InputError
+from egolane_pgm.types import InputError
 from tests.kits.drives import command, refused
 from tests.kits.synthetic_road import CAMERA, PAIR, drive, images, write_pictures
 
@@ -219,18 +218,6 @@ def test_what_was_detected_before_a_drive_ends_early_is_kept(reason: BaseExcepti
     assert found.stopped is reason
     assert found.log is not None
     assert found.log.frame_id.tolist() == [3, 4, 6]
-
-
-@pytest.mark.parametrize("reason", [MemoryError(), cv2.error("std::bad_alloc")])
-def test_what_was_detected_before_memory_ends_is_kept(reason: Exception) -> None:
-    def frames() -> Iterator[tuple[int, FrameLines]]:
-        yield 3, lines(2)
-        raise reason
-
-    found = runner.collect(frames(), 10.0, "here")
-    assert str(found.stopped) == NO_MEMORY
-    assert found.log is not None
-    assert found.log.frame_id.tolist() == [3]
 
 
 def test_a_long_drive_is_packed_in_pieces_and_whole(monkeypatch: pytest.MonkeyPatch) -> None:

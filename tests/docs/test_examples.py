@@ -29,7 +29,7 @@ from tests.kits.doc_examples import (
 )
 
 #: What a page needs that not everybody has.
-_RECORDINGS = re.compile(r"--runs|reproduce|experiments/paper/|egolane (recover|data)")
+_RECORDINGS = re.compile(r"--runs|reproduce|experiments/paper/|egolane data")
 _MAPS = re.compile(r"roads\.osm|drive\.gpx")
 
 

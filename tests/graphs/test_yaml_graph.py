@@ -199,6 +199,7 @@ def test_an_input_node_needs_no_table_and_selects_the_transition(tmp_path: Path)
         (changed(hidden=None), "g.yaml: hidden: is missing"),
         (changed(hidden=["Lan"]), "hidden: no node 'Lan' (did you mean 'Lane'?)"),
         (changed(hidden="Lane"), "hidden: needs a list of nodes, got 'Lane'"),
+        (changed(unused=5), "unused: needs a list of nodes, got 5"),
         (changed(observed=[["Seen", "Sen"]]), "observed: no node 'Sen' (did you mean 'Seen'?)"),
         (changed(nodes__Lane="lanes"), "nodes.Lane: 'lanes' is not n_lanes, a number of values"),
         (changed(nodes__Lane=True), "nodes.Lane: True is not n_lanes"),

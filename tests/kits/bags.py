@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import struct
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -18,6 +19,8 @@ PLAIN_BODY = (
     "float64 naive_width # full road width\n#int32 oneway\nint64 way_id\nmsg_lineInfo[] lines\n"
 )
 PLAIN_LINE = "bool isValid\nbool continuous\nint32 counter\nfloat32 offset\n"
+#: What ROS has for the two.
+PLAIN_CHECKSUM = "fb0fde59be0f1a54cd7c266cd726d126"
 
 #: One line of a message: valid, continuous, counter, offset.
 Line = tuple[bool, bool, int, float]
@@ -42,18 +45,37 @@ def write_bag(
     msgtype: str = "pkg/msg/msg_lines",
     stamps: list[int] | None = None,
     chunk_bytes: int | None = None,
+    compression: str | None = None,
+    md5sum: str | None = None,
 ) -> Path:
+    """A ROS 1 bag. md5sum: of the definition, by default as ROS has it."""
     from rosbags.rosbag1 import Writer
 
-    with Writer(path) as bag:
+    text = text or definition()
+    writer = Writer(path)
+    if compression is not None:
+        writer.set_compression(Writer.CompressionFormat[compression])
+    with writer as bag:
         if chunk_bytes is not None:
             bag.chunk_threshold = chunk_bytes
-        connection = bag.add_connection(
-            topic, msgtype, msgdef=text or definition(), md5sum="0" * 32
-        )
+        known = md5sum or _store(text, msgtype).generate_msgdef(msgtype)[1]
+        connection = bag.add_connection(topic, msgtype, msgdef=text, md5sum=known)
         for k, raw in enumerate(messages):
             bag.write(connection, stamps[k] if stamps else k, raw)
     return path
+
+
+def _store(text: str, msgtype: str) -> Any:
+    """The message types that a definition has, in .msg or in IDL."""
+    from rosbags.typesys import Stores, get_types_from_idl, get_types_from_msg, get_typestore
+
+    store = get_typestore(Stores.EMPTY)
+    if text.startswith(f"{SEPARATOR}\nIDL: "):
+        parts = [part.partition("\n")[2] for part in text.split(f"{SEPARATOR}\n")[1:]]
+        store.register({k: v for part in parts for k, v in get_types_from_idl(part).items()})
+    else:
+        store.register(get_types_from_msg(text, msgtype))
+    return store
 
 
 #: Six frames that nobody could complain about.
@@ -92,7 +114,8 @@ def write_bag2(
         definition = made.connections[0].msgdef.data if text is None else text
     file.unlink()
     with Writer(folder, version=9, storage_plugin=StoragePlugin[storage]) as bag:
-        connection = bag.add_connection(topic, msgtype, msgdef=definition, rihs01="RIHS01_0")
+        known = _store(definition, msgtype).hash_rihs01(msgtype)
+        connection = bag.add_connection(topic, msgtype, msgdef=definition, rihs01=known)
         for k, (ns, raw) in enumerate(messages):
             bag.write(connection, ns if stamps is None else stamps[k], raw)
     return folder

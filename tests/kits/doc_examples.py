@@ -17,7 +17,7 @@ import numpy as np
 from egolane_pgm.camera.model import write_camera
 from egolane_pgm.recordings.rosbag import TOPIC
 from egolane_pgm.simulation import simulate
-from tests.kits.bags import definition, plain_message
+from tests.kits.bags import PLAIN_CHECKSUM, definition, plain_message
 from tests.kits.calibration_kit import TRUE, draw_road
 from tests.kits.drives import command, rewritten, write_drive
 from tests.kits.image_line_files import entry, tusimple
@@ -49,7 +49,6 @@ QUICKER = (
     (r"--trials (300|40|20)\b", "--trials 3"),
     (r"--seeds \d+", "--seeds 1"),
     (r"^egolane reproduce(?! --runs)", "egolane reproduce --runs 5"),
-    (r"^egolane recover(?! --runs)", "egolane recover --runs 5 --trials 2"),
 )
 
 #: Options without which a search would take its time, where a command has none of its own.
@@ -170,7 +169,7 @@ def _write_bag(path: Path) -> None:
     with Writer(path) as bag:
         for topic in (TOPIC, "/lanes"):
             connection = bag.add_connection(
-                topic, "pkg/msg/msg_lines", msgdef=definition(), md5sum="0" * 32
+                topic, "pkg/msg/msg_lines", msgdef=definition(), md5sum=PLAIN_CHECKSUM
             )
             for k in range(len(log)):
                 there = np.flatnonzero(log.is_valid[k])

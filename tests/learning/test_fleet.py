@@ -230,8 +230,6 @@ def test_what_does_not_fit_a_fleet_is_refused_in_one_line(tmp_path: Path) -> Non
     words = ("learn", base(tmp_path), "--fleet", drives)
     assert "--by-tag, --jobs and --cluster go with --fleet" in refused(*words[:2], "--jobs", 2)
     assert f"{drives}: is read here" in refused(*words, "--json", drives)
-    choice = {"fit": "choose", "choice": {"grid": {"bonus_value": [0, 3]}}}
-    assert "fit: choose" in refused("learn", base(tmp_path, **choice), "--fleet", drives)
     other = table(tmp_path, "a,1,3", "b,2,4", head="name,recording.seed,n_lanes")
     assert "b: n_lanes is not that of a" in refused("learn", base(tmp_path), "--fleet", other)
     absent = table(tmp_path, "a,1,", "b,,none.csv", head="name,recording.seed,recording")

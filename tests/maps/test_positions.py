@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import struct
 from pathlib import Path
 
@@ -74,6 +75,14 @@ def test_gpx_is_read(tmp_path: Path) -> None:
     found = read_positions(write(tmp_path / "a.gpx", GPX))
     assert found.t_s.tolist() == [TEN, TEN + 1.5]
     assert found.latitude.tolist() == [49.9, 49.9002]
+
+
+@pytest.mark.parametrize("longitude", ["1e20", "1e400"])
+def test_gpx_beyond_the_earth_is_refused(tmp_path: Path, longitude: str) -> None:
+    pytest.importorskip("gpxpy")
+    text = re.sub(r'lon="[^"]*"', f'lon="{longitude}"', GPX, count=1)
+    with pytest.raises(InputError, match="position 1 has a longitude beyond 180"):
+        read_positions(write(tmp_path / "a.gpx", text))
 
 
 def test_nmea_is_read_across_midnight(tmp_path: Path) -> None:

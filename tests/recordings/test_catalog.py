@@ -9,7 +9,6 @@ import re
 import socket
 import stat
 import threading
-import time
 from collections.abc import Iterator
 from pathlib import Path
 from urllib.parse import unquote
@@ -27,7 +26,6 @@ from egolane_pgm.recordings.catalog import (
     verify,
 )
 from egolane_pgm.types import InputError
-from tests.kits.drives import done
 
 CONTENT = {
     "one.bag": bytes(range(256)) * 2000,
@@ -46,8 +44,6 @@ class Mirror(http.server.ThreadingHTTPServer):
         self.content = dict(CONTENT)
         self.cut_after: dict[str, int] = {}  # bytes per answer, then the connection is closed
         self.asked: list[str] = []
-        self.seconds = 0.0  # for each answer
-        self.n_at_work = self.most_at_work = 0
 
     @property
     def url(self) -> str:
@@ -60,10 +56,6 @@ class Handler(http.server.BaseHTTPRequestHandler):
     def do_GET(self) -> None:
         name = unquote(self.path).removeprefix("/data/")
         self.server.asked.append(name)
-        self.server.n_at_work += 1
-        self.server.most_at_work = max(self.server.most_at_work, self.server.n_at_work)
-        time.sleep(self.server.seconds)
-        self.server.n_at_work -= 1
         if name not in self.server.content:
             self.send_error(404)
             return
@@ -132,17 +124,6 @@ def test_all_files_are_fetched_and_then_not_asked_for_again(mirror: Mirror, tmp_
     assert set(statuses(again).values()) == {"present"}
     assert all(outcome.ok for outcome in again)
     assert len(mirror.asked) == n_asked == 3
-
-
-@pytest.mark.parametrize("jobs", [1, 3])
-def test_as_many_files_as_are_asked_for_are_fetched_at_a_time(
-    mirror: Mirror, tmp_path: Path, jobs: int
-) -> None:
-    mirror.seconds = 0.5
-    words = ["data", "fetch", "--base-url", mirror.url, "--folder", tmp_path, "--jobs", jobs]
-    assert done(*words).output.startswith("3 of 3 files are there and good")
-    assert mirror.most_at_work == jobs
-    assert files_in(tmp_path) == CONTENT
 
 
 def test_the_download_folder_is_in_the_cache_of_the_user(
@@ -224,7 +205,10 @@ def test_a_file_that_the_mirror_lacks_is_said_in_one_line(mirror: Mirror, tmp_pa
     del mirror.content["gt.txt"]
     outcomes = fetch(mirror.url, tmp_path)
     (line,) = problems(outcomes)
-    assert line == f"gt.txt: {mirror.url}/gt.txt: the server says 404 Not Found"
+    assert line.startswith(
+        f"gt.txt: {mirror.url}/gt.txt: not downloaded to {tmp_path}/rle/gt.txt: "
+    )
+    assert "404 Client Error: Not Found" in line
     assert set(files_in(tmp_path)) == {"one.bag", "two with space.bag"}
 
 
@@ -235,8 +219,10 @@ def test_a_dead_network_is_said_in_one_line_for_all_files(mirror: Mirror, tmp_pa
         outcomes = fetch(f"http://127.0.0.1:{port}", tmp_path)
     assert set(statuses(outcomes).values()) == {"failed"}
     (line,) = problems(outcomes)
-    assert line.startswith(f"no connection to 127.0.0.1:{port} (")
-    assert "--base-url" in line
+    server = f"127.0.0.1:{port}"
+    assert line == (
+        f"one.bag: http://{server}/one.bag: no connection to {server}; is the network up?"
+    )
     assert not list(tmp_path.rglob("*.*"))
 
 
@@ -247,19 +233,17 @@ def test_the_default_address_is_used_without_a_mirror(
     assert set(statuses(fetch(folder=tmp_path)).values()) == {"downloaded"}
 
 
-def test_bad_options_are_refused(tmp_path: Path) -> None:
-    for address in ("ftp://x/y", "example.org/data", "http://"):
-        with pytest.raises(InputError, match="--base-url"):
-            fetch(address, tmp_path)
-    with pytest.raises(InputError, match="--jobs 0"):
-        fetch("http://127.0.0.1:9", tmp_path, jobs=0)
+@pytest.mark.parametrize("address", ["ftp://x/y", "example.org/data", "http://"])
+def test_an_address_that_is_none_is_refused(tmp_path: Path, address: str) -> None:
+    with pytest.raises(InputError, match="needs an address"):
+        fetch(address, tmp_path)
 
 
 def test_a_folder_that_cannot_be_written_is_said(mirror: Mirror, tmp_path: Path) -> None:
     (tmp_path / "rle").write_text("a file where the folder should be")
     outcomes = fetch(mirror.url, tmp_path)
     assert set(statuses(outcomes).values()) == {"failed"}
-    assert all("cannot be written" in line for line in problems(outcomes))
+    assert all(str(tmp_path / "rle") in line for line in problems(outcomes))
     assert mirror.asked == []
 
 
@@ -271,7 +255,7 @@ def test_a_name_that_does_not_resolve_is_unreachable(
 
     monkeypatch.setattr(socket, "getaddrinfo", fail)
     (line,) = problems(fetch("http://nowhere.invalid", tmp_path))
-    assert re.match(r"no connection to nowhere\.invalid \(.*name resolution\)*; is the", line)
+    assert line.endswith(": no connection to nowhere.invalid; is the network up?")
 
 
 def test_a_file_is_found_beside_the_yaml_then_in_the_data_folder_then_in_the_downloads(

@@ -3,7 +3,6 @@ the road. `rule` explains and computes them; the other modules are its parts."""
 
 from egolane_pgm.evidence.line_geometry.parameters import PARAMETERS
 from egolane_pgm.evidence.line_geometry.rule import (
-    FIT_IGNORES,
     INPUTS,
     LEARNED,
     NODES,
@@ -16,7 +15,6 @@ from egolane_pgm.evidence.line_geometry.rule import (
 )
 
 __all__ = [
-    "FIT_IGNORES",
     "INPUTS",
     "LEARNED",
     "NODES",

@@ -88,9 +88,6 @@ INPUTS = ("LineMotion",)
 #: The parameters that `fit` learns.
 LEARNED = (*FITTED, "fallback_width_m")
 
-#: Parameters that `fit` ignores: settings that differ only in these share what is learned.
-FIT_IGNORES = ("alpha", "beta")
-
 
 def looks_ahead(parameters: Parameters) -> str | None:
     """How the evidence of a frame depends on later frames; None if it does not."""

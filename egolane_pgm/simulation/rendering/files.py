@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import contextlib
-import shutil
 import time
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
@@ -15,7 +14,7 @@ import numpy as np
 
 from egolane_pgm.camera.model import Camera, write_camera
 from egolane_pgm.camera.picture import Image
-from egolane_pgm.camera.writing import NotKeptError, video_writer, write_picture
+from egolane_pgm.camera.writing import video_writer, write_picture
 from egolane_pgm.recordings.ground_truth import write_ground_truth
 from egolane_pgm.recordings.table import write_table
 from egolane_pgm.simulation.presets import PRESETS
@@ -65,16 +64,12 @@ def cost_estimate(
     seed: int,
     frames: int | None,
     overrides: Mapping[str, Any],
-    folder: Path,
     *,
     stereo: bool,
     video: bool,
     png: bool,
 ) -> str | None:
-    """A message on how much disk and time a long drive will take; None for a short one.
-
-    Raises InputError if the disk has too little space left.
-    """
+    """A message on how much disk and time a long drive will take; None for a short one."""
     if preset not in PRESETS:
         return None  # make_scene refuses it
     world = replace(PRESETS[preset].world)
@@ -86,16 +81,7 @@ def cost_estimate(
     settings = {key: value for key, value in overrides.items() if key != "n_frames"}
     short = make_scene(preset, seed, _ESTIMATED_FROM, stereo=stereo, **settings)
     seconds, size = cost_per_frame(short, png=png, video=video)
-    nearest = folder.absolute()
-    while not nearest.exists():
-        nearest = nearest.parent
-    disk = shutil.disk_usage(nearest)
     need = f"{n_frames} frames need about {_amount(n_frames * size)}"
-    if disk.total and n_frames * size > disk.free:
-        raise InputError(
-            f"{folder}: {need}, the disk has {_amount(disk.free)} left; ask for fewer (--frames)"
-            " or name another place (--out)"
-        )
     return f"{need} and {_duration(n_frames * seconds)}; Ctrl-C keeps those rendered"
 
 
@@ -115,8 +101,7 @@ def write_drive(
     - png: whether pictures are PNG instead of JPEG
     - progress: wraps the frame numbers, e.g. tqdm
 
-    Raises InputError if something cannot be written. The frames rendered before that, or before
-    Ctrl-C, are kept.
+    The frames rendered before Ctrl-C are kept. Raises InputError if something cannot be written.
     """
     make_directory(folder)
     write_camera(folder / "camera.yaml", scene.camera, f"rendered drive {preset}, seed {seed}")
@@ -140,14 +125,6 @@ def write_drive(
                         write(k, image)
                 table.write(_rows(frame))
                 n_rendered = k + 1
-    except NotKeptError:
-        raise
-    except (OSError, InputError) as error:
-        _remove_incomplete(folder, places, n_rendered)
-        said = str(error)
-        if isinstance(error, OSError):
-            said = f"{folder}: cannot be written: {error.strerror or error}"
-        raise InputError(f"{said}; {n_rendered} of {len(scene)} frames are in {folder}") from error
     except KeyboardInterrupt:
         _remove_incomplete(folder, places, n_rendered)
         raise KeyboardInterrupt(
@@ -219,14 +196,13 @@ def picture_writer(
     """A context that gives a function to write a frame's picture to a video (.mp4) or into a folder
     (JPEG or PNG).
 
-    Raises InputError if something cannot be written, and NotKeptError if a written video cannot be
-    read.
+    Raises InputError if something cannot be written.
     """
     if place.suffix == ".mp4":
         with video_writer(place, frame_rate, (camera.width, camera.height)) as append:
             yield lambda _, image: append(image)
         return
-    place.mkdir(parents=True, exist_ok=True)
+    make_directory(place)
     ending, options = ("png", []) if png else ("jpg", [cv2.IMWRITE_JPEG_QUALITY, 95])
     yield lambda k, image: write_picture(place / f"{k:06d}.{ending}", image, options)
 

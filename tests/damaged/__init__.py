@@ -1,0 +1,1 @@
+"""Each reader on files that somebody damaged: `python -m tests.damaged`."""
