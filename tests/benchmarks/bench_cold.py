@@ -27,14 +27,14 @@ REST = "everything else"
 
 #: The functions that are timed, and what they do. What one of them does for another counts there.
 PARTS = (
-    ("egolane_pgm.running", "model_to_run", "graph and rule; numba loads kernels"),
-    ("egolane_pgm.running", "load_recording", "reading recording and labels"),
-    ("egolane_pgm.running", "make_evidence", "evidence"),
+    ("egolane_pgm.drive", "prepare_model", "graph and rule; numba loads kernels"),
+    ("egolane_pgm.drive", "load_recording", "reading recording and labels"),
+    ("egolane_pgm.drive", "make_evidence", "evidence"),
     ("egolane_pgm.running", "infer_beliefs", "filter"),
     ("egolane_pgm.running", "score_with_intervals", "scores, with intervals"),
     ("egolane_pgm.running", "provenance", "versions, checksums, commit"),
-    ("egolane_pgm.running", "write_result", "writing tables"),
-    ("egolane_pgm.api.runs", "draw_belief", "drawing strips.png"),
+    ("egolane_pgm.results", "write_result", "writing tables"),
+    ("egolane_pgm.report.strips", "draw_strips", "drawing strips.png"),
 )
 
 
@@ -97,9 +97,6 @@ def _inside(report: Path, words: list[str]) -> None:
 
     def timed(function: Any, what: str) -> Any:
         def call(*given: Any, **named: Any) -> Any:
-            if what == PARTS[-1][2]:
-                with part("matplotlib"):
-                    import_module("egolane_pgm.report.strips")
             with part(what):
                 return function(*given, **named)
 
@@ -110,6 +107,8 @@ def _inside(report: Path, words: list[str]) -> None:
     with part("other imports"):
         import_module("egolane_pgm.cli.run")
         command = import_module("egolane_pgm.cli.main").egolane
+    with part("matplotlib"):
+        import_module("egolane_pgm.report.strips")
     for place, name, what in PARTS:
         module = import_module(place)
         setattr(module, name, timed(getattr(module, name), what))

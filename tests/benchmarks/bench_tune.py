@@ -8,13 +8,14 @@ from __future__ import annotations
 import os
 import tempfile
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterable, Iterator
 from pathlib import Path
 from statistics import median
 from typing import Any
 
 import numpy as np
 
+from egolane_pgm.tuning.identity import identity_of
 from egolane_pgm.tuning.objective import all_used
 from egolane_pgm.tuning.plan import Problem, load_plan, make_problem, scorer
 from egolane_pgm.tuning.search import Settings, search, search_in_memory
@@ -34,7 +35,7 @@ def load() -> Problem:
     return make_problem(load_plan(EXPERIMENT if os.environ.get("EGOLANE_DATA") else SIMULATED))
 
 
-def tune_lines(rounds: int = 3) -> list[Line]:
+def tune_lines(rounds: int = 3) -> Iterator[Line]:
     """(what, seconds per trial) of everything that is measured."""
     problem = load()
     score = scorer(problem, all_used(problem.drives))
@@ -52,20 +53,19 @@ def tune_lines(rounds: int = 3) -> list[Line]:
         return median(found)
 
     seconds = timed(lambda: [score(point) for point in points], 256)
-    lines = [("our share, 10,000 frames", share * seconds)]
+    yield "our share, 10,000 frames", share * seconds
     for sampler in ("random", "evolution"):
         settings = Settings(("accuracy",), sampler, 2000, 0)
         seconds = timed(lambda s=settings: search_in_memory(problem.space, score, s), 2000)
-        lines.append((f"{sampler}, in memory, whole trial", seconds))
+        yield f"{sampler}, in memory, whole trial", seconds
         for kept in ("journal", "SQLite"):
             with tempfile.TemporaryDirectory() as folder:
                 url = f"sqlite:///{folder}/study.db" if kept == "SQLite" else None
                 trials = 100 if url else 1000
                 run = _kept(problem, Path(folder), url, Settings(("accuracy",), sampler, trials, 0))
-                lines.append((f"{sampler}, {kept}", timed(run, trials, 1)))
+                yield f"{sampler}, {kept}", timed(run, trials, 1)
     for sampler in ("tpe", "cma-es"):
-        lines += _at(problem, sampler)
-    return lines
+        yield from _at(problem, sampler)
 
 
 def _kept(
@@ -74,7 +74,7 @@ def _kept(
     score = scorer(problem, all_used(problem.drives))
 
     def run() -> None:
-        study = open_study(open_storage(url, folder), "bench", settings, {})
+        study = open_study(open_storage(url, folder), "bench", settings, identity_of(problem))
         search(study, problem.space, score, settings)
 
     return run
@@ -96,12 +96,14 @@ def _at(problem: Problem, sampler: str) -> list[Line]:
     ]
 
 
-def markdown(lines: list[Line]) -> str:
-    """The lines as a Markdown table."""
-    rows = [f"| {' | '.join(HEADER)} |", "|---|---:|---:|"]
-    rows += [f"| {what} | {1e3 * s:.2f} ms | {1 / s:,.0f} |" for what, s in lines]
-    return "\n".join(rows) + "\n"
+def markdown(lines: Iterable[Line]) -> Iterator[str]:
+    """The lines as a Markdown table, each when it is there."""
+    yield f"| {' | '.join(HEADER)} |"
+    yield "|---|---:|---:|"
+    for what, s in lines:
+        yield f"| {what} | {1e3 * s:.2f} ms | {1 / s:,.0f} |"
 
 
 if __name__ == "__main__":
-    print(markdown(tune_lines()))
+    for line in markdown(tune_lines()):
+        print(line, flush=True)

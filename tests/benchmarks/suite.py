@@ -7,7 +7,7 @@ import subprocess
 import sys
 import tempfile
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from statistics import median
 
@@ -50,11 +50,29 @@ held still for all."""
 
 
 def run_all(rounds: int) -> str:
-    """Measure everything, print each row as it comes, and give the whole table back."""
+    """Measure everything, print each row when it is there, and give the whole text back."""
+    said = []
+    for line in _all_lines(rounds):
+        print(line, flush=True)
+        said.append(line)
+    return "\n".join(said) + "\n"
+
+
+def _all_lines(rounds: int) -> Iterator[str]:
     data = load()
-    head = f"Measured on {data.source}.\n{machine()}.\n"
-    print(head, flush=True)
-    rows: list[Row] = []
+    yield f"Measured on {data.source}.\n{machine()}.\n"
+    yield from table(_rows(data, rounds))
+    yield f"\n{NOTE}\n"
+    yield from markdown(tune_lines())
+    pictures = bench_camera.camera_lines()
+    yield f"\n{bench_camera.markdown(pictures)}"
+    yield bench_cold.markdown(bench_cold.cold_lines())
+    yield bench_fleet.markdown(bench_fleet.fleet_lines())
+    yield bench_planning.markdown(bench_planning.planning_lines(), pictures)
+    yield from bench_memory.memory_lines()
+
+
+def _rows(data: Data, rounds: int) -> Iterator[Row]:
     for part in (
         evidence_rows,
         filter_rows,
@@ -68,23 +86,7 @@ def run_all(rounds: int) -> str:
         reading_rows,
         command_rows,
     ):
-        print(f"{part.__name__} ...", file=sys.stderr, flush=True)
-        rows += part(data, rounds)
-    print("tune_lines ...", file=sys.stderr, flush=True)
-    text = f"{table(rows)}\n{NOTE}\n\n{markdown(tune_lines())}\n"
-    print("camera_lines ...", file=sys.stderr, flush=True)
-    pictures = bench_camera.camera_lines()
-    text += f"{bench_camera.markdown(pictures)}\n"
-    print("cold_lines ...", file=sys.stderr, flush=True)
-    text += f"{bench_cold.markdown(bench_cold.cold_lines())}\n"
-    print("fleet_lines ...", file=sys.stderr, flush=True)
-    text += f"{bench_fleet.markdown(bench_fleet.fleet_lines())}\n"
-    print("planning_lines ...", file=sys.stderr, flush=True)
-    text += f"{bench_planning.markdown(bench_planning.planning_lines(), pictures)}\n"
-    print("memory_lines ...", file=sys.stderr, flush=True)
-    text += "\n" + "\n".join(bench_memory.memory_lines()) + "\n"
-    print(text)
-    return f"{head}\n{text}"
+        yield from part(data, rounds)
 
 
 def evidence_rows(data: Data, rounds: int) -> list[Row]:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import platform
 import random
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from importlib import metadata
 from pathlib import Path
@@ -45,11 +45,12 @@ def take_turns(contestants: Mapping[str, Callable[[], object]], rounds: int) -> 
     return {name: median(values) for name, values in times.items()}
 
 
-def table(rows: list[Row]) -> str:
-    """The rows as a Markdown table."""
-    lines = [f"| {' | '.join(HEADER)} |", "|" + "---|" * len(HEADER)]
-    lines += [f"| {' | '.join(cells(row))} |" for row in rows]
-    return "\n".join(lines) + "\n"
+def table(rows: Iterable[Row]) -> Iterator[str]:
+    """The rows as a Markdown table, each when it is there."""
+    yield f"| {' | '.join(HEADER)} |"
+    yield "|" + "---|" * len(HEADER)
+    for row in rows:
+        yield f"| {' | '.join(cells(row))} |"
 
 
 def cells(row: Row) -> list[str]:
