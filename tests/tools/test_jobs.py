@@ -97,9 +97,7 @@ def test_nothing_is_begun_after_the_work_is_left(jobs: Jobs, tmp_path: Path) -> 
 
 
 def test_a_process_that_dies_costs_one_answer_and_nothing_else() -> None:
-    begun = time.monotonic()
     answers = list(in_order(partial(die_at, 5), range(12), 2, died=given_up))
-    assert time.monotonic() - begun < 30
     lost = [k for k, answer in enumerate(answers) if answer != str(k)]
     # The one beside it may be named before it.
     assert 5 in lost
