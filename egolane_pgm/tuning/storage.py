@@ -59,9 +59,8 @@ def open_storage(url: str | None, directory: Path) -> BaseStorage:
     except InputError:
         raise
     except ImportError as error:
-        raise InputError(
-            f"{_named(url)}: needs the package {error.name}: pip install {error.name}"
-        ) from error
+        name = error.name or getattr(error.__cause__, "name", None)
+        raise InputError(f"{_named(url)}: needs the package {name}: pip install {name}") from error
     # Whatever a database's driver raises (no such host, user or file), or Optuna where somebody
     # changed a journal.
     except Exception as error:
