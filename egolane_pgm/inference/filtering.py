@@ -16,6 +16,7 @@ another one of its frame is zero, and so is a frame's likelihood below 2.2e-308.
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 from itertools import pairwise
 from typing import Any
 
@@ -23,7 +24,7 @@ import numpy as np
 
 from egolane_pgm.inference.compile import Compiled
 from egolane_pgm.inference.jeffrey import run_jeffrey
-from egolane_pgm.inference.kernels.banded import forward_banded
+from egolane_pgm.inference.kernels.banded import Band, forward_banded
 from egolane_pgm.inference.kernels.filter import (
     forward_kernel,
     likelihood_kernel,
@@ -32,7 +33,6 @@ from egolane_pgm.inference.kernels.filter import (
 from egolane_pgm.inference.layout import (
     FilterState,
     PosteriorEvidence,
-    check_keys,
     evidence_blocks,
     joint_input,
     layout,
@@ -84,7 +84,8 @@ def filter_beliefs(
     >>> ego.filter_beliefs(run.model.compiled, run.evidence, "exact")
     Beliefs(300 frames, ids 0 to 299: SensorState (2), Lane (4))
     """
-    return _filter(compiled, evidence, method, None, frame_id)[1]
+    _, beliefs = step(compiled, None, evidence, method)
+    return beliefs if frame_id is None else replace(beliefs, frame_id=frame_id)
 
 
 def step(
@@ -98,7 +99,35 @@ def step(
     - state: what the call before gave, None before the first frame; it stays as it is.
     - evidence, method, errors: as in `filter_beliefs`.
     """
-    return _filter(compiled, evidence, method, state, None)
+    if method not in METHODS:
+        raise InputError(f"filter '{method}'{suggestion(method, METHODS)}")
+    is_factored = method == "assumed_density"
+    n_frames = len(evidence)
+    ids = np.arange(n_frames)
+    joint = np.zeros(compiled.n_states) if state is None else state.joint.copy()
+    begins = np.zeros(n_frames, dtype=bool)
+    begins[:1] = state is None
+    if isinstance(evidence, PosteriorEvidence):
+        whole = run_jeffrey(compiled, evidence, begins, joint, is_factored)
+        beliefs, log_evidence, is_impossible = whole
+        marginals = marginals_of(compiled, beliefs)
+        return FilterState(joint), Beliefs(ids, marginals, log_evidence, is_impossible)
+    index = joint_input(compiled, evidence)
+    done = []
+    for piece in _pieces(n_frames, piece_frames(compiled)):
+        likelihood = state_likelihood(compiled, evidence, piece)
+        beliefs, log_evidence, is_impossible = forward(
+            compiled,
+            likelihood,
+            index[piece],
+            begins[piece],
+            joint,
+            is_factored,
+            out=likelihood,
+        )
+        marginals = marginals_of(compiled, beliefs)
+        done.append(Beliefs(ids[piece], marginals, log_evidence, is_impossible))
+    return FilterState(joint), Beliefs.joined(done)
 
 
 def read_evidence(evidence: Evidence, reading: str) -> Evidence:
@@ -120,45 +149,6 @@ def read_evidence(evidence: Evidence, reading: str) -> Evidence:
     return Evidence(hard, evidence.inputs)
 
 
-def _filter(
-    compiled: Compiled,
-    evidence: Evidence,
-    method: str,
-    state: FilterState | None,
-    frame_id: IntArray | None,
-) -> tuple[FilterState, Beliefs]:
-    if method not in METHODS:
-        raise InputError(f"filter '{method}'{suggestion(method, METHODS)}")
-    is_factored = method == "assumed_density"
-    n_frames = len(evidence)
-    ids = np.arange(n_frames) if frame_id is None else frame_id
-    joint = np.zeros(compiled.n_states) if state is None else state.joint.copy()
-    begins = np.zeros(n_frames, dtype=bool)
-    begins[:1] = state is None
-    if isinstance(evidence, PosteriorEvidence):
-        whole = run_jeffrey(compiled, evidence, begins, joint, is_factored)
-        beliefs, log_evidence, is_impossible = whole
-        marginals = marginals_of(compiled, beliefs)
-        return FilterState(joint), Beliefs(ids, marginals, log_evidence, is_impossible)
-    check_keys(compiled, evidence)
-    index = joint_input(compiled, evidence)
-    done = []
-    for piece in _pieces(n_frames, piece_frames(compiled)):
-        likelihood = state_likelihood(compiled, evidence, piece)
-        beliefs, log_evidence, is_impossible = forward(
-            compiled,
-            likelihood,
-            index[piece],
-            begins[piece],
-            joint,
-            is_factored,
-            out=likelihood,
-        )
-        marginals = marginals_of(compiled, beliefs)
-        done.append(Beliefs(ids[piece], marginals, log_evidence, is_impossible))
-    return FilterState(joint), Beliefs.joined(done)
-
-
 def piece_frames(compiled: Compiled) -> int:
     """How many frames the filter takes at once. A drive that is cut at a multiple of this gives the
     same beliefs to the last digit, but for less than half of it at the end."""
@@ -174,10 +164,8 @@ def _pieces(n_frames: int, size: int) -> list[slice]:
 def state_likelihood(
     compiled: Compiled, evidence: Evidence, frames: slice = slice(None)
 ) -> FloatArray:
-    """P(evidence of the frame | joint state), (T, S), of some frames.
-
-    Raises InputError for evidence that does not fit the network.
-    """
+    """P(evidence of the frame | joint state), (T, S), of some frames. Raises InputError as
+    `evidence_blocks`."""
     blocks = evidence_blocks(compiled, evidence, frames)
     arrays, n_frames, n_states = layout(compiled), len(blocks[0]), compiled.n_states
     likelihood = np.ones((n_frames, n_states))
@@ -220,7 +208,14 @@ def forward(
         joint = np.zeros(n_states)
     beliefs = np.empty((n_frames, n_states)) if out is None else out
     total, is_impossible = np.empty(n_frames), np.empty(n_frames, dtype=bool)
-    run, transition = _forward_for(compiled, n_frames, is_factored)
+    run: Any
+    transition: Band | FloatArray
+    # The banded one knows the product of two marginals, not of more.
+    if arrays.band is not None and (not is_factored or len(compiled.state_nodes) <= 2):
+        run, transition = forward_banded, arrays.band
+    else:
+        is_fixed = n_frames >= MIN_FIXED_FRAMES and n_states <= MAX_FIXED_STATES
+        run, transition = forward_kernel(arrays.columns if is_fixed else ()), compiled.transition
     run(
         joint,
         begins,
@@ -238,13 +233,3 @@ def forward(
         log_evidence = np.log(total)
     log_evidence[is_impossible] = 0.0
     return beliefs, log_evidence, is_impossible
-
-
-def _forward_for(compiled: Compiled, n_frames: int, is_factored: bool) -> tuple[Any, Any]:
-    """Which implementation of the recursion suits the network, and the transition that it takes."""
-    band = layout(compiled).band
-    # The banded one knows the product of two marginals, not of more.
-    if band is not None and (not is_factored or len(compiled.state_nodes) <= 2):
-        return forward_banded, band
-    is_fixed = n_frames >= MIN_FIXED_FRAMES and compiled.n_states <= MAX_FIXED_STATES
-    return forward_kernel(layout(compiled).columns if is_fixed else ()), compiled.transition

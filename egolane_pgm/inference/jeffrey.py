@@ -29,7 +29,7 @@ import numpy as np
 
 from egolane_pgm.inference.compile import Compiled
 from egolane_pgm.inference.kernels.sweeps import jeffrey_frames
-from egolane_pgm.inference.layout import PosteriorEvidence, check_keys, joint_input, layout
+from egolane_pgm.inference.layout import PosteriorEvidence, joint_input, layout
 from egolane_pgm.types import BoolArray, FloatArray, IntArray
 
 
@@ -42,7 +42,7 @@ def run_jeffrey(
 ) -> tuple[FloatArray, FloatArray, BoolArray]:
     """The filter's recursion with this update: arguments and what it gives as in
     `filtering.forward`."""
-    check_keys(compiled, evidence)
+    index = joint_input(compiled, evidence)
     rows, is_said = _posterior_rows(compiled, evidence)
     start, group, value = _key_columns(compiled)
     n_frames = len(evidence)
@@ -55,7 +55,7 @@ def run_jeffrey(
         is_factored,
         compiled.prior,
         compiled.transition,
-        joint_input(compiled, evidence),
+        index,
         np.concatenate([g.emission for g in compiled.groups], axis=1),
         np.array([0, *accumulate(g.emission.shape[1] for g in compiled.groups)], dtype=np.int64),
         rows,

@@ -69,9 +69,10 @@ def layout(compiled: Compiled) -> Layout:
     """The layout of a network. Remembered, since an online filter asks for it in every frame."""
     size = compiled.cardinality
     in_state = [name for name in compiled.state_nodes if name in compiled.hidden]
-    parts, indicator, end = {}, [], 0
+    parts, indicator, start = {}, [], 0
     for name in (*in_state, *compiled.functions):
-        parts[name] = slice(end, end := end + size[name])
+        parts[name] = slice(start, start + size[name])
+        start += size[name]
         indicator.append(compiled.node_value[name][:, None] == np.arange(size[name]))
     column = np.empty((len(compiled.state_nodes), compiled.n_states), dtype=np.int64)
     start = 0
@@ -120,17 +121,15 @@ def evidence_blocks(
     compiled: Compiled, evidence: Evidence, frames: slice = slice(None)
 ) -> list[FloatArray]:
     """The evidence of each group of observed nodes in some frames, (T, K): the product over the
-    group's keys for all values of its nodes.
+    group's keys for all values of its nodes. The evidence fits the network (`joint_input`).
 
-    Raises InputError naming an observed node without evidence, evidence without a node, or a
-    wrong shape; and for evidence that is read by Jeffrey's rule.
+    Raises InputError for evidence that is read by Jeffrey's rule.
     """
     if isinstance(evidence, PosteriorEvidence):
         raise InputError(
             "evidence read by Jeffrey's rule is no likelihood: only the filters exact and"
             " assumed_density take it; use evidence_reading soft or hard here"
         )
-    check_keys(compiled, evidence)
     blocks = []
     for group in compiled.groups:
         block = evidence.likelihoods[group.observed[0]][frames]
@@ -170,7 +169,11 @@ def check_keys(compiled: Compiled, evidence: Evidence) -> None:
 
 
 def joint_input(compiled: Compiled, evidence: Evidence) -> IntArray:
-    """(T,): which joint value of the input nodes each frame has; 0 without inputs."""
+    """(T,): which joint value of the input nodes each frame has; 0 without inputs.
+
+    Raises InputError as `check_keys`.
+    """
+    check_keys(compiled, evidence)
     if not compiled.inputs:
         return np.zeros(len(evidence), dtype=np.int64)
     if len(compiled.inputs) == 1:
