@@ -240,7 +240,11 @@ def plain(value: Any) -> Any:
 
 
 def _of_numpy(value: Any) -> Any:
-    return dict(value) if isinstance(value, Mapping) else value.tolist()
+    if isinstance(value, Mapping):
+        return dict(value)
+    if isinstance(value, (np.ndarray, np.generic)):
+        return value.tolist()
+    raise TypeError(f"{type(value).__name__} has no form in JSON")
 
 
 # --- directories -----------------------------------------------------------------------------

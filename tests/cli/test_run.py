@@ -151,7 +151,7 @@ def test_run_prints_scores_warnings_and_where_the_result_is(drive: Path, tmp_pat
 
 def test_set_overrides_keys_of_the_yaml(drive: Path, tmp_path: Path) -> None:
     said = run_json(drive, tmp_path, "--set", "parameters.bonus_value=0", "--set", "filter=exact")
-    experiment = read_result(tmp_path / "out").experiment
+    experiment = read_result(tmp_path / "out").config
     assert experiment["parameters"]["bonus_value"] == 0
     assert experiment["filter"] == "exact"
     assert said["detector"] != run_json(drive, tmp_path)["detector"]
@@ -222,7 +222,7 @@ def test_the_examples_of_own_files_run(tmp_path: Path) -> None:
     assert "ok (4 lanes, 8 joint states)" in done("validate", experiment).stdout
     done("run", experiment, "--no-figures", "--out", tmp_path / "out")
     result = read_result(tmp_path / "out")
-    assert result.experiment["graph"] == "./graph_my_graph.py"
+    assert result.config["graph"] == "./graph_my_graph.py"
     assert (tmp_path / "out" / "graph_my_graph.py").read_bytes() == (
         EXAMPLES / "my_graph.py"
     ).read_bytes()
@@ -688,7 +688,7 @@ def test_run_prints_the_lane_changes_and_their_scores(tmp_path: Path) -> None:
     events = (out / "events.csv").read_text().splitlines()[1:]
     assert len(events) > 10
     assert f"and {len(events) - 10} more in events.csv" in shown
-    scores = run_experiment(path).events
+    scores = run_experiment(path).scores["events"]
     assert f"{scores['changes']} true lane changes, {scores['told']} told:" in shown
     blind = done("run", path, "--ground-truth", "none", "--no-figures", "--out", out).stdout
     assert "| time, s |" in blind
