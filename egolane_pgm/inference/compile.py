@@ -381,8 +381,8 @@ def _parts(
     sources = {}
     for name in hidden:
         table = tables[name, 1]
-        is_certain = np.isin(table.values, (0.0, 1.0)).all()
-        if is_certain and name in plain and name not in looked_back_at:
+        is_drawn = name not in plain or name in looked_back_at
+        if not is_drawn and np.isin(table.values, (0.0, 1.0)).all():
             sources[name] = [p for p, _ in table.parents]
     functions = [name for name in TopologicalSorter(sources).static_order() if name in sources]
     carried = [n for n in dict.fromkeys((*hidden, *nodes)) if n not in {*sources, *emissions}]
