@@ -329,7 +329,7 @@ def test_a_format_of_ones_own_reads_a_recording(tmp_path: Path) -> None:
     done("run", experiment, "--no-figures", "--out", tmp_path / "out")
     result = read_result(tmp_path / "out")
     np.testing.assert_array_equal(result.time_s, short_drive(20).log.frame_id / 20)
-    assert Path(result.experiment["recording"]["format"]) == tmp_path / "f.py"
+    assert Path(result.config["recording"]["format"]) == tmp_path / "f.py"
     write(tmp_path / "f.py", "def read(path, **options):\n    return path.nothing\n")
     said = refused("run", experiment, "--no-figures", "--out", tmp_path / "out")
     assert "recording.format: " in said
