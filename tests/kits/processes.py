@@ -13,7 +13,9 @@ needs_links = pytest.mark.skipif(sys.platform == "win32", reason="needs links an
 
 def started(*words: object, first: str = "", **options: Any) -> subprocess.Popen[str]:
     """`egolane words...` begun. first: Python that runs before it; options: of Popen."""
-    program = f"{first}\nfrom egolane_pgm.cli.entry import main\nmain()"
+    # What a shell runs in the background, perhaps these tests, ignores Ctrl-C, and so would this.
+    hears = "import signal; signal.signal(signal.SIGINT, signal.default_int_handler)"
+    program = f"{hears}\n{first}\nfrom egolane_pgm.cli.entry import main\nmain()"
     pipes = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE}
     return subprocess.Popen(
         [sys.executable, "-c", program, *map(str, words)],
