@@ -86,7 +86,9 @@ def test_evidence_is_made_again_only_when_its_own_parameters_change(
     fresh = load_drive(problem().drives[0].experiment, needs_truth="a search needs it")
     made = []
     original = model.make_evidence
-    monkeypatch.setattr(model, "make_evidence", lambda *a, **k: made.append(1) or original(*a, **k))
+    monkeypatch.setattr(
+        "egolane_pgm.drive.make_evidence", lambda *a, **k: made.append(1) or original(*a, **k)
+    )
     sets = [{**fresh.model.parameters, "bonus_value": k % 3, "p1": k / 40} for k in range(40)]
     everything = objective.all_used([fresh])
     scores([fresh], [sets], everything, ("accuracy",))
