@@ -243,8 +243,8 @@ def _read_parquet(path: Path, columns: Mapping[str, str]) -> _Cells:
         given = list(file.schema_arrow.names)
         names = _renamed(path, given, columns)
         there = {name: given[names.index(name)] for name in _check_columns(path, names)}
-        table = file.read(list(there.values()))
-    return {name: _typed(path, name, table[column]) for name, column in there.items()}
+        # One after the other: a long drive's would take twice the memory together.
+        return {name: _typed(path, name, file.read([c])[c]) for name, c in there.items()}
 
 
 def _typed(path: Path, name: str, column: Any) -> FloatArray:

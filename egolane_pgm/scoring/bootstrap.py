@@ -99,14 +99,14 @@ def resampled_sums(values: NDArray[np.generic], resamples: BlockResamples) -> ND
     """Sum of per-frame values over each resample: (T, ...) -> (R, ...).
 
     Costs one look-up per block, not per frame: the sum over each possible block comes from
-    cumulative sums. Counts (integers, booleans) are summed exactly as int64.
+    cumulative sums. Counts (integers, booleans) are summed exactly.
     """
     array = np.asarray(values)
     n_frames = resamples.n_frames
     if array.shape[:1] != (n_frames,):
         raise InputError(f"values of shape {array.shape} for resamples of {n_frames} frames")
-    exact = array.dtype.kind in "biu"
-    flat = array.reshape(n_frames, -1).astype(np.int64 if exact else np.float64, copy=False)
+    kinds = {"b": np.int32, "i": np.int64, "u": np.int64}
+    flat = array.reshape(n_frames, -1).astype(kinds.get(array.dtype.kind, np.float64), copy=False)
     wrapped = np.concatenate([np.zeros_like(flat[:1]), flat, flat[: resamples.block]])
     np.cumsum(wrapped, axis=0, out=wrapped)
     n_parts = resamples.starts.shape[1]
