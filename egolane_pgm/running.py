@@ -71,6 +71,12 @@ from egolane_pgm.types import (
     all_problems,
 )
 
+#: What scores.json says as run.json does.
+_SAID_TWICE = (
+    *("n_lanes", "tuned_on", "is_causal", "causal", "why_not_causal", "frames", "frames_scored"),
+    *("mean_log_evidence", "impossible_frames", "warnings"),
+)
+
 #: A drive that is run in parts has about this many frames in each.
 PART_FRAMES = 2**14
 
@@ -199,7 +205,7 @@ def scored_result(drive: Drive, found: Believed, begun: float) -> Result:
     rows = result_rows(drive, found)
     run = run_document(drive, rows, notes)
     rows = replace(rows, run=run, config=plain(resolved(drive.experiment, drive.model.parameters)))
-    scores = scores_document(rows, drive, notes)
+    scores = scores_document(rows, drive)
     seconds = round(time.perf_counter() - begun, 3)
     return replace(rows, run=plain({**run, "seconds": seconds}), scores=plain(scores))
 
@@ -291,27 +297,20 @@ def run_document(
         **provenance(experiment.name, content, files),
         "plugins": plugin_files(model),
         "frame_rate": experiment.recording.frame_rate,
-        **_said(drive, rows, notes),
-        "values": value_names(model),
-    }
-
-
-def _said(drive: Drive, rows: Result, notes: Sequence[str]) -> dict[str, Any]:
-    """What run.json and scores.json both say."""
-    return {
         "n_lanes": drive.n_lanes,
-        "tuned_on": drive.experiment.tuned_on,
-        **causality(drive.experiment, drive.model),
+        "tuned_on": experiment.tuned_on,
+        **causality(experiment, model),
         "frames": len(rows),
         "frames_scored": int(np.count_nonzero(~rows.is_crossing[rows.scored])),
         "mean_log_evidence": rows.beliefs.mean_log_evidence,
         "impossible_frames": int(rows.is_impossible.sum()),
         "warnings": list(notes),
+        "values": value_names(model),
     }
 
 
-def scores_document(result: Result, drive: Drive, notes: Sequence[str]) -> dict[str, Any]:
-    """The content of scores.json, from the columns of a result."""
+def scores_document(result: Result, drive: Drive) -> dict[str, Any]:
+    """The content of scores.json, from the columns and the run.json of a result."""
     rate, told, lane = float(result.run["frame_rate"]), result.told, result.marginals["Lane"]
     road, truth, rows = drive.recorded.road, result.truth, result.scored
     found: dict[str, Any] = {}
@@ -345,7 +344,7 @@ def scores_document(result: Result, drive: Drive, notes: Sequence[str]) -> dict[
     content = {
         "schema_version": SCHEMA_VERSION,
         "name": drive.experiment.name,
-        **_said(drive, result, notes),
+        **{key: result.run[key] for key in _SAID_TWICE},
         **found,
         "sure": float((lane.max(axis=1) >= SURE).mean()) if len(lane) else None,
         "lanes": [] if result.clip is not None else _lanes_over_time(result),

@@ -420,16 +420,6 @@ class LaneTruth:
     def __len__(self) -> int:
         return len(self.frame_id)
 
-    @classmethod
-    def joined(cls, parts: Sequence[LaneTruth]) -> LaneTruth:
-        """The truth of some frames and then of later ones."""
-        return cls(
-            np.concatenate([part.frame_id for part in parts]),
-            np.concatenate([part.lane for part in parts]),
-            np.concatenate([part.is_crossing for part in parts]),
-            parts[-1].source,
-        )
-
     def take(self, frames: slice | IntArray | BoolArray) -> LaneTruth:
         """The truth of some frames, in order."""
         return LaneTruth(
