@@ -9,6 +9,7 @@ the YAML is written in (`files.read_yaml`).
 
 from __future__ import annotations
 
+import difflib
 import hashlib
 import json
 import os
@@ -527,8 +528,16 @@ def experiments_folder() -> Path:
 
 def experiment_path(given: str | os.PathLike[str]) -> Path:
     """The file of an experiment. One that comes with the package is found under its name,
-    `experiments/zero_label.yaml`, from every folder that has no such file of its own."""
+    `zero_label` or `experiments/zero_label.yaml`, from every folder that has no such file of its
+    own. Raises InputError for a name that none has."""
     path = Path(given)
+    if not path.suffix and not path.exists():
+        named = {each.stem: each for each in experiments_folder().rglob("*.yaml")}
+        if str(given) in named:
+            return named[str(given)]
+        close = difflib.get_close_matches(str(given), named, n=1)
+        meant = f" (did you mean '{close[0]}'?)" if close else ""
+        raise InputError(f"{given}: is no file, and no experiment that `egolane ls` lists{meant}")
     if path.parts[:1] == ("experiments",) and not path.exists():
         shipped = experiments_folder().joinpath(*path.parts[1:])
         return shipped if shipped.is_file() else path

@@ -246,9 +246,13 @@ def drive_row(
     """The row of a drive: its name and tags, some columns, and every number of `scores`."""
     tags = {f"{TAG}{name}": value for name, value in drive.tags.items()}
     row = {"name": drive.name, **tags, **first}
-    for key, value in _numbers("", scores):
-        row.setdefault(key, value)
-    return row
+    # The columns that are given stay first, and go before numbers of the same name.
+    return row | numbers_of(scores) | row
+
+
+def numbers_of(scores: Mapping[str, Any]) -> dict[str, Any]:
+    """Every number of `scores`, by its keys with dots between them."""
+    return dict(_numbers("", scores))
 
 
 def _numbers(prefix: str, content: Mapping[str, Any]) -> list[tuple[str, Any]]:

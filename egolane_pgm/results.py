@@ -291,6 +291,21 @@ class Result:
 
         return result_html(self)
 
+    @property
+    def document(self) -> Mapping[str, Any]:
+        """What scores.json says."""
+        return self.scores
+
+    def to_text(self, *, style: str = "markdown", wide: bool = False) -> str:
+        """What `egolane run` prints: scores, confusions and lane changes.
+
+        - style: one of `report.tables.STYLES`.
+        - wide: whether tables are whole; else none is wider than the terminal.
+        """
+        from egolane_pgm.report.shown import result_text
+
+        return result_text(self, style, wide)
+
     def to_pandas(self) -> pd.DataFrame:
         """A row per frame; the index is `frame_id`.
 

@@ -3,11 +3,22 @@
 from __future__ import annotations
 
 import html
+import math
 from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
+from egolane_pgm.report.clips import clip_parts
 from egolane_pgm.report.comparison_tables import trusted_or_all
-from egolane_pgm.report.tables import score_rows, tuned_on_text, with_interval
+from egolane_pgm.report.events import event_lines, event_rows, lane_words, sure_words
+from egolane_pgm.report.tables import (
+    TUNED_ON,
+    Table,
+    confusion_table,
+    page,
+    score_rows,
+    tuned_on_text,
+    with_interval,
+)
 from egolane_pgm.types import InputError
 
 if TYPE_CHECKING:
@@ -80,3 +91,53 @@ def result_html(result: Result) -> str:
     """The same with a table of the scores, for a notebook."""
     header, rows = score_rows(scored(result))
     return html_table(result_title(result), header, rows if scored(result) else [], result.notes)
+
+
+def result_text(result: Result, style: str, wide: bool) -> str:
+    """What `egolane run` prints: scores and confusions, or the lane over time, then the lane
+    changes."""
+    said = result.scores
+    if "mean_log_evidence" not in said:
+        # Of what was held out; the result of a comparison has its scores in another place.
+        parts: list[str | Table] = [result_title(result), Table(*score_rows(scored(result)))]
+        return page(parts, style, wide)
+    mean = said["mean_log_evidence"]
+    first = [
+        f"{said['name']}: {len(result)} frames, {result.n_lanes} lanes,"
+        f" graph {result.experiment.graph},"
+        f" mean log evidence {math.nan if mean is None else mean:.4f}",
+        *said["why_not_causal"],
+    ]
+    scores = {who: said[who] for who in ("detector", "model") if who in said}
+    if not scores:
+        first.append("no ground truth: beliefs only, no scores (ground_truth names a file)")
+        return page(["\n".join(first), *_lane_parts(result), *_event_parts(result)], style, wide)
+    first.append(f"{said['frames_scored']} frames scored (crossing ones are not);")
+    first.append(f"parameters: {TUNED_ON[said['tuned_on']]}")
+    matrices = [confusion_table(mine["confusion"], name) for name, mine in scores.items()]
+    parts = ["\n".join(first), Table(*score_rows(scores)), *matrices, *_event_parts(result)]
+    return page(parts, style, wide)
+
+
+def _lane_parts(result: Result) -> list[str | Table]:
+    sure = sure_words(result.scores)
+    if result.clip is not None:
+        where = "a row for each clip: clips.csv; its frames: beliefs.parquet"
+        return [*clip_parts(result), f"{sure}\n{where}"]
+    last = result.beliefs.lane[-1]
+    best = int(last.argmax())
+    at_the_end = f"at the end lane {best + 1} is the most probable ({last[best]:.2f})"
+    return [f"{lane_words(result.scores)}; {at_the_end}\n{sure}"]
+
+
+def _event_parts(result: Result) -> list[str | Table]:
+    if result.clip is not None:
+        return []
+    events, scores = result.events, result.scores["events"]
+    header, rows = event_rows(events)
+    parts: list[str | Table] = [Table(header, rows) if rows else "no lane change was believed"]
+    if len(events) > len(rows):
+        parts.append(f"and {len(events) - len(rows)} more in events.csv")
+    if "within" in scores:
+        parts.append("\n".join(event_lines(scores)))
+    return parts

@@ -1,0 +1,399 @@
+"""The command `egolane`, made from the verbs: a command's arguments, options and help are those of
+its function's signature and docstring.
+
+Parameters before the `*` become arguments, the others options; types give their checks, and
+`verbs.given.Option` says what name and type do not. A verb whose result has `to_text` gets
+`--format` and `--wide`, one whose result has a `document` gets `--json`.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import inspect
+import io
+import os
+import re
+import sys
+import types
+import typing
+import warnings
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from dataclasses import replace
+from importlib import import_module
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import click
+from click.shell_completion import CompletionItem
+
+from egolane_pgm import __version__
+
+if TYPE_CHECKING:
+    from egolane_pgm.verbs.given import Option
+
+#: The short help of each command, whose verb is the function of its name in verbs/. A verb is
+#: imported only when its command is asked for: `--help` stays quick.
+COMMANDS = {
+    "calibrate": "Find out how a camera sees the road.",
+    "compare": "Compare experiments on frames that their parameters have not seen.",
+    "convert": "Convert a recording of lines to .bag, .csv or .parquet.",
+    "data": "List, download and check the paper's recordings.",
+    "detect": "Detect and follow lines in pictures of a camera.",
+    "export": "Write a result for a viewer: Foxglove, PlotJuggler, rerun.",
+    "label": "Label a recording's lanes, and list what a human should look at.",
+    "learn": "Learn an experiment from its recording.",
+    "lines": "Print the lines of one frame as in the paper's Box 1.",
+    "locate": "Find the road of a car on a map, and what is ahead of it.",
+    "ls": "List graphs, evidence rules, detectors and experiments.",
+    "map": "Read the lanes of motorways from an extract of OpenStreetMap.",
+    "network": "Write a graph: a picture, or text for other programs.",
+    "online": "Filter frame by frame: a JSON line in, its belief out at once.",
+    "plot": "Draw the figures of result directories and studies.",
+    "reproduce": "Repeat the paper's ten runs, beside the published tables.",
+    "report": "Show results as one interactive HTML page.",
+    "run": "Filter a recording, score it, write a result directory.",
+    "schema": "Print the JSON Schema of experiments, for editors.",
+    "show": "Show a graph, an evidence rule or a detector, and its parameters.",
+    "simulate": "Simulate a drive, as lines or as pictures.",
+    "tune": "Search parameters, and score them on frames they have not seen.",
+    "validate": "Check experiments and tuning files without computing anything.",
+    "video": "Draw a drive: pictures, lines, bird's-eye view and belief.",
+}
+
+#: Of one of several that failed, this many are named.
+_MANY = 20
+
+#: The first word of a message, which may be a parameter's name.
+_LEADING = re.compile(r"^\w+(?=:)")
+
+
+def main() -> None:
+    """Run the command `egolane`."""
+    egolane(prog_name="egolane")
+
+
+# --- a command from a verb ---------------------------------------------------------------------
+
+
+def command_of(name: str) -> click.Command:
+    """The command that is made from the verb of a name."""
+    module = import_module(f"egolane_pgm.verbs.{name}")
+    verb = getattr(module, name)
+    if isinstance(verb, Mapping):
+        return click.Group(
+            name,
+            {each: _made(part, each, None) for each, part in verb.items()},
+            help=module.__doc__,
+        )
+    made = _made(verb, name, getattr(module, "says", None))
+    examples = "\n".join(f"  {example}" for example in getattr(module, "EXAMPLES", ()))
+    made.epilog = f"\b\nExamples:\n{examples}" if examples else None
+    return made
+
+
+def _made(verb: Callable[..., Any], name: str, says: Callable[..., str] | None) -> click.Command:
+    from egolane_pgm.types import InputError
+
+    hints = typing.get_type_hints(verb, include_extras=True)
+    text, said = _docstring(inspect.getdoc(verb) or "")
+    params: list[click.Parameter] = []
+    for parameter in inspect.signature(verb).parameters.values():
+        params += _params(parameter, hints[parameter.name], said.get(parameter.name, ""))
+    results = _types_of(hints["return"])
+    if any(hasattr(result, "to_text") for result in results):
+        params += _tables()
+    if any(hasattr(result, "document") or result is dict for result in results):
+        params.append(_json_file())
+
+    names = {param.name: max(param.opts, key=len) for param in params}
+
+    def callback(**values: Any) -> None:
+        try:
+            _invoke(verb, {key: _given(hints.get(key), key, v) for key, v in values.items()}, says)
+        except InputError as error:
+            # What a Python caller knows as a parameter is an option here.
+            lines = (_LEADING.sub(lambda m: names.get(m[0], m[0]), line) for line in error.lines)
+            raise InputError(*lines) from error
+
+    return click.Command(name, callback=callback, params=params, help=text)
+
+
+def _docstring(text: str) -> tuple[str, dict[str, str]]:
+    """What a docstring says of the verb, without what is for Python callers only (what it returns
+    and raises, and its examples), and of each parameter."""
+    about: list[str] = []
+    said: dict[str, str] = {}
+    for paragraph in text.split("\n\n"):
+        if paragraph.startswith((">>>", "Returns ", "Raises ")):
+            continue
+        if not paragraph.startswith("- "):
+            about.append(paragraph)
+            continue
+        for item in re.split(r"\n(?=- )", paragraph):
+            names, _, meaning = item.removeprefix("- ").partition(":")
+            for each in names.split(","):
+                said[each.strip()] = " ".join(meaning.split())
+    return "\n\n".join(about), said
+
+
+def _types_of(hint: Any) -> tuple[Any, ...]:
+    """The types of a union, without None."""
+    if typing.get_origin(hint) is typing.Annotated:
+        return _types_of(hint.__origin__)
+    if typing.get_origin(hint) in (types.UnionType, typing.Union):
+        return tuple(t for part in hint.__args__ for t in _types_of(part) if t is not type(None))
+    return (hint,)
+
+
+def _extras_of(hint: Any) -> tuple[Any, ...]:
+    """What the parts of a hint are annotated with, the outermost first."""
+    if typing.get_origin(hint) is typing.Annotated:
+        return (*hint.__metadata__, *_extras_of(hint.__origin__))
+    if typing.get_origin(hint) in (types.UnionType, typing.Union):
+        return tuple(extra for part in hint.__args__ for extra in _extras_of(part))
+    return ()
+
+
+def _looks(extras: Sequence[Any]) -> Option:
+    from egolane_pgm.verbs.given import Option
+
+    return next((extra for extra in extras if isinstance(extra, Option)), Option())
+
+
+def _params(parameter: inspect.Parameter, hint: Any, said: str) -> list[click.Parameter]:
+    """The argument or the options of a verb's parameter.
+
+    - said: what the docstring says of it.
+    """
+    name, default, extras = parameter.name, parameter.default, _extras_of(hint)
+    looks = _looks(extras)
+    if looks.hidden:
+        return []
+    given = None if default in (inspect.Parameter.empty, ()) else default
+    settings: dict[str, Any] = {"metavar": looks.metavar, "type": _type_of(hint, extras)}
+    if looks.plugins:
+        settings["shell_complete"] = _plugins(looks.plugins)
+    if parameter.kind is not inspect.Parameter.KEYWORD_ONLY:
+        required = looks.required or default is inspect.Parameter.empty
+        nargs = -1 if looks.many else 1
+        return [click.Argument([name], nargs=nargs, required=required, default=given, **settings)]
+    value = given if looks.default is None else looks.default
+    help = looks.help or (f"Do not {said}" if default is True else said[:1].upper() + said[1:])
+    if looks.said or not (value is None or isinstance(value, bool)):
+        help += f"  [default: {looks.said or value}]"
+    if bool in _types_of(hint):
+        no = "no-" if default is True else ""
+        names = looks.names or (f"--{no}{_dashed(name)}",)
+        flag = True if "/" in names[0] or default is not True else False
+        return [
+            click.Option([*names, name], is_flag=True, default=default, flag_value=flag, help=help)
+        ]
+    if name == "overrides":
+        settings |= {"metavar": "KEY=VALUE", "multiple": True}
+        looks = replace(looks, names=("--set",))
+    long = () if any(each.startswith("--") for each in looks.names) else (f"--{_dashed(name)}",)
+    settings |= {"required": looks.required, "envvar": looks.envvar}
+    if looks.many or _is_mapping(hint):
+        settings["multiple"] = True
+    made = click.Option([*looks.names, *long, name], default=value, help=help, **settings)
+    if name != "jobs":
+        return [made]
+    cluster = "Instead of --jobs: the scheduler of a Dask cluster, or one of N processes here."
+    return [made, click.Option(["--cluster"], metavar="ADDRESS|local:N", help=cluster)]
+
+
+def _dashed(name: str) -> str:
+    return name.rstrip("_").replace("_", "-")
+
+
+def _is_mapping(hint: Any) -> bool:
+    """Whether a parameter takes names and values, and nothing else."""
+    return [typing.get_origin(each) for each in _types_of(hint)] == [Mapping]
+
+
+def _type_of(hint: Any, extras: Sequence[Any]) -> Any:
+    """The type that click checks a value by."""
+    found = _types_of(hint)
+    first = found[0]
+    if typing.get_origin(first) is typing.Literal:
+        return click.Choice([*first.__args__])
+    if typing.get_origin(first) is tuple:
+        return first.__args__
+    if first in (int, float):
+        low, high = (
+            next((getattr(extra, key) for extra in extras if hasattr(extra, key)), None)
+            for key in ("ge", "le")
+        )
+        if low is None and high is None:
+            return first
+        return (click.IntRange if first is int else click.FloatRange)(low, high)
+    is_path = any(typing.get_origin(each) is os.PathLike for each in found)
+    return click.Path() if is_path else str
+
+
+def _plugins(folders: Sequence[str]) -> Callable[..., list[CompletionItem]]:
+    """Completes names of the package's plugins, several with commas between them, or of files."""
+
+    def complete(_: click.Context, __: click.Parameter, typed: str) -> list[CompletionItem]:
+        from egolane_pgm.plugins import plugin_names
+
+        *before, last = typed.split(",")
+        known = sorted(name for folder in folders for name in plugin_names(folder))
+        found = [",".join([*before, name]) for name in known if name.startswith(last)]
+        return [*map(CompletionItem, found)] or [CompletionItem(typed, type="file")]
+
+    return complete
+
+
+def _tables() -> list[click.Parameter]:
+    """The options of a command that prints tables."""
+    style = click.Choice(["markdown", "latex", "csv"])
+    of_style = "Of the tables; csv is the first one alone, one number in a cell."
+    of_wide = "Whole tables, for a file, not only what fits the terminal (or COLUMNS, or 80)."
+    return [
+        click.Option(
+            ["--format", "style"], type=style, default="markdown", show_default=True, help=of_style
+        ),
+        click.Option(["--wide"], is_flag=True, help=of_wide),
+    ]
+
+
+def _json_file() -> click.Parameter:
+    help = "Write the unrounded numbers as JSON; - prints them, and nothing else."
+    return click.Option(["--json", "json_file"], type=click.Path(), metavar="FILE", help=help)
+
+
+# --- what a command does -----------------------------------------------------------------------
+
+
+def _invoke(
+    verb: Callable[..., Any], values: dict[str, Any], says: Callable[..., str] | None
+) -> None:
+    """Call a verb with what the command line gave, and print what it returns.
+
+    - values: by the names of the parameters; also `style`, `wide`, `json_file` and `cluster`.
+    """
+    from egolane_pgm.tools.files import check_not_read, check_place, json_text, write_json
+
+    style, wide = values.pop("style", "markdown"), values.pop("wide", False)
+    json_file = values.pop("json_file", None)
+    given = {name: value for name, value in values.items() if value not in ((), "cluster")}
+    if given.pop("cluster", None):
+        given["jobs"] = values["cluster"]
+    prints = io.StringIO() if json_file == "-" else sys.stdout
+    if json_file is not None and json_file != "-":
+        paths = [Path(each) for each in _flat(given.values()) if isinstance(each, str) and each]
+        check_not_read(Path(json_file), paths)
+        check_place(Path(json_file))
+    with contextlib.redirect_stdout(prints):
+        done = verb(**given)
+        # The file is written before anything is printed, because a reader may close the pipe.
+        if json_file not in (None, "-"):
+            write_json(Path(json_file), getattr(done, "document", done))
+        for note in getattr(done, "notes", ()):
+            warn(note)
+        if hasattr(done, "to_text"):
+            click.echo(done.to_text(style=style, wide=wide))
+        elif isinstance(done, str) and says is None:
+            click.echo(done)
+        if says is not None:
+            apart = hasattr(done, "to_text")
+            said = says(done, given)
+            click.echo(("\n" if apart else "") + said, err=apart and style != "markdown")
+    if json_file == "-":
+        click.echo(json_text(getattr(done, "document", done)), nl=False)
+    failed = list(getattr(done, "failed", ()))
+    for title, why in failed[:_MANY]:
+        for line in why.splitlines():
+            _say(f"failed: {title}: {line}")
+    if len(failed) > _MANY:
+        _say(f"failed: {len(failed) - _MANY} more")
+    if failed:
+        raise SystemExit(1)
+
+
+def _given(hint: Any, name: str, value: Any) -> Any:
+    """A value of the command line as the verb takes it: several that are one as that one."""
+    from egolane_pgm.experiment import read_override
+    from egolane_pgm.types import InputError
+
+    looks = _looks(_extras_of(hint))
+    if value == "" or (isinstance(value, tuple) and "" in value):
+        raise InputError(f"{name}: is empty")
+    if _is_mapping(hint):
+        return dict(read_override(each, looks.said or "name=value", name) for each in value)
+    return value[0] if looks.many and len(value) == 1 else value
+
+
+def _flat(values: Iterable[Any]) -> Iterator[Any]:
+    for value in values:
+        yield from value if isinstance(value, tuple) else (value,)
+
+
+def warn(text: str) -> None:
+    """Print a warning, or a note, on standard error."""
+    from egolane_pgm.types import NOTE
+
+    _say(text if text.startswith(NOTE) else f"warning: {text}")
+
+
+def _say(text: str) -> None:
+    from egolane_pgm.types import in_one_line
+
+    click.echo(in_one_line(text), err=True)
+
+
+# --- the group ---------------------------------------------------------------------------------
+
+
+class _Group(click.Group):
+    """Makes a command when it is asked for, and turns what a user can mend into one line and exit
+    code 2."""
+
+    def list_commands(self, ctx: click.Context) -> list[str]:
+        return list(COMMANDS)
+
+    def get_command(self, ctx: click.Context, name: str) -> click.Command | None:
+        return command_of(name) if name in COMMANDS else None
+
+    def format_commands(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
+        with formatter.section("Commands"):
+            formatter.write_dl([*COMMANDS.items()])
+
+    def shell_complete(self, ctx: click.Context, incomplete: str) -> list[CompletionItem]:
+        # Click would import each command to ask it for its help.
+        names = [name for name in COMMANDS if name.startswith(incomplete)]
+        options = click.Command.shell_complete(self, ctx, incomplete)
+        return [CompletionItem(name, help=COMMANDS[name]) for name in names] + options
+
+    def invoke(self, ctx: click.Context) -> Any:
+        # This imports NumPy, which `egolane --help` does not need.
+        from egolane_pgm.types import InputError, in_one_line
+
+        try:
+            with warnings.catch_warnings():
+                warnings.showwarning = lambda message, *_, **__: warn(str(message))
+                return super().invoke(ctx)
+        except KeyboardInterrupt as stop:
+            # A verb that knows what was kept says so: KeyboardInterrupt("3 of 5 are in x; the same
+            # command begins anew").
+            kept = str(stop) or "nothing was left half-written; the same command begins anew"
+            click.echo(f"egolane: interrupted; {kept}", err=True)
+            ctx.exit(130)
+        except InputError as error:
+            for line in error.lines:
+                click.echo(f"egolane: {line}", err=True)
+            ctx.exit(2)
+        except click.UsageError as error:
+            if isinstance(error, getattr(click.exceptions, "NoArgsIsHelpError", ())):
+                raise
+            where = error.ctx.command_path if error.ctx else "egolane"
+            said = in_one_line(error.format_message())
+            click.echo(f"egolane: {said} See `{where} --help`.", err=True)
+            ctx.exit(2)
+
+
+@click.group(cls=_Group, context_settings={"help_option_names": ["-h", "--help"]})
+@click.version_option(__version__)
+def egolane() -> None:
+    """Which lane is the car in? Noisy lane-line detections in, a belief over lanes out."""

@@ -1,0 +1,98 @@
+"""What verbs take: kinds of parameters, and how those look on the command line that their name and
+type do not say."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Annotated, Any, Literal
+
+from annotated_types import Ge
+
+from egolane_pgm.experiment import Experiment
+from egolane_pgm.types import InputError, LaneTruth, LineLog
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+    #: Lines of a drive: a file, or what is in memory.
+    Lines = str | os.PathLike[str] | LineLog | pd.DataFrame
+    #: The annotated lanes of a drive; "none" for none.
+    Truth = str | os.PathLike[str] | LaneTruth | pd.DataFrame
+else:
+    Lines = Truth = str | os.PathLike[str]
+
+StrPath = str | os.PathLike[str]
+
+
+@dataclass(frozen=True)
+class Option:
+    """How a parameter of a verb looks on the command line.
+
+    - metavar: stands for its value in the help; "-" for none.
+    - names: "-o" beside the long one, or in place of it one of another name: "--outline".
+    - default: what a command takes where the verb is given nothing. said: shows what that means.
+    - plugins: folders of the package whose plugins complete the value.
+    - many: whether it is given several times, or several arguments.
+    - envvar: a variable of the environment that gives it.
+    - help: for the command line only; else what the docstring says.
+    - required: whether a command needs it.
+    - hidden: whether a command does not have it.
+    """
+
+    metavar: str | None = None
+    names: tuple[str, ...] = ()
+    default: Any = None
+    said: str | None = None
+    plugins: tuple[str, ...] = ()
+    many: bool = False
+    envvar: str | None = None
+    help: str | None = None
+    required: bool = False
+    hidden: bool = False
+
+
+#: What only Python callers say.
+Hidden = Option(hidden=True)
+
+Progress = Annotated[bool | None, Hidden]
+Blocks = Annotated[int, Ge(2)]
+Seed = Annotated[int, Ge(0)]
+Detector = Annotated[StrPath | None, Option("NAME|FILE.py", plugins=("detectors",))]
+CameraFile = Annotated[StrPath, Option("FILE", required=True)]
+FrameId = Literal["way_id", "seq", "count"]
+Frames = Annotated[tuple[int, int] | None, Option("FIRST STOP")]
+Fleet = Annotated[StrPath | None, Option("FILE")]
+ByTag = Annotated[str | None, Option("NAME")]
+
+
+def several_of(given: Any, what: str) -> list[Any]:
+    """One or several things as a list."""
+    if given is None:
+        return []
+    if isinstance(given, (str, os.PathLike, Experiment, Mapping)):
+        return [given]
+    if isinstance(given, Sequence):
+        return list(given)
+    raise InputError(f"{what}: {given!r} is neither one nor a list of several")
+
+
+def path_of(given: Any, what: str) -> str:
+    """The name of a file or a folder. Raises InputError for anything else."""
+    if isinstance(given, (str, os.PathLike)):
+        return os.fspath(given)
+    raise InputError(f"{what}: {given!r} is not the name of a file or a folder")
+
+
+def keys_of(given: Mapping[str, Any] | None, what: str, example: str) -> dict[str, Any]:
+    """Names and values. Raises InputError, with the example, for what is no dict."""
+    if given is None or isinstance(given, Mapping):
+        return dict(given or {})
+    raise InputError(f"{what}: {given!r} is no dict, e.g. {example}")
+
+
+def check_frames(frames: tuple[int, int] | None) -> None:
+    """Raise InputError for a range without frames."""
+    if frames is not None and frames[0] >= frames[1]:
+        raise InputError(f"frames: {frames[0]} {frames[1]} is an empty range")

@@ -1,0 +1,375 @@
+"""The verb `run`."""
+
+from __future__ import annotations
+
+import os
+import warnings
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
+from functools import partial
+from pathlib import Path
+from typing import Annotated, Any, overload
+
+from egolane_pgm.drive import with_recording
+from egolane_pgm.drive_table import DriveTable
+from egolane_pgm.experiment import (
+    Experiment,
+    Given,
+    Overrides,
+    experiment_path,
+    load_experiment,
+)
+from egolane_pgm.fleet import numbers_of, plan_fleet, read_fleet, summary_rows, write_summary
+from egolane_pgm.report.events import event_runs_rows, lane_words, sure_words
+from egolane_pgm.report.fleet_table import fleet_table_rows
+from egolane_pgm.report.tables import Table, runs_table_rows
+from egolane_pgm.results import SCHEMA_VERSION, Result, check_writable
+from egolane_pgm.running import (
+    OneOfSeveral,
+    name_runs,
+    plan_runs,
+    run_all,
+    run_experiment,
+    run_in_parts,
+)
+from egolane_pgm.tools.jobs import Jobs
+from egolane_pgm.tools.progress import bar
+from egolane_pgm.types import NOTE, InputError
+from egolane_pgm.verbs.given import (
+    Detector,
+    Fleet,
+    FrameId,
+    Lines,
+    Option,
+    Progress,
+    StrPath,
+    Truth,
+    path_of,
+    several_of,
+)
+
+EXAMPLES = (
+    "egolane run lines.csv --n-lanes 4",
+    "egolane run experiments/quickstart.yaml --set parameters.sigma1=0.3",
+    "egolane run experiments/zero_label.yaml --recording drive/lines.csv --n-lanes 4 --out mine",
+    "egolane run experiments/zero_label.yaml --recording drive/lines.csv --n-lanes 4 --stream",
+)
+
+#: The experiment that runs on lines where none is named: it needs no label.
+ZERO_LABEL = "zero_label"
+
+#: The file in which a fleet's folder has a row for each drive.
+SUMMARY = "summary.parquet"
+
+
+@overload
+def run(experiment: Sequence[Given | Lines], **options: Any) -> DriveTable: ...  # type: ignore[overload-overlap]
+
+
+@overload
+def run(experiment: Given | Lines, *, fleet: StrPath, **options: Any) -> DriveTable: ...
+
+
+@overload
+def run(experiment: Given | Lines = ..., **options: Any) -> Result: ...
+
+
+def run(
+    experiment: Annotated[
+        Given | Lines | Sequence[Given | Lines], Option("EXPERIMENT|LINES...", many=True)
+    ] = (),
+    *,
+    overrides: Overrides = (),
+    recording: Annotated[Lines | Sequence[Lines] | None, Option("FILE", many=True)] = None,
+    ground_truth: Annotated[Truth | None, Option("FILE|none")] = None,
+    n_lanes: int | None = None,
+    camera: Annotated[StrPath | None, Option("FILE")] = None,
+    detector: Detector = None,
+    frame_id: FrameId | None = None,
+    fleet: Fleet = None,
+    stream: bool = False,
+    out: Annotated[StrPath | None, Option("DIR", default="results/*", said="results/NAME")] = None,
+    figures: bool = True,
+    jobs: Jobs = 1,
+    progress: Progress = None,
+) -> Result | DriveTable:
+    """Filter a recording, score it where there is ground truth, and list its lane changes.
+
+    EXPERIMENT is a YAML file, or a name that `egolane ls` prints. LINES is a recording of lines; it
+    is run by the experiment zero_label, which needs no label. A recording of many clips (TuSimple's
+    test labels, folders of CULane or OpenLane) is run clip by clip, with one table.
+
+    Several experiments, or one on several recordings, share the jobs; each has its own result
+    directory, and one that fails does not stop the others. With a fleet one experiment runs on
+    every drive of a table: a result directory for each, without figures, and summary.parquet;
+    drives whose result is there already are not run again.
+
+    - experiment: an experiment, or lines; or a list of several.
+    - overrides: override a key of the YAML, e.g. parameters.bonus_value=0.
+    - recording: run on these lines instead; several: on each of them.
+    - ground_truth: annotation of the recording, if any; "none" for none.
+    - n_lanes: number of lanes of the road.
+    - camera: its camera: for pictures, lines in pixels.
+    - detector: what looks at the video.
+    - frame_id: what of a bag's messages is the frame id; count: their order.
+    - fleet: a table with a row per drive (.csv, .parquet, .yaml): recording, n_lanes, tag.X, ...
+    - stream: make and write beliefs part after part, for long drives: the same numbers, without
+      figures. What needs the whole drive is refused.
+    - out: result directory; of several runs, their folder. A `*` in it is the run's name.
+    - figures: draw the belief over time.
+    - jobs: processes that share several runs.
+    - progress: whether a bar shows how far several runs are; None for in a terminal.
+
+    Returns a `Result`, or a `DriveTable` of several. Without `out` nothing is written. Raises
+    InputError, one line, for whatever does not fit.
+
+    >>> import egolane_pgm as ego
+    >>> run = ego.run("quickstart", overrides={"recording.frames": [0, 300]})
+    >>> frame = run.to_pandas()
+    >>> int(frame["Lane=2"].idxmax()) in frame.index
+    True
+    >>> figure = run.plot()
+    """
+    given, recordings = several_of(experiment, "experiment"), several_of(recording, "recording")
+    changes = (ground_truth, n_lanes, frame_id, camera, detector)
+    folder = None if out is None else Path(path_of(out, "out"))
+    if not given and not recordings:
+        raise InputError("run: name an experiment, or a recording of lines")
+    is_one = not isinstance(experiment, (list, tuple)) and not isinstance(recording, (list, tuple))
+    if stream and (fleet is not None or not is_one or folder is None):
+        raise InputError("stream: goes with one experiment, one recording and out")
+    if fleet is not None:
+        if not is_one or recordings or any(change is not None for change in changes):
+            raise InputError("fleet: goes with one experiment; the table names the recordings")
+        return _run_fleet(given[0], overrides, fleet, _folder_of(folder), jobs, progress)
+    if is_one:
+        chosen = choose(
+            given[0] if given else ZERO_LABEL, overrides, *recordings or (None,), *changes
+        )
+        place = None if folder is None else folder.with_name(folder.name.replace("*", chosen.name))
+        return _run_one(chosen, place, figures, stream=stream, progress=progress)
+    titled = name_all(given or [ZERO_LABEL], overrides, recordings, *changes)
+    return _run_several(titled, folder, figures, jobs, progress)
+
+
+def says(done: Result | DriveTable, given: Mapping[str, Any]) -> str:
+    """Where the results are."""
+    if isinstance(done, Result):
+        return f"result: {done.directory}"
+    return f"results: {len(done) - len(done.failed)} of {len(done)} in {done.folder}"
+
+
+def _run_one(
+    chosen: Experiment, place: Path | None, figures: bool, *, stream: bool, progress: bool | None
+) -> Result:
+    if place is None:
+        return run_experiment(chosen)
+    check_writable(place)
+    if stream:
+        with bar(None, progress, unit="frame", unit_scale=True) as frames:
+            return run_in_parts(chosen, place, frames.update)
+    done = run_experiment(chosen)
+    done.save(place, figures=figures)
+    return replace(done, directory=place)
+
+
+def _folder_of(out: Path | None) -> Path:
+    if out is None:
+        raise InputError("fleet: needs out, the folder of its results")
+    return out.parent if out.name == "*" else out
+
+
+def _run_several(
+    titled: Sequence[tuple[str, Callable[[], Experiment]]],
+    out: Path | None,
+    figures: bool,
+    jobs: Jobs,
+    progress: bool | None,
+) -> DriveTable:
+    folder = None if out is None else _folder_of(out)
+    plan = plan_runs(titled, folder)
+    done: list[OneOfSeveral] = []
+    try:
+        found = run_all(plan, jobs=jobs, figures=figures, keep=folder is None)
+        done.extend(bar(found, progress, total=len(plan), unit="run"))
+    except KeyboardInterrupt:
+        kept = f"{len(done)} of {len(plan)} are in {folder}; " if folder else ""
+        raise KeyboardInterrupt(f"{kept}the same command begins anew") from None
+    if folder is None:
+        if all(each.error is not None for each in done):
+            raise InputError(*(f"{each.title}: {each.error}" for each in done[:1]))
+        for each in done:
+            if each.error is not None:
+                warnings.warn(f"{each.title}: {each.error}", UserWarning, stacklevel=3)
+    return table_of_runs(done, folder)
+
+
+def table_of_runs(done: Sequence[OneOfSeveral], folder: Path | None) -> DriveTable:
+    """The table of several runs.
+
+    - folder: where their results are; None where they are kept in memory.
+    """
+    summaries = [each.scores for each in done if each.scores is not None]
+    parts: list[str | Table] = [
+        Table(*runs_table_rows(summaries)),
+        Table(*event_runs_rows(summaries), leaves_out=True),
+    ]
+    for found in summaries:
+        if "model" not in found:
+            lanes = (
+                f"{found['clips']} clips, a row for each in clips.csv"
+                if "clips" in found
+                else lane_words(found)
+            )
+            parts.append(f"{found['name']}: {lanes}; {sure_words(found)}")
+    names = [each.title for each in done]
+    return DriveTable(
+        ", ".join(map(repr, names[:5])) + ", ..." * (len(names) > 5),
+        [
+            {"name": each.title, "error": each.error, **numbers_of(each.scores or {})}
+            for each in done
+        ],
+        parts,
+        {
+            "schema_version": SCHEMA_VERSION,
+            "runs": [{"result": str(o.directory), **o.scores} for o in done if o.scores],
+            "failed": [{"experiment": o.title, "error": o.error} for o in done if o.error],
+        },
+        {each.title: each.result for each in done if each.result is not None},
+        folder,
+        tuple(
+            _titled(each.title, note)
+            for each in done
+            for note in (each.scores or {}).get("warnings", ())
+        ),
+    )
+
+
+def _titled(title: str, note: str) -> str:
+    if note.startswith(NOTE):
+        return f"{NOTE}{title}: {note.removeprefix(NOTE)}"
+    return f"{title}: {note}"
+
+
+def _run_fleet(
+    experiment: Any,
+    overrides: Overrides,
+    fleet: StrPath,
+    folder: Path,
+    jobs: Jobs,
+    progress: bool | None,
+) -> DriveTable:
+    drives = read_fleet(path_of(fleet, "fleet"))
+    plan = plan_fleet(load_experiment(experiment, overrides), drives, folder, overrides)
+    done: list[OneOfSeveral] = []
+    try:
+        found = run_all(plan, jobs=jobs, resume=True)
+        done.extend(bar(found, progress, total=len(plan), unit="drive"))
+    except KeyboardInterrupt:
+        raise KeyboardInterrupt(
+            f"{len(done)} of {len(plan)} drives are in {folder}; the same command goes on"
+        ) from None
+    rows = summary_rows(drives, done)
+    write_summary(folder / SUMMARY, rows)
+    were_there = sum(each.was_there for each in done)
+    there = f", {were_there} of them were there" if were_there else ""
+    return DriveTable(
+        f"{len(rows)} drives in {folder}, {sum(row['error'] is not None for row in rows)} failed",
+        rows,
+        [
+            Table(*fleet_table_rows(rows)),
+            f"{len(rows)} drives in {folder}{there}; a row for each in {folder / SUMMARY}",
+        ],
+        {"schema_version": SCHEMA_VERSION, "drives": rows},
+        folder=folder,
+    )
+
+
+# --- the experiment that is meant --------------------------------------------------------------
+
+
+def choose(
+    given: Any,
+    overrides: Overrides = (),
+    recording: Any = None,
+    ground_truth: Any = None,
+    n_lanes: int | None = None,
+    frame_id: str | None = None,
+    camera: Any = None,
+    detector: Any = None,
+    *,
+    name: str | None = None,
+) -> Experiment:
+    """The experiment that the arguments of `run` mean.
+
+    - given: an experiment, or lines, which zero_label runs.
+    - name: the name of the run, in which `*` stands for that of the experiment.
+    """
+    if is_lines(given):
+        if recording is not None:
+            raise InputError(f"recording: {given} is a recording, too; name one")
+        given, recording = ZERO_LABEL, given
+    found = load_experiment(given, overrides)
+    files = {
+        key: None if file is None else path_of(file, key)
+        for key, file in (
+            ("recording", recording),
+            ("ground_truth", ground_truth),
+            ("camera", camera),
+            ("detector", detector),
+        )
+    }
+    chosen = found
+    if n_lanes is not None or frame_id is not None or any(files.values()):
+        chosen = with_recording(
+            found, **files, n_lanes=n_lanes, frame_id=frame_id, overrides=overrides
+        )
+    if name is None:
+        return chosen
+    return chosen.model_copy(update={"name": name.replace("*", found.name)})
+
+
+def is_lines(given: Any) -> bool:
+    """Whether what is given is a recording, and no experiment."""
+    if isinstance(given, (Experiment, Mapping)):
+        return False
+    if not isinstance(given, (str, os.PathLike)):
+        return True
+    return experiment_path(given).suffix.lower() not in (".yaml", ".yml")
+
+
+def name_all(
+    experiments: Sequence[Any], overrides: Overrides, recordings: Sequence[Any], *changes: Any
+) -> list[tuple[str, Callable[[], Experiment]]]:
+    """The title of each of several runs, and a function that loads its experiment.
+
+    - changes: arguments of `choose` from `ground_truth` to `detector`.
+
+    Raises InputError for several recordings and several experiments, or one ground truth for them,
+    and for a recording that is named twice.
+    """
+    if len(recordings) > 1 and (len(experiments) > 1 or changes[0] not in (None, "none")):
+        raise InputError(
+            "recording: several go with one experiment and no ground_truth; write one experiment"
+            " per recording that has its own"
+        )
+    titles = [
+        given.source
+        if isinstance(given, Experiment)
+        else str(given.get("name", "experiment") if isinstance(given, Mapping) else given)
+        for given in experiments
+    ]
+    return [
+        (
+            title,
+            partial(
+                choose,
+                experiments[k if len(experiments) > 1 else 0],
+                overrides,
+                recording,
+                *changes,
+                name=name,
+            ),
+        )
+        for k, (title, _, recording, name) in enumerate(name_runs(titles, recordings))
+    ]
