@@ -3,7 +3,8 @@ its function's signature and docstring.
 
 Parameters before the `*` become arguments, the others options; types give their checks, and
 `verbs.given.Option` says what name and type do not. A verb whose result has `to_text` gets
-`--format` and `--wide`, one whose result has a `document` gets `--json`.
+`--format` and `--wide`, one whose result has a `document`, or is a `dict[str, Any]`, gets
+`--json`.
 """
 
 from __future__ import annotations
@@ -80,12 +81,10 @@ def command_of(name: str) -> click.Command:
     module = import_module(f"egolane_pgm.verbs.{name}")
     verb = getattr(module, name)
     if isinstance(verb, Mapping):
-        return click.Group(
-            name,
-            {each: _made(part, each, None) for each, part in verb.items()},
-            help=module.__doc__,
-        )
-    made = _made(verb, name, getattr(module, "says", None))
+        parts = {each: _made(part, each, None) for each, part in verb.items()}
+        made: click.Command = click.Group(name, parts, help=module.__doc__)
+    else:
+        made = _made(verb, name, getattr(module, "says", None))
     examples = "\n".join(f"  {example}" for example in getattr(module, "EXAMPLES", ()))
     made.epilog = f"\b\nExamples:\n{examples}" if examples else None
     return made
@@ -102,7 +101,7 @@ def _made(verb: Callable[..., Any], name: str, says: Callable[..., str] | None) 
     results = _types_of(hints["return"])
     if any(hasattr(result, "to_text") for result in results):
         params += _tables()
-    if any(hasattr(result, "document") or result is dict for result in results):
+    if any(hasattr(result, "document") or result == dict[str, Any] for result in results):
         params.append(_json_file())
 
     names = {param.name: max(param.opts, key=len) for param in params}
@@ -173,8 +172,8 @@ def _params(parameter: inspect.Parameter, hint: Any, said: str) -> list[click.Pa
     settings: dict[str, Any] = {"metavar": looks.metavar, "type": _type_of(hint, extras)}
     if looks.plugins:
         settings["shell_complete"] = _plugins(looks.plugins)
+    required = looks.required or default is inspect.Parameter.empty
     if parameter.kind is not inspect.Parameter.KEYWORD_ONLY:
-        required = looks.required or default is inspect.Parameter.empty
         nargs = -1 if looks.many else 1
         return [click.Argument([name], nargs=nargs, required=required, default=given, **settings)]
     value = given if looks.default is None else looks.default
@@ -192,7 +191,7 @@ def _params(parameter: inspect.Parameter, hint: Any, said: str) -> list[click.Pa
         settings |= {"metavar": "KEY=VALUE", "multiple": True}
         looks = replace(looks, names=("--set",))
     long = () if any(each.startswith("--") for each in looks.names) else (f"--{_dashed(name)}",)
-    settings |= {"required": looks.required, "envvar": looks.envvar}
+    settings |= {"required": required, "envvar": looks.envvar}
     if looks.many or _is_mapping(hint):
         settings["multiple"] = True
     made = click.Option([*looks.names, *long, name], default=value, help=help, **settings)

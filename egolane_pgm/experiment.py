@@ -734,7 +734,7 @@ def config_hash(content: Mapping[str, Any]) -> str:
     return hashlib.sha256(json.dumps(content, sort_keys=True).encode()).hexdigest()
 
 
-def read_override(override: str, example: str, option: str = "--set") -> tuple[str, Any]:
+def read_override(override: str, example: str, option: str = "overrides") -> tuple[str, Any]:
     """The key and the value, which is YAML, of `key=value`.
 
     - example: how one is written, for messages. option: the option that has it, for messages.
@@ -744,11 +744,11 @@ def read_override(override: str, example: str, option: str = "--set") -> tuple[s
     key, equals, text = override.partition("=")
     key = key.strip()
     if not equals or not all(key.split(".")):
-        raise InputError(f"{option} {override}: write it as key=value, e.g. {example}")
+        raise InputError(f"{option}: {override}: write it as key=value, e.g. {example}")
     try:
         return key, parse_yaml(text, option)
     except InputError as error:
-        raise InputError(f"{option} {override}: the value is not YAML") from error
+        raise InputError(f"{option}: {override}: the value is not YAML") from error
 
 
 #: The keys whose values are files.
@@ -770,7 +770,7 @@ def _override(content: dict[str, Any], override: str) -> None:
             section[part] = {}
         section = section[part]
         if not isinstance(section, dict):
-            raise InputError(f"--set {override}: {part} has no keys below it")
+            raise InputError(f"overrides: {override}: {part} has no keys below it")
     section[parts[-1]] = _found_from_here(key, value)
 
 

@@ -124,7 +124,7 @@ def calibrate_lens(
         first = f"; {skipped[0]}" if skipped else ""
         raise InputError(
             f"{len(boards)} of {len(paths)} pictures show the whole chessboard of {columns}x{rows}"
-            f" inner corners, needs {min_boards} (--board says its corners){first}"
+            f" inner corners, needs {min_boards} (board says its corners){first}"
         )
     return _solve(boards, usual, columns, rows, skipped)
 

@@ -80,9 +80,9 @@ def label_picture(frame: dict[str, Any], labels: Path) -> Path:
                     return place
     named = frame.get("image", frame.get("raw_file"))
     if not isinstance(named, str):
-        raise InputError(f"{labels}: a frame names no image; give --size, e.g. 1280x720")
+        raise InputError(f"{labels}: a frame names no image; give its size, e.g. 1280x720")
     raise InputError(
-        f"{labels.parent / named}: the image of a label is missing; give --size, e.g. 1280x720"
+        f"{labels.parent / named}: the image of a label is missing; give its size, e.g. 1280x720"
     )
 
 
@@ -133,12 +133,12 @@ def check_size(size: tuple[int, int], frames: list[dict[str, Any]], labels: Path
         except InputError:
             continue
         if seen != size:
-            raise InputError(f"--size: {picture} is {seen[0]}x{seen[1]}, not {width}x{height}")
+            raise InputError(f"size: {picture} is {seen[0]}x{seen[1]}, not {width}x{height}")
         break
     lowest = max((line.v.max() for f in frames for line in entry_lines(f, "labels")), default=0.0)
     if lowest > height:
         raise InputError(
-            f"--size: the lines of {labels} reach down to row {lowest:.0f}, below a picture of"
+            f"size: the lines of {labels} reach down to row {lowest:.0f}, below a picture of"
             f" {width}x{height}"
         )
 

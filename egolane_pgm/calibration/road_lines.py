@@ -177,7 +177,7 @@ def meeting_of_stills(
     if votes.max() < _AGREE * np.concatenate(lengths).sum():
         raise InputError(
             "stills: their straight edges do not meet in one point; choose stills of a straight"
-            " road, and leave out bonnet and mirror with --ignore"
+            " road, and leave out bonnet and mirror (ignore)"
         )
     every = _winner(candidates, votes)
     each = np.full((len(stills), 2), np.nan)

@@ -164,7 +164,7 @@ def format_of(path: str | Path) -> str:
                 return name
         raise InputError(
             f"{path}: a folder without lines ({', '.join(f'*{e}' for e in _FOLDERS)}); pictures"
-            " need a detector (recording.detector, or --detector)"
+            " need a detector (recording.detector, or detector)"
         )
     known = "; ".join(f"{name}: {', '.join(ext)}" for name, (ext, _, _) in FORMATS.items() if ext)
     raise InputError(

@@ -277,7 +277,7 @@ def camera_of(camera: Camera | str | Path | None, source: Path) -> Camera:
     if camera is None:
         raise InputError(
             f"{source}: its lines are in pixels: name the camera's YAML file (recording.camera, or"
-            " --camera cam.yaml; `egolane calibrate` makes one)"
+            " camera; `egolane calibrate` makes one)"
         )
     if not isinstance(camera, (Camera, str, Path)):
         raise InputError(f"{source}: camera: {camera!r} is not the name of a camera's YAML file")

@@ -59,7 +59,7 @@ def lane_map_figure(graph: LaneGraph, around: tuple[float, float, float] | None 
         raise InputError("map: no road lies there")
     if shown.sum() > MOST_SEGMENTS:
         raise InputError(
-            f"map: {shown.sum()} segments are too many for a picture; name a place with --around"
+            f"map: {shown.sum()} segments are too many for a picture; name a place (around)"
         )
     roads = _roads(graph)[:MOST_ROADS] if around is None else []
     low, high = _corners(point, around)

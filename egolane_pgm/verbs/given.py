@@ -6,6 +6,7 @@ from __future__ import annotations
 import os
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 from annotated_types import Ge
@@ -96,3 +97,9 @@ def check_frames(frames: tuple[int, int] | None) -> None:
     """Raise InputError for a range without frames."""
     if frames is not None and frames[0] >= frames[1]:
         raise InputError(f"frames: {frames[0]} {frames[1]} is an empty range")
+
+
+def shown(path: str | os.PathLike[str]) -> str:
+    """A path as it is printed: relative where it lies in the current folder."""
+    here = Path.cwd()
+    return str(Path(path).relative_to(here) if Path(path).is_relative_to(here) else path)

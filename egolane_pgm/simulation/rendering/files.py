@@ -55,7 +55,7 @@ def free_places(folder: Path, *, stereo: bool, video: bool) -> list[str]:
     places = [f"{name}.mp4" for name in names] if video else names
     for place in places:
         if (folder / place).is_dir() and any((folder / place).iterdir()):
-            raise InputError(f"{folder / place}: is not empty; name another folder (--out)")
+            raise InputError(f"{folder / place}: is not empty; name another folder")
     return places
 
 

@@ -1,10 +1,11 @@
-"""JSON Schemas (draft 2020-12) of the YAML files, and of what `--json` writes: editors complete and
-check keys by them, and the documentation's reference is made from them."""
+"""The verb `schema`: JSON Schemas (draft 2020-12) of the YAML files, and of what `--json` writes.
+Editors complete and check keys by them, and the documentation's reference is made from them."""
 
 from __future__ import annotations
 
-from collections.abc import Iterable
-from typing import Any
+import json
+from collections.abc import Iterable, Mapping
+from typing import Annotated, Any, Literal
 
 from pydantic import TypeAdapter
 from pydantic.json_schema import GenerateJsonSchema
@@ -18,6 +19,9 @@ from egolane_pgm.recordings import FORMATS
 from egolane_pgm.simulation import PRESETS
 from egolane_pgm.tools.files import YAML_VERSION
 from egolane_pgm.tuning.plan import PictureTuningFile, TuningFile
+from egolane_pgm.verbs.given import Option
+
+EXAMPLES = ("egolane schema > experiment.schema.json",)
 
 #: The files that have a schema: what is in them.
 KINDS: dict[str, Any] = {
@@ -51,23 +55,30 @@ class _Untitled(GenerateJsonSchema):
         return False
 
 
-def json_schema(kind: str = "experiment") -> dict[str, Any]:
-    """The JSON Schema of a YAML file, or of what is written in JSON. In YAML unknown keys are
-    refused; what a plugin of the package is called is checked, files of one's own are not looked
-    at.
+def schema(
+    kind: Annotated[
+        Literal["experiment", "tuning", "network", "comparison", "reproduction"], Option("[KIND]")
+    ] = "experiment",
+) -> Mapping[str, Any]:
+    """Print the JSON Schema of a YAML file, by which an editor completes and checks its keys.
 
-    - kind: a name of `KINDS`.
+    KIND is experiment (the default), tuning, or network (which describes a lane network); or
+    comparison or reproduction, which `compare --json` and `reproduce --json` write.
 
-    A file with `include` need not have all keys, and neither a file without `name`, which others
-    include.
+    An editor with YAML's language server reads the schema where the first line of a YAML is
+    `# yaml-language-server: $schema=experiment.schema.json`.
+
+    Returns the schema. Unknown keys are refused; what a plugin of the package is called is checked,
+    files of one's own are not looked at. A file with `include` need not have all keys, and neither
+    a file without `name`, which others include.
     """
-    schema = TypeAdapter(KINDS[kind]).json_schema(schema_generator=_Untitled)
-    definitions = schema.get("$defs", {})
-    if "anyOf" in schema:
-        names = [each["$ref"].removeprefix("#/$defs/") for each in schema["anyOf"]]
+    found = TypeAdapter(KINDS[kind]).json_schema(schema_generator=_Untitled)
+    definitions = found.get("$defs", {})
+    if "anyOf" in found:
+        names = [each["$ref"].removeprefix("#/$defs/") for each in found["anyOf"]]
         roots = [definitions[name] for name in names]
     else:
-        roots = [schema]
+        roots = [found]
     for root in () if kind in _WRITTEN else roots:
         root["properties"] = {"version": _VERSION, **root["properties"]}
         if "name" in root["required"]:
@@ -75,15 +86,20 @@ def json_schema(kind: str = "experiment") -> dict[str, Any]:
             needed = [key for key in root.pop("required") if key != "name"]
             root["if"] = {"required": ["name"]}
             root["then"] = {"anyOf": [{"required": needed}, {"required": ["include"]}]}
-    _name_plugins(schema["properties"] if kind == "experiment" else {})
+    _name_plugins(found["properties"] if kind == "experiment" else {})
     _name_sources(definitions["Recording"]["properties"] if "Recording" in definitions else {})
     title = f"egolane_pgm: {'an' if kind == 'experiment' else 'a'} {kind} file"
     return {
         "$schema": GenerateJsonSchema.schema_dialect,
         "$id": f"urn:egolane-pgm:{kind}:{YAML_VERSION}",
-        **schema,
+        **found,
         "title": title,
     }
+
+
+def says(done: Mapping[str, Any], given: Mapping[str, Any]) -> str:
+    """The schema, as it is written into a file."""
+    return json.dumps(done, indent=1)
 
 
 def _name_plugins(keys: dict[str, Any]) -> None:

@@ -1,0 +1,57 @@
+"""The paper's recordings: list them, download them, check them."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+from egolane_pgm.recordings import catalog
+from egolane_pgm.types import InputError
+from egolane_pgm.verbs.given import Option
+
+EXAMPLES = ("egolane data fetch",)
+
+Folder = Annotated[str | Path | None, Option("DIRECTORY")]
+
+
+def list_files() -> str:
+    """What the data set consists of, and which files are there."""
+    looked = [f"looked in: {folder}" for folder in catalog.data_folders()]
+    files = [
+        f"{outcome.status:>10}  {outcome.file.size / 1e6:6.2f} MB"
+        f"  {catalog.BASE_URL}/{outcome.file.name}"
+        for outcome in catalog.verify()
+    ]
+    return "\n".join([*looked, *files])
+
+
+def fetch(*, base_url: str | None = None, folder: Folder = None) -> str:
+    """Download what is missing; checks every sha256, keeps good files.
+
+    - base_url: a mirror that has the files under their names.
+    - folder: where to put them.
+
+    Returns how many files are good. Raises InputError, a line for each, where one is not.
+    """
+    return _good(catalog.fetch(base_url=base_url, folder=folder))
+
+
+def verify(*, folder: Folder = None) -> str:
+    """Check every file against its sha256: those in $EGOLANE_DATA, else the downloaded ones.
+
+    - folder: where they are; by default as a run finds them.
+
+    Returns how many files are good. Raises InputError, a line for each, where one is not.
+    """
+    return _good(catalog.verify(folder))
+
+
+def _good(outcomes: list[catalog.Outcome]) -> str:
+    said = f"{sum(each.ok for each in outcomes)} of {len(outcomes)} files are there and good"
+    problems = catalog.problems(outcomes)
+    if problems:
+        raise InputError(said, *problems)
+    return said
+
+
+data = {"list": list_files, "fetch": fetch, "verify": verify}

@@ -1,0 +1,78 @@
+"""The verb `locate`."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import replace
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+import numpy as np
+
+from egolane_pgm.maps import load_map, road_table
+from egolane_pgm.maps.index import index_of
+from egolane_pgm.maps.locating import locate as locate_on
+from egolane_pgm.maps.lock_on_road import lock_on_road
+from egolane_pgm.maps.positions import read_positions
+from egolane_pgm.maps.road_table import RoadTable
+from egolane_pgm.maps.stored import check_path
+from egolane_pgm.tools.files import check_not_read, check_place
+from egolane_pgm.verbs.given import Option, StrPath
+
+EXAMPLES = ("egolane locate lanes.parquet drive.gpx -o road.parquet",)
+
+
+def locate(
+    map: StrPath,
+    positions: StrPath,
+    *,
+    out: Annotated[StrPath | None, Option("FILE", names=("-o",), required=True)] = None,
+    online: bool = False,
+    method: Literal["hmm", "lock-on-road"] = "hmm",
+    columns: Annotated[Mapping[str, str] | None, Option("OURS=THEIRS", names=("--column",))] = None,
+    topic: str | None = None,
+    shift: Annotated[float, Option("SECONDS")] = 0.0,
+) -> RoadTable:
+    """Find the road of a car: segment, place on it, lanes, what is ahead, and how sure that is.
+
+    MAP is what `egolane map` writes, or an extract itself. POSITIONS is a .csv, .parquet, .gpx,
+    .nmea or .bag of a GNSS receiver. Experiments with `n_lanes: map` read the road table.
+
+    - out: the road table, .parquet.
+    - online: each row knows the positions before it only.
+    - method: map matching, or the authors' nearest road, the baseline.
+    - columns: a table's column of another name, e.g. latitude=lat_gps.
+    - topic: topic of a bag.
+    - shift: added to the positions' times, to have the clock of a recording of lines.
+
+    Returns the road table. Raises InputError, one line, for whatever does not fit.
+    """
+    file, read_from = None if out is None else Path(out), (Path(map), Path(positions))
+    if file is not None:
+        check_path(file, "road table")
+        check_place(file)
+        check_not_read(file, read_from)
+    graph = load_map(read_from[0])
+    named = {ours: str(theirs) for ours, theirs in (columns or {}).items()}
+    read = read_positions(read_from[1], columns=named, topic=topic)
+    read = replace(read, t_s=read.t_s + shift)
+    index = index_of(graph)
+    matched = lock_on_road(index, read) if method == "lock-on-road" else None
+    table = locate_on(graph, index, read, online=online, matched=matched)
+    if file is not None:
+        road_table.save(table, file)
+    return table
+
+
+def says(done: RoadTable, given: Mapping[str, Any]) -> str:
+    """What the table has, and how well the map fits."""
+    on = done.segment >= 0
+    off_by = np.abs(done.offset_m[np.isfinite(done.offset_m)])
+    n_lanes = np.unique(done.n_lanes[on & (done.n_lanes > 0)])
+    return (
+        f"{given['out']}: {len(done)} rows, {done.t_s[0]:g} to {done.t_s[-1]:g} s,"
+        f" {on.mean():.1%} on the map\n"
+        f"half of the positions lie within {np.median(off_by):.1f} m of the way's line;"
+        f" lanes: {', '.join(str(n) for n in n_lanes) or 'unknown'};"
+        f" mean probability of the segment {done.sure[on].mean():.3f}"
+    )
