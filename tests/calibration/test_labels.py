@@ -63,9 +63,9 @@ def test_the_picture_of_a_label_is_the_one_that_is_there(tmp_path: Path) -> None
     own.unlink()
     assert label_picture(both, labels) == raw
     raw.unlink()
-    with pytest.raises(InputError, match=r"own\.png: the image of a label is missing; give --size"):
+    with pytest.raises(InputError, match=r"own\.png: the image of a label is missing; give its size"):
         label_picture(both, labels)
-    with pytest.raises(InputError, match=r"labels\.jsonl: a frame names no image; give --size"):
+    with pytest.raises(InputError, match=r"labels\.jsonl: a frame names no image; give its size"):
         label_picture(label(raw_file=7), labels)
 
 
@@ -77,7 +77,7 @@ def test_a_size_that_the_labels_contradict_is_refused(tmp_path: Path) -> None:
     check_size((64, 48), frames, labels)
     for size in ((48, 64), (64, 47), (65, 48)):
         with pytest.raises(
-            InputError, match=rf"--size: .*b\.png is 64x48, not {size[0]}x{size[1]}"
+            InputError, match=rf"size: .*b\.png is 64x48, not {size[0]}x{size[1]}"
         ):
             check_size(size, frames, labels)
     without = [label(raw_file="a.png"), label([20, 300, 310], raw_file="c.png")]

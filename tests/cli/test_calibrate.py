@@ -58,7 +58,7 @@ def test_the_size_comes_from_the_labelled_pictures(tmp_path):
     for k in range(2):
         missing = calibrate(*arguments)
         assert missing.exit_code == 2
-        assert f"{k}.jpg: the image of a label is missing; give --size" in missing.output
+        assert f"{k}.jpg: the image of a label is missing; give its size" in missing.output
         cv2.imwrite(str(tmp_path / f"{k}.jpg"), np.zeros((720, 1280, 3), np.uint8))
     done = calibrate(*arguments)
     assert done.exit_code == 0, done.output
@@ -68,12 +68,12 @@ def test_the_size_comes_from_the_labelled_pictures(tmp_path):
 @pytest.mark.parametrize(
     ("arguments", "said"),
     [
-        (["--lane-width", "3.7"], "either --stills of a road or --lines"),
+        (["--lane-width", "3.7"], "either stills of a road or lines"),
         (["--lane-width", "3.7", "--stills", "nowhere/*.jpg"], "nowhere/*.jpg: no file matches"),
         (["--lane-width", "3700", "--stills", "x"], "lane width 3700: lanes are 2 to 6 m"),
         (["--lane-width", "3.7", "--lines", "none.jsonl"], "none.jsonl: cannot be read"),
         (["--lane-width", "3.7", "--lines", "x", "--size", "big"], "--size: 'big' is not two"),
-        (["--lane-width", "3.7", "--stills", "x", "--size", "9x9"], "--size: goes with --lines"),
+        (["--lane-width", "3.7", "--stills", "x", "--size", "9x9"], "--size: goes with lines"),
         (["--lane-width", "3.7", "--stills", "x", "--ignore", "1,2"], "--ignore: '1,2' is not"),
     ],
 )
@@ -108,7 +108,7 @@ def test_the_command_calibrates_from_a_video(tmp_path: Path) -> None:
     assert camera.pitch_deg == pytest.approx(SMALL_CAMERA.pitch_deg, abs=0.25)
     assert picture.exists()
     told = refused("calibrate", "--stills", video, *options, "--first", 3)
-    assert "of a video frames are chosen" in told
+    assert "--first: goes without a video" in told
 
 
 def test_what_is_no_video_is_refused(tmp_path: Path) -> None:

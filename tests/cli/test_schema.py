@@ -12,9 +12,9 @@ import pytest
 import yaml
 from jsonschema import Draft202012Validator
 
-from egolane_pgm.api.schemas import KINDS, json_schema
 from egolane_pgm.experiment import experiments_folder
 from egolane_pgm.paper import reproduce_json, reproduce_run
+from egolane_pgm.verbs.schema import KINDS, schema
 from tests.kits.drives import done
 
 ROOT = Path(__file__).parents[2]
@@ -29,7 +29,7 @@ SHIPPED = [
 
 
 def problems(content: Any, kind: str = "experiment") -> list[str]:
-    validator = Draft202012Validator(json_schema(kind))
+    validator = Draft202012Validator(schema(kind))
     return [error.message for error in validator.iter_errors(content)]
 
 
@@ -62,9 +62,9 @@ def test_the_kept_schemas_are_what_the_command_prints(kind: str) -> None:
 
 @pytest.mark.parametrize("kind", KINDS)
 def test_a_schema_is_one_and_says_what_each_key_means(kind: str) -> None:
-    schema = json_schema(kind)
-    Draft202012Validator.check_schema(schema)
-    for section in [schema, *schema.get("$defs", {}).values()]:
+    made = schema(kind)
+    Draft202012Validator.check_schema(made)
+    for section in [made, *made.get("$defs", {}).values()]:
         for name, key in section.get("properties", {}).items():
             assert key.get("description"), name
 

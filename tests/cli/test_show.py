@@ -188,7 +188,7 @@ def test_a_file_that_is_no_experiment_is_refused(tmp_path: Path, text: str, said
 @pytest.mark.parametrize("override", ["n_lanes", "=3", "a..b=1", "parameters.p1=[", "n_lanes.x=1"])
 def test_an_override_that_is_none_is_refused(tmp_path: Path, override: str) -> None:
     experiment = write_drive(tmp_path, 20)
-    assert refused("validate", experiment, "--set", override).startswith(f"--set {override}: ")
+    assert refused("validate", experiment, "--set", override).startswith(f"--set: {override}: ")
 
 
 def test_tuning_files_are_listed_and_checked(tmp_path: Path) -> None:

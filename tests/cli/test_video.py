@@ -201,7 +201,7 @@ def test_a_recording_is_drawn_beside_its_pictures(drive: Path) -> None:
         image = cv2.imread(str(drive / "out" / f"frame_{frame:06d}.png"))
         near = around(image, float(u), float(v))
         assert any(is_colour(p, video.CONTINUOUS, 40) for p in near) == has_lines
-    assert "--detector: does not go with --lines" in refused(*line, "--detector", "ml")
+    assert "--detector: does not go with lines" in refused(*line, "--detector", "ml")
     write_table(drive / "lines.csv", replace(log, frame_id=np.arange(100, 104)))
     said = refused(*line)
     assert said.endswith("its frames are 100 to 103, the pictures 10 to 15")
@@ -246,7 +246,7 @@ def test_what_is_missing_or_wrong_is_said_in_one_line(drive: Path) -> None:
     assert "ValueError: broken" in refused(*words(drive, out="a.mp4"))
     assert not (drive / "a.mp4").exists()
     write_detector(drive)
-    assert "--frames 5 2: is an empty range" in refused(*words(drive, "--frames", 5, 2))
+    assert "--frames: 5 2 is an empty range" in refused(*words(drive, "--frames", 5, 2))
     assert "no frame from 90 to before 95" in refused(*words(drive, "--frames", 90, 95))
     (drive / "truth.txt").write_text("10;5;0\n")
     said = refused(*words(drive, "--ground-truth", drive / "truth.txt"))
@@ -273,7 +273,7 @@ def test_the_pictures_that_are_drawn_are_not_written_over(labels: Path) -> None:
             "-o",
             target,
         )
-        assert said == f"{target}: has the pictures that are drawn; name another place (-o)"
+        assert said == f"--out: {target} has the pictures that are drawn; name another place"
     assert contents(folder) == before
 
 
@@ -286,7 +286,7 @@ def test_a_video_is_not_written_over_itself(labels: Path) -> None:
     said = refused(
         "video", own, "--camera", labels.with_name("cam.yaml"), "--n-lanes", 3, "-o", own
     )
-    assert said.endswith("has the pictures that are drawn; name another place (-o)")
+    assert said.endswith("has the pictures that are drawn; name another place")
     assert own.read_bytes() == before
 
 

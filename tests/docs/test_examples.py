@@ -13,7 +13,7 @@ import pytest
 import yaml
 from jsonschema import Draft202012Validator
 
-from egolane_pgm.api.schemas import json_schema
+from egolane_pgm.verbs.schema import schema
 from tests.kits.doc_examples import (
     NOT_RUN,
     PAGES,
@@ -87,7 +87,7 @@ def test_the_yaml_of_a_page_fits_its_schema(page: Path) -> None:
     for block in blocks_of(page):
         if block.language == "yaml":
             content = json.loads(json.dumps(yaml.safe_load(block.text)))
-            validator = Draft202012Validator(json_schema(yaml_kind(content)))
+            validator = Draft202012Validator(schema(yaml_kind(content)))
             problems = [error.message for error in validator.iter_errors(content)]
             assert not problems, f"{page}:{block.line}"
 

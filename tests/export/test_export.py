@@ -18,7 +18,7 @@ from click.testing import CliRunner, Result
 from mcap.reader import SeekingReader
 
 import egolane_pgm as ego
-from egolane_pgm.cli.main import egolane
+from egolane_pgm.command import egolane
 from egolane_pgm.export.drive import Drive, open_drive
 from egolane_pgm.export.layouts import foxglove_layout, plotjuggler_layout
 from egolane_pgm.export.mcap_file import schema_of, write_mcap
@@ -249,7 +249,7 @@ def test_the_command_writes_file_and_layouts(result: Path, tmp_path: Path) -> No
         "--frames", 10, 20,
     )  # fmt: skip
     assert done.exit_code == 0, done.output
-    assert "10 frames (/belief 10, /birdseye 10" in done.output
+    assert "out.mcap: /belief 10, /birdseye 10" in done.output
     assert all(file.stat().st_size > 500 for file in layouts)
     assert not done.stderr
 

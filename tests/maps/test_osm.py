@@ -11,7 +11,7 @@ import pyproj
 import pytest
 from click.testing import CliRunner
 
-from egolane_pgm.cli.main import egolane
+from egolane_pgm.command import egolane
 from egolane_pgm.maps import load_map
 from egolane_pgm.maps.lane_graph import LaneGraph, along_points
 from egolane_pgm.maps.osm import read_osm
@@ -150,7 +150,7 @@ def test_the_command_writes_lanes_and_draws_them(tmp_path: Path) -> None:
     assert ran.exit_code == 0, ran.output
     for words, message in (
         (["--around", "20", "14", "150", "--plot", str(plot)], "no road lies there"),
-        (near, "--around: needs --plot"),
+        (near, "--around: needs plot"),
         (["-o", str(tmp_path / "lanes.csv")], "a lane graph is a .parquet file"),
         (["--plot", str(tmp_path / "lanes.jpg")], "a figure ends in"),
         (["--drives-left"], "a lane graph knows the side of traffic"),

@@ -10,7 +10,7 @@ import pytest
 from click.testing import CliRunner
 
 import egolane_pgm as ego
-from egolane_pgm.cli.main import egolane
+from egolane_pgm.command import egolane
 from egolane_pgm.maps.lane_graph import save
 from egolane_pgm.maps.road_table import load
 from egolane_pgm.maps.steps import lanes_along, road_changes
@@ -158,8 +158,8 @@ def _lanes(folder: Path) -> list[int]:
 @pytest.mark.parametrize(
     ("words", "message"),
     [
-        (["--n-lanes", "3"], "--n-lanes: does not go with interchange"),
-        (["--images"], "--images: does not go with interchange"),
+        (["--n-lanes", "3"], "--n-lanes: goes without interchange"),
+        (["--images"], "--images: goes without interchange"),
         (["--set", "place_sgma_m=3"], "unknown key 'place_sgma_m' (did you mean 'place_sigma_m'?)"),
     ],
 )
