@@ -5,7 +5,7 @@ from __future__ import annotations
 import contextlib
 import warnings
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from typing import Annotated, Any
@@ -58,17 +58,6 @@ CHOSEN = 30
 Rectangle = tuple[int, int, int, int]
 
 
-@dataclass(frozen=True)
-class Calibration:
-    """How a camera sees the road.
-
-    - said: how that was found, line by line.
-    """
-
-    camera: Camera
-    said: tuple[str, ...]
-
-
 def calibrate(
     *,
     chessboards: Annotated[str | None, Option("GLOB")] = None,
@@ -89,7 +78,7 @@ def calibrate(
     picture: Annotated[StrPath | None, Option("PNG")] = None,
     out: Annotated[StrPath | None, Option("FILE", names=("-o",), required=True)] = None,
     progress: Progress = None,
-) -> Calibration:
+) -> Camera:
     """Find out how a camera sees the road: lens from chessboards, turn and height from lines.
 
     - chessboards: pictures of a chessboard, for the lens.
@@ -111,14 +100,19 @@ def calibrate(
     - out: the camera's YAML.
     - progress: whether bars show how far it is; None for in a terminal.
 
-    Returns the camera, and how it was found. Without `out` it is not written. Raises InputError,
-    one line, for whatever does not fit.
+    Returns the camera, whose YAML says how it was found. Without `out` it is not written. Raises
+    InputError, one line, for whatever does not fit.
     """
-    masks = tuple(map(_rectangle, several_of(ignore, "ignore")))
+    masks = tuple(_rectangle(each) for each in several_of(ignore, "ignore"))
+    of_labels = None if size is None else _size(size, "size")
+    _check_places([out, picture], [chessboards, stills], [lines, openlane])
     if openlane is not None:
         if any(given is not None for given in (chessboards, stills, lines, lane_width, picture)):
             raise InputError("openlane: goes alone, with size; it names the whole camera")
-        return _of_openlane(openlane, size, masks, out)
+        width, height = of_labels or PICTURE_SIZE
+        camera = read_own_camera(openlane, (width, height))
+        said = [f"Camera: as {openlane} says, pictures of {width}x{height}."]
+        return _written(_masked(camera, masks, ignore_below), said, out)
     if lane_width is None:
         raise InputError("lane_width: is missing; how wide are the lanes of the road, in metres?")
     check_lane_width(lane_width)
@@ -130,37 +124,34 @@ def calibrate(
         raise InputError("size: goes with lines; stills say their own size")
     if picture is not None:
         check_picture_name(str(picture))
-    _check_places([out, picture], [chessboards, stills], lines)
-    shown = {
-        what: partial(bar, progress=progress, desc=what, unit="picture")
-        for what in ("chessboards", "frames", "stills", "labels")
-    }
-    with contextlib.ExitStack() as kept:
+
+    def shown(what: str) -> Callable[[Iterable[Any]], Iterable[Any]]:
+        return partial(bar, progress=progress, desc=what, unit="picture")
+
+    with temporary_folder() as folder:
         n_taken, pattern = 0, stills
-        if stills and _is_video(stills):
+        if stills and Path(stills).is_file() and Path(stills).suffix.lower() not in PICTURES:
             if first is not None:
                 raise InputError("first: goes without a video, of which frames are chosen")
-            folder = kept.enter_context(temporary_folder())
-            n_taken = len(take_stills(open_source(stills), folder, shown["frames"]))
+            n_taken = len(take_stills(open_source(stills), folder, shown("frames")))
             pattern = str(folder)
-        known = _known_size(_size(size, "size") if size else None, pattern, lines, first)
-        _check_masks(masks, known)
-        camera, said, of_boards = _lens(
-            chessboards, board, known, field_of_view, shown["chessboards"]
-        )
-        if ignore_below is not None:
-            if ignore_below >= camera.height:
-                raise InputError(
-                    f"ignore_below: row {ignore_below} is not in a picture {camera.height} high"
-                )
-            masks = (*masks, (0, ignore_below, camera.width, camera.height))
-        camera = replace(
-            camera, roll_deg=roll, lateral_m=lateral, baseline_m=baseline, ignore=masks
-        )
+        known = _size_of_road(of_labels, pattern, lines, first)
+        if chessboards:
+            paths = shown("chessboards")(files_matching(chessboards))
+            lens = calibrate_lens(paths, *_size(board, "board"))
+            _warn_of(lens.skipped)
+            camera, said = camera_with(lens, known), describe_lens(lens, board)
+            each = zip(lens.boards, lens.rms_px, strict=True)
+            said += [f"  {name}: {rms:.2f} px RMS" for name, rms in each]
+        else:
+            degrees = ASSUMED_FIELD_OF_VIEW if field_of_view is None else field_of_view
+            camera, said = assumed_camera(*known, degrees), describe_assumed_lens(degrees)
+        camera = replace(camera, roll_deg=roll, lateral_m=lateral, baseline_m=baseline)
+        camera = _masked(camera, masks, ignore_below)
         if pattern:
-            paths = files_matching(pattern)[:first]
+            stills_of = files_matching(pattern)[:first]
             most = CHOSEN if n_taken else None
-            found = find_in_stills(camera, paths, seed, shown["stills"], most)
+            found = find_in_stills(camera, stills_of, seed, shown("stills"), most)
             _warn_of(found.skipped)
             if n_taken:
                 said.append(
@@ -169,41 +160,28 @@ def calibrate(
                 )
             road = view_from_stills(camera, found, lane_width)
         else:
-            road = view_from_labels(camera, str(lines), first, lane_width, shown["labels"])
+            road = view_from_labels(camera, str(lines), first, lane_width, shown("labels"))
         said += describe_view(road.view, road.what)
         if roll:
             said.append(f"Roll: {roll:g} degrees, given.")
-        _write(out, road.view.camera, said)
+        _written(road.view.camera, said, out)
         if picture is not None:
-            said.append(_draw(road, Path(picture)))
-    return Calibration(road.view.camera, (*of_boards, *said))
+            _draw(road, Path(picture))
+    return road.view.camera
 
 
-def says(done: Calibration, given: Mapping[str, Any]) -> str:
-    """How the camera was found, and its file."""
-    return "\n".join([*done.said, f"written to {given['out']}"])
+def says(done: Camera, given: Mapping[str, Any]) -> str:
+    """How the camera was found, as its file says, and the files."""
+    lines = Path(given["out"]).read_text(encoding="utf-8").splitlines()
+    said = [line.removeprefix("# ") for line in lines if line.startswith("# ")]
+    files = " and ".join(given[key] for key in ("out", "picture") if given[key])
+    return "\n".join([*said[1:], f"written to {files}"])
 
 
-def _of_openlane(
-    file: str, size: str | None, masks: tuple[Rectangle, ...], out: StrPath | None
-) -> Calibration:
-    """The camera that a file of OpenLane's names."""
-    _check_places([out], [], file)
-    known = _size(size, "size") if size else PICTURE_SIZE
-    _check_masks(masks, known)
-    camera = replace(read_own_camera(file, known), ignore=masks)
-    said = [f"Camera: as {file} says, pictures of {known[0]}x{known[1]}."]
-    _write(out, camera, said)
-    return Calibration(camera, tuple(said))
-
-
-def _write(out: StrPath | None, camera: Camera, said: Sequence[str]) -> None:
+def _written(camera: Camera, said: Sequence[str], out: StrPath | None) -> Camera:
     if out is not None:
         write_camera(Path(out), camera, "\n".join(["Made by `egolane calibrate`.", *said]))
-
-
-def _is_video(path: str) -> bool:
-    return Path(path).is_file() and Path(path).suffix.lower() not in PICTURES
+    return camera
 
 
 def _numbers(text: str, separator: str, n: int, name: str, example: str) -> tuple[int, ...]:
@@ -224,19 +202,25 @@ def _rectangle(text: str) -> Rectangle:
     return left, top, right, bottom
 
 
-def _check_masks(masks: Sequence[Rectangle], size: tuple[int, int]) -> None:
-    """Raise InputError for a rectangle that covers nothing of the pictures."""
+def _masked(camera: Camera, masks: tuple[Rectangle, ...], below: int | None) -> Camera:
+    """The camera with the parts of its pictures that show no road. Raises InputError for one that
+    is outside of them."""
+    if below is not None:
+        masks = (*masks, (0, below, camera.width, max(below + 1, camera.height)))
     for mask in masks:
-        if mask[0] >= size[0] or mask[1] >= size[1]:
+        if mask[0] >= camera.width or mask[1] >= camera.height:
             said = ",".join(map(str, mask))
-            raise InputError(f"ignore: {said} is not in a picture of {size[0]}x{size[1]}")
+            raise InputError(
+                f"ignore: {said} is not in a picture of {camera.width}x{camera.height}"
+            )
+    return replace(camera, ignore=masks)
 
 
 def _check_places(
-    places: Sequence[StrPath | None], patterns: Sequence[str | None], file: str | None
+    places: Sequence[StrPath | None], patterns: Sequence[str | None], files: Sequence[str | None]
 ) -> None:
     """Raise InputError for an output that cannot be written, or that is read."""
-    read = [Path(file)] if file else []
+    read = [Path(file) for file in files if file]
     for pattern in filter(None, patterns):
         with contextlib.suppress(InputError):
             read += files_matching(pattern)
@@ -245,7 +229,7 @@ def _check_places(
         check_place(place)
 
 
-def _known_size(
+def _size_of_road(
     given: tuple[int, int] | None, stills: str | None, lines: str | None, first: int | None
 ) -> tuple[int, int]:
     """The width and height of the road's pictures.
@@ -264,31 +248,12 @@ def _known_size(
     raise InputError(f"{stills}: no picture among {len(skipped)} files; {skipped[0]}")
 
 
-def _lens(
-    chessboards: str | None,
-    board: str,
-    size: tuple[int, int],
-    field_of_view: float | None,
-    progress: Callable[[Iterable[Path]], Iterable[Path]],
-) -> tuple[Camera, list[str], list[str]]:
-    """The camera before the road is looked at, how its lens was found, and how well each board
-    fits."""
-    if not chessboards:
-        degrees = ASSUMED_FIELD_OF_VIEW if field_of_view is None else field_of_view
-        return assumed_camera(*size, degrees), describe_assumed_lens(degrees), []
-    lens = calibrate_lens(progress(files_matching(chessboards)), *_size(board, "board"))
-    _warn_of(lens.skipped)
-    fits = [f"{name}: {rms:.2f} px RMS" for name, rms in zip(lens.boards, lens.rms_px, strict=True)]
-    return camera_with(lens, size), describe_lens(lens, board), fits
-
-
-def _draw(road: SeenRoad, target: Path) -> str:
+def _draw(road: SeenRoad, target: Path) -> None:
     """Draw the view on the picture whose lines run straightest ahead."""
     path, lines = road.straightest()
     if path is None:
-        return "No picture is drawn: none of the labelled ones is there."
+        raise InputError("picture: none of the labelled pictures is there to draw on")
     write_picture(target, draw_view(read_image(path), road.view, lines), make_folder=True)
-    return f"{target}: drawn on {path.name}"
 
 
 def _warn_of(skipped: Sequence[str]) -> None:

@@ -23,8 +23,10 @@ from egolane_pgm.verbs.given import Option
 
 EXAMPLES = ("egolane schema > experiment.schema.json",)
 
+Kind = Literal["experiment", "tuning", "network", "comparison", "reproduction"]
+
 #: The files that have a schema: what is in them.
-KINDS: dict[str, Any] = {
+KINDS: dict[Kind, Any] = {
     "experiment": Experiment,
     "tuning": TuningFile | PictureTuningFile,
     "network": Network,
@@ -56,9 +58,7 @@ class _Untitled(GenerateJsonSchema):
 
 
 def schema(
-    kind: Annotated[
-        Literal["experiment", "tuning", "network", "comparison", "reproduction"], Option("[KIND]")
-    ] = "experiment",
+    kind: Annotated[Kind, Option("[KIND]")] = "experiment",
 ) -> Mapping[str, Any]:
     """Print the JSON Schema of a YAML file, by which an editor completes and checks its keys.
 

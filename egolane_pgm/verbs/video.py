@@ -13,7 +13,7 @@ from egolane_pgm.camera.model import read_camera
 from egolane_pgm.camera.pictures import Source, camera_of_pictures, open_source, read_pictures
 from egolane_pgm.detectors.runner import Detector as Found
 from egolane_pgm.detectors.runner import check_pair, find_detector
-from egolane_pgm.experiment import Experiment, Given, load_experiment, make_experiment
+from egolane_pgm.experiment import Experiment, Given, load_experiment
 from egolane_pgm.recordings import read_lines_with
 from egolane_pgm.recordings.ground_truth import read_ground_truth
 from egolane_pgm.report.video import (
@@ -79,7 +79,13 @@ def video(
     second = open_source(right) if right else None
     target = Path(out)
     _check_target(target, [source, *([second] if second else [])])
-    chosen = _experiment(experiment, n_lanes, frame_rate or source.frame_rate)
+    if experiment is None and n_lanes is None:
+        raise InputError("n_lanes: say how many lanes the road has")
+    changes = {"n_lanes": n_lanes, "recording.frame_rate": frame_rate or source.frame_rate}
+    chosen = load_experiment(
+        "zero_label" if experiment is None else experiment,
+        {key: value for key, value in changes.items() if value is not None},
+    )
     truth = read_ground_truth(Path(ground_truth)) if ground_truth else None
     if truth is not None:
         truth.check_lanes(chosen.n_lanes)
@@ -131,19 +137,6 @@ def _check_target(target: Path, sources: Sequence[Source]) -> None:
         # Not `resolve`, which ends in an error of its own where a link leads to itself.
         if os.path.realpath(target) in taken:
             raise InputError(f"out: {target} has the pictures that are drawn; name another place")
-
-
-def _experiment(given: Any, n_lanes: int | None, frame_rate: float | None) -> Experiment:
-    """The experiment that turns lines into beliefs; its own recording is not used."""
-    if given is None and n_lanes is None:
-        raise InputError("n_lanes: say how many lanes the road has")
-    found = load_experiment("zero_label" if given is None else given)
-    content = found.model_dump()
-    if frame_rate is not None:
-        content["recording"]["frame_rate"] = frame_rate
-    if n_lanes is not None:
-        content["n_lanes"] = n_lanes
-    return make_experiment(content, found.folder, found.source)
 
 
 def _detector(name: str | None, experiment: Experiment) -> Found:
