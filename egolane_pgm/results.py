@@ -131,6 +131,7 @@ class Result:
       `maps.steps.LanesAlong`; None for a road on which lanes do not change.
     - lines: of the T frames; None in a directory that was written before lines were kept.
     - evidence: what was filtered; None where the result was read.
+    - learned: what was learned from the whole recording, of a result of `ego.learn`.
 
     >>> import egolane_pgm as ego
     >>> place = ego.experiments_folder() / "quickstart.yaml"
@@ -172,6 +173,7 @@ class Result:
     lines: LineLog | None = None
     evidence: Evidence | None = None
     compiled: Model | None = None
+    learned: Any = None
 
     def __len__(self) -> int:
         return len(self.frame_id)
