@@ -372,6 +372,26 @@ class LineLog:
         """The frames of each clip, in order; of a recording that is one drive, all T frames."""
         return pieces_of(self.clip, len(self))
 
+    def to_pandas(self) -> pd.DataFrame:
+        """A row per line; the index is `frame_id` and `line`, from 1.
+
+        Columns: `time_s`, `offset_m` (negative left), `is_valid`, `is_continuous`, `lri`. Frames
+        without lines have no row.
+        """
+        import pandas as pd
+
+        frame, line = np.nonzero(np.isfinite(self.offset_m))
+        columns = {
+            "frame_id": self.frame_id[frame],
+            "line": line + 1,
+            "time_s": self.time_s[frame],
+            **{
+                name: getattr(self, name)[frame, line]
+                for name in ("offset_m", "is_valid", "is_continuous", "lri")
+            },
+        }
+        return pd.DataFrame(columns).set_index(["frame_id", "line"])
+
     @classmethod
     def joined(cls, parts: Sequence[LineLog]) -> LineLog:
         """One log of the frames of several, one after the other, named as the last."""

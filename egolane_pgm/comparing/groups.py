@@ -24,7 +24,7 @@ from egolane_pgm.comparing.placing import (
     recording_key,
     timeline,
 )
-from egolane_pgm.comparing.saving import folder_of
+from egolane_pgm.comparing.saving import folder_of, results_of, save_recording
 from egolane_pgm.comparing.side import Search, Side, held_out_side, search_blocks
 from egolane_pgm.drive import Drive, Recorded, drive_key
 from egolane_pgm.experiment import Experiment, Overrides, load_experiment

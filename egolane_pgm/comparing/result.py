@@ -343,8 +343,8 @@ def _held_out_parts(found: Mapping[str, Any], *, with_all: bool) -> list[str | T
         instead.append(Table(header, rows, labels=1 + ("experiment" in header)))
         legends.append(rows_of.LAGS_LEGEND)
     if any(entry.get("events") for entry in entries):
-        rows = lane_changes.event_comparison_rows(found)
-        instead.append(Table(*rows, labels=2, leaves_out=True))
+        header, rows = lane_changes.event_comparison_rows(found)
+        instead.append(Table(header, rows, labels=2, leaves_out=True))
         legends.append(lane_changes.LEGEND)
     searched = rows_of.search_rows(found)
     parts: list[str | Table] = [Table(*searched)] if searched[1] else []

@@ -1,4 +1,4 @@
-"""The labels of a recording in tables: frame by frame, the stretches to review, and their scores."""
+"""The labels of a recording as tables: each frame, the stretches to review, and their scores."""
 
 from __future__ import annotations
 

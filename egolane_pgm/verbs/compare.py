@@ -226,7 +226,7 @@ def _seeds(given: str | int | Sequence[int]) -> tuple[int, ...]:
     elif isinstance(given, int) and given > 0:
         return tuple(range(given))
     elif isinstance(given, Sequence) and all(isinstance(seed, int) for seed in given):
-        return tuple(dict.fromkeys(given))
+        return tuple(dict.fromkeys(map(int, given)))
     raise InputError(f"seeds: {given} is neither how many, 5, nor which, 3,7")
 
 

@@ -45,7 +45,8 @@ def learn(experiment: Given, *, fleet: StrPath, **options: Any) -> DriveTable: .
 def learn(experiment: Given, **options: Any) -> Result: ...
 
 
-def learn(
+# The overloads leave the options to this one, where they stand once.
+def learn(  # type: ignore[misc]
     experiment: Given,
     *,
     overrides: Overrides = (),
@@ -98,16 +99,15 @@ def learn(
     if fleet is None:
         if by_tag is not None or jobs != 1:
             raise InputError("by_tag: goes with a fleet, as jobs do")
-        found = _learn_drive(given, blocks, progress)
-        learned: Any = found.learned
+        found: Result | DriveTable = _learn_drive(given, blocks, progress)
         source = None
     else:
         for file in () if target is None else output_files(given, target):
             check_not_read(file, [Path(fleet)])
-        base, found = _learn_fleet(given, fleet, overrides, blocks, by_tag, jobs, progress)
-        given, learned, source = base, found.learned, found.title
+        given, found = _learn_fleet(given, fleet, overrides, blocks, by_tag, jobs, progress)
+        source = str(found.document["fleet"])
     if target is not None:
-        write_learned(given, learned.model, learned.parameters, target, source)
+        write_learned(given, found.learned.model, found.learned.parameters, target, source)
     return found
 
 
@@ -204,8 +204,9 @@ def _learn_fleet(
     else:
         accuracy = with_interval(everything.accuracy, everything.interval)
         shown = [f"{title}; accuracy {accuracy}", Table(*fleet_table_rows(rows))]
-    if learned.log_evidence is not None:
-        shown.append(evidence_words(_evidence(learned)))
+    log_evidence = _evidence(learned)
+    if log_evidence is not None:
+        shown.append(evidence_words(log_evidence))
     table = DriveTable(
         title,
         rows,
@@ -216,7 +217,7 @@ def _learn_fleet(
             "fleet": source,
             "held_out": held_out,
             "drives": rows,
-            "log_evidence": _evidence(learned),
+            "log_evidence": log_evidence,
             "parameters": learned.parameters,
         },
         notes=tuple(dict.fromkeys(str(w.message) for w in caught)),

@@ -317,5 +317,6 @@ def _search_all(
 
         done = list(studies.tune(driven, jobs=jobs, workers=workers, progress=advance))
         done += [on_pictures.tune(made, jobs=jobs, progress=advance) for made in seen]
-    both = zip([*driven, *seen], done, strict=True)
-    return Study(tuple(One(study, made.trials, made.experiments) for made, study in both))
+    made: list[Search] = [*driven, *seen]
+    both = zip(made, done, strict=True)
+    return Study(tuple(One(study, each.trials, each.experiments) for each, study in both))
