@@ -65,7 +65,7 @@ PIECE = 2**16
 def filter_beliefs(
     compiled: Compiled,
     evidence: Evidence,
-    method: str = "assumed_density",
+    method: str = "exact",
     *,
     frame_id: IntArray | None = None,
 ) -> Beliefs:
@@ -92,7 +92,7 @@ def step(
     compiled: Compiled,
     state: FilterState | None,
     evidence: Evidence,
-    method: str = "assumed_density",
+    method: str = "exact",
 ) -> tuple[FilterState, Beliefs]:
     """Filter one more frame (or several) online: the new state and the beliefs of these frames.
 
