@@ -131,7 +131,11 @@ class Compiled:
 
     @property
     def network(self) -> DynamicBayesianNetwork:
-        """The network in pgmpy, declared anew from the tables, with the names of the values."""
+        """The network in pgmpy, declared anew from the tables, with the names of the values.
+
+        The tables of its virtual-evidence nodes (`WOR_ve`) are placeholders, they hold no evidence:
+        `unrolled` gives frames that do.
+        """
         return declare(self.tables.values(), self.observed, self.values)
 
     def has_one_table(self, name: str) -> bool:

@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 import warnings
-from collections.abc import Callable
-from itertools import pairwise
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import numpy as np
@@ -18,65 +17,61 @@ from egolane_pgm.inference.filtering import filter_beliefs
 from egolane_pgm.inference.smoothing import fixed_lag_beliefs, smooth_beliefs
 from egolane_pgm.inference.unrolling import unrolled
 from egolane_pgm.inference.viterbi import viterbi
+from egolane_pgm.learning.em import fit_tables, learned_network
 from egolane_pgm.types import Evidence, InputError
+from tests.conformance.networks import template
 
 with quiet():
     from pgmpy.factors.discrete import TabularCPD
     from pgmpy.inference import VariableElimination
     from pgmpy.models import DiscreteBayesianNetwork, DynamicBayesianNetwork
 
-GEAR = ["low", "mid", "top"]
-RPM = ["slow", "fast"]
-FIRST = [[0.5], [0.3], [0.2]]
-# Of the hill in this frame and the gear before.
-NEXT = [
+GEAR, COLD, RPM = ["low", "mid", "top"], [True, False], ["slow", "fast"]
+#: Rows are the node's own values, columns those of what it is given, the last one fastest.
+GEAR_FIRST, COLD_FIRST = [[0.5], [0.3], [0.2]], [[0.6], [0.4]]
+GEAR_NEXT = [  # given the hill in this frame and the gear before
     [0.8, 0.2, 0.1, 0.9, 0.5, 0.3],
     [0.15, 0.7, 0.2, 0.09, 0.4, 0.4],
     [0.05, 0.1, 0.7, 0.01, 0.1, 0.3],
 ]
-SHOWN = [[0.1, 0.4, 0.8], [0.9, 0.6, 0.2]]
+COLD_NEXT = [[0.9, 0.05], [0.1, 0.95]]
+RPM_GIVEN = [[0.1, 0.3, 0.4, 0.7, 0.9, 0.6], [0.9, 0.7, 0.6, 0.3, 0.1, 0.4]]  # gear, cold
 NOISE = [[0.7, 0.2], [0.3, 0.8]]
 #: What was observed, a missing value among it, and what is only likely.
 ROWS = {"Rpm": ["fast", None, "slow", "slow"], "Hill": [0, 1, 1, 0]}
 HEARD = [[0.9, 0.2], [0.5, 0.5], [0.1, 1.0], [0.3, 0.4]]
 
 
+def cpd(node: tuple[str, int], rows: Any, given: Sequence[tuple[str, int]] = ()) -> Any:
+    values = {"Gear": GEAR, "Cold": COLD, "Rpm": RPM}
+    names = {n: values.get(n[0], [0, 1]) for n in (node, *given)}
+    sizes = [len(names[n]) for n in given]
+    return TabularCPD(node, len(rows), rows, list(given), sizes, names)
+
+
 def own_network() -> Any:
+    """Two hidden nodes, one of which an input moves; pgmpy fills in the second slice itself."""
+    edges = [("Hill", "Gear"), ("Gear", "Rpm"), ("Cold", "Rpm"), ("Rpm", "Noise")]
     with quiet():
-        network = DynamicBayesianNetwork(
-            [
-                (("Gear", 0), ("Gear", 1)),
-                (("Hill", 0), ("Gear", 0)),
-                (("Gear", 0), ("Rpm", 0)),
-                (("Rpm", 0), ("Noise", 0)),
-            ]
-        )
-        names = {("Gear", s): GEAR for s in (0, 1)} | {("Rpm", 0): RPM}
+        network = DynamicBayesianNetwork([((n, 0), (n, 1)) for n in ("Gear", "Cold")])
+        network.add_edges_from([((a, 0), (b, 0)) for a, b in edges])
         network.add_cpds(
-            TabularCPD(("Hill", 0), 2, [[0.5], [0.5]]),
-            TabularCPD(
-                ("Gear", 0), 3, np.repeat(FIRST, 2, axis=1), [("Hill", 0)], [2],
-                {("Gear", 0): GEAR, ("Hill", 0): [0, 1]},
-            ),
-            TabularCPD(
-                ("Gear", 1), 3, NEXT, [("Hill", 1), ("Gear", 0)], [2, 3],
-                {("Gear", 0): GEAR, ("Gear", 1): GEAR, ("Hill", 1): [0, 1]},
-            ),
-            TabularCPD(
-                ("Rpm", 0), 2, SHOWN, [("Gear", 0)], [3], {k: names[k] for k in names if k[1] == 0}
-            ),
-            TabularCPD(
-                ("Noise", 0), 2, NOISE, [("Rpm", 0)], [2],
-                {("Noise", 0): [0, 1], ("Rpm", 0): RPM},
-            ),
-        )  # fmt: skip
+            cpd(("Hill", 0), [[0.5], [0.5]]),
+            cpd(("Gear", 0), np.repeat(GEAR_FIRST, 2, axis=1), [("Hill", 0)]),
+            cpd(("Gear", 1), GEAR_NEXT, [("Hill", 1), ("Gear", 0)]),
+            cpd(("Cold", 0), COLD_FIRST),
+            cpd(("Cold", 1), COLD_NEXT, [("Cold", 0)]),
+            cpd(("Rpm", 0), RPM_GIVEN, [("Gear", 0), ("Cold", 0)]),
+            cpd(("Noise", 0), NOISE, [("Rpm", 0)]),
+        )
     return network
 
 
-def compiled() -> Compiled:
+def compiled(network: Any = None, **options: Any) -> Compiled:
+    roles: dict[str, Any] = {"observed": ["Rpm", "Noise"], "inputs": ["Hill"], **options}
     with warnings.catch_warnings():
-        warnings.simplefilter("ignore")
-        return compile(own_network(), observed=["Rpm", "Noise"], inputs=["Hill"])
+        warnings.simplefilter("ignore")  # it has no virtual-evidence nodes
+        return compile(network or own_network(), **roles)
 
 
 def evidence() -> Evidence:
@@ -84,46 +79,93 @@ def evidence() -> Evidence:
     return Evidence({**hard.likelihoods, "Noise": np.array(HEARD)}, hard.inputs)
 
 
-def ask_pgmpy(frame: int, last: int) -> np.ndarray:
-    """P(Gear in a frame | what was observed up to the last one), by pgmpy alone."""
+def ask(network: Any, node: str, **given: Any) -> np.ndarray:
+    with quiet():
+        found: Any = VariableElimination(network).query([node], show_progress=False, **given)
+    return np.asarray(found.values)
+
+
+def ask_pgmpy(node: str, frame: int, last: int) -> np.ndarray:
+    """P(node in a frame | what was observed up to the last one), by pgmpy alone."""
     with quiet():
         network = DiscreteBayesianNetwork()
         for t in range(last + 1):
-            nodes = [f"Gear{t}", f"Rpm{t}", f"Noise{t}"]
-            network.add_nodes_from(nodes)
-            network.add_edges_from(pairwise(nodes))
-            before = [f"Gear{t - 1}"] if t else []
-            network.add_edges_from((b, nodes[0]) for b in before)
-            hill = ROWS["Hill"][t]
-            moves = np.array(NEXT)[:, 3 * hill : 3 * hill + 3] if t else FIRST
+            gear, cold, rpm, noise = (f"{n}{t}" for n in ("Gear", "Cold", "Rpm", "Noise"))
+            gears, colds = ([f"Gear{t - 1}"], [f"Cold{t - 1}"]) if t else ([], [])
+            edges = [(gear, rpm), (cold, rpm), (rpm, noise)]
+            network.add_edges_from(
+                [*edges, *((g, gear) for g in gears), *((c, cold) for c in colds)]
+            )
+            hill = 3 * ROWS["Hill"][t]
+            moves = np.array(GEAR_NEXT)[:, hill : hill + 3] if t else GEAR_FIRST
             network.add_cpds(
-                TabularCPD(nodes[0], 3, moves, before, [3] * len(before)),
-                TabularCPD(nodes[1], 2, SHOWN, [nodes[0]], [3]),
-                TabularCPD(nodes[2], 2, NOISE, [nodes[1]], [2]),
+                TabularCPD(gear, 3, moves, gears, [3] * len(gears)),
+                TabularCPD(cold, 2, COLD_NEXT if t else COLD_FIRST, colds, [2] * len(colds)),
+                TabularCPD(rpm, 2, RPM_GIVEN, [gear, cold], [3, 2]),
+                TabularCPD(noise, 2, NOISE, [rpm], [2]),
             )
         seen = {f"Rpm{t}": RPM.index(v) for t, v in enumerate(ROWS["Rpm"][: last + 1]) if v}
         heard = [
-            TabularCPD(f"Noise{t}", 2, (np.array(HEARD[t]) / sum(HEARD[t]))[:, None])
+            TabularCPD(f"Noise{t}", 2, np.array(HEARD[t])[:, None] / sum(HEARD[t]))
             for t in range(last + 1)
         ]
-        answer: Any = VariableElimination(network).query(
-            [f"Gear{frame}"], evidence=seen, virtual_evidence=heard, show_progress=False
-        )
-        return np.asarray(answer.values)
+    return ask(network, f"{node}{frame}", evidence=seen, virtual_evidence=heard)
 
 
 def test_hard_soft_and_missing_evidence_give_pgmpy_s_beliefs() -> None:
-    filtered, lagged, smoothed = (
-        answer["Gear"]
-        for answer in (
-            filter_beliefs(compiled(), evidence()),
-            fixed_lag_beliefs(compiled(), evidence(), 1),
-            smooth_beliefs(compiled(), evidence()),
-        )
-    )
-    for t in range(4):
-        for ours, last in ((filtered, t), (lagged, min(t + 1, 3)), (smoothed, 3)):
-            np.testing.assert_allclose(ours[t], ask_pgmpy(t, last), rtol=0, atol=1e-12)
+    filtered = filter_beliefs(compiled(), evidence())
+    lagged = fixed_lag_beliefs(compiled(), evidence(), 1)
+    smoothed = smooth_beliefs(compiled(), evidence())
+    for node in ("Gear", "Cold"):
+        for t in range(4):
+            for ours, last in ((filtered, t), (lagged, min(t + 1, 3)), (smoothed, 3)):
+                right = ask_pgmpy(node, t, last)
+                np.testing.assert_allclose(ours[node][t], right, rtol=0, atol=1e-12)
+
+
+def test_frames_with_their_evidence_give_the_same_answers() -> None:
+    filtered, smoothed = (f(compiled(), evidence()) for f in (filter_beliefs, smooth_beliefs))
+    whole, latest = (unrolled(compiled(), evidence(), first, 3) for first in (0, 2))
+    for node in ("Gear", "Cold"):
+        for t in range(4):
+            found = ask(whole.network, f"{node}@{t}", evidence=whole.given)
+            np.testing.assert_allclose(found, smoothed[node][t], rtol=0, atol=1e-12)
+        found = ask(latest.network, f"{node}@3", evidence=latest.given)
+        np.testing.assert_allclose(found, filtered[node][3], rtol=0, atol=1e-12)
+
+
+def test_a_declared_network_says_that_its_virtual_evidence_is_a_placeholder() -> None:
+    network = compiled().network
+    for s in (0, 1):
+        assert "placeholder" in network.nodes["Rpm_ve", s]["note"]
+        assert not network.nodes["Rpm", s]
+
+
+def test_what_was_learned_goes_back_into_the_network() -> None:
+    network = own_network()
+    fitted = fit_tables(compiled(), evidence(), strength=1.0, iterations=5)
+    with quiet():
+        learned = learned_network(network, fitted)
+        assert learned.check_model()
+    assert learned.get_cpds(("Cold", 1)).state_names[("Cold", 0)] == COLD
+    assert not np.allclose(learned.get_cpds(("Rpm", 0)).get_values(), RPM_GIVEN)
+    np.testing.assert_array_equal(network.get_cpds(("Rpm", 0)).get_values(), RPM_GIVEN)
+    again = compiled(learned)
+    assert set(again.tables) == set(fitted.compiled.tables)
+    for node, table in fitted.compiled.tables.items():
+        assert again.tables[node].parents == table.parents
+        np.testing.assert_array_equal(again.tables[node].values, table.values)
+    assert again.values == fitted.compiled.values
+    # Once more, from a network that has its virtual-evidence nodes, and to pgmpy's own state.
+    with quiet():
+        once_more = learned_network(again.network, again)
+        once_more.initialize_initial_state()
+    np.testing.assert_array_equal(compiled(once_more).transition, again.transition)
+
+
+def test_tables_of_another_network_are_refused() -> None:
+    with pytest.raises(InputError, match=r"^Hill: the network has no such table;"):
+        learned_network(template("lane_only", 3).network, compiled())
 
 
 @pytest.mark.parametrize(
@@ -146,9 +188,7 @@ def test_values_go_by_name_or_index_and_may_be_missing(given: Any) -> None:
 
 
 def test_nodes_that_are_observed_jointly_are_given_each_by_itself() -> None:
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore")
-        joint = compile(own_network(), observed=[("Rpm", "Noise")], inputs=["Hill"])
+    joint = compiled(observed=[("Rpm", "Noise")])
     seen = Evidence.hard({"Rpm": [0, None], "Noise": [None, 1], "Hill": [0, 0]}, joint)
     assert seen.likelihoods["Rpm", "Noise"].tolist() == [[[1, 1], [0, 0]], [[0, 1], [0, 1]]]
 
@@ -190,14 +230,7 @@ def test_observations_that_do_not_fit_are_refused(given: Any, said: str) -> None
 
 
 def test_a_number_that_is_one_value_s_name_and_another_s_index_is_refused() -> None:
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore")
-        counted = compile(
-            own_network(),
-            observed=["Rpm", "Noise"],
-            inputs=["Hill"],
-            values={"Rpm": ["1", "2"]},
-        )
+    counted = compiled(values={"Rpm": ["1", "2"]})
     rows = {"Rpm": ["1", "2"], "Hill": [0, 0]}
     assert Evidence.hard(rows, counted).likelihoods["Rpm"].tolist() == [[1, 0], [0, 1]]
     with pytest.raises(InputError, match="row 0: 1 is the name of one value and the index of"):
@@ -220,10 +253,10 @@ def test_what_is_no_evidence_is_refused(use: Callable[[Compiled, Any], object]) 
 def test_beliefs_go_by_node_and_make_a_table() -> None:
     beliefs = filter_beliefs(compiled(), evidence(), frame_id=np.array([7, 8, 10, 11]))
     table = beliefs.take(slice(1, None)).to_pandas()
-    assert list(table) == ["Gear=low", "Gear=mid", "Gear=top"]
+    assert list(table) == ["Cold=True", "Cold=False", "Gear=low", "Gear=mid", "Gear=top"]
     assert (table.index.name, table.index.tolist()) == ("frame_id", [8, 10, 11])
-    np.testing.assert_array_equal(table, beliefs["Gear"][1:])
+    np.testing.assert_array_equal(table.iloc[:, 2:], beliefs["Gear"][1:])
     with pytest.raises(InputError, match=r"^the beliefs are about no node 'Gaer' \(did you mean"):
         beliefs["Gaer"]
-    with pytest.raises(InputError, match=r"^the network has no node Lane, it has Gear: "):
+    with pytest.raises(InputError, match=r"^the network has no node Lane, it has Cold, Gear: "):
         _ = beliefs.lane
