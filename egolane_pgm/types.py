@@ -482,6 +482,8 @@ class Evidence:
       (T, *cardinalities) of non-negative, finite likelihoods, which need not sum to one.
     - inputs: per input node the index of its value in each frame (T,).
 
+    Observed values themselves, their names or indices, are made evidence by `hard`.
+
     >>> import egolane_pgm as ego
     >>> ego.Evidence({"DetectorOutput": [[0.9, 0.1, 0.0], [0.3, 0.4, 0.3]]})
     Evidence(2 frames: DetectorOutput (3))
@@ -499,6 +501,12 @@ class Evidence:
         if not all(isinstance(values, np.ndarray) for values in self.likelihoods.values()):
             made = {node: _as_array(node, values) for node, values in self.likelihoods.items()}
             object.__setattr__(self, "likelihoods", made)
+        for name, index in self.inputs.items():
+            if np.asarray(index).dtype.kind not in "iu" and len(index):
+                raise InputError(f"evidence for {name}: an input is given by indices, see hard")
+        if not all(isinstance(index, np.ndarray) for index in self.inputs.values()):
+            indices = {node: np.array(index, np.int64) for node, index in self.inputs.items()}
+            object.__setattr__(self, "inputs", indices)
         _check_lengths({**self.likelihoods, **self.inputs})
         for node, values in self.likelihoods.items():
             # NaN is neither.

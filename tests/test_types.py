@@ -219,6 +219,10 @@ def test_evidence_that_is_negative_or_no_number_is_refused_naming_node_and_frame
 def test_evidence_may_be_given_in_lists() -> None:
     found = Evidence({"DetectorOutput": [[1, 0], [0.5, 0.5]]})  # type: ignore[dict-item]
     np.testing.assert_array_equal(found.likelihoods["DetectorOutput"], [[1, 0], [0.5, 0.5]])
+    found = Evidence({}, {"Hill": [0, 1]})  # type: ignore[dict-item]
+    np.testing.assert_array_equal(found.inputs["Hill"], [0, 1])
+    with pytest.raises(InputError, match="evidence for Hill: an input is given by indices"):
+        Evidence({}, {"Hill": ["up", "down"]})  # type: ignore[dict-item]
     for wrong in ([[1, 0], [1]], [["a", "b"]], None):
         with pytest.raises(InputError, match="evidence for DetectorOutput: "):
             Evidence({"DetectorOutput": wrong})  # type: ignore[dict-item]
