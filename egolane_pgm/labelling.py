@@ -28,7 +28,7 @@ from egolane_pgm.drive import ONE_DRIVE, Recorded, may_fit
 from egolane_pgm.experiment import Experiment, load_experiment
 from egolane_pgm.inference.events import crossing_probability
 from egolane_pgm.inference.kernels.sweeps import best_path
-from egolane_pgm.inference.viterbi import viterbi_path
+from egolane_pgm.inference.viterbi import viterbi
 from egolane_pgm.plugins import declared_parameters, load_rule_and_graph
 from egolane_pgm.recordings import check_one_drive
 from egolane_pgm.results import SCHEMA_VERSION, Result, staged, write_result
@@ -347,7 +347,7 @@ def label_experiment(
     beliefs, log = run.beliefs, run.lines
     lane = lane_path(beliefs.lane)
     possible = crossed_lanes(lane, log.time_s, beliefs.marginals)
-    story = viterbi_path(run.model.compiled, run.evidence, frame_id=log.frame_id).lane
+    story = viterbi(run.model.compiled, run.evidence, frame_id=log.frame_id).lane
     scores = dict(run.scores)
     if run.truth is not None:
         k, rate = run.scored, run.experiment.recording.frame_rate
