@@ -22,11 +22,15 @@ if TYPE_CHECKING:
     from egolane_pgm.experiment import load_experiment as load_experiment
     from egolane_pgm.inference.compile import compile as compile
     from egolane_pgm.inference.events import lane_events as lane_events
+    from egolane_pgm.inference.expected_counts import expected_counts as expected_counts
     from egolane_pgm.inference.filtering import filter_beliefs as filter_beliefs
+    from egolane_pgm.inference.smoothing import fixed_lag_beliefs as fixed_lag_beliefs
     from egolane_pgm.inference.smoothing import smooth_beliefs as smooth_beliefs
     from egolane_pgm.inference.unrolling import unrolled as unrolled
+    from egolane_pgm.inference.viterbi import viterbi as viterbi
     from egolane_pgm.labelling import Labels as Labels
     from egolane_pgm.learning.em import fit_tables as fit_tables
+    from egolane_pgm.learning.em import learned_network as learned_network
     from egolane_pgm.results import Result as Result
     from egolane_pgm.tuning.result import Study as Study
     from egolane_pgm.types import Beliefs as Beliefs
@@ -68,6 +72,10 @@ _PUBLIC = {
     "Labels": "labelling",
     "filter_beliefs": "inference.filtering",
     "smooth_beliefs": "inference.smoothing",
+    "fixed_lag_beliefs": "inference.smoothing",
+    "viterbi": "inference.viterbi",
+    "expected_counts": "inference.expected_counts",
+    "learned_network": "learning.em",
     "lane_events": "inference.events",
     "unrolled": "inference.unrolling",
     "fit_tables": "learning.em",

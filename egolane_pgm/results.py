@@ -206,7 +206,9 @@ class Result:
     @functools.cached_property
     def beliefs(self) -> Beliefs:
         """The belief over the values of each hidden node, of T frames."""
-        return Beliefs(self.frame_id, self.marginals, self.log_evidence, self.is_impossible)
+        return Beliefs(
+            self.frame_id, self.marginals, self.log_evidence, self.is_impossible, self.values
+        )
 
     @property
     def detector_lane(self) -> IntArray | None:

@@ -11,7 +11,7 @@ from click.testing import CliRunner, Result
 pytest.importorskip("shapely")
 pytest.importorskip("pyproj")
 
-from egolane_pgm.cli.main import egolane
+from egolane_pgm.command import egolane
 from egolane_pgm.maps import lane_graph, road_table
 from tests.kits.lane_maps import PLANE, interchange
 

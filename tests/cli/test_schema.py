@@ -10,9 +10,9 @@ from typing import Any
 
 import pytest
 import yaml
+from egolane_pgm.api.schemas import KINDS, json_schema
 from jsonschema import Draft202012Validator
 
-from egolane_pgm.api.schemas import KINDS, json_schema
 from egolane_pgm.experiment import experiments_folder
 from egolane_pgm.paper import reproduce_json, reproduce_run
 from tests.kits.drives import done

@@ -11,9 +11,9 @@ from typing import Any
 
 import pytest
 import yaml
+from egolane_pgm.api.schemas import json_schema
 from jsonschema import Draft202012Validator
 
-from egolane_pgm.api.schemas import json_schema
 from tests.kits.doc_examples import (
     NOT_RUN,
     PAGES,

@@ -18,7 +18,7 @@ from click.testing import CliRunner, Result
 from mcap.reader import SeekingReader
 
 import egolane_pgm as ego
-from egolane_pgm.cli.main import egolane
+from egolane_pgm.command import egolane
 from egolane_pgm.export.drive import Drive, open_drive
 from egolane_pgm.export.layouts import foxglove_layout, plotjuggler_layout
 from egolane_pgm.export.mcap_file import schema_of, write_mcap

@@ -11,7 +11,7 @@ import pyproj
 import pytest
 from click.testing import CliRunner
 
-from egolane_pgm.cli.main import egolane
+from egolane_pgm.command import egolane
 from egolane_pgm.maps import load_map
 from egolane_pgm.maps.lane_graph import LaneGraph, along_points
 from egolane_pgm.maps.osm import read_osm

@@ -10,7 +10,7 @@ import pytest
 from click.testing import CliRunner
 
 import egolane_pgm as ego
-from egolane_pgm.cli.main import egolane
+from egolane_pgm.command import egolane
 from egolane_pgm.maps.lane_graph import save
 from egolane_pgm.maps.road_table import load
 from egolane_pgm.maps.steps import lanes_along, road_changes
