@@ -70,6 +70,10 @@ class InputError(ValueError):
     def __str__(self) -> str:
         return "\n".join(self.args)
 
+    def _render_traceback_(self) -> list[str]:
+        # What a notebook shows: the line that helps, without the calls that led here.
+        return [f"InputError: {self}"]
+
     @property
     def lines(self) -> list[str]:
         """What is wrong, in as many lines as there are arguments."""
