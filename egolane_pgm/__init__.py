@@ -16,42 +16,38 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     # What editors and type checkers see of the names below.
-    from egolane_pgm.api.comparisons import CompareResult as CompareResult
-    from egolane_pgm.api.comparisons import compare as compare
-    from egolane_pgm.api.detections import DetectResult as DetectResult
-    from egolane_pgm.api.detections import detect as detect
-    from egolane_pgm.api.fleets import FleetResult as FleetResult
-    from egolane_pgm.api.fleets import run_fleet as run_fleet
-    from egolane_pgm.api.labels import LabelResult as LabelResult
-    from egolane_pgm.api.labels import label as label
-    from egolane_pgm.api.learned import FleetLearnResult as FleetLearnResult
-    from egolane_pgm.api.learned import LearnResult as LearnResult
-    from egolane_pgm.api.learned import learn as learn
-    from egolane_pgm.api.learned import learn_fleet as learn_fleet
-    from egolane_pgm.api.loaded import load_result as load_result
-    from egolane_pgm.api.networks import draw_network as draw_network
-    from egolane_pgm.api.reproduction import ReproduceResult as ReproduceResult
-    from egolane_pgm.api.reproduction import reproduce as reproduce
-    from egolane_pgm.api.runs import RunResults as RunResults
-    from egolane_pgm.api.runs import run as run
-    from egolane_pgm.api.runs import run_streamed as run_streamed
-    from egolane_pgm.api.studies import TuneResult as TuneResult
-    from egolane_pgm.api.studies import tune as tune
+    from egolane_pgm.comparing.result import Comparison as Comparison
+    from egolane_pgm.drive_table import DriveTable as DriveTable
     from egolane_pgm.experiment import experiments_folder as experiments_folder
     from egolane_pgm.experiment import load_experiment as load_experiment
     from egolane_pgm.inference.compile import compile as compile
     from egolane_pgm.inference.events import lane_events as lane_events
+    from egolane_pgm.inference.expected_counts import expected_counts as expected_counts
     from egolane_pgm.inference.filtering import filter_beliefs as filter_beliefs
+    from egolane_pgm.inference.smoothing import fixed_lag_beliefs as fixed_lag_beliefs
     from egolane_pgm.inference.smoothing import smooth_beliefs as smooth_beliefs
     from egolane_pgm.inference.unrolling import unrolled as unrolled
+    from egolane_pgm.inference.viterbi import viterbi as viterbi
+    from egolane_pgm.labelling import Labels as Labels
     from egolane_pgm.learning.em import fit_tables as fit_tables
+    from egolane_pgm.learning.em import learned_network as learned_network
     from egolane_pgm.results import Result as Result
+    from egolane_pgm.tuning.result import Study as Study
     from egolane_pgm.types import Beliefs as Beliefs
     from egolane_pgm.types import Evidence as Evidence
     from egolane_pgm.types import InputError as InputError
     from egolane_pgm.types import LaneEvents as LaneEvents
     from egolane_pgm.types import LaneTruth as LaneTruth
     from egolane_pgm.types import LineLog as LineLog
+    from egolane_pgm.verbs.compare import compare as compare
+    from egolane_pgm.verbs.detect import detect as detect
+    from egolane_pgm.verbs.drawn import draw_network as draw_network
+    from egolane_pgm.verbs.label import label as label
+    from egolane_pgm.verbs.learn import learn as learn
+    from egolane_pgm.verbs.loaded import load_result as load_result
+    from egolane_pgm.verbs.reproduce import reproduce as reproduce
+    from egolane_pgm.verbs.run import run as run
+    from egolane_pgm.verbs.tune import tune as tune
 
 __version__ = "0.1.0"
 
@@ -59,31 +55,27 @@ __version__ = "0.1.0"
 _PUBLIC = {
     "experiments_folder": "experiment",
     "load_experiment": "experiment",
-    "run": "api.runs",
-    "run_fleet": "api.fleets",
-    "run_streamed": "api.runs",
-    "tune": "api.studies",
-    "learn": "api.learned",
-    "learn_fleet": "api.learned",
-    "compare": "api.comparisons",
-    "reproduce": "api.reproduction",
-    "detect": "api.detections",
-    "label": "api.labels",
-    "load_result": "api.loaded",
+    "run": "verbs.run",
+    "tune": "verbs.tune",
+    "learn": "verbs.learn",
+    "compare": "verbs.compare",
+    "reproduce": "verbs.reproduce",
+    "detect": "verbs.detect",
+    "label": "verbs.label",
+    "load_result": "verbs.loaded",
     "compile": "inference.compile",
-    "draw_network": "api.networks",
+    "draw_network": "verbs.drawn",
     "Result": "results",
-    "RunResults": "api.runs",
-    "FleetResult": "api.fleets",
-    "TuneResult": "api.studies",
-    "LearnResult": "api.learned",
-    "FleetLearnResult": "api.learned",
-    "CompareResult": "api.comparisons",
-    "ReproduceResult": "api.reproduction",
-    "DetectResult": "api.detections",
-    "LabelResult": "api.labels",
+    "Study": "tuning.result",
+    "Comparison": "comparing.result",
+    "DriveTable": "drive_table",
+    "Labels": "labelling",
     "filter_beliefs": "inference.filtering",
     "smooth_beliefs": "inference.smoothing",
+    "fixed_lag_beliefs": "inference.smoothing",
+    "viterbi": "inference.viterbi",
+    "expected_counts": "inference.expected_counts",
+    "learned_network": "learning.em",
     "lane_events": "inference.events",
     "unrolled": "inference.unrolling",
     "fit_tables": "learning.em",
@@ -97,12 +89,9 @@ _PUBLIC = {
 
 __all__ = list(_PUBLIC)
 
-#: What `run` was called before.
-_OLD = {"run_experiment": "running"}
-
 
 def __getattr__(name: str) -> Any:
-    module = _PUBLIC.get(name) or _OLD.get(name)
+    module = _PUBLIC.get(name)
     if module is None:
         raise AttributeError(f"module 'egolane_pgm' has no attribute '{name}'")
     return getattr(import_module(f"egolane_pgm.{module}"), name)

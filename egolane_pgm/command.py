@@ -101,7 +101,7 @@ def _made(verb: Callable[..., Any], name: str, says: Callable[..., str] | None) 
     results = _types_of(hints["return"])
     if any(hasattr(result, "to_text") for result in results):
         params += _tables()
-    if any(hasattr(result, "document") or result == dict[str, Any] for result in results):
+    if any(_has_document(result) for result in results):
         params.append(_json_file())
 
     names = {param.name: max(param.opts, key=len) for param in params}
@@ -115,6 +115,14 @@ def _made(verb: Callable[..., Any], name: str, says: Callable[..., str] | None) 
             raise InputError(*lines) from error
 
     return click.Command(name, callback=callback, params=params, help=text)
+
+
+def _has_document(result: Any) -> bool:
+    """Whether a verb's result, of some type, can be written as JSON."""
+    return typing.get_origin(result) is dict or "document" in (
+        *dir(result),
+        *getattr(result, "__annotations__", ()),
+    )
 
 
 def _docstring(text: str) -> tuple[str, dict[str, str]]:
@@ -183,7 +191,7 @@ def _params(parameter: inspect.Parameter, hint: Any, said: str) -> list[click.Pa
     if bool in _types_of(hint):
         no = "no-" if default is True else ""
         names = looks.names or (f"--{no}{_dashed(name)}",)
-        flag = True if "/" in names[0] or default is not True else False
+        flag = default is not True
         return [
             click.Option([*names, name], is_flag=True, default=default, flag_value=flag, help=help)
         ]
@@ -307,6 +315,8 @@ def _invoke(
             _say(f"failed: {title}: {line}")
     if len(failed) > _MANY:
         _say(f"failed: {len(failed) - _MANY} more")
+    if getattr(done, "stopped", None) is not None:
+        raise done.stopped
     if failed:
         raise SystemExit(1)
 
@@ -320,7 +330,7 @@ def _given(hint: Any, name: str, value: Any) -> Any:
     if value == "" or (isinstance(value, tuple) and "" in value):
         raise InputError(f"{name}: is empty")
     if _is_mapping(hint):
-        return dict(read_override(each, looks.said or "name=value", name) for each in value)
+        return dict(read_override(each, looks.example or "name=value", name) for each in value)
     return value[0] if looks.many and len(value) == 1 else value
 
 

@@ -13,6 +13,7 @@ left out or left empty in a row:
 
 from __future__ import annotations
 
+import os
 from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -28,7 +29,7 @@ from egolane_pgm.running import OneOfSeveral, plan_runs
 from egolane_pgm.scoring.bootstrap import over_drives
 from egolane_pgm.tools.files import read_parquet, read_text, read_yaml, write_parquet
 from egolane_pgm.tools.yaml import parse_yaml
-from egolane_pgm.types import InputError, problems_in, suggestion
+from egolane_pgm.types import InputError, all_problems, problems_in, suggestion
 
 #: The columns that are no keys of an experiment.
 _OWN = ("name", "recording", "ground_truth", "camera", "detector", "n_lanes")
@@ -195,6 +196,26 @@ def plan_fleet(
         [(drive.name, partial(drive_experiment, base, drive, overrides)) for drive in drives],
         folder,
     )
+
+
+def experiments_of(
+    base: Experiment, fleet: str | os.PathLike[str], overrides: Overrides
+) -> tuple[tuple[FleetDrive, ...], list[Experiment]]:
+    """The drives of a table, and the experiment on each of them, to be learned or searched from.
+
+    - overrides: keys that were overridden in the base.
+
+    Raises InputError for all rows that do not fit.
+    """
+    drives = read_fleet(os.fspath(fleet))
+    found = []
+    with all_problems() as part:
+        for drive in drives:
+            with part():
+                placed = drive_experiment(base, drive, overrides)
+                # A drive may be what the base was tuned on, under another name too.
+                found.append(placed.model_copy(update={"tuned_on": base.tuned_on}))
+    return drives, found
 
 
 def drives_of(drives: Sequence[FleetDrive], experiments: Sequence[Experiment]) -> list[str]:

@@ -15,10 +15,12 @@ The confidence of a frame is the smoothed probability of its label.
 
 from __future__ import annotations
 
+import os
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Any
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -26,10 +28,10 @@ from egolane_pgm.drive import ONE_DRIVE, Recorded, may_fit
 from egolane_pgm.experiment import Experiment, load_experiment
 from egolane_pgm.inference.events import crossing_probability
 from egolane_pgm.inference.kernels.sweeps import best_path
-from egolane_pgm.inference.viterbi import viterbi_path
+from egolane_pgm.inference.viterbi import viterbi
 from egolane_pgm.plugins import declared_parameters, load_rule_and_graph
 from egolane_pgm.recordings import check_one_drive
-from egolane_pgm.results import Result
+from egolane_pgm.results import SCHEMA_VERSION, Result, staged, write_result
 from egolane_pgm.running import run_experiment
 from egolane_pgm.scoring.probabilistic import answers_curve
 from egolane_pgm.scoring.summary import score_with_intervals
@@ -42,8 +44,14 @@ from egolane_pgm.types import (
     LaneTruth,
     LineLog,
     joined,
+    not_one_of,
     runs_of,
 )
+
+if TYPE_CHECKING:
+    import pandas as pd
+    import xarray as xr
+    from matplotlib.figure import Figure
 
 #: Frames whose label has a smaller probability are looked at.
 BELOW = 0.99
@@ -96,9 +104,9 @@ class Stretch:
         return self.stop - self.start
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False, eq=False)
 class Labels:
-    """The labels of T frames.
+    """The labels of T frames, and which of them a human should look at.
 
     - run: the experiment, smoothed.
     - lane (T,): 1 (leftmost) to n.
@@ -197,6 +205,126 @@ class Labels:
         """The runs of marked frames, (T,)."""
         return [self.stretch(a, b) for a, b in runs_of(marked)]
 
+    @property
+    def name(self) -> str:
+        """The name of the experiment."""
+        return self.run.experiment.name
+
+    @cached_property
+    def scores(self) -> dict[str, Any]:
+        """See `label_scores`; empty without ground truth."""
+        return label_scores(self)
+
+    @property
+    def notes(self) -> list[str]:
+        """Warnings, a line each."""
+        return self.run.notes
+
+    @property
+    def document(self) -> dict[str, Any]:
+        """What `egolane label --json` writes."""
+        from egolane_pgm.report.label_tables import review_row
+
+        return {
+            "schema_version": SCHEMA_VERSION,
+            "name": self.name,
+            "n_lanes": self.run.experiment.n_lanes,
+            "frames": len(self),
+            "below": self.below,
+            "reviewed": float(self.is_reviewed.mean()),
+            "review": [review_row(each) for each in self.review],
+            "doubted": [review_row(each) for each in self.stretches(doubted(self))],
+            "warnings": self.notes,
+            "scores": self.scores,
+        }
+
+    # --- shown; pandas, xarray and matplotlib are imported when they are asked for --------------
+
+    def __repr__(self) -> str:
+        from egolane_pgm.report.label_tables import label_title
+
+        return f"Labels({label_title(self)})"
+
+    def _repr_html_(self) -> str:
+        from egolane_pgm.report import label_tables, shown
+
+        rows = label_tables.review_rows(self.review)
+        return shown.html_table(label_tables.label_title(self), *rows, self.notes)
+
+    def to_text(self, *, style: str = "markdown", wide: bool = False) -> str:
+        """The stretches to review, and the scores; see `Result.to_text`."""
+        from egolane_pgm.report.label_tables import label_parts
+        from egolane_pgm.report.tables import page
+
+        return page(label_parts(self), style, wide)
+
+    def to_pandas(self, table: str = "frames") -> pd.DataFrame:
+        """A row per frame; the index is `frame_id`.
+
+        Columns: `lane`, `confidence` (the smoothed probability of the label), `is_crossing`,
+        `is_reviewed`, `time_s`, the belief in each lane (`Lane=1`, ...), and with ground truth
+        `true_lane`, missing where nobody annotated the frame.
+
+        - table: "review" for a row per stretch of frames that a human should look at:
+          `first_frame`, `last_frame`, `first_s`, `last_s`, `frames`, `lanes` (in question),
+          `lowest_confidence`, `expected_wrong` (frames, if the model is right) and `why`;
+          "doubted" for the same where a sure label contradicts the annotation.
+
+        Raises InputError for another table.
+        """
+        from egolane_pgm.report.label_tables import label_frame
+
+        if table not in ("frames", "review", "doubted"):
+            raise InputError(f"table: {not_one_of(table, ('frames', 'review', 'doubted'))}")
+        return label_frame(self, table)
+
+    def to_xarray(self) -> xr.Dataset:
+        """`to_pandas` as a data set. Raises InputError where xarray is not installed."""
+        from egolane_pgm.report.shown import as_dataset
+
+        return as_dataset(self.to_pandas())
+
+    def plot(self, first: int | None = None, last: int | None = None) -> Figure:
+        """Draw the lines, the belief with the labels, and the confidence.
+
+        - first, last: frame ids, both included; by default the stretch of the review list in which
+          most frames are expected to be wrong, or the whole recording where there is none.
+
+        Raises InputError for a range without frames.
+        """
+        from egolane_pgm.report.review import review_figure
+        from egolane_pgm.report.style import inline_figure
+
+        ids, worst = self.frame_id, self.worst[:1]
+        if first is None and last is None and worst:
+            first, last = worst[0].first, worst[0].last
+        low, high = ids[0] if first is None else first, ids[-1] if last is None else last
+        return inline_figure(lambda: review_figure(self, int(low), int(high)))
+
+    def save(self, directory: str | os.PathLike[str], *, figures: bool = True) -> Path:
+        """Write a result directory, as a run's, with the labels in it:
+
+        labels.txt: `frame;lane;crossing`, a ground-truth file as `run` reads it. labels.csv: the
+        same with time_s, confidence and whether the frame is on the review list. review.csv: that
+        list. doubted.csv: with ground truth, where sure labels contradict it.
+        figures/review_*.png: the worst stretches.
+
+        - figures: whether pictures are drawn.
+
+        An older result of that name is replaced; files of your own in it stay. Raises
+        InputError where the directory holds anything else, or cannot be written.
+        """
+        from egolane_pgm.report.label_tables import write_labels
+
+        with staged(Path(directory)) as folder:
+            write_result(folder, self.run)
+            write_labels(folder, self)
+            if figures:
+                from egolane_pgm.report.review import draw_review
+
+                draw_review(self, folder / "figures")
+        return Path(directory)
+
 
 def label_experiment(
     experiment: Experiment, below: float = BELOW, *, recorded: Recorded | None = None
@@ -219,7 +347,7 @@ def label_experiment(
     beliefs, log = run.beliefs, run.lines
     lane = lane_path(beliefs.lane)
     possible = crossed_lanes(lane, log.time_s, beliefs.marginals)
-    story = viterbi_path(run.model.compiled, run.evidence, frame_id=log.frame_id).lane
+    story = viterbi(run.model.compiled, run.evidence, frame_id=log.frame_id).lane
     scores = dict(run.scores)
     if run.truth is not None:
         k, rate = run.scored, run.experiment.recording.frame_rate

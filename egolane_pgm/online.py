@@ -1,4 +1,4 @@
-"""The filter as it runs in a car: lines of a frame in, the belief for that frame out, at once."""
+"""The filter as it runs in a car: lines of a frame in, its lane out, at once."""
 
 from __future__ import annotations
 
@@ -6,48 +6,65 @@ import json
 import math
 from collections import deque
 from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import replace
 from typing import Any
 
+import numpy as np
+
 from egolane_pgm.experiment import Experiment
+from egolane_pgm.inference.events import NOTHING_TOLD, crossing_probability, tell
 from egolane_pgm.inference.filtering import step
 from egolane_pgm.inference.layout import FilterState
 from egolane_pgm.inference.smoothing import LagState, lag_rest, lag_step
 from egolane_pgm.model import online_output, prepare_model, value_names
 from egolane_pgm.recordings.select import clip_lri, fill_after
 from egolane_pgm.scoring.assign import assigned_lane
-from egolane_pgm.types import Beliefs, InputError, LineLog, suggestion
+from egolane_pgm.types import Beliefs, InputError, LaneEvents, LineLog, not_one_of, suggestion
 
 #: Whole numbers up to here are exact as floating-point times.
 MAX_FRAME_ID = 2**53
 
-_KEYS = {"frame_id", "lines"}
+_KEYS = {"frame_id", "time_s", "lines"}
 _LINE_KEYS = {"offset_m", "is_valid", "is_continuous", "lri"}
 
 
-def filter_stream(experiment: Experiment, messages: Iterable[str]) -> Iterator[dict[str, Any]]:
-    """Filter messages as they come, and yield the belief after each of them.
+def filter_stream(
+    experiment: Experiment, messages: Iterable[str], nodes: Sequence[str] = ()
+) -> Iterator[dict[str, Any]]:
+    """Filter messages as they come, and yield an answer after each of them.
 
     - messages: one frame each, a JSON line such as `{"frame_id": 7, "lines": [{"offset_m": -1.8,
       "is_valid": true, "is_continuous": false, "lri": 10}, ...]}`. `is_valid` is true by default,
-      `is_continuous` false, `lri` unknown. Blank lines are skipped.
+      `is_continuous` false, `lri` unknown. `time_s`, seconds, says when the frame was; without it
+      that is the frame id over the frame rate. A message with `time_s` may lack the frame id: it is
+      then the frame after the last. Blank lines are skipped.
+    - nodes: hidden nodes whose whole belief is wanted.
 
-    Yields `{frame_id, time_s, assigned_lane (0: Unassigned), is_impossible, beliefs: {node: {value:
-    probability}}}`. With filter fixed_lag the belief about a frame comes `lag` frames later, those
-    about the last frames at the end.
+    Yields `{frame_id, time_s, lane (0: Unassigned), probability (of that lane, or of the most
+    probable one), crossing (the probability that the car is on a line; null where the graph cannot
+    tell), is_impossible, events: [{from_lane, to_lane, time_s (since when), probability}], beliefs:
+    {node: {value: probability}}}`. With filter fixed_lag the answer about a frame comes `lag`
+    frames later, those about the last frames at the end.
 
-    Raises InputError, naming the message, for what cannot be used, and for filter smoothed, which
-    needs the whole drive.
+    Raises InputError, naming the message, for what cannot be used, for a node that the graph does
+    not have, and for filter smoothed, which needs the whole drive.
     """
     frame_rate = experiment.recording.frame_rate
-    logs = (
-        parse_message(text, f"message {number}", frame_rate)
-        for number, text in enumerate(messages, start=1)
-        if text.strip()
-    )
-    yield from filter_logs(experiment, logs)
+
+    def logs() -> Iterator[LineLog]:
+        after = 0
+        for number, text in enumerate(messages, start=1):
+            if text.strip():
+                log = parse_message(text, f"message {number}", frame_rate, after)
+                after = int(log.frame_id[0]) + 1
+                yield log
+
+    yield from filter_logs(experiment, logs(), nodes)
 
 
-def filter_logs(experiment: Experiment, logs: Iterable[LineLog]) -> Iterator[dict[str, Any]]:
+def filter_logs(
+    experiment: Experiment, logs: Iterable[LineLog], nodes: Sequence[str] = ()
+) -> Iterator[dict[str, Any]]:
     """Filter frames as they come, and yield an answer for each, as `filter_stream` does.
 
     - logs: one frame each; the `source` of each names it in messages.
@@ -59,64 +76,84 @@ def filter_logs(experiment: Experiment, logs: Iterable[LineLog]) -> Iterator[dic
         )
     model = prepare_model(experiment)
     names = value_names(model)
+    for node in nodes:
+        if node not in names:
+            raise InputError(f"nodes: {not_one_of(node, [*names])}")
     output_of = online_output(model, experiment.evidence_reading)
     recording, below = experiment.recording, experiment.unassigned_below
     max_lri = float(model.parameters.get("max_lri", 10))  # type: ignore[arg-type]
     state: FilterState | None = None
     late: LagState | None = None
+    told = NOTHING_TOLD
     # Frames that wait for their answer; None stands for one that the recording lacks.
     waiting: deque[LineLog | None] = deque()
     last: LineLog | None = None
+
+    def answers(beliefs: Beliefs) -> Iterator[dict[str, Any]]:
+        """To the first frames that wait, as many as there are beliefs."""
+        nonlocal told
+        for t in range(len(beliefs)):
+            log = waiting.popleft()
+            if log is not None:
+                frame = replace(beliefs.take(slice(t, t + 1)), frame_id=log.frame_id)
+                told, _, events = tell(told, frame, log.time_s)
+                yield _answer(log, frame, events, below, {node: names[node] for node in nodes})
+
     for log in logs:
         if recording.lri == "clip":
             log = clip_lri(log, max_lri)
         due = fill_after(last, log, recording.missing_frames, recording.frame_rate)
         evidence = output_of(due).filtered
         last = log
+        waiting.extend([*[None] * (len(due) - 1), log])
         if experiment.lag is None:
             state, beliefs = step(model.compiled, state, evidence, experiment.filter)
-            yield _answer(log, beliefs, len(due) - 1, names, below)
+            yield from answers(beliefs)
             continue
-        waiting.extend([*[None] * (len(due) - 1), log])
         for t in range(len(due)):
             frame = evidence.take(slice(t, t + 1))
             late, beliefs = lag_step(model.compiled, late, frame, experiment.lag)
-            yield from _answers(waiting, beliefs, names, below)
+            yield from answers(beliefs)
     if late is not None:
-        rest = lag_rest(model.compiled, late)
-        yield from _answers(waiting, rest, names, below)
-
-
-def _answers(
-    waiting: deque[LineLog | None],
-    beliefs: Beliefs,
-    names: Mapping[str, Sequence[str]],
-    below: float,
-) -> Iterator[dict[str, Any]]:
-    """The answers to the first frames that wait, as many as there are beliefs."""
-    for t in range(len(beliefs)):
-        log = waiting.popleft()
-        if log is not None:
-            yield _answer(log, beliefs, t, names, below)
+        yield from answers(lag_rest(model.compiled, late))
 
 
 def _answer(
-    log: LineLog, beliefs: Beliefs, t: int, names: Mapping[str, Sequence[str]], below: float
+    log: LineLog,
+    beliefs: Beliefs,
+    events: LaneEvents,
+    below: float,
+    nodes: Mapping[str, Sequence[str]],
 ) -> dict[str, Any]:
+    """The answer to a frame. nodes: the names of the values of those that are wanted."""
+    lane = beliefs.lane[0]
+    assigned = int(assigned_lane(beliefs.lane, below)[0])
+    crossing = crossing_probability(beliefs.marginals)
+    columns = (events.from_lane, events.to_lane, events.time_s, events.probability)
+    names = ("from_lane", "to_lane", "time_s", "probability")
     return {
         "frame_id": int(log.frame_id[0]),
         "time_s": float(log.time_s[0]),
-        "assigned_lane": int(assigned_lane(beliefs.lane[t : t + 1], below)[0]),
-        "is_impossible": bool(beliefs.is_impossible[t]),
+        "lane": assigned,
+        "probability": float(lane[assigned - 1] if assigned else lane.max()),
+        "crossing": None if crossing is None else float(crossing[0]),
+        "is_impossible": bool(beliefs.is_impossible[0]),
+        "events": [
+            dict(zip(names, event, strict=True))
+            for event in zip(*(column.tolist() for column in columns), strict=True)
+        ],
         "beliefs": {
-            node: dict(zip(names[node], values[t].tolist(), strict=True))
-            for node, values in beliefs.marginals.items()
+            node: dict(zip(values, beliefs.marginals[node][0].tolist(), strict=True))
+            for node, values in nodes.items()
         },
     }
 
 
-def parse_message(text: str, where: str, frame_rate: float) -> LineLog:
-    """One message as a LineLog of one frame; see `filter_stream`."""
+def parse_message(text: str, where: str, frame_rate: float, after: int = 0) -> LineLog:
+    """One message as a LineLog of one frame; see `filter_stream`.
+
+    - after: the id of a frame that has none of its own.
+    """
     try:
         content = json.loads(text)
     except (ValueError, RecursionError) as error:
@@ -124,7 +161,10 @@ def parse_message(text: str, where: str, frame_rate: float) -> LineLog:
     if not isinstance(content, dict):
         raise InputError(f"{where}: needs an object with frame_id and lines")
     _check_keys(content, _KEYS, where)
+    time_s = _number(content, "time_s", where)
     frame_id, lines = content.get("frame_id"), content.get("lines")
+    if frame_id is None and not math.isnan(time_s):
+        frame_id = after
     if isinstance(frame_id, bool) or not isinstance(frame_id, int):
         raise InputError(f"{where}: frame_id {frame_id!r} is not a whole number")
     if abs(frame_id) > MAX_FRAME_ID:
@@ -133,7 +173,8 @@ def parse_message(text: str, where: str, frame_rate: float) -> LineLog:
         raise InputError(f"{where}: lines must be a list of objects")
     rows = [_line(line, f"{where}: line {k}") for k, line in enumerate(lines, start=1)]
     columns = zip(*rows, strict=True) if rows else [()] * 4
-    return LineLog.of_frame(frame_id, frame_rate, *columns, source=where)
+    log = LineLog.of_frame(frame_id, frame_rate, *columns, source=where)
+    return log if math.isnan(time_s) else replace(log, time_s=np.array([time_s]))
 
 
 def _check_keys(content: dict[str, Any], known: set[str], where: str) -> None:

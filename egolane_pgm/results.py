@@ -53,6 +53,7 @@ from egolane_pgm.inference.events import (
     numbered,
     tracks_of,
 )
+from egolane_pgm.inference.unrolling import Unrolled, unrolled
 from egolane_pgm.model import Model, prepare_model
 from egolane_pgm.plugins import OWN_FILES
 from egolane_pgm.recordings.source import files_in_full
@@ -94,6 +95,7 @@ if TYPE_CHECKING:
     import pandas as pd
     import xarray as xr
     from matplotlib.figure import Figure
+    from pgmpy.models import DynamicBayesianNetwork
 
 #: Of the keys of run.json, scores.json and comparison.json.
 SCHEMA_VERSION = 1
@@ -131,6 +133,7 @@ class Result:
       `maps.steps.LanesAlong`; None for a road on which lanes do not change.
     - lines: of the T frames; None in a directory that was written before lines were kept.
     - evidence: what was filtered; None where the result was read.
+    - learned: what was learned from the whole recording, of a result of `ego.learn`.
 
     >>> import egolane_pgm as ego
     >>> place = ego.experiments_folder() / "quickstart.yaml"
@@ -172,6 +175,7 @@ class Result:
     lines: LineLog | None = None
     evidence: Evidence | None = None
     compiled: Model | None = None
+    learned: Any = None
 
     def __len__(self) -> int:
         return len(self.frame_id)
@@ -202,7 +206,9 @@ class Result:
     @functools.cached_property
     def beliefs(self) -> Beliefs:
         """The belief over the values of each hidden node, of T frames."""
-        return Beliefs(self.frame_id, self.marginals, self.log_evidence, self.is_impossible)
+        return Beliefs(
+            self.frame_id, self.marginals, self.log_evidence, self.is_impossible, self.values
+        )
 
     @property
     def detector_lane(self) -> IntArray | None:
@@ -356,6 +362,33 @@ class Result:
             flat["detector"] = (("frame_id", "Lane"), self.tentative)
         flat.attrs["name"] = self.name
         return flat
+
+    def network(
+        self, *, evidence: bool = False, first: int | None = None, last: int | None = None
+    ) -> DynamicBayesianNetwork | Unrolled:
+        """The graph in pgmpy: by itself, or some frames of it with their evidence.
+
+        - evidence: False for the declared network of two slices, whose virtual-evidence tables
+          (`WOR_ve`) are placeholders; True for frames in which they hold the run's evidence, as
+          `unrolled` makes them, together with what pgmpy's queries are given.
+        - first, last: with evidence: frame ids of one clip, both included; all by default. pgmpy
+          takes seconds for hundreds of frames.
+
+        Raises InputError for frames that there are not, and where the evidence was not kept (in a
+        result that was read) or is no likelihood (evidence_reading jeffrey).
+        """
+        if not evidence:
+            if first is not None or last is not None:
+                raise InputError("first, last: choose frames of network(evidence=True)")
+            return self.model.network
+        if self.evidence is None:
+            raise InputError(f"{self.directory}: a stored result has no evidence{_AGAIN}")
+        first = int(self.frame_id[0]) if first is None else first
+        last = int(self.frame_id[-1]) if last is None else last
+        clips = pieces_of(self.clip, len(self))
+        part = next((clip for clip in clips if first in self.frame_id[clip]), clips[0])
+        seen, ids = self.evidence.take(part), self.frame_id[part]
+        return unrolled(self.model, seen, first, last, frame_id=ids)
 
     def plot(self, first: int | None = None, last: int | None = None) -> Figure:
         """Draw the beliefs over time as strips, the truth below.

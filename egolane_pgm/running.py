@@ -38,7 +38,7 @@ from egolane_pgm.inference.events import (
 from egolane_pgm.inference.filtering import piece_frames, step
 from egolane_pgm.inference.layout import FilterState
 from egolane_pgm.inference.smoothing import infer_beliefs
-from egolane_pgm.inference.viterbi import disagreement, viterbi_path
+from egolane_pgm.inference.viterbi import disagreement, viterbi
 from egolane_pgm.lane_count import doubt_of_lanes
 from egolane_pgm.model import Model, causality, online_output, prepare_model, value_names, with_map
 from egolane_pgm.plugins import source_files
@@ -176,7 +176,7 @@ def _most_probable(
 
 def _on_best_path(drive: Drive, evidence: Evidence, beliefs: Beliefs) -> tuple[IntArray, list[str]]:
     """The lanes of the most probable path, and a note where it is not to be trusted."""
-    path = viterbi_path(drive.model.compiled, evidence, frame_id=beliefs.frame_id)
+    path = viterbi(drive.model.compiled, evidence, frame_id=beliefs.frame_id)
     doubt = disagreement(path, beliefs).warning
     return path.lane, [doubt] if doubt else []
 

@@ -21,6 +21,8 @@ from numpy.typing import ArrayLike, NDArray
 if TYPE_CHECKING:
     import pandas as pd
 
+    from egolane_pgm.inference.compile import Compiled
+
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
 BoolArray = NDArray[np.bool_]
@@ -67,6 +69,10 @@ class InputError(ValueError):
 
     def __str__(self) -> str:
         return "\n".join(self.args)
+
+    def _render_traceback_(self) -> list[str]:
+        # What a notebook shows: the line that helps, without the calls that led here.
+        return [f"InputError: {self}"]
 
     @property
     def lines(self) -> list[str]:
@@ -192,6 +198,41 @@ def _as_array(node: Observed, values: Any) -> FloatArray:
         return np.array(values, dtype=np.float64, ndmin=1)
     except (TypeError, ValueError) as error:
         raise InputError(f"evidence for {node}: is no array of numbers") from error
+
+
+def _check_lengths(rows: Mapping[Any, Any]) -> None:
+    if len({len(values) for values in rows.values()}) > 1:
+        lengths = ", ".join(f"{node} {len(values)}" for node, values in rows.items())
+        raise InputError(f"evidence: different numbers of frames: {lengths}")
+
+
+def _indices(node: str, given: Iterable[Any], names: Sequence[str]) -> IntArray:
+    """The index of a node's value in each frame, (T,), -1 where it is missing."""
+    # pandas knows what is missing; it is imported only for such evidence.
+    import pandas as pd
+
+    if isinstance(given, str) or not np.iterable(given):
+        raise InputError(f"evidence for {node}: needs a value for each frame, e.g. [{given!r}]")
+    column = pd.Series(list(given), dtype=object)
+    found = np.full(len(column), -1, dtype=np.int64)
+    for t in np.flatnonzero(column.notna()).tolist():
+        value = column[t].item() if isinstance(column[t], np.generic) else column[t]
+        if isinstance(value, float) and value.is_integer() and str(value) not in names:
+            value = int(value)  # Whole numbers become floats in a column where some are missing.
+        index = int(value) if isinstance(value, int) and 0 <= value < len(names) else -1
+        found[t] = names.index(str(value)) if str(value) in names else index
+        where = f"evidence for {node}: row {t}: {value!r} is"
+        if found[t] < 0:
+            raise InputError(
+                f"{where} neither the name of a value nor an index, 0 to {len(names) - 1}"
+                f"{suggestion(str(value), names)}"
+            )
+        if index not in (-1, found[t]):
+            raise InputError(
+                f"{where} the name of one value and the index of another, {names[index]!r}; give"
+                " names, as text"
+            )
+    return found
 
 
 def _check_frame_ids(frame_id: IntArray, what: str) -> None:
@@ -372,6 +413,26 @@ class LineLog:
         """The frames of each clip, in order; of a recording that is one drive, all T frames."""
         return pieces_of(self.clip, len(self))
 
+    def to_pandas(self) -> pd.DataFrame:
+        """A row per line; the index is `frame_id` and `line`, from 1.
+
+        Columns: `time_s`, `offset_m` (negative left), `is_valid`, `is_continuous`, `lri`. Frames
+        without lines have no row.
+        """
+        import pandas as pd
+
+        frame, line = np.nonzero(np.isfinite(self.offset_m))
+        columns = {
+            "frame_id": self.frame_id[frame],
+            "line": line + 1,
+            "time_s": self.time_s[frame],
+            **{
+                name: getattr(self, name)[frame, line]
+                for name in ("offset_m", "is_valid", "is_continuous", "lri")
+            },
+        }
+        return pd.DataFrame(columns).set_index(["frame_id", "line"])
+
     @classmethod
     def joined(cls, parts: Sequence[LineLog]) -> LineLog:
         """One log of the frames of several, one after the other, named as the last."""
@@ -445,6 +506,8 @@ class Evidence:
       (T, *cardinalities) of non-negative, finite likelihoods, which need not sum to one.
     - inputs: per input node the index of its value in each frame (T,).
 
+    Observed values themselves, their names or indices, are made evidence by `hard`.
+
     >>> import egolane_pgm as ego
     >>> ego.Evidence({"DetectorOutput": [[0.9, 0.1, 0.0], [0.3, 0.4, 0.3]]})
     Evidence(2 frames: DetectorOutput (3))
@@ -462,9 +525,13 @@ class Evidence:
         if not all(isinstance(values, np.ndarray) for values in self.likelihoods.values()):
             made = {node: _as_array(node, values) for node, values in self.likelihoods.items()}
             object.__setattr__(self, "likelihoods", made)
-        lengths = {len(a) for a in (*self.likelihoods.values(), *self.inputs.values())}
-        if len(lengths) > 1:
-            raise InputError(f"evidence: the arrays have different lengths {sorted(lengths)}")
+        for name, index in self.inputs.items():
+            if np.asarray(index).dtype.kind not in "iu" and len(index):
+                raise InputError(f"evidence for {name}: an input is given by indices, see hard")
+        if not all(isinstance(index, np.ndarray) for index in self.inputs.values()):
+            indices = {node: np.array(index, np.int64) for node, index in self.inputs.items()}
+            object.__setattr__(self, "inputs", indices)
+        _check_lengths({**self.likelihoods, **self.inputs})
         for node, values in self.likelihoods.items():
             # NaN is neither.
             is_fine = (values >= 0) & (values < np.inf)
@@ -475,6 +542,53 @@ class Evidence:
     def __len__(self) -> int:
         arrays = (*self.likelihoods.values(), *self.inputs.values())
         return len(arrays[0]) if arrays else 0
+
+    @classmethod
+    def hard(cls, rows: Mapping[str, Iterable[Any]] | pd.DataFrame, compiled: Compiled) -> Evidence:
+        """What was observed for certain, with likelihoods of one and zero.
+
+        - rows: per node its value in each of T frames: a name of its values (as text), or its
+          index; None, NaN or pd.NA where it is missing. A DataFrame with a column per node will do.
+
+        An observed node that is not given is missing in all frames. An input node must be given,
+        in every frame. Soft evidence about another node goes beside it:
+        `Evidence({**hard.likelihoods, "Noise": likelihood}, hard.inputs)`.
+
+        Raises InputError, naming node and row, for a node that is neither observed nor an input,
+        for an unknown value, and for columns of different lengths.
+
+        >>> import egolane_pgm as ego
+        >>> place = ego.experiments_folder() / "quickstart.yaml"
+        >>> model = ego.run(place, overrides={"recording.frames": [0, 9]}).model
+        >>> seen = ego.Evidence.hard({"WOR": ["OK", "BAD", None]}, model.compiled)
+        >>> seen.likelihoods["WOR"].tolist()
+        [[1.0, 0.0], [0.0, 1.0], [1.0, 1.0]]
+        """
+        observed = [(key,) if isinstance(key, str) else key for key in compiled.observed]
+        known = {*(node for nodes in observed for node in nodes), *compiled.inputs}
+        given: dict[str, IntArray] = {}
+        for node, column in rows.items():
+            if node not in known:
+                raise InputError(
+                    f"evidence for {node}: the network has no such observed node or input"
+                    f"{suggestion(str(node), known)}; `compile` is given those that are observed"
+                )
+            given[node] = _indices(node, column, compiled.values[node])
+        _check_lengths(given)
+        for node in compiled.inputs:
+            if node not in given or (given[node] < 0).any():
+                row = f"row {np.argmin(given[node])}" if node in given else "every row"
+                raise InputError(f"evidence for {node}: {row}: is missing, an input must be known")
+        missing = np.full(len(next(iter(given.values()), ())), -1)
+        likelihoods: dict[Observed, FloatArray] = {}
+        for key, nodes in zip(compiled.observed, observed, strict=True):
+            likelihood = np.ones(len(missing))
+            for node in nodes:
+                value = given.get(node, missing)[:, None]
+                shown = (value == np.arange(compiled.cardinality[node])) | (value < 0)
+                likelihood = np.einsum("t...,tk->t...k", likelihood, shown)
+            likelihoods[key] = likelihood
+        return cls(likelihoods, {node: given[node] for node in compiled.inputs})
 
     @classmethod
     def joined(cls, parts: Sequence[Evidence]) -> Evidence:
@@ -505,6 +619,9 @@ class Beliefs:
       as given; 0 in impossible frames.
     - is_impossible (T,): marks frames whose evidence had joint likelihood zero; the belief is the
       prediction there.
+    - values: the names of the nodes' values; a node without names counts them from 0, Lane from 1.
+
+    `beliefs["Gear"]` is the belief about one node.
 
     >>> import numpy as np
     >>> import egolane_pgm as ego
@@ -514,12 +631,15 @@ class Beliefs:
     Beliefs(2 frames, ids 7 to 8: Lane (2))
     >>> beliefs.lane[-1]
     array([0.1, 0.9])
+    >>> beliefs.to_pandas().columns.tolist()
+    ['Lane=1', 'Lane=2']
     """
 
     frame_id: IntArray
     marginals: Mapping[str, FloatArray]
     log_evidence: FloatArray
     is_impossible: BoolArray
+    values: Mapping[str, Sequence[str]] = field(default_factory=dict)
 
     def __repr__(self) -> str:
         nodes = [_node(name, values.shape[1:]) for name, values in self.marginals.items()]
@@ -527,6 +647,12 @@ class Beliefs:
 
     def __len__(self) -> int:
         return len(self.frame_id)
+
+    def __getitem__(self, node: str) -> FloatArray:
+        if node not in self.marginals:
+            meant = suggestion(str(node), self.marginals)
+            raise InputError(f"the beliefs are about no node '{node}'{meant}")
+        return self.marginals[node]
 
     @classmethod
     def joined(cls, parts: Sequence[Beliefs]) -> Beliefs:
@@ -538,6 +664,7 @@ class Beliefs:
             {k: np.concatenate([part.marginals[k] for part in parts]) for k in parts[0].marginals},
             np.concatenate([part.log_evidence for part in parts]),
             np.concatenate([part.is_impossible for part in parts]),
+            parts[0].values,
         )
 
     def take(self, frames: slice | IntArray | BoolArray) -> Beliefs:
@@ -547,12 +674,28 @@ class Beliefs:
             {node: values[frames] for node, values in self.marginals.items()},
             self.log_evidence[frames],
             self.is_impossible[frames],
+            self.values,
         )
 
     @property
     def lane(self) -> FloatArray:
-        """(T, n): the belief over lanes."""
+        """(T, n): the belief over lanes. Raises InputError where the network has no node Lane."""
+        if "Lane" not in self.marginals:
+            nodes = ", ".join(self.marginals)
+            raise InputError(f"the network has no node Lane, it has {nodes}: take beliefs[node]")
         return self.marginals["Lane"]
+
+    def to_pandas(self) -> pd.DataFrame:
+        """A row per frame, with a column `Node=value` for each value; the index is `frame_id`."""
+        # pandas is imported only for a table.
+        import pandas as pd
+
+        columns: dict[str, FloatArray] = {}
+        for node, belief in self.marginals.items():
+            first = int(node == "Lane")
+            names = self.values.get(node, range(first, first + belief.shape[1]))
+            columns |= {f"{node}={name}": belief[:, k] for k, name in enumerate(names)}
+        return pd.DataFrame(columns, index=pd.Index(self.frame_id, name="frame_id"))
 
     @property
     def mean_log_evidence(self) -> float:

@@ -25,7 +25,7 @@ from matplotlib import pyplot
 from matplotlib.figure import Figure
 
 import egolane_pgm as ego
-from egolane_pgm.cli.main import COMMANDS
+from egolane_pgm.command import COMMANDS
 from egolane_pgm.results import read_result
 from egolane_pgm.running import plan_runs, run_all, run_experiment
 from tests.kits.drives import contents, done, refused, write_drive, write_experiment

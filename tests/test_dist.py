@@ -75,7 +75,7 @@ def test_the_installed_wheel_does_the_main_job_where_nothing_else_can_be_written
     given = {k: v for k, v in os.environ.items() if k not in ("NUMBA_CACHE_DIR", "EGOLANE_DATA")}
     environment = {**given, **places, "PYTHONPATH": str(site)}
     program = (
-        "import sys, egolane_pgm; from egolane_pgm.cli.entry import main;"
+        "import sys, egolane_pgm; from egolane_pgm.command import main;"
         f" assert egolane_pgm.__file__.startswith({str(site)!r}); main()"
     )
     ran = python("-c", program, "run", "experiments/quickstart.yaml", cwd=here, env=environment)

@@ -15,7 +15,7 @@ import yaml
 
 import egolane_pgm as ego
 from egolane_pgm import load_experiment, run_experiment
-from egolane_pgm.cli.main import egolane
+from egolane_pgm.command import egolane
 from egolane_pgm.graphs.cpds import quiet
 from tests.kits.drives import done, simulated
 

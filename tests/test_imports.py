@@ -11,7 +11,7 @@ import click
 import pytest
 
 import egolane_pgm
-from egolane_pgm.cli.main import COMMANDS, egolane
+from egolane_pgm.command import COMMANDS, egolane
 
 ROOT = Path(__file__).parents[1]
 HEAVY = {
@@ -51,7 +51,7 @@ def modules_after(code: str) -> set[str]:
 )
 def test_help_loads_nothing_heavy(words: list[str], allowed: set[str]) -> None:
     loaded = modules_after(
-        "from egolane_pgm.cli.main import egolane\n"
+        "from egolane_pgm.command import egolane\n"
         f"try: egolane({words!r})\n"
         "except SystemExit as end: assert end.code == 0"
     )
@@ -94,7 +94,7 @@ def test_imports_go_downwards_only() -> None:
 def test_a_run_does_not_import_pgmpy(tmp_path: Path) -> None:
     words = ["run", str(ROOT / "experiments" / "quickstart.yaml"), "--no-figures"]
     loaded = modules_after(
-        "from egolane_pgm.cli.main import egolane\n"
+        "from egolane_pgm.command import egolane\n"
         f"try: egolane({[*words, '--out', str(tmp_path / 'out')]!r})\n"
         "except SystemExit as end: assert end.code == 0"
     )

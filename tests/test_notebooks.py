@@ -11,7 +11,7 @@ import pytest
 from click.testing import CliRunner
 from nbformat import NotebookNode
 
-from egolane_pgm.cli.main import egolane
+from egolane_pgm.command import egolane
 from tests.kits.notebooks import NOTEBOOKS, execute, shorter
 
 #: Those that take a simulated drive where the recordings are missing.

@@ -49,17 +49,18 @@ def test_online_beliefs_equal_those_of_a_run_frame_by_frame(
     log = log.take(~np.isin(log.frame_id, GAPS))
     write_table(tmp_path / "lines.csv", log)
     run = run_experiment(path)
-    answers = list(filter_stream(load_experiment(path), messages(log)))
+    answers = list(filter_stream(load_experiment(path), messages(log), ["Lane", "SensorState"]))
     assert [a["frame_id"] for a in answers] == log.frame_id.tolist()
     at = np.searchsorted(run.beliefs.frame_id, log.frame_id)
     for node, names in (("Lane", "123"), ("SensorState", ("OK", "BAD"))):
         beliefs = np.array([[a["beliefs"][node][n] for n in names] for a in answers])
         np.testing.assert_allclose(beliefs, run.beliefs.marginals[node][at], rtol=0, atol=1e-12)
-    np.testing.assert_array_equal(
-        [a["assigned_lane"] for a in answers], assigned_lane(run.beliefs.lane)[at]
-    )
+    np.testing.assert_array_equal([a["lane"] for a in answers], assigned_lane(run.beliefs.lane)[at])
     np.testing.assert_array_equal([a["time_s"] for a in answers], run.lines.time_s[at])
-    assert set(answers[0]) == {"frame_id", "time_s", "assigned_lane", "is_impossible", "beliefs"}
+    told = [event for answer in answers for event in answer["events"]]
+    if policy == "skip":
+        assert [event["to_lane"] for event in told] == run.told.to_lane.tolist()
+        assert [event["time_s"] for event in told] == run.told.time_s.tolist()
 
 
 @pytest.mark.parametrize("policy", ["skip", "hold", "predict"])
@@ -80,7 +81,7 @@ def test_fixed_lag_online_answers_late_and_as_the_run(
             yield message
 
     answers = []
-    for answer in filter_stream(load_experiment(path), send()):
+    for answer in filter_stream(load_experiment(path), send(), ["Lane"]):
         waited = sent[-1] - answer["frame_id"]
         assert waited >= lag or len(sent) == len(log)
         answers.append(answer)
@@ -88,6 +89,30 @@ def test_fixed_lag_online_answers_late_and_as_the_run(
     at = np.searchsorted(run.beliefs.frame_id, log.frame_id)
     lane = np.array([[a["beliefs"]["Lane"][n] for n in "123"] for a in answers])
     np.testing.assert_allclose(lane, run.beliefs.lane[at], rtol=0, atol=1e-12)
+
+
+def test_an_answer_is_short_unless_nodes_are_asked_for(tmp_path: Path) -> None:
+    words = {"evidence": "line_geometry", "graph": "position_in_lane", "filter": "exact"}
+    experiment = load_experiment(write_drive(tmp_path, 40, **words))
+    sent = list(messages(short_drive(40).log))
+    first, *_ = answers = list(filter_stream(experiment, sent))
+    assert [*first] == [
+        *("frame_id", "time_s", "lane", "probability", "crossing", "is_impossible"),
+        *("events", "beliefs"),
+    ]
+    assert 0 <= first["crossing"] <= 1
+    assert max(len(json.dumps(answer)) for answer in answers if not answer["events"]) < 250
+    (asked, *_) = filter_stream(experiment, sent, ["Lane"])
+    assert asked["beliefs"]["Lane"][str(asked["lane"])] == asked["probability"]
+    with pytest.raises(InputError, match=r"nodes: 'Lanes' is not one of .*did you mean 'Lane'"):
+        next(filter_stream(experiment, sent, ["Lanes"]))
+
+
+def test_a_time_stamp_says_when_a_frame_was_and_stands_for_its_id(experiment: Experiment) -> None:
+    sent = [json.dumps({"time_s": 100 + t / 25, "lines": [LINE]}) for t in range(3)]
+    answers = list(filter_stream(experiment, sent))
+    assert [a["time_s"] for a in answers] == [100.0, 100.04, 100.08]
+    assert [a["frame_id"] for a in answers] == [0, 1, 2]
 
 
 def test_what_needs_the_whole_drive_is_refused_online(tmp_path: Path) -> None:
@@ -161,9 +186,7 @@ def test_each_line_is_answered_before_the_next_is_sent(drive: Path) -> None:
         process.stdin.write(message)
         process.stdin.flush()
         said = json.loads(process.stdout.readline())
-        np.testing.assert_allclose(
-            list(said["beliefs"]["Lane"].values()), list(answer["beliefs"]["Lane"].values())
-        )
+        assert said == answer
     _, error = process.communicate(timeout=120)
     assert process.returncode == 0
     assert error == ""

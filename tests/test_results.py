@@ -6,6 +6,7 @@ import json
 import os
 import subprocess
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -16,6 +17,7 @@ import yaml
 from pyarrow import parquet
 
 from egolane_pgm.experiment import config_hash, load_experiment
+from egolane_pgm.graphs.cpds import quiet
 from egolane_pgm.inference.events import crossing_probability, lane_events
 from egolane_pgm.recordings.table import read_table, write_table
 from egolane_pgm.results import (
@@ -172,6 +174,31 @@ def test_the_lane_changes_of_a_result_are_a_table_of_it(tmp_path: Path) -> None:
     crossing = parquet.read_table(saved / "beliefs.parquet").column("crossing").to_numpy()
     np.testing.assert_array_equal(crossing, crossing_probability(run.beliefs.marginals))
     assert result.scores["events"] == run.scores["events"]
+
+
+def test_a_run_gives_its_network_and_the_frames_with_their_evidence(saved: Path) -> None:
+    run = run_experiment(simulated(filter="exact"))
+    assert run.network().nodes["WOR_ve", 1]
+    some = run.network(evidence=True, first=200, last=202)
+    with quiet():
+        from pgmpy.inference import VariableElimination
+
+        found: Any = VariableElimination(some.network).query(
+            ["Lane@202"], evidence=some.given, show_progress=False
+        )
+    np.testing.assert_allclose(found.values, run.beliefs["Lane"][202], rtol=0, atol=1e-12)
+    # A clip is a drive of its own: nothing comes before its first frame.
+    clips = replace(run, clip=np.repeat(["a", "b"], [200, len(run) - 200]))
+    alone = clips.network(evidence=True, first=200, last=202)
+    assert "Lane@199" in some.network
+    assert "Lane@199" not in alone.network
+    for result, choice, said in (
+        (run, {"first": 200}, r"choose frames of network\(evidence=True\)"),
+        (clips, {"evidence": True, "first": 199, "last": 200}, "its frames are 0 to 199"),
+        (read_result(saved), {"evidence": True}, "a stored result has no evidence; run the exper"),
+    ):
+        with pytest.raises(InputError, match=said):
+            result.network(**choice)
 
 
 def test_beliefs_that_come_late_tell_late(tmp_path: Path) -> None:

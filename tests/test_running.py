@@ -18,7 +18,7 @@ from egolane_pgm.evidence.counting import evidence as counting
 from egolane_pgm.experiment import Experiment
 from egolane_pgm.inference.filtering import filter_beliefs, read_evidence
 from egolane_pgm.inference.smoothing import fixed_lag_beliefs, smooth_beliefs
-from egolane_pgm.inference.viterbi import viterbi_path
+from egolane_pgm.inference.viterbi import viterbi
 from egolane_pgm.model import make_evidence, prepare_model, with_parameters
 from egolane_pgm.parameters import resolve_parameters
 from egolane_pgm.recordings.table import write_table
@@ -103,7 +103,7 @@ def test_hard_evidence_says_only_the_most_probable_value(drive: Experiment) -> N
         is_best = soft.evidence.likelihoods[node] >= best * (1 - 1e-9)
         np.testing.assert_array_equal(values, is_best)
     model = prepare_model(drive)
-    right = filter_beliefs(model.compiled, read_evidence(soft.evidence, "hard"))
+    right = filter_beliefs(model.compiled, read_evidence(soft.evidence, "hard"), "assumed_density")
     np.testing.assert_array_equal(run.beliefs.lane, right.lane)
     np.testing.assert_array_equal(run.tentative, soft.tentative)  # the detector is as it was
     assert np.abs(run.beliefs.lane - soft.beliefs.lane).max() > 0.01
@@ -123,7 +123,9 @@ def test_missing_frames_are_held_as_if_the_frame_before_came_again(tmp_path: Pat
     for gap in GAPS:  # in order, so that each holds what was held before it
         index[log.frame_id == gap] = index[np.flatnonzero(log.frame_id == gap) - 1]
     model = prepare_model(run.experiment)
-    right = filter_beliefs(model.compiled, counting(log, 3, model.parameters).take(index))
+    right = filter_beliefs(
+        model.compiled, counting(log, 3, model.parameters).take(index), "assumed_density"
+    )
     np.testing.assert_array_equal(run.beliefs.frame_id, log.frame_id)
     np.testing.assert_array_equal(run.beliefs.lane, right.lane)
     assert run.scores["model"]["frames"] == N_FRAMES
@@ -171,7 +173,7 @@ def test_a_range_of_frames_is_run_as_if_there_were_no_others(drive: Experiment) 
     np.testing.assert_array_equal(run.beliefs.frame_id, np.arange(30, 90))
     model, log = prepare_model(drive), short_drive().log
     some = log.take((log.frame_id >= 30) & (log.frame_id < 90))
-    right = filter_beliefs(model.compiled, counting(some, 3, model.parameters))
+    right = filter_beliefs(model.compiled, counting(some, 3, model.parameters), "assumed_density")
     np.testing.assert_array_equal(run.beliefs.lane, right.lane)
 
 
@@ -246,7 +248,7 @@ def test_every_graph_runs_and_new_parameters_are_as_good_as_a_new_model(
     quick = with_parameters(model, resolve_parameters(specs, given, 3))
     np.testing.assert_array_equal(quick.compiled.transition, new.compiled.transition)
     evidence = make_evidence(model, short_drive().log).filtered
-    one = filter_beliefs(quick.compiled, evidence)
+    one = filter_beliefs(quick.compiled, evidence, "assumed_density")
     other = run_experiment(changed(experiment, parameters=given)).beliefs
     np.testing.assert_array_equal(one.lane, other.lane)
 
@@ -549,7 +551,9 @@ def test_evidence_read_by_jeffreys_rule_gives_other_beliefs_and_no_stop_at_gaps(
     log = short_drive().log
     write_table(tmp_path / "lines.csv", log.take(~np.isin(log.frame_id, (50, 51))))
     run = run_experiment(experiment)
-    right = filter_beliefs(run.model.compiled, read_evidence(run.evidence, "jeffrey"))
+    right = filter_beliefs(
+        run.model.compiled, read_evidence(run.evidence, "jeffrey"), "assumed_density"
+    )
     np.testing.assert_array_equal(run.beliefs.lane, right.lane)
     soft = run_experiment(
         load_experiment(experiment).model_copy(update={"evidence_reading": "soft"})
@@ -571,7 +575,7 @@ def test_a_decoded_run_answers_the_most_probable_path_beside_the_smoothed_belief
     experiment = write_drive(tmp_path, filter="smoothed", decode="viterbi")
     done("run", experiment, "--no-figures", "--out", tmp_path / "out")
     run = run_experiment(experiment)
-    path = viterbi_path(run.model.compiled, run.evidence)
+    path = viterbi(run.model.compiled, run.evidence)
     result = read_result(tmp_path / "out")
     np.testing.assert_array_equal(result.assigned_lane, path.lane)
     smoothed = smooth_beliefs(run.model.compiled, run.evidence)

@@ -200,9 +200,9 @@ def test_lanes_1_to_n_are_all_allowed() -> None:
 
 
 def test_evidence_of_different_lengths_is_refused_with_the_lengths() -> None:
-    with pytest.raises(InputError, match=r"different lengths \[2, 3\]"):
+    with pytest.raises(InputError, match=r"different numbers of frames: A 2, B 3$"):
         Evidence({"A": np.ones((2, 2)), "B": np.ones((3, 2))})
-    with pytest.raises(InputError, match=r"different lengths \[1, 2\]"):
+    with pytest.raises(InputError, match=r"different numbers of frames: A 2, I 1$"):
         Evidence({"A": np.ones((2, 2))}, {"I": np.zeros(1, dtype=int)})
 
 
@@ -219,6 +219,10 @@ def test_evidence_that_is_negative_or_no_number_is_refused_naming_node_and_frame
 def test_evidence_may_be_given_in_lists() -> None:
     found = Evidence({"DetectorOutput": [[1, 0], [0.5, 0.5]]})  # type: ignore[dict-item]
     np.testing.assert_array_equal(found.likelihoods["DetectorOutput"], [[1, 0], [0.5, 0.5]])
+    found = Evidence({}, {"Hill": [0, 1]})  # type: ignore[dict-item]
+    np.testing.assert_array_equal(found.inputs["Hill"], [0, 1])
+    with pytest.raises(InputError, match="evidence for Hill: an input is given by indices"):
+        Evidence({}, {"Hill": ["up", "down"]})  # type: ignore[dict-item]
     for wrong in ([[1, 0], [1]], [["a", "b"]], None):
         with pytest.raises(InputError, match="evidence for DetectorOutput: "):
             Evidence({"DetectorOutput": wrong})  # type: ignore[dict-item]

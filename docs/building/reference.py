@@ -23,7 +23,7 @@ import egolane_pgm
 from egolane_pgm import results
 from egolane_pgm.api.schemas import json_schema
 from egolane_pgm.camera import model as camera
-from egolane_pgm.cli.main import COMMANDS, egolane
+from egolane_pgm.command import COMMANDS, egolane
 from egolane_pgm.cli.show import compile_defaults
 from egolane_pgm.graphs import yaml_graph
 from egolane_pgm.maps import positions, road_table

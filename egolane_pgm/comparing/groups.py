@@ -24,7 +24,7 @@ from egolane_pgm.comparing.placing import (
     recording_key,
     timeline,
 )
-from egolane_pgm.comparing.saving import folder_of, save_comparison
+from egolane_pgm.comparing.saving import folder_of, results_of, save_recording
 from egolane_pgm.comparing.side import Search, Side, held_out_side, search_blocks
 from egolane_pgm.drive import Drive, Recorded, drive_key
 from egolane_pgm.experiment import Experiment, Overrides, load_experiment
@@ -315,8 +315,9 @@ def compare_group(
     options: Options,
     searched: Mapping[tuple[str, int | None], Searched] | None = None,
 ) -> dict[str, Any]:
-    """Compare the experiments of one recording; see `document` for the keys, `resampled` holds what
-    that needs of the recording beside.
+    """Compare the experiments of one recording; see `document` for the keys. `resampled` holds what
+    that needs of the recording beside, `results` the result of each experiment, by name, where they
+    are not written to `options.out`.
 
     searched: what the searches found, by the experiment's name and the seed, where they are done.
 
@@ -365,12 +366,14 @@ def compare_group(
         "experiments": entries,
         "notes": list(dict.fromkeys([*recorded.notes, *notes])),
     }
+    results = results_of(part, columns, tentative)
     if options.out is not None:
-        save_comparison(options.out, part, columns, tentative)
+        save_recording(options.out, part, results)
+        results = {}
     trusted = list(keep.values())[-1]
     drive = drive_key(first.experiment)
     resampled = [_means(sides, trusted, group.title, drive) for sides in columns]
-    return {**part, "drive": drive, "resampled": resampled}
+    return {**part, "drive": drive, "resampled": resampled, "results": results}
 
 
 def _columns(
@@ -548,6 +551,10 @@ def _bounds(means: Means) -> dict[str, list[float] | None]:
     return {name: with_bounds(means[name]) if means else None for name in INTERVAL_STATISTICS}
 
 
+#: What a group's part has beside what is in the document.
+_BESIDE = ("resampled", "results")
+
+
 def document(groups: Sequence[Mapping[str, Any]], options: Options) -> dict[str, Any]:
     """What `egolane compare --json` writes for held-out comparisons.
 
@@ -583,7 +590,7 @@ def document(groups: Sequence[Mapping[str, Any]], options: Options) -> dict[str,
         "held_out": True,
         "blocks": options.blocks,
         "recordings": [
-            {**{key: value for key, value in part.items() if key != "resampled"}, "drive": first}
+            {**{k: v for k, v in part.items() if k not in _BESIDE}, "drive": first}
             for part, first in zip(done, of, strict=True)
         ],
         "together": together(done),

@@ -31,6 +31,12 @@ SliceNode = tuple[str, int]
 #: What the name of a virtual-evidence node ends with.
 VE_SUFFIX = "_ve"
 
+#: What a declared network notes at its virtual-evidence nodes.
+PLACEHOLDER = (
+    "virtual evidence: this table is a placeholder; ego.unrolled or Result.network(evidence=True)"
+    " gives frames whose tables hold their evidence"
+)
+
 
 def discretised_normal(
     mean: float | FloatArray,
@@ -212,7 +218,8 @@ def declare(
     """Declares the tables as a pgmpy network with both slices in full.
 
     - observed: each of them, a node or a tuple of nodes observed jointly, gets a binary child
-      `<name>_ve` for virtual evidence, whose table is a placeholder (1/2 everywhere)
+      `<name>_ve` for virtual evidence, whose table is a placeholder (1/2 everywhere), as is noted
+      at it: `network.nodes["WOR_ve", 0]`
     - values: for each node the names of its values (pgmpy's state names); a node without names has
       pgmpy's own, the numbers from 0
 
@@ -221,6 +228,7 @@ def declare(
     """
     tables = list(tables)
     check_tables(tables, observed)
+    n_given = len(tables)
     cardinality = {table.node: table.values.shape[-1] for table in tables}
     for target in observed:
         names = (target,) if isinstance(target, str) else target
@@ -258,6 +266,7 @@ def declare(
                     },
                 )
             )
+        nx.set_node_attributes(network, {t.node: {"note": PLACEHOLDER} for t in tables[n_given:]})
         return network
 
 

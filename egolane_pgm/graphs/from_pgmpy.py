@@ -39,11 +39,12 @@ class Declared:
     """What a network declares.
 
     - tables: the table of every node in both slices
-    - values: the names of the values of each node that has other names than pgmpy's own, 0, 1, ...
+    - values: the names of the values of each node that has other names than pgmpy's own, 0, 1, ...;
+      as they were given, text or not
     """
 
     tables: Mapping[SliceNode, Table]
-    values: Mapping[str, tuple[str, ...]]
+    values: Mapping[str, tuple[Any, ...]]
 
 
 def read_network(network: Any, transition: Sequence[Any] | None = None) -> Declared:
@@ -217,14 +218,14 @@ def _without_copies(cpds: Sequence[_Cpd]) -> list[_Cpd]:
 # --- tables -------------------------------------------------------------------------------------
 
 
-def _value_names(cpds: Sequence[_Cpd]) -> dict[str, tuple[str, ...]]:
+def _value_names(cpds: Sequence[_Cpd]) -> dict[str, tuple[Any, ...]]:
     """The names of each node's values: those of its own CPD before those that a child's has."""
-    found: dict[str, tuple[str, ...]] = {}
+    found: dict[str, tuple[Any, ...]] = {}
     own = [(cpd.nodes[0], cpd.names[0]) for cpd in cpds]
     of_parents = [pair for cpd in cpds for pair in zip(cpd.nodes, cpd.names, strict=True)]
     for (name, _), given in own + of_parents:
         if not _is_numbered(given):
-            found.setdefault(name, tuple(map(str, given)))
+            found.setdefault(name, given)
     return found
 
 
@@ -233,13 +234,13 @@ def _is_numbered(names: Sequence[Any]) -> bool:
     return set(names) == set(range(len(names))) and not any(isinstance(n, bool) for n in names)
 
 
-def _table(cpd: _Cpd, values: Mapping[str, tuple[str, ...]]) -> Table:
+def _table(cpd: _Cpd, values: Mapping[str, tuple[Any, ...]]) -> Table:
     """The CPD's numbers with every axis in the order of the node's values."""
     array = cpd.values
     for axis, ((name, _), given) in enumerate(zip(cpd.nodes, cpd.names, strict=True)):
         is_numbered = _is_numbered(given)
         here: list[Any] = list(given if is_numbered else map(str, given))
-        ours: list[Any] = sorted(here) if is_numbered else list(values[name])
+        ours: list[Any] = sorted(here) if is_numbered else list(map(str, values[name]))
         if here == ours or len(here) != len(ours):
             continue  # The sizes are checked later.
         if set(here) != set(ours):
@@ -257,7 +258,7 @@ def _table(cpd: _Cpd, values: Mapping[str, tuple[str, ...]]) -> Table:
 
 
 def _tables(
-    cpds: Sequence[_Cpd], values: Mapping[str, tuple[str, ...]], parents: _Parents
+    cpds: Sequence[_Cpd], values: Mapping[str, tuple[Any, ...]], parents: _Parents
 ) -> dict[SliceNode, Table]:
     tables: dict[SliceNode, Table] = {}
     for cpd in cpds:

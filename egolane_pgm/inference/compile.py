@@ -131,7 +131,11 @@ class Compiled:
 
     @property
     def network(self) -> DynamicBayesianNetwork:
-        """The network in pgmpy, declared anew from the tables, with the names of the values."""
+        """The network in pgmpy, declared anew from the tables, with the names of the values.
+
+        The tables of its virtual-evidence nodes (`WOR_ve`) are placeholders, they hold no evidence:
+        `unrolled` gives frames that do.
+        """
         return declare(self.tables.values(), self.observed, self.values)
 
     def has_one_table(self, name: str) -> bool:
@@ -182,7 +186,7 @@ def compile(
     >>> compiled
     Compiled(Lane (2): 2 joint states; observes Line)
     >>> seen = ego.Evidence({"Line": np.array([[1.0, 0.0], [1.0, 0.0]])})
-    >>> ego.filter_beliefs(compiled, seen, "exact").lane.round(3).tolist()
+    >>> ego.filter_beliefs(compiled, seen).lane.round(3).tolist()
     [[0.8, 0.2], [0.919, 0.081]]
     """
     for what, given in (("observed", observed), ("hidden", hidden), ("inputs", inputs)):

@@ -62,11 +62,19 @@ def expected_counts(
     """The expected counts of a recording, or of several one behind the other.
 
     - evidence: T frames.
-    - known: per hidden node its value in each frame (T,), FREE where it is not known.
+    - known: per hidden node the index of its value in each frame (T,), -1 (FREE) where it is not
+      known.
     - is_first (T,): True where a sequence begins; by default the first frame only.
 
     Raises InputError for evidence that does not fit the network, or is read by Jeffrey's rule, and
     for known values of a node that is not hidden.
+
+    >>> import egolane_pgm as ego
+    >>> place = ego.experiments_folder() / "quickstart.yaml"
+    >>> run = ego.run(place, overrides={"recording.frames": [0, 300]})
+    >>> expected = ego.expected_counts(run.model.compiled, run.evidence)
+    >>> round(expected.counts["Lane", 1].sum())  # the steps between 300 frames
+    299
     """
     index = joint_input(compiled, evidence)
     n_frames, n_states = len(evidence), compiled.n_states

@@ -65,14 +65,14 @@ PIECE = 2**16
 def filter_beliefs(
     compiled: Compiled,
     evidence: Evidence,
-    method: str = "assumed_density",
+    method: str = "exact",
     *,
     frame_id: IntArray | None = None,
 ) -> Beliefs:
     """P(node | evidence so far) for every hidden node and frame, and the log evidence.
 
     - evidence: T frames.
-    - method: one of METHODS.
+    - method: "exact", or "assumed_density" as the paper does it.
     - frame_id (T,): the beliefs' frame ids, 0, 1, ... by default.
 
     A frame whose joint likelihood is zero keeps its prediction and is flagged. Raises InputError
@@ -81,7 +81,7 @@ def filter_beliefs(
     >>> import egolane_pgm as ego
     >>> place = ego.experiments_folder() / "quickstart.yaml"
     >>> run = ego.run(place, overrides={"recording.frames": [0, 300]})
-    >>> ego.filter_beliefs(run.model.compiled, run.evidence, "exact")
+    >>> ego.filter_beliefs(run.model.compiled, run.evidence)
     Beliefs(300 frames, ids 0 to 299: SensorState (2), Lane (4))
     """
     _, beliefs = step(compiled, None, evidence, method)
@@ -92,7 +92,7 @@ def step(
     compiled: Compiled,
     state: FilterState | None,
     evidence: Evidence,
-    method: str = "assumed_density",
+    method: str = "exact",
 ) -> tuple[FilterState, Beliefs]:
     """Filter one more frame (or several) online: the new state and the beliefs of these frames.
 
@@ -108,10 +108,9 @@ def step(
     begins = np.zeros(n_frames, dtype=bool)
     begins[:1] = state is None
     if isinstance(evidence, PosteriorEvidence):
-        whole = run_jeffrey(compiled, evidence, begins, joint, is_factored)
-        beliefs, log_evidence, is_impossible = whole
-        marginals = marginals_of(compiled, beliefs)
-        return FilterState(joint), Beliefs(ids, marginals, log_evidence, is_impossible)
+        whole, log_evidence, flags = run_jeffrey(compiled, evidence, begins, joint, is_factored)
+        marginals = marginals_of(compiled, whole)
+        return FilterState(joint), Beliefs(ids, marginals, log_evidence, flags, compiled.values)
     index = joint_input(compiled, evidence)
     done = []
     for piece in _pieces(n_frames, piece_frames(compiled)):
@@ -126,7 +125,7 @@ def step(
             out=likelihood,
         )
         marginals = marginals_of(compiled, beliefs)
-        done.append(Beliefs(ids[piece], marginals, log_evidence, is_impossible))
+        done.append(Beliefs(ids[piece], marginals, log_evidence, is_impossible, compiled.values))
     return FilterState(joint), Beliefs.joined(done)
 
 

@@ -50,7 +50,8 @@ def beliefs_by_lag(
         total = smoothed.sum(axis=1, keepdims=True)
         smoothed = np.divide(smoothed, total, out=passed.filtered.copy(), where=total > 0)
         marginals = marginals_of(compiled, smoothed)
-        yield lag, Beliefs(ids, marginals, passed.log_evidence, passed.is_impossible)
+        flags = passed.is_impossible
+        yield lag, Beliefs(ids, marginals, passed.log_evidence, flags, compiled.values)
 
 
 def _look_further(

@@ -147,6 +147,11 @@ def evidence_blocks(
 
 def check_keys(compiled: Compiled, evidence: Evidence) -> None:
     """Raise InputError, naming the node, where evidence and network do not fit each other."""
+    if not isinstance(evidence, Evidence):
+        raise InputError(
+            f"evidence: needs an Evidence, not a {type(evidence).__name__}: Evidence(...) of"
+            " likelihoods, or Evidence.hard(...) of what was observed"
+        )
     shapes = layout(compiled).shapes
     for key in shapes:
         if key not in evidence.likelihoods:

@@ -35,7 +35,7 @@ FILTERS = (*METHODS, "smoothed", "fixed_lag")
 def infer_beliefs(
     compiled: Compiled,
     evidence: Evidence,
-    filter: str = "assumed_density",
+    filter: str,
     lag: int | None = None,
     *,
     frame_id: IntArray | None = None,
@@ -132,6 +132,12 @@ def fixed_lag_beliefs(
     - frame_id (T,): the beliefs' frame ids, 0, 1, ... by default.
 
     Raises InputError as `pass_forward`, and for a negative lag.
+
+    >>> import egolane_pgm as ego
+    >>> place = ego.experiments_folder() / "quickstart.yaml"
+    >>> run = ego.run(place, overrides={"recording.frames": [0, 300]})
+    >>> ego.fixed_lag_beliefs(run.model.compiled, run.evidence, lag=5)
+    Beliefs(300 frames, ids 0 to 299: SensorState (2), Lane (4))
     """
     check_lag(lag)
     passed = pass_forward(compiled, evidence)
@@ -219,7 +225,7 @@ def _beliefs(
 ) -> Beliefs:
     ids = np.arange(len(joint)) if frame_id is None else frame_id
     marginals = marginals_of(compiled, joint)
-    return Beliefs(ids, marginals, passed.log_evidence, passed.is_impossible)
+    return Beliefs(ids, marginals, passed.log_evidence, passed.is_impossible, compiled.values)
 
 
 def check_lag(lag: int) -> None:

@@ -11,7 +11,7 @@ from egolane_pgm.graphs.cpds import SliceNode, Table, ve_name
 from egolane_pgm.graphs.flat import flat_network
 from egolane_pgm.inference.compile import Compiled
 from egolane_pgm.inference.filtering import step
-from egolane_pgm.inference.layout import FilterState, PosteriorEvidence
+from egolane_pgm.inference.layout import FilterState, PosteriorEvidence, check_keys
 from egolane_pgm.types import Evidence, FloatArray, InputError, IntArray, Observed
 
 if TYPE_CHECKING:
@@ -72,6 +72,7 @@ def unrolled(
             "evidence read by Jeffrey's rule is no likelihood, a network cannot hold it; use"
             " evidence_reading soft or hard"
         )
+    check_keys(compiled, evidence)
     ids = np.arange(len(evidence)) if frame_id is None else frame_id
     start, stop = _position(ids, first), _position(ids, last) + 1
     if start >= stop:

@@ -74,9 +74,7 @@ class Disagreement:
     warning: str | None
 
 
-def viterbi_path(
-    compiled: Compiled, evidence: Evidence, *, frame_id: IntArray | None = None
-) -> Path:
+def viterbi(compiled: Compiled, evidence: Evidence, *, frame_id: IntArray | None = None) -> Path:
     """The joint states of highest probability given all evidence (Rabiner 1989, section III.B, in
     logarithms). Of equally probable paths it is the one with the lowest-numbered state in the last
     frame, then in the one before, and so on.
@@ -85,6 +83,13 @@ def viterbi_path(
 
     A frame of zero joint likelihood is flagged and ignored, as the exact filter does. Raises
     InputError as `smooth_beliefs`.
+
+    >>> import egolane_pgm as ego
+    >>> place = ego.experiments_folder() / "quickstart.yaml"
+    >>> run = ego.run(place, overrides={"recording.frames": [0, 300]})
+    >>> path = ego.viterbi(run.model.compiled, run.evidence)
+    >>> path.lane[[0, -1]].tolist()
+    [4, 2]
     """
     ids = np.arange(len(evidence)) if frame_id is None else frame_id
     passed = pass_forward(compiled, evidence)

@@ -10,13 +10,18 @@ from __future__ import annotations
 
 from collections.abc import Container, Mapping, Sequence
 from dataclasses import dataclass, field
+from typing import TYPE_CHECKING
 
 import numpy as np
 
-from egolane_pgm.graphs.cpds import SliceNode, Table
+from egolane_pgm.graphs.cpds import SliceNode, Table, declare
+from egolane_pgm.graphs.from_pgmpy import read_network
 from egolane_pgm.inference.compile import Compiled, with_tables
 from egolane_pgm.inference.expected_counts import Expected, counted_tables, expected_counts
-from egolane_pgm.types import BoolArray, Evidence, FloatArray, IntArray
+from egolane_pgm.types import BoolArray, Evidence, FloatArray, InputError, IntArray
+
+if TYPE_CHECKING:
+    from pgmpy.models import DynamicBayesianNetwork
 
 #: The iterations end where the log posterior grows by less than this, nats per frame.
 TOLERANCE = 1e-6
@@ -138,6 +143,38 @@ def with_learned(compiled: Compiled, learned: Mapping[SliceNode, Table]) -> Comp
         if s == 1 and compiled.has_one_table(name)
     ]
     return with_tables(compiled, [*first, *learned.values()])
+
+
+def learned_network(
+    network: DynamicBayesianNetwork, learned: Fitted | Compiled
+) -> DynamicBayesianNetwork:
+    """A network of one's own with what was learned in its tables, in pgmpy: a new network of both
+    slices in full, with the names of nodes and values of the old one.
+
+    - network: what was compiled; it stays as it is.
+    - learned: what `fit_tables` gave, or any network that was compiled from this one.
+
+    Raises InputError, naming the node, where the tables are of another network.
+
+    >>> import egolane_pgm as ego
+    >>> place = ego.experiments_folder() / "quickstart.yaml"
+    >>> run = ego.run(place, overrides={"recording.frames": [0, 300]})
+    >>> fitted = ego.fit_tables(run.model.compiled, run.evidence, iterations=3)
+    >>> network = ego.learned_network(run.model.network, fitted)
+    >>> print(network, network.check_model())
+    DynamicBayesianNetwork with 12 nodes and 12 edges True
+    """
+    compiled = learned if isinstance(learned, Compiled) else learned.compiled
+    declared = read_network(network)
+    for node, table in compiled.tables.items():
+        own = declared.tables.get(node)
+        if own is None or not _fits(own, table):
+            raise InputError(f"{node[0]}: the network has no such table; is it what was compiled?")
+    return declare({**declared.tables, **compiled.tables}.values(), (), declared.values)
+
+
+def _fits(own: Table, table: Table) -> bool:
+    return {*own.parents} == {*table.parents} and own.values.size == table.values.size
 
 
 def _most_probable(counts: FloatArray, start: FloatArray, strength: float) -> FloatArray:

@@ -98,9 +98,7 @@ def result_text(result: Result, style: str, wide: bool) -> str:
     changes."""
     said = result.scores
     if "mean_log_evidence" not in said:
-        # Of what was held out; the result of a comparison has its scores in another place.
-        parts: list[str | Table] = [result_title(result), Table(*score_rows(scored(result)))]
-        return page(parts, style, wide)
+        return page(_held_out_parts(result), style, wide)
     mean = said["mean_log_evidence"]
     first = [
         f"{said['name']}: {len(result)} frames, {result.n_lanes} lanes,"
@@ -117,6 +115,29 @@ def result_text(result: Result, style: str, wide: bool) -> str:
     matrices = [confusion_table(mine["confusion"], name) for name, mine in scores.items()]
     parts = ["\n".join(first), Table(*score_rows(scores)), *matrices, *_event_parts(result)]
     return page(parts, style, wide)
+
+
+def _held_out_parts(result: Result) -> list[str | Table]:
+    """What was believed held out: by learning, or in a comparison."""
+    parts: list[str | Table] = [result_title(result)]
+    found, everywhere = scored(result), result.scores.get("model_all_frames")
+    if found:
+        parts.append(Table(*score_rows(found)))
+    if everywhere and everywhere["frames_scored"] != result.scores["frames_scored"]:
+        count = everywhere["frames_scored"]
+        parts.append(f"the same over all {count} frames, those of tuning.never_fit too")
+        parts.append(Table(*score_rows({"model": everywhere})))
+    if result.scores.get("log_evidence"):
+        parts.append(evidence_words(result.scores["log_evidence"]))
+    return parts
+
+
+def evidence_words(found: Mapping[str, float]) -> str:
+    """The log evidence of a frame, `before` learning and `held_out` after it."""
+    return (
+        f"log evidence per frame, exact filter: {found['before']:.4f} with the starting tables,"
+        f" {found['held_out']:.4f} with the learned ones, held out"
+    )
 
 
 def _lane_parts(result: Result) -> list[str | Table]:

@@ -119,9 +119,4 @@ def stitched(beliefs: Sequence[Beliefs]) -> Beliefs:
         each.take(part)
         for each, part in zip(beliefs, blocks(len(beliefs[0]), len(beliefs)), strict=True)
     ]
-    return Beliefs(
-        np.concatenate([each.frame_id for each in kept]),
-        {n: np.concatenate([each.marginals[n] for each in kept]) for n in kept[0].marginals},
-        np.concatenate([each.log_evidence for each in kept]),
-        np.concatenate([each.is_impossible for each in kept]),
-    )
+    return Beliefs.joined(kept)

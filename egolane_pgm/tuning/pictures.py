@@ -69,6 +69,7 @@ from egolane_pgm.tuning.study_directory import (
     best_entry,
     held_out_entry,
     read_nested,
+    trials_columns,
     write_nested,
     write_trials,
 )
@@ -115,6 +116,8 @@ class PictureSearch:
     storage: str | None = None
     test: PictureProblem | None = None
     notes: list[str] = field(default_factory=list)
+    trials: dict[str, list[Any]] = field(default_factory=dict)
+    experiments: dict[str, dict[str, Any]] = field(default_factory=dict)
 
     @property
     def n_parts(self) -> int:
@@ -330,7 +333,8 @@ def tune(
         search(
             study, problem.space, _scorer(problem), problem.settings, report=_shown(progress, name)
         )
-    write_trials(made.directory, study, problem.settings.objectives)
+    made.trials = trials_columns(study, problem.settings.objectives)
+    write_trials(made.directory, made.trials)
     best = best_trial(study)
     nested = read_nested(made.directory, made.key)
     left = [part for part in range(made.n_parts) if part not in nested]
@@ -424,7 +428,8 @@ def _finished(
         "detector_parameters": {k: v for k, v in values.items() if k in searched},
     }
     heading = "# For `include:` in an experiment on pictures.\n"
-    write_yaml(made.directory / "best.yaml", plain({"recording": recording}), heading)
+    made.experiments = {"best.yaml": plain({"recording": recording})}
+    write_yaml(made.directory / "best.yaml", made.experiments["best.yaml"], heading)
     return content
 
 

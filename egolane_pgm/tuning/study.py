@@ -14,7 +14,7 @@ from typing import Any
 import optuna
 
 from egolane_pgm.report.study_trials import STUDY_FILE
-from egolane_pgm.tools.files import make_directory, write_json
+from egolane_pgm.tools.files import make_directory, write_json, write_yaml
 from egolane_pgm.tools.jobs import Jobs, in_order
 from egolane_pgm.tuning import study_directory as files
 from egolane_pgm.tuning.held_out import (
@@ -67,7 +67,7 @@ class Search:
     - storage: URL of the storage; None for a journal in the directory.
     - test: recordings that take no part in the search and are scored with what it finds.
     - notes: what a user should know, a line each.
-    - best: the part of study.json on the best trial.
+    - best: the part of study.json on the best trial. trials, experiments: see `Study`.
     - nested: the studies without a part that are done, by part.
     """
 
@@ -78,6 +78,8 @@ class Search:
     test: Problem | None = None
     notes: list[str] = field(default_factory=list)
     best: dict[str, Any] = field(default_factory=dict)
+    trials: dict[str, list[Any]] = field(default_factory=dict)
+    experiments: dict[str, dict[str, Any]] = field(default_factory=dict)
     nested: dict[int, Nested] = field(default_factory=dict)
 
     @property
@@ -288,9 +290,12 @@ def finish_main(made: Search, seconds: float) -> None:
     """Write trials and best parameters of the study on all frames."""
     problem = made.problem
     study = open_main(made)
-    files.write_trials(made.directory, study, problem.settings.objectives)
+    made.trials = files.trials_columns(study, problem.settings.objectives)
+    files.write_trials(made.directory, made.trials)
     point = best_trial(study).params
-    files.write_best(made.directory, problem, point)
+    made.experiments = files.best_experiments(problem, point)
+    for file, content in made.experiments.items():
+        write_yaml(made.directory / file, content)
     names = [drive.experiment.name for drive in problem.drives]
     sets = dict(zip(names, parameters_at(problem, point), strict=True))
     best = files.best_entry(study, problem.settings.objectives, sets)

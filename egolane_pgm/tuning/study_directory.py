@@ -27,7 +27,7 @@ from egolane_pgm.plugins import OWN_FILES
 from egolane_pgm.recordings.source import files_in_full
 from egolane_pgm.report.study_trials import SCHEMA_VERSION, TRIALS_FILE
 from egolane_pgm.results import provenance
-from egolane_pgm.tools.files import atomic, plain, write_json, write_parquet, write_yaml
+from egolane_pgm.tools.files import atomic, plain, write_json, write_parquet
 from egolane_pgm.tuning.held_out import Nested
 from egolane_pgm.tuning.identity import identity_of
 from egolane_pgm.tuning.objective import split, with_detector
@@ -117,8 +117,8 @@ def held_out_entry(
     }
 
 
-def write_trials(directory: Path, study: optuna.Study, objectives: Sequence[str]) -> None:
-    """trials.csv and trials.parquet; raises InputError where they cannot be written."""
+def trials_columns(study: optuna.Study, objectives: Sequence[str]) -> dict[str, list[Any]]:
+    """A row per trial: `number`, `state`, `<score>_in_sample`, and each number searched."""
     trials = study.get_trials(deepcopy=False)
     columns: dict[str, list[Any]] = {
         "number": [t.number for t in trials],
@@ -129,28 +129,33 @@ def write_trials(directory: Path, study: optuna.Study, objectives: Sequence[str]
     keys = dict.fromkeys(key for t in trials for key in t.params)
     for key in keys:
         columns[key] = [t.params.get(key) for t in trials]
-    table = pa.table(columns)
+    return columns
+
+
+def write_trials(directory: Path, columns: Mapping[str, Sequence[Any]]) -> None:
+    """trials.csv and trials.parquet; raises InputError where they cannot be written."""
+    table = pa.table(dict(columns))
     # A file handle of its own: paths with odd characters are URIs to pyarrow.
     with atomic(directory / "trials.csv") as path, path.open("wb") as file:
         csv.write_csv(table, file)
     write_parquet(directory / TRIALS_FILE, table)
 
 
-def write_best(directory: Path, problem: Problem, point: Mapping[str, Any]) -> list[Path]:
-    """The best parameters as experiments that `egolane run` takes, one per recording."""
+def best_experiments(problem: Problem, point: Mapping[str, Any]) -> dict[str, dict[str, Any]]:
+    """The best parameters as experiments that `egolane run` takes, by the name of the file: one
+    per recording, one for all drives of a fleet."""
     if problem.plan.fleet is not None:
-        # One for all drives. Of a drive that it is run on nobody knows whether it is one of them.
+        # Of a drive that it is run on nobody knows whether it is one of them.
         parameters = parameters_at(problem, point)[0]
         content = tuned_experiment(problem.plan.fleet.experiment, parameters, problem)
-        write_yaml(directory / "best.yaml", {**content, "tuned_on": "unknown"})
-        return [directory / "best.yaml"]
-    written = []
-    for drive, parameters in zip(problem.drives, parameters_at(problem, point), strict=True):
-        name = "best.yaml" if len(problem.drives) == 1 else f"best_{drive.experiment.name}.yaml"
-        path = directory / name
-        write_yaml(path, tuned_experiment(drive.experiment, parameters, problem))
-        written.append(path)
-    return written
+        return {"best.yaml": {**content, "tuned_on": "unknown"}}
+    one = len(problem.drives) == 1
+    return {
+        "best.yaml" if one else f"best_{drive.experiment.name}.yaml": tuned_experiment(
+            drive.experiment, parameters, problem
+        )
+        for drive, parameters in zip(problem.drives, parameters_at(problem, point), strict=True)
+    }
 
 
 def tuned_experiment(

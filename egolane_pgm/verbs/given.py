@@ -33,6 +33,7 @@ class Option:
 
     - metavar: stands for its value in the help; "-" for none.
     - names: "-o" beside the long one, or in place of it one of another name: "--outline".
+    - example: of a name and a value, for messages.
     - default: what a command takes where the verb is given nothing. said: shows what that means.
     - plugins: folders of the package whose plugins complete the value.
     - many: whether it is given several times, or several arguments.
@@ -44,6 +45,7 @@ class Option:
 
     metavar: str | None = None
     names: tuple[str, ...] = ()
+    example: str | None = None
     default: Any = None
     said: str | None = None
     plugins: tuple[str, ...] = ()

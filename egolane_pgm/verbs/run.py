@@ -63,7 +63,7 @@ SUMMARY = "summary.parquet"
 
 
 @overload
-def run(experiment: Sequence[Given | Lines], **options: Any) -> DriveTable: ...  # type: ignore[overload-overlap]
+def run(experiment: Sequence[Given | Lines], **options: Any) -> DriveTable: ...
 
 
 @overload
@@ -74,7 +74,8 @@ def run(experiment: Given | Lines, *, fleet: StrPath, **options: Any) -> DriveTa
 def run(experiment: Given | Lines = ..., **options: Any) -> Result: ...
 
 
-def run(
+# The overloads leave the options to this one, where they stand once.
+def run(  # type: ignore[misc]
     experiment: Annotated[
         Given | Lines | Sequence[Given | Lines], Option("EXPERIMENT|LINES...", many=True)
     ] = (),
@@ -143,9 +144,8 @@ def run(
             raise InputError("fleet: goes with one experiment; the table names the recordings")
         return _run_fleet(given[0], overrides, fleet, _folder_of(folder), jobs, progress)
     if is_one:
-        chosen = choose(
-            given[0] if given else ZERO_LABEL, overrides, *recordings or (None,), *changes
-        )
+        lines = recordings[0] if recordings else None
+        chosen = choose(given[0] if given else ZERO_LABEL, overrides, lines, *changes)
         place = None if folder is None else folder.with_name(folder.name.replace("*", chosen.name))
         return _run_one(chosen, place, figures, stream=stream, progress=progress)
     titled = name_all(given or [ZERO_LABEL], overrides, recordings, *changes)

@@ -17,7 +17,7 @@ import numpy as np
 
 from egolane_pgm.camera.model import Camera, read_camera
 from egolane_pgm.camera.picture import Picture
-from egolane_pgm.cli.main import egolane
+from egolane_pgm.command import egolane
 from egolane_pgm.detectors import FrameLines, as_log
 from egolane_pgm.detectors.simple.finder import PARAMETERS, follower
 from egolane_pgm.detectors.simple.tracking import Tracks, lines_of, no_tracks

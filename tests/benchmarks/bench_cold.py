@@ -106,7 +106,7 @@ def _inside(report: Path, words: list[str]) -> None:
         import_module("egolane_pgm.tools.jit")
     with part("other imports"):
         import_module("egolane_pgm.cli.run")
-        command = import_module("egolane_pgm.cli.main").egolane
+        command = import_module("egolane_pgm.command").egolane
     with part("matplotlib"):
         import_module("egolane_pgm.report.strips")
     for place, name, what in PARTS:

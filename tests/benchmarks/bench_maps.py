@@ -17,7 +17,7 @@ from pathlib import Path
 import numpy as np
 import osmium
 
-RUN = "from egolane_pgm.cli.entry import main; main()"
+RUN = "from egolane_pgm.command import main; main()"
 
 #: Ways of one road, one behind the other, and nodes of a way.
 ROAD, NODES = 200, 8

@@ -34,7 +34,7 @@ def tell():
     print(re.search(r"VmHWM:\\s*(\\d+)", Path("/proc/self/status").read_text())[1], file=sys.stderr)
 atexit.register(tell)
 """
-EGOLANE = (sys.executable, "-c", f"{TOLD}\nfrom egolane_pgm.cli.entry import main\nmain()")
+EGOLANE = (sys.executable, "-c", f"{TOLD}\nfrom egolane_pgm.command import main\nmain()")
 RUNS = (("the paper's graph", "quickstart.yaml"), ("zero label", "zero_label.yaml"))
 HEADER = ("frames", "`egolane run`", "whole: memory", "time", "`--stream`: memory", "time")
 

@@ -222,7 +222,9 @@ def one_after_the_other(runs: list[peers.Filter | None]) -> Callable[[], object]
 
 
 def scoring_rows(data: Data, rounds: int) -> list[Row]:
-    belief = np.ascontiguousarray(filter_beliefs(data.compiled, data.evidence).lane)
+    belief = np.ascontiguousarray(
+        filter_beliefs(data.compiled, data.evidence, "assumed_density").lane
+    )
     lane, is_crossing = data.truth.lane, data.truth.is_crossing
 
     def ours() -> IntArray:
@@ -237,7 +239,7 @@ def together_rows(data: Data, rounds: int) -> list[Row]:
 
     def run() -> float:
         evidence = counting.evidence(data.log, N_LANES, data.counting)
-        belief = filter_beliefs(data.compiled, evidence).lane
+        belief = filter_beliefs(data.compiled, evidence, "assumed_density").lane
         counts = confusion(assigned_lane(belief), lane, is_crossing, belief.shape[1])
         return float(np.trace(counts) / counts.sum())
 
@@ -256,13 +258,15 @@ def pgmpy_rows(data: Data, rounds: int) -> list[Row]:
         ).lane
 
     def ours() -> FloatArray:
-        return filter_beliefs(data.compiled, evidence).lane
+        return filter_beliefs(data.compiled, evidence, "assumed_density").lane
 
     start = time.perf_counter()
     expected = theirs()
     their_time = time.perf_counter() - start
     # Ours on the whole recording, per frame: on 200 frames nearly all of it is the call.
-    whole = take_turns({"ours": lambda: filter_beliefs(data.compiled, data.evidence)}, rounds)
+    whole = take_turns(
+        {"ours": lambda: filter_beliefs(data.compiled, data.evidence, "assumed_density")}, rounds
+    )
     return [
         Row(
             f"filter, assumed_density, {PGMPY_FRAMES} frames",

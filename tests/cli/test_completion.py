@@ -18,7 +18,7 @@ def completed(*words: str) -> list[str]:
         "COMP_WORDS": " ".join(["egolane", *words]),
         "COMP_CWORD": str(len(words)),
     }
-    program = "from egolane_pgm.cli.entry import main; main()"
+    program = "from egolane_pgm.command import main; main()"
     ran = subprocess.run(
         [sys.executable, "-c", program],
         env={**os.environ, **given},

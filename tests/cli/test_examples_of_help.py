@@ -8,9 +8,9 @@ from pathlib import Path
 
 import click
 import pytest
-
 from egolane_pgm.cli.examples import EXAMPLES
-from egolane_pgm.cli.main import COMMANDS, egolane
+
+from egolane_pgm.command import COMMANDS, egolane
 from tests.kits.drives import done
 
 #: In an order in which each finds what it needs, on a shorter drive.

@@ -31,12 +31,12 @@ def test_the_download_is_offered_where_somebody_can_answer(
 
     monkeypatch.delenv("EGOLANE_DATA", raising=False)
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
-    monkeypatch.setattr("egolane_pgm.cli.recordings.sys.stdin", Terminal())
-    monkeypatch.setattr("egolane_pgm.cli.recordings.click.confirm", answer(reply))
+    monkeypatch.setattr("egolane_pgm.verbs.reproduce.sys.stdin", Terminal())
+    monkeypatch.setattr("builtins.input", answer(reply))
     monkeypatch.setattr(catalog, "fetch", fetch)
-    from egolane_pgm.cli.recordings import have_recordings
+    from egolane_pgm.verbs.reproduce import _have_recordings
 
-    assert not have_recordings()
+    assert not _have_recordings()
     assert len(fetched) == (reply == "y")
 
 

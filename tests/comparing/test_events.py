@@ -7,8 +7,8 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-
 from egolane_pgm.api.comparisons import compare
+
 from egolane_pgm.comparing.groups import Options, by_recording, compare_group
 from egolane_pgm.experiment import experiments_folder
 from egolane_pgm.report.events import event_comparison_rows

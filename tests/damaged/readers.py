@@ -15,7 +15,7 @@ import yaml
 import egolane_pgm as ego
 from egolane_pgm.camera.model import read_camera, write_camera
 from egolane_pgm.camera.pictures import images_of, open_source
-from egolane_pgm.cli.show import compile_defaults
+from egolane_pgm.verbs.show import compile_defaults
 from egolane_pgm.drive import check_sources
 from egolane_pgm.experiment import load_experiment
 from egolane_pgm.fleet import drive_experiment, read_fleet

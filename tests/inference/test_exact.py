@@ -21,7 +21,7 @@ from egolane_pgm.inference.kernels import banded
 from egolane_pgm.inference.lags import beliefs_by_lag
 from egolane_pgm.inference.layout import layout
 from egolane_pgm.inference.smoothing import fixed_lag_beliefs, lag_rest, lag_step, smooth_beliefs
-from egolane_pgm.inference.viterbi import viterbi_path
+from egolane_pgm.inference.viterbi import viterbi
 from egolane_pgm.learning.em import fit_tables
 from egolane_pgm.types import Beliefs, Evidence, FloatArray
 from tests.conformance.networks import random_network
@@ -193,7 +193,7 @@ def test_smoothers_and_the_most_probable_path_are_right(kind: int, seed: int, la
     assert_right(Beliefs.joined([*parts, lag_rest(compiled, state)]), right)
     whole = right_of(partial(make, N_FRAMES))
     assert_right(smooth_beliefs(compiled, evidence), whole)
-    path = viterbi_path(compiled, evidence)
+    path = viterbi(compiled, evidence)
     np.testing.assert_array_equal(path.is_impossible, right.is_impossible)
     best = exact.best_probability(compiled, passed[0])
     np.testing.assert_allclose(path.log_probability, best, rtol=1e-11, atol=1e-9)

@@ -263,7 +263,8 @@ def test_the_paper_s_update_worked_by_hand() -> None:
     tables = {t.node: t.values for t in module.tables(3, parameters)}
     rng = np.random.default_rng(4)
     detector, wor = rng.random((5, 3)), rng.random((5, 2))
-    ours = filter_beliefs(compiled, Evidence({"DetectorOutput": detector, "WOR": wor}))
+    seen = Evidence({"DetectorOutput": detector, "WOR": wor})
+    ours = filter_beliefs(compiled, seen, "assumed_density")
     lane, sensor = np.full(3, 1 / 3), np.full(2, 1 / 2)
     for t in range(5):
         if t:

@@ -9,7 +9,7 @@ import pytest
 
 from egolane_pgm.inference.compile import Compiled, with_tables
 from egolane_pgm.inference.smoothing import smooth_beliefs
-from egolane_pgm.inference.viterbi import Path, disagreement, viterbi_path
+from egolane_pgm.inference.viterbi import Path, disagreement, viterbi
 from egolane_pgm.parameters import resolve_parameters
 from egolane_pgm.types import Beliefs, Evidence, InputError
 from tests.conformance.networks import (
@@ -31,7 +31,7 @@ def check_against(compiled: Compiled, tables: list, evidence: Evidence, hidden: 
     others = [name for name in compiled.state_nodes if name not in hidden]
     right = enumerated_paths(tables, (*hidden, *others), evidence)
     best = max(right.values())
-    path = viterbi_path(compiled, evidence)
+    path = viterbi(compiled, evidence)
     states = [tuple(int(path.values[name][t]) for name in hidden) for t in range(len(evidence))]
     ours = (p for found, p in right.items() if [v[: len(hidden)] for v in found] == states)
     np.testing.assert_allclose(max(ours), best, rtol=1e-9)
@@ -61,7 +61,7 @@ def test_the_path_is_as_probable_as_that_of_plain_numpy() -> None:
     for seed in range(20):
         compiled = any_compiled(seed)
         evidence = draw_evidence(compiled, 200, np.random.default_rng(seed))
-        path = viterbi_path(compiled, evidence)
+        path = viterbi(compiled, evidence)
         _, best = reference.best_path(compiled, evidence)
         assert path.log_probability == pytest.approx(best, abs=1e-9)
         if not set(compiled.state_nodes) <= set(compiled.hidden):
@@ -76,17 +76,17 @@ def test_the_frame_ids_given_are_kept() -> None:
     compiled = template("lane_only", 3)
     evidence = draw_evidence(compiled, 3, np.random.default_rng(0))
     ids = np.array([7, 8, 12])
-    path = viterbi_path(compiled, evidence, frame_id=ids)
+    path = viterbi(compiled, evidence, frame_id=ids)
     np.testing.assert_array_equal(path.frame_id, ids)
     smoothed = smooth_beliefs(compiled, evidence, frame_id=ids)
     assert disagreement(path, smoothed).frames <= 3
-    assert viterbi_path(compiled, evidence).frame_id.tolist() == [0, 1, 2]
+    assert viterbi(compiled, evidence).frame_id.tolist() == [0, 1, 2]
 
 
 def test_of_equally_probable_paths_the_lowest_numbered_is_taken() -> None:
     compiled = template("sensor_failure", 3)
     says_nothing = Evidence({"DetectorOutput": np.ones((4, 3)), "WOR": np.ones((4, 2))})
-    path = viterbi_path(compiled, says_nothing)
+    path = viterbi(compiled, says_nothing)
     # Lane 1 and lane 3 are mirror images; an outer lane is held more surely than the middle one.
     assert path.lane.tolist() == [1, 1, 1, 1]
     assert path.values["SensorState"].tolist() == [0, 0, 0, 0]
@@ -99,12 +99,12 @@ def test_long_drives_do_not_underflow_and_impossible_frames_are_ignored() -> Non
     for values in evidence.likelihoods.values():
         values *= 1e-100
     evidence.likelihoods["WOR"][17] = 0
-    path = viterbi_path(compiled, evidence)
+    path = viterbi(compiled, evidence)
     assert np.flatnonzero(path.is_impossible).tolist() == [17]
     # Two likelihoods of about 1e-100 in each frame that counts.
     assert path.log_probability / (n_frames - 1) == pytest.approx(2 * math.log(1e-100), rel=0.04)
     assert set(np.unique(path.lane)) <= {1, 2, 3, 4}
-    nothing = viterbi_path(compiled, evidence.take(slice(0, 0)))
+    nothing = viterbi(compiled, evidence.take(slice(0, 0)))
     assert len(nothing) == 0
     assert nothing.log_probability == 0
 
@@ -138,7 +138,7 @@ def test_the_path_of_a_sensor_that_may_be_bad_for_long_is_found_to_disagree() ->
     parameters = resolve_parameters(graph("lane_only").PARAMETERS, {"sigma1": 0.8}, 5)
     compiled = with_tables(template("lane_only", 5), graph("lane_only").tables(5, parameters))
     evidence = Evidence({"DetectorOutput": np.ones((120, 5))})
-    path = viterbi_path(compiled, evidence)
+    path = viterbi(compiled, evidence)
     smoothed = smooth_beliefs(compiled, evidence)
     assert len(set(path.lane.tolist())) == 1
     found = disagreement(path, smoothed)

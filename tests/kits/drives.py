@@ -11,7 +11,7 @@ from typing import Any
 import yaml
 from click.testing import CliRunner, Result
 
-from egolane_pgm.cli.main import egolane
+from egolane_pgm.command import egolane
 from egolane_pgm.experiment import Experiment, make_experiment
 from egolane_pgm.recordings.ground_truth import write_ground_truth
 from egolane_pgm.recordings.table import write_table

@@ -24,7 +24,7 @@ MOST = 1e300
 def filter_beliefs(
     compiled: Compiled,
     evidence: Evidence,
-    method: str = "assumed_density",
+    method: str = "exact",
     *,
     frame_id: IntArray | None = None,
 ) -> Beliefs:
@@ -36,7 +36,7 @@ def step(
     compiled: Compiled,
     state: FilterState | None,
     evidence: Evidence,
-    method: str = "assumed_density",
+    method: str = "exact",
 ) -> tuple[FilterState, Beliefs]:
     """As `egolane_pgm.inference.filtering.step`."""
     return _filter(compiled, evidence, method, state, None)

@@ -8,9 +8,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 import yaml
+from egolane_pgm.api.studies import prepare_searches
 
 import egolane_pgm as ego
-from egolane_pgm.api.studies import prepare_searches
 from egolane_pgm.drive import Drive, belief_of
 from egolane_pgm.scoring.assign import assigned_lane
 from egolane_pgm.scoring.confusion import accuracy, confusion, macro_f1

@@ -1,1 +1,0 @@
-"""The command `egolane`: one file per command."""

@@ -1,0 +1,379 @@
+"""What a comparison found: `Comparison`."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from egolane_pgm.comparing.document import parse_comparison
+from egolane_pgm.comparing.in_sample import compare_rows
+from egolane_pgm.comparing.saving import DOCUMENT, folder_of, save_recording
+from egolane_pgm.comparing.stored import stored_rows
+from egolane_pgm.fleet import FleetDrive
+from egolane_pgm.report import comparison_tables as rows_of
+from egolane_pgm.report import events as lane_changes
+from egolane_pgm.report import shown
+from egolane_pgm.report.comparison_tables import experiment_names, lag_curves
+from egolane_pgm.report.fleet_table import FLEET_LEGEND, fleet_comparison_rows
+from egolane_pgm.report.tables import Table, page
+from egolane_pgm.results import SCHEMA_VERSION, Result, is_result, read_result, staged
+from egolane_pgm.tools.files import write_json
+from egolane_pgm.types import NOTE, InputError, not_one_of
+
+if TYPE_CHECKING:
+    import pandas as pd
+    import xarray as xr
+    from matplotlib.figure import Figure
+
+TITLES = {"accuracy": "Accuracy", "f1": "F1 (mean over lanes)", "log_loss": "Log-loss (all frames)"}
+
+
+@dataclass(frozen=True, repr=False, eq=False)
+class Comparison:
+    """Experiments side by side, on one or several recordings.
+
+    - document: what `egolane compare --json` writes.
+    - results: what was believed held out, by the title of the recording and the name of the
+      experiment; empty for graphs with the paper's parameters, and where `folder` has them.
+    - folder: where the results were written.
+    - drives: of a fleet, on which the experiments were put.
+    - stopped: the KeyboardInterrupt that ended it early; the recordings before it are there.
+
+    >>> import egolane_pgm as ego
+    >>> one = ego.load_experiment("quickstart", {"recording.frames": [0, 400]})
+    >>> other = ego.load_experiment(one, {"name": "exact", "filter": "exact"})
+    >>> compared = ego.compare([one, other], blocks=2)
+    >>> compared
+    Comparison(quickstart, exact on quickstart, seed 0; not tuned, causal)
+    >>> compared["quickstart, seed 0", "exact"].to_pandas().shape[0]
+    400
+    """
+
+    document: Mapping[str, Any]
+    results: Mapping[tuple[str, str], Result] = field(default_factory=dict)
+    folder: Path | None = None
+    drives: tuple[FleetDrive, ...] = ()
+    stopped: KeyboardInterrupt | None = None
+
+    @property
+    def is_held_out(self) -> bool:
+        """Whether frames were scored that the parameters have not seen; else the parameters are the
+        paper's, in-sample."""
+        return bool(self.document.get("held_out"))
+
+    @property
+    def names(self) -> list[str]:
+        """The names of the experiments, or of the graphs."""
+        return experiment_names(self._as_held_out())
+
+    @property
+    def recordings(self) -> list[str]:
+        """The titles of the recordings."""
+        return [str(recording["title"]) for recording in self._as_held_out()["recordings"]]
+
+    def __getitem__(self, key: tuple[str, str]) -> Result:
+        """What was believed held out: of a recording, by its title, under an experiment.
+
+        Raises InputError where there is none.
+        """
+        title, name = key
+        if key in self.results:
+            return self.results[key]
+        if self.folder is not None and is_result(self.folder / folder_of(title) / name):
+            return read_result(self.folder / folder_of(title) / name)
+        raise InputError(
+            f"{title}, {name}: was not held out here; there are {', '.join(self.recordings)}"
+            f" with {', '.join(self.names)}"
+        )
+
+    @property
+    def failed(self) -> list[tuple[str, str]]:
+        """The title of each recording that failed, and why."""
+        return [(each["title"], each["error"]) for each in self.document.get("failed", [])]
+
+    @property
+    def notes(self) -> list[str]:
+        """Warnings, a line each."""
+        found = []
+        for recording in self.document.get("recordings", []):
+            for note in recording["notes"]:
+                kind = NOTE if note.startswith(NOTE) else ""
+                found.append(f"{kind}{recording['title']}: {note.removeprefix(NOTE)}")
+        return found
+
+    def _as_held_out(self) -> Mapping[str, Any]:
+        """The document in the form of those that hold something out."""
+        if self.is_held_out:
+            return self.document
+        recordings = []
+        for entry in self.document.get("runs", ()):
+            experiments = [
+                {
+                    "name": name,
+                    "tuned_on": "not_tuned" if name == "detector" else "same_frames",
+                    "scores": {"all_frames": scores},
+                    "difference": None,
+                }
+                for name, scores in entry["scores"].items()
+            ]
+            recordings.append({"title": f"run {entry['run']}", "experiments": experiments})
+        return {"recordings": recordings}
+
+    def __repr__(self) -> str:
+        return f"Comparison({self._title()})"
+
+    def _title(self) -> str:
+        names = ", ".join(self.names[:6]) + ", ..." * (len(self.names) > 6)
+        titles = self.recordings
+        on = titles[0] if len(titles) == 1 else f"{len(titles)} recordings"
+        return f"{names} on {on}; {self._how()}"
+
+    def _how(self) -> str:
+        if not self.is_held_out:
+            return "the paper's parameters, in-sample"
+        entries = [e for r in self.document["recordings"] for e in r["experiments"]]
+        said = dict.fromkeys(shown.how_tuned(entry) for entry in entries)
+        return " or ".join(said)
+
+    def _repr_html_(self) -> str:
+        document = self._as_held_out()
+        header, rows = (rows_of.lag_rows if lag_curves(document) else rows_of.accuracy_rows)(
+            document
+        )
+        notes = [f"failed: {title}: {error}" for title, error in self.failed]
+        return shown.html_table(
+            self._title(), header, rows, [*notes, *rows_of.marks_text(document).splitlines()]
+        )
+
+    def to_text(self, *, style: str = "markdown", wide: bool = False) -> str:
+        """The tables of what was compared; see `DriveTable.to_text`."""
+        found = self.document
+        if "results" in found:
+            note = (
+                f"{found['frames']} annotated frames; crossing ones count in the log-loss only."
+                " Intervals are 95 %, those of the differences paired. * in-sample, or not known to"
+                " be held out"
+            )
+            parts: list[str | Table] = [Table(*stored_rows(found)), note]
+        elif not self.is_held_out:
+            parts = _in_sample_parts(found)
+        elif self.drives:
+            rows = fleet_comparison_rows(found, self.drives)
+            parts = [Table(*rows, labels=2), FLEET_LEGEND]
+        else:
+            parts = _held_out_parts(found, with_all=style != "markdown")
+        return page(parts, style, wide)
+
+    def to_pandas(self, table: str = "scores") -> pd.DataFrame:
+        """A row per recording, experiment, subset of frames and score.
+
+        Columns: `value`; `low` and `high` of its 95 % interval; `difference` to the first
+        experiment of the recording, `difference_low`, `difference_high`; `tuned_on`.
+
+        - table: "scores", or "lags" for how right beliefs are that wait: a row per recording,
+          experiment, subset of frames and lag in seconds, with the columns `frames` waited for,
+          `accuracy`, its `low` and `high`, `f1`, `log_loss` and `tuned_on`.
+
+        Raises InputError for another table, and for lags where none was asked for.
+        """
+        import pandas as pd
+
+        if table == "lags":
+            return self._lags()
+        if table != "scores":
+            raise InputError(f"table: {not_one_of(table, ('scores', 'lags'))}")
+        rows = [
+            (recording["title"], entry["name"], subset, *row, entry["tuned_on"])
+            for recording in self._as_held_out()["recordings"]
+            for entry in recording["experiments"]
+            for subset, scores in entry["scores"].items()
+            for row in _score_rows(scores, (entry["difference"] or {}).get(subset) or {})
+        ]
+        index = ["recording", "experiment", "subset", "score"]
+        values = ["value", "low", "high", "difference", "difference_low", "difference_high"]
+        return pd.DataFrame(rows, columns=[*index, *values, "tuned_on"]).set_index(index)
+
+    def _lags(self) -> pd.DataFrame:
+        import pandas as pd
+
+        rows = []
+        for recording in self._as_held_out()["recordings"]:
+            for entry in recording["experiments"]:
+                for subset, found in (entry.get("lags") or {}).items():
+                    intervals = (found["intervals"] or {}).get("accuracy")
+                    for k, lag in enumerate(found["lag_s"]):
+                        low, high = (intervals and intervals[k]) or (None, None)
+                        scores = (found[name][k] for name in ("f1", "log_loss"))
+                        row = (found["frames"][k], found["accuracy"][k], low, high, *scores)
+                        place = (recording["title"], entry["name"], subset, lag)
+                        rows.append((*place, *row, entry["tuned_on"]))
+        if not rows:
+            raise InputError(
+                "table: 'lags' are of comparisons with lags, compare(..., lags=[0, 1])"
+            )
+        index = ["recording", "experiment", "subset", "lag_s"]
+        columns = ["frames", "accuracy", "low", "high", "f1", "log_loss", "tuned_on"]
+        return pd.DataFrame(rows, columns=[*index, *columns]).set_index(index)
+
+    def to_xarray(self, table: str = "scores") -> xr.Dataset:
+        """`to_pandas` as a data set. Raises InputError where xarray is not installed."""
+        return shown.as_dataset(self.to_pandas(table))
+
+    def plot(self, figure: str = "accuracy") -> Figure:
+        """Draw the experiments on each recording, with their intervals.
+
+        - figure: "accuracy"; "differences" for how it differs from the first experiment's; or
+          "lags" for how it grows with the delay.
+
+        Raises InputError for another figure, and for differences or lags that there are not.
+        """
+        from egolane_pgm.report import comparison_figures as figures
+        from egolane_pgm.report.style import inline_figure
+
+        makes = {
+            "accuracy": figures.comparison_figure,
+            "differences": figures.differences_figure,
+            "lags": figures.lags_figure,
+        }
+        if figure not in makes:
+            raise InputError(f"figure: {not_one_of(figure, list(makes))}")
+        if figure == "differences" and not self.is_held_out:
+            raise InputError("figure: 'differences' are of comparisons that hold something out")
+        return inline_figure(lambda: makes[figure](self._as_held_out()))
+
+    def save(self, directory: str | os.PathLike[str], *, figures: bool = True) -> Path:
+        """Write the numbers, and a result directory for each recording and experiment, as
+        `egolane compare --out` does; `load_result` reads them.
+
+        - figures: whether accuracy, and that over lags, is drawn beside them.
+
+        An older comparison of that name is replaced; files of your own in it stay. Raises
+        InputError where the directory holds anything else, or cannot be written.
+        """
+        place = Path(directory)
+        with staged(place, [is_comparison]) as folder:
+            for part in self.document["recordings"] if self.is_held_out else ():
+                names = [name for title, name in self.results if title == part["title"]]
+                save_recording(folder, part, {name: self[part["title"], name] for name in names})
+            write_json(folder / DOCUMENT, self.document)
+            if figures:
+                # matplotlib is imported only for figures.
+                from egolane_pgm.report.comparison_figures import draw_comparison, draw_lags
+
+                document = self._as_held_out()
+                draw_comparison(document, folder / "figures" / "accuracy.png")
+                if lag_curves(document):
+                    draw_lags(document, folder / "figures" / "lags.png")
+        return place
+
+
+def _score_rows(
+    scores: Mapping[str, Any], differences: Mapping[str, Sequence[float] | None]
+) -> Iterator[tuple[Any, ...]]:
+    """Per score its name, value, interval, difference and the interval of that."""
+    nothing = (None, None, None)
+    for name, value in {**scores, **_delays(scores)}.items():
+        if isinstance(value, (int, float)):
+            low, high = (scores.get("intervals") or {}).get(name) or (None, None)
+            yield name, float(value), low, high, *(differences.get(name) or nothing)
+
+
+def _delays(scores: Mapping[str, Any]) -> dict[str, Any]:
+    return {f"delay_{name}": value for name, value in (scores.get("delay") or {}).items()}
+
+
+def is_comparison(directory: Path) -> bool:
+    """Whether the directory holds a comparison: of several recordings, or of one."""
+    if (directory / DOCUMENT).is_file():
+        return True
+    return directory.is_dir() and any((child / DOCUMENT).is_file() for child in directory.iterdir())
+
+
+def read_comparison(directory: Path) -> Comparison:
+    """Read the directory of a comparison. Raises InputError where it is damaged."""
+    file = directory / DOCUMENT
+    files = [file] if file.is_file() else sorted(directory.glob(f"*/{DOCUMENT}"))
+    parts = [parse_comparison(each.read_bytes(), each) for each in files]
+    if "title" not in parts[0]:
+        return Comparison(parts[0], folder=directory)
+    found = {
+        "schema_version": SCHEMA_VERSION,
+        "held_out": True,
+        "blocks": parts[0]["blocks"],
+        "recordings": [{k: v for k, v in p.items() if k != "schema_version"} for p in parts],
+        "together": [],
+        "failed": [],
+    }
+    return Comparison(found, folder=directory.parent if file.is_file() else directory)
+
+
+# --- what is printed ---------------------------------------------------------------------------
+
+
+def _in_sample_parts(found: Mapping[str, Any]) -> list[str | Table]:
+    parts: list[str | Table] = []
+    for key, title in TITLES.items():
+        parts += [title, Table(*compare_rows(found, key))]
+    parts.append(
+        f"Parameters: the paper's ({found['parameters']}), as far as a graph has them; in-sample:"
+        " the authors tuned them for sensor_failure on these very frames."
+    )
+    names = {name for run in found["runs"] for name in run["scores"]}
+    if {"wor_on_lane", "sensor_failure"} <= names:
+        parts.append(
+            "wor_on_lane is sensor_failure until its p3 and p4 differ from lane to lane; the paper"
+            " has one value of each. Held out they are searched."
+        )
+    return parts
+
+
+def _held_out_parts(found: Mapping[str, Any], *, with_all: bool) -> list[str | Table]:
+    """The tables of scores, or instead of them those of lags and events that were asked for.
+
+    - with_all: whether a table of all scores comes first.
+    """
+    legends: list[str] = []
+    instead: list[str | Table] = []
+    entries = [entry for recording in found["recordings"] for entry in recording["experiments"]]
+    if lag_curves(found):
+        header, rows = rows_of.lag_rows(found)
+        instead.append(Table(header, rows, labels=1 + ("experiment" in header)))
+        legends.append(rows_of.LAGS_LEGEND)
+    if any(entry.get("events") for entry in entries):
+        header, rows = lane_changes.event_comparison_rows(found)
+        instead.append(Table(header, rows, labels=2, leaves_out=True))
+        legends.append(lane_changes.LEGEND)
+    searched = rows_of.search_rows(found)
+    parts: list[str | Table] = [Table(*searched)] if searched[1] else []
+    if instead:
+        parts += [*instead, rows_of.marks_text(found)]
+    else:
+        together = rows_of.together_tables(found)
+        parts += [Table(*each) for each in together]
+        if rows_of.is_repeated(found):
+            parts += [Table(*rows_of.seeds_rows(found), labels=2), rows_of.marks_text(found)]
+            legends += [rows_of.LEGEND, rows_of.SEEDS_LEGEND]
+        else:
+            parts += _score_parts(found)
+            legends.append(rows_of.LEGEND)
+        legends += [rows_of.TOGETHER_LEGEND] if together else []
+        if with_all:
+            parts.insert(0, Table(*rows_of.full_rows(found)))
+    if any(recording["health"] for recording in found["recordings"]):
+        parts.append(Table(*rows_of.health_rows(found)))
+        legends.append(rows_of.HEALTH_LEGEND)
+    # They are wrapped as wide as the terminal is.
+    return parts + [" ".join(legend.split()) for legend in legends]
+
+
+def _score_parts(found: Mapping[str, Any]) -> list[str | Table]:
+    parts: list[str | Table] = [Table(*rows_of.accuracy_rows(found)), rows_of.marks_text(found)]
+    if rows_of.has_untrusted(found):
+        parts.append(
+            "Above without the frames of tuning.never_fit, whose labels are not trusted; with them:"
+        )
+        parts.append(Table(*rows_of.accuracy_rows(found, "all_frames")))
+    return [*parts, *rows_of.full_tables(found)]

@@ -1,0 +1,262 @@
+"""A network of a user's own, all in memory: what was observed goes in, pgmpy's answers come out."""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Callable, Sequence
+from typing import Any
+
+import numpy as np
+import pandas as pd
+import pytest
+
+from egolane_pgm.graphs.cpds import quiet
+from egolane_pgm.inference.compile import Compiled, compile
+from egolane_pgm.inference.expected_counts import expected_counts
+from egolane_pgm.inference.filtering import filter_beliefs
+from egolane_pgm.inference.smoothing import fixed_lag_beliefs, smooth_beliefs
+from egolane_pgm.inference.unrolling import unrolled
+from egolane_pgm.inference.viterbi import viterbi
+from egolane_pgm.learning.em import fit_tables, learned_network
+from egolane_pgm.types import Evidence, InputError
+from tests.conformance.networks import template
+
+with quiet():
+    from pgmpy.factors.discrete import TabularCPD
+    from pgmpy.inference import VariableElimination
+    from pgmpy.models import DiscreteBayesianNetwork, DynamicBayesianNetwork
+
+GEAR, COLD, RPM = ["low", "mid", "top"], [True, False], ["slow", "fast"]
+#: Rows are the node's own values, columns those of what it is given, the last one fastest.
+GEAR_FIRST, COLD_FIRST = [[0.5], [0.3], [0.2]], [[0.6], [0.4]]
+GEAR_NEXT = [  # given the hill in this frame and the gear before
+    [0.8, 0.2, 0.1, 0.9, 0.5, 0.3],
+    [0.15, 0.7, 0.2, 0.09, 0.4, 0.4],
+    [0.05, 0.1, 0.7, 0.01, 0.1, 0.3],
+]
+COLD_NEXT = [[0.9, 0.05], [0.1, 0.95]]
+RPM_GIVEN = [[0.1, 0.3, 0.4, 0.7, 0.9, 0.6], [0.9, 0.7, 0.6, 0.3, 0.1, 0.4]]  # gear, cold
+NOISE = [[0.7, 0.2], [0.3, 0.8]]
+#: What was observed, a missing value among it, and what is only likely.
+ROWS = {"Rpm": ["fast", None, "slow", "slow"], "Hill": [0, 1, 1, 0]}
+HEARD = [[0.9, 0.2], [0.5, 0.5], [0.1, 1.0], [0.3, 0.4]]
+
+
+def cpd(node: tuple[str, int], rows: Any, given: Sequence[tuple[str, int]] = ()) -> Any:
+    values = {"Gear": GEAR, "Cold": COLD, "Rpm": RPM}
+    names = {n: values.get(n[0], [0, 1]) for n in (node, *given)}
+    sizes = [len(names[n]) for n in given]
+    return TabularCPD(node, len(rows), rows, list(given), sizes, names)
+
+
+def own_network() -> Any:
+    """Two hidden nodes, one of which an input moves; pgmpy fills in the second slice itself."""
+    edges = [("Hill", "Gear"), ("Gear", "Rpm"), ("Cold", "Rpm"), ("Rpm", "Noise")]
+    with quiet():
+        network = DynamicBayesianNetwork([((n, 0), (n, 1)) for n in ("Gear", "Cold")])
+        network.add_edges_from([((a, 0), (b, 0)) for a, b in edges])
+        network.add_cpds(
+            cpd(("Hill", 0), [[0.5], [0.5]]),
+            cpd(("Gear", 0), np.repeat(GEAR_FIRST, 2, axis=1), [("Hill", 0)]),
+            cpd(("Gear", 1), GEAR_NEXT, [("Hill", 1), ("Gear", 0)]),
+            cpd(("Cold", 0), COLD_FIRST),
+            cpd(("Cold", 1), COLD_NEXT, [("Cold", 0)]),
+            cpd(("Rpm", 0), RPM_GIVEN, [("Gear", 0), ("Cold", 0)]),
+            cpd(("Noise", 0), NOISE, [("Rpm", 0)]),
+        )
+    return network
+
+
+def compiled(network: Any = None, **options: Any) -> Compiled:
+    roles: dict[str, Any] = {"observed": ["Rpm", "Noise"], "inputs": ["Hill"], **options}
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")  # it has no virtual-evidence nodes
+        return compile(network or own_network(), **roles)
+
+
+def evidence() -> Evidence:
+    hard = Evidence.hard(ROWS, compiled())
+    return Evidence({**hard.likelihoods, "Noise": np.array(HEARD)}, hard.inputs)
+
+
+def ask(network: Any, node: str, **given: Any) -> np.ndarray:
+    with quiet():
+        found: Any = VariableElimination(network).query([node], show_progress=False, **given)
+    return np.asarray(found.values)
+
+
+def ask_pgmpy(node: str, frame: int, last: int) -> np.ndarray:
+    """P(node in a frame | what was observed up to the last one), by pgmpy alone."""
+    with quiet():
+        network = DiscreteBayesianNetwork()
+        for t in range(last + 1):
+            gear, cold, rpm, noise = (f"{n}{t}" for n in ("Gear", "Cold", "Rpm", "Noise"))
+            gears, colds = ([f"Gear{t - 1}"], [f"Cold{t - 1}"]) if t else ([], [])
+            edges = [(gear, rpm), (cold, rpm), (rpm, noise)]
+            network.add_edges_from(
+                [*edges, *((g, gear) for g in gears), *((c, cold) for c in colds)]
+            )
+            hill = 3 * ROWS["Hill"][t]
+            moves = np.array(GEAR_NEXT)[:, hill : hill + 3] if t else GEAR_FIRST
+            network.add_cpds(
+                TabularCPD(gear, 3, moves, gears, [3] * len(gears)),
+                TabularCPD(cold, 2, COLD_NEXT if t else COLD_FIRST, colds, [2] * len(colds)),
+                TabularCPD(rpm, 2, RPM_GIVEN, [gear, cold], [3, 2]),
+                TabularCPD(noise, 2, NOISE, [rpm], [2]),
+            )
+        seen = {f"Rpm{t}": RPM.index(v) for t, v in enumerate(ROWS["Rpm"][: last + 1]) if v}
+        heard = [
+            TabularCPD(f"Noise{t}", 2, np.array(HEARD[t])[:, None] / sum(HEARD[t]))
+            for t in range(last + 1)
+        ]
+    return ask(network, f"{node}{frame}", evidence=seen, virtual_evidence=heard)
+
+
+def test_hard_soft_and_missing_evidence_give_pgmpy_s_beliefs() -> None:
+    filtered = filter_beliefs(compiled(), evidence())
+    lagged = fixed_lag_beliefs(compiled(), evidence(), 1)
+    smoothed = smooth_beliefs(compiled(), evidence())
+    for node in ("Gear", "Cold"):
+        for t in range(4):
+            for ours, last in ((filtered, t), (lagged, min(t + 1, 3)), (smoothed, 3)):
+                right = ask_pgmpy(node, t, last)
+                np.testing.assert_allclose(ours[node][t], right, rtol=0, atol=1e-12)
+
+
+def test_frames_with_their_evidence_give_the_same_answers() -> None:
+    filtered, smoothed = (f(compiled(), evidence()) for f in (filter_beliefs, smooth_beliefs))
+    whole, latest = (unrolled(compiled(), evidence(), first, 3) for first in (0, 2))
+    for node in ("Gear", "Cold"):
+        for t in range(4):
+            found = ask(whole.network, f"{node}@{t}", evidence=whole.given)
+            np.testing.assert_allclose(found, smoothed[node][t], rtol=0, atol=1e-12)
+        found = ask(latest.network, f"{node}@3", evidence=latest.given)
+        np.testing.assert_allclose(found, filtered[node][3], rtol=0, atol=1e-12)
+
+
+def test_a_declared_network_says_that_its_virtual_evidence_is_a_placeholder() -> None:
+    network = compiled().network
+    for s in (0, 1):
+        assert "placeholder" in network.nodes["Rpm_ve", s]["note"]
+        assert not network.nodes["Rpm", s]
+
+
+def test_what_was_learned_goes_back_into_the_network() -> None:
+    network = own_network()
+    fitted = fit_tables(compiled(), evidence(), strength=1.0, iterations=5)
+    with quiet():
+        learned = learned_network(network, fitted)
+        assert learned.check_model()
+    assert learned.get_cpds(("Cold", 1)).state_names[("Cold", 0)] == COLD
+    assert not np.allclose(learned.get_cpds(("Rpm", 0)).get_values(), RPM_GIVEN)
+    np.testing.assert_array_equal(network.get_cpds(("Rpm", 0)).get_values(), RPM_GIVEN)
+    again = compiled(learned)
+    assert set(again.tables) == set(fitted.compiled.tables)
+    for node, table in fitted.compiled.tables.items():
+        assert again.tables[node].parents == table.parents
+        np.testing.assert_array_equal(again.tables[node].values, table.values)
+    assert again.values == fitted.compiled.values
+    # Once more, from a network that has its virtual-evidence nodes, and to pgmpy's own state.
+    with quiet():
+        once_more = learned_network(again.network, again)
+        once_more.initialize_initial_state()
+    np.testing.assert_array_equal(compiled(once_more).transition, again.transition)
+
+
+def test_tables_of_another_network_are_refused() -> None:
+    with pytest.raises(InputError, match=r"^Hill: the network has no such table;"):
+        learned_network(template("lane_only", 3).network, compiled())
+
+
+@pytest.mark.parametrize(
+    "given",
+    [
+        {"Rpm": [1, None, 0, 0], "Hill": [0, 1, 1, 0]},
+        {"Rpm": np.array([1, np.nan, 0, 0]), "Hill": np.array([0, 1, 1, 0])},
+        pd.DataFrame({"Rpm": pd.array([1, pd.NA, 0, 0], "Int64"), "Hill": [0, 1, 1, 0]}),
+        pd.DataFrame({"Rpm": pd.Categorical(ROWS["Rpm"]), "Hill": ["0", "1", "1", "0"]}),
+    ],
+)
+def test_values_go_by_name_or_index_and_may_be_missing(given: Any) -> None:
+    found, right = Evidence.hard(given, compiled()), Evidence.hard(ROWS, compiled())
+    assert found.likelihoods["Rpm"].tolist() == [[0, 1], [1, 1], [1, 0], [1, 0]]
+    # An observed node that is not given is missing in all frames.
+    assert found.likelihoods["Noise"].tolist() == [[1, 1]] * 4
+    for key in right.likelihoods:
+        np.testing.assert_array_equal(found.likelihoods[key], right.likelihoods[key])
+    np.testing.assert_array_equal(found.inputs["Hill"], right.inputs["Hill"])
+
+
+def test_nodes_that_are_observed_jointly_are_given_each_by_itself() -> None:
+    joint = compiled(observed=[("Rpm", "Noise")])
+    seen = Evidence.hard({"Rpm": [0, None], "Noise": [None, 1], "Hill": [0, 0]}, joint)
+    assert seen.likelihoods["Rpm", "Noise"].tolist() == [[[1, 1], [0, 0]], [[0, 1], [0, 1]]]
+
+
+@pytest.mark.parametrize(
+    ("given", "said"),
+    [
+        (
+            {"Rpm": ["fast", "fats"], "Hill": [0, 0]},
+            "evidence for Rpm: row 1: 'fats' is neither the name of a value nor an index, 0 to 1"
+            " (did you mean 'fast'?)",
+        ),
+        (
+            {"Rpm": [0, 2], "Hill": [0, 0]},
+            "evidence for Rpm: row 1: 2 is neither the name of a value nor an index, 0 to 1"
+            " (known: fast, slow)",
+        ),
+        (
+            {"Rmp": [0], "Hill": [0]},
+            "evidence for Rmp: the network has no such observed node or input (did you mean"
+            " 'Rpm'?); `compile` is given those that are observed",
+        ),
+        (
+            {"Rpm": [0, 1, 1], "Hill": [0, 0]},
+            "evidence: different numbers of frames: Rpm 3, Hill 2",
+        ),
+        (
+            {"Rpm": [0, 1], "Hill": [0, None]},
+            "evidence for Hill: row 1: is missing, an input must be known",
+        ),
+        ({"Rpm": [0]}, "evidence for Hill: every row: is missing, an input must be known"),
+        ({"Rpm": 1}, "evidence for Rpm: needs a value for each frame, e.g. [1]"),
+    ],
+)
+def test_observations_that_do_not_fit_are_refused(given: Any, said: str) -> None:
+    with pytest.raises(InputError) as error:
+        Evidence.hard(given, compiled())
+    assert str(error.value) == said
+
+
+def test_a_number_that_is_one_value_s_name_and_another_s_index_is_refused() -> None:
+    counted = compiled(values={"Rpm": ["1", "2"]})
+    rows = {"Rpm": ["1", "2"], "Hill": [0, 0]}
+    assert Evidence.hard(rows, counted).likelihoods["Rpm"].tolist() == [[1, 0], [0, 1]]
+    with pytest.raises(InputError, match="row 0: 1 is the name of one value and the index of"):
+        Evidence.hard({"Rpm": [1, 2], "Hill": [0, 0]}, counted)
+
+
+@pytest.mark.parametrize(
+    "use",
+    [filter_beliefs, smooth_beliefs, viterbi, expected_counts, lambda c, e: unrolled(c, e, 0, 1)],
+)
+def test_what_is_no_evidence_is_refused(use: Callable[[Compiled, Any], object]) -> None:
+    with pytest.raises(InputError) as error:
+        use(compiled(), ROWS)
+    assert str(error.value) == (
+        "evidence: needs an Evidence, not a dict: Evidence(...) of likelihoods, or"
+        " Evidence.hard(...) of what was observed"
+    )
+
+
+def test_beliefs_go_by_node_and_make_a_table() -> None:
+    beliefs = filter_beliefs(compiled(), evidence(), frame_id=np.array([7, 8, 10, 11]))
+    table = beliefs.take(slice(1, None)).to_pandas()
+    assert list(table) == ["Cold=True", "Cold=False", "Gear=low", "Gear=mid", "Gear=top"]
+    assert (table.index.name, table.index.tolist()) == ("frame_id", [8, 10, 11])
+    np.testing.assert_array_equal(table.iloc[:, 2:], beliefs["Gear"][1:])
+    with pytest.raises(InputError, match=r"^the beliefs are about no node 'Gaer' \(did you mean"):
+        beliefs["Gaer"]
+    with pytest.raises(InputError, match=r"^the network has no node Lane, it has Cold, Gear: "):
+        _ = beliefs.lane
