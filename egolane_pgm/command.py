@@ -284,9 +284,10 @@ def _invoke(
 
     style, wide = values.pop("style", "markdown"), values.pop("wide", False)
     json_file = values.pop("json_file", None)
-    given = {name: value for name, value in values.items() if value not in ((), "cluster")}
-    if given.pop("cluster", None):
-        given["jobs"] = values["cluster"]
+    given = {name: value for name, value in values.items() if value != ()}
+    cluster = given.pop("cluster", None)
+    if cluster is not None:
+        given["jobs"] = cluster
     prints = io.StringIO() if json_file == "-" else sys.stdout
     if json_file is not None and json_file != "-":
         paths = [Path(each) for each in _flat(given.values()) if isinstance(each, str) and each]

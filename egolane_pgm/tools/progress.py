@@ -15,13 +15,14 @@ def bar(items: Iterable[Any] | None = None, progress: bool | None = None, **sett
     - progress: whether it is shown; None for in a terminal, and in a notebook.
     - settings: of tqdm.
     """
+    from tqdm import tqdm
+
+    kind: Any = tqdm
     hidden = None if progress is None else not progress
     if "ipykernel" in sys.modules:
         with warnings.catch_warnings():
             # Without ipywidgets it is a bar of plain text, and tqdm asks for them.
             warnings.simplefilter("ignore")
-            from tqdm.auto import tqdm
+            from tqdm.auto import tqdm as kind
         hidden = bool(hidden)
-    else:
-        from tqdm import tqdm
-    return tqdm(items, leave=False, disable=hidden, **settings)
+    return kind(items, leave=False, disable=hidden, **settings)

@@ -4,24 +4,36 @@ from __future__ import annotations
 
 import json
 import sys
+from collections.abc import Sequence
+from typing import Annotated
 
 from egolane_pgm.experiment import Given, Overrides, load_experiment
 from egolane_pgm.online import filter_stream
+from egolane_pgm.verbs.given import Option
 
 EXAMPLES = ("egolane online experiments/quickstart.yaml < lines.jsonl",)
 
 
-def online(experiment: Given, *, overrides: Overrides = ()) -> None:
-    """Filter frame by frame: a JSON line in, the belief for it out at once.
+def online(
+    experiment: Given,
+    *,
+    nodes: Annotated[Sequence[str], Option("NODE", names=("--node",), many=True)] = (),
+    overrides: Overrides = (),
+) -> None:
+    """Filter frame by frame: a JSON line in, the lane out at once.
 
     Reads `{"frame_id": 7, "lines": [{"offset_m": -1.8, "is_valid": true, "is_continuous": false,
-    "lri": 10}]}` per line on standard input; of a line of the road only `offset_m` is needed. With
-    `filter: fixed_lag` the belief comes `lag` frames later.
+    "lri": 10}]}` per line on standard input; of a line of the road only `offset_m` is needed. A
+    time stamp, `"time_s": 12.3`, may stand beside the frame id or in its place. Each answer has the
+    lane, its probability, how probable it is that the car is on a line, and the lane changes that
+    are told with this frame. With `filter: fixed_lag` it comes `lag` frames later.
 
+    - nodes: answer with the whole belief of this hidden node, too, e.g. Lane.
     - overrides: override a key of the YAML, e.g. parameters.bonus_value=0.
     """
     # Standard input as an iterator would be read ahead in blocks.
     sys.stdin.reconfigure(encoding="utf-8", errors="replace")  # type: ignore[union-attr]
     messages = iter(sys.stdin.readline, "")
-    for belief in filter_stream(load_experiment(experiment, overrides), messages):
-        print(json.dumps(belief), flush=True)
+    wanted = [nodes] if isinstance(nodes, str) else nodes
+    for answer in filter_stream(load_experiment(experiment, overrides), messages, wanted):
+        print(json.dumps(answer), flush=True)

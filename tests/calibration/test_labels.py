@@ -76,9 +76,7 @@ def test_a_size_that_the_labels_contradict_is_refused(tmp_path: Path) -> None:
     frames = [label(raw_file="a.png"), label(raw_file="b.png")]
     check_size((64, 48), frames, labels)
     for size in ((48, 64), (64, 47), (65, 48)):
-        with pytest.raises(
-            InputError, match=rf"size: .*b\.png is 64x48, not {size[0]}x{size[1]}"
-        ):
+        with pytest.raises(InputError, match=rf"size: .*b\.png is 64x48, not {size[0]}x{size[1]}"):
             check_size(size, frames, labels)
     without = [label(raw_file="a.png"), label([20, 300, 310], raw_file="c.png")]
     check_size((640, 480), without, labels)
