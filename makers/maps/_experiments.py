@@ -2,27 +2,22 @@
 
 from __future__ import annotations
 
-import io
-from contextlib import redirect_stdout
 from pathlib import Path
 
-from egolane_pgm.cli.simulate import simulate
 from egolane_pgm.drive import Recorded, load_recording
 from egolane_pgm.experiment import Experiment, load_experiment
 from egolane_pgm.maps.steps import LanesAlong
 from egolane_pgm.model import Model, prepare_model, with_map
+from egolane_pgm.verbs.simulate import simulate
 
 COUNTING = {"graph": "changing_lanes", "evidence": "counting", "parameters.bonus_value": 7}
 POSITIONS = {"graph": "position_in_changing_lanes", "evidence": "line_geometry"}
 
 
 def simulated(
-    folder: Path, seed: int, file: Path | None, is_mirrored: bool, *more: str
+    folder: Path, seed: int, file: Path | None, is_mirrored: bool, **changes: float
 ) -> Experiment:
-    given = ["interchange", "--seed", str(seed), "--out", str(folder), *more]
-    given += ["--map", str(file)] if file else []
-    with redirect_stdout(io.StringIO()):
-        simulate.main([*given, *(["--mirror"] if is_mirrored else [])], standalone_mode=False)
+    simulate("interchange", seed=seed, out=folder, map=file, mirror=is_mirrored, overrides=changes)
     return load_experiment(folder / "experiment.yaml")
 
 

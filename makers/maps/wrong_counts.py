@@ -36,7 +36,7 @@ def measure() -> Iterator[str]:
     for seed in range(N_DRIVES):
         with tempfile.TemporaryDirectory() as name:
             folder = Path(name)
-            experiment = simulated(folder, seed, None, False, "--set", "wrong_per_km=0.2")
+            experiment = simulated(folder, seed, None, False, wrong_per_km=0.2)
             _, real, on_map = np.loadtxt(
                 folder / "lanes_truth.csv", delimiter=",", skiprows=1, dtype=np.int64
             ).T
