@@ -32,13 +32,13 @@ from egolane_pgm.running import (
     run_experiment,
     run_in_parts,
 )
-from egolane_pgm.tools.jobs import Jobs
 from egolane_pgm.tools.progress import bar
 from egolane_pgm.types import NOTE, InputError
 from egolane_pgm.verbs.given import (
     Detector,
     Fleet,
     FrameId,
+    Jobs,
     Lines,
     Option,
     Progress,

@@ -21,7 +21,7 @@ from egolane_pgm.paper import Runs, parse_runs
 from egolane_pgm.report.study_figures import draw_study
 from egolane_pgm.report.tables import line_width
 from egolane_pgm.tools.files import temporary_folder
-from egolane_pgm.tools.jobs import Jobs, cores
+from egolane_pgm.tools.jobs import cores
 from egolane_pgm.tools.progress import bar
 from egolane_pgm.tuning import pictures as on_pictures
 from egolane_pgm.tuning import plan as planning
@@ -33,6 +33,7 @@ from egolane_pgm.verbs.given import (
     Blocks,
     ByTag,
     Fleet,
+    Jobs,
     Option,
     Progress,
     Seed,
@@ -79,7 +80,7 @@ def tune(
     figures: bool = True,
     workers: Annotated[int | None, Ge(1)] = None,
     jobs: Annotated[
-        Jobs | None, Ge(1), Option(said="the cores", help="Processes that share the studies.")
+        Jobs | None, Option(said="the cores", help="Processes that share the studies.")
     ] = None,
     storage: Annotated[str | None, Option("URL", envvar="EGOLANE_STORAGE")] = None,
     overrides: Overrides = (),
