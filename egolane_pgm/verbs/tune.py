@@ -152,7 +152,7 @@ def tune(
                 "fleet: its drives are tuned together, and held out whole; leave out runs, together"
                 " and whole_recordings"
             )
-        plans = [_on_fleet(p, fleet, by_tag, overrides) for p in _of_recordings(plans, "fleet")]
+        plans = [on_fleet(p, fleet, by_tag, overrides) for p in _of_recordings(plans, "fleet")]
     elif by_tag is not None:
         raise InputError("by_tag: goes with a fleet")
     if together:
@@ -243,7 +243,7 @@ def _of_recordings(plans: Sequence[AnyPlan], option: str) -> list[planning.Plan]
     return [plan for plan in plans if isinstance(plan, planning.Plan)]
 
 
-def _on_fleet(
+def on_fleet(
     plan: planning.Plan, fleet: str | os.PathLike[str], by_tag: str | None, overrides: Overrides
 ) -> planning.Plan:
     """The plan for one parameter set for all drives of a fleet; for a fleet of one drive that of

@@ -4,20 +4,22 @@ no map and no recordings of the paper are run."""
 from __future__ import annotations
 
 import shlex
+from importlib import import_module
 from pathlib import Path
 
 import click
 import pytest
-from egolane_pgm.cli.examples import EXAMPLES
 
 from egolane_pgm.command import COMMANDS, egolane
 from tests.kits.drives import done
+
+#: The examples of each command.
+EXAMPLES = {name: import_module(f"egolane_pgm.verbs.{name}").EXAMPLES for name in COMMANDS}
 
 #: In an order in which each finds what it needs, on a shorter drive.
 RUN = {
     "egolane simulate a4 --out drive --frames 600": [],
     "egolane ls": [],
-    "egolane schema": [],
     "egolane validate drive/experiment.yaml experiments/zero_label.yaml": [],
     "egolane lines drive/lines.csv --frame 7": [],
     "egolane convert drive/lines.csv lines.parquet": [],
@@ -41,7 +43,6 @@ RUN = {
 
 
 def test_every_command_has_an_example_that_its_help_shows() -> None:
-    assert set(EXAMPLES) == set(COMMANDS)
     for name, examples in EXAMPLES.items():
         shown = done(name, "--help").stdout
         for example in examples:
