@@ -238,6 +238,9 @@ def test_a_file_that_an_override_names_is_found_from_where_one_stands(
     assert "ok" in done("validate", experiment, "--set", "graph=no_wor").stdout
     monkeypatch.chdir(tmp_path)
     assert "graph: no file" in refused("validate", experiment, *words)
+    monkeypatch.chdir(tmp_path / "here")
+    said = refused("validate", experiment, "--set", "graph=nope.py")
+    assert said.endswith(f"graph: no file {tmp_path / 'nope.py'}, nor {tmp_path / 'here/nope.py'}")
 
 
 @pytest.mark.parametrize(
