@@ -581,7 +581,8 @@ def load_yaml(path: Path, overrides: Overrides = ()) -> dict[str, Any]:
     """Read the keys of a YAML file and of the file that it includes, then override some.
 
     `include: other.yaml`, a file beside the YAML, gives the keys that the YAML itself does not
-    have. Sections are merged key by key, and `{}` is an empty one. Paths in the other file are taken as if they stood here.
+    have. Sections are merged key by key, and `{}` is an empty one. Paths in the other file are
+    taken as if they stood here.
     Raises InputError as `load_experiment` does.
     """
     return overridden(_with_included(path, ()), overrides)
