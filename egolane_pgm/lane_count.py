@@ -23,10 +23,10 @@ from egolane_pgm.inference.smoothing import pass_forward
 from egolane_pgm.model import Model, make_evidence, prepare_model
 from egolane_pgm.types import MAX_LANES, Evidence, FloatArray, InputError, LineLog
 
-#: A warning says that there are more lanes if motion has at least these log odds (natural) for one
-#: more, and the lines have less than FEWER against it. On the paper's ten recordings motion has 40
-#: or more if one too few was told, and up to 3 if the right number was.
-MORE = 15.0
+#: A warning says that there are more lanes if motion has at least the first log odds (natural) for
+#: one more, and the lines have less than the second against it. On the paper's ten recordings
+#: motion has 40 or more if one too few was told, and up to 3 if the right number was.
+MORE, AGAINST = 15.0, 30.0
 
 #: A warning says that there are fewer lanes if motion has less than the first log odds against one
 #: less, and the lines have at least the second ones for it. On the ten recordings motion has up to
@@ -34,7 +34,7 @@ MORE = 15.0
 #: was. On simulated roads with a lane that the car is never in, the lines have up to 11.
 ALIKE, FEWER = 7.0, 20.0
 
-#: ALIKE and FEWER are those of a drive of so many frames or less, and in proportion for more.
+#: AGAINST, ALIKE and FEWER hold for drives of up to this many frames, and in proportion for more.
 FRAMES = 10_000
 
 _JOINT = ("RoadPosition", "SensorState")
@@ -53,14 +53,15 @@ def doubt_of_lanes(
     told, longer = model.n_lanes, max(len(log) / FRAMES, 1.0)
     motion = motion_by_lanes(model, evidence)
     more = motion.get(told + 1, -np.inf) - motion.get(told, 0.0)
-    if more >= MORE and -odds_of(told + 1, experiment, model, log, evidence) < FEWER * longer:
+    of_lines = (experiment, model, log, evidence)
+    if more >= MORE and odds_of(told + 1, *of_lines) > -AGAINST * longer:
         return (
             f"{log.source}: the car moves across {told + 1} lanes or more, n_lanes is {told} (log"
             f" odds {more:.0f}); is it too small?"
         )
     if motion.get(told - 1, -np.inf) <= motion.get(told, 0.0) - ALIKE * longer:
         return None
-    fewer = odds_of(told - 1, experiment, model, log, evidence)
+    fewer = odds_of(told - 1, *of_lines)
     if fewer < FEWER * longer:
         return None
     return (
