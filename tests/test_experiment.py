@@ -335,8 +335,9 @@ def test_overrides_are_a_dict_as_well(tmp_path: Path) -> None:
 def test_none_takes_a_key_or_a_section_away(tmp_path: Path) -> None:
     path = write(tmp_path / "e.yaml", **MINIMAL, parameters={"sigma1": 0.2, "p1": 0.9})
     assert load_experiment(path, {"parameters.p1": None}).parameters == {"sigma1": 0.2}
-    other = load_experiment(path, {"graph": "lane_only", "parameters": None})
-    assert other.parameters == {}
+    for empty in (None, {}):
+        other = load_experiment(path, {"graph": "lane_only", "parameters": empty})
+        assert other.parameters == {}
     with pytest.raises(InputError, match="unknown key 'filtr'"):
         load_experiment(path, {"filtr": None})
 

@@ -166,7 +166,15 @@ def format_of(path: str | Path) -> str:
             f"{path}: a folder without lines ({', '.join(f'*{e}' for e in _FOLDERS)}); pictures"
             " need a detector (recording.detector, or detector)"
         )
-    known = "; ".join(f"{name}: {', '.join(ext)}" for name, (ext, _, _) in FORMATS.items() if ext)
     raise InputError(
-        f"{path}: unknown extension '{path.suffix}' of a recording ({known}); name its format"
+        f"{path}: unknown extension '{path.suffix}' of a recording ({known_formats()}); name its"
+        " format"
+    )
+
+
+def known_formats() -> str:
+    """The formats with their extensions, for messages."""
+    return "; ".join(
+        f"{name}: {', '.join(extensions)}" if extensions else name
+        for name, (extensions, _, _) in FORMATS.items()
     )

@@ -170,9 +170,18 @@ def _renamed(path: Path, names: list[str], columns: Mapping[str, str]) -> list[s
     return found
 
 
-def _check_columns(path: Path, names: list[str]) -> list[str]:
+def _called(given: str, name: str) -> str:
+    """What the table calls a column, and our name for it where that is another one."""
+    return given if given == name else f"{given} ({name})"
+
+
+def _check_columns(path: Path, names: list[str], given: list[str]) -> list[str]:
     """The columns to read. Raises InputError for a missing one, and warns once of all that are
-    ignored."""
+    ignored.
+
+    - names, given: of each column our name and the table's.
+    """
+    called = list(map(_called, given, names))
     known: set[str] = set(COLUMNS)
     needed: tuple[str, ...] = NEEDED
     numbers = [name.removeprefix("offset_m_") for name in names if name.startswith("offset_m_")]
@@ -183,19 +192,19 @@ def _check_columns(path: Path, names: list[str]) -> list[str]:
     lacking = [name for name in needed if name not in names]
     if lacking:
         raise InputError(
-            f"{path}: no column {', '.join(lacking)}; the table has {', '.join(names) or 'none'};"
+            f"{path}: no column {', '.join(lacking)}; the table has {', '.join(called) or 'none'};"
             " it needs a row per line (frame_id, line, offset_m) or per frame (frame_id, offset_1,"
             " offset_2, ...); `columns: {offset_m: NAME}` says what yours are called"
         )
-    twice = sorted({name for name in names if names.count(name) > 1})
+    twice = [each for each, name in zip(called, names, strict=True) if names.count(name) > 1]
     if twice:
-        raise InputError(f"{path}: column {', '.join(twice)} occurs more than once")
+        raise InputError(f"{path}: column {', '.join(dict.fromkeys(twice))} occurs more than once")
     unused = known - {*names, *NEEDED}
     said = []
-    for name in names:
+    for each, name in zip(called, names, strict=True):
         if name not in known:
             hint = suggestion(name, unused)
-            said.append(name + (hint if "did you mean" in hint else ""))
+            said.append(each + (hint if "did you mean" in hint else ""))
     if said:
         warnings.warn(f"{path}: ignored column(s) {', '.join(said)}", UserWarning, stacklevel=3)
     return [name for name in names if name in known]
@@ -204,13 +213,13 @@ def _check_columns(path: Path, names: list[str]) -> list[str]:
 def _read_csv(path: Path, columns: Mapping[str, str]) -> _Cells:
     try:
         with path.open(encoding="utf-8-sig", newline="") as file:
-            names = [name.strip() for name in next(csv_rows(file), [])]
+            given = [name.strip() for name in next(csv_rows(file), [])]
     except (OSError, UnicodeDecodeError) as error:
         raise InputError(f"{path}: cannot be read as CSV ({error})") from None
-    if not names:
+    if not given:
         raise InputError(f"{path}: the file is empty")
-    names = _renamed(path, names, columns)
-    keep = _check_columns(path, names)
+    names = _renamed(path, given, columns)
+    keep = _check_columns(path, names, given)
     try:
         table = csv.read_csv(
             path,
@@ -233,8 +242,8 @@ def _read_csv(path: Path, columns: Mapping[str, str]) -> _Cells:
         if cell is None:
             raise InputError(f"{path}: cannot be read as CSV ({text[:160]})") from None
         name = names[int(cell[1])]
-        place = _place(path, int(cell[2]) - 2)
-        raise InputError(f"{place}: {name} is {cell[3][:40]!r}, not {_needs(name)}") from None
+        place, called = _place(path, int(cell[2]) - 2), _called(given[int(cell[1])], name)
+        raise InputError(f"{place}: {called} is {cell[3][:40]!r}, not {_needs(name)}") from None
     return {name: _numbers(table[name]) for name in keep}
 
 
@@ -242,12 +251,12 @@ def _read_parquet(path: Path, columns: Mapping[str, str]) -> _Cells:
     with open_parquet(path) as file:
         given = list(file.schema_arrow.names)
         names = _renamed(path, given, columns)
-        there = {name: given[names.index(name)] for name in _check_columns(path, names)}
+        there = {name: given[names.index(name)] for name in _check_columns(path, names, given)}
         # One after the other: a long drive's would take twice the memory together.
-        return {name: _typed(path, name, file.read([c])[c]) for name, c in there.items()}
+        return {name: _typed(path, name, c, file.read([c])[c]) for name, c in there.items()}
 
 
-def _typed(path: Path, name: str, column: Any) -> FloatArray:
+def _typed(path: Path, name: str, called: str, column: Any) -> FloatArray:
     """The cells of a column of a Parquet file, which may hold text or other numbers."""
     given = column.type
     try:
@@ -265,7 +274,7 @@ def _typed(path: Path, name: str, column: Any) -> FloatArray:
     except pa.ArrowException as error:
         text = " ".join(str(error).split())[:120]
         raise InputError(
-            f"{path}: column {name} has type {given}, which is not {_needs(name)}"
+            f"{path}: column {_called(called, name)} has type {given}, which is not {_needs(name)}"
             + (f" ({text})" if text else "")
         ) from None
     return values

@@ -243,6 +243,14 @@ def test_a_bad_row_is_refused_with_its_line_in_the_file(
         ("\udcff\udcfe", "cannot be read as CSV"),
         ("frame_id,line,offset_m,line\n", "column line occurs more than once"),
         (
+            "frame_id,offset_3,offset_m_3\n",
+            "column offset_3 (offset_m_3), offset_m_3 occurs more than once",
+        ),
+        (
+            "frame_id,line,offset_3\n1,1,2.0\n",
+            "no column offset_m; the table has frame_id, line, offset_3 (offset_m_3); it needs",
+        ),
+        (
             "frame_id,offset\n1,2.0\n",
             "no column line, offset_m; the table has frame_id, offset; it needs a row per line"
             " (frame_id, line, offset_m) or per frame (frame_id, offset_1, offset_2, ...);"
@@ -263,6 +271,10 @@ def test_a_csv_that_does_not_fit_is_refused(tmp_path: Path, text: str, said: str
     ("columns", "said"),
     [
         ({"line": None}, "no column line"),
+        (
+            {"line": None, "offset_m": None, "offset_3": ["far", "1"]},
+            "column offset_3 (offset_m_3) has type string, which is not a number (",
+        ),
         ({"frame_id": [], "line": [], "offset_m": []}, "the table has no rows"),
         ({"offset_m": ["1.0", "far"]}, "column offset_m has type string, which is not a number ("),
         ({"offset_m": [True, False]}, "column offset_m has type bool, which is not a number"),
@@ -329,7 +341,7 @@ def test_a_row_per_frame_is_the_same_as_a_row_per_line(tmp_path: Path) -> None:
     ("rows", "said"),
     [
         ("7,,,,,true", "line 2: frame 7 has a valid line without a finite offset"),
-        ("7,x,,,,true", "line 2: offset_m_1 is 'x', not a number"),
+        ("7,1,2,x,,true", "line 2: offset_3 (offset_m_3) is 'x', not a number"),
         ("7,1,,,,true\n7,1,,,,true", "line 3: frame 7 has this line twice"),
         ("7,1,,,,true\n6,1,,,,true", "line 3: frame 6 comes after a later one"),
         ("7,1,2,3,,", "line 2: frame 7 has a line with empty is_valid"),
