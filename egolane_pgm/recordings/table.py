@@ -1,5 +1,5 @@
-"""Recordings of lines as tables, CSV or Parquet, in one of two forms. `COLUMNS` says what the
-columns mean.
+"""Recordings of lines as tables, CSV, Parquet or a DataFrame of pandas, in one of two forms.
+`COLUMNS` says what the columns mean.
 
 - One row per line, which is also how they are written: frame_id, line, offset_m and others. A frame
   without lines is one row with an empty line and offset.
@@ -14,9 +14,10 @@ import re
 import warnings
 from collections.abc import Mapping
 from csv import reader as csv_rows
+from dataclasses import replace
 from itertools import islice
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import pyarrow as pa
@@ -27,12 +28,16 @@ from pyarrow import csv
 from egolane_pgm.tools.files import arrow_table, atomic, open_parquet, write_parquet
 from egolane_pgm.types import BoolArray, FloatArray, InputError, IntArray, LineLog, suggestion
 
-NEEDED = ("frame_id", "line", "offset_m")
+if TYPE_CHECKING:
+    import pandas as pd
+
+NEEDED = ("frame_id", "offset_m")
 
 #: What each column means.
 COLUMNS = {
     "frame_id": "number of the frame; increases, the rows of a frame stand together",
-    "line": "1, 2, ... within the frame, in the detector's order",
+    "time_s": "when the frame was seen, seconds; left out, frame id over frame rate",
+    "line": "1, 2, ... within the frame, in the detector's order; left out, the order of the rows",
     "offset_m": "where the line passes the car, metres, negative to the left",
     "is_valid": "whether the detector trusts the line; left out, it does",
     "is_continuous": "whether the line is not dashed; left out, none is",
@@ -41,9 +46,9 @@ COLUMNS = {
 }
 
 #: What a cell of each column must be.
-CELLS = dict.fromkeys(("frame_id", "line", "offset_m", "lri"), "a number") | dict.fromkeys(
-    ("is_valid", "is_continuous", "is_missing"), "true, false, 1 or 0"
-)
+CELLS = dict.fromkeys(
+    ("frame_id", "time_s", "line", "offset_m", "lri", "lane"), "a number"
+) | dict.fromkeys(("is_valid", "is_continuous", "is_missing", "is_crossing"), "true, false, 1 or 0")
 
 #: A line of a greater number is a mistake, and the padded arrays would fill the memory.
 MAX_LINES = 1000
@@ -61,6 +66,9 @@ _WORDS = {
 _OF_LINE = re.compile(r"(offset|is_valid|valid|is_continuous|continuous|lri|offset_m)_([1-9]\d?)")
 _MEANT = {"offset": "offset_m", "valid": "is_valid", "continuous": "is_continuous"}
 
+#: Columns that are the same in all rows of a frame.
+_OF_FRAME = ("frame_id", "time_s", "is_missing")
+
 #: The columns of a table as arrays of numbers (N,); an empty cell is NaN.
 _Cells = dict[str, FloatArray]
 
@@ -73,7 +81,7 @@ def read_table(
     Without a column is_valid every line is valid, without is_continuous none is continuous, without
     lri the LRI is unknown (NaN). Other columns are ignored with one warning.
 
-    - frame_rate: frames per second; time is frame id over frame rate.
+    - frame_rate: frames per second; without a column time_s, time is frame id over frame rate.
     - columns: for a column of ours the name that it has in the table, `{"offset_m": "lateral"}`.
 
     Raises InputError for a file that is missing or no such table, a missing column (the ones that
@@ -86,13 +94,54 @@ def read_table(
     read = {".csv": _read_csv, ".parquet": _read_parquet}.get(path.suffix.lower())
     if read is None:
         raise InputError(f"{path}: unknown extension '{path.suffix}' of a table (.csv, .parquet)")
-    cells = read(path, columns or {})
+    return _log_of(path, read(path, columns or {}), frame_rate)
+
+
+def read_frame(
+    frame: pd.DataFrame,
+    *,
+    frame_rate: float = 10.0,
+    columns: Mapping[str, str] | None = None,
+    source: str = "in memory",
+) -> LineLog:
+    """Read the lines of a DataFrame as `read_table` does those of a file. frame_id, or frame_id and
+    line, may be its index.
+
+    - source: how messages call it.
+    """
+    path = Path(source)
+    frame = with_index(frame)
+    names = _renamed(path, list(frame.columns), columns or {})
+    keep = _check_columns(path, names)
+    cells = {name: typed(path, name, frame.iloc[:, names.index(name)]) for name in keep}
+    return _log_of(path, cells, frame_rate)
+
+
+def with_index(frame: pd.DataFrame) -> pd.DataFrame:
+    """A DataFrame with its index among its columns, whose names are text."""
+    frame = frame.rename(columns=str)
+    names = [name for name in frame.index.names if name is not None and name not in frame]
+    return frame.reset_index(names)
+
+
+def rate_of(frame_id: IntArray, time_s: FloatArray) -> float | None:
+    """Frames per second, to four digits, by the frame ids and times (T,) of a recording; None for a
+    single frame, and where time stands still."""
+    if len(frame_id) < 2:
+        return None
+    step = float(np.median(np.diff(time_s) / np.diff(frame_id)))
+    return float(f"{1 / step:.4g}") if step > 0 else None
+
+
+def _log_of(path: Path, cells: _Cells, frame_rate: float) -> LineLog:
     row = np.arange(len(cells["frame_id"]))
     if not len(row):
         raise InputError(f"{path}: the table has no rows")
-    _check_whole(path, cells, "frame_id", row)
-    if "line" not in cells:
+    check_whole(path, cells, "frame_id", row)
+    if "offset_m" not in cells:
         cells, row = _per_line(cells)
+    elif "line" not in cells:
+        cells = {**cells, "line": _numbered(cells)}
     return _assemble(path, cells, row, frame_rate)
 
 
@@ -176,14 +225,16 @@ def _check_columns(path: Path, names: list[str]) -> list[str]:
     known: set[str] = set(COLUMNS)
     needed: tuple[str, ...] = NEEDED
     numbers = [name.removeprefix("offset_m_") for name in names if name.startswith("offset_m_")]
-    if "line" not in names and numbers:
+    if "offset_m" not in names and numbers:
         kinds = ("offset_m", "is_valid", "is_continuous", "lri")
-        known = {"frame_id", "is_missing", *(f"{kind}_{k}" for kind in kinds for k in numbers)}
+        known = {*_OF_FRAME, *(f"{kind}_{k}" for kind in kinds for k in numbers)}
         needed = NEEDED[:1]
     lacking = [name for name in needed if name not in names]
     if lacking:
+        hint = suggestion(lacking[0], set(names) - known)
         raise InputError(
-            f"{path}: no column {', '.join(lacking)}; the table has {', '.join(names) or 'none'};"
+            f"{path}: no column {', '.join(lacking)}{hint if 'did you mean' in hint else ''}; the"
+            f" table has {', '.join(names) or 'none'};"
             " it needs a row per line (frame_id, line, offset_m) or per frame (frame_id, offset_1,"
             " offset_2, ...); `columns: {offset_m: NAME}` says what yours are called"
         )
@@ -244,15 +295,18 @@ def _read_parquet(path: Path, columns: Mapping[str, str]) -> _Cells:
         names = _renamed(path, given, columns)
         there = {name: given[names.index(name)] for name in _check_columns(path, names)}
         # One after the other: a long drive's would take twice the memory together.
-        return {name: _typed(path, name, file.read([c])[c]) for name, c in there.items()}
+        return {name: typed(path, name, file.read([c])[c]) for name, c in there.items()}
 
 
-def _typed(path: Path, name: str, column: Any) -> FloatArray:
-    """The cells of a column of a Parquet file, which may hold text or other numbers."""
-    given = column.type
+def typed(path: Path, name: str, column: Any) -> FloatArray:
+    """The cells of a column of a Parquet file or a DataFrame, which may hold text or other
+    numbers. Raises InputError for what does not fit the column."""
+    is_arrow = isinstance(column, pa.ChunkedArray)
+    given = column.type if is_arrow else column.dtype
     try:
-        if pa.types.is_dictionary(given):
-            column = column.cast(given.value_type)
+        column = column if is_arrow else pa.array(column, from_pandas=True)
+        if pa.types.is_dictionary(column.type):
+            column = column.cast(column.type.value_type)
         if pa.types.is_string(column.type) or pa.types.is_large_string(column.type):
             column = pc.utf8_trim_whitespace(column)
             column = column.cast(pa.bool_() if _is_flag(name) else pa.float64())
@@ -297,7 +351,7 @@ def _place(path: Path, row: int) -> str:
         return f"{path}: line {next(islice(filled, row + 1, None), row + 2)}"
 
 
-def _check_whole(path: Path, cells: _Cells, name: str, row: IntArray) -> None:
+def check_whole(path: Path, cells: _Cells, name: str, row: IntArray) -> None:
     """Raise InputError for a cell that is neither empty nor a whole number."""
     number = cells[name]
     # pandas writes whole numbers beside empty cells as 12.0.
@@ -317,11 +371,11 @@ def _assemble(path: Path, cells: _Cells, row: IntArray, frame_rate: float) -> Li
             place = _place(path, int(row[k]))
             raise InputError(f"{place}: " + why.format(int(cells["frame_id"][k])))
 
-    for name in ("frame_id", "is_missing"):
+    for name in _OF_FRAME:
         if name in cells and np.isnan(cells[name]).any():
             k = int(np.argmax(np.isnan(cells[name])))
             raise InputError(f"{_place(path, int(row[k]))}: {name} is empty")
-    _check_whole(path, cells, "line", row)
+    check_whole(path, cells, "line", row)
     frame, offset = cells["frame_id"].astype(np.int64), cells["offset_m"]
     has_line = ~np.isnan(cells["line"])
     line = np.where(has_line, cells["line"], 0).astype(np.int64) - 1
@@ -351,7 +405,7 @@ def _assemble(path: Path, cells: _Cells, row: IntArray, frame_rate: float) -> Li
         "frame {} has a valid line without a finite offset; drop it or mark it not valid",
     )
     zeros = np.zeros(len(frame))
-    return LineLog.from_rows(
+    log = LineLog.from_rows(
         frame[starts],
         frame_rate,
         at[has_line],
@@ -363,6 +417,18 @@ def _assemble(path: Path, cells: _Cells, row: IntArray, frame_rate: float) -> Li
         is_missing=cells.get("is_missing", zeros)[starts] == 1,
         source=str(path),
     )
+    return replace(log, time_s=cells["time_s"][starts]) if "time_s" in cells else log
+
+
+def _numbered(cells: _Cells) -> FloatArray:
+    """The numbers of the lines of each frame, in the order of the rows; NaN for a row that stands
+    for a frame without lines."""
+    frame = cells["frame_id"]
+    first = np.flatnonzero(np.diff(frame, prepend=np.nan) != 0)
+    of_frame = np.diff(first, append=len(frame))
+    number = (np.arange(len(frame)) - np.repeat(first, of_frame) + 1).astype(np.float64)
+    number[np.isnan(cells["offset_m"]) & (np.repeat(of_frame, of_frame) == 1)] = np.nan
+    return number
 
 
 def _per_line(cells: _Cells) -> tuple[_Cells, IntArray]:
@@ -379,7 +445,7 @@ def _per_line(cells: _Cells) -> tuple[_Cells, IntArray]:
     there = ~np.isnan(side_by_side("offset_m")) | (side_by_side("is_valid") == 1)
     there[:, -1] = ~there.any(axis=1)
     row, slot = np.nonzero(there)
-    found: _Cells = {name: cells[name][row] for name in ("frame_id", "is_missing") if name in cells}
+    found: _Cells = {name: cells[name][row] for name in _OF_FRAME if name in cells}
     found["line"] = np.array([*map(float, numbers), np.nan])[slot]
     for kind, blank in {
         "offset_m": np.nan,

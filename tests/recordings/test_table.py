@@ -244,9 +244,9 @@ def test_a_bad_row_is_refused_with_its_line_in_the_file(
         ("frame_id,line,offset_m,line\n", "column line occurs more than once"),
         (
             "frame_id,offset\n1,2.0\n",
-            "no column line, offset_m; the table has frame_id, offset; it needs a row per line"
-            " (frame_id, line, offset_m) or per frame (frame_id, offset_1, offset_2, ...);"
-            " `columns: {offset_m: NAME}` says what yours are called",
+            "no column offset_m (did you mean 'offset'?); the table has frame_id, offset; it needs"
+            " a row per line (frame_id, line, offset_m) or per frame (frame_id, offset_1, offset_2,"
+            " ...); `columns: {offset_m: NAME}` says what yours are called",
         ),
         (
             "frame_id,line,offset_m\n3,1,-1.5\n3,2,\n",
@@ -262,7 +262,7 @@ def test_a_csv_that_does_not_fit_is_refused(tmp_path: Path, text: str, said: str
 @pytest.mark.parametrize(
     ("columns", "said"),
     [
-        ({"line": None}, "no column line"),
+        ({"offset_m": None}, "no column offset_m"),
         ({"frame_id": [], "line": [], "offset_m": []}, "the table has no rows"),
         ({"offset_m": ["1.0", "far"]}, "column offset_m has type string, which is not a number ("),
         ({"offset_m": [True, False]}, "column offset_m has type bool, which is not a number"),
