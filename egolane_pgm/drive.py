@@ -40,6 +40,7 @@ from egolane_pgm.parameters import Value
 from egolane_pgm.recordings import check_one_drive
 from egolane_pgm.recordings.catalog import find_file
 from egolane_pgm.recordings.ground_truth import read_ground_truth
+from egolane_pgm.recordings.memory import IN_MEMORY
 from egolane_pgm.recordings.select import (
     clip_lri,
     fill_missing,
@@ -47,7 +48,8 @@ from egolane_pgm.recordings.select import (
     recording_warnings,
     select_frames,
 )
-from egolane_pgm.recordings.source import LinesFile, Source, find_named
+from egolane_pgm.recordings.source import LinesFile, Read, Source, find_named
+from egolane_pgm.recordings.table import rate_of
 from egolane_pgm.simulation.drives import OverMap, Simulated
 from egolane_pgm.tools.files import file_sha256
 from egolane_pgm.types import (
@@ -122,12 +124,14 @@ def load_recording(
     parameters: Mapping[str, Any] | None = None,
     *,
     clips: bool = False,
+    read: Read | None = None,
 ) -> Recorded:
     """Read and select the frames of an experiment, and join its ground truth.
 
     parameters: the model's, where they are resolved already (an evidence rule may declare its own
         `max_lri`); default the experiment's.
     clips: whether the recording may be of several clips.
+    read: what is in memory takes the place of what the experiment's source would read.
 
     Raises InputError for files that cannot be used. Oddities that do not prevent that are in
     `notes`.
@@ -135,7 +139,7 @@ def load_recording(
     recording, values = experiment.recording, parameters or experiment.parameters
     with warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always")
-        found = source_of(experiment).read()
+        found = source_of(experiment).read() if read is None else read
         truth, files = found.truth, [*found.files]
         if experiment.ground_truth is not None:
             files.append(find_named(experiment, "ground_truth.path"))
@@ -185,12 +189,18 @@ def check_sources(experiment: Experiment) -> None:
                     find_named(experiment, key)
 
 
-def with_own_rate(experiment: Experiment) -> Experiment:
-    """The experiment with the frame rate of its recording, where that has one (a video) and the
-    YAML says none."""
+def with_own_rate(experiment: Experiment, read: Read | None = None) -> Experiment:
+    """The experiment with the frame rate of its recording, where that has one (a video, lines with
+    times) and the YAML says none.
+
+    read: the recording, where it is in memory.
+    """
     if "frame_rate" in experiment.recording.model_fields_set:
         return experiment
-    rate = source_of(experiment).frame_rate()
+    if read is None:
+        rate = source_of(experiment).frame_rate()
+    else:
+        rate = rate_of(read.log.frame_id, read.log.time_s)
     if rate is None:
         return experiment
     content = experiment.model_dump()
@@ -281,8 +291,8 @@ def with_recording(
       file with the same extension.
 
     recording, ground_truth, n_lanes, frame_id, camera, detector: what replaces the experiment's,
-        None for what stays. ground_truth may be "none"; camera and detector are for a video or
-        pictures.
+        None for what stays. recording may be `IN_MEMORY`, ground_truth "none"; camera and detector
+        are for a video or pictures.
     overrides: keys that were overridden in the experiment: they are meant for the new recording, so
         that of these even the frame range is kept.
 
@@ -301,7 +311,7 @@ def with_recording(
         )
     if recording is not None:
         kept = _KEPT | source_of(experiment).kept_for(recording, detector)
-        path = str(Path(recording).absolute())
+        path = recording if recording == IN_MEMORY else str(Path(recording).absolute())
         content["recording"] = {**{k: v for k, v in section.items() if k in kept}, "path": path}
         content |= dict.fromkeys(("ground_truth", "road", "gnss", "tuning"))
         content["name"] = name_of(recording)
@@ -432,12 +442,14 @@ def open_drive(
     experiment: Experiment,
     *,
     recorded: Recorded | None = None,
+    read: Read | None = None,
     clips: bool = False,
     check: Callable[[Experiment], None] = lambda experiment: None,
 ) -> Drive:
     """Compile an experiment's model and read its recording.
 
-    recorded: the recording, where it was read already.
+    recorded: the recording, where it was read and joined already.
+    read: lines and lanes in memory, see `load_recording` and `recordings.memory.in_memory`.
     clips: whether the recording may be of several clips.
     check: raises InputError for what is not done with the experiment.
 
@@ -451,13 +463,13 @@ def open_drive(
         with part():
             experiment = with_map(experiment)
             model = prepare_model(experiment)
-        if model is None and recorded is None:
+        if model is None and recorded is None and read is None:
             with part():
                 check_sources(experiment)
     assert model is not None
-    experiment = with_own_rate(experiment)
+    experiment = with_own_rate(experiment, read)
     if recorded is None:
-        recorded = load_recording(experiment, model.parameters, clips=clips)
+        recorded = load_recording(experiment, model.parameters, clips=clips, read=read)
     elif experiment.follows_map:
         # Another graph may be told the same road in other words.
         road = road_along(experiment, road_of(experiment), model.parameters, recorded.log)
@@ -471,19 +483,22 @@ def load_drive(
     *,
     needs_truth: str | None,
     recorded: Recorded | None = None,
+    read: Read | None = None,
     never_fit: Sequence[tuple[int, int | None]] = (),
 ) -> Drive:
     """`open_drive` of a drive that is fitted to or scored.
 
     needs_truth: what the ground truth is needed for, as the end of a message; None where a
         recording without it will do.
+    recorded, read: as in `open_drive`.
     never_fit: ranges in addition to those of the experiment's own `tuning.never_fit`.
 
     Raises InputError as `open_drive` does, for an experiment with positions or that decodes a path,
     and, where ground truth is needed, for a recording without it or without a frame to score.
     """
-    named = experiment.ground_truth is not None or experiment.recording.simulate is not None
-    has_truth = named if recorded is None else recorded.truth is not None
+    has_truth = experiment.ground_truth is not None or experiment.recording.simulate is not None
+    if recorded is not None or read is not None:
+        has_truth = any(given is not None and given.truth is not None for given in (recorded, read))
 
     def check(experiment: Experiment) -> None:
         source, problems = experiment.source, []
@@ -502,7 +517,7 @@ def load_drive(
         if problems:
             raise InputError(*problems)
 
-    drive = open_drive(experiment, recorded=recorded, check=check)
+    drive = open_drive(experiment, recorded=recorded, read=read, check=check)
     truth = drive.recorded.truth
     if needs_truth is not None and truth is not None and truth.is_crossing.all():
         raise InputError(f"{truth.source}: every frame is a crossing, nothing to score")

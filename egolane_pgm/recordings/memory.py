@@ -47,7 +47,8 @@ def lines_of(
 
     - given: a row per line (frame_id, offset_m, and line, is_valid, is_continuous, lri where they
       are known) or per frame (frame_id, offset_1, offset_2, ...); with a column time_s, seconds,
-      where frames have times. frame_id, or frame_id and line, may be its index.
+      where frames have times. frame_id, or frame_id and line, may be its index. A frame without
+      lines is a row with an empty offset: one without a row counts as not recorded.
     - frame_rate: frames per second; without time_s, time is frame id over frame rate.
     - columns: for a column of ours the name that it has in the DataFrame.
 

@@ -1,0 +1,85 @@
+"""Runs on lines and lanes that were never a file: what the files of them give."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+import pytest
+
+from egolane_pgm.drive import load_drive, with_recording
+from egolane_pgm.experiment import Experiment, load_experiment
+from egolane_pgm.recordings.memory import IN_MEMORY, in_memory
+from egolane_pgm.recordings.table import rows_of
+from egolane_pgm.results import read_result
+from egolane_pgm.running import run_experiment
+from egolane_pgm.types import InputError, LineLog
+from tests.kits.drives import short_drive, simulated, write_drive
+
+
+def lines(hertz: float) -> pd.DataFrame:
+    frame = rows_of(short_drive().log, says_missing=False).to_pandas()
+    return frame.assign(time_s=frame["frame_id"] / hertz)
+
+
+def lanes() -> pd.DataFrame:
+    truth = short_drive().truth
+    return pd.DataFrame(
+        {"frame_id": truth.frame_id, "lane": truth.lane, "crossing": truth.is_crossing}
+    )
+
+
+def on_memory(experiment: Experiment) -> Experiment:
+    return with_recording(experiment, IN_MEMORY, None, 3)
+
+
+@pytest.mark.parametrize("hertz", [10.0, 25.0])
+def test_a_run_on_a_frame_is_that_on_its_files(tmp_path: Path, hertz: float) -> None:
+    of_files = run_experiment(write_drive(tmp_path, recording__frame_rate=hertz))
+    experiment = on_memory(simulated())
+    run = run_experiment(experiment, read=in_memory(experiment, lines(hertz), lanes()))
+    assert run.run["frame_rate"] == hertz
+    np.testing.assert_array_equal(run.beliefs.lane, of_files.beliefs.lane)
+    assert run.scores["model"] == of_files.scores["model"]
+    assert (run.name, run.run["data"]) == ("in_memory", [])
+
+
+def test_the_rate_of_the_experiment_goes_before_that_of_the_times() -> None:
+    experiment = load_experiment(on_memory(simulated()), {"recording.frame_rate": 5})
+    read = in_memory(experiment, lines(25), None)
+    assert run_experiment(experiment, read=read).run["frame_rate"] == 5
+    without = in_memory(experiment, lines(25).drop(columns="time_s"), None)
+    np.testing.assert_array_equal(without.log.time_s, short_drive().log.frame_id / 5)
+
+
+def test_a_run_in_memory_is_saved_loaded_and_shown(tmp_path: Path) -> None:
+    experiment = on_memory(simulated())
+    run = run_experiment(experiment, read=in_memory(experiment, lines(25), lanes()))
+    back = read_result(run.save(tmp_path / "run", figures=False))
+    assert back.experiment.recording.path == IN_MEMORY
+    assert back.run["frame_rate"] == 25
+    assert back.lines is not None
+    np.testing.assert_array_equal(back.lines.offset_m, short_drive().log.offset_m)
+    assert back.report(tmp_path / "page.html").stat().st_size > 10_000
+    with pytest.raises(InputError, match="recording.path"):
+        run_experiment(tmp_path / "run" / "experiment.yaml")
+
+
+def test_clips_in_memory_are_each_a_drive() -> None:
+    log = short_drive().log
+    clip = np.where(np.arange(len(log)) < 70, "one", "two")
+    experiment = on_memory(simulated())
+    run = run_experiment(experiment, read=in_memory(experiment, replace(log, clip=clip), None))
+    later: LineLog = log.take(slice(70, None))
+    alone = run_experiment(experiment, read=in_memory(experiment, later, None))
+    np.testing.assert_array_equal(run.beliefs.lane[70:], alone.beliefs.lane)
+
+
+def test_lanes_in_memory_are_what_a_fit_needs() -> None:
+    experiment = on_memory(simulated())
+    drive = load_drive(experiment, needs_truth="it", read=in_memory(experiment, lines(10), lanes()))
+    assert len(drive) == len(short_drive().truth)
+    with pytest.raises(InputError, match="ground_truth: is missing, it"):
+        load_drive(experiment, needs_truth="it", read=in_memory(experiment, lines(10), None))
