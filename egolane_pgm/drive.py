@@ -297,7 +297,8 @@ def with_recording(
         that of these even the frame range is kept.
 
     Raises InputError for a folder of recordings, for one that has both pictures and lines where
-    nothing says which are meant, and for overrides that name a recording as well.
+    nothing says which are meant, for overrides that name a recording as well, and without n_lanes
+    in place of a simulated drive, whose lanes say nothing of another road.
     """
     content = experiment.model_dump()
     section = content["recording"]
@@ -310,6 +311,12 @@ def with_recording(
             " write it to files with `egolane simulate` and run on those"
         )
     if recording is not None:
+        is_said = n_lanes is not None or "n_lanes" in overridden({}, overrides)
+        if experiment.recording.simulate is not None and not is_said:
+            raise InputError(
+                f"{experiment.source}: n_lanes: {experiment.n_lanes or 'map'} is that of its"
+                f" simulated drive; say how many lanes the road of {recording} has (n_lanes)"
+            )
         kept = _KEPT | source_of(experiment).kept_for(recording, detector)
         path = recording if recording == IN_MEMORY else str(Path(recording).absolute())
         content["recording"] = {**{k: v for k, v in section.items() if k in kept}, "path": path}

@@ -63,7 +63,7 @@ def test_a_run_in_memory_is_saved_loaded_and_shown(tmp_path: Path) -> None:
     assert back.lines is not None
     np.testing.assert_array_equal(back.lines.offset_m, short_drive().log.offset_m)
     assert back.report(tmp_path / "page.html").stat().st_size > 10_000
-    with pytest.raises(InputError, match="recording.path"):
+    with pytest.raises(InputError, match=r"recording\.path"):
         run_experiment(tmp_path / "run" / "experiment.yaml")
 
 
