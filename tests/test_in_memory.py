@@ -1,16 +1,21 @@
-"""Runs on lines and lanes that were never a file: what the files of them give."""
+"""Runs on lines, lanes and graphs that were never a file: what the files of them give."""
 
 from __future__ import annotations
 
 from dataclasses import replace
 from pathlib import Path
+from types import ModuleType
 
 import numpy as np
 import pandas as pd
 import pytest
 
+from egolane_pgm.comparing.graphs import with_graph
 from egolane_pgm.drive import load_drive, with_recording
 from egolane_pgm.experiment import Experiment, load_experiment
+from egolane_pgm.graphs import no_wor
+from egolane_pgm.learning.graph_file import graph_named
+from egolane_pgm.model import prepare_model
 from egolane_pgm.recordings.memory import IN_MEMORY, in_memory
 from egolane_pgm.recordings.table import rows_of
 from egolane_pgm.results import read_result
@@ -83,3 +88,45 @@ def test_lanes_in_memory_are_what_a_fit_needs() -> None:
     assert len(drive) == len(short_drive().truth)
     with pytest.raises(InputError, match="ground_truth: is missing, it"):
         load_drive(experiment, needs_truth="it", read=in_memory(experiment, lines(10), None))
+
+
+def test_a_network_in_memory_is_run_saved_and_loaded_as_the_graph_that_it_is(
+    tmp_path: Path,
+) -> None:
+    own = simulated(parameters={"sigma1": 0.4, "bonus_value": 5})
+    network = prepare_model(own).network
+    experiment = with_graph(own, graph_named(network, own), own.parameters)
+    assert experiment.parameters == {"bonus_value": 5}
+    run = run_experiment(experiment)
+    np.testing.assert_array_equal(run.beliefs.lane, run_experiment(own).beliefs.lane)
+    back = read_result(run.save(tmp_path / "run", figures=False))
+    assert (tmp_path / "run" / back.experiment.graph).is_file()
+    assert back.model.compiled.hidden == run.model.compiled.hidden
+    again = run_experiment(tmp_path / "run" / "experiment.yaml")
+    np.testing.assert_array_equal(again.beliefs.lane, run.beliefs.lane)
+
+
+def test_a_graph_is_named_whatever_it_is(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    own = ModuleType("mine")
+    own.__file__ = str(tmp_path / "mine.py")
+    for given, name in (
+        ("no_wor", "no_wor"),
+        (no_wor, "no_wor"),
+        (own, f"{tmp_path}/mine.py"),
+        (Path("mine.py"), f"{tmp_path}/mine.py"),
+    ):
+        assert graph_named(given, simulated()) == name
+
+
+@pytest.mark.parametrize(
+    ("graph", "said"),
+    [
+        (3, "graph: int is no name, file or module, and no network of pgmpy"),
+        (ModuleType("mine"), "graph: the module mine has no file; write it to one"),
+    ],
+)
+def test_what_is_no_graph_is_refused(graph: object, said: str) -> None:
+    with pytest.raises(InputError) as info:
+        graph_named(graph, simulated())
+    assert str(info.value) == said
