@@ -40,16 +40,15 @@ from egolane_pgm.parameters import Value
 from egolane_pgm.recordings import check_one_drive
 from egolane_pgm.recordings.catalog import find_file
 from egolane_pgm.recordings.ground_truth import read_ground_truth
-from egolane_pgm.recordings.memory import IN_MEMORY
 from egolane_pgm.recordings.select import (
     clip_lri,
     fill_missing,
     join,
+    rate_of,
     recording_warnings,
     select_frames,
 )
-from egolane_pgm.recordings.source import LinesFile, Read, Source, find_named
-from egolane_pgm.recordings.table import rate_of
+from egolane_pgm.recordings.source import IN_MEMORY, LinesFile, Read, Source, find_named
 from egolane_pgm.simulation.drives import OverMap, Simulated
 from egolane_pgm.tools.files import file_sha256
 from egolane_pgm.types import (

@@ -16,7 +16,8 @@ from egolane_pgm.experiment import Experiment, load_experiment
 from egolane_pgm.graphs import no_wor
 from egolane_pgm.learning.graph_file import graph_named
 from egolane_pgm.model import prepare_model
-from egolane_pgm.recordings.memory import IN_MEMORY, in_memory
+from egolane_pgm.recordings.memory import in_memory
+from egolane_pgm.recordings.source import IN_MEMORY
 from egolane_pgm.recordings.table import rows_of
 from egolane_pgm.results import read_result
 from egolane_pgm.running import run_experiment
@@ -25,7 +26,7 @@ from tests.kits.drives import short_drive, simulated, write_drive
 
 
 def lines(hertz: float) -> pd.DataFrame:
-    frame = rows_of(short_drive().log, says_missing=False).to_pandas()
+    frame = rows_of(short_drive().log).to_pandas()
     return frame.assign(time_s=frame["frame_id"] / hertz)
 
 

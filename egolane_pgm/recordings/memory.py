@@ -12,15 +12,12 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from egolane_pgm.experiment import Experiment
-from egolane_pgm.recordings.source import Read
-from egolane_pgm.recordings.table import check_whole, read_frame, typed, with_index
+from egolane_pgm.recordings.source import IN_MEMORY, Read
+from egolane_pgm.recordings.table import FRAME_RATE, check_whole, read_frame, typed, with_index
 from egolane_pgm.types import InputError, LaneTruth, LineLog, suggestion
 
 if TYPE_CHECKING:
     import pandas as pd
-
-#: How messages and results call a recording that is no file: its `recording.path`.
-IN_MEMORY = "in memory"
 
 
 def in_memory(
@@ -40,7 +37,7 @@ def in_memory(
 def lines_of(
     given: LineLog | pd.DataFrame,
     *,
-    frame_rate: float = 10.0,
+    frame_rate: float = FRAME_RATE,
     columns: Mapping[str, str] | None = None,
 ) -> LineLog:
     """The lines of a DataFrame, T frames of at most L lines; a LineLog is what it is.

@@ -9,6 +9,7 @@ import numpy as np
 
 from egolane_pgm.types import (
     NOTE,
+    FloatArray,
     InputError,
     IntArray,
     LaneTruth,
@@ -130,6 +131,15 @@ def clip_lri(log: LineLog, max_lri: float) -> LineLog:
     if not max_lri > 0:
         raise InputError(f"max_lri: {max_lri} must be greater than 0")
     return replace(log, lri=np.clip(log.lri, 0.0, max_lri))
+
+
+def rate_of(frame_id: IntArray, time_s: FloatArray) -> float | None:
+    """Frames per second, to four digits, by the frame ids and times (T,) of a recording; None for a
+    single frame, and where time stands still."""
+    if len(frame_id) < 2:
+        return None
+    step = float(np.median(np.diff(time_s) / np.diff(frame_id)))
+    return float(f"{1 / step:.4g}") if step > 0 else None
 
 
 @dataclass(frozen=True)

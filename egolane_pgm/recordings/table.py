@@ -12,7 +12,7 @@ from __future__ import annotations
 
 import re
 import warnings
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from csv import reader as csv_rows
 from dataclasses import replace
 from itertools import islice
@@ -25,6 +25,7 @@ import pyarrow.compute as pc
 from numpy.typing import NDArray
 from pyarrow import csv
 
+from egolane_pgm.recordings.select import rate_of
 from egolane_pgm.tools.files import arrow_table, atomic, open_parquet, write_parquet
 from egolane_pgm.types import BoolArray, FloatArray, InputError, IntArray, LineLog, suggestion
 
@@ -50,6 +51,9 @@ CELLS = dict.fromkeys(
     ("frame_id", "time_s", "line", "offset_m", "lri", "lane"), "a number"
 ) | dict.fromkeys(("is_valid", "is_continuous", "is_missing", "is_crossing"), "true, false, 1 or 0")
 
+#: Frames per second of a table without times, where nothing else is said.
+FRAME_RATE = 10.0
+
 #: A line of a greater number is a mistake, and the padded arrays would fill the memory.
 MAX_LINES = 1000
 
@@ -74,7 +78,7 @@ _Cells = dict[str, FloatArray]
 
 
 def read_table(
-    path: str | Path, *, frame_rate: float = 10.0, columns: Mapping[str, str] | None = None
+    path: str | Path, *, frame_rate: float = FRAME_RATE, columns: Mapping[str, str] | None = None
 ) -> LineLog:
     """Read the lines of a CSV or Parquet table (by extension), T frames of at most L lines.
 
@@ -89,18 +93,29 @@ def read_table(
     that decrease, a line given twice in a frame, and a valid line without a finite offset.
     """
     path = Path(path)
-    if not path.is_file():
-        raise InputError(f"{path}: no such file")
-    read = {".csv": _read_csv, ".parquet": _read_parquet}.get(path.suffix.lower())
-    if read is None:
-        raise InputError(f"{path}: unknown extension '{path.suffix}' of a table (.csv, .parquet)")
-    return _log_of(path, read(path, columns or {}), frame_rate)
+    return _log_of(path, _read_cells(path, columns or {}, _check_columns), frame_rate)
+
+
+def own_rate(path: str | Path, columns: Mapping[str, str] | None = None) -> float | None:
+    """Frames per second by the column time_s of a table; None where it says none.
+
+    Raises InputError as `read_table`, as far as frame ids and times are wrong.
+    """
+
+    def times(path: Path, names: list[str]) -> list[str]:
+        return ["frame_id", "time_s"] if {"frame_id", "time_s"} <= {*names} else []
+
+    cells = _read_cells(Path(path), columns or {}, times)
+    if not cells:
+        return None
+    starts = np.diff(cells["frame_id"], prepend=np.nan) != 0
+    return rate_of(cells["frame_id"][starts], cells["time_s"][starts])
 
 
 def read_frame(
     frame: pd.DataFrame,
     *,
-    frame_rate: float = 10.0,
+    frame_rate: float = FRAME_RATE,
     columns: Mapping[str, str] | None = None,
     source: str = "in memory",
 ) -> LineLog:
@@ -124,15 +139,6 @@ def with_index(frame: pd.DataFrame) -> pd.DataFrame:
     return frame.reset_index(names)
 
 
-def rate_of(frame_id: IntArray, time_s: FloatArray) -> float | None:
-    """Frames per second, to four digits, by the frame ids and times (T,) of a recording; None for a
-    single frame, and where time stands still."""
-    if len(frame_id) < 2:
-        return None
-    step = float(np.median(np.diff(time_s) / np.diff(frame_id)))
-    return float(f"{1 / step:.4g}") if step > 0 else None
-
-
 def _log_of(path: Path, cells: _Cells, frame_rate: float) -> LineLog:
     row = np.arange(len(cells["frame_id"]))
     if not len(row):
@@ -154,14 +160,15 @@ def write_table(path: str | Path, log: LineLog) -> None:
     write = {".csv": _write_csv, ".parquet": write_parquet}.get(path.suffix.lower())
     if write is None:
         raise InputError(f"{path}: unknown extension '{path.suffix}' of a table (.csv, .parquet)")
-    write(path, rows_of(log, says_missing=bool(log.is_missing.any())))
+    write(path, rows_of(log))
 
 
 # --- writing -----------------------------------------------------------------------------------
 
 
-def rows_of(log: LineLog, *, says_missing: bool) -> Any:
-    """The rows of a log, of pyarrow; says_missing: whether there is a column is_missing."""
+def rows_of(log: LineLog) -> Any:
+    """The rows of a log, of pyarrow; with time_s where time is not what it is without the column,
+    and with is_missing where a frame is."""
     is_there = (
         log.is_valid | log.is_continuous | ~np.isnan(log.offset_m) | ~np.isnan(log.lri)
     )  # all other cells are padding
@@ -177,15 +184,17 @@ def rows_of(log: LineLog, *, says_missing: bool) -> Any:
         return column
 
     lri = column(log.lri, np.nan)
+    has_times = not np.array_equal(log.time_s, log.frame_id / FRAME_RATE)
     columns = {
         "frame_id": log.frame_id[frame],
+        **({"time_s": log.time_s[frame]} if has_times else {}),
         "line": np.ma.masked_array(line + 1, no_line),
         "offset_m": np.ma.masked_array(column(log.offset_m, np.nan), no_line),
         "is_valid": column(log.is_valid, False),
         "is_continuous": column(log.is_continuous, False),
         "lri": np.ma.masked_array(lri, np.isnan(lri)),
     }
-    if says_missing:
+    if log.is_missing.any():
         columns["is_missing"] = log.is_missing[frame]
     return arrow_table(columns)
 
@@ -252,7 +261,20 @@ def _check_columns(path: Path, names: list[str]) -> list[str]:
     return [name for name in names if name in known]
 
 
-def _read_csv(path: Path, columns: Mapping[str, str]) -> _Cells:
+#: The columns to read, of those that a table has.
+_Choose = Callable[[Path, list[str]], list[str]]
+
+
+def _read_cells(path: Path, columns: Mapping[str, str], choose: _Choose) -> _Cells:
+    if not path.is_file():
+        raise InputError(f"{path}: no such file")
+    read = {".csv": _read_csv, ".parquet": _read_parquet}.get(path.suffix.lower())
+    if read is None:
+        raise InputError(f"{path}: unknown extension '{path.suffix}' of a table (.csv, .parquet)")
+    return read(path, columns, choose)
+
+
+def _read_csv(path: Path, columns: Mapping[str, str], choose: _Choose) -> _Cells:
     try:
         with path.open(encoding="utf-8-sig", newline="") as file:
             names = [name.strip() for name in next(csv_rows(file), [])]
@@ -261,7 +283,9 @@ def _read_csv(path: Path, columns: Mapping[str, str]) -> _Cells:
     if not names:
         raise InputError(f"{path}: the file is empty")
     names = _renamed(path, names, columns)
-    keep = _check_columns(path, names)
+    keep = choose(path, names)
+    if not keep:
+        return {}
     try:
         table = csv.read_csv(
             path,
@@ -289,11 +313,11 @@ def _read_csv(path: Path, columns: Mapping[str, str]) -> _Cells:
     return {name: _numbers(table[name]) for name in keep}
 
 
-def _read_parquet(path: Path, columns: Mapping[str, str]) -> _Cells:
+def _read_parquet(path: Path, columns: Mapping[str, str], choose: _Choose) -> _Cells:
     with open_parquet(path) as file:
         given = list(file.schema_arrow.names)
         names = _renamed(path, given, columns)
-        there = {name: given[names.index(name)] for name in _check_columns(path, names)}
+        there = {name: given[names.index(name)] for name in choose(path, names)}
         # One after the other: a long drive's would take twice the memory together.
         return {name: typed(path, name, file.read([c])[c]) for name, c in there.items()}
 
@@ -385,6 +409,9 @@ def _assemble(path: Path, cells: _Cells, row: IntArray, frame_rate: float) -> Li
     refuse(~has_line & ~np.isnan(offset), "frame {} has an offset without a line")
     starts = step != 0
     starts[0] = True
+    if "time_s" in cells:
+        is_later = np.diff(cells["time_s"], prepend=-np.inf) > 0
+        refuse(starts & ~is_later, "time_s of frame {} is not later than that before")
     at = np.cumsum(starts) - 1
     alone = np.bincount(at)[at] == 1
     refuse(~has_line & ~alone, "frame {} has a row without a line beside others")

@@ -11,7 +11,8 @@ import pytest
 
 from egolane_pgm.api.detections import DetectResult
 from egolane_pgm.recordings.memory import lines_of, truth_of
-from egolane_pgm.recordings.table import rate_of, read_table
+from egolane_pgm.recordings.select import rate_of
+from egolane_pgm.recordings.table import read_table
 from egolane_pgm.types import InputError
 from tests.kits.drives import short_drive
 from tests.recordings.test_table import assert_same
