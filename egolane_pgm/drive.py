@@ -95,6 +95,7 @@ class Recorded:
     notes: warnings, a line each.
     road: the lanes of the road in each frame of the log, where a map tells them.
     across: where positions put the car in each frame of the log, where they count (`gnss`).
+    frame_rate: frames per second that were counted with; None where nothing was read.
     """
 
     log: LineLog
@@ -104,6 +105,7 @@ class Recorded:
     notes: tuple[str, ...]
     road: LanesAlong | None = None
     across: Across | None = None
+    frame_rate: float | None = None
 
     def take(self, frames: slice) -> Recorded:
         """Frames that follow each other, of one drive without a map or of clips."""
@@ -152,7 +154,7 @@ def load_recording(
     max_lri = float(values.get("max_lri", 10))
     if recording.lri == "clip":
         log = clip_lri(log, max_lri)
-    notes += recording_warnings(log, experiment.n_lanes, max_lri)
+    notes += recording_warnings(log, experiment.n_lanes, max_lri, recording.frame_rate)
     road = seen = None
     if experiment.follows_map or experiment.gnss is not None:
         check_one_drive(log, "clips are run without a road table")
@@ -162,7 +164,8 @@ def load_recording(
         road = road_along(experiment, table, values, log)
         seen = across_road(experiment, table, road, log)
     none = np.zeros(0, dtype=np.int64)
-    recorded = Recorded(log, None, none, tuple(files), tuple(notes), road, seen)
+    rate = recording.frame_rate
+    recorded = Recorded(log, None, none, tuple(files), tuple(notes), road, seen, rate)
     if truth is None:
         return recorded
     check_one_drive(log, "clips are run without ground truth (--ground-truth none)")
@@ -197,10 +200,13 @@ def with_own_rate(experiment: Experiment, read: Read | None = None) -> Experimen
     if "frame_rate" in experiment.recording.model_fields_set:
         return experiment
     if read is None:
-        rate = source_of(experiment).frame_rate()
-    else:
-        rate = rate_of(read.log.frame_id, read.log.time_s)
-    if rate is None:
+        return _with_rate(experiment, source_of(experiment).frame_rate())
+    return _with_rate(experiment, rate_of(read.log.frame_id, read.log.time_s))
+
+
+def _with_rate(experiment: Experiment, rate: float | None) -> Experiment:
+    is_said = "frame_rate" in experiment.recording.model_fields_set
+    if is_said or rate in (None, experiment.recording.frame_rate):
         return experiment
     content = experiment.model_dump()
     content["recording"]["frame_rate"] = rate
@@ -316,7 +322,9 @@ def with_recording(
                 f"{experiment.source}: n_lanes: {experiment.n_lanes or 'map'} is that of its"
                 f" simulated drive; say how many lanes the road of {recording} has (n_lanes)"
             )
-        kept = _KEPT | source_of(experiment).kept_for(recording, detector)
+        # Lines in memory have times, or the rate that is said of them.
+        kept = _KEPT - ({"frame_rate"} if recording == IN_MEMORY else set())
+        kept |= source_of(experiment).kept_for(recording, detector)
         path = recording if recording == IN_MEMORY else str(Path(recording).absolute())
         content["recording"] = {**{k: v for k, v in section.items() if k in kept}, "path": path}
         content |= dict.fromkeys(("ground_truth", "road", "gnss", "tuning"))
@@ -473,13 +481,15 @@ def open_drive(
             with part():
                 check_sources(experiment)
     assert model is not None
-    experiment = with_own_rate(experiment, read)
     if recorded is None:
+        experiment = with_own_rate(experiment, read)
         recorded = load_recording(experiment, model.parameters, clips=clips, read=read)
-    elif experiment.follows_map:
-        # Another graph may be told the same road in other words.
-        road = road_along(experiment, road_of(experiment), model.parameters, recorded.log)
-        recorded = replace(recorded, road=road)
+    else:
+        experiment = _with_rate(experiment, recorded.frame_rate)
+        if experiment.follows_map:
+            # Another graph may be told the same road in other words.
+            road = road_along(experiment, road_of(experiment), model.parameters, recorded.log)
+            recorded = replace(recorded, road=road)
     never_fit = () if experiment.tuning is None else experiment.tuning.never_fit
     return Drive(experiment, model, recorded, never_fit)
 

@@ -180,11 +180,14 @@ def join(log: LineLog, truth: LaneTruth) -> Join:
     )
 
 
-def recording_warnings(log: LineLog, n_lanes: int, max_lri: float = 10) -> list[str]:
+def recording_warnings(
+    log: LineLog, n_lanes: int, max_lri: float = 10, frame_rate: float | None = None
+) -> list[str]:
     """One line for each kind of oddity in a recording; it is used all the same, unchanged.
 
     Odd are: LRI of valid lines outside 0..max_lri, absurd or NaN offsets of lines that are not
-    valid, more valid lines than the n_lanes + 1 that a road has, no valid line at all.
+    valid, more valid lines than the n_lanes + 1 that a road has, no valid line at all, and times
+    that say another frame rate.
     """
     known_lri = ~np.isnan(log.lri)
     absurd = np.abs(log.offset_m) > ABSURD_OFFSET_M
@@ -228,6 +231,12 @@ def recording_warnings(log: LineLog, n_lanes: int, max_lri: float = 10) -> list[
         lines.append(
             f"{log.source}: not a single valid line in {len(log)} frames; an evidence rule that"
             " needs valid lines says nothing"
+        )
+    own = rate_of(log.frame_id, log.time_s)
+    if frame_rate is not None and own is not None and abs(own / frame_rate - 1) > 0.1:
+        lines.append(
+            f"{log.source}: by its times it has {own:g} frames per second; delays are counted with"
+            f" recording.frame_rate, which is {frame_rate:g}"
         )
     return lines
 
