@@ -132,7 +132,8 @@ def load_recording(
     parameters: the model's, where they are resolved already (an evidence rule may declare its own
         `max_lri`); default the experiment's.
     clips: whether the recording may be of several clips.
-    read: what is in memory takes the place of what the experiment's source would read.
+    read: what is in memory takes the place of what the experiment's source, and its ground truth,
+        would read.
 
     Raises InputError for files that cannot be used. Oddities that do not prevent that are in
     `notes`.
@@ -142,7 +143,7 @@ def load_recording(
         warnings.simplefilter("always")
         found = source_of(experiment).read() if read is None else read
         truth, files = found.truth, [*found.files]
-        if experiment.ground_truth is not None:
+        if experiment.ground_truth is not None and (read is None or truth is None):
             files.append(find_named(experiment, "ground_truth.path"))
             truth = read_ground_truth(files[-1], experiment.ground_truth.extra_rows)
     notes = [str(w.message) for w in caught if issubclass(w.category, UserWarning)]
@@ -512,9 +513,11 @@ def load_drive(
     Raises InputError as `open_drive` does, for an experiment with positions or that decodes a path,
     and, where ground truth is needed, for a recording without it or without a frame to score.
     """
-    has_truth = experiment.ground_truth is not None or experiment.recording.simulate is not None
-    if recorded is not None or read is not None:
-        has_truth = any(given is not None and given.truth is not None for given in (recorded, read))
+    if recorded is not None:
+        has_truth = recorded.truth is not None
+    else:
+        brings = experiment.recording.simulate if read is None else read.truth
+        has_truth = experiment.ground_truth is not None or brings is not None
 
     def check(experiment: Experiment) -> None:
         source, problems = experiment.source, []

@@ -483,6 +483,7 @@ class OneOfSeveral:
     - seconds: that it took.
     - was_there: whether its result was there already.
     - drive: of one of a fleet which drive it is of, see `drive.drive_key`.
+    - read: lines and lanes in memory, see `run_experiment`.
     """
 
     title: str
@@ -494,6 +495,7 @@ class OneOfSeveral:
     seconds: float | None = None
     was_there: bool = False
     drive: str | None = None
+    read: Read | None = None
 
 
 def name_runs(
@@ -598,7 +600,7 @@ def _finish(run: OneOfSeveral, figures: bool, keep: bool, resume: bool) -> OneOf
             said, scores = stored
             seconds = said.get("seconds")
             return replace(run, scores=scores, seconds=seconds, was_there=True, drive=drive)
-        done = run_experiment(run.experiment)
+        done = run_experiment(run.experiment, read=run.read)
         if not keep:
             done.save(run.directory, figures=figures)
     except InputError as error:

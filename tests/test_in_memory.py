@@ -11,16 +11,17 @@ import pandas as pd
 import pytest
 
 from egolane_pgm.comparing.graphs import with_graph
-from egolane_pgm.drive import load_drive, with_recording
+from egolane_pgm.drive import load_drive, source_of, with_recording
 from egolane_pgm.experiment import Experiment, load_experiment
 from egolane_pgm.graphs import no_wor
 from egolane_pgm.learning.graph_file import graph_named
 from egolane_pgm.model import prepare_model
-from egolane_pgm.recordings.memory import in_memory
+from egolane_pgm.recordings.ground_truth import write_ground_truth
+from egolane_pgm.recordings.memory import in_memory, truth_of
 from egolane_pgm.recordings.source import IN_MEMORY
 from egolane_pgm.recordings.table import rows_of
 from egolane_pgm.results import read_result
-from egolane_pgm.running import run_experiment
+from egolane_pgm.running import plan_runs, run_all, run_experiment
 from egolane_pgm.types import InputError, LineLog
 from tests.kits.drives import short_drive, simulated, write_drive
 
@@ -50,6 +51,17 @@ def test_a_run_on_a_frame_is_that_on_its_files(tmp_path: Path, hertz: float) -> 
     np.testing.assert_array_equal(run.beliefs.lane, of_files.beliefs.lane)
     assert run.scores["model"] == of_files.scores["model"]
     assert (run.name, run.run["data"]) == ("in_memory", [])
+
+
+def test_lanes_in_memory_go_with_lines_of_a_file_and_runs_share_the_jobs(tmp_path: Path) -> None:
+    experiment = load_experiment(write_drive(tmp_path))
+    one_lane = truth_of(lanes().assign(lane=1, crossing=0))
+    read = replace(source_of(experiment).read(), truth=one_lane)
+    (plan,) = plan_runs([("one", lambda: experiment)], None)
+    (done,) = run_all([replace(plan, read=read)], keep=True)
+    assert done.result is not None
+    assert set(done.result.true_lane) == {1}
+    assert [Path(entry["path"]).name for entry in done.result.run["data"]] == ["lines.csv"]
 
 
 def test_the_rate_of_the_experiment_goes_before_that_of_the_times() -> None:
@@ -83,10 +95,13 @@ def test_clips_in_memory_are_each_a_drive() -> None:
     np.testing.assert_array_equal(run.beliefs.lane[70:], alone.beliefs.lane)
 
 
-def test_lanes_in_memory_are_what_a_fit_needs() -> None:
+def test_lanes_in_memory_or_of_a_file_are_what_a_fit_needs(tmp_path: Path) -> None:
     experiment = on_memory(simulated())
     drive = load_drive(experiment, needs_truth="it", read=in_memory(experiment, lines(10), lanes()))
     assert len(drive) == len(short_drive().truth)
+    write_ground_truth(tmp_path / "lanes.txt", short_drive().truth)
+    named = load_experiment(experiment, {"ground_truth.path": str(tmp_path / "lanes.txt")})
+    assert load_drive(named, needs_truth="it", read=in_memory(named, lines(10), None)).n_lanes == 3
     with pytest.raises(InputError, match="ground_truth: is missing, it"):
         load_drive(experiment, needs_truth="it", read=in_memory(experiment, lines(10), None))
 
