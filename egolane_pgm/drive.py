@@ -321,7 +321,7 @@ def with_recording(
         if experiment.recording.simulate is not None and not is_said:
             raise InputError(
                 f"{experiment.source}: n_lanes: {experiment.n_lanes or 'map'} is that of its"
-                f" simulated drive; say how many lanes the road of {recording} has (n_lanes)"
+                " simulated drive; say how many lanes the other recording's road has (n_lanes)"
             )
         # Lines in memory have times, or the rate that is said of them.
         kept = _KEPT - ({"frame_rate"} if recording == IN_MEMORY else set())
