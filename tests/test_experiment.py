@@ -525,8 +525,18 @@ def test_a_simulated_drive_cannot_be_without_its_ground_truth() -> None:
 
 def test_options_for_a_simulated_drive_are_meant_for_the_recording_that_is_named() -> None:
     old = made(recording={"simulate": "a4", "options": {"valid": "always"}}, ground_truth=None)
-    new = with_recording(old, "labels.json", None, None)
+    new = with_recording(old, "labels.json", None, 3)
     assert new.recording.options == {"valid": "always"}
+
+
+def test_the_lanes_of_a_simulated_drive_are_not_taken_for_those_of_another_road() -> None:
+    old = made(recording={"simulate": "a4"}, ground_truth=None)
+    with pytest.raises(
+        InputError, match=r"x\.yaml: n_lanes: 3 is that of its simulated drive; say"
+    ):
+        with_recording(old, "lines.csv", None, None, overrides={"filter": "exact"})
+    for overrides in ({"n_lanes": 3}, ["n_lanes=3"]):
+        assert with_recording(old, "lines.csv", None, None, overrides=overrides).n_lanes == 3
 
 
 @given(st.text(min_size=1).filter(lambda s: "/" not in s and "\0" not in s and s.strip(".")))
