@@ -323,9 +323,7 @@ def with_recording(
                 f"{experiment.source}: n_lanes: {experiment.n_lanes or 'map'} is that of its"
                 " simulated drive; say how many lanes the other recording's road has (n_lanes)"
             )
-        # Lines in memory have times, or the rate that is said of them.
-        kept = _KEPT - ({"frame_rate"} if recording == IN_MEMORY else set())
-        kept |= source_of(experiment).kept_for(recording, detector)
+        kept = _KEPT | source_of(experiment).kept_for(recording, detector)
         path = recording if recording == IN_MEMORY else str(Path(recording).absolute())
         content["recording"] = {**{k: v for k, v in section.items() if k in kept}, "path": path}
         content |= dict.fromkeys(("ground_truth", "road", "gnss", "tuning"))
