@@ -818,6 +818,7 @@ class LearnedScores(Stored):
     model: Scores | None = Field(default=None, description="scores of the frames that may be fit")
     model_all_frames: Scores | None = Field(default=None, description="the same of all frames")
     log_evidence: LogEvidence | None = Field(description="of learned tables")
+    parameters: dict[str, Any] = Field(description="what was learned from all frames")
 
 
 def read_run(directory: Path) -> Any:

@@ -264,7 +264,7 @@ def test_the_command_says_what_run_says(tmp_path: Path) -> None:
     both = ("--recording", tmp_path / "lines.csv")
     for words in ((path, path), (path, *both, *both[:1], tmp_path / "other.csv")):
         said = refused("run", *words, "--stream")
-        assert said == "--stream: goes with one experiment and one recording"
+        assert said == "--stream: goes with one experiment, one recording and out"
 
 
 def test_a_streamed_result_is_read_as_any_other(tmp_path: Path) -> None:

@@ -147,6 +147,7 @@ def _held_out(drive: Drive, learned: Learned, blocks: int, notes: tuple[str, ...
     }
     scores = {"name": drive.experiment.name, "fit": "learn", **run}
     scores |= {"frames": len(drive), "frames_scored": 0, "log_evidence": _evidence(learned)}
+    scores |= {"parameters": learned.parameters}
     if learned.scores is not None:
         scores |= {"model": learned.scores, "frames_scored": learned.scores["frames_scored"]}
         scores |= {"model_all_frames": learned.scores_all}

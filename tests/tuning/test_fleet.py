@@ -162,10 +162,10 @@ def test_what_does_not_go_with_a_fleet_is_refused(tmp_path: Path) -> None:
     assert refused("tune", QUICKSTART, "--by-tag", "road") == "--by-tag: goes with a fleet"
     assert "has no tag.road" in refused(*words, "--by-tag", "road")
     missing = tmp_path / "missing.csv"
-    missing.write_text("name,recording,ground_truth\na,no.csv,t.txt\nb,no.csv,t.txt\n")
+    missing.write_text("name,recording,ground_truth,n_lanes\na,x.csv,t.txt,4\nb,x.csv,t.txt,4\n")
     with pytest.raises(InputError) as wrong:
         ego.tune(QUICKSTART, fleet=missing)
-    assert all("no.csv" in line or "t.txt" in line for line in wrong.value.lines)
+    assert all("x.csv" in line or "t.txt" in line for line in wrong.value.lines)
     several = tmp_path / "several.yaml"
     several.write_text(f"name: s\nexperiments: [{QUICKSTART}, {QUICKSTART}]\n")
-    assert "--fleet: goes with one experiment" in refused("tune", several, *words[2:])
+    assert "fleet: goes with one experiment" in refused("tune", several, *words[2:])
