@@ -904,9 +904,7 @@ def check_writable(directory: Path, kinds: Sequence[Callable[[Path], bool]] = ()
             raise InputError(f"{directory}: is a file, not a directory")
         is_ours = any(is_one(directory) for is_one in kinds or (is_result,))
         if any(directory.iterdir()) and not is_ours:
-            raise InputError(
-                f"{directory}: exists and is not a result directory; name another one with --out"
-            )
+            raise InputError(f"{directory}: exists and is not a result directory; name another one")
 
 
 def is_result(directory: Path) -> bool:

@@ -510,7 +510,7 @@ def test_recordings_of_one_name_are_told_apart_by_their_folders(tmp_path: Path) 
     assert sorted(p.name for p in out.iterdir()) == ["mon_lines", "tue_lines"]
     again = tmp_path / "mon" / ".." / "mon" / "lines.csv"
     said = refused("run", path, *several, "--recording", again, "--out", out)
-    assert said == f"--recording {again}: is named twice"
+    assert said == f"--recording: {again}: is named twice"
     # One recording, several experiments.
     other = write_drive(tmp_path / "other", name="other")
     words = ["--recording", places[0], "--no-figures", "--out", tmp_path / "both"]

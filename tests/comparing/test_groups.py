@@ -520,7 +520,7 @@ def test_the_scores_of_one_recording_stand_upright_and_fit_the_terminal(
 def test_what_cannot_be_compared_is_refused_in_one_line(runs: Path, tmp_path: Path) -> None:
     one = write(tmp_path / "one.yaml", simulated("one"))
     assert "--with-paper" in refused("compare", one, "--with-paper")
-    assert "--held-out" in refused("compare", "--health", "--runs", "2")
+    assert "or with held_out" in refused("compare", "--health", "--runs", "2")
     message = refused("compare", write(tmp_path / "f.yaml", simulated()), "--set", "fit=lern")
     assert "fit: 'lern' is not one of none, learn, tune (did you mean 'learn'?)" in message
     (tmp_path / "bare").mkdir()
