@@ -28,7 +28,7 @@ def named_graphs(graphs: Sequence[str]) -> dict[str, str]:
     found: dict[str, str] = {}
     for graph, stem in zip(full, stems, strict=True):
         if graph in found.values():
-            raise InputError(f"--graphs: {graph} is named twice")
+            raise InputError(f"graphs: {graph} is named twice")
         if stems.count(stem) > 1 and graph != stem:
             stem = f"{Path(graph).parent.name}_{stem}"
         title = re.sub(r"[^A-Za-z0-9._-]+", "_", stem).strip("._-") or "graph"
@@ -72,7 +72,7 @@ def with_graph(experiment: Experiment, graph: str, parameters: Mapping[str, Any]
     gives what the graph observes; else it has the first rule that does.
     """
     folder, source = experiment.folder, experiment.source
-    module = load_plugin("graphs", graph, folder, "--graphs")
+    module = load_plugin("graphs", graph, folder, "graphs")
     evidence = fitting_rule(module, experiment.n_lanes, experiment.evidence, folder, source)
     rule = load_plugin("evidence", evidence, folder, f"{source}: evidence")
     known = {spec.name for spec in declared_parameters(rule, module)}

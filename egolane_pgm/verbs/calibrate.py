@@ -103,7 +103,7 @@ def calibrate(
     Returns the camera, whose YAML says how it was found. Without `out` it is not written. Raises
     InputError, one line, for whatever does not fit.
     """
-    masks = tuple(_rectangle(each) for each in several_of(ignore, "ignore"))
+    masks = tuple(_rectangle(each) for each in several_of(ignore))
     of_labels = None if size is None else _size(size, "size")
     _check_places([out, picture], [chessboards, stills], [lines, openlane])
     if openlane is not None:

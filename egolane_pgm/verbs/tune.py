@@ -143,7 +143,7 @@ def tune(
         "from_scratch": from_scratch or None,
         "parameters": keys_of(parameter, "parameter", "{'p1': [0.5, 1], 'p2': 0.9}"),
     }
-    given = several_of(experiments, "experiments")
+    given = several_of(experiments)
     plans = [planning.with_options(p, changed) for p in _plans(given, runs, overrides)]
     if fleet is not None:
         if runs or together or whole_recordings:
