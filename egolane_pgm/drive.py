@@ -44,10 +44,11 @@ from egolane_pgm.recordings.select import (
     clip_lri,
     fill_missing,
     join,
+    rate_of,
     recording_warnings,
     select_frames,
 )
-from egolane_pgm.recordings.source import LinesFile, Source, find_named
+from egolane_pgm.recordings.source import IN_MEMORY, LinesFile, Read, Source, find_named
 from egolane_pgm.simulation.drives import OverMap, Simulated
 from egolane_pgm.tools.files import file_sha256
 from egolane_pgm.types import (
@@ -94,6 +95,7 @@ class Recorded:
     notes: warnings, a line each.
     road: the lanes of the road in each frame of the log, where a map tells them.
     across: where positions put the car in each frame of the log, where they count (`gnss`).
+    frame_rate: frames per second that were counted with; None where nothing was read.
     """
 
     log: LineLog
@@ -103,6 +105,7 @@ class Recorded:
     notes: tuple[str, ...]
     road: LanesAlong | None = None
     across: Across | None = None
+    frame_rate: float | None = None
 
     def take(self, frames: slice) -> Recorded:
         """Frames that follow each other, of one drive without a map or of clips."""
@@ -122,12 +125,15 @@ def load_recording(
     parameters: Mapping[str, Any] | None = None,
     *,
     clips: bool = False,
+    read: Read | None = None,
 ) -> Recorded:
     """Read and select the frames of an experiment, and join its ground truth.
 
     parameters: the model's, where they are resolved already (an evidence rule may declare its own
         `max_lri`); default the experiment's.
     clips: whether the recording may be of several clips.
+    read: what is in memory takes the place of what the experiment's source, and its ground truth,
+        would read.
 
     Raises InputError for files that cannot be used. Oddities that do not prevent that are in
     `notes`.
@@ -135,9 +141,9 @@ def load_recording(
     recording, values = experiment.recording, parameters or experiment.parameters
     with warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always")
-        found = source_of(experiment).read()
+        found = source_of(experiment).read() if read is None else read
         truth, files = found.truth, [*found.files]
-        if experiment.ground_truth is not None:
+        if experiment.ground_truth is not None and (read is None or truth is None):
             files.append(find_named(experiment, "ground_truth.path"))
             truth = read_ground_truth(files[-1], experiment.ground_truth.extra_rows)
     notes = [str(w.message) for w in caught if issubclass(w.category, UserWarning)]
@@ -149,7 +155,7 @@ def load_recording(
     max_lri = float(values.get("max_lri", 10))
     if recording.lri == "clip":
         log = clip_lri(log, max_lri)
-    notes += recording_warnings(log, experiment.n_lanes, max_lri)
+    notes += recording_warnings(log, experiment.n_lanes, max_lri, recording.frame_rate)
     road = seen = None
     if experiment.follows_map or experiment.gnss is not None:
         check_one_drive(log, "clips are run without a road table")
@@ -159,7 +165,8 @@ def load_recording(
         road = road_along(experiment, table, values, log)
         seen = across_road(experiment, table, road, log)
     none = np.zeros(0, dtype=np.int64)
-    recorded = Recorded(log, None, none, tuple(files), tuple(notes), road, seen)
+    rate = recording.frame_rate
+    recorded = Recorded(log, None, none, tuple(files), tuple(notes), road, seen, rate)
     if truth is None:
         return recorded
     check_one_drive(log, "clips are run without ground truth (--ground-truth none)")
@@ -185,13 +192,22 @@ def check_sources(experiment: Experiment) -> None:
                     find_named(experiment, key)
 
 
-def with_own_rate(experiment: Experiment) -> Experiment:
-    """The experiment with the frame rate of its recording, where that has one (a video) and the
-    YAML says none."""
+def with_own_rate(experiment: Experiment, read: Read | None = None) -> Experiment:
+    """The experiment with the frame rate of its recording, where that has one (a video, lines with
+    times) and the YAML says none.
+
+    read: the recording, where it is in memory.
+    """
     if "frame_rate" in experiment.recording.model_fields_set:
         return experiment
-    rate = source_of(experiment).frame_rate()
-    if rate is None:
+    if read is None:
+        return _with_rate(experiment, source_of(experiment).frame_rate())
+    return _with_rate(experiment, rate_of(read.log.frame_id, read.log.time_s))
+
+
+def _with_rate(experiment: Experiment, rate: float | None) -> Experiment:
+    is_said = "frame_rate" in experiment.recording.model_fields_set
+    if is_said or rate in (None, experiment.recording.frame_rate):
         return experiment
     content = experiment.model_dump()
     content["recording"]["frame_rate"] = rate
@@ -281,13 +297,14 @@ def with_recording(
       file with the same extension.
 
     recording, ground_truth, n_lanes, frame_id, camera, detector: what replaces the experiment's,
-        None for what stays. ground_truth may be "none"; camera and detector are for a video or
-        pictures.
+        None for what stays. recording may be `IN_MEMORY`, ground_truth "none"; camera and detector
+        are for a video or pictures.
     overrides: keys that were overridden in the experiment: they are meant for the new recording, so
         that of these even the frame range is kept.
 
     Raises InputError for a folder of recordings, for one that has both pictures and lines where
-    nothing says which are meant, and for overrides that name a recording as well.
+    nothing says which are meant, for overrides that name a recording as well, and without n_lanes
+    in place of a simulated drive, whose lanes say nothing of another road.
     """
     content = experiment.model_dump()
     section = content["recording"]
@@ -300,8 +317,16 @@ def with_recording(
             " write it to files with `egolane simulate` and run on those"
         )
     if recording is not None:
-        kept = _KEPT | source_of(experiment).kept_for(recording, detector)
-        path = str(Path(recording).absolute())
+        is_said = n_lanes is not None or "n_lanes" in overridden({}, overrides)
+        if experiment.recording.simulate is not None and not is_said:
+            raise InputError(
+                f"{experiment.source}: n_lanes: {experiment.n_lanes or 'map'} is that of its"
+                " simulated drive; say how many lanes the other recording's road has (n_lanes)"
+            )
+        # Lines in memory have times, or the rate that is said of them.
+        kept = _KEPT - ({"frame_rate"} if recording == IN_MEMORY else set())
+        kept |= source_of(experiment).kept_for(recording, detector)
+        path = recording if recording == IN_MEMORY else str(Path(recording).absolute())
         content["recording"] = {**{k: v for k, v in section.items() if k in kept}, "path": path}
         content |= dict.fromkeys(("ground_truth", "road", "gnss", "tuning"))
         content["name"] = name_of(recording)
@@ -432,12 +457,14 @@ def open_drive(
     experiment: Experiment,
     *,
     recorded: Recorded | None = None,
+    read: Read | None = None,
     clips: bool = False,
     check: Callable[[Experiment], None] = lambda experiment: None,
 ) -> Drive:
     """Compile an experiment's model and read its recording.
 
-    recorded: the recording, where it was read already.
+    recorded: the recording, where it was read and joined already.
+    read: lines and lanes in memory, see `load_recording` and `recordings.memory.in_memory`.
     clips: whether the recording may be of several clips.
     check: raises InputError for what is not done with the experiment.
 
@@ -451,17 +478,19 @@ def open_drive(
         with part():
             experiment = with_map(experiment)
             model = prepare_model(experiment)
-        if model is None and recorded is None:
+        if model is None and recorded is None and read is None:
             with part():
                 check_sources(experiment)
     assert model is not None
-    experiment = with_own_rate(experiment)
     if recorded is None:
-        recorded = load_recording(experiment, model.parameters, clips=clips)
-    elif experiment.follows_map:
-        # Another graph may be told the same road in other words.
-        road = road_along(experiment, road_of(experiment), model.parameters, recorded.log)
-        recorded = replace(recorded, road=road)
+        experiment = with_own_rate(experiment, read)
+        recorded = load_recording(experiment, model.parameters, clips=clips, read=read)
+    else:
+        experiment = _with_rate(experiment, recorded.frame_rate)
+        if experiment.follows_map:
+            # Another graph may be told the same road in other words.
+            road = road_along(experiment, road_of(experiment), model.parameters, recorded.log)
+            recorded = replace(recorded, road=road)
     never_fit = () if experiment.tuning is None else experiment.tuning.never_fit
     return Drive(experiment, model, recorded, never_fit)
 
@@ -471,19 +500,24 @@ def load_drive(
     *,
     needs_truth: str | None,
     recorded: Recorded | None = None,
+    read: Read | None = None,
     never_fit: Sequence[tuple[int, int | None]] = (),
 ) -> Drive:
     """`open_drive` of a drive that is fitted to or scored.
 
     needs_truth: what the ground truth is needed for, as the end of a message; None where a
         recording without it will do.
+    recorded, read: as in `open_drive`.
     never_fit: ranges in addition to those of the experiment's own `tuning.never_fit`.
 
     Raises InputError as `open_drive` does, for an experiment with positions or that decodes a path,
     and, where ground truth is needed, for a recording without it or without a frame to score.
     """
-    named = experiment.ground_truth is not None or experiment.recording.simulate is not None
-    has_truth = named if recorded is None else recorded.truth is not None
+    if recorded is not None:
+        has_truth = recorded.truth is not None
+    else:
+        brings = experiment.recording.simulate if read is None else read.truth
+        has_truth = experiment.ground_truth is not None or brings is not None
 
     def check(experiment: Experiment) -> None:
         source, problems = experiment.source, []
@@ -502,7 +536,7 @@ def load_drive(
         if problems:
             raise InputError(*problems)
 
-    drive = open_drive(experiment, recorded=recorded, check=check)
+    drive = open_drive(experiment, recorded=recorded, read=read, check=check)
     truth = drive.recorded.truth
     if needs_truth is not None and truth is not None and truth.is_crossing.all():
         raise InputError(f"{truth.source}: every frame is a crossing, nothing to score")

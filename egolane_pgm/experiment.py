@@ -551,8 +551,8 @@ def load_experiment(experiment: Given, overrides: Overrides = ()) -> Experiment:
       experiment; or its keys and values, and then its paths are relative to where one is.
     - overrides: keys that get other values: `{"parameters": {"sigma1": 0.3}}`, which may be
       written `{"parameters.sigma1": 0.3}`, or a list of `"parameters.sigma1=0.3"`, the value as
-      YAML. A dict adds its keys to those of a section; None takes a key, or a section, away. Its
-      values may be NumPy's, tuples or paths.
+      YAML. A dict adds its keys to those of a section, and an empty one empties it; None takes a
+      key, or a section, away. Its values may be NumPy's, tuples or paths.
 
     Raises InputError, a line that names file and key for everything that does not fit.
 
@@ -590,7 +590,8 @@ def load_yaml(path: Path, overrides: Overrides = ()) -> dict[str, Any]:
     """Read the keys of a YAML file and of the file that it includes, then override some.
 
     `include: other.yaml`, a file beside the YAML, gives the keys that the YAML itself does not
-    have. Sections are merged key by key. Paths in the other file are taken as if they stood here.
+    have. Sections are merged key by key, and `{}` is an empty one. Paths in the other file are
+    taken as if they stood here.
     Raises InputError as `load_experiment` does.
     """
     return overridden(_with_included(path, ()), overrides)
@@ -650,7 +651,7 @@ def _including(
 def _merged(
     base: Mapping[str, Any], over: Mapping[str, Any], *, removes: bool = False
 ) -> dict[str, Any]:
-    """The keys of both, those of `over` before the others.
+    """The keys of both, those of `over` before the others; an empty section replaces one.
 
     - removes: whether None takes a key of `base` away.
     """
@@ -658,7 +659,7 @@ def _merged(
     for key, value in over.items():
         if removes and value is None and key in base:
             del merged[key]
-        elif isinstance(value, dict) and isinstance(base.get(key), dict):
+        elif value and isinstance(value, dict) and isinstance(base.get(key), dict):
             merged[key] = _merged(base[key], value, removes=removes)
         else:
             merged[key] = value

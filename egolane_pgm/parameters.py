@@ -195,10 +195,15 @@ def resolve_parameters(
 
 
 def check_names(known: Iterable[str], given: Iterable[str], where: str) -> None:
-    """Raise InputError for every given name that is not known, with a suggestion."""
+    """Raise InputError for every given name that is not known, with a suggestion. Names that are
+    near none may be left from another graph."""
     names = set(known)
-    unknown = [name for name in given if name not in names]
-    if unknown:
-        raise InputError(
-            *(f"{where}: unknown key '{name}'{suggestion(str(name), names)}" for name in unknown)
-        )
+    left = "; `parameters: {}` drops all of another graph" if where.endswith(" parameters") else ""
+    lines = []
+    for name in given:
+        if name not in names:
+            hint = suggestion(str(name), names)
+            hint += "" if "did you mean" in hint else left
+            lines.append(f"{where}: unknown key '{name}'{hint}")
+    if lines:
+        raise InputError(*lines)

@@ -106,6 +106,12 @@ def load_plugin(folder: str, name: str, base: Path, where: str) -> ModuleType:
     """
     # Not `resolve`, which ends in an error of its own where a link leads to itself.
     file = Path(os.path.realpath(base / name))
+    if name.endswith(OWN_FILES if folder == "graphs" else ".py"):
+        check_name(file)
+        if not file.is_file():
+            here = Path(os.path.realpath(name))
+            nor = "" if here == file or here.exists() else f", nor {here}"
+            raise InputError(f"{where}: no file {file}{nor}")
     if name.endswith(".py"):
         module = _load_file(file, where)
         if folder == "graphs" and not hasattr(module, "build"):
@@ -189,9 +195,6 @@ def source_files(module: ModuleType) -> list[Path]:
 
 
 def _load_file(path: Path, where: str) -> ModuleType:
-    check_name(path)
-    if not path.is_file():
-        raise InputError(f"{where}: no file {path}")
     source = path.read_bytes()
     # One module per path and content, so that two experiments may each have a my_graph.py.
     digest = hashlib.sha256(str(path).encode() + source).hexdigest()[:16]

@@ -42,6 +42,7 @@ from egolane_pgm.inference.viterbi import disagreement, viterbi
 from egolane_pgm.lane_count import doubt_of_lanes
 from egolane_pgm.model import Model, causality, online_output, prepare_model, value_names, with_map
 from egolane_pgm.plugins import source_files
+from egolane_pgm.recordings.source import Read
 from egolane_pgm.results import (
     BELIEFS,
     SCHEMA_VERSION,
@@ -132,19 +133,23 @@ def _joined(parts: Sequence[FloatArray | None]) -> FloatArray | None:
 
 
 def run_experiment(
-    experiment: Experiment | str | Path, *, recorded: Recorded | None = None
+    experiment: Experiment | str | Path,
+    *,
+    recorded: Recorded | None = None,
+    read: Read | None = None,
 ) -> Result:
     """Run an experiment.
 
     - experiment: an experiment, or its YAML file.
-    - recorded: its recording, where it was read already.
+    - recorded: its recording, where it was read and joined already.
+    - read: lines and lanes in memory, see `recordings.memory.in_memory`.
 
     Raises InputError, one line, for whatever does not fit.
     """
     begun = time.perf_counter()
     if not isinstance(experiment, Experiment):
         experiment = load_experiment(experiment)
-    drive = open_drive(experiment, recorded=recorded, clips=True)
+    drive = open_drive(experiment, recorded=recorded, read=read, clips=True)
     # Each clip is filtered from the prior on, as a drive of its own.
     clips = drive.recorded.clips()
     parts = [
@@ -478,6 +483,7 @@ class OneOfSeveral:
     - seconds: that it took.
     - was_there: whether its result was there already.
     - drive: of one of a fleet which drive it is of, see `drive.drive_key`.
+    - read: lines and lanes in memory, see `run_experiment`.
     """
 
     title: str
@@ -489,6 +495,7 @@ class OneOfSeveral:
     seconds: float | None = None
     was_there: bool = False
     drive: str | None = None
+    read: Read | None = None
 
 
 def name_runs(
@@ -593,7 +600,7 @@ def _finish(run: OneOfSeveral, figures: bool, keep: bool, resume: bool) -> OneOf
             said, scores = stored
             seconds = said.get("seconds")
             return replace(run, scores=scores, seconds=seconds, was_there=True, drive=drive)
-        done = run_experiment(run.experiment)
+        done = run_experiment(run.experiment, read=run.read)
         if not keep:
             done.save(run.directory, figures=figures)
     except InputError as error:

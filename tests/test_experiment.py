@@ -335,8 +335,9 @@ def test_overrides_are_a_dict_as_well(tmp_path: Path) -> None:
 def test_none_takes_a_key_or_a_section_away(tmp_path: Path) -> None:
     path = write(tmp_path / "e.yaml", **MINIMAL, parameters={"sigma1": 0.2, "p1": 0.9})
     assert load_experiment(path, {"parameters.p1": None}).parameters == {"sigma1": 0.2}
-    other = load_experiment(path, {"graph": "lane_only", "parameters": None})
-    assert other.parameters == {}
+    for empty in (None, {}):
+        other = load_experiment(path, {"graph": "lane_only", "parameters": empty})
+        assert other.parameters == {}
     with pytest.raises(InputError, match="unknown key 'filtr'"):
         load_experiment(path, {"filtr": None})
 
@@ -524,8 +525,18 @@ def test_a_simulated_drive_cannot_be_without_its_ground_truth() -> None:
 
 def test_options_for_a_simulated_drive_are_meant_for_the_recording_that_is_named() -> None:
     old = made(recording={"simulate": "a4", "options": {"valid": "always"}}, ground_truth=None)
-    new = with_recording(old, "labels.json", None, None)
+    new = with_recording(old, "labels.json", None, 3)
     assert new.recording.options == {"valid": "always"}
+
+
+def test_the_lanes_of_a_simulated_drive_are_not_taken_for_those_of_another_road() -> None:
+    old = made(recording={"simulate": "a4"}, ground_truth=None)
+    with pytest.raises(
+        InputError, match=r"x\.yaml: n_lanes: 3 is that of its simulated drive; say"
+    ):
+        with_recording(old, "lines.csv", None, None, overrides={"filter": "exact"})
+    for overrides in ({"n_lanes": 3}, ["n_lanes=3"]):
+        assert with_recording(old, "lines.csv", None, None, overrides=overrides).n_lanes == 3
 
 
 @given(st.text(min_size=1).filter(lambda s: "/" not in s and "\0" not in s and s.strip(".")))

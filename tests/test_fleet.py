@@ -167,7 +167,7 @@ def test_what_is_overridden_is_meant_for_the_drives(tmp_path: Path) -> None:
 def test_a_drive_that_fails_does_not_stop_the_others(tmp_path: Path) -> None:
     head = "name,recording,recording.seed,recording.frames,n_lanes"
     fleet = table(
-        tmp_path, f'{head}\ngood,,1,"[0, 150]",\nabsent,nowhere.csv,,,\nodd,,1,,nine hundred\n'
+        tmp_path, f'{head}\ngood,,1,"[0, 150]",\nabsent,nowhere.csv,,,4\nodd,,1,,nine hundred\n'
     )
     out = command("run", QUICKSTART, "--fleet", fleet, "--out", tmp_path / "out")
     assert out.exit_code == 1

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -20,9 +21,9 @@ from egolane_pgm.lane_count import (
     MORE,
     doubt_of_lanes,
     motion_by_lanes,
-    odds_of_fewer,
+    odds_of,
 )
-from egolane_pgm.model import make_evidence, prepare_model
+from egolane_pgm.model import Model, make_evidence, prepare_model
 from egolane_pgm.running import run_experiment
 from egolane_pgm.simulation import simulate
 from egolane_pgm.types import Evidence
@@ -45,6 +46,10 @@ def recorded(simulated: Experiment) -> Recorded:
 
 def with_lanes(experiment: Experiment, n_lanes: int) -> Experiment:
     return load_experiment(experiment, {"n_lanes": n_lanes})
+
+
+def odds_of_fewer(experiment: Experiment, model: Model, *of_lines: Any) -> float:
+    return odds_of(model.n_lanes - 1, experiment, model, *of_lines)
 
 
 def asked(experiment: Experiment, recorded: Recorded, function: Callable[..., object]) -> object:
@@ -121,9 +126,27 @@ def test_lanes_that_the_car_is_never_in_are_not_doubted(simulated: Experiment) -
     assert doubt(right, lines) == "None"
 
 
+@pytest.mark.parametrize(
+    ("preset", "n_lanes", "doubts"),
+    [
+        ("a4", 4, {3: "is it too small?", 4: "None", 5: "is it too large?"}),
+        ("quickstart", 2, {2: "None"}),
+    ],
+)
+def test_a_number_of_lanes_is_doubted_after_hours_as_after_minutes(
+    preset: str, n_lanes: int, doubts: dict[int, str], simulated: Experiment
+) -> None:
+    drive = simulate(preset, seed=0, frames=60_000, n_lanes=n_lanes)
+    lines = Recorded(drive.log, None, np.zeros(0, dtype=np.int64), (), ())
+    found = motion(with_lanes(simulated, n_lanes), lines)
+    assert found[n_lanes + 1] > found[n_lanes] + MORE
+    for told, words in doubts.items():
+        assert doubt(with_lanes(simulated, told), lines).endswith(words)
+
+
 def test_a_road_of_one_lane_is_no_answer(simulated: Experiment, recorded: Recorded) -> None:
     assert list(motion(with_lanes(simulated, 1), recorded)) == [1, 2]
-    assert asked(with_lanes(simulated, 2), recorded, odds_of_fewer) == -np.inf
+    assert asked(with_lanes(simulated, 2), recorded, odds_of_fewer) == 0
 
 
 def test_a_frame_alone_tells_nothing(simulated: Experiment, recorded: Recorded) -> None:
@@ -153,7 +176,7 @@ def test_parameters_of_one_number_of_lanes_fit_no_other(
     simulated: Experiment, recorded: Recorded
 ) -> None:
     learned = load_experiment(simulated, {"parameters.sigmas_m": [0.2] * 6})
-    assert asked(learned, recorded, odds_of_fewer) == -np.inf
+    assert asked(learned, recorded, odds_of_fewer) == 0
     assert list(motion(learned, recorded)) == [2, 3, 4]
 
 

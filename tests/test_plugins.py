@@ -9,8 +9,10 @@ import numpy as np
 import pytest
 
 from egolane_pgm.evidence import counting, line_geometry
+from egolane_pgm.experiment import load_experiment
 from egolane_pgm.graphs.cpds import quiet
 from egolane_pgm.graphs.from_pgmpy import read_file
+from egolane_pgm.model import prepare_model
 from egolane_pgm.plugins import load_plugin, plugin_names, source_files
 from egolane_pgm.results import read_result
 from egolane_pgm.types import InputError
@@ -123,7 +125,12 @@ def test_parameters_of_files_of_ones_own_are_checked_as_any_other(tmp_path: Path
     said = refused("validate", experiment, "--set", "parameters.trst=1")
     assert said.endswith("unknown key 'trst' (did you mean 'trust'?)")
     said = refused("validate", experiment, "--set", "parameters.sigma1=1")
-    assert "unknown key 'sigma1' (known: trust)" in said
+    assert said.endswith(
+        "unknown key 'sigma1' (known: trust); `parameters: {}` drops all of another graph"
+    )
+    empty = {"graph": "sensor_failure", "evidence": "counting", "parameters": {}}
+    other = load_experiment(write_drive(tmp_path, parameters={"trust": 1}), empty)
+    assert prepare_model(other).parameters["sigma1"] == 0.4
 
 
 @pytest.mark.parametrize(
@@ -238,6 +245,9 @@ def test_a_file_that_an_override_names_is_found_from_where_one_stands(
     assert "ok" in done("validate", experiment, "--set", "graph=no_wor").stdout
     monkeypatch.chdir(tmp_path)
     assert "graph: no file" in refused("validate", experiment, *words)
+    monkeypatch.chdir(tmp_path / "here")
+    said = refused("validate", experiment, "--set", "graph=nope.py")
+    assert said.endswith(f"graph: no file {tmp_path / 'nope.py'}, nor {tmp_path / 'here/nope.py'}")
 
 
 @pytest.mark.parametrize(

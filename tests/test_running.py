@@ -414,7 +414,7 @@ def test_one_experiment_on_several_recordings(experiments, tmp_path):
     assert len(renamed) == 2
     options = [o for path in renamed for o in ("--recording", path)]
     out = tmp_path / "out"
-    found = command("run", experiments[0], *options, "--no-figures", "--out", out)
+    found = command("run", experiments[0], *options, "--n-lanes", 3, "--no-figures", "--out", out)
     assert found.exit_code == 0, found.output
     assert is_result(out / "drive_0")
     assert is_result(out / "drive_1")

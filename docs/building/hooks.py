@@ -22,6 +22,8 @@ from nbconvert import MarkdownExporter
 
 ROOT = Path(__file__).parents[2]
 PICTURES = {".png", ".jpg", ".svg", ".gif"}
+#: The search finds what explains before what is explained.
+LESS_SOUGHT = "---\nsearch: {boost: 0.1}\n---\n"
 LINK = re.compile(r"(\]\()([^)\s#:]+)(#[^)\s]*)?(\))")
 
 
@@ -112,7 +114,7 @@ def contents(path: Path) -> dict[str, str | bytes]:
         return {place(path): path.read_bytes()}
     language = path.suffix.lstrip(".").replace("cff", "yaml")
     name = path.relative_to(ROOT)
-    return {place(path): f"# {name}\n\n````{language}\n{path.read_text()}\n````\n"}
+    return {place(path): f"{LESS_SOUGHT}# {name}\n\n````{language}\n{path.read_text()}\n````\n"}
 
 
 def notebook(path: Path) -> dict[str, str | bytes]:

@@ -17,7 +17,7 @@ from egolane_pgm.learning import fit as learn_from
 from egolane_pgm.model import value_names
 from egolane_pgm.plugins import declared_parameters
 from egolane_pgm.scoring.held_out import N_BLOCKS, HeldOut, held_out, without_block
-from egolane_pgm.tuning.held_out import nested_search
+from egolane_pgm.tuning.held_out import blocks_lacking_lanes, nested_search
 from egolane_pgm.tuning.objective import check_filter
 from egolane_pgm.tuning.plan import Plan, Problem, parameters_at, problem_of
 from egolane_pgm.types import Beliefs, FloatArray, InputError, IntArray, LaneTruth
@@ -45,7 +45,7 @@ class Side:
     seconds_per_frame: processor time of evidence and filter over the whole recording, the fastest
         of several.
     tuned_on: as in a YAML.
-    notes: what the evidence rule warned of, a line each.
+    notes: what the evidence rule warned of, and blocks that lack a lane, a line each.
     lagged: the beliefs that wait, for each lag that was asked for.
     """
 
@@ -153,7 +153,7 @@ def held_out_side(
     else:
         fit, free_parameters = _fit_of(drive)
     done: list[Beliefs] = []
-    notes: list[str] = []
+    notes = blocks_lacking_lanes(drive, n_blocks) if experiment.fit != "none" else []
     seconds: list[float] = []
 
     def beliefs_with(found: Found) -> Beliefs:

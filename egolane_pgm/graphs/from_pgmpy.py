@@ -346,8 +346,6 @@ def load_graph_file(path: Path, name: str, where: str) -> ModuleType:
 
     - name: name of the new module. where: how error messages begin.
     """
-    if not path.is_file():
-        raise InputError(f"{where}: no file {path}")
     module = ModuleType(name)
     try:
         network = read_file(path)

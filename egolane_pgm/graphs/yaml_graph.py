@@ -109,10 +109,8 @@ def load_graph_file(path: Path, name: str, where: str) -> ModuleType:
     - name: name of the new module
     - where: how error messages begin
 
-    Raises InputError for a file that is missing or whose parts do not fit together.
+    Raises InputError for a file whose parts do not fit together.
     """
-    if not path.is_file():
-        raise InputError(f"{where}: no file {path}")
     with problems_in(where):
         graph = validated(_Graph, load_yaml(path), path.name)
         with problems_in(path.name):

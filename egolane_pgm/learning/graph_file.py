@@ -1,24 +1,84 @@
-"""A graph written as YAML with its tables in numbers, as `graphs.yaml_graph` reads it."""
+"""A graph written as YAML with its tables in numbers, as `graphs.yaml_graph` reads it; so also one
+that is in memory."""
 
 from __future__ import annotations
 
+import functools
+import hashlib
+import json
+import os
+import tempfile
+from pathlib import Path
+from types import ModuleType
 from typing import Any
 
 import numpy as np
 
+from egolane_pgm.experiment import Experiment
 from egolane_pgm.graphs.cpds import SliceNode, Table
 from egolane_pgm.inference.compile import default_values
-from egolane_pgm.model import Model
-from egolane_pgm.types import FloatArray
+from egolane_pgm.model import Model, compile_graph, fitting_rule, graph_roles
+from egolane_pgm.plugins import OWN_FILES, load_plugin, plugin_place
+from egolane_pgm.tools.files import write_yaml
+from egolane_pgm.types import FloatArray, InputError, problems_in
 
 #: Digits of a number in the file: rows still sum to one far within what a graph may be off.
 _DIGITS = 12
 
+#: Digits with which a number is read as it was.
+_ALL_DIGITS = 17
 
-def graph_yaml(model: Model, description: str) -> dict[str, Any]:
+
+def graph_named(graph: Any, experiment: Experiment) -> str:
+    """A graph as the key `graph` of an experiment names it, by a name or a file, whatever it is.
+
+    - graph: a name, or a file relative to where one is; a module of the package or of a file; or a
+      network of pgmpy, as `graphs.from_pgmpy` reads it. A network is written as a YAML graph in
+      numbers to a folder that stays until this process ends; a result has a copy.
+    - experiment: its evidence rule, or the one that fits the network, says what is observed.
+
+    Raises InputError for anything else, and for a network that cannot be compiled.
+    """
+    if isinstance(graph, (str, os.PathLike)):
+        name = os.fspath(graph)
+        return os.path.abspath(name) if name.endswith(OWN_FILES) else name
+    if isinstance(graph, ModuleType):
+        if graph.__name__.startswith("egolane_pgm.graphs."):
+            return plugin_place(graph)
+        if not str(getattr(graph, "__file__", "")).endswith(OWN_FILES):
+            raise InputError(f"graph: the module {graph.__name__} has no file; write it to one")
+        return os.path.abspath(str(graph.__file__))
+    if not hasattr(graph, "get_cpds"):
+        kind = type(graph).__name__
+        raise InputError(f"graph: {kind} is no name, file or module, and no network of pgmpy")
+    module = ModuleType("network")
+    vars(module)["build"] = lambda n_lanes, parameters: graph
+    n_lanes, folder = experiment.n_lanes, experiment.folder
+    with problems_in("graph"):
+        evidence = fitting_rule(module, n_lanes, experiment.evidence, folder, "network")
+        rule = load_plugin("evidence", evidence, folder, "evidence")
+        roles = graph_roles(module, rule, graph)
+        compiled = compile_graph(module, roles, graph)
+    model = Model(rule, module, {}, compiled, n_lanes, roles)
+    content = graph_yaml(model, "a network of pgmpy that was in memory", _ALL_DIGITS)
+    digest = hashlib.sha256(json.dumps(content).encode()).hexdigest()[:12]
+    file = Path(_folder().name, f"network_{digest}.yaml")
+    write_yaml(file, content)
+    return str(file)
+
+
+@functools.cache
+def _folder() -> tempfile.TemporaryDirectory[str]:
+    """Where networks in memory are written; it is deleted when this process ends."""
+    return tempfile.TemporaryDirectory(prefix="egolane_")
+
+
+def graph_yaml(model: Model, description: str, digits: int = _DIGITS) -> dict[str, Any]:
     """The keys of a YAML graph with the nodes and edges of the model's graph and its tables.
 
     It is for the model's number of lanes only, and has no parameters.
+
+    - digits: of a number in the file.
     """
     compiled, roles = model.compiled, model.roles
     by_node = compiled.tables
@@ -42,9 +102,12 @@ def graph_yaml(model: Model, description: str) -> dict[str, Any]:
         "unused": [list(key) if isinstance(key, tuple) else key for key in roles.unused],
         "edges": {"within": within, "across": across},
         "tables": {
-            name: _rows(by_node[name, 1])
+            name: _rows(by_node[name, 1], digits)
             if compiled.has_one_table(name)
-            else {"first": _rows(by_node[name, 0]), "next": _rows(by_node[name, 1])}
+            else {
+                "first": _rows(by_node[name, 0], digits),
+                "next": _rows(by_node[name, 1], digits),
+            }
             for name in names
             if name not in compiled.inputs
         },
@@ -52,16 +115,16 @@ def graph_yaml(model: Model, description: str) -> dict[str, Any]:
     return {key: value for key, value in content.items() if value not in ([], "")}
 
 
-def _rows(table: Table) -> dict[str, Any]:
+def _rows(table: Table, digits: int) -> dict[str, Any]:
     of = [_parent(table.node, parent) for parent in table.parents]
     rows: dict[str, Any] = {"of": of} if of else {}
-    return {"rows": {**rows, "values": _rounded(table.values).tolist()}}
+    return {"rows": {**rows, "values": _rounded(table.values, digits).tolist()}}
 
 
 def _parent(node: SliceNode, parent: SliceNode) -> str:
     return parent[0] if parent[1] == node[1] else f"{parent[0]} before"
 
 
-def _rounded(values: FloatArray) -> FloatArray:
-    flat = [float(f"{v:.{_DIGITS}g}") for v in values.ravel()]
+def _rounded(values: FloatArray, digits: int) -> FloatArray:
+    flat = [float(f"{v:.{digits}g}") for v in values.ravel()]
     return np.reshape(flat, values.shape)

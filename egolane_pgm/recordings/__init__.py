@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 
 from egolane_pgm.tools.files import check_name
-from egolane_pgm.types import InputError, LineLog, suggestion
+from egolane_pgm.types import InputError, LineLog, problems_in, suggestion
 
 #: Format: (extensions, module of this folder, function that reads a file into a LineLog).
 FORMATS: dict[str, tuple[tuple[str, ...], str, str]] = {
@@ -41,27 +41,39 @@ IN_PIXELS = ("tusimple", "culane")
 _WRITERS = {"rosbag": ("rosbag_writer", "write_rosbag"), "table": ("table", "write_table")}
 
 
-def read_lines(path: str | Path, /, format: str | None = None, **options: Any) -> LineLog:
+def read_lines(
+    path: str | Path,
+    /,
+    *,
+    format: str | None = None,
+    camera: object = None,
+    frame_rate: float | None = None,
+    **options: Any,
+) -> LineLog:
     """Read a recording of lines, T frames of at most L lines.
 
     - format: a name of FORMATS; by default the one that the extension, or what is in a folder,
       tells.
-    - options: those of the format's reader (`read_rosbag`: topic, frame_id, frame_rate, stamps;
-      `read_table`: frame_rate, columns; `read_tusimple`, `read_culane`, `read_openlane`: camera,
-      valid, frame_step, ahead_m, frame_rate; `read_tusimple` also continuous).
+    - camera: a camera or its YAML file, for lines in pixels; lines in metres are read without it.
+    - frame_rate: frames per second, where the recording has no times; by default the reader's.
+    - options: further ones of the format's reader (`read_rosbag`: topic, frame_id, stamps;
+      `read_table`: columns; `read_tusimple`, `read_culane`, `read_openlane`: valid, frame_step,
+      ahead_m; `read_tusimple` also continuous).
 
     Raises InputError for an unknown format, extension or option, and what the reader raises.
     """
-    return read_with(path, format, options)
+    given = dict(options) if frame_rate is None else {**options, "frame_rate": frame_rate}
+    if camera is not None and takes_camera(format or format_of(path)):
+        given["camera"] = camera
+    return read_with(path, format, given)
 
 
 def read_with(path: str | Path, format: str | None, options: Mapping[str, Any]) -> LineLog:
     """Read as `read_lines` does, with the options as a mapping (of a YAML or of `--set`)."""
     check_name(path)
     name = format_of(path) if format is None else format
-    if name not in FORMATS:
-        raise InputError(f"{path}: unknown format '{name}'{suggestion(name, FORMATS)}")
-    read = reader_of(name)
+    with problems_in(str(path)):
+        read = reader_of(name)
     allowed = set(read.__kwdefaults__)
     for option in options:
         if option not in allowed:
@@ -75,12 +87,8 @@ def read_with(path: str | Path, format: str | None, options: Mapping[str, Any]) 
 
 
 def read_lines_with(path: str, camera: object, frame_rate: float | None = None) -> LineLog:
-    """The lines of a recording of any format; the camera (or its YAML file) is used by those
-    formats whose lines are in pixels. Raises InputError as `read_lines`."""
-    options: dict[str, Any] = {} if frame_rate is None else {"frame_rate": frame_rate}
-    if takes_camera(format_of(path)):
-        options["camera"] = camera
-    return read_with(path, None, options)
+    """`read_lines` with its options in order."""
+    return read_lines(path, camera=camera, frame_rate=frame_rate)
 
 
 def _check_frame_rate(value: object, path: str | Path) -> None:
@@ -146,7 +154,10 @@ def takes_camera(name: str) -> bool:
 
 
 def reader_of(name: str) -> Any:
-    """The function that reads a format; its keyword arguments are the format's options."""
+    """The function that reads a format; its keyword arguments are the format's options. Raises
+    InputError for an unknown one."""
+    if name not in FORMATS:
+        raise InputError(f"unknown format '{name}'{suggestion(name, FORMATS)}")
     _, module, function = FORMATS[name]
     return getattr(import_module(f"{__name__}.{module}"), function)
 
@@ -166,7 +177,15 @@ def format_of(path: str | Path) -> str:
             f"{path}: a folder without lines ({', '.join(f'*{e}' for e in _FOLDERS)}); pictures"
             " need a detector (recording.detector, or detector)"
         )
-    known = "; ".join(f"{name}: {', '.join(ext)}" for name, (ext, _, _) in FORMATS.items() if ext)
     raise InputError(
-        f"{path}: unknown extension '{path.suffix}' of a recording ({known}); name its format"
+        f"{path}: unknown extension '{path.suffix}' of a recording ({known_formats()}); name its"
+        " format"
+    )
+
+
+def known_formats() -> str:
+    """The formats with their extensions, for messages."""
+    return "; ".join(
+        f"{name}: {', '.join(extensions)}" if extensions else name
+        for name, (extensions, _, _) in FORMATS.items()
     )

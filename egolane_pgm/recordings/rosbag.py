@@ -143,10 +143,10 @@ def read_rosbag(
     if not (is_ros2 if stamps is None else stamps):
         return log
     stamp = np.array(header_ns if any(header_ns) else logged_ns, dtype=np.int64)
-    return _stamped(log, stamp, frame_rate, must=bool(stamps))
+    return _stamped(log, stamp, must=bool(stamps))
 
 
-def _stamped(log: LineLog, stamp: IntArray, frame_rate: float, *, must: bool) -> LineLog:
+def _stamped(log: LineLog, stamp: IntArray, *, must: bool) -> LineLog:
     """The log with the times of its messages, (T,) ns, or as it is, with a warning, where these do
     not increase; must: raise InputError there."""
     step = np.diff(stamp)
@@ -158,14 +158,6 @@ def _stamped(log: LineLog, stamp: IntArray, frame_rate: float, *, must: bool) ->
             raise InputError(f"{said}; leave out stamps=true")
         warnings.warn(f"{said}; time is frame id over frame rate", UserWarning, stacklevel=3)
         return log
-    usual = float(np.median(step / np.diff(log.frame_id))) / 1e9 if len(step) else 1 / frame_rate
-    if abs(usual * frame_rate - 1) > 0.1:
-        warnings.warn(
-            f"{log.source}: by its stamps it has {1 / usual:.3g} frames per second; delays are"
-            f" counted with frame_rate, which is {frame_rate:g}",
-            UserWarning,
-            stacklevel=3,
-        )
     # Nanoseconds since 1970 have more digits than a float.
     return replace(log, time_s=stamp // 10**9 + stamp % 10**9 / 1e9)
 

@@ -9,6 +9,7 @@ import numpy as np
 
 from egolane_pgm.types import (
     NOTE,
+    FloatArray,
     InputError,
     IntArray,
     LaneTruth,
@@ -132,6 +133,15 @@ def clip_lri(log: LineLog, max_lri: float) -> LineLog:
     return replace(log, lri=np.clip(log.lri, 0.0, max_lri))
 
 
+def rate_of(frame_id: IntArray, time_s: FloatArray) -> float | None:
+    """Frames per second, to four digits, by the frame ids and times (T,) of a recording; None for a
+    single frame, and where time stands still."""
+    if len(frame_id) < 2:
+        return None
+    step = float(np.median(np.diff(time_s) / np.diff(frame_id)))
+    return float(f"{1 / step:.4g}") if step > 0 else None
+
+
 @dataclass(frozen=True)
 class Join:
     """The frames that a log and a ground truth share, in order of frame id.
@@ -170,11 +180,14 @@ def join(log: LineLog, truth: LaneTruth) -> Join:
     )
 
 
-def recording_warnings(log: LineLog, n_lanes: int, max_lri: float = 10) -> list[str]:
+def recording_warnings(
+    log: LineLog, n_lanes: int, max_lri: float = 10, frame_rate: float | None = None
+) -> list[str]:
     """One line for each kind of oddity in a recording; it is used all the same, unchanged.
 
     Odd are: LRI of valid lines outside 0..max_lri, absurd or NaN offsets of lines that are not
-    valid, more valid lines than the n_lanes + 1 that a road has, no valid line at all.
+    valid, more valid lines than the n_lanes + 1 that a road has, no valid line at all, and times
+    that say another frame rate.
     """
     known_lri = ~np.isnan(log.lri)
     absurd = np.abs(log.offset_m) > ABSURD_OFFSET_M
@@ -218,6 +231,12 @@ def recording_warnings(log: LineLog, n_lanes: int, max_lri: float = 10) -> list[
         lines.append(
             f"{log.source}: not a single valid line in {len(log)} frames; an evidence rule that"
             " needs valid lines says nothing"
+        )
+    own = rate_of(log.frame_id, log.time_s)
+    if frame_rate is not None and own is not None and abs(own / frame_rate - 1) > 0.1:
+        lines.append(
+            f"{log.source}: by its times it has {own:g} frames per second; delays are counted with"
+            f" recording.frame_rate, which is {frame_rate:g}"
         )
     return lines
 

@@ -21,6 +21,9 @@ from egolane_pgm.types import InputError, LaneTruth, LineLog, all_problems, sugg
 #: Extensions by which a video is known where no detector is named.
 VIDEOS = (".mp4", ".avi", ".mkv", ".mov", ".mpg", ".mpeg", ".m4v", ".webm", ".wmv", ".ts")
 
+#: The `recording.path` of lines that are no file, see `recordings.memory`.
+IN_MEMORY = "in memory"
+
 #: The keys of a recording that say how lines are read.
 READING = frozenset({"format", "topic", "frame_id", "options", "columns"})
 
@@ -156,8 +159,14 @@ class LinesFile:
         return files_of(place)
 
     def frame_rate(self) -> float | None:
-        """See `Source`: the time stamps of a file are no rate."""
-        return None
+        """See `Source`: that of a table with times. The stamps of a bag's messages are no rate."""
+        path, recording = self._path(), self.experiment.recording
+        if self._is_own_format() or (recording.format or format_of(path)) != "table":
+            return None
+        # What reads tables is loaded for them only.
+        from egolane_pgm.recordings.table import own_rate
+
+        return own_rate(path, recording.columns)
 
     def kept_for(self, recording: str, detector: str | None) -> frozenset[str]:
         """See `Source`: all that says how to read, where the extension is the same."""

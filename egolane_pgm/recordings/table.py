@@ -1,5 +1,5 @@
-"""Recordings of lines as tables, CSV or Parquet, in one of two forms. `COLUMNS` says what the
-columns mean.
+"""Recordings of lines as tables, CSV, Parquet or a DataFrame of pandas, in one of two forms.
+`COLUMNS` says what the columns mean.
 
 - One row per line, which is also how they are written: frame_id, line, offset_m and others. A frame
   without lines is one row with an empty line and offset.
@@ -12,11 +12,12 @@ from __future__ import annotations
 
 import re
 import warnings
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from csv import reader as csv_rows
+from dataclasses import replace
 from itertools import islice
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import pyarrow as pa
@@ -24,15 +25,20 @@ import pyarrow.compute as pc
 from numpy.typing import NDArray
 from pyarrow import csv
 
+from egolane_pgm.recordings.select import rate_of
 from egolane_pgm.tools.files import arrow_table, atomic, open_parquet, write_parquet
 from egolane_pgm.types import BoolArray, FloatArray, InputError, IntArray, LineLog, suggestion
 
-NEEDED = ("frame_id", "line", "offset_m")
+if TYPE_CHECKING:
+    import pandas as pd
+
+NEEDED = ("frame_id", "offset_m")
 
 #: What each column means.
 COLUMNS = {
     "frame_id": "number of the frame; increases, the rows of a frame stand together",
-    "line": "1, 2, ... within the frame, in the detector's order",
+    "time_s": "when the frame was seen, seconds; left out, frame id over frame rate",
+    "line": "1, 2, ... within the frame, in the detector's order; left out, the order of the rows",
     "offset_m": "where the line passes the car, metres, negative to the left",
     "is_valid": "whether the detector trusts the line; left out, it does",
     "is_continuous": "whether the line is not dashed; left out, none is",
@@ -41,9 +47,12 @@ COLUMNS = {
 }
 
 #: What a cell of each column must be.
-CELLS = dict.fromkeys(("frame_id", "line", "offset_m", "lri"), "a number") | dict.fromkeys(
-    ("is_valid", "is_continuous", "is_missing"), "true, false, 1 or 0"
-)
+CELLS = dict.fromkeys(
+    ("frame_id", "time_s", "line", "offset_m", "lri", "lane"), "a number"
+) | dict.fromkeys(("is_valid", "is_continuous", "is_missing", "is_crossing"), "true, false, 1 or 0")
+
+#: Frames per second of a table without times, where nothing else is said.
+FRAME_RATE = 10.0
 
 #: A line of a greater number is a mistake, and the padded arrays would fill the memory.
 MAX_LINES = 1000
@@ -61,19 +70,22 @@ _WORDS = {
 _OF_LINE = re.compile(r"(offset|is_valid|valid|is_continuous|continuous|lri|offset_m)_([1-9]\d?)")
 _MEANT = {"offset": "offset_m", "valid": "is_valid", "continuous": "is_continuous"}
 
+#: Columns that are the same in all rows of a frame.
+_OF_FRAME = ("frame_id", "time_s", "is_missing")
+
 #: The columns of a table as arrays of numbers (N,); an empty cell is NaN.
 _Cells = dict[str, FloatArray]
 
 
 def read_table(
-    path: str | Path, *, frame_rate: float = 10.0, columns: Mapping[str, str] | None = None
+    path: str | Path, *, frame_rate: float = FRAME_RATE, columns: Mapping[str, str] | None = None
 ) -> LineLog:
     """Read the lines of a CSV or Parquet table (by extension), T frames of at most L lines.
 
     Without a column is_valid every line is valid, without is_continuous none is continuous, without
     lri the LRI is unknown (NaN). Other columns are ignored with one warning.
 
-    - frame_rate: frames per second; time is frame id over frame rate.
+    - frame_rate: frames per second; without a column time_s, time is frame id over frame rate.
     - columns: for a column of ours the name that it has in the table, `{"offset_m": "lateral"}`.
 
     Raises InputError for a file that is missing or no such table, a missing column (the ones that
@@ -81,18 +93,64 @@ def read_table(
     that decrease, a line given twice in a frame, and a valid line without a finite offset.
     """
     path = Path(path)
-    if not path.is_file():
-        raise InputError(f"{path}: no such file")
-    read = {".csv": _read_csv, ".parquet": _read_parquet}.get(path.suffix.lower())
-    if read is None:
-        raise InputError(f"{path}: unknown extension '{path.suffix}' of a table (.csv, .parquet)")
-    cells = read(path, columns or {})
+    return _log_of(path, _read_cells(path, columns or {}, _check_columns), frame_rate)
+
+
+def own_rate(path: str | Path, columns: Mapping[str, str] | None = None) -> float | None:
+    """Frames per second by the column time_s of a table; None where it says none.
+
+    Raises InputError as `read_table`, as far as frame ids and times are wrong.
+    """
+
+    def times(path: Path, names: list[str], _: list[str]) -> list[str]:
+        return ["frame_id", "time_s"] if {"frame_id", "time_s"} <= {*names} else []
+
+    cells = _read_cells(Path(path), columns or {}, times)
+    if not cells:
+        return None
+    starts = np.diff(cells["frame_id"], prepend=np.nan) != 0
+    return rate_of(cells["frame_id"][starts], cells["time_s"][starts])
+
+
+def read_frame(
+    frame: pd.DataFrame,
+    *,
+    frame_rate: float = FRAME_RATE,
+    columns: Mapping[str, str] | None = None,
+    source: str = "in memory",
+) -> LineLog:
+    """Read the lines of a DataFrame as `read_table` does those of a file. frame_id, or frame_id and
+    line, may be its index.
+
+    - source: how messages call it.
+    """
+    path = Path(source)
+    frame = with_index(frame)
+    given = list(frame.columns)
+    names = _renamed(path, given, columns or {})
+    cells = {}
+    for name in _check_columns(path, names, given):
+        k = names.index(name)
+        cells[name] = typed(path, name, frame.iloc[:, k], given[k])
+    return _log_of(path, cells, frame_rate)
+
+
+def with_index(frame: pd.DataFrame) -> pd.DataFrame:
+    """A DataFrame with its index among its columns, whose names are text."""
+    frame = frame.rename(columns=str)
+    names = [name for name in frame.index.names if name is not None and name not in frame]
+    return frame.reset_index(names)
+
+
+def _log_of(path: Path, cells: _Cells, frame_rate: float) -> LineLog:
     row = np.arange(len(cells["frame_id"]))
     if not len(row):
         raise InputError(f"{path}: the table has no rows")
-    _check_whole(path, cells, "frame_id", row)
-    if "line" not in cells:
+    check_whole(path, cells, "frame_id", row)
+    if "offset_m" not in cells:
         cells, row = _per_line(cells)
+    elif "line" not in cells:
+        cells = {**cells, "line": _numbered(cells)}
     return _assemble(path, cells, row, frame_rate)
 
 
@@ -105,14 +163,15 @@ def write_table(path: str | Path, log: LineLog) -> None:
     write = {".csv": _write_csv, ".parquet": write_parquet}.get(path.suffix.lower())
     if write is None:
         raise InputError(f"{path}: unknown extension '{path.suffix}' of a table (.csv, .parquet)")
-    write(path, rows_of(log, says_missing=bool(log.is_missing.any())))
+    write(path, rows_of(log))
 
 
 # --- writing -----------------------------------------------------------------------------------
 
 
-def rows_of(log: LineLog, *, says_missing: bool) -> Any:
-    """The rows of a log, of pyarrow; says_missing: whether there is a column is_missing."""
+def rows_of(log: LineLog) -> Any:
+    """The rows of a log, of pyarrow; with time_s where time is not what it is without the column,
+    and with is_missing where a frame is."""
     is_there = (
         log.is_valid | log.is_continuous | ~np.isnan(log.offset_m) | ~np.isnan(log.lri)
     )  # all other cells are padding
@@ -128,15 +187,17 @@ def rows_of(log: LineLog, *, says_missing: bool) -> Any:
         return column
 
     lri = column(log.lri, np.nan)
+    has_times = not np.array_equal(log.time_s, log.frame_id / FRAME_RATE)
     columns = {
         "frame_id": log.frame_id[frame],
+        **({"time_s": log.time_s[frame]} if has_times else {}),
         "line": np.ma.masked_array(line + 1, no_line),
         "offset_m": np.ma.masked_array(column(log.offset_m, np.nan), no_line),
         "is_valid": column(log.is_valid, False),
         "is_continuous": column(log.is_continuous, False),
         "lri": np.ma.masked_array(lri, np.isnan(lri)),
     }
-    if says_missing:
+    if log.is_missing.any():
         columns["is_missing"] = log.is_missing[frame]
     return arrow_table(columns)
 
@@ -170,47 +231,73 @@ def _renamed(path: Path, names: list[str], columns: Mapping[str, str]) -> list[s
     return found
 
 
-def _check_columns(path: Path, names: list[str]) -> list[str]:
+def _called(given: str, name: str) -> str:
+    """What the table calls a column, and our name for it where that is another one."""
+    return given if given == name else f"{given} ({name})"
+
+
+def _check_columns(path: Path, names: list[str], given: list[str]) -> list[str]:
     """The columns to read. Raises InputError for a missing one, and warns once of all that are
-    ignored."""
+    ignored.
+
+    - names, given: of each column our name and the table's.
+    """
+    called = list(map(_called, given, names))
     known: set[str] = set(COLUMNS)
     needed: tuple[str, ...] = NEEDED
     numbers = [name.removeprefix("offset_m_") for name in names if name.startswith("offset_m_")]
-    if "line" not in names and numbers:
+    if "offset_m" not in names and numbers:
         kinds = ("offset_m", "is_valid", "is_continuous", "lri")
-        known = {"frame_id", "is_missing", *(f"{kind}_{k}" for kind in kinds for k in numbers)}
+        known = {*_OF_FRAME, *(f"{kind}_{k}" for kind in kinds for k in numbers)}
         needed = NEEDED[:1]
     lacking = [name for name in needed if name not in names]
     if lacking:
+        hint = suggestion(lacking[0], set(names) - known)
         raise InputError(
-            f"{path}: no column {', '.join(lacking)}; the table has {', '.join(names) or 'none'};"
+            f"{path}: no column {', '.join(lacking)}{hint if 'did you mean' in hint else ''}; the"
+            f" table has {', '.join(called) or 'none'};"
             " it needs a row per line (frame_id, line, offset_m) or per frame (frame_id, offset_1,"
             " offset_2, ...); `columns: {offset_m: NAME}` says what yours are called"
         )
-    twice = sorted({name for name in names if names.count(name) > 1})
+    twice = [each for each, name in zip(called, names, strict=True) if names.count(name) > 1]
     if twice:
-        raise InputError(f"{path}: column {', '.join(twice)} occurs more than once")
+        raise InputError(f"{path}: column {', '.join(dict.fromkeys(twice))} occurs more than once")
     unused = known - {*names, *NEEDED}
     said = []
-    for name in names:
+    for each, name in zip(called, names, strict=True):
         if name not in known:
             hint = suggestion(name, unused)
-            said.append(name + (hint if "did you mean" in hint else ""))
+            said.append(each + (hint if "did you mean" in hint else ""))
     if said:
         warnings.warn(f"{path}: ignored column(s) {', '.join(said)}", UserWarning, stacklevel=3)
     return [name for name in names if name in known]
 
 
-def _read_csv(path: Path, columns: Mapping[str, str]) -> _Cells:
+#: The columns to read, of those that a table has.
+_Choose = Callable[[Path, list[str], list[str]], list[str]]
+
+
+def _read_cells(path: Path, columns: Mapping[str, str], choose: _Choose) -> _Cells:
+    if not path.is_file():
+        raise InputError(f"{path}: no such file")
+    read = {".csv": _read_csv, ".parquet": _read_parquet}.get(path.suffix.lower())
+    if read is None:
+        raise InputError(f"{path}: unknown extension '{path.suffix}' of a table (.csv, .parquet)")
+    return read(path, columns, choose)
+
+
+def _read_csv(path: Path, columns: Mapping[str, str], choose: _Choose) -> _Cells:
     try:
         with path.open(encoding="utf-8-sig", newline="") as file:
-            names = [name.strip() for name in next(csv_rows(file), [])]
+            given = [name.strip() for name in next(csv_rows(file), [])]
     except (OSError, UnicodeDecodeError) as error:
         raise InputError(f"{path}: cannot be read as CSV ({error})") from None
-    if not names:
+    if not given:
         raise InputError(f"{path}: the file is empty")
-    names = _renamed(path, names, columns)
-    keep = _check_columns(path, names)
+    names = _renamed(path, given, columns)
+    keep = choose(path, names, given)
+    if not keep:
+        return {}
     try:
         table = csv.read_csv(
             path,
@@ -233,26 +320,32 @@ def _read_csv(path: Path, columns: Mapping[str, str]) -> _Cells:
         if cell is None:
             raise InputError(f"{path}: cannot be read as CSV ({text[:160]})") from None
         name = names[int(cell[1])]
-        place = _place(path, int(cell[2]) - 2)
-        raise InputError(f"{place}: {name} is {cell[3][:40]!r}, not {_needs(name)}") from None
+        place, called = _place(path, int(cell[2]) - 2), _called(given[int(cell[1])], name)
+        raise InputError(f"{place}: {called} is {cell[3][:40]!r}, not {_needs(name)}") from None
     return {name: _numbers(table[name]) for name in keep}
 
 
-def _read_parquet(path: Path, columns: Mapping[str, str]) -> _Cells:
+def _read_parquet(path: Path, columns: Mapping[str, str], choose: _Choose) -> _Cells:
     with open_parquet(path) as file:
         given = list(file.schema_arrow.names)
         names = _renamed(path, given, columns)
-        there = {name: given[names.index(name)] for name in _check_columns(path, names)}
+        there = {name: given[names.index(name)] for name in choose(path, names, given)}
         # One after the other: a long drive's would take twice the memory together.
-        return {name: _typed(path, name, file.read([c])[c]) for name, c in there.items()}
+        return {name: typed(path, name, file.read([c])[c], c) for name, c in there.items()}
 
 
-def _typed(path: Path, name: str, column: Any) -> FloatArray:
-    """The cells of a column of a Parquet file, which may hold text or other numbers."""
-    given = column.type
+def typed(path: Path, name: str, column: Any, called: str = "") -> FloatArray:
+    """The cells of a column of a Parquet file or a DataFrame, which may hold text or other
+    numbers. Raises InputError for what does not fit the column.
+
+    - called: what the table calls it, where that is another name.
+    """
+    is_arrow = isinstance(column, pa.ChunkedArray)
+    given = column.type if is_arrow else column.dtype
     try:
-        if pa.types.is_dictionary(given):
-            column = column.cast(given.value_type)
+        column = column if is_arrow else pa.array(column, from_pandas=True)
+        if pa.types.is_dictionary(column.type):
+            column = column.cast(column.type.value_type)
         if pa.types.is_string(column.type) or pa.types.is_large_string(column.type):
             column = pc.utf8_trim_whitespace(column)
             column = column.cast(pa.bool_() if _is_flag(name) else pa.float64())
@@ -265,7 +358,7 @@ def _typed(path: Path, name: str, column: Any) -> FloatArray:
     except pa.ArrowException as error:
         text = " ".join(str(error).split())[:120]
         raise InputError(
-            f"{path}: column {name} has type {given}, which is not {_needs(name)}"
+            f"{path}: column {_called(called or name, name)} has type {given}, which is not {_needs(name)}"
             + (f" ({text})" if text else "")
         ) from None
     return values
@@ -297,7 +390,7 @@ def _place(path: Path, row: int) -> str:
         return f"{path}: line {next(islice(filled, row + 1, None), row + 2)}"
 
 
-def _check_whole(path: Path, cells: _Cells, name: str, row: IntArray) -> None:
+def check_whole(path: Path, cells: _Cells, name: str, row: IntArray) -> None:
     """Raise InputError for a cell that is neither empty nor a whole number."""
     number = cells[name]
     # pandas writes whole numbers beside empty cells as 12.0.
@@ -317,11 +410,11 @@ def _assemble(path: Path, cells: _Cells, row: IntArray, frame_rate: float) -> Li
             place = _place(path, int(row[k]))
             raise InputError(f"{place}: " + why.format(int(cells["frame_id"][k])))
 
-    for name in ("frame_id", "is_missing"):
+    for name in _OF_FRAME:
         if name in cells and np.isnan(cells[name]).any():
             k = int(np.argmax(np.isnan(cells[name])))
             raise InputError(f"{_place(path, int(row[k]))}: {name} is empty")
-    _check_whole(path, cells, "line", row)
+    check_whole(path, cells, "line", row)
     frame, offset = cells["frame_id"].astype(np.int64), cells["offset_m"]
     has_line = ~np.isnan(cells["line"])
     line = np.where(has_line, cells["line"], 0).astype(np.int64) - 1
@@ -331,6 +424,9 @@ def _assemble(path: Path, cells: _Cells, row: IntArray, frame_rate: float) -> Li
     refuse(~has_line & ~np.isnan(offset), "frame {} has an offset without a line")
     starts = step != 0
     starts[0] = True
+    if "time_s" in cells:
+        is_later = np.diff(cells["time_s"], prepend=-np.inf) > 0
+        refuse(starts & ~is_later, "time_s of frame {} is not later than that before")
     at = np.cumsum(starts) - 1
     alone = np.bincount(at)[at] == 1
     refuse(~has_line & ~alone, "frame {} has a row without a line beside others")
@@ -351,7 +447,7 @@ def _assemble(path: Path, cells: _Cells, row: IntArray, frame_rate: float) -> Li
         "frame {} has a valid line without a finite offset; drop it or mark it not valid",
     )
     zeros = np.zeros(len(frame))
-    return LineLog.from_rows(
+    log = LineLog.from_rows(
         frame[starts],
         frame_rate,
         at[has_line],
@@ -363,6 +459,18 @@ def _assemble(path: Path, cells: _Cells, row: IntArray, frame_rate: float) -> Li
         is_missing=cells.get("is_missing", zeros)[starts] == 1,
         source=str(path),
     )
+    return replace(log, time_s=cells["time_s"][starts]) if "time_s" in cells else log
+
+
+def _numbered(cells: _Cells) -> FloatArray:
+    """The numbers of the lines of each frame, in the order of the rows; NaN for a row that stands
+    for a frame without lines."""
+    frame = cells["frame_id"]
+    first = np.flatnonzero(np.diff(frame, prepend=np.nan) != 0)
+    of_frame = np.diff(first, append=len(frame))
+    number = (np.arange(len(frame)) - np.repeat(first, of_frame) + 1).astype(np.float64)
+    number[np.isnan(cells["offset_m"]) & (np.repeat(of_frame, of_frame) == 1)] = np.nan
+    return number
 
 
 def _per_line(cells: _Cells) -> tuple[_Cells, IntArray]:
@@ -379,7 +487,7 @@ def _per_line(cells: _Cells) -> tuple[_Cells, IntArray]:
     there = ~np.isnan(side_by_side("offset_m")) | (side_by_side("is_valid") == 1)
     there[:, -1] = ~there.any(axis=1)
     row, slot = np.nonzero(there)
-    found: _Cells = {name: cells[name][row] for name in ("frame_id", "is_missing") if name in cells}
+    found: _Cells = {name: cells[name][row] for name in _OF_FRAME if name in cells}
     found["line"] = np.array([*map(float, numbers), np.nan])[slot]
     for kind, blank in {
         "offset_m": np.nan,

@@ -27,6 +27,7 @@ from pathlib import Path, PurePosixPath
 from typing import Any
 
 from egolane_pgm.camera.model import Camera
+from egolane_pgm.recordings import known_formats
 from egolane_pgm.recordings.image_lines import (
     ImageFrame,
     ImageLine,
@@ -74,9 +75,9 @@ def read_tusimple(
     that do not match, unknown classes, frames given twice, no camera, no frame.
     """
     path = Path(path)
+    entries = list(read_entries(path))
     seen_by = camera_of(camera, path)
     solid = _classes(continuous, path)
-    entries = list(read_entries(path))
     drives = _drives_and_names([entry["raw_file"] for _, entry in entries])
     frames = [
         ImageFrame(name, entry_lines(entry, where, solid), where, drive)
@@ -96,6 +97,7 @@ def read_tusimple(
 def read_entries(path: Path) -> Iterator[tuple[str, dict[str, Any]]]:
     """The place in the file, for messages, and the entry of each picture. Raises InputError, naming
     the place, for a line that is no entry."""
+    others = f" (formats: {known_formats()})"
     for number, line in enumerate(read_text(path).splitlines(), start=1):
         if not line.strip():
             continue
@@ -103,16 +105,19 @@ def read_entries(path: Path) -> Iterator[tuple[str, dict[str, Any]]]:
         try:
             entry = json.loads(line)
         except (ValueError, RecursionError) as error:
-            raise InputError(f"{where}: is not JSON: {error}") from None
+            raise InputError(
+                f"{where}: is not JSON, which TuSimple's format needs in each line: {error}{others}"
+            ) from None
         if isinstance(entry, dict) and "lane_lines" in entry:
             raise InputError(f"{where}: has lane_lines: that is OpenLane's, format: openlane")
         for key in ("raw_file", "lanes"):
             if not isinstance(entry, dict) or key not in entry:
-                raise InputError(f"{where}: has no {key}, which TuSimple's format needs")
+                raise InputError(f"{where}: has no {key}, which TuSimple's format needs{others}")
         if not isinstance(entry["raw_file"], str) or not isinstance(entry["lanes"], list):
             raise InputError(f"{where}: raw_file must be a text and lanes a list of lists")
         if "h_samples" not in entry:
             entry["h_samples"] = _rows_of(entry["lanes"], where)
+        others = ""  # The file is TuSimple's, with a line that is not.
         yield where, entry
 
 

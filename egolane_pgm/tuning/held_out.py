@@ -22,13 +22,12 @@ from egolane_pgm.scoring.bootstrap import (
 from egolane_pgm.scoring.confusion import SCORES as CONFUSION_SCORES
 from egolane_pgm.scoring.confusion import on_widest
 from egolane_pgm.scoring.held_out import blocks, without_block
-from egolane_pgm.scoring.stability import lane_changes
 from egolane_pgm.scoring.summary import score_all
 from egolane_pgm.tuning.objective import tried_belief
 from egolane_pgm.tuning.plan import Problem, parameters_at, scorer
 from egolane_pgm.tuning.search import Report, Settings, best_trial, search, search_in_memory
 from egolane_pgm.tuning.space import Point, to_parameters
-from egolane_pgm.types import BoolArray, FloatArray, InputError, LaneTruth
+from egolane_pgm.types import BoolArray, FloatArray, LaneTruth
 
 #: The scores that every result shows.
 SCORES = ("accuracy", "precision", "recall", "f1", "log_loss", "brier")
@@ -50,52 +49,22 @@ class Nested:
     trials: int
 
 
-def check_blocks(problem: Problem) -> list[str]:
-    """Raise InputError for more blocks than the drive has lane changes, and where the frames that
-    are left to fit on lack a lane that was driven. Returns notes: blocks in which a lane does not
-    occur."""
-    n_blocks = problem.plan.tuning.blocks
-    notes = []
-    for drive in problem.drives:
-        where, truth = drive.experiment.source, drive.truth
-        changes = len(lane_changes(truth.lane, truth.is_crossing))
-        if n_blocks > changes:
-            advice = f"take at most {changes}" if changes > 1 else "search with --in-sample-only"
-            raise InputError(
-                f"{where}: {n_blocks} blocks, but the drive has {changes} lane change(s): a block"
-                f" without one says nothing; {advice}"
-            )
-        lost = _lost_lane(drive, n_blocks)
-        if lost is not None:
-            fine = [n for n in range(2, min(changes, 20) + 1) if not _lost_lane(drive, n)]
-            advice = (
-                f"take {' or '.join(map(str, fine[:3]))} (--blocks)"
-                if fine
-                else ("search with --in-sample-only")
-            )
-            raise InputError(
-                f"{where}: without block {lost[0]} of {n_blocks} no frame in lane {lost[1]} is"
-                f" left to fit on; {advice}"
-            )
-        driven = _lanes(truth)
-        for b, part in enumerate(blocks(len(drive), n_blocks)):
-            absent = sorted(driven - _lanes(truth.take(part)))
-            if absent:
-                lanes = ", ".join(map(str, absent))
-                notes.append(f"{drive.experiment.name}: block {b + 1} has no frame in lane {lanes}")
-    return notes
-
-
-def _lost_lane(drive: Drive, n_blocks: int) -> tuple[int, int] | None:
-    """The first block without which a lane is not left to fit on, and that lane."""
+def blocks_lacking_lanes(drive: Drive, n_blocks: int) -> list[str]:
+    """A note, or none, on the blocks of a drive: those in which a lane that is driven does not
+    occur, and those without which one is not left to fit on. Raises InputError for impossible
+    numbers of blocks, or where no frame is left to fit on."""
     driven = _lanes(drive.truth)
+    lacking, lost = [], []
     for b, part in enumerate(blocks(len(drive), n_blocks)):
-        is_train = drive.may_fit
-        is_train[part] = False
-        lost = driven - _lanes(drive.truth.take(is_train))
-        if lost:
-            return b + 1, min(lost)
-    return None
+        _, train = without_block(drive, n_blocks, b)
+        if driven - _lanes(drive.truth.take(part)):
+            lacking.append(str(b + 1))
+        gone = sorted(driven - _lanes(drive.truth.take(train)))
+        lost += [f"lane {lane} without block {b + 1}" for lane in gone]
+    said = f"{len(lacking)} of {n_blocks} blocks lack a lane that is driven ({', '.join(lacking)})"
+    if lost:
+        said += f"; no frame is left to fit on in {', '.join(lost)}"
+    return [said] if lacking else []
 
 
 def _lanes(truth: LaneTruth) -> set[int]:

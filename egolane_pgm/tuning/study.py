@@ -21,7 +21,7 @@ from egolane_pgm.tuning.held_out import (
     Nested,
     assess,
     beliefs_at,
-    check_blocks,
+    blocks_lacking_lanes,
     difference,
     run_nested,
     settings_without,
@@ -123,7 +123,11 @@ def prepare(
     made.notes += starting_points(problem)[1]
     made.notes += notes_of_silent(problem.drives, problem.settings.objectives)
     if held_out == "blocks":
-        made.notes += check_blocks(problem)
+        made.notes += [
+            f"{drive.experiment.name}: {note}"
+            for drive in problem.drives
+            for note in blocks_lacking_lanes(drive, plan.tuning.blocks)
+        ]
     if held_out == "recordings" and len(problem.parts) < 2:
         raise InputError(f"{plan.source}: whole recordings as blocks need at least two of them")
     if test is not None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import pkgutil
 import re
 import shutil
 from pathlib import Path
@@ -27,6 +28,7 @@ from tests.kits.doc_examples import (
     write_world,
     yaml_kind,
 )
+from tests.kits.drives import command
 
 #: What a page needs that not everybody has.
 _RECORDINGS = re.compile(r"--runs|reproduce|experiments/paper/|egolane data")
@@ -90,6 +92,40 @@ def test_the_yaml_of_a_page_fits_its_schema(page: Path) -> None:
             validator = Draft202012Validator(schema(yaml_kind(content)))
             problems = [error.message for error in validator.iter_errors(content)]
             assert not problems, f"{page}:{block.line}"
+
+
+#: Where code stands in sentences, and in messages.
+SENTENCES = [*PAGES, *sorted((ROOT / "egolane_pgm").rglob("*.py"))]
+
+
+def inline(pattern: str) -> dict[tuple[str, ...], Path]:
+    """What a pattern finds in them outside of blocks, and a file that has it."""
+    texts = {
+        path: re.sub(r"^```.*?^```", "", path.read_text(), flags=re.M | re.S) for path in SENTENCES
+    }
+    return {f.groups(): path for path, text in texts.items() for f in re.finditer(pattern, text)}
+
+
+def test_names_of_python_in_sentences_exist() -> None:
+    def exists(name: str) -> bool:
+        try:
+            return pkgutil.resolve_name(name) is not None
+        except (ImportError, AttributeError):
+            return False
+
+    names = inline(r"\b(?:ego|egolane_pgm)((?:\.\w+)+)")
+    assert len(names) > 100
+    assert not {n: place for (n,), place in names.items() if not exists(f"egolane_pgm{n}")}
+
+
+def test_commands_and_options_in_sentences_exist() -> None:
+    said = inline(r"`egolane ((?:[a-z]+ ?)+)([^`]*)`")
+    assert len(said) > 40
+    for (words, rest), place in said.items():
+        shown = command(*words.split(), "--help")
+        assert shown.exit_code == 0, f"{place}: egolane {words}"
+        for option in re.findall(r"--[a-z-]+", rest):
+            assert option in shown.output, f"{place}: egolane {words}{rest}"
 
 
 def test_what_is_not_run_is_somewhere_and_has_a_reason() -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import os
 import re
 import subprocess
@@ -76,3 +77,9 @@ def test_notebooks_are_shown_with_what_they_put_out_and_files_that_pages_name(si
     assert all((site / "notebooks" / name).stat().st_size > 1000 for name in pictures)
     assert (site / "results" / "paper" / "strips.png").is_file()
     assert (site / "source" / "egolane_pgm" / "maps" / "lane_graph.py.html").is_file()
+
+
+def test_the_search_finds_pages_before_sources(site: Path) -> None:
+    found = json.loads((site / "search" / "search_index.json").read_text())["docs"]
+    boosts = {each["location"].startswith("source/"): each.get("boost", 1) for each in found}
+    assert boosts == {False: 1, True: 0.1}

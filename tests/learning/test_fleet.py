@@ -232,13 +232,14 @@ def test_what_does_not_fit_a_fleet_is_refused_in_one_line(tmp_path: Path) -> Non
     assert f"{drives}: is read here" in refused(*words, "--json", drives)
     other = table(tmp_path, "a,1,3", "b,2,4", head="name,recording.seed,n_lanes")
     assert "b: n_lanes is not that of a" in refused("learn", base(tmp_path), "--fleet", other)
-    absent = table(tmp_path, "a,1,", "b,,none.csv", head="name,recording.seed,recording")
+    head = "name,recording.seed,recording,n_lanes"
+    absent = table(tmp_path, "a,1,,4", "b,,none.csv,4", head=head)
     said = refused("learn", base(tmp_path), "--fleet", absent)
     assert said.startswith("b: ")
     assert "none.csv" in said
     labels = base(tmp_path, learning={"labels": True})
     write_table(tmp_path / "lines.csv", short_drive().log)
-    bare = table(tmp_path, "a,1,", "b,,lines.csv", head="name,recording.seed,recording")
+    bare = table(tmp_path, "a,1,,4", "b,,lines.csv,4", head=head)
     said = refused("learn", labels, "--fleet", bare)
     assert said.startswith("b: ")
     assert "ground_truth: is missing, learning needs it" in said

@@ -533,6 +533,23 @@ def test_a_missing_key_is_refused_with_its_line(tmp_path: Path) -> None:
     assert "line 2: has no h_samples, which TuSimple's format needs" in whats_wrong(path)
 
 
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        ('{"events": [1]}', "has no raw_file, which TuSimple's format needs"),
+        ('{\n "raw_file": 1\n}', "is not JSON, which TuSimple's format needs in each line: "),
+    ],
+)
+def test_a_json_file_that_is_no_recording_is_not_asked_for_a_camera(
+    tmp_path: Path, text: str, said: str
+) -> None:
+    (tmp_path / "a.json").write_text(text)
+    with pytest.raises(InputError) as info:
+        read_tusimple(tmp_path / "a.json")
+    assert str(info.value).startswith(f"{tmp_path / 'a.json'}: line 1: {said}")
+    assert "(formats: rosbag: .bag, .mcap, .db3; table: .csv, .parquet; " in str(info.value)
+
+
 def test_a_picture_without_a_number_is_refused(tmp_path: Path) -> None:
     path = tusimple(tmp_path / "a.jsonl", [entry(1, raw_file="a/b.jpg")])
     assert "'b' has no frame number in it" in whats_wrong(path)

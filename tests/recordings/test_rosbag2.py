@@ -21,7 +21,7 @@ from egolane_pgm.experiment import experiments_folder, load_experiment
 from egolane_pgm.maps.positions import read_positions
 from egolane_pgm.recordings import files_of, format_of, read_lines, write_lines
 from egolane_pgm.recordings.rosbag import TOPIC, read_rosbag
-from egolane_pgm.recordings.select import fill_missing
+from egolane_pgm.recordings.select import fill_missing, recording_warnings
 from egolane_pgm.report.events import clock
 from egolane_pgm.simulation import simulate
 from egolane_pgm.types import InputError, LineLog
@@ -134,9 +134,10 @@ def test_stamps_that_do_not_increase_are_left_out_with_a_warning_or_refused(
 
 def test_a_frame_rate_that_the_stamps_contradict_is_said(log: LineLog, tmp_path: Path) -> None:
     write_lines(tmp_path / "a.mcap", replace(log, time_s=START_S + log.frame_id / 25))
-    _, said = warned(tmp_path / "a.mcap")
-    assert "25 frames per second" in said
-    assert len(read_rosbag(tmp_path / "a.mcap", frame_rate=25.0)) == len(log)
+    stamped = read_rosbag(tmp_path / "a.mcap")
+    (said,) = recording_warnings(stamped, 3, frame_rate=10.0)
+    assert "by its times it has 25 frames per second" in said
+    assert recording_warnings(stamped, 3, frame_rate=25.0) == []
 
 
 def test_frames_put_in_have_times_between_those_of_their_neighbours(

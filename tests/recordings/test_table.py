@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import warnings
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -12,10 +13,13 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 
+from egolane_pgm.drive import with_own_rate
+from egolane_pgm.experiment import load_experiment
 from egolane_pgm.recordings import read_lines
 from egolane_pgm.recordings.select import fill_missing
-from egolane_pgm.recordings.table import read_table, write_table
+from egolane_pgm.recordings.table import own_rate, read_table, write_table
 from egolane_pgm.types import InputError, LineLog
+from tests.kits.drives import short_drive, write_drive
 
 ARRAYS = ("frame_id", "time_s", "offset_m", "is_valid", "is_continuous", "lri", "is_missing")
 HEADING = "frame_id,line,offset_m,is_valid,is_continuous,lri\n"
@@ -84,6 +88,24 @@ def test_a_published_recording_comes_back_as_it_was(
     log = fill_missing(read_lines(Path(os.environ["EGOLANE_DATA"], "rle", name)), "predict", 10.0)
     write_table(tmp_path / f"a.{extension}", log)
     assert_same(log, read_lines(tmp_path / f"a.{extension}"))
+
+
+@pytest.mark.parametrize("extension", FORMATS)
+def test_a_table_keeps_times_and_says_its_rate(tmp_path: Path, extension: str) -> None:
+    log = short_drive().log
+    file, path = tmp_path / f"a.{extension}", write_drive(tmp_path)
+    write_table(file, log)
+    assert own_rate(file) is None
+    stamped = replace(log, time_s=1.5e9 + log.frame_id / 29.97)
+    write_table(file, stamped)
+    assert_same(read_table(file), stamped)
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        assert own_rate(file) == 29.97
+    named = {"recording.path": str(file)}
+    assert with_own_rate(load_experiment(path, named)).recording.frame_rate == 29.97
+    said = load_experiment(path, {**named, "recording.frame_rate": 5})
+    assert with_own_rate(said).recording.frame_rate == 5
 
 
 def test_the_csv_is_the_one_the_documentation_shows(tmp_path: Path) -> None:
@@ -243,15 +265,28 @@ def test_a_bad_row_is_refused_with_its_line_in_the_file(
         ("\udcff\udcfe", "cannot be read as CSV"),
         ("frame_id,line,offset_m,line\n", "column line occurs more than once"),
         (
+            "frame_id,offset_3,offset_m_3\n",
+            "column offset_3 (offset_m_3), offset_m_3 occurs more than once",
+        ),
+        (
+            "frame_id,line,offset_3\n1,1,2.0\n",
+            "no column offset_m; the table has frame_id, line, offset_3 (offset_m_3); it needs",
+        ),
+        (
             "frame_id,offset\n1,2.0\n",
-            "no column line, offset_m; the table has frame_id, offset; it needs a row per line"
-            " (frame_id, line, offset_m) or per frame (frame_id, offset_1, offset_2, ...);"
-            " `columns: {offset_m: NAME}` says what yours are called",
+            "no column offset_m (did you mean 'offset'?); the table has frame_id, offset; it needs"
+            " a row per line (frame_id, line, offset_m) or per frame (frame_id, offset_1, offset_2,"
+            " ...); `columns: {offset_m: NAME}` says what yours are called",
         ),
         (
             "frame_id,line,offset_m\n3,1,-1.5\n3,2,\n",
             "line 3: frame 3 has a line without an offset",
         ),
+        (
+            "frame_id,time_s,offset_m\n3,0.3,2\n3,0.3,4\n4,0.3,2\n",
+            "line 4: time_s of frame 4 is not later than that before",
+        ),
+        ("frame_id,time_s,offset_m\n3,,2\n", "line 2: time_s is empty"),
     ],
 )
 def test_a_csv_that_does_not_fit_is_refused(tmp_path: Path, text: str, said: str) -> None:
@@ -262,7 +297,11 @@ def test_a_csv_that_does_not_fit_is_refused(tmp_path: Path, text: str, said: str
 @pytest.mark.parametrize(
     ("columns", "said"),
     [
-        ({"line": None}, "no column line"),
+        ({"offset_m": None}, "no column offset_m"),
+        (
+            {"line": None, "offset_m": None, "offset_3": ["far", "1"]},
+            "column offset_3 (offset_m_3) has type string, which is not a number (",
+        ),
         ({"frame_id": [], "line": [], "offset_m": []}, "the table has no rows"),
         ({"offset_m": ["1.0", "far"]}, "column offset_m has type string, which is not a number ("),
         ({"offset_m": [True, False]}, "column offset_m has type bool, which is not a number"),
@@ -329,7 +368,7 @@ def test_a_row_per_frame_is_the_same_as_a_row_per_line(tmp_path: Path) -> None:
     ("rows", "said"),
     [
         ("7,,,,,true", "line 2: frame 7 has a valid line without a finite offset"),
-        ("7,x,,,,true", "line 2: offset_m_1 is 'x', not a number"),
+        ("7,1,2,x,,true", "line 2: offset_3 (offset_m_3) is 'x', not a number"),
         ("7,1,,,,true\n7,1,,,,true", "line 3: frame 7 has this line twice"),
         ("7,1,,,,true\n6,1,,,,true", "line 3: frame 6 comes after a later one"),
         ("7,1,2,3,,", "line 2: frame 7 has a line with empty is_valid"),

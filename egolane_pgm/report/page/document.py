@@ -12,8 +12,8 @@ import yaml
 from jinja2 import Environment, StrictUndefined
 
 from egolane_pgm import __version__
+from egolane_pgm.inference.events import SURE
 from egolane_pgm.report.answers import (
-    RIGHT_COLOUR,
     percent,
     reliabilities,
     title_of,
@@ -28,9 +28,6 @@ from egolane_pgm.report.tables import TUNED_ON, score_rows, score_text
 from egolane_pgm.results import Result
 from egolane_pgm.tools.files import write_text
 from egolane_pgm.types import InputError
-
-#: How strongly the cells of a confusion matrix are coloured, from none to all of a true lane.
-_RIGHT, _WRONG = RIGHT_COLOUR, "#c25e00"
 
 
 def write_page(
@@ -164,6 +161,7 @@ def _part(
     events = result.scores.get("events", {})
     return {
         "title": title,
+        "figures": list(_figures(result, changes, places)),
         "lead": _lead(result),
         "stretches": {"said": said, "header": header, "places": places},
         "changes": _first(change_header, change_places),
@@ -182,23 +180,38 @@ def _first(header: Sequence[str], places: Sequence[lists.Place]) -> dict[str, An
     return {"header": header, "places": places[: lists.ROWS], "more": more}
 
 
+def _figures(
+    result: Result, changes: lists.Changes, worst: Sequence[lists.Place]
+) -> Iterator[tuple[str, str, lists.Place | None]]:
+    """A result in a few figures: each with what it is, and the place that a click on it goes to."""
+    scores = _scores_of(result)
+    if "model" in scores:
+        said = "lane right"
+        if interval := scores["model"].get("intervals", {}).get("accuracy"):
+            said += f" ({100 * interval[0]:.1f} to {100 * interval[1]:.1f})"
+        if "detector" in scores:
+            said += f"; detector alone {percent(scores['detector']['accuracy'])} %"
+        yield f"{percent(scores['model']['accuracy'])} %", said, None
+    is_sure = result.marginals["Lane"].max(axis=1) >= SURE
+    yield f"{percent(is_sure.mean())} %", f"sure: a lane has {SURE:g} or more", None
+    said = "lane changes told"
+    if result.truth is not None:
+        n_right = sum(change.outcome == lists.RIGHT for change in changes.told)
+        said += f", {n_right} right; the truth has {len(changes.true)}"
+    yield f"{len(changes.told)}", said, None
+    if worst:
+        said = "where it fails most" if result.truth is not None else "where it is least sure"
+        yield f"{worst[0].cells[0]} s", said, worst[0]
+
+
 def _lead(result: Result) -> str:
-    """A result in one sentence."""
+    """What a result is of, in one sentence."""
     run, experiment = result.run, result.config
     said = [f"{len(result.frame_id):,} frames, {result.n_lanes} lanes"]
     said.append(f"graph {experiment.get('graph')}, evidence {experiment.get('evidence')}")
-    scores = _scores_of(result)
-    for who in ("model", "detector"):
-        if who in scores:
-            each = scores[who]
-            interval = each.get("intervals", {}).get("accuracy")
-            spread = f" [{interval[0]:.3f}, {interval[1]:.3f}]" if interval else ""
-            name = "accuracy" if who == "model" else "the detector alone"
-            said.append(f"{name} {score_text(each['accuracy'])}{spread}")
-    if scores:
-        said.append(TUNED_ON.get(run.get("tuned_on", ""), str(run.get("tuned_on"))))
-    else:
-        said.append("no ground truth")
+    tuned_on = str(run.get("tuned_on", ""))
+    has_scores = bool(_scores_of(result))
+    said.append(TUNED_ON.get(tuned_on, tuned_on) if has_scores else "no ground truth")
     said.append("causal" if run.get("is_causal") else "not causal")
     return "; ".join(said)
 
@@ -243,20 +256,13 @@ def _confusions(result: Result) -> list[dict[str, Any]]:
             cells = []
             for k, count in enumerate(row):
                 share = count / total[k]
-                colour, ink = _tint(_RIGHT if r == k else _WRONG, share)
                 said = f"{percent(share)} %" if count else ""
-                cells.append({"count": count, "share": said, "colour": colour, "ink": ink})
+                kind = "right" if r == k else "wrong"
+                cells.append({"count": count, "share": share, "said": said, "kind": kind})
             rows.append({"name": f"lane {r + 1}" if r < n else "no answer", "cells": cells})
         name = "Model" if who == "model" else "Detector alone"
         found.append({"who": name, "n": n, "rows": rows})
     return found
-
-
-def _tint(colour: str, share: float) -> tuple[str, str]:
-    """A colour mixed with white, and that of text on it that stays readable."""
-    channels = [int(colour[i : i + 2], 16) for i in (1, 3, 5)]
-    mixed = [round(255 + share * (c - 255)) for c in channels]
-    return "#" + "".join(f"{c:02x}" for c in mixed), "#ffffff" if share > 0.75 else "#222222"
 
 
 def _parameters(results: Sequence[Result], titles: Sequence[str]) -> dict[str, Any]:

@@ -326,10 +326,11 @@ def reliability_plot(found: dict[str, Reliability], n_lanes: int) -> Any:
         )
     tips = [("says", "@said{0.000}"), ("right", "@right{0.000}"), ("frames", "@frames")]
     made.add_tools(HoverTool(renderers=dots, tooltips=tips))
-    made.legend.location = "top_left"
-    made.legend.label_text_font_size = "11px"
-    made.legend.background_fill_alpha = 0.7
-    made.legend.border_line_color = None
+    [legend] = made.legend
+    # On the points it would hide some.
+    made.add_layout(legend, "above")
+    legend.label_text_font_size = "11px"
+    legend.border_line_color = None
     return made
 
 

@@ -172,7 +172,7 @@ def test_what_is_drawn_is_what_was_believed(shown: Opened, result: Result) -> No
 
 
 def test_a_click_on_a_worst_stretch_goes_there(shown: Opened) -> None:
-    button = shown.page.locator(".stretches button").first
+    button = shown.page.locator("#stretches button").first
     begin, end = (float(button.get_attribute(f"data-{name}")) for name in ("begin", "end"))
     before = shown.range()
     button.click()
@@ -193,6 +193,50 @@ def test_a_telephone_shows_it_without_scrolling_sidewards(browser: Any, file: Pa
     tip = shown.page.locator("#tip").bounding_box()
     assert tip["x"] >= 0
     assert tip["x"] + tip["width"] <= 390
+
+
+#: The lowest contrast of any text of a page with what is behind it, by WCAG, and that text.
+CONTRAST = """() => {
+  const parts = text => text.match(/[\\d.]+/g).map(Number)
+  const over = (behind, [r, g, b, a = 1]) => behind.map((c, k) => c + a * ([r, g, b][k] - c))
+  const behind = element => element
+    ? over(behind(element.parentElement), parts(getComputedStyle(element).backgroundColor))
+    : [255, 255, 255]
+  const light = rgb => rgb.map(c => c / 255)
+    .map(c => c <= .04045 ? c / 12.92 : ((c + .055) / 1.055) ** 2.4)
+    .reduce((sum, c, k) => sum + c * [.2126, .7152, .0722][k], .05)
+  const has_text = e => [...e.childNodes].some(n => n.nodeType == 3 && n.data.trim())
+  return [...document.querySelectorAll("body *")]
+    .filter(e => has_text(e) && e.checkVisibility())
+    .map(e => [behind(e), e])
+    .map(([rgb, e]) => [light(rgb), light(over(rgb, parts(getComputedStyle(e).color))), e])
+    .map(([a, b, e]) => [Math.max(a, b) / Math.min(a, b), e.textContent])
+    .reduce((low, each) => each[0] < low[0] ? each : low)
+}"""
+
+
+@pytest.mark.parametrize("scheme", ["light", "dark"])
+def test_every_text_can_be_read(scheme: str, browser: Any, file: Path) -> None:
+    shown = opened(browser, file, color_scheme=scheme)
+    assert shown.errors == []
+    dark = (
+        shown.page.evaluate("getComputedStyle(document.body).backgroundColor") == "rgb(23, 23, 23)"
+    )
+    assert dark == (scheme == "dark")
+    lowest, text = shown.page.evaluate(CONTRAST)
+    assert lowest >= 4.5, text
+
+
+def test_the_figures_on_top_lead_to_where_it_fails(shown: Opened, result: Result) -> None:
+    figures = shown.page.locator("header .figures li").all_inner_texts()
+    accuracy = result.scores["model"]["accuracy"]
+    assert float(figures[0].split(" %")[0]) == pytest.approx(100 * accuracy, abs=0.05)
+    before = shown.range()
+    shown.page.locator("header .figures button").click()
+    assert shown.range() != before
+    for landmark in ("banner", "navigation", "main"):
+        assert shown.page.get_by_role(landmark).count() == 1
+    assert shown.page.get_by_role("region").count() >= 7
 
 
 def test_names_that_contain_html_are_text(browser: Any, result: Result, tmp_path: Path) -> None:
