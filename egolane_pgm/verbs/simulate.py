@@ -47,7 +47,7 @@ def simulate(
     seed: Seed = 0,
     n_lanes: int | None = None,
     frames: int | None = None,
-    overrides: Mapping[str, Any] | None = None,
+    overrides: Annotated[Mapping[str, Any] | None, Option(example="change_s=5")] = None,
     map: Annotated[StrPath | None, Option("FILE")] = None,
     mirror: bool = False,
     images: bool = False,
