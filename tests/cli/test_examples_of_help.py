@@ -4,20 +4,22 @@ no map and no recordings of the paper are run."""
 from __future__ import annotations
 
 import shlex
+from importlib import import_module
 from pathlib import Path
 
 import click
 import pytest
-from egolane_pgm.cli.examples import EXAMPLES
 
 from egolane_pgm.command import COMMANDS, egolane
 from tests.kits.drives import done
+
+EXAMPLES = {name: import_module(f"egolane_pgm.verbs.{name}").EXAMPLES for name in COMMANDS}
 
 #: In an order in which each finds what it needs, on a shorter drive.
 RUN = {
     "egolane simulate a4 --out drive --frames 600": [],
     "egolane ls": [],
-    "egolane schema": [],
+    "egolane schema > experiment.schema.json": [],
     "egolane validate drive/experiment.yaml experiments/zero_label.yaml": [],
     "egolane lines drive/lines.csv --frame 7": [],
     "egolane convert drive/lines.csv lines.parquet": [],
@@ -40,6 +42,10 @@ RUN = {
 }
 
 
+def words_of(example: str) -> list[str]:
+    return shlex.split(example.partition(" > ")[0].partition(" < ")[0])
+
+
 def test_every_command_has_an_example_that_its_help_shows() -> None:
     assert set(EXAMPLES) == set(COMMANDS)
     for name, examples in EXAMPLES.items():
@@ -55,7 +61,7 @@ def test_an_example_is_a_command_line_that_exists(
     example: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.chdir(tmp_path)
-    _, name, *words = shlex.split(example.partition(" > ")[0].partition(" < ")[0])
+    _, name, *words = words_of(example)
     command = egolane.get_command(click.Context(egolane), name)
     assert command is not None
     with command.make_context(name, words):
@@ -65,4 +71,4 @@ def test_an_example_is_a_command_line_that_exists(
 def test_examples_run_one_after_the_other(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)
     for example, quicker in RUN.items():
-        done(*shlex.split(example)[1:], *quicker)
+        done(*words_of(example)[1:], *quicker)

@@ -25,6 +25,19 @@ def test_help_names_every_command_and_version_the_version() -> None:
     assert "Usage: " in command("data").stderr  # as click does: the help, exit code 2
 
 
+@pytest.mark.parametrize(
+    ("words", "missing"),
+    [
+        (("map",), "argument 'FILE'"),
+        (("validate",), "argument 'EXPERIMENTS...'"),
+        (("lines", "x.csv"), "option '--frame'"),
+        (("calibrate", "--stills", "x"), "option '-o' / '--out'"),
+    ],
+)
+def test_what_a_command_needs_is_asked_for(words: tuple[str, ...], missing: str) -> None:
+    assert refused(*words) == f"Missing {missing}. See `egolane {words[0]} --help`."
+
+
 def test_whoever_stops_reading_gets_no_traceback(drive: Path, tmp_path: Path) -> None:
     reader, writer = os.pipe()
     os.close(reader)  # every write is a broken pipe
@@ -46,13 +59,13 @@ def test_a_road_of_more_lanes_than_there_are_is_refused_at_once(labels: Path) ->
     for name in ("run", "validate", "learn", "compare", "tune"):
         assert "n_lanes: input should be less than or equal to 50" in refused(name, *words)
     said = refused("network", "lane_only", labels.with_name("n.png"), "--n-lanes", 51)
-    assert said == "--n-lanes: 51 is more than 50"
+    assert "'--n-lanes': 51 is not in the range 1<=x<=50" in said
 
 
 def test_a_command_line_that_makes_no_sense_is_one_line(tmp_path: Path) -> None:
     assert "No such command 'rn'" in refused("rn")
     assert "egolane run --help" in refused("run", "x.yaml", "--frame-id", "stamp")
-    assert "Missing argument" in refused("run")
+    assert refused("run") == "run: name an experiment, or a recording of lines"
     assert "--trials" in refused("tune", "x.yaml", "--trials", "0")
 
 
@@ -119,7 +132,7 @@ def test_a_defect_of_the_package_stays_a_traceback(
     def fails(*_: object, **__: object) -> None:
         raise ImportError("no module named x")
 
-    monkeypatch.setattr("egolane_pgm.cli.run.run_experiment", fails)
+    monkeypatch.setattr("egolane_pgm.verbs.run.run_experiment", fails)
     with pytest.raises(ImportError):
         command("run", write_drive(tmp_path))
 
