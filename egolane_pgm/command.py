@@ -262,7 +262,11 @@ def _tables() -> list[click.Parameter]:
     of_wide = "Whole tables, for a file, not only what fits the terminal (or COLUMNS, or 80)."
     return [
         click.Option(
-            ["--format", "style"], type=style, default="markdown", show_default=True, help=of_style
+            ["--format", "table_style"],
+            type=style,
+            default="markdown",
+            show_default=True,
+            help=of_style,
         ),
         click.Option(["--wide"], is_flag=True, help=of_wide),
     ]
@@ -281,11 +285,11 @@ def _invoke(
 ) -> None:
     """Call a verb with what the command line gave, and print what it returns.
 
-    - values: by the names of the parameters; also `style`, `wide`, `json_file` and `cluster`.
+    - values: by the names of the parameters; also `table_style`, `wide`, `json_file` and `cluster`.
     """
     from egolane_pgm.tools.files import check_not_read, check_place, json_text, write_json
 
-    style, wide = values.pop("style", "markdown"), values.pop("wide", False)
+    style, wide = values.pop("table_style", "markdown"), values.pop("wide", False)
     json_file = values.pop("json_file", None)
     given = {name: value for name, value in values.items() if value != ()}
     cluster = given.pop("cluster", None)
@@ -294,7 +298,7 @@ def _invoke(
     prints = io.StringIO() if json_file == "-" else sys.stdout
     if json_file is not None and json_file != "-":
         paths = [Path(each) for each in _flat(given.values()) if isinstance(each, str) and each]
-        check_not_read(Path(json_file), paths)
+        check_not_read(Path(json_file), [file for path in paths for file in _files_of(path)])
         check_place(Path(json_file))
     with contextlib.redirect_stdout(prints):
         done = verb(**given)
@@ -323,6 +327,17 @@ def _invoke(
         raise done.stopped
     if failed:
         raise SystemExit(1)
+
+
+def _files_of(path: Path) -> list[Path]:
+    """A file, and of an experiment those that it names."""
+    from egolane_pgm.drive import named_files
+    from egolane_pgm.experiment import load_experiment
+    from egolane_pgm.types import InputError
+
+    with contextlib.suppress(InputError):
+        return named_files(load_experiment(path))
+    return [path]
 
 
 def _given(hint: Any, name: str, value: Any) -> Any:

@@ -801,6 +801,26 @@ class HeldOutScores(Stored):
     held_out: HeldOut = Field(description="its part of the comparison")
 
 
+class LogEvidence(Stored):
+    """Natural logarithm, mean over the annotated frames, by the exact filter."""
+
+    before: Finite = Field(description="with the tables that learning starts from")
+    held_out: Finite = Field(description="with those that were learned from other frames")
+
+
+class LearnedScores(Stored):
+    """scores.json of what `learn` believed held out. The scores are there with ground truth."""
+
+    schema_version: int = Field(description="version of these keys")
+    name: str = Field(description="name of the experiment")
+    blocks: Count = Field(description="blocks that were held out in turn")
+    frames_scored: Count = Field(description="annotated frames that are not crossing")
+    model: Scores | None = Field(default=None, description="scores of the frames that may be fit")
+    model_all_frames: Scores | None = Field(default=None, description="the same of all frames")
+    log_evidence: LogEvidence | None = Field(description="of learned tables")
+    parameters: dict[str, Any] = Field(description="what was learned from all frames")
+
+
 def read_run(directory: Path) -> Any:
     """What run.json says. Raises InputError in one line, naming the file and a key that does not
     fit."""
@@ -809,10 +829,13 @@ def read_run(directory: Path) -> Any:
 
 def read_scores(directory: Path) -> Any:
     """What scores.json says. Raises InputError as `read_run`."""
-    return _read_json(
-        directory / "scores.json",
-        lambda content: HeldOutScores if "held_out" in content else RunScores,
-    )
+    return _read_json(directory / "scores.json", _scores_model)
+
+
+def _scores_model(content: dict[str, Any]) -> type[Section]:
+    if "held_out" in content:
+        return HeldOutScores
+    return LearnedScores if content.get("fit") == "learn" else RunScores
 
 
 def _read_json(file: Path, model_of: Callable[[dict[str, Any]], type[Section]]) -> Any:

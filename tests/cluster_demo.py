@@ -87,7 +87,7 @@ def main(drives: int, frames: int, n_workers: int) -> bool:
 
         def run(name: str, jobs: int | str) -> tuple[bytes, pd.DataFrame]:
             begun = time.perf_counter()
-            done = ego.run_fleet(QUICKSTART, fleet, folder / name, jobs=jobs)
+            done = ego.run(QUICKSTART, fleet=fleet, out=folder / name, jobs=jobs)
             seconds = time.perf_counter() - begun
             print(f"{name}: {seconds:.1f} s, {len(done.failed)} drives failed", flush=True)
             return read_summary(folder / name)

@@ -25,10 +25,8 @@ from matplotlib import pyplot
 from matplotlib.figure import Figure
 
 import egolane_pgm as ego
-from egolane_pgm.command import COMMANDS
-from egolane_pgm.results import read_result
 from egolane_pgm.running import plan_runs, run_all, run_experiment
-from tests.kits.drives import contents, done, refused, write_drive, write_experiment
+from tests.kits.drives import contents, write_drive, write_experiment
 
 SHORT = {"recording.frames": [0, 300]}
 QUICKSTART = ego.experiments_folder() / "quickstart.yaml"
@@ -57,7 +55,7 @@ def test_the_public_names_are_those_that_dir_and_help_show() -> None:
     shown = pydoc.render_doc(ego, renderer=pydoc.plaintext)
     for name in ego.__all__:
         assert f"class {name}(" in shown or f"\n    {name}(" in shown, name
-    assert "Filter a recording, and score it" in shown
+    assert "Filter a recording, score it" in shown
 
 
 def test_editors_and_type_checkers_see_the_public_names_too() -> None:
@@ -73,12 +71,6 @@ def test_editors_and_type_checkers_see_the_public_names_too() -> None:
         for name in node.names
     }
     assert seen == {name: getattr(ego, name) for name in ego.__all__}
-
-
-def test_every_verb_of_the_commands_is_a_function() -> None:
-    for verb in ("run", "tune", "learn", "compare", "reproduce", "detect", "label"):
-        assert verb in COMMANDS
-        assert callable(getattr(ego, verb))
 
 
 def test_a_name_that_is_not_public_is_not_there() -> None:
@@ -106,15 +98,6 @@ def test_run_gives_what_the_engine_gives(run: ego.Result, drive: Path) -> None:
     assert run.lines is not None
     assert run.truth is not None
     assert len(run) == len(run.evidence) == len(plain.evidence)
-
-
-def test_four_lines_give_a_frame_and_a_figure() -> None:
-    run = ego.run(QUICKSTART, overrides={**SHORT, "parameters.sigma1": 0.3})
-    frame = run.to_pandas()
-    assert frame.index.name == "frame_id"
-    figure = run.plot()
-    assert run.experiment.parameters["sigma1"] == 0.3
-    assert isinstance(figure, Figure)
 
 
 def test_the_frame_of_a_run_has_a_column_per_value_and_what_there_is_besides(
@@ -218,21 +201,6 @@ def test_a_bar_is_shown_where_it_is_wanted(
     assert ("run/s]" in capsys.readouterr().err) is is_shown
 
 
-def test_what_is_saved_is_what_the_command_writes(
-    run: ego.Result, drive: Path, tmp_path: Path
-) -> None:
-    done("run", drive, "--out", tmp_path / "theirs")
-    assert run.save(tmp_path / "ours") == tmp_path / "ours"
-    ours, theirs = contents(tmp_path / "ours"), contents(tmp_path / "theirs")
-    assert ours.keys() == theirs.keys()
-    for name in ours.keys() - {"run.json"}:
-        assert ours[name] == theirs[name], name
-    said = [json.loads(each["run.json"]) for each in (ours, theirs)]
-    for each in said:
-        del each["created"], each["seconds"]
-    assert said[0] == said[1]
-
-
 def test_a_saved_run_is_read_back_as_the_same_object(run: ego.Result, tmp_path: Path) -> None:
     again = ego.load_result(run.save(tmp_path / "run", figures=False))
     assert type(again) is type(run)
@@ -277,14 +245,14 @@ def test_a_directory_that_holds_something_else_is_not_replaced(
 def test_several_runs_are_found_by_name_and_stand_below_each_other(drive: Path) -> None:
     other = ego.load_experiment(drive, {"name": "hard", "evidence_reading": "hard"})
     runs = ego.run([drive, other])
-    assert repr(runs) == "RunResults('drive', 'hard')"
+    assert repr(runs) == "DriveTable('drive', 'hard')"
     assert runs["hard"].experiment == other
     assert [each.name for each in runs] == ["drive", "hard"]
-    frame = runs.to_pandas()
-    assert frame.loc["hard"].equals(runs["hard"].to_pandas())
+    found = runs.to_pandas()["model.accuracy"]
+    assert found["hard"] == runs["hard"].scores["model"]["accuracy"]
     assert isinstance(runs.plot(), Figure)
     assert "<th>hard</th>" in runs._repr_html_()
-    with pytest.raises(ego.InputError, match=r"no run has the name 'soft' \(there are: drive, har"):
+    with pytest.raises(ego.InputError, match="drive: 'soft' is not one of drive, hard"):
         runs["soft"]
 
 
@@ -292,7 +260,7 @@ def test_several_runs_are_saved_and_read_together(drive: Path, tmp_path: Path) -
     several = [drive, ego.load_experiment(drive, {"name": "exact", "filter": "exact"})]
     runs = ego.run(several)
     saved = ego.load_result(runs.save(tmp_path / "several", figures=False))
-    assert repr(saved) == "RunResults('drive', 'exact')"
+    assert repr(saved) == "DriveTable('drive', 'exact')"
     assert saved.to_pandas().equals(runs.to_pandas())
 
 
@@ -321,25 +289,14 @@ def test_one_run_that_fails_does_not_stop_the_others(drive: Path, tmp_path: Path
         ego.run([bad])
 
 
-def test_a_run_on_other_recordings_is_that_of_the_command(drive: Path, tmp_path: Path) -> None:
-    lines, truth = drive.parent / "lines.csv", drive.parent / "ground_truth.txt"
-    found = ego.run(drive, recording=lines, ground_truth=truth, n_lanes=3)
-    assert found.name == "lines"
-    assert found.scores["frames_scored"] > 0
-    done("run", drive, "--recording", lines, "--ground-truth", truth, "--out", tmp_path / "out")
-    assert found.scores["model"] == read_result(tmp_path / "out").scores["model"]
-    runs = ego.run(drive, recording=[lines])
-    assert [each.name for each in runs] == ["lines"]
-
-
 @pytest.mark.parametrize(
     ("given", "said"),
     [
-        (3, "3 is no experiment; give the path of a YAML file"),
-        (None, "None is no experiment"),
+        (3, "experiment: 3 is neither one nor a list of several"),
+        (None, "run: name an experiment, or a recording of lines"),
         ("nowhere.yaml", "nowhere.yaml: cannot be read"),
-        ([], "run: no experiment"),
-        ([3], "3 is no experiment"),
+        ([], "run: name an experiment"),
+        ([3], "3 is not the name of a file"),
         ({"n_lanes": 3}, "experiment: name: is missing"),
     ],
 )
@@ -357,43 +314,29 @@ def test_an_argument_that_there_is_not_is_a_type_error(drive: Path) -> None:
 
 
 @pytest.fixture(scope="module")
-def learned() -> ego.LearnResult:
+def learned() -> ego.Result:
     return ego.learn(ego.load_experiment(QUICKSTART, SHORT), unlabelled=True, blocks=2)
 
 
-def test_what_is_learned_is_scored_held_out_and_saved_as_the_command_does(
-    learned: ego.LearnResult, tmp_path: Path
+def test_the_frames_that_were_held_out_can_be_looked_at_and_saved(
+    learned: ego.Result, tmp_path: Path
 ) -> None:
-    words = ("--set", "recording.frames=[0, 300]", "--unlabelled", "--blocks", 2)
-    theirs, numbers = tmp_path / "theirs.yaml", tmp_path / "numbers.json"
-    done("learn", QUICKSTART, *words, "--out", theirs, "--json", numbers)
-    ours = learned.save(tmp_path / "ours.yaml")
-    text = theirs.read_text().replace("theirs", "ours")
-    assert ours.read_text() == text
-    assert (tmp_path / "ours.graph.yaml").read_text() == (
-        tmp_path / "theirs.graph.yaml"
-    ).read_text()
-    said = json.loads(numbers.read_text())
-    assert learned.scores is not None
-    assert said["held_out"]["accuracy"] == learned.scores["accuracy"]
-    assert learned.save(tmp_path).name == "learned_quickstart.yaml"
-
-
-def test_the_frames_that_were_held_out_can_be_looked_at(learned: ego.LearnResult) -> None:
-    assert learned.scores is not None
     frame = learned.to_pandas()
     scored = frame[~frame["is_crossing"]]
     accuracy = float((scored["assigned_lane"] == scored["true_lane"]).mean())
-    assert accuracy == pytest.approx(learned.scores["accuracy"])
+    assert accuracy == pytest.approx(learned.scores["model"]["accuracy"])
     assert list(frame["block"].unique()) == [0, 1]
     assert isinstance(learned.plot(), Figure)
     assert repr(learned).endswith("; held out, causal)")
     assert "<td>" in learned._repr_html_()
-    assert repr(pickle.loads(pickle.dumps(learned))) == repr(learned)
+    again = ego.load_result(learned.save(tmp_path / "out", figures=False))
+    assert repr(again) == repr(pickle.loads(pickle.dumps(learned))) == repr(learned)
+    assert again.to_pandas().equals(frame)
+    assert "log evidence per frame" in again.to_text()
 
 
 def test_learning_takes_one_experiment() -> None:
-    with pytest.raises(ego.InputError, match="learn: takes one experiment"):
+    with pytest.raises(ego.InputError, match="experiment: takes one; fleet takes a table"):
         ego.learn([QUICKSTART])  # type: ignore[arg-type]
 
 
@@ -401,31 +344,23 @@ def test_learning_takes_one_experiment() -> None:
 
 
 @pytest.fixture(scope="module")
-def tuned() -> ego.TuneResult:
+def tuned() -> ego.Study:
     return ego.tune(QUICKSTART, trials=25, sampler="random")
 
 
-def test_a_search_gives_its_trials_and_an_experiment_with_the_best(tuned: ego.TuneResult) -> None:
+def test_a_search_gives_its_trials_and_an_experiment_with_the_best(tuned: ego.Study) -> None:
     frame = tuned.to_pandas()
     assert frame.index.names == ["study", "number"]
     assert len(frame) == 25
     best = frame["accuracy_in_sample"].max()
     (experiment,) = tuned.experiments.values()
     assert ego.run(experiment).scores["model"]["accuracy"] == pytest.approx(best)
-    assert repr(tuned).startswith(f"TuneResult('quickstart': 25 trials, accuracy {best:.3f} in-sa")
+    assert repr(tuned).startswith(f"Study('quickstart': 25 trials, accuracy {best:.3f} in-sample")
     assert "held out" in repr(tuned)
     assert "<table>" in tuned._repr_html_()
 
 
-def test_a_search_is_the_one_of_the_command(tuned: ego.TuneResult, tmp_path: Path) -> None:
-    words = ("--trials", 25, "--sampler", "random", "--jobs", 1, "--no-figures", "--out", tmp_path)
-    done("tune", QUICKSTART, *words)
-    theirs = ego.load_result(tmp_path / "quickstart")
-    assert theirs.to_pandas().equals(tuned.to_pandas())
-    assert theirs.documents[0]["held_out"] == tuned.documents[0]["held_out"]
-
-
-def test_a_saved_study_is_read_back(tuned: ego.TuneResult, tmp_path: Path) -> None:
+def test_a_saved_study_is_read_back(tuned: ego.Study, tmp_path: Path) -> None:
     saved = tuned.save(tmp_path / "study", figures=False)
     again = ego.load_result(saved)
     assert repr(again) == repr(tuned)
@@ -439,9 +374,7 @@ def test_a_saved_study_is_read_back(tuned: ego.TuneResult, tmp_path: Path) -> No
 
 
 @pytest.mark.parametrize("figure", ["history", "slices", "flatness", "importances"])
-def test_the_figures_of_a_study_are_drawn_outside_of_pyplot(
-    tuned: ego.TuneResult, figure: str
-) -> None:
+def test_the_figures_of_a_study_are_drawn_outside_of_pyplot(tuned: ego.Study, figure: str) -> None:
     before = pyplot.get_fignums()
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
@@ -449,7 +382,7 @@ def test_the_figures_of_a_study_are_drawn_outside_of_pyplot(
     assert pyplot.get_fignums() == before
 
 
-def test_a_figure_that_there_is_not_is_refused_by_name(tuned: ego.TuneResult) -> None:
+def test_a_figure_that_there_is_not_is_refused_by_name(tuned: ego.Study) -> None:
     with pytest.raises(ego.InputError, match="figure: 'hystory' is not one of history, slices"):
         tuned.plot("hystory")
 
@@ -468,7 +401,7 @@ def test_several_studies_are_found_by_name_and_go_on_where_they_were(tmp_path: P
     assert trials.groupby("study").size().to_dict() == {"exact": 3, "quickstart": 3}
     before = first.to_pandas().sort_index()
     assert trials.sort_index().loc[before.index].equals(before)
-    assert repr(ego.load_result(tmp_path)) == "TuneResult('exact', 'quickstart')"
+    assert repr(ego.load_result(tmp_path)) == "Study('exact', 'quickstart')"
 
 
 def test_parameters_are_narrowed_and_fixed_by_a_dict(tmp_path: Path) -> None:
@@ -500,9 +433,7 @@ def test_a_directory_that_is_no_result_is_refused_by_name(
         ego.load_result(tmp_path / name)
 
 
-def test_a_damaged_study_and_what_is_no_name_are_refused(
-    tuned: ego.TuneResult, tmp_path: Path
-) -> None:
+def test_a_damaged_study_and_what_is_no_name_are_refused(tuned: ego.Study, tmp_path: Path) -> None:
     saved = tuned.save(tmp_path / "study", figures=False)
     (saved / "trials.parquet").write_bytes(b"PAR1")
     with pytest.raises(ego.InputError, match=r"trials\.parquet: is not a whole Parquet file"):
@@ -511,53 +442,16 @@ def test_a_damaged_study_and_what_is_no_name_are_refused(
         ego.load_result([saved])  # type: ignore[arg-type]
 
 
-# --- detect --------------------------------------------------------------------------------------
-
-
-def test_lines_that_were_detected_are_those_of_the_command(place: Path, tmp_path: Path) -> None:
-    pictures, camera = place / "drive.avi", place / "cam.yaml"
-    found = ego.detect(pictures, camera=camera, frames=(0, 12))
-    done(
-        "detect", pictures, "--camera", camera, "--frames", 0, 12, "-o", tmp_path / "theirs.parquet"
-    )
-    theirs = ego.run(
-        {
-            "name": "x",
-            "n_lanes": 3,
-            "recording": {"path": str(tmp_path / "theirs.parquet")},
-        }
-    )
-    saved = found.save(tmp_path / "ours")
-    assert saved == tmp_path / "ours" / "lines.parquet"
-    ours = ego.run({"name": "x", "n_lanes": 3, "recording": {"path": str(saved)}})
-    np.testing.assert_array_equal(ours.beliefs.lane, theirs.beliefs.lane)
-    frame = found.to_pandas()
-    assert frame.index.names == ["frame_id", "line"]
-    assert len(frame) == int(np.isfinite(found.log.offset_m).sum())
-    assert isinstance(found.plot(), Figure)
-    assert "12 frames, ids 0 to 11" in repr(found)
-    assert "<table>" in found._repr_html_()
-    assert repr(pickle.loads(pickle.dumps(found))) == repr(found)
-
-
-def test_lines_are_not_written_to_a_file_of_another_kind(tmp_path: Path) -> None:
-    found = ego.DetectResult(run_experiment(QUICKSTART).lines, "x", "ml", None, 1.0)
-    with pytest.raises(ego.InputError, match=r"written as \.parquet, \.csv, \.bag"):
-        found.save(tmp_path / "lines.txt")
-
-
-# --- reproduce -----------------------------------------------------------------------------------
+# --- reproduce ----------------------------------------------------------------------------------
 
 
 def test_a_run_of_the_paper_is_repeated_beside_its_table(recordings: Path, tmp_path: Path) -> None:
     found = ego.reproduce(runs=3, out=tmp_path)
     assert found.document["total_frames_off"] == 0
     frame = found.to_pandas()
-    assert frame.index.names == ["run", "matrix", "score"]
-    assert (frame["difference"].abs() < 0.01).all()
-    assert (frame["frames_off"] == 0).all()
+    assert frame.loc["run03_italy_mc", "model.accuracy"] == pytest.approx(0.843, abs=0.001)
     assert isinstance(found.plot(), Figure)
-    assert repr(ego.load_result(tmp_path / "run03_italy_mc")) == repr(found.runs[3])
+    assert repr(ego.load_result(tmp_path / "run03_italy_mc")) == repr(found["run03_italy_mc"])
     assert "<th>3</th>" in found._repr_html_()
 
 
@@ -580,12 +474,12 @@ def test_a_run_that_the_paper_does_not_have_is_refused(given: Any, said: str) ->
         (ego.run, {"experiment": QUICKSTART, "recording": 3}, "recording: 3 is neither one nor"),
         (ego.run, {"experiment": QUICKSTART, "camera": 3}, "camera: 3 is not the name of a file"),
         (ego.run, {"experiment": QUICKSTART, "overrides": {"filtr": 3}}, "unknown key 'filtr'"),
-        (ego.tune, {"experiments": 3}, "tune: 3 is neither one nor a list of several"),
+        (ego.tune, {"experiments": 3}, "experiments: 3 is neither one nor a list"),
         (ego.tune, {"experiments": QUICKSTART, "parameter": ["p1=1"]}, "parameter: .* is no dict"),
         (ego.tune, {}, "name experiments, or runs of the paper"),
-        (ego.compare, {"experiments": QUICKSTART, "seeds": "5"}, "seeds: '5' is neither how many"),
+        (ego.compare, {"experiments": QUICKSTART, "seeds": "x"}, "seeds: x is neither how many"),
         (ego.detect, {"pictures": 3, "camera": "x.yaml"}, "pictures: 3 is not the name of a file"),
-        (ego.detect, {"pictures": "x", "camera": "x", "overrides": ["a"]}, "overrides: .* no dict"),
+        (ego.detect, {"pictures": "x", "camera": "x", "parameters": ["a"]}, "parameters: .* no di"),
     ],
 )
 def test_an_argument_of_another_kind_is_said_in_one_line(
@@ -596,25 +490,18 @@ def test_an_argument_of_another_kind_is_said_in_one_line(
     assert "\n" not in str(caught.value)
 
 
-def test_an_error_of_the_command_and_of_the_function_is_the_same(tmp_path: Path) -> None:
-    bad = write_experiment(tmp_path / "bad.yaml", sigma=3)
-    with pytest.raises(ego.InputError) as caught:
-        ego.run(bad)
-    assert str(caught.value) in refused("run", bad)
-
-
 # --- compare -------------------------------------------------------------------------------------
 
 
 @pytest.fixture(scope="module")
-def compared() -> ego.CompareResult:
+def compared() -> ego.Comparison:
     one = ego.load_experiment(QUICKSTART, SHORT)
     two = {"name": "learned", "fit": "learn", "learning": {"labels": False}}
     return ego.compare([one, ego.load_experiment(one, two)], blocks=2)
 
 
 def test_a_comparison_has_a_row_for_each_recording_experiment_and_score(
-    compared: ego.CompareResult,
+    compared: ego.Comparison,
 ) -> None:
     frame = compared.to_pandas()
     assert frame.index.names == ["recording", "experiment", "subset", "score"]
@@ -631,13 +518,13 @@ def test_a_comparison_has_a_row_for_each_recording_experiment_and_score(
     with pytest.raises(ego.InputError, match="figure: 'f1' is not one of accuracy, differences"):
         compared.plot("f1")
     assert repr(compared) == (
-        "CompareResult(quickstart, learned on quickstart, seed 0; not tuned, causal or held out,"
-        " causal)"
+        "Comparison(quickstart, learned on quickstart, seed 0;"
+        " not tuned, causal or held out, causal)"
     )
     assert "<td>" in compared._repr_html_()
 
 
-def test_a_comparison_keeps_what_was_believed_in_each_frame(compared: ego.CompareResult) -> None:
+def test_a_comparison_keeps_what_was_believed_in_each_frame(compared: ego.Comparison) -> None:
     run = compared["quickstart, seed 0", "learned"]
     frame = run.to_pandas()
     scored = frame[~frame["is_crossing"]]
@@ -646,16 +533,11 @@ def test_a_comparison_keeps_what_was_believed_in_each_frame(compared: ego.Compar
     assert accuracy == pytest.approx(entry["scores"]["all_frames"]["accuracy"])
     assert "held out" in repr(run)
     assert "<td>" in run._repr_html_()
-    several = ego.RunResults((run, run))._repr_html_()
-    assert f"{accuracy:.3f}" in several
-    assert "held out" in several
     with pytest.raises(ego.InputError, match="was not held out here; there are quickstart, seed 0"):
         compared["quickstart", "learned"]
 
 
-def test_a_saved_comparison_is_read_back_as_that_of_the_command_is(
-    compared: ego.CompareResult, tmp_path: Path
-) -> None:
+def test_a_saved_comparison_is_read_back(compared: ego.Comparison, tmp_path: Path) -> None:
     saved = compared.save(tmp_path / "ours")
     assert (saved / "figures" / "accuracy.png").is_file()
     again = ego.load_result(saved)
@@ -665,13 +547,6 @@ def test_a_saved_comparison_is_read_back_as_that_of_the_command_is(
     part = ego.load_result(saved / "quickstart_seed_0")
     assert part.to_pandas().equals(compared.to_pandas())
     assert len(part["quickstart, seed 0", "learned"]) == 300
-    experiment = ego.load_experiment(QUICKSTART, SHORT)
-    copy = tmp_path / "x.yaml"
-    copy.write_text("include: " + json.dumps(str(QUICKSTART)) + "\nrecording: {frames: [0, 300]}\n")
-    done("compare", copy, "--blocks", 2, "--out", tmp_path / "theirs")
-    theirs = ego.load_result(tmp_path / "theirs")
-    score = ("quickstart, seed 0", experiment.name, "all_frames", "f1")
-    assert theirs.to_pandas().loc[score, "value"] == compared.to_pandas().loc[score, "value"]
 
 
 def test_graphs_on_a_run_of_the_paper_are_in_sample(recordings: Path, tmp_path: Path) -> None:
@@ -689,9 +564,15 @@ def test_graphs_on_a_run_of_the_paper_are_in_sample(recordings: Path, tmp_path: 
 @pytest.mark.parametrize(
     ("given", "said"),
     [
-        ({"experiments": QUICKSTART, "with_paper": True}, "goes with experiments and --runs"),
-        ({"experiments": QUICKSTART, "trials": 3, "trials_per_number": 3}, "instead of --trials"),
-        ({"experiments": 3}, "compare: 3 is neither one nor a list"),
+        (
+            {"experiments": QUICKSTART, "with_paper": True},
+            "with_paper: goes with",
+        ),
+        (
+            {"experiments": QUICKSTART, "trials": 3, "trials_per_number": 3},
+            "goes instead of",
+        ),
+        ({"experiments": 3}, "experiments: 3 is neither one nor a list"),
     ],
 )
 def test_arguments_of_compare_that_do_not_go_together_are_refused(given: Any, said: str) -> None:
@@ -699,7 +580,7 @@ def test_arguments_of_compare_that_do_not_go_together_are_refused(given: Any, sa
         ego.compare(**given)
 
 
-def test_a_damaged_comparison_is_refused(compared: ego.CompareResult, tmp_path: Path) -> None:
+def test_a_damaged_comparison_is_refused(compared: ego.Comparison, tmp_path: Path) -> None:
     saved = compared.save(tmp_path / "ours", figures=False)
     file = saved / "comparison.json"
     whole = json.loads(file.read_text())

@@ -14,9 +14,10 @@ import pytest
 import yaml
 
 import egolane_pgm as ego
-from egolane_pgm import load_experiment, run_experiment
 from egolane_pgm.command import egolane
+from egolane_pgm.experiment import load_experiment
 from egolane_pgm.graphs.cpds import quiet
+from egolane_pgm.running import run_experiment
 from tests.kits.drives import done, simulated
 
 ROOT = Path(__file__).parents[1]

@@ -1,6 +1,10 @@
 from __future__ import annotations
 
+import re
+from collections.abc import Mapping
 from pathlib import Path
+from types import MappingProxyType
+from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -28,6 +32,13 @@ def fleet_of(folder: Path, n: int = 4) -> Path:
     rows = [f'd{k},{k},"[0, 150]",{"rain" if k % 2 else "sun"}' for k in range(n)]
     head = "name,recording.seed,recording.frames,tag.weather"
     return table(folder, "\n".join([head, *rows]))
+
+
+def were_there(fleet: Path, out: Path, overrides: Mapping[str, Any] = MappingProxyType({})) -> int:
+    """Run the drives; how many of them were not run again."""
+    found = ego.run(QUICKSTART, fleet=fleet, out=out, overrides=overrides).to_text()
+    said = re.search(r"(\d+)\s+of\s+them\s+were\s+there", found)
+    return int(said[1]) if said else 0
 
 
 def without_times(folder: Path) -> pd.DataFrame:
@@ -110,8 +121,8 @@ def test_other_files_are_refused_in_one_line(
 
 def test_processes_write_the_same_summary_as_one(tmp_path: Path) -> None:
     fleet = fleet_of(tmp_path)
-    ego.run_fleet(QUICKSTART, fleet, tmp_path / "one")
-    ego.run_fleet(QUICKSTART, fleet, tmp_path / "two", jobs=2)
+    ego.run(QUICKSTART, fleet=fleet, out=tmp_path / "one")
+    ego.run(QUICKSTART, fleet=fleet, out=tmp_path / "two", jobs=2)
     pd.testing.assert_frame_equal(
         without_times(tmp_path / "one"), without_times(tmp_path / "two"), check_exact=True
     )
@@ -119,48 +130,44 @@ def test_processes_write_the_same_summary_as_one(tmp_path: Path) -> None:
 
 def test_drives_that_are_there_are_not_run_again(tmp_path: Path) -> None:
     fleet = fleet_of(tmp_path)
-    first = ego.run_fleet(QUICKSTART, fleet, tmp_path / "out")
+    assert were_there(fleet, tmp_path / "out") == 0
     before = without_times(tmp_path / "out")
-    again = ego.run_fleet(QUICKSTART, fleet, tmp_path / "out")
-    assert (first.were_there, again.were_there) == (0, 4)
+    assert were_there(fleet, tmp_path / "out") == 4
     pd.testing.assert_frame_equal(before, without_times(tmp_path / "out"), check_exact=True)
     fleet.write_text(fleet.read_text().replace("d3,3,", "d3,33,"))
-    assert ego.run_fleet(QUICKSTART, fleet, tmp_path / "out").were_there == 3
-    changed = ego.run_fleet(
-        QUICKSTART, fleet, tmp_path / "out", overrides={"parameters.sigma1": 0.3}
-    )
-    assert changed.were_there == 0
+    assert were_there(fleet, tmp_path / "out") == 3
+    assert were_there(fleet, tmp_path / "out", {"parameters.sigma1": 0.3}) == 0
 
 
 def test_a_recording_that_changed_is_run_again(tmp_path: Path) -> None:
     write_drive(tmp_path / "drive")
     lines = tmp_path / "drive" / "lines.csv"
     fleet = table(tmp_path, "recording,n_lanes\ndrive/lines.csv,3\n")
-    ego.run_fleet(QUICKSTART, fleet, tmp_path / "out")
-    assert ego.run_fleet(QUICKSTART, fleet, tmp_path / "out").were_there == 1
+    ego.run(QUICKSTART, fleet=fleet, out=tmp_path / "out")
+    assert were_there(fleet, tmp_path / "out") == 1
     kept = lines.read_text().splitlines()
     lines.write_text("\n".join(kept[:-40]) + "\n")
-    assert ego.run_fleet(QUICKSTART, fleet, tmp_path / "out").were_there == 0
+    assert were_there(fleet, tmp_path / "out") == 0
 
 
 def test_a_result_that_is_not_whole_is_made_again(tmp_path: Path) -> None:
     fleet = fleet_of(tmp_path, 3)
-    ego.run_fleet(QUICKSTART, fleet, tmp_path / "out")
+    ego.run(QUICKSTART, fleet=fleet, out=tmp_path / "out")
     cut = tmp_path / "out" / "d0" / "beliefs.parquet"
     cut.write_bytes(cut.read_bytes()[:-100])
     (tmp_path / "out" / "d1" / "beliefs.parquet").unlink()
-    assert ego.run_fleet(QUICKSTART, fleet, tmp_path / "out").were_there == 1
-    assert ego.run_fleet(QUICKSTART, fleet, tmp_path / "out").were_there == 3
+    assert were_there(fleet, tmp_path / "out") == 1
+    assert were_there(fleet, tmp_path / "out") == 3
 
 
 def test_what_is_overridden_is_meant_for_the_drives(tmp_path: Path) -> None:
     write_drive(tmp_path / "drive")
     fleet = table(tmp_path, "name,recording,recording.frames\na,drive/lines.csv,\n")
     base = {"recording.frames": [0, 90], "n_lanes": 3}
-    found = ego.run_fleet(QUICKSTART, fleet, tmp_path / "out", overrides=base)
+    found = ego.run(QUICKSTART, fleet=fleet, out=tmp_path / "out", overrides=base)
     assert found.to_pandas().loc["a", "frames"] == 90
     fleet = table(tmp_path, 'name,recording,recording.frames\na,drive/lines.csv,"[0, 60]"\n')
-    found = ego.run_fleet(QUICKSTART, fleet, tmp_path / "out", overrides=base)
+    found = ego.run(QUICKSTART, fleet=fleet, out=tmp_path / "out", overrides=base)
     assert found.to_pandas().loc["a", "frames"] == 60
 
 
@@ -248,15 +255,15 @@ def test_a_second_detector_on_each_drive_makes_no_interval_narrower(tmp_path: Pa
     rows = [f"{k},{k},'[0, 150]'" for k in range(3)]
     head = "name,recording.seed,recording.frames"
     fleet = table(tmp_path, "\n".join([head, *rows]).replace("'", '"'))
-    alone = ego.run_fleet(QUICKSTART, fleet, tmp_path / "one")
+    alone = ego.run(QUICKSTART, fleet=fleet, out=tmp_path / "one")
     assert [row["drive"] for row in alone.rows] == ["0", "1", "2"]
     again = [f"b{row}" for row in rows]
     fleet = table(tmp_path, "\n".join([head, *rows, *again]).replace("'", '"'))
     for _ in range(2):
-        both = ego.run_fleet(QUICKSTART, fleet, tmp_path / "both")
+        both = ego.run(QUICKSTART, fleet=fleet, out=tmp_path / "both")
         assert [row["drive"] for row in both.rows] == ["0", "1", "2"] * 2
         assert pooled(both.rows)[0].interval == pytest.approx(pooled(alone.rows)[0].interval)
-    assert both.were_there == 6
+    assert were_there(fleet, tmp_path / "both") == 6
 
 
 def test_a_difference_over_drives_is_paired() -> None:

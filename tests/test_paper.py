@@ -383,7 +383,7 @@ def test_an_interrupted_command_says_so(
     def interrupted(*words: object, **options: object) -> None:
         raise KeyboardInterrupt
 
-    monkeypatch.setattr("egolane_pgm.api.reproduction.reproduce_run", interrupted)
+    monkeypatch.setattr("egolane_pgm.verbs.reproduce.reproduce_run", interrupted)
     result = command("reproduce", "--runs", "2")
     assert result.exit_code == 130
     assert result.stderr == (

@@ -11,11 +11,10 @@ from typing import Any
 import numpy as np
 import pytest
 
-from egolane_pgm import load_experiment, run_experiment
 from egolane_pgm import running as run_many
 from egolane_pgm.drive import check_sources, load_recording
 from egolane_pgm.evidence.counting import evidence as counting
-from egolane_pgm.experiment import Experiment
+from egolane_pgm.experiment import Experiment, load_experiment
 from egolane_pgm.inference.filtering import filter_beliefs, read_evidence
 from egolane_pgm.inference.smoothing import fixed_lag_beliefs, smooth_beliefs
 from egolane_pgm.inference.viterbi import viterbi
@@ -23,6 +22,7 @@ from egolane_pgm.model import make_evidence, prepare_model, with_parameters
 from egolane_pgm.parameters import resolve_parameters
 from egolane_pgm.recordings.table import write_table
 from egolane_pgm.results import Result, is_result, read_result
+from egolane_pgm.running import run_experiment
 from egolane_pgm.scoring.assign import assigned_lane
 from egolane_pgm.scoring.confusion import confusion
 from egolane_pgm.types import InputError
@@ -425,7 +425,7 @@ def test_several_recordings_cannot_share_a_ground_truth(experiments, tmp_path):
         "run", experiments[0], "--recording", "a", "--recording", "b", "--ground-truth", "c"
     )
     assert found.exit_code == 2
-    assert "several --recording go with one experiment" in found.output
+    assert "--recording: several go with one experiment" in found.output
 
 
 def test_a_process_that_dies_leaves_the_results_of_the_others(experiments, tmp_path):

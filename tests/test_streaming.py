@@ -264,7 +264,7 @@ def test_the_command_says_what_run_says(tmp_path: Path) -> None:
     both = ("--recording", tmp_path / "lines.csv")
     for words in ((path, path), (path, *both, *both[:1], tmp_path / "other.csv")):
         said = refused("run", *words, "--stream")
-        assert said == "--stream: goes with one experiment and one recording"
+        assert said == "--stream: goes with one experiment, one recording and out"
 
 
 def test_a_streamed_result_is_read_as_any_other(tmp_path: Path) -> None:
@@ -283,7 +283,7 @@ def test_a_streamed_result_is_read_as_any_other(tmp_path: Path) -> None:
 
 def test_python_gives_the_scores_and_the_directory(tmp_path: Path) -> None:
     path = write_drive(tmp_path)
-    found = ego.run_streamed(path, tmp_path / "out", overrides={"name": "mine"})
+    found = ego.run(path, stream=True, out=tmp_path / "out", overrides={"name": "mine"})
     run = ego.run(path, overrides={"name": "mine"})
     assert len(found) == len(run)
     assert found.scores["model"]["accuracy"] == run.scores["model"]["accuracy"]

@@ -119,8 +119,12 @@ def result_text(result: Result, style: str, wide: bool) -> str:
 
 def _held_out_parts(result: Result) -> list[str | Table]:
     """What was believed held out: by learning, or in a comparison."""
-    parts: list[str | Table] = [result_title(result)]
+    title = result_title(result)
     found, everywhere = scored(result), result.scores.get("model_all_frames")
+    if result.scores.get("fit") == "learn":
+        how = f"held out, {result.run['blocks']} blocks: each is believed with what was learned"
+        title += f"\n{how} without it, neither its labels nor its lines looked at"
+    parts: list[str | Table] = [title]
     if found:
         parts.append(Table(*score_rows(found)))
     if everywhere and everywhere["frames_scored"] != result.scores["frames_scored"]:

@@ -30,10 +30,18 @@ from egolane_pgm.fleet import FleetDrive, read_fleet
 from egolane_pgm.paper import Runs, parse_runs
 from egolane_pgm.results import read_result
 from egolane_pgm.tools.files import check_place
-from egolane_pgm.tools.jobs import Jobs
 from egolane_pgm.tools.progress import bar
 from egolane_pgm.types import InputError
-from egolane_pgm.verbs.given import Blocks, Fleet, Option, Progress, StrPath, path_of, several_of
+from egolane_pgm.verbs.given import (
+    Blocks,
+    Fleet,
+    Jobs,
+    Option,
+    Progress,
+    StrPath,
+    path_of,
+    several_of,
+)
 
 EXAMPLES = (
     "egolane compare experiments/quickstart.yaml --graphs sensor_failure,lane_only",

@@ -63,6 +63,8 @@ Blocks = Annotated[int, Ge(2)]
 Seed = Annotated[int, Ge(0)]
 Detector = Annotated[StrPath | None, Option("NAME|FILE.py", plugins=("detectors",))]
 CameraFile = Annotated[StrPath, Option("FILE", required=True)]
+#: Processes that share the work, or a Dask cluster; see `tools.jobs`.
+Jobs = Annotated[int, Ge(1)] | str
 FrameId = Literal["way_id", "seq", "count"]
 Frames = Annotated[tuple[int, int] | None, Option("FIRST STOP")]
 Fleet = Annotated[StrPath | None, Option("FILE")]

@@ -26,10 +26,9 @@ from egolane_pgm.report.tables import Table, with_interval
 from egolane_pgm.results import SCHEMA_VERSION, Result
 from egolane_pgm.running import held_out_result
 from egolane_pgm.tools.files import check_not_read
-from egolane_pgm.tools.jobs import Jobs
 from egolane_pgm.tools.progress import bar
 from egolane_pgm.types import InputError
-from egolane_pgm.verbs.given import Blocks, ByTag, Fleet, Option, Progress, StrPath, path_of
+from egolane_pgm.verbs.given import Blocks, ByTag, Fleet, Jobs, Option, Progress, StrPath, path_of
 
 EXAMPLES = (
     "egolane learn drive/experiment.yaml --out learned.yaml",
@@ -96,14 +95,15 @@ def learn(  # type: ignore[misc]
     if unlabelled:
         given = load_experiment(given, {"learning.labels": False})
     target = None if out is None else _target(path_of(out, "out"), given.name)
+    for file in () if target is None else output_files(given, target):
+        check_not_read(file, [] if fleet is None else [Path(fleet)])
     if fleet is None:
+        given = with_own_rate(given)
         if by_tag is not None or jobs != 1:
             raise InputError("by_tag: goes with a fleet, as jobs do")
         found: Result | DriveTable = _learn_drive(given, blocks, progress)
         source = None
     else:
-        for file in () if target is None else output_files(given, target):
-            check_not_read(file, [Path(fleet)])
         given, found = _learn_fleet(given, fleet, overrides, blocks, by_tag, jobs, progress)
         source = str(found.document["fleet"])
     if target is not None:
@@ -124,8 +124,7 @@ def _target(out: str, name: str) -> Path:
     return Path(out.replace("*", name.removeprefix("learned_")))
 
 
-def _learn_drive(experiment: Experiment, blocks: int, progress: bool | None) -> Result:
-    given = with_own_rate(experiment)
+def _learn_drive(given: Experiment, blocks: int, progress: bool | None) -> Result:
     with warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always", UserWarning)
         drive = load_to_learn(given)
@@ -148,6 +147,7 @@ def _held_out(drive: Drive, learned: Learned, blocks: int, notes: tuple[str, ...
     }
     scores = {"name": drive.experiment.name, "fit": "learn", **run}
     scores |= {"frames": len(drive), "frames_scored": 0, "log_evidence": _evidence(learned)}
+    scores |= {"parameters": learned.parameters}
     if learned.scores is not None:
         scores |= {"model": learned.scores, "frames_scored": learned.scores["frames_scored"]}
         scores |= {"model_all_frames": learned.scores_all}

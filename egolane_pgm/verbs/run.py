@@ -34,7 +34,6 @@ from egolane_pgm.running import (
     run_experiment,
     run_in_parts,
 )
-from egolane_pgm.tools.jobs import Jobs
 from egolane_pgm.tools.progress import bar
 from egolane_pgm.types import NOTE, InputError, LineLog
 from egolane_pgm.verbs.given import (
@@ -42,6 +41,7 @@ from egolane_pgm.verbs.given import (
     Fleet,
     FrameId,
     Hidden,
+    Jobs,
     Lines,
     Option,
     Progress,

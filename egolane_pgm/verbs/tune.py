@@ -21,7 +21,7 @@ from egolane_pgm.paper import Runs, parse_runs
 from egolane_pgm.report.study_figures import draw_study
 from egolane_pgm.report.tables import line_width
 from egolane_pgm.tools.files import temporary_folder
-from egolane_pgm.tools.jobs import Jobs, cores
+from egolane_pgm.tools.jobs import cores
 from egolane_pgm.tools.progress import bar
 from egolane_pgm.tuning import pictures as on_pictures
 from egolane_pgm.tuning import plan as planning
@@ -33,6 +33,7 @@ from egolane_pgm.verbs.given import (
     Blocks,
     ByTag,
     Fleet,
+    Jobs,
     Option,
     Progress,
     Seed,
@@ -79,7 +80,7 @@ def tune(
     figures: bool = True,
     workers: Annotated[int | None, Ge(1)] = None,
     jobs: Annotated[
-        Jobs | None, Ge(1), Option(said="the cores", help="Processes that share the studies.")
+        Jobs | None, Option(said="the cores", help="Processes that share the studies.")
     ] = None,
     storage: Annotated[str | None, Option("URL", envvar="EGOLANE_STORAGE")] = None,
     overrides: Overrides = (),
@@ -151,7 +152,7 @@ def tune(
                 "fleet: its drives are tuned together, and held out whole; leave out runs, together"
                 " and whole_recordings"
             )
-        plans = [_on_fleet(p, fleet, by_tag, overrides) for p in _of_recordings(plans, "fleet")]
+        plans = [on_fleet(p, fleet, by_tag, overrides) for p in _of_recordings(plans, "fleet")]
     elif by_tag is not None:
         raise InputError("by_tag: goes with a fleet")
     if together:
@@ -242,7 +243,7 @@ def _of_recordings(plans: Sequence[AnyPlan], option: str) -> list[planning.Plan]
     return [plan for plan in plans if isinstance(plan, planning.Plan)]
 
 
-def _on_fleet(
+def on_fleet(
     plan: planning.Plan, fleet: str | os.PathLike[str], by_tag: str | None, overrides: Overrides
 ) -> planning.Plan:
     """The plan for one parameter set for all drives of a fleet; for a fleet of one drive that of

@@ -105,7 +105,7 @@ def _inside(report: Path, words: list[str]) -> None:
     with part("importing numba"):
         import_module("egolane_pgm.tools.jit")
     with part("other imports"):
-        import_module("egolane_pgm.cli.run")
+        import_module("egolane_pgm.verbs.run")
         command = import_module("egolane_pgm.command").egolane
     with part("matplotlib"):
         import_module("egolane_pgm.report.strips")

@@ -55,7 +55,7 @@ def fleet_lines() -> list[Line]:
 
 def _run_fleet(folder: Path, jobs: Jobs, n: int) -> None:
     with tempfile.TemporaryDirectory(dir=folder) as out:
-        ego.run_fleet(QUICKSTART, folder / f"{n}.csv", out, jobs=jobs)
+        ego.run(QUICKSTART, fleet=folder / f"{n}.csv", out=out, jobs=jobs)
 
 
 def _do_nothing(jobs: Jobs, n: int) -> None:

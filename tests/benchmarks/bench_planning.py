@@ -123,7 +123,7 @@ def _seconds(folder: Path, place: str, drives: Sequence[str], out: str) -> float
     rows = [f"{k},../{d}.parquet,../{d}.txt,4\n" for k, d in enumerate(drives)]
     table.write_text("name,recording,ground_truth,n_lanes\n" + "".join(rows))
     begun = time.process_time()
-    ego.run_fleet(ego.experiments_folder() / place, table, folder / out)
+    ego.run(ego.experiments_folder() / place, fleet=table, out=folder / out)
     return time.process_time() - begun
 
 

@@ -13,7 +13,6 @@ from egolane_pgm.comparing.groups import Group, by_recording, compare_groups
 from egolane_pgm.comparing.placing import on_recording, recording_key
 from egolane_pgm.drive import load_recording
 from egolane_pgm.experiment import load_experiment
-from egolane_pgm.types import InputError
 from tests.conftest import needs_compiler
 from tests.kits.drives import command, done, write_drive
 from tests.kits.labelled_drive import N_LABELLED
@@ -32,20 +31,6 @@ def test_graphs_are_compared_on_a_run_of_the_paper(recordings: Path, tmp_path: P
         assert f"{scores[name]['accuracy']:.3f}" in row
 
 
-def test_a_comparison_whose_numbers_cannot_be_written_is_printed_all_the_same(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    def full(*_: object) -> None:
-        raise InputError("x.json: cannot be written: No space left on device")
-
-    path = write_drive(tmp_path)
-    monkeypatch.setattr("egolane_pgm.cli.compare.write_json", full)
-    result = command("compare", path, "--json", tmp_path / "x.json")
-    assert result.exit_code == 2
-    assert "| accuracy | drive" in result.stdout
-    assert result.stderr == "egolane: x.json: cannot be written: No space left on device\n"
-
-
 def test_ctrl_c_shows_the_recordings_that_were_compared(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -56,7 +41,7 @@ def test_ctrl_c_shows_the_recordings_that_were_compared(
         yield next(iter(real(groups[:1], *given, **named)))
         raise KeyboardInterrupt
 
-    monkeypatch.setattr("egolane_pgm.api.comparisons.compare_groups", interrupted)
+    monkeypatch.setattr("egolane_pgm.verbs.compare.compare_groups", interrupted)
     result = command("compare", *paths, "--json", tmp_path / "x.json")
     assert result.exit_code == 130
     assert (

@@ -13,6 +13,7 @@ import pytest
 from egolane_pgm.command import COMMANDS, egolane
 from tests.kits.drives import done
 
+#: The examples of each command.
 EXAMPLES = {name: import_module(f"egolane_pgm.verbs.{name}").EXAMPLES for name in COMMANDS}
 
 #: In an order in which each finds what it needs, on a shorter drive.
@@ -47,7 +48,6 @@ def words_of(example: str) -> list[str]:
 
 
 def test_every_command_has_an_example_that_its_help_shows() -> None:
-    assert set(EXAMPLES) == set(COMMANDS)
     for name, examples in EXAMPLES.items():
         shown = done(name, "--help").stdout
         for example in examples:

@@ -136,7 +136,7 @@ def test_what_cannot_be_labelled_is_refused_in_a_line(lines: Path, tmp_path: Pat
     (tmp_path / "some.txt").write_text("1;5;0\n")
     words = ("--n-lanes", 3, "--ground-truth", tmp_path / "some.txt", *here)
     assert "lane 5 is outside 1..3" in refused("label", lines, *words)
-    assert "is named is empty" in refused("label", "", "--n-lanes", 3, *here)
+    assert "recording: is empty" in refused("label", "", "--n-lanes", 3, *here)
     assert "--below" in refused("label", lines, "--n-lanes", 3, "--below", 2, *here)
     assert not (tmp_path / "x").exists()
 

@@ -6,16 +6,14 @@ import warnings
 from pathlib import Path
 
 import numpy as np
-import pytest
 import yaml
 
 from egolane_pgm.comparing.placing import load_for_scoring, on_recording
 from egolane_pgm.drive import load_recording
 from egolane_pgm.experiment import load_experiment
-from egolane_pgm.learning import output
 from egolane_pgm.recordings.ground_truth import write_ground_truth
 from egolane_pgm.types import LaneTruth
-from tests.kits.drives import command, contents, done, refused, rewritten, write_drive
+from tests.kits.drives import contents, done, refused, rewritten, write_drive
 from tests.kits.synthetic_road import write_place
 
 
@@ -54,21 +52,6 @@ def test_learning_no_table_at_all_is_refused(tmp_path: Path) -> None:
     assert "learning.tables: names no table; leave it out to learn all of " in refused(
         "learn", experiment
     )
-
-
-def test_what_was_learned_is_said_where_its_files_cannot_be_written(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    def full(path: Path, *_: object) -> None:
-        raise output.InputError(f"{path}: cannot be written: No space left on device")
-
-    monkeypatch.setattr(output, "write_yaml", full)
-    result = command(
-        "learn", write_drive(tmp_path, graph="lane_only"), "--out", tmp_path / "one.yaml"
-    )
-    assert result.exit_code == 2
-    assert "held out, 5 blocks" in result.stdout
-    assert "No space left on device" in result.stderr
 
 
 def test_learning_from_evidence_that_cannot_be_is_one_line(tmp_path: Path) -> None:

@@ -59,13 +59,16 @@ def test_a_road_of_more_lanes_than_there_are_is_refused_at_once(labels: Path) ->
     for name in ("run", "validate", "learn", "compare", "tune"):
         assert "n_lanes: input should be less than or equal to 50" in refused(name, *words)
     said = refused("network", "lane_only", labels.with_name("n.png"), "--n-lanes", 51)
-    assert "'--n-lanes': 51 is not in the range 1<=x<=50" in said
+    assert "'--n-lanes': 51 is not in the range" in said
 
 
 def test_a_command_line_that_makes_no_sense_is_one_line(tmp_path: Path) -> None:
     assert "No such command 'rn'" in refused("rn")
     assert "egolane run --help" in refused("run", "x.yaml", "--frame-id", "stamp")
+    assert "Missing argument" in refused("plot")
     assert refused("run") == "run: name an experiment, or a recording of lines"
+    said = refused("run", "quickstart", "--stream", "--recording", "a", "--recording", "b")
+    assert said.startswith("--stream: goes with one experiment")
     assert "--trials" in refused("tune", "x.yaml", "--trials", "0")
 
 

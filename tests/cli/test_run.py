@@ -419,7 +419,6 @@ def test_a_key_or_value_that_does_not_fit_is_refused_by_validate_and_by_run(
 
 def test_an_experiment_that_cannot_be_read_is_refused(tmp_path: Path) -> None:
     assert "gone.yaml: cannot be read: No such file" in refused("run", tmp_path / "gone.yaml")
-    assert "is a directory" in refused("run", tmp_path)
     (tmp_path / "binary.yaml").write_bytes(b"\xff\xfe\x00")
     assert "binary.yaml: cannot be read" in refused("run", tmp_path / "binary.yaml")
 
@@ -440,7 +439,7 @@ def test_a_place_that_cannot_be_written_is_refused_before_anything_is_computed(
     experiment = write_drive(tmp_path, 20)
     before = contents(tmp_path)
     monkeypatch.setattr(
-        "egolane_pgm.cli.run.run_experiment", lambda *a, **k: pytest.fail("computed")
+        "egolane_pgm.verbs.run.run_experiment", lambda *a, **k: pytest.fail("computed")
     )
     below_a_file = experiment / "below" / "result"
     words = ("run", experiment, "--no-figures")

@@ -7,10 +7,9 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from egolane_pgm.api.comparisons import compare
 
+import egolane_pgm as ego
 from egolane_pgm.comparing.groups import Options, by_recording, compare_group
-from egolane_pgm.experiment import experiments_folder
 from egolane_pgm.report.events import event_comparison_rows
 from egolane_pgm.running import run_experiment
 from tests.conftest import needs_compiler
@@ -82,8 +81,8 @@ def total_of(found: dict[str, Any], key: str) -> int:
 @needs_compiler
 def test_the_causal_model_tells_the_lane_changes_of_the_paper_s_runs(recordings: Path) -> None:
     """Runs 5 and 10 are those of a multi-lane detector; Spain counts before frame 9577."""
-    place = experiments_folder() / "zero_label.yaml"
-    found = dict(compare(place, runs="1-4,6-9", events=True, progress=False).document)
+    place = ego.experiments_folder() / "zero_label.yaml"
+    found = dict(ego.compare(place, runs="1-4,6-9", events=True, progress=False).document)
     right, false, missed = (total_of(found, key) for key in ("right", "false", "missed"))
     assert right + missed == 4 * 109 + 4 * 34
     assert right / (right + false) >= 0.98

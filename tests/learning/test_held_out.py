@@ -229,7 +229,7 @@ def test_the_learned_experiment_can_be_run_and_says_what_it_has_seen(tmp_path: P
     write_drive(tmp_path, 600, **GEOMETRY)
     out = tmp_path / "learned_drive.yaml"
     said = done("learn", tmp_path / "experiment.yaml", "--out", out, "--blocks", "3").output
-    assert "held out, 3 blocks" in said
+    assert "held out, 3 blocks:" in said
     assert "accuracy" in said
     content = yaml.safe_load(out.read_text())
     assert content["name"] == "learned_drive"

@@ -8,7 +8,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 import yaml
-from egolane_pgm.api.studies import prepare_searches
 
 import egolane_pgm as ego
 from egolane_pgm.drive import Drive, belief_of
@@ -17,8 +16,9 @@ from egolane_pgm.scoring.confusion import accuracy, confusion, macro_f1
 from egolane_pgm.scoring.probabilistic import brier, log_loss
 from egolane_pgm.tuning.held_out import assess, beliefs_at, difference, without_part
 from egolane_pgm.tuning.objective import all_used, scores_of
-from egolane_pgm.tuning.plan import Problem
+from egolane_pgm.tuning.plan import Problem, load_plan, make_problem, with_options
 from egolane_pgm.types import InputError
+from egolane_pgm.verbs.tune import on_fleet
 from tests.kits.drives import done, refused
 from tests.kits.tuning_kit import QUICKSTART
 
@@ -35,10 +35,9 @@ def table(folder: Path, rows: tuple[str, ...] = ROWS, lanes: str = "4") -> Path:
     return path
 
 
-def problem(folder: Path, **options: object) -> Problem:
-    found = prepare_searches([QUICKSTART], folder=folder, fleet=table(folder), **options)[0].problem  # type: ignore[arg-type]
-    assert isinstance(found, Problem)
-    return found
+def problem(folder: Path, by_tag: str | None = None, **options: object) -> Problem:
+    plan = with_options(load_plan(QUICKSTART), options)
+    return make_problem(on_fleet(plan, table(folder), by_tag, ()))
 
 
 def test_all_frames_of_a_fleet_count_alike(tmp_path: Path) -> None:
@@ -112,20 +111,11 @@ def test_a_fleet_is_searched_and_goes_on(tmp_path: Path, jobs: int) -> None:
     assert found["fleet"]["parts"] == [["a", "c"], ["b", "d"]]
     assert [each["left_out"] for each in found["held_out"]["studies"]] == ["a, c", "b, d"]
     # Drives are scored with what was found without them.
-    (made,) = prepare_searches(
-        [QUICKSTART],
-        folder=place,
-        fleet=table(tmp_path),
-        by_tag="weather",
-        trials=3,
-        sampler="random",
-        from_scratch=True,
-    )
-    assert isinstance(made.problem, Problem)
+    whole = problem(tmp_path, by_tag="weather")
     for part, study in enumerate(found["held_out"]["studies"]):
-        beliefs = beliefs_at(made.problem, study["point"])
-        for k in made.problem.parts[part]:
-            drive = made.problem.drives[k]
+        beliefs = beliefs_at(whole, study["point"])
+        for k in whole.parts[part]:
+            drive = whole.drives[k]
             right = assess([drive], [beliefs[k]], all_used([drive]))["accuracy"]
             assert found["held_out"]["all_frames"]["recordings"][k]["accuracy"] == right
     values = [float(v) for v in found["best"]["values"].values()]
@@ -145,7 +135,7 @@ def test_a_fleet_is_searched_and_goes_on(tmp_path: Path, jobs: int) -> None:
             from_scratch=True,
             out=place,
         )
-        assert again.documents[0]["best"]["trials"] == 3
+        assert again.studies[0].study["best"]["trials"] == 3
         assert (place / "quickstart_drives" / "nested.json").read_bytes() == nested
         assert "held out" in again._repr_html_()
 
@@ -158,7 +148,7 @@ def test_a_fleet_of_one_drive_is_searched_on_as_its_recording(tmp_path: Path) ->
     plain = ego.tune(QUICKSTART, overrides=keys, **options)  # type: ignore[arg-type]
     assert one.names == ["quickstart_drives"]
     for key in ("best", "in_sample", "held_out"):
-        first, second = (dict(each.documents[0][key]) for each in (one, plain))
+        first, second = (dict(each.studies[0].study[key]) for each in (one, plain))
         for each in (first, second):
             each.pop("seconds", None)
             each.pop("parameters", None)
@@ -169,13 +159,13 @@ def test_what_does_not_go_with_a_fleet_is_refused(tmp_path: Path) -> None:
     words = ("tune", QUICKSTART, "--fleet", table(tmp_path))
     for extra in ("--together", "--whole-recordings"):
         assert refused(*words, extra).startswith("--fleet: its drives are tuned together")
-    assert refused("tune", QUICKSTART, "--by-tag", "road") == "--by-tag: goes with --fleet"
+    assert refused("tune", QUICKSTART, "--by-tag", "road") == "--by-tag: goes with a fleet"
     assert "has no tag.road" in refused(*words, "--by-tag", "road")
     missing = tmp_path / "missing.csv"
     missing.write_text("name,recording,ground_truth,n_lanes\na,x.csv,t.txt,4\nb,x.csv,t.txt,4\n")
     with pytest.raises(InputError) as wrong:
-        prepare_searches([QUICKSTART], folder=tmp_path, fleet=missing)
+        ego.tune(QUICKSTART, fleet=missing)
     assert all("x.csv" in line or "t.txt" in line for line in wrong.value.lines)
     several = tmp_path / "several.yaml"
     several.write_text(f"name: s\nexperiments: [{QUICKSTART}, {QUICKSTART}]\n")
-    assert "--fleet: goes with one experiment" in refused("tune", several, *words[2:])
+    assert "fleet: goes with one experiment" in refused("tune", several, *words[2:])
