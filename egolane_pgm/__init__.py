@@ -20,6 +20,7 @@ if TYPE_CHECKING:
     from egolane_pgm.drive_table import DriveTable as DriveTable
     from egolane_pgm.experiment import experiments_folder as experiments_folder
     from egolane_pgm.experiment import load_experiment as load_experiment
+    from egolane_pgm.graphs import cpds as cpds
     from egolane_pgm.inference.compile import compile as compile
     from egolane_pgm.inference.events import lane_events as lane_events
     from egolane_pgm.inference.expected_counts import expected_counts as expected_counts
@@ -31,7 +32,11 @@ if TYPE_CHECKING:
     from egolane_pgm.labelling import Labels as Labels
     from egolane_pgm.learning.em import fit_tables as fit_tables
     from egolane_pgm.learning.em import learned_network as learned_network
+    from egolane_pgm.parameters import Parameter as Parameter
+    from egolane_pgm.recordings import read_lines as read_lines
     from egolane_pgm.results import Result as Result
+    from egolane_pgm.tuning.black_box import Objective as Objective
+    from egolane_pgm.tuning.black_box import objective as objective
     from egolane_pgm.tuning.result import Study as Study
     from egolane_pgm.types import Beliefs as Beliefs
     from egolane_pgm.types import Evidence as Evidence
@@ -47,6 +52,7 @@ if TYPE_CHECKING:
     from egolane_pgm.verbs.loaded import load_result as load_result
     from egolane_pgm.verbs.reproduce import reproduce as reproduce
     from egolane_pgm.verbs.run import run as run
+    from egolane_pgm.verbs.simulate import simulate as simulate
     from egolane_pgm.verbs.tune import tune as tune
 
 __version__ = "0.1.0"
@@ -62,6 +68,12 @@ _PUBLIC = {
     "reproduce": "verbs.reproduce",
     "detect": "verbs.detect",
     "label": "verbs.label",
+    "simulate": "verbs.simulate",
+    "objective": "tuning.black_box",
+    "Objective": "tuning.black_box",
+    "read_lines": "recordings",
+    "Parameter": "parameters",
+    "cpds": "graphs",
     "load_result": "verbs.loaded",
     "compile": "inference.compile",
     "draw_network": "verbs.drawn",
@@ -94,6 +106,8 @@ def __getattr__(name: str) -> Any:
     module = _PUBLIC.get(name)
     if module is None:
         raise AttributeError(f"module 'egolane_pgm' has no attribute '{name}'")
+    if name == "cpds":
+        return import_module(f"egolane_pgm.{module}.{name}")
     return getattr(import_module(f"egolane_pgm.{module}"), name)
 
 

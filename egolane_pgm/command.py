@@ -183,7 +183,9 @@ def _params(parameter: inspect.Parameter, hint: Any, said: str) -> list[click.Pa
     required = looks.required or default is inspect.Parameter.empty
     if parameter.kind is not inspect.Parameter.KEYWORD_ONLY:
         nargs = -1 if looks.many else 1
-        return [click.Argument([name], nargs=nargs, required=required, default=given, **settings)]
+        # To click a default of None is a value: nothing would be missing.
+        settings |= {} if given is None else {"default": given}
+        return [click.Argument([name], nargs=nargs, required=required, **settings)]
     value = given if looks.default is None else looks.default
     help = looks.help or (f"Do not {said}" if default is True else said[:1].upper() + said[1:])
     if looks.said or not (value is None or isinstance(value, bool)):
@@ -200,9 +202,10 @@ def _params(parameter: inspect.Parameter, hint: Any, said: str) -> list[click.Pa
         looks = replace(looks, names=("--set",))
     long = () if any(each.startswith("--") for each in looks.names) else (f"--{_dashed(name)}",)
     settings |= {"required": required, "envvar": looks.envvar}
+    settings |= {} if value is None else {"default": value}
     if looks.many or _is_mapping(hint):
         settings["multiple"] = True
-    made = click.Option([*looks.names, *long, name], default=value, help=help, **settings)
+    made = click.Option([*looks.names, *long, name], help=help, **settings)
     if name != "jobs":
         return [made]
     cluster = "Instead of --jobs: the scheduler of a Dask cluster, or one of N processes here."

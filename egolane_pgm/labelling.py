@@ -31,6 +31,7 @@ from egolane_pgm.inference.kernels.sweeps import best_path
 from egolane_pgm.inference.viterbi import viterbi
 from egolane_pgm.plugins import declared_parameters, load_rule_and_graph
 from egolane_pgm.recordings import check_one_drive
+from egolane_pgm.recordings.source import Read
 from egolane_pgm.results import SCHEMA_VERSION, Result, staged, write_result
 from egolane_pgm.running import run_experiment
 from egolane_pgm.scoring.probabilistic import answers_curve
@@ -327,18 +328,22 @@ class Labels:
 
 
 def label_experiment(
-    experiment: Experiment, below: float = BELOW, *, recorded: Recorded | None = None
+    experiment: Experiment,
+    below: float = BELOW,
+    *,
+    recorded: Recorded | None = None,
+    read: Read | None = None,
 ) -> Labels:
     """Label the recording of an experiment, which is run smoothed.
 
     - below: frames with less confidence are put on the review list.
-    - recorded: its recording, where it was read already.
+    - recorded: its recording, where it was read already. read: lines and lanes in memory.
 
     Raises InputError as `run_experiment` does, and for a threshold that is no probability.
     """
     if not 0 <= below <= 1:
         raise InputError(f"below: {below} is not a probability (0 to 1)")
-    run = run_experiment(_looking_back(experiment), recorded=recorded)
+    run = run_experiment(_looking_back(experiment), recorded=recorded, read=read)
     assert run.lines is not None
     assert run.evidence is not None
     check_one_drive(run.lines, ONE_DRIVE)

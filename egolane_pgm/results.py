@@ -56,7 +56,7 @@ from egolane_pgm.inference.events import (
 from egolane_pgm.inference.unrolling import Unrolled, unrolled
 from egolane_pgm.model import Model, prepare_model
 from egolane_pgm.plugins import OWN_FILES
-from egolane_pgm.recordings.source import files_in_full
+from egolane_pgm.recordings.source import IN_MEMORY, files_in_full
 from egolane_pgm.scoring.assign import assigned_lane
 from egolane_pgm.scoring.document import Count, Events, Finite, Scores, Share, Stored
 from egolane_pgm.scoring.events import event_delays
@@ -1015,6 +1015,9 @@ def _portable(result: Result, directory: Path) -> dict[str, Any]:
     for key in ("recording", "ground_truth"):
         if content[key]:
             content[key] = files_in_full(content[key], folder)
+    if content["recording"]["path"] == IN_MEMORY and result.lines is not None:
+        own = {"path": f"./{LINES}", "frames": None, "missing_frames": "skip"}
+        content["recording"] = {**content["recording"], **own}
     if content.get("road"):
         content["road"] = str((folder / content["road"]).absolute())
     return content

@@ -414,23 +414,31 @@ class LineLog:
         return pieces_of(self.clip, len(self))
 
     def to_pandas(self) -> pd.DataFrame:
-        """A row per line; the index is `frame_id` and `line`, from 1.
+        """A row per line; the index is `frame_id` and `line`, from 1. `ego.run` takes it as it is.
 
-        Columns: `time_s`, `offset_m` (negative left), `is_valid`, `is_continuous`, `lri`. Frames
-        without lines have no row.
+        Columns: `time_s`, `offset_m` (negative left), `is_valid`, `is_continuous`, `lri`. A frame
+        without lines has one row, without `line` and offset.
         """
         import pandas as pd
 
-        frame, line = np.nonzero(np.isfinite(self.offset_m))
+        is_line = np.isfinite(self.offset_m) | np.isfinite(self.lri)
+        frame, line = np.nonzero(np.column_stack([is_line, ~is_line.any(axis=1)]))
+        no_line = line == is_line.shape[1]
+
+        def column(values: NDArray[Any], blank: float | bool) -> NDArray[Any]:
+            padded: NDArray[Any] = np.column_stack([values, np.full(len(self), blank)])
+            return padded[frame, line]
+
         columns = {
             "frame_id": self.frame_id[frame],
-            "line": line + 1,
+            "line": pd.array(np.where(no_line, 0, line + 1), dtype="Int64"),
             "time_s": self.time_s[frame],
-            **{
-                name: getattr(self, name)[frame, line]
-                for name in ("offset_m", "is_valid", "is_continuous", "lri")
-            },
+            "offset_m": column(self.offset_m, np.nan),
+            "is_valid": column(self.is_valid, False).astype(bool),
+            "is_continuous": column(self.is_continuous, False).astype(bool),
+            "lri": column(self.lri, np.nan),
         }
+        columns["line"][no_line] = pd.NA
         return pd.DataFrame(columns).set_index(["frame_id", "line"])
 
     @classmethod

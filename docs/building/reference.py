@@ -467,6 +467,10 @@ def python_page() -> str:
     options = {"heading_level": 2, "members": False, "inherited_members": False}
     for name in egolane_pgm.__all__:
         public = getattr(egolane_pgm, name)
+        if inspect.ismodule(public):
+            every = {**options, "members": None, "filters": ["!^_", "!^[A-Z_]+$"]}
+            parts.append(identifier(public.__name__, every))
+            continue
         known = {"members": public_members(public)} if inspect.isclass(public) else {}
         parts.append(identifier(f"{public.__module__}.{public.__qualname__}", {**options, **known}))
     return "\n\n".join(parts)

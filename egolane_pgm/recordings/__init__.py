@@ -61,6 +61,14 @@ def read_lines(
       ahead_m; `read_tusimple` also continuous).
 
     Raises InputError for an unknown format, extension or option, and what the reader raises.
+
+    >>> import tempfile
+    >>> import egolane_pgm as ego
+    >>> with tempfile.TemporaryDirectory() as folder:
+    ...     _ = ego.simulate("a4", frames=30, out=folder)
+    ...     lines = ego.read_lines(f"{folder}/lines.csv")
+    >>> len(lines), lines.to_pandas().columns.to_list()
+    (30, ['time_s', 'offset_m', 'is_valid', 'is_continuous', 'lri'])
     """
     given = dict(options) if frame_rate is None else {**options, "frame_rate": frame_rate}
     if camera is not None and takes_camera(format or format_of(path)):
@@ -84,11 +92,6 @@ def read_with(path: str | Path, format: str | None, options: Mapping[str, Any]) 
         _check_frame_rate(options["frame_rate"], path)
     log: LineLog = read(path, **options)
     return log
-
-
-def read_lines_with(path: str, camera: object, frame_rate: float | None = None) -> LineLog:
-    """`read_lines` with its options in order."""
-    return read_lines(path, camera=camera, frame_rate=frame_rate)
 
 
 def _check_frame_rate(value: object, path: str | Path) -> None:

@@ -358,8 +358,8 @@ def typed(path: Path, name: str, column: Any, called: str = "") -> FloatArray:
     except pa.ArrowException as error:
         text = " ".join(str(error).split())[:120]
         raise InputError(
-            f"{path}: column {_called(called or name, name)} has type {given}, which is not {_needs(name)}"
-            + (f" ({text})" if text else "")
+            f"{path}: column {_called(called or name, name)} has type {given}, which is not"
+            f" {_needs(name)}" + (f" ({text})" if text else "")
         ) from None
     return values
 

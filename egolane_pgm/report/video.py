@@ -234,7 +234,7 @@ def scenes(
             yield as_log([(picture.frame_id, lines)], rate, where)
 
     at = {} if truth is None else {int(f): k for k, f in enumerate(truth.frame_id)}
-    for answer in filter_logs(experiment, logs()):
+    for answer in filter_logs(experiment, logs(), ["Lane"]):
         picture, lines = waiting.popleft()
         k = at.get(picture.frame_id)
         scene = Scene(
@@ -242,7 +242,7 @@ def scenes(
             time_s=answer["time_s"],
             lines=lines,
             belief=np.array(list(answer["beliefs"]["Lane"].values())),
-            assigned=answer["assigned_lane"],
+            assigned=answer["lane"],
             truth=None if truth is None or k is None else int(truth.lane[k]),
             is_crossing=truth is not None and k is not None and bool(truth.is_crossing[k]),
         )

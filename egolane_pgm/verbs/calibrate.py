@@ -103,7 +103,7 @@ def calibrate(
     Returns the camera, whose YAML says how it was found. Without `out` it is not written. Raises
     InputError, one line, for whatever does not fit.
     """
-    masks = tuple(_rectangle(each) for each in several_of(ignore, "ignore"))
+    masks = tuple(_rectangle(each) for each in several_of(ignore))
     of_labels = None if size is None else _size(size, "size")
     _check_places([out, picture], [chessboards, stills], [lines, openlane])
     if openlane is not None:
@@ -206,7 +206,9 @@ def _masked(camera: Camera, masks: tuple[Rectangle, ...], below: int | None) -> 
     """The camera with the parts of its pictures that show no road. Raises InputError for one that
     is outside of them."""
     if below is not None:
-        masks = (*masks, (0, below, camera.width, max(below + 1, camera.height)))
+        if below >= camera.height:
+            raise InputError(f"ignore_below: a picture has {camera.height} rows only")
+        masks = (*masks, (0, below, camera.width, camera.height))
     for mask in masks:
         if mask[0] >= camera.width or mask[1] >= camera.height:
             said = ",".join(map(str, mask))

@@ -121,7 +121,7 @@ def compare(
     >>> late["accuracy"].round(3).to_list()
     [0.902, 0.911]
     """
-    given = several_of(experiments, "experiments")
+    given = several_of(experiments)
     if any(isinstance(each, (str, os.PathLike)) and Path(each).is_dir() for each in given):
         return Comparison(compare_results([read_result(each) for each in given]))
     if with_paper and not (given and runs):
@@ -243,7 +243,7 @@ def graph_names(graphs: Any, has_experiments: bool) -> list[str]:
     if isinstance(graphs, str):
         names = [name.strip() for name in graphs.split(",") if name.strip()]
     else:
-        names = [os.fspath(graph) for graph in several_of(graphs, "graphs")]
+        names = [os.fspath(graph) for graph in several_of(graphs)]
     return names if names or has_experiments else list(DEFAULT_GRAPHS)
 
 

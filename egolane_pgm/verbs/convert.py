@@ -21,7 +21,9 @@ def convert(
     format: Annotated[str | None, Option("NAME")] = None,
     camera: Annotated[StrPath | None, Option("FILE")] = None,
     frame_rate: float | None = None,
-    options: Annotated[Mapping[str, Any] | None, Option("KEY=VALUE", names=("--set",))] = None,
+    options: Annotated[
+        Mapping[str, Any] | None, Option("KEY=VALUE", names=("--set",), example="valid=always")
+    ] = None,
 ) -> LineLog:
     """Convert a recording of lines to .csv, .parquet, .bag or .mcap (ROS 2).
 

@@ -44,7 +44,7 @@ def export(
     Returns how many messages there are of each topic. Raises InputError, one line, for whatever
     does not fit.
     """
-    file, layouts = Path(target), [Path(each) for each in several_of(layout, "layout")]
+    file, layouts = Path(target), [Path(each) for each in several_of(layout)]
     ending = file.suffix.lower()
     if ending not in _WRITERS:
         raise InputError(
@@ -71,4 +71,4 @@ def export(
 def says(done: Mapping[str, int], given: Mapping[str, Any]) -> str:
     """The files, and what is in the first."""
     said = ", ".join(f"{topic} {n}" for topic, n in sorted(done.items()))
-    return "\n".join([f"{given['target']}: {said}", *several_of(given.get("layout"), "layout")])
+    return "\n".join([f"{given['target']}: {said}", *several_of(given.get("layout"))])

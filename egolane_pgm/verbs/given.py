@@ -4,14 +4,13 @@ type do not say."""
 from __future__ import annotations
 
 import os
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 from annotated_types import Ge
 
-from egolane_pgm.experiment import Experiment
 from egolane_pgm.types import InputError, LaneTruth, LineLog
 
 if TYPE_CHECKING:
@@ -72,15 +71,11 @@ Fleet = Annotated[StrPath | None, Option("FILE")]
 ByTag = Annotated[str | None, Option("NAME")]
 
 
-def several_of(given: Any, what: str) -> list[Any]:
+def several_of(given: Any) -> list[Any]:
     """One or several things as a list."""
     if given is None:
         return []
-    if isinstance(given, (str, os.PathLike, Experiment, Mapping)):
-        return [given]
-    if isinstance(given, Sequence):
-        return list(given)
-    raise InputError(f"{what}: {given!r} is neither one nor a list of several")
+    return list(given) if isinstance(given, (list, tuple)) else [given]
 
 
 def path_of(given: Any, what: str) -> str:

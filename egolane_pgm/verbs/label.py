@@ -14,7 +14,7 @@ from egolane_pgm.labelling import BELOW, Labels, label_experiment
 from egolane_pgm.results import check_writable
 from egolane_pgm.types import InputError
 from egolane_pgm.verbs.given import Detector, FrameId, Lines, Option, StrPath, Truth, path_of
-from egolane_pgm.verbs.run import ZERO_LABEL, choose
+from egolane_pgm.verbs.run import ZERO_LABEL, choose, read_of
 
 EXAMPLES = ("egolane label drive/lines.csv --n-lanes 4 --out labels",)
 
@@ -80,7 +80,7 @@ def label(
         name = name_of(str(experiment)) if recording is None else chosen.name
         place = Path(path_of(out, "out").replace("*", name))
         check_writable(place)
-    labels = label_experiment(chosen, below)
+    labels = label_experiment(chosen, below, read=read_of(chosen, recording, ground_truth))
     if place is not None:
         labels.save(place, figures=figures)
     return labels

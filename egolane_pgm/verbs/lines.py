@@ -6,7 +6,7 @@ from typing import Annotated
 
 from egolane_pgm.drive import load_recording
 from egolane_pgm.experiment import Overrides, load_experiment
-from egolane_pgm.recordings import format_of, read_lines_with, takes_camera
+from egolane_pgm.recordings import read_lines
 from egolane_pgm.report.tables import box_text
 from egolane_pgm.types import InputError
 from egolane_pgm.verbs.given import Option, StrPath, path_of
@@ -38,6 +38,4 @@ def lines(
         return box_text(load_recording(load_experiment(path, overrides)).log, frame)
     if overrides:
         raise InputError("overrides: go with an experiment")
-    if camera is not None and not takes_camera(format_of(path)):
-        raise InputError(f"camera: the lines of {path} are in metres, they need no camera")
-    return box_text(read_lines_with(path, camera), frame)
+    return box_text(read_lines(path, camera=camera), frame)

@@ -29,7 +29,10 @@ def locate(
     out: Annotated[StrPath | None, Option("FILE", names=("-o",), required=True)] = None,
     online: bool = False,
     method: Literal["hmm", "lock-on-road"] = "hmm",
-    columns: Annotated[Mapping[str, str] | None, Option("OURS=THEIRS", names=("--column",))] = None,
+    columns: Annotated[
+        Mapping[str, str] | None,
+        Option("OURS=THEIRS", names=("--column",), example="latitude=lat_gps"),
+    ] = None,
     topic: str | None = None,
     shift: Annotated[float, Option("SECONDS")] = 0.0,
 ) -> RoadTable:

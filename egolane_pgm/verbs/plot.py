@@ -32,7 +32,7 @@ def plot(
 
     Returns the files. Raises InputError, one line, for whatever does not fit.
     """
-    folders = [Path(path) for path in several_of(results, "results")]
+    folders = [Path(path) for path in several_of(results)]
     drives = [folder for folder in folders if not is_study(folder)]
     if frames and len(drives) < len(folders):
         raise InputError("frames: goes with results; the figures of a study have no frames")

@@ -41,7 +41,7 @@ def report(
 
     Returns the page. Raises InputError, one line, for whatever does not fit.
     """
-    places = [Path(path) for path in several_of(results, "results")]
+    places = [Path(path) for path in several_of(results)]
     file = Path(out or (places[0] / PAGE if len(places) == 1 else PAGE))
     if file.suffix.lower() not in (".html", ".htm"):
         raise InputError(f"out: {file}: a page ends in .html")

@@ -10,7 +10,7 @@ from functools import partial
 from pathlib import Path
 from typing import Annotated, Any, overload
 
-from egolane_pgm.drive import with_recording
+from egolane_pgm.drive import source_of, with_recording
 from egolane_pgm.drive_table import DriveTable
 from egolane_pgm.experiment import (
     Experiment,
@@ -20,6 +20,8 @@ from egolane_pgm.experiment import (
     load_experiment,
 )
 from egolane_pgm.fleet import numbers_of, plan_fleet, read_fleet, summary_rows, write_summary
+from egolane_pgm.recordings.memory import in_memory, truth_of
+from egolane_pgm.recordings.source import IN_MEMORY, Read
 from egolane_pgm.report.events import event_runs_rows, lane_words, sure_words
 from egolane_pgm.report.fleet_table import fleet_table_rows
 from egolane_pgm.report.tables import Table, runs_table_rows
@@ -33,11 +35,12 @@ from egolane_pgm.running import (
     run_in_parts,
 )
 from egolane_pgm.tools.progress import bar
-from egolane_pgm.types import NOTE, InputError
+from egolane_pgm.types import NOTE, InputError, LineLog
 from egolane_pgm.verbs.given import (
     Detector,
     Fleet,
     FrameId,
+    Hidden,
     Jobs,
     Lines,
     Option,
@@ -63,7 +66,7 @@ SUMMARY = "summary.parquet"
 
 
 @overload
-def run(experiment: Sequence[Given | Lines], **options: Any) -> DriveTable: ...
+def run(experiment: list[Any] | tuple[Any, ...], **options: Any) -> DriveTable: ...
 
 
 @overload
@@ -87,6 +90,8 @@ def run(  # type: ignore[misc]
     camera: Annotated[StrPath | None, Option("FILE")] = None,
     detector: Detector = None,
     frame_id: FrameId | None = None,
+    topic: str | None = None,
+    graph: Annotated[Any, Hidden] = None,
     fleet: Fleet = None,
     stream: bool = False,
     out: Annotated[StrPath | None, Option("DIR", default="results/*", said="results/NAME")] = None,
@@ -105,14 +110,19 @@ def run(  # type: ignore[misc]
     every drive of a table: a result directory for each, without figures, and summary.parquet;
     drives whose result is there already are not run again.
 
-    - experiment: an experiment, or lines; or a list of several.
+    - experiment: an experiment, or lines; or a list of several. Lines are a file, a DataFrame (see
+      `read_lines`) or a LineLog.
     - overrides: override a key of the YAML, e.g. parameters.bonus_value=0.
     - recording: run on these lines instead; several: on each of them.
-    - ground_truth: annotation of the recording, if any; "none" for none.
+    - ground_truth: annotation of the recording, a file or a DataFrame with frame_id, lane and
+      crossing; "none" for none.
     - n_lanes: number of lanes of the road.
     - camera: its camera: for pictures, lines in pixels.
     - detector: what looks at the video.
     - frame_id: what of a bag's messages is the frame id; count: their order.
+    - topic: topic of a bag.
+    - graph: a graph instead of the experiment's: its name or file, a module, or a
+      DynamicBayesianNetwork.
     - fleet: a table with a row per drive (.csv, .parquet, .yaml): recording, n_lanes, tag.X, ...
     - stream: make and write beliefs part after part, for long drives: the same numbers, without
       figures. What needs the whole drive is refused.
@@ -130,9 +140,12 @@ def run(  # type: ignore[misc]
     >>> int(frame["Lane=2"].idxmax()) in frame.index
     True
     >>> figure = run.plot()
+    >>> lines = ego.simulate("a4", frames=300).log.to_pandas()
+    >>> ego.run(lines, n_lanes=4)
+    Result('in_memory': 300 frames, no ground truth; not tuned, causal)
     """
-    given, recordings = several_of(experiment, "experiment"), several_of(recording, "recording")
-    changes = (ground_truth, n_lanes, frame_id, camera, detector)
+    given, recordings = several_of(experiment), several_of(recording)
+    changes = (ground_truth, n_lanes, frame_id, camera, detector, topic, graph)
     folder = None if out is None else Path(path_of(out, "out"))
     if not given and not recordings:
         raise InputError("run: name an experiment, or a recording of lines")
@@ -145,11 +158,30 @@ def run(  # type: ignore[misc]
         return _run_fleet(given[0], overrides, fleet, _folder_of(folder), jobs, progress)
     if is_one:
         lines = recordings[0] if recordings else None
-        chosen = choose(given[0] if given else ZERO_LABEL, overrides, lines, *changes)
+        first = given[0] if given else ZERO_LABEL
+        chosen = choose(first, overrides, lines, *changes)
+        read = read_of(chosen, first if is_lines(first) else lines, ground_truth)
         place = None if folder is None else folder.with_name(folder.name.replace("*", chosen.name))
-        return _run_one(chosen, place, figures, stream=stream, progress=progress)
+        if not stream:
+            return _run_one(chosen, place, figures, read)
+        if read is not None:
+            raise InputError("stream: goes with a recording in a file")
+        assert place is not None
+        with bar(None, progress, unit="frame", unit_scale=True) as frames:
+            return run_in_parts(chosen, place, frames.update)
     titled = name_all(given or [ZERO_LABEL], overrides, recordings, *changes)
-    return _run_several(titled, folder, figures, jobs, progress)
+    folder = None if folder is None else _folder_of(folder)
+    plan = plan_runs(titled, folder)
+    lines = recordings[0] if recordings else None
+    plan = [
+        each
+        if each.experiment is None
+        else replace(each, read=read_of(each.experiment, lines, ground_truth))
+        for each in plan
+    ]
+    return _run_several(
+        plan, None if folder is None else _folder_of(folder), figures, jobs, progress
+    )
 
 
 def says(done: Result | DriveTable, given: Mapping[str, Any]) -> str:
@@ -159,16 +191,11 @@ def says(done: Result | DriveTable, given: Mapping[str, Any]) -> str:
     return f"results: {len(done) - len(done.failed)} of {len(done)} in {done.folder}"
 
 
-def _run_one(
-    chosen: Experiment, place: Path | None, figures: bool, *, stream: bool, progress: bool | None
-) -> Result:
+def _run_one(chosen: Experiment, place: Path | None, figures: bool, read: Read | None) -> Result:
     if place is None:
-        return run_experiment(chosen)
+        return run_experiment(chosen, read=read)
     check_writable(place)
-    if stream:
-        with bar(None, progress, unit="frame", unit_scale=True) as frames:
-            return run_in_parts(chosen, place, frames.update)
-    done = run_experiment(chosen)
+    done = run_experiment(chosen, read=read)
     done.save(place, figures=figures)
     return replace(done, directory=place)
 
@@ -180,14 +207,12 @@ def _folder_of(out: Path | None) -> Path:
 
 
 def _run_several(
-    titled: Sequence[tuple[str, Callable[[], Experiment]]],
-    out: Path | None,
+    plan: Sequence[OneOfSeveral],
+    folder: Path | None,
     figures: bool,
     jobs: Jobs,
     progress: bool | None,
 ) -> DriveTable:
-    folder = None if out is None else _folder_of(out)
-    plan = plan_runs(titled, folder)
     done: list[OneOfSeveral] = []
     try:
         found = run_all(plan, jobs=jobs, figures=figures, keep=folder is None)
@@ -297,6 +322,8 @@ def choose(
     frame_id: str | None = None,
     camera: Any = None,
     detector: Any = None,
+    topic: str | None = None,
+    graph: Any = None,
     *,
     name: str | None = None,
 ) -> Experiment:
@@ -307,34 +334,62 @@ def choose(
     """
     if is_lines(given):
         if recording is not None:
-            raise InputError(f"recording: {given} is a recording, too; name one")
+            raise InputError("recording: the lines that come first are a recording, too; name one")
         given, recording = ZERO_LABEL, given
     found = load_experiment(given, overrides)
-    files = {
-        key: None if file is None else path_of(file, key)
-        for key, file in (
-            ("recording", recording),
-            ("ground_truth", ground_truth),
-            ("camera", camera),
-            ("detector", detector),
-        )
+    files: dict[str, str | None] = {
+        "recording": _file_of(recording, "recording"),
+        # What is in memory takes the place of a file's when the run reads.
+        "ground_truth": None if _is_in_memory(ground_truth) else ground_truth,
+        "camera": None if camera is None else path_of(camera, "camera"),
+        "detector": None if detector is None else path_of(detector, "detector"),
     }
     chosen = found
     if n_lanes is not None or frame_id is not None or any(files.values()):
         chosen = with_recording(
             found, **files, n_lanes=n_lanes, frame_id=frame_id, overrides=overrides
         )
+    if topic is not None:
+        chosen = load_experiment(chosen, {"recording.topic": topic})
+    if graph is not None:
+        from egolane_pgm.comparing.graphs import with_graph
+        from egolane_pgm.learning.graph_file import graph_named
+
+        chosen = with_graph(chosen, graph_named(graph, chosen), chosen.parameters)
     if name is None:
         return chosen
     return chosen.model_copy(update={"name": name.replace("*", found.name)})
+
+
+def read_of(experiment: Experiment, recording: Any, ground_truth: Any) -> Read | None:
+    """What is in memory instead of in files; None where nothing is.
+
+    - experiment: that is run.
+    """
+    truth = ground_truth if _is_in_memory(ground_truth) else None
+    if _is_in_memory(recording):
+        return in_memory(experiment, recording, truth)
+    if truth is None:
+        return None
+    return replace(source_of(experiment).read(), truth=truth_of(truth))
+
+
+def _is_in_memory(given: Any) -> bool:
+    return given is not None and not isinstance(given, (str, os.PathLike))
+
+
+def _file_of(recording: Any, what: str) -> str | None:
+    if recording is None:
+        return None
+    return IN_MEMORY if _is_in_memory(recording) else path_of(recording, what)
 
 
 def is_lines(given: Any) -> bool:
     """Whether what is given is a recording, and no experiment."""
     if isinstance(given, (Experiment, Mapping)):
         return False
-    if not isinstance(given, (str, os.PathLike)):
-        return True
+    if _is_in_memory(given):
+        return isinstance(given, LineLog) or hasattr(given, "columns")
     return experiment_path(given).suffix.lower() not in (".yaml", ".yml")
 
 
@@ -353,6 +408,9 @@ def name_all(
             "recording: several go with one experiment and no ground_truth; write one experiment"
             " per recording that has its own"
         )
+    if len(recordings) > 1 and any(map(_is_in_memory, recordings)):
+        raise InputError("recording: several are files; run what is in memory one by one")
+    recordings = [IN_MEMORY if _is_in_memory(each) else each for each in recordings]
     titles = [
         given.source
         if isinstance(given, Experiment)

@@ -47,7 +47,7 @@ def simulate(
     seed: Seed = 0,
     n_lanes: int | None = None,
     frames: int | None = None,
-    overrides: Mapping[str, Any] | None = None,
+    overrides: Annotated[Mapping[str, Any] | None, Option(example="change_s=5")] = None,
     map: Annotated[StrPath | None, Option("FILE")] = None,
     mirror: bool = False,
     images: bool = False,
@@ -100,7 +100,17 @@ def simulate(
     if images:
         if n_lanes is not None:
             values["n_lanes"] = n_lanes
-        return _rendered(preset, folder, seed, frames, values, stereo, video, png, progress)
+        check_settings(values)
+        if folder is not None:
+            places = free_places(folder, stereo=stereo, video=video)
+            cost = cost_estimate(preset, seed, frames, values, stereo=stereo, video=video, png=png)
+            if cost is not None:
+                warnings.warn(f"{NOTE}{cost}", UserWarning, stacklevel=2)
+        scene = make_scene(preset, seed, frames, stereo=stereo, **values)
+        if folder is not None:
+            shown = partial(bar, progress=progress, unit="frame")
+            write_drive(scene, folder, preset, seed, places, png=png, progress=shown)
+        return scene
     for name in ("preset", "seed", "frames", "n_lanes"):
         if name in values:
             raise InputError(f"overrides: {name} is a parameter beside it")
@@ -170,12 +180,7 @@ def _interchange(
     drive = simulate_interchange(seed, graph, journey, replace(DETECTOR, **of_detector))
     if folder is None:
         return drive
-    keys = {
-        "road": "road.parquet",
-        "n_lanes": "map",
-        "graph": "changing_lanes",
-        "filter": "exact",
-    }
+    keys = {"road": "road.parquet", "n_lanes": "map", "graph": "changing_lanes", "filter": "exact"}
     name = f"simulated_interchange_{seed}"
     _write(folder, drive, name, keys, frame_rate=journey.frame_rate)
     lane_graph.save(graph, folder / "lanes.parquet")
@@ -185,27 +190,3 @@ def _interchange(
     counts = np.stack([drive.log.frame_id, drive.n_lanes, drive.on_map], axis=1).tolist()
     write_text(folder / "lanes_truth.csv", as_csv(["frame_id", "n_lanes", "on_map"], counts))
     return drive
-
-
-def _rendered(
-    preset: str,
-    folder: Path | None,
-    seed: int,
-    frames: int | None,
-    values: Mapping[str, Any],
-    stereo: bool,
-    video: bool,
-    png: bool,
-    progress: bool | None,
-) -> Scene:
-    check_settings(values)
-    if folder is None:
-        return make_scene(preset, seed, frames, stereo=stereo, **values)
-    places = free_places(folder, stereo=stereo, video=video)
-    cost = cost_estimate(preset, seed, frames, values, stereo=stereo, video=video, png=png)
-    if cost is not None:
-        warnings.warn(f"{NOTE}{cost}", UserWarning, stacklevel=3)
-    scene = make_scene(preset, seed, frames, stereo=stereo, **values)
-    shown = partial(bar, progress=progress, unit="frame")
-    write_drive(scene, folder, preset, seed, places, png=png, progress=shown)
-    return scene

@@ -144,7 +144,7 @@ def tune(
         "from_scratch": from_scratch or None,
         "parameters": keys_of(parameter, "parameter", "{'p1': [0.5, 1], 'p2': 0.9}"),
     }
-    given = several_of(experiments, "experiments")
+    given = several_of(experiments)
     plans = [planning.with_options(p, changed) for p in _plans(given, runs, overrides)]
     if fleet is not None:
         if runs or together or whole_recordings:
@@ -177,7 +177,7 @@ def tune(
                 f"complete trials are kept in {place}; repeat the command to go on"
             ) from None
         if out is not None and figures:
-            for made in searches:
+            for made in bar(searches, progress, desc="figures", unit="study"):
                 draw_study(made.directory)
     return found
 

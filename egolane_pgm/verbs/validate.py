@@ -33,7 +33,7 @@ def validate(
     """
     found = {}
     with all_problems() as part:
-        for each in several_of(experiments, "experiments"):
+        for each in several_of(experiments):
             path = path_of(each, "experiments")
             with part():
                 found[path] = _has(path, overrides)

@@ -14,7 +14,7 @@ from egolane_pgm.camera.pictures import Source, camera_of_pictures, open_source,
 from egolane_pgm.detectors.runner import Detector as Found
 from egolane_pgm.detectors.runner import check_pair, find_detector
 from egolane_pgm.experiment import Experiment, Given, load_experiment
-from egolane_pgm.recordings import read_lines_with
+from egolane_pgm.recordings import read_lines
 from egolane_pgm.recordings.ground_truth import read_ground_truth
 from egolane_pgm.report.video import (
     draw_frame,
@@ -96,7 +96,7 @@ def video(
         total=None if frames else source.n_frames,
     )
     if lines:
-        log = read_lines_with(lines, seen_by, chosen.recording.frame_rate)
+        log = read_lines(lines, camera=seen_by, frame_rate=chosen.recording.frame_rate)
         pairs = with_recorded_lines(seen, log, source)
     else:
         found = _detector(detector, chosen)

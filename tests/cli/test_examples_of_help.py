@@ -20,6 +20,7 @@ EXAMPLES = {name: import_module(f"egolane_pgm.verbs.{name}").EXAMPLES for name i
 RUN = {
     "egolane simulate a4 --out drive --frames 600": [],
     "egolane ls": [],
+    "egolane schema > experiment.schema.json": [],
     "egolane validate drive/experiment.yaml experiments/zero_label.yaml": [],
     "egolane lines drive/lines.csv --frame 7": [],
     "egolane convert drive/lines.csv lines.parquet": [],
@@ -42,6 +43,10 @@ RUN = {
 }
 
 
+def words_of(example: str) -> list[str]:
+    return shlex.split(example.partition(" > ")[0].partition(" < ")[0])
+
+
 def test_every_command_has_an_example_that_its_help_shows() -> None:
     for name, examples in EXAMPLES.items():
         shown = done(name, "--help").stdout
@@ -56,7 +61,7 @@ def test_an_example_is_a_command_line_that_exists(
     example: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.chdir(tmp_path)
-    _, name, *words = shlex.split(example.partition(" > ")[0].partition(" < ")[0])
+    _, name, *words = words_of(example)
     command = egolane.get_command(click.Context(egolane), name)
     assert command is not None
     with command.make_context(name, words):
@@ -66,4 +71,4 @@ def test_an_example_is_a_command_line_that_exists(
 def test_examples_run_one_after_the_other(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)
     for example, quicker in RUN.items():
-        done(*shlex.split(example)[1:], *quicker)
+        done(*words_of(example)[1:], *quicker)

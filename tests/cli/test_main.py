@@ -28,6 +28,19 @@ def test_help_names_every_command_and_version_the_version() -> None:
     assert "Usage: " in command("data").stderr  # as click does: the help, exit code 2
 
 
+@pytest.mark.parametrize(
+    ("words", "missing"),
+    [
+        (("map",), "argument 'FILE'"),
+        (("validate",), "argument 'EXPERIMENTS...'"),
+        (("lines", "x.csv"), "option '--frame'"),
+        (("calibrate", "--stills", "x"), "option '-o' / '--out'"),
+    ],
+)
+def test_what_a_command_needs_is_asked_for(words: tuple[str, ...], missing: str) -> None:
+    assert refused(*words) == f"Missing {missing}. See `egolane {words[0]} --help`."
+
+
 def test_whoever_stops_reading_gets_no_traceback(drive: Path, tmp_path: Path) -> None:
     reader, writer = os.pipe()
     os.close(reader)  # every write is a broken pipe

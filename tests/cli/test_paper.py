@@ -10,10 +10,10 @@ import pytest
 from egolane_pgm.recordings import catalog
 
 
-def answer(text: str) -> Callable[..., bool]:
-    def confirm(question: str) -> bool:
+def answer(text: str) -> Callable[..., str]:
+    def confirm(question: str) -> str:
         assert question.startswith("Download the paper's recordings (18 MB) to ")
-        return text == "y"
+        return text
 
     return confirm
 
