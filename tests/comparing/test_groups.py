@@ -533,7 +533,7 @@ def test_what_cannot_be_compared_is_refused_in_one_line(runs: Path, tmp_path: Pa
     message = refused("compare", crossing)
     assert message.endswith("ground_truth.txt: every frame is a crossing, nothing to score")
     assert "a figure ends in .png" in refused("compare", one, "--figure", tmp_path / "a.gif")
-    assert "needs two experiments" in refused("compare", one, "--differences", tmp_path / "a.png")
+    assert "need two experiments" in refused("compare", one, "--differences", tmp_path / "a.png")
     assert "a search takes assumed_density or exact" in refused(
         "compare", one, "--set", "fit=tune", "--set", "filter=smoothed"
     )
@@ -611,7 +611,7 @@ def test_the_figure_of_differences_has_a_panel_for_each_experiment_but_the_first
         assert [np.asarray(p.get_xdata()).item() for p in points] == pytest.approx(values)
         assert [p.get_markerfacecolor() != "white" for p in points] == [is_clear] * 3
     draw_differences(found, tmp_path / "x.png")
-    with pytest.raises(InputError, match="needs two experiments"):
+    with pytest.raises(InputError, match="need two experiments"):
         draw_differences({"recordings": []}, tmp_path / "y.png")
 
 
