@@ -342,7 +342,7 @@ class Result:
         first += [name for name in columns if name.startswith("Lane=")]
         others = [name for name in columns if name not in first]
         # The many columns of another node would hide what is looked at.
-        order = [*first, *sorted(others, key=lambda name: name in names.values())]
+        order = [*first, *sorted(others, key=lambda name: name.partition("=")[0] in self.values)]
         return pd.DataFrame(columns)[order].set_index("frame_id")
 
     def to_xarray(self) -> xr.Dataset:
