@@ -543,9 +543,9 @@ def test_what_cannot_be_compared_is_refused_in_one_line(runs: Path, tmp_path: Pa
     assert "parameters.sigmas_m: has 7 numbers, needs a list of 6" in message
     for text in ("0", "x", "-1", ",", "1.5"):
         message = refused("compare", one, f"--seeds={text}")
-        assert message == f"--seeds {text}: write how many, 5, or which with commas, 3,7"
+        assert message == f"--seeds: {text} is neither how many, 5, nor which, 3,7"
     assert "--seeds: nothing is searched" in refused("compare", one, "--seeds", 2)
-    assert "instead of --trials" in refused("compare", one, "--trials", 4, "--trials-per-number", 4)
+    assert "instead of trials" in refused("compare", one, "--trials", 4, "--trials-per-number", 4)
     everything = ("--set", "tuning.never_fit=[[0, null]]", "--set", "fit=tune")
     assert "no frame is left to fit on" in refused("compare", one, *everything)
 
@@ -611,7 +611,7 @@ def test_the_figure_of_differences_has_a_panel_for_each_experiment_but_the_first
         assert [np.asarray(p.get_xdata()).item() for p in points] == pytest.approx(values)
         assert [p.get_markerfacecolor() != "white" for p in points] == [is_clear] * 3
     draw_differences(found, tmp_path / "x.png")
-    with pytest.raises(InputError, match="need two experiments"):
+    with pytest.raises(InputError, match="needs two experiments"):
         draw_differences({"recordings": []}, tmp_path / "y.png")
 
 
