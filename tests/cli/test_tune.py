@@ -135,7 +135,7 @@ def test_bad_input_is_one_line_and_leaves_nothing(tmp_path: Path) -> None:
     assert "write it as" in says("-p", "sigma1")
     assert "did you mean 'tpe'?" in says("--sampler", "tpee")
     assert "take one of the two" in says("--workers", 2, "--jobs", 2)
-    assert "lane change" in tune_refuses(QUICKSTART, "--blocks", 500, "--out", tmp_path / "o")
+    assert "blocks are more than the" in tune_refuses(QUICKSTART, "--blocks", 5000, "--out", tmp_path / "o")
     assert "at least two" in tune_refuses(QUICKSTART, "--whole-recordings", "--out", tmp_path / "o")
     assert "name experiments" in tune_refuses("--out", tmp_path / "o")
     assert "another experiment has the name" in tune_refuses(QUICKSTART, QUICKSTART)
