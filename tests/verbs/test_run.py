@@ -159,9 +159,8 @@ def test_set_overrides_keys_of_the_yaml(drive: Path, tmp_path: Path) -> None:
 
 def test_a_recording_of_ones_own_runs_without_any_ground_truth(drive: Path, tmp_path: Path) -> None:
     recording = drive.parent / "lines.csv"
-    said = run_json(
-        EXAMPLES.parent / "experiments/quickstart.yaml", tmp_path, "--recording", recording
-    )
+    words = ("--recording", recording, "--n-lanes", 3)
+    said = run_json(EXAMPLES.parent / "experiments/quickstart.yaml", tmp_path, *words)
     assert not {"detector", "model"} & set(said)
     assert (said["frames"], said["frames_scored"]) == (N_FRAMES, 0)
     assert said["name"] == "lines"
