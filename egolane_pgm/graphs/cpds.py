@@ -28,10 +28,10 @@ if TYPE_CHECKING:
 
 SliceNode = tuple[str, int]
 
-#: What the name of a virtual-evidence node ends with.
+#: The end of the name of a virtual-evidence node.
 VE_SUFFIX = "_ve"
 
-#: What a declared network notes at its virtual-evidence nodes.
+#: The note at the virtual-evidence nodes of a declared network.
 PLACEHOLDER = (
     "virtual evidence: this table is a placeholder; ego.unrolled or Result.network(evidence=True)"
     " gives frames whose tables hold their evidence"

@@ -1,7 +1,7 @@
 """Reads a pgmpy network, or a file that pgmpy reads, into tables with named axes.
 
 Axes go by the names of the nodes, and where a CPD names the values of a node, by these names too;
-never by position. What is read is one of
+never by position. A network is one of
 
 - a `DynamicBayesianNetwork`, before or after its `initialize_initial_state()`;
 - a `DiscreteBayesianNetwork` of two slices, whose nodes are named `Lane_0` and `Lane_1`, or
@@ -26,7 +26,7 @@ from egolane_pgm.graphs.cpds import SliceNode, Table, check_order, quiet
 from egolane_pgm.tools.files import read_text
 from egolane_pgm.types import FloatArray, InputError, suggestion
 
-#: How the names of files end that pgmpy reads: BIF and XMLBIF.
+#: The suffixes of the files that pgmpy reads: BIF and XMLBIF.
 NETWORK_FILES = (".bif", ".xmlbif", ".xml")
 
 #: A row whose sum is off by no more than this was rounded, and is divided by its sum; pgmpy's own
@@ -36,11 +36,11 @@ ROUNDED = 0.01
 
 @dataclass(frozen=True)
 class Declared:
-    """What a network declares.
+    """The tables of a network, and the names of its nodes' values.
 
     - tables: the table of every node in both slices
-    - values: the names of the values of each node that has other names than pgmpy's own, 0, 1, ...;
-      as they were given, text or not
+    - values: for each node the names of its values, text or not, where they differ from pgmpy's
+      own, 0, 1, ...
     """
 
     tables: Mapping[SliceNode, Table]
@@ -330,7 +330,7 @@ def read_file(path: Path) -> Any:
         try:
             network = reader(string=text).get_model()
         except Exception as error:
-            # pgmpy's readers have no errors of their own: what is no network ends anyhow.
+            # pgmpy's readers raise any error for a file that is no network.
             why = " ".join(f"{type(error).__name__}: {error}".split())
             raise InputError(f"{path}: is no {kind} file that pgmpy can read ({why})") from error
         without = [str(n) for n in network if network.get_cpds(n) is None]

@@ -1,7 +1,7 @@
 """What happens to the lanes of a road from one frame to the next, as the values of an input node.
 
-A road of n lanes goes on as one of n' lanes; lane i continues as lane i + shift. What is told of it
-in a frame is a step, and the steps of a drive are written as one text, with blanks between them:
+A road of n lanes goes on as one of n' lanes; lane i continues as lane i + shift. What the map says
+of a frame is a step, and the steps of a drive are written as one text, with blanks between them:
 
     3          n is 3, and nothing changes
     3>4+0      from 3 lanes to 4, lane i goes on as lane i (the new lane is at the right)
@@ -21,7 +21,7 @@ import numpy as np
 from egolane_pgm.parameters import Parameter
 from egolane_pgm.types import MAX_LANES, FloatArray, InputError
 
-#: What graphs of roads whose lanes change declare.
+#: The parameters of the graphs of roads whose lanes change.
 TOLD_STEPS = Parameter(
     "steps",
     "text",
@@ -34,7 +34,7 @@ CHANGE_AT_RIGHT = Parameter(
     "change_at_right",
     "probability",
     0.95,
-    "P(lanes begin and end at the right), where the map does not tell the side",
+    "P(lanes begin and end at the right), where the map does not give the side",
     search=None,
 )
 
@@ -108,7 +108,7 @@ def _read(word: str, n_lanes: int) -> Step:
     if step.place is not None and not 1 <= step.place <= len(PLACES):
         raise InputError(f"steps: '{word}': places are 1 to {len(PLACES)}")
     if step.shift is not None and abs(step.shift) > MAX_LANES:
-        raise InputError(f"steps: '{word}': no road has so many lanes")
+        raise InputError(f"steps: '{word}': no road has that many lanes")
     return step
 
 

@@ -1,8 +1,8 @@
 """Fixed-lag smoothing for many lags at once: how much better a belief becomes by waiting.
 
-What the k + 1 frames after frame t say of its state is what the k frames after frame t + 1 say of
-that one's, taken one frame back. So each step looks one frame further ahead from all frames
-together, and all lags up to the largest cost no more than the largest alone.
+The likelihood of the k + 1 frames after frame t, given its state, is that of the k frames after
+frame t + 1, given that one's, taken one frame back. So each step looks one frame further ahead from
+all frames together, and all lags up to the largest cost no more than the largest alone.
 """
 
 from __future__ import annotations

@@ -24,7 +24,7 @@ class Unrolled(NamedTuple):
     """Some frames as a pgmpy network.
 
     - network: its nodes are `Lane@17`, their values have names.
-    - given: what was seen, as pgmpy's queries take it: each frame's virtual-evidence nodes are 1,
+    - given: the evidence, as pgmpy's queries take it: each frame's virtual-evidence nodes are 1,
       its inputs have their values.
     """
 
@@ -110,7 +110,7 @@ def _position(ids: IntArray, frame: int) -> int:
 
 
 def _uniform_like(table: Table) -> FloatArray:
-    """An input is always given; a value that its own table calls impossible is given as well."""
+    """A uniform table: an input is always given, even a value that its own table excludes."""
     return np.full(table.values.shape, 1 / table.values.shape[-1])
 
 

@@ -1,13 +1,13 @@
 """The lane from GNSS: how far the car is from the edge or the middle of its road.
 
 A receiver's error across the road is a metre of noise and a drift of metres that lasts, to which
-the map adds its own. Positions that follow each other err alike, so the drift is hidden beside the
-lane.
+the map adds its own. Positions that follow each other err alike, so the drift is a hidden node in
+addition to the lane.
 
-- Alone (`lanes_from_offsets`) the car's way across the road tells the lane: there is no lane beyond
+- Alone (`lanes_from_offsets`) the car's way across the road gives the lane: there is no lane beyond
   the last one. Whether the map has the right number of lanes is hidden too.
-- Beside the lines (`beside_lines`) they tell the drift while they are seen, and where they are not,
-  the position less the drift tells the lane.
+- Together with the lines (`beside_lines`), these give the drift while they are seen; where they are
+  not, the position less the drift gives the lane.
 """
 
 from __future__ import annotations
@@ -54,7 +54,7 @@ _ANYWHERE_M = 50.0
 
 @dataclass(frozen=True)
 class GnssLanes:
-    """What T offsets say of the lane.
+    """The belief over the lane from T offsets.
 
     - lane (T, n + 1): P(lane), of the map's n lanes from the left and of one more
     - fewer, more (T,): P(the road has fewer lanes than the map says), and more
@@ -107,7 +107,7 @@ def _wander(noise: GnssNoise) -> tuple[FloatArray, FloatArray]:
 
 
 def _density(off_m: FloatArray, sigma_m: float, noise: GnssNoise) -> FloatArray:
-    """Of a position that is so far from where it should be; some say nothing."""
+    """The likelihood of a position at some distance from where it should be."""
     density = np.exp(-0.5 * (off_m / sigma_m) ** 2) / (np.sqrt(2 * np.pi) * sigma_m)
     return np.asarray((1 - noise.off_share) * density + noise.off_share / _ANYWHERE_M)
 
@@ -162,17 +162,17 @@ def _network(n_lanes: int, noise: GnssNoise) -> Compiled:
 def beside_lines(
     seen: Across, time_s: FloatArray, believed: FloatArray, noise: GnssNoise, cells: int = 1
 ) -> FloatArray:
-    """What positions say of the place across the road beside the lines: a likelihood (T, K), its
-    largest 1; 1 everywhere in frames without a position.
+    """The likelihood of the place across the road given positions, in addition to the lines:
+    (T, K), its largest 1; 1 everywhere in frames without a position.
 
     - time_s (T,)
     - believed (T, K): the belief over the places by the lines alone, from the frames so far
     - cells: of each lane; with one the places are the lanes
 
-    What a position says is a normal about each place, as wide as the noise and what is uncertain of
-    the drift by the positions before it. Then it says of the drift what the belief over the places
-    leaves open. That drift and place are apart given the past is approximate; it is exact where the
-    lines are sure.
+    The likelihood of a position is a normal about each place; its variance is that of the noise
+    plus that of the drift given the positions before. Then the position updates the drift, averaged
+    over the belief over the places. Drift and place are taken for independent given the past, which
+    is exact where the lines are sure.
     """
     drift = _drifts(noise)
     chance, rates = _wander(noise)

@@ -22,8 +22,7 @@ BLOCK_FRAMES = 300
 RESAMPLES = 2000
 LEVEL = 0.95
 
-#: How many numbers are held at once while resamples are summed. It bounds the memory and does not
-#: change the result.
+#: The most numbers in memory at once while resamples are summed. It does not change the result.
 _CHUNK = 1 << 22
 
 
@@ -274,11 +273,11 @@ def over_drives(
     """A statistic of all frames of D rows of a fleet, with its 95 % interval over drives: low and
     high, None for fewer than two drives.
 
-    - sums (D, ...): of each row what the statistic sums over its frames.
+    - sums (D, ...): for each row the sums over its frames that the statistic takes.
     - statistic: sums (R, ...) -> (R,), such as `ratio` or `scoring.confusion.accuracy`.
     - minus: the other side of a difference, of the same frames: the interval is then that of the
       paired difference.
-    - drive_of: the drive that each row is of, where several may be of one; else each is one.
+    - drive_of: the drive of each row, where several rows may share one; None: each row is one.
 
     Whole drives are drawn (cluster bootstrap, percentiles of RESAMPLES), because the frames of a
     drive are alike, and two detectors on it share its luck.
@@ -301,7 +300,7 @@ def over_drives(
 
 
 def _added(sums: NDArray[np.generic], drive_of: Sequence[str]) -> NDArray[np.generic]:
-    """What the rows of each drive sum over together, the drives in the order of their first row."""
+    """The sums of the rows of each drive added, the drives in the order of their first row."""
     first: dict[str, int] = {}
     drive = [first.setdefault(each, len(first)) for each in drive_of]
     found = np.zeros((len(first), *sums.shape[1:]), sums.dtype)

@@ -1,4 +1,4 @@
-"""Is the detector wrong in this frame? How well a score says so: the area under the ROC curve.
+"""Is the detector wrong in this frame? The area under the ROC curve measures how well a score says.
 
 Only non-crossing frames count in which the detector commits to a lane (its tentative vector has a
 unique maximum): no model is needed to know that a detector without an answer is no help.

@@ -77,7 +77,7 @@ class DelayScores:
 def false_switch_frames(
     assigned: ArrayLike, lane: ArrayLike, is_crossing: ArrayLike
 ) -> tuple[BoolArray, BoolArray]:
-    """Per row: did it switch falsely against the row before, and could it have.
+    """Per row: whether it switches falsely against the row before, and whether it could.
 
     assigned (T,), 0 for Unassigned; lane (T,); is_crossing (T,). Returns is_false_switch (T,) and
     is_counted (T,); the first row is never counted. The sums of the two give the rate, also over

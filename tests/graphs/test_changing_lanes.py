@@ -251,7 +251,7 @@ def test_steps_are_written_as_they_are_read(step: Step) -> None:
         ("3>6+0", "lanes are outside 1..5"),
         ("0", "lanes are outside 1..5"),
         ("3>4+0@10", "places are 1 to 9"),
-        ("3>4+77", "no road has so many lanes"),
+        ("3>4+77", "no road has that many lanes"),
     ],
 )
 def test_what_is_no_step_is_refused(text: str, message: str) -> None:

@@ -1,5 +1,5 @@
-"""Estimates from a recording what a detector's flags and LRI mean, as not every detector uses them
-as the paper's detectors do.
+"""Estimates from a recording what a detector's flags and LRI mean (its habits), because not every
+detector uses them as the paper's detectors do.
 
 In the paper the LRI counts detections in the last ten frames. Here the `FULL_SHARE` quantile of the
 valid lines' LRI is taken for that of a well tracked line, and scaled to 10. An LRI that is the same
@@ -93,8 +93,8 @@ def _is_placed(offset_m: FloatArray) -> BoolArray:
 
 
 def columns(log: LineLog) -> Columns:
-    """What is counted of a log, (N,) each: offsets, whether valid, whether continuous, and LRI.
-    These are copies: a caller may use its arrays again for the next frame."""
+    """The lines of a log, (N,) each: offsets, whether valid, whether continuous, and LRI. These are
+    copies: a caller may use its arrays again for the next frame."""
     return (
         log.offset_m.flatten(),
         log.is_valid.flatten(),

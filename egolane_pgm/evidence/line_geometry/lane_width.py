@@ -51,9 +51,10 @@ OFF_LATTICE = (0.05, 0.3, 0.6, 0.9)
 #: frames say little more than a single one.
 ALIKE = 20
 
-#: Two neighbouring lanes are seen at once if at least this share of the gaps between every other
-#: line is two lanes, within so many lane widths. This is checked only with enough gaps for about
-#: three independent ones, since a detector may report two lines only.
+#: Two neighbouring lanes are seen at once if at least this share (the first) of the gaps between
+#: every other line is two lanes, to within this many lane widths (the second). This is checked only
+#: with enough gaps (the third) for about three independent ones, since a detector may report two
+#: lines only.
 LEAST_PAIRS, PAIR_WITHIN = 0.03, 0.15
 ENOUGH_PAIRS = 3 * ALIKE / LEAST_PAIRS
 
@@ -154,7 +155,7 @@ def width_of_gaps(counts: FloatArray, fallback_m: float, source: str) -> LaneWid
 
 
 def _gaps(offsets: FloatArray, apart: int) -> FloatArray:
-    """The gaps between sorted lines so many places apart, (T, L - apart); 0 where there is none."""
+    """The gaps between sorted lines `apart` places apart, (T, L - apart); 0 where there is none."""
     is_there = np.isfinite(offsets[:, apart:])
     return np.subtract(
         offsets[:, apart:], offsets[:, :-apart], out=np.zeros(is_there.shape), where=is_there
