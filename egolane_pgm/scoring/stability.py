@@ -131,8 +131,6 @@ def delay_after_lane_change(
     assigned (T,), lane (T,), is_crossing (T,), frame_id (T,) strictly increasing; rules in the
     module. Raises InputError for arrays of different lengths or ids that do not increase.
     """
-    if held_frames < 1:
-        raise InputError(f"held_frames: {held_frames} must be at least 1")
     predicted, actual, crossing = _aligned(assigned, lane, is_crossing)
     ids = as_lanes(frame_id, len(predicted), "frame_id")
     if (np.diff(ids) <= 0).any():
