@@ -18,7 +18,7 @@ import egolane_pgm as ego
 from egolane_pgm import running
 from egolane_pgm.experiment import load_experiment
 from egolane_pgm.inference import filtering
-from egolane_pgm.inference.events import NO_EVENTS, lane_stretches, next_events, stretches
+from egolane_pgm.inference.events import NO_EVENTS, next_events
 from egolane_pgm.recordings import write_lines
 from egolane_pgm.recordings.ground_truth import write_ground_truth
 from egolane_pgm.recordings.table import write_table
@@ -330,6 +330,3 @@ def test_lane_changes_are_the_same_wherever_they_are_cut(
     told = ego.LaneEvents.joined(found)
     for name, column in whole.columns().items():
         np.testing.assert_array_equal(told.columns()[name], column, err_msg=name)
-    last_s = float(beliefs.frame_id[-1] / 10.0)
-    times = beliefs.frame_id / 10.0
-    assert stretches(so_far.first, told, last_s) == lane_stretches(beliefs, whole, times)

@@ -25,6 +25,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
+from itertools import pairwise
 
 import numpy as np
 
@@ -93,7 +94,6 @@ class EventState:
 
     here: the lane that is believed, -1 before there is one.
     before, calm_s: the lane left last, and until when the way back has to be sure.
-    first: the first lane that was believed and when, seconds; or None.
     ahead (n,): marks the lanes that are more probable than `here`, ...
     since_id, since_s (n,): ... and since which frame they are so without a break; seconds.
     """
@@ -101,7 +101,6 @@ class EventState:
     here: int
     before: int
     calm_s: float
-    first: tuple[int, float] | None
     ahead: BoolArray
     since_id: IntArray
     since_s: FloatArray
@@ -109,7 +108,7 @@ class EventState:
 
 #: Before the first frame.
 NO_EVENTS = EventState(
-    -1, -1, -np.inf, None, np.zeros(0, dtype=bool), np.zeros(0, dtype=np.int64), np.zeros(0)
+    -1, -1, -np.inf, np.zeros(0, dtype=bool), np.zeros(0, dtype=np.int64), np.zeros(0)
 )
 
 
@@ -122,7 +121,7 @@ def next_events(
     - time_s: (T,) when the frames were, seconds.
     """
     lane, frame_id = beliefs.lane, beliefs.frame_id
-    here, before, calm, first = so_far.here, so_far.before, so_far.calm_s, so_far.first
+    here, before, calm = so_far.here, so_far.before, so_far.calm_s
     largest, top = lane.max(axis=1, initial=0), lane.argmax(axis=1)
     sure = np.flatnonzero(largest >= BELIEVED)
     columns = (sure, top[sure], largest[sure], time_s[sure])
@@ -133,8 +132,6 @@ def next_events(
         if here >= 0:
             changes.append((t, here, k))
             before, calm = here, now + FLICKER_S
-        else:
-            first = (k, now)
         here = k
     rows, left, entered = np.array(changes, dtype=np.int64).reshape(-1, 3).T
     began_id, began_s = np.empty(len(rows), dtype=np.int64), np.empty(len(rows))
@@ -155,7 +152,7 @@ def next_events(
         to_lane=entered + 1,
         probability=lane[rows, entered],
     )
-    return replace(since, here=here, before=before, calm_s=calm, first=first), rows, events
+    return replace(since, here=here, before=before, calm_s=calm), rows, events
 
 
 def _ahead(
@@ -224,20 +221,9 @@ def lane_stretches(
     if not len(believed):
         return []
     row = int(believed[0])
-    first = (int(beliefs.lane[row].argmax()), float(time_s[row]))
-    return stretches(first, events, float(time_s[-1]))
-
-
-def stretches(
-    first: tuple[int, float] | None, events: LaneEvents, last_s: float
-) -> list[tuple[int, float, float]]:
-    """`lane_stretches` from the first lane that was believed (see `EventState`) to the last frame,
-    seconds."""
-    if first is None:
-        return []
-    lanes = [first[0] + 1, *events.to_lane.tolist()]
-    borders = [first[1], *events.time_s.tolist(), last_s]
-    return [(n, float(a), float(b)) for n, a, b in zip(lanes, borders, borders[1:], strict=False)]
+    lanes = [int(beliefs.lane[row].argmax()) + 1, *events.to_lane.tolist()]
+    borders = [time_s[row], *events.time_s, time_s[-1]]
+    return [(n, float(a), float(b)) for n, (a, b) in zip(lanes, pairwise(borders), strict=True)]
 
 
 def crossing_probability(marginals: Mapping[str, FloatArray]) -> FloatArray | None:
