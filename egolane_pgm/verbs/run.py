@@ -66,7 +66,7 @@ SUMMARY = "summary.parquet"
 
 
 @overload
-def run(experiment: Sequence[Given | Lines], **options: Any) -> DriveTable: ...
+def run(experiment: list[Any] | tuple[Any, ...], **options: Any) -> DriveTable: ...
 
 
 @overload
