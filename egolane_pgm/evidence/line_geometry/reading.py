@@ -109,7 +109,7 @@ def recording_width(log: LineLog, parameters: Parameters) -> float:
 def warn_of_offsets(log: LineLog, width_m: float, reach_m: float) -> None:
     """Warns if most lines are out of reach, or if the vehicle seems to be off the middle of its
     lane all the time."""
-    placed = is_placed(log)
+    placed = is_placed(log.offset_m)
     n_placed, n_far = int(placed.sum()), int((np.abs(log.offset_m[placed]) >= reach_m).sum())
     if 2 * n_far > n_placed:
         warnings.warn(
