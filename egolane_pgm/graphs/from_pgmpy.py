@@ -22,7 +22,7 @@ from typing import Any
 
 import numpy as np
 
-from egolane_pgm.graphs.cpds import SliceNode, Table, check_order, quiet
+from egolane_pgm.graphs.cpds import SliceNode, Table, check_order, check_sizes, quiet
 from egolane_pgm.tools.files import read_text
 from egolane_pgm.types import FloatArray, InputError, suggestion
 
@@ -71,7 +71,7 @@ def read_network(network: Any, transition: Sequence[Any] | None = None) -> Decla
     cpds = _without_copies(cpds)
     values = _value_names(cpds)
     tables = _tables(cpds, values, parents)
-    _check_sizes(tables)
+    check_sizes(tables.values())
     return Declared(tables, values)
 
 
@@ -285,22 +285,6 @@ def _tables(
             )
         tables[name, s] = Table((name, s), shifted, table.values)
     return tables
-
-
-def _check_sizes(tables: Mapping[SliceNode, Table]) -> None:
-    cardinality = {name: tables[name, 0].values.shape[-1] for name, _ in tables}
-    for table in tables.values():
-        name, size = table.node[0], table.values.shape[-1]
-        if size != cardinality[name]:
-            raise InputError(
-                f"{name}: has {cardinality[name]} values in the first frame and {size} later"
-            )
-        for parent, size in zip(table.parents, table.values.shape, strict=False):
-            if cardinality[parent[0]] != size:
-                raise InputError(
-                    f"{table.node[0]}: its table has {size} rows for {parent[0]}, which has"
-                    f" {cardinality[parent[0]]} values"
-                )
 
 
 def _names(nodes: Iterable[SliceNode]) -> str:

@@ -136,12 +136,11 @@ def _tables(graph: _Graph) -> list[Table]:
     with_table = [node for node in size if node not in graph.inputs]
     edges = {"within": graph.edges.within, "across": graph.edges.across}
     with all_problems() as part:
-        for key in ("hidden", "observed", "inputs"):
+        named = {key: getattr(graph, key) for key in ("hidden", "observed", "inputs")}
+        named |= {f"edges.{key}": pairs for key, pairs in edges.items()}
+        for key, listed in named.items():
             with part():
-                _check_nodes(_flat(getattr(graph, key)), size, key)
-        for key, pairs in edges.items():
-            with part():
-                _check_nodes(_flat(pairs), size, f"edges.{key}")
+                _check_nodes(_flat(listed), size, key)
         with part():
             check_names(with_table, graph.tables, "tables")
         for node in with_table:
@@ -180,9 +179,6 @@ def _numbers(
     rows: _Rows, parents: Mapping[str, SliceNode], size: Mapping[str, int], own: int, where: str
 ) -> FloatArray:
     """The values of a table, with an axis for each of its parents, as the edges have them."""
-    for p in rows.of:
-        if p not in parents:
-            raise InputError(f"{where}: '{p}' is no parent by the edges{suggestion(p, parents)}")
     if sorted(rows.of) != sorted(parents):
         raise InputError(
             f"{where}: the table is of {', '.join(rows.of) or 'no parent'}, its edges come from"

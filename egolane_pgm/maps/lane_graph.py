@@ -104,14 +104,6 @@ def joins_from(graph: LaneGraph) -> IntArray:
     return np.searchsorted(graph.before, np.arange(len(graph) + 1)).astype(np.int64)
 
 
-def joins_to(graph: LaneGraph) -> tuple[IntArray, IntArray]:
-    """The joins that arrive at each segment: `start` (S + 1,) and `row` (J,); those of segment k
-    are the rows `row[start[k]:start[k + 1]]` of `before`, `after`, `shift`, ..."""
-    row = np.argsort(graph.after, kind="stable").astype(np.int64)
-    start = np.searchsorted(graph.after[row], np.arange(len(graph) + 1)).astype(np.int64)
-    return start, row
-
-
 # --- a file ------------------------------------------------------------------------------------
 
 _OF_SEGMENT = (

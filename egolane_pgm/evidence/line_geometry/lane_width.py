@@ -81,7 +81,6 @@ class LaneWidth:
     - width_m: the answer; the fallback if it is not sure
     - found_m: the best candidate; NaN without gaps
     - gaps: number of gaps
-    - on_lattice: share of gaps within two sigma of a whole number of found widths
     - odds: log odds (natural) of the best candidate against the better one of the runner-up and no
       lattice
     - message: all of this in one line
@@ -91,7 +90,6 @@ class LaneWidth:
     is_sure: bool
     found_m: float
     gaps: int
-    on_lattice: float
     odds: float
     message: str
 
@@ -179,8 +177,9 @@ def _answer(
     """
     n_gaps = int(counts.sum())
     if not n_gaps:
-        message = f"{source}: no two lines in one frame to tell the lane width from"
-        return _unsure(fallback_m, math.nan, n_gaps, 0.0, 0.0, message)
+        message = f"{source}: no two lines in one frame, so the lane width is unknown"
+        message += f"; {fallback_m:g} m is assumed"
+        return LaneWidth(fallback_m, False, math.nan, n_gaps, 0.0, message)
     log_width = math.log(_SMALLEST) + _STEP * (first + np.arange(_N_CANDIDATES) + 0.5)
     away = (log_width - math.log(fallback_m)) / EXPECTED_WITHIN
     # Excluded candidates come after all others, in their order.
@@ -196,19 +195,10 @@ def _answer(
         f"{width:.{2 if width < 20 else 0}f} m from {n_gaps} gaps between lines,"
         f" {100 * share:.0f} % of them on the lattice"
     )
-    is_known = odds >= LEAST_ODDS and may_be[best] and 0 < best < _N_CANDIDATES - 1
-    if not is_known:
-        return _unsure(
-            fallback_m, width, n_gaps, share, odds, f"{source}: lane width unsure ({found})"
-        )
-    return LaneWidth(width, True, width, n_gaps, share, odds, f"{source}: lane width {found}")
-
-
-def _unsure(
-    fallback_m: float, found_m: float, gaps: int, share: float, odds: float, message: str
-) -> LaneWidth:
-    message += f"; {fallback_m:g} m is assumed"
-    return LaneWidth(fallback_m, False, found_m, gaps, share, odds, message)
+    if odds >= LEAST_ODDS and may_be[best] and 0 < best < _N_CANDIDATES - 1:
+        return LaneWidth(width, True, width, n_gaps, odds, f"{source}: lane width {found}")
+    message = f"{source}: lane width unsure ({found}); {fallback_m:g} m is assumed"
+    return LaneWidth(fallback_m, False, width, n_gaps, odds, message)
 
 
 @lru_cache(maxsize=1)
