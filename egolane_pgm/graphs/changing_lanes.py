@@ -104,7 +104,7 @@ def tables(n_lanes: int, parameters: Parameters) -> list[Table]:
         *dynamics("Step", [], uniform(len(steps))),
         *prior("Passed", first_passed, ["Step"]),
         *dynamics("Passed", ["Step", previous("Passed")], next_passed),
-        *prior("Lanes", _repeated(first_lanes, n_passed), ["Step", "Passed"]),
+        *prior("Lanes", np.repeat(first_lanes[:, None], n_passed, axis=1), ["Step", "Passed"]),
         *dynamics("Lanes", ["Step", previous("Passed"), "Passed", previous("Lanes")], next_lanes),
         *prior("Lane", first_lane, ["Step", "Passed", "Lanes"]),
         *dynamics(
@@ -127,11 +127,6 @@ def build(n_lanes: int, parameters: Parameters) -> DynamicBayesianNetwork:
 def most_lanes(on_map: int, parameters: Parameters) -> int:
     """The number of values of Lane; on_map: number of lanes on the map where the road is widest."""
     return on_map + (number(parameters, "map_wrong") > 0)
-
-
-def _repeated(values: FloatArray, n_passed: int) -> FloatArray:
-    """(U, n) for each value of Passed: (U, P, n)."""
-    return np.repeat(values[:, None], n_passed, axis=1)
 
 
 def _n_passed(steps: tuple[Step, ...]) -> int:
@@ -218,7 +213,9 @@ def _lane(steps: tuple[Step, ...], n_lanes: int, parameters: Parameters) -> Floa
     """Lane at t+1: (U, P, P, n, n, n, n), by Step, Passed before and now, Lanes before and now, and
     Lane before."""
     n_passed, right = _n_passed(steps), number(parameters, "change_at_right")
-    moves = [_moves(n, n_lanes, parameters) for n in range(1, n_lanes + 1)]
+    # Table `tab:cptlane` for each number of lanes.
+    sigma1 = number(parameters, "sigma1")
+    moves = [_widened(n, n_lanes, sigma1, parameters) for n in range(1, n_lanes + 1)]
     table = np.empty((len(steps), n_passed, n_passed, *(n_lanes,) * 4))
     # Most entries are about the same few changes.
     known: dict[tuple[int, int, int | None], FloatArray] = {}
@@ -243,12 +240,8 @@ def _lane(steps: tuple[Step, ...], n_lanes: int, parameters: Parameters) -> Floa
     return table
 
 
-def _moves(n: int, n_lanes: int, parameters: Parameters) -> FloatArray:
-    """Table `tab:cptlane` of a road of n lanes, with columns for all: (n, n_lanes)."""
-    return _widened(n, n_lanes, number(parameters, "sigma1"), parameters)
-
-
 def _widened(n: int, n_lanes: int, sigma: float, parameters: Parameters) -> FloatArray:
+    """F of a normal around each lane of a road of n lanes, with columns for all: (n, n_lanes)."""
     rows = lane_normals(sigma, n, str(parameters["normal"]))
     return np.pad(rows, ((0, 0), (0, n_lanes - n)))
 

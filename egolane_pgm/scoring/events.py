@@ -29,7 +29,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from egolane_pgm.scoring.checks import as_lanes, as_mask, check_frame_rate
+from egolane_pgm.scoring.checks import as_lanes, as_mask
 from egolane_pgm.scoring.health import roc_auc
 from egolane_pgm.scoring.stability import LaneChanges, lane_changes
 from egolane_pgm.types import BoolArray, FloatArray, IntArray, LaneEvents, LaneTruth, runs_of
@@ -64,7 +64,6 @@ def match_events(
     - truth: K annotated frames, those that count.
     - frame_rate: frames per second.
     """
-    check_frame_rate(frame_rate)
     changes = lane_changes(truth.lane, truth.is_crossing)
     reach = tolerance_s * frame_rate
     first = truth.frame_id[changes.start] - reach
@@ -105,7 +104,6 @@ def score_events(events: LaneEvents, truth: LaneTruth, frame_rate: float) -> dic
     frames), `within` (for each tolerance, by its seconds, "0.5": `right`, `false`, `missed`,
     `precision`, `recall`, `false_per_hour`), `delay_s` {`median`, `p90`}.
     """
-    check_frame_rate(frame_rate)
     changes = lane_changes(truth.lane, truth.is_crossing)
     hours = len(truth) / frame_rate / 3600
     within: dict[str, dict[str, Any]] = {}
@@ -140,7 +138,6 @@ def score_crossing(crossing: ArrayLike, truth: LaneTruth, frame_rate: float) -> 
     the crossing frames, with a warning from WARNED), `changes` (true ones), `warned` (how many of
     them), `lead_s` {`median`, `p10`}, `warnings`, `false_per_hour`.
     """
-    check_frame_rate(frame_rate)
     values = np.asarray(crossing, dtype=np.float64)
     is_crossing = as_mask(truth.is_crossing, len(values))
     is_warned = values >= WARNED
