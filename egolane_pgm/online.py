@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from egolane_pgm.experiment import Experiment
-from egolane_pgm.inference.events import NOTHING_TOLD, crossing_probability, tell
+from egolane_pgm.inference.events import NO_EVENTS, crossing_probability, next_events
 from egolane_pgm.inference.filtering import step
 from egolane_pgm.inference.layout import FilterState
 from egolane_pgm.inference.smoothing import LagState, lag_rest, lag_step
@@ -38,7 +38,7 @@ def filter_stream(
       `is_continuous` false, `lri` unknown. `time_s`, seconds, says when the frame was; without it
       that is the frame id over the frame rate. A message with `time_s` may lack the frame id: it is
       then the frame after the last. Blank lines are skipped.
-    - nodes: hidden nodes whose whole belief is wanted.
+    - nodes: hidden nodes whose whole belief is part of the answer.
 
     Yields `{frame_id, time_s, lane (0: Unassigned), probability (of that lane, or of the most
     probable one), crossing (the probability that the car is on a line; null where the graph cannot
@@ -46,8 +46,8 @@ def filter_stream(
     {node: {value: probability}}}`. With filter fixed_lag the answer about a frame comes `lag`
     frames later, those about the last frames at the end.
 
-    Raises InputError, naming the message, for what cannot be used, for a node that the graph does
-    not have, and for filter smoothed, which needs the whole drive.
+    Raises InputError, naming the message, for one that cannot be used, for a node that the graph
+    does not have, and for filter smoothed, which needs the whole drive.
     """
     frame_rate = experiment.recording.frame_rate
 
@@ -84,19 +84,19 @@ def filter_logs(
     max_lri = float(model.parameters.get("max_lri", 10))  # type: ignore[arg-type]
     state: FilterState | None = None
     late: LagState | None = None
-    told = NOTHING_TOLD
+    so_far = NO_EVENTS
     # Frames that wait for their answer; None stands for one that the recording lacks.
     waiting: deque[LineLog | None] = deque()
     last: LineLog | None = None
 
     def answers(beliefs: Beliefs) -> Iterator[dict[str, Any]]:
-        """To the first frames that wait, as many as there are beliefs."""
-        nonlocal told
+        """Answers to the first frames that wait, one for each belief."""
+        nonlocal so_far
         for t in range(len(beliefs)):
             log = waiting.popleft()
             if log is not None:
                 frame = replace(beliefs.take(slice(t, t + 1)), frame_id=log.frame_id)
-                told, _, events = tell(told, frame, log.time_s)
+                so_far, _, events = next_events(so_far, frame, log.time_s)
                 yield _answer(log, frame, events, below, {node: names[node] for node in nodes})
 
     for log in logs:
@@ -125,7 +125,7 @@ def _answer(
     below: float,
     nodes: Mapping[str, Sequence[str]],
 ) -> dict[str, Any]:
-    """The answer to a frame. nodes: the names of the values of those that are wanted."""
+    """The answer to a frame. nodes: the names of the values of each node in the answer."""
     lane = beliefs.lane[0]
     assigned = int(assigned_lane(beliefs.lane, below)[0])
     crossing = crossing_probability(beliefs.marginals)
@@ -152,7 +152,7 @@ def _answer(
 def parse_message(text: str, where: str, frame_rate: float, after: int = 0) -> LineLog:
     """One message as a LineLog of one frame; see `filter_stream`.
 
-    - after: the id of a frame that has none of its own.
+    - after: the id of a frame without one.
     """
     try:
         content = json.loads(text)

@@ -147,7 +147,7 @@ def reproduce_run(number: int, which: str) -> Reproduced:
 
 
 def reproduce_json(runs: Iterable[Reproduced], which: str) -> dict[str, Any]:
-    """What `egolane reproduce --json` writes: unrounded, keys as documented in the README."""
+    """The JSON that `egolane reproduce --json` writes: unrounded, keys as in the README."""
     rows = [
         {
             "run": r.number,

@@ -158,7 +158,7 @@ def _is_pair(given: object) -> bool:
 
 
 def held_fixed(specs: Iterable[Parameter]) -> tuple[Parameter, ...]:
-    """The same parameters, which a search leaves as they are unless it is given bounds."""
+    """The same parameters, which a search leaves as they are unless the user gives it bounds."""
     return tuple(replace(spec, search=None) for spec in specs)
 
 
@@ -195,8 +195,8 @@ def resolve_parameters(
 
 
 def check_names(known: Iterable[str], given: Iterable[str], where: str) -> None:
-    """Raise InputError for every given name that is not known, with a suggestion. Names that are
-    near none may be left from another graph."""
+    """Raise InputError for every given name that is not known, with a suggestion. A name without a
+    suggestion may be left over from another graph."""
     names = set(known)
     left = "; `parameters: {}` drops all of another graph" if where.endswith(" parameters") else ""
     lines = []

@@ -1,5 +1,5 @@
-"""Graphs, evidence rules and detectors: by name those of the package, or a user's own file that the
-YAML names.
+"""Finds graphs, evidence rules and detectors: those of the package by name, and a user's own file
+that the YAML names.
 
 A plugin is a module that defines the names that its folder's contract asks for (`build`,
 `evidence`, ...). The other modules of such a folder are shared by its plugins. A graph may also be
@@ -24,7 +24,7 @@ from egolane_pgm.parameters import Parameter
 from egolane_pgm.tools.files import check_name
 from egolane_pgm.types import InputError, all_problems, suggestion
 
-#: What a module of each folder must define.
+#: The names that a module of each folder must define.
 CONTRACTS = {
     "graphs": ("build",),
     "evidence": ("evidence",),
@@ -35,10 +35,10 @@ CONTRACTS = {
 }
 
 
-#: The modules of users' own files have names that begin so.
+#: The beginning of the names of modules of users' own files.
 _OWN = "_egolane_plugin_"
 
-#: How the names of users' own files end.
+#: The suffixes of users' own files.
 OWN_FILES = (".py", ".yaml", ".yml", ".bif", ".xmlbif", ".xml")
 
 
@@ -66,7 +66,7 @@ def _defines(text: str, name: str) -> bool:
 
 
 def find_plugin(name: str, kinds: Mapping[str, str], base: Path) -> tuple[str, str]:
-    """What kind of plugin a name or a file is, and the name without the kind.
+    """The kind of plugin of a name or a file, and the name without the kind.
 
     - name: as for `load_plugin`, perhaps with the kind before it: `graph:./mine.py`.
     - kinds: the folders that are looked in, by what each kind is called.
@@ -140,8 +140,8 @@ def load_plugin(folder: str, name: str, base: Path, where: str) -> ModuleType:
 
 
 def plugin_place(module: ModuleType) -> str:
-    """What `load_plugin` takes for a plugin that it loaded: the name of one of the package's, or
-    the whole path of a user's own file."""
+    """The name by which `load_plugin` loads a plugin again: that of one of the package's, or the
+    whole path of a user's own file."""
     if module.__name__.startswith(_OWN):
         return str(module.__file__)
     return module.__name__.rpartition(".")[2]
@@ -189,7 +189,7 @@ def _build_from_network(module: ModuleType, where: str) -> None:
 
 
 def source_files(module: ModuleType) -> list[Path]:
-    """The files that a plugin's code stands in: several where the plugin is a folder."""
+    """The files with a plugin's code: several where the plugin is a folder."""
     file = Path(str(module.__file__))
     return sorted(file.parent.glob("*.py")) if file.name == "__init__.py" else [file]
 

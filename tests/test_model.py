@@ -38,7 +38,7 @@ def graph_said(folder: Path, more: str, hidden: str = '("Lane", "X")') -> str:
     [
         (
             '*prior("X", uniform(2)), *dynamics("X", [previous("Lane")], uniform(4, 2))',
-            "X at t+1: its table has 4 rows for Lane at t, which has 3 values",
+            "X: its table has 4 rows for Lane, which has 3 values",
         ),
         (
             '*prior("X", uniform(2)), *dynamics("X", [previous("Y")], uniform(2, 2))',

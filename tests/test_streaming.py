@@ -18,7 +18,7 @@ import egolane_pgm as ego
 from egolane_pgm import running
 from egolane_pgm.experiment import load_experiment
 from egolane_pgm.inference import filtering
-from egolane_pgm.inference.events import NOTHING_TOLD, lane_stretches, stretches, tell
+from egolane_pgm.inference.events import NO_EVENTS, next_events
 from egolane_pgm.recordings import write_lines
 from egolane_pgm.recordings.ground_truth import write_ground_truth
 from egolane_pgm.recordings.table import write_table
@@ -322,14 +322,11 @@ def test_lane_changes_are_the_same_wherever_they_are_cut(
 ) -> None:
     beliefs, parts = drawn
     whole = ego.lane_events(beliefs, 10.0)
-    telling, found = NOTHING_TOLD, []
+    so_far, found = NO_EVENTS, []
     for part in parts:
         here = beliefs.take(part)
-        telling, _, events = tell(telling, here, here.frame_id / 10.0)
+        so_far, _, events = next_events(so_far, here, here.frame_id / 10.0)
         found.append(events)
     told = ego.LaneEvents.joined(found)
     for name, column in whole.columns().items():
         np.testing.assert_array_equal(told.columns()[name], column, err_msg=name)
-    last_s = float(beliefs.frame_id[-1] / 10.0)
-    times = beliefs.frame_id / 10.0
-    assert stretches(telling.first, told, last_s) == lane_stretches(beliefs, whole, times)

@@ -43,11 +43,11 @@ def line_points(frame: dict[str, Any]) -> list[FloatArray]:
 def label_places(camera: Camera, frame: dict[str, Any], ahead_m: float) -> FloatArray:
     """Where the labelled lines of a frame lie on the road, (A,), metres to the right.
 
-    A label's points are brought onto the road and joined by straight lines. One that does not
-    reach so far is continued by the straight line through the six nearest points; one with fewer
-    than three points on the nearer 40 m of the road is left out.
+    A label's points are brought onto the road and joined by straight lines. A label that ends
+    before `ahead_m` is continued by the straight line through the six nearest points; one with
+    fewer than three points on the nearer 40 m of the road is left out.
 
-    - ahead_m: the distance ahead at which they are looked at
+    - ahead_m: the distance ahead, metres, of the places
     """
     places = []
     for points in line_points(frame):
@@ -96,7 +96,7 @@ def view_from_labels(
     """Finds how a camera looks at the road of labelled frames.
 
     - camera: its lens, and where it is mounted
-    - path: the label file; `first`: use only so many of its frames, None for all
+    - path: the label file; `first`: use only its first frames, this many; None for all
     - progress: wraps the frames while they are fitted, e.g. tqdm
 
     Raises InputError as `read_labels` and `view_of_road` do.

@@ -39,8 +39,8 @@ _ROWS = 120
 #: The widest marking, in heights of the camera (block markings are 0.6 m wide and more).
 _MARKING = 0.8
 
-#: A pixel is paint if it is brighter than its surroundings by so many grey levels, and by so many
-#: times the mean difference in its row.
+#: A pixel is paint if it is brighter than its surroundings by more than the first number of grey
+#: levels, and by more than the second number times the mean difference in its row.
 _CONTRAST, _SCATTERS = 12.0, 4.0
 
 #: The smallest share of a line's length in the picture that paint covers.
@@ -190,8 +190,9 @@ def meeting_of_stills(
 
 
 def clearness(lines: FloatArray, seed: int = 0, tries: int = 200) -> float:
-    """How clearly the edges (M, 4) of a still meet in one point: the length of those that point at
-    it, times their share of the length of all edges. seed, tries: of the random pairs."""
+    """A measure of how clearly the edges (M, 4) of a still meet in one point: the length of those
+    that point at it, times their share of the length of all edges. seed, tries: of the random
+    pairs."""
     if len(lines) < 2:
         return 0.0
     votes = _votes(_crossings(lines, tries, np.random.default_rng(seed)), lines)
@@ -332,7 +333,7 @@ def find_in_stills(
     - paths: the stills; `camera.ignore` says which parts never show road
     - seed: of the random pairs of edges
     - progress: wraps the stills while they are read, e.g. tqdm
-    - most: use only so many of them, those whose edges meet most clearly in one point, as they do
+    - most: use only this many stills, those whose edges meet most clearly in one point, as they do
       where the road is straight and free; None for all
 
     Raises InputError if no still can be used, or if the edges do not meet in one point.

@@ -57,7 +57,7 @@ _NOISE, _BEND = 0.001, 0.0015
 
 _MIN_POINTS = 5
 
-#: So many frames tell the horizon well enough to fit all of them about it.
+#: The number of frames that give the horizon well enough to fit all of them about it.
 _ENOUGH_FRAMES = 200
 
 
@@ -100,9 +100,9 @@ class RoadView:
 
 @dataclass(frozen=True)
 class SeenRoad:
-    """A view of a road, and what it was found from.
+    """A view of a road, and the lines that it was found from.
 
-    - what: says in words which lines they were
+    - what: these lines in words
     - pictures: each picture's file, None where it is not there, and the points (N, 2) of each of
       its lines, pixels
     """
@@ -266,8 +266,8 @@ def one_lane(gaps: FloatArray, weights: FloatArray) -> BoolArray:
 
 def _alike(gaps: FloatArray, weights: FloatArray) -> FloatArray:
     """For each of the ascending gaps g (G,), the sum over all gaps h of their weights times
-    1 - |h / g - 1| / _SAME_GAP, as far as that is above 0. Running sums make it as long as the gaps
-    are many, where a table of all pairs would fill the memory."""
+    1 - |h / g - 1| / _SAME_GAP, as far as that is above 0. Running sums need memory for each gap; a
+    table of all pairs would fill it."""
     low = np.searchsorted(gaps, gaps * (1 - _SAME_GAP), "left")
     middle = np.searchsorted(gaps, gaps, "right")
     high = np.searchsorted(gaps, gaps * (1 + _SAME_GAP), "right")
@@ -306,7 +306,7 @@ def view_of_road(
     if horizon is None:
         raise InputError(f"{what}: the lines do not meet; needs parallel lines of the road ahead")
     fits: list[FrameFit] = []
-    # Some frames, spread over all of them, tell the horizon well enough to begin with.
+    # Some frames, spread over all of them, give the horizon well enough to begin with.
     some = with_lines[:: math.ceil(len(with_lines) / _ENOUGH_FRAMES)]
     for lines_of_frames in (some, progress(with_lines)):
         fits = [fit for lines in lines_of_frames if (fit := fit_frame(lines, horizon)) is not None]
@@ -384,8 +384,8 @@ def _offsets(turned: Camera, ahead: FloatArray, fit: FrameFit) -> FloatArray:
 
 
 def deviation_m(view: RoadView, lines: Sequence[FloatArray]) -> float:
-    """How far the lines of a still leave the direction of travel: the median over its lines,
-    metres; infinite with fewer than two lines."""
+    """The distance by which the lines of a still leave the direction of travel: the median over its
+    lines, metres; infinite with fewer than two lines."""
     strays = []
     for points in lines:
         x, y = image_to_road(view.camera, points[:, 0], points[:, 1])

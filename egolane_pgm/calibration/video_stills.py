@@ -13,7 +13,7 @@ from egolane_pgm.camera.video import open_video
 from egolane_pgm.camera.writing import write_picture
 from egolane_pgm.types import FloatArray, InputError
 
-#: How many frames are taken, spread over the video.
+#: The number of frames that are taken, spread over the video.
 TAKEN = 100
 
 #: A frame that differs from the one taken before it by no more than this, grey levels on the

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from egolane_pgm.drive import Drive, evidence_on
-from egolane_pgm.inference.lags import beliefs_by_lag
+from egolane_pgm.inference.smoothing import fixed_lag_beliefs
 from egolane_pgm.learning import Found, with_found
 from egolane_pgm.scoring.held_out import HeldOut
 from egolane_pgm.scoring.summary import score_with_intervals
@@ -73,8 +73,8 @@ def lagged_beliefs(drive: Drive, held_out: HeldOut[Found], lags: Sequence[float]
         evidence = evidence_on(drive, model).filtered
         mine = held_out.block == b if len(founds) > 1 else slice(None)
         try:
-            for lag, beliefs in beliefs_by_lag(model.compiled, evidence, frames):
-                lane = beliefs.lane[drive.rows]
+            for lag in frames:
+                lane = fixed_lag_beliefs(model.compiled, evidence, lag).lane[drive.rows]
                 lanes.setdefault(lag, np.empty_like(lane))[mine] = lane[mine]
         except InputError as error:
             raise InputError(f"{experiment.source}: lags: {error}") from error

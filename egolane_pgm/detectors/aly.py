@@ -10,8 +10,8 @@ What differs from the paper and its public configuration:
   says of theirs: a line's place may change by 15 pixels of theirs, 1.7 m, from frame to frame (the
   0.3 rad by which it may turn are more than any line turns); a new line is dropped after three
   frames without detection; and one that is seen in five of ten frames stays valid.
-- A spline becomes a line on the road by least squares, and paint tells whether it is dashed, as
-  for the simple detectors (`simple.paint`).
+- A spline becomes a line on the road by least squares; its painted share decides whether it is
+  dashed, as for the simple detectors (`simple.paint`).
 - A spline's score counts no more than the length of the view, and a bent spline is refused before
   it can win: otherwise a loop through two near points beats the marking.
 
@@ -69,13 +69,10 @@ class Found:
 
     - shape: (M, 4) as in FrameLines
     - score: (M,) of the splines
-    - from_m, to_m: (M,) where the splines begin and end, metres ahead
     """
 
     shape: FloatArray
     score: FloatArray
-    from_m: FloatArray
-    to_m: FloatArray
 
 
 def line_finder(camera: Camera, parameters: Parameters) -> Callable[[Image], Found]:
@@ -93,17 +90,16 @@ def line_finder(camera: Camera, parameters: Parameters) -> Callable[[Image], Fou
         splines = find_splines(ridges(view, look(view, red), parameters))
         n = int(number(parameters, "lines"))
         grey = red.astype(np.float64)
-        shape, ends = [], []
+        shape = []
         for point in points_on(splines.control[:n], number(parameters, "ransac_spline_step")):
             x = view.x_m[0] - point[:, 1] * view.along_m
             y = view.y_m[0] + point[:, 0] * view.across_m
             seen = np.stack(road_to_image(small, x, y), axis=1)
             x, y = image_to_road(small, *refined(grey, small, seen, parameters).T)
             shape.append(shape_of(x, y))
-            ends.append((x.min(), x.max()))
-        shapes, end = np.array(shape).reshape(-1, 4), np.array(ends).reshape(-1, 2)
+        shapes = np.array(shape).reshape(-1, 4)
         order = np.argsort(shapes[:, 0], kind="stable")
-        return Found(shapes[order], splines.score[:n][order], *end[order].T)
+        return Found(shapes[order], splines.score[:n][order])
 
     return find
 

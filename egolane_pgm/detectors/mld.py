@@ -8,9 +8,9 @@ common motion sideways and a common turn are taken over from clear lines to the 
 clear by itself from 120 markings on, not from 60; and each link of the CRF is merged by its own
 label (see `multilane.crf`).
 
-MLD tells no continuous lines from dashed ones. A line is a parabola of the picture, as published,
-which is none of the road: in a bend, what is more than 20 m ahead is drawn too straight, and the
-curvature that it tells is too small.
+MLD does not tell continuous lines from dashed ones. A line is a parabola in the picture, as
+published, which is no parabola on the road: in a bend, it is too straight beyond 20 m ahead, and
+its curvature is too small.
 """
 
 from __future__ import annotations
@@ -58,7 +58,7 @@ PARAMETERS = held_fixed(
             "shown_above",
             "integer",
             3,
-            "a line is shown when it was seen in more than so many of the last 10 pictures",
+            "a line is shown when it was seen in more than this many of the last 10 pictures",
             highest=9,
         ),
         Parameter(
@@ -89,16 +89,16 @@ PARAMETERS = held_fixed(
             "exact_up_to",
             "integer",
             10,
-            "groups of up to so many links of the CRF are solved exactly, larger ones by turning"
-            " each link on in turn, as published; 0: all of them",
+            "groups of at most this many links of the CRF are solved exactly, larger ones by"
+            " turning each link on in turn, as published; 0: all of them",
             highest=12,
         ),
         *_FROZEN,
     )
 )
 
-#: A line starts from a curve that covers so many rows, and on the road has at most this heading,
-#: m/m, and curvature, 1/m.
+#: A line starts from a curve that covers at least this many rows and has, on the road, at most this
+#: heading, m/m, and curvature, 1/m.
 _ROWS, _HEADING, _CURVATURE = 50, 0.15, 0.01
 
 #: The offsets of the paper's recordings: steps, and the side of what was looked at.
@@ -124,8 +124,8 @@ def start(camera: Camera, parameters: Parameters) -> Step:
 def follower(
     camera: Camera, parameters: Parameters
 ) -> tuple[Callable[[Slots, Picture], Slots], Road]:
-    """As `start`, but the step takes the slots and gives the new ones. Also gives what is seen of
-    the road."""
+    """As `start`, but the step takes the slots and gives the new ones. Also gives the rows of the
+    picture that show the road."""
     reach_m, narrowest_m, widest_m, filled = (
         number(parameters, name) for name in ("reach_m", "narrowest_m", "widest_m", "filled")
     )

@@ -1,5 +1,5 @@
-"""A lane network of one's own, run by OpenCV: its markings are fitted and followed as those of the
-other detectors. docs/networks.md shows how to bring a network.
+"""Your own lane network, run by OpenCV: its markings are fitted and followed as those of the other
+detectors. docs/networks.md shows how to describe it.
 
     egolane detect drive.mp4 --camera cam.yaml --detector network --set network=lanes.yaml
 """

@@ -25,7 +25,7 @@ from egolane_pgm.types import InputError, LineLog
 #: How many frames are collected before they are packed into arrays.
 _PACK = 1000
 
-#: How many frames are timed, and how many before them are not.
+#: The number of frames that are timed, and that of the first frames, which are not.
 _TIMED, _WARM_UP = 30, 5
 
 

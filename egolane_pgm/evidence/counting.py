@@ -40,7 +40,7 @@ PARAMETERS = (
         "wor_noise",
         "probability",
         0.01,
-        "subtracted from WOR; it is the WOR then where that is below 0, 1 less it where that is 1",
+        "subtracted from WOR; what is then below 0 becomes this, and 1 becomes 1 less this",
         search=None,
     ),
     Parameter(

@@ -1,9 +1,9 @@
 """How well the lines that are seen fit roads of different numbers of lanes.
 
 Counting votes for lanes of a road whose number of lanes is given; it says nothing of that number.
-Here the lines are counted off from the car to both sides. On a road of n lanes, from lane i of it,
-so many are to be seen, the outermost ones are mostly continuous, and beyond them there are none.
-How well a number of lanes fits is how well its best lane does.
+Here the lines are counted from the car to both sides. In lane i of a road of n lanes there are i
+lines to the left and n + 1 - i to the right, the outermost ones are mostly continuous, and beyond
+them there are none. A number of lanes fits as well as the best of its lanes.
 """
 
 from __future__ import annotations
@@ -20,9 +20,9 @@ SEEN_NOTHING = 0.08
 #: P(it is flagged as continuous) of the left edge, an inner line, the right edge and a false line.
 FLAGGED = {"left": 0.75, "inner": 0.03, "right": 0.4, "nothing": 0.05}
 
-#: What a frame counts for. Detectors hold a line, miss it or shift it for seconds, so that frames
-#: of about one second, at ten a second, say the same. It was chosen on
-#: eight simulated drives, from .02 to .3.
+#: The weight of a frame. Detectors hold a line, miss it or shift it for seconds, so that frames of
+#: about one second, at ten a second, say the same. It was chosen on eight simulated drives, from
+#: .02 to .3.
 WEIGHT = 0.1
 
 

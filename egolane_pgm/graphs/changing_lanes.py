@@ -1,7 +1,7 @@
 """The paper's graph on a road whose lanes begin, end, merge and split.
 
 Lane has as many values as the road has lanes at its widest. An input, Step, says in each frame what
-the map tells of the road (`lane_steps`). Lane moves in two parts: first to where its lane goes on,
+the map knows of the road (`lane_steps`). Lane moves in two parts: first to where its lane goes on,
 then to a neighbour as in the paper's Table `tab:cptlane`, of a road with the lanes that there are
 now. On a road that does not change this is the paper's table.
 
@@ -47,7 +47,8 @@ HIDDEN = ("Lane", "SensorState", "Lanes", "Passed")
 OBSERVED = (("DetectorOutput", "Lanes"), "WOR", "Lane")
 INPUTS = ("Step",)
 
-#: What the evidence rule gives. The model makes the evidence of OBSERVED from it and the map.
+#: The keys that the evidence rule gives. The model makes the evidence of OBSERVED from these and
+#: the map.
 TAKES = ("DetectorOutput", "WOR")
 VALUES = {"SensorState": ("OK", "BAD"), "WOR": ("OK", "BAD")}
 PARAMETERS = (
@@ -103,7 +104,7 @@ def tables(n_lanes: int, parameters: Parameters) -> list[Table]:
         *dynamics("Step", [], uniform(len(steps))),
         *prior("Passed", first_passed, ["Step"]),
         *dynamics("Passed", ["Step", previous("Passed")], next_passed),
-        *prior("Lanes", _repeated(first_lanes, n_passed), ["Step", "Passed"]),
+        *prior("Lanes", np.repeat(first_lanes[:, None], n_passed, axis=1), ["Step", "Passed"]),
         *dynamics("Lanes", ["Step", previous("Passed"), "Passed", previous("Lanes")], next_lanes),
         *prior("Lane", first_lane, ["Step", "Passed", "Lanes"]),
         *dynamics(
@@ -124,13 +125,8 @@ def build(n_lanes: int, parameters: Parameters) -> DynamicBayesianNetwork:
 
 
 def most_lanes(on_map: int, parameters: Parameters) -> int:
-    """How many values Lane needs on a road that has so many lanes on the map at its widest."""
+    """The number of values of Lane; on_map: number of lanes on the map where the road is widest."""
     return on_map + (number(parameters, "map_wrong") > 0)
-
-
-def _repeated(values: FloatArray, n_passed: int) -> FloatArray:
-    """(U, n) for each value of Passed: (U, P, n)."""
-    return np.repeat(values[:, None], n_passed, axis=1)
 
 
 def _n_passed(steps: tuple[Step, ...]) -> int:
@@ -139,7 +135,7 @@ def _n_passed(steps: tuple[Step, ...]) -> int:
 
 
 def _happens(step: Step, before: int, now: int) -> bool:
-    """Whether a step's change happens, with Passed so before and so now."""
+    """Whether a step's change happens; before, now: the values of Passed."""
     return step.before > 0 and (step.place is None or (before == 0 and now == 1))
 
 
@@ -166,10 +162,10 @@ def _lanes(
     """Lanes in the first frame (U, n), and later (U, P, P, n, n)."""
     wrong, stays = number(parameters, "map_wrong"), number(parameters, "map_stays")
     away = np.subtract.outer(np.arange(1, n_lanes + 1), np.arange(n_lanes + 1)).T
-    # on_map[n]: what there may be where the map has n lanes.
+    # on_map[n]: P(number of lanes) where the map has n.
     on_map = np.where(away == 0, 1 - wrong, np.where(abs(away) == 1, wrong / 2, 0.0))
     on_map[0] = 1.0
-    # Where the only other number is none at all, the map is right whatever it is said to be.
+    # With one lane, the only other number is 0: the map is right, whatever `map_wrong` says.
     empty = on_map.sum(axis=1) == 0
     on_map[empty] = away[empty] == 0
     on_map /= on_map.sum(axis=1, keepdims=True)
@@ -217,7 +213,9 @@ def _lane(steps: tuple[Step, ...], n_lanes: int, parameters: Parameters) -> Floa
     """Lane at t+1: (U, P, P, n, n, n, n), by Step, Passed before and now, Lanes before and now, and
     Lane before."""
     n_passed, right = _n_passed(steps), number(parameters, "change_at_right")
-    moves = [_moves(n, n_lanes, parameters) for n in range(1, n_lanes + 1)]
+    # Table `tab:cptlane` for each number of lanes.
+    sigma1 = number(parameters, "sigma1")
+    moves = [_widened(n, n_lanes, sigma1, parameters) for n in range(1, n_lanes + 1)]
     table = np.empty((len(steps), n_passed, n_passed, *(n_lanes,) * 4))
     # Most entries are about the same few changes.
     known: dict[tuple[int, int, int | None], FloatArray] = {}
@@ -235,19 +233,15 @@ def _lane(steps: tuple[Step, ...], n_lanes: int, parameters: Parameters) -> Floa
             happens = _happens(step, passed, now)
             added = step.after - step.before if happens else 0
             for before, after in np.ndindex(n_lanes, n_lanes):
-                # Lanes that come or go otherwise than the map has it do so at an unknown side.
+                # Lanes that begin or end where the map has no change do so at an unknown side.
                 is_told = after - before == added
                 shift = (step.shift if happens else 0) if is_told else None
                 table[u, passed, now, before, after] = moved(before + 1, after + 1, shift)
     return table
 
 
-def _moves(n: int, n_lanes: int, parameters: Parameters) -> FloatArray:
-    """Table `tab:cptlane` of a road of n lanes, with columns for all: (n, n_lanes)."""
-    return _widened(n, n_lanes, number(parameters, "sigma1"), parameters)
-
-
 def _widened(n: int, n_lanes: int, sigma: float, parameters: Parameters) -> FloatArray:
+    """F of a normal around each lane of a road of n lanes, with columns for all: (n, n_lanes)."""
     rows = lane_normals(sigma, n, str(parameters["normal"]))
     return np.pad(rows, ((0, 0), (0, n_lanes - n)))
 

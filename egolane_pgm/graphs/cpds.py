@@ -28,10 +28,10 @@ if TYPE_CHECKING:
 
 SliceNode = tuple[str, int]
 
-#: What the name of a virtual-evidence node ends with.
+#: The end of the name of a virtual-evidence node.
 VE_SUFFIX = "_ve"
 
-#: What a declared network notes at its virtual-evidence nodes.
+#: The note at the virtual-evidence nodes of a declared network.
 PLACEHOLDER = (
     "virtual evidence: this table is a placeholder; ego.unrolled or Result.network(evidence=True)"
     " gives frames whose tables hold their evidence"
@@ -246,7 +246,7 @@ def declare(
             for parent in table.parents:
                 # pgmpy copies an edge inside slice 0 into slice 1.
                 if not parent[1] == table.node[1] == 1:
-                    _add_edge(network, parent, table.node)
+                    network.add_edge(parent, table.node)
         for table in tables:
             if table.node[1] == 1:
                 # pgmpy adds a node to the second slice only together with an edge.
@@ -273,29 +273,22 @@ def declare(
 def check_tables(tables: Sequence[Table], observed: Iterable[Observed]) -> None:
     """Raise InputError, naming the nodes, where a table is missing, is there twice or does not fit
     its parents, and where the two slices have different edges."""
-    cardinality: dict[SliceNode, int] = {}
     parents: dict[SliceNode, tuple[SliceNode, ...]] = {}
     for table in tables:
-        if table.node in cardinality:
+        if table.node in parents:
             raise InputError(f"{_spell(table.node)}: there are two tables for it")
-        cardinality[table.node] = table.values.shape[-1]
         parents[table.node] = table.parents
-    for table in tables:
-        for parent, size in zip(table.parents, table.values.shape, strict=False):
-            if parent not in cardinality:
+    for node, given in parents.items():
+        for parent in given:
+            if parent not in parents:
                 raise InputError(
-                    f"{_spell(table.node)} has the parent {_spell(parent)},"
-                    " for which there is no table"
-                )
-            if cardinality[parent] != size:
-                raise InputError(
-                    f"{_spell(table.node)}: its table has {size} rows for"
-                    f" {_spell(parent)}, which has {cardinality[parent]} values"
+                    f"{_spell(node)} has the parent {_spell(parent)}, for which there is no table"
                 )
     for target in observed:
         for name in (target,) if isinstance(target, str) else target:
-            if (name, 0) not in cardinality:
+            if (name, 0) not in parents:
                 raise InputError(f"observed node {name}: there is no table for it")
+    check_sizes(tables)
     check_order(parents)
     for node in sorted(parents):
         name, s = node
@@ -313,6 +306,26 @@ def check_tables(tables: Sequence[Table], observed: Iterable[Observed]) -> None:
             )
 
 
+def check_sizes(tables: Iterable[Table]) -> None:
+    """Raise InputError for a node that has other numbers of values in the first frame and later,
+    or in its own table and a child's."""
+    tables = sorted(tables, key=lambda table: table.node[1])
+    cardinality: dict[str, int] = {}
+    for table in tables:
+        name, size = table.node[0], table.values.shape[-1]
+        if cardinality.setdefault(name, size) != size:
+            raise InputError(
+                f"{name}: has {cardinality[name]} values in the first frame and {size} later"
+            )
+    for table in tables:
+        for (parent, _), size in zip(table.parents, table.values.shape, strict=False):
+            if cardinality[parent] != size:
+                raise InputError(
+                    f"{table.node[0]}: its table has {size} rows for {parent}, which has"
+                    f" {cardinality[parent]} values"
+                )
+
+
 def check_order(parents: Mapping[SliceNode, Iterable[SliceNode]]) -> None:
     """Raises InputError for an edge back in time and for a cycle within a slice."""
     for (name, s), given in parents.items():
@@ -326,10 +339,3 @@ def check_order(parents: Mapping[SliceNode, Iterable[SliceNode]]) -> None:
     except graphlib.CycleError as error:
         cycle = " -> ".join(name for name, _ in error.args[1])
         raise InputError(f"the edges within a slice form a cycle: {cycle}") from None
-
-
-def _add_edge(network: DynamicBayesianNetwork, parent: SliceNode, child: SliceNode) -> None:
-    try:
-        network.add_edge(parent, child)
-    except (ValueError, NotImplementedError) as error:
-        raise InputError(f"{_spell(child)} cannot depend on {_spell(parent)}: {error}") from error

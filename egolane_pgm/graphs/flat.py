@@ -13,7 +13,7 @@ from egolane_pgm.types import InputError
 if TYPE_CHECKING:
     from pgmpy.models import DiscreteBayesianNetwork
 
-#: What pgmpy's reader of BIF files does not take for a part of a value's name.
+#: The characters that pgmpy's reader of BIF files does not take for a part of a value's name.
 _BIF_SYNTAX = set(',;(){}"/\n')
 
 

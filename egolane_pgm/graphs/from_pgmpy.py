@@ -1,7 +1,7 @@
 """Reads a pgmpy network, or a file that pgmpy reads, into tables with named axes.
 
 Axes go by the names of the nodes, and where a CPD names the values of a node, by these names too;
-never by position. What is read is one of
+never by position. A network is one of
 
 - a `DynamicBayesianNetwork`, before or after its `initialize_initial_state()`;
 - a `DiscreteBayesianNetwork` of two slices, whose nodes are named `Lane_0` and `Lane_1`, or
@@ -22,11 +22,11 @@ from typing import Any
 
 import numpy as np
 
-from egolane_pgm.graphs.cpds import SliceNode, Table, check_order, quiet
+from egolane_pgm.graphs.cpds import SliceNode, Table, check_order, check_sizes, quiet
 from egolane_pgm.tools.files import read_text
 from egolane_pgm.types import FloatArray, InputError, suggestion
 
-#: How the names of files end that pgmpy reads: BIF and XMLBIF.
+#: The suffixes of the files that pgmpy reads: BIF and XMLBIF.
 NETWORK_FILES = (".bif", ".xmlbif", ".xml")
 
 #: A row whose sum is off by no more than this was rounded, and is divided by its sum; pgmpy's own
@@ -36,11 +36,11 @@ ROUNDED = 0.01
 
 @dataclass(frozen=True)
 class Declared:
-    """What a network declares.
+    """The tables of a network, and the names of its nodes' values.
 
     - tables: the table of every node in both slices
-    - values: the names of the values of each node that has other names than pgmpy's own, 0, 1, ...;
-      as they were given, text or not
+    - values: for each node the names of its values, text or not, where they differ from pgmpy's
+      own, 0, 1, ...
     """
 
     tables: Mapping[SliceNode, Table]
@@ -71,7 +71,7 @@ def read_network(network: Any, transition: Sequence[Any] | None = None) -> Decla
     cpds = _without_copies(cpds)
     values = _value_names(cpds)
     tables = _tables(cpds, values, parents)
-    _check_sizes(tables)
+    check_sizes(tables.values())
     return Declared(tables, values)
 
 
@@ -287,22 +287,6 @@ def _tables(
     return tables
 
 
-def _check_sizes(tables: Mapping[SliceNode, Table]) -> None:
-    cardinality = {name: tables[name, 0].values.shape[-1] for name, _ in tables}
-    for table in tables.values():
-        name, size = table.node[0], table.values.shape[-1]
-        if size != cardinality[name]:
-            raise InputError(
-                f"{name}: has {cardinality[name]} values in the first frame and {size} later"
-            )
-        for parent, size in zip(table.parents, table.values.shape, strict=False):
-            if cardinality[parent[0]] != size:
-                raise InputError(
-                    f"{table.node[0]}: its table has {size} rows for {parent[0]}, which has"
-                    f" {cardinality[parent[0]]} values"
-                )
-
-
 def _names(nodes: Iterable[SliceNode]) -> str:
     return (
         ", ".join(sorted(f"{name}[{'t' if s == 0 else 't+1'}]" for name, s in nodes)) or "nothing"
@@ -330,7 +314,7 @@ def read_file(path: Path) -> Any:
         try:
             network = reader(string=text).get_model()
         except Exception as error:
-            # pgmpy's readers have no errors of their own: what is no network ends anyhow.
+            # pgmpy's readers raise any error for a file that is no network.
             why = " ".join(f"{type(error).__name__}: {error}".split())
             raise InputError(f"{path}: is no {kind} file that pgmpy can read ({why})") from error
         without = [str(n) for n in network if network.get_cpds(n) is None]

@@ -1,14 +1,14 @@
 """The position inside the lane on a road whose lanes begin, end, merge and split.
 
 It is `position_in_lane` with RoadPosition of as many lanes as the road has at its widest. An input,
-Step, says in each frame what the map tells of the road (`lane_steps`) and how the lines moved.
+Step, says in each frame what the map knows of the road (`lane_steps`) and how the lines moved.
 RoadPosition moves in two parts: first to where its lane goes on, at the same place inside it, then
 with the lines, on a road with the lanes that there are now. On a road that does not change this is
 `position_in_lane`.
 
-The map is believed, about the number of lanes and the place of a change. In the frame of a change
-the motion of the lines is rounded to one of COASTING, and frames that are missing before it are not
-counted: each value of Step takes a transition of its own.
+The map is taken for right about the number of lanes and the place of a change. In the frame of a
+change the motion of the lines is rounded to one of COASTING, and frames that are missing before it
+are not counted: each value of Step takes its own transition.
 """
 
 from __future__ import annotations
@@ -85,14 +85,14 @@ def build(n_lanes: int, parameters: Parameters) -> DynamicBayesianNetwork:
 
 
 def most_lanes(on_map: int, parameters: Parameters) -> int:
-    """How many values Lane needs on a road that has so many lanes on the map at its widest."""
+    """The number of values of Lane; on_map: number of lanes on the map where the road is widest."""
     return on_map
 
 
-def step_index(told: IntArray, motion: IntArray, n_lanes: int, parameters: Parameters) -> IntArray:
+def step_index(word: IntArray, motion: IntArray, n_lanes: int, parameters: Parameters) -> IntArray:
     """The value of Step in each frame, (T,).
 
-    - told: (T,) which word of the parameter `steps` is told
+    - word: (T,) index of the frame's step among the words of the parameter `steps`
     - motion: (T,) the value of LineMotion, as the evidence rule gives it
     """
     is_change = np.array([_is_change(step) for step in _steps(n_lanes, parameters)])
@@ -103,7 +103,7 @@ def step_index(told: IntArray, motion: IntArray, n_lanes: int, parameters: Param
     coasting = np.rint(np.clip(known / most, -1, 1) * middle).astype(np.int64) + middle
     after_gap = np.arange(fixed.motion_values(parameters) - len(known)) % len(COASTING)
     velocity = np.concatenate([coasting, after_gap])
-    return np.asarray(begins[told] + np.where(is_change[told], velocity[motion], motion))
+    return np.asarray(begins[word] + np.where(is_change[word], velocity[motion], motion))
 
 
 def _steps(n_lanes: int, parameters: Parameters) -> tuple[Step, ...]:

@@ -48,8 +48,8 @@ OBSERVED = (("RoadPosition", "SensorState"),)
 INPUTS = ("LineMotion",)
 VALUES = {"SensorState": ("OK", "BAD")}
 
-#: How many frames have passed, for the values of LineMotion after a gap. A gap between two entries
-#: counts as the larger one; a gap beyond the last entry counts as the last.
+#: The numbers of frames since the frame before, for the values of LineMotion after a gap. A gap
+#: between two entries counts as the larger one; a gap beyond the last entry counts as the last.
 STEPS = (2, 3, 4, 6, 8, 10, 12, 16, 24, 64, 256)
 
 #: How the lines moved before a gap, lane widths per frame. A quick lane change is 0.06.
@@ -122,7 +122,7 @@ PARAMETERS = (
     replace(P2, default=0.85),
 )
 
-#: The furthest that RoadPosition moves in one frame, lanes.
+#: The largest move of RoadPosition in one frame, lanes.
 _BAND = 0.5
 
 #: The largest standard deviation that is used, in cells. A wider normal is as flat over the band,
@@ -131,7 +131,7 @@ _WIDEST = 100.0
 
 
 def motion_values(parameters: Mapping[str, Value]) -> int:
-    """How many values LineMotion has."""
+    """The number of values of LineMotion."""
     return int(number(parameters, "motion_bins")) + len(STEPS) * len(COASTING)
 
 
@@ -165,7 +165,7 @@ def _index_motion(
     reach: float,
     index: IntArray,
 ) -> None:
-    """Fills index (T,) as `motion_index` says it."""
+    """Fills index (T,); see `motion_index`."""
     middle, most = len(COASTING) // 2, COASTING[-1]
     for t in range(len(index)):
         if steps[t] == 1:
@@ -234,7 +234,8 @@ def known_displacements(parameters: Mapping[str, Value]) -> FloatArray:
 def moved(
     displacement: float, n_positions: int, cells: int, parameters: Mapping[str, Value]
 ) -> FloatArray:
-    """The transition of RoadPosition, (R, R), where the lines moved by so many lane widths."""
+    """The transition of RoadPosition, (R, R), where the lines moved by `displacement` lane
+    widths."""
     gain, jump = number(parameters, "motion_gain"), number(parameters, "jump")
     narrow = number(parameters, "motion_sigma") * cells
     wide = number(parameters, "motion_sigma_wide") * cells

@@ -23,9 +23,9 @@
 
 `of` names the parents; one at time t of a node at t+1 is written `<name> before`. `values` has an
 axis for each of them, in their order, and the node's own last: each innermost row sums to one.
-Optional keys are `inputs` (nodes that are always told, without a table), `unused` (evidence that
-the graph does not use) and `description`. Such a graph has no parameters, and is for as many lanes
-as its Lane has values: a graph with parameters, or for any number of lanes, is written in Python.
+Optional keys are `inputs` (nodes whose values are given in every frame, without a table), `unused`
+(evidence that the graph does not use) and `description`. Such a graph has no parameters, and its
+number of lanes is fixed: a graph with parameters, or for any number of lanes, is written in Python.
 """
 
 from __future__ import annotations
@@ -43,7 +43,7 @@ from egolane_pgm.graphs.cpds import SliceNode, Table, declare, previous, uniform
 from egolane_pgm.parameters import check_names
 from egolane_pgm.types import FloatArray, InputError, all_problems, problems_in, suggestion
 
-#: What the name of a parent at time t ends with.
+#: The end of the name of a parent at time t.
 _BEFORE = " before"
 
 
@@ -133,18 +133,17 @@ def load_graph_file(path: Path, name: str, where: str) -> ModuleType:
 def _tables(graph: _Graph) -> list[Table]:
     """The tables of all nodes in the first slice and in the next, checked against the edges."""
     size = {n: v if isinstance(v, int) else len(v) for n, v in graph.nodes.items()}
-    told = [node for node in size if node not in graph.inputs]
+    with_table = [node for node in size if node not in graph.inputs]
     edges = {"within": graph.edges.within, "across": graph.edges.across}
     with all_problems() as part:
-        for key in ("hidden", "observed", "inputs"):
+        named = {key: getattr(graph, key) for key in ("hidden", "observed", "inputs")}
+        named |= {f"edges.{key}": pairs for key, pairs in edges.items()}
+        for key, listed in named.items():
             with part():
-                _check_nodes(_flat(getattr(graph, key)), size, key)
-        for key, pairs in edges.items():
-            with part():
-                _check_nodes(_flat(pairs), size, f"edges.{key}")
+                _check_nodes(_flat(listed), size, key)
         with part():
-            check_names(told, graph.tables, "tables")
-        for node in told:
+            check_names(with_table, graph.tables, "tables")
+        for node in with_table:
             with part():
                 if node not in graph.tables:
                     raise InputError(f"tables.{node}: is missing")
@@ -152,7 +151,7 @@ def _tables(graph: _Graph) -> list[Table]:
     with all_problems() as part:
         for node, n_values in size.items():
             with part():
-                if node not in told:
+                if node not in with_table:
                     tables += [Table((node, s), (), uniform(n_values)) for s in (0, 1)]
                     continue
                 within, across = ([a for a, b in edges[k] if b == node] for k in edges)
@@ -166,7 +165,7 @@ def _tables(graph: _Graph) -> list[Table]:
 
 
 def _rows_of(node: str, given: dict[str, Any], needs_both: bool) -> list[tuple[str, _Rows]]:
-    """Where the rows of the first slice are in the file, and they; and those of the next."""
+    """The rows of the first slice and those of the next, each with its place in the file."""
     where = f"tables.{node}"
     if {"first", "next"} & set(given):
         both = validated(_Tables, given, where)
@@ -180,9 +179,6 @@ def _numbers(
     rows: _Rows, parents: Mapping[str, SliceNode], size: Mapping[str, int], own: int, where: str
 ) -> FloatArray:
     """The values of a table, with an axis for each of its parents, as the edges have them."""
-    for p in rows.of:
-        if p not in parents:
-            raise InputError(f"{where}: '{p}' is no parent by the edges{suggestion(p, parents)}")
     if sorted(rows.of) != sorted(parents):
         raise InputError(
             f"{where}: the table is of {', '.join(rows.of) or 'no parent'}, its edges come from"

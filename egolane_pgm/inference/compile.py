@@ -1,7 +1,7 @@
 """A declared two-slice network, turned into arrays over its joint state.
 
-`graphs.from_pgmpy` reads the tables, their axes by the names of nodes; what the parts below do not
-allow is refused here, naming the node. What the filters get is therefore known to be well formed.
+`graphs.from_pgmpy` reads the tables, their axes by the names of nodes; a network that the parts
+below do not allow is refused here, naming the node. So the filters need not check it again.
 
 Each node of a network has one of these parts:
 
@@ -220,7 +220,7 @@ def compile_tables(
     inputs: tuple[str, ...] = (),
     values: Mapping[str, Sequence[str]] | None = None,
 ) -> Compiled:
-    """What `compile` makes of the network that `cpds.declare` makes of these tables, without
+    """Compile tables, as `compile` does the network that `cpds.declare` makes of them, without
     importing pgmpy, which takes a second.
 
     - tables: of all nodes but the virtual-evidence ones, in both slices.
@@ -292,8 +292,8 @@ def _in_order(table: Table, parents: tuple[SliceNode, ...]) -> Table:
 
 
 def _is_same(first: Table, later: Table) -> bool:
-    """Whether two tables of one node, with their parents in the same order, say the same of their
-    own slices."""
+    """Whether two tables of one node, with their parents in the same order, are the same but for
+    the slice."""
     return later.parents == tuple((p, 1) for p, _ in first.parents) and (
         first.values is later.values or np.allclose(first.values, later.values, rtol=0, atol=1e-12)
     )
@@ -482,7 +482,7 @@ def _check_size(
 
 
 def _count(nodes: Iterable[str], cardinality: Mapping[str, int]) -> int:
-    """How many joint values these nodes have."""
+    """The number of joint values of these nodes."""
     return math.prod(cardinality[n] for n in nodes)
 
 

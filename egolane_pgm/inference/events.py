@@ -1,31 +1,31 @@
-"""Lane changes as events, told from beliefs frame by frame.
+"""Lane changes as events, found in beliefs frame by frame.
 
-An event is told from the belief of its frame and those before it; later beliefs do not change it.
+An event follows from the belief of its frame and those before it; later beliefs do not change it.
 So events of causal beliefs are causal, too. The definition:
 
 - A lane is believed once its probability reaches BELIEVED, and stays so until another lane is. The
   first lane that is believed begins the drive. Each lane that is believed after it is a change,
-  told in the frame in which it is believed first.
-- Within FLICKER_S after a change, the car is told to be back in the lane that it left only if that
-  lane's probability reaches SURELY_BACK. Otherwise the change stands; if the old lane is still
-  believed when the time is over, it is told then.
+  reported in the frame in which it is believed first.
+- Within FLICKER_S after a change, a change back into the lane that the car left is reported only if
+  that lane's probability reaches SURELY_BACK. Otherwise the change stands; if the old lane is still
+  believed when the time is over, the change back is reported then.
 
 No constant counts frames, and none was searched:
 
-- BELIEVED: telling a change that the car does not make costs two errors, that change and the one
-  back; keeping silent about one that it makes costs one. So with a belief of p telling pays where
+- BELIEVED: to report a change that the car does not make costs two errors, that change and the one
+  back; to miss one that it makes costs one. So with a belief of p a report pays where
   2 (1 - p) < p, which is p > 2/3.
 - FLICKER_S: a lane change takes 5 to 6 s on average (Toledo and Zohar 2007). A car that is back
   after half of that has hardly been there.
-- SURELY_BACK: what goes there and back that fast is mostly a belief that wavers, in which the
-  probabilities are worth less than they say. So the odds have to be ten times those of BELIEVED
-  (2 to 1), 20 to 1.
+- SURELY_BACK: a belief that goes there and back that fast mostly wavers, and its probabilities are
+  then too large. So the odds have to be ten times those of BELIEVED (2 to 1), 20 to 1.
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
+from itertools import pairwise
 
 import numpy as np
 
@@ -61,11 +61,11 @@ def lane_events(
     lag: int | None = None,
     time_s: FloatArray | None = None,
 ) -> LaneEvents:
-    """Tell the lane changes of a drive.
+    """Find the lane changes of a drive.
 
     - beliefs: of T frames.
     - frame_rate: frames per second.
-    - lag: how many frames later than its frame each belief is known (filter `fixed_lag`).
+    - lag: number of frames by which each belief is later than its frame (filter `fixed_lag`).
     - time_s: (T,) when the frames were, seconds; by default frame id over frame rate.
 
     Raises InputError for a frame rate that is not positive.
@@ -80,7 +80,7 @@ def lane_events(
         raise InputError(f"frame_rate: {frame_rate} must be greater than 0 (frames per second)")
     frame_id = beliefs.frame_id
     when = frame_id / frame_rate if time_s is None else time_s
-    _, rows, events = tell(NOTHING_TOLD, beliefs, when)
+    _, rows, events = next_events(NO_EVENTS, beliefs, when)
     if not lag:
         return events
     known = np.minimum(rows + lag, max(len(frame_id) - 1, 0))
@@ -88,13 +88,12 @@ def lane_events(
 
 
 @dataclass(frozen=True)
-class Telling:
-    """What telling lane changes keeps of the frames so far, to go on with later ones. Lanes are
-    indices, from 0.
+class EventState:
+    """The state of the search for lane changes after some frames, to go on with later ones. Lanes
+    are indices, from 0.
 
     here: the lane that is believed, -1 before there is one.
     before, calm_s: the lane left last, and until when the way back has to be sure.
-    first: the first lane that was believed and when, seconds; or None.
     ahead (n,): marks the lanes that are more probable than `here`, ...
     since_id, since_s (n,): ... and since which frame they are so without a break; seconds.
     """
@@ -102,48 +101,45 @@ class Telling:
     here: int
     before: int
     calm_s: float
-    first: tuple[int, float] | None
     ahead: BoolArray
     since_id: IntArray
     since_s: FloatArray
 
 
 #: Before the first frame.
-NOTHING_TOLD = Telling(
-    -1, -1, -np.inf, None, np.zeros(0, dtype=bool), np.zeros(0, dtype=np.int64), np.zeros(0)
+NO_EVENTS = EventState(
+    -1, -1, -np.inf, np.zeros(0, dtype=bool), np.zeros(0, dtype=np.int64), np.zeros(0)
 )
 
 
-def tell(
-    so_far: Telling, beliefs: Beliefs, time_s: FloatArray
-) -> tuple[Telling, IntArray, LaneEvents]:
-    """Tell the lane changes of T more frames: what to go on with, the rows in which changes are
-    told (E,), and the changes. However a drive is cut into parts, they are the same.
+def next_events(
+    so_far: EventState, beliefs: Beliefs, time_s: FloatArray
+) -> tuple[EventState, IntArray, LaneEvents]:
+    """Find the lane changes of T more frames: the new state, the rows in which changes are reported
+    (E,), and the changes. However a drive is cut into parts, they are the same.
 
     - time_s: (T,) when the frames were, seconds.
     """
     lane, frame_id = beliefs.lane, beliefs.frame_id
-    here, before, calm, first = so_far.here, so_far.before, so_far.calm_s, so_far.first
+    here, before, calm = so_far.here, so_far.before, so_far.calm_s
     largest, top = lane.max(axis=1, initial=0), lane.argmax(axis=1)
     sure = np.flatnonzero(largest >= BELIEVED)
     columns = (sure, top[sure], largest[sure], time_s[sure])
-    told: list[tuple[int, int, int]] = []
+    changes: list[tuple[int, int, int]] = []
     for t, k, p, now in zip(*(column.tolist() for column in columns), strict=True):
         if k == here or (k == before and now < calm and p < SURELY_BACK):
             continue
         if here >= 0:
-            told.append((t, here, k))
+            changes.append((t, here, k))
             before, calm = here, now + FLICKER_S
-        else:
-            first = (k, now)
         here = k
-    rows, left, entered = np.array(told, dtype=np.int64).reshape(-1, 3).T
+    rows, left, entered = np.array(changes, dtype=np.int64).reshape(-1, 3).T
     began_id, began_s = np.empty(len(rows), dtype=np.int64), np.empty(len(rows))
     since, after = so_far, 0
     for e, t in enumerate(rows):
         since = _ahead(since, lane, frame_id, time_s, slice(after, t + 1), left[e])
         began_id[e], began_s[e] = since.since_id[entered[e]], since.since_s[entered[e]]
-        # Where a change is told, the lane that the next one leaves leads: no search goes past it.
+        # In the row of a change, the lane that the next one leaves leads: no search goes past it.
         since, after = replace(since, ahead=np.zeros_like(since.ahead)), t
     if here >= 0:
         since = _ahead(since, lane, frame_id, time_s, slice(after, len(lane)), here)
@@ -156,17 +152,17 @@ def tell(
         to_lane=entered + 1,
         probability=lane[rows, entered],
     )
-    return replace(since, here=here, before=before, calm_s=calm, first=first), rows, events
+    return replace(since, here=here, before=before, calm_s=calm), rows, events
 
 
 def _ahead(
-    since: Telling,
+    since: EventState,
     lane: FloatArray,
     frame_id: IntArray,
     time_s: FloatArray,
     part: slice,
     here: int,
-) -> Telling:
+) -> EventState:
     """Since when each lane has been more probable than `here`, after the frames of a part."""
     leads = lane[part] > lane[part, here : here + 1]
     n_rows, n_lanes = leads.shape
@@ -186,7 +182,7 @@ def _ahead(
 
 
 def tracks_of(origin: IntArray) -> IntArray:
-    """(T,): what is added to a lane's number for one that it keeps all along a drive.
+    """(T,): the numbers to add to a frame's lanes, so that a lane keeps its number for a drive.
 
     - origin (T,): lane k of a frame is lane k - origin of the first one (`maps.steps.LanesAlong`).
     """
@@ -203,7 +199,7 @@ def in_tracks(beliefs: Beliefs, origin: IntArray) -> Beliefs:
 
 
 def numbered(events: LaneEvents, frame_id: IntArray, origin: IntArray) -> LaneEvents:
-    """Events of beliefs `in_tracks`, with the lanes' numbers in the frame in which they are told.
+    """Events of beliefs `in_tracks`, with the lanes' numbers in the frame of the report.
 
     - frame_id, origin (T,): of the beliefs.
     """
@@ -225,20 +221,9 @@ def lane_stretches(
     if not len(believed):
         return []
     row = int(believed[0])
-    first = (int(beliefs.lane[row].argmax()), float(time_s[row]))
-    return stretches(first, events, float(time_s[-1]))
-
-
-def stretches(
-    first: tuple[int, float] | None, events: LaneEvents, last_s: float
-) -> list[tuple[int, float, float]]:
-    """`lane_stretches` from the first lane that was believed (see `Telling`) to the last frame,
-    seconds."""
-    if first is None:
-        return []
-    lanes = [first[0] + 1, *events.to_lane.tolist()]
-    borders = [first[1], *events.time_s.tolist(), last_s]
-    return [(n, float(a), float(b)) for n, a, b in zip(lanes, borders, borders[1:], strict=False)]
+    lanes = [int(beliefs.lane[row].argmax()) + 1, *events.to_lane.tolist()]
+    borders = [time_s[row], *events.time_s, time_s[-1]]
+    return [(n, float(a), float(b)) for n, (a, b) in zip(lanes, pairwise(borders), strict=True)]
 
 
 def crossing_probability(marginals: Mapping[str, FloatArray]) -> FloatArray | None:
@@ -250,8 +235,8 @@ def crossing_probability(marginals: Mapping[str, FloatArray]) -> FloatArray | No
 
     None without a RoadPosition (cells from left to right, the same number in each Lane). A belief
     over lanes alone says in which of them the car is, never that it is between two. That it moved
-    since half a second ago is no substitute: with the paper's model it tells crossing frames of
-    runs 1, 3, 6 and 8 with an AUC of .55 to .69.
+    since half a second ago is no substitute: with the paper's model that finds the crossing frames
+    of runs 1, 3, 6 and 8 with an AUC of .55 to .69.
     """
     lane, position = marginals["Lane"], marginals.get("RoadPosition")
     if position is None:

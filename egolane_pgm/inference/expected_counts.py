@@ -1,8 +1,8 @@
 """Expected counts: how often each entry of each table is used in a recording, given soft evidence
-and what is known of the hidden nodes. This is the E step of EM (Baum-Welch; Rabiner 1989, section
+and known values of hidden nodes. This is the E step of EM (Baum-Welch; Rabiner 1989, section
 III.C).
 
-A frame whose evidence, together with what is known, has joint likelihood zero given the frames
+A frame whose evidence, together with the known values, has joint likelihood zero given the frames
 before it is flagged; both are left out there, as the filters leave out evidence.
 """
 
@@ -29,7 +29,7 @@ FREE = -1
 @dataclass(frozen=True)
 class Expected:
     """counts: per table of `counted_tables` an array of its shape, how often each of its entries
-    is expected to be used. log_evidence: natural log of P(evidence and what is known), over the
+    is expected to be used. log_evidence: natural log of P(evidence and known values), over the
     frames that are not flagged. is_impossible (T,): the flags."""
 
     counts: Mapping[SliceNode, FloatArray]

@@ -8,9 +8,9 @@ the most probable path and the expected counts of learning.
 product of the marginals of the nodes in it (Boyen and Koller 1998), which is what the paper's
 equations in section "Inference" do: each marginal is propagated by its own table.
 
-Each belief is taken over its sum, so that the length of a drive does not matter. What is beyond
-floating-point numbers is not promised to be right: a probability that is 300 decades smaller than
-another one of its frame is zero, and so is a frame's likelihood below 2.2e-308.
+Each belief is divided by its sum, so that the length of a drive does not matter. Floating-point
+numbers have their limits: a probability that is 300 decades smaller than another one of its frame
+is zero, and so is a frame's likelihood below 2.2e-308.
 """
 
 from __future__ import annotations
@@ -52,13 +52,13 @@ from egolane_pgm.types import (
 METHODS = ("assumed_density", "exact")
 READINGS = ("soft", "hard", "jeffrey")
 
-#: Kernels are compiled for the sizes of networks with at most so many joint states, ...
+#: Kernels are compiled for the sizes of networks with at most this many joint states, ...
 MAX_FIXED_STATES = 16
-#: ... of groups with at most so many columns, and for recordings of at least so many frames.
+#: ... of groups with at most this many columns, and for recordings of at least this many frames.
 MAX_FIXED_COLUMNS = 24
 MIN_FIXED_FRAMES = 1000
 
-#: The filter takes frames in pieces of about so many numbers: they stay in the processor's cache.
+#: The filter takes frames in pieces of about this many numbers: they stay in the processor's cache.
 PIECE = 2**16
 
 
@@ -96,7 +96,7 @@ def step(
 ) -> tuple[FilterState, Beliefs]:
     """Filter one more frame (or several) online: the new state and the beliefs of these frames.
 
-    - state: what the call before gave, None before the first frame; it stays as it is.
+    - state: the state that the call before gave, None before the first frame; it is not changed.
     - evidence, method, errors: as in `filter_beliefs`.
     """
     if method not in METHODS:
@@ -149,8 +149,8 @@ def read_evidence(evidence: Evidence, reading: str) -> Evidence:
 
 
 def piece_frames(compiled: Compiled) -> int:
-    """How many frames the filter takes at once. A drive that is cut at a multiple of this gives the
-    same beliefs to the last digit, but for less than half of it at the end."""
+    """The number of frames that the filter takes at once. A drive that is cut at a multiple of this
+    gives the same beliefs to the last digit, but for less than half of it at the end."""
     return max(1, PIECE // compiled.n_states)
 
 

@@ -1,12 +1,12 @@
 """Soft evidence read by Jeffrey's rule (Jeffrey 1965): how probable each value of an observed node
 is *after* the frame, not how likely the frame is given each value.
 
-Let P(x) be the belief over the joint state that is predicted for a frame, and q(o) what the frame
-says of the values o of an observed node. The belief after the frame is
+Let P(x) be the belief over the joint state that is predicted for a frame, and q(o) the probability
+that the frame gives to the value o of an observed node. The belief after the frame is
 
     P'(x) = sum over o of q(o) P(x | o)
 
-so that the node is then distributed as q says, whatever was believed before. A likelihood of
+so that the node then has the distribution q, whatever was believed before. A likelihood of
 q(o) / P(o) would give the same belief. It depends on the prediction P(o), which is why this reading
 has a recursion of its own.
 

@@ -40,7 +40,7 @@ class FilterState:
 
 @dataclass(frozen=True)
 class Layout:
-    """What the kernels need to know of a network, besides its tables and whatever the evidence.
+    """The arrays of a network for the kernels, besides its tables and whatever the evidence.
 
     parts: the hidden nodes, those of the joint state first, and the columns of each in `indicator`.
     indicator (S, M): joint beliefs (T, S) times this are the marginals of these nodes, one behind

@@ -28,7 +28,7 @@ from egolane_pgm.types import (
     suggestion,
 )
 
-#: How an experiment may ask for its beliefs.
+#: The methods by which an experiment may infer its beliefs.
 FILTERS = (*METHODS, "smoothed", "fixed_lag")
 
 
@@ -61,7 +61,7 @@ def infer_beliefs(
 
 @dataclass(frozen=True)
 class Passed:
-    """What the exact forward recursion leaves of T frames for those who look back.
+    """The results of the exact forward recursion over T frames that smoothers go back over.
 
     filtered (T, S): the joint belief after each frame.
     likelihood (T, S): of each frame's evidence; one where it is left out.
@@ -154,7 +154,7 @@ class LagState:
 
     recent: its last frames, lag + 1 of them or fewer.
     count: frames seen so far.
-    due: how many of the recent frames are still to be answered.
+    due: number of recent frames without an answer yet.
     """
 
     recent: Passed
@@ -168,7 +168,7 @@ def lag_step(
     """Take one more frame online: the new state, and the belief about the frame `lag` frames ago,
     which is now as good as it gets; no belief as long as there was no such frame.
 
-    - state: what the call before gave, None before the first frame.
+    - state: the state that the call before gave, None before the first frame.
     - evidence: one frame.
     - lag: frames, not negative.
 

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from egolane_pgm.graphs.cpds import SliceNode, Table, ve_name
+from egolane_pgm.graphs.cpds import SliceNode, Table, uniform, ve_name
 from egolane_pgm.graphs.flat import flat_network
 from egolane_pgm.inference.compile import Compiled
 from egolane_pgm.inference.filtering import step
@@ -24,7 +24,7 @@ class Unrolled(NamedTuple):
     """Some frames as a pgmpy network.
 
     - network: its nodes are `Lane@17`, their values have names.
-    - given: what was seen, as pgmpy's queries take it: each frame's virtual-evidence nodes are 1,
+    - given: the evidence, as pgmpy's queries take it: each frame's virtual-evidence nodes are 1,
       its inputs have their values.
     """
 
@@ -89,7 +89,9 @@ def unrolled(
         at = {later: frame, 1 - later: int(ids[start + t - 1])}
         for (name, s), table in compiled.tables.items():
             if s == later:
-                values = _uniform_like(table) if name in compiled.inputs else table.values
+                # An input is always given, even a value that its own table excludes.
+                is_input = name in compiled.inputs
+                values = uniform(*table.values.shape) if is_input else table.values
                 parents = tuple((parent, at[ps]) for parent, ps in table.parents)
                 tables.append(Table((name, frame), parents, values))
         for name in compiled.inputs:
@@ -107,11 +109,6 @@ def _position(ids: IntArray, frame: int) -> int:
         there = f"its frames are {ids[0]} to {ids[-1]}" if len(ids) else "it has no frames"
         raise InputError(f"frame {frame}: the evidence has no such frame, {there}")
     return int(found[0])
-
-
-def _uniform_like(table: Table) -> FloatArray:
-    """An input is always given; a value that its own table calls impossible is given as well."""
-    return np.full(table.values.shape, 1 / table.values.shape[-1])
 
 
 def _seen(key: Observed, frame: int, likelihood: FloatArray) -> Table:

@@ -1,12 +1,11 @@
 """The most probable path of the joint state, and where it is not to be trusted.
 
-The path is the best single story of a whole drive: in every frame one value for each node of the
-joint state (`compile`). The values of plain emissions are no part of the story, it is as probable
-as all of them together. An observed node that is in the joint state is a part of it, so that the
-story is about one of its values, however soft the evidence.
+The path has, in every frame, one value for each node of the joint state (`compile`). The values of
+plain emissions are no part of it: they are summed out. An observed node that is in the joint state
+is a part of it, so that the path takes one of its values, however soft the evidence.
 
-Many stories may share the probability, and the best of them may then be far from what each frame's
-smoothed belief says. `disagreement` finds such stretches.
+Many paths may share the probability, and the best of them may then be far from what each frame's
+smoothed belief says. `disagreement` finds such stretches of frames.
 """
 
 from __future__ import annotations
@@ -107,10 +106,10 @@ def viterbi(compiled: Compiled, evidence: Evidence, *, frame_id: IntArray | None
 def disagreement(
     path: Path, smoothed: Beliefs, *, node: str = "Lane", limit: int = LIMIT
 ) -> Disagreement:
-    """Where the path and the smoothed belief of a node tell different stories for longest.
+    """The longest stretch of frames in which the path and the smoothed belief of a node disagree.
 
-    limit: frames in a row that are accepted. Raises InputError for a node that is not hidden and
-    for different frames.
+    limit: number of frames in a row that gets no warning. Raises InputError for a node that is not
+    hidden, and where path and beliefs have different frames.
     """
     if node not in path.values:
         raise InputError(f"node '{node}' is not a hidden one{suggestion(node, path.values)}")

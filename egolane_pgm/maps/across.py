@@ -9,7 +9,7 @@ import numpy as np
 from egolane_pgm.maps.road_table import RoadTable
 from egolane_pgm.types import FloatArray, IntArray
 
-#: A position counts in a frame that is at most so many seconds later.
+#: A position counts in a frame that is at most this many seconds later.
 _LATE_S = 0.5
 
 
@@ -17,8 +17,8 @@ _LATE_S = 0.5
 class Across:
     """Where positions put a car across its road in T frames.
 
-    - metres (T,): from the left edge of its lanes; NaN in frames without a position of their own
-    - sigma_m (T,): how uncertain the receiver says that is; NaN where it does not say it
+    - metres (T,): from the left edge of its lanes; NaN in frames without a position
+    - sigma_m (T,): the receiver's own standard deviation; NaN where it gives none
     """
 
     metres: FloatArray

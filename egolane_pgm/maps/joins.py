@@ -23,7 +23,7 @@ from egolane_pgm.types import BoolArray, FloatArray, IntArray
 #: No road leads on where one would turn back by more than this; measured over TURN_M metres.
 MOST_TURN_DEG, TURN_M = 135.0, 15.0
 
-#: Which of two roads is the left one is seen so far from where they part or meet.
+#: The distance, metres, from where two roads part or meet at which the left one of both is found.
 LOOK_M = 60.0
 
 
@@ -31,9 +31,9 @@ def with_joins(ways: LaneGraph, is_placed: BoolArray, *, drives_left: bool = Fal
     """The same S segments with the joins between them: J, where one ends and another begins.
 
     - ways: its own joins are not looked at.
-    - is_placed (S,): whether the placement was said by a tag. One that was not is trusted only
-      beside others that fit: where the number of lanes changes one of both has to be said, and
-      where it stays neither or both.
+    - is_placed (S,): whether a tag gave the placement. Placements that no tag gave count only with
+      others that fit: where the number of lanes changes, a tag has to give one of both, and where
+      it stays, neither or both.
     - drives_left: traffic keeps to the left, so that lanes are taken to begin and end at the left.
     """
     meeting = _meeting(ways)
@@ -256,7 +256,7 @@ def _arrows(turn: str) -> list[set[str]]:
 
 
 def _sides_of(arrows: set[str]) -> int:
-    """To how many of left, ahead and right the arrows of a lane lead."""
+    """The number of sides (left, ahead, right) to which the arrows of a lane lead."""
     leading = {arrow for arrow in arrows if not arrow.startswith("merge")}
     return len({arrow.rpartition("_")[2] for arrow in leading} & {"left", "right"}) + bool(
         leading & {"", "none", "through"}
@@ -265,7 +265,7 @@ def _sides_of(arrows: set[str]) -> int:
 
 @cache
 def _first_lane(turn: str, n_next: int, other: int, join: str) -> int:
-    """The first of the lanes that lead on to a road of n_next lanes; 0 where arrows do not tell.
+    """The first of the lanes that lead on to a road of n_next lanes; 0 where no arrows show it.
 
     - other: 1 where another road parts to the right, -1 to the left, 0 where there is none.
     """

@@ -1,4 +1,4 @@
-"""A road map as a graph of lanes: segments of so many lanes, and joins that say where they lead.
+"""A road map as a graph of lanes: segments with a number of lanes, and joins between them.
 
 Lane 1 is the leftmost in the direction of travel. The graph is stored as one Parquet table, so that
 a map is read from OpenStreetMap once.
@@ -17,11 +17,11 @@ from egolane_pgm.maps.stored import check_path, marks, read_stored
 from egolane_pgm.tools.files import write_parquet
 from egolane_pgm.types import FloatArray, InputError, IntArray
 
-#: What a join can be. An exit is a place where a link leaves the road, an entry one where a link
-#: comes to it; at a fork and a merge both roads are of one kind.
+#: The kinds of joins. At an exit a link leaves the road, at an entry a link comes to it; at a fork
+#: and a merge both roads are of one kind.
 JOINS = ("same", "exit", "fork", "merge", "entry")
 
-#: Of the stored table. It changes where a column gets another meaning.
+#: The version of the stored table. It changes where a column gets another meaning.
 VERSION = "1"
 
 
@@ -91,8 +91,8 @@ class LaneGraph:
 
 
 def way_line(graph: LaneGraph, segment: IntArray, along_m: FloatArray) -> FloatArray:
-    """How many lanes lie between the left edge and the way's line, (T,), at places so many metres
-    along segments; NaN unknown."""
+    """The number of lanes between the left edge and the way's line, (T,), at places `along_m`
+    metres along segments; NaN unknown."""
     start, end = graph.placement[segment].T
     share = along_m / np.maximum(graph.length_m[segment], 1e-9)
     return np.asarray(start + share * (end - start))
@@ -102,14 +102,6 @@ def joins_from(graph: LaneGraph) -> IntArray:
     """Where the joins that leave each segment begin, (S + 1,): those of segment k are the rows
     `start[k]:start[k + 1]` of `before`, `after`, `shift`, ..."""
     return np.searchsorted(graph.before, np.arange(len(graph) + 1)).astype(np.int64)
-
-
-def joins_to(graph: LaneGraph) -> tuple[IntArray, IntArray]:
-    """The joins that arrive at each segment: `start` (S + 1,) and `row` (J,); those of segment k
-    are the rows `row[start[k]:start[k + 1]]` of `before`, `after`, `shift`, ..."""
-    row = np.argsort(graph.after, kind="stable").astype(np.int64)
-    start = np.searchsorted(graph.after[row], np.arange(len(graph) + 1)).astype(np.int64)
-    return start, row
 
 
 # --- a file ------------------------------------------------------------------------------------

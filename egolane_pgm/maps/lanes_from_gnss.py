@@ -1,13 +1,9 @@
 """The lane from GNSS: how far the car is from the edge or the middle of its road.
 
 A receiver's error across the road is a metre of noise and a drift of metres that lasts, to which
-the map adds its own. Positions that follow each other err alike, so the drift is hidden beside the
-lane.
-
-- Alone (`lanes_from_offsets`) the car's way across the road tells the lane: there is no lane beyond
-  the last one. Whether the map has the right number of lanes is hidden too.
-- Beside the lines (`beside_lines`) they tell the drift while they are seen, and where they are not,
-  the position less the drift tells the lane.
+the map adds its own. Positions that follow each other err alike, so the drift is a hidden node in
+addition to the lane. The lines give the drift while they are seen; where they are not, the position
+less the drift gives the lane.
 """
 
 from __future__ import annotations
@@ -17,25 +13,18 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.linalg import expm
 
-from egolane_pgm.graphs.cpds import declare, dynamics, previous, prior
-from egolane_pgm.inference.compile import Compiled, compile
-from egolane_pgm.inference.filtering import filter_beliefs
-from egolane_pgm.inference.smoothing import smooth_beliefs
 from egolane_pgm.maps.across import Across
-from egolane_pgm.types import Evidence, FloatArray, InputError
+from egolane_pgm.types import FloatArray
 
 
 @dataclass(frozen=True)
 class GnssNoise:
-    """How a receiver errs across the road, and how often cars change lanes.
+    """How a receiver errs across the road.
 
     - lane_width_m
     - sigma_m: of the noise from second to second, and of the car inside its lane
     - drift_sigma_m, drift_s: standard deviation and correlation time of the drift
     - off_share: positions that say nothing: between lanes, off the road, reflected
-    - change: P(change to the lane at the left), and to that at the right, per second
-    - count_wrong: P(the map has a lane too few or too many), both equally likely
-    - count_stays: P(the map stays as right or wrong as it is), per second
     """
 
     lane_width_m: float = 3.5
@@ -43,47 +32,10 @@ class GnssNoise:
     drift_sigma_m: float = 2.0
     drift_s: float = 300.0
     off_share: float = 0.05
-    change: float = 0.02
-    count_wrong: float = 0.1
-    count_stays: float = 0.999
 
 
 #: Positions that say nothing are anywhere in this width, metres.
 _ANYWHERE_M = 50.0
-
-
-@dataclass(frozen=True)
-class GnssLanes:
-    """What T offsets say of the lane.
-
-    - lane (T, n + 1): P(lane), of the map's n lanes from the left and of one more
-    - fewer, more (T,): P(the road has fewer lanes than the map says), and more
-    """
-
-    lane: FloatArray
-    fewer: FloatArray
-    more: FloatArray
-
-
-def lanes_from_offsets(
-    offset_m: FloatArray, n_lanes: int, noise: GnssNoise | None = None, *, smooth: bool = False
-) -> GnssLanes:
-    """The lane of a car on a road of n lanes by the map, second by second.
-
-    - offset_m (T,): metres to the right of the middle of the road's lanes, one a second; NaN
-      unknown
-    - smooth: each second knows all the others; by default those before only
-
-    Raises InputError for fewer than one lane.
-    """
-    if n_lanes < 1:
-        raise InputError(f"n_lanes: {n_lanes} is less than 1")
-    noise = noise or GnssNoise()
-    compiled = _network(n_lanes, noise)
-    seen = Evidence({("Lane", "Drift"): _likelihood(offset_m, n_lanes, noise)})
-    beliefs = smooth_beliefs(compiled, seen) if smooth else filter_beliefs(compiled, seen, "exact")
-    count = beliefs.marginals["Count"]
-    return GnssLanes(beliefs.lane, count[:, 0], count[:, 2])
 
 
 def _drifts(noise: GnssNoise) -> FloatArray:
@@ -107,72 +59,25 @@ def _wander(noise: GnssNoise) -> tuple[FloatArray, FloatArray]:
 
 
 def _density(off_m: FloatArray, sigma_m: float, noise: GnssNoise) -> FloatArray:
-    """Of a position that is so far from where it should be; some say nothing."""
+    """The likelihood of a position at some distance from where it should be."""
     density = np.exp(-0.5 * (off_m / sigma_m) ** 2) / (np.sqrt(2 * np.pi) * sigma_m)
     return np.asarray((1 - noise.off_share) * density + noise.off_share / _ANYWHERE_M)
-
-
-def _likelihood(offset_m: FloatArray, n_lanes: int, noise: GnssNoise) -> FloatArray:
-    """P(offset | lane, drift), (T, n + 1, D)."""
-    centre = (np.arange(n_lanes + 1) - (n_lanes - 1) / 2) * noise.lane_width_m
-    off = offset_m[:, None, None] - centre[:, None] - _drifts(noise)
-    said = _density(off, noise.sigma_m, noise)
-    return np.where(np.isnan(said), 1.0, said)
-
-
-def _network(n_lanes: int, noise: GnssNoise) -> Compiled:
-    """Count is 0, 1 or 2: a lane fewer than the map's, as many, one more. Lane moves to neighbours
-    that there are; Drift wanders about 0."""
-    wrong = noise.count_wrong / 2
-    fewer = wrong if n_lanes > 1 else 0.0
-    stays, goes = noise.count_stays, 1 - noise.count_stays
-    counts = np.array([[stays, goes, 0.0], [goes / 2, stays, goes / 2], [0.0, goes, stays]])
-    if n_lanes == 1:
-        counts[1] = [0.0, stays, goes]
-    size = n_lanes + 1
-    first, lane = np.zeros((3, size)), np.zeros((size, 3, size))
-    for count in range(3):
-        n = max(n_lanes - 1 + count, 1)
-        first[count, :n] = 1 / n
-        for here in range(size):
-            # The lane beyond the last one is the last one.
-            at = min(here, n - 1)
-            for there in (at - 1, at + 1):
-                if 0 <= there < n:
-                    lane[here, count, there] = noise.change
-            lane[here, count, at] = 1 - lane[here, count].sum()
-    start, rates = _wander(noise)
-    network = declare(
-        [
-            *prior("Count", [fewer, 1 - fewer - wrong, wrong]),
-            *dynamics("Count", [previous("Count")], counts),
-            *prior("Lane", first, ["Count"]),
-            *dynamics("Lane", [previous("Lane"), "Count"], lane),
-            *prior("Drift", start),
-            *dynamics("Drift", [previous("Drift")], expm(rates)),
-        ],
-        [("Lane", "Drift")],
-    )
-    return compile(network, hidden=("Lane", "Drift", "Count"), observed=[("Lane", "Drift")])
-
-
-# --- beside the lines --------------------------------------------------------------------------
 
 
 def beside_lines(
     seen: Across, time_s: FloatArray, believed: FloatArray, noise: GnssNoise, cells: int = 1
 ) -> FloatArray:
-    """What positions say of the place across the road beside the lines: a likelihood (T, K), its
-    largest 1; 1 everywhere in frames without a position.
+    """The likelihood of the place across the road given positions, in addition to the lines:
+    (T, K), its largest 1; 1 everywhere in frames without a position.
 
     - time_s (T,)
     - believed (T, K): the belief over the places by the lines alone, from the frames so far
     - cells: of each lane; with one the places are the lanes
 
-    What a position says is a normal about each place, as wide as the noise and what is uncertain of
-    the drift by the positions before it. Then it says of the drift what the belief over the places
-    leaves open. That drift and place are apart given the past is approximate; it is exact where the
-    lines are sure.
+    The likelihood of a position is a normal about each place; its variance is that of the noise
+    plus that of the drift given the positions before. Then the position updates the drift, averaged
+    over the belief over the places. Drift and place are taken for independent given the past, which
+    is exact where the lines are sure.
     """
     drift = _drifts(noise)
     chance, rates = _wander(noise)

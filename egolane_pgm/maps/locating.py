@@ -8,6 +8,7 @@ Outliers and gaps, as a tunnel leaves them, are bridged along the route, with a 
 from __future__ import annotations
 
 import heapq
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
@@ -23,7 +24,7 @@ from egolane_pgm.maps.road_table import RoadTable
 from egolane_pgm.tools.jit import kernel
 from egolane_pgm.types import BoolArray, FloatArray, InputError, IntArray
 
-#: Where nothing happens so far ahead, the table says that nothing is ahead.
+#: The table looks this far ahead for the next join.
 AHEAD_M = 2000.0
 
 #: A longer gap between two positions is not bridged.
@@ -32,8 +33,8 @@ LONGEST_GAP_S = 300.0
 #: A gap longer than this gets a row each second.
 _GAP_S = 1.5
 
-#: How much a car's speed changes, (m/s) per square root of a second, and the standard deviation of
-#: a position along the road, metres, where the receiver does not tell it.
+#: The change of a car's speed, (m/s) per square root of a second, and the standard deviation of a
+#: position along the road, metres, where the receiver does not give it.
 _SPEED_WALK, _SIGMA_ALONG_M = 1.0, 4.0
 
 #: A position may lie this far behind the one before it on the same segment: noise, not a way round.
@@ -250,8 +251,8 @@ def _smooth(
 def _times(
     positions: Positions, matched: Matched, used: IntArray, run: IntArray, online: bool
 ) -> tuple[FloatArray, IntArray, IntArray]:
-    """The times of the rows; the used position at or before each that tells where it is, -1 for
-    rows off the map; and the position that each is of, -1 in gaps."""
+    """The times of the rows; for each the last used position, from which its place follows, -1 off
+    the map; and the position at its very time, -1 in gaps."""
     t_s = positions.t_s
     gap = np.diff(t_s[used])
     bridges = np.diff(run) == 0
@@ -309,7 +310,7 @@ def _bridged(
 
 
 class _Ahead:
-    """What a car comes to that stays on its road, from the end of each segment."""
+    """The joins that a car comes to if it stays on its road, from the end of each segment."""
 
     def __init__(self, graph: LaneGraph) -> None:
         self.graph = graph
@@ -399,10 +400,8 @@ def _table(
     # A map whose roads do not meet has no join at all.
     after = graph.after[row] if is_near.any() else here
 
-    none = np.full(len(time), "")
-
-    def told(values: NDArray[Any], blank: Any) -> NDArray[Any]:
-        return np.where(is_near, values[row], blank) if is_near.any() else np.full(len(time), blank)
+    def of_next(values: Callable[[], NDArray[Any]], blank: Any) -> NDArray[Any]:
+        return np.where(is_near, values(), blank) if is_near.any() else np.full(len(time), blank)
 
     return RoadTable(
         t_s=time,
@@ -415,10 +414,10 @@ def _table(
         n_lanes=np.where(on, graph.n_lanes[here], 0),
         next_n_lanes=np.where(is_near, graph.n_lanes[after], 0),
         next_in_m=np.where(is_near, metres, np.nan),
-        next_shift=told(graph.shift, np.nan),
-        next_join=told(graph.join, ""),
-        next_side=told(graph.side, 0),
-        next_optional=np.where(is_near, optional_lanes(graph, row), "") if is_near.any() else none,
+        next_shift=of_next(lambda: graph.shift[row], np.nan),
+        next_join=of_next(lambda: graph.join[row], ""),
+        next_side=of_next(lambda: graph.side[row], 0),
+        next_optional=of_next(lambda: optional_lanes(graph, row), ""),
         source=source,
     )
 

@@ -28,7 +28,7 @@ OFF = -1
 
 @dataclass(frozen=True)
 class MatchSettings:
-    """What the model takes for granted. The defaults were chosen by hand and not searched.
+    """The constants of the model. The defaults were chosen by hand and not searched.
 
     - sigma_m: of a position across the road, the lane's offset to the way's line included, metres
     - beta_m: scale of the difference between way and straight distance, metres
@@ -38,7 +38,7 @@ class MatchSettings:
     - off_m: positions are as likely off the map as this far from a segment, metres
     - leave, come: probability of leaving the map, and of coming back, per position
     - jump: probability of a change to a segment that no way leads to, per position
-    - top_speed_mps: what is faster is an outlier
+    - top_speed_mps: a position that needs a higher speed is an outlier
     """
 
     sigma_m: float = 6.0
@@ -61,7 +61,7 @@ _MOVES_MPS, _MOVES_M = 3.0, 8.0
 #: A heading is taken to be right with all but this probability.
 _HEADING_WRONG = 0.05
 
-#: So many outliers in a row that agree among themselves are where the car is.
+#: This many outliers in a row that agree among themselves are no outliers.
 _OUTLIERS_AGREE = 5
 
 
@@ -127,8 +127,9 @@ def match(
 
 @kernel()
 def _find_outliers(t_s: FloatArray, place: FloatArray, top_speed: float, out: BoolArray) -> None:
-    """Fills out (T,): positions that cannot be reached from the last one that is none, knowing the
-    past only. After several in a row that can be reached from each other, the car is there."""
+    """Fills out (T,): outliers, which cannot be reached from the last position that is none. Only
+    the past decides. After several in a row that can be reached from each other, the car is
+    there."""
     last, agree = 0, 0
     for t in range(len(t_s)):
         if t == 0:
@@ -175,17 +176,17 @@ def headings(
 ) -> tuple[FloatArray, FloatArray]:
     """Direction of travel of U used positions (all by default), radians counter-clockwise from
     east, NaN unknown; and the metres from the used position before where it is taken from those,
-    because the receiver does not tell it, NaN elsewhere.
+    because the receiver does not give it, NaN elsewhere.
 
     - place (T, 2): metres east and north
     """
     used = np.arange(len(place)) if used is None else used
     step = np.diff(place[used], axis=0, prepend=place[used[:1]])
     far = np.hypot(*step.T)
-    told = np.pi / 2 - np.radians(positions.heading_deg[used])
-    told = np.where(positions.speed_mps[used] < _MOVES_MPS, np.nan, told)
-    moved = np.isnan(told) & (far >= _MOVES_M)
-    return np.where(moved, np.arctan2(step[:, 1], step[:, 0]), told), np.where(moved, far, np.nan)
+    given = np.pi / 2 - np.radians(positions.heading_deg[used])
+    given = np.where(positions.speed_mps[used] < _MOVES_MPS, np.nan, given)
+    moved = np.isnan(given) & (far >= _MOVES_M)
+    return np.where(moved, np.arctan2(step[:, 1], step[:, 0]), given), np.where(moved, far, np.nan)
 
 
 def _transitions(
@@ -227,7 +228,7 @@ def _fill_transitions(
     block: IntArray,
     transition: FloatArray,
 ) -> None:
-    """Fills transition as `_transitions` says it."""
+    """Fills transition; see `_transitions`."""
     reached_in = np.full(len(length), -1, dtype=np.int64)
     way_to = np.empty(len(length))
     is_done = np.empty(len(length), dtype=np.bool_)

@@ -1,8 +1,8 @@
-"""What a map adds to a drive: the lanes of its road in each frame, and what the evidence rule then
-says of the lane; and what positions add to that.
+"""Adds a map to a drive: the lanes of its road in each frame, and the evidence of the lane on that
+road; and adds the positions of a receiver to that.
 
-The rule around the rule is `evidence_along`: the evidence rule is asked what it makes of the lines
-on roads of several numbers of lanes, and the map says which of the answers count in which frame.
+The rule around the rule is `evidence_along`: it calls the evidence rule for roads of several
+numbers of lanes, and the map says which of the answers count in which frame.
 """
 
 from __future__ import annotations
@@ -31,12 +31,12 @@ from egolane_pgm.maps.steps import (
 from egolane_pgm.parameters import Parameters, number, resolve_parameters
 from egolane_pgm.types import Evidence, FloatArray, InputError, LineLog
 
-#: What a graph of positions inside the lane observes.
+#: The nodes that a graph of positions inside the lane observes.
 POSITIONS = ("RoadPosition", "SensorState")
 
 
 def is_of_changing_roads(graph: ModuleType) -> bool:
-    """Whether a graph is told the lanes of the road in each frame."""
+    """Whether a graph takes the lanes of the road in each frame, as the input Step."""
     return "Step" in getattr(graph, "INPUTS", ()) and hasattr(graph, "most_lanes")
 
 
@@ -71,8 +71,8 @@ def with_lanes_of(table: RoadTable, experiment: Experiment, graph: ModuleType) -
 def road_along(
     experiment: Experiment, table: RoadTable, parameters: Mapping[str, Any], log: LineLog
 ) -> LanesAlong | None:
-    """The lanes of the road in each frame of a log, as the experiment's graph is told them; None
-    where it is told a fixed number.
+    """The lanes of the road in each frame of a log, as the experiment's graph takes them; None
+    where the number is fixed.
 
     - parameters: the model's. Raises InputError as `lanes_along`.
     """
@@ -148,7 +148,7 @@ def _positions_along(
     road: LanesAlong,
 ) -> Evidence:
     """The evidence of positions on a road with the lanes of the map: in each frame what the rule
-    makes of the lines on a road of so many lanes."""
+    makes of the lines on a road of that many lanes."""
     cells = int(number(parameters, "cells"))
     joint = np.zeros((len(log), n_lanes * cells, 2))
     motion = np.zeros(len(log), dtype=np.int64)
@@ -174,7 +174,7 @@ def with_positions(
     of_places = POSITIONS in lines.likelihoods
     key = POSITIONS if of_places else "Lane"
     believed = beliefs.marginals[POSITIONS[0]] if of_places else beliefs.lane
-    # A frame without lines tells nothing of the drift, however sure the belief still is.
+    # A frame without lines is no evidence of the drift, however sure the belief still is.
     has_lines = log.is_valid.any(axis=1, keepdims=True)
     believed = np.where(has_lines, believed, 1 / believed.shape[1])
     noise, cells = GnssNoise(**gnss.model_dump()), believed.shape[1] // n_lanes

@@ -17,7 +17,7 @@ from egolane_pgm.maps.tags import KEYS, KINDS, Direction, directions
 from egolane_pgm.tools.files import check_name
 from egolane_pgm.types import NOTE, BoolArray, FloatArray, InputError, IntArray
 
-#: So many lines at most say what is wrong with the tags of a map.
+#: The largest number of warnings about the tags of a map.
 MOST_WARNINGS = 8
 
 
@@ -25,8 +25,8 @@ def read_osm(path: str | Path, *, drives_left: bool | None = None) -> LaneGraph:
     """The lanes of the motorways and trunk roads of an `.osm` or `.osm.pbf` extract, and how they
     continue. Needs the extra `maps`.
 
-    - drives_left: traffic keeps to the left. By default the carriageways of the motorways tell:
-      where it keeps to the right, the opposite one lies at the left.
+    - drives_left: traffic keeps to the left. By default it follows from the carriageways of the
+      motorways: where traffic keeps to the right, the opposite one lies at the left.
 
     The places of all nodes of the file are kept in memory while it is read (16 bytes each): take
     the roads out of a large extract first (`osmium tags-filter`).
@@ -60,7 +60,8 @@ def of_ways(path: str | Path, *, drives_left: bool | None = None) -> LaneGraph:
 # --- the file ----------------------------------------------------------------------------------
 
 
-#: The side of traffic is looked at in so many places, for carriageways no farther than this.
+#: The number of places at which the side of traffic is found, and the largest distance, metres, of
+#: a carriageway there.
 SIDE_PLACES, SIDE_M = 100, 80.0
 
 
@@ -145,8 +146,8 @@ def _read(path: str | Path) -> _Raw:
 
 
 def _line_of_known(road: Any) -> tuple[bytes, int]:
-    """Longitudes and latitudes of the nodes that have some, and how many have none; no bytes where
-    fewer than two different places are left."""
+    """Longitudes and latitudes of the nodes that have some, and the number of nodes without; no
+    bytes where fewer than two different places are left."""
     known = [(node.lon, node.lat) for node in road.nodes if node.location.valid()]
     lacking = len(road.nodes) - len(known)
     line = [here for k, here in enumerate(known) if k == 0 or here != known[k - 1]]
@@ -236,7 +237,7 @@ def _segments(raw: _Raw, ways: list[tuple[Direction, ...]]) -> tuple[LaneGraph, 
     is_backward = column(lambda d: d.is_backward, bool)
     placement = column(lambda d: d.placement, float)
     start, stop, way = start[piece], stop[piece], way[piece]
-    # What is said of a way's ends says nothing of a point between them.
+    # The tags of a way's ends do not hold at a point between them.
     varies = placement[:, 0] != placement[:, 1]
     for end, is_first in ((0, ~is_backward), (1, is_backward)):
         inner = np.where(is_first, start != raw.first[way], stop != raw.first[way + 1] - 1)
@@ -297,7 +298,7 @@ def _shared(raw: _Raw) -> BoolArray:
 
 def joined(graph: LaneGraph) -> LaneGraph:
     """The same roads with segments joined where one follows the other and nothing changes: kind,
-    name, number of lanes, placement, what is said lane by lane. A segment keeps its first's way."""
+    name, number of lanes, placement, tags lane by lane. A segment keeps the way of its first."""
     before, after = graph.before, graph.after
     alone = (np.bincount(before, minlength=len(graph))[before] == 1) & (
         np.bincount(after, minlength=len(graph))[after] == 1

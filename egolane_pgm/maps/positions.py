@@ -184,7 +184,7 @@ def _read_table(path: Path, columns: Mapping[str, str] | None) -> Positions:
 
 
 def _column_names(path: Path, there: list[str], chosen: dict[str, str]) -> dict[str, str]:
-    """Which column of the table is which of ours."""
+    """The table's name of each of our columns."""
     for ours, theirs in chosen.items():
         if ours not in COLUMNS:
             raise InputError(f"{path}: unknown column '{ours}'{suggestion(ours, COLUMNS)}")

@@ -16,7 +16,7 @@ from egolane_pgm.maps.stored import check_path, marks, read_stored
 from egolane_pgm.tools.files import arrow_table, write_parquet
 from egolane_pgm.types import FloatArray, InputError, IntArray
 
-#: Of the stored table. It changes where a column gets another meaning.
+#: The version of the stored table. It changes where a column gets another meaning.
 VERSION = "2"
 
 _WORDS = ("next_join", "next_optional")
@@ -32,9 +32,9 @@ class RoadTable:
     - along_m (T,): metres from the segment's start; NaN off the map.
     - offset_m (T,): metres of the position from the way's line, negative to its left; NaN off the
       map and in rows without a position.
-    - sigma_m (T,): how uncertain the receiver says its position is, standard deviation in metres;
-      NaN where it does not say it.
-    - way_line (T,): how many lanes lie between the left edge and the way's line; NaN unknown.
+    - sigma_m (T,): the receiver's own standard deviation of its position, metres; NaN where it
+      gives none.
+    - way_line (T,): number of lanes between the left edge and the way's line; NaN unknown.
     - sure (T,): the probability of the segment, 0 to 1.
     - n_lanes (T,): lanes of the segment; 0 unknown.
     - next_in_m (T,): metres to the next join at which lanes begin, end or get other numbers, or the

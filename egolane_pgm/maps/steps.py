@@ -1,9 +1,9 @@
-"""From a road table to what an input node is told in each frame of a recording.
+"""From a road table to the value of the input node Step in each frame of a recording.
 
 The lanes change where the car passes a join of the map. The distance that it drove is taken from
-the road table, whose rows need not be as dense as the frames, and a change is told in the first
-frame behind the join. Where the map may be wrong about the place (`place_sigma_m`), it is told at
-nine places around the join, with the chance of each.
+the road table, whose rows need not be as dense as the frames, and a change is the step of the first
+frame behind the join. Where the map may be wrong about the place (`place_sigma_m`), it is the step
+of nine places around the join, with the chance of each.
 
 At an exit or a fork it is known which road the car took. What that says of its lane is evidence in
 the frame before: SERVED for a lane that leads there, OPTIONAL for one that also leads elsewhere.
@@ -26,16 +26,16 @@ SERVED = 0.98
 #: The same for a lane that serves this branch and another.
 OPTIONAL = 0.5
 
-#: The speed that is counted on where no rows tell it, metres per second.
+#: The speed that is assumed where no rows give it, metres per second.
 _USUAL_SPEED = 25.0
 
 
 @dataclass(frozen=True)
 class RoadChanges:
-    """C places at which the lanes of a drive change or are told anew, in order.
+    """C places at which the lanes of a drive change, or the road splits, in order.
 
-    - at_m (C,): where, metres driven since the first row.
-    - steps: what changes.
+    - at_m (C,): metres driven there since the first row.
+    - steps: the change at each.
     - is_branch (C,): whether the road splits there.
     - optional (C,): the lanes before it that lead to another road too.
     - row_m (T,): metres driven at each row of the road table.
@@ -68,7 +68,7 @@ class LanesAlong:
     """The lanes of the road in each of T frames.
 
     - n_lanes (T,): as the map says.
-    - step (T,): which of the words of `steps` is told.
+    - step (T,): index of the frame's step among the words of `steps`.
     - steps: the values of the input node, with blanks between them.
     - served (T, N): evidence of Lane, 1 where nothing is known.
     - origin (T,): lane k of a frame is lane k - origin of the first one, if it was there then.
@@ -124,7 +124,7 @@ def road_changes(table: RoadTable) -> RoadChanges:
     optional: list[tuple[int, ...]] = []
     for row in map(int, np.flatnonzero(passes | (np.diff(n_lanes) != 0))):
         before, after = int(n_lanes[row]), int(n_lanes[row + 1])
-        # What the row says of the next join is about this one if the lanes are those that it says.
+        # The row's next join is this one if the lanes behind it are those that the row has.
         is_told = bool(passes[row]) and int(table.next_n_lanes[row]) == after
         shift = table.next_shift[row] if is_told else np.nan
         step = Step(before, after, _shift(before, after, shift, table, row, is_told))
@@ -153,7 +153,7 @@ def _optional(table: RoadTable, row: int) -> tuple[int, ...]:
 def _shift(
     before: int, after: int, shift: float, table: RoadTable, row: int, is_told: bool
 ) -> int | None:
-    """The shift of a change; where only its side is known, what follows from it."""
+    """The shift of a change, from its side where only that is known."""
     if np.isfinite(shift):
         return round(float(shift))
     if before == after:
@@ -199,13 +199,13 @@ def lanes_along(
     place_sigma_m: float = 0.0,
     source: str = "recording",
 ) -> LanesAlong:
-    """What is told of the road in each of T frames.
+    """The lanes of the road in each of T frames, as the input node takes them.
 
     - time_s (T,): of the frames, seconds, by the same clock as the table's.
     - steps: the values of the input node, which must have those of this road.
-    - n_lanes: how many values Lane has.
-    - place_sigma_m: how far from the map's place lanes begin and end, standard deviation; 0 for a
-      map that is exact.
+    - n_lanes: number of values of Lane.
+    - place_sigma_m: standard deviation of the places where lanes begin and end about the map's,
+      metres; 0 for a map that is exact.
     - source: the recording, for messages.
 
     Frames before the first row and behind the last one have its lanes. Raises InputError, with both
@@ -224,12 +224,12 @@ def lanes_along(
     for c, at in enumerate(found.at_m):
         frame = frame_at(float(at))
         if frame > 0:
-            # Two changes in one frame are told one after the other.
+            # Two changes in one frame become the steps of two frames.
             frame = max([frame, *(before + 1 for before in frames.values())])
             if frame < len(time_s):
                 frames[c] = frame
     first_n = _lanes_at(found, driven[0])
-    told = np.full(len(time_s), -1, dtype=np.int64)
+    step_of = np.full(len(time_s), -1, dtype=np.int64)
     n_map = np.full(len(time_s), first_n, dtype=np.int64)
     origin = np.zeros(len(time_s), dtype=np.int64)
     served = np.ones((len(time_s), n_lanes))
@@ -265,7 +265,7 @@ def lanes_along(
         for k, place in enumerate(places):
             words[place] = str(_at(step, k + 1))
     try:
-        told[:] = [number[word] for word in words]
+        step_of[:] = [number[word] for word in words]
     except KeyError as error:
         raise InputError(
             f"{table.source}: the step '{error.args[0]}' of this road is not among the graph's:"
@@ -278,7 +278,7 @@ def lanes_along(
     changes = np.array(
         [frame for c, frame in frames.items() if _is_change(found.steps[c])], dtype=np.int64
     )
-    return LanesAlong(n_map, told, steps, served, origin, changes, is_renumbering)
+    return LanesAlong(n_map, step_of, steps, served, origin, changes, is_renumbering)
 
 
 def check_overlap(table: RoadTable, time_s: FloatArray, source: str) -> None:
@@ -293,7 +293,7 @@ def check_overlap(table: RoadTable, time_s: FloatArray, source: str) -> None:
 
 
 def _lanes_at(found: RoadChanges, metres: float) -> int:
-    """Lanes of the map where so many metres are driven."""
+    """Lanes of the map after `metres` driven."""
     behind = np.flatnonzero(found.at_m <= metres)
     return int(found.steps[behind[-1]].after if len(behind) else found.n_lanes[0])
 

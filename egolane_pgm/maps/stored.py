@@ -1,4 +1,4 @@
-"""The Parquet files of maps, lane graphs and road tables: each says what it is, and whose data."""
+"""The Parquet files of maps, lane graphs and road tables, whose metadata name kind and licence."""
 
 from __future__ import annotations
 

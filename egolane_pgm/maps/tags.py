@@ -1,4 +1,4 @@
-"""What the tags of one way of OpenStreetMap say about its lanes, in each direction of travel.
+"""Reads from the tags of one way of OpenStreetMap its lanes, in each direction of travel.
 
 Keys and values are those of https://wiki.openstreetmap.org/wiki/Lanes and of
 https://wiki.openstreetmap.org/wiki/Key:placement. Lane by lane they count from the left in the
@@ -63,13 +63,13 @@ class Direction:
 def directions(
     values: tuple[str | None, ...], drives_left: bool = False
 ) -> tuple[tuple[Direction, ...], tuple[str, ...]]:
-    """The directions in which a way is driven, and what is wrong with its tags.
+    """The directions in which a way is driven, and a line for each mistake in its tags.
 
     - values: of KEYS, None where the way has no such tag.
     - drives_left: traffic keeps to the left, so that the lanes against the way's direction lie at
       the right of the others.
 
-    What is wrong is left out and said: a number of lanes is then unknown (0), and so is a placement
+    A tag with a mistake is left out: a number of lanes is then unknown (0), and so is a placement
     (NaN). Nothing is raised.
     """
     tags = {key: value.strip() for key, value in zip(KEYS, values, strict=True) if value}
@@ -120,7 +120,7 @@ def _both_ways(
         n_lanes, by_lane = _by_lane(tags, (key,), n, problems)
         ways.append((n_lanes, tags.get("placement" + key, ""), by_lane))
     (n_forward, *_), (n_backward, *_) = ways
-    # The lines of both directions are one line, so that one's place tells the other's: with traffic
+    # The lines of both directions are one line, so that one's place gives the other's: with traffic
     # at the right the lanes of both lie at the right of what divides them.
     between = n_forward + n_backward + middle if drives_left else -middle
     known = bool(n_forward and n_backward)
@@ -165,8 +165,8 @@ def _count(tags: dict[str, str], keys: list[str], problems: list[str]) -> int:
 def _by_lane(
     tags: dict[str, str], keys: tuple[str, ...], n_lanes: int, problems: list[str]
 ) -> tuple[int, tuple[str, str, str]]:
-    """The number of lanes, which the tags that list lanes tell where nothing else does; and these
-    tags, "" where they list another number."""
+    """The number of lanes, by default that of the tags that list lanes; and these tags, "" where
+    they list another number."""
     names = ("turn:lanes", "change:lanes", "width:lanes")
     found = {name: _first(tags, [name + key for key in keys]) for name in names}
     listed = [text.count("|") + 1 for text in found.values() if "|" in text]

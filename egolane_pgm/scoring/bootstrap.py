@@ -13,7 +13,6 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from egolane_pgm.scoring.assign import assigned_lane
-from egolane_pgm.scoring.checks import as_mask
 from egolane_pgm.scoring.confusion import accuracy, confusion_cell, macro_f1
 from egolane_pgm.scoring.probabilistic import log_loss_per_frame
 from egolane_pgm.types import BoolArray, FloatArray, InputError, IntArray
@@ -22,8 +21,7 @@ BLOCK_FRAMES = 300
 RESAMPLES = 2000
 LEVEL = 0.95
 
-#: How many numbers are held at once while resamples are summed. It bounds the memory and does not
-#: change the result.
+#: The most numbers in memory at once while resamples are summed. It does not change the result.
 _CHUNK = 1 << 22
 
 
@@ -79,12 +77,8 @@ def circular_block_bootstrap(
     same arguments give the same resamples, so that two sides of a difference share them.
 
     Raises InputError for a drive shorter than two blocks (its resamples would all be nearly the
-    same, and the interval far too short), and for non-positive numbers.
+    same, and the interval far too short).
     """
-    if block < 1:
-        raise InputError(f"block: {block} must be at least 1 frame")
-    if resamples < 1:
-        raise InputError(f"resamples: {resamples} must be at least 1")
     if n_frames < 2 * block:
         raise InputError(
             f"{n_frames} frames are too few for an interval from blocks of {block} frames;"
@@ -103,8 +97,6 @@ def resampled_sums(values: NDArray[np.generic], resamples: BlockResamples) -> ND
     """
     array = np.asarray(values)
     n_frames = resamples.n_frames
-    if array.shape[:1] != (n_frames,):
-        raise InputError(f"values of shape {array.shape} for resamples of {n_frames} frames")
     kinds = {"b": np.int32, "i": np.int64, "u": np.int64}
     flat = array.reshape(n_frames, -1).astype(kinds.get(array.dtype.kind, np.float64), copy=False)
     wrapped = np.concatenate([np.zeros_like(flat[:1]), flat, flat[: resamples.block]])
@@ -141,11 +133,7 @@ def mean_counts(values: ArrayLike, is_counted: ArrayLike | None = None) -> Float
     For the mean of a per-frame score such as `scoring.probabilistic.log_loss_per_frame`.
     """
     array = np.asarray(values, dtype=np.float64)
-    if array.ndim != 1:
-        raise InputError(f"values have shape {array.shape}, need one per frame")
-    counted = np.ones(len(array), dtype=bool)
-    if is_counted is not None:
-        counted = as_mask(is_counted, len(array), "is_counted")
+    counted = np.ones(len(array), dtype=bool) if is_counted is None else np.asarray(is_counted)
     return np.stack([np.where(counted, array, 0.0), counted.astype(np.float64)], axis=1)
 
 
@@ -185,8 +173,8 @@ def bootstrap_interval(
     seed: of the first recording; each is resampled by itself, with the next seed.
 
     Resamples in which the statistic is undefined (NaN) are left out; NaN bounds if none is left.
-    Raises InputError as `circular_block_bootstrap` does, for a level outside 0..1, and where the
-    two sides have different numbers of frames.
+    Raises InputError as `circular_block_bootstrap` does, and where the two sides have different
+    numbers of frames.
     """
     of_all, of_resamples = [], []
     for k, mine in enumerate(counts):
@@ -254,8 +242,6 @@ def _of_all_frames(counts: NDArray[np.generic], statistic: Statistic) -> float:
 
 
 def _percentiles(values: FloatArray, level: float) -> tuple[float, float]:
-    if not 0 < level < 1:
-        raise InputError(f"level: {level} must lie between 0 and 1")
     defined = values[~np.isnan(values)]
     if not defined.size:
         return float("nan"), float("nan")
@@ -274,11 +260,11 @@ def over_drives(
     """A statistic of all frames of D rows of a fleet, with its 95 % interval over drives: low and
     high, None for fewer than two drives.
 
-    - sums (D, ...): of each row what the statistic sums over its frames.
+    - sums (D, ...): for each row the sums over its frames that the statistic takes.
     - statistic: sums (R, ...) -> (R,), such as `ratio` or `scoring.confusion.accuracy`.
     - minus: the other side of a difference, of the same frames: the interval is then that of the
       paired difference.
-    - drive_of: the drive that each row is of, where several may be of one; else each is one.
+    - drive_of: the drive of each row, where several rows may share one; None: each row is one.
 
     Whole drives are drawn (cluster bootstrap, percentiles of RESAMPLES), because the frames of a
     drive are alike, and two detectors on it share its luck.
@@ -301,7 +287,7 @@ def over_drives(
 
 
 def _added(sums: NDArray[np.generic], drive_of: Sequence[str]) -> NDArray[np.generic]:
-    """What the rows of each drive sum over together, the drives in the order of their first row."""
+    """The sums of the rows of each drive added, the drives in the order of their first row."""
     first: dict[str, int] = {}
     drive = [first.setdefault(each, len(first)) for each in drive_of]
     found = np.zeros((len(first), *sums.shape[1:]), sums.dtype)

@@ -61,6 +61,19 @@ def check_range(lane: IntArray, among: BoolArray, lowest: int, n_lanes: int, wha
         )
 
 
+def scored_frames(
+    belief: ArrayLike, lane: ArrayLike, is_crossing: ArrayLike, *, normalised: bool = True
+) -> tuple[FloatArray, IntArray, BoolArray]:
+    """The belief (T, n), the true lanes (T,) and which frames are scored (T,): those not crossing.
+    InputError for a belief that is none, or lanes outside 1..n in a scored frame."""
+    values = as_belief(belief, normalised=normalised)
+    n_frames, n_lanes = values.shape
+    actual = as_lanes(lane, n_frames)
+    is_scored = ~as_mask(is_crossing, n_frames)
+    check_range(actual, is_scored, 1, n_lanes, "ground truth")
+    return values, actual, is_scored
+
+
 def check_frame_rate(frame_rate: float) -> None:
     """InputError for a frame rate that is not a positive, finite number."""
     if not (np.isfinite(frame_rate) and frame_rate > 0):

@@ -182,8 +182,8 @@ SCORES: Mapping[str, Callable[[IntArray], FloatArray]] = {
 
 
 def is_maximised(score: str) -> bool:
-    """Whether more of a score is better, as it is of a confusion matrix's and of lines; of all
-    others less is (`log_loss`, `brier`, `delay`, ...)."""
+    """Whether larger is better: for the scores of confusion matrices and of lines, but not for any
+    other (`log_loss`, `brier`, `delay`, ...)."""
     return score in SCORES or score in LINE_SCORES
 
 
@@ -211,7 +211,7 @@ def scores_from_confusion(matrix: ArrayLike) -> ConfusionScores:
 
 
 def frames_off(a: ArrayLike, b: ArrayLike) -> int:
-    """By how many frames two confusion matrices (n + 1, n) differ.
+    """The number of frames by which two confusion matrices (n + 1, n) differ.
 
     Half the sum of the absolute cell differences, rounded up, Unassigned row included: a frame
     that moves from one cell to another changes two cells, one that is missing changes one. Raises

@@ -12,7 +12,7 @@ Count = Annotated[int, Field(ge=0, le=2**53)]
 Finite = Annotated[float, Field(allow_inf_nan=False)]
 Share = Annotated[float, Field(ge=0, le=1)]
 
-#: Of several seeds the mean is said, and so the numbers of frames need not be whole.
+#: A mean over several seeds, so numbers of frames need not be whole.
 MeanCount = Annotated[float, Field(ge=0, allow_inf_nan=False)]
 
 Bounds = Annotated[list[Finite], Field(min_length=2, max_length=2)]
@@ -79,21 +79,21 @@ class Scores(Stored):
         return self
 
 
-class Told(Stored):
-    """How many told lane changes are right within some seconds."""
+class Reported(Stored):
+    """How right the reported lane changes are, within some seconds."""
 
-    right: MeanCount = Field(description="events that tell a true change")
-    false: MeanCount = Field(description="events that tell none, where the truth speaks")
-    missed: MeanCount = Field(description="true changes that are not told")
+    right: MeanCount = Field(description="events that match a true change")
+    false: MeanCount = Field(description="events that match none, in annotated frames")
+    missed: MeanCount = Field(description="true changes that are not reported")
     precision: Share | None = Field(description="right / (right + false)")
     recall: Share | None = Field(description="right / (right + missed)")
     false_per_hour: Finite | None = Field(description="false events per hour of annotated frames")
 
 
 class EventDelay(Stored):
-    """Seconds from the end of a true crossing to the telling."""
+    """Seconds from the end of a true crossing to the report."""
 
-    median: Finite | None = Field(description="seconds, negative where told before the end")
+    median: Finite | None = Field(description="seconds, negative for a report before the end")
     p90: Finite | None = Field(description="90th percentile, seconds")
 
 
@@ -111,26 +111,26 @@ class Warned(Stored):
     precision: Share | None = Field(description="share of warned frames that are crossing")
     recall: Share | None = Field(description="share of crossing frames that are warned of")
     changes: MeanCount = Field(description="true lane changes")
-    warned: MeanCount = Field(description="how many of them a warning precedes or meets")
+    warned: MeanCount = Field(description="those that a warning precedes or meets")
     lead_s: Lead = Field(description="from the warning to the change of the label")
     warnings: MeanCount = Field(description="how many there are")
     false_per_hour: Finite | None = Field(description="warnings far from any crossing, per hour")
 
 
 class Events(Stored):
-    """The lane changes that are told: how many, and, with ground truth, how right they are; see
+    """The reported lane changes: their number, and, with ground truth, how right they are; see
     `scoring.events.event_scores`."""
 
     told: MeanCount = Field(
-        description="told lane changes; with ground truth those that can be right or false"
+        description="reported lane changes; with ground truth those that can be right or false"
     )
     changes: MeanCount | None = Field(default=None, description="true lane changes")
     hours: Finite | None = Field(default=None, description="of annotated frames")
-    within: dict[str, Told] | None = Field(
+    within: dict[str, Reported] | None = Field(
         default=None, description="per tolerance in seconds, `0.5`, `1` and `2`"
     )
     delay_s: EventDelay | None = Field(
-        default=None, description="from the end of the true crossing to the telling"
+        default=None, description="from the end of the true crossing to the report"
     )
     crossing: Warned | None = Field(
         default=None,

@@ -1,16 +1,16 @@
-"""How right the told lane changes are, and how early the car is seen to cross a line.
+"""How right the reported lane changes are, and how early the car is seen to cross a line.
 
 The true changes are those of `stability.lane_changes`: between two successive non-crossing rows
 with different lanes. The truth knows each of them as an interval: from `begin`, its first crossing
 frame, to `end`, the first frame in the new lane. Where in the interval the label changes is a habit
 of the annotator (at the end in the Italian recordings, after two thirds in the Spanish ones).
 
-- **Right**: an event is right within a tolerance if it is told at most that long before `begin` or
-  after `end`. Anywhere inside is exact: that is as well as the truth knows it. Lanes must be the
-  true ones, both of them. Each event is matched with at most one true change and each change with
-  at most one event, as many as can be.
-- **Delay**: from `end`, when the car is in the new lane by anybody's reckoning, to the telling;
-  negative for a change that is told before it is over. It is that of the events that are right
+- **Right**: an event is right within a tolerance if it is reported at most that long before `begin`
+  or after `end`. Anywhere inside is exact: the truth does not know it better. Both lanes must be
+  the true ones. Each event is matched with at most one true change and each change with at most one
+  event, as many as can be.
+- **Delay**: from `end`, when the car is in the new lane by anybody's reckoning, to the report;
+  negative for a change that is reported before it is over. It is that of the events that are right
   within the largest tolerance.
 - **False**: an event that is not matched. It can only be false where the truth speaks: in annotated
   frames, from the first non-crossing one to the last (what came before and after is unknown).
@@ -29,12 +29,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from egolane_pgm.scoring.checks import as_lanes, as_mask, check_frame_rate
+from egolane_pgm.scoring.checks import as_lanes, as_mask
 from egolane_pgm.scoring.health import roc_auc
 from egolane_pgm.scoring.stability import LaneChanges, lane_changes
 from egolane_pgm.types import BoolArray, FloatArray, IntArray, LaneEvents, LaneTruth, runs_of
 
-#: Seconds before and after a true crossing in which an event may be told.
+#: Seconds before and after a true crossing in which an event may be reported.
 TOLERANCES_S = (0.5, 1.0, 2.0)
 
 #: The probability of being on a line from which the car is warned.
@@ -59,12 +59,11 @@ def event_scores(
 def match_events(
     events: LaneEvents, truth: LaneTruth, frame_rate: float, tolerance_s: float
 ) -> IntArray:
-    """(E,): the true change that each event tells, an index into `lane_changes`; -1 for none.
+    """(E,): the true change that each event matches, an index into `lane_changes`; -1 for none.
 
     - truth: K annotated frames, those that count.
     - frame_rate: frames per second.
     """
-    check_frame_rate(frame_rate)
     changes = lane_changes(truth.lane, truth.is_crossing)
     reach = tolerance_s * frame_rate
     first = truth.frame_id[changes.start] - reach
@@ -73,9 +72,9 @@ def match_events(
     is_open = np.ones(len(changes), dtype=bool)
     # Events in order, each taking the open change that closes first: no matching has more pairs
     # (Glover 1967, points and intervals).
-    for e, told in enumerate(events.told_frame_id):
+    for e, at in enumerate(events.told_frame_id):
         # The changes are in order, so those within reach stand together.
-        near = slice(*np.searchsorted(last, [told]), *np.searchsorted(first, [told], side="right"))
+        near = slice(*np.searchsorted(last, [at]), *np.searchsorted(first, [at], side="right"))
         fits = is_open[near] & (changes.from_lane[near] == events.from_lane[e])
         fits &= changes.to_lane[near] == events.to_lane[e]
         if fits.any():
@@ -85,7 +84,7 @@ def match_events(
 
 
 def event_delays(events: LaneEvents, truth: LaneTruth, frame_rate: float) -> FloatArray:
-    """(E,): seconds from the end of the true crossing to the telling; NaN for an event that is not
+    """(E,): seconds from the end of the true crossing to the report; NaN for an event that is not
     right within the largest tolerance."""
     matched = match_events(events, truth, frame_rate, max(TOLERANCES_S))
     ends = truth.frame_id[lane_changes(truth.lane, truth.is_crossing).end]
@@ -105,7 +104,6 @@ def score_events(events: LaneEvents, truth: LaneTruth, frame_rate: float) -> dic
     frames), `within` (for each tolerance, by its seconds, "0.5": `right`, `false`, `missed`,
     `precision`, `recall`, `false_per_hour`), `delay_s` {`median`, `p90`}.
     """
-    check_frame_rate(frame_rate)
     changes = lane_changes(truth.lane, truth.is_crossing)
     hours = len(truth) / frame_rate / 3600
     within: dict[str, dict[str, Any]] = {}
@@ -140,7 +138,6 @@ def score_crossing(crossing: ArrayLike, truth: LaneTruth, frame_rate: float) -> 
     the crossing frames, with a warning from WARNED), `changes` (true ones), `warned` (how many of
     them), `lead_s` {`median`, `p10`}, `warnings`, `false_per_hour`.
     """
-    check_frame_rate(frame_rate)
     values = np.asarray(crossing, dtype=np.float64)
     is_crossing = as_mask(truth.is_crossing, len(values))
     is_warned = values >= WARNED
@@ -171,12 +168,12 @@ def score_crossing(crossing: ArrayLike, truth: LaneTruth, frame_rate: float) -> 
 
 
 def is_judged(events: LaneEvents, truth: LaneTruth) -> BoolArray:
-    """(E,): whether the truth tells, where the event is told, in which lane the car is and was."""
+    """(E,): whether the truth has the car's lanes before and after, where an event is reported."""
     known = truth.frame_id[~truth.is_crossing]
     if not len(known):
         return np.zeros(len(events), dtype=bool)
-    told = events.told_frame_id
-    return np.asarray(np.isin(told, truth.frame_id) & (known[0] <= told) & (told <= known[-1]))
+    at = events.told_frame_id
+    return np.asarray(np.isin(at, truth.frame_id) & (known[0] <= at) & (at <= known[-1]))
 
 
 def _leads(begin: IntArray, end: IntArray, changes: LaneChanges, truth: LaneTruth) -> FloatArray:

@@ -1,4 +1,4 @@
-"""Is the detector wrong in this frame? How well a score says so: the area under the ROC curve.
+"""Is the detector wrong in this frame? The area under the ROC curve measures how well a score says.
 
 Only non-crossing frames count in which the detector commits to a lane (its tentative vector has a
 unique maximum): no model is needed to know that a detector without an answer is no help.
@@ -12,8 +12,8 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from egolane_pgm.scoring.assign import assigned_lane
-from egolane_pgm.scoring.checks import as_belief, as_lanes, as_mask, check_range
-from egolane_pgm.types import UNASSIGNED, BoolArray, FloatArray, InputError, IntArray
+from egolane_pgm.scoring.checks import as_belief, as_lanes, check_range, scored_frames
+from egolane_pgm.types import UNASSIGNED, BoolArray, FloatArray, IntArray
 
 
 @dataclass(frozen=True)
@@ -39,11 +39,7 @@ def detector_errors(
 
     Raises InputError for arrays that do not fit or lanes outside 1..n on a non-crossing frame.
     """
-    values = as_belief(tentative, normalised=False)
-    n_frames, n_lanes = values.shape
-    actual = as_lanes(lane, n_frames)
-    is_scored = ~as_mask(is_crossing, n_frames)
-    check_range(actual, is_scored, 1, n_lanes, "ground truth")
+    values, actual, is_scored = scored_frames(tentative, lane, is_crossing, normalised=False)
     assigned = assigned_lane(values)
     is_committed = is_scored & (assigned != UNASSIGNED)
     return DetectorErrors(assigned, is_committed, is_scored, assigned != actual)
@@ -63,15 +59,9 @@ def roc_auc(score: ArrayLike, is_positive: ArrayLike) -> float:
     """The area under the ROC curve: the probability that a positive frame has a larger score than
     a negative one, ties counting half (Hanley & McNeil 1982).
 
-    score (T,), is_positive (T,). NaN without a positive or without a negative frame. Raises
-    InputError for arrays of different lengths, or NaN scores.
+    score (T,), is_positive (T,). NaN without a positive or without a negative frame.
     """
-    values = np.asarray(score, dtype=np.float64)
-    positive = as_mask(is_positive, np.size(score), "is_positive")
-    if values.shape != positive.shape:
-        raise InputError(f"score has shape {values.shape}, needs one number per frame")
-    if np.isnan(values).any():
-        raise InputError(f"score: frame {int(np.argmax(np.isnan(values)))} is NaN")
+    values, positive = np.asarray(score, dtype=np.float64), np.asarray(is_positive)
     n_positive = int(positive.sum())
     n_negative = len(values) - n_positive
     if not n_positive or not n_negative:

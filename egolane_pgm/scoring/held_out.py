@@ -14,12 +14,12 @@ import numpy as np
 from egolane_pgm.scoring.checks import as_belief
 from egolane_pgm.types import Beliefs, BoolArray, InputError, IntArray
 
-#: The number of blocks where nothing else is said.
+#: The default number of blocks.
 N_BLOCKS = 5
 
 
 class Labelled(Protocol):
-    """What the engine must know of a drive of K annotated frames; see `model.Drive`."""
+    """The drive of K annotated frames that the engine takes; see `model.Drive`."""
 
     def __len__(self) -> int: ...
 
@@ -106,7 +106,7 @@ def held_out(
         found = beliefs_with(parameters[-1])
         if len(as_belief(found.lane, normalised=True)) != len(drive):
             raise InputError(
-                f"block {b + 1} of {n_blocks}: {len(found)} frames are believed of {len(drive)}"
+                f"block {b + 1} of {n_blocks}: beliefs of {len(found)} frames, not of {len(drive)}"
             )
         beliefs.append(found)
     block = np.repeat(np.arange(n_blocks, dtype=np.int64), [len(part) for part in parts])

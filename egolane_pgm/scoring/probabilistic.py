@@ -11,8 +11,8 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from egolane_pgm.scoring.assign import assigned_lane
-from egolane_pgm.scoring.checks import as_belief, as_lanes, as_mask, check_range
-from egolane_pgm.types import UNASSIGNED, BoolArray, FloatArray, InputError, IntArray
+from egolane_pgm.scoring.checks import scored_frames
+from egolane_pgm.types import UNASSIGNED, BoolArray, FloatArray, IntArray
 
 #: Smaller probabilities count as this in the log-loss: a certain error costs 34.5, not infinity.
 SMALLEST_PROBABILITY = 1e-15
@@ -45,11 +45,8 @@ def log_loss_per_frame(belief: ArrayLike, lane: ArrayLike) -> FloatArray:
     Probabilities are clipped below at SMALLEST_PROBABILITY (1e-15). belief (T, n), lane (T,).
     Raises InputError for a belief that does not sum to 1, or lanes outside 1..n.
     """
-    values = as_belief(belief, normalised=True)
-    n_frames, n_lanes = values.shape
-    actual = as_lanes(lane, n_frames)
-    check_range(actual, np.ones(n_frames, dtype=bool), 1, n_lanes, "ground truth")
-    given = values[np.arange(n_frames), actual - 1]
+    values, actual, _ = scored_frames(belief, lane, np.zeros(np.size(lane), dtype=bool))
+    given = values[np.arange(len(values)), actual - 1]
     return np.asarray(-np.log(np.maximum(given, SMALLEST_PROBABILITY)))
 
 
@@ -63,21 +60,8 @@ def log_loss(belief: ArrayLike, lane: ArrayLike) -> float:
     return _mean(log_loss_per_frame(belief, lane))
 
 
-def brier_per_frame(belief: ArrayLike, lane: ArrayLike) -> FloatArray:
-    """(T,): sum over the lanes of the squared difference between belief and truth, 0 to 2.
-
-    `sum_k (belief[t, k] - [k = lane[t]])^2`
-    """
-    values = as_belief(belief, normalised=True)
-    n_frames, n_lanes = values.shape
-    actual = as_lanes(lane, n_frames)
-    check_range(actual, np.ones(n_frames, dtype=bool), 1, n_lanes, "ground truth")
-    truth = actual[:, None] == np.arange(1, n_lanes + 1)
-    return np.asarray(((values - truth) ** 2).sum(axis=1))
-
-
 def brier(belief: ArrayLike, lane: ArrayLike, is_crossing: ArrayLike) -> float:
-    """Multi-class Brier score: mean of `brier_per_frame` over the non-crossing frames.
+    """Multi-class Brier score: mean over the non-crossing frames.
 
     `brier = (1 / N) sum_t sum_k (belief[t, k] - [k = lane[t]])^2`, over N frames
 
@@ -85,8 +69,9 @@ def brier(belief: ArrayLike, lane: ArrayLike, is_crossing: ArrayLike) -> float:
     non-crossing frame. Raises InputError for a belief that does not sum to 1, or lanes outside 1..n
     on a non-crossing frame.
     """
-    values, actual, is_scored = _scored(belief, lane, is_crossing)
-    return _mean(brier_per_frame(values[is_scored], actual[is_scored]))
+    values, actual, is_scored = scored_frames(belief, lane, is_crossing)
+    truth = actual[:, None] == np.arange(1, values.shape[1] + 1)
+    return _mean(((values - truth) ** 2).sum(axis=1)[is_scored])
 
 
 def calibration_curve(
@@ -97,9 +82,7 @@ def calibration_curve(
     Arguments and errors as `brier`. An Unassigned frame counts as wrong, as everywhere: a tie does
     not go to the lane that happens to come first.
     """
-    if n_bins < 1:
-        raise InputError(f"n_bins: {n_bins} must be at least 1")
-    values, actual, is_scored = _scored(belief, lane, is_crossing)
+    values, actual, is_scored = scored_frames(belief, lane, is_crossing)
     values, actual = values[is_scored], actual[is_scored]
     largest = values.max(axis=1)
     is_right = assigned_lane(values) == actual
@@ -127,17 +110,6 @@ def expected_calibration_error(
         return float("nan")
     gap = np.abs(curve.confidence[filled] - curve.accuracy[filled])
     return float((gap * curve.count[filled]).sum() / curve.count.sum())
-
-
-def _scored(
-    belief: ArrayLike, lane: ArrayLike, is_crossing: ArrayLike
-) -> tuple[FloatArray, IntArray, BoolArray]:
-    values = as_belief(belief, normalised=True)
-    n_frames, n_lanes = values.shape
-    actual = as_lanes(lane, n_frames)
-    is_scored = ~as_mask(is_crossing, n_frames)
-    check_range(actual, is_scored, 1, n_lanes, "ground truth")
-    return values, actual, is_scored
 
 
 def _mean(values: FloatArray) -> float:
@@ -192,11 +164,7 @@ def coverage_curve(belief: ArrayLike, lane: ArrayLike, is_crossing: ArrayLike) -
     Raises InputError for a belief that does not sum to 1, or lanes outside 1..n on a non-crossing
     frame.
     """
-    values = as_belief(belief, normalised=True)
-    n_frames, n_lanes = values.shape
-    actual = as_lanes(lane, n_frames)
-    is_scored = ~as_mask(is_crossing, n_frames)
-    check_range(actual, is_scored, 1, n_lanes, "ground truth")
+    values, actual, is_scored = scored_frames(belief, lane, is_crossing)
     assigned = assigned_lane(values)
     is_answered = is_scored & (assigned != UNASSIGNED)
     largest = values[is_answered].max(axis=1) if is_answered.any() else np.zeros(0)

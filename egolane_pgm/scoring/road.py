@@ -22,7 +22,7 @@ def road_scores(
     log_frames: IntArray,
     frame_rate: float,
 ) -> dict[str, Any]:
-    """What scores.json says of a road whose lanes change.
+    """The scores in scores.json of a road whose lanes change.
 
     - assigned (K,): the answers in the annotated frames, 1..n or UNASSIGNED.
     - n_lanes (K,): lanes of the road, as the map says.

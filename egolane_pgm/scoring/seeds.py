@@ -2,9 +2,8 @@
 
 Two things are left to chance: which stretches of road were driven, and which parameters a search
 happened to find. Each resample draws blocks of frames, the same ones for every model, and for each
-model as many of its S seeds as there are, with replacement. With one seed it is the block bootstrap
-of `bootstrap`. A few seeds tell their spread roughly, and S drawn of S show it too small by
-sqrt(1 - 1/S).
+model S of its S seeds, with replacement. With one seed it is the block bootstrap of `bootstrap`. A
+few seeds give their spread only roughly, and S drawn of S show it too small by sqrt(1 - 1/S).
 """
 
 from __future__ import annotations
@@ -34,7 +33,7 @@ def resampled_scores(
 ) -> Resampled | None:
     """Accuracy, F1 and log-loss of S seeds over the same resamples of a drive.
 
-    counts: per seed what `bootstrap.score_counts` gives of T frames.
+    counts: per seed the counts of T frames, as `bootstrap.score_counts` gives them.
     seed: of the resamples.
 
     None where the drive is too short for an interval.
@@ -62,8 +61,8 @@ def over_seeds(values: FloatArray, chance: str) -> FloatArray:
 
     The first number, of all frames, is the mean over the S seeds.
 
-    chance: a text that the draws follow from, another one for each model and recording, whose
-        searches are independent.
+    chance: a text that seeds the draws, a different one for each model and recording, because
+        their searches are independent.
     """
     n_seeds, n = values.shape
     mean: FloatArray = values.mean(axis=0)
@@ -102,7 +101,7 @@ def _mean(values: Sequence[object]) -> object:
 def on_timeline(
     counts: Mapping[str, NDArray[np.generic]], frame_id: IntArray, timeline: IntArray
 ) -> dict[str, NDArray[np.generic]]:
-    """What frames (K,) count, placed among the frames of their whole drive (T,): 0 elsewhere.
+    """The counts of frames (K,), placed among the frames of their whole drive (T,): 0 elsewhere.
 
     Recordings of one drive, by several detectors, are resampled together so.
     """

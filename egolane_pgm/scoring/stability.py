@@ -77,7 +77,7 @@ class DelayScores:
 def false_switch_frames(
     assigned: ArrayLike, lane: ArrayLike, is_crossing: ArrayLike
 ) -> tuple[BoolArray, BoolArray]:
-    """Per row: did it switch falsely against the row before, and could it have.
+    """Per row: whether it switches falsely against the row before, and whether it could.
 
     assigned (T,), 0 for Unassigned; lane (T,); is_crossing (T,). Returns is_false_switch (T,) and
     is_counted (T,); the first row is never counted. The sums of the two give the rate, also over
@@ -131,8 +131,6 @@ def delay_after_lane_change(
     assigned (T,), lane (T,), is_crossing (T,), frame_id (T,) strictly increasing; rules in the
     module. Raises InputError for arrays of different lengths or ids that do not increase.
     """
-    if held_frames < 1:
-        raise InputError(f"held_frames: {held_frames} must be at least 1")
     predicted, actual, crossing = _aligned(assigned, lane, is_crossing)
     ids = as_lanes(frame_id, len(predicted), "frame_id")
     if (np.diff(ids) <= 0).any():

@@ -42,7 +42,7 @@ def slow_noise(
 ) -> FloatArray:
     """Stationary first-order autoregressive noise, (T, K), with mean 0 and standard deviation 1.
 
-    correlation_frames: over so many frames the correlation falls to 1/e; 0 gives white noise.
+    correlation_frames: frames over which the correlation falls to 1/e; 0 gives white noise.
     """
     keep = float(np.exp(-1.0 / correlation_frames)) if correlation_frames > 0 else 0.0
     noise = rng.standard_normal((n_frames, n_series))

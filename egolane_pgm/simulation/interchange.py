@@ -29,13 +29,13 @@ from egolane_pgm.types import BoolArray, FloatArray, InputError, IntArray, LaneT
 #: The detector that looks at the road.
 DETECTOR = PRESETS["a4"].detector
 
-#: What is ahead of the car is told up to here, metres.
+#: The road table looks this far ahead of the car, metres.
 _AHEAD_M = 2000.0
 
 #: Metres per degree of latitude, on a sphere.
 _DEGREE_M = 111_195.0
 
-#: A mandatory lane change begins at most so many seconds before the place, and at least so many.
+#: A mandatory lane change begins at most, and at least, this many seconds before the place.
 _LEAD_S = (6.0, 14.0)
 
 
@@ -180,7 +180,7 @@ class _Route:
 
 
 def _route(graph: LaneGraph, metres: float, rng: np.random.Generator) -> _Route:
-    """A route of so many metres, or the longest of some attempts."""
+    """A route of at least `metres`, or the longest of some attempts."""
     can_start = np.flatnonzero((graph.n_lanes > 0) & (graph.length_m > 0))
     start = joins_from(graph)
     if not len(can_start):
@@ -322,7 +322,7 @@ def _lines(
     return np.where(is_there, offset, np.nan), position_m
 
 
-# --- what a map and a receiver tell ------------------------------------------------------------
+# --- the map and the receiver ------------------------------------------------------------------
 
 
 def _table(

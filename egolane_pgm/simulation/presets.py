@@ -33,7 +33,7 @@ class SimulatedDrive:
 
 @dataclass(frozen=True)
 class Preset:
-    """A world and a detector. doc: what drives made with them are like, as measured."""
+    """A world and a detector. doc: describes drives made with them, as measured."""
 
     world: World
     detector: DetectorModel

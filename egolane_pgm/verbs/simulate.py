@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import warnings
 from collections.abc import Mapping
 from dataclasses import fields, replace
 from functools import partial
@@ -26,12 +25,12 @@ from egolane_pgm.simulation.interchange import (
     mirrored,
     simulate_interchange,
 )
-from egolane_pgm.simulation.rendering.files import cost_estimate, free_places, write_drive
+from egolane_pgm.simulation.rendering.files import free_places, write_drive
 from egolane_pgm.simulation.rendering.render import check_settings, make_scene
 from egolane_pgm.simulation.rendering.scene import Scene
 from egolane_pgm.tools.files import as_csv, make_directory, write_text, write_yaml
 from egolane_pgm.tools.progress import bar
-from egolane_pgm.types import NOTE, InputError, suggestion
+from egolane_pgm.types import InputError, suggestion
 from egolane_pgm.verbs.given import Option, Progress, Seed, StrPath
 
 EXAMPLES = (
@@ -103,9 +102,6 @@ def simulate(
         check_settings(values)
         if folder is not None:
             places = free_places(folder, stereo=stereo, video=video)
-            cost = cost_estimate(preset, seed, frames, values, stereo=stereo, video=video, png=png)
-            if cost is not None:
-                warnings.warn(f"{NOTE}{cost}", UserWarning, stacklevel=2)
         scene = make_scene(preset, seed, frames, stereo=stereo, **values)
         if folder is not None:
             shown = partial(bar, progress=progress, unit="frame")

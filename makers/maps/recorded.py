@@ -7,8 +7,8 @@ from itertools import product
 
 import numpy as np
 
-from egolane_pgm.maps.lanes_from_gnss import GnssNoise
 from makers.maps._drives import data
+from tests.kits.gnss_alone import AloneNoise
 from tests.kits.tracks import (
     ChangeAnswers,
     munich,
@@ -45,14 +45,14 @@ def _rotterdam() -> Iterator[str]:
     place = rotterdam_road(data())
     receivers = rotterdam_receivers(data())
 
-    def answers(noise: GnssNoise, every: int) -> list[ChangeAnswers]:
+    def answers(noise: AloneNoise, every: int) -> list[ChangeAnswers]:
         return [rotterdam_lanes(data(), *place, r, noise, every=every) for r in receivers.values()]
 
     certain = {"count_wrong": 0.0, "count_stays": 1.0}
-    usual = answers(GnssNoise(**certain), 1)
+    usual = answers(AloneNoise(**certain), 1)
     tried = []
     for sigma, drift, drift_s, every in GRID:
-        noise = GnssNoise(sigma_m=sigma, drift_sigma_m=drift, drift_s=drift_s, **certain)
+        noise = AloneNoise(sigma_m=sigma, drift_sigma_m=drift, drift_s=drift_s, **certain)
         tried.append(np.array([a.right for a in answers(noise, every)]))
     lane = usual[0].lane
     chosen = np.zeros_like(tried[0])

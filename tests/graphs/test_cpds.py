@@ -246,7 +246,7 @@ def test_a_node_whose_second_slice_has_no_edge_is_declared_all_the_same() -> Non
         (
             [*prior("A", uniform(3)), *dynamics("A", [previous("A")], uniform(2, 3))],
             [],
-            "A at t+1: its table has 2 rows for A at t, which has 3 values",
+            "A: its table has 2 rows for A, which has 3 values",
         ),
         (persistent("A"), ["D"], "observed node D: there is no table for it"),
         (persistent("A"), [("A", "D")], "observed node D: there is no table for it"),

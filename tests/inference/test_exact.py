@@ -18,7 +18,6 @@ from egolane_pgm.inference.compile import Compiled, compile, with_tables
 from egolane_pgm.inference.expected_counts import FREE, expected_counts
 from egolane_pgm.inference.filtering import METHODS, filter_beliefs, read_evidence, step
 from egolane_pgm.inference.kernels import banded
-from egolane_pgm.inference.lags import beliefs_by_lag
 from egolane_pgm.inference.layout import layout
 from egolane_pgm.inference.smoothing import fixed_lag_beliefs, lag_rest, lag_step, smooth_beliefs
 from egolane_pgm.inference.viterbi import viterbi
@@ -184,7 +183,6 @@ def test_smoothers_and_the_most_probable_path_are_right(kind: int, seed: int, la
     right = right_of(partial(make, lag))
     assert_right(fixed_lag_beliefs(compiled, evidence, lag), right)
     assert_right(reference.fixed_lag_beliefs(compiled, evidence, lag), right)
-    assert_right(dict(beliefs_by_lag(compiled, evidence, range(N_FRAMES + 1)))[lag], right)
     state, parts = None, []
     for t in range(N_FRAMES):
         state, part = lag_step(compiled, state, evidence.take(slice(t, t + 1)), lag)

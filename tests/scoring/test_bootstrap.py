@@ -205,17 +205,6 @@ def test_the_intervals_of_a_result_are_of_accuracy_f1_and_log_loss() -> None:
 def test_impossible_resamples_are_refused() -> None:
     with pytest.raises(InputError, match=r"599 frames are too few .* at least 600 are needed"):
         circular_block_bootstrap(599)
-    with pytest.raises(InputError, match="block: 0"):
-        circular_block_bootstrap(100, block=0)
-    with pytest.raises(InputError, match="resamples: 0"):
-        circular_block_bootstrap(100, block=10, resamples=0)
     counts = mean_counts(np.ones(100))
-    for level in (0, 1, 95):
-        with pytest.raises(InputError, match="level"):
-            bootstrap_interval([counts], ratio, block=10, level=level)
     with pytest.raises(InputError, match="same frames on both sides, got 100 and 99"):
         bootstrap_interval([counts], ratio, minus=[counts[:99]], block=10)
-    with pytest.raises(InputError, match="resamples of 100 frames"):
-        resampled_sums(np.ones(99), circular_block_bootstrap(100, 10, 5))
-    with pytest.raises(InputError, match="need one per frame"):
-        mean_counts(np.ones((3, 2)))

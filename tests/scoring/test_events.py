@@ -19,7 +19,7 @@ from egolane_pgm.scoring.events import (
     score_events,
 )
 from egolane_pgm.scoring.stability import lane_changes
-from egolane_pgm.types import InputError, LaneEvents, LaneTruth
+from egolane_pgm.types import LaneEvents, LaneTruth
 
 
 def events_at(*told: tuple[int, int, int]) -> LaneEvents:
@@ -238,8 +238,3 @@ def test_a_probability_that_is_the_flag_has_no_error() -> None:
     assert (found["auc"], found["precision"], found["recall"]) == (1.0, 1.0, 1.0)
     assert score_crossing(np.zeros(200), ONE, 10.0)["precision"] is None
     assert event_scores(events_at(), None, ONE, 10.0)["crossing"] is None
-
-
-def test_a_frame_rate_of_nothing_is_refused() -> None:
-    with pytest.raises(InputError, match="frame_rate"):
-        score_events(events_at((1, 1, 2)), ONE, 0.0)

@@ -12,7 +12,6 @@ from hypothesis import strategies as st
 
 from egolane_pgm.scoring.probabilistic import (
     brier,
-    brier_per_frame,
     calibration_curve,
     expected_calibration_error,
     log_loss,
@@ -48,7 +47,6 @@ def test_a_lane_held_impossible_costs_the_log_of_the_smallest_probability() -> N
 def test_brier_is_the_squared_distance_summed_over_the_lanes() -> None:
     # 0.5^2 + 0.25^2 + 0.25^2 = 0.375; the worst is 2; the crossing frame does not count.
     belief = [[0.5, 0.25, 0.25], [0.0, 1.0, 0.0], [0.2, 0.3, 0.5]]
-    assert brier_per_frame(belief, [1, 1, 1])[:2] == pytest.approx([0.375, 2.0])
     assert brier(belief, [1, 1, 1], [False, False, True]) == pytest.approx(1.1875)
 
 
@@ -158,8 +156,3 @@ def test_beliefs_and_lanes_that_cannot_be_scored_are_refused(
         score([[0.5, 0.5], [0.5, 0.5]], [1, 3])
     with pytest.raises(InputError, match="lane has shape"):
         score([[0.5, 0.5], [0.5, 0.5]], [1])
-
-
-def test_a_curve_needs_at_least_one_bin() -> None:
-    with pytest.raises(InputError, match="n_bins: 0"):
-        calibration_curve([[1.0]], [1], [False], n_bins=0)

@@ -187,11 +187,6 @@ def test_frame_ids_that_do_not_increase_are_refused() -> None:
         delay_after_lane_change([1, 1], [1, 1], [False, False], [7, 7])
 
 
-def test_a_lane_held_for_no_frames_is_refused() -> None:
-    with pytest.raises(InputError, match="held_frames: 0"):
-        delay_after_lane_change([1], [1], [False], [0], held_frames=0)
-
-
 @given(drives())
 def test_both_scores_equal_those_of_plain_loops(drive: Drive) -> None:
     assigned, lane, flag, ids = drive

@@ -18,7 +18,6 @@ from egolane_pgm.recordings import read_lines
 from egolane_pgm.recordings.ground_truth import read_ground_truth
 from egolane_pgm.results import read_result
 from egolane_pgm.simulation.rendering import files, render
-from egolane_pgm.simulation.rendering import files as rendering_files
 from egolane_pgm.simulation.rendering.render import make_scene, render_frame
 from tests.kits.drives import command, contents, done, refused
 
@@ -158,32 +157,6 @@ def test_what_has_an_option_of_its_own_is_not_set(tmp_path: Path, key: str) -> N
     said = refused("simulate", "--out", tmp_path / "drive", "--set", f"{key}=3")
     assert said == f"--set: {key} is a parameter beside it"
     assert not (tmp_path / "drive").exists()
-
-
-def test_what_a_drive_costs_is_said_before_it_is_rendered(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr(rendering_files, "_ESTIMATED_FROM", 5)
-    told = command(*rendered("--frames", 6, "--png", "--out", tmp_path / "a"))
-    assert told.exit_code == 0
-    said = told.stderr.splitlines()[0]
-    size = sum(file.stat().st_size for file in (tmp_path / "a/images").iterdir())
-    assert said.startswith("note: 6 frames need about ")
-    assert float(said.split()[5]) == pytest.approx(size / 1e6, rel=0.3)
-    assert said.endswith(" seconds; Ctrl-C keeps those rendered")
-
-
-@pytest.mark.parametrize("video", [False, True])
-def test_the_cost_of_a_frame_is_about_that_of_those_rendered(tmp_path: Path, video: bool) -> None:
-    from egolane_pgm.simulation.rendering.files import cost_per_frame
-
-    scene = make_scene("quickstart", 0, 26)
-    seconds, size = cost_per_frame(scene, png=False, video=video)
-    assert 0.001 < seconds < 10
-    done(*rendered("--frames", 26, *(["--video"] if video else []), "--out", tmp_path))
-    place = tmp_path / ("images.mp4" if video else "images")
-    files = [place] if video else list(place.iterdir())
-    assert size == pytest.approx(sum(f.stat().st_size for f in files) / 26, rel=0.25)
 
 
 def test_a_simulated_drive_is_written_and_runs(tmp_path: Path) -> None:

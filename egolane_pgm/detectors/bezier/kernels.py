@@ -22,7 +22,7 @@ def hough_votes(
 ) -> FloatArray:
     """The votes (n_r, T) of N points for the lines r = column cos(theta) + row sin(theta).
 
-    - column, row, value: (N,) places of the points, and what their votes count
+    - column, row, value: (N,) places of the points, and weights of their votes
     - theta: (T,) angles, radians
     - r_min, r_step, n_r: the first distance, the step and the number of distances
     """

@@ -34,8 +34,8 @@ def refined(
 def _localized(
     grey: FloatArray, camera: Camera, point: FloatArray, parameters: Parameters
 ) -> tuple[FloatArray, float]:
-    """The points, those moved that find a marking and keep the spline's direction; and the usual
-    contrast of the marking."""
+    """The points, and the usual contrast of the marking. A point moves if it finds a marking and
+    the spline keeps its direction."""
     half = int(number(parameters, "localize_num_line_pixels"))
     along = _unit(np.gradient(point, axis=0))
     place, contrast = _strip(grey, camera, point, along, half)

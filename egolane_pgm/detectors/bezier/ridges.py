@@ -37,8 +37,8 @@ def view_for(camera: Camera, parameters: Parameters) -> BirdsEye:
 
 
 def ridges(view: BirdsEye, above: Image, parameters: Parameters) -> FloatArray:
-    """How much of a narrow bright strip along the road each pixel of a view of one colour, (R, C),
-    is; 0 where the answer is below a quantile, and where the filter sees the edge of the picture.
+    """The response of each pixel of a view of one colour, (R, C), to a filter for narrow bright
+    strips; 0 where it is below a quantile, and where the filter sees the edge of the picture.
 
     Grey levels count from 0 to 1, less their mean; `ridge_weights` make 1 the largest answer.
     """

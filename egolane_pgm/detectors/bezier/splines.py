@@ -243,8 +243,8 @@ def points_on(control: FloatArray, step: float) -> FloatArray:
 
 
 def _checked(splines: Splines, parameters: Parameters) -> Splines:
-    """The splines, best first, without those that are short, turned or weak, and of two that
-    are nearly the same the worse one."""
+    """The splines, best first, without those that are short, turned or weak, and without the worse
+    one of two that are nearly the same."""
     order = np.argsort(-splines.score, kind="stable")
     kept: list[int] = []
     for k in order:

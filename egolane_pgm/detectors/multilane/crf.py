@@ -44,7 +44,7 @@ SPREAD = 50.0
 #: link of either seed reaches it; and the error that is d = 1, pixels.
 CERTAIN, CERTAIN_PX = 1.96, 20.0
 
-#: So many markings at an end of a seed tell its direction there.
+#: Number of markings at an end of a seed that give its direction there.
 END = 30
 
 
@@ -73,7 +73,7 @@ class Links:
 def join_seeds(markings: Markings, road: Road, exact_up_to: int) -> Markings:
     """The same markings, with all seeds of one line joined to one.
 
-    - exact_up_to: groups of up to so many links are solved exactly, larger ones as published
+    - exact_up_to: groups of at most this many links are solved exactly, larger ones as published
     """
     scale = road.scale
     for _ in range(2):
@@ -165,7 +165,7 @@ def pairs(
 
     - row, u: (N,) the markings of S seeds, top to bottom in each
     - starts: (S + 1,) where each seed begins, and N
-    - end: so many markings at an end of a seed tell its direction
+    - end: number of markings at an end of a seed that give its direction
     - farthest: the first gate, pixels
     """
     n_seeds = len(starts) - 1
@@ -219,7 +219,7 @@ def pairs(
 
 @kernel()
 def curve_quality(sums: FloatArray) -> float:
-    """exp(-(MSE / 50)^2) of the cubic through the markings that the sums, (12,), are of."""
+    """exp(-(MSE / 50)^2) of the cubic through some markings, from their `power_sums` (12,)."""
     a = np.empty((4, 5))
     for i in range(4):
         for j in range(4):

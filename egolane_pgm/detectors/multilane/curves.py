@@ -18,8 +18,7 @@ ROWS = np.linspace(-1.0, 1.0, 21)
 #: Weight of a prior curve in each of ROWS, points.
 PRIOR = 0.3
 
-#: How much farther away than a straight line's points a parabola's may not be: it has to hold so
-#: many times the points to be taken.
+#: A parabola is preferred to a straight line only if it has this many times as many points.
 _BENT = 1.05
 
 
@@ -31,7 +30,7 @@ def value(curve: FloatArray, t: FloatArray) -> FloatArray:
 
 def fit(t: FloatArray, u: FloatArray, degree: int, prior: FloatArray | None = None) -> FloatArray:
     """The least-squares curve, (3,), of F points. prior: a curve that counts as PRIOR more points
-    in each of ROWS; none is all right where the points tell the curve well."""
+    in each of ROWS; None suffices where the points determine the curve well."""
     weight = np.ones(len(t))
     if prior is not None:
         t, u = np.concatenate([t, ROWS]), np.concatenate([u, value(prior, ROWS)])
@@ -122,7 +121,7 @@ def nearby(
     has its points.
 
     - curve: (3,)
-    - noise: (D, 2) what is added to its place and its slope, pixels
+    - noise: (D, 2) added to its place and its slope, pixels
     - error: how far a point may be from a curve, pixels
     """
     away = u - value(curve, t)

@@ -16,7 +16,7 @@ from egolane_pgm.types import FloatArray, IntArray
 #: Half width of the edge filter, pixels: far away, and how much more at the bottom.
 FILTER = (3.0, 9.0)
 
-#: An edge is a step of more than this share of the darker side, plus so many grey levels.
+#: An edge is a step of more than this share of the darker side, plus this number of grey levels.
 EDGE = (0.2, 5.0)
 
 #: A marking continues a seed: largest squared distance, pixels, and change of direction, radians.

@@ -71,7 +71,7 @@ class Road:
 
 
 def road_of(camera: Camera, reach_m: float, narrowest_m: float, widest_m: float) -> Road:
-    """The rows that show the road up to reach_m ahead, and what is as wide as a marking there.
+    """The rows that show the road up to reach_m ahead, and the widths of markings there.
 
     Raises InputError if they are too few.
     """

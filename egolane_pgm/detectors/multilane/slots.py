@@ -23,38 +23,45 @@ PLACES = (0, 1, -1, 2, -2, 3)
 #: A line's counter is the number of these last frames in which it was seen.
 FRAMES = 10
 
-#: Free slots are filled from the lines of so many last frames, from curves that are found in so
-#: many of them within so many metres. Of two such lines next to the car the nearer one is taken,
-#: unless the other one has more of the frames by a factor e for so many metres.
-BOOTSTRAP, SEEN, SAME_M, NEARER_M = 8, 4, 0.4, 5.0
+#: A free slot looks at the curves of the last BOOTSTRAP frames ...
+BOOTSTRAP = 8
 
-#: Trials of a robust fit, and how far its points may be away, pixels.
+#: ... and takes a line that is in at least SEEN of them ...
+SEEN = 4
+
+#: ... at the same place, within this distance, metres.
+SAME_M = 0.4
+
+#: Of two such lines next to the car, one this much farther away, metres, needs e times the frames.
+NEARER_M = 5.0
+
+#: Trials of a robust fit, and the largest distance of its points, pixels.
 TRIALS, ERROR = 15, 6.0
 
-#: Curves that are tried around a predicted one, and how far they are from it, pixels.
+#: Number of curves tried around a predicted one, and standard deviation of their places, pixels.
 DRAWS, NOISE = 200, 20.0
 
-#: A fit needs so many markings, and this share of those near the line before.
+#: The fewest markings of a fit, and the least share of those near the line's last place.
 FEWEST, HELD = 10, 0.5
 
-#: A line is clear by itself if it has so many markings, and they span so much of t. With half as
-#: many the edges of a car beside the line pull it away.
+#: The fewest markings of a clear line, and the least part of t that they span. With half as many
+#: markings the edges of a car beside the line pull it away.
 LONG, SPAN = 120, 0.6
 
-#: How much a line that is not clear is taken to be parallel to the nearest clear one, and not to
-#: what it was.
+#: The weight of the direction of the nearest clear line in that of a line that is not clear; the
+#: rest is the line's own direction before.
 PARALLEL = 0.2
 
-#: Lanes are between these widths, metres; lines beyond the last are not followed.
+#: The narrowest and the widest lane, and the largest distance of a line that is followed, metres.
 LEAST_M, WIDEST_LANE_M, FARTHEST_M = 2.0, 5.0, 12.0
 
-#: A line has passed under the car when it is so far on the other side, metres.
+#: A line has passed under the car when it is this far on the other side, metres.
 ACROSS_M = 0.25
 
 
 @dataclass(frozen=True)
 class Slots:
-    """What is followed.
+    """The lines that the six slots follow.
 
     - curve: (6, 3) of each slot; NaN where it is free
     - hits: (6, FRAMES) whether it was seen in each of the last frames, the newest last
@@ -108,7 +115,7 @@ def advance(
 
     - t, u: (F,) its markings
     - found: (C, 3) the curves that are found in it without tracking
-    - most: how many slots may hold a line
+    - most: the largest number of slots with a line
     """
     curve, is_clear = slots.curve.copy(), np.zeros(len(PLACES), dtype=bool)
     for k in np.flatnonzero(slots.is_used):
@@ -190,7 +197,7 @@ def _predicted(
 
 
 def _without_lost(slots: Slots, road: Road) -> Slots:
-    """Frees the slots whose line was not seen for long, is too far away or lies on another one."""
+    """Frees the slots whose line was not seen for long, is too far away or overlaps another."""
     place = places_of(road, slots.curve)
     lost = (slots.counter == 0) | ~(np.abs(place) <= FARTHEST_M)
     kept = [k for k in map(slots.at, sorted(PLACES)) if not lost[k]]
@@ -201,7 +208,7 @@ def _without_lost(slots: Slots, road: Road) -> Slots:
 
 
 def _turned(slots: Slots, road: Road, most: int) -> Slots:
-    """Turns the ring if a line has passed under the car, and frees what is in no place then."""
+    """Turns the ring if a line has passed under the car, and frees slots outside all PLACES."""
     offset = np.full(len(PLACES), np.nan)
     offset[slots.is_used] = shapes_of(road, slots.curve[slots.is_used])[:, 0]
     to_left = [k for k in PLACES if k > 0 and offset[slots.at(k)] < -ACROSS_M]
@@ -247,7 +254,7 @@ def _filled(slots: Slots, road: Road, most: int) -> Slots:
 def _often_seen(
     place: FloatArray, frame: IntArray, fits: BoolArray, *, prefers_near: bool
 ) -> int | None:
-    """The newest of the curves, (C,), that lie where most frames have one; None if too few have.
+    """The newest curve, an index, at the place where most frames have one; None if too few do.
 
     - place: (C,) metres; frame: (C,) its frame
     - fits: (C,) which ones are considered

@@ -230,8 +230,8 @@ def networks_of(parameters: Parameters) -> list[Path]:
 
 
 def network_files(parameters: Parameters) -> list[Path]:
-    """The files of the networks that some parameters name: of each its YAML, its ONNX and what this
-    keeps elsewhere. Raises InputError for a network that cannot be read."""
+    """The files of the networks that some parameters name: for each the YAML, the ONNX and the
+    files of its weights. Raises InputError for a network that cannot be read."""
     files = []
     for path in networks_of(parameters):
         onnx = read_network(path).onnx

@@ -1,4 +1,4 @@
-"""What the output of a network says of a picture, and where this is on the road.
+"""Turns the output of a network into masks or lines of the picture, and brings them onto the road.
 
 A mask is looked at from above as a picture is. Lines, which come as points, are drawn from above
 into a mask, so that both are found by the same code afterwards.

@@ -49,7 +49,7 @@ _BESIDE_LINES_M = 0.3
 
 def looker(network: Network, camera: Camera) -> Callable[[Picture], Answer | None]:
     """Makes a function that takes the pictures of a drive in order and gives what the network sees;
-    None in frames that it is spared (`every`). Raises InputError as `load` does."""
+    None in frames that the network skips (`every`). Raises InputError as `load` does."""
     fit = fit_of(network, camera.width, camera.height)
     run = load(network, fit)
     count = 0
@@ -65,7 +65,7 @@ def looker(network: Network, camera: Camera) -> Callable[[Picture], Answer | Non
 def keep(camera: Camera, parameters: Parameters) -> Callable[[BirdsEye, Picture], BoolArray] | None:
     """Makes a function that takes the bird's-eye view of a frame and its picture, and gives where
     marking is kept, (R, C): on the road, or beside the lines, as the network of the parameter
-    `on_road` sees them. In frames that the network is spared, its last answer holds. None without a
+    `on_road` sees them. In frames that the network skips, its last answer holds. None without a
     network."""
     if parameters["on_road"] == NO_NETWORK:
         return None
@@ -98,7 +98,7 @@ def markings(
     camera: Camera, network: Network
 ) -> Callable[[BirdsEye, Picture], NDArray[np.uint8] | None]:
     """Makes a function that takes the bird's-eye view of a frame and its picture, and gives the
-    markings (R, C) that a network sees; None in frames that it is spared."""
+    markings (R, C) that a network sees; None in frames that it skips."""
     look = looker(network, camera)
 
     def marks(view: BirdsEye, picture: Picture) -> NDArray[np.uint8] | None:

@@ -1,7 +1,7 @@
 """What an ONNX file declares, read by the package onnx.
 
 OpenCV 5 does not compare a picture with the declared input: a network for grey pictures runs on
-coloured ones and gives nonsense. It also has no function that tells the inputs.
+coloured ones and gives nonsense. It also has no function that lists the inputs.
 """
 
 from __future__ import annotations
@@ -72,7 +72,7 @@ def _model(path: Path, where: str) -> ModelProto:
             " 'egolane-pgm[network]'"
         ) from None
     try:
-        # The format is told: by itself onnx takes a file that ends in .json or .txt for text.
+        # Without a format onnx would take a file that ends in .json or .txt for text.
         model = onnx.load(str(path), format="protobuf", load_external_data=False)
     except DecodeError:
         model = onnx.ModelProto()

@@ -83,8 +83,8 @@ def as_input(network: Network, fit: Fit, image: Image) -> NDArray[np.float32]:
 def load(network: Network, fit: Fit) -> Run:
     """Loads a network and tries it once.
 
-    Raises InputError for a file that is no ONNX or that OpenCV cannot run, and for a network that
-    takes or gives something else than its YAML says. `Run` raises it for an output that is not
+    Raises InputError for a file that is no ONNX or that OpenCV cannot run, and for a network whose
+    input or output differs from what its YAML says. `Run` raises it for an output that is not
     finite.
     """
     where, onnx = str(network.file), network.onnx
@@ -110,7 +110,7 @@ def load(network: Network, fit: Fit) -> Run:
 
 @contextmanager
 def _opencv_errors(message: str) -> Iterator[None]:
-    """Makes one line of what OpenCV raises."""
+    """Makes one line of an error of OpenCV's."""
     try:
         with silent():
             yield

@@ -103,9 +103,9 @@ def make_view(
 
 
 def turned_up(view: BirdsEye) -> Callable[[float], BirdsEye]:
-    """Makes a function that gives the same view for a camera whose pitch is larger by so many
-    degrees. The last views are kept, because a new one takes longer than a picture: ask for few
-    different pitches. It raises InputError as `make_view` does."""
+    """Makes a function of a number of degrees, which gives the same view for a camera pitched up by
+    that much more. The last views are kept, because a new one takes longer than a picture: ask for
+    few different pitches. It raises InputError as `make_view` does."""
     half_x, half_y = view.along_m / 2, view.across_m / 2
 
     @lru_cache(maxsize=_VIEWS)

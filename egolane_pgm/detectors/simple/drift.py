@@ -1,4 +1,4 @@
-"""Watches the calibration: how the camera is pitched now, from the lines that it sees.
+"""Watches the calibration: estimates the camera's pitch from the lines that it sees.
 
 A wrong pitch makes the lines of a road meet or spread in the bird's-eye view, and the line finder,
 which looks for parallel lines, finds fewer of them. So every now and then a picture is looked at
@@ -58,36 +58,36 @@ PARAMETERS = (
     ),
 )
 
-#: The differences from the calibrated pitch that are thought of, degrees.
+#: The differences from the calibrated pitch that the belief is about, degrees.
 _GRID = np.linspace(-3.0, 3.0, 121)
 
 #: Standard deviation of that difference before the first picture, degrees.
 _USUAL_DEG = 1.0
 
-#: The logarithm of how likely each is before the first picture.
+#: The logarithm of their probabilities before the first picture, up to a constant.
 _PRIOR = -0.5 * (_GRID / _USUAL_DEG) ** 2
 
-#: How far apart the three pitches of a look are, and the steps that they are rounded to, degrees.
+#: The distance between the three pitches of a look, and the step that they are rounded to, degrees.
 _APART_DEG, _STEP_DEG = 0.75, 0.25
 
-#: The share of what was learned that is left after one more look.
+#: The share of the earlier evidence that is kept at one more look.
 _KEPT = 0.9
 
-#: What the car and the rise of the road add to the pitch, degrees, and for about how many frames.
+#: How much the car and the rise of the road sway the pitch, degrees, and over how many frames.
 _SWAY_DEG, _SWAY_FRAMES = 0.25, 100
 
-#: How much more likely a pitch is that shows one more line in full: its logarithm.
+#: The log-likelihood that a pitch gains with one more line in full.
 _PER_LINE = 2.0
 
-#: Standard deviation of the pitch that the lines' squeeze tells, degrees, and the number of them
-#: from which on it may as well be any other: the lines were not lines.
+#: Standard deviation of the pitch that follows from the lines' squeeze, degrees. A pitch farther
+#: away than this number of them counts no less: what looked like lines was something else.
 _SQUEEZE_DEG, _MOST_SDS = 0.5, 2.0
 
-#: The least distance, metres, of the outer lines for the squeeze to be told from them.
+#: The least distance of the outer lines, metres, from which a squeeze follows.
 _LEAST_SPREAD_M = 2.0
 
-#: Each of the first pictures is looked at. The frames between two looks then become more by this
-#: factor with each look: to warn there is more time than to correct.
+#: Number of first pictures that are all looked at, and the factor by which each later look makes
+#: the wait for the next one longer: a warning may take more time than a correction.
 _FIRST, _SLOWER = 10, {"correct": 1.1, "warn": 1.5}
 
 #: The fewest looks before anything is said of the camera.
@@ -103,13 +103,13 @@ _ONE_LANE = (0.6, 1.5)
 #: How many of the last such distances are kept, and how many are needed to speak of the height.
 _GAPS, _LEAST_GAPS = 100, 20
 
-#: The share by which the height must be off, beside two standard deviations, to be warned of.
+#: A warning comes if the height is off by more than this share plus two standard deviations.
 _GROSS = 0.15
 
 
 @dataclass(frozen=True)
 class Drift:
-    """What is believed of a camera after some looks.
+    """The belief about a camera's pose after some looks.
 
     - weight: (G,) probability of each of the differences from the calibrated pitch
     - frames: how many pictures the drive has had so far
@@ -129,13 +129,13 @@ class Drift:
 
     @property
     def pitch_sd_deg(self) -> float:
-        """Its standard deviation: that of the belief, and what the pitch sways by."""
+        """Its standard deviation, degrees: that of the belief and that of the sway together."""
         variance = float(self.weight @ (_GRID - self.pitch_deg) ** 2)
         return math.sqrt(variance + _SWAY_DEG**2 / (1 + self.frames / _SWAY_FRAMES))
 
 
 def no_drift() -> Drift:
-    """What is believed before the first look: that the calibration is roughly right."""
+    """The belief before the first look: the calibration is roughly right."""
     return Drift(_normalised(_PRIOR), 0, 0, np.zeros(0))
 
 
@@ -149,8 +149,8 @@ def looked(drift: Drift, away: FloatArray, amount: FloatArray, parallel_deg: flo
     """The belief after one more look.
 
     - away: (3,) the pitches that were tried, as differences from the calibrated one, ascending
-    - amount: (3,) how much line each shows, in lines seen in full
-    - parallel_deg: the pitch at which the lines are parallel; NaN where they do not say it
+    - amount: (3,) the length of line that each shows, in lines seen in full
+    - parallel_deg: the pitch at which the lines are parallel; NaN where it is unknown
     """
     log_weight = _KEPT * np.log(np.maximum(drift.weight, 1e-12)) + (1 - _KEPT) * _PRIOR
     parabola = np.polyfit(away, amount, 2)
@@ -163,7 +163,7 @@ def looked(drift: Drift, away: FloatArray, amount: FloatArray, parallel_deg: flo
 
 def parallel_at(view: BirdsEye, found: Found) -> float:
     """By how much the view's pitch would have to be larger for the lines to be parallel, degrees;
-    NaN where there are no two lines to tell it from."""
+    NaN where there are no two lines."""
     offset, heading = found.shape[:, 0], found.shape[:, 1]
     if len(offset) < 2 or np.ptp(offset) < _LEAST_SPREAD_M:
         return float("nan")
@@ -180,8 +180,8 @@ def with_gaps(drift: Drift, found: Found, parameters: Parameters) -> Drift:
 
 
 def height(camera: Camera, drift: Drift, parameters: Parameters) -> tuple[float, float]:
-    """The camera's height that the usual lane width tells, and its standard deviation, metres; NaN
-    before enough lanes were seen.
+    """The camera's height that follows from the usual lane width, and its standard deviation,
+    metres; NaN before enough lanes were seen.
 
     Seen from a camera at a wrong height, everything on the road is larger by the same factor. The
     lanes of a road vary by `lane_width_sd` about `lane_width_m`, and no number of pictures of one
@@ -198,7 +198,7 @@ def height(camera: Camera, drift: Drift, parameters: Parameters) -> tuple[float,
 
 def watch(view: BirdsEye, parameters: Parameters) -> Callable[[Picture], Drift]:
     """Makes a function to call with each picture of a drive. It looks at some of the pictures,
-    gives what is believed of the camera, and warns once of a drift and once of a height that is
+    gives the belief about the camera, and warns once of a drift and once of a height that is
     grossly wrong.
 
     view: the bird's-eye view of the calibrated camera.
@@ -244,20 +244,20 @@ def watch(view: BirdsEye, parameters: Parameters) -> Callable[[Picture], Drift]:
 
 
 def _gap(n_looks: int, parameters: Parameters) -> float:
-    """How many frames may pass before the next look."""
+    """The number of frames before the next look."""
     if n_looks < _FIRST:
         return 1.0
     return _SLOWER[str(parameters["camera_drift"])] ** min(n_looks - _FIRST, 200)
 
 
 def correction_deg(drift: Drift) -> float:
-    """By how much the pitch is to be corrected, degrees, in steps, because a new view of the road
-    takes longer than a picture."""
+    """The correction of the pitch, degrees, in steps, because a new view of the road takes longer
+    than a picture."""
     return round(drift.pitch_deg / _CORRECTION_DEG) * _CORRECTION_DEG
 
 
 def _complaints(camera: Camera, drift: Drift, parameters: Parameters) -> dict[str, str]:
-    """What is wrong with a camera: of `pitch` and `height`, those that are."""
+    """The warnings about a camera: under `pitch` and `height`, for each that is wrong."""
     if drift.looks < _LEAST_LOOKS:
         return {}
     name = camera.name or "the camera"

@@ -137,8 +137,8 @@ def follower(
 
 
 def _turned(tracks: Tracks, more_deg: float, camera: Camera) -> Tracks:
-    """The tracks as seen by a camera that is known to be pitched up by so much more: lines beside
-    the car turn outwards (the squeeze of `fit`)."""
+    """The tracks as seen by a camera that is pitched up by `more_deg`: lines beside the car turn
+    outwards (the squeeze of `fit`)."""
     if not more_deg:
         return tracks
     mean = tracks.mean.copy()

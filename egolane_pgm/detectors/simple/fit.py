@@ -62,8 +62,8 @@ _BIN_M = 0.05
 #: For each round of least squares, how near a run must be to a line to count, in `reach_m`.
 _REFINE = (2.5, 2.0, 1.5)
 
-#: Standard deviation, from its line, of a run one metre wide. It is larger than the scatter of
-#: runs, because neighbouring runs are far from independent.
+#: Standard deviation of the distance of a run, one metre wide, from its line. It is larger than the
+#: scatter of runs, because neighbouring runs are far from independent.
 _RUN_SD_M = 0.02
 
 #: Weight of an offset's previous value (1/m^2), which keeps the equations solvable for a line
@@ -73,7 +73,7 @@ _WEAK = 1e-3
 #: The visible length that coverage is at least divided by, metres: a shorter view says too little.
 _LEAST_VISIBLE_M = 5.0
 
-#: The most of a neighbour's own score that counts as support.
+#: The largest share of a neighbour's own score that counts as support.
 _MOST_SUPPORT = 0.5
 
 
@@ -328,7 +328,7 @@ def _support(own: FloatArray, parameters: Parameters) -> FloatArray:
 
 
 def _visible(view: BirdsEye, shape: FloatArray) -> FloatArray:
-    """How much of each line (M, 4) the view shows, (M,), metres, from every fourth row."""
+    """The length of each line (M, 4) in the view, (M,), metres, from every fourth row."""
     shown = rows_shown(view.x_m, view.y_m[0], view.across_m, view.valid, shape, 4)
     visible: FloatArray = shown * 4 * view.along_m
     return visible

@@ -23,7 +23,7 @@ PARAMETERS = (
         "frozen_after",
         "integer",
         3,
-        "but after so many repeated pictures running the camera is frozen: nothing is detected",
+        "but after this many repeated pictures in a row the camera is frozen: nothing is detected",
         lowest=1,
     ),
 )

@@ -305,7 +305,7 @@ def rows_in_view(
     - left_m, across_m: place of the first column and size of the columns, metres
     - valid: (R, C) what the picture shows
     - line: (4,) the line, as in FrameLines
-    - aside: so many columns on either side must be in the picture as well
+    - aside: number of columns on either side that must be in the picture too
     - length_m: length of these first metres
     """
     n_rows, n_columns = valid.shape
@@ -344,10 +344,10 @@ def paint_contrasts(
     - image: (H, W, 3) the brightest of the three counts
     - map_uv: (R, C, 2) pixel of the picture that each pixel of the view shows
     - rows, columns: (N,) where the line is in the view
-    - aside: so many columns on either side are looked at
+    - aside: number of columns examined on either side
     - half: strips of up to 2 half + 1 columns are paint (a top-hat)
-    - near: so many columns from the line paint is its own
-    - far: and from so many on (at most aside), it is beside the line
+    - near: paint up to this many columns from the line belongs to the line
+    - far: paint from this many columns on (at most aside) is beside the line
     - dark: added to the local brightness
     """
     n_across = 2 * aside + 1
@@ -389,9 +389,9 @@ def full_disparity(
     scale: int,
     edge_px: int,
 ) -> FloatArray:
-    """The disparities (H, W) of the full pictures from what a matcher found in the small ones; NaN
-    where that is none of its values, or where the right picture does not show the point. For
-    pixels and the other arguments see `stereo.Pair`."""
+    """The disparities (H, W) of the full pictures from a matcher's disparities of the small ones;
+    NaN where the matcher found none, or where the right picture does not show the point. For pixels
+    and the other arguments see `stereo.Pair`."""
     out = np.empty(found.shape)
     for i in range(found.shape[0]):
         for j in range(found.shape[1]):

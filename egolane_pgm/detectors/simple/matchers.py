@@ -7,7 +7,7 @@ has been moved by the disparities of the calibrated road. A flat road therefore 
 disparity everywhere, and objects on it have a larger one.
 
 ELAS (Geiger, Roser and Urtasun 2010) is in the package pyelas (GPL), which has to be compiled. Its
-build does not say where NumPy's headers are, so the compiler is told:
+build does not say where NumPy's headers are, so a variable names their folder:
 
     CPLUS_INCLUDE_PATH=$(python -c "import numpy; print(numpy.get_include())") pip install pyelas
 

@@ -87,7 +87,7 @@ def painted_share(
 
 
 def _quantile(values: FloatArray, share: float) -> float:
-    """As np.quantile, which takes many times as long for so few values."""
+    """As np.quantile, which is many times slower for such short arrays."""
     ordered = np.sort(values)
     at = share * (len(ordered) - 1)
     below = ordered[int(at)]

@@ -203,7 +203,7 @@ TRACKING = (
         "die_after",
         "integer",
         10,
-        "a line that was valid once is dropped after so many frames in a row without detection",
+        "a line that was valid once is dropped after this many frames in a row without detection",
         lowest=1,
     ),
     Parameter("new_die_after", "integer", 3, "the same for a line that was never valid", lowest=1),

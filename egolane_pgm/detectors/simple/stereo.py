@@ -111,7 +111,7 @@ _SWAP_TRIALS = 5
 class Pair:
     """How the pairs of pictures of one camera are matched: as H x W pixels.
 
-    - scale, rows: a small pixel is so many columns wide and so many rows high
+    - scale, rows: width of a small pixel, columns, and its height, rows
     - top: first row of the full picture that is used
     - road: (3,) the calibrated plane
     - flat: (H, W) its disparities
@@ -119,7 +119,7 @@ class Pair:
     - looked: (H, W) whether a pixel shows road, and the right picture shows it as well
     - points: (N,) flat indices of the small pixels that the plane is fitted to
     - below_px: how far below the road's disparity the search goes, small pixels
-    - n_disparities: how many disparities are searched
+    - n_disparities: number of disparities that are searched
     - edge_px: how far inside the right picture a match must be, pixels of the full picture
     - warp: (2, 3) affine map that moves the rows of the right picture by the plane
     """

@@ -15,21 +15,20 @@ import numpy as np
 from egolane_pgm.camera.picture import Image
 from egolane_pgm.parameters import Parameters, number
 
-#: Every so manyth row is looked at.
+#: The distance of the rows that are looked at.
 _ROW_STEP = 8
 
-#: The parts of the lower half that are looked at one by one: so many from top to bottom and from
-#: left to right.
+#: Number of parts, from top to bottom and from left to right, into which the lower half is cut.
 _PARTS = (6, 20)
 
-#: A pixel is of a streak if it is brighter than its surroundings by this share and so many grey
-#: levels, the noise of a camera.
+#: A pixel of a streak is brighter than its surroundings by more than this share plus this number of
+#: grey levels, the noise of a camera.
 _BRIGHTER, _NOISE = 0.1, 4.0
 
-#: Three parts out of four are at least so much covered.
+#: The quantile of the parts' covers that is compared: three out of four are covered at least so.
 _QUARTILE = 0.25
 
-#: A picture is full of streaks from this cover on, and nothing but noise from that one on.
+#: The cover from which on a picture is full of streaks, and from which on it is nothing but noise.
 RAIN, NOISE = 0.01, 0.4
 
 

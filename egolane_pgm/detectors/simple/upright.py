@@ -24,12 +24,12 @@ from egolane_pgm.types import BoolArray
 #: Distance of neighbouring rays, metres to the side per metre ahead, and the largest.
 _RAY_STEP, _RAY_MOST = 0.005, 1.0
 
-#: Each sample of a ray is by this share farther away than the one before: a picture resolves the
-#: distance in such steps.
+#: Each sample of a ray is farther away than the one before by this share, as a picture resolves
+#: distances.
 _FARTHER = 0.02
 
-#: A foot: so many samples of dark, seen under a bumper a fifth of the camera's height above the
-#: road; before them, some in between (the shadow's edge), and then samples of road.
+#: The samples of a foot: dark ones (seen under a bumper a fifth of the camera's height above the
+#: road), before them the shadow's edge, and before that the road.
 _DARK, _EDGE, _ROAD = 5, 2, 8
 
 #: The narrowest and the widest foot, metres: a motorcycle is narrower, a lorry with the shadow

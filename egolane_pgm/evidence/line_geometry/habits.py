@@ -1,5 +1,5 @@
-"""Estimates from a recording what a detector's flags and LRI mean, as not every detector uses them
-as the paper's detectors do.
+"""Estimates from a recording what a detector's flags and LRI mean (its habits), because not every
+detector uses them as the paper's detectors do.
 
 In the paper the LRI counts detections in the last ten frames. Here the `FULL_SHARE` quantile of the
 valid lines' LRI is taken for that of a well tracked line, and scaled to 10. An LRI that is the same
@@ -47,7 +47,7 @@ Columns = tuple[FloatArray, BoolArray, BoolArray, FloatArray]
 
 
 @dataclass(frozen=True)
-class Tally:
+class LineCounts:
     """Counts over the lines of some frames.
 
     - placed: lines with an offset
@@ -82,19 +82,15 @@ class Habits:
     notes: tuple[str, ...] = ()
 
 
-def is_placed(log: LineLog) -> BoolArray:
-    """Whether there is a line whose offset is no placeholder, (T, L)."""
-    return _is_placed(log.offset_m)
-
-
-def _is_placed(offset_m: FloatArray) -> BoolArray:
+def is_placed(offset_m: FloatArray) -> BoolArray:
+    """Whether there is a line whose offset is no placeholder, of the shape of the offsets."""
     with np.errstate(invalid="ignore"):
         return np.asarray(np.isfinite(offset_m) & (np.abs(offset_m) > PLACEHOLDER_M))
 
 
 def columns(log: LineLog) -> Columns:
-    """What is counted of a log, (N,) each: offsets, whether valid, whether continuous, and LRI.
-    These are copies: a caller may use its arrays again for the next frame."""
+    """The lines of a log, (N,) each: offsets, whether valid, whether continuous, and LRI. These are
+    copies: a caller may use its arrays again for the next frame."""
     return (
         log.offset_m.flatten(),
         log.is_valid.flatten(),
@@ -103,20 +99,15 @@ def columns(log: LineLog) -> Columns:
     )
 
 
-def tally(log: LineLog) -> Tally:
-    """Counts the lines of a log."""
-    return tally_columns([columns(log)])
-
-
-def tally_columns(logs: Sequence[Columns]) -> Tally:
+def count_lines(logs: Sequence[Columns]) -> LineCounts:
     """Counts the lines of one or several logs."""
     offset_m, is_valid, is_continuous, lri = (
         np.concatenate([log[k] for log in logs]) for k in range(4)
     )
-    placed = _is_placed(offset_m)
+    placed = is_placed(offset_m)
     valid, continuous = placed & is_valid, placed & is_continuous
     known = np.isfinite(lri)
-    return Tally(
+    return LineCounts(
         int(placed.sum()),
         int(valid.sum()),
         int(continuous.sum()),
@@ -127,19 +118,19 @@ def tally_columns(logs: Sequence[Columns]) -> Tally:
     )
 
 
-def total(tallies: Sequence[Tally]) -> Tally:
-    """Adds tallies; the LRI and offsets are those of the first `ENOUGH_LINES` lines."""
+def added(counts: Sequence[LineCounts]) -> LineCounts:
+    """Adds counts; the LRI and offsets are those of the first `ENOUGH_LINES` lines."""
     remembered = [
-        np.concatenate([getattr(t, name) for t in tallies])[:ENOUGH_LINES]
+        np.concatenate([getattr(t, name) for t in counts])[:ENOUGH_LINES]
         for name in ("lri_valid", "lri_other", "offset_m")
     ]
     placed, valid, continuous, both = (
-        sum(getattr(t, name) for t in tallies) for name in ("placed", "valid", "continuous", "both")
+        sum(getattr(t, name) for t in counts) for name in ("placed", "valid", "continuous", "both")
     )
-    return Tally(placed, valid, continuous, both, *remembered)
+    return LineCounts(placed, valid, continuous, both, *remembered)
 
 
-def habits(seen: Tally, source: str) -> Habits:
+def habits_of(seen: LineCounts, source: str) -> Habits:
     """Estimates the habits of the detector that reported these lines. source: for the notes."""
     notes = []
     says_valid = seen.valid >= LEAST_VALID * seen.placed
@@ -150,8 +141,8 @@ def habits(seen: Tally, source: str) -> Habits:
         )
     flagged = seen.both if says_valid else seen.continuous
     among = seen.valid if says_valid else seen.placed
-    is_told = LEAST_CONTINUOUS * among <= flagged <= MOST_CONTINUOUS * among
-    says_continuous = is_told or not flagged
+    is_used = LEAST_CONTINUOUS * among <= flagged <= MOST_CONTINUOUS * among
+    says_continuous = is_used or not flagged
     if not says_continuous:
         notes.append(
             f"{source}: {flagged} of {among} lines are continuous; the flag is taken to say nothing"
@@ -181,7 +172,7 @@ def _full(lri: FloatArray, every: FloatArray) -> float:
     return full if full > 0 else math.nan
 
 
-def as_usual(log: LineLog, detector: Habits) -> LineLog:
+def translated(log: LineLog, detector: Habits) -> LineLog:
     """The log as the paper's detectors would have written it: an LRI of 0 to 10 or unknown, and
     flags that are used."""
     changes: dict[str, Any] = {}
@@ -191,19 +182,19 @@ def as_usual(log: LineLog, detector: Habits) -> LineLog:
         # After rounding, six tenths of a scale are exactly 6.
         changes["lri"] = np.round(log.lri * (FULL_LRI / detector.full_lri), 9)
     if not detector.says_valid:
-        changes["is_valid"] = is_placed(log)
+        changes["is_valid"] = is_placed(log.offset_m)
     if not detector.says_continuous and log.is_continuous.any():
         changes["is_continuous"] = np.zeros(log.is_continuous.shape, dtype=bool)
     return replace(log, **changes) if changes else log
 
 
-def usual(log: LineLog, *, say: bool = True) -> tuple[LineLog, Habits]:
+def translated_recording(log: LineLog, *, say: bool = True) -> tuple[LineLog, Habits]:
     """A whole recording as the paper's detectors would have written it, with the habits found.
 
-    say: whether warnings tell what is unusual.
+    say: whether warnings report what is unusual.
     """
-    detector = habits(tally(log), log.source)
+    detector = habits_of(count_lines([columns(log)]), log.source)
     if say:
         for note in detector.notes:
             warnings.warn(note, UserWarning, stacklevel=2)
-    return as_usual(log, detector), detector
+    return translated(log, detector), detector

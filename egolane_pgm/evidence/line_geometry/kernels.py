@@ -84,8 +84,8 @@ def follow_width(
             moved[j] = steady[j] + moves * (steady[j - 1] - 2 * steady[j] + steady[j + 1])
         for j in range(n_widths):
             steady[j] = moved[j] + another * (prior[j] - moved[j])
-        # A width by which no two neighbouring lanes are ever seen at once is none. The factor is
-        # so small because other widths may have sunk to `another`.
+        # A width by which no two neighbouring lanes are ever seen at once is impossible. The factor
+        # is so small because other widths may have sunk to `another`.
         total = 0.0
         for j in range(n_widths):
             if counts[1] >= enough_pairs and pairs[j] < least_pairs * counts[1]:
@@ -205,9 +205,9 @@ def follow_lines(
 
     - kind: (T, L) the line's class, -1 where there is none; becomes -1 where a line is too far away
     - repeats_are_held: whether a line that repeats its offset is held whatever its LRI
-    - farthest_m: (T,) lines as far as that do not count
+    - farthest_m: (T,) lines at this distance or farther do not count
     - reach_m: (T,) largest distance between matched lines
-    - last_...: (K,) the same of the frame before the first
+    - last_...: (K,) the lines of the frame before the first
     - last_frame: (2,) its frame id, and 1, or 0 if it fills a gap, or -1 if there is none
     """
     n_frames, n_lines = offset_m.shape
@@ -283,7 +283,7 @@ def coast(
 
     - displacement: (T,) since the frame before, NaN where it is unknown
     - steps: (T,) frames since the frame before
-    - farthest: a larger displacement is none
+    - farthest: a larger displacement counts as unknown
     - kept: the share of the velocity that is left after a frame without displacement
     - velocity: its first value is that before the first frame
     """
@@ -435,7 +435,7 @@ def _mix(weight: FloatArray, log_value: FloatArray, n: int) -> None:
         log_value[0, u] = largest + math.log(total)
 
 
-#: Beyond so many standard deviations a normal is nothing.
+#: Beyond this many standard deviations a normal density counts as 0.
 _FAR = 12.0
 
 

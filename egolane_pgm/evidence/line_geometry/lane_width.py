@@ -51,9 +51,10 @@ OFF_LATTICE = (0.05, 0.3, 0.6, 0.9)
 #: frames say little more than a single one.
 ALIKE = 20
 
-#: Two neighbouring lanes are seen at once if at least this share of the gaps between every other
-#: line is two lanes, within so many lane widths. This is checked only with enough gaps for about
-#: three independent ones, since a detector may report two lines only.
+#: Two neighbouring lanes are seen at once if at least this share (the first) of the gaps between
+#: every other line is two lanes, to within this many lane widths (the second). This is checked only
+#: with enough gaps (the third) for about three independent ones, since a detector may report two
+#: lines only.
 LEAST_PAIRS, PAIR_WITHIN = 0.03, 0.15
 ENOUGH_PAIRS = 3 * ALIKE / LEAST_PAIRS
 
@@ -80,7 +81,6 @@ class LaneWidth:
     - width_m: the answer; the fallback if it is not sure
     - found_m: the best candidate; NaN without gaps
     - gaps: number of gaps
-    - on_lattice: share of gaps within two sigma of a whole number of found widths
     - odds: log odds (natural) of the best candidate against the better one of the runner-up and no
       lattice
     - message: all of this in one line
@@ -90,7 +90,6 @@ class LaneWidth:
     is_sure: bool
     found_m: float
     gaps: int
-    on_lattice: float
     odds: float
     message: str
 
@@ -154,7 +153,7 @@ def width_of_gaps(counts: FloatArray, fallback_m: float, source: str) -> LaneWid
 
 
 def _gaps(offsets: FloatArray, apart: int) -> FloatArray:
-    """The gaps between sorted lines so many places apart, (T, L - apart); 0 where there is none."""
+    """The gaps between sorted lines `apart` places apart, (T, L - apart); 0 where there is none."""
     is_there = np.isfinite(offsets[:, apart:])
     return np.subtract(
         offsets[:, apart:], offsets[:, :-apart], out=np.zeros(is_there.shape), where=is_there
@@ -178,8 +177,9 @@ def _answer(
     """
     n_gaps = int(counts.sum())
     if not n_gaps:
-        message = f"{source}: no two lines in one frame to tell the lane width from"
-        return _unsure(fallback_m, math.nan, n_gaps, 0.0, 0.0, message)
+        message = f"{source}: no two lines in one frame, so the lane width is unknown"
+        message += f"; {fallback_m:g} m is assumed"
+        return LaneWidth(fallback_m, False, math.nan, n_gaps, 0.0, message)
     log_width = math.log(_SMALLEST) + _STEP * (first + np.arange(_N_CANDIDATES) + 0.5)
     away = (log_width - math.log(fallback_m)) / EXPECTED_WITHIN
     # Excluded candidates come after all others, in their order.
@@ -195,19 +195,10 @@ def _answer(
         f"{width:.{2 if width < 20 else 0}f} m from {n_gaps} gaps between lines,"
         f" {100 * share:.0f} % of them on the lattice"
     )
-    is_known = odds >= LEAST_ODDS and may_be[best] and 0 < best < _N_CANDIDATES - 1
-    if not is_known:
-        return _unsure(
-            fallback_m, width, n_gaps, share, odds, f"{source}: lane width unsure ({found})"
-        )
-    return LaneWidth(width, True, width, n_gaps, share, odds, f"{source}: lane width {found}")
-
-
-def _unsure(
-    fallback_m: float, found_m: float, gaps: int, share: float, odds: float, message: str
-) -> LaneWidth:
-    message += f"; {fallback_m:g} m is assumed"
-    return LaneWidth(fallback_m, False, found_m, gaps, share, odds, message)
+    if odds >= LEAST_ODDS and may_be[best] and 0 < best < _N_CANDIDATES - 1:
+        return LaneWidth(width, True, width, n_gaps, odds, f"{source}: lane width {found}")
+    message = f"{source}: lane width unsure ({found}); {fallback_m:g} m is assumed"
+    return LaneWidth(fallback_m, False, width, n_gaps, odds, message)
 
 
 @lru_cache(maxsize=1)

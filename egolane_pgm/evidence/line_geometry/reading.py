@@ -44,11 +44,11 @@ ANOTHER_SCALE, SURE_OF_HALF = 0.1, 20.0
 #: ten frames per second.
 FRAME_S = 0.1
 
-#: The velocity of the lines is their mean displacement over about so many frames.
+#: The number of frames, about, over which the mean displacement of the lines is their velocity.
 INERTIA = 10.0
 
-#: With `lane_width_m: causal`, the detector's habits are estimated anew, from all frames so far,
-#: after every so many frames.
+#: With `lane_width_m: causal`, the number of frames after which the detector's conventions are
+#: estimated anew, from all frames so far.
 UPDATE_EVERY = 200
 
 
@@ -69,7 +69,7 @@ class SeenLines:
 
     @property
     def lines(self) -> IntArray:
-        """How many lines of each frame count, and how many of them are doubles, (T, 2)."""
+        """The numbers of lines in each frame that count, and of doubles among them, (T, 2)."""
         lines = np.empty((len(self.kind), 2), dtype=np.int64)
         np.sum(self.kind >= 0, axis=1, out=lines[:, 0])
         np.sum(self.is_double, axis=1, out=lines[:, 1])
@@ -109,7 +109,7 @@ def recording_width(log: LineLog, parameters: Parameters) -> float:
 def warn_of_offsets(log: LineLog, width_m: float, reach_m: float) -> None:
     """Warns if most lines are out of reach, or if the vehicle seems to be off the middle of its
     lane all the time."""
-    placed = is_placed(log)
+    placed = is_placed(log.offset_m)
     n_placed, n_far = int(placed.sum()), int((np.abs(log.offset_m[placed]) >= reach_m).sum())
     if 2 * n_far > n_placed:
         warnings.warn(
@@ -129,8 +129,8 @@ def warn_of_offsets(log: LineLog, width_m: float, reach_m: float) -> None:
         warnings.warn(
             f"{log.source}: the lines lie {abs(off) * width_m:.1f} m"
             f" {'right' if off > 0 else 'left'} of where a vehicle in the middle of its lane has"
-            " them, on average: is offset 0 the vehicle's middle? Lane changes are told early or"
-            " late otherwise",
+            " them, on average: is offset 0 the vehicle's middle? Otherwise lane changes are"
+            " reported early or late",
             UserWarning,
             stacklevel=2,
         )
@@ -152,7 +152,7 @@ def as_metres(width_m: float, parameters: Parameters) -> float:
 
 
 class LastFrame(NamedTuple):
-    """What is kept of a frame to read the next one.
+    """The lines of a frame, kept to read the next one.
 
     - offset_m, kind, lri, is_held: (L,) its lines
     - frame: (2,) its frame id, and 1, or 0 if it fills a gap, or -1 if there was none
@@ -187,7 +187,7 @@ def read_lines(
     repeats_are_held: bool = False,
     last: LastFrame = NO_FRAME,
 ) -> tuple[SeenLines, LastFrame]:
-    """Finds which lines count and how they moved; also gives what the next frame needs.
+    """Finds which lines count and how they moved; also gives the `Last` lines for the next frame.
 
     - kind: (T, L) the class of each line, which becomes -1 where a line is out of reach
     - widths: (T,) lane width before each frame

@@ -44,13 +44,13 @@ from egolane_pgm.evidence.line_geometry.habits import (
     FULL_LRI,
     Columns,
     Habits,
-    Tally,
-    as_usual,
+    LineCounts,
+    added,
     columns,
-    habits,
-    tally_columns,
-    total,
-    usual,
+    count_lines,
+    habits_of,
+    translated,
+    translated_recording,
 )
 from egolane_pgm.evidence.line_geometry.model import (
     FITTED,
@@ -110,7 +110,7 @@ def evidence(log: LineLog, n_lanes: int, parameters: Parameters) -> Evidence:
     Warnings say which lane width was found, and what is unusual about the lines.
     """
     recorded = log
-    log, detector = usual(log)
+    log, detector = translated_recording(log)
     width = recording_width(log, parameters)
     warn_of_offsets(log, width, width * REACH_M / LANE_M)
     widths = np.full((len(log), 1), width)
@@ -143,7 +143,7 @@ def online(n_lanes: int, parameters: Parameters) -> Callable[[LineLog], Evidence
     given = parameters["lane_width_m"]
     width = new_belief(number(parameters, "fallback_width_m"))
     detector = Habits(FULL_LRI, says_valid=True, says_continuous=True)
-    seen_before: list[Tally] = []
+    seen_before: list[LineCounts] = []
     recent: list[Columns] = []
     has_flags = False
     n_frames, last, last_s = 0, NO_FRAME, -math.inf
@@ -153,12 +153,12 @@ def online(n_lanes: int, parameters: Parameters) -> Callable[[LineLog], Evidence
         """The evidence of frames that are all read in the same way."""
         nonlocal detector, has_flags, n_frames, last, last_s, lines
         if n_frames and n_frames % UPDATE_EVERY == 0:
-            seen_before[:] = [total([*seen_before, tally_columns(recent)])]
+            seen_before[:] = [added([*seen_before, count_lines(recent)])]
             recent.clear()
-            detector = habits(seen_before[0], recorded.source)
+            detector = habits_of(seen_before[0], recorded.source)
             has_flags &= detector.says_continuous
         recent.append(columns(recorded))
-        log = as_usual(recorded, detector)
+        log = translated(recorded, detector)
         has_flags |= bool(log.is_continuous.any())
         n_frames += len(log)
         kind, is_strong = line_classes(log)
@@ -260,7 +260,7 @@ def fit_pooled(
     offsets, kinds, lanes = [], [], []
     first_width = 0.0
     for recorded, lane, is_used in parts:
-        log, detector = usual(recorded, say=False)
+        log, detector = translated_recording(recorded, say=False)
         width = one_width(log, parameters)
         first_width = first_width or as_metres(width, parameters)
         kind, _ = line_classes(log)

@@ -1,10 +1,10 @@
 """The lane width in the detector's unit, from the frames so far, as a distribution.
 
 A detector of the picture may have any lateral scale, and one that wanders: its lane width is a
-nuisance that is filtered beside the lane. Two filters over a logarithmic grid of widths read the
-gaps between neighbouring strong lines, which are whole numbers of lanes (`lane_width`): for the
+nuisance that is filtered together with the lane. Two filters over a logarithmic grid of widths read
+the gaps between neighbouring strong lines, which are whole numbers of lanes (`lane_width`): for the
 first the width hardly ever changes, for the second it wanders around that of the first. Each
-predicts the next frame's gaps, and so the share of belief that each has follows by Bayes' rule.
+predicts the next frame's gaps, and so the probability of each follows by Bayes' rule.
 
 Neighbouring frames show the same lines, so a gap counts as a fraction of one. A new scale needs
 minutes to be believed, as do stretches in which every other line is missing.
@@ -42,15 +42,15 @@ N_QUANTILES = 7
 #: The share of gaps that are no whole number of lanes.
 OFF_LATTICE = 0.6
 
-#: How many gaps count as one for the width that wanders. It has to follow quickly.
+#: The number of gaps that count as one for the width that wanders. It has to follow quickly.
 ALIKE_WANDERING = 10.0
 
-#: How much of the belief in a width moves to either neighbour in a frame, if the scale is steady
-#: and if it wanders.
+#: The share of the belief in a width that moves to either neighbour in a frame, if the scale is
+#: steady and if it wanders.
 STEADY_MOVES, WANDERING_MOVES = 0.0005, 0.025
 
-#: Probability that the scale of a detector is another one from this frame on. It is as small as
-#: that so that no stretch of misleading gaps, however long, is taken for it in less than a minute.
+#: Probability that the scale of a detector is another one from this frame on. It is so small that
+#: misleading gaps are taken for a new scale only if they last for a minute or longer.
 ANOTHER_SCALE = 1e-40
 
 #: A scale that wanders begins anew with this probability in each frame, around the steady one with
@@ -63,7 +63,7 @@ MAY_WANDER, CHANGES = 0.05, 1e-4
 #: How much of the count of neighbouring lanes that are seen at once is kept from frame to frame.
 KEPT_PAIRS = 0.9998
 
-#: What `kernels.follow_width` needs to know beside arrays.
+#: The numbers that `kernels.follow_width` takes in addition to arrays.
 RATES = np.array(
     [
         STEADY_MOVES,
@@ -81,11 +81,11 @@ RATES = np.array(
 
 @dataclass(frozen=True)
 class WidthBelief:
-    """What is believed of the lane width; the arrays change with every frame.
+    """The belief over the lane width; the arrays change with every frame.
 
     - steady, wandering: (_N_WIDTHS,) probabilities of the widths, if the scale is steady and if it
       wanders
-    - pairs: (_N_WIDTHS,) how many gaps between every other line were two lanes of that width
+    - pairs: (_N_WIDTHS,) number of gaps between every other line that were two lanes of that width
     - counts: (2,) probability that the scale wanders, and number of gaps between every other line
     - prior: (_N_WIDTHS,) the belief before the first frame
     """
@@ -99,7 +99,7 @@ class WidthBelief:
 
 @dataclass(frozen=True)
 class _GapTables:
-    """What a gap says of a width, by their logarithmic distance in steps.
+    """The likelihood of a gap given a width, by their logarithmic distance in steps.
 
     - log_likelihood: (D,) relative to a gap anywhere
     - is_two_lanes: (D,) 1 where the gap is two lanes

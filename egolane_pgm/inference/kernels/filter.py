@@ -15,8 +15,7 @@ import numpy as np
 from egolane_pgm.tools.jit import kernel
 from egolane_pgm.types import BoolArray, FloatArray, IntArray
 
-#: A frame's likelihood that is not between these is taken for zero: one over it is no number of all
-#: digits.
+#: A frame's likelihood outside of these limits counts as zero: its reciprocal would lose digits.
 LEAST, MOST = 2.0**-1022, 2.0**1022
 
 
@@ -84,8 +83,8 @@ def forward_kernel(columns: tuple[tuple[int, ...], ...] = ()) -> Any:
         predicted, share = work[n * n + n : n * n + 2 * n], work[n * n + 2 * n :]
         for s in range(n):
             carried[s] = joint[s]
-        # What is carried, times this, is the belief. It is multiplied in after the next prediction,
-        # which so does not wait for the division.
+        # The carried vector, times this, is the belief. It is multiplied in after the next
+        # prediction, which then does not wait for the division.
         scale = 1.0
         held = -1
         for t in range(begins.shape[0]):

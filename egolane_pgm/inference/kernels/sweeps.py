@@ -38,14 +38,14 @@ def _look_back(
 ) -> None:
     """One frame back. filtered (S,): the belief after it. transition (S, S): out of it.
 
-    ahead (S,): how probable what follows the later frame is given each state of it, over the
-        largest one; it becomes this of the earlier frame.
-    likelihood (S,): of the later frame's evidence, which is a part of what follows.
-    weight, onward (S,): room.
+    ahead (S,): P(evidence after the later frame | its state), over the largest one; overwritten by
+        that of the earlier frame.
+    likelihood (S,): of the later frame's evidence, which comes after the earlier one.
+    weight, onward (S,): room for intermediate results.
     moves (S, S): P(state before, state now | all evidence) is added, unless it is (0, 0).
 
-    Where nothing that the filter believes leads to what follows, by floating-point numbers, what
-    follows is ignored.
+    Where, in floating-point numbers, no state that the filter believes leads to the later evidence,
+    that evidence is ignored.
     """
     n_states = filtered.shape[0]
     for s in range(n_states):

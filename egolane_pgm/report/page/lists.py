@@ -45,7 +45,7 @@ class Change:
     - begin_s, end_s: of a told one when the new lane became the more probable one, and when it was
       told; of a true one its crossing.
     - probability: of the new lane, when told; NaN of a true one.
-    - delay_s: from the end of the true crossing to the telling; NaN where there is none.
+    - delay_s: from the end of the true crossing to the report; NaN where there is none.
     - outcome: of a told one RIGHT, FALSE or, where the truth says nothing, UNKNOWN; of a true one
       RIGHT or MISSED.
     """

@@ -3,24 +3,19 @@
 from __future__ import annotations
 
 import contextlib
-import time
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from dataclasses import replace
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from pathlib import Path
-from typing import Any
 
 import cv2
-import numpy as np
 
 from egolane_pgm.camera.model import Camera, write_camera
 from egolane_pgm.camera.picture import Image
 from egolane_pgm.camera.writing import video_writer, write_picture
 from egolane_pgm.recordings.ground_truth import write_ground_truth
 from egolane_pgm.recordings.table import write_table
-from egolane_pgm.simulation.presets import PRESETS
-from egolane_pgm.simulation.rendering.render import Frame, make_scene, render_frame, true_lines
+from egolane_pgm.simulation.rendering.render import Frame, render_frame, true_lines
 from egolane_pgm.simulation.rendering.scene import Scene
-from egolane_pgm.tools.files import make_directory, temporary_folder, write_text, write_yaml
+from egolane_pgm.tools.files import make_directory, write_text, write_yaml
 from egolane_pgm.types import InputError
 
 _README = """A rendered drive: {n_frames} frames of {width}x{height} pixels, {rate:g} per second,
@@ -35,9 +30,6 @@ and line its shape y(x) = offset_m + heading x + curvature x^2/2 + curvature_rat
 shares of its marking between 6 and 25 m ahead that can be seen well, that are worn, hidden (or out
 of the picture) and in shadow; is_failing: in a burst of failures; pitch_deg of the camera.
 """
-
-#: The shortest drive whose cost is estimated, and the length of the drive that it is measured on.
-_ESTIMATED_FROM = 100
 
 _COLUMNS = (
     "frame_id,line,offset_m,heading,curvature,curvature_rate,is_continuous,visible,worn,hidden,"
@@ -57,32 +49,6 @@ def free_places(folder: Path, *, stereo: bool, video: bool) -> list[str]:
         if (folder / place).is_dir() and any((folder / place).iterdir()):
             raise InputError(f"{folder / place}: is not empty; name another folder")
     return places
-
-
-def cost_estimate(
-    preset: str,
-    seed: int,
-    frames: int | None,
-    overrides: Mapping[str, Any],
-    *,
-    stereo: bool,
-    video: bool,
-    png: bool,
-) -> str | None:
-    """A message on how much disk and time a long drive will take; None for a short one."""
-    if preset not in PRESETS:
-        return None  # make_scene refuses it
-    world = replace(PRESETS[preset].world)
-    n_frames = frames if frames is not None else overrides.get("n_frames", world.n_frames)
-    # `replace` checks the number.
-    n_frames = replace(world, n_frames=n_frames).n_frames
-    if n_frames < _ESTIMATED_FROM:
-        return None
-    settings = {key: value for key, value in overrides.items() if key != "n_frames"}
-    short = make_scene(preset, seed, _ESTIMATED_FROM, stereo=stereo, **settings)
-    seconds, size = cost_per_frame(short, png=png, video=video)
-    need = f"{n_frames} frames need about {_amount(n_frames * size)}"
-    return f"{need} and {_duration(n_frames * seconds)}; Ctrl-C keeps those rendered"
 
 
 def write_drive(
@@ -126,33 +92,12 @@ def write_drive(
                 table.write(_rows(frame))
                 n_rendered = k + 1
     except KeyboardInterrupt:
-        _remove_incomplete(folder, places, n_rendered)
         raise KeyboardInterrupt(
             f"{n_rendered} of {len(scene)} frames are in {folder}; the same command begins anew"
         ) from None
 
 
-def _amount(n_bytes: float) -> str:
-    return f"{n_bytes / 1e9:.1f} GB" if n_bytes >= 1e9 else f"{max(1, round(n_bytes / 1e6))} MB"
-
-
-def _duration(seconds: float) -> str:
-    for unit, name in ((86400.0, "days"), (3600.0, "hours"), (60.0, "minutes")):
-        if seconds >= 2 * unit:
-            return f"{seconds / unit:.0f} {name}"
-    return f"{max(1, round(seconds))} seconds"
-
-
-def _remove_incomplete(folder: Path, places: Sequence[str], frame: int) -> None:
-    """Removes the files of a frame that was not written in full."""
-    for place in places:
-        for file in (folder / place).glob(f"{frame:06d}.*"):
-            with contextlib.suppress(OSError):
-                file.unlink()
-
-
 def _write_texts(folder: Path, scene: Scene, preset: str, seed: int, places: Sequence[str]) -> None:
-
     pictures = places[0] if len(places) == 1 else f"{places[0]} --right {places[1]}"
     readme = _README.format(
         n_frames=len(scene),
@@ -205,25 +150,3 @@ def picture_writer(
     make_directory(place)
     ending, options = ("png", []) if png else ("jpg", [cv2.IMWRITE_JPEG_QUALITY, 95])
     yield lambda k, image: write_picture(place / f"{k:06d}.{ending}", image, options)
-
-
-def cost_per_frame(scene: Scene, *, png: bool, video: bool) -> tuple[float, float]:
-    """The seconds and the bytes on the disk that a frame takes, measured on a few frames; on
-    consecutive ones for a video, which stores differences."""
-    few = range(min(13, len(scene))) if video else np.linspace(0, len(scene) - 1, 5).astype(int)
-    seconds, frames = [], []
-    for k in few:
-        began = time.perf_counter()
-        frames.append(render_frame(scene, int(k)))
-        seconds.append(time.perf_counter() - began)
-    sides = [[f.image for f in frames], [f.right for f in frames if f.right is not None]]
-    n_bytes = 0
-    with temporary_folder() as folder:
-        for side, pictures in enumerate(sides):
-            place = folder / (f"{side}.mp4" if video else str(side))
-            with picture_writer(place, scene.camera, scene.road.frame_rate, png) as write:
-                for k, image in enumerate(pictures):
-                    write(k, image)
-            files = [place] if video else list(place.iterdir())
-            n_bytes += sum(file.stat().st_size for file in files if file.exists())
-    return float(np.median(seconds)), n_bytes / len(frames)

@@ -237,7 +237,7 @@ def make_scene(
 
 
 def _smooth(values: FloatArray, frames: float) -> FloatArray:
-    """Smooths values with a Gaussian of so many frames (standard deviation)."""
+    """Smooths values with a Gaussian whose standard deviation is `frames`."""
     half = max(1, int(4 * frames))
     kernel = np.exp(-0.5 * (np.arange(-half, half + 1) / max(frames, 0.1)) ** 2)
     padded = np.pad(values, half, mode="edge")

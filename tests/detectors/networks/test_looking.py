@@ -364,7 +364,7 @@ def test_pictures_of_every_kind_go_through_a_network(top_hat: Path, tmp_path: Pa
 def test_a_network_is_listed_and_shown() -> None:
     assert ", network, " in command("ls").stdout.replace("\n", ", ")
     shown = command("show", "network").stdout
-    assert "A lane network of one's own, run by OpenCV" in shown
+    assert "Your own lane network, run by OpenCV" in shown
     assert "the YAML file that describes the network" in shown
     assert "on_road_margin_m" in command("show", "mc").stdout
 

@@ -20,7 +20,15 @@ from hypothesis import strategies as st
 from egolane_pgm.drive import Recorded, load_recording
 from egolane_pgm.evidence.line_geometry import kernels as _line_geometry_kernel
 from egolane_pgm.evidence.line_geometry import rule as line_geometry
-from egolane_pgm.evidence.line_geometry.habits import Habits, habits, is_placed, tally, total
+from egolane_pgm.evidence.line_geometry.habits import (
+    Habits,
+    LineCounts,
+    added,
+    columns,
+    count_lines,
+    habits_of,
+    is_placed,
+)
 from egolane_pgm.evidence.line_geometry.model import line_classes
 from egolane_pgm.evidence.line_geometry.reading import frame_weights, read_lines
 from egolane_pgm.evidence.line_geometry.rule import NODES
@@ -33,6 +41,11 @@ from egolane_pgm.simulation import SimulatedDrive, simulate
 from egolane_pgm.types import FloatArray, LineLog
 from tests.conftest import needs_compiler
 from tests.reference import line_geometry as _line_geometry_numpy
+
+
+def counted(log: LineLog) -> LineCounts:
+    return count_lines([columns(log)])
+
 
 ROOT = Path(__file__).parents[3]
 
@@ -80,14 +93,14 @@ def test_numbers_from_nowhere_do_not_change_the_scale_of_the_lri() -> None:
     """The multi-lane detector reports an LRI of 1.9e9 now and then."""
     log = drive().log
     lri = np.where(np.random.default_rng(0).random(log.lri.shape) < 0.02, 1.9e9, log.lri)
-    assert habits(tally(replace(log, lri=lri)), "x").full_lri == 10
+    assert habits_of(counted(replace(log, lri=lri)), "x").full_lri == 10
 
 
 @pytest.mark.parametrize("value", [10.0, 1.0, 0.0, -1.0])
 def test_an_lri_that_never_changes_is_as_unknown(value: float) -> None:
     log = drive().log
     unknown = replace(log, lri=np.full(log.lri.shape, np.nan))
-    constant = replace(log, lri=np.where(is_placed(log), value, np.nan))
+    constant = replace(log, lri=np.where(is_placed(log.offset_m), value, np.nan))
     (said,) = same(unknown, constant)
     assert "the LRI says nothing" in said
     assert not same(unknown, unknown)
@@ -96,9 +109,9 @@ def test_an_lri_that_never_changes_is_as_unknown(value: float) -> None:
 def test_without_an_lri_a_line_that_repeats_its_offset_is_held() -> None:
     """But not where offsets have so few digits that they repeat by chance."""
     log, rng = drive().log, np.random.default_rng(0)
-    steady = replace(log, lri=np.where(is_placed(log), 10.0, np.nan))
+    steady = replace(log, lri=np.where(is_placed(log.offset_m), 10.0, np.nan))
     coarse = replace(steady, offset_m=np.round(log.offset_m, 1))
-    assert [habits(tally(each), "x").repeats_are_held for each in (log, steady, coarse)] == [
+    assert [habits_of(counted(each), "x").repeats_are_held for each in (log, steady, coarse)] == [
         False,
         True,
         False,
@@ -132,8 +145,10 @@ def test_without_an_lri_a_line_that_repeats_its_offset_is_held() -> None:
 def test_a_valid_flag_that_hardly_any_line_has_says_nothing(share: float) -> None:
     log = drive().log
     valid = log.is_valid & (np.random.default_rng(0).random(log.is_valid.shape) < share)
-    (said,) = same(replace(log, is_valid=is_placed(log)), replace(log, is_valid=valid))
-    assert f"only {int(valid.sum())} of {int(is_placed(log).sum())} lines are valid" in said
+    (said,) = same(replace(log, is_valid=is_placed(log.offset_m)), replace(log, is_valid=valid))
+    assert (
+        f"only {int(valid.sum())} of {int(is_placed(log.offset_m).sum())} lines are valid" in said
+    )
 
 
 def test_not_a_single_valid_line_and_no_lri_still_tell_the_lane() -> None:
@@ -151,10 +166,10 @@ def test_not_a_single_valid_line_and_no_lri_still_tell_the_lane() -> None:
 def test_a_continuous_flag_that_one_line_has_or_all_says_nothing(flagged: str) -> None:
     log = drive().log
     none = np.zeros(log.is_valid.shape, dtype=bool)
-    flags = is_placed(log)
+    flags = is_placed(log.offset_m)
     if flagged == "one":
         flags = none.copy()
-        flags[tuple(np.argwhere(log.is_valid & is_placed(log))[77])] = True
+        flags[tuple(np.argwhere(log.is_valid & is_placed(log.offset_m))[77])] = True
     said = same(replace(log, is_continuous=none), replace(log, is_continuous=flags))
     assert len(said) == 1
     assert "are continuous; the flag is taken to say nothing" in said[0]
@@ -162,16 +177,16 @@ def test_a_continuous_flag_that_one_line_has_or_all_says_nothing(flagged: str) -
 
 def test_an_ordinary_detector_is_left_alone() -> None:
     log = drive().log
-    found = habits(tally(log), "x")
+    found = habits_of(counted(log), "x")
     assert found == Habits(10.0, says_valid=True, says_continuous=True)
     assert not [text for text in read(log)[1] if "lane width" not in text]
 
 
-def test_tallies_of_parts_add_up_to_that_of_the_drive() -> None:
+def test_counts_of_parts_add_up_to_that_of_the_drive() -> None:
     log = drive().log
-    parts = [tally(log.take(slice(a, b))) for a, b in pairwise([0, 1, 300, 300, len(log)])]
-    assert habits(total(parts), "x") == habits(tally(log), "x")
-    assert total(parts).valid == tally(log).valid
+    parts = [counted(log.take(slice(a, b))) for a, b in pairwise([0, 1, 300, 300, len(log)])]
+    assert habits_of(added(parts), "x") == habits_of(counted(log), "x")
+    assert added(parts).valid == counted(log).valid
 
 
 # --- offsets -------------------------------------------------------------------------------------
@@ -201,7 +216,7 @@ def test_lines_that_are_too_far_to_be_used_are_said() -> None:
 @pytest.mark.parametrize(("shift", "side"), [(1.2, "right"), (-1.2, "left")])
 def test_a_camera_that_is_not_in_the_middle_is_said(shift: float, side: str) -> None:
     log = drive().log
-    offset = np.where(is_placed(log), log.offset_m + shift, log.offset_m)
+    offset = np.where(is_placed(log.offset_m), log.offset_m + shift, log.offset_m)
     _, said = read(replace(log, offset_m=offset), lane_width_m=3.75)
     (text,) = said
     assert f"m {side} of where a vehicle in the middle of its lane has them" in text
@@ -358,9 +373,9 @@ def accuracy(log: LineLog, model: Model, truth: Any = None) -> float:
 
 STRANGERS: dict[str, Callable[[LineLog], LineLog]] = {
     "lri 0 to 1": lambda log: replace(log, lri=log.lri / 10),
-    "lri always 0": lambda log: replace(log, lri=np.where(is_placed(log), 0.0, np.nan)),
+    "lri always 0": lambda log: replace(log, lri=np.where(is_placed(log.offset_m), 0.0, np.nan)),
     "never valid": lambda log: replace(log, is_valid=np.zeros_like(log.is_valid)),
-    "all continuous": lambda log: replace(log, is_continuous=is_placed(log)),
+    "all continuous": lambda log: replace(log, is_continuous=is_placed(log.offset_m)),
     "feet": lambda log: replace(log, offset_m=log.offset_m / 0.3048),
     "centimetres": lambda log: replace(log, offset_m=100 * log.offset_m),
     "half the lane width": lambda log: replace(log, offset_m=0.5 * log.offset_m),
@@ -396,7 +411,7 @@ def test_a_strangers_recording_on_the_command_line(tmp_path: Path) -> None:
     log = drive().log
     rows = [
         f"{log.frame_id[t]},{i + 1},{log.offset_m[t, i] / 0.3048:.2f}"
-        for t, i in np.argwhere(log.is_valid & is_placed(log))
+        for t, i in np.argwhere(log.is_valid & is_placed(log.offset_m))
     ]
     (tmp_path / "feet.csv").write_text("\n".join(["frame_id,line,offset_m", *rows]) + "\n")
     words = ("--n-lanes", 3, "--out", tmp_path / "result", "--no-figures")
