@@ -32,20 +32,20 @@ import platform
 import shutil
 import subprocess
 import warnings
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from datetime import UTC, datetime
 from fnmatch import fnmatch
 from importlib import import_module, metadata
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Literal, Self
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import Field, model_validator
+from pydantic import Field
 from pydantic_core import from_json
 
-from egolane_pgm.experiment import Experiment, Section, config_hash, make_experiment, validated
+from egolane_pgm.experiment import Experiment, config_hash, make_experiment, validated
 from egolane_pgm.inference.events import (
     crossing_probability,
     in_tracks,
@@ -71,7 +71,6 @@ from egolane_pgm.tools.files import (
     read_text,
     read_yaml,
     rows_of_parquet,
-    write_bytes,
     write_json,
     write_text,
     write_yaml,
@@ -181,7 +180,9 @@ class Result:
         return len(self.frame_id)
 
     def __repr__(self) -> str:
-        return f"Result({self._title()})"
+        from egolane_pgm.report.shown import result_title
+
+        return f"Result({result_title(self)})"
 
     @property
     def name(self) -> str:
@@ -286,11 +287,6 @@ class Result:
         }
 
     # --- shown; pandas, xarray, matplotlib and the page are imported when they are asked for ----
-
-    def _title(self) -> str:
-        from egolane_pgm.report.shown import result_title
-
-        return result_title(self)
 
     def _repr_html_(self) -> str:
         from egolane_pgm.report.shown import result_html
@@ -566,116 +562,38 @@ COLUMNS = (
 )
 
 
-def read_beliefs(file: Path, run: Mapping[str, Any]) -> dict[str, np.ndarray[Any, Any]]:
-    """The columns of beliefs.parquet, (T,) each, by name; those that a result may lack only where
-    it has them. Of frames that are not annotated `true_lane` is 0 and `is_crossing` false.
+def _read_beliefs(file: Path, run: Mapping[str, Any]) -> dict[str, Any]:
+    """The fields of a `Result` that beliefs.parquet holds. In frames that are not annotated
+    `true_lane` is 0 and `is_crossing` false.
 
-    - run: what run.json says, which names the hidden nodes and their values.
-
-    Raises InputError in one line, naming the file and the column, where one is missing, has another
-    type, an empty cell, or numbers that cannot be (lanes that the road does not have, beliefs that
-    do not add up to 1, frame ids that do not increase).
+    - run: the content of run.json, which names the hidden nodes and their values.
     """
-    import pyarrow as pa
-
-    if not file.is_file():
-        raise InputError(f"{file}: is missing, the result is not whole{_AGAIN}")
-    try:
-        with open_parquet(file) as stored:
-            table = stored.read()
-            names = table.column_names
-    except InputError as error:
-        raise InputError(f"{error}{_AGAIN}") from None
+    with open_parquet(file) as stored:
+        table = stored.read()
     if len(table) != run["frames"]:
-        raise InputError(f"{file}: has {len(table)} frames, run.json says {run['frames']}{_AGAIN}")
-    found: dict[str, np.ndarray[Any, Any]] = {}
-    for name, kind, is_needed in _columns(run, set(names)):
-        if name in names or is_needed:
-            try:
-                found[name] = _column(table, name, kind)
-            except (pa.ArrowException, KeyError, ValueError) as error:
-                raise InputError(f"{file}: column {name}: {error}{_AGAIN}") from None
-    for name, problem in _impossible(found, run):
-        raise InputError(f"{file}: column {name}: {problem}{_AGAIN}")
-    return found
+        raise InputError(f"{file}: has {len(table)} frames, run.json says {run['frames']}")
 
+    def column(name: str, kind: str = "float64") -> NDArray[Any]:
+        cells = table[name]
+        if name in ("true_lane", "is_crossing"):
+            cells = cells.fill_null(False if kind == "bool" else 0)
+        values = np.asarray(cells.to_numpy(zero_copy_only=False))
+        return values.astype(np.str_ if kind == "string" else kind, copy=False)
 
-def belief_columns(run: Mapping[str, Any]) -> dict[str, list[str]]:
-    """Per hidden node the columns of its values."""
-    return {node: [f"{node}_{v}" for v in names] for node, names in run["values"].items()}
+    def stacked(prefix: str, names: Iterable[Any]) -> FloatArray:
+        return np.stack([column(f"{prefix}_{name}") for name in names], axis=1)
 
-
-def tentative_columns(run: Mapping[str, Any]) -> list[str]:
-    """The columns of the detector's own answer."""
-    return [f"detector_{k + 1}" for k in range(run["n_lanes"])]
-
-
-#: The columns whose cells are empty where a frame is not annotated, and what is read there.
-_EMPTY: dict[str, int | bool] = {"true_lane": 0, "is_crossing": False}
-
-
-def _columns(run: Mapping[str, Any], there: set[str]) -> Iterator[tuple[str, str, bool]]:
-    """The name of each column, its type, and whether it has to be there."""
-    several = {
-        "NODE_VALUE": [name for names in belief_columns(run).values() for name in names],
-        "detector_LANE": tentative_columns(run),
+    marginals = {node: stacked(node, names) for node, names in run["values"].items()}
+    kept = [each for each in COLUMNS if each.name in table.column_names]
+    fields: dict[str, Any] = {each.name: column(each.name, each.kind) for each in kept}
+    has_detector = fields.pop("detector_lane", None) is not None
+    lanes = range(1, run["n_lanes"] + 1)
+    return {
+        **fields,
+        "marginals": marginals,
+        "crossing": crossing_probability(marginals),
+        "tentative": stacked("detector", lanes) if has_detector else None,
     }
-    for column in COLUMNS:
-        is_needed = column.needed == "always" or column.needed in there
-        for name in several.get(column.name, [column.name]):
-            yield name, column.kind, is_needed
-
-
-def _column(table: Any, name: str, kind: str) -> np.ndarray[Any, Any]:
-    import pyarrow as pa
-
-    if table.column_names.count(name) != 1:
-        raise ValueError("is missing" if name not in table.column_names else "is there twice")
-    column = table.column(name)
-    wanted = {"int64": pa.int64(), "float64": pa.float64(), "bool": pa.bool_()}.get(
-        kind, pa.string()
-    )
-    is_number = pa.types.is_integer(column.type) or pa.types.is_floating(column.type)
-    fits = is_number if kind in ("int64", "float64") else column.type == wanted
-    if not (fits or (pa.types.is_large_string(column.type) and kind == "string")):
-        raise ValueError(f"has type {column.type}, not {kind}")
-    if name in _EMPTY:
-        column = column.fill_null(pa.scalar(_EMPTY[name], column.type))
-    if column.null_count:
-        raise ValueError(f"has {column.null_count} empty cells")
-    try:
-        array = column.cast(wanted).to_numpy(zero_copy_only=False)
-    except pa.ArrowException:
-        raise ValueError(f"has type {column.type} and values that are no {kind}") from None
-    return np.asarray(array, dtype=np.str_) if kind == "string" else np.asarray(array)
-
-
-def _impossible(
-    found: Mapping[str, np.ndarray[Any, Any]], run: Mapping[str, Any]
-) -> Iterator[tuple[str, str]]:
-    """Each column with numbers that no result has, and what is wrong with them."""
-    n_lanes = run["n_lanes"]
-    if np.any(np.diff(found["frame_id"]) <= 0):
-        yield "frame_id", "does not increase from frame to frame"
-    if not np.isfinite(found["time_s"]).all():
-        yield "time_s", "is not a number in every frame"
-    if np.isnan(found["log_evidence"]).any():
-        yield "log_evidence", "is not a number in every frame"
-    groups = {**belief_columns(run), "detector": tentative_columns(run)}
-    for names in groups.values():
-        for name in names:
-            values = found.get(name)
-            # NaN is not between 0 and 1 either.
-            if values is not None and not ((values >= 0) & (values <= 1 + 1e-9)).all():
-                yield name, "is not a probability in every frame"
-    for node, names in belief_columns(run).items():
-        total = np.sum([found[name] for name in names], axis=0)
-        if np.any(np.abs(total - 1) > 1e-6):
-            yield f"{node}_{run['values'][node][0]}", f"the belief over {node} does not add up to 1"
-    for name in ("assigned_lane", "detector_lane", "true_lane", "road_lanes"):
-        values = found.get(name)
-        if values is not None and np.any((values < 0) | (values > n_lanes)):
-            yield name, f"has lanes that are not of 1 to {n_lanes}"
 
 
 # --- run.json and scores.json ------------------------------------------------------------------
@@ -754,28 +672,6 @@ class Run(Summary):
         description="names of each hidden node's values"
     )
 
-    @model_validator(mode="after")
-    def _has_lanes(self) -> Self:
-        lanes = [str(k + 1) for k in range(self.n_lanes)]
-        if self.values.get("Lane") != lanes:
-            raise ValueError(f"values.Lane is not 1 to {self.n_lanes}, the lanes of n_lanes")
-        return self
-
-
-class HeldOut(Stored):
-    """An experiment's part of a comparison, see `comparing.groups.document`."""
-
-    name: str = Field(description="name of the experiment")
-    scores: dict[str, Scores] = Field(
-        description="by which frames: `all_frames`, and others that the comparison names"
-    )
-
-    @model_validator(mode="after")
-    def _has_all_frames(self) -> Self:
-        if "all_frames" not in self.scores:
-            raise ValueError("scores.all_frames: is missing")
-        return self
-
 
 class RunScores(Summary):
     """scores.json of a run. `model` and `detector` are there with ground truth."""
@@ -793,99 +689,50 @@ class RunScores(Summary):
     events: Events = Field(description="the lane changes")
 
 
-class HeldOutScores(Stored):
-    """scores.json of an experiment that was compared."""
-
-    schema_version: int = Field(description="version of these keys")
-    name: str = Field(description="name of the experiment")
-    held_out: HeldOut = Field(description="its part of the comparison")
-
-
-class LogEvidence(Stored):
-    """Natural logarithm, mean over the annotated frames, by the exact filter."""
-
-    before: Finite = Field(description="with the tables that learning starts from")
-    held_out: Finite = Field(description="with those that were learned from other frames")
-
-
-class LearnedScores(Stored):
-    """scores.json of what `learn` believed held out. The scores are there with ground truth."""
-
-    schema_version: int = Field(description="version of these keys")
-    name: str = Field(description="name of the experiment")
-    blocks: Count = Field(description="blocks that were held out in turn")
-    frames_scored: Count = Field(description="annotated frames that are not crossing")
-    model: Scores | None = Field(default=None, description="scores of the frames that may be fit")
-    model_all_frames: Scores | None = Field(default=None, description="the same of all frames")
-    log_evidence: LogEvidence | None = Field(description="of learned tables")
-    parameters: dict[str, Any] = Field(description="what was learned from all frames")
-
-
-def read_run(directory: Path) -> Any:
-    """What run.json says. Raises InputError in one line, naming the file and a key that does not
-    fit."""
-    return _read_json(directory / "run.json", lambda _: Run)
-
-
-def read_scores(directory: Path) -> Any:
-    """What scores.json says. Raises InputError as `read_run`."""
-    return _read_json(directory / "scores.json", _scores_model)
-
-
-def _scores_model(content: dict[str, Any]) -> type[Section]:
-    if "held_out" in content:
-        return HeldOutScores
-    return LearnedScores if content.get("fit") == "learn" else RunScores
-
-
-def _read_json(file: Path, model_of: Callable[[dict[str, Any]], type[Section]]) -> Any:
-    return parse_json(_text_of(file), file, model_of)
-
-
-def parse_json(
-    text: str | bytes,
-    file: Path,
-    model_of: Callable[[dict[str, Any]], type[Section]],
-    again: str = _AGAIN,
-) -> Any:
-    """The content of a file that a program wrote. Raises InputError in one line, naming the file
-    and a key that does not fit.
-
-    - model_of: gives the keys and types of the content.
-    - again: what to do, as the end of a message.
-    """
+def parse_json(text: str | bytes, file: Path) -> dict[str, Any]:
+    """The content of a JSON file that this package wrote. Raises InputError for anything else."""
     try:
         content = from_json(text, allow_inf_nan=False)
     except ValueError as error:
-        raise InputError(f"{file}: is not JSON ({error}){again}") from None
+        raise InputError(f"{file}: is not JSON ({error})") from None
     if not isinstance(content, dict):
-        raise InputError(f"{file}: needs keys and values{again}")
+        raise InputError(f"{file}: needs keys and values")
     version = content.get("schema_version", SCHEMA_VERSION)
-    if version != SCHEMA_VERSION or isinstance(version, bool):
+    if version != SCHEMA_VERSION:
         raise InputError(
-            f"{file}: has schema_version {str(version)[:20]}, this program reads"
-            f" {SCHEMA_VERSION}{again}"
+            f"{file}: has schema_version {str(version)[:20]}, this program reads {SCHEMA_VERSION}"
         )
-    with in_one_line(again):
-        validated(model_of(content), content, str(file))
     return content
 
 
 @contextlib.contextmanager
-def in_one_line(again: str) -> Iterator[None]:
-    """Say in one line all that is wrong with a file that a program wrote, and what to do."""
+def refusing_damage(place: Path, again: str = _AGAIN) -> Iterator[None]:
+    """Say in one line what is wrong with files that this package wrote.
+
+    - again: what to do, the end of the message.
+    """
     try:
         yield
     except InputError as error:
-        first, *others = error.lines
-        more = f" (and {len(others)} more of the like)" if others else ""
-        raise InputError(f"{first}{more}{again}") from None
+        raise InputError(f"{error.lines[0]}{again}") from None
+    except Exception as error:
+        # The files were not written by hand: how exactly they are damaged helps nobody.
+        why = " ".join(f"{type(error).__name__}: {error}".split())
+        raise InputError(f"{place}: is damaged ({why[:200]}){again}") from error
 
 
-def _text_of(file: Path) -> str:
-    if not file.is_file():
-        raise InputError(f"{file}: is missing, the result is not whole{_AGAIN}")
-    return read_text(file)
+def _read_run(directory: Path) -> dict[str, Any]:
+    """The content of run.json, checked as far as a `Result` needs it."""
+    file = directory / "run.json"
+    run = parse_json(read_text(file), file)
+    validated(Run, run, str(file))
+    return run
+
+
+def _read_scores(directory: Path) -> dict[str, Any]:
+    """The content of scores.json."""
+    file = directory / "scores.json"
+    return parse_json(read_text(file), file)
 
 
 # --- the directory -----------------------------------------------------------------------------
@@ -912,26 +759,6 @@ def check_writable(directory: Path, kinds: Sequence[Callable[[Path], bool]] = ()
 def is_result(directory: Path) -> bool:
     """Whether the directory holds a whole result."""
     return all((directory / name).is_file() for name in ("run.json", "scores.json"))
-
-
-def read_files(directory: Path) -> dict[str, bytes]:
-    """The content of all files in a directory but the figures, by their path in it. Raises
-    InputError where one cannot be read."""
-    found = {}
-    for file in sorted(directory.rglob("*")):
-        name = file.relative_to(directory)
-        if file.is_file() and "figures" not in name.parts:
-            try:
-                found[name.as_posix()] = file.read_bytes()
-            except OSError as error:
-                raise InputError(f"{file}: cannot be read: {error.strerror}") from error
-    return found
-
-
-def write_files(directory: Path, files: Mapping[str, bytes]) -> None:
-    """Write files, as `read_files` gives them. Raises InputError where one cannot be written."""
-    for name, content in files.items():
-        write_bytes(directory / name, content, make_folder=True)
 
 
 @contextlib.contextmanager
@@ -1047,50 +874,32 @@ def read_result(directory: str | Path) -> Result:
     directory = Path(directory)
     if not is_result(directory):
         raise InputError(f"{directory}: is not a result directory (no run.json and scores.json)")
-    run, scores = read_run(directory), read_scores(directory)
-    file = directory / "experiment.yaml"
-    config = read_yaml(file, "n_lanes: 4")
-    with in_one_line(_AGAIN):
-        experiment = make_experiment(config, directory, str(file))
-    column = read_beliefs(directory / BELIEFS, run)
-    marginals = {
-        node: np.stack([column[name] for name in names], axis=1)
-        for node, names in belief_columns(run).items()
-    }
-    tentative = None
-    if "detector_lane" in column:
-        tentative = np.stack([column[name] for name in tentative_columns(run)], axis=1)
-    kept = (
-        "frame_id", "time_s", "assigned_lane", "true_lane", "is_crossing", "log_evidence",
-        "is_impossible", "block", "clip", "road_lanes", "origin",
-    )  # fmt: skip
-    columns: dict[str, Any] = {name: column[name] for name in kept if name in column}
-    result = Result(
-        experiment=experiment,
-        config=config,
-        run=run,
-        scores=scores,
-        marginals=marginals,
-        values={node: tuple(names) for node, names in run["values"].items()},
-        tentative=tentative,
-        crossing=crossing_probability(marginals),
-        directory=directory,
-        **columns,
-    )
-    return replace(result, lines=_read_lines(directory / LINES, result))
+    with refusing_damage(directory):
+        run, file = _read_run(directory), directory / "experiment.yaml"
+        config = read_yaml(file, "n_lanes: 4")
+        result = Result(
+            directory=directory,
+            experiment=make_experiment(config, directory, str(file)),
+            config=config,
+            run=run,
+            scores=_read_scores(directory),
+            values={node: tuple(names) for node, names in run["values"].items()},
+            **_read_beliefs(directory / BELIEFS, run),
+        )
+        return replace(result, lines=_read_lines(directory / LINES, result))
 
 
 def read_said(directory: Path) -> tuple[dict[str, Any], dict[str, Any]]:
-    """What run.json and scores.json of a result say, without reading a belief.
+    """The content of run.json and scores.json, without reading a belief.
 
-    Raises InputError as `read_result`, as far as it is told by these and by how many frames the
-    end of beliefs.parquet has.
+    Raises InputError as `read_result`, and where beliefs.parquet has another number of frames.
     """
-    run, scores = read_run(directory), read_scores(directory)
-    file = directory / "beliefs.parquet"
-    n_frames = rows_of_parquet(file)
-    if n_frames != run["frames"]:
-        raise InputError(f"{file}: has {n_frames} frames, run.json says {run['frames']}")
+    with refusing_damage(directory):
+        run, scores = _read_run(directory), _read_scores(directory)
+        file = directory / BELIEFS
+        n_frames = rows_of_parquet(file)
+        if n_frames != run["frames"]:
+            raise InputError(f"{file}: has {n_frames} frames, run.json says {run['frames']}")
     return run, scores
 
 
@@ -1102,7 +911,7 @@ def _read_lines(file: Path, result: Result) -> LineLog | None:
         return None
     log = read_table(file)
     if not np.array_equal(log.frame_id, result.frame_id):
-        raise InputError(f"{file}: has other frames than beliefs.parquet; run it again")
+        raise InputError(f"{file}: has other frames than beliefs.parquet")
     return replace(log, time_s=result.time_s, clip=result.clip)
 
 
