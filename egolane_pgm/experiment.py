@@ -9,7 +9,6 @@ the YAML is written in (`files.read_yaml`).
 
 from __future__ import annotations
 
-import difflib
 import hashlib
 import json
 import os
@@ -34,7 +33,7 @@ from egolane_pgm.parameters import check_names, resolve_parameters
 from egolane_pgm.plugins import OWN_FILES, declared_parameters, load_rule_and_graph
 from egolane_pgm.tools.files import read_yaml, without_version
 from egolane_pgm.tools.yaml import parse_yaml
-from egolane_pgm.types import MAX_LANES, InputError, all_problems, not_one_of, suggestion
+from egolane_pgm.types import MAX_LANES, InputError, all_problems, near_word, not_one_of, suggestion
 
 #: What an experiment keeps for `n_lanes: map`, until the map was looked at.
 FROM_MAP = 0
@@ -535,8 +534,7 @@ def experiment_path(given: str | os.PathLike[str]) -> Path:
         named = {each.stem: each for each in experiments_folder().rglob("*.yaml")}
         if str(given) in named:
             return named[str(given)]
-        close = difflib.get_close_matches(str(given), named, n=1)
-        meant = f" (did you mean '{close[0]}'?)" if close else ""
+        meant = near_word(str(given), named)
         raise InputError(f"{given}: is no file, and no experiment that `egolane ls` lists{meant}")
     if path.parts[:1] == ("experiments",) and not path.exists():
         shipped = experiments_folder().joinpath(*path.parts[1:])

@@ -128,17 +128,19 @@ def suggestion(word: str, known: Iterable[str]) -> str:
     """The end of a message: `" (did you mean 'x'?)"` with the known word nearest to `word`, or the
     list of the known words if none is near."""
     names = sorted(known)
-    return _meant(word, names) or (f" (known: {', '.join(names)})" if names else "")
+    return near_word(word, names) or (f" (known: {', '.join(names)})" if names else "")
 
 
 def not_one_of(value: object, choices: Sequence[str]) -> str:
     """`"'x' is not one of a, b"`, with the choice that a word is near to."""
-    meant = _meant(value, choices) if isinstance(value, str) else ""
+    meant = near_word(value, choices) if isinstance(value, str) else ""
     return f"{value!r} is not one of {', '.join(choices)}{meant}"
 
 
-def _meant(word: str, known: Sequence[str]) -> str:
-    close = difflib.get_close_matches(word, known, n=1, cutoff=0.6)
+def near_word(word: str, known: Iterable[str]) -> str:
+    """The end of a message: `" (did you mean 'x'?)"` with the known word nearest to `word`; empty
+    where none is near."""
+    close = difflib.get_close_matches(word, sorted(known), n=1)
     return f" (did you mean '{close[0]}'?)" if close else ""
 
 
@@ -421,25 +423,32 @@ class LineLog:
         """
         import pandas as pd
 
-        is_line = np.isfinite(self.offset_m) | np.isfinite(self.lri)
+        columns = self.rows(np.isfinite(self.offset_m) | np.isfinite(self.lri))
+        line = pd.array(columns.pop("line").filled(0), dtype="Int64")
+        line[line == 0] = pd.NA
+        return pd.DataFrame({**columns, "line": line}).set_index(["frame_id", "line"])
+
+    def rows(self, is_line: BoolArray) -> dict[str, Any]:
+        """The columns of a table with a row per line: frame_id, time_s, line (from 1, masked in the
+        one row of a frame without lines), offset_m, is_valid, is_continuous, lri.
+
+        - is_line (T, L): marks what is no padding.
+        """
         frame, line = np.nonzero(np.column_stack([is_line, ~is_line.any(axis=1)]))
-        no_line = line == is_line.shape[1]
 
         def column(values: NDArray[Any], blank: float | bool) -> NDArray[Any]:
-            padded: NDArray[Any] = np.column_stack([values, np.full(len(self), blank)])
-            return padded[frame, line]
+            padded = np.pad(values, ((0, 0), (0, 1)), constant_values=blank)
+            return np.asarray(padded[frame, line])
 
-        columns = {
+        return {
             "frame_id": self.frame_id[frame],
-            "line": pd.array(np.where(no_line, 0, line + 1), dtype="Int64"),
             "time_s": self.time_s[frame],
+            "line": np.ma.masked_array(line + 1, line == is_line.shape[1]),
             "offset_m": column(self.offset_m, np.nan),
-            "is_valid": column(self.is_valid, False).astype(bool),
-            "is_continuous": column(self.is_continuous, False).astype(bool),
+            "is_valid": column(self.is_valid, False),
+            "is_continuous": column(self.is_continuous, False),
             "lri": column(self.lri, np.nan),
         }
-        columns["line"][no_line] = pd.NA
-        return pd.DataFrame(columns).set_index(["frame_id", "line"])
 
     @classmethod
     def joined(cls, parts: Sequence[LineLog]) -> LineLog:
