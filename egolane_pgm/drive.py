@@ -171,13 +171,13 @@ def load_recording(
         return recorded
     check_one_drive(log, "clips are run without ground truth (--ground-truth none)")
     truth.check_lanes(experiment.n_lanes)
-    both = join(log, truth)
-    if both.log_dropped:
+    scored, annotated = join(log, truth)
+    if len(scored) < len(log):
         notes.append(
-            f"{log.source}: {both.log_dropped} of {len(log)} frames have no ground truth; filtered,"
-            " not scored"
+            f"{log.source}: {len(log) - len(scored)} of {len(log)} frames have no ground truth;"
+            " filtered, not scored"
         )
-    return replace(recorded, truth=truth.take(both.truth), scored=both.log, notes=tuple(notes))
+    return replace(recorded, truth=truth.take(annotated), scored=scored, notes=tuple(notes))
 
 
 def check_sources(experiment: Experiment) -> None:

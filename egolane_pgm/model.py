@@ -127,9 +127,7 @@ def prepare_model(experiment: Experiment) -> Model:
             f"{source}: graph {experiment.graph}: needs a hidden node Lane with"
             f" {experiment.n_lanes} values, has {lanes or 'none'}"
         )
-    model = Model(rule, graph, parameters, compiled, experiment.n_lanes, roles)
-    _check_shapes(model, f"{source}: evidence {experiment.evidence}")
-    return model
+    return Model(rule, graph, parameters, compiled, experiment.n_lanes, roles)
 
 
 def _compiled(
@@ -344,32 +342,6 @@ def _check_names(rule: ModuleType, graph: ModuleType, source: str) -> None:
             )
 
 
-def _check_shapes(model: Model, where: str) -> None:
-    """Raise InputError where the evidence of two frames has not the shapes that the graph needs.
-
-    The frames are made up, so a rule may be unable to answer, because it has to see more of a
-    drive. It is then asked when there is one.
-    """
-    frame = np.array([0, 0, 1, 1])
-    yes = np.ones(4, dtype=bool)
-    offset_m = np.array([-1.75, 1.75, -1.7, 1.8])
-    log = LineLog.from_rows(
-        np.arange(2), 10.0, frame, offset_m, yes, yes, np.full(4, 10.0), source="two made-up frames"
-    )
-    try:
-        given = make_evidence(model, log).filtered
-    except Exception:
-        return
-    # What is given beside, and which values inputs have, may depend on the drive.
-    compiled = model.compiled
-    likelihoods = {k: v for k, v in given.likelihoods.items() if k in compiled.observed}
-    inputs = {name: np.zeros(2, dtype=np.int64) for name in given.inputs if name in compiled.inputs}
-    try:
-        check_keys(compiled, Evidence(likelihoods, inputs))
-    except InputError as error:
-        raise InputError(f"{where}: {error} (asked with two frames)") from error
-
-
 @dataclass(frozen=True)
 class RuleOutput:
     """What an evidence rule made of T frames.
@@ -476,6 +448,8 @@ def _filtered(model: Model, log: LineLog, given: Evidence, reading: str) -> Evid
             for key, values in given.likelihoods.items()
         }
         given = Evidence(blank, given.inputs)
+    with problems_in(str(rule.__file__)):
+        check_keys(model.compiled, given)
     return read_evidence(given, reading)
 
 

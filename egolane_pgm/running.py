@@ -59,7 +59,7 @@ from egolane_pgm.scoring.events import event_scores
 from egolane_pgm.scoring.road import road_scores
 from egolane_pgm.scoring.summary import score_with_intervals, stability_scores
 from egolane_pgm.tools.files import arrow_table, code_checksum, parquet_writer, plain
-from egolane_pgm.tools.jobs import Jobs, in_order, is_elsewhere
+from egolane_pgm.tools.jobs import Jobs, in_order
 from egolane_pgm.tools.progress import bar
 from egolane_pgm.types import (
     NOTE,
@@ -69,7 +69,6 @@ from egolane_pgm.types import (
     FloatArray,
     InputError,
     IntArray,
-    all_problems,
 )
 
 #: What scores.json says as run.json does.
@@ -165,29 +164,16 @@ def believe(drive: Drive) -> Believed:
     made = evidence_on(drive, model)
     filtered, method = made.filtered, experiment.filter
     beliefs = infer_beliefs(model.compiled, filtered, method, experiment.lag, frame_id=log.frame_id)
-    assigned, doubts = ANSWERS[experiment.decode](drive, filtered, beliefs)
-    doubt = doubt_of_lanes(experiment, model, log, filtered)
-    notes = (*made.notes, *doubts, *([doubt] if doubt else []))
+    notes = [*made.notes]
+    if experiment.decode == "viterbi":
+        path = viterbi(model.compiled, filtered, frame_id=log.frame_id)
+        assigned = path.lane
+        notes += filter(None, [disagreement(path, beliefs).warning])
+    else:
+        assigned = assigned_lane(beliefs.lane, experiment.unassigned_below)
+    notes += filter(None, [doubt_of_lanes(experiment, model, log, filtered)])
     crossing = crossing_probability(beliefs.marginals)
-    return Believed(beliefs, assigned, made.tentative, crossing, filtered, notes)
-
-
-def _most_probable(
-    drive: Drive, evidence: Evidence, beliefs: Beliefs
-) -> tuple[IntArray, list[str]]:
-    """The most probable lane of each frame, and no note."""
-    return assigned_lane(beliefs.lane, drive.experiment.unassigned_below), []
-
-
-def _on_best_path(drive: Drive, evidence: Evidence, beliefs: Beliefs) -> tuple[IntArray, list[str]]:
-    """The lanes of the most probable path, and a note where it is not to be trusted."""
-    path = viterbi(drive.model.compiled, evidence, frame_id=beliefs.frame_id)
-    doubt = disagreement(path, beliefs).warning
-    return path.lane, [doubt] if doubt else []
-
-
-#: What is answered, by the experiment's `decode`.
-ANSWERS = {"marginal": _most_probable, "viterbi": _on_best_path}
+    return Believed(beliefs, assigned, made.tentative, crossing, filtered, tuple(notes))
 
 
 # --- the result --------------------------------------------------------------------------------
@@ -424,27 +410,16 @@ def run_in_parts(
 def _check_parts(experiment: Experiment) -> None:
     """Raise InputError, a line for each key, where a belief needs more than the frames up to its
     own."""
-    source = experiment.source
-    with all_problems() as part:
-        if not experiment.has_causal_filter:
-            with part():
-                raise InputError(
-                    f"{source}: filter: {experiment.filter} uses later frames and is not run in"
-                    " parts; exact and assumed_density are"
-                )
-        if experiment.decode != "marginal":
-            with part():
-                raise InputError(
-                    f"{source}: decode: {experiment.decode} needs the whole drive and is not run in"
-                    " parts; marginal is"
-                )
-        if experiment.gnss is not None or experiment.follows_map:
-            key = "gnss" if experiment.gnss is not None else "n_lanes"
-            with part():
-                raise InputError(
-                    f"{source}: {key}: a road table is laid over the whole drive, which is not run"
-                    " in parts; leave it out, and give n_lanes as a number"
-                )
+    keys = []
+    if not experiment.has_causal_filter:
+        keys.append(f"filter: {experiment.filter} uses later frames")
+    if experiment.decode != "marginal":
+        keys.append(f"decode: {experiment.decode} needs the whole drive")
+    if experiment.gnss is not None or experiment.follows_map:
+        key = "gnss" if experiment.gnss is not None else "n_lanes"
+        keys.append(f"{key}: a road table is laid over the whole drive")
+    if keys:
+        raise InputError(*(f"{experiment.source}: {key}; that is not run in parts" for key in keys))
 
 
 def _parts(drive: Drive) -> Iterator[tuple[Recorded, Believed]]:
@@ -577,16 +552,9 @@ def run_all(
     - keep: whether results are kept instead of written.
     - resume: whether a result that is there already is taken, where it was made from the same
       files, with the same config and the same code; and each tells its drive.
-
-    A run for which another machine read other files than lie here under their names fails.
     """
     work = partial(_finish, figures=figures, keep=keep, resume=resume)
-    found = in_order(work, runs, jobs, died=_failed)
-    yield from map(_checked, runs, found) if is_elsewhere(jobs) else found
-
-
-def _failed(run: OneOfSeveral, error: str) -> OneOfSeveral:
-    return replace(run, error=error)
+    yield from in_order(work, runs, jobs, died=lambda run, error: replace(run, error=error))
 
 
 def _finish(run: OneOfSeveral, figures: bool, keep: bool, resume: bool) -> OneOfSeveral:
@@ -604,25 +572,12 @@ def _finish(run: OneOfSeveral, figures: bool, keep: bool, resume: bool) -> OneOf
         if not keep:
             done.save(run.directory, figures=figures)
     except InputError as error:
-        return _failed(run, "\n".join(error.lines))
+        return replace(run, error="\n".join(error.lines))
     except Exception as error:
         # A fault of ours in one run must not cost the others what they computed.
-        return _failed(run, " ".join(f"{type(error).__name__}: {error}".split()))
+        return replace(run, error=" ".join(f"{type(error).__name__}: {error}".split()))
     kept = done if keep else None
     return replace(run, scores=done.scores, result=kept, seconds=done.run["seconds"], drive=drive)
-
-
-def _checked(run: OneOfSeveral, done: OneOfSeveral) -> OneOfSeveral:
-    """What another machine made of a run, if it read what lies here."""
-    if run.experiment is None or done.error is not None or done.result is not None:
-        return done
-    try:
-        other = _other_file(run.experiment, read_said(done.directory)[0])
-    except (InputError, OSError) as error:
-        return _failed(run, f"cannot be compared with what its worker read: {error}")
-    if other is None:
-        return done
-    return _failed(run, f"{other}: its worker read another content under this name than lies here")
 
 
 def _other_file(experiment: Experiment, said: Mapping[str, Any]) -> str | None:

@@ -3,7 +3,7 @@ ground truth; and warns of odd recordings."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
@@ -142,25 +142,9 @@ def rate_of(frame_id: IntArray, time_s: FloatArray) -> float | None:
     return float(f"{1 / step:.4g}") if step > 0 else None
 
 
-@dataclass(frozen=True)
-class Join:
-    """The frames that a log and a ground truth share, in order of frame id.
-
-    log, truth (K,): indices of the shared frames into each. log_dropped, truth_dropped: how many
-    frames of each have no partner.
-    """
-
-    log: IntArray
-    truth: IntArray
-    log_dropped: int
-    truth_dropped: int
-
-    def __len__(self) -> int:
-        return len(self.log)
-
-
-def join(log: LineLog, truth: LaneTruth) -> Join:
-    """Join by frame id.
+def join(log: LineLog, truth: LaneTruth) -> tuple[IntArray, IntArray]:
+    """The frames that a log and a ground truth share, in order of frame id: the index of each in
+    the log and in the truth, (K,) both.
 
     Raises InputError, with both ranges, where there is no common frame.
     """
@@ -172,12 +156,7 @@ def join(log: LineLog, truth: LaneTruth) -> Join:
             f"no common frames: {log.source} has {_range(log.frame_id)}, {truth.source} has"
             f" {_range(truth.frame_id)}"
         )
-    return Join(
-        in_log.astype(np.int64),
-        in_truth.astype(np.int64),
-        len(log) - len(common),
-        len(truth) - len(common),
-    )
+    return in_log.astype(np.int64), in_truth.astype(np.int64)
 
 
 def recording_warnings(

@@ -37,11 +37,6 @@ _LOCAL = "local:"
 _DIED = "its process, or one beside it, died (killed, or out of memory?)"
 
 
-def is_elsewhere(jobs: Jobs) -> bool:
-    """Whether work is shared out to processes that may be other machines'."""
-    return isinstance(jobs, str) and not jobs.startswith(_LOCAL)
-
-
 def in_order(
     work: Callable[[T], R],
     items: Sequence[T],
