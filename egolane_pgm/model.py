@@ -55,8 +55,8 @@ class Roles(NamedTuple):
     """What the nodes of a graph are under an evidence rule.
 
     - hidden: None for every node that is neither observed nor an input, and Lane.
-    - observed, inputs: what the graph takes of the evidence.
-    - unused: what the evidence has beside it.
+    - observed, inputs: the parts of the evidence that the graph takes.
+    - unused: the other parts.
     """
 
     hidden: tuple[str, ...] | None
@@ -258,14 +258,13 @@ def graph_roles(graph: ModuleType, rule: ModuleType, network: DynamicBayesianNet
 
 
 def taken_of_rule(graph: ModuleType) -> tuple[Observed, ...]:
-    """What a graph that says what it observes takes of the evidence rule: that, or less where the
-    model adds what the map tells."""
+    """The evidence keys that a graph needs from the rule: its TAKES, or else its OBSERVED."""
     taken: tuple[Observed, ...] = getattr(graph, "TAKES", graph.OBSERVED)
     return taken
 
 
 def observed_under(rule: ModuleType, network: DynamicBayesianNetwork) -> tuple[Observed, ...]:
-    """Those of the keys of a rule's evidence whose nodes a network has."""
+    """The keys of a rule's evidence whose nodes are in the network."""
     nodes = node_names(network)
     provides = getattr(rule, "PROVIDES", ())
     return tuple(k for k in provides if nodes.issuperset([k] if isinstance(k, str) else k))

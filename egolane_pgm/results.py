@@ -8,16 +8,16 @@ A directory is complete, so that a report can be made from it alone:
 - beliefs.parquet: one row per frame (`COLUMNS`).
 - lines.parquet: the lines that were believed, a row each, a recording as `recordings.table` reads
   them; selected, and with missing frames put in as the experiment says.
-- events.csv: one row per lane change that the beliefs tell of (`LaneEvents`), and `late_s`, from
-  time_s to told_time_s.
+- events.csv: one row per reported lane change (`LaneEvents`), and `late_s`, from time_s to
+  told_time_s.
 - clips.csv: of a recording of several clips one row for each: clip, first_frame_id, frames,
-  assigned_lane and probability (of the most probable lane) in its last frame, changes (how many are
-  told in it), log_evidence (mean).
-- figures/: the belief over time, strips.png, and what `plot` drew besides.
+  assigned_lane and probability (of the most probable lane) in its last frame, changes (their
+  number), log_evidence (mean).
+- figures/: the belief over time, strips.png, and what `plot` drew.
 
 `egolane compare --out` writes the same for what was believed held out: beliefs.parquet has the
 annotated frames, and the `block` of each; run.json has `fit`, `blocks` and `parameters_per_block`
-besides; scores.json has the experiment's part of the comparison under `held_out`.
+too; scores.json has the experiment's part of the comparison under `held_out`.
 
 A directory is written beside its place and renamed at the end: one that has the name is whole. A
 new result takes the place of an old one file by file: what else lies there stays (see `OURS`).
@@ -96,7 +96,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
     from pgmpy.models import DynamicBayesianNetwork
 
-#: Of the keys of run.json, scores.json and comparison.json.
+#: The version of the keys of run.json, scores.json and comparison.json.
 SCHEMA_VERSION = 1
 
 #: The files of the beliefs and of the lines.
@@ -125,9 +125,8 @@ class Result:
     - is_impossible (T,): marks frames whose evidence the model does not allow.
     - crossing (T,): the probability that the car is on a line between two lanes; None for a graph
       without RoadPosition.
-    - block (T,): where each block was believed with what was found without it, the frame's block;
-      else None.
-    - clip (T,): of a recording of several clips the name of each frame's, as in `LineLog`.
+    - block (T,): the held-out block of each frame; None of a result that held out none.
+    - clip (T,): the name of each frame's clip, where there are several, as in `LineLog`.
     - road_lanes, origin (T,): lanes of the road as the map says, and where their numbers begin, see
       `maps.steps.LanesAlong`; None for a road on which lanes do not change.
     - lines: of the T frames; None in a directory that was written before lines were kept.
@@ -231,7 +230,7 @@ class Result:
 
     @functools.cached_property
     def told(self) -> LaneEvents:
-        """The lane changes that the beliefs tell of, with lanes that keep their numbers all along
+        """The lane changes that the beliefs show, with lanes that keep their numbers all along
         the drive (`inference.events.in_tracks`)."""
         rate, lag = float(self.run["frame_rate"]), self.config.get("lag")
         beliefs = self.beliefs
@@ -246,8 +245,8 @@ class Result:
 
     @functools.cached_property
     def events(self) -> LaneEvents:
-        """The lane changes that the beliefs tell of, see `egolane_pgm.inference.events`; with
-        ground truth, how late each was told."""
+        """The lane changes that the beliefs show, see `egolane_pgm.inference.events`; with
+        ground truth, the delay of each."""
         events, truth, origin = self.told, self.truth, self.origin
         if truth is not None:
             if origin is not None:

@@ -152,8 +152,8 @@ def runs_of(marked: BoolArray) -> list[tuple[int, int]]:
 
 
 def joined(marked: BoolArray, time_s: FloatArray, within_s: float) -> list[tuple[int, int]]:
-    """The runs of marked rows, (T,), those within so many seconds of each other together: the first
-    row of each, and the one after its last."""
+    """The runs of marked rows, (T,), those within `within_s` seconds of each other together: the
+    first row of each, and the one after its last."""
     found: list[tuple[int, int]] = []
     for start, stop in runs_of(marked):
         # A clock that jumps back does not bring stretches together.
@@ -568,7 +568,7 @@ class Evidence:
           index; None, NaN or pd.NA where it is missing. A DataFrame with a column per node will do.
 
         An observed node that is not given is missing in all frames. An input node must be given,
-        in every frame. Soft evidence about another node goes beside it:
+        in every frame. Soft evidence about another node is added:
         `Evidence({**hard.likelihoods, "Noise": likelihood}, hard.inputs)`.
 
         Raises InputError, naming node and row, for a node that is neither observed nor an input,
@@ -723,15 +723,16 @@ class Beliefs:
 
 @dataclass(frozen=True)
 class LaneEvents:
-    """Lane changes that beliefs tell of, E of them, in the order in which they are told.
+    """E lane changes that a belief shows, in the order in which they are reported.
 
     - told_frame_id, told_time_s (E,): when the change was first believed; seconds.
     - frame_id, time_s (E,): since when, up to there, the new lane was more probable than the old
       one without a break.
     - from_lane, to_lane (E,): 1 (leftmost) to n.
-    - probability (E,): of the new lane, in the belief that told the change.
-    - delay_s (E,): how long after the end of the true crossing the change was told, negative where
-      it was told before; NaN where the car made no such change. None without ground truth.
+    - probability (E,): of the new lane, in the belief that first showed the change.
+    - delay_s (E,): how long after the end of the true crossing the change was reported, negative
+      where it was reported before; NaN where the car made no such change. None without ground
+      truth.
 
     >>> import numpy as np
     >>> import egolane_pgm as ego
@@ -776,7 +777,7 @@ class LaneEvents:
 
     @property
     def late_s(self) -> FloatArray:
-        """(E,): how long the new lane was the more probable one before the change was told."""
+        """(E,): how long the new lane was the more probable one before the change was reported."""
         return np.asarray(self.told_time_s - self.time_s)
 
     def columns(self) -> dict[str, NDArray[Any]]:

@@ -66,7 +66,7 @@ LONGEST_GAP_S = 1.0
 #: How a line becomes valid: by the paper's hysteresis, or always, where the source is trusted.
 VALID = ("hysteresis", "always")
 
-#: Names of pictures with so many digits are time stamps: number of digits -> seconds per unit.
+#: Names of pictures that are time stamps: number of digits -> seconds per unit.
 _STAMP_UNITS = {13: 1e-3, 16: 1e-6, 18: 1e-8, 19: 1e-9}
 
 

@@ -23,9 +23,6 @@ MISSING_FRAMES: tuple[str, ...] = ("skip", "hold", "predict")
 #: A warning calls an offset beyond this (metres) absurd: no motorway is wider.
 ABSURD_OFFSET_M = 100.0
 
-#: Predicting through more missing frames at once than this is surely a wrong frame id.
-MAX_GAP = 100_000
-
 #: Filling more frames than this means that the ids are not frame numbers.
 MAX_FILLED = 1_000_000
 
@@ -109,15 +106,6 @@ def fill_after(last: LineLog | None, log: LineLog, policy: str, frame_rate: floa
         )
     if policy == "skip":
         return log
-    ids = log.frame_id if last is None else np.append(last.frame_id, log.frame_id)
-    step = np.diff(ids)
-    if (step == 1).all():
-        return log
-    if (step > MAX_GAP).any():
-        k = int(np.argmax(step > MAX_GAP))
-        raise InputError(
-            f"{log.source}: frame id jumps from {ids[k]} to {ids[k + 1]}; is it a frame count?"
-        )
     if last is None:
         return fill_missing(log, policy, frame_rate)
     return fill_missing(LineLog.joined([last, log]), policy, frame_rate).take(slice(1, None))

@@ -325,22 +325,9 @@ def check_not_read(file: Path, read: Iterable[Path]) -> None:
 def read_text(path: Path) -> str:
     """The text of a file in UTF-8, without the mark that some editors put before it. Raises
     InputError where it cannot be read or is no text."""
-    with _said_of_text(path):
-        return path.read_text(encoding="utf-8-sig")
-
-
-def iterate_text(path: Path) -> Iterator[str]:
-    """The lines of a file of any length, as `read_text` reads them, one by one."""
-    with _said_of_text(path), path.open(encoding="utf-8-sig") as file:
-        yield from file
-
-
-@contextlib.contextmanager
-def _said_of_text(path: Path) -> Iterator[None]:
-    """Errors of reading a text as an InputError each."""
     check_name(path)
     try:
-        yield
+        return path.read_text(encoding="utf-8-sig")
     except OSError as error:
         raise InputError(f"{path}: cannot be read: {error.strerror}") from error
     except UnicodeDecodeError as error:

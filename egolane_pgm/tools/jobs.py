@@ -28,8 +28,8 @@ from egolane_pgm.types import InputError
 T = TypeVar("T")
 R = TypeVar("R")
 
-#: Where work is shared out to: so many processes of this machine, or a Dask cluster: the address
-#: of its scheduler, or `local:N` for one of N processes that is started here.
+#: A number of processes of this machine, or a Dask cluster: the address of its scheduler, or
+#: `local:N` for one of N processes that is started here.
 Jobs = int | str
 
 _LOCAL = "local:"
