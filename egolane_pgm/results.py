@@ -66,8 +66,8 @@ from egolane_pgm.tools.files import (
     atomic_directory,
     check_place,
     code_checksum,
-    open_parquet,
     parquet_writer,
+    read_parquet,
     read_text,
     read_yaml,
     rows_of_parquet,
@@ -259,7 +259,7 @@ class Result:
         """The columns of beliefs.parquet, (T,) each, in their order; masked arrays have nulls."""
         columns: dict[str, NDArray[Any]] = {}
         for column in COLUMNS:
-            values = column.values(self)
+            values = column.values(self) if column.values else getattr(self, column.name)
             if isinstance(values, Mapping):
                 columns |= values
             elif values is not None:
@@ -453,14 +453,15 @@ class Column:
     - name: with NODE_VALUE for each value of each hidden node, detector_LANE for each lane.
     - needed: whether it has to be there: "always"; "sometimes"; or the name of another column,
       which it goes with.
-    - values: takes a result, gives the column, those of several names, or None.
+    - values: takes a result, gives the column, or those of several names; by default the result's
+      attribute of that name, None where it has no such column.
     """
 
     name: str
     kind: str
     needed: str
     meaning: str
-    values: Callable[[Result], Any]
+    values: Callable[[Result], Any] | None = None
 
 
 def _known(result: Result, values: NDArray[Any]) -> NDArray[Any]:
@@ -468,96 +469,57 @@ def _known(result: Result, values: NDArray[Any]) -> NDArray[Any]:
     return np.ma.masked_array(values, result.true_lane == UNASSIGNED)
 
 
+def _beliefs(result: Result) -> dict[str, FloatArray]:
+    """The columns of the beliefs: Lane_1, ..., SensorState_OK, ..."""
+    return {
+        f"{node}_{name}": result.marginals[node][:, k]
+        for node, names in result.values.items()
+        for k, name in enumerate(names)
+    }
+
+
+def _tentative(result: Result) -> dict[str, FloatArray]:
+    """The columns of the evidence rule's own answer, none where it has none."""
+    lanes = [] if result.tentative is None else result.tentative.T
+    return {f"detector_{k}": column for k, column in enumerate(lanes, start=1)}
+
+
 #: The columns of beliefs.parquet in their order.
 COLUMNS = (
-    Column("frame_id", "int64", "always", "increases from row to row", lambda r: r.frame_id),
-    Column("time_s", "float64", "always", "seconds", lambda r: r.time_s),
-    Column(
-        "NODE_VALUE",
-        "float64",
-        "always",
-        "belief: Lane_1, ..., SensorState_OK, ...",
-        lambda r: {
-            f"{node}_{name}": r.marginals[node][:, k]
-            for node, names in r.values.items()
-            for k, name in enumerate(names)
-        },
-    ),
+    Column("frame_id", "int64", "always", "increases from row to row"),
+    Column("time_s", "float64", "always", "seconds"),
+    Column("NODE_VALUE", "float64", "always", "belief: Lane_1, ..., SensorState_OK, ...", _beliefs),
     Column(
         "crossing",
         "float64",
         "sometimes",
         "probability that the car is on a line between two lanes, of graphs with RoadPosition",
-        lambda r: r.crossing,
     ),
+    Column("assigned_lane", "int64", "always", "the answer; 0 for none (a tie, unassigned_below)"),
     Column(
-        "assigned_lane",
-        "int64",
-        "always",
-        "the answer; 0 for none (a tie, unassigned_below)",
-        lambda r: r.assigned_lane,
+        "detector_LANE", "float64", "detector_lane", "the evidence rule's own answer", _tentative
     ),
-    Column(
-        "detector_LANE",
-        "float64",
-        "detector_lane",
-        "the evidence rule's own answer",
-        lambda r: {
-            f"detector_{k + 1}": column
-            for k, column in enumerate([] if r.tentative is None else r.tentative.T)
-        },
-    ),
-    Column(
-        "detector_lane",
-        "int64",
-        "sometimes",
-        "its most probable lane; 0 for none",
-        lambda r: r.detector_lane,
-    ),
-    Column("log_evidence", "float64", "always", "natural logarithm", lambda r: r.log_evidence),
-    Column(
-        "is_impossible",
-        "bool",
-        "always",
-        "the model does not allow the frame's evidence",
-        lambda r: r.is_impossible,
-    ),
+    Column("detector_lane", "int64", "sometimes", "its most probable lane; 0 for none"),
+    Column("log_evidence", "float64", "always", "natural logarithm"),
+    Column("is_impossible", "bool", "always", "the model does not allow the frame's evidence"),
     Column(
         "true_lane",
         "int64",
         "always",
         "null where not annotated",
-        lambda r: _known(r, r.true_lane),
+        lambda result: _known(result, result.true_lane),
     ),
     Column(
         "is_crossing",
         "bool",
         "always",
         "the car is changing lanes; null where not annotated",
-        lambda r: _known(r, r.is_crossing),
+        lambda result: _known(result, result.is_crossing),
     ),
-    Column("clip", "string", "sometimes", "name of the clip, where several", lambda r: r.clip),
-    Column(
-        "road_lanes",
-        "int64",
-        "sometimes",
-        "lanes of the road, with n_lanes: map",
-        lambda r: r.road_lanes,
-    ),
-    Column(
-        "origin",
-        "int64",
-        "road_lanes",
-        "lane k is lane k - origin of the first frame",
-        lambda r: r.origin,
-    ),
-    Column(
-        "block",
-        "int64",
-        "sometimes",
-        "of what was believed held out: the block that was left out",
-        lambda r: r.block,
-    ),
+    Column("clip", "string", "sometimes", "name of the clip, where several"),
+    Column("road_lanes", "int64", "sometimes", "lanes of the road, with n_lanes: map"),
+    Column("origin", "int64", "road_lanes", "lane k is lane k - origin of the first frame"),
+    Column("block", "int64", "sometimes", "the block that was held out"),
 )
 
 
@@ -567,8 +529,7 @@ def _read_beliefs(file: Path, run: Mapping[str, Any]) -> dict[str, Any]:
 
     - run: the content of run.json, which names the hidden nodes and their values.
     """
-    with open_parquet(file) as stored:
-        table = stored.read()
+    table = read_parquet(file)
     if len(table) != run["frames"]:
         raise InputError(f"{file}: has {len(table)} frames, run.json says {run['frames']}")
 

@@ -189,24 +189,21 @@ def parquet_writer(path: Path) -> Iterator[Callable[[Any], None]]:
 
 
 @contextlib.contextmanager
-def open_parquet(path: Path, content: bytes | None = None) -> Iterator[Any]:
+def open_parquet(path: Path) -> Iterator[Any]:
     """A pyarrow ParquetFile, open while the block runs.
-
-    - content: of the file, where that was read before.
 
     Raises InputError where it cannot be read, there or in the block.
     """
     import pyarrow as pa
-    from pyarrow import BufferReader, OSFile, parquet
+    from pyarrow import OSFile, parquet
 
     check_name(path)
     try:
-        if content is None:
-            # Its error says in plain words what is wrong with the place.
-            path.stat()
+        # Its error says in plain words what is wrong with the place.
+        path.stat()
         # Given a name, pyarrow takes what is before a colon for the scheme of an address. Of a
         # Python file its threads would still read while Python ends, which then aborts.
-        with OSFile(str(path)) if content is None else BufferReader(content) as file:
+        with OSFile(str(path)) as file:
             yield parquet.ParquetFile(file)
     except InputError:
         raise
@@ -217,10 +214,10 @@ def open_parquet(path: Path, content: bytes | None = None) -> Iterator[Any]:
         raise InputError(f"{path}: is not a whole Parquet file ({said})") from None
 
 
-def read_parquet(path: Path, content: bytes | None = None) -> Any:
+def read_parquet(path: Path) -> Any:
     """Read a pyarrow table. Raises InputError as `open_parquet` does, and for columns of one name,
     of which nobody knows which is meant."""
-    with open_parquet(path, content) as file:
+    with open_parquet(path) as file:
         table = file.read()
         twice = sorted(n for n, times in Counter(table.column_names).items() if times > 1)
     if twice:
