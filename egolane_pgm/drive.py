@@ -168,7 +168,7 @@ def load_recording(
     recorded = Recorded(log, None, none, tuple(files), tuple(notes), road, seen, rate)
     if truth is None:
         return recorded
-    check_one_drive(log, "clips are run without ground truth (--ground-truth none)")
+    check_one_drive(log, "clips are run without ground truth (ground_truth: none)")
     truth.check_lanes(experiment.n_lanes)
     scored, annotated = join(log, truth)
     if len(scored) < len(log):
@@ -303,7 +303,7 @@ def with_recording(
         del section["frame_rate"]
     if experiment.recording.simulate is not None and recording is None and ground_truth == "none":
         raise InputError(
-            f"{experiment.source}: --ground-truth none: a simulated drive brings its own;"
+            f"{experiment.source}: ground_truth: none: a simulated drive brings its own;"
             " write it to files with `egolane simulate` and run on those"
         )
     if recording is not None:
@@ -324,8 +324,8 @@ def with_recording(
         section = content["recording"]
         if section.get("path") != path or section.get("simulate"):
             raise InputError(
-                f"{experiment.source}: recording: --set and --recording, or a row of a fleet, name"
-                " two of them; leave one out"
+                f"{experiment.source}: recording: overrides and recording, or a row of a fleet,"
+                " name two of them; leave one out"
             )
     if frame_id is not None:
         section["frame_id"] = frame_id
@@ -510,13 +510,12 @@ def load_drive(
         source, problems = experiment.source, []
         if experiment.gnss is not None:
             problems.append(
-                f"{source}: gnss: positions are for `egolane run`; here leave them out (--set"
-                " gnss=null)"
+                f"{source}: gnss: positions are for `egolane run`; here leave them out (gnss: null)"
             )
         if experiment.decode != "marginal":
             problems.append(
                 f"{source}: decode: {experiment.decode} is for `egolane run`; here beliefs are"
-                " scored (--set decode=marginal)"
+                " scored (decode: marginal)"
             )
         if needs_truth is not None and not has_truth:
             problems.append(f"{source}: ground_truth: is missing, {needs_truth}")

@@ -58,12 +58,12 @@ def parse_runs(given: Runs) -> list[int]:
     for part in given.split(","):
         first, dash, last = part.strip().partition("-")
         if not first.isdecimal() or (dash and not last.isdecimal()):
-            raise InputError(f"--runs {given}: write numbers and ranges, e.g. 1-5,7")
+            raise InputError(f"runs: {given}: write numbers and ranges, e.g. 1-5,7")
         low, high = int(first), int(last or first)
         for run in (low, high):
             paper_experiment(run)
         if low > high:
-            raise InputError(f"--runs {given}: {low}-{high} is an empty range")
+            raise InputError(f"runs: {given}: {low}-{high} is an empty range")
         runs += range(low, high + 1)
     return list(dict.fromkeys(runs))
 
@@ -76,7 +76,7 @@ def parameters_for(entry: Mapping[str, Any], which: str) -> dict[str, Any]:
       published model matrix: run 5's stand in the authors' code, a search found the others.
     """
     if which not in PARAMETER_SETS:
-        raise InputError(f"--parameters {which}: is not one of {', '.join(PARAMETER_SETS)}")
+        raise InputError(f"parameters: {which} is not one of {', '.join(PARAMETER_SETS)}")
     return dict(entry["parameters"] if which == "published" else entry["recovered"]["parameters"])
 
 

@@ -310,11 +310,11 @@ class Result:
     def to_pandas(self) -> pd.DataFrame:
         """A row per frame; the index is `frame_id`.
 
-        Columns: `time_s`, the belief in each value of a hidden node (`Lane=1`, `SensorState=OK`,
-        ...), `crossing` (the probability that the car is on a line between two lanes, of graphs
-        that have a RoadPosition), `assigned_lane` (0: no answer), the evidence rule's own answer
-        (`detector=1`, ..., `detector_lane`) where it has one, `log_evidence`, `is_impossible`, and
-        `true_lane` and `is_crossing`, missing where nobody annotated the frame.
+        Columns: `time_s`, `assigned_lane` (0: no answer), `true_lane` and `is_crossing` (missing
+        where nobody annotated the frame), `Lane=1`, ...; then `crossing` (the probability that the
+        car is on a line between two lanes, of graphs that have a RoadPosition), the evidence rule's
+        own answer (`detector=1`, ..., `detector_lane`) where it has one, `log_evidence`,
+        `is_impossible`, and the beliefs in the other hidden nodes (`SensorState=OK`, ...).
         """
         import pandas as pd
 
@@ -333,7 +333,12 @@ class Result:
                 columns[name] = values
             else:
                 columns[names.get(name, name)] = column
-        return pd.DataFrame(columns).set_index("frame_id")
+        first = ["frame_id", "time_s", "assigned_lane", "true_lane", "is_crossing"]
+        first += [name for name in columns if name.startswith("Lane=")]
+        others = [name for name in columns if name not in first]
+        # The many columns of another node would hide what is looked at.
+        order = [*first, *sorted(others, key=lambda name: name.partition("=")[0] in self.values)]
+        return pd.DataFrame(columns)[order].set_index("frame_id")
 
     def to_xarray(self) -> xr.Dataset:
         """The same with an axis for each hidden node: `belief_Lane` (frame_id, Lane), ...
@@ -711,9 +716,7 @@ def check_writable(directory: Path, kinds: Sequence[Callable[[Path], bool]] = ()
             raise InputError(f"{directory}: is a file, not a directory")
         is_ours = any(is_one(directory) for is_one in kinds or (is_result,))
         if any(directory.iterdir()) and not is_ours:
-            raise InputError(
-                f"{directory}: exists and is not a result directory; name another one with --out"
-            )
+            raise InputError(f"{directory}: exists and is not a result directory; name another one")
 
 
 def is_result(directory: Path) -> bool:

@@ -486,7 +486,7 @@ def name_runs(
     places = [os.path.realpath(recording) for recording in recordings]
     for k, place in enumerate(places):
         if place in places[:k]:
-            raise InputError(f"--recording {recordings[k]}: is named twice")
+            raise InputError(f"recording: {recordings[k]}: is named twice")
     stems = [name_of(recording) for recording in recordings]
     if len(experiments) > 1 or not recordings:
         given, name = (recordings[0], f"{stems[0]}_*") if recordings else (None, None)

@@ -703,12 +703,13 @@ class Beliefs:
         return self.marginals["Lane"]
 
     def to_pandas(self) -> pd.DataFrame:
-        """A row per frame, with a column `Node=value` for each value; the index is `frame_id`."""
+        """A row per frame, with a column `Node=value` for each value, those of Lane first; the
+        index is `frame_id`."""
         # pandas is imported only for a table.
         import pandas as pd
 
         columns: dict[str, FloatArray] = {}
-        for node, belief in self.marginals.items():
+        for node, belief in sorted(self.marginals.items(), key=lambda each: each[0] != "Lane"):
             first = int(node == "Lane")
             names = self.values.get(node, range(first, first + belief.shape[1]))
             columns |= {f"{node}={name}": belief[:, k] for k, name in enumerate(names)}

@@ -505,7 +505,7 @@ def test_without_ground_truth_only_the_ground_truth_goes() -> None:
 
 
 def test_a_simulated_drive_cannot_be_without_its_ground_truth() -> None:
-    with pytest.raises(InputError, match="--ground-truth none: a simulated drive brings its own"):
+    with pytest.raises(InputError, match="ground_truth: none: a simulated drive brings its own"):
         with_recording(made(recording={"simulate": "a4"}), None, "none", None)
 
 

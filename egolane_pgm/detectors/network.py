@@ -39,8 +39,8 @@ def start(camera: Camera, parameters: Parameters) -> Step:
     network = read_network(str(parameters["network"]))
     if network.layout == "drivable":
         raise InputError(
-            f"{network.file}: layout drivable has no lines; name it as on_road of another detector"
-            " (--detector ml --set on_road=...), or take an output with lines"
+            f"{network.file}: layout drivable has no lines; name it as on_road, a parameter of"
+            " another detector such as ml, or take an output with lines"
         )
     return finder.start(
         camera,

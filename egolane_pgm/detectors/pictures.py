@@ -173,7 +173,7 @@ def _is_folder_of_pictures(folder: Path, detector: str | None) -> bool:
     try:
         endings = {path.suffix.lower() for path in folder.iterdir() if path.is_file()}
     except OSError as error:
-        raise InputError(f"--recording {folder}: cannot be read: {error.strerror}") from None
+        raise InputError(f"recording: {folder}: cannot be read: {error.strerror}") from None
     has_pictures = not endings.isdisjoint(PICTURES)
     try:
         format_of(folder)
@@ -182,14 +182,12 @@ def _is_folder_of_pictures(folder: Path, detector: str | None) -> bool:
         has_lines = False
     if has_pictures and has_lines and detector is None:
         raise InputError(
-            f"--recording {folder}: has pictures and lines ({files_of(folder)[0].name}, ...); say"
-            " which: --detector NAME looks at the pictures, --set recording.detector=null reads"
-            " the lines"
+            f"recording: {folder}: has pictures and lines ({files_of(folder)[0].name}, ...); say"
+            " which: a detector looks at the pictures, recording.detector: null reads the lines"
         )
     drives = (*VIDEOS, ".bag", ".csv", ".parquet", ".jsonl")
     if not has_pictures and not has_lines and not endings.isdisjoint(drives):
         raise InputError(
-            f"--recording {folder}: is a folder of recordings; name one of them, or several, each"
-            " with a --recording of its own"
+            f"recording: {folder}: is a folder of recordings; name one of them, or several"
         )
     return has_pictures or not has_lines or detector is not None

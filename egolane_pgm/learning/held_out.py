@@ -241,7 +241,7 @@ def load_to_learn(experiment: Experiment, recorded: Recorded | None = None) -> D
     if _has_fit(model):
         needs_truth = "learning needs it"
     elif learning_of(experiment).labels:
-        needs_truth = "learning needs it, or learning.labels: false (--unlabelled)"
+        needs_truth = "learning needs it, or learning.labels: false"
     return load_drive(experiment, needs_truth=needs_truth, recorded=recorded)
 
 

@@ -26,13 +26,13 @@ def output_files(experiment: Experiment, target: Path) -> list[Path]:
     for file in files:
         check_place(file)
     if target.resolve() == Path(experiment.source).resolve():
-        raise InputError(f"{target}: is the experiment itself; name another file with --out")
+        raise InputError(f"{target}: is the experiment itself; name another file")
     recording, truth = experiment.recording, experiment.ground_truth
     named = [experiment.graph, recording.path, recording.camera, truth and truth.path]
     read = {(experiment.folder / name).resolve() for name in named if name}
     for file in files:
         if file.resolve() in read:
-            raise InputError(f"{file}: is read by {experiment.source}; name another with --out")
+            raise InputError(f"{file}: is read by {experiment.source}; name another file")
     return files
 
 

@@ -34,7 +34,7 @@ Over non-crossing frames, those of untrusted labels (tuning.never_fit) left out.
 frame is given so many seconds late: it knows the lines of the frames recorded until then. Lag 0 is
 the exact filter, whatever the experiment's own; where frames are missing a lag lasts longer.
 Evidence that is causal is made of a frame when it comes and not read anew later. All scores and
-95 % intervals: --json."""
+95 % intervals: in the JSON."""
 
 HEALTH_LEGEND = """\
 AUC: area under the ROC curve for "the detector alone is wrong in this frame", over non-crossing

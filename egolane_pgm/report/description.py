@@ -191,7 +191,7 @@ def _numbers(table: Mapping[str, Any], names: Mapping[str, Sequence[str]]) -> li
     """The rows of a table, one for each combination of the parents' values."""
     values = table["values"]
     if values.size > MAX_PRINTED:
-        return [f"    {values.size} numbers, which `--tables --json FILE` writes"]
+        return [f"    {values.size} numbers, which the JSON has"]
     *given, node = table["axes"]
     labels = ["", *map(", ".join, itertools.product(*(names[_bare(axis)] for axis in given)))]
     margin = max(map(len, labels))

@@ -145,7 +145,7 @@ def _check_ablation(with_bonus: Result, without_bonus: Result) -> None:
     if values[1] != 0:
         raise InputError(
             f"{without_bonus.directory}: bonus_value is {values[1]:g}, needs 0; run the experiment"
-            " with --set parameters.bonus_value=0"
+            " with parameters.bonus_value: 0"
         )
     for name in ("frame_id", "true_lane", "is_crossing"):
         if not np.array_equal(getattr(with_bonus, name), getattr(without_bonus, name)):

@@ -23,7 +23,7 @@ the end of the true crossing to the telling, seconds, negative where it was told
 the probability that the car is on a line between two lanes; its AUC for "this frame is crossing",
 how many changes have a warning (from .5 on) while they last, how many seconds before the label's
 change it begins, and how many warnings an hour have no crossing within 2 s. Frames of untrusted
-labels (tuning.never_fit) are left out. More: --json."""
+labels (tuning.never_fit) are left out. More: in the JSON."""
 
 
 def event_rows(events: LaneEvents, at_most: int = LISTED) -> tuple[list[str], list[list[str]]]:

@@ -122,7 +122,7 @@ def _drawn(table: Table, wide: bool) -> str:
     drawn = [_lines(list(zip(*piece, strict=True))) for piece in pieces]
     rest = ", ".join(dict.fromkeys(column[0] for piece in pieces[1:] for column in piece[n:]))
     if table.leaves_out and rest:
-        return drawn[0] + "\n\n" + wrapped(f"With --wide: {rest}.")
+        return drawn[0] + "\n\n" + wrapped(f"Wide tables add: {rest}.")
     return "\n\n".join(drawn)
 
 

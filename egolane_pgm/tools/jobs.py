@@ -123,7 +123,7 @@ def _client(address: str) -> Iterator[Any]:
         from distributed import Client, LocalCluster
         from distributed.utils import silence_logging_cmgr
     except ImportError:
-        raise InputError("--cluster needs Dask: pip install 'egolane-pgm[cluster]'") from None
+        raise InputError("a cluster needs Dask: pip install 'egolane-pgm[cluster]'") from None
     # Dask logs each worker and scheduler that it loses, with a traceback.
     with silence_logging_cmgr(logging.CRITICAL), contextlib.ExitStack() as stack:
         place: Any = address
@@ -141,14 +141,14 @@ def _client(address: str) -> Iterator[Any]:
             client = stack.enter_context(known)
         except (OSError, ValueError) as error:
             raise InputError(
-                f"--cluster {address}: no scheduler answers; `dask scheduler` starts one, local:4"
+                f"cluster {address}: no scheduler answers; `dask scheduler` starts one, local:4"
                 " is one of four processes on this machine"
             ) from error
         tqdm.write(f"Dask dashboard: {client.dashboard_link}", file=sys.stderr)
         try:
             yield client
         except futures.CancelledError:
-            said = f"--cluster {address}: the connection to the scheduler is lost"
+            said = f"cluster {address}: the connection to the scheduler is lost"
             raise InputError(said) from None
 
 
@@ -165,7 +165,7 @@ def _do(expected: dict[str, str], folder: str, work: Callable[..., R], /, *given
             )
     if get_worker().state.nthreads > 1:
         # Threads have one folder together.
-        raise InputError(f"{worker}: has threads; start it with `--nthreads 1`, once per processor")
+        raise InputError(f"{worker}: has threads; start it with one, once per processor")
     os.chdir(folder)
     return work(*given)
 

@@ -18,11 +18,12 @@ def bar(items: Iterable[Any] | None = None, progress: bool | None = None, **sett
     from tqdm import tqdm
 
     kind: Any = tqdm
-    hidden = None if progress is None else not progress
+    shown = {"disable": None if progress is None else not progress}
     if "ipykernel" in sys.modules:
         with warnings.catch_warnings():
             # Without ipywidgets it is a bar of plain text, and tqdm asks for them.
             warnings.simplefilter("ignore")
             from tqdm.auto import tqdm as kind
-        hidden = bool(hidden)
-    return kind(items, leave=False, disable=hidden, **settings)
+        # None would hide it, as everywhere but in a terminal.
+        shown = {} if progress is None else shown
+    return kind(items, leave=False, **shown, **settings)

@@ -60,7 +60,7 @@ def check_filter(experiment: Experiment) -> None:
     if not experiment.has_causal_filter:
         raise InputError(
             f"{experiment.source}: filter: a search takes assumed_density or exact, not"
-            f" {experiment.filter}; search with one of these (--set filter=exact)"
+            f" {experiment.filter}; search with one of these"
         )
 
 

@@ -213,8 +213,8 @@ def prepare(
     made = PictureSearch(problem, directory, held_out, storage)
     if held_out == "recordings":
         raise InputError(
-            f"{plan.source}: --whole-recordings: labelled pictures are one recording; their blocks"
-            " are held out (--blocks)"
+            f"{plan.source}: whole_recordings: labelled pictures are one recording; their blocks"
+            " are held out"
         )
     if held_out == "blocks":
         blocks(len(problem.clips), plan.tuning.blocks)
@@ -223,7 +223,7 @@ def prepare(
         made.test = make_problem(replace(test, tuning=plan.tuning))
         if made.test.space.dimensions != problem.space.dimensions:
             raise InputError(
-                f"{test.source}: --test-on: declares other parameters than {plan.source}"
+                f"{test.source}: test_on: declares other parameters than {plan.source}"
             )
     check_place(storage, directory, plan.name, _identity(problem))
     return made

@@ -130,7 +130,7 @@ def check_study(storage: BaseStorage, name: str, identity: Mapping[str, Any]) ->
     if unlike:
         raise InputError(
             f"study {name}: the storage holds another study of this name ({'; '.join(unlike[:5])});"
-            " nothing was changed; name another directory with --out, or another storage"
+            " nothing was changed; name another directory, or another storage"
         )
 
 
@@ -164,9 +164,9 @@ def _named(url: str | None) -> str:
     if url is None:
         return JOURNAL_NAME
     try:
-        return f"--storage {make_url(url).set(query={}).render_as_string()}"
+        return f"storage: {make_url(url).set(query={}).render_as_string()}"
     except SQLAlchemyError:
-        return "--storage"
+        return "storage"
 
 
 def _reason(error: BaseException) -> str:

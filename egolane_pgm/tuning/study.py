@@ -135,7 +135,7 @@ def prepare(
         made.test = make_problem(with_options(test, same))
         if made.test.space.dimensions != problem.space.dimensions:
             raise InputError(
-                f"{test.source}: --test-on: declares other parameters than {plan.source}"
+                f"{test.source}: test_on: declares other parameters than {plan.source}"
             )
     check_place(storage, directory, plan.name, identity_of(problem))
     return made

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
@@ -122,7 +122,15 @@ def compare(
     [0.902, 0.911]
     """
     given = several_of(experiments)
+    waits = () if lags is None else check_lags(lags.split(",") if isinstance(lags, str) else lags)
+    apart = {
+        "health": health, "events": events, "lags": waits, "overrides": overrides,
+        "trials": trials, "trials_per_number": trials_per_number, "seeds": seeds,
+        "figure": figure, "differences": differences, "out": out,
+    }  # fmt: skip
     if any(isinstance(each, (str, os.PathLike)) and Path(each).is_dir() for each in given):
+        others = {"graphs": graphs, "runs": runs, "held_out": held_out, "fleet": fleet}
+        _refuse({**others, "with_paper": with_paper, **apart}, "experiments, not with results")
         return Comparison(compare_results([read_result(each) for each in given]))
     if with_paper and not (given and runs):
         raise InputError("with_paper: goes with experiments and runs")
@@ -132,18 +140,10 @@ def compare(
         raise InputError("fleet: goes with experiments, without runs")
     _check_places(figure, differences, out)
     names = graph_names(graphs, bool(given))
-    waits = check_lags(lags.split(",") if isinstance(lags, str) else lags or ())
     chosen = () if seeds is None else _seeds(seeds)
     numbers = parse_runs(runs) if runs else None
     if not given and not held_out:
-        apart = {
-            "health": health, "events": events, "lags": waits, "overrides": overrides,
-            "trials": trials, "trials_per_number": trials_per_number, "seeds": seeds,
-            "figure": figure, "differences": differences, "out": out,
-        }  # fmt: skip
-        for name, value in apart.items():
-            if value:
-                raise InputError(f"{name}: goes with experiments or with held_out")
+        _refuse(apart, "experiments or with held_out")
         shows = bar(numbers or parse_runs("1-10"), progress, desc="runs", unit="run")
         compared = [compare_graphs(number, names, parameters) for number in shows]
         return Comparison(compare_json(compared, parameters))
@@ -162,6 +162,13 @@ def compare(
     if figure or differences:
         _draw(found, figure, differences)
     return found
+
+
+def _refuse(options: Mapping[str, Any], what: str) -> None:
+    """Raise InputError for the first option that is given, and goes with something else."""
+    for name, value in options.items():
+        if value:
+            raise InputError(f"{name}: goes with {what}")
 
 
 def _check_places(figure: Any, differences: Any, out: Any) -> None:

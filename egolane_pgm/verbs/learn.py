@@ -147,7 +147,7 @@ def _held_out(drive: Drive, learned: Learned, blocks: int, notes: tuple[str, ...
     }
     scores = {"name": drive.experiment.name, "fit": "learn", **run}
     scores |= {"frames": len(drive), "frames_scored": 0, "log_evidence": _evidence(learned)}
-    scores |= {"parameters": learned.parameters}
+    scores |= {"parameters": {**learned.parameters, **learned.tables()}}
     if learned.scores is not None:
         scores |= {"model": learned.scores, "frames_scored": learned.scores["frames_scored"]}
         scores |= {"model_all_frames": learned.scores_all}
@@ -218,7 +218,7 @@ def _learn_fleet(
             "held_out": held_out,
             "drives": rows,
             "log_evidence": log_evidence,
-            "parameters": learned.parameters,
+            "parameters": {**learned.parameters, **learned.tables()},
         },
         notes=tuple(dict.fromkeys(str(w.message) for w in caught)),
         learned=learned,

@@ -20,7 +20,6 @@ from egolane_pgm.experiment import (
     load_experiment,
 )
 from egolane_pgm.fleet import numbers_of, plan_fleet, read_fleet, summary_rows, write_summary
-from egolane_pgm.recordings.memory import in_memory, truth_of
 from egolane_pgm.recordings.source import IN_MEMORY, Read
 from egolane_pgm.report.events import event_runs_rows, lane_words, sure_words
 from egolane_pgm.report.fleet_table import fleet_table_rows
@@ -66,7 +65,7 @@ SUMMARY = "summary.parquet"
 
 
 @overload
-def run(experiment: Sequence[Given | Lines], **options: Any) -> DriveTable: ...
+def run(experiment: list[Any] | tuple[Any, ...], **options: Any) -> DriveTable: ...
 
 
 @overload
@@ -366,6 +365,9 @@ def read_of(experiment: Experiment, recording: Any, ground_truth: Any) -> Read |
 
     - experiment: that is run.
     """
+    # `egolane run --help` does without pyarrow.
+    from egolane_pgm.recordings.memory import in_memory, truth_of
+
     truth = ground_truth if _is_in_memory(ground_truth) else None
     if _is_in_memory(recording):
         return in_memory(experiment, recording, truth)

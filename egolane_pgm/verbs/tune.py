@@ -177,7 +177,7 @@ def tune(
                 f"complete trials are kept in {place}; repeat the command to go on"
             ) from None
         if out is not None and figures:
-            for made in searches:
+            for made in bar(searches, progress, desc="figures", unit="study"):
                 draw_study(made.directory)
     return found
 

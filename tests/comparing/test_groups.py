@@ -520,7 +520,7 @@ def test_the_scores_of_one_recording_stand_upright_and_fit_the_terminal(
 def test_what_cannot_be_compared_is_refused_in_one_line(runs: Path, tmp_path: Path) -> None:
     one = write(tmp_path / "one.yaml", simulated("one"))
     assert "--with-paper" in refused("compare", one, "--with-paper")
-    assert "--held-out" in refused("compare", "--health", "--runs", "2")
+    assert "or with held_out" in refused("compare", "--health", "--runs", "2")
     message = refused("compare", write(tmp_path / "f.yaml", simulated()), "--set", "fit=lern")
     assert "fit: 'lern' is not one of none, learn, tune (did you mean 'learn'?)" in message
     (tmp_path / "bare").mkdir()
@@ -533,7 +533,7 @@ def test_what_cannot_be_compared_is_refused_in_one_line(runs: Path, tmp_path: Pa
     message = refused("compare", crossing)
     assert message.endswith("ground_truth.txt: every frame is a crossing, nothing to score")
     assert "a figure ends in .png" in refused("compare", one, "--figure", tmp_path / "a.gif")
-    assert "needs two experiments" in refused("compare", one, "--differences", tmp_path / "a.png")
+    assert "need two experiments" in refused("compare", one, "--differences", tmp_path / "a.png")
     assert "a search takes assumed_density or exact" in refused(
         "compare", one, "--set", "fit=tune", "--set", "filter=smoothed"
     )
@@ -543,9 +543,9 @@ def test_what_cannot_be_compared_is_refused_in_one_line(runs: Path, tmp_path: Pa
     assert "parameters.sigmas_m: has 7 numbers, needs a list of 6" in message
     for text in ("0", "x", "-1", ",", "1.5"):
         message = refused("compare", one, f"--seeds={text}")
-        assert message == f"--seeds {text}: write how many, 5, or which with commas, 3,7"
+        assert message == f"--seeds: {text} is neither how many, 5, nor which, 3,7"
     assert "--seeds: nothing is searched" in refused("compare", one, "--seeds", 2)
-    assert "instead of --trials" in refused("compare", one, "--trials", 4, "--trials-per-number", 4)
+    assert "instead of trials" in refused("compare", one, "--trials", 4, "--trials-per-number", 4)
     everything = ("--set", "tuning.never_fit=[[0, null]]", "--set", "fit=tune")
     assert "no frame is left to fit on" in refused("compare", one, *everything)
 

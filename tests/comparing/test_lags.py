@@ -163,8 +163,8 @@ def test_the_command_shows_writes_and_draws_the_lags(tmp_path: Path) -> None:
 
 def test_what_has_no_lags_is_refused_in_one_line(tmp_path: Path) -> None:
     path = write_drive(tmp_path / "a")
-    assert refused("compare", path, "--lags", "0,x").startswith("lags: ['0', 'x'] are no numbers")
-    assert refused("compare", path, "--lags=-1") == "lags: -1 s must not be negative"
+    assert refused("compare", path, "--lags", "0,x").startswith("--lags: ['0', 'x'] are no")
+    assert refused("compare", path, "--lags=-1") == "--lags: -1 s must not be negative"
     assert "--lags" in refused("compare", "--lags", "1", "--runs", "2")
     bare = write_drive(tmp_path / "bare", ground_truth=None)
     assert "ground_truth: is missing" in refused("compare", bare, "--lags", "1")
@@ -200,7 +200,7 @@ def test_the_function_has_the_table_and_the_figure(tmp_path: Path) -> None:
             ask()
     with pytest.raises(InputError, match=r"table: 'lag' is not one of scores, lags \(did you"):
         found.to_pandas("lag")
-    with pytest.raises(InputError, match="lags: go with experiments or with held_out"):
+    with pytest.raises(InputError, match="lags: goes with experiments or with held_out"):
         ego.compare(graphs="no_wor", runs=3, lags=1)
 
 

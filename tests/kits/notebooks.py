@@ -15,8 +15,8 @@ from nbformat import NotebookNode
 FOLDER = Path(__file__).parents[2] / "notebooks"
 NOTEBOOKS = sorted(FOLDER.glob("*.ipynb"))
 
-#: pgmpy warns of its own deprecated modules when it is imported.
-QUIET = {"PYTHONWARNINGS": "ignore::FutureWarning:pgmpy.estimators"}
+#: pgmpy warns of its own deprecated modules when it is imported; a bar is nothing to keep.
+QUIET = {"PYTHONWARNINGS": "ignore::FutureWarning:pgmpy.estimators", "TQDM_DISABLE": "1"}
 
 
 #: The searches of a notebook, and shorter ones for a test.

@@ -296,7 +296,7 @@ def test_what_was_learned_can_be_run_and_compared(tmp_path: Path, words: tuple[s
     assert "in-sample" in shown
     found = json.loads(target.read_text())
     assert np.shape(found["parameters"]["tables.Lane.next"]) == (3, 3)
-    assert found["log_evidence_held_out"] > found["log_evidence_before"]
+    assert found["log_evidence"]["held_out"] > found["log_evidence"]["before"]
     # Beliefs of the file are those of what was learned.
     experiment = load_experiment(
         tmp_path / "in" / "experiment.yaml", ["learning.labels=false"] if words else []
@@ -315,10 +315,7 @@ def test_what_was_learned_can_be_run_and_compared(tmp_path: Path, words: tuple[s
 def test_without_ground_truth_only_the_evidence_is_learned_from(tmp_path: Path) -> None:
     path = write_drive(tmp_path, 300, ground_truth=None)
     said = refused("learn", path, "--out", tmp_path / "a.yaml")
-    assert (
-        "ground_truth: is missing, learning needs it, or learning.labels: false (--unlabelled)"
-        in said
-    )
+    assert "ground_truth: is missing, learning needs it, or learning.labels: false" in said
     shown = done("learn", path, "--unlabelled", "--out", tmp_path / "a.yaml").stdout
     assert "no ground truth; held out" in shown
     assert "log evidence per frame" in shown
@@ -514,8 +511,8 @@ def test_a_file_that_the_experiment_reads_is_not_written_over(tmp_path: Path) ->
     before = graph.read_text()
     path = write_drive(tmp_path, 30, graph="./out.graph.yaml")
     said = refused("learn", path, "--out", tmp_path / "out.yaml")
-    assert said.endswith(f"{graph}: is read by {path}; name another with --out")
-    assert refused("learn", path, "--out", tmp_path / "lines.csv").endswith("with --out")
+    assert said.endswith(f"{graph}: is read by {path}; name another file")
+    assert refused("learn", path, "--out", tmp_path / "lines.csv").endswith("name another file")
     assert graph.read_text() == before
     done("learn", path, "--out", tmp_path / "other.yaml", "--blocks", "2")
 

@@ -182,7 +182,7 @@ def test_clips_are_refused_where_one_drive_is_needed(tmp_path: Path) -> None:
         tmp_path / "e.yaml", recording=recording, ground_truth={"path": "truth.txt"}, n_lanes=4
     )
     said = refused("run", path, "--no-figures", "--out", tmp_path / "r")
-    assert said.endswith("clips are run without ground truth (--ground-truth none)")
+    assert said.endswith("clips are run without ground truth (ground_truth: none)")
     path = write_experiment(tmp_path / "f.yaml", recording=recording, ground_truth=None)
     said = refused("learn", path, "--unlabelled", "--out", tmp_path / "l")
     assert said.endswith("only `egolane run` takes clips; here name the lines of one")

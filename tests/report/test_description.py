@@ -92,7 +92,7 @@ def test_numbers_are_the_tables_in_json_and_in_the_text() -> None:
 
 def test_a_long_table_is_not_printed_and_a_wide_one_is_wrapped() -> None:
     text = description_text(described("position_in_lane", numbers=True, n_lanes=4))
-    assert "numbers, which `--tables --json FILE` writes" in text
+    assert "numbers, which the JSON has" in text
     text = description_text(described("lane_only", numbers=True, n_lanes=20))
     assert max(map(len, text.splitlines())) <= line_width()
     assert sum(line.count("0.05 ") + line.endswith("0.05") for line in text.splitlines()) >= 20

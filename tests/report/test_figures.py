@@ -128,7 +128,7 @@ def test_the_ablation_says_what_else_differs() -> None:
 @pytest.mark.parametrize(
     ("pair", "message"),
     [
-        ((a_result(), a_result()), "bonus_value is 4, needs 0; run the experiment with --set"),
+        ((a_result(), a_result()), "bonus_value is 4, needs 0; run the experiment with par"),
         ((without_bonus(), without_bonus()), "bonus_value is 0, needs more than 0"),
         ((a_result(), without_bonus(config={})), "results/no_bonus: has no parameter bonus_v"),
         ((a_result(), without_bonus(frame_id=np.array(IDS) + 1)), "frame_id differs"),

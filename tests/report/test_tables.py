@@ -107,8 +107,8 @@ def test_a_table_goes_on_below_or_says_what_is_left_out(monkeypatch: pytest.Monk
     ]
     said = tables.page([table._replace(leaves_out=True), "and text " * 7]).splitlines()
     assert said[4:] == [
-        "With --wide: long column 2, long column",
-        "3.",
+        "Wide tables add: long column 2, long",
+        "column 3.",
         "",
         "and text and text and text and text and",
         "text and text and text",

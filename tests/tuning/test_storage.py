@@ -215,7 +215,7 @@ def test_a_study_lies_where_it_is_said_whatever_the_name(tmp_path: Path, name: s
 
 @pytest.mark.parametrize("address", ["nosuch://h/d", "sqlite:////no/such/place/x.db"])
 def test_a_storage_that_cannot_be_opened_is_one_clear_line(address: str, tmp_path: Path) -> None:
-    with pytest.raises(InputError, match=f"--storage {address}: ") as caught:
+    with pytest.raises(InputError, match=f"storage: {address}: ") as caught:
         open_storage(address, tmp_path)
     assert "\n" not in str(caught.value)
 

@@ -53,7 +53,7 @@ def hostile(tmp_path_factory: pytest.TempPathFactory) -> ego.Result:
 def test_the_public_names_are_those_that_dir_and_help_show() -> None:
     assert set(dir(ego)) == {*ego.__all__, "__version__"}
     shown = pydoc.render_doc(ego, renderer=pydoc.plaintext)
-    for name in ego.__all__:
+    for name in set(ego.__all__) - {"cpds"}:  # a module
         assert f"class {name}(" in shown or f"\n    {name}(" in shown, name
     assert "Filter a recording, score it" in shown
 
@@ -292,11 +292,11 @@ def test_one_run_that_fails_does_not_stop_the_others(drive: Path, tmp_path: Path
 @pytest.mark.parametrize(
     ("given", "said"),
     [
-        (3, "experiment: 3 is neither one nor a list of several"),
+        (3, "3 is no experiment; give the path of a YAML file"),
         (None, "run: name an experiment, or a recording of lines"),
         ("nowhere.yaml", "nowhere.yaml: cannot be read"),
         ([], "run: name an experiment"),
-        ([3], "3 is not the name of a file"),
+        ([3], "3 is no experiment"),
         ({"n_lanes": 3}, "experiment: name: is missing"),
     ],
 )
@@ -471,10 +471,14 @@ def test_a_run_that_the_paper_does_not_have_is_refused(given: Any, said: str) ->
 @pytest.mark.parametrize(
     ("verb", "given", "said"),
     [
-        (ego.run, {"experiment": QUICKSTART, "recording": 3}, "recording: 3 is neither one nor"),
+        (
+            ego.run,
+            {"experiment": QUICKSTART, "recording": 3, "n_lanes": 4},
+            "recording: int is no DataFrame",
+        ),
         (ego.run, {"experiment": QUICKSTART, "camera": 3}, "camera: 3 is not the name of a file"),
         (ego.run, {"experiment": QUICKSTART, "overrides": {"filtr": 3}}, "unknown key 'filtr'"),
-        (ego.tune, {"experiments": 3}, "experiments: 3 is neither one nor a list"),
+        (ego.tune, {"experiments": 3}, "3 is no experiment"),
         (ego.tune, {"experiments": QUICKSTART, "parameter": ["p1=1"]}, "parameter: .* is no dict"),
         (ego.tune, {}, "name experiments, or runs of the paper"),
         (ego.compare, {"experiments": QUICKSTART, "seeds": "x"}, "seeds: x is neither how many"),
@@ -572,7 +576,7 @@ def test_graphs_on_a_run_of_the_paper_are_in_sample(recordings: Path, tmp_path: 
             {"experiments": QUICKSTART, "trials": 3, "trials_per_number": 3},
             "goes instead of",
         ),
-        ({"experiments": 3}, "experiments: 3 is neither one nor a list"),
+        ({"experiments": 3}, "3 is no experiment"),
     ],
 )
 def test_arguments_of_compare_that_do_not_go_together_are_refused(given: Any, said: str) -> None:

@@ -1,8 +1,9 @@
-"""The examples that `--help` shows are command lines that exist, and those that need no pictures,
-no map and no recordings of the paper are run."""
+"""The help of all commands is that of help.txt. Its examples are command lines that exist, and
+those that need no pictures, no map and no recordings of the paper are run."""
 
 from __future__ import annotations
 
+import os
 import shlex
 from importlib import import_module
 from pathlib import Path
@@ -10,8 +11,10 @@ from pathlib import Path
 import click
 import pytest
 
-from egolane_pgm.command import COMMANDS, egolane
+from egolane_pgm.command import COMMANDS, command_of, egolane
 from tests.kits.drives import done
+
+HELP = Path(__file__).with_name("help.txt")
 
 #: The examples of each command.
 EXAMPLES = {name: import_module(f"egolane_pgm.verbs.{name}").EXAMPLES for name in COMMANDS}
@@ -47,12 +50,23 @@ def words_of(example: str) -> list[str]:
     return shlex.split(example.partition(" > ")[0].partition(" < ")[0])
 
 
-def test_every_command_has_an_example_that_its_help_shows() -> None:
+def test_the_help_is_the_one_that_is_kept(monkeypatch: pytest.MonkeyPatch) -> None:
+    """`EGOLANE_REMAKE_HELP=1 pytest tests/verbs/test_help.py` keeps the help as it is now."""
+    monkeypatch.setenv("COLUMNS", "80")
+    commands = [(), *((name,) for name in COMMANDS)]
+    group = command_of("data")
+    assert isinstance(group, click.Group)
+    commands += [("data", name) for name in group.commands]
+    shown = "\n".join(done(*words, "--help").stdout for words in commands)
+    if os.environ.get("EGOLANE_REMAKE_HELP"):
+        HELP.write_text(shown)
+    assert shown == HELP.read_text()
+
+
+def test_every_command_has_an_example_of_its_own() -> None:
     for name, examples in EXAMPLES.items():
-        shown = done(name, "--help").stdout
-        for example in examples:
-            assert f"  {example}\n" in shown
-            assert example.startswith(f"egolane {name}")
+        assert examples
+        assert all(example.startswith(f"egolane {name}") for example in examples)
     assert set(RUN) <= {example for examples in EXAMPLES.values() for example in examples}
 
 

@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+import ast
 import os
+import re
 from pathlib import Path
 
 import pytest
 
+import egolane_pgm
 from egolane_pgm import __version__
 from egolane_pgm.tools.files import check_place
 from egolane_pgm.types import InputError
@@ -147,3 +150,19 @@ def test_environments_without_home_terminal_or_temporary_folder_will_do(tmp_path
     ran = ended(*words, env={**os.environ, **odd})
     assert ran.returncode == 0, ran.stderr
     assert ran.stderr == ""
+
+
+def test_below_the_verbs_no_message_names_an_option_of_the_command_line() -> None:
+    """Python callers read it too: it names the parameter or the key of the YAML. A message that
+    begins with a parameter's name shows it as an option on the command line."""
+    package = Path(str(egolane_pgm.__file__)).parent
+    # The README beside rendered pictures shows commands.
+    files = {*package.rglob("*.py")} - {package / "simulation" / "rendering" / "files.py"}
+    found = []
+    for path in files - {package / "command.py", *(package / "verbs").iterdir()}:
+        nodes = [*ast.walk(ast.parse(path.read_text()))]
+        docstrings = [node.value for node in nodes if isinstance(node, ast.Expr)]
+        for node in nodes:
+            if isinstance(node, ast.Constant) and node not in docstrings:
+                found += re.findall(r"(?<![\w-])--[a-z][\w-]*", str(node.value))
+    assert set(found) == {"--error-unmatch", "--porcelain"}, "git's, and others"

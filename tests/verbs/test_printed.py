@@ -64,8 +64,8 @@ def test_more_columns_are_shown_where_there_is_room(
     assert 80 < max(map(len, found)) <= 120
     whole = lines_of(name, words, "--wide")
     assert max(map(len, whole)) > 120
-    assert any("With --wide: " in line for line in found)
-    assert not any("With --wide: " in line for line in whole)
+    assert any("Wide tables add: " in line for line in found)
+    assert not any("Wide tables add: " in line for line in whole)
 
 
 @pytest.mark.parametrize("name", PRINTING)

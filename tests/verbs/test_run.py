@@ -159,9 +159,8 @@ def test_set_overrides_keys_of_the_yaml(drive: Path, tmp_path: Path) -> None:
 
 def test_a_recording_of_ones_own_runs_without_any_ground_truth(drive: Path, tmp_path: Path) -> None:
     recording = drive.parent / "lines.csv"
-    said = run_json(
-        EXAMPLES.parent / "experiments/quickstart.yaml", tmp_path, "--recording", recording
-    )
+    words = ("--recording", recording, "--n-lanes", 3)
+    said = run_json(EXAMPLES.parent / "experiments/quickstart.yaml", tmp_path, *words)
     assert not {"detector", "model"} & set(said)
     assert (said["frames"], said["frames_scored"]) == (N_FRAMES, 0)
     assert said["name"] == "lines"
@@ -510,7 +509,7 @@ def test_recordings_of_one_name_are_told_apart_by_their_folders(tmp_path: Path) 
     assert sorted(p.name for p in out.iterdir()) == ["mon_lines", "tue_lines"]
     again = tmp_path / "mon" / ".." / "mon" / "lines.csv"
     said = refused("run", path, *several, "--recording", again, "--out", out)
-    assert said == f"--recording {again}: is named twice"
+    assert said == f"--recording: {again}: is named twice"
     # One recording, several experiments.
     other = write_drive(tmp_path / "other", name="other")
     words = ["--recording", places[0], "--no-figures", "--out", tmp_path / "both"]

@@ -38,7 +38,7 @@ def test_learning_does_not_write_over_what_the_experiment_reads(tmp_path: Path) 
     before = contents(tmp_path)
     graph = tmp_path / "one.graph.yaml"
     said = refused("learn", tmp_path / "one.yaml", "--out", graph)
-    assert said == f"{graph}: is read by {tmp_path / 'one.yaml'}; name another with --out"
+    assert said == f"{graph}: is read by {tmp_path / 'one.yaml'}; name another file"
     graph = tmp_path / "two.graph.yaml"
     said = refused(
         "learn", tmp_path / "one.yaml", "--set", f"graph={graph}", "--out", tmp_path / "two.yaml"
