@@ -485,8 +485,9 @@ def _beliefs(result: Result) -> dict[str, FloatArray]:
 
 def _tentative(result: Result) -> dict[str, FloatArray]:
     """The columns of the evidence rule's own answer, none where it has none."""
-    lanes = [] if result.tentative is None else result.tentative.T
-    return {f"detector_{k}": column for k, column in enumerate(lanes, start=1)}
+    if result.tentative is None:
+        return {}
+    return {f"detector_{k}": column for k, column in enumerate(result.tentative.T, start=1)}
 
 
 #: The columns of beliefs.parquet in their order.
@@ -807,7 +808,7 @@ def _portable(result: Result, directory: Path) -> dict[str, Any]:
     for key in ("recording", "ground_truth"):
         if content[key]:
             content[key] = files_in_full(content[key], folder)
-    if content["recording"]["path"] == IN_MEMORY and result.lines is not None:
+    if content["recording"].get("path") == IN_MEMORY and result.lines is not None:
         own = {"path": f"./{LINES}", "frames": None, "missing_frames": "skip"}
         content["recording"] = {**content["recording"], **own}
     if content.get("road"):
