@@ -135,11 +135,8 @@ def own_camera(
     if entry.get("intrinsic") is None or entry.get("extrinsic") is None:
         return None
     turn = _extrinsic(entry["extrinsic"], source)
-    try:
-        lens = np.array(entry["intrinsic"], dtype=np.float64)
-    except (TypeError, ValueError):
-        lens = np.zeros(0)
-    if lens.shape != (3, 3) or not np.isfinite(lens).all():
+    lens = _matrix(entry["intrinsic"], 3)
+    if lens is None:
         raise InputError(f"{source}: intrinsic is no 3 x 3 matrix of numbers")
     try:
         return camera_from_matrices(lens, turn, *size)
@@ -211,15 +208,17 @@ def _on_road(lane: dict[str, Any], extrinsic: object, where: str) -> tuple[Float
 
 
 def _extrinsic(given: object, where: str) -> FloatArray:
+    matrix = _matrix(given, 4)
+    # Rows of a rotation have length 1 and are at right angles.
+    if matrix is None or not np.allclose(matrix[:3, :3] @ matrix[:3, :3].T, np.eye(3), atol=1e-2):
+        raise InputError(f"{where}: extrinsic is no 4 x 4 matrix of a turn and a shift")
+    return matrix
+
+
+def _matrix(given: object, size: int) -> FloatArray | None:
+    """A square matrix of finite numbers, or None."""
     try:
         matrix = np.array(given, dtype=np.float64)
     except (TypeError, ValueError):
-        matrix = np.zeros(0)
-    # Rows of a rotation have length 1 and are at right angles.
-    if (
-        matrix.shape != (4, 4)
-        or not np.isfinite(matrix).all()
-        or not np.allclose(matrix[:3, :3] @ matrix[:3, :3].T, np.eye(3), atol=1e-2)
-    ):
-        raise InputError(f"{where}: extrinsic is no 4 x 4 matrix of a turn and a shift")
-    return matrix
+        return None
+    return matrix if matrix.shape == (size, size) and np.isfinite(matrix).all() else None
