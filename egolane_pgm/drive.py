@@ -3,7 +3,6 @@ experiment's model. Whatever runs, fits or scores begins with one."""
 
 from __future__ import annotations
 
-import functools
 import hashlib
 import warnings
 from collections import OrderedDict
@@ -63,7 +62,7 @@ from egolane_pgm.types import (
     all_problems,
 )
 
-#: What a message about clips says where they are not taken.
+#: The end of a message where clips are not taken.
 ONE_DRIVE = "only `egolane run` takes clips; here name the lines of one"
 
 #: How many evidences a drive keeps; `bonus_value`, which is searched, has 10 values.
@@ -171,13 +170,13 @@ def load_recording(
         return recorded
     check_one_drive(log, "clips are run without ground truth (ground_truth: none)")
     truth.check_lanes(experiment.n_lanes)
-    both = join(log, truth)
-    if both.log_dropped:
+    scored, annotated = join(log, truth)
+    if len(scored) < len(log):
         notes.append(
-            f"{log.source}: {both.log_dropped} of {len(log)} frames have no ground truth; filtered,"
-            " not scored"
+            f"{log.source}: {len(log) - len(scored)} of {len(log)} frames have no ground truth;"
+            " filtered, not scored"
         )
-    return replace(recorded, truth=truth.take(both.truth), scored=both.log, notes=tuple(notes))
+    return replace(recorded, truth=truth.take(annotated), scored=scored, notes=tuple(notes))
 
 
 def check_sources(experiment: Experiment) -> None:
@@ -256,18 +255,9 @@ def drive_key(experiment: Experiment) -> str:
     if experiment.ground_truth is None:
         return source_of(experiment).key()
     try:
-        path = find_file(experiment.ground_truth.path, experiment.folder)
-        state = path.stat()
-        return _labels_key(path, state.st_mtime_ns, state.st_size)
+        truth = read_ground_truth(find_file(experiment.ground_truth.path, experiment.folder))
     except InputError as error:
         raise InputError(f"{experiment.source}: ground_truth.path: {error}") from error
-
-
-@functools.lru_cache(maxsize=256)
-def _labels_key(path: Path, changed_ns: int, size: int) -> str:
-    """A checksum of the labels in a file. changed_ns, size: keep the checksum of an older version
-    of the file from being used."""
-    truth = read_ground_truth(path)
     content = hashlib.sha256()
     for values in (truth.frame_id, truth.lane, truth.is_crossing):
         content.update(np.ascontiguousarray(values).tobytes())
@@ -390,7 +380,7 @@ class Drive:
     recorded: the log of T frames, and the K annotated ones among them.
     never_fit: ranges of frame ids, first to stop (None: to the end), whose labels are not used for
         fitting.
-    evidence: what `evidence_of` made so far, by the values of the evidence rule's parameters.
+    evidence: cache of `evidence_of`, by the values of the evidence rule's parameters.
     """
 
     experiment: Experiment
@@ -486,7 +476,7 @@ def open_drive(
     else:
         experiment = _with_rate(experiment, recorded.frame_rate)
         if experiment.follows_map:
-            # Another graph may be told the same road in other words.
+            # Another graph may take the same road in another form.
             road = road_along(experiment, road_of(experiment), model.parameters, recorded.log)
             recorded = replace(recorded, road=road)
     never_fit = () if experiment.tuning is None else experiment.tuning.never_fit
@@ -503,8 +493,7 @@ def load_drive(
 ) -> Drive:
     """`open_drive` of a drive that is fitted to or scored.
 
-    needs_truth: what the ground truth is needed for, as the end of a message; None where a
-        recording without it will do.
+    needs_truth: why ground truth is needed, the end of a message; None where it is not needed.
     recorded, read: as in `open_drive`.
     never_fit: ranges in addition to those of the experiment's own `tuning.never_fit`.
 
@@ -541,19 +530,21 @@ def load_drive(
 
 
 def evidence_on(drive: Drive, model: Model) -> RuleOutput:
-    """The evidence of all T frames of a drive for a model, on the lanes of its road."""
-    return _evidence(drive, model, drive.recorded.log)
-
-
-def _evidence(drive: Drive, model: Model, log: LineLog) -> RuleOutput:
+    """The evidence of all T frames of a drive for a model, on the lanes of its road, and with its
+    positions where they count."""
     recorded, experiment = drive.recorded, drive.experiment
-    made = make_evidence(model, log, experiment.evidence_reading, recorded.road)
+    output = make_evidence(model, recorded.log, experiment.evidence_reading, recorded.road)
     if recorded.across is None or experiment.gnss is None:
-        return made
-    lines = made.filtered
-    seen, gnss = recorded.across, experiment.gnss
-    joint = with_positions(model.compiled, model.n_lanes, log, lines, seen, gnss)
-    return replace(made, filtered=joint)
+        return output
+    joint = with_positions(
+        model.compiled,
+        model.n_lanes,
+        recorded.log,
+        output.filtered,
+        recorded.across,
+        experiment.gnss,
+    )
+    return replace(output, filtered=joint)
 
 
 def beliefs_of(drive: Drive, model: Model) -> tuple[Beliefs, tuple[str, ...]]:
@@ -580,11 +571,11 @@ def evidence_of(drive: Drive, parameters: Mapping[str, Value]) -> Evidence:
     if key in drive.evidence:
         drive.evidence.move_to_end(key)
         return drive.evidence[key]
-    made = evidence_on(drive, replace(drive.model, parameters=parameters)).filtered
-    drive.evidence[key] = made
+    evidence = evidence_on(drive, replace(drive.model, parameters=parameters)).filtered
+    drive.evidence[key] = evidence
     if len(drive.evidence) > KEPT_EVIDENCE:
         drive.evidence.popitem(last=False)
-    return made
+    return evidence
 
 
 def belief_of(drive: Drive, parameters: Mapping[str, Value]) -> FloatArray:

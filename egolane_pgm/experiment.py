@@ -1,6 +1,6 @@
 """An experiment is a YAML file: it names the recording, the rule by which lines become evidence,
-the graph and the parameters. This module checks the keys; `model` checks the parameters of plugins.
-All that is wrong is said at once, a line each.
+the graph and the parameters. This module checks the keys, `model` then the parameters of plugins.
+All keys that do not fit are named at once, a line each.
 
 Two keys are not the experiment's own. `include: other.yaml` takes the keys that the YAML lacks from
 a file beside it (`load_yaml`). `version: 1`, which may be left out, says which version of the keys
@@ -9,7 +9,6 @@ the YAML is written in (`files.read_yaml`).
 
 from __future__ import annotations
 
-import difflib
 import hashlib
 import json
 import os
@@ -30,11 +29,10 @@ from pydantic import (
 )
 from pydantic_core import ErrorDetails
 
-from egolane_pgm.parameters import check_names, resolve_parameters
-from egolane_pgm.plugins import OWN_FILES, declared_parameters, load_rule_and_graph
+from egolane_pgm.plugins import OWN_FILES
 from egolane_pgm.tools.files import read_yaml, without_version
 from egolane_pgm.tools.yaml import parse_yaml
-from egolane_pgm.types import MAX_LANES, InputError, all_problems, not_one_of, suggestion
+from egolane_pgm.types import MAX_LANES, InputError, near_word, not_one_of, suggestion
 
 #: What an experiment keeps for `n_lanes: map`, until the map was looked at.
 FROM_MAP = 0
@@ -307,8 +305,8 @@ class Learning(Section):
 
 
 class Gnss(Section):
-    """The noise of positions that are evidence of the lane beside the lines. The defaults are as
-    four receivers had it on a recorded drive."""
+    """The noise of positions, which are evidence of the lane in addition to the lines. The defaults
+    are as four receivers had it on a recorded drive."""
 
     lane_width_m: float = Field(
         default=3.75, gt=0, allow_inf_nan=False, description="width of a lane, metres"
@@ -427,7 +425,7 @@ class Experiment(Section):
     )
     tuned_on: Literal["same_frames", "other_frames", "not_tuned", "unknown"] = Field(
         default="unknown",
-        description="what the parameters have seen, which is said beside every score: the frames"
+        description="what the parameters have seen, which stands next to every score: the frames"
         " that are scored (`same_frames`: in-sample), others only, or none",
     )
     tuning: Tuning | None = Field(default=None, description="settings of `egolane tune`")
@@ -535,8 +533,7 @@ def experiment_path(given: str | os.PathLike[str]) -> Path:
         named = {each.stem: each for each in experiments_folder().rglob("*.yaml")}
         if str(given) in named:
             return named[str(given)]
-        close = difflib.get_close_matches(str(given), named, n=1)
-        meant = f" (did you mean '{close[0]}'?)" if close else ""
+        meant = near_word(str(given), named)
         raise InputError(f"{given}: is no file, and no experiment that `egolane ls` lists{meant}")
     if path.parts[:1] == ("experiments",) and not path.exists():
         shipped = experiments_folder().joinpath(*path.parts[1:])
@@ -669,35 +666,12 @@ def _merged(
 def make_experiment(content: Mapping[str, Any], folder: Path, source: str) -> Experiment:
     """Make an experiment from the keys of a YAML file; its paths are relative to `folder`.
 
-    Raises InputError for every key that does not fit. Where there is one, plugins and parameters
-    are looked at as well, as far as the keys that name them fit.
+    Raises InputError for every key that does not fit.
     """
-    experiment = None
-    with all_problems() as part:
-        with part():
-            experiment = validated(Experiment, content, source)
-        if experiment is None:
-            with part():
-                _check_plugins(content, Path(folder), source)
-    assert experiment is not None
+    experiment = validated(Experiment, content, source)
     experiment._folder = Path(folder)
     experiment._source = source
     return experiment
-
-
-def _check_plugins(content: Mapping[str, Any], folder: Path, source: str) -> None:
-    """Raise InputError for plugins and parameters of keys that are no whole experiment."""
-    evidence, graph = (
-        content.get(key, Experiment.model_fields[key].default) for key in ("evidence", "graph")
-    )
-    given, n_lanes = content.get("parameters", {}), content.get("n_lanes")
-    if not (isinstance(evidence, str) and isinstance(graph, str) and isinstance(given, Mapping)):
-        return
-    specs = declared_parameters(*load_rule_and_graph(evidence, graph, folder, source))
-    if type(n_lanes) is int and 1 <= n_lanes <= MAX_LANES:
-        resolve_parameters(specs, given, n_lanes, f"{source}: parameters")
-    else:
-        check_names({spec.name for spec in specs}, given, f"{source}: parameters")
 
 
 def validated(model: type[AnySection], content: Mapping[str, Any], source: str) -> AnySection:
@@ -825,15 +799,6 @@ _NEEDS = {
 }
 
 
-def _shown(value: object) -> str:
-    """A value that does not fit, in as much of a line as it may take."""
-    try:
-        text = repr(value)
-    except ValueError:
-        return "a number of thousands of digits"
-    return text if len(text) <= 100 else f"{text[:97]}..."
-
-
 def _problem(problem: ErrorDetails) -> str:
     """One of pydantic's complaints that is not about an unknown key."""
     where = ".".join(map(str, problem["loc"]))
@@ -848,5 +813,5 @@ def _problem(problem: ErrorDetails) -> str:
     message = problem["msg"].removeprefix("Value error, ")
     message = message[0].lower() + message[1:]
     message = _NEEDS.get(problem["type"], message)
-    shown = "" if isinstance(value, dict) else f" (got {_shown(value)})"
+    shown = "" if isinstance(value, dict) else f" (got {repr(value)[:100]})"
     return f"{where}: {message}{shown}" if where else f"{message}{shown}"

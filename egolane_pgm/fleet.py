@@ -231,7 +231,7 @@ def drives_of(drives: Sequence[FleetDrive], experiments: Sequence[Experiment]) -
 
 
 def first_names(names: Sequence[str], keys: Sequence[str]) -> list[str]:
-    """Of each key the name that it came with first."""
+    """For each key the first name that it stands with."""
     first: dict[str, str] = {}
     return [first.setdefault(key, name) for name, key in zip(names, keys, strict=True)]
 
@@ -271,23 +271,19 @@ def drive_row(
     return row | numbers_of(scores) | row
 
 
-def numbers_of(scores: Mapping[str, Any]) -> dict[str, Any]:
-    """Every number of `scores`, by its keys with dots between them."""
-    return dict(_numbers("", scores))
-
-
-def _numbers(prefix: str, content: Mapping[str, Any]) -> list[tuple[str, Any]]:
-    found: list[tuple[str, Any]] = []
-    for key, value in content.items():
+def numbers_of(scores: Mapping[str, Any], prefix: str = "") -> dict[str, Any]:
+    """Every number of `scores`, by its keys with dots between them, after `prefix`."""
+    found: dict[str, Any] = {}
+    for key, value in scores.items():
         name = f"{prefix}{key}"
         if isinstance(value, Mapping):
-            found += _numbers(f"{name}.", value)
+            found |= numbers_of(value, f"{name}.")
         elif name == "warnings":
-            found.append((name, len(value)))
+            found[name] = len(value)
         elif prefix.endswith("intervals.") and value is not None:
-            found += [(f"{name}.low", value[0]), (f"{name}.high", value[1])]
+            found |= {f"{name}.low": value[0], f"{name}.high": value[1]}
         elif not isinstance(value, (list, tuple)):
-            found.append((name, value))
+            found[name] = value
     return found
 
 

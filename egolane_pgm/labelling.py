@@ -73,7 +73,7 @@ SOME = 0.25
 #: A lane that reaches this probability in a stretch is in question there.
 QUESTIONED = 0.05
 
-#: Shares of the frames, the surest ones, of which the accuracy is told.
+#: Shares of the frames, the surest ones, whose accuracy is reported.
 SHARES = (1.0, 0.98, 0.95, 0.9)
 
 

@@ -55,8 +55,8 @@ class Roles(NamedTuple):
     """What the nodes of a graph are under an evidence rule.
 
     - hidden: None for every node that is neither observed nor an input, and Lane.
-    - observed, inputs: what the graph takes of the evidence.
-    - unused: what the evidence has beside it.
+    - observed, inputs: the parts of the evidence that the graph takes.
+    - unused: the other parts.
     """
 
     hidden: tuple[str, ...] | None
@@ -127,9 +127,7 @@ def prepare_model(experiment: Experiment) -> Model:
             f"{source}: graph {experiment.graph}: needs a hidden node Lane with"
             f" {experiment.n_lanes} values, has {lanes or 'none'}"
         )
-    model = Model(rule, graph, parameters, compiled, experiment.n_lanes, roles)
-    _check_shapes(model, f"{source}: evidence {experiment.evidence}")
-    return model
+    return Model(rule, graph, parameters, compiled, experiment.n_lanes, roles)
 
 
 def _compiled(
@@ -260,14 +258,13 @@ def graph_roles(graph: ModuleType, rule: ModuleType, network: DynamicBayesianNet
 
 
 def taken_of_rule(graph: ModuleType) -> tuple[Observed, ...]:
-    """What a graph that says what it observes takes of the evidence rule: that, or less where the
-    model adds what the map tells."""
+    """The evidence keys that a graph needs from the rule: its TAKES, or else its OBSERVED."""
     taken: tuple[Observed, ...] = getattr(graph, "TAKES", graph.OBSERVED)
     return taken
 
 
 def observed_under(rule: ModuleType, network: DynamicBayesianNetwork) -> tuple[Observed, ...]:
-    """Those of the keys of a rule's evidence whose nodes a network has."""
+    """The keys of a rule's evidence whose nodes are in the network."""
     nodes = node_names(network)
     provides = getattr(rule, "PROVIDES", ())
     return tuple(k for k in provides if nodes.issuperset([k] if isinstance(k, str) else k))
@@ -342,32 +339,6 @@ def _check_names(rule: ModuleType, graph: ModuleType, source: str) -> None:
                 f"{source}: the evidence rule gives {key}, which the graph does not observe;"
                 " if that is meant, the graph file says so with UNUSED"
             )
-
-
-def _check_shapes(model: Model, where: str) -> None:
-    """Raise InputError where the evidence of two frames has not the shapes that the graph needs.
-
-    The frames are made up, so a rule may be unable to answer, because it has to see more of a
-    drive. It is then asked when there is one.
-    """
-    frame = np.array([0, 0, 1, 1])
-    yes = np.ones(4, dtype=bool)
-    offset_m = np.array([-1.75, 1.75, -1.7, 1.8])
-    log = LineLog.from_rows(
-        np.arange(2), 10.0, frame, offset_m, yes, yes, np.full(4, 10.0), source="two made-up frames"
-    )
-    try:
-        given = make_evidence(model, log).filtered
-    except Exception:
-        return
-    # What is given beside, and which values inputs have, may depend on the drive.
-    compiled = model.compiled
-    likelihoods = {k: v for k, v in given.likelihoods.items() if k in compiled.observed}
-    inputs = {name: np.zeros(2, dtype=np.int64) for name in given.inputs if name in compiled.inputs}
-    try:
-        check_keys(compiled, Evidence(likelihoods, inputs))
-    except InputError as error:
-        raise InputError(f"{where}: {error} (asked with two frames)") from error
 
 
 @dataclass(frozen=True)
@@ -476,6 +447,8 @@ def _filtered(model: Model, log: LineLog, given: Evidence, reading: str) -> Evid
             for key, values in given.likelihoods.items()
         }
         given = Evidence(blank, given.inputs)
+    with problems_in(str(rule.__file__)):
+        check_keys(model.compiled, given)
     return read_evidence(given, reading)
 
 

@@ -8,16 +8,16 @@ A directory is complete, so that a report can be made from it alone:
 - beliefs.parquet: one row per frame (`COLUMNS`).
 - lines.parquet: the lines that were believed, a row each, a recording as `recordings.table` reads
   them; selected, and with missing frames put in as the experiment says.
-- events.csv: one row per lane change that the beliefs tell of (`LaneEvents`), and `late_s`, from
-  time_s to told_time_s.
+- events.csv: one row per reported lane change (`LaneEvents`), and `late_s`, from time_s to
+  told_time_s.
 - clips.csv: of a recording of several clips one row for each: clip, first_frame_id, frames,
-  assigned_lane and probability (of the most probable lane) in its last frame, changes (how many are
-  told in it), log_evidence (mean).
-- figures/: the belief over time, strips.png, and what `plot` drew besides.
+  assigned_lane and probability (of the most probable lane) in its last frame, changes (their
+  number), log_evidence (mean).
+- figures/: the belief over time, strips.png, and what `plot` drew.
 
 `egolane compare --out` writes the same for what was believed held out: beliefs.parquet has the
 annotated frames, and the `block` of each; run.json has `fit`, `blocks` and `parameters_per_block`
-besides; scores.json has the experiment's part of the comparison under `held_out`.
+too; scores.json has the experiment's part of the comparison under `held_out`.
 
 A directory is written beside its place and renamed at the end: one that has the name is whole. A
 new result takes the place of an old one file by file: what else lies there stays (see `OURS`).
@@ -32,20 +32,20 @@ import platform
 import shutil
 import subprocess
 import warnings
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from datetime import UTC, datetime
 from fnmatch import fnmatch
 from importlib import import_module, metadata
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Literal, Self
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import Field, model_validator
+from pydantic import Field
 from pydantic_core import from_json
 
-from egolane_pgm.experiment import Experiment, Section, config_hash, make_experiment, validated
+from egolane_pgm.experiment import Experiment, config_hash, make_experiment, validated
 from egolane_pgm.inference.events import (
     crossing_probability,
     in_tracks,
@@ -66,12 +66,11 @@ from egolane_pgm.tools.files import (
     atomic_directory,
     check_place,
     code_checksum,
-    open_parquet,
     parquet_writer,
+    read_parquet,
     read_text,
     read_yaml,
     rows_of_parquet,
-    write_bytes,
     write_json,
     write_text,
     write_yaml,
@@ -97,7 +96,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
     from pgmpy.models import DynamicBayesianNetwork
 
-#: Of the keys of run.json, scores.json and comparison.json.
+#: The version of the keys of run.json, scores.json and comparison.json.
 SCHEMA_VERSION = 1
 
 #: The files of the beliefs and of the lines.
@@ -126,9 +125,8 @@ class Result:
     - is_impossible (T,): marks frames whose evidence the model does not allow.
     - crossing (T,): the probability that the car is on a line between two lanes; None for a graph
       without RoadPosition.
-    - block (T,): where each block was believed with what was found without it, the frame's block;
-      else None.
-    - clip (T,): of a recording of several clips the name of each frame's, as in `LineLog`.
+    - block (T,): the held-out block of each frame; None of a result that held out none.
+    - clip (T,): the name of each frame's clip, where there are several, as in `LineLog`.
     - road_lanes, origin (T,): lanes of the road as the map says, and where their numbers begin, see
       `maps.steps.LanesAlong`; None for a road on which lanes do not change.
     - lines: of the T frames; None in a directory that was written before lines were kept.
@@ -181,7 +179,9 @@ class Result:
         return len(self.frame_id)
 
     def __repr__(self) -> str:
-        return f"Result({self._title()})"
+        from egolane_pgm.report.shown import result_title
+
+        return f"Result({result_title(self)})"
 
     @property
     def name(self) -> str:
@@ -230,7 +230,7 @@ class Result:
 
     @functools.cached_property
     def told(self) -> LaneEvents:
-        """The lane changes that the beliefs tell of, with lanes that keep their numbers all along
+        """The lane changes that the beliefs show, with lanes that keep their numbers all along
         the drive (`inference.events.in_tracks`)."""
         rate, lag = float(self.run["frame_rate"]), self.config.get("lag")
         beliefs = self.beliefs
@@ -245,8 +245,8 @@ class Result:
 
     @functools.cached_property
     def events(self) -> LaneEvents:
-        """The lane changes that the beliefs tell of, see `egolane_pgm.inference.events`; with
-        ground truth, how late each was told."""
+        """The lane changes that the beliefs show, see `egolane_pgm.inference.events`; with
+        ground truth, the delay of each."""
         events, truth, origin = self.told, self.truth, self.origin
         if truth is not None:
             if origin is not None:
@@ -259,7 +259,7 @@ class Result:
         """The columns of beliefs.parquet, (T,) each, in their order; masked arrays have nulls."""
         columns: dict[str, NDArray[Any]] = {}
         for column in COLUMNS:
-            values = column.values(self)
+            values = column.values(self) if column.values else getattr(self, column.name)
             if isinstance(values, Mapping):
                 columns |= values
             elif values is not None:
@@ -286,11 +286,6 @@ class Result:
         }
 
     # --- shown; pandas, xarray, matplotlib and the page are imported when they are asked for ----
-
-    def _title(self) -> str:
-        from egolane_pgm.report.shown import result_title
-
-        return result_title(self)
 
     def _repr_html_(self) -> str:
         from egolane_pgm.report.shown import result_html
@@ -463,14 +458,15 @@ class Column:
     - name: with NODE_VALUE for each value of each hidden node, detector_LANE for each lane.
     - needed: whether it has to be there: "always"; "sometimes"; or the name of another column,
       which it goes with.
-    - values: takes a result, gives the column, those of several names, or None.
+    - values: takes a result, gives the column, or those of several names; by default the result's
+      attribute of that name, None where it has no such column.
     """
 
     name: str
     kind: str
     needed: str
     meaning: str
-    values: Callable[[Result], Any]
+    values: Callable[[Result], Any] | None = None
 
 
 def _known(result: Result, values: NDArray[Any]) -> NDArray[Any]:
@@ -478,209 +474,92 @@ def _known(result: Result, values: NDArray[Any]) -> NDArray[Any]:
     return np.ma.masked_array(values, result.true_lane == UNASSIGNED)
 
 
+def _beliefs(result: Result) -> dict[str, FloatArray]:
+    """The columns of the beliefs: Lane_1, ..., SensorState_OK, ..."""
+    return {
+        f"{node}_{name}": result.marginals[node][:, k]
+        for node, names in result.values.items()
+        for k, name in enumerate(names)
+    }
+
+
+def _tentative(result: Result) -> dict[str, FloatArray]:
+    """The columns of the evidence rule's own answer, none where it has none."""
+    if result.tentative is None:
+        return {}
+    return {f"detector_{k}": column for k, column in enumerate(result.tentative.T, start=1)}
+
+
 #: The columns of beliefs.parquet in their order.
 COLUMNS = (
-    Column("frame_id", "int64", "always", "increases from row to row", lambda r: r.frame_id),
-    Column("time_s", "float64", "always", "seconds", lambda r: r.time_s),
-    Column(
-        "NODE_VALUE",
-        "float64",
-        "always",
-        "belief: Lane_1, ..., SensorState_OK, ...",
-        lambda r: {
-            f"{node}_{name}": r.marginals[node][:, k]
-            for node, names in r.values.items()
-            for k, name in enumerate(names)
-        },
-    ),
+    Column("frame_id", "int64", "always", "increases from row to row"),
+    Column("time_s", "float64", "always", "seconds"),
+    Column("NODE_VALUE", "float64", "always", "belief: Lane_1, ..., SensorState_OK, ...", _beliefs),
     Column(
         "crossing",
         "float64",
         "sometimes",
         "probability that the car is on a line between two lanes, of graphs with RoadPosition",
-        lambda r: r.crossing,
     ),
+    Column("assigned_lane", "int64", "always", "the answer; 0 for none (a tie, unassigned_below)"),
     Column(
-        "assigned_lane",
-        "int64",
-        "always",
-        "the answer; 0 for none (a tie, unassigned_below)",
-        lambda r: r.assigned_lane,
+        "detector_LANE", "float64", "detector_lane", "the evidence rule's own answer", _tentative
     ),
-    Column(
-        "detector_LANE",
-        "float64",
-        "detector_lane",
-        "the evidence rule's own answer",
-        lambda r: {
-            f"detector_{k + 1}": column
-            for k, column in enumerate([] if r.tentative is None else r.tentative.T)
-        },
-    ),
-    Column(
-        "detector_lane",
-        "int64",
-        "sometimes",
-        "its most probable lane; 0 for none",
-        lambda r: r.detector_lane,
-    ),
-    Column("log_evidence", "float64", "always", "natural logarithm", lambda r: r.log_evidence),
-    Column(
-        "is_impossible",
-        "bool",
-        "always",
-        "the model does not allow the frame's evidence",
-        lambda r: r.is_impossible,
-    ),
+    Column("detector_lane", "int64", "sometimes", "its most probable lane; 0 for none"),
+    Column("log_evidence", "float64", "always", "natural logarithm"),
+    Column("is_impossible", "bool", "always", "the model does not allow the frame's evidence"),
     Column(
         "true_lane",
         "int64",
         "always",
         "null where not annotated",
-        lambda r: _known(r, r.true_lane),
+        lambda result: _known(result, result.true_lane),
     ),
     Column(
         "is_crossing",
         "bool",
         "always",
         "the car is changing lanes; null where not annotated",
-        lambda r: _known(r, r.is_crossing),
+        lambda result: _known(result, result.is_crossing),
     ),
-    Column("clip", "string", "sometimes", "name of the clip, where several", lambda r: r.clip),
-    Column(
-        "road_lanes",
-        "int64",
-        "sometimes",
-        "lanes of the road, with n_lanes: map",
-        lambda r: r.road_lanes,
-    ),
-    Column(
-        "origin",
-        "int64",
-        "road_lanes",
-        "lane k is lane k - origin of the first frame",
-        lambda r: r.origin,
-    ),
-    Column(
-        "block",
-        "int64",
-        "sometimes",
-        "of what was believed held out: the block that was left out",
-        lambda r: r.block,
-    ),
+    Column("clip", "string", "sometimes", "name of the clip, where several"),
+    Column("road_lanes", "int64", "sometimes", "lanes of the road, with n_lanes: map"),
+    Column("origin", "int64", "road_lanes", "lane k is lane k - origin of the first frame"),
+    Column("block", "int64", "sometimes", "the block that was held out"),
 )
 
 
-def read_beliefs(file: Path, run: Mapping[str, Any]) -> dict[str, np.ndarray[Any, Any]]:
-    """The columns of beliefs.parquet, (T,) each, by name; those that a result may lack only where
-    it has them. Of frames that are not annotated `true_lane` is 0 and `is_crossing` false.
+def _read_beliefs(file: Path, run: Mapping[str, Any]) -> dict[str, Any]:
+    """The fields of a `Result` that beliefs.parquet holds. In frames that are not annotated
+    `true_lane` is 0 and `is_crossing` false.
 
-    - run: what run.json says, which names the hidden nodes and their values.
-
-    Raises InputError in one line, naming the file and the column, where one is missing, has another
-    type, an empty cell, or numbers that cannot be (lanes that the road does not have, beliefs that
-    do not add up to 1, frame ids that do not increase).
+    - run: the content of run.json, which names the hidden nodes and their values.
     """
-    import pyarrow as pa
-
-    if not file.is_file():
-        raise InputError(f"{file}: is missing, the result is not whole{_AGAIN}")
-    try:
-        with open_parquet(file) as stored:
-            table = stored.read()
-            names = table.column_names
-    except InputError as error:
-        raise InputError(f"{error}{_AGAIN}") from None
+    table = read_parquet(file)
     if len(table) != run["frames"]:
-        raise InputError(f"{file}: has {len(table)} frames, run.json says {run['frames']}{_AGAIN}")
-    found: dict[str, np.ndarray[Any, Any]] = {}
-    for name, kind, is_needed in _columns(run, set(names)):
-        if name in names or is_needed:
-            try:
-                found[name] = _column(table, name, kind)
-            except (pa.ArrowException, KeyError, ValueError) as error:
-                raise InputError(f"{file}: column {name}: {error}{_AGAIN}") from None
-    for name, problem in _impossible(found, run):
-        raise InputError(f"{file}: column {name}: {problem}{_AGAIN}")
-    return found
+        raise InputError(f"{file}: has {len(table)} frames, run.json says {run['frames']}")
 
+    def column(name: str, kind: str = "float64") -> NDArray[Any]:
+        cells = table[name]
+        if name in ("true_lane", "is_crossing"):
+            cells = cells.fill_null(False if kind == "bool" else 0)
+        values = np.asarray(cells.to_numpy(zero_copy_only=False))
+        return values.astype(np.str_ if kind == "string" else kind, copy=False)
 
-def belief_columns(run: Mapping[str, Any]) -> dict[str, list[str]]:
-    """Per hidden node the columns of its values."""
-    return {node: [f"{node}_{v}" for v in names] for node, names in run["values"].items()}
+    def stacked(prefix: str, names: Iterable[Any]) -> FloatArray:
+        return np.stack([column(f"{prefix}_{name}") for name in names], axis=1)
 
-
-def tentative_columns(run: Mapping[str, Any]) -> list[str]:
-    """The columns of the detector's own answer."""
-    return [f"detector_{k + 1}" for k in range(run["n_lanes"])]
-
-
-#: The columns whose cells are empty where a frame is not annotated, and what is read there.
-_EMPTY: dict[str, int | bool] = {"true_lane": 0, "is_crossing": False}
-
-
-def _columns(run: Mapping[str, Any], there: set[str]) -> Iterator[tuple[str, str, bool]]:
-    """The name of each column, its type, and whether it has to be there."""
-    several = {
-        "NODE_VALUE": [name for names in belief_columns(run).values() for name in names],
-        "detector_LANE": tentative_columns(run),
+    marginals = {node: stacked(node, names) for node, names in run["values"].items()}
+    kept = [each for each in COLUMNS if each.name in table.column_names]
+    fields: dict[str, Any] = {each.name: column(each.name, each.kind) for each in kept}
+    has_detector = fields.pop("detector_lane", None) is not None
+    lanes = range(1, run["n_lanes"] + 1)
+    return {
+        **fields,
+        "marginals": marginals,
+        "crossing": crossing_probability(marginals),
+        "tentative": stacked("detector", lanes) if has_detector else None,
     }
-    for column in COLUMNS:
-        is_needed = column.needed == "always" or column.needed in there
-        for name in several.get(column.name, [column.name]):
-            yield name, column.kind, is_needed
-
-
-def _column(table: Any, name: str, kind: str) -> np.ndarray[Any, Any]:
-    import pyarrow as pa
-
-    if table.column_names.count(name) != 1:
-        raise ValueError("is missing" if name not in table.column_names else "is there twice")
-    column = table.column(name)
-    wanted = {"int64": pa.int64(), "float64": pa.float64(), "bool": pa.bool_()}.get(
-        kind, pa.string()
-    )
-    is_number = pa.types.is_integer(column.type) or pa.types.is_floating(column.type)
-    fits = is_number if kind in ("int64", "float64") else column.type == wanted
-    if not (fits or (pa.types.is_large_string(column.type) and kind == "string")):
-        raise ValueError(f"has type {column.type}, not {kind}")
-    if name in _EMPTY:
-        column = column.fill_null(pa.scalar(_EMPTY[name], column.type))
-    if column.null_count:
-        raise ValueError(f"has {column.null_count} empty cells")
-    try:
-        array = column.cast(wanted).to_numpy(zero_copy_only=False)
-    except pa.ArrowException:
-        raise ValueError(f"has type {column.type} and values that are no {kind}") from None
-    return np.asarray(array, dtype=np.str_) if kind == "string" else np.asarray(array)
-
-
-def _impossible(
-    found: Mapping[str, np.ndarray[Any, Any]], run: Mapping[str, Any]
-) -> Iterator[tuple[str, str]]:
-    """Each column with numbers that no result has, and what is wrong with them."""
-    n_lanes = run["n_lanes"]
-    if np.any(np.diff(found["frame_id"]) <= 0):
-        yield "frame_id", "does not increase from frame to frame"
-    if not np.isfinite(found["time_s"]).all():
-        yield "time_s", "is not a number in every frame"
-    if np.isnan(found["log_evidence"]).any():
-        yield "log_evidence", "is not a number in every frame"
-    groups = {**belief_columns(run), "detector": tentative_columns(run)}
-    for names in groups.values():
-        for name in names:
-            values = found.get(name)
-            # NaN is not between 0 and 1 either.
-            if values is not None and not ((values >= 0) & (values <= 1 + 1e-9)).all():
-                yield name, "is not a probability in every frame"
-    for node, names in belief_columns(run).items():
-        total = np.sum([found[name] for name in names], axis=0)
-        if np.any(np.abs(total - 1) > 1e-6):
-            yield f"{node}_{run['values'][node][0]}", f"the belief over {node} does not add up to 1"
-    for name in ("assigned_lane", "detector_lane", "true_lane", "road_lanes"):
-        values = found.get(name)
-        if values is not None and np.any((values < 0) | (values > n_lanes)):
-            yield name, f"has lanes that are not of 1 to {n_lanes}"
 
 
 # --- run.json and scores.json ------------------------------------------------------------------
@@ -759,28 +638,6 @@ class Run(Summary):
         description="names of each hidden node's values"
     )
 
-    @model_validator(mode="after")
-    def _has_lanes(self) -> Self:
-        lanes = [str(k + 1) for k in range(self.n_lanes)]
-        if self.values.get("Lane") != lanes:
-            raise ValueError(f"values.Lane is not 1 to {self.n_lanes}, the lanes of n_lanes")
-        return self
-
-
-class HeldOut(Stored):
-    """An experiment's part of a comparison, see `comparing.groups.document`."""
-
-    name: str = Field(description="name of the experiment")
-    scores: dict[str, Scores] = Field(
-        description="by which frames: `all_frames`, and others that the comparison names"
-    )
-
-    @model_validator(mode="after")
-    def _has_all_frames(self) -> Self:
-        if "all_frames" not in self.scores:
-            raise ValueError("scores.all_frames: is missing")
-        return self
-
 
 class RunScores(Summary):
     """scores.json of a run. `model` and `detector` are there with ground truth."""
@@ -798,99 +655,50 @@ class RunScores(Summary):
     events: Events = Field(description="the lane changes")
 
 
-class HeldOutScores(Stored):
-    """scores.json of an experiment that was compared."""
-
-    schema_version: int = Field(description="version of these keys")
-    name: str = Field(description="name of the experiment")
-    held_out: HeldOut = Field(description="its part of the comparison")
-
-
-class LogEvidence(Stored):
-    """Natural logarithm, mean over the annotated frames, by the exact filter."""
-
-    before: Finite = Field(description="with the tables that learning starts from")
-    held_out: Finite = Field(description="with those that were learned from other frames")
-
-
-class LearnedScores(Stored):
-    """scores.json of what `learn` believed held out. The scores are there with ground truth."""
-
-    schema_version: int = Field(description="version of these keys")
-    name: str = Field(description="name of the experiment")
-    blocks: Count = Field(description="blocks that were held out in turn")
-    frames_scored: Count = Field(description="annotated frames that are not crossing")
-    model: Scores | None = Field(default=None, description="scores of the frames that may be fit")
-    model_all_frames: Scores | None = Field(default=None, description="the same of all frames")
-    log_evidence: LogEvidence | None = Field(description="of learned tables")
-    parameters: dict[str, Any] = Field(description="what was learned from all frames")
-
-
-def read_run(directory: Path) -> Any:
-    """What run.json says. Raises InputError in one line, naming the file and a key that does not
-    fit."""
-    return _read_json(directory / "run.json", lambda _: Run)
-
-
-def read_scores(directory: Path) -> Any:
-    """What scores.json says. Raises InputError as `read_run`."""
-    return _read_json(directory / "scores.json", _scores_model)
-
-
-def _scores_model(content: dict[str, Any]) -> type[Section]:
-    if "held_out" in content:
-        return HeldOutScores
-    return LearnedScores if content.get("fit") == "learn" else RunScores
-
-
-def _read_json(file: Path, model_of: Callable[[dict[str, Any]], type[Section]]) -> Any:
-    return parse_json(_text_of(file), file, model_of)
-
-
-def parse_json(
-    text: str | bytes,
-    file: Path,
-    model_of: Callable[[dict[str, Any]], type[Section]],
-    again: str = _AGAIN,
-) -> Any:
-    """The content of a file that a program wrote. Raises InputError in one line, naming the file
-    and a key that does not fit.
-
-    - model_of: gives the keys and types of the content.
-    - again: what to do, as the end of a message.
-    """
+def parse_json(text: str | bytes, file: Path) -> dict[str, Any]:
+    """The content of a JSON file that this package wrote. Raises InputError for anything else."""
     try:
         content = from_json(text, allow_inf_nan=False)
     except ValueError as error:
-        raise InputError(f"{file}: is not JSON ({error}){again}") from None
+        raise InputError(f"{file}: is not JSON ({error})") from None
     if not isinstance(content, dict):
-        raise InputError(f"{file}: needs keys and values{again}")
+        raise InputError(f"{file}: needs keys and values")
     version = content.get("schema_version", SCHEMA_VERSION)
-    if version != SCHEMA_VERSION or isinstance(version, bool):
+    if version != SCHEMA_VERSION:
         raise InputError(
-            f"{file}: has schema_version {str(version)[:20]}, this program reads"
-            f" {SCHEMA_VERSION}{again}"
+            f"{file}: has schema_version {str(version)[:20]}, this program reads {SCHEMA_VERSION}"
         )
-    with in_one_line(again):
-        validated(model_of(content), content, str(file))
     return content
 
 
 @contextlib.contextmanager
-def in_one_line(again: str) -> Iterator[None]:
-    """Say in one line all that is wrong with a file that a program wrote, and what to do."""
+def refusing_damage(place: Path, again: str = _AGAIN) -> Iterator[None]:
+    """Say in one line what is wrong with files that this package wrote.
+
+    - again: what to do, the end of the message.
+    """
     try:
         yield
     except InputError as error:
-        first, *others = error.lines
-        more = f" (and {len(others)} more of the like)" if others else ""
-        raise InputError(f"{first}{more}{again}") from None
+        raise InputError(f"{error.lines[0]}{again}") from None
+    except Exception as error:
+        # The files were not written by hand: how exactly they are damaged helps nobody.
+        why = " ".join(f"{type(error).__name__}: {error}".split())
+        raise InputError(f"{place}: is damaged ({why[:200]}){again}") from error
 
 
-def _text_of(file: Path) -> str:
-    if not file.is_file():
-        raise InputError(f"{file}: is missing, the result is not whole{_AGAIN}")
-    return read_text(file)
+def _read_run(directory: Path) -> dict[str, Any]:
+    """The content of run.json, checked as far as a `Result` needs it."""
+    file = directory / "run.json"
+    run = parse_json(read_text(file), file)
+    validated(Run, run, str(file))
+    return run
+
+
+def _read_scores(directory: Path) -> dict[str, Any]:
+    """The content of scores.json."""
+    file = directory / "scores.json"
+    return parse_json(read_text(file), file)
 
 
 # --- the directory -----------------------------------------------------------------------------
@@ -915,26 +723,6 @@ def check_writable(directory: Path, kinds: Sequence[Callable[[Path], bool]] = ()
 def is_result(directory: Path) -> bool:
     """Whether the directory holds a whole result."""
     return all((directory / name).is_file() for name in ("run.json", "scores.json"))
-
-
-def read_files(directory: Path) -> dict[str, bytes]:
-    """The content of all files in a directory but the figures, by their path in it. Raises
-    InputError where one cannot be read."""
-    found = {}
-    for file in sorted(directory.rglob("*")):
-        name = file.relative_to(directory)
-        if file.is_file() and "figures" not in name.parts:
-            try:
-                found[name.as_posix()] = file.read_bytes()
-            except OSError as error:
-                raise InputError(f"{file}: cannot be read: {error.strerror}") from error
-    return found
-
-
-def write_files(directory: Path, files: Mapping[str, bytes]) -> None:
-    """Write files, as `read_files` gives them. Raises InputError where one cannot be written."""
-    for name, content in files.items():
-        write_bytes(directory / name, content, make_folder=True)
 
 
 @contextlib.contextmanager
@@ -1020,7 +808,7 @@ def _portable(result: Result, directory: Path) -> dict[str, Any]:
     for key in ("recording", "ground_truth"):
         if content[key]:
             content[key] = files_in_full(content[key], folder)
-    if content["recording"]["path"] == IN_MEMORY and result.lines is not None:
+    if content["recording"].get("path") == IN_MEMORY and result.lines is not None:
         own = {"path": f"./{LINES}", "frames": None, "missing_frames": "skip"}
         content["recording"] = {**content["recording"], **own}
     if content.get("road"):
@@ -1050,50 +838,32 @@ def read_result(directory: str | Path) -> Result:
     directory = Path(directory)
     if not is_result(directory):
         raise InputError(f"{directory}: is not a result directory (no run.json and scores.json)")
-    run, scores = read_run(directory), read_scores(directory)
-    file = directory / "experiment.yaml"
-    config = read_yaml(file, "n_lanes: 4")
-    with in_one_line(_AGAIN):
-        experiment = make_experiment(config, directory, str(file))
-    column = read_beliefs(directory / BELIEFS, run)
-    marginals = {
-        node: np.stack([column[name] for name in names], axis=1)
-        for node, names in belief_columns(run).items()
-    }
-    tentative = None
-    if "detector_lane" in column:
-        tentative = np.stack([column[name] for name in tentative_columns(run)], axis=1)
-    kept = (
-        "frame_id", "time_s", "assigned_lane", "true_lane", "is_crossing", "log_evidence",
-        "is_impossible", "block", "clip", "road_lanes", "origin",
-    )  # fmt: skip
-    columns: dict[str, Any] = {name: column[name] for name in kept if name in column}
-    result = Result(
-        experiment=experiment,
-        config=config,
-        run=run,
-        scores=scores,
-        marginals=marginals,
-        values={node: tuple(names) for node, names in run["values"].items()},
-        tentative=tentative,
-        crossing=crossing_probability(marginals),
-        directory=directory,
-        **columns,
-    )
-    return replace(result, lines=_read_lines(directory / LINES, result))
+    with refusing_damage(directory):
+        run, file = _read_run(directory), directory / "experiment.yaml"
+        config = read_yaml(file, "n_lanes: 4")
+        result = Result(
+            directory=directory,
+            experiment=make_experiment(config, directory, str(file)),
+            config=config,
+            run=run,
+            scores=_read_scores(directory),
+            values={node: tuple(names) for node, names in run["values"].items()},
+            **_read_beliefs(directory / BELIEFS, run),
+        )
+        return replace(result, lines=_read_lines(directory / LINES, result))
 
 
 def read_said(directory: Path) -> tuple[dict[str, Any], dict[str, Any]]:
-    """What run.json and scores.json of a result say, without reading a belief.
+    """The content of run.json and scores.json, without reading a belief.
 
-    Raises InputError as `read_result`, as far as it is told by these and by how many frames the
-    end of beliefs.parquet has.
+    Raises InputError as `read_result`, and where beliefs.parquet has another number of frames.
     """
-    run, scores = read_run(directory), read_scores(directory)
-    file = directory / "beliefs.parquet"
-    n_frames = rows_of_parquet(file)
-    if n_frames != run["frames"]:
-        raise InputError(f"{file}: has {n_frames} frames, run.json says {run['frames']}")
+    with refusing_damage(directory):
+        run, scores = _read_run(directory), _read_scores(directory)
+        file = directory / BELIEFS
+        n_frames = rows_of_parquet(file)
+        if n_frames != run["frames"]:
+            raise InputError(f"{file}: has {n_frames} frames, run.json says {run['frames']}")
     return run, scores
 
 
@@ -1105,7 +875,7 @@ def _read_lines(file: Path, result: Result) -> LineLog | None:
         return None
     log = read_table(file)
     if not np.array_equal(log.frame_id, result.frame_id):
-        raise InputError(f"{file}: has other frames than beliefs.parquet; run it again")
+        raise InputError(f"{file}: has other frames than beliefs.parquet")
     return replace(log, time_s=result.time_s, clip=result.clip)
 
 

@@ -59,7 +59,7 @@ from egolane_pgm.scoring.events import event_scores
 from egolane_pgm.scoring.road import road_scores
 from egolane_pgm.scoring.summary import score_with_intervals, stability_scores
 from egolane_pgm.tools.files import arrow_table, code_checksum, parquet_writer, plain
-from egolane_pgm.tools.jobs import Jobs, in_order, is_elsewhere
+from egolane_pgm.tools.jobs import Jobs, in_order
 from egolane_pgm.tools.progress import bar
 from egolane_pgm.types import (
     NOTE,
@@ -69,11 +69,10 @@ from egolane_pgm.types import (
     FloatArray,
     InputError,
     IntArray,
-    all_problems,
 )
 
-#: What scores.json says as run.json does.
-_SAID_TWICE = (
+#: The keys that run.json and scores.json share.
+_SHARED_KEYS = (
     *("n_lanes", "tuned_on", "is_causal", "causal", "why_not_causal", "frames", "frames_scored"),
     *("mean_log_evidence", "impossible_frames", "warnings"),
 )
@@ -81,7 +80,7 @@ _SAID_TWICE = (
 #: A drive that is run in parts has about this many frames in each.
 PART_FRAMES = 2**14
 
-#: What a result says of itself that was run in parts.
+#: A warning in a result that was run in parts.
 LEFT_OUT = (
     f"{NOTE}run in parts: what is noted of all lines together (lane width, number of lanes) is left"
     " out"
@@ -162,52 +161,39 @@ def run_experiment(
 def believe(drive: Drive) -> Believed:
     """Filter a drive of T frames: what the experiment's model makes of its lines."""
     experiment, model, log = drive.experiment, drive.model, drive.recorded.log
-    made = evidence_on(drive, model)
-    filtered, method = made.filtered, experiment.filter
+    output = evidence_on(drive, model)
+    filtered, method = output.filtered, experiment.filter
     beliefs = infer_beliefs(model.compiled, filtered, method, experiment.lag, frame_id=log.frame_id)
-    assigned, doubts = ANSWERS[experiment.decode](drive, filtered, beliefs)
-    doubt = doubt_of_lanes(experiment, model, log, filtered)
-    notes = (*made.notes, *doubts, *([doubt] if doubt else []))
+    notes = [*output.notes]
+    if experiment.decode == "viterbi":
+        path = viterbi(model.compiled, filtered, frame_id=log.frame_id)
+        assigned = path.lane
+        notes += filter(None, [disagreement(path, beliefs).warning])
+    else:
+        assigned = assigned_lane(beliefs.lane, experiment.unassigned_below)
+    notes += filter(None, [doubt_of_lanes(experiment, model, log, filtered)])
     crossing = crossing_probability(beliefs.marginals)
-    return Believed(beliefs, assigned, made.tentative, crossing, filtered, notes)
-
-
-def _most_probable(
-    drive: Drive, evidence: Evidence, beliefs: Beliefs
-) -> tuple[IntArray, list[str]]:
-    """The most probable lane of each frame, and no note."""
-    return assigned_lane(beliefs.lane, drive.experiment.unassigned_below), []
-
-
-def _on_best_path(drive: Drive, evidence: Evidence, beliefs: Beliefs) -> tuple[IntArray, list[str]]:
-    """The lanes of the most probable path, and a note where it is not to be trusted."""
-    path = viterbi(drive.model.compiled, evidence, frame_id=beliefs.frame_id)
-    doubt = disagreement(path, beliefs).warning
-    return path.lane, [doubt] if doubt else []
-
-
-#: What is answered, by the experiment's `decode`.
-ANSWERS = {"marginal": _most_probable, "viterbi": _on_best_path}
+    return Believed(beliefs, assigned, output.tentative, crossing, filtered, tuple(notes))
 
 
 # --- the result --------------------------------------------------------------------------------
 
 
-def scored_result(drive: Drive, found: Believed, begun: float) -> Result:
+def scored_result(drive: Drive, believed: Believed, begun: float) -> Result:
     """The result of a run.
 
-    - found: of all T frames of the drive.
+    - believed: all T frames of the drive.
     - begun: `time.perf_counter()` when it began.
     """
     recorded = drive.recorded
-    n_impossible = int(found.beliefs.is_impossible.sum())
-    notes = [*recorded.notes, *found.notes]
+    n_impossible = int(believed.beliefs.is_impossible.sum())
+    notes = [*recorded.notes, *believed.notes]
     if n_impossible:
         notes.append(
             f"{recorded.log.source}: the evidence of {n_impossible} frame(s) has joint likelihood"
             " zero; they keep their prediction"
         )
-    rows = result_rows(drive, found)
+    rows = result_rows(drive, believed)
     run = run_document(drive, rows, notes)
     rows = replace(rows, run=run, config=plain(resolved(drive.experiment, drive.model.parameters)))
     scores = scores_document(rows, drive)
@@ -215,9 +201,9 @@ def scored_result(drive: Drive, found: Believed, begun: float) -> Result:
     return replace(rows, run=plain({**run, "seconds": seconds}), scores=plain(scores))
 
 
-def result_rows(drive: Drive, found: Believed) -> Result:
-    """What a result says of each frame; of the whole it has the number of lanes only."""
-    recorded, beliefs = drive.recorded, found.beliefs
+def result_rows(drive: Drive, believed: Believed) -> Result:
+    """A result with the columns only: of config, run.json and scores.json it has n_lanes."""
+    recorded, beliefs = drive.recorded, believed.beliefs
     log, truth, road = recorded.log, recorded.truth, recorded.road
     lane = np.full(len(log), UNASSIGNED)
     crossing = np.zeros(len(log), dtype=bool)
@@ -235,18 +221,18 @@ def result_rows(drive: Drive, found: Believed) -> Result:
         time_s=log.time_s,
         marginals={node: beliefs.marginals[node] for node in names},
         values=names,
-        tentative=found.tentative,
-        assigned_lane=found.assigned,
+        tentative=believed.tentative,
+        assigned_lane=believed.assigned,
         true_lane=lane,
         is_crossing=crossing,
         log_evidence=beliefs.log_evidence,
         is_impossible=beliefs.is_impossible,
-        crossing=found.crossing,
+        crossing=believed.crossing,
         clip=log.clip,
         road_lanes=None if road is None else road.n_lanes,
         origin=None if road is None else road.origin,
         lines=log,
-        evidence=found.evidence,
+        evidence=believed.evidence,
         compiled=drive.model,
     )
 
@@ -318,7 +304,7 @@ def scores_document(result: Result, drive: Drive) -> dict[str, Any]:
     """The content of scores.json, from the columns and the run.json of a result."""
     rate, told, lane = float(result.run["frame_rate"]), result.told, result.marginals["Lane"]
     road, truth, rows = drive.recorded.road, result.truth, result.scored
-    found: dict[str, Any] = {}
+    scores: dict[str, Any] = {}
     events: dict[str, Any] = {"told": len(told)}
     if truth is not None:
         # Lanes that begin and end at the left change numbers, and that is no change of lane.
@@ -331,14 +317,14 @@ def scores_document(result: Result, drive: Drive) -> dict[str, Any]:
         assigned = result.assigned_lane[rows]
         if result.tentative is not None:
             # A tentative vector is no belief: the reject option and the path are the model's.
-            found["detector"] = score_with_intervals(result.tentative[rows], truth, rate)
-        found["model"] = score_with_intervals(lane[rows], truth, rate, assigned=assigned)
+            scores["detector"] = score_with_intervals(result.tentative[rows], truth, rate)
+        scores["model"] = score_with_intervals(lane[rows], truth, rate, assigned=assigned)
         if road is not None:
             answered = np.where(assigned == UNASSIGNED, UNASSIGNED, assigned + moved)
-            found["model"] |= stability_scores(
+            scores["model"] |= stability_scores(
                 answered, of_tracks.lane, unsure, truth.frame_id, rate
             )
-            found["model"]["road"] = road_scores(
+            scores["model"]["road"] = road_scores(
                 assigned,
                 truth,
                 road.n_lanes[rows],
@@ -349,8 +335,8 @@ def scores_document(result: Result, drive: Drive) -> dict[str, Any]:
     content = {
         "schema_version": SCHEMA_VERSION,
         "name": drive.experiment.name,
-        **{key: result.run[key] for key in _SAID_TWICE},
-        **found,
+        **{key: result.run[key] for key in _SHARED_KEYS},
+        **scores,
         "sure": float((lane.max(axis=1) >= SURE).mean()) if len(lane) else None,
         "lanes": [] if result.clip is not None else _lanes_over_time(result),
         "events": events,
@@ -365,24 +351,24 @@ def _lanes_over_time(result: Result) -> list[tuple[int, float, float]]:
     if result.origin is None:
         return lane_stretches(result.beliefs, result.told, result.time_s)
     tracks = tracks_of(result.origin)
-    found = lane_stretches(in_tracks(result.beliefs, result.origin), result.told, result.time_s)
-    frames = np.searchsorted(result.time_s, [begin for _, begin, _ in found])
+    stretches = lane_stretches(in_tracks(result.beliefs, result.origin), result.told, result.time_s)
+    frames = np.searchsorted(result.time_s, [begin for _, begin, _ in stretches])
     return [
         (lane - int(tracks[k]), begin, end)
-        for k, (lane, begin, end) in zip(frames, found, strict=True)
+        for k, (lane, begin, end) in zip(frames, stretches, strict=True)
     ]
 
 
 def plugin_files(model: Model) -> dict[str, dict[str, str]]:
     """The file, or the folder of several, in which a model's evidence rule and graph stand: its
     name and the sha256 of what is in it."""
-    found = {}
+    files_of = {}
     for kind, module in (("evidence", model.rule), ("graph", model.graph)):
         files = source_files(module)
         named = files[0].parent if len(files) > 1 else files[0]
         content = b"".join(file.read_bytes() for file in files)
-        found[kind] = {"file": named.name, "sha256": hashlib.sha256(content).hexdigest()}
-    return found
+        files_of[kind] = {"file": named.name, "sha256": hashlib.sha256(content).hexdigest()}
+    return files_of
 
 
 # --- a long drive ------------------------------------------------------------------------------
@@ -394,7 +380,7 @@ def run_in_parts(
     """Run an experiment on a long drive: beliefs are made and written part after part, so that not
     all of them are held at once. An older result is replaced; files of others in it stay.
 
-    - advance: is told of each part how many frames it has.
+    - advance: called after each part with the number of its frames.
 
     The numbers are those of `run_experiment`; of the result that is returned `marginals` has Lane
     only. Raises InputError, one line, for whatever does not fit, for what needs the whole drive,
@@ -410,11 +396,11 @@ def run_in_parts(
     kept: list[Believed] = []
     with staged(directory) as folder:
         with parquet_writer(folder / BELIEFS) as write:
-            for part, found in _parts(drive):
-                write(arrow_table(result_rows(replace(drive, recorded=part), found).columns()))
-                beliefs = replace(found.beliefs, marginals={"Lane": found.beliefs.lane})
-                kept.append(replace(found, beliefs=beliefs, evidence=None))
-                advance(len(found.beliefs))
+            for part, believed in _parts(drive):
+                write(arrow_table(result_rows(replace(drive, recorded=part), believed).columns()))
+                beliefs = replace(believed.beliefs, marginals={"Lane": believed.beliefs.lane})
+                kept.append(replace(believed, beliefs=beliefs, evidence=None))
+                advance(len(believed.beliefs))
         whole = replace(Believed.joined(kept), notes=(LEFT_OUT,))
         result = replace(scored_result(drive, whole, begun), directory=directory)
         write_rest(folder, result)
@@ -424,27 +410,16 @@ def run_in_parts(
 def _check_parts(experiment: Experiment) -> None:
     """Raise InputError, a line for each key, where a belief needs more than the frames up to its
     own."""
-    source = experiment.source
-    with all_problems() as part:
-        if not experiment.has_causal_filter:
-            with part():
-                raise InputError(
-                    f"{source}: filter: {experiment.filter} uses later frames and is not run in"
-                    " parts; exact and assumed_density are"
-                )
-        if experiment.decode != "marginal":
-            with part():
-                raise InputError(
-                    f"{source}: decode: {experiment.decode} needs the whole drive and is not run in"
-                    " parts; marginal is"
-                )
-        if experiment.gnss is not None or experiment.follows_map:
-            key = "gnss" if experiment.gnss is not None else "n_lanes"
-            with part():
-                raise InputError(
-                    f"{source}: {key}: a road table is laid over the whole drive, which is not run"
-                    " in parts; leave it out, and give n_lanes as a number"
-                )
+    keys = []
+    if not experiment.has_causal_filter:
+        keys.append(f"filter: {experiment.filter} uses later frames")
+    if experiment.decode != "marginal":
+        keys.append(f"decode: {experiment.decode} needs the whole drive")
+    if experiment.gnss is not None or experiment.follows_map:
+        key = "gnss" if experiment.gnss is not None else "n_lanes"
+        keys.append(f"{key}: a road table is laid over the whole drive")
+    if keys:
+        raise InputError(*(f"{experiment.source}: {key}; that is not run in parts" for key in keys))
 
 
 def _parts(drive: Drive) -> Iterator[tuple[Recorded, Believed]]:
@@ -459,12 +434,12 @@ def _parts(drive: Drive) -> Iterator[tuple[Recorded, Believed]]:
     state: FilterState | None = None
     for start, stop in pairwise(borders):
         part = recorded.take(slice(start, stop))
-        made = output_of(part.log)
-        state, beliefs = step(model.compiled, state, made.filtered, experiment.filter)
+        output = output_of(part.log)
+        state, beliefs = step(model.compiled, state, output.filtered, experiment.filter)
         beliefs = replace(beliefs, frame_id=part.log.frame_id)
         assigned = assigned_lane(beliefs.lane, experiment.unassigned_below)
         crossing = crossing_probability(beliefs.marginals)
-        yield part, Believed(beliefs, assigned, made.tentative, crossing)
+        yield part, Believed(beliefs, assigned, output.tentative, crossing)
 
 
 # --- several runs ------------------------------------------------------------------------------
@@ -480,9 +455,9 @@ class OneOfSeveral:
     - error: why it failed, in one line or several; None of one that did not.
     - scores: what scores.json says, once it is done.
     - result: where it was kept instead of written.
-    - seconds: that it took.
+    - seconds: how long it took.
     - was_there: whether its result was there already.
-    - drive: of one of a fleet which drive it is of, see `drive.drive_key`.
+    - drive: key of the drive (fleets only), see `drive.drive_key`.
     - read: lines and lanes in memory, see `run_experiment`.
     """
 
@@ -569,24 +544,17 @@ def run_all(
     keep: bool = False,
     resume: bool = False,
 ) -> Iterator[OneOfSeveral]:
-    """Do several runs and write their results; yields what became of each, in order, as soon as
-    those before it are done.
+    """Do several runs and write their results; yields each, in order, as soon as those before it
+    are done.
 
     - jobs: number of processes that share the runs, or a cluster.
     - figures: as in `Result.save`.
     - keep: whether results are kept instead of written.
     - resume: whether a result that is there already is taken, where it was made from the same
       files, with the same config and the same code; and each tells its drive.
-
-    A run for which another machine read other files than lie here under their names fails.
     """
     work = partial(_finish, figures=figures, keep=keep, resume=resume)
-    found = in_order(work, runs, jobs, died=_failed)
-    yield from map(_checked, runs, found) if is_elsewhere(jobs) else found
-
-
-def _failed(run: OneOfSeveral, error: str) -> OneOfSeveral:
-    return replace(run, error=error)
+    yield from in_order(work, runs, jobs, died=lambda run, error: replace(run, error=error))
 
 
 def _finish(run: OneOfSeveral, figures: bool, keep: bool, resume: bool) -> OneOfSeveral:
@@ -604,34 +572,12 @@ def _finish(run: OneOfSeveral, figures: bool, keep: bool, resume: bool) -> OneOf
         if not keep:
             done.save(run.directory, figures=figures)
     except InputError as error:
-        return _failed(run, "\n".join(error.lines))
+        return replace(run, error="\n".join(error.lines))
     except Exception as error:
         # A fault of ours in one run must not cost the others what they computed.
-        return _failed(run, " ".join(f"{type(error).__name__}: {error}".split()))
+        return replace(run, error=" ".join(f"{type(error).__name__}: {error}".split()))
     kept = done if keep else None
     return replace(run, scores=done.scores, result=kept, seconds=done.run["seconds"], drive=drive)
-
-
-def _checked(run: OneOfSeveral, done: OneOfSeveral) -> OneOfSeveral:
-    """What another machine made of a run, if it read what lies here."""
-    if run.experiment is None or done.error is not None or done.result is not None:
-        return done
-    try:
-        other = _other_file(run.experiment, read_said(done.directory)[0])
-    except (InputError, OSError) as error:
-        return _failed(run, f"cannot be compared with what its worker read: {error}")
-    if other is None:
-        return done
-    return _failed(run, f"{other}: its worker read another content under this name than lies here")
-
-
-def _other_file(experiment: Experiment, said: Mapping[str, Any]) -> str | None:
-    """The first file whose content is another than run.json says that it was, or None."""
-    files_in = source_of(experiment).files_in
-    for entry in said["data"]:
-        if file_entry(Path(entry["path"]), files_in) != entry:
-            return str(entry["path"])
-    return None
 
 
 def stored_result(
@@ -649,8 +595,10 @@ def stored_result(
             "plugins": plugin_files(model),
             "versions": versions(),
         }
-        is_same = all(said.get(key) == value for key, value in made_by.items())
-        is_same = is_same and _other_file(experiment, said) is None
+        files_in = source_of(experiment).files_in
+        is_same = all(said.get(key) == value for key, value in made_by.items()) and all(
+            file_entry(Path(entry["path"]), files_in) == entry for entry in said["data"]
+        )
     except (InputError, OSError):
         return None
     return (said, scores) if is_same else None

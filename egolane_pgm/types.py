@@ -128,17 +128,19 @@ def suggestion(word: str, known: Iterable[str]) -> str:
     """The end of a message: `" (did you mean 'x'?)"` with the known word nearest to `word`, or the
     list of the known words if none is near."""
     names = sorted(known)
-    return _meant(word, names) or (f" (known: {', '.join(names)})" if names else "")
+    return near_word(word, names) or (f" (known: {', '.join(names)})" if names else "")
 
 
 def not_one_of(value: object, choices: Sequence[str]) -> str:
     """`"'x' is not one of a, b"`, with the choice that a word is near to."""
-    meant = _meant(value, choices) if isinstance(value, str) else ""
+    meant = near_word(value, choices) if isinstance(value, str) else ""
     return f"{value!r} is not one of {', '.join(choices)}{meant}"
 
 
-def _meant(word: str, known: Sequence[str]) -> str:
-    close = difflib.get_close_matches(word, known, n=1, cutoff=0.6)
+def near_word(word: str, known: Iterable[str]) -> str:
+    """The end of a message: `" (did you mean 'x'?)"` with the known word nearest to `word`; empty
+    where none is near."""
+    close = difflib.get_close_matches(word, sorted(known), n=1)
     return f" (did you mean '{close[0]}'?)" if close else ""
 
 
@@ -150,8 +152,8 @@ def runs_of(marked: BoolArray) -> list[tuple[int, int]]:
 
 
 def joined(marked: BoolArray, time_s: FloatArray, within_s: float) -> list[tuple[int, int]]:
-    """The runs of marked rows, (T,), those within so many seconds of each other together: the first
-    row of each, and the one after its last."""
+    """The runs of marked rows, (T,), those within `within_s` seconds of each other together: the
+    first row of each, and the one after its last."""
     found: list[tuple[int, int]] = []
     for start, stop in runs_of(marked):
         # A clock that jumps back does not bring stretches together.
@@ -421,25 +423,32 @@ class LineLog:
         """
         import pandas as pd
 
-        is_line = np.isfinite(self.offset_m) | np.isfinite(self.lri)
+        columns = self.rows(np.isfinite(self.offset_m) | np.isfinite(self.lri))
+        line = pd.array(columns.pop("line").filled(0), dtype="Int64")
+        line[line == 0] = pd.NA
+        return pd.DataFrame({**columns, "line": line}).set_index(["frame_id", "line"])
+
+    def rows(self, is_line: BoolArray) -> dict[str, Any]:
+        """The columns of a table with a row per line: frame_id, time_s, line (from 1, masked in the
+        one row of a frame without lines), offset_m, is_valid, is_continuous, lri.
+
+        - is_line (T, L): marks what is no padding.
+        """
         frame, line = np.nonzero(np.column_stack([is_line, ~is_line.any(axis=1)]))
-        no_line = line == is_line.shape[1]
 
         def column(values: NDArray[Any], blank: float | bool) -> NDArray[Any]:
-            padded: NDArray[Any] = np.column_stack([values, np.full(len(self), blank)])
-            return padded[frame, line]
+            padded = np.pad(values, ((0, 0), (0, 1)), constant_values=blank)
+            return np.asarray(padded[frame, line])
 
-        columns = {
+        return {
             "frame_id": self.frame_id[frame],
-            "line": pd.array(np.where(no_line, 0, line + 1), dtype="Int64"),
             "time_s": self.time_s[frame],
+            "line": np.ma.masked_array(line + 1, line == is_line.shape[1]),
             "offset_m": column(self.offset_m, np.nan),
-            "is_valid": column(self.is_valid, False).astype(bool),
-            "is_continuous": column(self.is_continuous, False).astype(bool),
+            "is_valid": column(self.is_valid, False),
+            "is_continuous": column(self.is_continuous, False),
             "lri": column(self.lri, np.nan),
         }
-        columns["line"][no_line] = pd.NA
-        return pd.DataFrame(columns).set_index(["frame_id", "line"])
 
     @classmethod
     def joined(cls, parts: Sequence[LineLog]) -> LineLog:
@@ -559,7 +568,7 @@ class Evidence:
           index; None, NaN or pd.NA where it is missing. A DataFrame with a column per node will do.
 
         An observed node that is not given is missing in all frames. An input node must be given,
-        in every frame. Soft evidence about another node goes beside it:
+        in every frame. Soft evidence about another node is added:
         `Evidence({**hard.likelihoods, "Noise": likelihood}, hard.inputs)`.
 
         Raises InputError, naming node and row, for a node that is neither observed nor an input,
@@ -715,15 +724,16 @@ class Beliefs:
 
 @dataclass(frozen=True)
 class LaneEvents:
-    """Lane changes that beliefs tell of, E of them, in the order in which they are told.
+    """E lane changes that a belief shows, in the order in which they are reported.
 
     - told_frame_id, told_time_s (E,): when the change was first believed; seconds.
     - frame_id, time_s (E,): since when, up to there, the new lane was more probable than the old
       one without a break.
     - from_lane, to_lane (E,): 1 (leftmost) to n.
-    - probability (E,): of the new lane, in the belief that told the change.
-    - delay_s (E,): how long after the end of the true crossing the change was told, negative where
-      it was told before; NaN where the car made no such change. None without ground truth.
+    - probability (E,): of the new lane, in the belief that first showed the change.
+    - delay_s (E,): how long after the end of the true crossing the change was reported, negative
+      where it was reported before; NaN where the car made no such change. None without ground
+      truth.
 
     >>> import numpy as np
     >>> import egolane_pgm as ego
@@ -768,7 +778,7 @@ class LaneEvents:
 
     @property
     def late_s(self) -> FloatArray:
-        """(E,): how long the new lane was the more probable one before the change was told."""
+        """(E,): how long the new lane was the more probable one before the change was reported."""
         return np.asarray(self.told_time_s - self.time_s)
 
     def columns(self) -> dict[str, NDArray[Any]]:

@@ -17,7 +17,7 @@ import pytest
 
 from egolane_pgm.experiment import Experiment, load_experiment
 from egolane_pgm.online import filter_logs, filter_stream, parse_message
-from egolane_pgm.recordings.select import MAX_GAP
+from egolane_pgm.recordings.select import MAX_FILLED
 from egolane_pgm.recordings.table import write_table
 from egolane_pgm.running import run_experiment
 from egolane_pgm.scoring.assign import assigned_lane
@@ -269,10 +269,10 @@ def test_a_jump_of_frame_ids_is_refused_where_the_gap_would_be_filled(
     drive: Path, policy: str
 ) -> None:
     experiment = load_experiment(drive, [f"recording.missing_frames={policy}"])
-    with pytest.raises(InputError, match=r"message 2: frame id jumps from 1 to .* a frame count"):
-        list(filter_stream(experiment, [frame(1), frame(MAX_GAP + 2)]))
+    with pytest.raises(InputError, match=r"message 2: .*are these ids frame numbers"):
+        list(filter_stream(experiment, [frame(1), frame(MAX_FILLED + 3)]))
     skipping = load_experiment(drive)
-    assert len(list(filter_stream(skipping, [frame(1), frame(MAX_GAP + 2)]))) == 2
+    assert len(list(filter_stream(skipping, [frame(1), frame(MAX_FILLED + 3)]))) == 2
 
 
 def test_what_a_line_leaves_out_is_valid_dashed_and_of_unknown_reliability() -> None:

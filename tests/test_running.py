@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Iterator
-from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -457,29 +455,6 @@ def test_a_folder_that_is_in_the_way_is_refused_before_anything_is_run(experimen
     (taken / "thesis.txt").write_text("mine")
     with pytest.raises(InputError, match="exists and is not a result directory"):
         tasks(experiments, tmp_path / "out")
-
-
-def test_a_run_whose_worker_reads_another_recording_than_lies_here_fails(
-    drive: Experiment, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    lines = drive.folder / "lines.csv"
-    here = lines.read_bytes()
-    there = [here, b"".join(here.splitlines(keepends=True)[:-1])]
-
-    def on_workers(work: Any, runs: Any, *_: Any, **__: Any) -> Iterator[Any]:
-        for content, run in zip(there, runs, strict=True):
-            lines.write_bytes(content)
-            found = work(run)
-            lines.write_bytes(here)
-            yield found
-
-    monkeypatch.setattr(run_many, "in_order", on_workers)
-    sources = [(name, partial(changed, drive, name=name)) for name in ("same", "other")]
-    planned = run_many.plan_runs(sources, tmp_path)
-    same, other = run_many.run_all(planned, jobs="tcp://elsewhere:8786")
-    assert same.error is None
-    assert other.error == f"{lines}: its worker read another content under this name than lies here"
-    assert all(run.error is None for run in run_many.run_all(planned, jobs="local:2"))
 
 
 def test_a_smoothed_run_is_the_smoother_and_says_that_it_is_not_causal(tmp_path: Path) -> None:

@@ -7,17 +7,21 @@ from typing import Annotated, Any, Literal
 
 from pydantic import Field
 
-from egolane_pgm.experiment import Section
-from egolane_pgm.results import Causal, HeldOut, parse_json
-from egolane_pgm.scoring.document import Count, Finite, Share, Stored
+from egolane_pgm.experiment import validated
+from egolane_pgm.results import Causal, parse_json, refusing_damage
+from egolane_pgm.scoring.document import Count, Finite, Scores, Share, Stored
 
 #: Per score [estimate, low, high].
 Differences = dict[str, Annotated[list[Finite], Field(min_length=3, max_length=3)] | None]
 
 
-class Compared(HeldOut):
+class Compared(Stored):
     """What a comparison says of an experiment on a recording."""
 
+    name: str = Field(description="name of the experiment")
+    scores: dict[str, Scores] = Field(
+        description="by which frames: `all_frames`, and others that the comparison names"
+    )
     source: str = Field(description="name of its file")
     graph: str = Field(description="graph")
     evidence: str = Field(description="evidence rule")
@@ -114,10 +118,8 @@ class InSample(Stored):
 def parse_comparison(text: str | bytes, file: Path) -> Any:
     """What comparison.json says: of several recordings, of one, or in-sample. Raises InputError in
     one line, naming the file and a key that does not fit."""
-
-    def model_of(content: dict[str, Any]) -> type[Section]:
-        return (
-            ComparisonPart if "title" in content else InSample if "runs" in content else Comparison
-        )
-
-    return parse_json(text, file, model_of, "; compare again")
+    with refusing_damage(file, "; compare again"):
+        content = parse_json(text, file)
+        several = InSample if "runs" in content else Comparison
+        validated(ComparisonPart if "title" in content else several, content, str(file))
+    return content

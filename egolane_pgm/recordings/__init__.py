@@ -5,7 +5,6 @@ One file per format of recording; `read_lines` picks it by the file's extension.
 
 from __future__ import annotations
 
-import sys
 from collections.abc import Callable, Mapping
 from importlib import import_module
 from pathlib import Path
@@ -88,17 +87,12 @@ def read_with(path: str | Path, format: str | None, options: Mapping[str, Any]) 
             raise InputError(
                 f"{path}: format {name} has no option '{option}'{suggestion(str(option), allowed)}"
             )
-    if "frame_rate" in options:
-        _check_frame_rate(options["frame_rate"], path)
+    rate = options.get("frame_rate", 10.0)
+    is_number = isinstance(rate, (int, float, np.number)) and not isinstance(rate, bool)
+    if not (is_number and 0 < rate < np.inf):
+        raise InputError(f"{path}: frame_rate: {rate!r} is not a number greater than 0")
     log: LineLog = read(path, **options)
     return log
-
-
-def _check_frame_rate(value: object, path: str | Path) -> None:
-    if isinstance(value, bool) or not isinstance(value, (int, float, np.number)):
-        raise InputError(f"{path}: frame_rate: {value!r} is not a number")
-    if not 0 < value <= sys.float_info.max:
-        raise InputError(f"{path}: frame_rate {value} must be greater than 0")
 
 
 def write_lines(path: str | Path, log: LineLog) -> None:

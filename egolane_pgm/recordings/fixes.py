@@ -23,7 +23,7 @@ class Fixes:
 
     - t_s (T,): seconds since 1970, of the header's stamp
     - latitude, longitude (T,): degrees; NaN where the receiver had no fix
-    - sigma_m (T,): horizontal standard deviation along one axis, metres; NaN where it is not told
+    - sigma_m (T,): horizontal standard deviation along one axis, metres; NaN where unknown
     """
 
     t_s: FloatArray

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import numpy as np
 
-from egolane_pgm.tools.files import iterate_text, write_text
+from egolane_pgm.tools.files import read_text, write_text
 from egolane_pgm.types import InputError, LaneTruth
 
 _INTEGER = r"\s*([+-]?[0-9]{1,18})\s*"
@@ -30,7 +30,7 @@ def read_ground_truth(path: str | Path, extra_rows: Iterable[Sequence[int]] = ()
     """
     path = Path(path)
     cells, last = array("q"), None
-    for number, line in enumerate(iterate_text(path), start=1):
+    for number, line in enumerate(read_text(path).splitlines(), start=1):
         row = _row(line)
         if not line.strip() or (row is None and number == 1 and not re.search(r"\d", line)):
             continue

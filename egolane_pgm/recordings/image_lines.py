@@ -66,10 +66,7 @@ LONGEST_GAP_S = 1.0
 #: How a line becomes valid: by the paper's hysteresis, or always, where the source is trusted.
 VALID = ("hysteresis", "always")
 
-#: Detectors extend lines beyond the sides of the picture, but not by this many widths of it.
-_MOST_WIDTHS = 20
-
-#: Names of pictures with so many digits are time stamps: number of digits -> seconds per unit.
+#: Names of pictures that are time stamps: number of digits -> seconds per unit.
 _STAMP_UNITS = {13: 1e-3, 16: 1e-6, 18: 1e-8, 19: 1e-9}
 
 
@@ -130,7 +127,7 @@ def line_log(
     InputError for frames that occur twice in a clip, numbers that frame_step does not divide,
     points outside of what the camera takes, and where no point at all lies below the horizon.
     """
-    _check_options(frame_rate, valid, frame_step, ahead_m, source)
+    _check_options(valid, frame_step, ahead_m, source)
     ids, ordered, clip = _in_order(frames, frame_rate, frame_step, source)
     if camera is not None:
         _check_rows(ordered, camera, source)
@@ -308,19 +305,14 @@ def frame_numbers(names: Sequence[str], frame_rate: float, source: str) -> list[
     return [int(d) for d in last]
 
 
-def _check_options(
-    frame_rate: float, valid: str | None, frame_step: int, ahead_m: float, source: str
-) -> None:
-    if not (np.isfinite(frame_rate) and frame_rate > 0):
-        raise InputError(f"{source}: frame_rate {frame_rate} must be greater than 0")
+def _check_options(valid: str | None, frame_step: int, ahead_m: float, source: str) -> None:
     if valid is not None and valid not in VALID:
         raise InputError(f"{source}: valid: {not_one_of(valid, VALID)}")
     if isinstance(frame_step, bool) or not isinstance(frame_step, int) or frame_step < 1:
         raise InputError(f"{source}: frame_step: {frame_step!r} is not a whole number from 1 up")
-    if isinstance(ahead_m, bool) or not isinstance(ahead_m, (int, float)):
-        raise InputError(f"{source}: ahead_m: {ahead_m!r} is not a number")
-    if not 0 <= ahead_m <= NEAREST_M:
-        raise InputError(f"{source}: ahead_m: {ahead_m} is not between 0 and {NEAREST_M:.0f} m")
+    is_number = isinstance(ahead_m, (int, float)) and not isinstance(ahead_m, bool)
+    if not (is_number and 0 <= ahead_m <= NEAREST_M):
+        raise InputError(f"{source}: ahead_m: {ahead_m!r} is not between 0 and {NEAREST_M:.0f} m")
 
 
 def _in_order(
@@ -366,8 +358,8 @@ def _numbered(
 
 
 def _check_rows(frames: Iterable[ImageFrame], camera: Camera, source: str) -> None:
-    """Raise InputError if lines reach far below the camera's picture, or many times its width to a
-    side: then they are of another camera."""
+    """Raise InputError if lines reach far below the camera's picture: then they are of another
+    camera."""
     for frame in frames:
         drawn = [ln for ln in frame.lines if isinstance(ln, ImageLine) and len(ln.u)]
         lowest = max((float(line.v.max()) for line in drawn), default=0.0)
@@ -375,12 +367,6 @@ def _check_rows(frames: Iterable[ImageFrame], camera: Camera, source: str) -> No
             raise InputError(
                 f"{frame.where}: a line reaches down to row {lowest:.0f}, the camera's pictures"
                 f" have {camera.height}; is it the camera of these pictures?"
-            )
-        widest = max((float(np.abs(line.u).max()) for line in drawn), default=0)
-        if widest > _MOST_WIDTHS * camera.width:
-            raise InputError(
-                f"{frame.where}: a line reaches column {widest:g}, the camera's pictures have"
-                f" {camera.width}; is it the camera of these pictures?"
             )
 
 

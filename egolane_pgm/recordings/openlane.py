@@ -15,10 +15,9 @@ the camera that is given, or, if none is, with the file's own `intrinsic` and `e
   right, y forward and z up, on the road below the camera.
 
 The categories with a solid white or yellow line, alone, double or beside a dashed one, and the two
-kinds of curb are continuous. `attribute` (0 unknown, 1 left-left, 2 left, 3 right, 4 right-right)
-is checked and not used: the offsets say as much. The frame number is the last number in the name of
-`file_path`; OpenLane's are time stamps, which become frames of the frame rate, the first one number
-0. Each segment (the folder of `file_path`) is a clip of its own.
+kinds of curb are continuous. `attribute` is not used: the offsets say as much. The frame number is
+the last number in the name of `file_path`; OpenLane's are time stamps, which become frames of the
+frame rate, the first one number 0. Each segment (the folder of `file_path`) is a clip of its own.
 """
 
 from __future__ import annotations
@@ -42,30 +41,13 @@ from egolane_pgm.recordings.image_lines import (
 from egolane_pgm.tools.files import read_text
 from egolane_pgm.types import FloatArray, InputError, LineLog
 
-#: Category: (its name, whether it is continuous).
-CATEGORIES = {
-    0: ("unknown", False),
-    1: ("white, dashed", False),
-    2: ("white, solid", True),
-    3: ("double white, dashed", False),
-    4: ("double white, solid", True),
-    5: ("white, left dashed, right solid", True),
-    6: ("white, left solid, right dashed", True),
-    7: ("yellow, dashed", False),
-    8: ("yellow, solid", True),
-    9: ("double yellow, dashed", False),
-    10: ("double yellow, solid", True),
-    11: ("yellow, left dashed, right solid", True),
-    12: ("yellow, left solid, right dashed", True),
-    20: ("left curb", True),
-    21: ("right curb", True),
-}
+#: Categories: unknown and lines (white, yellow, double white, double yellow, each dashed, solid or
+#: one of each), curbs; and those of them that are continuous.
+CATEGORIES = (*range(13), 20, 21)
+CONTINUOUS = (2, 4, 5, 6, 8, 10, 11, 12, 20, 21)
 
 #: Width and height of the pictures, which the files do not say (the front camera of Waymo's cars).
 PICTURE_SIZE = (1920, 1280)
-
-#: Unknown, left-left, left, right, right-right.
-_N_ATTRIBUTES = 5
 
 
 def read_openlane(
@@ -153,11 +135,8 @@ def own_camera(
     if entry.get("intrinsic") is None or entry.get("extrinsic") is None:
         return None
     turn = _extrinsic(entry["extrinsic"], source)
-    try:
-        lens = np.array(entry["intrinsic"], dtype=np.float64)
-    except (TypeError, ValueError):
-        lens = np.zeros(0)
-    if lens.shape != (3, 3) or not np.isfinite(lens).all():
+    lens = _matrix(entry["intrinsic"], 3)
+    if lens is None:
         raise InputError(f"{source}: intrinsic is no 3 x 3 matrix of numbers")
     try:
         return camera_from_matrices(lens, turn, *size)
@@ -174,9 +153,7 @@ def _lines(entry: dict[str, Any], source: str, camera: Camera | None) -> list[Im
         if type(category) is not int or category not in CATEGORIES:
             known = ", ".join(map(str, CATEGORIES))
             raise InputError(f"{where}: unknown category {category!r} (known: {known})")
-        if lane.get("attribute", 0) not in range(_N_ATTRIBUTES):
-            raise InputError(f"{where}: unknown attribute {lane['attribute']!r} (known: 0 to 4)")
-        is_continuous = CATEGORIES[category][1]
+        is_continuous = category in CONTINUOUS
         if "xyz" in lane:
             x, y = _on_road(lane, entry.get("extrinsic"), where)
             lines.append(RoadLine(x, y, is_continuous))
@@ -231,15 +208,17 @@ def _on_road(lane: dict[str, Any], extrinsic: object, where: str) -> tuple[Float
 
 
 def _extrinsic(given: object, where: str) -> FloatArray:
+    matrix = _matrix(given, 4)
+    # Rows of a rotation have length 1 and are at right angles.
+    if matrix is None or not np.allclose(matrix[:3, :3] @ matrix[:3, :3].T, np.eye(3), atol=1e-2):
+        raise InputError(f"{where}: extrinsic is no 4 x 4 matrix of a turn and a shift")
+    return matrix
+
+
+def _matrix(given: object, size: int) -> FloatArray | None:
+    """A square matrix of finite numbers, or None."""
     try:
         matrix = np.array(given, dtype=np.float64)
     except (TypeError, ValueError):
-        matrix = np.zeros(0)
-    # Rows of a rotation have length 1 and are at right angles.
-    if (
-        matrix.shape != (4, 4)
-        or not np.isfinite(matrix).all()
-        or not np.allclose(matrix[:3, :3] @ matrix[:3, :3].T, np.eye(3), atol=1e-2)
-    ):
-        raise InputError(f"{where}: extrinsic is no 4 x 4 matrix of a turn and a shift")
-    return matrix
+        return None
+    return matrix if matrix.shape == (size, size) and np.isfinite(matrix).all() else None

@@ -103,10 +103,6 @@ def read_rosbag(
     path = Path(path)
     if frame_id not in FRAME_IDS:
         raise InputError(f"{path}: frame_id {not_one_of(frame_id, FRAME_IDS)}")
-    if not isinstance(topic, str):
-        raise InputError(f"{path}: topic: {topic!r} is not the name of a topic")
-    if not (stamps is None or isinstance(stamps, bool)):
-        raise InputError(f"{path}: stamps: {stamps!r} is neither true nor false")
     needed = ["lines.isValid or lines.is_valid"]
     needed += ["lines.continuous", "lines.counter", "lines.offset"]
     id_of = {"way_id": "way_id", "seq": "header.seq", "count": None}[frame_id]
@@ -174,14 +170,9 @@ def _check_ids(path: Path, ids: IntArray, field: str) -> None:
         )
     if (step <= 0).any():
         k = int(np.argmax(step <= 0))
-        what = (
-            f"frame id {int(ids[k])} occurs more than once"
-            if step[k] == 0
-            else f"frame ids decrease, {int(ids[k])} is followed by {int(ids[k + 1])}"
-        )
         raise InputError(
-            f"{path}: {what} (messages {k + 1} and {k + 2} of the file);"
-            f" split the bag there, or use frame_id {other}"
+            f"{path}: frame ids must increase, but {ids[k]} is followed by {ids[k + 1]} (messages"
+            f" {k + 1} and {k + 2} of the file); split the bag there, or use frame_id {other}"
         )
 
 
@@ -195,9 +186,9 @@ def open_bag(path: Path) -> Iterator[AnyReader]:
     if not path.exists():
         raise InputError(f"{path}: no such file")
     # ROS 1 bags have their definitions.
-    usual = None if path.suffix == ".bag" else get_typestore(Stores.LATEST)
+    typestore = None if path.suffix == ".bag" else get_typestore(Stores.LATEST)
     try:
-        with AnyReader([path], default_typestore=usual) as bag:
+        with AnyReader([path], default_typestore=typestore) as bag:
             yield bag
     except InputError:
         raise

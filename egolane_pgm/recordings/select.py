@@ -3,7 +3,7 @@ ground truth; and warns of odd recordings."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
@@ -22,9 +22,6 @@ MISSING_FRAMES: tuple[str, ...] = ("skip", "hold", "predict")
 
 #: A warning calls an offset beyond this (metres) absurd: no motorway is wider.
 ABSURD_OFFSET_M = 100.0
-
-#: Predicting through more missing frames at once than this is surely a wrong frame id.
-MAX_GAP = 100_000
 
 #: Filling more frames than this means that the ids are not frame numbers.
 MAX_FILLED = 1_000_000
@@ -109,15 +106,6 @@ def fill_after(last: LineLog | None, log: LineLog, policy: str, frame_rate: floa
         )
     if policy == "skip":
         return log
-    ids = log.frame_id if last is None else np.append(last.frame_id, log.frame_id)
-    step = np.diff(ids)
-    if (step == 1).all():
-        return log
-    if (step > MAX_GAP).any():
-        k = int(np.argmax(step > MAX_GAP))
-        raise InputError(
-            f"{log.source}: frame id jumps from {ids[k]} to {ids[k + 1]}; is it a frame count?"
-        )
     if last is None:
         return fill_missing(log, policy, frame_rate)
     return fill_missing(LineLog.joined([last, log]), policy, frame_rate).take(slice(1, None))
@@ -142,25 +130,9 @@ def rate_of(frame_id: IntArray, time_s: FloatArray) -> float | None:
     return float(f"{1 / step:.4g}") if step > 0 else None
 
 
-@dataclass(frozen=True)
-class Join:
-    """The frames that a log and a ground truth share, in order of frame id.
-
-    log, truth (K,): indices of the shared frames into each. log_dropped, truth_dropped: how many
-    frames of each have no partner.
-    """
-
-    log: IntArray
-    truth: IntArray
-    log_dropped: int
-    truth_dropped: int
-
-    def __len__(self) -> int:
-        return len(self.log)
-
-
-def join(log: LineLog, truth: LaneTruth) -> Join:
-    """Join by frame id.
+def join(log: LineLog, truth: LaneTruth) -> tuple[IntArray, IntArray]:
+    """The frames that a log and a ground truth share, in order of frame id: the index of each in
+    the log and in the truth, (K,) both.
 
     Raises InputError, with both ranges, where there is no common frame.
     """
@@ -172,12 +144,7 @@ def join(log: LineLog, truth: LaneTruth) -> Join:
             f"no common frames: {log.source} has {_range(log.frame_id)}, {truth.source} has"
             f" {_range(truth.frame_id)}"
         )
-    return Join(
-        in_log.astype(np.int64),
-        in_truth.astype(np.int64),
-        len(log) - len(common),
-        len(truth) - len(common),
-    )
+    return in_log.astype(np.int64), in_truth.astype(np.int64)
 
 
 def recording_warnings(

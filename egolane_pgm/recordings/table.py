@@ -12,8 +12,7 @@ from __future__ import annotations
 
 import re
 import warnings
-from collections.abc import Callable, Mapping
-from csv import reader as csv_rows
+from collections.abc import Mapping
 from dataclasses import replace
 from itertools import islice
 from pathlib import Path
@@ -22,12 +21,19 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import pyarrow as pa
 import pyarrow.compute as pc
-from numpy.typing import NDArray
 from pyarrow import csv
 
 from egolane_pgm.recordings.select import rate_of
-from egolane_pgm.tools.files import arrow_table, atomic, open_parquet, write_parquet
-from egolane_pgm.types import BoolArray, FloatArray, InputError, IntArray, LineLog, suggestion
+from egolane_pgm.tools.files import arrow_table, atomic, read_parquet, write_parquet
+from egolane_pgm.types import (
+    BoolArray,
+    FloatArray,
+    InputError,
+    IntArray,
+    LineLog,
+    near_word,
+    suggestion,
+)
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -57,15 +63,6 @@ FRAME_RATE = 10.0
 #: A line of a greater number is a mistake, and the padded arrays would fill the memory.
 MAX_LINES = 1000
 
-#: How truth values are written in a CSV file; pyarrow keeps the blanks around them.
-_WORDS = {
-    value: [f"{a}{word}{b}" for word in words for a in ("", " ") for b in ("", " ")]
-    for value, words in (
-        (True, ("true", "True", "TRUE", "1", "1.0")),
-        (False, ("false", "False", "FALSE", "0", "0.0")),
-    )
-}
-
 #: A column of a table with one row per frame: what it is, and of which line.
 _OF_LINE = re.compile(r"(offset|is_valid|valid|is_continuous|continuous|lri|offset_m)_([1-9]\d?)")
 _MEANT = {"offset": "offset_m", "valid": "is_valid", "continuous": "is_continuous"}
@@ -93,7 +90,9 @@ def read_table(
     that decrease, a line given twice in a frame, and a valid line without a finite offset.
     """
     path = Path(path)
-    return _log_of(path, _read_cells(path, columns or {}, _check_columns), frame_rate)
+    table = _read(path)
+    cells = _cells(path, table.column_names, table.columns, columns or {})
+    return _log_of(path, cells, frame_rate)
 
 
 def own_rate(path: str | Path, columns: Mapping[str, str] | None = None) -> float | None:
@@ -101,15 +100,16 @@ def own_rate(path: str | Path, columns: Mapping[str, str] | None = None) -> floa
 
     Raises InputError as `read_table`, as far as frame ids and times are wrong.
     """
-
-    def times(path: Path, names: list[str], _: list[str]) -> list[str]:
-        return ["frame_id", "time_s"] if {"frame_id", "time_s"} <= {*names} else []
-
-    cells = _read_cells(Path(path), columns or {}, times)
-    if not cells:
+    path = Path(path)
+    table = _read(path)
+    names = _renamed(path, table.column_names, columns or {})
+    if not {"frame_id", "time_s"} <= {*names}:
         return None
-    starts = np.diff(cells["frame_id"], prepend=np.nan) != 0
-    return rate_of(cells["frame_id"][starts], cells["time_s"][starts])
+    frame_id, time_s = (
+        typed(path, name, table.column(names.index(name))) for name in ("frame_id", "time_s")
+    )
+    starts = np.diff(frame_id, prepend=np.nan) != 0
+    return rate_of(frame_id[starts], time_s[starts])
 
 
 def read_frame(
@@ -126,13 +126,8 @@ def read_frame(
     """
     path = Path(source)
     frame = with_index(frame)
-    given = list(frame.columns)
-    names = _renamed(path, given, columns or {})
-    cells = {}
-    for name in _check_columns(path, names, given):
-        k = names.index(name)
-        cells[name] = typed(path, name, frame.iloc[:, k], given[k])
-    return _log_of(path, cells, frame_rate)
+    parts = [frame.iloc[:, k] for k in range(frame.shape[1])]
+    return _log_of(path, _cells(path, list(frame.columns), parts, columns or {}), frame_rate)
 
 
 def with_index(frame: pd.DataFrame) -> pd.DataFrame:
@@ -178,27 +173,14 @@ def rows_of(log: LineLog) -> Any:
     n_frames, n_lines = is_there.shape
     if n_frames and n_lines and not is_there[:, -1].any():
         is_there[0, -1] = True  # an empty line says how wide the padding is
-    # A frame without lines has one row, as if it had a line beside the others.
-    frame, line = np.nonzero(np.column_stack([is_there, ~is_there.any(axis=1)]))
-    no_line = line == n_lines
-
-    def column(values: NDArray[Any], blank: float | bool) -> NDArray[Any]:
-        column: NDArray[Any] = np.column_stack([values, np.full(n_frames, blank)])[frame, line]
-        return column
-
-    lri = column(log.lri, np.nan)
-    has_times = not np.array_equal(log.time_s, log.frame_id / FRAME_RATE)
-    columns = {
-        "frame_id": log.frame_id[frame],
-        **({"time_s": log.time_s[frame]} if has_times else {}),
-        "line": np.ma.masked_array(line + 1, no_line),
-        "offset_m": np.ma.masked_array(column(log.offset_m, np.nan), no_line),
-        "is_valid": column(log.is_valid, False),
-        "is_continuous": column(log.is_continuous, False),
-        "lri": np.ma.masked_array(lri, np.isnan(lri)),
-    }
+    columns = log.rows(is_there)
+    if np.array_equal(log.time_s, log.frame_id / FRAME_RATE):
+        del columns["time_s"]
+    no_line = np.ma.getmaskarray(columns["line"])
+    columns["offset_m"] = np.ma.masked_array(columns["offset_m"], no_line)
+    columns["lri"] = np.ma.masked_array(columns["lri"], np.isnan(columns["lri"]))
     if log.is_missing.any():
-        columns["is_missing"] = log.is_missing[frame]
+        columns["is_missing"] = log.is_missing[np.searchsorted(log.frame_id, columns["frame_id"])]
     return arrow_table(columns)
 
 
@@ -252,9 +234,8 @@ def _check_columns(path: Path, names: list[str], given: list[str]) -> list[str]:
         needed = NEEDED[:1]
     lacking = [name for name in needed if name not in names]
     if lacking:
-        hint = suggestion(lacking[0], set(names) - known)
         raise InputError(
-            f"{path}: no column {', '.join(lacking)}{hint if 'did you mean' in hint else ''}; the"
+            f"{path}: no column {', '.join(lacking)}{near_word(lacking[0], {*names} - known)}; the"
             f" table has {', '.join(called) or 'none'};"
             " it needs a row per line (frame_id, line, offset_m) or per frame (frame_id, offset_1,"
             " offset_2, ...); `columns: {offset_m: NAME}` says what yours are called"
@@ -263,83 +244,50 @@ def _check_columns(path: Path, names: list[str], given: list[str]) -> list[str]:
     if twice:
         raise InputError(f"{path}: column {', '.join(dict.fromkeys(twice))} occurs more than once")
     unused = known - {*names, *NEEDED}
-    said = []
-    for each, name in zip(called, names, strict=True):
-        if name not in known:
-            hint = suggestion(name, unused)
-            said.append(each + (hint if "did you mean" in hint else ""))
-    if said:
-        warnings.warn(f"{path}: ignored column(s) {', '.join(said)}", UserWarning, stacklevel=3)
+    others = [
+        each + near_word(name, unused)
+        for each, name in zip(called, names, strict=True)
+        if name not in known
+    ]
+    if others:
+        warnings.warn(f"{path}: ignored column(s) {', '.join(others)}", UserWarning, stacklevel=4)
     return [name for name in names if name in known]
 
 
-#: The columns to read, of those that a table has.
-_Choose = Callable[[Path, list[str], list[str]], list[str]]
-
-
-def _read_cells(path: Path, columns: Mapping[str, str], choose: _Choose) -> _Cells:
+def _read(path: Path) -> pa.Table:
+    """The whole table. pyarrow finds the types of the columns of a CSV file."""
     if not path.is_file():
         raise InputError(f"{path}: no such file")
-    read = {".csv": _read_csv, ".parquet": _read_parquet}.get(path.suffix.lower())
-    if read is None:
+    extension = path.suffix.lower()
+    if extension == ".parquet":
+        return read_parquet(path)
+    if extension != ".csv":
         raise InputError(f"{path}: unknown extension '{path.suffix}' of a table (.csv, .parquet)")
-    return read(path, columns, choose)
-
-
-def _read_csv(path: Path, columns: Mapping[str, str], choose: _Choose) -> _Cells:
     try:
-        with path.open(encoding="utf-8-sig", newline="") as file:
-            given = [name.strip() for name in next(csv_rows(file), [])]
-    except (OSError, UnicodeDecodeError) as error:
-        raise InputError(f"{path}: cannot be read as CSV ({error})") from None
-    if not given:
-        raise InputError(f"{path}: the file is empty")
+        table = csv.read_csv(path)
+    except (OSError, pa.ArrowInvalid) as error:
+        said = " ".join(str(error).split())[:160]
+        raise InputError(f"{path}: cannot be read as CSV ({said})") from None
+    return table.rename_columns([name.strip() for name in table.column_names])
+
+
+def _cells(path: Path, given: list[str], parts: list[Any], columns: Mapping[str, str]) -> _Cells:
+    """The columns of a table as numbers, by our names.
+
+    - given, parts: what the table calls its columns, and these, of pyarrow or pandas.
+    """
     names = _renamed(path, given, columns)
-    keep = choose(path, names, given)
-    if not keep:
-        return {}
-    try:
-        table = csv.read_csv(
-            path,
-            # With threads its errors do not say which row.
-            csv.ReadOptions(use_threads=False, column_names=names, skip_rows=1),
-            csv.ParseOptions(ignore_empty_lines=True),
-            csv.ConvertOptions(
-                column_types={n: pa.bool_() if _is_flag(n) else pa.float64() for n in keep},
-                include_columns=keep,
-                null_values=["", " "],
-                true_values=_WORDS[True],
-                false_values=_WORDS[False],
-            ),
-        )
-    except (pa.ArrowInvalid, pa.ArrowKeyError) as error:
-        text = " ".join(str(error).split())
-        if "too short" in text:
-            raise InputError(f"{path}: the table has no rows") from None
-        cell = re.search(r"column #(\d+): Row #(\d+): .* invalid value '(.*)'", text)
-        if cell is None:
-            raise InputError(f"{path}: cannot be read as CSV ({text[:160]})") from None
-        name = names[int(cell[1])]
-        place, called = _place(path, int(cell[2]) - 2), _called(given[int(cell[1])], name)
-        raise InputError(f"{place}: {called} is {cell[3][:40]!r}, not {_needs(name)}") from None
-    return {name: _numbers(table[name]) for name in keep}
-
-
-def _read_parquet(path: Path, columns: Mapping[str, str], choose: _Choose) -> _Cells:
-    with open_parquet(path) as file:
-        given = list(file.schema_arrow.names)
-        names = _renamed(path, given, columns)
-        there = {name: given[names.index(name)] for name in choose(path, names, given)}
-        # One after the other: a long drive's would take twice the memory together.
-        return {name: typed(path, name, file.read([c])[c], c) for name, c in there.items()}
+    places = {name: names.index(name) for name in _check_columns(path, names, given)}
+    return {name: typed(path, name, parts[k], given[k]) for name, k in places.items()}
 
 
 def typed(path: Path, name: str, column: Any, called: str = "") -> FloatArray:
-    """The cells of a column of a Parquet file or a DataFrame, which may hold text or other
-    numbers. Raises InputError for what does not fit the column.
+    """The cells of a column of pyarrow or pandas, which may hold text or other numbers. Raises
+    InputError for what does not fit the column.
 
     - called: what the table calls it, where that is another name.
     """
+    called = _called(called or name, name)
     is_arrow = isinstance(column, pa.ChunkedArray)
     given = column.type if is_arrow else column.dtype
     try:
@@ -347,21 +295,40 @@ def typed(path: Path, name: str, column: Any, called: str = "") -> FloatArray:
         if pa.types.is_dictionary(column.type):
             column = column.cast(column.type.value_type)
         if pa.types.is_string(column.type) or pa.types.is_large_string(column.type):
-            column = pc.utf8_trim_whitespace(column)
-            column = column.cast(pa.bool_() if _is_flag(name) else pa.float64())
+            column = _of_text(path, name, column, called)
         elif pa.types.is_boolean(column.type) and not _is_flag(name):
             raise pa.ArrowInvalid
         values = _numbers(column)
         # To pyarrow every number but 0 is true; 7 is more likely another column.
         if _is_flag(name) and not (np.isnan(values) | np.isin(values, (0, 1))).all():
             raise pa.ArrowInvalid
-    except pa.ArrowException as error:
-        text = " ".join(str(error).split())[:120]
-        raise InputError(
-            f"{path}: column {_called(called or name, name)} has type {given}, which is not"
-            f" {_needs(name)}" + (f" ({text})" if text else "")
-        ) from None
+    except pa.ArrowException:
+        said = f"{path}: column {called} has type {given}, which is not {_needs(name)}"
+        raise InputError(said) from None
     return values
+
+
+def _of_text(path: Path, name: str, column: Any, called: str) -> Any:
+    """The numbers that a column of text says. Raises InputError for the first cell without one."""
+    text = trimmed = pc.utf8_trim_whitespace(column)
+    if _is_flag(name):
+        for word, digit in (("(?i)^true$", "1"), ("(?i)^false$", "0")):
+            text = pc.replace_substring_regex(text, word, digit)
+    text = pc.if_else(pc.equal(text, ""), None, text)
+    try:
+        return text.cast(pa.float64())
+    except pa.ArrowInvalid:
+        row = next(k for k, cell in enumerate(text) if not _is_number(cell))
+        said = f"{called} is {str(trimmed[row])[:40]!r}, not {_needs(name)}"
+        raise InputError(f"{_place(path, row)}: {said}") from None
+
+
+def _is_number(cell: Any) -> bool:
+    try:
+        cell.cast(pa.float64())
+    except pa.ArrowInvalid:
+        return False
+    return True
 
 
 def _numbers(column: Any) -> FloatArray:
@@ -421,7 +388,6 @@ def _assemble(path: Path, cells: _Cells, row: IntArray, frame_rate: float) -> Li
     step = np.diff(frame, prepend=frame[0])
     refuse(step < 0, "frame {} comes after a later one; sort the table by frame_id")
     refuse(has_line & ((line < 0) | (line >= MAX_LINES)), f"line is not in 1..{MAX_LINES}")
-    refuse(~has_line & ~np.isnan(offset), "frame {} has an offset without a line")
     starts = step != 0
     starts[0] = True
     if "time_s" in cells:
@@ -429,23 +395,17 @@ def _assemble(path: Path, cells: _Cells, row: IntArray, frame_rate: float) -> Li
         refuse(starts & ~is_later, "time_s of frame {} is not later than that before")
     at = np.cumsum(starts) - 1
     alone = np.bincount(at)[at] == 1
-    refuse(~has_line & ~alone, "frame {} has a row without a line beside others")
+    refuse(
+        ~has_line & ~(alone & np.isnan(offset)),
+        "frame {} has a row with an empty line, but with an offset or next to other rows",
+    )
     key, again = at * MAX_LINES + line, has_line.copy()
     again[np.flatnonzero(has_line)[np.unique(key[has_line], return_index=True)[1]]] = False
     refuse(again, "frame {} has this line twice")
-    if "is_valid" not in cells:
-        refuse(
-            has_line & np.isnan(offset),
-            "frame {} has a line without an offset; leave line empty too, or add column is_valid",
-        )
     for name in ("is_valid", "is_continuous"):
         if name in cells:
             refuse(np.isnan(cells[name]) & has_line, f"frame {{}} has a line with empty {name}")
     valid = cells["is_valid"] == 1 if "is_valid" in cells else has_line
-    refuse(
-        has_line & valid & ~np.isfinite(offset),
-        "frame {} has a valid line without a finite offset; drop it or mark it not valid",
-    )
     zeros = np.zeros(len(frame))
     log = LineLog.from_rows(
         frame[starts],
@@ -489,12 +449,8 @@ def _per_line(cells: _Cells) -> tuple[_Cells, IntArray]:
     row, slot = np.nonzero(there)
     found: _Cells = {name: cells[name][row] for name in _OF_FRAME if name in cells}
     found["line"] = np.array([*map(float, numbers), np.nan])[slot]
-    for kind, blank in {
-        "offset_m": np.nan,
-        "is_valid": 1,
-        "is_continuous": 0,
-        "lri": np.nan,
-    }.items():
+    blanks = {"offset_m": np.nan, "is_valid": 1, "is_continuous": 0, "lri": np.nan}
+    for kind, blank in blanks.items():
         if any(f"{kind}_{k}" in cells for k in numbers):
             found[kind] = side_by_side(kind, blank)[row, slot]
     return found, row

@@ -136,12 +136,3 @@ class Events(Stored):
         default=None,
         description="the probability of being on a line as a warning, of graphs with RoadPosition",
     )
-
-    @model_validator(mode="after")
-    def _is_whole(self) -> Self:
-        scored = ("changes", "hours", "within", "delay_s")
-        there = [name for name in scored if getattr(self, name) is not None]
-        if there and len(there) < len(scored):
-            lacking = next(name for name in scored if name not in there)
-            raise ValueError(f"has {there[0]}, but not {lacking}")
-        return self

@@ -189,24 +189,21 @@ def parquet_writer(path: Path) -> Iterator[Callable[[Any], None]]:
 
 
 @contextlib.contextmanager
-def open_parquet(path: Path, content: bytes | None = None) -> Iterator[Any]:
+def open_parquet(path: Path) -> Iterator[Any]:
     """A pyarrow ParquetFile, open while the block runs.
-
-    - content: of the file, where that was read before.
 
     Raises InputError where it cannot be read, there or in the block.
     """
     import pyarrow as pa
-    from pyarrow import BufferReader, OSFile, parquet
+    from pyarrow import OSFile, parquet
 
     check_name(path)
     try:
-        if content is None:
-            # Its error says in plain words what is wrong with the place.
-            path.stat()
+        # Its error says in plain words what is wrong with the place.
+        path.stat()
         # Given a name, pyarrow takes what is before a colon for the scheme of an address. Of a
         # Python file its threads would still read while Python ends, which then aborts.
-        with OSFile(str(path)) if content is None else BufferReader(content) as file:
+        with OSFile(str(path)) as file:
             yield parquet.ParquetFile(file)
     except InputError:
         raise
@@ -217,10 +214,10 @@ def open_parquet(path: Path, content: bytes | None = None) -> Iterator[Any]:
         raise InputError(f"{path}: is not a whole Parquet file ({said})") from None
 
 
-def read_parquet(path: Path, content: bytes | None = None) -> Any:
+def read_parquet(path: Path) -> Any:
     """Read a pyarrow table. Raises InputError as `open_parquet` does, and for columns of one name,
     of which nobody knows which is meant."""
-    with open_parquet(path, content) as file:
+    with open_parquet(path) as file:
         table = file.read()
         twice = sorted(n for n, times in Counter(table.column_names).items() if times > 1)
     if twice:
@@ -325,22 +322,9 @@ def check_not_read(file: Path, read: Iterable[Path]) -> None:
 def read_text(path: Path) -> str:
     """The text of a file in UTF-8, without the mark that some editors put before it. Raises
     InputError where it cannot be read or is no text."""
-    with _said_of_text(path):
-        return path.read_text(encoding="utf-8-sig")
-
-
-def iterate_text(path: Path) -> Iterator[str]:
-    """The lines of a file of any length, as `read_text` reads them, one by one."""
-    with _said_of_text(path), path.open(encoding="utf-8-sig") as file:
-        yield from file
-
-
-@contextlib.contextmanager
-def _said_of_text(path: Path) -> Iterator[None]:
-    """Errors of reading a text as an InputError each."""
     check_name(path)
     try:
-        yield
+        return path.read_text(encoding="utf-8-sig")
     except OSError as error:
         raise InputError(f"{path}: cannot be read: {error.strerror}") from error
     except UnicodeDecodeError as error:

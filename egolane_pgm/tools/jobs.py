@@ -28,18 +28,13 @@ from egolane_pgm.types import InputError
 T = TypeVar("T")
 R = TypeVar("R")
 
-#: Where work is shared out to: so many processes of this machine, or a Dask cluster: the address
-#: of its scheduler, or `local:N` for one of N processes that is started here.
+#: A number of processes of this machine, or a Dask cluster: the address of its scheduler, or
+#: `local:N` for one of N processes that is started here.
 Jobs = int | str
 
 _LOCAL = "local:"
 
 _DIED = "its process, or one beside it, died (killed, or out of memory?)"
-
-
-def is_elsewhere(jobs: Jobs) -> bool:
-    """Whether work is shared out to processes that may be other machines'."""
-    return isinstance(jobs, str) and not jobs.startswith(_LOCAL)
 
 
 def in_order(

@@ -11,7 +11,7 @@ from typing import Any
 def bar(items: Iterable[Any] | None = None, progress: bool | None = None, **settings: Any) -> Any:
     """A bar of tqdm.
 
-    - items: that it counts while they are taken; without them it is told by `update`.
+    - items: counted while they are taken; without them call `update`.
     - progress: whether it is shown; None for in a terminal, and in a notebook.
     - settings: of tqdm.
     """

@@ -7,7 +7,6 @@ import http.server
 import os
 import re
 import socket
-import stat
 import threading
 from collections.abc import Iterator
 from pathlib import Path
@@ -75,9 +74,9 @@ def mirror(monkeypatch: pytest.MonkeyPatch) -> Iterator[Mirror]:
     monkeypatch.setenv("no_proxy", "127.0.0.1")
     monkeypatch.setattr(
         catalog,
-        "_FILES",
-        tuple(
-            DataFile(name, len(body), hashlib.sha256(body).hexdigest(), "a test")
+        "list_files",
+        lambda: tuple(
+            DataFile(hashlib.sha256(body).hexdigest(), len(body), name)
             for name, body in CONTENT.items()
         ),
     )
@@ -150,16 +149,6 @@ def test_a_connection_that_is_cut_is_said_in_one_line_and_leaves_nothing(
     mirror.cut_after.clear()
     assert statuses(fetch(mirror.url, tmp_path))["one.bag"] == "downloaded"
     assert files_in(tmp_path) == CONTENT
-
-
-@pytest.mark.parametrize(("mask", "mode"), [(0o022, 0o644), (0o077, 0o600)])
-def test_a_download_keeps_the_umask(mirror: Mirror, tmp_path: Path, mask: int, mode: int) -> None:
-    before = os.umask(mask)
-    try:
-        fetch(mirror.url, tmp_path)
-    finally:
-        os.umask(before)
-    assert stat.S_IMODE((tmp_path / "rle" / "one.bag").stat().st_mode) == mode
 
 
 @pytest.mark.parametrize(

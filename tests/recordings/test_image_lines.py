@@ -275,10 +275,9 @@ def test_lines_in_pixels_without_a_camera_are_refused(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("setting", "said"),
     [
-        ("frame_rate=abc", "frame_rate: 'abc' is not a number"),
+        ("frame_rate=abc", "frame_rate: 'abc' is not a number greater than 0"),
         ("frame_rate=true", "frame_rate: True is not a number"),
-        ("frame_rate=.nan", "frame_rate nan must be greater than 0"),
-        ("frame_rate=.inf", "frame_rate inf must be greater than 0"),
+        ("frame_rate=.inf", "frame_rate: inf is not a number greater than 0"),
         ("camera=5", "camera: 5 is not the name of a camera's YAML file"),
         ("camera={fx: 3}", "camera: {'fx': 3} is not the name of a camera's YAML file"),
         ("format=culane", "format tusimple has no option 'format'"),
@@ -288,16 +287,6 @@ def test_lines_in_pixels_without_a_camera_are_refused(tmp_path: Path) -> None:
 def test_an_option_of_another_kind_is_refused(labels: Path, setting: str, said: str) -> None:
     assert said in refused("convert", labels, labels.with_name("a.csv"), "--set", setting)
     assert not labels.with_name("a.csv").exists()
-
-
-def test_a_line_far_beside_the_picture_is_refused(labels: Path) -> None:
-    first = json.loads(labels.read_text().splitlines()[0])
-    first["lanes"][1] = [1e18] * len(first["h_samples"])
-    labels.write_text(json.dumps(first) + "\n")
-    said = refused(
-        "convert", labels, labels.with_name("a.csv"), "--camera", labels.with_name("cam.yaml")
-    )
-    assert said.startswith(f"{labels}: line 1: a line reaches column 1e+18, the camera's pictures")
 
 
 WRITERS: dict[str, Callable[[Path, list[int]], Path]] = {
@@ -384,27 +373,6 @@ def test_solid_lines_and_curbs_are_continuous_in_openlane(tmp_path: Path) -> Non
     assert len(columns(OFFSETS[0])) == 42
 
 
-def test_an_unknown_attribute_is_refused_in_openlane(tmp_path: Path) -> None:
-    path = openlane(tmp_path / "drive", [1, 2])
-    content = json.loads((path / "2.json").read_text())
-    for attribute, is_good in ((4, True), (5, False)):
-        content["lane_lines"][0]["attribute"] = attribute
-        (path / "2.json").write_text(json.dumps(content))
-        if is_good:
-            read(path, format="openlane")
-            continue
-        with pytest.raises(InputError, match="unknown attribute 5 "):
-            read(path, format="openlane")
-
-
-def test_a_line_far_outside_of_the_picture_is_of_another_camera(tmp_path: Path) -> None:
-    picture = entry(1)
-    picture["lanes"][0] = [*picture["lanes"][0][:-1], 30 * CAMERA.width]
-    path = tusimple(tmp_path / "labels.json", [picture])
-    with pytest.raises(InputError, match=r"a line reaches column 38400, .*have 1280"):
-        read(path, format="tusimple")
-
-
 def seen_from(x: np.ndarray, y: np.ndarray, noise: np.ndarray | float = 0.0) -> ImageLine:
     u, v = road_to_image(CAMERA, x, y)
     return ImageLine(u + noise, v)
@@ -488,13 +456,6 @@ def test_true_is_no_coordinate() -> None:
     with pytest.raises(InputError, match="here: u is not a list of numbers"):
         points([1.0, True], "here", "u")
     assert points([1, 2.5], "here", "u").tolist() == [1, 2.5]
-
-
-@pytest.mark.parametrize("frame_rate", [0.0, -10.0, float("nan"), float("inf")])
-def test_a_frame_rate_that_is_none_is_refused(tmp_path: Path, frame_rate: float) -> None:
-    path = WRITERS["tusimple"](tmp_path, [1])
-    with pytest.raises(InputError, match=r"frame_rate \S+ must be"):
-        read_tusimple(path, camera=CAMERA, frame_rate=frame_rate)
 
 
 def test_broken_json_is_refused_with_its_line(tmp_path: Path) -> None:
@@ -595,7 +556,6 @@ def test_odd_culane_files_are_refused(tmp_path: Path) -> None:
     [
         ({"category": 77}, "unknown category 77 (known: 0, 1, 2,"),
         ({"category": [1]}, "unknown category [1]"),
-        ({"attribute": 9}, "unknown attribute 9 (known: 0 to 4)"),
         ({"uv": [[1, 2], [3]]}, "2 u for 1 v"),
         ({"uv": [1, 2, 3]}, "uv needs a list of u and a list of v"),
         ({"uv": [["a"], [1]]}, "u is not a list of numbers"),
@@ -624,9 +584,9 @@ def test_a_camera_that_sees_only_sky_where_the_lines_are_is_refused(tmp_path: Pa
         ({"valid": "allways"}, "valid: 'allways' is not one of hysteresis, always (did you mean"),
         ({"frame_step": 0}, "frame_step: 0 is not a whole number from 1 up"),
         ({"frame_step": 2}, "frame 1 is no multiple of frame_step 2"),
-        ({"frame_rate": 0}, "frame_rate 0 must be greater than 0"),
+        ({"frame_rate": 0}, "frame_rate: 0 is not a number greater than 0"),
         ({"ahead_m": 300}, "ahead_m: 300 is not between 0 and 25 m"),
-        ({"ahead_m": "far"}, "ahead_m: 'far' is not a number"),
+        ({"ahead_m": "far"}, "ahead_m: 'far' is not between 0 and 25 m"),
         ({"continuous": "all"}, "continuous: 'all' is not a list of classes, 0 to 20"),
     ],
 )

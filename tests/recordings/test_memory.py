@@ -9,7 +9,6 @@ import numpy as np
 import pandas as pd
 import pytest
 
-import egolane_pgm as ego
 from egolane_pgm.recordings.memory import lines_of, truth_of
 from egolane_pgm.recordings.select import rate_of
 from egolane_pgm.recordings.table import read_table
@@ -28,9 +27,9 @@ LONG = pd.DataFrame(
 )
 
 
-def test_what_detect_gives_is_a_recording() -> None:
+def test_the_table_of_a_log_is_a_recording() -> None:
     log = short_drive().log
-    table = ego.DetectResult(log, "drive.avi", "ml", 10.0, 1.0).to_pandas()
+    table = log.to_pandas()
     seen = log.take(np.flatnonzero(np.isfinite(log.offset_m).any(axis=1)))
     assert_same(lines_of(table), seen)
     assert_same(lines_of(table.reset_index().drop(columns="line")), seen)

@@ -251,8 +251,12 @@ def killed(path: Path) -> None:
             "all 3 messages have frame id 0, this recording does not fill in way_id; use frame_id"
             " seq (ROS 1) or count",
         ),
-        (of_ids(1, 2, 2, 5), {}, "frame id 2 occurs more than once (messages 2 and 3 of the file)"),
-        (of_ids(1, 5, 4), {}, "frame ids decrease, 5 is followed by 4"),
+        (
+            of_ids(1, 2, 2, 5),
+            {},
+            "frame ids must increase, but 2 is followed by 2 (messages 2",
+        ),
+        (of_ids(1, 5, 4), {}, "frame ids must increase, but 5 is followed by 4"),
         (of_ids(0), {"frame_id": "id"}, "'id' is not one of way_id, seq, count"),
         (of_ids(0), {"frame_rate": 0.0}, "greater than 0"),
         (of_ids(0), {"topik": "/x"}, "no option 'topik' (did you mean 'topic'?)"),

@@ -288,7 +288,7 @@ def test_duplicate_frame_ids_are_refused(tmp_path: Path, earlier: Path) -> None:
 def test_decreasing_frame_ids_are_refused(tmp_path: Path, earlier: Path) -> None:
     line_bag(tmp_path / "a.bag", [3, 7, 5])
     said = run_on(tmp_path, tmp_path / "a.bag", earlier)
-    assert "a.bag: frame ids decrease, 7 is followed by 5" in said
+    assert "a.bag: frame ids must increase, but 7 is followed by 5" in said
 
 
 def test_frame_id_0_in_every_message_is_refused_and_what_is_offered_works(
