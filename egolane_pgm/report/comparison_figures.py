@@ -13,6 +13,7 @@ from matplotlib.figure import Figure
 
 from egolane_pgm.report.answers import FAINT, INK, MODEL_COLOUR
 from egolane_pgm.report.comparison_tables import (
+    entries_of,
     experiment_names,
     lag_curves,
     lag_means,
@@ -200,11 +201,10 @@ def differences_figure(document: Mapping[str, Any]) -> Figure:
 def _differences(document: Mapping[str, Any], name: str) -> dict[str, tuple[float, ...] | None]:
     """By recording, and for all of them, the difference of the accuracy with its interval."""
     found: dict[str, tuple[float, ...] | None] = {}
-    for recording in document["recordings"]:
-        for entry in recording["experiments"]:
-            if entry["name"] == name and entry["difference"] is not None:
-                bounds = trusted_or_all(entry["difference"])["accuracy"]
-                found[_short(recording["title"])] = bounds and tuple(bounds)
+    for title, entry in entries_of(document):
+        if entry["name"] == name and entry["difference"] is not None:
+            bounds = trusted_or_all(entry["difference"])["accuracy"]
+            found[_short(title)] = bounds and tuple(bounds)
     for entry in document["together"]:
         if entry["name"] == name and entry["difference"] is not None:
             bounds = entry["difference"]["accuracy"]

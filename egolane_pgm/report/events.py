@@ -6,7 +6,7 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 from egolane_pgm.inference.events import BELIEVED, SURE
-from egolane_pgm.report.comparison_tables import trusted_or_all
+from egolane_pgm.report.comparison_tables import entries_of, trusted_or_all
 from egolane_pgm.report.tables import score_text
 from egolane_pgm.types import DATED_S, LaneEvents
 
@@ -170,12 +170,11 @@ def event_comparison_rows(document: Mapping[str, Any]) -> tuple[list[str], list[
     recording and experiment, and one per experiment for all recordings that it is on."""
     rows = []
     found: dict[str, list[Mapping[str, Any]]] = {}
-    for recording in document["recordings"]:
-        for entry in recording["experiments"]:
-            scores = trusted_or_all(entry["events"])
-            rows.append([recording["title"], entry["name"], *_scored(scores)])
-            found.setdefault(entry["name"], []).append(scores)
-    for name, mine in found.items():
-        if len(mine) > 1:
-            rows.append([f"all {len(mine)}", name, *_pooled(mine)])
+    for title, entry in entries_of(document):
+        scores = trusted_or_all(entry["events"])
+        rows.append([title, entry["name"], *_scored(scores)])
+        found.setdefault(entry["name"], []).append(scores)
+    for name, of_all in found.items():
+        if len(of_all) > 1:
+            rows.append([f"all {len(of_all)}", name, *_pooled(of_all)])
     return ["lane changes", "experiment", *_SCORED], rows

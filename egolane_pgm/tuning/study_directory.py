@@ -46,20 +46,34 @@ def provenance_of(problem: Problem) -> dict[str, Any]:
         for entry in data_entries(drive.experiment, drive.recorded.files)
     ]
     return {
+        **head_of(problem, identity, data),
+        "run": problem.plan.run,
+        "fleet": _fleet(problem),
+        "experiments": [resolved(d.experiment, d.model.parameters) for d in problem.drives],
+    }
+
+
+def head_of(
+    problem: Any, identity: Mapping[str, Any], data: Sequence[Mapping[str, Any]]
+) -> dict[str, Any]:
+    """The first keys of study.json, the same for recordings and pictures.
+
+    - problem: with its `plan` and `settings`. identity: as `search_identity`.
+    - data: a `file_entry` for each file.
+    """
+    settings = problem.settings
+    return {
         "schema_version": SCHEMA_VERSION,
         "kind": "tuning",
         **provenance(problem.plan.name, identity, data),
         "description": problem.plan.description,
-        "run": problem.plan.run,
         "tuning": {
             **problem.plan.tuning.model_dump(mode="json"),
-            "objective": list(problem.settings.objectives),
-            "sampler": problem.settings.sampler,
-            "trials": problem.settings.trials,
+            "objective": list(settings.objectives),
+            "sampler": settings.sampler,
+            "trials": settings.trials,
         },
-        "fleet": _fleet(problem),
         "space": identity["space"],
-        "experiments": [resolved(d.experiment, d.model.parameters) for d in problem.drives],
     }
 
 
