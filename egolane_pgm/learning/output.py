@@ -43,15 +43,14 @@ def write_learned(
     target: Path,
     drives: str | None = None,
 ) -> list[Path]:
-    """Write the experiment with what was learned to `target`, and beside it, where tables were
-    learned, the graph `<its name>.graph.yaml`; returns the files that were written.
+    """Write the experiment with what was learned to `target`, and, where tables were learned, the
+    graph to `<its name>.graph.yaml` in the same folder; returns the files that were written.
 
     parameters: those that were learned, tables by the names of `tables`.
     drives: what was learned from, in words; None for the experiment's recording.
 
-    What the new experiment says of its scores is that they are in-sample where it is run on the
-    same recording; after learning from drives that this is unknown. Raises InputError where a file
-    cannot be written.
+    The new experiment's `tuned_on` is same_frames, or unknown after learning from drives. Raises
+    InputError where a file cannot be written.
     """
     tables = {k: v for k, v in parameters.items() if k.startswith(PREFIX)}
     files = output_files(experiment, target)[: 2 if tables else 1]
