@@ -73,7 +73,7 @@ class Options:
     trials: the trials of each search; None for what the experiment says.
     trials_per_number: instead, the trials for each number that is searched.
     seeds: each search is repeated with each of these; empty: the experiment's own.
-    health: whether to score how well each experiment tells that the detector is wrong.
+    health: whether to score how well each experiment notices that the detector is wrong.
     events: whether to score the lane changes that each experiment reports.
     out: where result directories go; None for nowhere.
     lags: seconds, increasing: beliefs that wait this long are scored too.
@@ -245,27 +245,26 @@ def compare_groups(
     """
     options = options or Options()
     work = partial(_tried, options=options)
-    searches = [list(_searches(group, options)) for group in groups]
+    searches = [
+        [(e, seed) for e in group.experiments if e.fit == "tune" for seed in _seeds(e, options)]
+        for group in groups
+    ]
     todo = list(itertools.chain.from_iterable(searches))
     if not todo:
         yield from in_order(work, groups, jobs, died=_failed)
         return
     search = partial(_search, options=options)
-    with contextlib.closing(in_order(search, todo, jobs, died=_search_failed)) as found:
+    with contextlib.closing(
+        in_order(search, todo, jobs, died=lambda _, error: InputError(error))
+    ) as found:
         shown = iter(show(found, len(todo)))
         for group, mine in zip(groups, searches, strict=True):
             at_hand = {(e.name, seed): next(shown) for e, seed in mine}
             yield work(group, searched=at_hand)
 
 
-def _searches(group: Group, options: Options) -> Iterator[tuple[Experiment, int | None]]:
-    """Each experiment of a group that is searched, with each seed; None for its own seed."""
-    for experiment in group.experiments:
-        if experiment.fit == "tune":
-            yield from ((experiment, seed) for seed in _seeds(experiment, options))
-
-
 def _seeds(experiment: Experiment, options: Options) -> tuple[int | None, ...]:
+    """The seeds of an experiment's search; None for its own."""
     return options.seeds if experiment.fit == "tune" and options.seeds else (None,)
 
 
@@ -273,17 +272,10 @@ def _search(task: tuple[Experiment, int | None], options: Options) -> Searched:
     experiment, seed = task
     try:
         drive = load_for_scoring(experiment)
-        return search_blocks(drive, options.blocks, _how(options, seed))
+        how = Search(options.trials, options.trials_per_number, seed)
+        return search_blocks(drive, options.blocks, how)
     except InputError as error:
         return error
-
-
-def _how(options: Options, seed: int | None) -> Search:
-    return Search(options.trials, options.trials_per_number, seed)
-
-
-def _search_failed(_: tuple[Experiment, int | None], error: str) -> Searched:
-    return InputError(error)
 
 
 def _tried(
@@ -377,14 +369,9 @@ def _columns(
     read: dict[str, Recorded] = {}
     columns: list[list[Side]] = []
     for experiment in group.experiments:
-        key = repr(
-            (
-                experiment.recording,
-                experiment.ground_truth,
-                experiment.folder,
-                experiment.recording.lri == "clip" and experiment.parameters.get("max_lri"),
-            )
-        )
+        recording = experiment.recording
+        largest = recording.lri == "clip" and experiment.parameters.get("max_lri")
+        key = repr((recording, experiment.ground_truth, experiment.folder, largest))
         drive = load_for_scoring(experiment, read.get(key))
         read[key] = drive.recorded
         if columns:
@@ -394,16 +381,10 @@ def _columns(
             found = searched.get((experiment.name, seed))
             if isinstance(found, InputError):
                 raise found
-            how = _how(options, seed)
-            sides.append(
-                held_out_side(
-                    drive,
-                    n_blocks=options.blocks,
-                    search=how,
-                    searched=found,
-                    lags=options.lags,
-                )
-            )
+            how = Search(options.trials, options.trials_per_number, seed)
+            n_blocks, lags = options.blocks, options.lags
+            side = held_out_side(drive, n_blocks=n_blocks, search=how, searched=found, lags=lags)
+            sides.append(side)
         columns.append(sides)
     return columns, next(iter(read.values()))
 
@@ -455,9 +436,7 @@ def _entry(
         "fixed_parameters": side.fixed_parameters,
         "trials": side.trials,
         "microseconds_per_frame": 1e6 * min(one.seconds_per_frame for one in sides),
-        "parameters": [dict(found) for found in side.held_out.parameters]
-        if len(sides) == 1
-        else [],
+        "parameters": list(map(dict, side.held_out.parameters)) if len(sides) == 1 else [],
         "scores": scores,
         "spread": {key: _spread([found[key] for found in each]) for key in keep},
         "seeds": [

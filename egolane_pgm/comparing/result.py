@@ -244,7 +244,7 @@ class Comparison:
         """Write the numbers, and a result directory for each recording and experiment, as
         `egolane compare --out` does; `load_result` reads them.
 
-        - figures: whether accuracy, and that over lags, is drawn beside them.
+        - figures: whether accuracy, and that over lags, is drawn as well.
 
         An older comparison of that name is replaced; files of your own in it stay. Raises
         InputError where the directory holds anything else, or cannot be written.

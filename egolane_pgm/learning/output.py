@@ -68,7 +68,8 @@ def write_learned(
     if tables:
         how = "lines and labels" if learning_of(experiment).labels else "lines alone, no labels"
         say = f"tables of {experiment.graph}, learned from {how}, of"
-        say += f" {drives or _recording(experiment)}"
+        recording = experiment.recording
+        say += f" {drives or Path(recording.path or str(recording.simulate)).name}"
         graph = graph_yaml(with_found(model, tables, experiment), say)
         write_yaml(files[1], graph, f"# Learned by `egolane learn {source}`.\n")
         content["graph"] = f"./{files[1].name}"
@@ -77,11 +78,6 @@ def write_learned(
     # It must be an experiment that can be run.
     prepare_model(load_experiment(target))
     return files
-
-
-def _recording(experiment: Experiment) -> str:
-    recording = experiment.recording
-    return Path(recording.path).name if recording.path else f"{recording.simulate}"
 
 
 def _experiment_yaml(

@@ -135,7 +135,7 @@ def comparison_figure(document: Mapping[str, Any]) -> Figure:
     return figure
 
 
-#: Panels beside each other; inches: their width, a row's height, the space between two panels, that
+#: Panels side by side; inches: their width, a row's height, the space between two panels, that
 #: above a panel and that below it.
 _PANELS, _PANEL, _ROW, _GAP, _ABOVE, _BELOW = 4, 1.7, 0.19, 0.22, 0.3, 0.3
 

@@ -85,7 +85,7 @@ def dispersion_bars(result: Result) -> tuple[Bar, ...]:
 
 
 def dispersion_figure(results: Sequence[Result]) -> Figure:
-    """Draws the error dispersion of several results in one figure, detector beside model.
+    """Draws the error dispersion of several results in one figure, detector and model side by side.
 
     Raises InputError without results, and for a result without ground truth, naming it.
     """

@@ -13,7 +13,7 @@ from egolane_pgm.types import DATED_S, LaneEvents
 #: How many lane changes a table lists.
 LISTED = 10
 
-#: The times of a shorter drive are told to a tenth of a second.
+#: The times of a shorter drive have a decimal, seconds.
 SHORT_S = 60.0
 
 LEGEND = """\
@@ -76,7 +76,8 @@ def sure_words(summary: Mapping[str, Any]) -> str:
 
 
 def clock(seconds: float, digits: int = 0) -> str:
-    """A time as 1:02 or 1:00:02, with so many decimals; of one since 1970 the time of day, UTC."""
+    """A time as 1:02 or 1:00:02, with this number of decimals; for one since 1970 the time of day,
+    UTC."""
     seconds = round(seconds, digits)
     minutes, rest = divmod(seconds % 86400 if seconds >= DATED_S else seconds, 60)
     width = 3 + digits if digits else 2

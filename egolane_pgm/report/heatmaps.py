@@ -1,4 +1,4 @@
-"""Confusion matrices as heat maps: detector beside model."""
+"""Confusion matrices as heat maps: detector and model side by side."""
 
 from __future__ import annotations
 

@@ -103,7 +103,7 @@ def nested_search(
     report: Report | None = None,
 ) -> Nested:
     """Run a study from scratch: values that were tuned on the frames held out, such as the
-    published ones, would tell it about them.
+    published ones, would give their labels away.
 
     - problem: without the labels of the part that is held out.
     - used: per drive (K,), marks the frames that are scored.
@@ -162,8 +162,8 @@ def assess(
 ) -> dict[str, Any]:
     """Scores with intervals over the kept frames, per recording and their plain mean.
 
-    drive_of: which drive each is of, where they are a fleet: then it is the score of all their
-        frames instead, with an interval over drives.
+    drive_of: for a fleet, the drive of each row: then it is the score of all their frames
+        instead, with an interval over drives.
     """
     each = []
     for drive, belief, kept in zip(drives, beliefs, keep, strict=True):

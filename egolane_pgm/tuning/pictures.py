@@ -7,7 +7,7 @@
       detector: mc
     tuning: {trials: 200, parameters: {detector.least_score: [0.05, 0.3]}}
 
-Labels are TuSimple's. A labelled picture that has others beside it which no label names is the end
+Labels are TuSimple's. A labelled picture whose folder has others that no label names is the end
 of a clip: the detector follows the clip and its valid lines are scored. Else it is a still, and
 every line that the detector gives is. What is held out are contiguous blocks of labelled pictures.
 """

@@ -134,7 +134,7 @@ class Fleet:
     - experiment: what is put on them, and written with what is found.
     - parts: the numbers of the drives that are held out together, in turn.
     - tags: of each drive, by name.
-    - drive_of: which drive each row is of, see `fleet.drives_of`.
+    - drive_of: the drive of each row, see `fleet.drives_of`.
     """
 
     experiment: Experiment
@@ -331,7 +331,7 @@ def problem_of(plan: Plan, drives: Sequence[Drive]) -> Problem:
 
 def check_plan(plan: Plan) -> int:
     """Check a plan without reading a recording, and return how many numbers it searches. Raises
-    InputError as `make_problem` does, for all that can be told so."""
+    InputError as `make_problem` does, for all that shows so early."""
     spaces = []
     with all_problems() as part:
         with part():
