@@ -12,8 +12,8 @@ import numpy as np
 import pytest
 import yaml
 
-from egolane_pgm.comparing import in_sample as comparing
 from egolane_pgm import paper as paper
+from egolane_pgm.comparing import in_sample as comparing
 from egolane_pgm.drive import load_recording
 from egolane_pgm.experiment import load_experiment
 from egolane_pgm.paper import SCORES, Reproduced

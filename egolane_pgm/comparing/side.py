@@ -17,7 +17,7 @@ from egolane_pgm.learning import fit as learn_from
 from egolane_pgm.model import value_names
 from egolane_pgm.plugins import declared_parameters
 from egolane_pgm.scoring.held_out import N_BLOCKS, HeldOut, held_out, without_block
-from egolane_pgm.tuning.held_out import blocks_lacking_lanes, nested_search
+from egolane_pgm.tuning.nested import blocks_lacking_lanes, nested_search
 from egolane_pgm.tuning.objective import check_filter
 from egolane_pgm.tuning.plan import Plan, Problem, parameters_at, problem_of
 from egolane_pgm.types import Beliefs, FloatArray, InputError, IntArray, LaneTruth

@@ -38,8 +38,8 @@ from egolane_pgm.scoring.held_out import blocks
 from egolane_pgm.scoring.line_places import LINE_SCORES, line_counts
 from egolane_pgm.tools.files import in_home, make_directory, plain, write_json, write_yaml
 from egolane_pgm.tools.jobs import Jobs, in_order
-from egolane_pgm.tuning.held_out import Nested, settings_of_part
 from egolane_pgm.tuning.identity import code_of_detector, search_identity
+from egolane_pgm.tuning.nested import Nested, settings_of_part
 from egolane_pgm.tuning.objective import DETECTOR
 from egolane_pgm.tuning.plan import PicturePlan
 from egolane_pgm.tuning.search import (
@@ -354,7 +354,7 @@ def _finished(
     problem = made.problem
     settings, plan = problem.settings, problem.plan
     values = _parameters(problem, point)
-    mine = counts_of(problem, point)
+    counts = counts_of(problem, point)
     content: dict[str, Any] = {
         **head_of(problem, _identity(problem), _data(problem)),
         "run": None,
@@ -363,7 +363,7 @@ def _finished(
             {"parameters": {DETECTOR + k: v for k, v in problem.detector.parameters.items()}}
         ],
         "best": best_entry(study, settings.objectives, {plan.name: values}),
-        "in_sample": {"tuned_on": "same_frames", "all_frames": _assessed(mine)},
+        "in_sample": {"tuned_on": "same_frames", "all_frames": _assessed(counts)},
         "held_out": None,
         "difference": None,
         "test": None,
@@ -371,14 +371,14 @@ def _finished(
     }
     if nested:
         parts = blocks(len(problem.clips), plan.tuning.blocks)
-        theirs = np.concatenate(
+        counts_held_out = np.concatenate(
             [counts_of(problem, nested[b].point, part.tolist()) for b, part in enumerate(parts)]
         )
         content["held_out"] = {
             **held_out_entry([nested[b] for b in sorted(nested)], "blocks", [None] * len(nested)),
-            "all_frames": _assessed(theirs),
+            "all_frames": _assessed(counts_held_out),
         }
-        content["difference"] = {"all_frames": _assessed(mine, theirs)}
+        content["difference"] = {"all_frames": _assessed(counts, counts_held_out)}
     if made.test is not None:
         content["test"] = {
             "tuned_on": "other_frames",
@@ -397,18 +397,18 @@ def _finished(
     return content
 
 
-def _assessed(mine: IntArray, minus: IntArray | None = None) -> dict[str, Any]:
+def _assessed(counts: IntArray, minus: IntArray | None = None) -> dict[str, Any]:
     """The scores of counts (K, 4), or what they have more than others, with intervals where there
     are pictures enough."""
-    found: dict[str, Any] = {"frames_scored": len(mine), "intervals": {}}
+    found: dict[str, Any] = {"frames_scored": len(counts), "intervals": {}}
     for name, score in LINE_SCORES.items():
-        found[name] = float(score(mine.sum(axis=0)))
+        found[name] = float(score(counts.sum(axis=0)))
         if minus is not None:
             found[name] -= float(score(minus.sum(axis=0)))
         bounds = None
-        if len(mine) >= 2 * _ALIKE:
+        if len(counts) >= 2 * _ALIKE:
             other = None if minus is None else [minus]
-            interval: Interval = bootstrap_interval([mine], score, minus=other, block=_ALIKE)
+            interval: Interval = bootstrap_interval([counts], score, minus=other, block=_ALIKE)
             bounds = [interval.low, interval.high]
         found["intervals"][name] = bounds
     return found

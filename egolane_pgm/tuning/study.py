@@ -17,17 +17,17 @@ from egolane_pgm.report.study_trials import STUDY_FILE
 from egolane_pgm.tools.files import make_directory, write_json, write_yaml
 from egolane_pgm.tools.jobs import Jobs, in_order
 from egolane_pgm.tuning import study_directory as files
-from egolane_pgm.tuning.held_out import (
+from egolane_pgm.tuning.identity import identity_of
+from egolane_pgm.tuning.nested import (
     Nested,
     assess,
     beliefs_at,
+    beliefs_held_out,
     blocks_lacking_lanes,
     difference,
     run_nested,
     settings_without,
-    stitched,
 )
-from egolane_pgm.tuning.identity import identity_of
 from egolane_pgm.tuning.objective import all_used, notes_of_silent
 from egolane_pgm.tuning.plan import (
     Plan,
@@ -295,13 +295,13 @@ def finish(made: Search) -> dict[str, Any]:
     fleet, subsets = problem.plan.fleet, _subsets(problem)
     drive_of = None if fleet is None else fleet.drive_of
     scores = partial(assess, drives, drive_of=drive_of)
-    mine = beliefs_at(problem, made.best["point"])
+    in_sample = beliefs_at(problem, made.best["point"])
     content = {
         **files.provenance_of(problem),
         "best": made.best,
         "in_sample": {
             "tuned_on": "same_frames",
-            **{key: scores(mine, keep) for key, keep in subsets.items()},
+            **{key: scores(in_sample, keep) for key, keep in subsets.items()},
         },
         "held_out": None,
         "difference": None,
@@ -311,14 +311,14 @@ def finish(made: Search) -> dict[str, Any]:
     if made.held_out != "none":
         by_recording = made.by_recording
         nested = [made.nested[b] for b in range(made.n_parts)]
-        theirs = stitched(problem, nested, by_recording)
+        held_out = beliefs_held_out(problem, nested, by_recording)
         left_out = [_names(problem, n.part) if by_recording else None for n in nested]
         content["held_out"] = {
             **files.held_out_entry(nested, made.held_out, left_out),
-            **{key: scores(theirs, keep) for key, keep in subsets.items()},
+            **{key: scores(held_out, keep) for key, keep in subsets.items()},
         }
         content["difference"] = {
-            key: difference(drives, mine, theirs, keep, drive_of=drive_of)
+            key: difference(drives, in_sample, held_out, keep, drive_of=drive_of)
             for key, keep in subsets.items()
         }
     if made.test is not None:

@@ -138,7 +138,9 @@ def beliefs_at(problem: Problem, point: Point) -> list[FloatArray]:
     return [tried_belief(d, p) for d, p in zip(problem.drives, sets, strict=True)]
 
 
-def stitched(problem: Problem, nested: Sequence[Nested], by_recording: bool) -> list[FloatArray]:
+def beliefs_held_out(
+    problem: Problem, nested: Sequence[Nested], by_recording: bool
+) -> list[FloatArray]:
     """Per drive the belief (K, n), each part of it with the parameters found without it."""
     if by_recording:
         at = {k: result.point for result in nested for k in problem.parts[result.part]}
