@@ -12,8 +12,8 @@ import numpy as np
 import pytest
 import yaml
 
-from egolane_pgm import comparing
 from egolane_pgm import paper as paper
+from egolane_pgm.comparing import in_sample as comparing
 from egolane_pgm.drive import load_recording
 from egolane_pgm.experiment import load_experiment
 from egolane_pgm.paper import SCORES, Reproduced
@@ -368,12 +368,12 @@ def test_a_graph_gets_those_of_the_papers_parameters_that_it_has(stand_in: dict[
         update={"graph": "lane_only", "parameters": right}
     )
     run = run_experiment(experiment)
-    assert compared.scores["lane_only"]["confusion"] == run.scores["model"]["confusion"]
-    assert compared.mean_log_evidence == {"lane_only": run.beliefs.mean_log_evidence}
+    assert compared["scores"]["lane_only"]["confusion"] == run.scores["model"]["confusion"]
+    assert compared["mean_log_evidence"] == {"lane_only": run.beliefs.mean_log_evidence}
     document = comparing.compare_json([compared], "published")
     header, rows = comparing.compare_rows(document, "accuracy")
     assert header == ["run", "detector", "lane_only"]
-    assert rows == [["2", *(f"{compared.scores[n]['accuracy']:.3f}" for n in header[1:])]]
+    assert rows == [["2", *(f"{compared['scores'][n]['accuracy']:.3f}" for n in header[1:])]]
 
 
 def test_an_interrupted_command_says_so(

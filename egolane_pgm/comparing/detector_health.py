@@ -1,4 +1,4 @@
-"""Health scores side by side: how well each experiment tells that the detector alone is wrong."""
+"""Health scores side by side: how well each experiment notices that the detector is wrong."""
 
 from __future__ import annotations
 

@@ -57,7 +57,7 @@ class ComparedRecording(Stored):
 
     title: str = Field(description="what it is called")
     drive: str | None = Field(
-        default=None, description="title of the first recording of its drive; if told"
+        default=None, description="title of the first recording of its drive, if known"
     )
     run: Count | None = Field(description="the paper's run, if it is one")
     frames: Count = Field(description="annotated frames")
@@ -72,7 +72,7 @@ class Together(Stored):
 
     name: str = Field(description="name of the experiment")
     recordings: Count = Field(description="how many there are")
-    drives: Count = Field(description="how many drives they are of")
+    drives: Count = Field(description="number of different drives")
     scores: Differences = Field(description="per score, null where a drive is short")
     spread: dict[str, Finite | None] = Field(description="standard deviation over the seeds")
     difference: Differences | None = Field(description="to the first experiment")

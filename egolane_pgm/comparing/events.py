@@ -1,4 +1,4 @@
-"""Lane changes side by side: how right each experiment tells them."""
+"""Lane changes side by side: how right each experiment is about them."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from egolane_pgm.types import BoolArray
 
 def side_events(side: Side, keep: BoolArray) -> dict[str, Any]:
     """The scores of an experiment's lane changes, as `scoring.events.event_scores`, over the frames
-    (K,) that are kept. They are told from all annotated frames."""
+    (K,) that are kept. The changes are found in all annotated frames."""
     experiment, truth = side.experiment, side.truth.take(keep)
     rate = experiment.recording.frame_rate
     events = lane_events(side.beliefs, rate, lag=experiment.lag)

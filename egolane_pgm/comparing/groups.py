@@ -72,13 +72,11 @@ class Options:
     blocks: the number of blocks, each held out in turn.
     trials: the trials of each search; None for what the experiment says.
     trials_per_number: instead, the trials for each number that is searched.
-    seeds: of the searches, each of which is done with every seed; none for what the experiment
-        says.
-    health: whether to score how well each experiment tells that the detector is wrong.
-    events: whether to score the lane changes that each experiment tells of.
+    seeds: each search is repeated with each of these; empty: the experiment's own.
+    health: whether to score how well each experiment notices that the detector is wrong.
+    events: whether to score the lane changes that each experiment reports.
     out: where result directories go; None for nowhere.
-    lags: seconds, increasing, that beliefs wait, each of which is scored; none for the experiments'
-        own filters only.
+    lags: seconds, increasing: beliefs that wait this long are scored too.
     """
 
     blocks: int = N_BLOCKS
@@ -225,17 +223,10 @@ def _checked(groups: list[Group], on_runs: bool = False) -> list[Group]:
                 if key in seen:
                     continue
                 seen.add(key)
-                with part():
-                    _prepare(experiment, group.title if on_runs else None)
+                where = f"{group.title}, {experiment.n_lanes} lanes"
+                with part(), problems_in(where) if on_runs else contextlib.nullcontext():
+                    prepare_model(experiment)
     return groups
-
-
-def _prepare(experiment: Experiment, title: str | None) -> None:
-    if title is None:
-        prepare_model(experiment)
-        return
-    with problems_in(f"{title}, {experiment.n_lanes} lanes"):
-        prepare_model(experiment)
 
 
 def compare_groups(
@@ -254,27 +245,26 @@ def compare_groups(
     """
     options = options or Options()
     work = partial(_tried, options=options)
-    searches = [list(_searches(group, options)) for group in groups]
+    searches = [
+        [(e, seed) for e in group.experiments if e.fit == "tune" for seed in _seeds(e, options)]
+        for group in groups
+    ]
     todo = list(itertools.chain.from_iterable(searches))
     if not todo:
         yield from in_order(work, groups, jobs, died=_failed)
         return
     search = partial(_search, options=options)
-    with contextlib.closing(in_order(search, todo, jobs, died=_search_failed)) as found:
+    with contextlib.closing(
+        in_order(search, todo, jobs, died=lambda _, error: InputError(error))
+    ) as found:
         shown = iter(show(found, len(todo)))
         for group, mine in zip(groups, searches, strict=True):
             at_hand = {(e.name, seed): next(shown) for e, seed in mine}
             yield work(group, searched=at_hand)
 
 
-def _searches(group: Group, options: Options) -> Iterator[tuple[Experiment, int | None]]:
-    """Each experiment of a group that is searched, with each seed; None for its own seed."""
-    for experiment in group.experiments:
-        if experiment.fit == "tune":
-            yield from ((experiment, seed) for seed in _seeds(experiment, options))
-
-
 def _seeds(experiment: Experiment, options: Options) -> tuple[int | None, ...]:
+    """The seeds of an experiment's search; None for its own."""
     return options.seeds if experiment.fit == "tune" and options.seeds else (None,)
 
 
@@ -282,17 +272,10 @@ def _search(task: tuple[Experiment, int | None], options: Options) -> Searched:
     experiment, seed = task
     try:
         drive = load_for_scoring(experiment)
-        return search_blocks(drive, options.blocks, _how(options, seed))
+        how = Search(options.trials, options.trials_per_number, seed)
+        return search_blocks(drive, options.blocks, how)
     except InputError as error:
         return error
-
-
-def _how(options: Options, seed: int | None) -> Search:
-    return Search(options.trials, options.trials_per_number, seed)
-
-
-def _search_failed(_: tuple[Experiment, int | None], error: str) -> Searched:
-    return InputError(error)
 
 
 def _tried(
@@ -315,9 +298,9 @@ def compare_group(
     options: Options,
     searched: Mapping[tuple[str, int | None], Searched] | None = None,
 ) -> dict[str, Any]:
-    """Compare the experiments of one recording; see `document` for the keys. `resampled` holds what
-    that needs of the recording beside, `results` the result of each experiment, by name, where they
-    are not written to `options.out`.
+    """Compare the experiments of one recording; see `document` for the keys. In addition
+    `resampled` has what `together` needs, and `results` the result of each experiment, by name,
+    where they are not written to `options.out`.
 
     searched: what the searches found, by the experiment's name and the seed, where they are done.
 
@@ -386,14 +369,9 @@ def _columns(
     read: dict[str, Recorded] = {}
     columns: list[list[Side]] = []
     for experiment in group.experiments:
-        key = repr(
-            (
-                experiment.recording,
-                experiment.ground_truth,
-                experiment.folder,
-                experiment.recording.lri == "clip" and experiment.parameters.get("max_lri"),
-            )
-        )
+        recording = experiment.recording
+        largest = recording.lri == "clip" and experiment.parameters.get("max_lri")
+        key = repr((recording, experiment.ground_truth, experiment.folder, largest))
         drive = load_for_scoring(experiment, read.get(key))
         read[key] = drive.recorded
         if columns:
@@ -403,16 +381,10 @@ def _columns(
             found = searched.get((experiment.name, seed))
             if isinstance(found, InputError):
                 raise found
-            how = _how(options, seed)
-            sides.append(
-                held_out_side(
-                    drive,
-                    n_blocks=options.blocks,
-                    search=how,
-                    searched=found,
-                    lags=options.lags,
-                )
-            )
+            how = Search(options.trials, options.trials_per_number, seed)
+            n_blocks, lags = options.blocks, options.lags
+            side = held_out_side(drive, n_blocks=n_blocks, search=how, searched=found, lags=lags)
+            sides.append(side)
         columns.append(sides)
     return columns, next(iter(read.values()))
 
@@ -437,7 +409,7 @@ def _subsets(sides: Sequence[Side]) -> dict[str, BoolArray]:
 def _entry(
     sides: Sequence[Side], keep: Mapping[str, BoolArray], means: Mapping[str, Means]
 ) -> dict[str, Any]:
-    """What is said of an experiment: `sides` are alike but for the seed of the search."""
+    """An experiment's part of the document: `sides` are alike but for the seed of the search."""
     side = sides[0]
     experiment = side.experiment
     parameters = [found for each in sides for found in each.held_out.parameters]
@@ -449,12 +421,12 @@ def _entry(
             found["intervals"] = {
                 name: (bounds[name] or [])[1:] or None for name in ("accuracy", "f1")
             }
-    searched = experiment.fit == "tune"
+    graph = experiment.graph
     return {
         "name": experiment.name,
         "source": Path(experiment.source).name,
         "evidence": experiment.evidence,
-        "graph": _short(experiment.graph),
+        "graph": Path(graph).name if Path(graph).is_absolute() else graph,
         "filter": experiment.filter,
         "fit": experiment.fit,
         "tuned_on": side.tuned_on,
@@ -464,9 +436,7 @@ def _entry(
         "fixed_parameters": side.fixed_parameters,
         "trials": side.trials,
         "microseconds_per_frame": 1e6 * min(one.seconds_per_frame for one in sides),
-        "parameters": [dict(found) for found in side.held_out.parameters]
-        if len(sides) == 1
-        else [],
+        "parameters": list(map(dict, side.held_out.parameters)) if len(sides) == 1 else [],
         "scores": scores,
         "spread": {key: _spread([found[key] for found in each]) for key in keep},
         "seeds": [
@@ -476,7 +446,7 @@ def _entry(
                 "scores": found,
             }
             for one, found in zip(sides, each, strict=True)
-            if searched
+            if experiment.fit == "tune"
         ],
         "lags": {key: _lag_scores(sides, kept) for key, kept in keep.items()}
         if side.lagged
@@ -492,11 +462,6 @@ def _lag_scores(sides: Sequence[Side], kept: BoolArray) -> dict[str, Any]:
     found = mean_of([lag_scores(side.drive, side.lagged, kept) for side in sides])
     # The mean of the seeds' intervals is none of the mean.
     return found if len(sides) == 1 else {**found, "intervals": None}
-
-
-def _short(graph: str) -> str:
-    """A graph as it was named; of a file that is given in full, its name."""
-    return Path(graph).name if Path(graph).is_absolute() else graph
 
 
 def _scores(side: Side, kept: BoolArray) -> dict[str, Any]:
@@ -551,38 +516,14 @@ def _bounds(means: Means) -> dict[str, list[float] | None]:
     return {name: with_bounds(means[name]) if means else None for name in INTERVAL_STATISTICS}
 
 
-#: What a group's part has beside what is in the document.
-_BESIDE = ("resampled", "results")
+#: The keys of a group's part that are not in the document.
+_NOT_WRITTEN = ("resampled", "results")
 
 
 def document(groups: Sequence[Mapping[str, Any]], options: Options) -> dict[str, Any]:
-    """What `egolane compare --json` writes for held-out comparisons.
-
-    `schema_version`, `held_out` (true), `blocks`, `recordings`: a list of `title`, `drive` (the
-    title of the first recording of its drive), `run` (the paper's, or null), `frames` (annotated),
-    `notes`, `health` (of the detector, per subset, see
-    `health.detector_health`; null unless asked for) and `experiments`: a list of `name`, `source`,
-    `evidence`, `graph`, `filter`, `fit`, `tuned_on` (same_frames: in-sample), `is_causal`,
-    `causal` and `why_not_causal` (as `model.causality`),
-    `unassigned_below`, `free_parameters` (numbers fitted to labels), `fixed_parameters` and
-    `trials` (of `fit: tune`: numbers that are not searched, trials of each block's search; else
-    null), `microseconds_per_frame` (evidence and filter), `parameters` (per block, those that were
-    fitted without it; empty for several seeds), `scores` (per subset, as
-    `scoring.summary.score_with_intervals` and
-    `mean_log_evidence`; for several seeds the mean over them), `spread` (per subset and score, the
-    standard deviation over the seeds; null for one), `seeds` (of `fit: tune`: a list of `seed`,
-    `parameters` and `scores` with that seed), `lags` (null unless asked for; per subset as
-    `lags.lag_scores`, the exact recursion with the evidence of that many later frames, whatever
-    the filter; for several seeds the mean over them, without `intervals`),
-    `difference_to` (name of the first experiment, null for itself), `difference` (per subset and
-    score [estimate, low, high], paired block bootstrap, 95 %, over frames and seeds, see
-    `scoring.seeds`; null for short drives), `health`
-    (per subset, see `health.model_health`) and `events` (per subset, see
-    `scoring.events.event_scores`; null unless asked for). Subsets: `all_frames`, and, where an
-    experiment's `tuning.never_fit` names frames with untrusted labels, `without_never_fit`.
-    `failed`: a list of `title`, `run` and `error` of the recordings that could not be compared.
-    `together`: see there.
-    """
+    """What `egolane compare --json` writes for held-out comparisons; its keys are those of
+    `comparing.document.Comparison`. Subsets of the frames are `all_frames` and, where an
+    experiment's `tuning.never_fit` names frames with untrusted labels, `without_never_fit`."""
     done = [part for part in groups if "error" not in part]
     of = first_names([part["title"] for part in done], [part["drive"] for part in done])
     return {
@@ -590,7 +531,7 @@ def document(groups: Sequence[Mapping[str, Any]], options: Options) -> dict[str,
         "held_out": True,
         "blocks": options.blocks,
         "recordings": [
-            {**{k: v for k, v in part.items() if k not in _BESIDE}, "drive": first}
+            {**{k: v for k, v in part.items() if k not in _NOT_WRITTEN}, "drive": first}
             for part, first in zip(done, of, strict=True)
         ],
         "together": together(done),

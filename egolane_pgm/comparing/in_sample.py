@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 from typing import Any
 
 from egolane_pgm.comparing.graphs import named_graphs, with_graph
@@ -16,25 +15,14 @@ from egolane_pgm.running import run_experiment
 from egolane_pgm.types import all_problems
 
 
-@dataclass(frozen=True)
-class Compared:
-    """One of the paper's runs under several graphs.
-
-    number: of the run.
-    scores: per graph, and for "detector", as `score_with_intervals` gives them.
-    mean_log_evidence: per graph.
-    """
-
-    number: int
-    scores: Mapping[str, Mapping[str, Any]]
-    mean_log_evidence: Mapping[str, float]
-
-
-def compare_graphs(number: int, graphs: Sequence[str], which: str = "recovered") -> Compared:
+def compare_graphs(number: int, graphs: Sequence[str], which: str = "recovered") -> dict[str, Any]:
     """Run one of the paper's runs under each graph, with the paper's parameters as far as the graph
     has them. Nothing is tuned for the other graphs, and the paper's values are in-sample.
 
     graphs: as `graphs.named_graphs` takes them.
+
+    Returns `run`, its number; `scores`, per graph, and for "detector", as `score_with_intervals`
+    gives them; and `mean_log_evidence` per graph.
 
     Raises InputError for all graphs that cannot be used, before anything is read.
     """
@@ -55,7 +43,7 @@ def compare_graphs(number: int, graphs: Sequence[str], which: str = "recovered")
             scores.setdefault("detector", run.scores["detector"])
         scores[name] = run.scores["model"]
         log_evidence[name] = run.beliefs.mean_log_evidence
-    return Compared(number, scores, log_evidence)
+    return {"run": number, "scores": scores, "mean_log_evidence": log_evidence}
 
 
 def compare_rows(document: Mapping[str, Any], key: str) -> tuple[list[str], list[list[str]]]:
@@ -69,18 +57,11 @@ def compare_rows(document: Mapping[str, Any], key: str) -> tuple[list[str], list
     return ["run", *names], rows
 
 
-def compare_json(compared: Sequence[Compared], which: str) -> dict[str, Any]:
-    """What `egolane compare --json` writes."""
+def compare_json(runs: Sequence[Mapping[str, Any]], which: str) -> dict[str, Any]:
+    """What `egolane compare --json` writes, from what `compare_graphs` returns for each run."""
     return {
         "schema_version": SCHEMA_VERSION,
         "parameters": which,
         "tuned_on": "same_frames",
-        "runs": [
-            {
-                "run": c.number,
-                "scores": dict(c.scores),
-                "mean_log_evidence": dict(c.mean_log_evidence),
-            }
-            for c in compared
-        ],
+        "runs": list(runs),
     }

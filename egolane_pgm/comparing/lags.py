@@ -17,7 +17,7 @@ from egolane_pgm.scoring.held_out import HeldOut
 from egolane_pgm.scoring.summary import score_with_intervals
 from egolane_pgm.types import BoolArray, FloatArray, InputError
 
-#: What is told of the beliefs of each lag.
+#: The scores for each lag.
 SCORES = ("accuracy", "f1", "log_loss")
 
 
@@ -50,7 +50,7 @@ def check_lags(lags: ArrayLike) -> tuple[float, ...]:
 
 
 def whole_frames(seconds: float, frame_rate: float) -> int:
-    """How many frames come within that time, at so many a second."""
+    """How many frames come within that time."""
     # A thousandth of a frame is rounding: 0.29 s are 29 frames of a hundredth.
     return math.floor(seconds * frame_rate + 1e-3)
 

@@ -22,7 +22,7 @@ def on_recording(model: Experiment, place: Experiment) -> Experiment:
     truth = place.ground_truth
     recording = place.recording.model_dump()
     if "frame_rate" not in place.recording.model_fields_set:
-        # A video may tell its own.
+        # A video may have its own.
         del recording["frame_rate"]
     never_fit = place.tuning.never_fit if place.tuning is not None else ()
     tuning = (model.tuning or Tuning()).model_dump()
@@ -51,7 +51,7 @@ def parts_of_fleet(
     """The numbers of the drives of a fleet that are held out together, part by part; none for one
     drive.
 
-    - drive_of: which drive each is of, see `fleet.drives_of`.
+    - drive_of: the drive of each row, see `fleet.drives_of`.
     - n_parts: how many parts there are, neighbours in the table together; at most one for each.
     - tag: instead, those with each value of this tag.
 
@@ -79,7 +79,7 @@ def parts_of_fleet(
             others = ", ".join(drives[k].name for k in same)
             raise InputError(
                 f"{source}: {others} are one drive, of which tag.{tag} differs; with one of them"
-                " held out the others would tell its labels"
+                " held out the others would give its labels away"
             )
         if value is None:
             known = {name for drive in drives for name in drive.tags}

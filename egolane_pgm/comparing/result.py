@@ -16,7 +16,7 @@ from egolane_pgm.fleet import FleetDrive
 from egolane_pgm.report import comparison_tables as rows_of
 from egolane_pgm.report import events as lane_changes
 from egolane_pgm.report import shown
-from egolane_pgm.report.comparison_tables import experiment_names, lag_curves
+from egolane_pgm.report.comparison_tables import entries_of, experiment_names, lag_curves
 from egolane_pgm.report.fleet_table import FLEET_LEGEND, fleet_comparison_rows
 from egolane_pgm.report.tables import Table, page
 from egolane_pgm.results import SCHEMA_VERSION, Result, is_result, read_result, staged
@@ -134,9 +134,8 @@ class Comparison:
     def _how(self) -> str:
         if not self.is_held_out:
             return "the paper's parameters, in-sample"
-        entries = [e for r in self.document["recordings"] for e in r["experiments"]]
-        said = dict.fromkeys(shown.how_tuned(entry) for entry in entries)
-        return " or ".join(said)
+        ways = dict.fromkeys(shown.how_tuned(entry) for _, entry in entries_of(self.document))
+        return " or ".join(ways)
 
     def _repr_html_(self) -> str:
         document = self._as_held_out()
@@ -186,9 +185,8 @@ class Comparison:
         if table != "scores":
             raise InputError(f"table: {not_one_of(table, ('scores', 'lags'))}")
         rows = [
-            (recording["title"], entry["name"], subset, *row, entry["tuned_on"])
-            for recording in self._as_held_out()["recordings"]
-            for entry in recording["experiments"]
+            (title, entry["name"], subset, *row, entry["tuned_on"])
+            for title, entry in entries_of(self._as_held_out())
             for subset, scores in entry["scores"].items()
             for row in _score_rows(scores, (entry["difference"] or {}).get(subset) or {})
         ]
@@ -200,16 +198,14 @@ class Comparison:
         import pandas as pd
 
         rows = []
-        for recording in self._as_held_out()["recordings"]:
-            for entry in recording["experiments"]:
-                for subset, found in (entry.get("lags") or {}).items():
-                    intervals = (found["intervals"] or {}).get("accuracy")
-                    for k, lag in enumerate(found["lag_s"]):
-                        low, high = (intervals and intervals[k]) or (None, None)
-                        scores = (found[name][k] for name in ("f1", "log_loss"))
-                        row = (found["frames"][k], found["accuracy"][k], low, high, *scores)
-                        place = (recording["title"], entry["name"], subset, lag)
-                        rows.append((*place, *row, entry["tuned_on"]))
+        for title, entry in entries_of(self._as_held_out()):
+            for subset, found in (entry.get("lags") or {}).items():
+                intervals = (found["intervals"] or {}).get("accuracy")
+                for k, lag in enumerate(found["lag_s"]):
+                    low, high = (intervals and intervals[k]) or (None, None)
+                    scores = (found[name][k] for name in ("f1", "log_loss"))
+                    row = (found["frames"][k], found["accuracy"][k], low, high, *scores)
+                    rows.append((title, entry["name"], subset, lag, *row, entry["tuned_on"]))
         if not rows:
             raise InputError(
                 "table: 'lags' are of comparisons with lags, compare(..., lags=[0, 1])"
@@ -248,7 +244,7 @@ class Comparison:
         """Write the numbers, and a result directory for each recording and experiment, as
         `egolane compare --out` does; `load_result` reads them.
 
-        - figures: whether accuracy, and that over lags, is drawn beside them.
+        - figures: whether accuracy, and that over lags, is drawn as well.
 
         An older comparison of that name is replaced; files of your own in it stay. Raises
         InputError where the directory holds anything else, or cannot be written.
@@ -275,14 +271,11 @@ def _score_rows(
 ) -> Iterator[tuple[Any, ...]]:
     """Per score its name, value, interval, difference and the interval of that."""
     nothing = (None, None, None)
-    for name, value in {**scores, **_delays(scores)}.items():
+    delays = {f"delay_{name}": value for name, value in (scores.get("delay") or {}).items()}
+    for name, value in {**scores, **delays}.items():
         if isinstance(value, (int, float)):
             low, high = (scores.get("intervals") or {}).get(name) or (None, None)
             yield name, float(value), low, high, *(differences.get(name) or nothing)
-
-
-def _delays(scores: Mapping[str, Any]) -> dict[str, Any]:
-    return {f"delay_{name}": value for name, value in (scores.get("delay") or {}).items()}
 
 
 def is_comparison(directory: Path) -> bool:
@@ -337,12 +330,11 @@ def _held_out_parts(found: Mapping[str, Any], *, with_all: bool) -> list[str | T
     """
     legends: list[str] = []
     instead: list[str | Table] = []
-    entries = [entry for recording in found["recordings"] for entry in recording["experiments"]]
     if lag_curves(found):
         header, rows = rows_of.lag_rows(found)
         instead.append(Table(header, rows, labels=1 + ("experiment" in header)))
         legends.append(rows_of.LAGS_LEGEND)
-    if any(entry.get("events") for entry in entries):
+    if any(entry.get("events") for _, entry in entries_of(found)):
         header, rows = lane_changes.event_comparison_rows(found)
         instead.append(Table(header, rows, labels=2, leaves_out=True))
         legends.append(lane_changes.LEGEND)

@@ -17,7 +17,7 @@ from egolane_pgm.learning import fit as learn_from
 from egolane_pgm.model import value_names
 from egolane_pgm.plugins import declared_parameters
 from egolane_pgm.scoring.held_out import N_BLOCKS, HeldOut, held_out, without_block
-from egolane_pgm.tuning.held_out import blocks_lacking_lanes, nested_search
+from egolane_pgm.tuning.nested import blocks_lacking_lanes, nested_search
 from egolane_pgm.tuning.objective import check_filter
 from egolane_pgm.tuning.plan import Plan, Problem, parameters_at, problem_of
 from egolane_pgm.types import Beliefs, FloatArray, InputError, IntArray, LaneTruth
@@ -46,7 +46,7 @@ class Side:
         of several.
     tuned_on: as in a YAML.
     notes: what the evidence rule warned of, and blocks that lack a lane, a line each.
-    lagged: the beliefs that wait, for each lag that was asked for.
+    lagged: the beliefs that wait, for each requested lag.
     """
 
     drive: Drive
@@ -140,8 +140,7 @@ def held_out_side(
 
     search: how `fit: tune` searches.
     searched: what `search_blocks` found, where it is at hand.
-    lags: seconds, increasing, that beliefs wait for later frames, beside those of the experiment's
-        own filter.
+    lags: seconds, increasing: additional beliefs wait this long for later frames.
 
     Raises InputError for a fit that the experiment's plugins do not allow, too many blocks, or
     lags where the evidence allows none.

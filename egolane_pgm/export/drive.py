@@ -53,7 +53,7 @@ Colour = tuple[int, int, int]
 class Drive:
     """A result as viewers show it, T frames.
 
-    - events: the lane changes that the beliefs of the whole drive tell of.
+    - events: the lane changes in the beliefs of the whole drive.
     - time_ns (T,): when the frames were; strictly increasing.
     - is_dated: whether the times are since 1970, instead of since some moment of the drive.
     - pictures: those of its camera; None where there are none.
@@ -124,8 +124,7 @@ class Drive:
         ]
 
     def event_texts(self) -> list[tuple[int, str]]:
-        """Per lane change that is told: the row of the frame in which it is, and a line of
-        text."""
+        """Per reported lane change the row of the frame in which it is, and a line of text."""
         events, ids = self.events, self.result.frame_id
         told = events.told_frame_id
         changes = zip(told, events.from_lane, events.to_lane, events.probability, strict=True)

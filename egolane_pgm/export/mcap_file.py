@@ -10,7 +10,7 @@ object, of which both programs draw every number over time:
     /frame      frame_id, log_evidence, is_impossible; crossing where the graph has RoadPosition
     /lines      the lines as recorded: offset_m, is_valid, is_continuous, lri
     /birdseye   the lines seen from above, and the belief over the lanes as bars behind the car
-    /changes    the lane changes that are told
+    /changes    the lane changes that are reported
     /picture    the pictures, as JPEG
 
 Foxglove's axes: x ahead, y to the left, z up.
@@ -50,7 +50,7 @@ _DASH_M, _WIDTH_M = 3.0, 0.15
 
 
 def write_mcap(path: Path, drive: Drive) -> dict[str, int]:
-    """Write a drive; returns how many messages there are of each topic. Raises InputError where the
+    """Write a drive; returns the number of messages per topic. Raises InputError where the
     file cannot be written or a picture cannot be read."""
     counts: dict[str, int] = {}
     channels: dict[str, int] = {}

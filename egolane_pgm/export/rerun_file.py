@@ -8,7 +8,7 @@ Two timelines: `time` (since 1970, or since the drive's beginning of time) and `
     birdseye/...   the lines seen from above and the car, in metres, ahead is up
     offsets        the lines' offsets over time, metres, right is up
     picture        the pictures, as JPEG
-    changes        the lane changes that are told
+    changes        the lane changes that are reported
 """
 
 from __future__ import annotations
@@ -49,7 +49,7 @@ _LANE_COLOURS = {"model": (0, 114, 178), "detector": (230, 159, 0), "truth": TRU
 
 
 def write_rrd(path: Path, drive: Drive) -> dict[str, int]:
-    """Write a drive; returns how many rows there are of each entity. Raises InputError where rerun
+    """Write a drive; returns the number of rows per entity. Raises InputError where rerun
     is not installed, the file cannot be written or a picture cannot be read."""
     if rr is None:
         raise InputError(f"{path}: needs rerun: pip install 'egolane-pgm[rerun]'")

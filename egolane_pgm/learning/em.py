@@ -34,7 +34,7 @@ _SMALLEST = float(np.finfo(np.float64).tiny)
 
 
 @dataclass(frozen=True)
-class Seen:
+class Training:
     """What the tables are learned from in one recording.
 
     - evidence: T frames.
@@ -90,13 +90,15 @@ def fit_tables(
     >>> bool(fitted.log_posterior[-1] > fitted.log_posterior[0])
     True
     """
-    seen = [Seen(evidence, known or {}, is_first)]
-    return fit_tables_pooled(compiled, seen, nodes=nodes, strength=strength, iterations=iterations)
+    training = [Training(evidence, known or {}, is_first)]
+    return fit_tables_pooled(
+        compiled, training, nodes=nodes, strength=strength, iterations=iterations
+    )
 
 
 def fit_tables_pooled(
     compiled: Compiled,
-    seen: Sequence[Seen],
+    training: Sequence[Training],
     *,
     nodes: Container[str] | None = None,
     strength: float = 100.0,
@@ -105,15 +107,15 @@ def fit_tables_pooled(
     """As `fit_tables`, from several recordings.
 
     Their expected counts are added, so the tables are those of the recordings one behind the
-    other, each with its own beginning; memory beside that of `seen` is that of the longest one.
+    other, each with its own beginning. Beyond `training` it takes the memory of the longest one.
     """
     start = counted_tables(compiled)
     now = dict(start)
     history: list[float] = []
-    enough = TOLERANCE * max(1, sum(len(each.evidence) for each in seen))
+    enough = TOLERANCE * max(1, sum(len(each.evidence) for each in training))
     while True:
         learned = with_learned(compiled, now)
-        expected = _expected(learned, seen)
+        expected = _expected(learned, training)
         history.append(expected.log_evidence + strength * _log_prior(start, now))
         is_still = len(history) > 1 and history[-1] - history[-2] <= enough
         if is_still or len(history) > iterations:
@@ -124,9 +126,9 @@ def fit_tables_pooled(
                 now[node] = Table(node, table.parents, rows)
 
 
-def _expected(compiled: Compiled, seen: Sequence[Seen]) -> Expected:
+def _expected(compiled: Compiled, training: Sequence[Training]) -> Expected:
     """The expected counts of all recordings, added in their order."""
-    each = [expected_counts(compiled, one.evidence, one.known, one.is_first) for one in seen]
+    each = [expected_counts(compiled, one.evidence, one.known, one.is_first) for one in training]
     return Expected(
         {node: np.sum([one.counts[node] for one in each], axis=0) for node in each[0].counts},
         sum(one.log_evidence for one in each),
@@ -148,13 +150,13 @@ def with_learned(compiled: Compiled, learned: Mapping[SliceNode, Table]) -> Comp
 def learned_network(
     network: DynamicBayesianNetwork, learned: Fitted | Compiled
 ) -> DynamicBayesianNetwork:
-    """A network of one's own with what was learned in its tables, in pgmpy: a new network of both
-    slices in full, with the names of nodes and values of the old one.
+    """A network of pgmpy with what was learned in its tables: a new network of both slices in full,
+    with the names of nodes and values of the old one.
 
     - network: what was compiled; it stays as it is.
     - learned: what `fit_tables` gave, or any network that was compiled from this one.
 
-    Raises InputError, naming the node, where the tables are of another network.
+    Raises InputError, naming the node, where the tables belong to another network.
 
     >>> import egolane_pgm as ego
     >>> place = ego.experiments_folder() / "quickstart.yaml"
@@ -168,13 +170,10 @@ def learned_network(
     declared = read_network(network)
     for node, table in compiled.tables.items():
         own = declared.tables.get(node)
-        if own is None or not _fits(own, table):
+        has_parents = own is not None and {*own.parents} == {*table.parents}
+        if own is None or not has_parents or own.values.size != table.values.size:
             raise InputError(f"{node[0]}: the network has no such table; is it what was compiled?")
     return declare({**declared.tables, **compiled.tables}.values(), (), declared.values)
-
-
-def _fits(own: Table, table: Table) -> bool:
-    return {*own.parents} == {*table.parents} and own.values.size == table.values.size
 
 
 def _most_probable(counts: FloatArray, start: FloatArray, strength: float) -> FloatArray:

@@ -17,15 +17,15 @@ from egolane_pgm.drive import beliefs_of
 from egolane_pgm.experiment import Experiment
 from egolane_pgm.learning.held_out import (
     Found,
-    Lesson,
     LogEvidence,
-    fit_lessons,
+    TrainingData,
+    fit_data,
     learn,
-    lesson,
     load_to_learn,
     log_evidence_of,
     mean_log_evidence,
     scores_of,
+    training_data,
     trusted_frames,
 )
 from egolane_pgm.learning.tables import nested_tables, with_found
@@ -81,20 +81,20 @@ def learn_fleet(
     """
     if len(experiments) == 1:
         alone = learn(experiments[0], n_blocks=n_blocks, done=done)
-        told_of = (alone.scores,), (alone.log_evidence,), alone.log_evidence
-        return LearnedFleet(alone.model, alone.parameters, *told_of)
+        evidence = alone.log_evidence
+        return LearnedFleet(alone.model, alone.parameters, (alone.scores,), (evidence,), evidence)
     _check_alike(experiments)
     work = partial(_without, pickle.dumps(tuple(experiments)))
     found: list[Found] = []
-    told: dict[int, _Told] = {}
+    assessed: dict[int, _Assessed] = {}
     try:
         for parameters, of_drives in in_order(work, [(), *parts], jobs):
             found.append(parameters)
-            told |= of_drives
+            assessed |= of_drives
             done()
     finally:
-        _lessons.cache_clear()
-    scores, each = zip(*(told[k] for k in range(len(experiments))), strict=True)
+        _training.cache_clear()
+    scores, each = zip(*(assessed[k] for k in range(len(experiments))), strict=True)
     return LearnedFleet(
         prepare_model(experiments[0]),
         found[0],
@@ -115,34 +115,34 @@ def _check_alike(experiments: Sequence[Experiment]) -> None:
                 )
 
 
-#: What is told of a drive that was left out.
-_Told = tuple[Mapping[str, Any] | None, LogEvidence | None]
+#: The scores and the log evidence of a drive that was left out.
+_Assessed = tuple[Mapping[str, Any] | None, LogEvidence | None]
 
 
-def _without(given: bytes, part: Sequence[int]) -> tuple[Found, dict[int, _Told]]:
-    """What is learned without a part of the drives, and what is told of these with it."""
-    experiments, lessons = _lessons(given)
+def _without(given: bytes, part: Sequence[int]) -> tuple[Found, dict[int, _Assessed]]:
+    """What is learned without a part of the drives, and how well it does on that part."""
+    experiments, data = _training(given)
     first = experiments[0]
-    kept = [each for k, each in enumerate(lessons) if k not in part]
-    found = fit_lessons(prepare_model(first), first, kept)
-    return found, {k: _told(experiments[k], found) for k in part}
+    kept = [each for k, each in enumerate(data) if k not in part]
+    found = fit_data(prepare_model(first), first, kept)
+    return found, {k: _assess(experiments[k], found) for k in part}
 
 
-def _told(experiment: Experiment, found: Found) -> _Told:
+def _assess(experiment: Experiment, found: Found) -> _Assessed:
     drive = load_to_learn(experiment)
     beliefs, _ = beliefs_of(drive, with_found(drive.model, found, experiment))
     return scores_of(drive, beliefs, trusted_frames(drive)), log_evidence_of(drive, [found])
 
 
 @functools.lru_cache(maxsize=1)
-def _lessons(given: bytes) -> tuple[Sequence[Experiment], list[Lesson]]:
+def _training(given: bytes) -> tuple[Sequence[Experiment], list[TrainingData]]:
     """What is learned from each drive, read once in each process."""
     experiments = pickle.loads(given)
-    lessons = []
+    data = []
     with all_problems() as part:
         for experiment in experiments:
             with part(), problems_in(experiment.name):
                 drive = load_to_learn(experiment)
                 trusted = trusted_frames(drive)
-                lessons.append(lesson(drive.only_labels_of(trusted), trusted))
-    return experiments, lessons
+                data.append(training_data(drive.only_labels_of(trusted), trusted))
+    return experiments, data

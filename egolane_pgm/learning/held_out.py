@@ -11,15 +11,15 @@ import numpy as np
 from egolane_pgm.drive import Drive, Recorded, beliefs_of, evidence_on, load_drive
 from egolane_pgm.experiment import Experiment
 from egolane_pgm.inference.filtering import filter_beliefs
-from egolane_pgm.learning.em import Seen
+from egolane_pgm.learning.em import Training
 from egolane_pgm.learning.tables import (
     check_tables,
     fit_graph,
     free_numbers,
     learning_of,
     nested_tables,
-    seen_in,
     starting,
+    training_in,
     with_found,
 )
 from egolane_pgm.model import Model, prepare_model
@@ -35,8 +35,8 @@ Found = Mapping[str, Value]
 #: What an evidence rule learns from, see `labelled`.
 Labelled = tuple[LineLog, IntArray, BoolArray]
 
-#: What is looked at of a drive to learn from it: by EM of tables, or by an evidence rule.
-Lesson = Seen | Labelled
+#: What EM, or an evidence rule, learns from one drive.
+TrainingData = Training | Labelled
 
 
 @dataclass(frozen=True)
@@ -148,25 +148,28 @@ def fit(drive: Drive, train: IntArray) -> dict[str, Value]:
 
 def fit_pooled(drives: Sequence[Drive], trains: Sequence[IntArray]) -> dict[str, Value]:
     """What is learned from the annotated frames `trains` of each drive, all under one model, as
-    `fit`. Raises InputError as `fit_lessons`."""
-    lessons = [lesson(drive, train) for drive, train in zip(drives, trains, strict=True)]
-    return fit_lessons(drives[0].model, drives[0].experiment, lessons)
+    `fit`. Raises InputError as `fit_data`."""
+    data = [training_data(drive, train) for drive, train in zip(drives, trains, strict=True)]
+    return fit_data(drives[0].model, drives[0].experiment, data)
 
 
-def lesson(drive: Drive, train: IntArray) -> Lesson:
-    """What is looked at of a drive to learn from its annotated frames `train`."""
-    return labelled(drive, train) if _has_fit(drive.model) else seen_in(drive, train)
+def training_data(drive: Drive, train: IntArray) -> TrainingData:
+    """What is learned from in the annotated frames `train` of a drive."""
+    return labelled(drive, train) if _has_fit(drive.model) else training_in(drive, train)
 
 
-def fit_lessons(
-    model: Model, experiment: Experiment, lessons: Sequence[Lesson]
+def fit_data(
+    model: Model, experiment: Experiment, data: Sequence[TrainingData]
 ) -> dict[str, Value]:
     """What is learned from some drives. Raises InputError for several where the evidence rule
     learns and has no `fit_pooled`."""
     if not _has_fit(model):
-        return fit_graph(model, experiment, cast(Sequence[Seen], lessons))
-    parts = cast(Sequence[Labelled], lessons)
-    guess = _first_guess(model, experiment)
+        return fit_graph(model, experiment, cast(Sequence[Training], data))
+    parts = cast(Sequence[Labelled], data)
+    # What is learned starts from its defaults.
+    given = {k: v for k, v in model.parameters.items() if k not in model.rule.LEARNED}
+    specs = declared_parameters(model.rule, model.graph)
+    guess = resolve_parameters(specs, given, model.n_lanes, f"{experiment.source}: parameters")
     with plugin_errors(model.rule, "evidence"):
         if len(parts) == 1:
             alone: dict[str, Value] = model.rule.fit(*parts[0], experiment.n_lanes, guess)
@@ -190,13 +193,6 @@ def labelled(drive: Drive, train: IntArray) -> Labelled:
     lane = np.zeros(len(drive.recorded.log), dtype=np.int64)
     lane[drive.rows[train]] = drive.truth.lane[train]
     return drive.recorded.log, lane, lane > 0
-
-
-def _first_guess(model: Model, experiment: Experiment) -> dict[str, Value]:
-    """The parameters that learning starts from: those that are learned have their defaults."""
-    given = {k: v for k, v in model.parameters.items() if k not in model.rule.LEARNED}
-    specs = declared_parameters(model.rule, model.graph)
-    return resolve_parameters(specs, given, model.n_lanes, f"{experiment.source}: parameters")
 
 
 def _checked(model: Model, found: dict[str, Value], what: str) -> dict[str, Value]:

@@ -43,15 +43,14 @@ def write_learned(
     target: Path,
     drives: str | None = None,
 ) -> list[Path]:
-    """Write the experiment with what was learned to `target`, and beside it, where tables were
-    learned, the graph `<its name>.graph.yaml`; returns the files that were written.
+    """Write the experiment with what was learned to `target`, and, where tables were learned, the
+    graph to `<its name>.graph.yaml` in the same folder; returns the files that were written.
 
     parameters: those that were learned, tables by the names of `tables`.
     drives: what was learned from, in words; None for the experiment's recording.
 
-    What the new experiment says of its scores is that they are in-sample where it is run on the
-    same recording; after learning from drives that this is unknown. Raises InputError where a file
-    cannot be written.
+    The new experiment's `tuned_on` is same_frames, or unknown after learning from drives. Raises
+    InputError where a file cannot be written.
     """
     tables = {k: v for k, v in parameters.items() if k.startswith(PREFIX)}
     files = output_files(experiment, target)[: 2 if tables else 1]
@@ -69,7 +68,8 @@ def write_learned(
     if tables:
         how = "lines and labels" if learning_of(experiment).labels else "lines alone, no labels"
         say = f"tables of {experiment.graph}, learned from {how}, of"
-        say += f" {drives or _recording(experiment)}"
+        recording = experiment.recording
+        say += f" {drives or Path(recording.path or str(recording.simulate)).name}"
         graph = graph_yaml(with_found(model, tables, experiment), say)
         write_yaml(files[1], graph, f"# Learned by `egolane learn {source}`.\n")
         content["graph"] = f"./{files[1].name}"
@@ -78,11 +78,6 @@ def write_learned(
     # It must be an experiment that can be run.
     prepare_model(load_experiment(target))
     return files
-
-
-def _recording(experiment: Experiment) -> str:
-    recording = experiment.recording
-    return Path(recording.path).name if recording.path else f"{recording.simulate}"
 
 
 def _experiment_yaml(

@@ -20,7 +20,7 @@ from egolane_pgm.experiment import Experiment, Learning
 from egolane_pgm.graphs.cpds import SliceNode, Table
 from egolane_pgm.inference.compile import Compiled
 from egolane_pgm.inference.expected_counts import FREE, counted_tables
-from egolane_pgm.learning.em import Seen, fit_tables_pooled, with_learned
+from egolane_pgm.learning.em import Training, fit_tables_pooled, with_learned
 from egolane_pgm.model import Model, with_parameters
 from egolane_pgm.parameters import Parameter, Value, resolve_parameters
 from egolane_pgm.plugins import declared_parameters, plugin_errors
@@ -79,7 +79,7 @@ def free_numbers(tables: Mapping[SliceNode, Table]) -> int:
     )
 
 
-def seen_in(drive: Drive, train: IntArray) -> Seen:
+def training_in(drive: Drive, train: IntArray) -> Training:
     """What tables are learned from in the annotated frames `train` of a drive and the frames
     between them; without ground truth in the frames `train` of the log.
 
@@ -94,32 +94,31 @@ def seen_in(drive: Drive, train: IntArray) -> Seen:
     # Of the whole log: a rule may look at the frames before.
     evidence = evidence_on(drive, drive.model).filtered.take(used)
     is_first = np.diff(np.flatnonzero(used), prepend=-2) > 1
-    return Seen(evidence, {"Lane": lane[used]}, is_first)
+    return Training(evidence, {"Lane": lane[used]}, is_first)
 
 
-def fit_graph(model: Model, experiment: Experiment, seen: Sequence[Seen]) -> dict[str, Value]:
+def fit_graph(
+    model: Model, experiment: Experiment, training: Sequence[Training]
+) -> dict[str, Value]:
     """The tables learned from one recording, or from several pooled.
 
     Warns of a lane without a label, which keeps its first guess, of frames that the graph does not
     allow, and of what `seen_before` lists.
     """
-    for note in seen_before(model, experiment):
-        warnings.warn(note, UserWarning, stacklevel=2)
+    notes = seen_before(model, experiment)
     options = learning_of(experiment)
     if options.labels:
-        lanes = {lane for each in seen for lane in np.unique(each.known["Lane"]).tolist()}
-        for k in range(experiment.n_lanes):
-            if k not in lanes:
-                warnings.warn(
-                    f"{experiment.source}: no frame to learn from has lane {k + 1}; it keeps its"
-                    " first guess",
-                    UserWarning,
-                    stacklevel=2,
-                )
+        lanes = {lane for each in training for lane in np.unique(each.known["Lane"]).tolist()}
+        notes += [
+            f"{experiment.source}: no frame to learn from has lane {k + 1}; it keeps its first"
+            " guess"
+            for k in range(experiment.n_lanes)
+            if k not in lanes
+        ]
     start = starting(model, experiment).compiled
     fitted = fit_tables_pooled(
         start,
-        seen,
+        training,
         nodes={name for name, _ in check_tables(model, experiment)},
         strength=options.strength,
         iterations=options.iterations,
@@ -132,19 +131,17 @@ def fit_graph(model: Model, experiment: Experiment, seen: Sequence[Seen]) -> dic
             " do the evidence rule and the graph fit together?"
         )
     if impossible:
-        warnings.warn(
+        notes.append(
             f"{experiment.source}: {impossible} frame(s) to learn from cannot be under graph"
-            f" {experiment.graph}, evidence and label together; both are left out there",
-            UserWarning,
-            stacklevel=2,
+            f" {experiment.graph}, evidence and label together; both are left out there"
         )
     if len(fitted.log_posterior) > options.iterations:
-        warnings.warn(
+        notes.append(
             f"{experiment.source}: learning stopped after {options.iterations} iterations, before"
-            " it stood still; learning.iterations allows more",
-            UserWarning,
-            stacklevel=2,
+            " it stood still; learning.iterations allows more"
         )
+    for note in notes:
+        warnings.warn(note, UserWarning, stacklevel=2)
     return {
         name: tuple(table.values.ravel().tolist())
         for name, table in _by_name(start, fitted.tables).items()
@@ -173,8 +170,8 @@ def with_found(model: Model, found: Mapping[str, Value], experiment: Experiment)
     if parameters:
         values = _resolved(model, parameters, experiment)
         of_graph = {p.name for p in getattr(model.graph, "PARAMETERS", ())}
-        is_rules = not of_graph & set(parameters)
-        model = replace(model, parameters=values) if is_rules else with_parameters(model, values)
+        is_of_graph = bool(of_graph & set(parameters))
+        model = with_parameters(model, values) if is_of_graph else replace(model, parameters=values)
     if tables:
         start = starting(model, experiment).compiled
         learned = {
@@ -228,7 +225,7 @@ def seen_before(model: Model, experiment: Experiment) -> list[str]:
             f"{where}: {', '.join(kept)} of the evidence rule is kept as given, so held-out scores"
             " may have seen the frames that they are about"
         )
-    if experiment.tuned_on == "same_frames" and not _searched(model):
+    if experiment.tuned_on == "same_frames" and not _reset(model, experiment):
         notes.append(
             f"{where}: graph {experiment.graph} has no parameters with defaults to start from, so"
             " held-out scores have seen the frames that they are about"
@@ -237,12 +234,9 @@ def seen_before(model: Model, experiment: Experiment) -> list[str]:
 
 
 def _reset(model: Model, experiment: Experiment) -> list[Parameter]:
+    """The graph's parameters that begin from their defaults."""
     if experiment.tuned_on not in ("same_frames", "unknown"):
         return []
-    return _searched(model)
-
-
-def _searched(model: Model) -> list[Parameter]:
     return [p for p in getattr(model.graph, "PARAMETERS", ()) if p.is_searched]
 
 
@@ -256,9 +250,7 @@ def _resolved(model: Model, given: Mapping[str, Value], experiment: Experiment) 
 
 
 def _by_name(compiled: Compiled, tables: Mapping[SliceNode, Table]) -> dict[str, Table]:
-    return {_name(compiled, node): table for node, table in tables.items()}
-
-
-def _name(compiled: Compiled, node: SliceNode) -> str:
-    name, s = node
-    return f"{PREFIX}{name}" + ("" if compiled.has_one_table(name) else _SUFFIXES[s])
+    return {
+        f"{PREFIX}{name}{'' if compiled.has_one_table(name) else _SUFFIXES[s]}": table
+        for (name, s), table in tables.items()
+    }

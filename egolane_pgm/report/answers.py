@@ -1,4 +1,4 @@
-"""What figures and pages show of a result: titles, answers beside the truth, their calibration, and
+"""What figures and pages show of a result: titles, answers with the truth, their calibration, and
 colours that colour-blind readers can tell apart."""
 
 from __future__ import annotations

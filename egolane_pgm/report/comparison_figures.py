@@ -13,6 +13,7 @@ from matplotlib.figure import Figure
 
 from egolane_pgm.report.answers import FAINT, INK, MODEL_COLOUR
 from egolane_pgm.report.comparison_tables import (
+    entries_of,
     experiment_names,
     lag_curves,
     lag_means,
@@ -43,21 +44,21 @@ _COLUMN, _LEFT, _RIGHT, _HEAD, _FOOT, _HEIGHT = 0.16, 0.9, 0.15, 0.4, 0.45, 3.4
 
 
 def draw_comparison(document: Mapping[str, Any], path: str | Path) -> Path:
+    """Writes `comparison_figure`; raises InputError as that does and as `write_figure`."""
+    return write_figure(lambda: comparison_figure(document), path)
+
+
+def comparison_figure(document: Mapping[str, Any]) -> Figure:
     """Draws the accuracy of each experiment on each recording, with 95 % block-bootstrap intervals
     if the drive is long enough for them.
 
     document: as `egolane compare --json` writes it. Frames whose labels are not trusted are left
     out. The axis is logarithmic in the share of errors and ends at 0.9997; larger accuracies are
     drawn there. Filled markers are held out or not tuned, hollow ones in-sample; the small dots
-    beside a mean over seeds are the seeds.
+    next to a mean over seeds are the seeds.
 
-    Raises InputError for a document without experiments, and as `write_figure` does.
+    Raises InputError for a document without experiments.
     """
-    return write_figure(lambda: comparison_figure(document), path)
-
-
-def comparison_figure(document: Mapping[str, Any]) -> Figure:
-    """The figure of `draw_comparison`."""
     recordings = document["recordings"]
     names = experiment_names(document)
     if not names:
@@ -134,26 +135,25 @@ def comparison_figure(document: Mapping[str, Any]) -> Figure:
     return figure
 
 
-#: Panels beside each other; inches: their width, a row's height, the space between two panels, that
+#: Panels side by side; inches: their width, a row's height, the space between two panels, that
 #: above a panel and that below it.
 _PANELS, _PANEL, _ROW, _GAP, _ABOVE, _BELOW = 4, 1.7, 0.19, 0.22, 0.3, 0.3
 
 
 def draw_differences(document: Mapping[str, Any], path: str | Path) -> Path:
-    """Draws the accuracy of each experiment but the first less that of the first, on each recording
-    and on all together, with paired 95 % intervals.
-
-    document: as `egolane compare --json` writes it. Frames whose labels are not trusted are left
-    out. A marker is filled where zero is outside of the interval; there is no interval for a short
-    drive.
-
-    Raises InputError for a document with fewer than two experiments, and as `write_figure` does.
-    """
+    """Writes `differences_figure`; raises InputError as that does and as `write_figure`."""
     return write_figure(lambda: differences_figure(document), path)
 
 
 def differences_figure(document: Mapping[str, Any]) -> Figure:
-    """The figure of `draw_differences`."""
+    """Draws the accuracy of each experiment but the first less that of the first, on each recording
+    and on all of them, with paired 95 % intervals.
+
+    document: as `egolane compare --json` writes it. Frames whose labels are not trusted are left
+    out. A marker is filled where zero is outside the interval; a short drive has no interval.
+
+    Raises InputError for a document with fewer than two experiments.
+    """
     names = experiment_names(document)
     if len(names) < 2:
         raise InputError("comparison: a difference needs two experiments")
@@ -201,11 +201,10 @@ def differences_figure(document: Mapping[str, Any]) -> Figure:
 def _differences(document: Mapping[str, Any], name: str) -> dict[str, tuple[float, ...] | None]:
     """By recording, and for all of them, the difference of the accuracy with its interval."""
     found: dict[str, tuple[float, ...] | None] = {}
-    for recording in document["recordings"]:
-        for entry in recording["experiments"]:
-            if entry["name"] == name and entry["difference"] is not None:
-                bounds = trusted_or_all(entry["difference"])["accuracy"]
-                found[_short(recording["title"])] = bounds and tuple(bounds)
+    for title, entry in entries_of(document):
+        if entry["name"] == name and entry["difference"] is not None:
+            bounds = trusted_or_all(entry["difference"])["accuracy"]
+            found[_short(title)] = bounds and tuple(bounds)
     for entry in document["together"]:
         if entry["name"] == name and entry["difference"] is not None:
             bounds = entry["difference"]["accuracy"]
@@ -226,19 +225,19 @@ _LAG_PANEL, _LAG_GAP, _LAG_HEIGHT, _LAG_LEGEND, _LAG_FOOT = 5.0, 0.3, 3.8, 1.2, 
 
 
 def draw_lags(document: Mapping[str, Any], path: str | Path) -> Path:
-    """Draws how the accuracy of each experiment on each recording grows with the time that its
-    beliefs wait, the mean over the recordings, and what a study of another kind reports.
-
-    document: as `egolane compare --lags ... --json` writes it. Axis and frames are those of
-    `draw_comparison`; a panel per experiment.
-
-    Raises InputError for a document without lags, and as `write_figure` does.
-    """
+    """Writes `lags_figure`; raises InputError as that does and as `write_figure`."""
     return write_figure(lambda: lags_figure(document), path)
 
 
 def lags_figure(document: Mapping[str, Any]) -> Figure:
-    """The figure of `draw_lags`."""
+    """Draws how the accuracy of each experiment on each recording grows with the time that its
+    beliefs wait, the mean over the recordings, and what a study of another kind reports.
+
+    document: as `egolane compare --lags ... --json` writes it. Axis and frames are those of
+    `comparison_figure`; a panel per experiment.
+
+    Raises InputError for a document without lags.
+    """
     curves = lag_curves(document)
     if not curves:
         raise InputError("comparison: no lags to draw; compare with lags, seconds")

@@ -31,8 +31,8 @@ independent: their frames are resampled together, each drive by itself."""
 
 LAGS_LEGEND = """\
 Over non-crossing frames, those of untrusted labels (tuning.never_fit) left out. The belief about a
-frame is given so many seconds late: it knows the lines of the frames recorded until then. Lag 0 is
-the exact filter, whatever the experiment's own; where frames are missing a lag lasts longer.
+frame is given that many seconds late: it knows the lines of the frames recorded until then. Lag 0
+is the exact filter, whatever the experiment's own; where frames are missing a lag lasts longer.
 Evidence that is causal is made of a frame when it comes and not read anew later. All scores and
 95 % intervals: in the JSON."""
 
@@ -43,16 +43,25 @@ SensorState is BAD. Unassigned: the detector's own silence as the score, over al
 frames, in which it is no surprise."""
 
 
+#: The scores that are compared, and how a table calls them.
+_COMPARED = {"accuracy": "accuracy", "f1": "F1", "log_loss": "log-loss"}
+
+
 def trusted_or_all(part: Mapping[str, Any]) -> Any:
     """Of a part of a document that is given for several subsets of frames, the one without the
     frames of untrusted labels, if there is one."""
     return part.get("without_never_fit", part["all_frames"])
 
 
+def entries_of(document: Mapping[str, Any]) -> list[tuple[str, Mapping[str, Any]]]:
+    """Each experiment on each recording: the recording's title, and its part of the document."""
+    recordings = document["recordings"]
+    return [(str(each["title"]), entry) for each in recordings for entry in each["experiments"]]
+
+
 def experiment_names(document: Mapping[str, Any]) -> list[str]:
     """The names of the experiments of all recordings, in order of their first occurrence."""
-    entries = [e for recording in document["recordings"] for e in recording["experiments"]]
-    return list(dict.fromkeys(entry["name"] for entry in entries))
+    return list(dict.fromkeys(entry["name"] for _, entry in entries_of(document)))
 
 
 def accuracy_rows(
@@ -65,29 +74,24 @@ def accuracy_rows(
     names = experiment_names(document)
     rows = []
     for recording in document["recordings"]:
-        found = {e["name"]: e for e in recording["experiments"]}
-        cells = []
-        for name in names:
-            if name not in found:
-                cells.append("")
-                continue
-            scores = found[name]["scores"]
-            chosen = trusted_or_all(scores) if subset is None else scores[subset]
-            cells.append(_score(chosen, "accuracy", 3) + _mark(found[name]))
-        rows.append([recording["title"], *cells])
+        cells = dict.fromkeys(names, "")
+        for entry in recording["experiments"]:
+            scores = trusted_or_all(entry["scores"]) if subset is None else entry["scores"][subset]
+            cells[entry["name"]] = _score(scores, "accuracy", 3) + _mark(entry)
+        rows.append([recording["title"], *cells.values()])
     return ["accuracy", *names], rows
 
 
 def marks_text(document: Mapping[str, Any]) -> str:
-    """What stands below a table of accuracies: what a star in it means, and which experiments look
-    at later frames, and by what."""
-    entries = [e for recording in document["recordings"] for e in recording["experiments"]]
-    said = ["* in-sample, or not known to be held out"] if any(map(_mark, entries)) else []
-    known = [(causal_text(entry), entry["name"]) for entry in entries if "causal" in entry]
-    for text in sorted({text for text, _ in known}):
-        names = dict.fromkeys(name for found, name in known if found == text)
-        said.append(f"{text}: {', '.join(names)}")
-    return "\n".join(said)
+    """The lines below a table of accuracies: what a star means, and which experiments look at later
+    frames, and by what."""
+    entries = [entry for _, entry in entries_of(document)]
+    lines = ["* in-sample, or not known to be held out"] if any(map(_mark, entries)) else []
+    names: dict[str, dict[str, None]] = {}
+    for entry in entries:
+        if "causal" in entry:
+            names.setdefault(causal_text(entry), {})[entry["name"]] = None
+    return "\n".join([*lines, *(f"{text}: {', '.join(names[text])}" for text in sorted(names))])
 
 
 def causal_text(entry: Mapping[str, Any]) -> str:
@@ -100,11 +104,9 @@ def lag_curves(document: Mapping[str, Any]) -> dict[str, dict[str, Mapping[str, 
     """By experiment and recording how right beliefs are that wait (`lags` of the document), over
     the frames whose labels can be trusted. Empty where no lag was asked for."""
     curves: dict[str, dict[str, Mapping[str, Any]]] = {}
-    for recording in document["recordings"]:
-        for entry in recording["experiments"]:
-            if entry.get("lags"):
-                found = trusted_or_all(entry["lags"])
-                curves.setdefault(entry["name"], {})[str(recording["title"])] = found
+    for title, entry in entries_of(document):
+        if entry.get("lags"):
+            curves.setdefault(entry["name"], {})[title] = trusted_or_all(entry["lags"])
     return curves
 
 
@@ -122,11 +124,10 @@ def lag_rows(document: Mapping[str, Any]) -> tuple[list[str], list[list[str]]]:
     lags = next(found["lag_s"] for curve in curves.values() for found in curve.values())
     header = ["accuracy", *["experiment"] * several, *(f"{lag:g} s" for lag in lags)]
     rows = []
-    for recording in document["recordings"]:
-        for entry in recording["experiments"]:
-            values = curves[entry["name"]][recording["title"]]["accuracy"]
-            cells = [score_text(value, 4) + _mark(entry) for value in values]
-            rows.append([recording["title"], *[entry["name"]] * several, *cells])
+    for title, entry in entries_of(document):
+        values = curves[entry["name"]][title]["accuracy"]
+        cells = [score_text(value, 4) + _mark(entry) for value in values]
+        rows.append([title, *[entry["name"]] * several, *cells])
     for name, curve in curves.items():
         if len(curve) > 1:
             cells = [score_text(value, 4) for value in lag_means(curve)]
@@ -136,11 +137,7 @@ def lag_rows(document: Mapping[str, Any]) -> tuple[list[str], list[list[str]]]:
 
 def has_untrusted(document: Mapping[str, Any]) -> bool:
     """Whether the labels of some frames are not trusted."""
-    return any(
-        "without_never_fit" in entry["scores"]
-        for recording in document["recordings"]
-        for entry in recording["experiments"]
-    )
+    return any("without_never_fit" in entry["scores"] for _, entry in entries_of(document))
 
 
 def full_rows(document: Mapping[str, Any]) -> tuple[list[str], list[list[str]]]:
@@ -152,35 +149,34 @@ def full_rows(document: Mapping[str, Any]) -> tuple[list[str], list[list[str]]]:
         "accuracy diff", "F1 diff", "log-loss diff", "fixed", "trials", "seeds", "accuracy +-",
         "doubt AUC", "P(BAD) AUC",
     ]  # fmt: skip
-    rows = []
-    for recording in document["recordings"]:
-        for entry in recording["experiments"]:
-            for subset, scores in entry["scores"].items():
-                rows.append([recording["title"], *_cells(entry, subset, scores)])
-    return header, rows
+    return header, [
+        [title, *_cells(entry, subset, scores)]
+        for title, entry in entries_of(document)
+        for subset, scores in entry["scores"].items()
+    ]
 
 
 def full_tables(document: Mapping[str, Any]) -> list[Table]:
-    """All scores that somebody has, to be read as plain text: of several recordings a row each, as
-    in `full_rows`; of one upright, a column per experiment. The frames whose labels can be trusted
-    come first there."""
+    """The scores that some experiment has, to be read as plain text: for several recordings a row
+    each, as in `full_rows`; for one a column per experiment, the frames whose labels can be trusted
+    first."""
     header, rows = full_rows(document)
     if len(document["recordings"]) > 1:
-        kept = _said(rows)
+        kept = _filled(rows)
         cells = [[row[k] for k in kept] for row in rows]
         return [Table([header[k] for k in kept], cells, labels=3, leaves_out=True)]
     tables = []
     for subset in sorted({row[2] for row in rows}, reverse=True):
-        mine = [row for row in rows if row[2] == subset]
-        title = mine[0][0] + f", {subset} frames" * has_untrusted(document)
-        kept = [k for k in _said(mine) if k > 2]
-        lines = [[header[k], *(row[k] for row in mine)] for k in kept]
-        tables.append(Table([title, *(row[1] for row in mine)], lines))
+        of_subset = [row for row in rows if row[2] == subset]
+        title = of_subset[0][0] + f", {subset} frames" * has_untrusted(document)
+        kept = [k for k in _filled(of_subset) if k > 2]
+        lines = [[header[k], *(row[k] for row in of_subset)] for k in kept]
+        tables.append(Table([title, *(row[1] for row in of_subset)], lines))
     return tables
 
 
-def _said(rows: Sequence[Sequence[str]]) -> list[int]:
-    """The columns that say something in some row."""
+def _filled(rows: Sequence[Sequence[str]]) -> list[int]:
+    """The columns with a value in some row."""
     return [k for k, cells in enumerate(zip(*rows, strict=True)) if any(c != "-" for c in cells)]
 
 
@@ -206,7 +202,7 @@ def _cells(entry: Mapping[str, Any], subset: str, scores: Mapping[str, Any]) -> 
         score_text(scores["mean_log_evidence"]),
         score_text(entry["microseconds_per_frame"], 1),
         str(entry["free_parameters"]),
-        *(_difference(difference.get(key)) for key in ("accuracy", "f1", "log_loss")),
+        *(_bounds_text(difference.get(key), "+.3f") for key in _COMPARED),
         *("-" if entry[k] is None else str(entry[k]) for k in ("fixed_parameters", "trials")),
         str(len(entry["seeds"]) or "-"),
         score_text(entry["spread"][subset]["accuracy"]),
@@ -214,14 +210,9 @@ def _cells(entry: Mapping[str, Any], subset: str, scores: Mapping[str, Any]) -> 
     ]
 
 
-#: The scores that are compared, and how a table calls them.
-_COMPARED = {"accuracy": "accuracy", "f1": "F1", "log_loss": "log-loss"}
-
-
 def is_repeated(document: Mapping[str, Any]) -> bool:
     """Whether a search was made with several seeds."""
-    entries = [e for recording in document["recordings"] for e in recording["experiments"]]
-    return any(len(entry["seeds"]) > 1 for entry in entries)
+    return any(len(entry["seeds"]) > 1 for _, entry in entries_of(document))
 
 
 def search_rows(document: Mapping[str, Any]) -> tuple[list[str], list[list[str]]]:
@@ -229,56 +220,46 @@ def search_rows(document: Mapping[str, Any]) -> tuple[list[str], list[list[str]]
     the same on all recordings."""
     rows = []
     for name in experiment_names(document):
-        entries = [e for r in document["recordings"] for e in r["experiments"]]
-        mine = [e for e in entries if e["name"] == name and e["trials"] is not None]
+        searches = [e for _, e in entries_of(document) if e["name"] == name and e["trials"]]
         keys = ("free_parameters", "fixed_parameters", "trials")
-        found = [{e[key] for e in mine} for key in keys] + [{len(e["seeds"]) for e in mine}]
-        if mine:
-            rows.append([name, *("-".join(map(str, sorted({min(f), max(f)}))) for f in found)])
+        numbers = [[e[key] for e in searches] for key in keys]
+        numbers.append([len(e["seeds"]) for e in searches])
+        if searches:
+            rows.append([name, *("-".join(map(str, sorted({min(n), max(n)}))) for n in numbers)])
     return ["search", "numbers searched", "held fixed", "trials", "seeds"], rows
 
 
 def together_tables(document: Mapping[str, Any]) -> list[tuple[list[str], list[list[str]]]]:
     """All recordings together: a table for each score, a row per experiment. Empty where there is
     nothing to take together."""
-    found, repeated = document["together"], is_repeated(document)
+    means, repeated = document["together"], is_repeated(document)
     tables = []
-    for key, title in _COMPARED.items() if found else ():
-        header = [f"all {found[0]['recordings']} recordings", title]
-        header += [*(["+-"] if repeated else []), f"to {found[0]['name']}"]
-        rows = []
-        for each in found:
-            bounds = each["scores"][key]
-            row = [each["name"], "-" if bounds is None else _short_bounds(bounds)]
-            row += [score_text(each["spread"][key])] if repeated else []
-            row.append(_difference((each["difference"] or {}).get(key)))
-            rows.append(row)
+    for key, title in _COMPARED.items() if means else ():
+        header = [f"all {means[0]['recordings']} recordings", title]
+        header += [*(["+-"] if repeated else []), f"to {means[0]['name']}"]
+        rows = [
+            [
+                each["name"],
+                _bounds_text(each["scores"][key]),
+                *([score_text(each["spread"][key])] if repeated else []),
+                _bounds_text((each["difference"] or {}).get(key), "+.3f"),
+            ]
+            for each in means
+        ]
         tables.append((header, rows))
     return tables
-
-
-def _short_bounds(bounds: Sequence[float]) -> str:
-    return with_interval(bounds[0], bounds[1:])
 
 
 def seeds_rows(document: Mapping[str, Any]) -> tuple[list[str], list[list[str]]]:
     """The means over the seeds, over the frames whose labels can be trusted: a row per recording
     and experiment."""
     rows = []
-    for recording in document["recordings"]:
-        for entry in recording["experiments"]:
-            scores, spread = trusted_or_all(entry["scores"]), trusted_or_all(entry["spread"])
-            difference = trusted_or_all(entry["difference"]) if entry["difference"] else {}
-            rows.append(
-                [
-                    recording["title"],
-                    entry["name"],
-                    str(max(1, len(entry["seeds"]))),
-                    _score(scores, "accuracy", 3) + _mark(entry),
-                    score_text(spread["accuracy"]),
-                    _difference(difference.get("accuracy")),
-                ]
-            )
+    for title, entry in entries_of(document):
+        scores, spread = trusted_or_all(entry["scores"]), trusted_or_all(entry["spread"])
+        difference = trusted_or_all(entry["difference"]) if entry["difference"] else {}
+        row = [title, entry["name"], str(max(1, len(entry["seeds"])))]
+        row += [_score(scores, "accuracy", 3) + _mark(entry), score_text(spread["accuracy"])]
+        rows.append([*row, _bounds_text(difference.get("accuracy"), "+.3f")])
     first = next(iter(experiment_names(document)), "the first")
     return ["recording", "experiment", "seeds", "accuracy", "+-", f"to {first}"], rows
 
@@ -292,12 +273,11 @@ def health_rows(document: Mapping[str, Any]) -> tuple[list[str], list[list[str]]
     rows = []
     for recording in document["recordings"]:
         detector = trusted_or_all(recording["health"])
-        found = {e["name"]: trusted_or_all(e["health"]) for e in recording["experiments"]}
+        models = {e["name"]: trusted_or_all(e["health"]) for e in recording["experiments"]}
         row = [recording["title"], str(detector["committed"]), str(detector["wrong"])]
         row.append(_auc(detector["auc_unassigned"]))
         for name in names:
-            mine = found.get(name, {})
-            row += [_auc(mine.get("auc_doubt")), _auc(mine.get("auc_bad"))]
+            row += [_auc(models.get(name, {}).get(key)) for key in ("auc_doubt", "auc_bad")]
         rows.append(row)
     return header, rows
 
@@ -315,5 +295,6 @@ def _score(scores: Mapping[str, Any], key: str, digits: int) -> str:
     return with_interval(scores[key], scores["intervals"][key], f".{digits}f")
 
 
-def _difference(found: Sequence[float] | None) -> str:
-    return "-" if found is None else with_interval(found[0], found[1:], "+.3f")
+def _bounds_text(bounds: Sequence[float] | None, form: str = ".3f") -> str:
+    """A score from [estimate, low, high]; a dash for a short drive."""
+    return "-" if bounds is None else with_interval(bounds[0], bounds[1:], form)

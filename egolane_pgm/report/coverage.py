@@ -2,13 +2,11 @@
 
 from __future__ import annotations
 
-from pathlib import Path
-
 import numpy as np
 from matplotlib.figure import Figure
 
 from egolane_pgm.report.answers import INK, scored_answers, title_with_frames
-from egolane_pgm.report.style import ANSWER_STYLE, axes_at, new_figure, put_title, write_figure
+from egolane_pgm.report.style import ANSWER_STYLE, axes_at, new_figure, put_title
 from egolane_pgm.results import Result
 from egolane_pgm.scoring.probabilistic import CoverageCurve, coverage_curve
 
@@ -27,17 +25,12 @@ def coverage_curves(result: Result) -> dict[str, CoverageCurve]:
     }
 
 
-def draw_coverage(result: Result, path: str | Path) -> Path:
+def coverage_figure(result: Result) -> Figure:
     """Draws the share of right answers over the share of frames that get one, as the probability
     that an answer needs falls from 1. Some values of `unassigned_below` are marked.
 
-    Raises InputError without ground truth, and as `write_figure` does.
+    Raises InputError without ground truth.
     """
-    return write_figure(lambda: coverage_figure(result), path)
-
-
-def coverage_figure(result: Result) -> Figure:
-    """The figure of `draw_coverage`."""
     curves = coverage_curves(result)
     figure = new_figure(5.2, 4.3)
     put_title(figure, title_with_frames(result))

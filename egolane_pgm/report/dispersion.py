@@ -8,7 +8,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from pathlib import Path
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -30,7 +29,6 @@ from egolane_pgm.report.style import (
     off_colours,
     put_title,
     text_colour,
-    write_figure,
 )
 from egolane_pgm.results import Result
 from egolane_pgm.scoring.confusion import check_confusion, confusion
@@ -86,17 +84,11 @@ def dispersion_bars(result: Result) -> tuple[Bar, ...]:
     )
 
 
-def draw_dispersion(results: Sequence[Result], path: str | Path) -> Path:
-    """Draws the error dispersion of several results in one figure, detector beside model.
-
-    Raises InputError without results, for a result without ground truth (naming it), and as
-    `write_figure` does.
-    """
-    return write_figure(lambda: dispersion_figure(results), path)
-
-
 def dispersion_figure(results: Sequence[Result]) -> Figure:
-    """The figure of `draw_dispersion`."""
+    """Draws the error dispersion of several results in one figure, detector and model side by side.
+
+    Raises InputError without results, and for a result without ground truth, naming it.
+    """
     if not results:
         raise InputError("error dispersion: no result directory was given")
     groups = []
@@ -107,18 +99,13 @@ def dispersion_figure(results: Sequence[Result]) -> Figure:
     return _bar_sheet(groups, "Error dispersion", max(r.n_lanes for r in results))
 
 
-def draw_bonus_ablation(with_bonus: Result, without_bonus: Result, path: str | Path) -> Path:
+def bonus_ablation_figure(with_bonus: Result, without_bonus: Result) -> Figure:
     """Draws the effect of the bonus value: one recording with it and without it (the paper's Figure
     `fig:comparisonBV-run3`).
 
-    Raises InputError as `draw_dispersion` does, if the two results differ in frames or ground
-    truth, and unless `bonus_value` is above 0 in the first and 0 in the second.
+    Raises InputError as `dispersion_figure` does, and if the two results differ in frames, ground
+    truth or tentative vector.
     """
-    return write_figure(lambda: bonus_ablation_figure(with_bonus, without_bonus), path)
-
-
-def bonus_ablation_figure(with_bonus: Result, without_bonus: Result) -> Figure:
-    """The figure of `draw_bonus_ablation`."""
     _check_ablation(with_bonus, without_bonus)
     value = with_bonus.config["parameters"]["bonus_value"]
     bars_with, bars_without = dispersion_bars(with_bonus), dispersion_bars(without_bonus)
@@ -135,18 +122,6 @@ def bonus_ablation_figure(with_bonus: Result, without_bonus: Result) -> Figure:
 
 
 def _check_ablation(with_bonus: Result, without_bonus: Result) -> None:
-    pair = (with_bonus, without_bonus)
-    for result in pair:
-        if "bonus_value" not in result.config.get("parameters", {}):
-            raise InputError(f"{result.directory}: has no parameter bonus_value to leave out")
-    values = [float(r.config["parameters"]["bonus_value"]) for r in pair]
-    if values[0] <= 0:
-        raise InputError(f"{with_bonus.directory}: bonus_value is {values[0]:g}, needs more than 0")
-    if values[1] != 0:
-        raise InputError(
-            f"{without_bonus.directory}: bonus_value is {values[1]:g}, needs 0; run the experiment"
-            " with parameters.bonus_value: 0"
-        )
     for name in ("frame_id", "true_lane", "is_crossing"):
         if not np.array_equal(getattr(with_bonus, name), getattr(without_bonus, name)):
             raise InputError(
@@ -154,7 +129,7 @@ def _check_ablation(with_bonus: Result, without_bonus: Result) -> None:
                 " comparison needs the same recording and ground truth"
             )
     if (with_bonus.tentative is None) != (without_bonus.tentative is None):
-        lacks = next(r for r in pair if r.tentative is None)
+        lacks = with_bonus if with_bonus.tentative is None else without_bonus
         raise InputError(f"{lacks.directory}: has no tentative vector, the other result has one")
 
 

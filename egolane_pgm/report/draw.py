@@ -2,14 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 
-from egolane_pgm.report.coverage import draw_coverage
-from egolane_pgm.report.dispersion import draw_bonus_ablation, draw_dispersion
-from egolane_pgm.report.heatmaps import draw_confusion
-from egolane_pgm.report.reliability import draw_reliability
-from egolane_pgm.report.strips import draw_strips
+from matplotlib.figure import Figure
+
+from egolane_pgm.report.coverage import coverage_figure
+from egolane_pgm.report.dispersion import bonus_ablation_figure, dispersion_figure
+from egolane_pgm.report.heatmaps import confusion_figure
+from egolane_pgm.report.reliability import reliability_figure
+from egolane_pgm.report.strips import strips_figure
+from egolane_pgm.report.style import write_figure
 from egolane_pgm.results import Result, read_result
 from egolane_pgm.tools.files import make_directory
 
@@ -32,15 +35,12 @@ def draw_standard(
     """
     make_directory(folder)
     first, last = frames or (None, None)
-    files = [folder / f"strips.{style}"]
-    draw_strips(result, files[0], first=first, last=last)
+    makes: dict[str, Callable[[], Figure]] = {"strips": lambda: strips_figure(result, first, last)}
     if result.run["frames_scored"]:
-        files += [folder / f"confusion.{style}", folder / f"reliability.{style}"]
-        draw_confusion(result, files[1])
-        draw_reliability(result, files[2])
-        files.append(folder / f"coverage.{style}")
-        draw_coverage(result, files[3])
-    return files
+        makes["confusion"] = lambda: confusion_figure(result)
+        makes["reliability"] = lambda: reliability_figure(result)
+        makes["coverage"] = lambda: coverage_figure(result)
+    return [write_figure(make, folder / f"{name}.{style}") for name, make in makes.items()]
 
 
 def draw_together(directories: Sequence[Path], target: Path, *, style: str = "png") -> list[Path]:
@@ -48,11 +48,10 @@ def draw_together(directories: Sequence[Path], target: Path, *, style: str = "pn
     second has no bonus value, the ablation. Returns the files written."""
     results = [read_result(directory) for directory in directories]
     make_directory(target)
-    files = [target / f"dispersion.{style}"]
-    draw_dispersion(results, files[0])
+    files = [write_figure(lambda: dispersion_figure(results), target / f"dispersion.{style}")]
     if len(results) == 2:
         bonus = [result.config["parameters"].get("bonus_value") for result in results]
         if bonus[0] and bonus[1] == 0:
-            files.append(target / f"bonus_ablation.{style}")
-            draw_bonus_ablation(results[0], results[1], files[-1])
+            path = target / f"bonus_ablation.{style}"
+            files.append(write_figure(lambda: bonus_ablation_figure(*results), path))
     return files

@@ -6,14 +6,14 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 from egolane_pgm.inference.events import BELIEVED, SURE
-from egolane_pgm.report.comparison_tables import trusted_or_all
+from egolane_pgm.report.comparison_tables import entries_of, trusted_or_all
 from egolane_pgm.report.tables import score_text
 from egolane_pgm.types import DATED_S, LaneEvents
 
 #: How many lane changes a table lists.
 LISTED = 10
 
-#: The times of a shorter drive are told to a tenth of a second.
+#: The times of a shorter drive have a decimal, seconds.
 SHORT_S = 60.0
 
 LEGEND = """\
@@ -76,7 +76,8 @@ def sure_words(summary: Mapping[str, Any]) -> str:
 
 
 def clock(seconds: float, digits: int = 0) -> str:
-    """A time as 1:02 or 1:00:02, with so many decimals; of one since 1970 the time of day, UTC."""
+    """A time as 1:02 or 1:00:02, with this number of decimals; for one since 1970 the time of day,
+    UTC."""
     seconds = round(seconds, digits)
     minutes, rest = divmod(seconds % 86400 if seconds >= DATED_S else seconds, 60)
     width = 3 + digits if digits else 2
@@ -170,12 +171,11 @@ def event_comparison_rows(document: Mapping[str, Any]) -> tuple[list[str], list[
     recording and experiment, and one per experiment for all recordings that it is on."""
     rows = []
     found: dict[str, list[Mapping[str, Any]]] = {}
-    for recording in document["recordings"]:
-        for entry in recording["experiments"]:
-            scores = trusted_or_all(entry["events"])
-            rows.append([recording["title"], entry["name"], *_scored(scores)])
-            found.setdefault(entry["name"], []).append(scores)
-    for name, mine in found.items():
-        if len(mine) > 1:
-            rows.append([f"all {len(mine)}", name, *_pooled(mine)])
+    for title, entry in entries_of(document):
+        scores = trusted_or_all(entry["events"])
+        rows.append([title, entry["name"], *_scored(scores)])
+        found.setdefault(entry["name"], []).append(scores)
+    for name, of_all in found.items():
+        if len(of_all) > 1:
+            rows.append([f"all {len(of_all)}", name, *_pooled(of_all)])
     return ["lane changes", "experiment", *_SCORED], rows

@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from pathlib import Path
 from typing import Any
 
 from matplotlib.figure import Figure
 
 from egolane_pgm.fleet import pooled
 from egolane_pgm.report.answers import FAINT, MODEL_COLOUR
-from egolane_pgm.report.style import ANSWER_STYLE, axes_at, new_figure, put_title, write_figure
+from egolane_pgm.report.style import ANSWER_STYLE, axes_at, new_figure, put_title
 from egolane_pgm.types import InputError
 
 
@@ -44,8 +43,3 @@ def fleet_figure(rows: Sequence[Mapping[str, Any]]) -> Figure:
     ax.set_xlabel("accuracy; lines: 95 %, whole drives drawn; (number of drives)", fontsize=8)
     ax.legend(loc="upper center", bbox_to_anchor=(0.5, -0.45 / height), ncol=2, frameon=False)
     return figure
-
-
-def draw_fleet(rows: Sequence[Mapping[str, Any]], path: str | Path) -> Path:
-    """Writes the figure of `fleet_figure`. Raises InputError as that does and as `write_figure`."""
-    return write_figure(lambda: fleet_figure(rows), path)

@@ -1,8 +1,6 @@
-"""Confusion matrices as heat maps: detector beside model."""
+"""Confusion matrices as heat maps: detector and model side by side."""
 
 from __future__ import annotations
-
-from pathlib import Path
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -18,7 +16,7 @@ from egolane_pgm.report.answers import (
     scored_answers,
     title_with_frames,
 )
-from egolane_pgm.report.style import axes_at, new_figure, put_title, text_colour, write_figure
+from egolane_pgm.report.style import axes_at, new_figure, put_title, text_colour
 from egolane_pgm.results import Result
 from egolane_pgm.scoring.confusion import accuracy, check_confusion, confusion
 from egolane_pgm.types import FloatArray, IntArray
@@ -44,18 +42,13 @@ def column_shares(matrix: IntArray) -> FloatArray:
     return np.asarray(m / np.where(total == 0, np.nan, total), dtype=np.float64)
 
 
-def draw_confusion(result: Result, path: str | Path) -> Path:
+def confusion_figure(result: Result) -> Figure:
     """Draws the confusion matrices of detector and model.
 
     The colour and the upper number of a cell are the percentage of the actual lane's frames; the
-    lower number counts frames. Without a tentative vector only the model is drawn.
-    Raises InputError without ground truth, and as `write_figure` does.
+    lower number counts frames. Without a tentative vector only the model is drawn. Raises
+    InputError without ground truth.
     """
-    return write_figure(lambda: confusion_figure(result), path)
-
-
-def confusion_figure(result: Result) -> Figure:
-    """The figure of `draw_confusion`."""
     matrices = confusions(result)
     n = result.n_lanes
     width, height = max(n * _CELL_WIDTH, 2.2), (n + 1) * _CELL_HEIGHT

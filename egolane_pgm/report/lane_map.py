@@ -18,7 +18,7 @@ from egolane_pgm.types import BoolArray, FloatArray, InputError
 #: Under every picture that shows their data.
 ATTRIBUTION = "© OpenStreetMap contributors, ODbL"
 
-#: A lane's width, metres, where a map is drawn to scale and does not tell it (`width:lanes`).
+#: A lane's width, metres, in a map drawn to scale without a tag `width:lanes`.
 LANE_M = 3.6
 
 #: Widths of lanes that may be right, metres.
@@ -27,14 +27,14 @@ _WIDTHS_M = (1.5, 10.0)
 #: More segments than this are no picture that one can read.
 MOST_SEGMENTS = 5_000
 
-#: So many of the longest roads are drawn out straight.
+#: Number of the longest roads that are drawn out straight.
 MOST_ROADS = 8
 
 #: Where a road parts or two meet, its lanes move from where they were to the way's own line over
 #: this length.
 _BLEND_M = 120.0
 
-#: Narrower pictures, metres, number the lanes; and tell how many there are where that changes.
+#: Narrower pictures, metres, number the lanes; and show the number of lanes where it changes.
 _PLACE_M, _SMALL_M = 700.0, 3_000.0
 
 #: The arrows that say where a road leads, metres.
@@ -153,7 +153,7 @@ def _draw_map(
         polygons += [np.concatenate([a, b[::-1]]) for a, b in pairwise(sides)]
         colours += [fill] * n
         edges += [sides[0], sides[-1]]
-        if to_scale:
+        if to_scale and np.ptp(ax.get_xlim()) < _PLACE_M:
             _number_lanes(ax, sides, along, n, fill)
             _draw_direction(ax, sides, along)
     ax.add_collection(PolyCollection(polygons, facecolors=colours, edgecolors="white", lw=0.4))
@@ -173,7 +173,7 @@ def _draw_map(
 
 
 def _widths(graph: LaneGraph, k: int, n: int) -> FloatArray:
-    """The widths of a segment's n lanes, metres, as far as its tag tells them."""
+    """The widths of a segment's n lanes, metres; those that its tag lacks are LANE_M."""
     words = str(graph.width[k]).split("|") if graph.width[k] else []
     width = np.full(n, LANE_M)
     for lane, word in enumerate(words[:n]):
@@ -224,8 +224,6 @@ def _extra(graph: LaneGraph) -> FloatArray:
 
 def _number_lanes(ax: Axes, sides: list[FloatArray], along: FloatArray, n: int, fill: str) -> None:
     """The lanes' numbers, every 80 metres and at least once, where there is room for them."""
-    if np.ptp(ax.get_xlim()) >= _PLACE_M:
-        return
     (left, right), (bottom, top) = ax.get_xlim(), ax.get_ylim()
     for at in np.arange(min(40.0, along[-1] / 2), along[-1], 80.0):
         k = int(np.argmin(np.abs(along - at)))
@@ -240,8 +238,6 @@ def _number_lanes(ax: Axes, sides: list[FloatArray], along: FloatArray, n: int, 
 
 def _draw_direction(ax: Axes, sides: list[FloatArray], along: FloatArray) -> None:
     """A small arrow along the left edge of what is seen of a segment: it leads there."""
-    if np.ptp(ax.get_xlim()) >= _PLACE_M:
-        return
     edge = sides[0]
     (left, right), (bottom, top) = ax.get_xlim(), ax.get_ylim()
     low, high = np.array([left, bottom]) + _ARROW_M, np.array([right, top]) - _ARROW_M

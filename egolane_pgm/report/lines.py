@@ -1,29 +1,12 @@
-"""The figure of a recording of lines: their lateral offsets over time."""
+"""The lateral offsets of a recording's lines over time."""
 
 from __future__ import annotations
 
 import numpy as np
 from matplotlib.axes import Axes
-from matplotlib.figure import Figure
 
 from egolane_pgm.report.answers import FAINT, MODEL_COLOUR
-from egolane_pgm.report.style import axes_at, new_figure, put_title
-from egolane_pgm.types import InputError, LineLog
-
-
-def lines_figure(log: LineLog, title: str) -> Figure:
-    """Draw the offset of each line in each frame; those that are not valid are grey.
-
-    Raises InputError for a log without frames.
-    """
-    if not len(log):
-        raise InputError(f"{log.source}: has no frames to draw")
-    figure = new_figure(9.0, 3.6)
-    put_title(figure, title, 0.75, 10)
-    ax = axes_at(figure, 0.75, 0.4, 8.1, 2.7)
-    draw_lines(ax, log)
-    ax.set_xlabel("time [s]", fontsize=9)
-    return figure
+from egolane_pgm.types import LineLog
 
 
 def draw_lines(ax: Axes, log: LineLog) -> None:

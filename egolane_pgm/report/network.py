@@ -6,7 +6,9 @@ import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
+import networkx as nx
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
@@ -46,65 +48,41 @@ _INCHES = 0.82
 
 @dataclass(frozen=True)
 class _Drawing:
-    """The place of each node, and the size of one slice."""
+    """The place and radius of each node, and the size of one slice."""
 
     structure: Structure
     place: Mapping[SliceNode, Place]
+    radius: Mapping[SliceNode, float]
     width: float
     height: float
-
-    def kind(self, node: SliceNode) -> str:
-        return self.structure.kind[node[0]]
-
-    def radius(self, node: SliceNode) -> float:
-        return _SMALL if self.kind(node) == "virtual evidence" else _RADIUS
-
-    @property
-    def step(self) -> float:
-        """How far one slice is from the other."""
-        return self.width + 2 * _MARGIN + _SLICE_GAP
+    step: float
 
 
 def _layers(structure: Structure) -> list[list[str]]:
     """The names in layers, by the longest path to them from a root within a slice."""
-    parents = _parents(structure)
-
-    def depth(name: str, below: tuple[str, ...] = ()) -> int:
-        if name in below:
-            raise InputError("network: the edges within a slice form a cycle, it cannot be drawn")
-        return 1 + max((depth(p, (*below, name)) for p in parents[name]), default=-1)
-
-    depths = {name: depth(name) for name in structure.kind}
-    return [[n for n in depths if depths[n] == d] for d in range(max(depths.values()) + 1)]
-
-
-def _parents(structure: Structure) -> dict[str, list[str]]:
-    return {name: [a for a, b in structure.within if b == name] for name in structure.kind}
+    within = nx.DiGraph(structure.within)
+    within.add_nodes_from(structure.kind)
+    try:
+        layers = [set(layer) for layer in nx.topological_generations(within)]
+    except nx.NetworkXUnfeasible:
+        raise InputError(
+            "network: the edges within a slice form a cycle, it cannot be drawn"
+        ) from None
+    return [[name for name in structure.kind if name in layer] for layer in layers]
 
 
-def _spread(wanted: Sequence[float]) -> list[float]:
-    """The positions nearest to the wanted ones that keep their order and are a column apart."""
-    order = np.argsort(wanted, kind="stable")
-    values = np.array(wanted, dtype=float)[order]
-    steps = np.arange(len(values)) * _COLUMN
-    placed = np.maximum.accumulate(values - steps) + steps
-    placed += float(np.mean(values - placed))
-    result = np.empty(len(values))
-    result[order] = placed
-    return [float(x) for x in result]
-
-
-def _columns(layers: Sequence[Sequence[str]], parents: Mapping[str, list[str]]) -> dict[str, float]:
+def _columns(layers: Sequence[Sequence[str]], structure: Structure) -> dict[str, float]:
     """The horizontal place of each name: below the middle of its parents, if there is room."""
     x: dict[str, float] = {}
     for layer in layers:
-        wanted = [
-            float(np.mean([x[p] for p in parents[name]])) if parents[name] else i * _COLUMN
-            for i, name in enumerate(layer)
-        ]
-        x.update(zip(layer, _spread(wanted), strict=True))
-    left = min(x.values())
-    return {name: value - left for name, value in x.items()}
+        parents = [[x[a] for a, b in structure.within if b == name] for name in layer]
+        wanted = np.array([np.mean(of) if of else i * _COLUMN for i, of in enumerate(parents)])
+        order = np.argsort(wanted, kind="stable")
+        steps = np.arange(len(layer)) * _COLUMN
+        placed = np.maximum.accumulate(wanted[order] - steps) + steps
+        placed += np.mean(wanted[order] - placed)
+        x.update(zip((layer[k] for k in order), placed.tolist(), strict=True))
+    return {name: x[name] - min(x.values()) for name in structure.kind}
 
 
 def _rows(layers: Sequence[Sequence[str]], structure: Structure) -> dict[str, float]:
@@ -129,36 +107,37 @@ def _lay_out(structure: Structure) -> _Drawing:
     if not structure.kind:
         raise InputError("network: it has no nodes, nothing to draw")
     layers = _layers(structure)
-    x = _columns(layers, _parents(structure))
-    y = _rows(layers, structure)
-    bare = _Drawing(structure, {}, max(x.values()), -min(y.values()))
-    place = {(name, s): (x[name] + s * bare.step, y[name]) for name in x for s in (0, 1)}
-    return _Drawing(structure, place, bare.width, bare.height)
+    x, y = _columns(layers, structure), _rows(layers, structure)
+    width, height = max(x.values()), -min(y.values())
+    step = width + 2 * _MARGIN + _SLICE_GAP
+    place = {(name, s): (x[name] + s * step, y[name]) for name in x for s in (0, 1)}
+    radius = {
+        (name, s): _SMALL if kind == "virtual evidence" else _RADIUS
+        for name, kind in structure.kind.items()
+        for s in (0, 1)
+    }
+    return _Drawing(structure, place, radius, width, height, step)
 
 
 def _curvature(start: SliceNode, end: SliceNode, drawing: _Drawing) -> float:
     """The smallest bend (`rad` of matplotlib's arc3) with which an arrow clears all other nodes."""
-    (x0, y0), (x1, y1) = drawing.place[start], drawing.place[end]
-    s = np.linspace(0.0, 1.0, 60)
-    best, widest = 0.0, -np.inf
+    ends = np.array([drawing.place[start], drawing.place[end]])
     others = [node for node in drawing.place if node not in (start, end)]
-    for bend in (0.0, 0.12, -0.12, 0.22, -0.22, 0.32, -0.32, 0.45, -0.45):
-        cx, cy = (x0 + x1) / 2 + bend * (y1 - y0), (y0 + y1) / 2 - bend * (x1 - x0)
-        px = (1 - s) ** 2 * x0 + 2 * s * (1 - s) * cx + s**2 * x1
-        py = (1 - s) ** 2 * y0 + 2 * s * (1 - s) * cy + s**2 * y1
-        room = min(
-            (
-                float(np.hypot(px - x, py - y).min()) - drawing.radius(node)
-                for node in others
-                for x, y in (drawing.place[node],)
-            ),
-            default=np.inf,
-        )
-        if room > 0.1:
-            return bend
-        if room > widest:
-            best, widest = bend, room
-    return best
+    if not others:
+        return 0.0
+    middle = np.array([drawing.place[node] for node in others])
+    radius = np.array([drawing.radius[node] for node in others])
+    across = (ends[1] - ends[0])[::-1] * (1, -1)
+    s = np.linspace(0.0, 1.0, 60)[:, np.newaxis]
+
+    def room(bend: float) -> float:
+        control = ends.mean(axis=0) + bend * across
+        curve = (1 - s) ** 2 * ends[0] + 2 * s * (1 - s) * control + s**2 * ends[1]
+        distance = np.linalg.norm(curve[:, np.newaxis] - middle, axis=2).min(axis=0)
+        return float((distance - radius).min())
+
+    bends = (0.0, 0.12, -0.12, 0.22, -0.22, 0.32, -0.32, 0.45, -0.45)
+    return next((bend for bend in bends if room(bend) > 0.1), max(bends, key=room))
 
 
 def _wrapped(name: str) -> str:
@@ -168,7 +147,8 @@ def _wrapped(name: str) -> str:
 
 
 def _draw_node(ax: Axes, node: SliceNode, drawing: _Drawing) -> Patch:
-    (x, y), kind, radius = drawing.place[node], drawing.kind(node), drawing.radius(node)
+    (x, y), radius = drawing.place[node], drawing.radius[node]
+    kind = drawing.structure.kind[node[0]]
     patch: Patch = Circle((x, y), radius)
     if kind == "input":
         half = 0.85 * radius
@@ -211,31 +191,23 @@ def _draw_arrow(
     ax.add_patch(arrow)
 
 
-def _legend(structure: Structure) -> list[tuple[Line2D, ...]]:
-    """The entries of the legend, the first line of each with its label; a function's is two
-    circles."""
-    entries: list[tuple[Line2D, ...]] = []
+def _legend(structure: Structure) -> dict[str, tuple[Line2D, ...]]:
+    """The marks of the legend by their labels; a function's is two circles."""
+    entries: dict[str, tuple[Line2D, ...]] = {}
     for kind in KINDS:
-        if kind not in structure.kind.values():
-            continue
+        look: dict[str, Any] = {
+            "marker": "s" if kind == "input" else "o",
+            "markerfacecolor": _FILL[kind],
+        }
         sizes = (10, 7) if kind == "function" else (6,) if kind == "virtual evidence" else (10,)
-        outer, *inner = (
-            Line2D(
-                [],
-                [],
-                linestyle="none",
-                marker="s" if kind == "input" else "o",
-                markerfacecolor=_FILL[kind],
-                markeredgecolor=_INK,
-                markersize=size,
+        if kind in structure.kind.values():
+            entries["function of its parents" if kind == "function" else kind] = tuple(
+                Line2D([], [], ls="none", markeredgecolor=_INK, markersize=size, **look)
+                for size in sizes
             )
-            for size in sizes
-        )
-        outer.set_label("function of its parents" if kind == "function" else kind)
-        entries.append((outer, *inner))
-    entries.append((Line2D([], [], color=_INK, linewidth=1.1, label="within a frame"),))
+    entries["within a frame"] = (Line2D([], [], color=_INK, linewidth=1.1),)
     if structure.across:
-        entries.append((Line2D([], [], color=_TEMPORAL, linewidth=1.9, label="to the next frame"),))
+        entries["to the next frame"] = (Line2D([], [], color=_TEMPORAL, linewidth=1.9),)
     return entries
 
 
@@ -250,7 +222,6 @@ def network_figure(structure: Structure) -> Figure:
     """
     drawing = _lay_out(structure)
     entries = _legend(structure)
-    labels = [str(lines[0].get_label()) for lines in entries]
     across = max((drawing.width + drawing.step + 2 * _MARGIN + 0.1) * _INCHES, 4.8)
     down = (drawing.height + 2 * _MARGIN + 0.5) * _INCHES
     columns = min(len(entries), max(2, int(across / 1.55)))
@@ -280,8 +251,8 @@ def network_figure(structure: Structure) -> Figure:
     for start, end in structure.edges:
         _draw_arrow(ax, start, end, drawing, drawn)
     ax.legend(
-        entries,
-        labels,
+        [*entries.values()],
+        [*entries],
         loc="upper center",
         bbox_to_anchor=(0.5, 0.0),
         ncols=columns,

@@ -2,13 +2,11 @@
 
 from __future__ import annotations
 
-from pathlib import Path
-
 import numpy as np
 from matplotlib.figure import Figure
 
 from egolane_pgm.report.answers import FAINT, INK, reliabilities, title_with_frames
-from egolane_pgm.report.style import ANSWER_STYLE, axes_at, new_figure, put_title, write_figure
+from egolane_pgm.report.style import ANSWER_STYLE, axes_at, new_figure, put_title
 from egolane_pgm.results import Result
 from egolane_pgm.scoring.probabilistic import N_BINS
 
@@ -16,18 +14,13 @@ from egolane_pgm.scoring.probabilistic import N_BINS
 FEW_FRAMES = 30
 
 
-def draw_reliability(result: Result, path: str | Path) -> Path:
+def reliability_figure(result: Result) -> Figure:
     """Draws the calibration curves of detector and model, and the number of frames in each bin.
 
     There are 15 equal-width bins of the largest probability. The legend gives the expected
-    calibration error (ECE). Without a tentative vector only the model is drawn.
-    Raises InputError without ground truth, and as `write_figure` does.
+    calibration error (ECE). Without a tentative vector only the model is drawn. Raises InputError
+    without ground truth.
     """
-    return write_figure(lambda: reliability_figure(result), path)
-
-
-def reliability_figure(result: Result) -> Figure:
-    """The figure of `draw_reliability`."""
     found = reliabilities(result)
     figure = new_figure(5.2, 5.7)
     put_title(figure, title_with_frames(result))

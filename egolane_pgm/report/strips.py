@@ -261,7 +261,7 @@ def _draw_row(
 def _draw_ticks(
     sheet: Axes, strips: Strips, at: float, length: float, rate: float, frame_width: float
 ) -> list[list[tuple[float, float]]]:
-    """Number the frames, or with their rate the seconds, beside a strip's edge; gives the ticks,
+    """Number the frames, or with their rate the seconds, at a strip's edge; returns the ticks,
     which point up where the length is negative."""
     ends = (strips.first - 0.5) / rate, (strips.last + 0.5) / rate
     ticks = []

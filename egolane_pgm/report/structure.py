@@ -3,7 +3,7 @@ Graphviz."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Container, Mapping, Sequence
 from dataclasses import dataclass
 
 from egolane_pgm.graphs.cpds import SliceNode, ve_name
@@ -51,17 +51,15 @@ class Structure:
 
 def structure_of(compiled: Compiled) -> Structure:
     """The structure of a compiled network, with its virtual-evidence nodes."""
-    kind = {}
-    for name, _ in compiled.tables:
-        kind[name] = (
-            "input"
-            if name in compiled.inputs
-            else "function"
-            if name in compiled.functions
-            else "hidden"
-            if name in compiled.hidden
-            else "observed"
-        )
+    roles: dict[str, Container[str]] = {
+        "input": compiled.inputs,
+        "function": compiled.functions,
+        "hidden": compiled.hidden,
+    }
+    kind = {
+        name: next((role for role, names in roles.items() if name in names), "observed")
+        for name, _ in compiled.tables
+    }
     edges = [(parent, node) for node, table in compiled.tables.items() for parent in table.parents]
     for key in compiled.observed:
         kind[ve_name(key)] = "virtual evidence"

@@ -58,7 +58,7 @@ def draw_study(
 
 
 def figures_of(trials: Trials) -> dict[str, Callable[[], Figure]]:
-    """The figures that there are of a study, by name, each as a function that makes it."""
+    """The figures of a study by name, each as a function that makes it."""
     importance = numbers.importances(trials)
     drawn: dict[str, Callable[[], Figure]] = {
         "history": lambda: history_figure(trials),
@@ -124,7 +124,7 @@ def _titled(ax: Axes, title: str, size: tuple[float, float]) -> Figure:
         ax.set_title("")
     figure.suptitle(title)
     figure.set_size_inches(*size)
-    # Matplotlib cannot constrain a single plot with a bar of colours beside it.
+    # Matplotlib cannot constrain a single plot with a colour bar.
     figure.set_layout_engine("tight" if len(figure.axes) == 2 else "constrained")
     # Optuna draws with pyplot, which would keep the figure.
     plt.close(figure)

@@ -1,4 +1,4 @@
-"""The paper's two parameter tables anew: ours beside theirs, in-sample and held out."""
+"""The paper's two parameter tables anew: ours next to theirs, in-sample and held out."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ COUNTRIES = {"italy": "A4, Italy", "spain": "A2, Spain"}
 
 
 def legend(documents: Sequence[Mapping[str, Any]]) -> str:
-    """What the columns mean, beside every table."""
+    """What the columns mean; printed with every table."""
     part, drawn = "each block of the drive (or each recording)", "of a block bootstrap"
     if any(document.get("fleet") for document in documents):
         part, drawn = "each part of the drives", "over drives, which are drawn whole"
@@ -115,7 +115,7 @@ def score_rows(document: Mapping[str, Any]) -> tuple[list[str], list[list[str]]]
 
 
 def importance_line(trials: Trials, most: int = 3) -> str | None:
-    """Which parameters matter most, in words; None where there are too few trials to tell."""
+    """Which parameters matter most, in words; None for too few trials."""
     found = importances(trials)
     if not found:
         return None

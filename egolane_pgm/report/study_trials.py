@@ -7,19 +7,16 @@ from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Any
 
 import numpy as np
 import optuna
 from optuna import distributions
 from optuna.exceptions import ExperimentalWarning
 from optuna.trial import create_trial
-from pydantic import Field
 from pydantic_core import from_json
 
-from egolane_pgm.experiment import validated
 from egolane_pgm.scoring.confusion import is_maximised
-from egolane_pgm.scoring.document import Count, Finite, Stored
 from egolane_pgm.tools.files import read_parquet
 from egolane_pgm.types import BoolArray, FloatArray, InputError, IntArray
 
@@ -30,50 +27,6 @@ TOLERANCE = 0.005
 
 #: Importances of fewer trials than this would be noise.
 FEWEST = 20
-
-
-class _Space(Stored):
-    searched: dict[
-        str,
-        Annotated[list[Finite], Field(min_length=2, max_length=2)]
-        | Annotated[list[str], Field(min_length=1)],
-    ]
-
-
-class _Objective(Stored):
-    objective: Annotated[list[str], Field(min_length=1)]
-
-
-class _Best(Stored):
-    point: dict[str, float | str]
-    values: Annotated[dict[str, Finite], Field(min_length=1)]
-    trials: Count
-
-
-class _Without(Stored):
-    point: dict[str, float | str]
-
-
-class _HeldOut(Stored):
-    all_frames: dict[str, Any] | None = None
-    studies: list[_Without] = Field(default_factory=list)
-
-
-class _Known(Stored):
-    parameters: dict[str, Any]
-
-
-class Document(Stored):
-    """What of study.json is read again: `tuning.study_directory` says what else is there."""
-
-    name: str
-    tuning: _Objective
-    space: _Space
-    best: _Best
-    held_out: _HeldOut | None
-    run: Annotated[int, Field(ge=1, le=10)] | None = None
-    experiments: list[_Known] = Field(default_factory=list)
-    notes: list[str] = Field(default_factory=list)
 
 
 @dataclass(frozen=True)
@@ -151,63 +104,15 @@ def is_study(directory: str | Path) -> bool:
 def read_trials(directory: str | Path) -> Trials:
     """Read study.json and trials.parquet of a study; no recording is needed.
 
-    Raises InputError for a directory without a study, files that cannot be read, columns that are
-    missing, and a study without a finished trial.
+    Raises InputError for a directory without a study, damaged files, and a study without a finished
+    trial.
     """
-    return trials_of(*_read(Path(directory)), str(directory))
+    return trials_of(*read_study_files(Path(directory)), str(directory))
 
 
-def trials_of(
-    content: Mapping[str, Any], table: Mapping[str, Sequence[Any]], directory: str
-) -> Trials:
-    """The trials of a study.
-
-    - content: of its study.json. table: the columns of its trials.parquet.
-    - directory: for messages.
-
-    Raises InputError for columns that are missing, and for a study without a finished trial.
-    """
-    bounds = content["space"]["searched"]
-    objective = str(content["tuning"]["objective"][0])
-    file = Path(directory) / TRIALS_FILE
-    number = _floats(table, "number", file)
-    order = np.argsort(number, kind="stable")
-    score = _floats(table, f"{objective}_in_sample", file)[order]
-    chosen = order[np.isfinite(score)]
-    score = score[np.isfinite(score)]
-    if not len(score):
-        raise InputError(
-            f"{directory}: no trial of this study is finished, there is nothing to draw"
-        )
-    searched = tuple(_searched(key, bounds[key], _values_of(table, key, file)) for key in bounds)
-    values = {s.key: _numbers(s, table, file)[chosen] for s in searched}
-    held_out = content.get("held_out") or {}
-    reference, named = _reference(content, searched)
-    return Trials(
-        str(content["name"]),
-        objective,
-        searched,
-        number[chosen].astype(np.int64),
-        score,
-        values,
-        int(np.argmax(score if is_maximised(objective) else -score)),
-        float((held_out.get("all_frames") or {}).get(objective, np.nan)),
-        reference,
-        named,
-        tuple(_point(searched, s["point"]) for s in held_out.get("studies", ())),
-    )
-
-
-def _read(directory: Path) -> tuple[Mapping[str, Any], Mapping[str, Sequence[Any]]]:
-    content = read_document(directory)
-    try:
-        return content, read_parquet(directory / TRIALS_FILE).to_pydict()
-    except InputError as error:
-        raise InputError(f"{error}; repeat the `egolane tune` command") from None
-
-
-def read_document(directory: Path) -> dict[str, Any]:
-    """What study.json says. Raises InputError, naming file and key, for what it is not."""
+def read_study_files(directory: Path) -> tuple[dict[str, Any], dict[str, list[Any]]]:
+    """The content of study.json, and the columns of trials.parquet. Raises InputError, naming the
+    file, for one that is missing, damaged or of another schema version."""
     path = directory / STUDY_FILE
     try:
         content = from_json(path.read_bytes())
@@ -219,24 +124,62 @@ def read_document(directory: Path) -> dict[str, Any]:
     if not isinstance(content, dict) or content.get("schema_version") != SCHEMA_VERSION:
         raise InputError(f"{path}: is not of schema version {SCHEMA_VERSION}; tune again")
     try:
-        validated(Document, content, str(path))
+        return content, read_parquet(directory / TRIALS_FILE).to_pydict()
     except InputError as error:
-        raise InputError(f"{error.lines[0]}; tune again") from None
-    return content
+        raise InputError(f"{error}; repeat the `egolane tune` command") from None
 
 
-def _values_of(table: Mapping[str, Sequence[Any]], column: str, file: Path) -> Sequence[Any]:
-    if column not in table:
-        raise InputError(f"{file}: has no column {column}; tune again")
-    return table[column]
+def trials_of(
+    content: Mapping[str, Any], table: Mapping[str, Sequence[Any]], directory: str
+) -> Trials:
+    """The trials of a study.
 
+    - content: its study.json. table: the columns of its trials.parquet.
+    - directory: for messages.
 
-def _floats(table: Mapping[str, Sequence[Any]], column: str, file: Path) -> FloatArray:
-    """A column of numbers, NaN for those that a trial has not got."""
+    Raises InputError where these do not belong together, and for a study without a finished trial.
+    """
     try:
-        return np.array(_values_of(table, column, file), dtype=np.float64)
-    except (TypeError, ValueError):
-        raise InputError(f"{file}: column {column} has values that are no numbers") from None
+        return _trials(content, table)
+    except (LookupError, TypeError, ValueError, AttributeError) as error:
+        if isinstance(error, InputError):
+            raise InputError(f"{directory}: {error}") from None
+        raise InputError(
+            f"{directory}: {STUDY_FILE} or {TRIALS_FILE} is damaged ({error!r}); tune again"
+        ) from error
+
+
+def _trials(content: Mapping[str, Any], table: Mapping[str, Sequence[Any]]) -> Trials:
+    objective = str(content["tuning"]["objective"][0])
+    number = _floats(table["number"])
+    order = np.argsort(number, kind="stable")
+    score = _floats(table[f"{objective}_in_sample"])[order]
+    chosen = order[np.isfinite(score)]
+    score = score[np.isfinite(score)]
+    if not len(score):
+        raise InputError("no trial of this study is finished, there is nothing to draw")
+    bounds = content["space"]["searched"]
+    searched = tuple(_searched(key, bounds[key], table[key]) for key in bounds)
+    held_out = content.get("held_out") or {}
+    reference, named = _reference(content, searched)
+    return Trials(
+        str(content["name"]),
+        objective,
+        searched,
+        number[chosen].astype(np.int64),
+        score,
+        {s.key: _numbers(s, table[s.key])[chosen] for s in searched},
+        int(np.argmax(score if is_maximised(objective) else -score)),
+        float((held_out.get("all_frames") or {}).get(objective, np.nan)),
+        reference,
+        named,
+        tuple(_point(searched, s["point"]) for s in held_out.get("studies", ())),
+    )
+
+
+def _floats(column: Sequence[Any]) -> FloatArray:
+    """A column of numbers, NaN for those that a trial lacks."""
+    return np.array(column, dtype=np.float64)
 
 
 def _searched(key: str, bounds: Sequence[Any], column: Sequence[Any]) -> Searched:
@@ -246,16 +189,10 @@ def _searched(key: str, bounds: Sequence[Any], column: Sequence[Any]) -> Searche
     return Searched(key, float(bounds[0]), float(bounds[1]), is_integer)
 
 
-def _numbers(searched: Searched, table: Mapping[str, Sequence[Any]], file: Path) -> FloatArray:
+def _numbers(searched: Searched, column: Sequence[Any]) -> FloatArray:
     if not searched.choices:
-        return _floats(table, searched.key, file)
-    known = {choice: float(k) for k, choice in enumerate(searched.choices)}
-    values = _values_of(table, searched.key, file)
-    if unknown := [v for v in values if v is not None and str(v) not in known]:
-        raise InputError(
-            f"{file}: column {searched.key} has {unknown[0]!r}, which was not searched; tune again"
-        )
-    return np.array([known.get(str(v), np.nan) for v in values])
+        return _floats(column)
+    return np.array([np.nan if v is None else searched.choices.index(v) for v in column])
 
 
 def _point(searched: Sequence[Searched], point: Mapping[str, Any]) -> dict[str, float]:

@@ -90,7 +90,7 @@ def inline_figure(make: Callable[[], Figure]) -> Figure:
     """
     with _own_style():
         figure = make()
-    # A notebook draws figures only once pyplot was used, unless it is told.
+    # A notebook draws figures only once pyplot was used, unless this formatter is set.
     shell = sys.modules["IPython"].get_ipython() if "IPython" in sys.modules else None
     if shell is not None and Figure not in shell.display_formatter.formatters["image/png"]:
         from IPython.core.pylabtools import select_figure_formats

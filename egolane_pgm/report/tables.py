@@ -15,7 +15,7 @@ import numpy as np
 from egolane_pgm.tools.files import as_csv
 from egolane_pgm.types import InputError, LineLog
 
-#: How `tuned_on` is said beside a score.
+#: The words for `tuned_on` next to a score.
 TUNED_ON = {
     "same_frames": "in-sample (tuned on these frames)",
     "other_frames": "held out (tuned on other frames)",
@@ -24,7 +24,7 @@ TUNED_ON = {
 }
 
 #: The same in a narrow column.
-TUNED_ON_SHORT = {way: said.split(" (")[0] for way, said in TUNED_ON.items()}
+TUNED_ON_SHORT = {key: words.split(" (")[0] for key, words in TUNED_ON.items()}
 
 _SCORES = {
     "accuracy": "accuracy",
@@ -107,7 +107,7 @@ def _drawn(table: Table, wide: bool) -> str:
     columns = [list(column) for column in zip(*cells, strict=True)]
     if 1 + sum(map(_width, columns)) <= room:
         return _lines(cells)
-    # The labels leave room for a column beside them.
+    # The labels leave room for one more column.
     for_labels = room - 1 - min(max(map(_width, columns[n:]), default=0), room // 2)
     if sum(map(_width, columns[:n])) > for_labels:
         columns[:n] = [_cut(column, for_labels // n - 3) for column in columns[:n]]
@@ -239,10 +239,11 @@ def with_interval(value: float | None, interval: Sequence[float] | None, form: s
 
 
 def score_rows(scores: Mapping[str, Mapping[str, Any]]) -> tuple[list[str], list[list[str]]]:
-    """All scores of a result: a row per score, with its 95 % interval, detector beside model."""
+    """All scores of a result: a row per score, with its 95 % interval; a column each for detector
+    and model."""
     columns = [name for name in ("detector", "model") if name in scores]
     rows = [
-        [label, *(with_interval(scores[c][key], _interval(scores[c], key)) for c in columns)]
+        [label, *(with_interval(scores[c][key], scores[c]["intervals"].get(key)) for c in columns)]
         for key, label in _SCORES.items()
     ]
     delays = [scores[c]["delay"] for c in columns]
@@ -250,11 +251,6 @@ def score_rows(scores: Mapping[str, Mapping[str, Any]]) -> tuple[list[str], list
     rows.append(["lane changes missed", *(score_text(d["share_missed"]) for d in delays)])
     has_intervals = any(scores[c]["intervals"]["accuracy"] for c in columns)
     return ["score [95 % interval]" if has_intervals else "score", *columns], rows
-
-
-def _interval(scores: Mapping[str, Any], key: str) -> Sequence[float] | None:
-    found: Sequence[float] | None = scores["intervals"].get(key)
-    return found
 
 
 def runs_table_rows(summaries: Sequence[Mapping[str, Any]]) -> tuple[list[str], list[list[str]]]:

@@ -13,7 +13,7 @@ from __future__ import annotations
 import contextlib
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -21,7 +21,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from egolane_pgm.camera.model import Camera, road_to_image, undistorted
+from egolane_pgm.camera.model import Camera, image_to_road, road_to_image
 from egolane_pgm.camera.picture import Image, Picture
 from egolane_pgm.camera.pictures import Source
 from egolane_pgm.camera.writing import video_writer, write_picture
@@ -29,7 +29,7 @@ from egolane_pgm.detectors import FrameLines, as_log
 from egolane_pgm.detectors.runner import Detector, detect
 from egolane_pgm.experiment import Experiment
 from egolane_pgm.online import filter_logs
-from egolane_pgm.tools.files import check_place, make_directory
+from egolane_pgm.tools.files import check_place
 from egolane_pgm.types import UNASSIGNED, FloatArray, InputError, LaneTruth, LineLog
 
 Colour = tuple[int, int, int]
@@ -60,7 +60,7 @@ SLOTS: tuple[Colour, ...] = (
 STRIP, GAP = 26, 8
 _LABEL_SCALE = 0.45
 
-#: The margin beside the bird's-eye view that has its distances: width, pixels.
+#: Width of the margin with distances, to the right of the bird's-eye view, pixels.
 MARGIN = 44
 
 #: The bird's-eye view: from and to, metres ahead of the camera, and metres to either side.
@@ -236,16 +236,11 @@ def scenes(
     at = {} if truth is None else {int(f): k for k, f in enumerate(truth.frame_id)}
     for answer in filter_logs(experiment, logs(), ["Lane"]):
         picture, lines = waiting.popleft()
-        k = at.get(picture.frame_id)
-        scene = Scene(
-            frame_id=picture.frame_id,
-            time_s=answer["time_s"],
-            lines=lines,
-            belief=np.array(list(answer["beliefs"]["Lane"].values())),
-            assigned=answer["lane"],
-            truth=None if truth is None or k is None else int(truth.lane[k]),
-            is_crossing=truth is not None and k is not None and bool(truth.is_crossing[k]),
-        )
+        belief = np.array(list(answer["beliefs"]["Lane"].values()))
+        scene = Scene(picture.frame_id, answer["time_s"], lines, belief, answer["lane"])
+        if truth is not None and (k := at.get(picture.frame_id)) is not None:
+            lane, is_crossing = int(truth.lane[k]), bool(truth.is_crossing[k])
+            scene = replace(scene, truth=lane, is_crossing=is_crossing)
         yield picture, scene
 
 
@@ -265,7 +260,7 @@ def _style(lines: FrameLines, k: int) -> tuple[Colour, int, bool]:
 
 
 def _edge(thickness: int) -> Colour:
-    """The colour beside a line."""
+    """The colour on both sides of a line."""
     return PAPER if thickness > 1 else INK
 
 
@@ -282,20 +277,14 @@ def _pieces(is_dashed: bool, last: float) -> Iterator[FloatArray]:
 
 
 def _seen(camera: Camera, x: FloatArray, y: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """The pixels of points on the road. They are NaN well outside the picture, where the distortion
-    formula would fold them back into it."""
+    """The pixels of points on the road, NaN for those that the distortion formula folds back into
+    the picture from far outside: these pixels do not lead back to the points."""
     u, v = road_to_image(camera, x, y)
     if any(camera.distortion):
-        straight = road_to_image(camera, x, y, undistorted=True)
-        across, down = np.linspace(0, camera.width, 33), np.linspace(0, camera.height, 33)
-        # The edge of the picture, without distortion, limits where points can be.
-        rim_u = np.concatenate([across, across, 0 * down, 0 * down + camera.width])
-        rim_v = np.concatenate([0 * across, 0 * across + camera.height, down, down])
-        for rim, place in zip(undistorted(camera, rim_u, rim_v), straight, strict=True):
-            spare = 0.05 * (rim.max() - rim.min())
-            with np.errstate(invalid="ignore"):
-                outside = (place < rim.min() - spare) | (place > rim.max() + spare)
-            u, v = np.where(outside, np.nan, u), np.where(outside, np.nan, v)
+        back_x, back_y = image_to_road(camera, u, v)
+        with np.errstate(invalid="ignore"):
+            is_seen = np.hypot(back_x - x, back_y - y) < 0.1 * (1 + np.abs(x))
+        u, v = np.where(is_seen, u, np.nan), np.where(is_seen, v, np.nan)
     return u, v
 
 
@@ -323,24 +312,20 @@ def label_boxes(places: Layout, lines: FrameLines) -> dict[int, tuple[int, int, 
     strip below it: side by side in the order of the lines, as near to their feet as there is
     room."""
     feet = {k: foot for k in range(len(lines.lri)) if (foot := _foot(places, lines, k)) is not None}
-    room = places.picture[0]
-    width = {k: _text_width(_label(lines, k), _LABEL_SCALE) + 4 for k in feet}
-    needed = sum(width.values()) + GAP * max(0, len(feet) - 1)
+    width = np.array([_text_width(_label(lines, k), _LABEL_SCALE) + 4.0 for k in feet])
+    room, top = places.picture
     # Many labels in a narrow picture are written smaller.
-    shrink = min(1.0, room / max(1, needed))
-    gap = GAP * shrink
-    left: dict[int, float] = {}
-    edge = 0.0
-    for k, foot in feet.items():
-        left[k] = max(edge, foot - shrink * width[k] / 2)
-        edge = left[k] + shrink * width[k] + gap
-    edge = float(room)
-    for k in reversed(left):
-        left[k] = min(left[k], edge - shrink * width[k])
-        edge = left[k] - gap
-    top = places.picture[1]
+    shrink = min(1.0, room / max(1, width.sum() + GAP * (len(feet) - 1)))
+    width = shrink * width
+    # Where each label begins if all stand side by side, the first at 0.
+    packed = np.cumsum(width + shrink * GAP) - (width + shrink * GAP)
+    wanted = np.maximum(np.array([*feet.values()]) - width / 2, 0.0)
+    left = np.maximum.accumulate(wanted - packed) + packed
+    if len(left):
+        left = np.minimum(left, room - width[-1] - packed[-1] + packed)
     return {
-        k: (int(at), top, int(at + shrink * width[k]), top + STRIP - 2) for k, at in left.items()
+        k: (int(at), top, int(at + wide), top + STRIP - 2)
+        for k, at, wide in zip(feet, left, width, strict=True)
     }
 
 
@@ -373,7 +358,7 @@ def _lines_from_above(places: Layout, view: Image, lines: FrameLines) -> None:
 
 
 def _distances(places: Layout, canvas: Image) -> None:
-    """Writes beside the bird's-eye view how far ahead its rows are."""
+    """Writes how far ahead the rows of the bird's-eye view are, to the right of it."""
     left = places.picture[0] + places.birdseye[0]
     per_metre = places.birdseye[1] / (AHEAD_M[1] - AHEAD_M[0])
     for ahead in (10, 20, 30):
@@ -404,19 +389,9 @@ def bar_boxes(places: Layout, n_lanes: int) -> list[tuple[int, int, int, int]]:
     Unassigned."""
     top, height = places.panel
     width = places.picture[0]
-    margin, gap = 12, 8
-    room = width - 2 * margin
-    slot = room / (n_lanes + 1)
-    upper, lower = top + 26, top + height - 42
-    return [
-        (
-            round(margin + k * slot + gap / 2),
-            upper,
-            round(margin + (k + 1) * slot - gap / 2),
-            lower,
-        )
-        for k in range(n_lanes + 1)
-    ]
+    edges = np.linspace(12, width - 12, n_lanes + 2)
+    sides = zip(np.rint(edges[:-1] + 4), np.rint(edges[1:] - 4), strict=True)
+    return [(int(left), top + 26, int(right), top + height - 42) for left, right in sides]
 
 
 def _bars(places: Layout, canvas: Image, scene: Scene) -> None:
@@ -427,9 +402,7 @@ def _bars(places: Layout, canvas: Image, scene: Scene) -> None:
         is_answer = scene.assigned == (k + 1 if k < n_lanes else UNASSIGNED)
         share = float(scene.belief[k]) if k < n_lanes else float(is_answer)
         height = round(share * (lower - upper))
-        colour = ASSIGNED if is_answer else OTHER
-        if k == n_lanes and is_answer:
-            colour = INK
+        colour = OTHER if not is_answer else ASSIGNED if k < n_lanes else INK
         if height:
             cv2.rectangle(canvas, (left, lower - height), (right, lower), colour, -1)
         cv2.rectangle(canvas, (left, upper), (right, lower), FRAME, 1)
@@ -458,7 +431,7 @@ def _legend(places: Layout, canvas: Image, scene: Scene) -> None:
         (f"frame {scene.frame_id}, {scene.time_s:.1f} s", None),
         (f"answer: {answer}", None),
         ("valid, continuous", (first, 3, False)),
-        ("valid, dashed or not told", (second, 3, True)),
+        ("valid, dashed or unknown", (second, 3, True)),
         ("not valid", (NOT_VALID, 1, False)),
     ]
     if has_slots:
@@ -526,15 +499,7 @@ def frame_writer(
         raise InputError(f"{target}: a video ends in .mp4; for PNG pictures name a folder")
     check_place(target)
 
-    is_made = False
-
-    def write_frame(frame_id: int, image: Image) -> None:
-        nonlocal is_made
-        # The folder is made with the first picture, so that a drive that cannot be drawn leaves no
-        # empty folder. It is made only once: if somebody removes it, writing fails.
-        if not is_made:
-            make_directory(target)
-            is_made = True
-        write_picture(target / f"frame_{frame_id:06d}.png", image)
-
-    yield write_frame
+    # The folder is made with the first picture: a drive that cannot be drawn leaves no empty one.
+    yield lambda frame_id, image: write_picture(
+        target / f"frame_{frame_id:06d}.png", image, make_folder=True
+    )

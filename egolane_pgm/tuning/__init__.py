@@ -1,7 +1,7 @@
 """Parameter search: Optuna studies over what graph and evidence rule declare.
 
 `plan` says what is tuned, `space` within which bounds, `objective` scores parameters, `sampler` is
-a sampler of our own, `search` runs a study, `storage` opens the one that is kept, `held_out` runs
+a sampler of our own, `search` runs a study, `storage` opens the one that is kept, `nested` runs
 the search anew without each part of the drive, `tuning` does it all.
 """
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import json
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -16,7 +16,7 @@ from egolane_pgm.plugins import OWN_FILES, source_files
 from egolane_pgm.tools.files import plain
 from egolane_pgm.tuning.objective import detector_of
 from egolane_pgm.tuning.plan import Problem
-from egolane_pgm.tuning.space import describe
+from egolane_pgm.tuning.space import SearchSpace, describe
 
 
 def identity_of(problem: Problem) -> dict[str, Any]:
@@ -35,6 +35,22 @@ def identity_of(problem: Problem) -> dict[str, Any]:
             ],
             "code": _code(drive),
         }
+    names = [drive.experiment.name for drive in problem.drives]
+    more: dict[str, Any] = {"recordings": recordings}
+    if problem.plan.fleet is not None:
+        more["frames_of_all_drives_alike"] = True
+    return search_identity(problem, dict(zip(names, problem.spaces, strict=True)), more)
+
+
+def search_identity(
+    problem: Any, spaces: Mapping[str, SearchSpace], more: Mapping[str, Any]
+) -> dict[str, Any]:
+    """Describe a search as JSON, as far as searches on recordings and on pictures are alike.
+
+    - problem: with its `plan`, `settings` and `space`.
+    - spaces: the search space of each thing that is searched on, by name.
+    - more: further keys.
+    """
     identity = {
         "name": problem.plan.name,
         "objective": list(problem.settings.objectives),
@@ -43,21 +59,16 @@ def identity_of(problem: Problem) -> dict[str, Any]:
         "from_scratch": problem.plan.tuning.from_scratch,
         "space": {
             "searched": describe(problem.space)["searched"],
-            "fixed": {
-                drive.experiment.name: describe(space)["fixed"]
-                for drive, space in zip(problem.drives, problem.spaces, strict=True)
-            },
+            "fixed": {name: describe(space)["fixed"] for name, space in spaces.items()},
         },
-        "recordings": recordings,
+        **more,
     }
-    if problem.plan.fleet is not None:
-        identity["frames_of_all_drives_alike"] = True
     return dict(json.loads(json.dumps(plain(identity))))
 
 
 def _code(drive: Drive) -> dict[str, str]:
-    """The checksums of the code of graph, evidence rule and detector, and of a reader that is a
-    file of one's own."""
+    """The checksums of the code of graph, evidence rule and detector, and of a reader
+    that is a file of its own."""
     experiment = drive.experiment
     files = {
         "graph": source_files(drive.model.graph),

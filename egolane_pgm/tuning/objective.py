@@ -169,12 +169,8 @@ def belief_score(drive: Drive, belief: FloatArray, is_used: BoolArray, name: str
     if name in ("log_loss", "brier", "expected_calibration_error"):
         rows, lane, crossing = belief[is_used], truth.lane[is_used], truth.is_crossing[is_used]
         if name == "log_loss":
-            value = probabilistic.log_loss(rows, lane)
-        elif name == "brier":
-            value = probabilistic.brier(rows, lane, crossing)
-        else:
-            value = probabilistic.expected_calibration_error(rows, lane, crossing)
-        return min(value, UNDEFINED)
+            return min(probabilistic.log_loss(rows, lane), UNDEFINED)
+        return min(float(getattr(probabilistic, name)(rows, lane, crossing)), UNDEFINED)
     assigned = assigned_lane(belief, drive.experiment.unassigned_below)
     if name == "false_switches_per_minute":
         false, counted = stability.false_switch_frames(assigned, truth.lane, truth.is_crossing)

@@ -7,7 +7,7 @@
       detector: mc
     tuning: {trials: 200, parameters: {detector.least_score: [0.05, 0.3]}}
 
-Labels are TuSimple's. A labelled picture that has others beside it which no label names is the end
+Labels are TuSimple's. A labelled picture whose folder has others that no label names is the end
 of a clip: the detector follows the clip and its valid lines are scored. Else it is a still, and
 every line that the detector gives is. What is held out are contiguous blocks of labelled pictures.
 """
@@ -15,7 +15,6 @@ every line that the detector gives is. What is held out are contiguous blocks of
 from __future__ import annotations
 
 import functools
-import json
 import pickle
 from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
@@ -33,28 +32,27 @@ from egolane_pgm.detectors.pictures import pictures_in
 from egolane_pgm.detectors.runner import Detector, check_pair, detect, find_detector, start
 from egolane_pgm.drive import file_entry
 from egolane_pgm.parameters import Value
-from egolane_pgm.report.study_trials import SCHEMA_VERSION, STUDY_FILE
-from egolane_pgm.results import provenance
+from egolane_pgm.report.study_trials import STUDY_FILE
 from egolane_pgm.scoring.bootstrap import Interval, bootstrap_interval
 from egolane_pgm.scoring.held_out import blocks
 from egolane_pgm.scoring.line_places import LINE_SCORES, line_counts
 from egolane_pgm.tools.files import in_home, make_directory, plain, write_json, write_yaml
 from egolane_pgm.tools.jobs import Jobs, in_order
-from egolane_pgm.tuning.held_out import Nested, settings_of_part
-from egolane_pgm.tuning.identity import code_of_detector
+from egolane_pgm.tuning.identity import code_of_detector, search_identity
+from egolane_pgm.tuning.nested import Nested, settings_of_part
 from egolane_pgm.tuning.objective import DETECTOR
 from egolane_pgm.tuning.plan import PicturePlan
 from egolane_pgm.tuning.search import (
-    Report,
+    Progress,
     Settings,
     best_trial,
+    counted,
     search,
     search_in_memory,
 )
 from egolane_pgm.tuning.space import (
     Point,
     SearchSpace,
-    describe,
     make_space,
     to_parameters,
     to_point,
@@ -67,6 +65,7 @@ from egolane_pgm.tuning.storage import (
 )
 from egolane_pgm.tuning.study_directory import (
     best_entry,
+    head_of,
     held_out_entry,
     read_nested,
     trials_columns,
@@ -282,25 +281,12 @@ def _starts(problem: PictureProblem) -> tuple[list[Point], list[str]]:
 
 def _identity(problem: PictureProblem) -> dict[str, Any]:
     """What makes two studies the same one, as `identity.identity_of`."""
-    plan = problem.plan
-    given = plan.pictures.model_dump(mode="json", exclude={"labels", "camera"})
-    identity = {
-        "name": plan.name,
-        "objective": list(problem.settings.objectives),
-        "sampler": problem.settings.sampler,
-        "seed": problem.settings.seed,
-        "from_scratch": plan.tuning.from_scratch,
-        "space": {
-            "searched": describe(problem.space)["searched"],
-            "fixed": {plan.name: describe(problem.space)["fixed"]},
-        },
-        "pictures": {
-            **given,
-            "data": [entry["sha256"][:16] for entry in _data(problem)],
-            "code": code_of_detector(problem.detector),
-        },
+    pictures = {
+        **problem.plan.pictures.model_dump(mode="json", exclude={"labels", "camera"}),
+        "data": [entry["sha256"][:16] for entry in _data(problem)],
+        "code": code_of_detector(problem.detector),
     }
-    return dict(json.loads(json.dumps(plain(identity))))
+    return search_identity(problem, {problem.plan.name: problem.space}, {"pictures": pictures})
 
 
 def _data(problem: PictureProblem) -> list[dict[str, Any]]:
@@ -314,7 +300,7 @@ def tune(
     made: PictureSearch,
     *,
     jobs: Jobs = 1,
-    progress: Callable[[str, int, float], None] | None = None,
+    progress: Progress | None = None,
 ) -> dict[str, Any]:
     """Do a search; return what is in its study.json, which it writes.
 
@@ -330,9 +316,8 @@ def tune(
         storage = open_storage(made.storage, made.directory)
         identity, starts = _identity(problem), _starts(problem)[0]
         study = open_study(storage, name, problem.settings, identity, starts)
-        search(
-            study, problem.space, _scorer(problem), problem.settings, report=_shown(progress, name)
-        )
+        report = counted(progress, problem.settings, name)
+        search(study, problem.space, _scorer(problem), problem.settings, report=report)
     made.trials = trials_columns(study, problem.settings.objectives)
     write_trials(made.directory, made.trials)
     best = best_trial(study)
@@ -345,17 +330,6 @@ def tune(
         if progress is not None:
             progress(f"{name} without block {found.part + 1}", found.trials, found.values[0])
     return _finished(made, study, dict(best.params), nested)
-
-
-def _shown(progress: Callable[[str, int, float], None] | None, label: str) -> Report | None:
-    best: list[float] = []
-
-    def report(score: float) -> None:
-        best[:] = [max([*best, score])]
-        if progress is not None:
-            progress(label, 1, best[0])
-
-    return report
 
 
 @functools.lru_cache(maxsize=8)
@@ -380,26 +354,16 @@ def _finished(
     problem = made.problem
     settings, plan = problem.settings, problem.plan
     values = _parameters(problem, point)
-    mine = counts_of(problem, point)
+    counts = counts_of(problem, point)
     content: dict[str, Any] = {
-        "schema_version": SCHEMA_VERSION,
-        "kind": "tuning",
-        **provenance(plan.name, _identity(problem), _data(problem)),
-        "description": plan.description,
+        **head_of(problem, _identity(problem), _data(problem)),
         "run": None,
-        "tuning": {
-            **plan.tuning.model_dump(mode="json"),
-            "objective": list(settings.objectives),
-            "sampler": settings.sampler,
-            "trials": settings.trials,
-        },
-        "space": _identity(problem)["space"],
         "scores": list(LINE_SCORES),
         "experiments": [
             {"parameters": {DETECTOR + k: v for k, v in problem.detector.parameters.items()}}
         ],
         "best": best_entry(study, settings.objectives, {plan.name: values}),
-        "in_sample": {"tuned_on": "same_frames", "all_frames": _assessed(mine)},
+        "in_sample": {"tuned_on": "same_frames", "all_frames": _assessed(counts)},
         "held_out": None,
         "difference": None,
         "test": None,
@@ -407,14 +371,14 @@ def _finished(
     }
     if nested:
         parts = blocks(len(problem.clips), plan.tuning.blocks)
-        theirs = np.concatenate(
+        counts_held_out = np.concatenate(
             [counts_of(problem, nested[b].point, part.tolist()) for b, part in enumerate(parts)]
         )
         content["held_out"] = {
             **held_out_entry([nested[b] for b in sorted(nested)], "blocks", [None] * len(nested)),
-            "all_frames": _assessed(theirs),
+            "all_frames": _assessed(counts_held_out),
         }
-        content["difference"] = {"all_frames": _assessed(mine, theirs)}
+        content["difference"] = {"all_frames": _assessed(counts, counts_held_out)}
     if made.test is not None:
         content["test"] = {
             "tuned_on": "other_frames",
@@ -433,18 +397,18 @@ def _finished(
     return content
 
 
-def _assessed(mine: IntArray, minus: IntArray | None = None) -> dict[str, Any]:
+def _assessed(counts: IntArray, minus: IntArray | None = None) -> dict[str, Any]:
     """The scores of counts (K, 4), or what they have more than others, with intervals where there
     are pictures enough."""
-    found: dict[str, Any] = {"frames_scored": len(mine), "intervals": {}}
+    found: dict[str, Any] = {"frames_scored": len(counts), "intervals": {}}
     for name, score in LINE_SCORES.items():
-        found[name] = float(score(mine.sum(axis=0)))
+        found[name] = float(score(counts.sum(axis=0)))
         if minus is not None:
             found[name] -= float(score(minus.sum(axis=0)))
         bounds = None
-        if len(mine) >= 2 * _ALIKE:
+        if len(counts) >= 2 * _ALIKE:
             other = None if minus is None else [minus]
-            interval: Interval = bootstrap_interval([mine], score, minus=other, block=_ALIKE)
+            interval: Interval = bootstrap_interval([counts], score, minus=other, block=_ALIKE)
             bounds = [interval.low, interval.high]
         found["intervals"][name] = bounds
     return found

@@ -134,7 +134,7 @@ class Fleet:
     - experiment: what is put on them, and written with what is found.
     - parts: the numbers of the drives that are held out together, in turn.
     - tags: of each drive, by name.
-    - drive_of: which drive each row is of, see `fleet.drives_of`.
+    - drive_of: the drive of each row, see `fleet.drives_of`.
     """
 
     experiment: Experiment
@@ -163,12 +163,9 @@ class Plan:
     @property
     def settings(self) -> Settings:
         """How the study is run, checked."""
-        where = f"{self.source}: tuning"
-        names = tuple(check_objective(n, f"{where}.objective") for n in self.tuning.objective)
-        if len(set(names)) < len(names):
-            raise InputError(f"{where}.objective: a score is named twice")
-        sampler = check_sampler(self.tuning.sampler, names, f"{where}.sampler")
-        return Settings(names, sampler, self.tuning.trials or TRIALS, self.tuning.seed)
+        where = f"{self.source}: tuning.objective"
+        names = tuple(check_objective(name, where) for name in self.tuning.objective)
+        return _settings(self.tuning, names, TRIALS, self.source)
 
     @property
     def run(self) -> int | None:
@@ -193,17 +190,20 @@ class PicturePlan:
     @property
     def settings(self) -> Settings:
         """How the study is run, checked."""
-        where = f"{self.source}: tuning"
         given = self.tuning.objective
         names = ("line_f1",) if given == Tuning().objective else given
         for name in names:
             if name not in LINE_SCORES:
-                raise InputError(f"{where}.objective: {not_one_of(name, list(LINE_SCORES))}")
-        if len(set(names)) < len(names):
-            raise InputError(f"{where}.objective: a score is named twice")
-        sampler = check_sampler(self.tuning.sampler, names, f"{where}.sampler")
-        trials = self.tuning.trials or PICTURE_TRIALS
-        return Settings(names, sampler, trials, self.tuning.seed)
+                known = not_one_of(name, list(LINE_SCORES))
+                raise InputError(f"{self.source}: tuning.objective: {known}")
+        return _settings(self.tuning, names, PICTURE_TRIALS, self.source)
+
+
+def _settings(tuning: Tuning, names: tuple[str, ...], trials: int, source: str) -> Settings:
+    if len(set(names)) < len(names):
+        raise InputError(f"{source}: tuning.objective: a score is named twice")
+    sampler = check_sampler(tuning.sampler, names, f"{source}: tuning.sampler")
+    return Settings(names, sampler, tuning.trials or trials, tuning.seed)
 
 
 @dataclass(frozen=True)
@@ -325,15 +325,13 @@ def make_problem(plan: Plan) -> Problem:
 def problem_of(plan: Plan, drives: Sequence[Drive]) -> Problem:
     """The search space of recordings that were read. Raises InputError as `make_problem` does."""
     spaces = tuple(_space(plan, drive.experiment, drive.model) for drive in drives)
-    for drive, space in zip(drives, spaces, strict=True):
-        if space.dimensions != spaces[0].dimensions:
-            raise _unlike(drive.experiment, drives[0].experiment)
+    _check_alike([drive.experiment for drive in drives], spaces)
     return Problem(plan, plan.settings, tuple(drives), spaces)
 
 
 def check_plan(plan: Plan) -> int:
     """Check a plan without reading a recording, and return how many numbers it searches. Raises
-    InputError as `make_problem` does, for all that can be told so."""
+    InputError as `make_problem` does, for all that shows so early."""
     spaces = []
     with all_problems() as part:
         with part():
@@ -342,9 +340,7 @@ def check_plan(plan: Plan) -> int:
             with part():
                 check_filter(experiment)
                 spaces.append(_space(plan, experiment, prepare_model(experiment)))
-    for experiment, space in zip(plan.experiments, spaces, strict=True):
-        if space.dimensions != spaces[0].dimensions:
-            raise _unlike(experiment, plan.experiments[0])
+    _check_alike(plan.experiments, spaces)
     return len(spaces[0])
 
 
@@ -363,11 +359,13 @@ def check_tuning(experiment: Experiment, model: Model) -> None:
                 _space(plan, experiment, model)
 
 
-def _unlike(experiment: Experiment, first: Experiment) -> InputError:
-    return InputError(
-        f"{experiment.source}: has other lanes than {first.source}: a parameter with one value per"
-        " lane cannot be shared; fix it, or tune them apart"
-    )
+def _check_alike(experiments: Sequence[Experiment], spaces: Sequence[SearchSpace]) -> None:
+    for experiment, space in zip(experiments, spaces, strict=True):
+        if space.dimensions != spaces[0].dimensions:
+            raise InputError(
+                f"{experiment.source}: has other lanes than {experiments[0].source}: a parameter"
+                " with one value per lane cannot be shared; fix it, or tune them apart"
+            )
 
 
 def _space(plan: Plan, experiment: Experiment, model: Model) -> SearchSpace:

@@ -13,17 +13,15 @@ from egolane_pgm.report import shown, study_tables
 from egolane_pgm.report.fleet_table import fleet_table_rows
 from egolane_pgm.report.study_trials import (
     STUDY_FILE,
-    TRIALS_FILE,
     Trials,
     is_study,
     quiet,
-    read_document,
-    read_trials,
+    read_study_files,
     trials_of,
 )
 from egolane_pgm.report.tables import Table, page
 from egolane_pgm.results import SCHEMA_VERSION, staged
-from egolane_pgm.tools.files import read_parquet, read_yaml, without_version, write_json, write_yaml
+from egolane_pgm.tools.files import read_yaml, without_version, write_json, write_yaml
 from egolane_pgm.tuning.study_directory import write_trials
 from egolane_pgm.types import InputError, not_one_of
 
@@ -227,9 +225,9 @@ class Study:
 
 def read_study(directory: Path) -> Study:
     """Read the directory of a study. Raises InputError where it is damaged."""
-    read_trials(directory)
+    content, table = read_study_files(directory)
+    trials_of(content, table, str(directory))
     experiments = {
         file.name: read_yaml(file, "name: tuned") for file in sorted(directory.glob("best*.yaml"))
     }
-    table = read_parquet(directory / TRIALS_FILE).to_pydict()
-    return Study((One(read_document(directory), table, experiments),))
+    return Study((One(content, table, experiments),))

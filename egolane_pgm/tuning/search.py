@@ -30,6 +30,10 @@ Score = Callable[[Point], Sequence[float]]
 #: Called after each trial of this process with its first score.
 Report = Callable[[float], None]
 
+#: Called now and then with the name of a study, the number of trials that it finished since, and
+#: its best score so far.
+Progress = Callable[[str, int, float], None]
+
 
 @dataclass(frozen=True)
 class Settings:
@@ -50,6 +54,20 @@ class Settings:
     def directions(self) -> list[Any]:
         """Optuna's direction of each objective."""
         return ["maximize" if is_maximised(name) else "minimize" for name in self.objectives]
+
+
+def counted(progress: Progress | None, settings: Settings, label: str) -> Report | None:
+    """A study's report of each trial's score, as progress with the best score so far."""
+    if progress is None:
+        return None
+    better = max if settings.directions[0] == "maximize" else min
+    best: list[float] = []
+
+    def report(score: float) -> None:
+        best[:] = [better([*best, score])]
+        progress(label, 1, best[0])
+
+    return report
 
 
 def check_sampler(name: str | None, objectives: Sequence[str], where: str) -> str:

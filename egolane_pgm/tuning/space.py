@@ -120,7 +120,9 @@ def _dimensions(
     whole = _is_whole(spec)
     if whole and (low != int(low) or high != int(high)):
         raise InputError(f"{where}: [{low}, {high}] must be whole numbers")
-    is_log = not is_given and _is_log(spec) and low > 0
+    # The bounds are a tenth of the default and ten times that.
+    is_tenfold = spec.search == "auto" and spec.kind in ("positive", "non_negative")
+    is_log = not is_given and is_tenfold and low > 0
     # Where the graph itself has it searched, each lane's value is.
     lanes = range(1, n_lanes + 1) if spec.per_lane and spec.is_searched else (None,)
     keys = {lane: spec.name if lane is None else f"{spec.name}[{lane}]" for lane in lanes}
@@ -135,11 +137,6 @@ def _is_whole(spec: Parameter) -> bool:
     declared = (0.5,) if spec.search in ("auto", None) else spec.search_range or ()
     numbers = [spec.default, *declared]
     return spec.kind == "integer" or all(isinstance(v, int) for v in numbers)
-
-
-def _is_log(spec: Parameter) -> bool:
-    """Whether the bounds are a tenth of the default and ten times that."""
-    return spec.search == "auto" and spec.kind in ("positive", "non_negative")
 
 
 def _choice(spec: Parameter, names: Sequence[Any], n_lanes: int, where: str) -> Dimension:

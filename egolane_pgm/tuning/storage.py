@@ -1,4 +1,4 @@
-"""Where a study is kept: Optuna's journal beside the results, or any other storage of Optuna's.
+"""Where a study is kept: Optuna's journal next to the results, or any other storage of Optuna's.
 
 Optuna's own commands, its dashboard and `optuna.load_study` read all of them.
 """
@@ -32,7 +32,7 @@ from egolane_pgm.types import InputError
 
 JOURNAL_NAME = "study.journal"
 
-#: A worker on a database says so often that it is alive, and is taken for dead after so long.
+#: Seconds between signs of life of a worker on a database, and until it is taken for dead.
 HEARTBEAT_S, GRACE_S = 15, 60
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import functools
 import pickle
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
@@ -17,17 +17,17 @@ from egolane_pgm.report.study_trials import STUDY_FILE
 from egolane_pgm.tools.files import make_directory, write_json, write_yaml
 from egolane_pgm.tools.jobs import Jobs, in_order
 from egolane_pgm.tuning import study_directory as files
-from egolane_pgm.tuning.held_out import (
+from egolane_pgm.tuning.identity import identity_of
+from egolane_pgm.tuning.nested import (
     Nested,
     assess,
     beliefs_at,
+    beliefs_held_out,
     blocks_lacking_lanes,
     difference,
     run_nested,
     settings_without,
-    stitched,
 )
-from egolane_pgm.tuning.identity import identity_of
 from egolane_pgm.tuning.objective import all_used, notes_of_silent
 from egolane_pgm.tuning.plan import (
     Plan,
@@ -38,7 +38,7 @@ from egolane_pgm.tuning.plan import (
     starting_points,
     with_options,
 )
-from egolane_pgm.tuning.search import Report, best_trial, search
+from egolane_pgm.tuning.search import Progress, Report, best_trial, counted, search
 from egolane_pgm.tuning.space import SearchSpace
 from egolane_pgm.tuning.storage import (
     check_place,
@@ -46,11 +46,7 @@ from egolane_pgm.tuning.storage import (
     open_study,
     storage_errors,
 )
-from egolane_pgm.types import InputError
-
-#: Called now and then with the name of a study, the number of trials that it finished since, and
-#: its best score so far.
-Progress = Callable[[str, int, float], None]
+from egolane_pgm.types import BoolArray, InputError
 
 #: What a process is given to do: the number of a search, its plan, directory, held_out and storage,
 #: the part that is left out (None for the study on all frames), and which of its workers this is.
@@ -215,7 +211,7 @@ def tune(
     - jobs: processes that share the studies, those without a part included; or a cluster.
     - workers: processes that share the trials of each study on all frames, and the studies without
       a part: those of the cluster, or else as many of this machine.
-    - progress: is told of trials as they are done; of other processes', when their study is.
+    - progress: is called as trials are done; for other processes, when their study is.
 
     Studies without a part that an earlier command finished are not run again.
     """
@@ -232,11 +228,12 @@ def tune(
         return
     for made in searches:
         name = made.problem.plan.name
-        seconds = _search_all(made, report=_counted(progress, made, name))
+        seconds = _search_all(made, report=counted(progress, made.problem.settings, name))
         finish_main(made, seconds)
         for part in range(made.n_parts):
             if part not in made.nested:
-                report = _counted(progress, made, f"{name} without {_what(made)} {part + 1}")
+                label = f"{name} without {_what(made)} {part + 1}"
+                report = counted(progress, made.problem.settings, label)
                 _keep(made, _search_without(made, part, report=report))
         yield finish(made)
 
@@ -244,20 +241,6 @@ def tune(
 def _keep(made: Search, nested: Nested) -> None:
     made.nested[nested.part] = nested
     files.write_nested(made.directory, made.key, made.nested)
-
-
-def _counted(progress: Progress | None, made: Search, label: str) -> Report | None:
-    """A study's report of each trial's score, as progress with the best score so far."""
-    if progress is None:
-        return None
-    better = max if made.problem.settings.directions[0] == "maximize" else min
-    best: list[float] = []
-
-    def report(score: float) -> None:
-        best[:] = [better([*best, score])]
-        progress(label, 1, best[0])
-
-    return report
 
 
 def _in_processes(
@@ -309,20 +292,16 @@ def finish_main(made: Search, seconds: float) -> None:
 def finish(made: Search) -> dict[str, Any]:
     """Score a search in-sample and held out, write its study.json and return what is in that."""
     problem, drives = made.problem, made.problem.drives
-    everything, fleet = all_used(drives), problem.plan.fleet
+    fleet, subsets = problem.plan.fleet, _subsets(problem)
     drive_of = None if fleet is None else fleet.drive_of
     scores = partial(assess, drives, drive_of=drive_of)
-    trusted = [d.may_fit for d in drives]
-    subsets = {"all_frames": everything}
-    if not all(keep.all() for keep in trusted):
-        subsets["without_never_fit"] = trusted
-    mine = beliefs_at(problem, made.best["point"])
+    in_sample = beliefs_at(problem, made.best["point"])
     content = {
         **files.provenance_of(problem),
         "best": made.best,
         "in_sample": {
             "tuned_on": "same_frames",
-            **{key: scores(mine, keep) for key, keep in subsets.items()},
+            **{key: scores(in_sample, keep) for key, keep in subsets.items()},
         },
         "held_out": None,
         "difference": None,
@@ -332,14 +311,14 @@ def finish(made: Search) -> dict[str, Any]:
     if made.held_out != "none":
         by_recording = made.by_recording
         nested = [made.nested[b] for b in range(made.n_parts)]
-        theirs = stitched(problem, nested, by_recording)
+        held_out = beliefs_held_out(problem, nested, by_recording)
         left_out = [_names(problem, n.part) if by_recording else None for n in nested]
         content["held_out"] = {
             **files.held_out_entry(nested, made.held_out, left_out),
-            **{key: scores(theirs, keep) for key, keep in subsets.items()},
+            **{key: scores(held_out, keep) for key, keep in subsets.items()},
         }
         content["difference"] = {
-            key: difference(drives, mine, theirs, keep, drive_of=drive_of)
+            key: difference(drives, in_sample, held_out, keep, drive_of=drive_of)
             for key, keep in subsets.items()
         }
     if made.test is not None:
@@ -355,15 +334,18 @@ def _names(problem: Problem, part: int) -> str:
 def _tested(test: Problem, point: dict[str, Any]) -> dict[str, Any]:
     """Scores on recordings that had no part in the search."""
     beliefs = beliefs_at(test, point)
-    keep = {"all_frames": all_used(test.drives)}
-    trusted = [d.may_fit for d in test.drives]
-    if not all(kept.all() for kept in trusted):
-        keep["without_never_fit"] = trusted
-    return {
-        "tuned_on": "other_frames",
-        "name": test.plan.name,
-        **{key: assess(test.drives, beliefs, kept) for key, kept in keep.items()},
-    }
+    scores = {key: assess(test.drives, beliefs, kept) for key, kept in _subsets(test).items()}
+    return {"tuned_on": "other_frames", "name": test.plan.name, **scores}
+
+
+def _subsets(problem: Problem) -> dict[str, list[BoolArray]]:
+    """The frames that are scored, per drive: all, and, where some labels are not trusted, the
+    others."""
+    trusted = [drive.may_fit for drive in problem.drives]
+    everything = {"all_frames": all_used(problem.drives)}
+    if all(keep.all() for keep in trusted):
+        return everything
+    return {**everything, "without_never_fit": trusted}
 
 
 def n_trials(searches: Sequence[Any]) -> int:

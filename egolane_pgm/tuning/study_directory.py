@@ -28,8 +28,8 @@ from egolane_pgm.recordings.source import files_in_full
 from egolane_pgm.report.study_trials import SCHEMA_VERSION, TRIALS_FILE
 from egolane_pgm.results import provenance
 from egolane_pgm.tools.files import atomic, plain, write_json, write_parquet
-from egolane_pgm.tuning.held_out import Nested
 from egolane_pgm.tuning.identity import identity_of
+from egolane_pgm.tuning.nested import Nested
 from egolane_pgm.tuning.objective import split, with_detector
 from egolane_pgm.tuning.plan import Problem, parameters_at
 from egolane_pgm.tuning.search import best_trial, n_complete, pareto
@@ -46,20 +46,34 @@ def provenance_of(problem: Problem) -> dict[str, Any]:
         for entry in data_entries(drive.experiment, drive.recorded.files)
     ]
     return {
+        **head_of(problem, identity, data),
+        "run": problem.plan.run,
+        "fleet": _fleet(problem),
+        "experiments": [resolved(d.experiment, d.model.parameters) for d in problem.drives],
+    }
+
+
+def head_of(
+    problem: Any, identity: Mapping[str, Any], data: Sequence[Mapping[str, Any]]
+) -> dict[str, Any]:
+    """The first keys of study.json, the same for recordings and pictures.
+
+    - problem: with its `plan` and `settings`. identity: as `search_identity`.
+    - data: a `file_entry` for each file.
+    """
+    settings = problem.settings
+    return {
         "schema_version": SCHEMA_VERSION,
         "kind": "tuning",
         **provenance(problem.plan.name, identity, data),
         "description": problem.plan.description,
-        "run": problem.plan.run,
         "tuning": {
             **problem.plan.tuning.model_dump(mode="json"),
-            "objective": list(problem.settings.objectives),
-            "sampler": problem.settings.sampler,
-            "trials": problem.settings.trials,
+            "objective": list(settings.objectives),
+            "sampler": settings.sampler,
+            "trials": settings.trials,
         },
-        "fleet": _fleet(problem),
         "space": identity["space"],
-        "experiments": [resolved(d.experiment, d.model.parameters) for d in problem.drives],
     }
 
 

@@ -14,7 +14,7 @@ from egolane_pgm.drive import beliefs_of
 from egolane_pgm.experiment import Experiment
 from egolane_pgm.learning import with_found
 from egolane_pgm.scoring.held_out import blocks
-from egolane_pgm.tuning import held_out as module
+from egolane_pgm.tuning import nested as module
 from tests.conftest import needs_compiler
 from tests.kits.drives import geometry, simulated
 

@@ -20,7 +20,7 @@ from egolane_pgm.fleet import FleetDrive, drives_of
 from egolane_pgm.inference.compile import Compiled
 from egolane_pgm.inference.expected_counts import FREE
 from egolane_pgm.learning import fit, fit_pooled, with_found
-from egolane_pgm.learning.em import Seen, fit_tables, fit_tables_pooled
+from egolane_pgm.learning.em import Training, fit_tables, fit_tables_pooled
 from egolane_pgm.learning.fleet import learn_fleet
 from egolane_pgm.learning.held_out import scores_of
 from egolane_pgm.recordings.table import write_table
@@ -32,7 +32,7 @@ from tests.kits.drives import done, refused, short_drive, simulated, write_drive
 pytestmark = pytest.mark.filterwarnings("ignore:.*no frame to learn from has lane:UserWarning")
 
 
-def some_recordings(seed: int) -> tuple[Compiled, list[Seen]]:
+def some_recordings(seed: int) -> tuple[Compiled, list[Training]]:
     """A random network, and what is seen of it in three recordings, some of it known."""
     rng = np.random.default_rng(seed)
     drawn = draw_graph(rng)
@@ -43,14 +43,14 @@ def some_recordings(seed: int) -> tuple[Compiled, list[Seen]]:
         value = rng.integers(compiled.cardinality[node], size=n)
         known = {node: np.where(rng.random(n) < 0.7, FREE, value)}
         evidence = draw_evidence(compiled, n, rng, zeros=0.1)
-        found.append(Seen(evidence, known, rng.random(n) < 0.1))
+        found.append(Training(evidence, known, rng.random(n) < 0.1))
     return compiled, found
 
 
-def behind_each_other(seen: list[Seen]) -> Seen:
+def behind_each_other(seen: list[Training]) -> Training:
     begins = [np.concatenate([[True], each.is_first[1:]]) for each in seen]  # type: ignore[index]
     (node,) = seen[0].known
-    return Seen(
+    return Training(
         Evidence.joined([each.evidence for each in seen]),
         {node: np.concatenate([each.known[node] for each in seen])},
         np.concatenate(begins),

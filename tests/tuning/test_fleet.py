@@ -14,7 +14,7 @@ from egolane_pgm.drive import Drive, belief_of
 from egolane_pgm.scoring.assign import assigned_lane
 from egolane_pgm.scoring.confusion import accuracy, confusion, macro_f1
 from egolane_pgm.scoring.probabilistic import brier, log_loss
-from egolane_pgm.tuning.held_out import assess, beliefs_at, difference, without_part
+from egolane_pgm.tuning.nested import assess, beliefs_at, difference, without_part
 from egolane_pgm.tuning.objective import all_used, scores_of
 from egolane_pgm.tuning.plan import Problem, load_plan, make_problem, with_options
 from egolane_pgm.types import InputError

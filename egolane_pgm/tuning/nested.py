@@ -103,7 +103,7 @@ def nested_search(
     report: Report | None = None,
 ) -> Nested:
     """Run a study from scratch: values that were tuned on the frames held out, such as the
-    published ones, would tell it about them.
+    published ones, would give their labels away.
 
     - problem: without the labels of the part that is held out.
     - used: per drive (K,), marks the frames that are scored.
@@ -138,7 +138,9 @@ def beliefs_at(problem: Problem, point: Point) -> list[FloatArray]:
     return [tried_belief(d, p) for d, p in zip(problem.drives, sets, strict=True)]
 
 
-def stitched(problem: Problem, nested: Sequence[Nested], by_recording: bool) -> list[FloatArray]:
+def beliefs_held_out(
+    problem: Problem, nested: Sequence[Nested], by_recording: bool
+) -> list[FloatArray]:
     """Per drive the belief (K, n), each part of it with the parameters found without it."""
     if by_recording:
         at = {k: result.point for result in nested for k in problem.parts[result.part]}
@@ -162,8 +164,8 @@ def assess(
 ) -> dict[str, Any]:
     """Scores with intervals over the kept frames, per recording and their plain mean.
 
-    drive_of: which drive each is of, where they are a fleet: then it is the score of all their
-        frames instead, with an interval over drives.
+    drive_of: for a fleet, the drive of each row: then it is the score of all their frames
+        instead, with an interval over drives.
     """
     each = []
     for drive, belief, kept in zip(drives, beliefs, keep, strict=True):

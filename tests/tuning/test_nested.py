@@ -19,14 +19,14 @@ from egolane_pgm.scoring.bootstrap import (
 from egolane_pgm.scoring.confusion import accuracy, confusion
 from egolane_pgm.scoring.held_out import blocks
 from egolane_pgm.tuning import study as studies
-from egolane_pgm.tuning.held_out import (
+from egolane_pgm.tuning.nested import (
     assess,
     beliefs_at,
+    beliefs_held_out,
     blocks_lacking_lanes,
     difference,
     run_nested,
     settings_without,
-    stitched,
     without_part,
 )
 from egolane_pgm.tuning.objective import all_used
@@ -83,7 +83,7 @@ def test_known_values_are_not_told_to_a_nested_study() -> None:
 def test_the_stitched_belief_is_each_blocks_own() -> None:
     found = problem(trials=40)
     nested = [run_nested(found, b, False) for b in range(BLOCKS)]
-    belief = stitched(found, nested, False)[0]
+    belief = beliefs_held_out(found, nested, False)[0]
     for result, inside in zip(nested, blocks(len(belief), BLOCKS), strict=True):
         alone = beliefs_at(found, result.point)[0]
         np.testing.assert_array_equal(belief[inside], alone[inside])
@@ -282,7 +282,7 @@ def test_a_whole_recording_is_held_out_without_being_seen() -> None:
     seen = beliefs_at(found, nested[1].point)[0]
     alone = assess(found.drives[:1], [seen], all_used(found.drives[:1]))
     assert nested[1].values == pytest.approx((alone["accuracy"],))
-    beliefs = stitched(found, nested, True)
+    beliefs = beliefs_held_out(found, nested, True)
     np.testing.assert_array_equal(beliefs[0], beliefs_at(found, nested[0].point)[0])
     np.testing.assert_array_equal(beliefs[1], beliefs_at(found, nested[1].point)[1])
 
