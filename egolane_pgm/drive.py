@@ -310,8 +310,8 @@ def with_recording(
         is_said = n_lanes is not None or "n_lanes" in overridden({}, overrides)
         if experiment.recording.simulate is not None and not is_said:
             raise InputError(
-                f"{experiment.source}: n_lanes: {experiment.n_lanes or 'map'} is that of its"
-                " simulated drive; say how many lanes the other recording's road has (n_lanes)"
+                "n_lanes: is missing: say how many lanes the road of this recording has (the"
+                f" {experiment.n_lanes or 'map'} of {experiment.source} is its simulated drive's)"
             )
         kept = _KEPT | source_of(experiment).kept_for(recording, detector)
         path = recording if recording == IN_MEMORY else str(Path(recording).absolute())

@@ -115,6 +115,11 @@ class Labels:
       line's other side.
     - story (T,): the lane on the most probable path of the joint state.
     - below: frames with less confidence are reviewed.
+
+    >>> import egolane_pgm as ego
+    >>> labels = ego.label(experiment="zero_label", overrides={"recording.frames": [0, 300]})
+    >>> labels.to_pandas()[["lane", "is_reviewed"]].iloc[100].to_list()
+    [3, False]
     """
 
     run: Result

@@ -36,6 +36,10 @@ class Parameter:
     - lowest, highest: the smallest and the largest number, both allowed; none is above LARGEST
     - shape: for a parameter that is a table, its shape for n lanes. The numbers may be given as
       nested lists or as one row; the value is one row, the last axis fastest.
+
+    >>> import egolane_pgm as ego
+    >>> ego.Parameter("p1", "probability", 0.9, "how often a working sensor stays so").search_range
+    (1e-06, 0.999999)
     """
 
     name: str

@@ -69,10 +69,13 @@ class Found:
 
     - shape: (M, 4) as in FrameLines
     - score: (M,) of the splines
+    - from_m, to_m: (M,) where the splines begin and end, metres ahead
     """
 
     shape: FloatArray
     score: FloatArray
+    from_m: FloatArray
+    to_m: FloatArray
 
 
 def line_finder(camera: Camera, parameters: Parameters) -> Callable[[Image], Found]:
@@ -90,16 +93,17 @@ def line_finder(camera: Camera, parameters: Parameters) -> Callable[[Image], Fou
         splines = find_splines(ridges(view, look(view, red), parameters))
         n = int(number(parameters, "lines"))
         grey = red.astype(np.float64)
-        shape = []
+        shape, ends = [], []
         for point in points_on(splines.control[:n], number(parameters, "ransac_spline_step")):
             x = view.x_m[0] - point[:, 1] * view.along_m
             y = view.y_m[0] + point[:, 0] * view.across_m
             seen = np.stack(road_to_image(small, x, y), axis=1)
             x, y = image_to_road(small, *refined(grey, small, seen, parameters).T)
             shape.append(shape_of(x, y))
-        shapes = np.array(shape).reshape(-1, 4)
+            ends.append((x.min(), x.max()))
+        shapes, end = np.array(shape).reshape(-1, 4), np.array(ends).reshape(-1, 2)
         order = np.argsort(shapes[:, 0], kind="stable")
-        return Found(shapes[order], splines.score[:n][order])
+        return Found(shapes[order], splines.score[:n][order], *end[order].T)
 
     return find
 

@@ -4,6 +4,10 @@ Tables are written as in the paper: the parents' values select the row, the colu
 own values. The array of a table therefore has one axis per parent, in the order in which the
 parents are listed, and the node's own axis last. A node of one slice is the pair (name, slice):
 slice 0 is time t, slice 1 is time t + 1.
+
+>>> import egolane_pgm as ego
+>>> ego.cpds.uniform(4)
+array([0.25, 0.25, 0.25, 0.25])
 """
 
 from __future__ import annotations

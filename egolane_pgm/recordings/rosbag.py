@@ -111,7 +111,7 @@ def read_rosbag(
     cells = array("d")
     with open_bag(path) as bag:
         needed = needed if id_of is None else [id_of, *needed]
-        chosen, fields = topic_of(bag, path, topic, needed, "a message of lines")
+        chosen, fields = topic_of(bag, path, str(topic), needed, "a message of lines")
         is_valid = "isValid" if "lines.isValid" in fields else "is_valid"
         of_line = attrgetter(is_valid, "continuous", "counter", "offset")
         for message, ns in messages_of(bag, path, chosen):

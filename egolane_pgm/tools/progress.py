@@ -7,11 +7,17 @@ import warnings
 from collections.abc import Iterable
 from typing import Any
 
+if "IPython" in sys.modules:
+    with warnings.catch_warnings():
+        # Without ipywidgets tqdm asks for them when it is imported first, by Optuna if not here.
+        warnings.simplefilter("ignore")
+        import tqdm.auto  # noqa: F401
+
 
 def bar(items: Iterable[Any] | None = None, progress: bool | None = None, **settings: Any) -> Any:
     """A bar of tqdm.
 
-    - items: counted while they are taken; without them call `update`.
+    - items: that it counts while they are taken; without them it counts by `update`.
     - progress: whether it is shown; None for in a terminal, and in a notebook.
     - settings: of tqdm.
     """
@@ -19,11 +25,14 @@ def bar(items: Iterable[Any] | None = None, progress: bool | None = None, **sett
 
     kind: Any = tqdm
     shown = {"disable": None if progress is None else not progress}
-    if "ipykernel" in sys.modules:
-        with warnings.catch_warnings():
-            # Without ipywidgets it is a bar of plain text, and tqdm asks for them.
-            warnings.simplefilter("ignore")
-            from tqdm.auto import tqdm as kind
+    if _is_notebook():
+        from tqdm.auto import tqdm as kind
+
         # None would hide it, as everywhere but in a terminal.
         shown = {} if progress is None else shown
     return kind(items, leave=False, **shown, **settings)
+
+
+def _is_notebook() -> bool:
+    shell = sys.modules["IPython"].get_ipython() if "IPython" in sys.modules else None
+    return hasattr(shell, "kernel")

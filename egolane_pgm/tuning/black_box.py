@@ -27,6 +27,11 @@ class Objective:
 
     - problem: the recording, the model and the search space.
     - start: the experiment's own values of what is searched; they may lie out of bounds.
+
+    >>> import egolane_pgm as ego
+    >>> accuracy = ego.objective("quickstart", overrides={"recording.frames": [0, 300]})
+    >>> round(accuracy({"sigma1": 0.3}), 3)
+    0.877
     """
 
     problem: Problem
@@ -97,9 +102,8 @@ def objective(
 
     >>> import optuna
     >>> import egolane_pgm as ego
-    >>> from egolane_pgm.tuning.black_box import objective
-    >>> place = ego.experiments_folder() / "quickstart.yaml"
-    >>> fitted, held_out = (objective(place, frames=f) for f in ((0, 800), (800, None)))
+    >>> halves = (0, 800), (800, None)
+    >>> fitted, held_out = (ego.objective("quickstart", frames=half) for half in halves)
     >>> fitted.space["sigma1"]
     [3e-06, 3.0]
     >>> study = optuna.create_study(direction=fitted.direction)

@@ -87,7 +87,7 @@ def test_too_few_chessboards_are_refused(boards):
 
 
 def test_a_board_with_other_corners_than_said_is_named(boards):
-    with pytest.raises(InputError, match=r"[01] of 6 .*8x6.*--board"):
+    with pytest.raises(InputError, match=r"[01] of 6 .*8x6.*board says its corners"):
         calibrate_lens(sorted(boards.iterdir())[:6], columns=8)
 
 

@@ -183,10 +183,9 @@ def test_a_wrong_parameter_is_said_with_the_option_that_gave_it(
         tmp_path / "l.csv",
     ]
     said = refused(*words, "--set", "around_m=1e9")
-    assert said == "--set detector_parameters.around_m: 1000000000.0 must be at most 100"
+    assert said == "parameters.around_m: 1000000000.0 must be at most 100"
     assert (
-        refused(*words, "--set", "around_m=2000")
-        == "--set detector_parameters.around_m: 2000 must be at most 100"
+        refused(*words, "--set", "around_m=2000") == "parameters.around_m: 2000 must be at most 100"
     )
 
 

@@ -114,7 +114,7 @@ def test_an_experiment_with_levels_runs_and_one_with_the_wrong_rule_is_refused(t
     said = refused(
         "run", path, "--no-figures", "--out", tmp_path / "o", "--set", "evidence=counting"
     )
-    assert "evidence for WOR: shape (2, 2), the graph needs (2, 4)" in said
+    assert "evidence for WOR: shape (60, 2), the graph needs (60, 4)" in said
 
 
 @pytest.mark.parametrize("n_lanes", [1, 2, 3, 4, 5])

@@ -129,7 +129,7 @@ def test_links_that_lead_nowhere_are_refused_before_anything_is_computed(tmp_pat
     assert "no file" in refused("run", path, "--set", f"evidence={tmp_path / 'own.py'}")
     write_place(tmp_path, 3)
     words = ["video", tmp_path / "drive.avi", "--camera", tmp_path / "cam.yaml", "--n-lanes", 2]
-    assert f"{loop}: cannot be created" in refused(*words, "-o", loop)
+    assert str(loop) in refused(*words, "-o", loop)
 
 
 def test_a_defect_of_the_package_stays_a_traceback(

@@ -102,7 +102,7 @@ def test_between_two_looks_lines_are_predicted(top_hat: Path, tmp_path: Path) ->
 def test_a_network_without_lines_is_no_detector(tmp_path: Path) -> None:
     path = write_answer(tmp_path, np.ones((1, 1, 4, 8)), layout="drivable", classes=1)
     detector = find_detector("network", {"network": str(path)}, Path.cwd(), "detector")
-    with pytest.raises(InputError, match="layout drivable has no lines; name it as on_road of"):
+    with pytest.raises(InputError, match="layout drivable has no lines; name it as on_road,"):
         start(detector, CAMERA)
 
 
@@ -304,7 +304,7 @@ def test_a_network_of_the_command_line_is_found_from_where_one_stands(
         seen / "nets" / "top_hat.yaml"
     )
     assert refused(*words, "--detector", "network") == (
-        "--set detector_parameters.network: is missing; it names the YAML file of a network, e.g."
+        "parameters.network: is missing; it names the YAML file of a network, e.g."
         " network=lanes.yaml (docs/networks.md shows how to write one)"
     )
     assert "absent.yaml: no such file" in refused(
