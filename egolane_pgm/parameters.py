@@ -39,7 +39,7 @@ class Parameter:
 
     >>> import egolane_pgm as ego
     >>> ego.Parameter("p1", "probability", 0.9, "how often a working sensor stays so").search_range
-    (1e-06, 0.999999)
+    (0.0, 1.0)
     """
 
     name: str

@@ -30,7 +30,7 @@ class Objective:
 
     >>> import egolane_pgm as ego
     >>> accuracy = ego.objective("quickstart", overrides={"recording.frames": [0, 300]})
-    >>> round(accuracy({"sigma1": 0.3}), 3)
+    >>> round(accuracy({"sigma1": 0.35}), 3)
     0.877
     """
 

@@ -145,7 +145,7 @@ def test_a_mirror_that_sends_a_wrong_checksum_is_refused_and_a_good_file_kept(
         DataFile(hashlib.sha256(good).hexdigest(), len(good), name)
         for name in ("one.bag", "two.bag")
     )
-    monkeypatch.setattr(catalog, "_FILES", files)
+    monkeypatch.setattr(catalog, "list_files", lambda: files)
     folder = tmp_path / "data"
     (folder / "rle").mkdir(parents=True)
     (folder / "rle" / "two.bag").write_bytes(good)
