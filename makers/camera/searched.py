@@ -92,7 +92,7 @@ def _searched(folder: Path, detector: str, stills: Path, clips: Path) -> list[st
     on_stills = plan(folder, detector, stills, f"{detector}_stills", frames=[0, tusimple.HALF])
     on_clips = plan(folder, detector, clips / "labels.jsonl", f"{detector}_clips")
     tuned = ego.tune(str(on_stills), test_on=str(on_clips), jobs=os.cpu_count() or 1)
-    header, rows = score_rows(tuned.documents[0])
+    header, rows = score_rows(tuned.studies[0].study)
     defaults = as_they_are(on_stills), as_they_are(on_clips)
     header = [header[0], "defaults", *header[1:], "clips: defaults"]
     rows = [

@@ -48,8 +48,8 @@ def load() -> Data:
     if os.environ.get("EGOLANE_DATA") and bag.exists():
         log = select_frames(read_lines(bag), *FRAMES)
         truth = read_ground_truth(folder / TRUTH)
-        joined = join(log, truth)
-        log, truth = log.take(joined.log), truth.take(joined.truth)
+        in_log, in_truth = join(log, truth)
+        log, truth = log.take(in_log), truth.take(in_truth)
         source = "run 1 of the paper"
         read = lambda: read_lines(bag)  # noqa: E731
     else:
