@@ -517,9 +517,7 @@ def test_options_for_a_simulated_drive_are_meant_for_the_recording_that_is_named
 
 def test_the_lanes_of_a_simulated_drive_are_not_taken_for_those_of_another_road() -> None:
     old = made(recording={"simulate": "a4"}, ground_truth=None)
-    with pytest.raises(
-        InputError, match=r"x\.yaml: n_lanes: 3 is that of its simulated drive; say"
-    ):
+    with pytest.raises(InputError, match=r"^n_lanes: is missing: .* 3 of .*x\.yaml is its simulat"):
         with_recording(old, "lines.csv", None, None, overrides={"filter": "exact"})
     for overrides in ({"n_lanes": 3}, ["n_lanes=3"]):
         assert with_recording(old, "lines.csv", None, None, overrides=overrides).n_lanes == 3

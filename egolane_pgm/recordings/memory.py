@@ -99,6 +99,4 @@ def truth_of(given: LaneTruth | pd.DataFrame) -> LaneTruth:
 
 def _check_frame(given: Any, what: str, of: str) -> None:
     if not hasattr(given, "reset_index"):
-        raise InputError(
-            f"{what}: {given!r:.60} is no file, no DataFrame of {of} and no array of ours"
-        )
+        raise InputError(f"{what}: {given!r:.60} is neither a file nor a DataFrame of {of}")

@@ -80,8 +80,12 @@ def test_lanes_that_are_missing_are_not_annotated() -> None:
         (truth_of, {"frame_id": [1], "lanes": [1]}, "ground truth in memory: no column lane (did"),
         (truth_of, {"frame_id": [1], "lane": [1.5]}, "ground truth in memory: row 1: lane is 1.5"),
         (truth_of, {"frame_id": [2, 1], "lane": 1}, "ground truth in memory: frame ids decrease"),
-        (truth_of, [1, 2], "ground_truth: list is no DataFrame of lanes"),
-        (lines_of, "drive.csv", "recording: str is no DataFrame of lines"),
+        (truth_of, [1, 2], "ground_truth: [1, 2] is neither a file nor a DataFrame of lanes"),
+        (
+            lines_of,
+            "drive.csv",
+            "recording: 'drive.csv' is neither a file nor a DataFrame of lines",
+        ),
     ],
 )
 def test_what_does_not_fit_is_refused(read: Any, columns: Any, said: str) -> None:

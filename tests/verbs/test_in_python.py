@@ -474,7 +474,7 @@ def test_a_run_that_the_paper_does_not_have_is_refused(given: Any, said: str) ->
         (
             ego.run,
             {"experiment": QUICKSTART, "recording": 3, "n_lanes": 4},
-            "recording: int is no DataFrame",
+            "recording: 3 is neither a file nor a DataFrame",
         ),
         (ego.run, {"experiment": QUICKSTART, "camera": 3}, "camera: 3 is not the name of a file"),
         (ego.run, {"experiment": QUICKSTART, "overrides": {"filtr": 3}}, "unknown key 'filtr'"),
