@@ -61,13 +61,17 @@ def memory_lines(lengths: Sequence[int] = LENGTHS, only_stream: bool = False) ->
                 yield f"| {n_frames:,} | {what} | {' | '.join(cells)} |"
 
 
+#: Without times: those of a lap begin anew.
+COLUMNS = ["frame_id", "line", "offset_m", "is_valid", "is_continuous", "lri"]
+
+
 def write_long_drive(folder: Path, n_frames: int) -> tuple[Path, Path]:
     """A recording of so many frames, and its ground truth."""
     drive = simulate("quickstart", seed=1, frames=12_000, n_lanes=N_LANES)
     recording, truth = folder / "lines.parquet", folder / "truth.txt"
     with parquet_writer(recording) as write, truth.open("w", encoding="utf-8") as lines:
         for lap in laps(drive, n_frames):
-            write(rows_of(lap.log, says_missing=False))
+            write(rows_of(lap.log).select(COLUMNS))
             rows = zip(lap.truth.frame_id, lap.truth.lane, lap.truth.is_crossing, strict=True)
             lines.writelines(f"{k};{lane};{int(crossing)}\n" for k, lane, crossing in rows)
     return recording, truth
