@@ -88,6 +88,12 @@ def in_one_line(problem: object) -> str:
     return text if len(text) <= LONGEST else f"{text[: LONGEST - 205]} ... {text[-200:]}"
 
 
+def titled(title: str, note: str) -> str:
+    """A warning, or a note, about something that has a title."""
+    kind = NOTE if note.startswith(NOTE) else ""
+    return f"{kind}{title}: {note.removeprefix(NOTE)}"
+
+
 @contextlib.contextmanager
 def all_problems() -> Iterator[Callable[[], contextlib.AbstractContextManager[None]]]:
     """Everything that is wrong in the parts of a block, raised as one InputError at its end.

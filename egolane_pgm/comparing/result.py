@@ -21,7 +21,7 @@ from egolane_pgm.report.fleet_table import FLEET_LEGEND, fleet_comparison_rows
 from egolane_pgm.report.tables import Table, page
 from egolane_pgm.results import SCHEMA_VERSION, Result, is_result, read_result, staged
 from egolane_pgm.tools.files import write_json
-from egolane_pgm.types import NOTE, InputError, not_one_of
+from egolane_pgm.types import InputError, not_one_of, titled
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -97,12 +97,11 @@ class Comparison:
     @property
     def notes(self) -> list[str]:
         """Warnings, a line each."""
-        found = []
-        for recording in self.document.get("recordings", []):
-            for note in recording["notes"]:
-                kind = NOTE if note.startswith(NOTE) else ""
-                found.append(f"{kind}{recording['title']}: {note.removeprefix(NOTE)}")
-        return found
+        return [
+            titled(recording["title"], note)
+            for recording in self.document.get("recordings", [])
+            for note in recording["notes"]
+        ]
 
     def _as_held_out(self) -> Mapping[str, Any]:
         """The document in the form of those that hold something out."""

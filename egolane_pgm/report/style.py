@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import contextlib
-import sys
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
@@ -17,6 +16,7 @@ from matplotlib.figure import Figure
 
 from egolane_pgm.report.answers import DETECTOR_COLOUR, INK, MODEL_COLOUR
 from egolane_pgm.tools.files import atomic
+from egolane_pgm.tools.progress import ipython
 from egolane_pgm.types import InputError
 
 #: Extensions of the figures that can be written.
@@ -91,7 +91,7 @@ def inline_figure(make: Callable[[], Figure]) -> Figure:
     with _own_style():
         figure = make()
     # A notebook draws figures only once pyplot was used, unless this formatter is set.
-    shell = sys.modules["IPython"].get_ipython() if "IPython" in sys.modules else None
+    shell = ipython()
     if shell is not None and Figure not in shell.display_formatter.formatters["image/png"]:
         from IPython.core.pylabtools import select_figure_formats
 

@@ -180,10 +180,3 @@ def code() -> dict[str, str]:
         **{name: importlib.metadata.version(name) for name in packages},
         "egolane_pgm code": code_checksum()[:16],
     }
-
-
-def cores() -> int:
-    """How many processors this process may use."""
-    if hasattr(os, "sched_getaffinity"):
-        return len(os.sched_getaffinity(0))
-    return os.cpu_count() or 1

@@ -25,7 +25,7 @@ def bar(items: Iterable[Any] | None = None, progress: bool | None = None, **sett
 
     kind: Any = tqdm
     shown = {"disable": None if progress is None else not progress}
-    if _is_notebook():
+    if hasattr(ipython(), "kernel"):
         from tqdm.auto import tqdm as kind
 
         # None would hide it, as everywhere but in a terminal.
@@ -33,6 +33,6 @@ def bar(items: Iterable[Any] | None = None, progress: bool | None = None, **sett
     return kind(items, leave=False, **shown, **settings)
 
 
-def _is_notebook() -> bool:
-    shell = sys.modules["IPython"].get_ipython() if "IPython" in sys.modules else None
-    return hasattr(shell, "kernel")
+def ipython() -> Any:
+    """The shell of IPython that runs this, or None; a notebook's has a kernel."""
+    return sys.modules["IPython"].get_ipython() if "IPython" in sys.modules else None

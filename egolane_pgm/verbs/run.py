@@ -34,7 +34,7 @@ from egolane_pgm.running import (
     run_in_parts,
 )
 from egolane_pgm.tools.progress import bar
-from egolane_pgm.types import NOTE, InputError, LineLog
+from egolane_pgm.types import InputError, LineLog, titled
 from egolane_pgm.verbs.given import (
     Detector,
     Fleet,
@@ -159,7 +159,7 @@ def run(  # type: ignore[misc]
         lines = recordings[0] if recordings else None
         first = given[0] if given else ZERO_LABEL
         chosen = choose(first, overrides, lines, *changes)
-        read = read_of(chosen, first if is_lines(first) else lines, ground_truth)
+        read = read_of(chosen, first if lines is None else lines, ground_truth)
         place = None if folder is None else folder.with_name(folder.name.replace("*", chosen.name))
         if not stream:
             return _run_one(chosen, place, figures, read)
@@ -171,16 +171,14 @@ def run(  # type: ignore[misc]
     titled = name_all(given or [ZERO_LABEL], overrides, recordings, *changes)
     folder = None if folder is None else _folder_of(folder)
     plan = plan_runs(titled, folder)
-    lines = recordings[0] if recordings else None
+    lines = recordings[0] if recordings else given[0]
     plan = [
         each
         if each.experiment is None
         else replace(each, read=read_of(each.experiment, lines, ground_truth))
         for each in plan
     ]
-    return _run_several(
-        plan, None if folder is None else _folder_of(folder), figures, jobs, progress
-    )
+    return _run_several(plan, folder, figures, jobs, progress)
 
 
 def says(done: Result | DriveTable, given: Mapping[str, Any]) -> str:
@@ -262,17 +260,11 @@ def table_of_runs(done: Sequence[OneOfSeveral], folder: Path | None) -> DriveTab
         {each.title: each.result for each in done if each.result is not None},
         folder,
         tuple(
-            _titled(each.title, note)
+            titled(each.title, note)
             for each in done
             for note in (each.scores or {}).get("warnings", ())
         ),
     )
-
-
-def _titled(title: str, note: str) -> str:
-    if note.startswith(NOTE):
-        return f"{NOTE}{title}: {note.removeprefix(NOTE)}"
-    return f"{title}: {note}"
 
 
 def _run_fleet(
@@ -363,13 +355,14 @@ def choose(
 def read_of(experiment: Experiment, recording: Any, ground_truth: Any) -> Read | None:
     """What is in memory instead of in files; None where nothing is.
 
-    - experiment: that is run.
+    - experiment: that is run; it says whether its lines are in memory.
+    - recording: those lines then.
     """
     # `egolane run --help` does without pyarrow.
     from egolane_pgm.recordings.memory import in_memory, truth_of
 
     truth = ground_truth if _is_in_memory(ground_truth) else None
-    if _is_in_memory(recording):
+    if experiment.recording.path == IN_MEMORY:
         return in_memory(experiment, recording, truth)
     if truth is None:
         return None

@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import Annotated, Any, TypeVar
 
 from annotated_types import Ge
+from joblib import cpu_count
 
 from egolane_pgm.comparing.placing import parts_of_fleet
 from egolane_pgm.drive import as_name
@@ -21,7 +22,6 @@ from egolane_pgm.paper import Runs, parse_runs
 from egolane_pgm.report.study_figures import draw_study
 from egolane_pgm.report.tables import line_width
 from egolane_pgm.tools.files import temporary_folder
-from egolane_pgm.tools.jobs import cores
 from egolane_pgm.tools.progress import bar
 from egolane_pgm.tuning import pictures as on_pictures
 from egolane_pgm.tuning import plan as planning
@@ -133,7 +133,7 @@ def tune(
     if workers is not None and jobs is not None:
         raise InputError("workers: share one study, jobs several; take one of the two")
     if workers is None and jobs is None:
-        jobs = cores() if out is not None else 1
+        jobs = cpu_count() if out is not None else 1
     held_out = _held_out(blocks, whole_recordings=whole_recordings, in_sample_only=in_sample_only)
     changed = {
         "trials": trials,
@@ -172,7 +172,7 @@ def tune(
         except KeyboardInterrupt:
             if out is None:
                 raise
-            place = "the storage" if storage else _directories(searches)
+            place = "the storage" if storage else _listed([made.directory for made in searches])
             raise KeyboardInterrupt(
                 f"complete trials are kept in {place}; repeat the command to go on"
             ) from None
@@ -184,9 +184,8 @@ def tune(
 
 def says(done: Study, given: Mapping[str, Any]) -> str:
     """Where the studies are."""
-    folders = ", ".join(str(Path(given["out"], name)) for name in done.names[:3])
-    more = ", ..." if len(done) > 3 else ""
-    return f"studies: {folders}{more}; best.yaml: run it, or `include:` it"
+    folders = _listed([Path(given["out"], name) for name in done.names])
+    return f"studies: {folders}; best.yaml: run it, or `include:` it"
 
 
 def _held_out(blocks: int | None, *, whole_recordings: bool, in_sample_only: bool) -> str:
@@ -210,9 +209,8 @@ def _prepared(
     return studies.prepare(plan, place, parts, driven, storage)
 
 
-def _directories(searches: Sequence[Search]) -> str:
-    folders = ", ".join(str(made.directory) for made in searches[:3])
-    return folders + (", ..." if len(searches) > 3 else "")
+def _listed(folders: Sequence[Path]) -> str:
+    return ", ".join(map(str, folders[:3])) + (", ..." if len(folders) > 3 else "")
 
 
 def _announce(searches: Sequence[Search]) -> None:
