@@ -13,7 +13,6 @@ from typing import Any
 
 import numpy as np
 
-from egolane_pgm.detectors.pictures import Pictures
 from egolane_pgm.experiment import (
     INTERCHANGE,
     Experiment,
@@ -61,6 +60,7 @@ from egolane_pgm.types import (
     LineLog,
     all_problems,
 )
+from egolane_pgm.vision.detectors.pictures import Pictures
 
 #: The end of a message where clips are not taken.
 ONE_DRIVE = "only `egolane run` takes clips; here name the lines of one"

@@ -8,10 +8,10 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from egolane_pgm.report import shown
-from egolane_pgm.report.tables import Table, page
 from egolane_pgm.results import Result, is_result, read_result
 from egolane_pgm.types import InputError, not_one_of
+from egolane_pgm.views import shown
+from egolane_pgm.views.tables import Table, page
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -116,9 +116,9 @@ class DriveTable:
 
         Raises InputError for drives without scores.
         """
-        from egolane_pgm.report.dispersion import dispersion_figure
-        from egolane_pgm.report.fleet_figure import fleet_figure
-        from egolane_pgm.report.style import inline_figure
+        from egolane_pgm.views.dispersion import dispersion_figure
+        from egolane_pgm.views.fleet_figure import fleet_figure
+        from egolane_pgm.views.style import inline_figure
 
         if self.results:
             return inline_figure(lambda: dispersion_figure([*self.results.values()]))

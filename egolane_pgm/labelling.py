@@ -229,7 +229,7 @@ class Labels:
     @property
     def document(self) -> dict[str, Any]:
         """What `egolane label --json` writes."""
-        from egolane_pgm.report.label_tables import review_row
+        from egolane_pgm.views.label_tables import review_row
 
         return {
             "schema_version": SCHEMA_VERSION,
@@ -247,20 +247,20 @@ class Labels:
     # --- shown; pandas, xarray and matplotlib are imported when they are asked for --------------
 
     def __repr__(self) -> str:
-        from egolane_pgm.report.label_tables import label_title
+        from egolane_pgm.views.label_tables import label_title
 
         return f"Labels({label_title(self)})"
 
     def _repr_html_(self) -> str:
-        from egolane_pgm.report import label_tables, shown
+        from egolane_pgm.views import label_tables, shown
 
         rows = label_tables.review_rows(self.review)
         return shown.html_table(label_tables.label_title(self), *rows, self.notes)
 
     def to_text(self, *, style: str = "markdown", wide: bool = False) -> str:
         """The stretches to review, and the scores; see `Result.to_text`."""
-        from egolane_pgm.report.label_tables import label_parts
-        from egolane_pgm.report.tables import page
+        from egolane_pgm.views.label_tables import label_parts
+        from egolane_pgm.views.tables import page
 
         return page(label_parts(self), style, wide)
 
@@ -278,7 +278,7 @@ class Labels:
 
         Raises InputError for another table.
         """
-        from egolane_pgm.report.label_tables import label_frame
+        from egolane_pgm.views.label_tables import label_frame
 
         if table not in ("frames", "review", "doubted"):
             raise InputError(f"table: {not_one_of(table, ('frames', 'review', 'doubted'))}")
@@ -286,7 +286,7 @@ class Labels:
 
     def to_xarray(self) -> xr.Dataset:
         """`to_pandas` as a data set. Raises InputError where xarray is not installed."""
-        from egolane_pgm.report.shown import as_dataset
+        from egolane_pgm.views.shown import as_dataset
 
         return as_dataset(self.to_pandas())
 
@@ -298,8 +298,8 @@ class Labels:
 
         Raises InputError for a range without frames.
         """
-        from egolane_pgm.report.review import review_figure
-        from egolane_pgm.report.style import inline_figure
+        from egolane_pgm.views.review import review_figure
+        from egolane_pgm.views.style import inline_figure
 
         ids, worst = self.frame_id, self.worst[:1]
         if first is None and last is None and worst:
@@ -320,13 +320,13 @@ class Labels:
         An older result of that name is replaced; files of your own in it stay. Raises
         InputError where the directory holds anything else, or cannot be written.
         """
-        from egolane_pgm.report.label_tables import write_labels
+        from egolane_pgm.views.label_tables import write_labels
 
         with staged(Path(directory)) as folder:
             write_result(folder, self.run)
             write_labels(folder, self)
             if figures:
-                from egolane_pgm.report.review import draw_review
+                from egolane_pgm.views.review import draw_review
 
                 draw_review(self, folder / "figures")
         return Path(directory)

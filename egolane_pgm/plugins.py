@@ -1,5 +1,5 @@
-"""Finds graphs, evidence rules and detectors: those of the package by name, and a user's own file
-that the YAML names.
+"""Finds graphs, evidence rules, readers and detectors: those of the package and of other installed
+packages by name, and a user's own file that the YAML names.
 
 A plugin is a module that defines the names that its folder's contract asks for (`build`,
 `evidence`, ...). The other modules of such a folder are shared by its plugins. A graph may also be
@@ -17,6 +17,7 @@ import re
 import sys
 import traceback
 from collections.abc import Iterator, Mapping
+from importlib.metadata import EntryPoint, entry_points
 from pathlib import Path
 from types import ModuleType
 
@@ -30,10 +31,12 @@ CONTRACTS = {
     "evidence": ("evidence",),
     "recordings": ("read",),
     "detectors": ("STEREO", "start"),
-    # Only users' own files: the package's are names of `detectors.simple.matchers`.
+    # Only users' own files: the package's are names of `vision.detectors.simple.matchers`.
     "matchers": ("match",),
 }
 
+#: Where the package's plugins lie that are not in the folder of their kind's name.
+_FOLDERS = {"detectors": ("vision/detectors", "classic")}
 
 #: The beginning of the names of modules of users' own files.
 _OWN = "_egolane_plugin_"
@@ -43,22 +46,43 @@ OWN_FILES = (".py", ".yaml", ".yml", ".bif", ".xmlbif", ".xml")
 
 
 def plugin_names(folder: str) -> list[str]:
-    """The plugins of a folder of the package, in alphabetical order.
+    """The plugins of a kind, a key of CONTRACTS, in alphabetical order: those of the package and of
+    other packages.
 
     A module is a plugin if it defines the first name of the folder's contract, a folder if its
     `__all__` has that name. The files are searched as text, because importing them all is slow.
     """
-    path = Path(__file__).parent / folder
-    names = {file.stem for file in path.glob("*.py")} | {f.parent.name for f in path.glob("*/*.py")}
-    return sorted(name for name in names if _is_plugin(folder, name))
+    names = {entry.name for entry in _entry_points(folder)}
+    for place in _places(folder):
+        names |= {file.stem for file in place.glob("*.py") if _is_plugin(folder, file.stem)}
+        inside = {file.parent.name for file in place.glob("*/*.py")}
+        names |= {name for name in inside if _is_plugin(folder, name)}
+    return sorted(names)
+
+
+def _places(folder: str) -> list[Path]:
+    return [Path(__file__).parent / place for place in _FOLDERS.get(folder, (folder,))]
+
+
+def _entry_points(folder: str) -> list[EntryPoint]:
+    """The plugins of a kind that other installed packages offer."""
+    return list(entry_points(group=f"egolane_pgm.{folder}"))
 
 
 def _is_plugin(folder: str, name: str) -> bool:
-    path, first = Path(__file__).parent / folder, CONTRACTS[folder][0]
-    file, package = path / f"{name}.py", path / name / "__init__.py"
-    if name.isidentifier() and file.is_file():
-        return _defines(file.read_text(encoding="utf-8"), first)
-    return name.isidentifier() and package.is_file() and f'"{first}"' in package.read_text("utf-8")
+    return _module_of(folder, name) is not None
+
+
+def _module_of(folder: str, name: str) -> str | None:
+    """The module of a plugin of the package, None for a name that is none."""
+    first = CONTRACTS[folder][0]
+    for place in _places(folder) if name.isidentifier() else ():
+        file, package = place / f"{name}.py", place / name / "__init__.py"
+        is_file = file.is_file() and _defines(file.read_text(encoding="utf-8"), first)
+        if is_file or (package.is_file() and f'"{first}"' in package.read_text("utf-8")):
+            inside = place.relative_to(Path(__file__).parent)
+            return ".".join(("egolane_pgm", *inside.parts, name))
+    return None
 
 
 def _defines(text: str, name: str) -> bool:
@@ -84,7 +108,7 @@ def find_plugin(name: str, kinds: Mapping[str, str], base: Path) -> tuple[str, s
     elif name.endswith(OWN_FILES):
         found = ["graph"]
     else:
-        found = [kind for kind in kinds if _is_plugin(kinds[kind], name)]
+        found = [kind for kind in kinds if name in plugin_names(kinds[kind])]
     if not found:
         known = [known for folder in kinds.values() for known in plugin_names(folder)]
         raise InputError(f"unknown name '{name}'{suggestion(name, known)}")
@@ -123,8 +147,10 @@ def load_plugin(folder: str, name: str, base: Path, where: str) -> ModuleType:
             f"egolane_pgm.graphs.{'yaml_graph' if is_yaml else 'from_pgmpy'}"
         )
         module = reader.load_graph_file(file, f"{_OWN}{Path(name).stem}", where)
-    elif _is_plugin(folder, name):
-        module = importlib.import_module(f"egolane_pgm.{folder}.{name}")
+    elif (own := _module_of(folder, name)) is not None:
+        module = importlib.import_module(own)
+    elif offered := [entry for entry in _entry_points(folder) if entry.name == name]:
+        module = _load_offered(offered[0], where)
     else:
         raise InputError(f"{where}: unknown name '{name}'{suggestion(name, plugin_names(folder))}")
     for needed in CONTRACTS[folder]:
@@ -144,6 +170,9 @@ def plugin_place(module: ModuleType) -> str:
     whole path of a user's own file."""
     if module.__name__.startswith(_OWN):
         return str(module.__file__)
+    if not module.__name__.startswith("egolane_pgm."):
+        offered = [entry for folder in CONTRACTS for entry in _entry_points(folder)]
+        return next(entry.name for entry in offered if entry.module == module.__name__)
     return module.__name__.rpartition(".")[2]
 
 
@@ -215,6 +244,15 @@ def _load_file(path: Path, where: str) -> ModuleType:
     return module
 
 
+def _load_offered(entry: EntryPoint, where: str) -> ModuleType:
+    """Import a plugin of another package. Raises InputError where that fails."""
+    try:
+        module: ModuleType = entry.load()
+    except Exception as error:
+        raise InputError(f"{where}: {entry.value} cannot be imported: {_said(error)}") from error
+    return module
+
+
 def _said(error: Exception) -> str:
     return " ".join(f"{type(error).__name__}: {error}".split())
 
@@ -227,13 +265,13 @@ def _line_in(file: str, error: Exception) -> int | None:
 
 @contextlib.contextmanager
 def plugin_errors(module: ModuleType, where: str) -> Iterator[None]:
-    """Wrap a call into a plugin: an exception of a user's own file becomes an InputError that
-    starts with `where` and names the file and its line. Exceptions of the package's plugins stay as
-    they are, because they are bugs of ours."""
+    """Wrap a call into a plugin: an exception of a file of somebody else's becomes an InputError
+    that starts with `where` and names the file and its line. Exceptions of the package's plugins
+    stay as they are, because they are bugs of ours."""
     try:
         yield
     except Exception as error:
-        if isinstance(error, InputError) or not module.__name__.startswith(_OWN):
+        if isinstance(error, InputError) or module.__name__.startswith("egolane_pgm."):
             raise
         line = _line_in(str(module.__file__), error)
         at = f"{module.__file__}, line {line}" if line else f"{module.__file__}"

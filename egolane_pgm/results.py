@@ -179,7 +179,7 @@ class Result:
         return len(self.frame_id)
 
     def __repr__(self) -> str:
-        from egolane_pgm.report.shown import result_title
+        from egolane_pgm.views.shown import result_title
 
         return f"Result({result_title(self)})"
 
@@ -288,7 +288,7 @@ class Result:
     # --- shown; pandas, xarray, matplotlib and the page are imported when they are asked for ----
 
     def _repr_html_(self) -> str:
-        from egolane_pgm.report.shown import result_html
+        from egolane_pgm.views.shown import result_html
 
         return result_html(self)
 
@@ -303,7 +303,7 @@ class Result:
         - style: one of `report.tables.STYLES`.
         - wide: whether tables are whole; else none is wider than the terminal.
         """
-        from egolane_pgm.report.shown import result_text
+        from egolane_pgm.views.shown import result_text
 
         return result_text(self, style, wide)
 
@@ -345,7 +345,7 @@ class Result:
 
         Raises InputError where xarray is not installed.
         """
-        from egolane_pgm.report.shown import as_dataset, xarray
+        from egolane_pgm.views.shown import as_dataset, xarray
 
         frame = self.to_pandas()
         flat = as_dataset(frame[[name for name in frame if "=" not in name]])
@@ -397,8 +397,8 @@ class Result:
 
         Raises InputError for a range without frames.
         """
-        from egolane_pgm.report.strips import strips_figure
-        from egolane_pgm.report.style import inline_figure
+        from egolane_pgm.views.strips import strips_figure
+        from egolane_pgm.views.style import inline_figure
 
         return inline_figure(lambda: strips_figure(self, first, last))
 
@@ -418,7 +418,7 @@ class Result:
         'page.html'
         """
         # The page is a wing: it is found by name, so that nothing here needs it.
-        page = import_module("egolane_pgm.report.page.document")
+        page = import_module("egolane_pgm.page.document")
         for line in page.write_page([self], Path(file)):
             warnings.warn(line, UserWarning, stacklevel=2)
         return Path(file)
@@ -437,7 +437,7 @@ class Result:
             write_result(folder, self)
             try:
                 if figures:
-                    from egolane_pgm.report.strips import draw_strips
+                    from egolane_pgm.views.strips import draw_strips
 
                     draw_strips(self, folder / "figures" / "strips.png")
             except InputError as error:

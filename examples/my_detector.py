@@ -8,9 +8,9 @@ from collections import deque
 import cv2
 import numpy as np
 
-from egolane_pgm.camera.model import road_to_image
-from egolane_pgm.detectors import FrameLines
 from egolane_pgm.parameters import Parameter
+from egolane_pgm.vision.camera.model import road_to_image
+from egolane_pgm.vision.detectors import FrameLines
 
 STEREO = False
 PARAMETERS = (

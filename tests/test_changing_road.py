@@ -11,13 +11,13 @@ import pytest
 
 import egolane_pgm as ego
 from egolane_pgm.inference.events import in_tracks, numbered
+from egolane_pgm.maps.interchange import Journey, simulate_interchange
 from egolane_pgm.maps.road_table import save
 from egolane_pgm.online import filter_stream
 from egolane_pgm.recordings.ground_truth import write_ground_truth
 from egolane_pgm.recordings.table import write_table
-from egolane_pgm.report.strips import strip_columns
-from egolane_pgm.simulation.interchange import Journey, simulate_interchange
 from egolane_pgm.types import Beliefs, InputError, LaneEvents
+from egolane_pgm.views.strips import strip_columns
 from tests.kits.lane_maps import without_lines
 
 PLACE = ego.experiments_folder() / "maps" / "interchange.yaml"

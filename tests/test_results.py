@@ -483,7 +483,7 @@ def test_an_interrupted_run_leaves_no_result_and_an_earlier_one_untouched(
     if is_there:
         damaged(saved, tmp_path, lambda copy: copy.rename(result))
     before = contents(tmp_path)
-    monkeypatch.setattr("egolane_pgm.report.strips.draw_strips", interrupted)
+    monkeypatch.setattr("egolane_pgm.views.strips.draw_strips", interrupted)
     assert command("run", drive, "--out", result).exit_code == 130
     assert contents(tmp_path) == before
 

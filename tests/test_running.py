@@ -311,7 +311,7 @@ def test_a_result_is_kept_where_its_figures_cannot_be_drawn(
         (file.parent / "half.png").touch()
         raise InputError(f"{file}: cannot be written: disk full")
 
-    monkeypatch.setattr("egolane_pgm.report.strips.draw_strips", draw)
+    monkeypatch.setattr("egolane_pgm.views.strips.draw_strips", draw)
     out = tmp_path / "out"
     with pytest.raises(InputError) as caught:
         run.save(out)

@@ -21,17 +21,17 @@ from docstrings import as_markdown
 
 import egolane_pgm
 from egolane_pgm import results
-from egolane_pgm.camera import model as camera
 from egolane_pgm.command import COMMANDS, egolane
 from egolane_pgm.graphs import yaml_graph
 from egolane_pgm.maps import positions, road_table
 from egolane_pgm.parameters import resolve_parameters
 from egolane_pgm.plugins import load_plugin, plugin_names
 from egolane_pgm.recordings import FORMATS, ground_truth, reader_of, table
-from egolane_pgm.report.description import describe_detector, describe_graph, describe_rule
 from egolane_pgm.types import LaneEvents
 from egolane_pgm.verbs.schema import schema as json_schema
 from egolane_pgm.verbs.show import compile_defaults
+from egolane_pgm.views.description import describe_detector, describe_graph, describe_rule
+from egolane_pgm.vision.camera import model as camera
 
 #: The functions that compute scores, by module, in the order of the page.
 METRICS = (

@@ -13,15 +13,15 @@ from egolane_pgm.comparing.in_sample import compare_rows
 from egolane_pgm.comparing.saving import DOCUMENT, folder_of, save_recording
 from egolane_pgm.comparing.stored import stored_rows
 from egolane_pgm.fleet import FleetDrive
-from egolane_pgm.report import comparison_tables as rows_of
-from egolane_pgm.report import events as lane_changes
-from egolane_pgm.report import shown
-from egolane_pgm.report.comparison_tables import entries_of, experiment_names, lag_curves
-from egolane_pgm.report.fleet_table import FLEET_LEGEND, fleet_comparison_rows
-from egolane_pgm.report.tables import Table, page
 from egolane_pgm.results import SCHEMA_VERSION, Result, is_result, read_result, staged
 from egolane_pgm.tools.files import write_json
 from egolane_pgm.types import InputError, not_one_of, titled
+from egolane_pgm.views import comparison_tables as rows_of
+from egolane_pgm.views import events as lane_changes
+from egolane_pgm.views import shown
+from egolane_pgm.views.comparison_tables import entries_of, experiment_names, lag_curves
+from egolane_pgm.views.fleet_table import FLEET_LEGEND, fleet_comparison_rows
+from egolane_pgm.views.tables import Table, page
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -225,8 +225,8 @@ class Comparison:
 
         Raises InputError for another figure, and for differences or lags that there are not.
         """
-        from egolane_pgm.report import comparison_figures as figures
-        from egolane_pgm.report.style import inline_figure
+        from egolane_pgm.views import comparison_figures as figures
+        from egolane_pgm.views.style import inline_figure
 
         makes = {
             "accuracy": figures.comparison_figure,
@@ -256,7 +256,7 @@ class Comparison:
             write_json(folder / DOCUMENT, self.document)
             if figures:
                 # matplotlib is imported only for figures.
-                from egolane_pgm.report.comparison_figures import draw_comparison, draw_lags
+                from egolane_pgm.views.comparison_figures import draw_comparison, draw_lags
 
                 document = self._as_held_out()
                 draw_comparison(document, folder / "figures" / "accuracy.png")

@@ -8,11 +8,11 @@ from typing import Any
 
 import numpy as np
 
-from egolane_pgm.report.tables import with_interval
 from egolane_pgm.results import SCHEMA_VERSION, Result
 from egolane_pgm.scoring.bootstrap import Interval, score_counts, score_intervals
 from egolane_pgm.scoring.summary import score_with_intervals
 from egolane_pgm.types import InputError, LaneTruth
+from egolane_pgm.views.tables import with_interval
 
 
 def compare_results(results: Sequence[Result]) -> dict[str, Any]:

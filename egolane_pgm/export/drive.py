@@ -11,9 +11,6 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from egolane_pgm.camera.pictures import Source, images_of, open_source
-from egolane_pgm.camera.writing import as_jpeg
-from egolane_pgm.detectors.pictures import pictures_of
 from egolane_pgm.experiment import load_experiment
 from egolane_pgm.results import LINES, Result, read_result
 from egolane_pgm.types import (
@@ -25,6 +22,9 @@ from egolane_pgm.types import (
     IntArray,
     LaneEvents,
 )
+from egolane_pgm.vision.camera.pictures import Source, images_of, open_source
+from egolane_pgm.vision.camera.writing import as_jpeg
+from egolane_pgm.vision.detectors.pictures import pictures_of
 
 #: The place of a node's values in a viewer is a curve each; a node with more of them (the cells of
 #: RoadPosition) is left out.

@@ -15,13 +15,13 @@ import numpy as np
 from egolane_pgm.tools.files import check_name
 from egolane_pgm.types import InputError, LineLog, problems_in, suggestion
 
-#: Format: (extensions, module of this folder, function that reads a file into a LineLog).
+#: Format: (extensions, module, function that reads a file into a LineLog).
 FORMATS: dict[str, tuple[tuple[str, ...], str, str]] = {
-    "rosbag": ((".bag", ".mcap", ".db3"), "rosbag", "read_rosbag"),
-    "table": ((".csv", ".parquet"), "table", "read_table"),
-    "tusimple": ((".jsonl", ".json"), "tusimple", "read_tusimple"),
-    "culane": ((), "culane", "read_culane"),
-    "openlane": ((), "openlane", "read_openlane"),
+    "rosbag": ((".bag", ".mcap", ".db3"), "recordings.rosbag", "read_rosbag"),
+    "table": ((".csv", ".parquet"), "recordings.table", "read_table"),
+    "tusimple": ((".jsonl", ".json"), "vision.formats.tusimple", "read_tusimple"),
+    "culane": ((), "vision.formats.culane", "read_culane"),
+    "openlane": ((), "vision.formats.openlane", "read_openlane"),
 }
 
 #: Folders: the format of one that holds files with this ending.
@@ -37,7 +37,10 @@ _FOLDERS = {
 #: be in metres; its reader asks for a camera if they are not.
 IN_PIXELS = ("tusimple", "culane")
 
-_WRITERS = {"rosbag": ("rosbag_writer", "write_rosbag"), "table": ("table", "write_table")}
+_WRITERS = {
+    "rosbag": ("recordings.rosbag_writer", "write_rosbag"),
+    "table": ("recordings.table", "write_table"),
+}
 
 
 def read_lines(
@@ -115,7 +118,7 @@ def writer_of(path: str | Path) -> Callable[[str | Path, LineLog], None]:
         raise InputError(f"{path}: a recording is written as .csv, .parquet, .bag or .mcap")
     module, function = _WRITERS[name]
     write: Callable[[str | Path, LineLog], None]
-    write = getattr(import_module(f"{__name__}.{module}"), function)
+    write = getattr(import_module(f"egolane_pgm.{module}"), function)
     return write
 
 
@@ -156,7 +159,7 @@ def reader_of(name: str) -> Any:
     if name not in FORMATS:
         raise InputError(f"unknown format '{name}'{suggestion(name, FORMATS)}")
     _, module, function = FORMATS[name]
-    return getattr(import_module(f"{__name__}.{module}"), function)
+    return getattr(import_module(f"egolane_pgm.{module}"), function)
 
 
 def format_of(path: str | Path) -> str:

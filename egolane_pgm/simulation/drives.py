@@ -12,8 +12,8 @@ from egolane_pgm.recordings.source import READING, Read
 from egolane_pgm.types import InputError, problems_in, suggestion
 
 if TYPE_CHECKING:
+    from egolane_pgm.maps.interchange import InterchangeDrive
     from egolane_pgm.maps.road_table import RoadTable
-    from egolane_pgm.simulation.interchange import InterchangeDrive
 
 
 @dataclass(frozen=True)
@@ -71,7 +71,7 @@ class Simulated:
 
 @dataclass(frozen=True)
 class OverMap(Simulated):
-    """A drive through interchanges, which brings its road table; see `simulation.interchange`."""
+    """A drive through interchanges, which brings its road table; see `maps.interchange`."""
 
     def read(self) -> Read:
         """See `Source`."""
@@ -84,7 +84,7 @@ class OverMap(Simulated):
         return self._trip().road
 
     def _trip(self) -> InterchangeDrive:
-        from egolane_pgm.simulation.interchange import Journey, simulate_interchange
+        from egolane_pgm.maps.interchange import Journey, simulate_interchange
 
         recording = self.experiment.recording
         known = {f.name for f in fields(Journey)}

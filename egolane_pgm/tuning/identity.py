@@ -8,8 +8,6 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from egolane_pgm.detectors import networks, simple
-from egolane_pgm.detectors.runner import Detector, own_files
 from egolane_pgm.drive import Drive, data_entries
 from egolane_pgm.experiment import resolved
 from egolane_pgm.plugins import OWN_FILES, source_files
@@ -17,6 +15,8 @@ from egolane_pgm.tools.files import plain
 from egolane_pgm.tuning.objective import detector_of
 from egolane_pgm.tuning.plan import Problem
 from egolane_pgm.tuning.space import SearchSpace, describe
+from egolane_pgm.vision.detectors import networks, simple
+from egolane_pgm.vision.detectors.runner import Detector, own_files
 
 
 def identity_of(problem: Problem) -> dict[str, Any]:

@@ -9,7 +9,6 @@ from typing import Any
 
 import numpy as np
 
-from egolane_pgm.detectors.runner import Detector, find_detector
 from egolane_pgm.drive import Drive, belief_of, load_recording
 from egolane_pgm.experiment import Experiment
 from egolane_pgm.parameters import Value
@@ -24,6 +23,7 @@ from egolane_pgm.types import (
     IntArray,
     suggestion,
 )
+from egolane_pgm.vision.detectors.runner import Detector, find_detector
 
 #: Scores of a belief: smaller is better.
 BELIEF_SCORES = (

@@ -24,15 +24,8 @@ from typing import Any
 
 import numpy as np
 
-from egolane_pgm.calibration.labels import label_picture, label_places, read_labels
-from egolane_pgm.camera.model import Camera, read_camera
-from egolane_pgm.camera.picture import Picture
-from egolane_pgm.camera.pictures import open_source, read_image
-from egolane_pgm.detectors.pictures import pictures_in
-from egolane_pgm.detectors.runner import Detector, check_pair, detect, find_detector, start
 from egolane_pgm.drive import file_entry
 from egolane_pgm.parameters import Value
-from egolane_pgm.report.study_trials import STUDY_FILE
 from egolane_pgm.scoring.bootstrap import Interval, bootstrap_interval
 from egolane_pgm.scoring.held_out import blocks
 from egolane_pgm.scoring.line_places import LINE_SCORES, line_counts
@@ -73,6 +66,13 @@ from egolane_pgm.tuning.study_directory import (
     write_trials,
 )
 from egolane_pgm.types import FloatArray, InputError, IntArray
+from egolane_pgm.views.study_trials import STUDY_FILE
+from egolane_pgm.vision.calibration.labels import label_picture, label_places, read_labels
+from egolane_pgm.vision.camera.model import Camera, read_camera
+from egolane_pgm.vision.camera.picture import Picture
+from egolane_pgm.vision.camera.pictures import open_source, read_image
+from egolane_pgm.vision.detectors.pictures import pictures_in
+from egolane_pgm.vision.detectors.runner import Detector, check_pair, detect, find_detector, start
 
 #: Labelled pictures that the bootstrap draws together: neighbours show one stretch of road.
 _ALIKE = 5

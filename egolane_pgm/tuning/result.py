@@ -9,9 +9,13 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from egolane_pgm.experiment import Experiment, make_experiment
-from egolane_pgm.report import shown, study_tables
-from egolane_pgm.report.fleet_table import fleet_table_rows
-from egolane_pgm.report.study_trials import (
+from egolane_pgm.results import SCHEMA_VERSION, staged
+from egolane_pgm.tools.files import read_yaml, without_version, write_json, write_yaml
+from egolane_pgm.tuning.study_directory import write_trials
+from egolane_pgm.types import InputError, not_one_of
+from egolane_pgm.views import shown, study_tables
+from egolane_pgm.views.fleet_table import fleet_table_rows
+from egolane_pgm.views.study_trials import (
     STUDY_FILE,
     Trials,
     is_study,
@@ -19,11 +23,7 @@ from egolane_pgm.report.study_trials import (
     read_study_files,
     trials_of,
 )
-from egolane_pgm.report.tables import Table, page
-from egolane_pgm.results import SCHEMA_VERSION, staged
-from egolane_pgm.tools.files import read_yaml, without_version, write_json, write_yaml
-from egolane_pgm.tuning.study_directory import write_trials
-from egolane_pgm.types import InputError, not_one_of
+from egolane_pgm.views.tables import Table, page
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -191,8 +191,8 @@ class Study:
 
         Raises InputError for another one, and for several studies: `study[name].plot()`.
         """
-        from egolane_pgm.report.study_figures import figures_of
-        from egolane_pgm.report.style import inline_figure
+        from egolane_pgm.views.study_figures import figures_of
+        from egolane_pgm.views.style import inline_figure
 
         makes = figures_of(self.trials())
         if figure not in makes:
@@ -209,7 +209,7 @@ class Study:
         InputError where the directory holds anything else, or cannot be written.
         """
         # matplotlib is imported only for figures.
-        from egolane_pgm.report.study_figures import draw_study
+        from egolane_pgm.views.study_figures import draw_study
 
         place = Path(directory)
         for each in self.studies:

@@ -13,11 +13,11 @@ from optuna import samplers
 from optuna.study import MaxTrialsCallback
 from optuna.trial import FrozenTrial, Trial, TrialState
 
-from egolane_pgm.report.study_trials import quiet
 from egolane_pgm.scoring.confusion import is_maximised
 from egolane_pgm.tuning.sampler import Shade
 from egolane_pgm.tuning.space import Point, SearchSpace, distributions
 from egolane_pgm.types import InputError, suggestion
+from egolane_pgm.views.study_trials import quiet
 
 SAMPLERS = ("evolution", "tpe", "cma-es", "random", "nsga2")
 

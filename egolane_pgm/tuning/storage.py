@@ -24,11 +24,11 @@ from optuna.storages.journal import JournalFileBackend, JournalFileOpenLock
 from sqlalchemy.engine import make_url
 from sqlalchemy.exc import SQLAlchemyError
 
-from egolane_pgm.report.study_trials import quiet
 from egolane_pgm.tools.files import make_directory
 from egolane_pgm.tuning.search import Settings, new_study
 from egolane_pgm.tuning.space import Point, differences
 from egolane_pgm.types import InputError
+from egolane_pgm.views.study_trials import quiet
 
 JOURNAL_NAME = "study.journal"
 

@@ -13,7 +13,6 @@ from typing import Any
 
 import optuna
 
-from egolane_pgm.report.study_trials import STUDY_FILE
 from egolane_pgm.tools.files import make_directory, write_json, write_yaml
 from egolane_pgm.tools.jobs import Jobs, in_order
 from egolane_pgm.tuning import study_directory as files
@@ -47,6 +46,7 @@ from egolane_pgm.tuning.storage import (
     storage_errors,
 )
 from egolane_pgm.types import BoolArray, InputError
+from egolane_pgm.views.study_trials import STUDY_FILE
 
 #: What a process is given to do: the number of a search, its plan, directory, held_out and storage,
 #: the part that is left out (None for the study on all frames), and which of its workers this is.

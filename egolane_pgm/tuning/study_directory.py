@@ -25,7 +25,6 @@ from egolane_pgm.experiment import Experiment, resolved
 from egolane_pgm.parameters import Value
 from egolane_pgm.plugins import OWN_FILES
 from egolane_pgm.recordings.source import files_in_full
-from egolane_pgm.report.study_trials import SCHEMA_VERSION, TRIALS_FILE
 from egolane_pgm.results import provenance
 from egolane_pgm.tools.files import atomic, plain, write_json, write_parquet
 from egolane_pgm.tuning.identity import identity_of
@@ -33,6 +32,7 @@ from egolane_pgm.tuning.nested import Nested
 from egolane_pgm.tuning.objective import split, with_detector
 from egolane_pgm.tuning.plan import Problem, parameters_at
 from egolane_pgm.tuning.search import best_trial, n_complete, pareto
+from egolane_pgm.views.study_trials import SCHEMA_VERSION, TRIALS_FILE
 
 NESTED_FILE = "nested.json"
 

@@ -12,16 +12,20 @@ from typing import Annotated, Any
 
 from annotated_types import Ge
 
-from egolane_pgm.calibration.chessboard import calibrate_lens, camera_with, describe_lens
-from egolane_pgm.calibration.drawing import draw_view
-from egolane_pgm.calibration.labels import (
+from egolane_pgm.tools.files import check_not_read, check_place, temporary_folder
+from egolane_pgm.tools.progress import bar
+from egolane_pgm.types import InputError
+from egolane_pgm.verbs.given import Option, Progress, Seed, StrPath, several_of
+from egolane_pgm.vision.calibration.chessboard import calibrate_lens, camera_with, describe_lens
+from egolane_pgm.vision.calibration.drawing import draw_view
+from egolane_pgm.vision.calibration.labels import (
     check_size,
     read_labels,
     size_of_pictures,
     view_from_labels,
 )
-from egolane_pgm.calibration.road_lines import find_in_stills, view_from_stills
-from egolane_pgm.calibration.straight_road import (
+from egolane_pgm.vision.calibration.road_lines import find_in_stills, view_from_stills
+from egolane_pgm.vision.calibration.straight_road import (
     ASSUMED_FIELD_OF_VIEW,
     SeenRoad,
     assumed_camera,
@@ -29,9 +33,9 @@ from egolane_pgm.calibration.straight_road import (
     describe_assumed_lens,
     describe_view,
 )
-from egolane_pgm.calibration.video_stills import take_stills
-from egolane_pgm.camera.model import Camera, write_camera
-from egolane_pgm.camera.pictures import (
+from egolane_pgm.vision.calibration.video_stills import take_stills
+from egolane_pgm.vision.camera.model import Camera, write_camera
+from egolane_pgm.vision.camera.pictures import (
     PICTURES,
     files_matching,
     open_source,
@@ -39,12 +43,8 @@ from egolane_pgm.camera.pictures import (
     read_images,
     size_of,
 )
-from egolane_pgm.camera.writing import check_picture_name, write_picture
-from egolane_pgm.recordings.openlane import PICTURE_SIZE, read_own_camera
-from egolane_pgm.tools.files import check_not_read, check_place, temporary_folder
-from egolane_pgm.tools.progress import bar
-from egolane_pgm.types import InputError
-from egolane_pgm.verbs.given import Option, Progress, Seed, StrPath, several_of
+from egolane_pgm.vision.camera.writing import check_picture_name, write_picture
+from egolane_pgm.vision.formats.openlane import PICTURE_SIZE, read_own_camera
 
 EXAMPLES = (
     "egolane calibrate --stills drive.mp4 --lane-width 3.7 -o cam.yaml",

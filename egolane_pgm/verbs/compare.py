@@ -175,7 +175,7 @@ def _check_places(figure: Any, differences: Any, out: Any) -> None:
     """Raise InputError, before anything is computed, for what cannot be written."""
     for place in filter(None, (figure, differences)):
         # matplotlib is imported only for a figure.
-        from egolane_pgm.report.style import check_figure_path
+        from egolane_pgm.views.style import check_figure_path
 
         check_figure_path(path_of(place, "figure"))
         check_place(Path(place))
@@ -222,8 +222,8 @@ def _compared(
 
 
 def _draw(found: Comparison, figure: StrPath | None, differences: StrPath | None) -> None:
-    from egolane_pgm.report import comparison_figures as draws
-    from egolane_pgm.report.comparison_tables import lag_curves
+    from egolane_pgm.views import comparison_figures as draws
+    from egolane_pgm.views.comparison_tables import lag_curves
 
     accuracy = draws.draw_lags if lag_curves(found.document) else draws.draw_comparison
     for draw, path in ((accuracy, figure), (draws.draw_differences, differences)):

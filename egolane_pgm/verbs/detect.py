@@ -10,10 +10,6 @@ from typing import Annotated, Any
 
 import numpy as np
 
-from egolane_pgm.camera.model import read_camera
-from egolane_pgm.camera.pictures import camera_of_pictures, open_source, read_pictures
-from egolane_pgm.detectors.runner import check_pair, collect, find_detector
-from egolane_pgm.detectors.runner import detect as detect_lines
 from egolane_pgm.recordings import write_lines, writer_of
 from egolane_pgm.tools.files import check_place
 from egolane_pgm.tools.progress import bar
@@ -28,6 +24,10 @@ from egolane_pgm.verbs.given import (
     keys_of,
     path_of,
 )
+from egolane_pgm.vision.camera.model import read_camera
+from egolane_pgm.vision.camera.pictures import camera_of_pictures, open_source, read_pictures
+from egolane_pgm.vision.detectors.runner import check_pair, collect, find_detector
+from egolane_pgm.vision.detectors.runner import detect as detect_lines
 
 EXAMPLES = (
     "egolane detect drive.mp4 --camera cam.yaml --detector ml -o lines.parquet",

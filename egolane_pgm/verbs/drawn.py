@@ -24,9 +24,9 @@ def draw_network(network: Model | Compiled) -> Figure:
     >>> run = ego.run(place, overrides={"recording.frames": [0, 300]})
     >>> figure = ego.draw_network(run.model)
     """
-    from egolane_pgm.report.network import network_figure
-    from egolane_pgm.report.structure import structure_of
-    from egolane_pgm.report.style import inline_figure
+    from egolane_pgm.views.network import network_figure
+    from egolane_pgm.views.structure import structure_of
+    from egolane_pgm.views.style import inline_figure
 
     compiled = network if isinstance(network, Compiled) else network.compiled
     return inline_figure(lambda: network_figure(structure_of(compiled)))

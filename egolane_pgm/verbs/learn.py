@@ -20,15 +20,15 @@ from egolane_pgm.learning.fleet import learn_fleet as learn_together
 from egolane_pgm.learning.held_out import load_to_learn
 from egolane_pgm.learning.tables import PREFIX
 from egolane_pgm.model import causality
-from egolane_pgm.report.fleet_table import fleet_table_rows
-from egolane_pgm.report.shown import evidence_words
-from egolane_pgm.report.tables import Table, with_interval
 from egolane_pgm.results import SCHEMA_VERSION, Result
 from egolane_pgm.running import held_out_result
 from egolane_pgm.tools.files import check_not_read
 from egolane_pgm.tools.progress import bar
 from egolane_pgm.types import InputError
 from egolane_pgm.verbs.given import Blocks, ByTag, Fleet, Jobs, Option, Progress, StrPath, path_of
+from egolane_pgm.views.fleet_table import fleet_table_rows
+from egolane_pgm.views.shown import evidence_words
+from egolane_pgm.views.tables import Table, with_interval
 
 EXAMPLES = (
     "egolane learn drive/experiment.yaml --out learned.yaml",

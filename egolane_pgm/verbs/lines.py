@@ -7,9 +7,9 @@ from typing import Annotated
 from egolane_pgm.drive import load_recording
 from egolane_pgm.experiment import Overrides, load_experiment
 from egolane_pgm.recordings import read_lines
-from egolane_pgm.report.tables import box_text
 from egolane_pgm.types import InputError
 from egolane_pgm.verbs.given import Option, StrPath, path_of
+from egolane_pgm.views.tables import box_text
 
 EXAMPLES = ("egolane lines drive/lines.csv --frame 7",)
 

@@ -7,13 +7,13 @@ from pathlib import Path
 from typing import Any
 
 from egolane_pgm.comparing.result import is_comparison, read_comparison
-from egolane_pgm.report.study_trials import is_study
 from egolane_pgm.results import is_result, read_result
 from egolane_pgm.running import OneOfSeveral
 from egolane_pgm.tuning.result import Study, read_study
 from egolane_pgm.types import InputError
 from egolane_pgm.verbs.given import path_of
 from egolane_pgm.verbs.run import table_of_runs
+from egolane_pgm.views.study_trials import is_study
 
 
 def load_result(directory: str | os.PathLike[str]) -> Any:

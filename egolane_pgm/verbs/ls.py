@@ -7,9 +7,9 @@ import click
 from egolane_pgm.experiment import experiments_folder, load_experiment, load_yaml
 from egolane_pgm.plugins import plugin_names
 from egolane_pgm.recordings import FORMATS
-from egolane_pgm.report.tables import line_width
 from egolane_pgm.simulation import PRESETS
 from egolane_pgm.verbs.given import shown
+from egolane_pgm.views.tables import line_width
 
 EXAMPLES = ("egolane ls",)
 

@@ -11,11 +11,11 @@ import numpy as np
 
 from egolane_pgm.maps import load_map
 from egolane_pgm.maps.lane_graph import LaneGraph, check_lanes_path, save
-from egolane_pgm.report.lane_map import lane_map_figure
-from egolane_pgm.report.style import check_figure_path, write_figure
 from egolane_pgm.tools.files import check_not_read, check_place
 from egolane_pgm.types import InputError
 from egolane_pgm.verbs.given import Option, StrPath
+from egolane_pgm.views.lane_map import lane_map_figure
+from egolane_pgm.views.style import check_figure_path, write_figure
 
 EXAMPLES = ("egolane map roads.osm.pbf -o lanes.parquet --plot lanes.png",)
 

@@ -6,10 +6,10 @@ from pathlib import Path
 from typing import Annotated
 
 from egolane_pgm.plugins import load_plugin
-from egolane_pgm.report.network import check_ending, write_network
 from egolane_pgm.tools.files import check_not_read
 from egolane_pgm.verbs.given import Option, StrPath, path_of
 from egolane_pgm.verbs.show import NLanes, compile_defaults
+from egolane_pgm.views.network import check_ending, write_network
 
 EXAMPLES = ("egolane network sensor_failure graph.svg",)
 

@@ -6,12 +6,12 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
-from egolane_pgm.report.draw import draw_standard, draw_together
-from egolane_pgm.report.study_figures import draw_study
-from egolane_pgm.report.study_trials import is_study
 from egolane_pgm.results import read_result
 from egolane_pgm.types import InputError
 from egolane_pgm.verbs.given import Option, StrPath, several_of
+from egolane_pgm.views.draw import draw_standard, draw_together
+from egolane_pgm.views.study_figures import draw_study
+from egolane_pgm.views.study_trials import is_study
 
 EXAMPLES = ("egolane plot results/quickstart --frames 0 400 --style pdf",)
 

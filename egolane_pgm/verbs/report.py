@@ -8,12 +8,12 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Annotated, Any
 
-from egolane_pgm.report.page.document import write_page
-from egolane_pgm.report.study_trials import is_study
+from egolane_pgm.page.document import write_page
 from egolane_pgm.results import Result, is_result, read_result
 from egolane_pgm.tools.files import check_place
 from egolane_pgm.types import InputError
 from egolane_pgm.verbs.given import Option, StrPath, several_of
+from egolane_pgm.views.study_trials import is_study
 
 EXAMPLES = (
     "egolane report results/quickstart",

@@ -10,10 +10,10 @@ from egolane_pgm.drive_table import DriveTable
 from egolane_pgm.fleet import numbers_of
 from egolane_pgm.paper import Runs, load_published, parse_runs, reproduce_json, reproduce_run
 from egolane_pgm.recordings import catalog
-from egolane_pgm.report.tables import Table, confusion_table, reproduction_rows
 from egolane_pgm.tools.progress import bar
 from egolane_pgm.types import InputError
 from egolane_pgm.verbs.given import Option, Progress, StrPath, path_of
+from egolane_pgm.views.tables import Table, confusion_table, reproduction_rows
 
 EXAMPLES = ("egolane reproduce --runs 1-5", "egolane reproduce --format latex > table.tex")
 

@@ -21,9 +21,6 @@ from egolane_pgm.experiment import (
 )
 from egolane_pgm.fleet import numbers_of, plan_fleet, read_fleet, summary_rows, write_summary
 from egolane_pgm.recordings.source import IN_MEMORY, Read
-from egolane_pgm.report.events import event_runs_rows, lane_words, sure_words
-from egolane_pgm.report.fleet_table import fleet_table_rows
-from egolane_pgm.report.tables import Table, runs_table_rows
 from egolane_pgm.results import SCHEMA_VERSION, Result, check_writable
 from egolane_pgm.running import (
     OneOfSeveral,
@@ -49,6 +46,9 @@ from egolane_pgm.verbs.given import (
     path_of,
     several_of,
 )
+from egolane_pgm.views.events import event_runs_rows, lane_words, sure_words
+from egolane_pgm.views.fleet_table import fleet_table_rows
+from egolane_pgm.views.tables import Table, runs_table_rows
 
 EXAMPLES = (
     "egolane run lines.csv --n-lanes 4",

@@ -11,7 +11,6 @@ from pydantic import TypeAdapter
 from pydantic.json_schema import GenerateJsonSchema
 
 from egolane_pgm.comparing.document import Comparison
-from egolane_pgm.detectors.networks.description import Network
 from egolane_pgm.experiment import INTERCHANGE, Experiment
 from egolane_pgm.paper import Reproduction
 from egolane_pgm.plugins import OWN_FILES, plugin_names
@@ -20,6 +19,7 @@ from egolane_pgm.simulation import PRESETS
 from egolane_pgm.tools.files import YAML_VERSION
 from egolane_pgm.tuning.plan import PictureTuningFile, TuningFile
 from egolane_pgm.verbs.given import Option
+from egolane_pgm.vision.detectors.networks.description import Network
 
 EXAMPLES = ("egolane schema > experiment.schema.json",)
 

@@ -13,15 +13,15 @@ from egolane_pgm.inference.compile import Compiled
 from egolane_pgm.model import Roles, build_network, compile_graph, fitting_rule, graph_roles
 from egolane_pgm.parameters import Parameters, resolve_parameters
 from egolane_pgm.plugins import find_plugin, load_plugin
-from egolane_pgm.report.description import (
+from egolane_pgm.results import SCHEMA_VERSION
+from egolane_pgm.types import MAX_LANES, InputError
+from egolane_pgm.verbs.given import Option, StrPath, path_of, shown
+from egolane_pgm.views.description import (
     describe_detector,
     describe_graph,
     describe_rule,
     description_text,
 )
-from egolane_pgm.results import SCHEMA_VERSION
-from egolane_pgm.types import MAX_LANES, InputError
-from egolane_pgm.verbs.given import Option, StrPath, path_of, shown
 
 EXAMPLES = (
     "egolane show sensor_failure --tables",

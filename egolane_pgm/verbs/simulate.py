@@ -12,12 +12,7 @@ import numpy as np
 
 from egolane_pgm.experiment import INTERCHANGE
 from egolane_pgm.maps import lane_graph, load_map, road_table
-from egolane_pgm.recordings.ground_truth import write_ground_truth
-from egolane_pgm.recordings.table import write_table
-from egolane_pgm.simulation import SimulatedDrive
-from egolane_pgm.simulation import simulate as make_drive
-from egolane_pgm.simulation.detector import DetectorModel
-from egolane_pgm.simulation.interchange import (
+from egolane_pgm.maps.interchange import (
     DETECTOR,
     InterchangeDrive,
     Journey,
@@ -25,13 +20,18 @@ from egolane_pgm.simulation.interchange import (
     mirrored,
     simulate_interchange,
 )
-from egolane_pgm.simulation.rendering.files import free_places, write_drive
-from egolane_pgm.simulation.rendering.render import check_settings, make_scene
-from egolane_pgm.simulation.rendering.scene import Scene
+from egolane_pgm.recordings.ground_truth import write_ground_truth
+from egolane_pgm.recordings.table import write_table
+from egolane_pgm.simulation import SimulatedDrive
+from egolane_pgm.simulation import simulate as make_drive
+from egolane_pgm.simulation.detector import DetectorModel
 from egolane_pgm.tools.files import as_csv, make_directory, write_text, write_yaml
 from egolane_pgm.tools.progress import bar
 from egolane_pgm.types import InputError, suggestion
 from egolane_pgm.verbs.given import Option, Progress, Seed, StrPath
+from egolane_pgm.vision.rendering.files import free_places, write_drive
+from egolane_pgm.vision.rendering.render import check_settings, make_scene
+from egolane_pgm.vision.rendering.scene import Scene
 
 EXAMPLES = (
     "egolane simulate a4 --out drive --frames 600",

@@ -19,8 +19,6 @@ from egolane_pgm.drive import as_name
 from egolane_pgm.experiment import Given, Overrides, Tuning, load_experiment
 from egolane_pgm.fleet import drives_of, experiments_of
 from egolane_pgm.paper import Runs, parse_runs
-from egolane_pgm.report.study_figures import draw_study
-from egolane_pgm.report.tables import line_width
 from egolane_pgm.tools.files import temporary_folder
 from egolane_pgm.tools.progress import bar
 from egolane_pgm.tuning import pictures as on_pictures
@@ -42,6 +40,8 @@ from egolane_pgm.verbs.given import (
     path_of,
     several_of,
 )
+from egolane_pgm.views.study_figures import draw_study
+from egolane_pgm.views.tables import line_width
 
 EXAMPLES = (
     "egolane tune drive/experiment.yaml --trials 300",

@@ -9,14 +9,22 @@ from typing import Annotated, Any
 
 from annotated_types import Ge, Le
 
-from egolane_pgm.camera.model import read_camera
-from egolane_pgm.camera.pictures import Source, camera_of_pictures, open_source, read_pictures
-from egolane_pgm.detectors.runner import Detector as Found
-from egolane_pgm.detectors.runner import check_pair, find_detector
 from egolane_pgm.experiment import Experiment, Given, load_experiment
 from egolane_pgm.recordings import read_lines
 from egolane_pgm.recordings.ground_truth import read_ground_truth
-from egolane_pgm.report.video import (
+from egolane_pgm.tools.progress import bar
+from egolane_pgm.types import InputError
+from egolane_pgm.verbs.given import CameraFile, Frames, Option, Progress, StrPath, check_frames
+from egolane_pgm.vision.camera.model import read_camera
+from egolane_pgm.vision.camera.pictures import (
+    Source,
+    camera_of_pictures,
+    open_source,
+    read_pictures,
+)
+from egolane_pgm.vision.detectors.runner import Detector as Found
+from egolane_pgm.vision.detectors.runner import check_pair, find_detector
+from egolane_pgm.vision.video import (
     draw_frame,
     frame_writer,
     layout,
@@ -24,9 +32,6 @@ from egolane_pgm.report.video import (
     with_detected_lines,
     with_recorded_lines,
 )
-from egolane_pgm.tools.progress import bar
-from egolane_pgm.types import InputError
-from egolane_pgm.verbs.given import CameraFile, Frames, Option, Progress, StrPath, check_frames
 
 EXAMPLES = ("egolane video drive.mp4 --camera cam.yaml --detector ml --n-lanes 4 -o out.mp4",)
 

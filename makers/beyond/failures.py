@@ -21,16 +21,16 @@ from matplotlib.figure import Figure
 from egolane_pgm.inference.smoothing import infer_beliefs
 from egolane_pgm.model import make_evidence
 from egolane_pgm.parameters import number
-from egolane_pgm.report.answers import (
+from egolane_pgm.scoring.assign import assigned_lane
+from egolane_pgm.types import BoolArray, Evidence, FloatArray, IntArray, LineLog
+from egolane_pgm.views.answers import (
     DETECTOR_COLOUR,
     FAINT,
     INK,
     MODEL_COLOUR,
     PROBABILITY_COLOURS,
 )
-from egolane_pgm.report.style import new_figure, write_figure
-from egolane_pgm.scoring.assign import assigned_lane
-from egolane_pgm.types import BoolArray, Evidence, FloatArray, IntArray, LineLog
+from egolane_pgm.views.style import new_figure, write_figure
 from makers.beyond.strangers import zero_label
 from tests.kits.strangers import (
     FRAME_RATE,

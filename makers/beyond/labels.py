@@ -17,12 +17,12 @@ from egolane_pgm.drive import Recorded
 from egolane_pgm.experiment import experiments_folder, load_experiment
 from egolane_pgm.labelling import SHARES, Labels, label_experiment, label_scores
 from egolane_pgm.paper import paper_experiment
-from egolane_pgm.report.answers import DETECTOR_COLOUR, INK, MODEL_COLOUR
-from egolane_pgm.report.review import review_figure
-from egolane_pgm.report.style import axes_at, new_figure, write_figure
-from egolane_pgm.report.tables import markdown
 from egolane_pgm.scoring.probabilistic import answers_curve
 from egolane_pgm.types import LaneTruth, runs_of
+from egolane_pgm.views.answers import DETECTOR_COLOUR, INK, MODEL_COLOUR
+from egolane_pgm.views.review import review_figure
+from egolane_pgm.views.style import axes_at, new_figure, write_figure
+from egolane_pgm.views.tables import markdown
 from tests.kits.strangers import LAST_TRUSTED, STRANGERS, Drive, paper_drive
 
 ZERO_LABEL = experiments_folder() / "zero_label.yaml"

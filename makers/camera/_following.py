@@ -15,18 +15,18 @@ from typing import Any
 
 import numpy as np
 
-from egolane_pgm.camera.model import Camera, read_camera
-from egolane_pgm.camera.picture import Picture
 from egolane_pgm.command import egolane
-from egolane_pgm.detectors import FrameLines, as_log
-from egolane_pgm.detectors.simple.finder import PARAMETERS, follower
-from egolane_pgm.detectors.simple.tracking import Tracks, lines_of, no_tracks
 from egolane_pgm.drive import Recorded
 from egolane_pgm.experiment import make_experiment
 from egolane_pgm.parameters import resolve_parameters
 from egolane_pgm.running import run_experiment
 from egolane_pgm.scoring.assign import assigned_lane
 from egolane_pgm.types import IntArray, LineLog
+from egolane_pgm.vision.camera.model import Camera, read_camera
+from egolane_pgm.vision.camera.picture import Picture
+from egolane_pgm.vision.detectors import FrameLines, as_log
+from egolane_pgm.vision.detectors.simple.finder import PARAMETERS, follower
+from egolane_pgm.vision.detectors.simple.tracking import Tracks, lines_of, no_tracks
 
 
 def data_folder(name: str) -> Path | None:

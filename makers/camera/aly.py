@@ -18,14 +18,19 @@ from typing import Any
 import cv2
 import numpy as np
 
-from egolane_pgm.calibration.labels import label_picture, label_places, line_points, read_labels
-from egolane_pgm.camera.model import Camera, road_to_image
-from egolane_pgm.camera.picture import Image
-from egolane_pgm.camera.pictures import open_source, read_pictures
-from egolane_pgm.detectors.aly import PARAMETERS, Found, line_finder
-from egolane_pgm.detectors.runner import find_detector, start
+from egolane_pgm.classic.aly import PARAMETERS, Found, line_finder
 from egolane_pgm.parameters import resolve_parameters
 from egolane_pgm.types import FloatArray, IntArray
+from egolane_pgm.vision.calibration.labels import (
+    label_picture,
+    label_places,
+    line_points,
+    read_labels,
+)
+from egolane_pgm.vision.camera.model import Camera, road_to_image
+from egolane_pgm.vision.camera.picture import Image
+from egolane_pgm.vision.camera.pictures import open_source, read_pictures
+from egolane_pgm.vision.detectors.runner import find_detector, start
 from makers.camera import clips, tusimple
 
 WIDTH_PX = 640

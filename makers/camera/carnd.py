@@ -15,10 +15,10 @@ from tempfile import TemporaryDirectory
 
 import numpy as np
 
-from egolane_pgm.camera.model import Camera
-from egolane_pgm.camera.picture import Image, Picture
-from egolane_pgm.camera.pictures import open_source, read_pictures
 from egolane_pgm.types import BoolArray, FloatArray, IntArray
+from egolane_pgm.vision.camera.model import Camera
+from egolane_pgm.vision.camera.picture import Image, Picture
+from egolane_pgm.vision.camera.pictures import open_source, read_pictures
 from makers.camera._following import (
     ZERO_LABEL,
     Followed,

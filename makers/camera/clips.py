@@ -21,13 +21,13 @@ from typing import Any
 
 import numpy as np
 
-from egolane_pgm.calibration.labels import label_places, read_labels
-from egolane_pgm.camera.model import Camera
-from egolane_pgm.camera.pictures import open_source, read_pictures
-from egolane_pgm.detectors.runner import find_detector, start
-from egolane_pgm.detectors.simple.fit import find_lines, view_for
-from egolane_pgm.report.tables import markdown
 from egolane_pgm.types import FloatArray, IntArray
+from egolane_pgm.views.tables import markdown
+from egolane_pgm.vision.calibration.labels import label_places, read_labels
+from egolane_pgm.vision.camera.model import Camera
+from egolane_pgm.vision.camera.pictures import open_source, read_pictures
+from egolane_pgm.vision.detectors.runner import find_detector, start
+from egolane_pgm.vision.detectors.simple.fit import find_lines, view_for
 from makers.camera import tusimple
 from makers.camera._following import (
     ZERO_LABEL,

@@ -14,15 +14,15 @@ from pathlib import Path
 
 import numpy as np
 
-from egolane_pgm.calibration.labels import label_picture, label_places, read_labels
-from egolane_pgm.camera.model import Camera
-from egolane_pgm.camera.picture import Picture
-from egolane_pgm.camera.pictures import read_image
-from egolane_pgm.detectors.runner import detect, find_detector
-from egolane_pgm.detectors.simple import drift
-from egolane_pgm.detectors.simple.birdseye import turned_up
-from egolane_pgm.detectors.simple.fit import find_lines, view_for
 from egolane_pgm.types import FloatArray
+from egolane_pgm.vision.calibration.labels import label_picture, label_places, read_labels
+from egolane_pgm.vision.camera.model import Camera
+from egolane_pgm.vision.camera.picture import Picture
+from egolane_pgm.vision.camera.pictures import read_image
+from egolane_pgm.vision.detectors.runner import detect, find_detector
+from egolane_pgm.vision.detectors.simple import drift
+from egolane_pgm.vision.detectors.simple.birdseye import turned_up
+from egolane_pgm.vision.detectors.simple.fit import find_lines, view_for
 from makers.camera import tusimple
 
 #: Detectors, and what they fit.

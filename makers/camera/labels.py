@@ -35,11 +35,11 @@ from typing import Any
 
 import numpy as np
 
-from egolane_pgm.calibration.labels import line_points, read_labels
-from egolane_pgm.calibration.straight_road import assumed_camera, view_of_road
-from egolane_pgm.camera.model import write_camera
 from egolane_pgm.experiment import make_experiment
 from egolane_pgm.running import run_experiment
+from egolane_pgm.vision.calibration.labels import line_points, read_labels
+from egolane_pgm.vision.calibration.straight_road import assumed_camera, view_of_road
+from egolane_pgm.vision.camera.model import write_camera
 
 FILE = "camera/tusimple_labels_0313-1.jsonl"
 

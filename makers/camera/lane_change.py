@@ -18,9 +18,9 @@ from tempfile import TemporaryDirectory
 
 import numpy as np
 
-from egolane_pgm.camera.model import Camera
-from egolane_pgm.camera.pictures import open_source, read_pictures
 from egolane_pgm.types import IntArray
+from egolane_pgm.vision.camera.model import Camera
+from egolane_pgm.vision.camera.pictures import open_source, read_pictures
 from makers.camera._following import (
     ZERO_LABEL,
     Followed,

@@ -11,14 +11,14 @@ from pathlib import Path
 import cv2
 import numpy as np
 
-from egolane_pgm.calibration.labels import label_picture, read_labels
-from egolane_pgm.camera.model import Camera, road_to_image
-from egolane_pgm.camera.picture import Image
-from egolane_pgm.detectors.simple.birdseye import BirdsEye
-from egolane_pgm.detectors.simple.fit import Found, find_lines, from_above, view_for
-from egolane_pgm.detectors.simple.parameters import FINDING
-from egolane_pgm.detectors.simple.upright import free_road
 from egolane_pgm.parameters import resolve_parameters
+from egolane_pgm.vision.calibration.labels import label_picture, read_labels
+from egolane_pgm.vision.camera.model import Camera, road_to_image
+from egolane_pgm.vision.camera.picture import Image
+from egolane_pgm.vision.detectors.simple.birdseye import BirdsEye
+from egolane_pgm.vision.detectors.simple.fit import Found, find_lines, from_above, view_for
+from egolane_pgm.vision.detectors.simple.parameters import FINDING
+from egolane_pgm.vision.detectors.simple.upright import free_road
 from makers.camera import tusimple
 
 #: The still that is drawn.

@@ -20,24 +20,24 @@ import numpy as np
 import yaml
 from tqdm import tqdm
 
-from egolane_pgm.detectors import FrameLines, as_log
-from egolane_pgm.detectors.runner import find_detector, start
 from egolane_pgm.plugins import plugin_names
 from egolane_pgm.recordings.ground_truth import write_ground_truth
 from egolane_pgm.recordings.table import write_table
-from egolane_pgm.report import video
-from egolane_pgm.report.tables import markdown
 from egolane_pgm.results import Result
 from egolane_pgm.running import run_experiment
 from egolane_pgm.scoring.assign import assigned_lane
-from egolane_pgm.simulation.rendering.render import (
+from egolane_pgm.types import FloatArray, LineLog
+from egolane_pgm.views.tables import markdown
+from egolane_pgm.vision import video
+from egolane_pgm.vision.detectors import FrameLines, as_log
+from egolane_pgm.vision.detectors.runner import find_detector, start
+from egolane_pgm.vision.rendering.render import (
     FAILURES,
     FrameTruth,
     Scene,
     make_scene,
     render_frame,
 )
-from egolane_pgm.types import FloatArray, LineLog
 
 FRAMES = 3000
 #: The first seeds whose drives spend 15 % of the time in every lane.

@@ -15,12 +15,12 @@ from typing import Any
 import yaml
 
 import egolane_pgm as ego
-from egolane_pgm.camera.model import write_camera
-from egolane_pgm.report.study_tables import importance_line, score_rows
-from egolane_pgm.report.tables import markdown
 from egolane_pgm.scoring.line_places import LINE_SCORES
 from egolane_pgm.tuning import pictures as on_pictures
 from egolane_pgm.tuning.plan import PicturePlan, read_plan
+from egolane_pgm.views.study_tables import importance_line, score_rows
+from egolane_pgm.views.tables import markdown
+from egolane_pgm.vision.camera.model import write_camera
 from makers.camera import tusimple
 from makers.camera._following import data_folder
 

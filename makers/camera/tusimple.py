@@ -19,14 +19,19 @@ from typing import Any
 import cv2
 import numpy as np
 
-from egolane_pgm.calibration.labels import label_picture, label_places, line_points, read_labels
-from egolane_pgm.calibration.straight_road import assumed_camera, view_of_road
-from egolane_pgm.camera.model import Camera
-from egolane_pgm.detectors.simple.fit import find_lines, view_for
-from egolane_pgm.detectors.simple.parameters import FINDING
 from egolane_pgm.parameters import resolve_parameters
 from egolane_pgm.scoring.line_places import line_counts, line_precision, line_recall, matched
 from egolane_pgm.types import BoolArray, FloatArray
+from egolane_pgm.vision.calibration.labels import (
+    label_picture,
+    label_places,
+    line_points,
+    read_labels,
+)
+from egolane_pgm.vision.calibration.straight_road import assumed_camera, view_of_road
+from egolane_pgm.vision.camera.model import Camera
+from egolane_pgm.vision.detectors.simple.fit import find_lines, view_for
+from egolane_pgm.vision.detectors.simple.parameters import FINDING
 
 FILE = "camera/tusimple_frames/labels.jsonl"
 HALF = 55

@@ -13,13 +13,13 @@ import egolane_pgm as ego
 from egolane_pgm.experiment import Gnss, load_experiment
 from egolane_pgm.inference.filtering import filter_beliefs
 from egolane_pgm.maps.across import across
+from egolane_pgm.maps.interchange import InterchangeDrive, mirrored
 from egolane_pgm.maps.lane_graph import LaneGraph
 from egolane_pgm.maps.on_map import with_positions
 from egolane_pgm.maps.osm import read_osm
 from egolane_pgm.maps.road_table import RoadTable
 from egolane_pgm.maps.steps import LanesAlong, lanes_along, road_changes
 from egolane_pgm.model import make_evidence, prepare_model
-from egolane_pgm.simulation.interchange import InterchangeDrive, mirrored
 from egolane_pgm.types import BoolArray, FloatArray
 from tests.kits.lane_maps import without_lines
 

@@ -9,10 +9,10 @@ import numpy as np
 
 from egolane_pgm.experiment import Gnss
 from egolane_pgm.maps.index import index_of
+from egolane_pgm.maps.interchange import InterchangeDrive, Journey, simulate_interchange
 from egolane_pgm.maps.locating import locate
 from egolane_pgm.maps.positions import Positions
 from egolane_pgm.maps.road_table import RoadTable
-from egolane_pgm.simulation.interchange import InterchangeDrive, Journey, simulate_interchange
 from egolane_pgm.types import BoolArray, FloatArray
 from makers.maps._drives import lane_belief, real_maps, share, text
 

@@ -9,8 +9,8 @@ from itertools import combinations
 import numpy as np
 
 from egolane_pgm.experiment import Gnss
+from egolane_pgm.maps.interchange import InterchangeDrive, Journey, simulate_interchange
 from egolane_pgm.maps.matching import match
-from egolane_pgm.simulation.interchange import InterchangeDrive, Journey, simulate_interchange
 from egolane_pgm.types import BoolArray, FloatArray
 from makers.maps._drives import data, lane_belief, share, text
 from tests.kits.tracks import offset_each_second, rotterdam_receivers, rotterdam_road

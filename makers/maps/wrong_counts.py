@@ -12,10 +12,10 @@ import numpy as np
 
 from egolane_pgm.experiment import load_experiment
 from egolane_pgm.inference.filtering import filter_beliefs
+from egolane_pgm.maps.interchange import DETECTOR, Journey
 from egolane_pgm.model import make_evidence
 from egolane_pgm.scoring.assign import assigned_lane
 from egolane_pgm.scoring.road import BEHIND_S
-from egolane_pgm.simulation.interchange import DETECTOR, Journey
 from egolane_pgm.types import FloatArray, IntArray
 from makers.maps._experiments import COUNTING, prepared, simulated
 

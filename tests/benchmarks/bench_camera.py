@@ -19,14 +19,14 @@ from statistics import median
 
 import cv2
 
-from egolane_pgm import detectors
-from egolane_pgm.calibration.labels import label_picture, read_labels
-from egolane_pgm.camera.model import Camera
-from egolane_pgm.camera.picture import Picture
-from egolane_pgm.detectors.runner import Detector, find_detector, start
 from egolane_pgm.plugins import plugin_names
-from egolane_pgm.simulation.rendering.render import make_scene, render_frame
 from egolane_pgm.types import InputError
+from egolane_pgm.vision import detectors
+from egolane_pgm.vision.calibration.labels import label_picture, read_labels
+from egolane_pgm.vision.camera.model import Camera
+from egolane_pgm.vision.camera.picture import Picture
+from egolane_pgm.vision.detectors.runner import Detector, find_detector, start
+from egolane_pgm.vision.rendering.render import make_scene, render_frame
 from makers.camera import tusimple
 
 HEADER = ("camera picture, 1280x720", "per frame", "frames per second")

@@ -34,7 +34,7 @@ PARTS = (
     ("egolane_pgm.running", "score_with_intervals", "scores, with intervals"),
     ("egolane_pgm.running", "provenance", "versions, checksums, commit"),
     ("egolane_pgm.results", "write_result", "writing tables"),
-    ("egolane_pgm.report.strips", "draw_strips", "drawing strips.png"),
+    ("egolane_pgm.views.strips", "draw_strips", "drawing strips.png"),
 )
 
 
@@ -108,7 +108,7 @@ def _inside(report: Path, words: list[str]) -> None:
         import_module("egolane_pgm.verbs.run")
         command = import_module("egolane_pgm.command").egolane
     with part("matplotlib"):
-        import_module("egolane_pgm.report.strips")
+        import_module("egolane_pgm.views.strips")
     for place, name, what in PARTS:
         module = import_module(place)
         setattr(module, name, timed(getattr(module, name), what))

@@ -10,8 +10,8 @@ import pytest
 
 import egolane_pgm as ego
 from egolane_pgm.comparing.groups import Options, by_recording, compare_group
-from egolane_pgm.report.events import event_comparison_rows
 from egolane_pgm.running import run_experiment
+from egolane_pgm.views.events import event_comparison_rows
 from tests.conftest import needs_compiler
 from tests.kits.drives import done, geometry, refused, simulated, write_drive
 

@@ -30,13 +30,18 @@ from egolane_pgm.drive import Drive
 from egolane_pgm.experiment import Experiment, load_experiment, resolved
 from egolane_pgm.plugins import plugin_names
 from egolane_pgm.recordings.ground_truth import write_ground_truth
-from egolane_pgm.report.comparison_figures import (
+from egolane_pgm.running import run_experiment
+from egolane_pgm.scoring.assign import assigned_lane
+from egolane_pgm.scoring.bootstrap import bootstrap_interval, confusion_counts
+from egolane_pgm.scoring.confusion import accuracy
+from egolane_pgm.types import InputError
+from egolane_pgm.views.comparison_figures import (
     comparison_figure,
     differences_figure,
     draw_comparison,
     draw_differences,
 )
-from egolane_pgm.report.comparison_tables import (
+from egolane_pgm.views.comparison_tables import (
     accuracy_rows,
     full_rows,
     full_tables,
@@ -46,12 +51,7 @@ from egolane_pgm.report.comparison_tables import (
     seeds_rows,
     together_tables,
 )
-from egolane_pgm.report.tables import page
-from egolane_pgm.running import run_experiment
-from egolane_pgm.scoring.assign import assigned_lane
-from egolane_pgm.scoring.bootstrap import bootstrap_interval, confusion_counts
-from egolane_pgm.scoring.confusion import accuracy
-from egolane_pgm.types import InputError
+from egolane_pgm.views.tables import page
 from tests.conftest import needs_compiler
 from tests.kits.drives import (
     command,

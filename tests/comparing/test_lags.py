@@ -20,10 +20,10 @@ from egolane_pgm.experiment import Experiment
 from egolane_pgm.inference.smoothing import fixed_lag_beliefs
 from egolane_pgm.learning import with_found
 from egolane_pgm.model import make_evidence
-from egolane_pgm.report.comparison_figures import STUDY, _height, draw_lags, lags_figure
-from egolane_pgm.report.comparison_tables import lag_rows
 from egolane_pgm.running import run_experiment
 from egolane_pgm.types import InputError
+from egolane_pgm.views.comparison_figures import STUDY, _height, draw_lags, lags_figure
+from egolane_pgm.views.comparison_tables import lag_rows
 from tests.conftest import needs_compiler
 from tests.kits.drives import command, done, geometry, refused, simulated, write_drive
 

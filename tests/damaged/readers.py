@@ -13,8 +13,6 @@ import pandas as pd
 import yaml
 
 import egolane_pgm as ego
-from egolane_pgm.camera.model import read_camera, write_camera
-from egolane_pgm.camera.pictures import images_of, open_source
 from egolane_pgm.drive import check_sources
 from egolane_pgm.experiment import load_experiment
 from egolane_pgm.fleet import drive_experiment, read_fleet
@@ -26,6 +24,8 @@ from egolane_pgm.plugins import load_plugin
 from egolane_pgm.recordings import read_lines, write_lines
 from egolane_pgm.recordings.ground_truth import read_ground_truth
 from egolane_pgm.verbs.show import compile_defaults
+from egolane_pgm.vision.camera.model import read_camera, write_camera
+from egolane_pgm.vision.camera.pictures import images_of, open_source
 from tests.kits.bags import write_bag2
 from tests.kits.drives import short_drive, write_drive
 from tests.kits.image_line_files import CAMERA, culane, entry, openlane, saved_camera, tusimple

@@ -9,7 +9,7 @@ import cv2
 import numpy as np
 from hypothesis import strategies as st
 
-from egolane_pgm.camera.model import Camera, image_to_road, road_to_image, undistorted
+from egolane_pgm.vision.camera.model import Camera, image_to_road, road_to_image, undistorted
 from tests.kits.drives import command
 
 LENS = (-0.25, 0.02, -0.0006, 0.0002, 0.0)

@@ -14,9 +14,9 @@ from typing import Any
 import cv2
 import numpy as np
 
-from egolane_pgm.camera.model import write_camera
 from egolane_pgm.recordings.rosbag import TOPIC
 from egolane_pgm.simulation import simulate
+from egolane_pgm.vision.camera.model import write_camera
 from tests.kits.bags import PLAIN_CHECKSUM, definition, plain_message
 from tests.kits.calibration_kit import TRUE, draw_road
 from tests.kits.drives import command, rewritten, write_drive

@@ -6,9 +6,9 @@ from dataclasses import replace
 
 import numpy as np
 
-from egolane_pgm.camera.model import Camera
-from egolane_pgm.detectors import FrameLines
-from egolane_pgm.report.video import Scene, draw_frame, layout
+from egolane_pgm.vision.camera.model import Camera
+from egolane_pgm.vision.detectors import FrameLines
+from egolane_pgm.vision.video import Scene, draw_frame, layout
 
 CAMERA = Camera(
     width=640, height=400, fx=500, fy=500, cx=320, cy=200, height_m=1.4, pitch_deg=-3, yaw_deg=0.5

@@ -11,9 +11,9 @@ from typing import Any
 import numpy as np
 import pytest
 
-from egolane_pgm.camera.model import Camera, road_to_image, write_camera
 from egolane_pgm.recordings import read_lines
 from egolane_pgm.types import InputError, LineLog
+from egolane_pgm.vision.camera.model import Camera, road_to_image, write_camera
 
 CAMERA = Camera(
     width=1280, height=720, fx=1040, fy=1040, cx=640, cy=360, height_m=1.6, pitch_deg=-4, yaw_deg=1

@@ -6,9 +6,9 @@ from pathlib import Path
 
 import numpy as np
 
-from egolane_pgm.camera.model import Camera, road_to_image, write_camera
 from egolane_pgm.recordings.ground_truth import write_ground_truth
 from egolane_pgm.types import LaneTruth
+from egolane_pgm.vision.camera.model import Camera, road_to_image, write_camera
 from tests.kits.drives import write_experiment
 
 CAMERA = Camera(width=480, height=270, fx=390, fy=390, cx=240, cy=135, height_m=1.4, pitch_deg=-4)

@@ -10,7 +10,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 
-from egolane_pgm.camera.model import road_to_image, write_camera
+from egolane_pgm.vision.camera.model import road_to_image, write_camera
 from tests.kits.synthetic_road import CAMERA, road
 
 OFFSETS = (-5.2, -1.7, 1.8)

@@ -8,16 +8,16 @@ from typing import Any
 
 import numpy as np
 
-from egolane_pgm.camera.model import Camera
-from egolane_pgm.camera.picture import Picture
-from egolane_pgm.detectors import sl
-from egolane_pgm.detectors.simple import matchers as _matchers
-from egolane_pgm.detectors.simple import stereo as _stereo
-from egolane_pgm.detectors.simple.plane import Plane
 from egolane_pgm.parameters import Parameters, resolve_parameters
-from egolane_pgm.simulation.rendering import traffic as traffics
-from egolane_pgm.simulation.rendering.render import FAILURES, Frame, Scene, make_scene, render_frame
 from egolane_pgm.types import FloatArray
+from egolane_pgm.vision.camera.model import Camera
+from egolane_pgm.vision.camera.picture import Picture
+from egolane_pgm.vision.detectors import sl
+from egolane_pgm.vision.detectors.simple import matchers as _matchers
+from egolane_pgm.vision.detectors.simple import stereo as _stereo
+from egolane_pgm.vision.detectors.simple.plane import Plane
+from egolane_pgm.vision.rendering import traffic as traffics
+from egolane_pgm.vision.rendering.render import FAILURES, Frame, Scene, make_scene, render_frame
 
 PAIR = Camera(640, 300, 500.0, 520.0, 310.0, 120.0, 1.4, pitch_deg=-2.0, baseline_m=0.4)
 K = 20

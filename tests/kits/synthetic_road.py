@@ -11,8 +11,8 @@ import cv2
 import numpy as np
 import yaml
 
-from egolane_pgm.camera.model import Camera, image_to_road, write_camera
-from egolane_pgm.camera.picture import Image, Picture
+from egolane_pgm.vision.camera.model import Camera, image_to_road, write_camera
+from egolane_pgm.vision.camera.picture import Image, Picture
 
 CAMERA = Camera(480, 270, 390.0, 390.0, 239.5, 134.5, height_m=1.4, pitch_deg=-4.0)
 PAIR = replace(CAMERA, baseline_m=0.4)

@@ -18,9 +18,9 @@ import numpy as np
 import yaml
 from numpy.typing import NDArray
 
-from egolane_pgm.camera.model import image_to_road
-from egolane_pgm.camera.picture import Image
-from egolane_pgm.simulation.rendering.render import (
+from egolane_pgm.vision.camera.model import image_to_road
+from egolane_pgm.vision.camera.picture import Image
+from egolane_pgm.vision.rendering.render import (
     Failures,
     FrameTruth,
     Scene,

@@ -13,8 +13,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike
 
-from egolane_pgm.camera.model import Camera, road_to_image
 from egolane_pgm.types import FloatArray
+from egolane_pgm.vision.camera.model import Camera, road_to_image
 
 ABSENT = -2.0
 PIXELS, SHARE = 20.0, 0.85

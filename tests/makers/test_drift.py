@@ -6,8 +6,8 @@ from dataclasses import replace
 
 import pytest
 
-from egolane_pgm.calibration.labels import read_labels
-from egolane_pgm.camera.pictures import open_source, read_pictures
+from egolane_pgm.vision.calibration.labels import read_labels
+from egolane_pgm.vision.camera.pictures import open_source, read_pictures
 from makers.camera import carnd, clips, drift, tusimple
 from tests.conftest import needs_compiler
 

@@ -22,9 +22,9 @@ from egolane_pgm.maps.positions import read_positions
 from egolane_pgm.recordings import files_of, format_of, read_lines, write_lines
 from egolane_pgm.recordings.rosbag import TOPIC, read_rosbag
 from egolane_pgm.recordings.select import fill_missing, recording_warnings
-from egolane_pgm.report.events import clock
 from egolane_pgm.simulation import simulate
 from egolane_pgm.types import InputError, LineLog
+from egolane_pgm.views.events import clock
 from tests.kits.bags import write_bag2, write_fixes2
 
 ARRAYS = ("frame_id", "time_s", "offset_m", "is_valid", "is_continuous", "lri")

@@ -1,4 +1,4 @@
-"""What `detectors.bezier.kernels` computes, in plain NumPy."""
+"""What `classic.bezier.kernels` computes, in plain NumPy."""
 
 from __future__ import annotations
 

@@ -12,13 +12,13 @@ from hypothesis.extra import numpy as hnp
 
 from egolane_pgm.experiment import load_experiment
 from egolane_pgm.online import filter_stream
-from egolane_pgm.report.coverage import MARKED, coverage_curves, coverage_figure
 from egolane_pgm.results import read_result
 from egolane_pgm.running import run_experiment
 from egolane_pgm.scoring.assign import assigned_lane
 from egolane_pgm.scoring.confusion import confusion, scores_from_confusion
 from egolane_pgm.scoring.probabilistic import coverage_curve
 from egolane_pgm.types import InputError
+from egolane_pgm.views.coverage import MARKED, coverage_curves, coverage_figure
 from tests.kits.drives import command, done, refused, short_drive, write_drive
 from tests.kits.streams import messages
 from tests.kits.tiny_result import a_result, without_truth

@@ -15,12 +15,8 @@ import pyarrow as pa
 import pytest
 from matplotlib.figure import Figure
 
-from egolane_pgm.camera.model import Camera, read_camera, write_camera
-from egolane_pgm.camera.video import open_video
-from egolane_pgm.camera.writing import video_writer, write_picture
 from egolane_pgm.recordings import read_lines, write_lines
 from egolane_pgm.recordings.ground_truth import read_ground_truth, write_ground_truth
-from egolane_pgm.report.style import write_figure
 from egolane_pgm.results import is_result, write_result
 from egolane_pgm.simulation import simulate
 from egolane_pgm.tools.files import (
@@ -36,6 +32,10 @@ from egolane_pgm.tools.files import (
     write_yaml,
 )
 from egolane_pgm.types import InputError
+from egolane_pgm.views.style import write_figure
+from egolane_pgm.vision.camera.model import Camera, read_camera, write_camera
+from egolane_pgm.vision.camera.video import open_video
+from egolane_pgm.vision.camera.writing import video_writer, write_picture
 from tests.kits.drives import done
 from tests.kits.processes import needs_links
 from tests.kits.tiny_result import a_result

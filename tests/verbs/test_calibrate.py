@@ -9,9 +9,9 @@ import cv2
 import numpy as np
 import pytest
 
-from egolane_pgm.camera.model import read_camera
-from egolane_pgm.camera.pictures import read_image
 from egolane_pgm.types import InputError
+from egolane_pgm.vision.camera.model import read_camera
+from egolane_pgm.vision.camera.pictures import read_image
 from tests.kits.calibration_kit import TRUE, calibrate, write_labels
 from tests.kits.drives import contents, done, refused
 from tests.kits.labelled_pictures import huge_picture

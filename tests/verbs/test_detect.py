@@ -15,13 +15,13 @@ import numpy as np
 import pytest
 import yaml
 
-from egolane_pgm.camera.model import write_camera
-from egolane_pgm.camera.pictures import open_source, read_pictures
 from egolane_pgm.drive import check_sources, load_recording, with_recording
 from egolane_pgm.experiment import load_experiment
 from egolane_pgm.recordings import read_lines
 from egolane_pgm.running import run_experiment
 from egolane_pgm.types import InputError
+from egolane_pgm.vision.camera.model import write_camera
+from egolane_pgm.vision.camera.pictures import open_source, read_pictures
 from tests.kits.drives import command, done, refused, rewritten, write_experiment
 from tests.kits.processes import started
 from tests.kits.synthetic_road import (
@@ -36,7 +36,7 @@ from tests.kits.synthetic_road import (
 
 STEREO = """
 import numpy as np
-from egolane_pgm.detectors import FrameLines
+from egolane_pgm.vision.detectors import FrameLines
 STEREO = True
 def start(camera, parameters):
     def step(picture):
@@ -382,7 +382,7 @@ def test_a_camera_that_looks_at_the_sky_is_refused_before_any_picture(
 def test_ctrl_c_keeps_what_was_detected(place: Path, tmp_path: Path) -> None:
     slow = tmp_path / "slow.py"
     slow.write_text(
-        "import time\nfrom egolane_pgm.detectors import ml\nSTEREO = False\n"
+        "import time\nfrom egolane_pgm.vision.detectors import ml\nSTEREO = False\n"
         "PARAMETERS = ml.PARAMETERS\n"
         "def start(camera, parameters):\n"
         "    step = ml.start(camera, parameters)\n"

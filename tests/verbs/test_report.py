@@ -10,7 +10,7 @@ from pathlib import Path
 
 import pytest
 
-from egolane_pgm.report.page.document import page_of
+from egolane_pgm.page.document import page_of
 from tests.kits.drives import contents, done, refused, write_drive
 from tests.kits.tiny_result import long_drive
 

@@ -16,9 +16,9 @@ import numpy as np
 import pytest
 import yaml
 
-from egolane_pgm.report.events import clock
 from egolane_pgm.results import is_result, read_result
 from egolane_pgm.running import run_experiment
+from egolane_pgm.views.events import clock
 from tests.kits.bags import GOOD, Line, line_bag, plain_message, truth_file, write_bag
 from tests.kits.drives import (
     N_FRAMES,

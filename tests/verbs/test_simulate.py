@@ -11,14 +11,14 @@ import pytest
 import yaml
 from click.testing import Result
 
-from egolane_pgm.camera.model import read_camera
-from egolane_pgm.camera.pictures import open_source, read_pictures
 from egolane_pgm.experiment import load_experiment
 from egolane_pgm.recordings import read_lines
 from egolane_pgm.recordings.ground_truth import read_ground_truth
 from egolane_pgm.results import read_result
-from egolane_pgm.simulation.rendering import files, render
-from egolane_pgm.simulation.rendering.render import make_scene, render_frame
+from egolane_pgm.vision.camera.model import read_camera
+from egolane_pgm.vision.camera.pictures import open_source, read_pictures
+from egolane_pgm.vision.rendering import files, render
+from egolane_pgm.vision.rendering.render import make_scene, render_frame
 from tests.kits.drives import command, contents, done, refused
 
 

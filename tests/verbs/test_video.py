@@ -11,24 +11,24 @@ import cv2
 import numpy as np
 import pytest
 
-from egolane_pgm.camera.model import road_to_image, write_camera
-from egolane_pgm.camera.picture import Picture
-from egolane_pgm.camera.pictures import open_source, read_image
-from egolane_pgm.camera.writing import video_writer
-from egolane_pgm.detectors import FrameLines
 from egolane_pgm.experiment import load_experiment
 from egolane_pgm.recordings import read_lines
 from egolane_pgm.recordings.ground_truth import write_ground_truth
 from egolane_pgm.recordings.table import write_table
-from egolane_pgm.report import video
-from egolane_pgm.report.video import (
+from egolane_pgm.types import InputError, LaneTruth, LineLog
+from egolane_pgm.vision import video
+from egolane_pgm.vision.camera.model import road_to_image, write_camera
+from egolane_pgm.vision.camera.picture import Picture
+from egolane_pgm.vision.camera.pictures import open_source, read_image
+from egolane_pgm.vision.camera.writing import video_writer
+from egolane_pgm.vision.detectors import FrameLines
+from egolane_pgm.vision.video import (
     bar_boxes,
     frame_writer,
     layout,
     scenes,
     with_recorded_lines,
 )
-from egolane_pgm.types import InputError, LaneTruth, LineLog
 from tests.kits.drawn_frames import (
     CAMERA,
     LINES,
@@ -49,7 +49,7 @@ from tests.kits.synthetic_road import road as empty_road
 #: A detector that says the same of every picture.
 DETECTOR = """
     import numpy as np
-    from egolane_pgm.detectors import FrameLines
+    from egolane_pgm.vision.detectors import FrameLines
     STEREO = False
     def start(camera, parameters):
         def step(picture):

@@ -1,0 +1,142 @@
+"""Aly's detector (M. Aly: Real time detection of lane markers in urban streets, Intelligent
+Vehicles Symposium 2008): ridges from above, RANSAC lines and Bezier splines.
+
+What differs from the paper and its public configuration:
+
+- The view is a region of the road in metres (theirs: of the picture, in pixels), so that it suits
+  any calibrated camera. Pictures are first made smaller until their focal length is twice that of
+  their camera, so that lengths in pixels keep their meaning.
+- Their tracker is not public. Ours takes its place (`simple.tracking`) with what the configuration
+  says of theirs: a line's place may change by 15 pixels of theirs, 1.7 m, from frame to frame (the
+  0.3 rad by which it may turn are more than any line turns); a new line is dropped after three
+  frames without detection; and one that is seen in five of ten frames stays valid.
+- A spline becomes a line on the road by least squares; its painted share decides whether it is
+  dashed, as for the simple detectors (`simple.paint`).
+- A spline's score counts no more than the length of the view, and a bent spline is refused before
+  it can win: otherwise a loop through two near points beats the marking.
+
+`bezier.parameters` says which keys of the configuration are parameters, which are left out, and
+which defaults are not theirs.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, fields, replace
+
+import cv2
+import numpy as np
+
+from egolane_pgm.classic.bezier.parameters import PARAMETERS as _FINDING
+from egolane_pgm.classic.bezier.picture import refined
+from egolane_pgm.classic.bezier.ridges import ridges, smaller, view_for
+from egolane_pgm.classic.bezier.road import shape_of
+from egolane_pgm.classic.bezier.splines import points_on, spline_finder
+from egolane_pgm.parameters import Parameters, held_fixed, number
+from egolane_pgm.types import FloatArray
+from egolane_pgm.vision.camera.model import Camera, image_to_road, road_to_image
+from egolane_pgm.vision.camera.picture import Image, Picture, check_size
+from egolane_pgm.vision.detectors import FrameLines, Step
+from egolane_pgm.vision.detectors.simple.birdseye import look, make_view
+from egolane_pgm.vision.detectors.simple.frozen import PARAMETERS as _FROZEN
+from egolane_pgm.vision.detectors.simple.frozen import repeat_counter
+from egolane_pgm.vision.detectors.simple.paint import PARAMETERS as _PAINT
+from egolane_pgm.vision.detectors.simple.paint import painted_share
+from egolane_pgm.vision.detectors.simple.parameters import TRACKING
+from egolane_pgm.vision.detectors.simple.tracking import advance, lines_of, no_tracks, rules
+
+STEREO = False
+
+#: How far a line may be from its prediction, metres.
+_GATE_M = 1.7
+
+PARAMETERS = held_fixed(
+    (
+        *_FINDING,
+        *_PAINT,
+        *(replace(p, default=_GATE_M) if p.name == "gate_m" else p for p in TRACKING),
+        *_FROZEN,
+    )
+)
+
+#: From where to where paint is looked at, metres ahead.
+_PAINT_M = (4.5, 25.0)
+
+
+@dataclass(frozen=True)
+class Found:
+    """The M lines of one picture, left to right.
+
+    - shape: (M, 4) as in FrameLines
+    - score: (M,) of the splines
+    - from_m, to_m: (M,) where the splines begin and end, metres ahead
+    """
+
+    shape: FloatArray
+    score: FloatArray
+    from_m: FloatArray
+    to_m: FloatArray
+
+
+def line_finder(camera: Camera, parameters: Parameters) -> Callable[[Image], Found]:
+    """Makes the function that finds the lines in a picture (H, W, 3), blue green red."""
+    small = smaller(camera, number(parameters, "focal_px"))
+    view = view_for(small, parameters)
+    find_splines = spline_finder(parameters)
+
+    def find(image: Image) -> Found:
+        check_size(image, camera.width, camera.height)
+        red = image[:, :, 2] if image.ndim == 3 else image
+        if small is not camera:
+            size = small.width, small.height
+            red = cv2.resize(red, size, interpolation=cv2.INTER_AREA).astype(np.uint8, copy=False)
+        splines = find_splines(ridges(view, look(view, red), parameters))
+        n = int(number(parameters, "lines"))
+        grey = red.astype(np.float64)
+        shape, ends = [], []
+        for point in points_on(splines.control[:n], number(parameters, "ransac_spline_step")):
+            x = view.x_m[0] - point[:, 1] * view.along_m
+            y = view.y_m[0] + point[:, 0] * view.across_m
+            seen = np.stack(road_to_image(small, x, y), axis=1)
+            x, y = image_to_road(small, *refined(grey, small, seen, parameters).T)
+            shape.append(shape_of(x, y))
+            ends.append((x.min(), x.max()))
+        shapes, end = np.array(shape).reshape(-1, 4), np.array(ends).reshape(-1, 2)
+        order = np.argsort(shapes[:, 0], kind="stable")
+        return Found(shapes[order], splines.score[:n][order], *end[order].T)
+
+    return find
+
+
+def start(camera: Camera, parameters: Parameters) -> Step:
+    """Starts a drive: the step takes its pictures in order and gives at most four lines.
+
+    Raises InputError if the camera does not see the region that the parameters ask for.
+    """
+    find = line_finder(camera, parameters)
+    rule = rules(parameters, curve="clothoid")
+    side = number(parameters, "side_m")
+    # Only the pixels along the lines are looked at, so that a fine view costs nothing.
+    near = make_view(camera, *_PAINT_M, -side, side, along_m=0.1, across_m=0.05)
+    count_repeats = repeat_counter(parameters)
+    tracks = no_tracks(rule)
+
+    def step(picture: Picture) -> FrameLines:
+        nonlocal tracks
+        repeated = count_repeats(picture)
+        if repeated >= number(parameters, "frozen_after"):
+            tracks = advance(tracks, rule, np.zeros((0, 4)), np.zeros(0))
+        elif not repeated:
+            shape = find(picture.image).shape
+            painted = painted_share(near, picture.image, shape, parameters)
+            tracks = advance(tracks, rule, shape, painted)
+        return nearest(lines_of(tracks, rule), int(number(parameters, "lines")))
+
+    return step
+
+
+def nearest(lines: FrameLines, count: int) -> FrameLines:
+    """The `count` lines nearest to the car, valid ones before others."""
+    order = np.sort(np.lexsort((np.abs(lines.offset_m), ~lines.is_valid))[:count])
+    kept = {field.name: getattr(lines, field.name) for field in fields(lines)}
+    return replace(lines, **{name: a[order] for name, a in kept.items() if a is not None})

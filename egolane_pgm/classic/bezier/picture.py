@@ -1,0 +1,122 @@
+"""Post-processing in the picture (Aly 2008, section II F): splines are moved onto the markings,
+whose middle the picture shows finer than the view, and continued along them."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from egolane_pgm.classic.bezier import kernels
+from egolane_pgm.classic.bezier.ridges import ridge_weights
+from egolane_pgm.parameters import Parameters, number
+from egolane_pgm.types import FloatArray
+from egolane_pgm.vision.camera.model import Camera, image_to_road, road_to_image
+
+#: Half the width of a usual marking, metres: how far a profile is smoothed.
+_HALF_WIDTH_M = 0.075
+
+
+def refined(
+    grey: FloatArray, camera: Camera, point: FloatArray, parameters: Parameters
+) -> FloatArray:
+    """Points (P, 2), columns and rows of a picture (H, W), along one spline from far to near: moved
+    onto the marking, and continued at both ends."""
+    contrast = 0.0
+    if parameters["localize"] == "yes":
+        point, contrast = _localized(grey, camera, point, parameters)
+    if parameters["extend"] == "yes" and contrast > 0:
+        least = contrast * number(parameters, "extend_cont_threshold")
+        ahead = _extension(grey, camera, point[::-1], least, parameters)
+        behind = _extension(grey, camera, point, least, parameters)
+        point = np.concatenate([ahead[::-1], point, behind])
+    return point
+
+
+def _localized(
+    grey: FloatArray, camera: Camera, point: FloatArray, parameters: Parameters
+) -> tuple[FloatArray, float]:
+    """The points, and the usual contrast of the marking. A point moves if it finds a marking and
+    the spline keeps its direction."""
+    half = int(number(parameters, "localize_num_line_pixels"))
+    along = _unit(np.gradient(point, axis=0))
+    place, contrast = _strip(grey, camera, point, along, half)
+    moved = np.where(np.isfinite(place)[:, None], place_of(point, along, place), point)
+    for _ in range(2):
+        new = _unit(np.gradient(moved, axis=0))
+        turned = (new * along).sum(axis=1) < number(parameters, "localize_angle_threshold")
+        in_sky = np.isnan(image_to_road(camera, *moved.T)[0])
+        moved[turned | in_sky] = point[turned | in_sky]
+    found = np.isfinite(contrast)
+    return moved, float(np.median(contrast[found])) if found.any() else 0.0
+
+
+def place_of(point: FloatArray, along: FloatArray, place: FloatArray) -> FloatArray:
+    """Points (P, 2) moved `place` (P,) pixels along their normals."""
+    moved: FloatArray = point + place[:, None] * np.stack([along[:, 1], -along[:, 0]], axis=1)
+    return moved
+
+
+def _strip(
+    grey: FloatArray, camera: Camera, point: FloatArray, along: FloatArray, half: int
+) -> tuple[FloatArray, FloatArray]:
+    """Where on the normal of each point the brightest strip of a marking's width is, (P,) pixels,
+    and how much brighter than the profile's median; NaN where no strip is in view."""
+    normal = np.stack([along[:, 1], -along[:, 0]], axis=1)
+    profile = kernels.profiles(grey, point, normal, half)
+    x, y = image_to_road(camera, point[:, 0], point[:, 1])
+    left, right = (
+        np.stack(road_to_image(camera, x, y + side * _HALF_WIDTH_M), axis=1) for side in (-1, 1)
+    )
+    sigma = np.maximum(np.abs(((right - left) * normal).sum(axis=1)) / 2, 0.5)
+    seen = np.isfinite(profile)
+    usable = np.isfinite(sigma) & (seen.sum(axis=1) > half)
+    place, contrast = np.full(len(point), np.nan), np.full(len(point), np.nan)
+    if not usable.any():
+        return place, contrast
+    level, sigma = profile[usable], sigma[usable, None, None]
+    level = np.where(seen[usable], level, np.nanmedian(level, axis=1)[:, None])
+    step = np.arange(-half, half + 1)
+    ridge = ridge_weights((step[:, None] - step) / sigma)
+    answer = (ridge @ level[:, :, None])[:, :, 0]
+    best = np.argmax(answer[:, 1:-1], axis=1) + 1
+    rows = np.arange(len(best))
+    before, here, after = (answer[rows, best + k] for k in (-1, 0, 1))
+    is_peak = (before < here) & (here >= after) & (here > 0)
+    bend = np.where(is_peak, before - 2 * here + after, -1.0)
+    place[usable] = np.where(is_peak, step[best] + (before - after) / (2 * bend), np.nan)
+    contrast[usable] = np.where(is_peak, here, np.nan)
+    return place, contrast
+
+
+def _extension(
+    grey: FloatArray, camera: Camera, point: FloatArray, least: float, parameters: Parameters
+) -> FloatArray:
+    """Points (E, 2) that continue points behind their last one, while strips are found that are
+    bright enough and turn little."""
+    step = number(parameters, "extend_line_pixels_tangent")
+    half = int(number(parameters, "extend_line_pixels_normal"))
+    mean = _unit((point[-1] - point[0])[None])[0]
+    at, along = point[-1], _unit((point[-1] - point[-2])[None])[0]
+    found: list[FloatArray] = []
+    while len(found) < 100:
+        ahead = at + step * along
+        x, _ = image_to_road(camera, ahead[0], ahead[1])
+        if not 0 < x <= number(parameters, "extend_to_m"):
+            break
+        place, contrast = _strip(grey, camera, ahead[None], along[None], half)
+        if not contrast[0] >= least:
+            break
+        new = place_of(ahead[None], along[None], place)[0]
+        turn = _unit((new - at)[None])[0]
+        if turn @ along < number(parameters, "extend_angle_threshold") or turn @ mean < number(
+            parameters, "extend_mean_dir_angle_threshold"
+        ):
+            break
+        found.append(new)
+        at, along = new, turn
+    return np.array(found).reshape(-1, 2)
+
+
+def _unit(vector: FloatArray) -> FloatArray:
+    """Vectors (P, 2) of length 1."""
+    size: FloatArray = vector / np.maximum(np.hypot(vector[:, 0], vector[:, 1]), 1e-9)[:, None]
+    return size

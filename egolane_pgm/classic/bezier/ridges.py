@@ -1,0 +1,74 @@
+"""The view from above and the narrow bright strips in it (Aly 2008, sections II A and II B)."""
+
+from __future__ import annotations
+
+import cv2
+import numpy as np
+
+from egolane_pgm.parameters import Parameters, number
+from egolane_pgm.types import FloatArray
+from egolane_pgm.vision.camera.model import Camera, scaled
+from egolane_pgm.vision.camera.picture import Image
+from egolane_pgm.vision.detectors.simple.birdseye import BirdsEye, make_view
+
+
+def smaller(camera: Camera, focal_px: float) -> Camera:
+    """The camera whose pictures are this one's, made smaller to a focal length; one with a shorter
+    focal length stays as it is."""
+    factor = camera.fx / focal_px
+    if factor <= 1:
+        return camera
+    return scaled(camera, round(camera.width / factor), round(camera.height / factor))
+
+
+def view_for(camera: Camera, parameters: Parameters) -> BirdsEye:
+    """The view that the parameters ask for. Raises InputError as `make_view` does."""
+    near, far = number(parameters, "near_m"), number(parameters, "far_m")
+    side = number(parameters, "side_m")
+    return make_view(
+        camera,
+        near,
+        far,
+        -side,
+        side,
+        (far - near) / number(parameters, "ipm_height"),
+        2 * side / number(parameters, "ipm_width"),
+    )
+
+
+def ridges(view: BirdsEye, above: Image, parameters: Parameters) -> FloatArray:
+    """The response of each pixel of a view of one colour, (R, C), to a filter for narrow bright
+    strips; 0 where it is below a quantile, and where the filter sees the edge of the picture.
+
+    Grey levels count from 0 to 1, less their mean; `ridge_weights` make 1 the largest answer.
+    """
+    half = int(number(parameters, "ridge_taps")) // 2
+    ridge = ridge_weights(np.arange(-half, half + 1) / number(parameters, "ridge_sigma"))
+    # The edge of a black part of the picture (a covered lens) is no strip either.
+    wide = np.ones((len(ridge), len(ridge)), dtype=np.uint8)
+    lit = cv2.morphologyEx((above > 0).astype(np.uint8), cv2.MORPH_CLOSE, wide)
+    lit[~view.valid] = 0
+    seen = cv2.erode(
+        lit, np.ones((1, len(ridge) + 2), np.uint8), borderType=cv2.BORDER_CONSTANT, borderValue=0
+    ).astype(bool)
+    if not seen.any():
+        return np.zeros(above.shape)
+    level = above.astype(np.float32) / 255
+    level -= level[seen].mean()
+    level[lit == 0] = 0
+    along = cv2.getGaussianKernel(
+        int(number(parameters, "smooth_taps")) | 1, number(parameters, "smooth_sigma")
+    )
+    response = cv2.sepFilter2D(level, cv2.CV_32F, ridge, along).astype(np.float64)
+    response[~seen | (response < 0)] = 0
+    response[response < np.quantile(response[seen], number(parameters, "lower_quantile"))] = 0
+    return response
+
+
+def ridge_weights(x: FloatArray) -> FloatArray:
+    """The negative second derivative of a Gaussian at places (..., N), in standard deviations; the
+    weights have the sum 0 and their sizes the sum 2."""
+    weight = np.exp(-(x**2) / 2) * (1 - x**2)
+    weight -= weight.mean(axis=-1, keepdims=True)
+    weights: FloatArray = 2 * weight / np.abs(weight).sum(axis=-1, keepdims=True)
+    return weights

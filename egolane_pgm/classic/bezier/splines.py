@@ -1,0 +1,292 @@
+"""From ridges in a view to cubic Bezier splines (Aly 2008, sections II C to II E).
+
+First lines come from sums of columns or from the Hough transform. In a box around each, RANSAC fits
+a line; in a box around that, a spline. Points are (column, row) of the view, pixels.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+
+from egolane_pgm.classic.bezier import kernels
+from egolane_pgm.parameters import Parameters, number
+from egolane_pgm.types import FloatArray, IntArray
+
+#: Finds splines: takes ridges (R, C).
+Finder = Callable[[FloatArray], "Splines"]
+
+
+@dataclass(frozen=True)
+class Splines:
+    """M cubic Bezier splines, best first. control: (M, 4, 2) control points, from far to near;
+    score: (M,)."""
+
+    control: FloatArray
+    score: FloatArray
+
+
+@dataclass(frozen=True)
+class _Lines:
+    """K lines through all rows: columns in the first and in the last row, and score, (K,) each."""
+
+    top: FloatArray
+    bottom: FloatArray
+    score: FloatArray
+
+
+def spline_finder(parameters: Parameters) -> Finder:
+    """Makes the function that finds splines. Each call takes the same random numbers, drawn here
+    from the seed, so that a picture's splines do not depend on the pictures before."""
+    rng = np.random.default_rng(int(number(parameters, "seed")))
+    line_draw, spline_draw = (
+        rng.random(
+            (
+                int(number(parameters, f"ransac_{what}_num_iterations")),
+                int(number(parameters, f"ransac_{what}_num_samples")),
+            )
+        )
+        for what in ("line", "spline")
+    )
+
+    def find(ridge: FloatArray) -> Splines:
+        rows, columns = np.nonzero(ridge)
+        if not len(rows):
+            return Splines(np.zeros((0, 4, 2)), np.zeros(0))
+        point = np.stack([columns, rows], axis=1).astype(np.float64)
+        value = ridge[rows, columns]
+        lines = _first_lines(ridge, point, value, parameters)
+        if parameters["ransac_line"] == "yes":
+            window = number(parameters, "ransac_line_window")
+            boxes = _boxes(lines, window, ridge.shape[1], number(parameters, "overlap_threshold"))
+            lines = _fitted_lines(boxes, point, value, line_draw, ridge.shape[0], parameters)
+        if parameters["ransac_spline"] == "yes":
+            window = number(parameters, "ransac_spline_window")
+            boxes = _boxes(lines, window, ridge.shape[1], number(parameters, "overlap_threshold"))
+            splines = _fitted_splines(boxes, point, value, spline_draw, ridge, parameters)
+        else:
+            splines = _straight(lines, ridge.shape[0])
+        return _checked(splines, parameters)
+
+    return find
+
+
+def _weight(value: FloatArray, parameters: Parameters, name: str) -> FloatArray:
+    return np.ones_like(value) if parameters[name] == "yes" else value
+
+
+def _first_lines(
+    ridge: FloatArray, point: FloatArray, value: FloatArray, parameters: Parameters
+) -> _Lines:
+    """The lines that the most ridges lie on, near ones made one."""
+    least = number(parameters, "detection_threshold")
+    weight = _weight(value, parameters, "binarize")
+    if parameters["grouping_type"] == "columns":
+        total = np.bincount(point[:, 0].astype(np.int64), weight, ridge.shape[1]).astype(np.float64)
+        if parameters["smooth_scores"] == "yes":
+            taps = int(number(parameters, "score_taps")) | 1
+            sigma, edge = number(parameters, "score_sigma"), cv2.BORDER_CONSTANT
+            total = cv2.GaussianBlur(total[None], (taps, 1), sigma, borderType=edge)[0]
+        column, score = column_peaks(total, least)
+        lines = _Lines(column, column, score)
+    else:
+        lines = _hough_lines(point, weight, ridge.shape[0], least, parameters)
+    return _grouped(lines, number(parameters, "group_threshold"))
+
+
+def column_peaks(total: FloatArray, least: float) -> tuple[FloatArray, FloatArray]:
+    """Place and height (K,) of the local maxima of (C,) sums that are at least `least`, each moved
+    to the top of the parabola through it and its neighbours."""
+    padded = np.pad(total, 1)
+    left, middle, right = padded[:-2], padded[1:-1], padded[2:]
+    peak = np.flatnonzero((middle > left) & (middle >= right) & (middle >= max(least, 1e-9)))
+    bend = left[peak] - 2 * middle[peak] + right[peak]
+    return peak + (left[peak] - right[peak]) / (2 * bend), middle[peak]
+
+
+def _hough_lines(
+    point: FloatArray, weight: FloatArray, n_rows: int, least: float, parameters: Parameters
+) -> _Lines:
+    most = number(parameters, "theta_max")
+    theta = np.deg2rad(np.arange(-most, most + 1e-9, number(parameters, "theta_step")))
+    r_min, r_step = number(parameters, "r_min"), number(parameters, "r_step")
+    n_r = max(int((number(parameters, "r_max") - r_min) / r_step) + 1, 1)
+    votes = kernels.hough_votes(point[:, 0], point[:, 1], weight, theta, r_min, r_step, n_r)
+    around = cv2.dilate(votes, np.ones((3, 3), dtype=np.uint8))
+    k, t = np.nonzero((votes >= around) & (votes >= max(least, 1e-9)))
+    r = r_min + k * r_step
+    across, along = np.cos(theta[t]), np.sin(theta[t])
+    return _Lines(r / across, (r - (n_rows - 1) * along) / across, votes[k, t])
+
+
+def _grouped(lines: _Lines, threshold: float) -> _Lines:
+    """Makes one of the two nearest lines, by their mean weighted by score, until none are nearer
+    than `threshold` columns on the average of both ends."""
+    end, score = np.stack([lines.top, lines.bottom], axis=1), lines.score.copy()
+    while len(score) > 1:
+        away = np.abs(end[:, None] - end).mean(axis=2)
+        away[np.diag_indices(len(score))] = np.inf
+        i, j = np.unravel_index(int(np.argmin(away)), away.shape)
+        if away[i, j] >= threshold:
+            break
+        end[i] = (score[i] * end[i] + score[j] * end[j]) / (score[i] + score[j])
+        score[i] += score[j]
+        end, score = np.delete(end, j, axis=0), np.delete(score, j)
+    return _Lines(end[:, 0], end[:, 1], score)
+
+
+def _boxes(lines: _Lines, window: float, n_columns: int, overlap: float) -> FloatArray:
+    """The first and last columns (B, 2) of boxes around lines, those made one that share more than
+    `overlap` of the smaller."""
+    left = np.maximum(np.minimum(lines.top, lines.bottom) - window, 0)
+    right = np.minimum(np.maximum(lines.top, lines.bottom) + window, n_columns - 1)
+    inside = left < right
+    order = np.argsort(left[inside], kind="stable")
+    boxes: list[list[float]] = []
+    for box in np.stack([left[inside], right[inside]], axis=1)[order]:
+        if boxes:
+            shared = min(boxes[-1][1], box[1]) - box[0]
+            if shared > overlap * min(boxes[-1][1] - boxes[-1][0], box[1] - box[0]):
+                boxes[-1][1] = max(boxes[-1][1], float(box[1]))
+                continue
+        boxes.append([float(box[0]), float(box[1])])
+    return np.array(boxes).reshape(-1, 2)
+
+
+def _sample(weight: FloatArray, draw: FloatArray) -> IntArray:
+    """Indices of points, drawn with probabilities in proportion to (N,) weights by uniform random
+    numbers; of the numbers' shape."""
+    share = np.cumsum(weight)
+    found: IntArray = np.searchsorted(share, draw * share[-1], side="right").astype(np.int64)
+    return found.clip(max=len(weight) - 1)
+
+
+def _fitted_lines(
+    boxes: FloatArray,
+    point: FloatArray,
+    value: FloatArray,
+    draw: FloatArray,
+    n_rows: int,
+    parameters: Parameters,
+) -> _Lines:
+    """The RANSAC line of each box that has one."""
+    weight = _weight(value, parameters, "ransac_line_binarize")
+    most_turn = float(np.tan(np.deg2rad(number(parameters, "most_turn_deg"))))
+    found = []
+    for left, right in boxes:
+        inside = (point[:, 0] >= left) & (point[:, 0] <= right)
+        if inside.sum() < draw.shape[1]:
+            continue
+        line, score = kernels.ransac_line(
+            point[inside],
+            weight[inside],
+            _sample(weight[inside], draw),
+            number(parameters, "ransac_line_threshold"),
+            int(number(parameters, "ransac_line_num_good_fit")),
+            most_turn,
+        )
+        if score >= max(number(parameters, "ransac_line_score_threshold"), 0):
+            turn = line[2] / line[3]
+            ends = line[0] + turn * (np.array([0.0, n_rows - 1]) - line[1])
+            found.append((*ends, score))
+    top, bottom, score = np.array(found).reshape(-1, 3).T
+    return _Lines(top, bottom, score)
+
+
+def _fitted_splines(
+    boxes: FloatArray,
+    point: FloatArray,
+    value: FloatArray,
+    draw: FloatArray,
+    ridge: FloatArray,
+    parameters: Parameters,
+) -> Splines:
+    """The RANSAC spline of each box that has one."""
+    weight = _weight(value, parameters, "ransac_spline_binarize")
+    control, score = np.zeros((len(boxes), 4, 2)), np.full(len(boxes), -np.inf)
+    for k, (left, right) in enumerate(boxes):
+        inside = (point[:, 0] >= left) & (point[:, 0] <= right)
+        if inside.sum() < draw.shape[1]:
+            continue
+        control[k], score[k] = kernels.ransac_spline(
+            point[inside],
+            np.sort(_sample(weight[inside], draw), axis=1),
+            number(parameters, "check_ipm_splines_curveness_threshold"),
+            ridge,
+            int(number(parameters, "spline_score_jitter")),
+            number(parameters, "spline_score_step"),
+            number(parameters, "spline_score_angle_ratio"),
+            number(parameters, "spline_score_length_ratio"),
+        )
+    good = score > number(parameters, "ransac_spline_score_threshold")
+    return Splines(control[good], score[good])
+
+
+def _straight(lines: _Lines, n_rows: int) -> Splines:
+    """Lines through all rows as splines."""
+    share = np.arange(4) / 3
+    column = lines.top[:, None] * (1 - share) + lines.bottom[:, None] * share
+    row = np.broadcast_to(share * (n_rows - 1), column.shape)
+    return Splines(np.stack([column, row], axis=2), lines.score)
+
+
+def points_on(control: FloatArray, step: float) -> FloatArray:
+    """Points (M, P, 2) along splines (M, 4, 2), a step of the parameter apart."""
+    t = np.linspace(0, 1, max(round(1 / max(step, 1e-3)), 1) + 1)
+    s = 1 - t
+    basis = np.stack([s**3, 3 * s**2 * t, 3 * s * t**2, t**3], axis=1)
+    points: FloatArray = basis @ control
+    return points
+
+
+def _checked(splines: Splines, parameters: Parameters) -> Splines:
+    """The splines, best first, without those that are short, turned or weak, and without the worse
+    one of two that are nearly the same."""
+    order = np.argsort(-splines.score, kind="stable")
+    kept: list[int] = []
+    for k in order:
+        if splines.score[k] < number(parameters, "final_spline_score_threshold"):
+            break
+        if _is_sound(splines.control[k], parameters) and not any(
+            _is_same(splines.control[k], splines.control[other], parameters) for other in kept
+        ):
+            kept.append(int(k))
+    return Splines(splines.control[kept], splines.score[kept])
+
+
+def _is_sound(control: FloatArray, parameters: Parameters) -> bool:
+    along = control[3] - control[0]
+    return bool(
+        np.hypot(*along) >= number(parameters, "check_ipm_splines_length_threshold")
+        and abs(np.arctan2(along[0], along[1]))
+        <= number(parameters, "check_ipm_splines_theta_threshold")
+    )
+
+
+def _is_same(one: FloatArray, other: FloatArray, parameters: Parameters) -> bool:
+    """Whether two splines' chords, or the means along them, are near in angle and distance, and so
+    are their middles."""
+    points = points_on(np.stack([one, other]), number(parameters, "ransac_spline_step"))
+    apart = np.hypot(*(points[0].mean(axis=0) - points[1].mean(axis=0)))
+    if apart >= number(parameters, "merge_centroid"):
+        return False
+    steps = _poses(points).mean(axis=1)
+    chords = _poses(points[:, [0, -1]])[:, 0]
+    return any(
+        turn < number(parameters, f"{kind}_theta") and away < number(parameters, f"{kind}_r")
+        for kind, (turn, away) in (
+            ("merge", np.abs(chords[0] - chords[1])),
+            ("merge_mean", np.abs(steps[0] - steps[1])),
+        )
+    )
+
+
+def _poses(points: FloatArray) -> FloatArray:
+    """Angle and distance from the corner, (M, P - 1, 2), of the legs between points (M, P, 2)."""
+    along = np.diff(points, axis=1)
+    theta = np.arctan2(along[..., 0], along[..., 1])
+    away = points[:, :-1, 0] * np.cos(theta) - points[:, :-1, 1] * np.sin(theta)
+    return np.stack([theta, away], axis=-1)

@@ -1,0 +1,188 @@
+"""MLD: one camera, four or six lines at most (Hur, Kang and Seo, *Multi-lane detection in urban
+driving environments using conditional random fields*, IEEE Intelligent Vehicles Symposium 2013).
+
+Written anew from a description of the published program and its constants. What differs: widths of
+markings and the rows that are looked at follow from the camera, constants in pixels are scaled by
+the picture's width (1280) or by the rows looked at (454); the gaps between lines are metres; only a
+common motion sideways and a common turn are taken over from clear lines to the others; a line is
+clear by itself from 120 markings on, not from 60; and each link of the CRF is merged by its own
+label (see `multilane.crf`).
+
+MLD does not tell continuous lines from dashed ones. A line is a parabola in the picture, as
+published, which is no parabola on the road: in a bend, it is too straight beyond 20 m ahead, and
+its curvature is too small.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from itertools import pairwise
+
+import cv2
+import numpy as np
+
+from egolane_pgm.classic.multilane import curves
+from egolane_pgm.classic.multilane.crf import join_seeds
+from egolane_pgm.classic.multilane.markings import Markings, find_markings
+from egolane_pgm.classic.multilane.road import Road, road_of, shapes_of
+from egolane_pgm.classic.multilane.slots import SPAN, Slots, advance, no_slots
+from egolane_pgm.parameters import Parameter, Parameters, held_fixed, number
+from egolane_pgm.types import FloatArray
+from egolane_pgm.vision.camera.model import Camera
+from egolane_pgm.vision.camera.picture import Picture, check_size
+from egolane_pgm.vision.detectors import FrameLines, Step
+from egolane_pgm.vision.detectors.simple.frozen import PARAMETERS as _FROZEN
+from egolane_pgm.vision.detectors.simple.frozen import repeat_counter
+
+STEREO = False
+PARAMETERS = held_fixed(
+    (
+        Parameter(
+            "lines",
+            "integer",
+            4,
+            "how many lines are followed: 2, the lane's own; 4, their neighbours too; 6 at most",
+            lowest=2,
+            highest=6,
+        ),
+        Parameter(
+            "units",
+            "choice",
+            "metres",
+            "offsets in `metres`, lines valid above `shown_above`; or `as_recorded`, as in the"
+            " paper's recordings of MLD: a line is valid from its first detection on, its offset"
+            " is 0 up to `shown_above` detections, then in steps of 1/80 and below 8",
+            choices=("metres", "as_recorded"),
+        ),
+        Parameter(
+            "shown_above",
+            "integer",
+            3,
+            "a line is shown when it was seen in more than this many of the last 10 pictures",
+            highest=9,
+        ),
+        Parameter(
+            "reach_m",
+            "positive",
+            55.0,
+            "how far ahead the road is looked at, metres",
+            lowest=15,
+            highest=300,
+        ),
+        Parameter("narrowest_m", "non_negative", 0.078, "the narrowest marking, metres", highest=1),
+        Parameter(
+            "widest_m",
+            "positive",
+            0.3,
+            "the widest marking, metres; the authors' pixels are .23 for TuSimple's camera",
+            lowest=0.05,
+            highest=2,
+        ),
+        Parameter(
+            "filled",
+            "probability",
+            0.1,
+            "a line starts only where its markings fill this share of its rows (the authors': .382;"
+            " dashes of a motorway fill less)",
+        ),
+        Parameter(
+            "exact_up_to",
+            "integer",
+            10,
+            "groups of at most this many links of the CRF are solved exactly, larger ones by"
+            " turning each link on in turn, as published; 0: all of them",
+            highest=12,
+        ),
+        *_FROZEN,
+    )
+)
+
+#: A line starts from a curve that covers at least this many rows and has, on the road, at most this
+#: heading, m/m, and curvature, 1/m.
+_ROWS, _HEADING, _CURVATURE = 50, 0.15, 0.01
+
+#: The offsets of the paper's recordings: steps, and the side of what was looked at.
+_STEP, _SIDE = 1 / 80, 8.0
+
+
+def start(camera: Camera, parameters: Parameters) -> Step:
+    """Starts a drive: the step takes its pictures in order and gives lines.
+
+    Raises InputError if the camera sees too little of the road.
+    """
+    follow, road = follower(camera, parameters)
+    slots = no_slots()
+
+    def step(picture: Picture) -> FrameLines:
+        nonlocal slots
+        slots = follow(slots, picture)
+        return lines_of(slots, road, parameters)
+
+    return step
+
+
+def follower(
+    camera: Camera, parameters: Parameters
+) -> tuple[Callable[[Slots, Picture], Slots], Road]:
+    """As `start`, but the step takes the slots and gives the new ones. Also gives the rows of the
+    picture that show the road."""
+    reach_m, narrowest_m, widest_m, filled = (
+        number(parameters, name) for name in ("reach_m", "narrowest_m", "widest_m", "filled")
+    )
+    road = road_of(camera, reach_m, narrowest_m, widest_m)
+    exact_up_to, most = int(number(parameters, "exact_up_to")), int(number(parameters, "lines"))
+    rng = np.random.default_rng(0)
+    count_repeats = repeat_counter(parameters)
+    nothing = np.zeros(0)
+
+    def follow(slots: Slots, picture: Picture) -> Slots:
+        check_size(picture.image, camera.width, camera.height)
+        repeated = count_repeats(picture)
+        if 0 < repeated < number(parameters, "frozen_after"):
+            return slots
+        if repeated:
+            return advance(slots, road, nothing, nothing, np.zeros((0, 3)), most, rng)
+        grey = cv2.cvtColor(picture.image, cv2.COLOR_BGR2GRAY)
+        markings = find_markings(grey.astype(np.uint8, copy=False), road)
+        t, u = markings.points(road)
+        found = starts(road, join_seeds(markings, road, exact_up_to), filled)
+        return advance(slots, road, t, u, found, most, rng)
+
+    return follow, road
+
+
+def starts(road: Road, joined: Markings, filled: float) -> FloatArray:
+    """The curves (C, 3) of the joined seeds of a picture from which lines may start.
+
+    - filled: the least share of a line's rows with a marking
+    """
+    t, u = joined.points(road)
+    long = []
+    for first, stop in pairwise(joined.starts.tolist()):
+        rows = joined.row[stop - 1] - joined.row[first] + 1
+        if rows >= _ROWS * road.row_scale and stop - first >= filled * rows:
+            of = slice(first, stop)
+            long.append(curves.fit(t[of], u[of], 2 if np.ptp(t[of]) > SPAN else 1))
+    curve: FloatArray = np.array(long).reshape(-1, 3)
+    _, heading, curvature, _ = shapes_of(road, curve).T
+    is_road = (np.abs(heading) <= _HEADING) & (np.abs(curvature) <= _CURVATURE)
+    good: FloatArray = curve[is_road]
+    return good
+
+
+def lines_of(slots: Slots, road: Road, parameters: Parameters) -> FrameLines:
+    """The lines of a frame, left to right, as the detector gives them."""
+    slot = np.flatnonzero(slots.is_used)
+    shape, counter = shapes_of(road, slots.curve[slot]), slots.counter[slot]
+    is_valid = is_shown = counter > number(parameters, "shown_above")
+    if parameters["units"] == "as_recorded":
+        shape[:, 0] = np.where(is_shown, np.round(shape[:, 0] / _STEP) * _STEP, 0.0)
+        is_valid = np.abs(shape[:, 0]) < _SIDE
+    order = np.argsort(shape[:, 0], kind="stable")
+    return FrameLines(
+        shape[order],
+        is_valid[order],
+        np.zeros(len(order), dtype=bool),
+        counter[order],
+        slot[order],
+    )

@@ -1,0 +1,76 @@
+"""The pictures of a page: some frames of the recording, small."""
+
+from __future__ import annotations
+
+import base64
+import warnings
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from egolane_pgm.results import Result
+from egolane_pgm.types import InputError
+
+#: The most pictures of a recording, their height in pixels, and the most bytes of all of a page.
+PICTURES, HEIGHT, BYTES = 64, 120, 2_000_000
+
+
+@dataclass(frozen=True)
+class Still:
+    """A picture of a film: when it was taken, seconds, and its address, which holds it whole."""
+
+    time_s: float
+    src: str
+
+
+@dataclass(frozen=True)
+class Film:
+    """Pictures of one recording in order, and whose it is where not all results have it."""
+
+    whose: tuple[str, ...]
+    pictures: tuple[Still, ...]
+
+
+def films_of(results: Sequence[Result], titles: Sequence[str]) -> tuple[list[Film], list[str]]:
+    """The pictures of the recordings that a detector looked at, one film for each recording; and a
+    line for each whose pictures cannot be read."""
+    found: dict[str, list[int]] = {}
+    for k, result in enumerate(results):
+        recording = result.config.get("recording") or {}
+        if recording.get("detector") and recording.get("path"):
+            found.setdefault(str(recording["path"]), []).append(k)
+    made, lacking = [], []
+    for path, group in found.items():
+        try:
+            pictures = _stills(path, results[group[0]], BYTES // len(found))
+        except InputError as error:
+            lacking.append(f"no pictures of the recording: {error}")
+            continue
+        if pictures:
+            whose = () if len(group) == len(results) else tuple(titles[k] for k in group)
+            made.append(Film(whose, tuple(pictures)))
+    return made, lacking
+
+
+def _stills(path: str, result: Result, most_bytes: int) -> list[Still]:
+    from egolane_pgm.vision.camera.stills import small_pictures
+
+    # Evenly over the time, not over the frames: a gap has no pictures.
+    t = result.time_s
+    wanted = np.linspace(t[0], t[-1], min(PICTURES, len(t)))
+    at = np.unique(np.clip(np.searchsorted(t, wanted), 0, len(t) - 1))
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        taken = small_pictures(path, result.frame_id[at].tolist(), HEIGHT)
+    pictures, total = [], 0
+    # In an order that thins out evenly where there are too many bytes.
+    order = sorted(range(len(at)), key=lambda k: (-(k & -k) if k else -len(at) * 2, k))
+    for k in order:
+        content = taken.get(int(result.frame_id[at[k]]))
+        if content is None or total + len(content) > most_bytes:
+            continue
+        total += len(content)
+        src = f"data:image/jpeg;base64,{base64.b64encode(content).decode()}"
+        pictures.append(Still(round(float(t[at[k]]), 3), src))
+    return sorted(pictures, key=lambda still: still.time_s)

@@ -1,0 +1,333 @@
+"""Reads the pictures of a drive from a video, a folder or a glob, for one camera or for two.
+
+The frame id of a picture in a video is its position, from 0. Picture files are taken in natural
+order (`img_9.jpg` before `img_10.jpg`). Their frame ids are the last number of the names that
+increases from file to file; if there is none, their positions, from 0. Only one picture is in
+memory at a time.
+"""
+
+from __future__ import annotations
+
+import glob
+import re
+import warnings
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass
+from itertools import pairwise
+from pathlib import Path
+
+import cv2
+import numpy as np
+
+from egolane_pgm.types import InputError
+from egolane_pgm.vision.camera.model import Camera, scaled
+from egolane_pgm.vision.camera.picture import Image, Picture
+from egolane_pgm.vision.camera.video import open_video, video_images
+from egolane_pgm.vision.camera.writing import silent
+
+#: Extensions of picture files; any other file is read as a video.
+PICTURES = (".jpg", ".jpeg", ".png", ".bmp", ".ppm", ".pgm", ".tif", ".tiff", ".webp")
+
+#: The range in which the frame rate that a video states is trusted, Hz.
+_RATES = (0.5, 500.0)
+
+
+@dataclass(frozen=True)
+class Source:
+    """Where the pictures of one camera come from.
+
+    - path: as the user gave it
+    - files: the video, or the picture files in order
+    - frame_id: frame id of each picture file; None for a video
+    - n_frames: None for a video that does not say
+    - frame_rate: Hz; None for picture files and for a video that does not say
+    """
+
+    path: str
+    files: tuple[Path, ...]
+    frame_id: tuple[int, ...] | None
+    n_frames: int | None
+    frame_rate: float | None
+
+    @property
+    def is_video(self) -> bool:
+        """Whether it is one file of many frames."""
+        return self.frame_id is None
+
+
+def is_pattern(path: str) -> bool:
+    """Whether a path is a glob pattern."""
+    return any(c in path for c in "*?[") and not Path(path).exists()
+
+
+def open_source(path: str | Path) -> Source:
+    """Finds the pictures at a path: a video, a picture, a folder of pictures or a glob.
+
+    Raises InputError, naming the path, if there are none or the file is no video.
+    """
+    path = str(path)
+    if not path:
+        raise InputError("pictures: the path is empty; name a video, a folder or a 'glob*.jpg'")
+    if is_pattern(path):
+        return _picture_files(path, [Path(p) for p in glob.glob(path, recursive=True)])
+    place = Path(path)
+    if place.is_dir():
+        try:
+            return _picture_files(path, list(place.iterdir()))
+        except OSError as error:
+            raise InputError(f"{path}: cannot be read: {error.strerror}") from None
+    if not place.is_file():
+        raise InputError(f"{path}: no such video, folder or pictures")
+    if place.suffix.lower() in PICTURES:
+        return _picture_files(path, [place])
+    video = open_video(place)
+    count, rate = video.get(cv2.CAP_PROP_FRAME_COUNT), video.get(cv2.CAP_PROP_FPS)
+    video.release()
+    known_rate = float(rate) if _RATES[0] <= rate <= _RATES[1] else None
+    return Source(path, (place,), None, int(count) if count > 0 else None, known_rate)
+
+
+def camera_of_pictures(camera: Camera, source: Source) -> Camera:
+    """The camera as it takes the pictures of a source. If these have another size than it was
+    calibrated for, and the same aspect ratio, it is scaled, and a warning says so.
+
+    Raises InputError, naming the source, for pictures of another aspect ratio.
+    """
+    try:
+        _, _, first = next(images_of(source, None))
+    except InputError:
+        return camera  # `read_pictures` says what is wrong, in its order
+    if size_of(first) == (camera.width, camera.height):
+        return camera
+    try:
+        resized = scaled(camera, *size_of(first))
+    except InputError as error:
+        raise InputError(f"{source.path}: {error}") from None
+    warnings.warn(
+        f"{source.path}: its pictures have {_size(first)} pixels, {camera.name or 'the camera'} was"
+        f" calibrated for {camera.width}x{camera.height}: it is scaled to them; if they were cut"
+        " instead of resized, calibrate anew",
+        UserWarning,
+        stacklevel=2,
+    )
+    return resized
+
+
+def read_pictures(
+    source: Source,
+    camera: Camera,
+    right: Source | None = None,
+    frames: tuple[int, int] | None = None,
+) -> Iterator[Picture]:
+    """Reads the pictures in order, one at a time.
+
+    - camera: the calibration, for the size that pictures must have
+    - right: the pictures of the second camera of a stereo pair
+    - frames: the first frame id to read and the one after the last; None for all
+
+    Warns of a video that ends too early or lacks pictures, and of folders that look like clips.
+    Raises InputError, naming file and frame, for a picture that cannot be read or has another size
+    than the calibration or the other camera's, and for two cameras with different numbers of
+    pictures.
+    """
+    if right is not None:
+        _check_pair(source, right)
+    folders = {file.parent for file in source.files}
+    if len(folders) > 1 and len({file.name for file in source.files}) < len(source.files):
+        warnings.warn(
+            f"{source.path}: {len(folders)} folders have pictures of the same names: they are taken"
+            " for one drive, folder after folder; if each is a clip, name them one by one",
+            UserWarning,
+            stacklevel=2,
+        )
+    left_images = images_of(source, frames)
+    if right is None:
+        for frame_id, file, image in left_images:
+            _check_size(file, frame_id, image, camera)
+            yield Picture(frame_id, image)
+        return
+    right_images = images_of(right, _same_frames(source, right, frames))
+    for frame_id, file, image in left_images:
+        other = next(right_images, None)
+        if other is None:
+            raise InputError(
+                f"{right.path}: ends before frame {frame_id} of {source.path}; the pictures of the"
+                " two cameras must be equally many"
+            )
+        _, right_file, right_image = other
+        if image.shape != right_image.shape:
+            raise InputError(
+                f"{right_file}: frame {frame_id}: the picture has {_size(right_image)} pixels, that"
+                f" of the left camera ({file}) has {_size(image)}; the pictures of a pair must have"
+                f" one size, the camera's ({camera.width}x{camera.height})"
+            )
+        _check_size(file, frame_id, image, camera)
+        yield Picture(frame_id, image, right_image)
+    if next(right_images, None) is not None:
+        raise InputError(
+            f"{source.path}: ends before {right.path}; the pictures of the two cameras must be"
+            " equally many"
+        )
+
+
+def _check_pair(source: Source, right: Source) -> None:
+    if source.n_frames is None or right.n_frames is None or source.n_frames == right.n_frames:
+        return
+    raise InputError(
+        f"{right.path}: has {right.n_frames} pictures, {source.path} has {source.n_frames}; the"
+        " pictures of the two cameras must be equally many"
+    )
+
+
+def _same_frames(
+    source: Source, right: Source, frames: tuple[int, int] | None
+) -> tuple[int, int] | None:
+    """The same range in the frame ids of the second camera; the pairs are matched by position."""
+    if frames is None or (source.frame_id is None and right.frame_id is None):
+        return frames
+    left_id = source.frame_id or tuple(range(len(right.files)))
+    right_id = right.frame_id or tuple(range(len(source.files)))
+    chosen = [k for k, frame_id in enumerate(left_id) if frames[0] <= frame_id < frames[1]]
+    if not chosen:
+        return frames
+    return right_id[chosen[0]], right_id[chosen[-1]] + 1
+
+
+def _check_size(file: str, frame_id: int, image: Image, camera: Camera) -> None:
+    if size_of(image) != (camera.width, camera.height):
+        raise InputError(
+            f"{file}: frame {frame_id}: the picture has {_size(image)} pixels, the camera was"
+            f" calibrated for {camera.width}x{camera.height}; calibrate with pictures of this size"
+        )
+
+
+def _size(image: Image) -> str:
+    return "x".join(map(str, size_of(image)))
+
+
+def images_of(source: Source, frames: tuple[int, int] | None) -> Iterator[tuple[int, str, Image]]:
+    """The frame id, file and image of each picture of one camera, of any size, one at a time.
+
+    frames: as for `read_pictures`. Raises InputError, naming the file, for a picture that cannot be
+    read, and where there is none.
+    """
+    images: Iterator[tuple[int, str, Image]]
+    if source.is_video:
+        rate = source.frame_rate
+        images = (
+            (frame_id, source.path, image)
+            for frame_id, image in video_images(
+                source.path, source.files[0], source.n_frames, rate, frames
+            )
+        )
+    else:
+        images = _file_images(source, frames)
+    is_empty = True
+    for each in images:
+        is_empty = False
+        yield each
+    if is_empty:
+        asked = "" if frames is None else f" from {frames[0]} to before {frames[1]}"
+        raise InputError(f"{source.path}: no frame{asked}; {_described(source)}")
+
+
+def _described(source: Source) -> str:
+    if source.frame_id:
+        return f"its frames are {source.frame_id[0]} to {source.frame_id[-1]}"
+    return f"it has {source.n_frames or 'no'} frames"
+
+
+# --- picture files -------------------------------------------------------------------------------
+
+
+def _picture_files(path: str, found: list[Path]) -> Source:
+    files = sorted((p for p in found if p.suffix.lower() in PICTURES and p.is_file()), key=_natural)
+    if not files:
+        raise InputError(f"{path}: has no pictures ({', '.join(PICTURES)})")
+    return Source(path, tuple(files), tuple(_frame_ids(files)), len(files), None)
+
+
+def _natural(path: Path) -> list[tuple[int, int | str]]:
+    """A sorting key that puts 9 before 10."""
+    parts = re.split(r"(\d+)", str(path))
+    return [(0, int(part)) if part.isdecimal() else (1, part) for part in parts]
+
+
+def _frame_ids(files: list[Path]) -> list[int]:
+    numbers = [[int(n) for n in re.findall(r"\d+", p.stem)] for p in files]
+    if len({len(row) for row in numbers}) == 1 and len(files) > 1:
+        for column in reversed(list(zip(*numbers, strict=True))):
+            if all(a < b for a, b in pairwise(column)):
+                # A number as large as a time in nanoseconds would lose digits as a float.
+                return list(column) if column[-1] < 2**53 else list(range(len(files)))
+    return list(range(len(files)))
+
+
+def _file_images(
+    source: Source, frames: tuple[int, int] | None
+) -> Iterator[tuple[int, str, Image]]:
+    assert source.frame_id is not None
+    first, stop = frames or (None, None)
+    for frame_id, path in zip(source.frame_id, source.files, strict=True):
+        if (first is not None and frame_id < first) or (stop is not None and frame_id >= stop):
+            continue
+        yield frame_id, str(path), read_image(path)
+
+
+def read_image(path: Path) -> Image:
+    """Reads a picture file as (H, W, 3), blue green red, 8 bits each.
+
+    Grey, palette and CMYK become colours, transparency is left out, 16 bits are scaled to 8, and a
+    picture that its camera marked as rotated (EXIF) is turned upright: all by OpenCV.
+
+    Raises InputError for a file that is missing, empty, cut off or no picture.
+    """
+    try:
+        content = np.fromfile(path, dtype=np.uint8)
+    except FileNotFoundError:
+        raise InputError(f"{path}: is missing") from None
+    except OSError as error:
+        raise InputError(f"{path}: cannot be read: {error.strerror}") from None
+    if not content.size:
+        raise InputError(f"{path}: the file is empty")
+    try:
+        with silent():
+            image = cv2.imdecode(content, cv2.IMREAD_COLOR)
+    except cv2.error as error:
+        # For example a picture with more pixels than OpenCV accepts.
+        raise InputError(f"{path}: cannot be read: {' '.join(error.err.split())}") from None
+    if image is None:
+        raise InputError(
+            f"{path}: is no picture that can be read (another kind of file, or cut off)"
+        )
+    return image  # type: ignore[return-value]
+
+
+def files_matching(pattern: str) -> list[Path]:
+    """The files that match a pattern such as `boards/*.jpg`, or all files of a folder, sorted.
+
+    Raises InputError if there are none.
+    """
+    if Path(pattern).is_file():
+        return [Path(pattern)]
+    whole = str(Path(glob.escape(pattern)) / "*") if Path(pattern).is_dir() else pattern
+    found = [Path(name) for name in sorted(glob.glob(whole, recursive=True))]
+    files = [path for path in found if path.is_file()]
+    if not files:
+        raise InputError(f"{pattern}: no file matches; give a folder or a pattern such as '*.jpg'")
+    return files
+
+
+def read_images(paths: Iterable[Path], skipped: list[str]) -> Iterator[tuple[Path, Image]]:
+    """Reads picture files in turn; a file that is no picture is left out and reported in
+    `skipped`."""
+    for path in paths:
+        try:
+            yield path, read_image(path)
+        except InputError as error:
+            skipped.append(str(error))
+
+
+def size_of(image: Image) -> tuple[int, int]:
+    """Width and height of an image, pixels."""
+    return image.shape[1], image.shape[0]

@@ -1,0 +1,107 @@
+"""Writes pictures and videos."""
+
+from __future__ import annotations
+
+import contextlib
+from collections.abc import Callable, Iterator, Sequence
+from pathlib import Path
+from typing import Any
+
+import cv2
+
+from egolane_pgm.tools.files import check_place, temporary_folder, write_bytes
+from egolane_pgm.types import InputError
+from egolane_pgm.vision.camera.picture import Image
+
+#: Extensions of the pictures that a user may name.
+PICTURES = (".png", ".jpg", ".jpeg")
+
+#: The codec that every build of OpenCV can write.
+CODEC = "mp4v"
+
+
+def check_picture_name(path: str | Path) -> None:
+    """Raises InputError for a name without an extension in `PICTURES`."""
+    if Path(path).suffix.lower() not in PICTURES:
+        raise InputError(f"{path}: a picture's name ends in {' or '.join(PICTURES)}")
+
+
+def write_picture(
+    file: Path, image: Image, options: Sequence[int] = (), *, make_folder: bool = False
+) -> None:
+    """Writes a picture in the format of its extension, whole or not at all.
+
+    - image: (H, W, 3), blue green red
+    - options: of OpenCV's imencode
+    - make_folder: whether missing folders are made
+
+    Raises InputError where it cannot be written.
+    """
+    content = cv2.imencode(file.suffix, image, list(options))[1]
+    write_bytes(file, content.tobytes(), make_folder=make_folder)
+
+
+def as_jpeg(image: Image, height: int, quality: int = 80) -> bytes:
+    """A picture as a JPEG file, not higher than `height` pixels; quality: per cent."""
+    if image.shape[0] > height:
+        size = max(1, round(image.shape[1] * height / image.shape[0])), height
+        image = cv2.resize(image, size, interpolation=cv2.INTER_AREA).astype(image.dtype)
+    return bytes(cv2.imencode(".jpg", image, [cv2.IMWRITE_JPEG_QUALITY, quality])[1].tobytes())
+
+
+@contextlib.contextmanager
+def video_writer(
+    target: Path, frame_rate: float, size: tuple[int, int]
+) -> Iterator[Callable[[Image], None]]:
+    """A context that gives a function to call with each picture of a video (`.mp4`) in turn.
+
+    Whatever ends the block, the pictures written so far are kept. Without any picture there is no
+    file.
+
+    - frame_rate: Hz
+    - size: width and height of the pictures, pixels
+
+    Raises InputError where the video cannot be written.
+    """
+    check_place(target)
+    if not target.parent.is_dir():
+        raise InputError(f"{target}: cannot be written: no such folder")
+    with temporary_folder(target.parent) as folder:
+        # FFmpeg takes what is before a colon for a protocol, unless the path is absolute, as that
+        # of a temporary folder is.
+        part = folder / target.name
+        with silent():
+            video = cv2.VideoWriter(str(part), cv2.VideoWriter.fourcc(*CODEC), frame_rate, size)
+        if not video.isOpened():
+            raise InputError(f"{target}: cannot be written (is the folder writable?)")
+        n_written = 0
+
+        def write(image: Image) -> None:
+            nonlocal n_written
+            with silent():
+                video.write(image)
+            n_written += 1
+
+        try:
+            yield write
+        finally:
+            with silent():
+                video.release()
+                is_readable = cv2.VideoCapture(str(part)).isOpened()
+            if n_written and not is_readable:
+                # OpenCV does not say so itself.
+                raise InputError(f"{target}: cannot be written (is the disk full?)")
+            if n_written:
+                part.replace(target)
+
+
+@contextlib.contextmanager
+def silent() -> Iterator[None]:
+    """Silences OpenCV's own messages, for which we raise a one-line error."""
+    # The function's place differs between OpenCV's major versions.
+    set_level: Any = getattr(cv2, "setLogLevel", None) or cv2.utils.logging.setLogLevel
+    before = set_level(0)
+    try:
+        yield
+    finally:
+        set_level(before)

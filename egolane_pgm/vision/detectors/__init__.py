@@ -1,0 +1,104 @@
+"""The red box: detectors, which take camera pictures and give lines. Each is a file here.
+
+A detector is a module with
+
+- `STEREO`: whether it needs the pictures of two cameras
+- `PARAMETERS`: a tuple with a `Parameter` for each of its constants
+- `start(camera, parameters) -> step`: prepares for one drive. `step` takes a `Picture` and gives
+  its `FrameLines`; it is called for each frame in order and keeps its own tracks.
+
+`runner` runs a detector over the pictures of a drive; `simple` holds the parts that the paper's
+detectors share.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from egolane_pgm.types import BoolArray, FloatArray, InputError, IntArray, LineLog
+from egolane_pgm.vision.camera.picture import Image as Image
+from egolane_pgm.vision.camera.picture import Picture
+
+
+@dataclass(frozen=True)
+class FrameLines:
+    """The L lines of one frame, sorted left to right.
+
+    - shape: (L, 4) coefficients of the clothoid y(x) = s0 + s1 x + s2 x^2 / 2 + s3 x^3 / 6, metres
+      to the right at x metres ahead: offset, heading, curvature and its rate. Straight lines have
+      s2 = s3 = 0.
+    - is_valid, is_continuous: (L,) bool
+    - lri: (L,) the line reliability index, how often the line was detected in the last frames
+    - slot: (L,) a whole number that stays with a line from frame to frame, another one for each
+      line of a frame; None for a detector that follows nothing
+
+    Raises InputError for arrays of other shapes or types.
+    """
+
+    shape: FloatArray
+    is_valid: BoolArray
+    is_continuous: BoolArray
+    lri: FloatArray
+    slot: IntArray | None = None
+
+    def __post_init__(self) -> None:
+        kinds_of = [
+            ("shape", "iuf", "numbers"),
+            ("is_valid", "b", "True or False"),
+            ("is_continuous", "b", "True or False"),
+            ("lri", "iuf", "numbers"),
+        ]
+        if self.slot is not None:
+            kinds_of.append(("slot", "iu", "whole numbers"))
+        for name, kinds, needed in kinds_of:
+            value = getattr(self, name)
+            if not isinstance(value, np.ndarray) or value.dtype.kind not in kinds:
+                found = value.dtype if isinstance(value, np.ndarray) else type(value).__name__
+                raise InputError(f"lines: {name} is {found}, needs a NumPy array of {needed}")
+        n_lines = len(self.shape) if self.shape.ndim else 0
+        if self.shape.shape != (n_lines, 4):
+            raise InputError(f"lines: shape is {self.shape.shape}, needs (L, 4)")
+        for name, _, _ in kinds_of[1:]:
+            if getattr(self, name).shape != (n_lines,):
+                raise InputError(f"lines: {name} needs one value for each of {n_lines} lines")
+        if self.slot is not None and len(np.unique(self.slot)) < n_lines:
+            raise InputError(f"lines: slot {self.slot.tolist()} has a number twice")
+
+    @property
+    def offset_m(self) -> FloatArray:
+        """The lines' offsets, (L,), metres, negative on the left."""
+        return self.shape[:, 0]
+
+
+#: The function that a detector's `start` gives: from the next picture of a drive to its lines.
+Step = Callable[[Picture], FrameLines]
+
+
+def as_log(
+    frames: Iterable[tuple[int, FrameLines]], frame_rate: float, source: str = "detector"
+) -> LineLog:
+    """Packs the lines of a drive, given as pairs of frame id and lines, into a LineLog.
+
+    frame_rate: Hz, from which times follow (frame id over frame rate).
+    """
+    given = list(frames)
+    lines = [found for _, found in given]
+
+    def column(name: str) -> NDArray[Any]:
+        return np.concatenate([[], *(getattr(found, name) for found in lines)])
+
+    return LineLog.from_rows(
+        np.array([number for number, _ in given], dtype=np.int64),
+        frame_rate,
+        np.repeat(np.arange(len(lines)), np.array([len(found.lri) for found in lines], dtype=int)),
+        column("offset_m"),
+        column("is_valid"),
+        column("is_continuous"),
+        column("lri"),
+        source=source,
+    )

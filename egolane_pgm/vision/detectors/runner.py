@@ -1,0 +1,197 @@
+"""Runs a detector over the pictures of a drive: finds the plugin, checks its answers and collects
+its lines."""
+
+from __future__ import annotations
+
+import os
+import time
+import warnings
+from collections.abc import Iterable, Iterator, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from types import ModuleType
+from typing import Any
+
+import numpy as np
+
+from egolane_pgm.parameters import Value, resolve_parameters
+from egolane_pgm.plugins import load_plugin, plugin_errors
+from egolane_pgm.types import InputError, LineLog
+from egolane_pgm.vision.camera.model import Camera
+from egolane_pgm.vision.camera.picture import Picture
+from egolane_pgm.vision.detectors import FrameLines, Step, as_log
+from egolane_pgm.vision.detectors.networks.description import YAML, network_files, networks_of
+
+#: How many frames are collected before they are packed into arrays.
+_PACK = 1000
+
+#: The number of frames that are timed, and that of the first frames, which are not.
+_TIMED, _WARM_UP = 30, 5
+
+
+@dataclass(frozen=True)
+class Detector:
+    """A detector's module and the checked values of its parameters. where: how messages begin."""
+
+    name: str
+    module: ModuleType
+    parameters: Mapping[str, Value]
+    where: str
+
+    @property
+    def is_stereo(self) -> bool:
+        """Whether it needs the pictures of two cameras."""
+        return bool(self.module.STEREO)
+
+
+def find_detector(
+    name: str, given: Mapping[str, Any], base: Path, where: str, given_by: str | None = None
+) -> Detector:
+    """Finds a detector by its name, or in a file relative to `base`, and checks its parameters.
+
+    - given: values of parameters; the others keep their defaults
+    - where: how messages about the name begin
+    - given_by: how messages about parameters begin; `<where>_parameters` by default
+
+    Raises InputError for an unknown detector or parameter and for a wrong value.
+    """
+    module = load_plugin("detectors", name, base, where)
+    specs = getattr(module, "PARAMETERS", ())
+    values = resolve_parameters(specs, given, 1, given_by or f"{where}_parameters")
+    for key, value in values.items():
+        # A parameter may name a user's own file (a stereo matcher, a network), relative to `base`
+        # as well.
+        if isinstance(value, str) and value.endswith((".py", *YAML)):
+            values[key] = os.path.realpath(base / value)
+    return Detector(name, module, values, where)
+
+
+def own_files(detector: Detector) -> list[Path]:
+    """The user's own files that the parameters name: stereo matchers, networks."""
+    values = detector.parameters.values()
+    matchers = [Path(v) for v in values if isinstance(v, str) and v.endswith(".py")]
+    return matchers + network_files(detector.parameters)
+
+
+def check_pair(detector: Detector, camera: Camera, has_right: bool, where: str) -> None:
+    """Raises InputError if a stereo detector has no second camera, or a mono detector has one."""
+    if detector.is_stereo and not has_right:
+        raise InputError(f"{where}: detector {detector.name} needs the pictures of a second camera")
+    if has_right and not detector.is_stereo:
+        raise InputError(
+            f"{where}: detector {detector.name} looks at one camera only; leave the second out"
+        )
+    if detector.is_stereo and camera.baseline_m is None:
+        raise InputError(
+            f"{detector.where}: {detector.name} needs to know how far the two cameras are apart:"
+            " baseline_m of the camera"
+        )
+
+
+def start(detector: Detector, camera: Camera) -> Step:
+    """Prepares a detector for the first picture of a drive."""
+    with plugin_errors(detector.module, detector.where):
+        step: Step = detector.module.start(camera, detector.parameters)
+    return step
+
+
+def detect(
+    detector: Detector,
+    camera: Camera,
+    pictures: Iterable[Picture],
+    frame_rate: float | None = None,
+) -> Iterator[tuple[int, FrameLines]]:
+    """Runs a detector over pictures; gives the frame id and the checked lines of each.
+
+    frame_rate: Hz, where it is known. A detector with a network that is slower warns once.
+
+    Raises InputError, naming detector and frame, for lines that break the detectors' contract.
+    """
+    step = start(detector, camera)
+    if frame_rate is not None and networks_of(detector.parameters):
+        step = _timed(step, detector, frame_rate)
+    for picture in pictures:
+        where = f"{detector.where}: {detector.name}: frame {picture.frame_id}"
+        try:
+            with plugin_errors(detector.module, where):
+                lines = step(picture)
+        except InputError as error:
+            said = str(error)
+            raise InputError(said if said.startswith(where) else f"{where}: {said}") from error
+        _check(lines, where)
+        yield picture.frame_id, lines
+
+
+def _timed(step: Step, detector: Detector, frame_rate: float) -> Step:
+    """The same step, which warns if its frames take longer than they come. The first ones, in which
+    code is compiled and memory taken, are left out."""
+    count, spent = 0, 0.0
+
+    def timed(picture: Picture) -> FrameLines:
+        nonlocal count, spent
+        began = time.perf_counter()
+        lines = step(picture)
+        count += 1
+        spent += time.perf_counter() - began if count > _WARM_UP else 0.0
+        if count == _WARM_UP + _TIMED and spent / _TIMED > 1 / frame_rate:
+            warnings.warn(
+                f"{detector.name} takes {1000 * spent / _TIMED:.0f} ms per frame here, but"
+                f" {frame_rate:g} frames come per second, one in {1000 / frame_rate:.0f} ms; to"
+                " keep up with a camera, let the network look at every n-th frame only"
+                " (`every: n` in its YAML)",
+                UserWarning,
+                stacklevel=2,
+            )
+        return lines
+
+    return timed
+
+
+def _check(lines: FrameLines, where: str) -> None:
+    if not isinstance(lines, FrameLines):
+        raise InputError(f"{where}: gave {type(lines).__name__}, not FrameLines")
+    if not np.isfinite(lines.shape).all():
+        raise InputError(f"{where}: a line's shape is not finite")
+    if not (np.isfinite(lines.lri) & (lines.lri >= 0)).all():
+        raise InputError(f"{where}: a line's lri is not a count of detections")
+    if (np.diff(lines.offset_m) < 0).any():
+        raise InputError(f"{where}: the lines are not sorted left to right")
+
+
+@dataclass(frozen=True)
+class Collected:
+    """The lines of a drive, as far as it went.
+
+    - log: None if there was no frame
+    - stopped: what ended the drive early (Ctrl-C, a picture that cannot be used), or None
+    """
+
+    log: LineLog | None
+    stopped: KeyboardInterrupt | InputError | None
+
+
+def collect(frames: Iterable[tuple[int, FrameLines]], frame_rate: float, source: str) -> Collected:
+    """Collects the lines of a drive into one log; an interruption keeps the frames before it.
+
+    - frames: pairs of frame id and lines, as `detect` gives them
+    - frame_rate: Hz
+    - source: where the lines come from, for messages
+    """
+    log: LineLog | None = None
+    pending: list[tuple[int, FrameLines]] = []
+    stopped: KeyboardInterrupt | InputError | None = None
+
+    def packed() -> LineLog | None:
+        if not pending:
+            return log
+        latest = as_log(pending, frame_rate, source)
+        return latest if log is None else LineLog.joined([log, latest])
+
+    try:
+        for frame in frames:
+            pending.append(frame)
+            if len(pending) == _PACK:
+                log, pending = packed(), []
+    except (KeyboardInterrupt, InputError) as reason:
+        stopped = reason
+    return Collected(packed(), stopped)

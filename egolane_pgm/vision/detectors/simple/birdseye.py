@@ -1,0 +1,166 @@
+"""The bird's-eye view: the road as a calibrated camera would see it from above (first step of the
+paper's section `section:simple-line-detector`).
+
+Row 0 is the far edge and column 0 the left edge. A pixel has one size along the road and another
+across it, because the camera resolves the road finely to the side and coarsely ahead.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from functools import lru_cache
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from egolane_pgm.types import BoolArray, FloatArray, InputError
+from egolane_pgm.vision.camera.model import Camera, image_to_road, road_to_image, vanishing_point
+from egolane_pgm.vision.camera.picture import Image, check_size
+
+#: The largest side of a view, pixels. A larger one has a wrong unit, and OpenCV cannot make it.
+_MOST_PIXELS = 8000
+
+#: The smallest share of a view that must be in the picture.
+_LEAST_SHARE = 0.1
+
+#: How many views for other pitches are kept.
+_VIEWS = 24
+
+#: The largest error, in pixels, of distorting a point and removing the distortion again. If it is
+#: larger, the distortion formula has folded over and would show the picture a second time.
+_FOLD_PX = 1.0
+
+
+@dataclass(frozen=True)
+class BirdsEye:
+    """A bird's-eye view of R rows and C columns.
+
+    - x_m: (R,) metres ahead of each row, decreasing
+    - y_m: (C,) metres to the right of each column
+    - along_m, across_m: size of a pixel, metres
+    - valid: (R, C) whether the picture shows this part of the road, outside the camera's `ignore`
+      rectangles
+    - map_uv: where in the picture each pixel comes from, in the form that cv2.remap takes
+    """
+
+    camera: Camera
+    x_m: FloatArray
+    y_m: FloatArray
+    along_m: float
+    across_m: float
+    valid: BoolArray
+    map_uv: tuple[NDArray[np.int16], NDArray[np.uint16]]
+
+
+def make_view(
+    camera: Camera,
+    x_min: float,
+    x_max: float,
+    y_min: float,
+    y_max: float,
+    along_m: float = 0.2,
+    across_m: float = 0.05,
+) -> BirdsEye:
+    """Makes the view of a region of the road.
+
+    - x_min, x_max: from and to, metres ahead
+    - y_min, y_max: from and to, metres to the right
+    - along_m, across_m: size of a pixel, metres
+
+    Raises InputError if the region is empty, has too many pixels, or is not in the picture.
+    """
+    if not (0 < x_min < x_max and y_min < y_max and along_m > 0 and across_m > 0):
+        raise InputError(
+            f"bird's-eye view: {x_min} to {x_max} m ahead and {y_min} to {y_max} m to the right"
+            " is no region in front of the camera"
+        )
+    n_rows = max(round((x_max - x_min) / along_m), 1)
+    n_columns = max(round((y_max - y_min) / across_m), 1)
+    if max(n_rows, n_columns) > _MOST_PIXELS:
+        raise InputError(
+            f"bird's-eye view: {n_columns} x {n_rows} pixels of {across_m:g} x {along_m:g} m are"
+            f" more than {_MOST_PIXELS} a side; look less far or choose larger pixels"
+        )
+    x_m = x_max - (np.arange(n_rows, dtype=np.float64) + 0.5) * along_m
+    y_m = y_min + (np.arange(n_columns, dtype=np.float64) + 0.5) * across_m
+    u, v = road_to_image(camera, x_m[:, None], y_m)
+    with np.errstate(invalid="ignore"):
+        valid = (u >= 0) & (u <= camera.width - 1) & (v >= 0) & (v <= camera.height - 1)
+    valid &= _unfolded(camera, x_m, y_m, u, v)
+    for left, top, right, bottom in camera.ignore:
+        valid &= ~((u >= left) & (u < right) & (v >= top) & (v < bottom))
+    _check_sees_road(camera, valid, x_min, x_max)
+    outside = np.float32(-10)
+    map_uv, fractions = cv2.convertMaps(
+        np.where(valid, u, outside).astype(np.float32),
+        np.where(valid, v, outside).astype(np.float32),
+        cv2.CV_16SC2,
+    )
+    maps = (map_uv.astype(np.int16, copy=False), fractions.astype(np.uint16, copy=False))
+    return BirdsEye(camera, x_m, y_m, along_m, across_m, valid, maps)
+
+
+def turned_up(view: BirdsEye) -> Callable[[float], BirdsEye]:
+    """Makes a function of a number of degrees, which gives the same view for a camera pitched up by
+    that much more. The last views are kept, because a new one takes longer than a picture: ask for
+    few different pitches. It raises InputError as `make_view` does."""
+    half_x, half_y = view.along_m / 2, view.across_m / 2
+
+    @lru_cache(maxsize=_VIEWS)
+    def turned(more_deg: float) -> BirdsEye:
+        if not more_deg:
+            return view
+        return make_view(
+            replace(view.camera, pitch_deg=view.camera.pitch_deg + more_deg),
+            float(view.x_m[-1] - half_x),
+            float(view.x_m[0] + half_x),
+            float(view.y_m[0] - half_y),
+            float(view.y_m[-1] + half_y),
+            view.along_m,
+            view.across_m,
+        )
+
+    return turned
+
+
+def _unfolded(
+    camera: Camera, x_m: FloatArray, y_m: FloatArray, u: FloatArray, v: FloatArray
+) -> BoolArray:
+    """Where, (R, C), removing the distortion leads back to the point that was distorted."""
+    if not any(camera.distortion):
+        return np.ones(u.shape, dtype=bool)
+    back_u, back_v = road_to_image(camera, *image_to_road(camera, u, v), undistorted=True)
+    free_u, free_v = road_to_image(camera, x_m[:, None], y_m, undistorted=True)
+    with np.errstate(invalid="ignore"):
+        unfolded: BoolArray = np.hypot(back_u - free_u, back_v - free_v) < _FOLD_PX
+    return unfolded
+
+
+def _check_sees_road(camera: Camera, valid: BoolArray, x_min: float, x_max: float) -> None:
+    if valid.mean() >= _LEAST_SHARE:
+        return
+    _, horizon = vanishing_point(camera)
+    region = f"the road from {x_min:g} to {x_max:g} m ahead"
+    if horizon >= camera.height - 1:
+        raise InputError(
+            f"pitch_deg: {camera.pitch_deg:g}: the camera looks at the sky, its horizon is below"
+            f" the picture, so it does not see {region}; calibrate it again"
+        )
+    raise InputError(
+        f"camera: only {100 * valid.mean():.0f} % of {region} is in the picture (pitch_deg"
+        f" {camera.pitch_deg:g}, height_m {camera.height_m:g}); calibrate it again or choose"
+        " another region"
+    )
+
+
+def look(view: BirdsEye, image: Image) -> Image:
+    """Resamples a picture, (H, W, 3) or (H, W), as seen from above, (R, C, 3) or (R, C); 0 where
+    the picture does not show the road.
+
+    Raises InputError for a picture of another size than the calibration.
+    """
+    check_size(image, view.camera.width, view.camera.height)
+    above = cv2.remap(image, *view.map_uv, cv2.INTER_LINEAR, borderMode=cv2.BORDER_CONSTANT)
+    return above.astype(np.uint8, copy=False)

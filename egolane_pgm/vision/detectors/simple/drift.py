@@ -1,0 +1,287 @@
+"""Watches the calibration: estimates the camera's pitch from the lines that it sees.
+
+A wrong pitch makes the lines of a road meet or spread in the bird's-eye view, and the line finder,
+which looks for parallel lines, finds fewer of them. So every now and then a picture is looked at
+with three pitches, the one believed in and one to either side of it. The pitch that shows most line
+is the likely one, and how far its lines are from parallel (the squeeze of `fit`) says how much is
+missing. The belief over pitches is kept on a grid. It forgets slowly, so that it follows a camera
+that was moved.
+
+The car's own pitching and the slope of the road move the lines in the same way. The belief is
+therefore about the pitch on the average, and its standard deviation tells how far the average can
+be trusted.
+
+The height of the camera and the width of the lanes are one number in a picture: only where the
+width is known does it tell the height.
+"""
+
+from __future__ import annotations
+
+import math
+import warnings
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from egolane_pgm.parameters import Parameter, Parameters, number
+from egolane_pgm.types import FloatArray, InputError
+from egolane_pgm.vision.camera.model import Camera
+from egolane_pgm.vision.camera.picture import Image, Picture
+from egolane_pgm.vision.detectors.simple.birdseye import BirdsEye, turned_up
+from egolane_pgm.vision.detectors.simple.fit import Found, find_lines
+
+PARAMETERS = (
+    Parameter(
+        "camera_drift",
+        "choice",
+        "warn",
+        "what is done if the camera is no longer pitched as it was calibrated: `warn` once,"
+        " `correct` the pitch as well (with two cameras the plane of the road does), or `ignore` it"
+        " and save the time to look",
+        choices=("warn", "correct", "ignore"),
+    ),
+    Parameter(
+        "drift_deg",
+        "positive",
+        0.4,
+        "the pitch has drifted if it is off by more than this and two standard deviations, degrees",
+        highest=30,
+    ),
+    Parameter(
+        "drift_every",
+        "integer",
+        50,
+        "frames between two looks at the calibration, of which each takes as long as three frames;"
+        " in the beginning there are more",
+        lowest=1,
+    ),
+)
+
+#: The differences from the calibrated pitch that the belief is about, degrees.
+_GRID = np.linspace(-3.0, 3.0, 121)
+
+#: Standard deviation of that difference before the first picture, degrees.
+_USUAL_DEG = 1.0
+
+#: The logarithm of their probabilities before the first picture, up to a constant.
+_PRIOR = -0.5 * (_GRID / _USUAL_DEG) ** 2
+
+#: The distance between the three pitches of a look, and the step that they are rounded to, degrees.
+_APART_DEG, _STEP_DEG = 0.75, 0.25
+
+#: The share of the earlier evidence that is kept at one more look.
+_KEPT = 0.9
+
+#: How much the car and the rise of the road sway the pitch, degrees, and over how many frames.
+_SWAY_DEG, _SWAY_FRAMES = 0.25, 100
+
+#: The log-likelihood that a pitch gains with one more line in full.
+_PER_LINE = 2.0
+
+#: Standard deviation of the pitch that follows from the lines' squeeze, degrees. A pitch farther
+#: away than this number of them counts no less: what looked like lines was something else.
+_SQUEEZE_DEG, _MOST_SDS = 0.5, 2.0
+
+#: The least distance of the outer lines, metres, from which a squeeze follows.
+_LEAST_SPREAD_M = 2.0
+
+#: Number of first pictures that are all looked at, and the factor by which each later look makes
+#: the wait for the next one longer: a warning may take more time than a correction.
+_FIRST, _SLOWER = 10, {"correct": 1.1, "warn": 1.5}
+
+#: The fewest looks before anything is said of the camera.
+_LEAST_LOOKS = 6
+
+#: The steps in which the pitch is corrected, degrees.
+_CORRECTION_DEG = 0.1
+
+#: Distances of neighbouring lines that may be one lane, in usual widths. The finder sees no lines
+#: nearer to each other, and wider gaps are two lanes.
+_ONE_LANE = (0.6, 1.5)
+
+#: How many of the last such distances are kept, and how many are needed to speak of the height.
+_GAPS, _LEAST_GAPS = 100, 20
+
+#: A warning comes if the height is off by more than this share plus two standard deviations.
+_GROSS = 0.15
+
+
+@dataclass(frozen=True)
+class Drift:
+    """The belief about a camera's pose after some looks.
+
+    - weight: (G,) probability of each of the differences from the calibrated pitch
+    - frames: how many pictures the drive has had so far
+    - looks: how many of them were looked at and showed a line
+    - gaps_m: (N,) the last distances of neighbouring lines, metres
+    """
+
+    weight: FloatArray
+    frames: int
+    looks: int
+    gaps_m: FloatArray
+
+    @property
+    def pitch_deg(self) -> float:
+        """The mean difference from the calibrated pitch, degrees, up is positive."""
+        return float(self.weight @ _GRID)
+
+    @property
+    def pitch_sd_deg(self) -> float:
+        """Its standard deviation, degrees: that of the belief and that of the sway together."""
+        variance = float(self.weight @ (_GRID - self.pitch_deg) ** 2)
+        return math.sqrt(variance + _SWAY_DEG**2 / (1 + self.frames / _SWAY_FRAMES))
+
+
+def no_drift() -> Drift:
+    """The belief before the first look: the calibration is roughly right."""
+    return Drift(_normalised(_PRIOR), 0, 0, np.zeros(0))
+
+
+def _normalised(log_weight: FloatArray) -> FloatArray:
+    weight = np.exp(log_weight - log_weight.max())
+    scaled: FloatArray = weight / weight.sum()
+    return scaled
+
+
+def looked(drift: Drift, away: FloatArray, amount: FloatArray, parallel_deg: float) -> Drift:
+    """The belief after one more look.
+
+    - away: (3,) the pitches that were tried, as differences from the calibrated one, ascending
+    - amount: (3,) the length of line that each shows, in lines seen in full
+    - parallel_deg: the pitch at which the lines are parallel; NaN where it is unknown
+    """
+    log_weight = _KEPT * np.log(np.maximum(drift.weight, 1e-12)) + (1 - _KEPT) * _PRIOR
+    parabola = np.polyfit(away, amount, 2)
+    log_weight += _PER_LINE * np.polyval(parabola, np.clip(_GRID, away[0], away[2]))
+    if math.isfinite(parallel_deg):
+        sds = np.minimum(np.abs(_GRID - parallel_deg) / _SQUEEZE_DEG, _MOST_SDS)
+        log_weight -= 0.5 * sds**2
+    return replace(drift, weight=_normalised(log_weight), looks=drift.looks + 1)
+
+
+def parallel_at(view: BirdsEye, found: Found) -> float:
+    """By how much the view's pitch would have to be larger for the lines to be parallel, degrees;
+    NaN where there are no two lines."""
+    offset, heading = found.shape[:, 0], found.shape[:, 1]
+    if len(offset) < 2 or np.ptp(offset) < _LEAST_SPREAD_M:
+        return float("nan")
+    squeeze = float(np.polyfit(offset, heading, 1)[0])
+    return -math.degrees(squeeze * view.camera.height_m)
+
+
+def with_gaps(drift: Drift, found: Found, parameters: Parameters) -> Drift:
+    """The belief with the distances of the neighbouring lines found in one more picture."""
+    gaps = np.diff(found.shape[:, 0]) / number(parameters, "lane_width_m")
+    low, high = _ONE_LANE
+    gaps = gaps[(gaps > low) & (gaps < high)] * number(parameters, "lane_width_m")
+    return replace(drift, gaps_m=np.concatenate([drift.gaps_m, gaps])[-_GAPS:])
+
+
+def height(camera: Camera, drift: Drift, parameters: Parameters) -> tuple[float, float]:
+    """The camera's height that follows from the usual lane width, and its standard deviation,
+    metres; NaN before enough lanes were seen.
+
+    Seen from a camera at a wrong height, everything on the road is larger by the same factor. The
+    lanes of a road vary by `lane_width_sd` about `lane_width_m`, and no number of pictures of one
+    road makes the height surer than that.
+    """
+    if len(drift.gaps_m) < _LEAST_GAPS:
+        return float("nan"), float("nan")
+    usual, sd = number(parameters, "lane_width_m"), number(parameters, "lane_width_sd")
+    width = float(np.median(drift.gaps_m))
+    scatter = float(np.median(np.abs(drift.gaps_m - width))) * 1.48 / math.sqrt(len(drift.gaps_m))
+    found = camera.height_m * usual / width
+    return found, found * math.hypot(sd / usual, scatter / width)
+
+
+def watch(view: BirdsEye, parameters: Parameters) -> Callable[[Picture], Drift]:
+    """Makes a function to call with each picture of a drive. It looks at some of the pictures,
+    gives the belief about the camera, and warns once of a drift and once of a height that is
+    grossly wrong.
+
+    view: the bird's-eye view of the calibrated camera.
+    """
+    drift, n_looks, next_look = no_drift(), 0, 0
+    every = number(parameters, "drift_every")
+    turned = turned_up(view)
+    has_warned = {"pitch": False, "height": False}
+
+    def tried(image: Image, away: float) -> tuple[float, float, Found | None]:
+        try:
+            seen = turned(away)
+        except InputError:
+            # So far off that the camera would not see the road.
+            return 0.0, float("nan"), None
+        found = find_lines(seen, image, parameters)
+        return float(found.score.sum()), away + parallel_at(seen, found), found
+
+    def see(picture: Picture) -> Drift:
+        nonlocal drift, n_looks, next_look
+        n = drift.frames
+        drift = replace(drift, frames=n + 1)
+        if n < next_look:
+            return drift
+        n_looks += 1
+        next_look = n + round(min(_gap(n_looks, parameters), every))
+        middle = round(drift.pitch_deg / _STEP_DEG) * _STEP_DEG
+        away = middle + _APART_DEG * np.array([-1.0, 0.0, 1.0])
+        amount, parallel, found = zip(*(tried(picture.image, a) for a in away), strict=True)
+        if not any(amount):
+            return drift
+        best = int(np.argmax(amount))
+        drift = looked(drift, away, np.array(amount), parallel[best])
+        if (lines := found[best]) is not None:
+            drift = with_gaps(drift, lines, parameters)
+        for what, said in _complaints(view.camera, drift, parameters).items():
+            if not has_warned[what]:
+                has_warned[what] = True
+                warnings.warn(f"frame {picture.frame_id}: {said}", UserWarning, stacklevel=2)
+        return drift
+
+    return see
+
+
+def _gap(n_looks: int, parameters: Parameters) -> float:
+    """The number of frames before the next look."""
+    if n_looks < _FIRST:
+        return 1.0
+    return _SLOWER[str(parameters["camera_drift"])] ** min(n_looks - _FIRST, 200)
+
+
+def correction_deg(drift: Drift) -> float:
+    """The correction of the pitch, degrees, in steps, because a new view of the road takes longer
+    than a picture."""
+    return round(drift.pitch_deg / _CORRECTION_DEG) * _CORRECTION_DEG
+
+
+def _complaints(camera: Camera, drift: Drift, parameters: Parameters) -> dict[str, str]:
+    """The warnings about a camera: under `pitch` and `height`, for each that is wrong."""
+    if drift.looks < _LEAST_LOOKS:
+        return {}
+    name = camera.name or "the camera"
+    said = {}
+    away, sd = drift.pitch_deg, drift.pitch_sd_deg
+    if abs(away) > number(parameters, "drift_deg") + 2 * sd:
+        corrects = parameters["camera_drift"] == "correct"
+        then = (
+            "the pitch is corrected from here on"
+            if corrects
+            else "calibrate it again, or set the detector's camera_drift to correct"
+        )
+        said["pitch"] = (
+            f"{name}: the lines of the road say that it is pitched by"
+            f" {camera.pitch_deg + away:.2f} degrees (standard deviation {sd:.2f}), but it was"
+            f" calibrated with pitch_deg {camera.pitch_deg:.2f}; {then}"
+        )
+    high, high_sd = height(camera, drift, parameters)
+    if abs(high - camera.height_m) > _GROSS * camera.height_m + 2 * high_sd:
+        width = number(parameters, "lane_width_m")
+        said["height"] = (
+            f"{name}: lanes look {np.median(drift.gaps_m):.1f} m wide; if they are {width:g} m"
+            f" (lane_width_m), the camera is {high:.2f} m (standard deviation {high_sd:.2f}) above"
+            f" the road, but it was calibrated with height_m {camera.height_m:.2f}; calibrate it"
+            " again with the width of the lanes, or set lane_width_m to it"
+        )
+    return said

@@ -1,0 +1,393 @@
+"""Finds the lines in one picture: a given number of lines or clothoids that cover the most contour
+area (paper, section `section:simple-line-detector`).
+
+All lines of a road share heading and curvature. These are found first: the right values are those
+with which the contours gather most sharply at a few offsets. The offsets follow. The lines also
+share a third value, the squeeze q. When the car pitches, distances to the side appear to grow or
+shrink with the distance ahead, y = o (1 + q x), where q is the change of pitch over the height of
+the camera. A clothoid's fourth value, the rate of its curvature, moves a line by centimetres only,
+so the search leaves it where it is expected and least squares find it.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from egolane_pgm.parameters import Parameters, number
+from egolane_pgm.types import BoolArray, FloatArray, IntArray
+from egolane_pgm.vision.camera.model import Camera
+from egolane_pgm.vision.camera.picture import Image
+from egolane_pgm.vision.detectors.simple.birdseye import BirdsEye, look, make_view
+from egolane_pgm.vision.detectors.simple.contours import Strips, find_strips
+from egolane_pgm.vision.detectors.simple.kernels import (
+    along_common,
+    best_beside,
+    common_scores,
+    line_equations,
+    rows_covered,
+    rows_shown,
+)
+from egolane_pgm.vision.detectors.simple.markings import marking_mask
+from egolane_pgm.vision.detectors.simple.streaks import NOISE, RAIN, streak_cover, without_streaks
+from egolane_pgm.vision.detectors.simple.upright import free_road
+
+#: The values that all lines of a frame share. The last one is not searched for.
+_SHARED = ("heading", "curvature", "squeeze", "rate")
+
+#: Which of them each curve has.
+_HAS = {
+    "line": np.array([True, False, True, False]),
+    "parabola": np.array([True, True, True, False]),
+    "clothoid": np.array([True, True, True, True]),
+}
+
+#: Grid sizes for heading, curvature and squeeze: of the coarse search, and of the fine one around
+#: the best point.
+_COARSE = (41, 9, 5)
+_FINE = (7, 5, 5)
+
+#: Bins of the coarse and the fine search, metres.
+_COARSE_BIN_M, _FINE_BIN_M = 0.1, 0.07
+
+#: Length of the pieces of contours that are one point of the search, metres.
+_PIECE_M = 0.8
+
+#: Size of the bins of the search for offsets, metres.
+_BIN_M = 0.05
+
+#: For each round of least squares, how near a run must be to a line to count, in `reach_m`.
+_REFINE = (2.5, 2.0, 1.5)
+
+#: Standard deviation of the distance of a run, one metre wide, from its line. It is larger than the
+#: scatter of runs, because neighbouring runs are far from independent.
+_RUN_SD_M = 0.02
+
+#: Weight of an offset's previous value (1/m^2), which keeps the equations solvable for a line
+#: without runs near it.
+_WEAK = 1e-3
+
+#: The visible length that coverage is at least divided by, metres: a shorter view says too little.
+_LEAST_VISIBLE_M = 5.0
+
+#: The largest share of a neighbour's own score that counts as support.
+_MOST_SUPPORT = 0.5
+
+
+@dataclass(frozen=True)
+class Found:
+    """The M lines found in one frame, left to right.
+
+    - shape: (M, 4) as in FrameLines
+    - score: (M,) share of the visible length that contours cover, plus support from neighbours
+    - coverage: (M,) share of the visible length that contours cover, after the refinement
+    - visible: (M,) length of the line in view, metres
+    """
+
+    shape: FloatArray
+    score: FloatArray
+    coverage: FloatArray
+    visible: FloatArray
+
+
+@dataclass(frozen=True)
+class _Common:
+    """The values that all lines of a frame share: heading (m/m), curvature and squeeze (1/m), and
+    the curvature's rate (1/m^2)."""
+
+    heading: float
+    curvature: float
+    squeeze: float
+    rate: float = 0.0
+
+    def shape(self, offset: FloatArray) -> FloatArray:
+        """The shapes (M, 4) of the lines with offsets (M,)."""
+        out = np.zeros((len(offset), 4))
+        out[:, 0] = offset
+        out[:, 1] = self.heading + self.squeeze * offset
+        out[:, 2] = self.curvature
+        out[:, 3] = self.rate
+        return out
+
+
+def view_for(camera: Camera, parameters: Parameters) -> BirdsEye:
+    """The bird's-eye view that the parameters ask for. Raises InputError as `make_view` does."""
+    side, far = number(parameters, "side_m"), number(parameters, "x_max_m")
+    if parameters["curve"] == "line":
+        far = min(far, number(parameters, "straight_to_m"))
+    return make_view(
+        camera,
+        number(parameters, "x_min_m"),
+        far,
+        -side,
+        side,
+        number(parameters, "along_m"),
+        number(parameters, "across_m"),
+    )
+
+
+def find_lines(
+    view: BirdsEye,
+    image: Image,
+    parameters: Parameters,
+    *,
+    prior_shape: FloatArray | None = None,
+    on_road: BoolArray | None = None,
+    mask: NDArray[np.uint8] | None = None,
+) -> Found:
+    """Finds the lines in a picture.
+
+    - image: (H, W, 3), blue green red
+    - prior_shape: (P, 4) lines expected from the frames before; what all lines share is searched
+      near theirs
+    - on_road: (R, C) pixels of the view on the plane of the road; marking elsewhere is dropped
+    - mask: (R, C) the marking, where it is known (of a network, which draws it wider than it is)
+
+    Raises InputError for a picture of another size than the calibration.
+    """
+    is_given = mask is not None
+    if mask is None:
+        cover = streak_cover(image, parameters)
+        if cover > NOISE:
+            return _nothing()
+        if cover > RAIN:
+            image = without_streaks(image, parameters)
+            parameters = {**parameters, "least_rise": parameters["streaky_rise"]}
+        above = from_above(view, image)
+        view = replace(view, valid=view.valid & free_road(view, above, parameters))
+        mask = marking_mask(view, above, parameters)
+    if on_road is not None:
+        mask[~on_road] = 0
+    strips = find_strips(view, mask, parameters)
+    if is_given:
+        usual = np.full_like(strips.width_m, number(parameters, "stripe_m"))
+        strips = replace(strips, width_m=usual)
+    return fit_lines(view, strips, parameters, prior_shape)
+
+
+def from_above(view: BirdsEye, image: Image) -> Image:
+    """The red channel of a picture (H, W, 3) from above, (R, C). In red, yellow paint is as bright
+    as white paint and brighter than concrete. A grey picture (H, W) is taken as it is."""
+    above = look(view, image)
+    # The view has fewer pixels than the picture, so the channel is taken last.
+    red = above if above.ndim == 2 else cv2.extractChannel(above, 2)
+    return red.astype(np.uint8, copy=False)
+
+
+def fit_lines(
+    view: BirdsEye, strips: Strips, parameters: Parameters, prior_shape: FloatArray | None = None
+) -> Found:
+    """Finds the lines that cover most of the contours; `prior_shape` as in `find_lines`."""
+    if len(strips.row) == 0:
+        return _nothing()
+    prior = _prior(parameters, prior_shape)
+    common = _find_common(view, strips, parameters, prior)
+    offset, agreement = _along(strips, common, parameters)
+    centre, score = _scores(view, strips, offset, agreement, common, parameters)
+    peaks = _peaks(centre, score, parameters)
+    common, found = _refine(strips, common, centre[peaks], parameters, prior)
+    shape = common.shape(found)
+    visible = _visible(view, shape)
+    coverage = _coverage(view, strips, found, common, parameters) / np.maximum(visible, 1e-9)
+    return _select(shape, score[peaks], np.minimum(coverage, 1.0), visible)
+
+
+def _nothing() -> Found:
+    return Found(np.zeros((0, 4)), np.zeros(0), np.zeros(0), np.zeros(0))
+
+
+def _select(
+    shape: FloatArray, score: FloatArray, coverage: FloatArray, visible: FloatArray
+) -> Found:
+    order = np.argsort(shape[:, 0], kind="stable")
+    return Found(shape[order], score[order], coverage[order], visible[order])
+
+
+def _prior(parameters: Parameters, prior_shape: FloatArray | None) -> tuple[FloatArray, FloatArray]:
+    """Mean and standard deviation, (4,) each, of the prior on what the lines share."""
+    sd = np.array([number(parameters, f"{name}_sd") for name in _SHARED])
+    if prior_shape is None or not len(prior_shape):
+        return np.zeros(4), sd
+    offset, slope = prior_shape[:, 0], prior_shape[:, 1]
+    heading, squeeze = float(np.median(slope)), 0.0
+    if len(prior_shape) > 1 and np.ptp(offset) > 1:
+        # The straight line through the slopes over the offsets.
+        away = offset - offset.mean()
+        squeeze = float(away @ slope / (away @ away))
+        heading = float(slope.mean() - squeeze * offset.mean())
+    curvature, rate = np.median(prior_shape[:, 2:], axis=0)
+    centre = np.array([heading, curvature, squeeze, rate])
+    # A clothoid begins and ends at a point: the rate of the frame before does not bind this one's.
+    share = number(parameters, "prior_share")
+    return centre, sd * [share, share, share, 1.0]
+
+
+def _find_common(
+    view: BirdsEye, strips: Strips, parameters: Parameters, prior: tuple[FloatArray, FloatArray]
+) -> _Common:
+    """Searches for the values that the lines share, on a coarse grid, then on a fine one around the
+    best point. The rate is the expected one."""
+    has = _HAS[str(parameters["curve"])]
+    most = np.array([number(parameters, f"most_{name}") for name in _SHARED[:3]])
+    rate = float(prior[0][3]) if has[3] else 0.0
+    x, y, area, contour = _pieces(view, strips)
+    y = y - rate * x**3 / 6
+    tolerance = np.hypot(number(parameters, "slope_sd"), strips.slope_sd)[contour]
+    middle = strips.middle_m[contour]
+    slope = strips.slope[contour] - rate * middle**2 / 2
+    side = number(parameters, "side_m")
+
+    def best(grid: list[FloatArray], bin_m: float) -> FloatArray:
+        if not has[1]:
+            grid[1] = np.zeros(1)
+        scores = common_scores(
+            x, y, area, middle, slope, tolerance, grid[0], grid[1], grid[2], side, bin_m
+        )
+        away = np.meshgrid(
+            # `strict=False`: the rate is not searched for.
+            *((values - c) / s for values, c, s in zip(grid, *prior, strict=False)),
+            indexing="ij",
+        )
+        # The prior has heavy tails: a ramp is unusual, but enough contours can show one.
+        scores = scores / (1 + sum(a * a for a in away) / 3)
+        index = np.unravel_index(np.argmax(scores), scores.shape)
+        return np.array([values[i] for values, i in zip(grid, index, strict=True)])
+
+    first = best(
+        [m * np.linspace(-1, 1, n) for m, n in zip(most, _COARSE, strict=True)], _COARSE_BIN_M
+    )
+    step = 2 * most / (np.array(_COARSE) - 1) * np.array([1.0, 0.75, 0.75])
+    around = [at + s * np.linspace(-1, 1, n) for at, s, n in zip(first, step, _FINE, strict=True)]
+    heading, curvature, squeeze = map(float, best(around, _FINE_BIN_M))
+    return _Common(heading, curvature, squeeze, rate)
+
+
+def _pieces(view: BirdsEye, strips: Strips) -> tuple[FloatArray, FloatArray, FloatArray, IntArray]:
+    """Cuts the contours into short pieces along the road; gives x, y, area and contour of each."""
+    rows = max(round(_PIECE_M / view.along_m), 1)
+    per_contour = len(view.x_m) // rows + 1
+    key = strips.contour * per_contour + strips.row // rows
+    width: FloatArray = np.bincount(key, strips.width_m).astype(np.float64)
+    piece: IntArray = np.flatnonzero(width).astype(np.int64)
+    x: FloatArray = np.bincount(key, strips.width_m * strips.x_m)[piece] / width[piece]
+    y: FloatArray = np.bincount(key, strips.width_m * strips.y_m)[piece] / width[piece]
+    return x, y, width[piece] * view.along_m, piece // per_contour
+
+
+def _along(
+    strips: Strips, common: _Common, parameters: Parameters
+) -> tuple[FloatArray, FloatArray]:
+    """For each run, (N,): the offset of the line through it, and how well its contour's direction
+    agrees with that line's, from 1 down to 0."""
+    tolerance = np.hypot(number(parameters, "slope_sd"), strips.slope_sd)
+    shared = np.array([common.heading, common.curvature, common.squeeze, common.rate])
+    offset, agreement = along_common(
+        strips.x_m, strips.y_m, strips.contour, strips.middle_m, strips.slope, tolerance, shared
+    )
+    return offset, agreement
+
+
+def _scores(
+    view: BirdsEye,
+    strips: Strips,
+    offset: FloatArray,
+    agreement: FloatArray,
+    common: _Common,
+    parameters: Parameters,
+) -> tuple[FloatArray, FloatArray]:
+    """Offsets (B,) and the score (B,) of the line at each."""
+    side = number(parameters, "side_m")
+    n_bins = 2 * round(side / _BIN_M)
+    centre = -side + (np.arange(n_bins, dtype=np.float64) + 0.5) * _BIN_M
+    at = np.floor((offset + side) / _BIN_M).astype(int)
+    inside = (at >= 0) & (at < n_bins)
+    area = np.bincount(at[inside], (strips.width_m * agreement)[inside], n_bins) * view.along_m
+    wide = 2 * round(number(parameters, "reach_m") / _BIN_M - 0.5) + 1
+    # mode="same" would give as many values as the longer of the two arrays.
+    covered = np.convolve(area, np.ones(wide))[wide // 2 : wide // 2 + n_bins]
+    shown = _visible(view, common.shape(centre))
+    full = np.maximum(shown, _LEAST_VISIBLE_M) * number(parameters, "stripe_m")
+    own = np.minimum(covered / full, 1.0)
+    bonus = number(parameters, "neighbour_bonus")
+    return centre, np.where(own > 0.03, own + bonus * _support(own, parameters), own)
+
+
+def _support(own: FloatArray, parameters: Parameters) -> FloatArray:
+    """The best score (B,) one lane away on either side, less if the lane's width is unusual."""
+    width, sd = number(parameters, "lane_width_m"), number(parameters, "lane_width_sd")
+    lag = np.arange(1, len(own))
+    lag = lag[np.abs(lag * _BIN_M - width) <= 3 * sd + _BIN_M]
+    if not len(lag):
+        return np.zeros(len(own))
+    likely = np.exp(-0.5 * ((lag * _BIN_M - width) / sd) ** 2)
+    support: FloatArray = best_beside(np.minimum(own, _MOST_SUPPORT), int(lag[0]), likely)
+    return support
+
+
+def _visible(view: BirdsEye, shape: FloatArray) -> FloatArray:
+    """The length of each line (M, 4) in the view, (M,), metres, from every fourth row."""
+    shown = rows_shown(view.x_m, view.y_m[0], view.across_m, view.valid, shape, 4)
+    visible: FloatArray = shown * 4 * view.along_m
+    return visible
+
+
+def _peaks(centre: FloatArray, score: FloatArray, parameters: Parameters) -> IntArray:
+    """Indices of the best scores in turn, each at least `apart_m` from those before."""
+    left = score.copy()
+    peaks: list[int] = []
+    least = max(number(parameters, "least_score"), 1e-6)
+    while len(peaks) < number(parameters, "lines"):
+        best = int(np.argmax(left))
+        if left[best] < least:
+            break
+        peaks.append(best)
+        left[np.abs(centre - centre[best]) < number(parameters, "apart_m")] = 0
+    return np.array(peaks, dtype=np.int64)
+
+
+def _refine(
+    strips: Strips,
+    common: _Common,
+    found: FloatArray,
+    parameters: Parameters,
+    prior: tuple[FloatArray, FloatArray],
+) -> tuple[_Common, FloatArray]:
+    """Refines the shared values and the offsets (M,) by least squares over the runs near the
+    lines."""
+    reach = number(parameters, "reach_m")
+    has = _HAS[str(parameters["curve"])]
+    for times in _REFINE:
+        if not len(found):
+            break
+        offset, agreement = _along(strips, common, parameters)
+        normal, right = line_equations(
+            strips.x_m,
+            strips.y_m,
+            strips.width_m / _RUN_SD_M**2,
+            offset,
+            agreement,
+            found,
+            common.squeeze,
+            has,
+            times * reach,
+        )
+        strength = np.array([*prior[1] ** -2.0, *np.full(len(found), _WEAK)])
+        normal[np.diag_indices(len(strength))] += strength
+        right += strength * np.array([*prior[0], *found])
+        now = np.linalg.solve(normal, right)
+        common, found = _Common(*map(float, now[:4] * has)), now[4:]
+    return common, found
+
+
+def _coverage(
+    view: BirdsEye, strips: Strips, found: FloatArray, common: _Common, parameters: Parameters
+) -> FloatArray:
+    """The length (M,), metres, over which contours cover the lines with offsets `found` (M,)."""
+    offset, agreement = _along(strips, common, parameters)
+    reach = number(parameters, "reach_m")
+    covered = rows_covered(strips.row, offset, agreement, found, reach, len(view.x_m))
+    length: FloatArray = covered * view.along_m
+    return length

@@ -1,0 +1,95 @@
+"""Finds the pixels of the bird's-eye view that may be road marking.
+
+A marking is a narrow strip that is brighter than the road on both sides of it; a top-hat filter
+across the road keeps such strips (paper, section `section:simple-line-detector`). The threshold
+rises with the brightness around a pixel, so that worn dots in the shade of a bridge are kept. It
+also rises with the contrast around it, so that rough concrete in the sun is not. Where the whole
+picture has little contrast, it is lower. Dots and paint stand out by a multiple of the threshold,
+tracks of tyres by little, so what is kept is weighted by how far it is above.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from egolane_pgm.parameters import Parameters, number
+from egolane_pgm.vision.camera.picture import Image
+from egolane_pgm.vision.detectors.simple.birdseye import BirdsEye
+
+#: The largest contrast that enters the mean, so that one bright line does not hide its neighbours.
+_MOST_CONTRAST = 0.2
+
+#: The least contrast of marking over the mean contrast of the whole view, in pictures in which that
+#: is low. Blur and dim light lower the contrast of the road's texture as they do that of paint.
+_OVER_MEAN = 3.0
+
+#: The multiple of the threshold from which on a pixel weighs in full, so that one bright line does
+#: not outweigh several worn ones.
+_IN_FULL = 3
+
+
+def marking_mask(view: BirdsEye, above: Image, parameters: Parameters) -> NDArray[np.uint8]:
+    """Where a bird's-eye view of one colour, (R, C), may show marking, (R, C): 255 where it stands
+    out clearly, less where it is fainter, a third of that at the threshold, and 0 below it."""
+    wide = _odd(number(parameters, "marking_width_m") / view.across_m)
+    seen = _seen(view, above, wide)
+    count = _blur(seen, view, parameters)
+    np.maximum(count, np.float32(1e-3), out=count)
+    share = _contrast(view, above, wide, parameters)
+    local = _blur(above, view, parameters) / count
+    share /= local + np.float32(number(parameters, "brightness_floor") + 1e-3)
+    share *= seen
+    limited = np.minimum(share, np.float32(_MOST_CONTRAST))
+    usual = _blur(limited, view, parameters) / count
+    usual *= np.float32(number(parameters, "least_rise"))
+    everywhere = float(limited.sum()) / max(int(np.count_nonzero(seen)), 1)
+    least = min(
+        max(_OVER_MEAN * everywhere, number(parameters, "blurred_contrast")),
+        number(parameters, "least_contrast"),
+    )
+    np.maximum(usual, np.float32(least), out=usual)
+    share /= usual
+    full = 255
+    strength = cv2.convertScaleAbs(share, alpha=full / _IN_FULL)
+    strength = cv2.threshold(strength, full // _IN_FULL, 0, cv2.THRESH_TOZERO)[1]
+    return strength.astype(np.uint8, copy=False)
+
+
+def _seen(view: BirdsEye, above: Image, wide: int) -> NDArray[np.uint8]:
+    """1 where the view shows road on both sides of a pixel as well, (R, C). It is 0 at the edge of
+    the picture, and at the edge of a black part of it (a covered lens, a blanked half)."""
+    patch = np.ones((wide, wide), dtype=np.uint8)
+    lit = cv2.morphologyEx((above > 0).astype(np.uint8), cv2.MORPH_CLOSE, patch)
+    lit[~view.valid] = 0
+    # One pixel more than the strip, because pixels at the edge are half dark.
+    beside = np.ones((1, 2 * wide + 1), dtype=np.uint8)
+    seen = cv2.erode(lit, beside, borderType=cv2.BORDER_CONSTANT, borderValue=0)
+    return seen.astype(np.uint8, copy=False)
+
+
+def _contrast(
+    view: BirdsEye, above: Image, wide: int, parameters: Parameters
+) -> NDArray[np.float32]:
+    """How much brighter, in grey levels, strips narrower than `wide` pixels are than the road
+    beside them, (R, C)."""
+    strip = np.ones((1, wide), dtype=np.uint8)
+    bright = cv2.morphologyEx(above, cv2.MORPH_TOPHAT, strip)
+    long = _odd(number(parameters, "smooth_along_m") / view.along_m)
+    return cv2.boxFilter(bright, cv2.CV_32F, (1, long)).astype(np.float32, copy=False)
+
+
+def _blur(values: NDArray[Any], view: BirdsEye, parameters: Parameters) -> NDArray[np.float32]:
+    """The mean over the patch around each pixel; values beyond the edges count as 0. Bytes are
+    summed as whole numbers, which is faster."""
+    size = number(parameters, "around_m")
+    patch = (_odd(size / view.across_m), _odd(size / view.along_m))
+    blurred = cv2.boxFilter(values, cv2.CV_32F, patch, borderType=cv2.BORDER_CONSTANT)
+    return blurred.astype(np.float32, copy=False)
+
+
+def _odd(pixels: float) -> int:
+    return 2 * max(round((pixels - 1) / 2), 0) + 1

@@ -1,0 +1,371 @@
+"""Separates the road from the objects on it, with a second camera (paper, section
+`section:simple-line-detector`).
+
+Matchers prefer surfaces that face the camera; they follow a road that runs away from it only with
+a lag. So the right picture is first moved by the disparities of the calibrated road. A flat road
+then has the same disparity everywhere, and the matcher finds how much nearer than the road objects
+are.
+"""
+
+from __future__ import annotations
+
+import math
+import warnings
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from functools import lru_cache
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from egolane_pgm.parameters import Parameter, Parameters, number
+from egolane_pgm.types import BoolArray, FloatArray, InputError
+from egolane_pgm.vision.camera.model import Camera, image_to_road
+from egolane_pgm.vision.camera.picture import Image, Picture
+from egolane_pgm.vision.detectors.simple import matchers
+from egolane_pgm.vision.detectors.simple import plane as planes
+from egolane_pgm.vision.detectors.simple.birdseye import BirdsEye, turned_up
+from egolane_pgm.vision.detectors.simple.finder import OnRoad
+from egolane_pgm.vision.detectors.simple.kernels import full_disparity, off_the_plane
+from egolane_pgm.vision.detectors.simple.matchers import Match
+from egolane_pgm.vision.detectors.simple.plane import Plane
+
+PARAMETERS = (
+    *matchers.PARAMETERS,
+    Parameter(
+        "match_scale",
+        "integer",
+        2,
+        "factor by which pictures are made narrower to match",
+        lowest=1,
+        highest=100,
+    ),
+    Parameter(
+        "match_rows",
+        "integer",
+        4,
+        "how many rows of the pictures become one to match; several make the matches of plain"
+        " surfaces surer, and they cost less",
+        lowest=1,
+        highest=100,
+    ),
+    Parameter(
+        "nearest_m", "positive", 4.0, "smallest distance that is matched, metres", lowest=0.1
+    ),
+    Parameter(
+        "edge_px",
+        "integer",
+        8,
+        "width of the right picture's edge where nothing is matched well, pixels as matched",
+        highest=1000,
+    ),
+    *planes.PARAMETERS,
+    Parameter(
+        "off_plane_m", "positive", 0.25, "least height above or below the plane of objects, metres"
+    ),
+    Parameter(
+        "off_plane_px",
+        "positive",
+        1.0,
+        "least difference of an object's disparity from the plane's, pixels as matched",
+    ),
+    Parameter(
+        "off_plane_grow",
+        "integer",
+        2,
+        "width of the margin around objects that is no road either, pixels as matched",
+        highest=1000,
+    ),
+    Parameter(
+        "pitch_from",
+        "choice",
+        "plane",
+        "the camera's pitch in a frame: that of the fitted plane if it is sure, or the calibrated",
+        choices=("plane", "calibration"),
+    ),
+    Parameter(
+        "pitch_step_deg",
+        "positive",
+        0.1,
+        "steps in which the pitch is corrected, degrees",
+        lowest=0.001,
+    ),
+    Parameter(
+        "unsure_after",
+        "integer",
+        20,
+        "frames in a row without a sure plane before a warning",
+        lowest=1,
+    ),
+)
+
+#: How many views for other pitches are cached.
+_VIEWS = 24
+
+#: The number of first frames without a sure plane in which swapped pictures are tried.
+_SWAP_TRIALS = 5
+
+
+@dataclass(frozen=True)
+class Pair:
+    """How the pairs of pictures of one camera are matched: as H x W pixels.
+
+    - scale, rows: width of a small pixel, columns, and its height, rows
+    - top: first row of the full picture that is used
+    - road: (3,) the calibrated plane
+    - flat: (H, W) its disparities
+    - u, v: (H, W) pixel of the full picture at the middle of each small pixel
+    - looked: (H, W) whether a pixel shows road, and the right picture shows it as well
+    - points: (N,) flat indices of the small pixels that the plane is fitted to
+    - below_px: how far below the road's disparity the search goes, small pixels
+    - n_disparities: number of disparities that are searched
+    - edge_px: how far inside the right picture a match must be, pixels of the full picture
+    - warp: (2, 3) affine map that moves the rows of the right picture by the plane
+    """
+
+    camera: Camera
+    scale: int
+    rows: int
+    top: int
+    road: FloatArray
+    flat: FloatArray
+    u: FloatArray
+    v: FloatArray
+    looked: BoolArray
+    points: NDArray[np.int64]
+    below_px: int
+    n_disparities: int
+    edge_px: int
+    warp: FloatArray
+
+
+def on_road(camera: Camera, parameters: Parameters) -> Callable[[BirdsEye], OnRoad]:
+    """Makes the `on_road` of `finder.start`: given a view, it makes a function from a picture of
+    both cameras to the view with this frame's pitch and its pixels (R, C) on the road plane.
+
+    Raises InputError for a camera without a second one or with lens distortion, and for a matcher
+    that cannot be used.
+    """
+    if camera.baseline_m is None:
+        raise InputError(
+            "baseline_m: is missing; a stereo detector needs to know how far the second camera is"
+            " to the right of the first, metres"
+        )
+    if any(camera.distortion):
+        raise InputError(
+            "distortion: a stereo pair must be rectified, and then has none: rectify the pictures"
+            " and set all five numbers to 0"
+        )
+    match = matchers.find_matcher(parameters, "matcher")
+    pair = make_pair(camera, parameters)
+
+    def for_view(view: BirdsEye) -> OnRoad:
+        turned = turned_up(view)
+
+        @lru_cache(maxsize=_VIEWS)
+        def pitched(steps: int) -> tuple[BirdsEye, NDArray[np.int64]]:
+            seen = turned(steps * number(parameters, "pitch_step_deg"))
+            return seen, _pixels(pair, seen)
+
+        watch = _watch(pair, match, parameters)
+
+        def look(picture: Picture) -> tuple[BirdsEye, BoolArray]:
+            left, right = reduced(pair, picture)
+            disparity = disparities(pair, match, left, right)
+            plane = find_plane(pair, disparity, parameters)
+            watch(picture.frame_id, plane, left, right)
+            steps = 0
+            if plane.is_sure and parameters["pitch_from"] == "plane":
+                away = float(planes.pose(camera, plane.abc)[1]) - camera.pitch_deg
+                steps = round(away / number(parameters, "pitch_step_deg"))
+            seen, pixels = pitched(steps)
+            return seen, ~off_plane(pair, disparity, plane, parameters).ravel()[pixels]
+
+        return look
+
+    return for_view
+
+
+def make_pair(camera: Camera, parameters: Parameters) -> Pair:
+    """Prepares the matching of a camera's pairs.
+
+    Raises InputError if the pictures would become too small, or `nearest_m` too near for them.
+    """
+    scale, rows = int(number(parameters, "match_scale")), int(number(parameters, "match_rows"))
+    road = planes.ground_plane(camera)
+    top, bottom = _rows(camera, parameters)
+    edge = scale * int(number(parameters, "edge_px"))
+    height, width = (bottom - top) // rows, camera.width // scale
+    if height < 16 or width < 64:
+        raise InputError(
+            f"match_scale: {scale} and match_rows: {rows} leave {width}x{height} pixels of the road"
+            " to match; make them smaller"
+        )
+    half, half_row = (scale - 1) / 2, (rows - 1) / 2
+    u, v = np.meshgrid(np.arange(width) * scale + half, np.arange(height) * rows + half_row + top)
+    flat = planes.disparity_at(road, u, v)
+    looked = _is_road(camera, u, v, parameters) & (u >= flat + edge)
+    for left, above, right, bottom in camera.ignore:
+        looked &= ~((u >= left) & (u < right) & (v >= above) & (v < bottom))
+    every = max(math.ceil(math.sqrt(looked.sum() / planes.MOST_POINTS)), 1)
+    grid = np.zeros_like(looked)
+    grid[::every, ::every] = True
+    assert camera.baseline_m is not None
+    swing = math.radians(number(parameters, "most_pitch_deg"))
+    full = camera.fx * camera.baseline_m
+    below = math.ceil(swing * full / camera.height_m / scale) + 2
+    nearest = full / number(parameters, "nearest_m") - max(float(flat.min()), 0.0)
+    n_disparities = 16 * math.ceil((below + max(nearest / scale, 1)) / 16)
+    if n_disparities >= width:
+        raise InputError(
+            f"nearest_m: what is {number(parameters, 'nearest_m'):g} m away is"
+            f" {n_disparities * scale} pixels apart in the two pictures, which are"
+            f" {camera.width} wide; look less near (or is baseline_m wrong?)"
+        )
+    a, b, c = road
+    first = c + a * half + b * (half_row + top)
+    warp = np.array([[1 - a, -b * rows / scale, below - first / scale], [0, 1, 0]])
+    points = np.flatnonzero(looked & grid)
+    return Pair(
+        camera, scale, rows, top, road, flat, u, v, looked, points, below, n_disparities, edge, warp
+    )
+
+
+def _is_road(camera: Camera, u: FloatArray, v: FloatArray, parameters: Parameters) -> BoolArray:
+    """Whether pixels u, v show the region of the road that lines are searched in."""
+    x, y = image_to_road(camera, u, v)
+    with np.errstate(invalid="ignore"):
+        is_road: BoolArray = (x < number(parameters, "x_max_m")) & (
+            np.abs(y) <= number(parameters, "side_m")
+        )
+    return is_road
+
+
+def _rows(camera: Camera, parameters: Parameters) -> tuple[int, int]:
+    """The first row that may show that region at the largest allowed pitch, and one more than the
+    last row that may show its part in view."""
+    u, v = np.meshgrid(np.arange(float(camera.width)), np.arange(0.0, camera.height, 4.0))
+    x, _ = image_to_road(camera, u, v)
+    is_road = _is_road(camera, u, v, parameters)
+    rows = np.flatnonzero(is_road.any(axis=1)) * 4
+    with np.errstate(invalid="ignore"):
+        in_view = np.flatnonzero((is_road & (x >= number(parameters, "x_min_m"))).any(axis=1)) * 4
+    slack = math.tan(math.radians(number(parameters, "most_pitch_deg"))) * camera.fy
+    top = max(int((rows[0] if len(rows) else 0) - slack), 0)
+    last = in_view[-1] + 4 + slack if len(in_view) else camera.height
+    return top, min(int(last), camera.height)
+
+
+def reduced(pair: Pair, picture: Picture) -> tuple[Image, Image]:
+    """Both pictures in grey, made smaller for the matching, (H, W) each.
+
+    Raises InputError if one is missing or has another size than the calibration.
+    """
+    if picture.right is None:
+        raise InputError("the picture of the second camera is missing")
+    size = pair.camera.height, pair.camera.width
+    for name, image in (("left", picture.image), ("right", picture.right)):
+        if image.shape[:2] != size:
+            raise InputError(
+                f"the {name} picture has {image.shape[1]}x{image.shape[0]} pixels, but"
+                f" the camera was calibrated for {size[1]}x{size[0]}"
+            )
+    return _small(pair, picture.image), _small(pair, picture.right)
+
+
+def _small(pair: Pair, image: Image) -> Image:
+    height, width = pair.u.shape
+    cut = image[pair.top : pair.top + height * pair.rows, : width * pair.scale]
+    grey = cut if cut.ndim == 2 else cv2.cvtColor(cut, cv2.COLOR_BGR2GRAY)
+    small = cv2.resize(grey, (width, height), interpolation=cv2.INTER_AREA)
+    return small.astype(np.uint8, copy=False)
+
+
+def disparities(pair: Pair, match: Match, left: Image, right: Image) -> FloatArray:
+    """The disparity of each pixel of the small left picture, (H, W), in pixels of the full one. NaN
+    where none is found, or where the right picture does not show the point.
+
+    left, right: (H, W) the pictures as `reduced` gives them.
+    """
+    height, width = pair.u.shape
+    moved: Image = cv2.warpAffine(
+        right,
+        pair.warp,
+        (width, height),
+        flags=cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP,
+        borderMode=cv2.BORDER_REPLICATE,
+    ).astype(np.uint8, copy=False)
+    # Matchers leave out the first columns. These have a match here, so both pictures are padded.
+    more = pair.n_disparities
+    wide = [
+        cv2.copyMakeBorder(image, 0, 0, more, 0, cv2.BORDER_REPLICATE).astype(np.uint8, copy=False)
+        for image in (left, moved)
+    ]
+    found = match(wide[0], wide[1], more)[:, more:]
+    disparity: FloatArray = full_disparity(
+        found, pair.flat, pair.u, pair.below_px, pair.n_disparities, pair.scale, pair.edge_px
+    )
+    return disparity
+
+
+def find_plane(pair: Pair, disparity: FloatArray, parameters: Parameters) -> Plane:
+    """Finds the plane of the road in disparities (H, W)."""
+    points = pair.points[np.isfinite(disparity.ravel()[pair.points])]
+    u, v, d = (a.ravel()[points] for a in (pair.u, pair.v, disparity))
+    tolerance = pair.scale * number(parameters, "plane_px")
+    plane = planes.fit_plane(pair.camera, u, v, d, tolerance, parameters)
+    share = plane.share * len(points) / max(len(pair.points), 1)
+    return replace(plane, share=share)
+
+
+def off_plane(pair: Pair, disparity: FloatArray, plane: Plane, parameters: Parameters) -> BoolArray:
+    """The pixels, (H, W), that are not on the plane. A pixel without disparity counts as on it. If
+    the plane is not sure, so does a pixel that would be on it at the largest allowed pitch."""
+    least_px = number(parameters, "off_plane_px") + (0 if plane.is_sure else pair.below_px)
+    least_share = number(parameters, "off_plane_m") / pair.camera.height_m
+    off = off_the_plane(disparity, plane.abc, pair.u, pair.v, least_share, pair.scale * least_px)
+    grow = 2 * int(number(parameters, "off_plane_grow")) + 1
+    grown = cv2.dilate(off, np.ones((grow, grow), dtype=np.uint8))
+    is_off: BoolArray = grown > 0
+    return is_off
+
+
+def _watch(
+    pair: Pair, match: Match, parameters: Parameters
+) -> Callable[[int, Plane, Image, Image], None]:
+    """Makes a function to call after each frame: it raises InputError if the two pictures are
+    swapped, and warns once if the plane stays unsure."""
+    ever_sure, has_warned, running = False, False, 0
+
+    def watch(frame_id: int, plane: Plane, left: Image, right: Image) -> None:
+        nonlocal ever_sure, has_warned, running
+        ever_sure |= plane.is_sure
+        running = 0 if plane.is_sure else running + 1
+        if running and not ever_sure and running <= _SWAP_TRIALS:
+            swapped = find_plane(pair, disparities(pair, match, right, left), parameters)
+            if swapped.is_sure:
+                raise InputError(
+                    "the pictures of left and right are swapped (the road's disparities are"
+                    " negative); give them the other way round"
+                )
+        if running == int(number(parameters, "unsure_after")) and not has_warned:
+            has_warned = True
+            warnings.warn(
+                f"frame {frame_id}: no road plane found in {running} frames running (do the two"
+                " pictures show the same? is the pair rectified, baseline_m right?); the"
+                " calibrated plane is used until there is one",
+                UserWarning,
+                stacklevel=2,
+            )
+
+    return watch
+
+
+def _pixels(pair: Pair, view: BirdsEye) -> NDArray[np.int64]:
+    """For each pixel of the view, (R, C), the flat index of the small picture's pixel there."""
+    height, width = pair.u.shape
+    column = np.clip(view.map_uv[0][..., 0] // pair.scale, 0, width - 1).astype(np.int64)
+    row = np.clip((view.map_uv[0][..., 1] - pair.top) // pair.rows, 0, height - 1)
+    flat: NDArray[np.int64] = row.astype(np.int64) * width + column
+    return flat

@@ -1,0 +1,65 @@
+"""Finds pictures full of thin bright streaks, such as rain leaves, and takes the streaks out.
+
+A streak is a few pixels wide whatever its distance, and streaks are everywhere in a picture; paint
+is as thin only far ahead, and is in few places. Where most parts of the lower half of a picture
+show thin bright strips, all strips as thin are taken out (a morphological opening along the rows),
+faint markings far ahead with them. Where they cover nearly half of a picture, it is noise and shows
+nothing.
+"""
+
+from __future__ import annotations
+
+import cv2
+import numpy as np
+
+from egolane_pgm.parameters import Parameters, number
+from egolane_pgm.vision.camera.picture import Image
+
+#: The distance of the rows that are looked at.
+_ROW_STEP = 8
+
+#: Number of parts, from top to bottom and from left to right, into which the lower half is cut.
+_PARTS = (6, 20)
+
+#: A pixel of a streak is brighter than its surroundings by more than this share plus this number of
+#: grey levels, the noise of a camera.
+_BRIGHTER, _NOISE = 0.1, 4.0
+
+#: The quantile of the parts' covers that is compared: three out of four are covered at least so.
+_QUARTILE = 0.25
+
+#: The cover from which on a picture is full of streaks, and from which on it is nothing but noise.
+RAIN, NOISE = 0.01, 0.4
+
+
+def streak_cover(image: Image, parameters: Parameters) -> float:
+    """The share of a picture, (H, W, 3) or (H, W), that thin bright strips cover, in each of three
+    parts out of four of its lower half; 0 if `streak_width` is 0."""
+    rows = image[image.shape[0] // 2 :: _ROW_STEP]
+    if not _width(image, parameters) or rows.shape[0] < _PARTS[0] or rows.shape[1] < _PARTS[1]:
+        return 0.0
+    # OpenCV copies a channel faster than NumPy does.
+    rows = np.ascontiguousarray(rows)
+    rows = rows if rows.ndim == 2 else cv2.extractChannel(rows, 2).astype(np.uint8, copy=False)
+    thin = cv2.morphologyEx(rows, cv2.MORPH_TOPHAT, _strip(image, parameters))
+    least = cv2.addWeighted(rows, _BRIGHTER, rows, 0.0, _NOISE)
+    is_streak = cv2.compare(thin, least, cv2.CMP_GT)
+    # The mean over each part; the parts need not have the same number of pixels.
+    covered = cv2.resize(is_streak, _PARTS[::-1], interpolation=cv2.INTER_AREA)
+    return float(np.quantile(covered, _QUARTILE)) / 255
+
+
+def without_streaks(image: Image, parameters: Parameters) -> Image:
+    """The picture without the strips that are as thin as streaks."""
+    opened = cv2.morphologyEx(image, cv2.MORPH_OPEN, _strip(image, parameters))
+    return opened.astype(np.uint8, copy=False)
+
+
+def _width(image: Image, parameters: Parameters) -> int:
+    """How many pixels wide a streak is at most."""
+    pixels: int = round(number(parameters, "streak_width") * image.shape[1])
+    return pixels
+
+
+def _strip(image: Image, parameters: Parameters) -> Image:
+    return np.ones((1, _width(image, parameters) + 1), dtype=np.uint8)

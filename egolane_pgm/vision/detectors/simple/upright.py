@@ -1,0 +1,66 @@
+"""Finds what stands upright on the road in the bird's-eye view, and so hides the road behind it.
+
+A vehicle stands on its shadow: between its wheels the road is dark, whatever the weather and the
+colour of the vehicle. Seen along a ray from the camera, bright road ends there; and side by side
+the rays on which it ends at one distance are as wide as a vehicle. The shade of a bridge is wider,
+a crack or a seam is narrower. Behind its foot a vehicle hides the road, and its edges, which stand
+upright, appear in the bird's-eye view as streaks that point away from the camera. No marking is
+looked for there.
+"""
+
+from __future__ import annotations
+
+import math
+
+import cv2
+import numpy as np
+
+from egolane_pgm.parameters import Parameters, number
+from egolane_pgm.types import BoolArray
+from egolane_pgm.vision.camera.picture import Image
+from egolane_pgm.vision.detectors.simple.birdseye import BirdsEye
+from egolane_pgm.vision.detectors.simple.kernels import feet_on_rays, in_front
+
+#: Distance of neighbouring rays, metres to the side per metre ahead, and the largest.
+_RAY_STEP, _RAY_MOST = 0.005, 1.0
+
+#: Each sample of a ray is farther away than the one before by this share, as a picture resolves
+#: distances.
+_FARTHER = 0.02
+
+#: The samples of a foot: dark ones (seen under a bumper a fifth of the camera's height above the
+#: road), before them the shadow's edge, and before that the road.
+_DARK, _EDGE, _ROAD = 5, 2, 8
+
+#: The narrowest and the widest foot, metres: a motorcycle is narrower, a lorry with the shadow
+#: that the low sun casts beside it is about as wide as its lane.
+_NARROWEST_M, _WIDEST_M = 0.8, 4.0
+
+
+def free_road(view: BirdsEye, above: Image, parameters: Parameters) -> BoolArray:
+    """Where a bird's-eye view of one colour (R, C) shows no vehicle and nothing behind one; (R, C).
+
+    With a `shadow_share` of 0 everything is free.
+    """
+    free = np.ones(above.shape, dtype=bool)
+    share = number(parameters, "shadow_share")
+    near, far = float(view.x_m[-1]), float(view.x_m[0])
+    count = int(math.log(far / near) / math.log1p(_FARTHER)) + 1
+    if not share or count < _DARK + _EDGE + _ROAD:
+        return free
+    x = near * (1 + _FARTHER) ** np.arange(count)
+    rays = np.arange(-_RAY_MOST, _RAY_MOST + _RAY_STEP / 2, _RAY_STEP)
+    # Rays begin at the camera, which may be beside the vehicle's middle.
+    y = view.y_m - view.camera.lateral_m
+    geometry = (float(view.x_m[0]), float(y[0]), view.along_m, view.across_m)
+    feet = feet_on_rays(above, view.valid, *geometry, rays, x, share, _DARK, _EDGE, _ROAD)
+    _, _, boxes, _ = cv2.connectedComponentsWithStats(feet, connectivity=8)
+    ends = np.full(len(rays), np.inf)
+    for first, top, width, _, _ in boxes[1:]:
+        at = x[top]
+        if _NARROWEST_M <= width * _RAY_STEP * at <= _WIDEST_M:
+            behind = ends[first : first + width]
+            np.minimum(behind, at, out=behind)
+    if np.isfinite(ends).any():
+        free = in_front(ends, view.x_m, y, -_RAY_MOST, _RAY_STEP)
+    return free

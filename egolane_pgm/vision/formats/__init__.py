@@ -1,0 +1,1 @@
+"""Lines of labelled pictures, in pixels: made metres by a camera."""

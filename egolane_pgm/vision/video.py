@@ -1,0 +1,505 @@
+"""Draws a drive as a video. A frame shows the picture with its lines, their offsets below it, the
+bird's-eye view, and the belief as bars over the lanes from left to right, with the truth if it is
+known.
+
+A valid and continuous line is blue and solid, a valid one that is not orange and dashed, also where
+the detector cannot tell (MLD); one that is not valid is light grey and thin. Where the detector
+says which line is which from frame to frame (`FrameLines.slot`), a colour stays with its line
+instead. Only one frame is in memory at a time.
+"""
+
+from __future__ import annotations
+
+import contextlib
+from collections import deque
+from collections.abc import Callable, Iterable, Iterator
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from egolane_pgm.experiment import Experiment
+from egolane_pgm.online import filter_logs
+from egolane_pgm.tools.files import check_place
+from egolane_pgm.types import UNASSIGNED, FloatArray, InputError, LaneTruth, LineLog
+from egolane_pgm.vision.camera.model import Camera, image_to_road, road_to_image
+from egolane_pgm.vision.camera.picture import Image, Picture
+from egolane_pgm.vision.camera.pictures import Source
+from egolane_pgm.vision.camera.writing import video_writer, write_picture
+from egolane_pgm.vision.detectors import FrameLines, as_log
+from egolane_pgm.vision.detectors.runner import Detector, detect
+
+Colour = tuple[int, int, int]
+
+#: Okabe and Ito's colours, blue green red.
+CONTINUOUS: Colour = (178, 114, 0)
+DASHED: Colour = (0, 159, 230)
+NOT_VALID: Colour = (205, 205, 205)
+ASSIGNED: Colour = (178, 114, 0)
+OTHER: Colour = (236, 215, 188)
+TRUTH: Colour = (0, 94, 213)
+INK: Colour = (34, 34, 34)
+PAPER: Colour = (255, 255, 255)
+FRAME: Colour = (170, 170, 170)
+
+#: The colours of slots 0, 1, ..., of the same palette; a further slot begins anew.
+SLOTS: tuple[Colour, ...] = (
+    (178, 114, 0),  # blue
+    (0, 159, 230),  # orange
+    (115, 158, 0),  # bluish green
+    (167, 121, 204),  # reddish purple
+    (233, 180, 86),  # sky blue
+    (66, 228, 240),  # yellow
+)
+
+#: The strip below the picture that has the labels of the lines: its height, and the least gap
+#: between two labels, pixels.
+STRIP, GAP = 26, 8
+_LABEL_SCALE = 0.45
+
+#: Width of the margin with distances, to the right of the bird's-eye view, pixels.
+MARGIN = 44
+
+#: The bird's-eye view: from and to, metres ahead of the camera, and metres to either side.
+AHEAD_M, SIDE_M = (0.0, 40.0), 10.0
+
+#: How far ahead lines are drawn, and the length of a dash, metres.
+DRAWN_M, DASH_M = 60.0, 3.0
+
+#: Lower pictures are enlarged to this height, so that the text fits, pixels.
+LEAST_HEIGHT = 360
+
+
+@dataclass(frozen=True)
+class Scene:
+    """The data of one frame.
+
+    - lines: as a detector gives them
+    - belief: (n,) over the lanes
+    - assigned: the lane that the model answers, 0 for Unassigned
+    - truth: the annotated lane; None without one
+    - is_crossing: whether the annotation says that the car is changing lane
+    """
+
+    frame_id: int
+    time_s: float
+    lines: FrameLines
+    belief: FloatArray
+    assigned: int
+    truth: int | None = None
+    is_crossing: bool = False
+
+
+@dataclass(frozen=True)
+class Layout:
+    """The places of the parts of a drawn frame, in pixels.
+
+    - scale: by which the picture is enlarged
+    - picture: width and height of the enlarged picture
+    - birdseye: width and height of the bird's-eye view, to the right of the picture
+    - panel: top and height of the panel below both and below the strip of labels
+    - size: width and height of the whole
+    - from_above: for each pixel of the bird's-eye view, the column and row of the picture
+    """
+
+    camera: Camera
+    scale: float
+    picture: tuple[int, int]
+    birdseye: tuple[int, int]
+    panel: tuple[int, int]
+    size: tuple[int, int]
+    from_above: tuple[NDArray[np.float32], NDArray[np.float32]]
+
+
+def layout(camera: Camera) -> Layout:
+    """The layout for the pictures of a camera."""
+    scale = max(1.0, LEAST_HEIGHT / camera.height)
+    width, height = round(camera.width * scale), round(camera.height * scale)
+    above = round(height * 2 * SIDE_M / (AHEAD_M[1] - AHEAD_M[0]))
+    below = max(150, height // 4)
+    # Video codecs need even sizes.
+    top, size_x = height + STRIP, width + above + MARGIN
+    size = (size_x + size_x % 2, top + below + (top + below) % 2)
+    x = np.linspace(AHEAD_M[1], AHEAD_M[0], 2 * height + 1)[1::2]
+    y = np.linspace(-SIDE_M, SIDE_M, 2 * above + 1)[1::2]
+    u, v = _seen(camera, x[:, None], y[None, :])
+    # Points behind the camera are far outside the picture.
+    maps = (np.nan_to_num(u, nan=-1e6), np.nan_to_num(v, nan=-1e6))
+    columns, rows = (np.clip(m, -1e6, 1e6).astype(np.float32) for m in maps)
+    return Layout(
+        camera,
+        scale,
+        (width, height),
+        (above, height),
+        (top, size[1] - top),
+        size,
+        (columns, rows),
+    )
+
+
+def draw_frame(places: Layout, picture: Image, scene: Scene) -> Image:
+    """Draws one frame, (H, W, 3), blue green red. picture: one of the camera's size."""
+    canvas = np.full((places.size[1], places.size[0], 3), 255, dtype=np.uint8)
+    width, height = places.picture
+    above = places.birdseye[0]
+    larger = cv2.resize(picture, (width, height)) if places.scale != 1 else picture.copy()
+    shown = np.asarray(larger, dtype=np.uint8)
+    columns, rows = places.from_above
+    from_above = np.asarray(cv2.remap(picture, columns, rows, cv2.INTER_LINEAR), dtype=np.uint8)
+    _lines_on_picture(places, shown, scene.lines)
+    _lines_from_above(places, from_above, scene.lines)
+    canvas[:height, :width] = shown
+    canvas[:height, width : width + above] = from_above
+    _distances(places, canvas)
+    _labels(places, canvas, scene.lines)
+    _bars(places, canvas, scene)
+    _legend(places, canvas, scene)
+    return canvas
+
+
+# --- the frames of a drive ----------------------------------------------------------------------
+
+
+def with_detected_lines(
+    pictures: Iterable[Picture], detector: Detector, camera: Camera
+) -> Iterator[tuple[Picture, FrameLines]]:
+    """Yields each picture with the lines that a detector sees in it."""
+    # The detector takes one picture at a time, so this is always the picture of its answer.
+    latest: deque[Picture] = deque(maxlen=1)
+
+    def remembered() -> Iterator[Picture]:
+        for picture in pictures:
+            latest.append(picture)
+            yield picture
+
+    for _, lines in detect(detector, camera, remembered()):
+        yield latest[0], lines
+
+
+def with_recorded_lines(
+    pictures: Iterable[Picture], log: LineLog, source: Source
+) -> Iterator[tuple[Picture, FrameLines]]:
+    """Returns each picture with the lines of its frame in a recording. They are drawn straight
+    ahead, because a recording has offsets only.
+
+    Raises InputError if no frame of the recording is one of the source's pictures.
+    """
+    if source.frame_id is not None and not np.isin(source.frame_id, log.frame_id).any():
+        raise InputError(
+            f"{log.source}: no frame of it is a picture's: its frames are {log.frame_id[0]} to"
+            f" {log.frame_id[-1]}, the pictures {source.frame_id[0]} to {source.frame_id[-1]}"
+        )
+    at = {int(frame_id): k for k, frame_id in enumerate(log.frame_id)}
+    return ((p, _straight_lines(log, at.get(p.frame_id))) for p in pictures)
+
+
+def _straight_lines(log: LineLog, k: int | None) -> FrameLines:
+    """The lines in row k of a recording, from left to right; none where k is None."""
+    if k is None:
+        no = np.zeros(0, dtype=bool)
+        return FrameLines(np.zeros((0, 4)), no, no, np.zeros(0))
+    offset = log.offset_m[k]
+    # Some detectors write an offset of exactly 0 if there is no line. A valid 0 is a line under
+    # the car, which the evidence rules count too.
+    is_line = np.isfinite(offset) & ((offset != 0) | log.is_valid[k])
+    order = np.argsort(np.where(is_line, offset, np.inf), kind="stable")[: is_line.sum()]
+    shape = np.zeros((len(order), 4))
+    shape[:, 0] = offset[order]
+    return FrameLines(shape, log.is_valid[k][order], log.is_continuous[k][order], log.lri[k][order])
+
+
+def scenes(
+    pairs: Iterable[tuple[Picture, FrameLines]],
+    experiment: Experiment,
+    truth: LaneTruth | None,
+    source: str,
+) -> Iterator[tuple[Picture, Scene]]:
+    """Filters the lines of a drive, and yields each picture with its lines, belief and truth.
+
+    - experiment: turns lines into beliefs; its own recording is not used.
+    - source: what the pictures are called in messages.
+
+    With a fixed-lag filter as many pictures are kept in memory as it waits for.
+    """
+    rate = experiment.recording.frame_rate
+    waiting: deque[tuple[Picture, FrameLines]] = deque()
+
+    def logs() -> Iterator[LineLog]:
+        for picture, lines in pairs:
+            waiting.append((picture, lines))
+            where = f"{source}: frame {picture.frame_id}"
+            yield as_log([(picture.frame_id, lines)], rate, where)
+
+    at = {} if truth is None else {int(f): k for k, f in enumerate(truth.frame_id)}
+    for answer in filter_logs(experiment, logs(), ["Lane"]):
+        picture, lines = waiting.popleft()
+        belief = np.array(list(answer["beliefs"]["Lane"].values()))
+        scene = Scene(picture.frame_id, answer["time_s"], lines, belief, answer["lane"])
+        if truth is not None and (k := at.get(picture.frame_id)) is not None:
+            lane, is_crossing = int(truth.lane[k]), bool(truth.is_crossing[k])
+            scene = replace(scene, truth=lane, is_crossing=is_crossing)
+        yield picture, scene
+
+
+# --- lines ---------------------------------------------------------------------------------------
+
+
+def _style(lines: FrameLines, k: int) -> tuple[Colour, int, bool]:
+    """The colour and thickness of line k, and whether it is dashed."""
+    is_valid, is_dashed = bool(lines.is_valid[k]), not lines.is_continuous[k]
+    if lines.slot is not None:
+        colour = SLOTS[int(lines.slot[k]) % len(SLOTS)]
+    elif not is_valid:
+        colour = NOT_VALID
+    else:
+        colour = DASHED if is_dashed else CONTINUOUS
+    return colour, 3 if is_valid else 1, is_dashed
+
+
+def _edge(thickness: int) -> Colour:
+    """The colour on both sides of a line."""
+    return PAPER if thickness > 1 else INK
+
+
+def _across(shape: FloatArray, x: FloatArray) -> FloatArray:
+    """The place y(x) of a line, metres to the right."""
+    return np.asarray(shape[0] + x * (shape[1] + x * (shape[2] / 2 + x * shape[3] / 6)))
+
+
+def _pieces(is_dashed: bool, last: float) -> Iterator[FloatArray]:
+    """The stretches ahead over which a line is drawn, metres."""
+    step = DASH_M if is_dashed else last
+    for start in np.arange(0.0, last, 2 * step if is_dashed else step):
+        yield np.linspace(start, min(start + step, last), 12 if is_dashed else 80)
+
+
+def _seen(camera: Camera, x: FloatArray, y: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """The pixels of points on the road, NaN for those that the distortion formula folds back into
+    the picture from far outside: these pixels do not lead back to the points."""
+    u, v = road_to_image(camera, x, y)
+    if any(camera.distortion):
+        back_x, back_y = image_to_road(camera, u, v)
+        with np.errstate(invalid="ignore"):
+            is_seen = np.hypot(back_x - x, back_y - y) < 0.1 * (1 + np.abs(x))
+        u, v = np.where(is_seen, u, np.nan), np.where(is_seen, v, np.nan)
+    return u, v
+
+
+def _lines_on_picture(places: Layout, picture: Image, lines: FrameLines) -> None:
+    for k in range(len(lines.is_valid)):
+        colour, thickness, is_dashed = _style(lines, k)
+        for x in _pieces(is_dashed, DRAWN_M):
+            u, v = _seen(places.camera, x, _across(lines.shape[k], x))
+            _stroke(picture, u * places.scale, v * places.scale, colour, thickness)
+
+
+def _foot(places: Layout, lines: FrameLines, k: int) -> float | None:
+    """The column where line k enters the picture from below or from the side, or None where it is
+    not in the picture."""
+    x = np.linspace(0.5, 30, 200)
+    u, v = _seen(places.camera, x, _across(lines.shape[k], x))
+    width, height = places.picture
+    u, v = u * places.scale, v * places.scale
+    inside = (u >= 0) & (u < width) & (v >= 0) & (v < height)
+    return float(u[int(np.argmax(inside))]) if inside.any() else None
+
+
+def label_boxes(places: Layout, lines: FrameLines) -> dict[int, tuple[int, int, int, int]]:
+    """The left, top, right and bottom of the label of each line that is in the picture, in the
+    strip below it: side by side in the order of the lines, as near to their feet as there is
+    room."""
+    feet = {k: foot for k in range(len(lines.lri)) if (foot := _foot(places, lines, k)) is not None}
+    width = np.array([_text_width(_label(lines, k), _LABEL_SCALE) + 4.0 for k in feet])
+    room, top = places.picture
+    # Many labels in a narrow picture are written smaller.
+    shrink = min(1.0, room / max(1, width.sum() + GAP * (len(feet) - 1)))
+    width = shrink * width
+    # Where each label begins if all stand side by side, the first at 0.
+    packed = np.cumsum(width + shrink * GAP) - (width + shrink * GAP)
+    wanted = np.maximum(np.array([*feet.values()]) - width / 2, 0.0)
+    left = np.maximum.accumulate(wanted - packed) + packed
+    if len(left):
+        left = np.minimum(left, room - width[-1] - packed[-1] + packed)
+    return {
+        k: (int(at), top, int(at + wide), top + STRIP - 2)
+        for k, at, wide in zip(feet, left, width, strict=True)
+    }
+
+
+def _label(lines: FrameLines, k: int) -> str:
+    return f"{lines.offset_m[k]:+.2f} m"
+
+
+def _labels(places: Layout, canvas: Image, lines: FrameLines) -> None:
+    """Writes the offset of each line below its foot, under a bar in the line's colour."""
+    for k, (left, top, right, bottom) in label_boxes(places, lines).items():
+        colour, thickness, _ = _style(lines, k)
+        cv2.rectangle(canvas, (left, top), (right - 1, top + 3), _edge(thickness), -1)
+        cv2.rectangle(canvas, (left, top), (right - 1, top + thickness), colour, -1)
+        _centred(canvas, _label(lines, k), (left + right) // 2, bottom - 4, right - left, INK)
+
+
+def _lines_from_above(places: Layout, view: Image, lines: FrameLines) -> None:
+    width, height = places.birdseye
+    per_metre = height / (AHEAD_M[1] - AHEAD_M[0])
+    for k in range(len(lines.is_valid)):
+        colour, thickness, is_dashed = _style(lines, k)
+        for x in _pieces(is_dashed, AHEAD_M[1]):
+            u = (_across(lines.shape[k], x) + SIDE_M) * width / (2 * SIDE_M)
+            _stroke(view, u, (AHEAD_M[1] - x) * per_metre, colour, max(1, thickness - 1))
+    middle = width // 2
+    # The car is a small triangle whose tip is the camera.
+    corners = np.array([[middle, height - 12], [middle - 6, height - 1], [middle + 6, height - 1]])
+    cv2.fillPoly(view, [corners.astype(np.int32)], PAPER)
+    cv2.polylines(view, [corners.astype(np.int32)], True, INK, 1, cv2.LINE_AA)
+
+
+def _distances(places: Layout, canvas: Image) -> None:
+    """Writes how far ahead the rows of the bird's-eye view are, to the right of it."""
+    left = places.picture[0] + places.birdseye[0]
+    per_metre = places.birdseye[1] / (AHEAD_M[1] - AHEAD_M[0])
+    for ahead in (10, 20, 30):
+        row = round((AHEAD_M[1] - ahead) * per_metre)
+        cv2.line(canvas, (left, row), (left + 4, row), INK, 1)
+        _write(canvas, f"{ahead} m", (left + 7, row + 4), 0.4, INK)
+
+
+def _stroke(image: Image, u: FloatArray, v: FloatArray, colour: Colour, thickness: int) -> None:
+    """Draws the part of a curve that is in or near the image."""
+    reach = 4.0 * max(image.shape)
+    with np.errstate(invalid="ignore"):
+        there = np.isfinite(u) & np.isfinite(v) & (np.abs(u) < reach) & (np.abs(v) < reach)
+    if there.sum() < 2:
+        return
+    # Points are in sixteenths of a pixel, for smooth curves.
+    points = [np.round(16 * np.stack([u[there], v[there]], axis=1)).astype(np.int32)]
+    # A pale edge makes a dark line visible on dark asphalt, a dark one a thin line on paint.
+    cv2.polylines(image, points, False, _edge(thickness), thickness + 2, cv2.LINE_AA, 4)
+    cv2.polylines(image, points, False, colour, thickness, cv2.LINE_AA, 4)
+
+
+# --- the panel below -----------------------------------------------------------------------------
+
+
+def bar_boxes(places: Layout, n_lanes: int) -> list[tuple[int, int, int, int]]:
+    """The left, top, right and bottom of the boxes of the bars: lanes from left to right, then
+    Unassigned."""
+    top, height = places.panel
+    width = places.picture[0]
+    edges = np.linspace(12, width - 12, n_lanes + 2)
+    sides = zip(np.rint(edges[:-1] + 4), np.rint(edges[1:] - 4), strict=True)
+    return [(int(left), top + 26, int(right), top + height - 42) for left, right in sides]
+
+
+def _bars(places: Layout, canvas: Image, scene: Scene) -> None:
+    n_lanes = len(scene.belief)
+    top, _ = places.panel
+    boxes = bar_boxes(places, n_lanes)
+    for k, (left, upper, right, lower) in enumerate(boxes):
+        is_answer = scene.assigned == (k + 1 if k < n_lanes else UNASSIGNED)
+        share = float(scene.belief[k]) if k < n_lanes else float(is_answer)
+        height = round(share * (lower - upper))
+        colour = OTHER if not is_answer else ASSIGNED if k < n_lanes else INK
+        if height:
+            cv2.rectangle(canvas, (left, lower - height), (right, lower), colour, -1)
+        cv2.rectangle(canvas, (left, upper), (right, lower), FRAME, 1)
+        name = f"lane {k + 1}" if k < n_lanes else "Unassigned"
+        _centred(canvas, name, (left + right) // 2, lower + 15, right - left, INK)
+        if k < n_lanes:
+            _centred(canvas, _percent(share), (left + right) // 2, upper - 5, right - left, INK)
+            if scene.truth == k + 1:
+                cv2.rectangle(canvas, (left - 3, upper - 1), (right + 3, lower + 2), TRUTH, 2)
+                mark = "truth (crossing)" if scene.is_crossing else "truth"
+                # Nothing else is in its row, so that it may be wider than the bar.
+                wide = _text_width(mark, 0.45)
+                middle = min(max((left + right) // 2, wide // 2), places.picture[0] - wide // 2)
+                _centred(canvas, mark, middle, lower + 32, places.picture[0], TRUTH)
+    cv2.line(canvas, (0, top), (canvas.shape[1], top), FRAME, 1)
+
+
+def _legend(places: Layout, canvas: Image, scene: Scene) -> None:
+    left = places.picture[0] + 10
+    room = canvas.shape[1] - left - 6
+    top, height = places.panel
+    answer = f"lane {scene.assigned}" if scene.assigned != UNASSIGNED else "Unassigned"
+    has_slots = scene.lines.slot is not None
+    first, second = (INK, INK) if has_slots else (CONTINUOUS, DASHED)
+    rows: list[tuple[str, tuple[Colour, int, bool] | None]] = [
+        (f"frame {scene.frame_id}, {scene.time_s:.1f} s", None),
+        (f"answer: {answer}", None),
+        ("valid, continuous", (first, 3, False)),
+        ("valid, dashed or unknown", (second, 3, True)),
+        ("not valid", (NOT_VALID, 1, False)),
+    ]
+    if has_slots:
+        rows.append(("a colour stays with its line", None))
+    step = (height - 16) // len(rows)
+    for k, (text, style) in enumerate(rows):
+        baseline = top + 22 + k * step
+        start = left
+        if style is not None:
+            start = left + 42
+            colour, thickness, is_dashed = style
+            for a, b in ((0, 14), (20, 34)) if is_dashed else ((0, 34),):
+                ends = (left + a, baseline - 4), (left + b, baseline - 4)
+                cv2.line(canvas, *ends, _edge(thickness), thickness + 2, cv2.LINE_AA)
+                cv2.line(canvas, *ends, colour, thickness, cv2.LINE_AA)
+        scale = min(0.45, 0.45 * (room - (start - left)) / max(1, _text_width(text, 0.45)))
+        _write(canvas, text, (start, baseline), scale, INK)
+
+
+def _percent(share: float) -> str:
+    return f"{100 * share:.0f} %"
+
+
+def _text_width(text: str, scale: float) -> int:
+    return int(cv2.getTextSize(text, cv2.FONT_HERSHEY_SIMPLEX, scale, 1)[0][0])
+
+
+def _centred(canvas: Image, text: str, middle: int, row: int, room: int, colour: Colour) -> None:
+    scale = min(0.45, 0.45 * room / max(1, _text_width(text, 0.45)))
+    _write(canvas, text, (middle - _text_width(text, scale) // 2, row), scale, colour)
+
+
+def _write(image: Image, text: str, at: tuple[int, int], scale: float, colour: Colour) -> None:
+    font: Any = cv2.FONT_HERSHEY_SIMPLEX
+    cv2.putText(image, text, at, font, scale, colour, 1, cv2.LINE_AA)
+
+
+# --- files ---------------------------------------------------------------------------------------
+
+
+@contextlib.contextmanager
+def frame_writer(
+    target: str | Path, frame_rate: float, size: tuple[int, int]
+) -> Iterator[Callable[[int, Image], None]]:
+    """A context that gives a function to write a drawn frame and its frame id to a video (`.mp4`)
+    or a folder of pictures (`frame_000123.png`). Whatever ends the block, the frames written so far
+    are kept.
+
+    - frame_rate: Hz
+    - size: width and height, pixels
+
+    Raises InputError if the target cannot be written.
+    """
+    target = Path(target)
+    if target.suffix.lower() == ".mp4":
+        if target.is_dir():
+            raise InputError(
+                f"{target}: is a folder; a video is a file, PNG pictures need a folder"
+                " whose name does not end in .mp4"
+            )
+        with video_writer(target, frame_rate, size) as write:
+            yield lambda _, image: write(image)
+        return
+    if (target.suffix or target.exists()) and not target.is_dir():
+        raise InputError(f"{target}: a video ends in .mp4; for PNG pictures name a folder")
+    check_place(target)
+
+    # The folder is made with the first picture: a drive that cannot be drawn leaves no empty one.
+    yield lambda frame_id, image: write_picture(
+        target / f"frame_{frame_id:06d}.png", image, make_folder=True
+    )

@@ -1,0 +1,250 @@
+"""Aly's detector in single pictures of known roads."""
+
+from __future__ import annotations
+
+import re
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from egolane_pgm.classic import aly
+from egolane_pgm.classic.aly import Found, line_finder, nearest
+from egolane_pgm.classic.bezier.parameters import LEFT_OUT
+from egolane_pgm.classic.bezier.picture import refined
+from egolane_pgm.classic.bezier.ridges import ridges, smaller, view_for
+from egolane_pgm.classic.bezier.road import shape_of
+from egolane_pgm.classic.bezier.splines import column_peaks
+from egolane_pgm.parameters import resolve_parameters
+from egolane_pgm.types import InputError
+from egolane_pgm.vision.camera.model import Camera, image_to_road, road_to_image
+from egolane_pgm.vision.camera.picture import Image
+from egolane_pgm.vision.detectors import FrameLines
+from egolane_pgm.vision.detectors.simple.birdseye import look
+from tests.conftest import needs_compiler
+from tests.kits.synthetic_road import CAMERA as SMALL
+from tests.kits.synthetic_road import Paint, drive, road
+
+CAMERA = Camera(960, 540, 780.0, 780.0, 479.5, 269.5, height_m=1.4, pitch_deg=-4.0)
+DEFAULTS = resolve_parameters(aly.PARAMETERS, {}, 1)
+WIDTH = 3.66
+
+#: The keys of the public configuration, as far as they are a line's and not a stop line's.
+KEYS = """
+ipmWidth ipmHeight ipmLeft ipmRight ipmTop ipmBottom ipmInterpolation ipmVpPortion lineWidth
+lineHeight kernelWidth kernelHeight lowerQuantile localMaxima groupingType binarize
+detectionThreshold smoothScores rMin rMax rStep thetaMin thetaMax thetaStep getEndPoints group
+groupThreshold ransac ransacLineNumSamples ransacLineNumIterations ransacLineNumGoodFit
+ransacLineThreshold ransacLineScoreThreshold ransacLineBinarize ransacLineWindow
+ransacSplineNumSamples ransacSplineNumIterations ransacSplineNumGoodFit ransacSplineThreshold
+ransacSplineScoreThreshold ransacSplineBinarize ransacSplineWindow ransacSpline ransacSplineDegree
+ransacLine ransacSplineStep splineScoreJitter splineScoreLengthRatio splineScoreAngleRatio
+splineScoreStep overlapThreshold localizeAngleThreshold localizeNumLinePixels extendAngleThreshold
+extendMeanDirAngleThreshold extendLinePixelsTangent extendLinePixelsNormal extendContThreshold
+extendDeviationThreshold extendRectTop extendRectBottom extendIPMAngleThreshold
+extendIPMMeanDirAngleThreshold extendIPMLinePixelsTangent extendIPMLinePixelsNormal
+extendIPMContThreshold extendIPMDeviationThreshold extendIPMRectTop extendIPMRectBottom
+splineTrackingNumAbsentFrames splineTrackingNumSeenFrames mergeSplineThetaThreshold
+mergeSplineRThreshold mergeSplineMeanThetaThreshold mergeSplineMeanRThreshold
+mergeSplineCentroidThreshold lineTrackingNumAbsentFrames lineTrackingNumSeenFrames
+mergeLineThetaThreshold mergeLineRThreshold numStrips checkSplines checkSplinesCurvenessThreshold
+checkSplinesLengthThreshold checkSplinesThetaDiffThreshold checkSplinesThetaThreshold
+checkIPMSplines checkIPMSplinesCurvenessThreshold checkIPMSplinesLengthThreshold
+checkIPMSplinesThetaDiffThreshold checkIPMSplinesThetaThreshold finalSplineScoreThreshold
+useGroundPlane checkColor checkColorWindow checkColorNumBins checkColorNumYellowMin
+checkColorRGMin checkColorRGMax checkColorGBMin checkColorRBMin checkColorRBFThreshold
+checkColorRBF ipmWindowClear ipmWindowLeft ipmWindowRight checkLaneWidth checkLaneWidthMean
+checkLaneWidthStd
+"""
+
+
+def parallel(
+    offset: float, heading: float = 0.0, curvature: float = 0.0, **more: Any
+) -> list[Paint]:
+    return [
+        Paint(offset + k * WIDTH, heading=heading, curvature=curvature, **more) for k in (-1, 0, 1)
+    ]
+
+
+def found_in(image: Image, camera: Camera = CAMERA, **given: Any) -> Found:
+    return line_finder(camera, resolve_parameters(aly.PARAMETERS, given, 1))(image)
+
+
+def places(found: Found, x: float) -> np.ndarray:
+    return found.shape @ np.array([1, x, x**2 / 2, x**3 / 6])
+
+
+def test_every_key_of_the_public_configuration_is_a_parameter_or_left_out_for_a_reason() -> None:
+    def own(key: str) -> str:
+        return re.sub(r"(?<=[a-z])(?=[A-Z])|(?<=[A-Z])(?=[A-Z][a-z])", "_", key).lower()
+
+    names = {parameter.name for parameter in aly.PARAMETERS}
+    keys = KEYS.split()
+    for key in keys:
+        assert (own(key) in names) != (key in LEFT_OUT), key
+    assert set(LEFT_OUT) <= set(keys)
+
+
+@needs_compiler
+@settings(max_examples=8, deadline=None)
+@given(
+    st.floats(-3.2, -0.5),
+    st.floats(-0.03, 0.03),
+    st.floats(-0.001, 0.001),
+    st.integers(0, 2**31),
+)
+def test_continuous_lines_are_found(
+    offset: float, heading: float, curvature: float, seed: int
+) -> None:
+    found = found_in(road(parallel(offset, heading, curvature), camera=CAMERA, seed=seed))
+    for x, tolerance in ((0, 0.25), (10, 0.08)):
+        for k in (-1, 0, 1):
+            true = offset + k * WIDTH + x * (heading + x * curvature / 2)
+            assert np.abs(places(found, x) - true).min() < tolerance
+
+
+@needs_compiler
+@settings(max_examples=5, deadline=None)
+@given(st.floats(-2.5, -1.0), st.floats(-0.02, 0.02), st.integers(0, 2**31))
+def test_a_mirrored_picture_has_mirrored_lines(offset: float, heading: float, seed: int) -> None:
+    image = road(parallel(offset, heading, dash_m=6.0, period_m=9.0), camera=CAMERA, seed=seed)
+    there = places(found_in(image), 10)
+    back = places(found_in(np.ascontiguousarray(image[:, ::-1])), 10)
+    # Random samples are not mirrored, so what they find differs a little.
+    assert len(there) == len(back)
+    np.testing.assert_allclose(there, -back[::-1], atol=0.25)
+
+
+@pytest.mark.parametrize(
+    "given",
+    [
+        {"grouping_type": "hough", "detection_threshold": 1.0},
+        {"ransac_line": "no"},
+        {"ransac_spline": "no"},
+        {"binarize": "yes", "ransac_line_binarize": "yes", "ransac_spline_binarize": "yes"},
+        {"smooth_scores": "no"},
+        {"localize": "no"},
+        {"extend": "no"},
+        {"focal_px": 2000.0},
+        {"ransac_spline_num_samples": 6},
+    ],
+    ids=str,
+)
+def test_each_way_finds_three_lines(given: dict[str, Any]) -> None:
+    found = found_in(road(parallel(-1.7), camera=CAMERA), **given)
+    for true in (-1.7 - WIDTH, -1.7, -1.7 + WIDTH):
+        assert np.abs(places(found, 10) - true).min() < 0.15
+
+
+def test_there_are_never_more_than_four_lines() -> None:
+    many = [Paint(-7.5 + 2.5 * k) for k in range(7)]
+    assert len(found_in(road(many, camera=CAMERA), overlap_threshold=0.9).shape) == 4
+    assert len(found_in(road(many, camera=CAMERA), lines=2).shape) == 2
+    with pytest.raises(InputError, match="lines: 5 must be at most 4"):
+        resolve_parameters(aly.PARAMETERS, {"lines": 5}, 1)
+
+
+def test_the_lines_that_are_kept_are_valid_and_near() -> None:
+    offset = np.array([-6.0, -2.0, 1.0, 5.0, 8.0])
+    shape = np.zeros((5, 4))
+    shape[:, 0] = offset
+    is_valid = np.array([True, False, True, True, True])
+    four = nearest(FrameLines(shape, is_valid, ~is_valid, np.arange(5.0)), 4)
+    assert four.offset_m.tolist() == [-6, 1, 5, 8]
+    assert four.lri.tolist() == [0, 2, 3, 4]
+    assert nearest(four, 2).offset_m.tolist() == [1, 5]
+
+
+def test_a_picture_has_the_same_lines_whatever_came_before() -> None:
+    pictures = [road(parallel(-1.7), k * 2.0, camera=CAMERA, seed=k) for k in range(3)]
+    find = line_finder(CAMERA, DEFAULTS)
+    forward = [find(image) for image in pictures]
+    for image, before in zip(reversed(pictures), reversed(forward), strict=True):
+        assert np.array_equal(find(image).shape, before.shape)
+    other = found_in(pictures[0], seed=1)
+    assert not np.array_equal(other.shape, forward[0].shape)
+
+
+@pytest.mark.parametrize("grey", [0, 127, 255])
+def test_pictures_without_lines_have_none(grey: int) -> None:
+    flat = np.full((CAMERA.height, CAMERA.width, 3), grey, dtype=np.uint8)
+    assert len(found_in(flat).shape) == 0
+
+
+def test_the_rim_of_a_blanked_part_is_no_line() -> None:
+    image = road((), camera=CAMERA)
+    image[:, : CAMERA.width // 2] = 0
+    near = places(found_in(image), 10)
+    assert (np.abs(near) > 0.5).all()
+
+
+def test_a_picture_of_another_size_is_refused() -> None:
+    with pytest.raises(InputError, match=r"picture of 480x270 pixels, but .* for 960x540"):
+        found_in(np.zeros((270, 480, 3), dtype=np.uint8))
+
+
+def test_a_camera_that_sees_no_road_is_refused() -> None:
+    with pytest.raises(InputError, match="pitch_deg"):
+        line_finder(replace(CAMERA, pitch_deg=40.0), DEFAULTS)
+
+
+def test_a_smaller_picture_shows_the_same_places() -> None:
+    camera = replace(CAMERA, ignore=((100, 500, 301, 540),), distortion=(-0.2, 0.01, 0, 0, 0))
+    small = smaller(camera, 390.0)
+    assert (small.width, small.height, small.fx) == (480, 270, 390)
+    u, v = road_to_image(camera, [8.0, 20.0], [-2.0, 5.0])
+    small_u, small_v = road_to_image(small, [8.0, 20.0], [-2.0, 5.0])
+    np.testing.assert_allclose((u + 0.5) / 2, small_u + 0.5)
+    np.testing.assert_allclose((v + 0.5) / 2, small_v + 0.5)
+    assert small.ignore == ((50, 250, 151, 270),)
+    assert smaller(camera, 800.0) is camera
+
+
+def test_ridges_are_where_the_lines_are_and_at_most_one() -> None:
+    view = view_for(CAMERA, DEFAULTS)
+    above = look(view, np.ascontiguousarray(road([Paint(1.0)], camera=CAMERA)[:, :, 2]))
+    ridge = ridges(view, above, DEFAULTS)
+    assert 0 < ridge.max() <= 1
+    assert abs(np.average(view.y_m, weights=ridge.sum(axis=0)) - 1.0) < 0.05
+    # The quantile keeps so many, less where the filter says no.
+    assert 0 < (ridge > 0).mean() <= 0.026
+    assert ridge[~view.valid].max() == 0
+
+
+def test_peaks_lie_between_the_columns() -> None:
+    column = np.arange(20)
+    place, height = column_peaks(9 - (column - 7.3) ** 2, 1.0)
+    np.testing.assert_allclose(place, [7.3])
+    np.testing.assert_allclose(height, [9 - 0.3**2])
+    assert len(column_peaks(np.ones(20) * 0.5, 1.0)[0]) == 0
+    assert len(column_peaks(np.zeros(20), 0.0)[0]) == 0
+
+
+def test_a_line_on_the_road_follows_its_points_and_stays_calm_beyond() -> None:
+    x = np.linspace(4, 30, 20)
+    true = np.array([-1.7, 0.01, 4e-4, 0.0])
+    shape = shape_of(x, true[0] + x * (true[1] + x * true[2] / 2))
+    np.testing.assert_allclose(shape[:2], true[:2], atol=0.02)
+    assert shape[2] == pytest.approx(4e-4, abs=1.5e-4)
+    two = shape_of(np.array([10.0, 11.0]), np.array([2.0, 2.2]))
+    assert abs(two[0] - 2) < 0.6
+
+
+def test_points_beside_a_marking_are_moved_onto_it_and_continued() -> None:
+    image = road([Paint(1.5, width_m=0.2)], camera=CAMERA, noise=1.0)[:, :, 2].astype(np.float64)
+    x = np.linspace(14, 8, 8)
+    beside = np.stack(road_to_image(CAMERA, x, np.full(8, 1.56)), axis=1)
+    only = refined(image, CAMERA, beside, {**DEFAULTS, "extend": "no"})
+    assert np.abs(image_to_road(CAMERA, *only.T)[1] - 1.5).max() < 0.02
+    longer = refined(image, CAMERA, beside, DEFAULTS)
+    assert len(longer) > len(only)
+    assert longer[0, 1] < only[0, 1] < only[-1, 1] < longer[-1, 1]
+
+
+def test_a_drive_over_four_lanes_gives_four_lines_in_each_frame() -> None:
+    step = aly.start(SMALL, {**DEFAULTS, "beyond_edge": "keep"})
+    five = [Paint(3.2 * k) for k in (-2, -1, 0, 1, 2)]
+    assert {len(step(picture).lri) for picture in drive(3, five)} == {4}

@@ -1,0 +1,303 @@
+"""The page of a result in a real Chromium."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from egolane_pgm.page.document import write_page
+from egolane_pgm.results import Result
+from egolane_pgm.running import run_experiment
+from tests.kits.browser import Opened, chromium, opened
+from tests.kits.drives import simulated
+
+#: Names that would run, or ask for something, if they were taken for HTML.
+NASTY = "</script><script>alert(1)</script><img src=x onerror=alert(2)>&amp;$$\\frac{1}{2}$$"
+
+
+@pytest.fixture(scope="module")
+def browser() -> Iterator[Any]:
+    with chromium() as found:
+        yield found
+
+
+@pytest.fixture(scope="module")
+def result() -> Result:
+    return run_experiment(simulated())
+
+
+@pytest.fixture(scope="module")
+def file(result: Result, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    path = tmp_path_factory.mktemp("page") / "a b#1.html"
+    write_page([result], path)
+    return path
+
+
+@pytest.fixture(scope="module")
+def page(browser: Any, file: Path) -> Opened:
+    return opened(browser, file)
+
+
+@pytest.fixture
+def shown(page: Opened) -> Opened:
+    """The page of the result, as it is when it was opened."""
+    page.page.mouse.move(5, 5)
+    page.page.evaluate("scrollTo(0, 0)")
+    page.page.get_by_role("button", name="whole drive").click()
+    return page
+
+
+def plot(shown: Opened) -> dict[str, float]:
+    """Where the panels are, in pixels."""
+    return dict(shown.page.locator("#panels").bounding_box())
+
+
+def middle(shown: Opened) -> tuple[float, float]:
+    """A place in the first panel."""
+    box = plot(shown)
+    return box["x"] + box["width"] / 2, box["y"] + 40
+
+
+def settled(shown: Opened) -> None:
+    shown.page.wait_for_timeout(200)
+
+
+def test_it_opens_from_its_file_without_an_error_and_asks_for_nothing(
+    shown: Opened, file: Path
+) -> None:
+    settled(shown)
+    assert shown.errors == []
+    assert shown.asked == [file.absolute().as_uri()]
+
+
+def test_every_panel_is_drawn_below_its_name(shown: Opened, tmp_path: Path) -> None:
+    from egolane_pgm.vision.camera.pictures import read_image
+
+    names = shown.page.locator("#panels h3").all_inner_texts()
+    beginnings = ("Model", "Detector", "Truth", "Lane changes", "Wrong", "P(Sensor", "Lines")
+    assert len(names) == len(beginnings)
+    assert all(map(str.startswith, names, beginnings))
+    settled(shown)
+    shown.page.locator("#panels").screenshot(path=tmp_path / "panels.png")
+    image = read_image(tmp_path / "panels.png")
+    tops = shown.page.locator("#panels h3").evaluate_all("all => all.map(e => e.offsetTop + 22)")
+    for name, top, end in zip(names, tops, [*tops[1:], len(image)], strict=True):
+        inside = image[top + 2 : end - 24 if end < len(image) else end, 40:]
+        assert len(np.unique(inside.reshape(-1, 3), axis=0)) >= 3, name
+
+
+def test_the_wheel_zooms_at_the_mouse_and_dragging_moves(shown: Opened) -> None:
+    begin, end = shown.range()
+    shown.page.mouse.move(*middle(shown))
+    shown.page.mouse.wheel(0, -600)
+    settled(shown)
+    closer = shown.range()
+    assert begin < closer[0] < closer[1] < end
+    x, y = middle(shown)
+    shown.page.mouse.down()
+    shown.page.mouse.move(x - 200, y, steps=5)
+    shown.page.mouse.up()
+    settled(shown)
+    moved = shown.range()
+    assert moved[1] - moved[0] == pytest.approx(closer[1] - closer[0])
+    assert moved[0] > closer[0]
+    shown.page.get_by_role("button", name="whole drive").click()
+    assert shown.range() == pytest.approx((begin, end))
+    assert shown.errors == []
+
+
+def test_a_box_zooms_where_that_is_chosen(shown: Opened) -> None:
+    begin, end = shown.range()
+    button = shown.page.get_by_role("button", name="zoom by dragging a box")
+    button.click()
+    assert button.get_attribute("aria-pressed") == "true"
+    x, y = middle(shown)
+    shown.page.mouse.move(x - 150, y)
+    shown.page.mouse.down()
+    shown.page.mouse.move(x + 150, y + 10, steps=5)
+    shown.page.mouse.up()
+    settled(shown)
+    inside = shown.range()
+    assert begin < inside[0] < inside[1] < end
+    button.click()
+    width = plot(shown)["width"]
+    assert (inside[1] - inside[0]) / (end - begin) == pytest.approx(300 / width, rel=0.1)
+
+
+def test_hovering_tells_the_frame_under_the_mouse(shown: Opened, result: Result) -> None:
+    tip = shown.page.locator("#tip")
+    assert tip.is_hidden()
+    shown.page.mouse.move(*middle(shown))
+    assert tip.is_visible()
+    said = tip.inner_text()
+    time_s = float(said.split(" s")[0])
+    at = int(np.abs(result.time_s - time_s).argmin())
+    assert abs(time_s - result.time_s.mean()) < 0.05 * np.ptp(result.time_s)
+    assert f"frame {result.frame_id[at]}" in said
+    assert f"lane {result.assigned_lane[at]}:" in said
+    shown.page.mouse.move(5, 5)
+    assert tip.is_hidden()
+
+
+def test_what_is_drawn_is_what_was_believed(shown: Opened, result: Result) -> None:
+    """At one pixel column for each frame the picture of a strip has the belief's colours."""
+    from egolane_pgm.views.answers import PROBABILITY_COLOURS
+
+    shown.page.evaluate(
+        "t => Bokeh.documents[0].get_model_by_name('time').setv({start: t, end: t + 20})",
+        float(result.time_s[100]),
+    )
+    settled(shown)
+    found = shown.page.evaluate(
+        "() => { const source = Bokeh.documents[0].get_model_by_name('image');"
+        " const [image] = source.get_column('image');"
+        " const [high, wide] = image.shape;"
+        # The first panel begins below its name, and its lanes are 22 pixels high.
+        " const rows = [0, 1, 2, 3].map(k => (high - 1 - 33 - 22 * k) * wide);"
+        " const line = at => Array.from({length: wide}, (_, c) => image[at + c] & 255);"
+        " return [rows.map(line),"
+        " source.get_column('x')[0], source.get_column('dw')[0]] }"
+    )
+    reds_drawn = np.array(found[0])
+    column = (result.time_s[100:300] - found[1]) / found[2] * reds_drawn.shape[1]
+    red = reds_drawn[:, column.astype(int)].T
+    reds = [int(colour[1:3], 16) for colour in PROBABILITY_COLOURS]
+    expected = np.interp(result.marginals["Lane"][100:300], np.linspace(0, 1, 5), reds)
+    assert np.abs(red - expected).max() <= 2
+
+
+def test_a_click_on_a_worst_stretch_goes_there(shown: Opened) -> None:
+    button = shown.page.locator("#stretches button").first
+    begin, end = (float(button.get_attribute(f"data-{name}")) for name in ("begin", "end"))
+    before = shown.range()
+    button.click()
+    start, stop = shown.range()
+    assert start <= begin <= end <= stop
+    assert stop - start < before[1] - before[0]
+    assert shown.page.locator("#timeline").bounding_box()["y"] < 900
+
+
+def test_a_telephone_shows_it_without_scrolling_sidewards(browser: Any, file: Path) -> None:
+    telephone = {"device_scale_factor": 2, "has_touch": True, "is_mobile": True}
+    shown = opened(browser, file, width=390, **telephone)
+    assert shown.errors == []
+    wide, inner = shown.page.evaluate("[document.documentElement.scrollWidth, innerWidth]")
+    assert wide <= inner == 390
+    shown.page.touchscreen.tap(*middle(shown))
+    assert shown.page.locator("#tip").is_visible()
+    tip = shown.page.locator("#tip").bounding_box()
+    assert tip["x"] >= 0
+    assert tip["x"] + tip["width"] <= 390
+
+
+#: The lowest contrast of any text of a page with what is behind it, by WCAG, and that text.
+CONTRAST = """() => {
+  const parts = text => text.match(/[\\d.]+/g).map(Number)
+  const over = (behind, [r, g, b, a = 1]) => behind.map((c, k) => c + a * ([r, g, b][k] - c))
+  const behind = element => element
+    ? over(behind(element.parentElement), parts(getComputedStyle(element).backgroundColor))
+    : [255, 255, 255]
+  const light = rgb => rgb.map(c => c / 255)
+    .map(c => c <= .04045 ? c / 12.92 : ((c + .055) / 1.055) ** 2.4)
+    .reduce((sum, c, k) => sum + c * [.2126, .7152, .0722][k], .05)
+  const has_text = e => [...e.childNodes].some(n => n.nodeType == 3 && n.data.trim())
+  return [...document.querySelectorAll("body *")]
+    .filter(e => has_text(e) && e.checkVisibility())
+    .map(e => [behind(e), e])
+    .map(([rgb, e]) => [light(rgb), light(over(rgb, parts(getComputedStyle(e).color))), e])
+    .map(([a, b, e]) => [Math.max(a, b) / Math.min(a, b), e.textContent])
+    .reduce((low, each) => each[0] < low[0] ? each : low)
+}"""
+
+
+@pytest.mark.parametrize("scheme", ["light", "dark"])
+def test_every_text_can_be_read(scheme: str, browser: Any, file: Path) -> None:
+    shown = opened(browser, file, color_scheme=scheme)
+    assert shown.errors == []
+    dark = (
+        shown.page.evaluate("getComputedStyle(document.body).backgroundColor") == "rgb(23, 23, 23)"
+    )
+    assert dark == (scheme == "dark")
+    lowest, text = shown.page.evaluate(CONTRAST)
+    assert lowest >= 4.5, text
+
+
+def test_the_figures_on_top_lead_to_where_it_fails(shown: Opened, result: Result) -> None:
+    figures = shown.page.locator("header .figures li").all_inner_texts()
+    accuracy = result.scores["model"]["accuracy"]
+    assert float(figures[0].split(" %")[0]) == pytest.approx(100 * accuracy, abs=0.05)
+    before = shown.range()
+    shown.page.locator("header .figures button").click()
+    assert shown.range() != before
+    for landmark in ("banner", "navigation", "main"):
+        assert shown.page.get_by_role(landmark).count() == 1
+    assert shown.page.get_by_role("region").count() >= 7
+
+
+def test_names_that_contain_html_are_text(browser: Any, result: Result, tmp_path: Path) -> None:
+    node = {NASTY if name == "SensorState" else name: b for name, b in result.marginals.items()}
+    nasty = replace(
+        result,
+        directory=Path(NASTY),
+        config={**result.config, "parameters": {NASTY: NASTY}, "graph": NASTY},
+        run={
+            **result.run,
+            "name": NASTY,
+            "warnings": [NASTY],
+            "tuned_on": NASTY,
+            "created": NASTY,
+            "data": [{"path": NASTY, "sha256": NASTY, "bytes": 1}],
+            "versions": {NASTY: NASTY},
+            "plugins": {NASTY: {"file": NASTY, "sha256": NASTY}},
+        },
+        marginals=node,
+        values={
+            NASTY if name == "SensorState" else name: (NASTY, "B") if name == "SensorState" else v
+            for name, v in result.values.items()
+        },
+        clip=np.array([NASTY] * len(result.frame_id)),
+    )
+    write_page([nasty, replace(nasty, directory=Path("other"))], tmp_path / "nasty.html")
+    shown = opened(browser, tmp_path / "nasty.html")
+    shown.page.mouse.move(*middle(shown))
+    settled(shown)
+    assert shown.page.locator("#tip").is_visible()
+    assert NASTY in shown.page.locator("#tip").inner_text()
+    assert shown.errors == []
+    assert len(shown.asked) == 1
+    assert shown.page.locator("img").count() == 0
+    assert NASTY in shown.page.locator("h1, .lead").last.inner_text()
+    assert NASTY in shown.page.locator(".warnings").inner_text()
+
+
+def test_several_results_stand_on_one_axis(browser: Any, result: Result, tmp_path: Path) -> None:
+    other = run_experiment(simulated("b", evidence_reading="hard"))
+    write_page([result, other], tmp_path / "two.html")
+    shown = opened(browser, tmp_path / "two.html")
+    titles = shown.page.locator("#panels h3").all_inner_texts()
+    # The detector, the truth and the lines of both are the same, and shown once.
+    for once in ("Detector alone", "Truth", "Lines"):
+        assert sum(title.startswith(once) for title in titles) == 1
+    for each in ("Model: belief", "Wrong: ", "Lane changes"):
+        assert sum(title.startswith(each) for title in titles) == 2
+    shown.page.mouse.move(*middle(shown))
+    said = shown.page.locator("#tip").inner_text()
+    assert "a" in said.split()
+    assert "b" in said.split()
+    assert shown.errors == []
+
+
+def test_a_long_drive_is_thinned_out_and_the_page_says_so(
+    browser: Any, result: Result, tmp_path: Path
+) -> None:
+    write_page([result], tmp_path / "thin.html", max_steps=len(result.frame_id) // 3)
+    shown = opened(browser, tmp_path / "thin.html")
+    assert "stands for 3 frames" in shown.page.locator(".note").inner_text()
+    shown.page.mouse.move(*middle(shown))
+    assert "(and 2 beside it)" in shown.page.locator("#tip").inner_text()
+    assert shown.errors == []

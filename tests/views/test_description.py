@@ -1,0 +1,179 @@
+"""What `egolane show` says of a graph, an evidence rule and a detector is what they are."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from types import ModuleType
+from typing import Any
+
+import numpy as np
+import pytest
+
+from egolane_pgm.inference.compile import compile
+from egolane_pgm.parameters import Parameter, Value, resolve_parameters
+from egolane_pgm.plugins import load_plugin, plugin_names
+from egolane_pgm.tools.files import plain
+from egolane_pgm.types import InputError
+from egolane_pgm.views.description import (
+    describe_detector,
+    describe_graph,
+    describe_rule,
+    description_text,
+)
+from egolane_pgm.views.tables import line_width
+from tests.conformance.networks import graph, graph_inputs, graph_names, template
+
+EXAMPLES = Path(__file__).parents[2] / "examples"
+
+
+def described(name: str, *, numbers: bool = False, n_lanes: int = 3) -> dict[str, Any]:
+    module = graph(name)
+    parameters = resolve_parameters(module.PARAMETERS, {}, n_lanes)
+    compiled = compile(
+        module.build(n_lanes, parameters),
+        hidden=module.HIDDEN,
+        observed=module.OBSERVED,
+        inputs=graph_inputs(module),
+        values=module.VALUES if hasattr(module, "VALUES") else {},
+    )
+    return {"name": name, **describe_graph(module, compiled, numbers=numbers)}
+
+
+def test_a_graph_is_described_by_nodes_edges_tables_and_parameters() -> None:
+    found = described("sensor_failure")
+    assert found["nodes"][:2] == [
+        {"name": "Lane", "role": "hidden", "values": ["1", "2", "3"]},
+        {"name": "SensorState", "role": "hidden", "values": ["OK", "BAD"]},
+    ]
+    assert {node["name"]: node["role"] for node in found["nodes"]}["WOR_ve"] == "virtual evidence"
+    assert found["edges"]["across"] == [("Lane", "Lane"), ("SensorState", "SensorState")]
+    assert ("SensorState", "WOR") in found["edges"]["within"]
+    assert found["tables"][1] == {
+        "node": "Lane",
+        "frames": "later frames",
+        "axes": ["Lane before", "Lane"],
+        "shape": [3, 3],
+    }
+    assert found["tables"][-1]["frames"] == "every frame"
+    sigma1, *_, normal, _ = found["parameters"]
+    assert sigma1 == {
+        "name": "sigma1",
+        "kind": "sigma",
+        "default": 0.4,
+        "choices": [],
+        "per_lane": False,
+        "range": (0.0, 3.0),
+        "is_searched": True,
+        "meaning": "standard deviation of the lane dynamics, lanes",
+        "source": "Table `tab:cptlane`",
+    }
+    assert (normal["choices"], normal["is_searched"]) == (["density", "integral"], False)
+    assert normal["source"] is None
+
+
+def test_an_input_is_given_and_has_no_table() -> None:
+    found = described("position_in_lane")
+    roles = {node["name"]: node["role"] for node in found["nodes"]}
+    assert (roles["LineMotion"], roles["Lane"]) == ("input", "function")
+    assert "LineMotion" not in [table["node"] for table in found["tables"]]
+    said = " ".join(description_text(found).split())
+    assert "the likelihood of RoadPosition, SensorState" in said
+
+
+def test_numbers_are_the_tables_in_json_and_in_the_text() -> None:
+    found = described("sensor_failure", numbers=True)
+    output = next(table for table in found["tables"] if table["node"] == "DetectorOutput")
+    table = template("sensor_failure", 3).tables["DetectorOutput", 1]
+    np.testing.assert_array_equal(plain(output["values"]), table.values)
+    rows = [line.split() for line in description_text(found).splitlines()]
+    assert ["BAD,", "2", "0.3333", "0.3333", "0.3333"] in rows
+    assert ["OK", "0.6", "0.4"] in rows
+
+
+def test_a_long_table_is_not_printed_and_a_wide_one_is_wrapped() -> None:
+    text = description_text(described("position_in_lane", numbers=True, n_lanes=4))
+    assert "numbers, which the JSON has" in text
+    text = description_text(described("lane_only", numbers=True, n_lanes=20))
+    assert max(map(len, text.splitlines())) <= line_width()
+    assert sum(line.count("0.05 ") + line.endswith("0.05") for line in text.splitlines()) >= 20
+
+
+@pytest.mark.parametrize("name", graph_names())
+def test_what_is_said_of_a_graph_fits_a_terminal(name: str) -> None:
+    for numbers in (False, True):
+        text = description_text(described(name, numbers=numbers))
+        assert max(map(len, text.splitlines())) <= line_width()
+    for spec in graph(name).PARAMETERS:
+        assert f"\n  {spec.name} " in text
+
+
+def rule(name: str, **given: Value) -> dict[str, Any]:
+    module = load_plugin("evidence", name, EXAMPLES, "evidence")
+    defaults = {spec.name: spec.default for spec in module.PARAMETERS}
+    return {"name": name, **describe_rule(module, {**defaults, **given})}
+
+
+@pytest.mark.parametrize("name", plugin_names("evidence"))
+def test_what_is_said_of_an_evidence_rule_fits_a_terminal(name: str) -> None:
+    assert max(map(len, description_text(rule(name)).splitlines())) <= line_width()
+
+
+def test_an_evidence_rule_says_what_it_gives() -> None:
+    found = rule("counting")
+    assert (found["gives"], found["detector_only"]) == (["DetectorOutput", "WOR"], "DetectorOutput")
+    assert (found["looks_ahead"], found["can_learn"]) == (None, False)
+    found = rule("line_geometry")
+    assert found["gives"] == [["RoadPosition", "SensorState"]]
+    assert found["can_learn"]
+    text = description_text(found)
+    assert "the likelihood of RoadPosition and SensorState, jointly" in text
+    assert found["looks_ahead"] is None
+    assert "not causal" not in text
+    whole = description_text(rule("line_geometry", lane_width_m="auto"))
+    assert "it is not causal: the lane width" in whole
+
+
+def test_a_rule_that_does_not_say_what_it_gives_is_shown_all_the_same() -> None:
+    module = ModuleType("bare")
+    module.__file__ = "bare.py"
+    text = description_text({"name": "bare", **describe_rule(module, {})})
+    assert "what it does not say (PROVIDES)" in text
+    assert text.endswith("parameters: none")
+
+
+@pytest.mark.parametrize("name", plugin_names("detectors"))
+def test_a_detector_says_how_many_cameras_it_needs(name: str) -> None:
+    module = load_plugin("detectors", name, EXAMPLES, "detector")
+    found = {"name": name, **describe_detector(module)}
+    text = description_text(found)
+    assert f"cameras: {'two, as a stereo pair' if name.startswith('s') else 'one'}" in text
+    assert found["stereo"] == name.startswith("s")
+    assert max(map(len, text.splitlines())) <= line_width()
+
+
+@pytest.mark.parametrize(
+    ("doc", "meaning", "source"),
+    [
+        ("P(OK); Table `tab:cptri`", "P(OK)", "Table `tab:cptri`"),
+        ("votes; BV of equation `eq:HMM`", "votes", "BV of equation `eq:HMM`"),
+        ("lanes, Tables `a` and `b`", "lanes", "Tables `a` and `b`"),
+        ("a table of numbers", "a table of numbers", None),
+    ],
+)
+def test_the_place_in_the_paper_is_told_from_the_meaning(
+    doc: str, meaning: str, source: str | None
+) -> None:
+    module = ModuleType("rule")
+    module.__file__ = "rule.py"
+    vars(module)["PARAMETERS"] = [Parameter("x", "sigma", 1.0, doc)]
+    (found,) = describe_rule(module, {})["parameters"]
+    assert (found["meaning"], found["source"]) == (meaning, source)
+    assert doc.replace(", T", "; T") in description_text({"name": "r", **describe_rule(module, {})})
+
+
+def test_an_error_of_a_user_s_rule_names_its_file() -> None:
+    module = ModuleType("_egolane_plugin_rule")
+    module.__file__ = "rule.py"
+    vars(module)["looks_ahead"] = lambda parameters: parameters["none"]
+    with pytest.raises(InputError, match=r"evidence: rule\.py: KeyError"):
+        describe_rule(module, {})

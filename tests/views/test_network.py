@@ -1,0 +1,279 @@
+"""The figure of a network shows the nodes and edges that were declared."""
+
+from __future__ import annotations
+
+from collections import Counter
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from matplotlib.colors import to_hex
+from matplotlib.figure import Figure
+from matplotlib.patches import Circle, FancyArrowPatch, Rectangle
+from matplotlib.path import Path as Curve
+
+from egolane_pgm.graphs.cpds import Table, quiet
+from egolane_pgm.graphs.flat import bif
+from egolane_pgm.types import InputError
+from egolane_pgm.views.network import ENDINGS, check_ending, network_figure, write_network
+from egolane_pgm.views.structure import Structure, graphviz, structure_of
+from tests.conformance.networks import random_network, template
+
+PAPER = [("Lane", "DetectorOutput"), ("SensorState", "DetectorOutput"), ("SensorState", "WOR")]
+PAPER_EVIDENCE = [("DetectorOutput", "DetectorOutput_ve"), ("WOR", "WOR_ve")]
+
+
+def declared(
+    within: list[tuple[str, str]], temporal: list[tuple[str, str]], **kinds: str
+) -> Structure:
+    """Nodes are hidden, observed where they have a `_ve` child, or of the kind that is given."""
+    names = dict.fromkeys(name for edge in (*within, *temporal) for name in edge)
+    observed = {parent for parent, child in within if child.endswith("_ve")}
+    kind = {
+        name: "virtual evidence"
+        if name.endswith("_ve")
+        else kinds.get(name, "observed" if name in observed else "hidden")
+        for name in names
+    }
+    edges = [((a, t), (b, t)) for t in (0, 1) for a, b in within]
+    return Structure(kind, [*edges, *(((a, 0), (b, 1)) for a, b in temporal)])
+
+
+def circles(figure: Figure) -> dict[tuple[str, int], Circle]:
+    """Every node, as the circle around its shape."""
+    drawn = {}
+    for patch in figure.axes[0].patches:
+        if str(patch.get_gid()).startswith("node "):
+            _, name, time = str(patch.get_gid()).split()
+            if isinstance(patch, Rectangle):
+                patch = Circle(tuple(patch.get_center()), patch.get_width() / 2)
+            assert isinstance(patch, Circle)
+            drawn[name, int(time)] = patch
+    return drawn
+
+
+def arrows(figure: Figure) -> list[tuple[tuple[str, int], tuple[str, int]]]:
+    drawn = []
+    for patch in figure.axes[0].patches:
+        if isinstance(patch, FancyArrowPatch):
+            _, a, s, b, t = str(patch.get_gid()).split()
+            drawn.append(((a, int(s)), (b, int(t))))
+    return drawn
+
+
+def labels(figure: Figure) -> Counter[str]:
+    return Counter(text.get_text().replace("\n", "") for text in figure.axes[0].texts)
+
+
+def paper() -> Structure:
+    return declared(PAPER + PAPER_EVIDENCE, [("Lane", "Lane"), ("SensorState", "SensorState")])
+
+
+def nodes(structure: Structure) -> set[tuple[str, int]]:
+    return {(name, s) for name in structure.kind for s in (0, 1)}
+
+
+def test_every_node_is_labelled_in_both_slices_and_every_edge_has_one_arrow() -> None:
+    network = paper()
+    figure = network_figure(network)
+    shown = labels(figure)
+    assert {name: shown[name] for name in network.kind} == dict.fromkeys(network.kind, 2)
+    assert set(circles(figure)) == nodes(network)
+    assert sorted(arrows(figure)) == sorted(network.edges)
+
+
+def test_nodes_are_what_the_compiled_network_makes_of_them() -> None:
+    assert structure_of(template("sensor_failure", 3)).kind == paper().kind
+    assert sorted(structure_of(template("sensor_failure", 3)).edges) == sorted(paper().edges)
+    assert structure_of(template("position_in_lane", 3)).kind == {
+        "LineMotion": "input",
+        # Evidence about both does not make them observed: the belief is about them.
+        "RoadPosition": "hidden",
+        "SensorState": "hidden",
+        "Lane": "function",
+        "RoadPosition+SensorState_ve": "virtual evidence",
+    }
+
+
+def test_each_kind_of_node_looks_different() -> None:
+    network = declared(
+        [*PAPER, *PAPER_EVIDENCE, ("Motion", "Lane"), ("Lane", "Side")],
+        [("Lane", "Lane")],
+        Motion="input",
+        Side="function",
+    )
+    figure = network_figure(network)
+    drawn = circles(figure)
+    patches = [p for p in figure.axes[0].patches if not isinstance(p, FancyArrowPatch)]
+    face = {str(p.get_gid()).split()[1]: to_hex(p.get_facecolor()) for p in patches if p.get_gid()}
+    assert face["Lane"] == face["SensorState"] == face["Side"] == "#ffffff"
+    assert len({face[name] for name in ("Lane", "WOR", "Motion", "WOR_ve")}) == 4
+    assert face["DetectorOutput"] == face["WOR"]
+    assert drawn["WOR_ve", 0].radius < drawn["WOR", 0].radius / 2
+    outlines = Counter(patch.center for patch in patches if isinstance(patch, Circle))
+    assert outlines[drawn["Side", 1].center] == 2
+    assert outlines[drawn["Lane", 1].center] == 1
+    assert outlines[drawn["Motion", 1].center] == 0
+    legend = figure.axes[0].get_legend()
+    assert legend is not None
+    assert [text.get_text() for text in legend.get_texts()] == [
+        "hidden",
+        "function of its parents",
+        "observed",
+        "input",
+        "virtual evidence",
+        "within a frame",
+        "to the next frame",
+    ]
+
+
+def test_names_are_split_into_words() -> None:
+    names = {"DetectorOutput": "Detector\nOutput", "WOR": "WOR", "H1": "H1", "my_node": "my\nnode"}
+    figure = network_figure(declared([("DetectorOutput", "WOR"), ("H1", "my_node")], []))
+    assert set(names.values()) <= {text.get_text() for text in figure.axes[0].texts}
+
+
+def test_the_legend_explains_only_what_is_drawn() -> None:
+    legend = network_figure(declared([("A", "B")], [])).axes[0].get_legend()
+    assert legend is not None
+    assert [text.get_text() for text in legend.get_texts()] == ["hidden", "within a frame"]
+
+
+WIDE = declared(
+    [
+        ("Position", "Lane"),
+        ("Position", "Lines"),
+        ("Lane", "Lines"),
+        ("SensorState", "Lines"),
+        ("SensorState", "WOR"),
+        ("Lane", "WOR"),
+        ("Lines", "Lines_ve"),
+        ("WOR", "WOR_ve"),
+        ("Motion", "Motion_ve"),
+    ],
+    [("Position", "Position"), ("SensorState", "SensorState"), ("Motion", "Position")],
+    Position="input",
+)
+
+
+@pytest.mark.parametrize("network", [paper(), WIDE], ids=["paper", "wide"])
+def test_children_are_below_their_parents_and_the_next_frame_to_the_right(
+    network: Structure,
+) -> None:
+    drawn = circles(network_figure(network))
+    for start, end in network.edges:
+        (x0, y0), (x1, y1) = drawn[start].center, drawn[end].center
+        assert y1 < y0 if start[1] == end[1] else x1 > x0
+    for name, time in drawn:
+        assert drawn[name, time].center[1] == drawn[name, 0].center[1]
+
+
+@pytest.mark.parametrize(
+    "network",
+    [paper(), WIDE, *(structure_of(random_network(seed)[1]) for seed in (1, 5, 14))],
+    ids=["paper", "wide", "random 1", "random 5", "random 14"],
+)
+def test_no_arrow_runs_through_a_node_and_no_two_nodes_touch(network: Structure) -> None:
+    figure = network_figure(network)
+    figure.draw_without_rendering()
+    drawn = circles(figure)
+    names = list(drawn)
+    for i, a in enumerate(names):
+        for b in names[:i]:
+            (x0, y0), (x1, y1) = drawn[a].center, drawn[b].center
+            gap = ((x0 - x1) ** 2 + (y0 - y1) ** 2) ** 0.5
+            assert gap > drawn[a].radius + drawn[b].radius + 0.1
+    to_data = figure.axes[0].transData.inverted()
+    for patch in figure.axes[0].patches:
+        if not isinstance(patch, FancyArrowPatch):
+            continue
+        _, a, s, b, t = str(patch.get_gid()).split()
+        path = patch.get_transform().transform_path(patch.get_path())
+        parts = [Curve(part) for part in path.to_polygons(closed_only=False)]
+        drawn_at = np.concatenate([part.interpolated(20).vertices for part in parts])
+        points = to_data.transform(drawn_at)
+        for node, circle in drawn.items():
+            if node not in ((a, int(s)), (b, int(t))):
+                distance = ((points - circle.center) ** 2).sum(axis=1) ** 0.5
+                assert distance.min() > circle.radius, (patch.get_gid(), node)
+
+
+@pytest.mark.parametrize(
+    ("suffix", "begins"), [(".png", b"\x89PNG"), (".svg", b"<?xml"), (".pdf", b"%PDF")]
+)
+def test_the_ending_chooses_the_format(tmp_path: Path, suffix: str, begins: bytes) -> None:
+    path = tmp_path / f"network{suffix}"
+    write_network(template("sensor_failure", 2), path)
+    assert path.read_bytes().startswith(begins)
+
+
+def test_another_ending_is_refused() -> None:
+    with pytest.raises(InputError, match=r"jpg: a network is written to a file that ends in \.png"):
+        check_ending("network.jpg")
+    for ending in ENDINGS:
+        check_ending(f"network{ending}")
+
+
+def test_graphviz_gets_every_node_once_and_every_edge(tmp_path: Path) -> None:
+    compiled = template("position_in_lane", 2)
+    write_network(compiled, tmp_path / "network.dot")
+    lines = (tmp_path / "network.dot").read_text().splitlines()
+    structure = structure_of(compiled)
+    drawn = [line.split('"')[1] for line in lines if "shape=" in line]
+    assert sorted(drawn) == sorted(f"{name}_{s}" for name, s in nodes(structure))
+    assert sorted(tuple(line.split('"')[1:4:2]) for line in lines if "->" in line) == sorted(
+        (f"{a}_{s}", f"{b}_{t}") for (a, s), (b, t) in structure.edges
+    )
+    assert lines[0] == "digraph network {"
+    assert [text.count("{") for text in lines] != [text.count("}") for text in lines]
+    assert sum(text.count("{") - text.count("}") for text in lines) == 0
+    assert 'label="Lane"' in next(line for line in lines if "peripheries=2" in line)
+
+
+def test_names_are_quoted_for_graphviz() -> None:
+    text = graphviz(declared([('a"b', "c\\d")], []))
+    assert r'"a\"b_0" -> "c\\d_0";' in text
+
+
+@pytest.mark.parametrize("name", ["sensor_failure", "position_in_lane"])
+def test_pgmpy_reads_from_a_bif_file_what_was_written(tmp_path: Path, name: str) -> None:
+    compiled = template(name, 2)
+    write_network(compiled, tmp_path / "network.bif")
+    with quiet():
+        from pgmpy.readwrite import BIFReader
+
+        read = BIFReader(str(tmp_path / "network.bif")).get_model()
+    assert set(read.nodes()) == {f"{n}_{s}" for n, s in compiled.tables}
+    for (node, s), table in compiled.tables.items():
+        cpd = read.get_cpds(f"{node}_{s}")
+        assert cpd.variables == [f"{node}_{s}", *(f"{p}_{ps}" for p, ps in table.parents)]
+        np.testing.assert_array_equal(np.moveaxis(cpd.values, 0, -1), table.values)
+        assert tuple(cpd.state_names[f"{node}_{s}"]) == compiled.values[node]
+
+
+@pytest.mark.parametrize("name", ["a,b", "a}", " a", 'say "a"', "a // b", ""])
+def test_a_value_that_bif_cannot_name_is_refused(tmp_path: Path, name: str) -> None:
+    compiled = template("lane_only", 2)
+    compiled = replace(compiled, values={**compiled.values, "Lane": ("1", name)})
+    with pytest.raises(InputError, match="Lane_0: a BIF file cannot hold the value name"):
+        write_network(compiled, tmp_path / "network.bif")
+    assert not list(tmp_path.iterdir())
+
+
+def test_a_node_that_bif_cannot_name_is_refused() -> None:
+    tables = [Table(("A+B", 0), (), np.ones(1))]
+    with pytest.raises(InputError, match=r"A\+B_0: a BIF file cannot hold this name of a node"):
+        bif(tables, {})
+
+
+@pytest.mark.parametrize(
+    ("network", "message"),
+    [
+        (declared([], []), "it has no nodes"),
+        (declared([("A", "B"), ("B", "A")], []), "form a cycle"),
+    ],
+)
+def test_what_cannot_be_drawn_is_refused(network: Structure, message: str) -> None:
+    with pytest.raises(InputError, match=message):
+        network_figure(network)

@@ -1,0 +1,227 @@
+"""What the figures of a study show equals the trials that it leaves behind."""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pyarrow as pa
+import pytest
+from matplotlib.figure import Figure
+from pyarrow import parquet
+
+from egolane_pgm.paper import load_published
+from egolane_pgm.scoring.confusion import is_maximised
+from egolane_pgm.types import InputError
+from egolane_pgm.views import study_figures as tuning
+from egolane_pgm.views import study_trials as numbers
+from egolane_pgm.views.style import write_figure
+from tests.kits.drives import done, refused
+
+SCORES = [0.5, 0.8, 0.796, 0.7, 0.795, None, 0.8]
+COLUMNS: dict[str, list[Any]] = {
+    "sigma1": [0.1, 0.3, 0.5, 2.9, 0.2, 1.0, 0.9],
+    "bonus_value": [0, 7, 9, 1, 8, 2, 7],
+    "normal": ["density", "cells", "cells", "density", "cells", "cells", "cells"],
+}
+SPACE = {"sigma1": [3e-6, 3.0], "bonus_value": [0.0, 9.0], "normal": ["density", "cells", "other"]}
+
+
+def write_study(folder: Path, scores: list[float | None] = SCORES, **changes: Any) -> Path:
+    """A study directory with seven trials, one of which failed."""
+    folder.mkdir(exist_ok=True)
+    content = {
+        "schema_version": 1,
+        "name": "tiny",
+        "run": None,
+        "tuning": {"objective": ["accuracy"]},
+        "space": {"searched": SPACE},
+        "best": {"point": {"sigma1": 0.3}, "values": {"accuracy": 0.66}, "trials": 6},
+        "experiments": [{"parameters": {"sigma1": 0.25, "bonus_value": 3.0, "normal": "other"}}],
+        "held_out": {
+            "all_frames": {"accuracy": 0.61},
+            "studies": [{"point": {"sigma1": 0.4, "bonus_value": 8, "normal": "cells"}}],
+        },
+        **changes,
+    }
+    (folder / "study.json").write_text(json.dumps(content))
+    name = content["tuning"]["objective"][0]
+    table = {"number": list(range(len(scores))), f"{name}_in_sample": scores, **COLUMNS}
+    parquet.write_table(pa.table(table), folder / "trials.parquet")
+    return folder
+
+
+def made(score: list[float], x: list[float], name: str = "accuracy") -> numbers.Trials:
+    """Trials of one parameter between 0 and 1."""
+    gain = np.array(score) * (1 if is_maximised(name) else -1)
+    return numbers.Trials(
+        "made", name, (numbers.Searched("x", 0.0, 1.0),), np.arange(len(score)), np.array(score),
+        {"x": np.array(x)}, int(gain.argmax()), math.nan, {}, "", (),
+    )  # fmt: skip
+
+
+def test_failed_trials_are_left_out_and_the_first_of_equal_ones_is_the_best(tmp_path: Path) -> None:
+    trials = numbers.read_trials(write_study(tmp_path))
+    assert trials.number.tolist() == [0, 1, 2, 3, 4, 6]
+    assert trials.best == 1
+    assert trials.values["normal"].tolist() == [0, 1, 1, 0, 1, 1]
+    assert [s.is_integer for s in trials.searched] == [False, True, True]
+    assert trials.held_out == 0.61
+    assert trials.nested == ({"sigma1": 0.4, "bonus_value": 8.0, "normal": 1.0},)
+    assert trials.reference == {"sigma1": 0.25, "bonus_value": 3.0, "normal": 2.0}
+    assert trials.reference_name == "before the search"
+
+
+def test_a_run_of_the_paper_is_shown_beside_the_published_values(tmp_path: Path) -> None:
+    trials = numbers.read_trials(write_study(tmp_path, run=1))
+    published = load_published()[1]["parameters"]
+    assert trials.reference_name == "the paper's"
+    assert trials.reference == {k: published[k] for k in ("sigma1", "bonus_value")}
+
+
+def best_values(trials: numbers.Trials) -> list[float]:
+    """The curve of the best score up to each trial, as it is drawn."""
+    lines = tuning.history_figure(trials).axes[0].lines
+    (best,) = (line for line in lines if str(line.get_label()).startswith("Best Value"))
+    return np.asarray(best.get_ydata()).tolist()
+
+
+def test_the_best_value_so_far_follows_the_direction_of_the_score(tmp_path: Path) -> None:
+    trials = numbers.read_trials(write_study(tmp_path))
+    assert best_values(trials) == [0.5, 0.8, 0.8, 0.8, 0.8, 0.8]
+    losses = made([0.9, 0.4, 0.6, 0.3], [0.0, 0.1, 0.2, 0.3], "log_loss")
+    assert best_values(losses) == [0.9, 0.4, 0.4, 0.3]
+
+
+def test_the_flat_range_spans_the_trials_within_half_a_point_of_the_best(tmp_path: Path) -> None:
+    trials = numbers.read_trials(write_study(tmp_path))
+    # 0.8, 0.796, 0.795 and 0.8: the bound itself counts in.
+    assert numbers.as_good(trials).tolist() == [False, True, True, False, True, True]
+    flat = numbers.flat_ranges(trials)
+    assert (flat["sigma1"].low, flat["sigma1"].high) == (0.2, 0.9)
+    assert flat["sigma1"].share == pytest.approx(0.7 / 3, rel=1e-5)
+    assert (flat["bonus_value"].low, flat["bonus_value"].high) == (7, 9)
+    assert flat["bonus_value"].share == pytest.approx(0.3)
+    assert flat["normal"].share == pytest.approx(1 / 3)
+    assert numbers.flat_ranges(trials, 0.0)["bonus_value"].share == pytest.approx(0.1)
+
+
+def test_the_parameter_that_decides_the_score_is_the_most_important_one() -> None:
+    rng = np.random.default_rng(0)
+    x, y = rng.random((2, 300))
+    score = (1 - np.abs(x - 0.3)).round(2)
+    searched = (numbers.Searched("y", 0, 1), numbers.Searched("x", 0, 1))
+    trials = numbers.Trials(
+        "made", "accuracy", searched, np.arange(300), score, {"y": y, "x": x},
+        int(score.argmax()), math.nan, {}, "", (),
+    )  # fmt: skip
+    found = numbers.importances(trials)
+    assert next(iter(found)) == "x"
+    assert found["x"] > 0.8
+    assert sum(found.values()) == pytest.approx(1)
+    assert numbers.importances(made([0.5] * 30, np.linspace(0, 1, 30).tolist())) == {}
+    assert numbers.importances(made([0.1, 0.2], [0.3, 0.4])) == {}
+
+
+def test_history_and_flatness_draw_the_numbers(tmp_path: Path) -> None:
+    trials = numbers.read_trials(write_study(tmp_path))
+    ax = tuning.history_figure(trials).axes[0]
+    lines = {str(line.get_label()).partition(":")[0]: line for line in ax.lines}
+    assert np.asarray(lines["held out"].get_ydata()).tolist() == [0.61, 0.61]
+    figure = tuning.flatness_figure(trials)
+    drawn = {t.get_text() for t in figure.axes[0].texts}
+    assert {"0.2 to 0.9  (23 %)", "7 to 9  (30 %)", "cells  (33 %)"} <= drawn
+    assert "in-sample, 4 of 6 trials" in figure.texts[0].get_text()
+    bars = [(p.get_x(), p.get_width()) for p in figure.axes[0].patches]  # type: ignore[attr-defined]
+    assert any(np.allclose(bar, (0.2 / 3, 0.7 / 3), atol=1e-5) for bar in bars)
+    assert any(np.allclose(bar, (0.7, 0.3)) for bar in bars)
+
+
+def test_every_title_says_in_sample(tmp_path: Path) -> None:
+    trials = numbers.read_trials(write_study(tmp_path))
+    keys = [s.key for s in trials.searched]
+    for figure in (
+        tuning.history_figure(trials),
+        tuning.slices_figure(trials),
+        tuning.pairs_figure(trials, keys),
+        tuning.flatness_figure(trials),
+        tuning.importances_figure(trials),
+    ):
+        assert "in-sample" in figure.texts[0].get_text()
+
+
+def test_few_trials_get_no_importances_and_no_pairs(tmp_path: Path) -> None:
+    files = tuning.draw_study(write_study(tmp_path), style="svg")
+    assert [f.name for f in files] == ["history.svg", "slices.svg", "flatness.svg"]
+    assert all(f.parent == tmp_path / "figures" and f.stat().st_size > 1000 for f in files)
+
+
+def test_a_study_of_one_or_two_parameters_is_drawn(tmp_path: Path) -> None:
+    rng = np.random.default_rng(0)
+    x, y = rng.random((2, 30))
+    one = made(x.tolist(), x.tolist())
+    searched = (numbers.Searched("y", 0.0, 1.0), numbers.Searched("x", 0.0, 1.0))
+    two = replace(one, searched=searched, values={"x": x, "y": y}, score=x + y)
+    drawn: list[Callable[[], Figure]] = [
+        lambda: tuning.slices_figure(one),
+        lambda: tuning.importances_figure(one),
+        lambda: tuning.slices_figure(two),
+        lambda: tuning.pairs_figure(two, ["x", "y"]),
+    ]
+    for make in drawn:
+        with numbers.quiet():
+            assert write_figure(make, tmp_path / "a.png").stat().st_size > 1000
+
+
+def test_tune_draws_what_plot_draws_again(tmp_path: Path) -> None:
+    quickstart = Path(__file__).parents[2] / "experiments" / "quickstart.yaml"
+    words = ["tune", quickstart, "--in-sample-only", "--trials", 30, "--jobs", 1, "--out"]
+    done(*words, tmp_path / "a")
+    done(*words, tmp_path / "b", "--no-figures")
+    study = tmp_path / "a" / "quickstart"
+    names = {f"{n}.png" for n in ("history", "slices", "flatness", "importances", "pairs")}
+    assert {f.name for f in (study / "figures").iterdir()} == names
+    assert not (tmp_path / "b" / "quickstart" / "figures").exists()
+    done("plot", study, "--out", tmp_path / "c")
+    for name in names:
+        again = (tmp_path / "c" / name).read_bytes()
+        assert again == (study / "figures" / name).read_bytes()
+
+
+def test_frames_cannot_be_chosen_for_a_study(tmp_path: Path) -> None:
+    assert "--frames: " in refused("plot", write_study(tmp_path), "--frames", 1, 2)
+
+
+def test_a_directory_without_a_study_is_refused(tmp_path: Path) -> None:
+    with pytest.raises(InputError, match="is not the directory of a finished study"):
+        tuning.draw_study(tmp_path)
+    assert not (tmp_path / "figures").exists()
+
+
+def test_damaged_studies_are_refused_with_the_file_and_the_remedy(tmp_path: Path) -> None:
+    write_study(tmp_path, schema_version=2)
+    with pytest.raises(InputError, match=r"study\.json: is not of schema version 1; tune again"):
+        numbers.read_trials(tmp_path)
+    write_study(tmp_path, space={"searched": {**SPACE, "p1": [0.0, 1.0]}})
+    with pytest.raises(InputError, match=r"trials\.parquet is damaged .*p1.*; tune again"):
+        numbers.read_trials(tmp_path)
+    write_study(tmp_path, [None] * 7)
+    with pytest.raises(InputError, match="no trial of this study is finished"):
+        numbers.read_trials(tmp_path)
+    write_study(tmp_path)
+    (tmp_path / "trials.parquet").write_bytes(b"PAR1 but not really")
+    with pytest.raises(InputError, match=r"trials\.parquet: is not a whole Parquet file"):
+        numbers.read_trials(tmp_path)
+    (tmp_path / "study.json").write_text("{")
+    with pytest.raises(InputError, match="missing or damaged"):
+        numbers.read_trials(tmp_path)
+
+
+def test_an_unknown_style_is_refused(tmp_path: Path) -> None:
+    with pytest.raises(InputError, match="gif: a figure is png, svg, pdf"):
+        tuning.draw_study(write_study(tmp_path), style="gif")

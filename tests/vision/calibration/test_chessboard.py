@@ -1,0 +1,235 @@
+"""Calibration of a camera from chessboards and labelled lines."""
+
+import re
+from dataclasses import replace
+
+import cv2
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from egolane_pgm.types import InputError
+from egolane_pgm.vision.calibration.chessboard import calibrate_lens, find_board
+from egolane_pgm.vision.calibration.labels import read_labels
+from egolane_pgm.vision.calibration.straight_road import assumed_camera, view_of_road
+from egolane_pgm.vision.camera.model import (
+    Camera,
+    distorted,
+    image_to_road,
+    matrix,
+    read_camera,
+    undistorted,
+    vanishing_point,
+)
+from tests.kits.calibration_kit import TRUE, cameras, draw_board, lines_of, unturned
+
+# --- the lens ---
+
+
+def test_a_lens_is_recovered_from_drawn_chessboards(boards):
+    lens = calibrate_lens(sorted(boards.iterdir()))
+    assert (lens.width, lens.height) == (1280, 720)
+    assert (lens.fx, lens.fy) == pytest.approx((TRUE.fx, TRUE.fy), rel=0.01)
+    assert (lens.cx, lens.cy) == pytest.approx((TRUE.cx, TRUE.cy), abs=12)
+    assert len(lens.rms_px) == len(lens.boards) >= 8
+    assert max(lens.rms_px) < 0.3
+    # The bend at the picture's border matters, its coefficients trade with each other.
+    found = Camera(1280, 720, lens.fx, lens.fy, lens.cx, lens.cy, 1.0, distortion=lens.distortion)
+    edge = np.array([100.0, 1180.0]), np.array([360.0, 360.0])
+    rays = [(undistorted(c, *edge)[0] - c.cx) / c.fx for c in (found, TRUE)]
+    assert np.diff(rays[0]) == pytest.approx(np.diff(rays[1]), rel=0.01)
+
+
+def test_corners_are_found_to_within_a_part_of_a_pixel():
+    inner = np.zeros((6, 9, 3))
+    inner[..., 0], inner[..., 1] = (np.arange(9) - 4) * 0.03, (np.arange(6) - 2.5)[:, None] * 0.03
+    # Boards turned far: what the search for them alone says is off by whole pixels.
+    rng = np.random.default_rng(3)
+    for k in range(5):
+        turn = rng.uniform(-0.5, 0.5, 3)
+        place = np.array([rng.uniform(-0.09, 0.09), rng.uniform(-0.04, 0.04), 0.42])
+        if k < 3:
+            continue
+        lens = matrix(TRUE), np.array(TRUE.distortion)
+        true = cv2.projectPoints(inner.reshape(-1, 3), turn, place, *lens)[0][:, 0]
+        found = find_board(draw_board(TRUE, turn, place), 9, 6)
+        # Either corner may be the first.
+        off = min((found - way for way in (true, true[::-1])), key=lambda d: np.abs(d).max())
+        assert np.hypot(*off.T).max() < 0.8
+
+
+def test_pictures_that_cannot_be_used_are_left_out_with_one_line_each(boards, tmp_path):
+    for path in sorted(boards.iterdir())[:6]:
+        (tmp_path / path.name).write_bytes(path.read_bytes())
+    (tmp_path / "x_text.jpg").write_text("no picture")
+    cv2.imwrite(str(tmp_path / "x_empty.png"), np.full((720, 1280, 3), 128, np.uint8))
+    cv2.imwrite(str(tmp_path / "x_small.png"), np.full((480, 640, 3), 128, np.uint8))
+    part = cv2.imread(str(tmp_path / "0.png"))
+    corners = find_board(part, 9, 6)
+    part[int(np.median(corners[:, 1])) :] = 220
+    cv2.imwrite(str(tmp_path / "x_part.png"), part)
+    lens = calibrate_lens(sorted(tmp_path.iterdir()))
+    said = {line.split(": ")[0].rsplit("/", 1)[1]: line for line in lens.skipped}
+    assert "no picture" in said["x_text.jpg"]
+    assert "no chessboard" in said["x_empty.png"]
+    assert "640x480, most are 1280x720" in said["x_small.png"]
+    part_of = re.search(r"with (\d+)x(\d+) inner corners seen, not 9x6", said["x_part.png"])
+    assert part_of is not None
+    # The longer side first, as a board is named.
+    assert 9 >= int(part_of[1]) > int(part_of[2]) >= 3
+    assert "x_part.png" not in lens.boards
+
+
+def test_too_few_chessboards_are_refused(boards):
+    with pytest.raises(InputError, match=r"3 of 3 pictures show the whole chessboard.*needs 5"):
+        calibrate_lens(sorted(boards.iterdir())[:3])
+
+
+def test_a_board_with_other_corners_than_said_is_named(boards):
+    with pytest.raises(InputError, match=r"[01] of 6 .*8x6.*board says its corners"):
+        calibrate_lens(sorted(boards.iterdir())[:6], columns=8)
+
+
+def test_without_any_chessboard_the_first_reason_is_said(stills):
+    with pytest.raises(InputError, match=r"0 of 3 pictures.*no chessboard found"):
+        calibrate_lens(sorted(stills.iterdir()))
+
+
+# --- labelled lines ---
+
+
+@settings(deadline=None, max_examples=25)
+@given(cameras, st.floats(-0.02, 0.02), st.floats(-0.001, 0.001), st.integers(0, 99))
+def test_any_camera_is_recovered_from_labelled_lines(camera, heading, curvature, seed):
+    offsets = np.array([-5.4, -1.8, 1.8, 5.4])
+    frames = [
+        lines_of(camera, offsets + shift, heading * sign, curvature * sign, 0.3, seed + k)
+        for k, (shift, sign) in enumerate(((0.0, 1), (0.3, -1), (-0.3, 1), (0.1, -1)))
+    ]
+    view = view_of_road(unturned(camera), frames, 3.6)
+    assert view.camera.height_m == pytest.approx(camera.height_m, rel=0.02)
+    assert view.camera.pitch_deg == pytest.approx(camera.pitch_deg, abs=0.15)
+    assert view.camera.yaw_deg == pytest.approx(camera.yaw_deg, abs=0.3)
+    assert view.camera.roll_deg == camera.roll_deg
+
+
+def test_offsets_hardly_depend_on_the_focal_length_assumed():
+    camera = replace(TRUE, distortion=(0.0,) * 5)
+    frames = [lines_of(camera, np.array([-5.4, -1.8, 1.8, 5.4]) + d) for d in (0.0, 0.4)]
+    points = np.concatenate(lines_of(camera, [-2.0, 1.5]))
+    offsets = []
+    for degrees in (45.0, 60.0, 80.0):
+        view = view_of_road(assumed_camera(1280, 720, degrees), frames, 3.6)
+        offsets.append(image_to_road(view.camera, *points.T)[1])
+    assert np.abs(offsets[0] - offsets[2]).max() < 0.05
+
+
+def test_a_bend_moves_the_vanishing_point_but_not_the_horizon():
+    frames = [lines_of(TRUE, [-5.4, -1.8, 1.8], curvature=1 / 600)] * 2
+    view = view_of_road(unturned(TRUE), frames, 3.6)
+    assert view.vanishing_point[1] == pytest.approx(vanishing_point(TRUE)[1], abs=1.0)
+    assert view.vanishing_point[0] == pytest.approx(vanishing_point(TRUE)[0], abs=8.0)
+
+
+def test_a_line_left_unlabelled_does_not_double_the_height():
+    frames = [lines_of(TRUE, offsets) for offsets in ([-5.4, -1.8, 1.8], [-1.8, 1.8], [-5.4, 1.8])]
+    view = view_of_road(unturned(TRUE), frames, 3.6)
+    assert view.camera.height_m == pytest.approx(TRUE.height_m, rel=0.01)
+    assert (~view.is_lane).sum() == 1
+
+
+def test_the_spread_of_the_vanishing_point_is_reported():
+    def spread(size):
+        frames = [lines_of(TRUE, [-1.8, 1.8], size * k) for k in (-2, -1, 0, 1, 2)]
+        return view_of_road(unturned(TRUE), frames, 3.6).spread_px[0]
+
+    assert spread(0.0) < 0.1
+    assert spread(0.01) == pytest.approx(0.01 * TRUE.fx * 1.36, rel=0.05)
+
+
+def test_too_few_lines_are_refused():
+    with pytest.raises(InputError, match="none of 2 frames has two lines"):
+        view_of_road(unturned(TRUE), [lines_of(TRUE, [1.8])] * 2, 3.6)
+
+
+def test_a_lane_width_of_kilometres_is_refused():
+    with pytest.raises(InputError, match="lane width 3700: lanes are 2 to 6 m wide"):
+        view_of_road(unturned(TRUE), [lines_of(TRUE, [-1.8, 1.8])], 3700.0)
+
+
+def test_lines_that_do_not_meet_are_refused():
+    v = np.linspace(300, 700, 40)
+    upright = [np.stack([np.full_like(v, u), v], axis=-1) for u in (300.0, 600.0, 900.0)]
+    camera = assumed_camera(1280, 720)
+    with pytest.raises(InputError, match=r"do not meet|no frame has two lines that meet"):
+        view_of_road(camera, [upright], 3.6)
+    rng = np.random.default_rng(0)
+    frames = []
+    for _ in range(8):
+        ends = rng.uniform(200, 1000, (3, 2))
+        frames.append([np.stack([np.linspace(a, b, 40), v], axis=-1) for a, b in ends])
+    with pytest.raises(InputError, match=r"meet"):
+        view_of_road(camera, frames, 3.6)
+
+
+def test_a_horizon_outside_the_picture_is_refused():
+    camera = replace(TRUE, pitch_deg=-25.0, distortion=(0.0,) * 5)
+    with pytest.raises(InputError, match=r"outside the picture.*horizon must be in it"):
+        view_of_road(unturned(camera), [lines_of(camera, [-1.8, 1.8])] * 2, 3.6)
+
+
+def test_lines_too_near_to_each_other_for_lanes_are_refused():
+    frames = [lines_of(TRUE, [-0.1, 0.35])] * 2
+    with pytest.raises(InputError, match="check the lane width"):
+        view_of_road(unturned(TRUE), frames, 3.6)
+
+
+def test_a_field_of_view_no_lens_has_is_refused():
+    with pytest.raises(InputError, match=r"field of view 0\.9 is not between 10 and 150"):
+        assumed_camera(1280, 720, 0.9)
+
+
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        ("", "holds no labelled frame"),
+        ("{", "line 1: is not JSON"),
+        ("3", "line 1: has no raw_file"),
+        ('{"raw_file": "a", "lanes": [[1]]}', "line 1: has no h_samples"),
+        ('{"raw_file": "a", "lanes": [[1, 2]], "h_samples": [1]}', "has 2 values for 1 h_samples"),
+        ('{"raw_file": "a", "lanes": [["a"]], "h_samples": [1]}', "lane 1"),
+    ],
+)
+def test_labels_that_are_none_are_named_with_their_line(tmp_path, text, said):
+    (tmp_path / "labels.jsonl").write_text(text)
+    with pytest.raises(InputError, match=f"labels.jsonl: .*{said}|labels.jsonl: {said}"):
+        read_labels(tmp_path / "labels.jsonl")
+
+
+# --- the camera ---
+
+
+@given(cameras, st.floats(100, 1180), st.floats(100, 620))
+def test_taking_the_lens_away_and_back_changes_nothing(camera, u, v):
+    back = distorted(camera, *undistorted(camera, u, v))
+    assert np.array(back) == pytest.approx((u, v), abs=1e-3)
+
+
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        ("3", "ignore: needs a list of rectangles"),
+        ("[[1, 2, 3]]", "is not a list of left, top, right, bottom"),
+        ("[[0, 0, 10, 1.5]]", "1.5 is not a whole number"),
+        ("[[10, 0, 10, 5]]", "is empty"),
+        ("[[a, 0, 10, 5]]", "'a' is not a finite number"),
+    ],
+)
+def test_a_rectangle_to_ignore_that_is_none_is_named(tmp_path, text, said):
+    path = tmp_path / "cam.yaml"
+    path.write_text(
+        f"width: 100\nheight: 100\nfx: 90\nfy: 90\ncx: 50\ncy: 50\nheight_m: 1\nignore: {text}\n"
+    )
+    with pytest.raises(InputError, match=f"cam.yaml: .*{said}|cam.yaml: {said}"):
+        read_camera(path)

@@ -1,0 +1,184 @@
+"""Pictures that are not what they should be: read rightly, or refused in one line."""
+
+from __future__ import annotations
+
+import warnings
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+import PIL.Image
+import pytest
+
+from egolane_pgm.types import InputError
+from egolane_pgm.vision.camera import video
+from egolane_pgm.vision.camera.picture import Image
+from egolane_pgm.vision.camera.pictures import open_source, read_image, read_pictures
+from tests.kits.synthetic_road import CAMERA, images, write_pictures
+
+
+def colourful() -> Image:
+    """Smooth, so that JPEG changes little, and another one when it is turned."""
+    v, u = np.mgrid[0:72, 0:128]
+    return np.stack([2 * u, 3 * v, 255 - u - v], axis=2).astype(np.uint8)
+
+
+def rgb(image: Image) -> PIL.Image.Image:
+    return PIL.Image.fromarray(np.ascontiguousarray(image[:, :, ::-1]))
+
+
+def write(path: Path, image: Any, *options: int) -> Path:
+    assert cv2.imwrite(str(path), image, list(options))
+    return path
+
+
+def turned(path: Path, orientation: int) -> Path:
+    """A picture whose camera says that it was held otherwise (EXIF tag 274)."""
+    exif = PIL.Image.Exif()
+    exif[274] = orientation
+    rgb(colourful()).save(path, exif=exif, quality=98)
+    return path
+
+
+def test_sixteen_bits_are_scaled_to_eight(tmp_path: Path) -> None:
+    deep = colourful().astype(np.uint16) * 257
+    for name in ("deep.png", "deep.tif"):
+        np.testing.assert_array_equal(read_image(write(tmp_path / name, deep)), colourful())
+    grey = read_image(write(tmp_path / "grey.png", deep[:, :, 0]))
+    np.testing.assert_array_equal(grey, colourful()[:, :, :1].repeat(3, axis=2))
+
+
+def test_grey_transparent_palette_and_cmyk_pictures_have_three_colours(tmp_path: Path) -> None:
+    image = colourful()
+    grey = read_image(write(tmp_path / "grey.png", image[:, :, 1]))
+    np.testing.assert_array_equal(grey, image[:, :, 1:2].repeat(3, axis=2))
+    through = np.dstack([image, image[:, :, 0]])
+    np.testing.assert_array_equal(read_image(write(tmp_path / "alpha.png", through)), image)
+    rgb(image).convert("CMYK").save(tmp_path / "cmyk.jpg", quality=98)
+    rgb(image).quantize(256).save(tmp_path / "palette.png")
+    for name in ("cmyk.jpg", "palette.png"):
+        off = read_image(tmp_path / name).astype(float) - image
+        assert np.abs(off).mean() < 8, name
+
+
+def test_a_picture_is_turned_upright_as_its_camera_says(tmp_path: Path) -> None:
+    upside_down = read_image(turned(tmp_path / "a.jpg", 3)).astype(float)
+    assert np.abs(upside_down - colourful()[::-1, ::-1]).mean() < 3
+    portrait = read_image(turned(tmp_path / "b.jpg", 6)).astype(float)
+    assert np.abs(portrait - np.rot90(colourful(), -1)).mean() < 3
+
+
+@pytest.mark.parametrize("share", [0.0, 0.02, 0.5, 0.97])
+@pytest.mark.parametrize("ending", [".jpg", ".png"])
+def test_a_file_that_was_cut_off_is_refused(
+    tmp_path: Path, capfd: pytest.CaptureFixture[str], ending: str, share: float
+) -> None:
+    whole = write(tmp_path / f"whole{ending}", images(1)[0]).read_bytes()
+    cut = tmp_path / f"cut{ending}"
+    cut.write_bytes(whole[: int(share * len(whole))])
+    with pytest.raises(InputError) as caught:
+        read_image(cut)
+    why = "is no picture that can be read (another kind of file, or cut off)"
+    assert str(caught.value) == f"{cut}: {why if share else 'the file is empty'}"
+    # OpenCV's own words, in another form, would stand beside the one line (libpng's stay).
+    assert "WARN" not in capfd.readouterr().err
+
+
+def read_all(folder: Path) -> int:
+    return len(list(read_pictures(open_source(folder), CAMERA)))
+
+
+@pytest.mark.parametrize(
+    ("odd", "size"),
+    [
+        (np.zeros((1, CAMERA.width, 3), np.uint8), "480x1"),
+        (np.zeros((CAMERA.height, 1, 3), np.uint8), "1x270"),
+        (np.zeros((CAMERA.width, CAMERA.height, 3), np.uint8), "270x480"),
+        (np.zeros((540, 960, 3), np.uint8), "960x540"),
+    ],
+)
+def test_among_pictures_of_one_size_another_is_named(tmp_path: Path, odd: Image, size: str) -> None:
+    folder = write_pictures(tmp_path / "p", images(4))
+    assert read_all(folder) == 4
+    write(folder / "2.png", odd)
+    with pytest.raises(InputError) as caught:
+        read_all(folder)
+    assert str(caught.value).startswith(
+        f"{folder / '2.png'}: frame 2: the picture has {size} pixels, the camera was calibrated for"
+        " 480x270"
+    )
+
+
+def test_pairs_of_different_sizes_are_refused_with_both_files(tmp_path: Path) -> None:
+    left = write_pictures(tmp_path / "left", images(3))
+    right = write_pictures(tmp_path / "right", images(3))
+    write(right / "1.png", np.zeros((100, 200, 3), np.uint8))
+    with pytest.raises(InputError) as caught:
+        list(read_pictures(open_source(left), CAMERA, open_source(right)))
+    assert str(caught.value) == (
+        f"{right / '1.png'}: frame 1: the picture has 200x100 pixels, that of the left camera"
+        f" ({left / '1.png'}) has 480x270; the pictures of a pair must have one size, the camera's"
+        " (480x270)"
+    )
+    write(left / "1.png", np.zeros((100, 200, 3), np.uint8))
+    with pytest.raises(InputError, match=r"left/1\.png: frame 1: the picture has 200x100"):
+        list(read_pictures(open_source(left), CAMERA, open_source(right)))
+
+
+def test_clips_that_are_taken_for_one_drive_are_warned_of(tmp_path: Path) -> None:
+    for clip in "ab":
+        write_pictures(tmp_path / clip, images(2))
+    with pytest.warns(UserWarning, match="2 folders have pictures of the same names: they are"):
+        assert read_all(tmp_path / "*" / "*.png") == 4
+    for k in range(2):
+        (tmp_path / "b" / f"{k}.png").rename(tmp_path / "b" / f"{k + 2}.png")
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        assert read_all(tmp_path / "*" / "*.png") == 4
+
+
+# --- videos --------------------------------------------------------------------------------------
+
+
+def test_a_video_without_frames_is_refused(tmp_path: Path) -> None:
+    for name, codec in (("none.avi", "MJPG"), ("none.mp4", "mp4v")):
+        file = tmp_path / name
+        cv2.VideoWriter(str(file), cv2.VideoWriter.fourcc(*codec), 25.0, (480, 270)).release()
+        if not file.exists() or not file.stat().st_size:
+            file.write_bytes(b"")
+        with pytest.raises(InputError, match=r"is no video that can be read|the file is empty"):
+            open_source(file)
+
+
+def test_pictures_after_a_change_of_size_are_scaled_to_the_first(tmp_path: Path) -> None:
+    """A stream of JPEGs, half of them in half the size."""
+    pictures = images(8)
+    half = [cv2.resize(image, (CAMERA.width // 2, CAMERA.height // 2)) for image in pictures[4:]]
+    stream = tmp_path / "stream.mjpeg"
+    coded = [cv2.imencode(".jpg", image)[1].tobytes() for image in [*pictures[:4], *half]]
+    stream.write_bytes(b"".join(coded))
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        seen = [picture.image for picture in read_pictures(open_source(stream), CAMERA)]
+    assert len(seen) == 8
+    for image, expected in zip(seen, pictures, strict=True):
+        blurred = [cv2.GaussianBlur(one, (0, 0), 3).astype(float) for one in (image, expected)]
+        assert np.abs(blurred[0] - blurred[1]).mean() < 4
+
+
+def test_a_frame_of_another_size_is_named_where_the_size_changes_all_the_same(
+    place: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Not every way in which OpenCV reads videos scales."""
+
+    def shrinking(*given: Any) -> Any:
+        for frame_id, image in whole(*given):
+            yield frame_id, image[:100] if frame_id > 2 else image
+
+    whole = video.video_images
+    monkeypatch.setattr("egolane_pgm.vision.camera.pictures.video_images", shrinking)
+    pictures = read_pictures(open_source(place / "drive.avi"), CAMERA)
+    assert [next(pictures).frame_id for _ in range(3)] == [0, 1, 2]
+    with pytest.raises(InputError, match=r"drive\.avi: frame 3: the picture has 480x100 pixels"):
+        next(pictures)

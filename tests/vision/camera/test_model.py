@@ -1,0 +1,283 @@
+"""The model of a camera above a flat road."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+import yaml
+from hypothesis import given
+from hypothesis import strategies as st
+
+from egolane_pgm.types import InputError
+from egolane_pgm.vision.camera.model import (
+    Camera,
+    axes,
+    camera_from_matrices,
+    distorted,
+    image_to_road,
+    matrix,
+    read_camera,
+    road_to_image,
+    scaled,
+    undistorted,
+    vanishing_point,
+    with_vanishing_point,
+    write_camera,
+)
+from tests.kits.drives import refused, write_drive
+
+LEVEL = Camera(1280, 720, 1000.0, 1000.0, 640.0, 360.0, height_m=1.5)
+LENS = (-0.2485, -0.0195, -0.0006, 0.0002, 0.0086)
+
+cameras = st.builds(
+    Camera,
+    st.just(1280),
+    st.just(720),
+    st.floats(800, 1400),
+    st.floats(800, 1400),
+    st.floats(600, 700),
+    st.floats(300, 420),
+    height_m=st.floats(0.8, 3.0),
+    pitch_deg=st.floats(-5, 5),
+    yaw_deg=st.floats(-5, 5),
+    roll_deg=st.floats(-5, 5),
+    lateral_m=st.floats(-1, 1),
+    distortion=st.sampled_from([(0.0,) * 5, LENS]),
+)
+
+
+def test_a_level_camera_sees_a_point_where_the_pinhole_formula_puts_it():
+    u, v = road_to_image(LEVEL, 10.0, 2.0)
+    assert (float(u), float(v)) == pytest.approx((640 + 1000 * 2 / 10, 360 + 1000 * 1.5 / 10))
+
+
+def test_looking_up_moves_the_horizon_down_and_looking_right_moves_the_road_left():
+    assert vanishing_point(replace(LEVEL, pitch_deg=2.0))[1] > 360
+    assert vanishing_point(replace(LEVEL, yaw_deg=2.0))[0] < 640
+
+
+def test_a_clockwise_roll_lifts_the_right_hand_side_of_the_road_in_the_picture():
+    rolled = replace(LEVEL, roll_deg=5.0)
+    _, left = road_to_image(rolled, 10.0, -2.0)
+    _, right = road_to_image(rolled, 10.0, 2.0)
+    assert right < left
+
+
+@given(cameras)
+def test_the_axes_of_a_camera_are_at_right_angles_and_right_handed(camera):
+    directions = axes(camera)
+    np.testing.assert_allclose(directions @ directions.T, np.eye(3), atol=1e-12)
+    right, down, forward = directions
+    # Vehicle coordinates (forward, right, up) are left-handed.
+    np.testing.assert_allclose(np.cross(right, down), -forward, atol=1e-12)
+
+
+def test_what_is_as_high_as_the_camera_is_on_the_horizon():
+    _, v = road_to_image(LEVEL, [5.0, 50.0], 1.0, 1.5)
+    assert v == pytest.approx([360, 360])
+    assert road_to_image(LEVEL, 10.0, 0.0, 0.5)[1] == pytest.approx(360 + 1000 * 1.0 / 10)
+
+
+def test_a_camera_right_of_the_middle_has_what_is_ahead_of_it_to_the_right_of_the_vehicle():
+    aside = replace(LEVEL, lateral_m=0.4)
+    assert road_to_image(aside, 10.0, 0.4)[0] == pytest.approx(640)
+    assert image_to_road(aside, 640.0, 500.0)[1] == pytest.approx(0.4)
+
+
+def test_what_is_behind_the_camera_is_not_in_the_picture():
+    u, v = road_to_image(replace(LEVEL, distortion=LENS), [-5.0, 0.0, 5.0], 0.0)
+    assert np.isnan(u).tolist() == np.isnan(v).tolist() == [True, True, False]
+
+
+def test_numbers_and_arrays_of_any_shapes_that_broadcast_are_taken():
+    u, v = np.array([600.0, 700.0]), np.array([[400.0], [450.0], [500.0]])
+    for camera in (LEVEL, replace(LEVEL, distortion=LENS)):
+        for change in (undistorted, distorted, image_to_road):
+            assert [part.shape for part in change(camera, u, v)] == [(3, 2)] * 2
+            alone = np.array(change(camera, 700.0, 450.0))
+            np.testing.assert_allclose(alone, [part[1, 1] for part in change(camera, u, v)])
+
+
+#: Every coefficient matters.
+STRONG = (-0.2485, 0.05, -0.003, 0.002, -0.02)
+
+
+def test_the_lens_is_opencvs():
+    camera = replace(LEVEL, fy=980.0, distortion=STRONG)
+    u, v = (part.ravel() for part in np.meshgrid(np.linspace(0, 1279, 9), np.linspace(0, 719, 7)))
+    rays = np.stack([(u - camera.cx) / camera.fx, (v - camera.cy) / camera.fy, 0 * u + 1], axis=-1)
+    there = cv2.projectPoints(rays, np.zeros(3), np.zeros(3), matrix(camera), np.array(STRONG))[0]
+    np.testing.assert_allclose(distorted(camera, u, v), there[:, 0].T, atol=1e-6)
+    np.testing.assert_allclose(undistorted(camera, *there[:, 0].T), [u, v], atol=1e-2)
+
+
+@given(cameras, st.floats(6, 40), st.floats(-3, 3))
+def test_a_road_point_comes_back_from_its_pixel(camera, x, y):
+    back = image_to_road(camera, *road_to_image(camera, x, y))
+    assert np.allclose(back, (x, y), atol=1e-3 * x)
+
+
+@given(cameras, st.floats(5, 60), st.floats(-10, 10))
+def test_the_undistorted_projection_is_a_homography_of_the_road(camera, x, y):
+    to_camera = axes(camera)
+    position = np.array([0.0, camera.lateral_m, camera.height_m])
+    columns = np.stack([to_camera[:, 0], to_camera[:, 1], -to_camera @ position], axis=1)
+    u, v, w = matrix(camera) @ columns @ [x, y, 1.0]
+    assert w > 0
+    assert np.allclose((u / w, v / w), road_to_image(camera, x, y, undistorted=True))
+
+
+@given(cameras, st.floats(500, 800), st.floats(300, 420))
+def test_turning_to_a_vanishing_point_gives_that_vanishing_point(camera, u, v):
+    turned = with_vanishing_point(camera, u, v)
+    assert vanishing_point(turned) == pytest.approx((u, v), abs=1e-6)
+
+
+def test_the_sky_has_no_road_under_it():
+    x, y = image_to_road(LEVEL, [640.0, 640.0], [360.0, 100.0])
+    assert np.isnan(x).all()
+    assert np.isnan(y).all()
+
+
+def test_a_camera_comes_back_from_its_file(tmp_path):
+    plain = replace(LEVEL, pitch_deg=1.0, yaw_deg=2.0, roll_deg=3.0, lateral_m=0.1)
+    ignore = ((0, 600, 1280, 720), (-5, 0, 200, 30))
+    for camera in (plain, replace(plain, distortion=LENS, baseline_m=0.5, ignore=ignore)):
+        write_camera(tmp_path / "cam.yaml", camera, "by hand\nwith care: twice")
+        assert read_camera(tmp_path / "cam.yaml") == camera
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("height_m: 1.5", "width: is missing"),
+        ("[1, 2]", "needs keys and values, e.g. 'height_m: 1.3'"),
+        ("{a", "is not YAML"),
+        ("GOOD\nheigth: 3", "unknown key 'heigth' (did you mean 'height'?)"),
+        ("GOOD\nheight_m: 1500", "height_m: 1500 is not between 0.2 and 10 (metres above"),
+        ("GOOD\nfx: .nan", "fx: nan is not a finite number"),
+        ("GOOD\nwidth: 100.5", "width: 100.5 is not a whole number of pixels"),
+        ("GOOD\ndistortion: [1, 2]", "distortion: needs the five numbers"),
+        ("GOOD\ndistortion: 3", "distortion: needs the five numbers"),
+        ("GOOD\npitch_deg: up", "pitch_deg: 'up' is not a finite number"),
+        ("GOOD\ndistortion: [0, 0, a, 0, 0]", "distortion: 'a' is not a finite number"),
+        ("GOOD\ndistortion: [0, 0, .inf, 0, 0]", "distortion: inf is not a finite number"),
+        ("GOOD\nfx: 1.0e+9", "fx: 1000000000.0 is not between 10 and 100000 (pixels)"),
+        ("GOOD\nheight: 9", "height: 9 is not between 16 and 20000 (pixels)"),
+        ("GOOD\ncx: -1.0e+6", "cx: -1000000.0 is not between -20000 and 40000 (pixels)"),
+        ("GOOD\npitch_deg: 91", "pitch_deg: 91 is not between -60 and 60 (degrees, up"),
+        ("GOOD\nyaw_deg: -180", "yaw_deg: -180 is not between -60 and 60 (degrees, right"),
+        ("GOOD\nroll_deg: 90", "roll_deg: 90 is not between -60 and 60 (degrees, clockwise"),
+        ("GOOD\nlateral_m: 40", "lateral_m: 40 is not between -5 and 5 (metres right"),
+        ("GOOD\nbaseline_m: -0.5", "baseline_m: -0.5 is not between 0.01 and 5 (metres between"),
+        ("GOOD\nbaseline_m: 120", "baseline_m: 120 is not between 0.01 and 5 (metres between"),
+        ("GOOD\nyaw_deg: true", "yaw_deg: True is not a finite number"),
+        ("GOOD\nignore: [[0, 9, 10, 5]]", "ignore: [0, 9, 10, 5] is empty"),
+    ],
+)
+def test_a_bad_camera_file_is_refused_in_one_line(tmp_path, text, message):
+    good = {"width": 1280, "height": 720, "fx": 1000, "fy": 1000, "cx": 640, "cy": 360}
+    good["height_m"] = 1.5
+    path = tmp_path / "cam.yaml"
+    is_changed = text.startswith("GOOD\n")
+    path.write_text(yaml.safe_dump(good | yaml.safe_load(text[5:])) if is_changed else text)
+    with pytest.raises(InputError) as caught:
+        read_camera(path)
+    assert str(caught.value).startswith(str(path))
+    assert message in str(caught.value)
+    assert "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize("key", ["width", "height", "fx", "fy", "cx", "cy", "height_m"])
+def test_a_camera_file_without_a_number_that_it_needs_is_refused(tmp_path, key):
+    write_camera(tmp_path / "cam.yaml", LEVEL)
+    lines = (tmp_path / "cam.yaml").read_text().splitlines(keepends=True)
+    kept = [line for line in lines if not line.startswith(f"{key}:")]
+    (tmp_path / "cam.yaml").write_text("".join(kept))
+    assert len(kept) == len(lines) - 1
+    with pytest.raises(InputError, match=rf"cam\.yaml: {key}: is missing"):
+        read_camera(tmp_path / "cam.yaml")
+
+
+def test_a_camera_is_written_into_a_new_folder_and_not_over_one(tmp_path):
+    write_camera(tmp_path / "new" / "inner" / "cam.yaml", LEVEL)
+    assert read_camera(tmp_path / "new" / "inner" / "cam.yaml") == LEVEL
+    with pytest.raises(InputError, match=r"inner: cannot be written: Is a directory"):
+        write_camera(tmp_path / "new" / "inner", LEVEL)
+
+
+def test_a_camera_file_that_is_no_text_is_refused(tmp_path):
+    (tmp_path / "cam.yaml").write_bytes(b"\xff\xd8\xff\xe0 a picture")
+    with pytest.raises(InputError, match=r"cam\.yaml: cannot be read: is not text in UTF-8"):
+        read_camera(tmp_path / "cam.yaml")
+
+
+def test_a_camera_file_that_is_not_there_is_named(tmp_path):
+    with pytest.raises(InputError, match=r"none\.yaml: cannot be read: No such file"):
+        read_camera(tmp_path / "none.yaml")
+
+
+def test_a_camera_that_nothing_would_look_through_is_refused(tmp_path: Path) -> None:
+    said = refused("lines", write_drive(tmp_path, 30), "--frame", 0, "--camera", "cam.yaml")
+    assert said == "--camera: an experiment names its own, recording.camera"
+
+
+@given(st.floats(0.3, 3.0), st.floats(5, 60), st.floats(-8, 8), st.floats(-5, 5), st.floats(-3, 3))
+def test_a_scaled_camera_shows_the_same_in_a_picture_of_another_size(
+    times: float, x: float, y: float, pitch: float, yaw: float
+) -> None:
+    camera = Camera(
+        1280, 720, 1100.0, 1090.0, 650.0, 350.0, 1.4, pitch, yaw,
+        distortion=(-0.2, 0.01, 0.001, 0.0, 0.0), baseline_m=0.4, ignore=((0, 601, 1279, 720),),
+    )  # fmt: skip
+    resized = scaled(camera, round(1280 * times), round(720 * times))
+    u, v = road_to_image(camera, x, y)
+    other_u, other_v = road_to_image(resized, x, y)
+    # A pixel's middle is a whole number, its edges are at halves.
+    assert (other_u + 0.5) / resized.width == pytest.approx((u + 0.5) / camera.width, abs=1e-9)
+    assert (other_v + 0.5) / resized.height == pytest.approx((v + 0.5) / camera.height, abs=1e-9)
+    assert resized.baseline_m == camera.baseline_m
+    assert resized.height_m == camera.height_m
+    ((left, top, right, bottom),) = resized.ignore
+    assert left == 0
+    assert top <= 601 * resized.height / 720 < top + 1
+    assert right - 1 < 1279 * resized.width / 1280 <= right
+    assert bottom == resized.height
+
+
+@pytest.mark.parametrize("size", [(1280, 700), (640, 480), (720, 1280), (1260, 720)])
+def test_a_camera_is_not_scaled_to_another_aspect_ratio(size: tuple[int, int]) -> None:
+    camera = Camera(1280, 720, 1100.0, 1090.0, 650.0, 350.0, 1.4)
+    with pytest.raises(InputError, match="another aspect ratio than the 1280x720") as error:
+        scaled(camera, *size)
+    assert ("turned by a quarter?" in str(error.value)) == (size == (720, 1280))
+    assert scaled(camera, 1280, 720) == camera
+    # 360p as it is stored: 640 x 360, and 854 x 480 for 480p.
+    assert scaled(camera, 854, 480).fx == pytest.approx(1100 * 854 / 1280)
+
+
+def test_a_camera_is_named_by_its_file_and_equal_to_one_of_another_name(tmp_path: Path) -> None:
+    camera = Camera(1280, 720, 1100.0, 1090.0, 650.0, 350.0, 1.4)
+    write_camera(tmp_path / "cam.yaml", camera)
+    read = read_camera(tmp_path / "cam.yaml")
+    assert read.name == str(tmp_path / "cam.yaml")
+    assert read == camera
+    assert "name" not in (tmp_path / "cam.yaml").read_text()
+
+
+@given(cameras)
+def test_a_camera_is_recovered_from_its_matrices(camera: Camera) -> None:
+    right, down, forward = axes(camera)
+    mirror = np.array([1.0, -1.0, 1.0])
+    extrinsic = np.eye(4)
+    # The frames of data sets: x forward, y left, z up.
+    extrinsic[:3, :3] = (mirror * np.stack([forward, -right, -down])).T
+    extrinsic[:3, 3] = 1.5, -camera.lateral_m, camera.height_m
+    found = camera_from_matrices(matrix(camera), extrinsic, camera.width, camera.height)
+    for name in ("fx", "fy", "cx", "cy", "height_m", "pitch_deg", "yaw_deg", "roll_deg"):
+        assert getattr(found, name) == pytest.approx(getattr(camera, name), abs=1e-6)
+    assert found.lateral_m == pytest.approx(camera.lateral_m)

@@ -1,0 +1,94 @@
+"""The YAML of a network: what is wrong with it is said, all of it, a line each."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from egolane_pgm.types import InputError
+from egolane_pgm.vision.detectors.networks.description import network_files, read_network
+from egolane_pgm.vision.detectors.runner import find_detector
+from tests.kits.tiny_network import write_answer, write_network
+
+GOOD: dict[str, Any] = {"model": "x.onnx", "size": [640, 360], "layout": "lanes", "classes": 2}
+
+
+@pytest.fixture
+def folder(tmp_path: Path) -> Path:
+    write_answer(tmp_path, np.zeros((1, 2, 4, 8)))
+    (tmp_path / "known.onnx").rename(tmp_path / "x.onnx")
+    return tmp_path
+
+
+@pytest.mark.parametrize(
+    ("keys", "said"),
+    [
+        ({"sise": [1, 2]}, "unknown key 'sise' (did you mean 'size'?)"),
+        ({"layout": "lane"}, "layout: 'lane' is not one of drivable, lanes, instances,"),
+        ({"layout": "lane"}, "(did you mean 'lanes'?)"),
+        ({"classes": None}, "layout lanes needs classes"),
+        ({"channels": [2]}, "channels: 2 is not one of 2 classes, which are counted from 0"),
+        ({"rows": [1, 2]}, "rows: goes with layout row_anchors only"),
+        ({"layout": "row_anchors"}, "layout row_anchors needs rows"),
+        ({"layout": "polylines"}, "classes: goes with layout drivable or lanes or"),
+        ({"layout": "polylines", "classes": None}, "classes: goes with layout"),
+        ({"classes": 1, "activation": "softmax"}, "softmax needs several classes"),
+        ({"activation": "relu"}, "activation: 'relu' is not one of none, sigmoid, softmax"),
+        ({"scale": [1, 2]}, "scale"),
+        ({"mean": float("nan")}, "is not a finite number"),
+        ({"cut_top": 1}, "cut_top: input should be less than 1"),
+        ({"every": 0}, "every: input should be greater than or equal to 1"),
+        ({"size": [640]}, "size"),
+        ({"threshold": 0}, "threshold: input should be greater than 0"),
+    ],
+)
+def test_what_does_not_fit_is_said(folder: Path, keys: dict[str, Any], said: str) -> None:
+    path = write_network(folder / "net.yaml", **{**GOOD, **keys})
+    with pytest.raises(InputError) as caught:
+        read_network(path)
+    assert said in str(caught.value)
+    assert all(line.startswith(f"{path}: ") for line in caught.value.args)
+
+
+def test_several_mistakes_are_said_at_once(folder: Path) -> None:
+    path = write_network(folder / "net.yaml", model="x.onnx", sise=[1, 2], every=0)
+    with pytest.raises(InputError) as caught:
+        read_network(path)
+    assert len(caught.value.args) == 3
+
+
+def test_all_channels_but_the_background_are_looked_at(folder: Path) -> None:
+    for classes, wanted in ((1, (0,)), (2, (1,)), (5, (1, 2, 3, 4))):
+        path = write_network(folder / "net.yaml", **{**GOOD, "classes": classes})
+        assert read_network(path).looked_at == wanted
+
+
+def test_a_network_is_found_relative_to_what_names_it(folder: Path) -> None:
+    path = write_network(folder / "net.yaml", **GOOD)
+    detector = find_detector("mc", {"on_road": "net.yaml"}, folder, "detector")
+    assert detector.parameters["on_road"] == str(path.resolve())
+    assert network_files(detector.parameters) == [path.resolve(), (folder / "x.onnx").resolve()]
+    assert network_files(find_detector("mc", {}, folder, "detector").parameters) == []
+
+
+@pytest.mark.parametrize(
+    ("name", "given", "said"),
+    [
+        ("network", {}, "here_parameters.network: is missing; it names the YAML file of a network"),
+        ("network", {"network": "none"}, "'none' is not the name of a network's .yaml file"),
+        ("network", {"network": "x.onnx"}, "'x.onnx' is not the name of a network's .yaml file"),
+        ("ml", {"on_road": 3}, "here_parameters.on_road: 3 is not the name of a network's .yaml"),
+        ("ml", {"on_road_margin_m": -1}, "must not be negative"),
+        ("ml", {"on_rode": "x.yaml"}, "unknown key 'on_rode' (did you mean 'on_road'?)"),
+    ],
+)
+def test_a_parameter_that_is_no_network_is_refused(
+    name: str, given: dict[str, Any], said: str
+) -> None:
+    with pytest.raises(InputError) as caught:
+        find_detector(name, given, Path.cwd(), "here")
+    assert said in str(caught.value)
+    assert "\n" not in str(caught.value)

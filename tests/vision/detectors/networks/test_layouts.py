@@ -1,0 +1,154 @@
+"""What each layout says of a picture, by outputs whose answer is known."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from egolane_pgm.vision.camera.model import road_to_image
+from egolane_pgm.vision.camera.picture import Picture
+from egolane_pgm.vision.detectors.networks.description import read_network
+from egolane_pgm.vision.detectors.networks.layouts import Answer, from_above
+from egolane_pgm.vision.detectors.networks.looking import looker
+from egolane_pgm.vision.detectors.simple.birdseye import make_view
+from tests.kits.synthetic_road import CAMERA, road
+from tests.kits.tiny_network import write_answer
+
+#: Offsets of the lines that the outputs show, metres.
+OFFSETS = (-2.9, 0.1, 3.1)
+#: The rows of the input that show all of them, 5 to 13 m ahead.
+ROWS = np.arange(21, 32)
+
+
+def seen(path: Path) -> Answer:
+    """What the network sees in a picture of the camera, 480 x 270 pixels."""
+    found = looker(read_network(path), CAMERA)(Picture(0, road()))
+    assert found is not None
+    return found
+
+
+def columns() -> np.ndarray:
+    """Where the lines are in the rows of an input of 80 x 40 pixels: (lines, rows)."""
+    far = np.geomspace(2, 300, 3000)[::-1]
+    found = []
+    for offset in OFFSETS:
+        u, v = road_to_image(CAMERA, far, offset)
+        v_in, u_in = (v + 0.5) * 40 / 270 - 0.5, (u + 0.5) * 80 / 480 - 0.5
+        found.append(np.interp(ROWS, v_in, u_in))
+    return np.array(found)
+
+
+def logit(share: np.ndarray) -> np.ndarray:
+    return np.log(share / (1 - share))
+
+
+def check_offsets(answer: Answer, places: tuple[float, ...] = OFFSETS) -> None:
+    """The lines from above are where they should be, within the width of a pixel of the input."""
+    view = make_view(CAMERA, 6.0, 11.0, -9.0, 9.0)
+    above = from_above(view, answer)
+    for row in range(2, len(view.x_m) - 2):
+        at = view.y_m[above[row] > 0]
+        for place in places:
+            near = at[np.abs(at - place) < 1]
+            assert abs(near.mean() - place) < 0.15
+        assert (np.abs(at[:, None] - np.array(places)).min(axis=1) < 1).all()
+
+
+@pytest.mark.parametrize("activation", ["none", "sigmoid", "softmax"])
+def test_a_mask_is_where_the_probability_of_its_channels_is_enough(
+    tmp_path: Path, activation: str
+) -> None:
+    share = np.full((4, 8), 0.2)
+    share[2:, 4:] = 0.7
+    output = np.stack([1 - share, share / 2, share / 2])
+    if activation == "sigmoid":
+        output = logit(output)
+    if activation == "softmax":
+        output = np.log(output) + 3
+    keys: dict[str, Any] = {"layout": "drivable", "classes": 3, "activation": activation}
+    both = seen(write_answer(tmp_path, output[None], **keys))
+    assert both.mask is not None
+    assert both.mask.shape == (270, 480)
+    assert (both.mask[170:, 290:] == 255).all()
+    assert (both.mask[:110] == 0).all()
+    assert (both.mask[:, :200] == 0).all()
+    one = seen(write_answer(tmp_path, output[None], channels=[1], **keys))
+    assert one.mask is not None
+    assert not one.mask.any()
+    low = seen(write_answer(tmp_path, output[None], channels=[1], threshold=0.3, **keys))
+    assert low.mask is not None
+    assert (low.mask[170:, 290:] == 255).all()
+
+
+def test_a_mask_is_nothing_in_the_part_that_is_cut_off(tmp_path: Path) -> None:
+    output = np.ones((1, 1, 4, 8))
+    keys: dict[str, Any] = {"layout": "drivable", "classes": 1, "cut_top": 0.4}
+    found = seen(write_answer(tmp_path, output, **keys))
+    assert found.mask is not None
+    assert (found.mask[:108] == 0).all()
+    assert (found.mask[108:] == 255).all()
+
+
+def test_instances_are_lines_through_the_middle_of_their_channels(tmp_path: Path) -> None:
+    output = np.full((1, 4, 40, 80), 0.01)
+    for k, line in enumerate(columns()):
+        away = np.abs(np.arange(80) - line[:, None])
+        output[0, 1 + k, ROWS] = np.maximum(0.99 - away / 5, 0.01)
+    keys: dict[str, Any] = {"layout": "instances", "classes": 4, "threshold": 0.3}
+    found = seen(write_answer(tmp_path, output, **keys))
+    assert found.mask is None
+    assert len(found.lines) == 3
+    check_offsets(found)
+    two = seen(write_answer(tmp_path, output, channels=[1, 3], **keys))
+    check_offsets(two, (OFFSETS[0], OFFSETS[2]))
+
+
+def test_row_anchors_are_read_as_ultra_fast_lane_detection_writes_them(tmp_path: Path) -> None:
+    """100 columns; the second line is absent in the upper half, a fourth one is absent."""
+    cells = 100
+    output = np.zeros((1, cells + 1, len(ROWS), 4))
+    for k, line in enumerate(columns()):
+        cell = line * (cells - 1) / 79 - 0.5
+        away = np.abs(np.arange(cells) - cell[:, None])
+        output[0, :cells, :, k] = 12 - away.T**2
+    output[0, cells, :, 3] = 20
+    output[0, cells, :5, 1] = 20
+    keys: dict[str, Any] = {"layout": "row_anchors", "classes": cells + 1, "rows": ROWS.tolist()}
+    found = seen(write_answer(tmp_path, output, **keys))
+    assert [len(line) for line in found.lines] == [11, 6, 11]
+    check_offsets(Answer(None, (found.lines[0], found.lines[2])), (OFFSETS[0], OFFSETS[2]))
+    # Each point where it was put, in pixels of the picture.
+    wanted = (columns()[1, 5:] + 0.5) * 6 - 0.5
+    np.testing.assert_allclose(found.lines[1][:, 0], wanted, atol=0.5)
+    np.testing.assert_allclose(found.lines[1][:, 1], (ROWS[5:] + 0.5) * 6.75 - 0.5)
+
+
+@pytest.mark.parametrize("in_pixels", [False, True])
+def test_polylines_are_read_as_clrnet_and_laneatt_write_them(
+    tmp_path: Path, in_pixels: bool
+) -> None:
+    """40 rows from the bottom up. Two candidates of one line, one unlikely one."""
+    rows = np.arange(39, -1, -1)
+    output = np.zeros((1, 5, 6 + 40))
+    for k, line in enumerate(columns()[[0, 1, 1, 2, 2]]):
+        x = np.interp(rows, ROWS, line)
+        length = len(ROWS) if in_pixels else len(ROWS) / 39
+        output[0, k] = [0, 3, 8 / 39, 0, 0, length, *(x if in_pixels else x / 79)]
+    output[0, 4, :2] = (3, 0)
+    # The first line starts four rows higher.
+    output[0, 0, 2] = 12 / 39
+    output[0, 0, 5] -= 4 if in_pixels else 4 / 39
+    keys: dict[str, Any] = {"layout": "polylines", "start": 2, "length": 5, "first_x": 6}
+    found = seen(write_answer(tmp_path, output, in_pixels=in_pixels, **keys))
+    assert [len(line) for line in found.lines] == [7, 11, 11, 11]
+    assert found.lines[0][0, 1] == pytest.approx((27 + 0.5) * 6.75 - 0.5)
+    check_offsets(Answer(None, found.lines[1:]), OFFSETS[1:])
+
+
+def test_points_above_the_horizon_are_no_place_on_the_road() -> None:
+    view = make_view(CAMERA, 6.0, 12.0, -9.0, 9.0)
+    sky = np.array([[100.0, 0.0], [200.0, 20.0], [240.0, 106.0]])
+    assert not from_above(view, Answer(None, (sky,))).any()

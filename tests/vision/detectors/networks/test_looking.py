@@ -1,0 +1,381 @@
+"""A network over a drive: as a detector of its own, and as what tells others where the road is."""
+
+from __future__ import annotations
+
+import json
+import time
+import warnings
+from dataclasses import replace
+from pathlib import Path
+from types import ModuleType
+from typing import Any
+
+import cv2
+import numpy as np
+import pandas as pd
+import PIL.Image
+import pytest
+import yaml
+from numpy.typing import NDArray
+
+from egolane_pgm.drive import data_entries, load_recording
+from egolane_pgm.experiment import load_experiment
+from egolane_pgm.parameters import resolve_parameters
+from egolane_pgm.types import InputError
+from egolane_pgm.vision.camera.model import write_camera
+from egolane_pgm.vision.camera.picture import Picture
+from egolane_pgm.vision.detectors import FrameLines, runner
+from egolane_pgm.vision.detectors.networks.looking import grown, keep
+from egolane_pgm.vision.detectors.runner import detect, find_detector, own_files, start
+from egolane_pgm.vision.detectors.simple.birdseye import look, make_view
+from egolane_pgm.vision.detectors.simple.markings import marking_mask
+from egolane_pgm.vision.rendering.render import make_scene, render_frame
+from tests.kits.drives import command, refused
+from tests.kits.synthetic_road import CAMERA, drive, images, write_pictures
+from tests.kits.tiny_network import (
+    heavy_traffic,
+    labels,
+    vehicles,
+    write_answer,
+    write_network,
+    write_top_hat,
+)
+
+
+@pytest.fixture(scope="module")
+def top_hat(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return write_top_hat(tmp_path_factory.mktemp("top_hat"), CAMERA.width, CAMERA.height)
+
+
+def with_keys(path: Path, target: Path, **keys: Any) -> Path:
+    """The YAML of a network with other keys, beside the same ONNX."""
+    content = yaml.safe_load(path.read_text())
+    content["model"] = str(path.parent / content["model"])
+    return write_network(target, **{**content, **keys})
+
+
+def lines_of(name: str, given: dict[str, Any], pictures: list[Picture]) -> list[FrameLines]:
+    detector = find_detector(name, given, Path.cwd(), "detector")
+    return [lines for _, lines in detect(detector, CAMERA, pictures)]
+
+
+# --- a detector of its own --------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("name", "given"),
+    [("network", {"network": "lanes.yaml"}), ("mc", {"on_road": "drivable.yaml"})],
+)
+def test_with_a_trained_network_the_lines_of_the_own_lane_are_found(
+    tiny_network: Path, name: str, given: dict[str, str]
+) -> None:
+    """On drives that it was not trained on, in most frames."""
+    found = []
+    for seed in (11, 12, 13, 14):
+        scene = make_scene("a4", seed=seed, frames=40)
+        step = start(find_detector(name, given, tiny_network, "detector"), scene.camera)
+        for k in range(8):
+            frame = render_frame(scene, k)
+            lines = step(Picture(k, frame.image))
+            true = frame.truth.offset_m
+            own = [true[true < 0].max(), true[true > 0].min()]
+            away = np.abs(lines.offset_m[:, None] - own).min(axis=0, initial=np.inf)
+            found.append((away < 0.35).all())
+    assert np.mean(found) >= 0.85
+
+
+def test_between_two_looks_lines_are_predicted(top_hat: Path, tmp_path: Path) -> None:
+    every = with_keys(top_hat, tmp_path / "every.yaml", every=3)
+    pictures = drive(33, sideways_m=0.05)
+    often = lines_of("network", {"network": str(top_hat)}, pictures)
+    seldom = lines_of("network", {"network": str(every)}, pictures)
+    assert often[9].is_valid.sum() == 3
+    # Ten looks make a line valid: the tenth is in frame 27.
+    assert not seldom[26].is_valid.any()
+    assert seldom[27].is_valid.sum() == 3
+    for k in range(27, 33):
+        true = np.array([-5.2, -1.7, 1.8]) - 0.05 * k
+        assert np.abs(seldom[k].offset_m[seldom[k].is_valid] - true).max() < 0.15
+        assert (seldom[k].lri[seldom[k].is_valid] == 10).all()
+
+
+def test_a_network_without_lines_is_no_detector(tmp_path: Path) -> None:
+    path = write_answer(tmp_path, np.ones((1, 1, 4, 8)), layout="drivable", classes=1)
+    detector = find_detector("network", {"network": str(path)}, Path.cwd(), "detector")
+    with pytest.raises(InputError, match="layout drivable has no lines; name it as on_road,"):
+        start(detector, CAMERA)
+
+
+def test_nan_is_said_with_the_frame(tmp_path: Path, top_hat: Path) -> None:
+    """The logarithm of a dark picture."""
+    from onnx import helper
+
+    from tests.kits.tiny_network import write_onnx
+
+    nodes = [
+        helper.make_node("Sub", ["picture", "least"], ["more"]),
+        helper.make_node("Log", ["more"], ["answer"]),
+    ]
+    shape = (1, 3, 40, 80)
+    write_onnx(
+        tmp_path / "log.onnx",
+        nodes,
+        [("least", np.float32(0.1))],
+        {"answer": shape},
+        {"picture": shape},
+    )
+    path = write_network(
+        tmp_path / "log.yaml", model="log.onnx", size=[80, 40], layout="lanes", classes=3
+    )
+    dark = np.zeros((CAMERA.height, CAMERA.width, 3), dtype=np.uint8)
+    with pytest.raises(InputError) as caught:
+        lines_of("network", {"network": str(path)}, [*drive(1, first=6), Picture(7, dark)])
+    said = str(caught.value)
+    assert "detector: network: frame 7: " in said
+    assert said.endswith("log.yaml: output answer: 9600 of 9600 numbers are not finite (NaN)")
+
+
+# --- where the road is ------------------------------------------------------------------------
+
+
+def test_marking_is_kept_on_the_road_and_dropped_on_vehicles(tiny_network: Path) -> None:
+    detector = find_detector(
+        "mc", {"on_road": str(tiny_network / "drivable.yaml")}, Path.cwd(), "detector"
+    )
+    scene = heavy_traffic(8)
+    view = make_view(scene.camera, 5.0, 35.0, -9.0, 9.0, 0.1, 0.05)
+    road = keep(scene.camera, detector.parameters)
+    assert road is not None
+    counts = np.zeros((2, 2))
+    for k in range(20, 600, 80):
+        frame = render_frame(scene, k)
+        above = look(view, np.ascontiguousarray(frame.image[..., 2]))
+        marks = marking_mask(view, above, detector.parameters) > 0
+        kept = road(view, Picture(k, frame.image))
+        paint, _, _ = labels(scene, frame.truth, frame.image)
+        size = (scene.camera.width, scene.camera.height)
+        on_paint = look(view, cv2.resize(paint.astype(np.uint8) * 255, size)) > 127
+        on_vehicle = look(view, vehicles(scene, k, frame.image)) > 127
+        for which, there in enumerate((marks & on_paint, on_vehicle)):
+            counts[which] += there.sum(), (there & kept).sum()
+    paint_kept, vehicle_kept = counts[:, 1] / counts[:, 0]
+    # A last layer of 64 numbers sees most of a vehicle only.
+    assert paint_kept > 0.85
+    assert vehicle_kept < 0.45
+
+
+def test_beside_lines_there_is_a_margin(top_hat: Path) -> None:
+    """Nothing is lost where the network sees the lines, all is where it sees none."""
+    pictures = drive(12)
+    alone = lines_of("ml", {}, pictures)[-1]
+    for given in ({}, {"on_road_margin_m": 0.3}):
+        helped = lines_of("ml", {"on_road": str(top_hat), **given}, pictures)[-1]
+        np.testing.assert_allclose(helped.offset_m, alone.offset_m, atol=0.03)
+        assert (helped.is_continuous == alone.is_continuous).all()
+
+
+@pytest.mark.parametrize("name", ["ml", "mc", "sl", "sc"])
+def test_every_detector_of_ours_takes_a_network(name: str, tmp_path: Path) -> None:
+    """One that sees the right half of the road only."""
+    half = np.zeros((1, 1, 4, 8))
+    half[..., 4:] = 1
+    path = write_answer(tmp_path, half, layout="drivable", classes=1)
+    detector = find_detector(name, {"on_road": str(path)}, Path.cwd(), "detector")
+    camera = replace(CAMERA, baseline_m=0.4) if detector.is_stereo else CAMERA
+    pictures = drive(4, stereo=detector.is_stereo)
+    *_, (_, lines) = detect(detector, camera, pictures)
+    assert len(lines.offset_m) >= 1
+    assert (lines.offset_m > 0).all()
+
+
+def test_the_last_answer_holds_in_frames_without_a_look(tmp_path: Path, top_hat: Path) -> None:
+    every = with_keys(top_hat, tmp_path / "every.yaml", every=2)
+    values = resolve_parameters(
+        find_detector("ml", {}, Path.cwd(), "x").module.PARAMETERS, {"on_road": str(every)}, 1
+    )
+    kept = keep(CAMERA, values)
+    assert kept is not None
+    view = make_view(CAMERA, 5.0, 20.0, -9.0, 9.0)
+    here, there = drive(1)[0], drive(1, ())[0]
+    first, second, third = kept(view, here), kept(view, there), kept(view, there)
+    assert np.array_equal(first, second)
+    assert third.sum() < first.sum() / 3
+
+
+def test_a_mask_grows_to_the_side_only() -> None:
+    view = make_view(CAMERA, 5.0, 10.0, -5.0, 5.0, 0.1, 0.05)
+    mask = np.zeros(view.valid.shape, dtype=np.uint8)
+    mask[20, 100] = 1
+    wide = grown(view, mask, 0.2)
+    assert np.flatnonzero(wide.any(axis=0)).tolist() == list(range(96, 105))
+    assert np.flatnonzero(wide.any(axis=1)).tolist() == [20]
+    assert np.array_equal(grown(view, mask, 0.0), mask)
+
+
+# --- slower than the frames come --------------------------------------------------------------
+
+
+def slow(seconds: float, path: str) -> runner.Detector:
+    def step(picture: Picture) -> FrameLines:
+        time.sleep(seconds)
+        none = np.zeros(0, dtype=bool)
+        return FrameLines(np.zeros((0, 4)), none, none, np.zeros(0))
+
+    module = ModuleType("slow")
+    vars(module).update(STEREO=False, start=lambda camera, parameters: step)
+    return runner.Detector("slow", module, {"network": path}, "detector")
+
+
+def test_a_network_that_is_slower_than_the_frames_says_so_once(top_hat: Path) -> None:
+    pictures = [Picture(k, np.zeros((1, 1, 3), dtype=np.uint8)) for k in range(90)]
+    with pytest.warns(UserWarning, match="slow takes") as caught:
+        list(detect(slow(0.004, str(top_hat)), CAMERA, pictures, 500.0))
+    (one,) = caught
+    said = str(one.message)
+    assert said.startswith("slow takes ")
+    assert "500 frames come per second, one in 2 ms" in said
+    assert "`every: n` in its YAML" in said
+
+
+def test_nothing_is_said_of_a_fast_network_an_unknown_rate_or_another_detector(
+    top_hat: Path,
+) -> None:
+    pictures = [Picture(k, np.zeros((1, 1, 3), dtype=np.uint8)) for k in range(40)]
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        list(detect(slow(0.001, str(top_hat)), CAMERA, pictures, 2.0))
+        list(detect(slow(0.004, str(top_hat)), CAMERA, pictures, None))
+        list(detect(slow(0.004, "none"), CAMERA, pictures, 500.0))
+
+
+# --- commands ---------------------------------------------------------------------------------
+
+
+@pytest.fixture(scope="module")
+def seen(place: Path) -> Path:
+    """The folder of `place`, its experiment looked at by a network in a folder below it."""
+    (place / "nets").mkdir()
+    write_top_hat(place / "nets", CAMERA.width, CAMERA.height)
+    content = yaml.safe_load((place / "run.yaml").read_text())
+    content["recording"] |= {
+        "detector": "network",
+        "detector_parameters": {"network": "nets/top_hat.yaml"},
+    }
+    (place / "seen.yaml").write_text(yaml.safe_dump(content))
+    return place
+
+
+@pytest.mark.filterwarnings("ignore:network takes")
+def test_a_run_notes_the_network_by_its_content(seen: Path, tmp_path: Path) -> None:
+    def entries() -> dict[str, str]:
+        experiment = load_experiment(seen / "seen.yaml")
+        recorded = load_recording(experiment, {})
+        return {Path(e["path"]).name: e["sha256"] for e in data_entries(experiment, recorded.files)}
+
+    before = entries()
+    assert {"drive.avi", "cam.yaml", "top_hat.yaml", "top_hat.onnx"} == set(before)
+    path = seen / "nets" / "top_hat.yaml"
+    text = path.read_text()
+    path.write_text(text + "threshold: 0.6\n")
+    after = entries()
+    path.write_text(text)
+    assert {name for name in before if before[name] != after[name]} == {"top_hat.yaml"}
+    # The experiment that a run writes can be run from where it lies.
+    out = tmp_path / "out"
+    done = command("run", seen / "seen.yaml", "--no-figures", "--out", out)
+    assert done.exit_code == 0, done.stderr
+    written = yaml.safe_load((out / "experiment.yaml").read_text())
+    assert written["recording"]["detector_parameters"]["network"] == str(path.absolute())
+    noted = {Path(e["path"]).name for e in json.loads((out / "run.json").read_text())["data"]}
+    assert {"top_hat.yaml", "top_hat.onnx"} <= noted
+
+
+@pytest.mark.filterwarnings("ignore:network takes")
+def test_a_network_of_the_command_line_is_found_from_where_one_stands(
+    seen: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(seen / "nets")
+    words = ["detect", "../drive.avi", "--camera", "../cam.yaml", "-o", tmp_path / "l.csv"]
+    done = command(*words, "--detector", "network", "--set", "network=top_hat.yaml")
+    assert "16 frames" in done.stdout
+    chosen = "recording.detector_parameters.network=top_hat.yaml"
+    experiment = load_experiment(seen / "seen.yaml", [chosen])
+    assert experiment.recording.detector_parameters["network"] == str(
+        seen / "nets" / "top_hat.yaml"
+    )
+    assert refused(*words, "--detector", "network") == (
+        "parameters.network: is missing; it names the YAML file of a network, e.g."
+        " network=lanes.yaml (docs/networks.md shows how to write one)"
+    )
+    assert "absent.yaml: no such file" in refused(
+        *words, "--detector", "ml", "--set", "on_road=absent.yaml"
+    )
+
+
+def test_validate_finds_what_is_wrong_with_a_network(seen: Path, tmp_path: Path) -> None:
+    assert "ok" in command("validate", seen / "seen.yaml").stdout
+    for keys, said in (
+        ({"layout": "lane"}, "layout: 'lane' is not one of"),
+        ({"size": [64, 64]}, "but size [64, 64] makes 1 x 3 x 64 x 64"),
+        ({"classes": 2}, "has 1 classes"),
+    ):
+        path = with_keys(seen / "nets" / "top_hat.yaml", tmp_path / "wrong.yaml", **keys)
+        chosen = f"recording.detector_parameters.network={path}"
+        assert said in refused("validate", seen / "seen.yaml", "--set", chosen)
+
+
+def test_pictures_of_every_kind_go_through_a_network(top_hat: Path, tmp_path: Path) -> None:
+    """The same drive in 8 bits, in 16 and in CMYK has the same lines; a picture of one row and an
+    upright one are refused by name."""
+    write_camera(tmp_path / "cam.yaml", CAMERA)
+    seen = images(11)
+    kinds: dict[str, list[NDArray[Any]]] = {
+        "eight": [*seen],
+        "sixteen": [image.astype(np.uint16) * 257 for image in seen],
+        "row": [*seen[:2], seen[2][:1]],
+        "upright": [*seen[:2], np.ascontiguousarray(np.rot90(seen[2]))],
+    }
+    for kind, of_it in kinds.items():
+        write_pictures(tmp_path / kind, of_it)
+    (tmp_path / "cmyk").mkdir()
+    for k, image in enumerate(seen):
+        picture = PIL.Image.fromarray(np.ascontiguousarray(image[:, :, ::-1])).convert("CMYK")
+        picture.save(tmp_path / "cmyk" / f"{k}.jpg", quality=98)
+
+    def words(kind: str) -> list[object]:
+        out = tmp_path / f"{kind}.csv"
+        network = ["--detector", "network", "--set", f"network={top_hat}"]
+        return ["detect", tmp_path / kind, "--camera", tmp_path / "cam.yaml", "-o", out, *network]
+
+    for kind in ("eight", "sixteen", "cmyk"):
+        assert "11 frames" in command(*words(kind)).stdout
+    eight, sixteen, cmyk = (
+        pd.read_csv(tmp_path / f"{kind}.csv") for kind in ("eight", "sixteen", "cmyk")
+    )
+    pd.testing.assert_frame_equal(eight, sixteen)
+    assert len(cmyk) == len(eight)
+    np.testing.assert_allclose(cmyk["offset_m"], eight["offset_m"], atol=0.05)
+    for kind, size in (("row", "480x1"), ("upright", "270x480")):
+        said = command(*words(kind)).stderr
+        assert "2.png" in said
+        assert size in said
+
+
+def test_a_network_is_listed_and_shown() -> None:
+    assert ", network, " in command("ls").stdout.replace("\n", ", ")
+    shown = command("show", "network").stdout
+    assert "Your own lane network, run by OpenCV" in shown
+    assert "the YAML file that describes the network" in shown
+    assert "on_road_margin_m" in command("show", "mc").stdout
+
+
+def test_own_files_are_the_network_and_the_matcher(top_hat: Path, tmp_path: Path) -> None:
+    (tmp_path / "match.py").write_text("")
+    detector = find_detector(
+        "sl", {"matcher": "match.py", "on_road": str(top_hat)}, tmp_path, "detector"
+    )
+    assert [file.name for file in own_files(detector)] == [
+        "match.py",
+        "top_hat.yaml",
+        "top_hat.onnx",
+    ]

@@ -1,0 +1,368 @@
+"""Pictures go through a network as its YAML says, OpenCV computes what onnxruntime does, and what
+does not fit is refused in one line."""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+import onnx
+import onnxruntime
+import pytest
+from onnx import helper
+
+from egolane_pgm.types import InputError
+from egolane_pgm.vision.camera.picture import Image
+from egolane_pgm.vision.detectors.networks.description import Network, network_files, read_network
+from egolane_pgm.vision.detectors.networks.layouts import probabilities
+from egolane_pgm.vision.detectors.networks.onnx_file import Declared, read_onnx
+from egolane_pgm.vision.detectors.networks.running import Run, as_input, fit_of, load
+from egolane_pgm.vision.rendering.render import render_frame
+from tests.kits.tiny_network import SIZE, heavy_traffic, write_answer, write_network, write_onnx
+
+
+def noise(width: int, height: int) -> Image:
+    return np.random.default_rng(0).integers(0, 256, (height, width, 3), dtype=np.uint8)
+
+
+def started(path: Path, width: int = 160, height: int = 120) -> Run:
+    network = read_network(path)
+    return load(network, fit_of(network, width, height))
+
+
+def refused(path: Path) -> str:
+    with pytest.raises(InputError) as caught:
+        started(path)(noise(160, 120))
+    said = str(caught.value)
+    assert "\n" not in said
+    assert len(said) < 500
+    assert str(path) in said
+    return said
+
+
+# --- what goes in and comes out ---------------------------------------------------------------
+
+
+@pytest.mark.parametrize("name", ["lanes", "drivable"])
+def test_opencv_computes_what_onnxruntime_computes(tiny_network: Path, name: str) -> None:
+    network = read_network(tiny_network / f"{name}.yaml")
+    session = onnxruntime.InferenceSession(str(network.onnx))
+    scene = heavy_traffic(8, 60)
+    fit = fit_of(network, scene.camera.width, scene.camera.height)
+    run = load(network, fit)
+    for k in (0, 50):
+        image = render_frame(scene, k).image
+        (wanted,) = session.run([name], {"picture": as_input(network, fit, image)})
+        found = run(image)
+        np.testing.assert_allclose(found, wanted[0], rtol=1e-4, atol=1e-4)
+        share, same = probabilities(network, found), probabilities(network, wanted[0])
+        assert np.abs(share - same).max() < 1e-4
+
+
+def test_opencv_computes_the_layers_of_lane_networks_as_onnxruntime_does(tmp_path: Path) -> None:
+    """Encoder and decoder with a skip, a mask by a transposed convolution and one by resizing, row
+    anchors by a dense layer, samples along lines: random weights."""
+    rng = np.random.default_rng(1)
+
+    def weight(*shape: int) -> np.ndarray:
+        return (rng.normal(size=shape) / np.sqrt(np.prod(shape[1:]))).astype(np.float32)
+
+    weights = [
+        ("w1", weight(16, 3, 3, 3)),
+        ("w2", weight(32, 8, 3, 3)),
+        ("w3", weight(32, 2, 2, 2)),
+        ("w4", weight(2, 32, 1, 1)),
+        ("w5", weight(51 * 6 * 2, 8 * 10 * 20)),
+        ("slim", weight(8, 32, 1, 1)),
+        ("b5", weight(51 * 6 * 2)),
+        *((name, np.abs(weight(16)) + 0.5) for name in ("gamma", "beta", "mean", "var")),
+        ("slope", weight(16, 1, 1)),
+        ("flat", np.array([1, -1], dtype=np.int64)),
+        ("cells", np.array([1, 51, 6, 2], dtype=np.int64)),
+        ("twice", np.array([1, 1, 2, 2], dtype=np.float32)),
+        ("at", rng.uniform(-1, 1, (1, 6, 7, 2)).astype(np.float32)),
+    ]
+    three = {"kernel_shape": [3, 3], "pads": [1, 1, 1, 1]}
+    node = helper.make_node
+    linear = {"mode": "linear", "coordinate_transformation_mode": "pytorch_half_pixel"}
+    layers = [
+        node("Conv", ["picture", "w1"], ["a"], strides=[2, 2], **three),
+        node("BatchNormalization", ["a", "gamma", "beta", "mean", "var"], ["b"]),
+        node("PRelu", ["b", "slope"], ["c"]),
+        node("Conv", ["c", "w2"], ["d"], strides=[2, 2], group=2, **three),
+        node("GlobalAveragePool", ["d"], ["squeezed"]),
+        node("HardSigmoid", ["squeezed"], ["excited"]),
+        node("Mul", ["d", "excited"], ["e"]),
+        node("ConvTranspose", ["e", "w3"], ["f"], strides=[2, 2], kernel_shape=[2, 2], group=1),
+        node("Sigmoid", ["f"], ["masks"]),
+        node("Resize", ["e", "", "twice"], ["g"], **linear),
+        node("MaxPool", ["c"], ["h"], **three),
+        node("Concat", ["h", "c"], ["i"], axis=1),
+        node("Add", ["g", "i"], ["j"]),
+        node("Conv", ["j", "w4"], ["k"], kernel_shape=[1, 1]),
+        node("Softmax", ["k"], ["classes"], axis=1),
+        node("Conv", ["e", "slim"], ["l"], kernel_shape=[1, 1]),
+        node("Reshape", ["l", "flat"], ["m"]),
+        node("Gemm", ["m", "w5", "b5"], ["n"], transB=1),
+        node("Reshape", ["n", "cells"], ["anchors"]),
+        node("GridSample", ["e", "at"], ["samples"], mode="bilinear", align_corners=1),
+    ]
+    outputs: dict[str, tuple[int, ...]] = {
+        "masks": (1, 2, 20, 40),
+        "classes": (1, 2, 20, 40),
+        "anchors": (1, 51, 6, 2),
+        "samples": (1, 32, 6, 7),
+    }
+    file = write_onnx(
+        tmp_path / "x.onnx", layers, weights, outputs, {"picture": (1, 3, 40, 80)}, opset=16
+    )
+    session = onnxruntime.InferenceSession(str(file))
+    image = noise(80, 40)
+    for name, shape in outputs.items():
+        keys: dict[str, Any] = {"layout": "lanes", "classes": shape[1], "output": name}
+        path = write_network(tmp_path / "x.yaml", model="x.onnx", size=[80, 40], **keys)
+        network = read_network(path)
+        fit = fit_of(network, 80, 40)
+        (wanted,) = session.run([name], {"picture": as_input(network, fit, image)})
+        assert np.ptp(wanted) > 1e-2
+        np.testing.assert_allclose(load(network, fit)(image), wanted[0], rtol=1e-4, atol=1e-4)
+
+
+def test_colours_are_scaled_in_the_order_of_the_network() -> None:
+    image = np.zeros((20, 40, 3), dtype=np.uint8)
+    image[:] = (10, 20, 30)
+    keys: dict[str, Any] = {"model": "x.onnx", "size": (40, 20), "layout": "lanes", "classes": 1}
+    keys |= {"mean": (1, 2, 3), "scale": (1, 10, 100)}
+    for swap, wanted in ((True, (29, 180, 700)), (False, (9, 180, 2700))):
+        network = Network(**keys, swap_rb=swap)
+        values = as_input(network, fit_of(network, 40, 20), image)
+        assert values.shape == (1, 3, 20, 40)
+        assert values[0, :, 7, 7].tolist() == list(wanted)
+
+
+def test_the_top_is_cut_off_and_bars_keep_the_proportions() -> None:
+    image = np.full((100, 200, 3), 50, dtype=np.uint8)
+    image[:20] = 255
+    network = Network(
+        model="x.onnx", size=(64, 64), layout="lanes", classes=1, scale=1, cut_top=0.2, letterbox=7
+    )
+    fit = fit_of(network, 200, 100)
+    # 200 x 80 pixels are left, made 64 x 26.
+    assert (fit.top, fit.left, fit.upper, fit.wide, fit.high) == (20, 0, 19, 64, 26)
+    values = as_input(network, fit, image)[0, 0]
+    assert (values[:19] == 7).all()
+    assert (values[19:45] == 50).all()
+    assert (values[45:] == 7).all()
+    u, v = fit.to_picture(np.array([-0.5, 63.5]), np.array([18.5, 44.5]))
+    np.testing.assert_allclose(u, [-0.5, 199.5])
+    np.testing.assert_allclose(v, [19.5, 99.5])
+
+
+def test_a_point_of_the_input_is_found_where_it_is_in_the_picture() -> None:
+    """A bright spot is drawn into pictures, and looked for in the input."""
+    for letterbox in (None, 0):
+        network = Network(
+            model="x.onnx",
+            size=(96, 48),
+            layout="lanes",
+            classes=1,
+            cut_top=0.25,
+            letterbox=letterbox,
+        )
+        fit = fit_of(network, 320, 200)
+        image = np.zeros((200, 320, 3), dtype=np.uint8)
+        cv2.circle(image, (210, 130), 9, (255, 255, 255), -1)
+        share = as_input(network, fit, image)[0, 0]
+        rows, columns = np.mgrid[: share.shape[0], : share.shape[1]]
+        middle = [(share * at).sum() / share.sum() for at in (columns, rows)]
+        u, v = fit.to_picture(np.array(middle[0]), np.array(middle[1]))
+        assert abs(u - 210) < 0.6
+        assert abs(v - 130) < 0.6
+
+
+def test_a_picture_of_another_size_is_refused(tmp_path: Path) -> None:
+    run = started(write_answer(tmp_path, np.zeros((1, 2, 4, 8)), layout="lanes", classes=2))
+    with pytest.raises(InputError, match="a picture of 90x120 pixels, but the camera"):
+        run(noise(90, 120))
+
+
+# --- bad input --------------------------------------------------------------------------------
+
+
+def test_a_file_that_is_no_onnx_is_named(tmp_path: Path) -> None:
+    keys = {"model": "x.onnx", "size": [80, 40], "layout": "lanes", "classes": 2}
+    path = write_network(tmp_path / "net.yaml", **keys)
+    with pytest.raises(InputError, match=r"net\.yaml: model: no file .*x\.onnx$"):
+        read_network(path)
+    with pytest.raises(InputError, match=r"absent\.yaml: no such file; it describes a network"):
+        read_network(tmp_path / "absent.yaml")
+    whole = tmp_path / "known.onnx"
+    write_answer(tmp_path, np.zeros((1, 2, 4, 8)), layout="lanes", classes=2)
+    contents = [b"", b"no network at all, " * 30, bytes(range(256)), whole.read_bytes()[:-40]]
+    for content in contents:
+        (tmp_path / "x.onnx").write_bytes(content)
+        assert "x.onnx is no ONNX file" in refused(path)
+
+
+def test_an_operation_that_opencv_does_not_know_is_said(tmp_path: Path) -> None:
+    node = helper.make_node("Telepathy", ["picture"], ["answer"], domain="elsewhere")
+    graph = helper.make_graph(
+        [node],
+        "odd",
+        [helper.make_tensor_value_info("picture", 1, (1, 3, 40, 80))],
+        [helper.make_tensor_value_info("answer", 1, (1, 2, 40, 80))],
+    )
+    sets = [helper.make_opsetid("", 13), helper.make_opsetid("elsewhere", 1)]
+    onnx.save(helper.make_model(graph, opset_imports=sets), str(tmp_path / "odd.onnx"))
+    keys = {"model": "odd.onnx", "size": [80, 40], "layout": "lanes", "classes": 2}
+    said = refused(write_network(tmp_path / "net.yaml", **keys))
+    assert f"OpenCV {cv2.__version__} cannot" in said
+
+
+def conv(tmp_path: Path, shape: tuple[Any, ...], **keys: Any) -> Path:
+    """A network of one convolution with two outputs, `area` and `marks`."""
+    colours = shape[1] if isinstance(shape[1], int) else 3
+    weight = np.ones((2, colours, 1, 1), dtype=np.float32)
+    nodes = [
+        helper.make_node("Conv", ["picture", "w"], ["area"], kernel_shape=[1, 1]),
+        helper.make_node("Relu", ["area"], ["marks"]),
+    ]
+    out = (1, 2, *shape[2:])
+    write_onnx(
+        tmp_path / "x.onnx",
+        nodes,
+        [("w", weight)],
+        {"area": out, "marks": out},
+        {"picture": shape},
+    )
+    keys = {"size": [80, 40], "layout": "lanes", "classes": 2, "output": "area", **keys}
+    return write_network(tmp_path / "net.yaml", model="x.onnx", **keys)
+
+
+def test_other_inputs_than_a_picture_of_that_size_are_refused(tmp_path: Path) -> None:
+    assert started(conv(tmp_path, (1, 3, 40, 80)))(noise(160, 120)).shape == (2, 40, 80)
+    assert started(conv(tmp_path, ("n", 3, "h", "w")))(noise(160, 120)).shape == (2, 40, 80)
+    said = refused(conv(tmp_path, (1, 3, 40, 80), size=[80, 48]))
+    assert "x.onnx takes 1 x 3 x 40 x 80 (picture), but size [80, 48] makes 1 x 3 x 48 x 80" in said
+    assert "takes 1 x 1 x 40 x 80" in refused(conv(tmp_path, (1, 1, 40, 80)))
+    assert "takes ? x 4 x ? x ?" in refused(conv(tmp_path, ("n", 4, "h", "w")))
+    write_onnx(
+        tmp_path / "x.onnx",
+        [helper.make_node("Add", ["picture", "before"], ["area"])],
+        [],
+        {"area": (1, 3, 40, 80)},
+        {"picture": (1, 3, 40, 80), "before": (1, 3, 40, 80)},
+    )
+    said = refused(tmp_path / "net.yaml")
+    assert "x.onnx takes 2 inputs (picture, before), not one picture" in said
+
+
+def test_an_output_is_named_where_there_are_several(tmp_path: Path) -> None:
+    shape = (1, 3, 40, 80)
+    said = refused(conv(tmp_path, shape, output=None))
+    assert said.endswith("output: is missing; x.onnx gives area, marks")
+    said = refused(conv(tmp_path, shape, output="mark"))
+    assert said.endswith("output: unknown name 'mark' (did you mean 'marks'?)")
+
+
+@pytest.mark.parametrize(
+    ("shape", "keys", "said"),
+    [
+        ((1, 3, 4, 8), {"layout": "lanes", "classes": 2}, "has 3 classes (1 x 3 x 4 x 8), but the"),
+        ((1, 2, 4), {"layout": "lanes", "classes": 2}, "is 1 x 2 x 4; layout lanes needs 4 axes"),
+        ((2, 2, 4, 8), {"layout": "lanes", "classes": 2}, "needs 4 axes, the first of length 1"),
+        (
+            (1, 11, 5, 2),
+            {"layout": "row_anchors", "classes": 11, "rows": [1, 2, 3]},
+            "has 5 rows (1 x 11 x 5 x 2), but the YAML lists 3",
+        ),
+        (
+            (1, 11, 3, 2),
+            {"layout": "row_anchors", "classes": 12, "rows": [1, 2, 3]},
+            "has 11 classes (1 x 11 x 3 x 2), but the YAML says classes: 12",
+        ),
+        (
+            (1, 4, 6),
+            {"layout": "polylines", "start": 2, "length": 4, "first_x": 5},
+            "has 6 numbers per line (1 x 4 x 6)",
+        ),
+    ],
+)
+def test_an_output_of_another_shape_than_the_yaml_says_is_refused(
+    tmp_path: Path, shape: tuple[int, ...], keys: dict[str, Any], said: str
+) -> None:
+    assert said in refused(write_answer(tmp_path, np.zeros(shape), **keys))
+
+
+@pytest.mark.parametrize("bad", [np.nan, np.inf])
+def test_an_output_that_is_not_finite_is_refused(tmp_path: Path, bad: float) -> None:
+    output = np.zeros((1, 2, 4, 8))
+    output[0, 1, 2, 3:6] = bad
+    said = refused(write_answer(tmp_path, output, layout="lanes", classes=2))
+    assert said.endswith("output answer: 3 of 64 numbers are not finite (NaN)")
+
+
+# --- the ONNX file ----------------------------------------------------------------------------
+
+
+def declared(path: Path) -> Declared:
+    return read_onnx(path, "here")
+
+
+def test_the_inputs_and_outputs_are_those_that_onnxruntime_tells(
+    tiny_network: Path, tmp_path: Path
+) -> None:
+    conv(tmp_path, ("n", 3, "h", 80))
+    for file in (tiny_network / "tiny.onnx", tmp_path / "x.onnx"):
+        session = onnxruntime.InferenceSession(str(file))
+        found = declared(file)
+        for ours, theirs in (
+            (found.inputs, session.get_inputs()),
+            (found.outputs, session.get_outputs()),
+        ):
+            told = {
+                t.name: tuple(s if isinstance(s, int) else None for s in t.shape) for t in theirs
+            }
+            assert ours == told
+    assert declared(tiny_network / "tiny.onnx").inputs == {"picture": (1, 3, SIZE[1], SIZE[0])}
+
+
+def test_weights_that_an_older_file_lists_among_its_inputs_are_none(tmp_path: Path) -> None:
+    conv(tmp_path, (1, 3, 40, 80))
+    model = onnx.load(str(tmp_path / "x.onnx"))
+    model.ir_version = 3
+    model.graph.input.append(helper.make_tensor_value_info("w", 1, (2, 3, 1, 1)))
+    onnx.save(model, str(tmp_path / "x.onnx"))
+    assert list(declared(tmp_path / "x.onnx").inputs) == ["picture"]
+    assert started(tmp_path / "net.yaml")(noise(160, 120)).shape == (2, 40, 80)
+
+
+def test_weights_in_a_file_of_their_own_are_read_or_missed(tmp_path: Path) -> None:
+    path, file = conv(tmp_path, (1, 3, 40, 80)), tmp_path / "x.onnx"
+    assert network_files({"on_road": str(path)}) == [path, file]
+    whole = started(path)(noise(160, 120))
+    weights = tmp_path / "x.onnx.data"
+    apart = {"save_as_external_data": True, "location": weights.name, "size_threshold": 0}
+    onnx.save(onnx.load(str(file)), str(file), **apart)
+    assert np.array_equal(started(path)(noise(160, 120)), whole)
+    assert network_files({"on_road": str(path)}) == [path, file, weights]
+    weights.write_bytes(weights.read_bytes()[:10])
+    assert f"net.yaml: model: the weights of {file} cannot be read: " in refused(path)
+    weights.unlink()
+    said = refused(path)
+    assert f"net.yaml: model: the weights of {file} cannot be read: " in said
+    assert str(weights) in said
+
+
+def test_without_the_package_onnx_it_is_said_how_to_install_it(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    path = conv(tmp_path, (1, 3, 40, 80))
+    monkeypatch.setitem(sys.modules, "onnx", None)
+    assert refused(path).endswith(
+        f"to read {tmp_path / 'x.onnx'} the package onnx is needed: pip install"
+        " 'egolane-pgm[network]'"
+    )

@@ -1,0 +1,130 @@
+"""The bird's-eye view."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from egolane_pgm.types import InputError
+from egolane_pgm.vision.camera.model import Camera, road_to_image, with_vanishing_point
+from egolane_pgm.vision.detectors.simple.birdseye import look, make_view
+
+CAMERA = Camera(960, 540, 780.0, 780.0, 479.5, 269.5, height_m=1.4, pitch_deg=-4.0)
+LENS = (-0.2485, -0.0195, -0.0006, 0.0002, 0.0086)
+
+
+def pattern(x, y):
+    """Something smooth on the road."""
+    return 120 + 60 * np.sin(x / 2) * np.cos(y)
+
+
+@pytest.mark.parametrize("distortion", [(0.0,) * 5, LENS])
+def test_the_road_is_seen_from_above_where_it_is(distortion):
+    from egolane_pgm.vision.camera.model import image_to_road
+
+    camera = replace(CAMERA, distortion=distortion, yaw_deg=1.0, lateral_m=0.3)
+    u, v = np.meshgrid(np.arange(camera.width), np.arange(camera.height))
+    x, y = image_to_road(camera, u, v)
+    image = np.nan_to_num(pattern(x, y)).astype(np.uint8)
+    view = make_view(camera, 6, 15, -3, 3)
+    above = look(view, image).astype(float)
+    true = pattern(view.x_m[:, None], view.y_m)
+    assert np.abs(above - true)[view.valid].mean() < 1.5
+    assert (above[~view.valid] == 0).all()
+
+
+def test_rows_run_from_far_to_near_and_pixels_have_their_size():
+    view = make_view(CAMERA, 5, 25, -8, 8, along_m=0.25, across_m=0.05)
+    assert view.valid.shape == (len(view.x_m), len(view.y_m)) == (80, 320)
+    assert np.diff(view.x_m) == pytest.approx(-0.25)
+    assert np.diff(view.y_m) == pytest.approx(0.05)
+    assert (view.x_m[0], view.y_m[-1]) == pytest.approx((24.875, 7.975))
+
+
+def test_a_lens_that_folds_over_does_not_show_the_picture_twice():
+    camera = replace(CAMERA, fx=500.0, fy=500.0, distortion=(-0.35, 0.0, 0.0, 0.0, 0.0))
+    view = make_view(camera, 2, 20, -30, 30, across_m=0.2)
+    u, v = road_to_image(camera, view.x_m[:, None], view.y_m)
+    inside = (u >= 0) & (u <= camera.width - 1) & (v >= 0) & (v <= camera.height - 1)
+    # The lens equation turns back where 1 - 3 * 0.35 r^2 = 0.
+    fu, fv = road_to_image(camera, view.x_m[:, None], view.y_m, undistorted=True)
+    radius = np.hypot((fu - camera.cx) / 500, (fv - camera.cy) / 500)
+    folded = inside & (radius > 1.01 * np.sqrt(1 / (3 * 0.35)))
+    assert folded.any()
+    assert not view.valid[folded].any()
+    assert view.valid[inside & (radius < 0.9)].all()
+
+
+def test_what_the_camera_is_to_ignore_is_not_seen():
+    view = make_view(CAMERA, 5, 25, -5, 5)
+    less = make_view(replace(CAMERA, ignore=((0, 430, 960, 540), (0, 0, 300, 540))), 5, 25, -5, 5)
+    u, v = road_to_image(CAMERA, view.x_m[:, None], view.y_m)
+    np.testing.assert_array_equal(less.valid, view.valid & (v < 430) & (u >= 300))
+    assert (look(less, np.full((540, 960), 200, np.uint8))[~less.valid] == 0).all()
+
+
+def test_a_camera_that_looks_at_the_sky_is_refused():
+    with pytest.raises(InputError, match=r"pitch_deg.*sky.*horizon is below.*calibrate"):
+        make_view(replace(CAMERA, pitch_deg=25.0), 5, 35, -9, 9)
+
+
+def test_a_horizon_low_in_the_picture_leaves_too_little_road():
+    low = with_vanishing_point(CAMERA, 480, 515)
+    with pytest.raises(InputError, match=r"only \d+ % of the road from 5 to 35 m"):
+        make_view(low, 5, 35, -9, 9)
+
+
+def test_a_camera_that_looks_at_its_own_bonnet_is_refused():
+    with pytest.raises(InputError, match=r"only 0 % of the road from 20 to 35 m.*pitch_deg"):
+        make_view(replace(CAMERA, pitch_deg=-45.0), 20, 35, -9, 9)
+
+
+@pytest.mark.parametrize(("percent", "is_refused"), [(7, True), (13, False)])
+def test_a_tenth_of_the_road_must_be_in_the_picture(percent, is_refused):
+    # A window of the picture in which the road from 10 to 20 m is so wide.
+    u = road_to_image(CAMERA, 15.0, np.array([0.0, 0.1 * percent]))[0]
+    assert CAMERA.width > u[1] > u[0] > 0
+    window = replace(CAMERA, ignore=((0, 0, round(u[0]), 540), (round(u[1]), 0, 960, 540)))
+    if is_refused:
+        with pytest.raises(InputError, match=r"camera: only [5-9] % of the road from 10 to 20 m"):
+            make_view(window, 10, 20, -5, 5)
+    else:
+        assert 0.1 < make_view(window, 10, 20, -5, 5).valid.mean() < 0.16
+
+
+def test_valid_is_what_lies_between_the_outermost_pixels():
+    view = make_view(CAMERA, 4, 20, -9, 9)
+    u, v = road_to_image(CAMERA, view.x_m[:, None], view.y_m)
+    inside = (u >= 0) & (u <= 959) & (v >= 0) & (v <= 539)
+    assert 0.3 < inside.mean() < 0.9
+    np.testing.assert_array_equal(view.valid, inside)
+
+
+@pytest.mark.parametrize("region", [(0, 20, -5, 5), (20, 10, -5, 5), (5, 20, 5, -5)])
+def test_a_region_that_is_none_is_refused(region):
+    with pytest.raises(InputError, match="no region in front of the camera"):
+        make_view(CAMERA, *region)
+
+
+def test_pixels_in_the_wrong_unit_are_refused():
+    with pytest.raises(InputError, match=r"bird's-eye view: 200000 x 250 pixels.*larger pixels"):
+        make_view(CAMERA, 5, 30, -5, 5, along_m=0.1, across_m=5e-5)
+    with pytest.raises(InputError, match=r"bird's-eye view: 200 x 25000 pixels.*larger pixels"):
+        make_view(CAMERA, 5, 30, -5, 5, along_m=1e-3, across_m=0.05)
+
+
+@pytest.mark.parametrize("size", [{"along_m": 0.0}, {"across_m": 0.0}, {"along_m": -0.1}])
+def test_pixels_without_a_size_are_refused(size):
+    with pytest.raises(InputError, match="no region in front of the camera"):
+        make_view(CAMERA, 5, 30, -5, 5, **size)
+
+
+def test_a_region_smaller_than_a_pixel_is_one_pixel():
+    assert make_view(CAMERA, 10, 10.01, 0, 0.01, 0.1, 0.05).valid.shape == (1, 1)
+
+
+@pytest.mark.parametrize(("width", "height"), [(1280, 720), (960, 720), (1280, 540)])
+def test_pictures_of_another_size_are_refused(width, height):
+    view = make_view(CAMERA, 5, 25, -5, 5)
+    with pytest.raises(InputError, match=rf"{width}x{height} pixels.*960x540"):
+        look(view, np.zeros((height, width, 3), np.uint8))

@@ -1,0 +1,199 @@
+"""A camera that is no longer pitched as it was calibrated, on synthetic roads and real pictures."""
+
+from __future__ import annotations
+
+import re
+import warnings
+from collections.abc import Sequence
+from dataclasses import replace
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from egolane_pgm.types import FloatArray
+from egolane_pgm.vision.camera.model import Camera
+from egolane_pgm.vision.camera.picture import Picture
+from egolane_pgm.vision.detectors import FrameLines, runner
+from egolane_pgm.vision.detectors.simple import drift
+from egolane_pgm.vision.detectors.simple.fit import view_for
+from tests.conftest import needs_compiler
+from tests.kits.synthetic_road import CAMERA, Paint, road
+
+LINES = (Paint(-5.46), Paint(-1.8, 4.0, 12.0), Paint(1.86), Paint(5.52, 4.0, 12.0))
+PARAMETERS = runner.find_detector("ml", {}, Path(), "detector").parameters
+STRAIGHT = {**PARAMETERS, "curve": "line"}
+BLACK = np.zeros((CAMERA.height, CAMERA.width, 3), np.uint8)
+
+
+def turned(degrees: float, **more: Any) -> Camera:
+    return replace(CAMERA, pitch_deg=CAMERA.pitch_deg + degrees, **more)
+
+
+@cache
+def pictures(n: int, pitching: float = 0.0) -> tuple[Picture, ...]:
+    """Pictures of CAMERA, which pitches by so much to either side from picture to picture."""
+    return tuple(
+        Picture(k, road(LINES, 3.1 * k, camera=turned(pitching * (-1) ** k), seed=k))
+        for k in range(n)
+    )
+
+
+def watched(camera: Camera, shown: Sequence[Picture], **parameters: Any) -> list[drift.Drift]:
+    values = {**STRAIGHT, **parameters}
+    look = drift.watch(view_for(camera, values), values)
+    return [look(picture) for picture in shown]
+
+
+def detected(
+    camera: Camera, shown: Sequence[Picture], name: str = "ml", **parameters: Any
+) -> tuple[list[FrameLines], list[str]]:
+    """The lines of each picture, and what was warned of."""
+    detector = runner.find_detector(name, parameters, Path(), "detector")
+    with warnings.catch_warnings(record=True) as said:
+        warnings.simplefilter("always")
+        lines = [found for _, found in runner.detect(detector, camera, shown)]
+    return lines, [str(one.message) for one in said]
+
+
+@needs_compiler
+@pytest.mark.parametrize("away", [-1.5, -1.0, 0.0, 1.0, 1.5])
+def test_the_pitch_is_found_within_a_few_pictures(away: float) -> None:
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        believed = watched(turned(away), pictures(14)[:12])[-1]
+    assert believed.pitch_deg == pytest.approx(-away, abs=0.2)
+    assert abs(believed.pitch_deg + away) < 2 * believed.pitch_sd_deg < 1.0
+
+
+@needs_compiler
+def test_a_drift_is_warned_of_once_and_names_camera_estimate_and_calibration() -> None:
+    _, said = detected(turned(1.0, name="front.yaml"), pictures(14))
+    (line,) = said
+    said_deg, sd = re.search(r"by (-[\d.]+) degrees \(standard deviation ([\d.]+)\)", line).groups()
+    assert float(said_deg) == pytest.approx(CAMERA.pitch_deg, abs=float(sd))
+    assert "front.yaml: the lines of the road say that it is pitched by" in line
+    assert "calibrated with pitch_deg -3.00" in line
+    assert line.endswith("calibrate it again, or set the detector's camera_drift to correct")
+
+
+@needs_compiler
+@pytest.mark.parametrize("name", ["ml", "mc"])
+def test_a_car_that_pitches_by_a_third_of_a_degree_is_not_warned_of(name: str) -> None:
+    _, said = detected(CAMERA, pictures(20, pitching=0.3), name)
+    assert not said
+
+
+@needs_compiler
+@pytest.mark.parametrize("away", [-1.0, 1.0])
+def test_on_request_the_pitch_is_corrected_and_lines_ahead_are_in_their_places(away: float) -> None:
+    def places(choice: str) -> FloatArray:
+        lines, said = detected(turned(away), pictures(14), camera_drift=choice, beyond_edge="keep")
+        assert [line.endswith("corrected from here on") for line in said] == (
+            [True] if choice == "correct" else []
+        )
+        shape = lines[-1].shape[lines[-1].is_valid]
+        found: FloatArray = shape[:, 0] + 20 * shape[:, 1]
+        return found
+
+    assert places("correct") == pytest.approx([line.offset_m for line in LINES], abs=0.2)
+    # Twenty metres ahead a wrong pitch of a degree makes lanes a quarter wider or narrower.
+    wrong = places("ignore")
+    assert np.abs(wrong - 1.86).min() > 0.3
+
+
+@needs_compiler
+def test_the_lines_beside_the_car_stay_valid_while_the_pitch_is_corrected() -> None:
+    # The camera is hit after ten pictures.
+    shown = list(pictures(14)[:10])
+    for k in range(10, 40):
+        image = road(LINES, 3.1 * k, camera=turned(-1.0), seed=k)
+        shown.append(Picture(k, image))
+    lines, said = detected(CAMERA, shown, camera_drift="correct", drift_every=2)
+    (line,) = said
+    assert f"calibrated with pitch_deg {CAMERA.pitch_deg:.2f}" in line
+    for found in lines[12:]:
+        assert found.offset_m[found.is_valid][-2:] == pytest.approx([-1.8, 1.86], abs=0.5)
+    last = lines[-1].shape
+    assert last[:, 0] + 20 * last[:, 1] == pytest.approx([-5.46, -1.8, 1.86], abs=0.2)
+
+
+def test_nothing_is_learned_from_pictures_without_lines() -> None:
+    believed = watched(CAMERA, [Picture(k, BLACK) for k in range(3)])[-1]
+    assert believed.looks == 0
+    assert believed.pitch_deg == pytest.approx(0.0, abs=1e-9)
+    assert believed.pitch_sd_deg == pytest.approx(1.0, abs=0.05)
+    assert np.isnan(drift.height(CAMERA, believed, STRAIGHT)).all()
+
+
+@pytest.mark.parametrize("choice", ["warn", "correct"])
+def test_a_drive_is_looked_at_often_in_the_beginning_and_seldom_later(choice: str) -> None:
+    one, dim = pictures(14)[0], {"side_m": 4.0, "along_m": 0.4}
+    shown = [replace(one, frame_id=k) for k in range(250)]
+    looks = [d.looks for d in watched(CAMERA, shown, camera_drift=choice, drift_every=20, **dim)]
+    gaps = np.diff(np.flatnonzero(np.diff(looks)))
+    assert (gaps[:8] == 1).all()
+    assert gaps[-1] == gaps.max() == 20
+    assert (np.diff(gaps) >= 0).all()
+    # To warn there is more time than to correct.
+    assert (len(gaps) < 32) == (choice == "warn")
+
+
+@given(
+    st.lists(st.tuples(st.floats(0, 5), st.floats(0, 5), st.floats(0, 5)), min_size=1, max_size=5),
+    st.floats(-1, 1),
+    st.floats(-3, 3) | st.just(float("nan")),
+)
+def test_a_drift_upwards_is_told_as_one_downwards_is(
+    looks: list[tuple[float, float, float]], middle: float, parallel: float
+) -> None:
+    up, down = drift.no_drift(), drift.no_drift()
+    away = middle + np.array([-0.75, 0.0, 0.75])
+    for amount in looks:
+        up = drift.looked(up, away, np.array(amount), parallel)
+        down = drift.looked(down, -away[::-1], np.array(amount[::-1]), -parallel)
+    np.testing.assert_allclose(down.weight, up.weight[::-1], atol=1e-9)
+    assert up.weight.sum() == pytest.approx(1.0)
+    assert up.pitch_deg == pytest.approx(-down.pitch_deg, abs=1e-6)
+
+
+@settings(deadline=None)
+@given(st.floats(-2, 2), st.integers(0, 100))
+def test_looks_at_a_known_curve_end_at_its_top(top: float, seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    believed = drift.no_drift()
+    for _ in range(60):
+        away = believed.pitch_deg + np.array([-0.75, 0.0, 0.75])
+        amount = 3 / (1 + (away - top) ** 2) + rng.normal(0, 0.1, 3)
+        believed = drift.looked(believed, away, amount, float("nan"))
+    assert believed.pitch_deg == pytest.approx(top, abs=0.25)
+
+
+@needs_compiler
+@pytest.mark.parametrize(("times", "warned"), [(0.95, False), (1.45, True), (0.68, True)])
+def test_a_height_that_is_grossly_wrong_is_warned_of(times: float, warned: bool) -> None:
+    camera = replace(CAMERA, height_m=CAMERA.height_m * times, name="front.yaml")
+    shown = pictures(14)
+    said = detected(camera, shown)[1]
+    assert len(said) == warned
+    if warned:
+        assert "front.yaml: lanes look" in said[0]
+        assert f"calibrated with height_m {camera.height_m:.2f}" in said[0]
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        found, sd = drift.height(camera, watched(camera, shown)[-1], STRAIGHT)
+    assert found == pytest.approx(CAMERA.height_m, abs=2 * sd)
+    # No surer than the width of the lanes is known.
+    assert sd >= found * 0.2 / 3.66
+
+
+def test_a_camera_that_would_not_see_the_road_is_no_candidate() -> None:
+    # Pitched up further, the view would hold hardly any road.
+    low = replace(CAMERA, pitch_deg=16.0, height=400, cy=30.0)
+    view = view_for(low, STRAIGHT)
+    shown = [Picture(0, np.zeros((400, low.width, 3), np.uint8))]
+    assert drift.watch(view, STRAIGHT)(shown[0]).looks == 0

@@ -1,0 +1,152 @@
+"""Marking pixels in views from above, on grey levels made by hand."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from egolane_pgm.parameters import resolve_parameters
+from egolane_pgm.vision.detectors.simple.birdseye import make_view
+from egolane_pgm.vision.detectors.simple.markings import _odd, marking_mask
+from egolane_pgm.vision.detectors.simple.parameters import FINDING
+from tests.kits.synthetic_road import CAMERA
+
+_PART = make_view(CAMERA, 5.0, 30.0, -5.0, 5.0, 0.1, 0.05)
+
+#: 250 rows of 0.1 m, 200 columns of 0.05 m, all of them in the picture.
+VIEW = replace(_PART, valid=np.ones_like(_PART.valid))
+
+
+def grey(value: int = 100) -> NDArray[np.uint8]:
+    return np.full(VIEW.valid.shape, value, dtype=np.uint8)
+
+
+def mask_of(above: NDArray[np.uint8], view: object = VIEW, **given: object) -> NDArray[np.bool_]:
+    parameters = resolve_parameters(FINDING, given, 1)
+    return marking_mask(view, above, parameters) > 0  # type: ignore[arg-type]
+
+
+def columns(mask: NDArray[np.bool_]) -> list[int]:
+    """The columns that are marking in every row; no other may be in any row."""
+    assert (mask.all(axis=0) == mask.any(axis=0)).all()
+    return np.flatnonzero(mask.all(axis=0)).tolist()
+
+
+def test_patches_have_the_nearest_odd_number_of_pixels() -> None:
+    assert [_odd(pixels) for pixels in (0.3, 1, 2.9, 3, 4.1, 7, 7.9)] == [1, 1, 3, 3, 5, 7, 7]
+
+
+@pytest.mark.parametrize("width", [1, 3, 4])
+def test_a_narrow_strip_is_marking_and_nothing_beside_it(width: int) -> None:
+    above = grey()
+    above[:, 90 : 90 + width] = 130
+    assert columns(mask_of(above)) == list(range(90, 90 + width))
+
+
+def test_a_strip_wider_than_a_marking_is_none() -> None:
+    above = grey()
+    above[:, 90:97] = 130  # 0.35 m
+    assert not mask_of(above).any()
+    assert columns(mask_of(above, marking_width_m=0.45)) == list(range(90, 97))
+    assert not mask_of(above, marking_width_m=0.35).any()
+    dark = grey()
+    dark[:, 90:93] = 60
+    assert not mask_of(dark).any()
+
+
+def test_a_clear_strip_weighs_in_full_and_a_faint_one_less() -> None:
+    above = grey()
+    above[:, 60:63], above[:, 140:143] = 130, 104
+    mask = marking_mask(VIEW, above, resolve_parameters(FINDING, {"least_rise": 0.0}, 1))
+    clear, faint = np.unique(mask[:, 60:63]), np.unique(mask[:, 140:143])
+    # 4 of 100 + 40 grey levels, over three times the threshold of a picture of little contrast.
+    assert clear.tolist() == [255]
+    assert faint.tolist() == pytest.approx([255 * 4 / 140 / 0.0125 / 3], rel=0.05)
+
+
+def test_a_marking_adds_its_share_of_the_brightness_around() -> None:
+    # 2 of 100 + 40 are less than 2 %, 4 are more.
+    for rise, is_marking in ((2, False), (4, True)):
+        above = grey()
+        above[:, 90:93] += rise
+        given = {"brightness_floor": 40.0, "least_contrast": 0.02, "blurred_contrast": 0.02}
+        assert mask_of(above, **given).any() == is_marking
+    shade = grey(20)
+    shade[:, 90:93] += 2
+    assert columns(mask_of(shade)) == [90, 91, 92]
+    assert not mask_of(shade, brightness_floor=90.0, blurred_contrast=0.02).any()
+
+
+def test_less_contrast_is_needed_where_the_whole_picture_has_little() -> None:
+    plain, textured = grey(), grey()
+    plain[:, 90:93] += 2
+    textured[:, 90:93] += 2
+    textured[:, 140::6] += 30
+    assert columns(mask_of(plain, blurred_contrast=0.0125)) == [90, 91, 92]
+    assert not mask_of(plain, blurred_contrast=0.02).any()
+    assert not mask_of(textured, blurred_contrast=0.0125)[:, 60:120].any()
+
+
+def test_what_is_as_rough_as_all_around_is_no_marking() -> None:
+    above = grey()
+    above[:, 90:93] = 110
+    assert columns(mask_of(above)) == [90, 91, 92]
+    # Rough from 1.2 m beside the strip on: within the patch of 4 m, beyond one of 2 m.
+    above[:, 117:200:2] = 140
+    assert not mask_of(above, around_m=4.0)[:, 90:93].any()
+    assert mask_of(above, around_m=2.0)[:, 90:93].all()
+    assert mask_of(above, around_m=4.0, least_rise=0.5)[:, 90:93].all()
+
+
+def test_one_bright_line_does_not_hide_a_faint_one_beside_it() -> None:
+    above = grey(40)
+    above[:, 90:93] = 255
+    above[:, 110:113] = 52
+    assert columns(mask_of(above)) == [90, 91, 92, 110, 111, 112]
+
+
+def test_contrast_is_averaged_along_the_road_and_not_across_it() -> None:
+    above = grey()
+    above[120, 90:93] = 140
+    true = np.zeros_like(VIEW.valid)
+    true[117:124, 90:93] = True
+    assert np.array_equal(mask_of(above, smooth_along_m=0.7), true)
+
+
+def test_a_marking_at_the_rim_of_the_picture_is_as_clear_as_elsewhere() -> None:
+    """What lies beyond the rim counts neither as dark nor as smooth."""
+    above = grey()
+    above[:, 12:15] = above[:, 90:93] = 105
+    above[:, 30:32] = above[:, 120:122] = 102  # too little, of 100 + 40
+    found = mask_of(above, blurred_contrast=0.02)
+    assert columns(found) == [12, 13, 14, 90, 91, 92]
+    rough = grey()
+    rough[:, ::3] = 108
+    assert not mask_of(rough).any()
+
+
+def test_road_between_parts_that_are_not_seen_is_no_marking() -> None:
+    valid = VIEW.valid.copy()
+    valid[:, 90:92] = valid[:, 95:97] = False
+    above = grey()
+    above[~valid] = 0
+    assert not mask_of(above, replace(VIEW, valid=valid)).any()
+    # Nor is a strip right beside the rim.
+    half = VIEW.valid.copy()
+    half[:, :90] = False
+    above = np.where(half, grey(), 0).astype(np.uint8)
+    above[:, 92:94] = 140
+    assert not mask_of(above, replace(VIEW, valid=half)).any()
+    above[:, 110:112] = 140
+    assert columns(mask_of(above, replace(VIEW, valid=half))) == [110, 111]
+
+
+def test_black_pixels_of_a_dark_road_do_not_hide_its_marking() -> None:
+    above = grey(3)
+    rng = np.random.default_rng(0)
+    above[rng.random(above.shape) < 0.03] = 0
+    above[:, 90:93] = 60
+    assert mask_of(above)[:, 90:93].all()

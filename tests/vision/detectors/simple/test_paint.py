@@ -1,0 +1,168 @@
+"""The painted share of a line, which tells a continuous line from a dashed one."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from egolane_pgm.parameters import resolve_parameters
+from egolane_pgm.types import FloatArray
+from egolane_pgm.vision.camera.picture import Image
+from egolane_pgm.vision.detectors.simple import kernels as _kernels
+from egolane_pgm.vision.detectors.simple import paint as _paint
+from egolane_pgm.vision.detectors.simple.birdseye import make_view
+from egolane_pgm.vision.detectors.simple.paint import PARAMETERS, painted_share
+from tests.kits.synthetic_road import CAMERA, Paint, road
+from tests.reference import line_finder
+
+VIEW = make_view(CAMERA, 4.5, 35.0, -9.0, 9.0, 0.1, 0.05)
+
+
+def share(image: Image, *lines: Paint, **given: object) -> FloatArray:
+    shape = np.array([[p.offset_m, p.heading, p.curvature, 0.0] for p in lines]).reshape(-1, 4)
+    return painted_share(VIEW, image, shape, resolve_parameters(PARAMETERS, given, 1))
+
+
+@pytest.mark.parametrize("offset", [-5.2, -1.7, 1.8, 4.0])
+def test_a_continuous_line_is_painted_all_along(offset: float) -> None:
+    line = Paint(offset)
+    assert share(road([line]), line)[0] > 0.95
+
+
+@pytest.mark.parametrize(("dash", "period"), [(3.0, 9.0), (4.5, 12.0), (5.0, 17.0)])
+def test_of_a_dashed_line_the_dashes_are_painted(dash: float, period: float) -> None:
+    """Averaged over a drive: the share is that of the dashes, seen a little too long."""
+    line = Paint(1.8, dash, period)
+    shares = [share(road([line], travelled), line)[0] for travelled in np.arange(0, period, 1.3)]
+    assert np.mean(shares) == pytest.approx(dash / period, abs=0.08)
+    assert max(shares) < 0.75
+
+
+def test_a_curved_line_is_followed_along_its_curve() -> None:
+    line = Paint(1.8, heading=0.02, curvature=1.5e-3)
+    assert share(road([line]), line)[0] > 0.95
+    assert share(road([line]), Paint(1.0))[0] < 0.3
+
+
+def test_a_yellow_line_is_as_bright_as_a_white_one() -> None:
+    """On concrete its grey is that of the road."""
+    line = Paint(-1.7, grey=255)
+    image = road([line], noise=0).astype(np.int64) + 60
+    is_paint = image[..., 0] > 255
+    image[is_paint] = (60, 175, 250)  # blue, green, red; grey 184 on 155
+    assert share(np.clip(image, 0, 255).astype(np.uint8), line)[0] > 0.95
+
+
+@pytest.mark.parametrize("noise", [3.0, 12.0, 25.0])
+def test_noise_is_no_paint(noise: float) -> None:
+    line, dashed = Paint(1.8), Paint(1.8, 4.0, 12.0)
+    # What noise looks like is all that is there, also where one line is expected.
+    assert share(road([], noise=noise), line)[0] < 0.25
+    assert share(road([dashed], 2.0, noise=noise), line)[0] < 0.6
+
+
+def test_a_bright_shoulder_beside_the_line_is_no_paint() -> None:
+    image = road([], noise=2).copy()
+    wide = road([Paint(1.8 + 1.5, width_m=3.0, grey=170)], noise=0)
+    image[wide > 150] = 170
+    assert share(image, Paint(1.8))[0] < 0.3
+
+
+def test_too_little_in_view_says_nothing() -> None:
+    line = Paint(1.8)
+    assert np.isnan(share(road([line]), Paint(30.0)))[0]
+    assert np.isnan(share(road([line]), line, least_length_m=15.0))[0]
+    assert share(road([line])).shape == (0,)
+
+
+def test_masked_parts_of_the_picture_are_not_looked_at() -> None:
+    """The bonnet is no gap in the line."""
+    line = Paint(1.8)
+    bonnet = replace(CAMERA, ignore=((0, 200, 480, 270),))
+    view = make_view(bonnet, 4.5, 35.0, -9.0, 9.0, 0.1, 0.05)
+    image = road([line]).copy()
+    image[200:] = 20
+    shape = np.array([[1.8, 0.0, 0.0, 0.0]])
+    assert painted_share(view, image, shape, resolve_parameters(PARAMETERS, {}, 1))[0] > 0.9
+
+
+def test_a_line_is_looked_at_where_its_clothoid_lies_over_its_first_metres() -> None:
+    line = np.array([0.5, -0.05, 0.012, -0.0009])
+    edge, step = VIEW.y_m[0], VIEW.across_m
+    rows, columns = _kernels.rows_in_view(VIEW.x_m, edge, step, VIEW.valid, line, 10, 10.0)
+    x = VIEW.x_m[rows]
+    y = 0.5 - 0.05 * x + 0.012 * x**2 / 2 - 0.0009 * x**3 / 6
+    assert np.abs(VIEW.y_m[columns] - y).max() <= 0.05 / 2 + 1e-9
+    # The nearest metres that the picture shows, not the nearest of the view.
+    seen = VIEW.valid[np.arange(len(VIEW.x_m)), VIEW.valid.shape[1] // 2]
+    assert x.min() == pytest.approx(VIEW.x_m[seen].min(), abs=0.5)
+    assert np.ptp(x) == pytest.approx(10.0, abs=0.11)
+
+
+def test_paint_half_a_metre_beside_a_line_is_not_its_own_and_does_not_hide_it() -> None:
+    line, beside = Paint(1.8), Paint(2.3, grey=250)
+    assert share(road([beside], noise=1), line)[0] < 0.1
+    assert share(road([replace(line, grey=140), beside], noise=1), line)[0] > 0.95
+
+
+def test_traces_between_bright_dashes_are_no_paint() -> None:
+    dashes, trace = Paint(1.8, 4.0, 12.0), Paint(1.8, grey=125)
+    image = np.maximum(road([dashes], noise=0), road([trace], noise=0))
+    assert share(image, trace, paint_share=0.5)[0] < 0.75
+    assert share(image, trace, paint_share=0.05)[0] > 0.95
+
+
+def test_a_grey_level_more_in_the_dark_is_no_paint() -> None:
+    line = Paint(1.8)
+    is_paint = road([line], noise=0) == 225
+    assert share(np.where(is_paint, 3, 2).astype(np.uint8), line)[0] == 0
+    assert share(np.where(is_paint, 12, 2).astype(np.uint8), line)[0] > 0.95
+
+
+def test_paint_in_deep_shade_is_paint() -> None:
+    line = Paint(1.8)
+    image = road([line], noise=0)
+    image[190:] = (image[190:] * 0.12).astype(np.uint8)
+    assert share(image, line)[0] > 0.95
+
+
+@given(
+    st.tuples(
+        st.floats(-9, 9), st.floats(-0.1, 0.1), st.floats(-5e-3, 5e-3), st.floats(-1e-4, 1e-4)
+    ),
+    st.integers(1, 30),
+    st.floats(1, 40),
+)
+def test_the_rows_that_show_a_line_are_the_same_as_in_numpy(line, aside, length_m):
+    # Parts of the picture are covered, also in the middle.
+    valid = VIEW.valid.copy()
+    valid[:40, 100:140] = valid[200:, 250:] = False
+    where = (VIEW.x_m, float(VIEW.y_m[0]), VIEW.across_m, valid, np.array(line), aside, length_m)
+    for ours, twin in zip(
+        _kernels.rows_in_view(*where), line_finder.rows_in_view(*where), strict=True
+    ):
+        np.testing.assert_array_equal(ours, twin)
+
+
+@given(st.integers(0, 2**31), st.integers(1, 12), st.integers(1, 5), st.data())
+def test_the_contrast_of_paint_is_the_same_as_in_numpy(seed, aside, half, data):
+    rng = np.random.default_rng(seed)
+    near = data.draw(st.integers(0, aside))
+    far = data.draw(st.integers(1, aside))
+    image = rng.integers(0, rng.integers(2, 257), (40, 60, 3), dtype=np.uint8)
+    map_uv = np.stack([rng.integers(0, 60, (20, 50)), rng.integers(0, 40, (20, 50))], axis=-1)
+    rows, columns = rng.integers(0, 20, 9), rng.integers(aside, 50 - aside, 9)
+    where = (image, map_uv.astype(np.int16), rows, columns, aside, half, near, far, 10.0)
+    ours = _kernels.paint_contrasts(*where)
+    twin = line_finder.paint_contrasts(*where)
+    np.testing.assert_allclose(ours, twin, rtol=1e-12)
+
+
+@given(st.lists(st.floats(0, 3), min_size=1, max_size=40), st.sampled_from([0.5, 0.9]))
+def test_a_quantile_is_that_of_numpy(values, share):
+    ours = _paint._quantile(np.array(values), share)
+    assert ours == pytest.approx(np.quantile(values, share), rel=1e-12, abs=1e-300)

@@ -1,0 +1,512 @@
+"""The road plane from two cameras, and the objects on it, on rendered pairs."""
+
+from __future__ import annotations
+
+import sys
+import warnings
+from dataclasses import replace
+from pathlib import Path
+from types import ModuleType
+from typing import Any
+
+import cv2
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from egolane_pgm.parameters import resolve_parameters
+from egolane_pgm.types import BoolArray, FloatArray, InputError
+from egolane_pgm.vision.camera.model import Camera, axes, image_to_road, road_to_image
+from egolane_pgm.vision.camera.picture import Picture
+from egolane_pgm.vision.detectors import ml, sc, sl
+from egolane_pgm.vision.detectors.runner import collect, detect, find_detector, start
+from egolane_pgm.vision.detectors.simple import fit as _fit
+from egolane_pgm.vision.detectors.simple import kernels as _kernels
+from egolane_pgm.vision.detectors.simple import plane as _plane
+from egolane_pgm.vision.detectors.simple import stereo as _stereo
+from egolane_pgm.vision.rendering import traffic as traffics
+from egolane_pgm.vision.rendering.render import Frame, Scene, make_scene, render_frame
+from tests.kits.stereo_pairs import (
+    CLEAR,
+    PAIR,
+    K,
+    empty,
+    picture,
+    plane_of,
+    scene,
+    settled,
+    with_vehicle,
+)
+from tests.reference import stereo as reference
+
+pitches = st.floats(-8, 4)
+rolls = st.floats(-4, 4)
+heights = st.floats(1.0, 2.5)
+
+
+@given(pitches, st.floats(-5, 5), rolls, heights, st.floats(5, 60), st.floats(-8, 8))
+def test_the_disparity_of_the_road_is_that_of_its_projection_in_both_cameras(
+    pitch: float, yaw: float, roll: float, height: float, x: float, y: float
+) -> None:
+    left = replace(PAIR, pitch_deg=pitch, yaw_deg=yaw, roll_deg=roll, height_m=height)
+    assert left.baseline_m is not None
+    ahead, aside, up = left.baseline_m * axes(left)[0]
+    right = replace(left, lateral_m=left.lateral_m + aside, height_m=left.height_m + up)
+    u, v = road_to_image(left, x, y)
+    other_u, other_v = road_to_image(right, x - ahead, y)
+    assert other_v == pytest.approx(v, abs=1e-6)
+    expected = _plane.disparity_at(_plane.ground_plane(left), u, v)
+    assert u - other_u == pytest.approx(expected, abs=1e-6)
+
+
+def test_a_level_camera_sees_a_disparity_that_grows_with_the_rows_below_the_horizon() -> None:
+    level = replace(PAIR, pitch_deg=0.0)
+    a, b, c = _plane.ground_plane(level)
+    # Z = h fy / (v - cy), d = B fx / Z.
+    assert a == pytest.approx(0)
+    assert b == pytest.approx(0.4 / 1.4 * level.fx / level.fy)
+    assert b * level.cy + c == pytest.approx(0)
+
+
+@given(pitches, rolls, heights)
+def test_the_pose_over_a_plane_is_that_of_the_camera_that_made_it(
+    pitch: float, roll: float, height: float
+) -> None:
+    camera = replace(PAIR, pitch_deg=pitch, roll_deg=roll, height_m=height)
+    found = _plane.pose(PAIR, _plane.ground_plane(camera))
+    assert found == pytest.approx([height, pitch, roll], abs=1e-6)
+
+
+@settings(max_examples=20)
+@given(st.floats(-2, 2), st.floats(-1, 1), st.floats(0.95, 1.05), st.integers(0, 99))
+def test_a_plane_is_found_among_many_points_that_are_not_on_it(
+    pitch: float, roll: float, heave: float, seed: int
+) -> None:
+    rng = np.random.default_rng(seed)
+    true = replace(
+        PAIR,
+        pitch_deg=PAIR.pitch_deg + pitch,
+        roll_deg=PAIR.roll_deg + roll,
+        height_m=PAIR.height_m * heave,
+    )
+    u, v = rng.uniform(0, 640, 2000), rng.uniform(170, 300, 2000)
+    disparity = _plane.disparity_at(_plane.ground_plane(true), u, v) + rng.normal(0, 0.2, 2000)
+    stands = u < 260
+    disparity[stands] = rng.uniform(25, 40, stands.sum())
+    plane = _plane.fit_plane(PAIR, u, v, disparity, 1.0, settled())
+    assert plane.is_sure
+    away = _plane.disparity_at(plane.abc - _plane.ground_plane(true), u, v)
+    assert np.abs(away).max() < 0.2
+
+
+@pytest.mark.parametrize("kind", ["noise", "few", "wall"])
+def test_an_unsure_fit_says_so_and_keeps_the_calibrated_plane(kind: str) -> None:
+    rng = np.random.default_rng(1)
+    n_points = 100 if kind == "few" else 2000
+    u, v = rng.uniform(0, 640, n_points), rng.uniform(170, 300, n_points)
+    flat = _plane.disparity_at(_plane.ground_plane(PAIR), u, v)
+    disparity = {
+        "few": flat,
+        "wall": np.full(n_points, 30.0),
+        "noise": rng.uniform(0, 60, n_points),
+    }
+    plane = _plane.fit_plane(PAIR, u, v, disparity[kind], 1.0, settled())
+    assert not plane.is_sure
+    assert np.array_equal(plane.abc, _plane.ground_plane(PAIR))
+
+
+@given(st.integers(0, 2**31), st.integers(1, 4), st.booleans())
+def test_disparities_and_what_is_off_the_plane_are_the_same_as_in_numpy(
+    seed: int, scale: int, is_sure: bool
+) -> None:
+    rng = np.random.default_rng(seed)
+    shape = 6, 50
+    u, v = np.meshgrid(np.arange(shape[1]) * scale + 0.5, np.arange(shape[0]) * 4 + 100.0)
+    plane = np.array([rng.normal(0, 0.01), 0.3, -25.0])
+    flat = _plane.disparity_at(plane, u, v)
+    found = rng.uniform(-2, 34, shape).astype(np.float32)
+    found[rng.random(shape) < 0.1] = np.nan
+    where = (found, flat, u, 5, 32, scale, 8)
+    disparity = _kernels.full_disparity(*where)
+    np.testing.assert_allclose(disparity, reference.full_disparity(*where), rtol=1e-12)
+    assert 0 < np.isfinite(disparity).sum() < disparity.size
+    least = 0.2, scale * (1.0 if is_sure else 6.0)
+    tilted = plane + np.array([0.0, 0.01, 0.5])
+    off = _kernels.off_the_plane(disparity, tilted, u, v, *least)
+    np.testing.assert_array_equal(off, reference.off_the_plane(disparity, tilted, u, v, *least))
+    tilts, points = rng.normal(0, 3, (20, 3)), rng.uniform(-0.5, 0.5, (2, 300))
+    near = tilts, points, rng.normal(0, 3, 300), 0.7
+    counts = _kernels.count_near(*near)
+    np.testing.assert_array_equal(counts, reference.count_near(*near))
+    assert counts.max() > 0
+
+
+def test_rows_nearer_than_the_view_are_not_matched() -> None:
+    camera = replace(PAIR, height=400)
+    pair = _stereo.make_pair(camera, settled())
+    after = pair.v[-1, 0] + 1.5 * pair.rows
+    assert after < camera.height - 40
+    for more_deg in (-2.5, 0, 2.5):
+        nodding = replace(camera, pitch_deg=camera.pitch_deg + more_deg)
+        assert image_to_road(nodding, camera.cx, after)[0] < settled()["x_min_m"]
+
+
+@pytest.mark.parametrize(
+    ("matcher", "scale", "rows"), [("sgbm", 2, 4), ("sgbm", 2, 1), ("sgbm", 4, 4), ("bm", 2, 2)]
+)
+def test_the_plane_of_an_empty_road_is_the_cameras(matcher: str, scale: int, rows: int) -> None:
+    block = 9 if matcher == "bm" else 5
+    camera = empty().truth.camera
+    pair, plane, disparity = plane_of(
+        empty(), camera, matcher=matcher, match_scale=scale, match_rows=rows, block_px=block
+    )
+    assert plane.is_sure
+    height, pitch, roll = _plane.pose(camera, plane.abc)
+    assert height == pytest.approx(camera.height_m, rel=0.02)
+    assert pitch == pytest.approx(camera.pitch_deg, abs=0.1)
+    assert roll == pytest.approx(0, abs=0.1)
+    # Row by row: B / Z of the road under each pixel.
+    x, _ = image_to_road(camera, pair.u, pair.v)
+    depth = x * axes(camera)[2, 0] - camera.height_m * axes(camera)[2, 2]
+    expected = camera.fx * 0.4 / depth
+    away = (disparity - expected)[pair.looked]
+    assert np.nanmedian(np.abs(away)) < 0.5
+    assert np.isfinite(away).mean() > 0.6
+
+
+def test_the_pitch_of_a_frame_is_found_and_its_lines_are_where_they_are() -> None:
+    still = scene()
+    nodding = replace(still, pitch_deg=np.full(len(still), 1.2))
+    frame = render_frame(nodding, K)
+    _, plane, _ = plane_of(frame, still.camera)
+    assert plane.is_sure
+    pitch = float(_plane.pose(still.camera, plane.abc)[1])
+    assert pitch == pytest.approx(frame.truth.camera.pitch_deg, abs=0.15)
+
+    def worst(**more: Any) -> float:
+        parameters = settled(**more)
+        view = _fit.view_for(still.camera, parameters)
+        seen, is_road = _stereo.on_road(still.camera, parameters)(view)(picture(frame))
+        found = _fit.find_lines(seen, frame.image, parameters, on_road=is_road).shape[:, 0]
+        near = frame.truth.offset_m[np.abs(frame.truth.offset_m) < 6]
+        return float(np.abs(found - near[:, None]).min(axis=1).max())
+
+    assert worst() < 0.1
+    assert worst() < worst(pitch_from="calibration")
+
+
+def _flank(frame: Frame, where: Scene, pair: _stereo.Pair, low_m: float) -> BoolArray:
+    """Pixels (H, W) of the left flank of the vehicle from low_m above the road up."""
+    camera = frame.truth.camera
+    box = traffics.boxes(
+        where.traffic, K / 10, float(where.road.position_m[K]), lambda x: np.zeros_like(x)
+    )[0]
+    u, v = road_to_image(
+        camera,
+        box.x[[0, 3, 3, 0]],
+        box.y[[0, 3, 3, 0]],
+        np.array([low_m, low_m, box.height_m, box.height_m]),
+    )
+    points = np.stack([u, v], -1).astype(np.float32)
+    mask = np.zeros((camera.height, camera.width), dtype=np.uint8)
+    cv2.fillConvexPoly(mask, cv2.convexHull(points).astype(np.int32), 1)
+    rows, columns = pair.v.astype(int), pair.u.astype(int)
+    shown: BoolArray = mask[rows, columns] > 0
+    return shown
+
+
+def test_an_upright_vehicle_is_off_the_plane_and_the_road_is_on_it() -> None:
+    where = make_scene("a4", 3, 60, stereo=True, **CLEAR, curvature=0)
+    where = replace(with_vehicle(6.0, 1, lorry=True), course=where.course, s_m=where.s_m)
+    frame = render_frame(where, K)
+    parameters = settled()
+    pair, plane, disparity = plane_of(frame, where.camera)
+    off = _stereo.off_plane(pair, disparity, plane, parameters)
+    lorry = _flank(frame, where, pair, 0.55) & pair.looked
+    assert lorry.sum() > 1000
+    assert off[lorry].mean() > 0.95
+    # Left of the car's own lane there is nothing but road up to the barrier.
+    x, y = image_to_road(where.camera, pair.u, pair.v)
+    with np.errstate(invalid="ignore"):
+        road = (y < 1) & (y > -8) & (x < 30) & pair.looked
+    assert road.sum() > 5000
+    assert off[road].mean() < 0.01
+
+
+def test_without_a_sure_plane_a_pitching_camera_keeps_its_road_and_loses_near_cars() -> None:
+    where = with_vehicle(3.0, -1, lorry=False)
+    nodding = replace(where, pitch_deg=np.full(len(where), 1.5))
+    parameters = settled(plane_share=1.0)
+    pair, plane, disparity = plane_of(render_frame(nodding, K), scene().camera, plane_share=1.0)
+    assert not plane.is_sure
+    off = _stereo.off_plane(pair, disparity, plane, parameters)
+    x, y = image_to_road(scene().camera, pair.u, pair.v)
+    with np.errstate(invalid="ignore"):
+        road = (y > -1) & (y < 3) & (x < 30) & pair.looked
+        car = (y > -7) & (y < -5) & (x < 10) & pair.looked
+    assert off[road].mean() < 0.01
+    assert off[car].mean() > 0.4
+
+
+def test_lines_on_flanks_are_dropped() -> None:
+    parameters = settled()
+    camera = scene().camera
+    view = _fit.view_for(camera, parameters)
+    look = _stereo.on_road(camera, parameters)(view)
+    one, two = 0, 0
+    for x, lane, lorry in [(3.0, -1, False), (6.0, 1, False), (12.0, 1, True)]:
+        frame = render_frame(with_vehicle(x, lane, lorry=lorry), K)
+        seen, is_road = look(picture(frame))
+        mono = _fit.find_lines(view, frame.image, parameters)
+        stereo = _fit.find_lines(seen, frame.image, parameters, on_road=is_road)
+
+        def false(found: _fit.Found, true: FloatArray = frame.truth.offset_m) -> int:
+            return int((np.abs(found.shape[:, :1] - true).min(axis=1) > 0.35).sum())
+
+        one, two = one + false(mono), two + false(stereo)
+    assert one >= 2
+    assert two == 0
+
+
+@pytest.mark.parametrize(("mono", "stereo"), [("ml", "sl"), ("mc", "sc")])
+def test_on_an_empty_road_two_cameras_say_what_one_says(mono: str, stereo: str) -> None:
+    camera = scene().camera
+    same = {"pitch_from": "calibration"}
+    # The barriers on both sides are no road, so one camera's view ends before them as well.
+    steps = [
+        start(find_detector(name, {**more, "side_m": 5.5}, Path.cwd(), "x"), camera)
+        for name, more in ((mono, {}), (stereo, same), (stereo, {}))
+    ]
+    for k in range(K, K + 4):
+        pair = picture(render_frame(scene(), k))
+        one, two, pitched = (step(pair) for step in steps)
+        assert len(one.lri) >= 2
+        assert two.shape == pytest.approx(one.shape, abs=1e-3)
+        assert np.array_equal(two.is_continuous, one.is_continuous)
+        assert pitched.offset_m == pytest.approx(one.offset_m, abs=0.05)
+
+
+def test_the_same_pairs_give_the_same_lines() -> None:
+    frame = picture(render_frame(with_vehicle(6.0, 1, lorry=True), K))
+    parameters = resolve_parameters(sc.PARAMETERS, {}, 1)
+    first, second = (sc.start(scene().camera, parameters)(frame) for _ in range(2))
+    assert np.array_equal(first.shape, second.shape)
+    assert len(first.lri)
+
+
+OWN = """
+import cv2
+
+def match(left, right, n_disparities):
+    matcher = cv2.StereoBM.create(n_disparities, 9)
+    return matcher.compute(left, right) / 16
+"""
+
+
+def test_an_own_matcher_is_a_file_beside_the_experiment(tmp_path: Path) -> None:
+    (tmp_path / "my_matcher.py").write_text(OWN)
+    given_ = {"matcher": "./my_matcher.py"}
+    detector = find_detector("sl", given_, tmp_path, "detector")
+    lines = start(detector, scene().camera)(picture(empty()))
+    assert len(lines.lri) >= 3
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("def mach(left, right, n): return left", "does not define match"),
+        ("def match(left, right, n): return left[::2]", r"match gave uint8 .* needs one number"),
+        ("def match(left, right, n): return 1 / 0", "line 1: ZeroDivisionError"),
+        ("def match(left, right, n): return None", "match gave object"),
+    ],
+)
+def test_an_own_matcher_that_does_not_work_is_named(
+    tmp_path: Path, text: str, message: str
+) -> None:
+    path = tmp_path / "my_matcher.py"
+    path.write_text(text)
+    detector = find_detector("sl", {"matcher": str(path)}, tmp_path, "detector")
+    with pytest.raises(InputError, match=message) as error:
+        start(detector, scene().camera)(picture(empty()))
+    assert "my_matcher.py" in str(error.value)
+    assert "\n" not in str(error.value)
+
+
+def test_elas_is_used_where_it_is_installed(monkeypatch: pytest.MonkeyPatch) -> None:
+    class Elas:
+        disp_max = 255
+
+        def process(self, left: Any, right: Any) -> tuple[FloatArray, FloatArray]:
+            assert left.shape == right.shape
+            given_to.update((id(left), id(right)))
+            found = cv2.StereoBM.create(self.disp_max + 1, 9).compute(left, right) / 16
+            return found, found
+
+    module = ModuleType("elas")
+    module.Elas = Elas  # type: ignore[attr-defined]
+    monkeypatch.setitem(sys.modules, "elas", module)
+    given_to: set[int] = set()
+    step = sl.start(scene().camera, resolve_parameters(sl.PARAMETERS, {"matcher": "elas"}, 1))
+    for k in (K, K + 1):
+        assert len(step(picture(render_frame(scene(), k))).lri) >= 3
+    # It never lets go of an array, so more than these two would fill the memory.
+    assert len(given_to) == 2
+
+
+def test_the_real_elas_finds_the_plane_and_the_vehicle() -> None:
+    pytest.importorskip("elas", reason="ELAS: needs pyelas, see detectors/simple/matchers.py")
+    where = with_vehicle(6.0, 1, lorry=False)
+    frame = render_frame(where, K)
+    pair, plane, disparity = plane_of(frame, where.camera, matcher="elas")
+    assert plane.is_sure
+    flat = _plane.disparity_at(_plane.ground_plane(frame.truth.camera), pair.u, pair.v)
+    x, y = image_to_road(frame.truth.camera, pair.u, pair.v)
+    with np.errstate(invalid="ignore"):
+        own_lane = (np.abs(y) < 1.5) & (x < 30) & pair.looked
+    away = np.abs(disparity - flat)[own_lane]
+    assert np.isfinite(away).mean() > 0.5
+    assert np.nanmedian(away) < 0.5
+    off = _stereo.off_plane(pair, disparity, plane, settled())
+    car = _flank(frame, where, pair, 0.55) & pair.looked
+    assert off[car].mean() > 0.3 > 10 * off[own_lane].mean()
+
+
+def test_elas_that_is_not_installed_says_what_to_install(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(sys.modules, "elas", None)
+    with pytest.raises(InputError, match=r"get_include.* pip install pyelas"):
+        sl.start(scene().camera, resolve_parameters(sl.PARAMETERS, {"matcher": "elas"}, 1))
+
+
+@pytest.mark.parametrize(
+    ("given_", "message"),
+    [
+        ({"matcher": "sgmb"}, r"matcher: unknown matcher 'sgmb' \(did you mean 'sgbm'\?\)"),
+        ({"matcher": 3}, "matcher: 3 is not the name of a matcher"),
+        ({"matcher": "./none.py"}, "matcher: no file .*none.py"),
+        ({"block_px": 4}, "block_px: 4 must be odd"),
+        ({"block_px": 3, "matcher": "bm"}, "block_px: 3 must be odd; bm needs an odd side of 5"),
+        ({"match_scale": 40}, "match_scale: 40 and match_rows: 4 leave 32x71 pixels"),
+        ({"match_rows": 30}, "match_scale: 2 and match_rows: 30 leave 656x9 pixels"),
+        ({"nearest_m": 0.1}, "nearest_m: what is 0.1 m away is .* pixels apart"),
+        ({"pitch_from": "plan"}, r"pitch_from: 'plan' is not one of .* \(did you mean 'plane'"),
+        ({"off_plan_m": 1.0}, r"unknown key 'off_plan_m' \(did you mean 'off_plane_m'\?\)"),
+    ],
+)
+def test_bad_parameters_are_named(given_: dict[str, object], message: str) -> None:
+    with pytest.raises(InputError, match=message):
+        start(find_detector("sl", given_, Path.cwd(), "detector"), scene().camera)
+
+
+@pytest.mark.parametrize(
+    ("camera", "message"),
+    [
+        (replace(PAIR, baseline_m=None), "baseline_m: is missing"),
+        (replace(PAIR, distortion=(0.1, 0.0, 0.0, 0.0, 0.0)), "must be rectified"),
+        (replace(PAIR, pitch_deg=40.0), "pitch_deg: 40: the camera looks at the sky"),
+    ],
+)
+def test_a_camera_that_is_no_rectified_pair_on_a_road_is_named(
+    camera: Camera, message: str
+) -> None:
+    for name in ("sl", "sc"):
+        with pytest.raises(InputError, match=message):
+            start(find_detector(name, {}, Path.cwd(), "detector"), camera)
+
+
+@pytest.mark.parametrize("name", ["sl", "sc"])
+@pytest.mark.parametrize(
+    ("wrong", "message"),
+    [
+        ("no right one", "the picture of the second camera is missing"),
+        ("right one smaller", "the right picture has 1312x500 pixels"),
+        ("left one smaller", "the left picture has 656x540 pixels"),
+        ("swapped", "the pictures of left and right are swapped"),
+    ],
+)
+def test_pictures_that_are_no_pair_are_named(name: str, wrong: str, message: str) -> None:
+    image, right = empty().image, empty().right
+    assert right is not None
+    left, other = {
+        "no right one": (image, None),
+        "right one smaller": (image, right[:500]),
+        "left one smaller": (image[:, ::2], right),
+        "swapped": (right, image),
+    }[wrong]
+    detector = find_detector(name, {}, Path.cwd(), "detector")
+    with pytest.raises(InputError) as error:
+        list(detect(detector, scene().camera, [Picture(7, left, other)]))
+    assert str(error.value).startswith(f"detector: {name}: frame 7: {message}")
+
+
+@pytest.mark.parametrize("kind", ["the same picture twice", "black", "another place"])
+def test_pairs_without_a_plane_are_told_of_once_and_lines_go_on(kind: str) -> None:
+    parameters = resolve_parameters(sl.PARAMETERS, {"unsure_after": 3, "match_scale": 4}, 1)
+    step = sl.start(scene().camera, parameters)
+    image = empty().image
+    other = {"black": np.zeros_like(image), "another place": image[::-1, ::-1]}
+    right = np.ascontiguousarray(other.get(kind, image))
+    with warnings.catch_warnings(record=True) as said:
+        warnings.simplefilter("always")
+        for k in range(8):
+            # A picture that moves, or the camera counts as frozen.
+            step(Picture(k, np.roll(image, 7 * k, axis=1), np.roll(right, 7 * k, axis=1)))
+    told = [str(w.message) for w in said if "no road plane" in str(w.message)]
+    assert len(told) == 1
+    assert told[0].startswith("frame 2: ")
+
+
+@pytest.mark.parametrize("kind", ["black", "the same picture twice", "another place"])
+def test_a_second_camera_that_fails_in_mid_drive_is_told_of_once_and_the_lines_stay(
+    kind: str,
+) -> None:
+    two = sl.start(scene().camera, resolve_parameters(sl.PARAMETERS, {"unsure_after": 3}, 1))
+    one = ml.start(scene().camera, resolve_parameters(ml.PARAMETERS, {}, 1))
+    with warnings.catch_warnings(record=True) as said:
+        warnings.simplefilter("always")
+        for k in range(K, K + 8):
+            frame = render_frame(scene(), k)
+            right = frame.right
+            assert right is not None
+            bad = {
+                "black": np.zeros_like(right),
+                "the same picture twice": frame.image,
+                "another place": np.ascontiguousarray(right[:, ::-1]),
+            }
+            right = bad[kind] if k >= K + 3 else right
+            seen, alone = two(Picture(k, frame.image, right)), one(picture(frame))
+    assert [str(w.message)[:36] for w in said] == ["frame 25: no road plane found in 3 f"]
+    near, near_alone = (lines.offset_m[np.abs(lines.offset_m) < 5.5] for lines in (seen, alone))
+    assert len(near) == 3
+    assert near == pytest.approx(near_alone, abs=0.05)
+
+
+@pytest.mark.parametrize(
+    ("missing", "message"),
+    [(True, "the picture of the second camera is missing"), (False, "the right picture has 656x")],
+)
+def test_a_drive_whose_second_picture_is_lost_in_the_middle_keeps_the_frames_before(
+    missing: bool, message: str
+) -> None:
+    pair, frame = picture(empty()), render_frame(scene(), K + 1)
+    assert frame.right is not None
+    lost = Picture(K + 1, frame.image, None if missing else frame.right[:, ::2])
+    detector = find_detector("sl", {}, Path.cwd(), "detector")
+    kept = collect(detect(detector, scene().camera, [pair, lost, pair]), 10.0, "x")
+    assert kept.log is not None
+    assert len(kept.log) == 1
+    assert str(kept.stopped).startswith(f"detector: sl: frame 21: {message}")
+
+
+def test_values_that_opencv_refuses_are_one_line() -> None:
+    given_ = {"matcher": "bm", "most_gradient": 200, "block_px": 9}
+    step = sl.start(scene().camera, resolve_parameters(sl.PARAMETERS, given_, 1))
+    with pytest.raises(InputError, match=r"most_gradient: preFilterCap must be") as error:
+        step(picture(empty()))
+    assert "\n" not in str(error.value)
+
+
+def test_one_camera_is_enough_for_the_mono_detectors_only() -> None:
+    assert not ml.STEREO
+    assert sl.STEREO
+    assert sc.STEREO

@@ -1,0 +1,77 @@
+"""Pictures full of thin bright streaks, as of rain."""
+
+from __future__ import annotations
+
+import cv2
+import numpy as np
+import pytest
+from tests.detectors.simple.test_upright import CAMERA
+
+from egolane_pgm.parameters import resolve_parameters
+from egolane_pgm.vision.camera.picture import Image
+from egolane_pgm.vision.detectors.simple.fit import find_lines, view_for
+from egolane_pgm.vision.detectors.simple.parameters import FINDING
+from egolane_pgm.vision.detectors.simple.streaks import NOISE, RAIN, streak_cover, without_streaks
+from tests.kits.synthetic_road import Paint, road
+
+DEFAULTS = resolve_parameters(FINDING, {"streak_width": 0.0035}, 1)
+LINES = (Paint(-1.75), Paint(1.9))
+
+
+def rain(image: Image, streaks: int, seed: int = 0) -> Image:
+    """The picture with slanted streaks of one pixel."""
+    rng = np.random.default_rng(seed)
+    image = image.copy()
+    for _ in range(streaks):
+        u, v = rng.integers(image.shape[1]), rng.integers(image.shape[0])
+        long = rng.integers(15, 40)
+        cv2.line(image, (int(u), int(v)), (int(u + long // 5), int(v + long)), (190, 190, 190), 1)
+    return image
+
+
+@pytest.mark.parametrize("noise", [0.0, 3.0])
+@pytest.mark.parametrize("blank", [0, 255, None])
+def test_a_road_without_rain_is_not_streaky(noise: float, blank: int | None) -> None:
+    image = road(camera=CAMERA, noise=noise)
+    assert streak_cover(image if blank is None else np.full_like(image, blank), DEFAULTS) <= RAIN
+
+
+def test_rain_is_streaky_in_colour_and_in_grey_unless_it_is_not_looked_for() -> None:
+    image = rain(road(camera=CAMERA), 900)
+    assert RAIN < streak_cover(image, DEFAULTS) <= NOISE
+    assert RAIN < streak_cover(image[:, :, 2], DEFAULTS) <= NOISE
+    assert streak_cover(image, resolve_parameters(FINDING, {"streak_width": 0}, 1)) <= RAIN
+
+
+def test_streaks_in_one_corner_are_not_rain() -> None:
+    image = road(camera=CAMERA)
+    image[:, :300] = rain(image, 2000)[:, :300]
+    assert streak_cover(image, DEFAULTS) <= RAIN
+
+
+def test_paint_nearby_stays_when_streaks_are_taken_out() -> None:
+    image = np.zeros((100, 200), dtype=np.uint8)
+    image[:, 20], image[:, 60:80] = 200, 200
+    parameters = resolve_parameters(FINDING, {"streak_width": 0.02}, 1)
+    opened = without_streaks(image, parameters)
+    assert np.flatnonzero(opened.any(axis=0)).tolist() == list(range(60, 80))
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_noise_is_no_rain_and_shows_no_lines(seed: int) -> None:
+    size = (CAMERA.height, CAMERA.width, 3)
+    noise = np.random.default_rng(seed).integers(0, 256, size, dtype=np.uint8)
+    assert streak_cover(noise, DEFAULTS) > NOISE
+    assert len(find_lines(view_for(CAMERA, DEFAULTS), noise, DEFAULTS).score) == 0
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_lines_are_found_in_rain(seed: int) -> None:
+    image = rain(road(LINES, camera=CAMERA, seed=seed), 900, seed)
+    found = find_lines(view_for(CAMERA, DEFAULTS), image, DEFAULTS)
+    for line in LINES:
+        assert np.abs(found.shape[:, 0] - line.offset_m).min() < 0.15
+
+
+def test_a_picture_of_one_row_is_not_streaky() -> None:
+    assert streak_cover(np.zeros((1, 300, 3), dtype=np.uint8), DEFAULTS) <= RAIN

@@ -1,0 +1,472 @@
+"""Lines followed over time: filter, LRI, validity, votes, new lines and lost ones."""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Iterable
+from dataclasses import fields, replace
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from egolane_pgm.parameters import resolve_parameters
+from egolane_pgm.types import BoolArray, FloatArray
+from egolane_pgm.vision.detectors.simple.parameters import TRACKING
+from egolane_pgm.vision.detectors.simple.tracking import (
+    Rules,
+    Tracks,
+    advance,
+    continuous_share,
+    expected,
+    lines_of,
+    no_tracks,
+    rules,
+)
+
+NOTHING = np.zeros((0, 4)), np.zeros(0)
+
+
+def made(curve: str = "clothoid", **given: object) -> Rules:
+    return rules(resolve_parameters(TRACKING, given, 1), curve=curve)
+
+
+def at(*offsets: float, heading: float = 0.0, curvature: float = 0.0) -> FloatArray:
+    return np.array([[o, heading, curvature, 0.0] for o in offsets]).reshape(-1, 4)
+
+
+def followed(rule: Rules, frames: list[tuple[FloatArray, FloatArray]]) -> list[Tracks]:
+    tracks, history = no_tracks(rule), []
+    for shape, coverage in frames:
+        tracks = advance(tracks, rule, shape, coverage)
+        history.append(tracks)
+    return history
+
+
+def seen(shape: FloatArray, coverage: float = 0.5) -> tuple[FloatArray, FloatArray]:
+    return shape, np.full(len(shape), coverage)
+
+
+def test_the_lri_counts_detections_in_the_last_ten_frames() -> None:
+    rng = np.random.default_rng(0)
+    hits = np.concatenate([np.ones(12, dtype=bool), rng.random(60) < 0.8])
+    rule = made()
+    history = followed(rule, [seen(at(-1.8)) if hit else NOTHING for hit in hits])
+    for t, tracks in enumerate(history):
+        assert tracks.number.tolist() == [1]
+        assert tracks.lri[0] == hits[max(0, t - 9) : t + 1].sum()
+
+
+def test_the_papers_lines_are_valid_at_the_largest_lri_and_until_below_a_share_of_it() -> None:
+    rule = made(valid_when="paper", valid_until=0.5, die_after=100)
+    frames = [seen(at(-1.8))] * 12 + [NOTHING] * 8 + [seen(at(-1.8))] * 11
+    history = followed(rule, frames)
+    lri = [int(t.lri[0]) for t in history]
+    valid = [bool(t.is_valid[0]) for t in history]
+    assert lri[:12] == [*range(1, 11), 10, 10]
+    assert valid[:12] == [False] * 9 + [True] * 3
+    # Down to half of it the flag stays, below it goes; on the way up only the maximum sets it.
+    assert lri[12:20] == [9, 8, 7, 6, 5, 4, 3, 2]
+    assert valid[12:20] == [True] * 5 + [False] * 3
+    assert valid[20:] == [value == 10 for value in lri[20:]]
+    assert valid[-1]
+
+
+@settings(max_examples=40, deadline=None)
+@given(
+    st.lists(st.booleans(), min_size=1, max_size=60),
+    st.integers(1, 12),
+    st.floats(0, 1),
+)
+def test_the_papers_validity_is_always_the_hysteresis_of_the_lri(
+    hits: list[bool], k: int, until: float
+) -> None:
+    rule = made(valid_when="paper", lri_frames=k, valid_until=until)
+    was: dict[int, bool] = {}
+    for tracks in followed(rule, [seen(at(2.0)) if hit else NOTHING for hit in hits]):
+        for number, lri, valid in zip(tracks.number, tracks.lri, tracks.is_valid, strict=True):
+            assert 0 <= lri <= k
+            assert valid == (lri == k or (was.get(int(number), False) and lri >= until * k))
+        was = dict(zip(tracks.number.tolist(), tracks.is_valid.tolist(), strict=True))
+
+
+def validity(hits: Iterable[bool], **given: object) -> BoolArray:
+    """Whether a line that is detected in these frames is valid, frame by frame."""
+    history = followed(made(**given), [seen(at(-1.8)) if hit else NOTHING for hit in hits])
+    return np.array([bool(tracks.is_valid.any()) for tracks in history])
+
+
+@pytest.mark.parametrize(("every", "from_frame"), [(1000, 9), (5, 16), (3, 34)])
+def test_a_line_that_is_missed_now_and_then_becomes_valid_in_proportion(
+    every: int, from_frame: int
+) -> None:
+    hits = np.arange(200) % every != every - 1
+    valid = validity(hits)
+    assert not valid[:from_frame].any()
+    assert valid[from_frame:].all()
+    assert validity(hits, valid_when="paper").any() == (every == 1000)
+
+
+def test_a_line_that_is_missed_by_chance_becomes_valid_and_a_flickering_one_hardly_ever() -> None:
+    rng = np.random.default_rng(6)
+    assert validity(rng.random(1000) < 0.8)[30:].mean() > 0.95
+    assert validity(rng.random(1000) < 0.5).mean() < 0.1
+    for hits in (1, 2, 3):
+        assert not validity(np.arange(300) % (2 * hits) < hits).any()
+
+
+@settings(max_examples=60, deadline=None)
+@given(
+    st.lists(st.booleans(), max_size=60), st.integers(1, 12), st.floats(0, 1), st.floats(0, 0.99)
+)
+def test_no_share_makes_a_line_valid_later_than_the_paper_does(
+    hits: list[bool], k: int, until: float, share: float
+) -> None:
+    given = {"lri_frames": k, "valid_until": until, "valid_share": share}
+    paper = validity([True, *hits], **given, valid_when="paper")
+    assert not np.any(paper & ~validity([True, *hits], **given))
+    np.testing.assert_array_equal(paper, validity([True, *hits], **{**given, "valid_share": 1.0}))
+
+
+def test_the_filter_has_less_noise_than_single_frames_and_no_bias() -> None:
+    rng = np.random.default_rng(1)
+    true = np.array([-1.8, 0.01, 3e-4, 0.0])
+    rule = made()
+    x = np.linspace(6, 30, 4)
+    columns = np.stack([np.ones_like(x), x, x**2 / 2, x**3 / 6], axis=1)
+    noise = np.linspace(0.12, 0.35, 4)
+    frames = []
+    for _ in range(300):
+        # A parabola through places that are off, and a rate of its own.
+        places = columns @ true + noise * rng.normal(size=4)
+        parabola = np.linalg.lstsq(columns[:, :3] / noise[:, None], places / noise)[0]
+        frames.append(seen(np.append(parabola, true[3] + 2e-5 * rng.normal())[None]))
+    history = followed(rule, frames)[50:]
+    for distance in (6.0, 15.0, 30.0):
+        row = np.array([1, distance, distance**2 / 2, distance**3 / 6])
+        raw = np.array([shape[0] @ row for shape, _ in frames[50:]]) - true @ row
+        ours = np.array([t.mean[0] @ row for t in history]) - true @ row
+        assert abs(ours.mean()) < 0.1
+        assert ours.std() < 0.8 * raw.std()
+
+
+def test_the_covariance_stays_symmetric_and_positive() -> None:
+    rng = np.random.default_rng(2)
+    rule = made()
+    frames = [
+        seen(at(-1.8 + rng.normal(0, 0.1), 1.9)) if rng.random() < 0.7 else NOTHING
+        for _ in range(200)
+    ]
+    for tracks in followed(rule, frames):
+        for covariance in tracks.covariance:
+            np.testing.assert_allclose(covariance, covariance.T, rtol=0, atol=1e-12)
+            scale = np.sqrt(np.diag(covariance))
+            assert np.linalg.eigvalsh(covariance / np.outer(scale, scale)).min() > -1e-9
+
+
+def test_straight_lines_stay_straight_whatever_is_found() -> None:
+    rule = made(curve="line")
+    history = followed(rule, [seen(at(-1.8, 1.8, curvature=1e-3))] * 20)
+    assert not np.any(history[-1].mean[:, 2:])
+
+
+@pytest.mark.parametrize("sideways", [-0.5, -0.2, 0.2, 0.5])
+def test_a_lane_change_keeps_every_line_its_number(sideways: float) -> None:
+    """As fast as 0.5 m per frame (1.5 m/s, three pictures per second), after a gentle start."""
+    lines = np.arange(-3, 4) * 3.6 - 1.8
+    shift = np.cumsum([0.0] * 12 + list(np.linspace(0, sideways, 6)) + [sideways] * 5)
+    frames = [seen(at(*lines + s)) for s in shift]
+    rule = made()
+    history = followed(rule, frames)
+    for tracks, s in zip(history[-3:], shift[-3:], strict=True):
+        for number, mean in zip(tracks.number, tracks.mean, strict=True):
+            if number <= len(lines) and abs(lines[number - 1] + s) < 8:
+                assert mean[0] == pytest.approx(lines[number - 1] + s, abs=0.3)
+    within = np.abs(lines + shift[-1]) < 8
+    assert set(np.flatnonzero(within) + 1) <= set(history[-1].number.tolist())
+
+
+def test_lines_not_seen_move_with_those_that_are() -> None:
+    rule = made()
+    frames = [seen(at(-5.4, -1.8, 1.8))] * 12
+    frames += [seen(at(-5.4 + 0.1 * k, -1.8 + 0.1 * k)) for k in range(1, 8)]
+    tracks = followed(rule, frames)[-1]
+    hidden = tracks.mean[tracks.number == 3]
+    assert hidden[0, 0] == pytest.approx(1.8 + 0.7, abs=0.25)
+    still = made(motion_gain=0.0, shift_gain=0.0)
+    assert followed(still, frames)[-1].mean[2, 0] == pytest.approx(1.8, abs=0.01)
+
+
+def test_an_outlier_beyond_the_gate_does_not_move_a_line() -> None:
+    rule = made(gate_m=1.0, least_lane_m=1.0)
+    tracks = followed(rule, [seen(at(-1.8, 1.8))] * 15 + [seen(at(-1.8, 3.1))])[-1]
+    kept = tracks.mean[tracks.number == 2]
+    assert kept[0, 0] == pytest.approx(1.8, abs=0.05)
+    assert tracks.missed[tracks.number == 2] == 1
+    assert 3 in tracks.number
+
+
+def test_each_found_line_continues_one_line_at_most() -> None:
+    rule = made(tracks_apart_m=0.3, least_lane_m=0.3)
+    tracks = followed(rule, [seen(at(-1.8, -1.2))] * 12 + [seen(at(-1.5))])[-1]
+    assert sorted(tracks.missed.tolist()) == [0, 1]
+
+
+def test_a_new_line_that_is_not_seen_again_dies_soon_a_proven_one_late() -> None:
+    rule = made(die_after=8, new_die_after=2)
+    once = followed(rule, [seen(at(-1.8)), *[NOTHING] * 2])
+    assert [len(t) for t in once] == [1, 1, 0]
+    proven = followed(rule, [seen(at(-1.8))] * 10 + [NOTHING] * 8)
+    assert [len(t) for t in proven[10:]] == [1] * 7 + [0]
+
+
+def test_a_line_next_to_a_better_one_is_given_up() -> None:
+    rule = made(tracks_apart_m=1.0, motion_gain=0.0)
+    frames = [seen(at(-1.8))] * 12
+    frames += [seen(at(-1.8, -0.5 - 0.1 * k)) for k in range(8)]
+    tracks = followed(rule, frames)[-1]
+    assert tracks.number.tolist() == [1]
+
+
+def test_a_line_far_to_the_side_is_given_up() -> None:
+    rule = made(farthest_m=8.0)
+    assert followed(rule, [seen(at(9.0))] * 3)[-1].number.size == 0
+
+
+def test_dashed_and_continuous_follow_the_majority_of_the_last_votes() -> None:
+    rule = made(vote_frames=20, continuous_cover=0.8, continuous_share=0.5)
+    rng = np.random.default_rng(3)
+    frames = []
+    for _ in range(60):
+        # A dashed line that looks whole in one frame of five, a continuous one with holes.
+        cover = np.array([0.95 if rng.random() < 0.2 else 0.5, 0.4 if rng.random() < 0.2 else 1])
+        frames.append((at(-1.8, 1.8), cover))
+    history = followed(rule, frames)
+    for tracks in history[20:]:
+        assert lines_of(tracks, rule).is_continuous.tolist() == [False, True]
+
+
+def test_votes_of_old_detections_are_forgotten() -> None:
+    rule = made(vote_frames=10)
+    dashed, whole = seen(at(1.8), 0.5), seen(at(1.8), 1.0)
+    history = followed(rule, [dashed] * 30 + [whole] * 6)
+    assert continuous_share(history[29])[0] == 0
+    assert continuous_share(history[-1])[0] == pytest.approx(0.6)
+
+
+def test_lines_beyond_a_valid_continuous_one_are_hidden_unless_asked_for() -> None:
+    cover = np.array([0.4, 1.0, 0.4, 0.4, 1.0, 1.0])
+    frames = [(at(-5.4, -1.8, 1.8, 5.4, 9.0, 12.6), cover)] * 12
+    for beyond, seen_then in (
+        ("hide_continuous", [-5.4, -1.8, 1.8, 5.4, 9.0]),
+        ("hide_all", [-1.8, 1.8, 5.4, 9.0]),
+        ("keep", [-5.4, -1.8, 1.8, 5.4, 9.0, 12.6]),
+    ):
+        rule = made(beyond_edge=beyond)
+        history = followed(rule, frames)
+        # Not before it is sure.
+        assert len(lines_of(history[5], rule).lri) == 6
+        np.testing.assert_allclose(lines_of(history[-1], rule).offset_m, seen_then, atol=0.05)
+    # The car itself may be beyond what was the edge: each side has its own.
+    rule = made(beyond_edge="hide_all")
+    crossed = [
+        (at(-1.8, 1.8, 5.4) - [[0.3 * k, 0, 0, 0]], np.array([0.4, 1, 0.4])) for k in range(14)
+    ]
+    history = followed(rule, [(at(-1.8, 1.8, 5.4), np.array([0.4, 1, 0.4]))] * 12 + crossed)
+    assert lines_of(history[-1], rule).offset_m.round(1).tolist() == [-2.1, 1.5]
+
+
+def test_lines_are_reported_from_left_to_right() -> None:
+    rule = made()
+    rng = np.random.default_rng(4)
+    for tracks in followed(rule, [seen(at(*rng.uniform(-9, 9, 5))) for _ in range(40)]):
+        lines = lines_of(tracks, rule)
+        assert (np.diff(lines.offset_m) >= 0).all()
+        assert len(lines.lri) == len(tracks)
+
+
+def test_what_is_expected_is_the_valid_lines_moved_on() -> None:
+    rule = made()
+    history = followed(rule, [seen(at(1.8, -1.8))] * 10 + [seen(at(1.8, -1.8, 5.4))] * 2)
+    np.testing.assert_allclose(expected(history[-1])[:, 0], [-1.8, 1.8], atol=0.05)
+    np.testing.assert_allclose(expected(history[3])[:, 0], [-1.8, 1.8], atol=0.05)
+    assert expected(no_tracks(rule)).shape == (0, 4)
+
+
+def test_a_later_frame_changes_nothing_before_it_and_nothing_given_is_changed() -> None:
+    rng = np.random.default_rng(5)
+    rule = made()
+    frames = [seen(at(*rng.normal([-1.8, 1.8], 0.1))) for _ in range(30)]
+    copies = [(shape.copy(), cover.copy()) for shape, cover in frames]
+    whole = followed(rule, frames)
+    for short, long in zip(followed(rule, frames[:20]), whole, strict=False):
+        np.testing.assert_array_equal(short.mean, long.mean)
+    for (shape, cover), (shape_then, cover_then) in zip(frames, copies, strict=True):
+        np.testing.assert_array_equal(shape, shape_then)
+        np.testing.assert_array_equal(cover, cover_then)
+    again = followed(rule, frames)
+    for one, other in itertools.pairwise([whole[-1], again[-1]]):
+        np.testing.assert_array_equal(one.covariance, other.covariance)
+
+
+def test_a_line_close_beyond_another_bounds_no_lane_and_is_given_up() -> None:
+    rule = made(least_lane_m=2.8)
+    tracks = followed(rule, [seen(at(-4.1, -1.7, 1.9, 5.5))] * 12)[-1]
+    assert sorted(tracks.mean[:, 0].round(1).tolist()) == [-1.7, 1.9, 5.5]
+    # On the other side of the car, or where the nearer one is seldom seen, it stays.
+    tracks = followed(rule, [seen(at(-0.9, 1.5))] * 12)[-1]
+    assert len(tracks) == 2
+    often = [seen(at(-4.1, -1.7) if k % 4 == 0 else at(-4.1)) for k in range(14)]
+    assert -4.1 in followed(rule, often)[-1].mean[:, 0].round(1)
+
+
+_LINE = st.tuples(
+    st.floats(-15, 15), st.floats(-0.3, 0.3), st.floats(-0.01, 0.01), st.floats(-1e-4, 1e-4)
+)
+
+
+@settings(max_examples=60, deadline=None)
+@given(
+    st.lists(st.lists(_LINE, max_size=6), min_size=1, max_size=30),
+    st.sampled_from(["line", "parabola", "clothoid"]),
+    st.integers(0, 2**32 - 1),
+)
+def test_whatever_is_found_the_tracks_stay_sound(
+    frames: list[list[tuple[float, float, float, float]]], curve: str, seed: int
+) -> None:
+    rng = np.random.default_rng(seed)
+    rule = made(curve=curve)
+    tracks = no_tracks(rule)
+    for found in frames:
+        cover = np.where(rng.random(len(found)) < 0.3, np.nan, rng.random(len(found)))
+        tracks = advance(tracks, rule, np.array(found).reshape(-1, 4), cover)
+        assert len(set(tracks.number.tolist())) == len(tracks) <= tracks.n_started
+        for values in (tracks.mean, tracks.covariance, tracks.motion):
+            assert np.isfinite(values).all()
+        assert (tracks.lri >= 1).all()
+        shapes = tracks.mean @ rule.at[:2].T
+        for k in range(len(tracks)):
+            others = np.delete(shapes, k, axis=0)
+            assert (np.abs(others - shapes[k]).mean(axis=1) >= 1.0 - 1e-9).all()
+        lines = lines_of(tracks, rule)
+        assert (np.diff(lines.offset_m) >= 0).all()
+
+
+def offset_of(tracks: Tracks, number: int) -> float:
+    return float(tracks.mean[tracks.number == number][0, 0])
+
+
+def test_half_of_the_votes_are_not_more_than_half_and_just_enough_paint_is_enough() -> None:
+    rule = made(continuous_share=0.5, continuous_cover=0.4)
+    frames = [seen(at(-1.8), cover) for cover in (0.4, 0.39, 0.4, 0.39)]
+    history = followed(rule, frames)
+    assert [float(continuous_share(t)[0]) for t in history] == [1, 0.5, pytest.approx(2 / 3), 0.5]
+    assert [bool(lines_of(t, rule).is_continuous[0]) for t in history] == [True, False, True, False]
+
+
+def test_a_detection_that_cannot_tell_its_paint_does_not_vote() -> None:
+    frames = [seen(at(-1.8), 1.0), *[seen(at(-1.8), float("nan"))] * 6]
+    for tracks in followed(made(), frames):
+        assert continuous_share(tracks).tolist() == [1.0]
+
+
+@pytest.mark.parametrize(
+    ("rule", "is_followed"),
+    [
+        ({"gate_m": 0.3, "gate_sigmas": 1000}, False),
+        ({"gate_m": 5, "gate_sigmas": 0.5}, False),
+        ({"gate_m": 5, "gate_sigmas": 1000}, True),
+    ],
+)
+def test_a_line_must_be_near_in_metres_and_in_standard_deviations(
+    rule: dict[str, float], is_followed: bool
+) -> None:
+    frames = [seen(at(-1.8))] * 12 + [seen(at(-0.9))]
+    tracks = followed(made(**rule, tracks_apart_m=0.1, least_lane_m=0.1), frames)[-1]
+    assert (tracks.missed[tracks.number == 1] == 0).tolist() == [is_followed]
+    assert len(tracks) == (1 if is_followed else 2)
+
+
+def test_one_line_that_moves_alone_does_not_take_the_others_along() -> None:
+    still = [seen(at(-1.8, 1.8))] * 12
+    tracks = followed(made(), [*still, seen(at(-1.4))])[-1]
+    assert offset_of(tracks, 2) == pytest.approx(1.8, abs=0.02)
+    # Nor does one of many: it is the median that counts.
+    many = (-5.4, -1.8, 1.8, 5.4, 9.0)
+    moved = (-5.4, -1.8, 1.8, 6.2)
+    tracks = followed(made(), [seen(at(*many))] * 12 + [seen(at(*moved))])[-1]
+    assert offset_of(tracks, 5) == pytest.approx(9.0, abs=0.03)
+
+
+def test_a_line_not_seen_moves_at_once_by_the_share_of_what_all_others_show() -> None:
+    still = [seen(at(-1.8, 1.8, 5.4))] * 12
+    for gain in (0.0, 0.5, 1.0):
+        tracks = followed(made(shift_gain=gain, motion_gain=0), [*still, seen(at(-1.5, 2.1))])[-1]
+        assert offset_of(tracks, 3) == pytest.approx(5.4 + gain * 0.3, abs=0.03)
+
+
+def test_the_steady_motion_comes_to_rest_where_nothing_tells_of_it() -> None:
+    drifting = [seen(at(-1.8 + 0.05 * k, 1.8 + 0.05 * k)) for k in range(30)]
+    history = followed(made(motion_gain=0.4), drifting + [NOTHING] * 3)
+    motion = [float(t.motion[0]) for t in history]
+    assert motion[29] == pytest.approx(0.05, abs=0.01)
+    np.testing.assert_allclose(motion[30:], motion[29] * 0.6 ** np.arange(1, 4))
+
+
+def test_the_covariance_is_that_of_the_kalman_filter() -> None:
+    rule = made()
+    one = followed(rule, [seen(at(-1.8))])[-1]
+    two = advance(one, rule, *seen(at(-1.8)))
+    prior = one.covariance[0] + rule.walk
+    spread = rule.at @ prior @ rule.at.T + rule.noise
+    right = prior - prior @ rule.at.T @ np.linalg.solve(spread, rule.at @ prior)
+    scale = np.sqrt(np.diag(right))
+    np.testing.assert_allclose(two.covariance[0] / np.outer(scale, scale),
+                               right / np.outer(scale, scale), atol=1e-6)  # fmt: skip
+
+
+def test_a_new_line_is_as_sure_as_its_detection_and_no_wider_than_it_may_wander() -> None:
+    for walk in (1e-6, 10.0):
+        rule = made(offset_walk_m=walk)
+        inverse = np.linalg.pinv(rule.at)
+        alone = np.sqrt(np.diag(inverse @ rule.noise @ inverse.T))
+        most = np.minimum(alone, 50 * np.sqrt(np.diag(rule.walk)))
+        np.testing.assert_allclose(np.sqrt(np.diag(rule.first)), most)
+
+
+def test_of_two_lines_in_one_place_the_valid_one_stays_however_young() -> None:
+    rule = made()
+    weak = followed(rule, [seen(at(-1.8))] * 6)[-1]
+    strong = followed(rule, [seen(at(-1.8))] * 10)[-1]
+    strong = replace(strong, number=np.array([2]))
+    both = {
+        f.name: np.concatenate([getattr(weak, f.name), getattr(strong, f.name)])
+        for f in fields(Tracks)
+        if f.name not in ("motion", "n_started")
+    }
+    tracks = advance(replace(strong, **both, n_started=2), rule, *NOTHING)
+    assert tracks.number.tolist() == [2]
+
+
+def test_a_line_beyond_one_that_is_seen_as_often_bounds_nothing_though_neither_is_valid() -> None:
+    tracks = followed(made(least_lane_m=2.8, tracks_apart_m=0.5), [seen(at(1.8, 3.2))] * 3)[-1]
+    assert tracks.mean[:, 0] == pytest.approx([1.8], abs=0.01)
+    assert not tracks.is_valid.any()
+
+
+def test_straight_lines_have_no_curvature_however_they_wander() -> None:
+    rng = np.random.default_rng(0)
+    frames = [
+        seen(np.array([[-1.8 + rng.normal(0, 0.2), rng.normal(0, 0.02), 0, 0]])) for _ in range(40)
+    ]
+    for tracks in followed(made(curve="line"), frames):
+        assert (tracks.mean[:, 2:] == 0).all()
+
+
+def test_lines_are_expected_where_the_steady_motion_takes_them() -> None:
+    drifting = [seen(at(-1.8 + 0.05 * k, 1.8 + 0.05 * k)) for k in range(30)]
+    tracks = followed(made(), drifting)[-1]
+    np.testing.assert_allclose(expected(tracks)[:, 0], np.array([-1.8, 1.8]) + 1.5, atol=0.03)
+    order = np.argsort(tracks.mean[:, 0])
+    np.testing.assert_array_equal(expected(tracks), tracks.mean[order] + tracks.motion)

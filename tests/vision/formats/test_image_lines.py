@@ -1,0 +1,596 @@
+"""What other lane detectors write: TuSimple's, CULane's and OpenLane's formats as recordings."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from egolane_pgm.recordings.table import read_table
+from egolane_pgm.results import read_result
+from egolane_pgm.types import InputError
+from egolane_pgm.vision.camera.model import Camera, road_to_image
+from egolane_pgm.vision.formats.image_lines import (
+    ImageLine,
+    RoadLine,
+    frame_numbers,
+    offset_of,
+    persistence,
+    points,
+)
+from egolane_pgm.vision.formats.openlane import CATEGORIES
+from egolane_pgm.vision.formats.tusimple import entry_lines, read_tusimple
+from tests.kits.drives import done, refused, write_experiment
+from tests.kits.image_line_files import (
+    CAMERA,
+    OFFSETS,
+    ROWS,
+    columns,
+    culane,
+    entry,
+    openlane,
+    read,
+    saved_camera,
+    tusimple,
+    whats_wrong,
+)
+
+
+def test_tusimple_lines_get_their_offsets_at_the_car_from_left_to_right(tmp_path: Path) -> None:
+    shuffled = [entry(k, OFFSETS[::-1], classes=[2, 1, 4]) for k in (7, 5, 6)]
+    log = read(tusimple(tmp_path / "a.jsonl", shuffled))
+    assert log.frame_id.tolist() == [5, 6, 7]
+    np.testing.assert_allclose(log.time_s, [0.5, 0.6, 0.7])
+    np.testing.assert_allclose(log.offset_m, np.tile(OFFSETS, (3, 1)), atol=0.01)
+    assert log.is_continuous.tolist() == [[True, False, True]] * 3
+
+
+def test_culane_and_openlane_folders_give_the_same_offsets(tmp_path: Path) -> None:
+    log = read(culane(tmp_path / "c", range(0, 90, 30)), frame_step=30)
+    assert log.frame_id.tolist() == [0, 1, 2]
+    np.testing.assert_allclose(log.offset_m, np.tile(OFFSETS, (3, 1)), atol=0.01)
+    assert not log.is_continuous.any()
+    first = 152268801497018700  # tens of nanoseconds
+    stamps = [first, first + 10_020_000, first + 30_010_000]
+    log = read(openlane(tmp_path / "o", stamps))
+    assert log.frame_id.tolist() == [0, 1, 3]
+    np.testing.assert_allclose(log.offset_m, np.tile(OFFSETS, (3, 1)), atol=0.01)
+    assert log.is_continuous.tolist() == [[True, False, True]] * 3
+
+
+def test_which_classes_are_continuous_is_an_option(tmp_path: Path) -> None:
+    path = tusimple(tmp_path / "a.jsonl", [entry(1, classes=[6, 1, 2])])
+    assert read(path).is_continuous.tolist() == [[False, False, True]]
+    assert read(path, continuous=[6]).is_continuous.tolist() == [[True, False, False]]
+
+
+def test_a_picture_without_lines_is_a_frame_without_lines(tmp_path: Path) -> None:
+    absent = {"raw_file": "clips/0313-1/3/20.jpg", "lanes": [[-2] * len(ROWS)], "h_samples": ROWS}
+    log = read(tusimple(tmp_path / "a.jsonl", [entry(2), absent, entry(4)]))
+    assert np.isfinite(log.offset_m).sum(axis=1).tolist() == [3, 0, 3]
+    folder = culane(tmp_path / "c", [1, 3])
+    (folder / "00002.lines.txt").write_text("\n")
+    assert np.isfinite(read(folder).offset_m).sum(axis=1).tolist() == [3, 0, 3]
+
+
+def test_a_clip_is_numbered_by_its_folder_and_a_picture_by_its_name(tmp_path: Path) -> None:
+    for names in (
+        ["clips/0313-1/40/20.jpg", "clips/0313-1/7/20.jpg"],
+        ["drive2/frame_00007.jpg", "drive2/frame_00040.jpg"],
+        ["40.png", "7.png"],
+    ):
+        log = read(tusimple(tmp_path / "a.jsonl", [entry(0, raw_file=name) for name in names]))
+        assert log.frame_id.tolist() == [7, 40]
+
+
+@given(st.lists(st.floats(-8, 8), min_size=1, max_size=1), st.floats(-0.03, 0.03))
+def test_an_offset_comes_back_whatever_the_heading(offsets: list[float], heading: float) -> None:
+    x = np.linspace(5, 45, 30)
+    u, v = road_to_image(CAMERA, x, offsets[0] + heading * x)
+    assert offset_of(ImageLine(u, v), CAMERA) == pytest.approx(offsets[0], abs=0.02)
+    there = offset_of(ImageLine(u, v), CAMERA, 10.0)
+    assert there == pytest.approx(offsets[0] + 10 * heading, abs=0.02)
+
+
+def test_a_bend_is_not_taken_for_an_offset() -> None:
+    x = np.linspace(5, 50, 40)
+    u, v = road_to_image(CAMERA, x, 1.8 + x**2 / 2 / 800)
+    assert offset_of(ImageLine(u, v), CAMERA) == pytest.approx(1.8, abs=0.05)
+
+
+def test_a_line_whose_points_are_beyond_all_numbers_has_no_offset() -> None:
+    x = np.array([1e-308, 5.0, 10.0])
+    assert np.isnan(offset_of(RoadLine(x, np.full(3, 1e308)), None))
+
+
+def test_a_line_seen_only_far_ahead_or_above_the_horizon_has_no_offset() -> None:
+    far = np.linspace(30, 60, 10)
+    assert np.isnan(offset_of(ImageLine(*road_to_image(CAMERA, far, 0 * far)), CAMERA))
+    sky = ImageLine(np.array([600.0, 610.0, 620.0]), np.array([20.0, 50.0, 90.0]))
+    assert np.isnan(offset_of(sky, CAMERA))
+
+
+def test_points_above_the_horizon_are_left_out(tmp_path: Path) -> None:
+    high = entry(1, [1.5])
+    high["h_samples"] = [10, 20, *ROWS]
+    high["lanes"] = [[500, 900, *high["lanes"][0]]]
+    assert read(tusimple(tmp_path / "a.jsonl", [high])).offset_m[0, 0] == pytest.approx(
+        1.5, abs=0.01
+    )
+
+
+def rows(*offsets: Sequence[float]) -> list[np.ndarray]:
+    return [np.array(row, dtype=float) for row in offsets]
+
+
+def test_lri_counts_the_sightings_in_the_last_ten_frames_and_valid_has_hysteresis() -> None:
+    # Seen ten times, missed six, seen again.
+    seen = [[1.8]] * 10 + [[]] * 6 + [[1.8]] * 10
+    lri, valid = persistence(rows(*seen), np.arange(len(seen)) / 10)
+    assert [row.tolist() for row in lri[:10]] == [[float(k)] for k in range(1, 11)]
+    assert [row.tolist() for row in valid[8:10]] == [[False], [True]]
+    # Four of the last ten were seen when it was gone for six: below half, no longer valid.
+    assert lri[16].tolist() == [4.0]
+    assert not valid[16].any()
+    assert lri[24].tolist() == [9.0]
+    assert valid[25].all()
+
+
+def test_a_line_missed_for_a_moment_stays_valid() -> None:
+    seen = [[1.8]] * 10 + [[]] * 3 + [[1.8]] * 2
+    lri, valid = persistence(rows(*seen), np.arange(len(seen)) / 10)
+    assert lri[13].tolist() == [7.0]
+    assert valid[13].all()
+
+
+def test_lines_are_followed_as_they_move_and_new_ones_begin_at_one() -> None:
+    offsets = [[-1.8 + 0.1 * k, 1.8 + 0.1 * k] for k in range(12)]
+    offsets[11] = [-4.3, *offsets[11]]
+    lri, valid = persistence(rows(*offsets), np.arange(12) / 10)
+    assert lri[11].tolist() == [1.0, 10.0, 10.0]
+    assert valid[11].tolist() == [False, True, True]
+
+
+def test_missing_frames_are_no_misses_but_after_a_second_everything_is_new() -> None:
+    ids = np.array([0, 1, 2, 3, 7, 8, 9, 10, 11, 12, 40, 41])
+    lri, valid = persistence(rows(*[[1.8]] * len(ids)), ids / 10)
+    assert lri[9].tolist() == [10.0]
+    assert valid[9].all()
+    assert [lri[10].tolist(), lri[11].tolist()] == [[1.0], [2.0]]
+    assert not valid[10].any()
+
+
+@given(
+    st.lists(
+        st.lists(st.floats(-8, 8), max_size=5).map(sorted),
+        min_size=1,
+        max_size=30,
+    ),
+    st.floats(0.01, 2),
+)
+def test_lri_is_between_one_and_ten_and_valid_needs_half_of_it(
+    offsets: list[list[float]], gap: float
+) -> None:
+    lri, valid = persistence(rows(*offsets), np.arange(len(offsets)) * gap)
+    for at, flags, row in zip(lri, valid, offsets, strict=True):
+        assert len(at) == len(flags) == len(row)
+        assert ((at >= 1) & (at <= 10)).all()
+        assert (at[flags] >= 5).all()
+
+
+def test_lines_of_a_trusted_source_are_valid_at_once(tmp_path: Path) -> None:
+    path = tusimple(tmp_path / "a.jsonl", [entry(20), entry(40)])
+    log = read(path)
+    assert not log.is_valid.any()
+    log = read(path, valid="always", frame_step=20)
+    assert log.frame_id.tolist() == [1, 2]
+    assert log.is_valid.all()
+    assert (log.lri == 10).all()
+
+
+def test_time_stamps_become_frames_of_the_frame_rate() -> None:
+    assert frame_numbers(["1492626270684175793", "1492626271684175793"], 20, "x") == [0, 20]
+    assert frame_numbers(["1522688014970", "1522688015070"], 10, "x") == [0, 1]
+    assert frame_numbers(["a_12", "b7_13"], 10, "x") == [12, 13]
+    with pytest.raises(InputError, match="x: 'left' has no frame number"):
+        frame_numbers(["left"], 10, "x")
+    with pytest.raises(InputError, match=r"digits, neither counts nor one kind of time stamp"):
+        frame_numbers(["1492626270684175793", "12"], 10, "x")
+
+
+def test_labels_are_converted_and_run_like_any_recording(tmp_path: Path) -> None:
+    labels = tusimple(tmp_path / "a.jsonl", [entry(k, classes=[4, 1, 1]) for k in range(30)])
+    camera = saved_camera(tmp_path)
+    done("convert", labels, tmp_path / "a.parquet", "--camera", camera)
+    log = read_table(tmp_path / "a.parquet")
+    np.testing.assert_allclose(log.offset_m, np.tile(OFFSETS, (30, 1)), atol=0.01)
+    assert log.lri[-1].tolist() == [10, 10, 10]
+    made = {"evidence": "line_geometry", "graph": "position_in_lane", "filter": "exact"}
+    experiment = write_experiment(tmp_path / "e.yaml", ground_truth=None, **made)
+    words = ["--recording", labels, "--camera", camera, "--no-figures", "--out", tmp_path / "r"]
+    done("run", experiment, *words)
+    by_command = read_result(tmp_path / "r")
+    recording = {"path": "a.jsonl", "format": "tusimple", "camera": "cam.yaml"}
+    write_experiment(tmp_path / "e.yaml", recording=recording, ground_truth=None, **made)
+    done("run", tmp_path / "e.yaml", "--no-figures", "--out", tmp_path / "r2")
+    by_yaml = read_result(tmp_path / "r2")
+    np.testing.assert_array_equal(by_command.marginals["Lane"], by_yaml.marginals["Lane"])
+    # A continuous line two to the left: the car is in lane 2.
+    assert by_yaml.assigned_lane[-1] == 2
+
+
+def test_a_folder_of_labels_is_run_and_its_result_can_be_run_again(tmp_path: Path) -> None:
+    folder = culane(tmp_path / "drive", range(12))
+    camera, out = saved_camera(tmp_path), tmp_path / "r"
+    experiment = write_experiment(tmp_path / "e.yaml", ground_truth=None)
+    words = ["--camera", camera, "--no-figures", "--out", out]
+    done("run", experiment, "--recording", folder, *words)
+    data = read_result(out).run["data"][0]
+    assert (data["path"], data["files"]) == (str(folder), 12)
+    done("run", out / "experiment.yaml", "--no-figures", "--out", tmp_path / "again")
+    (folder / "00003.lines.txt").write_text("")
+    done("run", out / "experiment.yaml", "--no-figures", "--out", tmp_path / "changed")
+    sums = [read_result(tmp_path / r).run["data"][0]["sha256"] for r in ("r", "again", "changed")]
+    assert sums[0] == sums[1] != sums[2]
+
+
+def test_options_of_the_format_are_given_in_the_yaml(tmp_path: Path) -> None:
+    tusimple(tmp_path / "a.jsonl", [entry(k) for k in (20, 40, 60)])
+    saved_camera(tmp_path)
+    recording: dict[str, Any] = {"path": "a.jsonl", "camera": "cam.yaml"}
+    recording["options"] = {"valid": "always", "frame_step": 20}
+    path = write_experiment(tmp_path / "e.yaml", recording=recording, ground_truth=None)
+    out = tmp_path / "r"
+    done("run", path, "--no-figures", "--out", out)
+    assert read_result(out).frame_id.tolist() == [1, 2, 3]
+    recording["options"] = {"valed": "always"}
+    write_experiment(tmp_path / "e.yaml", recording=recording, ground_truth=None)
+    said = refused("run", path, "--no-figures", "--out", tmp_path / "r2")
+    assert said.endswith("format tusimple has no option 'valed' (did you mean 'valid'?)")
+
+
+def test_lines_in_pixels_without_a_camera_are_refused(tmp_path: Path) -> None:
+    labels = tusimple(tmp_path / "a.jsonl", [entry(1)])
+    said = refused("convert", labels, tmp_path / "a.csv")
+    assert said.startswith(f"{labels}: its lines are in pixels: name the camera's YAML file")
+    assert not (tmp_path / "a.csv").exists()
+    said = refused("convert", labels, tmp_path / "a.csv", "--camera", tmp_path / "none.yaml")
+    assert "none.yaml: cannot be read: No such file" in said
+    experiment = write_experiment(
+        tmp_path / "e.yaml", recording={"path": "a.jsonl"}, ground_truth=None
+    )
+    said = refused("validate", experiment)
+    assert said == f"{experiment}: recording.camera: is missing; the lines of a.jsonl are in pixels"
+    target = tmp_path / "b.jsonl"
+    said = refused("convert", labels, target, "--camera", saved_camera(tmp_path))
+    assert said == f"{target}: a recording is written as .csv, .parquet, .bag or .mcap"
+
+
+@pytest.mark.parametrize(
+    ("setting", "said"),
+    [
+        ("frame_rate=abc", "frame_rate: 'abc' is not a number greater than 0"),
+        ("frame_rate=true", "frame_rate: True is not a number"),
+        ("frame_rate=.inf", "frame_rate: inf is not a number greater than 0"),
+        ("camera=5", "camera: 5 is not the name of a camera's YAML file"),
+        ("camera={fx: 3}", "camera: {'fx': 3} is not the name of a camera's YAML file"),
+        ("format=culane", "format tusimple has no option 'format'"),
+        ("path=x", "format tusimple has no option 'path'"),
+    ],
+)
+def test_an_option_of_another_kind_is_refused(labels: Path, setting: str, said: str) -> None:
+    assert said in refused("convert", labels, labels.with_name("a.csv"), "--set", setting)
+    assert not labels.with_name("a.csv").exists()
+
+
+WRITERS: dict[str, Callable[[Path, list[int]], Path]] = {
+    "tusimple": lambda folder, ids: tusimple(folder / "labels.json", [entry(k) for k in ids]),
+    "culane": lambda folder, ids: culane(folder / "culane", ids),
+    "openlane": lambda folder, ids: openlane(folder / "openlane", ids),
+}
+
+every_format = pytest.mark.parametrize("name", WRITERS)
+
+
+@every_format
+def test_frames_valid_flags_and_where_it_is_measured_are_as_asked(
+    name: str, tmp_path: Path
+) -> None:
+    path = WRITERS[name](tmp_path, [40, 10, 30])
+    log = read(path, format=name, frame_step=10, frame_rate=4.0, valid="always", ahead_m=12.0)
+    assert log.frame_id.tolist() == [1, 3, 4]
+    np.testing.assert_allclose(log.time_s, [0.25, 0.75, 1.0])
+    assert log.is_valid.all()
+    assert (log.lri == 10).all()
+    # The camera is turned to the right: a straight road passes it at the same offset everywhere.
+    at_the_car = read(path, format=name, frame_step=10)
+    assert not at_the_car.is_valid.any()
+    np.testing.assert_allclose(at_the_car.offset_m[0], OFFSETS, atol=0.05)
+    np.testing.assert_allclose(log.offset_m[0], OFFSETS, atol=0.05)
+
+
+@every_format
+def test_ahead_of_the_car_a_line_that_turns_away_is_further_off(
+    name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """y = offset + 0.02 x: 0.2 m more ten metres ahead."""
+    far = np.geomspace(2, 400, 4000)[::-1]
+    turned = {}
+    for offset in OFFSETS:
+        u, v = road_to_image(CAMERA, far, offset + 0.02 * far)
+        turned[offset] = np.interp(range(300, 720, 10), v, u, left=-2, right=-2).tolist()
+    monkeypatch.setattr("tests.kits.image_line_files.columns", turned.__getitem__)
+    path = WRITERS[name](tmp_path, [1])
+    here, ahead = (read(path, format=name, ahead_m=metres).offset_m[0] for metres in (0.0, 10.0))
+    np.testing.assert_allclose(here, OFFSETS, atol=0.05)
+    np.testing.assert_allclose(ahead - here, 0.2, atol=0.03)
+
+
+def test_the_first_column_is_a_point_and_a_line_without_points_is_none() -> None:
+    picture = {"lanes": [[0, -2, 7.5], [-2, -2, -2]], "h_samples": [400, 410, 420]}
+    [line] = entry_lines(picture, "here")
+    assert line.u.tolist() == [0, 7.5]
+    assert line.v.tolist() == [400, 420]
+
+
+@pytest.mark.parametrize(
+    ("known", "is_good"), [(20, True), (21, False), (-1, False), (True, False)]
+)
+def test_classes_are_whole_numbers_up_to_twenty(known: Any, is_good: bool) -> None:
+    picture = {"lanes": [[5, 6]], "h_samples": [400, 410], "classes": [known]}
+    if is_good:
+        assert entry_lines(picture, "here", frozenset({20}))[0].is_continuous
+        return
+    with pytest.raises(InputError, match=f"here: lane 1 has class {known}, not one of 0 to 20"):
+        entry_lines(picture, "here")
+
+
+@pytest.mark.parametrize("continuous", [[21], [-1], [2.0], "2", None])
+def test_only_classes_can_be_continuous(tmp_path: Path, continuous: Any) -> None:
+    path = WRITERS["tusimple"](tmp_path, [1])
+    with pytest.raises(InputError, match="is not a list of classes, 0 to 20"):
+        read(path, format="tusimple", continuous=continuous)
+
+
+def test_empty_lines_of_a_file_are_passed_over(tmp_path: Path) -> None:
+    path = WRITERS["tusimple"](tmp_path, [1, 2])
+    path.write_text(path.read_text().replace("\n", "\n\n  \n"))
+    assert len(read(path, format="tusimple")) == 2
+
+
+def test_solid_lines_and_curbs_are_continuous_in_openlane(tmp_path: Path) -> None:
+    solid = {2, 4, 5, 6, 8, 10, 11, 12, 20, 21}
+    for category in CATEGORIES:
+        path = openlane(tmp_path / str(category), [1], categories=(category,) * 3)
+        log = read(path, format="openlane")
+        assert log.is_continuous.tolist() == [[category in solid] * 3], category
+    assert len(columns(OFFSETS[0])) == 42
+
+
+def seen_from(x: np.ndarray, y: np.ndarray, noise: np.ndarray | float = 0.0) -> ImageLine:
+    u, v = road_to_image(CAMERA, x, y)
+    return ImageLine(u + noise, v)
+
+
+def test_a_bend_is_followed_to_where_offsets_are_measured() -> None:
+    """y = 1.8 + 0.003 x^2 / 2."""
+    x = np.linspace(6, 45, 30)
+    line = seen_from(x, 1.8 + 0.003 * x * x / 2)
+    for ahead_m in (0.0, 10.0, 20.0):
+        right = 1.8 + 0.003 * ahead_m**2 / 2
+        assert offset_of(line, CAMERA, ahead_m) == pytest.approx(right, abs=0.01)
+
+
+def test_what_is_more_than_fifty_metres_ahead_does_not_count() -> None:
+    x = np.linspace(6, 90, 60)
+    line = seen_from(x, 1.8 + np.where(x > 50, (x - 50) * 0.2, 0))
+    assert offset_of(line, CAMERA) == pytest.approx(1.8, abs=1e-6)
+
+
+def test_far_points_are_less_exact_and_a_far_piece_is_not_drawn_out_wildly() -> None:
+    rng = np.random.default_rng(0)
+
+    def error(x: np.ndarray) -> float:
+        """Of the offset, metres, with two pixels of noise."""
+        offsets = [
+            offset_of(seen_from(x, np.full(len(x), 1.8), rng.normal(0, 2, len(x))), CAMERA)
+            for _ in range(100)
+        ]
+        return float(np.sqrt(np.mean((np.array(offsets) - 1.8) ** 2)))
+
+    assert error(np.linspace(6, 45, 30)) < 0.025
+    assert error(np.linspace(21, 25, 8)) < 0.5
+
+
+@pytest.mark.parametrize(
+    ("gap_s", "moved_m", "lri"),
+    [
+        (0.1, 0.44, 2),  # 0.3 m, and 1.5 m for each second
+        (0.1, 0.46, 1),
+        (0.5, 1.04, 2),
+        (0.5, 1.06, 1),
+        (1.0, 0.0, 2),  # a second is not too long
+        (1.1, 0.0, 1),
+    ],
+)
+def test_how_far_and_how_long_a_line_is_followed(gap_s: float, moved_m: float, lri: int) -> None:
+    rows = [np.array([1.0]), np.array([1.0 + moved_m])]
+    found, _ = persistence(rows, np.array([0.0, gap_s]))
+    assert found[1].tolist() == [lri]
+
+
+def test_of_two_lines_near_an_earlier_one_the_nearer_continues_it() -> None:
+    rows = [np.array([1.0]), np.array([0.9, 1.2]), np.array([0.9, 1.2])]
+    found, _ = persistence(rows, np.arange(3) / 10)
+    assert [row.tolist() for row in found] == [[1], [2, 1], [3, 2]]
+
+
+@pytest.mark.parametrize(("missed", "is_valid"), [(5, True), (6, False)])
+def test_half_of_the_last_ten_sightings_keep_a_line_valid(missed: int, is_valid: bool) -> None:
+    rows = [np.array([1.0])] * 10 + [np.zeros(0)] * missed + [np.array([1.0])]
+    found, valid = persistence(rows, np.arange(len(rows)) / 10)
+    assert found[-1].tolist() == [10 - missed]
+    assert valid[-1].tolist() == [is_valid]
+
+
+def test_a_line_keeps_its_class_whatever_order_the_lines_are_in(tmp_path: Path) -> None:
+    left, middle, right = OFFSETS
+    picture = entry(1, (right, left, middle), classes=[2, 1, 1])
+    log = read(tusimple(tmp_path / "labels.json", [picture]), format="tusimple")
+    assert log.is_continuous.tolist() == [[False, False, True]]
+
+
+def test_time_stamps_of_two_kinds_are_no_frame_numbers() -> None:
+    with pytest.raises(InputError, match=r"frame numbers of \[13, 16\] digits"):
+        frame_numbers(["1700000000000", "1700000000100000"], 10.0, "here")
+    assert frame_numbers(["1700000000000", "1700000000100"], 10.0, "here") == [0, 1]
+
+
+def test_true_is_no_coordinate() -> None:
+    with pytest.raises(InputError, match="here: u is not a list of numbers"):
+        points([1.0, True], "here", "u")
+    assert points([1, 2.5], "here", "u").tolist() == [1, 2.5]
+
+
+def test_broken_json_is_refused_with_its_line(tmp_path: Path) -> None:
+    path = tusimple(tmp_path / "a.jsonl", [entry(1), entry(2)])
+    path.write_text(path.read_text()[:-40])
+    assert f"{path}: line 2: is not JSON" in whats_wrong(path)
+    folder = openlane(tmp_path / "o", [1, 2])
+    (folder / "2.json").write_text("{")
+    assert f"{folder}/2.json: is not JSON" in whats_wrong(folder)
+
+
+@pytest.mark.parametrize(
+    ("change", "said"),
+    [
+        ({"lanes": [[1.0, 2.0]]}, f"line 2: lane 1 has 2 values for {len(ROWS)} h_samples"),
+        ({"lanes": [["x"] * len(ROWS)]}, "line 2: lane 1 is not a list of numbers"),
+        ({"lanes": {}}, "line 2: raw_file must be a text and lanes a list of lists"),
+        ({"h_samples": [float("nan")] * len(ROWS)}, "h_samples has a number that is not finite"),
+        ({"classes": [1]}, "line 2: classes needs one class for each of 3 lanes"),
+        ({"classes": [1, 99, 1]}, "line 2: lane 2 has class 99, not one of 0 to 20"),
+        ({"raw_file": "clips/0313-1/1/20.jpg"}, "line 2: frame 1 is there twice"),
+        ({"h_samples": [row * 4 for row in ROWS]}, "reaches down to row 2840, the camera's"),
+    ],
+)
+def test_a_bad_picture_is_refused_with_its_line(
+    tmp_path: Path, change: dict[str, Any], said: str
+) -> None:
+    path = tusimple(tmp_path / "a.jsonl", [entry(1), {**entry(2), **change}])
+    assert said in whats_wrong(path)
+
+
+def test_a_missing_key_is_refused_with_its_line(tmp_path: Path) -> None:
+    without = entry(2)
+    del without["h_samples"]
+    path = tusimple(tmp_path / "a.jsonl", [entry(1), without])
+    assert "line 2: has no h_samples, which TuSimple's format needs" in whats_wrong(path)
+
+
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        ('{"events": [1]}', "has no raw_file, which TuSimple's format needs"),
+        ('{\n "raw_file": 1\n}', "is not JSON, which TuSimple's format needs in each line: "),
+    ],
+)
+def test_a_json_file_that_is_no_recording_is_not_asked_for_a_camera(
+    tmp_path: Path, text: str, said: str
+) -> None:
+    (tmp_path / "a.json").write_text(text)
+    with pytest.raises(InputError) as info:
+        read_tusimple(tmp_path / "a.json")
+    assert str(info.value).startswith(f"{tmp_path / 'a.json'}: line 1: {said}")
+    assert "(formats: rosbag: .bag, .mcap, .db3; table: .csv, .parquet; " in str(info.value)
+
+
+def test_a_picture_without_a_number_is_refused(tmp_path: Path) -> None:
+    path = tusimple(tmp_path / "a.jsonl", [entry(1, raw_file="a/b.jpg")])
+    assert "'b' has no frame number in it" in whats_wrong(path)
+
+
+def test_openlane_in_the_wrong_reader_is_told(tmp_path: Path) -> None:
+    folder = openlane(tmp_path / "o", [1])
+    said = whats_wrong(folder / "1.json")
+    assert "line 1: has lane_lines: that is OpenLane's, format: openlane" in said
+    assert len(read(folder / "1.json", format="openlane")) == 1
+
+
+def test_files_with_nothing_in_them_are_refused(tmp_path: Path) -> None:
+    empty = tusimple(tmp_path / "a.jsonl", [])
+    assert whats_wrong(empty) == f"{empty}: no frame in it"
+    (tmp_path / "d").mkdir()
+    said = whats_wrong(tmp_path / "d", format="culane")
+    assert said.endswith("no file *.lines.txt in it")
+    assert "no file *.json in it" in whats_wrong(tmp_path / "d", format="openlane")
+    said = whats_wrong(tmp_path / "d")
+    assert (
+        "a folder without lines (*.mcap, *.db3, *.zstd, *.lines.txt, *.json); pictures need" in said
+    )
+
+
+def test_odd_culane_files_are_refused(tmp_path: Path) -> None:
+    folder = culane(tmp_path / "c", [1, 2])
+    file = folder / "00002.lines.txt"
+    for text, said in (
+        ("1 2\n3 4 5\n", "line 2: 3 numbers are no pairs"),
+        ("1 x\n", "line 1: could not convert string to float: 'x'"),
+        ("1 nan\n", "line 1: a coordinate is not finite"),
+    ):
+        file.write_text(text)
+        assert f"{file}: {said}" in whats_wrong(folder)
+    file.rename(folder / "1.lines.txt")
+    (folder / "1.lines.txt").write_text("")
+    assert "frame 1 is there twice" in whats_wrong(folder)
+
+
+@pytest.mark.parametrize(
+    ("change", "said"),
+    [
+        ({"category": 77}, "unknown category 77 (known: 0, 1, 2,"),
+        ({"category": [1]}, "unknown category [1]"),
+        ({"uv": [[1, 2], [3]]}, "2 u for 1 v"),
+        ({"uv": [1, 2, 3]}, "uv needs a list of u and a list of v"),
+        ({"uv": [["a"], [1]]}, "u is not a list of numbers"),
+    ],
+)
+def test_an_odd_openlane_line_is_refused(tmp_path: Path, change: dict[str, Any], said: str) -> None:
+    folder = openlane(tmp_path / "o", [1])
+    content = json.loads((folder / "1.json").read_text())
+    content["lane_lines"][1].update(change)
+    (folder / "1.json").write_text(json.dumps(content))
+    assert f"{folder}/1.json: lane_lines 2: {said}" in whats_wrong(folder)
+
+
+def test_a_camera_that_sees_only_sky_where_the_lines_are_is_refused(tmp_path: Path) -> None:
+    path = tusimple(tmp_path / "a.jsonl", [entry(1)])
+    up = Camera(
+        width=1280, height=720, fx=1040, fy=1040, cx=640, cy=360, height_m=1.6, pitch_deg=40
+    )
+    said = whats_wrong(path, camera=up)
+    assert "no line has two points on the road within 25 m ahead of this camera" in said
+
+
+@pytest.mark.parametrize(
+    ("options", "said"),
+    [
+        ({"valid": "allways"}, "valid: 'allways' is not one of hysteresis, always (did you mean"),
+        ({"frame_step": 0}, "frame_step: 0 is not a whole number from 1 up"),
+        ({"frame_step": 2}, "frame 1 is no multiple of frame_step 2"),
+        ({"frame_rate": 0}, "frame_rate: 0 is not a number greater than 0"),
+        ({"ahead_m": 300}, "ahead_m: 300 is not between 0 and 25 m"),
+        ({"ahead_m": "far"}, "ahead_m: 'far' is not between 0 and 25 m"),
+        ({"continuous": "all"}, "continuous: 'all' is not a list of classes, 0 to 20"),
+    ],
+)
+def test_options_out_of_range_are_refused(
+    tmp_path: Path, options: dict[str, Any], said: str
+) -> None:
+    assert said in whats_wrong(tusimple(tmp_path / "a.jsonl", [entry(1)]), **options)
