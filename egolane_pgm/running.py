@@ -65,6 +65,7 @@ from egolane_pgm.types import (
     NOTE,
     UNASSIGNED,
     Beliefs,
+    BoolArray,
     Evidence,
     FloatArray,
     InputError,
@@ -237,41 +238,6 @@ def result_rows(drive: Drive, believed: Believed) -> Result:
     )
 
 
-def held_out_result(
-    drive: Drive,
-    beliefs: Beliefs,
-    block: IntArray,
-    *,
-    fit: str,
-    tentative: FloatArray | None = None,
-    notes: Sequence[str],
-    run: Mapping[str, Any],
-    scores: Mapping[str, Any],
-) -> Result:
-    """The result of beliefs about the K annotated frames, each block of which was believed with
-    what was found without it.
-
-    - block (K,): of each frame. fit: what was done without it, as the experiment's `fit`.
-    - notes: warnings in addition to the recording's.
-    - run, scores: further keys of run.json, and what scores.json says.
-    """
-    recorded = drive.recorded
-    log = recorded.log.take(drive.rows)
-    recorded = replace(recorded, log=log, scored=np.arange(len(log)))
-    drive = replace(drive, recorded=recorded)
-    assigned = assigned_lane(beliefs.lane, drive.experiment.unassigned_below)
-    crossing = crossing_probability(beliefs.marginals)
-    rows = result_rows(drive, Believed(beliefs, assigned, tentative, crossing))
-    document = run_document(drive, rows, [*recorded.notes, *notes], fit=fit)
-    return replace(
-        rows,
-        config=plain({**resolved(drive.experiment, drive.model.parameters), "fit": fit}),
-        run=plain({**document, "fit": fit, **run}),
-        scores=plain({"schema_version": SCHEMA_VERSION, **scores}),
-        block=block,
-    )
-
-
 def run_document(
     drive: Drive, rows: Result, notes: Sequence[str], **changes: Any
 ) -> dict[str, Any]:
@@ -300,12 +266,17 @@ def run_document(
     }
 
 
-def scores_document(result: Result, drive: Drive) -> dict[str, Any]:
-    """The content of scores.json, from the columns and the run.json of a result."""
+def scores_document(result: Result, drive: Drive, kept: BoolArray | None = None) -> dict[str, Any]:
+    """The content of scores.json, from the columns and the run.json of a result.
+
+    - kept (K,): the annotated frames that are scored; all by default.
+    """
     rate, told, lane = float(result.run["frame_rate"]), result.told, result.marginals["Lane"]
     road, truth, rows = drive.recorded.road, result.truth, result.scored
     scores: dict[str, Any] = {}
     events: dict[str, Any] = {"told": len(told)}
+    if truth is not None and kept is not None:
+        truth, rows = truth.take(kept), rows[kept]
     if truth is not None:
         # Lanes that begin and end at the left change numbers, and that is no change of lane.
         moved, unsure = np.zeros(len(rows), dtype=np.int64), truth.is_crossing
@@ -336,6 +307,7 @@ def scores_document(result: Result, drive: Drive) -> dict[str, Any]:
         "schema_version": SCHEMA_VERSION,
         "name": drive.experiment.name,
         **{key: result.run[key] for key in _SHARED_KEYS},
+        "frames_scored": 0 if truth is None else int(np.count_nonzero(~truth.is_crossing)),
         **scores,
         "sure": float((lane.max(axis=1) >= SURE).mean()) if len(lane) else None,
         "lanes": [] if result.clip is not None else _lanes_over_time(result),

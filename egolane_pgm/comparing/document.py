@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+import re
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any
 
 from pydantic import Field
 
@@ -11,8 +12,16 @@ from egolane_pgm.experiment import validated
 from egolane_pgm.results import Causal, parse_json, refusing_damage
 from egolane_pgm.scoring.document import Count, Finite, Scores, Share, Stored
 
+#: The file of a comparison's directory that has the numbers.
+DOCUMENT = "comparison.json"
+
 #: Per score [estimate, low, high].
 Differences = dict[str, Annotated[list[Finite], Field(min_length=3, max_length=3)] | None]
+
+
+def folder_of(title: str) -> str:
+    """A recording's title as the name of a directory."""
+    return re.sub(r"[^A-Za-z0-9._-]+", "_", title).strip("._-") or "recording"
 
 
 class Compared(Stored):
@@ -32,10 +41,12 @@ class Compared(Stored):
     causal: Causal = Field(description="the same of filter and evidence apart")
     why_not_causal: list[str] = Field(description="a line for each that is not")
     unassigned_below: Share = Field(description="probability that an answer needs")
-    free_parameters: Count = Field(description="numbers that were fitted to labels")
+    free_parameters: Count | None = Field(
+        description="numbers that were fitted to labels; null in a plain run"
+    )
     fixed_parameters: Count | None = Field(description="numbers that `fit: tune` does not search")
     trials: Count | None = Field(description="trials of each block's search")
-    microseconds_per_frame: Finite = Field(description="evidence and filter")
+    microseconds_per_frame: Finite | None = Field(description="evidence and filter")
     parameters: list[dict[str, Any]] = Field(
         description="per block those that were fitted without it; empty for several seeds"
     )
@@ -61,7 +72,7 @@ class ComparedRecording(Stored):
     )
     run: Count | None = Field(description="the paper's run, if it is one")
     frames: Count = Field(description="annotated frames")
-    blocks: Count = Field(description="parts that were held out, one after the other")
+    blocks: Count | None = Field(description="parts that were held out, one after the other")
     notes: list[str] = Field(description="what was odd, a line each")
     health: dict[str, Any] | None = Field(description="of the detector, if asked for")
     experiments: list[Compared] = Field(min_length=1, description="the first is compared with")
@@ -79,12 +90,11 @@ class Together(Stored):
 
 
 class Comparison(Stored):
-    """`egolane compare --json` of experiments, each block of a drive held out; see
-    `comparing.groups.document`."""
+    """`egolane compare --json`; see `comparing.compared.document`."""
 
     schema_version: int = Field(description="version of these keys")
-    held_out: Literal[True] = Field(description="whether scores are of frames held out")
-    blocks: Count = Field(description="parts that were held out, one after the other")
+    held_out: bool = Field(description="whether every result was made block by block")
+    blocks: Count | None = Field(description="parts that were held out, one after the other")
     recordings: list[ComparedRecording] = Field(
         min_length=1, description="those that were compared"
     )
@@ -92,34 +102,10 @@ class Comparison(Stored):
     failed: list[dict[str, Any]] = Field(description="title, run and error of the others")
 
 
-class ComparisonPart(ComparedRecording):
-    """comparison.json of one recording."""
-
-    schema_version: int = Field(description="version of these keys")
-
-
-class InSampleRun(Stored):
-    """A run of the paper under several graphs."""
-
-    run: Count = Field(description="number of the paper's run")
-    scores: dict[str, dict[str, Any]] = Field(description="per graph, and of the detector")
-    mean_log_evidence: dict[str, Finite | None] = Field(description="per graph")
-
-
-class InSample(Stored):
-    """`egolane compare --json` of graphs with the paper's parameters."""
-
-    schema_version: int = Field(description="version of these keys")
-    parameters: str = Field(description="recovered or published")
-    tuned_on: Literal["same_frames"] = Field(description="the scores are of frames seen before")
-    runs: list[InSampleRun] = Field(min_length=1, description="the paper's runs")
-
-
 def parse_comparison(text: str | bytes, file: Path) -> Any:
-    """What comparison.json says: of several recordings, of one, or in-sample. Raises InputError in
-    one line, naming the file and a key that does not fit."""
+    """What comparison.json says. Raises InputError in one line,
+    naming the file and a key that does not fit."""
     with refusing_damage(file, "; compare again"):
         content = parse_json(text, file)
-        several = InSample if "runs" in content else Comparison
-        validated(ComparisonPart if "title" in content else several, content, str(file))
+        validated(Comparison, content, str(file))
     return content

@@ -41,13 +41,11 @@ def with_graphs(
     models: Sequence[Experiment],
     graphs: Sequence[str],
     *,
-    fit: str | None = None,
     is_shared: bool = False,
 ) -> list[Experiment]:
     """Each model once with each graph, as `with_graph` puts it there.
 
     graphs: as `named_graphs` takes them, after which the new experiments are named.
-    fit: how parameters are found; None for what the model says.
     is_shared: whether several models share a recording; the experiments are named after the model
         too then.
 
@@ -58,10 +56,9 @@ def with_graphs(
     with all_problems() as part:
         for model, (name, graph) in itertools.product(models, named.items()):
             title = f"{model.name}_{name}" if is_shared else name
-            changed = {"name": title, "fit": fit or model.fit}
             with part():
                 made = with_graph(model, graph, model.parameters)
-                found.append(made.model_copy(update=changed))
+                found.append(made.model_copy(update={"name": title}))
     return found
 
 

@@ -4,35 +4,20 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from egolane_pgm.drive import Drive, evidence_on
+from egolane_pgm.drive import evidence_on, load_drive
 from egolane_pgm.inference.smoothing import fixed_lag_beliefs
-from egolane_pgm.learning import Found, with_found
-from egolane_pgm.scoring.held_out import HeldOut
+from egolane_pgm.learning import with_found
+from egolane_pgm.results import Result
 from egolane_pgm.scoring.summary import score_with_intervals
 from egolane_pgm.types import BoolArray, FloatArray, InputError
 
 #: The scores for each lag.
 SCORES = ("accuracy", "f1", "log_loss")
-
-
-@dataclass(frozen=True)
-class Lagged:
-    """The beliefs that wait for a number of later frames.
-
-    seconds: how long they were asked to wait at most.
-    frames: how many later frames they know; fewer at the end of the recording.
-    lane (K, n): the beliefs over the lanes in the annotated frames.
-    """
-
-    seconds: float
-    frames: int
-    lane: FloatArray
 
 
 def check_lags(lags: ArrayLike) -> tuple[float, ...]:
@@ -55,36 +40,41 @@ def whole_frames(seconds: float, frame_rate: float) -> int:
     return math.floor(seconds * frame_rate + 1e-3)
 
 
-def lagged_beliefs(drive: Drive, held_out: HeldOut[Found], lags: Sequence[float]) -> list[Lagged]:
-    """The beliefs about a drive with what was found without each block, for each lag. The evidence
-    is made once for all lags, and only once where nothing is fitted.
+def lagged_beliefs(result: Result, lags: Sequence[float]) -> list[FloatArray]:
+    """The beliefs over the lanes (K, n) in the annotated frames that wait for each of some lags,
+    seconds, with what was found without each block. The recording is read for it; the evidence is
+    made once for all lags, and only once where nothing is fitted.
 
-    lags: seconds.
-
-    Raises InputError where the evidence is not a likelihood (`evidence_reading: jeffrey`).
+    Raises InputError where the recording cannot be read, or the evidence is not a likelihood
+    (`evidence_reading: jeffrey`).
     """
-    experiment = drive.experiment
-    frames = [whole_frames(lag, experiment.recording.frame_rate) for lag in lags]
+    drive = load_drive(result.experiment, needs_truth="a comparison scores against it")
+    experiment, frames = drive.experiment, [_frames(result, lag) for lag in lags]
+    founds = result.run.get("parameters_per_block") or [{}]
     # Without a fit all blocks have the same parameters.
-    founds = held_out.parameters[:1] if experiment.fit == "none" else held_out.parameters
+    founds = founds[:1] if experiment.fit == "none" else founds
     lanes: dict[int, FloatArray] = {}
     for b, found in enumerate(founds):
         model = with_found(drive.model, found, experiment)
         evidence = evidence_on(drive, model).filtered
-        mine = held_out.block == b if len(founds) > 1 else slice(None)
+        mine = slice(None) if len(founds) == 1 else result.block == b
         try:
             for lag in frames:
                 lane = fixed_lag_beliefs(model.compiled, evidence, lag).lane[drive.rows]
                 lanes.setdefault(lag, np.empty_like(lane))[mine] = lane[mine]
         except InputError as error:
             raise InputError(f"{experiment.source}: lags: {error}") from error
-    return [Lagged(lag, n, lanes[n]) for lag, n in zip(lags, frames, strict=True)]
+    return [lanes[n] for n in frames]
 
 
-def lag_notes(drive: Drive, lags: Sequence[float]) -> list[str]:
+def _frames(result: Result, lag: float) -> int:
+    return whole_frames(lag, result.run["frame_rate"])
+
+
+def lag_notes(result: Result, lags: Sequence[float]) -> list[str]:
     """What a reader must know of lags in seconds: those that are no whole number of frames, and the
     gaps of a recording."""
-    rate, ids = drive.experiment.recording.frame_rate, drive.recorded.log.frame_id
+    rate, ids = result.run["frame_rate"], result.frame_id
     notes = []
     for lag in lags:
         n = whole_frames(lag, rate)
@@ -99,20 +89,25 @@ def lag_notes(drive: Drive, lags: Sequence[float]) -> list[str]:
     return notes
 
 
-def lag_scores(drive: Drive, lagged: Sequence[Lagged], kept: BoolArray) -> dict[str, Any]:
-    """`lag_s`, `frames`, `accuracy`, `f1` and `log_loss`, a list with a value for each lag, and
-    `intervals`, of accuracy and F1, with a list of [low, high] each, None for a short drive.
+def lag_scores(
+    result: Result, lanes: Sequence[FloatArray], lags: Sequence[float], kept: BoolArray
+) -> dict[str, Any]:
+    """`lag_s`, `frames` (how many later ones a belief knows), `accuracy`, `f1` and `log_loss`, a
+    list with a value for each lag, and `intervals`, of accuracy and F1, with a list of [low, high]
+    each, None for a short drive.
 
-    kept (K,): the annotated frames that are scored.
+    - lanes: for each lag, as `lagged_beliefs` gives them.
+    - kept (K,): the annotated frames that are scored.
     """
-    experiment, truth = drive.experiment, drive.truth.take(kept)
-    rate, below = experiment.recording.frame_rate, experiment.unassigned_below
+    assert result.truth is not None
+    truth, rate = result.truth.take(kept), result.run["frame_rate"]
+    below = result.experiment.unassigned_below
     found: list[Mapping[str, Any]] = [
-        score_with_intervals(each.lane[kept], truth, rate, below) for each in lagged
+        score_with_intervals(lane[kept], truth, rate, below) for lane in lanes
     ]
     return {
-        "lag_s": [each.seconds for each in lagged],
-        "frames": [each.frames for each in lagged],
+        "lag_s": list(lags),
+        "frames": [_frames(result, lag) for lag in lags],
         **{name: [scores[name] for scores in found] for name in SCORES},
         "intervals": {
             name: [scores["intervals"][name] for scores in found] for name in ("accuracy", "f1")

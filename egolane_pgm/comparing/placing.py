@@ -1,4 +1,4 @@
-"""An experiment on a recording: put there and loaded, and which drives are held out together."""
+"""An experiment put on a recording, and which drives are held out together."""
 
 from __future__ import annotations
 
@@ -6,13 +6,10 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from egolane_pgm.drive import Drive, Recorded, load_drive
 from egolane_pgm.experiment import Experiment, Tuning, make_experiment
 from egolane_pgm.fleet import FleetDrive
-from egolane_pgm.recordings.catalog import find_file
-from egolane_pgm.recordings.ground_truth import read_ground_truth
 from egolane_pgm.recordings.source import files_in_full
-from egolane_pgm.types import InputError, IntArray, suggestion
+from egolane_pgm.types import InputError, suggestion
 
 
 def on_recording(model: Experiment, place: Experiment) -> Experiment:
@@ -89,19 +86,3 @@ def parts_of_fleet(
         where = f"{drives[0].source}: all other rows have this tag.{tag} too"
         raise InputError(f"{where}, so that none of them can be held out")
     return tuple(tuple(sorted(part)) for part in found.values())
-
-
-def timeline(drive: Drive) -> IntArray:
-    """The frame ids (T,) of the whole drive, in order, of which one detector's recording may lack
-    some: those of the ground truth's file, and the recording's own annotated ones."""
-    experiment, own = drive.experiment, drive.truth.frame_id
-    if experiment.ground_truth is None:
-        return own
-    path = find_file(experiment.ground_truth.path, experiment.folder)
-    return np.union1d(read_ground_truth(path).frame_id, own)
-
-
-def load_for_scoring(experiment: Experiment, recorded: Recorded | None = None) -> Drive:
-    """The experiment's recording and model, as `load_drive` gives them."""
-    needs = "a comparison scores against it"
-    return load_drive(experiment, needs_truth=needs, recorded=recorded)

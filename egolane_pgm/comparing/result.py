@@ -8,12 +8,9 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from egolane_pgm.comparing.document import parse_comparison
-from egolane_pgm.comparing.in_sample import compare_rows
-from egolane_pgm.comparing.saving import DOCUMENT, folder_of, save_recording
-from egolane_pgm.comparing.stored import stored_rows
+from egolane_pgm.comparing.document import DOCUMENT, folder_of, parse_comparison
 from egolane_pgm.fleet import FleetDrive
-from egolane_pgm.results import SCHEMA_VERSION, Result, is_result, read_result, staged
+from egolane_pgm.results import Result, is_result, read_result, staged
 from egolane_pgm.tools.files import write_json
 from egolane_pgm.types import InputError, not_one_of, titled
 from egolane_pgm.views import comparison_tables as rows_of
@@ -28,17 +25,15 @@ if TYPE_CHECKING:
     import xarray as xr
     from matplotlib.figure import Figure
 
-TITLES = {"accuracy": "Accuracy", "f1": "F1 (mean over lanes)", "log_loss": "Log-loss (all frames)"}
-
 
 @dataclass(frozen=True, repr=False, eq=False)
 class Comparison:
-    """Experiments side by side, on one or several recordings.
+    """Results side by side, on one or several recordings.
 
     - document: what `egolane compare --json` writes.
-    - results: what was believed held out, by the title of the recording and the name of the
-      experiment; empty for graphs with the paper's parameters, and where `folder` has them.
-    - folder: where the results were written.
+    - results: what was believed, by the title of the recording and the name of the experiment;
+      empty where `folder` has them.
+    - folder: where the results were read.
     - drives: of a fleet, on which the experiments were put.
     - stopped: the KeyboardInterrupt that ended it early; the recordings before it are there.
 
@@ -59,23 +54,17 @@ class Comparison:
     stopped: KeyboardInterrupt | None = None
 
     @property
-    def is_held_out(self) -> bool:
-        """Whether frames were scored that the parameters have not seen; else the parameters are the
-        paper's, in-sample."""
-        return bool(self.document.get("held_out"))
-
-    @property
     def names(self) -> list[str]:
         """The names of the experiments, or of the graphs."""
-        return experiment_names(self._as_held_out())
+        return experiment_names(self.document)
 
     @property
     def recordings(self) -> list[str]:
         """The titles of the recordings."""
-        return [str(recording["title"]) for recording in self._as_held_out()["recordings"]]
+        return [str(recording["title"]) for recording in self.document["recordings"]]
 
     def __getitem__(self, key: tuple[str, str]) -> Result:
-        """What was believed held out: of a recording, by its title, under an experiment.
+        """What was believed: of a recording, by its title, under an experiment.
 
         Raises InputError where there is none.
         """
@@ -85,41 +74,23 @@ class Comparison:
         if self.folder is not None and is_result(self.folder / folder_of(title) / name):
             return read_result(self.folder / folder_of(title) / name)
         raise InputError(
-            f"{title}, {name}: was not held out here; there are {', '.join(self.recordings)}"
+            f"{title}, {name}: is not here; there are {', '.join(self.recordings)}"
             f" with {', '.join(self.names)}"
         )
 
     @property
     def failed(self) -> list[tuple[str, str]]:
         """The title of each recording that failed, and why."""
-        return [(each["title"], each["error"]) for each in self.document.get("failed", [])]
+        return [(each["title"], each["error"]) for each in self.document["failed"]]
 
     @property
     def notes(self) -> list[str]:
         """Warnings, a line each."""
         return [
             titled(recording["title"], note)
-            for recording in self.document.get("recordings", [])
+            for recording in self.document["recordings"]
             for note in recording["notes"]
         ]
-
-    def _as_held_out(self) -> Mapping[str, Any]:
-        """The document in the form of those that hold something out."""
-        if self.is_held_out:
-            return self.document
-        recordings = []
-        for entry in self.document.get("runs", ()):
-            experiments = [
-                {
-                    "name": name,
-                    "tuned_on": "not_tuned" if name == "detector" else "same_frames",
-                    "scores": {"all_frames": scores},
-                    "difference": None,
-                }
-                for name, scores in entry["scores"].items()
-            ]
-            recordings.append({"title": f"run {entry['run']}", "experiments": experiments})
-        return {"recordings": recordings}
 
     def __repr__(self) -> str:
         return f"Comparison({self._title()})"
@@ -128,16 +99,11 @@ class Comparison:
         names = ", ".join(self.names[:6]) + ", ..." * (len(self.names) > 6)
         titles = self.recordings
         on = titles[0] if len(titles) == 1 else f"{len(titles)} recordings"
-        return f"{names} on {on}; {self._how()}"
-
-    def _how(self) -> str:
-        if not self.is_held_out:
-            return "the paper's parameters, in-sample"
         ways = dict.fromkeys(shown.how_tuned(entry) for _, entry in entries_of(self.document))
-        return " or ".join(ways)
+        return f"{names} on {on}; {' or '.join(ways)}"
 
     def _repr_html_(self) -> str:
-        document = self._as_held_out()
+        document = self.document
         header, rows = (rows_of.lag_rows if lag_curves(document) else rows_of.accuracy_rows)(
             document
         )
@@ -148,22 +114,10 @@ class Comparison:
 
     def to_text(self, *, style: str = "markdown", wide: bool = False) -> str:
         """The tables of what was compared; see `DriveTable.to_text`."""
-        found = self.document
-        if "results" in found:
-            note = (
-                f"{found['frames']} annotated frames; crossing ones count in the log-loss only."
-                " Intervals are 95 %, those of the differences paired. * in-sample, or not known to"
-                " be held out"
-            )
-            parts: list[str | Table] = [Table(*stored_rows(found)), note]
-        elif not self.is_held_out:
-            parts = _in_sample_parts(found)
-        elif self.drives:
-            rows = fleet_comparison_rows(found, self.drives)
-            parts = [Table(*rows, labels=2), FLEET_LEGEND]
-        else:
-            parts = _held_out_parts(found, with_all=style != "markdown")
-        return page(parts, style, wide)
+        if self.drives:
+            rows = fleet_comparison_rows(self.document, self.drives)
+            return page([Table(*rows, labels=2), FLEET_LEGEND], style, wide)
+        return page(_parts(self.document, with_all=style != "markdown"), style, wide)
 
     def to_pandas(self, table: str = "scores") -> pd.DataFrame:
         """A row per recording, experiment, subset of frames and score.
@@ -185,7 +139,7 @@ class Comparison:
             raise InputError(f"table: {not_one_of(table, ('scores', 'lags'))}")
         rows = [
             (title, entry["name"], subset, *row, entry["tuned_on"])
-            for title, entry in entries_of(self._as_held_out())
+            for title, entry in entries_of(self.document)
             for subset, scores in entry["scores"].items()
             for row in _score_rows(scores, (entry["difference"] or {}).get(subset) or {})
         ]
@@ -197,7 +151,7 @@ class Comparison:
         import pandas as pd
 
         rows = []
-        for title, entry in entries_of(self._as_held_out()):
+        for title, entry in entries_of(self.document):
             for subset, found in (entry.get("lags") or {}).items():
                 intervals = (found["intervals"] or {}).get("accuracy")
                 for k, lag in enumerate(found["lag_s"]):
@@ -235,33 +189,27 @@ class Comparison:
         }
         if figure not in makes:
             raise InputError(f"figure: {not_one_of(figure, list(makes))}")
-        if figure == "differences" and not self.is_held_out:
-            raise InputError("figure: 'differences' are of comparisons that hold something out")
-        return inline_figure(lambda: makes[figure](self._as_held_out()))
+        return inline_figure(lambda: makes[figure](self.document))
 
     def save(self, directory: str | os.PathLike[str], *, figures: bool = True) -> Path:
         """Write the numbers, and a result directory for each recording and experiment, as
         `egolane compare --out` does; `load_result` reads them.
 
-        - figures: whether accuracy, and that over lags, is drawn as well.
+        - figures: whether accuracy, how it differs, and that over lags, is drawn as well.
 
         An older comparison of that name is replaced; files of your own in it stay. Raises
         InputError where the directory holds anything else, or cannot be written.
         """
         place = Path(directory)
         with staged(place, [is_comparison]) as folder:
-            for part in self.document["recordings"] if self.is_held_out else ():
-                names = [name for title, name in self.results if title == part["title"]]
-                save_recording(folder, part, {name: self[part["title"], name] for name in names})
+            for (title, name), result in self.results.items():
+                result.save(folder / folder_of(title) / name, figures=False)
             write_json(folder / DOCUMENT, self.document)
             if figures:
                 # matplotlib is imported only for figures.
-                from egolane_pgm.views.comparison_figures import draw_comparison, draw_lags
+                from egolane_pgm.views.comparison_figures import draw_all
 
-                document = self._as_held_out()
-                draw_comparison(document, folder / "figures" / "accuracy.png")
-                if lag_curves(document):
-                    draw_lags(document, folder / "figures" / "lags.png")
+                draw_all(self.document, folder / "figures")
         return place
 
 
@@ -278,51 +226,20 @@ def _score_rows(
 
 
 def is_comparison(directory: Path) -> bool:
-    """Whether the directory holds a comparison: of several recordings, or of one."""
-    if (directory / DOCUMENT).is_file():
-        return True
-    return directory.is_dir() and any((child / DOCUMENT).is_file() for child in directory.iterdir())
+    """Whether the directory holds a comparison."""
+    return (directory / DOCUMENT).is_file()
 
 
 def read_comparison(directory: Path) -> Comparison:
     """Read the directory of a comparison. Raises InputError where it is damaged."""
     file = directory / DOCUMENT
-    files = [file] if file.is_file() else sorted(directory.glob(f"*/{DOCUMENT}"))
-    parts = [parse_comparison(each.read_bytes(), each) for each in files]
-    if "title" not in parts[0]:
-        return Comparison(parts[0], folder=directory)
-    found = {
-        "schema_version": SCHEMA_VERSION,
-        "held_out": True,
-        "blocks": parts[0]["blocks"],
-        "recordings": [{k: v for k, v in p.items() if k != "schema_version"} for p in parts],
-        "together": [],
-        "failed": [],
-    }
-    return Comparison(found, folder=directory.parent if file.is_file() else directory)
+    return Comparison(parse_comparison(file.read_bytes(), file), folder=directory)
 
 
 # --- what is printed ---------------------------------------------------------------------------
 
 
-def _in_sample_parts(found: Mapping[str, Any]) -> list[str | Table]:
-    parts: list[str | Table] = []
-    for key, title in TITLES.items():
-        parts += [title, Table(*compare_rows(found, key))]
-    parts.append(
-        f"Parameters: the paper's ({found['parameters']}), as far as a graph has them; in-sample:"
-        " the authors tuned them for sensor_failure on these very frames."
-    )
-    names = {name for run in found["runs"] for name in run["scores"]}
-    if {"wor_on_lane", "sensor_failure"} <= names:
-        parts.append(
-            "wor_on_lane is sensor_failure until its p3 and p4 differ from lane to lane; the paper"
-            " has one value of each. Held out they are searched."
-        )
-    return parts
-
-
-def _held_out_parts(found: Mapping[str, Any], *, with_all: bool) -> list[str | Table]:
+def _parts(found: Mapping[str, Any], *, with_all: bool) -> list[str | Table]:
     """The tables of scores, or instead of them those of lags and events that were asked for.
 
     - with_all: whether a table of all scores comes first.

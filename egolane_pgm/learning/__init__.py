@@ -13,8 +13,6 @@ from egolane_pgm.learning.held_out import (
     check_learnable,
     fit,
     fit_pooled,
-    held_out_belief,
-    learn,
     n_learned,
 )
 from egolane_pgm.learning.output import output_files, write_learned
@@ -26,8 +24,6 @@ __all__ = [
     "check_learnable",
     "fit",
     "fit_pooled",
-    "held_out_belief",
-    "learn",
     "n_learned",
     "output_files",
     "with_found",

@@ -20,7 +20,6 @@ from egolane_pgm.learning.held_out import (
     LogEvidence,
     TrainingData,
     fit_data,
-    learn,
     load_to_learn,
     log_evidence_of,
     mean_log_evidence,
@@ -64,25 +63,19 @@ def learn_fleet(
     experiments: Sequence[Experiment],
     parts: Sequence[Sequence[int]],
     *,
-    n_blocks: int,
     jobs: Jobs = 1,
     done: Callable[[], object] = int,
 ) -> LearnedFleet:
     """Learn from all drives, and once more without each part of them, which is then scored.
 
-    experiments: one on each drive; they differ in what is recorded only.
+    experiments: one on each of two drives or more; they differ in what is recorded only.
     parts: the numbers of the drives that are left out together; each drive is in one.
-    n_blocks: of one drive alone, which is learned from as `learn` does it.
     jobs: where the fits, one more than there are parts, are shared out to.
     done: is called after each fit.
 
     A process reads each drive once to learn and keeps what it learns from: for tables the evidence
     of each frame. Raises InputError as `learn`, naming the drive.
     """
-    if len(experiments) == 1:
-        alone = learn(experiments[0], n_blocks=n_blocks, done=done)
-        evidence = alone.log_evidence
-        return LearnedFleet(alone.model, alone.parameters, (alone.scores,), (evidence,), evidence)
     _check_alike(experiments)
     work = partial(_without, pickle.dumps(tuple(experiments)))
     found: list[Found] = []

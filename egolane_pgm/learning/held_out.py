@@ -1,14 +1,14 @@
-"""Learning from an experiment's recording, and scoring what was learned held out."""
+"""Learning from an experiment's recording, and what that is worth on other frames."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, cast
 
 import numpy as np
 
-from egolane_pgm.drive import Drive, Recorded, beliefs_of, evidence_on, load_drive
+from egolane_pgm.drive import Drive, Recorded, evidence_on, load_drive
 from egolane_pgm.experiment import Experiment
 from egolane_pgm.inference.filtering import filter_beliefs
 from egolane_pgm.learning.em import Training
@@ -25,7 +25,7 @@ from egolane_pgm.learning.tables import (
 from egolane_pgm.model import Model, prepare_model
 from egolane_pgm.parameters import Value, resolve_parameters
 from egolane_pgm.plugins import declared_parameters, plugin_errors
-from egolane_pgm.scoring.held_out import N_BLOCKS, HeldOut, held_out, stitched
+from egolane_pgm.scoring.held_out import stitched
 from egolane_pgm.scoring.summary import score_with_intervals
 from egolane_pgm.types import Beliefs, BoolArray, InputError, IntArray, LineLog
 
@@ -46,54 +46,17 @@ class Learned:
     model: the experiment's, before.
     parameters: from every frame that may be used for fitting, as in a YAML; tables by the names of
         `tables`.
-    held_out: what each block is believed with the parameters of the others.
-    scores: of that belief, as `score_with_intervals` gives them, over the frames whose labels can
-        be trusted; scores_all: over all annotated frames; None without ground truth.
     log_evidence: mean per frame of the exact filter, before learning and, each block with the
         tables of the others, after; None where no table was learned, or no frame is possible.
     """
 
     model: Model
     parameters: Found
-    held_out: HeldOut[Found]
-    scores: Mapping[str, Any] | None
-    scores_all: Mapping[str, Any] | None
     log_evidence: tuple[float, float] | None = None
 
     def tables(self) -> dict[str, Any]:
         """The learned tables by name, as nested lists."""
         return nested_tables(self.model, self.parameters)
-
-
-def learn(
-    experiment: Experiment,
-    *,
-    recorded: Recorded | None = None,
-    n_blocks: int = N_BLOCKS,
-    done: Callable[[], object] = int,
-) -> Learned:
-    """Learn an experiment's parameters or tables, and score them held out.
-
-    recorded: the recording, where it was read already.
-    done: is called after each of the n_blocks + 1 fits.
-
-    The frames of `tuning.never_fit` are not learned from, and scored in scores_all only; labels of
-    crossing frames are not looked at either. Raises InputError for an experiment without ground
-    truth, unless it learns without labels, or of which nothing can be learned.
-    """
-    drive = load_to_learn(experiment, recorded)
-    trusted = trusted_frames(drive)
-    parameters = fit(drive.only_labels_of(trusted), trusted)
-    done()
-    result = held_out_belief(drive, n_blocks=n_blocks, done=done)
-    return Learned(
-        drive.model,
-        parameters,
-        result,
-        scores_of(drive, result.beliefs, trusted),
-        scores_of(drive, result.beliefs, np.arange(len(drive))),
-        mean_log_evidence([log_evidence_of(drive, result.parameters)]),
-    )
 
 
 def trusted_frames(drive: Drive) -> IntArray:
@@ -117,23 +80,6 @@ def scores_of(drive: Drive, beliefs: Beliefs, frames: IntArray) -> dict[str, Any
         drive.experiment.recording.frame_rate,
         drive.experiment.unassigned_below,
     )
-
-
-def held_out_belief(
-    drive: Drive, *, n_blocks: int = N_BLOCKS, done: Callable[[], object] = int
-) -> HeldOut[Found]:
-    """The beliefs of the annotated frames (without ground truth: of all frames) with what was
-    learned from the other blocks' frames. done: is called after each fit."""
-
-    def learn_from(others: Drive, train: IntArray, block: int) -> Found:
-        found = fit(others, train)
-        done()
-        return found
-
-    def beliefs_with(found: Found) -> Beliefs:
-        return beliefs_of(drive, with_found(drive.model, found, drive.experiment))[0]
-
-    return held_out(drive, learn_from, beliefs_with, n_blocks)
 
 
 def fit(drive: Drive, train: IntArray) -> dict[str, Value]:

@@ -9,20 +9,23 @@ from pathlib import Path
 from typing import Annotated, Any, overload
 
 from egolane_pgm.comparing.placing import parts_of_fleet
-from egolane_pgm.drive import Drive, with_own_rate
+from egolane_pgm.drive import with_own_rate
 from egolane_pgm.drive_table import DriveTable
 from egolane_pgm.experiment import Experiment, Given, Overrides, load_experiment
 from egolane_pgm.fleet import drive_row, drives_of, experiments_of, pooled
-from egolane_pgm.learning import Learned, output_files, write_learned
-from egolane_pgm.learning import learn as learn_drive
+from egolane_pgm.held_out import held_out_result
+from egolane_pgm.learning import Learned, fit, output_files, write_learned
 from egolane_pgm.learning.fleet import SHARED, LearnedFleet
 from egolane_pgm.learning.fleet import learn_fleet as learn_together
-from egolane_pgm.learning.held_out import load_to_learn
+from egolane_pgm.learning.held_out import (
+    load_to_learn,
+    log_evidence_of,
+    mean_log_evidence,
+    trusted_frames,
+)
 from egolane_pgm.learning.tables import PREFIX
-from egolane_pgm.model import causality
 from egolane_pgm.results import SCHEMA_VERSION, Result
-from egolane_pgm.running import held_out_result
-from egolane_pgm.tools.files import check_not_read
+from egolane_pgm.tools.files import check_not_read, plain
 from egolane_pgm.tools.progress import bar
 from egolane_pgm.types import InputError
 from egolane_pgm.verbs.given import Blocks, ByTag, Fleet, Jobs, Option, Progress, StrPath, path_of
@@ -127,33 +130,33 @@ def _target(out: str, name: str) -> Path:
 def _learn_drive(given: Experiment, blocks: int, progress: bool | None) -> Result:
     with warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always", UserWarning)
-        drive = load_to_learn(given)
+        drive = load_to_learn(given.model_copy(update={"fit": "learn"}))
+        trusted = trusted_frames(drive)
         with bar(None, progress, total=blocks + 1, unit="fit") as shows:
-            learned = learn_drive(
-                given, recorded=drive.recorded, n_blocks=blocks, done=shows.update
-            )
+            parameters = fit(drive.only_labels_of(trusted), trusted)
+            shows.update()
+            found = held_out_result(drive, n_blocks=blocks, done=shows.update)
+    evidence = log_evidence_of(drive, found.run["parameters_per_block"])
+    learned = Learned(drive.model, parameters, mean_log_evidence([evidence]))
     # Several blocks may give the same warning.
-    notes = tuple(dict.fromkeys(str(w.message) for w in caught))
-    return replace(_held_out(drive, learned, blocks, notes), learned=learned)
-
-
-def _held_out(drive: Drive, learned: Learned, blocks: int, notes: tuple[str, ...]) -> Result:
-    """What was believed held out, as the result of a run."""
-    found = learned.held_out
-    run = {
+    notes = dict.fromkeys([*found.notes, *(str(w.message) for w in caught)])
+    scores = {
+        **found.scores,
+        "fit": "learn",
         "blocks": blocks,
-        "tuned_on": "other_frames",
-        **causality(drive.experiment, drive.model, found.parameters),
+        "log_evidence": _evidence(learned),
+        "parameters": {**parameters, **learned.tables()},
     }
-    scores = {"name": drive.experiment.name, "fit": "learn", **run}
-    scores |= {"frames": len(drive), "frames_scored": 0, "log_evidence": _evidence(learned)}
-    scores |= {"parameters": {**learned.parameters, **learned.tables()}}
-    if learned.scores is not None:
-        scores |= {"model": learned.scores, "frames_scored": learned.scores["frames_scored"]}
-        scores |= {"model_all_frames": learned.scores_all}
-    return held_out_result(
-        drive, found.beliefs, found.block, fit="learn", notes=notes, run=run, scores=scores
-    )
+    run = {**found.run, "warnings": list(notes)}
+    return replace(found, run=run, scores=plain(scores), learned=learned)
+
+
+def _of_one(result: Result) -> LearnedFleet:
+    """What was learned from a fleet of one drive."""
+    alone = result.learned
+    evidence = alone.log_evidence
+    scores = (result.scores.get("model"),)
+    return LearnedFleet(alone.model, alone.parameters, scores, (evidence,), evidence)
 
 
 def _evidence(learned: Learned | LearnedFleet) -> dict[str, float] | None:
@@ -179,10 +182,11 @@ def _learn_fleet(
     parts = parts_of_fleet(drives, of, blocks, by_tag)
     with warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always", UserWarning)
-        with bar(None, progress, total=1 + (len(parts) or blocks), unit="fit") as shows:
-            learned = learn_together(
-                experiments, parts, n_blocks=blocks, jobs=jobs, done=shows.update
-            )
+        if parts:
+            with bar(None, progress, total=1 + len(parts), unit="fit") as shows:
+                learned = learn_together(experiments, parts, jobs=jobs, done=shows.update)
+        else:
+            learned = _of_one(_learn_drive(experiments[0], blocks, progress))
     part_of = {k: number for number, part in enumerate(parts, 1) for k in part}
     rows = []
     for k, drive in enumerate(drives):

@@ -43,9 +43,14 @@ _FINER = tuple(tuple(k / n for k in range(1, n)) for n in (20, 100))
 _COLUMN, _LEFT, _RIGHT, _HEAD, _FOOT, _HEIGHT = 0.16, 0.9, 0.15, 0.4, 0.45, 3.4
 
 
-def draw_comparison(document: Mapping[str, Any], path: str | Path) -> Path:
-    """Writes `comparison_figure`; raises InputError as that does and as `write_figure`."""
-    return write_figure(lambda: comparison_figure(document), path)
+def draw_all(document: Mapping[str, Any], folder: Path) -> None:
+    """Write accuracy.png; differences.png of several experiments; lags.png where lags were asked for.
+    Raises InputError as `write_figure`."""
+    write_figure(lambda: comparison_figure(document), folder / "accuracy.png")
+    if len(experiment_names(document)) > 1:
+        write_figure(lambda: differences_figure(document), folder / "differences.png")
+    if lag_curves(document):
+        write_figure(lambda: lags_figure(document), folder / "lags.png")
 
 
 def comparison_figure(document: Mapping[str, Any]) -> Figure:
@@ -140,11 +145,6 @@ def comparison_figure(document: Mapping[str, Any]) -> Figure:
 _PANELS, _PANEL, _ROW, _GAP, _ABOVE, _BELOW = 4, 1.7, 0.19, 0.22, 0.3, 0.3
 
 
-def draw_differences(document: Mapping[str, Any], path: str | Path) -> Path:
-    """Writes `differences_figure`; raises InputError as that does and as `write_figure`."""
-    return write_figure(lambda: differences_figure(document), path)
-
-
 def differences_figure(document: Mapping[str, Any]) -> Figure:
     """Draws the accuracy of each experiment but the first less that of the first, on each recording
     and on all of them, with paired 95 % intervals.
@@ -222,11 +222,6 @@ Star: another study (arXiv:2405.17270) reports 99.6 % at an average prediction t
 is sure, and on other roads: a mark to look at, no like-for-like comparison."""
 
 _LAG_PANEL, _LAG_GAP, _LAG_HEIGHT, _LAG_LEGEND, _LAG_FOOT = 5.0, 0.3, 3.8, 1.2, 1.1
-
-
-def draw_lags(document: Mapping[str, Any], path: str | Path) -> Path:
-    """Writes `lags_figure`; raises InputError as that does and as `write_figure`."""
-    return write_figure(lambda: lags_figure(document), path)
 
 
 def lags_figure(document: Mapping[str, Any]) -> Figure:
