@@ -81,11 +81,14 @@ def run_held_out(
     Raises InputError as `load_drive`, for a fit that the experiment's plugins do not allow, and for
     too many blocks.
     """
+    begun = time.perf_counter()
     needs = "a search needs it" if experiment.fit == "tune" else None
     if experiment.fit == "learn" and learning_of(experiment).labels:
         needs = "learning needs it"
     drive = load_drive(experiment, needs_truth=needs, recorded=recorded, read=read)
-    return held_out_result(drive, n_blocks=n_blocks, search=search or Search())
+    result = held_out_result(drive, n_blocks=n_blocks, search=search)
+    seconds = round(time.perf_counter() - begun, 3)
+    return replace(result, run={**result.run, "seconds": seconds})
 
 
 def held_out_result(

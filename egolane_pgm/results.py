@@ -15,9 +15,9 @@ A directory is complete, so that a report can be made from it alone:
   number), log_evidence (mean).
 - figures/: the belief over time, strips.png, and what `plot` drew.
 
-`egolane compare --out` writes the same for what was believed held out: beliefs.parquet has the
-annotated frames, and the `block` of each; run.json has `fit`, `blocks` and `parameters_per_block`
-too; scores.json has the experiment's part of the comparison under `held_out`.
+What was believed held out (`held_out.run_held_out`) is written so too: beliefs.parquet has the
+annotated frames, and the `block` of each; run.json has `fit`, `blocks`, `parameters_per_block` and
+more of how they were found.
 
 A directory is written beside its place and renamed at the end: one that has the name is whole. A
 new result takes the place of an old one file by file: what else lies there stays (see `OURS`).

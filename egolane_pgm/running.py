@@ -416,6 +416,9 @@ def _parts(drive: Drive) -> Iterator[tuple[Recorded, Believed]]:
 
 # --- several runs ------------------------------------------------------------------------------
 
+#: How an experiment becomes a result: `run_experiment`, or `held_out.run_held_out`.
+Way = Callable[..., Result]
+
 
 @dataclass(frozen=True)
 class OneOfSeveral:
@@ -510,6 +513,7 @@ def plan_runs(
 
 def run_all(
     runs: Sequence[OneOfSeveral],
+    way: Way = run_experiment,
     *,
     jobs: Jobs = 1,
     figures: bool = False,
@@ -519,17 +523,18 @@ def run_all(
     """Do several runs and write their results; yields each, in order, as soon as those before it
     are done.
 
+    - way: makes the result of each.
     - jobs: number of processes that share the runs, or a cluster.
     - figures: as in `Result.save`.
     - keep: whether results are kept instead of written.
     - resume: whether a result that is there already is taken, where it was made from the same
       files, with the same config and the same code; and each tells its drive.
     """
-    work = partial(_finish, figures=figures, keep=keep, resume=resume)
+    work = partial(_finish, way=way, figures=figures, keep=keep, resume=resume)
     yield from in_order(work, runs, jobs, died=lambda run, error: replace(run, error=error))
 
 
-def _finish(run: OneOfSeveral, figures: bool, keep: bool, resume: bool) -> OneOfSeveral:
+def _finish(run: OneOfSeveral, way: Way, figures: bool, keep: bool, resume: bool) -> OneOfSeveral:
     if run.experiment is None:
         return run
     try:
@@ -540,7 +545,7 @@ def _finish(run: OneOfSeveral, figures: bool, keep: bool, resume: bool) -> OneOf
             said, scores = stored
             seconds = said.get("seconds")
             return replace(run, scores=scores, seconds=seconds, was_there=True, drive=drive)
-        done = run_experiment(run.experiment, read=run.read)
+        done = way(run.experiment, read=run.read)
         if not keep:
             done.save(run.directory, figures=figures)
     except InputError as error:
@@ -549,7 +554,8 @@ def _finish(run: OneOfSeveral, figures: bool, keep: bool, resume: bool) -> OneOf
         # A fault of ours in one run must not cost the others what they computed.
         return replace(run, error=" ".join(f"{type(error).__name__}: {error}".split()))
     kept = done if keep else None
-    return replace(run, scores=done.scores, result=kept, seconds=done.run["seconds"], drive=drive)
+    seconds = done.run["seconds"]
+    return replace(run, scores=done.scores, result=kept, seconds=seconds, drive=drive)
 
 
 def stored_result(

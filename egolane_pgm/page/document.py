@@ -25,7 +25,6 @@ from egolane_pgm.views.answers import (
     reliabilities,
     title_of,
 )
-from egolane_pgm.views.comparison_tables import trusted_or_all
 from egolane_pgm.views.events import event_lines
 from egolane_pgm.views.tables import TUNED_ON, score_rows, score_text
 
@@ -218,12 +217,7 @@ def _lead(result: Result) -> str:
 
 def _scores_of(result: Result) -> dict[str, Mapping[str, Any]]:
     """The scores of the model, and of the detector alone where they are known."""
-    scores = result.scores
-    found = {who: scores[who] for who in ("detector", "model") if who in scores}
-    if "held_out" in scores:
-        # A comparison scores what it held out, over several choices of frames.
-        found["model"] = trusted_or_all(scores["held_out"]["scores"])
-    return found
+    return {who: result.scores[who] for who in ("detector", "model") if who in result.scores}
 
 
 def _scores(results: Sequence[Result], titles: Sequence[str]) -> dict[str, Any]:

@@ -20,10 +20,12 @@ from egolane_pgm.experiment import (
     load_experiment,
 )
 from egolane_pgm.fleet import numbers_of, plan_fleet, read_fleet, summary_rows, write_summary
+from egolane_pgm.held_out import run_held_out
 from egolane_pgm.recordings.source import IN_MEMORY, Read
 from egolane_pgm.results import SCHEMA_VERSION, Result, check_writable
 from egolane_pgm.running import (
     OneOfSeveral,
+    Way,
     name_runs,
     plan_runs,
     run_all,
@@ -33,6 +35,7 @@ from egolane_pgm.running import (
 from egolane_pgm.tools.progress import bar
 from egolane_pgm.types import InputError, LineLog, titled
 from egolane_pgm.verbs.given import (
+    Blocks,
     Detector,
     Fleet,
     FrameId,
@@ -93,6 +96,8 @@ def run(  # type: ignore[misc]
     graph: Annotated[Any, Hidden] = None,
     fleet: Fleet = None,
     stream: bool = False,
+    held_out: bool = False,
+    blocks: Blocks = 5,
     out: Annotated[StrPath | None, Option("DIR", default="results/*", said="results/NAME")] = None,
     figures: bool = True,
     jobs: Jobs = 1,
@@ -125,6 +130,9 @@ def run(  # type: ignore[misc]
     - fleet: a table with a row per drive (.csv, .parquet, .yaml): recording, n_lanes, tag.X, ...
     - stream: make and write beliefs part after part, for long drives: the same numbers, without
       figures. What needs the whole drive is refused.
+    - held_out: believe each block of the annotated frames with parameters that were found without
+      it, as the experiment's `fit` says (none: its own, learn, tune).
+    - blocks: with held_out: how many blocks there are.
     - out: result directory; of several runs, their folder. A `*` in it is the run's name.
     - figures: draw the belief over time.
     - jobs: processes that share several runs.
@@ -149,12 +157,13 @@ def run(  # type: ignore[misc]
     if not given and not recordings:
         raise InputError("run: name an experiment, or a recording of lines")
     is_one = not isinstance(experiment, (list, tuple)) and not isinstance(recording, (list, tuple))
-    if stream and (fleet is not None or not is_one or folder is None):
+    if stream and (fleet is not None or not is_one or folder is None or held_out):
         raise InputError("stream: goes with one experiment, one recording and out")
+    way: Way = partial(run_held_out, n_blocks=blocks) if held_out else run_experiment
     if fleet is not None:
         if not is_one or recordings or any(change is not None for change in changes):
             raise InputError("fleet: goes with one experiment; the table names the recordings")
-        return _run_fleet(given[0], overrides, fleet, _folder_of(folder), jobs, progress)
+        return _run_fleet(given[0], overrides, fleet, _folder_of(folder), way, jobs, progress)
     if is_one:
         lines = recordings[0] if recordings else None
         first = given[0] if given else ZERO_LABEL
@@ -162,7 +171,7 @@ def run(  # type: ignore[misc]
         read = read_of(chosen, first if lines is None else lines, ground_truth)
         place = None if folder is None else folder.with_name(folder.name.replace("*", chosen.name))
         if not stream:
-            return _run_one(chosen, place, figures, read)
+            return _run_one(chosen, place, figures, read, way)
         if read is not None:
             raise InputError("stream: goes with a recording in a file")
         assert place is not None
@@ -178,7 +187,7 @@ def run(  # type: ignore[misc]
         else replace(each, read=read_of(each.experiment, lines, ground_truth))
         for each in plan
     ]
-    return _run_several(plan, folder, figures, jobs, progress)
+    return _run_several(plan, folder, figures, way, jobs, progress)
 
 
 def says(done: Result | DriveTable, given: Mapping[str, Any]) -> str:
@@ -188,11 +197,13 @@ def says(done: Result | DriveTable, given: Mapping[str, Any]) -> str:
     return f"results: {len(done) - len(done.failed)} of {len(done)} in {done.folder}"
 
 
-def _run_one(chosen: Experiment, place: Path | None, figures: bool, read: Read | None) -> Result:
+def _run_one(
+    chosen: Experiment, place: Path | None, figures: bool, read: Read | None, way: Way
+) -> Result:
     if place is None:
-        return run_experiment(chosen, read=read)
+        return way(chosen, read=read)
     check_writable(place)
-    done = run_experiment(chosen, read=read)
+    done = way(chosen, read=read)
     done.save(place, figures=figures)
     return replace(done, directory=place)
 
@@ -207,12 +218,13 @@ def _run_several(
     plan: Sequence[OneOfSeveral],
     folder: Path | None,
     figures: bool,
+    way: Way,
     jobs: Jobs,
     progress: bool | None,
 ) -> DriveTable:
     done: list[OneOfSeveral] = []
     try:
-        found = run_all(plan, jobs=jobs, figures=figures, keep=folder is None)
+        found = run_all(plan, way, jobs=jobs, figures=figures, keep=folder is None)
         done.extend(bar(found, progress, total=len(plan), unit="run"))
     except KeyboardInterrupt:
         kept = f"{len(done)} of {len(plan)} are in {folder}; " if folder else ""
@@ -272,6 +284,7 @@ def _run_fleet(
     overrides: Overrides,
     fleet: StrPath,
     folder: Path,
+    way: Way,
     jobs: Jobs,
     progress: bool | None,
 ) -> DriveTable:
@@ -279,7 +292,7 @@ def _run_fleet(
     plan = plan_fleet(load_experiment(experiment, overrides), drives, folder, overrides)
     done: list[OneOfSeveral] = []
     try:
-        found = run_all(plan, jobs=jobs, resume=True)
+        found = run_all(plan, way, jobs=jobs, resume=True)
         done.extend(bar(found, progress, total=len(plan), unit="drive"))
     except KeyboardInterrupt:
         raise KeyboardInterrupt(

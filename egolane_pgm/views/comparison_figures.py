@@ -44,8 +44,8 @@ _COLUMN, _LEFT, _RIGHT, _HEAD, _FOOT, _HEIGHT = 0.16, 0.9, 0.15, 0.4, 0.45, 3.4
 
 
 def draw_all(document: Mapping[str, Any], folder: Path) -> None:
-    """Write accuracy.png; differences.png of several experiments; lags.png where lags were asked for.
-    Raises InputError as `write_figure`."""
+    """Write accuracy.png; differences.png of several experiments; lags.png where lags were asked
+    for. Raises InputError as `write_figure`."""
     write_figure(lambda: comparison_figure(document), folder / "accuracy.png")
     if len(experiment_names(document)) > 1:
         write_figure(lambda: differences_figure(document), folder / "differences.png")

@@ -201,9 +201,9 @@ def _cells(entry: Mapping[str, Any], subset: str, scores: Mapping[str, Any]) -> 
         score_text(scores["coverage"]),
         score_text(scores["mean_log_evidence"]),
         score_text(entry["microseconds_per_frame"], 1),
-        str(entry["free_parameters"]),
+        _count(entry["free_parameters"]),
         *(_bounds_text(difference.get(key), "+.3f") for key in _COMPARED),
-        *("-" if entry[k] is None else str(entry[k]) for k in ("fixed_parameters", "trials")),
+        *(_count(entry[key]) for key in ("fixed_parameters", "trials")),
         str(len(entry["seeds"]) or "-"),
         score_text(entry["spread"][subset]["accuracy"]),
         *(_auc(health.get(key)) for key in ("auc_doubt", "auc_bad")),
@@ -280,6 +280,10 @@ def health_rows(document: Mapping[str, Any]) -> tuple[list[str], list[list[str]]
             row += [_auc(models.get(name, {}).get(key)) for key in ("auc_doubt", "auc_bad")]
         rows.append(row)
     return header, rows
+
+
+def _count(number: int | None) -> str:
+    return "-" if number is None else str(number)
 
 
 def _auc(value: float | None) -> str:

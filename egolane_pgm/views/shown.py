@@ -9,7 +9,6 @@ from typing import TYPE_CHECKING, Any
 
 from egolane_pgm.types import InputError
 from egolane_pgm.views.clips import clip_parts
-from egolane_pgm.views.comparison_tables import trusted_or_all
 from egolane_pgm.views.events import event_lines, event_rows, lane_words, sure_words
 from egolane_pgm.views.tables import (
     TUNED_ON,
@@ -68,11 +67,7 @@ def xarray() -> Any:
 def scored(result: Result) -> dict[str, Any]:
     """The scores of the model, and of the detector alone where they are known."""
     scores = result.scores
-    found: dict[str, Any] = {who: scores[who] for who in ("model", "detector") if who in scores}
-    if "held_out" in scores:
-        # A comparison scores what it held out, over several choices of frames.
-        found["model"] = trusted_or_all(scores["held_out"]["scores"])
-    return found
+    return {who: scores[who] for who in ("model", "detector") if who in scores}
 
 
 def result_title(result: Result) -> str:
@@ -96,9 +91,7 @@ def result_html(result: Result) -> str:
 def result_text(result: Result, style: str, wide: bool) -> str:
     """What `egolane run` prints: scores and confusions, or the lane over time, then the lane
     changes."""
-    said = result.scores
-    if "mean_log_evidence" not in said:
-        return page(_held_out_parts(result), style, wide)
+    said, more = result.scores, _more_parts(result)
     mean = said["mean_log_evidence"]
     first = [
         f"{said['name']}: {len(result)} frames, {result.n_lanes} lanes,"
@@ -106,28 +99,38 @@ def result_text(result: Result, style: str, wide: bool) -> str:
         f" mean log evidence {math.nan if mean is None else mean:.4f}",
         *said["why_not_causal"],
     ]
+    if result.block is not None:
+        first.append(_held_out_words(result))
     scores = {who: said[who] for who in ("detector", "model") if who in said}
     if not scores:
         first.append("no ground truth: beliefs only, no scores (ground_truth names a file)")
-        return page(["\n".join(first), *_lane_parts(result), *_event_parts(result)], style, wide)
+        parts = ["\n".join(first), *more, *_lane_parts(result), *_event_parts(result)]
+        return page(parts, style, wide)
     first.append(f"{said['frames_scored']} frames scored (crossing ones are not);")
     first.append(f"parameters: {TUNED_ON[said['tuned_on']]}")
     matrices = [confusion_table(mine["confusion"], name) for name, mine in scores.items()]
-    parts = ["\n".join(first), Table(*score_rows(scores)), *matrices, *_event_parts(result)]
-    return page(parts, style, wide)
+    parts = ["\n".join(first), Table(*score_rows(scores)), *more, *matrices]
+    return page([*parts, *_event_parts(result)], style, wide)
 
 
-def _held_out_parts(result: Result) -> list[str | Table]:
-    """What was believed held out: by learning, or in a comparison."""
-    title = result_title(result)
-    found, everywhere = scored(result), result.scores.get("model_all_frames")
-    if result.scores.get("fit") == "learn":
-        how = f"held out, {result.run['blocks']} blocks: each is believed with what was learned"
-        title += f"\n{how} without it, neither its labels nor its lines looked at"
-    parts: list[str | Table] = [title]
-    if found:
-        parts.append(Table(*score_rows(found)))
-    if everywhere and everywhere["frames_scored"] != result.scores["frames_scored"]:
+#: What a block is believed with, by the experiment's `fit`.
+_FOUND = {
+    "none": "the experiment's own parameters",
+    "learn": "what was learned without it, neither its labels nor its lines looked at",
+    "tune": "what was searched without it",
+}
+
+
+def _held_out_words(result: Result) -> str:
+    run = result.run
+    return f"held out, {run['blocks']} blocks: each is believed with {_FOUND[run['fit']]}"
+
+
+def _more_parts(result: Result) -> list[str | Table]:
+    """What is said of results that held something out in addition to those of others."""
+    parts: list[str | Table] = []
+    everywhere = result.scores.get("model_all_frames")
+    if everywhere:
         count = everywhere["frames_scored"]
         parts.append(f"the same over all {count} frames, those of tuning.never_fit too")
         parts.append(Table(*score_rows({"model": everywhere})))
