@@ -25,7 +25,7 @@ check: .venv/.dev
 
 # The kernels as plain Python, so that their lines are seen too; then, compiled, what would take
 # minutes so.
-COMPILED := $(addsuffix .py,$(addprefix tests/,comparing/test_groups \
+COMPILED := $(addsuffix .py,$(addprefix tests/,comparing/test_compared test_held_out \
 	learning/test_held_out vision/detectors/test_detectors vision/detectors/test_runner))
 coverage: .venv/.dev
 	NUMBA_DISABLE_JIT=1 $(BIN)/python -m coverage run -m pytest -q $(addprefix --ignore=,$(COMPILED))
@@ -73,7 +73,8 @@ EM := $(addprefix experiments/graphs/,em.yaml em_autoregressive.yaml em_autoregr
 OTHERS := experiments/graphs/start.yaml $(EM)
 graphs: .venv/.run
 	mkdir -p results/graphs
-	$(BIN)/egolane compare --graphs $(GRAPHS) --held-out --wide --set filter=exact $(SEARCH) --differences results/graphs/graphs.png > results/graphs/graphs.md
+	$(BIN)/egolane compare --graphs $(GRAPHS) --wide --set fit=tune --set filter=exact $(SEARCH) --figures $(RUNS)/graphs > results/graphs/graphs.md
+	cp $(RUNS)/graphs/differences.png results/graphs/graphs.png
 	$(BIN)/egolane compare $(EM) experiments/graphs/start.yaml --runs 1-10 --jobs 2 --wide > results/graphs/learned.md
 	$(BIN)/egolane compare experiments/graphs/searched.yaml $(OTHERS) --runs 1-10 --wide $(SEARCH) > results/graphs/learned_or_searched.md
 
@@ -86,7 +87,7 @@ beyond: .venv/.dev
 
 # results/beyond/delay.md and its figure: how right an answer is that waits (a minute).
 DELAY := egolane compare experiments/zero_label.yaml --runs 1-10 \
-	--lags 0,0.2,0.5,1,1.5,2,3,4,5 --wide --figure results/beyond/delay.png
+	--lags 0,0.2,0.5,1,1.5,2,3,4,5 --wide --figures results/runs/delay
 define DELAY_HEAD
 # How right an answer is that waits
 
@@ -104,6 +105,7 @@ export DELAY_HEAD
 delay: .venv/.run
 	echo "$$DELAY_HEAD" > results/beyond/delay.md
 	$(BIN)/$(DELAY) >> results/beyond/delay.md
+	cp $(RUNS)/delay/lags.png results/beyond/delay.png
 
 # The table in results/beyond/events.md: how right lane changes are told (half a minute).
 EVENTS := egolane compare experiments/zero_label.yaml --runs 1-10 --with-paper --events --wide

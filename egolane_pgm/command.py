@@ -36,7 +36,7 @@ if TYPE_CHECKING:
 #: imported only when its command is asked for: `--help` stays quick.
 COMMANDS = {
     "calibrate": "Find out how a camera sees the road.",
-    "compare": "Compare experiments on frames that their parameters have not seen.",
+    "compare": "Put results, or experiments that are run held out, side by side.",
     "convert": "Convert a recording of lines to .bag, .csv or .parquet.",
     "data": "List, download and check the paper's recordings.",
     "detect": "Detect and follow lines in pictures of a camera.",

@@ -12,8 +12,8 @@ import numpy as np
 import pytest
 import yaml
 
+import egolane_pgm as ego
 from egolane_pgm import paper as paper
-from egolane_pgm.comparing import in_sample as comparing
 from egolane_pgm.drive import load_recording
 from egolane_pgm.experiment import load_experiment
 from egolane_pgm.paper import SCORES, Reproduced
@@ -350,30 +350,28 @@ def test_the_commands_print_and_compare(stand_in: dict[str, Any], tmp_path: Path
 
     target = tmp_path / "graphs.json"
     shown = done("compare", "--runs", "2", "--json", target).stdout
-    scores = json.loads(target.read_text())["runs"][0]["scores"]
-    assert list(scores) == ["detector", "sensor_failure", "wor_on_lane", "no_wor", "lane_only"]
-    for key in ("accuracy", "f1", "log_loss"):
-        numbers = " | ".join(f"{score[key]:.3f}" for score in scores.values())
-        cells = [c.strip() for line in shown.splitlines() for c in line.strip("|").split("|")]
-        assert numbers in " | ".join(cells)
+    (recording,) = json.loads(target.read_text())["recordings"]
+    scores = {e["name"]: e["scores"]["all_frames"] for e in recording["experiments"]}
+    assert list(scores) == ["sensor_failure", "wor_on_lane", "no_wor", "lane_only", "detector"]
+    for score in scores.values():
+        assert f"{score['accuracy']:.4f}" in shown
+        assert f"{score['log_loss']:.3f}" in shown
     # The same model twice, as long as p3 and p4 are the same in every lane.
     assert scores["wor_on_lane"] == scores["sensor_failure"]
     assert scores["lane_only"] != scores["sensor_failure"]
 
 
 def test_a_graph_gets_those_of_the_papers_parameters_that_it_has(stand_in: dict[str, Any]) -> None:
-    compared = comparing.compare_graphs(2, ["lane_only"], "published")
-    right = {k: PRINTED[k] for k in ("sigma1", "sigma2", "bonus_value")}
-    experiment = paper.load_experiment(paper.paper_experiment(2)).model_copy(
-        update={"graph": "lane_only", "parameters": right}
-    )
-    run = run_experiment(experiment)
-    assert compared["scores"]["lane_only"]["confusion"] == run.scores["model"]["confusion"]
-    assert compared["mean_log_evidence"] == {"lane_only": run.beliefs.mean_log_evidence}
-    document = comparing.compare_json([compared], "published")
-    header, rows = comparing.compare_rows(document, "accuracy")
-    assert header == ["run", "detector", "lane_only"]
-    assert rows == [["2", *(f"{compared['scores'][n]['accuracy']:.3f}" for n in header[1:])]]
+    compared = ego.compare(graphs="lane_only", runs=2)
+    own = load_experiment(paper.paper_experiment(2))
+    found = paper.parameters_for(paper.load_published()[2], "recovered")
+    right = {k: found[k] for k in ("sigma1", "sigma2", "bonus_value") if k in found}
+    run = run_experiment(own.model_copy(update={"graph": "lane_only", "parameters": right}))
+    model, detector = compared.document["recordings"][0]["experiments"]
+    for entry, mine in ((model, "model"), (detector, "detector")):
+        scores = entry["scores"]["all_frames"]
+        assert scores["confusion"] == run.scores[mine]["confusion"]
+        assert scores["intervals"] == run.scores[mine]["intervals"]
 
 
 def test_an_interrupted_command_says_so(

@@ -1,3 +1,2 @@
-"""Experiments side by side: `in_sample` puts several graphs on the paper's runs with its
-parameters; `groups` scores experiments on frames that their parameters have not seen; `stored`
-compares results that are there already."""
+"""Results side by side: `planning` says which experiments are run on which recording, and runs them
+held out; `compared` scores results on the frames that they share; `result` is what comes out."""

@@ -85,17 +85,27 @@ def by_recording(experiments: Sequence[Experiment]) -> list[Group]:
     return _checked(_grouped(experiments))
 
 
-def results_by_recording(results: Sequence[Result]) -> list[tuple[str, list[Result]]]:
-    """Stored results of each recording, with its title. Where no recording has two of them, they
+def results_by_recording(results: Sequence[Result]) -> list[tuple[str, list[list[Result]]]]:
+    """Stored results of each recording, with its title, as `compare_results` takes them: those that
+    differ in the seed of their search only are one column. Where no recording has two results, they
     are put side by side all the same: of one drive by several detectors, say. Raises InputError for
     less than two."""
     if len(results) < 2:
         raise InputError("compare: needs two result directories or more")
     groups = _grouped([each.experiment for each in results])
     if all(len(group.experiments) == 1 for group in groups):
-        return [(groups[0].title, list(results))]
-    result_of = {id(each.experiment): each for each in results}
-    return [(group.title, [result_of[id(e)] for e in group.experiments]) for group in groups]
+        return [(groups[0].title, [[each] for each in results])]
+    found = []
+    for group in groups:
+        mine = {id(experiment) for experiment in group.experiments}
+        columns: dict[Any, list[Result]] = {}
+        for each in results:
+            run = each.run
+            alike = (each.name, run["config_hash"], run["trials"]) if "seed" in run else id(each)
+            if id(each.experiment) in mine:
+                columns.setdefault(alike, []).append(each)
+        found.append((group.title, [*columns.values()]))
+    return found
 
 
 def _grouped(experiments: Sequence[Experiment]) -> list[Group]:

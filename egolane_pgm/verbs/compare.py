@@ -23,6 +23,7 @@ from egolane_pgm.experiment import Given, Overrides
 from egolane_pgm.fleet import read_fleet
 from egolane_pgm.paper import Runs, parse_runs
 from egolane_pgm.results import check_writable, read_result
+from egolane_pgm.tools.files import check_place
 from egolane_pgm.tools.progress import bar
 from egolane_pgm.types import InputError
 from egolane_pgm.verbs.given import (
@@ -64,6 +65,7 @@ def compare(
     jobs: Jobs = 1,
     overrides: Overrides = (),
     out: Annotated[StrPath | None, Option("DIR")] = None,
+    figures: Annotated[StrPath | None, Option("DIR")] = None,
     progress: Progress = None,
 ) -> Comparison:
     """Results side by side, on the annotated frames that they share.
@@ -88,7 +90,8 @@ def compare(
     - fleet: a table with a row per drive (.csv, .parquet, .yaml): recording, n_lanes, tag.X, ...
     - jobs: processes that share the work.
     - overrides: override the YAMLs, e.g. fit=tune tuning.trials=300.
-    - out: keep the results, the numbers and figures.
+    - out: keep the results, the numbers and the figures.
+    - figures: draw accuracy, how it differs from the first one's, and over lags, in this folder.
     - progress: whether a bar shows how far it is; None for in a terminal.
 
     Returns a `Comparison`. Raises InputError for whatever does not fit. A recording that fails does
@@ -108,8 +111,11 @@ def compare(
     waits = () if lags is None else check_lags(lags.split(",") if isinstance(lags, str) else lags)
     asked, chosen = Asked(health, events, waits), _seeds(seeds)
     place = None if out is None else Path(path_of(out, "out"))
+    drawn = None if figures is None else Path(path_of(figures, "figures"))
     if place is not None:
         check_writable(place, [is_comparison])
+    if drawn is not None:
+        check_place(drawn)
     if any(isinstance(each, (str, os.PathLike)) and Path(each).is_dir() for each in given):
         of_experiments = {
             "graphs": graphs, "runs": runs, "with_paper": with_paper, "fleet": fleet,
@@ -119,9 +125,7 @@ def compare(
             if value:
                 raise InputError(f"{name}: goes with experiments, not with results")
         stored = results_by_recording([read_result(each) for each in given])
-        found = _comparison(
-            [compare_results(title, [[each] for each in some], asked) for title, some in stored]
-        )
+        found = _comparison([compare_results(title, columns, asked) for title, columns in stored])
     else:
         if with_paper and not (given and runs):
             raise InputError("with_paper: goes with experiments and runs")
@@ -152,6 +156,11 @@ def compare(
         found = replace(_compared(work, len(groups), progress), drives=drives)
     if place is not None:
         found.save(place)
+    if drawn is not None:
+        # matplotlib is imported only for a figure.
+        from egolane_pgm.views.comparison_figures import draw_all
+
+        draw_all(found.document, drawn)
     return found
 
 

@@ -47,7 +47,7 @@ def draw_all(document: Mapping[str, Any], folder: Path) -> None:
     """Write accuracy.png; differences.png of several experiments; lags.png where lags were asked
     for. Raises InputError as `write_figure`."""
     write_figure(lambda: comparison_figure(document), folder / "accuracy.png")
-    if len(experiment_names(document)) > 1:
+    if _is_different(document):
         write_figure(lambda: differences_figure(document), folder / "differences.png")
     if lag_curves(document):
         write_figure(lambda: lags_figure(document), folder / "lags.png")
@@ -152,11 +152,11 @@ def differences_figure(document: Mapping[str, Any]) -> Figure:
     document: as `egolane compare --json` writes it. Frames whose labels are not trusted are left
     out. A marker is filled where zero is outside the interval; a short drive has no interval.
 
-    Raises InputError for a document with fewer than two experiments.
+    Raises InputError where no recording has two experiments.
     """
     names = experiment_names(document)
-    if len(names) < 2:
-        raise InputError("comparison: a difference needs two experiments")
+    if not _is_different(document):
+        raise InputError("comparison: a difference needs two experiments on a recording")
     found = {name: _differences(document, name) for name in names[1:]}
     titles, recordings = list(found[names[1]]), document["recordings"]
     values = [v for each in found.values() for bounds in each.values() for v in bounds or ()]
@@ -198,9 +198,14 @@ def differences_figure(document: Mapping[str, Any]) -> Figure:
     return figure
 
 
+def _is_different(document: Mapping[str, Any]) -> bool:
+    return any(entry["difference"] for _, entry in entries_of(document))
+
+
 def _differences(document: Mapping[str, Any], name: str) -> dict[str, tuple[float, ...] | None]:
     """By recording, and for all of them, the difference of the accuracy with its interval."""
-    found: dict[str, tuple[float, ...] | None] = {}
+    titles = [_short(str(recording["title"])) for recording in document["recordings"]]
+    found: dict[str, tuple[float, ...] | None] = dict.fromkeys(titles)
     for title, entry in entries_of(document):
         if entry["name"] == name and entry["difference"] is not None:
             bounds = trusted_or_all(entry["difference"])["accuracy"]

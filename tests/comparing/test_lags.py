@@ -12,17 +12,17 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 import egolane_pgm as ego
-from egolane_pgm.comparing.groups import Options, by_recording, compare_group, document
+from egolane_pgm.comparing.compared import Asked, document
 from egolane_pgm.comparing.lags import check_lags, lagged_beliefs, whole_frames
-from egolane_pgm.comparing.placing import load_for_scoring
-from egolane_pgm.comparing.side import held_out_side
+from egolane_pgm.comparing.planning import by_recording, compare_groups
+from egolane_pgm.drive import load_drive
 from egolane_pgm.experiment import Experiment
 from egolane_pgm.inference.smoothing import fixed_lag_beliefs
 from egolane_pgm.learning import with_found
 from egolane_pgm.model import make_evidence
 from egolane_pgm.running import run_experiment
 from egolane_pgm.types import InputError
-from egolane_pgm.views.comparison_figures import STUDY, _height, draw_lags, lags_figure
+from egolane_pgm.views.comparison_figures import STUDY, _height, lags_figure
 from egolane_pgm.views.comparison_tables import lag_rows
 from tests.conftest import needs_compiler
 from tests.kits.drives import command, done, geometry, refused, simulated, write_drive
@@ -36,9 +36,7 @@ LAGS = (0.0, 0.5, 2.0)
 
 
 def compared(*experiments: Experiment, **options: Any) -> dict[str, Any]:
-    settings = Options(lags=LAGS, **options)
-    parts = [compare_group(group, settings) for group in by_recording(experiments)]
-    return document(parts, settings)
+    return document(compare_groups(by_recording(experiments), Asked(lags=LAGS), **options))
 
 
 def entries(found: dict[str, Any]) -> list[dict[str, Any]]:
@@ -61,32 +59,32 @@ def test_each_lag_is_scored_as_a_run_with_that_lag(make: Any) -> None:
 
 
 def test_lag_zero_is_the_exact_filter_and_a_lag_as_long_as_the_drive_its_smoother() -> None:
-    drive = load_for_scoring(geometry(tuned_on="not_tuned"))
-    side = held_out_side(drive, lags=(0.0, 1e4))
+    result = ego.run(geometry(tuned_on="not_tuned"), held_out=True)
     right = [run_experiment(geometry(filter=name)).beliefs.lane for name in ("exact", "smoothed")]
-    for each, lane in zip(side.lagged, right, strict=True):
-        np.testing.assert_allclose(each.lane, lane[drive.rows], rtol=0, atol=1e-9)
+    for found, lane in zip(lagged_beliefs(result, (0.0, 1e4)), right, strict=True):
+        np.testing.assert_allclose(found, lane, rtol=0, atol=1e-9)
 
 
 def test_a_block_waits_with_what_was_learned_without_it() -> None:
-    drive = load_for_scoring(geometry(fit="learn"))
-    side = held_out_side(drive, n_blocks=3, lags=(1.0,))
-    assert len(set(map(repr, side.held_out.parameters))) == 3
-    (found,) = side.lagged
-    for b, parameters in enumerate(side.held_out.parameters):
-        model = with_found(drive.model, parameters, drive.experiment)
+    result = ego.run(geometry(fit="learn"), held_out=True, blocks=3)
+    drive = load_drive(result.experiment, needs_truth=None)
+    parameters = result.run["parameters_per_block"]
+    assert len(set(map(repr, parameters))) == 3
+    (lane,) = lagged_beliefs(result, (1.0,))
+    for b, found in enumerate(parameters):
+        model = with_found(drive.model, found, drive.experiment)
         evidence = make_evidence(model, drive.recorded.log).filtered
-        right = fixed_lag_beliefs(model.compiled, evidence, found.frames).lane[drive.rows]
-        mine = side.held_out.block == b
-        np.testing.assert_allclose(found.lane[mine], right[mine], rtol=0, atol=1e-9)
+        right = fixed_lag_beliefs(model.compiled, evidence, 10).lane[drive.rows]
+        mine = result.block == b
+        np.testing.assert_allclose(lane[mine], right[mine], rtol=0, atol=1e-9)
 
 
 def test_the_evidence_is_made_once_for_all_lags(monkeypatch: pytest.MonkeyPatch) -> None:
-    side = held_out_side(load_for_scoring(geometry(tuned_on="not_tuned")))
+    result = ego.run(geometry(tuned_on="not_tuned"), held_out=True)
     calls = []
     real = make_evidence
     monkeypatch.setattr("egolane_pgm.drive.make_evidence", lambda *a: calls.append(a) or real(*a))
-    assert len(lagged_beliefs(side.drive, side.held_out, [0, 0.3, 1, 4])) == 4
+    assert len(lagged_beliefs(result, [0, 0.3, 1, 4])) == 4
     assert len(calls) == 1
 
 
@@ -95,7 +93,7 @@ def test_untrusted_labels_are_left_out_and_without_lags_nothing_is_told() -> Non
     (entry,) = entries(compared(simulated("a", tuning=tuning)))
     every, trusted = entry["lags"]["all_frames"], entry["lags"]["without_never_fit"]
     assert every["accuracy"] != trusted["accuracy"]
-    found = document([compare_group(by_recording([simulated()])[0], Options())], Options())
+    found = document(compare_groups(by_recording([simulated()])))
     assert entries(found)[0]["lags"] is None
     with pytest.raises(InputError, match="no lags to draw"):
         lags_figure(found)
@@ -103,9 +101,9 @@ def test_untrusted_labels_are_left_out_and_without_lags_nothing_is_told() -> Non
 
 def test_seeds_of_a_search_are_averaged() -> None:
     tuned = simulated(fit="tune", tuning={"trials": 2})
-    found = entries(compared(tuned, seeds=(1, 2), blocks=2))[0]["lags"]["all_frames"]
+    found = entries(compared(tuned, seeds=(1, 2), n_blocks=2))[0]["lags"]["all_frames"]
     each = [
-        entries(compared(tuned, seeds=(seed,), blocks=2))[0]["lags"]["all_frames"]["accuracy"]
+        entries(compared(tuned, seeds=(seed,), n_blocks=2))[0]["lags"]["all_frames"]["accuracy"]
         for seed in (1, 2)
     ]
     assert found["accuracy"] == pytest.approx(np.mean(each, axis=0).tolist())
@@ -147,16 +145,16 @@ def test_times_are_sorted_and_each_once_and_none_is_negative() -> None:
 
 
 def test_the_command_shows_writes_and_draws_the_lags(tmp_path: Path) -> None:
-    path, figure, target = write_drive(tmp_path), tmp_path / "f.png", tmp_path / "x.json"
+    path, out, target = write_drive(tmp_path), tmp_path / "out", tmp_path / "x.json"
     words = ("compare", path, "--lags", "0,1", "--json", target)
-    shown = done(*words, "--figure", figure).stdout.splitlines()
+    shown = done(*words, "--out", out).stdout.splitlines()
     entry = json.loads(target.read_text())["recordings"][0]["experiments"][0]
     cells = [f"{value:.4f}" for value in entry["lags"]["all_frames"]["accuracy"]]
     assert shown[0].split() == ["|", "accuracy", "|", "0", "s", "|", "1", "s", "|"]
     assert shown[2].split() == ["|", "lines", "|", cells[0], "|", cells[1], "|"]
     assert "causal: drive" in shown
     assert max(map(len, shown)) <= 100
-    assert figure.read_bytes().startswith(b"\x89PNG")
+    assert (out / "figures" / "lags.png").read_bytes().startswith(b"\x89PNG")
     csv = done(*words, "--format", "csv").stdout.splitlines()
     assert csv == ["accuracy,0 s,1 s", ",".join(["lines", *cells])]
 
@@ -165,7 +163,6 @@ def test_what_has_no_lags_is_refused_in_one_line(tmp_path: Path) -> None:
     path = write_drive(tmp_path / "a")
     assert refused("compare", path, "--lags", "0,x").startswith("--lags: ['0', 'x'] are no")
     assert refused("compare", path, "--lags=-1") == "--lags: -1 s must not be negative"
-    assert "--lags" in refused("compare", "--lags", "1", "--runs", "2")
     bare = write_drive(tmp_path / "bare", ground_truth=None)
     assert "ground_truth: is missing" in refused("compare", bare, "--lags", "1")
     said = refused("compare", path, "--lags", "1", "--set", "evidence_reading=jeffrey")
@@ -200,13 +197,9 @@ def test_the_function_has_the_table_and_the_figure(tmp_path: Path) -> None:
             ask()
     with pytest.raises(InputError, match=r"table: 'lag' is not one of scores, lags \(did you"):
         found.to_pandas("lag")
-    with pytest.raises(InputError, match="lags: goes with experiments or with held_out"):
-        ego.compare(graphs="no_wor", runs=3, lags=1)
 
 
-def test_the_figure_has_a_curve_for_each_recording_their_mean_and_the_other_study(
-    tmp_path: Path,
-) -> None:
+def test_the_figure_has_a_curve_for_each_recording_their_mean_and_the_other_study() -> None:
     def part(title: str, accuracy: list[float]) -> dict[str, Any]:
         found = {"lag_s": [0, 1], "accuracy": accuracy}
         entry = {"name": "a", "tuned_on": "not_tuned", "lags": {"all_frames": found}}
@@ -226,4 +219,3 @@ def test_the_figure_has_a_curve_for_each_recording_their_mean_and_the_other_stud
     looks = [(line.get_color(), line.get_marker(), line.get_linestyle()) for line in ax.lines]
     assert len(set(looks)) == len(looks)
     assert lag_rows(found)[1][-1] == ["mean of 10", "0.9000", f"{mean[1]:.4f}"]
-    draw_lags(found, tmp_path / "x.svg")

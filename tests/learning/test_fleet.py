@@ -120,7 +120,7 @@ def test_one_drive_is_learned_from_as_without_a_fleet(tmp_path: Path) -> None:
 @needs_compiler
 def test_a_drive_is_scored_with_what_the_others_teach() -> None:
     experiments = [drive(seed) for seed in (1, 2, 3)]
-    learned = learn_fleet(experiments, [(0, 2), (1,)], n_blocks=5)
+    learned = learn_fleet(experiments, [(0, 2), (1,)])
     drives, trains = zip(*map(loaded, experiments), strict=True)
     assert learned.parameters == fit_pooled(drives, trains)
     without = fit(drives[1], trains[1])

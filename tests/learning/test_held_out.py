@@ -11,14 +11,16 @@ import numpy as np
 import pytest
 import yaml
 
-from egolane_pgm.drive import Drive, Recorded, load_drive, load_recording
+from egolane_pgm.drive import Drive, Recorded, load_recording
 from egolane_pgm.evidence.line_geometry import rule as line_geometry
 from egolane_pgm.evidence.line_geometry.fitting import expect, fit_lines
 from egolane_pgm.evidence.line_geometry.model import LineModel, line_model, places
 from egolane_pgm.experiment import load_experiment
-from egolane_pgm.learning import fit, held_out_belief, learn
+from egolane_pgm.held_out import held_out_result
+from egolane_pgm.learning import fit
 from egolane_pgm.model import Model, prepare_model
 from egolane_pgm.parameters import Parameters, resolve_parameters
+from egolane_pgm.tools.files import plain
 from egolane_pgm.types import FloatArray, IntArray, LaneTruth
 from tests.conftest import needs_compiler
 from tests.kits.drives import command, done, problems, refused, write_drive
@@ -184,14 +186,11 @@ def test_what_is_held_out_is_believed_with_parameters_of_the_other_blocks(folder
     assert recorded.truth is not None
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
-        drive = Drive(experiment, model, recorded)
-        result = held_out_belief(drive, n_blocks=3)
-        without_first = np.flatnonzero(result.block != 0)
-        assert result.parameters[0] == fit(drive, without_first)
-    assert result.beliefs.lane.shape == (len(recorded.truth), 3)
-    scored = ~recorded.truth.is_crossing
-    right = result.beliefs.lane.argmax(axis=1) + 1 == recorded.truth.lane
-    assert right[scored].mean() > 0.9
+        drive = Drive(experiment.model_copy(update={"fit": "learn"}), model, recorded)
+        result = held_out_result(drive, n_blocks=3)
+        found = fit(drive, np.flatnonzero(result.block != 0))
+        assert result.run["parameters_per_block"][0] == plain(found)
+    assert result.scores["model"]["accuracy"] > 0.9
 
 
 @needs_compiler
@@ -206,22 +205,6 @@ def test_learning_again_from_what_was_learned_gives_the_same(folder: Path) -> No
         again = experiment.model_copy(update={"parameters": found})
         again._source, again._folder = experiment.source, experiment.folder
         assert fit(Drive(again, prepare_model(again), recorded), everything) == found
-
-
-@needs_compiler
-def test_frames_that_are_never_fit_are_scored_apart(tmp_path: Path) -> None:
-    path = write_drive(tmp_path, 600, **GEOMETRY, tuning={"never_fit": {"from_frame": 500}})
-    experiment = load_experiment(path)
-    recorded = load_recording(experiment)
-    assert recorded.truth is not None
-    ids = recorded.truth.frame_id
-    np.testing.assert_array_equal(load_drive(experiment, needs_truth=None).may_fit, ids < 500)
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore")
-        learned = learn(experiment, recorded=recorded, n_blocks=3)
-    crossing = recorded.truth.is_crossing
-    assert learned.scores["frames_scored"] == np.count_nonzero(~crossing & (ids < 500))
-    assert learned.scores_all["frames_scored"] == np.count_nonzero(~crossing)
 
 
 @needs_compiler

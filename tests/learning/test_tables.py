@@ -13,17 +13,21 @@ import numpy as np
 import pytest
 import yaml
 
+import egolane_pgm as ego
 from egolane_pgm.drive import Drive, Recorded, load_drive, load_recording
 from egolane_pgm.experiment import Experiment, load_experiment, resolved
 from egolane_pgm.graphs.cpds import lane_normals
+from egolane_pgm.held_out import held_out_result
 from egolane_pgm.inference.compile import compile
 from egolane_pgm.inference.filtering import filter_beliefs
-from egolane_pgm.learning import fit, held_out_belief, learn, n_learned, with_found
+from egolane_pgm.learning import fit, n_learned, with_found
 from egolane_pgm.learning.graph_file import graph_yaml
 from egolane_pgm.learning.tables import starting, training_frames
 from egolane_pgm.model import Model, Roles, prepare_model
 from egolane_pgm.plugins import load_plugin
+from egolane_pgm.recordings.ground_truth import write_ground_truth
 from egolane_pgm.running import run_experiment
+from egolane_pgm.tools.files import plain
 from egolane_pgm.types import InputError, LaneTruth
 from tests.conformance.networks import draw_graph, graph_names
 from tests.conftest import needs_compiler
@@ -115,18 +119,11 @@ def test_each_block_is_believed_with_tables_of_the_other_blocks(folder: Path) ->
     experiment, model, recorded = prepared(folder)
     truth = recorded.truth
     assert truth is not None
-    result = held_out_belief(Drive(experiment, model, recorded), n_blocks=3)
-    without_first = np.flatnonzero(result.block != 0)
-    assert result.parameters[0] == fit(Drive(experiment, model, recorded), without_first)
-    evidence = run_experiment(experiment, recorded=recorded).evidence
-    believed = with_found(model, result.parameters[0], experiment)
-    beliefs = filter_beliefs(believed.compiled, evidence, experiment.filter)
-    inside = result.block == 0
-    np.testing.assert_array_equal(
-        result.beliefs.lane[inside], beliefs.lane[recorded.scored][inside]
-    )
-    scored = ~truth.is_crossing
-    assert (result.beliefs.lane.argmax(axis=1) + 1 == truth.lane)[scored].mean() > 0.6
+    drive = Drive(experiment.model_copy(update={"fit": "learn"}), model, recorded)
+    result = held_out_result(drive, n_blocks=3)
+    found = fit(drive, np.flatnonzero(result.block != 0))
+    assert result.run["parameters_per_block"][0] == plain(found)
+    assert (result.assigned_lane == truth.lane)[~truth.is_crossing].mean() > 0.6
 
 
 def test_frames_between_two_training_frames_are_trained_on_others_are_not() -> None:
@@ -201,17 +198,14 @@ def test_frames_that_are_never_fit_are_not_learned_from(tmp_path: Path) -> None:
     experiment = load_experiment(path)
     recorded = load_recording(experiment)
     assert recorded.truth is not None
-    learned = learn(experiment, recorded=recorded, n_blocks=3)
-    ids, crossing = recorded.truth.frame_id, recorded.truth.is_crossing
-    assert learned.scores is not None
-    assert learned.scores_all is not None
-    assert learned.scores["frames_scored"] == np.count_nonzero(~crossing & (ids < 500))
-    assert learned.scores_all["frames_scored"] == np.count_nonzero(~crossing)
-    lane = np.where(ids >= 500, recorded.truth.lane % 3 + 1, recorded.truth.lane)
-    changed = replace(recorded, truth=replace(recorded.truth, lane=lane))
-    again = learn(experiment, recorded=changed, n_blocks=3)
-    assert dict(again.parameters) == dict(learned.parameters)
-    assert again.held_out.parameters == learned.held_out.parameters
+    learned = ego.learn(experiment, blocks=3)
+    truth, ids = recorded.truth, recorded.truth.frame_id
+    lane = np.where(ids >= 500, truth.lane % 3 + 1, truth.lane)
+    write_ground_truth(tmp_path / "ground_truth.txt", replace(truth, lane=lane))
+    again = ego.learn(experiment, blocks=3)
+    assert again.scores["parameters"] == learned.scores["parameters"]
+    assert again.run["parameters_per_block"] == learned.run["parameters_per_block"]
+    assert again.scores["model_all_frames"] != learned.scores["model_all_frames"]
 
 
 def test_several_stretches_may_be_left_out(tmp_path: Path) -> None:
@@ -243,16 +237,14 @@ def test_the_log_evidence_is_that_of_frames_that_can_be_and_of_the_tables_starte
         "    return Evidence({'DetectorOutput': rows})\n"
     )
     path = write_drive(tmp_path, 60, evidence="./rule.py", graph="lane_only")
-    with pytest.warns(UserWarning, match=r"10 frame\(s\) to learn from cannot be"):
-        learned = learn(load_experiment(path), n_blocks=3)
-    assert learned.log_evidence == pytest.approx((np.log(0.5), np.log(0.5)))
+    found = ego.learn(path, blocks=3)
+    assert any("10 frame(s) to learn from cannot be" in note for note in found.notes)
+    assert found.learned.log_evidence == pytest.approx((np.log(0.5), np.log(0.5)))
 
     changes = {"tuned_on": "same_frames", "parameters": {"sigma1": 0.1}}
     tuned = load_experiment(write_drive(tmp_path, 100, **changes))
     model, recorded = prepare_model(tuned), load_recording(tuned)
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore")
-        before, _ = learn(tuned, recorded=recorded, n_blocks=2).log_evidence or (0, 0)
+    before, _ = ego.learn(tuned, blocks=2).learned.log_evidence
     evidence = run_experiment(tuned, recorded=recorded).evidence
     beliefs = filter_beliefs(starting(model, tuned).compiled, evidence, "exact")
     assert before == pytest.approx(beliefs.log_evidence[recorded.scored].mean())
@@ -317,7 +309,8 @@ def test_without_ground_truth_only_the_evidence_is_learned_from(tmp_path: Path) 
     said = refused("learn", path, "--out", tmp_path / "a.yaml")
     assert "ground_truth: is missing, learning needs it, or learning.labels: false" in said
     shown = done("learn", path, "--unlabelled", "--out", tmp_path / "a.yaml").stdout
-    assert "no ground truth; held out" in shown
+    assert "held out, 5 blocks" in shown
+    assert "no ground truth" in shown
     assert "log evidence per frame" in shown
     done("run", tmp_path / "a.yaml", "--no-figures", "--out", tmp_path / "result")
 
@@ -328,15 +321,12 @@ def test_compare_learns_without_each_block(tmp_path: Path) -> None:
     target = tmp_path / "c.json"
     done("compare", path, "--blocks", "3", "--json", target)
     (entry,) = json.loads(target.read_text())["recordings"][0]["experiments"]
-    experiment = load_experiment(path)
-    learned = learn(experiment, n_blocks=3)
-    assert learned.scores is not None
-    assert entry["scores"]["all_frames"]["accuracy"] == learned.scores["accuracy"]
+    learned = ego.learn(path, blocks=3)
+    assert entry["scores"]["all_frames"]["accuracy"] == learned.scores["model"]["accuracy"]
     assert entry["tuned_on"] == "other_frames"
     # Lane 2 + 3 x 2, SensorState 1 + 2, DetectorOutput 6 x 2, WOR 2.
     assert entry["free_parameters"] == 8 + 3 + 12 + 2
-    first = dict(learned.held_out.parameters[0])
-    assert entry["parameters"][0] == {name: list(v) for name, v in first.items()}  # type: ignore[arg-type]
+    assert entry["parameters"] == learned.run["parameters_per_block"]
 
 
 def test_tables_that_have_seen_the_frames_are_not_started_from(tmp_path: Path) -> None:

@@ -8,8 +8,8 @@ from pathlib import Path
 import numpy as np
 import yaml
 
-from egolane_pgm.comparing.placing import load_for_scoring, on_recording
-from egolane_pgm.drive import load_recording
+from egolane_pgm.comparing.placing import on_recording
+from egolane_pgm.drive import load_drive, load_recording
 from egolane_pgm.experiment import load_experiment
 from egolane_pgm.recordings.ground_truth import write_ground_truth
 from egolane_pgm.types import LaneTruth
@@ -76,10 +76,10 @@ def test_a_videos_own_frame_rate_counts_wherever_it_is_scored(tmp_path: Path) ->
     rewritten(path, path, ground_truth__path="t.txt", graph="lane_only")
     own = load_experiment(path)
     placed = on_recording(load_experiment(write_drive(tmp_path / "m", 30)), own)
-    for drive in (load_for_scoring(own), load_for_scoring(placed)):
+    for drive in (load_drive(each, needs_truth="") for each in (own, placed)):
         assert drive.experiment.recording.frame_rate == 12.5
         assert not any("frames per second" in note for note in drive.recorded.notes)
     done("learn", path, "--blocks", 2, "--out", folder / "new.yaml")
     assert load_experiment(folder / "new.yaml").recording.frame_rate == 12.5
     told = on_recording(own, load_experiment(path, ["recording.frame_rate=25"]))
-    assert load_for_scoring(told).experiment.recording.frame_rate == 25
+    assert load_drive(told, needs_truth="").experiment.recording.frame_rate == 25
