@@ -294,15 +294,16 @@ def _events(result: Result, kept: BoolArray) -> dict[str, Any]:
 
 
 def detector_alone(result: Result) -> Result | None:
-    """What a result's detector alone answers, as a result; None where it does not say."""
+    """What a result's detector alone answers, as a result that can be compared; None where it does
+    not say."""
     if result.tentative is None:
         return None
     names = {"Lane": tuple(map(str, range(1, result.n_lanes + 1)))}
-    said = {"name": "detector", "tuned_on": "not_tuned", "free_parameters": 0, "values": names}
+    run = {**result.run, "name": "detector", "tuned_on": "not_tuned", "values": names}
+    run |= {"free_parameters": 0, "mean_log_evidence": None}
     return replace(
         result,
-        run={**result.run, **said, "microseconds_per_frame": math.nan, "mean_log_evidence": None},
-        scores={"model": result.scores["detector"]},
+        run={k: v for k, v in run.items() if k != "microseconds_per_frame"},
         marginals={"Lane": result.tentative},
         values=names,
         assigned_lane=assigned_lane(result.tentative),

@@ -279,8 +279,13 @@ def _compared(
             for result in each:
                 columns.setdefault(result.name, []).append(result)
         given = [*columns.values()]
-        if group.with_detector:
-            given += [[alone] for alone in [detector_alone(given[0][0])] if alone is not None]
-        return compare_results(group.title, given, asked, run=group.run)
+        alone = detector_alone(given[0][0]) if group.with_detector else None
+        part = compare_results(
+            group.title, given if alone is None else [*given, [alone]], asked, run=group.run
+        )
+        if alone is not None:
+            # It stands in the others' results.
+            del part["results"][alone.name]
+        return part
     except InputError as error:
         return {"title": group.title, "run": group.run, "error": "; ".join(error.lines)}

@@ -116,17 +116,6 @@ def write(path: Path, experiment: Experiment) -> Path:
     return path
 
 
-def test_graphs_can_be_searched_without_each_block(runs: Path, tmp_path: Path) -> None:
-    target = tmp_path / "graphs.json"
-    words = ("--graphs", "lane_only,no_wor", "--runs", "2", "--set", "fit=tune")
-    done("compare", *words, "--set", "tuning.trials=5", "--blocks", "3", "--json", target)
-    (recording,) = json.loads(target.read_text())["recordings"]
-    assert recording["blocks"] == 3
-    for entry in recording["experiments"]:
-        assert entry["tuned_on"] == "other_frames"
-        assert len(entry["parameters"]) == 3
-
-
 GRAPH = """
 from egolane_pgm.graphs.lane_only import HIDDEN, OBSERVED, UNUSED, build
 from egolane_pgm.parameters import Parameter
@@ -184,49 +173,49 @@ def test_graphs_that_cannot_be_used_are_all_named_before_a_recording_is_read(
     (runs / "lines.csv").unlink()
     (tmp_path / "bad.py").write_text(GRAPH.replace("OBSERVED,", "") + "OBSERVED = ('Lanes',)\n")
     on_run = ("--runs", 2)
-    for words in ((*on_run, "--set", "fit=tune"), on_run):
-        result = command("compare", "--graphs", "lane_olny,./absent.py", *words)
-        assert result.exit_code == 2
-        assert "--graphs: unknown name 'lane_olny' (did you mean 'lane_only'?)" in result.stderr
-        assert f"--graphs: no file {tmp_path / 'absent.py'}" in result.stderr
-        message = refused("compare", "--graphs", "lane_only,bad.py", *words)
-        assert "Lanes" in message
-        assert "lines.csv" not in message
+    result = command("compare", "--graphs", "lane_olny,./absent.py", *on_run)
+    assert result.exit_code == 2
+    assert "--graphs: unknown name 'lane_olny' (did you mean 'lane_only'?)" in result.stderr
+    assert f"--graphs: no file {tmp_path / 'absent.py'}" in result.stderr
+    message = refused("compare", "--graphs", "lane_only,bad.py", *on_run)
+    assert "Lanes" in message
+    assert "lines.csv" not in message
     assert "lines.csv: no such file" in refused("compare", "--graphs", "lane_only", "--runs", 2)
     message = refused("compare", "--graphs", "lane_only,lane_only", *on_run)
     assert message == "--graphs: lane_only is named twice"
 
 
 def test_what_cannot_be_compared_is_refused_in_one_line(runs: Path, tmp_path: Path) -> None:
-    one = write(tmp_path / "one.yaml", simulated("one"))
-    assert "--with-paper" in refused("compare", one, "--with-paper")
-    message = refused("compare", write(tmp_path / "f.yaml", simulated()), "--set", "fit=lern")
-    assert "fit: 'lern' is not one of none, learn, tune (did you mean 'learn'?)" in message
-    (tmp_path / "bare").mkdir()
+    one, two = (write(tmp_path / f"{name}.yaml", simulated(name)) for name in ("one", "two"))
+    wide = write(tmp_path / "wide.yaml", geometry("w", parameters={"sigmas_m": [0.2] * 7}))
     bare = write_drive(tmp_path / "bare", ground_truth=None)
-    assert "ground_truth: is missing" in refused("compare", bare)
     crossing = write_drive(tmp_path / "crossing", 60)
     truth = short_drive(60).truth
     flags = np.ones(len(truth), dtype=bool)
     write_ground_truth(crossing.parent / "ground_truth.txt", replace(truth, is_crossing=flags))
-    message = refused("compare", crossing)
-    assert message.endswith("ground_truth.txt: every frame is a crossing, nothing to score")
     (tmp_path / "mine").mkdir()
     (tmp_path / "mine" / "notes.txt").touch()
-    assert "is not a result directory" in refused("compare", one, "--out", tmp_path / "mine")
-    assert "a search takes assumed_density or exact" in refused(
-        "compare", one, "--set", "fit=tune", "--set", "filter=smoothed"
-    )
-    wide = geometry("wide", parameters={"sigmas_m": [0.2] * 7})
-    message = refused("compare", write(tmp_path / "wide.yaml", wide), "--runs", "2")
-    assert message.startswith("run 2, 3 lanes: ")
-    assert "parameters.sigmas_m: has 7 numbers, needs a list of 6" in message
-    for text in ("0", "x", "-1", ",", "1.5"):
-        message = refused("compare", one, f"--seeds={text}")
-        assert message == f"--seeds: {text} is neither how many, 5, nor which, 3,7"
-    assert "--seeds: nothing is searched" in refused("compare", one, "--seeds", 2)
-    everything = ("--set", "tuning.never_fit=[[0, null]]", "--set", "fit=tune")
-    assert "no frame is left to fit on" in refused("compare", one, *everything)
+    tuned = ("--set", "fit=tune")
+    for words, said in (
+        ((one, "--with-paper"), "--with-paper: goes with experiments and runs"),
+        (
+            (two, "--set", "fit=lern"),
+            "'lern' is not one of none, learn, tune (did you mean",
+        ),
+        ((bare,), "ground_truth: is missing"),
+        ((crossing,), "ground_truth.txt: every frame is a crossing, nothing to score"),
+        ((one, "--out", tmp_path / "mine"), "exists and is not a result directory"),
+        ((one, *tuned, "--set", "filter=smoothed"), "a search takes assumed_density or exact"),
+        ((wide, "--runs", "2"), "run 2, 3 lanes: "),
+        ((wide, "--runs", "2"), "parameters.sigmas_m: has 7 numbers, needs a list of 6"),
+        ((one, "--seeds", 2), "--seeds: nothing is searched"),
+        ((one, *tuned, "--set", "tuning.never_fit=[[0, null]]"), "no frame is left to fit on"),
+        *(
+            ((one, f"--seeds={text}"), f"--seeds: {text} is neither how many, 5, nor which, 3,7")
+            for text in ("0", "x", "-1", ",", "1.5")
+        ),
+    ):
+        assert said in refused("compare", *words)
 
 
 def test_how_it_is_fitted_is_no_part_of_what_is_run() -> None:
