@@ -6,7 +6,7 @@ from __future__ import annotations
 import hashlib
 import math
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 from pathlib import Path
 from typing import Any
 
@@ -132,11 +132,10 @@ def annotated(result: Result) -> Result:
         raise InputError(f"{result.directory}: has no ground truth, there is nothing to compare")
     if len(rows) == len(result):
         return result
-    of_frames: list[str] = ["frame_id", "time_s", "assigned_lane", "true_lane", "is_crossing"]
-    of_frames += ["log_evidence", "is_impossible", "tentative", "crossing", "block"]
     taken: dict[str, Any] = {
-        name: None if getattr(result, name) is None else getattr(result, name)[rows]
-        for name in of_frames
+        field.name: values[rows]
+        for field in fields(result)
+        if isinstance(values := getattr(result, field.name), np.ndarray)
     }
     marginals = {node: belief[rows] for node, belief in result.marginals.items()}
     return replace(result, marginals=marginals, **taken)

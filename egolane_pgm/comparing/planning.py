@@ -6,7 +6,7 @@ from __future__ import annotations
 import contextlib
 import itertools
 import re
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -25,6 +25,7 @@ from egolane_pgm.paper import load_published, paper_experiment, parameters_for
 from egolane_pgm.results import Result
 from egolane_pgm.scoring.held_out import N_BLOCKS
 from egolane_pgm.tools.jobs import Jobs, in_order
+from egolane_pgm.tools.progress import bar
 from egolane_pgm.types import InputError, all_problems, problems_in
 
 
@@ -210,7 +211,7 @@ def compare_groups(
     trials_per_number: int | None = None,
     seeds: Sequence[int] = (),
     jobs: Jobs = 1,
-    show: Callable[[Iterator[Any], int], Iterable[Any]] = lambda found, total: found,
+    progress: bool | None = False,
 ) -> Iterator[dict[str, Any]]:
     """Run the experiments of each group held out and yield its part of the document, as
     `compare_results` makes it, in order; of a group that failed, which stops no other, its `title`,
@@ -222,7 +223,7 @@ def compare_groups(
     - seeds: each search is repeated with each of these; empty: the experiment's own.
     - jobs: the number of processes that share the searches (one for each seed of an experiment),
       or, where nothing is searched, the groups.
-    - show: is given what is done of these and how many there will be, for a progress bar.
+    - progress: whether a bar shows how far it is; None for in a terminal.
     """
     runs: list[Work] = [
         [
@@ -242,7 +243,7 @@ def compare_groups(
             died=lambda _, error: InputError(error),
         )
     ) as found:
-        shown = iter(show(found, len(work)))
+        shown = iter(bar(found, progress, total=len(work), unit="run"))
         for group, mine in zip(groups, runs, strict=True):
             done = [next(shown) for _ in (mine if is_searched else [mine])]
             yield _compared(group, done, asked or Asked())

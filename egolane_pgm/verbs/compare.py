@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
-from functools import partial
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -24,7 +23,6 @@ from egolane_pgm.fleet import read_fleet
 from egolane_pgm.paper import Runs, parse_runs
 from egolane_pgm.results import check_writable, read_result
 from egolane_pgm.tools.files import check_place
-from egolane_pgm.tools.progress import bar
 from egolane_pgm.types import InputError
 from egolane_pgm.verbs.given import (
     Blocks,
@@ -144,16 +142,16 @@ def compare(
         for name, value in (("seeds", seeds), ("trials_per_number", trials_per_number)):
             if value and not is_searched:
                 raise InputError(f"{name}: nothing is searched; override fit=tune")
-        work = partial(
-            compare_groups,
+        done = compare_groups(
             groups,
             asked,
             n_blocks=blocks,
             trials_per_number=trials_per_number,
             seeds=chosen,
             jobs=jobs,
+            progress=progress,
         )
-        found = replace(_compared(work, len(groups), progress), drives=drives)
+        found = replace(_compared(done, len(groups)), drives=drives)
     if place is not None:
         found.save(place)
     if drawn is not None:
@@ -164,22 +162,15 @@ def compare(
     return found
 
 
-def _compared(
-    work: Callable[..., Iterator[dict[str, Any]]], n_groups: int, progress: bool | None
-) -> Comparison:
-    """Run the experiments of each recording held out, and compare them.
+def _compared(done: Iterator[dict[str, Any]], n_groups: int) -> Comparison:
+    """What is compared of each recording, as it is done.
 
     Raises InputError where no recording could be compared; Ctrl-C where none was.
     """
-
-    def show(found: Iterator[Any], total: int) -> Iterable[Any]:
-        shows: Iterable[Any] = bar(found, progress, total=total, unit="run")
-        return shows
-
     parts: list[Any] = []
     stopped = None
     try:
-        parts.extend(work(show=show))
+        parts.extend(done)
     except KeyboardInterrupt:
         # The recordings that were compared before the interruption are kept.
         if not parts:

@@ -20,7 +20,6 @@ from egolane_pgm.experiment import (
     load_experiment,
 )
 from egolane_pgm.fleet import numbers_of, plan_fleet, read_fleet, summary_rows, write_summary
-from egolane_pgm.held_out import run_held_out
 from egolane_pgm.recordings.source import IN_MEMORY, Read
 from egolane_pgm.results import SCHEMA_VERSION, Result, check_writable
 from egolane_pgm.running import (
@@ -159,7 +158,12 @@ def run(  # type: ignore[misc]
     is_one = not isinstance(experiment, (list, tuple)) and not isinstance(recording, (list, tuple))
     if stream and (fleet is not None or not is_one or folder is None or held_out):
         raise InputError("stream: goes with one experiment, one recording and out")
-    way: Way = partial(run_held_out, n_blocks=blocks) if held_out else run_experiment
+    way: Way = run_experiment
+    if held_out:
+        # It can search: other runs do without Optuna.
+        from egolane_pgm.held_out import run_held_out
+
+        way = partial(run_held_out, n_blocks=blocks)
     if fleet is not None:
         if not is_one or recordings or any(change is not None for change in changes):
             raise InputError("fleet: goes with one experiment; the table names the recordings")
