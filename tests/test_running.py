@@ -440,12 +440,11 @@ def test_a_process_that_dies_leaves_the_results_of_the_others(experiments, tmp_p
             assert is_result(outcome.directory)
 
 
-def test_what_nobody_foresaw_in_one_run_is_listed_by_its_kind(experiments, tmp_path, monkeypatch):
+def test_what_nobody_foresaw_in_one_run_is_listed_by_its_kind(experiments, tmp_path):
     def breaks(experiment, **options):
         raise ZeroDivisionError("no lanes\nat all")
 
-    monkeypatch.setattr(run_many, "run_experiment", breaks)
-    (outcome,) = run_many.run_all(tasks(experiments[:1], tmp_path / "out"))
+    (outcome,) = run_many.run_all(tasks(experiments[:1], tmp_path / "out"), breaks)
     assert outcome.error == "ZeroDivisionError: no lanes at all"
 
 
