@@ -14,7 +14,7 @@ from typing import Any
 
 import numpy as np
 
-from egolane_pgm.drive import Drive, Recorded, evidence_on, load_drive
+from egolane_pgm.drive import Drive, evidence_on, load_drive
 from egolane_pgm.experiment import Experiment, Tuning, resolved
 from egolane_pgm.inference.events import crossing_probability
 from egolane_pgm.inference.smoothing import infer_beliefs
@@ -59,17 +59,11 @@ class Search:
 
 
 def run_held_out(
-    experiment: Experiment,
-    *,
-    n_blocks: int = N_BLOCKS,
-    search: Search | None = None,
-    recorded: Recorded | None = None,
-    read: Read | None = None,
+    experiment: Experiment, *, n_blocks: int = N_BLOCKS, read: Read | None = None
 ) -> Result:
     """Run an experiment, each block of its drive with what was fitted without the block.
 
-    - search: how `fit: tune` searches.
-    - recorded, read: the recording, as `running.run_experiment` takes it.
+    - read: lines and lanes in memory, as `running.run_experiment` takes them.
 
     The result is that of the K annotated frames (without ground truth: of all), with the `block` of
     each. Its run.json has in addition `fit`, `blocks`, `parameters_per_block`, `never_fit` (ranges
@@ -85,8 +79,8 @@ def run_held_out(
     needs = "a search needs it" if experiment.fit == "tune" else None
     if experiment.fit == "learn" and learning_of(experiment).labels:
         needs = "learning needs it"
-    drive = load_drive(experiment, needs_truth=needs, recorded=recorded, read=read)
-    result = held_out_result(drive, n_blocks=n_blocks, search=search)
+    drive = load_drive(experiment, needs_truth=needs, read=read)
+    result = held_out_result(drive, n_blocks=n_blocks)
     seconds = round(time.perf_counter() - begun, 3)
     return replace(result, run={**result.run, "seconds": seconds})
 
@@ -98,7 +92,11 @@ def held_out_result(
     search: Search | None = None,
     done: Callable[[], object] = int,
 ) -> Result:
-    """`run_held_out` of a drive. done: is called after each fit."""
+    """`run_held_out` of a drive.
+
+    - search: how `fit: tune` searches.
+    - done: is called after each fit.
+    """
     experiment = drive.experiment
     fit, facts = _fit_of(drive, search or Search())
     notes: list[str] = []
@@ -158,24 +156,25 @@ def _result(drive: Drive, believed: Believed, block: IntArray, said: Mapping[str
     - said: further keys of run.json.
     """
     trusted, fit = drive.may_fit, {"fit": drive.experiment.fit}
-    recorded = replace(
-        drive.recorded, log=drive.recorded.log.take(drive.rows), scored=np.arange(len(drive))
-    )
+    log, rows = drive.recorded.log, drive.rows
+    # Results of one recording share its lines where every frame is annotated.
+    log = log if len(rows) == len(log) else log.take(rows)
+    recorded = replace(drive.recorded, log=log, scored=np.arange(len(rows)))
     if recorded.road is not None and len(recorded.road) > len(drive):
         raise InputError(
             f"{drive.experiment.source}: n_lanes: map: blocks are held out of drives with ground"
             " truth in every frame only"
         )
     drive = replace(drive, recorded=recorded)
-    rows = result_rows(drive, believed)
-    document = run_document(drive, rows, [*recorded.notes, *believed.notes], **fit)
+    result = result_rows(drive, believed)
+    document = run_document(drive, result, [*recorded.notes, *believed.notes], **fit)
     run = plain({**document, **fit, **said})
     config = plain({**resolved(drive.experiment, drive.model.parameters), **fit})
-    rows = replace(rows, run=run, config=config, block=block)
-    scores = scores_document(rows, drive, trusted)
-    if rows.truth is not None and not trusted.all():
-        scores["model_all_frames"] = scores_document(rows, drive)["model"]
-    return replace(rows, scores=plain(scores))
+    result = replace(result, run=run, config=config, block=block)
+    scores = scores_document(result, drive, trusted)
+    if result.truth is not None and not trusted.all():
+        scores["model_all_frames"] = scores_document(result, drive)["model"]
+    return replace(result, scores=plain(scores))
 
 
 # --- what is fitted ----------------------------------------------------------------------------
