@@ -41,12 +41,13 @@ NOT_RUN = {
 #: What is run in place of what would take minutes: a pattern, and its replacement.
 QUICKER = (
     (r"^egolane compare (.*)", r"egolane compare \1 --blocks 2"),
-    (r"(.*paper_tuned.*)--runs 1\b", r"\1--runs 2 --trials 2"),
+    (r"(.*paper_tuned.*)--runs 1\b", r"\1--runs 2 --set tuning.trials=2"),
     (r"--runs 1-10\b", "--runs 2"),
     (r"--jobs \d+", "--jobs 1"),
     (r"--workers \d+", "--workers 1"),
     (r"--trials 3000\b", "--trials 6"),
     (r"--trials (300|40|20)\b", "--trials 3"),
+    (r"tuning.trials=20\b", "tuning.trials=3"),
     (r"--seeds \d+", "--seeds 1"),
     (r"^egolane reproduce(?! --runs)", "egolane reproduce --runs 5"),
 )
