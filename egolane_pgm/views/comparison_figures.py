@@ -80,39 +80,32 @@ def comparison_figure(document: Mapping[str, Any]) -> Figure:
     step = 1 / (len(names) + 1.5)
     is_hollow = False
     for k, name in enumerate(names):
-        colour, _ = SERIES[k % len(SERIES)]
-        # The eighth has the first one's colour and the second one's marker.
-        _, marker = SERIES[(k + k // len(SERIES)) % len(SERIES)]
-        for r, recording in enumerate(recordings):
-            for entry in recording["experiments"]:
-                if entry["name"] != name:
-                    continue
-                scores = trusted_or_all(entry["scores"])
-                hollow = entry["tuned_on"] in ("same_frames", "unknown")
-                is_hollow |= hollow
-                x = r + (k - (len(names) - 1) / 2) * step
-                interval = scores["intervals"]["accuracy"]
-                if interval is not None:
-                    ax.plot(
-                        [x, x],
-                        [_height(v) for v in interval],
-                        color=colour,
-                        linewidth=1.6,
-                        zorder=2,
-                    )
-                seeds = entry.get("seeds", ())
-                if len(seeds) > 1:
-                    each = [trusted_or_all(one["scores"])["accuracy"] for one in seeds]
-                    ax.plot(
-                        [x + step / 3] * len(each), [_height(v) for v in each],
-                        linestyle="none", marker=".", markersize=3, color=colour, zorder=2,
-                    )  # fmt: skip
-                height = _height(scores["accuracy"])
+        colour, marker = _look(k)
+        mine = [
+            (r, entry)
+            for r, recording in enumerate(recordings)
+            for entry in recording["experiments"]
+            if entry["name"] == name
+        ]
+        for r, entry in mine:
+            scores = trusted_or_all(entry["scores"])
+            hollow = entry["tuned_on"] in ("same_frames", "unknown")
+            is_hollow |= hollow
+            x = r + (k - (len(names) - 1) / 2) * step
+            heights = [_height(v) for v in scores["intervals"]["accuracy"] or ()]
+            if heights:
+                ax.plot([x, x], heights, color=colour, linewidth=1.6, zorder=2)
+            seeds = entry.get("seeds", ())
+            if len(seeds) > 1:
+                each = [_height(trusted_or_all(one["scores"])["accuracy"]) for one in seeds]
                 ax.plot(
-                    [x], [height], linestyle="none", marker=marker, markersize=5,
-                    markeredgecolor=colour, markerfacecolor="white" if hollow else colour,
-                    zorder=3,
+                    [x + step / 3] * len(each), each,
+                    linestyle="none", marker=".", markersize=3, color=colour, zorder=2,
                 )  # fmt: skip
+            ax.plot(
+                [x], [_height(scores["accuracy"])], linestyle="none", marker=marker, markersize=5,
+                markeredgecolor=colour, markerfacecolor="white" if hollow else colour, zorder=3,
+            )  # fmt: skip
         ax.plot([], [], color=colour, marker=marker, markersize=5, linewidth=1.6, label=name)
     if is_hollow:
         ax.plot(
@@ -254,8 +247,7 @@ def lags_figure(document: Mapping[str, Any]) -> Figure:
         for k, title in enumerate(titles):
             if title not in curve:
                 continue
-            colour, _ = SERIES[k % len(SERIES)]
-            _, marker = SERIES[(k + k // len(SERIES)) % len(SERIES)]
+            colour, marker = _look(k)
             found = curve[title]
             ax.plot(
                 found["lag_s"], [_height(v) for v in found["accuracy"]], label=_short(title),
@@ -297,6 +289,12 @@ def _name_accuracies(ax: Axes, low: float, high: float) -> None:
     seen = [[v for v in some if low <= _height(v) <= high] for some in (_TICKS, *_FINER)]
     named = next((some for some in seen if len(some) > 2), seen[0])
     ax.set_yticks([_height(v) for v in named], [_tick(v) for v in named])
+
+
+def _look(k: int) -> tuple[str, str]:
+    """Colour and marker of the k-th series: the eighth has the first one's colour and the second
+    one's marker."""
+    return SERIES[k % len(SERIES)][0], SERIES[(k + k // len(SERIES)) % len(SERIES)][1]
 
 
 def _height(accuracy: float) -> float:
