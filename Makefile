@@ -6,7 +6,7 @@ ifneq ($(wildcard ../shared/data/rle),)
 export EGOLANE_DATA ?= $(abspath ../shared/data)
 endif
 
-.PHONY: run test check docs bench coverage dist notebooks paper graphs beyond delay events camera searched rendered compared maps cluster-demo fuzz clean
+.PHONY: run test check docs bench coverage dist notebooks paper graphs beyond delay events camera searched tuned rendered compared maps cluster-demo fuzz clean
 
 run: .venv/.run
 	$(BIN)/egolane run experiments/quickstart.yaml
@@ -76,6 +76,11 @@ graphs: .venv/.run
 	$(BIN)/egolane compare --graphs $(GRAPHS) --held-out --wide --set filter=exact $(SEARCH) --differences results/graphs/graphs.png > results/graphs/graphs.md
 	$(BIN)/egolane compare $(EM) experiments/graphs/start.yaml --runs 1-10 --jobs 2 --wide > results/graphs/learned.md
 	$(BIN)/egolane compare experiments/graphs/searched.yaml $(OTHERS) --runs 1-10 --wide $(SEARCH) > results/graphs/learned_or_searched.md
+
+# results/tuning/tables.md and its figure: the paper's parameters searched for each run, detector and
+# road (N minutes of two cores; the same command goes on where it stopped).
+tuned: .venv/.dev
+	$(BIN)/python -m makers.tuned --out results/tuning
 
 # What results/beyond/ holds of recordings by other detectors (a quarter of an hour of one core).
 beyond: .venv/.dev
